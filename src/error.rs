@@ -1,0 +1,58 @@
+//! What went wrong, in which file and layer, and what to do about it.
+
+use std::path::PathBuf;
+
+/// The result of everything in this library that can fail.
+pub type Result<T> = std::result::Result<T, Error>;
+
+/// A failure, told so that the person who meets it knows what to do next: each message names the place, the problem and the remedy.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum Error {
+    /// A file cannot be read or written.
+    #[error("{}: {problem}\n  remedy: {remedy}", path.display())]
+    File {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it.
+        problem: String,
+        /// What the user can do.
+        remedy: String,
+    },
+    /// A layer inside a file is missing or cannot be used.
+    #[error("{}, layer '{layer}': {problem}\n  remedy: {remedy}", path.display())]
+    Layer {
+        /// The file.
+        path: PathBuf,
+        /// The layer, named as in the file.
+        layer: String,
+        /// What is wrong with it.
+        problem: String,
+        /// What the user can do.
+        remedy: String,
+    },
+    /// What was asked for cannot be done: parameters that contradict each other or the input.
+    #[error("{problem}\n  remedy: {remedy}")]
+    Request {
+        /// What cannot be done, and why.
+        problem: String,
+        /// What the user can do.
+        remedy: String,
+    },
+    /// No adapter, a lost device, not enough memory.
+    #[error("{problem}\n  remedy: {remedy}")]
+    Device {
+        /// What the device or its driver reported.
+        problem: String,
+        /// What the user can do.
+        remedy: String,
+    },
+    /// A shader does not compile or does not fit its host struct: a defect of this program, not of its input.
+    #[error("stage '{stage}': {problem}\n  remedy: this is a defect of stein: please report it with the output of `stein devices`")]
+    Shader {
+        /// The stage, named as its file in `shaders/`.
+        stage: String,
+        /// What naga or the driver said.
+        problem: String,
+    },
+}

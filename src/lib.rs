@@ -1,0 +1,4 @@
+//! Stein: a GPU denoiser for Monte Carlo renderings that knows its own error.
+pub mod error;
+pub mod frame;
+pub mod image;

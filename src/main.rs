@@ -1,0 +1,2 @@
+//! stein
+fn main() {}
