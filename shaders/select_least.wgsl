@@ -1,0 +1,46 @@
+// Binary selection maps (Algorithm 1 lines 24–26, the typo of line 26 mended): 1 for the candidate with the least smoothed error, 0 for the others.
+//
+// On ties the later, more robust candidate wins. FIRST may win only where it filters more than SECOND, told by the smaller mean derivative (thesis 8.4):
+// noise that it keeps goes unnoticed by SURE. An error that is not finite cannot win.
+#import stein::planes::{pixel_index}
+
+struct SelectLeastParams {
+    extent: vec2<i32>,
+}
+
+@group(0) @binding(0) var<uniform> params: SelectLeastParams;
+// Smoothed errors, x: FIRST, y: SECOND, z: THIRD.
+@group(0) @binding(1) var<storage, read> errors: array<vec4<f32>>;
+@group(0) @binding(2) var<storage, read> derivatives: array<vec4<f32>>;
+@group(0) @binding(3) var<storage, read_write> selected: array<vec4<f32>>;
+
+// By its bits: a comparison may be assumed not to meet NaN.
+fn is_finite(value: f32) -> bool {
+    return (bitcast<u32>(value) & 0x7f800000u) != 0x7f800000u;
+}
+
+@compute @workgroup_size(32, 2, 1)
+fn main(@builtin(global_invocation_id) id: vec3<u32>) {
+    let p = vec2<i32>(id.xy);
+    if any(p >= params.extent) {
+        return;
+    }
+    let pixels = params.extent.x * params.extent.y;
+    let at = pixel_index(p, params.extent);
+    let error = errors[at];
+    let one = vec3<f32>(1.0);
+    let first_filters_more = dot(one, derivatives[at].xyz) < dot(one, derivatives[pixels + at].xyz);
+    var least = 3.4e38;
+    if is_finite(error.z) {
+        least = error.z;
+    }
+    var map = vec4<f32>(0.0, 0.0, 1.0, 0.0);
+    if is_finite(error.y) && error.y < least {
+        least = error.y;
+        map = vec4<f32>(0.0, 1.0, 0.0, 0.0);
+    }
+    if is_finite(error.x) && error.x < least && first_filters_more {
+        map = vec4<f32>(1.0, 0.0, 0.0, 0.0);
+    }
+    selected[at] = map;
+}

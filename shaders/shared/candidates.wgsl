@@ -1,0 +1,30 @@
+// What the two halves of the candidate filters share: their parameters, the layout of the sums, the finite-difference step.
+#define_import_path stein::candidates
+
+struct CandidateParams {
+    // 1 / k_f².
+    inverse_feature_k_squared: f32,
+    // τ of FIRST and SECOND, and of THIRD: the least scale of a feature difference.
+    feature_tau: f32,
+    feature_tau_third: f32,
+    // 1 / number of channels, per channel of the triple: turns a sum over channels into their mean.
+    triple_weights: array<vec4<f32>, 8>,
+}
+
+// Planes of the running sums. Lane 0 of a "lanes" plane belongs to the filter itself, lanes 1 to 3 to the filter with channel 0 to 2 of the centre pixel perturbed.
+const WEIGHT_LANES: i32 = 0;       // Σ w
+const LARGEST_LANES: i32 = 1;      // largest w
+const MEAN_SUM: i32 = 2;           // Σ w·(u_q − u_p)
+const PERTURBED_SUM: i32 = 3;      // Σ w'·(u_q − u_p), channel by channel with the weights perturbed in that channel
+const SPREAD_SUM: i32 = 4;         // Σ w·(spread_q − spread_p)
+const PLANES_WITH_COLOR: i32 = 5;
+// THIRD has no colour term, so nothing to perturb: its Σ w sits in the w of MEAN_SUM, its largest weight in the w of SPREAD_SUM.
+const THIRD_MEAN_SUM: i32 = 10;
+const THIRD_SPREAD_SUM: i32 = 11;
+const STATE_PLANES: i32 = 12;
+
+// Step of the finite differences (thesis 8.4: 1 % of the value), held above 1 % of the pixel's noise, and above nothing at all: at u ≈ 0 the step would vanish.
+fn difference_step(u: vec3<f32>, variance_of_mean: vec3<f32>) -> vec3<f32> {
+    let size = max(max(0.01 * abs(u), 0.01 * sqrt(variance_of_mean)), vec3<f32>(1e-6));
+    return select(size, -size, u < vec3<f32>(0.0));
+}

@@ -1,0 +1,111 @@
+// The NL-means distance and its weights (thesis 7.1.1, 8.2), shared by every stage that filters with them.
+//
+// Neighbours are visited in pairs q1 = p + o, q2 = p − o, with o running over half the window: the symmetric weights need both at once.
+// The distance itself is *not* symmetric: its cancellation term uses the variance of p, so d(p, q) of one pixel cannot be reused as d(q, p) of the other.
+#define_import_path stein::nlm
+
+struct NlmParams {
+    extent: vec2<i32>,
+    // The strip of rows that one dispatch works on.
+    first_row: i32,
+    rows: i32,
+    // The chunk of pairs of offsets whose distances are in the scratch buffers at one time.
+    first_pair: i32,
+    pairs: i32,
+    window_radius: i32,
+    // Rows that one invocation of nlm_distance walks down.
+    block_rows: i32,
+    // k_c² of the guide.
+    k_squared: f32,
+    // 1 / number of channels of the guide.
+    inverse_channels: f32,
+    // The centre takes the largest weight among its neighbours, at least this one; above 1 means: it takes 1.
+    centre_floor: f32,
+    unused: f32,
+}
+
+// Prevents a division by zero between two pixels without variance (eq. 7.4).
+const EPSILON: f32 = 1e-10;
+// A pixel distance beyond this is total dissimilarity in any patch. The limit keeps sums and perturbed sums finite: inf − inf would become full weight.
+const DISTANCE_LIMIT: f32 = 1e8;
+// Above this distance weights vanish in f32 and the ratio that judges symmetry says nothing.
+const SYMMETRY_LIMIT: f32 = 25.0;
+
+// The half window in reading order: (1..R, 0), then the rows below.
+fn pair_offset(pair: i32, radius: i32) -> vec2<i32> {
+    if pair < radius {
+        return vec2<i32>(pair + 1, 0);
+    }
+    let side = 2 * radius + 1;
+    let rest = pair - radius;
+    return vec2<i32>(rest % side - radius, rest / side + 1);
+}
+
+fn pair_count(radius: i32) -> i32 {
+    return 2 * radius * (radius + 1);
+}
+
+// eq. 7.4 with α = 1, per channel.
+fn distance(u_p: vec3<f32>, u_q: vec3<f32>, var_p: vec3<f32>, var_q: vec3<f32>, k_squared: f32) -> vec3<f32> {
+    let difference = u_p - u_q;
+    let cancelled = difference * difference - (var_p + min(var_p, var_q));
+    return min(cancelled / (EPSILON + k_squared * (var_p + var_q)), vec3<f32>(DISTANCE_LIMIT));
+}
+
+// eq. 7.6: the distance to the mean of the two neighbours. It is eq. 7.4 with their mean in the place of q, ε and k² included.
+fn symmetric_distance(
+    u_p: vec3<f32>, u_q1: vec3<f32>, u_q2: vec3<f32>,
+    var_p: vec3<f32>, var_q1: vec3<f32>, var_q2: vec3<f32>,
+    k_squared: f32,
+) -> vec3<f32> {
+    let difference = u_p - 0.5 * (u_q1 + u_q2);
+    let cancelled = difference * difference - (var_p + 0.25 * (min(var_q1, var_p) + min(var_q2, var_p)));
+    return min(cancelled / (EPSILON + k_squared * (var_p + 0.25 * (var_q1 + var_q2))), vec3<f32>(DISTANCE_LIMIT));
+}
+
+// Number of offsets n of a patch for which both p + n and p + o + n exist.
+fn patch_pairs(p: vec2<i32>, offset: vec2<i32>, extent: vec2<i32>, patch_radius: i32) -> f32 {
+    let first = max(max(vec2<i32>(-patch_radius), -p), -p - offset);
+    let last = min(min(vec2<i32>(patch_radius), extent - 1 - p), extent - 1 - p - offset);
+    let size = max(last - first + 1, vec2<i32>(0));
+    return f32(max(size.x * size.y, 1));
+}
+
+// Number of offsets n of a patch for which p + n, p + o + n and p − o + n all exist.
+fn patch_triples(p: vec2<i32>, offset: vec2<i32>, extent: vec2<i32>, patch_radius: i32) -> f32 {
+    let reach = abs(offset);
+    let first = max(vec2<i32>(-patch_radius), reach - p);
+    let last = min(vec2<i32>(patch_radius), extent - 1 - reach - p);
+    let size = max(last - first + 1, vec2<i32>(0));
+    return f32(max(size.x * size.y, 1));
+}
+
+struct PairWeights {
+    q1: vec4<f32>,
+    q2: vec4<f32>,
+}
+
+// Weights of a pair of neighbours from their distances (eq. 7.5), four independent ones at a time. Where the mean of the two is a better match than
+// both of them together, its weight replaces theirs: smoothly, so that finite differences keep their meaning.
+fn pair_weights(distance_q1: vec4<f32>, distance_q2: vec4<f32>, distance_both: vec4<f32>, both_inside: bool) -> PairWeights {
+    let d1 = max(distance_q1, vec4<f32>(0.0));
+    let d2 = max(distance_q2, vec4<f32>(0.0));
+    let w1 = exp(-d1);
+    let w2 = exp(-d2);
+#if SYMMETRIC == true
+    let w_both = exp(-max(distance_both, vec4<f32>(0.0)));
+    let comparable = (max(d1, d2) < vec4<f32>(SYMMETRY_LIMIT)) & vec4<bool>(both_inside);
+    let judged = clamp(w_both / max(w1 + w2, vec4<f32>(1e-20)) - 1.0, vec4<f32>(0.0), vec4<f32>(1.0));
+    let share = select(vec4<f32>(0.0), judged, comparable);
+    return PairWeights(w1 + share * (w_both - w1), w2 + share * (w_both - w2));
+#else
+    return PairWeights(w1, w2);
+#endif
+}
+
+fn centre_weight(largest: vec4<f32>, centre_floor: f32) -> vec4<f32> {
+    if centre_floor > 1.0 {
+        return vec4<f32>(1.0);
+    }
+    return max(largest, vec4<f32>(centre_floor));
+}
