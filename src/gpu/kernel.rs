@@ -13,7 +13,15 @@ use crate::error::{Error, Result};
 /// What naga_oil puts between the name of an imported item and the name of its module.
 const IMPORT_DECORATION: &str = "X_naga_oil_mod_X";
 
-pub(super) type KernelKey = (&'static str, Vec<(String, Definition)>);
+/// What makes two kernels the same.
+#[derive(Debug, PartialEq, Eq, Hash)]
+pub(super) struct KernelKey {
+    stage: String,
+    /// The source of a shader that is not in `shaders/`.
+    source: Option<String>,
+    /// Sorted by name.
+    definitions: Vec<(String, Definition)>,
+}
 
 /// A compiled stage that fits its [`Bindings`].
 #[derive(Debug)]
@@ -53,29 +61,36 @@ impl Gpu {
     ///
     /// # Errors
     /// [`Error::Shader`] where the shader does not compile or does not fit `B`; [`Error::Device`] where it needs more than the adapter has.
-    pub fn kernel<B: Bindings>(&self, stage: &'static str, definitions: Definitions) -> Result<Arc<Kernel>> {
-        self.check()?;
-        let mut sorted: Vec<_> = definitions.iter().map(|(name, value)| ((*name).to_owned(), *value)).collect();
-        sorted.sort_by(|a, b| a.0.cmp(&b.0));
-        // Held while the kernel is built: a second thread that wants the same kernel waits instead of building it again.
-        let mut kernels = lock(&self.inner.kernels);
-        let key = (stage, sorted);
-        if let Some(kernel) = kernels.get(&key) {
-            let same = kernel.slots == B::SLOTS;
-            return if same { Ok(Arc::clone(kernel)) } else { Err(failure(stage, "two different host structs are bound to it".into())) };
-        }
-        let kernel = Arc::new(self.build(stage, compose(stage, definitions)?, B::SLOTS)?);
-        kernels.insert(key, Arc::clone(&kernel));
-        Ok(kernel)
+    pub fn kernel<B: Bindings>(&self, stage: &str, definitions: Definitions) -> Result<Arc<Kernel>> {
+        self.find_or_build(stage, None, definitions, B::SLOTS)
     }
 
-    /// A kernel of a shader that is not in `shaders/`, for tests and embedders. It is not kept.
+    /// The kernel of a shader that is not in `shaders/`, for tests and embedders.
     ///
     /// # Errors
     /// As [`Gpu::kernel`].
     pub fn kernel_from_source<B: Bindings>(&self, name: &str, source: &str, definitions: Definitions) -> Result<Arc<Kernel>> {
+        self.find_or_build(name, Some(source), definitions, B::SLOTS)
+    }
+
+    fn find_or_build(&self, stage: &str, source: Option<&str>, definitions: Definitions, slots: &'static [Slot]) -> Result<Arc<Kernel>> {
         self.check()?;
-        self.build(name, compose_source(name, source, definitions)?, B::SLOTS).map(Arc::new)
+        let mut sorted: Vec<_> = definitions.iter().map(|(name, value)| ((*name).to_owned(), *value)).collect();
+        sorted.sort_by(|a, b| a.0.cmp(&b.0));
+        let key = KernelKey { stage: stage.into(), source: source.map(str::to_owned), definitions: sorted };
+        // Held while the kernel is built: a second thread that wants the same kernel waits instead of building it again.
+        let mut kernels = lock(&self.inner.kernels);
+        if let Some(kernel) = kernels.get(&key) {
+            let same = kernel.slots == slots;
+            return if same { Ok(Arc::clone(kernel)) } else { Err(failure(stage, "two different host structs are bound to it".into())) };
+        }
+        let module = match source {
+            Some(source) => compose_source(stage, source, definitions)?,
+            None => compose(stage, definitions)?,
+        };
+        let kernel = Arc::new(self.build(stage, module, slots)?);
+        kernels.insert(key, Arc::clone(&kernel));
+        Ok(kernel)
     }
 
     /// How many kernels are kept.
