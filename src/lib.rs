@@ -1,4 +1,5 @@
 //! Stein: a GPU denoiser for Monte Carlo renderings that knows its own error.
 pub mod error;
 pub mod frame;
+pub mod gpu;
 pub mod image;

@@ -1,0 +1,251 @@
+//! Host structs that name what a shader binds.
+//!
+//! [`bindings!`] declares a struct whose fields are called like the shader's global variables, [`uniforms!`] one whose fields are called like the members of
+//! a uniform struct. Both leave a table of names and types, which is compared with the compiled shader when a kernel is built. Binding numbers, member offsets and
+//! padding are taken from the shader, so they are written once and cannot disagree.
+
+use std::fmt;
+
+use super::pool::Buffer;
+
+/// What the host gives to one shader stage. Implemented by [`bindings!`].
+pub trait Bindings {
+    /// The shader's global variables in the order of [`Bindings::values`].
+    const SLOTS: &'static [Slot];
+    /// What to bind, in the order of [`Bindings::SLOTS`].
+    fn values(&self) -> Vec<Value<'_>>;
+}
+
+/// One global variable of a shader, as the host sees it.
+#[derive(Clone, Copy, Debug)]
+pub struct Slot {
+    /// The name of the variable.
+    pub name: &'static str,
+    /// What the host binds to it.
+    pub kind: SlotKind,
+}
+
+/// What the host binds to a variable, and what the shader may do with it.
+#[derive(Clone, Copy)]
+pub enum SlotKind {
+    /// `var<uniform>`, filled from a struct made by [`uniforms!`].
+    Uniform {
+        /// The name of the host struct.
+        host: &'static str,
+        /// Lists its members.
+        members: fn(&str, &mut Vec<Member>),
+    },
+    /// `var<storage, read>`.
+    Read,
+    /// `var<storage, read>` that some definitions remove from the shader: bound where it is declared, absent where it is not.
+    Optional,
+    /// `var<storage, read_write>`.
+    Write,
+}
+
+impl SlotKind {
+    /// The declaration in WGSL that this kind stands for.
+    pub(super) fn declaration(self) -> &'static str {
+        match self {
+            Self::Uniform { .. } => "var<uniform>",
+            Self::Read | Self::Optional => "var<storage, read>",
+            Self::Write => "var<storage, read_write>",
+        }
+    }
+}
+
+impl PartialEq for SlotKind {
+    fn eq(&self, other: &Self) -> bool {
+        match (self, other) {
+            (Self::Uniform { host: a, .. }, Self::Uniform { host: b, .. }) => a == b,
+            _ => std::mem::discriminant(self) == std::mem::discriminant(other),
+        }
+    }
+}
+
+impl PartialEq for Slot {
+    fn eq(&self, other: &Self) -> bool {
+        self.name == other.name && self.kind == other.kind
+    }
+}
+
+impl fmt::Debug for SlotKind {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.declaration())
+    }
+}
+
+/// What is bound to a slot in one dispatch.
+#[derive(Clone, Debug)]
+pub enum Value<'a> {
+    /// The members of a uniform struct as bytes, in the order of its table.
+    Uniform(Vec<&'a [u8]>),
+    /// A storage buffer.
+    Buffer(&'a Buffer),
+    /// Nothing: an [`SlotKind::Optional`] slot that is `None`.
+    Absent,
+}
+
+/// One member of a uniform struct; those of nested structs are listed as `outer.inner`.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Member {
+    /// Dotted path from the uniform variable.
+    pub path: String,
+    /// Its type, which the shader's must equal.
+    pub value: ValueType,
+}
+
+/// The type of a uniform member, displayed as WGSL writes it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ValueType {
+    /// `f32`, `u32` or `i32`.
+    pub scalar: &'static str,
+    /// 1 for a scalar, 2 to 4 for a vector.
+    pub lanes: u32,
+    /// Elements of an array; 0 where it is none.
+    pub elements: u32,
+}
+
+impl fmt::Display for ValueType {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let element = if self.lanes == 1 { self.scalar.to_owned() } else { format!("vec{}<{}>", self.lanes, self.scalar) };
+        if self.elements == 0 { f.write_str(&element) } else { write!(f, "array<{element}, {}>", self.elements) }
+    }
+}
+
+/// A value that a uniform buffer can hold: a scalar, a vector, an array of four-component vectors, or a struct made by [`uniforms!`].
+pub trait Uniform {
+    /// Lists the members of this value, which itself is called `path`.
+    fn members(path: &str, into: &mut Vec<Member>);
+    /// The bytes of the members, in the same order.
+    fn bytes<'a>(&'a self, into: &mut Vec<&'a [u8]>);
+}
+
+macro_rules! uniform_value {
+    ($($type:ty: $scalar:literal x $lanes:literal;)+) => {$(
+        impl Uniform for $type {
+            fn members(path: &str, into: &mut Vec<Member>) {
+                into.push(Member { path: path.to_owned(), value: ValueType { scalar: $scalar, lanes: $lanes, elements: 0 } });
+            }
+            fn bytes<'a>(&'a self, into: &mut Vec<&'a [u8]>) {
+                into.push(bytemuck::bytes_of(self));
+            }
+        }
+    )+};
+}
+
+uniform_value! {
+    f32: "f32" x 1;
+    u32: "u32" x 1;
+    i32: "i32" x 1;
+    glam::Vec2: "f32" x 2;
+    glam::Vec3: "f32" x 3;
+    glam::Vec4: "f32" x 4;
+    glam::UVec2: "u32" x 2;
+    glam::UVec3: "u32" x 3;
+    glam::UVec4: "u32" x 4;
+    glam::IVec2: "i32" x 2;
+    glam::IVec3: "i32" x 3;
+    glam::IVec4: "i32" x 4;
+}
+
+// Only of vectors with four components: the elements of a uniform array lie 16 bytes apart.
+macro_rules! uniform_array {
+    ($($type:ty: $scalar:literal;)+) => {$(
+        impl<const N: usize> Uniform for [$type; N] {
+            fn members(path: &str, into: &mut Vec<Member>) {
+                into.push(Member { path: path.to_owned(), value: ValueType { scalar: $scalar, lanes: 4, elements: N as u32 } });
+            }
+            fn bytes<'a>(&'a self, into: &mut Vec<&'a [u8]>) {
+                into.push(bytemuck::cast_slice(self.as_slice()));
+            }
+        }
+    )+};
+}
+
+uniform_array! {
+    glam::Vec4: "f32";
+    glam::UVec4: "u32";
+    glam::IVec4: "i32";
+}
+
+/// Declares structs that fill uniform buffers: ordinary Rust structs whose fields are called and typed like the members in WGSL.
+///
+/// ```
+/// stein::gpu::uniforms! {
+///     /// What the stage needs to know.
+///     pub struct BoxParams {
+///         /// Width and height in pixels.
+///         pub extent: glam::UVec2,
+///         /// Half width of the box in pixels.
+///         pub radius: u32,
+///     }
+/// }
+/// ```
+///
+/// Order and padding need not match: values are written where the shader wants them.
+#[macro_export]
+macro_rules! uniforms {
+    ($($(#[$meta:meta])* $vis:vis struct $name:ident { $($(#[$field_meta:meta])* $field_vis:vis $field:ident: $type:ty),+ $(,)? })+) => {$(
+        $(#[$meta])*
+        #[derive(Clone, Copy, Debug, PartialEq)]
+        $vis struct $name { $($(#[$field_meta])* $field_vis $field: $type),+ }
+
+        impl $crate::gpu::Uniform for $name {
+            fn members(path: &str, into: &mut Vec<$crate::gpu::Member>) {
+                $(<$type as $crate::gpu::Uniform>::members(&format!("{path}.{}", stringify!($field)), into);)+
+            }
+            fn bytes<'a>(&'a self, into: &mut Vec<&'a [u8]>) {
+                $($crate::gpu::Uniform::bytes(&self.$field, into);)+
+            }
+        }
+    )+};
+}
+
+/// Declares what a shader stage binds: a struct whose fields are called like the shader's global variables.
+///
+/// `uniform name: Struct` takes a struct made by [`uniforms!`]; `read name` and `write name` take a `&Buffer`; `optional name` takes an `Option<&Buffer>` for a
+/// variable that is read and that some definitions remove.
+///
+/// ```
+/// # stein::gpu::uniforms! { pub struct BoxParams { radius: u32 } }
+/// stein::gpu::bindings! {
+///     /// Averages over a box.
+///     pub struct BoxBlur<'a> { uniform params: BoxParams, read source, optional mask, write blurred }
+/// }
+/// ```
+#[macro_export]
+macro_rules! bindings {
+    (@type $life:lifetime uniform $type:ty) => { $type };
+    (@type $life:lifetime read) => { &$life $crate::gpu::Buffer };
+    (@type $life:lifetime write) => { &$life $crate::gpu::Buffer };
+    (@type $life:lifetime optional) => { Option<&$life $crate::gpu::Buffer> };
+    (@kind uniform $type:ty) => { $crate::gpu::SlotKind::Uniform { host: stringify!($type), members: <$type as $crate::gpu::Uniform>::members } };
+    (@kind read) => { $crate::gpu::SlotKind::Read };
+    (@kind write) => { $crate::gpu::SlotKind::Write };
+    (@kind optional) => { $crate::gpu::SlotKind::Optional };
+    (@value $value:expr, uniform $type:ty) => {{
+        let mut bytes = Vec::new();
+        $crate::gpu::Uniform::bytes(&$value, &mut bytes);
+        $crate::gpu::Value::Uniform(bytes)
+    }};
+    (@value $value:expr, read) => { $crate::gpu::Value::Buffer($value) };
+    (@value $value:expr, write) => { $crate::gpu::Value::Buffer($value) };
+    (@value $value:expr, optional) => { $value.map_or($crate::gpu::Value::Absent, $crate::gpu::Value::Buffer) };
+    ($($(#[$meta:meta])* $vis:vis struct $name:ident<$life:lifetime> {
+        $($(#[$field_meta:meta])* $kind:ident $field:ident $(: $type:ty)?),+ $(,)?
+    })+) => {$(
+        $(#[$meta])*
+        #[allow(missing_docs, reason = "the fields are the shader's variables and are described there")]
+        #[derive(Clone, Copy, Debug)]
+        $vis struct $name<$life> { $($(#[$field_meta])* $vis $field: $crate::bindings!(@type $life $kind $($type)?)),+ }
+
+        impl $crate::gpu::Bindings for $name<'_> {
+            const SLOTS: &'static [$crate::gpu::Slot] =
+                &[$($crate::gpu::Slot { name: stringify!($field), kind: $crate::bindings!(@kind $kind $($type)?) }),+];
+            fn values(&self) -> Vec<$crate::gpu::Value<'_>> {
+                vec![$($crate::bindings!(@value self.$field, $kind $($type)?)),+]
+            }
+        }
+    )+};
+}

@@ -1,0 +1,18 @@
+//! Which shader files exist. A file that is listed and missing fails the build; one that lies there unlisted fails a test.
+
+/// Embeds `<folder>/<name>.wgsl` for every name: pairs of name and source.
+macro_rules! sources {
+    ($folder:literal: $($name:literal),* $(,)?) => {
+        &[$(($name, include_str!(concat!(env!("CARGO_MANIFEST_DIR"), "/", $folder, "/", $name, ".wgsl")))),*]
+    };
+}
+
+/// Pieces that stages import (`#define_import_path stein::...`), in any order.
+#[rustfmt::skip]
+pub(super) const SHARED: &[(&str, &str)] = sources!("shaders/shared":
+);
+
+/// The stages: each file is one kernel.
+#[rustfmt::skip]
+pub(super) const STAGES: &[(&str, &str)] = sources!("shaders":
+);

@@ -1,0 +1,437 @@
+//! Adapters and the open device.
+
+use std::any::Any;
+use std::collections::HashMap;
+use std::fmt;
+use std::str::FromStr;
+use std::sync::{Arc, Mutex};
+
+use serde::Serialize;
+
+use super::kernel::{Kernel, KernelKey};
+use super::pool::{MemoryUse, Pool};
+use super::timing::Timing;
+use super::{human_bytes, lock};
+use crate::error::{Error, Result};
+
+/// The interfaces that are good for compute. OpenGL lists the same hardware a second time, with fewer abilities.
+const BACKENDS: wgpu::Backends = wgpu::Backends::VULKAN.union(wgpu::Backends::METAL).union(wgpu::Backends::DX12);
+
+/// Storage buffers that one kernel may bind: as many as are asked of an adapter that has more.
+const STORAGE_BUFFERS_WANTED: u32 = 16;
+
+/// Which adapter to open.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub enum DeviceChoice {
+    /// The first of the best kind: discrete, integrated, virtual, software.
+    #[default]
+    Auto,
+    /// The index in [`Gpu::adapters`].
+    Index(usize),
+    /// The first adapter whose name contains this, upper and lower case being equal.
+    Name(String),
+}
+
+impl FromStr for DeviceChoice {
+    type Err = std::convert::Infallible;
+
+    fn from_str(text: &str) -> std::result::Result<Self, Self::Err> {
+        Ok(match text.trim() {
+            text if text.is_empty() || text.eq_ignore_ascii_case("auto") => Self::Auto,
+            text => text.parse().map_or_else(|_| Self::Name(text.to_owned()), Self::Index),
+        })
+    }
+}
+
+/// What an adapter is made of, best first.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum DeviceKind {
+    /// A graphics card with memory of its own.
+    Discrete,
+    /// Graphics in the processor.
+    Integrated,
+    /// Graphics of a virtual machine.
+    Virtual,
+    /// Unknown to the driver.
+    Other,
+    /// A program that plays the graphics card on the processor's cores.
+    Software,
+}
+
+impl fmt::Display for DeviceKind {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Discrete => "discrete",
+            Self::Integrated => "integrated",
+            Self::Virtual => "virtual",
+            Self::Other => "other",
+            Self::Software => "software",
+        })
+    }
+}
+
+/// An adapter, described for people and for reports.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct AdapterSummary {
+    /// Position in [`Gpu::adapters`]; 0 for a device that a renderer brought along.
+    pub index: usize,
+    /// As the driver calls it.
+    pub name: String,
+    /// Vulkan, Metal or DX12.
+    pub backend: String,
+    /// What it is made of.
+    pub kind: DeviceKind,
+    /// Driver and its version.
+    pub driver: String,
+    /// The largest buffer, in bytes.
+    pub max_buffer_bytes: u64,
+    /// The largest part of a buffer that a kernel can see, in bytes.
+    pub max_binding_bytes: u64,
+    /// Storage buffers that one kernel can see.
+    pub max_storage_buffers: u32,
+    /// Whether kernels can be timed on the device.
+    pub timestamps: bool,
+}
+
+impl AdapterSummary {
+    fn new(index: usize, info: &wgpu::AdapterInfo, limits: &wgpu::Limits, features: wgpu::Features) -> Self {
+        let driver = format!("{} {}", info.driver, info.driver_info);
+        Self {
+            index,
+            name: info.name.clone(),
+            backend: match info.backend {
+                wgpu::Backend::Dx12 => "DX12".to_owned(),
+                backend => format!("{backend:?}"),
+            },
+            kind: match info.device_type {
+                wgpu::DeviceType::DiscreteGpu => DeviceKind::Discrete,
+                wgpu::DeviceType::IntegratedGpu => DeviceKind::Integrated,
+                wgpu::DeviceType::VirtualGpu => DeviceKind::Virtual,
+                wgpu::DeviceType::Other => DeviceKind::Other,
+                wgpu::DeviceType::Cpu => DeviceKind::Software,
+            },
+            driver: driver.trim().to_owned(),
+            max_buffer_bytes: limits.max_buffer_size,
+            max_binding_bytes: limits.max_storage_buffer_binding_size,
+            max_storage_buffers: limits.max_storage_buffers_per_shader_stage,
+            timestamps: features.contains(wgpu::Features::TIMESTAMP_QUERY),
+        }
+    }
+}
+
+impl fmt::Display for AdapterSummary {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { index, name, backend, kind, driver, .. } = self;
+        write!(f, "{index}: {name} ({backend}, {kind}, {driver}; buffers up to {})", human_bytes(self.max_binding_bytes))
+    }
+}
+
+/// How a device is opened. The default is what a user wants; the other settings serve the test suite.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct GpuOptions {
+    /// Builds kernels with bounds checks, loop bounds and zeroed workgroup memory. Off, they are up to a third faster.
+    pub checked_shaders: bool,
+    /// Fills every buffer that [`Recorder::take`](super::Recorder::take) hands out with [`Gpu::POISON`], so that what a kernel forgets to write shows.
+    pub poison: bool,
+}
+
+/// An open device. Cheap to clone, shared between threads.
+#[derive(Clone, Debug)]
+pub struct Gpu {
+    pub(super) inner: Arc<Inner>,
+}
+
+#[derive(Debug)]
+pub(super) struct Inner {
+    pub(super) device: wgpu::Device,
+    pub(super) queue: wgpu::Queue,
+    pub(super) limits: wgpu::Limits,
+    pub(super) summary: AdapterSummary,
+    pub(super) options: GpuOptions,
+    pub(super) pool: Arc<Pool>,
+    pub(super) kernels: Mutex<HashMap<KernelKey, Arc<Kernel>>>,
+    pub(super) timing: Timing,
+    pub(super) poison_source: Mutex<Option<wgpu::Buffer>>,
+    health: Arc<Health>,
+}
+
+/// What went wrong outside of any call that could have returned it.
+#[derive(Debug, Default)]
+struct Health {
+    lost: Mutex<Option<String>>,
+    fault: Mutex<Option<String>>,
+}
+
+impl Gpu {
+    /// The bits that fill every buffer under [`GpuOptions::poison`]: a quiet NaN that no arithmetic produces.
+    pub const POISON: u32 = 0x7fc0_dead;
+
+    /// All adapters of this machine, in the driver's order.
+    pub fn adapters() -> Vec<AdapterSummary> {
+        let summaries = enumerate().into_iter().enumerate();
+        summaries.map(|(index, adapter)| AdapterSummary::new(index, &adapter.get_info(), &adapter.limits(), adapter.features())).collect()
+    }
+
+    /// Opens an adapter.
+    ///
+    /// # Errors
+    /// [`Error::Device`] where there is no adapter, none that `choice` names, or where the driver refuses.
+    pub fn open(choice: &DeviceChoice) -> Result<Self> {
+        Self::open_with(choice, GpuOptions::default())
+    }
+
+    /// Opens an adapter for tests.
+    ///
+    /// # Errors
+    /// As [`Gpu::open`].
+    pub fn open_with(choice: &DeviceChoice, options: GpuOptions) -> Result<Self> {
+        let adapters = enumerate();
+        let summaries: Vec<_> = adapters
+            .iter()
+            .enumerate()
+            .map(|(index, adapter)| AdapterSummary::new(index, &adapter.get_info(), &adapter.limits(), adapter.features()))
+            .collect();
+        let summary = choose(&summaries, choice)?;
+        let adapter = &adapters[summary.index];
+
+        let offered = adapter.limits();
+        let limits = wgpu::Limits {
+            max_buffer_size: offered.max_buffer_size,
+            max_storage_buffer_binding_size: offered.max_storage_buffer_binding_size,
+            max_storage_buffers_per_shader_stage: offered.max_storage_buffers_per_shader_stage.min(STORAGE_BUFFERS_WANTED),
+            max_compute_workgroup_storage_size: offered.max_compute_workgroup_storage_size,
+            max_compute_invocations_per_workgroup: offered.max_compute_invocations_per_workgroup,
+            max_compute_workgroup_size_x: offered.max_compute_workgroup_size_x,
+            max_compute_workgroup_size_y: offered.max_compute_workgroup_size_y,
+            max_compute_workgroup_size_z: offered.max_compute_workgroup_size_z,
+            ..wgpu::Limits::default().or_worse_values_from(&offered)
+        };
+        let description = wgpu::DeviceDescriptor {
+            label: Some("stein"),
+            required_features: adapter.features() & wgpu::Features::TIMESTAMP_QUERY,
+            required_limits: limits,
+            ..Default::default()
+        };
+        let (device, queue) = pollster::block_on(adapter.request_device(&description)).map_err(|error| Error::Device {
+            problem: format!("adapter '{}' cannot be opened: {error}", summary.name),
+            remedy: "choose another adapter with --device (`stein devices` lists them) or update the graphics driver".into(),
+        })?;
+
+        let health = Arc::new(Health::default());
+        let (lost, fault) = (Arc::clone(&health), Arc::clone(&health));
+        device.set_device_lost_callback(move |reason, message| {
+            let message = if message.is_empty() { format!("{reason:?}").to_lowercase() } else { message };
+            lock(&lost.lost).get_or_insert(message);
+        });
+        // Every call below catches its own errors; this keeps what slips through from ending the process.
+        device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| {
+            lock(&fault.fault).get_or_insert(error.to_string());
+        }));
+        Self::assemble(device, queue, summary, options, health)
+    }
+
+    /// Takes over a device that a renderer already has. The renderer keeps its callbacks for errors and device loss.
+    ///
+    /// # Errors
+    /// [`Error::Device`] where the device was opened without compute.
+    pub fn from_wgpu(device: wgpu::Device, queue: wgpu::Queue, info: &wgpu::AdapterInfo) -> Result<Self> {
+        let summary = AdapterSummary::new(0, info, &device.limits(), device.features());
+        Self::assemble(device, queue, summary, GpuOptions::default(), Arc::default())
+    }
+
+    fn assemble(device: wgpu::Device, queue: wgpu::Queue, summary: AdapterSummary, options: GpuOptions, health: Arc<Health>) -> Result<Self> {
+        let limits = device.limits();
+        if limits.max_compute_invocations_per_workgroup == 0 || limits.max_storage_buffers_per_shader_stage == 0 {
+            return Err(Error::Device {
+                problem: format!("the device on '{}' offers no compute", summary.name),
+                remedy: "open the device with at least `wgpu::Limits::default()`".into(),
+            });
+        }
+        let timing = Timing::new(summary.timestamps, queue.get_timestamp_period());
+        let inner =
+            Inner { device, queue, limits, summary, options, pool: Arc::default(), kernels: Mutex::default(), timing, poison_source: Mutex::default(), health };
+        Ok(Self { inner: Arc::new(inner) })
+    }
+
+    /// What was opened.
+    pub fn summary(&self) -> &AdapterSummary {
+        &self.inner.summary
+    }
+
+    /// Whether kernels run on the processor's cores.
+    pub fn is_software(&self) -> bool {
+        self.inner.summary.kind == DeviceKind::Software
+    }
+
+    /// The largest buffer that a kernel can see whole, in bytes.
+    pub fn max_binding_bytes(&self) -> u64 {
+        self.inner.limits.max_storage_buffer_binding_size.min(self.inner.limits.max_buffer_size)
+    }
+
+    /// The device itself, for embedders.
+    pub fn wgpu_device(&self) -> &wgpu::Device {
+        &self.inner.device
+    }
+
+    /// Its queue, for embedders.
+    pub fn wgpu_queue(&self) -> &wgpu::Queue {
+        &self.inner.queue
+    }
+
+    /// Memory held by pooled buffers.
+    pub fn memory(&self) -> MemoryUse {
+        self.inner.pool.usage()
+    }
+
+    /// Starts a new measurement of [`MemoryUse::peak_bytes`].
+    pub fn reset_peak(&self) {
+        self.inner.pool.reset_peak();
+    }
+
+    /// Gives idle buffers back to the driver.
+    pub fn trim(&self) {
+        self.inner.pool.trim();
+    }
+
+    /// Blocks until everything that was submitted is done.
+    ///
+    /// # Errors
+    /// [`Error::Device`] where the device was lost or reported an error meanwhile.
+    pub fn wait(&self) -> Result<()> {
+        self.poll(wgpu::PollType::wait_indefinitely())
+    }
+
+    /// Lets the driver's callbacks run.
+    pub(super) fn poll(&self, poll: wgpu::PollType) -> Result<()> {
+        self.check()?;
+        // wgpu panics where the driver reports a lost device from inside a poll, the very place where a hang or a reset of the hardware becomes known.
+        let device = &self.inner.device;
+        match std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| device.poll(poll))) {
+            Ok(Ok(_)) => {}
+            Ok(Err(error)) => lock(&self.inner.health.fault).get_or_insert(error.to_string()).truncate(1000),
+            Err(panic) => {
+                lock(&self.inner.health.lost).get_or_insert(panic_message(panic.as_ref()));
+            }
+        }
+        self.check()
+    }
+
+    /// Runs `work` and returns what wgpu or the driver reported meanwhile.
+    pub(super) fn guarded<T>(&self, work: impl FnOnce() -> T) -> std::result::Result<T, wgpu::Error> {
+        let filters = [wgpu::ErrorFilter::Validation, wgpu::ErrorFilter::Internal, wgpu::ErrorFilter::OutOfMemory];
+        let scopes = filters.map(|filter| self.inner.device.push_error_scope(filter));
+        let result = work();
+        let mut first = None;
+        for scope in scopes.into_iter().rev() {
+            first = first.or(pollster::block_on(scope.pop()));
+        }
+        first.map_or(Ok(result), Err)
+    }
+
+    /// Fails where the device was lost, or where an error came up that no call could return.
+    pub(super) fn check(&self) -> Result<()> {
+        if let Some(reason) = lock(&self.inner.health.lost).as_ref() {
+            return Err(Error::Device {
+                problem: format!("the device was lost: {reason}"),
+                remedy: "run again; if it happens again, update the graphics driver, choose another adapter with --device, or ask for less work at once \
+                         (smaller --radius, a cropped image)"
+                    .into(),
+            });
+        }
+        match lock(&self.inner.health.fault).take() {
+            Some(fault) => Err(self.defect(&fault)),
+            None => Ok(()),
+        }
+    }
+
+    /// An error that the driver reported for commands which wgpu had accepted, or the other way round.
+    pub(super) fn defect(&self, report: &str) -> Error {
+        Error::Device {
+            problem: format!("the driver of '{}' reported: {}", self.inner.summary.name, report.trim_end()),
+            remedy: "update the graphics driver or choose another adapter with --device; if it persists, report it with the output of `stein devices`".into(),
+        }
+    }
+}
+
+fn panic_message(panic: &(dyn Any + Send)) -> String {
+    let text = panic.downcast_ref::<String>().map(String::as_str).or(panic.downcast_ref::<&str>().copied());
+    text.unwrap_or("the driver failed while it was waited for").to_owned()
+}
+
+fn enumerate() -> Vec<wgpu::Adapter> {
+    let description = wgpu::InstanceDescriptor { backends: BACKENDS, ..wgpu::InstanceDescriptor::new_without_display_handle() };
+    pollster::block_on(wgpu::Instance::new(description).enumerate_adapters(BACKENDS))
+}
+
+fn choose(summaries: &[AdapterSummary], choice: &DeviceChoice) -> Result<AdapterSummary> {
+    let chosen = match choice {
+        DeviceChoice::Auto => summaries.iter().min_by_key(|summary| summary.kind),
+        DeviceChoice::Index(index) => summaries.get(*index),
+        DeviceChoice::Name(name) => {
+            let name = name.to_lowercase();
+            summaries.iter().find(|summary| summary.name.to_lowercase().contains(&name))
+        }
+    };
+    if let Some(summary) = chosen {
+        return Ok(summary.clone());
+    }
+    if summaries.is_empty() {
+        return Err(Error::Device {
+            problem: "no graphics adapter was found (Vulkan, Metal or DX12)".into(),
+            remedy: "install a Vulkan driver for your graphics card, or a software one (Debian, Ubuntu: `apt-get install mesa-vulkan-drivers`; \
+                     scripts/setup.sh does it)"
+                .into(),
+        });
+    }
+    let wanted = match choice {
+        DeviceChoice::Auto => String::new(),
+        DeviceChoice::Index(index) => format!("with the index {index}"),
+        DeviceChoice::Name(name) => format!("whose name contains '{name}'"),
+    };
+    let list: Vec<_> = summaries.iter().map(|summary| format!("\n    {summary}")).collect();
+    Err(Error::Device { problem: format!("there is no adapter {wanted}"), remedy: format!("choose one of these:{}", list.concat()) })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn summary(index: usize, name: &str, kind: DeviceKind) -> AdapterSummary {
+        AdapterSummary {
+            index,
+            name: name.into(),
+            backend: "Vulkan".into(),
+            kind,
+            driver: "driver 1".into(),
+            max_buffer_bytes: 1 << 30,
+            max_binding_bytes: 1 << 27,
+            max_storage_buffers: 16,
+            timestamps: true,
+        }
+    }
+
+    #[test]
+    fn the_best_kind_of_adapter_is_taken() {
+        let found = [summary(0, "llvmpipe", DeviceKind::Software), summary(1, "Arc", DeviceKind::Discrete), summary(2, "RTX", DeviceKind::Discrete)];
+        assert_eq!(choose(&found, &DeviceChoice::Auto).expect("one").index, 1);
+        assert_eq!(choose(&found, &DeviceChoice::Index(2)).expect("one").name, "RTX");
+        assert_eq!(choose(&found, &DeviceChoice::Name("LLVM".into())).expect("one").index, 0);
+    }
+
+    #[test]
+    fn a_missing_adapter_is_told_with_those_that_exist() {
+        let error = choose(&[summary(0, "llvmpipe", DeviceKind::Software)], &DeviceChoice::Name("rtx".into())).expect_err("none");
+        let text = error.to_string();
+        assert!(text.contains("whose name contains 'rtx'") && text.contains("0: llvmpipe (Vulkan, software"), "{text}");
+        let text = choose(&[], &DeviceChoice::Auto).expect_err("none").to_string();
+        assert!(text.contains("mesa-vulkan-drivers") && text.contains("scripts/setup.sh"), "{text}");
+    }
+
+    #[test]
+    fn a_choice_is_an_index_or_part_of_a_name() {
+        assert_eq!("auto".parse(), Ok(DeviceChoice::Auto));
+        assert_eq!("1".parse(), Ok(DeviceChoice::Index(1)));
+        assert_eq!("RTX 4090".parse(), Ok(DeviceChoice::Name("RTX 4090".into())));
+    }
+}

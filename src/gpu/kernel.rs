@@ -1,0 +1,308 @@
+//! Kernels: a shader that was held against its host struct, and the pipeline made of it.
+
+use std::sync::Arc;
+
+use naga::{AddressSpace, Handle, Module, ScalarKind, StorageAccess, Type, TypeInner};
+
+use super::bindings::{Bindings, Member, Slot, SlotKind};
+use super::device::Gpu;
+use super::lock;
+use super::shader::{Definition, Definitions, compose, compose_source};
+use crate::error::{Error, Result};
+
+/// What naga_oil puts between the name of an imported item and the name of its module.
+const IMPORT_DECORATION: &str = "X_naga_oil_mod_X";
+
+/// What makes two kernels the same.
+#[derive(Debug, PartialEq, Eq, Hash)]
+pub(super) struct KernelKey {
+    stage: String,
+    /// The source of a shader that is not in `shaders/`.
+    source: Option<String>,
+    /// Sorted by name.
+    definitions: Vec<(String, Definition)>,
+}
+
+/// A compiled stage that fits its [`Bindings`].
+#[derive(Debug)]
+pub struct Kernel {
+    stage: String,
+    workgroup_size: [u32; 3],
+    pub(super) slots: &'static [Slot],
+    /// Where each slot is bound; `None` where the shader does not declare an optional one.
+    pub(super) places: Vec<Option<Place>>,
+    pub(super) layout: wgpu::BindGroupLayout,
+    pub(super) pipeline: wgpu::ComputePipeline,
+}
+
+/// Where the shader wants a slot.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct Place {
+    pub(super) binding: u32,
+    /// Size of a uniform struct and the offsets of its members, in bytes and in the order of the host's table. Nothing for buffers.
+    pub(super) uniform_bytes: u32,
+    pub(super) offsets: Vec<u32>,
+}
+
+impl Kernel {
+    /// The stage, named as its file; times are summed under this name.
+    pub fn stage(&self) -> &str {
+        &self.stage
+    }
+
+    /// Invocations per workgroup in x, y and z, as the shader declares them.
+    pub fn workgroup_size(&self) -> [u32; 3] {
+        self.workgroup_size
+    }
+}
+
+impl Gpu {
+    /// The kernel of a stage in `shaders/`. Built once for each set of definitions, then found again.
+    ///
+    /// # Errors
+    /// [`Error::Shader`] where the shader does not compile or does not fit `B`; [`Error::Device`] where it needs more than the adapter has.
+    pub fn kernel<B: Bindings>(&self, stage: &str, definitions: Definitions) -> Result<Arc<Kernel>> {
+        self.find_or_build(stage, None, definitions, B::SLOTS)
+    }
+
+    /// The kernel of a shader that is not in `shaders/`, for tests and embedders.
+    ///
+    /// # Errors
+    /// As [`Gpu::kernel`].
+    pub fn kernel_from_source<B: Bindings>(&self, name: &str, source: &str, definitions: Definitions) -> Result<Arc<Kernel>> {
+        self.find_or_build(name, Some(source), definitions, B::SLOTS)
+    }
+
+    fn find_or_build(&self, stage: &str, source: Option<&str>, definitions: Definitions, slots: &'static [Slot]) -> Result<Arc<Kernel>> {
+        self.check()?;
+        let mut sorted: Vec<_> = definitions.iter().map(|(name, value)| ((*name).to_owned(), *value)).collect();
+        sorted.sort_by(|a, b| a.0.cmp(&b.0));
+        let key = KernelKey { stage: stage.into(), source: source.map(str::to_owned), definitions: sorted };
+        // Held while the kernel is built: a second thread that wants the same kernel waits instead of building it again.
+        let mut kernels = lock(&self.inner.kernels);
+        if let Some(kernel) = kernels.get(&key) {
+            let same = kernel.slots == slots;
+            return if same { Ok(Arc::clone(kernel)) } else { Err(failure(stage, "two different host structs are bound to it".into())) };
+        }
+        let module = match source {
+            Some(source) => compose_source(stage, source, definitions)?,
+            None => compose(stage, definitions)?,
+        };
+        let kernel = Arc::new(self.build(stage, module, slots)?);
+        kernels.insert(key, Arc::clone(&kernel));
+        Ok(kernel)
+    }
+
+    /// How many kernels are kept.
+    pub fn kernel_count(&self) -> usize {
+        lock(&self.inner.kernels).len()
+    }
+
+    fn build(&self, stage: &str, module: Module, slots: &'static [Slot]) -> Result<Kernel> {
+        let places = place(&module, slots).map_err(|problem| failure(stage, problem))?;
+        let workgroup_size = workgroup_size(&module).map_err(|problem| failure(stage, problem))?;
+        self.check_limits(stage, &module, slots, &places, workgroup_size)?;
+
+        let entries: Vec<_> = slots.iter().zip(&places).filter_map(|(slot, place)| Some(layout_entry(slot, place.as_ref()?))).collect();
+        let checks = if self.inner.options.checked_shaders { wgpu::ShaderRuntimeChecks::checked() } else { wgpu::ShaderRuntimeChecks::unchecked() };
+        let device = &self.inner.device;
+        let build = || {
+            let layout = device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label: Some(stage), entries: &entries });
+            let pipeline_layout =
+                device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor { label: Some(stage), bind_group_layouts: &[Some(&layout)], immediate_size: 0 });
+            let source = wgpu::ShaderSource::Naga(std::borrow::Cow::Owned(module));
+            let description = wgpu::ShaderModuleDescriptor { label: Some(stage), source };
+            #[expect(
+                unsafe_code,
+                reason = "our own shaders keep to their bounds: the test suite runs them with checks as well; unchecked they save up to a third"
+            )]
+            // SAFETY: shaders come from this crate or its tests, index only what they were given the extent of, and loop a bounded number of times.
+            let shader = unsafe { device.create_shader_module_trusted(description, checks) };
+            let pipeline = device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
+                label: Some(stage),
+                layout: Some(&pipeline_layout),
+                module: &shader,
+                entry_point: Some("main"),
+                compilation_options: wgpu::PipelineCompilationOptions {
+                    zero_initialize_workgroup_memory: self.inner.options.checked_shaders,
+                    ..Default::default()
+                },
+                cache: None,
+            });
+            (layout, pipeline)
+        };
+        let (layout, pipeline) = self.guarded(build).map_err(|error| failure(stage, error.to_string()))?;
+        self.check()?;
+        Ok(Kernel { stage: stage.into(), workgroup_size, slots, places, layout, pipeline })
+    }
+
+    fn check_limits(&self, stage: &str, module: &Module, slots: &[Slot], places: &[Option<Place>], size: [u32; 3]) -> Result<()> {
+        let limits = &self.inner.limits;
+        let is_storage = |(slot, place): &(&Slot, &Option<Place>)| place.is_some() && !matches!(slot.kind, SlotKind::Uniform { .. });
+        let storage_buffers = slots.iter().zip(places).filter(is_storage).count();
+        let invocations = size.iter().map(|n| u64::from(*n)).product::<u64>();
+        let shared = module.global_variables.iter().filter(|(_, global)| global.space == AddressSpace::WorkGroup);
+        let shared_bytes = shared.map(|(_, global)| u64::from(module.types[global.ty].inner.size(module.to_ctx()))).sum::<u64>();
+        let widest = [limits.max_compute_workgroup_size_x, limits.max_compute_workgroup_size_y, limits.max_compute_workgroup_size_z];
+        let needs = [
+            (storage_buffers as u64, limits.max_storage_buffers_per_shader_stage, "storage buffers"),
+            (invocations, limits.max_compute_invocations_per_workgroup, "invocations per workgroup"),
+            (u64::from(size[0]), widest[0], "invocations per workgroup in x"),
+            (u64::from(size[1]), widest[1], "invocations per workgroup in y"),
+            (u64::from(size[2]), widest[2], "invocations per workgroup in z"),
+            (shared_bytes, limits.max_compute_workgroup_storage_size, "bytes of workgroup memory"),
+        ];
+        for (need, limit, what) in needs {
+            if need > u64::from(limit) {
+                return Err(Error::Device {
+                    problem: format!("stage '{stage}' needs {need} {what}, but '{}' has {limit}", self.inner.summary.name),
+                    remedy: "choose another adapter with --device (`stein devices` lists them)".into(),
+                });
+            }
+        }
+        Ok(())
+    }
+}
+
+fn failure(stage: &str, problem: String) -> Error {
+    Error::Shader { stage: stage.into(), problem }
+}
+
+fn layout_entry(slot: &Slot, place: &Place) -> wgpu::BindGroupLayoutEntry {
+    let ty = match slot.kind {
+        SlotKind::Uniform { .. } => wgpu::BufferBindingType::Uniform,
+        SlotKind::Read | SlotKind::Optional => wgpu::BufferBindingType::Storage { read_only: true },
+        SlotKind::Write => wgpu::BufferBindingType::Storage { read_only: false },
+    };
+    wgpu::BindGroupLayoutEntry {
+        binding: place.binding,
+        visibility: wgpu::ShaderStages::COMPUTE,
+        ty: wgpu::BindingType::Buffer { ty, has_dynamic_offset: false, min_binding_size: None },
+        count: None,
+    }
+}
+
+fn workgroup_size(module: &Module) -> std::result::Result<[u32; 3], String> {
+    let [entry] = module.entry_points.as_slice() else {
+        return Err(format!("it has {} entry points instead of one", module.entry_points.len()));
+    };
+    if entry.stage != naga::ShaderStage::Compute || entry.name != "main" {
+        return Err(format!("its entry point is '{}' ({:?}) instead of the compute shader 'main'", entry.name, entry.stage));
+    }
+    if entry.workgroup_size_overrides.is_some() {
+        return Err("its workgroup size depends on an override; use a definition instead, as in @workgroup_size(#{WIDTH})".into());
+    }
+    Ok(entry.workgroup_size)
+}
+
+/// Finds every slot in the shader and every binding of the shader among the slots.
+fn place(module: &Module, slots: &[Slot]) -> std::result::Result<Vec<Option<Place>>, String> {
+    let mut places = vec![None; slots.len()];
+    for (_, global) in module.global_variables.iter() {
+        let Some(resource) = &global.binding else { continue };
+        let name = undecorated(global.name.as_deref());
+        if resource.group != 0 {
+            return Err(format!("'{name}' is in @group({}); all bindings belong to @group(0)", resource.group));
+        }
+        let declared = declaration(global.space).ok_or_else(|| format!("'{name}' is neither a uniform nor a storage buffer"))?;
+        let Some(index) = slots.iter().position(|slot| slot.name == name) else {
+            return Err(format!("the shader declares '{declared} {name}', which the host does not bind (it binds {})", names(slots)));
+        };
+        let kind = slots[index].kind;
+        if kind.declaration() != declared {
+            return Err(format!("the shader declares '{declared} {name}', but the host binds it as '{}'", kind.declaration()));
+        }
+        let (uniform_bytes, offsets) = match kind {
+            SlotKind::Uniform { host, members } => {
+                let mut wanted = Vec::new();
+                members(name, &mut wanted);
+                let mut found = Vec::new();
+                flatten(module, global.ty, name, 0, &mut found);
+                (module.types[global.ty].inner.size(module.to_ctx()), match_members(host, &wanted, &found)?)
+            }
+            SlotKind::Read | SlotKind::Optional | SlotKind::Write => (0, Vec::new()),
+        };
+        places[index] = Some(Place { binding: resource.binding, uniform_bytes, offsets });
+    }
+    for (slot, place) in slots.iter().zip(&places) {
+        if place.is_none() && slot.kind != SlotKind::Optional {
+            return Err(format!("the host binds '{}', but the shader has no '{} {}'", slot.name, slot.kind.declaration(), slot.name));
+        }
+    }
+    Ok(places)
+}
+
+fn names(slots: &[Slot]) -> String {
+    slots.iter().map(|slot| format!("'{}'", slot.name)).collect::<Vec<_>>().join(", ")
+}
+
+fn undecorated(name: Option<&str>) -> &str {
+    let name = name.unwrap_or_default();
+    name.split_once(IMPORT_DECORATION).map_or(name, |(plain, _)| plain)
+}
+
+fn declaration(space: AddressSpace) -> Option<&'static str> {
+    match space {
+        AddressSpace::Uniform => Some("var<uniform>"),
+        AddressSpace::Storage { access } if access.contains(StorageAccess::STORE) => Some("var<storage, read_write>"),
+        AddressSpace::Storage { .. } => Some("var<storage, read>"),
+        _ => None,
+    }
+}
+
+/// A member as the shader lays it out.
+struct Laid {
+    path: String,
+    value: String,
+    offset: u32,
+}
+
+fn flatten(module: &Module, ty: Handle<Type>, path: &str, offset: u32, into: &mut Vec<Laid>) {
+    match &module.types[ty].inner {
+        TypeInner::Struct { members, .. } => {
+            for member in members {
+                flatten(module, member.ty, &format!("{path}.{}", undecorated(member.name.as_deref())), offset + member.offset, into);
+            }
+        }
+        inner => into.push(Laid { path: path.into(), value: written(module, inner), offset }),
+    }
+}
+
+/// A type as WGSL writes it, as far as uniforms go.
+fn written(module: &Module, inner: &TypeInner) -> String {
+    let scalar = |scalar: &naga::Scalar| {
+        let kind = match scalar.kind {
+            ScalarKind::Sint => "i",
+            ScalarKind::Uint => "u",
+            ScalarKind::Float => "f",
+            _ => return "bool".to_owned(),
+        };
+        format!("{kind}{}", u32::from(scalar.width) * 8)
+    };
+    match inner {
+        TypeInner::Scalar(s) => scalar(s),
+        TypeInner::Vector { size, scalar: s } => format!("vec{}<{}>", *size as u32, scalar(s)),
+        TypeInner::Matrix { columns, rows, scalar: s } => format!("mat{}x{}<{}>", *columns as u32, *rows as u32, scalar(s)),
+        TypeInner::Array { base, size: naga::ArraySize::Constant(count), .. } => {
+            format!("array<{}, {count}>", written(module, &module.types[*base].inner))
+        }
+        other => format!("{other:?}"),
+    }
+}
+
+/// The offsets of the host's members in the shader's struct.
+fn match_members(host: &str, wanted: &[Member], found: &[Laid]) -> std::result::Result<Vec<u32>, String> {
+    if let Some(extra) = found.iter().find(|laid| !wanted.iter().any(|member| member.path == laid.path)) {
+        return Err(format!("the shader's '{}: {}' is not in the host struct {host}", extra.path, extra.value));
+    }
+    let offset = |member: &Member| {
+        let Some(laid) = found.iter().find(|laid| laid.path == member.path) else {
+            return Err(format!("'{}: {}' of the host struct {host} is not in the shader", member.path, member.value));
+        };
+        if laid.value != member.value.to_string() {
+            return Err(format!("'{}' is {} in the shader and {} in the host struct {host}", laid.path, laid.value, member.value));
+        }
+        Ok(laid.offset)
+    };
+    wanted.iter().map(offset).collect()
+}

@@ -1,0 +1,242 @@
+//! Storage buffers that are used again.
+//!
+//! A denoiser takes and drops dozens of image-sized buffers per frame. Dropping a [`Buffer`] puts it back into the pool of its device; taking one prefers an idle
+//! one. Commands execute in the order in which they were recorded, so a buffer that is dropped after its last recorded use may be handed out again *while recording*:
+//! what the new owner records runs later. That aliasing is what keeps the peak low. It holds within one recorder, and between recorders once the earlier one
+//! is submitted; a buffer whose last use lies in a recorder that is still open is handed out to that recorder only.
+//!
+//! Sizes: a request is rounded up to 256 bytes. The smallest idle buffer that is large enough serves it if at most a quarter of it would lie fallow;
+//! otherwise a buffer of exactly the rounded size is made.
+
+use std::collections::HashSet;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex};
+
+use serde::Serialize;
+
+use super::device::Gpu;
+use super::{human_bytes, lock};
+use crate::error::{Error, Result};
+
+/// Sizes of pooled buffers are multiples of this many bytes.
+const GRANULE: u64 = 256;
+
+/// The smallest thing that can be bound, in bytes.
+const SMALLEST: u64 = 4;
+
+pub(super) const USAGE: wgpu::BufferUsages = wgpu::BufferUsages::STORAGE.union(wgpu::BufferUsages::COPY_SRC).union(wgpu::BufferUsages::COPY_DST);
+
+/// A storage buffer on the device. Dropping it returns it to the pool.
+#[derive(Debug)]
+pub struct Buffer {
+    wgpu: wgpu::Buffer,
+    bytes: u64,
+    label: String,
+    /// The recorder that used it last.
+    last_use: AtomicU64,
+    home: Option<Arc<Pool>>,
+}
+
+impl Buffer {
+    /// The size that was asked for, in bytes, rounded up to a multiple of four. A kernel sees exactly this much.
+    pub fn bytes(&self) -> u64 {
+        self.bytes
+    }
+
+    /// What it was taken for.
+    pub fn label(&self) -> &str {
+        &self.label
+    }
+
+    /// The buffer itself, for embedders; it may be larger than [`Buffer::bytes`].
+    pub fn wgpu(&self) -> &wgpu::Buffer {
+        &self.wgpu
+    }
+
+    pub(super) fn mark_used(&self, recorder: u64) {
+        self.last_use.store(recorder, Ordering::Relaxed);
+    }
+
+    pub(super) fn last_use(&self) -> u64 {
+        self.last_use.load(Ordering::Relaxed)
+    }
+}
+
+impl Drop for Buffer {
+    fn drop(&mut self) {
+        if let Some(pool) = &self.home {
+            let mut state = lock(&pool.0);
+            let bytes = self.wgpu.size();
+            state.usage.bytes_in_use -= bytes;
+            state.usage.bytes_idle += bytes;
+            state.idle.push(Idle { wgpu: self.wgpu.clone(), last_use: self.last_use() });
+        }
+    }
+}
+
+/// Memory of a device that is held in pooled buffers, in bytes. Staging for uploads and readbacks is not counted.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct MemoryUse {
+    /// Handed out.
+    pub bytes_in_use: u64,
+    /// Waiting to be used again.
+    pub bytes_idle: u64,
+    /// The most that both together were since the last [`Gpu::reset_peak`].
+    pub peak_bytes: u64,
+}
+
+#[derive(Debug, Default)]
+pub(super) struct Pool(Mutex<State>);
+
+#[derive(Debug, Default)]
+struct State {
+    idle: Vec<Idle>,
+    usage: MemoryUse,
+    /// Recorders that hold commands which nobody has submitted yet.
+    open: HashSet<u64>,
+    last_recorder: u64,
+}
+
+#[derive(Debug)]
+struct Idle {
+    wgpu: wgpu::Buffer,
+    last_use: u64,
+}
+
+impl Pool {
+    pub(super) fn usage(&self) -> MemoryUse {
+        lock(&self.0).usage
+    }
+
+    pub(super) fn reset_peak(&self) {
+        let usage = &mut lock(&self.0).usage;
+        usage.peak_bytes = usage.bytes_in_use + usage.bytes_idle;
+    }
+
+    pub(super) fn trim(&self) {
+        let mut state = lock(&self.0);
+        state.usage.bytes_idle = 0;
+        let idle = std::mem::take(&mut state.idle);
+        drop(state);
+        drop(idle);
+    }
+
+    /// A number for a new batch of commands.
+    pub(super) fn open_recorder(&self) -> u64 {
+        let mut state = lock(&self.0);
+        state.last_recorder += 1;
+        let id = state.last_recorder;
+        state.open.insert(id);
+        id
+    }
+
+    /// The commands of `recorder` are submitted or discarded.
+    pub(super) fn close_recorder(&self, recorder: u64) {
+        lock(&self.0).open.remove(&recorder);
+    }
+
+    pub(super) fn is_open(&self, recorder: u64) -> bool {
+        lock(&self.0).open.contains(&recorder)
+    }
+
+    fn take_idle(&self, bytes: u64, recorder: u64) -> Option<wgpu::Buffer> {
+        let mut state = lock(&self.0);
+        let fits = |idle: &Idle| {
+            let size = idle.wgpu.size();
+            size >= bytes && size - bytes <= size / 4 && (idle.last_use == recorder || !state.open.contains(&idle.last_use))
+        };
+        let best = state.idle.iter().enumerate().filter(|(_, idle)| fits(idle)).min_by_key(|(_, idle)| idle.wgpu.size())?.0;
+        let wgpu = state.idle.swap_remove(best).wgpu;
+        state.usage.bytes_idle -= wgpu.size();
+        state.usage.bytes_in_use += wgpu.size();
+        Some(wgpu)
+    }
+
+    fn count_new(&self, bytes: u64) {
+        let usage = &mut lock(&self.0).usage;
+        usage.bytes_in_use += bytes;
+        usage.peak_bytes = usage.peak_bytes.max(usage.bytes_in_use + usage.bytes_idle);
+    }
+}
+
+impl Gpu {
+    /// Makes a caller's buffer bindable. It is not pooled: dropping the result only drops this reference.
+    ///
+    /// # Errors
+    /// [`Error::Request`] where the buffer lacks `STORAGE` usage.
+    pub fn import(&self, label: &str, buffer: wgpu::Buffer) -> Result<Buffer> {
+        if !buffer.usage().contains(wgpu::BufferUsages::STORAGE) {
+            return Err(Error::Request {
+                problem: format!("the buffer '{label}' was created without STORAGE usage, so no kernel can see it"),
+                remedy: "create it with `wgpu::BufferUsages::STORAGE`".into(),
+            });
+        }
+        self.check_size(label, buffer.size())?;
+        Ok(Buffer { bytes: buffer.size() & !3, wgpu: buffer, label: label.into(), last_use: AtomicU64::new(0), home: None })
+    }
+
+    /// A pooled buffer for commands of `recorder`; `relieve` is called once where the device has no memory left, before the second and last attempt.
+    pub(super) fn take_for(&self, recorder: u64, label: &str, bytes: u64, relieve: impl FnOnce() -> Result<()>) -> Result<Buffer> {
+        self.check()?;
+        self.check_size(label, bytes)?;
+        let bytes = bytes.max(SMALLEST).next_multiple_of(4);
+        let rounded = bytes.next_multiple_of(GRANULE);
+        let wgpu = match self.inner.pool.take_idle(bytes, recorder) {
+            Some(wgpu) => wgpu,
+            None => {
+                let made = match self.create(label, rounded) {
+                    Err(_) => {
+                        relieve()?;
+                        self.trim();
+                        self.create(label, rounded)
+                    }
+                    made => made,
+                };
+                let wgpu = made.map_err(|error| self.out_of_memory(label, bytes, &error))?;
+                self.inner.pool.count_new(rounded);
+                wgpu
+            }
+        };
+        let home = Some(Arc::clone(&self.inner.pool));
+        Ok(Buffer { wgpu, bytes, label: label.into(), last_use: AtomicU64::new(recorder), home })
+    }
+
+    fn create(&self, label: &str, size: u64) -> std::result::Result<wgpu::Buffer, wgpu::Error> {
+        let description = wgpu::BufferDescriptor { label: Some(label), size, usage: USAGE, mapped_at_creation: false };
+        self.guarded(|| self.inner.device.create_buffer(&description))
+    }
+
+    pub(super) fn check_size(&self, label: &str, bytes: u64) -> Result<()> {
+        let limit = self.max_binding_bytes();
+        if bytes <= limit {
+            return Ok(());
+        }
+        Err(Error::Device {
+            problem: format!(
+                "the buffer '{label}' would need {} ({bytes} bytes), but '{}' lets a kernel see at most {} ({limit} bytes)",
+                human_bytes(bytes),
+                self.inner.summary.name,
+                human_bytes(limit)
+            ),
+            remedy: "lower --max-memory so that the image is processed in smaller pieces, use a smaller --radius, crop the image, or choose another adapter \
+                     with --device"
+                .into(),
+        })
+    }
+
+    pub(super) fn out_of_memory(&self, label: &str, bytes: u64, error: &wgpu::Error) -> Error {
+        let wgpu::Error::OutOfMemory { .. } = error else { return self.defect(&error.to_string()) };
+        let MemoryUse { bytes_in_use, .. } = self.memory();
+        Error::Device {
+            problem: format!(
+                "'{}' has no memory left for the buffer '{label}' of {} ({bytes} bytes); {} are in use by this program",
+                self.inner.summary.name,
+                human_bytes(bytes),
+                human_bytes(bytes_in_use)
+            ),
+            remedy: "lower --max-memory, use a smaller --radius, crop the image, close other programs that use the graphics card, or choose another adapter \
+                     with --device"
+                .into(),
+        }
+    }
+}

@@ -1,0 +1,299 @@
+//! Recording commands: dispatches, uploads and the buffers between them.
+
+use std::sync::Arc;
+
+use super::bindings::{Bindings, SlotKind, Value};
+use super::device::Gpu;
+use super::encode::{Bound, Dispatch, Op, encode};
+use super::kernel::Kernel;
+use super::pool::Buffer;
+use super::{human_bytes, lock};
+use crate::error::{Error, Result};
+
+/// Dispatches in one submission. Drivers kill a submission that runs for seconds, and none of its work can be waited for before all of it is done; submitting
+/// costs tens of microseconds.
+const DISPATCHES_PER_SUBMISSION: usize = 32;
+
+/// Bytes of staging memory that uploads may hold before they are submitted and waited for.
+const STAGED_BYTES: u64 = 256 << 20;
+
+/// Size of the buffer that poison is copied from, in bytes.
+const POISON_BYTES: u64 = 1 << 20;
+
+/// A list of commands that execute in the order in which they were recorded.
+///
+/// From [`Gpu::record`], it submits itself every few dozen dispatches and the rest in [`Recorder::submit`]. From [`Gpu::record_whole`], it touches no queue, and
+/// [`Recorder::encode_into`] puts everything into the caller's encoder. Dropped without either, what was not yet submitted is forgotten.
+#[derive(Debug)]
+pub struct Recorder {
+    gpu: Gpu,
+    id: u64,
+    ops: Vec<Op>,
+    /// The uniform structs of all dispatches in `ops`, at the offsets that their bindings name.
+    uniforms: Vec<u8>,
+    dispatches: usize,
+    staged_bytes: u64,
+    whole: bool,
+    has_submitted: bool,
+}
+
+impl Gpu {
+    /// Starts recording commands for this device's own queue.
+    pub fn record(&self) -> Recorder {
+        self.recorder(false)
+    }
+
+    /// Starts recording commands that stay together until [`Recorder::encode_into`] or [`Recorder::submit`].
+    pub fn record_whole(&self) -> Recorder {
+        self.recorder(true)
+    }
+
+    fn recorder(&self, whole: bool) -> Recorder {
+        let id = self.inner.pool.open_recorder();
+        Recorder { gpu: self.clone(), id, ops: Vec::new(), uniforms: Vec::new(), dispatches: 0, staged_bytes: 0, whole, has_submitted: false }
+    }
+}
+
+impl Recorder {
+    /// The device it records for.
+    pub fn gpu(&self) -> &Gpu {
+        &self.gpu
+    }
+
+    /// A storage buffer of at least `bytes` bytes, from the pool. Its content is whatever was there before: a zero, another stage's image, or poison.
+    ///
+    /// Drop it after recording its last use, not after that use has executed: the next `take` may hand out the same memory.
+    ///
+    /// # Errors
+    /// [`Error::Device`] where a kernel cannot see that much, or the device has no memory left.
+    pub fn take(&mut self, label: &str, bytes: u64) -> Result<Buffer> {
+        let buffer = self.take_plain(label, bytes)?;
+        if self.gpu.inner.options.poison {
+            self.poison(&buffer)?;
+        }
+        Ok(buffer)
+    }
+
+    fn take_plain(&mut self, label: &str, bytes: u64) -> Result<Buffer> {
+        let (gpu, id) = (self.gpu.clone(), self.id);
+        gpu.take_for(id, label, bytes, || {
+            // Idle buffers are given back to the driver only after the commands that use them.
+            self.flush()?;
+            self.gpu.wait()
+        })
+        .inspect(|buffer| buffer.mark_used(self.id))
+    }
+
+    /// A storage buffer that holds `data`.
+    ///
+    /// # Errors
+    /// As [`Recorder::take`].
+    pub fn upload(&mut self, label: &str, data: &[f32]) -> Result<Buffer> {
+        self.upload_bytes(label, bytemuck::cast_slice(data))
+    }
+
+    /// A storage buffer that holds `data`, padded to a multiple of four bytes.
+    ///
+    /// # Errors
+    /// As [`Recorder::take`].
+    pub fn upload_bytes(&mut self, label: &str, data: &[u8]) -> Result<Buffer> {
+        let buffer = self.take_plain(label, data.len() as u64)?;
+        let bytes = buffer.bytes();
+        let staging = self.gpu.filled(label, wgpu::BufferUsages::COPY_SRC, data, bytes)?;
+        self.copy(&staging, &buffer, bytes);
+        self.staged_bytes += bytes;
+        if self.staged_bytes > STAGED_BYTES && !self.whole {
+            self.flush()?;
+            self.gpu.wait()?;
+        }
+        Ok(buffer)
+    }
+
+    /// Runs a kernel over `invocations` in x, y and z; each is rounded up to whole workgroups, so the shader must ignore those beyond its extent.
+    ///
+    /// # Errors
+    /// [`Error::Shader`] where the kernel was built for other bindings or a written buffer is bound twice; [`Error::Device`] where the grid exceeds the
+    /// adapter's limit or, when this dispatch completes a batch, the device fails.
+    pub fn dispatch<B: Bindings>(&mut self, kernel: &Arc<Kernel>, bindings: &B, invocations: [u32; 3]) -> Result<()> {
+        let failure = |problem: String| Error::Shader { stage: kernel.stage().into(), problem };
+        if kernel.slots != B::SLOTS {
+            return Err(failure("it is dispatched with bindings of another stage".into()));
+        }
+        let groups: [u32; 3] = std::array::from_fn(|axis| invocations[axis].div_ceil(kernel.workgroup_size()[axis]));
+        self.check_groups(kernel, groups)?;
+        if groups.contains(&0) {
+            return Ok(());
+        }
+
+        let values = bindings.values();
+        let mut bound = Vec::with_capacity(values.len());
+        for ((slot, place), value) in kernel.slots.iter().zip(&kernel.places).zip(&values) {
+            match (place, value) {
+                (None, Value::Absent) => {}
+                (Some(place), Value::Uniform(members)) => {
+                    let offset = self.append_uniform(place.uniform_bytes, &place.offsets, members);
+                    bound.push(Bound::Uniform { binding: place.binding, offset, bytes: u64::from(place.uniform_bytes) });
+                }
+                (Some(place), Value::Buffer(buffer)) => {
+                    buffer.mark_used(self.id);
+                    bound.push(Bound::Storage { binding: place.binding, buffer: buffer.wgpu().clone(), bytes: buffer.bytes() });
+                }
+                (Some(_), Value::Absent) => return Err(failure(format!("the shader reads '{}', but nothing is bound to it", slot.name))),
+                (None, _) => return Err(failure(format!("'{}' is bound, but these definitions remove it from the shader", slot.name))),
+            }
+        }
+        if let Some((name, other)) = aliased(kernel, &values) {
+            return Err(failure(format!("the same buffer is bound to '{name}', which is written, and to '{other}'")));
+        }
+        self.ops.push(Op::Dispatch(Dispatch { kernel: Arc::clone(kernel), bound, groups }));
+        self.dispatches += 1;
+        if self.dispatches >= DISPATCHES_PER_SUBMISSION { self.flush() } else { Ok(()) }
+    }
+
+    /// Hands what was recorded so far to the device, which starts on it. Does nothing in a recorder from [`Gpu::record_whole`].
+    ///
+    /// # Errors
+    /// [`Error::Device`] where the device failed.
+    pub fn flush(&mut self) -> Result<()> {
+        if self.whole { Ok(()) } else { self.hand_over() }
+    }
+
+    /// Hands everything to the device. Does not wait for it: [`Gpu::wait`] and [`Gpu::read`] do.
+    ///
+    /// # Errors
+    /// [`Error::Device`] where the device failed.
+    pub fn submit(mut self) -> Result<()> {
+        self.hand_over()
+    }
+
+    /// Puts everything into a caller's encoder; the device's queue is not touched. Encoders must be submitted in the order in which they were filled, because
+    /// buffers dropped before one of them may be used again in the next.
+    ///
+    /// # Errors
+    /// [`Error::Request`] where parts are submitted already because the recorder is not from [`Gpu::record_whole`]; [`Error::Device`] where the device failed.
+    pub fn encode_into(mut self, encoder: &mut wgpu::CommandEncoder) -> Result<()> {
+        if self.has_submitted {
+            return Err(Error::Request {
+                problem: "part of these commands was submitted already, so they cannot go into an encoder as a whole".into(),
+                remedy: "record them with `Gpu::record_whole`".into(),
+            });
+        }
+        self.gpu.check()?;
+        let (ops, uniforms) = (std::mem::take(&mut self.ops), std::mem::take(&mut self.uniforms));
+        encode(&self.gpu, &ops, &uniforms, encoder)
+    }
+
+    fn hand_over(&mut self) -> Result<()> {
+        if self.ops.is_empty() {
+            return self.gpu.check();
+        }
+        self.gpu.check()?;
+        let (ops, uniforms) = (std::mem::take(&mut self.ops), std::mem::take(&mut self.uniforms));
+        (self.dispatches, self.staged_bytes, self.has_submitted) = (0, 0, true);
+        let inner = &self.gpu.inner;
+        let submitted = self.gpu.guarded(|| {
+            let mut encoder = inner.device.create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some("stein") });
+            encode(&self.gpu, &ops, &uniforms, &mut encoder)?;
+            inner.queue.submit([encoder.finish()]);
+            Ok(())
+        });
+        drop(ops);
+        inner.pool.close_recorder(self.id);
+        self.id = inner.pool.open_recorder();
+        submitted.map_err(|error| self.gpu.out_of_memory("commands", 0, &error))??;
+        // Without waiting: frees what finished, and lets a lost device become known.
+        self.gpu.poll(wgpu::PollType::Poll)
+    }
+
+    fn check_groups(&self, kernel: &Kernel, groups: [u32; 3]) -> Result<()> {
+        let limit = self.gpu.inner.limits.max_compute_workgroups_per_dimension;
+        match groups.iter().position(|count| *count > limit) {
+            None => Ok(()),
+            Some(axis) => Err(Error::Device {
+                problem: format!("stage '{}' needs {} workgroups in {}, the adapter runs at most {limit}", kernel.stage(), groups[axis], ["x", "y", "z"][axis]),
+                remedy: "lower --max-memory so that the image is processed in smaller pieces, or crop the image".into(),
+            }),
+        }
+    }
+
+    /// Writes the members where the shader wants them and returns where the struct begins.
+    fn append_uniform(&mut self, bytes: u32, offsets: &[u32], members: &[&[u8]]) -> u64 {
+        let alignment = self.gpu.inner.limits.min_uniform_buffer_offset_alignment as usize;
+        let start = self.uniforms.len().next_multiple_of(alignment);
+        self.uniforms.resize(start + bytes as usize, 0);
+        for (offset, member) in offsets.iter().zip(members) {
+            let at = start + *offset as usize;
+            self.uniforms[at..at + member.len()].copy_from_slice(member);
+        }
+        start as u64
+    }
+
+    fn poison(&mut self, buffer: &Buffer) -> Result<()> {
+        let mut source = lock(&self.gpu.inner.poison_source);
+        let poison = match source.as_ref() {
+            Some(poison) => poison.clone(),
+            None => {
+                let bits = vec![Gpu::POISON; POISON_BYTES as usize / 4];
+                let poison = self.gpu.filled("poison", wgpu::BufferUsages::COPY_SRC, bytemuck::cast_slice(&bits), POISON_BYTES)?;
+                source.insert(poison).clone()
+            }
+        };
+        drop(source);
+        for offset in (0..buffer.bytes()).step_by(POISON_BYTES as usize) {
+            let bytes = POISON_BYTES.min(buffer.bytes() - offset);
+            self.ops.push(Op::Copy { from: poison.clone(), to: buffer.wgpu().clone(), to_offset: offset, bytes });
+        }
+        Ok(())
+    }
+
+    fn copy(&mut self, from: &wgpu::Buffer, to: &Buffer, bytes: u64) {
+        to.mark_used(self.id);
+        self.ops.push(Op::Copy { from: from.clone(), to: to.wgpu().clone(), to_offset: 0, bytes });
+    }
+}
+
+impl Drop for Recorder {
+    fn drop(&mut self) {
+        self.gpu.inner.pool.close_recorder(self.id);
+    }
+}
+
+impl Gpu {
+    /// A new buffer of `bytes` bytes that begins with `data`. It is written through a mapping, so no queue is involved.
+    pub(super) fn filled(&self, label: &str, usage: wgpu::BufferUsages, data: &[u8], bytes: u64) -> Result<wgpu::Buffer> {
+        let size = bytes.next_multiple_of(wgpu::COPY_BUFFER_ALIGNMENT);
+        let description = wgpu::BufferDescriptor { label: Some(label), size, usage, mapped_at_creation: true };
+        let filled = self.guarded(|| {
+            let buffer = self.inner.device.create_buffer(&description);
+            let mut view = buffer.get_mapped_range_mut(..)?;
+            view.slice(..data.len()).copy_from_slice(data);
+            drop(view);
+            buffer.unmap();
+            Ok::<_, wgpu::MapRangeError>(buffer)
+        });
+        match filled {
+            Ok(Ok(buffer)) => Ok(buffer),
+            Err(error) => Err(self.out_of_memory(label, bytes, &error)),
+            Ok(Err(error)) => {
+                // A lost device makes buffers that cannot be mapped, and says why only when polled.
+                self.poll(wgpu::PollType::Poll)?;
+                Err(self.defect(&format!("{} of staging for '{label}' cannot be written: {error}", human_bytes(bytes))))
+            }
+        }
+    }
+}
+
+/// A written slot whose buffer is bound a second time, with the other slot. The device gives no order between two such accesses.
+fn aliased(kernel: &Kernel, values: &[Value<'_>]) -> Option<(&'static str, &'static str)> {
+    let buffer = |index: usize| match values[index] {
+        Value::Buffer(buffer) => Some(buffer.wgpu()),
+        _ => None,
+    };
+    for (written, slot) in kernel.slots.iter().enumerate().filter(|(_, slot)| slot.kind == SlotKind::Write) {
+        let other = (0..values.len()).find(|other| *other != written && buffer(*other).is_some() && buffer(*other) == buffer(written));
+        if let Some(other) = other {
+            return Some((slot.name, kernel.slots[other].name));
+        }
+    }
+    None
+}

@@ -1,0 +1,117 @@
+//! From WGSL files to a validated naga module.
+
+use naga_oil::compose::{ComposableModuleDescriptor, Composer, ComposerError, NagaModuleDescriptor, ShaderDefValue};
+
+use super::catalogue::{SHARED, STAGES};
+use crate::error::{Error, Result};
+
+/// The value of a name that shaders test with `#ifdef` and `#if`, or insert with `#{NAME}`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Definition {
+    /// `true` defines the name; `false` leaves it undefined, so that `#ifdef` means what it says.
+    Bool(bool),
+    /// Inserted as a signed integer.
+    Int(i32),
+    /// Inserted as an unsigned integer.
+    UInt(u32),
+}
+
+impl From<bool> for Definition {
+    fn from(value: bool) -> Self {
+        Self::Bool(value)
+    }
+}
+
+impl From<i32> for Definition {
+    fn from(value: i32) -> Self {
+        Self::Int(value)
+    }
+}
+
+impl From<u32> for Definition {
+    fn from(value: u32) -> Self {
+        Self::UInt(value)
+    }
+}
+
+/// What specialises a stage. Part of a kernel's identity: two sets of definitions are two kernels.
+pub type Definitions<'a> = &'a [(&'a str, Definition)];
+
+/// The names of all stages.
+pub fn stages() -> Vec<&'static str> {
+    STAGES.iter().map(|(name, _)| *name).collect()
+}
+
+/// The names of all pieces that stages import, as their files in `shaders/shared/` are called.
+pub fn shared_modules() -> Vec<&'static str> {
+    SHARED.iter().map(|(name, _)| *name).collect()
+}
+
+/// A stage with its imports and definitions resolved, validated by naga.
+///
+/// # Errors
+/// [`Error::Shader`] where there is no such stage, where it does not compile, or where neither it nor any shared piece mentions one of the definitions.
+pub fn compose(stage: &str, definitions: Definitions) -> Result<naga::Module> {
+    let Some((_, source)) = STAGES.iter().find(|(name, _)| *name == stage) else {
+        return Err(Error::Shader { stage: stage.into(), problem: "there is no shader of this name".into() });
+    };
+    compose_source(stage, source, definitions)
+}
+
+/// The same for a source that is not in `shaders/`; it may import the shared pieces.
+///
+/// # Errors
+/// As [`compose`].
+pub fn compose_source(name: &str, source: &str, definitions: Definitions) -> Result<naga::Module> {
+    let failure = |problem: String| Error::Shader { stage: name.into(), problem };
+    for (definition, _) in definitions {
+        // naga_oil ignores names that no shader uses, so a misspelt one would silently build the wrong kernel.
+        if !source.contains(definition) && !SHARED.iter().any(|(_, shared)| shared.contains(definition)) {
+            return Err(failure(format!("no shader mentions the definition '{definition}'")));
+        }
+    }
+    let defined = || {
+        let values = definitions.iter().filter_map(|(name, value)| match *value {
+            Definition::Bool(false) => None,
+            Definition::Bool(true) => Some((*name, ShaderDefValue::Bool(true))),
+            Definition::Int(value) => Some((*name, ShaderDefValue::Int(value))),
+            Definition::UInt(value) => Some((*name, ShaderDefValue::UInt(value))),
+        });
+        values.map(|(name, value)| (name.to_owned(), value)).collect()
+    };
+
+    let mut composer = Composer::default();
+    add_shared_modules(&mut composer).map_err(failure)?;
+    let file = format!("shaders/{name}.wgsl");
+    let description = NagaModuleDescriptor { source, file_path: &file, shader_defs: defined(), ..Default::default() };
+    composer.make_naga_module(description).map_err(|error| failure(told(&error, &composer)))
+}
+
+/// Adds every shared piece after those it imports, which is the order that naga_oil demands.
+fn add_shared_modules(composer: &mut Composer) -> std::result::Result<(), String> {
+    let mut waiting: Vec<_> = SHARED.to_vec();
+    while !waiting.is_empty() {
+        let before = waiting.len();
+        let mut problem = String::new();
+        waiting.retain(|(name, source)| {
+            let file = format!("shaders/shared/{name}.wgsl");
+            let description = ComposableModuleDescriptor { source, file_path: &file, ..Default::default() };
+            match composer.add_composable_module(description) {
+                Ok(_) => false,
+                Err(error) => {
+                    problem = told(&error, composer);
+                    true
+                }
+            }
+        });
+        if waiting.len() == before {
+            return Err(problem);
+        }
+    }
+    Ok(())
+}
+
+/// The compiler's message with the lines it speaks of.
+fn told(error: &ComposerError, composer: &Composer) -> String {
+    error.emit_to_string(composer).trim_end().to_owned()
+}

@@ -1,0 +1,166 @@
+//! How long each stage takes, measured by the device.
+
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Receiver, channel};
+use std::sync::{Arc, Mutex};
+
+use serde::Serialize;
+
+use super::device::Gpu;
+use super::lock;
+use crate::error::Result;
+
+/// Dispatches whose times are read back together.
+const DISPATCHES_PER_BATCH: u32 = 64;
+
+const BATCH_BYTES: u64 = DISPATCHES_PER_BATCH as u64 * 2 * wgpu::QUERY_SIZE as u64;
+
+/// The time of all dispatches of one stage.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct StageTime {
+    /// The stage, named as its file in `shaders/`.
+    pub stage: String,
+    /// Sum over its dispatches, in seconds on the device.
+    pub seconds: f64,
+    /// How many there were.
+    pub dispatches: usize,
+}
+
+#[derive(Debug)]
+pub(super) struct Timing {
+    available: bool,
+    on: AtomicBool,
+    nanoseconds_per_tick: f64,
+    state: Mutex<State>,
+}
+
+#[derive(Debug, Default)]
+struct State {
+    /// In the order of first use.
+    totals: Vec<StageTime>,
+    pending: Vec<(Batch, Receiver<bool>)>,
+    free: Vec<Arc<Queries>>,
+}
+
+#[derive(Debug)]
+struct Queries {
+    set: wgpu::QuerySet,
+    resolved: wgpu::Buffer,
+    readback: wgpu::Buffer,
+}
+
+/// The timestamps of a few dispatches: two each, before and after.
+#[derive(Debug)]
+pub(super) struct Batch {
+    queries: Arc<Queries>,
+    stages: Vec<String>,
+}
+
+impl Batch {
+    pub(super) fn is_full(&self) -> bool {
+        self.stages.len() == DISPATCHES_PER_BATCH as usize
+    }
+
+    /// Where the next dispatch writes its timestamps.
+    pub(super) fn next(&mut self, stage: &str) -> wgpu::ComputePassTimestampWrites<'_> {
+        let first = self.stages.len() as u32 * 2;
+        self.stages.push(stage.to_owned());
+        wgpu::ComputePassTimestampWrites { query_set: &self.queries.set, beginning_of_pass_write_index: Some(first), end_of_pass_write_index: Some(first + 1) }
+    }
+}
+
+impl Timing {
+    pub(super) fn new(available: bool, nanoseconds_per_tick: f32) -> Self {
+        Self { available, on: AtomicBool::new(false), nanoseconds_per_tick: nanoseconds_per_tick.into(), state: Mutex::default() }
+    }
+
+    pub(super) fn is_on(&self) -> bool {
+        self.on.load(Ordering::Relaxed)
+    }
+
+    pub(super) fn batch(&self, device: &wgpu::Device) -> Batch {
+        let queries = lock(&self.state).free.pop().unwrap_or_else(|| {
+            let count = DISPATCHES_PER_BATCH * 2;
+            let set = device.create_query_set(&wgpu::QuerySetDescriptor { label: Some("times"), ty: wgpu::QueryType::Timestamp, count });
+            let buffer = |usage| device.create_buffer(&wgpu::BufferDescriptor { label: Some("times"), size: BATCH_BYTES, usage, mapped_at_creation: false });
+            let resolved = buffer(wgpu::BufferUsages::QUERY_RESOLVE | wgpu::BufferUsages::COPY_SRC);
+            let readback = buffer(wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST);
+            Arc::new(Queries { set, resolved, readback })
+        });
+        Batch { queries, stages: Vec::new() }
+    }
+
+    /// Has the timestamps of `batch` read back once `encoder` is submitted, by whomever.
+    pub(super) fn resolve(&self, batch: Batch, encoder: &mut wgpu::CommandEncoder) {
+        let Queries { set, resolved, readback } = &*batch.queries;
+        let count = batch.stages.len() as u32 * 2;
+        encoder.resolve_query_set(set, 0..count, resolved, 0);
+        encoder.copy_buffer_to_buffer(resolved, 0, readback, 0, BATCH_BYTES);
+        let (sender, receiver) = channel();
+        encoder.map_buffer_on_submit(readback, wgpu::MapMode::Read, .., move |mapped| {
+            // Nobody listens where the device is gone already.
+            let _ = sender.send(mapped.is_ok());
+        });
+        let mut state = lock(&self.state);
+        for stage in &batch.stages {
+            if !state.totals.iter().any(|total| total.stage == *stage) {
+                state.totals.push(StageTime { stage: stage.clone(), seconds: 0.0, dispatches: 0 });
+            }
+        }
+        state.pending.push((batch, receiver));
+    }
+
+    /// Adds up what has arrived.
+    fn collect(&self) {
+        let State { totals, pending, free } = &mut *lock(&self.state);
+        pending.retain(|(batch, receiver)| {
+            let Ok(mapped) = receiver.try_recv() else { return true };
+            let view = if mapped { batch.queries.readback.get_mapped_range(..).ok() } else { None };
+            if let Some(view) = view {
+                let ticks: Vec<u64> = view.chunks_exact(8).map(bytemuck::pod_read_unaligned).collect();
+                drop(view);
+                batch.queries.readback.unmap();
+                for (stage, pair) in batch.stages.iter().zip(ticks.chunks_exact(2)) {
+                    if let Some(total) = totals.iter_mut().find(|total| total.stage == *stage) {
+                        total.seconds += pair[1].saturating_sub(pair[0]) as f64 * self.nanoseconds_per_tick * 1e-9;
+                        total.dispatches += 1;
+                    }
+                }
+                free.push(Arc::clone(&batch.queries));
+            }
+            false
+        });
+    }
+}
+
+impl Gpu {
+    /// Turns the timing of stages on or off for what is encoded from now on. Returns whether it is on: an adapter without timestamps stays off.
+    pub fn set_timing(&self, on: bool) -> bool {
+        let timing = &self.inner.timing;
+        timing.on.store(on && timing.available, Ordering::Relaxed);
+        timing.is_on()
+    }
+
+    /// The time of each stage since [`Gpu::reset_timings`], in the order of first use; `None` where the adapter has no timestamps. Waits for the device.
+    ///
+    /// # Errors
+    /// As [`Gpu::wait`].
+    pub fn timings(&self) -> Result<Option<Vec<StageTime>>> {
+        if !self.inner.timing.available {
+            return Ok(None);
+        }
+        self.wait()?;
+        self.inner.timing.collect();
+        Ok(Some(lock(&self.inner.timing.state).totals.clone()))
+    }
+
+    /// Forgets all times measured so far.
+    ///
+    /// # Errors
+    /// As [`Gpu::wait`].
+    pub fn reset_timings(&self) -> Result<()> {
+        self.timings()?;
+        lock(&self.inner.timing.state).totals.clear();
+        Ok(())
+    }
+}
