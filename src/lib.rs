@@ -1,4 +1,6 @@
 //! Stein: a GPU denoiser for Monte Carlo renderings that knows its own error.
+pub mod buffers;
 pub mod error;
 pub mod frame;
 pub mod image;
+pub mod metric;
