@@ -48,7 +48,9 @@ pub enum Error {
         remedy: String,
     },
     /// A shader does not compile or does not fit its host struct: a defect of this program, not of its input.
-    #[error("stage '{stage}': {problem}\n  remedy: this is a defect of stein: please report it with the output of `stein devices`")]
+    #[error(
+        "stage '{stage}': {problem}\n  remedy: this is a defect of stein: please report it with the output of `stein devices`"
+    )]
     Shader {
         /// The stage, named as its file in `shaders/`.
         stage: String,

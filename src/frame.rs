@@ -1,6 +1,15 @@
 //! The frame: a buffer set whose meaning has been settled. Everything finite, one extent, variances of the pixel mean, halves as one spread, features in unit range.
 
+mod repairs;
+mod sanitise;
+mod unit_range;
+
+use serde::Serialize;
+
+use crate::buffers::{BufferSet, MAX_FEATURES, RawSignal, names};
+use crate::error::{Error, Result};
 use crate::image::{Extent, Image};
+pub use repairs::{LayerRepairs, Repairs};
 
 /// A noisy mean with what is known of its noise. All images have the same extent and number of channels.
 #[derive(Clone, Debug)]
@@ -9,7 +18,7 @@ pub struct Signal {
     pub mean: Image,
     /// `(A − B)·√(n_A·n_B)/n` of the two half-buffer means A and B: a signal with zero expectation, the variance of the mean's noise, and uncorrelated with it.
     /// With equal halves it is `(A − B)/2`, and the halves are `mean ± half_spread`. Its square is the two-buffer estimate of the variance of the mean
-    /// (`algorithms.md`, shared ground 2). `None` without halves.
+    /// (thesis 8.2). `None` without halves.
     pub half_spread: Option<Image>,
     /// Sample variance of the mean, s²/n. `None` where the renderer gave none.
     pub variance_of_mean: Option<Image>,
@@ -39,6 +48,53 @@ pub enum SamplesPerPixel {
     PerPixel(Image),
 }
 
+/// What is known of a signal's noise.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+pub enum NoiseKnowledge {
+    /// Halves and sample variance: everything works.
+    HalvesAndVariance,
+    /// Halves only: the squared half spread, smoothed, stands for the variance.
+    HalvesOnly,
+    /// Sample variance only: it is taken as it is, and there is no second pass, which needs halves.
+    VarianceOnly,
+}
+
+impl Signal {
+    /// What is known of the noise; `None` if nothing is, which for a feature means that it is taken as free of noise.
+    pub fn noise_knowledge(&self) -> Option<NoiseKnowledge> {
+        match (&self.half_spread, &self.variance_of_mean) {
+            (Some(_), Some(_)) => Some(NoiseKnowledge::HalvesAndVariance),
+            (Some(_), None) => Some(NoiseKnowledge::HalvesOnly),
+            (None, Some(_)) => Some(NoiseKnowledge::VarianceOnly),
+            (None, None) => None,
+        }
+    }
+
+    fn images(&self) -> impl Iterator<Item = &Image> {
+        [
+            Some(&self.mean),
+            self.half_spread.as_ref(),
+            self.variance_of_mean.as_ref(),
+        ]
+        .into_iter()
+        .flatten()
+    }
+}
+
+/// `(A − B)·√(n_A·n_B)/n` with n = n_A + n_B: see [`Signal::half_spread`].
+///
+/// Its square estimates the variance of the *mean of both halves* (thesis 8.2), which is half of the variance of one half, (A − B)²/2, that chapter 7 uses.
+/// The images must have the same shape; `n_a` and `n_b` are the halves' sample counts, of which only the ratio matters.
+pub fn half_spread(a: &Image, b: &Image, n_a: f32, n_b: f32) -> Image {
+    let factor = (n_a * n_b).sqrt() / (n_a + n_b);
+    let spread =
+        |(a, b): (&Vec<f32>, &Vec<f32>)| a.iter().zip(b).map(|(a, b)| (a - b) * factor).collect();
+    Image {
+        extent: a.extent,
+        planes: a.planes.iter().zip(&b.planes).map(spread).collect(),
+    }
+}
+
 /// What the denoisers work on. Only `Frame::from_buffer_set` and `Frame::new` make one, so a frame is always finite and consistent.
 #[derive(Clone, Debug)]
 pub struct Frame {
@@ -46,4 +102,251 @@ pub struct Frame {
     color: Signal,
     features: Vec<Feature>,
     samples_per_pixel: SamplesPerPixel,
+}
+
+impl Frame {
+    /// Settles the meaning of what the files said. The halves are taken to have equal numbers of samples, since no file says otherwise.
+    ///
+    /// # Errors
+    /// As [`Frame::new`].
+    pub fn from_buffer_set(set: &BufferSet) -> Result<(Self, Repairs)> {
+        let mut notes = Vec::new();
+        let raw = set.color();
+        if let Some(note) = mean_beside_halves(&raw) {
+            notes.push(note);
+        }
+        let color = signal(raw);
+        // Feature by feature, so that no more than one is in memory both raw and settled.
+        let features = set
+            .features()
+            .map(|(name, raw)| (name.to_owned(), signal(raw)))
+            .collect();
+        let (frame, mut repairs) = Self::new(color, features, set.samples_per_pixel())?;
+        repairs.notes.splice(0..0, notes);
+        Ok((frame, repairs))
+    }
+
+    /// Makes a frame from raw values: colour in scene-linear radiance (three planes), features in any units (one to three planes each, not yet in unit
+    /// range), variances of the mean.
+    ///
+    /// Everything in the frame is finite: damaged pixels take their neighbours' average, negative variances become 0. Features are brought to unit range;
+    /// constant ones are left out. All of it is reported.
+    ///
+    /// # Errors
+    /// Images of different extent or channel count, no pixels, more than [`MAX_FEATURES`] features, a colour of whose noise nothing is known, a layer
+    /// without a single usable pixel.
+    pub fn new(
+        mut color: Signal,
+        features: Vec<(String, Signal)>,
+        samples_per_pixel: SamplesPerPixel,
+    ) -> Result<(Self, Repairs)> {
+        let extent = color.mean.extent;
+        check_shape("colour", &color, extent, 3..=3)?;
+        if features.len() > MAX_FEATURES {
+            return Err(Error::Request {
+                problem: format!(
+                    "{} features are given, but at most {MAX_FEATURES} can be used",
+                    features.len()
+                ),
+                remedy: "leave out those that say least about this scene".into(),
+            });
+        }
+        let mut repairs = Repairs::default();
+        check_noise_is_known(&color, &mut repairs)?;
+        let (found, _) = sanitise::sanitise("colour", &mut color, false)?;
+        repairs.add(found);
+
+        let mut kept = Vec::new();
+        for (name, mut signal) in features {
+            check_shape(&name, &signal, extent, 1..=3)?;
+            let (found, misses) =
+                sanitise::sanitise(&name, &mut signal, names::is_distance_name(&name))?;
+            repairs.add(found);
+            if signal.noise_knowledge().is_none() {
+                repairs.notes.push(format!(
+                    "feature {name}: neither halves nor variance, taken as free of noise"
+                ));
+            }
+            match unit_range::to_unit_range(&name, &mut signal, &misses) {
+                Some((unit_scale, unit_offset)) => kept.push(Feature {
+                    name,
+                    signal,
+                    unit_scale,
+                    unit_offset,
+                }),
+                None => {
+                    repairs
+                        .notes
+                        .push(format!("feature {name}: the same everywhere, left out"));
+                    repairs.dropped_features.push(name);
+                }
+            }
+        }
+        let samples_per_pixel =
+            sanitise::sanitise_samples(samples_per_pixel, extent, &mut repairs)?;
+        Ok((
+            Self {
+                extent,
+                color,
+                features: kept,
+                samples_per_pixel,
+            },
+            repairs,
+        ))
+    }
+
+    /// Width and height of all images of the frame.
+    pub fn extent(&self) -> Extent {
+        self.extent
+    }
+
+    /// The noisy colour: three planes of finite scene-linear radiance.
+    pub fn color(&self) -> &Signal {
+        &self.color
+    }
+
+    /// The features, in unit range; at most [`MAX_FEATURES`], possibly none.
+    pub fn features(&self) -> &[Feature] {
+        &self.features
+    }
+
+    /// Samples per pixel, positive and finite where known.
+    pub fn samples_per_pixel(&self) -> &SamplesPerPixel {
+        &self.samples_per_pixel
+    }
+
+    /// What is known of the colour's noise.
+    pub fn noise_knowledge(&self) -> NoiseKnowledge {
+        // `new` has refused a colour of whose noise nothing is known.
+        self.color
+            .noise_knowledge()
+            .unwrap_or(NoiseKnowledge::VarianceOnly)
+    }
+
+    /// The relative mean squared error that the noise estimate promises for the unfiltered colour: the mean over pixels and channels of
+    /// variance/(mean² + 0.01), comparable to [`relative_mse`](crate::metric::relative_mse) against a reference.
+    pub fn noise_level(&self) -> f64 {
+        let mut sum = 0.0;
+        for (channel, mean) in self.color.mean.planes.iter().enumerate() {
+            let relative = |variance: f64, mean: f32| {
+                variance / (f64::from(mean).powi(2) + crate::metric::RELATIVE_EPSILON)
+            };
+            sum += match (&self.color.variance_of_mean, &self.color.half_spread) {
+                (Some(variance), _) => variance.planes[channel]
+                    .iter()
+                    .zip(mean)
+                    .map(|(&v, &m)| relative(v.into(), m))
+                    .sum::<f64>(),
+                (None, Some(spread)) => spread.planes[channel]
+                    .iter()
+                    .zip(mean)
+                    .map(|(&s, &m)| relative(f64::from(s).powi(2), m))
+                    .sum(),
+                (None, None) => 0.0,
+            };
+        }
+        sum / (self.color.mean.channels() * self.extent.pixels()) as f64
+    }
+}
+
+fn signal(raw: RawSignal) -> Signal {
+    let half_spread = raw
+        .half_a
+        .as_ref()
+        .zip(raw.half_b.as_ref())
+        .map(|(a, b)| half_spread(a, b, 1.0, 1.0));
+    Signal {
+        mean: raw.mean,
+        half_spread,
+        variance_of_mean: raw.variance_of_mean,
+    }
+}
+
+/// Says so when the halves are not halves of the mean, as when a render with one seed is given beside two renders with other seeds.
+fn mean_beside_halves(raw: &RawSignal) -> Option<String> {
+    let (a, b) = raw.half_a.as_ref().zip(raw.half_b.as_ref())?;
+    let mut differing = 0;
+    let mut values = 0;
+    for (mean, (a, b)) in raw.mean.planes.iter().zip(a.planes.iter().zip(&b.planes)) {
+        values += mean.len();
+        let differs = |(mean, (a, b)): &(&f32, (&f32, &f32))| {
+            let average = (*a + *b) / 2.0;
+            // Half floats round by 2^-11; denormals by more.
+            (*mean - average).abs() > 0.01 * (mean.abs() + average.abs()) + 1e-4
+        };
+        differing += mean.iter().zip(a.iter().zip(b)).filter(differs).count();
+    }
+    (differing * 10 > values).then(|| {
+        let percent = 100 * differing / values;
+        format!("colour: in {percent} % of its values the input is not the average of the halves; their difference then tells little about its noise")
+    })
+}
+
+fn check_shape(
+    name: &str,
+    signal: &Signal,
+    extent: Extent,
+    channels: std::ops::RangeInclusive<usize>,
+) -> Result<()> {
+    let problem = if extent.pixels() == 0 {
+        format!("{name} has no pixels")
+    } else if !channels.contains(&signal.mean.channels()) {
+        format!(
+            "{name} has {} channels, not {} to {}",
+            signal.mean.channels(),
+            channels.start(),
+            channels.end()
+        )
+    } else if signal
+        .images()
+        .any(|image| image.extent != extent || image.channels() != signal.mean.channels())
+    {
+        format!(
+            "the images of {name} do not all have {} channels of {extent}",
+            signal.mean.channels()
+        )
+    } else if signal
+        .images()
+        .flat_map(|image| &image.planes)
+        .any(|plane| plane.len() != extent.pixels())
+    {
+        format!(
+            "a plane of {name} does not have the {} values that its extent of {extent} asks for",
+            extent.pixels()
+        )
+    } else {
+        return Ok(());
+    };
+    Err(Error::Request {
+        problem,
+        remedy:
+            "give all images of a frame the same extent, and a signal's images the same channels"
+                .into(),
+    })
+}
+
+fn check_noise_is_known(color: &Signal, repairs: &mut Repairs) -> Result<()> {
+    let zero = |image: &Image| image.planes.iter().flatten().all(|value| *value == 0.0);
+    let same_halves = color.half_spread.as_ref().is_some_and(zero);
+    match color.noise_knowledge() {
+        None => Err(Error::Request {
+            problem: "nothing is known of the colour's noise: there are neither two halves nor a variance".into(),
+            remedy: "render twice with different seeds and pass both with --half-a and --half-b, their average as the input; or let the renderer write \
+                     the variance of the pixel mean, as layer `variance` or with --variance"
+                .into(),
+        }),
+        Some(NoiseKnowledge::HalvesOnly) if same_halves => Err(Error::Request {
+            problem: "the two halves are identical, so that they say nothing about the noise".into(),
+            remedy: "render the halves with different seeds".into(),
+        }),
+        Some(NoiseKnowledge::HalvesAndVariance) if same_halves => {
+            repairs.notes.push("colour: the two halves are identical (rendered with the same seed?)".into());
+            Ok(())
+        }
+        Some(NoiseKnowledge::VarianceOnly) => {
+            repairs.notes.push("colour: no halves, so the variance is taken as it is and there is no second pass".into());
+            Ok(())
+        }
+        Some(_) => Ok(()),
+    }
 }

@@ -30,11 +30,37 @@ pub struct Image {
 impl Image {
     /// An image of `channels` planes filled with `value`.
     pub fn filled(extent: Extent, channels: usize, value: f32) -> Self {
-        Self { extent, planes: vec![vec![value; extent.pixels()]; channels] }
+        Self {
+            extent,
+            planes: vec![vec![value; extent.pixels()]; channels],
+        }
     }
 
     /// Number of planes.
     pub fn channels(&self) -> usize {
         self.planes.len()
+    }
+}
+
+/// A rectangle of pixels in an image's own coordinates: an OpenEXR data or display window.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct Window {
+    /// Column of the left edge; may be negative.
+    pub x: i32,
+    /// Row of the top edge; may be negative.
+    pub y: i32,
+    /// Width and height.
+    pub extent: Extent,
+}
+
+impl std::fmt::Display for Extent {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{}×{}", self.width, self.height)
+    }
+}
+
+impl std::fmt::Display for Window {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{} at ({}, {})", self.extent, self.x, self.y)
     }
 }
