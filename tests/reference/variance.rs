@@ -1,0 +1,103 @@
+//! What is known of the noise (sections 8.2 and 8.3). Every variance is that of a pixel's mean, never that of a sample.
+
+use super::{Grid, Planes, Point, square};
+
+/// Radius of the 21×21 box of section 8.2.
+pub const SCALE_RADIUS: usize = 10;
+
+/// Where there are halves but no sample variance, the two-buffer variance is all there is, and it is made of one squared
+/// normal variable per pixel: it takes about fifty pixels to make a usable estimate of it.
+const HALVES_ONLY_SIGMA: f64 = 2.0;
+const HALVES_ONLY_RADIUS: usize = 5;
+
+/// The "small Gaussian kernel with standard deviation of 0.5 pixels" of section 8.3.
+const BUFFER_SIGMA: f64 = 0.5;
+const BUFFER_RADIUS: usize = 2;
+
+/// A noisy mean and what is known of its noise.
+#[derive(Clone, Debug)]
+pub struct Signal {
+    pub mean: Planes,
+    /// See `spread_of_halves`. The halves are `mean ± spread`.
+    pub spread: Option<Planes>,
+    /// s²/n of each pixel.
+    pub sample_variance: Option<Planes>,
+}
+
+/// Carries two half-buffer means as one plane, `(A − B)·√(n_A·n_B)/n`: its square is the two-buffer estimate of the variance
+/// of the mean of all samples. For equal halves it is (A − B)/2, and the square (A − B)²/4; chapter 7's Δ = (A − B)²/2 is
+/// the variance of *one half*.
+pub fn spread_of_halves(a: &Grid, b: &Grid, samples_a: f64, samples_b: f64) -> Grid {
+    let scale = (samples_a * samples_b).sqrt() / (samples_a + samples_b);
+    a.like(|p| (a.at(p) - b.at(p)) * scale)
+}
+
+/// The best variance that a signal allows: scaled if it can be, taken at its word without halves, two-buffer alone without
+/// sample variance. With neither, the signal claims to be free of noise.
+pub fn input_variance(signal: &Signal) -> Planes {
+    match (&signal.sample_variance, &signal.spread) {
+        (Some(variance), Some(spread)) => variance_scale(variance, spread, SCALE_RADIUS),
+        (Some(variance), None) => variance.clone(),
+        (None, Some(spread)) => spread
+            .iter()
+            .map(|spread| gaussian(&squared(spread), HALVES_ONLY_SIGMA, HALVES_ONLY_RADIUS))
+            .collect(),
+        (None, None) => signal.mean.iter().map(|mean| mean.like(|_| 0.0)).collect(),
+    }
+}
+
+/// `scale_svar` of Algorithm 1: gives the sample variance, which knows the structure of the noise, the magnitude of the
+/// two-buffer variance, which is unbiased for low-discrepancy samples too.
+pub fn variance_scale(sample_variance: &[Grid], spread: &[Grid], radius: usize) -> Planes {
+    sample_variance
+        .iter()
+        .zip(spread)
+        .map(|(sample_variance, spread)| {
+            let two_buffer = squared(spread);
+            sample_variance.like(|p| {
+                let claimed = box_sum(sample_variance, p, radius);
+                if claimed == 0.0 {
+                    return 0.0;
+                }
+                sample_variance.at(p) * box_sum(&two_buffer, p, radius) / claimed
+            })
+        })
+        .collect()
+}
+
+/// `buffer_var` of Algorithm 1: the smoothed two-buffer variance of each plane.
+pub fn buffer_var(spread: &[Grid]) -> Planes {
+    spread
+        .iter()
+        .map(|spread| gaussian(&squared(spread), BUFFER_SIGMA, BUFFER_RADIUS))
+        .collect()
+}
+
+/// Smooths with exp(−|o|²/2σ²) over the existing pixels of the window.
+pub fn gaussian(plane: &Grid, sigma: f64, radius: usize) -> Grid {
+    plane.like(|p| {
+        let (mut sum, mut weight_sum) = (0.0, 0.0);
+        for offset in square(radius) {
+            let q = p + offset;
+            if plane.contains(q) {
+                let distance_squared = (offset.x * offset.x + offset.y * offset.y) as f64;
+                let weight = (-distance_squared / (2.0 * sigma * sigma)).exp();
+                sum += weight * plane.at(q);
+                weight_sum += weight;
+            }
+        }
+        sum / weight_sum
+    })
+}
+
+fn box_sum(plane: &Grid, p: Point, radius: usize) -> f64 {
+    square(radius)
+        .map(|offset| p + offset)
+        .filter(|&q| plane.contains(q))
+        .map(|q| plane.at(q))
+        .sum()
+}
+
+fn squared(plane: &Grid) -> Grid {
+    plane.like(|p| plane.at(p) * plane.at(p))
+}
