@@ -4,7 +4,6 @@
 struct VarianceScaleParams {
     extent: vec2<i32>,
     radius: i32,
-    unused: i32,
 }
 
 @group(0) @binding(0) var<uniform> params: VarianceScaleParams;

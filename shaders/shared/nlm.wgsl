@@ -21,7 +21,6 @@ struct NlmParams {
     inverse_channels: f32,
     // The centre takes the largest weight among its neighbours, at least this one; above 1 means: it takes 1.
     centre_floor: f32,
-    unused: f32,
 }
 
 // Prevents a division by zero between two pixels without variance (eq. 7.4).

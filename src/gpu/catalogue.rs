@@ -10,9 +10,23 @@ macro_rules! sources {
 /// Pieces that stages import (`#define_import_path stein::...`), in any order.
 #[rustfmt::skip]
 pub(super) const SHARED: &[(&str, &str)] = sources!("shaders/shared":
+    "planes",
+    "nlm",
+    "candidates",
 );
 
 /// The stages: each file is one kernel.
 #[rustfmt::skip]
 pub(super) const STAGES: &[(&str, &str)] = sources!("shaders":
+    "variance_rows",
+    "variance_scale",
+    "variance_smooth",
+    "nlm_distance",
+    "nlm_filter",
+    "feature_pack",
+    "candidate_accumulate",
+    "candidate_resolve",
+    "error_sure",
+    "select_least",
+    "select_blend",
 );

@@ -1,0 +1,84 @@
+//! A frame on the GPU.
+
+use glam::IVec2;
+
+use crate::error::Result;
+use crate::frame::{Frame, Signal};
+use crate::gpu::{Buffer, Recorder};
+
+use super::Strip;
+
+/// A noisy signal on the GPU.
+#[derive(Debug)]
+pub struct GpuSignal {
+    /// Two planes of one vec4 per pixel, rows from the top: the mean in x, y, z (unused channels 0), behind it the half spread
+    /// `(A − B)·√(n_A·n_B)/n`, all 0 without halves. Everything finite.
+    pub signal: Buffer,
+    /// One plane: sample variance of the mean, s²/n.
+    pub variance_of_mean: Option<Buffer>,
+    /// Whether the second plane of `signal` says anything.
+    pub has_halves: bool,
+}
+
+/// A feature on the GPU, in unit range.
+#[derive(Debug)]
+pub struct GpuFeature {
+    /// Its name in dumps.
+    pub name: String,
+    /// Its values and what is known of their noise.
+    pub signal: GpuSignal,
+    /// 1 to 3.
+    pub channels: u32,
+}
+
+/// A frame on the GPU: what a renderer hands over that keeps its buffers there.
+#[derive(Debug)]
+pub struct GpuFrame {
+    /// Width and height in pixels.
+    pub extent: IVec2,
+    /// Three channels, of the order of 1: the tiny constants of the method are absolute.
+    pub color: GpuSignal,
+    /// 0 to 8.
+    pub features: Vec<GpuFeature>,
+}
+
+impl GpuFrame {
+    /// Uploads the rows of a strip and its halo, the colour multiplied by `exposure`.
+    pub(crate) fn upload(rec: &mut Recorder, frame: &Frame, strip: &Strip, exposure: f32) -> Result<Self> {
+        let mut features = Vec::with_capacity(frame.features().len());
+        for feature in frame.features() {
+            let channels = feature.signal.mean.channels() as u32;
+            features.push(GpuFeature { name: feature.name.clone(), signal: upload_signal(rec, &feature.name, &feature.signal, strip, 1.0)?, channels });
+        }
+        let extent = IVec2::new(frame.extent().width as i32, strip.rows_with_halo() as i32);
+        Ok(Self { extent, color: upload_signal(rec, "colour", frame.color(), strip, exposure)?, features })
+    }
+}
+
+fn upload_signal(rec: &mut Recorder, label: &str, signal: &Signal, strip: &Strip, factor: f32) -> Result<GpuSignal> {
+    let width = signal.mean.extent.width as usize;
+    let pixels = strip.first_with_halo * width..(strip.first_with_halo + strip.rows_with_halo()) * width;
+    let mut packed = vec![0.0; pixels.len() * 8];
+    let (mean, spread) = packed.split_at_mut(pixels.len() * 4);
+    interleave(&signal.mean.planes, &pixels, factor, mean);
+    if let Some(half_spread) = &signal.half_spread {
+        interleave(&half_spread.planes, &pixels, factor, spread);
+    }
+    let variance_of_mean = match &signal.variance_of_mean {
+        None => None,
+        Some(variance) => {
+            let mut packed = vec![0.0; pixels.len() * 4];
+            interleave(&variance.planes, &pixels, factor * factor, &mut packed);
+            Some(rec.upload(&format!("variance of {label}"), &packed)?)
+        }
+    };
+    Ok(GpuSignal { signal: rec.upload(label, &packed)?, variance_of_mean, has_halves: signal.half_spread.is_some() })
+}
+
+fn interleave(planes: &[Vec<f32>], pixels: &std::ops::Range<usize>, factor: f32, packed: &mut [f32]) {
+    for (channel, plane) in planes.iter().enumerate() {
+        for (to, from) in packed.chunks_exact_mut(4).zip(&plane[pixels.clone()]) {
+            to[channel] = from * factor;
+        }
+    }
+}

@@ -1,0 +1,160 @@
+//! Parameters of DFC: the table of Algorithm 1, with what measurements made of it.
+
+use serde::Serialize;
+
+use crate::error::{Error, Result};
+use crate::stage::nlm::{CentreWeight, Weighting};
+use crate::stage::select::Guard;
+
+/// The window radius beyond which work and halos make no sense any more, in pixels.
+const LARGEST_WINDOW_RADIUS: u32 = 64;
+/// The largest patch radius: a window of distances of 2f+1 rows lives in registers.
+const LARGEST_PATCH_RADIUS: u32 = 5;
+
+/// Parameters of DFC (thesis chapter 8). [`Params::default`] is what measured best, [`Params::thesis`] is Algorithm 1 to the letter.
+///
+/// | parameter | default | thesis | range | meaning |
+/// | --- | --- | --- | --- | --- |
+/// | `window_radius` | 10 | 10 | 1–64 pixels | R: candidates average over 2R+1 squared pixels; work grows with its square |
+/// | `color_k` | 0.45 | 0.45 | > 0 | k_c of FIRST and SECOND |
+/// | `first_patch_radius` | 1 | 1 | 0–5 pixels | f of FIRST, at most that of SECOND |
+/// | `second_patch_radius` | 3 | 3 | 0–5 pixels | f of SECOND |
+/// | `feature_k` | 0.6 | 0.6 | > 0 | k_f of all candidates |
+/// | `feature_tau` | 10⁻² | 10⁻² | > 0 | τ of FIRST and SECOND, in squares of the unit range |
+/// | `feature_tau_third` | 5·10⁻⁴ | 10⁻³ | > 0 | τ of THIRD |
+/// | `weighting.symmetric` | yes | no | | pairs of opposite neighbours (eq. 7.6) for colour and features; feature distances scaled by both pixels |
+/// | `weighting.centre` | largest neighbour | one | | weight of a pixel in its own average |
+/// | `guard` | 4, 0.3 | none | ≥ 0 | keeps rejected candidates out of the blend |
+/// | `second_pass` | ⌈R/2⌉, f 3, clamped | R, f 1 | | filters what noise pass 1 left; needs halves |
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Params {
+    /// R, in pixels.
+    pub window_radius: u32,
+    /// k_c of FIRST and SECOND.
+    pub color_k: f32,
+    /// f of FIRST, in pixels.
+    pub first_patch_radius: u32,
+    /// f of SECOND, in pixels.
+    pub second_patch_radius: u32,
+    /// k_f.
+    pub feature_k: f32,
+    /// τ of FIRST and SECOND.
+    pub feature_tau: f32,
+    /// τ of THIRD. Where distances are symmetric they are scaled by p and q together, so that half of the printed value means the same.
+    pub feature_tau_third: f32,
+    /// How distances become weights, in every filter.
+    pub weighting: Weighting,
+    /// `None`: the smoothed selection maps decide alone.
+    pub guard: Option<Guard>,
+    /// `None`: pass 1 is the result.
+    pub second_pass: Option<SecondPass>,
+}
+
+/// The filter of the residual noise (Algorithm 1 lines 34 to 37).
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct SecondPass {
+    /// Window of radius ⌈R/2⌉ in place of R: less blur where pass 1 has kept texture.
+    pub half_window: bool,
+    /// f, in pixels.
+    pub patch_radius: u32,
+    /// k_c.
+    pub color_k: f32,
+    /// Hold the two-buffer variance of pass 1 below the input's variance: what was filtered cannot be noisier than what it was made from.
+    pub clamp_to_input: bool,
+}
+
+impl SecondPass {
+    pub(crate) fn window_radius(&self, window_radius: u32) -> u32 {
+        if self.half_window { window_radius.div_ceil(2) } else { window_radius }
+    }
+}
+
+/// Named parameter sets.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Preset {
+    /// What measured best.
+    Default,
+    /// Algorithm 1 to the letter, its misprint in line 26 mended.
+    Thesis,
+}
+
+impl Default for Params {
+    fn default() -> Self {
+        Self {
+            feature_tau_third: 5e-4,
+            weighting: Weighting { symmetric: true, centre: CentreWeight::LargestNeighbour },
+            guard: Some(Guard { error_factor: 4.0, noise_factor: 0.3 }),
+            second_pass: Some(SecondPass { half_window: true, patch_radius: 3, color_k: 0.45, clamp_to_input: true }),
+            ..Self::thesis()
+        }
+    }
+}
+
+impl Params {
+    /// Algorithm 1 to the letter, its misprint in line 26 mended. It prints τ as 10E−3 and 10E−4.
+    pub fn thesis() -> Self {
+        Self {
+            window_radius: 10,
+            color_k: 0.45,
+            first_patch_radius: 1,
+            second_patch_radius: 3,
+            feature_k: 0.6,
+            feature_tau: 1e-2,
+            feature_tau_third: 1e-3,
+            weighting: Weighting { symmetric: false, centre: CentreWeight::One },
+            guard: None,
+            second_pass: Some(SecondPass { half_window: false, patch_radius: 1, color_k: 0.45, clamp_to_input: false }),
+        }
+    }
+
+    /// The named set.
+    pub fn preset(preset: Preset) -> Self {
+        match preset {
+            Preset::Default => Self::default(),
+            Preset::Thesis => Self::thesis(),
+        }
+    }
+
+    /// Checks the ranges of the table above.
+    ///
+    /// # Errors
+    /// [`Error::Request`] naming the parameter and its range.
+    pub fn validate(&self) -> Result<()> {
+        let refuse = |name: &str, value: String, range: &str| {
+            Err(Error::Request { problem: format!("{name} is {value}, outside its range"), remedy: format!("choose it {range}") })
+        };
+        if !(1..=LARGEST_WINDOW_RADIUS).contains(&self.window_radius) {
+            return refuse("the window radius", self.window_radius.to_string(), &format!("from 1 to {LARGEST_WINDOW_RADIUS} pixels"));
+        }
+        let second_pass = self.second_pass.map_or(0, |pass| pass.patch_radius);
+        for (name, radius) in [("the patch radius of SECOND", self.second_patch_radius), ("the patch radius of the second pass", second_pass)] {
+            if radius > LARGEST_PATCH_RADIUS {
+                return refuse(name, radius.to_string(), &format!("from 0 to {LARGEST_PATCH_RADIUS} pixels"));
+            }
+        }
+        if self.first_patch_radius > self.second_patch_radius {
+            return refuse("the patch radius of FIRST", self.first_patch_radius.to_string(), "no larger than that of SECOND");
+        }
+        let positive = [
+            ("k_c", self.color_k),
+            ("k_f", self.feature_k),
+            ("τ", self.feature_tau),
+            ("τ of THIRD", self.feature_tau_third),
+            ("k_c of the second pass", self.second_pass.map_or(1.0, |pass| pass.color_k)),
+        ];
+        for (name, value) in positive {
+            if !(value.is_finite() && value > 0.0) {
+                return refuse(name, value.to_string(), "finite and above 0");
+            }
+        }
+        if let Some(guard) = self.guard {
+            for (name, value) in [("the guard's error factor", guard.error_factor), ("the guard's noise factor", guard.noise_factor)] {
+                if !(value.is_finite() && value >= 0.0) {
+                    return refuse(name, value.to_string(), "finite and at least 0");
+                }
+            }
+        }
+        Ok(())
+    }
+}

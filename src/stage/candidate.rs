@@ -1,0 +1,132 @@
+//! The candidate filters FIRST, SECOND and THIRD with their derivatives, in one pass over the window (thesis 8.2 to 8.4).
+
+use glam::{IVec2, Vec4};
+
+use super::feature::{Features, MAX_GROUPS};
+use super::nlm::{Guide, NlmParams, Schedule, Weighting, for_each_chunk};
+use super::plane_bytes;
+use crate::error::Result;
+use crate::gpu::{Buffer, Definition, Recorder, bindings, uniforms};
+
+uniforms! {
+    struct CandidateParams { inverse_feature_k_squared: f32, feature_tau: f32, feature_tau_third: f32, triple_weights: [Vec4; MAX_GROUPS] }
+}
+
+bindings! {
+    struct CandidateAccumulate<'a> {
+        uniform params: NlmParams, uniform candidate: CandidateParams,
+        read columns, read columns_small, read signal, read variance_of_mean, write state, optional features,
+    }
+    struct CandidateResolve<'a> {
+        uniform params: NlmParams, read signal, read variance_of_mean, read state, write first, write second, write third, write derivatives,
+    }
+}
+
+/// Planes of running sums that `candidate_accumulate` keeps per pixel of a strip.
+const STATE_PLANES: u32 = 12;
+
+/// What tells the candidates apart from any other filter.
+#[derive(Clone, Copy, Debug)]
+pub struct CandidateFilter {
+    /// R: the window is 2R+1 pixels wide.
+    pub window_radius: u32,
+    /// k_c of FIRST and SECOND.
+    pub color_k: f32,
+    /// f of FIRST, at most that of SECOND.
+    pub first_patch_radius: u32,
+    /// f of SECOND.
+    pub second_patch_radius: u32,
+    /// k_f of all three.
+    pub feature_k: f32,
+    /// τ of FIRST and SECOND.
+    pub feature_tau: f32,
+    /// τ of THIRD.
+    pub feature_tau_third: f32,
+    /// For FIRST and SECOND. THIRD takes the symmetric distances where the others do, but never blends pairs: it is the widest filter as it is, and without a colour
+    /// term nothing would hold the blend back.
+    pub weighting: Weighting,
+}
+
+/// The filtered candidates.
+#[derive(Debug)]
+pub struct Candidates {
+    /// Signals of FIRST, SECOND and THIRD; Σ w in the w of the mean.
+    pub signals: [Buffer; 3],
+    /// Three planes: dF_i/du_i per channel, of FIRST, SECOND and THIRD.
+    pub derivatives: Buffer,
+}
+
+/// Filters a colour signal with the three candidates. `variance_of_mean` is its scaled variance; without features the feature weights are 1.
+///
+/// `progress` is called with the share of rows whose commands are recorded.
+#[expect(clippy::too_many_arguments, reason = "they are the operator's definition; a struct would only rename them")]
+pub fn candidates(
+    rec: &mut Recorder,
+    extent: IVec2,
+    signal: &Buffer,
+    variance_of_mean: &Buffer,
+    features: Option<&Features>,
+    filter: &CandidateFilter,
+    schedule: Schedule,
+    mut progress: impl FnMut(&mut Recorder, f32) -> Result<()>,
+) -> Result<Candidates> {
+    let signals = [
+        rec.take("FIRST", plane_bytes(extent, 2))?,
+        rec.take("SECOND", plane_bytes(extent, 2))?,
+        rec.take("THIRD", plane_bytes(extent, 2))?,
+    ];
+    let derivatives = rec.take("derivatives", plane_bytes(extent, 3))?;
+    let guide = Guide {
+        signal,
+        variance_of_mean,
+        channels: 3,
+        k: filter.color_k,
+        patch_radius: filter.second_patch_radius,
+        small_patch_radius: Some(filter.first_patch_radius),
+    };
+    let groups = features.map_or(0, |features| features.packing.groups);
+    let definitions = [
+        ("PATCH_RADIUS", Definition::Int(filter.second_patch_radius as i32)),
+        ("SMALL_PATCH_RADIUS", Definition::Int(filter.first_patch_radius as i32)),
+        ("FEATURE_GROUPS", Definition::Int(groups as i32)),
+        ("SYMMETRIC", filter.weighting.symmetric.into()),
+    ];
+    let candidate = CandidateParams {
+        inverse_feature_k_squared: 1.0 / (filter.feature_k * filter.feature_k),
+        feature_tau: filter.feature_tau,
+        feature_tau_third: filter.feature_tau_third,
+        triple_weights: features.map_or([Vec4::ZERO; MAX_GROUPS], |features| features.packing.triple_weights()),
+    };
+    let mut state = None;
+    for_each_chunk(rec, extent, &guide, filter.window_radius, filter.weighting, schedule, |rec, chunk| {
+        let params = chunk.params;
+        let invocations = [extent.x as u32, params.rows as u32, 1];
+        // The first strip is the highest.
+        let state = match &mut state {
+            Some(state) => state,
+            None => state.insert(rec.take("candidate sums", plane_bytes(IVec2::new(extent.x, params.rows), STATE_PLANES))?),
+        };
+        let columns_small = chunk.columns_small.unwrap_or(chunk.columns);
+        let accumulate = rec.gpu().kernel::<CandidateAccumulate>("candidate_accumulate", &definitions)?;
+        let bound = CandidateAccumulate {
+            params,
+            candidate,
+            columns: chunk.columns,
+            columns_small,
+            signal,
+            variance_of_mean,
+            state,
+            features: features.map(|features| &features.buffer),
+        };
+        rec.dispatch(&accumulate, &bound, invocations)?;
+        if chunk.last {
+            let [first, second, third] = &signals;
+            let resolve = rec.gpu().kernel::<CandidateResolve>("candidate_resolve", &[])?;
+            let bound = CandidateResolve { params, signal, variance_of_mean, state, first, second, third, derivatives: &derivatives };
+            rec.dispatch(&resolve, &bound, invocations)?;
+            progress(rec, (params.first_row + params.rows) as f32 / extent.y as f32)?;
+        }
+        Ok(())
+    })?;
+    Ok(Candidates { signals, derivatives })
+}

@@ -1,0 +1,92 @@
+//! Features in the form that the bilateral weights read (thesis 8.3).
+
+use glam::{IVec2, Vec4};
+
+use super::{per_pixel, plane_bytes};
+use crate::error::Result;
+use crate::gpu::{Buffer, Recorder, bindings, uniforms};
+
+uniforms! { struct FeaturePackParams { extent: IVec2, group: i32, single: i32 } }
+bindings! { struct FeaturePack<'a> { uniform params: FeaturePackParams, read filtered, read residual_variance, write features } }
+
+/// Groups that the shaders hold parameters for; as many features of three channels fit.
+pub const MAX_GROUPS: usize = 8;
+
+/// Where a feature sits: which group of four channels, and there in x, y, z or alone in w.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Slot {
+    /// Group, from 0.
+    pub group: u32,
+    /// In w.
+    pub single: bool,
+}
+
+/// The places of features, by their numbers of channels: features of two or three channels take x, y, z of a group each; those of one channel fill the w of these
+/// groups, then pairs of them share further groups.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Packing {
+    /// One slot per feature.
+    pub slots: Vec<Slot>,
+    /// Number of groups.
+    pub groups: u32,
+    channels: Vec<u32>,
+}
+
+impl Packing {
+    /// Finds a place for each feature.
+    pub fn new(channels: &[u32]) -> Self {
+        let mut slots = vec![Slot { group: 0, single: false }; channels.len()];
+        let mut groups = 0;
+        let mut free_singles = std::collections::VecDeque::new();
+        // Wide features first, so that the narrow ones find their gaps.
+        for wide in [true, false] {
+            for (slot, _) in slots.iter_mut().zip(channels).filter(|(_, count)| (**count > 1) == wide) {
+                *slot = match free_singles.pop_front().filter(|_| !wide) {
+                    Some(group) => Slot { group, single: true },
+                    None => {
+                        free_singles.push_back(groups);
+                        groups += 1;
+                        Slot { group: groups - 1, single: false }
+                    }
+                };
+            }
+        }
+        Self { slots, groups, channels: channels.to_vec() }
+    }
+
+    /// 1 / number of channels for each channel of each group's triple: the distance of a feature is the mean over its channels.
+    pub(super) fn triple_weights(&self) -> [Vec4; MAX_GROUPS] {
+        let mut weights = [Vec4::ZERO; MAX_GROUPS];
+        for (slot, &count) in self.slots.iter().zip(&self.channels).filter(|(slot, _)| !slot.single) {
+            for channel in 0..count as usize {
+                weights[slot.group as usize][channel] = 1.0 / count as f32;
+            }
+        }
+        weights
+    }
+}
+
+/// Prefiltered features on the GPU.
+#[derive(Debug)]
+pub struct Features {
+    /// Three planes per group: value, residual variance, the larger of residual variance and squared gradient.
+    pub buffer: Buffer,
+    /// Who sits where.
+    pub packing: Packing,
+}
+
+impl Features {
+    /// Room for features with these numbers of channels, to be filled by [`feature_pack`], in any order except that a group's triple comes before its single.
+    pub fn take(rec: &mut Recorder, extent: IVec2, channels: &[u32]) -> Result<Self> {
+        let packing = Packing::new(channels);
+        Ok(Self { buffer: rec.take("features", plane_bytes(extent, 3 * packing.groups))?, packing })
+    }
+}
+
+/// Writes one prefiltered feature (unit range, first plane of `filtered`) and its residual variance to its slot, with its squared gradient: per axis the smaller of
+/// the two one-sided differences over half a pixel.
+pub fn feature_pack(rec: &mut Recorder, extent: IVec2, features: &Features, slot: Slot, filtered: &Buffer, residual_variance: &Buffer) -> Result<()> {
+    let params = FeaturePackParams { extent, group: slot.group as i32, single: i32::from(slot.single) };
+    let kernel = rec.gpu().kernel::<FeaturePack>("feature_pack", &[])?;
+    rec.dispatch(&kernel, &FeaturePack { params, filtered, residual_variance, features: &features.buffer }, per_pixel(extent))
+}

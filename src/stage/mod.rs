@@ -1,0 +1,26 @@
+//! The stages: one function per shader, called like its file. They know the GPU layer and nothing of methods.
+//!
+//! Everything lives in *planes*: one vec4 per pixel, channels in x, y, z. A *signal* is two planes in one buffer, the mean and behind it the half spread
+//! ([`Signal::half_spread`](crate::frame::Signal::half_spread)).
+
+pub mod candidate;
+pub mod error;
+pub mod feature;
+pub mod nlm;
+pub mod select;
+pub mod variance;
+
+use glam::IVec2;
+
+/// Bytes of one pixel in one plane.
+pub const PLANE_PIXEL_BYTES: u64 = 16;
+
+/// Bytes of `planes` planes of an image.
+pub(crate) fn plane_bytes(extent: IVec2, planes: u32) -> u64 {
+    extent.x as u64 * extent.y as u64 * u64::from(planes) * PLANE_PIXEL_BYTES
+}
+
+/// One invocation per pixel.
+pub(crate) fn per_pixel(extent: IVec2) -> [u32; 3] {
+    [extent.x as u32, extent.y as u32, 1]
+}

@@ -1,0 +1,232 @@
+//! The NL-means operator: pixel distances of pairs of neighbours, and a payload filtered by the weights they give (thesis 7.1.1, 8.2).
+
+use glam::IVec2;
+use serde::Serialize;
+
+use super::plane_bytes;
+use crate::error::Result;
+use crate::gpu::{Buffer, Definition, Gpu, Recorder, bindings, uniforms};
+
+uniforms! {
+    pub(super) struct NlmParams {
+        pub(super) extent: IVec2,
+        pub(super) first_row: i32,
+        pub(super) rows: i32,
+        pub(super) first_pair: i32,
+        pub(super) pairs: i32,
+        pub(super) window_radius: i32,
+        pub(super) block_rows: i32,
+        pub(super) k_squared: f32,
+        pub(super) inverse_channels: f32,
+        pub(super) centre_floor: f32,
+    }
+}
+
+bindings! {
+    struct NlmDistance<'a> { uniform params: NlmParams, read guide, read variance_of_mean, write columns }
+    struct NlmDistanceTwoPatches<'a> { uniform params: NlmParams, read guide, read variance_of_mean, write columns, write columns_small }
+    struct NlmFilter<'a> { uniform params: NlmParams, read columns, read payload, write filtered, write weights }
+    struct NlmFilterResidual<'a> {
+        uniform params: NlmParams, read columns, read payload, write filtered, write weights, read variance_of_mean, write residual_variance,
+    }
+}
+
+/// The weight of a pixel in its own average.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+pub enum CentreWeight {
+    /// 1: the distance of a pixel to itself is 0.
+    One,
+    /// The largest weight among its neighbours, at least 10⁻³: a spike, which is like no neighbour, does not hold on to itself.
+    LargestNeighbour,
+}
+
+impl CentreWeight {
+    fn floor(self) -> f32 {
+        match self {
+            // The shader takes a floor above 1 as the request for exactly 1.
+            Self::One => 2.0,
+            Self::LargestNeighbour => 1e-3,
+        }
+    }
+}
+
+/// How distances become weights, the same in every filter of a method.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+pub struct Weighting {
+    /// Let pairs of opposite neighbours stand in for each other where their mean matches better than both (eq. 7.6).
+    pub symmetric: bool,
+    /// The weight of the pixel itself.
+    pub centre: CentreWeight,
+}
+
+/// How the work on the window is cut up: what is computed does not depend on it, to the bit.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Schedule {
+    /// Bytes of the scratch buffer that holds the column sums of one strip of rows and one chunk of pairs of offsets.
+    pub scratch_bytes: u64,
+    /// Rows that one invocation of `nlm_distance` walks down; the 2f rows at its ends are computed twice.
+    pub block_rows: u32,
+}
+
+impl Schedule {
+    /// What suits the kind of adapter: a processor wants scratch that stays in its caches, a GPU wants enough pixels at a time to fill it.
+    pub fn for_gpu(gpu: &Gpu) -> Self {
+        if gpu.is_software() {
+            Self { scratch_bytes: 8 << 20, block_rows: 32 }
+        } else {
+            Self { scratch_bytes: 256 << 20, block_rows: 16 }
+        }
+    }
+
+    /// Rows of a strip and pairs of a chunk for images of this width.
+    fn cut(&self, gpu: &Gpu, extent: IVec2, window_radius: i32, patch_radius: i32) -> (i32, i32) {
+        let pairs = 2 * window_radius * (window_radius + 1);
+        let row_bytes = plane_bytes(IVec2::new(extent.x + 2 * patch_radius, 1), 1);
+        let budget = (self.scratch_bytes.min(gpu.max_binding_bytes()) / row_bytes).max(1) as i32;
+        // A chunk of one row of offsets, unless the image is so small that more fit: each chunk loads and stores the running sums once.
+        let side = 2 * window_radius + 1;
+        let rows = (budget / side).clamp(1, extent.y);
+        let rows = if rows < extent.y { (rows - rows % self.block_rows as i32).max(1) } else { rows };
+        (rows, (budget / rows).clamp(1, pairs.max(1)))
+    }
+}
+
+/// Neighbours are compared by the patches of a guide.
+#[derive(Clone, Copy, Debug)]
+pub struct Guide<'a> {
+    /// Its first plane is compared; a signal serves.
+    pub signal: &'a Buffer,
+    /// Variance of the mean, one plane.
+    pub variance_of_mean: &'a Buffer,
+    /// 1 to 3.
+    pub channels: u32,
+    /// k_c: how large a difference counts, in standard deviations.
+    pub k: f32,
+    /// f: patches are 2f+1 pixels wide.
+    pub patch_radius: u32,
+    /// A second, smaller patch whose sums are wanted too.
+    pub small_patch_radius: Option<u32>,
+}
+
+/// One chunk of pairs of offsets over one strip of rows: what follows `nlm_distance` gets the column sums and these parameters.
+pub(super) struct Chunk<'a> {
+    pub(super) params: NlmParams,
+    pub(super) columns: &'a Buffer,
+    pub(super) columns_small: Option<&'a Buffer>,
+    /// No pairs are left for these rows.
+    pub(super) last: bool,
+}
+
+/// Runs `nlm_distance` chunk by chunk and hands each to `consume`, strips from top to bottom, all chunks of a strip before the next.
+pub(super) fn for_each_chunk(
+    rec: &mut Recorder,
+    extent: IVec2,
+    guide: &Guide,
+    window_radius: u32,
+    weighting: Weighting,
+    schedule: Schedule,
+    mut consume: impl FnMut(&mut Recorder, &Chunk) -> Result<()>,
+) -> Result<()> {
+    let radius = window_radius as i32;
+    let patch_radius = guide.patch_radius as i32;
+    let pairs = 2 * radius * (radius + 1);
+    let (strip_rows, chunk_pairs) = schedule.cut(rec.gpu(), extent, radius, patch_radius);
+    let scratch = plane_bytes(IVec2::new(extent.x + 2 * patch_radius, strip_rows), chunk_pairs as u32);
+    let columns = rec.take("column sums of distances", scratch)?;
+    let columns_small = guide.small_patch_radius.map(|_| rec.take("column sums of distances, small patch", scratch)).transpose()?;
+    let definitions = [
+        ("PATCH_RADIUS", Definition::Int(patch_radius)),
+        ("SMALL_PATCH_RADIUS", Definition::Int(guide.small_patch_radius.map_or(-1, |small| small as i32))),
+        ("SYMMETRIC", weighting.symmetric.into()),
+    ];
+    for first_row in (0..extent.y).step_by(strip_rows as usize) {
+        let rows = strip_rows.min(extent.y - first_row);
+        let mut first_pair = 0;
+        loop {
+            let params = NlmParams {
+                extent,
+                first_row,
+                rows,
+                first_pair,
+                pairs: chunk_pairs.min(pairs - first_pair),
+                window_radius: radius,
+                block_rows: schedule.block_rows as i32,
+                k_squared: guide.k * guide.k,
+                inverse_channels: 1.0 / guide.channels as f32,
+                centre_floor: weighting.centre.floor(),
+            };
+            let invocations = [(extent.x + 2 * patch_radius) as u32, (rows as u32).div_ceil(schedule.block_rows), params.pairs as u32];
+            let (guide, variance_of_mean) = (guide.signal, guide.variance_of_mean);
+            match &columns_small {
+                None => {
+                    let kernel = rec.gpu().kernel::<NlmDistance>("nlm_distance", &definitions)?;
+                    rec.dispatch(&kernel, &NlmDistance { params, guide, variance_of_mean, columns: &columns }, invocations)?;
+                }
+                Some(columns_small) => {
+                    let kernel = rec.gpu().kernel::<NlmDistanceTwoPatches>("nlm_distance", &definitions)?;
+                    let bound = NlmDistanceTwoPatches { params, guide, variance_of_mean, columns: &columns, columns_small };
+                    rec.dispatch(&kernel, &bound, invocations)?;
+                }
+            }
+            first_pair += params.pairs;
+            let last = first_pair >= pairs;
+            consume(rec, &Chunk { params, columns: &columns, columns_small: columns_small.as_ref(), last })?;
+            if last {
+                break;
+            }
+        }
+    }
+    Ok(())
+}
+
+/// A payload filtered with the weights of a guide.
+#[derive(Debug)]
+pub struct Filtered {
+    /// As many planes as the payload has.
+    pub planes: Buffer,
+    /// One plane, x: Σ w with the centre's weight.
+    pub weights: Buffer,
+    /// Σ w²·Var / (Σ w)² in one plane, if asked for: the variance left in the filtered guide, were its pixels independent and the weights fixed.
+    pub residual_variance: Option<Buffer>,
+}
+
+/// Filters `payload_planes` planes of `payload` over a window of 2·`window_radius`+1 pixels with NL-means weights from `guide` (eq. 7.1 to 7.6).
+#[expect(clippy::too_many_arguments, reason = "they are the operator's definition; a struct would only rename them")]
+pub fn nlm_filter(
+    rec: &mut Recorder,
+    extent: IVec2,
+    guide: &Guide,
+    payload: &Buffer,
+    payload_planes: u32,
+    window_radius: u32,
+    weighting: Weighting,
+    with_residual_variance: bool,
+    schedule: Schedule,
+) -> Result<Filtered> {
+    let planes = rec.take("filtered planes", plane_bytes(extent, payload_planes))?;
+    let weights = rec.take("weight sums", plane_bytes(extent, 1))?;
+    let residual_variance = with_residual_variance.then(|| rec.take("residual variance", plane_bytes(extent, 1))).transpose()?;
+    let definitions = [
+        ("PATCH_RADIUS", Definition::Int(guide.patch_radius as i32)),
+        ("PAYLOAD_PLANES", Definition::Int(payload_planes as i32)),
+        ("SYMMETRIC", weighting.symmetric.into()),
+        ("RESIDUAL", with_residual_variance.into()),
+    ];
+    for_each_chunk(rec, extent, guide, window_radius, weighting, schedule, |rec, chunk| {
+        let (params, columns) = (chunk.params, chunk.columns);
+        let invocations = [extent.x as u32, params.rows as u32, 1];
+        let (filtered, weights, variance_of_mean) = (&planes, &weights, guide.variance_of_mean);
+        match &residual_variance {
+            None => {
+                let kernel = rec.gpu().kernel::<NlmFilter>("nlm_filter", &definitions)?;
+                rec.dispatch(&kernel, &NlmFilter { params, columns, payload, filtered, weights }, invocations)
+            }
+            Some(residual_variance) => {
+                let kernel = rec.gpu().kernel::<NlmFilterResidual>("nlm_filter", &definitions)?;
+                let bound = NlmFilterResidual { params, columns, payload, filtered, weights, variance_of_mean, residual_variance };
+                rec.dispatch(&kernel, &bound, invocations)
+            }
+        }
+    })?;
+    Ok(Filtered { planes, weights, residual_variance })
+}
