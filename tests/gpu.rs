@@ -1,4 +1,5 @@
 //! The graphics layer on whatever adapter this machine has; without one these tests fail and say how to get one.
+#![expect(clippy::unwrap_used, reason = "a test that cannot go on says where")]
 
 use std::sync::Arc;
 
@@ -336,6 +337,50 @@ fn an_absurd_request_names_the_limit_and_the_device_lives_on() {
     rec.submit().unwrap();
     assert_eq!(gpu.read(&small).unwrap(), [1.0, 2.0]);
     assert_eq!(nothing.bytes(), 4);
+}
+
+/// Runs in a process of its own with little address space, which a software adapter takes its memory from.
+#[test]
+#[ignore = "started by `a_full_device_frees_what_it_can_and_lives_on` with limited memory"]
+fn with_little_memory() {
+    let gpu = gpu();
+    let kernel = scale_kernel(&gpu);
+    let mut rec = gpu.record();
+    let source = rec.upload("source", &ramp()).unwrap();
+    let bytes = gpu.max_binding_bytes();
+    let mut held = Vec::new();
+    let text = loop {
+        match rec.take("candidates", bytes) {
+            Ok(buffer) => held.push(buffer),
+            refused => break problem(refused),
+        }
+        assert!(held.len() < 1000, "the memory limit has no effect");
+    };
+    for part in ["has no memory left for the buffer 'candidates'", &bytes.to_string(), "--max-memory", "--radius"] {
+        assert!(text.contains(part), "{part} is missing in: {text}");
+    }
+    // Idle buffers of the wrong size are given back when memory is short, also while commands that use them are still recorded.
+    drop(held);
+    let sizes = (1..=10).map(|n| n * bytes / 32);
+    for size in sizes.clone().chain(sizes.rev()) {
+        let odd = rec.take("odd", size).unwrap();
+        rec.dispatch(&kernel, &Scale { params: ScaleParams { extent: EXTENT, factor: 2.0 }, source: &source, scaled: &odd }, [EXTENT.x, EXTENT.y, 1]).unwrap();
+    }
+    let last = scale(&mut rec, &kernel, &source, 2.0).unwrap();
+    rec.submit().unwrap();
+    assert_eq!(gpu.read(&last).unwrap()[3], 3.0);
+}
+
+#[test]
+#[cfg(target_os = "linux")]
+fn a_full_device_frees_what_it_can_and_lives_on() {
+    if !gpu().is_software() {
+        return;
+    }
+    let run = "ulimit -v 12000000 && exec \"$0\" --ignored --exact with_little_memory";
+    let child = std::process::Command::new("sh").args(["-c", run]).arg(std::env::current_exe().unwrap()).output().unwrap();
+    assert!(child.status.success(), "{}{}", String::from_utf8_lossy(&child.stdout), String::from_utf8_lossy(&child.stderr));
+    assert!(String::from_utf8_lossy(&child.stdout).contains("1 passed"));
 }
 
 #[test]

@@ -1,6 +1,6 @@
 //! Host structs that name what a shader binds.
 //!
-//! [`bindings!`] declares a struct whose fields are called like the shader's global variables, [`uniforms!`] one whose fields are called like the members of
+//! [`bindings!`](crate::bindings!) declares a struct whose fields are called like the shader's global variables, [`uniforms!`](crate::uniforms!) one whose fields are called like the members of
 //! a uniform struct. Both leave a table of names and types, which is compared with the compiled shader when a kernel is built. Binding numbers, member offsets and
 //! padding are taken from the shader, so they are written once and cannot disagree.
 
@@ -8,7 +8,7 @@ use std::fmt;
 
 use super::pool::Buffer;
 
-/// What the host gives to one shader stage. Implemented by [`bindings!`].
+/// What the host gives to one shader stage. Implemented by [`bindings!`](crate::bindings!).
 pub trait Bindings {
     /// The shader's global variables in the order of [`Bindings::values`].
     const SLOTS: &'static [Slot];
@@ -28,7 +28,7 @@ pub struct Slot {
 /// What the host binds to a variable, and what the shader may do with it.
 #[derive(Clone, Copy)]
 pub enum SlotKind {
-    /// `var<uniform>`, filled from a struct made by [`uniforms!`].
+    /// `var<uniform>`, filled from a struct made by [`uniforms!`](crate::uniforms!).
     Uniform {
         /// The name of the host struct.
         host: &'static str,
@@ -113,7 +113,7 @@ impl fmt::Display for ValueType {
     }
 }
 
-/// A value that a uniform buffer can hold: a scalar, a vector, an array of four-component vectors, or a struct made by [`uniforms!`].
+/// A value that a uniform buffer can hold: a scalar, a vector, an array of four-component vectors, or a struct made by [`uniforms!`](crate::uniforms!).
 pub trait Uniform {
     /// Lists the members of this value, which itself is called `path`.
     fn members(path: &str, into: &mut Vec<Member>);
@@ -204,7 +204,7 @@ macro_rules! uniforms {
 
 /// Declares what a shader stage binds: a struct whose fields are called like the shader's global variables.
 ///
-/// `uniform name: Struct` takes a struct made by [`uniforms!`]; `read name` and `write name` take a `&Buffer`; `optional name` takes an `Option<&Buffer>` for a
+/// `uniform name: Struct` takes a struct made by [`uniforms!`](crate::uniforms!); `read name` and `write name` take a `&Buffer`; `optional name` takes an `Option<&Buffer>` for a
 /// variable that is read and that some definitions remove.
 ///
 /// ```

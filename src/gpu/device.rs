@@ -113,7 +113,7 @@ impl AdapterSummary {
             },
             driver: driver.trim().to_owned(),
             max_buffer_bytes: limits.max_buffer_size,
-            max_binding_bytes: limits.max_storage_buffer_binding_size,
+            max_binding_bytes: limits.max_storage_buffer_binding_size.min(limits.max_buffer_size) & !3,
             max_storage_buffers: limits.max_storage_buffers_per_shader_stage,
             timestamps: features.contains(wgpu::Features::TIMESTAMP_QUERY),
         }
@@ -137,12 +137,17 @@ pub struct GpuOptions {
 }
 
 /// An open device. Cheap to clone, shared between threads.
-#[derive(Clone, Debug)]
+#[derive(Clone)]
 pub struct Gpu {
     pub(super) inner: Arc<Inner>,
 }
 
-#[derive(Debug)]
+impl fmt::Debug for Gpu {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_tuple("Gpu").field(&self.inner.summary.name).finish()
+    }
+}
+
 pub(super) struct Inner {
     pub(super) device: wgpu::Device,
     pub(super) queue: wgpu::Queue,
@@ -157,7 +162,7 @@ pub(super) struct Inner {
 }
 
 /// What went wrong outside of any call that could have returned it.
-#[derive(Debug, Default)]
+#[derive(Default)]
 struct Health {
     lost: Mutex<Option<String>>,
     fault: Mutex<Option<String>>,
@@ -266,7 +271,7 @@ impl Gpu {
 
     /// The largest buffer that a kernel can see whole, in bytes.
     pub fn max_binding_bytes(&self) -> u64 {
-        self.inner.limits.max_storage_buffer_binding_size.min(self.inner.limits.max_buffer_size)
+        self.inner.summary.max_binding_bytes
     }
 
     /// The device itself, for embedders.
@@ -309,7 +314,9 @@ impl Gpu {
         let device = &self.inner.device;
         match std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| device.poll(poll))) {
             Ok(Ok(_)) => {}
-            Ok(Err(error)) => lock(&self.inner.health.fault).get_or_insert(error.to_string()).truncate(1000),
+            Ok(Err(error)) => {
+                lock(&self.inner.health.fault).get_or_insert(error.to_string());
+            }
             Err(panic) => {
                 lock(&self.inner.health.lost).get_or_insert(panic_message(panic.as_ref()));
             }

@@ -306,3 +306,63 @@ fn match_members(host: &str, wanted: &[Member], found: &[Laid]) -> std::result::
     };
     wanted.iter().map(offset).collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::shader::compose_with;
+    use super::*;
+    use crate::{bindings, uniforms};
+
+    /// In an order in which the first needs the second.
+    const SHARED: &[(&str, &str)] = &[
+        (
+            "planes",
+            "#define_import_path stein::planes
+            #import stein::guard::at_least_zero
+            struct Planes { margin: i32, extent: vec2<u32> }
+            fn index(planes: Planes, x: i32) -> u32 { return u32(at_least_zero(x + planes.margin)); }",
+        ),
+        (
+            "guard",
+            "#define_import_path stein::guard
+            fn at_least_zero(x: i32) -> i32 { return max(x, #{FLOOR}); }",
+        ),
+    ];
+
+    const STAGE: &str = "
+        #import stein::planes::{Planes, index}
+        struct Params { gain: f32, @align(16) planes: Planes }
+        @group(0) @binding(3) var<storage, read_write> result: array<f32>;
+        @group(0) @binding(0) var<uniform> params: Params;
+        @compute @workgroup_size(64)
+        fn main(@builtin(global_invocation_id) id: vec3<u32>) {
+            result[index(params.planes, i32(id.x))] = params.gain;
+        }";
+
+    uniforms! {
+        struct Planes { extent: glam::UVec2, margin: i32 }
+        struct Params { planes: Planes, gain: f32 }
+    }
+
+    bindings! {
+        struct Fill<'a> { uniform params: Params, write result }
+    }
+
+    #[test]
+    fn structs_of_imported_pieces_are_laid_out_by_the_shader() {
+        let module = compose_with(SHARED, "fill", STAGE, &[("FLOOR", 0.into())]).expect("it composes");
+        let places = place(&module, Fill::SLOTS).expect("it fits");
+        let params = Place { binding: 0, uniform_bytes: 32, offsets: vec![16 + 8, 16, 0] };
+        assert_eq!(places, [Some(params), Some(Place { binding: 3, uniform_bytes: 0, offsets: vec![] })]);
+        assert_eq!(workgroup_size(&module), Ok([64, 1, 1]));
+    }
+
+    #[test]
+    fn a_mistake_in_an_imported_piece_is_told_with_its_file() {
+        let broken = [SHARED[0], ("guard", "#define_import_path stein::guard\nfn at_least_zero(x: i32) -> i32 { return max(x, 0.5); }")];
+        let text = compose_with(&broken, "fill", STAGE, &[]).expect_err("a float is no integer").to_string();
+        assert!(text.contains("shaders/shared/guard.wgsl"), "{text}");
+        let text = compose_with(&SHARED[..1], "fill", STAGE, &[]).expect_err("a piece is missing").to_string();
+        assert!(text.contains("shaders/shared/planes.wgsl") && text.contains("stein::guard"), "{text}");
+    }
+}

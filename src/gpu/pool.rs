@@ -3,12 +3,14 @@
 //! A denoiser takes and drops dozens of image-sized buffers per frame. Dropping a [`Buffer`] puts it back into the pool of its device; taking one prefers an idle
 //! one. Commands execute in the order in which they were recorded, so a buffer that is dropped after its last recorded use may be handed out again *while recording*:
 //! what the new owner records runs later. That aliasing is what keeps the peak low. It holds within one recorder, and between recorders once the earlier one
-//! is submitted; a buffer whose last use lies in a recorder that is still open is handed out to that recorder only.
+//! is submitted; a buffer whose last use lies in a recorder that is still open is handed out to that recorder only. Recorders that use the same buffer must be
+//! submitted in the order in which they did.
 //!
 //! Sizes: a request is rounded up to 256 bytes. The smallest idle buffer that is large enough serves it if at most a quarter of it would lie fallow;
 //! otherwise a buffer of exactly the rounded size is made.
 
 use std::collections::HashSet;
+use std::fmt;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
 
@@ -27,7 +29,6 @@ const SMALLEST: u64 = 4;
 pub(super) const USAGE: wgpu::BufferUsages = wgpu::BufferUsages::STORAGE.union(wgpu::BufferUsages::COPY_SRC).union(wgpu::BufferUsages::COPY_DST);
 
 /// A storage buffer on the device. Dropping it returns it to the pool.
-#[derive(Debug)]
 pub struct Buffer {
     wgpu: wgpu::Buffer,
     bytes: u64,
@@ -62,6 +63,12 @@ impl Buffer {
     }
 }
 
+impl fmt::Debug for Buffer {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "Buffer '{}' of {} bytes", self.label, self.bytes)
+    }
+}
+
 impl Drop for Buffer {
     fn drop(&mut self) {
         if let Some(pool) = &self.home {
@@ -85,10 +92,10 @@ pub struct MemoryUse {
     pub peak_bytes: u64,
 }
 
-#[derive(Debug, Default)]
+#[derive(Default)]
 pub(super) struct Pool(Mutex<State>);
 
-#[derive(Debug, Default)]
+#[derive(Default)]
 struct State {
     idle: Vec<Idle>,
     usage: MemoryUse,
@@ -97,7 +104,6 @@ struct State {
     last_recorder: u64,
 }
 
-#[derive(Debug)]
 struct Idle {
     wgpu: wgpu::Buffer,
     last_use: u64,
@@ -180,7 +186,7 @@ impl Gpu {
         self.check()?;
         self.check_size(label, bytes)?;
         let bytes = bytes.max(SMALLEST).next_multiple_of(4);
-        let rounded = bytes.next_multiple_of(GRANULE);
+        let rounded = bytes.next_multiple_of(GRANULE).min(self.inner.summary.max_buffer_bytes & !3);
         let wgpu = match self.inner.pool.take_idle(bytes, recorder) {
             Some(wgpu) => wgpu,
             None => {
@@ -192,7 +198,7 @@ impl Gpu {
                     }
                     made => made,
                 };
-                let wgpu = made.map_err(|error| self.out_of_memory(label, bytes, &error))?;
+                let wgpu = made.map_err(|error| self.out_of_memory(&format!("the buffer '{label}' of {} ({bytes} bytes)", human_bytes(bytes)), &error))?;
                 self.inner.pool.count_new(rounded);
                 wgpu
             }
@@ -224,16 +230,12 @@ impl Gpu {
         })
     }
 
-    pub(super) fn out_of_memory(&self, label: &str, bytes: u64, error: &wgpu::Error) -> Error {
+    /// `error` for people, where it may be a lack of memory for `what`.
+    pub(super) fn out_of_memory(&self, what: &str, error: &wgpu::Error) -> Error {
         let wgpu::Error::OutOfMemory { .. } = error else { return self.defect(&error.to_string()) };
-        let MemoryUse { bytes_in_use, .. } = self.memory();
+        let in_use = human_bytes(self.memory().bytes_in_use);
         Error::Device {
-            problem: format!(
-                "'{}' has no memory left for the buffer '{label}' of {} ({bytes} bytes); {} are in use by this program",
-                self.inner.summary.name,
-                human_bytes(bytes),
-                human_bytes(bytes_in_use)
-            ),
+            problem: format!("'{}' has no memory left for {what}; {in_use} are in use by this program", self.inner.summary.name),
             remedy: "lower --max-memory, use a smaller --radius, crop the image, close other programs that use the graphics card, or choose another adapter \
                      with --device"
                 .into(),

@@ -59,7 +59,7 @@ impl Gpu {
             });
             staging
         });
-        let staging = copied.map_err(|error| self.out_of_memory("readback", bytes, &error))?;
+        let staging = copied.map_err(|error| self.out_of_memory(&format!("reading '{}' back", buffer.label()), &error))?;
         self.wait()?;
         let unreadable = || self.defect(&format!("the buffer '{}' cannot be read; the device is probably lost", buffer.label()));
         receiver.try_recv().ok().and_then(std::result::Result::ok).ok_or_else(unreadable)?;

@@ -180,7 +180,8 @@ impl Recorder {
         }
         self.gpu.check()?;
         let (ops, uniforms) = (std::mem::take(&mut self.ops), std::mem::take(&mut self.uniforms));
-        encode(&self.gpu, &ops, &uniforms, encoder)
+        let encoded = self.gpu.guarded(|| encode(&self.gpu, &ops, &uniforms, encoder));
+        encoded.map_err(|error| self.gpu.out_of_memory("the commands", &error))?
     }
 
     fn hand_over(&mut self) -> Result<()> {
@@ -200,7 +201,7 @@ impl Recorder {
         drop(ops);
         inner.pool.close_recorder(self.id);
         self.id = inner.pool.open_recorder();
-        submitted.map_err(|error| self.gpu.out_of_memory("commands", 0, &error))??;
+        submitted.map_err(|error| self.gpu.out_of_memory("the commands", &error))??;
         // Without waiting: frees what finished, and lets a lost device become known.
         self.gpu.poll(wgpu::PollType::Poll)
     }
@@ -273,7 +274,7 @@ impl Gpu {
         });
         match filled {
             Ok(Ok(buffer)) => Ok(buffer),
-            Err(error) => Err(self.out_of_memory(label, bytes, &error)),
+            Err(error) => Err(self.out_of_memory(&format!("staging {} for '{label}'", human_bytes(bytes)), &error)),
             Ok(Err(error)) => {
                 // A lost device makes buffers that cannot be mapped, and says why only when polled.
                 self.poll(wgpu::PollType::Poll)?;

@@ -63,10 +63,14 @@ pub fn compose(stage: &str, definitions: Definitions) -> Result<naga::Module> {
 /// # Errors
 /// As [`compose`].
 pub fn compose_source(name: &str, source: &str, definitions: Definitions) -> Result<naga::Module> {
+    compose_with(SHARED, name, source, definitions)
+}
+
+pub(super) fn compose_with(shared: &[(&str, &str)], name: &str, source: &str, definitions: Definitions) -> Result<naga::Module> {
     let failure = |problem: String| Error::Shader { stage: name.into(), problem };
     for (definition, _) in definitions {
         // naga_oil ignores names that no shader uses, so a misspelt one would silently build the wrong kernel.
-        if !source.contains(definition) && !SHARED.iter().any(|(_, shared)| shared.contains(definition)) {
+        if !source.contains(definition) && !shared.iter().any(|(_, shared)| shared.contains(definition)) {
             return Err(failure(format!("no shader mentions the definition '{definition}'")));
         }
     }
@@ -81,15 +85,15 @@ pub fn compose_source(name: &str, source: &str, definitions: Definitions) -> Res
     };
 
     let mut composer = Composer::default();
-    add_shared_modules(&mut composer).map_err(failure)?;
+    add_shared_modules(&mut composer, shared).map_err(failure)?;
     let file = format!("shaders/{name}.wgsl");
     let description = NagaModuleDescriptor { source, file_path: &file, shader_defs: defined(), ..Default::default() };
     composer.make_naga_module(description).map_err(|error| failure(told(&error, &composer)))
 }
 
 /// Adds every shared piece after those it imports, which is the order that naga_oil demands.
-fn add_shared_modules(composer: &mut Composer) -> std::result::Result<(), String> {
-    let mut waiting: Vec<_> = SHARED.to_vec();
+fn add_shared_modules(composer: &mut Composer, shared: &[(&str, &str)]) -> std::result::Result<(), String> {
+    let mut waiting = shared.to_vec();
     while !waiting.is_empty() {
         let before = waiting.len();
         let mut problem = String::new();

@@ -26,7 +26,6 @@ pub struct StageTime {
     pub dispatches: usize,
 }
 
-#[derive(Debug)]
 pub(super) struct Timing {
     available: bool,
     on: AtomicBool,
@@ -34,7 +33,7 @@ pub(super) struct Timing {
     state: Mutex<State>,
 }
 
-#[derive(Debug, Default)]
+#[derive(Default)]
 struct State {
     /// In the order of first use.
     totals: Vec<StageTime>,
@@ -42,7 +41,6 @@ struct State {
     free: Vec<Arc<Queries>>,
 }
 
-#[derive(Debug)]
 struct Queries {
     set: wgpu::QuerySet,
     resolved: wgpu::Buffer,
@@ -50,7 +48,6 @@ struct Queries {
 }
 
 /// The timestamps of a few dispatches: two each, before and after.
-#[derive(Debug)]
 pub(super) struct Batch {
     queries: Arc<Queries>,
     stages: Vec<String>,

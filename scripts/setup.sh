@@ -1,0 +1,92 @@
+#!/bin/sh
+# Makes this machine able to run stein and its tests: where no Vulkan driver is found, installs Mesa's, which brings a software adapter (lavapipe).
+# Does nothing, silently, where there is one already. Needs apt-get (Debian, Ubuntu) and root or sudo only if something must be installed.
+set -eu
+
+say() {
+    printf 'setup: %s\n' "$*" >&2
+}
+
+has_loader() {
+    { ldconfig -p || /sbin/ldconfig -p; } 2>/dev/null | grep -q 'libvulkan\.so\.1' && return 0
+    for folder in /usr/lib /usr/lib/* /usr/lib64 /usr/local/lib /lib/*; do
+        [ -e "$folder/libvulkan.so.1" ] && return 0
+    done
+    return 1
+}
+
+# A driver announces itself by a JSON file: in one of the loader's folders, or named by an environment variable, which then replaces the folders.
+has_driver() {
+    named="${VK_DRIVER_FILES:-${VK_ICD_FILENAMES:-}}"
+    if [ -n "$named" ]; then
+        old_ifs=$IFS
+        IFS=:
+        for place in $named; do
+            IFS=$old_ifs
+            if is_driver "$place" || any_driver_in "$place"; then
+                return 0
+            fi
+        done
+        IFS=$old_ifs
+        return 1
+    fi
+    for folder in "${XDG_CONFIG_HOME:-${HOME:-/root}/.config}" /etc/xdg /etc "${XDG_DATA_HOME:-${HOME:-/root}/.local/share}" /usr/local/share /usr/share; do
+        any_driver_in "$folder/vulkan/icd.d" && return 0
+    done
+    return 1
+}
+
+any_driver_in() {
+    for file in "$1"/*.json; do
+        is_driver "$file" && return 0
+    done
+    return 1
+}
+
+is_driver() {
+    [ -f "$1" ] && grep -q '"library_path"' "$1"
+}
+
+# The file may outlive the hardware: where vulkaninfo is at hand, ask it whether the driver finds an adapter.
+has_adapter() {
+    has_loader && has_driver || return 1
+    command -v vulkaninfo >/dev/null 2>&1 || return 0
+    vulkaninfo --summary </dev/null 2>/dev/null | grep -q 'deviceName'
+}
+
+as_root() {
+    if [ "$(id -u)" -eq 0 ]; then
+        "$@"
+    elif command -v sudo >/dev/null 2>&1; then
+        # -n: fail instead of asking for a password where nobody can type one.
+        if [ -t 0 ]; then sudo "$@"; else sudo -n "$@"; fi
+    else
+        say "cannot install packages: run this script as root, or install sudo"
+        exit 1
+    fi
+}
+
+apt_install() {
+    as_root env DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends "$@" </dev/null >/dev/null
+}
+
+[ "$(uname -s)" = Linux ] || exit 0
+has_adapter && exit 0
+
+say "no Vulkan adapter found: installing a software one (libvulkan1, mesa-vulkan-drivers)"
+if ! command -v apt-get >/dev/null 2>&1; then
+    say "apt-get is missing: install the Vulkan loader and Mesa's Vulkan drivers with this system's package manager"
+    say "  (Fedora: mesa-vulkan-drivers vulkan-loader; Arch: vulkan-swrast vulkan-icd-loader; Alpine: mesa-vulkan-swrast vulkan-loader)"
+    exit 1
+fi
+# The package lists may be absent (containers) or stale; fetching them takes long, so only where installing fails without.
+if ! apt_install libvulkan1 mesa-vulkan-drivers 2>/dev/null; then
+    as_root env DEBIAN_FRONTEND=noninteractive apt-get update -qq </dev/null >/dev/null
+    apt_install libvulkan1 mesa-vulkan-drivers
+fi
+if has_adapter; then
+    say "done"
+else
+    say "the packages are installed, but no Vulkan adapter is found; VK_DRIVER_FILES and VK_ICD_FILENAMES may point elsewhere"
+    exit 1
+fi
