@@ -157,7 +157,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
             let to_q2 = value_p[group] - value_q2;
             let tau = vec4<f32>(candidate.feature_tau);
             let tau_third = vec4<f32>(candidate.feature_tau_third);
-#if SYMMETRIC == true
+#ifdef SYMMETRIC
             let least_q1 = min(residual_p[group], residual_q1);
             let least_q2 = min(residual_p[group], residual_q2);
             let squared_q1 = (to_q1 * to_q1 - (residual_p[group] + least_q1)) * candidate.inverse_feature_k_squared;
@@ -190,8 +190,8 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
                 vec4<f32>(dot(phi_both.xyz, triple), phi_both.w, 0.0, 0.0),
                 both_inside,
             );
-            feature_q1 = min(feature_q1, min(w.q1.x, w.q1.y));
-            feature_q2 = min(feature_q2, min(w.q2.x, w.q2.y));
+            feature_q1 = min(feature_q1, min(w.ahead.x, w.ahead.y));
+            feature_q2 = min(feature_q2, min(w.behind.x, w.behind.y));
             third_distance_q1 = max(third_distance_q1, max(dot(phi_third_q1.xyz, triple), phi_third_q1.w));
             third_distance_q2 = max(third_distance_q2, max(dot(phi_third_q2.xyz, triple), phi_third_q2.w));
         }
@@ -208,7 +208,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
         var first_changes = PatchChanges(change_q1, change_q2, zero);
         var second_changes = first_changes;
         let reach = max(abs(offset.x), abs(offset.y));
-#if SYMMETRIC == true
+#ifdef SYMMETRIC
         let change_both = select(
             zero,
             step_change(step, u_p - 0.5 * (u_q1 + u_q2), EPSILON + params.k_squared * (var_p + 0.25 * (var_q1 + var_q2))),
@@ -219,7 +219,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
 #endif
         if reach <= max(FIRST_RADIUS, SECOND_RADIUS) {
             var near = PatchChanges(change_q2, change_q1, zero);
-#if SYMMETRIC == true
+#ifdef SYMMETRIC
             near.both = symmetric_change_at(at_q1, p + 2 * offset, q1_inside, u_p, var_p, step)
                 + symmetric_change_at(at_q2, p - 2 * offset, q2_inside, u_p, var_p, step);
 #endif
@@ -246,10 +246,10 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
 
         let q1 = Neighbour(q1_inside, u_q1 - u_p, signal[pixels + at_q1].xyz - spread_p);
         let q2 = Neighbour(q2_inside, u_q2 - u_p, signal[pixels + at_q2].xyz - spread_p);
-        add(&first, q1, first_weights.q1, feature_q1);
-        add(&first, q2, first_weights.q2, feature_q2);
-        add(&second, q1, second_weights.q1, feature_q1);
-        add(&second, q2, second_weights.q2, feature_q2);
+        add(&first, q1, first_weights.ahead, feature_q1);
+        add(&first, q2, first_weights.behind, feature_q2);
+        add(&second, q1, second_weights.ahead, feature_q1);
+        add(&second, q2, second_weights.behind, feature_q2);
         let third_q1 = select(0.0, exp(-third_distance_q1), q1_inside);
         let third_q2 = select(0.0, exp(-third_distance_q2), q2_inside);
         third_mean += vec4<f32>(third_q1 * q1.mean + third_q2 * q2.mean, third_q1 + third_q2);

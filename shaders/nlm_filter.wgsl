@@ -14,7 +14,7 @@ const PAYLOAD_PLANES: i32 = #{PAYLOAD_PLANES};
 @group(0) @binding(3) var<storage, read_write> filtered: array<vec4<f32>>;
 // x: Σ w, the centre included after the last chunk; y: largest weight of a neighbour.
 @group(0) @binding(4) var<storage, read_write> weights: array<vec4<f32>>;
-#if RESIDUAL == true
+#ifdef RESIDUAL
 // Without halves, the variance left in the filtered value is that of a weighted mean of independent pixels: Σ w²·Var / (Σ w)².
 @group(0) @binding(5) var<storage, read> variance_of_mean: array<vec4<f32>>;
 @group(0) @binding(6) var<storage, read_write> residual_variance: array<vec4<f32>>;
@@ -36,7 +36,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     }
     var weight_sum = 0.0;
     var largest = 0.0;
-#if RESIDUAL == true
+#ifdef RESIDUAL
     var squared_sum = vec4<f32>(0.0);
 #endif
     if params.first_pair > 0 {
@@ -45,7 +45,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
         }
         weight_sum = weights[at_p].x;
         largest = weights[at_p].y;
-#if RESIDUAL == true
+#ifdef RESIDUAL
         squared_sum = residual_variance[at_p];
 #endif
     }
@@ -69,8 +69,8 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
         );
         let d = patch_sum * params.inverse_channels / members;
         let pair_weight = pair_weights(vec4<f32>(d.x), vec4<f32>(d.y), vec4<f32>(d.z), q1_inside && q2_inside);
-        let w1 = select(0.0, pair_weight.q1.x, q1_inside);
-        let w2 = select(0.0, pair_weight.q2.x, q2_inside);
+        let w1 = select(0.0, pair_weight.ahead.x, q1_inside);
+        let w2 = select(0.0, pair_weight.behind.x, q2_inside);
         let at_q1 = clamped_index(q1, extent);
         let at_q2 = clamped_index(q2, extent);
         for (var plane = 0; plane < PAYLOAD_PLANES; plane++) {
@@ -78,7 +78,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
         }
         weight_sum += w1 + w2;
         largest = max(largest, max(w1, w2));
-#if RESIDUAL == true
+#ifdef RESIDUAL
         squared_sum += w1 * w1 * variance_of_mean[at_q1] + w2 * w2 * variance_of_mean[at_q2];
 #endif
     }
@@ -88,7 +88,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
             filtered[plane * pixels + at_p] = sum[plane];
         }
         weights[at_p] = vec4<f32>(weight_sum, largest, 0.0, 0.0);
-#if RESIDUAL == true
+#ifdef RESIDUAL
         residual_variance[at_p] = squared_sum;
 #endif
         return;
@@ -99,7 +99,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
         filtered[plane * pixels + at_p] = centre[plane] + sum[plane] / total;
     }
     weights[at_p] = vec4<f32>(total, largest, 0.0, 0.0);
-#if RESIDUAL == true
+#ifdef RESIDUAL
     residual_variance[at_p] = (squared_sum + w_centre * w_centre * variance_of_mean[at_p]) / (total * total);
 #endif
 }

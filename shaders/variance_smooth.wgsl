@@ -12,7 +12,7 @@ struct VarianceSmoothParams {
 // Two planes: the mean, then the half spread.
 @group(0) @binding(1) var<storage, read> signal: array<vec4<f32>>;
 @group(0) @binding(2) var<storage, read_write> smoothed_variance: array<vec4<f32>>;
-#if CLAMPED == true
+#ifdef CLAMPED
 // What has been filtered cannot be noisier than what it was made from.
 @group(0) @binding(3) var<storage, read> upper_bound: array<vec4<f32>>;
 #endif
@@ -39,7 +39,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
         }
     }
     let at_p = pixel_index(p, extent);
-#if CLAMPED == true
+#ifdef CLAMPED
     smoothed_variance[at_p] = min(sum / weight_sum, upper_bound[at_p]);
 #else
     smoothed_variance[at_p] = sum / weight_sum;

@@ -48,13 +48,14 @@ pub enum Error {
         remedy: String,
     },
     /// A shader does not compile or does not fit its host struct: a defect of this program, not of its input.
-    #[error(
-        "stage '{stage}': {problem}\n  remedy: this is a defect of stein: please report it with the output of `stein devices`"
-    )]
+    #[error("stage '{stage}': {problem}\n  remedy: this is a defect of stein: please report it with the output of `stein devices`")]
     Shader {
         /// The stage, named as its file in `shaders/`.
         stage: String,
         /// What naga or the driver said.
         problem: String,
     },
+    /// The caller ended the work.
+    #[error("cancelled")]
+    Cancelled,
 }

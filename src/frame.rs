@@ -71,13 +71,7 @@ impl Signal {
     }
 
     fn images(&self) -> impl Iterator<Item = &Image> {
-        [
-            Some(&self.mean),
-            self.half_spread.as_ref(),
-            self.variance_of_mean.as_ref(),
-        ]
-        .into_iter()
-        .flatten()
+        [Some(&self.mean), self.half_spread.as_ref(), self.variance_of_mean.as_ref()].into_iter().flatten()
     }
 }
 
@@ -87,12 +81,8 @@ impl Signal {
 /// The images must have the same shape; `n_a` and `n_b` are the halves' sample counts, of which only the ratio matters.
 pub fn half_spread(a: &Image, b: &Image, n_a: f32, n_b: f32) -> Image {
     let factor = (n_a * n_b).sqrt() / (n_a + n_b);
-    let spread =
-        |(a, b): (&Vec<f32>, &Vec<f32>)| a.iter().zip(b).map(|(a, b)| (a - b) * factor).collect();
-    Image {
-        extent: a.extent,
-        planes: a.planes.iter().zip(&b.planes).map(spread).collect(),
-    }
+    let spread = |(a, b): (&Vec<f32>, &Vec<f32>)| a.iter().zip(b).map(|(a, b)| (a - b) * factor).collect();
+    Image { extent: a.extent, planes: a.planes.iter().zip(&b.planes).map(spread).collect() }
 }
 
 /// What the denoisers work on. Only `Frame::from_buffer_set` and `Frame::new` make one, so a frame is always finite and consistent.
@@ -117,10 +107,7 @@ impl Frame {
         }
         let color = signal(raw);
         // Feature by feature, so that no more than one is in memory both raw and settled.
-        let features = set
-            .features()
-            .map(|(name, raw)| (name.to_owned(), signal(raw)))
-            .collect();
+        let features = set.features().map(|(name, raw)| (name.to_owned(), signal(raw))).collect();
         let (frame, mut repairs) = Self::new(color, features, set.samples_per_pixel())?;
         repairs.notes.splice(0..0, notes);
         Ok((frame, repairs))
@@ -135,19 +122,12 @@ impl Frame {
     /// # Errors
     /// Images of different extent or channel count, no pixels, more than [`MAX_FEATURES`] features, a colour of whose noise nothing is known, a layer
     /// without a single usable pixel.
-    pub fn new(
-        mut color: Signal,
-        features: Vec<(String, Signal)>,
-        samples_per_pixel: SamplesPerPixel,
-    ) -> Result<(Self, Repairs)> {
+    pub fn new(mut color: Signal, features: Vec<(String, Signal)>, samples_per_pixel: SamplesPerPixel) -> Result<(Self, Repairs)> {
         let extent = color.mean.extent;
         check_shape("colour", &color, extent, 3..=3)?;
         if features.len() > MAX_FEATURES {
             return Err(Error::Request {
-                problem: format!(
-                    "{} features are given, but at most {MAX_FEATURES} can be used",
-                    features.len()
-                ),
+                problem: format!("{} features are given, but at most {MAX_FEATURES} can be used", features.len()),
                 remedy: "leave out those that say least about this scene".into(),
             });
         }
@@ -159,40 +139,21 @@ impl Frame {
         let mut kept = Vec::new();
         for (name, mut signal) in features {
             check_shape(&name, &signal, extent, 1..=3)?;
-            let (found, misses) =
-                sanitise::sanitise(&name, &mut signal, names::is_distance_name(&name))?;
+            let (found, misses) = sanitise::sanitise(&name, &mut signal, names::is_distance_name(&name))?;
             repairs.add(found);
             if signal.noise_knowledge().is_none() {
-                repairs.notes.push(format!(
-                    "feature {name}: neither halves nor variance, taken as free of noise"
-                ));
+                repairs.notes.push(format!("feature {name}: neither halves nor variance, taken as free of noise"));
             }
             match unit_range::to_unit_range(&name, &mut signal, &misses) {
-                Some((unit_scale, unit_offset)) => kept.push(Feature {
-                    name,
-                    signal,
-                    unit_scale,
-                    unit_offset,
-                }),
+                Some((unit_scale, unit_offset)) => kept.push(Feature { name, signal, unit_scale, unit_offset }),
                 None => {
-                    repairs
-                        .notes
-                        .push(format!("feature {name}: the same everywhere, left out"));
+                    repairs.notes.push(format!("feature {name}: the same everywhere, left out"));
                     repairs.dropped_features.push(name);
                 }
             }
         }
-        let samples_per_pixel =
-            sanitise::sanitise_samples(samples_per_pixel, extent, &mut repairs)?;
-        Ok((
-            Self {
-                extent,
-                color,
-                features: kept,
-                samples_per_pixel,
-            },
-            repairs,
-        ))
+        let samples_per_pixel = sanitise::sanitise_samples(samples_per_pixel, extent, &mut repairs)?;
+        Ok((Self { extent, color, features: kept, samples_per_pixel }, repairs))
     }
 
     /// Width and height of all images of the frame.
@@ -218,9 +179,7 @@ impl Frame {
     /// What is known of the colour's noise.
     pub fn noise_knowledge(&self) -> NoiseKnowledge {
         // `new` has refused a colour of whose noise nothing is known.
-        self.color
-            .noise_knowledge()
-            .unwrap_or(NoiseKnowledge::VarianceOnly)
+        self.color.noise_knowledge().unwrap_or(NoiseKnowledge::VarianceOnly)
     }
 
     /// The relative mean squared error that the noise estimate promises for the unfiltered colour: the mean over pixels and channels of
@@ -228,20 +187,10 @@ impl Frame {
     pub fn noise_level(&self) -> f64 {
         let mut sum = 0.0;
         for (channel, mean) in self.color.mean.planes.iter().enumerate() {
-            let relative = |variance: f64, mean: f32| {
-                variance / (f64::from(mean).powi(2) + crate::metric::RELATIVE_EPSILON)
-            };
+            let relative = |variance: f64, mean: f32| variance / (f64::from(mean).powi(2) + crate::metric::RELATIVE_EPSILON);
             sum += match (&self.color.variance_of_mean, &self.color.half_spread) {
-                (Some(variance), _) => variance.planes[channel]
-                    .iter()
-                    .zip(mean)
-                    .map(|(&v, &m)| relative(v.into(), m))
-                    .sum::<f64>(),
-                (None, Some(spread)) => spread.planes[channel]
-                    .iter()
-                    .zip(mean)
-                    .map(|(&s, &m)| relative(f64::from(s).powi(2), m))
-                    .sum(),
+                (Some(variance), _) => variance.planes[channel].iter().zip(mean).map(|(&v, &m)| relative(v.into(), m)).sum::<f64>(),
+                (None, Some(spread)) => spread.planes[channel].iter().zip(mean).map(|(&s, &m)| relative(f64::from(s).powi(2), m)).sum(),
                 (None, None) => 0.0,
             };
         }
@@ -250,16 +199,8 @@ impl Frame {
 }
 
 fn signal(raw: RawSignal) -> Signal {
-    let half_spread = raw
-        .half_a
-        .as_ref()
-        .zip(raw.half_b.as_ref())
-        .map(|(a, b)| half_spread(a, b, 1.0, 1.0));
-    Signal {
-        mean: raw.mean,
-        half_spread,
-        variance_of_mean: raw.variance_of_mean,
-    }
+    let half_spread = raw.half_a.as_ref().zip(raw.half_b.as_ref()).map(|(a, b)| half_spread(a, b, 1.0, 1.0));
+    Signal { mean: raw.mean, half_spread, variance_of_mean: raw.variance_of_mean }
 }
 
 /// Says so when the halves are not halves of the mean, as when a render with one seed is given beside two renders with other seeds.
@@ -282,47 +223,19 @@ fn mean_beside_halves(raw: &RawSignal) -> Option<String> {
     })
 }
 
-fn check_shape(
-    name: &str,
-    signal: &Signal,
-    extent: Extent,
-    channels: std::ops::RangeInclusive<usize>,
-) -> Result<()> {
+fn check_shape(name: &str, signal: &Signal, extent: Extent, channels: std::ops::RangeInclusive<usize>) -> Result<()> {
     let problem = if extent.pixels() == 0 {
         format!("{name} has no pixels")
     } else if !channels.contains(&signal.mean.channels()) {
-        format!(
-            "{name} has {} channels, not {} to {}",
-            signal.mean.channels(),
-            channels.start(),
-            channels.end()
-        )
-    } else if signal
-        .images()
-        .any(|image| image.extent != extent || image.channels() != signal.mean.channels())
-    {
-        format!(
-            "the images of {name} do not all have {} channels of {extent}",
-            signal.mean.channels()
-        )
-    } else if signal
-        .images()
-        .flat_map(|image| &image.planes)
-        .any(|plane| plane.len() != extent.pixels())
-    {
-        format!(
-            "a plane of {name} does not have the {} values that its extent of {extent} asks for",
-            extent.pixels()
-        )
+        format!("{name} has {} channels, not {} to {}", signal.mean.channels(), channels.start(), channels.end())
+    } else if signal.images().any(|image| image.extent != extent || image.channels() != signal.mean.channels()) {
+        format!("the images of {name} do not all have {} channels of {extent}", signal.mean.channels())
+    } else if signal.images().flat_map(|image| &image.planes).any(|plane| plane.len() != extent.pixels()) {
+        format!("a plane of {name} does not have the {} values that its extent of {extent} asks for", extent.pixels())
     } else {
         return Ok(());
     };
-    Err(Error::Request {
-        problem,
-        remedy:
-            "give all images of a frame the same extent, and a signal's images the same channels"
-                .into(),
-    })
+    Err(Error::Request { problem, remedy: "give all images of a frame the same extent, and a signal's images the same channels".into() })
 }
 
 fn check_noise_is_known(color: &Signal, repairs: &mut Repairs) -> Result<()> {

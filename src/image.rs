@@ -30,10 +30,7 @@ pub struct Image {
 impl Image {
     /// An image of `channels` planes filled with `value`.
     pub fn filled(extent: Extent, channels: usize, value: f32) -> Self {
-        Self {
-            extent,
-            planes: vec![vec![value; extent.pixels()]; channels],
-        }
+        Self { extent, planes: vec![vec![value; extent.pixels()]; channels] }
     }
 
     /// Number of planes.

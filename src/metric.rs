@@ -11,9 +11,7 @@ pub const RELATIVE_EPSILON: f64 = 0.01;
 /// # Errors
 /// Images of different extent or channel count, or without pixels.
 pub fn relative_mse(image: &Image, reference: &Image) -> Result<f64> {
-    mean_over_values(image, reference, |x, reference| {
-        (x - reference).powi(2) / (reference.powi(2) + RELATIVE_EPSILON)
-    })
+    mean_over_values(image, reference, |x, reference| (x - reference).powi(2) / (reference.powi(2) + RELATIVE_EPSILON))
 }
 
 /// Mean over pixels and channels of (x − ref)². 0 is perfect.
@@ -42,11 +40,7 @@ pub fn ssim(image: &Image, reference: &Image) -> Result<f64> {
     let width = image.extent.width as usize;
     let blur = |plane: &[f64]| gaussian_window(plane, width);
     let (mean_x, mean_y) = (blur(&x), blur(&y));
-    let (square_x, square_y, cross) = (
-        blur(&product(&x, &x)),
-        blur(&product(&y, &y)),
-        blur(&product(&x, &y)),
-    );
+    let (square_x, square_y, cross) = (blur(&product(&x, &x)), blur(&product(&y, &y)), blur(&product(&x, &y)));
     let (c1, c2) = (0.01_f64.powi(2), 0.03_f64.powi(2));
     let mut sum = 0.0;
     for pixel in 0..x.len() {
@@ -54,18 +48,13 @@ pub fn ssim(image: &Image, reference: &Image) -> Result<f64> {
         let variance_x = square_x[pixel] - mx * mx;
         let variance_y = square_y[pixel] - my * my;
         let covariance = cross[pixel] - mx * my;
-        sum += (2.0 * mx * my + c1) * (2.0 * covariance + c2)
-            / ((mx * mx + my * my + c1) * (variance_x + variance_y + c2));
+        sum += (2.0 * mx * my + c1) * (2.0 * covariance + c2) / ((mx * mx + my * my + c1) * (variance_x + variance_y + c2));
     }
     Ok(sum / x.len() as f64)
 }
 
 fn check(image: &Image, reference: &Image) -> Result<()> {
-    if image.extent == reference.extent
-        && image.channels() == reference.channels()
-        && image.extent.pixels() > 0
-        && image.channels() > 0
-    {
+    if image.extent == reference.extent && image.channels() == reference.channels() && image.extent.pixels() > 0 && image.channels() > 0 {
         return Ok(());
     }
     Err(Error::Request {
@@ -80,19 +69,11 @@ fn check(image: &Image, reference: &Image) -> Result<()> {
     })
 }
 
-fn mean_over_values(
-    image: &Image,
-    reference: &Image,
-    error: impl Fn(f64, f64) -> f64,
-) -> Result<f64> {
+fn mean_over_values(image: &Image, reference: &Image, error: impl Fn(f64, f64) -> f64) -> Result<f64> {
     check(image, reference)?;
     let mut sum = 0.0;
     for (plane, reference) in image.planes.iter().zip(&reference.planes) {
-        sum += plane
-            .iter()
-            .zip(reference)
-            .map(|(&x, &reference)| error(x.into(), reference.into()))
-            .sum::<f64>();
+        sum += plane.iter().zip(reference).map(|(&x, &reference)| error(x.into(), reference.into())).sum::<f64>();
     }
     Ok(sum / (image.extent.pixels() * image.channels()) as f64)
 }
@@ -111,8 +92,7 @@ fn display_values(image: &Image) -> Vec<f64> {
 /// Weighted means under the window of [`ssim`], rows first, then columns.
 fn gaussian_window(plane: &[f64], width: usize) -> Vec<f64> {
     let height = plane.len() / width;
-    let weights: [f64; 6] =
-        std::array::from_fn(|offset| (-(offset as f64).powi(2) / (2.0 * 1.5 * 1.5)).exp());
+    let weights: [f64; 6] = std::array::from_fn(|offset| (-(offset as f64).powi(2) / (2.0 * 1.5 * 1.5)).exp());
     let along = |source: &[f64], stride: usize, length: usize, position: usize, pixel: usize| {
         let (mut sum, mut total) = (0.0, 0.0);
         for other in position.saturating_sub(5)..(position + 6).min(length) {
@@ -122,12 +102,8 @@ fn gaussian_window(plane: &[f64], width: usize) -> Vec<f64> {
         }
         sum / total
     };
-    let rows: Vec<f64> = (0..plane.len())
-        .map(|pixel| along(plane, 1, width, pixel % width, pixel))
-        .collect();
-    (0..plane.len())
-        .map(|pixel| along(&rows, width, height, pixel / width, pixel))
-        .collect()
+    let rows: Vec<f64> = (0..plane.len()).map(|pixel| along(plane, 1, width, pixel % width, pixel)).collect();
+    (0..plane.len()).map(|pixel| along(&rows, width, height, pixel / width, pixel)).collect()
 }
 
 #[cfg(test)]
@@ -136,62 +112,35 @@ mod tests {
     use crate::image::Extent;
 
     fn image(width: u32, height: u32, planes: Vec<Vec<f32>>) -> Image {
-        Image {
-            extent: Extent { width, height },
-            planes,
-        }
+        Image { extent: Extent { width, height }, planes }
     }
 
     #[test]
     fn relative_mse_weighs_dark_pixels_more() {
         // (0.5 − 0)²/(0 + 0.01) = 25; (3 − 2)²/(4 + 0.01) = 1/4.01
-        let error = relative_mse(
-            &image(2, 1, vec![vec![0.5, 3.0]]),
-            &image(2, 1, vec![vec![0.0, 2.0]]),
-        )
-        .unwrap();
+        let error = relative_mse(&image(2, 1, vec![vec![0.5, 3.0]]), &image(2, 1, vec![vec![0.0, 2.0]])).unwrap();
         assert!((error - (25.0 + 1.0 / 4.01) / 2.0).abs() < 1e-12, "{error}");
     }
 
     #[test]
     fn mse_is_the_mean_over_pixels_and_channels() {
-        let error = mse(
-            &image(2, 1, vec![vec![1.0, 0.0], vec![0.0, 3.0]]),
-            &Image::filled(
-                Extent {
-                    width: 2,
-                    height: 1,
-                },
-                2,
-                0.0,
-            ),
-        )
-        .unwrap();
+        let error = mse(&image(2, 1, vec![vec![1.0, 0.0], vec![0.0, 3.0]]), &Image::filled(Extent { width: 2, height: 1 }, 2, 0.0)).unwrap();
         assert!((error - 10.0 / 4.0).abs() < 1e-12, "{error}");
     }
 
     #[test]
     fn ssim_of_two_flat_images_is_its_luminance_term() {
-        let extent = Extent {
-            width: 20,
-            height: 13,
-        };
+        let extent = Extent { width: 20, height: 13 };
         // 0.5^(1/2.2) and 1: no structure, so SSIM = (2ab + C1)/(a² + b² + C1).
         let (a, b) = (0.5_f64.powf(1.0 / 2.2), 1.0);
         let expected = (2.0 * a * b + 1e-4) / (a * a + b * b + 1e-4);
-        let found = ssim(
-            &Image::filled(extent, 3, 0.5),
-            &Image::filled(extent, 3, 7.0),
-        )
-        .unwrap();
+        let found = ssim(&Image::filled(extent, 3, 0.5), &Image::filled(extent, 3, 7.0)).unwrap();
         assert!((found - expected).abs() < 1e-9, "{found} {expected}");
     }
 
     #[test]
     fn ssim_of_an_image_with_itself_is_one_and_of_its_negative_is_below_zero() {
-        let pattern: Vec<f32> = (0..400)
-            .map(|i| f32::from((i % 20 / 2 + i / 40) % 2 == 0))
-            .collect();
+        let pattern: Vec<f32> = (0..400).map(|i| f32::from((i % 20 / 2 + i / 40) % 2 == 0)).collect();
         let negative = pattern.iter().map(|value| 1.0 - value).collect();
         let (pattern, negative) = (image(20, 20, vec![pattern]), image(20, 20, vec![negative]));
         assert!((ssim(&pattern, &pattern).unwrap() - 1.0).abs() < 1e-12);
@@ -200,10 +149,7 @@ mod tests {
 
     #[test]
     fn images_of_different_size_are_not_compared() {
-        let (a, b) = (
-            image(1, 2, vec![vec![0.0; 2]]),
-            image(2, 1, vec![vec![0.0; 2]]),
-        );
+        let (a, b) = (image(1, 2, vec![vec![0.0; 2]]), image(2, 1, vec![vec![0.0; 2]]));
         assert!(mse(&a, &b).is_err() && relative_mse(&a, &b).is_err() && ssim(&a, &b).is_err());
     }
 }

@@ -1,16 +1,10 @@
 //! The float64 reference is judged by its properties, since nothing else can judge it.
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 
-#[allow(
-    dead_code,
-    unreachable_pub,
-    reason = "every test file includes the whole reference and uses a part of it"
-)]
+#[allow(dead_code, unreachable_pub, reason = "every test file includes the whole reference and uses a part of it")]
 mod reference;
 
-use reference::candidates::{
-    Candidate, analytic_derivative, candidate, finite_difference, finite_difference_step,
-};
+use reference::candidates::{Candidate, analytic_derivative, candidate, finite_difference, finite_difference_step};
 use reference::dfc::{Dfc, DfcParams, Frame, Pass, dfc};
 use reference::nlm::{CentreWeight, Feature, FilterParams, Guide, nlm_filter, window_weights};
 use reference::prefilter::{gradient_squared, prefilter};
@@ -22,22 +16,12 @@ use reference::{Grid, Planes, Point, square};
 
 /// Both presets at a radius that a test can afford; they differ in every switch.
 fn presets() -> [(&'static str, DfcParams); 2] {
-    let small = |params| DfcParams {
-        window_radius: 4,
-        ..params
-    };
-    [
-        ("default", small(DfcParams::default())),
-        ("thesis", small(DfcParams::thesis())),
-    ]
+    let small = |params| DfcParams { window_radius: 4, ..params };
+    [("default", small(DfcParams::default())), ("thesis", small(DfcParams::thesis()))]
 }
 
 fn row(values: &[f64]) -> Grid {
-    Grid {
-        width: values.len(),
-        height: 1,
-        values: values.to_vec(),
-    }
+    Grid { width: values.len(), height: 1, values: values.to_vec() }
 }
 
 fn planes(count: usize, mut plane: impl FnMut() -> Grid) -> Planes {
@@ -45,22 +29,11 @@ fn planes(count: usize, mut plane: impl FnMut() -> Grid) -> Planes {
 }
 
 fn filter_params(symmetric: bool, centre: CentreWeight) -> FilterParams {
-    FilterParams {
-        window_radius: 3,
-        patch_radius: 1,
-        k_color: 0.45,
-        k_feature: 0.6,
-        tau: 1e-2,
-        symmetric,
-        centre,
-    }
+    FilterParams { window_radius: 3, patch_radius: 1, k_color: 0.45, k_feature: 0.6, tau: 1e-2, symmetric, centre }
 }
 
 fn assert_close(actual: f64, expected: f64, tolerance: f64, what: &str) {
-    assert!(
-        (actual - expected).abs() <= tolerance,
-        "{what}: {actual} instead of {expected} ± {tolerance}"
-    );
+    assert!((actual - expected).abs() <= tolerance, "{what}: {actual} instead of {expected} ± {tolerance}");
 }
 
 fn assert_planes_close(actual: &[Grid], expected: &[Grid], what: &str) {
@@ -95,16 +68,9 @@ fn noisy_frame(mean: &[Grid], sigma: f64, seed: u64) -> Frame {
     };
     let mut signal = |clean: &[Grid], sigma: f64| {
         let (mean, spread) = clean.iter().map(|plane| noisy(plane, sigma)).unzip();
-        Signal {
-            mean,
-            spread: Some(spread),
-            sample_variance: Some(clean.iter().map(|p| p.like(|_| sigma * sigma)).collect()),
-        }
+        Signal { mean, spread: Some(spread), sample_variance: Some(clean.iter().map(|p| p.like(|_| sigma * sigma)).collect()) }
     };
-    Frame {
-        color: signal(mean, sigma),
-        features: vec![signal(&mean[..1], sigma / 10.0)],
-    }
+    Frame { color: signal(mean, sigma), features: vec![signal(&mean[..1], sigma / 10.0)] }
 }
 
 // Examples small enough to do by hand.
@@ -112,15 +78,8 @@ fn noisy_frame(mean: &[Grid], sigma: f64, seed: u64) -> Frame {
 #[test]
 fn a_pair_of_pixels_has_the_weight_of_equation_8_2() {
     let (mean, variance) = ([row(&[1.0, 2.0])], [row(&[0.2, 0.3])]);
-    let params = FilterParams {
-        patch_radius: 0,
-        k_color: 0.5,
-        ..filter_params(false, CentreWeight::One)
-    };
-    let guide = Guide {
-        mean: &mean,
-        variance: &variance,
-    };
+    let params = FilterParams { patch_radius: 0, k_color: 0.5, ..filter_params(false, CentreWeight::One) };
+    let guide = Guide { mean: &mean, variance: &variance };
     let weight_at = |x| {
         let p = Point { x, y: 0 };
         window_weights(&mean[0], p, Some(guide), &[], &params).neighbours[0].1
@@ -134,15 +93,8 @@ fn a_pair_of_pixels_has_the_weight_of_equation_8_2() {
 #[test]
 fn a_patch_at_the_border_averages_the_pairs_that_exist() {
     let (mean, variance) = ([row(&[0.0, 0.0, 1.0])], [row(&[0.5, 0.5, 0.5])]);
-    let guide = Guide {
-        mean: &mean,
-        variance: &variance,
-    };
-    let params = FilterParams {
-        k_color: 1.0,
-        window_radius: 1,
-        ..filter_params(false, CentreWeight::One)
-    };
+    let guide = Guide { mean: &mean, variance: &variance };
+    let params = FilterParams { k_color: 1.0, window_radius: 1, ..filter_params(false, CentreWeight::One) };
     let p = Point { x: 0, y: 0 };
     let weights = window_weights(&mean[0], p, Some(guide), &[], &params);
     assert_eq!(weights.neighbours.len(), 1);
@@ -150,44 +102,24 @@ fn a_patch_at_the_border_averages_the_pairs_that_exist() {
     assert_close(weights.neighbours[0].1, 1.0, 1e-9, "clamped distance");
     let p = Point { x: 2, y: 0 };
     let mean = [row(&[0.0, 0.0, 2.0])];
-    let guide = Guide {
-        mean: &mean,
-        ..guide
-    };
+    let guide = Guide { mean: &mean, ..guide };
     let weights = window_weights(&mean[0], p, Some(guide), &[], &params);
     // (2, 1): 4 − 1 and (1, 0): 0 − 1.
-    assert_close(
-        weights.neighbours[0].1,
-        (-1f64).exp(),
-        1e-9,
-        "mean of two pairs",
-    );
+    assert_close(weights.neighbours[0].1, (-1f64).exp(), 1e-9, "mean of two pairs");
 }
 
 #[test]
 fn a_ramp_is_averaged_across_only_by_symmetric_weights() {
     let (mean, variance) = ([row(&[0.0, 1.0, 2.0])], [row(&[0.1, 0.1, 0.1])]);
-    let guide = Guide {
-        mean: &mean,
-        variance: &variance,
-    };
+    let guide = Guide { mean: &mean, variance: &variance };
     let p = Point { x: 1, y: 0 };
     let weights_of = |symmetric| {
-        let params = FilterParams {
-            patch_radius: 0,
-            k_color: 1.0,
-            ..filter_params(symmetric, CentreWeight::LargestNeighbour)
-        };
+        let params = FilterParams { patch_radius: 0, k_color: 1.0, ..filter_params(symmetric, CentreWeight::LargestNeighbour) };
         window_weights(&mean[0], p, Some(guide), &[], &params)
     };
     let plain = (-0.8f64 / 0.2).exp();
     for (_, weight) in weights_of(false).iter() {
-        assert_close(
-            weight,
-            plain,
-            1e-9,
-            "plain, and the centre after its largest neighbour",
-        );
+        assert_close(weight, plain, 1e-9, "plain, and the centre after its largest neighbour");
     }
     for (_, weight) in weights_of(true).iter() {
         assert_close(weight, 1.0, 1e-12, "the mean of the pair equals p");
@@ -200,15 +132,8 @@ fn the_blend_of_a_pair_has_the_share_of_its_excess() {
     let distance = -(0.4f64.ln());
     let k = (0.8 / 0.2 / distance).sqrt();
     let (mean, variance) = ([row(&[0.0, 1.0, 2.0])], [row(&[0.1, 0.1, 0.1])]);
-    let guide = Guide {
-        mean: &mean,
-        variance: &variance,
-    };
-    let params = FilterParams {
-        patch_radius: 0,
-        k_color: k,
-        ..filter_params(true, CentreWeight::One)
-    };
+    let guide = Guide { mean: &mean, variance: &variance };
+    let params = FilterParams { patch_radius: 0, k_color: k, ..filter_params(true, CentreWeight::One) };
     let p = Point { x: 1, y: 0 };
     let weights = window_weights(&mean[0], p, Some(guide), &[], &params);
     for (_, weight) in weights.neighbours {
@@ -238,22 +163,10 @@ fn a_feature_has_the_weight_of_equation_8_3() {
 /// The two neighbours differ from p a lot and in opposite directions, their mean does so a little.
 #[test]
 fn a_pair_has_the_weight_of_equation_7_6_unless_a_neighbour_is_too_far() {
-    let (mean, variance) = (
-        vec![row(&[-3.0, 0.4, 3.0])],
-        vec![row(&[0.04, 0.01, 0.005])],
-    );
+    let (mean, variance) = (vec![row(&[-3.0, 0.4, 3.0])], vec![row(&[0.04, 0.01, 0.005])]);
     let p = Point { x: 1, y: 0 };
-    let params = FilterParams {
-        patch_radius: 0,
-        k_color: 5.0,
-        k_feature: 5.0,
-        tau: 0.008,
-        ..filter_params(true, CentreWeight::One)
-    };
-    let guide = Some(Guide {
-        mean: &mean,
-        variance: &variance,
-    });
+    let params = FilterParams { patch_radius: 0, k_color: 5.0, k_feature: 5.0, tau: 0.008, ..filter_params(true, CentreWeight::One) };
+    let guide = Some(Guide { mean: &mean, variance: &variance });
     let numerator: f64 = 0.16 - (0.01 + (0.005 + 0.01) / 4.0);
 
     let expected = (-numerator / (25.0 * (0.01 + 0.045 / 4.0))).exp();
@@ -261,21 +174,11 @@ fn a_pair_has_the_weight_of_equation_7_6_unless_a_neighbour_is_too_far() {
         assert_close(weight, expected, 1e-9, "colour");
     }
     // The distance to the right neighbour is 6.745/(16·0.015) = 28.
-    let stricter = FilterParams {
-        k_color: 4.0,
-        ..params
-    };
+    let stricter = FilterParams { k_color: 4.0, ..params };
     let weights = window_weights(&mean[0], p, guide, &[], &stricter).neighbours;
-    assert!(
-        weights.iter().all(|(_, weight)| *weight < 1e-5),
-        "{weights:?}"
-    );
+    assert!(weights.iter().all(|(_, weight)| *weight < 1e-5), "{weights:?}");
 
-    let feature = Feature {
-        gradient_squared: vec![row(&[0.0; 3])],
-        residual_variance: variance.clone(),
-        mean: mean.clone(),
-    };
+    let feature = Feature { gradient_squared: vec![row(&[0.0; 3])], residual_variance: variance.clone(), mean: mean.clone() };
     // The right neighbour's contrast is τ.
     let expected = (-numerator / (25.0 * (0.01 + (0.04 + 0.008) / 4.0))).exp();
     for (_, weight) in window_weights(&mean[0], p, None, &[feature], &params).neighbours {
@@ -293,9 +196,7 @@ fn the_gradient_takes_the_flatter_side_of_each_axis() {
     let gradient = gradient_squared(&plane);
     let at = |x| gradient.at(Point { x, y: 1 });
     assert_eq!([at(0), at(1), at(2)], [0.25, 0.25, 4.0]);
-    let both = gradient_squared(&Grid::from_fn(3, 3, |p| {
-        2.0 * p.x as f64 + 4.0 * p.y as f64
-    }));
+    let both = gradient_squared(&Grid::from_fn(3, 3, |p| 2.0 * p.x as f64 + 4.0 * p.y as f64));
     assert!(both.values.iter().all(|&v| v == 1.0 + 4.0));
 }
 
@@ -329,32 +230,17 @@ fn the_least_error_wins_and_ties_go_to_the_later_candidate() {
     for (i, (r, g, b, more, winner, literal)) in cases.into_iter().enumerate() {
         let errors = [r, g, b].map(|e| row(&[e]));
         let (low, high) = ([row(&[0.1])], [row(&[0.2])]);
-        let derivatives: [&[Grid]; 3] = if more {
-            [&low, &high, &low]
-        } else {
-            [&high, &high, &low]
-        };
+        let derivatives: [&[Grid]; 3] = if more { [&low, &high, &low] } else { [&high, &high, &low] };
         let expected = |k: Option<usize>| [FIRST, SECOND, THIRD].map(|i| f64::from(Some(i) == k));
         let of = |maps: Planes| [maps[0].values[0], maps[1].values[0], maps[2].values[0]];
-        assert_eq!(
-            of(select(&errors, derivatives)),
-            expected(Some(winner)),
-            "case {i}"
-        );
-        assert_eq!(
-            of(select_literally(&errors, derivatives)),
-            expected(literal),
-            "case {i}"
-        );
+        assert_eq!(of(select(&errors, derivatives)), expected(Some(winner)), "case {i}");
+        assert_eq!(of(select_literally(&errors, derivatives)), expected(literal), "case {i}");
     }
 }
 
 #[test]
 fn the_guard_removes_what_is_much_worse_than_the_least_error() {
-    let rule = Guard {
-        factor: 1.0,
-        noise: 0.1,
-    };
+    let rule = Guard { factor: 1.0, noise: 0.1 };
     let guarded = |maps: [f64; 3], errors: [f64; 3]| {
         let (maps, errors) = (maps.map(|m| row(&[m])), errors.map(|e| row(&[e])));
         let binary = [0.0, 1.0, 0.0].map(|b| row(&[b]));
@@ -366,10 +252,7 @@ fn the_guard_removes_what_is_much_worse_than_the_least_error() {
     assert_eq!(guarded([0.25, 0.25, 0.5], [1.0, 2.5, 2.6]), [0.5, 0.5, 0.0]);
     assert_eq!(guarded([0.0, 0.0, 1.0], [1.0, 2.0, 9.0]), [0.0, 1.0, 0.0]);
     let nan = f64::NAN;
-    assert_eq!(
-        guarded([0.5, 0.25, 0.25], [nan, 1.0, f64::INFINITY]),
-        [0.0, 1.0, 0.0]
-    );
+    assert_eq!(guarded([0.5, 0.25, 0.25], [nan, 1.0, f64::INFINITY]), [0.0, 1.0, 0.0]);
 }
 
 // Variances.
@@ -405,8 +288,7 @@ fn variance_scaling_keeps_the_structure_and_corrects_the_magnitude() {
 
 /// Shared by every later stage: mixing up the two is a factor of two that no other test sees.
 #[test]
-fn the_squared_spread_is_the_variance_of_the_mean_and_the_squared_difference_halved_that_of_a_half()
-{
+fn the_squared_spread_is_the_variance_of_the_mean_and_the_squared_difference_halved_that_of_a_half() {
     let (width, height, sigma) = (64, 64, 0.7);
     let mut random = Random(2);
     let mut half = |samples: f64| random.gaussian_grid(width, height, 5.0, sigma / samples.sqrt());
@@ -417,12 +299,7 @@ fn the_squared_spread_is_the_variance_of_the_mean_and_the_squared_difference_hal
     let (a, b) = (half(8.0), half(8.0));
     let of_mean = sigma * sigma / 16.0;
     let squared_spread = mean_square(spread_of_halves(&a, &b, 8.0, 8.0));
-    assert_close(
-        squared_spread / of_mean,
-        1.0,
-        tolerance,
-        "variance of the mean",
-    );
+    assert_close(squared_spread / of_mean, 1.0, tolerance, "variance of the mean");
     let of_half = sigma * sigma / 8.0;
     let delta = mean_square(a.like(|p| a.at(p) - b.at(p))) / 2.0;
     assert_close(delta / of_half, 1.0, tolerance, "variance of one half");
@@ -438,27 +315,14 @@ fn the_filtered_spread_knows_the_residual_variance() {
     let (width, height) = (48, 48);
     let clean = [Grid::filled(width, height, 1.0)];
     let frame = noisy_frame(&clean, 0.2, 3);
-    let params = FilterParams {
-        k_feature: f64::INFINITY,
-        ..filter_params(false, CentreWeight::One)
-    };
+    let params = FilterParams { k_feature: f64::INFINITY, ..filter_params(false, CentreWeight::One) };
     // No guide: a box of 7×7.
-    let payload = [
-        &frame.color.mean[0],
-        frame.color.spread.as_ref().unwrap().first().unwrap(),
-    ];
+    let payload = [&frame.color.mean[0], frame.color.spread.as_ref().unwrap().first().unwrap()];
     let filtered = nlm_filter(&payload.map(Grid::clone), None, &[], &params).planes;
-    let error = filtered[0]
-        .like(|p| (filtered[0].at(p) - 1.0).powi(2))
-        .mean();
+    let error = filtered[0].like(|p| (filtered[0].at(p) - 1.0).powi(2)).mean();
     let residual = filtered[1].like(|p| filtered[1].at(p).powi(2)).mean();
     // Neighbouring windows overlap: about 47 independent ones, so each mean has a relative deviation of √(2/47) = 0.2.
-    assert_close(
-        residual / error,
-        1.0,
-        4.0 * 0.2 * 2f64.sqrt(),
-        "residual variance over squared error",
-    );
+    assert_close(residual / error, 1.0, 4.0 * 0.2 * 2f64.sqrt(), "residual variance over squared error");
     assert!(error < 0.04 / 20.0, "49 pixels were averaged: {error}");
 }
 
@@ -466,20 +330,10 @@ fn the_filtered_spread_knows_the_residual_variance() {
 fn a_feature_without_variance_is_left_alone() {
     let mut random = Random(4);
     let mean = planes(2, || random.uniform_grid(9, 7, 0.0, 1.0));
-    let signal = Signal {
-        mean: mean.clone(),
-        spread: None,
-        sample_variance: None,
-    };
+    let signal = Signal { mean: mean.clone(), spread: None, sample_variance: None };
     let result = prefilter(&signal, true, CentreWeight::LargestNeighbour);
     assert_eq!(result.feature.mean, mean);
-    assert!(
-        result
-            .feature
-            .residual_variance
-            .iter()
-            .all(|plane| plane.mean() == 0.0)
-    );
+    assert!(result.feature.residual_variance.iter().all(|plane| plane.mean() == 0.0));
     assert!(result.spread.is_none());
 }
 
@@ -488,26 +342,13 @@ fn a_feature_with_noise_ends_with_less_of_it_however_the_noise_is_known() {
     let frame = noisy_frame(&[Grid::filled(20, 20, 0.5)], 0.1, 5);
     let known = frame.color;
     let (spread, variance) = (known.spread, known.sample_variance);
-    for (spread, sample_variance) in [
-        (spread.clone(), variance.clone()),
-        (spread, None),
-        (None, variance),
-    ] {
-        let signal = Signal {
-            mean: known.mean.clone(),
-            spread,
-            sample_variance,
-        };
+    for (spread, sample_variance) in [(spread.clone(), variance.clone()), (spread, None), (None, variance)] {
+        let signal = Signal { mean: known.mean.clone(), spread, sample_variance };
         let feature = prefilter(&signal, true, CentreWeight::LargestNeighbour).feature;
-        let error = feature.mean[0]
-            .like(|p| (feature.mean[0].at(p) - 0.5).powi(2))
-            .mean();
+        let error = feature.mean[0].like(|p| (feature.mean[0].at(p) - 0.5).powi(2)).mean();
         let claimed = feature.residual_variance[0].mean();
         assert!(error < 0.002, "0.01 before the filter, {error} after");
-        assert!(
-            claimed > error / 4.0 && claimed < error * 4.0,
-            "claims {claimed} of {error}"
-        );
+        assert!(claimed > error / 4.0 && claimed < error * 4.0, "claims {claimed} of {error}");
     }
 }
 
@@ -541,15 +382,11 @@ fn the_finite_difference_approaches_the_analytic_derivative() {
     for symmetric in [false, true] {
         for centre in [CentreWeight::One, CentreWeight::LargestNeighbour] {
             for patch_radius in [1, 3] {
-                let params = FilterParams {
-                    patch_radius,
-                    ..filter_params(symmetric, centre)
-                };
+                let params = FilterParams { patch_radius, ..filter_params(symmetric, centre) };
                 let (mut kinks, mut largest, mut count) = (0, 0f64, 0);
                 for (y, x) in (0..9).flat_map(|y| (0..11).map(move |x| (y, x))) {
                     let (p, i) = (Point { x, y }, (x % 3) as usize);
-                    let difference =
-                        |step| finite_difference(&mean, &variance, &features, &params, p, i, step);
+                    let difference = |step| finite_difference(&mean, &variance, &features, &params, p, i, step);
                     let (forward, backward) = (difference(1e-6), difference(-1e-6));
                     let expected = analytic_derivative(&mean, &variance, &features, &params, p, i);
                     count += 1;
@@ -572,10 +409,7 @@ fn the_finite_difference_approaches_the_analytic_derivative() {
 fn the_derivative_of_third_is_the_centre_weights_share() {
     let (mean, variance, features) = derivative_scene(7);
     for centre in [CentreWeight::One, CentreWeight::LargestNeighbour] {
-        let params = FilterParams {
-            k_color: f64::INFINITY,
-            ..filter_params(true, centre)
-        };
+        let params = FilterParams { k_color: f64::INFINITY, ..filter_params(true, centre) };
         let third = candidate(&mean, None, &variance, &features, &params);
         let p = Point { x: 4, y: 5 };
         let mut moved = mean.clone();
@@ -583,12 +417,7 @@ fn the_derivative_of_third_is_the_centre_weights_share() {
         moved[1].values[at] += 1.0;
         let filtered = nlm_filter(&moved, None, &features, &params).planes;
         let rise = filtered[1].at(p) - third.mean[1].at(p);
-        assert_close(
-            third.derivative[1].at(p),
-            rise,
-            1e-12,
-            "a filter that is linear",
-        );
+        assert_close(third.derivative[1].at(p), rise, 1e-12, "a filter that is linear");
         if centre == CentreWeight::One {
             let expected = 1.0 / third.weight_sum.at(p);
             assert_close(third.derivative[1].at(p), expected, 1e-15, "1/C");
@@ -617,18 +446,9 @@ fn sure_is_unbiased_for_every_candidate() {
                     let mut random = Random(100 + seed);
                     let mean = planes(3, || random.gaussian_grid(width, height, 1.0, sigma));
                     let variance = planes(3, || Grid::filled(width, height, sigma * sigma));
-                    let Candidate {
-                        mean: filtered,
-                        derivative,
-                        ..
-                    } = candidate(&mean, None, &variance, &[], &filter);
+                    let Candidate { mean: filtered, derivative, .. } = candidate(&mean, None, &variance, &[], &filter);
                     let estimate = sure(&mean, &variance, &filtered, &derivative);
-                    let error = estimate.like(|p| {
-                        filtered
-                            .iter()
-                            .map(|plane| (plane.at(p) - 1.0).powi(2))
-                            .sum()
-                    });
+                    let error = estimate.like(|p| filtered.iter().map(|plane| (plane.at(p) - 1.0).powi(2)).sum());
                     (estimate.mean() - error.mean()) / (3.0 * sigma * sigma)
                 })
                 .collect();
@@ -639,10 +459,7 @@ fn sure_is_unbiased_for_every_candidate() {
             // The deviation is itself estimated, from ten values: 4.8 is Student's t for one false alarm in a thousand.
             let what = format!("{preset}, candidate {k}: bias in units of the variance");
             assert_close(bias, 0.0, 4.8 * of_the_mean, &what);
-            assert!(
-                of_the_mean < 0.02,
-                "{what} is known to ± {of_the_mean} only"
-            );
+            assert!(of_the_mean < 0.02, "{what} is known to ± {of_the_mean} only");
         }
     }
 }
@@ -660,11 +477,7 @@ fn a_constant_image_stays_constant() {
             spread: Some(planes(3, || random.gaussian_grid(width, height, 0.0, 0.1))),
             sample_variance: Some(planes(3, || random.uniform_grid(width, height, 0.0, 0.02))),
         },
-        features: vec![Signal {
-            mean: vec![Grid::filled(width, height, 0.5)],
-            spread: None,
-            sample_variance: None,
-        }],
+        features: vec![Signal { mean: vec![Grid::filled(width, height, 0.5)], spread: None, sample_variance: None }],
     };
     for (preset, params) in presets() {
         let result = dfc(&frame, &params);
@@ -685,31 +498,16 @@ fn an_image_without_noise_is_left_alone() {
     let mut random = Random(9);
     let mean = planes(3, || random.uniform_grid(12, 10, 0.1, 2.0));
     let zero = || Some(planes(3, || Grid::filled(12, 10, 0.0)));
-    let frame = Frame {
-        color: Signal {
-            mean: mean.clone(),
-            spread: zero(),
-            sample_variance: zero(),
-        },
-        features: Vec::new(),
-    };
+    let frame = Frame { color: Signal { mean: mean.clone(), spread: zero(), sample_variance: zero() }, features: Vec::new() };
     for (preset, params) in presets() {
         let result = dfc(&frame, &params);
         // The printed selection picks nothing where FIRST and SECOND tie, and both are perfect here.
-        let passes = if params.literal_selection {
-            Vec::new()
-        } else {
-            every_output(&result)
-        };
+        let passes = if params.literal_selection { Vec::new() } else { every_output(&result) };
         for (name, pass) in passes {
             assert_planes_close(&pass.mean, &mean, &format!("{preset}, {name}"));
         }
         for k in [FIRST, SECOND] {
-            assert_planes_close(
-                &result.candidates[k].mean,
-                &mean,
-                &format!("{preset}, candidate {k}"),
-            );
+            assert_planes_close(&result.candidates[k].mean, &mean, &format!("{preset}, candidate {k}"));
         }
     }
 }
@@ -717,20 +515,11 @@ fn an_image_without_noise_is_left_alone() {
 #[test]
 fn noise_is_reduced_and_maps_sum_to_one() {
     let (width, height, sigma) = (24, 20, 0.1);
-    let clean = [0.4, 0.8, 1.0].map(|level| {
-        Grid::from_fn(
-            width,
-            height,
-            |p| if p.x < 11 { level } else { level / 2.0 },
-        )
-    });
+    let clean = [0.4, 0.8, 1.0].map(|level| Grid::from_fn(width, height, |p| if p.x < 11 { level } else { level / 2.0 }));
     let frame = noisy_frame(&clean, sigma, 10);
     for (preset, params) in presets() {
         let result = dfc(&frame, &params);
-        for p in (0..width * height).map(|i| Point {
-            x: (i % width) as isize,
-            y: (i / width) as isize,
-        }) {
+        for p in (0..width * height).map(|i| Point { x: (i % width) as isize, y: (i / width) as isize }) {
             let sum = |maps: &Planes| maps.iter().map(|map| map.at(p)).sum::<f64>();
             if !params.literal_selection {
                 assert_eq!(sum(&result.binary_maps), 1.0, "{preset}");
@@ -739,17 +528,9 @@ fn noise_is_reduced_and_maps_sum_to_one() {
             assert_close(sum(&result.maps), 1.0, 1e-12, preset);
         }
         for (name, pass) in every_output(&result) {
-            let error: f64 = pass
-                .mean
-                .iter()
-                .zip(&clean)
-                .map(|(a, b)| a.like(|p| (a.at(p) - b.at(p)).powi(2)).mean())
-                .sum();
+            let error: f64 = pass.mean.iter().zip(&clean).map(|(a, b)| a.like(|p| (a.at(p) - b.at(p)).powi(2)).mean()).sum();
             let before = 3.0 * sigma * sigma;
-            assert!(
-                error < before / 4.0,
-                "{preset}, {name}: {error} of {before}"
-            );
+            assert!(error < before / 4.0, "{preset}, {name}: {error} of {before}");
         }
     }
 }
@@ -770,11 +551,7 @@ fn the_smallest_images_have_a_result() {
                 assert_eq!(result.pass2.is_some(), halves, "{preset}");
                 for (name, pass) in every_output(&result) {
                     let finite = pass.mean.iter().flat_map(|plane| &plane.values);
-                    assert_eq!(
-                        finite.filter(|v| v.is_finite()).count(),
-                        3 * width * height,
-                        "{name}"
-                    );
+                    assert_eq!(finite.filter(|v| v.is_finite()).count(), 3 * width * height, "{name}");
                 }
             }
         }

@@ -80,8 +80,9 @@ fn patch_triples(p: vec2<i32>, offset: vec2<i32>, extent: vec2<i32>, patch_radiu
 }
 
 struct PairWeights {
-    q1: vec4<f32>,
-    q2: vec4<f32>,
+    // Of q1 = p + o and of q2 = p − o.
+    ahead: vec4<f32>,
+    behind: vec4<f32>,
 }
 
 // Weights of a pair of neighbours from their distances (eq. 7.5), four independent ones at a time. Where the mean of the two is a better match than
@@ -91,7 +92,7 @@ fn pair_weights(distance_q1: vec4<f32>, distance_q2: vec4<f32>, distance_both: v
     let d2 = max(distance_q2, vec4<f32>(0.0));
     let w1 = exp(-d1);
     let w2 = exp(-d2);
-#if SYMMETRIC == true
+#ifdef SYMMETRIC
     let w_both = exp(-max(distance_both, vec4<f32>(0.0)));
     let comparable = (max(d1, d2) < vec4<f32>(SYMMETRY_LIMIT)) & vec4<bool>(both_inside);
     let judged = clamp(w_both / max(w1 + w2, vec4<f32>(1e-20)) - 1.0, vec4<f32>(0.0), vec4<f32>(1.0));

@@ -22,14 +22,8 @@ impl FromStr for LayerRef {
     /// Splits at the last `::`. Any text is a valid reference; whether the file exists shows when it is read.
     fn from_str(text: &str) -> Result<Self, Infallible> {
         Ok(match text.rsplit_once("::") {
-            Some((file, layer)) if !file.is_empty() && !layer.is_empty() => Self {
-                file: file.into(),
-                layer: Some(layer.to_owned()),
-            },
-            _ => Self {
-                file: text.into(),
-                layer: None,
-            },
+            Some((file, layer)) if !file.is_empty() && !layer.is_empty() => Self { file: file.into(), layer: Some(layer.to_owned()) },
+            _ => Self { file: text.into(), layer: None },
         })
     }
 }
@@ -128,23 +122,11 @@ pub struct LayerUse {
 
 impl fmt::Display for LayerUse {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let name = if self.layer.is_empty() {
-            "(no layer name)"
-        } else {
-            &self.layer
-        };
-        write!(
-            f,
-            "{name} [{}] {}: {}",
-            self.channels.join(" "),
-            self.sample_kind,
-            self.role
-        )?;
+        let name = if self.layer.is_empty() { "(no layer name)" } else { &self.layer };
+        write!(f, "{name} [{}] {}: {}", self.channels.join(" "), self.sample_kind, self.role)?;
         if self.non_finite_values > 0 {
             write!(f, ", {} values not finite", self.non_finite_values)?;
         }
-        self.note
-            .as_ref()
-            .map_or(Ok(()), |note| write!(f, " ({note})"))
+        self.note.as_ref().map_or(Ok(()), |note| write!(f, " ({note})"))
     }
 }

@@ -135,9 +135,7 @@ impl BufferSet {
 
     /// All features with their names, decoded one at a time.
     pub fn features(&self) -> impl ExactSizeIterator<Item = (&str, RawSignal)> {
-        self.features
-            .iter()
-            .map(|(name, source)| (name.as_str(), self.raw(source)))
+        self.features.iter().map(|(name, source)| (name.as_str(), self.raw(source)))
     }
 
     /// Samples per pixel: from a channel if there is one, else from the header (attribute `samples` or `samplesPerPixel`), else unknown.
@@ -146,9 +144,7 @@ impl BufferSet {
             return SamplesPerPixel::PerPixel(self.planes(planes));
         }
         let named = |name| self.files[0].number_attribute(self.color_part(), name);
-        named("samples")
-            .or_else(|| named("samplesPerPixel"))
-            .map_or(SamplesPerPixel::Unknown, SamplesPerPixel::Uniform)
+        named("samples").or_else(|| named("samplesPerPixel")).map_or(SamplesPerPixel::Unknown, SamplesPerPixel::Uniform)
     }
 
     /// Every layer of every file, and what it is used as.

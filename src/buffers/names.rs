@@ -4,21 +4,7 @@ use super::layer_ref::SignalPart;
 
 /// Layers that are a picture's colour wherever they occur, most wanted first; compared without case, by their last dotted component.
 /// `noisy image` comes before `combined`: Cycles stores the denoised picture in the latter when it has denoised already.
-const COLOR_NAMES: &[&str] = &[
-    "",
-    "noisy image",
-    "combined",
-    "rgba",
-    "rgb",
-    "beauty",
-    "color",
-    "colour",
-    "c",
-    "ci",
-    "main",
-    "image",
-    "composite",
-];
+const COLOR_NAMES: &[&str] = &["", "noisy image", "combined", "rgba", "rgb", "beauty", "color", "colour", "c", "ci", "main", "image", "composite"];
 
 /// Layers that are features even without halves and variance.
 const FEATURE_NAMES: &[&str] = &[
@@ -60,30 +46,21 @@ pub(crate) fn group(name: &str) -> &str {
 
 /// How eagerly a layer is taken for the colour: smaller is better, `None` if its name does not say so.
 pub(crate) fn color_rank(name: &str) -> Option<usize> {
-    COLOR_NAMES
-        .iter()
-        .position(|known| last_component(name).eq_ignore_ascii_case(known))
+    COLOR_NAMES.iter().position(|known| last_component(name).eq_ignore_ascii_case(known))
 }
 
 pub(crate) fn is_feature_name(name: &str) -> bool {
-    FEATURE_NAMES
-        .iter()
-        .any(|known| last_component(name).eq_ignore_ascii_case(known))
+    FEATURE_NAMES.iter().any(|known| last_component(name).eq_ignore_ascii_case(known))
 }
 
 pub(crate) fn is_sample_count_name(name: &str) -> bool {
-    SAMPLE_COUNT_NAMES
-        .iter()
-        .any(|known| last_component(name).eq_ignore_ascii_case(known))
+    SAMPLE_COUNT_NAMES.iter().any(|known| last_component(name).eq_ignore_ascii_case(known))
 }
 
 /// Whether a feature measures a distance or place, so that infinity or a huge number in it means that the ray hit nothing.
 pub(crate) fn is_distance_name(name: &str) -> bool {
     let last = last_component(name).to_ascii_lowercase();
-    last.contains("depth")
-        || last.contains("distance")
-        || last.contains("position")
-        || ["z", "zfiltered", "pos", "p"].contains(&last.as_str())
+    last.contains("depth") || last.contains("distance") || last.contains("position") || ["z", "zfiltered", "pos", "p"].contains(&last.as_str())
 }
 
 pub(crate) fn is_normal_name(name: &str) -> bool {
@@ -102,17 +79,9 @@ pub(crate) fn is_companion(candidate: &str, base: &str, part: SignalPart, bare_t
         SignalPart::Variance => &["variance", "var", "mse"],
     };
     suffixes.iter().any(|suffix| {
-        let joined =
-            !base.is_empty() && candidate.eq_ignore_ascii_case(&format!("{base}_{suffix}"));
+        let joined = !base.is_empty() && candidate.eq_ignore_ascii_case(&format!("{base}_{suffix}"));
         let bare_name = candidate.strip_prefix(group(base));
-        let bare = bare_too
-            && bare_name.is_some_and(|name| {
-                if part == SignalPart::Variance {
-                    name == *suffix
-                } else {
-                    name.eq_ignore_ascii_case(suffix)
-                }
-            });
+        let bare = bare_too && bare_name.is_some_and(|name| if part == SignalPart::Variance { name == *suffix } else { name.eq_ignore_ascii_case(suffix) });
         joined || bare
     })
 }
@@ -134,17 +103,13 @@ pub(crate) fn why_not_a_variance(name: &str) -> Option<&'static str> {
     let last = last_component(name);
     let is = |known: &str| last.eq_ignore_ascii_case(known);
     if name.starts_with("m2_") {
-        Some(
-            "a raw second moment E[x²], not a variance: it would have to become (m2 − mean²)/(n − 1)",
-        )
+        Some("a raw second moment E[x²], not a variance: it would have to become (m2 − mean²)/(n − 1)")
     } else if is("noiseLevel") || is("noise") {
         Some("a renderer's noise heuristic, not a variance")
     } else if is("RelativeVariance") {
         Some("variance divided by the mean, not the variance of the mean")
     } else if last == "Variance" {
-        Some(
-            "taken for pbrt's variance of one sample: divide it by the samples per pixel and pass it with --variance",
-        )
+        Some("taken for pbrt's variance of one sample: divide it by the samples per pixel and pass it with --variance")
     } else if is("Debug Sample Count") {
         Some("a fraction of the header's sample count, not a count")
     } else {
@@ -158,44 +123,19 @@ mod tests {
 
     #[test]
     fn companions_are_found_beside_their_layer_only() {
-        assert!(is_companion(
-            "albedo_halfA",
-            "albedo",
-            SignalPart::HalfA,
-            false
-        ));
-        assert!(is_companion(
-            "v1.albedo_variance",
-            "v1.albedo",
-            SignalPart::Variance,
-            false
-        ));
-        assert!(!is_companion(
-            "v2.albedo_variance",
-            "v1.albedo",
-            SignalPart::Variance,
-            false
-        ));
+        assert!(is_companion("albedo_halfA", "albedo", SignalPart::HalfA, false));
+        assert!(is_companion("v1.albedo_variance", "v1.albedo", SignalPart::Variance, false));
+        assert!(!is_companion("v2.albedo_variance", "v1.albedo", SignalPart::Variance, false));
         assert!(!is_companion("halfA", "diffuse", SignalPart::HalfA, false));
         assert!(is_companion("halfA", "beauty", SignalPart::HalfA, true));
-        assert!(is_companion(
-            "ViewLayer.halfb",
-            "ViewLayer.Combined",
-            SignalPart::HalfB,
-            true
-        ));
+        assert!(is_companion("ViewLayer.halfb", "ViewLayer.Combined", SignalPart::HalfB, true));
     }
 
     #[test]
     fn the_variance_of_one_sample_and_moments_are_not_the_variance_of_the_mean() {
         assert!(is_companion("variance", "", SignalPart::Variance, true));
         assert!(!is_companion("Variance", "", SignalPart::Variance, true));
-        for name in [
-            "Variance",
-            "m2_nested.image",
-            "noiseLevel",
-            "RelativeVariance",
-        ] {
+        for name in ["Variance", "m2_nested.image", "noiseLevel", "RelativeVariance"] {
             assert!(why_not_a_variance(name).is_some(), "{name}");
         }
         assert!(why_not_a_variance("variance").is_none());

@@ -50,16 +50,10 @@ impl std::fmt::Display for WriteReport {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let mut lines = self.notes.clone();
         if self.clamped_values > 0 {
-            lines.push(format!(
-                "{} values are too large for half floats and were written as ±65504",
-                self.clamped_values
-            ));
+            lines.push(format!("{} values are too large for half floats and were written as ±65504", self.clamped_values));
         }
         if self.non_finite_values > 0 {
-            lines.push(format!(
-                "{} values were not finite and were written as 0",
-                self.non_finite_values
-            ));
+            lines.push(format!("{} values were not finite and were written as 0", self.non_finite_values));
         }
         f.write_str(&lines.join("\n"))
     }
@@ -73,60 +67,26 @@ impl std::fmt::Display for WriteReport {
 /// # Errors
 /// Images of another extent or number of channels than the layers that they replace, replacements for layers that do not exist, extra layers that do
 /// exist, and whatever the file system reports.
-pub fn write_denoised(
-    set: &BufferSet,
-    output: &Path,
-    denoised: &DenoisedLayers<'_>,
-) -> Result<WriteReport> {
+pub fn write_denoised(set: &BufferSet, output: &Path, denoised: &DenoisedLayers<'_>) -> Result<WriteReport> {
     let file = &set.files[0];
     let part = set.color_part();
     let mut image = file.image.clone();
-    let mut writer = Writer {
-        report: WriteReport::default(),
-        extent: set.extent(),
-        output,
-    };
+    let mut writer = Writer { report: WriteReport::default(), extent: set.extent(), output };
 
     let channels = &set.color.mean.channels;
-    let luminance = channels
-        .iter()
-        .all(|channel| *channel == channels[0])
-        .then(|| mean_plane(denoised.color));
+    let luminance = channels.iter().all(|channel| *channel == channels[0]).then(|| mean_plane(denoised.color));
     match &luminance {
-        Some(plane) => writer.replace(
-            &mut image.layer_data[part],
-            &channels[..1],
-            plane,
-            "the colour",
-        )?,
-        None => writer.replace(
-            &mut image.layer_data[part],
-            channels,
-            denoised.color,
-            "the colour",
-        )?,
+        Some(plane) => writer.replace(&mut image.layer_data[part], &channels[..1], plane, "the colour")?,
+        None => writer.replace(&mut image.layer_data[part], channels, denoised.color, "the colour")?,
     }
     for (name, replacement) in denoised.replacements {
-        let layer = file
-            .layers
-            .iter()
-            .find(|layer| layer.name == *name)
-            .ok_or_else(|| Error::Request {
-                problem: format!(
-                    "layer '{name}' cannot be replaced: {} has no such layer",
-                    file.path.display()
-                ),
-                remedy: "add it as an extra layer instead".into(),
-            })?;
+        let layer = file.layers.iter().find(|layer| layer.name == *name).ok_or_else(|| Error::Request {
+            problem: format!("layer '{name}' cannot be replaced: {} has no such layer", file.path.display()),
+            remedy: "add it as an extra layer instead".into(),
+        })?;
         let channels = colored_channels(layer);
-        let luminance =
-            (channels.len() == 1 && replacement.channels() == 3).then(|| mean_plane(replacement));
-        writer.replace(
-            &mut image.layer_data[layer.part],
-            &channels,
-            luminance.as_ref().unwrap_or(replacement),
-            name,
-        )?;
+        let luminance = (channels.len() == 1 && replacement.channels() == 3).then(|| mean_plane(replacement));
+        writer.replace(&mut image.layer_data[layer.part], &channels, luminance.as_ref().unwrap_or(replacement), name)?;
     }
     for extra in denoised.extra {
         writer.add(&mut image.layer_data[part], extra)?;
@@ -134,16 +94,11 @@ pub fn write_denoised(
     for (name, value) in denoised.attributes {
         let (Some(name), Some(value)) = (Text::new_or_none(name), Text::new_or_none(value)) else {
             return Err(Error::Request {
-                problem: format!(
-                    "the attribute '{name}' holds characters that OpenEXR cannot store"
-                ),
+                problem: format!("the attribute '{name}' holds characters that OpenEXR cannot store"),
                 remedy: "use Latin-1 characters".into(),
             });
         };
-        image.layer_data[part]
-            .attributes
-            .other
-            .insert(name, AttributeValue::Text(value));
+        image.layer_data[part].attributes.other.insert(name, AttributeValue::Text(value));
     }
     for layer in &mut image.layer_data {
         writer.settle_encoding(layer);
@@ -155,22 +110,14 @@ pub fn write_denoised(
 /// All channels but the alpha.
 fn colored_channels(layer: &FileLayer) -> Vec<usize> {
     let alpha = |suffix: &str| layer.channels.len() > 1 && suffix.eq_ignore_ascii_case("A");
-    layer
-        .channels
-        .iter()
-        .filter(|channel| !alpha(&channel.suffix))
-        .map(|channel| channel.index)
-        .collect()
+    layer.channels.iter().filter(|channel| !alpha(&channel.suffix)).map(|channel| channel.index).collect()
 }
 
 fn mean_plane(image: &Image) -> Image {
     let weight = 1.0 / image.channels() as f32;
     let mut mean = Image::filled(image.extent, 1, 0.0);
     for plane in &image.planes {
-        mean.planes[0]
-            .iter_mut()
-            .zip(plane)
-            .for_each(|(sum, value)| *sum += value * weight);
+        mean.planes[0].iter_mut().zip(plane).for_each(|(sum, value)| *sum += value * weight);
     }
     mean
 }
@@ -183,67 +130,36 @@ struct Writer<'a> {
 
 impl Writer<'_> {
     fn check(&self, image: &Image, channels: usize, name: &str) -> Result<()> {
-        let complete = image
-            .planes
-            .iter()
-            .all(|plane| plane.len() == image.extent.pixels());
+        let complete = image.planes.iter().all(|plane| plane.len() == image.extent.pixels());
         if image.extent == self.extent && image.channels() == channels && complete {
             return Ok(());
         }
         Err(Error::Layer {
             path: self.output.to_owned(),
             layer: name.to_owned(),
-            problem: format!(
-                "{} planes of {} do not fit {channels} channels of {}",
-                image.channels(),
-                image.extent,
-                self.extent
-            ),
+            problem: format!("{} planes of {} do not fit {channels} channels of {}", image.channels(), image.extent, self.extent),
             remedy: "give planes of the input's extent, one for each channel".into(),
         })
     }
 
-    fn replace(
-        &mut self,
-        layer: &mut Layer<AnyChannels<FlatSamples>>,
-        channels: &[usize],
-        image: &Image,
-        name: &str,
-    ) -> Result<()> {
+    fn replace(&mut self, layer: &mut Layer<AnyChannels<FlatSamples>>, channels: &[usize], image: &Image, name: &str) -> Result<()> {
         self.check(image, channels.len(), name)?;
         for (&channel, plane) in channels.iter().zip(&image.planes) {
             let samples = &mut layer.channel_data.list[channel].sample_data;
             *samples = match samples {
-                FlatSamples::F16(_) => {
-                    FlatSamples::F16(plane.iter().map(|&value| self.half(value)).collect())
-                }
-                FlatSamples::F32(_) => {
-                    FlatSamples::F32(plane.iter().map(|&value| self.finite(value)).collect())
-                }
-                FlatSamples::U32(_) => FlatSamples::U32(
-                    plane
-                        .iter()
-                        .map(|&value| self.finite(value).round() as u32)
-                        .collect(),
-                ),
+                FlatSamples::F16(_) => FlatSamples::F16(plane.iter().map(|&value| self.half(value)).collect()),
+                FlatSamples::F32(_) => FlatSamples::F32(plane.iter().map(|&value| self.finite(value)).collect()),
+                FlatSamples::U32(_) => FlatSamples::U32(plane.iter().map(|&value| self.finite(value).round() as u32).collect()),
             };
         }
         Ok(())
     }
 
-    fn add(
-        &mut self,
-        layer: &mut Layer<AnyChannels<FlatSamples>>,
-        extra: &NamedLayer,
-    ) -> Result<()> {
+    fn add(&mut self, layer: &mut Layer<AnyChannels<FlatSamples>>, extra: &NamedLayer) -> Result<()> {
         self.check(&extra.image, extra.channels.len(), &extra.name)?;
         let list = &mut layer.channel_data.list;
         for (suffix, plane) in extra.channels.iter().zip(&extra.image.planes) {
-            let full = if extra.name.is_empty() {
-                suffix.clone()
-            } else {
-                format!("{}.{suffix}", extra.name)
-            };
+            let full = if extra.name.is_empty() { suffix.clone() } else { format!("{}.{suffix}", extra.name) };
             let problem = match Text::new_or_none(&full) {
                 Some(name) if !list.iter().any(|channel| channel.name == name) => {
                     let samples = plane.iter().map(|&value| self.finite(value)).collect();
@@ -283,26 +199,17 @@ impl Writer<'_> {
 
     /// Keeps the input's encoding where it can be written.
     fn settle_encoding(&mut self, layer: &mut Layer<AnyChannels<FlatSamples>>) {
-        if layer.encoding.blocks == Blocks::ScanLines
-            && layer.encoding.line_order == LineOrder::Unspecified
-        {
+        if layer.encoding.blocks == Blocks::ScanLines && layer.encoding.line_order == LineOrder::Unspecified {
             layer.encoding.line_order = LineOrder::Increasing;
         }
-        let integers = layer
-            .channel_data
-            .list
-            .iter()
-            .any(|channel| matches!(channel.sample_data, FlatSamples::U32(_)));
+        let integers = layer.channel_data.list.iter().any(|channel| matches!(channel.sample_data, FlatSamples::U32(_)));
         let writable = match layer.encoding.compression {
             Compression::HTJ2K32 | Compression::HTJ2K256 => false,
             Compression::DWAA(_) | Compression::DWAB(_) => !integers,
             _ => true,
         };
         if !writable {
-            self.report.notes.push(format!(
-                "{} cannot be written: ZIP is used instead",
-                layer.encoding.compression
-            ));
+            self.report.notes.push(format!("{} cannot be written: ZIP is used instead", layer.encoding.compression));
             layer.encoding.compression = Compression::ZIP16;
         }
         // The input may have had them in any order, but the format wants them sorted.
@@ -325,14 +232,8 @@ fn write_then_rename(image: &FlatImage, output: &Path) -> Result<()> {
     // Temporary files are private by default; an output is as readable as the user's other files.
     #[cfg(unix)]
     builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
-    let mut file = builder
-        .tempfile_in(folder)
-        .map_err(|error| failed(error.to_string()))?;
-    image
-        .write()
-        .to_unbuffered(file.as_file_mut())
-        .map_err(|error| failed(error.to_string()))?;
-    file.persist(output)
-        .map_err(|error| failed(error.error.to_string()))?;
+    let mut file = builder.tempfile_in(folder).map_err(|error| failed(error.to_string()))?;
+    image.write().to_unbuffered(file.as_file_mut()).map_err(|error| failed(error.to_string()))?;
+    file.persist(output).map_err(|error| failed(error.error.to_string()))?;
     Ok(())
 }

@@ -28,11 +28,7 @@ pub struct LayerRepairs {
 impl LayerRepairs {
     /// Whether nothing was found.
     pub fn is_empty(&self) -> bool {
-        *self
-            == Self {
-                layer: self.layer.clone(),
-                ..Self::default()
-            }
+        *self == Self { layer: self.layer.clone(), ..Self::default() }
     }
 }
 
@@ -42,32 +38,13 @@ impl fmt::Display for LayerRepairs {
             (self.nan_values, "values NaN"),
             (self.infinite_values, "values infinite"),
             (self.oversized_values, "values beyond 1e18"),
-            (
-                self.pixels_replaced,
-                "pixels replaced by their neighbours' average",
-            ),
-            (
-                self.variances_replaced,
-                "variances replaced by their neighbours' average",
-            ),
+            (self.pixels_replaced, "pixels replaced by their neighbours' average"),
+            (self.variances_replaced, "variances replaced by their neighbours' average"),
             (self.negative_variances, "negative variances set to 0"),
             (self.misses, "pixels without a hit set to the far end"),
         ];
-        let parts: Vec<_> = counted
-            .iter()
-            .filter(|(count, _)| *count > 0)
-            .map(|(count, what)| format!("{count} {what}"))
-            .collect();
-        write!(
-            f,
-            "{}: {}",
-            self.layer,
-            if parts.is_empty() {
-                "nothing to repair".into()
-            } else {
-                parts.join(", ")
-            }
-        )
+        let parts: Vec<_> = counted.iter().filter(|(count, _)| *count > 0).map(|(count, what)| format!("{count} {what}")).collect();
+        write!(f, "{}: {}", self.layer, if parts.is_empty() { "nothing to repair".into() } else { parts.join(", ") })
     }
 }
 
@@ -102,12 +79,7 @@ impl Repairs {
 
 impl fmt::Display for Repairs {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let lines: Vec<_> = self
-            .layers
-            .iter()
-            .map(ToString::to_string)
-            .chain(self.notes.iter().cloned())
-            .collect();
+        let lines: Vec<_> = self.layers.iter().map(ToString::to_string).chain(self.notes.iter().cloned()).collect();
         f.write_str(&lines.join("\n"))
     }
 }

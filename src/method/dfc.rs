@@ -1,5 +1,7 @@
 //! Denoising by combining colour and feature filters (thesis chapter 8): Algorithm 1 as one straight function.
 
+use std::sync::Arc;
+
 use glam::IVec2;
 
 use super::{GpuFeature, GpuFrame, GpuSignal, Params};
@@ -91,7 +93,7 @@ pub struct KeptPlane {
     /// What the values mean.
     pub unit: Unit,
     /// Where it is.
-    pub buffer: std::sync::Arc<Buffer>,
+    pub buffer: Arc<Buffer>,
     /// Which plane of the buffer.
     pub plane: u32,
 }
@@ -102,9 +104,9 @@ pub struct GpuEstimate {
     /// The denoised signal: mean, behind it the half spread (0 without halves).
     pub signal: Buffer,
     /// One plane: the shares of FIRST, SECOND and THIRD, and in w the blended error: the estimated Σ_i (F_i − true value)², before the second pass. May be negative.
-    pub selection: std::sync::Arc<Buffer>,
+    pub selection: Arc<Buffer>,
     /// Signal before the second pass, with Σ w in the w of the mean. `None`: there was no second pass, `signal` is it.
-    pub pass1: Option<std::sync::Arc<Buffer>>,
+    pub pass1: Option<Arc<Buffer>>,
     /// What was asked for.
     pub kept: Vec<KeptPlane>,
 }
@@ -120,7 +122,7 @@ impl Keeper<'_> {
         self.wanted.contains(&intermediate)
     }
 
-    fn keep(&mut self, layer: impl Into<String>, channels: &[&str], unit: Unit, buffer: &std::sync::Arc<Buffer>, plane: u32) {
+    fn keep(&mut self, layer: impl Into<String>, channels: &[&str], unit: Unit, buffer: &Arc<Buffer>, plane: u32) {
         let channels = channels.iter().map(ToString::to_string).collect();
         self.kept.push(KeptPlane { layer: layer.into(), channels, unit, buffer: buffer.clone(), plane });
     }
@@ -183,7 +185,7 @@ pub fn dfc(
     }
 
     // Filtered SURE error estimates.
-    let sure = std::sync::Arc::new(error_sure(rec, extent, signal, &variance, &candidates)?);
+    let sure = Arc::new(error_sure(rec, extent, signal, &variance, &candidates)?);
     let guide = |filter: &Auxiliary| Guide {
         signal,
         variance_of_mean: &variance,
@@ -193,7 +195,7 @@ pub fn dfc(
         small_patch_radius: None,
     };
     let errors = nlm_filter(rec, extent, &guide(&ERROR_SMOOTHING), &sure, 1, ERROR_SMOOTHING.window_radius, weighting, false, schedule)?;
-    let errors = std::sync::Arc::new(errors.planes);
+    let errors = Arc::new(errors.planes);
     if keeper.wants(Intermediate::Sure) {
         keeper.keep("sure", &BY_CANDIDATE, Unit::ColorSquared, &sure, 0);
         keeper.keep("sure_smoothed", &BY_CANDIDATE, Unit::ColorSquared, &errors, 0);
@@ -201,12 +203,12 @@ pub fn dfc(
     drop(sure);
 
     // Binary selection maps.
-    let selected = std::sync::Arc::new(select_least(rec, extent, &errors, &candidates.derivatives)?);
+    let selected = Arc::new(select_least(rec, extent, &errors, &candidates.derivatives)?);
     // Filter selection maps.
     let smoothed = nlm_filter(rec, extent, &guide(&SELECTION_SMOOTHING), &selected, 1, SELECTION_SMOOTHING.window_radius, weighting, false, schedule)?;
     // Candidate filter averaging.
     let blend = select_blend(rec, extent, &smoothed.planes, &selected, &errors, &variance, &candidates, params.guard)?;
-    let selection = std::sync::Arc::new(blend.selection);
+    let selection = Arc::new(blend.selection);
     if keeper.wants(Intermediate::Selection) {
         keeper.keep("selected", &BY_CANDIDATE, Unit::Number, &selected, 0);
         keeper.keep("selection", &BY_CANDIDATE, Unit::Number, &selection, 0);
@@ -229,7 +231,7 @@ pub fn dfc(
     };
     let window_radius = second_pass.window_radius(params.window_radius);
     let pass2 = nlm_filter(rec, extent, &guide, &blend.signal, 2, window_radius, weighting, false, schedule)?;
-    let pass1 = std::sync::Arc::new(blend.signal);
+    let pass1 = Arc::new(blend.signal);
     if keeper.wants(Intermediate::Pass1) {
         keeper.keep("pass1", &RGB, Unit::Color, &pass1, 0);
     }
@@ -237,13 +239,13 @@ pub fn dfc(
 }
 
 /// The variance of the mean as the filters want it (thesis 8.2), from what there is.
-fn input_variance(rec: &mut Recorder, extent: IVec2, signal: &GpuSignal, smoothing: Gaussian) -> Result<std::sync::Arc<Buffer>> {
+fn input_variance(rec: &mut Recorder, extent: IVec2, signal: &GpuSignal, smoothing: Gaussian) -> Result<Arc<Buffer>> {
     let variance = match (&signal.variance_of_mean, signal.has_halves) {
         (Some(sample_variance), true) => variance_scale(rec, extent, &signal.signal, sample_variance, SCALE_RADIUS)?,
         (None, _) => variance_smooth(rec, extent, &signal.signal, smoothing, None)?,
         (Some(sample_variance), false) => return Ok(sample_variance.clone()),
     };
-    Ok(std::sync::Arc::new(variance))
+    Ok(Arc::new(variance))
 }
 
 /// Prefilters each feature by itself (Algorithm 1 lines 4 to 10) and packs them for the candidates. Features without any noise are taken as they are.
@@ -275,8 +277,7 @@ fn prefilter(
                 patch_radius: PREFILTER.patch_radius,
                 small_patch_radius: None,
             };
-            let filtered =
-                nlm_filter(rec, extent, &guide, &signal.signal, 2, PREFILTER.window_radius, weighting, !signal.has_halves, schedule)?;
+            let filtered = nlm_filter(rec, extent, &guide, &signal.signal, 2, PREFILTER.window_radius, weighting, !signal.has_halves, schedule)?;
             let residual = match filtered.residual_variance {
                 Some(residual) => residual,
                 None => variance_smooth(rec, extent, &filtered.planes, RESIDUAL_SMOOTHING, None)?,
@@ -289,7 +290,7 @@ fn prefilter(
         };
         feature_pack(rec, extent, &packed, packed.packing.slots[index], &filtered, &residual_variance)?;
         if keeper.wants(Intermediate::Features) {
-            let (filtered, residual_variance) = (std::sync::Arc::new(filtered), std::sync::Arc::new(residual_variance));
+            let (filtered, residual_variance) = (Arc::new(filtered), Arc::new(residual_variance));
             let names = &["x", "y", "z"][..channels as usize];
             keeper.keep(format!("{name}_prefiltered"), names, Unit::Feature(index), &filtered, 0);
             keeper.keep(format!("{name}_residual_variance"), names, Unit::FeatureSquared(index), &residual_variance, 0);

@@ -1,5 +1,7 @@
 //! A frame on the GPU.
 
+use std::sync::Arc;
+
 use glam::IVec2;
 
 use crate::error::Result;
@@ -15,7 +17,7 @@ pub struct GpuSignal {
     /// `(A − B)·√(n_A·n_B)/n`, all 0 without halves. Everything finite.
     pub signal: Buffer,
     /// One plane: sample variance of the mean, s²/n.
-    pub variance_of_mean: Option<Buffer>,
+    pub variance_of_mean: Option<Arc<Buffer>>,
     /// Whether the second plane of `signal` says anything.
     pub has_halves: bool,
 }
@@ -69,7 +71,7 @@ fn upload_signal(rec: &mut Recorder, label: &str, signal: &Signal, strip: &Strip
         Some(variance) => {
             let mut packed = vec![0.0; pixels.len() * 4];
             interleave(&variance.planes, &pixels, factor * factor, &mut packed);
-            Some(rec.upload(&format!("variance of {label}"), &packed)?)
+            Some(Arc::new(rec.upload(&format!("variance of {label}"), &packed)?))
         }
     };
     Ok(GpuSignal { signal: rec.upload(label, &packed)?, variance_of_mean, has_halves: signal.half_spread.is_some() })

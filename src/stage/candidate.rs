@@ -1,5 +1,7 @@
 //! The candidate filters FIRST, SECOND and THIRD with their derivatives, in one pass over the window (thesis 8.2 to 8.4).
 
+use std::sync::Arc;
+
 use glam::{IVec2, Vec4};
 
 use super::feature::{Features, MAX_GROUPS};
@@ -51,9 +53,9 @@ pub struct CandidateFilter {
 #[derive(Debug)]
 pub struct Candidates {
     /// Signals of FIRST, SECOND and THIRD; Σ w in the w of the mean.
-    pub signals: [Buffer; 3],
+    pub signals: [Arc<Buffer>; 3],
     /// Three planes: dF_i/du_i per channel, of FIRST, SECOND and THIRD.
-    pub derivatives: Buffer,
+    pub derivatives: Arc<Buffer>,
 }
 
 /// Filters a colour signal with the three candidates. `variance_of_mean` is its scaled variance; without features the feature weights are 1.
@@ -71,11 +73,11 @@ pub fn candidates(
     mut progress: impl FnMut(&mut Recorder, f32) -> Result<()>,
 ) -> Result<Candidates> {
     let signals = [
-        rec.take("FIRST", plane_bytes(extent, 2))?,
-        rec.take("SECOND", plane_bytes(extent, 2))?,
-        rec.take("THIRD", plane_bytes(extent, 2))?,
+        Arc::new(rec.take("FIRST", plane_bytes(extent, 2))?),
+        Arc::new(rec.take("SECOND", plane_bytes(extent, 2))?),
+        Arc::new(rec.take("THIRD", plane_bytes(extent, 2))?),
     ];
-    let derivatives = rec.take("derivatives", plane_bytes(extent, 3))?;
+    let derivatives = Arc::new(rec.take("derivatives", plane_bytes(extent, 3))?);
     let guide = Guide {
         signal,
         variance_of_mean,

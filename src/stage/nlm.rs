@@ -71,11 +71,7 @@ pub struct Schedule {
 impl Schedule {
     /// What suits the kind of adapter: a processor wants scratch that stays in its caches, a GPU wants enough pixels at a time to fill it.
     pub fn for_gpu(gpu: &Gpu) -> Self {
-        if gpu.is_software() {
-            Self { scratch_bytes: 8 << 20, block_rows: 32 }
-        } else {
-            Self { scratch_bytes: 256 << 20, block_rows: 16 }
-        }
+        if gpu.is_software() { Self { scratch_bytes: 8 << 20, block_rows: 32 } } else { Self { scratch_bytes: 256 << 20, block_rows: 16 } }
     }
 
     /// Rows of a strip and pairs of a chunk for images of this width.

@@ -44,36 +44,15 @@ pub struct DfcParams {
 impl DfcParams {
     /// Algorithm 1 to the letter. It prints 10⁻² as 10E−3.
     pub fn thesis() -> DfcParams {
-        let first = CandidateParams {
-            k_color: 0.45,
-            k_feature: 0.6,
-            patch_radius: 1,
-            tau: 1e-2,
-        };
+        let first = CandidateParams { k_color: 0.45, k_feature: 0.6, patch_radius: 1, tau: 1e-2 };
         DfcParams {
             window_radius: 10,
-            candidates: [
-                first,
-                CandidateParams {
-                    patch_radius: 3,
-                    ..first
-                },
-                CandidateParams {
-                    k_color: f64::INFINITY,
-                    tau: 1e-3,
-                    ..first
-                },
-            ],
+            candidates: [first, CandidateParams { patch_radius: 3, ..first }, CandidateParams { k_color: f64::INFINITY, tau: 1e-3, ..first }],
             symmetric: false,
             centre: CentreWeight::One,
             literal_selection: true,
             guard: None,
-            second_pass: SecondPassParams {
-                half_radius: false,
-                patch_radius: 1,
-                k_color: 0.45,
-                clamp_to_input: false,
-            },
+            second_pass: SecondPassParams { half_radius: false, patch_radius: 1, k_color: 0.45, clamp_to_input: false },
         }
     }
 
@@ -98,16 +77,8 @@ impl Default for DfcParams {
             symmetric: true,
             centre: CentreWeight::LargestNeighbour,
             literal_selection: false,
-            guard: Some(Guard {
-                factor: 1.0,
-                noise: 0.1,
-            }),
-            second_pass: SecondPassParams {
-                half_radius: true,
-                patch_radius: 3,
-                k_color: 0.45,
-                clamp_to_input: true,
-            },
+            guard: Some(Guard { factor: 1.0, noise: 0.1 }),
+            second_pass: SecondPassParams { half_radius: true, patch_radius: 3, k_color: 0.45, clamp_to_input: true },
             ..DfcParams::thesis()
         }
     }
@@ -151,46 +122,22 @@ pub fn dfc(frame: &Frame, params: &DfcParams) -> Dfc {
 
     // Lines 2–5 and 6–10: variances and features.
     let color_variance = input_variance(color);
-    let prefiltered: Vec<Prefiltered> = frame
-        .features
-        .iter()
-        .map(|signal| prefilter(signal, params.symmetric, params.centre))
-        .collect();
-    let features: Vec<Feature> = prefiltered
-        .iter()
-        .map(|prefiltered| prefiltered.feature.clone())
-        .collect();
+    let prefiltered: Vec<Prefiltered> = frame.features.iter().map(|signal| prefilter(signal, params.symmetric, params.centre)).collect();
+    let features: Vec<Feature> = prefiltered.iter().map(|prefiltered| prefiltered.feature.clone()).collect();
 
     // Lines 11–17: candidate filters.
-    let candidates = params.candidates.map(|own| {
-        candidate(
-            &color.mean,
-            color.spread.as_deref(),
-            &color_variance,
-            &features,
-            &params.filter(params.window_radius, &own),
-        )
-    });
+    let candidates =
+        params.candidates.map(|own| candidate(&color.mean, color.spread.as_deref(), &color_variance, &features, &params.filter(params.window_radius, &own)));
 
     // Lines 18–22: errors.
-    let guide = Guide {
-        mean: &color.mean,
-        variance: &color_variance,
-    };
+    let guide = Guide { mean: &color.mean, variance: &color_variance };
     let aside = params.filter(0, &params.candidates[select::FIRST]);
-    let sure: Planes = candidates
-        .iter()
-        .map(|c| sure(&color.mean, &color_variance, &c.mean, &c.derivative))
-        .collect();
+    let sure: Planes = candidates.iter().map(|c| sure(&color.mean, &color_variance, &c.mean, &c.derivative)).collect();
     let errors = smooth_errors(&sure, guide, &aside);
 
     // Lines 23–31: selection maps.
     let derivatives = candidates.each_ref().map(|c| c.derivative.as_slice());
-    let binary_maps = if params.literal_selection {
-        select_literally(&errors, derivatives)
-    } else {
-        select(&errors, derivatives)
-    };
+    let binary_maps = if params.literal_selection { select_literally(&errors, derivatives) } else { select(&errors, derivatives) };
     let smoothed_maps = smooth_maps(&binary_maps, guide, &aside);
     let maps = match &params.guard {
         Some(rule) => guard(&smoothed_maps, &errors, &binary_maps, &color_variance, rule),
@@ -204,29 +151,14 @@ pub fn dfc(frame: &Frame, params: &DfcParams) -> Dfc {
         mean: blend_channels(&maps, means),
         spread: color.spread.as_ref().map(|_| {
             let spreads = candidates.each_ref();
-            blend_channels(
-                &maps,
-                spreads.map(|c| c.spread.as_deref().unwrap_or_default()),
-            )
+            blend_channels(&maps, spreads.map(|c| c.spread.as_deref().unwrap_or_default()))
         }),
     };
 
     // Lines 34–37: second pass.
     let pass2 = second_pass(&pass1, &color_variance, params);
 
-    Dfc {
-        color_variance,
-        features: prefiltered,
-        candidates,
-        sure,
-        errors,
-        binary_maps,
-        smoothed_maps,
-        maps,
-        error,
-        pass1,
-        pass2,
-    }
+    Dfc { color_variance, features: prefiltered, candidates, sure, errors, binary_maps, smoothed_maps, maps, error, pass1, pass2 }
 }
 
 /// Removes the noise that pass 1 left, which its halves show.
@@ -235,52 +167,25 @@ pub fn second_pass(pass1: &Pass, input_variance: &[Grid], params: &DfcParams) ->
     let own = params.second_pass;
     let mut variance = buffer_var(spread);
     if own.clamp_to_input {
-        variance = variance
-            .iter()
-            .zip(input_variance)
-            .map(|(residual, input)| residual.like(|p| residual.at(p).min(input.at(p))))
-            .collect();
+        variance = variance.iter().zip(input_variance).map(|(residual, input)| residual.like(|p| residual.at(p).min(input.at(p)))).collect();
     }
     let full = params.window_radius;
     let filter = params.filter(
-        if own.half_radius {
-            full.div_ceil(2)
-        } else {
-            full
-        },
-        &CandidateParams {
-            k_color: own.k_color,
-            k_feature: f64::INFINITY,
-            patch_radius: own.patch_radius,
-            tau: 0.0,
-        },
+        if own.half_radius { full.div_ceil(2) } else { full },
+        &CandidateParams { k_color: own.k_color, k_feature: f64::INFINITY, patch_radius: own.patch_radius, tau: 0.0 },
     );
-    let guide = Guide {
-        mean: &pass1.mean,
-        variance: &variance,
-    };
+    let guide = Guide { mean: &pass1.mean, variance: &variance };
     let payload = [pass1.mean.as_slice(), spread].concat();
     let mut mean = nlm_filter(&payload, Some(guide), &[], &filter).planes;
     let spread = mean.split_off(pass1.mean.len());
-    Some(Pass {
-        mean,
-        spread: Some(spread),
-    })
+    Some(Pass { mean, spread: Some(spread) })
 }
 
 fn blend_channels(maps: &[Grid], candidates: [&[Grid]; 3]) -> Planes {
-    (0..candidates[0].len())
-        .map(|i| blend(maps, &candidates.map(|planes| &planes[i])))
-        .collect()
+    (0..candidates[0].len()).map(|i| blend(maps, &candidates.map(|planes| &planes[i]))).collect()
 }
 
 /// Σ_k maps_k · planes_k, without what has no weight: it may not be finite.
 fn blend(maps: &[Grid], planes: &[&Grid]) -> Grid {
-    maps[0].like(|p| {
-        maps.iter()
-            .zip(planes)
-            .filter(|(map, _)| map.at(p) > 0.0)
-            .map(|(map, plane)| map.at(p) * plane.at(p))
-            .sum()
-    })
+    maps[0].like(|p| maps.iter().zip(planes).filter(|(map, _)| map.at(p) > 0.0).map(|(map, plane)| map.at(p) * plane.at(p)).sum())
 }

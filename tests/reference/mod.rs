@@ -41,10 +41,7 @@ impl Add for Point {
     type Output = Point;
 
     fn add(self, offset: Point) -> Point {
-        Point {
-            x: self.x + offset.x,
-            y: self.y + offset.y,
-        }
+        Point { x: self.x + offset.x, y: self.y + offset.y }
     }
 }
 
@@ -52,10 +49,7 @@ impl Sub for Point {
     type Output = Point;
 
     fn sub(self, offset: Point) -> Point {
-        Point {
-            x: self.x - offset.x,
-            y: self.y - offset.y,
-        }
+        Point { x: self.x - offset.x, y: self.y - offset.y }
     }
 }
 
@@ -72,20 +66,12 @@ pub type Planes = Vec<Grid>;
 
 impl Grid {
     pub fn filled(width: usize, height: usize, value: f64) -> Grid {
-        Grid {
-            width,
-            height,
-            values: vec![value; width * height],
-        }
+        Grid { width, height, values: vec![value; width * height] }
     }
 
     /// The value of every pixel from its position.
     pub fn from_fn(width: usize, height: usize, pixel: impl Fn(Point) -> f64 + Sync) -> Grid {
-        Grid {
-            width,
-            height,
-            values: map_pixels(width, height, pixel),
-        }
+        Grid { width, height, values: map_pixels(width, height, pixel) }
     }
 
     /// A plane of the same extent, from the position of every pixel.
@@ -119,39 +105,17 @@ pub fn channel_mean(planes: &[Grid], p: Point) -> f64 {
 /// All offsets of a square of side `2·radius + 1`, row by row.
 pub fn square(radius: usize) -> impl Iterator<Item = Point> {
     let reach = -(radius as isize)..=radius as isize;
-    reach
-        .clone()
-        .flat_map(move |y| reach.clone().map(move |x| Point { x, y }))
+    reach.clone().flat_map(move |y| reach.clone().map(move |x| Point { x, y }))
 }
 
 /// Calls `pixel` for every pixel, rows from the top. The only place that knows of threads: bands of rows, one per core.
-pub fn map_pixels<T: Send>(
-    width: usize,
-    height: usize,
-    pixel: impl Fn(Point) -> T + Sync,
-) -> Vec<T> {
+pub fn map_pixels<T: Send>(width: usize, height: usize, pixel: impl Fn(Point) -> T + Sync) -> Vec<T> {
     let pixel = &pixel;
-    let band = move |rows: Range<usize>| -> Vec<T> {
-        rows.flat_map(|y| {
-            (0..width).map(move |x| {
-                pixel(Point {
-                    x: x as isize,
-                    y: y as isize,
-                })
-            })
-        })
-        .collect()
-    };
+    let band = move |rows: Range<usize>| -> Vec<T> { rows.flat_map(|y| (0..width).map(move |x| pixel(Point { x: x as isize, y: y as isize }))).collect() };
     let cores = thread::available_parallelism().map_or(1, NonZero::get);
     let rows = height.div_ceil(cores).max(1);
     thread::scope(|scope| {
-        let bands: Vec<_> = (0..height)
-            .step_by(rows)
-            .map(|top| scope.spawn(move || band(top..height.min(top + rows))))
-            .collect();
-        bands
-            .into_iter()
-            .flat_map(|band| band.join().expect("a reference pixel panicked"))
-            .collect()
+        let bands: Vec<_> = (0..height).step_by(rows).map(|top| scope.spawn(move || band(top..height.min(top + rows)))).collect();
+        bands.into_iter().flat_map(|band| band.join().expect("a reference pixel panicked")).collect()
     })
 }

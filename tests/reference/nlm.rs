@@ -62,12 +62,7 @@ pub struct Filtered {
 }
 
 /// Eq. 8.1 for every payload plane.
-pub fn nlm_filter(
-    payload: &[Grid],
-    guide: Option<Guide>,
-    features: &[Feature],
-    params: &FilterParams,
-) -> Filtered {
+pub fn nlm_filter(payload: &[Grid], guide: Option<Guide>, features: &[Feature], params: &FilterParams) -> Filtered {
     let like = &payload[0];
     let windows = map_pixels(like.width, like.height, |p| {
         let weights = window_weights(like, p, guide, features, params);
@@ -76,28 +71,14 @@ pub fn nlm_filter(
     });
     let plane = |values: Vec<f64>| Grid { values, ..*like };
     Filtered {
-        planes: (0..payload.len())
-            .map(|i| plane(windows.iter().map(|(averages, _)| averages[i]).collect()))
-            .collect(),
+        planes: (0..payload.len()).map(|i| plane(windows.iter().map(|(averages, _)| averages[i]).collect())).collect(),
         weight_sum: plane(windows.iter().map(|&(_, sum)| sum).collect()),
     }
 }
 
 /// The variance of the filtered mean if the weights were fixed and the pixels independent: Σw²V/C².
-pub fn nlm_variance(
-    variance: &[Grid],
-    guide: Option<Guide>,
-    features: &[Feature],
-    params: &FilterParams,
-) -> Planes {
-    variance
-        .iter()
-        .map(|plane| {
-            plane.like(|p| {
-                window_weights(plane, p, guide, features, params).variance_of_average(plane)
-            })
-        })
-        .collect()
+pub fn nlm_variance(variance: &[Grid], guide: Option<Guide>, features: &[Feature], params: &FilterParams) -> Planes {
+    variance.iter().map(|plane| plane.like(|p| window_weights(plane, p, guide, features, params).variance_of_average(plane))).collect()
 }
 
 /// w(p, q) for one p and all q of its window that exist.
@@ -122,46 +103,26 @@ impl WindowWeights {
 
     pub fn variance_of_average(&self, variance: &Grid) -> f64 {
         let sum = self.sum();
-        self.iter()
-            .map(|(q, w)| w * w * variance.at(q))
-            .sum::<f64>()
-            / (sum * sum)
+        self.iter().map(|(q, w)| w * w * variance.at(q)).sum::<f64>() / (sum * sum)
     }
 }
 
 /// The weights of one window; `like` tells the extent.
-pub fn window_weights(
-    like: &Grid,
-    p: Point,
-    guide: Option<Guide>,
-    features: &[Feature],
-    params: &FilterParams,
-) -> WindowWeights {
+pub fn window_weights(like: &Grid, p: Point, guide: Option<Guide>, features: &[Feature], params: &FilterParams) -> WindowWeights {
     let mut neighbours = Vec::new();
     for offset in half_window(params.window_radius) {
         let pair = Pair::new(like, p, offset);
-        let color = guide
-            .filter(|_| params.k_color.is_finite())
-            .map(|guide| color_weights(guide, &pair, params));
+        let color = guide.filter(|_| params.k_color.is_finite()).map(|guide| color_weights(guide, &pair, params));
         let features = feature_weights(features, &pair, params);
         let weights = smaller(color.unwrap_or([1.0; 2]), features);
-        neighbours.extend(
-            pair.neighbours()
-                .zip(weights)
-                .filter_map(|(q, w)| Some((q?, w))),
-        );
+        neighbours.extend(pair.neighbours().zip(weights).filter_map(|(q, w)| Some((q?, w))));
     }
-    let largest = neighbours
-        .iter()
-        .fold(SMALLEST_CENTRE_WEIGHT, |largest, (_, w)| w.max(largest));
+    let largest = neighbours.iter().fold(SMALLEST_CENTRE_WEIGHT, |largest, (_, w)| w.max(largest));
     let centre = match params.centre {
         CentreWeight::One => 1.0,
         CentreWeight::LargestNeighbour => largest,
     };
-    WindowWeights {
-        centre: (p, centre),
-        neighbours,
-    }
+    WindowWeights { centre: (p, centre), neighbours }
 }
 
 /// One of each two opposite offsets, without the centre.
@@ -179,11 +140,7 @@ pub struct Pair {
 
 impl Pair {
     pub fn new(like: &Grid, p: Point, offset: Point) -> Pair {
-        Pair {
-            p,
-            q1: Some(p + offset).filter(|&q| like.contains(q)),
-            q2: Some(p - offset).filter(|&q| like.contains(q)),
-        }
+        Pair { p, q1: Some(p + offset).filter(|&q| like.contains(q)), q2: Some(p - offset).filter(|&q| like.contains(q)) }
     }
 
     pub fn neighbours(&self) -> impl Iterator<Item = Option<Point>> {
@@ -194,12 +151,7 @@ impl Pair {
 /// w_c of eq. 8.2 for both neighbours.
 fn color_weights(guide: Guide, pair: &Pair, params: &FilterParams) -> [f64; 2] {
     let (f, k, p) = (params.patch_radius, params.k_color, pair.p);
-    pair_weights(
-        pair,
-        params.symmetric,
-        |q| patch_distance(guide, k, f, p, q),
-        |q1, q2| patch_distance_to_mean(guide, k, f, p, q1, q2),
-    )
+    pair_weights(pair, params.symmetric, |q| patch_distance(guide, k, f, p, q), |q1, q2| patch_distance_to_mean(guide, k, f, p, q1, q2))
 }
 
 /// The least weight of all features (eq. 8.3) for both neighbours; 1 without features.
@@ -222,12 +174,7 @@ pub fn feature_weights(features: &[Feature], pair: &Pair, params: &FilterParams)
 /// close: where the mean's weight exceeds the sum of both, section 7.1.1 puts it in place of both. Doing so by degrees keeps
 /// the weights continuous, so that their finite differences mean something. The weight of a neighbour that does not exist
 /// is 0.
-fn pair_weights(
-    pair: &Pair,
-    symmetric: bool,
-    distance: impl Fn(Point) -> f64,
-    distance_to_mean: impl Fn(Point, Point) -> f64,
-) -> [f64; 2] {
+fn pair_weights(pair: &Pair, symmetric: bool, distance: impl Fn(Point) -> f64, distance_to_mean: impl Fn(Point, Point) -> f64) -> [f64; 2] {
     let d1 = pair.q1.map_or(f64::INFINITY, &distance);
     let d2 = pair.q2.map_or(f64::INFINITY, &distance);
     let (w1, w2) = (weight(d1), weight(d2));
@@ -278,28 +225,17 @@ fn pixel_distance(u_p: f64, u_q: f64, v_p: f64, v_q: f64, k: f64) -> f64 {
 }
 
 /// The patch distance to the mean of q1 and q2: eq. 7.6 with the ε and k² of eq. 7.4.
-pub fn patch_distance_to_mean(
-    guide: Guide,
-    k: f64,
-    f: usize,
-    p: Point,
-    q1: Point,
-    q2: Point,
-) -> f64 {
+pub fn patch_distance_to_mean(guide: Guide, k: f64, f: usize, p: Point, q1: Point, q2: Point) -> f64 {
     let (mut sum, mut count) = (0.0, 0);
     for n in square(f) {
-        if ![p + n, q1 + n, q2 + n]
-            .iter()
-            .all(|&x| guide.mean[0].contains(x))
-        {
+        if ![p + n, q1 + n, q2 + n].iter().all(|&x| guide.mean[0].contains(x)) {
             continue;
         }
         for (u, v) in guide.mean.iter().zip(guide.variance) {
             let (v_p, v_1, v_2) = (v.at(p + n), v.at(q1 + n), v.at(q2 + n));
             let difference = u.at(p + n) - (u.at(q1 + n) + u.at(q2 + n)) / 2.0;
             let cancellation = v_p + (v_1.min(v_p) + v_2.min(v_p)) / 4.0;
-            sum +=
-                (difference * difference - cancellation) / distance_to_mean_scale(v_p, v_1, v_2, k);
+            sum += (difference * difference - cancellation) / distance_to_mean_scale(v_p, v_1, v_2, k);
             count += 1;
         }
     }
@@ -323,23 +259,13 @@ fn feature_distance(feature: &Feature, params: &FilterParams, p: Point, q: Point
     mean_over_channels(feature, params.tau, |u, v, contrast| {
         let difference = u.at(p) - u.at(q);
         let (v_p, v_q) = (v.at(p), v.at(q));
-        let (cancellation, scale) = if params.symmetric {
-            (v_p + v_q.min(v_p), contrast(p) + contrast(q))
-        } else {
-            (v_p + v_q, contrast(p))
-        };
+        let (cancellation, scale) = if params.symmetric { (v_p + v_q.min(v_p), contrast(p) + contrast(q)) } else { (v_p + v_q, contrast(p)) };
         (difference * difference - cancellation) / (k_squared * scale)
     })
 }
 
 /// Φ² between p and the mean of q1 and q2, after the manner of eq. 7.6.
-fn feature_distance_to_mean(
-    feature: &Feature,
-    params: &FilterParams,
-    p: Point,
-    q1: Point,
-    q2: Point,
-) -> f64 {
+fn feature_distance_to_mean(feature: &Feature, params: &FilterParams, p: Point, q1: Point, q2: Point) -> f64 {
     let k_squared = params.k_feature * params.k_feature;
     mean_over_channels(feature, params.tau, |u, v, contrast| {
         let difference = u.at(p) - (u.at(q1) + u.at(q2)) / 2.0;
@@ -351,16 +277,11 @@ fn feature_distance_to_mean(
 
 /// The mean over a feature's channels of a function of its mean, its residual variance and the contrast to measure its
 /// differences by: what is left of its noise or its own gradient, at least τ.
-fn mean_over_channels(
-    feature: &Feature,
-    tau: f64,
-    channel: impl Fn(&Grid, &Grid, &dyn Fn(Point) -> f64) -> f64,
-) -> f64 {
+fn mean_over_channels(feature: &Feature, tau: f64, channel: impl Fn(&Grid, &Grid, &dyn Fn(Point) -> f64) -> f64) -> f64 {
     let channels = feature.mean.len();
     let sum: f64 = (0..channels)
         .map(|c| {
-            let (variance, gradient) =
-                (&feature.residual_variance[c], &feature.gradient_squared[c]);
+            let (variance, gradient) = (&feature.residual_variance[c], &feature.gradient_squared[c]);
             let contrast = |x: Point| tau.max(variance.at(x)).max(gradient.at(x));
             channel(&feature.mean[c], variance, &contrast)
         })

@@ -25,19 +25,9 @@ pub struct Prefiltered {
 /// to be exact and left alone.
 pub fn prefilter(signal: &Signal, symmetric: bool, centre: CentreWeight) -> Prefiltered {
     let variance = input_variance(signal);
-    let params = FilterParams {
-        window_radius: WINDOW_RADIUS,
-        patch_radius: PATCH_RADIUS,
-        k_color: SENSITIVITY,
-        k_feature: f64::INFINITY,
-        tau: 0.0,
-        symmetric,
-        centre,
-    };
-    let guide = Some(Guide {
-        mean: &signal.mean,
-        variance: &variance,
-    });
+    let params =
+        FilterParams { window_radius: WINDOW_RADIUS, patch_radius: PATCH_RADIUS, k_color: SENSITIVITY, k_feature: f64::INFINITY, tau: 0.0, symmetric, centre };
+    let guide = Some(Guide { mean: &signal.mean, variance: &variance });
     let filter = |payload: &[Grid]| -> Filtered { nlm_filter(payload, guide, &[], &params) };
 
     let (mean, spread, residual_variance) = match (&signal.spread, &signal.sample_variance) {
@@ -46,23 +36,11 @@ pub fn prefilter(signal: &Signal, symmetric: bool, centre: CentreWeight) -> Pref
             let residual_variance = buffer_var(&spread);
             (filter(&signal.mean).planes, Some(spread), residual_variance)
         }
-        (None, Some(_)) => (
-            filter(&signal.mean).planes,
-            None,
-            nlm_variance(&variance, guide, &[], &params),
-        ),
+        (None, Some(_)) => (filter(&signal.mean).planes, None, nlm_variance(&variance, guide, &[], &params)),
         (None, None) => (signal.mean.clone(), None, variance.clone()),
     };
     let gradient_squared = mean.iter().map(gradient_squared).collect();
-    Prefiltered {
-        variance,
-        feature: Feature {
-            mean,
-            residual_variance,
-            gradient_squared,
-        },
-        spread,
-    }
+    Prefiltered { variance, feature: Feature { mean, residual_variance, gradient_squared }, spread }
 }
 
 /// ‖Grad‖² of section 8.3. Per axis the smaller of the two one-sided differences: beside an edge, the side that is still flat

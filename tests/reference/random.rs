@@ -29,25 +29,13 @@ impl Random {
 
     /// A plane of independent Gaussian values.
     pub fn gaussian_grid(&mut self, width: usize, height: usize, mean: f64, sigma: f64) -> Grid {
-        let values = (0..width * height)
-            .map(|_| mean + sigma * self.gaussian())
-            .collect();
-        Grid {
-            width,
-            height,
-            values,
-        }
+        let values = (0..width * height).map(|_| mean + sigma * self.gaussian()).collect();
+        Grid { width, height, values }
     }
 
     /// A plane of independent values, uniform in [low, high).
     pub fn uniform_grid(&mut self, width: usize, height: usize, low: f64, high: f64) -> Grid {
-        let values = (0..width * height)
-            .map(|_| low + (high - low) * self.uniform())
-            .collect();
-        Grid {
-            width,
-            height,
-            values,
-        }
+        let values = (0..width * height).map(|_| low + (high - low) * self.uniform()).collect();
+        Grid { width, height, values }
     }
 }

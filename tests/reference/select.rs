@@ -22,8 +22,7 @@ pub struct Guard {
 /// THIRD does.
 pub fn select(errors: &[Grid], derivatives: [&[Grid]; 3]) -> Planes {
     binary_maps(errors, |p| {
-        let first_filters_more =
-            channel_mean(derivatives[FIRST], p) < channel_mean(derivatives[SECOND], p);
+        let first_filters_more = channel_mean(derivatives[FIRST], p) < channel_mean(derivatives[SECOND], p);
         let mut winner = None;
         for k in [FIRST, SECOND, THIRD] {
             let error = errors[k].at(p);
@@ -57,55 +56,26 @@ pub fn select_literally(errors: &[Grid], derivatives: [&[Grid]; 3]) -> Planes {
 fn binary_maps(errors: &[Grid], winner: impl Fn(Point) -> Option<usize> + Sync) -> Planes {
     let (width, height) = (errors[0].width, errors[0].height);
     let winners = map_pixels(width, height, winner);
-    [FIRST, SECOND, THIRD]
-        .map(|k| Grid {
-            width,
-            height,
-            values: winners
-                .iter()
-                .map(|&winner| if winner == Some(k) { 1.0 } else { 0.0 })
-                .collect(),
-        })
-        .to_vec()
+    [FIRST, SECOND, THIRD].map(|k| Grid { width, height, values: winners.iter().map(|&winner| if winner == Some(k) { 1.0 } else { 0.0 }).collect() }).to_vec()
 }
 
 /// Lines 27 to 31 of Algorithm 1, normalised. See `sure::smooth_errors` for `aside`.
 pub fn smooth_maps(binary: &[Grid], guide: Guide, aside: &FilterParams) -> Planes {
-    let params = FilterParams {
-        window_radius: 5,
-        patch_radius: 1,
-        k_color: 1.0,
-        k_feature: f64::INFINITY,
-        ..*aside
-    };
+    let params = FilterParams { window_radius: 5, patch_radius: 1, k_color: 1.0, k_feature: f64::INFINITY, ..*aside };
     let smoothed = nlm_filter(binary, Some(guide), &[], &params).planes;
     normalise(&smoothed, |_| THIRD)
 }
 
 /// Smoothing hands a rejected candidate some weight near the border of its region, and one that is wildly wrong there ruins the
 /// blend with any weight at all: this takes such candidates out again. Where nothing is left, the winner stands alone.
-pub fn guard(
-    maps: &[Grid],
-    errors: &[Grid],
-    binary: &[Grid],
-    variance: &[Grid],
-    guard: &Guard,
-) -> Planes {
+pub fn guard(maps: &[Grid], errors: &[Grid], binary: &[Grid], variance: &[Grid], guard: &Guard) -> Planes {
     let guarded: Planes = (0..maps.len())
         .map(|k| {
             maps[k].like(|p| {
-                let least = errors
-                    .iter()
-                    .map(|error| error.at(p))
-                    .filter(|error| error.is_finite())
-                    .fold(f64::INFINITY, f64::min);
+                let least = errors.iter().map(|error| error.at(p)).filter(|error| error.is_finite()).fold(f64::INFINITY, f64::min);
                 let noise: f64 = variance.iter().map(|v| v.at(p)).sum();
                 let allowance = guard.factor * (least.abs() + guard.noise * noise);
-                if errors[k].at(p) - least <= allowance {
-                    maps[k].at(p)
-                } else {
-                    0.0
-                }
+                if errors[k].at(p) - least <= allowance { maps[k].at(p) } else { 0.0 }
             })
         })
         .collect();

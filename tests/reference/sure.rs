@@ -19,12 +19,6 @@ pub fn sure(u: &[Grid], variance: &[Grid], filtered: &[Grid], derivative: &[Grid
 /// Lines 19 to 22 of Algorithm 1: just enough smoothing to tell the candidates apart. `aside` gives what is the same in all
 /// filters, the treatment of pairs and of the centre.
 pub fn smooth_errors(sure: &[Grid], guide: Guide, aside: &FilterParams) -> Planes {
-    let params = FilterParams {
-        window_radius: 1,
-        patch_radius: 1,
-        k_color: 1.0,
-        k_feature: f64::INFINITY,
-        ..*aside
-    };
+    let params = FilterParams { window_radius: 1, patch_radius: 1, k_color: 1.0, k_feature: f64::INFINITY, ..*aside };
     nlm_filter(sure, Some(guide), &[], &params).planes
 }

@@ -38,10 +38,7 @@ pub fn input_variance(signal: &Signal) -> Planes {
     match (&signal.sample_variance, &signal.spread) {
         (Some(variance), Some(spread)) => variance_scale(variance, spread, SCALE_RADIUS),
         (Some(variance), None) => variance.clone(),
-        (None, Some(spread)) => spread
-            .iter()
-            .map(|spread| gaussian(&squared(spread), HALVES_ONLY_SIGMA, HALVES_ONLY_RADIUS))
-            .collect(),
+        (None, Some(spread)) => spread.iter().map(|spread| gaussian(&squared(spread), HALVES_ONLY_SIGMA, HALVES_ONLY_RADIUS)).collect(),
         (None, None) => signal.mean.iter().map(|mean| mean.like(|_| 0.0)).collect(),
     }
 }
@@ -67,10 +64,7 @@ pub fn variance_scale(sample_variance: &[Grid], spread: &[Grid], radius: usize) 
 
 /// `buffer_var` of Algorithm 1: the smoothed two-buffer variance of each plane.
 pub fn buffer_var(spread: &[Grid]) -> Planes {
-    spread
-        .iter()
-        .map(|spread| gaussian(&squared(spread), BUFFER_SIGMA, BUFFER_RADIUS))
-        .collect()
+    spread.iter().map(|spread| gaussian(&squared(spread), BUFFER_SIGMA, BUFFER_RADIUS)).collect()
 }
 
 /// Smooths with exp(−|o|²/2σ²) over the existing pixels of the window.
@@ -91,11 +85,7 @@ pub fn gaussian(plane: &Grid, sigma: f64, radius: usize) -> Grid {
 }
 
 fn box_sum(plane: &Grid, p: Point, radius: usize) -> f64 {
-    square(radius)
-        .map(|offset| p + offset)
-        .filter(|&q| plane.contains(q))
-        .map(|q| plane.at(q))
-        .sum()
+    square(radius).map(|offset| p + offset).filter(|&q| plane.contains(q)).map(|q| plane.at(q)).sum()
 }
 
 fn squared(plane: &Grid) -> Grid {

@@ -1,0 +1,265 @@
+//! The denoiser: frames in, estimates out.
+
+use std::ops::ControlFlow;
+
+use glam::IVec2;
+
+use crate::error::{Error, Result};
+use crate::frame::Frame;
+use crate::gpu::{Gpu, Recorder, StageTime};
+use crate::image::{Extent, Image};
+use crate::method::dfc::{GpuEstimate, Intermediate, Unit, dfc};
+use crate::method::{GpuFrame, Params, Strip, strips};
+use crate::stage::nlm::Schedule;
+
+/// Denoises frames with one set of parameters. Make one and use it for many frames: kernels and buffers are kept by the [`Gpu`].
+///
+/// ```no_run
+/// use stein::buffers::{BufferSet, BufferSetRequest};
+/// use stein::{Denoiser, Frame, Gpu, Params, gpu::DeviceChoice};
+///
+/// # fn main() -> stein::error::Result<()> {
+/// let gpu = Gpu::open(&DeviceChoice::Auto)?;
+/// let denoiser = Denoiser::new(&gpu, Params::default())?;
+/// let set = BufferSet::read(&BufferSetRequest { input: "noisy.exr".into(), ..Default::default() })?;
+/// let (frame, repairs) = Frame::from_buffer_set(&set)?;
+/// println!("{repairs}");
+/// let estimate = denoiser.denoise(&frame)?;
+/// # Ok(())
+/// # }
+/// ```
+#[derive(Clone, Debug)]
+pub struct Denoiser {
+    gpu: Gpu,
+    params: Params,
+    schedule: Schedule,
+    max_memory: Option<u64>,
+}
+
+/// What is wanted besides the result, and who wants to know how far it is.
+#[derive(Default)]
+pub struct Options<'a> {
+    /// Intermediates to read back as [`Estimate::layers`].
+    pub keep: &'a [Intermediate],
+    /// Called with the share of the work that is done, 0 to 1; `Break` ends it with [`Error::Cancelled`].
+    pub progress: Option<&'a mut dyn FnMut(f32) -> ControlFlow<()>>,
+}
+
+/// What is known of the true image.
+#[derive(Clone, Debug)]
+pub struct Estimate {
+    /// The denoised colour, in the units of the frame.
+    pub color: Image,
+    /// Half spread of the denoised colour: its filtered halves are `color ± half_spread`. `None` without halves.
+    pub half_spread: Option<Image>,
+    /// One plane: the estimated squared error of each pixel, summed over the channels, from SURE (eq. 8.5) smoothed and blended like the candidates. It is that of pass 1;
+    /// the second pass leaves less. May be negative where the true error is small.
+    pub error: Image,
+    /// One plane: Σ w over the window, blended like the candidates: how many pixels took part (thesis 8.6).
+    pub weight_sum: Image,
+    /// Shares of FIRST, SECOND and THIRD in each pixel.
+    pub selection: Image,
+    /// What [`Options::keep`] asked for.
+    pub layers: Vec<Layer>,
+    /// Number of strips that the image was cut into.
+    pub strips: usize,
+    /// GPU time per stage, where [`Gpu::set_timing`] is on and the adapter can tell.
+    pub stage_times: Option<Vec<StageTime>>,
+    /// The most memory that buffers took on the device, in bytes.
+    pub peak_bytes: u64,
+}
+
+/// An intermediate, in the units of the frame.
+#[derive(Clone, Debug)]
+pub struct Layer {
+    /// Layer name.
+    pub name: String,
+    /// One name per plane.
+    pub channels: Vec<String>,
+    /// The values.
+    pub image: Image,
+}
+
+impl Denoiser {
+    /// A denoiser on this device.
+    ///
+    /// # Errors
+    /// [`Error::Request`] where a parameter is out of range.
+    pub fn new(gpu: &Gpu, params: Params) -> Result<Self> {
+        params.validate()?;
+        Ok(Self { gpu: gpu.clone(), params, schedule: Schedule::for_gpu(gpu), max_memory: None })
+    }
+
+    /// Holds the buffers on the device to `bytes`, working in strips of rows where the image would take more. The result is the same to the bit.
+    #[must_use]
+    pub fn with_max_memory(mut self, bytes: u64) -> Self {
+        self.max_memory = Some(bytes);
+        // At most a quarter for the scratch buffers, which come in threes at the worst.
+        self.schedule.scratch_bytes = self.schedule.scratch_bytes.min(bytes / 12);
+        self
+    }
+
+    /// Cuts the work up in another way than the adapter's kind suggests. The result is the same to the bit.
+    #[must_use]
+    pub fn with_schedule(mut self, schedule: Schedule) -> Self {
+        self.schedule = schedule;
+        self
+    }
+
+    /// Its parameters.
+    pub fn params(&self) -> &Params {
+        &self.params
+    }
+
+    /// Denoises a frame.
+    ///
+    /// # Errors
+    /// [`Error::Device`] where the device is lost or has too little memory.
+    pub fn denoise(&self, frame: &Frame) -> Result<Estimate> {
+        self.denoise_with(frame, Options::default())
+    }
+
+    /// Denoises a frame, keeping intermediates and reporting progress.
+    ///
+    /// # Errors
+    /// As [`Denoiser::denoise`], and [`Error::Cancelled`].
+    pub fn denoise_with(&self, frame: &Frame, options: Options) -> Result<Estimate> {
+        let Options { keep, mut progress } = options;
+        let exposure = exposure(frame);
+        let strips = strips(&self.gpu, frame, &self.params, !keep.is_empty(), self.schedule, self.max_memory)?;
+        // What an earlier frame of another size left behind would count against the limit.
+        self.gpu.trim();
+        self.gpu.reset_peak();
+        self.gpu.reset_timings()?;
+        let mut assembly = Assembly::new(frame, exposure);
+        for (index, strip) in strips.iter().enumerate() {
+            let mut rec = self.gpu.record();
+            let on_gpu = GpuFrame::upload(&mut rec, frame, strip, exposure)?;
+            let extent = on_gpu.extent;
+            let report = |rec: &mut Recorder, share: f32| match &mut progress {
+                None => Ok(()),
+                Some(progress) => {
+                    // What is reported as done is done.
+                    rec.flush()?;
+                    rec.gpu().wait()?;
+                    let done = (index as f32 + share) / strips.len() as f32;
+                    if progress(done).is_break() { Err(Error::Cancelled) } else { Ok(()) }
+                }
+            };
+            let estimate = dfc(&mut rec, on_gpu, &self.params, keep, self.schedule, report)?;
+            rec.submit()?;
+            assembly.add(&self.gpu, &estimate, extent, strip)?;
+        }
+        let (stage_times, peak_bytes) = (self.gpu.timings()?, self.gpu.memory().peak_bytes);
+        Ok(assembly.finish(strips.len(), stage_times, peak_bytes))
+    }
+
+    /// Records the work on a frame that is on the GPU already; nothing is read back. For a renderer that embeds the denoiser: record with [`Gpu::record_whole`], then put
+    /// the commands into an encoder of its own with [`Recorder::encode_into`]. The frame must fit the binding limit as a whole.
+    ///
+    /// # Errors
+    /// [`Error::Device`] where a buffer exceeds the device's limits.
+    pub fn record(&self, rec: &mut Recorder, frame: GpuFrame) -> Result<GpuEstimate> {
+        dfc(rec, frame, &self.params, &[], self.schedule, |_, _| Ok(()))
+    }
+}
+
+/// A power of two that brings the colour to the order of 1, where the method's small constants are meant to be; a power of two changes no digit. From the median
+/// of the pixels' largest channels, over pixels that are not black.
+fn exposure(frame: &Frame) -> f32 {
+    let planes = &frame.color().mean.planes;
+    let mut brightness: Vec<f32> = (0..frame.extent().pixels())
+        .map(|pixel| planes.iter().fold(0.0f32, |most, plane| most.max(plane[pixel].abs())))
+        .filter(|&brightness| brightness > f32::MIN_POSITIVE)
+        .collect();
+    if brightness.is_empty() {
+        return 1.0;
+    }
+    let middle = brightness.len() / 2;
+    let median = *brightness.select_nth_unstable_by(middle, f32::total_cmp).1;
+    // Squares of what is scaled must stay finite, and so must the scale's own.
+    (-median.log2().floor()).clamp(-40.0, 40.0).exp2()
+}
+
+/// Puts the strips together on the host, in the units of the frame.
+struct Assembly<'a> {
+    frame: &'a Frame,
+    exposure: f32,
+    color: Image,
+    half_spread: Image,
+    selection: Image,
+    error: Image,
+    weight_sum: Image,
+    layers: Vec<Layer>,
+}
+
+impl<'a> Assembly<'a> {
+    fn new(frame: &'a Frame, exposure: f32) -> Self {
+        let image = |channels| Image::filled(frame.extent(), channels, 0.0);
+        let (color, half_spread, selection, error, weight_sum) = (image(3), image(3), image(3), image(1), image(1));
+        Self { frame, exposure, color, half_spread, selection, error, weight_sum, layers: Vec::new() }
+    }
+
+    fn add(&mut self, gpu: &Gpu, estimate: &GpuEstimate, extent: IVec2, strip: &Strip) -> Result<()> {
+        let frame_extent = self.frame.extent();
+        let plane_values = extent.x as usize * extent.y as usize * 4;
+        let place = |values: &[f32], first_component: usize, factor: f32, offset: f32, image: &mut Image| {
+            place(values, first_component, factor, offset, frame_extent, strip, image);
+        };
+        let inverse = 1.0 / self.exposure;
+
+        let signal = gpu.read(&estimate.signal)?;
+        place(&signal[..plane_values], 0, inverse, 0.0, &mut self.color);
+        place(&signal[plane_values..], 0, inverse, 0.0, &mut self.half_spread);
+        let selection = gpu.read(&estimate.selection)?;
+        place(&selection, 0, 1.0, 0.0, &mut self.selection);
+        place(&selection, 3, inverse * inverse, 0.0, &mut self.error);
+        match &estimate.pass1 {
+            None => place(&signal[..plane_values], 3, 1.0, 0.0, &mut self.weight_sum),
+            Some(pass1) => {
+                let mut mean = vec![0.0; plane_values];
+                gpu.read_into(pass1, 0, &mut mean)?;
+                place(&mean, 3, 1.0, 0.0, &mut self.weight_sum);
+            }
+        }
+        if self.layers.is_empty() {
+            let layer = |kept: &crate::method::dfc::KeptPlane| Layer {
+                name: kept.layer.clone(),
+                channels: kept.channels.clone(),
+                image: Image::filled(frame_extent, kept.channels.len(), 0.0),
+            };
+            self.layers = estimate.kept.iter().map(layer).collect();
+        }
+        let mut values = vec![0.0; plane_values];
+        for (layer, kept) in self.layers.iter_mut().zip(&estimate.kept) {
+            gpu.read_into(&kept.buffer, u64::from(kept.plane) * plane_values as u64 * 4, &mut values)?;
+            let (factor, offset) = match kept.unit {
+                Unit::Color => (inverse, 0.0),
+                Unit::ColorSquared => (inverse * inverse, 0.0),
+                Unit::Number => (1.0, 0.0),
+                Unit::Feature(index) => (self.frame.features()[index].unit_scale, self.frame.features()[index].unit_offset),
+                Unit::FeatureSquared(index) => (self.frame.features()[index].unit_scale.powi(2), 0.0),
+            };
+            place(&values, 0, factor, offset, &mut layer.image);
+        }
+        Ok(())
+    }
+
+    fn finish(self, strips: usize, stage_times: Option<Vec<StageTime>>, peak_bytes: u64) -> Estimate {
+        let Self { frame, color, half_spread, selection, error, weight_sum, layers, .. } = self;
+        let half_spread = frame.color().half_spread.is_some().then_some(half_spread);
+        Estimate { color, half_spread, error, weight_sum, selection, layers, strips, stage_times, peak_bytes }
+    }
+}
+
+/// Copies the wanted rows of a strip from vec4 pixels into the planes of an image, from component `first_component` on.
+fn place(values: &[f32], first_component: usize, factor: f32, offset: f32, extent: Extent, strip: &Strip, image: &mut Image) {
+    let width = extent.width as usize;
+    let skipped = (strip.first - strip.first_with_halo) * width;
+    let wanted = strip.first * width..strip.end * width;
+    for (channel, plane) in image.planes.iter_mut().enumerate() {
+        for (to, from) in plane[wanted.clone()].iter_mut().zip(values.chunks_exact(4).skip(skipped)) {
+            *to = from[first_component + channel] * factor + offset;
+        }
+    }
+}
