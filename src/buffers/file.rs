@@ -313,13 +313,13 @@ fn store(
             .ok_or_else(missing)?;
         match &mut channel.sample_data {
             FlatSamples::F16(values) => {
-                line.read_samples_into_slice(values.get_mut(range).ok_or_else(missing)?)?
+                line.read_samples_into_slice(values.get_mut(range).ok_or_else(missing)?)?;
             }
             FlatSamples::F32(values) => {
-                line.read_samples_into_slice(values.get_mut(range).ok_or_else(missing)?)?
+                line.read_samples_into_slice(values.get_mut(range).ok_or_else(missing)?)?;
             }
             FlatSamples::U32(values) => {
-                line.read_samples_into_slice(values.get_mut(range).ok_or_else(missing)?)?
+                line.read_samples_into_slice(values.get_mut(range).ok_or_else(missing)?)?;
             }
         }
     }
