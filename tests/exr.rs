@@ -239,31 +239,15 @@ fn a_half_float_file_with_lower_case_shuffled_channels_reads_the_same() {
         };
         *samples = FlatSamples::F16(values.iter().map(|&value| f16::from_f32(value)).collect());
         *name = match name.rsplit_once('.') {
-            Some((layer, suffix)) => format!("{layer}.{}", suffix.to_lowercase()),
+            // Files are sorted by name, capitals first: G, b, r.
+            Some((layer, suffix)) => {
+                format!("{layer}.{}", suffix.replace('R', "r").replace('B', "b"))
+            }
             None => name.to_lowercase(),
         };
     }
-    // The crate sorts what it writes: the names of two channels are swapped in the finished file.
-    let path = write(folder.path(), "half.exr", vec![part]);
-    let mut bytes = std::fs::read(&path).unwrap();
-    let find = |name: &[u8]| {
-        bytes
-            .windows(name.len())
-            .position(|window| window == name)
-            .unwrap()
-    };
-    let (blue, red) = (find(b"halfA.b\0"), find(b"halfA.r\0"));
-    bytes[blue + 6] = b'r';
-    bytes[red + 6] = b'b';
-    std::fs::write(&path, bytes).unwrap();
-
-    let set = read(&path);
-    // The data did not move with the names: red now is what was written as blue.
-    let planes = set.color().half_a.unwrap().planes;
-    assert_eq!(
-        planes,
-        [ramp(202.0, PIXELS), ramp(102.0, PIXELS), ramp(2.0, PIXELS)]
-    );
+    let set = read(&write(folder.path(), "half.exr", vec![part]));
+    assert_eq!(set.color().half_a, Some(rgb(2.0)));
     assert_eq!(set.color().mean, rgb(1.0));
     assert_eq!(set.color().variance_of_mean, Some(rgb(4.0)));
     assert_eq!(set.layer_uses()[0].sample_kind, SampleKind::Half);

@@ -271,6 +271,7 @@ fn read_image(path: &Path) -> exr::error::Result<FlatImage> {
             .into_par_iter()
             .map(|chunk| {
                 catch_unwind(AssertUnwindSafe(|| {
+                    check_dwa_counters(&chunk, &meta)?;
                     UncompressedBlock::decompress_chunk(chunk, &meta, false)
                 }))
                 .unwrap_or_else(|_| {
@@ -322,6 +323,44 @@ fn store(
                 line.read_samples_into_slice(values.get_mut(range).ok_or_else(missing)?)?;
             }
         }
+    }
+    Ok(())
+}
+
+/// A DWA block begins with eleven 64-bit sizes, and the decoder allocates what they say: a failed allocation ends the process and cannot be caught.
+fn check_dwa_counters(chunk: &Chunk, meta: &MetaData) -> exr::error::Result<()> {
+    use exr::block::chunk::CompressedBlock::{ScanLine, Tile};
+    let Some(header) = meta.headers.get(chunk.layer_index) else {
+        return Err(exr::error::Error::Invalid(
+            "a block belongs to no part".into(),
+        ));
+    };
+    let bytes = match (&chunk.compressed_block, header.compression) {
+        (ScanLine(block), Compression::DWAA(_) | Compression::DWAB(_)) => {
+            &block.compressed_pixels_le
+        }
+        (Tile(block), Compression::DWAA(_) | Compression::DWAB(_)) => &block.compressed_pixels_le,
+        _ => return Ok(()),
+    };
+    let tile = header.get_block_data_indices(&chunk.compressed_block)?;
+    let pixels = header.get_absolute_block_pixel_coordinates(tile)?.size;
+    if bytes.len() == pixels.area() * header.channels.bytes_per_pixel {
+        // A block that did not shrink is stored as it is, without counters.
+        return Ok(());
+    }
+    // No section is larger than the pixels that it holds; the rest is room for padding to blocks of 8×8.
+    let limit = (pixels.0 + 8) * (pixels.1 + 8) * header.channels.bytes_per_pixel * 2 + (1 << 16);
+    // The first counter is the version, the eleventh a choice of method.
+    let sizes = bytes.chunks_exact(8).skip(1).take(9);
+    let mut sizes = sizes.map(|size| {
+        size.iter()
+            .rev()
+            .fold(0_u64, |value, byte| value << 8 | u64::from(*byte))
+    });
+    if sizes.any(|size| size > limit as u64) {
+        return Err(exr::error::Error::Invalid(
+            "a block claims more data than the image has".into(),
+        ));
     }
     Ok(())
 }
