@@ -1,4 +1,5 @@
 //! From what the files said to what the denoisers may rely on.
+#![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 
 use std::path::{Path, PathBuf};
 
@@ -317,6 +318,29 @@ fn identical_halves_are_not_taken_for_a_noise_free_image() {
         message.contains("identical") && message.contains("seeds"),
         "{message}"
     );
+}
+
+#[test]
+fn halves_of_another_render_than_the_input_are_pointed_out() {
+    let input = testdata("cornell_32spp.exr");
+    let other = testdata("cornell_8spp.exr");
+    let half = |layer: &str| Some(format!("{}::{layer}", other.display()).parse().unwrap());
+    let mut request = BufferSetRequest {
+        input,
+        half_a: half("halfA"),
+        half_b: half("halfB"),
+        ..Default::default()
+    };
+    let (_, repairs) = Frame::from_buffer_set(&BufferSet::read(&request).unwrap()).unwrap();
+    assert!(
+        repairs
+            .to_string()
+            .contains("not the average of the halves"),
+        "{repairs}"
+    );
+    request.input = other;
+    let (_, repairs) = Frame::from_buffer_set(&BufferSet::read(&request).unwrap()).unwrap();
+    assert!(repairs.is_empty(), "{repairs}");
 }
 
 #[test]
