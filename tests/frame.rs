@@ -135,7 +135,7 @@ fn the_two_buffer_variance_of_a_real_render_agrees_with_its_sample_variance() {
         (0.8..1.25).contains(&ratio),
         "a factor of two is lost: {ratio}"
     );
-    // What the noise estimate promises is what the reference shows.
+    // The guess without a reference is of the size that the reference shows.
     let reference = read_reference(&testdata("dof_spheres_reference.exr"), None).unwrap();
     let error = metric::relative_mse(&color.mean, &reference).unwrap();
     assert!(
