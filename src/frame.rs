@@ -182,8 +182,8 @@ impl Frame {
         self.color.noise_knowledge().unwrap_or(NoiseKnowledge::VarianceOnly)
     }
 
-    /// The relative mean squared error that the noise estimate promises for the unfiltered colour: the mean over pixels and channels of
-    /// variance/(mean² + 0.01), comparable to [`relative_mse`](crate::metric::relative_mse) against a reference.
+    /// A guess, without a reference, at the [`relative_mse`](crate::metric::relative_mse) of the unfiltered colour: the mean over pixels and channels of
+    /// variance/(mean² + 0.01). Too low where samples are few: a spike raises its own mean along with its variance, and one that no pixel caught is missing.
     pub fn noise_level(&self) -> f64 {
         let mut sum = 0.0;
         for (channel, mean) in self.color.mean.planes.iter().enumerate() {

@@ -107,6 +107,7 @@ fn gaussian_window(plane: &[f64], width: usize) -> Vec<f64> {
 }
 
 #[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 mod tests {
     use super::*;
     use crate::image::Extent;

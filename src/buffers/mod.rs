@@ -11,6 +11,7 @@ mod assign;
 mod file;
 mod layer_ref;
 pub(crate) mod names;
+mod uses;
 mod write;
 
 use std::path::{Path, PathBuf};
