@@ -1,14 +1,21 @@
-// Averages the candidates by their smoothed selection maps (Algorithm 1 line 33), with a guard.
+// Averages the candidates by their smoothed selection maps (Algorithm 1 line 33), with two guards.
 //
 // Smoothing hands a rejected candidate some weight near the border of its region. Where it is wildly wrong there, as THIRD is beside a visible lamp that shares all
-// features with the ceiling, that share would ruin the blend. So a candidate takes part in a pixel only where its own error there is comparable to the winner's.
+// features with the ceiling, that share would ruin the blend. So a candidate takes part in a pixel only where its smoothed error there is comparable to the winner's.
+//
+// The smoothed errors themselves are blind to single pixels: a clean pixel beside a caustic has neighbours whose errors are thousands of times its own. There the pixel
+// speaks for itself: its unsmoothed SURE tells two candidates F and G apart with a standard deviation of 2·√Σ σ_i²(F_i − G_i)², which vanishes with its noise. A candidate
+// that is worse than the best one by many of them takes no part.
 #import stein::planes::{pixel_index}
 
 struct SelectBlendParams {
     extent: vec2<i32>,
-    // A candidate takes part where its error exceeds the winner's by at most guard_error·|winner's error| + guard_noise·Σ_i σ_i². Negative: no guard.
-    guard_error: f32,
-    guard_noise: f32,
+    // A candidate takes part where its smoothed error exceeds the winner's by at most smoothed_error·|winner's error| + smoothed_noise·Σ_i σ_i². Negative: no guards.
+    smoothed_error: f32,
+    smoothed_noise: f32,
+    // And where its own SURE exceeds the least one by at most own_sigmas standard deviations + own_noise·Σ_i σ_i².
+    own_sigmas: f32,
+    own_noise: f32,
 }
 
 @group(0) @binding(0) var<uniform> params: SelectBlendParams;
@@ -20,10 +27,18 @@ struct SelectBlendParams {
 @group(0) @binding(5) var<storage, read> first: array<vec4<f32>>;
 @group(0) @binding(6) var<storage, read> second: array<vec4<f32>>;
 @group(0) @binding(7) var<storage, read> third: array<vec4<f32>>;
+// SURE as computed.
+@group(0) @binding(10) var<storage, read> sure: array<vec4<f32>>;
 // Shares of the candidates, sum 1; w: blended error Σ share·error.
 @group(0) @binding(8) var<storage, read_write> selection: array<vec4<f32>>;
 // Two planes: mean with the blended Σ w in w, half spread.
 @group(0) @binding(9) var<storage, read_write> blended: array<vec4<f32>>;
+
+// By how much the own errors of two candidates may differ by chance.
+fn chance(f: vec3<f32>, g: vec3<f32>, variance: vec3<f32>) -> f32 {
+    let apart = f - g;
+    return 2.0 * params.own_sigmas * sqrt(dot(variance, apart * apart)) + params.own_noise * dot(vec3<f32>(1.0), variance);
+}
 
 @compute @workgroup_size(32, 2, 1)
 fn main(@builtin(global_invocation_id) id: vec3<u32>) {
@@ -36,12 +51,32 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     let error = errors[at].xyz;
     let winner = selected[at].xyz;
     var share = max(smoothed[at].xyz, vec3<f32>(0.0));
-    if params.guard_error >= 0.0 {
+    if params.smoothed_error >= 0.0 {
+        let variance = variance_of_mean[at].xyz;
         let least = dot(winner, error);
-        let allowed = params.guard_error * abs(least) + params.guard_noise * dot(vec3<f32>(1.0), variance_of_mean[at].xyz);
-        // The winner always takes part, with a little at the least, so that something is left to normalise.
+        let allowed = params.smoothed_error * abs(least) + params.smoothed_noise * dot(vec3<f32>(1.0), variance);
         share = select(vec3<f32>(0.0), share, error - least <= vec3<f32>(allowed));
+        // The winner always takes part, with a little at the least, so that something is left to normalise.
         share = max(share, 1e-6 * winner);
+
+        let own = sure[at].xyz;
+        let f = array<vec3<f32>, 3>(first[at].xyz, second[at].xyz, third[at].xyz);
+        var best = f[0];
+        var own_least = own.x;
+        var own_winner = vec3<f32>(1.0, 0.0, 0.0);
+        if own.y < own_least {
+            best = f[1];
+            own_least = own.y;
+            own_winner = vec3<f32>(0.0, 1.0, 0.0);
+        }
+        if own.z < own_least {
+            best = f[2];
+            own_least = own.z;
+            own_winner = vec3<f32>(0.0, 0.0, 1.0);
+        }
+        let by_chance = vec3<f32>(chance(f[0], best, variance), chance(f[1], best, variance), chance(f[2], best, variance));
+        share = select(vec3<f32>(0.0), share, own - own_least <= by_chance);
+        share = max(share, 1e-9 * own_winner);
     }
     let total = share.x + share.y + share.z;
     share = select(winner, share / max(total, 1e-20), total > 1e-20);

@@ -164,6 +164,9 @@ impl Denoiser {
     }
 }
 
+/// Squares of scaled values are summed over channels and patches in f32.
+const LARGEST_SCALED: f32 = 1e17;
+
 /// A power of two that brings the colour to the order of 1, where the method's small constants are meant to be; a power of two changes no digit. From the median
 /// of the pixels' largest channels, over pixels that are not black.
 fn exposure(frame: &Frame) -> f32 {
@@ -177,8 +180,10 @@ fn exposure(frame: &Frame) -> f32 {
     }
     let middle = brightness.len() / 2;
     let median = *brightness.select_nth_unstable_by(middle, f32::total_cmp).1;
-    // Squares of what is scaled must stay finite, and so must the scale's own.
-    (-median.log2().floor()).clamp(-40.0, 40.0).exp2()
+    // Of a scaled value the square must stay finite.
+    let most = brightness.iter().copied().fold(0.0, f32::max);
+    let headroom = (LARGEST_SCALED / most).log2().floor();
+    (-median.log2().floor()).clamp(-60.0, 60.0).min(headroom).exp2()
 }
 
 /// Puts the strips together on the host, in the units of the frame.

@@ -21,17 +21,11 @@ pub(super) fn read(request: &BufferSetRequest) -> Result<BufferSet> {
                 remedy: "give each feature once, or under different names".into(),
             });
         }
-        features.push((
-            name.clone(),
-            requested_feature(&mut files, name, reference)?,
-        ));
+        features.push((name.clone(), requested_feature(&mut files, name, reference)?));
     }
     if features.len() > MAX_FEATURES {
         return Err(Error::Request {
-            problem: format!(
-                "{} features are given, but at most {MAX_FEATURES} can be used",
-                features.len()
-            ),
+            problem: format!("{} features are given, but at most {MAX_FEATURES} can be used", features.len()),
             remedy: "leave out those that say least about this scene".into(),
         });
     }
@@ -41,13 +35,7 @@ pub(super) fn read(request: &BufferSetRequest) -> Result<BufferSet> {
         find_features(&files.list, &color, request, &mut features, &mut notes)?;
     }
     let samples = sample_count(&files.list[input]);
-    let mut set = BufferSet {
-        files: files.list,
-        color,
-        features,
-        samples,
-        layer_uses: Vec::new(),
-    };
+    let mut set = BufferSet { files: files.list, color, features, samples, layer_uses: Vec::new() };
     check_windows(&set)?;
     set.layer_uses = layer_uses(&set, &notes);
     Ok(set)
@@ -70,26 +58,18 @@ impl Files {
     }
 }
 
-fn color_source(
-    files: &mut Files,
-    input: usize,
-    request: &BufferSetRequest,
-) -> Result<SignalSource> {
+fn color_source(files: &mut Files, input: usize, request: &BufferSetRequest) -> Result<SignalSource> {
     let file = &files.list[input];
     let layer = color_layer(file, request.layer.as_deref())?;
-    let mean = Planes {
-        file: input,
-        layer,
-        channels: color_channels(file, layer)?,
-    };
+    let mean = Planes { file: input, layer, channels: color_channels(file, layer)? };
     // Plain `halfA` belongs to plain `R G B` if the file has both that and the chosen layer.
     let name = &file.layers[layer].name;
     let bare_too = names::group(name) == name.as_str()
-        || !file.layers.iter().enumerate().any(|(other, candidate)| {
-            other != layer
-                && candidate.name == names::group(name).trim_end_matches('.')
-                && color_channels(file, other).is_ok()
-        });
+        || !file
+            .layers
+            .iter()
+            .enumerate()
+            .any(|(other, candidate)| other != layer && candidate.name == names::group(name).trim_end_matches('.') && color_channels(file, other).is_ok());
     let companions = companions(&files.list, &mean, bare_too)?;
     let mut named = |reference: &Option<LayerRef>, found: Option<Planes>| match reference {
         None => Ok(found),
@@ -102,11 +82,7 @@ fn color_source(
                 });
             }
             let layer = color_layer(&files.list[file], reference.layer.as_deref())?;
-            Ok(Some(Planes {
-                file,
-                layer,
-                channels: color_channels(&files.list[file], layer)?,
-            }))
+            Ok(Some(Planes { file, layer, channels: color_channels(&files.list[file], layer)? }))
         }
     };
     let source = SignalSource {
@@ -125,10 +101,7 @@ pub(super) fn color_layer(file: &ExrFile, wanted: Option<&str>) -> Result<usize>
         return named_layer(file, wanted);
     }
     let colorful = |layer: &usize| color_channels(file, *layer).is_ok();
-    let usual = (0..file.layers.len())
-        .filter(colorful)
-        .filter_map(|layer| names::color_rank(&file.layers[layer].name).map(|rank| (rank, layer)))
-        .min();
+    let usual = (0..file.layers.len()).filter(colorful).filter_map(|layer| names::color_rank(&file.layers[layer].name).map(|rank| (rank, layer))).min();
     if let Some((_, layer)) = usual {
         return Ok(layer);
     }
@@ -136,9 +109,7 @@ pub(super) fn color_layer(file: &ExrFile, wanted: Option<&str>) -> Result<usize>
         .filter(colorful)
         .filter(|&layer| {
             let name = &file.layers[layer].name;
-            names::companion_base(name).is_none()
-                && !names::is_feature_name(name)
-                && names::why_not_a_variance(name).is_none()
+            names::companion_base(name).is_none() && !names::is_feature_name(name) && names::why_not_a_variance(name).is_none()
         })
         .collect();
     match other.as_slice() {
@@ -146,50 +117,30 @@ pub(super) fn color_layer(file: &ExrFile, wanted: Option<&str>) -> Result<usize>
         _ if file.layers.len() == 1 && colorful(&0) => Ok(0),
         [] => Err(Error::File {
             path: file.path.clone(),
-            problem: format!(
-                "has no colour, that is no channels R, G and B; it holds {}",
-                file.layer_list()
-            ),
-            remedy:
-                "name the layer to take: --layer NAME for the input, FILE::NAME for other files"
-                    .into(),
+            problem: format!("has no colour, that is no channels R, G and B; it holds {}", file.layer_list()),
+            remedy: "name the layer to take: --layer NAME for the input, FILE::NAME for other files".into(),
         }),
         _ => Err(Error::File {
             path: file.path.clone(),
-            problem: format!(
-                "has several layers that could be the colour; it holds {}",
-                file.layer_list()
-            ),
-            remedy:
-                "name the layer to take: --layer NAME for the input, FILE::NAME for other files"
-                    .into(),
+            problem: format!("has several layers that could be the colour; it holds {}", file.layer_list()),
+            remedy: "name the layer to take: --layer NAME for the input, FILE::NAME for other files".into(),
         }),
     }
 }
 
 fn named_layer(file: &ExrFile, wanted: &str) -> Result<usize> {
     let position = |matches: &dyn Fn(&FileLayer) -> bool| {
-        let mut found = file
-            .layers
-            .iter()
-            .enumerate()
-            .filter(|(_, layer)| matches(layer))
-            .map(|(index, _)| index);
+        let mut found = file.layers.iter().enumerate().filter(|(_, layer)| matches(layer)).map(|(index, _)| index);
         // A name that fits two layers fits none.
         found.next().filter(|_| found.next().is_none())
     };
     position(&|layer| layer.name == wanted)
         .or_else(|| position(&|layer| layer.name.eq_ignore_ascii_case(wanted)))
-        .or_else(|| {
-            position(&|layer| names::last_component(&layer.name).eq_ignore_ascii_case(wanted))
-        })
+        .or_else(|| position(&|layer| names::last_component(&layer.name).eq_ignore_ascii_case(wanted)))
         .ok_or_else(|| Error::Layer {
             path: file.path.clone(),
             layer: wanted.to_owned(),
-            problem: format!(
-                "there is no such layer; the file holds {}",
-                file.layer_list()
-            ),
+            problem: format!("there is no such layer; the file holds {}", file.layer_list()),
             remedy: "name one of these, without the channel's last letter".into(),
         })
 }
@@ -197,13 +148,7 @@ fn named_layer(file: &ExrFile, wanted: &str) -> Result<usize> {
 /// The channels R, G, B of a layer; a luminance stands for all three.
 pub(super) fn color_channels(file: &ExrFile, layer: usize) -> Result<Vec<usize>> {
     let layer = &file.layers[layer];
-    let find = |suffix: &str| {
-        layer
-            .channels
-            .iter()
-            .find(|channel| channel.suffix.eq_ignore_ascii_case(suffix))
-            .map(|channel| channel.index)
-    };
+    let find = |suffix: &str| layer.channels.iter().find(|channel| channel.suffix.eq_ignore_ascii_case(suffix)).map(|channel| channel.index);
     if let (Some(r), Some(g), Some(b)) = (find("R"), find("G"), find("B")) {
         return Ok(vec![r, g, b]);
     }
@@ -213,26 +158,15 @@ pub(super) fn color_channels(file: &ExrFile, layer: usize) -> Result<Vec<usize>>
             path: file.path.clone(),
             layer: layer.name.clone(),
             problem: "it has no channels R, G and B".into(),
-            remedy: format!(
-                "name a layer that has; the file holds {}",
-                file.layer_list()
-            ),
+            remedy: format!("name a layer that has; the file holds {}", file.layer_list()),
         }),
     }
 }
 
 /// The channels of a feature: all but the alpha, if that leaves one to three.
 fn feature_channels(layer: &FileLayer) -> Option<Vec<usize>> {
-    let alpha = |suffix: &str| {
-        layer.channels.len() > 1
-            && (suffix.eq_ignore_ascii_case("A") || suffix.eq_ignore_ascii_case("alpha"))
-    };
-    let channels: Vec<usize> = layer
-        .channels
-        .iter()
-        .filter(|channel| !alpha(&channel.suffix))
-        .map(|channel| channel.index)
-        .collect();
+    let alpha = |suffix: &str| layer.channels.len() > 1 && (suffix.eq_ignore_ascii_case("A") || suffix.eq_ignore_ascii_case("alpha"));
+    let channels: Vec<usize> = layer.channels.iter().filter(|channel| !alpha(&channel.suffix)).map(|channel| channel.index).collect();
     (1..=3).contains(&channels.len()).then_some(channels)
 }
 
@@ -243,44 +177,21 @@ fn companions(files: &[ExrFile], mean: &Planes, bare_too: bool) -> Result<Compan
     let file = &files[mean.file];
     let base = &file.layers[mean.layer].name;
     let find = |part| -> Result<Option<Planes>> {
-        let found = (0..file.layers.len()).find(|&layer| {
-            layer != mean.layer
-                && names::is_companion(&file.layers[layer].name, base, part, bare_too)
-        });
+        let found = (0..file.layers.len()).find(|&layer| layer != mean.layer && names::is_companion(&file.layers[layer].name, base, part, bare_too));
         let Some(layer) = found else { return Ok(None) };
-        matching_channels(file, mean, layer).map(|channels| {
-            Some(Planes {
-                file: mean.file,
-                layer,
-                channels,
-            })
-        })
+        matching_channels(file, mean, layer).map(|channels| Some(Planes { file: mean.file, layer, channels }))
     };
-    Ok((
-        find(SignalPart::HalfA)?,
-        find(SignalPart::HalfB)?,
-        find(SignalPart::Variance)?,
-    ))
+    Ok((find(SignalPart::HalfA)?, find(SignalPart::HalfB)?, find(SignalPart::Variance)?))
 }
 
 /// The channels of `layer` that correspond to those of the mean, by name; by position where the names differ throughout (`Z` and `Y` of single channels).
 fn matching_channels(file: &ExrFile, mean: &Planes, layer: usize) -> Result<Vec<usize>> {
     let mean_layer = &file.layers[mean.layer];
-    let suffix_of = |index: &usize| {
-        mean_layer
-            .channels
-            .iter()
-            .find(|channel| channel.index == *index)
-            .map(|channel| channel.suffix.as_str())
-    };
+    let suffix_of = |index: &usize| mean_layer.channels.iter().find(|channel| channel.index == *index).map(|channel| channel.suffix.as_str());
     let candidate = &file.layers[layer];
     let by_name = |index: &usize| {
         let suffix = suffix_of(index)?;
-        candidate
-            .channels
-            .iter()
-            .find(|channel| channel.suffix.eq_ignore_ascii_case(suffix))
-            .map(|channel| channel.index)
+        candidate.channels.iter().find(|channel| channel.suffix.eq_ignore_ascii_case(suffix)).map(|channel| channel.index)
     };
     if let Some(channels) = mean.channels.iter().map(by_name).collect() {
         return Ok(channels);
@@ -290,12 +201,8 @@ fn matching_channels(file: &ExrFile, mean: &Planes, layer: usize) -> Result<Vec<
         _ => Err(Error::Layer {
             path: file.path.clone(),
             layer: candidate.name.clone(),
-            problem: format!(
-                "its channels do not match those of the layer that it belongs to, '{}'",
-                mean_layer.name
-            ),
-            remedy: "write both with the same channels, or rename it if it is something else"
-                .into(),
+            problem: format!("its channels do not match those of the layer that it belongs to, '{}'", mean_layer.name),
+            remedy: "write both with the same channels, or rename it if it is something else".into(),
         }),
     }
 }
@@ -311,10 +218,7 @@ fn check_halves(files: &[ExrFile], source: &SignalSource) -> Result<()> {
         path: file.path.clone(),
         layer: file.layers[present.layer].name.clone(),
         problem: format!("it is one half of the samples, but half {missing} is missing"),
-        remedy: format!(
-            "add half {missing} (for the colour: --half-{} FILE::LAYER)",
-            missing.to_lowercase()
-        ),
+        remedy: format!("add half {missing} (for the colour: --half-{} FILE::LAYER)", missing.to_lowercase()),
     })
 }
 
@@ -332,44 +236,23 @@ fn requested_feature(files: &mut Files, name: &str, reference: &LayerRef) -> Res
         return Err(Error::Layer {
             path: file.path.clone(),
             layer: file.layers[layer].name.clone(),
-            problem: format!(
-                "a feature has one to three channels, this has {}",
-                file.layers[layer].channels.len()
-            ),
+            problem: format!("a feature has one to three channels, this has {}", file.layers[layer].channels.len()),
             remedy: "split it into several features".into(),
         });
     };
-    let mean = Planes {
-        file: index,
-        layer,
-        channels,
-    };
+    let mean = Planes { file: index, layer, channels };
     let mut found = companions(&files.list, &mean, bare_too)?;
     // A file of its own may also name them after the feature: `R G B` with `albedo_halfA.R` ...
-    for (slot, part) in [
-        (&mut found.0, SignalPart::HalfA),
-        (&mut found.1, SignalPart::HalfB),
-        (&mut found.2, SignalPart::Variance),
-    ] {
+    for (slot, part) in [(&mut found.0, SignalPart::HalfA), (&mut found.1, SignalPart::HalfB), (&mut found.2, SignalPart::Variance)] {
         let file = &files.list[index];
         if slot.is_none() && bare_too {
-            let layer = (0..file.layers.len())
-                .find(|&layer| names::is_companion(&file.layers[layer].name, name, part, false));
+            let layer = (0..file.layers.len()).find(|&layer| names::is_companion(&file.layers[layer].name, name, part, false));
             if let Some(layer) = layer {
-                *slot = Some(Planes {
-                    file: index,
-                    layer,
-                    channels: matching_channels(file, &mean, layer)?,
-                });
+                *slot = Some(Planes { file: index, layer, channels: matching_channels(file, &mean, layer)? });
             }
         }
     }
-    let source = SignalSource {
-        mean,
-        half_a: found.0,
-        half_b: found.1,
-        variance: found.2,
-    };
+    let source = SignalSource { mean, half_a: found.0, half_b: found.1, variance: found.2 };
     check_halves(&files.list, &source)?;
     Ok(source)
 }
@@ -395,26 +278,15 @@ fn find_features(
 ) -> Result<()> {
     let file = &files[0];
     let taken = |layer: usize| {
-        [
-            Some(&color.mean),
-            color.half_a.as_ref(),
-            color.half_b.as_ref(),
-            color.variance.as_ref(),
-        ]
-        .into_iter()
-        .flatten()
-        .any(|planes| planes.file == 0 && planes.layer == layer)
+        [Some(&color.mean), color.half_a.as_ref(), color.half_b.as_ref(), color.variance.as_ref()]
+            .into_iter()
+            .flatten()
+            .any(|planes| planes.file == 0 && planes.layer == layer)
     };
     let group = names::group(&file.layers[color.mean.layer].name);
     for (layer, candidate) in file.layers.iter().enumerate() {
-        let name = candidate
-            .name
-            .strip_prefix(group)
-            .unwrap_or(&candidate.name);
-        if taken(layer)
-            || names::why_not_a_variance(&candidate.name).is_some()
-            || names::is_sample_count_name(name)
-        {
+        let name = candidate.name.strip_prefix(group).unwrap_or(&candidate.name);
+        if taken(layer) || names::why_not_a_variance(&candidate.name).is_some() || names::is_sample_count_name(name) {
             continue;
         }
         // A companion of some layer is that layer's business; without its layer it is nobody's.
@@ -426,17 +298,12 @@ fn find_features(
         }
         let has_companions = file.layers.iter().any(|other| {
             let belongs = |part| names::is_companion(&other.name, &candidate.name, part, false);
-            belongs(SignalPart::HalfA)
-                || belongs(SignalPart::HalfB)
-                || belongs(SignalPart::Variance)
+            belongs(SignalPart::HalfA) || belongs(SignalPart::HalfB) || belongs(SignalPart::Variance)
         });
         if !has_companions && !names::is_feature_name(name) {
             continue;
         }
-        let skipped = request
-            .skip_features
-            .iter()
-            .any(|skip| skip == name || *skip == candidate.name);
+        let skipped = request.skip_features.iter().any(|skip| skip == name || *skip == candidate.name);
         let Some(channels) = feature_channels(candidate) else {
             notes.push((layer, "a feature has one to three channels".into()));
             continue;
@@ -444,28 +311,13 @@ fn find_features(
         if skipped {
             notes.push((layer, "left out on request".into()));
         } else if features.iter().any(|(other, _)| other == name) {
-            notes.push((
-                layer,
-                "replaced by the feature of that name given on request".into(),
-            ));
+            notes.push((layer, "replaced by the feature of that name given on request".into()));
         } else if features.len() == MAX_FEATURES {
-            notes.push((
-                layer,
-                format!("left out: at most {MAX_FEATURES} features can be used"),
-            ));
+            notes.push((layer, format!("left out: at most {MAX_FEATURES} features can be used")));
         } else {
-            let mean = Planes {
-                file: 0,
-                layer,
-                channels,
-            };
+            let mean = Planes { file: 0, layer, channels };
             let (half_a, half_b, variance) = companions(files, &mean, false)?;
-            let source = SignalSource {
-                mean,
-                half_a,
-                half_b,
-                variance,
-            };
+            let source = SignalSource { mean, half_a, half_b, variance };
             check_halves(files, &source)?;
             features.push((name.to_owned(), source));
         }
@@ -474,15 +326,8 @@ fn find_features(
 }
 
 fn sample_count(file: &ExrFile) -> Option<Planes> {
-    let layer = file
-        .layers
-        .iter()
-        .position(|layer| layer.channels.len() == 1 && names::is_sample_count_name(&layer.name))?;
-    Some(Planes {
-        file: 0,
-        layer,
-        channels: vec![file.layers[layer].channels[0].index],
-    })
+    let layer = file.layers.iter().position(|layer| layer.channels.len() == 1 && names::is_sample_count_name(&layer.name))?;
+    Some(Planes { file: 0, layer, channels: vec![file.layers[layer].channels[0].index] })
 }
 
 /// All images of a set must show the same pixels.
@@ -493,11 +338,7 @@ fn check_windows(set: &BufferSet) -> Result<()> {
         let layer = &file.layers[planes.layer];
         let found = file.data_window(layer.part);
         // A file of its own may have been cropped to its data window: its pixels are the same ones if the extent is.
-        let same = if planes.file == 0 {
-            found == expected
-        } else {
-            found.extent == expected.extent
-        };
+        let same = if planes.file == 0 { found == expected } else { found.extent == expected.extent };
         if !same {
             return Err(Error::Layer {
                 path: file.path.clone(),

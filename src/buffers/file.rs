@@ -46,56 +46,32 @@ impl ExrFile {
         check_beginning(path)?;
         // The decoders assert here and there; damaged data must not take the program down with them.
         let image = catch_unwind(AssertUnwindSafe(|| read_image(path)))
-            .unwrap_or_else(|_| {
-                Err(exr::error::Error::Invalid(
-                    "its data contradict each other".into(),
-                ))
-            })
+            .unwrap_or_else(|_| Err(exr::error::Error::Invalid("its data contradict each other".into())))
             .map_err(|error| explain(path, &error))?;
         let layers = layers_of(&image);
-        Ok(Self {
-            path: path.to_owned(),
-            image,
-            layers,
-        })
+        Ok(Self { path: path.to_owned(), image, layers })
     }
 
     pub(crate) fn data_window(&self, part: usize) -> Window {
         let layer = &self.image.layer_data[part];
         let position = layer.attributes.layer_position;
-        Window {
-            x: position.0,
-            y: position.1,
-            extent: extent(layer.size),
-        }
+        Window { x: position.0, y: position.1, extent: extent(layer.size) }
     }
 
     pub(crate) fn display_window(&self) -> Window {
         let bounds = self.image.attributes.display_window;
-        Window {
-            x: bounds.position.0,
-            y: bounds.position.1,
-            extent: extent(bounds.size),
-        }
+        Window { x: bounds.position.0, y: bounds.position.1, extent: extent(bounds.size) }
     }
 
     /// The planes of some of a part's channels, as f32.
     pub(crate) fn planes(&self, part: usize, channels: &[usize]) -> Image {
         let layer = &self.image.layer_data[part];
-        let planes = channels
-            .iter()
-            .map(|&channel| to_f32(&layer.channel_data.list[channel].sample_data))
-            .collect();
-        Image {
-            extent: extent(layer.size),
-            planes,
-        }
+        let planes = channels.iter().map(|&channel| to_f32(&layer.channel_data.list[channel].sample_data)).collect();
+        Image { extent: extent(layer.size), planes }
     }
 
     pub(crate) fn sample_type(&self, layer: &FileLayer, channel: usize) -> SampleType {
-        match self.image.layer_data[layer.part].channel_data.list[layer.channels[channel].index]
-            .sample_data
-        {
+        match self.image.layer_data[layer.part].channel_data.list[layer.channels[channel].index].sample_data {
             FlatSamples::F16(_) => SampleType::F16,
             FlatSamples::F32(_) => SampleType::F32,
             FlatSamples::U32(_) => SampleType::U32,
@@ -116,10 +92,7 @@ impl ExrFile {
     pub(crate) fn number_attribute(&self, part: usize, name: &str) -> Option<f32> {
         let key = Text::new_or_none(name)?;
         let part = &self.image.layer_data[part].attributes.other;
-        match part
-            .get(&key)
-            .or_else(|| self.image.attributes.other.get(&key))?
-        {
+        match part.get(&key).or_else(|| self.image.attributes.other.get(&key))? {
             AttributeValue::Text(text) => text.to_string().trim().parse().ok(),
             AttributeValue::I32(value) => Some(*value as f32),
             AttributeValue::F32(value) => Some(*value),
@@ -134,16 +107,8 @@ impl ExrFile {
             .layers
             .iter()
             .map(|layer| {
-                let channels: Vec<_> = layer
-                    .channels
-                    .iter()
-                    .map(|channel| channel.suffix.as_str())
-                    .collect();
-                if layer.name.is_empty() {
-                    channels.join(" ")
-                } else {
-                    format!("'{}' ({})", layer.name, channels.join(" "))
-                }
+                let channels: Vec<_> = layer.channels.iter().map(|channel| channel.suffix.as_str()).collect();
+                if layer.name.is_empty() { channels.join(" ") } else { format!("'{}' ({})", layer.name, channels.join(" ")) }
             })
             .collect();
         names.join(", ")
@@ -152,10 +117,7 @@ impl ExrFile {
 
 fn extent(size: Vec2<usize>) -> Extent {
     // `check_size` has refused anything that does not fit.
-    Extent {
-        width: size.0 as u32,
-        height: size.1 as u32,
-    }
+    Extent { width: size.0 as u32, height: size.1 as u32 }
 }
 
 fn to_f32(samples: &FlatSamples) -> Vec<f32> {
@@ -168,31 +130,16 @@ fn to_f32(samples: &FlatSamples) -> Vec<f32> {
 
 /// Looks at the first bytes for what the decoder would only report in passing, or not at all.
 fn check_beginning(path: &Path) -> Result<()> {
-    let file_error = |problem: String, remedy: &str| Error::File {
-        path: path.to_owned(),
-        problem,
-        remedy: remedy.to_owned(),
-    };
+    let file_error = |problem: String, remedy: &str| Error::File { path: path.to_owned(), problem, remedy: remedy.to_owned() };
     let mut beginning = Vec::new();
     File::open(path)
         .and_then(|file| file.take(1 << 16).read_to_end(&mut beginning))
-        .map_err(|error| {
-            file_error(
-                format!("cannot be read: {error}"),
-                "check the path and its permissions",
-            )
-        })?;
+        .map_err(|error| file_error(format!("cannot be read: {error}"), "check the path and its permissions"))?;
     if beginning.is_empty() {
-        return Err(file_error(
-            "is empty".into(),
-            "render or copy it again: the writer was probably interrupted",
-        ));
+        return Err(file_error("is empty".into(), "render or copy it again: the writer was probably interrupted"));
     }
     if !beginning.starts_with(&[0x76, 0x2f, 0x31, 0x01]) {
-        return Err(file_error(
-            "is not an OpenEXR file".into(),
-            "give an .exr file, or convert the image to OpenEXR first",
-        ));
+        return Err(file_error("is not an OpenEXR file".into(), "give an .exr file, or convert the image to OpenEXR first"));
     }
     if beginning.get(5).is_some_and(|flags| flags & 0x08 != 0) {
         return Err(file_error(
@@ -201,10 +148,7 @@ fn check_beginning(path: &Path) -> Result<()> {
         ));
     }
     let marker = b"compression\0compression\0\x01\0\0\0";
-    let compression = beginning
-        .windows(marker.len())
-        .position(|window| window == marker)
-        .and_then(|at| beginning.get(at + marker.len()));
+    let compression = beginning.windows(marker.len()).position(|window| window == marker).and_then(|at| beginning.get(at + marker.len()));
     let name = match compression {
         Some(0..=9) | None => return Ok(()),
         Some(10 | 11) => "HTJ2K (high-throughput JPEG 2000)".to_owned(),
@@ -225,24 +169,15 @@ fn explain(path: &Path, error: &exr::error::Error) -> Error {
             "has subsampled channels, probably luminance and chroma (Y, RY, BY), which cannot be read here".into(),
             "write R, G and B at full resolution, or convert the file",
         ),
-        _ if message.contains("deep") => (
-            "holds deep data, which cannot be denoised here".into(),
-            "flatten it first, or let the renderer write a flat image as well",
-        ),
-        exr::error::Error::NotSupported(_) => (
-            format!("uses a part of OpenEXR that cannot be read here: {message}"),
-            "write it as a flat scan line image with ZIP compression",
-        ),
-        _ => (
-            format!("is damaged or incomplete: {message}"),
-            "render or copy it again; check whether the disk was full or the writer was interrupted",
-        ),
+        _ if message.contains("deep") => {
+            ("holds deep data, which cannot be denoised here".into(), "flatten it first, or let the renderer write a flat image as well")
+        }
+        exr::error::Error::NotSupported(_) => {
+            (format!("uses a part of OpenEXR that cannot be read here: {message}"), "write it as a flat scan line image with ZIP compression")
+        }
+        _ => (format!("is damaged or incomplete: {message}"), "render or copy it again; check whether the disk was full or the writer was interrupted"),
     };
-    Error::File {
-        path: path.to_owned(),
-        problem,
-        remedy: remedy.to_owned(),
-    }
+    Error::File { path: path.to_owned(), problem, remedy: remedy.to_owned() }
 }
 
 /// Decodes the largest level of every part. Blocks are decompressed in parallel, each guarded on its own: a panic in a thread of the decoder's own pool
@@ -254,16 +189,12 @@ fn read_image(path: &Path) -> exr::error::Result<FlatImage> {
     check_size(reader.headers(), file_bytes)?;
     let chunks = reader.filter_chunks(false, |_, tile, _| tile.level_index == Vec2(0, 0))?;
     let meta = chunks.meta_data().clone();
-    let mut layers: Layers<AnyChannels<FlatSamples>> =
-        meta.headers.iter().map(empty_layer).collect();
+    let mut layers: Layers<AnyChannels<FlatSamples>> = meta.headers.iter().map(empty_layer).collect();
 
     let mut chunks = chunks.into_iter();
     loop {
         // Enough at once to keep every thread busy, little enough that the compressed and the decoded file are never in memory together.
-        let batch: Vec<Chunk> = chunks
-            .by_ref()
-            .take(256)
-            .collect::<exr::error::Result<_>>()?;
+        let batch: Vec<Chunk> = chunks.by_ref().take(256).collect::<exr::error::Result<_>>()?;
         if batch.is_empty() {
             break;
         }
@@ -274,44 +205,26 @@ fn read_image(path: &Path) -> exr::error::Result<FlatImage> {
                     check_dwa_counters(&chunk, &meta)?;
                     UncompressedBlock::decompress_chunk(chunk, &meta, false)
                 }))
-                .unwrap_or_else(|_| {
-                    Err(exr::error::Error::Invalid(
-                        "a block cannot be decompressed".into(),
-                    ))
-                })
+                .unwrap_or_else(|_| Err(exr::error::Error::Invalid("a block cannot be decompressed".into())))
             })
             .collect::<exr::error::Result<_>>()?;
         for block in &blocks {
             store(block, &meta, &mut layers)?;
         }
     }
-    let attributes = meta
-        .headers
-        .first()
-        .map(|header| header.shared_attributes.clone());
+    let attributes = meta.headers.first().map(|header| header.shared_attributes.clone());
     let attributes = attributes.ok_or(exr::error::Error::Invalid("it has no parts".into()))?;
-    Ok(FlatImage {
-        attributes,
-        layer_data: layers,
-    })
+    Ok(FlatImage { attributes, layer_data: layers })
 }
 
-fn store(
-    block: &UncompressedBlock,
-    meta: &MetaData,
-    layers: &mut Layers<AnyChannels<FlatSamples>>,
-) -> exr::error::Result<()> {
+fn store(block: &UncompressedBlock, meta: &MetaData, layers: &mut Layers<AnyChannels<FlatSamples>>) -> exr::error::Result<()> {
     let missing = || exr::error::Error::Invalid("a block lies outside the image".into());
     let header = meta.headers.get(block.index.layer).ok_or_else(missing)?;
     let layer = layers.get_mut(block.index.layer).ok_or_else(missing)?;
     for line in block.lines(&header.channels) {
         let start = line.location.position.1 * layer.size.0 + line.location.position.0;
         let range = start..start + line.location.sample_count;
-        let channel = layer
-            .channel_data
-            .list
-            .get_mut(line.location.channel)
-            .ok_or_else(missing)?;
+        let channel = layer.channel_data.list.get_mut(line.location.channel).ok_or_else(missing)?;
         match &mut channel.sample_data {
             FlatSamples::F16(values) => {
                 line.read_samples_into_slice(values.get_mut(range).ok_or_else(missing)?)?;
@@ -331,14 +244,10 @@ fn store(
 fn check_dwa_counters(chunk: &Chunk, meta: &MetaData) -> exr::error::Result<()> {
     use exr::block::chunk::CompressedBlock::{ScanLine, Tile};
     let Some(header) = meta.headers.get(chunk.layer_index) else {
-        return Err(exr::error::Error::Invalid(
-            "a block belongs to no part".into(),
-        ));
+        return Err(exr::error::Error::Invalid("a block belongs to no part".into()));
     };
     let bytes = match (&chunk.compressed_block, header.compression) {
-        (ScanLine(block), Compression::DWAA(_) | Compression::DWAB(_)) => {
-            &block.compressed_pixels_le
-        }
+        (ScanLine(block), Compression::DWAA(_) | Compression::DWAB(_)) => &block.compressed_pixels_le,
         (Tile(block), Compression::DWAA(_) | Compression::DWAB(_)) => &block.compressed_pixels_le,
         _ => return Ok(()),
     };
@@ -352,15 +261,9 @@ fn check_dwa_counters(chunk: &Chunk, meta: &MetaData) -> exr::error::Result<()> 
     let limit = (pixels.0 + 8) * (pixels.1 + 8) * header.channels.bytes_per_pixel * 2 + (1 << 16);
     // The first counter is the version, the eleventh a choice of method.
     let sizes = bytes.chunks_exact(8).skip(1).take(9);
-    let mut sizes = sizes.map(|size| {
-        size.iter()
-            .rev()
-            .fold(0_u64, |value, byte| value << 8 | u64::from(*byte))
-    });
+    let mut sizes = sizes.map(|size| size.iter().rev().fold(0_u64, |value, byte| value << 8 | u64::from(*byte)));
     if sizes.any(|size| size > limit as u64) {
-        return Err(exr::error::Error::Invalid(
-            "a block claims more data than the image has".into(),
-        ));
+        return Err(exr::error::Error::Invalid("a block claims more data than the image has".into()));
     }
     Ok(())
 }
@@ -379,9 +282,7 @@ fn empty_layer(header: &exr::meta::header::Header) -> Layer<AnyChannels<FlatSamp
         sampling: channel.sampling,
     };
     Layer {
-        channel_data: AnyChannels {
-            list: header.channels.list.iter().map(channel).collect(),
-        },
+        channel_data: AnyChannels { list: header.channels.list.iter().map(channel).collect() },
         attributes: header.own_attributes.clone(),
         size,
         encoding: Encoding {
@@ -397,35 +298,22 @@ fn empty_layer(header: &exr::meta::header::Header) -> Layer<AnyChannels<FlatSamp
 
 /// Refuses headers that claim more than the file can hold, before anything of that size is allocated.
 fn check_size(headers: &[exr::meta::header::Header], file_bytes: u64) -> exr::error::Result<()> {
-    let too_large = || {
-        exr::error::Error::Invalid(
-            "its header claims an image larger than the file can hold".into(),
-        )
-    };
+    let too_large = || exr::error::Error::Invalid("its header claims an image larger than the file can hold".into());
     let mut bytes = 0_usize;
     for header in headers {
         // One side of more than 2^20 pixels fits no texture, no film and no buffer.
-        if header.layer_size.0 > 1 << 20
-            || header.layer_size.1 > 1 << 20
-            || header.layer_size.0 == 0
-            || header.layer_size.1 == 0
-        {
+        if header.layer_size.0 > 1 << 20 || header.layer_size.1 > 1 << 20 || header.layer_size.0 == 0 || header.layer_size.1 == 0 {
             return Err(too_large());
         }
         // Every chunk has an entry of 8 bytes in the offset table and 8 bytes or more of its own.
         if header.chunk_count as u64 > file_bytes / 16 {
             return Err(too_large());
         }
-        let part = (header.layer_size.0 * header.layer_size.1)
-            .checked_mul(header.channels.bytes_per_pixel);
-        bytes = part
-            .and_then(|part| bytes.checked_add(part))
-            .ok_or_else(too_large)?;
+        let part = (header.layer_size.0 * header.layer_size.1).checked_mul(header.channels.bytes_per_pixel);
+        bytes = part.and_then(|part| bytes.checked_add(part)).ok_or_else(too_large)?;
     }
     let mut probe: Vec<u8> = Vec::new();
-    probe.try_reserve_exact(bytes).map_err(|_| {
-        exr::error::Error::Invalid(format!("its header claims {bytes} bytes of pixels").into())
-    })
+    probe.try_reserve_exact(bytes).map_err(|_| exr::error::Error::Invalid(format!("its header claims {bytes} bytes of pixels").into()))
 }
 
 /// Groups a file's channels into layers: names are split at their last dot.
@@ -436,73 +324,36 @@ fn layers_of(image: &FlatImage) -> Vec<FileLayer> {
     let many_parts = image.layer_data.len() > 1;
     let mut layers: Vec<FileLayer> = Vec::new();
     for (part, layer) in image.layer_data.iter().enumerate() {
-        let part_name = layer
-            .attributes
-            .layer_name
-            .as_ref()
-            .map(ToString::to_string)
-            .unwrap_or_default();
+        let part_name = layer.attributes.layer_name.as_ref().map(ToString::to_string).unwrap_or_default();
         let own_name = if many_parts { part_name.as_str() } else { "" };
-        let names: Vec<String> = layer
-            .channel_data
-            .list
-            .iter()
-            .map(|channel| channel.name.to_string())
-            .collect();
+        let names: Vec<String> = layer.channel_data.list.iter().map(|channel| channel.name.to_string()).collect();
         let has = |wanted: &str| names.iter().any(|name| name.eq_ignore_ascii_case(wanted));
         let has_color = has("Y") && !has("X") || has("R") && has("G") && has("B");
         for (index, name) in names.iter().enumerate() {
             let (layer_name, suffix) = match name.rsplit_once('.') {
                 Some((layer_name, suffix)) => (layer_name, suffix),
                 None => {
-                    let color = ["R", "G", "B", "A", "Y"]
-                        .iter()
-                        .any(|color| name.eq_ignore_ascii_case(color));
-                    let own = if has_color {
-                        color
-                    } else {
-                        name.chars().count() == 1
-                    };
+                    let color = ["R", "G", "B", "A", "Y"].iter().any(|color| name.eq_ignore_ascii_case(color));
+                    let own = if has_color { color } else { name.chars().count() == 1 };
                     (if own { own_name } else { name.as_str() }, name.as_str())
                 }
             };
-            let channel = FileChannel {
-                index,
-                suffix: suffix.to_owned(),
-            };
-            let taken = layers
-                .iter()
-                .any(|other| other.part != part && other.name == layer_name);
-            let full_name = if taken {
-                format!("{part_name}.{layer_name}")
-            } else {
-                layer_name.to_owned()
-            };
-            match layers
-                .iter_mut()
-                .find(|other| other.part == part && other.name == full_name)
-            {
+            let channel = FileChannel { index, suffix: suffix.to_owned() };
+            let taken = layers.iter().any(|other| other.part != part && other.name == layer_name);
+            let full_name = if taken { format!("{part_name}.{layer_name}") } else { layer_name.to_owned() };
+            match layers.iter_mut().find(|other| other.part == part && other.name == full_name) {
                 Some(found) => found.channels.push(channel),
-                None => layers.push(FileLayer {
-                    name: full_name,
-                    part,
-                    channels: vec![channel],
-                }),
+                None => layers.push(FileLayer { name: full_name, part, channels: vec![channel] }),
             }
         }
     }
     for layer in &mut layers {
-        layer
-            .channels
-            .sort_by_key(|channel| (channel_rank(&channel.suffix), channel.suffix.clone()));
+        layer.channels.sort_by_key(|channel| (channel_rank(&channel.suffix), channel.suffix.clone()));
     }
     layers
 }
 
 fn channel_rank(suffix: &str) -> usize {
     let order = ["r", "g", "b", "x", "y", "z", "u", "v", "w"];
-    order
-        .iter()
-        .position(|known| suffix.eq_ignore_ascii_case(known))
-        .unwrap_or(order.len())
+    order.iter().position(|known| suffix.eq_ignore_ascii_case(known)).unwrap_or(order.len())
 }

@@ -10,45 +10,15 @@ use super::{BufferSet, Planes};
 /// Every layer in use, with what it is used as.
 pub(super) fn used_planes(set: &BufferSet) -> Vec<(&Planes, Role)> {
     let mut used = vec![(&set.color.mean, Role::Color)];
-    used.extend(
-        set.color
-            .half_a
-            .as_ref()
-            .map(|planes| (planes, Role::HalfA)),
-    );
-    used.extend(
-        set.color
-            .half_b
-            .as_ref()
-            .map(|planes| (planes, Role::HalfB)),
-    );
-    used.extend(
-        set.color
-            .variance
-            .as_ref()
-            .map(|planes| (planes, Role::Variance)),
-    );
+    used.extend(set.color.half_a.as_ref().map(|planes| (planes, Role::HalfA)));
+    used.extend(set.color.half_b.as_ref().map(|planes| (planes, Role::HalfB)));
+    used.extend(set.color.variance.as_ref().map(|planes| (planes, Role::Variance)));
     for (name, source) in &set.features {
         let role = |part| Role::Feature(name.clone(), part);
         used.push((&source.mean, role(SignalPart::Mean)));
-        used.extend(
-            source
-                .half_a
-                .as_ref()
-                .map(|planes| (planes, role(SignalPart::HalfA))),
-        );
-        used.extend(
-            source
-                .half_b
-                .as_ref()
-                .map(|planes| (planes, role(SignalPart::HalfB))),
-        );
-        used.extend(
-            source
-                .variance
-                .as_ref()
-                .map(|planes| (planes, role(SignalPart::Variance))),
-        );
+        used.extend(source.half_a.as_ref().map(|planes| (planes, role(SignalPart::HalfA))));
+        used.extend(source.half_b.as_ref().map(|planes| (planes, role(SignalPart::HalfB))));
+        used.extend(source.variance.as_ref().map(|planes| (planes, role(SignalPart::Variance))));
     }
     used.extend(set.samples.as_ref().map(|planes| (planes, Role::Samples)));
     used
@@ -60,14 +30,8 @@ pub(super) fn layer_uses(set: &BufferSet, notes: &[(usize, String)]) -> Vec<Laye
     let mut uses = Vec::new();
     for (file_index, file) in set.files.iter().enumerate() {
         for (layer_index, layer) in file.layers.iter().enumerate() {
-            let role = used
-                .iter()
-                .find(|(planes, _)| planes.file == file_index && planes.layer == layer_index)
-                .map(|(_, role)| role.clone());
-            let noted = notes
-                .iter()
-                .find(|(noted, _)| file_index == 0 && *noted == layer_index)
-                .map(|(_, note)| note.clone());
+            let role = used.iter().find(|(planes, _)| planes.file == file_index && planes.layer == layer_index).map(|(_, role)| role.clone());
+            let noted = notes.iter().find(|(noted, _)| file_index == 0 && *noted == layer_index).map(|(_, note)| note.clone());
             let note = match &role {
                 None => noted.or_else(|| names::why_not_a_variance(&layer.name).map(str::to_owned)),
                 Some(_) => None,
@@ -75,11 +39,7 @@ pub(super) fn layer_uses(set: &BufferSet, notes: &[(usize, String)]) -> Vec<Laye
             uses.push(LayerUse {
                 file: file.path.clone(),
                 layer: layer.name.clone(),
-                channels: layer
-                    .channels
-                    .iter()
-                    .map(|channel| channel.suffix.clone())
-                    .collect(),
+                channels: layer.channels.iter().map(|channel| channel.suffix.clone()).collect(),
                 sample_kind: sample_kind(file, layer),
                 role: role.unwrap_or(Role::Untouched),
                 non_finite_values: file.non_finite_values(layer),
@@ -97,9 +57,5 @@ fn sample_kind(file: &ExrFile, layer: &FileLayer) -> SampleKind {
         SampleType::U32 => SampleKind::Uint,
     };
     let first = kind(0);
-    if (1..layer.channels.len()).all(|channel| kind(channel) == first) {
-        first
-    } else {
-        SampleKind::Mixed
-    }
+    if (1..layer.channels.len()).all(|channel| kind(channel) == first) { first } else { SampleKind::Mixed }
 }

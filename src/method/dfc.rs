@@ -200,20 +200,19 @@ pub fn dfc(
         keeper.keep("sure", &BY_CANDIDATE, Unit::ColorSquared, &sure, 0);
         keeper.keep("sure_smoothed", &BY_CANDIDATE, Unit::ColorSquared, &errors, 0);
     }
-    drop(sure);
 
     // Binary selection maps.
     let selected = Arc::new(select_least(rec, extent, &errors, &candidates.derivatives)?);
     // Filter selection maps.
     let smoothed = nlm_filter(rec, extent, &guide(&SELECTION_SMOOTHING), &selected, 1, SELECTION_SMOOTHING.window_radius, weighting, false, schedule)?;
     // Candidate filter averaging.
-    let blend = select_blend(rec, extent, &smoothed.planes, &selected, &errors, &variance, &candidates, params.guard)?;
+    let blend = select_blend(rec, extent, &smoothed.planes, &selected, &errors, &sure, &variance, &candidates, params.guard)?;
     let selection = Arc::new(blend.selection);
     if keeper.wants(Intermediate::Selection) {
         keeper.keep("selected", &BY_CANDIDATE, Unit::Number, &selected, 0);
         keeper.keep("selection", &BY_CANDIDATE, Unit::Number, &selection, 0);
     }
-    drop((candidates, smoothed, errors, selected));
+    drop((candidates, smoothed, errors, sure, selected));
 
     // Second pass filtering.
     let Some(second_pass) = params.second_pass.filter(|_| color.has_halves) else {

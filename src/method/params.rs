@@ -24,7 +24,7 @@ const LARGEST_PATCH_RADIUS: u32 = 5;
 /// | `feature_tau_third` | 5·10⁻⁴ | 10⁻³ | > 0 | τ of THIRD |
 /// | `weighting.symmetric` | yes | no | | pairs of opposite neighbours (eq. 7.6) for colour and features; feature distances scaled by both pixels |
 /// | `weighting.centre` | largest neighbour | one | | weight of a pixel in its own average |
-/// | `guard` | 4, 0.3 | none | ≥ 0 | keeps rejected candidates out of the blend |
+/// | `guard` | 4, 0.3; 8, 4 | none | ≥ 0 | keeps candidates out of the blend that are clearly worse, by the smoothed errors and by the pixel's own |
 /// | `second_pass` | ⌈R/2⌉, f 3, clamped | R, f 1 | | filters what noise pass 1 left; needs halves |
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Params {
@@ -84,7 +84,7 @@ impl Default for Params {
         Self {
             feature_tau_third: 5e-4,
             weighting: Weighting { symmetric: true, centre: CentreWeight::LargestNeighbour },
-            guard: Some(Guard { error_factor: 4.0, noise_factor: 0.3 }),
+            guard: Some(Guard { smoothed_error: 4.0, smoothed_noise: 0.3, own_sigmas: 8.0, own_noise: 4.0 }),
             second_pass: Some(SecondPass { half_window: true, patch_radius: 3, color_k: 0.45, clamp_to_input: true }),
             ..Self::thesis()
         }
@@ -149,9 +149,11 @@ impl Params {
             }
         }
         if let Some(guard) = self.guard {
-            for (name, value) in [("the guard's error factor", guard.error_factor), ("the guard's noise factor", guard.noise_factor)] {
+            let Guard { smoothed_error, smoothed_noise, own_sigmas, own_noise } = guard;
+            for (name, value) in [("smoothed error", smoothed_error), ("smoothed noise", smoothed_noise), ("own sigmas", own_sigmas), ("own noise", own_noise)]
+            {
                 if !(value.is_finite() && value >= 0.0) {
-                    return refuse(name, value.to_string(), "finite and at least 0");
+                    return refuse(&format!("the guard's {name}"), value.to_string(), "finite and at least 0");
                 }
             }
         }

@@ -58,9 +58,8 @@ impl Packing {
     pub(super) fn triple_weights(&self) -> [Vec4; MAX_GROUPS] {
         let mut weights = [Vec4::ZERO; MAX_GROUPS];
         for (slot, &count) in self.slots.iter().zip(&self.channels).filter(|(slot, _)| !slot.single) {
-            for channel in 0..count as usize {
-                weights[slot.group as usize][channel] = 1.0 / count as f32;
-            }
+            let weight = |channel: u32| if channel < count { 1.0 / count as f32 } else { 0.0 };
+            weights[slot.group as usize] = Vec4::new(weight(0), weight(1), weight(2), 0.0);
         }
         weights
     }

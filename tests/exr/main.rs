@@ -27,36 +27,19 @@ struct Part {
 
 impl Part {
     fn new() -> Self {
-        Self {
-            name: None,
-            position: (0, 0),
-            size: SIZE,
-            channels: Vec::new(),
-            attributes: Vec::new(),
-            compression: Compression::ZIP16,
-        }
+        Self { name: None, position: (0, 0), size: SIZE, channels: Vec::new(), attributes: Vec::new(), compression: Compression::ZIP16 }
     }
 
     fn named(name: &'static str) -> Self {
-        Self {
-            name: Some(name),
-            ..Self::new()
-        }
+        Self { name: Some(name), ..Self::new() }
     }
 
     /// Adds channels `layer.suffix`, each a ramp; the first starts at `start`, the next 100 above it.
     fn with(mut self, layer: &str, suffixes: &str, start: f32) -> Self {
         let pixels = self.size.0 * self.size.1;
         for (index, suffix) in suffixes.chars().enumerate() {
-            let name = if layer.is_empty() {
-                suffix.to_string()
-            } else {
-                format!("{layer}.{suffix}")
-            };
-            self.channels.push((
-                name,
-                FlatSamples::F32(ramp(start + 100.0 * index as f32, pixels)),
-            ));
+            let name = if layer.is_empty() { suffix.to_string() } else { format!("{layer}.{suffix}") };
+            self.channels.push((name, FlatSamples::F32(ramp(start + 100.0 * index as f32, pixels))));
         }
         self
     }
@@ -86,44 +69,24 @@ fn ramp(start: f32, pixels: usize) -> Vec<f32> {
 
 fn image_of(parts: Vec<Part>, display: IntegerBounds) -> FlatImage {
     let layer_of = |part: Part| {
-        let channels = part
-            .channels
-            .into_iter()
-            .map(|(name, samples)| AnyChannel::new(name.as_str(), samples));
-        let mut attributes = LayerAttributes {
-            layer_name: part.name.map(Text::from),
-            layer_position: Vec2(part.position.0, part.position.1),
-            ..LayerAttributes::default()
-        };
-        attributes.other.extend(
-            part.attributes
-                .into_iter()
-                .map(|(name, value)| (Text::from(name), value)),
-        );
+        let channels = part.channels.into_iter().map(|(name, samples)| AnyChannel::new(name.as_str(), samples));
+        let mut attributes =
+            LayerAttributes { layer_name: part.name.map(Text::from), layer_position: Vec2(part.position.0, part.position.1), ..LayerAttributes::default() };
+        attributes.other.extend(part.attributes.into_iter().map(|(name, value)| (Text::from(name), value)));
         Layer {
             channel_data: AnyChannels::sort(channels.collect()),
             attributes,
             size: Vec2(part.size.0, part.size.1),
-            encoding: Encoding {
-                compression: part.compression,
-                blocks: Blocks::ScanLines,
-                line_order: LineOrder::Increasing,
-            },
+            encoding: Encoding { compression: part.compression, blocks: Blocks::ScanLines, line_order: LineOrder::Increasing },
         }
     };
-    FlatImage {
-        attributes: ImageAttributes::new(display),
-        layer_data: parts.into_iter().map(layer_of).collect(),
-    }
+    FlatImage { attributes: ImageAttributes::new(display), layer_data: parts.into_iter().map(layer_of).collect() }
 }
 
 fn write(folder: &Path, name: &str, parts: Vec<Part>) -> PathBuf {
     let size = parts[0].size;
     let path = folder.join(name);
-    image_of(parts, IntegerBounds::from_dimensions(size))
-        .write()
-        .to_file(&path)
-        .unwrap();
+    image_of(parts, IntegerBounds::from_dimensions(size)).write().to_file(&path).unwrap();
     path
 }
 
@@ -132,10 +95,7 @@ fn folder() -> tempfile::TempDir {
 }
 
 fn request(input: &Path) -> BufferSetRequest {
-    BufferSetRequest {
-        input: input.to_owned(),
-        ..BufferSetRequest::default()
-    }
+    BufferSetRequest { input: input.to_owned(), ..BufferSetRequest::default() }
 }
 
 fn read(input: &Path) -> BufferSet {
@@ -143,67 +103,33 @@ fn read(input: &Path) -> BufferSet {
 }
 
 fn failure(request: &BufferSetRequest) -> String {
-    BufferSet::read(request)
-        .map(|_| ())
-        .unwrap_err()
-        .to_string()
+    BufferSet::read(request).map(|_| ()).unwrap_err().to_string()
 }
 
 fn role(set: &BufferSet, layer: &str) -> Role {
-    set.layer_uses()
-        .iter()
-        .find(|found| found.layer == layer)
-        .unwrap()
-        .role
-        .clone()
+    set.layer_uses().iter().find(|found| found.layer == layer).unwrap().role.clone()
 }
 
 fn note(set: &BufferSet, layer: &str) -> String {
-    set.layer_uses()
-        .iter()
-        .find(|found| found.layer == layer)
-        .unwrap()
-        .note
-        .clone()
-        .unwrap_or_default()
+    set.layer_uses().iter().find(|found| found.layer == layer).unwrap().note.clone().unwrap_or_default()
 }
 
 /// What `Part::with(_, "RGB", start)` holds.
 fn rgb(start: f32) -> Planes {
-    let extent = Extent {
-        width: SIZE.0 as u32,
-        height: SIZE.1 as u32,
-    };
-    Planes {
-        extent,
-        planes: (0..3)
-            .map(|c| ramp(start + 100.0 * c as f32, PIXELS))
-            .collect(),
-    }
+    let extent = Extent { width: SIZE.0 as u32, height: SIZE.1 as u32 };
+    Planes { extent, planes: (0..3).map(|c| ramp(start + 100.0 * c as f32, PIXELS)).collect() }
 }
 
 fn single(start: f32) -> Planes {
-    Planes {
-        planes: vec![ramp(start, PIXELS)],
-        ..rgb(0.0)
-    }
+    Planes { planes: vec![ramp(start, PIXELS)], ..rgb(0.0) }
 }
 
 fn replace_color(color: &Planes) -> DenoisedLayers<'_> {
-    DenoisedLayers {
-        color,
-        replacements: &[],
-        extra: &[],
-        attributes: &[],
-    }
+    DenoisedLayers { color, replacements: &[], extra: &[], attributes: &[] }
 }
 
 fn stored(path: &Path, channel: &str) -> FlatSamples {
     let image = read_all_flat_layers_from_file(path).unwrap();
     let mut channels = image.layer_data[0].channel_data.list.iter();
-    channels
-        .find(|found| found.name == *channel)
-        .unwrap()
-        .sample_data
-        .clone()
+    channels.find(|found| found.name == *channel).unwrap().sample_data.clone()
 }

@@ -9,17 +9,10 @@ use super::*;
 fn a_feature_of_another_size_names_its_file_and_both_windows() {
     let folder = folder();
     let input = write(folder.path(), "in.exr", vec![Part::native()]);
-    let small = Part {
-        size: (4, 3),
-        ..Part::new()
-    }
-    .with("", "RGB", 1.0);
+    let small = Part { size: (4, 3), ..Part::new() }.with("", "RGB", 1.0);
     let file = write(folder.path(), "small.exr", vec![small]);
     let features = vec![("albedo".to_owned(), LayerRef { file, layer: None })];
-    let message = failure(&BufferSetRequest {
-        features,
-        ..request(&input)
-    });
+    let message = failure(&BufferSetRequest { features, ..request(&input) });
     for part in ["small.exr", "4×3", "5×3", "remedy"] {
         assert!(message.contains(part), "{message}");
     }
@@ -30,39 +23,23 @@ fn one_half_alone_is_an_error() {
     let folder = folder();
     let part = Part::new().with("", "RGB", 1.0).with("halfB", "RGB", 2.0);
     let message = failure(&request(&write(folder.path(), "in.exr", vec![part])));
-    assert!(
-        message.contains("half A is missing") && message.contains("--half-a"),
-        "{message}"
-    );
+    assert!(message.contains("half A is missing") && message.contains("--half-a"), "{message}");
 }
 
 #[test]
 fn the_input_given_as_its_own_variance_asks_for_a_layer() {
     let folder = folder();
     let input = write(folder.path(), "in.exr", vec![Part::native()]);
-    let variance = Some(LayerRef {
-        file: input.clone(),
-        layer: None,
-    });
-    let message = failure(&BufferSetRequest {
-        variance,
-        ..request(&input)
-    });
+    let variance = Some(LayerRef { file: input.clone(), layer: None });
+    let message = failure(&BufferSetRequest { variance, ..request(&input) });
     assert!(message.contains("FILE::LAYER"), "{message}");
 }
 
 #[test]
 fn neither_halves_nor_variance_explains_the_ways_out() {
     let folder = folder();
-    let set = read(&write(
-        folder.path(),
-        "in.exr",
-        vec![Part::new().with("", "RGB", 1.0)],
-    ));
-    let message = Frame::from_buffer_set(&set)
-        .map(|_| ())
-        .unwrap_err()
-        .to_string();
+    let set = read(&write(folder.path(), "in.exr", vec![Part::new().with("", "RGB", 1.0)]));
+    let message = Frame::from_buffer_set(&set).map(|_| ()).unwrap_err().to_string();
     for way in ["--half-a", "--variance", "seeds"] {
         assert!(message.contains(way), "{message}");
     }
@@ -76,30 +53,15 @@ fn a_truncated_file_names_itself() {
     for length in (1..whole.len()).step_by(37).chain([whole.len() - 1]) {
         std::fs::write(&input, &whole[..length]).unwrap();
         let message = failure(&request(&input));
-        assert!(
-            message.contains("in.exr") && message.contains("remedy"),
-            "at {length}: {message}"
-        );
+        assert!(message.contains("in.exr") && message.contains("remedy"), "at {length}: {message}");
     }
 }
 
 #[test]
 fn flipped_bytes_never_panic() {
     let folder = folder();
-    for compression in [
-        Compression::ZIP16,
-        Compression::PIZ,
-        Compression::Uncompressed,
-        Compression::DWAA(None),
-    ] {
-        let input = write(
-            folder.path(),
-            "in.exr",
-            vec![Part {
-                compression,
-                ..Part::native()
-            }],
-        );
+    for compression in [Compression::ZIP16, Compression::PIZ, Compression::Uncompressed, Compression::DWAA(None)] {
+        let input = write(folder.path(), "in.exr", vec![Part { compression, ..Part::native() }]);
         let whole = std::fs::read(&input).unwrap();
         for at in (4..whole.len()).step_by(11) {
             for value in [0, 0x7f, 0xff] {
@@ -132,13 +94,7 @@ fn unreadable_kinds_of_exr_are_named_with_a_way_out() {
     let folder = folder();
     let input = write(folder.path(), "in.exr", vec![Part::native()]);
     let whole = std::fs::read(&input).unwrap();
-    let behind = |marker: &[u8]| {
-        whole
-            .windows(marker.len())
-            .position(|window| window == marker)
-            .unwrap()
-            + marker.len()
-    };
+    let behind = |marker: &[u8]| whole.windows(marker.len()).position(|window| window == marker).unwrap() + marker.len();
     let spoilt = |changes: &[(usize, u8)]| {
         let mut bytes = whole.clone();
         changes.iter().for_each(|(at, value)| bytes[*at] = *value);
@@ -148,10 +104,7 @@ fn unreadable_kinds_of_exr_are_named_with_a_way_out() {
     let compression = behind(b"compression\0compression\0\x01\0\0\0");
     for (number, name) in [(10, "HTJ2K"), (11, "HTJ2K"), (12, "ZSTD"), (99, "99")] {
         let message = spoilt(&[(compression, number)]);
-        assert!(
-            message.contains(name) && message.contains("ZIP"),
-            "{message}"
-        );
+        assert!(message.contains(name) && message.contains("ZIP"), "{message}");
     }
     assert!(spoilt(&[(5, whole[5] | 0x08)]).contains("deep data"));
     // Behind a channel's name stand its type, its linearity, and the sampling in x and y.

@@ -13,24 +13,17 @@ fn mixed_sample_types_are_read_and_kept() {
     let folder = folder();
     let mut part = Part::native();
     part.channels[0].1 = FlatSamples::F16(vec![f16::from_f32(0.5); PIXELS]);
-    part.channels
-        .push(("id".into(), FlatSamples::U32(vec![7; PIXELS])));
+    part.channels.push(("id".into(), FlatSamples::U32(vec![7; PIXELS])));
     let set = read(&write(folder.path(), "in.exr", vec![part]));
     assert_eq!(set.color().mean.planes[0], vec![0.5; PIXELS]);
-    let main = set
-        .layer_uses()
-        .iter()
-        .find(|found| found.layer.is_empty())
-        .unwrap();
+    let main = set.layer_uses().iter().find(|found| found.layer.is_empty()).unwrap();
     assert_eq!(main.sample_kind, SampleKind::Mixed);
     let output = folder.path().join("out.exr");
     let mut color = rgb(10.0);
     color.planes[0][3] = 1e6;
     let report = write_denoised(&set, &output, &replace_color(&color)).unwrap();
     assert_eq!(report.clamped_values, 1);
-    let FlatSamples::F16(red) = stored(&output, "R") else {
-        panic!("red is not half")
-    };
+    let FlatSamples::F16(red) = stored(&output, "R") else { panic!("red is not half") };
     assert_eq!((red[0].to_f32(), red[3].to_f32()), (10.0, 65504.0));
     assert_eq!(stored(&output, "G"), FlatSamples::F32(ramp(110.0, PIXELS)));
     assert_eq!(stored(&output, "id"), FlatSamples::U32(vec![7; PIXELS]));
@@ -39,9 +32,7 @@ fn mixed_sample_types_are_read_and_kept() {
 #[test]
 fn alpha_and_unknown_layers_pass_through_untouched() {
     let folder = folder();
-    let part = Part::native()
-        .with("", "A", 0.25)
-        .with("matte", "RGB", 30.0);
+    let part = Part::native().with("", "A", 0.25).with("matte", "RGB", 30.0);
     let part = part.attribute("camera", AttributeValue::FloatVec3((1.0, 2.0, 3.0)));
     let input = write(folder.path(), "in.exr", vec![part]);
     let set = read(&input);
@@ -51,19 +42,9 @@ fn alpha_and_unknown_layers_pass_through_untouched() {
     let before = read_all_flat_layers_from_file(&input).unwrap();
     let mut after = read_all_flat_layers_from_file(&output).unwrap();
     let old_channels = &before.layer_data[0].channel_data.list;
-    for (channel, old) in after.layer_data[0]
-        .channel_data
-        .list
-        .iter_mut()
-        .zip(old_channels)
-    {
+    for (channel, old) in after.layer_data[0].channel_data.list.iter_mut().zip(old_channels) {
         let replaced = ["R", "G", "B"].iter().any(|name| channel.name == **name);
-        assert_eq!(
-            channel.sample_data != old.sample_data,
-            replaced,
-            "{}",
-            channel.name
-        );
+        assert_eq!(channel.sample_data != old.sample_data, replaced, "{}", channel.name);
         channel.sample_data = old.sample_data.clone();
     }
     assert_eq!(after, before, "header or layout changed");
@@ -72,32 +53,12 @@ fn alpha_and_unknown_layers_pass_through_untouched() {
 #[test]
 fn a_cropped_render_keeps_both_windows() {
     let folder = folder();
-    let part = Part {
-        position: (-3, 7),
-        ..Part::native()
-    };
+    let part = Part { position: (-3, 7), ..Part::native() };
     let path = folder.path().join("crop.exr");
-    image_of(vec![part], IntegerBounds::new((0, 0), (64, 48)))
-        .write()
-        .to_file(&path)
-        .unwrap();
+    image_of(vec![part], IntegerBounds::new((0, 0), (64, 48))).write().to_file(&path).unwrap();
     let set = read(&path);
-    let data = Window {
-        x: -3,
-        y: 7,
-        extent: Extent {
-            width: 5,
-            height: 3,
-        },
-    };
-    let whole = Window {
-        x: 0,
-        y: 0,
-        extent: Extent {
-            width: 64,
-            height: 48,
-        },
-    };
+    let data = Window { x: -3, y: 7, extent: Extent { width: 5, height: 3 } };
+    let whole = Window { x: 0, y: 0, extent: Extent { width: 64, height: 48 } };
     assert_eq!((set.data_window(), set.display_window()), (data, whole));
     let output = folder.path().join("out.exr");
     write_denoised(&set, &output, &replace_color(&rgb(50.0))).unwrap();
@@ -110,41 +71,15 @@ fn a_cropped_render_keeps_both_windows() {
 fn every_writable_compression_is_kept() {
     let folder = folder();
     use Compression::*;
-    for compression in [
-        Uncompressed,
-        RLE,
-        ZIP1,
-        ZIP16,
-        PIZ,
-        PXR24,
-        B44,
-        B44A,
-        DWAA(None),
-        DWAB(Some(30.0)),
-    ] {
-        let set = read(&write(
-            folder.path(),
-            "in.exr",
-            vec![Part {
-                compression,
-                ..Part::native()
-            }],
-        ));
+    for compression in [Uncompressed, RLE, ZIP1, ZIP16, PIZ, PXR24, B44, B44A, DWAA(None), DWAB(Some(30.0))] {
+        let set = read(&write(folder.path(), "in.exr", vec![Part { compression, ..Part::native() }]));
         let output = folder.path().join("out.exr");
         write_denoised(&set, &output, &replace_color(&rgb(50.0))).unwrap();
         let written = read_all_flat_layers_from_file(&output).unwrap();
         assert_eq!(written.layer_data[0].encoding.compression, compression);
         let again = read(&output).color().mean;
         let close = |(a, b): (&f32, &f32)| (a - b).abs() <= 0.02 * b.abs();
-        assert!(
-            again
-                .planes
-                .iter()
-                .flatten()
-                .zip(rgb(50.0).planes.iter().flatten())
-                .all(close),
-            "{compression}"
-        );
+        assert!(again.planes.iter().flatten().zip(rgb(50.0).planes.iter().flatten()).all(close), "{compression}");
     }
 }
 
@@ -160,52 +95,27 @@ fn tiles_are_read_and_kept() {
     let output = folder.path().join("out.exr");
     write_denoised(&set, &output, &replace_color(&rgb(50.0))).unwrap();
     let written = read_all_flat_layers_from_file(&output).unwrap();
-    assert_eq!(
-        written.layer_data[0].encoding.blocks,
-        Blocks::Tiles(Vec2(2, 2))
-    );
+    assert_eq!(written.layer_data[0].encoding.blocks, Blocks::Tiles(Vec2(2, 2)));
 }
 
 #[test]
 fn results_replace_stale_halves_and_extra_layers_are_added() {
     let folder = folder();
-    let set = read(&write(
-        folder.path(),
-        "in.exr",
-        vec![Part::native().with("halfA", "A", 0.5)],
-    ));
+    let set = read(&write(folder.path(), "in.exr", vec![Part::native().with("halfA", "A", 0.5)]));
     let color = rgb(50.0);
-    let extra = [NamedLayer {
-        name: "error".into(),
-        channels: vec!["V".into()],
-        image: single(0.5),
-    }];
-    let replacements = [
-        ("halfA".to_owned(), rgb(60.0)),
-        ("variance".to_owned(), rgb(70.0)),
-    ];
+    let extra = [NamedLayer { name: "error".into(), channels: vec!["V".into()], image: single(0.5) }];
+    let replacements = [("halfA".to_owned(), rgb(60.0)), ("variance".to_owned(), rgb(70.0))];
     let attributes = [("denoiser".to_owned(), "stein".to_owned())];
     let output = folder.path().join("out.exr");
-    let layers = DenoisedLayers {
-        color: &color,
-        replacements: &replacements,
-        extra: &extra,
-        attributes: &attributes,
-    };
+    let layers = DenoisedLayers { color: &color, replacements: &replacements, extra: &extra, attributes: &attributes };
     let report = write_denoised(&set, &output, &layers).unwrap();
     assert_eq!(report, Default::default());
     let again = read(&output).color();
     assert_eq!(again.half_a, Some(rgb(60.0)));
     assert_eq!(again.half_b, Some(rgb(3.0)));
     assert_eq!(again.variance_of_mean, Some(rgb(70.0)));
-    assert_eq!(
-        stored(&output, "halfA.A"),
-        FlatSamples::F32(ramp(0.5, PIXELS))
-    );
-    assert_eq!(
-        stored(&output, "error.V"),
-        FlatSamples::F32(ramp(0.5, PIXELS))
-    );
+    assert_eq!(stored(&output, "halfA.A"), FlatSamples::F32(ramp(0.5, PIXELS)));
+    assert_eq!(stored(&output, "error.V"), FlatSamples::F32(ramp(0.5, PIXELS)));
     let written = read_all_flat_layers_from_file(&output).unwrap();
     let attribute = &written.layer_data[0].attributes.other[&Text::from("denoiser")];
     assert_eq!(*attribute, AttributeValue::Text("stein".into()));
@@ -218,54 +128,23 @@ fn a_failed_write_leaves_nothing_behind_and_the_old_file_alone() {
     let set = read(&input);
     let before = std::fs::read(&input).unwrap();
     let color = rgb(50.0);
-    let wrong = Planes::filled(
-        Extent {
-            width: 2,
-            height: 2,
-        },
-        3,
-        0.0,
-    );
+    let wrong = Planes::filled(Extent { width: 2, height: 2 }, 3, 0.0);
     assert!(write_denoised(&set, &input, &replace_color(&wrong)).is_err());
-    let extra = [NamedLayer {
-        name: "normal".into(),
-        channels: vec!["X".into()],
-        image: single(0.0),
-    }];
-    let clash = DenoisedLayers {
-        extra: &extra,
-        ..replace_color(&color)
-    };
-    let message = write_denoised(&set, &input, &clash)
-        .unwrap_err()
-        .to_string();
+    let extra = [NamedLayer { name: "normal".into(), channels: vec!["X".into()], image: single(0.0) }];
+    let clash = DenoisedLayers { extra: &extra, ..replace_color(&color) };
+    let message = write_denoised(&set, &input, &clash).unwrap_err().to_string();
     assert!(message.contains("normal.X"), "{message}");
     let replacements = [("nowhere".to_owned(), rgb(0.0))];
-    let lost = DenoisedLayers {
-        replacements: &replacements,
-        ..replace_color(&color)
-    };
-    assert!(
-        write_denoised(&set, &input, &lost)
-            .unwrap_err()
-            .to_string()
-            .contains("nowhere")
-    );
+    let lost = DenoisedLayers { replacements: &replacements, ..replace_color(&color) };
+    assert!(write_denoised(&set, &input, &lost).unwrap_err().to_string().contains("nowhere"));
     let missing = folder.path().join("no such folder").join("out.exr");
-    assert!(matches!(
-        write_denoised(&set, &missing, &replace_color(&color)),
-        Err(Error::File { .. })
-    ));
+    assert!(matches!(write_denoised(&set, &missing, &replace_color(&color)), Err(Error::File { .. })));
     // The target is a folder, so that only the last step, the renaming, fails.
     let occupied = folder.path().join("occupied");
     std::fs::create_dir_all(occupied.join("inside")).unwrap();
     assert!(write_denoised(&set, &occupied, &replace_color(&color)).is_err());
     assert_eq!(std::fs::read(&input).unwrap(), before);
-    assert_eq!(
-        std::fs::read_dir(folder.path()).unwrap().count(),
-        2,
-        "a temporary file was left"
-    );
+    assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 2, "a temporary file was left");
 }
 
 #[test]
@@ -280,10 +159,6 @@ fn the_input_can_be_overwritten() {
         let plain = folder.path().join("plain");
         std::fs::write(&plain, "").unwrap();
         let mode = |path: &Path| std::fs::metadata(path).unwrap().permissions().mode();
-        assert_eq!(
-            mode(&input),
-            mode(&plain),
-            "an output is as readable as any other file"
-        );
+        assert_eq!(mode(&input), mode(&plain), "an output is as readable as any other file");
     }
 }
