@@ -193,6 +193,7 @@ fn replace_color(color: &Planes) -> DenoisedLayers<'_> {
     DenoisedLayers {
         color,
         replacements: &[],
+        dropped: &[],
         extra: &[],
         attributes: &[],
     }

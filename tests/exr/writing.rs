@@ -189,6 +189,7 @@ fn results_replace_stale_halves_and_extra_layers_are_added() {
     let layers = DenoisedLayers {
         color: &color,
         replacements: &replacements,
+        dropped: &[],
         extra: &extra,
         attributes: &attributes,
     };
