@@ -1,18 +1,17 @@
 //! `stein denoise`
 
-use std::io::IsTerminal;
 use std::ops::ControlFlow;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::time::Instant;
 
 use clap::builder::{PossibleValuesParser, TypedValueParser};
-use indicatif::{ProgressBar, ProgressStyle};
-use stein::buffers::{LayerRef, read_reference};
+use stein::buffers::LayerRef;
 use stein::method::dfc::Intermediate;
-use stein::{Denoiser, Estimate, Frame, Image, Options};
+use stein::{Denoiser, Estimate, Frame, Options};
 
 use super::inspect::settle;
 use super::options::{Device, PresetName, Source};
+use super::progress::{bar, is_watched};
 use super::quality;
 use super::report::{Report, Run};
 use super::{Failure, Out, output};
@@ -31,7 +30,7 @@ Exit codes: 0 done, 2 wrong usage, 3 an input file or layer cannot be used, 4 no
 
 /// Denoise a rendering
 #[derive(Debug, clap::Args)]
-#[command(after_help = EXAMPLE)]
+#[command(after_help = EXAMPLE, override_usage = "stein denoise [OPTIONS] IN")]
 pub(crate) struct Args {
     /// OpenEXR file with the noisy colour and, usually, its halves, variance and features
     #[arg(value_name = "IN", required_unless_present = "list_devices")]
@@ -98,7 +97,7 @@ impl Args {
     }
 
     fn show_progress(&self) -> bool {
-        !self.quiet && !self.json && std::io::stderr().is_terminal()
+        !self.quiet && !self.json && is_watched()
     }
 }
 
@@ -118,7 +117,7 @@ pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
     let (frame, described) = settle(&set);
     out.say(described.text(args.verbose));
     let frame = frame.map_err(|error| Failure::in_file(input, error))?;
-    let reference = args.reference.as_ref().map(|reference| read_matching(reference, &frame, input)).transpose()?;
+    let reference = args.reference.as_ref().map(|reference| quality::read(reference, &frame, input)).transpose()?;
 
     let gpu = args.device.open()?;
     let denoiser = args.device.denoiser(&gpu, params)?;
@@ -151,30 +150,12 @@ pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
     if args.json { out.json(&report) } else { Ok(()) }
 }
 
-/// The reference, if it shows the same pixels.
-fn read_matching(reference: &LayerRef, frame: &Frame, input: &Path) -> Result<Image, Failure> {
-    let image = read_reference(&reference.file, reference.layer.as_deref())?;
-    if image.extent == frame.extent() {
-        return Ok(image);
-    }
-    Err(Failure::input(format_args!(
-        "{}: is of {}, but {} of {}\n  remedy: give a reference with the same resolution and crop",
-        reference.file.display(),
-        image.extent,
-        input.display(),
-        frame.extent()
-    )))
-}
-
 /// Denoises, with a progress bar where somebody is watching. Reporting progress makes the device wait, so it is not asked for where nobody is.
 fn denoise(denoiser: &Denoiser, frame: &Frame, keep: &[Intermediate], watched: bool) -> Result<Estimate, Failure> {
     if !watched {
         return Ok(denoiser.denoise_with(frame, Options { keep, progress: None })?);
     }
-    let bar = ProgressBar::new(1000);
-    if let Ok(style) = ProgressStyle::with_template("{wide_bar} {percent:>3} % {eta}") {
-        bar.set_style(style);
-    }
+    let bar = bar(true, 1000);
     let mut progress = |share: f32| {
         bar.set_position((share * 1000.0) as u64);
         ControlFlow::Continue(())

@@ -31,13 +31,7 @@ pub(crate) struct Input {
 #[serde(rename_all = "snake_case")]
 enum Outcome {
     /// It can be denoised.
-    Frame {
-        mode: &'static str,
-        noise_knowledge: NoiseKnowledge,
-        noise_level: f64,
-        features: Vec<String>,
-        repairs: Repairs,
-    },
+    Frame { mode: &'static str, noise_knowledge: NoiseKnowledge, noise_level: f64, features: Vec<String>, repairs: Repairs },
     /// It cannot, and why.
     Problem(String),
 }
@@ -170,15 +164,20 @@ impl Input {
 
     /// Layers that nothing was done with: those that look useful with the reason, the others by name.
     fn unused(&self, all: bool) -> Vec<String> {
-        let unused = || self.layers.iter().filter(|layer| layer.role == Role::Untouched);
-        let mut lines: Vec<_> = unused()
-            .filter_map(|layer| layer.note.as_ref().map(|note| format!("  not used: {}: {note}", self.layer_name(layer, false))))
-            .collect();
-        let others: Vec<_> = unused().filter(|layer| layer.note.is_none()).map(|layer| self.layer_name(layer, all)).collect();
-        if !others.is_empty() {
-            lines.push(format!("  not used: {}", others.join(", ")));
+        let mut groups: Vec<(Option<&str>, Vec<String>)> = Vec::new();
+        for layer in self.layers.iter().filter(|layer| layer.role == Role::Untouched) {
+            let (note, name) = (layer.note.as_deref(), self.layer_name(layer, all));
+            match groups.iter_mut().find(|(other, _)| *other == note) {
+                Some((_, names)) => names.push(name),
+                None => groups.push((note, vec![name])),
+            }
         }
-        lines
+        groups.sort_by_key(|(note, _)| note.is_none());
+        let line = |(note, names): (Option<&str>, Vec<String>)| match note {
+            Some(note) => format!("  not used: {}: {note}", names.join(", ")),
+            None => format!("  not used: {}", names.join(", ")),
+        };
+        groups.into_iter().map(line).collect()
     }
 
     /// Its name, with the file's where that is another than the input.

@@ -1,6 +1,6 @@
 //! Arguments, text and exit codes; one file for each subcommand.
 
-
+mod bench;
 mod denoise;
 mod devices;
 mod failure;
@@ -9,9 +9,10 @@ mod inspect;
 mod options;
 mod out;
 mod output;
+mod progress;
 mod quality;
 mod report;
-
+mod tile;
 
 use clap::{CommandFactory, Parser, Subcommand};
 
@@ -40,6 +41,7 @@ pub(crate) struct Cli {
 enum Command {
     Denoise(denoise::Args),
     Info(info::Args),
+    Bench(bench::Args),
     Devices(devices::Args),
 }
 
@@ -52,7 +54,9 @@ pub(crate) fn parse() -> Cli {
 pub(crate) fn run(cli: &Cli, out: &mut Out) -> Result<(), Failure> {
     match &cli.command {
         Some(Command::Denoise(args)) if args.device.list_devices => devices::run(&devices::Args { json: args.json }, out),
+        Some(Command::Bench(args)) if args.device.list_devices => devices::run(&devices::Args { json: args.json }, out),
         Some(Command::Denoise(args)) => denoise::run(args, out),
+        Some(Command::Bench(args)) => bench::run(args, out),
         Some(Command::Info(args)) => info::run(args, out),
         Some(Command::Devices(args)) => devices::run(args, out),
         None if cli.list_devices => devices::run(&devices::Args { json: false }, out),

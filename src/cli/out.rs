@@ -90,7 +90,11 @@ pub(crate) fn bytes(bytes: u64) -> String {
 
 /// A duration in the unit that suits it.
 pub(crate) fn seconds(seconds: f64) -> String {
-    if seconds < 1.0 { format!("{:.3} ms", seconds * 1e3) } else { format!("{seconds:.2} s") }
+    match seconds {
+        seconds if seconds < 0.1 => format!("{:.1} ms", seconds * 1e3),
+        seconds if seconds < 1.0 => format!("{:.0} ms", seconds * 1e3),
+        seconds => format!("{seconds:.1} s"),
+    }
 }
 
 /// A number that may be anything from 10⁻⁶ to 10⁶, with four digits that count.
@@ -102,4 +106,10 @@ pub(crate) fn number(value: f64) -> String {
         }
         _ => format!("{value:.3e}"),
     }
+}
+
+/// Milliseconds, in a column of their own.
+pub(crate) fn milliseconds(milliseconds: f64) -> String {
+    let digits = if milliseconds < 10.0 { 3 } else { usize::from(milliseconds < 1000.0) };
+    format!("{milliseconds:.digits$}")
 }

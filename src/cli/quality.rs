@@ -1,6 +1,9 @@
 //! How far the denoised image and what it was made of are from a reference.
 
+use std::path::Path;
+
 use serde::Serialize;
+use stein::buffers::{LayerRef, read_reference};
 use stein::method::dfc::Intermediate;
 use stein::{Estimate, Frame, Image, metric};
 
@@ -9,6 +12,21 @@ use super::out::{number, table};
 
 /// What the comparison needs to have kept.
 pub(crate) const NEEDED: [Intermediate; 3] = [Intermediate::Candidates, Intermediate::Sure, Intermediate::Pass1];
+
+/// The reference, if it shows the same pixels.
+pub(crate) fn read(reference: &LayerRef, frame: &Frame, input: &Path) -> Result<Image, Failure> {
+    let image = read_reference(&reference.file, reference.layer.as_deref())?;
+    if image.extent == frame.extent() {
+        return Ok(image);
+    }
+    Err(Failure::input(format_args!(
+        "{}: is of {}, but {} of {}\n  remedy: give a reference with the same resolution and crop",
+        reference.file.display(),
+        image.extent,
+        input.display(),
+        frame.extent()
+    )))
+}
 
 /// One image against the reference.
 #[derive(Debug, Serialize)]
@@ -68,5 +86,8 @@ pub(crate) fn text(errors: &[Errors]) -> String {
         vec![errors.image.to_owned(), number(errors.relative_mse), number(errors.mse), format!("{:.4}", errors.ssim), number(errors.squared_error), estimated]
     };
     let rows: Vec<_> = std::iter::once(head).chain(errors.iter().map(row)).collect();
-    format!("{}\n  (squared error: mean over the pixels, summed over the channels; estimated: by SURE, without the reference, before the second pass)", table(&rows, 1))
+    format!(
+        "{}\n  (squared error: mean over the pixels, summed over the channels; estimated: by SURE, without the reference, before the second pass)",
+        table(&rows, 1)
+    )
 }

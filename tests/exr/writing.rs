@@ -213,6 +213,30 @@ fn results_replace_stale_halves_and_extra_layers_are_added() {
 }
 
 #[test]
+fn layers_that_would_be_wrong_are_left_out() {
+    let folder = folder();
+    let other_part = vec![
+        Part::named("variance").with("", "RGB", 4.0),
+        Part::named("rgba").with("", "RGB", 1.0),
+    ];
+    for (parts, left) in [(vec![Part::native()], true), (other_part, false)] {
+        let set = read(&write(folder.path(), "in.exr", parts));
+        assert!(set.color().variance_of_mean.is_some());
+        let (color, output) = (rgb(50.0), folder.path().join("out.exr"));
+        let layers = DenoisedLayers {
+            dropped: &["variance".to_owned()],
+            ..replace_color(&color)
+        };
+        write_denoised(&set, &output, &layers).unwrap();
+        let again = read(&output);
+        assert_eq!(again.color().mean, color);
+        assert_eq!(again.color().variance_of_mean, None);
+        assert_eq!(again.color().half_a.is_some(), left);
+        assert_eq!(again.feature_names().len(), usize::from(left));
+    }
+}
+
+#[test]
 fn a_failed_write_leaves_nothing_behind_and_the_old_file_alone() {
     let folder = folder();
     let input = write(folder.path(), "in.exr", vec![Part::native()]);
