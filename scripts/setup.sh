@@ -1,6 +1,6 @@
 #!/bin/sh
-# Makes this machine able to run stein and its tests: where no Vulkan driver is found, installs Mesa's, which brings a software adapter (lavapipe).
-# Does nothing, silently, where there is one already. Needs apt-get (Debian, Ubuntu) and root or sudo only if something must be installed.
+# Makes this machine able to build and run stein and its tests. Where something is missing, installs it: a C linker, Rust, and, if no Vulkan adapter is found, Mesa's
+# drivers, which bring a software adapter (lavapipe). Does nothing, silently, where all is there. Needs apt-get (Debian, Ubuntu) and root or sudo only to install.
 set -eu
 
 say() {
@@ -70,20 +70,33 @@ apt_install() {
     as_root env DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends "$@" </dev/null >/dev/null
 }
 
-[ "$(uname -s)" = Linux ] || exit 0
-has_adapter && exit 0
-
-say "no Vulkan adapter found: installing a software one (libvulkan1, mesa-vulkan-drivers)"
-if ! command -v apt-get >/dev/null 2>&1; then
-    say "apt-get is missing: install the Vulkan loader and Mesa's Vulkan drivers with this system's package manager"
-    say "  (Fedora: mesa-vulkan-drivers vulkan-loader; Arch: vulkan-swrast vulkan-icd-loader; Alpine: mesa-vulkan-swrast vulkan-loader)"
-    exit 1
-fi
 # The package lists may be absent (containers) or stale; fetching them takes long, so only where installing fails without.
-if ! apt_install libvulkan1 mesa-vulkan-drivers 2>/dev/null; then
-    as_root env DEBIAN_FRONTEND=noninteractive apt-get update -qq </dev/null >/dev/null
-    apt_install libvulkan1 mesa-vulkan-drivers
+install_packages() {
+    if ! command -v apt-get >/dev/null 2>&1; then
+        say "apt-get is missing: install the equivalents of these Debian packages with this system's package manager: $*"
+        exit 1
+    fi
+    if ! apt_install "$@" 2>/dev/null; then
+        as_root env DEBIAN_FRONTEND=noninteractive apt-get update -qq </dev/null >/dev/null
+        apt_install "$@"
+    fi
+}
+
+if ! command -v cargo >/dev/null 2>&1 && ! [ -x "${CARGO_HOME:-$HOME/.cargo}/bin/cargo" ]; then
+    say "no Rust found: installing it with rustup"
+    command -v curl >/dev/null 2>&1 || install_packages curl ca-certificates
+    curl --proto '=https' --tlsv1.2 -sSf https://sh.rustup.rs | sh -s -- -y --profile minimal >&2
 fi
+
+[ "$(uname -s)" = Linux ] || exit 0
+if ! command -v cc >/dev/null 2>&1; then
+    say "no C linker found: installing gcc"
+    install_packages gcc libc6-dev
+fi
+
+has_adapter && exit 0
+say "no Vulkan adapter found: installing a software one (libvulkan1, mesa-vulkan-drivers)"
+install_packages libvulkan1 mesa-vulkan-drivers
 if has_adapter; then
     say "done"
 else
