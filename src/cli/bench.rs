@@ -231,7 +231,7 @@ impl Case {
         let mut add = |name: &str, values: &dyn Fn(&Measured) -> Option<String>, ratio: Option<f64>| {
             let mut row = vec![name.to_owned()];
             row.extend(self.presets.iter().map(|measured| values(measured).unwrap_or_else(|| "-".to_owned())));
-            row.extend(ratio.map(|ratio| number(ratio)));
+            row.extend(ratio.map(number));
             rows.push(row);
         };
         add("total, ms", &|measured| Some(milliseconds(measured.total_ms)), ratios.map(|ratios| ratios.total));

@@ -41,6 +41,9 @@ pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
                 let (_, input) = settle(&set);
                 if !args.json {
                     out.say(input.text(true));
+                    if let Some(problem) = input.problem() {
+                        out.say(format_args!("  cannot be denoised: {}", problem.replace('\n', "\n  ")));
+                    }
                 }
                 document.files.push(input);
             }

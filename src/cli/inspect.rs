@@ -127,20 +127,25 @@ impl Input {
         if all {
             lines.push(format!("  not finite: {} values", self.non_finite_values));
         }
-        match &self.outcome {
-            Outcome::Frame { noise_knowledge, noise_level, repairs, .. } => {
-                if all {
-                    lines.push(format!("  noise: relative MSE of about {}", number(*noise_level)));
-                }
-                let (mode, meaning) = mode(*noise_knowledge);
-                lines.push(format!("  mode: {mode}: {meaning}"));
-                if !repairs.is_empty() {
-                    lines.push(indent(&repairs.to_string()));
-                }
+        if let Outcome::Frame { noise_knowledge, noise_level, repairs, .. } = &self.outcome {
+            if all {
+                lines.push(format!("  noise: relative MSE of about {}", number(*noise_level)));
             }
-            Outcome::Problem(problem) => lines.push(format!("  cannot be denoised: {}", problem.replace('\n', "\n  "))),
+            let (mode, meaning) = mode(*noise_knowledge);
+            lines.push(format!("  mode: {mode}{meaning}"));
+            if !repairs.is_empty() {
+                lines.push(indent(&repairs.to_string()));
+            }
         }
         lines.join("\n")
+    }
+
+    /// Why it cannot be denoised.
+    pub(crate) fn problem(&self) -> Option<&str> {
+        match &self.outcome {
+            Outcome::Frame { .. } => None,
+            Outcome::Problem(problem) => Some(problem),
+        }
     }
 
     /// A line for each signal: which layers it was made of.
@@ -167,6 +172,10 @@ impl Input {
         let mut groups: Vec<(Option<&str>, Vec<String>)> = Vec::new();
         for layer in self.layers.iter().filter(|layer| layer.role == Role::Untouched) {
             let (note, name) = (layer.note.as_deref(), self.layer_name(layer, all));
+            // A file that was named for one layer may hold many that nobody meant.
+            if note.is_none() && layer.file != self.file && !all {
+                continue;
+            }
             match groups.iter_mut().find(|(other, _)| *other == note) {
                 Some((_, names)) => names.push(name),
                 None => groups.push((note, vec![name])),
@@ -215,12 +224,12 @@ fn cell(role: &Role) -> Option<(String, usize)> {
     }
 }
 
-/// What can be done with what is known of the noise.
+/// What can be done with what is known of the noise. What a lack of halves means is among the repairs.
 fn mode(knowledge: NoiseKnowledge) -> (&'static str, &'static str) {
     match knowledge {
-        NoiseKnowledge::HalvesAndVariance => ("full", "halves and variance of the colour are known"),
-        NoiseKnowledge::HalvesOnly => ("halves only", "the halves' difference, smoothed, stands for the variance"),
-        NoiseKnowledge::VarianceOnly => ("variance only", "no second pass, which needs halves"),
+        NoiseKnowledge::HalvesAndVariance => ("full", ": halves and variance of the colour are known"),
+        NoiseKnowledge::HalvesOnly => ("halves only", ": the halves' difference, smoothed, stands for the variance"),
+        NoiseKnowledge::VarianceOnly => ("variance only", ""),
     }
 }
 
