@@ -111,6 +111,14 @@ impl Denoiser {
         &self.params
     }
 
+    /// Into how many strips a frame would be cut, with these intermediates kept.
+    ///
+    /// # Errors
+    /// [`Error::Device`] where not even one row fits into the memory.
+    pub fn strip_count(&self, frame: &Frame, keep: &[Intermediate]) -> Result<usize> {
+        strips(&self.gpu, frame, &self.params, !keep.is_empty(), self.schedule, self.max_memory).map(|strips| strips.len())
+    }
+
     /// Denoises a frame.
     ///
     /// # Errors

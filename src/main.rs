@@ -1,2 +1,17 @@
-//! stein
-fn main() {}
+//! `stein`: the command line. Uses the library's public face only.
+
+mod cli;
+
+use std::process::ExitCode;
+
+fn main() -> ExitCode {
+    let mut out = cli::Out::new();
+    let result = cli::run(&cli::parse(), &mut out).and_then(|()| out.finish());
+    match result {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(failure) => {
+            failure.tell();
+            failure.exit_code()
+        }
+    }
+}

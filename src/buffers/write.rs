@@ -29,6 +29,9 @@ pub struct DenoisedLayers<'a> {
     /// without its alpha, in the order of [`LayerUse::channels`](super::LayerUse::channels). Useful for halves and variance, which do not belong to the
     /// denoised colour.
     pub replacements: &'a [(String, Image)],
+    /// Layers of the input that are left out, by their names as in [`LayerUse::layer`](super::LayerUse::layer): what would be wrong beside the denoised
+    /// colour.
+    pub dropped: &'a [String],
     /// Layers that the input does not have; written as 32-bit floats into the colour's part.
     pub extra: &'a [NamedLayer],
     /// Text attributes added to the header of the colour's part.
@@ -88,6 +91,13 @@ pub fn write_denoised(set: &BufferSet, output: &Path, denoised: &DenoisedLayers<
         let luminance = (channels.len() == 1 && replacement.channels() == 3).then(|| mean_plane(replacement));
         writer.replace(&mut image.layer_data[layer.part], &channels, luminance.as_ref().unwrap_or(replacement), name)?;
     }
+    // Before anything is added: layers know their channels by their positions in the input.
+    for (index, part) in image.layer_data.iter_mut().enumerate() {
+        let dropped = file.layers.iter().filter(|layer| layer.part == index && denoised.dropped.contains(&layer.name));
+        let channels: Vec<usize> = dropped.flat_map(|layer| layer.channels.iter().map(|channel| channel.index)).collect();
+        let mut position = 0..;
+        part.channel_data.list.retain(|_| position.next().is_some_and(|position| !channels.contains(&position)));
+    }
     for extra in denoised.extra {
         writer.add(&mut image.layer_data[part], extra)?;
     }
@@ -100,6 +110,7 @@ pub fn write_denoised(set: &BufferSet, output: &Path, denoised: &DenoisedLayers<
         };
         image.layer_data[part].attributes.other.insert(name, AttributeValue::Text(value));
     }
+    image.layer_data.retain(|part| !part.channel_data.list.is_empty());
     for layer in &mut image.layer_data {
         writer.settle_encoding(layer);
     }

@@ -125,7 +125,7 @@ fn single(start: f32) -> Planes {
 }
 
 fn replace_color(color: &Planes) -> DenoisedLayers<'_> {
-    DenoisedLayers { color, replacements: &[], extra: &[], attributes: &[] }
+    DenoisedLayers { color, replacements: &[], dropped: &[], extra: &[], attributes: &[] }
 }
 
 fn stored(path: &Path, channel: &str) -> FlatSamples {

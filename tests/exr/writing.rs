@@ -107,7 +107,7 @@ fn results_replace_stale_halves_and_extra_layers_are_added() {
     let replacements = [("halfA".to_owned(), rgb(60.0)), ("variance".to_owned(), rgb(70.0))];
     let attributes = [("denoiser".to_owned(), "stein".to_owned())];
     let output = folder.path().join("out.exr");
-    let layers = DenoisedLayers { color: &color, replacements: &replacements, extra: &extra, attributes: &attributes };
+    let layers = DenoisedLayers { color: &color, replacements: &replacements, dropped: &[], extra: &extra, attributes: &attributes };
     let report = write_denoised(&set, &output, &layers).unwrap();
     assert_eq!(report, Default::default());
     let again = read(&output).color();
@@ -119,6 +119,24 @@ fn results_replace_stale_halves_and_extra_layers_are_added() {
     let written = read_all_flat_layers_from_file(&output).unwrap();
     let attribute = &written.layer_data[0].attributes.other[&Text::from("denoiser")];
     assert_eq!(*attribute, AttributeValue::Text("stein".into()));
+}
+
+#[test]
+fn layers_that_would_be_wrong_are_left_out() {
+    let folder = folder();
+    let other_part = vec![Part::named("variance").with("", "RGB", 4.0), Part::named("rgba").with("", "RGB", 1.0)];
+    for (parts, left) in [(vec![Part::native()], true), (other_part, false)] {
+        let set = read(&write(folder.path(), "in.exr", parts));
+        assert!(set.color().variance_of_mean.is_some());
+        let (color, output) = (rgb(50.0), folder.path().join("out.exr"));
+        let layers = DenoisedLayers { dropped: &["variance".to_owned()], ..replace_color(&color) };
+        write_denoised(&set, &output, &layers).unwrap();
+        let again = read(&output);
+        assert_eq!(again.color().mean, color);
+        assert_eq!(again.color().variance_of_mean, None);
+        assert_eq!(again.color().half_a.is_some(), left);
+        assert_eq!(again.feature_names().len(), usize::from(left));
+    }
 }
 
 #[test]

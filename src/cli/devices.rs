@@ -1,0 +1,51 @@
+//! `stein devices`
+
+use serde::Serialize;
+use stein::gpu::{AdapterSummary, DeviceChoice, Gpu};
+
+use super::Failure;
+use super::out::{Out, bytes};
+
+const EXAMPLE: &str = "\
+Example:
+  stein devices
+  stein denoise render.exr --device 1      takes the one with this index
+  stein denoise render.exr --device rtx    takes the first with this in its name";
+
+/// List the adapters that can do the work
+#[derive(Debug, clap::Args)]
+#[command(after_help = EXAMPLE)]
+pub(crate) struct Args {
+    /// Print one JSON document
+    #[arg(long)]
+    pub(crate) json: bool,
+}
+
+#[derive(Serialize)]
+struct Document<'a> {
+    devices: &'a [AdapterSummary],
+}
+
+pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
+    let adapters = Gpu::adapters();
+    if args.json {
+        out.json(&Document { devices: &adapters })?;
+    }
+    if adapters.is_empty() {
+        // Opening one tells what to do about it.
+        return Gpu::open(&DeviceChoice::Auto).map(drop).map_err(Failure::from);
+    }
+    if !args.json {
+        for adapter in &adapters {
+            out.say(describe(adapter));
+        }
+    }
+    Ok(())
+}
+
+fn describe(adapter: &AdapterSummary) -> String {
+    let AdapterSummary { index, name, backend, kind, driver, max_buffer_bytes, max_binding_bytes, timestamps, .. } = adapter;
+    let timed = if *timestamps { "stages can be timed" } else { "no timestamps: stages cannot be timed" };
+    let (buffer, binding) = (bytes(*max_buffer_bytes), bytes(*max_binding_bytes));
+    format!("{index}: {name}\n   {kind}, {backend}, {driver}\n   buffers up to {buffer}, of which a kernel sees up to {binding}; {timed}")
+}

@@ -1,0 +1,248 @@
+//! What an input holds and what it is taken for: printed by `denoise` and `info`.
+
+use std::path::PathBuf;
+
+use serde::Serialize;
+use stein::buffers::{BufferSet, LayerUse, Role, SignalPart};
+use stein::frame::{NoiseKnowledge, Repairs, SamplesPerPixel};
+use stein::image::Window;
+use stein::{Error, Frame};
+
+use super::out::{indent, number, table};
+
+/// An input, for programs and people.
+#[derive(Debug, Serialize)]
+pub(crate) struct Input {
+    pub(crate) file: PathBuf,
+    width: u32,
+    height: u32,
+    data_window: Rectangle,
+    display_window: Rectangle,
+    /// `None` where nothing tells.
+    samples_per_pixel: Option<Samples>,
+    non_finite_values: usize,
+    layers: Vec<LayerUse>,
+    /// What became of it as a frame.
+    #[serde(flatten)]
+    outcome: Outcome,
+}
+
+#[derive(Debug, Serialize)]
+#[serde(rename_all = "snake_case")]
+enum Outcome {
+    /// It can be denoised.
+    Frame { mode: &'static str, noise_knowledge: NoiseKnowledge, noise_level: f64, features: Vec<String>, repairs: Repairs },
+    /// It cannot, and why.
+    Problem(String),
+}
+
+#[derive(Debug, Serialize)]
+struct Rectangle {
+    x: i32,
+    y: i32,
+    width: u32,
+    height: u32,
+}
+
+impl From<Window> for Rectangle {
+    fn from(window: Window) -> Self {
+        Self { x: window.x, y: window.y, width: window.extent.width, height: window.extent.height }
+    }
+}
+
+#[derive(Debug, Serialize)]
+#[serde(rename_all = "snake_case")]
+enum Samples {
+    Uniform(f32),
+    PerPixel { least: f32, mean: f64, most: f32 },
+}
+
+impl Samples {
+    fn of(samples: &SamplesPerPixel) -> Option<Self> {
+        match samples {
+            SamplesPerPixel::Unknown => None,
+            SamplesPerPixel::Uniform(count) => Some(Self::Uniform(*count)),
+            SamplesPerPixel::PerPixel(image) => {
+                let counts = image.planes.first()?;
+                let mean = counts.iter().map(|&count| f64::from(count)).sum::<f64>() / counts.len() as f64;
+                let (least, most) = counts.iter().fold((f32::INFINITY, 0.0f32), |(least, most), &count| (least.min(count), most.max(count)));
+                Some(Self::PerPixel { least, mean, most })
+            }
+        }
+    }
+}
+
+impl std::fmt::Display for Samples {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Uniform(count) => write!(f, "{count} samples per pixel"),
+            Self::PerPixel { least, mean, most } => write!(f, "{least} to {most} samples per pixel, {mean:.1} on average"),
+        }
+    }
+}
+
+impl Input {
+    pub(crate) fn new(set: &BufferSet, settled: Result<(&Frame, Repairs), &Error>) -> Self {
+        let extent = set.extent();
+        let samples = match &settled {
+            Ok((frame, _)) => Samples::of(frame.samples_per_pixel()),
+            Err(_) => Samples::of(&set.samples_per_pixel()),
+        };
+        Self {
+            file: set.input().to_owned(),
+            width: extent.width,
+            height: extent.height,
+            data_window: set.data_window().into(),
+            display_window: set.display_window().into(),
+            samples_per_pixel: samples,
+            non_finite_values: set.layer_uses().iter().map(|layer| layer.non_finite_values).sum(),
+            layers: set.layer_uses().to_vec(),
+            outcome: match settled {
+                Ok((frame, repairs)) => Outcome::Frame {
+                    mode: mode(frame.noise_knowledge()).0,
+                    noise_knowledge: frame.noise_knowledge(),
+                    noise_level: frame.noise_level(),
+                    features: frame.features().iter().map(|feature| feature.name.clone()).collect(),
+                    repairs,
+                },
+                Err(error) => Outcome::Problem(error.to_string()),
+            },
+        }
+    }
+
+    /// Everything, for people. `all` tells the windows and layers that nobody would miss, too.
+    pub(crate) fn text(&self, all: bool) -> String {
+        let mut head = format!("{}: {}×{}", self.file.display(), self.width, self.height);
+        if let Some(samples) = &self.samples_per_pixel {
+            head += &format!(", {samples}");
+        }
+        let mut lines = vec![head];
+        let (data, display) = (&self.data_window, &self.display_window);
+        if all || (data.x, data.y, data.width, data.height) != (display.x, display.y, display.width, display.height) {
+            let told = |window: &Rectangle| format!("{}×{} at ({}, {})", window.width, window.height, window.x, window.y);
+            lines.push(format!("  data window {}, display window {}", told(data), told(display)));
+        }
+        lines.push(self.roles());
+        lines.extend(self.unused(all));
+        if all {
+            lines.push(format!("  not finite: {} values", self.non_finite_values));
+        }
+        if let Outcome::Frame { noise_knowledge, noise_level, repairs, .. } = &self.outcome {
+            if all {
+                lines.push(format!("  noise: relative MSE of about {}", number(*noise_level)));
+            }
+            let (mode, meaning) = mode(*noise_knowledge);
+            lines.push(format!("  mode: {mode}{meaning}"));
+            if !repairs.is_empty() {
+                lines.push(indent(&repairs.to_string()));
+            }
+        }
+        lines.join("\n")
+    }
+
+    /// Why it cannot be denoised.
+    pub(crate) fn problem(&self) -> Option<&str> {
+        match &self.outcome {
+            Outcome::Frame { .. } => None,
+            Outcome::Problem(problem) => Some(problem),
+        }
+    }
+
+    /// A line for each signal: which layers it was made of.
+    fn roles(&self) -> String {
+        let mut rows: Vec<[String; 4]> = vec![["used as", "mean", "halves", "variance"].map(String::from)];
+        let mut signals: Vec<(String, [Vec<String>; 3])> = Vec::new();
+        for layer in &self.layers {
+            let Some((signal, column)) = cell(&layer.role) else { continue };
+            let index = signals.iter().position(|(name, _)| *name == signal).unwrap_or_else(|| {
+                signals.push((signal, Default::default()));
+                signals.len() - 1
+            });
+            signals[index].1[column].push(self.layer_name(layer, column == 0));
+        }
+        // The file's order is that of its channels' names; people look for the colour first.
+        signals.sort_by_key(|(name, _)| (name != "colour", name == "samples"));
+        let or_none = |layers: Vec<String>| if layers.is_empty() { "-".to_owned() } else { layers.join(", ") };
+        rows.extend(signals.into_iter().map(|(name, [mean, halves, variance])| [name, or_none(mean), or_none(halves), or_none(variance)]));
+        table(&rows.into_iter().map(Vec::from).collect::<Vec<_>>(), 4)
+    }
+
+    /// Layers that nothing was done with: those that look useful with the reason, the others by name.
+    fn unused(&self, all: bool) -> Vec<String> {
+        let mut groups: Vec<(Option<&str>, Vec<String>)> = Vec::new();
+        for layer in self.layers.iter().filter(|layer| layer.role == Role::Untouched) {
+            let (note, name) = (layer.note.as_deref(), self.layer_name(layer, all));
+            // A file that was named for one layer may hold many that nobody meant.
+            if note.is_none() && layer.file != self.file && !all {
+                continue;
+            }
+            match groups.iter_mut().find(|(other, _)| *other == note) {
+                Some((_, names)) => names.push(name),
+                None => groups.push((note, vec![name])),
+            }
+        }
+        groups.sort_by_key(|(note, _)| note.is_none());
+        let line = |(note, names): (Option<&str>, Vec<String>)| match note {
+            Some(note) => format!("  not used: {}: {note}", names.join(", ")),
+            None => format!("  not used: {}", names.join(", ")),
+        };
+        groups.into_iter().map(line).collect()
+    }
+
+    /// Its name, with the file's where that is another than the input.
+    fn layer_name(&self, layer: &LayerUse, with_channels: bool) -> String {
+        let mut name = if layer.file == self.file { String::new() } else { format!("{}::", layer.file.display()) };
+        if layer.layer.is_empty() {
+            name += &layer.channels.join(" ");
+        } else {
+            name += &layer.layer;
+            if with_channels && layer.channels != [layer.layer.clone()] {
+                name += &format!(" ({})", layer.channels.join(" "));
+            }
+        }
+        if with_channels { format!("{name} {}", layer.sample_kind) } else { name }
+    }
+}
+
+/// The signal that a layer belongs to, and its column: mean, halves, variance.
+fn cell(role: &Role) -> Option<(String, usize)> {
+    let colour = |column| Some(("colour".to_owned(), column));
+    match role {
+        Role::Color => colour(0),
+        Role::HalfA | Role::HalfB => colour(1),
+        Role::Variance => colour(2),
+        Role::Feature(name, part) => {
+            let column = match part {
+                SignalPart::Mean => 0,
+                SignalPart::HalfA | SignalPart::HalfB => 1,
+                SignalPart::Variance => 2,
+            };
+            Some((format!("feature {name}"), column))
+        }
+        Role::Samples => Some(("samples".to_owned(), 0)),
+        Role::Untouched => None,
+    }
+}
+
+/// What can be done with what is known of the noise. What a lack of halves means is among the repairs.
+fn mode(knowledge: NoiseKnowledge) -> (&'static str, &'static str) {
+    match knowledge {
+        NoiseKnowledge::HalvesAndVariance => ("full", ": halves and variance of the colour are known"),
+        NoiseKnowledge::HalvesOnly => ("halves only", ": the halves' difference, smoothed, stands for the variance"),
+        NoiseKnowledge::VarianceOnly => ("variance only", ""),
+    }
+}
+
+/// Settles an input's meaning and describes it.
+pub(crate) fn settle(set: &BufferSet) -> (Result<Frame, Error>, Input) {
+    match Frame::from_buffer_set(set) {
+        Ok((frame, repairs)) => {
+            let input = Input::new(set, Ok((&frame, repairs)));
+            (Ok(frame), input)
+        }
+        Err(error) => {
+            let input = Input::new(set, Err(&error));
+            (Err(error), input)
+        }
+    }
+}

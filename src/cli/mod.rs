@@ -1,0 +1,68 @@
+//! Arguments, text and exit codes; one file for each subcommand.
+
+mod bench;
+mod denoise;
+mod devices;
+mod failure;
+mod info;
+mod inspect;
+mod options;
+mod out;
+mod output;
+mod progress;
+mod quality;
+mod report;
+mod tile;
+
+use clap::{CommandFactory, Parser, Subcommand};
+
+pub(crate) use failure::Failure;
+pub(crate) use out::Out;
+
+const EXIT_CODES: &str = "\
+Exit codes: 0 done, 2 wrong usage, 3 an input file or layer cannot be used, 4 no device or a device failed, 5 the output cannot be written, 1 anything else.
+
+Example:
+  stein denoise render.exr                 writes render.denoised.exr
+  stein denoise --help                     says what else it can do";
+
+/// Denoises Monte Carlo renderings on the GPU, and tells how far off the result is.
+#[derive(Debug, Parser)]
+#[command(name = "stein", version, after_help = EXIT_CODES, arg_required_else_help = true)]
+pub(crate) struct Cli {
+    #[command(subcommand)]
+    command: Option<Command>,
+    /// List the adapters, as `stein devices`
+    #[arg(long, exclusive = true)]
+    list_devices: bool,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    Denoise(denoise::Args),
+    Info(info::Args),
+    Bench(bench::Args),
+    Devices(devices::Args),
+}
+
+/// Parses the arguments; ends the process where they are wrong or ask for help.
+pub(crate) fn parse() -> Cli {
+    Cli::parse()
+}
+
+/// Does what was asked for.
+pub(crate) fn run(cli: &Cli, out: &mut Out) -> Result<(), Failure> {
+    match &cli.command {
+        Some(Command::Denoise(args)) if args.device.list_devices => devices::run(&devices::Args { json: args.json }, out),
+        Some(Command::Bench(args)) if args.device.list_devices => devices::run(&devices::Args { json: args.json }, out),
+        Some(Command::Denoise(args)) => denoise::run(args, out),
+        Some(Command::Bench(args)) => bench::run(args, out),
+        Some(Command::Info(args)) => info::run(args, out),
+        Some(Command::Devices(args)) => devices::run(args, out),
+        None if cli.list_devices => devices::run(&devices::Args { json: false }, out),
+        None => {
+            out.say(Cli::command().render_help());
+            Ok(())
+        }
+    }
+}

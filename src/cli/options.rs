@@ -1,0 +1,175 @@
+//! Options that several subcommands share.
+
+use std::path::{Path, PathBuf};
+
+use clap::ValueEnum;
+use stein::buffers::{BufferSet, BufferSetRequest, LayerRef};
+use stein::gpu::DeviceChoice;
+use stein::{Denoiser, Gpu, Params, Preset};
+
+use super::Failure;
+
+/// Where colour, noise and features are found.
+#[derive(Debug, clap::Args)]
+#[command(next_help_heading = "Layers")]
+pub(crate) struct Source {
+    /// Layer with the noisy colour [default: plain R G B, or one with a usual name such as `Combined` or `beauty`]
+    #[arg(long, value_name = "NAME")]
+    layer: Option<String>,
+    /// Colour of the first half of the samples
+    #[arg(long, value_name = "FILE[::LAYER]")]
+    half_a: Option<LayerRef>,
+    /// Colour of the other half of the samples
+    #[arg(long, value_name = "FILE[::LAYER]")]
+    half_b: Option<LayerRef>,
+    /// Variance of the colour's mean (of the pixel, not of one sample)
+    #[arg(long, value_name = "FILE[::LAYER]")]
+    variance: Option<LayerRef>,
+    /// A feature under another name or from another file, with its halves and variance beside it; may be repeated
+    #[arg(long = "feature", value_name = "NAME=FILE[::LAYER]", value_parser = feature)]
+    features: Vec<(String, LayerRef)>,
+    /// A feature of the input that is not to be used; may be repeated
+    #[arg(long = "skip-feature", value_name = "NAME")]
+    skip_features: Vec<String>,
+    /// Use no features of the input but those given with --feature
+    #[arg(long)]
+    no_features: bool,
+}
+
+impl Source {
+    /// Reads an input with everything that was named beside it.
+    pub(crate) fn read(&self, input: &Path) -> Result<BufferSet, Failure> {
+        let request = BufferSetRequest {
+            input: input.to_owned(),
+            layer: self.layer.clone(),
+            half_a: self.half_a.clone(),
+            half_b: self.half_b.clone(),
+            variance: self.variance.clone(),
+            features: self.features.clone(),
+            no_features: self.no_features,
+            skip_features: self.skip_features.clone(),
+        };
+        let set = BufferSet::read(&request).map_err(|error| Failure::in_file(input, error))?;
+        for skipped in &self.skip_features {
+            let known = |layer: &str| layer == skipped || layer.ends_with(&format!(".{skipped}"));
+            if !set.layer_uses().iter().any(|layer| known(&layer.layer)) {
+                return Err(Failure::input(format_args!(
+                    "{}: there is no feature '{skipped}' to skip\n  remedy: `stein info` lists the layers",
+                    input.display()
+                )));
+            }
+        }
+        Ok(set)
+    }
+
+    /// Files besides the input, none of which an output may replace.
+    pub(crate) fn files(&self) -> impl Iterator<Item = &Path> {
+        let named = [&self.half_a, &self.half_b, &self.variance].into_iter().flatten();
+        named.chain(self.features.iter().map(|(_, layer)| layer)).map(|layer| layer.file.as_path())
+    }
+}
+
+fn feature(text: &str) -> Result<(String, LayerRef), String> {
+    match text.split_once('=') {
+        Some((name, layer)) if !name.is_empty() && !layer.is_empty() => {
+            let Ok(layer) = layer.parse();
+            Ok((name.to_owned(), layer))
+        }
+        _ => Err("it must look like NAME=FILE or NAME=FILE::LAYER, as in albedo=aux.exr".into()),
+    }
+}
+
+/// Which device works, and with how much of its memory.
+#[derive(Debug, clap::Args)]
+#[command(next_help_heading = "Device")]
+pub(crate) struct Device {
+    /// Adapter, by its index or a part of its name [default: the fastest kind]
+    #[arg(long, value_name = "NAME|INDEX")]
+    device: Option<DeviceChoice>,
+    /// List the adapters, as `stein devices`, and do nothing else
+    #[arg(long)]
+    pub(crate) list_devices: bool,
+    /// Most memory to use on the device, such as 2G, 512M or a number of bytes; larger images are worked on in strips, with the same result
+    #[arg(long, value_name = "SIZE", value_parser = memory_size)]
+    pub(crate) max_memory: Option<u64>,
+}
+
+impl Device {
+    pub(crate) fn open(&self) -> Result<Gpu, Failure> {
+        Ok(Gpu::open(self.device.as_ref().unwrap_or(&DeviceChoice::Auto))?)
+    }
+
+    pub(crate) fn denoiser(&self, gpu: &Gpu, params: Params) -> Result<Denoiser, Failure> {
+        let denoiser = Denoiser::new(gpu, params).map_err(Failure::usage)?;
+        Ok(match self.max_memory {
+            Some(bytes) => denoiser.with_max_memory(bytes),
+            None => denoiser,
+        })
+    }
+}
+
+/// A number of bytes with K, M, G or T (of 1024), which B or iB may follow.
+fn memory_size(text: &str) -> Result<u64, String> {
+    let wrong = || "it must be a positive number of bytes, or one with K, M, G or T, as in 512M or 1.5GiB".to_owned();
+    let text = text.trim();
+    let digits = text.find(|character: char| !character.is_ascii_digit() && character != '.').unwrap_or(text.len());
+    let (number, unit) = text.split_at(digits);
+    let power = match unit.trim().to_ascii_lowercase().as_str() {
+        "" | "b" => 0,
+        "k" | "kb" | "kib" => 1,
+        "m" | "mb" | "mib" => 2,
+        "g" | "gb" | "gib" => 3,
+        "t" | "tb" | "tib" => 4,
+        _ => return Err(wrong()),
+    };
+    let number: f64 = number.parse().map_err(|_| wrong())?;
+    let bytes = number * 1024.0_f64.powi(power);
+    if bytes >= 1.0 { Ok(bytes as u64) } else { Err(wrong()) }
+}
+
+/// Named parameter sets, as [`Preset`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(crate) enum PresetName {
+    /// What measured best
+    Default,
+    /// The published algorithm to the letter
+    Thesis,
+}
+
+impl PresetName {
+    pub(crate) fn preset(self) -> Preset {
+        match self {
+            Self::Default => Preset::Default,
+            Self::Thesis => Preset::Thesis,
+        }
+    }
+
+    /// Its parameters, with another window radius where one is given.
+    pub(crate) fn params(self, radius: Option<u32>) -> Result<Params, Failure> {
+        let mut params = Params::preset(self.preset());
+        params.window_radius = radius.unwrap_or(params.window_radius);
+        params.validate().map_err(Failure::usage)?;
+        Ok(params)
+    }
+}
+
+/// The same file, whichever way the paths are spelt.
+pub(crate) fn same_file(a: &Path, b: &Path) -> bool {
+    let canonical = |path: &Path| -> Option<PathBuf> { path.canonicalize().ok() };
+    a == b || canonical(a).is_some_and(|a| canonical(b) == Some(a))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn memory_is_counted_in_powers_of_1024() {
+        for (text, bytes) in [("4096", 4096), ("512M", 512 << 20), ("1.5GiB", 3 << 29), ("2 kb", 2048), ("1T", 1 << 40)] {
+            assert_eq!(memory_size(text), Ok(bytes), "{text}");
+        }
+        for text in ["", "G", "-1", "0", "5 bananas", "1.2.3M"] {
+            assert!(memory_size(text).is_err(), "{text}");
+        }
+    }
+}

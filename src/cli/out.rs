@@ -1,0 +1,115 @@
+//! Text and JSON on standard output.
+
+use std::fmt::Display;
+use std::io::{ErrorKind, Write};
+
+use serde::Serialize;
+
+use super::Failure;
+
+/// Standard output. A reader that has had enough (`stein info … | head -1`) ends the text, not the work.
+pub(crate) struct Out {
+    quiet: bool,
+    failed: Option<std::io::Error>,
+}
+
+impl Out {
+    pub(crate) fn new() -> Self {
+        Self { quiet: false, failed: None }
+    }
+
+    /// Lets all text for people go nowhere.
+    pub(crate) fn silence(&mut self) {
+        self.quiet = true;
+    }
+
+    /// A line for people, or several.
+    pub(crate) fn say(&mut self, text: impl Display) {
+        if !self.quiet {
+            self.write(&text.to_string());
+        }
+    }
+
+    /// The document for programs.
+    pub(crate) fn json(&mut self, document: &impl Serialize) -> Result<(), Failure> {
+        let text = serde_json::to_string_pretty(document).map_err(|error| Failure::output(format_args!("the JSON document: {error}")))?;
+        self.write(&text);
+        Ok(())
+    }
+
+    fn write(&mut self, text: &str) {
+        if self.failed.is_some() {
+            return;
+        }
+        let mut stdout = std::io::stdout().lock();
+        let newline = if text.ends_with('\n') { "" } else { "\n" };
+        self.failed = write!(stdout, "{text}{newline}").and_then(|()| stdout.flush()).err();
+    }
+
+    /// Fails where standard output could not take everything, as on a full disk.
+    pub(crate) fn finish(self) -> Result<(), Failure> {
+        match self.failed {
+            Some(error) if error.kind() != ErrorKind::BrokenPipe => Err(Failure::output(format_args!("standard output: {error}"))),
+            _ => Ok(()),
+        }
+    }
+}
+
+/// Lines up columns, two spaces apart and two from the margin: the first `left` columns at their left, the others at their right.
+pub(crate) fn table(rows: &[Vec<String>], left: usize) -> String {
+    let columns = rows.iter().map(Vec::len).max().unwrap_or(0);
+    let width = |column: usize| rows.iter().filter_map(|row| row.get(column)).map(|cell| cell.chars().count()).max().unwrap_or(0);
+    let widths: Vec<usize> = (0..columns).map(width).collect();
+    let line = |row: &Vec<String>| {
+        let cells = row.iter().enumerate().map(|(column, cell)| {
+            let width = widths[column];
+            if column < left { format!("  {cell:width$}") } else { format!("  {cell:>width$}") }
+        });
+        cells.collect::<String>().trim_end().to_owned()
+    };
+    rows.iter().map(line).collect::<Vec<_>>().join("\n")
+}
+
+/// Indents every line by two spaces.
+pub(crate) fn indent(text: &str) -> String {
+    text.lines().map(|line| format!("  {line}")).collect::<Vec<_>>().join("\n")
+}
+
+/// A number of bytes: `1.5 GiB`.
+pub(crate) fn bytes(bytes: u64) -> String {
+    let units = ["B", "KiB", "MiB", "GiB", "TiB"];
+    let mut value = bytes as f64;
+    let mut unit = 0;
+    while value >= 1024.0 && unit + 1 < units.len() {
+        value /= 1024.0;
+        unit += 1;
+    }
+    let digits = usize::from(unit > 0 && value < 9.95);
+    format!("{value:.digits$} {}", units[unit])
+}
+
+/// A duration in the unit that suits it.
+pub(crate) fn seconds(seconds: f64) -> String {
+    match seconds {
+        seconds if seconds < 0.1 => format!("{:.1} ms", seconds * 1e3),
+        seconds if seconds < 1.0 => format!("{:.0} ms", seconds * 1e3),
+        seconds => format!("{seconds:.1} s"),
+    }
+}
+
+/// A number that may be anything from 10⁻⁶ to 10⁶, with four digits that count.
+pub(crate) fn number(value: f64) -> String {
+    match value.abs() {
+        magnitude if magnitude == 0.0 || (1e-3..1e4).contains(&magnitude) => {
+            let before = magnitude.max(1e-3).log10().floor() as i32;
+            format!("{value:.*}", usize::try_from(3 - before).unwrap_or(0))
+        }
+        _ => format!("{value:.3e}"),
+    }
+}
+
+/// Milliseconds, in a column of their own.
+pub(crate) fn milliseconds(milliseconds: f64) -> String {
+    let digits = if milliseconds < 10.0 { 3 } else { usize::from(milliseconds < 1000.0) };
+    format!("{milliseconds:.digits$}")
+}

@@ -1,0 +1,93 @@
+//! How far the denoised image and what it was made of are from a reference.
+
+use std::path::Path;
+
+use serde::Serialize;
+use stein::buffers::{LayerRef, read_reference};
+use stein::method::dfc::Intermediate;
+use stein::{Estimate, Frame, Image, metric};
+
+use super::Failure;
+use super::out::{number, table};
+
+/// What the comparison needs to have kept.
+pub(crate) const NEEDED: [Intermediate; 3] = [Intermediate::Candidates, Intermediate::Sure, Intermediate::Pass1];
+
+/// The reference, if it shows the same pixels.
+pub(crate) fn read(reference: &LayerRef, frame: &Frame, input: &Path) -> Result<Image, Failure> {
+    let image = read_reference(&reference.file, reference.layer.as_deref())?;
+    if image.extent == frame.extent() {
+        return Ok(image);
+    }
+    Err(Failure::input(format_args!(
+        "{}: is of {}, but {} of {}\n  remedy: give a reference with the same resolution and crop",
+        reference.file.display(),
+        image.extent,
+        input.display(),
+        frame.extent()
+    )))
+}
+
+/// One image against the reference.
+#[derive(Debug, Serialize)]
+pub(crate) struct Errors {
+    image: &'static str,
+    relative_mse: f64,
+    mse: f64,
+    ssim: f64,
+    /// Mean over the pixels of the squared error summed over the channels.
+    squared_error: f64,
+    /// The same, estimated without the reference. Of `result` it is that of pass 1.
+    estimated_squared_error: Option<f64>,
+}
+
+impl Errors {
+    fn new(name: &'static str, image: &Image, reference: &Image, estimated: Option<f64>) -> Result<Self, Failure> {
+        let mse = metric::mse(image, reference)?;
+        Ok(Self {
+            image: name,
+            relative_mse: metric::relative_mse(image, reference)?,
+            mse,
+            ssim: metric::ssim(image, reference)?,
+            squared_error: mse * image.channels() as f64,
+            estimated_squared_error: estimated,
+        })
+    }
+}
+
+/// The mean of a plane.
+pub(crate) fn mean(plane: &[f32]) -> f64 {
+    plane.iter().map(|&value| f64::from(value)).sum::<f64>() / plane.len() as f64
+}
+
+/// From the noisy colour to the result, in the order in which they are made.
+pub(crate) fn compare(frame: &Frame, estimate: &Estimate, reference: &Image) -> Result<Vec<Errors>, Failure> {
+    let kept = |name: &str| estimate.layers.iter().find(|layer| layer.name == name).map(|layer| &layer.image);
+    let mut errors = vec![Errors::new("noisy", &frame.color().mean, reference, None)?];
+    for (index, name) in ["first", "second", "third"].into_iter().enumerate() {
+        if let Some(image) = kept(name) {
+            let estimated = kept("sure").and_then(|sure| sure.planes.get(index)).map(|plane| mean(plane));
+            errors.push(Errors::new(name, image, reference, estimated)?);
+        }
+    }
+    let blended = estimate.error.planes.first().map(|plane| mean(plane));
+    if let Some(image) = kept("pass1") {
+        errors.push(Errors::new("pass1", image, reference, blended)?);
+    }
+    errors.push(Errors::new("result", &estimate.color, reference, blended)?);
+    Ok(errors)
+}
+
+/// As a table.
+pub(crate) fn text(errors: &[Errors]) -> String {
+    let head = ["", "relative MSE", "MSE", "SSIM", "squared error", "estimated"].map(String::from).to_vec();
+    let row = |errors: &Errors| {
+        let estimated = errors.estimated_squared_error.map_or_else(|| "-".to_owned(), number);
+        vec![errors.image.to_owned(), number(errors.relative_mse), number(errors.mse), format!("{:.4}", errors.ssim), number(errors.squared_error), estimated]
+    };
+    let rows: Vec<_> = std::iter::once(head).chain(errors.iter().map(row)).collect();
+    format!(
+        "{}\n  (squared error: mean over the pixels, summed over the channels; estimated: by SURE, without the reference, before the second pass)",
+        table(&rows, 1)
+    )
+}

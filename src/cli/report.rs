@@ -1,0 +1,102 @@
+//! What `stein denoise` has to say.
+
+use serde::Serialize;
+use stein::gpu::{AdapterSummary, StageTime};
+use stein::method::dfc::Intermediate;
+use stein::{Estimate, Params};
+
+use super::inspect::Input;
+use super::out::{bytes, number, seconds, table};
+use super::output::Written;
+use super::quality::{self, Errors};
+
+/// The JSON document.
+#[derive(Debug, Serialize)]
+pub(crate) struct Report {
+    pub(crate) input: Input,
+    pub(crate) preset: stein::Preset,
+    pub(crate) parameters: Params,
+    pub(crate) device: AdapterSummary,
+    pub(crate) max_memory_bytes: Option<u64>,
+    /// Parts that the image was (or, in a dry run, would be) worked on in.
+    pub(crate) strips: usize,
+    pub(crate) kept: Vec<&'static str>,
+    /// `None` in a dry run.
+    pub(crate) run: Option<Run>,
+    pub(crate) output: Option<Written>,
+    /// Where a reference was given.
+    pub(crate) errors: Option<Vec<Errors>>,
+}
+
+/// What the denoising took.
+#[derive(Debug, Serialize)]
+pub(crate) struct Run {
+    /// On the clock, with the compilation of the shaders.
+    pub(crate) seconds: f64,
+    pub(crate) stage_times: Option<Vec<StageTime>>,
+    pub(crate) peak_bytes: u64,
+    /// SURE: mean over the pixels of the squared error summed over the channels, before the second pass.
+    pub(crate) mean_estimated_squared_error: f64,
+    /// How many pixels took part in the average of one, on average.
+    pub(crate) mean_weight_sum: f64,
+}
+
+impl Run {
+    pub(crate) fn new(estimate: &Estimate, seconds: f64) -> Self {
+        let mean = |image: &stein::Image| image.planes.first().map_or(f64::NAN, |plane| quality::mean(plane));
+        Self {
+            seconds,
+            stage_times: estimate.stage_times.clone(),
+            peak_bytes: estimate.peak_bytes,
+            mean_estimated_squared_error: mean(&estimate.error),
+            mean_weight_sum: mean(&estimate.weight_sum),
+        }
+    }
+}
+
+impl Report {
+    pub(crate) fn names(keep: &[Intermediate]) -> Vec<&'static str> {
+        keep.iter().map(|intermediate| intermediate.name()).collect()
+    }
+
+    /// What follows the description of the input.
+    pub(crate) fn text(&self, verbose: bool) -> String {
+        let mut lines = Vec::new();
+        let strips = if self.strips > 1 { format!(", in {} strips", self.strips) } else { String::new() };
+        match &self.run {
+            None => lines.push(format!("would work on {}{strips}; nothing is written", self.device.name)),
+            Some(run) => {
+                if let Some(written) = &self.output {
+                    lines.extend(written.notes.iter().map(|note| format!("  {note}")));
+                    lines.push(format!("{}: {} on {}{strips}", written.file.display(), seconds(run.seconds), self.device.name));
+                }
+                if verbose {
+                    lines.push(format!(
+                        "  {} on the device, {} pixels averaged per pixel, mean squared error estimated at {}",
+                        bytes(run.peak_bytes),
+                        number(run.mean_weight_sum),
+                        number(run.mean_estimated_squared_error)
+                    ));
+                    lines.push(run.stage_times.as_deref().map_or_else(|| "  this adapter cannot time stages".into(), stage_table));
+                }
+            }
+        }
+        if let Some(errors) = &self.errors {
+            lines.push(quality::text(errors));
+        }
+        lines.join("\n")
+    }
+}
+
+fn stage_table(times: &[StageTime]) -> String {
+    let total: f64 = times.iter().map(|time| time.seconds).sum();
+    let row = |name: &str, seconds: f64, dispatches: usize| {
+        let share = 100.0 * seconds / total.max(f64::MIN_POSITIVE);
+        vec![name.to_owned(), format!("{:.3}", seconds * 1e3), format!("{share:.0} %"), dispatches.to_string()]
+    };
+    let head = ["stage", "ms", "share", "dispatches"].map(String::from).to_vec();
+    let sum = row("all", total, times.iter().map(|time| time.dispatches).sum());
+    let rows: Vec<_> =
+        std::iter::once(head).chain(times.iter().map(|time| row(&time.stage, time.seconds, time.dispatches))).chain(std::iter::once(sum)).collect();
+    table(&rows, 1)
+}

@@ -1,0 +1,45 @@
+//! An image made to cover another size.
+
+use stein::frame::{SamplesPerPixel, Signal};
+use stein::{Extent, Frame, Image};
+
+use super::Failure;
+
+/// Covers `extent` with the image, mirrored at each seam, so that there are no edges which the image does not have; cut off where it is larger.
+pub(crate) fn cover(image: &Image, extent: Extent) -> Image {
+    let mirrored = |position: usize, size: usize| {
+        let within = position % (2 * size);
+        if within < size { within } else { 2 * size - 1 - within }
+    };
+    let (width, height) = (image.extent.width as usize, image.extent.height as usize);
+    let columns: Vec<usize> = (0..extent.width as usize).map(|x| mirrored(x, width)).collect();
+    let rows: Vec<usize> = (0..extent.height as usize).map(|y| mirrored(y, height)).collect();
+    let cover_plane = |plane: &Vec<f32>| rows.iter().flat_map(|&y| columns.iter().map(move |&x| plane[y * width + x])).collect();
+    Image { extent, planes: image.planes.iter().map(cover_plane).collect() }
+}
+
+/// A frame of another size with the statistics of this one.
+pub(crate) fn cover_frame(frame: &Frame, extent: Extent) -> Result<Frame, Failure> {
+    let cover_signal = |signal: &Signal| Signal {
+        mean: cover(&signal.mean, extent),
+        half_spread: signal.half_spread.as_ref().map(|image| cover(image, extent)),
+        variance_of_mean: signal.variance_of_mean.as_ref().map(|image| cover(image, extent)),
+    };
+    let features = frame.features().iter().map(|feature| (feature.name.clone(), cover_signal(&feature.signal))).collect();
+    let (frame, _) = Frame::new(cover_signal(frame.color()), features, SamplesPerPixel::Unknown)?;
+    Ok(frame)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_image_is_mirrored_at_its_seams() {
+        let image = Image { extent: Extent { width: 3, height: 1 }, planes: vec![vec![1.0, 2.0, 3.0]] };
+        let covered = cover(&image, Extent { width: 8, height: 2 });
+        let row = [1.0, 2.0, 3.0, 3.0, 2.0, 1.0, 1.0, 2.0];
+        assert_eq!(covered.planes, [[row, row].concat()]);
+        assert_eq!(cover(&image, Extent { width: 2, height: 1 }).planes, [[1.0, 2.0]]);
+    }
+}

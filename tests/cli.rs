@@ -1,0 +1,332 @@
+//! The command line, as a process.
+#![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+
+use exr::prelude::*;
+use serde_json::Value;
+use stein::buffers::{BufferSet, BufferSetRequest};
+use tempfile::TempDir;
+
+/// Small, so that a software adapter is done in a second.
+const RADIUS: &str = "--radius=2";
+
+struct Outcome {
+    code: i32,
+    stdout: String,
+    stderr: String,
+}
+
+impl Outcome {
+    fn json(&self) -> Value {
+        serde_json::from_str(&self.stdout).unwrap_or_else(|error| panic!("{error}: {}{}", self.stdout, self.stderr))
+    }
+
+    /// Failed with this exit code, and said all of this.
+    #[track_caller]
+    fn failed(&self, code: i32, said: &[&str]) {
+        assert_eq!(self.code, code, "{}{}", self.stdout, self.stderr);
+        for words in said {
+            assert!(self.stderr.contains(words), "no '{words}' in: {}", self.stderr);
+        }
+        assert!(!self.stderr.contains("panicked"), "{}", self.stderr);
+    }
+
+    #[track_caller]
+    fn succeeded(self) -> Self {
+        assert_eq!(self.code, 0, "{}{}", self.stdout, self.stderr);
+        self
+    }
+
+    #[track_caller]
+    fn said(&self, said: &[&str]) {
+        for words in said {
+            assert!(self.stdout.contains(words), "no '{words}' in: {}", self.stdout);
+        }
+    }
+}
+
+fn command(arguments: &[&str]) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_stein"));
+    // Mesa's device selection layer complains on stderr where there is no desktop.
+    command.args(arguments).env("NODEVICE_SELECT", "1").stdin(Stdio::null());
+    command
+}
+
+fn stein(arguments: &[&str]) -> Outcome {
+    let output = command(arguments).output().unwrap();
+    Outcome { code: output.status.code().unwrap(), stdout: String::from_utf8(output.stdout).unwrap(), stderr: String::from_utf8(output.stderr).unwrap() }
+}
+
+fn test_image(name: &str) -> String {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("testdata").join(name);
+    path.to_str().unwrap().to_owned()
+}
+
+/// A folder with a copy of a test image, and paths in it.
+struct Folder(TempDir);
+
+impl Folder {
+    fn new() -> Self {
+        Self(tempfile::tempdir().unwrap())
+    }
+
+    fn with(name: &str) -> (Self, String) {
+        let folder = Self::new();
+        let copy = folder.path("render.exr");
+        std::fs::copy(test_image(name), &copy).unwrap();
+        (folder, copy)
+    }
+
+    fn path(&self, name: &str) -> String {
+        self.0.path().join(name).to_str().unwrap().to_owned()
+    }
+
+    /// Everything in it, hidden files too.
+    fn names(&self) -> Vec<String> {
+        let entries = std::fs::read_dir(self.0.path()).unwrap();
+        let mut names: Vec<_> = entries.map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect();
+        names.sort();
+        names
+    }
+}
+
+fn channels(path: &str) -> Vec<(String, FlatSamples)> {
+    let image = read_all_flat_layers_from_file(path).unwrap();
+    let list = image.layer_data.into_iter().flat_map(|layer| layer.channel_data.list);
+    list.map(|channel| (channel.name.to_string(), channel.sample_data)).collect()
+}
+
+fn attribute(path: &str, name: &str) -> Option<String> {
+    let image = read_all_flat_layers_from_file(path).unwrap();
+    let attributes = &image.layer_data[0].attributes.other;
+    attributes.get(&Text::new_or_none(name).unwrap()).map(|value| match value {
+        AttributeValue::Text(text) => text.to_string(),
+        other => format!("{other:?}"),
+    })
+}
+
+fn error_of<'a>(document: &'a Value, image: &str) -> &'a Value {
+    document["errors"].as_array().unwrap().iter().find(|errors| errors["image"] == image).unwrap_or_else(|| panic!("no {image}"))
+}
+
+#[test]
+fn a_render_with_everything_is_denoised_compared_and_told_as_json() {
+    let folder = Folder::new();
+    let (input, reference, output) = (test_image("cornell_8spp.exr"), test_image("cornell_reference.exr"), folder.path("out.exr"));
+    let document = stein(&["denoise", &input, "-o", &output, "--ref", &reference, "--keep=all", "--json", RADIUS]).succeeded().json();
+
+    assert_eq!(document["input"]["frame"]["mode"], "full");
+    assert_eq!(document["parameters"]["window_radius"], 2);
+    assert_eq!(document["strips"], 1);
+    assert!(document["run"]["peak_bytes"].as_u64().unwrap() > 0);
+    let error = |image: &str| error_of(&document, image)["relative_mse"].as_f64().unwrap();
+    assert!(error("result") < error("pass1") && error("pass1") < error("noisy") / 2.0, "{}", document["errors"]);
+    assert!(error_of(&document, "result")["ssim"].as_f64() > error_of(&document, "noisy")["ssim"].as_f64());
+    for candidate in ["first", "second", "third"] {
+        assert!(error_of(&document, candidate)["estimated_squared_error"].is_f64());
+    }
+
+    let (before, after) = (channels(&input), channels(&output));
+    let find = |list: &[(String, FlatSamples)], name: &str| list.iter().find(|(other, _)| other == name).map(|(_, samples)| samples.clone());
+    for (name, samples) in &before {
+        let own = !name.contains('.') || name.starts_with("half") || name.starts_with("variance.");
+        assert_eq!(find(&after, name).as_ref() == Some(samples), !own, "{name}");
+    }
+    assert!(find(&after, "variance.R").is_none(), "the variance of the noisy colour is not that of the denoised one");
+    for layer in ["error.V", "first.R", "third_derivative.G", "sure.second", "sure_smoothed.first", "selected.third", "selection.first", "pass1.B"] {
+        assert!(find(&after, &format!("stein.{layer}")).is_some(), "{layer}");
+    }
+    for layer in ["scaled_variance.R", "albedo_prefiltered.x", "depth_residual_variance.x"] {
+        assert!(find(&after, &format!("stein.{layer}")).is_some(), "{layer}");
+    }
+    for name in ["samples", "scene", "sampler"] {
+        assert_eq!(attribute(&output, name), attribute(&input, name));
+    }
+    assert!(attribute(&output, "stein.parameters").unwrap().contains("window_radius"));
+
+    let set = BufferSet::read(&BufferSetRequest { input: output.clone().into(), ..Default::default() }).unwrap();
+    let raw = set.color();
+    let (a, b) = (raw.half_a.unwrap(), raw.half_b.unwrap());
+    for (mean, (a, b)) in raw.mean.planes.iter().flatten().zip(a.planes.iter().flatten().zip(b.planes.iter().flatten())) {
+        assert!(((a + b) / 2.0 - mean).abs() <= 1e-5 * mean.abs().max(1.0), "{a} {b} {mean}");
+    }
+
+    // What was denoised before can be denoised again, in its place.
+    let again = stein(&["denoise", &output, "-o", &output, RADIUS]).succeeded();
+    again.said(&["halves only", "denoised before"]);
+    assert_eq!(folder.names(), ["out.exr"]);
+}
+
+#[test]
+fn a_user_sees_what_was_taken_for_what_and_how_good_it_became() {
+    let (folder, input) = Folder::with("cornell_8spp.exr");
+    let output = folder.path("render.denoised.exr");
+    let first = stein(&["denoise", &input, "--ref", &test_image("cornell_reference.exr"), "-v", RADIUS]).succeeded();
+    first.said(&[
+        "96×96, 8 samples per pixel",
+        "feature albedo",
+        "halfA, halfB",
+        "mode: full",
+        &output,
+        "relative MSE",
+        "noisy",
+        "second",
+        "result",
+        "nlm_filter",
+    ]);
+    assert_eq!(first.stderr, "", "there is no progress where nobody watches");
+    assert_eq!(folder.names(), ["render.denoised.exr", "render.exr"]);
+    assert!(!channels(&output).iter().any(|(name, _)| name.starts_with("stein.first")), "candidates are written on request only");
+
+    let (written, pixels) = (std::fs::read(&output).unwrap(), channels(&output));
+    stein(&["denoise", &input, "--no-clobber", "--radius=1"]).failed(5, &["stein: error:", "render.denoised.exr", "remedy: "]);
+    let dry = stein(&["denoise", &input, "--dry-run", "--radius=1"]).succeeded();
+    dry.said(&["feature albedo", "nothing is written"]);
+    assert_eq!(std::fs::read(&output).unwrap(), written);
+
+    let quiet = stein(&["denoise", &input, "--quiet", RADIUS]).succeeded();
+    assert_eq!((quiet.stdout.as_str(), quiet.stderr.as_str()), ("", ""));
+    assert_eq!(channels(&output), pixels, "the same input gives the same output");
+    assert_eq!(folder.names(), ["render.denoised.exr", "render.exr"]);
+}
+
+#[test]
+fn little_memory_gives_the_same_pixels() {
+    let folder = Folder::new();
+    let (input, whole, strips) = (test_image("cornell_32spp.exr"), folder.path("whole.exr"), folder.path("strips.exr"));
+    let denoise = |more: &[&str]| stein(&[&["denoise", &input, RADIUS, "--no-features", "--json"], more].concat());
+    // The least memory that is enough.
+    let least = (1..20).map(|mebibytes| format!("{mebibytes}M")).find(|size| denoise(&["--dry-run", "--max-memory", size]).code == 0).unwrap();
+    assert_eq!(denoise(&["-o", &whole]).succeeded().json()["strips"], 1);
+    let document = denoise(&["-o", &strips, "--max-memory", &least]).succeeded().json();
+    assert!(document["strips"].as_u64().unwrap() > 1, "{least}");
+    assert_eq!(channels(&whole), channels(&strips));
+    denoise(&["-n", "--max-memory=100k"]).failed(4, &["--max-memory", "remedy: "]);
+}
+
+#[test]
+fn inputs_that_cannot_be_denoised_say_why_and_what_to_do() {
+    let folder = Folder::new();
+    let output = folder.path("out.exr");
+    stein(&["denoise", "no/such/file.exr", "-o", &output]).failed(3, &["stein: error: no/such/file.exr", "remedy: "]);
+    let (reference, input) = (test_image("cornell_reference.exr"), test_image("cornell_8spp.exr"));
+    stein(&["denoise", &reference, "-o", &output]).failed(3, &[&reference, "--half-a", "--half-b", "--variance"]);
+    stein(&["denoise", &input, "-o", &output, "--layer", "beauty"]).failed(3, &[&input, "'beauty'", "halfA"]);
+    stein(&["denoise", &input, "-o", &output, "--skip-feature", "albdo"]).failed(3, &["'albdo'"]);
+    let text = folder.path("text.exr");
+    std::fs::write(&text, "not an image").unwrap();
+    stein(&["denoise", &input, "-o", &output, "--ref", &text]).failed(3, &[&text, "is not an OpenEXR file"]);
+    assert_eq!(folder.names(), ["text.exr"]);
+}
+
+#[test]
+fn outputs_that_cannot_be_written_are_told_before_the_work() {
+    let (folder, input) = Folder::with("cornell_8spp.exr");
+    stein(&["denoise", &input, "-o", &folder.path("missing/out.exr")]).failed(5, &["missing/out.exr", "remedy: "]);
+    stein(&["denoise", &input, "-o", &folder.path("render.exr/out.exr")]).failed(5, &["render.exr/out.exr", "remedy: "]);
+    let reference = folder.path("reference.exr");
+    std::fs::copy(test_image("cornell_reference.exr"), &reference).unwrap();
+    stein(&["denoise", &input, "-o", &reference, "--ref", &reference]).failed(5, &["is also read", "remedy: "]);
+    stein(&["denoise", &input, "-o", &folder.path("out.png")]).failed(2, &["out.png", ".exr"]);
+    assert_eq!(folder.names(), ["reference.exr", "render.exr"]);
+}
+
+#[test]
+fn wrong_arguments_are_told_with_the_right_ones() {
+    let input = test_image("cornell_8spp.exr");
+    stein(&["denoise", &input, "--keep", "candidates,shure"]).failed(2, &["shure", "sure", "selection", "pass1", "derivatives"]);
+    stein(&["denoise", &input, "--max-memory", "lots"]).failed(2, &["512M"]);
+    stein(&["denoise", &input, "--radius", "100"]).failed(2, &["window radius is 100", "from 1 to 64"]);
+    stein(&["denoise", &input, "--feature", "albedo"]).failed(2, &["NAME=FILE"]);
+    stein(&["bench", &input, "--size", "big"]).failed(2, &["1024x1024"]);
+    stein(&["bench", &input, "--ref", &input, "--ref", &input]).failed(2, &["2 references", "1 inputs"]);
+    stein(&["denoise"]).failed(2, &["IN"]);
+    for subcommand in ["denoise", "info", "bench", "devices"] {
+        stein(&[subcommand, "--help"]).succeeded().said(&["Example"]);
+    }
+    stein(&["--help"]).succeeded().said(&["Exit codes", "denoise"]);
+}
+
+#[test]
+fn an_unknown_device_is_told_with_those_that_exist() {
+    let document = stein(&["devices", "--json"]).succeeded().json();
+    let name = document["devices"][0]["name"].as_str().expect("an adapter, be it a software one").to_owned();
+    stein(&["devices"]).succeeded().said(&[&name]);
+    stein(&["--list-devices"]).succeeded().said(&[&name]);
+    stein(&["denoise", "--list-devices"]).succeeded().said(&[&name]);
+    let (folder, input) = Folder::with("cornell_8spp.exr");
+    stein(&["denoise", &input, "--device", "Voodoo 2"]).failed(4, &["Voodoo 2", &name]);
+    stein(&["denoise", &input, "--device", "0", "--dry-run"]).succeeded().said(&[&name]);
+    assert_eq!(folder.names(), ["render.exr"]);
+}
+
+#[test]
+fn info_tells_what_denoise_would_do_with_each_file() {
+    let (render, reference) = (test_image("cornell_8spp.exr"), test_image("cornell_reference.exr"));
+    let both = stein(&["info", &render, &reference]).succeeded();
+    both.said(&[
+        "data window 96×96 at (0, 0)",
+        "visibility (V) float",
+        "noise: relative MSE",
+        "mode: full",
+        "cannot be denoised: nothing is known of the colour's noise",
+    ]);
+
+    let document = stein(&["info", &render, &reference, "--json"]).succeeded().json();
+    let layers = document["files"][0]["layers"].as_array().unwrap();
+    assert_eq!(layers.len(), 20);
+    assert!(layers.iter().any(|layer| layer["layer"] == "halfA" && layer["role"] == "HalfA"));
+    assert!(document["files"][0]["frame"]["noise_level"].as_f64().unwrap() > 0.0);
+    assert!(document["files"][1]["problem"].as_str().unwrap().contains("--half-a"));
+
+    let layer = |name: &str| format!("{render}::{name}");
+    let variance_only = stein(&["info", &reference, "--variance", &layer("variance")]).succeeded();
+    variance_only.said(&["mode: variance only", &layer("variance")]);
+    let halves_only = stein(&["info", &reference, "--half-a", &layer("halfA"), "--half-b", &layer("halfB")]).succeeded();
+    halves_only.said(&["mode: halves only", &layer("halfB")]);
+    let feature = stein(&["info", &render, "--no-features", "--feature", &format!("tint={}", layer("albedo"))]).succeeded();
+    feature.said(&["feature tint", "albedo_halfA, albedo_halfB"]);
+    assert!(!feature.stdout.contains("feature normal"));
+
+    let one_missing = stein(&["info", "missing.exr", &render]);
+    one_missing.failed(3, &["missing.exr"]);
+    one_missing.said(&["mode: full"]);
+}
+
+#[test]
+fn bench_compares_the_presets_within_one_run() {
+    let (input, reference) = (test_image("dof_spheres_32spp.exr"), test_image("dof_spheres_reference.exr"));
+    let arguments = ["bench", &input, "--ref", &reference, RADIUS, "--repeat=1", "--size=64x40"];
+    let document = stein(&[&arguments[..], &["--json"]].concat()).succeeded().json();
+    let case = &document["cases"][0];
+    assert_eq!((&case["width"], &case["height"]), (&64.into(), &40.into()));
+    let presets = case["presets"].as_array().unwrap();
+    assert_eq!(presets.iter().map(|preset| preset["preset"].as_str().unwrap()).collect::<Vec<_>>(), ["default", "thesis"]);
+    for preset in presets {
+        assert!(preset["total_ms"].as_f64().unwrap() > 0.0 && preset["peak_bytes"].as_u64().unwrap() > 0);
+        assert!(preset["relative_mse"].as_f64() < case["noisy_relative_mse"].as_f64());
+    }
+    assert!(case["default_to_thesis"]["total"].as_f64().unwrap() > 0.0);
+    stein(&[&arguments[..], &["--preset=default"]].concat()).succeeded().said(&["64×40, radius 2", "ms per megapixel", "peak memory"]);
+}
+
+#[test]
+fn a_reader_that_goes_away_ends_the_text_but_not_the_work() {
+    let (folder, input) = Folder::with("cornell_8spp.exr");
+    let mut child = command(&["denoise", &input, "-v", RADIUS]).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+    drop(child.stdout.take());
+    let ended = child.wait_with_output().unwrap();
+    let stderr = String::from_utf8(ended.stderr).unwrap();
+    assert!(ended.status.success() && stderr.is_empty(), "{stderr}");
+    assert!(PathBuf::from(folder.path("render.denoised.exr")).exists());
+}
+
+#[test]
+#[cfg(target_os = "linux")]
+fn a_full_disk_behind_standard_output_is_told() {
+    let full = std::fs::OpenOptions::new().write(true).open("/dev/full").unwrap();
+    let ended = command(&["info", &test_image("cornell_8spp.exr")]).stdout(full).output().unwrap();
+    assert_eq!(ended.status.code(), Some(5), "{}", String::from_utf8_lossy(&ended.stderr));
+}
