@@ -1,4 +1,34 @@
 //! Stein: a GPU denoiser for Monte Carlo renderings that knows its own error.
+//!
+//! # The house
+//! Each arrow is a function, and only that function makes its output type. Nothing flows back.
+//!
+//! ```text
+//! EXR files -> BufferSet  (buffers: what the files said)
+//!           -> Frame      (frame: finite, one extent, meaning normalised, repairs counted)
+//!           -> GpuFrame   (method: uploaded, colour at the order of 1)
+//!           -> variances of the pixel mean -> prefiltered features -> candidates -> SURE -> selection -> blend -> second pass
+//!                         (method::dfc: Algorithm 1, a straight function of the stages)
+//!           -> Estimate   (denoiser: colour, halves, estimated error, intermediates) -> EXR file
+//! ```
+//!
+//! | room | holds | knows |
+//! | --- | --- | --- |
+//! | [`buffers`] | OpenEXR files as buffer sets, which layer is what, writing | [`image`] |
+//! | [`frame`] | a buffer set whose meaning is settled | `buffers` |
+//! | [`gpu`] | device, kernels, recording, pool, timing | nothing of denoising |
+//! | [`stage`] | one function per shader, called like its file | `gpu` |
+//! | [`method`] | the methods: parameters and a straight function | `stage`, never the GPU interface |
+//! | [`metric`] | error measures | `image` |
+//!
+//! One word names a stage everywhere: shader file, Rust function, reference function, timing label.
+//!
+//! # Half buffers
+//! Halves travel as the mean and one *half spread*, `(A − B)·√(n_A·n_B)/n`: zero in expectation, its square the two-buffer estimate of the variance of the mean, and with
+//! fixed weights it is filtered like the mean. So the factor of two between the variance of a half and of the mean is settled once, where the spread is made.
+//!
+//! # Where to start
+//! [`Denoiser`] for frames from files; [`Denoiser::record`] for a renderer that keeps its buffers on the GPU.
 
 pub mod buffers;
 mod denoiser;
