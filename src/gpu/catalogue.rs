@@ -29,4 +29,5 @@ pub(super) const STAGES: &[(&str, &str)] = sources!("shaders":
     "error_sure",
     "select_least",
     "select_blend",
+    "sample_density",
 );

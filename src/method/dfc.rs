@@ -11,6 +11,7 @@ use crate::stage::candidate::{CandidateFilter, candidates};
 use crate::stage::error::error_sure;
 use crate::stage::feature::{Features, feature_pack};
 use crate::stage::nlm::{Guide, Schedule, Weighting, nlm_filter};
+use crate::stage::sample::sample_density;
 use crate::stage::select::{select_blend, select_least};
 use crate::stage::variance::{Gaussian, INPUT_SMOOTHING, RESIDUAL_SMOOTHING, variance_scale, variance_smooth};
 
@@ -30,6 +31,8 @@ pub(super) const PREFILTER: Auxiliary = Auxiliary { window_radius: 5, patch_radi
 pub(super) const ERROR_SMOOTHING: Auxiliary = Auxiliary { window_radius: 1, patch_radius: 1, k: 1.0 };
 /// Line 28.
 pub(super) const SELECTION_SMOOTHING: Auxiliary = Auxiliary { window_radius: 5, patch_radius: 1, k: 1.0 };
+/// Thesis 8.6: the error estimate is noisy, and filtered aggressively.
+pub(super) const DENSITY_SMOOTHING: Auxiliary = Auxiliary { window_radius: 10, patch_radius: 1, k: 1.0 };
 
 /// Intermediates that can be kept for inspection.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -48,11 +51,13 @@ pub enum Intermediate {
     Selection,
     /// The blend before the second pass.
     Pass1,
+    /// Where the next samples pay most.
+    Density,
 }
 
 impl Intermediate {
     /// All of them.
-    pub const ALL: [Self; 7] = [Self::Variance, Self::Features, Self::Candidates, Self::Derivatives, Self::Sure, Self::Selection, Self::Pass1];
+    pub const ALL: [Self; 8] = [Self::Variance, Self::Features, Self::Candidates, Self::Derivatives, Self::Sure, Self::Selection, Self::Pass1, Self::Density];
 
     /// Its name on the command line.
     pub fn name(self) -> &'static str {
@@ -64,6 +69,7 @@ impl Intermediate {
             Self::Sure => "sure",
             Self::Selection => "selection",
             Self::Pass1 => "pass1",
+            Self::Density => "density",
         }
     }
 }
@@ -146,7 +152,7 @@ pub fn dfc(
     schedule: Schedule,
     progress: impl FnMut(&mut Recorder, f32) -> Result<()>,
 ) -> Result<GpuEstimate> {
-    let GpuFrame { extent, color, features } = frame;
+    let GpuFrame { extent, color, features, samples } = frame;
     let weighting = params.weighting;
     let mut keeper = Keeper { wanted, kept: Vec::new() };
 
@@ -213,6 +219,13 @@ pub fn dfc(
         keeper.keep("selection", &BY_CANDIDATE, Unit::Number, &selection, 0);
     }
     drop((candidates, smoothed, errors, sure, selected));
+
+    // Adaptive sampling (thesis 8.6).
+    if keeper.wants(Intermediate::Density) {
+        let density = sample_density(rec, extent, &blend.signal, &selection, &samples)?;
+        let smoothed = nlm_filter(rec, extent, &guide(&DENSITY_SMOOTHING), &density, 1, DENSITY_SMOOTHING.window_radius, weighting, false, schedule)?;
+        keeper.keep("density", &["V"], Unit::Number, &Arc::new(smoothed.planes), 0);
+    }
 
     // Second pass filtering.
     let Some(second_pass) = params.second_pass.filter(|_| color.has_halves) else {

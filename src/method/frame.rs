@@ -5,8 +5,9 @@ use std::sync::Arc;
 use glam::IVec2;
 
 use crate::error::Result;
-use crate::frame::{Frame, Signal};
+use crate::frame::{Frame, SamplesPerPixel, Signal};
 use crate::gpu::{Buffer, Recorder};
+use crate::stage::sample::GpuSamples;
 
 use super::Strip;
 
@@ -42,6 +43,8 @@ pub struct GpuFrame {
     pub color: GpuSignal,
     /// 0 to 8.
     pub features: Vec<GpuFeature>,
+    /// Only the sampling density asks for it.
+    pub samples: GpuSamples,
 }
 
 impl GpuFrame {
@@ -53,13 +56,22 @@ impl GpuFrame {
             features.push(GpuFeature { name: feature.name.clone(), signal: upload_signal(rec, &feature.name, &feature.signal, strip, 1.0)?, channels });
         }
         let extent = IVec2::new(frame.extent().width as i32, strip.rows_with_halo() as i32);
-        Ok(Self { extent, color: upload_signal(rec, "colour", frame.color(), strip, exposure)?, features })
+        let samples = match frame.samples_per_pixel() {
+            SamplesPerPixel::Unknown => GpuSamples::Uniform(0.0),
+            SamplesPerPixel::Uniform(count) => GpuSamples::Uniform(*count),
+            SamplesPerPixel::PerPixel(counts) => {
+                let pixels = strip.pixels(counts.extent.width as usize);
+                let mut packed = vec![0.0; pixels.len() * 4];
+                interleave(&counts.planes, &pixels, 1.0, &mut packed);
+                GpuSamples::PerPixel(rec.upload("samples per pixel", &packed)?)
+            }
+        };
+        Ok(Self { extent, color: upload_signal(rec, "colour", frame.color(), strip, exposure)?, features, samples })
     }
 }
 
 fn upload_signal(rec: &mut Recorder, label: &str, signal: &Signal, strip: &Strip, factor: f32) -> Result<GpuSignal> {
-    let width = signal.mean.extent.width as usize;
-    let pixels = strip.first_with_halo * width..(strip.first_with_halo + strip.rows_with_halo()) * width;
+    let pixels = strip.pixels(signal.mean.extent.width as usize);
     let mut packed = vec![0.0; pixels.len() * 8];
     let (mean, spread) = packed.split_at_mut(pixels.len() * 4);
     interleave(&signal.mean.planes, &pixels, factor, mean);

@@ -1,6 +1,6 @@
 //! How an image is cut into strips of rows that fit: what a strip costs, and how far its result reaches into its neighbours.
 
-use super::dfc::{ERROR_SMOOTHING, PREFILTER, SCALE_RADIUS, SELECTION_SMOOTHING};
+use super::dfc::{DENSITY_SMOOTHING, ERROR_SMOOTHING, PREFILTER, SCALE_RADIUS, SELECTION_SMOOTHING};
 use super::params::Params;
 use crate::error::{Error, Result};
 use crate::frame::Frame;
@@ -27,6 +27,11 @@ impl Strip {
     pub(crate) fn rows_with_halo(&self) -> usize {
         self.end_with_halo - self.first_with_halo
     }
+
+    /// The pixels uploaded, in an image of this width.
+    pub(crate) fn pixels(&self, width: usize) -> std::ops::Range<usize> {
+        self.first_with_halo * width..self.end_with_halo * width
+    }
 }
 
 /// How many rows above and below a pixel its result depends on: the reach of each stage, added up along the longest chain.
@@ -38,20 +43,22 @@ fn halo(params: &Params) -> usize {
     let errors = ERROR_SMOOTHING.window_radius + ERROR_SMOOTHING.patch_radius + candidates;
     let pass1 = SELECTION_SMOOTHING.window_radius + SELECTION_SMOOTHING.patch_radius + errors;
     let pass2 = params.second_pass.map_or(0, |pass| pass.window_radius(params.window_radius) + pass.patch_radius + RESIDUAL_SMOOTHING.radius);
-    (pass1 + pass2) as usize
+    let density = DENSITY_SMOOTHING.window_radius + DENSITY_SMOOTHING.patch_radius;
+    (pass1 + pass2.max(density)) as usize
 }
 
 /// Planes of one pixel that live at the worst moment, and planes of the largest buffer. Counted from `dfc`: what is dropped is used again.
 fn planes(frame: &Frame, kept: bool) -> (u64, u64) {
     let channels: Vec<u32> = frame.features().iter().map(|feature| feature.signal.mean.channels() as u32).collect();
     let packed = 3 * u64::from(Packing::new(&channels).groups);
-    // Mean, half spread, sample variance of the colour and of each feature, the colour's scaled variance.
-    let input = 3 * (1 + channels.len() as u64) + 1;
+    // Mean, half spread, sample variance of the colour and of each feature, the colour's scaled variance, the samples of each pixel.
+    let input = 3 * (1 + channels.len() as u64) + 2;
     // Scaled variance, two box sums, two filtered planes, weights, residual variance.
     let prefilter = 7;
     // Candidates 6, derivatives 3, SURE, errors and weights 2, selected, smoothed and weights 2, blend 3, variance, second pass and weights 3.
     let later = 22;
-    let kept = if kept { 3 * channels.len() as u64 } else { 0 };
+    // Prefiltered features and residual variances, the sampling density and its weights.
+    let kept = if kept { 3 * channels.len() as u64 + 3 } else { 0 };
     (input + packed + later.max(prefilter) + kept, packed.max(3))
 }
 

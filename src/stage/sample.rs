@@ -1,0 +1,38 @@
+//! Where the next samples pay most (thesis 8.6).
+
+use glam::IVec2;
+
+use super::{per_pixel, plane_bytes};
+use crate::error::Result;
+use crate::gpu::{Buffer, Recorder, bindings, uniforms};
+
+uniforms! { struct SampleDensityParams { extent: IVec2, samples_per_pixel: f32, relative_floor: f32 } }
+bindings! { struct SampleDensity<'a> { uniform params: SampleDensityParams, read blended, read selection, write density, optional samples } }
+
+/// Added to the squared value in relative errors (thesis 7.1.2: 10⁻³), for colour at the order of 1.
+const RELATIVE_FLOOR: f32 = 1e-3;
+
+/// Samples that each pixel's mean was computed from, on the GPU.
+#[derive(Debug)]
+pub enum GpuSamples {
+    /// The same number everywhere. Where nobody knows it, any will do: densities are relative.
+    Uniform(f32),
+    /// One plane, x: the number of samples.
+    PerPixel(Buffer),
+}
+
+/// The gain to be expected from a sample in each pixel: max(SURE, 0) of the blend relative to its squared value, times W(p) = Σ w / (1 + n_p), n_p the samples of the
+/// pixel. Not smoothed, in no unit. One plane, x.
+///
+/// `blended` is the signal of pass 1 with Σ w in its w, `selection` the shares with the blended error in w.
+pub fn sample_density(rec: &mut Recorder, extent: IVec2, blended: &Buffer, selection: &Buffer, samples: &GpuSamples) -> Result<Buffer> {
+    let density = rec.take("sample density", plane_bytes(extent, 1))?;
+    let (samples_per_pixel, samples) = match samples {
+        GpuSamples::Uniform(count) => (*count, None),
+        GpuSamples::PerPixel(counts) => (0.0, Some(counts)),
+    };
+    let params = SampleDensityParams { extent, samples_per_pixel, relative_floor: RELATIVE_FLOOR };
+    let kernel = rec.gpu().kernel::<SampleDensity>("sample_density", &[("SAMPLES_VARY", samples.is_some().into())])?;
+    rec.dispatch(&kernel, &SampleDensity { params, blended, selection, density: &density, samples }, per_pixel(extent))?;
+    Ok(density)
+}
