@@ -61,7 +61,7 @@ impl Material {
         match self {
             Self::Diffuse(albedo) => Scattering::Spread(Lobes { base: albedo.at(place), reflectance: Vec3::ZERO, roughness: 0.0 }),
             Self::Glossy { base, reflectance, roughness } => {
-                Scattering::Spread(Lobes { base: base.at(place), reflectance: *reflectance, roughness: *roughness })
+                Scattering::Spread(Lobes { base: base.at(place), reflectance: *reflectance, roughness: roughness.clamp(0.01, 1.0) })
             }
             Self::Mirror(reflectance) => Scattering::Mirror(*reflectance),
             Self::Glass(index) => Scattering::Glass(*index),

@@ -5,6 +5,26 @@
 //! visibility, the fraction of unblocked shadow rays from the first surface that scatters light, 1 where there is none; caustic, the radiance that reached such
 //! a surface through mirrors or glass (thesis 8.4).
 //!
+//! ```
+//! use stein::Extent;
+//! use stein::sampling::stub::{self, Sequence, StubSampler};
+//! use stein::sampling::{SampleCounts, Sampler};
+//!
+//! # fn main() -> stein::error::Result<()> {
+//! let extent = Extent { width: 24, height: 16 };
+//! let scene = stub::scene("dof").expect("one of `stub::scenes()`");
+//! let mut sampler = StubSampler::new(scene, extent, 1, Sequence::Random);
+//! let mut samples = sampler.sample(&SampleCounts::uniform(extent, 4)?, None)?;
+//! // A pass that asks for more where it matters: here, in the lower half.
+//! let wanted = (0..extent.pixels()).map(|pixel| if pixel < extent.pixels() / 2 { 0 } else { 8 });
+//! let counts = SampleCounts::from_samples(extent, &wanted.collect::<Vec<_>>())?;
+//! samples.merge(&sampler.sample(&counts, None)?)?;
+//! let (frame, _repairs) = samples.to_frame()?;
+//! # assert_eq!(frame.extent(), extent);
+//! # Ok(())
+//! # }
+//! ```
+//!
 //! The same seed gives the same picture whatever the number of threads and however the samples are split into passes, up to the order of summation.
 
 mod camera;
@@ -139,7 +159,13 @@ impl Sampler for StubSampler {
             finished.drawn += counts.pairs()[pixels].iter().map(|&pairs| 2 * u64::from(pairs)).sum::<u64>();
             let share = (finished.drawn as f64 / total as f64) as f32;
             match &mut *finished.progress {
-                Some(progress) => if progress(share).is_break() { Err(Error::Cancelled) } else { Ok(()) },
+                Some(progress) => {
+                    if progress(share).is_break() {
+                        Err(Error::Cancelled)
+                    } else {
+                        Ok(())
+                    }
+                }
                 None => Ok(()),
             }
         })?;

@@ -89,11 +89,11 @@ pub(super) fn trace(scene: &Scene, transport: Transport, mut ray: Ray, numbers: 
         let is_outside = ray.direction.dot(outward) < 0.0;
         let normal = if is_outside { outward } else { -outward };
         let scattering = scene.materials[hit.shape].at(at_rest);
-        if let Scattering::Light(radiance) = scattering {
-            if is_outside {
-                let density = light::shape_density(shape, &ray, hit.distance);
-                arrive(throughput * radiance * chance_weight(scene, transport, last, density));
-            }
+        if let Scattering::Light(radiance) = scattering
+            && is_outside
+        {
+            let density = light::shape_density(shape, &ray, hit.distance);
+            arrive(throughput * radiance * chance_weight(scene, transport, last, density));
         }
         if bounce == 0 {
             sample.albedo = scattering.albedo();
@@ -108,9 +108,7 @@ pub(super) fn trace(scene: &Scene, transport: Transport, mut ray: Ray, numbers: 
         let from = to_local(-ray.direction, normal, tangents);
         let bounced = match &scattering {
             Scattering::Light(_) => None,
-            Scattering::Mirror(reflectance) => {
-                Some(Bounce { direction: Vec3::new(-from.x, -from.y, from.z), weight: *reflectance, density: 0.0 })
-            }
+            Scattering::Mirror(reflectance) => Some(Bounce { direction: Vec3::new(-from.x, -from.y, from.z), weight: *reflectance, density: 0.0 }),
             Scattering::Glass(index) => {
                 // From inside, `normal` points inwards.
                 let relative = if is_outside { *index } else { 1.0 / index };

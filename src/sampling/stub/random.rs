@@ -27,9 +27,7 @@ impl Numbers {
         let place = mix(mix(seed).wrapping_add(2 * pixel as u64 + half as u64));
         match sequence {
             Sequence::Random => Self::Random(Xoshiro128PlusPlus::seed_from_u64(place ^ u64::from(index))),
-            Sequence::LowDiscrepancy => {
-                Self::Sobol { index: index % SOBOL_POINTS, key: mix(place.wrapping_add(u64::from(index / SOBOL_POINTS))) }
-            }
+            Sequence::LowDiscrepancy => Self::Sobol { index: index % SOBOL_POINTS, key: mix(place.wrapping_add(u64::from(index / SOBOL_POINTS))) },
         }
     }
 

@@ -55,8 +55,8 @@ fn floor(size: f32, material: Material) -> (Shape, Material) {
 
 /// A room of 4 × 3 × 6, seen from its back wall; sun and sky come in by a window in the left wall, out of the picture.
 fn soft() -> Scene {
-    let sun = Sun { direction: Vec3::new(-0.8, 0.62, 0.15), radius: 0.03, radiance: Vec3::new(1.0, 0.86, 0.66) * 3500.0 };
-    let environment = Environment { zenith: Vec3::new(0.5, 0.7, 1.0) * 6.0, horizon: Vec3::new(0.9, 0.95, 1.0) * 4.0, sun: Some(sun) };
+    let sun = Sun { direction: Vec3::new(-0.8, 0.62, 0.15), radius: 0.03, radiance: Vec3::new(1.0, 0.86, 0.66) * 7000.0 };
+    let environment = Environment { zenith: Vec3::new(0.5, 0.7, 1.0) * 12.0, horizon: Vec3::new(0.9, 0.95, 1.0) * 8.0, sun: Some(sun) };
     let camera = pinhole(Vec3::new(0.3, 1.5, 2.8), Vec3::new(-0.1, 1.15, -3.0), 0.95);
     let wall = diffuse(0.75, 0.72, 0.68);
     let boards = |place: Vec3| {
@@ -84,9 +84,9 @@ fn soft() -> Scene {
 fn dof() -> Scene {
     let tiles = |place: Vec3| {
         let shade = checker(place.x * 4.0, place.z * 4.0);
-        let grout = ((place.x * 8.0).rem_euclid(2.0) < 0.12 || (place.z * 8.0).rem_euclid(2.0) < 0.12) as u8;
+        let grout = (place.x * 8.0).rem_euclid(2.0) < 0.12 || (place.z * 8.0).rem_euclid(2.0) < 0.12;
         let tone = 0.75 + 0.25 * noise(place * 30.0);
-        if grout == 1 { Vec3::splat(0.25) } else { Vec3::new(0.75, 0.7, 0.6).lerp(Vec3::new(0.15, 0.2, 0.35), shade) * tone }
+        if grout { Vec3::splat(0.25) } else { Vec3::new(0.75, 0.7, 0.6).lerp(Vec3::new(0.15, 0.2, 0.35), shade) * tone }
     };
     let dots = |place: Vec3| {
         let inside = (place * 6.0).fract_gl() - Vec3::splat(0.5);
@@ -112,23 +112,23 @@ fn motion() -> Scene {
         let stripe = ((place.x + 0.35 * place.z) * 3.0).rem_euclid(1.0);
         if stripe < 0.5 { Vec3::new(0.8, 0.78, 0.72) } else { Vec3::new(0.28, 0.33, 0.4) }
     };
-    let panels = |place: Vec3| if checker(place.x * 5.0, place.y * 5.0) > 0.5 { Vec3::new(0.9, 0.85, 0.8) } else { Vec3::new(0.75, 0.12, 0.08) };
-    let environment = Environment { zenith: Vec3::splat(0.25), horizon: Vec3::splat(0.4), sun: None };
-    let camera = pinhole(Vec3::new(0.0, 1.6, 5.0), Vec3::new(0.0, 0.75, 0.0), 0.66);
+    let panels = |place: Vec3| if checker(place.x * 5.0, place.y * 5.0 - 0.5) > 0.5 { Vec3::new(0.9, 0.85, 0.8) } else { Vec3::new(0.75, 0.12, 0.08) };
+    let environment = Environment { zenith: Vec3::new(0.2, 0.3, 0.5), horizon: Vec3::new(0.55, 0.5, 0.45), sun: None };
+    let camera = pinhole(Vec3::new(0.0, 2.2, 5.0), Vec3::new(0.0, 0.6, 0.0), 0.66);
     let (ground, stripes) = floor(40.0, Material::Diffuse(Texture::Pattern(stripes)));
     let lamp = Shape::quad(Vec3::new(-2.2, 3.6, 0.6), Vec3::X * 2.0, Vec3::new(0.0, 0.5, 1.8));
     Scene::new(camera, environment)
         .with(ground, stripes)
         .with(lamp, Material::Light(Vec3::new(1.0, 0.9, 0.75) * 9.0))
-        .with(Shape::sphere(Vec3::new(-1.2, 0.45, 0.8), 0.45).moving(Vec3::new(0.8, 0.0, 0.0)), Material::Diffuse(Texture::Pattern(panels)))
-        .with(Shape::sphere(Vec3::new(1.25, 0.85, 0.1), 0.4).moving(Vec3::new(0.0, 0.6, 0.0)), plastic(Texture::Plain(Vec3::new(0.1, 0.3, 0.7)), 0.12))
-        .with(Shape::block(Vec3::new(0.1, 1.6, -1.2), Vec3::new(0.7, 0.7, 0.7), 0.6).moving(Vec3::new(0.25, -0.5, 0.0)), diffuse(0.2, 0.6, 0.3))
+        .with(Shape::sphere(Vec3::new(-1.25, 0.5, 0.8), 0.5).moving(Vec3::new(0.45, 0.0, 0.0)), Material::Diffuse(Texture::Pattern(panels)))
+        .with(Shape::sphere(Vec3::new(1.15, 0.5, 0.1), 0.42).moving(Vec3::new(0.0, 0.5, 0.0)), plastic(Texture::Plain(Vec3::new(0.1, 0.3, 0.7)), 0.12))
+        .with(Shape::block(Vec3::new(0.0, 1.35, -1.2), Vec3::new(0.7, 0.7, 0.7), 0.6).moving(Vec3::new(0.3, -0.35, 0.0)), diffuse(0.2, 0.6, 0.3))
         .with(Shape::sphere(Vec3::new(0.35, 0.35, 1.6), 0.35), diffuse(0.8, 0.65, 0.3))
         .with(Shape::block(Vec3::new(-1.7, 0.6, -1.6), Vec3::new(0.8, 1.2, 0.8), 0.3), diffuse(0.65, 0.65, 0.65))
 }
 
 fn caustic() -> Scene {
-    let camera = pinhole(Vec3::new(0.0, 2.6, 4.6), Vec3::new(0.0, 0.5, 0.0), 0.62);
+    let camera = pinhole(Vec3::new(0.0, 2.6, 4.6), Vec3::new(0.0, 0.45, 0.1), 0.74);
     let environment = Environment { zenith: Vec3::splat(0.05), horizon: Vec3::splat(0.08), sun: None };
     let (ground, matte) = floor(14.0, diffuse(0.6, 0.58, 0.55));
     let lamp = Shape::quad(Vec3::new(-2.6, 3.4, -1.2), Vec3::new(0.45, 0.55, 0.0), Vec3::Z * 0.7);
@@ -137,7 +137,7 @@ fn caustic() -> Scene {
         .with(lamp, Material::Light(Vec3::new(1.0, 0.92, 0.8) * 55.0))
         .with(Shape::sphere(Vec3::new(-0.55, 0.75, 0.3), 0.6), Material::Glass(1.5))
         .with(Shape::sphere(Vec3::new(0.3, 0.3, 1.5), 0.3), Material::Glass(1.5))
-        .with(Shape::block(Vec3::new(1.5, 0.6, -0.4), Vec3::new(0.08, 1.2, 1.3), 0.35), Material::Mirror(Vec3::new(0.95, 0.88, 0.8)))
+        .with(Shape::block(Vec3::new(1.35, 0.6, -0.5), Vec3::new(0.08, 1.2, 1.4), 0.5), Material::Mirror(Vec3::new(0.95, 0.88, 0.8)))
         .with(Shape::sphere(Vec3::new(-1.6, 0.35, -1.2), 0.35), diffuse(0.25, 0.4, 0.65))
         .with(Shape::quad(Vec3::new(-7.0, 0.0, -2.5), Vec3::X * 14.0, Vec3::Y * 8.0), diffuse(0.5, 0.5, 0.52))
 }
@@ -162,22 +162,22 @@ fn texture() -> Scene {
         color * thread
     };
     let rings = |place: Vec3| {
-        let ring = (Vec3::new(place.x - 1.25, place.y, 0.0).length() * 24.0 + 1.5 * noise(place * 3.0)).sin();
+        let ring = (Vec3::new(place.x - 0.7, place.y + 0.1, 0.0).length() * 45.0 + 1.5 * noise(place * 3.0)).sin();
         Vec3::new(0.32, 0.17, 0.07).lerp(Vec3::new(0.72, 0.48, 0.25), 0.5 + 0.5 * ring)
     };
     let pattern = |pattern| Material::Diffuse(Texture::Pattern(pattern));
-    let camera = pinhole(Vec3::new(0.0, 1.7, 4.2), Vec3::new(0.0, 0.6, 0.0), 0.62);
+    let camera = pinhole(Vec3::new(0.0, 1.7, 4.2), Vec3::new(0.1, 0.6, 0.0), 0.72);
     let environment = Environment { zenith: Vec3::splat(1.0), horizon: Vec3::splat(0.85), sun: None };
     let (ground, mosaic) = floor(30.0, pattern(mosaic));
     Scene::new(camera, environment)
         .with(ground, mosaic)
-        .with(Shape::sphere(Vec3::new(-0.1, 0.65, 0.3), 0.65), pattern(marble))
-        .with(Shape::block(Vec3::new(1.25, 0.5, -0.1), Vec3::new(0.8, 1.0, 0.8), 0.5), pattern(rings))
-        .with(Shape::quad(Vec3::new(-2.2, 0.0, -0.9), Vec3::X * 4.4, Vec3::Y * 1.9), pattern(weave))
+        .with(Shape::sphere(Vec3::new(-0.5, 0.65, 0.2), 0.65), pattern(marble))
+        .with(Shape::block(Vec3::new(0.85, 0.45, 0.1), Vec3::new(0.8, 0.9, 0.8), 0.6), pattern(rings))
+        .with(Shape::quad(Vec3::new(-4.0, 0.0, -0.9), Vec3::X * 8.0, Vec3::Y * 4.0), pattern(weave))
 }
 
 fn spikes() -> Scene {
-    let camera = pinhole(Vec3::new(0.0, 1.7, 4.4), Vec3::new(0.0, 0.75, 0.0), 0.66);
+    let camera = pinhole(Vec3::new(0.0, 1.7, 4.4), Vec3::new(0.1, 0.75, 0.0), 0.72);
     let (ground, matte) = floor(8.0, diffuse(0.55, 0.5, 0.45));
     let wall = diffuse(0.6, 0.6, 0.62);
     Scene::new(camera, Environment { zenith: Vec3::splat(0.03), horizon: Vec3::splat(0.04), sun: None })
