@@ -101,10 +101,10 @@ fn dof() -> Scene {
         .with(ground, tiles)
         .with(Shape::sphere(Vec3::new(0.0, 0.5, 0.0), 0.5), plastic(Texture::Pattern(dots), 0.15))
         .with(Shape::sphere(Vec3::new(-0.95, 0.35, 1.7), 0.35), diffuse(0.2, 0.55, 0.25))
-        .with(Shape::sphere(Vec3::new(1.5, 0.6, -2.2), 0.6), metal(Vec3::new(0.95, 0.8, 0.5), 0.1))
+        .with(Shape::sphere(Vec3::new(1.5, 0.6, -2.2), 0.6), metal(Vec3::new(0.95, 0.8, 0.5), 0.3))
         .with(Shape::sphere(Vec3::new(-2.2, 0.8, -4.5), 0.8), diffuse(0.7, 0.3, 0.15))
         .with(Shape::block(Vec3::new(3.4, 1.5, -9.0), Vec3::new(1.2, 3.0, 1.2), 0.5), diffuse(0.6, 0.6, 0.65))
-        .with(Shape::sphere(Vec3::new(0.85, 0.22, 2.3), 0.22), Material::Mirror(Vec3::splat(0.9)))
+        .with(Shape::sphere(Vec3::new(0.85, 0.22, 2.3), 0.22), diffuse(0.8, 0.6, 0.15))
 }
 
 fn motion() -> Scene {
