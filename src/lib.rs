@@ -38,6 +38,7 @@ pub mod gpu;
 pub mod image;
 pub mod method;
 pub mod metric;
+pub mod sampling;
 pub mod stage;
 
 pub use denoiser::{Denoiser, Estimate, Layer, Options};

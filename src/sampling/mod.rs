@@ -1,0 +1,13 @@
+//! Closing the loop: what a renderer implements so that samples go where the error is, statistics of samples that add up, and a small renderer to try it with.
+//!
+//! A [`Sampler`] draws whole numbers of samples per pixel, as [`SampleCounts`] say, in equal numbers for both halves. It returns the [`Samples`] of this pass
+//! alone; [`Samples::merge`] adds them to those of earlier passes, and [`Samples::to_frame`] gives what the denoiser works on. [`stub`] is a path tracer over a
+//! few analytic shapes that stands in for a renderer.
+
+mod native;
+mod sampler;
+mod samples;
+pub mod stub;
+
+pub use sampler::{Progress, SampleCounts, Sampler};
+pub use samples::{PixelAccumulator, Samples};

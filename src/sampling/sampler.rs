@@ -1,0 +1,84 @@
+//! The interface between the sampling loop and a renderer.
+
+use std::ops::ControlFlow;
+
+use super::Samples;
+use crate::error::{Error, Result};
+use crate::image::Extent;
+
+/// Called with the share of the work that is done, 0 to 1, from whichever thread gets there; `Break` ends the work with [`Error::Cancelled`].
+pub type Progress<'a> = Option<&'a mut (dyn FnMut(f32) -> ControlFlow<()> + Send)>;
+
+/// A renderer that can be told where to draw its samples.
+pub trait Sampler {
+    /// Width and height of the image.
+    fn extent(&self) -> Extent;
+
+    /// Draws this many new samples in each pixel, half of them for each half buffer, and returns the statistics of these samples alone.
+    ///
+    /// New means independent of all samples drawn before (or, for low-discrepancy sampling, the continuation of the pixel's sequence).
+    ///
+    /// # Errors
+    /// Counts of another extent than the sampler's; [`Error::Cancelled`], after which the sampler is as if it had not been asked.
+    fn sample(&mut self, counts: &SampleCounts, progress: Progress<'_>) -> Result<Samples>;
+}
+
+/// How many samples each pixel gets in one pass: whole pairs, one sample of each for either half buffer, so that the halves always have equal numbers.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct SampleCounts {
+    extent: Extent,
+    pairs: Vec<u32>,
+}
+
+impl SampleCounts {
+    /// `pairs[y * width + x]` pairs of samples; 0 leaves a pixel as it is.
+    ///
+    /// # Errors
+    /// Not one number for each pixel.
+    pub fn from_pairs(extent: Extent, pairs: Vec<u32>) -> Result<Self> {
+        if pairs.len() != extent.pixels() {
+            return Err(Error::Request {
+                problem: format!("{} sample counts do not fit an image of {extent}", pairs.len()),
+                remedy: "give one count for each pixel".into(),
+            });
+        }
+        Ok(Self { extent, pairs })
+    }
+
+    /// `samples[y * width + x]` samples, each number even.
+    ///
+    /// # Errors
+    /// Not one number for each pixel, or an odd one.
+    pub fn from_samples(extent: Extent, samples: &[u32]) -> Result<Self> {
+        if let Some(pixel) = samples.iter().position(|count| count % 2 != 0) {
+            return Err(Error::Request {
+                problem: format!("{} samples in pixel {pixel} cannot be drawn in equal numbers for both halves", samples[pixel]),
+                remedy: "give even sample counts".into(),
+            });
+        }
+        Self::from_pairs(extent, samples.iter().map(|count| count / 2).collect())
+    }
+
+    /// The same even number of samples in each pixel.
+    ///
+    /// # Errors
+    /// An odd number.
+    pub fn uniform(extent: Extent, samples: u32) -> Result<Self> {
+        Self::from_samples(extent, &vec![samples; extent.pixels()])
+    }
+
+    /// Width and height of the image.
+    pub fn extent(&self) -> Extent {
+        self.extent
+    }
+
+    /// Pairs of samples, row by row from the top.
+    pub fn pairs(&self) -> &[u32] {
+        &self.pairs
+    }
+
+    /// Samples in the whole image.
+    pub fn total_samples(&self) -> u64 {
+        self.pairs.iter().map(|&pairs| 2 * u64::from(pairs)).sum()
+    }
+}

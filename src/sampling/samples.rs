@@ -1,0 +1,283 @@
+//! Statistics of samples, pixel by pixel, that can be added up.
+
+use super::SampleCounts;
+use crate::buffers::RawSignal;
+use crate::error::{Error, Result};
+use crate::frame::{Frame, Repairs, SamplesPerPixel, Signal, half_spread};
+use crate::image::{Extent, Image};
+
+/// What some samples per pixel say: the number of samples, and for the colour and every feature the means of both halves and the spread of all samples.
+///
+/// Both halves of a pixel hold the same number of samples; the number differs from pixel to pixel. Two such sets merge into what one pass over all their samples
+/// would have given, so that a set can be stored, read back and continued.
+///
+/// Adaptive sampling makes the number of samples depend on the samples of earlier passes. The merged mean is then no longer exactly unbiased (few samples by luck
+/// dark, hence few more samples); each pass on its own is.
+#[derive(Clone, Debug)]
+pub struct Samples {
+    extent: Extent,
+    /// Per pixel: samples in each half.
+    pairs: Vec<u32>,
+    color: Statistics,
+    features: Vec<(String, Statistics)>,
+}
+
+/// Of one layer. Where a pixel has no samples, all is 0.
+#[derive(Clone, Debug)]
+struct Statistics {
+    half_a: Image,
+    half_b: Image,
+    /// Σ(x − mean)² over the samples of both halves.
+    squared_deviations: Image,
+}
+
+impl Statistics {
+    fn none(extent: Extent, channels: usize) -> Self {
+        let zero = Image::filled(extent, channels, 0.0);
+        Self { half_a: zero.clone(), half_b: zero.clone(), squared_deviations: zero }
+    }
+
+    fn channels(&self) -> usize {
+        self.half_a.channels()
+    }
+
+    /// Chan, Golub and LeVeque's formula for the moments of a union, which loses no digits to large means.
+    fn merge(&mut self, own: &[u32], other: &Self, added: &[u32]) {
+        for channel in 0..self.channels() {
+            let (a, b) = (&mut self.half_a.planes[channel], &mut self.half_b.planes[channel]);
+            let squares = &mut self.squared_deviations.planes[channel];
+            for pixel in 0..own.len() {
+                let (n, m) = (f64::from(own[pixel]), f64::from(added[pixel]));
+                if m == 0.0 {
+                    continue;
+                }
+                let share = m / (n + m);
+                let (a1, b1) = (f64::from(a[pixel]), f64::from(b[pixel]));
+                let (a2, b2) = (f64::from(other.half_a.planes[channel][pixel]), f64::from(other.half_b.planes[channel][pixel]));
+                let step = (a2 - a1 + b2 - b1) / 2.0;
+                a[pixel] = (a1 + (a2 - a1) * share) as f32;
+                b[pixel] = (b1 + (b2 - b1) * share) as f32;
+                // Twice n·m/(n + m), since n and m count the samples of one half.
+                let between = step * step * n * share * 2.0;
+                squares[pixel] = (f64::from(squares[pixel]) + f64::from(other.squared_deviations.planes[channel][pixel]) + between) as f32;
+            }
+        }
+    }
+
+    /// As stored in files; NaN where a pixel has no samples.
+    fn raw(&self, pairs: &[u32]) -> RawSignal {
+        let unknown = |image: &Image| map(image, |value, pixel| if pairs[pixel] == 0 { f32::NAN } else { value });
+        let mut mean = unknown(&self.half_a);
+        for (mean, b) in mean.planes.iter_mut().zip(&self.half_b.planes) {
+            mean.iter_mut().zip(b).for_each(|(mean, b)| *mean = ((f64::from(*mean) + f64::from(*b)) / 2.0) as f32);
+        }
+        let variance = map(&self.squared_deviations, |squares, pixel| {
+            let n = 2.0 * f64::from(pairs[pixel]);
+            if n == 0.0 { f32::NAN } else { (f64::from(squares) / (n * (n - 1.0))) as f32 }
+        });
+        RawSignal { mean, half_a: Some(unknown(&self.half_a)), half_b: Some(unknown(&self.half_b)), variance_of_mean: Some(variance) }
+    }
+
+    /// The inverse of [`Self::raw`].
+    fn from_raw(name: &str, raw: RawSignal, pairs: &[u32]) -> Result<Self> {
+        let missing = |what: &str| Error::Request {
+            problem: format!("{name}: there is no {what}, so that further samples cannot be added"),
+            remedy: "give both halves and the sample variance of the mean for the colour and every feature".into(),
+        };
+        let half_a = raw.half_a.ok_or_else(|| missing("half A"))?;
+        let half_b = raw.half_b.ok_or_else(|| missing("half B"))?;
+        let variance = raw.variance_of_mean.ok_or_else(|| missing("variance"))?;
+        for image in [&raw.mean, &half_a, &half_b, &variance] {
+            let complete = image.extent.pixels() == pairs.len() && image.planes.iter().all(|plane| plane.len() == pairs.len());
+            if !complete || image.channels() != raw.mean.channels() {
+                return Err(Error::Request {
+                    problem: format!("the images of {name} do not all have {} channels of {} values", raw.mean.channels(), pairs.len()),
+                    remedy: "give all images of a set the same extent, and a layer's images the same channels".into(),
+                });
+            }
+        }
+        check_halves(name, &raw.mean, &half_a, &half_b)?;
+        let known = |image: &Image| map(image, |value, pixel| if pairs[pixel] == 0 { 0.0 } else { value });
+        let squared_deviations = map(&variance, |variance, pixel| {
+            let n = 2.0 * f64::from(pairs[pixel]);
+            // Some renderers' variances are negative by round-off.
+            if n == 0.0 || variance < 0.0 { 0.0 } else { (f64::from(variance) * n * (n - 1.0)) as f32 }
+        });
+        Ok(Self { half_a: known(&half_a), half_b: known(&half_b), squared_deviations })
+    }
+}
+
+/// The halves are all that is kept of the mean, so they must be its halves.
+fn check_halves(name: &str, mean: &Image, half_a: &Image, half_b: &Image) -> Result<()> {
+    let values = || mean.planes.iter().zip(half_a.planes.iter().zip(&half_b.planes)).flat_map(|(mean, (a, b))| mean.iter().zip(a.iter().zip(b)));
+    let differs = |(mean, (a, b)): &(&f32, (&f32, &f32))| {
+        let average = (**a + **b) / 2.0;
+        // Half floats round by 2^-11; denormals by more.
+        (**mean - average).abs() > 0.01 * (mean.abs() + average.abs()) + 1e-4
+    };
+    let differing = values().filter(differs).count();
+    if differing * 10 > values().count() {
+        return Err(Error::Request {
+            problem: format!("{name}: the mean is not the average of the halves in {differing} values, so that they are not halves of the same samples"),
+            remedy: "give the halves that the mean was made of".into(),
+        });
+    }
+    Ok(())
+}
+
+fn map(image: &Image, value: impl Fn(f32, usize) -> f32) -> Image {
+    let plane = |plane: &Vec<f32>| plane.iter().enumerate().map(|(pixel, &old)| value(old, pixel)).collect();
+    Image { extent: image.extent, planes: image.planes.iter().map(plane).collect() }
+}
+
+impl Samples {
+    /// No samples yet: a colour of three channels and these features, each a name and 1 to 3 channels.
+    pub fn none(extent: Extent, features: &[(&str, usize)]) -> Self {
+        let features = features.iter().map(|(name, channels)| ((*name).to_owned(), Statistics::none(extent, *channels))).collect();
+        Self { extent, pairs: vec![0; extent.pixels()], color: Statistics::none(extent, 3), features }
+    }
+
+    /// From what a file or a renderer says: means, halves and variances of the mean, with the samples that they were made of. Values of pixels without samples
+    /// are ignored; other values that are not finite are taken as they are, for [`Frame::new`] to repair.
+    ///
+    /// # Errors
+    /// Missing halves or variance, images of different shapes, a mean that is not the average of its halves.
+    pub fn from_signals(color: RawSignal, features: Vec<(String, RawSignal)>, counts: &SampleCounts) -> Result<Self> {
+        let pairs = counts.pairs();
+        let color = Statistics::from_raw("colour", color, pairs)?;
+        let features = features.into_iter().map(|(name, raw)| Ok((name.clone(), Statistics::from_raw(&format!("feature {name}"), raw, pairs)?)));
+        Ok(Self { extent: counts.extent(), pairs: pairs.to_vec(), color, features: features.collect::<Result<_>>()? })
+    }
+
+    /// Width and height of the image.
+    pub fn extent(&self) -> Extent {
+        self.extent
+    }
+
+    /// The samples drawn so far.
+    pub fn counts(&self) -> SampleCounts {
+        // A set always has one count for each pixel.
+        SampleCounts::from_pairs(self.extent, self.pairs.clone()).unwrap_or_else(|_| unreachable!("one count for each pixel"))
+    }
+
+    /// The features' names, in their order.
+    pub fn feature_names(&self) -> impl ExactSizeIterator<Item = &str> {
+        self.features.iter().map(|(name, _)| name.as_str())
+    }
+
+    /// Mean, halves and variance of the mean of the colour; NaN in pixels without samples.
+    ///
+    /// The variance is s²/n with Bessel's correction, from all samples as if they were independent: low-discrepancy samples vary less than that.
+    pub fn color(&self) -> RawSignal {
+        self.color.raw(&self.pairs)
+    }
+
+    /// As [`Self::color`] for every feature, made one at a time.
+    pub fn features(&self) -> impl ExactSizeIterator<Item = (&str, RawSignal)> {
+        self.features.iter().map(|(name, statistics)| (name.as_str(), statistics.raw(&self.pairs)))
+    }
+
+    /// Samples in each pixel.
+    pub fn samples_per_pixel(&self) -> SamplesPerPixel {
+        match self.pairs.first() {
+            Some(&first) if self.pairs.iter().all(|&pairs| pairs == first) => SamplesPerPixel::Uniform(2.0 * first as f32),
+            _ => SamplesPerPixel::PerPixel(Image { extent: self.extent, planes: vec![self.pairs.iter().map(|&pairs| 2.0 * pairs as f32).collect()] }),
+        }
+    }
+
+    /// What the denoiser works on, and what had to be repaired: pixels without samples take their neighbours' average.
+    ///
+    /// # Errors
+    /// As [`Frame::new`]; also a set without a single sample.
+    pub fn to_frame(&self) -> Result<(Frame, Repairs)> {
+        let features = self.features().map(|(name, raw)| (name.to_owned(), signal(raw))).collect();
+        Frame::new(signal(self.color()), features, self.samples_per_pixel())
+    }
+
+    /// Adds the samples of another pass. Order does not matter but for rounding.
+    ///
+    /// # Errors
+    /// Another extent or other features; this set is then as it was.
+    pub fn merge(&mut self, other: &Self) -> Result<()> {
+        let shape = |set: &Self| set.features.iter().map(|(name, statistics)| (name.clone(), statistics.channels())).collect::<Vec<_>>();
+        if self.extent != other.extent || shape(self) != shape(other) || self.color.channels() != other.color.channels() {
+            return Err(Error::Request {
+                problem: format!("samples of {} cannot be added to samples of {}, or their features differ", other.extent, self.extent),
+                remedy: "merge passes over the same image with the same features".into(),
+            });
+        }
+        let overflowing = self.pairs.iter().zip(&other.pairs).any(|(own, added)| own.checked_add(*added).is_none());
+        if overflowing {
+            return Err(Error::Request { problem: "a pixel has more than 2^33 samples".into(), remedy: "stop here".into() });
+        }
+        self.color.merge(&self.pairs, &other.color, &other.pairs);
+        for ((_, own), (_, added)) in self.features.iter_mut().zip(&other.features) {
+            own.merge(&self.pairs, added, &other.pairs);
+        }
+        self.pairs.iter_mut().zip(&other.pairs).for_each(|(own, added)| *own += added);
+        Ok(())
+    }
+
+    /// Sets one pixel, which is `y * width + x`, to what was accumulated. Channels run through the colour and then the features in their order.
+    ///
+    /// # Panics
+    /// A pixel outside of the image, or another number of channels than the set has.
+    pub fn set<const CHANNELS: usize>(&mut self, pixel: usize, accumulated: &PixelAccumulator<CHANNELS>) {
+        self.pairs[pixel] = accumulated.pairs;
+        let statistics = std::iter::once(&mut self.color).chain(self.features.iter_mut().map(|(_, statistics)| statistics));
+        let mut from = 0;
+        for statistics in statistics {
+            for channel in 0..statistics.channels() {
+                let (a, b, squares) = accumulated.channel(from);
+                statistics.half_a.planes[channel][pixel] = a as f32;
+                statistics.half_b.planes[channel][pixel] = b as f32;
+                statistics.squared_deviations.planes[channel][pixel] = squares as f32;
+                from += 1;
+            }
+        }
+        assert_eq!(from, CHANNELS, "the accumulator has other channels than the set");
+    }
+}
+
+fn signal(raw: RawSignal) -> Signal {
+    let half_spread = raw.half_a.as_ref().zip(raw.half_b.as_ref()).map(|(a, b)| half_spread(a, b, 1.0, 1.0));
+    Signal { mean: raw.mean, half_spread, variance_of_mean: raw.variance_of_mean }
+}
+
+/// Running statistics of the samples of one pixel, in double precision: Welford's method for each half.
+#[derive(Clone, Debug)]
+pub struct PixelAccumulator<const CHANNELS: usize> {
+    pairs: u32,
+    means: [[f64; CHANNELS]; 2],
+    squared_deviations: [[f64; CHANNELS]; 2],
+}
+
+impl<const CHANNELS: usize> Default for PixelAccumulator<CHANNELS> {
+    fn default() -> Self {
+        Self { pairs: 0, means: [[0.0; CHANNELS]; 2], squared_deviations: [[0.0; CHANNELS]; 2] }
+    }
+}
+
+impl<const CHANNELS: usize> PixelAccumulator<CHANNELS> {
+    /// Takes one sample for half A and one for half B.
+    pub fn add_pair(&mut self, samples: [&[f32; CHANNELS]; 2]) {
+        self.pairs += 1;
+        let weight = 1.0 / f64::from(self.pairs);
+        for (half, sample) in samples.into_iter().enumerate() {
+            let (means, squares) = (&mut self.means[half], &mut self.squared_deviations[half]);
+            for channel in 0..CHANNELS {
+                let value = f64::from(sample[channel]);
+                let before = value - means[channel];
+                means[channel] += before * weight;
+                squares[channel] += before * (value - means[channel]);
+            }
+        }
+    }
+
+    /// Means of the halves, and squared deviations of all samples from their common mean.
+    fn channel(&self, channel: usize) -> (f64, f64, f64) {
+        let (a, b) = (self.means[0][channel], self.means[1][channel]);
+        let within = self.squared_deviations[0][channel] + self.squared_deviations[1][channel];
+        (a, b, within + (a - b).powi(2) * f64::from(self.pairs) / 2.0)
+    }
+}
