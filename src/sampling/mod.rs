@@ -4,10 +4,12 @@
 //! alone; [`Samples::merge`] adds them to those of earlier passes, and [`Samples::to_frame`] gives what the denoiser works on. [`stub`] is a path tracer over a
 //! few analytic shapes that stands in for a renderer.
 
+mod map;
 mod native;
 mod sampler;
 mod samples;
 pub mod stub;
 
+pub use map::SamplingMap;
 pub use sampler::{Progress, SampleCounts, Sampler};
 pub use samples::{PixelAccumulator, Samples};
