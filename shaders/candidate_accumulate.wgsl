@@ -4,7 +4,7 @@
 // FIRST and SECOND share the pixel distance and the features and differ in the box; THIRD shares the features' numerators. The perturbed weights need no second
 // pass: a step δ in channel i of p changes the pixel distances that p takes part in, and those alone, so the patch sums change by a few closed terms.
 #import stein::planes::{inside, pixel_index, clamped_index}
-#import stein::nlm::{NlmParams, PairWeights, EPSILON, DISTANCE_LIMIT, pair_offset, patch_pairs, patch_triples, pair_weights}
+#import stein::nlm::{NlmParams, PairWeights, EPSILON, DISTANCE_LIMIT, pair_offset, next_offset, patch_pairs, patch_triples, pair_weights}
 #import stein::candidates::{CandidateParams, WEIGHT_LANES, LARGEST_LANES, MEAN_SUM, PERTURBED_SUM, SPREAD_SUM, PLANES_WITH_COLOR, THIRD_MEAN_SUM, THIRD_SPREAD_SUM, difference_step}
 
 const FIRST_RADIUS: i32 = #{SMALL_PATCH_RADIUS};
@@ -128,8 +128,8 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     }
 
     let stride = extent.x + 2 * SECOND_RADIUS;
+    var offset = pair_offset(params.first_pair, params.window_radius);
     for (var pair = 0; pair < params.pairs; pair++) {
-        let offset = pair_offset(params.first_pair + pair, params.window_radius);
         let p_q1 = p + offset;
         let p_q2 = p - offset;
         let q1_inside = inside(p_q1, extent);
@@ -254,6 +254,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
         let third_q2 = select(0.0, exp(-third_distance_q2), q2_inside);
         third_mean += vec4<f32>(third_q1 * q1.mean + third_q2 * q2.mean, third_q1 + third_q2);
         third_spread = vec4<f32>(third_spread.xyz + third_q1 * q1.spread + third_q2 * q2.spread, max(third_spread.w, max(third_q1, third_q2)));
+        offset = next_offset(offset, params.window_radius);
     }
 
     store_sums(first, 0, strip_pixels, at_state);

@@ -3,7 +3,7 @@
 // Works on the chunk of pairs whose column sums nlm_distance has left; `filtered` and `weights` carry the sums from chunk to chunk and hold the result after the last.
 // Sums are taken of the differences to the centre pixel: F = u_p + Σ w·(u_q − u_p) / Σ w loses no digits to a large common offset.
 #import stein::planes::{inside, pixel_index, clamped_index}
-#import stein::nlm::{NlmParams, pair_offset, pair_count, patch_pairs, patch_triples, pair_weights, centre_weight}
+#import stein::nlm::{NlmParams, pair_offset, next_offset, pair_count, patch_pairs, patch_triples, pair_weights, centre_weight}
 
 const PATCH_RADIUS: i32 = #{PATCH_RADIUS};
 const PAYLOAD_PLANES: i32 = #{PAYLOAD_PLANES};
@@ -51,8 +51,8 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     }
 
     let stride = extent.x + 2 * PATCH_RADIUS;
+    var offset = pair_offset(params.first_pair, params.window_radius);
     for (var pair = 0; pair < params.pairs; pair++) {
-        let offset = pair_offset(params.first_pair + pair, params.window_radius);
         let q1 = p + offset;
         let q2 = p - offset;
         let q1_inside = inside(q1, extent);
@@ -81,6 +81,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
 #ifdef RESIDUAL
         squared_sum += w1 * w1 * variance_of_mean[at_q1] + w2 * w2 * variance_of_mean[at_q2];
 #endif
+        offset = next_offset(offset, params.window_radius);
     }
 
     if params.first_pair + params.pairs < pair_count(params.window_radius) {

@@ -40,6 +40,12 @@ fn pair_offset(pair: i32, radius: i32) -> vec2<i32> {
     return vec2<i32>(rest % side - radius, rest / side + 1);
 }
 
+// The offset after this one: cheaper in a loop than the divisions of pair_offset.
+fn next_offset(offset: vec2<i32>, radius: i32) -> vec2<i32> {
+    let wraps = offset.x == radius;
+    return vec2<i32>(select(offset.x + 1, -radius, wraps), select(offset.y, offset.y + 1, wraps));
+}
+
 fn pair_count(radius: i32) -> i32 {
     return 2 * radius * (radius + 1);
 }
