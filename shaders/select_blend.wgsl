@@ -40,6 +40,11 @@ fn chance(f: vec3<f32>, g: vec3<f32>, variance: vec3<f32>) -> f32 {
     return 2.0 * params.own_sigmas * sqrt(dot(variance, apart * apart)) + params.own_noise * dot(vec3<f32>(1.0), variance);
 }
 
+// The squares of a spike overflow: a candidate that takes no part may have an error that is not finite, and 0·∞ is no number.
+fn weighted_error(share: vec3<f32>, error: vec3<f32>) -> f32 {
+    return dot(share, select(vec3<f32>(0.0), error, share > vec3<f32>(0.0)));
+}
+
 @compute @workgroup_size(32, 2, 1)
 fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     let p = vec2<i32>(id.xy);
@@ -53,7 +58,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     var share = max(smoothed[at].xyz, vec3<f32>(0.0));
     if params.smoothed_error >= 0.0 {
         let variance = variance_of_mean[at].xyz;
-        let least = dot(winner, error);
+        let least = weighted_error(winner, error);
         let allowed = params.smoothed_error * abs(least) + params.smoothed_noise * dot(vec3<f32>(1.0), variance);
         share = select(vec3<f32>(0.0), share, error - least <= vec3<f32>(allowed));
         // The winner always takes part, with a little at the least, so that something is left to normalise.
@@ -80,7 +85,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     }
     let total = share.x + share.y + share.z;
     share = select(winner, share / max(total, 1e-20), total > 1e-20);
-    selection[at] = vec4<f32>(share, dot(share, error));
+    selection[at] = vec4<f32>(share, weighted_error(share, error));
     blended[at] = share.x * first[at] + share.y * second[at] + share.z * third[at];
     blended[pixels + at] = share.x * first[pixels + at] + share.y * second[pixels + at] + share.z * third[pixels + at];
 }

@@ -9,7 +9,7 @@ use reference::dfc::{Dfc, DfcParams, Frame, Pass, dfc};
 use reference::nlm::{CentreWeight, Feature, FilterParams, Guide, nlm_filter, window_weights};
 use reference::prefilter::{gradient_squared, prefilter};
 use reference::random::Random;
-use reference::select::{FIRST, Guard, SECOND, THIRD, guard, select, select_literally};
+use reference::select::{Evidence, FIRST, Guard, SECOND, THIRD, guard, select};
 use reference::sure::sure;
 use reference::variance::{Signal, gaussian, spread_of_halves, variance_scale};
 use reference::{Grid, Planes, Point, square};
@@ -29,7 +29,7 @@ fn planes(count: usize, mut plane: impl FnMut() -> Grid) -> Planes {
 }
 
 fn filter_params(symmetric: bool, centre: CentreWeight) -> FilterParams {
-    FilterParams { window_radius: 3, patch_radius: 1, k_color: 0.45, k_feature: 0.6, tau: 1e-2, symmetric, centre }
+    FilterParams { window_radius: 3, patch_radius: 1, k_color: 0.45, k_feature: 0.6, tau: 1e-2, symmetric_features: symmetric, blend_pairs: symmetric, centre }
 }
 
 fn assert_close(actual: f64, expected: f64, tolerance: f64, what: &str) {
@@ -213,46 +213,62 @@ fn the_finite_difference_step_is_never_zero() {
 #[test]
 fn the_least_error_wins_and_ties_go_to_the_later_candidate() {
     let inf = f64::INFINITY;
-    // r, g, b, whether FIRST filters more, winner, winner of the printed lines.
+    // r, g, b, whether FIRST filters more, winner.
     let cases = [
-        (1.0, 2.0, 3.0, true, FIRST, Some(FIRST)),
-        (1.0, 2.0, 3.0, false, SECOND, None),
-        (1.0, 3.0, 2.0, false, THIRD, None),
-        (2.0, 1.0, 3.0, true, SECOND, Some(SECOND)),
-        (3.0, 2.0, 1.0, true, THIRD, Some(THIRD)),
-        (1.0, 1.0, 2.0, true, SECOND, None),
-        (1.0, 1.0, 1.0, true, THIRD, None),
-        (-inf, 2.0, 3.0, true, SECOND, Some(FIRST)),
-        (f64::NAN, f64::NAN, 3.0, true, THIRD, None),
-        (1.0, f64::NAN, inf, true, FIRST, None),
-        (inf, inf, inf, true, THIRD, None),
+        (1.0, 2.0, 3.0, true, FIRST),
+        (1.0, 2.0, 3.0, false, SECOND),
+        (1.0, 3.0, 2.0, false, THIRD),
+        (2.0, 1.0, 3.0, true, SECOND),
+        (3.0, 2.0, 1.0, true, THIRD),
+        (1.0, 1.0, 2.0, true, SECOND),
+        (1.0, 1.0, 1.0, true, THIRD),
+        (-inf, 2.0, 3.0, true, SECOND),
+        (f64::NAN, f64::NAN, 3.0, true, THIRD),
+        (1.0, f64::NAN, inf, true, FIRST),
+        (inf, inf, inf, true, THIRD),
     ];
-    for (i, (r, g, b, more, winner, literal)) in cases.into_iter().enumerate() {
+    for (i, (r, g, b, more, winner)) in cases.into_iter().enumerate() {
         let errors = [r, g, b].map(|e| row(&[e]));
         let (low, high) = ([row(&[0.1])], [row(&[0.2])]);
         let derivatives: [&[Grid]; 3] = if more { [&low, &high, &low] } else { [&high, &high, &low] };
-        let expected = |k: Option<usize>| [FIRST, SECOND, THIRD].map(|i| f64::from(Some(i) == k));
-        let of = |maps: Planes| [maps[0].values[0], maps[1].values[0], maps[2].values[0]];
-        assert_eq!(of(select(&errors, derivatives)), expected(Some(winner)), "case {i}");
-        assert_eq!(of(select_literally(&errors, derivatives)), expected(literal), "case {i}");
+        let maps = select(&errors, derivatives);
+        let expected = [FIRST, SECOND, THIRD].map(|k| f64::from(k == winner));
+        assert_eq!([maps[0].values[0], maps[1].values[0], maps[2].values[0]], expected, "case {i}");
     }
 }
 
+/// One pixel, in which SECOND has won.
+fn guarded(maps: [f64; 3], errors: [f64; 3], sure: [f64; 3], filtered: [f64; 3], rule: Guard) -> [f64; 3] {
+    let grids = |values: [f64; 3]| values.map(|value| row(&[value]));
+    let (maps, errors, sure, binary_maps, filtered) = (grids(maps), grids(errors), grids(sure), grids([0.0, 1.0, 0.0]), grids(filtered));
+    let candidates = filtered.each_ref().map(std::slice::from_ref);
+    let variance = [row(&[4.0])];
+    let evidence = Evidence { errors: &errors, binary_maps: &binary_maps, sure: &sure, candidates, variance: &variance };
+    let maps = guard(&maps, evidence, &rule);
+    [maps[0].values[0], maps[1].values[0], maps[2].values[0]]
+}
+
 #[test]
-fn the_guard_removes_what_is_much_worse_than_the_least_error() {
-    let rule = Guard { factor: 1.0, noise: 0.1 };
-    let guarded = |maps: [f64; 3], errors: [f64; 3]| {
-        let (maps, errors) = (maps.map(|m| row(&[m])), errors.map(|e| row(&[e])));
-        let binary = [0.0, 1.0, 0.0].map(|b| row(&[b]));
-        let variance = [row(&[2.0]), row(&[2.0]), row(&[1.0])];
-        let maps = guard(&maps, &errors, &binary, &variance, &rule);
-        [maps[0].values[0], maps[1].values[0], maps[2].values[0]]
-    };
-    // The allowance is |1| + 0.1·5.
-    assert_eq!(guarded([0.25, 0.25, 0.5], [1.0, 2.5, 2.6]), [0.5, 0.5, 0.0]);
-    assert_eq!(guarded([0.0, 0.0, 1.0], [1.0, 2.0, 9.0]), [0.0, 1.0, 0.0]);
-    let nan = f64::NAN;
-    assert_eq!(guarded([0.5, 0.25, 0.25], [nan, 1.0, f64::INFINITY]), [0.0, 1.0, 0.0]);
+fn the_guard_removes_what_is_much_worse_than_the_winner() {
+    // The allowance is 2·|1| + 0.25·4.
+    let rule = Guard { smoothed_error: 2.0, smoothed_noise: 0.25, own_sigmas: 0.0, own_noise: 1e9 };
+    let guarded = |maps, errors| guarded(maps, errors, [0.0, -1.0, 0.0], [0.0; 3], rule);
+    assert_eq!(guarded([0.25, 0.25, 0.5], [4.0, 1.0, 4.1]), [0.5, 0.5, 0.0]);
+    // A loser may have the least error, as FIRST where it filters too little.
+    assert_eq!(guarded([0.25, 0.5, 0.25], [-9.0, 1.0, 3.5]), [0.25, 0.5, 0.25]);
+    assert_eq!(guarded([0.0, 0.0, 1.0], [3.0, 1.0, 9.0]), [0.0, 1.0, 0.0]);
+    assert_eq!(guarded([0.5, 0.25, 0.25], [f64::NAN, 1.0, f64::INFINITY]), [0.0, 1.0, 0.0]);
+}
+
+#[test]
+fn the_guard_removes_what_the_pixels_own_error_is_sure_about() {
+    // FIRST has the least. SECOND is 3 away from it, a deviation of 2·√(4·9) = 12, and THIRD 1: 4. Two of them and 0.5·4 are allowed: 26 and 10.
+    let rule = Guard { smoothed_error: 1e9, smoothed_noise: 0.0, own_sigmas: 2.0, own_noise: 0.5 };
+    let guarded = |sure| guarded([0.25, 0.25, 0.5], [1.0; 3], sure, [5.0, 8.0, 4.0], rule);
+    assert_eq!(guarded([-1.0, 25.0, 9.0]), [0.25, 0.25, 0.5]);
+    assert_eq!(guarded([-1.0, 25.5, 9.0]), [1.0 / 3.0, 0.0, 2.0 / 3.0]);
+    assert_eq!(guarded([-1.0, 25.0, 9.5]), [0.5, 0.5, 0.0]);
+    assert_eq!(guarded([-1.0, 99.0, 99.0]), [1.0, 0.0, 0.0]);
 }
 
 // Variances.
@@ -501,9 +517,7 @@ fn an_image_without_noise_is_left_alone() {
     let frame = Frame { color: Signal { mean: mean.clone(), spread: zero(), sample_variance: zero() }, features: Vec::new() };
     for (preset, params) in presets() {
         let result = dfc(&frame, &params);
-        // The printed selection picks nothing where FIRST and SECOND tie, and both are perfect here.
-        let passes = if params.literal_selection { Vec::new() } else { every_output(&result) };
-        for (name, pass) in passes {
+        for (name, pass) in every_output(&result) {
             assert_planes_close(&pass.mean, &mean, &format!("{preset}, {name}"));
         }
         for k in [FIRST, SECOND] {
@@ -521,9 +535,7 @@ fn noise_is_reduced_and_maps_sum_to_one() {
         let result = dfc(&frame, &params);
         for p in (0..width * height).map(|i| Point { x: (i % width) as isize, y: (i / width) as isize }) {
             let sum = |maps: &Planes| maps.iter().map(|map| map.at(p)).sum::<f64>();
-            if !params.literal_selection {
-                assert_eq!(sum(&result.binary_maps), 1.0, "{preset}");
-            }
+            assert_eq!(sum(&result.binary_maps), 1.0, "{preset}");
             assert_close(sum(&result.smoothed_maps), 1.0, 1e-12, preset);
             assert_close(sum(&result.maps), 1.0, 1e-12, preset);
         }

@@ -1,6 +1,7 @@
 //! Reading buffers back.
 
 use std::sync::mpsc::channel;
+use std::time::Duration;
 
 use super::device::Gpu;
 use super::pool::Buffer;
@@ -8,6 +9,9 @@ use crate::error::{Error, Result};
 
 /// The most that is read at once, in bytes: bounds the staging memory.
 const CHUNK_BYTES: u64 = 64 << 20;
+
+/// How long another thread may take to run a callback that it has taken from the device. It does nothing but send one word.
+const CALLBACK_PATIENCE: Duration = Duration::from_secs(10);
 
 impl Gpu {
     /// The content of a buffer after everything that was submitted. Blocks until that is done.
@@ -62,7 +66,8 @@ impl Gpu {
         let staging = copied.map_err(|error| self.out_of_memory(&format!("reading '{}' back", buffer.label()), &error))?;
         self.wait()?;
         let unreadable = || self.defect(&format!("the buffer '{}' cannot be read; the device is probably lost", buffer.label()));
-        receiver.try_recv().ok().and_then(std::result::Result::ok).ok_or_else(unreadable)?;
+        // A thread that waits for the same device may have taken the callback along with its own, and not have come to it yet.
+        receiver.recv_timeout(CALLBACK_PATIENCE).ok().and_then(std::result::Result::ok).ok_or_else(unreadable)?;
         let view = staging.get_mapped_range(..).map_err(|_| unreadable())?;
         out.copy_from_slice(&view);
         Ok(())

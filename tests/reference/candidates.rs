@@ -108,7 +108,7 @@ fn color_weight_slopes(guide: Guide, pair: &Pair, params: &FilterParams, i: usiz
     let (Some(q1), Some(q2)) = (pair.q1, pair.q2) else {
         return [(w1, slope1), (w2, slope2)];
     };
-    if !params.symmetric || !blendable(d1, d2) {
+    if !params.blend_pairs || !blendable(d1, d2) {
         return [(w1, slope1), (w2, slope2)];
     }
 

@@ -3,8 +3,8 @@
 use super::candidates::{Candidate, candidate};
 use super::nlm::{CentreWeight, Feature, FilterParams, Guide, nlm_filter};
 use super::prefilter::{Prefiltered, prefilter};
-use super::select::{self, Guard, guard, select, select_literally, smooth_maps};
-use super::sure::{smooth_errors, sure};
+use super::select::{self, Evidence, Guard, guard, select, smooth_maps};
+use super::sure::{self, smooth_errors, sure};
 use super::variance::{Signal, buffer_var, input_variance};
 use super::{Grid, Planes};
 
@@ -33,16 +33,16 @@ pub struct DfcParams {
     pub window_radius: usize,
     /// FIRST, SECOND, THIRD.
     pub candidates: [CandidateParams; 3],
+    /// Pairs of opposite neighbours and two-sided feature distances. THIRD has the distances alone: it is the widest filter as it is, and without a colour
+    /// term nothing would hold the blend of a pair back.
     pub symmetric: bool,
     pub centre: CentreWeight,
-    /// Lines 24 to 26 as they stand: a pixel may select nothing.
-    pub literal_selection: bool,
     pub guard: Option<Guard>,
     pub second_pass: SecondPassParams,
 }
 
 impl DfcParams {
-    /// Algorithm 1 to the letter. It prints 10⁻² as 10E−3.
+    /// Algorithm 1 to the letter, its misprint in line 26 mended. It prints 10⁻² as 10E−3.
     pub fn thesis() -> DfcParams {
         let first = CandidateParams { k_color: 0.45, k_feature: 0.6, patch_radius: 1, tau: 1e-2 };
         DfcParams {
@@ -50,7 +50,6 @@ impl DfcParams {
             candidates: [first, CandidateParams { patch_radius: 3, ..first }, CandidateParams { k_color: f64::INFINITY, tau: 1e-3, ..first }],
             symmetric: false,
             centre: CentreWeight::One,
-            literal_selection: true,
             guard: None,
             second_pass: SecondPassParams { half_radius: false, patch_radius: 1, k_color: 0.45, clamp_to_input: false },
         }
@@ -64,7 +63,8 @@ impl DfcParams {
             k_color: candidate.k_color,
             k_feature: candidate.k_feature,
             tau: candidate.tau,
-            symmetric: self.symmetric,
+            symmetric_features: self.symmetric,
+            blend_pairs: self.symmetric && candidate.k_color.is_finite(),
             centre: self.centre,
         }
     }
@@ -73,13 +73,16 @@ impl DfcParams {
 /// What renders turned out to want.
 impl Default for DfcParams {
     fn default() -> DfcParams {
+        let thesis = DfcParams::thesis();
+        let [first, second, third] = thesis.candidates;
         DfcParams {
+            // Two-sided distances are scaled by both pixels: half of the printed value.
+            candidates: [first, second, CandidateParams { tau: 5e-4, ..third }],
             symmetric: true,
             centre: CentreWeight::LargestNeighbour,
-            literal_selection: false,
-            guard: Some(Guard { factor: 1.0, noise: 0.1 }),
+            guard: Some(Guard { smoothed_error: 4.0, smoothed_noise: 0.3, own_sigmas: 8.0, own_noise: 4.0 }),
             second_pass: SecondPassParams { half_radius: true, patch_radius: 3, k_color: 0.45, clamp_to_input: true },
-            ..DfcParams::thesis()
+            ..thesis
         }
     }
 }
@@ -137,10 +140,14 @@ pub fn dfc(frame: &Frame, params: &DfcParams) -> Dfc {
 
     // Lines 23–31: selection maps.
     let derivatives = candidates.each_ref().map(|c| c.derivative.as_slice());
-    let binary_maps = if params.literal_selection { select_literally(&errors, derivatives) } else { select(&errors, derivatives) };
+    let binary_maps = select(&errors, derivatives);
     let smoothed_maps = smooth_maps(&binary_maps, guide, &aside);
     let maps = match &params.guard {
-        Some(rule) => guard(&smoothed_maps, &errors, &binary_maps, &color_variance, rule),
+        Some(rule) => {
+            let means = candidates.each_ref().map(|c| c.mean.as_slice());
+            let evidence = Evidence { errors: &errors, binary_maps: &binary_maps, sure: &sure, candidates: means, variance: &color_variance };
+            guard(&smoothed_maps, evidence, rule)
+        }
         None => smoothed_maps.clone(),
     };
 
@@ -179,6 +186,15 @@ pub fn second_pass(pass1: &Pass, input_variance: &[Grid], params: &DfcParams) ->
     let mut mean = nlm_filter(&payload, Some(guide), &[], &filter).planes;
     let spread = mean.split_off(pass1.mean.len());
     Some(Pass { mean, spread: Some(spread) })
+}
+
+/// Where the next samples pay most (section 8.6): the error of the blend relative to its square, times W(p) = Σ w/(1 + n_p), smoothed.
+pub fn sampling_density(frame: &Frame, result: &Dfc, params: &DfcParams, samples_per_pixel: f64) -> Grid {
+    let weight_sum = blend(&result.maps, &result.candidates.each_ref().map(|c| &c.weight_sum));
+    let density = sure::sample_density(&result.pass1.mean, &result.error, &weight_sum, samples_per_pixel);
+    let own = CandidateParams { k_color: 1.0, k_feature: f64::INFINITY, patch_radius: 1, tau: 0.0 };
+    let guide = Guide { mean: &frame.color.mean, variance: &result.color_variance };
+    nlm_filter(&[density], Some(guide), &[], &params.filter(10, &own)).planes.remove(0)
 }
 
 fn blend_channels(maps: &[Grid], candidates: [&[Grid]; 3]) -> Planes {

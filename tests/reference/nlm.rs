@@ -33,9 +33,10 @@ pub struct FilterParams {
     pub k_feature: f64,
     /// τ: the least squared feature contrast that matters.
     pub tau: f64,
-    /// Weights from pairs of opposite neighbours (eq. 7.6), for colour and features, and feature distances that look at both
-    /// pixels. Otherwise the formulas as printed in sections 8.2 and 8.3.
-    pub symmetric: bool,
+    /// Feature distances look at both pixels. Otherwise the formula as printed in section 8.3.
+    pub symmetric_features: bool,
+    /// Weights from pairs of opposite neighbours (eq. 7.6), for colour and features.
+    pub blend_pairs: bool,
     pub centre: CentreWeight,
 }
 
@@ -151,7 +152,7 @@ impl Pair {
 /// w_c of eq. 8.2 for both neighbours.
 fn color_weights(guide: Guide, pair: &Pair, params: &FilterParams) -> [f64; 2] {
     let (f, k, p) = (params.patch_radius, params.k_color, pair.p);
-    pair_weights(pair, params.symmetric, |q| patch_distance(guide, k, f, p, q), |q1, q2| patch_distance_to_mean(guide, k, f, p, q1, q2))
+    pair_weights(pair, params.blend_pairs, |q| patch_distance(guide, k, f, p, q), |q1, q2| patch_distance_to_mean(guide, k, f, p, q1, q2))
 }
 
 /// The least weight of all features (eq. 8.3) for both neighbours; 1 without features.
@@ -162,7 +163,7 @@ pub fn feature_weights(features: &[Feature], pair: &Pair, params: &FilterParams)
     features.iter().fold([1.0; 2], |least, feature| {
         let weights = pair_weights(
             pair,
-            params.symmetric,
+            params.blend_pairs,
             |q| feature_distance(feature, params, pair.p, q),
             |q1, q2| feature_distance_to_mean(feature, params, pair.p, q1, q2),
         );
@@ -174,12 +175,12 @@ pub fn feature_weights(features: &[Feature], pair: &Pair, params: &FilterParams)
 /// close: where the mean's weight exceeds the sum of both, section 7.1.1 puts it in place of both. Doing so by degrees keeps
 /// the weights continuous, so that their finite differences mean something. The weight of a neighbour that does not exist
 /// is 0.
-fn pair_weights(pair: &Pair, symmetric: bool, distance: impl Fn(Point) -> f64, distance_to_mean: impl Fn(Point, Point) -> f64) -> [f64; 2] {
+fn pair_weights(pair: &Pair, blend: bool, distance: impl Fn(Point) -> f64, distance_to_mean: impl Fn(Point, Point) -> f64) -> [f64; 2] {
     let d1 = pair.q1.map_or(f64::INFINITY, &distance);
     let d2 = pair.q2.map_or(f64::INFINITY, &distance);
     let (w1, w2) = (weight(d1), weight(d2));
     match (pair.q1, pair.q2) {
-        (Some(q1), Some(q2)) if symmetric && blendable(d1, d2) => {
+        (Some(q1), Some(q2)) if blend && blendable(d1, d2) => {
             let w_mean = weight(distance_to_mean(q1, q2));
             let share = (w_mean / (w1 + w2) - 1.0).clamp(0.0, 1.0);
             [w1, w2].map(|w| share * w_mean + (1.0 - share) * w)
@@ -259,7 +260,7 @@ fn feature_distance(feature: &Feature, params: &FilterParams, p: Point, q: Point
     mean_over_channels(feature, params.tau, |u, v, contrast| {
         let difference = u.at(p) - u.at(q);
         let (v_p, v_q) = (v.at(p), v.at(q));
-        let (cancellation, scale) = if params.symmetric { (v_p + v_q.min(v_p), contrast(p) + contrast(q)) } else { (v_p + v_q, contrast(p)) };
+        let (cancellation, scale) = if params.symmetric_features { (v_p + v_q.min(v_p), contrast(p) + contrast(q)) } else { (v_p + v_q, contrast(p)) };
         (difference * difference - cancellation) / (k_squared * scale)
     })
 }

@@ -25,8 +25,16 @@ pub struct Prefiltered {
 /// to be exact and left alone.
 pub fn prefilter(signal: &Signal, symmetric: bool, centre: CentreWeight) -> Prefiltered {
     let variance = input_variance(signal);
-    let params =
-        FilterParams { window_radius: WINDOW_RADIUS, patch_radius: PATCH_RADIUS, k_color: SENSITIVITY, k_feature: f64::INFINITY, tau: 0.0, symmetric, centre };
+    let params = FilterParams {
+        window_radius: WINDOW_RADIUS,
+        patch_radius: PATCH_RADIUS,
+        k_color: SENSITIVITY,
+        k_feature: f64::INFINITY,
+        tau: 0.0,
+        symmetric_features: symmetric,
+        blend_pairs: symmetric,
+        centre,
+    };
     let guide = Some(Guide { mean: &signal.mean, variance: &variance });
     let filter = |payload: &[Grid]| -> Filtered { nlm_filter(payload, guide, &[], &params) };
 

@@ -8,20 +8,25 @@ pub const FIRST: usize = 0;
 pub const SECOND: usize = 1;
 pub const THIRD: usize = 2;
 
-/// When a candidate may take part in the blend: where its error exceeds the least one by no more than
-/// `factor · (|least error| + noise · Σ_i V_i)`.
+/// When a candidate may take part in the blend of a pixel.
 #[derive(Clone, Copy, Debug)]
 pub struct Guard {
-    pub factor: f64,
-    /// How far two errors may differ for no other reason than the noise of the estimate, as a share of the pixel's variance.
-    pub noise: f64,
+    /// Where its smoothed error exceeds the winner's by no more than `smoothed_error · |winner's error| + smoothed_noise · Σ_i V_i` …
+    pub smoothed_error: f64,
+    /// … the second of which is how far two errors may differ for no other reason than the noise of the estimate.
+    pub smoothed_noise: f64,
+    /// And where its SURE as it is exceeds the least one, that of G, by no more than `own_sigmas` standard deviations `2·√Σ_i V_i·(F_i − G_i)²` of their difference …
+    pub own_sigmas: f64,
+    /// … and `own_noise · Σ_i V_i`.
+    pub own_noise: f64,
 }
 
 /// The candidate with the least error; ties go to the more robust one. FIRST must also filter more than SECOND (line 24):
 /// where it keeps noise, its error estimate may not notice. An error that is not finite cannot win, and where none can,
 /// THIRD does.
 pub fn select(errors: &[Grid], derivatives: [&[Grid]; 3]) -> Planes {
-    binary_maps(errors, |p| {
+    let (width, height) = (errors[0].width, errors[0].height);
+    let winners = map_pixels(width, height, |p| {
         let first_filters_more = channel_mean(derivatives[FIRST], p) < channel_mean(derivatives[SECOND], p);
         let mut winner = None;
         for k in [FIRST, SECOND, THIRD] {
@@ -31,32 +36,9 @@ pub fn select(errors: &[Grid], derivatives: [&[Grid]; 3]) -> Planes {
                 winner = Some(k);
             }
         }
-        Some(winner.unwrap_or(THIRD))
-    })
-}
-
-/// Lines 24 to 26 as printed, except that line 26 asks for e_b < e_g as line 25 asks for the opposite. A pixel with a tie, or
-/// where FIRST has the least error but filters less than SECOND, has no winner.
-pub fn select_literally(errors: &[Grid], derivatives: [&[Grid]; 3]) -> Planes {
-    binary_maps(errors, |p| {
-        let [r, g, b] = [FIRST, SECOND, THIRD].map(|k| errors[k].at(p));
-        let [d_r, d_g] = [FIRST, SECOND].map(|k| channel_mean(derivatives[k], p));
-        if r < g && r < b && d_r < d_g {
-            Some(FIRST)
-        } else if g < r && g < b {
-            Some(SECOND)
-        } else if b < r && b < g {
-            Some(THIRD)
-        } else {
-            None
-        }
-    })
-}
-
-fn binary_maps(errors: &[Grid], winner: impl Fn(Point) -> Option<usize> + Sync) -> Planes {
-    let (width, height) = (errors[0].width, errors[0].height);
-    let winners = map_pixels(width, height, winner);
-    [FIRST, SECOND, THIRD].map(|k| Grid { width, height, values: winners.iter().map(|&winner| if winner == Some(k) { 1.0 } else { 0.0 }).collect() }).to_vec()
+        winner.unwrap_or(THIRD)
+    });
+    [FIRST, SECOND, THIRD].map(|k| Grid { width, height, values: winners.iter().map(|&winner| if winner == k { 1.0 } else { 0.0 }).collect() }).to_vec()
 }
 
 /// Lines 27 to 31 of Algorithm 1, normalised. See `sure::smooth_errors` for `aside`.
@@ -66,23 +48,54 @@ pub fn smooth_maps(binary: &[Grid], guide: Guide, aside: &FilterParams) -> Plane
     normalise(&smoothed, |_| THIRD)
 }
 
+/// The winner by the smoothed errors takes part with at least this share, so that something is left where it alone survives the guard …
+const SMALLEST_SHARE_OF_WINNER: f64 = 1e-6;
+/// … and the winner by the pixel's own with this one, which matters where the first has failed by the second rule.
+const SMALLEST_SHARE_OF_OWN_WINNER: f64 = 1e-9;
+
+/// What the guard judges a pixel by.
+#[derive(Clone, Copy)]
+pub struct Evidence<'a> {
+    /// Smoothed.
+    pub errors: &'a [Grid],
+    pub binary_maps: &'a [Grid],
+    /// Not smoothed.
+    pub sure: &'a [Grid],
+    /// The filtered colours.
+    pub candidates: [&'a [Grid]; 3],
+    pub variance: &'a [Grid],
+}
+
 /// Smoothing hands a rejected candidate some weight near the border of its region, and one that is wildly wrong there ruins the
-/// blend with any weight at all: this takes such candidates out again. Where nothing is left, the winner stands alone.
-pub fn guard(maps: &[Grid], errors: &[Grid], binary: &[Grid], variance: &[Grid], guard: &Guard) -> Planes {
-    let guarded: Planes = (0..maps.len())
+/// blend with any weight at all: this takes such candidates out again. And smoothed errors know nothing of a single clean pixel
+/// among noisy ones, so that the pixel's own error has its say as well.
+pub fn guard(maps: &[Grid], evidence: Evidence, guard: &Guard) -> Planes {
+    let Evidence { errors, binary_maps, sure, candidates, variance } = evidence;
+    let noise = |p: Point| variance.iter().map(|v| v.at(p)).sum::<f64>();
+    let winner = |p: Point| (0..3).find(|&k| binary_maps[k].at(p) == 1.0).unwrap_or(THIRD);
+    let own_winner = |p: Point| (0..3).fold(FIRST, |least, k| if sure[k].at(p) < sure[least].at(p) { k } else { least });
+    let guarded: Planes = (0..3)
         .map(|k| {
             maps[k].like(|p| {
-                let least = errors.iter().map(|error| error.at(p)).filter(|error| error.is_finite()).fold(f64::INFINITY, f64::min);
-                let noise: f64 = variance.iter().map(|v| v.at(p)).sum();
-                let allowance = guard.factor * (least.abs() + guard.noise * noise);
-                if errors[k].at(p) - least <= allowance { maps[k].at(p) } else { 0.0 }
+                let least = errors[winner(p)].at(p);
+                let allowance = guard.smoothed_error * least.abs() + guard.smoothed_noise * noise(p);
+                let mut share = if errors[k].at(p) - least <= allowance { maps[k].at(p) } else { 0.0 };
+                if k == winner(p) {
+                    share = share.max(SMALLEST_SHARE_OF_WINNER);
+                }
+
+                let best = own_winner(p);
+                let apart = |i: usize| candidates[k][i].at(p) - candidates[best][i].at(p);
+                let deviation = 2.0 * (0..variance.len()).map(|i| variance[i].at(p) * apart(i) * apart(i)).sum::<f64>().sqrt();
+                let by_chance = guard.own_sigmas * deviation + guard.own_noise * noise(p);
+                if sure[k].at(p) - sure[best].at(p) > by_chance {
+                    share = 0.0;
+                }
+                if k == best { share.max(SMALLEST_SHARE_OF_OWN_WINNER) } else { share }
             })
         })
         .collect();
-    normalise(&guarded, |p| {
-        let won = |k: &usize| binary[*k].at(p) == 1.0;
-        (0..binary.len()).find(won).unwrap_or(THIRD)
-    })
+    normalise(&guarded, winner)
 }
 
 /// Maps that sum to 1; a pixel without weights gets the fallback alone.
@@ -91,7 +104,7 @@ fn normalise(maps: &[Grid], fallback: impl Fn(Point) -> usize + Sync) -> Planes 
         .map(|k| {
             maps[k].like(|p| {
                 let sum: f64 = maps.iter().map(|map| map.at(p)).sum();
-                if sum > 0.0 {
+                if sum > 1e-20 {
                     maps[k].at(p) / sum
                 } else if k == fallback(p) {
                     1.0

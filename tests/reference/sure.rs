@@ -22,3 +22,14 @@ pub fn smooth_errors(sure: &[Grid], guide: Guide, aside: &FilterParams) -> Plane
     let params = FilterParams { window_radius: 1, patch_radius: 1, k_color: 1.0, k_feature: f64::INFINITY, ..*aside };
     nlm_filter(sure, Some(guide), &[], &params).planes
 }
+
+/// What keeps dark pixels from taking all samples (section 7.1.2).
+const RELATIVE_FLOOR: f64 = 1e-3;
+
+/// Section 8.6: an error, summed over the channels and 0 where it is negative, relative to the squared value, times the weight that one more sample has.
+pub fn sample_density(mean: &[Grid], error: &Grid, weight_sum: &Grid, samples_per_pixel: f64) -> Grid {
+    error.like(|p| {
+        let squared: f64 = mean.iter().map(|plane| plane.at(p) * plane.at(p) + RELATIVE_FLOOR).sum();
+        error.at(p).max(0.0) / squared * weight_sum.at(p) / (1.0 + samples_per_pixel)
+    })
+}

@@ -1,0 +1,151 @@
+//! What the tests of the GPU share: the device, images to feed it with, and the comparison with the float64 reference.
+
+use std::sync::OnceLock;
+
+use glam::IVec2;
+use stein::error::Result;
+use stein::gpu::{Buffer, DeviceChoice, Gpu, GpuOptions, Recorder};
+
+use crate::reference::random::Random;
+use crate::reference::{Grid, Planes, Point};
+
+/// The device of all tests that do not count what it holds. What a kernel forgets to write shows, because every buffer is poisoned.
+pub fn gpu() -> &'static Gpu {
+    static GPU: OnceLock<Gpu> = OnceLock::new();
+    GPU.get_or_init(|| open(GpuOptions { poison: true, ..GpuOptions::default() }))
+}
+
+/// The same with bounds checks in the kernels: what reads outside of a buffer then reads something else than an unchecked kernel does.
+pub fn checked_gpu() -> &'static Gpu {
+    static GPU: OnceLock<Gpu> = OnceLock::new();
+    GPU.get_or_init(|| open(GpuOptions { poison: true, checked_shaders: true }))
+}
+
+/// A device of one's own; a machine without an adapter fails the test with what to do about it.
+pub fn open(options: GpuOptions) -> Gpu {
+    Gpu::open_with(&DeviceChoice::Auto, options).unwrap_or_else(|error| panic!("{error}"))
+}
+
+/// Records, submits, and gives what was recorded.
+pub fn run<T>(gpu: &Gpu, work: impl FnOnce(&mut Recorder) -> Result<T>) -> T {
+    let mut rec = gpu.record();
+    let result = work(&mut rec).unwrap_or_else(|error| panic!("{error}"));
+    rec.submit().unwrap_or_else(|error| panic!("{error}"));
+    result
+}
+
+pub fn extent_of(grid: &Grid) -> IVec2 {
+    IVec2::new(grid.width as i32, grid.height as i32)
+}
+
+/// One plane of the GPU: a vec4 per pixel, unused channels 0.
+pub fn packed(planes: &[Grid]) -> Vec<f32> {
+    assert!(planes.len() <= 4);
+    let pixels = planes[0].values.len();
+    (0..pixels * 4).map(|i| planes.get(i % 4).map_or(0.0, |plane| plane.values[i / 4] as f32)).collect()
+}
+
+/// A signal of the GPU: the mean, behind it the half spread.
+pub fn packed_signal(mean: &[Grid], spread: &[Grid]) -> Vec<f32> {
+    [packed(mean), packed(spread)].concat()
+}
+
+pub fn upload(rec: &mut Recorder, planes: &[Grid]) -> Result<Buffer> {
+    rec.upload("input", &packed(planes))
+}
+
+/// All planes of a buffer, four channels each.
+pub fn read(gpu: &Gpu, buffer: &Buffer, extent: IVec2) -> Vec<Planes> {
+    let values = gpu.read(buffer).unwrap_or_else(|error| panic!("{error}"));
+    let (width, height) = (extent.x as usize, extent.y as usize);
+    let channel = |plane: &[f32], c: usize| Grid { width, height, values: plane.iter().skip(c).step_by(4).map(|&v| f64::from(v)).collect() };
+    values.chunks_exact(4 * width * height).map(|plane| (0..4).map(|c| channel(plane, c)).collect()).collect()
+}
+
+/// The bits of a buffer, for what must be equal and not only near.
+pub fn bits(gpu: &Gpu, buffer: &Buffer) -> Vec<u32> {
+    gpu.read(buffer).unwrap_or_else(|error| panic!("{error}")).into_iter().map(f32::to_bits).collect()
+}
+
+/// Both sides get the same numbers: those that float32 can hold.
+pub fn rounded(grid: Grid) -> Grid {
+    Grid { values: grid.values.into_iter().map(|v| f64::from(v as f32)).collect(), ..grid }
+}
+
+/// A signal with everything that a renderer may deliver.
+pub struct Scene {
+    pub mean: Planes,
+    pub spread: Planes,
+    pub variance: Planes,
+}
+
+/// Blocks, ramps and noise in three channels; here and there a spike of 10⁴ that may or may not admit to its variance, negative radiance, and a band without
+/// variance, half of it constant.
+pub fn scene(width: usize, height: usize, seed: u64) -> Scene {
+    let mut random = Random(seed);
+    let spikes = random.uniform_grid(width, height, 0.0, 150.0);
+    let is_exact = |p: Point| p.x as usize * 5 / width == 3;
+    let is_spike = |p: Point| spikes.at(p) < 1.0 && !is_exact(p);
+    let (mut mean, mut spread, mut variance) = (Planes::new(), Planes::new(), Planes::new());
+    for channel in 0..3 {
+        let gain = [1.0, 0.4, 2.5][channel];
+        let level = |p: Point| gain * ([0.8, -0.1, 0.3, 1.6][((p.x / 5 + p.y / 4) % 4) as usize] + 0.02 * p.y as f64);
+        let deviation = random.uniform_grid(width, height, 0.05, 0.3);
+        let sigma = Grid::from_fn(width, height, |p| if is_exact(p) { 0.0 } else { gain * deviation.at(p) });
+        let (noise, half_noise) = (random.gaussian_grid(width, height, 0.0, 1.0), random.gaussian_grid(width, height, 0.0, 1.0));
+        mean.push(Grid::from_fn(width, height, |p| match (is_spike(p), is_exact(p)) {
+            (true, _) => 1e4 * gain,
+            (_, true) if p.y < height as isize / 2 => gain,
+            _ => level(p) + sigma.at(p) * noise.at(p),
+        }));
+        let admits = |p: Point| is_spike(p) && spikes.at(p) < 0.5;
+        spread.push(Grid::from_fn(width, height, |p| if admits(p) { 3e3 } else { sigma.at(p) } * half_noise.at(p)));
+        variance.push(Grid::from_fn(width, height, |p| if admits(p) { 3e7 } else { sigma.at(p).powi(2) * (0.5 + deviation.at(p)) }));
+    }
+    let round = |planes: Planes| planes.into_iter().map(rounded).collect();
+    Scene { mean: round(mean), spread: round(spread), variance: round(variance) }
+}
+
+/// Noise on a ramp, with noisy variances: patches of any size find their like, no spikes, nothing exact, so that weights are smooth functions of every pixel.
+pub fn calm_scene(width: usize, height: usize, seed: u64) -> Scene {
+    let mut random = Random(seed);
+    let mut planes = |low: f64, high: f64| -> Planes { (0..3).map(|_| rounded(random.uniform_grid(width, height, low, high))).collect() };
+    let (noise, spread, variance) = (planes(-0.3, 0.3), planes(-0.2, 0.2), planes(0.02, 0.06));
+    let mean = noise.iter().map(|grid| rounded(grid.like(|p| 1.0 + 0.05 * (p.x % 24) as f64 + grid.at(p)))).collect();
+    Scene { mean, spread, variance }
+}
+
+/// Compares value by value, and tells where the worst one is.
+///
+/// `scale` says for each value what a relative error of 1 would be. Up to `allowed_share` of the values may be further off, for decisions that rounding may
+/// turn over.
+pub fn assert_near(what: &str, actual: &[Grid], expected: &[Grid], scale: &[Grid], relative: f64, allowed_share: f64) {
+    assert!(actual.len() >= expected.len() && expected.len() == scale.len(), "{what}: {} channels", actual.len());
+    let (mut worst, mut worst_at, mut outside, mut values) = (0.0, None, 0usize, 0usize);
+    for (channel, (actual, (expected, scale))) in actual.iter().zip(expected.iter().zip(scale)).enumerate() {
+        for (i, ((a, e), s)) in actual.values.iter().zip(&expected.values).zip(&scale.values).enumerate() {
+            let error = if a == e { 0.0 } else { (a - e).abs() / (relative * s) };
+            let error = if error.is_nan() { f64::INFINITY } else { error };
+            values += 1;
+            outside += usize::from(error > 1.0);
+            if error > worst {
+                (worst, worst_at) = (error, Some((i % expected.width, i / expected.width, channel, *e, *a)));
+            }
+        }
+    }
+    if outside as f64 > allowed_share * values as f64
+        && let Some((x, y, channel, expected, actual)) = worst_at
+    {
+        panic!("{what}: x {x}, y {y}, channel {channel}: {actual} instead of {expected}, {worst:.1} tolerances off; {outside} of {values} values are");
+    }
+}
+
+/// A scale that is the same everywhere.
+pub fn flat(like: &[Grid], scale: f64) -> Planes {
+    like.iter().map(|grid| grid.like(|_| scale)).collect()
+}
+
+/// Each value's own size, as a scale; `floor` where it vanishes.
+pub fn own_size(planes: &[Grid], floor: f64) -> Planes {
+    planes.iter().map(|grid| grid.like(|p| grid.at(p).abs() + floor)).collect()
+}

@@ -1,0 +1,294 @@
+//! DFC as its callers use it: in strips, twice, on frames of several sizes, inside of a renderer, and ended before its time.
+
+use std::ops::ControlFlow;
+use std::sync::Arc;
+
+use glam::IVec2;
+use stein::frame::Signal;
+use stein::gpu::{Gpu, GpuOptions};
+use stein::image::Extent;
+use stein::method::{GpuFeature, GpuFrame, GpuSignal};
+use stein::stage::nlm::Schedule;
+use stein::stage::sample::GpuSamples;
+use stein::{Denoiser, Error, Estimate, Frame, Image, Options, Params};
+
+use crate::common::{gpu, open, packed, packed_signal, scene};
+use crate::frames::{EVERYTHING, Keep, frame, new_frame, noisy};
+use crate::reference::{Grid, Planes};
+
+fn params() -> Params {
+    Params { window_radius: 4, ..Params::default() }
+}
+
+fn denoiser(gpu: &Gpu, params: Params) -> Denoiser {
+    Denoiser::new(gpu, params).unwrap_or_else(|error| panic!("{error}"))
+}
+
+fn denoised(denoiser: &Denoiser, frame: &Frame) -> Estimate {
+    denoiser.denoise(frame).unwrap_or_else(|error| panic!("{error}"))
+}
+
+fn image(planes: &[Grid]) -> Image {
+    let extent = Extent { width: planes[0].width as u32, height: planes[0].height as u32 };
+    Image { extent, planes: planes.iter().map(|grid| grid.values.iter().map(|v| *v as f32).collect()).collect() }
+}
+
+/// Random colour with spikes, and a feature that has halves only.
+fn random_frame(width: usize, height: usize, factor: f32) -> Frame {
+    let (color, feature) = (scene(width, height, 51), scene(width, height, 52));
+    let scaled = |planes: &[Grid], factor: f32| {
+        let mut image = image(planes);
+        image.planes.iter_mut().flatten().for_each(|value| *value *= factor);
+        image
+    };
+    // A frame takes variances above 10¹⁸ for damage, which no factor may reach here.
+    let variance: Planes = color.variance.iter().map(|grid| grid.like(|p| grid.at(p).min(1e5))).collect();
+    let color = Signal {
+        mean: scaled(&color.mean, factor),
+        half_spread: Some(scaled(&color.spread, factor)),
+        variance_of_mean: Some(scaled(&variance, factor * factor)),
+    };
+    // Noise within the unit range.
+    let calm = |planes: &[Grid]| -> Planes { planes.iter().map(|grid| grid.like(|p| grid.at(p).clamp(-1.0, 2.0))).collect() };
+    let feature = Signal { mean: image(&calm(&feature.mean)), half_spread: Some(scaled(&calm(&feature.spread), 0.1)), variance_of_mean: None };
+    new_frame(color, vec![("paint".into(), feature)])
+}
+
+fn images(estimate: &Estimate) -> [&Image; 5] {
+    let Some(half_spread) = &estimate.half_spread else { panic!("the frame has halves") };
+    [&estimate.color, half_spread, &estimate.error, &estimate.weight_sum, &estimate.selection]
+}
+
+const NAMES: [&str; 5] = ["colour", "half spread", "error", "Σ w", "selection"];
+
+/// To the bit, but for the sign of 0. The colour's factor is a power of two: 1 for what is to be equal.
+fn assert_same(what: &str, actual: &Estimate, expected: &Estimate, factor: f32) {
+    let factors = [factor, factor, factor * factor, 1.0, 1.0];
+    for (((name, factor), actual), expected) in NAMES.iter().zip(factors).zip(images(actual)).zip(images(expected)) {
+        assert_eq!((actual.extent, actual.channels()), (expected.extent, expected.channels()), "{what}: {name}");
+        let width = expected.extent.width as usize;
+        for (channel, (actual, expected)) in actual.planes.iter().zip(&expected.planes).enumerate() {
+            let differing = actual.iter().zip(expected).position(|(a, e)| a.to_bits() != (e * factor + 0.0).to_bits());
+            if let Some(pixel) = differing {
+                let (x, y, expected) = (pixel % width, pixel / width, expected[pixel] * factor);
+                panic!("{what}: {name}: x {x}, y {y}, channel {channel}: {} instead of {expected}", actual[pixel]);
+            }
+        }
+    }
+}
+
+#[test]
+fn strips_give_the_bits_of_the_whole() {
+    let frame = random_frame(24, 300, 1.0);
+    let whole = denoised(&denoiser(gpu(), params()), &frame);
+    assert_eq!(whole.strips, 1);
+    for limit in STRIP_LIMITS {
+        let estimate = denoised(&denoiser(gpu(), params()).with_max_memory(limit), &frame);
+        assert!(estimate.strips >= 3, "{} strips in {limit} bytes", estimate.strips);
+        assert_same(&format!("{} strips", estimate.strips), &estimate, &whole, 1.0);
+    }
+}
+
+/// 78 rows of halo and some forty planes of 24 pixels in vec4s: 1.2 MB and a third more for the scratch.
+const STRIP_LIMITS: [u64; 2] = [2_000_000, 2_500_000];
+
+#[test]
+fn strips_keep_to_the_memory_allowed() {
+    // Of its own: what other tests hold would count.
+    let gpu = open(GpuOptions::default());
+    let frame = random_frame(24, 300, 1.0);
+    for limit in STRIP_LIMITS {
+        let peak = denoised(&denoiser(&gpu, params()).with_max_memory(limit), &frame).peak_bytes;
+        assert!(peak <= limit, "{peak} bytes where {limit} were allowed");
+    }
+    let too_little = denoiser(&gpu, params()).with_max_memory(100_000).denoise(&frame);
+    let Err(Error::Device { problem, remedy }) = too_little else { panic!("100 kB are enough?") };
+    assert!(problem.contains("does not fit") && remedy.contains("--max-memory"), "{problem}\n{remedy}");
+}
+
+#[test]
+fn schedules_and_repetition_do_not_change_a_bit() {
+    let frame = random_frame(37, 41, 1.0);
+    let plain = denoiser(gpu(), params());
+    let first = denoised(&plain, &frame);
+    assert_same("the second run", &denoised(&plain, &frame), &first, 1.0);
+    let schedule = Schedule { scratch_bytes: 20_000, block_rows: 5 };
+    assert_same("another schedule", &denoised(&plain.clone().with_schedule(schedule), &frame), &first, 1.0);
+}
+
+#[test]
+fn frames_of_other_sizes_leave_nothing_behind() {
+    let gpu = open(GpuOptions::default());
+    let denoiser = denoiser(&gpu, params());
+    let (small, large) = (random_frame(33, 21, 1.0), random_frame(65, 47, 1.0));
+    let first = denoised(&denoiser, &small);
+    denoised(&denoiser, &large);
+    let kernels = gpu.kernel_count();
+    gpu.trim();
+    assert_eq!(gpu.memory().bytes_in_use, 0);
+    for _ in 0..3 {
+        let again = denoised(&denoiser, &small);
+        assert_same("the first frame again", &again, &first, 1.0);
+        assert_eq!(again.peak_bytes, first.peak_bytes);
+        denoised(&denoiser, &large);
+    }
+    gpu.trim();
+    assert_eq!((gpu.kernel_count(), gpu.memory().bytes_in_use, gpu.memory().bytes_idle), (kernels, 0, 0));
+}
+
+/// A renderer's own buffers and its own encoder, from first to last.
+#[test]
+fn a_renderer_that_keeps_its_buffers_gets_the_same_bits() {
+    let gpu = open(GpuOptions::default());
+    let denoiser = denoiser(&gpu, params());
+    // Median brightness between 1 and 2, and so no exposure that the renderer would have to know of.
+    let (color, paint) = (scene(45, 31, 53), scene(45, 31, 54));
+    let brighter = |planes: &[Grid]| -> Planes { planes.iter().map(|grid| grid.like(|p| 0.5 * grid.at(p) + 0.5)).collect() };
+    let color_mean = brighter(&color.mean);
+    let mut brightest: Vec<f64> = (0..45 * 31).map(|pixel| color_mean.iter().map(|grid| grid.values[pixel].abs()).fold(0.0, f64::max)).collect();
+    brightest.sort_by(f64::total_cmp);
+    assert!((1.0..2.0).contains(&brightest[45 * 31 / 2]), "{}", brightest[45 * 31 / 2]);
+    let unit = |planes: &[Grid]| -> Planes { planes.iter().map(|grid| grid.like(|p| f64::from(grid.at(p).clamp(0.0, 1.0) as f32))).collect() };
+    let paint_mean = unit(&paint.mean);
+    let signal = |mean: &[Grid]| Signal { mean: image(mean), half_spread: Some(image(&color.spread)), variance_of_mean: Some(image(&color.variance)) };
+    let frame = new_frame(signal(&color_mean), vec![("paint".into(), signal(&paint_mean))]);
+    assert_eq!((frame.features()[0].unit_scale, frame.features()[0].unit_offset), (1.0, 0.0), "the feature is in unit range as it is");
+    let expected = denoised(&denoiser, &frame);
+
+    let own = |data: &[f32]| {
+        let usage = wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_DST;
+        let buffer = gpu.wgpu_device().create_buffer(&wgpu::BufferDescriptor { label: None, size: 4 * data.len() as u64, usage, mapped_at_creation: false });
+        let bytes: Vec<u8> = data.iter().flat_map(|value| value.to_le_bytes()).collect();
+        gpu.wgpu_queue().write_buffer(&buffer, 0, &bytes);
+        gpu.import("a renderer's", buffer).unwrap_or_else(|error| panic!("{error}"))
+    };
+    let gpu_signal = |mean: &[Grid]| GpuSignal {
+        signal: own(&packed_signal(mean, &color.spread)),
+        variance_of_mean: Some(Arc::new(own(&packed(&color.variance)))),
+        has_halves: true,
+    };
+    let features = vec![GpuFeature { name: "paint".into(), signal: gpu_signal(&paint_mean), channels: 3 }];
+    let gpu_frame = GpuFrame { extent: IVec2::new(45, 31), color: gpu_signal(&color_mean), features, samples: GpuSamples::Uniform(1.0) };
+    let mut rec = gpu.record_whole();
+    let estimate = denoiser.record(&mut rec, gpu_frame).unwrap_or_else(|error| panic!("{error}"));
+    let mut encoder = gpu.wgpu_device().create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+    rec.encode_into(&mut encoder).unwrap_or_else(|error| panic!("{error}"));
+    gpu.wgpu_queue().submit([encoder.finish()]);
+
+    let values = gpu.read(&estimate.signal).unwrap_or_else(|error| panic!("{error}"));
+    let half_spread = expected.half_spread.as_ref().map(|image| &image.planes);
+    let planes = expected.color.planes.iter().enumerate().chain((4..).zip(half_spread.into_iter().flatten()));
+    for (channel, plane) in planes {
+        let actual = values[channel / 4 * (values.len() / 2)..].iter().skip(channel % 4).step_by(4);
+        for (pixel, (actual, expected)) in actual.zip(plane).enumerate() {
+            assert_eq!(actual.to_bits(), expected.to_bits(), "x {}, y {}, channel {channel}: {actual} instead of {expected}", pixel % 45, pixel / 45);
+        }
+    }
+}
+
+#[test]
+fn cancelling_ends_the_work_and_not_the_denoiser() {
+    let frame = random_frame(37, 41, 1.0);
+    let denoiser = denoiser(gpu(), params()).with_schedule(Schedule { scratch_bytes: 60_000, block_rows: 4 });
+    let expected = denoised(&denoiser, &frame);
+    for ended_at in [1, 3] {
+        let mut calls = 0;
+        let mut progress = |_: f32| {
+            calls += 1;
+            if calls == ended_at { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+        };
+        let result = denoiser.denoise_with(&frame, Options { progress: Some(&mut progress), ..Options::default() });
+        assert!(matches!(result, Err(Error::Cancelled)), "{result:?}");
+        assert_eq!(calls, ended_at);
+    }
+    let mut shares = Vec::new();
+    let mut progress = |share: f32| {
+        shares.push(share);
+        ControlFlow::Continue(())
+    };
+    let result = denoiser.denoise_with(&frame, Options { progress: Some(&mut progress), ..Options::default() });
+    assert_same("after a cancelled run", &result.unwrap_or_else(|error| panic!("{error}")), &expected, 1.0);
+    assert!(shares.is_sorted() && shares.len() > 3 && shares.iter().all(|share| (0.0..=1.0).contains(share)), "{shares:?}");
+}
+
+/// One device may serve several threads; each gets its own results.
+#[test]
+fn threads_share_a_device() {
+    let gpu = open(GpuOptions::default());
+    let frames = [random_frame(29, 33, 1.0), random_frame(33, 29, 1.0)];
+    std::thread::scope(|scope| {
+        for frame in &frames {
+            let denoiser = denoiser(&gpu, params());
+            let gpu = &gpu;
+            scope.spawn(move || {
+                let first = denoised(&denoiser, frame);
+                for _ in 0..10 {
+                    assert_same("beside another thread", &denoised(&denoiser, frame), &first, 1.0);
+                }
+                // Each of the two may run what the driver calls back for the other.
+                let one = crate::common::run(gpu, |rec| rec.upload("one", &[1.0]));
+                for _ in 0..2000 {
+                    assert_eq!(crate::common::bits(gpu, &one), [1.0f32.to_bits()]);
+                }
+            });
+        }
+    });
+}
+
+#[test]
+fn a_constant_image_stays_constant() {
+    let noise = scene(40, 30, 55);
+    let values = [0.0, 0.3, 7.0];
+    let mean = image(&values.map(|value| Grid::filled(40, 30, value)));
+    let frame = new_frame(Signal { mean: mean.clone(), half_spread: Some(image(&noise.spread)), variance_of_mean: Some(image(&noise.variance)) }, Vec::new());
+    for preset in [params(), Params { window_radius: 4, ..Params::thesis() }] {
+        let estimate = denoised(&denoiser(gpu(), preset), &frame);
+        for (plane, expected) in estimate.color.planes.iter().zip([0.0, 0.3f32, 7.0]) {
+            // Each filter gives the constant to the bit; the shares of the blend sum to 1 within the last digits.
+            assert!(plane.iter().all(|value| (value - expected).abs() <= 3e-7 * expected), "{expected}");
+        }
+    }
+}
+
+#[test]
+fn a_black_image_stays_black() {
+    let zero = || Image::filled(Extent { width: 31, height: 17 }, 3, 0.0);
+    let frame = new_frame(Signal { mean: zero(), half_spread: Some(zero()), variance_of_mean: Some(zero()) }, Vec::new());
+    for preset in [params(), Params { window_radius: 4, ..Params::thesis() }] {
+        let estimate = denoised(&denoiser(gpu(), preset), &frame);
+        let [color, half_spread, error, weight_sum, _] = images(&estimate);
+        for (name, image) in [("colour", color), ("half spread", half_spread), ("error", error)] {
+            assert!(image.planes.iter().flatten().all(|value| *value == 0.0), "{name}");
+        }
+        assert!(weight_sum.planes[0].iter().all(|sum| sum.is_finite() && *sum >= 1.0));
+    }
+}
+
+/// Powers of two change no digit, so the result must not either: the method's small constants are not in the caller's unit.
+#[test]
+fn the_unit_of_radiance_does_not_matter() {
+    let expected = denoised(&denoiser(gpu(), params()), &random_frame(37, 41, 1.0));
+    for factor in [2f32.powi(-20), 2f32.powi(20)] {
+        let estimate = denoised(&denoiser(gpu(), params()), &random_frame(37, 41, factor));
+        assert_same(&format!("radiance times {factor:e}"), &estimate, &expected, factor);
+    }
+}
+
+/// What the frame knows of its noise decides what is computed; whatever it is, there is a finite result.
+#[test]
+fn every_kind_of_frame_has_a_result() {
+    let set = noisy("caustic_ring_32spp");
+    for (halves, variance) in [(true, true), (true, false), (false, true)] {
+        for features in [&[][..], &["visibility"], EVERYTHING.features] {
+            let frame = frame(&set, [30, 40, 33, 18], Keep { halves, variance, features });
+            let estimate = denoised(&denoiser(gpu(), params()), &frame);
+            assert_eq!(estimate.half_spread.is_some(), halves);
+            let all = [&estimate.color, &estimate.error, &estimate.weight_sum, &estimate.selection];
+            assert!(all.iter().flat_map(|image| &image.planes).flatten().all(|value| value.is_finite()), "{halves} {variance} {features:?}");
+            for pixel in 0..33 * 18 {
+                let sum: f32 = estimate.selection.planes.iter().map(|plane| plane[pixel]).sum();
+                assert!((sum - 1.0).abs() < 1e-6, "the shares of pixel {pixel} sum to {sum}");
+            }
+        }
+    }
+}

@@ -1,0 +1,14 @@
+//! The whole of DFC on the GPU: against its float64 twin (`twin`), and as its callers use it (`behaviour`).
+
+#[allow(dead_code, unreachable_pub, reason = "every test includes all shared pieces and uses a part of them")]
+#[path = "../common/mod.rs"]
+mod common;
+#[allow(dead_code, unreachable_pub, reason = "every test includes all shared pieces and uses a part of them")]
+#[path = "../common/frames.rs"]
+mod frames;
+#[allow(dead_code, unreachable_pub, reason = "every test includes all shared pieces and uses a part of them")]
+#[path = "../reference/mod.rs"]
+mod reference;
+
+mod behaviour;
+mod twin;

@@ -1,0 +1,275 @@
+//! Algorithm 1 on the GPU against the same in float64, on parts of real renders.
+//!
+//! Every stage is held to its twin by the tests of the stages; here errors travel through all of them. Rounding can turn a binary decision over where two errors tie
+//! (which of them is the least, whether the guard lets a candidate in), and with it the maps of all pixels within the smoothing's radius. So the
+//! decisions are looked at by themselves: where one differs, the errors must tie.
+
+use stein::method::dfc::Intermediate;
+use stein::stage::nlm::CentreWeight;
+use stein::{Denoiser, Estimate, Frame, Image, Options, Params};
+
+use crate::common::{assert_near, flat, gpu, own_size};
+use crate::frames::{EVERYTHING, Keep, frame, noisy};
+use crate::reference::dfc::{CandidateParams, Dfc, DfcParams, Frame as TwinFrame, SecondPassParams, dfc, sampling_density};
+use crate::reference::variance::Signal;
+use crate::reference::{self, Grid, Planes};
+
+fn grids(image: &Image, factor: f64) -> Planes {
+    let (width, height) = (image.extent.width as usize, image.extent.height as usize);
+    image.planes.iter().map(|plane| Grid { width, height, values: plane.iter().map(|v| f64::from(*v) * factor).collect() }).collect()
+}
+
+/// The power of two that brings the median brightness between 1 and 2: the method's ε and smallest step are meant for such images.
+fn exposure(frame: &Frame) -> f64 {
+    let planes = &frame.color().mean.planes;
+    let brightest = |pixel: usize| planes.iter().map(|plane| plane[pixel].abs()).fold(0.0, f32::max);
+    let mut brightness: Vec<f32> = (0..frame.extent().pixels()).map(brightest).filter(|v| *v > 0.0).collect();
+    brightness.sort_by(f32::total_cmp);
+    f64::from(-brightness[brightness.len() / 2].log2().floor()).exp2()
+}
+
+fn twin_frame(frame: &Frame, exposure: f64) -> TwinFrame {
+    let signal = |signal: &stein::frame::Signal, factor: f64| Signal {
+        mean: grids(&signal.mean, factor),
+        spread: signal.half_spread.as_ref().map(|image| grids(image, factor)),
+        sample_variance: signal.variance_of_mean.as_ref().map(|image| grids(image, factor * factor)),
+    };
+    TwinFrame { color: signal(frame.color(), exposure), features: frame.features().iter().map(|feature| signal(&feature.signal, 1.0)).collect() }
+}
+
+fn twin_params(params: &Params) -> DfcParams {
+    let first = CandidateParams {
+        k_color: params.color_k.into(),
+        k_feature: params.feature_k.into(),
+        patch_radius: params.first_patch_radius as usize,
+        tau: params.feature_tau.into(),
+    };
+    let second = CandidateParams { patch_radius: params.second_patch_radius as usize, ..first };
+    let third = CandidateParams { k_color: f64::INFINITY, tau: params.feature_tau_third.into(), ..first };
+    let pass = params.second_pass.unwrap_or_else(|| panic!("the presets have a second pass"));
+    DfcParams {
+        window_radius: params.window_radius as usize,
+        candidates: [first, second, third],
+        symmetric: params.weighting.symmetric,
+        centre: match params.weighting.centre {
+            CentreWeight::One => reference::nlm::CentreWeight::One,
+            CentreWeight::LargestNeighbour => reference::nlm::CentreWeight::LargestNeighbour,
+        },
+        guard: params.guard.map(|guard| reference::select::Guard {
+            smoothed_error: guard.smoothed_error.into(),
+            smoothed_noise: guard.smoothed_noise.into(),
+            own_sigmas: guard.own_sigmas.into(),
+            own_noise: guard.own_noise.into(),
+        }),
+        second_pass: SecondPassParams {
+            half_radius: pass.half_window,
+            patch_radius: pass.patch_radius as usize,
+            k_color: pass.color_k.into(),
+            clamp_to_input: pass.clamp_to_input,
+        },
+    }
+}
+
+/// Parameter by parameter: two tables, written by two people from one text.
+#[test]
+fn the_presets_are_those_of_the_reference() {
+    for (preset, twin) in [(Params::default(), DfcParams::default()), (Params::thesis(), DfcParams::thesis())] {
+        let mut shown = twin_params(&preset);
+        // 0.45 as a float32 is not 0.45.
+        let round = |value: &mut f64| *value = format!("{:.4e}", value).parse().unwrap_or(f64::NAN);
+        for candidate in &mut shown.candidates {
+            [&mut candidate.k_color, &mut candidate.k_feature, &mut candidate.tau].into_iter().filter(|v| v.is_finite()).for_each(round);
+        }
+        shown
+            .guard
+            .iter_mut()
+            .for_each(|guard| [&mut guard.smoothed_error, &mut guard.smoothed_noise, &mut guard.own_sigmas, &mut guard.own_noise].into_iter().for_each(round));
+        round(&mut shown.second_pass.k_color);
+        // A filter without a colour term has no patches.
+        shown.candidates[2].patch_radius = twin.candidates[2].patch_radius;
+        assert_eq!(format!("{shown:?}"), format!("{twin:?}"));
+    }
+}
+
+/// The kept layer of a name, in the units that the reference computes in.
+fn layer(estimate: &Estimate, name: &str, factor: f64) -> Planes {
+    let layer = estimate.layers.iter().find(|layer| layer.name == name).unwrap_or_else(|| panic!("no layer {name}"));
+    grids(&layer.image, factor)
+}
+
+const CANDIDATES: [&str; 3] = ["first", "second", "third"];
+
+struct Compared {
+    what: &'static str,
+    estimate: Estimate,
+    twin: Dfc,
+    exposure: f64,
+    density: Grid,
+}
+
+impl Compared {
+    fn new(what: &'static str, frame: &Frame, params: Params) -> Self {
+        let denoiser = Denoiser::new(gpu(), params).unwrap_or_else(|error| panic!("{error}"));
+        let options = Options { keep: &Intermediate::ALL, ..Options::default() };
+        let estimate = denoiser.denoise_with(frame, options).unwrap_or_else(|error| panic!("{error}"));
+        let exposure = exposure(frame);
+        let (input, params) = (twin_frame(frame, exposure), twin_params(&params));
+        let twin = dfc(&input, &params);
+        let density = sampling_density(&input, &twin, &params, 0.0);
+        Self { what, estimate, twin, exposure, density }
+    }
+
+    fn near(&self, part: &str, actual: &[Grid], expected: &[Grid], scale: &[Grid], relative: f64, allowed_share: f64) {
+        assert_near(&format!("{}: {part}", self.what), actual, expected, scale, relative, allowed_share);
+    }
+
+    /// What a pixel of a filtered colour may be measured by: how far it was moved, its noise, a hundredth of itself.
+    fn color_scale(&self, input: &[Grid], filtered: &[Grid]) -> Planes {
+        let channel = |i: usize| {
+            let (u, f, v) = (&input[i], &filtered[i], &self.twin.color_variance[i]);
+            u.like(|p| (f.at(p) - u.at(p)).abs() + v.at(p).sqrt() + 0.01 * u.at(p).abs())
+        };
+        (0..3).map(channel).collect()
+    }
+
+    fn check(&self, frame: &Frame) {
+        let (twin, exposure) = (&self.twin, self.exposure);
+        let layer = |name: &str, factor: f64| layer(&self.estimate, name, factor);
+        let input = grids(&frame.color().mean, exposure);
+
+        self.near("scaled variance", &layer("scaled_variance", exposure * exposure), &twin.color_variance, &own_size(&twin.color_variance, 0.0), 1e-5, 0.0);
+
+        for (feature, expected) in frame.features().iter().zip(&twin.features) {
+            let (scale, offset) = (f64::from(feature.unit_scale), f64::from(feature.unit_offset));
+            let name = format!("{}_prefiltered", feature.name);
+            let actual: Planes = layer(&name, 1.0).iter().map(|grid| grid.like(|p| (grid.at(p) - offset) / scale)).collect();
+            // In unit range; layers are in the file's range, whose offset costs digits.
+            let size = 1.0 + (offset / scale).abs();
+            self.near(&name, &actual, &expected.feature.mean, &flat(&actual, size), 1e-5, 0.0);
+            let name = format!("{}_residual_variance", feature.name);
+            let residual = &expected.feature.residual_variance;
+            self.near(&name, &layer(&name, scale.powi(-2)), residual, &own_size(residual, 1e-7), 5e-4, 0.0);
+        }
+
+        for (candidate, name) in twin.candidates.iter().zip(CANDIDATES) {
+            self.near(name, &layer(name, exposure), &candidate.mean, &self.color_scale(&input, &candidate.mean), FILTERED, 0.0);
+            let derivative = format!("{name}_derivative");
+            self.near(&derivative, &layer(&derivative, 1.0), &candidate.derivative, &own_size(&candidate.derivative, 1.0), 1e-3, 0.0);
+        }
+
+        let terms = |k: usize| {
+            let candidate = &twin.candidates[k];
+            input[0].like(|p| {
+                let term = |i: usize| {
+                    let (residual, variance) = (candidate.mean[i].at(p) - input[i].at(p), twin.color_variance[i].at(p));
+                    residual * residual + variance * (1.0 + 2.0 * candidate.derivative[i].at(p).abs())
+                };
+                (0..3).map(term).sum()
+            })
+        };
+        let terms: Planes = (0..3).map(terms).collect();
+        self.near("SURE", &layer("sure", exposure * exposure), &twin.sure, &terms, 4e-4, 0.0);
+        self.check_decisions(&layer("selected", 1.0), &terms);
+
+        self.near("maps", &layer("selection", 1.0), &twin.maps, &flat(&twin.maps, 1.0), FILTERED, FLIPPED);
+        if frame.color().half_spread.is_some() {
+            self.near("pass 1", &layer("pass1", exposure), &twin.pass1.mean, &self.color_scale(&input, &twin.pass1.mean), FILTERED, FLIPPED);
+        }
+        let result = twin.pass2.as_ref().unwrap_or(&twin.pass1);
+        self.near("result", &grids(&self.estimate.color, exposure), &result.mean, &self.color_scale(&input, &result.mean), FILTERED, FLIPPED);
+        let spread = self.estimate.half_spread.as_ref().map(|image| grids(image, exposure));
+        assert_eq!(spread.is_some(), result.spread.is_some(), "{}: half spread", self.what);
+        if let (Some(spread), Some(expected)) = (&spread, &result.spread) {
+            self.near("half spread", spread, expected, &self.color_scale(&input, &result.mean), FILTERED, FLIPPED);
+        }
+        let size: Planes = vec![terms[0].like(|p| twin.errors.iter().map(|error| error.at(p).abs()).sum::<f64>() + terms[0].at(p))];
+        self.near("error", &grids(&self.estimate.error, exposure * exposure), std::slice::from_ref(&twin.error), &size, 2e-3, FLIPPED);
+        // An average of what may be decided otherwise anywhere in a wide window.
+        let density = std::slice::from_ref(&self.density);
+        let size = [self.density.like(|p| self.density.at(p) + self.density.mean())];
+        self.near("density", &layer("density", 1.0), density, &size, 2e-3, FLIPPED);
+    }
+
+    /// Another winner than the reference's is one whose error ties with that of the reference's, or FIRST where its derivative ties with SECOND's.
+    fn check_decisions(&self, selected: &[Grid], terms: &[Grid]) {
+        let twin = &self.twin;
+        let mut flipped = 0usize;
+        for y in 0..selected[0].height {
+            for x in 0..selected[0].width {
+                let p = reference::Point { x: x as isize, y: y as isize };
+                let winner = |maps: &[Grid]| (0..3).find(|k| maps[*k].at(p) == 1.0);
+                let (actual, expected) = (winner(selected), winner(&twin.binary_maps));
+                if actual == expected {
+                    continue;
+                }
+                flipped += 1;
+                let Some((actual, expected)) = actual.zip(expected) else { panic!("{}: no winner at {x}, {y}", self.what) };
+                let difference = (twin.errors[actual].at(p) - twin.errors[expected].at(p)).abs();
+                // Smoothed errors are averages of nine.
+                let nearby = reference::square(1).map(|o| p + o).filter(|q| terms[0].contains(*q));
+                let size = nearby.map(|q| terms[actual].at(q).max(terms[expected].at(q))).fold(0.0, f64::max);
+                let derivative = |k: usize| reference::channel_mean(&twin.candidates[k].derivative, p);
+                let derivatives_tie = (derivative(0) - derivative(1)).abs() < 1e-3;
+                assert!(difference < 4e-3 * size || derivatives_tie, "{}: at {x}, {y} {actual} wins in place of {expected}", self.what);
+            }
+        }
+        assert!(flipped as f64 <= FLIPPED * selected[0].values.len() as f64, "{}: {flipped} decisions differ", self.what);
+    }
+}
+
+/// Filtered values, by how far they are from the input. Features agree to some 10⁻⁶ with their twins. Where a weight is worth anything their difference is below 0.1,
+/// so that its square over k_f²·2τ, at the least 4·10⁻⁴, agrees to 10⁻⁴ or so; the errors of hundreds of weights average out.
+const FILTERED: f64 = 2e-4;
+
+/// The share of pixels in which a decision may fall the other way, or that the smoothing of such a decision reaches.
+const FLIPPED: f64 = 0.005;
+
+fn check(what: &'static str, render: &str, rectangle: [usize; 4], keep: Keep, params: Params) {
+    let frame = frame(&noisy(render), rectangle, keep);
+    let names: Vec<&str> = frame.features().iter().map(|feature| feature.name.as_str()).collect();
+    assert_eq!(names, keep.features, "{what}");
+    Compared::new(what, &frame, params).check(&frame);
+}
+
+fn small(params: Params) -> Params {
+    Params { window_radius: 4, ..params }
+}
+
+#[test]
+fn everything_with_the_default_preset() {
+    // The lamp, and a ceiling with the same features; all of it is lit, so that visibility is the same everywhere.
+    let keep = Keep { features: &["albedo", "depth", "normal"], ..EVERYTHING };
+    check("cornell, default", "cornell_32spp", [16, 20, 64, 64], keep, Params::default());
+}
+
+#[test]
+fn everything_with_the_thesis_preset() {
+    check("depth of field, thesis", "dof_spheres_32spp", [40, 30, 32, 32], EVERYTHING, small(Params::thesis()));
+}
+
+#[test]
+fn halves_without_variance() {
+    check("halves only", "caustic_ring_32spp", [20, 30, 40, 33], Keep { variance: false, ..EVERYTHING }, small(Params::default()));
+}
+
+#[test]
+fn variance_without_halves() {
+    check("variance only", "dof_spheres_32spp", [30, 20, 40, 33], Keep { halves: false, ..EVERYTHING }, small(Params::default()));
+}
+
+#[test]
+fn no_features() {
+    check("no features", "cornell_8spp", [20, 0, 33, 40], Keep { features: &[], ..EVERYTHING }, small(Params::default()));
+}
+
+/// Neither halves nor variance: the feature is taken as it is, and the colour with what it has.
+#[test]
+fn one_feature_without_noise() {
+    let set = noisy("cornell_32spp");
+    let rectangle = [10, 5, 33, 30];
+    let exact = frame(&set, rectangle, Keep { features: &["normal"], ..EVERYTHING });
+    let feature = &exact.features()[0];
+    let normal = stein::frame::Signal { mean: feature.signal.mean.clone(), half_spread: None, variance_of_mean: None };
+    let exact = crate::frames::new_frame(exact.color().clone(), vec![("shape".into(), normal)]);
+    Compared::new("a feature without noise", &exact, small(Params::default())).check(&exact);
+}

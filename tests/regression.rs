@@ -1,0 +1,55 @@
+//! How good the result is, on the test renders: bounds just above what was measured, so that whatever makes it worse is noticed, and by how much.
+//!
+//! Bounds hold for any adapter: results differ between adapters by a few units of their last digits, and here and there by a decision that ties.
+
+#[allow(dead_code, unreachable_pub, reason = "every test includes all shared pieces and uses a part of them")]
+#[path = "common/frames.rs"]
+mod frames;
+
+use stein::gpu::{DeviceChoice, Gpu};
+use stein::metric::relative_mse;
+use stein::{Denoiser, Frame, Image, Params};
+
+/// A render and the most that its relative mean squared error may be: as it comes, with the default parameters, with those of the text, both at R = 10.
+struct Bound {
+    render: &'static str,
+    scene: &'static str,
+    default: f64,
+    thesis: f64,
+    /// Where the text's own algorithm ends with more error than it began with. In `cornell` lamp and ceiling share all features, so that THIRD smears the one over the
+    /// other; it does not win there, but the smoothing of the maps hands it a share all the same. The default's guard is there for that.
+    thesis_fails: bool,
+}
+
+/// Three percent above what was measured.
+const BOUNDS: [Bound; 4] = [
+    Bound { render: "cornell_8spp", scene: "cornell", default: 0.00237, thesis: 3.02, thesis_fails: true },
+    Bound { render: "cornell_32spp", scene: "cornell", default: 0.000802, thesis: 1.904, thesis_fails: true },
+    Bound { render: "dof_spheres_32spp", scene: "dof_spheres", default: 0.00292, thesis: 0.00438, thesis_fails: false },
+    Bound { render: "caustic_ring_32spp", scene: "caustic_ring", default: 0.01064, thesis: 0.01987, thesis_fails: false },
+];
+
+#[test]
+fn errors_stay_within_their_bounds() {
+    let gpu = Gpu::open(&DeviceChoice::Auto).unwrap_or_else(|error| panic!("{error}"));
+    let mut failures = Vec::new();
+    for bound in BOUNDS {
+        let set = frames::noisy(bound.render);
+        let (frame, _) = Frame::from_buffer_set(&set).unwrap_or_else(|error| panic!("{error}"));
+        let reference = frames::converged(bound.scene);
+        let error_of = |image: &Image| relative_mse(image, &reference).unwrap_or_else(|error| panic!("{error}"));
+        let noisy = error_of(&frame.color().mean);
+        for (preset, params, most) in [("default", Params::default(), bound.default), ("thesis", Params::thesis(), bound.thesis)] {
+            let estimate = Denoiser::new(&gpu, params).and_then(|denoiser| denoiser.denoise(&frame)).unwrap_or_else(|error| panic!("{error}"));
+            let error = error_of(&estimate.color);
+            println!("{}, {preset}: relative MSE {noisy:.6} before, {error:.6} after", bound.render);
+            if error > most {
+                failures.push(format!("{}, {preset}: relative MSE {error:.6}, above {most:.6}", bound.render));
+            }
+            if error > noisy && !(preset == "thesis" && bound.thesis_fails) {
+                failures.push(format!("{}, {preset}: relative MSE {error:.6}, the noisy input has {noisy:.6}", bound.render));
+            }
+        }
+    }
+    assert!(failures.is_empty(), "{}", failures.join("\n"));
+}

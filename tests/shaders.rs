@@ -1,0 +1,107 @@
+//! Every stage, with every set of definitions that the product uses, is valid WGSL and can be said in the language of every driver. Needs no adapter.
+#![expect(clippy::unwrap_used, reason = "a test that cannot go on says where")]
+
+use naga::ShaderStage;
+use naga::back::{glsl, hlsl, msl, spv};
+use naga::proc::BoundsCheckPolicies;
+use naga::valid::{Capabilities, ModuleInfo, ValidationFlags, Validator};
+use stein::gpu::{Definition, compose, shared_modules, stages};
+
+type Definitions = Vec<(&'static str, Definition)>;
+
+const BOTH: [bool; 2] = [false, true];
+
+/// All combinations of the values of each name.
+fn combinations(axes: &[(&'static str, Vec<Definition>)]) -> Vec<Definitions> {
+    axes.iter().fold(vec![Vec::new()], |sets, (name, values)| {
+        let extended = |set: Definitions| values.iter().map(move |value| [set.as_slice(), &[(*name, *value)]].concat()).collect::<Vec<_>>();
+        sets.into_iter().flat_map(extended).collect()
+    })
+}
+
+fn flags() -> Vec<Definition> {
+    BOTH.map(Definition::from).to_vec()
+}
+
+fn numbers(values: &[i32]) -> Vec<Definition> {
+    values.iter().map(|value| Definition::from(*value)).collect()
+}
+
+/// What the functions of `stein::stage` are called with: patches of 0 to 5 pixels, of which 1 and 3 are the presets', FIRST's beside SECOND's or none, packed
+/// features in up to eight groups. A stage that is missing here is a stage that nobody has thought through.
+fn definitions(stage: &str) -> Option<Vec<Definitions>> {
+    let none = Some(vec![Vec::new()]);
+    match stage {
+        "variance_rows" | "variance_scale" | "feature_pack" | "candidate_resolve" | "error_sure" | "select_least" | "select_blend" => none,
+        "sample_density" => Some(combinations(&[("SAMPLES_VARY", flags())])),
+        "variance_smooth" => Some(combinations(&[("CLAMPED", flags())])),
+        "nlm_distance" => Some(combinations(&[("PATCH_RADIUS", numbers(&[0, 1, 3, 5])), ("SMALL_PATCH_RADIUS", numbers(&[-1, 0])), ("SYMMETRIC", flags())]))
+            .map(|sets| [sets, combinations(&[("PATCH_RADIUS", numbers(&[1, 3, 5])), ("SMALL_PATCH_RADIUS", numbers(&[1])), ("SYMMETRIC", flags())])].concat()),
+        "nlm_filter" => {
+            Some(combinations(&[("PATCH_RADIUS", numbers(&[0, 1, 3, 5])), ("PAYLOAD_PLANES", numbers(&[1, 2])), ("SYMMETRIC", flags()), ("RESIDUAL", flags())]))
+        }
+        "candidate_accumulate" => Some(combinations(&[
+            ("PATCH_RADIUS", numbers(&[1, 3])),
+            ("SMALL_PATCH_RADIUS", numbers(&[0, 1])),
+            ("FEATURE_GROUPS", numbers(&[0, 1, 2, 8])),
+            ("SYMMETRIC", flags()),
+        ])),
+        _ => None,
+    }
+}
+
+fn in_every_language(what: &str, module: &naga::Module, info: &ModuleInfo) {
+    let entry = ("main".to_owned(), ShaderStage::Compute);
+
+    let pipeline = spv::PipelineOptions { shader_stage: entry.1, entry_point: entry.0.clone() };
+    let words = spv::write_vec(module, info, &spv::Options::default(), Some(&pipeline)).unwrap_or_else(|error| panic!("{what}: SPIR-V: {error}"));
+    assert_eq!(words.first(), Some(&0x0723_0203), "{what}: SPIR-V without its magic number");
+
+    let pipeline = msl::PipelineOptions { entry_point: Some((entry.1, entry.0.clone())), ..msl::PipelineOptions::default() };
+    let options = msl::Options { lang_version: (2, 0), ..msl::Options::default() };
+    let (text, _) = msl::write_string(module, info, &options, &pipeline).unwrap_or_else(|error| panic!("{what}: MSL: {error}"));
+    assert!(text.contains("kernel void"), "{what}: MSL without a kernel");
+
+    let pipeline = hlsl::PipelineOptions { entry_point: Some((entry.1, entry.0.clone())) };
+    let (options, mut text) = (hlsl::Options::default(), String::new());
+    hlsl::Writer::new(&mut text, &options, &pipeline).write(module, info, None).unwrap_or_else(|error| panic!("{what}: HLSL: {error}"));
+    assert!(text.contains("numthreads"), "{what}: HLSL without a kernel");
+
+    let pipeline = glsl::PipelineOptions { shader_stage: entry.1, entry_point: entry.0, multiview: None };
+    let (options, mut text) = (glsl::Options { version: glsl::Version::Desktop(430), ..glsl::Options::default() }, String::new());
+    let written = glsl::Writer::new(&mut text, module, info, &options, &pipeline, BoundsCheckPolicies::default()).and_then(|mut writer| writer.write());
+    written.unwrap_or_else(|error| panic!("{what}: GLSL: {error}"));
+    assert!(text.contains("local_size_x"), "{what}: GLSL without a kernel");
+}
+
+#[test]
+fn every_stage_is_valid_and_translates() {
+    for stage in stages() {
+        let sets = definitions(stage).unwrap_or_else(|| panic!("stage '{stage}' is not in the table of this test: add the definitions it is used with"));
+        for set in sets {
+            let what = format!("{stage} with {set:?}");
+            let module = compose(stage, &set).unwrap_or_else(|error| panic!("{what}: {error}"));
+            let info = Validator::new(ValidationFlags::all(), Capabilities::empty()).validate(&module);
+            let info = info.unwrap_or_else(|error| panic!("{what}: {}", error.into_inner()));
+            in_every_language(&what, &module, &info);
+        }
+    }
+}
+
+/// Every file in `shaders/` is a stage and every file in `shaders/shared/` a piece that stages import: what lies there unused only looks like part of the product.
+#[test]
+fn every_file_is_used() {
+    let names = |folder: &str| {
+        let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join(folder);
+        let files = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path()).filter(|path| path.extension().is_some_and(|e| e == "wgsl"));
+        let mut names: Vec<String> = files.map(|path| path.file_stem().unwrap().to_str().unwrap().to_owned()).collect();
+        names.sort();
+        names
+    };
+    let sorted = |mut listed: Vec<&'static str>| {
+        listed.sort_unstable();
+        listed
+    };
+    assert_eq!(names("shaders"), sorted(stages()));
+    assert_eq!(names("shaders/shared"), sorted(shared_modules()));
+}
