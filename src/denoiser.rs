@@ -94,7 +94,7 @@ impl Denoiser {
     #[must_use]
     pub fn with_max_memory(mut self, bytes: u64) -> Self {
         self.max_memory = Some(bytes);
-        // At most a quarter for the scratch buffers, which come in threes at the worst.
+        // Two scratch buffers, and running sums of up to four times one of them where the window is smallest: half of the limit at the most.
         self.schedule.scratch_bytes = self.schedule.scratch_bytes.min(bytes / 12);
         self
     }
@@ -135,6 +135,7 @@ impl Denoiser {
         let Options { keep, mut progress } = options;
         let exposure = exposure(frame);
         let strips = strips(&self.gpu, frame, &self.params, !keep.is_empty(), self.schedule, self.max_memory)?;
+        self.gpu.set_memory_limit(self.max_memory);
         // What an earlier frame of another size left behind would count against the limit.
         self.gpu.trim();
         self.gpu.reset_peak();
@@ -189,7 +190,8 @@ fn exposure(frame: &Frame) -> f32 {
     let middle = brightness.len() / 2;
     let median = *brightness.select_nth_unstable_by(middle, f32::total_cmp).1;
     // Of a scaled value the square must stay finite.
-    let most = brightness.iter().copied().fold(0.0, f32::max);
+    let deviations = frame.color().variance_of_mean.iter().flat_map(|variance| &variance.planes).flatten().map(|variance| variance.sqrt());
+    let most = brightness.iter().copied().chain(deviations).fold(0.0, f32::max);
     let headroom = (LARGEST_SCALED / most).log2().floor();
     (-median.log2().floor()).clamp(-60.0, 60.0).min(headroom).exp2()
 }

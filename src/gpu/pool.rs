@@ -99,6 +99,8 @@ pub(super) struct Pool(Mutex<State>);
 struct State {
     idle: Vec<Idle>,
     usage: MemoryUse,
+    /// Idle buffers are given up before both kinds together exceed this many bytes.
+    limit: Option<u64>,
     /// Recorders that hold commands which nobody has submitted yet.
     open: HashSet<u64>,
     last_recorder: u64,
@@ -158,6 +160,13 @@ impl Pool {
         Some(wgpu)
     }
 
+    /// Whether idle buffers must go before another one of `bytes` is made.
+    fn is_crowded(&self, bytes: u64) -> bool {
+        let state = lock(&self.0);
+        let MemoryUse { bytes_in_use, bytes_idle, .. } = state.usage;
+        bytes_idle > 0 && state.limit.is_some_and(|limit| bytes_in_use + bytes_idle + bytes > limit)
+    }
+
     fn count_new(&self, bytes: u64) {
         let usage = &mut lock(&self.0).usage;
         usage.bytes_in_use += bytes;
@@ -181,7 +190,13 @@ impl Gpu {
         Ok(Buffer { bytes: buffer.size() & !3, wgpu: buffer, label: label.into(), last_use: AtomicU64::new(0), home: None })
     }
 
-    /// A pooled buffer for commands of `recorder`; `relieve` is called once where the device has no memory left, before the second and last attempt.
+    /// Holds the pool to `bytes` as far as giving up idle buffers can: those in use stay. `None`: idle buffers are kept as long as the device has memory.
+    pub fn set_memory_limit(&self, bytes: Option<u64>) {
+        lock(&self.inner.pool.0).limit = bytes;
+    }
+
+    /// A pooled buffer for commands of `recorder`; `relieve` is called at most once, before idle buffers are given up: where the pool would exceed its limit, or the device
+    /// has no memory left for the first attempt.
     pub(super) fn take_for(&self, recorder: u64, label: &str, bytes: u64, relieve: impl FnOnce() -> Result<()>) -> Result<Buffer> {
         self.check()?;
         self.check_size(label, bytes)?;
@@ -190,10 +205,21 @@ impl Gpu {
         let wgpu = match self.inner.pool.take_idle(bytes, recorder) {
             Some(wgpu) => wgpu,
             None => {
-                let made = match self.create(label, rounded) {
-                    Err(_) => {
+                let mut relieve = Some(relieve);
+                let mut make_room = || match relieve.take() {
+                    None => Ok(()),
+                    Some(relieve) => {
                         relieve()?;
                         self.trim();
+                        Ok(())
+                    }
+                };
+                if self.inner.pool.is_crowded(rounded) {
+                    make_room()?;
+                }
+                let made = match self.create(label, rounded) {
+                    Err(_) => {
+                        make_room()?;
                         self.create(label, rounded)
                     }
                     made => made,

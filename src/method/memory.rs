@@ -6,6 +6,7 @@ use crate::error::{Error, Result};
 use crate::frame::Frame;
 use crate::gpu::Gpu;
 use crate::stage::PLANE_PIXEL_BYTES;
+use crate::stage::candidate::STATE_PLANES;
 use crate::stage::feature::Packing;
 use crate::stage::nlm::Schedule;
 use crate::stage::variance::{INPUT_SMOOTHING, RESIDUAL_SMOOTHING};
@@ -62,6 +63,12 @@ fn planes(frame: &Frame, kept: bool) -> (u64, u64) {
     (input + packed + later.max(prefilter) + kept, packed.max(3))
 }
 
+/// The most that the candidates' running sums take for the rows that one scratch buffer covers.
+fn running_sum_bytes(params: &Params, schedule: Schedule) -> u64 {
+    let offsets_in_a_row = u64::from(2 * params.window_radius + 1);
+    schedule.scratch_bytes * u64::from(STATE_PLANES) / offsets_in_a_row
+}
+
 /// Cuts a frame into strips of which each fits the adapter's binding limit and `max_memory` bytes.
 ///
 /// # Errors
@@ -71,8 +78,9 @@ pub(crate) fn strips(gpu: &Gpu, frame: &Frame, params: &Params, kept: bool, sche
     let (live_planes, largest_planes) = planes(frame, kept);
     let row_bytes = width * PLANE_PIXEL_BYTES;
     let by_binding = gpu.max_binding_bytes() / (largest_planes * row_bytes);
-    // Two scratch buffers for the column sums; the running sums of a strip of them are a fraction of that.
-    let scratch = 3 * schedule.scratch_bytes;
+    // Two scratch buffers for the column sums, and the running sums of the rows they cover: a scratch buffer holds at least one plane per pair of offsets, so with small
+    // windows the running sums are the larger.
+    let scratch = 2 * schedule.scratch_bytes + running_sum_bytes(params, schedule);
     let by_memory = max_memory.map_or(u64::MAX, |limit| limit.saturating_sub(scratch) / (live_planes * row_bytes));
     let most_rows = usize::try_from(by_binding.min(by_memory)).unwrap_or(usize::MAX);
     if most_rows >= height {

@@ -25,7 +25,7 @@ bindings! {
 }
 
 /// Planes of running sums that `candidate_accumulate` keeps per pixel of a strip.
-const STATE_PLANES: u32 = 12;
+pub(crate) const STATE_PLANES: u32 = 12;
 
 /// What tells the candidates apart from any other filter.
 #[derive(Clone, Copy, Debug)]

@@ -82,7 +82,7 @@ impl Schedule {
         // A chunk of one row of offsets, unless the image is so small that more fit: each chunk loads and stores the running sums once.
         let side = 2 * window_radius + 1;
         let rows = (budget / side).clamp(1, extent.y);
-let block = self.block_rows as i32;
+        let block = self.block_rows as i32;
         // Whole blocks, as far as there is one: a block cut short computes its 2f extra rows all the same.
         let rows = if rows < extent.y && rows > block { rows - rows % block } else { rows };
         (rows, (budget / rows).clamp(1, pairs.max(1)))
