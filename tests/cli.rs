@@ -198,7 +198,7 @@ fn little_memory_gives_the_same_pixels() {
     let (input, whole, strips) = (test_image("cornell_32spp.exr"), folder.path("whole.exr"), folder.path("strips.exr"));
     let denoise = |more: &[&str]| stein(&[&["denoise", &input, RADIUS, "--no-features", "--json"], more].concat());
     // The least memory that is enough.
-    let least = (1..20).map(|mebibytes| format!("{mebibytes}M")).find(|size| denoise(&["--dry-run", "--max-memory", size]).code == 0).unwrap();
+    let least = (10..80).map(|step| format!("{}k", 100 * step)).find(|size| denoise(&["--dry-run", "--max-memory", size]).code == 0).unwrap();
     assert_eq!(denoise(&["-o", &whole]).succeeded().json()["strips"], 1);
     let document = denoise(&["-o", &strips, "--max-memory", &least]).succeeded().json();
     assert!(document["strips"].as_u64().unwrap() > 1, "{least}");
