@@ -569,14 +569,3 @@ fn the_smallest_images_have_a_result() {
         }
     }
 }
-
-/// The cost of the reference, and that it can be borne.
-#[test]
-#[ignore = "takes a quarter of a minute: run it by name to see what a test against the reference costs"]
-fn a_tile_of_64_pixels_at_the_full_radius() {
-    let clean = planes(3, || Grid::filled(64, 64, 0.5));
-    let frame = noisy_frame(&clean, 0.1, 13);
-    let start = std::time::Instant::now();
-    dfc(&frame, &DfcParams::default());
-    println!("{:.1} s", start.elapsed().as_secs_f64());
-}

@@ -2,7 +2,7 @@
 //!
 //! Nothing here knows of denoising. A consumer writes, for each shader file, one function of the form
 //!
-//! ```ignore
+//! ```text
 //! uniforms! { struct BoxParams { extent: UVec2, radius: u32 } }
 //! bindings! { struct BoxBlur<'a> { uniform params: BoxParams, read source, write blurred } }
 //!
