@@ -14,6 +14,7 @@ use stein::{Denoiser, Extent, Image};
 use super::options::{Device, PresetName};
 use super::progress::bar;
 use super::render::Picture;
+use super::sample_map::DEFAULT_CAP;
 use super::{Failure, Out};
 use folder::{Folder, Setup};
 use renderer::{Renderer, Turn};
@@ -52,7 +53,7 @@ pub(crate) struct Args {
     /// Iterations, of which the first samples evenly
     #[arg(long, value_name = "N", default_value_t = 4)]
     iterations: u32,
-    /// Most samples for one pixel in one iteration [default: no limit]
+    /// Most samples for one pixel in one iteration, so that outliers do not take them all [default: 8 times what the first iteration draws]
     #[arg(long, value_name = "N")]
     cap: Option<u32>,
     /// Noise-free reference: print the error of noisy and denoised, also of even sampling
@@ -104,6 +105,8 @@ pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
         out.silence();
     }
     let plan = Plan::new(spp, args.iterations, args.cap).map_err(Failure::usage)?;
+    let cap = args.cap.unwrap_or_else(|| plan.budget(1).saturating_mul(DEFAULT_CAP));
+    let plan = Plan::new(spp, args.iterations, Some(cap)).map_err(Failure::usage)?;
     let params = args.preset.params(args.radius)?;
     let extent = args.picture.extent();
     let setup = Setup {
@@ -112,7 +115,7 @@ pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
         size: [extent.width, extent.height],
         spp,
         iterations: args.iterations,
-        cap: args.cap,
+        cap,
         seed: args.picture.seed,
         sequence: args.picture.sequence,
         parameters: params,

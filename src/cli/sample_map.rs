@@ -24,6 +24,9 @@ Examples:
 
 Exit codes: 0 done, 2 wrong usage, 3 an input file or layer cannot be used, 4 no device or a device failed, 5 the output cannot be written, 1 anything else.";
 
+/// Without a limit, a pixel whose estimate an outlier spoils can take all samples (thesis 8.6). In multiples of the average.
+pub(crate) const DEFAULT_CAP: u32 = 8;
+
 /// Tell a renderer where its next samples pay most
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLE, override_usage = "stein sample-map [OPTIONS] IN --budget SPP")]
@@ -34,7 +37,7 @@ pub(crate) struct Args {
     /// Samples to hand out per pixel, on average
     #[arg(long, value_name = "SPP", required_unless_present = "list_devices")]
     budget: Option<f64>,
-    /// Most samples for one pixel [default: no limit]
+    /// Most samples for one pixel, so that outliers do not take them all [default: 8 times the budget]
     #[arg(long, value_name = "N")]
     cap: Option<u32>,
     /// Where to write [default: IN with `.map.exr` for its extension]
@@ -121,7 +124,9 @@ pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
     let gpu = args.device.open()?;
     let denoiser = args.device.denoiser(&gpu, params)?;
     let estimate = denoiser.denoise_with(&frame, Options { keep: &[Intermediate::Density], progress: None })?;
-    let map = SamplingMap::new(sampling_density(&estimate)?, budget, args.cap).map_err(Failure::usage)?;
+    // Whole pairs, which a small budget has few of.
+    let cap = args.cap.unwrap_or_else(|| (budget * f64::from(DEFAULT_CAP)).max(2.0) as u32);
+    let map = SamplingMap::new(sampling_density(&estimate)?, budget, Some(cap)).map_err(Failure::usage)?;
     let spread = Spread::of(&map.counts);
     MapFile { map, drawn: drawn(&set.samples_per_pixel(), frame.extent()) }.write(&file, &[]).map_err(Failure::output)?;
     out.say(format_args!("{}: {spread}", file.display()));
