@@ -55,6 +55,14 @@ pub enum Error {
         /// What naga or the driver said.
         problem: String,
     },
+    /// A renderer from outside failed.
+    #[error("{problem}\n  remedy: {remedy}")]
+    Renderer {
+        /// What was run and how it ended.
+        problem: String,
+        /// What the user can do.
+        remedy: String,
+    },
     /// The caller ended the work.
     #[error("cancelled")]
     Cancelled,

@@ -88,11 +88,23 @@ impl ExrFile {
         layer.channels.iter().map(count).sum()
     }
 
-    /// A number stored in the header under `name`, as text, whole number or float; in the given part or for the whole file.
-    pub(crate) fn number_attribute(&self, part: usize, name: &str) -> Option<f32> {
+    fn attribute(&self, part: usize, name: &str) -> Option<&AttributeValue> {
         let key = Text::new_or_none(name)?;
         let part = &self.image.layer_data[part].attributes.other;
-        match part.get(&key).or_else(|| self.image.attributes.other.get(&key))? {
+        part.get(&key).or_else(|| self.image.attributes.other.get(&key))
+    }
+
+    /// A text stored in the header under `name`, in the given part or for the whole file.
+    pub(crate) fn text_attribute(&self, part: usize, name: &str) -> Option<String> {
+        match self.attribute(part, name)? {
+            AttributeValue::Text(text) => Some(text.to_string()),
+            _ => None,
+        }
+    }
+
+    /// A number stored in the header under `name`, as text, whole number or float; in the given part or for the whole file.
+    pub(crate) fn number_attribute(&self, part: usize, name: &str) -> Option<f32> {
+        match self.attribute(part, name)? {
             AttributeValue::Text(text) => text.to_string().trim().parse().ok(),
             AttributeValue::I32(value) => Some(*value as f32),
             AttributeValue::F32(value) => Some(*value),

@@ -17,12 +17,12 @@ mod write;
 use std::path::{Path, PathBuf};
 
 pub use layer_ref::{LayerRef, LayerUse, Role, SampleKind, SignalPart};
-pub use write::{DenoisedLayers, NamedLayer, WriteReport, write_denoised};
+pub use write::{DenoisedLayers, NamedLayer, WriteReport, write_denoised, write_layers};
 
 use crate::error::Result;
 use crate::frame::SamplesPerPixel;
 use crate::image::{Extent, Image, Window};
-use file::ExrFile;
+pub(crate) use file::ExrFile;
 
 /// The most features that a frame takes; the text's scenes use up to five.
 pub const MAX_FEATURES: usize = 8;
@@ -146,6 +146,11 @@ impl BufferSet {
         }
         let named = |name| self.files[0].number_attribute(self.color_part(), name);
         named("samples").or_else(|| named("samplesPerPixel")).map_or(SamplesPerPixel::Unknown, SamplesPerPixel::Uniform)
+    }
+
+    /// A text in the input's header, of the colour's part or of the whole file.
+    pub fn text_attribute(&self, name: &str) -> Option<String> {
+        self.files[0].text_attribute(self.color_part(), name)
     }
 
     /// Every layer of every file, and what it is used as.

@@ -101,15 +101,7 @@ pub fn write_denoised(set: &BufferSet, output: &Path, denoised: &DenoisedLayers<
     for extra in denoised.extra {
         writer.add(&mut image.layer_data[part], extra)?;
     }
-    for (name, value) in denoised.attributes {
-        let (Some(name), Some(value)) = (Text::new_or_none(name), Text::new_or_none(value)) else {
-            return Err(Error::Request {
-                problem: format!("the attribute '{name}' holds characters that OpenEXR cannot store"),
-                remedy: "use Latin-1 characters".into(),
-            });
-        };
-        image.layer_data[part].attributes.other.insert(name, AttributeValue::Text(value));
-    }
+    add_attributes(&mut image.layer_data[part].attributes, denoised.attributes)?;
     image.layer_data.retain(|part| !part.channel_data.list.is_empty());
     for layer in &mut image.layer_data {
         writer.settle_encoding(layer);
@@ -170,7 +162,7 @@ impl Writer<'_> {
         self.check(&extra.image, extra.channels.len(), &extra.name)?;
         let list = &mut layer.channel_data.list;
         for (suffix, plane) in extra.channels.iter().zip(&extra.image.planes) {
-            let full = if extra.name.is_empty() { suffix.clone() } else { format!("{}.{suffix}", extra.name) };
+            let full = full_name(extra, suffix);
             let problem = match Text::new_or_none(&full) {
                 Some(name) if !list.iter().any(|channel| channel.name == name) => {
                     let samples = plane.iter().map(|&value| self.finite(value)).collect();
@@ -226,6 +218,55 @@ impl Writer<'_> {
         // The input may have had them in any order, but the format wants them sorted.
         layer.channel_data.list.sort_by(|a, b| a.name.cmp(&b.name));
     }
+}
+
+/// Writes a file of these layers alone: one part, 32-bit floats, ZIP. A layer without a name gives its channels as they are; `attributes` are texts for the header.
+///
+/// The file appears under its name only when it is complete; an existing one is replaced. Values that are not finite stay as they are.
+///
+/// # Errors
+/// No layers, or layers of different extents; names or attributes that OpenEXR cannot store; whatever the file system reports.
+pub fn write_layers(output: &Path, layers: &[NamedLayer], attributes: &[(String, String)]) -> Result<()> {
+    let refuse = |problem: String, remedy: &str| Err(Error::Request { problem, remedy: remedy.into() });
+    let Some(extent) = layers.first().map(|layer| layer.image.extent) else {
+        return refuse("a file without layers cannot be written".into(), "give at least one");
+    };
+    let mut channels: SmallVec<[AnyChannel<FlatSamples>; 4]> = SmallVec::new();
+    for layer in layers {
+        let complete = layer.image.extent == extent && layer.image.planes.iter().all(|plane| plane.len() == extent.pixels());
+        if !complete || layer.channels.len() != layer.image.channels() {
+            return refuse(format!("layer '{}' does not have a full plane of {extent} for each of its channels", layer.name), "give layers of one extent");
+        }
+        for (suffix, plane) in layer.channels.iter().zip(&layer.image.planes) {
+            let full = full_name(layer, suffix);
+            match Text::new_or_none(&full) {
+                Some(name) if !channels.iter().any(|other| other.name == name) => channels.push(AnyChannel::new(name, FlatSamples::F32(plane.clone()))),
+                _ => return refuse(format!("a channel '{full}' cannot be written: it exists twice, or OpenEXR cannot store its name"), "choose other names"),
+            }
+        }
+    }
+    let size = Vec2(extent.width as usize, extent.height as usize);
+    let mut part = Layer::new(size, LayerAttributes::default(), Encoding::SMALL_LOSSLESS, AnyChannels::sort(channels));
+    add_attributes(&mut part.attributes, attributes)?;
+    let bounds = IntegerBounds::new(part.attributes.layer_position, part.size);
+    write_then_rename(&FlatImage::from_layers(ImageAttributes::new(bounds), vec![part]), output)
+}
+
+fn full_name(layer: &NamedLayer, suffix: &str) -> String {
+    if layer.name.is_empty() { suffix.to_owned() } else { format!("{}.{suffix}", layer.name) }
+}
+
+fn add_attributes(header: &mut LayerAttributes, attributes: &[(String, String)]) -> Result<()> {
+    for (name, value) in attributes {
+        let (Some(name), Some(value)) = (Text::new_or_none(name), Text::new_or_none(value)) else {
+            return Err(Error::Request {
+                problem: format!("the attribute '{name}' holds characters that OpenEXR cannot store"),
+                remedy: "use Latin-1 characters".into(),
+            });
+        };
+        header.other.insert(name, AttributeValue::Text(value));
+    }
+    Ok(())
 }
 
 fn write_then_rename(image: &FlatImage, output: &Path) -> Result<()> {

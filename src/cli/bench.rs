@@ -10,7 +10,7 @@ use stein::gpu::{AdapterSummary, Gpu};
 use stein::{Denoiser, Extent, Frame, Image, Preset, metric};
 
 use super::inspect::settle;
-use super::options::{Device, PresetName, Source};
+use super::options::{Device, PresetName, Source, size};
 use super::out::{bytes, milliseconds, number, table};
 use super::progress::bar;
 use super::quality;
@@ -55,14 +55,6 @@ pub(crate) struct Args {
     source: Source,
     #[command(flatten)]
     pub(crate) device: Device,
-}
-
-fn size(text: &str) -> Result<Extent, String> {
-    let sides = text.split_once(['x', 'X', '×']).and_then(|(width, height)| Some((width.parse().ok()?, height.parse().ok()?)));
-    match sides {
-        Some((width @ 1..=65_536, height @ 1..=65_536)) => Ok(Extent { width, height }),
-        _ => Err("it must look like 1024x1024".into()),
-    }
 }
 
 #[derive(Serialize)]

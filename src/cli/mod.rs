@@ -1,5 +1,6 @@
 //! Arguments, text and exit codes; one file for each subcommand.
 
+mod adapt;
 mod bench;
 mod denoise;
 mod devices;
@@ -11,7 +12,9 @@ mod out;
 mod output;
 mod progress;
 mod quality;
+mod render;
 mod report;
+mod sample_map;
 mod tile;
 
 use clap::{CommandFactory, Parser, Subcommand};
@@ -41,6 +44,9 @@ pub(crate) struct Cli {
 enum Command {
     Denoise(denoise::Args),
     Info(info::Args),
+    SampleMap(sample_map::Args),
+    Adapt(Box<adapt::Args>),
+    Render(render::Args),
     Bench(bench::Args),
     Devices(devices::Args),
 }
@@ -55,7 +61,12 @@ pub(crate) fn run(cli: &Cli, out: &mut Out) -> Result<(), Failure> {
     match &cli.command {
         Some(Command::Denoise(args)) if args.device.list_devices => devices::run(&devices::Args { json: args.json }, out),
         Some(Command::Bench(args)) if args.device.list_devices => devices::run(&devices::Args { json: args.json }, out),
+        Some(Command::SampleMap(args)) if args.device.list_devices => devices::run(&devices::Args { json: args.json }, out),
+        Some(Command::Adapt(args)) if args.device.list_devices => devices::run(&devices::Args { json: args.json }, out),
         Some(Command::Denoise(args)) => denoise::run(args, out),
+        Some(Command::SampleMap(args)) => sample_map::run(args, out),
+        Some(Command::Adapt(args)) => adapt::run(args, out),
+        Some(Command::Render(args)) => render::run(args, out),
         Some(Command::Bench(args)) => bench::run(args, out),
         Some(Command::Info(args)) => info::run(args, out),
         Some(Command::Devices(args)) => devices::run(args, out),

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use clap::ValueEnum;
 use stein::buffers::{BufferSet, BufferSetRequest, LayerRef};
 use stein::gpu::DeviceChoice;
-use stein::{Denoiser, Gpu, Params, Preset};
+use stein::{Denoiser, Extent, Gpu, Params, Preset};
 
 use super::Failure;
 
@@ -150,6 +150,15 @@ impl PresetName {
         params.window_radius = radius.unwrap_or(params.window_radius);
         params.validate().map_err(Failure::usage)?;
         Ok(params)
+    }
+}
+
+/// A width and a height, as in 1024x768.
+pub(crate) fn size(text: &str) -> Result<Extent, String> {
+    let sides = text.split_once(['x', 'X', '×']).and_then(|(width, height)| Some((width.parse().ok()?, height.parse().ok()?)));
+    match sides {
+        Some((width @ 1..=65_536, height @ 1..=65_536)) => Ok(Extent { width, height }),
+        _ => Err("it must look like 1024x1024".into()),
     }
 }
 

@@ -138,6 +138,7 @@ fn intermediate(layer: &Layer) -> Intermediate {
         "sure" | "sure_smoothed" => Intermediate::Sure,
         "selected" | "selection" => Intermediate::Selection,
         "pass1" => Intermediate::Pass1,
+        "density" => Intermediate::Density,
         // Those are named after the feature.
         _ => Intermediate::Features,
     }

@@ -3,13 +3,20 @@
 //! A [`Sampler`] draws whole numbers of samples per pixel, as [`SampleCounts`] say, in equal numbers for both halves. It returns the [`Samples`] of this pass
 //! alone; [`Samples::merge`] adds them to those of earlier passes, and [`Samples::to_frame`] gives what the denoiser works on. [`stub`] is a path tracer over a
 //! few analytic shapes that stands in for a renderer.
+//!
+//! [`adapt`] is the loop: draw, denoise, estimate the error, hand out the next samples by it as a [`SamplingMap`] says. A [`MapFile`] carries such a map to a renderer in
+//! another process.
 
+mod adapt;
 mod map;
+mod map_file;
 mod native;
 mod sampler;
 mod samples;
 pub mod stub;
 
+pub use adapt::{Event, Outcome, Plan, Resumed, adapt, estimated_relative_mse, sampling_density, uniform};
 pub use map::SamplingMap;
+pub use map_file::MapFile;
 pub use sampler::{Progress, SampleCounts, Sampler};
 pub use samples::{PixelAccumulator, Samples};

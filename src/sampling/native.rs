@@ -2,13 +2,11 @@
 
 use std::path::Path;
 
-use exr::prelude::*;
-
 use super::{SampleCounts, Samples};
-use crate::buffers::{BufferSet, RawSignal};
+use crate::buffers::{BufferSet, NamedLayer, RawSignal, write_layers};
 use crate::error::{Error, Result};
 use crate::frame::SamplesPerPixel;
-use crate::image;
+use crate::image::Image;
 
 impl Samples {
     /// Takes up a render where its file left off, so that more samples can be merged into it. Needs the samples per pixel, halves and variances; the features
@@ -50,32 +48,19 @@ impl Samples {
     /// # Errors
     /// Attributes that OpenEXR cannot store, and whatever the file system reports.
     pub fn write(&self, path: &Path, attributes: &[(String, String)]) -> Result<()> {
-        let mut channels = SmallVec::new();
-        push_signal(&mut channels, "", &["R", "G", "B"], self.color(), ["halfA", "halfB", "variance"].map(str::to_owned));
+        let mut layers = Vec::new();
+        push_signal(&mut layers, &["R", "G", "B"], self.color(), ["", "halfA", "halfB", "variance"].map(str::to_owned));
         for (name, raw) in self.features() {
             let suffixes = suffixes(name, raw.mean.channels());
-            push_signal(&mut channels, name, suffixes, raw, ["halfA", "halfB", "variance"].map(|part| format!("{name}_{part}")));
+            push_signal(&mut layers, suffixes, raw, ["", "_halfA", "_halfB", "_variance"].map(|part| format!("{name}{part}")));
         }
         let mut texts = attributes.to_vec();
         match self.samples_per_pixel() {
             SamplesPerPixel::Uniform(samples) => texts.push(("samples".into(), samples.to_string())),
-            SamplesPerPixel::PerPixel(samples) => push_planes(&mut channels, "", &["samples"], samples),
+            SamplesPerPixel::PerPixel(samples) => layers.push(layer("", &["samples"], samples)),
             SamplesPerPixel::Unknown => {}
         }
-
-        let extent = self.extent();
-        let size = Vec2(extent.width as usize, extent.height as usize);
-        let mut layer = Layer::new(size, LayerAttributes::default(), Encoding::SMALL_LOSSLESS, AnyChannels::sort(channels));
-        for (name, value) in &texts {
-            let (Some(name), Some(value)) = (Text::new_or_none(name), Text::new_or_none(value)) else {
-                return Err(Error::Request {
-                    problem: format!("the attribute '{name}' holds characters that OpenEXR cannot store"),
-                    remedy: "use Latin-1 characters".into(),
-                });
-            };
-            layer.attributes.other.insert(name, AttributeValue::Text(value));
-        }
-        write_then_rename(&Image::from_layer(layer), path)
+        write_layers(path, &layers, &texts)
     }
 }
 
@@ -90,39 +75,11 @@ fn suffixes(name: &str, channels: usize) -> &'static [&'static str] {
     }
 }
 
-fn push_signal(channels: &mut SmallVec<[AnyChannel<FlatSamples>; 4]>, name: &str, suffixes: &[&str], raw: RawSignal, companions: [String; 3]) {
-    push_planes(channels, name, suffixes, raw.mean);
-    for (name, image) in companions.iter().zip([raw.half_a, raw.half_b, raw.variance_of_mean]) {
-        if let Some(image) = image {
-            push_planes(channels, name, suffixes, image);
-        }
-    }
+fn push_signal(layers: &mut Vec<NamedLayer>, suffixes: &[&str], raw: RawSignal, names: [String; 4]) {
+    let images = [Some(raw.mean), raw.half_a, raw.half_b, raw.variance_of_mean];
+    layers.extend(names.iter().zip(images).filter_map(|(name, image)| image.map(|image| layer(name, suffixes, image))));
 }
 
-fn push_planes(channels: &mut SmallVec<[AnyChannel<FlatSamples>; 4]>, layer: &str, suffixes: &[&str], image: image::Image) {
-    for (suffix, plane) in suffixes.iter().zip(image.planes) {
-        let name = if layer.is_empty() { (*suffix).to_owned() } else { format!("{layer}.{suffix}") };
-        channels.push(AnyChannel::new(name.as_str(), FlatSamples::F32(plane)));
-    }
-}
-
-fn write_then_rename(image: &Image<Layer<AnyChannels<FlatSamples>>>, path: &Path) -> Result<()> {
-    let failed = |message: String| Error::File {
-        path: path.to_owned(),
-        problem: format!("cannot be written: {message}"),
-        remedy: "check that the folder exists, may be written to and has space left".into(),
-    };
-    let folder = match path.parent() {
-        Some(folder) if !folder.as_os_str().is_empty() => folder,
-        _ => Path::new("."),
-    };
-    let mut builder = tempfile::Builder::new();
-    builder.prefix(".stein-").suffix(".exr.part");
-    // Temporary files are private by default; an output is as readable as the user's other files.
-    #[cfg(unix)]
-    builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
-    let mut file = builder.tempfile_in(folder).map_err(|error| failed(error.to_string()))?;
-    image.write().to_unbuffered(file.as_file_mut()).map_err(|error| failed(error.to_string()))?;
-    file.persist(path).map_err(|error| failed(error.error.to_string()))?;
-    Ok(())
+pub(super) fn layer(name: &str, channels: &[&str], image: Image) -> NamedLayer {
+    NamedLayer { name: name.to_owned(), channels: channels.iter().map(|&channel| channel.to_owned()).collect(), image }
 }

@@ -1,5 +1,7 @@
 //! Statistics of samples, pixel by pixel, that can be added up.
 
+use std::collections::BTreeSet;
+
 use super::SampleCounts;
 use crate::buffers::RawSignal;
 use crate::error::{Error, Result};
@@ -27,14 +29,20 @@ pub struct Samples {
 struct Statistics {
     half_a: Image,
     half_b: Image,
-    /// Σ(x − mean)² over the samples of both halves.
-    squared_deviations: Image,
+    /// Sample variance of the mean, s²/n, as files have it: a set that was written and read back is the same to the bit.
+    variance: Image,
+}
+
+/// What Σ(x − mean)² is divided by to become the variance of the mean; `pairs` are not 0.
+fn divisor(pairs: u32) -> f64 {
+    let n = 2.0 * f64::from(pairs);
+    n * (n - 1.0)
 }
 
 impl Statistics {
     fn none(extent: Extent, channels: usize) -> Self {
         let zero = Image::filled(extent, channels, 0.0);
-        Self { half_a: zero.clone(), half_b: zero.clone(), squared_deviations: zero }
+        Self { half_a: zero.clone(), half_b: zero.clone(), variance: zero }
     }
 
     fn channels(&self) -> usize {
@@ -45,13 +53,15 @@ impl Statistics {
     fn merge(&mut self, own: &[u32], other: &Self, added: &[u32]) {
         for channel in 0..self.channels() {
             let (a, b) = (&mut self.half_a.planes[channel], &mut self.half_b.planes[channel]);
-            let squares = &mut self.squared_deviations.planes[channel];
+            let variance = &mut self.variance.planes[channel];
             for pixel in 0..own.len() {
                 let (n, m) = (f64::from(own[pixel]), f64::from(added[pixel]));
                 if m == 0.0 {
                     continue;
                 }
                 let share = m / (n + m);
+                let own_squares = if own[pixel] == 0 { 0.0 } else { f64::from(variance[pixel]) * divisor(own[pixel]) };
+                let added_squares = f64::from(other.variance.planes[channel][pixel]) * divisor(added[pixel]);
                 let (a1, b1) = (f64::from(a[pixel]), f64::from(b[pixel]));
                 let (a2, b2) = (f64::from(other.half_a.planes[channel][pixel]), f64::from(other.half_b.planes[channel][pixel]));
                 let step = (a2 - a1 + b2 - b1) / 2.0;
@@ -59,7 +69,7 @@ impl Statistics {
                 b[pixel] = (b1 + (b2 - b1) * share) as f32;
                 // Twice n·m/(n + m), since n and m count the samples of one half.
                 let between = step * step * n * share * 2.0;
-                squares[pixel] = (f64::from(squares[pixel]) + f64::from(other.squared_deviations.planes[channel][pixel]) + between) as f32;
+                variance[pixel] = ((own_squares + added_squares + between) / divisor(own[pixel] + added[pixel])) as f32;
             }
         }
     }
@@ -71,11 +81,8 @@ impl Statistics {
         for (mean, b) in mean.planes.iter_mut().zip(&self.half_b.planes) {
             mean.iter_mut().zip(b).for_each(|(mean, b)| *mean = ((f64::from(*mean) + f64::from(*b)) / 2.0) as f32);
         }
-        let variance = map(&self.squared_deviations, |squares, pixel| {
-            let n = 2.0 * f64::from(pairs[pixel]);
-            if n == 0.0 { f32::NAN } else { (f64::from(squares) / (n * (n - 1.0))) as f32 }
-        });
-        RawSignal { mean, half_a: Some(unknown(&self.half_a)), half_b: Some(unknown(&self.half_b)), variance_of_mean: Some(variance) }
+        let [half_a, half_b, variance] = [&self.half_a, &self.half_b, &self.variance].map(|image| Some(unknown(image)));
+        RawSignal { mean, half_a, half_b, variance_of_mean: variance }
     }
 
     /// The inverse of [`Self::raw`].
@@ -98,12 +105,9 @@ impl Statistics {
         }
         check_halves(name, &raw.mean, &half_a, &half_b)?;
         let known = |image: &Image| map(image, |value, pixel| if pairs[pixel] == 0 { 0.0 } else { value });
-        let squared_deviations = map(&variance, |variance, pixel| {
-            let n = 2.0 * f64::from(pairs[pixel]);
-            // Some renderers' variances are negative by round-off.
-            if n == 0.0 || variance < 0.0 { 0.0 } else { (f64::from(variance) * n * (n - 1.0)) as f32 }
-        });
-        Ok(Self { half_a: known(&half_a), half_b: known(&half_b), squared_deviations })
+        // Some renderers' variances are negative by round-off.
+        let variance = map(&variance, |variance, pixel| if pairs[pixel] == 0 || variance < 0.0 { 0.0 } else { variance });
+        Ok(Self { half_a: known(&half_a), half_b: known(&half_b), variance })
     }
 }
 
@@ -185,21 +189,23 @@ impl Samples {
         }
     }
 
-    /// What the denoiser works on, and what had to be repaired: pixels without samples take their neighbours' average.
+    /// What the denoiser works on, and what had to be repaired: pixels without samples take their neighbours' average. The features are in the order of their names, whatever
+    /// their order here, so that a set that was written and read back gives the same.
     ///
     /// # Errors
     /// As [`Frame::new`]; also a set without a single sample.
     pub fn to_frame(&self) -> Result<(Frame, Repairs)> {
-        let features = self.features().map(|(name, raw)| (name.to_owned(), signal(raw))).collect();
+        let mut features: Vec<_> = self.features().map(|(name, raw)| (name.to_owned(), signal(raw))).collect();
+        features.sort_by(|(a, _), (b, _)| a.cmp(b));
         Frame::new(signal(self.color()), features, self.samples_per_pixel())
     }
 
-    /// Adds the samples of another pass. Order does not matter but for rounding.
+    /// Adds the samples of another pass. Order does not matter but for rounding; the features may be in another order.
     ///
     /// # Errors
     /// Another extent or other features; this set is then as it was.
     pub fn merge(&mut self, other: &Self) -> Result<()> {
-        let shape = |set: &Self| set.features.iter().map(|(name, statistics)| (name.clone(), statistics.channels())).collect::<Vec<_>>();
+        let shape = |set: &Self| set.features.iter().map(|(name, statistics)| (name.clone(), statistics.channels())).collect::<BTreeSet<_>>();
         if self.extent != other.extent || shape(self) != shape(other) || self.color.channels() != other.color.channels() {
             return Err(Error::Request {
                 problem: format!("samples of {} cannot be added to samples of {}, or their features differ", other.extent, self.extent),
@@ -211,8 +217,10 @@ impl Samples {
             return Err(Error::Request { problem: "a pixel has more than 2^33 samples".into(), remedy: "stop here".into() });
         }
         self.color.merge(&self.pairs, &other.color, &other.pairs);
-        for ((_, own), (_, added)) in self.features.iter_mut().zip(&other.features) {
-            own.merge(&self.pairs, added, &other.pairs);
+        for (name, own) in &mut self.features {
+            for (_, added) in other.features.iter().filter(|(other, _)| other == name) {
+                own.merge(&self.pairs, added, &other.pairs);
+            }
         }
         self.pairs.iter_mut().zip(&other.pairs).for_each(|(own, added)| *own += added);
         Ok(())
@@ -231,7 +239,7 @@ impl Samples {
                 let (a, b, squares) = accumulated.channel(from);
                 statistics.half_a.planes[channel][pixel] = a as f32;
                 statistics.half_b.planes[channel][pixel] = b as f32;
-                statistics.squared_deviations.planes[channel][pixel] = squares as f32;
+                statistics.variance.planes[channel][pixel] = if accumulated.pairs == 0 { 0.0 } else { (squares / divisor(accumulated.pairs)) as f32 };
                 from += 1;
             }
         }

@@ -1,0 +1,206 @@
+//! `stein adapt`
+
+mod folder;
+mod renderer;
+mod report;
+
+use std::path::PathBuf;
+
+use indicatif::ProgressFinish;
+use stein::buffers::{LayerRef, read_reference};
+use stein::sampling::{Event, Plan, Resumed, Sampler, adapt, uniform};
+use stein::{Denoiser, Extent, Image};
+
+use super::options::{Device, PresetName};
+use super::progress::bar;
+use super::render::Picture;
+use super::sample_map::DEFAULT_CAP;
+use super::{Failure, Out};
+use folder::{Folder, Setup};
+use renderer::{Renderer, Turn};
+use report::{Document, Row};
+
+const EXAMPLE: &str = "\
+The first iteration samples evenly, every other where the estimated error of the denoised image is largest; all have equal budgets. Of each iteration K, DIR gets \
+map_K.exr (what was drawn), samples_K.exr (all samples so far, in the layout that `stein denoise` reads) and denoised_K.exr.
+
+--sampler-command runs any renderer in place of the built-in scenes, through the shell. In the command, {map} stands for the map's path, {out} for the path of the file that \
+it is to write: the new samples alone, with halves and variance of the colour and every feature and a channel `samples`; {iteration} for 1, 2, … The map has the layers \
+samples.V (even numbers of samples to draw), density.V (before rounding) and drawn.V (what the pixel has already).
+
+Examples:
+  stein adapt dof --spp 64 -o loop
+  stein adapt dof --spp 64 --size 128x128 --ref reference.exr -o loop
+  stein adapt dof --spp 64 -o loop --resume                  goes on after an interruption
+  stein adapt --sampler-command 'python3 render.py --map {map} --out {out} --seed {iteration}' --size 512x512 --spp 64 -o loop
+
+Exit codes: 0 done, 2 wrong usage, 3 an input file or layer cannot be used, 4 no device or a device failed, 5 the output cannot be written, 1 anything else, such as a \
+command that failed.";
+
+/// Render adaptively: sample, denoise, and sample again where the error is
+#[derive(Debug, clap::Args)]
+#[command(after_help = EXAMPLE, override_usage = "stein adapt [OPTIONS] SCENE --spp N -o DIR\n       stein adapt [OPTIONS] --sampler-command COMMAND --size WxH --spp N -o DIR")]
+pub(crate) struct Args {
+    /// One of the scenes that `stein render --list` shows
+    #[arg(value_name = "SCENE", required_unless_present_any = ["list_devices", "sampler_command"])]
+    scene: Option<String>,
+    /// Draw samples with this command in place of a built-in scene
+    #[arg(long, value_name = "COMMAND", conflicts_with_all = ["scene", "seed", "sequence"], requires = "size")]
+    sampler_command: Option<String>,
+    /// Samples per pixel on average, of all iterations together; an even number
+    #[arg(long, value_name = "N", required_unless_present = "list_devices")]
+    spp: Option<u32>,
+    /// Iterations, of which the first samples evenly
+    #[arg(long, value_name = "N", default_value_t = 4)]
+    iterations: u32,
+    /// Most samples for one pixel in one iteration, so that outliers do not take them all [default: 8 times what the first iteration draws]
+    #[arg(long, value_name = "N")]
+    cap: Option<u32>,
+    /// Noise-free reference: print the error of noisy and denoised, also of even sampling
+    #[arg(long = "ref", value_name = "FILE[::LAYER]")]
+    reference: Option<LayerRef>,
+    /// Also draw the whole budget evenly, and compare
+    #[arg(long)]
+    uniform: bool,
+    /// Folder to write to; made where it does not exist
+    #[arg(short, long, value_name = "DIR", required_unless_present = "list_devices")]
+    output: Option<PathBuf>,
+    /// Go on after the last iteration in DIR that is complete
+    #[arg(long)]
+    resume: bool,
+    /// Delete the files of an earlier run in DIR
+    #[arg(long, conflicts_with = "resume")]
+    overwrite: bool,
+    /// Print one JSON document in place of text
+    #[arg(long)]
+    pub(crate) json: bool,
+    /// Print nothing but errors
+    #[arg(short, long)]
+    quiet: bool,
+    /// Parameters
+    #[arg(long, value_enum, default_value = "default", help_heading = "Filter")]
+    preset: PresetName,
+    /// Radius of the window that is averaged over, in pixels [default: 10]
+    #[arg(long, value_name = "PIXELS", help_heading = "Filter")]
+    radius: Option<u32>,
+    #[command(flatten)]
+    picture: Picture,
+    #[command(flatten)]
+    pub(crate) device: Device,
+}
+
+/// What the loop needs besides a sampler.
+struct Job<'a> {
+    args: &'a Args,
+    plan: Plan,
+    denoiser: Denoiser,
+    folder: Folder,
+    reference: Option<Image>,
+}
+
+pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
+    let spp = args.spp.ok_or_else(|| Failure::usage("no number of samples is given"))?;
+    let output = args.output.as_deref().ok_or_else(|| Failure::usage("no output folder is given"))?;
+    if args.quiet || args.json {
+        out.silence();
+    }
+    let plan = Plan::new(spp, args.iterations, args.cap).map_err(Failure::usage)?;
+    let cap = args.cap.unwrap_or_else(|| plan.budget(1).saturating_mul(DEFAULT_CAP));
+    let plan = Plan::new(spp, args.iterations, Some(cap)).map_err(Failure::usage)?;
+    let params = args.preset.params(args.radius)?;
+    let extent = args.picture.extent();
+    let setup = Setup {
+        scene: args.scene.as_deref(),
+        sampler_command: args.sampler_command.as_deref(),
+        size: [extent.width, extent.height],
+        spp,
+        iterations: args.iterations,
+        cap,
+        seed: args.picture.seed,
+        sequence: args.picture.sequence,
+        parameters: params,
+    };
+    // Wrong names are told before anything is written.
+    let scene = args.scene.as_deref().map(|name| args.picture.sampler(name, extent, args.picture.seed)).transpose()?;
+    if let Some(command) = &args.sampler_command {
+        Renderer::check(command)?;
+    }
+    let reference = args.reference.as_ref().map(|reference| read(reference, extent)).transpose()?;
+    let folder = Folder::open(output, &setup, args.resume, args.overwrite)?;
+    let resumed = if args.resume { folder.resume(args.iterations)? } else { None };
+
+    let gpu = args.device.open()?;
+    let denoiser = args.device.denoiser(&gpu, params)?;
+    let mut document = Document::new(&setup, gpu.summary(), resumed.as_ref().map(|resumed| resumed.iterations))?;
+    let job = Job { args, plan, denoiser, folder, reference };
+    match (scene, &args.sampler_command) {
+        (Some(fresh), _) => {
+            let sampler = match &resumed {
+                Some(resumed) => fresh.clone().continue_after(&resumed.samples.counts())?,
+                None => fresh.clone(),
+            };
+            job.run(sampler, fresh, resumed, &mut document, out)?;
+        }
+        (None, Some(command)) => {
+            let first = resumed.as_ref().map_or(1, |resumed| resumed.iterations + 1);
+            let renderer = |turn| Renderer::new(command, extent, job.folder.path(), turn, !args.quiet);
+            job.run(renderer(Turn::Iteration(first)), renderer(Turn::Uniform(args.iterations + 1)), resumed, &mut document, out)?;
+        }
+        (None, None) => return Err(Failure::usage("neither a scene nor a sampler command is given")),
+    }
+    if args.json { out.json(&document) } else { Ok(()) }
+}
+
+fn read(reference: &LayerRef, extent: Extent) -> Result<Image, Failure> {
+    let image = read_reference(&reference.file, reference.layer.as_deref())?;
+    if image.extent == extent {
+        return Ok(image);
+    }
+    let (name, found) = (reference.file.display(), image.extent);
+    Err(Failure::input(format_args!("{name}: is of {found}, but the picture is of {extent}\n  remedy: render both with the same --size")))
+}
+
+impl Job<'_> {
+    /// The loop, and what it is compared with; `fresh` has drawn nothing yet.
+    fn run<S: Sampler>(&self, mut sampler: S, mut fresh: S, resumed: Option<Resumed>, document: &mut Document, out: &mut Out) -> Result<(), Failure> {
+        out.say(Row::head(self.reference.is_some()));
+        adapt(&mut sampler, &self.denoiser, &self.plan, resumed, self.observer(None, &mut document.iterations, out))?;
+        if self.args.uniform || self.reference.is_some() {
+            let mut rows = Vec::new();
+            uniform(&mut fresh, &self.denoiser, &self.plan, self.observer(Some("uniform"), &mut rows, out))?;
+            document.uniform = rows.pop();
+        }
+        out.say(document.comparison());
+        out.say(format_args!("{}", self.folder.path().display()));
+        Ok(())
+    }
+
+    /// Writes, compares and tells what happens; under `name`, or under the number of the iteration.
+    fn observer<'a>(
+        &'a self,
+        name: Option<&'a str>,
+        rows: &'a mut Vec<Row>,
+        out: &'a mut Out,
+    ) -> impl FnMut(Event<'_>) -> Result<(), Failure> + Send + use<'a> {
+        let iterations = if name.is_some() { 1 } else { self.plan.iterations() };
+        // A renderer from outside tells how far it is in its own way.
+        let bar = bar(!self.args.quiet && !self.args.json && self.args.sampler_command.is_none(), 1000).with_finish(ProgressFinish::AndClear);
+        let label = move |iteration: u32| name.map_or_else(|| iteration.to_string(), str::to_owned);
+        move |event| {
+            let advance = |iteration: u32, share: f32| bar.set_position((1000.0 * (iteration as f32 - 1.0 + share) / iterations as f32) as u64);
+            match event {
+                // Nobody knows which takes longer; half of the way each is near enough.
+                Event::Drawing { iteration, share } => advance(iteration, share / 2.0),
+                Event::Denoising { iteration, share } => advance(iteration, (1.0 + share) / 2.0),
+                Event::Planned { iteration, map, drawn } => self.folder.write_map(&label(iteration), map, drawn)?,
+                Event::Finished { iteration, map: _, samples, estimate } => {
+                    self.folder.write(&label(iteration), samples, estimate, self.denoiser.params())?;
+                    let row = Row::new(label(iteration), samples, estimate, self.reference.as_ref())?;
+                    bar.suspend(|| out.say(row.text()));
+                    rows.push(row);
+                }
+            }
+            Ok(())
+        }
+    }
+}

@@ -1,0 +1,153 @@
+//! The files of a run, from which it can be resumed.
+
+use std::path::{Path, PathBuf, absolute};
+
+use serde::Serialize;
+use serde_json::{Map, Value};
+use stein::buffers::{BufferSet, BufferSetRequest};
+use stein::method::dfc::Intermediate;
+use stein::sampling::{MapFile, Resumed, Samples, SamplingMap};
+use stein::{Estimate, Params};
+
+use super::super::render::SequenceName;
+use super::super::{Failure, output};
+
+/// Header attribute of the samples, with the setup as JSON.
+const ATTRIBUTE: &str = "stein.adapt";
+
+/// Everything that decides what a run draws. A run is only resumed with the same.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub(crate) struct Setup<'a> {
+    pub(crate) scene: Option<&'a str>,
+    pub(crate) sampler_command: Option<&'a str>,
+    pub(crate) size: [u32; 2],
+    pub(crate) spp: u32,
+    pub(crate) iterations: u32,
+    pub(crate) cap: u32,
+    pub(crate) seed: u64,
+    pub(crate) sequence: SequenceName,
+    pub(crate) parameters: Params,
+}
+
+/// Where a run's files are.
+pub(crate) struct Folder {
+    path: PathBuf,
+    setup: String,
+}
+
+impl Folder {
+    /// Makes the folder; one with an earlier run in it must be meant.
+    pub(crate) fn open(path: &Path, setup: &Setup<'_>, resume: bool, overwrite: bool) -> Result<Self, Failure> {
+        let unusable = |error: std::io::Error| {
+            let name = path.display();
+            Failure::output(format_args!("{name}: {error}\n  remedy: choose another folder with -o, or check that this one may be written to"))
+        };
+        std::fs::create_dir_all(path).map_err(unusable)?;
+        let path = absolute(path).map_err(unusable)?;
+        let setup = serde_json::to_string(setup).map_err(|error| Failure::output(format_args!("the parameters: {error}")))?;
+        let folder = Self { path, setup: ascii(&setup) };
+        let earlier = folder.earlier().map_err(unusable)?;
+        if overwrite {
+            earlier.iter().try_for_each(std::fs::remove_file).map_err(unusable)?;
+        } else if let (false, Some(file)) = (resume, earlier.first()) {
+            return Err(Failure::output(format_args!(
+                "{}: is of an earlier run\n  remedy: go on with that run with --resume, delete its files with --overwrite, or choose another folder",
+                file.display()
+            )));
+        }
+        Ok(folder)
+    }
+
+    /// Absolute.
+    pub(crate) fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// All files that are named like those of a run.
+    fn earlier(&self) -> std::io::Result<Vec<PathBuf>> {
+        let mut files = Vec::new();
+        for entry in std::fs::read_dir(&self.path)? {
+            let name = entry?.file_name();
+            let stem = name.to_str().and_then(|name| name.strip_suffix(".exr"));
+            let parts = stem.and_then(|stem| stem.split_once('_'));
+            let ours = |kind: &str, label: &str| {
+                ["map", "new", "samples", "denoised"].contains(&kind) && (label == "uniform" || label.bytes().all(|byte| byte.is_ascii_digit()))
+            };
+            if parts.is_some_and(|(kind, label)| ours(kind, label)) {
+                files.push(self.path.join(name));
+            }
+        }
+        files.sort();
+        Ok(files)
+    }
+
+    fn samples(&self, label: &str) -> PathBuf {
+        self.path.join(format!("samples_{label}.exr"))
+    }
+
+    /// The last iteration that is complete: its samples were written after all others of its files but the denoised image, which is made of them.
+    pub(crate) fn resume(&self, iterations: u32) -> Result<Option<Resumed>, Failure> {
+        let found = (1..=iterations).rev().map(|iteration| (iteration, self.samples(&iteration.to_string()))).find(|(_, file)| file.exists());
+        let Some((iterations, file)) = found else {
+            return Ok(None);
+        };
+        let set = BufferSet::read(&BufferSetRequest { input: file.clone(), ..Default::default() })?;
+        let then = set.text_attribute(ATTRIBUTE).and_then(|text| serde_json::from_str(&text).ok());
+        let now = serde_json::from_str(&self.setup).ok();
+        let (Some(then), Some(now)) = (then, now) else {
+            let remedy = "choose the folder of a run that was interrupted, or start anew with --overwrite";
+            return Err(Failure::input(format_args!("{}: was not written by `stein adapt`\n  remedy: {remedy}", file.display())));
+        };
+        let differences = differences(&then, &now);
+        if differences.is_empty() {
+            return Ok(Some(Resumed { iterations, samples: Samples::from_buffer_set(&set)? }));
+        }
+        Err(Failure::usage(format_args!(
+            "{}: the run that is to be resumed had other parameters: {}\n  remedy: give the same, or start anew with --overwrite",
+            file.display(),
+            differences.join(", ")
+        )))
+    }
+
+    /// What is about to be drawn.
+    pub(crate) fn write_map(&self, label: &str, map: &SamplingMap, drawn: Option<&Samples>) -> Result<(), Failure> {
+        let file = MapFile { map: map.clone(), drawn: drawn.map(Samples::counts) };
+        file.write(&self.path.join(format!("map_{label}.exr")), &[]).map_err(Failure::output)
+    }
+
+    /// All samples so far, and the image from them.
+    pub(crate) fn write(&self, label: &str, samples: &Samples, estimate: &Estimate, params: &Params) -> Result<(), Failure> {
+        let file = self.samples(label);
+        samples.write(&file, &[(ATTRIBUTE.to_owned(), self.setup.clone())]).map_err(Failure::output)?;
+        // They are among the others now.
+        let _ = std::fs::remove_file(self.path.join(format!("new_{label}.exr")));
+        let set = BufferSet::read(&BufferSetRequest { input: file, ..Default::default() })?;
+        output::write(&set, &self.path.join(format!("denoised_{label}.exr")), estimate, &[Intermediate::Density], params).map(drop)
+    }
+}
+
+/// Parameters of which one says something else than the other.
+fn differences(then: &Map<String, Value>, now: &Map<String, Value>) -> Vec<String> {
+    let names = then.keys().chain(now.keys().filter(|name| !then.contains_key(*name)));
+    let text = |value: Option<&Value>| value.map_or_else(|| "nothing".to_owned(), Value::to_string);
+    let differing = names.filter(|name| then.get(*name) != now.get(*name));
+    let tell = |name: &String| match (then.get(name), now.get(name)) {
+        (Some(Value::Object(then)), Some(Value::Object(now))) => differences(then, now).join(", "),
+        (then, now) => format!("{name} was {}, now {}", text(then), text(now)),
+    };
+    differing.map(tell).collect()
+}
+
+/// JSON without the characters that a header cannot hold.
+fn ascii(json: &str) -> String {
+    let mut units = [0; 2];
+    let mut text = String::new();
+    for character in json.chars() {
+        if character.is_ascii() {
+            text.push(character);
+        } else {
+            text.extend(character.encode_utf16(&mut units).iter().map(|unit| format!("\\u{unit:04x}")));
+        }
+    }
+    text
+}

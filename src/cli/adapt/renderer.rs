@@ -1,0 +1,166 @@
+//! A renderer in another process.
+
+use std::collections::VecDeque;
+use std::io::{BufRead, BufReader, Read, Write};
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+use std::thread;
+
+use stein::Extent;
+use stein::buffers::{BufferSet, BufferSetRequest};
+use stein::error::{Error, Result};
+use stein::sampling::{Progress, SampleCounts, Sampler, Samples};
+
+use super::super::Failure;
+use super::super::progress::is_watched;
+
+/// How much of what a command said is kept for an error message.
+const LINES: usize = 10;
+
+/// What a command is run for.
+#[derive(Clone, Copy, Debug)]
+pub(crate) enum Turn {
+    /// The next call is for this iteration, and so on.
+    Iteration(u32),
+    /// Even sampling, with this for the number of the iteration.
+    Uniform(u32),
+}
+
+/// Draws samples by a command.
+#[derive(Debug)]
+pub(crate) struct Renderer<'a> {
+    command: &'a str,
+    extent: Extent,
+    folder: &'a Path,
+    turn: Turn,
+    /// Passes on what the command says.
+    talk: bool,
+}
+
+impl<'a> Renderer<'a> {
+    /// Whether a command can do its work.
+    pub(crate) fn check(command: &str) -> std::result::Result<(), Failure> {
+        match ["{map}", "{out}"].into_iter().find(|placeholder| !command.contains(placeholder)) {
+            None => Ok(()),
+            Some(missing) => Err(Failure::usage(format_args!(
+                "the sampler command does not say {missing}\n  remedy: let it read the map {{map}} and write the samples to {{out}}; see `stein adapt --help`"
+            ))),
+        }
+    }
+
+    /// Finds the maps in `folder`, where they must be before they are drawn.
+    pub(crate) fn new(command: &'a str, extent: Extent, folder: &'a Path, turn: Turn, talk: bool) -> Self {
+        Self { command, extent, folder, turn, talk: talk && is_watched() }
+    }
+
+    fn file(&self, kind: &str) -> PathBuf {
+        self.folder.join(match self.turn {
+            Turn::Iteration(iteration) => format!("{kind}_{iteration}.exr"),
+            Turn::Uniform(_) => format!("{kind}_uniform.exr"),
+        })
+    }
+
+    fn run(&self, command: &str) -> Result<()> {
+        let failed = |how: String, said: &str| {
+            let said = if said.is_empty() { "it said nothing".to_owned() } else { format!("it said:\n{said}") };
+            Error::Renderer {
+                problem: format!("the sampler command {how}: {command}\n  {said}"),
+                remedy: "run the command by itself, as it stands here; then run `stein adapt` again with --resume".into(),
+            }
+        };
+        let child = shell(command).stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn();
+        let mut child = child.map_err(|error| failed(format!("cannot be run ({error})"), ""))?;
+        let (stdout, stderr) = (child.stdout.take(), child.stderr.take());
+        // Both at once: a full pipe would make the command wait.
+        let (stdout, stderr) = thread::scope(|scope| {
+            let stdout = scope.spawn(|| last_lines(stdout, self.talk));
+            let stderr = last_lines(stderr, self.talk);
+            (stdout.join().unwrap_or_default(), stderr)
+        });
+        let status = child.wait().map_err(|error| failed(format!("was lost ({error})"), &stderr))?;
+        let said = if stderr.is_empty() { &stdout } else { &stderr };
+        if !status.success() {
+            return Err(failed(format!("failed ({status})"), said));
+        }
+        let out = self.file("new");
+        if out.exists() { Ok(()) } else { Err(failed(format!("did not write {}", out.display()), said)) }
+    }
+}
+
+impl Sampler for Renderer<'_> {
+    fn extent(&self) -> Extent {
+        self.extent
+    }
+
+    fn sample(&mut self, _counts: &SampleCounts, _progress: Progress<'_>) -> Result<Samples> {
+        let (map, out) = (self.file("map"), self.file("new"));
+        let unusable = |problem: String, remedy: String| Error::File { path: out.clone(), problem, remedy };
+        // What an interrupted run left must not be taken for an answer.
+        match std::fs::remove_file(&out) {
+            Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
+                return Err(unusable(format!("cannot be replaced: {error}"), "check that the folder may be written to".into()));
+            }
+            _ => {}
+        }
+        let (Turn::Iteration(iteration) | Turn::Uniform(iteration)) = self.turn;
+        let command = self.command.replace("{map}", &quoted(&map)).replace("{out}", &quoted(&out)).replace("{iteration}", &iteration.to_string());
+        self.run(&command)?;
+        let set = BufferSet::read(&BufferSetRequest { input: out.clone(), ..Default::default() })?;
+        let samples = Samples::from_buffer_set(&set).map_err(|error| match error {
+            Error::Request { problem, remedy } => unusable(problem, remedy),
+            error => error,
+        })?;
+        if samples.extent() != self.extent {
+            let problem = format!("is of {}, but the map of {}", samples.extent(), self.extent);
+            return Err(unusable(problem, "let the renderer take its size from the map, or give --size".into()));
+        }
+        self.turn = match self.turn {
+            Turn::Iteration(iteration) => Turn::Iteration(iteration + 1),
+            uniform @ Turn::Uniform(_) => uniform,
+        };
+        Ok(samples)
+    }
+}
+
+#[cfg(not(windows))]
+fn shell(command: &str) -> Command {
+    let mut shell = Command::new("sh");
+    shell.arg("-c").arg(command);
+    shell
+}
+
+#[cfg(windows)]
+fn shell(command: &str) -> Command {
+    use std::os::windows::process::CommandExt;
+    let mut shell = Command::new("cmd");
+    // `cmd` takes everything between the first and the last quote as it is.
+    shell.raw_arg(format!("/S /C \"{command}\""));
+    shell
+}
+
+/// A path as one word for the shell.
+fn quoted(path: &Path) -> String {
+    let path = path.to_string_lossy();
+    if cfg!(windows) { format!("\"{path}\"") } else { format!("'{}'", path.replace('\'', r"'\''")) }
+}
+
+/// Reads to the end.
+fn last_lines(stream: Option<impl Read>, talk: bool) -> String {
+    let mut lines = VecDeque::new();
+    let Some(mut stream) = stream.map(BufReader::new) else {
+        return String::new();
+    };
+    let mut line = Vec::new();
+    while matches!(stream.read_until(b'\n', &mut line), Ok(bytes) if bytes > 0) {
+        if talk {
+            // Where nobody listens any more, the work goes on.
+            let _ = std::io::stderr().write_all(&line);
+        }
+        if lines.len() == LINES {
+            lines.pop_front();
+        }
+        lines.push_back(format!("    {}", String::from_utf8_lossy(&line).trim_end()));
+        line.clear();
+    }
+    lines.into_iter().collect::<Vec<_>>().join("\n")
+}

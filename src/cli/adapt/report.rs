@@ -1,0 +1,88 @@
+//! What `stein adapt` has to say.
+
+use serde::Serialize;
+use serde_json::Value;
+use stein::gpu::AdapterSummary;
+use stein::sampling::{Samples, estimated_relative_mse};
+use stein::{Estimate, Image, metric};
+
+use super::super::Failure;
+use super::super::out::number;
+use super::super::sample_map::Spread;
+use super::folder::Setup;
+
+/// The JSON document.
+#[derive(Debug, Serialize)]
+pub(crate) struct Document {
+    setup: Value,
+    device: AdapterSummary,
+    /// The last iteration that was complete before; it is the first of `iterations`.
+    resumed_after: Option<u32>,
+    pub(crate) iterations: Vec<Row>,
+    /// All samples drawn evenly.
+    pub(crate) uniform: Option<Row>,
+}
+
+/// After an iteration.
+#[derive(Debug, Serialize)]
+pub(crate) struct Row {
+    iteration: String,
+    /// Of all samples so far.
+    samples: Spread,
+    /// By SURE, without a reference.
+    estimated_relative_mse: f64,
+    /// Against the reference.
+    errors: Option<Errors>,
+}
+
+#[derive(Debug, Serialize)]
+struct Errors {
+    noisy_relative_mse: f64,
+    denoised_relative_mse: f64,
+}
+
+impl Document {
+    pub(crate) fn new(setup: &Setup<'_>, device: &AdapterSummary, resumed_after: Option<u32>) -> Result<Self, Failure> {
+        let setup = serde_json::to_value(setup).map_err(|error| Failure::output(format_args!("the JSON document: {error}")))?;
+        Ok(Self { setup, device: device.clone(), resumed_after, iterations: Vec::new(), uniform: None })
+    }
+
+    /// The last iteration against even sampling, where both are known.
+    pub(crate) fn comparison(&self) -> String {
+        let errors = self.iterations.last().zip(self.uniform.as_ref()).and_then(|(adaptive, uniform)| adaptive.errors.as_ref().zip(uniform.errors.as_ref()));
+        let ratio = errors.map(|(adaptive, uniform)| adaptive.denoised_relative_mse / uniform.denoised_relative_mse);
+        let ratio = ratio.map(|ratio| format!("; adaptive sampling leaves {} times the error of even sampling", number(ratio)));
+        format!("(relative MSE; estimated: by SURE, without the reference, before the second pass{})", ratio.unwrap_or_default())
+    }
+}
+
+impl Row {
+    pub(crate) fn new(iteration: String, samples: &Samples, estimate: &Estimate, reference: Option<&Image>) -> Result<Self, Failure> {
+        let compare = |reference| {
+            Ok::<_, Failure>(Errors {
+                noisy_relative_mse: metric::relative_mse(&samples.color().mean, reference)?,
+                denoised_relative_mse: metric::relative_mse(&estimate.color, reference)?,
+            })
+        };
+        Ok(Self {
+            iteration,
+            samples: Spread::of(&samples.counts()),
+            estimated_relative_mse: estimated_relative_mse(estimate),
+            errors: reference.map(compare).transpose()?,
+        })
+    }
+
+    pub(crate) fn head(reference: bool) -> String {
+        let errors = if reference { ["noisy", "denoised"].map(|name| format!("{name:>12}")).concat() } else { String::new() };
+        format!("  {:<9}{:>9}{:>16}{:>12}{errors}", "iteration", "spp", "per pixel", "estimated")
+    }
+
+    /// A line under that head.
+    pub(crate) fn text(&self) -> String {
+        let errors =
+            self.errors.as_ref().map(|errors| [errors.noisy_relative_mse, errors.denoised_relative_mse].map(|error| format!("{:>12}", number(error))).concat());
+        let range = self.samples.range();
+        let (spp, estimated) = (number(self.samples.samples_per_pixel), number(self.estimated_relative_mse));
+        format!("  {:<9}{spp:>9}{range:>16}{estimated:>12}{}", self.iteration, errors.unwrap_or_default())
+    }
+}

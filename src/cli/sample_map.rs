@@ -1,0 +1,145 @@
+//! `stein sample-map`
+
+use std::path::PathBuf;
+
+use serde::Serialize;
+use stein::Options;
+use stein::frame::SamplesPerPixel;
+use stein::gpu::AdapterSummary;
+use stein::method::dfc::Intermediate;
+use stein::sampling::{MapFile, SampleCounts, SamplingMap, sampling_density};
+
+use super::inspect::{Input, settle};
+use super::options::{Device, PresetName, Source};
+use super::out::number;
+use super::{Failure, Out, output};
+
+const EXAMPLE: &str = "\
+The map has a layer `density.V`, real samples per pixel, a layer `samples.V`, whole and even numbers with the same sum, and, where the input says how many samples its \
+pixels have, a layer `drawn.V` with these. Samples go where the estimated relative error is largest, weighed by how many pixels profit (thesis 8.6).
+
+Examples:
+  stein sample-map render.exr --budget 16             writes render.map.exr
+  stein sample-map render.exr --budget 16 --cap 128 -o map.exr
+
+Exit codes: 0 done, 2 wrong usage, 3 an input file or layer cannot be used, 4 no device or a device failed, 5 the output cannot be written, 1 anything else.";
+
+/// Without a limit, a pixel whose estimate an outlier spoils can take all samples (thesis 8.6). In multiples of the average.
+pub(crate) const DEFAULT_CAP: u32 = 8;
+
+/// Tell a renderer where its next samples pay most
+#[derive(Debug, clap::Args)]
+#[command(after_help = EXAMPLE, override_usage = "stein sample-map [OPTIONS] IN --budget SPP")]
+pub(crate) struct Args {
+    /// OpenEXR file, as for `stein denoise`
+    #[arg(value_name = "IN", required_unless_present = "list_devices")]
+    input: Option<PathBuf>,
+    /// Samples to hand out per pixel, on average
+    #[arg(long, value_name = "SPP", required_unless_present = "list_devices")]
+    budget: Option<f64>,
+    /// Most samples for one pixel, so that outliers do not take them all [default: 8 times the budget]
+    #[arg(long, value_name = "N")]
+    cap: Option<u32>,
+    /// Where to write [default: IN with `.map.exr` for its extension]
+    #[arg(short, long, value_name = "MAP")]
+    output: Option<PathBuf>,
+    /// Print one JSON document in place of text
+    #[arg(long)]
+    pub(crate) json: bool,
+    /// Print nothing but errors
+    #[arg(short, long)]
+    quiet: bool,
+    /// Parameters
+    #[arg(long, value_enum, default_value = "default", help_heading = "Filter")]
+    preset: PresetName,
+    /// Radius of the window that is averaged over, in pixels [default: 10]
+    #[arg(long, value_name = "PIXELS", help_heading = "Filter")]
+    radius: Option<u32>,
+    #[command(flatten)]
+    source: Source,
+    #[command(flatten)]
+    pub(crate) device: Device,
+}
+
+#[derive(Serialize)]
+struct Document {
+    input: Input,
+    device: AdapterSummary,
+    output: PathBuf,
+    map: Spread,
+}
+
+/// How samples are spread over the pixels.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub(crate) struct Spread {
+    pub(crate) samples_per_pixel: f64,
+    total_samples: u64,
+    least: u64,
+    most: u64,
+    /// Share of the pixels without samples.
+    none: f64,
+}
+
+impl Spread {
+    pub(crate) fn of(counts: &SampleCounts) -> Self {
+        let (pairs, pixels) = (counts.pairs(), counts.pairs().len() as f64);
+        let samples = || pairs.iter().map(|&pairs| 2 * u64::from(pairs));
+        Self {
+            samples_per_pixel: counts.total_samples() as f64 / pixels,
+            total_samples: counts.total_samples(),
+            least: samples().min().unwrap_or(0),
+            most: samples().max().unwrap_or(0),
+            none: samples().filter(|&samples| samples == 0).count() as f64 / pixels,
+        }
+    }
+
+    /// From the least to the most.
+    pub(crate) fn range(&self) -> String {
+        if self.least == self.most { self.least.to_string() } else { format!("{}–{}", self.least, self.most) }
+    }
+}
+
+impl std::fmt::Display for Spread {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let Self { samples_per_pixel, total_samples, least, most, none } = self;
+        let average = number(*samples_per_pixel);
+        write!(f, "{total_samples} samples, {average} per pixel, from {least} to {most}; {:.1} % of the pixels get none", 100.0 * none)
+    }
+}
+
+pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
+    let input = args.input.as_deref().ok_or_else(|| Failure::usage("no input is given"))?;
+    let budget = args.budget.ok_or_else(|| Failure::usage("no budget is given"))?;
+    if args.quiet || args.json {
+        out.silence();
+    }
+    let params = args.preset.params(args.radius)?;
+    let file = args.output.clone().unwrap_or_else(|| input.with_extension("map.exr"));
+    output::check(&file, args.source.files().chain([input]), false, false)?;
+
+    let set = args.source.read(input)?;
+    let (frame, described) = settle(&set);
+    out.say(described.text(false));
+    let frame = frame.map_err(|error| Failure::in_file(input, error))?;
+    let gpu = args.device.open()?;
+    let denoiser = args.device.denoiser(&gpu, params)?;
+    let estimate = denoiser.denoise_with(&frame, Options { keep: &[Intermediate::Density], progress: None })?;
+    // Whole pairs, which a small budget has few of.
+    let cap = args.cap.unwrap_or_else(|| (budget * f64::from(DEFAULT_CAP)).max(2.0) as u32);
+    let map = SamplingMap::new(sampling_density(&estimate)?, budget, Some(cap)).map_err(Failure::usage)?;
+    let spread = Spread::of(&map.counts);
+    MapFile { map, drawn: drawn(&set.samples_per_pixel(), frame.extent()) }.write(&file, &[]).map_err(Failure::output)?;
+    out.say(format_args!("{}: {spread}", file.display()));
+    if args.json { out.json(&Document { input: described, device: gpu.summary().clone(), output: file, map: spread }) } else { Ok(()) }
+}
+
+/// Samples that the pixels have, where the input says so in whole pairs.
+fn drawn(samples: &SamplesPerPixel, extent: stein::Extent) -> Option<SampleCounts> {
+    let pairs = |samples: f32| (samples >= 0.0 && samples % 2.0 == 0.0 && samples < u32::MAX as f32).then_some((samples / 2.0) as u32);
+    let pairs = match samples {
+        SamplesPerPixel::Unknown => return None,
+        SamplesPerPixel::Uniform(samples) => vec![pairs(*samples)?; extent.pixels()],
+        SamplesPerPixel::PerPixel(image) => image.planes[0].iter().map(|&samples| pairs(samples)).collect::<Option<_>>()?,
+    };
+    SampleCounts::from_pairs(extent, pairs).ok()
+}

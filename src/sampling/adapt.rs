@@ -1,0 +1,255 @@
+//! The adaptive loop (thesis 7.1.3, 8.6): draw, denoise, estimate the error, draw the next samples where they pay most.
+
+use std::ops::ControlFlow;
+
+use super::{SampleCounts, Sampler, Samples, SamplingMap};
+use crate::error::{Error, Result};
+use crate::image::{Extent, Image};
+use crate::method::dfc::Intermediate;
+use crate::{Denoiser, Estimate, Options, metric};
+
+/// How many samples are drawn, and in how many iterations.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Plan {
+    samples_per_pixel: u32,
+    iterations: u32,
+    cap: Option<u32>,
+}
+
+impl Plan {
+    /// `samples_per_pixel` on average, over all `iterations`; an iteration gives no pixel more than `cap`.
+    ///
+    /// # Errors
+    /// [`Error::Request`] where there is not at least one whole pair of samples per pixel for each iteration, or the cap does not hold what an iteration draws.
+    pub fn new(samples_per_pixel: u32, iterations: u32, cap: Option<u32>) -> Result<Self> {
+        let refuse = |problem: String, remedy: String| Err(Error::Request { problem, remedy });
+        if iterations == 0 {
+            return refuse("0 iterations draw nothing".into(), "ask for at least one".into());
+        }
+        if !samples_per_pixel.is_multiple_of(2) || samples_per_pixel / 2 < iterations {
+            return refuse(
+                format!("{samples_per_pixel} samples per pixel cannot be shared out to {iterations} iterations in whole pairs"),
+                format!("choose an even number of at least {}, or fewer iterations", u64::from(iterations) * 2),
+            );
+        }
+        let plan = Self { samples_per_pixel, iterations, cap };
+        if cap.is_some_and(|cap| cap < plan.budget(1)) {
+            return refuse(
+                format!("an iteration draws {} samples per pixel, more than the cap", plan.budget(1)),
+                "raise the cap, or ask for more iterations".into(),
+            );
+        }
+        Ok(plan)
+    }
+
+    /// Samples per pixel in all iterations together.
+    pub fn samples_per_pixel(&self) -> u32 {
+        self.samples_per_pixel
+    }
+
+    /// Number of iterations.
+    pub fn iterations(&self) -> u32 {
+        self.iterations
+    }
+
+    /// Samples per pixel, on average, that an iteration (the first is 1) draws: equal shares of whole pairs; what is left over goes to the first ones.
+    pub fn budget(&self, iteration: u32) -> u32 {
+        let pairs = self.samples_per_pixel / 2;
+        2 * (pairs / self.iterations + u32::from(iteration <= pairs % self.iterations))
+    }
+}
+
+/// A loop that was interrupted after an iteration, and goes on.
+#[derive(Clone, Debug)]
+pub struct Resumed {
+    /// Iterations that are complete.
+    pub iterations: u32,
+    /// All samples that they drew.
+    pub samples: Samples,
+}
+
+/// What happens in the loop.
+#[derive(Debug)]
+pub enum Event<'a> {
+    /// The samples of this map are about to be drawn.
+    Planned {
+        /// From 1.
+        iteration: u32,
+        /// Where they go; the same everywhere in the first iteration.
+        map: &'a SamplingMap,
+        /// What earlier iterations have drawn.
+        drawn: Option<&'a Samples>,
+    },
+    /// This share of an iteration's samples is drawn.
+    Drawing {
+        /// From 1.
+        iteration: u32,
+        /// 0 to 1.
+        share: f32,
+    },
+    /// This share of the denoising that ends an iteration is done.
+    Denoising {
+        /// From 1.
+        iteration: u32,
+        /// 0 to 1.
+        share: f32,
+    },
+    /// An iteration is complete. Of a loop that goes on, the last one that was complete is told once more.
+    Finished {
+        /// From 1.
+        iteration: u32,
+        /// Where its samples went; `None` where it was complete before.
+        map: Option<&'a SamplingMap>,
+        /// All samples so far.
+        samples: &'a Samples,
+        /// What is known of the image from them.
+        estimate: &'a Estimate,
+    },
+}
+
+/// What the loop ends with.
+#[derive(Clone, Debug)]
+pub struct Outcome {
+    /// All samples.
+    pub samples: Samples,
+    /// The denoised image.
+    pub estimate: Estimate,
+}
+
+/// Draws the samples of a plan: evenly in the first iteration, then where the estimated relative error of the denoised image, seen through the filters' weights, is largest.
+/// `observe` is told what happens, and ends the loop by an error.
+///
+/// Same sampler, plan and device, same result, also where the loop was interrupted and resumed.
+///
+/// # Errors
+/// Whatever the sampler, the denoiser or `observe` fails with.
+pub fn adapt<S: Sampler, E: From<Error> + Send>(
+    sampler: &mut S,
+    denoiser: &Denoiser,
+    plan: &Plan,
+    resumed: Option<Resumed>,
+    mut observe: impl FnMut(Event<'_>) -> std::result::Result<(), E> + Send,
+) -> std::result::Result<Outcome, E> {
+    let done = resumed.as_ref().map_or(0, |resumed| resumed.iterations);
+    let mut state: Option<Outcome> = None;
+    if let Some(Resumed { iterations: iteration, samples }) = resumed {
+        let estimate = denoise(denoiser, &samples, |share| observe(Event::Denoising { iteration, share }))?;
+        observe(Event::Finished { iteration, map: None, samples: &samples, estimate: &estimate })?;
+        state = Some(Outcome { samples, estimate });
+    }
+    for iteration in done + 1..=plan.iterations {
+        let budget = plan.budget(iteration);
+        let map = match &state {
+            None => SamplingMap::uniform(sampler.extent(), budget)?,
+            Some(Outcome { estimate, .. }) => SamplingMap::new(sampling_density(estimate)?, budget.into(), plan.cap)?,
+        };
+        observe(Event::Planned { iteration, map: &map, drawn: state.as_ref().map(|state| &state.samples) })?;
+        let new = draw(sampler, &map.counts, |share| observe(Event::Drawing { iteration, share }))?;
+        let samples = match state {
+            None => new,
+            Some(Outcome { mut samples, .. }) => {
+                samples.merge(&new)?;
+                samples
+            }
+        };
+        let estimate = denoise(denoiser, &samples, |share| observe(Event::Denoising { iteration, share }))?;
+        observe(Event::Finished { iteration, map: Some(&map), samples: &samples, estimate: &estimate })?;
+        state = Some(Outcome { samples, estimate });
+    }
+    // A plan has at least one iteration.
+    state.ok_or_else(|| Error::Cancelled.into())
+}
+
+/// All samples of a plan at once and evenly, to compare the loop with.
+///
+/// # Errors
+/// As [`adapt`].
+pub fn uniform<S: Sampler, E: From<Error> + Send>(
+    sampler: &mut S,
+    denoiser: &Denoiser,
+    plan: &Plan,
+    observe: impl FnMut(Event<'_>) -> std::result::Result<(), E> + Send,
+) -> std::result::Result<Outcome, E> {
+    adapt(sampler, denoiser, &Plan { iterations: 1, cap: None, ..*plan }, None, observe)
+}
+
+/// Where the next samples pay most, of an estimate that was made with [`Intermediate::Density`] kept.
+///
+/// # Errors
+/// [`Error::Request`] where it was not kept.
+pub fn sampling_density(estimate: &Estimate) -> Result<&Image> {
+    let kept = estimate.layers.iter().find(|layer| layer.name == Intermediate::Density.name());
+    kept.map(|layer| &layer.image).ok_or_else(|| Error::Request {
+        problem: "the estimate does not say where samples pay".into(),
+        remedy: "denoise with `Intermediate::Density` in `Options::keep`".into(),
+    })
+}
+
+/// What [`metric::relative_mse`] of the denoised image would be, without a reference: the estimated squared error over the denoised colour's square. It is that of pass 1, and
+/// may be below 0 where little is left to estimate.
+pub fn estimated_relative_mse(estimate: &Estimate) -> f64 {
+    let error = &estimate.error.planes[0];
+    let square = |pixel: usize| estimate.color.planes.iter().map(|plane| f64::from(plane[pixel]).powi(2) + metric::RELATIVE_EPSILON).sum::<f64>();
+    error.iter().enumerate().map(|(pixel, &error)| f64::from(error) / square(pixel)).sum::<f64>() / error.len() as f64
+}
+
+impl SamplingMap {
+    /// The same even number of samples everywhere.
+    ///
+    /// # Errors
+    /// [`Error::Request`] for an odd number.
+    pub fn uniform(extent: Extent, samples: u32) -> Result<Self> {
+        Ok(Self { density: Image::filled(extent, 1, samples as f32), counts: SampleCounts::uniform(extent, samples)? })
+    }
+}
+
+/// Makes of a function that may fail one that may break off, and keeps why.
+fn progress<E>(failed: &mut Option<E>, mut tell: impl FnMut(f32) -> std::result::Result<(), E>) -> impl FnMut(f32) -> ControlFlow<()> {
+    move |share| match tell(share) {
+        Ok(()) => ControlFlow::Continue(()),
+        Err(error) => {
+            *failed = Some(error);
+            ControlFlow::Break(())
+        }
+    }
+}
+
+fn draw<S: Sampler, E: From<Error> + Send>(
+    sampler: &mut S,
+    counts: &SampleCounts,
+    tell: impl FnMut(f32) -> std::result::Result<(), E> + Send,
+) -> std::result::Result<Samples, E> {
+    let mut failed = None;
+    let drawn = sampler.sample(counts, Some(&mut progress(&mut failed, tell)));
+    drawn.map_err(|error| failed.unwrap_or_else(|| error.into()))
+}
+
+fn denoise<E: From<Error>>(denoiser: &Denoiser, samples: &Samples, tell: impl FnMut(f32) -> std::result::Result<(), E>) -> std::result::Result<Estimate, E> {
+    let (frame, _repairs) = samples.to_frame()?;
+    let mut failed = None;
+    let estimate = denoiser.denoise_with(&frame, Options { keep: &[Intermediate::Density], progress: Some(&mut progress(&mut failed, tell)) });
+    estimate.map_err(|error| failed.unwrap_or_else(|| error.into()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn budgets_are_whole_pairs_that_sum_to_the_plan() {
+        for (samples, iterations) in [(8, 4), (10, 4), (22, 4), (64, 3), (2, 1), (14, 7)] {
+            let plan = Plan::new(samples, iterations, None).expect("enough for all");
+            let budgets: Vec<u32> = (1..=iterations).map(|iteration| plan.budget(iteration)).collect();
+            assert_eq!(budgets.iter().sum::<u32>(), samples);
+            assert!(budgets.iter().all(|budget| *budget > 0 && budget % 2 == 0), "{budgets:?}");
+            assert!(budgets[0] - budgets[budgets.len() - 1] <= 2, "{budgets:?}");
+        }
+    }
+
+    #[test]
+    fn plans_that_cannot_be_met_are_refused() {
+        for (samples, iterations, cap) in [(6, 4, None), (9, 4, None), (8, 0, None), (0, 1, None), (32, 4, Some(6))] {
+            assert!(matches!(Plan::new(samples, iterations, cap), Err(Error::Request { .. })), "{samples} {iterations} {cap:?}");
+        }
+    }
+}

@@ -1,0 +1,66 @@
+//! Sampling maps as files, for renderers in another process.
+
+use std::path::Path;
+
+use super::native::layer;
+use super::{SampleCounts, SamplingMap};
+use crate::buffers::{ExrFile, write_layers};
+use crate::error::{Error, Result};
+use crate::image::Image;
+
+/// A sampling map as it stands in a file: layer `density.V`, real samples per pixel; `samples.V`, whole and even numbers of samples to draw; and `drawn.V`, how many samples
+/// of the pixel were drawn before, so that a renderer can go on where it was.
+#[derive(Clone, Debug)]
+pub struct MapFile {
+    /// What is to be drawn.
+    pub map: SamplingMap,
+    /// What was drawn before, where that is known.
+    pub drawn: Option<SampleCounts>,
+}
+
+impl MapFile {
+    /// Writes it, with texts for the header. The file appears under its name only when it is complete; an existing one is replaced.
+    ///
+    /// # Errors
+    /// Whatever the file system reports.
+    pub fn write(&self, path: &Path, attributes: &[(String, String)]) -> Result<()> {
+        let whole = |counts: &SampleCounts| Image { extent: counts.extent(), planes: vec![counts.pairs().iter().map(|pairs| 2.0 * *pairs as f32).collect()] };
+        let mut layers = vec![layer("density", &["V"], self.map.density.clone()), layer("samples", &["V"], whole(&self.map.counts))];
+        layers.extend(self.drawn.as_ref().map(|drawn| layer("drawn", &["V"], whole(drawn))));
+        write_layers(path, &layers, attributes)
+    }
+
+    /// Reads it. A file without `density` is taken to want `samples` as it is.
+    ///
+    /// # Errors
+    /// A file that cannot be read or has no layer `samples`; numbers that are not whole and even.
+    pub fn read(path: &Path) -> Result<Self> {
+        let file = ExrFile::read(path)?;
+        let find = |name: &str| {
+            let found = file.layers.iter().find(|layer| layer.name == name)?;
+            let channel = found.channels.first()?;
+            Some(file.planes(found.part, &[channel.index]))
+        };
+        let Some(samples) = find("samples") else {
+            return Err(Error::File {
+                path: path.to_owned(),
+                problem: format!("has no layer 'samples' that says how many samples to draw; its layers are {}", file.layer_list()),
+                remedy: "give a sampling map, as `stein sample-map` writes it".into(),
+            });
+        };
+        let counts = |name: &str, image: &Image| {
+            let whole = |samples: &f32| (*samples >= 0.0 && *samples % 2.0 == 0.0 && *samples < 2.0 * u32::MAX as f32).then_some((samples / 2.0) as u32);
+            let pairs: Option<Vec<u32>> = image.planes[0].iter().map(whole).collect();
+            let pairs = pairs.ok_or_else(|| Error::Layer {
+                path: path.to_owned(),
+                layer: name.to_owned(),
+                problem: "holds numbers that are not whole and even".into(),
+                remedy: "give even numbers of samples, half of them for each half buffer".into(),
+            })?;
+            SampleCounts::from_pairs(image.extent, pairs)
+        };
+        let drawn = find("drawn").map(|drawn| counts("drawn", &drawn)).transpose()?;
+        let density = find("density").unwrap_or_else(|| samples.clone());
+        Ok(Self { map: SamplingMap { density, counts: counts("samples", &samples)? }, drawn })
+    }
+}
