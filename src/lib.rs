@@ -20,6 +20,7 @@
 //! | [`stage`] | one function per shader, called like its file | `gpu` |
 //! | [`method`] | the methods: parameters and a straight function | `stage`, never the GPU interface |
 //! | [`metric`] | error measures | `image` |
+//! | [`sampling`] | where the next samples go, what a renderer implements, the adaptive loop, a small renderer | the denoiser's public face, `buffers` |
 //!
 //! One word names a stage everywhere: shader file, Rust function, reference function, timing label.
 //!
