@@ -1,5 +1,6 @@
 // How much a sample drawn in each pixel is expected to gain (thesis 8.6): the relative error estimate of the blend, times W(p) = Σ w / (1 + n_p).
 //
+// With halves, the error is the two-buffer variance that is left in the blend, as in thesis 7.1.2: SURE knows of bias too, but its noise sends samples astray.
 // A sample lowers the variance of its pixel by a factor n_p / (1 + n_p), and serves all pixels that the filter lets it contribute to. One plane, x.
 #import stein::planes::{pixel_index}
 
@@ -12,11 +13,13 @@ struct SampleDensityParams {
 }
 
 @group(0) @binding(0) var<uniform> params: SampleDensityParams;
-// The blend: mean with Σ w in w.
+// The blend, two planes: mean with Σ w in w, half spread.
 @group(0) @binding(1) var<storage, read> blended: array<vec4<f32>>;
-// Blended error, summed over the channels, in w.
-@group(0) @binding(2) var<storage, read> selection: array<vec4<f32>>;
-@group(0) @binding(3) var<storage, read_write> density: array<vec4<f32>>;
+@group(0) @binding(2) var<storage, read_write> density: array<vec4<f32>>;
+#ifndef HALVES
+// Blended SURE, summed over the channels, in w.
+@group(0) @binding(3) var<storage, read> selection: array<vec4<f32>>;
+#endif
 #ifdef SAMPLES_VARY
 @group(0) @binding(4) var<storage, read> samples: array<vec4<f32>>;
 #endif
@@ -29,8 +32,13 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     }
     let at = pixel_index(p, params.extent);
     let value = blended[at];
+#ifdef HALVES
+    let left = blended[params.extent.x * params.extent.y + at].xyz;
+    let error = dot(left, left);
+#else
     // SURE may be negative: nothing to gain there.
     let error = max(selection[at].w, 0.0);
+#endif
     let relative = error / (dot(value.xyz, value.xyz) + 3.0 * params.relative_floor);
 #ifdef SAMPLES_VARY
     let count = samples[at].x;

@@ -222,7 +222,7 @@ pub fn dfc(
 
     // Adaptive sampling (thesis 8.6).
     if keeper.wants(Intermediate::Density) {
-        let density = sample_density(rec, extent, &blend.signal, &selection, &samples)?;
+        let density = sample_density(rec, extent, &blend.signal, (!color.has_halves).then_some(&*selection), &samples)?;
         let smoothed = nlm_filter(rec, extent, &guide(&DENSITY_SMOOTHING), &density, 1, DENSITY_SMOOTHING.window_radius, weighting, false, schedule)?;
         keeper.keep("density", &["V"], Unit::Number, &Arc::new(smoothed.planes), 0);
     }

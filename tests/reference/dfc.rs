@@ -191,7 +191,9 @@ pub fn second_pass(pass1: &Pass, input_variance: &[Grid], params: &DfcParams) ->
 /// Where the next samples pay most (section 8.6): the error of the blend relative to its square, times W(p) = Σ w/(1 + n_p), smoothed.
 pub fn sampling_density(frame: &Frame, result: &Dfc, params: &DfcParams, samples_per_pixel: f64) -> Grid {
     let weight_sum = blend(&result.maps, &result.candidates.each_ref().map(|c| &c.weight_sum));
-    let density = sure::sample_density(&result.pass1.mean, &result.error, &weight_sum, samples_per_pixel);
+    // With halves, what they say of the noise that is left (section 7.1.2); without them, SURE.
+    let left = result.pass1.spread.as_ref().map(|spread| spread[0].like(|p| spread.iter().map(|plane| plane.at(p) * plane.at(p)).sum()));
+    let density = sure::sample_density(&result.pass1.mean, left.as_ref().unwrap_or(&result.error), &weight_sum, samples_per_pixel);
     let own = CandidateParams { k_color: 1.0, k_feature: f64::INFINITY, patch_radius: 1, tau: 0.0 };
     let guide = Guide { mean: &frame.color.mean, variance: &result.color_variance };
     nlm_filter(&[density], Some(guide), &[], &params.filter(10, &own)).planes.remove(0)

@@ -198,16 +198,18 @@ fn samples_are_wanted_where_they_pay() {
         let extent = extent_of(&scene.mean[0]);
         let mut random = Random(47);
         let (error, counts) = (rounded(random.gaussian_grid(width, height, 0.0, 1.0)), rounded(random.uniform_grid(width, height, 1.0, 99.0)));
-        let expected = reference::sure::sample_density(&scene.mean, &error, &bank.weight_sums[0], 0.0);
-        for vary in [false, true] {
+        // With halves the spread tells the error, without them SURE.
+        let left = error.like(|p| scene.spread.iter().map(|plane| plane.at(p) * plane.at(p)).sum());
+        for (vary, halves) in [(false, false), (true, false), (false, true), (true, true)] {
             let buffer = run(gpu, |rec| {
                 let blended = rec.upload("blend", &packed_signal(&[scene.mean.as_slice(), &bank.weight_sums[..1]].concat(), &scene.spread))?;
                 let selection = upload(rec, &[bank.means[0].as_slice(), std::slice::from_ref(&error)].concat())?;
                 let samples = if vary { GpuSamples::PerPixel(upload(rec, std::slice::from_ref(&counts))?) } else { GpuSamples::Uniform(31.0) };
-                sample_density(rec, extent, &blended, &selection, &samples)
+                sample_density(rec, extent, &blended, (!halves).then_some(&selection), &samples)
             });
+            let expected = reference::sure::sample_density(&scene.mean, if halves { &left } else { &error }, &bank.weight_sums[0], 0.0);
             let expected = [expected.like(|p| expected.at(p) / (1.0 + if vary { counts.at(p) } else { 31.0 }))];
-            let what = format!("sample_density, {width}×{height}, counts {vary}");
+            let what = format!("sample_density, {width}×{height}, counts {vary}, halves {halves}");
             assert_near(&what, &read(gpu, &buffer, extent).remove(0), &expected, &own_size(&expected, 0.0), 2e-6, 0.0);
         }
     }
