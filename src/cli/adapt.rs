@@ -11,7 +11,7 @@ use stein::buffers::{LayerRef, read_reference};
 use stein::sampling::{Event, Plan, Resumed, Sampler, adapt, uniform};
 use stein::{Denoiser, Extent, Image};
 
-use super::options::{Device, PresetName};
+use super::options::{Device, Filter};
 use super::progress::bar;
 use super::render::Picture;
 use super::sample_map::DEFAULT_CAP;
@@ -77,12 +77,8 @@ pub(crate) struct Args {
     /// Print nothing but errors
     #[arg(short, long)]
     quiet: bool,
-    /// Parameters
-    #[arg(long, value_enum, default_value = "default", help_heading = "Filter")]
-    preset: PresetName,
-    /// Radius of the window that is averaged over, in pixels [default: 10]
-    #[arg(long, value_name = "PIXELS", help_heading = "Filter")]
-    radius: Option<u32>,
+    #[command(flatten)]
+    filter: Filter,
     #[command(flatten)]
     picture: Picture,
     #[command(flatten)]
@@ -107,7 +103,7 @@ pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
     let plan = Plan::new(spp, args.iterations, args.cap).map_err(Failure::usage)?;
     let cap = args.cap.unwrap_or_else(|| plan.budget(1).saturating_mul(DEFAULT_CAP));
     let plan = Plan::new(spp, args.iterations, Some(cap)).map_err(Failure::usage)?;
-    let params = args.preset.params(args.radius)?;
+    let params = args.filter.params()?;
     let extent = args.picture.extent();
     let setup = Setup {
         scene: args.scene.as_deref(),

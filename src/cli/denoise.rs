@@ -10,7 +10,7 @@ use stein::method::dfc::Intermediate;
 use stein::{Denoiser, Estimate, Frame, Options};
 
 use super::inspect::settle;
-use super::options::{Device, PresetName, Source};
+use super::options::{Device, Filter, Source};
 use super::progress::{bar, is_watched};
 use super::quality;
 use super::report::{Report, Run};
@@ -59,12 +59,8 @@ pub(crate) struct Args {
     /// Print nothing but errors
     #[arg(short, long)]
     quiet: bool,
-    /// Parameters
-    #[arg(long, value_enum, default_value = "default", help_heading = "Filter")]
-    preset: PresetName,
-    /// Radius of the window that is averaged over, in pixels [default: 10]
-    #[arg(long, value_name = "PIXELS", help_heading = "Filter")]
-    radius: Option<u32>,
+    #[command(flatten)]
+    filter: Filter,
     #[command(flatten)]
     source: Source,
     #[command(flatten)]
@@ -106,7 +102,7 @@ pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
     if args.quiet || args.json {
         out.silence();
     }
-    let params = args.preset.params(args.radius)?;
+    let params = args.filter.params()?;
     let output = output::choose(input, args.output.as_deref());
     let read_too = args.source.files().chain(args.reference.as_ref().map(|reference| reference.file.as_path()));
     // Half A may be the input itself, one layer of it: that the user may replace.
@@ -128,7 +124,7 @@ pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
     }
     let mut report = Report {
         input: described,
-        preset: args.preset.preset(),
+        preset: args.filter.preset(),
         parameters: params,
         device: gpu.summary().clone(),
         max_memory_bytes: args.device.max_memory,

@@ -9,6 +9,30 @@ use stein::{Denoiser, Extent, Gpu, Params, Preset};
 
 use super::Failure;
 
+/// How to filter.
+#[derive(Debug, clap::Args)]
+#[command(next_help_heading = "Filter")]
+pub(crate) struct Filter {
+    /// Parameters
+    #[arg(long, value_enum, default_value = "default")]
+    preset: PresetName,
+    /// Radius of the window that is averaged over, in pixels [default: 10]
+    #[arg(long, value_name = "PIXELS")]
+    radius: Option<u32>,
+}
+
+impl Filter {
+    /// The named set that was chosen.
+    pub(crate) fn preset(&self) -> Preset {
+        self.preset.preset()
+    }
+
+    /// Its parameters, with the radius that was asked for.
+    pub(crate) fn params(&self) -> Result<Params, Failure> {
+        self.preset.params(self.radius)
+    }
+}
+
 /// Where colour, noise and features are found.
 #[derive(Debug, clap::Args)]
 #[command(next_help_heading = "Layers")]

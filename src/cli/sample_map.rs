@@ -10,7 +10,7 @@ use stein::method::dfc::Intermediate;
 use stein::sampling::{MapFile, SampleCounts, SamplingMap, sampling_density};
 
 use super::inspect::{Input, settle};
-use super::options::{Device, PresetName, Source};
+use super::options::{Device, Filter, Source};
 use super::out::number;
 use super::{Failure, Out, output};
 
@@ -49,12 +49,8 @@ pub(crate) struct Args {
     /// Print nothing but errors
     #[arg(short, long)]
     quiet: bool,
-    /// Parameters
-    #[arg(long, value_enum, default_value = "default", help_heading = "Filter")]
-    preset: PresetName,
-    /// Radius of the window that is averaged over, in pixels [default: 10]
-    #[arg(long, value_name = "PIXELS", help_heading = "Filter")]
-    radius: Option<u32>,
+    #[command(flatten)]
+    filter: Filter,
     #[command(flatten)]
     source: Source,
     #[command(flatten)]
@@ -113,7 +109,7 @@ pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
     if args.quiet || args.json {
         out.silence();
     }
-    let params = args.preset.params(args.radius)?;
+    let params = args.filter.params()?;
     let file = args.output.clone().unwrap_or_else(|| input.with_extension("map.exr"));
     output::check(&file, args.source.files().chain([input]), false, false)?;
 

@@ -13,16 +13,22 @@ use crate::stage::feature::{Features, feature_pack};
 use crate::stage::nlm::{Guide, Schedule, Weighting, nlm_filter};
 use crate::stage::sample::sample_density;
 use crate::stage::select::{select_blend, select_least};
-use crate::stage::variance::{Gaussian, INPUT_SMOOTHING, RESIDUAL_SMOOTHING, variance_scale, variance_smooth};
+use crate::stage::variance::{INPUT_SMOOTHING, RESIDUAL_SMOOTHING, variance_scale, variance_smooth};
 
 /// Half width of the box over which variances are brought to scale (thesis 8.2: 21×21), in pixels.
 pub(super) const SCALE_RADIUS: u32 = 10;
 
-/// A filter of the method that has fixed parameters.
+/// A filter by colour patches alone.
 pub(super) struct Auxiliary {
     pub(super) window_radius: u32,
     pub(super) patch_radius: u32,
     pub(super) k: f32,
+}
+
+impl Auxiliary {
+    fn guide<'a>(&self, signal: &'a Buffer, variance_of_mean: &'a Buffer, channels: u32) -> Guide<'a> {
+        Guide { signal, variance_of_mean, channels, k: self.k, patch_radius: self.patch_radius, small_patch_radius: None }
+    }
 }
 
 /// Algorithm 1 line 7.
@@ -157,7 +163,7 @@ pub fn dfc(
     let mut keeper = Keeper { wanted, kept: Vec::new() };
 
     // Sample variance scaling.
-    let variance = input_variance(rec, extent, &color, INPUT_SMOOTHING)?;
+    let variance = input_variance(rec, extent, &color)?;
     let signal = &color.signal;
     if keeper.wants(Intermediate::Variance) {
         keeper.keep("scaled_variance", &RGB, Unit::ColorSquared, &variance, 0);
@@ -192,14 +198,7 @@ pub fn dfc(
 
     // Filtered SURE error estimates.
     let sure = Arc::new(error_sure(rec, extent, signal, &variance, &candidates)?);
-    let guide = |filter: &Auxiliary| Guide {
-        signal,
-        variance_of_mean: &variance,
-        channels: 3,
-        k: filter.k,
-        patch_radius: filter.patch_radius,
-        small_patch_radius: None,
-    };
+    let guide = |filter: &Auxiliary| filter.guide(signal, &variance, 3);
     let errors = nlm_filter(rec, extent, &guide(&ERROR_SMOOTHING), &sure, 1, ERROR_SMOOTHING.window_radius, weighting, false, schedule)?;
     let errors = Arc::new(errors.planes);
     if keeper.wants(Intermediate::Sure) {
@@ -233,16 +232,9 @@ pub fn dfc(
     };
     let upper_bound = second_pass.clamp_to_input.then_some(&*variance);
     let left_variance = variance_smooth(rec, extent, &blend.signal, RESIDUAL_SMOOTHING, upper_bound)?;
-    let guide = Guide {
-        signal: &blend.signal,
-        variance_of_mean: &left_variance,
-        channels: 3,
-        k: second_pass.color_k,
-        patch_radius: second_pass.patch_radius,
-        small_patch_radius: None,
-    };
-    let window_radius = second_pass.window_radius(params.window_radius);
-    let pass2 = nlm_filter(rec, extent, &guide, &blend.signal, 2, window_radius, weighting, false, schedule)?;
+    let filter = Auxiliary { window_radius: second_pass.window_radius(params.window_radius), patch_radius: second_pass.patch_radius, k: second_pass.color_k };
+    let guide = filter.guide(&blend.signal, &left_variance, 3);
+    let pass2 = nlm_filter(rec, extent, &guide, &blend.signal, 2, filter.window_radius, weighting, false, schedule)?;
     let pass1 = Arc::new(blend.signal);
     if keeper.wants(Intermediate::Pass1) {
         keeper.keep("pass1", &RGB, Unit::Color, &pass1, 0);
@@ -251,10 +243,10 @@ pub fn dfc(
 }
 
 /// The variance of the mean as the filters want it (thesis 8.2), from what there is.
-fn input_variance(rec: &mut Recorder, extent: IVec2, signal: &GpuSignal, smoothing: Gaussian) -> Result<Arc<Buffer>> {
+fn input_variance(rec: &mut Recorder, extent: IVec2, signal: &GpuSignal) -> Result<Arc<Buffer>> {
     let variance = match (&signal.variance_of_mean, signal.has_halves) {
         (Some(sample_variance), true) => variance_scale(rec, extent, &signal.signal, sample_variance, SCALE_RADIUS)?,
-        (None, _) => variance_smooth(rec, extent, &signal.signal, smoothing, None)?,
+        (None, _) => variance_smooth(rec, extent, &signal.signal, INPUT_SMOOTHING, None)?,
         (Some(sample_variance), false) => return Ok(sample_variance.clone()),
     };
     Ok(Arc::new(variance))
@@ -280,15 +272,8 @@ fn prefilter(
     for (index, GpuFeature { name, signal, channels }) in order {
         let noisy = signal.has_halves || signal.variance_of_mean.is_some();
         let (filtered, residual_variance) = if noisy {
-            let variance = input_variance(rec, extent, &signal, INPUT_SMOOTHING)?;
-            let guide = Guide {
-                signal: &signal.signal,
-                variance_of_mean: &variance,
-                channels,
-                k: PREFILTER.k,
-                patch_radius: PREFILTER.patch_radius,
-                small_patch_radius: None,
-            };
+            let variance = input_variance(rec, extent, &signal)?;
+            let guide = PREFILTER.guide(&signal.signal, &variance, channels);
             let filtered = nlm_filter(rec, extent, &guide, &signal.signal, 2, PREFILTER.window_radius, weighting, !signal.has_halves, schedule)?;
             let residual = match filtered.residual_variance {
                 Some(residual) => residual,

@@ -76,7 +76,7 @@ impl Schedule {
 
     /// Rows of a strip and pairs of a chunk for images of this width.
     fn cut(&self, gpu: &Gpu, extent: IVec2, window_radius: i32, patch_radius: i32) -> (i32, i32) {
-        let pairs = 2 * window_radius * (window_radius + 1);
+        let pairs = pair_count(window_radius);
         let row_bytes = plane_bytes(IVec2::new(extent.x + 2 * patch_radius, 1), 1);
         let budget = (self.scratch_bytes.min(gpu.max_binding_bytes()) / row_bytes).max(1) as i32;
         // A chunk of one row of offsets, unless the image is so small that more fit: each chunk loads and stores the running sums once.
@@ -87,6 +87,11 @@ impl Schedule {
         let rows = if rows < extent.y && rows > block { rows - rows % block } else { rows };
         (rows, (budget / rows).clamp(1, pairs.max(1)))
     }
+}
+
+/// Pairs of opposite offsets in a window, as the shaders count them.
+fn pair_count(window_radius: i32) -> i32 {
+    2 * window_radius * (window_radius + 1)
 }
 
 /// Neighbours are compared by the patches of a guide.
@@ -127,7 +132,7 @@ pub(super) fn for_each_chunk(
 ) -> Result<()> {
     let radius = window_radius as i32;
     let patch_radius = guide.patch_radius as i32;
-    let pairs = 2 * radius * (radius + 1);
+    let pairs = pair_count(radius);
     let (strip_rows, chunk_pairs) = schedule.cut(rec.gpu(), extent, radius, patch_radius);
     let scratch = plane_bytes(IVec2::new(extent.x + 2 * patch_radius, strip_rows), chunk_pairs as u32);
     let columns = rec.take("column sums of distances", scratch)?;
