@@ -6,21 +6,20 @@ use glam::IVec2;
 
 use crate::error::{Error, Result};
 use crate::frame::Frame;
-use crate::gpu::{Gpu, Recorder, StageTime};
+use crate::gpu::{Buffer, Gpu, Recorder, StageTime};
 use crate::image::{Extent, Image};
-use crate::method::dfc::{GpuEstimate, Intermediate, Unit, dfc};
-use crate::method::{GpuFrame, Params, Strip, strips};
+use crate::method::{GpuEstimate, GpuFrame, Intermediate, KeptPlane, Lane, Method, Strip, Unit, strips};
 use crate::stage::nlm::Schedule;
 
-/// Denoises frames with one set of parameters. Make one and use it for many frames: kernels and buffers are kept by the [`Gpu`].
+/// Denoises frames with one method and one set of parameters. Make one and use it for many frames: kernels and buffers are kept by the [`Gpu`].
 ///
 /// ```no_run
 /// use stein::buffers::{BufferSet, BufferSetRequest};
-/// use stein::{Denoiser, Frame, Gpu, Params, gpu::DeviceChoice};
+/// use stein::{Denoiser, Frame, Gpu, Method, gpu::DeviceChoice};
 ///
 /// # fn main() -> stein::error::Result<()> {
 /// let gpu = Gpu::open(&DeviceChoice::Auto)?;
-/// let denoiser = Denoiser::new(&gpu, Params::default())?;
+/// let denoiser = Denoiser::new(&gpu, Method::default())?;
 /// let set = BufferSet::read(&BufferSetRequest { input: "noisy.exr".into(), ..Default::default() })?;
 /// let (frame, repairs) = Frame::from_buffer_set(&set)?;
 /// println!("{repairs}");
@@ -31,7 +30,7 @@ use crate::stage::nlm::Schedule;
 #[derive(Clone, Debug)]
 pub struct Denoiser {
     gpu: Gpu,
-    params: Params,
+    method: Method,
     schedule: Schedule,
     max_memory: Option<u64>,
 }
@@ -52,13 +51,13 @@ pub struct Estimate {
     pub color: Image,
     /// Half spread of the denoised colour: its filtered halves are `color ± half_spread`. `None` without halves.
     pub half_spread: Option<Image>,
-    /// One plane: the estimated squared error of each pixel, summed over the channels, from SURE (eq. 8.5) smoothed and blended like the candidates. It is that of pass 1;
-    /// the second pass leaves less. May be negative where the true error is small.
+    /// One plane: the estimated squared error of each pixel, summed over the channels. Of DFC it comes from SURE (eq. 8.5) smoothed and blended like the candidates, and is
+    /// that of pass 1; the second pass leaves less. May be negative where the true error is small.
     pub error: Image,
     /// One plane: Σ w over the window, blended like the candidates: how many pixels took part (thesis 8.6).
     pub weight_sum: Image,
-    /// Shares of FIRST, SECOND and THIRD in each pixel.
-    pub selection: Image,
+    /// Shares of FIRST, SECOND and THIRD in each pixel, where the method has them.
+    pub selection: Option<Image>,
     /// What [`Options::keep`] asked for.
     pub layers: Vec<Layer>,
     /// Number of strips that the image was cut into.
@@ -72,6 +71,8 @@ pub struct Estimate {
 /// An intermediate, in the units of the frame.
 #[derive(Clone, Debug)]
 pub struct Layer {
+    /// What it is part of.
+    pub intermediate: Intermediate,
     /// Layer name.
     pub name: String,
     /// One name per plane.
@@ -85,9 +86,10 @@ impl Denoiser {
     ///
     /// # Errors
     /// [`Error::Request`] where a parameter is out of range.
-    pub fn new(gpu: &Gpu, params: Params) -> Result<Self> {
-        params.validate()?;
-        Ok(Self { gpu: gpu.clone(), params, schedule: Schedule::for_gpu(gpu), max_memory: None })
+    pub fn new(gpu: &Gpu, method: impl Into<Method>) -> Result<Self> {
+        let method = method.into();
+        method.validate()?;
+        Ok(Self { gpu: gpu.clone(), method, schedule: Schedule::for_gpu(gpu), max_memory: None })
     }
 
     /// Holds the buffers on the device to `bytes`, working in strips of rows where the image would take more. The result is the same to the bit.
@@ -106,9 +108,15 @@ impl Denoiser {
         self
     }
 
-    /// Its parameters.
-    pub fn params(&self) -> &Params {
-        &self.params
+    /// Its method and parameters.
+    pub fn method(&self) -> &Method {
+        &self.method
+    }
+
+    /// The same with the parameters that the method wants while samples are still being drawn.
+    #[must_use]
+    pub fn while_sampling(&self) -> Self {
+        Self { method: self.method.while_sampling(), ..self.clone() }
     }
 
     /// Into how many strips a frame would be cut, with these intermediates kept.
@@ -116,7 +124,7 @@ impl Denoiser {
     /// # Errors
     /// [`Error::Device`] where not even one row fits into the memory.
     pub fn strip_count(&self, frame: &Frame, keep: &[Intermediate]) -> Result<usize> {
-        strips(&self.gpu, frame, &self.params, !keep.is_empty(), self.schedule, self.max_memory).map(|strips| strips.len())
+        strips(&self.gpu, frame, &self.method, !keep.is_empty(), self.schedule, self.max_memory).map(|strips| strips.len())
     }
 
     /// Denoises a frame.
@@ -134,7 +142,7 @@ impl Denoiser {
     pub fn denoise_with(&self, frame: &Frame, options: Options) -> Result<Estimate> {
         let Options { keep, mut progress } = options;
         let exposure = exposure(frame);
-        let strips = strips(&self.gpu, frame, &self.params, !keep.is_empty(), self.schedule, self.max_memory)?;
+        let strips = strips(&self.gpu, frame, &self.method, !keep.is_empty(), self.schedule, self.max_memory)?;
         self.gpu.set_memory_limit(self.max_memory);
         // What an earlier frame of another size left behind would count against the limit.
         self.gpu.trim();
@@ -155,7 +163,7 @@ impl Denoiser {
                     if progress(done).is_break() { Err(Error::Cancelled) } else { Ok(()) }
                 }
             };
-            let estimate = dfc(&mut rec, on_gpu, &self.params, keep, self.schedule, report)?;
+            let estimate = self.method.record(&mut rec, on_gpu, keep, self.schedule, report)?;
             rec.submit()?;
             assembly.add(&self.gpu, &estimate, extent, strip)?;
         }
@@ -169,7 +177,7 @@ impl Denoiser {
     /// # Errors
     /// [`Error::Device`] where a buffer exceeds the device's limits.
     pub fn record(&self, rec: &mut Recorder, frame: GpuFrame) -> Result<GpuEstimate> {
-        dfc(rec, frame, &self.params, &[], self.schedule, |_, _| Ok(()))
+        self.method.record(rec, frame, &[], self.schedule, |_, _| Ok(()))
     }
 }
 
@@ -202,7 +210,7 @@ struct Assembly<'a> {
     exposure: f32,
     color: Image,
     half_spread: Image,
-    selection: Image,
+    selection: Option<Image>,
     error: Image,
     weight_sum: Image,
     layers: Vec<Layer>,
@@ -211,51 +219,50 @@ struct Assembly<'a> {
 impl<'a> Assembly<'a> {
     fn new(frame: &'a Frame, exposure: f32) -> Self {
         let image = |channels| Image::filled(frame.extent(), channels, 0.0);
-        let (color, half_spread, selection, error, weight_sum) = (image(3), image(3), image(3), image(1), image(1));
-        Self { frame, exposure, color, half_spread, selection, error, weight_sum, layers: Vec::new() }
+        let (color, half_spread, error, weight_sum) = (image(3), image(3), image(1), image(1));
+        Self { frame, exposure, color, half_spread, selection: None, error, weight_sum, layers: Vec::new() }
     }
 
     fn add(&mut self, gpu: &Gpu, estimate: &GpuEstimate, extent: IVec2, strip: &Strip) -> Result<()> {
         let frame_extent = self.frame.extent();
-        let plane_values = extent.x as usize * extent.y as usize * 4;
-        let place = |values: &[f32], first_component: usize, factor: f32, offset: f32, image: &mut Image| {
-            place(values, first_component, factor, offset, frame_extent, strip, image);
+        let mut values = vec![0.0; extent.x as usize * extent.y as usize * 4];
+        // Reads a plane and puts it, from a component on, into an image.
+        let mut place = |buffer: &Buffer, plane: u32, component: u32, (factor, offset): (f32, f32), image: &mut Image| -> Result<()> {
+            gpu.read_into(buffer, u64::from(plane) * values.len() as u64 * 4, &mut values)?;
+            place(&values, component as usize, factor, offset, frame_extent, strip, image);
+            Ok(())
         };
-        let inverse = 1.0 / self.exposure;
+        let number = (1.0, 0.0);
+        let color = (1.0 / self.exposure, 0.0);
+        let squared = (color.0 * color.0, 0.0);
 
-        let signal = gpu.read(&estimate.signal)?;
-        place(&signal[..plane_values], 0, inverse, 0.0, &mut self.color);
-        place(&signal[plane_values..], 0, inverse, 0.0, &mut self.half_spread);
-        let selection = gpu.read(&estimate.selection)?;
-        place(&selection, 0, 1.0, 0.0, &mut self.selection);
-        place(&selection, 3, inverse * inverse, 0.0, &mut self.error);
-        match &estimate.pass1 {
-            None => place(&signal[..plane_values], 3, 1.0, 0.0, &mut self.weight_sum),
-            Some(pass1) => {
-                let mut mean = vec![0.0; plane_values];
-                gpu.read_into(pass1, 0, &mut mean)?;
-                place(&mean, 3, 1.0, 0.0, &mut self.weight_sum);
-            }
+        place(&estimate.signal, 0, 0, color, &mut self.color)?;
+        place(&estimate.signal, 1, 0, color, &mut self.half_spread)?;
+        let Lane { buffer, plane, component } = &estimate.error;
+        place(buffer, *plane, *component, squared, &mut self.error)?;
+        let Lane { buffer, plane, component } = &estimate.weight_sum;
+        place(buffer, *plane, *component, number, &mut self.weight_sum)?;
+        if let Some(selection) = &estimate.selection {
+            place(selection, 0, 0, number, self.selection.get_or_insert_with(|| Image::filled(frame_extent, 3, 0.0)))?;
         }
         if self.layers.is_empty() {
-            let layer = |kept: &crate::method::dfc::KeptPlane| Layer {
+            let layer = |kept: &KeptPlane| Layer {
+                intermediate: kept.intermediate,
                 name: kept.layer.clone(),
                 channels: kept.channels.clone(),
                 image: Image::filled(frame_extent, kept.channels.len(), 0.0),
             };
             self.layers = estimate.kept.iter().map(layer).collect();
         }
-        let mut values = vec![0.0; plane_values];
         for (layer, kept) in self.layers.iter_mut().zip(&estimate.kept) {
-            gpu.read_into(&kept.buffer, u64::from(kept.plane) * plane_values as u64 * 4, &mut values)?;
-            let (factor, offset) = match kept.unit {
-                Unit::Color => (inverse, 0.0),
-                Unit::ColorSquared => (inverse * inverse, 0.0),
-                Unit::Number => (1.0, 0.0),
+            let unit = match kept.unit {
+                Unit::Color => color,
+                Unit::ColorSquared => squared,
+                Unit::Number => number,
                 Unit::Feature(index) => (self.frame.features()[index].unit_scale, self.frame.features()[index].unit_offset),
                 Unit::FeatureSquared(index) => (self.frame.features()[index].unit_scale.powi(2), 0.0),
             };
-            place(&values, 0, factor, offset, &mut layer.image);
+            place(&kept.buffer, kept.plane, 0, unit, &mut layer.image)?;
         }
         Ok(())
     }

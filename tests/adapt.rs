@@ -12,7 +12,7 @@ use stein::buffers::{BufferSet, BufferSetRequest};
 use stein::gpu::DeviceChoice;
 use stein::sampling::stub::{Camera, Environment, Material, Scene, Sequence, Shape, StubSampler, Texture};
 use stein::sampling::{Event, MapFile, Plan, SampleCounts, Samples, SamplingMap, adapt};
-use stein::{Denoiser, Error, Extent, Gpu, Image, Params};
+use stein::{Denoiser, DfcParams, Error, Extent, Gpu, Image};
 use tempfile::TempDir;
 
 /// Small, so that a software adapter is done in a second.
@@ -21,7 +21,7 @@ const PIXELS: u64 = 24 * 20;
 
 fn denoiser(radius: u32) -> Denoiser {
     let gpu = Gpu::open(&DeviceChoice::Auto).unwrap();
-    Denoiser::new(&gpu, Params { window_radius: radius, ..Params::default() }).unwrap()
+    Denoiser::new(&gpu, DfcParams { window_radius: radius, ..DfcParams::default() }).unwrap()
 }
 
 /// Exit code, standard output, standard error.

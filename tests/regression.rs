@@ -8,7 +8,7 @@ mod frames;
 
 use stein::gpu::{DeviceChoice, Gpu};
 use stein::metric::relative_mse;
-use stein::{Denoiser, Frame, Image, Params};
+use stein::{Denoiser, DfcParams, Frame, Image};
 
 /// A render and the most that its relative mean squared error may be: as it comes, with the default parameters, with those of the text, both at R = 10.
 struct Bound {
@@ -39,7 +39,7 @@ fn errors_stay_within_their_bounds() {
         let reference = frames::converged(bound.scene);
         let error_of = |image: &Image| relative_mse(image, &reference).unwrap_or_else(|error| panic!("{error}"));
         let noisy = error_of(&frame.color().mean);
-        for (preset, params, most) in [("default", Params::default(), bound.default), ("thesis", Params::thesis(), bound.thesis)] {
+        for (preset, params, most) in [("default", DfcParams::default(), bound.default), ("thesis", DfcParams::thesis(), bound.thesis)] {
             let estimate = Denoiser::new(&gpu, params).and_then(|denoiser| denoiser.denoise(&frame)).unwrap_or_else(|error| panic!("{error}"));
             let error = error_of(&estimate.color);
             println!("{}, {preset}: relative MSE {noisy:.6} before, {error:.6} after", bound.render);

@@ -103,7 +103,7 @@ pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
     let plan = Plan::new(spp, args.iterations, args.cap).map_err(Failure::usage)?;
     let cap = args.cap.unwrap_or_else(|| plan.budget(1).saturating_mul(DEFAULT_CAP));
     let plan = Plan::new(spp, args.iterations, Some(cap)).map_err(Failure::usage)?;
-    let params = args.filter.params()?;
+    let method = args.filter.method()?;
     let extent = args.picture.extent();
     let setup = Setup {
         scene: args.scene.as_deref(),
@@ -114,7 +114,7 @@ pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
         cap,
         seed: args.picture.seed,
         sequence: args.picture.sequence,
-        parameters: params,
+        parameters: method,
     };
     // Wrong names are told before anything is written.
     let scene = args.scene.as_deref().map(|name| args.picture.sampler(name, extent, args.picture.seed)).transpose()?;
@@ -126,7 +126,7 @@ pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
     let resumed = if args.resume { folder.resume(args.iterations)? } else { None };
 
     let gpu = args.device.open()?;
-    let denoiser = args.device.denoiser(&gpu, params)?;
+    let denoiser = args.device.denoiser(&gpu, method)?;
     let mut document = Document::new(&setup, gpu.summary(), resumed.as_ref().map(|resumed| resumed.iterations))?;
     let job = Job { args, plan, denoiser, folder, reference };
     match (scene, &args.sampler_command) {
@@ -190,7 +190,7 @@ impl Job<'_> {
                 Event::Denoising { iteration, share } => advance(iteration, (1.0 + share) / 2.0),
                 Event::Planned { iteration, map, drawn } => self.folder.write_map(&label(iteration), map, drawn)?,
                 Event::Finished { iteration, map: _, samples, estimate } => {
-                    self.folder.write(&label(iteration), samples, estimate, self.denoiser.params())?;
+                    self.folder.write(&label(iteration), samples, estimate, self.denoiser.method())?;
                     let row = Row::new(label(iteration), samples, estimate, self.reference.as_ref())?;
                     bar.suspend(|| out.say(row.text()));
                     rows.push(row);

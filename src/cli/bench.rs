@@ -115,9 +115,9 @@ pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
         )));
     }
     let names = if args.presets.is_empty() { PresetName::value_variants() } else { &args.presets };
-    let params = names.iter().map(|name| Ok((name.preset(), name.params(args.radius)?))).collect::<Result<Vec<_>, Failure>>()?;
+    let methods = names.iter().map(|name| Ok((name.preset(), name.method(args.radius)?))).collect::<Result<Vec<_>, Failure>>()?;
     let gpu = args.device.open()?;
-    let denoisers = params.into_iter().map(|(preset, params)| Ok((preset, args.device.denoiser(&gpu, params)?))).collect::<Result<Vec<_>, Failure>>()?;
+    let denoisers = methods.into_iter().map(|(preset, method)| Ok((preset, args.device.denoiser(&gpu, method)?))).collect::<Result<Vec<_>, Failure>>()?;
     out.say(format_args!("{}, median of {}", gpu.summary(), args.repeat));
 
     let mut document = Document { device: gpu.summary().clone(), repeats: args.repeat, cases: Vec::new() };
@@ -191,7 +191,7 @@ fn measure(gpu: &Gpu, denoisers: &[(Preset, Denoiser)], input: &Path, frame: &Fr
             relative_mse: error(&estimate.color)?,
         });
     }
-    let window_radius = denoisers.first().map_or(0, |(_, denoiser)| denoiser.params().window_radius);
+    let window_radius = denoisers.first().map_or(0, |(_, denoiser)| denoiser.method().window_radius());
     let noisy_relative_mse = error(&frame.color().mean)?;
     let default_to_thesis = Ratios::of(&presets);
     Ok(Case { input: input.to_owned(), width, height, window_radius, noisy_relative_mse, presets, default_to_thesis })

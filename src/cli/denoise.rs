@@ -6,8 +6,8 @@ use std::time::Instant;
 
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use stein::buffers::LayerRef;
-use stein::method::dfc::Intermediate;
-use stein::{Denoiser, Estimate, Frame, Options};
+use stein::method::Intermediate;
+use stein::{Denoiser, Estimate, Frame, Method, Options};
 
 use super::inspect::settle;
 use super::options::{Device, Filter, Source};
@@ -82,14 +82,23 @@ fn keepable() -> impl TypedValueParser<Value = Keep> {
 
 impl Args {
     /// Intermediates that go into the output.
-    fn keep(&self) -> Vec<Intermediate> {
+    fn keep(&self, method: &Method) -> Result<Vec<Intermediate>, Failure> {
+        let has = method.intermediates();
+        for keep in &self.keep {
+            if let Keep::One(one) = keep
+                && !has.contains(one)
+            {
+                let (name, all) = (method.name(), Report::names(has).join(", "));
+                return Err(Failure::usage(format_args!("--keep {}: {name} has no such intermediate\n  remedy: choose from {all}", one.name())));
+            }
+        }
         let wanted = |intermediate: &Intermediate| {
             self.keep.iter().any(|keep| match keep {
                 Keep::All => true,
                 Keep::One(one) => one == intermediate,
             })
         };
-        Intermediate::ALL.into_iter().filter(wanted).collect()
+        Ok(has.iter().copied().filter(wanted).collect())
     }
 
     fn show_progress(&self) -> bool {
@@ -102,7 +111,7 @@ pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
     if args.quiet || args.json {
         out.silence();
     }
-    let params = args.filter.params()?;
+    let method = args.filter.method()?;
     let output = output::choose(input, args.output.as_deref());
     let read_too = args.source.files().chain(args.reference.as_ref().map(|reference| reference.file.as_path()));
     // Half A may be the input itself, one layer of it: that the user may replace.
@@ -116,16 +125,16 @@ pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
     let reference = args.reference.as_ref().map(|reference| quality::read(reference, &frame, input)).transpose()?;
 
     let gpu = args.device.open()?;
-    let denoiser = args.device.denoiser(&gpu, params)?;
-    let keep = args.keep();
+    let denoiser = args.device.denoiser(&gpu, method)?;
+    let keep = args.keep(&method)?;
     let mut needed = keep.clone();
     if reference.is_some() {
-        needed.extend(quality::NEEDED.iter().filter(|intermediate| !keep.contains(intermediate)));
+        needed.extend(quality::NEEDED.iter().filter(|one| method.intermediates().contains(one) && !keep.contains(one)));
     }
     let mut report = Report {
         input: described,
         preset: args.filter.preset(),
-        parameters: params,
+        parameters: method,
         device: gpu.summary().clone(),
         max_memory_bytes: args.device.max_memory,
         strips: denoiser.strip_count(&frame, &needed)?,
@@ -139,7 +148,7 @@ pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
         let start = Instant::now();
         let estimate = denoise(&denoiser, &frame, &needed, args.show_progress())?;
         report.run = Some(Run::new(&estimate, start.elapsed().as_secs_f64()));
-        report.output = Some(output::write(&set, &output, &estimate, &keep, &params)?);
+        report.output = Some(output::write(&set, &output, &estimate, &keep, &method)?);
         report.errors = reference.map(|reference| quality::compare(&frame, &estimate, &reference)).transpose()?;
     }
     out.say(report.text(args.verbose));

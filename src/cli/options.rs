@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use clap::ValueEnum;
 use stein::buffers::{BufferSet, BufferSetRequest, LayerRef};
 use stein::gpu::DeviceChoice;
-use stein::{Denoiser, Extent, Gpu, Params, Preset};
+use stein::{Denoiser, DfcParams, Extent, Gpu, Method, Preset};
 
 use super::Failure;
 
@@ -27,9 +27,9 @@ impl Filter {
         self.preset.preset()
     }
 
-    /// Its parameters, with the radius that was asked for.
-    pub(crate) fn params(&self) -> Result<Params, Failure> {
-        self.preset.params(self.radius)
+    /// The method, with the parameters that were asked for.
+    pub(crate) fn method(&self) -> Result<Method, Failure> {
+        self.preset.method(self.radius)
     }
 }
 
@@ -123,8 +123,8 @@ impl Device {
         Ok(Gpu::open(self.device.as_ref().unwrap_or(&DeviceChoice::Auto))?)
     }
 
-    pub(crate) fn denoiser(&self, gpu: &Gpu, params: Params) -> Result<Denoiser, Failure> {
-        let denoiser = Denoiser::new(gpu, params).map_err(Failure::usage)?;
+    pub(crate) fn denoiser(&self, gpu: &Gpu, method: Method) -> Result<Denoiser, Failure> {
+        let denoiser = Denoiser::new(gpu, method).map_err(Failure::usage)?;
         Ok(match self.max_memory {
             Some(bytes) => denoiser.with_max_memory(bytes),
             None => denoiser,
@@ -169,11 +169,15 @@ impl PresetName {
     }
 
     /// Its parameters, with another window radius where one is given.
-    pub(crate) fn params(self, radius: Option<u32>) -> Result<Params, Failure> {
-        let mut params = Params::preset(self.preset());
+    pub(crate) fn method(self, radius: Option<u32>) -> Result<Method, Failure> {
+        let mut params = match self {
+            Self::Default => DfcParams::default(),
+            Self::Thesis => DfcParams::thesis(),
+        };
         params.window_radius = radius.unwrap_or(params.window_radius);
-        params.validate().map_err(Failure::usage)?;
-        Ok(params)
+        let method = Method::from(params);
+        method.validate().map_err(Failure::usage)?;
+        Ok(method)
     }
 }
 

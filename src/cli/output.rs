@@ -5,8 +5,8 @@ use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 use stein::buffers::{BufferSet, DenoisedLayers, NamedLayer, Role, write_denoised};
-use stein::method::dfc::Intermediate;
-use stein::{Estimate, Image, Layer, Params};
+use stein::method::Intermediate;
+use stein::{Estimate, Image, Method};
 
 use super::Failure;
 use super::options::same_file;
@@ -74,7 +74,7 @@ pub(crate) struct Written {
 }
 
 /// Writes the denoised colour, its halves, the estimated error and the intermediates in `keep`.
-pub(crate) fn write(set: &BufferSet, output: &Path, estimate: &Estimate, keep: &[Intermediate], params: &Params) -> Result<Written, Failure> {
+pub(crate) fn write(set: &BufferSet, output: &Path, estimate: &Estimate, keep: &[Intermediate], method: &Method) -> Result<Written, Failure> {
     let mut notes = Vec::new();
     let mut replacements = Vec::new();
     let mut dropped = Vec::new();
@@ -97,7 +97,7 @@ pub(crate) fn write(set: &BufferSet, output: &Path, estimate: &Estimate, keep: &
     }
 
     let error = NamedLayer { name: format!("{PREFIX}.error"), channels: vec!["V".into()], image: estimate.error.clone() };
-    let kept = estimate.layers.iter().filter(|layer| keep.contains(&intermediate(layer)));
+    let kept = estimate.layers.iter().filter(|layer| keep.contains(&layer.intermediate));
     let named = kept.map(|layer| NamedLayer { name: format!("{PREFIX}.{}", layer.name), channels: layer.channels.clone(), image: layer.image.clone() });
     // Layers that an earlier run left in the input are brought up to date.
     let (stale, extra): (Vec<_>, Vec<_>) = std::iter::once(error).chain(named).partition(|layer| in_input().any(|other| other.layer == layer.name));
@@ -106,7 +106,7 @@ pub(crate) fn write(set: &BufferSet, output: &Path, estimate: &Estimate, keep: &
     }
     replacements.extend(stale.into_iter().map(|layer| (layer.name, layer.image)));
 
-    let parameters = serde_json::to_string(params).map_err(|error| Failure::output(format_args!("{}: {error}", output.display())))?;
+    let parameters = serde_json::to_string(method).map_err(|error| Failure::output(format_args!("{}: {error}", output.display())))?;
     let attributes = [("stein.version".to_owned(), env!("CARGO_PKG_VERSION").to_owned()), ("stein.parameters".to_owned(), parameters)];
     let layers = DenoisedLayers { color: &estimate.color, replacements: &replacements, dropped: &dropped, extra: &extra, attributes: &attributes };
     let report = write_denoised(set, output, &layers).map_err(Failure::output)?;
@@ -127,19 +127,4 @@ fn half(color: &Image, half_spread: &Image, sign: f32) -> Image {
     let planes = color.planes.iter().zip(&half_spread.planes);
     let planes = planes.map(|(mean, spread)| mean.iter().zip(spread).map(|(mean, spread)| mean + sign * spread).collect());
     Image { extent: color.extent, planes: planes.collect() }
-}
-
-/// What a kept layer is one of.
-fn intermediate(layer: &Layer) -> Intermediate {
-    match layer.name.as_str() {
-        "scaled_variance" => Intermediate::Variance,
-        "first" | "second" | "third" => Intermediate::Candidates,
-        "first_derivative" | "second_derivative" | "third_derivative" => Intermediate::Derivatives,
-        "sure" | "sure_smoothed" => Intermediate::Sure,
-        "selected" | "selection" => Intermediate::Selection,
-        "pass1" => Intermediate::Pass1,
-        "density" => Intermediate::Density,
-        // Those are named after the feature.
-        _ => Intermediate::Features,
-    }
 }

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use serde::Serialize;
 use stein::buffers::{LayerRef, read_reference};
-use stein::method::dfc::Intermediate;
+use stein::method::Intermediate;
 use stein::{Estimate, Frame, Image, metric};
 
 use super::Failure;

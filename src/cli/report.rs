@@ -2,8 +2,8 @@
 
 use serde::Serialize;
 use stein::gpu::{AdapterSummary, StageTime};
-use stein::method::dfc::Intermediate;
-use stein::{Estimate, Params};
+use stein::method::Intermediate;
+use stein::{Estimate, Method};
 
 use super::inspect::Input;
 use super::out::{bytes, number, seconds, table};
@@ -15,7 +15,7 @@ use super::quality::{self, Errors};
 pub(crate) struct Report {
     pub(crate) input: Input,
     pub(crate) preset: stein::Preset,
-    pub(crate) parameters: Params,
+    pub(crate) parameters: Method,
     pub(crate) device: AdapterSummary,
     pub(crate) max_memory_bytes: Option<u64>,
     /// Parts that the image was (or, in a dry run, would be) worked on in.

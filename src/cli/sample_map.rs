@@ -6,7 +6,7 @@ use serde::Serialize;
 use stein::Options;
 use stein::frame::SamplesPerPixel;
 use stein::gpu::AdapterSummary;
-use stein::method::dfc::Intermediate;
+use stein::method::Intermediate;
 use stein::sampling::{MapFile, SampleCounts, SamplingMap, sampling_density};
 
 use super::inspect::{Input, settle};
@@ -109,7 +109,7 @@ pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
     if args.quiet || args.json {
         out.silence();
     }
-    let params = args.filter.params()?;
+    let method = args.filter.method()?;
     let file = args.output.clone().unwrap_or_else(|| input.with_extension("map.exr"));
     output::check(&file, args.source.files().chain([input]), false, false)?;
 
@@ -118,7 +118,7 @@ pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
     out.say(described.text(false));
     let frame = frame.map_err(|error| Failure::in_file(input, error))?;
     let gpu = args.device.open()?;
-    let denoiser = args.device.denoiser(&gpu, params)?;
+    let denoiser = args.device.denoiser(&gpu, method)?.while_sampling();
     let estimate = denoiser.denoise_with(&frame, Options { keep: &[Intermediate::Density], progress: None })?;
     // Whole pairs, which a small budget has few of.
     let cap = args.cap.unwrap_or_else(|| (budget * f64::from(DEFAULT_CAP)).max(2.0) as u32);

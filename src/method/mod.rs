@@ -1,10 +1,113 @@
 //! The methods: a straight function each, that reads like its chapter. They know the stages, never the GPU interface beneath them.
+//!
+//! All are one shape: a bank of candidates, an error for each, a smoothed choice, a blend.
 
+mod common;
 pub mod dfc;
+mod estimate;
 mod frame;
 mod memory;
-mod params;
 
+use serde::Serialize;
+
+use crate::error::Result;
+use crate::frame::Frame;
+use crate::gpu::Recorder;
+use crate::stage::nlm::Schedule;
+
+pub use dfc::DfcParams;
+pub use estimate::{GpuEstimate, Intermediate, KeptPlane, Lane, Unit};
 pub use frame::{GpuFeature, GpuFrame, GpuSignal};
+use memory::Footprint;
 pub(crate) use memory::{Strip, strips};
-pub use params::{Params, Preset, SecondPass};
+
+/// Which method, with its parameters.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[serde(tag = "method", rename_all = "lowercase")]
+pub enum Method {
+    /// Combined colour and feature filters (thesis chapter 8).
+    Dfc(DfcParams),
+}
+
+/// Named parameter sets.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Preset {
+    /// What measured best.
+    Default,
+    /// The published algorithm to the letter, its misprints mended.
+    Thesis,
+}
+
+impl Default for Method {
+    fn default() -> Self {
+        Self::Dfc(DfcParams::default())
+    }
+}
+
+impl From<DfcParams> for Method {
+    fn from(params: DfcParams) -> Self {
+        Self::Dfc(params)
+    }
+}
+
+impl Method {
+    /// Its name on the command line.
+    pub fn name(&self) -> &'static str {
+        match self {
+            Self::Dfc(_) => "dfc",
+        }
+    }
+
+    /// Radius of the window that it averages over, in pixels.
+    pub fn window_radius(&self) -> u32 {
+        match self {
+            Self::Dfc(params) => params.window_radius,
+        }
+    }
+
+    /// The intermediates that it has.
+    pub fn intermediates(&self) -> &'static [Intermediate] {
+        match self {
+            Self::Dfc(_) => &dfc::INTERMEDIATES,
+        }
+    }
+
+    /// With the parameters that serve while samples are still being drawn.
+    #[must_use]
+    pub fn while_sampling(self) -> Self {
+        match self {
+            Self::Dfc(_) => self,
+        }
+    }
+
+    /// Checks the ranges of its parameters.
+    ///
+    /// # Errors
+    /// [`Error::Request`](crate::Error::Request) naming the parameter and its range.
+    pub fn validate(&self) -> Result<()> {
+        match self {
+            Self::Dfc(params) => params.validate(),
+        }
+    }
+
+    fn footprint(&self, frame: &Frame, kept: bool, schedule: Schedule) -> Footprint {
+        match self {
+            Self::Dfc(params) => dfc::footprint(params, frame, kept, schedule),
+        }
+    }
+
+    /// Records the work on a frame. `progress` is called with the share of it that is recorded.
+    pub(crate) fn record(
+        &self,
+        rec: &mut Recorder,
+        frame: GpuFrame,
+        wanted: &[Intermediate],
+        schedule: Schedule,
+        progress: impl FnMut(&mut Recorder, f32) -> Result<()>,
+    ) -> Result<GpuEstimate> {
+        match self {
+            Self::Dfc(params) => dfc::dfc(rec, frame, params, wanted, schedule, progress),
+        }
+    }
+}

@@ -5,7 +5,7 @@ use std::ops::ControlFlow;
 use super::{SampleCounts, Sampler, Samples, SamplingMap};
 use crate::error::{Error, Result};
 use crate::image::{Extent, Image};
-use crate::method::dfc::Intermediate;
+use crate::method::Intermediate;
 use crate::{Denoiser, Estimate, Options, metric};
 
 /// How many samples are drawn, and in how many iterations.
@@ -119,6 +119,8 @@ pub struct Outcome {
 /// Draws the samples of a plan: evenly in the first iteration, then where the estimated relative error of the denoised image, seen through the filters' weights, is largest.
 /// `observe` is told what happens, and ends the loop by an error.
 ///
+/// Until the last iteration, the method works with the parameters that it wants while sampling ([`Denoiser::while_sampling`]).
+///
 /// Same sampler, plan and device, same result, also where the loop was interrupted and resumed.
 ///
 /// # Errors
@@ -130,10 +132,12 @@ pub fn adapt<S: Sampler, E: From<Error> + Send>(
     resumed: Option<Resumed>,
     mut observe: impl FnMut(Event<'_>) -> std::result::Result<(), E> + Send,
 ) -> std::result::Result<Outcome, E> {
+    let while_sampling = denoiser.while_sampling();
+    let denoiser = |iteration: u32| if iteration < plan.iterations { &while_sampling } else { denoiser };
     let done = resumed.as_ref().map_or(0, |resumed| resumed.iterations);
     let mut state: Option<Outcome> = None;
     if let Some(Resumed { iterations: iteration, samples }) = resumed {
-        let estimate = denoise(denoiser, &samples, |share| observe(Event::Denoising { iteration, share }))?;
+        let estimate = denoise(denoiser(iteration), &samples, |share| observe(Event::Denoising { iteration, share }))?;
         observe(Event::Finished { iteration, map: None, samples: &samples, estimate: &estimate })?;
         state = Some(Outcome { samples, estimate });
     }
@@ -152,7 +156,7 @@ pub fn adapt<S: Sampler, E: From<Error> + Send>(
                 samples
             }
         };
-        let estimate = denoise(denoiser, &samples, |share| observe(Event::Denoising { iteration, share }))?;
+        let estimate = denoise(denoiser(iteration), &samples, |share| observe(Event::Denoising { iteration, share }))?;
         observe(Event::Finished { iteration, map: Some(&map), samples: &samples, estimate: &estimate })?;
         state = Some(Outcome { samples, estimate });
     }

@@ -10,17 +10,17 @@ use stein::image::Extent;
 use stein::method::{GpuFeature, GpuFrame, GpuSignal};
 use stein::stage::nlm::Schedule;
 use stein::stage::sample::GpuSamples;
-use stein::{Denoiser, Error, Estimate, Frame, Image, Options, Params};
+use stein::{Denoiser, DfcParams, Error, Estimate, Frame, Image, Options};
 
 use crate::common::{gpu, open, packed, packed_signal, scene};
 use crate::frames::{EVERYTHING, Keep, frame, new_frame, noisy};
 use crate::reference::{Grid, Planes};
 
-fn params() -> Params {
-    Params { window_radius: 4, ..Params::default() }
+fn params() -> DfcParams {
+    DfcParams { window_radius: 4, ..DfcParams::default() }
 }
 
-fn denoiser(gpu: &Gpu, params: Params) -> Denoiser {
+fn denoiser(gpu: &Gpu, params: DfcParams) -> Denoiser {
     Denoiser::new(gpu, params).unwrap_or_else(|error| panic!("{error}"))
 }
 
@@ -54,9 +54,13 @@ fn random_frame(width: usize, height: usize, factor: f32) -> Frame {
     new_frame(color, vec![("paint".into(), feature)])
 }
 
+fn selection(estimate: &Estimate) -> &Image {
+    estimate.selection.as_ref().unwrap_or_else(|| panic!("DFC has selection maps"))
+}
+
 fn images(estimate: &Estimate) -> [&Image; 5] {
     let Some(half_spread) = &estimate.half_spread else { panic!("the frame has halves") };
-    [&estimate.color, half_spread, &estimate.error, &estimate.weight_sum, &estimate.selection]
+    [&estimate.color, half_spread, &estimate.error, &estimate.weight_sum, selection(estimate)]
 }
 
 const NAMES: [&str; 5] = ["colour", "half spread", "error", "Σ w", "selection"];
@@ -241,7 +245,7 @@ fn a_constant_image_stays_constant() {
     let values = [0.0, 0.3, 7.0];
     let mean = image(&values.map(|value| Grid::filled(40, 30, value)));
     let frame = new_frame(Signal { mean: mean.clone(), half_spread: Some(image(&noise.spread)), variance_of_mean: Some(image(&noise.variance)) }, Vec::new());
-    for preset in [params(), Params { window_radius: 4, ..Params::thesis() }] {
+    for preset in [params(), DfcParams { window_radius: 4, ..DfcParams::thesis() }] {
         let estimate = denoised(&denoiser(gpu(), preset), &frame);
         for (plane, expected) in estimate.color.planes.iter().zip([0.0, 0.3f32, 7.0]) {
             // Each filter gives the constant to the bit; the shares of the blend sum to 1 within the last digits.
@@ -254,7 +258,7 @@ fn a_constant_image_stays_constant() {
 fn a_black_image_stays_black() {
     let zero = || Image::filled(Extent { width: 31, height: 17 }, 3, 0.0);
     let frame = new_frame(Signal { mean: zero(), half_spread: Some(zero()), variance_of_mean: Some(zero()) }, Vec::new());
-    for preset in [params(), Params { window_radius: 4, ..Params::thesis() }] {
+    for preset in [params(), DfcParams { window_radius: 4, ..DfcParams::thesis() }] {
         let estimate = denoised(&denoiser(gpu(), preset), &frame);
         let [color, half_spread, error, weight_sum, _] = images(&estimate);
         for (name, image) in [("colour", color), ("half spread", half_spread), ("error", error)] {
@@ -283,10 +287,10 @@ fn every_kind_of_frame_has_a_result() {
             let frame = frame(&set, [30, 40, 33, 18], Keep { halves, variance, features });
             let estimate = denoised(&denoiser(gpu(), params()), &frame);
             assert_eq!(estimate.half_spread.is_some(), halves);
-            let all = [&estimate.color, &estimate.error, &estimate.weight_sum, &estimate.selection];
+            let all = [&estimate.color, &estimate.error, &estimate.weight_sum, selection(&estimate)];
             assert!(all.iter().flat_map(|image| &image.planes).flatten().all(|value| value.is_finite()), "{halves} {variance} {features:?}");
             for pixel in 0..33 * 18 {
-                let sum: f32 = estimate.selection.planes.iter().map(|plane| plane[pixel]).sum();
+                let sum: f32 = selection(&estimate).planes.iter().map(|plane| plane[pixel]).sum();
                 assert!((sum - 1.0).abs() < 1e-6, "the shares of pixel {pixel} sum to {sum}");
             }
         }

@@ -4,13 +4,13 @@
 //! (which of them is the least, whether the guard lets a candidate in), and with it the maps of all pixels within the smoothing's radius. So the
 //! decisions are looked at by themselves: where one differs, the errors must tie.
 
-use stein::method::dfc::Intermediate;
+use stein::method::Intermediate;
 use stein::stage::nlm::CentreWeight;
-use stein::{Denoiser, Estimate, Frame, Image, Options, Params};
+use stein::{Denoiser, DfcParams, Estimate, Frame, Image, Options};
 
 use crate::common::{assert_near, flat, gpu, own_size};
 use crate::frames::{EVERYTHING, Keep, frame, noisy};
-use crate::reference::dfc::{CandidateParams, Dfc, DfcParams, Frame as TwinFrame, SecondPassParams, dfc, sampling_density};
+use crate::reference::dfc::{CandidateParams, Dfc, DfcParams as TwinParams, Frame as TwinFrame, SecondPassParams, dfc, sampling_density};
 use crate::reference::variance::Signal;
 use crate::reference::{self, Grid, Planes};
 
@@ -37,7 +37,7 @@ fn twin_frame(frame: &Frame, exposure: f64) -> TwinFrame {
     TwinFrame { color: signal(frame.color(), exposure), features: frame.features().iter().map(|feature| signal(&feature.signal, 1.0)).collect() }
 }
 
-fn twin_params(params: &Params) -> DfcParams {
+fn twin_params(params: &DfcParams) -> TwinParams {
     let first = CandidateParams {
         k_color: params.color_k.into(),
         k_feature: params.feature_k.into(),
@@ -47,7 +47,7 @@ fn twin_params(params: &Params) -> DfcParams {
     let second = CandidateParams { patch_radius: params.second_patch_radius as usize, ..first };
     let third = CandidateParams { k_color: f64::INFINITY, tau: params.feature_tau_third.into(), ..first };
     let pass = params.second_pass.unwrap_or_else(|| panic!("the presets have a second pass"));
-    DfcParams {
+    TwinParams {
         window_radius: params.window_radius as usize,
         candidates: [first, second, third],
         symmetric: params.weighting.symmetric,
@@ -73,7 +73,7 @@ fn twin_params(params: &Params) -> DfcParams {
 /// Parameter by parameter: two tables, written by two people from one text.
 #[test]
 fn the_presets_are_those_of_the_reference() {
-    for (preset, twin) in [(Params::default(), DfcParams::default()), (Params::thesis(), DfcParams::thesis())] {
+    for (preset, twin) in [(DfcParams::default(), TwinParams::default()), (DfcParams::thesis(), TwinParams::thesis())] {
         let mut shown = twin_params(&preset);
         // 0.45 as a float32 is not 0.45.
         let round = |value: &mut f64| *value = format!("{:.4e}", value).parse().unwrap_or(f64::NAN);
@@ -108,7 +108,7 @@ struct Compared {
 }
 
 impl Compared {
-    fn new(what: &'static str, frame: &Frame, params: Params) -> Self {
+    fn new(what: &'static str, frame: &Frame, params: DfcParams) -> Self {
         let denoiser = Denoiser::new(gpu(), params).unwrap_or_else(|error| panic!("{error}"));
         let options = Options { keep: &Intermediate::ALL, ..Options::default() };
         let estimate = denoiser.denoise_with(frame, options).unwrap_or_else(|error| panic!("{error}"));
@@ -224,42 +224,42 @@ const FILTERED: f64 = 2e-4;
 /// The share of pixels in which a decision may fall the other way, or that the smoothing of such a decision reaches.
 const FLIPPED: f64 = 0.005;
 
-fn check(what: &'static str, render: &str, rectangle: [usize; 4], keep: Keep, params: Params) {
+fn check(what: &'static str, render: &str, rectangle: [usize; 4], keep: Keep, params: DfcParams) {
     let frame = frame(&noisy(render), rectangle, keep);
     let names: Vec<&str> = frame.features().iter().map(|feature| feature.name.as_str()).collect();
     assert_eq!(names, keep.features, "{what}");
     Compared::new(what, &frame, params).check(&frame);
 }
 
-fn small(params: Params) -> Params {
-    Params { window_radius: 4, ..params }
+fn small(params: DfcParams) -> DfcParams {
+    DfcParams { window_radius: 4, ..params }
 }
 
 #[test]
 fn everything_with_the_default_preset() {
     // The lamp, and a ceiling with the same features; all of it is lit, so that visibility is the same everywhere.
     let keep = Keep { features: &["albedo", "depth", "normal"], ..EVERYTHING };
-    check("cornell, default", "cornell_32spp", [16, 20, 64, 64], keep, Params::default());
+    check("cornell, default", "cornell_32spp", [16, 20, 64, 64], keep, DfcParams::default());
 }
 
 #[test]
 fn everything_with_the_thesis_preset() {
-    check("depth of field, thesis", "dof_spheres_32spp", [40, 30, 32, 32], EVERYTHING, small(Params::thesis()));
+    check("depth of field, thesis", "dof_spheres_32spp", [40, 30, 32, 32], EVERYTHING, small(DfcParams::thesis()));
 }
 
 #[test]
 fn halves_without_variance() {
-    check("halves only", "caustic_ring_32spp", [20, 30, 40, 33], Keep { variance: false, ..EVERYTHING }, small(Params::default()));
+    check("halves only", "caustic_ring_32spp", [20, 30, 40, 33], Keep { variance: false, ..EVERYTHING }, small(DfcParams::default()));
 }
 
 #[test]
 fn variance_without_halves() {
-    check("variance only", "dof_spheres_32spp", [30, 20, 40, 33], Keep { halves: false, ..EVERYTHING }, small(Params::default()));
+    check("variance only", "dof_spheres_32spp", [30, 20, 40, 33], Keep { halves: false, ..EVERYTHING }, small(DfcParams::default()));
 }
 
 #[test]
 fn no_features() {
-    check("no features", "cornell_8spp", [20, 0, 33, 40], Keep { features: &[], ..EVERYTHING }, small(Params::default()));
+    check("no features", "cornell_8spp", [20, 0, 33, 40], Keep { features: &[], ..EVERYTHING }, small(DfcParams::default()));
 }
 
 /// Neither halves nor variance: the feature is taken as it is, and the colour with what it has.
@@ -271,5 +271,5 @@ fn one_feature_without_noise() {
     let feature = &exact.features()[0];
     let normal = stein::frame::Signal { mean: feature.signal.mean.clone(), half_spread: None, variance_of_mean: None };
     let exact = crate::frames::new_frame(exact.color().clone(), vec![("shape".into(), normal)]);
-    Compared::new("a feature without noise", &exact, small(Params::default())).check(&exact);
+    Compared::new("a feature without noise", &exact, small(DfcParams::default())).check(&exact);
 }

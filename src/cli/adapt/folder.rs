@@ -5,9 +5,9 @@ use std::path::{Path, PathBuf, absolute};
 use serde::Serialize;
 use serde_json::{Map, Value};
 use stein::buffers::{BufferSet, BufferSetRequest};
-use stein::method::dfc::Intermediate;
+use stein::method::Intermediate;
 use stein::sampling::{MapFile, Resumed, Samples, SamplingMap};
-use stein::{Estimate, Params};
+use stein::{Estimate, Method};
 
 use super::super::render::SequenceName;
 use super::super::{Failure, output};
@@ -26,7 +26,7 @@ pub(crate) struct Setup<'a> {
     pub(crate) cap: u32,
     pub(crate) seed: u64,
     pub(crate) sequence: SequenceName,
-    pub(crate) parameters: Params,
+    pub(crate) parameters: Method,
 }
 
 /// Where a run's files are.
@@ -116,13 +116,13 @@ impl Folder {
     }
 
     /// All samples so far, and the image from them.
-    pub(crate) fn write(&self, label: &str, samples: &Samples, estimate: &Estimate, params: &Params) -> Result<(), Failure> {
+    pub(crate) fn write(&self, label: &str, samples: &Samples, estimate: &Estimate, method: &Method) -> Result<(), Failure> {
         let file = self.samples(label);
         samples.write(&file, &[(ATTRIBUTE.to_owned(), self.setup.clone())]).map_err(Failure::output)?;
         // They are among the others now.
         let _ = std::fs::remove_file(self.path.join(format!("new_{label}.exr")));
         let set = BufferSet::read(&BufferSetRequest { input: file, ..Default::default() })?;
-        output::write(&set, &self.path.join(format!("denoised_{label}.exr")), estimate, &[Intermediate::Density], params).map(drop)
+        output::write(&set, &self.path.join(format!("denoised_{label}.exr")), estimate, &[Intermediate::Density], method).map(drop)
     }
 }
 

@@ -11,7 +11,7 @@ const LARGEST_WINDOW_RADIUS: u32 = 64;
 /// The largest patch radius: a window of distances of 2f+1 rows lives in registers.
 const LARGEST_PATCH_RADIUS: u32 = 5;
 
-/// Parameters of DFC (thesis chapter 8). [`Params::default`] is what measured best, [`Params::thesis`] is Algorithm 1 to the letter.
+/// Parameters of DFC (thesis chapter 8). [`DfcParams::default`] is what measured best, [`DfcParams::thesis`] is Algorithm 1 to the letter.
 ///
 /// | parameter | default | thesis | range | meaning |
 /// | --- | --- | --- | --- | --- |
@@ -27,7 +27,7 @@ const LARGEST_PATCH_RADIUS: u32 = 5;
 /// | `guard` | 4, 0.3; 8, 4 | none | ≥ 0 | keeps candidates out of the blend that are clearly worse, by the smoothed errors and by the pixel's own |
 /// | `second_pass` | ⌈R/2⌉, f 3, clamped | R, f 1 | | filters what noise pass 1 left; needs halves |
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Params {
+pub struct DfcParams {
     /// R, in pixels.
     pub window_radius: u32,
     /// k_c of FIRST and SECOND.
@@ -64,22 +64,12 @@ pub struct SecondPass {
 }
 
 impl SecondPass {
-    pub(crate) fn window_radius(&self, window_radius: u32) -> u32 {
+    pub(super) fn window_radius(&self, window_radius: u32) -> u32 {
         if self.half_window { window_radius.div_ceil(2) } else { window_radius }
     }
 }
 
-/// Named parameter sets.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Preset {
-    /// What measured best.
-    Default,
-    /// Algorithm 1 to the letter, its misprint in line 26 mended.
-    Thesis,
-}
-
-impl Default for Params {
+impl Default for DfcParams {
     fn default() -> Self {
         Self {
             feature_tau_third: 5e-4,
@@ -91,7 +81,7 @@ impl Default for Params {
     }
 }
 
-impl Params {
+impl DfcParams {
     /// Algorithm 1 to the letter, its misprint in line 26 mended. It prints τ as 10E−3 and 10E−4.
     pub fn thesis() -> Self {
         Self {
@@ -105,14 +95,6 @@ impl Params {
             weighting: Weighting { symmetric: false, centre: CentreWeight::One },
             guard: None,
             second_pass: Some(SecondPass { half_window: false, patch_radius: 1, color_k: 0.45, clamp_to_input: false }),
-        }
-    }
-
-    /// The named set.
-    pub fn preset(preset: Preset) -> Self {
-        match preset {
-            Preset::Default => Self::default(),
-            Preset::Thesis => Self::thesis(),
         }
     }
 

@@ -1,0 +1,37 @@
+//! What the methods have in common.
+
+use std::sync::Arc;
+
+use glam::IVec2;
+
+use super::GpuSignal;
+use crate::error::Result;
+use crate::gpu::{Buffer, Recorder};
+use crate::stage::nlm::Guide;
+use crate::stage::variance::{INPUT_SMOOTHING, variance_scale, variance_smooth};
+
+/// Half width of the box over which variances are brought to scale (thesis 8.2: 21×21), in pixels.
+pub(super) const SCALE_RADIUS: u32 = 10;
+
+/// A filter by colour patches alone.
+pub(super) struct Auxiliary {
+    pub(super) window_radius: u32,
+    pub(super) patch_radius: u32,
+    pub(super) k: f32,
+}
+
+impl Auxiliary {
+    pub(super) fn guide<'a>(&self, signal: &'a Buffer, variance_of_mean: &'a Buffer, channels: u32) -> Guide<'a> {
+        Guide { signal, variance_of_mean, channels, k: self.k, patch_radius: self.patch_radius, small_patch_radius: None }
+    }
+}
+
+/// The variance of the mean as the filters want it (thesis 8.2), from what there is.
+pub(super) fn input_variance(rec: &mut Recorder, extent: IVec2, signal: &GpuSignal) -> Result<Arc<Buffer>> {
+    let variance = match (&signal.variance_of_mean, signal.has_halves) {
+        (Some(sample_variance), true) => variance_scale(rec, extent, &signal.signal, sample_variance, SCALE_RADIUS)?,
+        (None, _) => variance_smooth(rec, extent, &signal.signal, INPUT_SMOOTHING, None)?,
+        (Some(sample_variance), false) => return Ok(sample_variance.clone()),
+    };
+    Ok(Arc::new(variance))
+}

@@ -1,0 +1,133 @@
+//! What a method hands back, and the intermediates that can be kept of it.
+
+use std::sync::Arc;
+
+use crate::gpu::Buffer;
+
+/// Intermediates that can be kept for inspection. Which of them there are depends on the method: [`Method::intermediates`](super::Method::intermediates).
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Intermediate {
+    /// Scaled variance of the colour's mean.
+    Variance,
+    /// Prefiltered features and their residual variances.
+    Features,
+    /// FIRST, SECOND and THIRD.
+    Candidates,
+    /// dF_i/du_i of the candidates.
+    Derivatives,
+    /// SURE of the candidates, as computed and smoothed.
+    Sure,
+    /// Selection maps: binary, and as they entered the blend.
+    Selection,
+    /// The blend before the second pass.
+    Pass1,
+    /// Where the next samples pay most.
+    Density,
+}
+
+impl Intermediate {
+    /// All of them, whatever the method.
+    pub const ALL: [Self; 8] = [Self::Variance, Self::Features, Self::Candidates, Self::Derivatives, Self::Sure, Self::Selection, Self::Pass1, Self::Density];
+
+    /// Its name on the command line.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Variance => "variance",
+            Self::Features => "features",
+            Self::Candidates => "candidates",
+            Self::Derivatives => "derivatives",
+            Self::Sure => "sure",
+            Self::Selection => "selection",
+            Self::Pass1 => "pass1",
+            Self::Density => "density",
+        }
+    }
+}
+
+/// What the values of a kept plane mean, so that they can be brought back to the units of the file.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Unit {
+    /// As the colour.
+    Color,
+    /// As the square of the colour.
+    ColorSquared,
+    /// As the unit-range value of this feature.
+    Feature(usize),
+    /// As the square of the unit-range value of this feature.
+    FeatureSquared(usize),
+    /// A pure number.
+    Number,
+}
+
+/// One plane that was kept.
+#[derive(Debug)]
+pub struct KeptPlane {
+    /// What it is part of.
+    pub intermediate: Intermediate,
+    /// Layer name.
+    pub layer: String,
+    /// Names of the channels in x, y, z.
+    pub channels: Vec<String>,
+    /// What the values mean.
+    pub unit: Unit,
+    /// Where it is.
+    pub buffer: Arc<Buffer>,
+    /// Which plane of the buffer.
+    pub plane: u32,
+}
+
+/// One number per pixel: a component of a plane.
+#[derive(Clone, Debug)]
+pub struct Lane {
+    /// Where it is.
+    pub buffer: Arc<Buffer>,
+    /// Which plane of the buffer.
+    pub plane: u32,
+    /// 0 to 3, x to w.
+    pub component: u32,
+}
+
+/// What a method knows of the true image, on the GPU.
+#[derive(Debug)]
+pub struct GpuEstimate {
+    /// The denoised signal: mean, behind it the half spread (0 without halves).
+    pub signal: Arc<Buffer>,
+    /// The estimated squared error, summed over the channels. May be negative.
+    pub error: Lane,
+    /// Σ w: how many pixels took part in a pixel's average.
+    pub weight_sum: Lane,
+    /// One plane: the shares of FIRST, SECOND and THIRD, where the method has them.
+    pub selection: Option<Arc<Buffer>>,
+    /// What was asked for.
+    pub kept: Vec<KeptPlane>,
+}
+
+/// Collects the planes that were asked for.
+pub(super) struct Keeper<'a> {
+    wanted: &'a [Intermediate],
+    kept: Vec<KeptPlane>,
+}
+
+impl<'a> Keeper<'a> {
+    pub(super) fn new(wanted: &'a [Intermediate]) -> Self {
+        Self { wanted, kept: Vec::new() }
+    }
+
+    pub(super) fn wants(&self, intermediate: Intermediate) -> bool {
+        self.wanted.contains(&intermediate)
+    }
+
+    /// Keeps a plane if it was asked for.
+    pub(super) fn keep(&mut self, intermediate: Intermediate, layer: impl Into<String>, channels: &[&str], unit: Unit, buffer: &Arc<Buffer>, plane: u32) {
+        if self.wants(intermediate) {
+            let channels = channels.iter().map(ToString::to_string).collect();
+            self.kept.push(KeptPlane { intermediate, layer: layer.into(), channels, unit, buffer: buffer.clone(), plane });
+        }
+    }
+
+    pub(super) fn into_kept(self) -> Vec<KeptPlane> {
+        self.kept
+    }
+}
+
+pub(super) const RGB: [&str; 3] = ["R", "G", "B"];
