@@ -16,7 +16,7 @@ use super::Strip;
 pub struct GpuSignal {
     /// Two planes of one vec4 per pixel, rows from the top: the mean in x, y, z (unused channels 0), behind it the half spread
     /// `(A − B)·√(n_A·n_B)/n`, all 0 without halves. Everything finite.
-    pub signal: Buffer,
+    pub signal: Arc<Buffer>,
     /// One plane: sample variance of the mean, s²/n.
     pub variance_of_mean: Option<Arc<Buffer>>,
     /// Whether the second plane of `signal` says anything.
@@ -129,7 +129,7 @@ fn upload_signal(rec: &mut Recorder, label: &str, signal: &Signal, strip: &Strip
             Some(Arc::new(rec.upload(&format!("variance of {label}"), &packed)?))
         }
     };
-    Ok(GpuSignal { signal: rec.upload(label, &packed)?, variance_of_mean, has_halves: signal.half_spread.is_some() })
+    Ok(GpuSignal { signal: Arc::new(rec.upload(label, &packed)?), variance_of_mean, has_halves: signal.half_spread.is_some() })
 }
 
 fn interleave(planes: &[Vec<f32>], pixels: &std::ops::Range<usize>, map: Affine, packed: &mut [f32]) {

@@ -167,7 +167,7 @@ fn a_renderer_that_keeps_its_buffers_gets_the_same_bits() {
         gpu.import("a renderer's", buffer).unwrap_or_else(|error| panic!("{error}"))
     };
     let gpu_signal = |mean: &[Grid]| GpuSignal {
-        signal: own(&packed_signal(mean, &color.spread)),
+        signal: Arc::new(own(&packed_signal(mean, &color.spread))),
         variance_of_mean: Some(Arc::new(own(&packed(&color.variance)))),
         has_halves: true,
     };
