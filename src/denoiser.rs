@@ -171,6 +171,15 @@ impl Denoiser {
         Ok(assembly.finish(strips.len(), stage_times, peak_bytes))
     }
 
+    /// Denoises the frame `centre` of a window of consecutive frames, in temporal order.
+    ///
+    /// # Errors
+    /// As [`Denoiser::denoise_with`].
+    pub fn denoise_window(&self, frames: &[&Frame], centre: usize, options: Options) -> Result<Estimate> {
+        // Stands in until the methods filter over several frames.
+        self.denoise_with(frames[centre], options)
+    }
+
     /// Records the work on a frame that is on the GPU already; nothing is read back. For a renderer that embeds the denoiser: record with [`Gpu::record_whole`], then put
     /// the commands into an encoder of its own with [`Recorder::encode_into`]. The frame must fit the binding limit as a whole.
     ///

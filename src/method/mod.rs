@@ -66,6 +66,13 @@ impl Method {
         }
     }
 
+    /// Whether it filters over several frames.
+    pub fn filters_time(&self) -> bool {
+        match self {
+            Self::Dfc(_) => true,
+        }
+    }
+
     /// The intermediates that it has.
     pub fn intermediates(&self) -> &'static [Intermediate] {
         match self {
