@@ -140,7 +140,7 @@ fn denoise(args: &Args, out: &mut Out) -> Result<(), Failure> {
         out.silence();
     }
     let method = args.filter.method()?;
-    if args.temporal_radius > 0 && !method.filters_time() {
+    if args.temporal_radius > 0 && !method.filters_in_time() {
         let name = method.name();
         return Err(Failure::usage(format_args!(
             "--temporal-radius: {name} has no filter over several frames\n  remedy: leave the option out, or choose another method"
@@ -148,21 +148,20 @@ fn denoise(args: &Args, out: &mut Out) -> Result<(), Failure> {
     }
     let keep = args.keep(&method)?;
     let plan = Plan::new(args, input)?;
-    std::thread::scope(|scope| Job { args, method, keep, plan: &plan, frames: Frames::start(scope, &plan.reads) }.run(input, out))
+    let job = Job { args, method, keep, plan: &plan };
+    std::thread::scope(|scope| job.run(Frames::start(scope, &plan.reads), input, out))
 }
 
-/// A run, with its reader at work.
 struct Job<'a> {
     args: &'a Args,
     method: Method,
     /// Intermediates that go into the output.
     keep: Vec<Intermediate>,
     plan: &'a Plan,
-    frames: Frames,
 }
 
 impl Job<'_> {
-    fn run(mut self, input: &Path, out: &mut Out) -> Result<(), Failure> {
+    fn run(&self, mut frames: Frames, input: &Path, out: &mut Out) -> Result<(), Failure> {
         let mut to_do: Vec<&PlannedFrame> = self.plan.frames.iter().filter(|frame| !frame.is_left_alone()).collect();
         if self.args.dry_run {
             // One frame shows how they all would be used.
@@ -170,7 +169,7 @@ impl Job<'_> {
         }
         // A file that cannot be used is told before a device that cannot.
         if let Some(first) = to_do.first() {
-            self.wait_for(first, out)?;
+            self.wait_for(&mut frames, first, out)?;
         }
         let gpu = self.args.device.open()?;
         let denoiser = self.args.device.denoiser(&gpu, self.method)?;
@@ -188,8 +187,13 @@ impl Job<'_> {
         let mut reports: Vec<FrameReport> = Vec::new();
         for planned in to_do {
             progress.begin(planned, out);
-            let report = self.frame(planned, &denoiser, reports.last(), &mut progress, &mut comparison, out);
-            let report = report.inspect_err(|_| progress.finish()).map_err(|failure| failure.in_frame(planned.number))?;
+            let report = self
+                .wait_for(&mut frames, planned, out)
+                .and_then(|window| {
+                    let report = self.frame(planned, window, &denoiser, reports.last(), &mut progress, &mut comparison, out);
+                    report.map_err(|failure| failure.in_frame(planned.number))
+                })
+                .inspect_err(|_| progress.finish())?;
             let text = report.text(&settings.device, self.args.verbose);
             progress.say(
                 out,
@@ -219,37 +223,42 @@ impl Job<'_> {
     }
 
     /// The frames that one is denoised with. Tells what a file holds that cannot be used.
-    fn wait_for(&mut self, planned: &PlannedFrame, out: &mut Out) -> Result<&mut [ReadFrame], Failure> {
-        let window = self.frames.move_to(&planned.window).map_err(|Unusable { described, failure }| {
+    fn wait_for<'f>(&self, frames: &'f mut Frames, planned: &PlannedFrame, out: &mut Out) -> Result<&'f mut [ReadFrame], Failure> {
+        let window = frames.move_to(&planned.window).map_err(|Unusable { described, failure }| {
             if let Some(described) = described {
                 out.say(described.text(self.args.verbose));
             }
             failure
         })?;
-        let expected = window[planned.centre].data_window;
-        match window.iter().find(|frame| frame.data_window != expected) {
-            None => Ok(window),
-            Some(other) => Err(Failure::input(format_args!(
-                "{} of pixels are given, but {expected} in the frame beside it{}\n  remedy: give all frames the same resolution and crop, or leave --temporal-radius out",
-                other.data_window,
-                planned.number.map_or_else(String::new, |number| format!(", {number}"))
-            ))
-            .in_frame(other.number)),
+        let own = &window[planned.centre];
+        for other in &*window {
+            let problem = if other.data_window != own.data_window {
+                format!("its pixels are {}, but {}", other.data_window, own.data_window)
+            } else if other.frame.noise_knowledge() != own.frame.noise_knowledge() {
+                "halves or variance of the colour are not known as they are".to_owned()
+            } else {
+                continue;
+            };
+            let number = own.number.map_or_else(String::new, |number| number.to_string());
+            let remedy = "give all frames the same resolution, crop and layers, or leave --temporal-radius out";
+            return Err(Failure::input(format_args!("{problem} in frame {number}, which is to be filtered with it\n  remedy: {remedy}")).in_frame(other.number));
         }
+        Ok(window)
     }
 
     /// Denoises a frame, writes it, and compares it with its reference.
+    #[expect(clippy::too_many_arguments, reason = "what lives as long as the frame, and what lives as long as the run")]
     fn frame(
-        &mut self,
+        &self,
         planned: &PlannedFrame,
+        window: &mut [ReadFrame],
         denoiser: &Denoiser,
         before: Option<&FrameReport>,
         progress: &mut Progress,
         comparison: &mut Comparison,
         out: &mut Out,
     ) -> Result<FrameReport, Failure> {
-        let (args, keep, method) = (self.args, self.keep.clone(), self.method);
-        let window = self.wait_for(planned, out)?;
+        let Self { args, keep, method, .. } = self;
         let own = &mut window[planned.centre];
         let Some((set, described)) = own.original.take() else { unreachable!("frames that are denoised are read with all that is in their files") };
         let reference = own.reference.take();
@@ -276,7 +285,7 @@ impl Job<'_> {
         let options = Options { keep: &needed, progress: if is_wanted { Some(&mut tell) } else { None } };
         let estimate = denoiser.denoise_window(&frames, planned.centre, options)?;
         let run = Run::new(&estimate, start.elapsed().as_secs_f64());
-        let output = output::write(&set, &planned.output, &estimate, &keep, &method)?;
+        let output = output::write(&set, &planned.output, &estimate, keep, method)?;
         let errors = reference.as_ref().map(|reference| quality::compare(frame, &estimate, reference)).transpose()?;
         if let (Some(number), Some(reference), Some(errors)) = (planned.number, reference, &errors) {
             let images = [frame.color().mean.clone(), estimate.color];

@@ -66,8 +66,8 @@ impl Method {
         }
     }
 
-    /// Whether it filters over several frames.
-    pub fn filters_time(&self) -> bool {
+    /// Whether its window can hold neighbouring frames of a shot.
+    pub fn filters_in_time(&self) -> bool {
         match self {
             Self::Dfc(_) => true,
         }
