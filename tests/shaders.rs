@@ -45,6 +45,7 @@ fn definitions(stage: &str) -> Option<Vec<Definitions>> {
             ("SMALL_PATCH_RADIUS", numbers(&[0, 1])),
             ("FEATURE_GROUPS", numbers(&[0, 1, 2, 8])),
             ("SYMMETRIC", flags()),
+            ("OTHER_FRAME", flags()),
         ])),
         _ => None,
     }

@@ -273,7 +273,7 @@ impl Job<'_> {
         let frames: Vec<&Frame> = window.iter().map(|frame| &frame.frame).collect();
         let frame = frames[planned.centre];
         if args.dry_run {
-            return Ok(FrameReport { input: *described, strips: denoiser.strip_count(frame, &needed)?, run: None, output: None, errors: None });
+            return Ok(FrameReport { input: *described, strips: denoiser.strip_count(frame, frames.len() - 1, &needed)?, run: None, output: None, errors: None });
         }
 
         let start = Instant::now();

@@ -13,10 +13,10 @@ use super::{GpuFeature, GpuFrame};
 use crate::error::Result;
 use crate::frame::Frame;
 use crate::gpu::{Buffer, Recorder};
-use crate::stage::candidate::{CandidateFilter, STATE_PLANES, candidates};
+use crate::stage::candidate::{CandidateBeside, CandidateFilter, STATE_PLANES, candidates};
 use crate::stage::error::error_sure;
 use crate::stage::feature::{Features, Packing, feature_pack};
-use crate::stage::nlm::{Schedule, Weighting, nlm_filter};
+use crate::stage::nlm::{Payload, Schedule, Weighting, nlm_filter};
 use crate::stage::sample::sample_density;
 use crate::stage::select::{select_blend, select_least};
 use crate::stage::variance::{INPUT_SMOOTHING, RESIDUAL_SMOOTHING, variance_smooth};
@@ -48,13 +48,14 @@ const BY_CANDIDATE: [&str; 3] = ["first", "second", "third"];
 /// Algorithm 1. Degrades by what the frame knows of its noise: without halves the variances are taken as they are and there is no second pass; without sample variance
 /// the smoothed two-buffer variance takes its place.
 ///
-/// `progress` is called with the share of the work that is recorded.
+/// The frames `beside` are in the same units and have the same features. `progress` is called with the share of the work that is recorded.
 ///
 /// # Errors
 /// Those of recording.
 pub fn dfc(
     rec: &mut Recorder,
     frame: GpuFrame,
+    beside: Vec<GpuFrame>,
     params: &DfcParams,
     wanted: &[Intermediate],
     schedule: Schedule,
@@ -72,6 +73,10 @@ pub fn dfc(
     // Feature prefiltering.
     let features = prefilter(rec, extent, features, weighting, schedule, &mut keeper)?;
 
+    // Space-time filtering (8.6): the candidates' window gains frames. What belongs to a pixel comes from its own frame.
+    let beside = beside.into_iter().map(|frame| Prepared::new(rec, frame, weighting, schedule)).collect::<Result<Vec<_>>>()?;
+    let neighbours: Vec<_> = beside.iter().map(Prepared::as_neighbours).collect();
+
     // Candidate filters.
     let filter = CandidateFilter {
         window_radius: params.window_radius,
@@ -83,8 +88,8 @@ pub fn dfc(
         feature_tau_third: params.feature_tau_third,
         weighting,
     };
-    let candidates = candidates(rec, extent, signal, &variance, features.as_ref(), &filter, schedule, progress)?;
-    drop(features);
+    let candidates = candidates(rec, extent, signal, &variance, features.as_ref(), &neighbours, &filter, schedule, progress)?;
+    drop((features, beside));
     for (name, candidate) in BY_CANDIDATE.iter().zip(&candidates.signals) {
         keeper.keep(Intermediate::Candidates, *name, &RGB, Unit::Color, candidate, 0);
     }
@@ -95,7 +100,7 @@ pub fn dfc(
     // Filtered SURE error estimates.
     let sure = Arc::new(error_sure(rec, extent, signal, &variance, &candidates)?);
     let guide = |filter: &Auxiliary| filter.guide(signal, &variance, 3);
-    let errors = nlm_filter(rec, extent, &guide(&ERROR_SMOOTHING), &sure, 1, ERROR_SMOOTHING.window_radius, weighting, false, schedule)?;
+    let errors = nlm_filter(rec, extent, &guide(&ERROR_SMOOTHING), &Payload::new(&sure, 1), ERROR_SMOOTHING.window_radius, weighting, false, schedule)?;
     let errors = Arc::new(errors.planes);
     keeper.keep(Intermediate::Sure, "sure", &BY_CANDIDATE, Unit::ColorSquared, &sure, 0);
     keeper.keep(Intermediate::Sure, "sure_smoothed", &BY_CANDIDATE, Unit::ColorSquared, &errors, 0);
@@ -103,7 +108,8 @@ pub fn dfc(
     // Binary selection maps.
     let selected = Arc::new(select_least(rec, extent, &errors, &candidates.derivatives)?);
     // Filter selection maps.
-    let smoothed = nlm_filter(rec, extent, &guide(&SELECTION_SMOOTHING), &selected, 1, SELECTION_SMOOTHING.window_radius, weighting, false, schedule)?;
+    let smoothed =
+        nlm_filter(rec, extent, &guide(&SELECTION_SMOOTHING), &Payload::new(&selected, 1), SELECTION_SMOOTHING.window_radius, weighting, false, schedule)?;
     // Candidate filter averaging.
     let blend = select_blend(rec, extent, &smoothed.planes, &selected, &errors, &sure, &variance, &candidates, params.guard)?;
     let selection = Arc::new(blend.selection);
@@ -114,7 +120,8 @@ pub fn dfc(
     // Adaptive sampling (thesis 8.6).
     if keeper.wants(Intermediate::Density) {
         let density = sample_density(rec, extent, &blend.signal, (!color.has_halves).then_some(&*selection), &samples)?;
-        let smoothed = nlm_filter(rec, extent, &guide(&DENSITY_SMOOTHING), &density, 1, DENSITY_SMOOTHING.window_radius, weighting, false, schedule)?;
+        let smoothed =
+            nlm_filter(rec, extent, &guide(&DENSITY_SMOOTHING), &Payload::new(&density, 1), DENSITY_SMOOTHING.window_radius, weighting, false, schedule)?;
         keeper.keep(Intermediate::Density, "density", &["V"], Unit::Number, &Arc::new(smoothed.planes), 0);
     }
 
@@ -127,9 +134,29 @@ pub fn dfc(
     let left_variance = variance_smooth(rec, extent, &pass1, RESIDUAL_SMOOTHING, upper_bound)?;
     let filter = Auxiliary { window_radius: second_pass.window_radius(params.window_radius), patch_radius: second_pass.patch_radius, k: second_pass.color_k };
     let guide = filter.guide(&pass1, &left_variance, 3);
-    let pass2 = nlm_filter(rec, extent, &guide, &pass1, 2, filter.window_radius, weighting, false, schedule)?;
+    let pass2 = nlm_filter(rec, extent, &guide, &Payload::new(&pass1, 2), filter.window_radius, weighting, false, schedule)?;
     keeper.keep(Intermediate::Pass1, "pass1", &RGB, Unit::Color, &pass1, 0);
     Ok(estimate(Arc::new(pass2.planes), pass1, selection, keeper))
+}
+
+/// What the candidates need of a frame beside.
+struct Prepared {
+    signal: Buffer,
+    variance: Arc<Buffer>,
+    features: Option<Features>,
+}
+
+impl Prepared {
+    fn new(rec: &mut Recorder, frame: GpuFrame, weighting: Weighting, schedule: Schedule) -> Result<Self> {
+        let GpuFrame { extent, color, features, samples: _ } = frame;
+        let variance = input_variance(rec, extent, &color)?;
+        let features = prefilter(rec, extent, features, weighting, schedule, &mut Keeper::new(&[]))?;
+        Ok(Self { signal: color.signal, variance, features })
+    }
+
+    fn as_neighbours(&self) -> CandidateBeside<'_> {
+        CandidateBeside { signal: &self.signal, variance_of_mean: &self.variance, features: self.features.as_ref() }
+    }
 }
 
 /// The error and Σ w are those of pass 1.
@@ -165,7 +192,7 @@ fn prefilter(
         let (filtered, residual_variance) = if noisy {
             let variance = input_variance(rec, extent, &signal)?;
             let guide = PREFILTER.guide(&signal.signal, &variance, channels);
-            let filtered = nlm_filter(rec, extent, &guide, &signal.signal, 2, PREFILTER.window_radius, weighting, !signal.has_halves, schedule)?;
+            let filtered = nlm_filter(rec, extent, &guide, &Payload::new(&signal.signal, 2), PREFILTER.window_radius, weighting, !signal.has_halves, schedule)?;
             let residual = match filtered.residual_variance {
                 Some(residual) => residual,
                 None => variance_smooth(rec, extent, &filtered.planes, RESIDUAL_SMOOTHING, None)?,
@@ -188,7 +215,7 @@ fn prefilter(
 }
 
 /// Counted from [`dfc`]: what is dropped is used again.
-pub(super) fn footprint(params: &DfcParams, frame: &Frame, kept: bool, schedule: Schedule) -> Footprint {
+pub(super) fn footprint(params: &DfcParams, frame: &Frame, beside: usize, kept: bool, schedule: Schedule) -> Footprint {
     let channels: Vec<u32> = frame.features().iter().map(|feature| feature.signal.mean.channels() as u32).collect();
     let packed = 3 * u64::from(Packing::new(&channels).groups);
     // The colour's scaled variance.
@@ -205,7 +232,8 @@ pub(super) fn footprint(params: &DfcParams, frame: &Frame, kept: bool, schedule:
     let running_sums = schedule.scratch_bytes * u64::from(STATE_PLANES) / offsets_in_a_row;
     Footprint {
         halo: halo(params) as usize,
-        live_planes: input + packed + later.max(prefilter) + kept,
+        // Of each frame beside, the prepared features stay with its input.
+        live_planes: (input + packed) * (1 + beside as u64) + later.max(prefilter) + kept,
         largest_planes: packed.max(3),
         scratch_bytes: 2 * schedule.scratch_bytes + running_sums,
     }

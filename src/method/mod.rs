@@ -17,6 +17,7 @@ use crate::stage::nlm::Schedule;
 
 pub use dfc::DfcParams;
 pub use estimate::{GpuEstimate, Intermediate, KeptPlane, Lane, Unit};
+pub(crate) use frame::Units;
 pub use frame::{GpuFeature, GpuFrame, GpuSignal};
 use memory::Footprint;
 pub(crate) use memory::{Strip, strips};
@@ -66,13 +67,6 @@ impl Method {
         }
     }
 
-    /// Whether its window can hold neighbouring frames of a shot.
-    pub fn filters_in_time(&self) -> bool {
-        match self {
-            Self::Dfc(_) => true,
-        }
-    }
-
     /// The intermediates that it has.
     pub fn intermediates(&self) -> &'static [Intermediate] {
         match self {
@@ -98,23 +92,31 @@ impl Method {
         }
     }
 
-    fn footprint(&self, frame: &Frame, kept: bool, schedule: Schedule) -> Footprint {
+    fn footprint(&self, frame: &Frame, beside: usize, kept: bool, schedule: Schedule) -> Footprint {
         match self {
-            Self::Dfc(params) => dfc::footprint(params, frame, kept, schedule),
+            Self::Dfc(params) => dfc::footprint(params, frame, beside, kept, schedule),
         }
     }
 
-    /// Records the work on a frame. `progress` is called with the share of it that is recorded.
+    /// Whether its window can hold neighbouring frames of a shot.
+    pub fn filters_in_time(&self) -> bool {
+        match self {
+            Self::Dfc(_) => true,
+        }
+    }
+
+    /// Records the work on a frame, in a window with the frames `beside`, which are in its units. `progress` is called with the share of it that is recorded.
     pub(crate) fn record(
         &self,
         rec: &mut Recorder,
         frame: GpuFrame,
+        beside: Vec<GpuFrame>,
         wanted: &[Intermediate],
         schedule: Schedule,
         progress: impl FnMut(&mut Recorder, f32) -> Result<()>,
     ) -> Result<GpuEstimate> {
         match self {
-            Self::Dfc(params) => dfc::dfc(rec, frame, params, wanted, schedule, progress),
+            Self::Dfc(params) => dfc::dfc(rec, frame, beside, params, wanted, schedule, progress),
         }
     }
 }
