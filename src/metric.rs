@@ -27,7 +27,8 @@ pub fn mse(image: &Image, reference: &Image) -> Result<f64> {
 /// ((x_t − ref_t) − (x_{t−1} − ref_{t−1}))² / (ref_t² + 0.01)
 ///
 /// for `images` x_{t−1}, x_t and `references` ref_{t−1}, ref_t. 0 where the error stands still, be it large; of errors that are independent from frame to frame it is
-/// about the sum of both frames' [`relative_mse`]. Of a shot: its mean over all pairs of consecutive frames.
+/// about the sum of both frames' [`relative_mse`]. Where something bright leaves a pixel, its error of before counts by what is there now, and may outweigh the whole rest of the
+/// picture. Of a shot: the mean over all pairs of consecutive frames.
 ///
 /// # Errors
 /// Images of different extent or channel count, or without pixels.

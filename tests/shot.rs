@@ -64,6 +64,7 @@ fn a_shot_in_pieces_is_the_shot_as_a_whole() {
     denoise(&folder, "still", &["--frames=1"]).succeeded();
     stein(&["denoise", &path(&folder, "shot", 1), "-o", &folder.path("single.exr"), RADIUS]).succeeded();
     assert_eq!(channels(&path(&folder, "still", 1)), channels(&folder.path("single.exr")));
+    assert_ne!(channels(&path(&folder, "still", 1)), channels(&path(&folder, "whole", 1)), "neighbours take part");
 }
 
 #[test]

@@ -51,7 +51,7 @@ pub(crate) struct Args {
     /// Leave an existing output alone; of a shot, denoise the frames that have none
     #[arg(long)]
     no_clobber: bool,
-    /// Tell what would be done, and write nothing; of a shot, only the first frame is read
+    /// Tell what would be done, and write nothing; of a shot, only the first frame is read, and those that are filtered with it
     #[arg(short = 'n', long)]
     dry_run: bool,
     /// Noise-free reference: print the error before and after; of a shot also the flicker, over the frames that this run denoises
@@ -273,7 +273,13 @@ impl Job<'_> {
         let frames: Vec<&Frame> = window.iter().map(|frame| &frame.frame).collect();
         let frame = frames[planned.centre];
         if args.dry_run {
-            return Ok(FrameReport { input: *described, strips: denoiser.strip_count(frame, frames.len() - 1, &needed)?, run: None, output: None, errors: None });
+            return Ok(FrameReport {
+                input: *described,
+                strips: denoiser.strip_count(frame, frames.len() - 1, &needed)?,
+                run: None,
+                output: None,
+                errors: None,
+            });
         }
 
         let start = Instant::now();
