@@ -176,6 +176,7 @@ fn outputs_need_a_place_and_replace_nothing_that_is_read() {
     stein(&["denoise", &input, "-o", &folder.path("clean.#.png")]).failed(2, &[".exr"]);
     stein(&["denoise", &folder.path("shut.####.exr")]).failed(3, &["shut.####.exr", "there is no such frame"]);
     stein(&["denoise", &input, "--frames=5-1"]).failed(2, &["backwards"]);
+    stein(&["denoise", &input, "--temporal-radius=17"]).failed(2, &["0..=16"]);
     stein(&["denoise", &input, "--frames=-5"]).failed(2, &["numbered from 0"]);
     for option in ["--frames=1", "--temporal-radius=1"] {
         stein(&["denoise", &first, option]).failed(2, &["is a single image", "remedy: "]);

@@ -45,7 +45,7 @@ pub(crate) struct Args {
     /// OpenEXR file with the noisy colour and, usually, its halves, variance and features; or a pattern of such files, as 'shot.####.exr'
     #[arg(value_name = "IN", required_unless_present = "list_devices")]
     input: Option<PathBuf>,
-    /// Where to write [default: IN with `.denoised.exr` for its extension]; a folder takes that name, and only this option can replace the input
+    /// Where to write [default: IN with `.denoised.exr` for its extension]; a folder takes that name, and only this option can replace the input. Of a shot: a pattern or a folder, and no file that is read is replaced
     #[arg(short, long, value_name = "OUT")]
     output: Option<PathBuf>,
     /// Leave an existing output alone; of a shot, denoise the frames that have none
@@ -75,8 +75,8 @@ pub(crate) struct Args {
     /// Frames of the shot, such as 1-240, 1-9x2 (every second one) or 3,5,7 [default: all that exist]
     #[arg(long, value_name = "LIST", help_heading = "Shot")]
     frames: Option<FrameList>,
-    /// Frames before and after each that are filtered together with it; those that do not exist are left out
-    #[arg(long, value_name = "FRAMES", default_value_t = 0, help_heading = "Shot")]
+    /// Frames before and after each that are filtered together with it, up to 16; those that do not exist are left out
+    #[arg(long, value_name = "FRAMES", default_value_t = 0, value_parser = clap::value_parser!(u32).range(0..=16), help_heading = "Shot")]
     temporal_radius: u32,
     #[command(flatten)]
     filter: Filter,
