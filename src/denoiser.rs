@@ -119,12 +119,12 @@ impl Denoiser {
         Self { method: self.method.while_sampling(), ..self.clone() }
     }
 
-    /// Into how many strips a frame would be cut, with these intermediates kept.
+    /// Into how many strips a frame would be cut, with so many frames beside it in its window and with these intermediates kept.
     ///
     /// # Errors
     /// [`Error::Device`] where not even one row fits into the memory.
-    pub fn strip_count(&self, frame: &Frame, keep: &[Intermediate]) -> Result<usize> {
-        strips(&self.gpu, frame, &self.method, 0, !keep.is_empty(), self.schedule, self.max_memory).map(|strips| strips.len())
+    pub fn strip_count(&self, frame: &Frame, beside: usize, keep: &[Intermediate]) -> Result<usize> {
+        strips(&self.gpu, frame, &self.method, beside, !keep.is_empty(), self.schedule, self.max_memory).map(|strips| strips.len())
     }
 
     /// Denoises a frame.
