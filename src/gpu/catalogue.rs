@@ -29,5 +29,6 @@ pub(super) const STAGES: &[(&str, &str)] = sources!("shaders":
     "error_sure",
     "select_least",
     "select_blend",
+    "select_pass",
     "sample_density",
 );

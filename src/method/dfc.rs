@@ -18,7 +18,7 @@ use crate::stage::error::error_sure;
 use crate::stage::feature::{Features, Packing, feature_pack};
 use crate::stage::nlm::{Beside, Guide, Payload, Schedule, Weighting, nlm_filter};
 use crate::stage::sample::sample_density;
-use crate::stage::select::{select_blend, select_least};
+use crate::stage::select::{select_blend, select_least, select_pass};
 use crate::stage::variance::{INPUT_SMOOTHING, RESIDUAL_SMOOTHING, variance_smooth};
 
 pub use params::{DfcParams, SecondPass};
@@ -140,7 +140,11 @@ pub fn dfc(
     let guide = filter.guide(&pass1, &left_variance, 3);
     let pass2 = nlm_filter(rec, extent, &guide, &Payload::new(&pass1, 2), filter.window_radius, weighting, false, schedule)?;
     keeper.keep(Intermediate::Pass1, "pass1", &RGB, Unit::Color, &pass1, 0);
-    Ok(estimate(Arc::new(pass2.planes), pass1, selection, keeper))
+    let result = match second_pass.most_sigmas {
+        Some(sigmas) => select_pass(rec, extent, &pass1, &pass2.planes, &variance, sigmas)?,
+        None => pass2.planes,
+    };
+    Ok(estimate(Arc::new(result), pass1, selection, keeper))
 }
 
 /// The error and Σ w are those of pass 1.

@@ -10,11 +10,13 @@ use crate::gpu::{Buffer, Recorder, bindings, uniforms};
 
 uniforms! {
     struct SelectLeastParams { extent: IVec2 }
+    struct SelectPassParams { extent: IVec2, squared_sigmas: f32 }
     struct SelectBlendParams { extent: IVec2, smoothed_error: f32, smoothed_noise: f32, own_sigmas: f32, own_noise: f32 }
 }
 
 bindings! {
     struct SelectLeast<'a> { uniform params: SelectLeastParams, read errors, read derivatives, write selected }
+    struct SelectPass<'a> { uniform params: SelectPassParams, read pass1, read pass2, read variance_of_mean, write result }
     struct SelectBlend<'a> {
         uniform params: SelectBlendParams,
         read smoothed, read selected, read errors, read variance_of_mean, read first, read second, read third, read sure, write selection, write blended,
@@ -83,4 +85,14 @@ pub fn select_blend(
     let bound = SelectBlend { params, smoothed, selected, errors, variance_of_mean, first, second, third, sure, selection: &selection, blended: &signal };
     rec.dispatch(&kernel, &bound, per_pixel(extent))?;
     Ok(Blend { selection, signal })
+}
+
+/// Of two signals the second, except where its mean differs from the first one's by more than `sigmas` standard deviations of all the noise that the pixel may have: the
+/// input's, with its `variance_of_mean`, and what the spread of `pass1` shows. Distances and variances are summed over the channels. A signal.
+pub fn select_pass(rec: &mut Recorder, extent: IVec2, pass1: &Buffer, pass2: &Buffer, variance_of_mean: &Buffer, sigmas: f32) -> Result<Buffer> {
+    let result = rec.take("selected pass", plane_bytes(extent, 2))?;
+    let params = SelectPassParams { extent, squared_sigmas: sigmas * sigmas };
+    let kernel = rec.gpu().kernel::<SelectPass>("select_pass", &[])?;
+    rec.dispatch(&kernel, &SelectPass { params, pass1, pass2, variance_of_mean, result: &result }, per_pixel(extent))?;
+    Ok(result)
 }

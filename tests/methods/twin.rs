@@ -66,6 +66,7 @@ fn twin_params(params: &DfcParams) -> TwinParams {
             patch_radius: pass.patch_radius as usize,
             k_color: pass.color_k.into(),
             clamp_to_input: pass.clamp_to_input,
+            most_sigmas: pass.most_sigmas.map(f64::from),
         },
     }
 }

@@ -25,6 +25,8 @@ pub struct SecondPassParams {
     pub k_color: f64,
     /// No pixel may claim more noise than its input had.
     pub clamp_to_input: bool,
+    /// The most that it may change a pixel by, in standard deviations of the pixel's noise.
+    pub most_sigmas: Option<f64>,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -51,7 +53,7 @@ impl DfcParams {
             symmetric: false,
             centre: CentreWeight::One,
             guard: None,
-            second_pass: SecondPassParams { half_radius: false, patch_radius: 1, k_color: 0.45, clamp_to_input: false },
+            second_pass: SecondPassParams { half_radius: false, patch_radius: 1, k_color: 0.45, clamp_to_input: false, most_sigmas: None },
         }
     }
 
@@ -81,7 +83,7 @@ impl Default for DfcParams {
             symmetric: true,
             centre: CentreWeight::LargestNeighbour,
             guard: Some(Guard { smoothed_error: 4.0, smoothed_noise: 0.3, own_sigmas: 8.0, own_noise: 4.0 }),
-            second_pass: SecondPassParams { half_radius: true, patch_radius: 3, k_color: 0.45, clamp_to_input: true },
+            second_pass: SecondPassParams { half_radius: true, patch_radius: 3, k_color: 0.45, clamp_to_input: true, most_sigmas: Some(4.0) },
             ..thesis
         }
     }
@@ -185,7 +187,24 @@ pub fn second_pass(pass1: &Pass, input_variance: &[Grid], params: &DfcParams) ->
     let payload = [pass1.mean.as_slice(), spread].concat();
     let mut mean = nlm_filter(&payload, Some(guide), &[], &filter).planes;
     let spread = mean.split_off(pass1.mean.len());
-    Some(Pass { mean, spread: Some(spread) })
+    let pass2 = Pass { mean, spread: Some(spread) };
+    Some(match own.most_sigmas {
+        Some(sigmas) => limited(pass1, &pass2, input_variance, sigmas),
+        None => pass2,
+    })
+}
+
+/// Pass 2 where it changes pass 1 by no more than noise can explain.
+pub fn limited(pass1: &Pass, pass2: &Pass, input_variance: &[Grid], sigmas: f64) -> Pass {
+    let spread = |pass: &Pass| pass.spread.clone().unwrap_or_default();
+    let (spread1, spread2) = (spread(pass1), spread(pass2));
+    let plausible = |p| {
+        let correction: f64 = pass1.mean.iter().zip(&pass2.mean).map(|(a, b)| (b.at(p) - a.at(p)).powi(2)).sum();
+        let noise: f64 = input_variance.iter().zip(&spread1).map(|(variance, spread)| variance.at(p) + spread.at(p).powi(2)).sum();
+        correction <= sigmas * sigmas * noise
+    };
+    let choose = |a: &[Grid], b: &[Grid]| a.iter().zip(b).map(|(a, b)| a.like(|p| if plausible(p) { b.at(p) } else { a.at(p) })).collect();
+    Pass { mean: choose(&pass1.mean, &pass2.mean), spread: Some(choose(&spread1, &spread2)) }
 }
 
 /// Where the next samples pay most (section 8.6): the error of the blend relative to its square, times W(p) = Σ w/(1 + n_p), smoothed.

@@ -6,7 +6,7 @@ use stein::gpu::{Gpu, Recorder};
 use stein::stage::candidate::Candidates;
 use stein::stage::error::error_sure;
 use stein::stage::sample::{GpuSamples, sample_density};
-use stein::stage::select::{Guard, select_blend, select_least};
+use stein::stage::select::{Guard, select_blend, select_least, select_pass};
 
 use crate::common::{assert_near, checked_gpu, extent_of, flat, gpu, own_size, packed, packed_signal, read, rounded, run, scene, upload};
 use crate::reference::random::Random;
@@ -188,6 +188,29 @@ fn candidates_are_averaged_by_their_maps() {
         check_blend(gpu(), 7, 300, rule);
         check_blend(gpu(), 1, 1, rule);
         check_blend(checked_gpu(), 24, 20, rule);
+    }
+}
+
+#[test]
+fn a_second_pass_is_taken_where_noise_explains_it() {
+    for (gpu, width, height) in [(gpu(), 257, 89), (gpu(), 7, 300), (gpu(), 1, 1), (checked_gpu(), 24, 20)] {
+        // Of one scene, so that corrections and noise are of one size.
+        let (before, after) = (scene(width, height, 48), scene(width, height, 49));
+        let buffer = run(gpu, |rec| {
+            let pass1 = rec.upload("pass 1", &packed_signal(&before.mean, &before.spread))?;
+            let pass2 = rec.upload("pass 2", &packed_signal(&after.mean, &after.spread))?;
+            let variance = upload(rec, &before.variance)?;
+            select_pass(rec, extent_of(&before.mean[0]), &pass1, &pass2, &variance, 1.5)
+        });
+        let pass = |of: &Scene| Pass { mean: of.mean.clone(), spread: Some(of.spread.clone()) };
+        let expected = limited(&pass(&before), &pass(&after), &before.variance, 1.5);
+        let result = read(gpu, &buffer, extent_of(&before.mean[0]));
+        let what = format!("select_pass, {width}×{height}");
+        assert_near(&what, &result[0][..3], &expected.mean, &own_size(&expected.mean, 0.0), 1e-12, 0.0);
+        let spread = expected.spread.unwrap_or_default();
+        assert_near(&what, &result[1][..3], &spread, &own_size(&spread, 0.0), 1e-12, 0.0);
+        let kept = expected.mean[0].values.iter().zip(&before.mean[0].values).filter(|(a, b)| a == b).count();
+        assert!(width * height < 100 || (width * height / 20..width * height * 19 / 20).contains(&kept), "{kept} pixels stay");
     }
 }
 

@@ -25,7 +25,7 @@ const LARGEST_PATCH_RADIUS: u32 = 5;
 /// | `weighting.symmetric` | yes | no | | pairs of opposite neighbours (eq. 7.6) for colour and features; feature distances scaled by both pixels |
 /// | `weighting.centre` | largest neighbour | one | | weight of a pixel in its own average |
 /// | `guard` | 4, 0.3; 8, 4 | none | ≥ 0 | keeps candidates out of the blend that are clearly worse, by the smoothed errors and by the pixel's own |
-/// | `second_pass` | ⌈R/2⌉, f 3, clamped | R, f 1 | | filters what noise pass 1 left; needs halves |
+/// | `second_pass` | ⌈R/2⌉, f 3, clamped, 4σ | R, f 1 | | filters what noise pass 1 left; needs halves |
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct DfcParams {
     /// R, in pixels.
@@ -61,6 +61,8 @@ pub struct SecondPass {
     pub color_k: f32,
     /// Hold the two-buffer variance of pass 1 below the input's variance: what was filtered cannot be noisier than what it was made from.
     pub clamp_to_input: bool,
+    /// Pixels that it would change by more than this many standard deviations of their noise stay as pass 1 left them; `None`: all take it.
+    pub most_sigmas: Option<f32>,
 }
 
 impl SecondPass {
@@ -75,7 +77,7 @@ impl Default for DfcParams {
             feature_tau_third: 5e-4,
             weighting: Weighting { symmetric: true, centre: CentreWeight::LargestNeighbour },
             guard: Some(Guard { smoothed_error: 4.0, smoothed_noise: 0.3, own_sigmas: 8.0, own_noise: 4.0 }),
-            second_pass: Some(SecondPass { half_window: true, patch_radius: 3, color_k: 0.45, clamp_to_input: true }),
+            second_pass: Some(SecondPass { half_window: true, patch_radius: 3, color_k: 0.45, clamp_to_input: true, most_sigmas: Some(4.0) }),
             ..Self::thesis()
         }
     }
@@ -94,7 +96,7 @@ impl DfcParams {
             feature_tau_third: 1e-3,
             weighting: Weighting { symmetric: false, centre: CentreWeight::One },
             guard: None,
-            second_pass: Some(SecondPass { half_window: false, patch_radius: 1, color_k: 0.45, clamp_to_input: false }),
+            second_pass: Some(SecondPass { half_window: false, patch_radius: 1, color_k: 0.45, clamp_to_input: false, most_sigmas: None }),
         }
     }
 
@@ -124,6 +126,7 @@ impl DfcParams {
             ("τ", self.feature_tau),
             ("τ of THIRD", self.feature_tau_third),
             ("k_c of the second pass", self.second_pass.map_or(1.0, |pass| pass.color_k)),
+            ("the second pass's limit", self.second_pass.and_then(|pass| pass.most_sigmas).unwrap_or(1.0)),
         ];
         for (name, value) in positive {
             if !(value.is_finite() && value > 0.0) {
