@@ -1,5 +1,6 @@
 // Stein's unbiased risk estimate of each candidate (eq. 8.5): Σ_i (F_i − u_i)² − σ_i² + 2σ_i²·dF_i/du_i. x: FIRST, y: SECOND, z: THIRD. It may be negative.
 #import stein::planes::{pixel_index}
+#import stein::candidates::{sure}
 
 struct SureParams {
     extent: vec2<i32>,
@@ -12,12 +13,7 @@ struct SureParams {
 @group(0) @binding(4) var<storage, read> second: array<vec4<f32>>;
 @group(0) @binding(5) var<storage, read> third: array<vec4<f32>>;
 @group(0) @binding(6) var<storage, read> derivatives: array<vec4<f32>>;
-@group(0) @binding(7) var<storage, read_write> sure: array<vec4<f32>>;
-
-fn estimate(u: vec3<f32>, variance: vec3<f32>, filtered: vec3<f32>, derivative: vec3<f32>) -> f32 {
-    let change = filtered - u;
-    return dot(vec3<f32>(1.0), change * change - variance + 2.0 * variance * derivative);
-}
+@group(0) @binding(7) var<storage, read_write> errors: array<vec4<f32>>;
 
 @compute @workgroup_size(32, 2, 1)
 fn main(@builtin(global_invocation_id) id: vec3<u32>) {
@@ -29,10 +25,10 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     let at = pixel_index(p, params.extent);
     let u = signal[at].xyz;
     let variance = variance_of_mean[at].xyz;
-    sure[at] = vec4<f32>(
-        estimate(u, variance, first[at].xyz, derivatives[at].xyz),
-        estimate(u, variance, second[at].xyz, derivatives[pixels + at].xyz),
-        estimate(u, variance, third[at].xyz, derivatives[2 * pixels + at].xyz),
+    errors[at] = vec4<f32>(
+        sure(u, variance, first[at].xyz, derivatives[at].xyz),
+        sure(u, variance, second[at].xyz, derivatives[pixels + at].xyz),
+        sure(u, variance, third[at].xyz, derivatives[2 * pixels + at].xyz),
         0.0,
     );
 }

@@ -7,6 +7,7 @@
 // speaks for itself: its unsmoothed SURE tells two candidates F and G apart with a standard deviation of 2·√Σ σ_i²(F_i − G_i)², which vanishes with its noise. A candidate
 // that is worse than the best one by many of them takes no part.
 #import stein::planes::{pixel_index}
+#import stein::candidates::{error_by_chance}
 
 struct SelectBlendParams {
     extent: vec2<i32>,
@@ -34,10 +35,8 @@ struct SelectBlendParams {
 // Two planes: mean with the blended Σ w in w, half spread.
 @group(0) @binding(9) var<storage, read_write> blended: array<vec4<f32>>;
 
-// By how much the own errors of two candidates may differ by chance.
-fn chance(f: vec3<f32>, g: vec3<f32>, variance: vec3<f32>) -> f32 {
-    let apart = f - g;
-    return 2.0 * params.own_sigmas * sqrt(dot(variance, apart * apart)) + params.own_noise * dot(vec3<f32>(1.0), variance);
+fn chance(apart: vec3<f32>, variance: vec3<f32>) -> f32 {
+    return error_by_chance(apart, variance, params.own_sigmas, params.own_noise);
 }
 
 // The squares of a spike overflow: a candidate that takes no part may have an error that is not finite, and 0·∞ is no number.
@@ -79,7 +78,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
             own_least = own.z;
             own_winner = vec3<f32>(0.0, 0.0, 1.0);
         }
-        let by_chance = vec3<f32>(chance(f[0], best, variance), chance(f[1], best, variance), chance(f[2], best, variance));
+        let by_chance = vec3<f32>(chance(f[0] - best, variance), chance(f[1] - best, variance), chance(f[2] - best, variance));
         share = select(vec3<f32>(0.0), share, own - own_least <= by_chance);
         share = max(share, 1e-9 * own_winner);
     }

@@ -32,7 +32,8 @@ fn numbers(values: &[i32]) -> Vec<Definition> {
 fn definitions(stage: &str) -> Option<Vec<Definitions>> {
     let none = Some(vec![Vec::new()]);
     match stage {
-        "variance_rows" | "variance_scale" | "feature_pack" | "candidate_resolve" | "error_sure" | "select_least" | "select_blend" | "select_pass" => none,
+        "variance_rows" | "variance_scale" | "feature_pack" | "candidate_resolve" | "error_sure" | "select_least" | "select_blend" | "select_frames"
+        | "select_pass" => none,
         "sample_density" => Some(combinations(&[("SAMPLES_VARY", flags()), ("HALVES", flags())])),
         "variance_smooth" => Some(combinations(&[("CLAMPED", flags())])),
         "nlm_distance" => Some(combinations(&[("PATCH_RADIUS", numbers(&[0, 1, 3, 5])), ("SMALL_PATCH_RADIUS", numbers(&[-1, 0])), ("SYMMETRIC", flags())]))

@@ -1,4 +1,4 @@
-// What the two halves of the candidate filters share: their parameters, the layout of the sums, the finite-difference step.
+// What the stages around the candidate filters share: their parameters, the layout of the sums, the finite-difference step, the errors of one pixel.
 #define_import_path stein::candidates
 
 struct CandidateParams {
@@ -27,4 +27,15 @@ const STATE_PLANES: i32 = 12;
 fn difference_step(u: vec3<f32>, variance_of_mean: vec3<f32>) -> vec3<f32> {
     let size = max(max(0.01 * abs(u), 0.01 * sqrt(variance_of_mean)), vec3<f32>(1e-6));
     return select(size, -size, u < vec3<f32>(0.0));
+}
+
+// Stein's unbiased risk estimate (eq. 8.5), summed over the channels. It may be negative.
+fn sure(u: vec3<f32>, variance: vec3<f32>, filtered: vec3<f32>, derivative: vec3<f32>) -> f32 {
+    let change = filtered - u;
+    return dot(vec3<f32>(1.0), change * change - variance + 2.0 * variance * derivative);
+}
+
+// By how much the errors of two filtered values that lie `apart` may differ by chance: their difference has a standard deviation of 2·√Σ σ_i²·apart_i².
+fn error_by_chance(apart: vec3<f32>, variance: vec3<f32>, sigmas: f32, share_of_noise: f32) -> f32 {
+    return 2.0 * sigmas * sqrt(dot(variance, apart * apart)) + share_of_noise * dot(vec3<f32>(1.0), variance);
 }

@@ -29,6 +29,7 @@ pub(super) const STAGES: &[(&str, &str)] = sources!("shaders":
     "error_sure",
     "select_least",
     "select_blend",
+    "select_frames",
     "select_pass",
     "sample_density",
 );

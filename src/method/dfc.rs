@@ -13,12 +13,12 @@ use super::{GpuFeature, GpuFrame, GpuSignal};
 use crate::error::Result;
 use crate::frame::Frame;
 use crate::gpu::{Buffer, Recorder};
-use crate::stage::candidate::{CandidateBeside, CandidateFilter, STATE_PLANES, candidates};
+use crate::stage::candidate::{CANDIDATE_PLANES, CandidateBeside, CandidateFilter, CandidatesInTime, STATE_PLANES, candidates};
 use crate::stage::error::error_sure;
 use crate::stage::feature::{Features, Packing, feature_pack};
 use crate::stage::nlm::{Beside, Guide, Payload, Schedule, Weighting, nlm_filter};
 use crate::stage::sample::sample_density;
-use crate::stage::select::{select_blend, select_least, select_pass};
+use crate::stage::select::{HARM, select_blend, select_frames, select_least, select_pass};
 use crate::stage::variance::{INPUT_SMOOTHING, RESIDUAL_SMOOTHING, variance_smooth};
 
 pub use params::{DfcParams, SecondPass};
@@ -92,8 +92,12 @@ pub fn dfc(
         feature_tau_third: params.feature_tau_third,
         weighting,
     };
-    let candidates = candidates(rec, extent, signal, &variance, features.first(), &neighbours, &filter, schedule, progress)?;
-    drop((features, colors_beside, variances_beside));
+    let CandidatesInTime { together: candidates, alone } =
+        candidates(rec, extent, signal, &variance, features.first(), &neighbours, &filter, schedule, progress)?;
+    if let (Some(alone), Some(_)) = (&alone, params.guard) {
+        select_frames(rec, extent, signal, &variance, alone, &candidates, HARM)?;
+    }
+    drop((features, colors_beside, variances_beside, alone));
     for (name, candidate) in BY_CANDIDATE.iter().zip(&candidates.signals) {
         keeper.keep(Intermediate::Candidates, *name, &RGB, Unit::Color, candidate, 0);
     }
@@ -233,6 +237,7 @@ pub(super) fn footprint(params: &DfcParams, frame: &Frame, beside: usize, kept: 
     let prefilter = 7 + beside as u64;
     // Candidates 6, derivatives 3, SURE, errors and weights 2, selected, smoothed and weights 2, blend 3, variance, second pass and weights 3.
     let later = 22;
+    let alone = if beside > 0 { CANDIDATE_PLANES } else { 0 };
     // Prefiltered features and residual variances, the sampling density and its weights.
     let kept = if kept { 3 * channels.len() as u64 + 3 } else { 0 };
     // Two scratch buffers for the column sums, and the running sums of the rows they cover: a scratch buffer holds at least one plane per pair of offsets, so with small
@@ -242,7 +247,7 @@ pub(super) fn footprint(params: &DfcParams, frame: &Frame, beside: usize, kept: 
     Footprint {
         halo: halo(params) as usize,
         // Of each frame beside, the prepared features stay with its input.
-        live_planes: (input + packed) * (1 + beside as u64) + later.max(prefilter) + kept,
+        live_planes: (input + packed) * (1 + beside as u64) + later.max(prefilter) + kept + alone,
         largest_planes: packed.max(3),
         scratch_bytes: 2 * schedule.scratch_bytes + running_sums,
     }

@@ -70,6 +70,29 @@ pub struct Candidates {
     pub derivatives: Arc<Buffer>,
 }
 
+impl Candidates {
+    fn take(rec: &mut Recorder, extent: IVec2) -> Result<Self> {
+        let signals = [
+            Arc::new(rec.take("FIRST", plane_bytes(extent, 2))?),
+            Arc::new(rec.take("SECOND", plane_bytes(extent, 2))?),
+            Arc::new(rec.take("THIRD", plane_bytes(extent, 2))?),
+        ];
+        Ok(Self { signals, derivatives: Arc::new(rec.take("derivatives", plane_bytes(extent, 3))?) })
+    }
+}
+
+/// Planes that candidates take.
+pub(crate) const CANDIDATE_PLANES: u64 = 9;
+
+/// The candidates of a window in time.
+#[derive(Debug)]
+pub struct CandidatesInTime {
+    /// Over all frames.
+    pub together: Candidates,
+    /// Over the own frame, where there are others.
+    pub alone: Option<Candidates>,
+}
+
 /// Filters a colour signal with the three candidates, over a window in its frame and in the frames `beside`. `variance_of_mean` is its scaled variance; without features
 /// the feature weights are 1.
 ///
@@ -85,13 +108,9 @@ pub fn candidates(
     filter: &CandidateFilter,
     schedule: Schedule,
     mut progress: impl FnMut(&mut Recorder, f32) -> Result<()>,
-) -> Result<Candidates> {
-    let signals = [
-        Arc::new(rec.take("FIRST", plane_bytes(extent, 2))?),
-        Arc::new(rec.take("SECOND", plane_bytes(extent, 2))?),
-        Arc::new(rec.take("THIRD", plane_bytes(extent, 2))?),
-    ];
-    let derivatives = Arc::new(rec.take("derivatives", plane_bytes(extent, 3))?);
+) -> Result<CandidatesInTime> {
+    let together = Candidates::take(rec, extent)?;
+    let alone = (!beside.is_empty()).then(|| Candidates::take(rec, extent)).transpose()?;
     let neighbours: Vec<_> = beside.iter().map(|frame| Beside { signal: frame.signal, variance_of_mean: frame.variance_of_mean }).collect();
     let guide = Guide {
         signal,
@@ -144,14 +163,17 @@ pub fn candidates(
             neighbours_features: beside.and_then(|frame| frame.features).map(|features| &features.buffer),
         };
         rec.dispatch(&accumulate, &bound, invocations)?;
-        if chunk.last {
-            let [first, second, third] = &signals;
+        // The sums over the own frame are whole before those over the others begin.
+        let complete = if chunk.last { Some(&together) } else { alone.as_ref().filter(|_| beside.is_none() && chunk.ends_frame) };
+        if let Some(Candidates { signals: [first, second, third], derivatives }) = complete {
             let resolve = rec.gpu().kernel::<CandidateResolve>("candidate_resolve", &[])?;
-            let bound = CandidateResolve { params, signal, variance_of_mean, state, first, second, third, derivatives: &derivatives };
+            let bound = CandidateResolve { params, signal, variance_of_mean, state, first, second, third, derivatives };
             rec.dispatch(&resolve, &bound, invocations)?;
+        }
+        if chunk.last {
             progress(rec, (params.first_row + params.rows) as f32 / extent.y as f32)?;
         }
         Ok(())
     })?;
-    Ok(Candidates { signals, derivatives })
+    Ok(CandidatesInTime { together, alone })
 }

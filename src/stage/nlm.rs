@@ -135,7 +135,9 @@ pub(super) struct Chunk<'a> {
     pub(super) columns_small: Option<&'a Buffer>,
     /// Which of the frames beside the neighbours are in; `None`: in the frame itself.
     pub(super) beside: Option<usize>,
-    /// No pairs are left for these rows.
+    /// No pairs are left for these rows in this frame.
+    pub(super) ends_frame: bool,
+    /// Nor in the frames after it.
     pub(super) last: bool,
 }
 
@@ -202,7 +204,10 @@ pub(super) fn for_each_chunk(
                     }
                 }
                 first_pair = chunk_end;
-                consume(rec, &Chunk { params, columns: &columns, columns_small: columns_small.as_ref(), beside: *beside, last })?;
+                consume(
+                    rec,
+                    &Chunk { params, columns: &columns, columns_small: columns_small.as_ref(), beside: *beside, ends_frame: chunk_end >= pairs, last },
+                )?;
                 if chunk_end >= pairs {
                     break;
                 }

@@ -85,10 +85,7 @@ pub fn guard(maps: &[Grid], evidence: Evidence, guard: &Guard) -> Planes {
                 }
 
                 let best = own_winner(p);
-                let apart = |i: usize| candidates[k][i].at(p) - candidates[best][i].at(p);
-                let deviation = 2.0 * (0..variance.len()).map(|i| variance[i].at(p) * apart(i) * apart(i)).sum::<f64>().sqrt();
-                let by_chance = guard.own_sigmas * deviation + guard.own_noise * noise(p);
-                if sure[k].at(p) - sure[best].at(p) > by_chance {
+                if sure[k].at(p) - sure[best].at(p) > by_chance(candidates[k], candidates[best], variance, guard, p) {
                     share = 0.0;
                 }
                 if k == best { share.max(SMALLEST_SHARE_OF_OWN_WINNER) } else { share }
@@ -96,6 +93,25 @@ pub fn guard(maps: &[Grid], evidence: Evidence, guard: &Guard) -> Planes {
         })
         .collect();
     normalise(&guarded, winner)
+}
+
+/// How far SURE may tell two filtered values of one pixel apart by chance: its difference has the standard deviation 2·√Σ σ_i²(F_i − G_i)².
+fn by_chance(f: &[Grid], g: &[Grid], variance: &[Grid], guard: &Guard, p: Point) -> f64 {
+    let apart = |i: usize| f[i].at(p) - g[i].at(p);
+    let deviation = 2.0 * (0..variance.len()).map(|i| variance[i].at(p) * apart(i) * apart(i)).sum::<f64>().sqrt();
+    guard.own_sigmas * deviation + guard.own_noise * variance.iter().map(|v| v.at(p)).sum::<f64>()
+}
+
+/// A candidate in one window, and its SURE.
+#[derive(Clone, Copy)]
+pub struct Filtered<'a> {
+    pub mean: &'a [Grid],
+    pub sure: &'a Grid,
+}
+
+/// Whether the frames beside have done harm to a pixel that is better filtered in its own frame alone.
+pub fn harmed(together: Filtered, alone: Filtered, variance: &[Grid], guard: &Guard, p: Point) -> bool {
+    together.sure.at(p) - alone.sure.at(p) > by_chance(together.mean, alone.mean, variance, guard, p)
 }
 
 /// Maps that sum to 1; a pixel without weights gets the fallback alone.

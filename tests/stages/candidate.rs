@@ -1,7 +1,7 @@
 //! `candidate_accumulate` and `candidate_resolve`: FIRST, SECOND and THIRD with their derivatives.
 
 use stein::gpu::Gpu;
-use stein::stage::candidate::{CandidateBeside, CandidateFilter, Candidates, candidates};
+use stein::stage::candidate::{CandidateBeside, CandidateFilter, Candidates, CandidatesInTime, candidates};
 use stein::stage::nlm::{CentreWeight, Schedule, Weighting};
 
 use crate::common::{Scene, assert_near, bits, calm_scene, checked_gpu, extent_of, gpu, own_size, packed_signal, read, run, scene, upload};
@@ -62,12 +62,14 @@ fn twin_params(case: Case) -> [FilterParams; 3] {
 
 fn filtered(gpu: &Gpu, case: Case, scene: &Scene, features: &[Feature], schedule: Schedule) -> Candidates {
     let extent = extent_of(&scene.mean[0]);
-    run(gpu, |rec| {
+    let filtered = run(gpu, |rec| {
         let signal = rec.upload("signal", &packed_signal(&scene.mean, &scene.spread))?;
         let variance = upload(rec, &scene.variance)?;
         let features = if features.is_empty() { None } else { Some(pack(rec, features)?) };
         candidates(rec, extent, &signal, &variance, features.as_ref(), &[], &filter(case), schedule, |_, _| Ok(()))
-    })
+    });
+    assert!(filtered.alone.is_none(), "there is one frame only");
+    filtered.together
 }
 
 fn check_scene(gpu: &Gpu, case: Case, scene: &Scene) {
@@ -118,7 +120,7 @@ impl InTime {
     }
 }
 
-fn filtered_in_time(gpu: &Gpu, case: Case, frames: &[InTime], schedule: Schedule) -> Candidates {
+fn filtered_in_time(gpu: &Gpu, case: Case, frames: &[InTime], schedule: Schedule) -> CandidatesInTime {
     let extent = extent_of(&frames[0].scene.mean[0]);
     run(gpu, |rec| {
         let mut uploaded = Vec::new();
@@ -169,7 +171,10 @@ fn average(frames: &[InTime], own: &[Grid], p: Point, params: &FilterParams) -> 
 /// A window over three frames.
 fn check_in_time(gpu: &Gpu, case: Case) {
     let frames: Vec<_> = (0..3).map(|seed| InTime::new(case, 40 + seed)).collect();
-    let actual = filtered_in_time(gpu, case, &frames, SCHEDULE);
+    let CandidatesInTime { together: actual, alone } = filtered_in_time(gpu, case, &frames, SCHEDULE);
+    let one_frame = filtered(gpu, case, &frames[0].scene, &frames[0].features, SCHEDULE);
+    let all_bits = |of: &Candidates| of.signals.iter().chain([&of.derivatives]).map(|buffer| bits(gpu, buffer)).collect::<Vec<_>>();
+    assert!(alone.is_some_and(|alone| all_bits(&alone) == all_bits(&one_frame)), "{case:?}: the own frame is filtered as if there were no other");
     let own = frames[0].payload();
     let like = &own[0];
     let extent = extent_of(like);
@@ -291,7 +296,7 @@ fn every_schedule_gives_the_same_bits() {
             }
         }
         let frames: Vec<_> = (0..2).map(|seed| InTime::new(case, 50 + seed)).collect();
-        let in_time = |schedule| filtered_in_time(gpu(), case, &frames, schedule).signals.map(|buffer| bits(gpu(), &buffer));
+        let in_time = |schedule| filtered_in_time(gpu(), case, &frames, schedule).together.signals.map(|buffer| bits(gpu(), &buffer));
         let whole = in_time(Schedule { scratch_bytes: 64 << 20, block_rows: 16 });
         for scratch_bytes in [16, 30_000] {
             assert!(in_time(Schedule { scratch_bytes, block_rows: 5 }) == whole, "{case:?} in time with {scratch_bytes} bytes");
@@ -311,13 +316,7 @@ fn finite_differences_approach_the_analytic_derivative() {
         for centre in [CentreWeight::One, CentreWeight::LargestNeighbour] {
             let case = Case { width, height, window_radius: 3, patch_radii: [1, 3], features: &[3, 1], symmetric, centre };
             let features = features(width, height, case.features, 36);
-            let derivatives = run(gpu(), |rec| {
-                let signal = rec.upload("signal", &packed_signal(&scene.mean, &scene.spread))?;
-                let variance = upload(rec, &scene.variance)?;
-                let packed = pack(rec, &features)?;
-                candidates(rec, extent, &signal, &variance, Some(&packed), &[], &filter(case), SCHEDULE, |_, _| Ok(()))
-            })
-            .derivatives;
+            let derivatives = filtered(gpu(), case, &scene, &features, SCHEDULE).derivatives;
             for (k, (actual, params)) in read(gpu(), &derivatives, extent).into_iter().zip(twin_params(case)).enumerate() {
                 let plane = |i: usize| {
                     scene.mean[i].like(|p| {

@@ -1,4 +1,4 @@
-//! `error_sure`, `select_least`, `select_blend` and `sample_density`: from the candidates to their average, and to where samples are missing.
+//! `error_sure`, the `select_` stages and `sample_density`: from the candidates to their average, and to where samples are missing.
 
 use std::sync::Arc;
 
@@ -6,9 +6,10 @@ use stein::gpu::{Gpu, Recorder};
 use stein::stage::candidate::Candidates;
 use stein::stage::error::error_sure;
 use stein::stage::sample::{GpuSamples, sample_density};
-use stein::stage::select::{Guard, select_blend, select_least, select_pass};
+use stein::stage::select::{Guard, Harm, select_blend, select_frames, select_least, select_pass};
 
-use crate::common::{assert_near, checked_gpu, extent_of, flat, gpu, own_size, packed, packed_signal, read, rounded, run, scene, upload};
+use crate::common::{Scene, assert_near, checked_gpu, extent_of, flat, gpu, own_size, packed, packed_signal, read, rounded, run, scene, upload};
+use crate::reference::dfc::{Pass, limited};
 use crate::reference::random::Random;
 use crate::reference::{self, Grid, Planes, Point};
 
@@ -21,7 +22,11 @@ struct Bank {
 }
 
 fn bank(width: usize, height: usize) -> Bank {
-    let mut random = Random(41);
+    seeded_bank(width, height, 41)
+}
+
+fn seeded_bank(width: usize, height: usize, seed: u64) -> Bank {
+    let mut random = Random(seed);
     let mut planes = |low: f64, high: f64| -> Planes { (0..3).map(|_| rounded(random.uniform_grid(width, height, low, high))).collect() };
     Bank {
         means: [(); 3].map(|()| planes(-1.0, 3.0)),
@@ -188,6 +193,48 @@ fn candidates_are_averaged_by_their_maps() {
         check_blend(gpu(), 7, 300, rule);
         check_blend(gpu(), 1, 1, rule);
         check_blend(checked_gpu(), 24, 20, rule);
+    }
+}
+
+#[test]
+fn other_frames_are_left_out_where_they_do_harm() {
+    let rule = Harm { sigmas: 0.5, noise: 0.25 };
+    let twin_rule = reference::select::Guard { smoothed_error: 4.0, smoothed_noise: 0.3, own_sigmas: 0.5, own_noise: 0.25 };
+    for (gpu, width, height) in [(gpu(), 257, 89), (gpu(), 7, 300), (gpu(), 1, 1), (checked_gpu(), 24, 20)] {
+        let scene = scene(width, height, 50);
+        let [alone, together] = [51, 52].map(|seed| seeded_bank(width, height, seed));
+        let extent = extent_of(&scene.mean[0]);
+        let chosen = run(gpu, |rec| {
+            let signal = rec.upload("signal", &packed_signal(&scene.mean, &scene.spread))?;
+            let variance = upload(rec, &scene.variance)?;
+            let (alone, together) = (upload_bank(rec, &alone)?, upload_bank(rec, &together)?);
+            select_frames(rec, extent, &signal, &variance, &alone, &together, rule)?;
+            Ok(together)
+        });
+        let derivatives = read(gpu, &chosen.derivatives, extent);
+        for (k, derivatives) in derivatives.iter().enumerate() {
+            let sure = |bank: &Bank| reference::sure::sure(&scene.mean, &scene.variance, &bank.means[k], &bank.derivatives[k]);
+            let (sure_alone, sure_together) = (sure(&alone), sure(&together));
+            let of_alone = reference::select::Filtered { mean: &alone.means[k], sure: &sure_alone };
+            let of_together = reference::select::Filtered { mean: &together.means[k], sure: &sure_together };
+            let harmed = |p| reference::select::harmed(of_together, of_alone, &scene.variance, &twin_rule, p);
+            let choose = |alone: &[Grid], together: &[Grid]| -> Planes {
+                alone.iter().zip(together).map(|(a, b)| a.like(|p| if harmed(p) { a.at(p) } else { b.at(p) })).collect()
+            };
+            let what = |part: &str| format!("select_frames, {width}×{height}, candidate {k}: {part}");
+            let signal = read(gpu, &chosen.signals[k], extent);
+            for (part, actual, alone, together) in [
+                ("mean", &signal[0][..3], &alone.means[k][..], &together.means[k][..]),
+                ("Σ w", &signal[0][3..], &alone.weight_sums[k..=k], &together.weight_sums[k..=k]),
+                ("half spread", &signal[1][..3], &alone.spreads[k], &together.spreads[k]),
+                ("derivatives", &derivatives[..3], &alone.derivatives[k], &together.derivatives[k]),
+            ] {
+                let expected = choose(alone, together);
+                assert_near(&what(part), actual, &expected, &own_size(&expected, 0.0), 1e-12, 0.0);
+            }
+            let left_out = choose(&alone.means[k], &together.means[k])[0].values.iter().zip(&alone.means[k][0].values).filter(|(a, b)| a == b).count();
+            assert!(width * height < 100 || (width * height / 20..width * height * 19 / 20).contains(&left_out), "{left_out} pixels");
+        }
     }
 }
 
