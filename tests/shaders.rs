@@ -33,6 +33,9 @@ fn definitions(stage: &str) -> Option<Vec<Definitions>> {
     let none = Some(vec![Vec::new()]);
     match stage {
         "variance_rows" | "variance_scale" | "feature_pack" | "candidate_resolve" | "error_sure" | "select_least" | "select_blend" => none,
+        "scale_stop" | "scale_reduction" => none,
+        "scale_pixel" => Some(combinations(&[("SAMPLES_VARY", flags())])),
+        "scale_advance" => Some(combinations(&[("COARSER_ONLY", flags())])),
         "sample_density" => Some(combinations(&[("SAMPLES_VARY", flags()), ("HALVES", flags())])),
         "gaussian" => Some(["SQUARED", "KEEP_WEIGHT_SUM", "WITHOUT_CENTRE"].map(|name| vec![(name, true.into())]).into_iter().chain([Vec::new()]).collect()),
         "variance_smooth" => Some(combinations(&[("CLAMPED", flags())])),

@@ -31,4 +31,8 @@ pub(super) const STAGES: &[(&str, &str)] = sources!("shaders":
     "select_least",
     "select_blend",
     "sample_density",
+    "scale_pixel",
+    "scale_stop",
+    "scale_advance",
+    "scale_reduction",
 );

@@ -6,6 +6,7 @@ mod common;
 pub mod dfc;
 mod estimate;
 mod frame;
+pub mod gem;
 mod memory;
 
 use serde::Serialize;
@@ -18,6 +19,7 @@ use crate::stage::nlm::Schedule;
 pub use dfc::DfcParams;
 pub use estimate::{GpuEstimate, Intermediate, KeptPlane, Lane, Unit};
 pub use frame::{GpuFeature, GpuFrame, GpuSignal};
+pub use gem::GemParams;
 use memory::Footprint;
 pub(crate) use memory::{Strip, strips};
 
@@ -27,6 +29,8 @@ pub(crate) use memory::{Strip, strips};
 pub enum Method {
     /// Combined colour and feature filters (thesis chapter 8).
     Dfc(DfcParams),
+    /// Greedy error minimisation over Gaussian scales (thesis chapter 6).
+    Gem(GemParams),
 }
 
 /// Named parameter sets.
@@ -56,6 +60,7 @@ impl Method {
     pub fn name(&self) -> &'static str {
         match self {
             Self::Dfc(_) => "dfc",
+            Self::Gem(_) => "gem",
         }
     }
 
@@ -63,6 +68,7 @@ impl Method {
     pub fn window_radius(&self) -> u32 {
         match self {
             Self::Dfc(params) => params.window_radius,
+            Self::Gem(params) => params.window_radius(),
         }
     }
 
@@ -70,6 +76,7 @@ impl Method {
     pub fn intermediates(&self) -> &'static [Intermediate] {
         match self {
             Self::Dfc(_) => &dfc::INTERMEDIATES,
+            Self::Gem(_) => &gem::INTERMEDIATES,
         }
     }
 
@@ -78,6 +85,7 @@ impl Method {
     pub fn while_sampling(self) -> Self {
         match self {
             Self::Dfc(_) => self,
+            Self::Gem(params) => Self::Gem(GemParams { phase: gem::Phase::Sampling, ..params }),
         }
     }
 
@@ -88,12 +96,14 @@ impl Method {
     pub fn validate(&self) -> Result<()> {
         match self {
             Self::Dfc(params) => params.validate(),
+            Self::Gem(params) => params.validate(),
         }
     }
 
     fn footprint(&self, frame: &Frame, kept: bool, schedule: Schedule) -> Footprint {
         match self {
             Self::Dfc(params) => dfc::footprint(params, frame, kept, schedule),
+            Self::Gem(params) => gem::footprint(params, frame, kept),
         }
     }
 
@@ -108,6 +118,7 @@ impl Method {
     ) -> Result<GpuEstimate> {
         match self {
             Self::Dfc(params) => dfc::dfc(rec, frame, params, wanted, schedule, progress),
+            Self::Gem(params) => gem::gem(rec, frame, params, wanted, progress),
         }
     }
 }

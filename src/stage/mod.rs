@@ -9,6 +9,7 @@ pub mod feature;
 pub mod gaussian;
 pub mod nlm;
 pub mod sample;
+pub mod scale;
 pub mod select;
 pub mod variance;
 
