@@ -52,9 +52,10 @@ pub struct Estimate {
     /// Half spread of the denoised colour: its filtered halves are `color ± half_spread`. `None` without halves.
     pub half_spread: Option<Image>,
     /// One plane: the estimated squared error of each pixel, summed over the channels. Of DFC it comes from SURE (eq. 8.5) smoothed and blended like the candidates, and is
-    /// that of pass 1; the second pass leaves less. May be negative where the true error is small.
+    /// that of pass 1; the second pass leaves less. May be negative where the true error is small. Of GEM it is the variance of the chosen scale and the estimated bias
+    /// of the steps that led to it (thesis 6.3), never negative.
     pub error: Image,
-    /// One plane: Σ w over the window, blended like the candidates: how many pixels took part (thesis 8.6).
+    /// One plane: how many pixels took part. Of DFC Σ w over the window, blended like the candidates (thesis 8.6); of GEM 1/Σw² of the chosen scale's normalised weights.
     pub weight_sum: Image,
     /// Shares of FIRST, SECOND and THIRD in each pixel, where the method has them.
     pub selection: Option<Image>,
@@ -151,7 +152,7 @@ impl Denoiser {
         let mut assembly = Assembly::new(frame, exposure);
         for (index, strip) in strips.iter().enumerate() {
             let mut rec = self.gpu.record();
-            let on_gpu = GpuFrame::upload(&mut rec, frame, strip, exposure)?;
+            let on_gpu = GpuFrame::upload(&mut rec, frame, self.method.uses_features(), strip, exposure)?;
             let extent = on_gpu.extent;
             let report = |rec: &mut Recorder, share: f32| match &mut progress {
                 None => Ok(()),

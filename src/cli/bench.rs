@@ -115,6 +115,7 @@ pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
     }
     let names = if args.presets.is_empty() { PresetName::value_variants() } else { &args.presets };
     let methods = names.iter().map(|name| Ok((name.preset(), args.choice.method(*name)?))).collect::<Result<Vec<_>, Failure>>()?;
+    methods.iter().try_for_each(|(_, method)| args.source.check(method))?;
     let gpu = args.device.open()?;
     let denoisers = methods.into_iter().map(|(preset, method)| Ok((preset, args.device.denoiser(&gpu, method)?))).collect::<Result<Vec<_>, Failure>>()?;
     out.say(format_args!("{}, median of {}", gpu.summary(), args.repeat));

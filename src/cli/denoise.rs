@@ -18,7 +18,7 @@ use super::{Failure, Out, output};
 
 const EXAMPLE: &str = "\
 The output keeps the input's header and layers. The colour is replaced, and so are its halves; its variance is left out, for it is not that of the denoised \
-colour. `stein.error.V` is added: the estimated squared error, summed over the channels, before the second pass.
+colour. `stein.error.V` is added: the estimated squared error, summed over the channels (of dfc before the second pass).
 
 Examples:
   stein denoise render.exr
@@ -112,6 +112,7 @@ pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
         out.silence();
     }
     let method = args.filter.method()?;
+    args.source.check(&method)?;
     let output = output::choose(input, args.output.as_deref());
     let read_too = args.source.files().chain(args.reference.as_ref().map(|reference| reference.file.as_path()));
     // Half A may be the input itself, one layer of it: that the user may replace.

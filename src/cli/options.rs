@@ -142,6 +142,17 @@ impl Source {
         Ok(set)
     }
 
+    /// Options that the method has no use for are not ignored.
+    pub(crate) fn check(&self, method: &Method) -> Result<(), Failure> {
+        match self.features.first() {
+            Some((feature, _)) if !method.uses_features() => {
+                let name = method.name();
+                Err(Failure::usage(format_args!("--feature {feature}: {name} uses no features\n  remedy: leave it out, or choose another --method")))
+            }
+            _ => Ok(()),
+        }
+    }
+
     /// Files besides the input, none of which an output may replace.
     pub(crate) fn files(&self) -> impl Iterator<Item = &Path> {
         let named = [&self.half_a, &self.half_b, &self.variance].into_iter().flatten();

@@ -110,6 +110,7 @@ pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
         out.silence();
     }
     let method = args.filter.method()?;
+    args.source.check(&method)?;
     let file = args.output.clone().unwrap_or_else(|| input.with_extension("map.exr"));
     output::check(&file, args.source.files().chain([input]), false, false)?;
 

@@ -111,7 +111,7 @@ pub struct GpuEstimate {
     pub signal: Arc<Buffer>,
     /// The estimated squared error, summed over the channels. May be negative.
     pub error: Lane,
-    /// Σ w: how many pixels took part in a pixel's average.
+    /// How many pixels took part in a pixel's average.
     pub weight_sum: Lane,
     /// One plane: the shares of FIRST, SECOND and THIRD, where the method has them.
     pub selection: Option<Arc<Buffer>>,

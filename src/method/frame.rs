@@ -49,9 +49,10 @@ pub struct GpuFrame {
 
 impl GpuFrame {
     /// Uploads the rows of a strip and its halo, the colour multiplied by `exposure`.
-    pub(crate) fn upload(rec: &mut Recorder, frame: &Frame, strip: &Strip, exposure: f32) -> Result<Self> {
-        let mut features = Vec::with_capacity(frame.features().len());
-        for feature in frame.features() {
+    pub(crate) fn upload(rec: &mut Recorder, frame: &Frame, with_features: bool, strip: &Strip, exposure: f32) -> Result<Self> {
+        let used = if with_features { frame.features() } else { &[] };
+        let mut features = Vec::with_capacity(used.len());
+        for feature in used {
             let channels = feature.signal.mean.channels() as u32;
             features.push(GpuFeature { name: feature.name.clone(), signal: upload_signal(rec, &feature.name, &feature.signal, strip, 1.0)?, channels });
         }

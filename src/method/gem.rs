@@ -9,7 +9,6 @@ use super::estimate::{GpuEstimate, Intermediate, Keeper, Lane, RGB, Unit};
 use super::memory::{Footprint, uploaded_planes};
 use super::{GpuFrame, Method};
 use crate::error::Result;
-use crate::frame::Frame;
 use crate::gpu::Recorder;
 use crate::stage::gaussian::{Averaging, Gaussian, gaussian};
 use crate::stage::scale::{Scale, Selected, scale_advance, scale_gaussian, scale_pixel, scale_reduction, scale_stop};
@@ -33,6 +32,7 @@ pub fn gem(
     mut progress: impl FnMut(&mut Recorder, f32) -> Result<()>,
 ) -> Result<GpuEstimate> {
     let GpuFrame { extent, color, features, samples } = frame;
+    // A renderer may hand over some.
     drop(features);
     let mut keeper = Keeper::new(wanted);
 
@@ -81,13 +81,13 @@ pub fn gem(
 }
 
 /// Counted from [`gem`]: what is dropped is used again.
-pub(super) fn footprint(params: &GemParams, frame: &Frame, kept: bool) -> Footprint {
+pub(super) fn footprint(params: &GemParams, kept: bool) -> Footprint {
     let sigmas = params.phase.sigmas();
     // Signal and variance of the pixel filter, of the fine and of the coarse scale; the selection; two planes and their rows while a Gaussian is at work.
     let scales = 3 * 3 + 3 + 2;
     // Scaled variance, stopping maps raw and smoothed, reduction.
     let kept = if kept { 2 + 2 * sigmas.len() as u64 } else { 0 };
-    Footprint { halo: halo(params) as usize, live_planes: uploaded_planes(frame.features().len()) + scales + kept, largest_planes: 2, scratch_bytes: 0 }
+    Footprint { halo: halo(params) as usize, live_planes: uploaded_planes(0) + scales + kept, largest_planes: 2, scratch_bytes: 0 }
 }
 
 /// A pixel asks for its neighbours' stopping maps, these for the scales there, and their variances were brought to scale. Each scale is made from the pixels themselves, so

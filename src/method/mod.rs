@@ -72,6 +72,14 @@ impl Method {
         }
     }
 
+    /// Whether features help it. Those of a frame stay off the device where they do not.
+    pub fn uses_features(&self) -> bool {
+        match self {
+            Self::Dfc(_) => true,
+            Self::Gem(_) => false,
+        }
+    }
+
     /// The intermediates that it has.
     pub fn intermediates(&self) -> &'static [Intermediate] {
         match self {
@@ -103,7 +111,7 @@ impl Method {
     fn footprint(&self, frame: &Frame, kept: bool, schedule: Schedule) -> Footprint {
         match self {
             Self::Dfc(params) => dfc::footprint(params, frame, kept, schedule),
-            Self::Gem(params) => gem::footprint(params, frame, kept),
+            Self::Gem(params) => gem::footprint(params, kept),
         }
     }
 

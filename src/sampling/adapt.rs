@@ -180,8 +180,8 @@ pub fn uniform<S: Sampler, E: From<Error> + Send>(
     adapt(sampler, denoiser, &Plan { iterations: 1, cap: None, ..*plan }, None, observe)
 }
 
-/// What [`metric::relative_mse`] of the denoised image would be, without a reference: the estimated squared error over the denoised colour's square. It is that of pass 1, and
-/// may be below 0 where little is left to estimate.
+/// What [`metric::relative_mse`] of the denoised image would be, without a reference: the estimated squared error over the denoised colour's square. Of DFC it is that of
+/// pass 1, and may be below 0 where little is left to estimate.
 pub fn estimated_relative_mse(estimate: &Estimate) -> f64 {
     let error = &estimate.error.planes[0];
     let square = |pixel: usize| estimate.color.planes.iter().map(|plane| f64::from(plane[pixel]).powi(2) + metric::RELATIVE_EPSILON).sum::<f64>();

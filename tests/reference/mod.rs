@@ -1,4 +1,4 @@
-//! The naive float64 twin of every stage and of the whole of Algorithm 1, written from chapters 7 and 8 of the thesis.
+//! The naive float64 twin of every stage and of the whole of Algorithm 1 and of GEM, written from chapters 6 to 8 of the thesis.
 //!
 //! The shaders are tested against this, so it owes nothing to them: one loop per sum, patch distances by brute force, no
 //! separable filter, no value kept from one pixel to the next. The speed of a test is not worth a doubt about its reference.
@@ -12,6 +12,7 @@
 //! sure        its error                                                                      8.4
 //! select      the least error, as binary maps, smoothed maps, guarded maps                   8.4
 //! dfc         all of it in order                                                             8.5
+//! gem         scales, stopping maps and what they choose                                      6
 //! random      noise that is the same on every machine
 //! ```
 //!
@@ -21,6 +22,7 @@
 pub mod candidates;
 pub mod dfc;
 pub mod gaussian;
+pub mod gem;
 pub mod nlm;
 pub mod prefilter;
 pub mod random;

@@ -15,6 +15,7 @@ mod candidate;
 mod feature;
 mod gaussian;
 mod nlm;
+mod scale;
 mod select;
 mod variance;
 
