@@ -53,7 +53,7 @@ pub fn gem(
         // Incremental MSE minimisation (6.2.1), from noisy data (6.2.3).
         let stops = Arc::new(scale_stop(rec, extent, fine, &coarse, params.bias_weight())?);
         // Post-processing the filter selection (6.2.4).
-        let smoothed = Arc::new(gaussian(rec, extent, &stops, 1, params.phase.outlier_filter(sigma), Averaging::Neighbours)?);
+        let smoothed = Arc::new(gaussian(rec, extent, &stops, 1, params.outlier_filter(sigma), Averaging::Neighbours)?);
         scale_advance(rec, extent, &mut selected, fine, &coarse, &stops, &smoothed, params.phase.coarser_only())?;
         keeper.keep(Intermediate::Stopping, format!("stopping_{step}"), &["V"], Unit::Number, &stops, 0);
         keeper.keep(Intermediate::Stopping, format!("stopping_{step}_smoothed"), &["V"], Unit::Number, &smoothed, 0);
@@ -94,7 +94,7 @@ pub(super) fn footprint(params: &GemParams, kept: bool) -> Footprint {
 /// that only the coarsest one counts.
 fn halo(params: &GemParams) -> u32 {
     let coarsest = params.phase.coarsest();
-    params.phase.outlier_filter(coarsest).radius + Gaussian::new(coarsest).radius + SCALE_RADIUS.max(INPUT_SMOOTHING.radius)
+    params.outlier_filter(coarsest).radius + Gaussian::new(coarsest).radius + SCALE_RADIUS.max(INPUT_SMOOTHING.radius)
 }
 
 impl From<GemParams> for Method {

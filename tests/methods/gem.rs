@@ -2,10 +2,9 @@
 
 use stein::frame::{SamplesPerPixel, Signal};
 use stein::gpu::GpuOptions;
-use stein::image::Extent;
 use stein::method::Intermediate;
 use stein::method::gem::Phase;
-use stein::{Denoiser, Estimate, Frame, GemParams, Image, Options};
+use stein::{Denoiser, Estimate, Frame, GemParams, Options};
 
 use crate::behaviour::{assert_same, denoised, image, random_frame};
 use crate::common::{assert_near, flat, gpu, open, own_size};
@@ -50,7 +49,7 @@ fn check(what: &str, frame: &Frame, params: GemParams) {
     let gamma = format!("{}", params.gamma).parse().unwrap_or(f64::NAN);
     let twin_params = match params.phase {
         Phase::Sampling => reference::GemParams::while_sampling(gamma),
-        Phase::Final => reference::GemParams::for_the_final_image(gamma),
+        Phase::Final => reference::GemParams::for_the_final_image(gamma, params.final_outlier_size.into()),
     };
     assert!(params.phase.sigmas().iter().zip(&twin_params.sigmas).all(|(a, b)| (f64::from(*a) - b).abs() < 1e-6), "{what}: scales");
     let twin = reference::gem(&input, &samples, &twin_params);
@@ -115,10 +114,16 @@ fn the_final_image_is_that_of_the_reference() {
 }
 
 #[test]
+fn the_published_parameters_give_that_of_the_reference() {
+    let frame = frame(&noisy("cornell_8spp"), [10, 30, 33, 29], Keep { features: &[], ..EVERYTHING });
+    check("cornell, thesis", &frame, GemParams::thesis());
+}
+
+#[test]
 fn while_sampling_it_is_that_of_the_reference() {
     let frame = frame(&noisy("caustic_ring_32spp"), [20, 30, 57, 41], Keep { features: &[], ..EVERYTHING });
     let counts = grids(&frame.color().mean, 0.0).remove(0).like(|p| (2 + (p.x * 7 + p.y * 3) % 60) as f64);
-    let params = GemParams { gamma: 0.1, phase: Phase::Sampling };
+    let params = GemParams { gamma: 0.1, phase: Phase::Sampling, ..GemParams::default() };
     check("caustic, sampling", &with_samples(&frame, SamplesPerPixel::PerPixel(image(&[counts]))), params);
 }
 
@@ -133,26 +138,21 @@ fn one_kind_of_noise_knowledge_is_enough() {
 }
 
 #[test]
-fn strips_give_the_bits_of_the_whole() {
-    // The halo is 154 rows for the final image, 58 while sampling.
-    for (phase, width, height, limit) in [(Phase::Final, 8, 500, 1_050_000), (Phase::Sampling, 24, 300, 1_150_000)] {
-        let denoiser = denoiser(GemParams { phase, ..GemParams::default() });
+fn strips_give_the_bits_of_the_whole_within_the_memory_allowed() {
+    // The halo is 106 rows for the final image, 58 while sampling.
+    for (phase, width, height, limit) in [(Phase::Final, 8, 400, 760_000), (Phase::Sampling, 24, 300, 1_150_000)] {
+        let params = GemParams { phase, ..GemParams::default() };
         let frame = random_frame(width, height, 1.0);
-        let whole = denoised(&denoiser, &frame);
+        let whole = denoised(&denoiser(params), &frame);
         assert_eq!(whole.strips, 1);
-        let estimate = denoised(&denoiser.with_max_memory(limit), &frame);
-        assert!(estimate.strips >= 3, "{phase:?}: {} strips", estimate.strips);
-        assert_same(&format!("{phase:?}, {} strips", estimate.strips), &estimate, &whole, 1.0);
         // Of its own: what other tests hold would count.
         let gpu = open(GpuOptions::default());
-        let alone = Denoiser::new(&gpu, *denoiser_params(phase).method()).unwrap_or_else(|error| panic!("{error}")).with_max_memory(limit);
-        let peak = denoised(&alone, &frame).peak_bytes;
-        assert!(peak <= limit, "{phase:?}: {peak} bytes where {limit} were allowed");
+        let in_strips = Denoiser::new(&gpu, params).unwrap_or_else(|error| panic!("{error}")).with_max_memory(limit);
+        let estimate = denoised(&in_strips, &frame);
+        assert!(estimate.strips >= 3, "{phase:?}: {} strips", estimate.strips);
+        assert!(estimate.peak_bytes <= limit, "{phase:?}: {} bytes where {limit} were allowed", estimate.peak_bytes);
+        assert_same(&format!("{phase:?}, {} strips", estimate.strips), &estimate, &whole, 1.0);
     }
-}
-
-fn denoiser_params(phase: Phase) -> Denoiser {
-    denoiser(GemParams { phase, ..GemParams::default() })
 }
 
 #[test]
@@ -209,46 +209,79 @@ fn sampled(random: &mut Random, level: &Grid, samples: usize, mut noise: impl Fn
     (mean, variance)
 }
 
-/// How often each selector errs: on an image of nothing but noise, every stop is wrong.
+/// How often each selector errs: on an image of nothing but noise, every stop is wrong. Of the scales up to σ = 4; coarser ones see too few independent pixels here.
 fn error_rates(samples: usize, params: GemParams) -> Vec<f64> {
-    const SIZE: usize = 160;
+    const SIZE: usize = 128;
     let (mean, variance) = sampled(&mut Random(83), &Grid::filled(SIZE, SIZE, 1.0), samples, Random::gaussian);
     let estimate = with_everything_kept(params, &gray(&mean, &variance, SamplesPerPixel::Uniform(samples as f32)));
-    (1..=params.phase.sigmas().len()).map(|step| layer(&estimate, &format!("stopping_{step}"), 1.0)[0].mean()).collect()
+    let steps = (1..).zip(params.phase.sigmas()).filter(|(_, sigma)| **sigma <= 4.0);
+    steps.map(|(step, _)| layer(&estimate, &format!("stopping_{step}"), 1.0)[0].mean()).collect()
 }
 
-/// Section 6.2.3: γ is the rate at which the selector errs in a constant region.
+/// Section 6.2.3: γ is the rate at which the selector errs in a constant region, whatever the number of samples and the scale. It is so within 0.06: z(γ) was found by hand
+/// for a line of pixels, in the plane the rate is some 0.03 higher for γ = 0.2 and 0.3; ρ, one factor for all scales, does too little for the step from the pixel filter
+/// at 4 samples (0.09 for γ = 0.05) and too much for the coarser ones.
 #[test]
 fn the_selector_errs_at_the_rate_that_gamma_says() {
     for phase in [Phase::Sampling, Phase::Final] {
-        for samples in [4, 8, 16, 32] {
-            for gamma in [0.05, 0.1, 0.2, 0.3] {
-                let rates = error_rates(samples, GemParams { gamma, phase });
-                eprintln!("{phase:?} {samples} {gamma}: {rates:.3?}");
+        for (samples, gammas) in [(4, &[0.05, 0.1, 0.2, 0.3][..]), (8, &[0.1, 0.2]), (16, &[0.1, 0.2]), (32, &[0.05, 0.1, 0.2, 0.3])] {
+            for &gamma in gammas {
+                let rates = error_rates(samples, GemParams { gamma, phase, ..GemParams::default() });
+                let gamma = f64::from(gamma);
+                assert!(rates.iter().all(|rate| (rate - gamma).abs() < 0.06), "{phase:?}, {samples} samples, γ {gamma}: {rates:.3?}");
             }
         }
     }
 }
 
-/// Figure 6.6: two boxes under uniform noise, 32 samples per pixel.
+/// The rate does not depend on how much noise there is: bias and variance term grow together.
+#[test]
+fn the_error_rate_does_not_depend_on_the_noise() {
+    let (mean, variance) = sampled(&mut Random(85), &Grid::filled(64, 64, 0.0), 8, Random::gaussian);
+    let map = |factor: f64| {
+        let scaled = |grid: &Grid, factor: f64| grid.like(|p| factor * grid.at(p));
+        let frame = gray(&scaled(&mean, factor), &scaled(&variance, factor * factor), SamplesPerPixel::Uniform(8.0));
+        layer(&with_everything_kept(GemParams::default(), &frame), "stopping_2", 1.0).remove(0)
+    };
+    assert_eq!(map(1.0), map(8.0));
+}
+
+/// Figure 6.6: two boxes under uniform noise, 32 samples per pixel. On a line a filter has few pixels to average; in the plane the gain is larger.
 #[test]
 fn boxes_are_kept_and_outliers_removed() {
-    for (width, height) in [(250, 1), (250, 64)] {
-        let level = Grid::from_fn(width, height, |p| if (40..90).contains(&p.x) || (140..210).contains(&p.x) { 1.0 } else { 0.0 });
+    const EDGES: [isize; 4] = [40, 90, 140, 210];
+    for (width, height, least_gain) in [(250, 1, 2.5), (250, 64, 8.0)] {
+        let level = Grid::from_fn(width, height, |p| f64::from((40..90).contains(&p.x) || (140..210).contains(&p.x)));
         let (mean, variance) = sampled(&mut Random(84), &level, 32, |random| random.uniform() * 2.0 - 1.0);
         let frame = gray(&mean, &variance, SamplesPerPixel::Uniform(32.0));
-        let square_error =
-            |plane: &[f32]| plane.iter().zip(&level.values).map(|(value, level)| (f64::from(*value) - level).powi(2)).sum::<f64>() / plane.len() as f64;
+        let mse = |plane: &Grid| level.like(|p| (plane.at(p) - level.at(p)).powi(2)).mean();
         for phase in [Phase::Sampling, Phase::Final] {
-            let estimate = with_everything_kept(GemParams { gamma: 0.2, phase }, &frame);
-            let before = square_error(&frame.color().mean.planes[0]);
-            let after = square_error(&estimate.color.planes[0]);
-            eprintln!("{width}×{height} {phase:?}: {before} {after} ratio {}", before / after);
-            let sigma = layer(&estimate, "scale", 1.0).remove(0);
-            let far = |p: Point| [40, 90, 140, 210].iter().all(|edge: &isize| (p.x - edge).abs() > 8);
-            let fine =
-                (0..width * height).map(|i| Point { x: (i % width) as isize, y: (i / width) as isize }).filter(|p| far(*p) && sigma.at(*p) == 0.0).count();
-            eprintln!("  far from edges at the pixel filter: {fine}");
+            let params = GemParams { phase, ..GemParams::default() };
+            let estimate = with_everything_kept(params, &frame);
+            let what = format!("{width}×{height}, {phase:?}");
+            let result = grids(&estimate.color, 1.0).remove(0);
+            let gain = mse(&mean) / mse(&result);
+            assert!(gain > least_gain, "{what}: the MSE is {gain} times less");
+
+            // Far from the edges, stops are outliers.
+            let (stops, sigma) = (layer(&estimate, "stopping_1", 1.0).remove(0), layer(&estimate, "scale", 1.0).remove(0));
+            let far = |p: Point| EDGES.iter().all(|edge| (p.x - edge).abs() > 8);
+            let share = |map: &Grid, value: f64| {
+                let hits = map.like(|p| f64::from(far(p) && map.at(p) == value));
+                hits.mean() / map.like(|p| f64::from(far(p))).mean()
+            };
+            let (before, after) = (share(&stops, 1.0), share(&sigma, 0.0));
+            assert!(
+                before > 0.05 && after < 0.3 * before,
+                "{what}: of the pixels far from edges, {before} stop by themselves and {after} are left at the pixel filter"
+            );
+
+            // Both sides of each edge are where they were; on a line, the noise of the few pixels there is too large to tell.
+            let column = |x: isize| (0..height as isize).map(|y| result.at(Point { x, y })).sum::<f64>() / height as f64;
+            for (edge, sign) in EDGES.into_iter().zip([1.0, -1.0, 1.0, -1.0]) {
+                let step = sign * (column(edge) - column(edge - 1));
+                assert!(height == 1 || step > 0.9, "{what}: the step at {edge} is {step}");
+            }
         }
     }
 }
@@ -258,7 +291,8 @@ fn parameters_out_of_range_are_refused() {
     for gamma in [0.0, 0.4, -1.0, f32::NAN] {
         assert!(GemParams { gamma, ..GemParams::default() }.validate().is_err(), "{gamma}");
     }
+    for final_outlier_size in [0.0, 5.0, f32::NAN] {
+        assert!(GemParams { final_outlier_size, ..GemParams::default() }.validate().is_err(), "{final_outlier_size}");
+    }
     assert!([GemParams::default(), GemParams::thesis()].iter().all(|params| params.validate().is_ok()));
-    let _ = Extent { width: 1, height: 1 };
-    let _: Option<Image> = None;
 }

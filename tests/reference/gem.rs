@@ -20,8 +20,8 @@ impl GemParams {
         Self { gamma, sigmas: vec![1.0, 2.0, 4.0, 8.0], outlier_size: 1.0, coarser_only: false }
     }
 
-    pub fn for_the_final_image(gamma: f64) -> Self {
-        Self { gamma, sigmas: (1..=8).map(|step| 2f64.powf(0.5 * f64::from(step))).collect(), outlier_size: 2.0, coarser_only: true }
+    pub fn for_the_final_image(gamma: f64, outlier_size: f64) -> Self {
+        Self { gamma, sigmas: (1..=8).map(|step| 2f64.powf(0.5 * f64::from(step))).collect(), outlier_size, coarser_only: true }
     }
 }
 
