@@ -22,8 +22,8 @@ pub enum GpuSamples {
 }
 
 impl GpuSamples {
-    /// For a stage: the number that holds everywhere, or the plane of numbers.
-    pub(super) fn uniform_or_map(&self) -> (f32, Option<&Buffer>) {
+    /// The number that holds everywhere, and the plane of numbers where there is one.
+    pub(super) fn parts(&self) -> (f32, Option<&Buffer>) {
         match self {
             Self::Uniform(count) => (*count, None),
             Self::PerPixel(counts) => (0.0, Some(counts)),
@@ -39,7 +39,7 @@ impl GpuSamples {
 /// `caustic` and `spikes` the seed decides.
 pub fn sample_density(rec: &mut Recorder, extent: IVec2, blended: &Buffer, selection: Option<&Buffer>, samples: &GpuSamples) -> Result<Buffer> {
     let density = rec.take("sample density", plane_bytes(extent, 1))?;
-    let (samples_per_pixel, samples) = samples.uniform_or_map();
+    let (samples_per_pixel, samples) = samples.parts();
     let params = SampleDensityParams { extent, samples_per_pixel, relative_floor: RELATIVE_FLOOR };
     let kernel = rec.gpu().kernel::<SampleDensity>("sample_density", &[("SAMPLES_VARY", samples.is_some().into()), ("HALVES", selection.is_none().into())])?;
     rec.dispatch(&kernel, &SampleDensity { params, blended, selection, density: &density, samples }, per_pixel(extent))?;

@@ -52,7 +52,7 @@ pub struct Selected {
 pub fn scale_pixel(rec: &mut Recorder, extent: IVec2, signal: &Buffer, variance_of_mean: &Buffer, samples: &GpuSamples) -> Result<(Scale, Selected)> {
     let pixel = Scale { sigma: 0.0, signal: rec.take("pixel filter", plane_bytes(extent, 2))?, variance: rec.take("its variance", plane_bytes(extent, 1))? };
     let selected = Selected { signal: rec.take("selected scale", plane_bytes(extent, 2))?, choice: rec.take("choice of scale", plane_bytes(extent, 1))? };
-    let (samples_per_pixel, samples) = samples.uniform_or_map();
+    let (samples_per_pixel, samples) = samples.parts();
     let kernel = rec.gpu().kernel::<ScalePixel>("scale_pixel", &[("SAMPLES_VARY", samples.is_some().into())])?;
     let bound = ScalePixel {
         params: ScalePixelParams { extent, samples_per_pixel },
