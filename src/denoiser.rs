@@ -52,9 +52,10 @@ pub struct Estimate {
     /// Half spread of the denoised colour: its filtered halves are `color ± half_spread`. `None` without halves.
     pub half_spread: Option<Image>,
     /// One plane: the estimated squared error of each pixel, summed over the channels. Of DFC it comes from SURE (eq. 8.5) smoothed and blended like the candidates, and is
-    /// that of pass 1; the second pass leaves less. May be negative where the true error is small.
+    /// that of pass 1; the second pass leaves less. May be negative where the true error is small. Of GEM it is the variance of the chosen scale and the estimated bias
+    /// of the steps that led to it (thesis 6.3), never negative.
     pub error: Image,
-    /// One plane: Σ w over the window, blended like the candidates: how many pixels took part (thesis 8.6).
+    /// One plane: how many pixels took part. Of DFC Σ w over the window, blended like the candidates (thesis 8.6); of GEM 1/Σw² of the chosen scale's normalised weights.
     pub weight_sum: Image,
     /// Shares of FIRST, SECOND and THIRD in each pixel, where the method has them.
     pub selection: Option<Image>,
@@ -152,7 +153,7 @@ impl Denoiser {
         self.check_window(frames, centre)?;
         let Options { keep, mut progress } = options;
         let frame = frames[centre];
-        let units = Units::of_window(frames, centre, exposure(frame));
+        let units = Units::of_window(frames, centre, self.method.uses_features(), exposure(frame));
         let beside = frames.iter().enumerate().filter(|(index, _)| *index != centre).map(|(_, frame)| *frame);
         let strips = strips(&self.gpu, frame, &self.method, frames.len() - 1, !keep.is_empty(), self.schedule, self.max_memory)?;
         self.gpu.set_memory_limit(self.max_memory);
@@ -189,9 +190,7 @@ impl Denoiser {
         let Some(frame) = frames.get(centre) else {
             return refuse(format!("frame {centre} of a window of {} frames is to be denoised", frames.len()), "count from 0");
         };
-        if frames.len() > 1 && !self.method.filters_in_time() {
-            return refuse(format!("{} does not filter over time", self.method.name()), "give it one frame at a time, or choose another method");
-        }
+        self.method.check_beside(frames.len() - 1)?;
         let knows = |frame: &Frame| (frame.color().half_spread.is_some(), frame.color().variance_of_mean.is_some());
         for (index, other) in frames.iter().enumerate() {
             if other.extent() != frame.extent() {

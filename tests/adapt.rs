@@ -13,16 +13,19 @@ use stein::gpu::DeviceChoice;
 use stein::metric::relative_mse;
 use stein::sampling::stub::{Camera, Environment, Material, Scene, Sequence, Shape, StubSampler, Texture};
 use stein::sampling::{Event, MapFile, Plan, SampleCounts, Samples, SamplingMap, adapt};
-use stein::{Denoiser, DfcParams, Error, Extent, Gpu, Image};
+use stein::{Denoiser, DfcParams, Error, Extent, GemParams, Gpu, Image, Method};
 use tempfile::TempDir;
 
 /// Small, so that a software adapter is done in a second.
 const SMALL: [&str; 2] = ["--radius=3", "--size=24x20"];
 const PIXELS: u64 = 24 * 20;
 
-fn denoiser(radius: u32) -> Denoiser {
-    let gpu = Gpu::open(&DeviceChoice::Auto).unwrap();
-    Denoiser::new(&gpu, DfcParams { window_radius: radius, ..DfcParams::default() }).unwrap()
+fn dfc(radius: u32) -> Method {
+    DfcParams { window_radius: radius, ..DfcParams::default() }.into()
+}
+
+fn denoiser(method: Method) -> Denoiser {
+    Denoiser::new(&Gpu::open(&DeviceChoice::Auto).unwrap(), method).unwrap()
 }
 
 /// Exit code, standard output, standard error.
@@ -330,8 +333,7 @@ fn two_walls() -> Scene {
         .with(wall(0.0), Material::Diffuse(Texture::Pattern(stripes)))
 }
 
-#[test]
-fn samples_go_to_what_is_noisy() {
+fn samples_go_to_what_is_noisy(method: Method) {
     let extent = Extent { width: 40, height: 24 };
     let mut sampler = StubSampler::new(two_walls(), extent, 3, Sequence::Random);
     let plan = Plan::new(12, 2, None).unwrap();
@@ -342,7 +344,7 @@ fn samples_go_to_what_is_noisy() {
         }
         Ok(())
     };
-    let outcome = adapt(&mut sampler, &denoiser(4), &plan, None, observe).unwrap();
+    let outcome = adapt(&mut sampler, &denoiser(method), &plan, None, observe).unwrap();
     assert_eq!(outcome.samples.counts().total_samples(), 12 * extent.pixels() as u64);
     let counts = last.unwrap();
     let mean = |columns: std::ops::Range<usize>| {
@@ -352,6 +354,41 @@ fn samples_go_to_what_is_noisy() {
     // The blur of the stripes reaches over the middle.
     let (flat, striped) = (mean(0..14), mean(24..40));
     assert!(striped > 4.0 * flat, "{flat} on the flat wall, {striped} on the striped one");
+}
+
+#[test]
+fn samples_of_dfc_go_to_what_is_noisy() {
+    samples_go_to_what_is_noisy(dfc(4));
+}
+
+#[test]
+fn samples_of_gem_go_to_what_is_noisy() {
+    samples_go_to_what_is_noisy(GemParams::default().into());
+}
+
+#[test]
+fn gem_works_in_the_loop_and_makes_maps() {
+    let folder = Folder::new();
+    let (whole, parts) = (folder.path("whole"), folder.path("parts"));
+    let call = |output: &Path, more: &[&str]| {
+        stein(&[&["adapt", "dof", "--spp=12", "--iterations=3", "--method=gem", SMALL[1], "-o", text(output), "--json"], more].concat())
+    };
+    let document: Value = serde_json::from_str(&call(&whole, &[])).unwrap();
+    assert_eq!(document["iterations"][2]["samples"]["total_samples"], 12 * PIXELS);
+    assert!(document["iterations"][2]["samples"]["most"].as_u64() > document["iterations"][2]["samples"]["least"].as_u64());
+    let budgets: Vec<u64> = (1..=3).map(|iteration| MapFile::read(&whole.join(format!("map_{iteration}.exr"))).unwrap().map.counts.total_samples()).collect();
+    assert_eq!(budgets, [4 * PIXELS; 3]);
+    // The last iteration is lost.
+    call(&parts, &[]);
+    for kind in ["map", "samples", "denoised"] {
+        std::fs::remove_file(parts.join(format!("{kind}_3.exr"))).unwrap();
+    }
+    call(&parts, &["--resume"]);
+    assert_same_files(&whole, &parts);
+
+    let map = folder.path("map.exr");
+    stein(&["sample-map", text(&whole.join("samples_1.exr")), "--method=gem", "--budget=8", "-o", text(&map)]);
+    assert_eq!(MapFile::read(&map).unwrap().map.counts.total_samples(), 8 * PIXELS);
 }
 
 #[test]
@@ -367,7 +404,7 @@ fn an_observer_ends_the_loop_by_its_error() {
         }
     }
     let extent = Extent { width: 16, height: 16 };
-    let (denoiser, plan) = (denoiser(2), Plan::new(8, 2, None).unwrap());
+    let (denoiser, plan) = (denoiser(dfc(2)), Plan::new(8, 2, None).unwrap());
     let stops: [fn(&Event<'_>) -> bool; 4] = [
         |event| matches!(event, Event::Planned { iteration: 2, .. }),
         |event| matches!(event, Event::Drawing { .. }),

@@ -78,6 +78,32 @@ fn a_render_with_everything_is_denoised_compared_and_told_as_json() {
 }
 
 #[test]
+fn gem_is_a_method_with_options_and_intermediates_of_its_own() {
+    let (input, reference) = (test_image("cornell_8spp.exr"), test_image("cornell_reference.exr"));
+    let folder = Folder::new();
+    let output = folder.path("out.exr");
+    let arguments = ["denoise", &input, "-o", &output, "--method=gem"];
+    let with = |more: &[&str]| stein(&[&arguments[..], more].concat());
+    let document = with(&["--gamma=0.1", "--ref", &reference, "--keep=all", "--json"]).succeeded().json();
+    assert_eq!(document["parameters"]["method"], "gem");
+    assert_eq!((document["parameters"]["gamma"].as_f64().unwrap() * 1e3).round(), 100.0);
+    assert_eq!(document["kept"], serde_json::json!(["variance", "stopping", "scale", "density"]));
+    let error = |image: &str| error_of(&document, image)["relative_mse"].as_f64().unwrap();
+    assert!(error("result") < error("noisy") / 3.0, "{}", document["errors"]);
+    let names: Vec<String> = channels(&output).into_iter().map(|(name, _)| name).collect();
+    for name in ["stein.error.V", "stein.scale.V", "stein.stopping_1.V", "stein.stopping_8_smoothed.V", "stein.reduction.relative_mse"] {
+        assert!(names.iter().any(|other| other == name), "no {name} in {names:?}");
+    }
+    assert!(attribute(&output, "stein.parameters").unwrap().contains("gem"));
+
+    with(&["--radius=5"]).failed(2, &["--radius is no option of the method gem", "remedy: "]);
+    with(&["--gamma=0.5"]).failed(2, &["γ is 0.5", "below 0.4"]);
+    with(&["--keep=candidates"]).failed(2, &["gem has no such intermediate", "stopping"]);
+    with(&["--feature", "albedo=a.exr"]).failed(2, &["gem uses no features"]);
+    stein(&["denoise", &input, "--gamma=0.2"]).failed(2, &["--gamma is no option of the method dfc"]);
+}
+
+#[test]
 fn a_user_sees_what_was_taken_for_what_and_how_good_it_became() {
     let (folder, input) = Folder::with("cornell_8spp.exr");
     let output = folder.path("render.denoised.exr");

@@ -6,12 +6,14 @@ mod reference;
 
 use reference::candidates::{Candidate, analytic_derivative, candidate, finite_difference, finite_difference_step};
 use reference::dfc::{Dfc, DfcParams, Frame, Pass, dfc};
+use reference::gaussian::{gaussian, gaussian_neighbours, gaussian_variance};
+use reference::gem::{Scale, bias_weight, scaled, step};
 use reference::nlm::{CentreWeight, Feature, FilterParams, Guide, nlm_filter, window_weights};
 use reference::prefilter::{gradient_squared, prefilter};
 use reference::random::Random;
 use reference::select::{Evidence, FIRST, Guard, SECOND, THIRD, guard, select};
 use reference::sure::sure;
-use reference::variance::{Signal, gaussian, spread_of_halves, variance_scale};
+use reference::variance::{Signal, spread_of_halves, variance_scale};
 use reference::{Grid, Planes, Point, square};
 
 /// Both presets at a radius that a test can afford; they differ in every switch.
@@ -282,6 +284,61 @@ fn a_gaussian_keeps_a_constant_and_is_normalised_at_the_border() {
     let smoothed = gaussian(&row(&[1.0, 0.0]), 0.5, 2);
     let weight = (-2f64).exp();
     assert_close(smoothed.values[0], 1.0 / (1.0 + weight), 1e-12, "border");
+}
+
+/// Equation 6.2 says what the noise of an average is, at the border too.
+#[test]
+fn a_gaussian_of_noise_has_the_variance_of_its_squared_weights() {
+    let deviation = Grid::from_fn(9, 7, |p| 0.5 + 0.1 * (p.x + p.y) as f64);
+    let expected = gaussian_variance(&deviation.like(|p| deviation.at(p).powi(2)), 1.3, 4);
+    let mut random = Random(91);
+    let mut squares = deviation.like(|_| 0.0);
+    const RUNS: usize = 4000;
+    for _ in 0..RUNS {
+        let noise = random.gaussian_grid(9, 7, 0.0, 1.0);
+        let smoothed = gaussian(&noise.like(|p| noise.at(p) * deviation.at(p)), 1.3, 4);
+        squares = squares.like(|p| squares.at(p) + smoothed.at(p).powi(2) / RUNS as f64);
+    }
+    for (actual, expected) in squares.values.iter().zip(&expected.values) {
+        // Relative deviation √(2/4000), of 63 values the largest.
+        assert_close(actual / expected, 1.0, 4.0 * 0.0224, "variance");
+    }
+}
+
+#[test]
+fn neighbours_are_averaged_without_the_centre() {
+    assert_eq!(gaussian_neighbours(&row(&[7.0]), 1.0, 3).values, [7.0]);
+    let smoothed = gaussian_neighbours(&row(&[0.0, 9.0, 0.0]), 1.0, 3);
+    assert_close(smoothed.values[1], 0.0, 1e-12, "centre");
+    assert_close(smoothed.values[0], 9.0 / (1.0 + (-1.5f64).exp()), 1e-12, "beside it");
+}
+
+// Greedy error minimisation.
+
+/// Section 6.2.2: where the image is quadratic, the bias term is the difference of the squared biases, although nobody told it the truth. Gaussians that end at 3σ have
+/// biases in a ratio of their scales within 2 %.
+#[test]
+fn the_bias_term_knows_the_biases_of_a_quadratic() {
+    let truth = Grid::from_fn(81, 81, |p| 0.3 + 0.02 * p.x as f64 - 0.01 * (p.x - 40).pow(2) as f64 + 0.03 * (p.y - 38).pow(2) as f64);
+    let zero = truth.like(|_| 0.0);
+    let three = |grid: &Grid| vec![grid.clone(); 3];
+    let pixel = Scale { sigma: 0.0, mean: three(&truth), spread: three(&zero), variance: three(&zero), samples: zero.clone(), pixels: zero.like(|_| 1.0) };
+    let centre = Point { x: 40, y: 40 };
+    for (fine, coarse) in
+        [(scaled(&pixel, 2.0), scaled(&pixel, 4.0)), (scaled(&pixel, 4.0), scaled(&pixel, 32f64.sqrt())), (pixel.clone(), scaled(&pixel, 2.0))]
+    {
+        let squared_bias = |scale: &Scale| 3.0 * (scale.mean[0].at(centre) - truth.at(centre)).powi(2);
+        let expected = squared_bias(&coarse) - squared_bias(&fine);
+        assert!(expected > 0.0);
+        assert_close(step(&fine, &coarse, 1.0).bias_term.at(centre) / expected, 1.0, 0.02, "bias term");
+    }
+}
+
+#[test]
+fn more_tolerance_of_errors_weighs_the_bias_more() {
+    let weights: Vec<f64> = [0.01, 0.05, 0.1, 0.2, 0.3, 0.39].into_iter().map(bias_weight).collect();
+    assert!(weights.is_sorted() && weights[0] > 0.0, "{weights:?}");
+    assert_close(weights[3], 0.7022, 1e-4, "z(0.2)");
 }
 
 #[test]

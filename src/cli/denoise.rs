@@ -27,7 +27,7 @@ use shot::{Compared, Comparison, ShotReport};
 
 const EXAMPLE: &str = "\
 The output keeps the input's header and layers. The colour is replaced, and so are its halves; its variance is left out, for it is not that of the denoised \
-colour. `stein.error.V` is added: the estimated squared error, summed over the channels, before the second pass.
+colour. `stein.error.V` is added: the estimated squared error, summed over the channels (of dfc before the second pass).
 
 Examples:
   stein denoise render.exr
@@ -146,6 +146,7 @@ fn denoise(args: &Args, out: &mut Out) -> Result<(), Failure> {
             "--temporal-radius: {name} has no filter over several frames\n  remedy: leave the option out, or choose another method"
         )));
     }
+    args.source.check(&method)?;
     let keep = args.keep(&method)?;
     let plan = Plan::new(args, input)?;
     let job = Job { args, method, keep, plan: &plan };

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use clap::ValueEnum;
 use stein::buffers::{BufferSet, BufferSetRequest, LayerRef};
 use stein::gpu::DeviceChoice;
-use stein::{Denoiser, DfcParams, Extent, Gpu, Method, Preset};
+use stein::{Denoiser, DfcParams, Extent, GemParams, Gpu, Method, Preset};
 
 use super::Failure;
 
@@ -16,9 +16,8 @@ pub(crate) struct Filter {
     /// Parameters
     #[arg(long, value_enum, default_value = "default")]
     preset: PresetName,
-    /// Radius of the window that is averaged over, in pixels [default: 10]
-    #[arg(long, value_name = "PIXELS")]
-    radius: Option<u32>,
+    #[command(flatten)]
+    choice: Choice,
 }
 
 impl Filter {
@@ -29,8 +28,65 @@ impl Filter {
 
     /// The method, with the parameters that were asked for.
     pub(crate) fn method(&self) -> Result<Method, Failure> {
-        self.preset.method(self.radius)
+        self.choice.method(self.preset)
     }
+}
+
+/// The method and what may be set of it.
+#[derive(Debug, clap::Args)]
+#[command(next_help_heading = "Filter")]
+pub(crate) struct Choice {
+    /// Method
+    #[arg(long, value_enum, default_value = "dfc")]
+    method: MethodName,
+    /// Of dfc: radius of the window that is averaged over, in pixels [default: 10]
+    #[arg(long, value_name = "PIXELS")]
+    radius: Option<u32>,
+    /// Of gem: share of wrong decisions for a sharper filter where the image is constant, above 0 and below 0.4; lower is smoother [default: 0.15]
+    #[arg(long, value_name = "SHARE")]
+    gamma: Option<f32>,
+}
+
+impl Choice {
+    /// The method with the parameters of a preset, but for those that were set.
+    pub(crate) fn method(&self, preset: PresetName) -> Result<Method, Failure> {
+        let method = match self.method {
+            MethodName::Dfc => {
+                self.refuse(&[("--gamma", self.gamma.is_some())])?;
+                let params = match preset {
+                    PresetName::Default => DfcParams::default(),
+                    PresetName::Thesis => DfcParams::thesis(),
+                };
+                Method::from(DfcParams { window_radius: self.radius.unwrap_or(params.window_radius), ..params })
+            }
+            MethodName::Gem => {
+                self.refuse(&[("--radius", self.radius.is_some())])?;
+                let params = match preset {
+                    PresetName::Default => GemParams::default(),
+                    PresetName::Thesis => GemParams::thesis(),
+                };
+                Method::from(GemParams { gamma: self.gamma.unwrap_or(params.gamma), ..params })
+            }
+        };
+        method.validate().map_err(Failure::usage)?;
+        Ok(method)
+    }
+
+    /// Options that the method does not have are not ignored.
+    fn refuse(&self, options: &[(&str, bool)]) -> Result<(), Failure> {
+        let Some((option, _)) = options.iter().find(|(_, is_given)| *is_given) else { return Ok(()) };
+        let name = self.method.to_possible_value().map_or_else(String::new, |value| value.get_name().to_owned());
+        Err(Failure::usage(format_args!("{option} is no option of the method {name}\n  remedy: leave it out, or choose another --method")))
+    }
+}
+
+/// The methods, as [`Method`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum MethodName {
+    /// Combined colour and feature filters
+    Dfc,
+    /// Greedy error minimisation over Gaussian scales; needs no features
+    Gem,
 }
 
 /// Where colour, noise and features are found.
@@ -91,6 +147,17 @@ impl Source {
         let features = self.features.iter().map(|(name, layer)| (name.clone(), file(layer))).collect();
         let [half_a, half_b, variance] = [&self.half_a, &self.half_b, &self.variance].map(|layer| layer.as_ref().map(&file));
         Self { half_a, half_b, variance, features, ..self.clone() }
+    }
+
+    /// Options that the method has no use for are not ignored.
+    pub(crate) fn check(&self, method: &Method) -> Result<(), Failure> {
+        match self.features.first() {
+            Some((feature, _)) if !method.uses_features() => {
+                let name = method.name();
+                Err(Failure::usage(format_args!("--feature {feature}: {name} uses no features\n  remedy: leave it out, or choose another --method")))
+            }
+            _ => Ok(()),
+        }
     }
 
     /// Files besides the input, none of which an output may replace.
@@ -173,18 +240,6 @@ impl PresetName {
             Self::Default => Preset::Default,
             Self::Thesis => Preset::Thesis,
         }
-    }
-
-    /// Its parameters, with another window radius where one is given.
-    pub(crate) fn method(self, radius: Option<u32>) -> Result<Method, Failure> {
-        let mut params = match self {
-            Self::Default => DfcParams::default(),
-            Self::Thesis => DfcParams::thesis(),
-        };
-        params.window_radius = radius.unwrap_or(params.window_radius);
-        let method = Method::from(params);
-        method.validate().map_err(Failure::usage)?;
-        Ok(method)
     }
 }
 

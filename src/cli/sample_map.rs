@@ -110,6 +110,7 @@ pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
         out.silence();
     }
     let method = args.filter.method()?;
+    args.source.check(&method)?;
     let file = args.output.clone().unwrap_or_else(|| input.with_extension("map.exr"));
     output::check(&file, args.source.files().chain([input]), false, false)?;
 
@@ -122,7 +123,8 @@ pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
     let estimate = denoiser.denoise_with(&frame, Options { keep: &[Intermediate::Density], progress: None })?;
     // Whole pairs, which a small budget has few of.
     let cap = args.cap.unwrap_or_else(|| (budget * f64::from(DEFAULT_CAP)).max(2.0) as u32);
-    let map = SamplingMap::new(sampling_density(&estimate)?, budget, Some(cap)).map_err(Failure::usage)?;
+    let density = sampling_density(&estimate, budget, budget * f64::from(DEFAULT_CAP))?;
+    let map = SamplingMap::new(&density, budget, Some(cap)).map_err(Failure::usage)?;
     let spread = Spread::of(&map.counts);
     MapFile { map, drawn: drawn(&set.samples_per_pixel(), frame.extent()) }.write(&file, &[]).map_err(Failure::output)?;
     out.say(format_args!("{}: {spread}", file.display()));

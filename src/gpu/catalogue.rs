@@ -21,6 +21,7 @@ pub(super) const STAGES: &[(&str, &str)] = sources!("shaders":
     "variance_rows",
     "variance_scale",
     "variance_smooth",
+    "gaussian",
     "nlm_distance",
     "nlm_filter",
     "feature_pack",
@@ -32,4 +33,8 @@ pub(super) const STAGES: &[(&str, &str)] = sources!("shaders":
     "select_frames",
     "select_pass",
     "sample_density",
+    "scale_pixel",
+    "scale_stop",
+    "scale_advance",
+    "scale_reduction",
 );

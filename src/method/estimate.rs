@@ -21,13 +21,28 @@ pub enum Intermediate {
     Selection,
     /// The blend before the second pass.
     Pass1,
+    /// Stopping maps of each pair of scales: binary, and smoothed.
+    Stopping,
+    /// σ of the scale that was chosen, in pixels; 0 for the pixel filter.
+    Scale,
     /// Where the next samples pay most.
     Density,
 }
 
 impl Intermediate {
     /// All of them, whatever the method.
-    pub const ALL: [Self; 8] = [Self::Variance, Self::Features, Self::Candidates, Self::Derivatives, Self::Sure, Self::Selection, Self::Pass1, Self::Density];
+    pub const ALL: [Self; 10] = [
+        Self::Variance,
+        Self::Features,
+        Self::Candidates,
+        Self::Derivatives,
+        Self::Sure,
+        Self::Selection,
+        Self::Pass1,
+        Self::Stopping,
+        Self::Scale,
+        Self::Density,
+    ];
 
     /// Its name on the command line.
     pub fn name(self) -> &'static str {
@@ -39,6 +54,8 @@ impl Intermediate {
             Self::Sure => "sure",
             Self::Selection => "selection",
             Self::Pass1 => "pass1",
+            Self::Stopping => "stopping",
+            Self::Scale => "scale",
             Self::Density => "density",
         }
     }
@@ -94,7 +111,7 @@ pub struct GpuEstimate {
     pub signal: Arc<Buffer>,
     /// The estimated squared error, summed over the channels. May be negative.
     pub error: Lane,
-    /// Σ w: how many pixels took part in a pixel's average.
+    /// How many pixels took part in a pixel's average.
     pub weight_sum: Lane,
     /// One plane: the shares of FIRST, SECOND and THIRD, where the method has them.
     pub selection: Option<Arc<Buffer>>,

@@ -56,11 +56,12 @@ pub(crate) struct Units<'a> {
 }
 
 impl<'a> Units<'a> {
-    /// Those of `frames[centre]`, with its features as far as all frames have them.
-    pub(crate) fn of_window(frames: &[&'a Frame], centre: usize, exposure: f32) -> Self {
+    /// Those of `frames[centre]`, with its features, if they are used at all, as far as all frames have them.
+    pub(crate) fn of_window(frames: &[&'a Frame], centre: usize, with_features: bool, exposure: f32) -> Self {
         let alike = |a: &Feature, b: &Feature| a.name == b.name && a.signal.mean.channels() == b.signal.mean.channels();
         let everywhere = |feature: &&Feature| frames.iter().all(|frame| frame.features().iter().any(|other| alike(feature, other)));
-        Self { exposure, features: frames[centre].features().iter().filter(everywhere).collect() }
+        let own = if with_features { frames[centre].features() } else { &[] };
+        Self { exposure, features: own.iter().filter(everywhere).collect() }
     }
 }
 

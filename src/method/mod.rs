@@ -6,11 +6,12 @@ mod common;
 pub mod dfc;
 mod estimate;
 mod frame;
+pub mod gem;
 mod memory;
 
 use serde::Serialize;
 
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::frame::Frame;
 use crate::gpu::Recorder;
 use crate::stage::nlm::Schedule;
@@ -19,6 +20,7 @@ pub use dfc::DfcParams;
 pub use estimate::{GpuEstimate, Intermediate, KeptPlane, Lane, Unit};
 pub(crate) use frame::Units;
 pub use frame::{GpuFeature, GpuFrame, GpuSignal};
+pub use gem::GemParams;
 use memory::Footprint;
 pub(crate) use memory::{Strip, strips};
 
@@ -28,6 +30,8 @@ pub(crate) use memory::{Strip, strips};
 pub enum Method {
     /// Combined colour and feature filters (thesis chapter 8).
     Dfc(DfcParams),
+    /// Greedy error minimisation over Gaussian scales (thesis chapter 6).
+    Gem(GemParams),
 }
 
 /// Named parameter sets.
@@ -57,6 +61,7 @@ impl Method {
     pub fn name(&self) -> &'static str {
         match self {
             Self::Dfc(_) => "dfc",
+            Self::Gem(_) => "gem",
         }
     }
 
@@ -64,6 +69,15 @@ impl Method {
     pub fn window_radius(&self) -> u32 {
         match self {
             Self::Dfc(params) => params.window_radius,
+            Self::Gem(params) => params.window_radius(),
+        }
+    }
+
+    /// Whether features help it. Those of a frame stay off the device where they do not.
+    pub fn uses_features(&self) -> bool {
+        match self {
+            Self::Dfc(_) => true,
+            Self::Gem(_) => false,
         }
     }
 
@@ -71,6 +85,7 @@ impl Method {
     pub fn intermediates(&self) -> &'static [Intermediate] {
         match self {
             Self::Dfc(_) => &dfc::INTERMEDIATES,
+            Self::Gem(_) => &gem::INTERMEDIATES,
         }
     }
 
@@ -79,22 +94,25 @@ impl Method {
     pub fn while_sampling(self) -> Self {
         match self {
             Self::Dfc(_) => self,
+            Self::Gem(params) => Self::Gem(GemParams { phase: gem::Phase::Sampling, ..params }),
         }
     }
 
     /// Checks the ranges of its parameters.
     ///
     /// # Errors
-    /// [`Error::Request`](crate::Error::Request) naming the parameter and its range.
+    /// [`Error::Request`] naming the parameter and its range.
     pub fn validate(&self) -> Result<()> {
         match self {
             Self::Dfc(params) => params.validate(),
+            Self::Gem(params) => params.validate(),
         }
     }
 
     fn footprint(&self, frame: &Frame, beside: usize, kept: bool, schedule: Schedule) -> Footprint {
         match self {
             Self::Dfc(params) => dfc::footprint(params, frame, beside, kept, schedule),
+            Self::Gem(params) => gem::footprint(params, kept),
         }
     }
 
@@ -102,7 +120,19 @@ impl Method {
     pub fn filters_in_time(&self) -> bool {
         match self {
             Self::Dfc(_) => true,
+            Self::Gem(_) => false,
         }
+    }
+
+    /// Refuses frames beside the one to denoise where the method has no use for them.
+    pub(crate) fn check_beside(&self, beside: usize) -> Result<()> {
+        if beside == 0 || self.filters_in_time() {
+            return Ok(());
+        }
+        Err(Error::Request {
+            problem: format!("{} does not filter over several frames", self.name()),
+            remedy: "give it one frame at a time, or choose another method".into(),
+        })
     }
 
     /// Records the work on a frame, in a window with the frames `beside`, which are in its units. `progress` is called with the share of it that is recorded.
@@ -115,8 +145,10 @@ impl Method {
         schedule: Schedule,
         progress: impl FnMut(&mut Recorder, f32) -> Result<()>,
     ) -> Result<GpuEstimate> {
+        self.check_beside(beside.len())?;
         match self {
             Self::Dfc(params) => dfc::dfc(rec, frame, beside, params, wanted, schedule, progress),
+            Self::Gem(params) => gem::gem(rec, frame, params, wanted, progress),
         }
     }
 }

@@ -2,7 +2,7 @@
 
 use std::ops::ControlFlow;
 
-use super::{SampleCounts, Sampler, Samples, SamplingMap};
+use super::{SampleCounts, Sampler, Samples, SamplingMap, sampling_density};
 use crate::error::{Error, Result};
 use crate::image::{Extent, Image};
 use crate::method::Intermediate;
@@ -145,7 +145,10 @@ pub fn adapt<S: Sampler, E: From<Error> + Send>(
         let budget = plan.budget(iteration);
         let map = match &state {
             None => SamplingMap::uniform(sampler.extent(), budget)?,
-            Some(Outcome { estimate, .. }) => SamplingMap::new(sampling_density(estimate)?, budget.into(), plan.cap)?,
+            Some(Outcome { estimate, .. }) => {
+                let density = sampling_density(estimate, budget.into(), plan.samples_per_pixel.into())?;
+                SamplingMap::new(&density, budget.into(), plan.cap)?
+            }
         };
         observe(Event::Planned { iteration, map: &map, drawn: state.as_ref().map(|state| &state.samples) })?;
         let new = draw(sampler, &map.counts, |share| observe(Event::Drawing { iteration, share }))?;
@@ -177,20 +180,8 @@ pub fn uniform<S: Sampler, E: From<Error> + Send>(
     adapt(sampler, denoiser, &Plan { iterations: 1, cap: None, ..*plan }, None, observe)
 }
 
-/// Where the next samples pay most, of an estimate that was made with [`Intermediate::Density`] kept.
-///
-/// # Errors
-/// [`Error::Request`] where it was not kept.
-pub fn sampling_density(estimate: &Estimate) -> Result<&Image> {
-    let kept = estimate.layers.iter().find(|layer| layer.name == Intermediate::Density.name());
-    kept.map(|layer| &layer.image).ok_or_else(|| Error::Request {
-        problem: "the estimate does not say where samples pay".into(),
-        remedy: "denoise with `Intermediate::Density` in `Options::keep`".into(),
-    })
-}
-
-/// What [`metric::relative_mse`] of the denoised image would be, without a reference: the estimated squared error over the denoised colour's square. It is that of pass 1, and
-/// may be below 0 where little is left to estimate.
+/// What [`metric::relative_mse`] of the denoised image would be, without a reference: the estimated squared error over the denoised colour's square. Of DFC it is that of
+/// pass 1, and may be below 0 where little is left to estimate.
 pub fn estimated_relative_mse(estimate: &Estimate) -> f64 {
     let error = &estimate.error.planes[0];
     let square = |pixel: usize| estimate.color.planes.iter().map(|plane| f64::from(plane[pixel]).powi(2) + metric::RELATIVE_EPSILON).sum::<f64>();

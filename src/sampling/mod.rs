@@ -8,6 +8,7 @@
 //! another process.
 
 mod adapt;
+mod density;
 mod map;
 mod map_file;
 mod native;
@@ -15,7 +16,8 @@ mod sampler;
 mod samples;
 pub mod stub;
 
-pub use adapt::{Event, Outcome, Plan, Resumed, adapt, estimated_relative_mse, sampling_density, uniform};
+pub use adapt::{Event, Outcome, Plan, Resumed, adapt, estimated_relative_mse, uniform};
+pub use density::sampling_density;
 pub use map::SamplingMap;
 pub use map_file::MapFile;
 pub use sampler::{Progress, SampleCounts, Sampler};

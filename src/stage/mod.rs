@@ -6,8 +6,10 @@
 pub mod candidate;
 pub mod error;
 pub mod feature;
+pub mod gaussian;
 pub mod nlm;
 pub mod sample;
+pub mod scale;
 pub mod select;
 pub mod variance;
 

@@ -24,17 +24,17 @@ fn denoiser(gpu: &Gpu, params: DfcParams) -> Denoiser {
     Denoiser::new(gpu, params).unwrap_or_else(|error| panic!("{error}"))
 }
 
-fn denoised(denoiser: &Denoiser, frame: &Frame) -> Estimate {
+pub(crate) fn denoised(denoiser: &Denoiser, frame: &Frame) -> Estimate {
     denoiser.denoise(frame).unwrap_or_else(|error| panic!("{error}"))
 }
 
-fn image(planes: &[Grid]) -> Image {
+pub(crate) fn image(planes: &[Grid]) -> Image {
     let extent = Extent { width: planes[0].width as u32, height: planes[0].height as u32 };
     Image { extent, planes: planes.iter().map(|grid| grid.values.iter().map(|v| *v as f32).collect()).collect() }
 }
 
 /// Random colour with spikes, and a feature that has halves only.
-fn random_frame(width: usize, height: usize, factor: f32) -> Frame {
+pub(crate) fn random_frame(width: usize, height: usize, factor: f32) -> Frame {
     let (color, feature) = (scene(width, height, 51), scene(width, height, 52));
     let scaled = |planes: &[Grid], factor: f32| {
         let mut image = image(planes);
@@ -58,17 +58,18 @@ fn selection(estimate: &Estimate) -> &Image {
     estimate.selection.as_ref().unwrap_or_else(|| panic!("DFC has selection maps"))
 }
 
-fn images(estimate: &Estimate) -> [&Image; 5] {
+/// Everything that a method says of a frame with halves, and the power of the colour's unit that it is in.
+fn images(estimate: &Estimate) -> Vec<(&str, i32, &Image)> {
     let Some(half_spread) = &estimate.half_spread else { panic!("the frame has halves") };
-    [&estimate.color, half_spread, &estimate.error, &estimate.weight_sum, selection(estimate)]
+    let mut images = vec![("colour", 1, &estimate.color), ("half spread", 1, half_spread), ("error", 2, &estimate.error), ("Σ w", 0, &estimate.weight_sum)];
+    images.extend(estimate.selection.as_ref().map(|selection| ("selection", 0, selection)));
+    images
 }
 
-const NAMES: [&str; 5] = ["colour", "half spread", "error", "Σ w", "selection"];
-
 /// To the bit, but for the sign of 0. The colour's factor is a power of two: 1 for what is to be equal.
-fn assert_same(what: &str, actual: &Estimate, expected: &Estimate, factor: f32) {
-    let factors = [factor, factor, factor * factor, 1.0, 1.0];
-    for (((name, factor), actual), expected) in NAMES.iter().zip(factors).zip(images(actual)).zip(images(expected)) {
+pub(crate) fn assert_same(what: &str, actual: &Estimate, expected: &Estimate, factor: f32) {
+    for ((name, power, actual), (_, _, expected)) in images(actual).into_iter().zip(images(expected)) {
+        let factor = factor.powi(power);
         assert_eq!((actual.extent, actual.channels()), (expected.extent, expected.channels()), "{what}: {name}");
         let width = expected.extent.width as usize;
         for (channel, (actual, expected)) in actual.planes.iter().zip(&expected.planes).enumerate() {
@@ -260,11 +261,10 @@ fn a_black_image_stays_black() {
     let frame = new_frame(Signal { mean: zero(), half_spread: Some(zero()), variance_of_mean: Some(zero()) }, Vec::new());
     for preset in [params(), DfcParams { window_radius: 4, ..DfcParams::thesis() }] {
         let estimate = denoised(&denoiser(gpu(), preset), &frame);
-        let [color, half_spread, error, weight_sum, _] = images(&estimate);
-        for (name, image) in [("colour", color), ("half spread", half_spread), ("error", error)] {
+        for (name, _, image) in images(&estimate).into_iter().take(3) {
             assert!(image.planes.iter().flatten().all(|value| *value == 0.0), "{name}");
         }
-        assert!(weight_sum.planes[0].iter().all(|sum| sum.is_finite() && *sum >= 1.0));
+        assert!(estimate.weight_sum.planes[0].iter().all(|sum| sum.is_finite() && *sum >= 1.0));
     }
 }
 

@@ -1,4 +1,4 @@
-//! The whole of DFC on the GPU: against its float64 twin (`twin`), and as its callers use it (`behaviour`), over several frames (`time`).
+//! The methods on the GPU: DFC against its float64 twin (`twin`) and as its callers use it (`behaviour`), GEM both ways (`gem`), windows over several frames (`time`).
 
 #[allow(dead_code, unreachable_pub, reason = "every test includes all shared pieces and uses a part of them")]
 #[path = "../common/mod.rs"]
@@ -11,5 +11,6 @@ mod frames;
 mod reference;
 
 mod behaviour;
+mod gem;
 mod time;
 mod twin;

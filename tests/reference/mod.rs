@@ -1,16 +1,18 @@
-//! The naive float64 twin of every stage and of the whole of Algorithm 1, written from chapters 7 and 8 of the thesis.
+//! The naive float64 twin of every stage and of the whole of Algorithm 1 and of GEM, written from chapters 6 to 8 of the thesis.
 //!
 //! The shaders are tested against this, so it owes nothing to them: one loop per sum, patch distances by brute force, no
 //! separable filter, no value kept from one pixel to the next. The speed of a test is not worth a doubt about its reference.
 //!
 //! ```text
 //! variance    what is known of the noise: scaled sample variances, two-buffer variances      8.2, 8.3
+//! gaussian    averages, their variance, averages of a pixel's neighbours                      6.2, 6.4
 //! nlm         the one NL-means operator: payload, optional guide, optional features          7.1.1, 8.2, 8.3
 //! prefilter   features: denoised, their residual variance and gradient                       8.3
 //! candidates  one candidate filter and its derivative                                        8.4
 //! sure        its error                                                                      8.4
 //! select      the least error, as binary maps, smoothed maps, guarded maps                   8.4
 //! dfc         all of it in order                                                             8.5
+//! gem         scales, stopping maps and what they choose                                      6
 //! random      noise that is the same on every machine
 //! ```
 //!
@@ -19,6 +21,8 @@
 
 pub mod candidates;
 pub mod dfc;
+pub mod gaussian;
+pub mod gem;
 pub mod nlm;
 pub mod prefilter;
 pub mod random;

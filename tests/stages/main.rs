@@ -13,7 +13,9 @@ mod reference;
 
 mod candidate;
 mod feature;
+mod gaussian;
 mod nlm;
+mod scale;
 mod select;
 mod variance;
 

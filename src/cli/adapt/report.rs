@@ -29,7 +29,7 @@ pub(crate) struct Row {
     iteration: String,
     /// Of all samples so far.
     samples: Spread,
-    /// By SURE, without a reference.
+    /// Without a reference.
     estimated_relative_mse: f64,
     /// Against the reference.
     errors: Option<Errors>,
@@ -52,7 +52,7 @@ impl Document {
         let errors = self.iterations.last().zip(self.uniform.as_ref()).and_then(|(adaptive, uniform)| adaptive.errors.as_ref().zip(uniform.errors.as_ref()));
         let ratio = errors.map(|(adaptive, uniform)| adaptive.denoised_relative_mse / uniform.denoised_relative_mse);
         let ratio = ratio.map(|ratio| format!("; adaptive sampling leaves {} times the error of even sampling", number(ratio)));
-        format!("(relative MSE; estimated: by SURE, without the reference, before the second pass{})", ratio.unwrap_or_default())
+        format!("(relative MSE; estimated: without the reference, of dfc before the second pass{})", ratio.unwrap_or_default())
     }
 }
 

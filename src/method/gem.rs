@@ -1,0 +1,104 @@
+//! Denoising by greedy error minimisation (thesis chapter 6): for each pixel the Gaussian scale that trades bias for variance best.
+
+mod params;
+
+use std::sync::Arc;
+
+use super::common::{SCALE_RADIUS, input_variance};
+use super::estimate::{GpuEstimate, Intermediate, Keeper, Lane, RGB, Unit};
+use super::memory::{Footprint, uploaded_planes};
+use super::{GpuFrame, Method};
+use crate::error::Result;
+use crate::gpu::Recorder;
+use crate::stage::gaussian::{Averaging, Gaussian, gaussian};
+use crate::stage::scale::{Scale, Selected, scale_advance, scale_gaussian, scale_pixel, scale_reduction, scale_stop};
+use crate::stage::variance::INPUT_SMOOTHING;
+
+pub use params::{GemParams, Phase};
+
+pub(super) const INTERMEDIATES: [Intermediate; 4] = [Intermediate::Variance, Intermediate::Stopping, Intermediate::Scale, Intermediate::Density];
+
+/// Greedy error minimisation. Uses no features. Every pixel is the mean of its own samples and counts once, whatever its sample count, so that no sub-pixel grid is needed.
+///
+/// `progress` is called with the share of the work that is recorded.
+///
+/// # Errors
+/// Those of recording.
+pub fn gem(
+    rec: &mut Recorder,
+    frame: GpuFrame,
+    params: &GemParams,
+    wanted: &[Intermediate],
+    mut progress: impl FnMut(&mut Recorder, f32) -> Result<()>,
+) -> Result<GpuEstimate> {
+    let GpuFrame { extent, color, features, samples } = frame;
+    // A renderer may hand over some.
+    drop(features);
+    let mut keeper = Keeper::new(wanted);
+
+    // Mean variances of the pixels (eq. 6.3). Scaled by the halves, where there are any, they need no purely random samples.
+    let variance = input_variance(rec, extent, &color)?;
+    keeper.keep(Intermediate::Variance, "scaled_variance", &RGB, Unit::ColorSquared, &variance, 0);
+
+    let (pixel, mut selected) = scale_pixel(rec, extent, &color.signal, &variance, &samples)?;
+    drop((color, variance, samples));
+    let sigmas = params.phase.sigmas();
+    let work: f32 = sigmas.iter().sum();
+    let mut done = 0.0;
+    let mut finer: Option<Scale> = None;
+    for (step, &sigma) in (1..).zip(sigmas) {
+        let fine = finer.as_ref().unwrap_or(&pixel);
+        // Computation of scales and their statistics (6.4).
+        let coarse = scale_gaussian(rec, extent, &pixel, sigma)?;
+        // Incremental MSE minimisation (6.2.1), from noisy data (6.2.3).
+        let stops = Arc::new(scale_stop(rec, extent, fine, &coarse, params.bias_weight())?);
+        // Post-processing the filter selection (6.2.4).
+        let smoothed = Arc::new(gaussian(rec, extent, &stops, 1, params.outlier_filter(sigma), Averaging::Neighbours)?);
+        scale_advance(rec, extent, &mut selected, fine, &coarse, &stops, &smoothed, params.phase.coarser_only())?;
+        keeper.keep(Intermediate::Stopping, format!("stopping_{step}"), &["V"], Unit::Number, &stops, 0);
+        keeper.keep(Intermediate::Stopping, format!("stopping_{step}_smoothed"), &["V"], Unit::Number, &smoothed, 0);
+        finer = Some(coarse);
+        done += sigma;
+        progress(rec, done / work)?;
+    }
+    drop((finer, pixel));
+
+    // Sample distribution (6.3): what the host ranks the pixels by, once it knows how many samples there will be.
+    if keeper.wants(Intermediate::Density) {
+        let reduction = Arc::new(scale_reduction(rec, extent, &selected)?);
+        keeper.keep(Intermediate::Density, "reduction", &["relative_mse", "support", "sigma"], Unit::Number, &reduction, 0);
+    }
+    let Selected { signal, choice } = selected;
+    let (signal, choice) = (Arc::new(signal), Arc::new(choice));
+    keeper.keep(Intermediate::Scale, "scale", &["V"], Unit::Number, &choice, 0);
+    Ok(GpuEstimate {
+        error: Lane { buffer: choice, plane: 0, component: 2 },
+        weight_sum: Lane { buffer: signal.clone(), plane: 0, component: 3 },
+        signal,
+        selection: None,
+        kept: keeper.into_kept(),
+    })
+}
+
+/// Counted from [`gem`]: what is dropped is used again.
+pub(super) fn footprint(params: &GemParams, kept: bool) -> Footprint {
+    let sigmas = params.phase.sigmas();
+    // Signal and variance of the pixel filter, of the fine and of the coarse scale; the selection; two planes and their rows while a Gaussian is at work.
+    let scales = 3 * 3 + 3 + 2;
+    // Scaled variance, stopping maps raw and smoothed, reduction.
+    let kept = if kept { 2 + 2 * sigmas.len() as u64 } else { 0 };
+    Footprint { halo: halo(params) as usize, live_planes: uploaded_planes(0) + scales + kept, largest_planes: 2, scratch_bytes: 0 }
+}
+
+/// A pixel asks for its neighbours' stopping maps, these for the scales there, and their variances were brought to scale. Each scale is made from the pixels themselves, so
+/// that only the coarsest one counts.
+fn halo(params: &GemParams) -> u32 {
+    let coarsest = params.phase.coarsest();
+    params.outlier_filter(coarsest).radius + Gaussian::new(coarsest).radius + SCALE_RADIUS.max(INPUT_SMOOTHING.radius)
+}
+
+impl From<GemParams> for Method {
+    fn from(params: GemParams) -> Self {
+        Self::Gem(params)
+    }
+}
