@@ -17,6 +17,8 @@ struct NlmParams {
     block_rows: i32,
     // k_c² of the guide.
     k_squared: f32,
+    // α: how much of the variance is cancelled from squared differences.
+    alpha: f32,
     // 1 / number of channels of the guide.
     inverse_channels: f32,
     // The centre takes the largest weight among its neighbours, at least this one; above 1 means: it takes 1.
@@ -50,21 +52,21 @@ fn pair_count(radius: i32) -> i32 {
     return 2 * radius * (radius + 1);
 }
 
-// eq. 7.4 with α = 1, per channel.
-fn distance(u_p: vec3<f32>, u_q: vec3<f32>, var_p: vec3<f32>, var_q: vec3<f32>, k_squared: f32) -> vec3<f32> {
+// eq. 7.4, per channel.
+fn distance(u_p: vec3<f32>, u_q: vec3<f32>, var_p: vec3<f32>, var_q: vec3<f32>, k_squared: f32, alpha: f32) -> vec3<f32> {
     let difference = u_p - u_q;
-    let cancelled = difference * difference - (var_p + min(var_p, var_q));
+    let cancelled = difference * difference - alpha * (var_p + min(var_p, var_q));
     return min(cancelled / (EPSILON + k_squared * (var_p + var_q)), vec3<f32>(DISTANCE_LIMIT));
 }
 
-// eq. 7.6: the distance to the mean of the two neighbours. It is eq. 7.4 with their mean in the place of q, ε and k² included.
+// eq. 7.6: the distance to the mean of the two neighbours. It is eq. 7.4 with their mean in the place of q, ε, k² and α included.
 fn symmetric_distance(
     u_p: vec3<f32>, u_q1: vec3<f32>, u_q2: vec3<f32>,
     var_p: vec3<f32>, var_q1: vec3<f32>, var_q2: vec3<f32>,
-    k_squared: f32,
+    k_squared: f32, alpha: f32,
 ) -> vec3<f32> {
     let difference = u_p - 0.5 * (u_q1 + u_q2);
-    let cancelled = difference * difference - (var_p + 0.25 * (min(var_q1, var_p) + min(var_q2, var_p)));
+    let cancelled = difference * difference - alpha * (var_p + 0.25 * (min(var_q1, var_p) + min(var_q2, var_p)));
     return min(cancelled / (EPSILON + k_squared * (var_p + 0.25 * (var_q1 + var_q2))), vec3<f32>(DISTANCE_LIMIT));
 }
 

@@ -83,6 +83,7 @@ pub fn candidates(
         variance_of_mean,
         channels: 3,
         k: filter.color_k,
+        alpha: 1.0,
         patch_radius: filter.second_patch_radius,
         small_patch_radius: Some(filter.first_patch_radius),
     };

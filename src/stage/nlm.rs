@@ -17,6 +17,7 @@ uniforms! {
         pub(super) window_radius: i32,
         pub(super) block_rows: i32,
         pub(super) k_squared: f32,
+        pub(super) alpha: f32,
         pub(super) inverse_channels: f32,
         pub(super) centre_floor: f32,
     }
@@ -105,6 +106,8 @@ pub struct Guide<'a> {
     pub channels: u32,
     /// k_c: how large a difference counts, in standard deviations.
     pub k: f32,
+    /// α: how much of the variance is cancelled from squared differences; 1 takes out what noise adds to them, more disregards larger differences too.
+    pub alpha: f32,
     /// f: patches are 2f+1 pixels wide.
     pub patch_radius: u32,
     /// A second, smaller patch whose sums are wanted too.
@@ -155,6 +158,7 @@ pub(super) fn for_each_chunk(
                 window_radius: radius,
                 block_rows: schedule.block_rows as i32,
                 k_squared: guide.k * guide.k,
+                alpha: guide.alpha,
                 inverse_channels: 1.0 / guide.channels as f32,
                 centre_floor: weighting.centre.floor(),
             };

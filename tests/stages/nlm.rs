@@ -42,6 +42,7 @@ fn filtered(gpu: &Gpu, case: Case, guide: &Scene, payload: &[Planes], schedule: 
             variance_of_mean: &variance_of_mean,
             channels: case.channels as u32,
             k: K,
+            alpha: 1.0,
             patch_radius: case.patch_radius,
             small_patch_radius: None,
         };
