@@ -27,6 +27,12 @@ fn numbers(values: &[i32]) -> Vec<Definition> {
     values.iter().map(|value| Definition::from(*value)).collect()
 }
 
+/// What opposite neighbours do for each other: nothing, by degrees, at once.
+fn with_rules(sets: &[Definitions]) -> Vec<Definitions> {
+    let rules = [(false, false), (true, false), (true, true)].map(|(symmetric, hard)| [("SYMMETRIC", symmetric.into()), ("SYMMETRIC_HARD", hard.into())]);
+    sets.iter().flat_map(|set| rules.iter().map(|rule| [set.as_slice(), rule].concat())).collect()
+}
+
 /// What the functions of `stein::stage` are called with: patches of 0 to 5 pixels, of which 1 and 3 are the presets', FIRST's beside SECOND's or none, packed
 /// features in up to eight groups. A stage that is missing here is a stage that nobody has thought through.
 fn definitions(stage: &str) -> Option<Vec<Definitions>> {
@@ -38,14 +44,15 @@ fn definitions(stage: &str) -> Option<Vec<Definitions>> {
         "nlm_distance" => Some(combinations(&[("PATCH_RADIUS", numbers(&[0, 1, 3, 5])), ("SMALL_PATCH_RADIUS", numbers(&[-1, 0])), ("SYMMETRIC", flags())]))
             .map(|sets| [sets, combinations(&[("PATCH_RADIUS", numbers(&[1, 3, 5])), ("SMALL_PATCH_RADIUS", numbers(&[1])), ("SYMMETRIC", flags())])].concat()),
         "nlm_filter" => {
-            Some(combinations(&[("PATCH_RADIUS", numbers(&[0, 1, 3, 5])), ("PAYLOAD_PLANES", numbers(&[1, 2])), ("SYMMETRIC", flags()), ("RESIDUAL", flags())]))
+            let shapes = combinations(&[("PATCH_RADIUS", numbers(&[0, 1, 3, 5])), ("PAYLOAD_PLANES", numbers(&[1, 2])), ("RESIDUAL", flags())]);
+            Some(with_rules(&shapes))
         }
         "candidate_accumulate" => Some(combinations(&[
             ("PATCH_RADIUS", numbers(&[1, 3])),
             ("SMALL_PATCH_RADIUS", numbers(&[0, 1])),
             ("FEATURE_GROUPS", numbers(&[0, 1, 2, 8])),
-            ("SYMMETRIC", flags()),
-        ])),
+        ]))
+        .map(|sets| with_rules(&sets)),
         _ => None,
     }
 }

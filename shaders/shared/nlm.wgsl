@@ -94,7 +94,7 @@ struct PairWeights {
 }
 
 // Weights of a pair of neighbours from their distances (eq. 7.5), four independent ones at a time. Where the mean of the two is a better match than
-// both of them together, its weight replaces theirs: smoothly, so that finite differences keep their meaning.
+// both of them together, its weight replaces theirs: at once, as thesis 7.1.1 has it (SYMMETRIC_HARD), or by degrees, so that finite differences keep their meaning.
 fn pair_weights(distance_q1: vec4<f32>, distance_q2: vec4<f32>, distance_both: vec4<f32>, both_inside: bool) -> PairWeights {
     let d1 = max(distance_q1, vec4<f32>(0.0));
     let d2 = max(distance_q2, vec4<f32>(0.0));
@@ -102,10 +102,15 @@ fn pair_weights(distance_q1: vec4<f32>, distance_q2: vec4<f32>, distance_both: v
     let w2 = exp(-d2);
 #ifdef SYMMETRIC
     let w_both = exp(-max(distance_both, vec4<f32>(0.0)));
+#ifdef SYMMETRIC_HARD
+    let replaced = (w_both > w1 + w2) & vec4<bool>(both_inside);
+    return PairWeights(select(w1, w_both, replaced), select(w2, w_both, replaced));
+#else
     let comparable = (max(d1, d2) < vec4<f32>(SYMMETRY_LIMIT)) & vec4<bool>(both_inside);
     let judged = clamp(w_both / max(w1 + w2, vec4<f32>(1e-20)) - 1.0, vec4<f32>(0.0), vec4<f32>(1.0));
     let share = select(vec4<f32>(0.0), judged, comparable);
     return PairWeights(w1 + share * (w_both - w1), w2 + share * (w_both - w2));
+#endif
 #else
     return PairWeights(w1, w2);
 #endif

@@ -88,11 +88,13 @@ pub fn candidates(
         small_patch_radius: Some(filter.first_patch_radius),
     };
     let groups = features.map_or(0, |features| features.packing.groups);
+    let [symmetric, hard] = filter.weighting.symmetric.definitions();
     let definitions = [
         ("PATCH_RADIUS", Definition::Int(filter.second_patch_radius as i32)),
         ("SMALL_PATCH_RADIUS", Definition::Int(filter.first_patch_radius as i32)),
         ("FEATURE_GROUPS", Definition::Int(groups as i32)),
-        ("SYMMETRIC", filter.weighting.symmetric.into()),
+        symmetric,
+        hard,
     ];
     let candidate = CandidateParams {
         inverse_feature_k_squared: 1.0 / (filter.feature_k * filter.feature_k),

@@ -51,11 +51,30 @@ impl CentreWeight {
     }
 }
 
+/// Whether pairs of opposite neighbours stand in for each other where their mean matches better than both (eq. 7.6).
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Symmetry {
+    /// Each neighbour stands for itself.
+    Off,
+    /// By degrees, from where the weight of their mean exceeds the sum of theirs to where it is twice that: weights are continuous, as finite differences want them.
+    Blended,
+    /// Both weights become that of their mean wherever it exceeds their sum (thesis 7.1.1).
+    Hard,
+}
+
+impl Symmetry {
+    /// What tells the shaders.
+    pub(super) fn definitions(self) -> [(&'static str, Definition); 2] {
+        [("SYMMETRIC", (self != Self::Off).into()), ("SYMMETRIC_HARD", (self == Self::Hard).into())]
+    }
+}
+
 /// How distances become weights, the same in every filter of a method.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub struct Weighting {
-    /// Let pairs of opposite neighbours stand in for each other where their mean matches better than both (eq. 7.6).
-    pub symmetric: bool,
+    /// What pairs of opposite neighbours do for each other.
+    pub symmetric: Symmetry,
     /// The weight of the pixel itself.
     pub centre: CentreWeight,
 }
@@ -143,7 +162,8 @@ pub(super) fn for_each_chunk(
     let definitions = [
         ("PATCH_RADIUS", Definition::Int(patch_radius)),
         ("SMALL_PATCH_RADIUS", Definition::Int(guide.small_patch_radius.map_or(-1, |small| small as i32))),
-        ("SYMMETRIC", weighting.symmetric.into()),
+        // How the distances to both are used does not matter here.
+        ("SYMMETRIC", (weighting.symmetric != Symmetry::Off).into()),
     ];
     for first_row in (0..extent.y).step_by(strip_rows as usize) {
         let rows = strip_rows.min(extent.y - first_row);
@@ -213,10 +233,12 @@ pub fn nlm_filter(
     let planes = rec.take("filtered planes", plane_bytes(extent, payload_planes))?;
     let weights = rec.take("weight sums", plane_bytes(extent, 1))?;
     let residual_variance = with_residual_variance.then(|| rec.take("residual variance", plane_bytes(extent, 1))).transpose()?;
+    let [symmetric, hard] = weighting.symmetric.definitions();
     let definitions = [
         ("PATCH_RADIUS", Definition::Int(guide.patch_radius as i32)),
         ("PAYLOAD_PLANES", Definition::Int(payload_planes as i32)),
-        ("SYMMETRIC", weighting.symmetric.into()),
+        symmetric,
+        hard,
         ("RESIDUAL", with_residual_variance.into()),
     ];
     for_each_chunk(rec, extent, guide, window_radius, weighting, schedule, |rec, chunk| {

@@ -1,7 +1,7 @@
 //! `nlm_distance` and `nlm_filter`: one operator, so they are tested together.
 
 use stein::gpu::Gpu;
-use stein::stage::nlm::{CentreWeight, Filtered, Guide, Schedule, Weighting, nlm_filter};
+use stein::stage::nlm::{CentreWeight, Filtered, Guide, Schedule, Symmetry, Weighting, nlm_filter};
 
 use crate::common::{Scene, assert_near, bits, calm_scene, checked_gpu, extent_of, gpu, own_size, packed, read, run, scene, upload};
 use crate::reference::random::Random;
@@ -46,9 +46,13 @@ fn filtered(gpu: &Gpu, case: Case, guide: &Scene, payload: &[Planes], schedule: 
             patch_radius: case.patch_radius,
             small_patch_radius: None,
         };
-        let weighting = Weighting { symmetric: case.symmetric, centre: case.centre };
+        let weighting = Weighting { symmetric: rule_of(case.symmetric), centre: case.centre };
         nlm_filter(rec, extent, &guide, &payload, case.payload_planes as u32, case.window_radius, weighting, case.residual, schedule)
     })
+}
+
+pub(crate) fn rule_of(symmetric: bool) -> Symmetry {
+    if symmetric { Symmetry::Blended } else { Symmetry::Off }
 }
 
 pub(crate) fn twin_of(centre: CentreWeight) -> reference::nlm::CentreWeight {

@@ -3,7 +3,7 @@
 use serde::Serialize;
 
 use crate::error::{Error, Result};
-use crate::stage::nlm::{CentreWeight, Weighting};
+use crate::stage::nlm::{CentreWeight, Symmetry, Weighting};
 use crate::stage::select::Guard;
 
 /// The window radius beyond which work and halos make no sense any more, in pixels.
@@ -22,7 +22,7 @@ const LARGEST_PATCH_RADIUS: u32 = 5;
 /// | `feature_k` | 0.6 | 0.6 | > 0 | k_f of all candidates |
 /// | `feature_tau` | 10⁻² | 10⁻² | > 0 | τ of FIRST and SECOND, in squares of the unit range |
 /// | `feature_tau_third` | 5·10⁻⁴ | 10⁻³ | > 0 | τ of THIRD |
-/// | `weighting.symmetric` | yes | no | | pairs of opposite neighbours (eq. 7.6) for colour and features; feature distances scaled by both pixels |
+/// | `weighting.symmetric` | blended | off | not hard | pairs of opposite neighbours (eq. 7.6) for colour and features; feature distances scaled by both pixels |
 /// | `weighting.centre` | largest neighbour | one | | weight of a pixel in its own average |
 /// | `guard` | 4, 0.3; 8, 4 | none | ≥ 0 | keeps candidates out of the blend that are clearly worse, by the smoothed errors and by the pixel's own |
 /// | `second_pass` | ⌈R/2⌉, f 3, clamped | R, f 1 | | filters what noise pass 1 left; needs halves |
@@ -73,7 +73,7 @@ impl Default for DfcParams {
     fn default() -> Self {
         Self {
             feature_tau_third: 5e-4,
-            weighting: Weighting { symmetric: true, centre: CentreWeight::LargestNeighbour },
+            weighting: Weighting { symmetric: Symmetry::Blended, centre: CentreWeight::LargestNeighbour },
             guard: Some(Guard { smoothed_error: 4.0, smoothed_noise: 0.3, own_sigmas: 8.0, own_noise: 4.0 }),
             second_pass: Some(SecondPass { half_window: true, patch_radius: 3, color_k: 0.45, clamp_to_input: true }),
             ..Self::thesis()
@@ -92,7 +92,7 @@ impl DfcParams {
             feature_k: 0.6,
             feature_tau: 1e-2,
             feature_tau_third: 1e-3,
-            weighting: Weighting { symmetric: false, centre: CentreWeight::One },
+            weighting: Weighting { symmetric: Symmetry::Off, centre: CentreWeight::One },
             guard: None,
             second_pass: Some(SecondPass { half_window: false, patch_radius: 1, color_k: 0.45, clamp_to_input: false }),
         }
@@ -117,6 +117,12 @@ impl DfcParams {
         }
         if self.first_patch_radius > self.second_patch_radius {
             return refuse("the patch radius of FIRST", self.first_patch_radius.to_string(), "no larger than that of SECOND");
+        }
+        if self.weighting.symmetric == Symmetry::Hard {
+            return Err(Error::Request {
+                problem: "the weights of opposite neighbours are replaced at once, so that SURE cannot differentiate them".into(),
+                remedy: "choose `Symmetry::Blended`, or NLM as the method".into(),
+            });
         }
         let positive = [
             ("k_c", self.color_k),
