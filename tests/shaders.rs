@@ -43,16 +43,16 @@ fn definitions(stage: &str) -> Option<Vec<Definitions>> {
         "variance_smooth" => Some(combinations(&[("CLAMPED", flags())])),
         "nlm_distance" => Some(combinations(&[("PATCH_RADIUS", numbers(&[0, 1, 3, 5])), ("SMALL_PATCH_RADIUS", numbers(&[-1, 0])), ("SYMMETRIC", flags())]))
             .map(|sets| [sets, combinations(&[("PATCH_RADIUS", numbers(&[1, 3, 5])), ("SMALL_PATCH_RADIUS", numbers(&[1])), ("SYMMETRIC", flags())])].concat()),
+        "nlm_weight" => Some(with_rules(&combinations(&[("PATCH_RADIUS", numbers(&[0, 1, 3, 5]))]))),
         "nlm_filter" => {
-            let shapes = combinations(&[("PATCH_RADIUS", numbers(&[0, 1, 3, 5])), ("PAYLOAD_PLANES", numbers(&[1, 2])), ("RESIDUAL", flags())]);
+            let shapes =
+                combinations(&[("PATCH_RADIUS", numbers(&[0, 1, 3, 5])), ("PAYLOAD_PLANES", numbers(&[1, 2])), ("PATCHWISE", flags()), ("RESIDUAL", flags())]);
             Some(with_rules(&shapes))
         }
-        "candidate_accumulate" => Some(combinations(&[
-            ("PATCH_RADIUS", numbers(&[1, 3])),
-            ("SMALL_PATCH_RADIUS", numbers(&[0, 1])),
-            ("FEATURE_GROUPS", numbers(&[0, 1, 2, 8])),
-        ]))
-        .map(|sets| with_rules(&sets)),
+        "candidate_accumulate" => {
+            Some(combinations(&[("PATCH_RADIUS", numbers(&[1, 3])), ("SMALL_PATCH_RADIUS", numbers(&[0, 1])), ("FEATURE_GROUPS", numbers(&[0, 1, 2, 8]))]))
+                .map(|sets| with_rules(&sets))
+        }
         _ => None,
     }
 }

@@ -21,6 +21,8 @@ struct NlmParams {
     alpha: f32,
     // 1 / number of channels of the guide.
     inverse_channels: f32,
+    // Weights below this one count as 0.
+    cut: f32,
     // The centre takes the largest weight among its neighbours, at least this one; above 1 means: it takes 1.
     centre_floor: f32,
 }
@@ -114,6 +116,20 @@ fn pair_weights(distance_q1: vec4<f32>, distance_q2: vec4<f32>, distance_both: v
 #else
     return PairWeights(w1, w2);
 #endif
+}
+
+// Weights of q1 and q2 in the average of p, from the unnormalised sums of their distances over the patch; 0 for one that does not exist.
+fn weights_from_sums(
+    patch_sum: vec3<f32>, p: vec2<i32>, offset: vec2<i32>, extent: vec2<i32>, patch_radius: i32, inverse_channels: f32, ahead_inside: bool, behind_inside: bool,
+) -> vec2<f32> {
+    let members = vec3<f32>(
+        patch_pairs(p, offset, extent, patch_radius),
+        patch_pairs(p, -offset, extent, patch_radius),
+        patch_triples(p, offset, extent, patch_radius),
+    );
+    let d = patch_sum * inverse_channels / members;
+    let weights = pair_weights(vec4<f32>(d.x), vec4<f32>(d.y), vec4<f32>(d.z), ahead_inside && behind_inside);
+    return select(vec2<f32>(0.0), vec2<f32>(weights.ahead.x, weights.behind.x), vec2<bool>(ahead_inside, behind_inside));
 }
 
 fn centre_weight(largest: vec4<f32>, centre_floor: f32) -> vec4<f32> {

@@ -22,6 +22,7 @@ pub(super) const STAGES: &[(&str, &str)] = sources!("shaders":
     "variance_scale",
     "variance_smooth",
     "nlm_distance",
+    "nlm_weight",
     "nlm_filter",
     "feature_pack",
     "candidate_accumulate",

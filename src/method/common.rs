@@ -22,7 +22,17 @@ pub(super) struct Auxiliary {
 
 impl Auxiliary {
     pub(super) fn guide<'a>(&self, signal: &'a Buffer, variance_of_mean: &'a Buffer, channels: u32) -> Guide<'a> {
-        Guide { signal, variance_of_mean, channels, k: self.k, alpha: 1.0, patch_radius: self.patch_radius, small_patch_radius: None }
+        Guide {
+            signal,
+            variance_of_mean,
+            channels,
+            k: self.k,
+            alpha: 1.0,
+            patch_radius: self.patch_radius,
+            small_patch_radius: None,
+            patchwise: false,
+            cut: 0.0,
+        }
     }
 }
 

@@ -86,6 +86,8 @@ pub fn candidates(
         alpha: 1.0,
         patch_radius: filter.second_patch_radius,
         small_patch_radius: Some(filter.first_patch_radius),
+        patchwise: false,
+        cut: 0.0,
     };
     let groups = features.map_or(0, |features| features.packing.groups);
     let [symmetric, hard] = filter.weighting.symmetric.definitions();

@@ -19,6 +19,7 @@ uniforms! {
         pub(super) k_squared: f32,
         pub(super) alpha: f32,
         pub(super) inverse_channels: f32,
+        pub(super) cut: f32,
         pub(super) centre_floor: f32,
     }
 }
@@ -26,6 +27,7 @@ uniforms! {
 bindings! {
     struct NlmDistance<'a> { uniform params: NlmParams, read guide, read variance_of_mean, write columns }
     struct NlmDistanceTwoPatches<'a> { uniform params: NlmParams, read guide, read variance_of_mean, write columns, write columns_small }
+    struct NlmWeight<'a> { uniform params: NlmParams, read columns, write weight_columns }
     struct NlmFilter<'a> { uniform params: NlmParams, read columns, read payload, write filtered, write weights }
     struct NlmFilterResidual<'a> {
         uniform params: NlmParams, read columns, read payload, write filtered, write weights, read variance_of_mean, write residual_variance,
@@ -94,18 +96,18 @@ impl Schedule {
         if gpu.is_software() { Self { scratch_bytes: 8 << 20, block_rows: 32 } } else { Self { scratch_bytes: 256 << 20, block_rows: 16 } }
     }
 
-    /// Rows of a strip and pairs of a chunk for images of this width.
-    fn cut(&self, gpu: &Gpu, extent: IVec2, window_radius: i32, patch_radius: i32) -> (i32, i32) {
+    /// Rows of a strip and pairs of a chunk for images of this width, where a strip of distances has `margin` rows more above and below.
+    fn cut(&self, gpu: &Gpu, extent: IVec2, window_radius: i32, patch_radius: i32, margin: i32) -> (i32, i32) {
         let pairs = pair_count(window_radius);
         let row_bytes = plane_bytes(IVec2::new(extent.x + 2 * patch_radius, 1), 1);
         let budget = (self.scratch_bytes.min(gpu.max_binding_bytes()) / row_bytes).max(1) as i32;
         // A chunk of one row of offsets, unless the image is so small that more fit: each chunk loads and stores the running sums once.
         let side = 2 * window_radius + 1;
-        let rows = (budget / side).clamp(1, extent.y);
+        let rows = (budget / side - 2 * margin).clamp(1, extent.y);
         let block = self.block_rows as i32;
         // Whole blocks, as far as there is one: a block cut short computes its 2f extra rows all the same.
         let rows = if rows < extent.y && rows > block { rows - rows % block } else { rows };
-        (rows, (budget / rows).clamp(1, pairs.max(1)))
+        (rows, (budget / (rows + 2 * margin)).clamp(1, pairs.max(1)))
     }
 }
 
@@ -131,9 +133,13 @@ pub struct Guide<'a> {
     pub patch_radius: u32,
     /// A second, smaller patch whose sums are wanted too.
     pub small_patch_radius: Option<u32>,
+    /// The weight of a neighbour is the mean of the weights of all pairs of pixels in the two patches (thesis 7.1.1), and not that of their centres alone.
+    pub patchwise: bool,
+    /// Weights below this one become 0, so that many faint neighbours do not outweigh few good ones; 0 to keep all.
+    pub cut: f32,
 }
 
-/// One chunk of pairs of offsets over one strip of rows: what follows `nlm_distance` gets the column sums and these parameters.
+/// One chunk of pairs of offsets over one strip of rows: what follows `nlm_distance` gets the column sums (of a patchwise guide, those of weights) and these parameters.
 pub(super) struct Chunk<'a> {
     pub(super) params: NlmParams,
     pub(super) columns: &'a Buffer,
@@ -142,7 +148,7 @@ pub(super) struct Chunk<'a> {
     pub(super) last: bool,
 }
 
-/// Runs `nlm_distance` chunk by chunk and hands each to `consume`, strips from top to bottom, all chunks of a strip before the next.
+/// Runs `nlm_distance`, and for a patchwise guide `nlm_weight`, chunk by chunk and hands each to `consume`, strips from top to bottom, all chunks of a strip before the next.
 pub(super) fn for_each_chunk(
     rec: &mut Recorder,
     extent: IVec2,
@@ -155,9 +161,13 @@ pub(super) fn for_each_chunk(
     let radius = window_radius as i32;
     let patch_radius = guide.patch_radius as i32;
     let pairs = pair_count(radius);
-    let (strip_rows, chunk_pairs) = schedule.cut(rec.gpu(), extent, radius, patch_radius);
-    let scratch = plane_bytes(IVec2::new(extent.x + 2 * patch_radius, strip_rows), chunk_pairs as u32);
+    // The weights of f more rows above and below enter those of a strip.
+    let margin = if guide.patchwise { patch_radius } else { 0 };
+    let (strip_rows, chunk_pairs) = schedule.cut(rec.gpu(), extent, radius, patch_radius, margin);
+    let scratch_of = |rows: i32| plane_bytes(IVec2::new(extent.x + 2 * patch_radius, rows), chunk_pairs as u32);
+    let scratch = scratch_of(strip_rows + 2 * margin);
     let columns = rec.take("column sums of distances", scratch)?;
+    let weight_columns = guide.patchwise.then(|| rec.take("column sums of weights", scratch_of(strip_rows))).transpose()?;
     let columns_small = guide.small_patch_radius.map(|_| rec.take("column sums of distances, small patch", scratch)).transpose()?;
     let definitions = [
         ("PATCH_RADIUS", Definition::Int(patch_radius)),
@@ -180,24 +190,31 @@ pub(super) fn for_each_chunk(
                 k_squared: guide.k * guide.k,
                 alpha: guide.alpha,
                 inverse_channels: 1.0 / guide.channels as f32,
+                cut: guide.cut,
                 centre_floor: weighting.centre.floor(),
             };
-            let invocations = [(extent.x + 2 * patch_radius) as u32, (rows as u32).div_ceil(schedule.block_rows), params.pairs as u32];
+            let invocations = |rows: i32| [(extent.x + 2 * patch_radius) as u32, (rows as u32).div_ceil(schedule.block_rows), params.pairs as u32];
+            let with_margin = NlmParams { first_row: first_row - margin, rows: rows + 2 * margin, ..params };
             let (guide, variance_of_mean) = (guide.signal, guide.variance_of_mean);
             match &columns_small {
                 None => {
                     let kernel = rec.gpu().kernel::<NlmDistance>("nlm_distance", &definitions)?;
-                    rec.dispatch(&kernel, &NlmDistance { params, guide, variance_of_mean, columns: &columns }, invocations)?;
+                    rec.dispatch(&kernel, &NlmDistance { params: with_margin, guide, variance_of_mean, columns: &columns }, invocations(with_margin.rows))?;
                 }
                 Some(columns_small) => {
                     let kernel = rec.gpu().kernel::<NlmDistanceTwoPatches>("nlm_distance", &definitions)?;
-                    let bound = NlmDistanceTwoPatches { params, guide, variance_of_mean, columns: &columns, columns_small };
-                    rec.dispatch(&kernel, &bound, invocations)?;
+                    let bound = NlmDistanceTwoPatches { params: with_margin, guide, variance_of_mean, columns: &columns, columns_small };
+                    rec.dispatch(&kernel, &bound, invocations(with_margin.rows))?;
                 }
+            }
+            if let Some(weight_columns) = &weight_columns {
+                let [symmetric, hard] = weighting.symmetric.definitions();
+                let kernel = rec.gpu().kernel::<NlmWeight>("nlm_weight", &[("PATCH_RADIUS", Definition::Int(patch_radius)), symmetric, hard])?;
+                rec.dispatch(&kernel, &NlmWeight { params, columns: &columns, weight_columns }, invocations(rows))?;
             }
             first_pair += params.pairs;
             let last = first_pair >= pairs;
-            consume(rec, &Chunk { params, columns: &columns, columns_small: columns_small.as_ref(), last })?;
+            consume(rec, &Chunk { params, columns: weight_columns.as_ref().unwrap_or(&columns), columns_small: columns_small.as_ref(), last })?;
             if last {
                 break;
             }
@@ -237,6 +254,7 @@ pub fn nlm_filter(
     let definitions = [
         ("PATCH_RADIUS", Definition::Int(guide.patch_radius as i32)),
         ("PAYLOAD_PLANES", Definition::Int(payload_planes as i32)),
+        ("PATCHWISE", guide.patchwise.into()),
         symmetric,
         hard,
         ("RESIDUAL", with_residual_variance.into()),

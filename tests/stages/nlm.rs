@@ -45,6 +45,8 @@ fn filtered(gpu: &Gpu, case: Case, guide: &Scene, payload: &[Planes], schedule: 
             alpha: 1.0,
             patch_radius: case.patch_radius,
             small_patch_radius: None,
+            patchwise: false,
+            cut: 0.0,
         };
         let weighting = Weighting { symmetric: rule_of(case.symmetric), centre: case.centre };
         nlm_filter(rec, extent, &guide, &payload, case.payload_planes as u32, case.window_radius, weighting, case.residual, schedule)
