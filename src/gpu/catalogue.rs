@@ -21,6 +21,7 @@ pub(super) const STAGES: &[(&str, &str)] = sources!("shaders":
     "variance_rows",
     "variance_scale",
     "variance_smooth",
+    "gaussian",
     "nlm_distance",
     "nlm_weight",
     "nlm_filter",

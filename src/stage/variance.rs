@@ -2,6 +2,7 @@
 
 use glam::IVec2;
 
+use super::gaussian::Gaussian;
 use super::{per_pixel, plane_bytes};
 use crate::error::Result;
 use crate::gpu::{Buffer, Recorder, bindings, uniforms};
@@ -33,15 +34,6 @@ pub fn variance_scale(rec: &mut Recorder, extent: IVec2, signal: &Buffer, sample
     Ok(scaled_variance)
 }
 
-/// A Gaussian over a square of pixels.
-#[derive(Clone, Copy, Debug)]
-pub struct Gaussian {
-    /// Standard deviation in pixels.
-    pub sigma: f32,
-    /// The square is 2·radius+1 pixels wide.
-    pub radius: u32,
-}
-
 /// Smooths the residual two-buffer variance of a filtered signal (thesis 8.3: σ = 0.5 pixels).
 pub const RESIDUAL_SMOOTHING: Gaussian = Gaussian { sigma: 0.5, radius: 2 };
 
@@ -52,7 +44,7 @@ pub const INPUT_SMOOTHING: Gaussian = Gaussian { sigma: 2.0, radius: 5 };
 /// The two-buffer variance of a signal, spread², smoothed with a normalised Gaussian over the existing pixels, and held below `upper_bound` where one is given.
 /// One plane.
 pub fn variance_smooth(rec: &mut Recorder, extent: IVec2, signal: &Buffer, gaussian: Gaussian, upper_bound: Option<&Buffer>) -> Result<Buffer> {
-    let params = VarianceSmoothParams { extent, radius: gaussian.radius as i32, exponent: -0.5 / (gaussian.sigma * gaussian.sigma) };
+    let params = VarianceSmoothParams { extent, radius: gaussian.radius as i32, exponent: gaussian.exponent() };
     let smoothed_variance = rec.take("two-buffer variance", plane_bytes(extent, 1))?;
     let kernel = rec.gpu().kernel::<VarianceSmooth>("variance_smooth", &[("CLAMPED", upper_bound.is_some().into())])?;
     let bound = VarianceSmooth { params, signal, smoothed_variance: &smoothed_variance, upper_bound };

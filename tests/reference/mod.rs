@@ -5,6 +5,7 @@
 //!
 //! ```text
 //! variance    what is known of the noise: scaled sample variances, two-buffer variances      8.2, 8.3
+//! gaussian    averages, their variance, averages of a pixel's neighbours                      6.2, 6.4
 //! nlm         the one NL-means operator: payload, optional guide, optional features          7.1.1, 8.2, 8.3
 //! prefilter   features: denoised, their residual variance and gradient                       8.3
 //! candidates  one candidate filter and its derivative                                        8.4
@@ -19,6 +20,7 @@
 
 pub mod candidates;
 pub mod dfc;
+pub mod gaussian;
 pub mod nlm;
 pub mod prefilter;
 pub mod random;

@@ -1,5 +1,6 @@
 //! What is known of the noise (sections 8.2 and 8.3). Every variance is that of a pixel's mean, never that of a sample.
 
+use super::gaussian::gaussian;
 use super::{Grid, Planes, Point, square};
 
 /// Radius of the 21×21 box of section 8.2.
@@ -65,23 +66,6 @@ pub fn variance_scale(sample_variance: &[Grid], spread: &[Grid], radius: usize) 
 /// `buffer_var` of Algorithm 1: the smoothed two-buffer variance of each plane.
 pub fn buffer_var(spread: &[Grid]) -> Planes {
     spread.iter().map(|spread| gaussian(&squared(spread), BUFFER_SIGMA, BUFFER_RADIUS)).collect()
-}
-
-/// Smooths with exp(−|o|²/2σ²) over the existing pixels of the window.
-pub fn gaussian(plane: &Grid, sigma: f64, radius: usize) -> Grid {
-    plane.like(|p| {
-        let (mut sum, mut weight_sum) = (0.0, 0.0);
-        for offset in square(radius) {
-            let q = p + offset;
-            if plane.contains(q) {
-                let distance_squared = (offset.x * offset.x + offset.y * offset.y) as f64;
-                let weight = (-distance_squared / (2.0 * sigma * sigma)).exp();
-                sum += weight * plane.at(q);
-                weight_sum += weight;
-            }
-        }
-        sum / weight_sum
-    })
 }
 
 fn box_sum(plane: &Grid, p: Point, radius: usize) -> f64 {

@@ -13,6 +13,7 @@ mod reference;
 
 mod candidate;
 mod feature;
+mod gaussian;
 mod nlm;
 mod select;
 mod variance;

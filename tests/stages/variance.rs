@@ -3,7 +3,8 @@
 use stein::frame::half_spread;
 use stein::gpu::Gpu;
 use stein::image::{Extent, Image};
-use stein::stage::variance::{Gaussian, INPUT_SMOOTHING, RESIDUAL_SMOOTHING, variance_scale, variance_smooth};
+use stein::stage::gaussian::Gaussian;
+use stein::stage::variance::{INPUT_SMOOTHING, RESIDUAL_SMOOTHING, variance_scale, variance_smooth};
 
 use crate::common::{assert_near, checked_gpu, extent_of, gpu, own_size, packed, packed_signal, read, run, scene, upload};
 use crate::reference;
@@ -52,7 +53,7 @@ fn two_buffer_variance_is_smoothed_and_held_below_a_bound() {
             });
             let actual = read(gpu, &buffer, extent).remove(0);
             let squared = scene.spread.iter().map(|grid| grid.like(|p| grid.at(p).powi(2)));
-            let mut expected: Planes = squared.map(|grid| reference::variance::gaussian(&grid, f64::from(sigma), radius as usize)).collect();
+            let mut expected: Planes = squared.map(|grid| reference::gaussian::gaussian(&grid, f64::from(sigma), radius as usize)).collect();
             if let Some(bound) = bound {
                 expected = expected.iter().zip(bound).map(|(grid, bound)| grid.like(|p| grid.at(p).min(bound.at(p)))).collect();
             }
