@@ -47,4 +47,4 @@ pub use error::{Error, Result};
 pub use frame::Frame;
 pub use gpu::Gpu;
 pub use image::{Extent, Image};
-pub use method::{DfcParams, Method, Preset};
+pub use method::{DfcParams, Method, NlmParams, Preset};

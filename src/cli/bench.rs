@@ -10,7 +10,7 @@ use stein::gpu::{AdapterSummary, Gpu};
 use stein::{Denoiser, Extent, Frame, Image, Preset, metric};
 
 use super::inspect::settle;
-use super::options::{Device, PresetName, Source, size};
+use super::options::{Choice, Device, PresetName, Source, size};
 use super::out::{bytes, milliseconds, number, table};
 use super::progress::bar;
 use super::quality;
@@ -45,12 +45,11 @@ pub(crate) struct Args {
     /// Presets to measure [default: all]
     #[arg(long = "preset", value_enum, value_delimiter = ',')]
     presets: Vec<PresetName>,
-    /// Radius of the window that is averaged over, in pixels [default: 10]
-    #[arg(long, value_name = "PIXELS")]
-    radius: Option<u32>,
     /// Print one JSON document
     #[arg(long)]
     pub(crate) json: bool,
+    #[command(flatten)]
+    choice: Choice,
     #[command(flatten)]
     source: Source,
     #[command(flatten)]
@@ -115,7 +114,7 @@ pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
         )));
     }
     let names = if args.presets.is_empty() { PresetName::value_variants() } else { &args.presets };
-    let methods = names.iter().map(|name| Ok((name.preset(), name.method(args.radius)?))).collect::<Result<Vec<_>, Failure>>()?;
+    let methods = names.iter().map(|name| Ok((name.preset(), args.choice.method(*name)?))).collect::<Result<Vec<_>, Failure>>()?;
     let gpu = args.device.open()?;
     let denoisers = methods.into_iter().map(|(preset, method)| Ok((preset, args.device.denoiser(&gpu, method)?))).collect::<Result<Vec<_>, Failure>>()?;
     out.say(format_args!("{}, median of {}", gpu.summary(), args.repeat));

@@ -11,7 +11,7 @@ use super::Failure;
 use super::out::{number, table};
 
 /// What the comparison needs to have kept.
-pub(crate) const NEEDED: [Intermediate; 3] = [Intermediate::Candidates, Intermediate::Sure, Intermediate::Pass1];
+pub(crate) const NEEDED: [Intermediate; 4] = [Intermediate::Candidates, Intermediate::Sure, Intermediate::Pass1, Intermediate::Halves];
 
 /// The reference, if it shows the same pixels.
 pub(crate) fn read(reference: &LayerRef, frame: &Frame, input: &Path) -> Result<Image, Failure> {
@@ -73,6 +73,12 @@ pub(crate) fn compare(frame: &Frame, estimate: &Estimate, reference: &Image) -> 
     let blended = estimate.error.planes.first().map(|plane| mean(plane));
     if let Some(image) = kept("pass1") {
         errors.push(Errors::new("pass1", image, reference, blended)?);
+    }
+    for name in ["half_a", "half_b"] {
+        if let Some(image) = kept(name) {
+            // Of one half, whose noise the two halves together have half of.
+            errors.push(Errors::new(name, image, reference, None)?);
+        }
     }
     errors.push(Errors::new("result", &estimate.color, reference, blended)?);
     Ok(errors)

@@ -21,13 +21,16 @@ pub enum Intermediate {
     Selection,
     /// The blend before the second pass.
     Pass1,
+    /// The filtered halves.
+    Halves,
     /// Where the next samples pay most.
     Density,
 }
 
 impl Intermediate {
     /// All of them, whatever the method.
-    pub const ALL: [Self; 8] = [Self::Variance, Self::Features, Self::Candidates, Self::Derivatives, Self::Sure, Self::Selection, Self::Pass1, Self::Density];
+    pub const ALL: [Self; 9] =
+        [Self::Variance, Self::Features, Self::Candidates, Self::Derivatives, Self::Sure, Self::Selection, Self::Pass1, Self::Halves, Self::Density];
 
     /// Its name on the command line.
     pub fn name(self) -> &'static str {
@@ -39,6 +42,7 @@ impl Intermediate {
             Self::Sure => "sure",
             Self::Selection => "selection",
             Self::Pass1 => "pass1",
+            Self::Halves => "halves",
             Self::Density => "density",
         }
     }

@@ -7,6 +7,7 @@ pub mod dfc;
 mod estimate;
 mod frame;
 mod memory;
+pub mod nlm;
 
 use serde::Serialize;
 
@@ -20,6 +21,7 @@ pub use estimate::{GpuEstimate, Intermediate, KeptPlane, Lane, Unit};
 pub use frame::{GpuFeature, GpuFrame, GpuSignal};
 use memory::Footprint;
 pub(crate) use memory::{Strip, strips};
+pub use nlm::NlmParams;
 
 /// Which method, with its parameters.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -27,6 +29,8 @@ pub(crate) use memory::{Strip, strips};
 pub enum Method {
     /// Combined colour and feature filters (thesis chapter 8).
     Dfc(DfcParams),
+    /// Cross-filtered halves (thesis chapter 7).
+    Nlm(NlmParams),
 }
 
 /// Named parameter sets.
@@ -56,6 +60,7 @@ impl Method {
     pub fn name(&self) -> &'static str {
         match self {
             Self::Dfc(_) => "dfc",
+            Self::Nlm(_) => "nlm",
         }
     }
 
@@ -63,6 +68,7 @@ impl Method {
     pub fn window_radius(&self) -> u32 {
         match self {
             Self::Dfc(params) => params.window_radius,
+            Self::Nlm(params) => params.window_radius,
         }
     }
 
@@ -70,6 +76,7 @@ impl Method {
     pub fn intermediates(&self) -> &'static [Intermediate] {
         match self {
             Self::Dfc(_) => &dfc::INTERMEDIATES,
+            Self::Nlm(_) => &nlm::INTERMEDIATES,
         }
     }
 
@@ -78,6 +85,7 @@ impl Method {
     pub fn while_sampling(self) -> Self {
         match self {
             Self::Dfc(_) => self,
+            Self::Nlm(params) => Self::Nlm(params.while_sampling()),
         }
     }
 
@@ -88,12 +96,14 @@ impl Method {
     pub fn validate(&self) -> Result<()> {
         match self {
             Self::Dfc(params) => params.validate(),
+            Self::Nlm(params) => params.validate(),
         }
     }
 
     fn footprint(&self, frame: &Frame, kept: bool, schedule: Schedule) -> Footprint {
         match self {
             Self::Dfc(params) => dfc::footprint(params, frame, kept, schedule),
+            Self::Nlm(params) => nlm::footprint(params, frame, kept, schedule),
         }
     }
 
@@ -108,6 +118,7 @@ impl Method {
     ) -> Result<GpuEstimate> {
         match self {
             Self::Dfc(params) => dfc::dfc(rec, frame, params, wanted, schedule, progress),
+            Self::Nlm(params) => nlm::nlm(rec, frame, params, wanted, schedule, progress),
         }
     }
 }

@@ -10,7 +10,7 @@ uniforms! { struct SampleDensityParams { extent: IVec2, samples_per_pixel: f32, 
 bindings! { struct SampleDensity<'a> { uniform params: SampleDensityParams, read blended, write density, optional selection, optional samples } }
 
 /// Added to the squared value in relative errors (thesis 7.1.2: 10⁻³), for colour at the order of 1.
-const RELATIVE_FLOOR: f32 = 1e-3;
+pub(super) const RELATIVE_FLOOR: f32 = 1e-3;
 
 /// Samples that each pixel's mean was computed from, on the GPU.
 #[derive(Debug)]
@@ -21,6 +21,16 @@ pub enum GpuSamples {
     PerPixel(Buffer),
 }
 
+impl GpuSamples {
+    /// The number that holds everywhere, and the plane of numbers where there is one.
+    pub(super) fn parts(&self) -> (f32, Option<&Buffer>) {
+        match self {
+            Self::Uniform(count) => (*count, None),
+            Self::PerPixel(counts) => (0.0, Some(counts)),
+        }
+    }
+}
+
 /// The gain to be expected from a sample in each pixel: the estimated squared error of the blend relative to its squared value, times W(p) = Σ w / (1 + n_p), n_p the
 /// samples of the pixel. Not smoothed, in no unit. One plane, x.
 ///
@@ -29,10 +39,7 @@ pub enum GpuSamples {
 /// `caustic` and `spikes` the seed decides.
 pub fn sample_density(rec: &mut Recorder, extent: IVec2, blended: &Buffer, selection: Option<&Buffer>, samples: &GpuSamples) -> Result<Buffer> {
     let density = rec.take("sample density", plane_bytes(extent, 1))?;
-    let (samples_per_pixel, samples) = match samples {
-        GpuSamples::Uniform(count) => (*count, None),
-        GpuSamples::PerPixel(counts) => (0.0, Some(counts)),
-    };
+    let (samples_per_pixel, samples) = samples.parts();
     let params = SampleDensityParams { extent, samples_per_pixel, relative_floor: RELATIVE_FLOOR };
     let kernel = rec.gpu().kernel::<SampleDensity>("sample_density", &[("SAMPLES_VARY", samples.is_some().into()), ("HALVES", selection.is_none().into())])?;
     rec.dispatch(&kernel, &SampleDensity { params, blended, selection, density: &density, samples }, per_pixel(extent))?;

@@ -3,13 +3,9 @@
 use serde::Serialize;
 
 use crate::error::{Error, Result};
+use crate::method::common::{LARGEST_PATCH_RADIUS, LARGEST_WINDOW_RADIUS, refused};
 use crate::stage::nlm::{CentreWeight, Symmetry, Weighting};
 use crate::stage::select::Guard;
-
-/// The window radius beyond which work and halos make no sense any more, in pixels.
-const LARGEST_WINDOW_RADIUS: u32 = 64;
-/// The largest patch radius: a window of distances of 2f+1 rows lives in registers.
-const LARGEST_PATCH_RADIUS: u32 = 5;
 
 /// Parameters of DFC (thesis chapter 8). [`DfcParams::default`] is what measured best, [`DfcParams::thesis`] is Algorithm 1 to the letter.
 ///
@@ -103,20 +99,17 @@ impl DfcParams {
     /// # Errors
     /// [`Error::Request`] naming the parameter and its range.
     pub fn validate(&self) -> Result<()> {
-        let refuse = |name: &str, value: String, range: &str| {
-            Err(Error::Request { problem: format!("{name} is {value}, outside its range"), remedy: format!("choose it {range}") })
-        };
         if !(1..=LARGEST_WINDOW_RADIUS).contains(&self.window_radius) {
-            return refuse("the window radius", self.window_radius.to_string(), &format!("from 1 to {LARGEST_WINDOW_RADIUS} pixels"));
+            return refused("the window radius", self.window_radius, &format!("from 1 to {LARGEST_WINDOW_RADIUS} pixels"));
         }
         let second_pass = self.second_pass.map_or(0, |pass| pass.patch_radius);
         for (name, radius) in [("the patch radius of SECOND", self.second_patch_radius), ("the patch radius of the second pass", second_pass)] {
             if radius > LARGEST_PATCH_RADIUS {
-                return refuse(name, radius.to_string(), &format!("from 0 to {LARGEST_PATCH_RADIUS} pixels"));
+                return refused(name, radius, &format!("from 0 to {LARGEST_PATCH_RADIUS} pixels"));
             }
         }
         if self.first_patch_radius > self.second_patch_radius {
-            return refuse("the patch radius of FIRST", self.first_patch_radius.to_string(), "no larger than that of SECOND");
+            return refused("the patch radius of FIRST", self.first_patch_radius, "no larger than that of SECOND");
         }
         if self.weighting.symmetric == Symmetry::Hard {
             return Err(Error::Request {
@@ -133,7 +126,7 @@ impl DfcParams {
         ];
         for (name, value) in positive {
             if !(value.is_finite() && value > 0.0) {
-                return refuse(name, value.to_string(), "finite and above 0");
+                return refused(name, value, "finite and above 0");
             }
         }
         if let Some(guard) = self.guard {
@@ -141,7 +134,7 @@ impl DfcParams {
             for (name, value) in [("smoothed error", smoothed_error), ("smoothed noise", smoothed_noise), ("own sigmas", own_sigmas), ("own noise", own_noise)]
             {
                 if !(value.is_finite() && value >= 0.0) {
-                    return refuse(&format!("the guard's {name}"), value.to_string(), "finite and at least 0");
+                    return refused(&format!("the guard's {name}"), value, "finite and at least 0");
                 }
             }
         }
