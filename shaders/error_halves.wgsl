@@ -1,28 +1,23 @@
 // The squared error that is left in a filtered signal, and what a sample drawn in each pixel is expected to gain (thesis 7.1.2 and 7.1.3): E·W, with the squared relative
-// difference E of the filtered halves and W(p) = Σ w / (1 + n_p). One plane, x: the gain, y: the squared error, summed over the channels. Neither is smoothed.
+// difference E of the filtered halves and W(p) = Σ w / (1 + Σ w·n). One plane, x: the gain, y: the squared error, summed over the channels. Neither is smoothed.
 //
 // Knows of noise and not of bias, which the filter is to keep small.
 #import stein::planes::{pixel_index}
 
 struct ErrorHalvesParams {
     extent: vec2<i32>,
-    // Samples per pixel, used where there is no map of them.
-    samples_per_pixel: f32,
     // Added to the squared value in relative errors, so that dark pixels do not take everything.
     relative_floor: f32,
 }
 
 @group(0) @binding(0) var<uniform> params: ErrorHalvesParams;
-// Two planes: the mean, then the half spread.
+// Two planes: the mean with the average number of samples, Σ w·n / Σ w, in w; then the half spread.
 @group(0) @binding(1) var<storage, read> signal: array<vec4<f32>>;
 // x: Σ w.
 @group(0) @binding(2) var<storage, read> weights: array<vec4<f32>>;
 @group(0) @binding(3) var<storage, read_write> errors: array<vec4<f32>>;
 #ifndef HALVES
 @group(0) @binding(4) var<storage, read> residual_variance: array<vec4<f32>>;
-#endif
-#ifdef SAMPLES_VARY
-@group(0) @binding(5) var<storage, read> samples: array<vec4<f32>>;
 #endif
 
 // The squared difference of the halves, relative to one of them: the mean over the channels.
@@ -47,10 +42,6 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     let variance = residual_variance[at].xyz;
     let both = 2.0 * relative(4.0 * variance, mean);
 #endif
-#ifdef SAMPLES_VARY
-    let count = samples[at].x;
-#else
-    let count = params.samples_per_pixel;
-#endif
-    errors[at] = vec4<f32>(both * weights[at].x / (1.0 + count), dot(variance, vec3<f32>(1.0)), 0.0, 0.0);
+    let weight_sum = weights[at].x;
+    errors[at] = vec4<f32>(both * weight_sum / (1.0 + weight_sum * signal[at].w), dot(variance, vec3<f32>(1.0)), 0.0, 0.0);
 }

@@ -1,4 +1,4 @@
-// The signal of two filtered halves (thesis 7.1.1): their mean and half spread, and in `weights` the mean of their Σ w.
+// The signal of two filtered halves (thesis 7.1.1): their mean, that of w included, and half spread; and in `weights` the mean of their Σ w.
 #import stein::planes::{pixel_index}
 
 struct HalfParams {
@@ -21,9 +21,9 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
         return;
     }
     let at = pixel_index(p, params.extent);
-    let a = half_a[at].xyz;
-    let b = half_b[at].xyz;
-    signal[at] = vec4<f32>(0.5 * (a + b), 0.0);
-    signal[params.extent.x * params.extent.y + at] = vec4<f32>(0.5 * (a - b), 0.0);
+    let a = half_a[at];
+    let b = half_b[at];
+    signal[at] = 0.5 * (a + b);
+    signal[params.extent.x * params.extent.y + at] = vec4<f32>(0.5 * (a.xyz - b.xyz), 0.0);
     weights[at] = vec4<f32>(0.5 * (weights_a[at].x + weights_b[at].x), 0.0, 0.0, 0.0);
 }

@@ -1,4 +1,5 @@
-// The halves A and B of a signal, one plane each (thesis 7.1.1): mean ± half spread, for halves of equal numbers of samples, and the variance of one half.
+// The halves A and B of a signal, one plane each (thesis 7.1.1): mean ± half spread, for halves of equal numbers of samples, and the variance of one half. What the mean has in w,
+// both halves have.
 #import stein::planes::{pixel_index}
 
 struct HalfParams {
@@ -20,10 +21,10 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
         return;
     }
     let at = pixel_index(p, params.extent);
-    let mean = signal[at].xyz;
+    let mean = signal[at];
     let spread = signal[params.extent.x * params.extent.y + at].xyz;
-    half_a[at] = vec4<f32>(mean + spread, 0.0);
-    half_b[at] = vec4<f32>(mean - spread, 0.0);
+    half_a[at] = vec4<f32>(mean.xyz + spread, mean.w);
+    half_b[at] = vec4<f32>(mean.xyz - spread, mean.w);
     // Half of the samples, twice the variance.
     variance_of_half[at] = vec4<f32>(2.0 * variance_of_mean[at].xyz, 0.0);
 }

@@ -40,7 +40,9 @@ fn definitions(stage: &str) -> Option<Vec<Definitions>> {
     match stage {
         "variance_rows" | "variance_scale" | "variance_pair" | "variance_clamp" | "half_split" | "half_join" | "feature_pack" | "candidate_resolve"
         | "error_sure" | "select_least" | "select_blend" => none,
-        "sample_density" | "error_halves" => Some(combinations(&[("SAMPLES_VARY", flags()), ("HALVES", flags())])),
+        "sample_attach" => Some(combinations(&[("SAMPLES_VARY", flags())])),
+        "error_halves" => Some(combinations(&[("HALVES", flags())])),
+        "sample_density" => Some(combinations(&[("SAMPLES_VARY", flags()), ("HALVES", flags())])),
         "gaussian" => Some(["SQUARED", "KEEP_WEIGHT_SUM", "WITHOUT_CENTRE"].map(|name| vec![(name, true.into())]).into_iter().chain([Vec::new()]).collect()),
         "variance_smooth" => Some(combinations(&[("CLAMPED", flags())])),
         "nlm_distance" => Some(combinations(&[("PATCH_RADIUS", numbers(&[0, 1, 3, 5])), ("SMALL_PATCH_RADIUS", numbers(&[-1, 0])), ("SYMMETRIC", flags())]))

@@ -36,5 +36,6 @@ pub(super) const STAGES: &[(&str, &str)] = sources!("shaders":
     "error_halves",
     "select_least",
     "select_blend",
+    "sample_attach",
     "sample_density",
 );

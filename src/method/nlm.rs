@@ -17,6 +17,7 @@ use crate::stage::error::error_halves;
 use crate::stage::gaussian::{Averaging, Gaussian, gaussian};
 use crate::stage::half::{Halves, half_join, half_split};
 use crate::stage::nlm::{Filtered, Guide, Schedule, Weighting, nlm_filter};
+use crate::stage::sample::sample_attach;
 use crate::stage::variance::{INPUT_SMOOTHING, VariancePair, variance_clamp, variance_pair};
 
 pub use params::{NlmParams, NlmVariance};
@@ -76,20 +77,21 @@ pub fn nlm(
         patchwise: params.patchwise,
         cut: params.cut,
     };
+    let signal = &sample_attach(rec, extent, &color.signal, &samples)?;
     let filtered = if params.dual_buffer && color.has_halves {
-        let Halves { a, b, variance } = &half_split(rec, extent, &color.signal, &variance)?;
+        let Halves { a, b, variance } = &half_split(rec, extent, signal, &variance)?;
         let weighting = params.weighting;
         let filtered_a = nlm_filter(rec, extent, &guide(b, variance), a, 1, params.window_radius, weighting, false, schedule)?;
         progress(rec, 0.5)?;
         let filtered_b = nlm_filter(rec, extent, &guide(a, variance), b, 1, params.window_radius, weighting, false, schedule)?;
         half_join(rec, extent, [&filtered_a, &filtered_b])?
     } else {
-        nlm_filter(rec, extent, &guide(&color.signal, &variance), &color.signal, 2, params.window_radius, params.weighting, !color.has_halves, schedule)?
+        nlm_filter(rec, extent, &guide(signal, &variance), signal, 2, params.window_radius, params.weighting, !color.has_halves, schedule)?
     };
     progress(rec, 1.0)?;
 
     // Error estimation, and where the next samples pay (thesis 7.1.3).
-    let errors = error_halves(rec, extent, &filtered, &samples)?;
+    let errors = error_halves(rec, extent, &filtered)?;
     let errors = Arc::new(gaussian(rec, extent, &errors, 1, Gaussian::new(ERROR_SMOOTHING_SIGMA), Averaging::Mean)?);
     keeper.keep(Intermediate::Density, "density", &["V"], Unit::Number, &errors, 0);
 
@@ -149,8 +151,8 @@ impl From<NlmParams> for Method {
 
 /// Counted from [`nlm`]: what is dropped is used again.
 pub(super) fn footprint(params: &NlmParams, frame: &Frame, kept: bool, schedule: Schedule) -> Footprint {
-    // Variance 1, halves and their variance 3, filtered halves and weights 4, joined 3; later errors 3 in place of the halves.
-    let later = 11;
+    // Variance 1, signal with samples 2, halves and their variance 3, filtered halves and weights 4, joined 3; later errors 3 in place of the halves.
+    let later = 13;
     // Variance and errors are there anyway; the filtered halves and their variance.
     let kept = if kept { 3 } else { 0 };
     Footprint {

@@ -25,7 +25,7 @@ pub struct Halves {
     pub variance: Buffer,
 }
 
-/// The halves of a signal whose halves have equal numbers of samples. `variance_of_mean` is that of the mean of both, one plane.
+/// The halves of a signal whose halves have equal numbers of samples; both have what the mean has in w. `variance_of_mean` is that of the mean of both, one plane.
 pub fn half_split(rec: &mut Recorder, extent: IVec2, signal: &Buffer, variance_of_mean: &Buffer) -> Result<Halves> {
     let a = rec.take("half A", plane_bytes(extent, 1))?;
     let b = rec.take("half B", plane_bytes(extent, 1))?;
@@ -36,7 +36,7 @@ pub fn half_split(rec: &mut Recorder, extent: IVec2, signal: &Buffer, variance_o
     Ok(Halves { a, b, variance })
 }
 
-/// The signal whose halves these are, and the mean of their Σ w in one plane, x. The halves have one plane each.
+/// The signal whose halves these are, what they have in w averaged as their colour, and the mean of their Σ w in one plane, x. The halves have one plane each.
 pub fn half_join(rec: &mut Recorder, extent: IVec2, [a, b]: [&Filtered; 2]) -> Result<Filtered> {
     let signal = rec.take("joined halves", plane_bytes(extent, 2))?;
     let weights = rec.take("weight sums of both halves", plane_bytes(extent, 1))?;

@@ -22,6 +22,7 @@ pub mod candidates;
 pub mod dfc;
 pub mod gaussian;
 pub mod nlm;
+pub mod nlm_method;
 pub mod prefilter;
 pub mod random;
 pub mod select;
