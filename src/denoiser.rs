@@ -52,9 +52,10 @@ pub struct Estimate {
     /// Half spread of the denoised colour: its filtered halves are `color ± half_spread`. `None` without halves.
     pub half_spread: Option<Image>,
     /// One plane: the estimated squared error of each pixel, summed over the channels. Of DFC it comes from SURE (eq. 8.5) smoothed and blended like the candidates, and is
-    /// that of pass 1; the second pass leaves less. May be negative where the true error is small.
+    /// that of pass 1; the second pass leaves less. May be negative where the true error is small. Of NLM it is the variance left by the halves (thesis 7.1.2), smoothed; it
+    /// knows nothing of bias.
     pub error: Image,
-    /// One plane: Σ w over the window, blended like the candidates: how many pixels took part (thesis 8.6).
+    /// One plane: Σ w over the window: how many pixels took part (thesis 8.6). Of DFC blended like the candidates, of NLM the mean of both halves.
     pub weight_sum: Image,
     /// Shares of FIRST, SECOND and THIRD in each pixel, where the method has them.
     pub selection: Option<Image>,

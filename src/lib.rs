@@ -8,7 +8,7 @@
 //!           -> Frame      (frame: finite, one extent, meaning normalised, repairs counted)
 //!           -> GpuFrame   (method: uploaded, colour at the order of 1)
 //!           -> variances of the pixel mean -> prefiltered features -> candidates -> SURE -> selection -> blend -> second pass
-//!                         (method: this is dfc; each method is a straight function of the stages)
+//!                         (method: this is dfc; each method is a straight function of the stages. nlm: variances -> halves -> each filtered by the other -> their difference)
 //!           -> Estimate   (denoiser: colour, halves, estimated error, intermediates) -> EXR file
 //! ```
 //!

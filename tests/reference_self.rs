@@ -6,12 +6,13 @@ mod reference;
 
 use reference::candidates::{Candidate, analytic_derivative, candidate, finite_difference, finite_difference_step};
 use reference::dfc::{Dfc, DfcParams, Frame, Pass, dfc};
+use reference::gaussian::gaussian;
 use reference::nlm::{CentreWeight, Feature, FilterParams, Guide, nlm_filter, window_weights};
 use reference::prefilter::{gradient_squared, prefilter};
 use reference::random::Random;
 use reference::select::{Evidence, FIRST, Guard, SECOND, THIRD, guard, select};
 use reference::sure::sure;
-use reference::variance::{Signal, gaussian, spread_of_halves, variance_scale};
+use reference::variance::{Signal, spread_of_halves, variance_scale};
 use reference::{Grid, Planes, Point, square};
 
 /// Both presets at a radius that a test can afford; they differ in every switch.

@@ -37,7 +37,7 @@ pub(crate) struct Errors {
     ssim: f64,
     /// Mean over the pixels of the squared error summed over the channels.
     squared_error: f64,
-    /// The same, estimated without the reference. Of `result` it is that of pass 1.
+    /// The same, estimated without the reference. Of the result of DFC it is that of pass 1.
     estimated_squared_error: Option<f64>,
 }
 
@@ -93,7 +93,7 @@ pub(crate) fn text(errors: &[Errors]) -> String {
     };
     let rows: Vec<_> = std::iter::once(head).chain(errors.iter().map(row)).collect();
     format!(
-        "{}\n  (squared error: mean over the pixels, summed over the channels; estimated: by SURE, without the reference, before the second pass)",
+        "{}\n  (squared error: mean over the pixels, summed over the channels; estimated: without the reference; for dfc by SURE, before the second pass)",
         table(&rows, 1)
     )
 }

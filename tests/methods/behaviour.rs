@@ -28,13 +28,13 @@ fn denoised(denoiser: &Denoiser, frame: &Frame) -> Estimate {
     denoiser.denoise(frame).unwrap_or_else(|error| panic!("{error}"))
 }
 
-fn image(planes: &[Grid]) -> Image {
+pub(crate) fn image(planes: &[Grid]) -> Image {
     let extent = Extent { width: planes[0].width as u32, height: planes[0].height as u32 };
     Image { extent, planes: planes.iter().map(|grid| grid.values.iter().map(|v| *v as f32).collect()).collect() }
 }
 
 /// Random colour with spikes, and a feature that has halves only.
-fn random_frame(width: usize, height: usize, factor: f32) -> Frame {
+pub(crate) fn random_frame(width: usize, height: usize, factor: f32) -> Frame {
     let (color, feature) = (scene(width, height, 51), scene(width, height, 52));
     let scaled = |planes: &[Grid], factor: f32| {
         let mut image = image(planes);

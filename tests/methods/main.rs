@@ -1,4 +1,4 @@
-//! The whole of DFC on the GPU: against its float64 twin (`twin`), and as its callers use it (`behaviour`).
+//! Whole methods on the GPU. DFC: against its float64 twin (`twin`), and as its callers use it (`behaviour`). NLM: both (`nlm`).
 
 #[allow(dead_code, unreachable_pub, reason = "every test includes all shared pieces and uses a part of them")]
 #[path = "../common/mod.rs"]
@@ -11,4 +11,5 @@ mod frames;
 mod reference;
 
 mod behaviour;
+mod nlm;
 mod twin;

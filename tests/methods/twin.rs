@@ -14,13 +14,13 @@ use crate::reference::dfc::{CandidateParams, Dfc, DfcParams as TwinParams, Frame
 use crate::reference::variance::Signal;
 use crate::reference::{self, Grid, Planes};
 
-fn grids(image: &Image, factor: f64) -> Planes {
+pub(crate) fn grids(image: &Image, factor: f64) -> Planes {
     let (width, height) = (image.extent.width as usize, image.extent.height as usize);
     image.planes.iter().map(|plane| Grid { width, height, values: plane.iter().map(|v| f64::from(*v) * factor).collect() }).collect()
 }
 
 /// The power of two that brings the median brightness between 1 and 2: the method's ε and smallest step are meant for such images.
-fn exposure(frame: &Frame) -> f64 {
+pub(crate) fn exposure(frame: &Frame) -> f64 {
     let planes = &frame.color().mean.planes;
     let brightest = |pixel: usize| planes.iter().map(|plane| plane[pixel].abs()).fold(0.0, f32::max);
     let mut brightness: Vec<f32> = (0..frame.extent().pixels()).map(brightest).filter(|v| *v > 0.0).collect();
@@ -92,7 +92,7 @@ fn the_presets_are_those_of_the_reference() {
 }
 
 /// The kept layer of a name, in the units that the reference computes in.
-fn layer(estimate: &Estimate, name: &str, factor: f64) -> Planes {
+pub(crate) fn layer(estimate: &Estimate, name: &str, factor: f64) -> Planes {
     let layer = estimate.layers.iter().find(|layer| layer.name == name).unwrap_or_else(|| panic!("no layer {name}"));
     grids(&layer.image, factor)
 }

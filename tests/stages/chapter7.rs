@@ -230,7 +230,7 @@ fn halves_are_split_and_joined() {
         // Differences of what may be 10⁴.
         let size: Planes = scene.mean.iter().zip(&scene.spread).map(|(mean, spread)| mean.like(|p| mean.at(p).abs() + spread.at(p).abs())).collect();
         let near = |what: &str, actual: &[Grid], expected: &[Grid], size: &[Grid]| {
-            assert_near(&format!("{what}, {width}×{height}"), actual, expected, size, 3e-7, 0.0)
+            assert_near(&format!("{what}, {width}×{height}"), actual, expected, size, 3e-7, 0.0);
         };
         near("half A", &read(gpu, &halves.a, extent)[0], &combined(1.0, 1.0), &size);
         near("half B", &read(gpu, &halves.b, extent)[0], &combined(1.0, -1.0), &size);
