@@ -4,7 +4,7 @@
 // FIRST and SECOND share the pixel distance and the features and differ in the box; THIRD shares the features' numerators. The perturbed weights need no second
 // pass: a step δ in channel i of p changes the pixel distances that p takes part in, and those alone, so the patch sums change by a few closed terms.
 #import stein::planes::{inside, pixel_index, clamped_index}
-#import stein::nlm::{NlmParams, PairWeights, EPSILON, DISTANCE_LIMIT, pair_offset, next_offset, patch_pairs, patch_triples, pair_weights}
+#import stein::nlm::{NlmParams, PairWeights, EPSILON, DISTANCE_LIMIT, pair_offset, next_offset, has_opposite, patch_pairs, patch_triples, pair_weights}
 #import stein::candidates::{CandidateParams, WEIGHT_LANES, LARGEST_LANES, MEAN_SUM, PERTURBED_SUM, SPREAD_SUM, PLANES_WITH_COLOR, THIRD_MEAN_SUM, THIRD_SPREAD_SUM, difference_step}
 
 const FIRST_RADIUS: i32 = #{SMALL_PATCH_RADIUS};
@@ -21,6 +21,40 @@ const FEATURE_GROUPS: i32 = #{FEATURE_GROUPS};
 @group(0) @binding(6) var<storage, read_write> state: array<vec4<f32>>;
 #if FEATURE_GROUPS != 0
 @group(0) @binding(7) var<storage, read> features: array<vec4<f32>>;
+#endif
+#ifdef OTHER_FRAME
+// Of the frame beside that q is taken from. Bindings of their own only there: without them the kernel gets by with the eight that every device has.
+@group(0) @binding(8) var<storage, read> neighbours_signal: array<vec4<f32>>;
+@group(0) @binding(9) var<storage, read> neighbours_variance: array<vec4<f32>>;
+#if FEATURE_GROUPS != 0
+@group(0) @binding(10) var<storage, read> neighbours_features: array<vec4<f32>>;
+#endif
+#endif
+
+fn neighbour_signal(at: i32) -> vec3<f32> {
+#ifdef OTHER_FRAME
+    return neighbours_signal[at].xyz;
+#else
+    return signal[at].xyz;
+#endif
+}
+
+fn neighbour_variance(at: i32) -> vec3<f32> {
+#ifdef OTHER_FRAME
+    return neighbours_variance[at].xyz;
+#else
+    return variance_of_mean[at].xyz;
+#endif
+}
+
+#if FEATURE_GROUPS != 0
+fn neighbour_feature(at: i32) -> vec4<f32> {
+#ifdef OTHER_FRAME
+    return neighbours_features[at];
+#else
+    return features[at];
+#endif
+}
 #endif
 
 // Running sums of one candidate with a colour term.
@@ -120,7 +154,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     // xyz: Σ w·(u_q − u_p), w: Σ w; and for the spread, with the largest weight in w.
     var third_mean = vec4<f32>(0.0);
     var third_spread = vec4<f32>(0.0);
-    if params.first_pair > 0 {
+    if params.starts == 0 {
         first = load_sums(0, strip_pixels, at_state);
         second = load_sums(PLANES_WITH_COLOR, strip_pixels, at_state);
         third_mean = state[THIRD_MEAN_SUM * strip_pixels + at_state];
@@ -133,7 +167,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
         let p_q1 = p + offset;
         let p_q2 = p - offset;
         let q1_inside = inside(p_q1, extent);
-        let q2_inside = inside(p_q2, extent);
+        let q2_inside = inside(p_q2, extent) && has_opposite(offset);
         let both_inside = q1_inside && q2_inside;
         let at_q1 = clamped_index(p_q1, extent);
         let at_q2 = clamped_index(p_q2, extent);
@@ -147,12 +181,12 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
         for (var group = 0; group < FEATURE_GROUPS; group++) {
             let triple = candidate.triple_weights[group].xyz;
             let plane = 3 * group * pixels;
-            let value_q1 = features[plane + at_q1];
-            let residual_q1 = features[plane + pixels + at_q1];
-            let scale_q1 = features[plane + 2 * pixels + at_q1];
-            let value_q2 = features[plane + at_q2];
-            let residual_q2 = features[plane + pixels + at_q2];
-            let scale_q2 = features[plane + 2 * pixels + at_q2];
+            let value_q1 = neighbour_feature(plane + at_q1);
+            let residual_q1 = neighbour_feature(plane + pixels + at_q1);
+            let scale_q1 = neighbour_feature(plane + 2 * pixels + at_q1);
+            let value_q2 = neighbour_feature(plane + at_q2);
+            let residual_q2 = neighbour_feature(plane + pixels + at_q2);
+            let scale_q2 = neighbour_feature(plane + 2 * pixels + at_q2);
             let to_q1 = value_p[group] - value_q1;
             let to_q2 = value_p[group] - value_q2;
             let tau = vec4<f32>(candidate.feature_tau);
@@ -198,16 +232,16 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
 #endif
 
         // What a step in each channel of p does to the patch sums: the pair (p, q) itself, and where p lies in its neighbour's patch, the pair that ends in p.
-        let u_q1 = signal[at_q1].xyz;
-        let u_q2 = signal[at_q2].xyz;
-        let var_q1 = variance_of_mean[at_q1].xyz;
-        let var_q2 = variance_of_mean[at_q2].xyz;
+        // In another frame's patches p lies nowhere.
+        let u_q1 = neighbour_signal(at_q1);
+        let u_q2 = neighbour_signal(at_q2);
+        let var_q1 = neighbour_variance(at_q1);
+        let var_q2 = neighbour_variance(at_q2);
         let zero = vec3<f32>(0.0);
         let change_q1 = select(zero, step_change(step, u_p - u_q1, EPSILON + params.k_squared * (var_p + var_q1)), q1_inside);
         let change_q2 = select(zero, step_change(step, u_p - u_q2, EPSILON + params.k_squared * (var_p + var_q2)), q2_inside);
         var first_changes = PatchChanges(change_q1, change_q2, zero);
         var second_changes = first_changes;
-        let reach = max(abs(offset.x), abs(offset.y));
 #ifdef SYMMETRIC
         let change_both = select(
             zero,
@@ -217,6 +251,8 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
         first_changes.both = change_both;
         second_changes.both = change_both;
 #endif
+#ifndef OTHER_FRAME
+        let reach = max(abs(offset.x), abs(offset.y));
         if reach <= max(FIRST_RADIUS, SECOND_RADIUS) {
             var near = PatchChanges(change_q2, change_q1, zero);
 #ifdef SYMMETRIC
@@ -230,6 +266,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
                 second_changes = PatchChanges(change_q1 + near.q1, change_q2 + near.q2, second_changes.both + near.both);
             }
         }
+#endif
 
         // Colour weights (eq. 8.2): the horizontal half of the patch sums.
         let column = (pair * params.rows + row) * stride + p.x + SECOND_RADIUS;
@@ -244,8 +281,8 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
         let first_weights = color_weights(first_patch, first_changes, p, offset, FIRST_RADIUS, both_inside);
         let second_weights = color_weights(second_patch, second_changes, p, offset, SECOND_RADIUS, both_inside);
 
-        let q1 = Neighbour(q1_inside, u_q1 - u_p, signal[pixels + at_q1].xyz - spread_p);
-        let q2 = Neighbour(q2_inside, u_q2 - u_p, signal[pixels + at_q2].xyz - spread_p);
+        let q1 = Neighbour(q1_inside, u_q1 - u_p, neighbour_signal(pixels + at_q1) - spread_p);
+        let q2 = Neighbour(q2_inside, u_q2 - u_p, neighbour_signal(pixels + at_q2) - spread_p);
         add(&first, q1, first_weights.ahead, feature_q1);
         add(&first, q2, first_weights.behind, feature_q2);
         add(&second, q1, second_weights.ahead, feature_q1);

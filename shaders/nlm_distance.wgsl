@@ -4,7 +4,7 @@
 // Sums run over channels and rows, unnormalised: x = d(p, q1), y = d(p, q2), z = d(p, mean of q1 and q2); rows and neighbours outside the image add nothing.
 // The scratch rows are padded by f on both sides, so that the horizontal sum needs no border test.
 #import stein::planes::{inside, clamped_index}
-#import stein::nlm::{NlmParams, pair_offset, distance, symmetric_distance}
+#import stein::nlm::{NlmParams, pair_offset, has_opposite, distance, symmetric_distance}
 
 const PATCH_RADIUS: i32 = #{PATCH_RADIUS};
 const SIDE: i32 = 2 * PATCH_RADIUS + 1;
@@ -12,11 +12,14 @@ const SIDE: i32 = 2 * PATCH_RADIUS + 1;
 @group(0) @binding(0) var<uniform> params: NlmParams;
 @group(0) @binding(1) var<storage, read> guide: array<vec4<f32>>;
 @group(0) @binding(2) var<storage, read> variance_of_mean: array<vec4<f32>>;
-@group(0) @binding(3) var<storage, read_write> columns: array<vec4<f32>>;
+// What q is taken from: the same again, or a frame beside.
+@group(0) @binding(3) var<storage, read> neighbours: array<vec4<f32>>;
+@group(0) @binding(4) var<storage, read> neighbours_variance: array<vec4<f32>>;
+@group(0) @binding(5) var<storage, read_write> columns: array<vec4<f32>>;
 #if SMALL_PATCH_RADIUS != -1
 // The same for a second, smaller patch: the candidates FIRST and SECOND share their pixel distances and differ in the box alone.
 const SMALL_PATCH_RADIUS: i32 = #{SMALL_PATCH_RADIUS};
-@group(0) @binding(4) var<storage, read_write> columns_small: array<vec4<f32>>;
+@group(0) @binding(6) var<storage, read_write> columns_small: array<vec4<f32>>;
 #endif
 
 fn pair_distances(p: vec2<i32>, offset: vec2<i32>) -> vec3<f32> {
@@ -24,16 +27,16 @@ fn pair_distances(p: vec2<i32>, offset: vec2<i32>) -> vec3<f32> {
     let q2 = p - offset;
     let p_inside = inside(p, params.extent);
     let q1_inside = p_inside && inside(q1, params.extent);
-    let q2_inside = p_inside && inside(q2, params.extent);
+    let q2_inside = p_inside && inside(q2, params.extent) && has_opposite(offset);
     let at_p = clamped_index(p, params.extent);
     let at_q1 = clamped_index(q1, params.extent);
     let at_q2 = clamped_index(q2, params.extent);
     let u_p = guide[at_p].xyz;
-    let u_q1 = guide[at_q1].xyz;
-    let u_q2 = guide[at_q2].xyz;
+    let u_q1 = neighbours[at_q1].xyz;
+    let u_q2 = neighbours[at_q2].xyz;
     let var_p = variance_of_mean[at_p].xyz;
-    let var_q1 = variance_of_mean[at_q1].xyz;
-    let var_q2 = variance_of_mean[at_q2].xyz;
+    let var_q1 = neighbours_variance[at_q1].xyz;
+    let var_q2 = neighbours_variance[at_q2].xyz;
     let one = vec3<f32>(1.0);
     let d1 = select(0.0, dot(one, distance(u_p, u_q1, var_p, var_q1, params.k_squared, params.alpha)), q1_inside);
     let d2 = select(0.0, dot(one, distance(u_p, u_q2, var_p, var_q2, params.k_squared, params.alpha)), q2_inside);

@@ -4,7 +4,7 @@
 // One invocation walks down one column for one pair, with the last 2f+1 weights in registers, as nlm_distance does with distances; the horizontal half is summed in
 // nlm_filter. Sums are unnormalised: x = w(p, q1), y = w(p, q2); pixels and neighbours outside the image add nothing. The scratch rows are padded by f on both sides.
 #import stein::planes::{inside}
-#import stein::nlm::{NlmParams, pair_offset, weights_from_sums}
+#import stein::nlm::{NlmParams, pair_offset, has_opposite, weights_from_sums}
 
 const PATCH_RADIUS: i32 = #{PATCH_RADIUS};
 const SIDE: i32 = 2 * PATCH_RADIUS + 1;
@@ -26,7 +26,7 @@ fn weights_at(p: vec2<i32>, row: i32, pair: i32, offset: vec2<i32>) -> vec2<f32>
         patch_sum += columns[column + n].xyz;
     }
     let ahead_inside = inside(p + offset, params.extent);
-    let behind_inside = inside(p - offset, params.extent);
+    let behind_inside = inside(p - offset, params.extent) && has_opposite(offset);
     return weights_from_sums(patch_sum, p, offset, params.extent, PATCH_RADIUS, params.inverse_channels, ahead_inside, behind_inside);
 }
 

@@ -5,10 +5,10 @@ use std::ops::ControlFlow;
 use glam::IVec2;
 
 use crate::error::{Error, Result};
-use crate::frame::Frame;
+use crate::frame::{Feature, Frame};
 use crate::gpu::{Buffer, Gpu, Recorder, StageTime};
 use crate::image::{Extent, Image};
-use crate::method::{GpuEstimate, GpuFrame, Intermediate, KeptPlane, Lane, Method, Strip, Unit, strips};
+use crate::method::{GpuEstimate, GpuFrame, Intermediate, KeptPlane, Lane, Method, Strip, Unit, Units, strips};
 use crate::stage::nlm::Schedule;
 
 /// Denoises frames with one method and one set of parameters. Make one and use it for many frames: kernels and buffers are kept by the [`Gpu`].
@@ -120,12 +120,12 @@ impl Denoiser {
         Self { method: self.method.while_sampling(), ..self.clone() }
     }
 
-    /// Into how many strips a frame would be cut, with these intermediates kept.
+    /// Into how many strips a frame would be cut, with so many frames beside it in its window and with these intermediates kept.
     ///
     /// # Errors
     /// [`Error::Device`] where not even one row fits into the memory.
-    pub fn strip_count(&self, frame: &Frame, keep: &[Intermediate]) -> Result<usize> {
-        strips(&self.gpu, frame, &self.method, !keep.is_empty(), self.schedule, self.max_memory).map(|strips| strips.len())
+    pub fn strip_count(&self, frame: &Frame, beside: usize, keep: &[Intermediate]) -> Result<usize> {
+        strips(&self.gpu, frame, &self.method, beside, !keep.is_empty(), self.schedule, self.max_memory).map(|strips| strips.len())
     }
 
     /// Denoises a frame.
@@ -141,18 +141,31 @@ impl Denoiser {
     /// # Errors
     /// As [`Denoiser::denoise`], and [`Error::Cancelled`].
     pub fn denoise_with(&self, frame: &Frame, options: Options) -> Result<Estimate> {
+        self.denoise_window(&[frame], 0, options)
+    }
+
+    /// Denoises `frames[centre]` with the help of the frames beside it: consecutive frames of a shot, in temporal order, of which each pixel's window sees the same
+    /// region (thesis 7.3, 8.6). Features that one of them lacks are not used.
+    ///
+    /// # Errors
+    /// As [`Denoiser::denoise_with`], and [`Error::Request`] where the method cannot do it or a frame has another extent or kind of noise than the others.
+    pub fn denoise_window(&self, frames: &[&Frame], centre: usize, options: Options) -> Result<Estimate> {
+        self.check_window(frames, centre)?;
         let Options { keep, mut progress } = options;
-        let exposure = exposure(frame);
-        let strips = strips(&self.gpu, frame, &self.method, !keep.is_empty(), self.schedule, self.max_memory)?;
+        let frame = frames[centre];
+        let units = Units::of_window(frames, centre, exposure(frame));
+        let beside = frames.iter().enumerate().filter(|(index, _)| *index != centre).map(|(_, frame)| *frame);
+        let strips = strips(&self.gpu, frame, &self.method, frames.len() - 1, !keep.is_empty(), self.schedule, self.max_memory)?;
         self.gpu.set_memory_limit(self.max_memory);
         // What an earlier frame of another size left behind would count against the limit.
         self.gpu.trim();
         self.gpu.reset_peak();
         self.gpu.reset_timings()?;
-        let mut assembly = Assembly::new(frame, exposure);
+        let mut assembly = Assembly::new(frame, &units);
         for (index, strip) in strips.iter().enumerate() {
             let mut rec = self.gpu.record();
-            let on_gpu = GpuFrame::upload(&mut rec, frame, strip, exposure)?;
+            let on_gpu = GpuFrame::upload(&mut rec, frame, strip, &units)?;
+            let beside = beside.clone().map(|frame| GpuFrame::upload(&mut rec, frame, strip, &units)).collect::<Result<Vec<_>>>()?;
             let extent = on_gpu.extent;
             let report = |rec: &mut Recorder, share: f32| match &mut progress {
                 None => Ok(()),
@@ -164,7 +177,7 @@ impl Denoiser {
                     if progress(done).is_break() { Err(Error::Cancelled) } else { Ok(()) }
                 }
             };
-            let estimate = self.method.record(&mut rec, on_gpu, keep, self.schedule, report)?;
+            let estimate = self.method.record(&mut rec, on_gpu, beside, keep, self.schedule, report)?;
             rec.submit()?;
             assembly.add(&self.gpu, &estimate, extent, strip)?;
         }
@@ -172,13 +185,45 @@ impl Denoiser {
         Ok(assembly.finish(strips.len(), stage_times, peak_bytes))
     }
 
-    /// Records the work on a frame that is on the GPU already; nothing is read back. For a renderer that embeds the denoiser: record with [`Gpu::record_whole`], then put
+    fn check_window(&self, frames: &[&Frame], centre: usize) -> Result<()> {
+        let refuse = |problem: String, remedy: &str| Err(Error::Request { problem, remedy: remedy.into() });
+        let Some(frame) = frames.get(centre) else {
+            return refuse(format!("frame {centre} of a window of {} frames is to be denoised", frames.len()), "count from 0");
+        };
+        self.check_time(frames.len() - 1)?;
+        let knows = |frame: &Frame| (frame.color().half_spread.is_some(), frame.color().variance_of_mean.is_some());
+        for (index, other) in frames.iter().enumerate() {
+            if other.extent() != frame.extent() {
+                return refuse(
+                    format!("frame {index} of the window is of {}, but the one to denoise of {}", other.extent(), frame.extent()),
+                    "give frames of one size",
+                );
+            }
+            if knows(other) != knows(frame) {
+                return refuse(format!("frame {index} of the window does not come with the same halves and variance"), "render all frames alike");
+            }
+        }
+        Ok(())
+    }
+
+    fn check_time(&self, frames_beside: usize) -> Result<()> {
+        if frames_beside == 0 || self.method.filters_in_time() {
+            return Ok(());
+        }
+        Err(Error::Request {
+            problem: format!("{} does not filter over time", self.method.name()),
+            remedy: "give it one frame at a time, or choose another method".into(),
+        })
+    }
+
+    /// Records the work on a frame that is on the GPU already, in a window with the frames `beside`, which are in its units; nothing is read back. For a renderer that embeds the denoiser: record with [`Gpu::record_whole`], then put
     /// the commands into an encoder of its own with [`Recorder::encode_into`]. The frame must fit the binding limit as a whole.
     ///
     /// # Errors
-    /// [`Error::Device`] where a buffer exceeds the device's limits.
-    pub fn record(&self, rec: &mut Recorder, frame: GpuFrame) -> Result<GpuEstimate> {
-        self.method.record(rec, frame, &[], self.schedule, |_, _| Ok(()))
+    /// [`Error::Device`] where a buffer exceeds the device's limits; [`Error::Request`] where frames are beside and the method does not filter over time.
+    pub fn record(&self, rec: &mut Recorder, frame: GpuFrame, beside: Vec<GpuFrame>) -> Result<GpuEstimate> {
+        self.check_time(beside.len())?;
+        self.method.record(rec, frame, beside, &[], self.schedule, |_, _| Ok(()))
     }
 }
 
@@ -209,6 +254,7 @@ fn exposure(frame: &Frame) -> f32 {
 struct Assembly<'a> {
     frame: &'a Frame,
     exposure: f32,
+    features: &'a [&'a Feature],
     color: Image,
     half_spread: Image,
     selection: Option<Image>,
@@ -218,10 +264,10 @@ struct Assembly<'a> {
 }
 
 impl<'a> Assembly<'a> {
-    fn new(frame: &'a Frame, exposure: f32) -> Self {
+    fn new(frame: &'a Frame, units: &'a Units) -> Self {
         let image = |channels| Image::filled(frame.extent(), channels, 0.0);
         let (color, half_spread, error, weight_sum) = (image(3), image(3), image(1), image(1));
-        Self { frame, exposure, color, half_spread, selection: None, error, weight_sum, layers: Vec::new() }
+        Self { frame, exposure: units.exposure, features: &units.features, color, half_spread, selection: None, error, weight_sum, layers: Vec::new() }
     }
 
     fn add(&mut self, gpu: &Gpu, estimate: &GpuEstimate, extent: IVec2, strip: &Strip) -> Result<()> {
@@ -260,8 +306,8 @@ impl<'a> Assembly<'a> {
                 Unit::Color => color,
                 Unit::ColorSquared => squared,
                 Unit::Number => number,
-                Unit::Feature(index) => (self.frame.features()[index].unit_scale, self.frame.features()[index].unit_offset),
-                Unit::FeatureSquared(index) => (self.frame.features()[index].unit_scale.powi(2), 0.0),
+                Unit::Feature(index) => (self.features[index].unit_scale, self.features[index].unit_offset),
+                Unit::FeatureSquared(index) => (self.features[index].unit_scale.powi(2), 0.0),
             };
             place(&kept.buffer, kept.plane, 0, unit, &mut layer.image)?;
         }

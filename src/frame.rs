@@ -35,6 +35,8 @@ pub struct Feature {
     pub unit_scale: f32,
     /// See `unit_scale`.
     pub unit_offset: f32,
+    /// For each pixel, whether nothing was hit there; misses have the value 1, without noise. Empty where there are none.
+    pub misses: Vec<bool>,
 }
 
 /// Samples that each pixel's mean was computed from.
@@ -145,7 +147,10 @@ impl Frame {
                 repairs.notes.push(format!("feature {name}: neither halves nor variance, taken as free of noise"));
             }
             match unit_range::to_unit_range(&name, &mut signal, &misses) {
-                Some((unit_scale, unit_offset)) => kept.push(Feature { name, signal, unit_scale, unit_offset }),
+                Some((unit_scale, unit_offset)) => {
+                    let misses = if misses.contains(&true) { misses } else { Vec::new() };
+                    kept.push(Feature { name, signal, unit_scale, unit_offset, misses });
+                }
                 None => {
                     repairs.notes.push(format!("feature {name}: the same everywhere, left out"));
                     repairs.dropped_features.push(name);

@@ -22,6 +22,32 @@ pub fn mse(image: &Image, reference: &Image) -> Result<f64> {
     mean_over_values(image, reference, |x, reference| (x - reference).powi(2))
 }
 
+/// How much the error of two consecutive frames differs: the mean over pixels and channels of
+///
+/// ((x_t − ref_t) − (x_{t−1} − ref_{t−1}))² / (ref_t² + 0.01)
+///
+/// for `images` x_{t−1}, x_t and `references` ref_{t−1}, ref_t. 0 where the error stands still, be it large; of errors that are independent from frame to frame it is
+/// about the sum of both frames' [`relative_mse`]. Where something bright leaves a pixel, its error of before counts by what is there now, and may outweigh the whole rest of the
+/// picture. Of a shot: the mean over all pairs of consecutive frames.
+///
+/// # Errors
+/// Images of different extent or channel count, or without pixels.
+pub fn flicker(images: [&Image; 2], references: [&Image; 2]) -> Result<f64> {
+    let ([before, image], [reference_before, reference]) = (images, references);
+    check(before, reference_before)?;
+    check(image, reference)?;
+    check(before, image)?;
+    let mut sum = 0.0;
+    for channel in 0..image.channels() {
+        let [before, image, reference_before, reference] =
+            [before, image, reference_before, reference].map(|image| image.planes[channel].iter().map(|&x| f64::from(x)));
+        for ((x, reference), (x_before, reference_before)) in image.zip(reference).zip(before.zip(reference_before)) {
+            sum += ((x - reference) - (x_before - reference_before)).powi(2) / (reference.powi(2) + RELATIVE_EPSILON);
+        }
+    }
+    Ok(sum / (image.extent.pixels() * image.channels()) as f64)
+}
+
 /// Mean structural similarity of what a viewer would see; 1 is perfect, and values near 0 or below share no structure.
 ///
 /// Both images are clamped to [0, 1], raised to 1/2.2 and averaged over their channels. Then, with means μ, variances σ² and covariance σ_xy under a
@@ -130,6 +156,29 @@ mod tests {
     }
 
     #[test]
+    fn flicker_is_the_change_of_the_error() {
+        let row = |values: &[f32]| image(2, 1, vec![values.to_vec()]);
+        let (references, images) = ([row(&[1.0, 0.0]), row(&[2.0, 0.5])], [row(&[1.5, 0.0]), row(&[1.0, 0.75])]);
+        // Errors 0.5, 0 and then −1, 0.25: (−1.5)²/(4 + 0.01) and 0.25²/(0.25 + 0.01).
+        let found = flicker([&images[0], &images[1]], [&references[0], &references[1]]).unwrap();
+        let expected = (2.25 / 4.01 + 0.0625 / 0.26) / 2.0;
+        assert!((found - expected).abs() < 1e-12, "{found} {expected}");
+
+        // An error that stays as it is does not flicker, however the picture moves.
+        let shifted = [row(&[1.5, 0.5]), row(&[2.5, 1.0])];
+        assert_eq!(flicker([&shifted[0], &shifted[1]], [&references[0], &references[1]]).unwrap(), 0.0);
+    }
+
+    #[test]
+    fn flicker_averages_over_channels() {
+        let flat = |values: [f32; 2]| image(1, 1, values.map(|value| vec![value]).to_vec());
+        let (black, changed) = (flat([0.0, 0.0]), flat([0.1, 0.3]));
+        // 0.1²/0.01 and 0.3²/0.01, of f32s.
+        let found = flicker([&black, &changed], [&black, &black]).unwrap();
+        assert!((found - 5.0).abs() < 1e-6, "{found}");
+    }
+
+    #[test]
     fn ssim_of_two_flat_images_is_its_luminance_term() {
         let extent = Extent { width: 20, height: 13 };
         // 0.5^(1/2.2) and 1: no structure, so SSIM = (2ab + C1)/(a² + b² + C1).
@@ -152,5 +201,6 @@ mod tests {
     fn images_of_different_size_are_not_compared() {
         let (a, b) = (image(1, 2, vec![vec![0.0; 2]]), image(2, 1, vec![vec![0.0; 2]]));
         assert!(mse(&a, &b).is_err() && relative_mse(&a, &b).is_err() && ssim(&a, &b).is_err());
+        assert!(flicker([&a, &b], [&a, &b]).is_err() && flicker([&a, &a], [&b, &a]).is_err() && flicker([&a, &a], [&a, &b]).is_err());
     }
 }

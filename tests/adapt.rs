@@ -221,6 +221,24 @@ fn a_recorded_run_of_mitsuba_is_merged_mapped_and_denoised_again() {
 
 #[test]
 #[cfg(unix)]
+fn a_renderer_that_draws_other_numbers_is_warned_about_and_believed() {
+    let folder = Folder::new();
+    let output = folder.path("loop");
+    let command = format!("'{}' render dof --spp=6 --size=24x20 -o {{out}}; : {{map}}", env!("CARGO_BIN_EXE_stein"));
+    let run = |more: &[&str]| {
+        let arguments = ["adapt", "--sampler-command", &command, "--spp=4", "--iterations=1", SMALL[0], SMALL[1], "--overwrite", "-o", text(&output)];
+        let run = Command::new(env!("CARGO_BIN_EXE_stein")).args(arguments).args(more).output().unwrap();
+        assert!(run.status.success());
+        assert_eq!(samples(&output.join("samples_1.exr")).counts().total_samples(), 6 * 24 * 20);
+        String::from_utf8(run.stderr).unwrap()
+    };
+    let said = run(&[]);
+    assert!(["warning", "new_1.exr", "2880 samples", "asks for 1920"].iter().all(|part| said.contains(part)), "{said}");
+    assert!(!run(&["--quiet"]).contains("warning"));
+}
+
+#[test]
+#[cfg(unix)]
 fn a_command_that_fails_is_told_with_what_it_said() {
     let folder = Folder::new();
     let call = |command: &str, code: i32, said: &[&str]| {

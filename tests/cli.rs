@@ -1,102 +1,20 @@
 //! The command line, as a process.
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 
-use std::path::{Path, PathBuf};
-use std::process::{Command, Stdio};
+#[allow(dead_code, unreachable_pub, reason = "every test includes all shared pieces and uses a part of them")]
+#[path = "common/process.rs"]
+mod process;
+
+use std::path::PathBuf;
+use std::process::Stdio;
 
 use exr::prelude::*;
+use process::{Folder, channels, command, stein, test_image};
 use serde_json::Value;
 use stein::buffers::{BufferSet, BufferSetRequest};
-use tempfile::TempDir;
 
 /// Small, so that a software adapter is done in a second.
 const RADIUS: &str = "--radius=2";
-
-struct Outcome {
-    code: i32,
-    stdout: String,
-    stderr: String,
-}
-
-impl Outcome {
-    fn json(&self) -> Value {
-        serde_json::from_str(&self.stdout).unwrap_or_else(|error| panic!("{error}: {}{}", self.stdout, self.stderr))
-    }
-
-    /// Failed with this exit code, and said all of this.
-    #[track_caller]
-    fn failed(&self, code: i32, said: &[&str]) {
-        assert_eq!(self.code, code, "{}{}", self.stdout, self.stderr);
-        for words in said {
-            assert!(self.stderr.contains(words), "no '{words}' in: {}", self.stderr);
-        }
-        assert!(!self.stderr.contains("panicked"), "{}", self.stderr);
-    }
-
-    #[track_caller]
-    fn succeeded(self) -> Self {
-        assert_eq!(self.code, 0, "{}{}", self.stdout, self.stderr);
-        self
-    }
-
-    #[track_caller]
-    fn said(&self, said: &[&str]) {
-        for words in said {
-            assert!(self.stdout.contains(words), "no '{words}' in: {}", self.stdout);
-        }
-    }
-}
-
-fn command(arguments: &[&str]) -> Command {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_stein"));
-    // Mesa's device selection layer complains on stderr where there is no desktop.
-    command.args(arguments).env("NODEVICE_SELECT", "1").stdin(Stdio::null());
-    command
-}
-
-fn stein(arguments: &[&str]) -> Outcome {
-    let output = command(arguments).output().unwrap();
-    Outcome { code: output.status.code().unwrap(), stdout: String::from_utf8(output.stdout).unwrap(), stderr: String::from_utf8(output.stderr).unwrap() }
-}
-
-fn test_image(name: &str) -> String {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("testdata").join(name);
-    path.to_str().unwrap().to_owned()
-}
-
-/// A folder with a copy of a test image, and paths in it.
-struct Folder(TempDir);
-
-impl Folder {
-    fn new() -> Self {
-        Self(tempfile::tempdir().unwrap())
-    }
-
-    fn with(name: &str) -> (Self, String) {
-        let folder = Self::new();
-        let copy = folder.path("render.exr");
-        std::fs::copy(test_image(name), &copy).unwrap();
-        (folder, copy)
-    }
-
-    fn path(&self, name: &str) -> String {
-        self.0.path().join(name).to_str().unwrap().to_owned()
-    }
-
-    /// Everything in it, hidden files too.
-    fn names(&self) -> Vec<String> {
-        let entries = std::fs::read_dir(self.0.path()).unwrap();
-        let mut names: Vec<_> = entries.map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect();
-        names.sort();
-        names
-    }
-}
-
-fn channels(path: &str) -> Vec<(String, FlatSamples)> {
-    let image = read_all_flat_layers_from_file(path).unwrap();
-    let list = image.layer_data.into_iter().flat_map(|layer| layer.channel_data.list);
-    list.map(|channel| (channel.name.to_string(), channel.sample_data)).collect()
-}
 
 fn attribute(path: &str, name: &str) -> Option<String> {
     let image = read_all_flat_layers_from_file(path).unwrap();

@@ -53,10 +53,12 @@ fn definitions(stage: &str) -> Option<Vec<Definitions>> {
                 combinations(&[("PATCH_RADIUS", numbers(&[0, 1, 3, 5])), ("PAYLOAD_PLANES", numbers(&[1, 2])), ("PATCHWISE", flags()), ("RESIDUAL", flags())]);
             Some(with_rules(&shapes))
         }
-        "candidate_accumulate" => {
-            Some(combinations(&[("PATCH_RADIUS", numbers(&[1, 3])), ("SMALL_PATCH_RADIUS", numbers(&[0, 1])), ("FEATURE_GROUPS", numbers(&[0, 1, 2, 8]))]))
-                .map(|sets| with_rules(&sets))
-        }
+        "candidate_accumulate" => Some(with_rules(&combinations(&[
+            ("PATCH_RADIUS", numbers(&[1, 3])),
+            ("SMALL_PATCH_RADIUS", numbers(&[0, 1])),
+            ("FEATURE_GROUPS", numbers(&[0, 1, 2, 8])),
+            ("OTHER_FRAME", flags()),
+        ]))),
         _ => None,
     }
 }

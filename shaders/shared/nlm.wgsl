@@ -9,9 +9,12 @@ struct NlmParams {
     // The strip of rows that one dispatch works on.
     first_row: i32,
     rows: i32,
-    // The chunk of pairs of offsets whose distances are in the scratch buffers at one time.
+    // The chunk of pairs of offsets whose distances are in the scratch buffers at one time. In a frame beside, pair −1 is the pixel's own position.
     first_pair: i32,
     pairs: i32,
+    // 1: no sums are there yet for this strip; 1: this chunk completes them.
+    starts: i32,
+    completes: i32,
     window_radius: i32,
     // Rows that one invocation of nlm_distance walks down.
     block_rows: i32,
@@ -34,7 +37,7 @@ const DISTANCE_LIMIT: f32 = 1e8;
 // Above this distance weights vanish in f32 and the ratio that judges symmetry says nothing.
 const SYMMETRY_LIMIT: f32 = 25.0;
 
-// The half window in reading order: (1..R, 0), then the rows below.
+// The half window in reading order: (1..R, 0), then the rows below. Pair −1 gives (0, 0): the same position, which only other frames have as a neighbour.
 fn pair_offset(pair: i32, radius: i32) -> vec2<i32> {
     if pair < radius {
         return vec2<i32>(pair + 1, 0);
@@ -48,10 +51,6 @@ fn pair_offset(pair: i32, radius: i32) -> vec2<i32> {
 fn next_offset(offset: vec2<i32>, radius: i32) -> vec2<i32> {
     let wraps = offset.x == radius;
     return vec2<i32>(select(offset.x + 1, -radius, wraps), select(offset.y, offset.y + 1, wraps));
-}
-
-fn pair_count(radius: i32) -> i32 {
-    return 2 * radius * (radius + 1);
 }
 
 // eq. 7.4, per channel.
@@ -70,6 +69,11 @@ fn symmetric_distance(
     let difference = u_p - 0.5 * (u_q1 + u_q2);
     let cancelled = difference * difference - alpha * (var_p + 0.25 * (min(var_q1, var_p) + min(var_q2, var_p)));
     return min(cancelled / (EPSILON + k_squared * (var_p + 0.25 * (var_q1 + var_q2))), vec3<f32>(DISTANCE_LIMIT));
+}
+
+// Whether q2 = p − o is a neighbour of its own: at (0, 0) it would be q1 once more.
+fn has_opposite(offset: vec2<i32>) -> bool {
+    return any(offset != vec2<i32>(0));
 }
 
 // Number of offsets n of a patch for which both p + n and p + o + n exist.

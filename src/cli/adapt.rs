@@ -26,7 +26,8 @@ map_K.exr (what was drawn), samples_K.exr (all samples so far, in the layout tha
 
 --sampler-command runs any renderer in place of the built-in scenes, through the shell. In the command, {map} stands for the map's path, {out} for the path of the file that \
 it is to write: the new samples alone, with halves and variance of the colour and every feature and a channel `samples`; {iteration} for 1, 2, … The map has the layers \
-samples.V (even numbers of samples to draw), density.V (before rounding) and drawn.V (what the pixel has already).
+samples.V (even numbers of samples to draw), density.V (before rounding) and drawn.V (what the pixel has already). A renderer that draws other numbers, because it works in \
+blocks perhaps, is warned about; the numbers in its file count.
 
 Examples:
   stein adapt dof --spp 64 -o loop
@@ -139,7 +140,7 @@ pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
         }
         (None, Some(command)) => {
             let first = resumed.as_ref().map_or(1, |resumed| resumed.iterations + 1);
-            let renderer = |turn| Renderer::new(command, extent, job.folder.path(), turn, !args.quiet);
+            let renderer = |turn| Renderer::new(command, extent, job.folder.path(), turn, args.quiet);
             job.run(renderer(Turn::Iteration(first)), renderer(Turn::Uniform(args.iterations + 1)), resumed, &mut document, out)?;
         }
         (None, None) => return Err(Failure::usage("neither a scene nor a sampler command is given")),

@@ -1,20 +1,29 @@
 //! `stein denoise`
 
+mod frame_list;
+mod pattern;
+mod plan;
+mod progress;
+mod reader;
+mod shot;
+
 use std::ops::ControlFlow;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use stein::buffers::LayerRef;
 use stein::method::Intermediate;
-use stein::{Denoiser, Estimate, Frame, Method, Options};
+use stein::{Denoiser, Frame, Method, Options};
 
-use super::inspect::settle;
 use super::options::{Device, Filter, Source};
-use super::progress::{bar, is_watched};
-use super::quality;
-use super::report::{Report, Run};
-use super::{Failure, Out, output};
+use super::report::{self, FrameReport, Report, Run, Settings};
+use super::{Failure, Out, output, quality};
+use frame_list::FrameList;
+use plan::{Plan, PlannedFrame};
+use progress::{Progress, ProgressKind};
+use reader::{Frames, ReadFrame, Unusable};
+use shot::{Compared, Comparison, ShotReport};
 
 const EXAMPLE: &str = "\
 The output keeps the input's header and layers. The colour is replaced, and so are its halves; its variance is left out, for it is not that of the denoised \
@@ -26,26 +35,27 @@ Examples:
   stein denoise both.exr --half-a seed1.exr --half-b seed2.exr --feature albedo=aux.exr::albedo
   stein denoise render.exr --keep candidates,sure --json
   stein denoise render.exr --method nlm --keep halves
+  stein denoise 'shot.####.exr' --frames 1-240 --temporal-radius 1 -o 'clean.####.exr'
 
 Exit codes: 0 done, 2 wrong usage, 3 an input file or layer cannot be used, 4 no device or a device failed, 5 the output cannot be written, 1 anything else.";
 
 /// Denoise a rendering
 #[derive(Debug, clap::Args)]
-#[command(after_help = EXAMPLE, override_usage = "stein denoise [OPTIONS] IN")]
+#[command(after_help = EXAMPLE, override_usage = "stein denoise [OPTIONS] IN\n       stein denoise [OPTIONS] PATTERN -o PATTERN")]
 pub(crate) struct Args {
-    /// OpenEXR file with the noisy colour and, usually, its halves, variance and features
+    /// OpenEXR file with the noisy colour and, usually, its halves, variance and features; or a pattern of such files, as 'shot.####.exr'
     #[arg(value_name = "IN", required_unless_present = "list_devices")]
     input: Option<PathBuf>,
-    /// Where to write [default: IN with `.denoised.exr` for its extension]; a folder takes that name, and only this option can replace the input
+    /// Where to write [default: IN with `.denoised.exr` for its extension]; a folder takes that name, and only this option can replace the input. Of a shot: a pattern or a folder, and no file that is read is replaced
     #[arg(short, long, value_name = "OUT")]
     output: Option<PathBuf>,
-    /// Leave an existing output alone
+    /// Leave an existing output alone; of a shot, denoise the frames that have none
     #[arg(long)]
     no_clobber: bool,
-    /// Tell what would be done, and write nothing
+    /// Tell what would be done, and write nothing; of a shot, only the first frame is read, and those that are filtered with it
     #[arg(short = 'n', long)]
     dry_run: bool,
-    /// Noise-free reference: print the error before and after
+    /// Noise-free reference: print the error before and after; of a shot also the flicker, over the frames that this run denoises
     #[arg(long = "ref", value_name = "FILE[::LAYER]")]
     reference: Option<LayerRef>,
     /// Intermediates to write as layers `stein.*`
@@ -60,6 +70,15 @@ pub(crate) struct Args {
     /// Print nothing but errors
     #[arg(short, long)]
     quiet: bool,
+    /// How to tell how far the work is [default: bar]
+    #[arg(long, value_enum, value_name = "KIND", conflicts_with_all = ["json", "quiet"])]
+    progress: Option<ProgressKind>,
+    /// Frames of the shot, such as 1-240, 1-9x2 (every second one) or 3,5,7 [default: all that exist]
+    #[arg(long, value_name = "LIST", help_heading = "Shot")]
+    frames: Option<FrameList>,
+    /// Frames before and after each that are filtered together with it, up to 16; those that do not exist are left out
+    #[arg(long, value_name = "FRAMES", default_value_t = 0, value_parser = clap::value_parser!(u32).range(0..=16), help_heading = "Shot")]
+    temporal_radius: u32,
     #[command(flatten)]
     filter: Filter,
     #[command(flatten)]
@@ -89,7 +108,7 @@ impl Args {
             if let Keep::One(one) = keep
                 && !has.contains(one)
             {
-                let (name, all) = (method.name(), Report::names(has).join(", "));
+                let (name, all) = (method.name(), report::names(has).join(", "));
                 return Err(Failure::usage(format_args!("--keep {}: {name} has no such intermediate\n  remedy: choose from {all}", one.name())));
             }
         }
@@ -102,71 +121,183 @@ impl Args {
         Ok(has.iter().copied().filter(wanted).collect())
     }
 
-    fn show_progress(&self) -> bool {
-        !self.quiet && !self.json && is_watched()
+    fn progress_kind(&self) -> Option<ProgressKind> {
+        (!self.quiet && !self.json).then(|| self.progress.unwrap_or(ProgressKind::Bar))
     }
 }
 
+/// Denoises an image, or the frames of a shot one after the other.
 pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
+    let result = denoise(args, out);
+    if let (Err(failure), Some(ProgressKind::Openjd)) = (&result, args.progress) {
+        out.line(format_args!("openjd_fail: {}", failure.message().lines().map(str::trim).collect::<Vec<_>>().join("; ")));
+    }
+    result
+}
+
+fn denoise(args: &Args, out: &mut Out) -> Result<(), Failure> {
     let input = args.input.as_deref().ok_or_else(|| Failure::usage("no input is given"))?;
     if args.quiet || args.json {
         out.silence();
     }
     let method = args.filter.method()?;
-    let output = output::choose(input, args.output.as_deref());
-    let read_too = args.source.files().chain(args.reference.as_ref().map(|reference| reference.file.as_path()));
-    // Half A may be the input itself, one layer of it: that the user may replace.
-    let read_too = read_too.filter(|file| *file != input);
-    output::check(&output, read_too, args.no_clobber, args.dry_run)?;
-
-    let set = args.source.read(input)?;
-    let (frame, described) = settle(&set);
-    out.say(described.text(args.verbose));
-    let frame = frame.map_err(|error| Failure::in_file(input, error))?;
-    let reference = args.reference.as_ref().map(|reference| quality::read(reference, &frame, input)).transpose()?;
-
-    let gpu = args.device.open()?;
-    let denoiser = args.device.denoiser(&gpu, method)?;
+    if args.temporal_radius > 0 && !method.filters_in_time() {
+        let name = method.name();
+        return Err(Failure::usage(format_args!(
+            "--temporal-radius: {name} has no filter over several frames\n  remedy: leave the option out, or choose another method"
+        )));
+    }
     let keep = args.keep(&method)?;
-    let mut needed = keep.clone();
-    if reference.is_some() {
-        needed.extend(quality::NEEDED.iter().filter(|one| method.intermediates().contains(one) && !keep.contains(one)));
-    }
-    let mut report = Report {
-        input: described,
-        preset: args.filter.preset(),
-        parameters: method,
-        device: gpu.summary().clone(),
-        max_memory_bytes: args.device.max_memory,
-        strips: denoiser.strip_count(&frame, &needed)?,
-        kept: Report::names(&keep),
-        run: None,
-        output: None,
-        errors: None,
-    };
-    if !args.dry_run {
-        gpu.set_timing(args.verbose || args.json);
-        let start = Instant::now();
-        let estimate = denoise(&denoiser, &frame, &needed, args.show_progress())?;
-        report.run = Some(Run::new(&estimate, start.elapsed().as_secs_f64()));
-        report.output = Some(output::write(&set, &output, &estimate, &keep, &method)?);
-        report.errors = reference.map(|reference| quality::compare(&frame, &estimate, &reference)).transpose()?;
-    }
-    out.say(report.text(args.verbose));
-    if args.json { out.json(&report) } else { Ok(()) }
+    let plan = Plan::new(args, input)?;
+    let job = Job { args, method, keep, plan: &plan };
+    std::thread::scope(|scope| job.run(Frames::start(scope, &plan.reads), input, out))
 }
 
-/// Denoises, with a progress bar where somebody is watching. Reporting progress makes the device wait, so it is not asked for where nobody is.
-fn denoise(denoiser: &Denoiser, frame: &Frame, keep: &[Intermediate], watched: bool) -> Result<Estimate, Failure> {
-    if !watched {
-        return Ok(denoiser.denoise_with(frame, Options { keep, progress: None })?);
+struct Job<'a> {
+    args: &'a Args,
+    method: Method,
+    /// Intermediates that go into the output.
+    keep: Vec<Intermediate>,
+    plan: &'a Plan,
+}
+
+impl Job<'_> {
+    fn run(&self, mut frames: Frames, input: &Path, out: &mut Out) -> Result<(), Failure> {
+        let mut to_do: Vec<&PlannedFrame> = self.plan.frames.iter().filter(|frame| !frame.is_left_alone()).collect();
+        if self.args.dry_run {
+            // One frame shows how they all would be used.
+            to_do.truncate(1);
+        }
+        // A file that cannot be used is told before a device that cannot.
+        if let Some(first) = to_do.first() {
+            self.wait_for(&mut frames, first, out)?;
+        }
+        let gpu = self.args.device.open()?;
+        let denoiser = self.args.device.denoiser(&gpu, self.method)?;
+        gpu.set_timing(self.args.verbose || self.args.json);
+        let settings = Settings {
+            preset: self.args.filter.preset(),
+            parameters: self.method,
+            device: gpu.summary().clone(),
+            max_memory_bytes: self.args.device.max_memory,
+            kept: report::names(&self.keep),
+        };
+
+        let mut progress = Progress::new(self.args.progress_kind(), to_do.len());
+        let mut comparison = Comparison::default();
+        let mut reports: Vec<FrameReport> = Vec::new();
+        for planned in to_do {
+            progress.begin(planned, out);
+            let report = self
+                .wait_for(&mut frames, planned, out)
+                .and_then(|window| {
+                    let report = self.frame(planned, window, &denoiser, reports.last(), &mut progress, &mut comparison, out);
+                    report.map_err(|failure| failure.in_frame(planned.number))
+                })
+                .inspect_err(|_| progress.finish())?;
+            let text = report.text(&settings.device, self.args.verbose);
+            progress.say(
+                out,
+                match &report.errors {
+                    None => text,
+                    Some(errors) if self.plan.is_shot && !self.args.verbose => format!("{text}, {}", shot::brief(errors)),
+                    Some(errors) => format!("{text}\n{}", quality::text(errors)),
+                },
+            );
+            progress.end(out);
+            reports.push(report);
+        }
+        progress.finish();
+
+        if self.plan.is_shot {
+            let frames = shot::frames(self.plan, reports);
+            let report = ShotReport { input: input.to_owned(), temporal_radius: self.args.temporal_radius, settings, frames, errors: comparison.finish() };
+            if let Some(text) = report.text(self.args.dry_run) {
+                out.say(text);
+            }
+            return if self.args.json { out.json(&report) } else { Ok(()) };
+        }
+        match reports.first() {
+            Some(frame) if self.args.json => out.json(&Report { settings: &settings, frame }),
+            _ => Ok(()),
+        }
     }
-    let bar = bar(true, 1000);
-    let mut progress = |share: f32| {
-        bar.set_position((share * 1000.0) as u64);
-        ControlFlow::Continue(())
-    };
-    let estimate = denoiser.denoise_with(frame, Options { keep, progress: Some(&mut progress) });
-    bar.finish_and_clear();
-    Ok(estimate?)
+
+    /// The frames that one is denoised with. Tells what a file holds that cannot be used.
+    fn wait_for<'f>(&self, frames: &'f mut Frames, planned: &PlannedFrame, out: &mut Out) -> Result<&'f mut [ReadFrame], Failure> {
+        let window = frames.move_to(&planned.window).map_err(|Unusable { described, failure }| {
+            if let Some(described) = described {
+                out.say(described.text(self.args.verbose));
+            }
+            failure
+        })?;
+        let own = &window[planned.centre];
+        for other in &*window {
+            let problem = if other.data_window != own.data_window {
+                format!("its pixels are {}, but {}", other.data_window, own.data_window)
+            } else if other.frame.noise_knowledge() != own.frame.noise_knowledge() {
+                "halves or variance of the colour are not known as they are".to_owned()
+            } else {
+                continue;
+            };
+            let number = own.number.map_or_else(String::new, |number| number.to_string());
+            let remedy = "give all frames the same resolution, crop and layers, or leave --temporal-radius out";
+            return Err(Failure::input(format_args!("{problem} in frame {number}, which is to be filtered with it\n  remedy: {remedy}")).in_frame(other.number));
+        }
+        Ok(window)
+    }
+
+    /// Denoises a frame, writes it, and compares it with its reference.
+    #[expect(clippy::too_many_arguments, reason = "what lives as long as the frame, and what lives as long as the run")]
+    fn frame(
+        &self,
+        planned: &PlannedFrame,
+        window: &mut [ReadFrame],
+        denoiser: &Denoiser,
+        before: Option<&FrameReport>,
+        progress: &mut Progress,
+        comparison: &mut Comparison,
+        out: &mut Out,
+    ) -> Result<FrameReport, Failure> {
+        let Self { args, keep, method, .. } = self;
+        let own = &mut window[planned.centre];
+        let Some((set, described)) = own.original.take() else { unreachable!("frames that are denoised are read with all that is in their files") };
+        let reference = own.reference.take();
+        // Said again where something is other than before.
+        if args.verbose || before.is_none_or(|before| !before.input.is_used_like(&described)) {
+            progress.say(out, described.text(args.verbose));
+        }
+        let mut needed = keep.clone();
+        if reference.is_some() {
+            needed.extend(quality::NEEDED.iter().filter(|one| method.intermediates().contains(one) && !keep.contains(one)));
+        }
+        let frames: Vec<&Frame> = window.iter().map(|frame| &frame.frame).collect();
+        let frame = frames[planned.centre];
+        if args.dry_run {
+            return Ok(FrameReport {
+                input: *described,
+                strips: denoiser.strip_count(frame, frames.len() - 1, &needed)?,
+                run: None,
+                output: None,
+                errors: None,
+            });
+        }
+
+        let start = Instant::now();
+        let is_wanted = progress.is_wanted();
+        let mut tell = |share: f32| {
+            progress.share(share, out);
+            ControlFlow::Continue(())
+        };
+        let options = Options { keep: &needed, progress: if is_wanted { Some(&mut tell) } else { None } };
+        let estimate = denoiser.denoise_window(&frames, planned.centre, options)?;
+        let run = Run::new(&estimate, start.elapsed().as_secs_f64());
+        let output = output::write(&set, &planned.output, &estimate, keep, method)?;
+        let errors = reference.as_ref().map(|reference| quality::compare(frame, &estimate, reference)).transpose()?;
+        if let (Some(number), Some(reference), Some(errors)) = (planned.number, reference, &errors) {
+            let images = [frame.color().mean.clone(), estimate.color];
+            comparison.add(Compared { number, data_window: set.data_window(), images, reference }, errors)?;
+        }
+        Ok(FrameReport { input: *described, strips: estimate.strips, run: Some(run), output: Some(output), errors })
+    }
 }

@@ -38,6 +38,18 @@ impl Failure {
         }
     }
 
+    /// With the number of the frame in front, where there is one.
+    pub(crate) fn in_frame(self, number: Option<u32>) -> Self {
+        match number {
+            Some(number) => Self { message: format!("frame {number}: {}", self.message), ..self },
+            None => self,
+        }
+    }
+
+    pub(crate) fn message(&self) -> &str {
+        &self.message
+    }
+
     /// Prints it.
     pub(crate) fn tell(&self) {
         // Where stderr is closed there is nobody to tell.

@@ -140,6 +140,16 @@ impl Input {
         lines.join("\n")
     }
 
+    /// Whether another frame of a shot is used in the same way and nothing else was to repair.
+    pub(crate) fn is_used_like(&self, other: &Self) -> bool {
+        match (&self.outcome, &other.outcome) {
+            (Outcome::Frame { mode, features, repairs, .. }, Outcome::Frame { mode: other_mode, features: other_features, repairs: other_repairs, .. }) => {
+                (mode, features, repairs) == (other_mode, other_features, other_repairs)
+            }
+            _ => false,
+        }
+    }
+
     /// Why it cannot be denoised.
     pub(crate) fn problem(&self) -> Option<&str> {
         match &self.outcome {

@@ -172,7 +172,7 @@ impl SymmetryName {
 }
 
 /// Where colour, noise and features are found.
-#[derive(Debug, clap::Args)]
+#[derive(Clone, Debug, clap::Args)]
 #[command(next_help_heading = "Layers")]
 pub(crate) struct Source {
     /// Layer with the noisy colour [default: plain R G B, or one with a usual name such as `Combined` or `beauty`]
@@ -222,6 +222,13 @@ impl Source {
             }
         }
         Ok(set)
+    }
+
+    /// The same with other files, as of another frame of a shot.
+    pub(crate) fn map_files(&self, file: impl Fn(&LayerRef) -> LayerRef) -> Self {
+        let features = self.features.iter().map(|(name, layer)| (name.clone(), file(layer))).collect();
+        let [half_a, half_b, variance] = [&self.half_a, &self.half_b, &self.variance].map(|layer| layer.as_ref().map(&file));
+        Self { half_a, half_b, variance, features, ..self.clone() }
     }
 
     /// Files besides the input, none of which an output may replace.

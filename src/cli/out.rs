@@ -30,6 +30,11 @@ impl Out {
         }
     }
 
+    /// A line for the program that started this one, whatever people want to see.
+    pub(crate) fn line(&mut self, text: impl Display) {
+        self.write(&text.to_string());
+    }
+
     /// The document for programs.
     pub(crate) fn json(&mut self, document: &impl Serialize) -> Result<(), Failure> {
         let text = serde_json::to_string_pretty(document).map_err(|error| Failure::output(format_args!("the JSON document: {error}")))?;

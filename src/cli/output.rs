@@ -27,19 +27,32 @@ pub(crate) fn choose(input: &Path, named: Option<&Path>) -> PathBuf {
 
 /// Tells before the work what would go wrong after it.
 pub(crate) fn check<'a>(output: &Path, others: impl Iterator<Item = &'a Path>, no_clobber: bool, dry_run: bool) -> Result<(), Failure> {
+    check_name(output, others.filter(|other| same_file(output, other)))?;
+    if no_clobber && output.exists() {
+        let name = output.display();
+        return Err(Failure::output(format_args!("{name}: exists already\n  remedy: choose another name with -o, or leave --no-clobber out")));
+    }
+    check_folder(output, dry_run)
+}
+
+/// That it is an OpenEXR file, and that none of what is read would be replaced: `same_files` are those that are the same file as the output.
+pub(crate) fn check_name<'a>(output: &Path, mut same_files: impl Iterator<Item = &'a Path>) -> Result<(), Failure> {
     let name = output.display();
     if !output.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("exr")) {
         return Err(Failure::usage(format_args!("{name}: the output is an OpenEXR file\n  remedy: give it a name that ends in .exr")));
     }
-    if let Some(other) = others.into_iter().find(|other| same_file(output, other)) {
+    if let Some(other) = same_files.next() {
         return Err(Failure::output(format_args!(
             "{name}: is also read, as {}, and would be replaced\n  remedy: choose another name with -o",
             other.display()
         )));
     }
-    if no_clobber && output.exists() {
-        return Err(Failure::output(format_args!("{name}: exists already\n  remedy: choose another name with -o, or leave --no-clobber out")));
-    }
+    Ok(())
+}
+
+/// That its folder can be written to.
+pub(crate) fn check_folder(output: &Path, dry_run: bool) -> Result<(), Failure> {
+    let name = output.display();
     let folder = match output.parent() {
         Some(folder) if !folder.as_os_str().is_empty() => folder,
         _ => Path::new("."),

@@ -31,8 +31,8 @@ pub(crate) fn read(reference: &LayerRef, frame: &Frame, input: &Path) -> Result<
 /// One image against the reference.
 #[derive(Debug, Serialize)]
 pub(crate) struct Errors {
-    image: &'static str,
-    relative_mse: f64,
+    pub(crate) image: &'static str,
+    pub(crate) relative_mse: f64,
     mse: f64,
     ssim: f64,
     /// Mean over the pixels of the squared error summed over the channels.

@@ -10,17 +10,31 @@ use super::out::{bytes, number, seconds, table};
 use super::output::Written;
 use super::quality::{self, Errors};
 
-/// The JSON document.
+/// The JSON document of a single image.
 #[derive(Debug, Serialize)]
-pub(crate) struct Report {
-    pub(crate) input: Input,
+pub(crate) struct Report<'a> {
+    #[serde(flatten)]
+    pub(crate) settings: &'a Settings,
+    #[serde(flatten)]
+    pub(crate) frame: &'a FrameReport,
+}
+
+/// What is the same for all frames.
+#[derive(Debug, Serialize)]
+pub(crate) struct Settings {
     pub(crate) preset: stein::Preset,
     pub(crate) parameters: Method,
     pub(crate) device: AdapterSummary,
     pub(crate) max_memory_bytes: Option<u64>,
+    pub(crate) kept: Vec<&'static str>,
+}
+
+/// What is to say of an image.
+#[derive(Debug, Serialize)]
+pub(crate) struct FrameReport {
+    pub(crate) input: Input,
     /// Parts that the image was (or, in a dry run, would be) worked on in.
     pub(crate) strips: usize,
-    pub(crate) kept: Vec<&'static str>,
     /// `None` in a dry run.
     pub(crate) run: Option<Run>,
     pub(crate) output: Option<Written>,
@@ -54,21 +68,21 @@ impl Run {
     }
 }
 
-impl Report {
-    pub(crate) fn names(keep: &[Intermediate]) -> Vec<&'static str> {
-        keep.iter().map(|intermediate| intermediate.name()).collect()
-    }
+pub(crate) fn names(keep: &[Intermediate]) -> Vec<&'static str> {
+    keep.iter().map(|intermediate| intermediate.name()).collect()
+}
 
-    /// What follows the description of the input.
-    pub(crate) fn text(&self, verbose: bool) -> String {
+impl FrameReport {
+    /// What follows the description of the input, but for the errors.
+    pub(crate) fn text(&self, device: &AdapterSummary, verbose: bool) -> String {
         let mut lines = Vec::new();
         let strips = if self.strips > 1 { format!(", in {} strips", self.strips) } else { String::new() };
         match &self.run {
-            None => lines.push(format!("would work on {}{strips}; nothing is written", self.device.name)),
+            None => lines.push(format!("would work on {}{strips}; nothing is written", device.name)),
             Some(run) => {
                 if let Some(written) = &self.output {
                     lines.extend(written.notes.iter().map(|note| format!("  {note}")));
-                    lines.push(format!("{}: {} on {}{strips}", written.file.display(), seconds(run.seconds), self.device.name));
+                    lines.push(format!("{}: {} on {}{strips}", written.file.display(), seconds(run.seconds), device.name));
                 }
                 if verbose {
                     lines.push(format!(
@@ -80,9 +94,6 @@ impl Report {
                     lines.push(run.stage_times.as_deref().map_or_else(|| "  this adapter cannot time stages".into(), stage_table));
                 }
             }
-        }
-        if let Some(errors) = &self.errors {
-            lines.push(quality::text(errors));
         }
         lines.join("\n")
     }

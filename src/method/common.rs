@@ -43,6 +43,7 @@ impl Auxiliary {
             small_patch_radius: None,
             patchwise: false,
             cut: 0.0,
+            beside: &[],
         }
     }
 }

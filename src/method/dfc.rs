@@ -9,14 +9,14 @@ use glam::IVec2;
 use super::common::{Auxiliary, SCALE_RADIUS, input_variance};
 use super::estimate::{GpuEstimate, Intermediate, Keeper, Lane, RGB, Unit};
 use super::memory::{Footprint, uploaded_planes};
-use super::{GpuFeature, GpuFrame};
+use super::{GpuFeature, GpuFrame, GpuSignal};
 use crate::error::Result;
 use crate::frame::Frame;
 use crate::gpu::{Buffer, Recorder};
-use crate::stage::candidate::{CandidateFilter, STATE_PLANES, candidates};
+use crate::stage::candidate::{CandidateBeside, CandidateFilter, STATE_PLANES, candidates};
 use crate::stage::error::error_sure;
 use crate::stage::feature::{Features, Packing, feature_pack};
-use crate::stage::nlm::{Schedule, Weighting, nlm_filter};
+use crate::stage::nlm::{Beside, Guide, Payload, Schedule, Weighting, nlm_filter};
 use crate::stage::sample::sample_density;
 use crate::stage::select::{select_blend, select_least};
 use crate::stage::variance::{INPUT_SMOOTHING, RESIDUAL_SMOOTHING, variance_smooth};
@@ -48,13 +48,14 @@ const BY_CANDIDATE: [&str; 3] = ["first", "second", "third"];
 /// Algorithm 1. Degrades by what the frame knows of its noise: without halves the variances are taken as they are and there is no second pass; without sample variance
 /// the smoothed two-buffer variance takes its place.
 ///
-/// `progress` is called with the share of the work that is recorded.
+/// The frames `beside` are in the same units and have the same features. `progress` is called with the share of the work that is recorded.
 ///
 /// # Errors
 /// Those of recording.
 pub fn dfc(
     rec: &mut Recorder,
     frame: GpuFrame,
+    beside: Vec<GpuFrame>,
     params: &DfcParams,
     wanted: &[Intermediate],
     schedule: Schedule,
@@ -69,10 +70,18 @@ pub fn dfc(
     let signal = &color.signal;
     keeper.keep(Intermediate::Variance, "scaled_variance", &RGB, Unit::ColorSquared, &variance, 0);
 
+    // Space-time filtering (8.6): the window gains frames. What belongs to a pixel comes from its own frame.
+    let (colors_beside, features_beside): (Vec<_>, Vec<_>) = beside.into_iter().map(|frame| (frame.color, frame.features)).unzip();
+    let variances_beside = colors_beside.iter().map(|color| input_variance(rec, extent, color)).collect::<Result<Vec<_>>>()?;
+
     // Feature prefiltering.
-    let features = prefilter(rec, extent, features, weighting, schedule, &mut keeper)?;
+    let features = prefilter(rec, extent, std::iter::once(features).chain(features_beside).collect(), weighting, schedule, &mut keeper)?;
 
     // Candidate filters.
+    let neighbours = colors_beside.iter().zip(&variances_beside).enumerate();
+    let neighbours =
+        neighbours.map(|(index, (color, variance_of_mean))| CandidateBeside { signal: &color.signal, variance_of_mean, features: features.get(1 + index) });
+    let neighbours: Vec<_> = neighbours.collect();
     let filter = CandidateFilter {
         window_radius: params.window_radius,
         color_k: params.color_k,
@@ -83,8 +92,8 @@ pub fn dfc(
         feature_tau_third: params.feature_tau_third,
         weighting,
     };
-    let candidates = candidates(rec, extent, signal, &variance, features.as_ref(), &filter, schedule, progress)?;
-    drop(features);
+    let candidates = candidates(rec, extent, signal, &variance, features.first(), &neighbours, &filter, schedule, progress)?;
+    drop((features, colors_beside, variances_beside));
     for (name, candidate) in BY_CANDIDATE.iter().zip(&candidates.signals) {
         keeper.keep(Intermediate::Candidates, *name, &RGB, Unit::Color, candidate, 0);
     }
@@ -95,7 +104,7 @@ pub fn dfc(
     // Filtered SURE error estimates.
     let sure = Arc::new(error_sure(rec, extent, signal, &variance, &candidates)?);
     let guide = |filter: &Auxiliary| filter.guide(signal, &variance, 3);
-    let errors = nlm_filter(rec, extent, &guide(&ERROR_SMOOTHING), &sure, 1, ERROR_SMOOTHING.window_radius, weighting, false, schedule)?;
+    let errors = nlm_filter(rec, extent, &guide(&ERROR_SMOOTHING), &Payload::new(&sure, 1), ERROR_SMOOTHING.window_radius, weighting, false, schedule)?;
     let errors = Arc::new(errors.planes);
     keeper.keep(Intermediate::Sure, "sure", &BY_CANDIDATE, Unit::ColorSquared, &sure, 0);
     keeper.keep(Intermediate::Sure, "sure_smoothed", &BY_CANDIDATE, Unit::ColorSquared, &errors, 0);
@@ -103,7 +112,8 @@ pub fn dfc(
     // Binary selection maps.
     let selected = Arc::new(select_least(rec, extent, &errors, &candidates.derivatives)?);
     // Filter selection maps.
-    let smoothed = nlm_filter(rec, extent, &guide(&SELECTION_SMOOTHING), &selected, 1, SELECTION_SMOOTHING.window_radius, weighting, false, schedule)?;
+    let smoothed =
+        nlm_filter(rec, extent, &guide(&SELECTION_SMOOTHING), &Payload::new(&selected, 1), SELECTION_SMOOTHING.window_radius, weighting, false, schedule)?;
     // Candidate filter averaging.
     let blend = select_blend(rec, extent, &smoothed.planes, &selected, &errors, &sure, &variance, &candidates, params.guard)?;
     let selection = Arc::new(blend.selection);
@@ -114,7 +124,8 @@ pub fn dfc(
     // Adaptive sampling (thesis 8.6).
     if keeper.wants(Intermediate::Density) {
         let density = sample_density(rec, extent, &blend.signal, (!color.has_halves).then_some(&*selection), &samples)?;
-        let smoothed = nlm_filter(rec, extent, &guide(&DENSITY_SMOOTHING), &density, 1, DENSITY_SMOOTHING.window_radius, weighting, false, schedule)?;
+        let smoothed =
+            nlm_filter(rec, extent, &guide(&DENSITY_SMOOTHING), &Payload::new(&density, 1), DENSITY_SMOOTHING.window_radius, weighting, false, schedule)?;
         keeper.keep(Intermediate::Density, "density", &["V"], Unit::Number, &Arc::new(smoothed.planes), 0);
     }
 
@@ -127,7 +138,7 @@ pub fn dfc(
     let left_variance = variance_smooth(rec, extent, &pass1, RESIDUAL_SMOOTHING, upper_bound)?;
     let filter = Auxiliary { window_radius: second_pass.window_radius(params.window_radius), patch_radius: second_pass.patch_radius, k: second_pass.color_k };
     let guide = filter.guide(&pass1, &left_variance, 3);
-    let pass2 = nlm_filter(rec, extent, &guide, &pass1, 2, filter.window_radius, weighting, false, schedule)?;
+    let pass2 = nlm_filter(rec, extent, &guide, &Payload::new(&pass1, 2), filter.window_radius, weighting, false, schedule)?;
     keeper.keep(Intermediate::Pass1, "pass1", &RGB, Unit::Color, &pass1, 0);
     Ok(estimate(Arc::new(pass2.planes), pass1, selection, keeper))
 }
@@ -143,58 +154,79 @@ fn estimate(signal: Arc<Buffer>, pass1: Arc<Buffer>, selection: Arc<Buffer>, kee
     }
 }
 
-/// Prefilters each feature by itself (Algorithm 1 lines 4 to 10) and packs them for the candidates. Features without any noise are taken as they are.
+/// Prefilters each feature by itself (Algorithm 1 lines 4 to 10) and packs them for the candidates; features without any noise are taken as they are. Empty where there are
+/// none.
+///
+/// `frames` holds the features of all frames of the window in time, the one to denoise first, and each is prefiltered with the help of all. Measured on three frames of
+/// the built-in scenes in which nothing moves, 8 and 32 samples per pixel: against one frame alone they leave .46 to .67 of the error, with features that are prefiltered
+/// frame by frame .60 to .77, and .46 to .53 if all the samples were in one frame.
 fn prefilter(
     rec: &mut Recorder,
     extent: IVec2,
-    features: Vec<GpuFeature>,
+    frames: Vec<Vec<GpuFeature>>,
     weighting: Weighting,
     schedule: Schedule,
     keeper: &mut Keeper,
-) -> Result<Option<Features>> {
-    if features.is_empty() {
-        return Ok(None);
+) -> Result<Vec<Features>> {
+    let channels: Vec<u32> = frames[0].iter().map(|feature| feature.channels).collect();
+    if channels.is_empty() {
+        return Ok(Vec::new());
     }
-    let channels: Vec<u32> = features.iter().map(|feature| feature.channels).collect();
-    let packed = Features::take(rec, extent, &channels)?;
+    let packed = frames.iter().map(|_| Features::take(rec, extent, &channels)).collect::<Result<Vec<_>>>()?;
     // A group's triple clears the group, so it goes first.
-    let mut order: Vec<_> = features.into_iter().enumerate().collect();
-    order.sort_by_key(|(index, _)| packed.packing.slots[*index].single);
-    for (index, GpuFeature { name, signal, channels }) in order {
-        let noisy = signal.has_halves || signal.variance_of_mean.is_some();
-        let (filtered, residual_variance) = if noisy {
-            let variance = input_variance(rec, extent, &signal)?;
-            let guide = PREFILTER.guide(&signal.signal, &variance, channels);
-            let filtered = nlm_filter(rec, extent, &guide, &signal.signal, 2, PREFILTER.window_radius, weighting, !signal.has_halves, schedule)?;
-            let residual = match filtered.residual_variance {
-                Some(residual) => residual,
-                None => variance_smooth(rec, extent, &filtered.planes, RESIDUAL_SMOOTHING, None)?,
+    let slots = packed[0].packing.slots.clone();
+    let mut order: Vec<usize> = (0..channels.len()).collect();
+    order.sort_by_key(|index| slots[*index].single);
+    for index in order {
+        let features: Vec<&GpuFeature> = frames.iter().map(|features| &features[index]).collect();
+        let variances = features.iter().map(|feature| noise(rec, extent, &feature.signal)).collect::<Result<Vec<_>>>()?;
+        for (frame, feature) in features.iter().enumerate() {
+            let GpuFeature { name, signal, channels } = feature;
+            let others = || features.iter().zip(&variances).enumerate().filter(|(other, _)| *other != frame);
+            let (filtered, residual_variance) = match &variances[frame] {
+                Some(variance) => {
+                    let beside: Vec<_> = others()
+                        .filter_map(|(_, (other, variance))| Some(Beside { signal: &other.signal.signal, variance_of_mean: variance.as_ref()? }))
+                        .collect();
+                    let payloads: Vec<_> = beside.iter().map(|beside| beside.signal).collect();
+                    let guide = Guide { beside: &beside, ..PREFILTER.guide(&signal.signal, variance, *channels) };
+                    let payload = Payload { planes: &signal.signal, count: 2, beside: &payloads };
+                    let filtered = nlm_filter(rec, extent, &guide, &payload, PREFILTER.window_radius, weighting, !signal.has_halves, schedule)?;
+                    let residual = match filtered.residual_variance {
+                        Some(residual) => residual,
+                        None => variance_smooth(rec, extent, &filtered.planes, RESIDUAL_SMOOTHING, None)?,
+                    };
+                    (Arc::new(filtered.planes), residual)
+                }
+                // The half spread is 0, so this is 0.
+                None => (signal.signal.clone(), variance_smooth(rec, extent, &signal.signal, RESIDUAL_SMOOTHING, None)?),
             };
-            (filtered.planes, residual)
-        } else {
-            // The half spread is 0, so this is 0.
-            let residual = variance_smooth(rec, extent, &signal.signal, RESIDUAL_SMOOTHING, None)?;
-            (signal.signal, residual)
-        };
-        feature_pack(rec, extent, &packed, packed.packing.slots[index], &filtered, &residual_variance)?;
-        if keeper.wants(Intermediate::Features) {
-            let (filtered, residual_variance) = (Arc::new(filtered), Arc::new(residual_variance));
-            let names = &["x", "y", "z"][..channels as usize];
-            keeper.keep(Intermediate::Features, format!("{name}_prefiltered"), names, Unit::Feature(index), &filtered, 0);
-            keeper.keep(Intermediate::Features, format!("{name}_residual_variance"), names, Unit::FeatureSquared(index), &residual_variance, 0);
+            feature_pack(rec, extent, &packed[frame], slots[index], &filtered, &residual_variance)?;
+            if frame == 0 && keeper.wants(Intermediate::Features) {
+                let residual_variance = Arc::new(residual_variance);
+                let names = &["x", "y", "z"][..*channels as usize];
+                keeper.keep(Intermediate::Features, format!("{name}_prefiltered"), names, Unit::Feature(index), &filtered, 0);
+                keeper.keep(Intermediate::Features, format!("{name}_residual_variance"), names, Unit::FeatureSquared(index), &residual_variance, 0);
+            }
         }
     }
-    Ok(Some(packed))
+    Ok(packed)
+}
+
+/// The variance of a signal of whose noise anything is known.
+fn noise(rec: &mut Recorder, extent: IVec2, signal: &GpuSignal) -> Result<Option<Arc<Buffer>>> {
+    let noisy = signal.has_halves || signal.variance_of_mean.is_some();
+    noisy.then(|| input_variance(rec, extent, signal)).transpose()
 }
 
 /// Counted from [`dfc`]: what is dropped is used again.
-pub(super) fn footprint(params: &DfcParams, frame: &Frame, kept: bool, schedule: Schedule) -> Footprint {
+pub(super) fn footprint(params: &DfcParams, frame: &Frame, beside: usize, kept: bool, schedule: Schedule) -> Footprint {
     let channels: Vec<u32> = frame.features().iter().map(|feature| feature.signal.mean.channels() as u32).collect();
     let packed = 3 * u64::from(Packing::new(&channels).groups);
     // The colour's scaled variance.
     let input = uploaded_planes(channels.len()) + 1;
-    // Scaled variance, two box sums, two filtered planes, weights, residual variance.
-    let prefilter = 7;
+    // The scaled variance of each frame; two box sums, two filtered planes, weights, residual variance.
+    let prefilter = 7 + beside as u64;
     // Candidates 6, derivatives 3, SURE, errors and weights 2, selected, smoothed and weights 2, blend 3, variance, second pass and weights 3.
     let later = 22;
     // Prefiltered features and residual variances, the sampling density and its weights.
@@ -205,7 +237,8 @@ pub(super) fn footprint(params: &DfcParams, frame: &Frame, kept: bool, schedule:
     let running_sums = schedule.scratch_bytes * u64::from(STATE_PLANES) / offsets_in_a_row;
     Footprint {
         halo: halo(params) as usize,
-        live_planes: input + packed + later.max(prefilter) + kept,
+        // Of each frame beside, the prepared features stay with its input.
+        live_planes: (input + packed) * (1 + beside as u64) + later.max(prefilter) + kept,
         largest_planes: packed.max(3),
         scratch_bytes: 2 * schedule.scratch_bytes + running_sums,
     }

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use glam::{IVec2, Vec3};
 
 use crate::error::Result;
-use crate::frame::{Frame, SamplesPerPixel, Signal};
+use crate::frame::{Feature, Frame, SamplesPerPixel, Signal};
 use crate::gpu::{Buffer, Recorder};
 use crate::stage::sample::GpuSamples;
 
@@ -16,7 +16,7 @@ use super::Strip;
 pub struct GpuSignal {
     /// Two planes of one vec4 per pixel, rows from the top: the mean in x, y, z (unused channels 0), behind it the half spread
     /// `(A − B)·√(n_A·n_B)/n`, all 0 without halves. Everything finite.
-    pub signal: Buffer,
+    pub signal: Arc<Buffer>,
     /// One plane: sample variance of the mean, s²/n.
     pub variance_of_mean: Option<Arc<Buffer>>,
     /// Whether the second plane of `signal` says anything.
@@ -50,13 +50,36 @@ pub struct GpuFrame {
     pub mean_variance: Option<Vec3>,
 }
 
+/// In which units frames are uploaded: those of one window of time are in the units of the frame that is denoised.
+pub(crate) struct Units<'a> {
+    /// The colour is multiplied by this.
+    pub(crate) exposure: f32,
+    /// The features to upload, mapped to these features' unit range.
+    pub(crate) features: Vec<&'a Feature>,
+}
+
+impl<'a> Units<'a> {
+    /// Those of `frames[centre]`, with its features as far as all frames have them.
+    pub(crate) fn of_window(frames: &[&'a Frame], centre: usize, exposure: f32) -> Self {
+        let alike = |a: &Feature, b: &Feature| a.name == b.name && a.signal.mean.channels() == b.signal.mean.channels();
+        let everywhere = |feature: &&Feature| frames.iter().all(|frame| frame.features().iter().any(|other| alike(feature, other)));
+        Self { exposure, features: frames[centre].features().iter().filter(everywhere).collect() }
+    }
+}
+
 impl GpuFrame {
-    /// Uploads the rows of a strip and its halo, the colour multiplied by `exposure`.
-    pub(crate) fn upload(rec: &mut Recorder, frame: &Frame, strip: &Strip, exposure: f32) -> Result<Self> {
-        let mut features = Vec::with_capacity(frame.features().len());
-        for feature in frame.features() {
+    /// Uploads the rows of a strip and its halo. `frame` has all features that `units` lists.
+    pub(crate) fn upload(rec: &mut Recorder, frame: &Frame, strip: &Strip, units: &Units) -> Result<Self> {
+        let mut features = Vec::with_capacity(units.features.len());
+        for wanted in &units.features {
+            let Some(feature) = frame.features().iter().find(|feature| feature.name == wanted.name) else { continue };
+            let map = Affine {
+                factor: feature.unit_scale / wanted.unit_scale,
+                shift: (feature.unit_offset - wanted.unit_offset) / wanted.unit_scale,
+                fixed: &feature.misses,
+            };
             let channels = feature.signal.mean.channels() as u32;
-            features.push(GpuFeature { name: feature.name.clone(), signal: upload_signal(rec, &feature.name, &feature.signal, strip, 1.0)?, channels });
+            features.push(GpuFeature { name: feature.name.clone(), signal: upload_signal(rec, &feature.name, &feature.signal, strip, map)?, channels });
         }
         let extent = IVec2::new(frame.extent().width as i32, strip.rows_with_halo() as i32);
         let samples = match frame.samples_per_pixel() {
@@ -65,33 +88,53 @@ impl GpuFrame {
             SamplesPerPixel::PerPixel(counts) => {
                 let pixels = strip.pixels(counts.extent.width as usize);
                 let mut packed = vec![0.0; pixels.len() * 4];
-                interleave(&counts.planes, &pixels, 1.0, &mut packed);
+                interleave(&counts.planes, &pixels, Affine::scale(1.0), &mut packed);
                 GpuSamples::PerPixel(rec.upload("samples per pixel", &packed)?)
             }
         };
-        let color = upload_signal(rec, "colour", frame.color(), strip, exposure)?;
-        let mean_variance = mean_variance(frame.color()).map(|variance| variance * exposure * exposure);
+        let color = upload_signal(rec, "colour", frame.color(), strip, Affine::scale(units.exposure))?;
+        let mean_variance = mean_variance(frame.color()).map(|variance| variance * units.exposure * units.exposure);
         Ok(Self { extent, color, features, samples, mean_variance })
     }
 }
 
-fn upload_signal(rec: &mut Recorder, label: &str, signal: &Signal, strip: &Strip, factor: f32) -> Result<GpuSignal> {
+/// What values are mapped by on their way to the GPU. With the factor 1 and no shift they stay the same to the bit.
+#[derive(Clone, Copy)]
+struct Affine<'a> {
+    factor: f32,
+    shift: f32,
+    /// Pixels that keep their value; empty where there are none.
+    fixed: &'a [bool],
+}
+
+impl Affine<'_> {
+    fn scale(factor: f32) -> Self {
+        Self { factor, shift: 0.0, fixed: &[] }
+    }
+
+    fn of(self, value: f32, pixel: usize) -> f32 {
+        if self.fixed.get(pixel).is_some_and(|fixed| *fixed) { value } else { value * self.factor + self.shift }
+    }
+}
+
+fn upload_signal(rec: &mut Recorder, label: &str, signal: &Signal, strip: &Strip, map: Affine) -> Result<GpuSignal> {
+    let factor = map.factor;
     let pixels = strip.pixels(signal.mean.extent.width as usize);
     let mut packed = vec![0.0; pixels.len() * 8];
     let (mean, spread) = packed.split_at_mut(pixels.len() * 4);
-    interleave(&signal.mean.planes, &pixels, factor, mean);
+    interleave(&signal.mean.planes, &pixels, map, mean);
     if let Some(half_spread) = &signal.half_spread {
-        interleave(&half_spread.planes, &pixels, factor, spread);
+        interleave(&half_spread.planes, &pixels, Affine::scale(factor), spread);
     }
     let variance_of_mean = match &signal.variance_of_mean {
         None => None,
         Some(variance) => {
             let mut packed = vec![0.0; pixels.len() * 4];
-            interleave(&variance.planes, &pixels, factor * factor, &mut packed);
+            interleave(&variance.planes, &pixels, Affine::scale(factor * factor), &mut packed);
             Some(Arc::new(rec.upload(&format!("variance of {label}"), &packed)?))
         }
     };
-    Ok(GpuSignal { signal: rec.upload(label, &packed)?, variance_of_mean, has_halves: signal.half_spread.is_some() })
+    Ok(GpuSignal { signal: Arc::new(rec.upload(label, &packed)?), variance_of_mean, has_halves: signal.half_spread.is_some() })
 }
 
 /// Of the whole image, so that all strips agree.
@@ -105,10 +148,10 @@ fn mean_variance(signal: &Signal) -> Option<Vec3> {
     means.try_into().ok().map(Vec3::from_array)
 }
 
-fn interleave(planes: &[Vec<f32>], pixels: &std::ops::Range<usize>, factor: f32, packed: &mut [f32]) {
+fn interleave(planes: &[Vec<f32>], pixels: &std::ops::Range<usize>, map: Affine, packed: &mut [f32]) {
     for (channel, plane) in planes.iter().enumerate() {
-        for (to, from) in packed.chunks_exact_mut(4).zip(&plane[pixels.clone()]) {
-            to[channel] = from * factor;
+        for (to, pixel) in packed.chunks_exact_mut(4).zip(pixels.clone()) {
+            to[channel] = map.of(plane[pixel], pixel);
         }
     }
 }

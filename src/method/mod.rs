@@ -18,6 +18,7 @@ use crate::stage::nlm::Schedule;
 
 pub use dfc::DfcParams;
 pub use estimate::{GpuEstimate, Intermediate, KeptPlane, Lane, Unit};
+pub(crate) use frame::Units;
 pub use frame::{GpuFeature, GpuFrame, GpuSignal};
 use memory::Footprint;
 pub(crate) use memory::{Strip, strips};
@@ -100,24 +101,33 @@ impl Method {
         }
     }
 
-    fn footprint(&self, frame: &Frame, kept: bool, schedule: Schedule) -> Footprint {
+    fn footprint(&self, frame: &Frame, beside: usize, kept: bool, schedule: Schedule) -> Footprint {
         match self {
-            Self::Dfc(params) => dfc::footprint(params, frame, kept, schedule),
+            Self::Dfc(params) => dfc::footprint(params, frame, beside, kept, schedule),
             Self::Nlm(params) => nlm::footprint(params, frame, kept, schedule),
         }
     }
 
-    /// Records the work on a frame. `progress` is called with the share of it that is recorded.
+    /// Whether its window can hold neighbouring frames of a shot.
+    pub fn filters_in_time(&self) -> bool {
+        match self {
+            Self::Dfc(_) => true,
+            Self::Nlm(_) => false,
+        }
+    }
+
+    /// Records the work on a frame, in a window with the frames `beside`, which are in its units. `progress` is called with the share of it that is recorded.
     pub(crate) fn record(
         &self,
         rec: &mut Recorder,
         frame: GpuFrame,
+        beside: Vec<GpuFrame>,
         wanted: &[Intermediate],
         schedule: Schedule,
         progress: impl FnMut(&mut Recorder, f32) -> Result<()>,
     ) -> Result<GpuEstimate> {
         match self {
-            Self::Dfc(params) => dfc::dfc(rec, frame, params, wanted, schedule, progress),
+            Self::Dfc(params) => dfc::dfc(rec, frame, beside, params, wanted, schedule, progress),
             Self::Nlm(params) => nlm::nlm(rec, frame, params, wanted, schedule, progress),
         }
     }

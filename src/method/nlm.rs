@@ -16,7 +16,7 @@ use crate::gpu::{Buffer, Recorder};
 use crate::stage::error::error_halves;
 use crate::stage::gaussian::{Averaging, Gaussian, gaussian};
 use crate::stage::half::{Halves, half_join, half_split};
-use crate::stage::nlm::{Filtered, Guide, Schedule, Weighting, nlm_filter};
+use crate::stage::nlm::{Filtered, Guide, Payload, Schedule, Weighting, nlm_filter};
 use crate::stage::sample::sample_attach;
 use crate::stage::variance::{INPUT_SMOOTHING, VariancePair, variance_clamp, variance_pair};
 
@@ -76,17 +76,18 @@ pub fn nlm(
         small_patch_radius: None,
         patchwise: params.patchwise,
         cut: params.cut,
+        beside: &[],
     };
     let signal = &sample_attach(rec, extent, &color.signal, &samples)?;
     let filtered = if params.dual_buffer && color.has_halves {
         let Halves { a, b, variance } = &half_split(rec, extent, signal, &variance)?;
         let weighting = params.weighting;
-        let filtered_a = nlm_filter(rec, extent, &guide(b, variance), a, 1, params.window_radius, weighting, false, schedule)?;
+        let filtered_a = nlm_filter(rec, extent, &guide(b, variance), &Payload::new(a, 1), params.window_radius, weighting, false, schedule)?;
         progress(rec, 0.5)?;
-        let filtered_b = nlm_filter(rec, extent, &guide(a, variance), b, 1, params.window_radius, weighting, false, schedule)?;
+        let filtered_b = nlm_filter(rec, extent, &guide(a, variance), &Payload::new(b, 1), params.window_radius, weighting, false, schedule)?;
         half_join(rec, extent, [&filtered_a, &filtered_b])?
     } else {
-        nlm_filter(rec, extent, &guide(signal, &variance), signal, 2, params.window_radius, params.weighting, !color.has_halves, schedule)?
+        nlm_filter(rec, extent, &guide(signal, &variance), &Payload::new(signal, 2), params.window_radius, params.weighting, !color.has_halves, schedule)?
     };
     progress(rec, 1.0)?;
 
@@ -138,8 +139,9 @@ fn cross_filtered_variance(rec: &mut Recorder, extent: IVec2, color: &GpuSignal,
         small_patch_radius: None,
         patchwise: false,
         cut: 0.0,
+        beside: &[],
     };
-    let filtered = nlm_filter(rec, extent, &guide, &two_buffer_variance, 1, VARIANCE_WINDOW_RADIUS, weighting, false, schedule)?;
+    let filtered = nlm_filter(rec, extent, &guide, &Payload::new(&two_buffer_variance, 1), VARIANCE_WINDOW_RADIUS, weighting, false, schedule)?;
     Ok(Arc::new(variance_clamp(rec, extent, &filtered.planes, sample_variance)?))
 }
 

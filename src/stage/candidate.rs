@@ -5,7 +5,7 @@ use std::sync::Arc;
 use glam::{IVec2, Vec4};
 
 use super::feature::{Features, MAX_GROUPS};
-use super::nlm::{Guide, NlmParams, Schedule, Weighting, for_each_chunk};
+use super::nlm::{Beside, Guide, NlmParams, Schedule, Weighting, for_each_chunk};
 use super::plane_bytes;
 use crate::error::Result;
 use crate::gpu::{Buffer, Definition, Recorder, bindings, uniforms};
@@ -18,6 +18,7 @@ bindings! {
     struct CandidateAccumulate<'a> {
         uniform params: NlmParams, uniform candidate: CandidateParams,
         read columns, read columns_small, read signal, read variance_of_mean, write state, optional features,
+        optional neighbours_signal, optional neighbours_variance, optional neighbours_features,
     }
     struct CandidateResolve<'a> {
         uniform params: NlmParams, read signal, read variance_of_mean, read state, write first, write second, write third, write derivatives,
@@ -49,6 +50,17 @@ pub struct CandidateFilter {
     pub weighting: Weighting,
 }
 
+/// A frame beside the one that is filtered, whose pixels take part as neighbours (thesis 8.6).
+#[derive(Clone, Copy, Debug)]
+pub struct CandidateBeside<'a> {
+    /// Its colour signal.
+    pub signal: &'a Buffer,
+    /// The scaled variance of its colour.
+    pub variance_of_mean: &'a Buffer,
+    /// Its prefiltered features, the same ones in the same units.
+    pub features: Option<&'a Features>,
+}
+
 /// The filtered candidates.
 #[derive(Debug)]
 pub struct Candidates {
@@ -58,7 +70,8 @@ pub struct Candidates {
     pub derivatives: Arc<Buffer>,
 }
 
-/// Filters a colour signal with the three candidates. `variance_of_mean` is its scaled variance; without features the feature weights are 1.
+/// Filters a colour signal with the three candidates, over a window in its frame and in the frames `beside`. `variance_of_mean` is its scaled variance; without features
+/// the feature weights are 1.
 ///
 /// `progress` is called with the share of rows whose commands are recorded.
 #[expect(clippy::too_many_arguments, reason = "they are the operator's definition; a struct would only rename them")]
@@ -68,6 +81,7 @@ pub fn candidates(
     signal: &Buffer,
     variance_of_mean: &Buffer,
     features: Option<&Features>,
+    beside: &[CandidateBeside],
     filter: &CandidateFilter,
     schedule: Schedule,
     mut progress: impl FnMut(&mut Recorder, f32) -> Result<()>,
@@ -78,6 +92,7 @@ pub fn candidates(
         Arc::new(rec.take("THIRD", plane_bytes(extent, 2))?),
     ];
     let derivatives = Arc::new(rec.take("derivatives", plane_bytes(extent, 3))?);
+    let neighbours: Vec<_> = beside.iter().map(|frame| Beside { signal: frame.signal, variance_of_mean: frame.variance_of_mean }).collect();
     let guide = Guide {
         signal,
         variance_of_mean,
@@ -88,16 +103,20 @@ pub fn candidates(
         small_patch_radius: Some(filter.first_patch_radius),
         patchwise: false,
         cut: 0.0,
+        beside: &neighbours,
     };
     let groups = features.map_or(0, |features| features.packing.groups);
     let [symmetric, hard] = filter.weighting.symmetric.definitions();
-    let definitions = [
-        ("PATCH_RADIUS", Definition::Int(filter.second_patch_radius as i32)),
-        ("SMALL_PATCH_RADIUS", Definition::Int(filter.first_patch_radius as i32)),
-        ("FEATURE_GROUPS", Definition::Int(groups as i32)),
-        symmetric,
-        hard,
-    ];
+    let definitions = |other_frame: bool| {
+        [
+            ("OTHER_FRAME", Definition::from(other_frame)),
+            ("PATCH_RADIUS", Definition::Int(filter.second_patch_radius as i32)),
+            ("SMALL_PATCH_RADIUS", Definition::Int(filter.first_patch_radius as i32)),
+            ("FEATURE_GROUPS", Definition::Int(groups as i32)),
+            symmetric,
+            hard,
+        ]
+    };
     let candidate = CandidateParams {
         inverse_feature_k_squared: 1.0 / (filter.feature_k * filter.feature_k),
         feature_tau: filter.feature_tau,
@@ -114,7 +133,8 @@ pub fn candidates(
             None => state.insert(rec.take("candidate sums", plane_bytes(IVec2::new(extent.x, params.rows), STATE_PLANES))?),
         };
         let columns_small = chunk.columns_small.unwrap_or(chunk.columns);
-        let accumulate = rec.gpu().kernel::<CandidateAccumulate>("candidate_accumulate", &definitions)?;
+        let beside = chunk.beside.map(|index| beside[index]);
+        let accumulate = rec.gpu().kernel::<CandidateAccumulate>("candidate_accumulate", &definitions(beside.is_some()))?;
         let bound = CandidateAccumulate {
             params,
             candidate,
@@ -124,6 +144,9 @@ pub fn candidates(
             variance_of_mean,
             state,
             features: features.map(|features| &features.buffer),
+            neighbours_signal: beside.map(|frame| frame.signal),
+            neighbours_variance: beside.map(|frame| frame.variance_of_mean),
+            neighbours_features: beside.and_then(|frame| frame.features).map(|features| &features.buffer),
         };
         rec.dispatch(&accumulate, &bound, invocations)?;
         if chunk.last {

@@ -14,6 +14,8 @@ uniforms! {
         pub(super) rows: i32,
         pub(super) first_pair: i32,
         pub(super) pairs: i32,
+        pub(super) starts: i32,
+        pub(super) completes: i32,
         pub(super) window_radius: i32,
         pub(super) block_rows: i32,
         pub(super) k_squared: f32,
@@ -25,12 +27,15 @@ uniforms! {
 }
 
 bindings! {
-    struct NlmDistance<'a> { uniform params: NlmParams, read guide, read variance_of_mean, write columns }
-    struct NlmDistanceTwoPatches<'a> { uniform params: NlmParams, read guide, read variance_of_mean, write columns, write columns_small }
+    struct NlmDistance<'a> { uniform params: NlmParams, read guide, read variance_of_mean, read neighbours, read neighbours_variance, write columns }
+    struct NlmDistanceTwoPatches<'a> {
+        uniform params: NlmParams, read guide, read variance_of_mean, read neighbours, read neighbours_variance, write columns, write columns_small,
+    }
     struct NlmWeight<'a> { uniform params: NlmParams, read columns, write weight_columns }
-    struct NlmFilter<'a> { uniform params: NlmParams, read columns, read payload, write filtered, write weights }
+    struct NlmFilter<'a> { uniform params: NlmParams, read columns, read payload, read neighbours, write filtered, write weights }
     struct NlmFilterResidual<'a> {
-        uniform params: NlmParams, read columns, read payload, write filtered, write weights, read variance_of_mean, write residual_variance,
+        uniform params: NlmParams, read columns, read payload, read neighbours, write filtered, write weights,
+        read variance_of_mean, read neighbours_variance, write residual_variance,
     }
 }
 
@@ -137,6 +142,18 @@ pub struct Guide<'a> {
     pub patchwise: bool,
     /// Weights below this one become 0, so that many faint neighbours do not outweigh few good ones; 0 to keep all.
     pub cut: f32,
+    /// Frames beside this one that neighbours are taken from too.
+    pub beside: &'a [Beside<'a>],
+}
+
+/// A frame beside the one that is filtered, whose pixels take part as neighbours (thesis 7.3, 8.6): the same window around the same position, patches inside that frame. Pairs
+/// of opposite neighbours are formed within a frame.
+#[derive(Clone, Copy, Debug)]
+pub struct Beside<'a> {
+    /// As [`Guide::signal`].
+    pub signal: &'a Buffer,
+    /// As [`Guide::variance_of_mean`].
+    pub variance_of_mean: &'a Buffer,
 }
 
 /// One chunk of pairs of offsets over one strip of rows: what follows `nlm_distance` gets the column sums (of a patchwise guide, those of weights) and these parameters.
@@ -144,11 +161,14 @@ pub(super) struct Chunk<'a> {
     pub(super) params: NlmParams,
     pub(super) columns: &'a Buffer,
     pub(super) columns_small: Option<&'a Buffer>,
+    /// Which of the frames beside the neighbours are in; `None`: in the frame itself.
+    pub(super) beside: Option<usize>,
     /// No pairs are left for these rows.
     pub(super) last: bool,
 }
 
-/// Runs `nlm_distance`, and for a patchwise guide `nlm_weight`, chunk by chunk and hands each to `consume`, strips from top to bottom, all chunks of a strip before the next.
+/// Runs `nlm_distance`, and for a patchwise guide `nlm_weight`, chunk by chunk and hands each to `consume`, strips from top to bottom, all chunks of a strip before the next,
+/// those of the frame itself first.
 pub(super) fn for_each_chunk(
     rec: &mut Recorder,
     extent: IVec2,
@@ -175,52 +195,91 @@ pub(super) fn for_each_chunk(
         // How the distances to both are used does not matter here.
         ("SYMMETRIC", (weighting.symmetric != Symmetry::Off).into()),
     ];
+    let itself = Beside { signal: guide.signal, variance_of_mean: guide.variance_of_mean };
+    // A frame beside has one neighbour more, at the same position: pair −1.
+    let frames: Vec<_> = std::iter::once((None, itself, 0)).chain(guide.beside.iter().enumerate().map(|(index, frame)| (Some(index), *frame, -1))).collect();
     for first_row in (0..extent.y).step_by(strip_rows as usize) {
         let rows = strip_rows.min(extent.y - first_row);
-        let mut first_pair = 0;
-        loop {
-            let params = NlmParams {
-                extent,
-                first_row,
-                rows,
-                first_pair,
-                pairs: chunk_pairs.min(pairs - first_pair),
-                window_radius: radius,
-                block_rows: schedule.block_rows as i32,
-                k_squared: guide.k * guide.k,
-                alpha: guide.alpha,
-                inverse_channels: 1.0 / guide.channels as f32,
-                cut: guide.cut,
-                centre_floor: weighting.centre.floor(),
-            };
-            let invocations = |rows: i32| [(extent.x + 2 * patch_radius) as u32, (rows as u32).div_ceil(schedule.block_rows), params.pairs as u32];
-            let with_margin = NlmParams { first_row: first_row - margin, rows: rows + 2 * margin, ..params };
-            let (guide, variance_of_mean) = (guide.signal, guide.variance_of_mean);
-            match &columns_small {
-                None => {
-                    let kernel = rec.gpu().kernel::<NlmDistance>("nlm_distance", &definitions)?;
-                    rec.dispatch(&kernel, &NlmDistance { params: with_margin, guide, variance_of_mean, columns: &columns }, invocations(with_margin.rows))?;
+        for (place, (beside, neighbours, first)) in frames.iter().enumerate() {
+            let mut first_pair = *first;
+            loop {
+                let chunk_end = (first_pair + chunk_pairs).min(pairs);
+                let last = chunk_end >= pairs && place + 1 == frames.len();
+                let params = NlmParams {
+                    extent,
+                    first_row,
+                    rows,
+                    first_pair,
+                    pairs: chunk_end - first_pair,
+                    starts: i32::from(place == 0 && first_pair == 0),
+                    completes: i32::from(last),
+                    window_radius: radius,
+                    block_rows: schedule.block_rows as i32,
+                    k_squared: guide.k * guide.k,
+                    alpha: guide.alpha,
+                    inverse_channels: 1.0 / guide.channels as f32,
+                    cut: guide.cut,
+                    centre_floor: weighting.centre.floor(),
+                };
+                let invocations = |rows: i32| [(extent.x + 2 * patch_radius) as u32, (rows as u32).div_ceil(schedule.block_rows), params.pairs as u32];
+                let with_margin = NlmParams { first_row: first_row - margin, rows: rows + 2 * margin, ..params };
+                let (guide, variance_of_mean) = (guide.signal, guide.variance_of_mean);
+                let Beside { signal: neighbours, variance_of_mean: neighbours_variance } = *neighbours;
+                match &columns_small {
+                    None => {
+                        let kernel = rec.gpu().kernel::<NlmDistance>("nlm_distance", &definitions)?;
+                        let bound = NlmDistance { params: with_margin, guide, variance_of_mean, neighbours, neighbours_variance, columns: &columns };
+                        rec.dispatch(&kernel, &bound, invocations(with_margin.rows))?;
+                    }
+                    Some(columns_small) => {
+                        let kernel = rec.gpu().kernel::<NlmDistanceTwoPatches>("nlm_distance", &definitions)?;
+                        let bound = NlmDistanceTwoPatches {
+                            params: with_margin,
+                            guide,
+                            variance_of_mean,
+                            neighbours,
+                            neighbours_variance,
+                            columns: &columns,
+                            columns_small,
+                        };
+                        rec.dispatch(&kernel, &bound, invocations(with_margin.rows))?;
+                    }
                 }
-                Some(columns_small) => {
-                    let kernel = rec.gpu().kernel::<NlmDistanceTwoPatches>("nlm_distance", &definitions)?;
-                    let bound = NlmDistanceTwoPatches { params: with_margin, guide, variance_of_mean, columns: &columns, columns_small };
-                    rec.dispatch(&kernel, &bound, invocations(with_margin.rows))?;
+                if let Some(weight_columns) = &weight_columns {
+                    let [symmetric, hard] = weighting.symmetric.definitions();
+                    let kernel = rec.gpu().kernel::<NlmWeight>("nlm_weight", &[("PATCH_RADIUS", Definition::Int(patch_radius)), symmetric, hard])?;
+                    rec.dispatch(&kernel, &NlmWeight { params, columns: &columns, weight_columns }, invocations(rows))?;
                 }
-            }
-            if let Some(weight_columns) = &weight_columns {
-                let [symmetric, hard] = weighting.symmetric.definitions();
-                let kernel = rec.gpu().kernel::<NlmWeight>("nlm_weight", &[("PATCH_RADIUS", Definition::Int(patch_radius)), symmetric, hard])?;
-                rec.dispatch(&kernel, &NlmWeight { params, columns: &columns, weight_columns }, invocations(rows))?;
-            }
-            first_pair += params.pairs;
-            let last = first_pair >= pairs;
-            consume(rec, &Chunk { params, columns: weight_columns.as_ref().unwrap_or(&columns), columns_small: columns_small.as_ref(), last })?;
-            if last {
-                break;
+                first_pair = chunk_end;
+                consume(
+                    rec,
+                    &Chunk { params, columns: weight_columns.as_ref().unwrap_or(&columns), columns_small: columns_small.as_ref(), beside: *beside, last },
+                )?;
+                if chunk_end >= pairs {
+                    break;
+                }
             }
         }
     }
     Ok(())
+}
+
+/// What is averaged.
+#[derive(Clone, Copy, Debug)]
+pub struct Payload<'a> {
+    /// As many planes as `count`.
+    pub planes: &'a Buffer,
+    /// Number of planes.
+    pub count: u32,
+    /// The same of each frame beside the guide.
+    pub beside: &'a [&'a Buffer],
+}
+
+impl<'a> Payload<'a> {
+    /// Of one frame alone.
+    pub fn new(planes: &'a Buffer, count: u32) -> Self {
+        Self { planes, count, beside: &[] }
+    }
 }
 
 /// A payload filtered with the weights of a guide.
@@ -234,26 +293,25 @@ pub struct Filtered {
     pub residual_variance: Option<Buffer>,
 }
 
-/// Filters `payload_planes` planes of `payload` over a window of 2·`window_radius`+1 pixels with NL-means weights from `guide` (eq. 7.1 to 7.6).
+/// Filters the payload over a window of 2·`window_radius`+1 pixels with NL-means weights from `guide` (eq. 7.1 to 7.6), in its frame and in the frames beside it.
 #[expect(clippy::too_many_arguments, reason = "they are the operator's definition; a struct would only rename them")]
 pub fn nlm_filter(
     rec: &mut Recorder,
     extent: IVec2,
     guide: &Guide,
-    payload: &Buffer,
-    payload_planes: u32,
+    payload: &Payload,
     window_radius: u32,
     weighting: Weighting,
     with_residual_variance: bool,
     schedule: Schedule,
 ) -> Result<Filtered> {
-    let planes = rec.take("filtered planes", plane_bytes(extent, payload_planes))?;
+    let planes = rec.take("filtered planes", plane_bytes(extent, payload.count))?;
     let weights = rec.take("weight sums", plane_bytes(extent, 1))?;
     let residual_variance = with_residual_variance.then(|| rec.take("residual variance", plane_bytes(extent, 1))).transpose()?;
     let [symmetric, hard] = weighting.symmetric.definitions();
     let definitions = [
         ("PATCH_RADIUS", Definition::Int(guide.patch_radius as i32)),
-        ("PAYLOAD_PLANES", Definition::Int(payload_planes as i32)),
+        ("PAYLOAD_PLANES", Definition::Int(payload.count as i32)),
         ("PATCHWISE", guide.patchwise.into()),
         symmetric,
         hard,
@@ -263,14 +321,18 @@ pub fn nlm_filter(
         let (params, columns) = (chunk.params, chunk.columns);
         let invocations = [extent.x as u32, params.rows as u32, 1];
         let (filtered, weights, variance_of_mean) = (&planes, &weights, guide.variance_of_mean);
+        let neighbours = chunk.beside.map_or(payload.planes, |index| payload.beside[index]);
+        let neighbours_variance = chunk.beside.map_or(variance_of_mean, |index| guide.beside[index].variance_of_mean);
+        let payload = payload.planes;
         match &residual_variance {
             None => {
                 let kernel = rec.gpu().kernel::<NlmFilter>("nlm_filter", &definitions)?;
-                rec.dispatch(&kernel, &NlmFilter { params, columns, payload, filtered, weights }, invocations)
+                rec.dispatch(&kernel, &NlmFilter { params, columns, payload, neighbours, filtered, weights }, invocations)
             }
             Some(residual_variance) => {
                 let kernel = rec.gpu().kernel::<NlmFilterResidual>("nlm_filter", &definitions)?;
-                let bound = NlmFilterResidual { params, columns, payload, filtered, weights, variance_of_mean, residual_variance };
+                let bound =
+                    NlmFilterResidual { params, columns, payload, neighbours, filtered, weights, variance_of_mean, neighbours_variance, residual_variance };
                 rec.dispatch(&kernel, &bound, invocations)
             }
         }

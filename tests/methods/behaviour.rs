@@ -167,14 +167,14 @@ fn a_renderer_that_keeps_its_buffers_gets_the_same_bits() {
         gpu.import("a renderer's", buffer).unwrap_or_else(|error| panic!("{error}"))
     };
     let gpu_signal = |mean: &[Grid]| GpuSignal {
-        signal: own(&packed_signal(mean, &color.spread)),
+        signal: Arc::new(own(&packed_signal(mean, &color.spread))),
         variance_of_mean: Some(Arc::new(own(&packed(&color.variance)))),
         has_halves: true,
     };
     let features = vec![GpuFeature { name: "paint".into(), signal: gpu_signal(&paint_mean), channels: 3 }];
     let gpu_frame = GpuFrame { extent: IVec2::new(45, 31), color: gpu_signal(&color_mean), features, samples: GpuSamples::Uniform(1.0), mean_variance: None };
     let mut rec = gpu.record_whole();
-    let estimate = denoiser.record(&mut rec, gpu_frame).unwrap_or_else(|error| panic!("{error}"));
+    let estimate = denoiser.record(&mut rec, gpu_frame, Vec::new()).unwrap_or_else(|error| panic!("{error}"));
     let mut encoder = gpu.wgpu_device().create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
     rec.encode_into(&mut encoder).unwrap_or_else(|error| panic!("{error}"));
     gpu.wgpu_queue().submit([encoder.finish()]);

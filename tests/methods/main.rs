@@ -1,4 +1,4 @@
-//! Whole methods on the GPU. DFC: against its float64 twin (`twin`), and as its callers use it (`behaviour`). NLM: both (`nlm`).
+//! Whole methods on the GPU. DFC: against its float64 twin (`twin`), as its callers use it (`behaviour`), over several frames (`time`). NLM: all of that of one frame (`nlm`).
 
 #[allow(dead_code, unreachable_pub, reason = "every test includes all shared pieces and uses a part of them")]
 #[path = "../common/mod.rs"]
@@ -12,4 +12,5 @@ mod reference;
 
 mod behaviour;
 mod nlm;
+mod time;
 mod twin;

@@ -323,9 +323,9 @@ fn a_uniform_variance_that_nobody_knows_is_refused() {
     let denoiser = Denoiser::new(gpu(), NlmParams { variance: NlmVariance::Uniform, ..NlmParams::default() }).unwrap_or_else(|error| panic!("{error}"));
     let mut rec = gpu().record_whole();
     let signal = rec.upload("signal", &[0.5; 8]).unwrap_or_else(|error| panic!("{error}"));
-    let color = GpuSignal { signal, variance_of_mean: None, has_halves: true };
+    let color = GpuSignal { signal: signal.into(), variance_of_mean: None, has_halves: true };
     let frame = GpuFrame { extent: glam::IVec2::ONE, color, features: Vec::new(), samples: GpuSamples::Uniform(1.0), mean_variance: None };
-    let Err(Error::Request { remedy, .. }) = denoiser.record(&mut rec, frame) else { panic!("a variance out of nowhere") };
+    let Err(Error::Request { remedy, .. }) = denoiser.record(&mut rec, frame, Vec::new()) else { panic!("a variance out of nowhere") };
     assert!(remedy.contains("mean_variance"), "{remedy}");
     assert!(denoiser.method().intermediates().contains(&Intermediate::Halves));
 }

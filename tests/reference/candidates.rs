@@ -76,7 +76,7 @@ pub fn analytic_derivative(mean: &[Grid], variance: &[Grid], features: &[Feature
     for offset in half_window(params.window_radius) {
         let pair = Pair::new(&mean[0], p, offset);
         let slopes = color_weight_slopes(guide, &pair, params, i);
-        let caps = feature_weights(features, &pair, params);
+        let caps = feature_weights([features; 2], &pair, params);
         for ((q, (w, slope)), cap) in pair.neighbours().zip(slopes).zip(caps) {
             if let Some(q) = q {
                 // A weight that the features hold down does not move with the colour.
@@ -102,7 +102,7 @@ fn color_weight_slopes(guide: Guide, pair: &Pair, params: &FilterParams, i: usiz
     // The weight is exp(−max(0, d)): flat where d is negative.
     let weight_slope = |d: f64, slope: f64| (weight(d), if d > 0.0 { -weight(d) * slope } else { 0.0 });
 
-    let [d1, d2] = [pair.q1, pair.q2].map(|q| q.map_or(f64::INFINITY, |q| patch_distance(guide, k, f, p, q)));
+    let [d1, d2] = [pair.q1, pair.q2].map(|q| q.map_or(f64::INFINITY, |q| patch_distance((guide, guide), k, f, p, q)));
     let [(w1, slope1), (w2, slope2)] =
         [(pair.q1, d1), (pair.q2, d2)].map(|(q, d)| q.map_or((0.0, 0.0), |q| weight_slope(d, patch_distance_slope(guide, k, f, p, q, i))));
     let (Some(q1), Some(q2)) = (pair.q1, pair.q2) else {
@@ -112,7 +112,7 @@ fn color_weight_slopes(guide: Guide, pair: &Pair, params: &FilterParams, i: usiz
         return [(w1, slope1), (w2, slope2)];
     }
 
-    let (w_mean, mean_slope) = weight_slope(patch_distance_to_mean(guide, k, f, p, q1, q2), patch_distance_to_mean_slope(guide, k, f, p, q1, q2, i));
+    let (w_mean, mean_slope) = weight_slope(patch_distance_to_mean((guide, guide), k, f, p, q1, q2), patch_distance_to_mean_slope(guide, k, f, p, q1, q2, i));
     let unclamped = w_mean / (w1 + w2) - 1.0;
     let share = unclamped.clamp(0.0, 1.0);
     let share_slope = if share == unclamped { (mean_slope * (w1 + w2) - w_mean * (slope1 + slope2)) / ((w1 + w2) * (w1 + w2)) } else { 0.0 };

@@ -108,13 +108,50 @@ impl WindowWeights {
     }
 }
 
+/// A frame beside the one that is filtered (sections 7.3 and 8.6): its pixels take part as neighbours, compared by patches inside their own frame.
+#[derive(Clone, Copy)]
+pub struct Beside<'a> {
+    pub guide: Option<Guide<'a>>,
+    pub features: &'a [Feature],
+}
+
+/// The weights of a window that reaches into other frames: those of the neighbours in its own frame, then those of each frame beside.
+pub fn window_weights_in_time(
+    like: &Grid,
+    p: Point,
+    guide: Option<Guide>,
+    features: &[Feature],
+    beside: &[Beside],
+    params: &FilterParams,
+) -> (WindowWeights, Vec<Vec<(Point, f64)>>) {
+    let mut own = window_weights(like, p, guide, features, params);
+    let others: Vec<Vec<(Point, f64)>> = beside
+        .iter()
+        .map(|other| {
+            // The same position is a neighbour too, without an opposite.
+            let here = Pair { p, q1: Some(p), q2: None };
+            let pairs = std::iter::once(here).chain(half_window(params.window_radius).map(|offset| Pair::new(like, p, offset)));
+            let weights = |pair: Pair| {
+                let color = guide.zip(other.guide).filter(|_| params.k_color.is_finite()).map(|guides| color_weights(guides, &pair, params));
+                let weights = smaller(color.unwrap_or([1.0; 2]), feature_weights([features, other.features], &pair, params));
+                pair.neighbours().zip(weights).filter_map(|(q, w)| Some((q?, w))).collect::<Vec<_>>()
+            };
+            pairs.flat_map(weights).collect()
+        })
+        .collect();
+    if params.centre == CentreWeight::LargestNeighbour {
+        own.centre.1 = others.iter().flatten().fold(own.centre.1, |largest, (_, w)| w.max(largest));
+    }
+    (own, others)
+}
+
 /// The weights of one window; `like` tells the extent.
 pub fn window_weights(like: &Grid, p: Point, guide: Option<Guide>, features: &[Feature], params: &FilterParams) -> WindowWeights {
     let mut neighbours = Vec::new();
     for offset in half_window(params.window_radius) {
         let pair = Pair::new(like, p, offset);
-        let color = guide.filter(|_| params.k_color.is_finite()).map(|guide| color_weights(guide, &pair, params));
-        let features = feature_weights(features, &pair, params);
+        let color = guide.filter(|_| params.k_color.is_finite()).map(|guide| color_weights((guide, guide), &pair, params));
+        let features = feature_weights([features; 2], &pair, params);
         let weights = smaller(color.unwrap_or([1.0; 2]), features);
         neighbours.extend(pair.neighbours().zip(weights).filter_map(|(q, w)| Some((q?, w))));
     }
@@ -149,23 +186,24 @@ impl Pair {
     }
 }
 
-/// w_c of eq. 8.2 for both neighbours.
-fn color_weights(guide: Guide, pair: &Pair, params: &FilterParams) -> [f64; 2] {
+/// w_c of eq. 8.2 for both neighbours; the guides are those of the frame of p and of the frame of the neighbours.
+fn color_weights(guides: (Guide, Guide), pair: &Pair, params: &FilterParams) -> [f64; 2] {
     let (f, k, p) = (params.patch_radius, params.k_color, pair.p);
-    pair_weights(pair, params.blend_pairs, |q| patch_distance(guide, k, f, p, q), |q1, q2| patch_distance_to_mean(guide, k, f, p, q1, q2))
+    pair_weights(pair, params.blend_pairs, |q| patch_distance(guides, k, f, p, q), |q1, q2| patch_distance_to_mean(guides, k, f, p, q1, q2))
 }
 
-/// The least weight of all features (eq. 8.3) for both neighbours; 1 without features.
-pub fn feature_weights(features: &[Feature], pair: &Pair, params: &FilterParams) -> [f64; 2] {
+/// The least weight of all features (eq. 8.3) for both neighbours; 1 without features. The features are those of the frame of p and of the frame of the neighbours.
+pub fn feature_weights(features: [&[Feature]; 2], pair: &Pair, params: &FilterParams) -> [f64; 2] {
     if params.k_feature.is_infinite() {
         return [1.0; 2];
     }
-    features.iter().fold([1.0; 2], |least, feature| {
+    let [own, other] = features;
+    own.iter().zip(other).fold([1.0; 2], |least, features| {
         let weights = pair_weights(
             pair,
             params.blend_pairs,
-            |q| feature_distance(feature, params, pair.p, q),
-            |q1, q2| feature_distance_to_mean(feature, params, pair.p, q1, q2),
+            |q| feature_distance(features, params, pair.p, q),
+            |q1, q2| feature_distance_to_mean(features, params, pair.p, q1, q2),
         );
         smaller(least, weights)
     })
@@ -204,14 +242,16 @@ fn smaller(a: [f64; 2], b: [f64; 2]) -> [f64; 2] {
 }
 
 /// d² of section 8.2: the mean of Δ² over the channels and over the pairs (p + n, q + n) that lie inside.
-pub fn patch_distance(guide: Guide, k: f64, f: usize, p: Point, q: Point) -> f64 {
+pub fn patch_distance((at_p, at_q): (Guide, Guide), k: f64, f: usize, p: Point, q: Point) -> f64 {
     let (mut sum, mut count) = (0.0, 0);
     for n in square(f) {
-        if !guide.mean[0].contains(p + n) || !guide.mean[0].contains(q + n) {
+        if !at_p.mean[0].contains(p + n) || !at_q.mean[0].contains(q + n) {
             continue;
         }
-        for (u, v) in guide.mean.iter().zip(guide.variance) {
-            sum += pixel_distance(u.at(p + n), u.at(q + n), v.at(p + n), v.at(q + n), k);
+        for c in 0..at_p.mean.len() {
+            let (u_p, v_p) = (at_p.mean[c].at(p + n), at_p.variance[c].at(p + n));
+            let (u_q, v_q) = (at_q.mean[c].at(q + n), at_q.variance[c].at(q + n));
+            sum += pixel_distance(u_p, u_q, v_p, v_q, k);
             count += 1;
         }
     }
@@ -226,15 +266,16 @@ fn pixel_distance(u_p: f64, u_q: f64, v_p: f64, v_q: f64, k: f64) -> f64 {
 }
 
 /// The patch distance to the mean of q1 and q2: eq. 7.6 with the ε and k² of eq. 7.4.
-pub fn patch_distance_to_mean(guide: Guide, k: f64, f: usize, p: Point, q1: Point, q2: Point) -> f64 {
+pub fn patch_distance_to_mean((at_p, at_q): (Guide, Guide), k: f64, f: usize, p: Point, q1: Point, q2: Point) -> f64 {
     let (mut sum, mut count) = (0.0, 0);
     for n in square(f) {
-        if ![p + n, q1 + n, q2 + n].iter().all(|&x| guide.mean[0].contains(x)) {
+        if ![p + n, q1 + n, q2 + n].iter().all(|&x| at_p.mean[0].contains(x)) {
             continue;
         }
-        for (u, v) in guide.mean.iter().zip(guide.variance) {
-            let (v_p, v_1, v_2) = (v.at(p + n), v.at(q1 + n), v.at(q2 + n));
-            let difference = u.at(p + n) - (u.at(q1 + n) + u.at(q2 + n)) / 2.0;
+        for c in 0..at_p.mean.len() {
+            let (u, v) = (&at_q.mean[c], &at_q.variance[c]);
+            let (v_p, v_1, v_2) = (at_p.variance[c].at(p + n), v.at(q1 + n), v.at(q2 + n));
+            let difference = at_p.mean[c].at(p + n) - (u.at(q1 + n) + u.at(q2 + n)) / 2.0;
             let cancellation = v_p + (v_1.min(v_p) + v_2.min(v_p)) / 4.0;
             sum += (difference * difference - cancellation) / distance_to_mean_scale(v_p, v_1, v_2, k);
             count += 1;
@@ -255,37 +296,54 @@ pub fn distance_to_mean_scale(v_p: f64, v_1: f64, v_2: f64, k: f64) -> f64 {
 
 /// Φ² of section 8.3, the mean over the feature's channels. As printed it is normalised by p alone and cancels all of q's
 /// variance; the symmetric filter treats the features as section 8.2 treats the colour, and scales by both pixels.
-fn feature_distance(feature: &Feature, params: &FilterParams, p: Point, q: Point) -> f64 {
+fn feature_distance(features: (&Feature, &Feature), params: &FilterParams, p: Point, q: Point) -> f64 {
     let k_squared = params.k_feature * params.k_feature;
-    mean_over_channels(feature, params.tau, |u, v, contrast| {
-        let difference = u.at(p) - u.at(q);
-        let (v_p, v_q) = (v.at(p), v.at(q));
-        let (cancellation, scale) = if params.symmetric_features { (v_p + v_q.min(v_p), contrast(p) + contrast(q)) } else { (v_p + v_q, contrast(p)) };
+    mean_over_channels(features, params.tau, |at_p, at_q| {
+        let difference = at_p.mean(p) - at_q.mean(q);
+        let (v_p, v_q) = (at_p.variance(p), at_q.variance(q));
+        let (cancellation, scale) =
+            if params.symmetric_features { (v_p + v_q.min(v_p), at_p.contrast(p) + at_q.contrast(q)) } else { (v_p + v_q, at_p.contrast(p)) };
         (difference * difference - cancellation) / (k_squared * scale)
     })
 }
 
 /// Φ² between p and the mean of q1 and q2, after the manner of eq. 7.6.
-fn feature_distance_to_mean(feature: &Feature, params: &FilterParams, p: Point, q1: Point, q2: Point) -> f64 {
+fn feature_distance_to_mean(features: (&Feature, &Feature), params: &FilterParams, p: Point, q1: Point, q2: Point) -> f64 {
     let k_squared = params.k_feature * params.k_feature;
-    mean_over_channels(feature, params.tau, |u, v, contrast| {
-        let difference = u.at(p) - (u.at(q1) + u.at(q2)) / 2.0;
-        let cancellation = v.at(p) + (v.at(q1).min(v.at(p)) + v.at(q2).min(v.at(p))) / 4.0;
-        let scale = contrast(p) + (contrast(q1) + contrast(q2)) / 4.0;
+    mean_over_channels(features, params.tau, |at_p, at_q| {
+        let difference = at_p.mean(p) - (at_q.mean(q1) + at_q.mean(q2)) / 2.0;
+        let v_p = at_p.variance(p);
+        let cancellation = v_p + (at_q.variance(q1).min(v_p) + at_q.variance(q2).min(v_p)) / 4.0;
+        let scale = at_p.contrast(p) + (at_q.contrast(q1) + at_q.contrast(q2)) / 4.0;
         (difference * difference - cancellation) / (k_squared * scale)
     })
 }
 
-/// The mean over a feature's channels of a function of its mean, its residual variance and the contrast to measure its
-/// differences by: what is left of its noise or its own gradient, at least τ.
-fn mean_over_channels(feature: &Feature, tau: f64, channel: impl Fn(&Grid, &Grid, &dyn Fn(Point) -> f64) -> f64) -> f64 {
-    let channels = feature.mean.len();
-    let sum: f64 = (0..channels)
-        .map(|c| {
-            let (variance, gradient) = (&feature.residual_variance[c], &feature.gradient_squared[c]);
-            let contrast = |x: Point| tau.max(variance.at(x)).max(gradient.at(x));
-            channel(&feature.mean[c], variance, &contrast)
-        })
-        .sum();
-    sum / channels as f64
+/// One channel of a feature.
+struct Channel<'a> {
+    feature: &'a Feature,
+    channel: usize,
+    tau: f64,
+}
+
+impl Channel<'_> {
+    fn mean(&self, x: Point) -> f64 {
+        self.feature.mean[self.channel].at(x)
+    }
+
+    fn variance(&self, x: Point) -> f64 {
+        self.feature.residual_variance[self.channel].at(x)
+    }
+
+    /// What differences are measured by: what is left of the noise or the feature's own gradient, at least τ.
+    fn contrast(&self, x: Point) -> f64 {
+        self.tau.max(self.variance(x)).max(self.feature.gradient_squared[self.channel].at(x))
+    }
+}
+
+/// The mean over a feature's channels of a distance between the frame of p and the frame of q.
+fn mean_over_channels((at_p, at_q): (&Feature, &Feature), tau: f64, distance: impl Fn(Channel, Channel) -> f64) -> f64 {
+    let channels = at_p.mean.len();
+    let of = |feature, channel| Channel { feature, channel, tau };
+    (0..channels).map(|channel| distance(of(at_p, channel), of(at_q, channel))).sum::<f64>() / channels as f64
 }

@@ -1,15 +1,15 @@
 //! `candidate_accumulate` and `candidate_resolve`: FIRST, SECOND and THIRD with their derivatives.
 
 use stein::gpu::Gpu;
-use stein::stage::candidate::{CandidateFilter, Candidates, candidates};
+use stein::stage::candidate::{CandidateBeside, CandidateFilter, Candidates, candidates};
 use stein::stage::nlm::{CentreWeight, Schedule, Weighting};
 
 use crate::common::{Scene, assert_near, bits, calm_scene, checked_gpu, extent_of, gpu, own_size, packed_signal, read, run, scene, upload};
 use crate::feature::{features, pack};
 use crate::nlm::{rule_of, twin_of};
 use crate::reference::candidates::{analytic_derivative, candidate, finite_difference, finite_difference_step};
-use crate::reference::nlm::{Feature, FilterParams, Guide};
-use crate::reference::{Grid, Planes};
+use crate::reference::nlm::{Beside, Feature, FilterParams, Guide, window_weights_in_time};
+use crate::reference::{Grid, Planes, Point, map_pixels};
 use crate::{FILTERED, filtered_twin};
 
 /// A derivative is a difference of two filtered values over the step between them: errors of a millionth of a span, divided by the step. Rounding errors of the
@@ -66,7 +66,7 @@ fn filtered(gpu: &Gpu, case: Case, scene: &Scene, features: &[Feature], schedule
         let signal = rec.upload("signal", &packed_signal(&scene.mean, &scene.spread))?;
         let variance = upload(rec, &scene.variance)?;
         let features = if features.is_empty() { None } else { Some(pack(rec, features)?) };
-        candidates(rec, extent, &signal, &variance, features.as_ref(), &filter(case), schedule, |_, _| Ok(()))
+        candidates(rec, extent, &signal, &variance, features.as_ref(), &[], &filter(case), schedule, |_, _| Ok(()))
     })
 }
 
@@ -95,6 +95,113 @@ fn check_scene(gpu: &Gpu, case: Case, scene: &Scene) {
         };
         let scale: Planes = (0..3).map(per_step).collect();
         assert_near(&what("derivative"), &derivatives[k][..3], &twin.derivative, &scale, DERIVATIVE, 0.0);
+    }
+}
+
+/// One frame of a window in time.
+struct InTime {
+    scene: Scene,
+    features: Vec<Feature>,
+}
+
+impl InTime {
+    fn new(case: Case, seed: u64) -> Self {
+        Self { scene: calm_scene(case.width, case.height, seed), features: features(case.width, case.height, case.features, seed + 100) }
+    }
+
+    fn guide(&self) -> Guide<'_> {
+        Guide { mean: &self.scene.mean, variance: &self.scene.variance }
+    }
+
+    fn payload(&self) -> Planes {
+        [self.scene.mean.as_slice(), &self.scene.spread].concat()
+    }
+}
+
+fn filtered_in_time(gpu: &Gpu, case: Case, frames: &[InTime], schedule: Schedule) -> Candidates {
+    let extent = extent_of(&frames[0].scene.mean[0]);
+    run(gpu, |rec| {
+        let mut uploaded = Vec::new();
+        for InTime { scene, features } in frames {
+            let features = if features.is_empty() { None } else { Some(pack(rec, features)?) };
+            uploaded.push((rec.upload("signal", &packed_signal(&scene.mean, &scene.spread))?, upload(rec, &scene.variance)?, features));
+        }
+        let mut beside = Vec::new();
+        for (signal, variance_of_mean, features) in &uploaded[1..] {
+            beside.push(CandidateBeside { signal, variance_of_mean, features: features.as_ref() });
+        }
+        let (signal, variance, features) = &uploaded[0];
+        candidates(rec, extent, signal, variance, features.as_ref(), &beside, &filter(case), schedule, |_, _| Ok(()))
+    })
+}
+
+/// What one pixel of a filtered payload is.
+struct Average {
+    /// Of each plane.
+    mean: Vec<f64>,
+    /// The weighted mean distance to the centre, and a hundredth of the centre.
+    span: Vec<f64>,
+    weight_sum: f64,
+    centre_weight: f64,
+}
+
+/// The average around p over the first frame, its payload replaced by `own`, and the frames beside it.
+fn average(frames: &[InTime], own: &[Grid], p: Point, params: &FilterParams) -> Average {
+    let guide = Guide { mean: &own[..3], ..frames[0].guide() };
+    let beside: Vec<_> = frames[1..].iter().map(|frame| Beside { guide: Some(frame.guide()), features: &frame.features }).collect();
+    let (weights, others) = window_weights_in_time(&own[0], p, Some(guide), &frames[0].features, &beside, params);
+    let payloads: Vec<_> = frames[1..].iter().map(InTime::payload).collect();
+    let terms = |plane: usize| {
+        let of_own = weights.iter().map(move |(q, w)| (own[plane].at(q), w));
+        let of_others = others.iter().zip(&payloads).flat_map(move |(weights, payload)| weights.iter().map(move |(q, w)| (payload[plane].at(*q), *w)));
+        of_own.chain(of_others)
+    };
+    let weight_sum: f64 = terms(0).map(|(_, w)| w).sum();
+    let mean = |plane: usize| terms(plane).map(|(u, w)| w * u).sum::<f64>() / weight_sum;
+    let span = |plane: usize| {
+        let centre = own[plane].at(p);
+        terms(plane).map(|(u, w)| w * (u - centre).abs()).sum::<f64>() / weight_sum + 0.01 * centre.abs()
+    };
+    let planes = 0..own.len();
+    Average { mean: planes.clone().map(mean).collect(), span: planes.map(span).collect(), weight_sum, centre_weight: weights.centre.1 }
+}
+
+/// A window over three frames.
+fn check_in_time(gpu: &Gpu, case: Case) {
+    let frames: Vec<_> = (0..3).map(|seed| InTime::new(case, 40 + seed)).collect();
+    let actual = filtered_in_time(gpu, case, &frames, SCHEDULE);
+    let own = frames[0].payload();
+    let like = &own[0];
+    let extent = extent_of(like);
+    let derivatives = read(gpu, &actual.derivatives, extent);
+    for (k, params) in twin_params(case).into_iter().enumerate() {
+        let what = |part: &str| format!("{case:?} in time: {} {part}", NAMES[k]);
+        let signal = read(gpu, &actual.signals[k], extent);
+        let expected = map_pixels(case.width, case.height, |p| average(&frames, &own, p, &params));
+        let planes = |value: &dyn Fn(&Average, usize) -> f64| -> Planes {
+            (0..6).map(|plane| Grid { values: expected.iter().map(|of| value(of, plane)).collect(), ..*like }).collect()
+        };
+        let (mean, span) = (planes(&|of, plane| of.mean[plane]), planes(&|of, plane| of.span[plane]));
+        assert_near(&what("mean"), &signal[0][..3], &mean[..3], &span[..3], FILTERED, 0.0);
+        assert_near(&what("half spread"), &signal[1][..3], &mean[3..], &span[3..], FILTERED, 0.0);
+        let weight_sum = [planes(&|of, _| of.weight_sum).remove(0)];
+        assert_near(&what("Σ w"), &signal[0][3..], &weight_sum, &own_size(&weight_sum, 0.0), FILTERED, 0.0);
+
+        let step = |p: Point, i: usize| finite_difference_step(own[i].at(p), frames[0].scene.variance[i].at(p));
+        let derivative = |i: usize| {
+            like.like(|p| {
+                let of = &expected[like.index(p)];
+                if params.k_color.is_infinite() {
+                    return of.centre_weight / of.weight_sum;
+                }
+                let mut stepped = own.clone();
+                stepped[i].values[like.index(p)] += step(p, i);
+                (average(&frames, &stepped, p, &params).mean[i] - of.mean[i]) / step(p, i)
+            })
+        };
+        let derivative: Planes = (0..3).map(derivative).collect();
+        let scale: Planes = (0..3).map(|i| like.like(|p| 1.0 + derivative[i].at(p).abs() + span[i].at(p) / step(p, i).abs())).collect();
+        assert_near(&what("derivative"), &derivatives[k][..3], &derivative, &scale, DERIVATIVE, 0.0);
     }
 }
 
@@ -149,6 +256,18 @@ fn of_one_pixel_one_row_and_one_column() {
 }
 
 #[test]
+fn in_a_window_over_frames() {
+    let case = Case { width: 23, height: 17, window_radius: 3, features: &[3, 1], ..WIDE };
+    check_in_time(gpu(), case);
+    check_in_time(gpu(), Case { features: &[], ..case });
+    check_in_time(gpu(), Case { symmetric: false, centre: CentreWeight::One, ..case });
+    check_in_time(checked_gpu(), Case { width: 9, height: 12, ..case });
+    for (width, height) in [(1, 1), (1, 9), (9, 1)] {
+        check_in_time(gpu(), Case { width, height, ..case });
+    }
+}
+
+#[test]
 fn from_checked_kernels() {
     check(checked_gpu(), Case { width: 19, height: 14, window_radius: 4, features: &[3, 1, 1], ..WIDE });
     check(checked_gpu(), Case { width: 19, height: 14, window_radius: 4, features: &[], symmetric: false, ..WIDE });
@@ -171,6 +290,12 @@ fn every_schedule_gives_the_same_bits() {
                 assert!(result(schedule) == whole, "{case:?} with {schedule:?}");
             }
         }
+        let frames: Vec<_> = (0..2).map(|seed| InTime::new(case, 50 + seed)).collect();
+        let in_time = |schedule| filtered_in_time(gpu(), case, &frames, schedule).signals.map(|buffer| bits(gpu(), &buffer));
+        let whole = in_time(Schedule { scratch_bytes: 64 << 20, block_rows: 16 });
+        for scratch_bytes in [16, 30_000] {
+            assert!(in_time(Schedule { scratch_bytes, block_rows: 5 }) == whole, "{case:?} in time with {scratch_bytes} bytes");
+        }
     }
 }
 
@@ -190,7 +315,7 @@ fn finite_differences_approach_the_analytic_derivative() {
                 let signal = rec.upload("signal", &packed_signal(&scene.mean, &scene.spread))?;
                 let variance = upload(rec, &scene.variance)?;
                 let packed = pack(rec, &features)?;
-                candidates(rec, extent, &signal, &variance, Some(&packed), &filter(case), SCHEDULE, |_, _| Ok(()))
+                candidates(rec, extent, &signal, &variance, Some(&packed), &[], &filter(case), SCHEDULE, |_, _| Ok(()))
             })
             .derivatives;
             for (k, (actual, params)) in read(gpu(), &derivatives, extent).into_iter().zip(twin_params(case)).enumerate() {

@@ -3,7 +3,7 @@
 use stein::gpu::Gpu;
 use stein::stage::error::error_halves;
 use stein::stage::half::{half_join, half_split};
-use stein::stage::nlm::{CentreWeight, Filtered, Guide, Schedule, Symmetry, Weighting, nlm_filter};
+use stein::stage::nlm::{CentreWeight, Filtered, Guide, Payload, Schedule, Symmetry, Weighting, nlm_filter};
 use stein::stage::sample::{GpuSamples, sample_attach};
 use stein::stage::variance::{variance_clamp, variance_pair};
 
@@ -62,9 +62,10 @@ fn filtered(gpu: &Gpu, case: Case, guide: &Scene, payload: &[Grid], schedule: Sc
             small_patch_radius: None,
             patchwise: case.patchwise,
             cut: case.cut,
+            beside: &[],
         };
         let weighting = Weighting { symmetric: case.symmetric, centre: case.centre };
-        nlm_filter(rec, extent, &guide, &payload, 1, case.window_radius, weighting, case.residual, schedule)
+        nlm_filter(rec, extent, &guide, &Payload::new(&payload, 1), case.window_radius, weighting, case.residual, schedule)
     })
 }
 

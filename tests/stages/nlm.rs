@@ -1,11 +1,11 @@
 //! `nlm_distance` and `nlm_filter`: one operator, so they are tested together.
 
 use stein::gpu::Gpu;
-use stein::stage::nlm::{CentreWeight, Filtered, Guide, Schedule, Symmetry, Weighting, nlm_filter};
+use stein::stage::nlm::{Beside, CentreWeight, Filtered, Guide, Payload, Schedule, Symmetry, Weighting, nlm_filter};
 
 use crate::common::{Scene, assert_near, bits, calm_scene, checked_gpu, extent_of, gpu, own_size, packed, read, run, scene, upload};
 use crate::reference::random::Random;
-use crate::reference::{self, Grid, Planes};
+use crate::reference::{self, Grid, Planes, Point};
 use crate::{FILTERED, filtered_twin};
 
 #[derive(Clone, Copy, Debug)]
@@ -47,9 +47,10 @@ fn filtered(gpu: &Gpu, case: Case, guide: &Scene, payload: &[Planes], schedule: 
             small_patch_radius: None,
             patchwise: false,
             cut: 0.0,
+            beside: &[],
         };
         let weighting = Weighting { symmetric: rule_of(case.symmetric), centre: case.centre };
-        nlm_filter(rec, extent, &guide, &payload, case.payload_planes as u32, case.window_radius, weighting, case.residual, schedule)
+        nlm_filter(rec, extent, &guide, &Payload::new(&payload, case.payload_planes as u32), case.window_radius, weighting, case.residual, schedule)
     })
 }
 
@@ -104,6 +105,76 @@ fn check_guide(gpu: &Gpu, case: Case, guide: &Scene) {
     }
 }
 
+/// Neighbours from a frame beside, with the residual variance: the feature prefilter of a window in time.
+fn check_in_time(gpu: &Gpu, case: Case) {
+    let guides = [20, 21].map(|seed| calm_scene(case.width, case.height, seed));
+    let payloads = [22, 23].map(|seed| payload(case, &scene(case.width, case.height, seed)));
+    let like = &guides[0].mean[0];
+    let extent = extent_of(like);
+    let actual = run(gpu, |rec| {
+        let signals = [upload(rec, &guides[0].mean[..case.channels])?, upload(rec, &guides[1].mean[..case.channels])?];
+        let variances = [upload(rec, &guides[0].variance[..case.channels])?, upload(rec, &guides[1].variance[..case.channels])?];
+        let packed = |payload: &[Planes]| payload.iter().map(|plane| packed(plane)).collect::<Vec<_>>().concat();
+        let payloads = [rec.upload("payload", &packed(&payloads[0]))?, rec.upload("payload beside", &packed(&payloads[1]))?];
+        let guide = Guide {
+            signal: &signals[0],
+            variance_of_mean: &variances[0],
+            channels: case.channels as u32,
+            k: K,
+            alpha: 1.0,
+            patch_radius: case.patch_radius,
+            small_patch_radius: None,
+            patchwise: false,
+            cut: 0.0,
+            beside: &[Beside { signal: &signals[1], variance_of_mean: &variances[1] }],
+        };
+        let weighting = Weighting { symmetric: rule_of(case.symmetric), centre: case.centre };
+        let payload = Payload { planes: &payloads[0], count: case.payload_planes as u32, beside: &[&payloads[1]] };
+        nlm_filter(rec, extent, &guide, &payload, case.window_radius, weighting, case.residual, SCHEDULE)
+    });
+
+    let params = twin_params(case);
+    let twin = |frame: usize| reference::nlm::Guide { mean: &guides[frame].mean[..case.channels], variance: &guides[frame].variance[..case.channels] };
+    let beside = [reference::nlm::Beside { guide: Some(twin(1)), features: &[] }];
+    let windows = reference::map_pixels(case.width, case.height, |p| {
+        let (own, others) = reference::nlm::window_weights_in_time(like, p, Some(twin(0)), &[], &beside, &params);
+        [own.iter().collect::<Vec<_>>(), others[0].clone()]
+    });
+    // Σ over both frames of a function of frame, position and weight.
+    let sum = |term: &dyn Fn(usize, Point, f64) -> f64| {
+        let of = |window: &[Vec<(Point, f64)>; 2]| (0..2).flat_map(|frame| window[frame].iter().map(move |(q, w)| term(frame, *q, *w))).sum();
+        Grid { values: windows.iter().map(of).collect(), ..*like }
+    };
+    let weight_sum = sum(&|_, _, w| w);
+    let planes: [Planes; 2] = payloads.map(|planes| planes.concat());
+    let mean = |plane: usize| {
+        let sums = sum(&|frame, q, w| w * planes[frame][plane].at(q));
+        like.like(|p| sums.at(p) / weight_sum.at(p))
+    };
+    let span = |plane: usize| {
+        let at = |p: Point, window: &[Vec<(Point, f64)>; 2]| {
+            let centre = planes[0][plane].at(p);
+            let terms = (0..2).flat_map(|frame| window[frame].iter().map(move |(q, w)| (frame, *q, *w)));
+            terms.map(|(frame, q, w)| w * (planes[frame][plane].at(q) - centre).abs()).sum::<f64>() / weight_sum.at(p) + 0.01 * centre.abs()
+        };
+        like.like(|p| at(p, &windows[like.index(p)]))
+    };
+    let count = 0..planes[0].len();
+    let (means, spans): (Planes, Planes) = (count.clone().map(mean).collect(), count.map(span).collect());
+    assert_near(&format!("{case:?} in time"), &read(gpu, &actual.planes, extent).concat(), &means, &spans, FILTERED, 0.0);
+    let (what, sums) = (format!("{case:?} in time: Σ w"), std::slice::from_ref(&weight_sum));
+    assert_near(&what, &read(gpu, &actual.weights, extent).remove(0), sums, &own_size(sums, 0.0), FILTERED, 0.0);
+    if let Some(residual) = &actual.residual_variance {
+        let of_channel = |channel: usize| {
+            let sums = sum(&|frame, q, w| w * w * guides[frame].variance[channel].at(q));
+            like.like(|p| sums.at(p) / weight_sum.at(p).powi(2))
+        };
+        let expected: Planes = (0..case.channels).map(of_channel).collect();
+        let what = format!("{case:?} in time: residual variance");
+        assert_near(&what, &read(gpu, residual, extent).remove(0), &expected, &own_size(&expected, 1e-26), 4.0 * FILTERED, 0.0);
+    }
+}
+
 const PLAIN: Case = Case {
     width: 257,
     height: 89,
@@ -154,6 +225,14 @@ fn images_of_one_pixel_one_row_and_one_column() {
         check(gpu(), Case { width, height, residual: true, ..WIDE });
         check(gpu(), Case { width, height, residual: true, ..PLAIN });
     }
+}
+
+#[test]
+fn windows_over_two_frames() {
+    let case = Case { width: 31, height: 18, window_radius: 4, ..WIDE };
+    check_in_time(gpu(), Case { residual: true, ..case });
+    check_in_time(gpu(), Case { channels: 1, symmetric: false, centre: CentreWeight::One, payload_planes: 1, ..case });
+    check_in_time(checked_gpu(), Case { width: 1, height: 9, ..case });
 }
 
 #[test]

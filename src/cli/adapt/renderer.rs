@@ -35,6 +35,8 @@ pub(crate) struct Renderer<'a> {
     turn: Turn,
     /// Passes on what the command says.
     talk: bool,
+    /// Tells what looks wrong and is not.
+    warn: bool,
 }
 
 impl<'a> Renderer<'a> {
@@ -49,8 +51,8 @@ impl<'a> Renderer<'a> {
     }
 
     /// Finds the maps in `folder`, where they must be before they are drawn.
-    pub(crate) fn new(command: &'a str, extent: Extent, folder: &'a Path, turn: Turn, talk: bool) -> Self {
-        Self { command, extent, folder, turn, talk: talk && is_watched() }
+    pub(crate) fn new(command: &'a str, extent: Extent, folder: &'a Path, turn: Turn, quiet: bool) -> Self {
+        Self { command, extent, folder, turn, talk: !quiet && is_watched(), warn: !quiet }
     }
 
     fn file(&self, kind: &str) -> PathBuf {
@@ -92,7 +94,7 @@ impl Sampler for Renderer<'_> {
         self.extent
     }
 
-    fn sample(&mut self, _counts: &SampleCounts, _progress: Progress<'_>) -> Result<Samples> {
+    fn sample(&mut self, counts: &SampleCounts, _progress: Progress<'_>) -> Result<Samples> {
         let (map, out) = (self.file("map"), self.file("new"));
         let unusable = |problem: String, remedy: String| Error::File { path: out.clone(), problem, remedy };
         // What an interrupted run left must not be taken for an answer.
@@ -113,6 +115,10 @@ impl Sampler for Renderer<'_> {
         if samples.extent() != self.extent {
             let problem = format!("is of {}, but the map of {}", samples.extent(), self.extent);
             return Err(unusable(problem, "let the renderer take its size from the map, or give --size".into()));
+        }
+        let (asked, drawn) = (counts.total_samples(), samples.counts().total_samples());
+        if self.warn && asked != drawn {
+            eprintln!("warning: {}: holds {drawn} samples, but the map asks for {asked}; what was drawn counts", out.display());
         }
         self.turn = match self.turn {
             Turn::Iteration(iteration) => Turn::Iteration(iteration + 1),

@@ -1,0 +1,92 @@
+//! Frames on their way from the files to the device: each is read once, and the next one while the device works.
+
+use std::collections::VecDeque;
+use std::ops::Range;
+use std::sync::mpsc::{Receiver, sync_channel};
+use std::thread::Scope;
+
+use stein::buffers::BufferSet;
+use stein::image::Window;
+use stein::{Frame, Image};
+
+use super::plan::Read;
+use crate::cli::inspect::{Input, settle};
+use crate::cli::{Failure, quality};
+
+/// A frame in memory.
+pub(super) struct ReadFrame {
+    pub(super) number: Option<u32>,
+    pub(super) frame: Frame,
+    pub(super) reference: Option<Image>,
+    /// What its output is made from, until that is written; of a frame that is only looked at, nothing.
+    pub(super) original: Option<(Box<BufferSet>, Box<Input>)>,
+    pub(super) data_window: Window,
+}
+
+/// Why a frame cannot be used, and what its file holds where that could be read.
+pub(super) struct Unusable {
+    pub(super) described: Option<Box<Input>>,
+    pub(super) failure: Failure,
+}
+
+impl From<Failure> for Unusable {
+    fn from(failure: Failure) -> Self {
+        Self { described: None, failure }
+    }
+}
+
+/// The frames of a window, which moves forwards. They are all that is in memory, and the one that is being read.
+pub(super) struct Frames {
+    incoming: Receiver<Result<ReadFrame, Unusable>>,
+    held: VecDeque<ReadFrame>,
+    /// Position of the first one held among all that are read.
+    first: usize,
+}
+
+impl Frames {
+    /// Starts to read.
+    pub(super) fn start<'scope>(scope: &'scope Scope<'scope, '_>, reads: &'scope [Read]) -> Self {
+        // No buffer: the reader waits with one frame in its hands.
+        let (sender, incoming) = sync_channel(0);
+        scope.spawn(move || {
+            for read in reads {
+                let frame = load(read).map_err(|unusable| Unusable { failure: unusable.failure.in_frame(read.number), ..unusable });
+                let is_last = frame.is_err();
+                // Nobody listens any more once the work has failed.
+                if sender.send(frame).is_err() || is_last {
+                    break;
+                }
+            }
+        });
+        Self { incoming, held: VecDeque::new(), first: 0 }
+    }
+
+    /// Lets go of what lies before the window and waits until all of it is there.
+    pub(super) fn move_to(&mut self, window: &Range<usize>) -> Result<&mut [ReadFrame], Unusable> {
+        while self.first < window.start && self.held.pop_front().is_some() {
+            self.first += 1;
+        }
+        while self.first + self.held.len() < window.end {
+            let frame = self.incoming.recv().map_err(|_| Failure::input("a frame is missing after all have been read"))??;
+            self.held.push_back(frame);
+        }
+        Ok(&mut self.held.make_contiguous()[..window.len()])
+    }
+}
+
+fn load(read: &Read) -> Result<ReadFrame, Unusable> {
+    let set = read.source.read(&read.input)?;
+    let (frame, described) = settle(&set);
+    let described = Box::new(described);
+    let frame = match frame {
+        Ok(frame) => frame,
+        Err(error) => return Err(Unusable { described: Some(described), failure: Failure::in_file(&read.input, error) }),
+    };
+    let reference = match read.reference.as_ref().map(|reference| quality::read(reference, &frame, &read.input)).transpose() {
+        Ok(reference) => reference,
+        Err(failure) => return Err(Unusable { described: Some(described), failure }),
+    };
+    let data_window = set.data_window();
+    let original = read.is_denoised.then(|| (Box::new(set), described));
+    Ok(ReadFrame { number: read.number, frame, reference, original, data_window })
+}

@@ -1,0 +1,134 @@
+//! Windows over several frames of a shot (thesis 7.3 and 8.6).
+
+use stein::frame::{SamplesPerPixel, Signal};
+use stein::gpu::{Gpu, GpuOptions};
+use stein::sampling::stub::{Sequence, StubSampler, scene};
+use stein::sampling::{SampleCounts, Sampler};
+use stein::{Denoiser, DfcParams, Error, Estimate, Extent, Frame, Image, Options, metric};
+
+use crate::common::{gpu, open};
+
+const EXTENT: Extent = Extent { width: 40, height: 40 };
+
+/// A still of the built-in scene `dof`; another seed is another frame of a shot in which nothing moves.
+fn still(samples: u32, seed: u64) -> Frame {
+    let scene = scene("dof").unwrap_or_else(|| panic!("no such scene"));
+    let counts = SampleCounts::uniform(EXTENT, samples).unwrap_or_else(|error| panic!("{error}"));
+    let samples = StubSampler::new(scene, EXTENT, seed, Sequence::Random).sample(&counts, None).unwrap_or_else(|error| panic!("{error}"));
+    samples.to_frame().unwrap_or_else(|error| panic!("{error}")).0
+}
+
+fn denoiser(gpu: &Gpu) -> Denoiser {
+    Denoiser::new(gpu, DfcParams { window_radius: 5, ..DfcParams::default() }).unwrap_or_else(|error| panic!("{error}"))
+}
+
+fn window(denoiser: &Denoiser, frames: &[&Frame], centre: usize) -> Estimate {
+    denoiser.denoise_window(frames, centre, Options::default()).unwrap_or_else(|error| panic!("{error}"))
+}
+
+fn error(image: &Image, reference: &Frame) -> f64 {
+    metric::relative_mse(image, &reference.color().mean).unwrap_or_else(|error| panic!("{error}"))
+}
+
+#[test]
+fn a_static_shot_of_n_frames_is_as_good_as_n_times_the_samples() {
+    let reference = still(2048, 1000);
+    let denoiser = denoiser(gpu());
+    let (mut alone, mut together, mut at_once) = (0.0, 0.0, 0.0);
+    for shot in 0..3 {
+        let frames: Vec<Frame> = (0..3).map(|frame| still(8, 10 * shot + frame)).collect();
+        alone += error(&denoiser.denoise(&frames[1]).unwrap_or_else(|error| panic!("{error}")).color, &reference);
+        together += error(&window(&denoiser, &frames.iter().collect::<Vec<_>>(), 1).color, &reference);
+        at_once += error(&window(&denoiser, &[&still(24, 10 * shot + 5)], 0).color, &reference);
+    }
+    assert!(together < 0.65 * alone, "{alone} became {together}");
+    assert!(together < 1.3 * at_once, "three frames: {together}, their samples in one: {at_once}");
+}
+
+#[test]
+fn strips_in_time_give_the_bits_of_the_whole_and_keep_to_the_memory_allowed() {
+    let frames: Vec<Frame> = (0..3).map(|seed| tall(&still(4, seed))).collect();
+    let frames: Vec<&Frame> = frames.iter().collect();
+    let whole = window(&denoiser(gpu()), &frames, 0);
+    assert_eq!(whole.strips, 1);
+    // Of its own: what other tests hold would count.
+    let gpu = open(GpuOptions::default());
+    let limit = 10_000_000;
+    let in_strips = window(&denoiser(&gpu).with_max_memory(limit), &frames, 0);
+    assert!(in_strips.strips >= 2, "{} strips", in_strips.strips);
+    assert!(in_strips.peak_bytes <= limit, "{} bytes where {limit} were allowed", in_strips.peak_bytes);
+    assert!(in_strips.color == whole.color && in_strips.error == whole.error);
+}
+
+/// Seven times its height, mirrored.
+fn tall(frame: &Frame) -> Frame {
+    let stack = |image: &Image| {
+        let (width, height) = (image.extent.width as usize, image.extent.height as usize);
+        let mirrored = |row: usize| if (row / height).is_multiple_of(2) { row % height } else { height - 1 - row % height };
+        let planes = image.planes.iter().map(|plane| (0..7 * height).flat_map(|row| plane[mirrored(row) * width..][..width].to_vec()).collect());
+        Image { extent: Extent { height: 7 * image.extent.height, ..image.extent }, planes: planes.collect() }
+    };
+    changed(frame, |_, signal| Signal {
+        mean: stack(&signal.mean),
+        half_spread: signal.half_spread.as_ref().map(stack),
+        variance_of_mean: signal.variance_of_mean.as_ref().map(stack),
+    })
+}
+
+/// Each signal, the colour's under the name of "colour", made into another.
+fn changed(frame: &Frame, mut change: impl FnMut(&str, Signal) -> Signal) -> Frame {
+    let color = change("colour", frame.color().clone());
+    let features = frame.features().iter().map(|feature| (feature.name.clone(), change(&feature.name, feature.signal.clone()))).collect();
+    Frame::new(color, features, SamplesPerPixel::Unknown).unwrap_or_else(|error| panic!("{error}")).0
+}
+
+/// One far pixel shrinks all other depths of its frame within the unit range; those of the window must be compared as they were.
+#[test]
+fn features_of_a_window_are_compared_in_the_units_of_one_frame() {
+    let [centre, beside] = [1, 2].map(|seed| still(8, seed));
+    // All are made anew, from the same units.
+    let same = |_: &str, signal: Signal| signal;
+    let far = |name: &str, mut signal: Signal| {
+        if name == "depth" {
+            signal.mean.planes[0][0] = 20.0;
+        }
+        signal
+    };
+    let centre = changed(&centre, same);
+    let mean_weight_sum = |frames: &[&Frame]| {
+        let weight_sum = window(&denoiser(gpu()), frames, 0).weight_sum;
+        weight_sum.planes[0].iter().sum::<f32>() / weight_sum.planes[0].len() as f32
+    };
+    let (alone, as_it_was) = (mean_weight_sum(&[&centre]), mean_weight_sum(&[&centre, &changed(&beside, same)]));
+    assert!(as_it_was > 1.5 * alone, "{alone} {as_it_was}");
+    let ratio = mean_weight_sum(&[&centre, &changed(&beside, far)]) / as_it_was;
+    assert!((ratio - 1.0).abs() < 0.02, "Σ w changed by a factor of {ratio}");
+}
+
+#[test]
+fn a_feature_that_one_frame_lacks_is_left_out_of_the_window() {
+    let [centre, beside] = [1, 2].map(|seed| still(8, seed));
+    let same = |_: &str, signal: Signal| signal;
+    let without_depth = |name: &str, signal: Signal| {
+        // The same everywhere: such a feature is dropped.
+        if name == "depth" { Signal { mean: Image::filled(EXTENT, 1, 0.5), half_spread: None, variance_of_mean: None } } else { signal }
+    };
+    let without = changed(&beside, without_depth);
+    assert!(without.features().len() + 1 == beside.features().len());
+    let one = window(&denoiser(gpu()), &[&changed(&centre, same), &without], 0);
+    let both = window(&denoiser(gpu()), &[&changed(&centre, without_depth), &without], 0);
+    assert!(one.color == both.color);
+}
+
+#[test]
+fn frames_that_do_not_fit_together_are_refused() {
+    let frame = still(4, 1);
+    let other_extent = tall(&frame);
+    let no_halves = changed(&frame, |_, signal| Signal { half_spread: None, ..signal });
+    for (other, what) in [(&other_extent, "40×280"), (&no_halves, "halves")] {
+        let refused = denoiser(gpu()).denoise_window(&[&frame, other], 0, Options::default());
+        let Err(Error::Request { problem, .. }) = refused else { panic!("{what} was accepted") };
+        assert!(problem.contains("frame 1") && problem.contains(what), "{problem}");
+    }
+    assert!(matches!(denoiser(gpu()).denoise_window(&[&frame], 1, Options::default()), Err(Error::Request { .. })));
+}

@@ -1,0 +1,205 @@
+//! Shots on the command line: patterns, windows over frames, interruptions, flicker.
+#![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
+
+#[allow(dead_code, unreachable_pub, reason = "every test includes all shared pieces and uses a part of them")]
+#[path = "common/process.rs"]
+mod process;
+
+use std::path::{Path, PathBuf};
+
+use process::{Folder, Outcome, channels, stein, test_image};
+use serde_json::{Value, json};
+use stein::buffers::read_reference;
+use stein::metric;
+
+const RADIUS: &str = "--radius=2";
+
+/// A folder with the four frames of the short shot, and their references.
+fn shot() -> Folder {
+    let folder = Folder::new();
+    for frame in 0..4 {
+        for kind in ["shot", "reference"] {
+            let name = format!("{kind}.{frame:04}.exr");
+            std::fs::copy(test_image(&format!("anim/{name}")), folder.path(&name)).unwrap();
+        }
+    }
+    folder
+}
+
+/// Denoises frames of the shot to `<name>.####.exr`.
+fn denoise(folder: &Folder, name: &str, more: &[&str]) -> Outcome {
+    let (input, output) = (folder.path("shot.####.exr"), folder.path(&format!("{name}.%04d.exr")));
+    stein(&[&["denoise", &input, "-o", &output, RADIUS], more].concat())
+}
+
+fn path(folder: &Folder, name: &str, frame: u32) -> String {
+    folder.path(&format!("{name}.{frame:04}.exr"))
+}
+
+/// The outputs in the folder, and whatever else did not lie there from the beginning.
+fn new_names(folder: &Folder) -> Vec<String> {
+    folder.names().into_iter().filter(|name| !name.starts_with("shot.") && !name.starts_with("reference.")).collect()
+}
+
+#[test]
+fn a_shot_in_pieces_is_the_shot_as_a_whole() {
+    let folder = shot();
+    let window = "--temporal-radius=1";
+    let document = denoise(&folder, "whole", &[window, "--json"]).succeeded().json();
+    let windows: Vec<_> = document["frames"].as_array().unwrap().iter().map(|frame| frame["window"].clone()).collect();
+    assert_eq!(windows, [json!([0, 1]), json!([0, 1, 2]), json!([1, 2, 3]), json!([2, 3])]);
+    assert_eq!(document["temporal_radius"], 1);
+    assert_eq!(document["frames"][3]["report"]["input"]["frame"]["mode"], "full");
+    assert!(document["frames"][3]["report"]["run"]["seconds"].is_f64());
+
+    for (piece, frames) in [("a", "--frames=0-1"), ("b", "--frames=3"), ("c", "--frames=0-2x2")] {
+        denoise(&folder, piece, &[window, frames]).succeeded();
+    }
+    for (piece, frame) in [("a", 0), ("a", 1), ("b", 3), ("c", 0), ("c", 2)] {
+        assert_eq!(channels(&path(&folder, piece, frame)), channels(&path(&folder, "whole", frame)), "{piece} {frame}");
+    }
+    assert_eq!(new_names(&folder).iter().filter(|name| !name.starts_with("whole")).count(), 5);
+
+    // One frame at a time is the same as each on its own.
+    denoise(&folder, "still", &["--frames=1"]).succeeded();
+    stein(&["denoise", &path(&folder, "shot", 1), "-o", &folder.path("single.exr"), RADIUS]).succeeded();
+    assert_eq!(channels(&path(&folder, "still", 1)), channels(&folder.path("single.exr")));
+    assert_ne!(channels(&path(&folder, "still", 1)), channels(&path(&folder, "whole", 1)), "neighbours take part");
+}
+
+#[test]
+fn a_broken_frame_ends_the_run_and_no_clobber_goes_on() {
+    let folder = shot();
+    let broken = path(&folder, "shot", 2);
+    let intact = std::fs::read(&broken).unwrap();
+    std::fs::write(&broken, &intact[..intact.len() / 2]).unwrap();
+    denoise(&folder, "clean", &[]).failed(3, &["frame 2: ", "shot.0002.exr", "remedy: "]);
+    assert_eq!(new_names(&folder), ["clean.0000.exr", "clean.0001.exr"], "finished frames stay, and nothing half done");
+    // A neighbour that cannot be read stops the frame beside it.
+    denoise(&folder, "window", &["--temporal-radius=1"]).failed(3, &["frame 2: ", "shot.0002.exr"]);
+    assert!(!Path::new(&path(&folder, "window", 1)).exists() && Path::new(&path(&folder, "window", 0)).exists());
+
+    std::fs::write(&broken, &intact).unwrap();
+    let first = path(&folder, "window", 0);
+    let (before, modified) = (std::fs::read(&first).unwrap(), std::fs::metadata(&first).unwrap().modified().unwrap());
+    let document = denoise(&folder, "window", &["--temporal-radius=1", "--no-clobber", "--json"]).succeeded().json();
+    let left_alone: Vec<_> = document["frames"].as_array().unwrap().iter().map(|frame| frame["is_left_alone"] == true).collect();
+    assert_eq!(left_alone, [true, false, false, false]);
+    assert_eq!(document["frames"][0]["report"], Value::Null);
+    assert_eq!(document["frames"][1]["window"], json!([0, 1, 2]), "what is left alone still helps its neighbour");
+    assert_eq!((std::fs::read(&first).unwrap(), std::fs::metadata(&first).unwrap().modified().unwrap()), (before, modified));
+
+    denoise(&folder, "whole", &["--temporal-radius=1"]).succeeded();
+    for frame in 0..4 {
+        assert_eq!(channels(&path(&folder, "window", frame)), channels(&path(&folder, "whole", frame)), "{frame}");
+    }
+    let again = denoise(&folder, "whole", &["--no-clobber"]).succeeded();
+    again.said(&["4 of 4 frames had an output"]);
+}
+
+#[test]
+fn a_missing_frame_is_told_before_any_work() {
+    let folder = shot();
+    std::fs::remove_file(path(&folder, "shot", 2)).unwrap();
+    denoise(&folder, "clean", &["--frames=0-3"]).failed(3, &["frame 2: ", "shot.0002.exr", "does not exist", "remedy: "]);
+    let reference = folder.path("shot.####.exr");
+    denoise(&folder, "clean", &["--frames=0", "--temporal-radius=1", "--ref", &folder.path("ref.####.exr")]).failed(3, &["frame 0: ", "ref.0000.exr"]);
+    denoise(&folder, "clean", &["--half-a", &folder.path("a.####.exr"), "--half-b", &reference]).failed(3, &["frame 0: ", "a.0000.exr"]);
+    assert_eq!(new_names(&folder), Vec::<String>::new());
+
+    // Without a list, those that exist; a gap is not bridged.
+    let dry = denoise(&folder, "clean", &["--temporal-radius=1", "--dry-run", "--json"]).succeeded().json();
+    let windows: Vec<_> = dry["frames"].as_array().unwrap().iter().map(|frame| (frame["frame"].clone(), frame["window"].clone())).collect();
+    assert_eq!(windows, [(json!(0), json!([0, 1])), (json!(1), json!([0, 1])), (json!(3), json!([3]))]);
+    let dry = denoise(&folder, "clean", &["--temporal-radius=1", "--dry-run"]).succeeded();
+    dry.said(&["nothing is written", "shot.0001.exr -> ", "clean.0001.exr, with 0\n"]);
+    assert_eq!(new_names(&folder), Vec::<String>::new());
+}
+
+#[test]
+fn a_frame_of_another_size_is_named() {
+    let folder = shot();
+    std::fs::copy(test_image("cornell_8spp.exr"), path(&folder, "shot", 1)).unwrap();
+    denoise(&folder, "clean", &["--temporal-radius=1"]).failed(3, &["frame 1: ", "96×96", "28×28", "remedy: "]);
+    assert_eq!(new_names(&folder), Vec::<String>::new());
+    // Nothing is wrong with it where each frame stands for itself.
+    denoise(&folder, "clean", &["--frames=0-1"]).succeeded();
+    assert_eq!(new_names(&folder), ["clean.0000.exr", "clean.0001.exr"]);
+}
+
+#[test]
+fn flicker_and_mean_error_of_a_shot_are_told() {
+    let folder = shot();
+    let reference = folder.path("reference.####.exr");
+    let document = denoise(&folder, "clean", &["--frames=0-1,3", "--ref", &reference, "--json"]).succeeded().json();
+    let image = |name: &str, frame| read_reference(&PathBuf::from(path(&folder, name, frame)), None).unwrap();
+    let references = [0, 1, 3].map(|frame| image("reference", frame));
+    for (index, (key, file)) in [("noisy", "shot"), ("result", "clean")].into_iter().enumerate() {
+        let images = [0, 1, 3].map(|frame| image(file, frame));
+        let flicker = metric::flicker([&images[0], &images[1]], [&references[0], &references[1]]).unwrap();
+        let error = images.iter().zip(&references).map(|(image, reference)| metric::relative_mse(image, reference).unwrap()).sum::<f64>() / 3.0;
+        let told = &document["errors"]["images"][index];
+        assert_eq!(told["image"], key);
+        assert!((told["flicker"].as_f64().unwrap() / flicker - 1.0).abs() < 1e-6, "{told} {flicker}");
+        assert!((told["mean_relative_mse"].as_f64().unwrap() / error - 1.0).abs() < 1e-6, "{told} {error}");
+    }
+    let errors = &document["errors"];
+    assert_eq!((&errors["frames"], &errors["pairs"]), (&json!(3), &json!(1)), "frames 1 and 3 are not consecutive");
+    assert!(errors["images"][1]["flicker"].as_f64() < errors["images"][0]["flicker"].as_f64());
+    assert!(document["frames"][0]["report"]["errors"][0]["relative_mse"].is_f64());
+
+    let text = denoise(&folder, "clean", &["--frames=0,1", "--ref", &reference]).succeeded();
+    text.said(&["mean relative MSE", "flicker (1 pair)", "clean.0001.exr: ", ", relative MSE "]);
+    assert_eq!(text.stdout.matches("feature normal").count(), 1, "what holds for all frames is said once: {}", text.stdout);
+}
+
+#[test]
+fn other_files_of_a_frame_may_be_patterns_too() {
+    let folder = shot();
+    let layer = |name: &str| format!("{}::{name}", folder.path("shot.%04d.exr"));
+    let (a, b, normal) = (layer("halfA"), layer("halfB"), format!("n={}", layer("normal")));
+    let arguments = ["--frames=2", "--half-a", &a, "--half-b", &b, "--no-features", "--feature", &normal];
+    denoise(&folder, "pattern", &arguments).succeeded().said(&["feature n", "normal_halfA"]);
+    let skip = ["--frames=2", "--skip-feature=depth"];
+    denoise(&folder, "own", &skip).succeeded();
+    assert_eq!(channels(&path(&folder, "pattern", 2)), channels(&path(&folder, "own", 2)));
+}
+
+#[test]
+fn outputs_need_a_place_and_replace_nothing_that_is_read() {
+    let folder = shot();
+    let (input, first) = (folder.path("shot.####.exr"), path(&folder, "shot", 0));
+    stein(&["denoise", &input, "-o", &folder.path("clean.exr")]).failed(2, &["clean.exr", "no place for the frame number", "remedy: "]);
+    stein(&["denoise", &input, "-o", &input]).failed(5, &["shot.0000.exr", "is also read", "remedy: "]);
+    stein(&["denoise", &input, "-o", &input, "--no-clobber"]).failed(5, &["is also read"]);
+    stein(&["denoise", &input, "-o", &folder.path("missing/clean.#.exr")]).failed(5, &["missing/clean.0.exr", "remedy: "]);
+    stein(&["denoise", &input, "-o", &folder.path("clean.#.png")]).failed(2, &[".exr"]);
+    stein(&["denoise", &folder.path("shut.####.exr")]).failed(3, &["shut.####.exr", "there is no such frame"]);
+    stein(&["denoise", &input, "--frames=5-1"]).failed(2, &["backwards"]);
+    stein(&["denoise", &input, "--temporal-radius=17"]).failed(2, &["0..=16"]);
+    stein(&["denoise", &input, "--frames=-5"]).failed(2, &["numbered from 0"]);
+    for option in ["--frames=1", "--temporal-radius=1"] {
+        stein(&["denoise", &first, option]).failed(2, &["is a single image", "remedy: "]);
+    }
+    stein(&["denoise", &first, "-o", &folder.path("clean.#.exr")]).failed(2, &["is a single image"]);
+    assert_eq!(new_names(&folder), Vec::<String>::new());
+
+    // Into a folder, under the usual name.
+    std::fs::create_dir(folder.path("out")).unwrap();
+    stein(&["denoise", &input, "-o", &folder.path("out"), "--frames=1", "--radius=1", "--quiet"]).succeeded();
+    assert!(Path::new(&folder.path("out/shot.0001.denoised.exr")).exists());
+}
+
+#[test]
+fn a_render_farm_is_told_how_far_the_work_is() {
+    let folder = shot();
+    let done = denoise(&folder, "clean", &["--frames=1,2", "--progress=openjd"]).succeeded();
+    let shares: Vec<f64> = done.stdout.lines().filter_map(|line| line.strip_prefix("openjd_progress: ")?.parse().ok()).collect();
+    assert!(shares.is_sorted() && shares.contains(&50.0) && shares.last() == Some(&100.0), "{shares:?}");
+    done.said(&["openjd_status: frame 1, 1 of 2\n", "openjd_status: frame 2, 2 of 2\n"]);
+    let failed = denoise(&folder, "clean", &["--frames=3-4", "--progress=openjd"]);
+    failed.said(&["openjd_fail: frame 4: "]);
+    assert_eq!(failed.stdout.lines().count(), 1, "{}", failed.stdout);
+    failed.failed(3, &["frame 4: "]);
+    denoise(&folder, "clean", &["--progress=openjd", "--json"]).failed(2, &["--json"]);
+}
