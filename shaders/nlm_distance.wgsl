@@ -38,10 +38,10 @@ fn pair_distances(p: vec2<i32>, offset: vec2<i32>) -> vec3<f32> {
     let var_q1 = neighbours_variance[at_q1].xyz;
     let var_q2 = neighbours_variance[at_q2].xyz;
     let one = vec3<f32>(1.0);
-    let d1 = select(0.0, dot(one, distance(u_p, u_q1, var_p, var_q1, params.k_squared)), q1_inside);
-    let d2 = select(0.0, dot(one, distance(u_p, u_q2, var_p, var_q2, params.k_squared)), q2_inside);
+    let d1 = select(0.0, dot(one, distance(u_p, u_q1, var_p, var_q1, params.k_squared, params.alpha)), q1_inside);
+    let d2 = select(0.0, dot(one, distance(u_p, u_q2, var_p, var_q2, params.k_squared, params.alpha)), q2_inside);
 #ifdef SYMMETRIC
-    let both = symmetric_distance(u_p, u_q1, u_q2, var_p, var_q1, var_q2, params.k_squared);
+    let both = symmetric_distance(u_p, u_q1, u_q2, var_p, var_q1, var_q2, params.k_squared, params.alpha);
     return vec3<f32>(d1, d2, select(0.0, dot(one, both), q1_inside && q2_inside));
 #else
     return vec3<f32>(d1, d2, 0.0);

@@ -1,9 +1,9 @@
 // The NL-means filter of one guide applied to a payload of one or more planes (eq. 7.1): feature prefilter, SURE smoothing, selection-map smoothing, second pass.
 //
-// Works on the chunk of pairs whose column sums nlm_distance has left; `filtered` and `weights` carry the sums from chunk to chunk and hold the result after the last.
+// Works on the chunk of pairs whose column sums nlm_distance has left, or of which nlm_weight has made column sums of weights (PATCHWISE); `filtered` and `weights` carry the sums from chunk to chunk and hold the result after the last.
 // Sums are taken of the differences to the centre pixel: F = u_p + Σ w·(u_q − u_p) / Σ w loses no digits to a large common offset.
 #import stein::planes::{inside, pixel_index, clamped_index}
-#import stein::nlm::{NlmParams, pair_offset, next_offset, has_opposite, patch_pairs, patch_triples, pair_weights, centre_weight}
+#import stein::nlm::{NlmParams, pair_offset, next_offset, has_opposite, patch_pairs, weights_from_sums, centre_weight}
 
 const PATCH_RADIUS: i32 = #{PATCH_RADIUS};
 const PAYLOAD_PLANES: i32 = #{PAYLOAD_PLANES};
@@ -65,15 +65,15 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
         for (var n = 0; n <= 2 * PATCH_RADIUS; n++) {
             patch_sum += columns[column + n].xyz;
         }
-        let members = vec3<f32>(
-            patch_pairs(p, offset, extent, PATCH_RADIUS),
-            patch_pairs(p, -offset, extent, PATCH_RADIUS),
-            patch_triples(p, offset, extent, PATCH_RADIUS),
-        );
-        let d = patch_sum * params.inverse_channels / members;
-        let pair_weight = pair_weights(vec4<f32>(d.x), vec4<f32>(d.y), vec4<f32>(d.z), q1_inside && q2_inside);
-        let w1 = select(0.0, pair_weight.ahead.x, q1_inside);
-        let w2 = select(0.0, pair_weight.behind.x, q2_inside);
+#ifdef PATCHWISE
+        // Thesis 7.1.1: W(p, q), the mean of w(p + n, q + n) over the patch.
+        let members = vec2<f32>(patch_pairs(p, offset, extent, PATCH_RADIUS), patch_pairs(p, -offset, extent, PATCH_RADIUS));
+        let pair_weight = select(vec2<f32>(0.0), patch_sum.xy / members, vec2<bool>(q1_inside, q2_inside));
+#else
+        let pair_weight = weights_from_sums(patch_sum, p, offset, extent, PATCH_RADIUS, params.inverse_channels, q1_inside, q2_inside);
+#endif
+        let w1 = select(0.0, pair_weight.x, pair_weight.x >= params.cut);
+        let w2 = select(0.0, pair_weight.y, pair_weight.y >= params.cut);
         let at_q1 = clamped_index(q1, extent);
         let at_q2 = clamped_index(q2, extent);
         for (var plane = 0; plane < PAYLOAD_PLANES; plane++) {

@@ -52,10 +52,11 @@ pub struct Estimate {
     /// Half spread of the denoised colour: its filtered halves are `color ± half_spread`. `None` without halves.
     pub half_spread: Option<Image>,
     /// One plane: the estimated squared error of each pixel, summed over the channels. Of DFC it comes from SURE (eq. 8.5) smoothed and blended like the candidates, and is
-    /// that of pass 1; the second pass leaves less. May be negative where the true error is small. Of GEM it is the variance of the chosen scale and the estimated bias
-    /// of the steps that led to it (thesis 6.3), never negative.
+    /// that of pass 1; the second pass leaves less. May be negative where the true error is small. Of NLM it is the variance left by the halves (thesis 7.1.2), smoothed; it
+    /// knows nothing of bias. Of GEM it is the variance of the chosen scale and the estimated bias of the steps that led to it (thesis 6.3), never negative.
     pub error: Image,
-    /// One plane: how many pixels took part. Of DFC Σ w over the window, blended like the candidates (thesis 8.6); of GEM 1/Σw² of the chosen scale's normalised weights.
+    /// One plane: how many pixels took part. Of DFC Σ w over the window, blended like the candidates (thesis 8.6); of NLM Σ w, the mean of both halves; of GEM 1/Σw² of the
+    /// chosen scale's normalised weights.
     pub weight_sum: Image,
     /// Shares of FIRST, SECOND and THIRD in each pixel, where the method has them.
     pub selection: Option<Image>,
@@ -206,12 +207,23 @@ impl Denoiser {
         Ok(())
     }
 
+    fn check_time(&self, frames_beside: usize) -> Result<()> {
+        if frames_beside == 0 || self.method.filters_in_time() {
+            return Ok(());
+        }
+        Err(Error::Request {
+            problem: format!("{} does not filter over time", self.method.name()),
+            remedy: "give it one frame at a time, or choose another method".into(),
+        })
+    }
+
     /// Records the work on a frame that is on the GPU already, in a window with the frames `beside`, which are in its units; nothing is read back. For a renderer that embeds the denoiser: record with [`Gpu::record_whole`], then put
     /// the commands into an encoder of its own with [`Recorder::encode_into`]. The frame must fit the binding limit as a whole.
     ///
     /// # Errors
-    /// [`Error::Device`] where a buffer exceeds the device's limits.
+    /// [`Error::Device`] where a buffer exceeds the device's limits; [`Error::Request`] where frames are beside and the method does not filter over time.
     pub fn record(&self, rec: &mut Recorder, frame: GpuFrame, beside: Vec<GpuFrame>) -> Result<GpuEstimate> {
+        self.check_time(beside.len())?;
         self.method.record(rec, frame, beside, &[], self.schedule, |_, _| Ok(()))
     }
 }

@@ -9,6 +9,7 @@
 //!           -> GpuFrame   (method: uploaded, colour at the order of 1)
 //!           -> variances of the pixel mean -> prefiltered features -> candidates -> SURE -> selection -> blend -> second pass
 //!                         (method: this is dfc; each method is a straight function of the stages. gem: scales -> stopping maps -> the finest that stops)
+//!                          nlm: variances -> halves -> each filtered by the other -> their difference)
 //!           -> Estimate   (denoiser: colour, halves, estimated error, intermediates) -> EXR file
 //! ```
 //!
@@ -47,4 +48,4 @@ pub use error::{Error, Result};
 pub use frame::Frame;
 pub use gpu::Gpu;
 pub use image::{Extent, Image};
-pub use method::{DfcParams, GemParams, Method, Preset};
+pub use method::{DfcParams, GemParams, Method, NlmParams, Preset};

@@ -183,6 +183,10 @@ fn wrong_arguments_are_told_with_the_right_ones() {
     stein(&["denoise", &input, "--keep", "candidates,shure"]).failed(2, &["shure", "sure", "selection", "pass1", "derivatives"]);
     stein(&["denoise", &input, "--max-memory", "lots"]).failed(2, &["512M"]);
     stein(&["denoise", &input, "--radius", "100"]).failed(2, &["window radius is 100", "from 1 to 64"]);
+    stein(&["denoise", &input, "--patch-radius", "1"]).failed(2, &["--patch-radius is no option of the method dfc", "remedy: "]);
+    stein(&["bench", &input, "--single-buffer"]).failed(2, &["--single-buffer is no option of the method dfc", "remedy: "]);
+    stein(&["denoise", &input, "--method", "nlm", "--patch-radius", "9"]).failed(2, &["patch radius is 9", "from 0 to 5"]);
+    stein(&["denoise", &input, "--method", "nlm", "--keep", "sure", "--dry-run"]).failed(2, &["--keep sure: nlm has no such intermediate", "halves"]);
     stein(&["denoise", &input, "--feature", "albedo"]).failed(2, &["NAME=FILE"]);
     stein(&["bench", &input, "--size", "big"]).failed(2, &["1024x1024"]);
     stein(&["bench", &input, "--ref", &input, "--ref", &input]).failed(2, &["2 references", "1 inputs"]);
@@ -191,6 +195,29 @@ fn wrong_arguments_are_told_with_the_right_ones() {
         stein(&[subcommand, "--help"]).succeeded().said(&["Example"]);
     }
     stein(&["--help"]).succeeded().said(&["Exit codes", "denoise"]);
+}
+
+#[test]
+fn nlm_says_what_it_did() {
+    let (folder, input) = Folder::with("cornell_8spp.exr");
+    let output = folder.path("out.exr");
+    let options =
+        ["--method=nlm", "--patch-radius=1", "--k=0.5", "--alpha=0.5", "--symmetric=off", "--cut=0.1", "--pixelwise", "--single-buffer", "--uniform-variance"];
+    let arguments = ["denoise", &input, "-o", &output, RADIUS, "--ref", &test_image("cornell_reference.exr"), "--json"];
+    let document = stein(&[&arguments[..], &options].concat()).succeeded().json();
+    let parameters = &document["parameters"];
+    let expected = serde_json::json!({
+        "method": "nlm", "window_radius": 2, "patch_radius": 1, "k": 0.5, "alpha": 0.5, "cut": parameters["cut"], "patchwise": false, "dual_buffer": false,
+        "variance": "uniform", "weighting": { "symmetric": "off", "centre": "One" },
+    });
+    assert_eq!(parameters, &expected);
+    assert!(document["errors"].as_array().unwrap().iter().any(|errors| errors["image"] == "half_b"));
+    assert!(attribute(&output, "stein.parameters").unwrap().contains("uniform"));
+    stein(&["denoise", &input, "-o", &output, RADIUS, "--method=nlm", "--keep=all"]).succeeded();
+    let layers = stein(&["info", &output]).succeeded();
+    layers.said(&["stein.half_a", "stein.half_b", "stein.density", "stein.variance_of_mean", "stein.error"]);
+    let map = folder.path("map.exr");
+    stein(&["sample-map", &input, "-o", &map, RADIUS, "--method=nlm", "--budget=8"]).succeeded().said(&["8.000 per pixel"]);
 }
 
 #[test]

@@ -27,13 +27,21 @@ fn numbers(values: &[i32]) -> Vec<Definition> {
     values.iter().map(|value| Definition::from(*value)).collect()
 }
 
+/// What opposite neighbours do for each other: nothing, by degrees, at once.
+fn with_rules(sets: &[Definitions]) -> Vec<Definitions> {
+    let rules = [(false, false), (true, false), (true, true)].map(|(symmetric, hard)| [("SYMMETRIC", symmetric.into()), ("SYMMETRIC_HARD", hard.into())]);
+    sets.iter().flat_map(|set| rules.iter().map(|rule| [set.as_slice(), rule].concat())).collect()
+}
+
 /// What the functions of `stein::stage` are called with: patches of 0 to 5 pixels, of which 1 and 3 are the presets', FIRST's beside SECOND's or none, packed
 /// features in up to eight groups. A stage that is missing here is a stage that nobody has thought through.
 fn definitions(stage: &str) -> Option<Vec<Definitions>> {
     let none = Some(vec![Vec::new()]);
     match stage {
-        "variance_rows" | "variance_scale" | "feature_pack" | "candidate_resolve" | "error_sure" | "select_least" | "select_blend" | "select_frames"
-        | "select_pass" => none,
+        "variance_rows" | "variance_scale" | "variance_pair" | "variance_clamp" | "half_split" | "half_join" | "feature_pack" | "candidate_resolve"
+        | "error_sure" | "select_least" | "select_blend" | "select_frames" | "select_pass" => none,
+        "sample_attach" => Some(combinations(&[("SAMPLES_VARY", flags())])),
+        "error_halves" => Some(combinations(&[("HALVES", flags())])),
         "scale_stop" | "scale_reduction" => none,
         "scale_pixel" => Some(combinations(&[("SAMPLES_VARY", flags())])),
         "scale_advance" => Some(combinations(&[("COARSER_ONLY", flags())])),
@@ -42,16 +50,18 @@ fn definitions(stage: &str) -> Option<Vec<Definitions>> {
         "variance_smooth" => Some(combinations(&[("CLAMPED", flags())])),
         "nlm_distance" => Some(combinations(&[("PATCH_RADIUS", numbers(&[0, 1, 3, 5])), ("SMALL_PATCH_RADIUS", numbers(&[-1, 0])), ("SYMMETRIC", flags())]))
             .map(|sets| [sets, combinations(&[("PATCH_RADIUS", numbers(&[1, 3, 5])), ("SMALL_PATCH_RADIUS", numbers(&[1])), ("SYMMETRIC", flags())])].concat()),
+        "nlm_weight" => Some(with_rules(&combinations(&[("PATCH_RADIUS", numbers(&[0, 1, 3, 5]))]))),
         "nlm_filter" => {
-            Some(combinations(&[("PATCH_RADIUS", numbers(&[0, 1, 3, 5])), ("PAYLOAD_PLANES", numbers(&[1, 2])), ("SYMMETRIC", flags()), ("RESIDUAL", flags())]))
+            let shapes =
+                combinations(&[("PATCH_RADIUS", numbers(&[0, 1, 3, 5])), ("PAYLOAD_PLANES", numbers(&[1, 2])), ("PATCHWISE", flags()), ("RESIDUAL", flags())]);
+            Some(with_rules(&shapes))
         }
-        "candidate_accumulate" => Some(combinations(&[
+        "candidate_accumulate" => Some(with_rules(&combinations(&[
             ("PATCH_RADIUS", numbers(&[1, 3])),
             ("SMALL_PATCH_RADIUS", numbers(&[0, 1])),
             ("FEATURE_GROUPS", numbers(&[0, 1, 2, 8])),
-            ("SYMMETRIC", flags()),
             ("OTHER_FRAME", flags()),
-        ])),
+        ]))),
         _ => None,
     }
 }

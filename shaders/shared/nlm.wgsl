@@ -20,8 +20,12 @@ struct NlmParams {
     block_rows: i32,
     // k_c² of the guide.
     k_squared: f32,
+    // α: how much of the variance is cancelled from squared differences.
+    alpha: f32,
     // 1 / number of channels of the guide.
     inverse_channels: f32,
+    // Weights below this one count as 0.
+    cut: f32,
     // The centre takes the largest weight among its neighbours, at least this one; above 1 means: it takes 1.
     centre_floor: f32,
 }
@@ -49,21 +53,21 @@ fn next_offset(offset: vec2<i32>, radius: i32) -> vec2<i32> {
     return vec2<i32>(select(offset.x + 1, -radius, wraps), select(offset.y, offset.y + 1, wraps));
 }
 
-// eq. 7.4 with α = 1, per channel.
-fn distance(u_p: vec3<f32>, u_q: vec3<f32>, var_p: vec3<f32>, var_q: vec3<f32>, k_squared: f32) -> vec3<f32> {
+// eq. 7.4, per channel.
+fn distance(u_p: vec3<f32>, u_q: vec3<f32>, var_p: vec3<f32>, var_q: vec3<f32>, k_squared: f32, alpha: f32) -> vec3<f32> {
     let difference = u_p - u_q;
-    let cancelled = difference * difference - (var_p + min(var_p, var_q));
+    let cancelled = difference * difference - alpha * (var_p + min(var_p, var_q));
     return min(cancelled / (EPSILON + k_squared * (var_p + var_q)), vec3<f32>(DISTANCE_LIMIT));
 }
 
-// eq. 7.6: the distance to the mean of the two neighbours. It is eq. 7.4 with their mean in the place of q, ε and k² included.
+// eq. 7.6: the distance to the mean of the two neighbours. It is eq. 7.4 with their mean in the place of q, ε, k² and α included.
 fn symmetric_distance(
     u_p: vec3<f32>, u_q1: vec3<f32>, u_q2: vec3<f32>,
     var_p: vec3<f32>, var_q1: vec3<f32>, var_q2: vec3<f32>,
-    k_squared: f32,
+    k_squared: f32, alpha: f32,
 ) -> vec3<f32> {
     let difference = u_p - 0.5 * (u_q1 + u_q2);
-    let cancelled = difference * difference - (var_p + 0.25 * (min(var_q1, var_p) + min(var_q2, var_p)));
+    let cancelled = difference * difference - alpha * (var_p + 0.25 * (min(var_q1, var_p) + min(var_q2, var_p)));
     return min(cancelled / (EPSILON + k_squared * (var_p + 0.25 * (var_q1 + var_q2))), vec3<f32>(DISTANCE_LIMIT));
 }
 
@@ -96,7 +100,7 @@ struct PairWeights {
 }
 
 // Weights of a pair of neighbours from their distances (eq. 7.5), four independent ones at a time. Where the mean of the two is a better match than
-// both of them together, its weight replaces theirs: smoothly, so that finite differences keep their meaning.
+// both of them together, its weight replaces theirs: at once, as thesis 7.1.1 has it (SYMMETRIC_HARD), or by degrees, so that finite differences keep their meaning.
 fn pair_weights(distance_q1: vec4<f32>, distance_q2: vec4<f32>, distance_both: vec4<f32>, both_inside: bool) -> PairWeights {
     let d1 = max(distance_q1, vec4<f32>(0.0));
     let d2 = max(distance_q2, vec4<f32>(0.0));
@@ -104,13 +108,32 @@ fn pair_weights(distance_q1: vec4<f32>, distance_q2: vec4<f32>, distance_both: v
     let w2 = exp(-d2);
 #ifdef SYMMETRIC
     let w_both = exp(-max(distance_both, vec4<f32>(0.0)));
+#ifdef SYMMETRIC_HARD
+    let replaced = (w_both > w1 + w2) & vec4<bool>(both_inside);
+    return PairWeights(select(w1, w_both, replaced), select(w2, w_both, replaced));
+#else
     let comparable = (max(d1, d2) < vec4<f32>(SYMMETRY_LIMIT)) & vec4<bool>(both_inside);
     let judged = clamp(w_both / max(w1 + w2, vec4<f32>(1e-20)) - 1.0, vec4<f32>(0.0), vec4<f32>(1.0));
     let share = select(vec4<f32>(0.0), judged, comparable);
     return PairWeights(w1 + share * (w_both - w1), w2 + share * (w_both - w2));
+#endif
 #else
     return PairWeights(w1, w2);
 #endif
+}
+
+// Weights of q1 and q2 in the average of p, from the unnormalised sums of their distances over the patch; 0 for one that does not exist.
+fn weights_from_sums(
+    patch_sum: vec3<f32>, p: vec2<i32>, offset: vec2<i32>, extent: vec2<i32>, patch_radius: i32, inverse_channels: f32, ahead_inside: bool, behind_inside: bool,
+) -> vec2<f32> {
+    let members = vec3<f32>(
+        patch_pairs(p, offset, extent, patch_radius),
+        patch_pairs(p, -offset, extent, patch_radius),
+        patch_triples(p, offset, extent, patch_radius),
+    );
+    let d = patch_sum * inverse_channels / members;
+    let weights = pair_weights(vec4<f32>(d.x), vec4<f32>(d.y), vec4<f32>(d.z), ahead_inside && behind_inside);
+    return select(vec2<f32>(0.0), vec2<f32>(weights.ahead.x, weights.behind.x), vec2<bool>(ahead_inside, behind_inside));
 }
 
 fn centre_weight(largest: vec4<f32>, centre_floor: f32) -> vec4<f32> {

@@ -27,13 +27,14 @@ use shot::{Compared, Comparison, ShotReport};
 
 const EXAMPLE: &str = "\
 The output keeps the input's header and layers. The colour is replaced, and so are its halves; its variance is left out, for it is not that of the denoised \
-colour. `stein.error.V` is added: the estimated squared error, summed over the channels (of dfc before the second pass).
+colour. `stein.error.V` is added: the estimated squared error, summed over the channels; of dfc before the second pass.
 
 Examples:
   stein denoise render.exr
   stein denoise render.exr -o clean.exr --ref converged.exr
   stein denoise both.exr --half-a seed1.exr --half-b seed2.exr --feature albedo=aux.exr::albedo
   stein denoise render.exr --keep candidates,sure --json
+  stein denoise render.exr --method nlm --keep halves
   stein denoise 'shot.####.exr' --frames 1-240 --temporal-radius 1 -o 'clean.####.exr'
 
 Exit codes: 0 done, 2 wrong usage, 3 an input file or layer cannot be used, 4 no device or a device failed, 5 the output cannot be written, 1 anything else.";

@@ -5,7 +5,9 @@ use std::path::{Path, PathBuf};
 use clap::ValueEnum;
 use stein::buffers::{BufferSet, BufferSetRequest, LayerRef};
 use stein::gpu::DeviceChoice;
-use stein::{Denoiser, DfcParams, Extent, GemParams, Gpu, Method, Preset};
+use stein::method::nlm::NlmVariance;
+use stein::stage::nlm::{Symmetry, Weighting};
+use stein::{Denoiser, DfcParams, Extent, GemParams, Gpu, Method, NlmParams, Preset};
 
 use super::Failure;
 
@@ -39,12 +41,44 @@ pub(crate) struct Choice {
     /// Method
     #[arg(long, value_enum, default_value = "dfc")]
     method: MethodName,
-    /// Of dfc: radius of the window that is averaged over, in pixels [default: 10]
+    /// Of dfc and nlm: radius of the window that is averaged over, in pixels [default: 10]
     #[arg(long, value_name = "PIXELS")]
     radius: Option<u32>,
     /// Of gem: share of wrong decisions for a sharper filter where the image is constant, above 0 and below 0.4; lower is smoother [default: 0.15]
     #[arg(long, value_name = "SHARE")]
     gamma: Option<f32>,
+    #[command(flatten)]
+    nlm: NlmChoice,
+}
+
+/// What may be set of NLM alone.
+#[derive(Debug, clap::Args)]
+#[command(next_help_heading = "Filter")]
+struct NlmChoice {
+    /// Of nlm: radius of the patches that are compared, in pixels; 0 compares single pixels [default: 3]
+    #[arg(long, value_name = "PIXELS")]
+    patch_radius: Option<u32>,
+    /// Of nlm: how large a difference counts, in standard deviations; more filters more [default: 0.45]
+    #[arg(long, value_name = "NUMBER")]
+    k: Option<f32>,
+    /// Of nlm: how much of the variance is cancelled from differences; more filters more [default: 1]
+    #[arg(long, value_name = "NUMBER")]
+    alpha: Option<f32>,
+    /// Of nlm: whether the mean of opposite neighbours may stand for both, which keeps gradients [default: hard]
+    #[arg(long, value_enum, value_name = "RULE")]
+    symmetric: Option<SymmetryName>,
+    /// Of nlm: weights below this one become 0 [default: 0.05]
+    #[arg(long, value_name = "WEIGHT")]
+    cut: Option<f32>,
+    /// Of nlm: weigh pixels by their own patches alone, not by the mean over all patches that they share
+    #[arg(long)]
+    pixelwise: bool,
+    /// Of nlm: filter the whole with its own weights, not each half with those of the other
+    #[arg(long)]
+    single_buffer: bool,
+    /// Of nlm: take the image's mean variance for every pixel
+    #[arg(long)]
+    uniform_variance: bool,
 }
 
 impl Choice {
@@ -53,6 +87,7 @@ impl Choice {
         let method = match self.method {
             MethodName::Dfc => {
                 self.refuse(&[("--gamma", self.gamma.is_some())])?;
+                self.refuse(&self.nlm.given())?;
                 let params = match preset {
                     PresetName::Default => DfcParams::default(),
                     PresetName::Thesis => DfcParams::thesis(),
@@ -61,11 +96,20 @@ impl Choice {
             }
             MethodName::Gem => {
                 self.refuse(&[("--radius", self.radius.is_some())])?;
+                self.refuse(&self.nlm.given())?;
                 let params = match preset {
                     PresetName::Default => GemParams::default(),
                     PresetName::Thesis => GemParams::thesis(),
                 };
                 Method::from(GemParams { gamma: self.gamma.unwrap_or(params.gamma), ..params })
+            }
+            MethodName::Nlm => {
+                self.refuse(&[("--gamma", self.gamma.is_some())])?;
+                let params = match preset {
+                    PresetName::Default => NlmParams::default(),
+                    PresetName::Thesis => NlmParams::thesis(),
+                };
+                Method::from(self.nlm.applied_to(NlmParams { window_radius: self.radius.unwrap_or(params.window_radius), ..params }))
             }
         };
         method.validate().map_err(Failure::usage)?;
@@ -80,6 +124,37 @@ impl Choice {
     }
 }
 
+impl NlmChoice {
+    /// Every option, and whether it is given.
+    fn given(&self) -> [(&'static str, bool); 8] {
+        [
+            ("--patch-radius", self.patch_radius.is_some()),
+            ("--k", self.k.is_some()),
+            ("--alpha", self.alpha.is_some()),
+            ("--symmetric", self.symmetric.is_some()),
+            ("--cut", self.cut.is_some()),
+            ("--pixelwise", self.pixelwise),
+            ("--single-buffer", self.single_buffer),
+            ("--uniform-variance", self.uniform_variance),
+        ]
+    }
+
+    fn applied_to(&self, params: NlmParams) -> NlmParams {
+        let symmetric = self.symmetric.map_or(params.weighting.symmetric, SymmetryName::rule);
+        NlmParams {
+            patch_radius: self.patch_radius.unwrap_or(params.patch_radius),
+            k: self.k.unwrap_or(params.k),
+            alpha: self.alpha.unwrap_or(params.alpha),
+            weighting: Weighting { symmetric, ..params.weighting },
+            cut: self.cut.unwrap_or(params.cut),
+            patchwise: params.patchwise && !self.pixelwise,
+            dual_buffer: params.dual_buffer && !self.single_buffer,
+            variance: if self.uniform_variance { NlmVariance::Uniform } else { params.variance },
+            ..params
+        }
+    }
+}
+
 /// The methods, as [`Method`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum MethodName {
@@ -87,6 +162,29 @@ enum MethodName {
     Dfc,
     /// Greedy error minimisation over Gaussian scales; needs no features
     Gem,
+    /// Non-local means, each half of the samples filtered with the weights of the other; needs no features
+    Nlm,
+}
+
+/// As [`Symmetry`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum SymmetryName {
+    /// Each neighbour stands for itself
+    Off,
+    /// By degrees
+    Blended,
+    /// Wherever its weight exceeds the sum of theirs
+    Hard,
+}
+
+impl SymmetryName {
+    fn rule(self) -> Symmetry {
+        match self {
+            Self::Off => Symmetry::Off,
+            Self::Blended => Symmetry::Blended,
+            Self::Hard => Symmetry::Hard,
+        }
+    }
 }
 
 /// Where colour, noise and features are found.

@@ -11,7 +11,7 @@ use super::Failure;
 use super::out::{number, table};
 
 /// What the comparison needs to have kept.
-pub(crate) const NEEDED: [Intermediate; 3] = [Intermediate::Candidates, Intermediate::Sure, Intermediate::Pass1];
+pub(crate) const NEEDED: [Intermediate; 4] = [Intermediate::Candidates, Intermediate::Sure, Intermediate::Pass1, Intermediate::Halves];
 
 /// The reference, if it shows the same pixels.
 pub(crate) fn read(reference: &LayerRef, frame: &Frame, input: &Path) -> Result<Image, Failure> {
@@ -37,7 +37,7 @@ pub(crate) struct Errors {
     ssim: f64,
     /// Mean over the pixels of the squared error summed over the channels.
     squared_error: f64,
-    /// The same, estimated without the reference. Of the `result` of dfc it is that of pass 1.
+    /// The same, estimated without the reference. Of the result of DFC it is that of pass 1.
     estimated_squared_error: Option<f64>,
 }
 
@@ -74,6 +74,12 @@ pub(crate) fn compare(frame: &Frame, estimate: &Estimate, reference: &Image) -> 
     if let Some(image) = kept("pass1") {
         errors.push(Errors::new("pass1", image, reference, blended)?);
     }
+    for name in ["half_a", "half_b"] {
+        if let Some(image) = kept(name) {
+            // Of one half, whose noise the two halves together have half of.
+            errors.push(Errors::new(name, image, reference, None)?);
+        }
+    }
     errors.push(Errors::new("result", &estimate.color, reference, blended)?);
     Ok(errors)
 }
@@ -87,7 +93,7 @@ pub(crate) fn text(errors: &[Errors]) -> String {
     };
     let rows: Vec<_> = std::iter::once(head).chain(errors.iter().map(row)).collect();
     format!(
-        "{}\n  (squared error: mean over the pixels, summed over the channels; estimated: without the reference, of dfc before the second pass)",
+        "{}\n  (squared error: mean over the pixels, summed over the channels; estimated: without the reference; for dfc by SURE, before the second pass)",
         table(&rows, 1)
     )
 }

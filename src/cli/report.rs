@@ -49,7 +49,7 @@ pub(crate) struct Run {
     pub(crate) seconds: f64,
     pub(crate) stage_times: Option<Vec<StageTime>>,
     pub(crate) peak_bytes: u64,
-    /// Without a reference: mean over the pixels of the squared error summed over the channels, of dfc before the second pass.
+    /// Mean over the pixels of the squared error summed over the channels; of DFC by SURE, before the second pass.
     pub(crate) mean_estimated_squared_error: f64,
     /// How many pixels took part in the average of one, on average.
     pub(crate) mean_weight_sum: f64,

@@ -16,7 +16,7 @@ use super::{Failure, Out, output};
 
 const EXAMPLE: &str = "\
 The map has a layer `density.V`, real samples per pixel, a layer `samples.V`, whole and even numbers with the same sum, and, where the input says how many samples its \
-pixels have, a layer `drawn.V` with these. Samples go where the estimated relative error is largest, weighed by how many pixels profit (thesis 8.6).
+pixels have, a layer `drawn.V` with these. Samples go where the estimated relative error is largest, weighed by how many pixels profit (thesis 7.1.2, 8.6).
 
 Examples:
   stein sample-map render.exr --budget 16             writes render.map.exr

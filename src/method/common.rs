@@ -1,17 +1,28 @@
 //! What the methods have in common.
 
+use std::fmt::Display;
 use std::sync::Arc;
 
 use glam::IVec2;
 
 use super::GpuSignal;
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::gpu::{Buffer, Recorder};
 use crate::stage::nlm::Guide;
 use crate::stage::variance::{INPUT_SMOOTHING, variance_scale, variance_smooth};
 
 /// Half width of the box over which variances are brought to scale (thesis 8.2: 21×21), in pixels.
 pub(super) const SCALE_RADIUS: u32 = 10;
+
+/// The window radius beyond which work and halos make no sense any more, in pixels.
+pub(super) const LARGEST_WINDOW_RADIUS: u32 = 64;
+/// The largest patch radius: a window of distances of 2f+1 rows lives in registers.
+pub(super) const LARGEST_PATCH_RADIUS: u32 = 5;
+
+/// A parameter outside its range.
+pub(super) fn refused(name: &str, value: impl Display, range: &str) -> Result<()> {
+    Err(Error::Request { problem: format!("{name} is {value}, outside its range"), remedy: format!("choose it {range}") })
+}
 
 /// A filter by colour patches alone.
 pub(super) struct Auxiliary {
@@ -22,7 +33,18 @@ pub(super) struct Auxiliary {
 
 impl Auxiliary {
     pub(super) fn guide<'a>(&self, signal: &'a Buffer, variance_of_mean: &'a Buffer, channels: u32) -> Guide<'a> {
-        Guide { signal, variance_of_mean, channels, k: self.k, patch_radius: self.patch_radius, small_patch_radius: None, beside: &[] }
+        Guide {
+            signal,
+            variance_of_mean,
+            channels,
+            k: self.k,
+            alpha: 1.0,
+            patch_radius: self.patch_radius,
+            small_patch_radius: None,
+            patchwise: false,
+            cut: 0.0,
+            beside: &[],
+        }
     }
 }
 

@@ -61,7 +61,7 @@ pub fn dfc(
     schedule: Schedule,
     progress: impl FnMut(&mut Recorder, f32) -> Result<()>,
 ) -> Result<GpuEstimate> {
-    let GpuFrame { extent, color, features, samples } = frame;
+    let GpuFrame { extent, color, features, samples, .. } = frame;
     let weighting = params.weighting;
     let mut keeper = Keeper::new(wanted);
 

@@ -25,13 +25,15 @@ pub enum Intermediate {
     Stopping,
     /// σ of the scale that was chosen, in pixels; 0 for the pixel filter.
     Scale,
+    /// The filtered halves.
+    Halves,
     /// Where the next samples pay most.
     Density,
 }
 
 impl Intermediate {
     /// All of them, whatever the method.
-    pub const ALL: [Self; 10] = [
+    pub const ALL: [Self; 11] = [
         Self::Variance,
         Self::Features,
         Self::Candidates,
@@ -39,6 +41,7 @@ impl Intermediate {
         Self::Sure,
         Self::Selection,
         Self::Pass1,
+        Self::Halves,
         Self::Stopping,
         Self::Scale,
         Self::Density,
@@ -56,6 +59,7 @@ impl Intermediate {
             Self::Pass1 => "pass1",
             Self::Stopping => "stopping",
             Self::Scale => "scale",
+            Self::Halves => "halves",
             Self::Density => "density",
         }
     }

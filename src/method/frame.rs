@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use glam::IVec2;
+use glam::{IVec2, Vec3};
 
 use crate::error::Result;
 use crate::frame::{Feature, Frame, SamplesPerPixel, Signal};
@@ -45,6 +45,9 @@ pub struct GpuFrame {
     pub features: Vec<GpuFeature>,
     /// Only the sampling density asks for it.
     pub samples: GpuSamples,
+    /// The mean over the whole image of the variance of the colour's mean, per channel; by the halves, where there are any. Only [`NlmVariance::Uniform`](super::nlm::NlmVariance)
+    /// asks for it.
+    pub mean_variance: Option<Vec3>,
 }
 
 /// In which units frames are uploaded: those of one window of time are in the units of the frame that is denoised.
@@ -90,7 +93,9 @@ impl GpuFrame {
                 GpuSamples::PerPixel(rec.upload("samples per pixel", &packed)?)
             }
         };
-        Ok(Self { extent, color: upload_signal(rec, "colour", frame.color(), strip, Affine::scale(units.exposure))?, features, samples })
+        let color = upload_signal(rec, "colour", frame.color(), strip, Affine::scale(units.exposure))?;
+        let mean_variance = mean_variance(frame.color()).map(|variance| variance * units.exposure * units.exposure);
+        Ok(Self { extent, color, features, samples, mean_variance })
     }
 }
 
@@ -131,6 +136,17 @@ fn upload_signal(rec: &mut Recorder, label: &str, signal: &Signal, strip: &Strip
         }
     };
     Ok(GpuSignal { signal: Arc::new(rec.upload(label, &packed)?), variance_of_mean, has_halves: signal.half_spread.is_some() })
+}
+
+/// Of the whole image, so that all strips agree.
+fn mean_variance(signal: &Signal) -> Option<Vec3> {
+    let mean = |plane: &Vec<f32>, value: fn(f64) -> f64| (plane.iter().map(|v| value(f64::from(*v))).sum::<f64>() / plane.len() as f64) as f32;
+    let means: Vec<f32> = match (&signal.half_spread, &signal.variance_of_mean) {
+        (Some(half_spread), _) => half_spread.planes.iter().map(|plane| mean(plane, |spread| spread * spread)).collect(),
+        (None, Some(variance)) => variance.planes.iter().map(|plane| mean(plane, |variance| variance)).collect(),
+        (None, None) => return None,
+    };
+    means.try_into().ok().map(Vec3::from_array)
 }
 
 fn interleave(planes: &[Vec<f32>], pixels: &std::ops::Range<usize>, map: Affine, packed: &mut [f32]) {

@@ -31,7 +31,7 @@ pub fn gem(
     wanted: &[Intermediate],
     mut progress: impl FnMut(&mut Recorder, f32) -> Result<()>,
 ) -> Result<GpuEstimate> {
-    let GpuFrame { extent, color, features, samples } = frame;
+    let GpuFrame { extent, color, features, samples, .. } = frame;
     // A renderer may hand over some.
     drop(features);
     let mut keeper = Keeper::new(wanted);

@@ -8,6 +8,7 @@ mod estimate;
 mod frame;
 pub mod gem;
 mod memory;
+pub mod nlm;
 
 use serde::Serialize;
 
@@ -23,6 +24,7 @@ pub use frame::{GpuFeature, GpuFrame, GpuSignal};
 pub use gem::GemParams;
 use memory::Footprint;
 pub(crate) use memory::{Strip, strips};
+pub use nlm::NlmParams;
 
 /// Which method, with its parameters.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -32,6 +34,8 @@ pub enum Method {
     Dfc(DfcParams),
     /// Greedy error minimisation over Gaussian scales (thesis chapter 6).
     Gem(GemParams),
+    /// Cross-filtered halves (thesis chapter 7).
+    Nlm(NlmParams),
 }
 
 /// Named parameter sets.
@@ -62,6 +66,7 @@ impl Method {
         match self {
             Self::Dfc(_) => "dfc",
             Self::Gem(_) => "gem",
+            Self::Nlm(_) => "nlm",
         }
     }
 
@@ -70,6 +75,7 @@ impl Method {
         match self {
             Self::Dfc(params) => params.window_radius,
             Self::Gem(params) => params.window_radius(),
+            Self::Nlm(params) => params.window_radius,
         }
     }
 
@@ -78,6 +84,7 @@ impl Method {
         match self {
             Self::Dfc(_) => true,
             Self::Gem(_) => false,
+            Self::Nlm(_) => false,
         }
     }
 
@@ -86,6 +93,7 @@ impl Method {
         match self {
             Self::Dfc(_) => &dfc::INTERMEDIATES,
             Self::Gem(_) => &gem::INTERMEDIATES,
+            Self::Nlm(_) => &nlm::INTERMEDIATES,
         }
     }
 
@@ -95,6 +103,7 @@ impl Method {
         match self {
             Self::Dfc(_) => self,
             Self::Gem(params) => Self::Gem(GemParams { phase: gem::Phase::Sampling, ..params }),
+            Self::Nlm(params) => Self::Nlm(params.while_sampling()),
         }
     }
 
@@ -106,6 +115,7 @@ impl Method {
         match self {
             Self::Dfc(params) => params.validate(),
             Self::Gem(params) => params.validate(),
+            Self::Nlm(params) => params.validate(),
         }
     }
 
@@ -113,6 +123,7 @@ impl Method {
         match self {
             Self::Dfc(params) => dfc::footprint(params, frame, beside, kept, schedule),
             Self::Gem(params) => gem::footprint(params, kept),
+            Self::Nlm(params) => nlm::footprint(params, frame, kept, schedule),
         }
     }
 
@@ -121,6 +132,7 @@ impl Method {
         match self {
             Self::Dfc(_) => true,
             Self::Gem(_) => false,
+            Self::Nlm(_) => false,
         }
     }
 
@@ -149,6 +161,7 @@ impl Method {
         match self {
             Self::Dfc(params) => dfc::dfc(rec, frame, beside, params, wanted, schedule, progress),
             Self::Gem(params) => gem::gem(rec, frame, params, wanted, progress),
+            Self::Nlm(params) => nlm::nlm(rec, frame, params, wanted, schedule, progress),
         }
     }
 }

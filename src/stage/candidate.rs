@@ -117,18 +117,23 @@ pub fn candidates(
         variance_of_mean,
         channels: 3,
         k: filter.color_k,
+        alpha: 1.0,
         patch_radius: filter.second_patch_radius,
         small_patch_radius: Some(filter.first_patch_radius),
+        patchwise: false,
+        cut: 0.0,
         beside: &neighbours,
     };
     let groups = features.map_or(0, |features| features.packing.groups);
+    let [symmetric, hard] = filter.weighting.symmetric.definitions();
     let definitions = |other_frame: bool| {
         [
             ("OTHER_FRAME", Definition::from(other_frame)),
             ("PATCH_RADIUS", Definition::Int(filter.second_patch_radius as i32)),
             ("SMALL_PATCH_RADIUS", Definition::Int(filter.first_patch_radius as i32)),
             ("FEATURE_GROUPS", Definition::Int(groups as i32)),
-            ("SYMMETRIC", filter.weighting.symmetric.into()),
+            symmetric,
+            hard,
         ]
     };
     let candidate = CandidateParams {

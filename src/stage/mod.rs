@@ -7,6 +7,7 @@ pub mod candidate;
 pub mod error;
 pub mod feature;
 pub mod gaussian;
+pub mod half;
 pub mod nlm;
 pub mod sample;
 pub mod scale;

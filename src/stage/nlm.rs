@@ -19,7 +19,9 @@ uniforms! {
         pub(super) window_radius: i32,
         pub(super) block_rows: i32,
         pub(super) k_squared: f32,
+        pub(super) alpha: f32,
         pub(super) inverse_channels: f32,
+        pub(super) cut: f32,
         pub(super) centre_floor: f32,
     }
 }
@@ -29,6 +31,7 @@ bindings! {
     struct NlmDistanceTwoPatches<'a> {
         uniform params: NlmParams, read guide, read variance_of_mean, read neighbours, read neighbours_variance, write columns, write columns_small,
     }
+    struct NlmWeight<'a> { uniform params: NlmParams, read columns, write weight_columns }
     struct NlmFilter<'a> { uniform params: NlmParams, read columns, read payload, read neighbours, write filtered, write weights }
     struct NlmFilterResidual<'a> {
         uniform params: NlmParams, read columns, read payload, read neighbours, write filtered, write weights,
@@ -55,11 +58,30 @@ impl CentreWeight {
     }
 }
 
+/// Whether pairs of opposite neighbours stand in for each other where their mean matches better than both (eq. 7.6).
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Symmetry {
+    /// Each neighbour stands for itself.
+    Off,
+    /// By degrees, from where the weight of their mean exceeds the sum of theirs to where it is twice that: weights are continuous, as finite differences want them.
+    Blended,
+    /// Both weights become that of their mean wherever it exceeds their sum (thesis 7.1.1).
+    Hard,
+}
+
+impl Symmetry {
+    /// What tells the shaders.
+    pub(super) fn definitions(self) -> [(&'static str, Definition); 2] {
+        [("SYMMETRIC", (self != Self::Off).into()), ("SYMMETRIC_HARD", (self == Self::Hard).into())]
+    }
+}
+
 /// How distances become weights, the same in every filter of a method.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub struct Weighting {
-    /// Let pairs of opposite neighbours stand in for each other where their mean matches better than both (eq. 7.6).
-    pub symmetric: bool,
+    /// What pairs of opposite neighbours do for each other.
+    pub symmetric: Symmetry,
     /// The weight of the pixel itself.
     pub centre: CentreWeight,
 }
@@ -79,18 +101,18 @@ impl Schedule {
         if gpu.is_software() { Self { scratch_bytes: 8 << 20, block_rows: 32 } } else { Self { scratch_bytes: 256 << 20, block_rows: 16 } }
     }
 
-    /// Rows of a strip and pairs of a chunk for images of this width.
-    fn cut(&self, gpu: &Gpu, extent: IVec2, window_radius: i32, patch_radius: i32) -> (i32, i32) {
+    /// Rows of a strip and pairs of a chunk for images of this width, where a strip of distances has `margin` rows more above and below.
+    fn cut(&self, gpu: &Gpu, extent: IVec2, window_radius: i32, patch_radius: i32, margin: i32) -> (i32, i32) {
         let pairs = pair_count(window_radius);
         let row_bytes = plane_bytes(IVec2::new(extent.x + 2 * patch_radius, 1), 1);
         let budget = (self.scratch_bytes.min(gpu.max_binding_bytes()) / row_bytes).max(1) as i32;
         // A chunk of one row of offsets, unless the image is so small that more fit: each chunk loads and stores the running sums once.
         let side = 2 * window_radius + 1;
-        let rows = (budget / side).clamp(1, extent.y);
+        let rows = (budget / side - 2 * margin).clamp(1, extent.y);
         let block = self.block_rows as i32;
         // Whole blocks, as far as there is one: a block cut short computes its 2f extra rows all the same.
         let rows = if rows < extent.y && rows > block { rows - rows % block } else { rows };
-        (rows, (budget / rows).clamp(1, pairs.max(1)))
+        (rows, (budget / (rows + 2 * margin)).clamp(1, pairs.max(1)))
     }
 }
 
@@ -110,10 +132,16 @@ pub struct Guide<'a> {
     pub channels: u32,
     /// k_c: how large a difference counts, in standard deviations.
     pub k: f32,
+    /// α: how much of the variance is cancelled from squared differences; 1 takes out what noise adds to them, more disregards larger differences too.
+    pub alpha: f32,
     /// f: patches are 2f+1 pixels wide.
     pub patch_radius: u32,
     /// A second, smaller patch whose sums are wanted too.
     pub small_patch_radius: Option<u32>,
+    /// The weight of a neighbour is the mean of the weights of all pairs of pixels in the two patches (thesis 7.1.1), and not that of their centres alone.
+    pub patchwise: bool,
+    /// Weights below this one become 0, so that many faint neighbours do not outweigh few good ones; 0 to keep all.
+    pub cut: f32,
     /// Frames beside this one that neighbours are taken from too.
     pub beside: &'a [Beside<'a>],
 }
@@ -128,7 +156,7 @@ pub struct Beside<'a> {
     pub variance_of_mean: &'a Buffer,
 }
 
-/// One chunk of pairs of offsets over one strip of rows: what follows `nlm_distance` gets the column sums and these parameters.
+/// One chunk of pairs of offsets over one strip of rows: what follows `nlm_distance` gets the column sums (of a patchwise guide, those of weights) and these parameters.
 pub(super) struct Chunk<'a> {
     pub(super) params: NlmParams,
     pub(super) columns: &'a Buffer,
@@ -141,7 +169,8 @@ pub(super) struct Chunk<'a> {
     pub(super) last: bool,
 }
 
-/// Runs `nlm_distance` chunk by chunk and hands each to `consume`, strips from top to bottom, all chunks of a strip before the next, those of the frame itself first.
+/// Runs `nlm_distance`, and for a patchwise guide `nlm_weight`, chunk by chunk and hands each to `consume`, strips from top to bottom, all chunks of a strip before the next,
+/// those of the frame itself first.
 pub(super) fn for_each_chunk(
     rec: &mut Recorder,
     extent: IVec2,
@@ -154,14 +183,19 @@ pub(super) fn for_each_chunk(
     let radius = window_radius as i32;
     let patch_radius = guide.patch_radius as i32;
     let pairs = pair_count(radius);
-    let (strip_rows, chunk_pairs) = schedule.cut(rec.gpu(), extent, radius, patch_radius);
-    let scratch = plane_bytes(IVec2::new(extent.x + 2 * patch_radius, strip_rows), chunk_pairs as u32);
+    // The weights of f more rows above and below enter those of a strip.
+    let margin = if guide.patchwise { patch_radius } else { 0 };
+    let (strip_rows, chunk_pairs) = schedule.cut(rec.gpu(), extent, radius, patch_radius, margin);
+    let scratch_of = |rows: i32| plane_bytes(IVec2::new(extent.x + 2 * patch_radius, rows), chunk_pairs as u32);
+    let scratch = scratch_of(strip_rows + 2 * margin);
     let columns = rec.take("column sums of distances", scratch)?;
+    let weight_columns = guide.patchwise.then(|| rec.take("column sums of weights", scratch_of(strip_rows))).transpose()?;
     let columns_small = guide.small_patch_radius.map(|_| rec.take("column sums of distances, small patch", scratch)).transpose()?;
     let definitions = [
         ("PATCH_RADIUS", Definition::Int(patch_radius)),
         ("SMALL_PATCH_RADIUS", Definition::Int(guide.small_patch_radius.map_or(-1, |small| small as i32))),
-        ("SYMMETRIC", weighting.symmetric.into()),
+        // How the distances to both are used does not matter here.
+        ("SYMMETRIC", (weighting.symmetric != Symmetry::Off).into()),
     ];
     let itself = Beside { signal: guide.signal, variance_of_mean: guide.variance_of_mean };
     // A frame beside has one neighbour more, at the same position: pair −1.
@@ -184,29 +218,51 @@ pub(super) fn for_each_chunk(
                     window_radius: radius,
                     block_rows: schedule.block_rows as i32,
                     k_squared: guide.k * guide.k,
+                    alpha: guide.alpha,
                     inverse_channels: 1.0 / guide.channels as f32,
+                    cut: guide.cut,
                     centre_floor: weighting.centre.floor(),
                 };
-                let invocations = [(extent.x + 2 * patch_radius) as u32, (rows as u32).div_ceil(schedule.block_rows), params.pairs as u32];
+                let invocations = |rows: i32| [(extent.x + 2 * patch_radius) as u32, (rows as u32).div_ceil(schedule.block_rows), params.pairs as u32];
+                let with_margin = NlmParams { first_row: first_row - margin, rows: rows + 2 * margin, ..params };
                 let (guide, variance_of_mean) = (guide.signal, guide.variance_of_mean);
                 let Beside { signal: neighbours, variance_of_mean: neighbours_variance } = *neighbours;
                 match &columns_small {
                     None => {
                         let kernel = rec.gpu().kernel::<NlmDistance>("nlm_distance", &definitions)?;
-                        let bound = NlmDistance { params, guide, variance_of_mean, neighbours, neighbours_variance, columns: &columns };
-                        rec.dispatch(&kernel, &bound, invocations)?;
+                        let bound = NlmDistance { params: with_margin, guide, variance_of_mean, neighbours, neighbours_variance, columns: &columns };
+                        rec.dispatch(&kernel, &bound, invocations(with_margin.rows))?;
                     }
                     Some(columns_small) => {
                         let kernel = rec.gpu().kernel::<NlmDistanceTwoPatches>("nlm_distance", &definitions)?;
-                        let bound =
-                            NlmDistanceTwoPatches { params, guide, variance_of_mean, neighbours, neighbours_variance, columns: &columns, columns_small };
-                        rec.dispatch(&kernel, &bound, invocations)?;
+                        let bound = NlmDistanceTwoPatches {
+                            params: with_margin,
+                            guide,
+                            variance_of_mean,
+                            neighbours,
+                            neighbours_variance,
+                            columns: &columns,
+                            columns_small,
+                        };
+                        rec.dispatch(&kernel, &bound, invocations(with_margin.rows))?;
                     }
+                }
+                if let Some(weight_columns) = &weight_columns {
+                    let [symmetric, hard] = weighting.symmetric.definitions();
+                    let kernel = rec.gpu().kernel::<NlmWeight>("nlm_weight", &[("PATCH_RADIUS", Definition::Int(patch_radius)), symmetric, hard])?;
+                    rec.dispatch(&kernel, &NlmWeight { params, columns: &columns, weight_columns }, invocations(rows))?;
                 }
                 first_pair = chunk_end;
                 consume(
                     rec,
-                    &Chunk { params, columns: &columns, columns_small: columns_small.as_ref(), beside: *beside, ends_frame: chunk_end >= pairs, last },
+                    &Chunk {
+                        params,
+                        columns: weight_columns.as_ref().unwrap_or(&columns),
+                        columns_small: columns_small.as_ref(),
+                        beside: *beside,
+                        ends_frame: chunk_end >= pairs,
+                        last,
+                    },
                 )?;
                 if chunk_end >= pairs {
                     break;
@@ -261,10 +317,13 @@ pub fn nlm_filter(
     let planes = rec.take("filtered planes", plane_bytes(extent, payload.count))?;
     let weights = rec.take("weight sums", plane_bytes(extent, 1))?;
     let residual_variance = with_residual_variance.then(|| rec.take("residual variance", plane_bytes(extent, 1))).transpose()?;
+    let [symmetric, hard] = weighting.symmetric.definitions();
     let definitions = [
         ("PATCH_RADIUS", Definition::Int(guide.patch_radius as i32)),
         ("PAYLOAD_PLANES", Definition::Int(payload.count as i32)),
-        ("SYMMETRIC", weighting.symmetric.into()),
+        ("PATCHWISE", guide.patchwise.into()),
+        symmetric,
+        hard,
         ("RESIDUAL", with_residual_variance.into()),
     ];
     for_each_chunk(rec, extent, guide, window_radius, weighting, schedule, |rec, chunk| {

@@ -1,4 +1,4 @@
-//! Where the next samples pay most (thesis 8.6).
+//! Samples of pixels, and where the next ones pay most (thesis 7.1.2, 8.6).
 
 use glam::IVec2;
 
@@ -6,8 +6,15 @@ use super::{per_pixel, plane_bytes};
 use crate::error::Result;
 use crate::gpu::{Buffer, Recorder, bindings, uniforms};
 
-uniforms! { struct SampleDensityParams { extent: IVec2, samples_per_pixel: f32, relative_floor: f32 } }
-bindings! { struct SampleDensity<'a> { uniform params: SampleDensityParams, read blended, write density, optional selection, optional samples } }
+uniforms! {
+    struct SampleAttachParams { extent: IVec2, samples_per_pixel: f32 }
+    struct SampleDensityParams { extent: IVec2, samples_per_pixel: f32, relative_floor: f32 }
+}
+
+bindings! {
+    struct SampleAttach<'a> { uniform params: SampleAttachParams, read signal, write with_samples, optional samples }
+    struct SampleDensity<'a> { uniform params: SampleDensityParams, read blended, write density, optional selection, optional samples }
+}
 
 /// Added to the squared value in relative errors (thesis 7.1.2: 10⁻³), for colour at the order of 1.
 pub(super) const RELATIVE_FLOOR: f32 = 1e-3;
@@ -29,6 +36,16 @@ impl GpuSamples {
             Self::PerPixel(counts) => (0.0, Some(counts)),
         }
     }
+}
+
+/// A signal with the samples of each pixel, at least 1, in the w of the mean: filtered along with the colour, they are the samples that contribute to the filtered value.
+pub fn sample_attach(rec: &mut Recorder, extent: IVec2, signal: &Buffer, samples: &GpuSamples) -> Result<Buffer> {
+    let with_samples = rec.take("signal with samples", plane_bytes(extent, 2))?;
+    let (samples_per_pixel, samples) = samples.parts();
+    let kernel = rec.gpu().kernel::<SampleAttach>("sample_attach", &[("SAMPLES_VARY", samples.is_some().into())])?;
+    let params = SampleAttachParams { extent, samples_per_pixel };
+    rec.dispatch(&kernel, &SampleAttach { params, signal, with_samples: &with_samples, samples }, per_pixel(extent))?;
+    Ok(with_samples)
 }
 
 /// The gain to be expected from a sample in each pixel: the estimated squared error of the blend relative to its squared value, times W(p) = Σ w / (1 + n_p), n_p the

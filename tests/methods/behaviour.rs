@@ -173,7 +173,7 @@ fn a_renderer_that_keeps_its_buffers_gets_the_same_bits() {
         has_halves: true,
     };
     let features = vec![GpuFeature { name: "paint".into(), signal: gpu_signal(&paint_mean), channels: 3 }];
-    let gpu_frame = GpuFrame { extent: IVec2::new(45, 31), color: gpu_signal(&color_mean), features, samples: GpuSamples::Uniform(1.0) };
+    let gpu_frame = GpuFrame { extent: IVec2::new(45, 31), color: gpu_signal(&color_mean), features, samples: GpuSamples::Uniform(1.0), mean_variance: None };
     let mut rec = gpu.record_whole();
     let estimate = denoiser.record(&mut rec, gpu_frame, Vec::new()).unwrap_or_else(|error| panic!("{error}"));
     let mut encoder = gpu.wgpu_device().create_command_encoder(&wgpu::CommandEncoderDescriptor::default());

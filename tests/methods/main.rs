@@ -1,4 +1,4 @@
-//! The methods on the GPU: DFC against its float64 twin (`twin`) and as its callers use it (`behaviour`), GEM both ways (`gem`), windows over several frames (`time`).
+//! Whole methods on the GPU. DFC: against its float64 twin (`twin`), as its callers use it (`behaviour`), over several frames (`time`). GEM (`gem`) and NLM (`nlm`): the same of one frame.
 
 #[allow(dead_code, unreachable_pub, reason = "every test includes all shared pieces and uses a part of them")]
 #[path = "../common/mod.rs"]
@@ -12,5 +12,6 @@ mod reference;
 
 mod behaviour;
 mod gem;
+mod nlm;
 mod time;
 mod twin;

@@ -5,7 +5,7 @@
 //! decisions are looked at by themselves: where one differs, the errors must tie.
 
 use stein::method::Intermediate;
-use stein::stage::nlm::CentreWeight;
+use stein::stage::nlm::{CentreWeight, Symmetry};
 use stein::{Denoiser, DfcParams, Estimate, Frame, Image, Options};
 
 use crate::common::{assert_near, flat, gpu, own_size};
@@ -50,7 +50,7 @@ fn twin_params(params: &DfcParams) -> TwinParams {
     TwinParams {
         window_radius: params.window_radius as usize,
         candidates: [first, second, third],
-        symmetric: params.weighting.symmetric,
+        symmetric: params.weighting.symmetric != Symmetry::Off,
         centre: match params.weighting.centre {
             CentreWeight::One => reference::nlm::CentreWeight::One,
             CentreWeight::LargestNeighbour => reference::nlm::CentreWeight::LargestNeighbour,

@@ -24,6 +24,7 @@ pub mod dfc;
 pub mod gaussian;
 pub mod gem;
 pub mod nlm;
+pub mod nlm_method;
 pub mod prefilter;
 pub mod random;
 pub mod select;

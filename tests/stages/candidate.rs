@@ -6,7 +6,7 @@ use stein::stage::nlm::{CentreWeight, Schedule, Weighting};
 
 use crate::common::{Scene, assert_near, bits, calm_scene, checked_gpu, extent_of, gpu, own_size, packed_signal, read, run, scene, upload};
 use crate::feature::{features, pack};
-use crate::nlm::twin_of;
+use crate::nlm::{rule_of, twin_of};
 use crate::reference::candidates::{analytic_derivative, candidate, finite_difference, finite_difference_step};
 use crate::reference::nlm::{Beside, Feature, FilterParams, Guide, window_weights_in_time};
 use crate::reference::{Grid, Planes, Point, map_pixels};
@@ -40,7 +40,7 @@ fn filter(case: Case) -> CandidateFilter {
         feature_k: 0.6,
         feature_tau: 1e-2,
         feature_tau_third: 5e-4,
-        weighting: Weighting { symmetric: case.symmetric, centre: case.centre },
+        weighting: Weighting { symmetric: rule_of(case.symmetric), centre: case.centre },
     }
 }
 

@@ -12,6 +12,7 @@ mod common;
 mod reference;
 
 mod candidate;
+mod chapter7;
 mod feature;
 mod gaussian;
 mod nlm;

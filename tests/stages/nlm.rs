@@ -1,7 +1,7 @@
 //! `nlm_distance` and `nlm_filter`: one operator, so they are tested together.
 
 use stein::gpu::Gpu;
-use stein::stage::nlm::{Beside, CentreWeight, Filtered, Guide, Payload, Schedule, Weighting, nlm_filter};
+use stein::stage::nlm::{Beside, CentreWeight, Filtered, Guide, Payload, Schedule, Symmetry, Weighting, nlm_filter};
 
 use crate::common::{Scene, assert_near, bits, calm_scene, checked_gpu, extent_of, gpu, own_size, packed, read, run, scene, upload};
 use crate::reference::random::Random;
@@ -42,13 +42,20 @@ fn filtered(gpu: &Gpu, case: Case, guide: &Scene, payload: &[Planes], schedule: 
             variance_of_mean: &variance_of_mean,
             channels: case.channels as u32,
             k: K,
+            alpha: 1.0,
             patch_radius: case.patch_radius,
             small_patch_radius: None,
+            patchwise: false,
+            cut: 0.0,
             beside: &[],
         };
-        let weighting = Weighting { symmetric: case.symmetric, centre: case.centre };
+        let weighting = Weighting { symmetric: rule_of(case.symmetric), centre: case.centre };
         nlm_filter(rec, extent, &guide, &Payload::new(&payload, case.payload_planes as u32), case.window_radius, weighting, case.residual, schedule)
     })
+}
+
+pub(crate) fn rule_of(symmetric: bool) -> Symmetry {
+    if symmetric { Symmetry::Blended } else { Symmetry::Off }
 }
 
 pub(crate) fn twin_of(centre: CentreWeight) -> reference::nlm::CentreWeight {
@@ -114,11 +121,14 @@ fn check_in_time(gpu: &Gpu, case: Case) {
             variance_of_mean: &variances[0],
             channels: case.channels as u32,
             k: K,
+            alpha: 1.0,
             patch_radius: case.patch_radius,
             small_patch_radius: None,
+            patchwise: false,
+            cut: 0.0,
             beside: &[Beside { signal: &signals[1], variance_of_mean: &variances[1] }],
         };
-        let weighting = Weighting { symmetric: case.symmetric, centre: case.centre };
+        let weighting = Weighting { symmetric: rule_of(case.symmetric), centre: case.centre };
         let payload = Payload { planes: &payloads[0], count: case.payload_planes as u32, beside: &[&payloads[1]] };
         nlm_filter(rec, extent, &guide, &payload, case.window_radius, weighting, case.residual, SCHEDULE)
     });

@@ -3,13 +3,9 @@
 use serde::Serialize;
 
 use crate::error::{Error, Result};
-use crate::stage::nlm::{CentreWeight, Weighting};
+use crate::method::common::{LARGEST_PATCH_RADIUS, LARGEST_WINDOW_RADIUS, refused};
+use crate::stage::nlm::{CentreWeight, Symmetry, Weighting};
 use crate::stage::select::Guard;
-
-/// The window radius beyond which work and halos make no sense any more, in pixels.
-const LARGEST_WINDOW_RADIUS: u32 = 64;
-/// The largest patch radius: a window of distances of 2f+1 rows lives in registers.
-const LARGEST_PATCH_RADIUS: u32 = 5;
 
 /// Parameters of DFC (thesis chapter 8). [`DfcParams::default`] is what measured best, [`DfcParams::thesis`] is Algorithm 1 to the letter.
 ///
@@ -22,7 +18,7 @@ const LARGEST_PATCH_RADIUS: u32 = 5;
 /// | `feature_k` | 0.6 | 0.6 | > 0 | k_f of all candidates |
 /// | `feature_tau` | 10⁻² | 10⁻² | > 0 | τ of FIRST and SECOND, in squares of the unit range |
 /// | `feature_tau_third` | 5·10⁻⁴ | 10⁻³ | > 0 | τ of THIRD |
-/// | `weighting.symmetric` | yes | no | | pairs of opposite neighbours (eq. 7.6) for colour and features; feature distances scaled by both pixels |
+/// | `weighting.symmetric` | blended | off | not hard | pairs of opposite neighbours (eq. 7.6) for colour and features; feature distances scaled by both pixels |
 /// | `weighting.centre` | largest neighbour | one | | weight of a pixel in its own average |
 /// | `guard` | 4, 0.3; 8, 4 | none | ≥ 0 | keeps candidates out of the blend that are clearly worse, by the smoothed errors and by the pixel's own |
 /// | `second_pass` | ⌈R/2⌉, f 3, clamped, 4σ | R, f 1 | | filters what noise pass 1 left; needs halves |
@@ -75,7 +71,7 @@ impl Default for DfcParams {
     fn default() -> Self {
         Self {
             feature_tau_third: 5e-4,
-            weighting: Weighting { symmetric: true, centre: CentreWeight::LargestNeighbour },
+            weighting: Weighting { symmetric: Symmetry::Blended, centre: CentreWeight::LargestNeighbour },
             guard: Some(Guard { smoothed_error: 4.0, smoothed_noise: 0.3, own_sigmas: 8.0, own_noise: 4.0 }),
             second_pass: Some(SecondPass { half_window: true, patch_radius: 3, color_k: 0.45, clamp_to_input: true, most_sigmas: Some(4.0) }),
             ..Self::thesis()
@@ -94,7 +90,7 @@ impl DfcParams {
             feature_k: 0.6,
             feature_tau: 1e-2,
             feature_tau_third: 1e-3,
-            weighting: Weighting { symmetric: false, centre: CentreWeight::One },
+            weighting: Weighting { symmetric: Symmetry::Off, centre: CentreWeight::One },
             guard: None,
             second_pass: Some(SecondPass { half_window: false, patch_radius: 1, color_k: 0.45, clamp_to_input: false, most_sigmas: None }),
         }
@@ -105,20 +101,23 @@ impl DfcParams {
     /// # Errors
     /// [`Error::Request`] naming the parameter and its range.
     pub fn validate(&self) -> Result<()> {
-        let refuse = |name: &str, value: String, range: &str| {
-            Err(Error::Request { problem: format!("{name} is {value}, outside its range"), remedy: format!("choose it {range}") })
-        };
         if !(1..=LARGEST_WINDOW_RADIUS).contains(&self.window_radius) {
-            return refuse("the window radius", self.window_radius.to_string(), &format!("from 1 to {LARGEST_WINDOW_RADIUS} pixels"));
+            return refused("the window radius", self.window_radius, &format!("from 1 to {LARGEST_WINDOW_RADIUS} pixels"));
         }
         let second_pass = self.second_pass.map_or(0, |pass| pass.patch_radius);
         for (name, radius) in [("the patch radius of SECOND", self.second_patch_radius), ("the patch radius of the second pass", second_pass)] {
             if radius > LARGEST_PATCH_RADIUS {
-                return refuse(name, radius.to_string(), &format!("from 0 to {LARGEST_PATCH_RADIUS} pixels"));
+                return refused(name, radius, &format!("from 0 to {LARGEST_PATCH_RADIUS} pixels"));
             }
         }
         if self.first_patch_radius > self.second_patch_radius {
-            return refuse("the patch radius of FIRST", self.first_patch_radius.to_string(), "no larger than that of SECOND");
+            return refused("the patch radius of FIRST", self.first_patch_radius, "no larger than that of SECOND");
+        }
+        if self.weighting.symmetric == Symmetry::Hard {
+            return Err(Error::Request {
+                problem: "the weights of opposite neighbours are replaced at once, so that SURE cannot differentiate them".into(),
+                remedy: "choose `Symmetry::Blended`, or NLM as the method".into(),
+            });
         }
         let positive = [
             ("k_c", self.color_k),
@@ -130,7 +129,7 @@ impl DfcParams {
         ];
         for (name, value) in positive {
             if !(value.is_finite() && value > 0.0) {
-                return refuse(name, value.to_string(), "finite and above 0");
+                return refused(name, value, "finite and above 0");
             }
         }
         if let Some(guard) = self.guard {
@@ -138,7 +137,7 @@ impl DfcParams {
             for (name, value) in [("smoothed error", smoothed_error), ("smoothed noise", smoothed_noise), ("own sigmas", own_sigmas), ("own noise", own_noise)]
             {
                 if !(value.is_finite() && value >= 0.0) {
-                    return refuse(&format!("the guard's {name}"), value.to_string(), "finite and at least 0");
+                    return refused(&format!("the guard's {name}"), value, "finite and at least 0");
                 }
             }
         }
