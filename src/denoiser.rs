@@ -207,23 +207,13 @@ impl Denoiser {
         Ok(())
     }
 
-    fn check_time(&self, frames_beside: usize) -> Result<()> {
-        if frames_beside == 0 || self.method.filters_in_time() {
-            return Ok(());
-        }
-        Err(Error::Request {
-            problem: format!("{} does not filter over time", self.method.name()),
-            remedy: "give it one frame at a time, or choose another method".into(),
-        })
-    }
-
-    /// Records the work on a frame that is on the GPU already, in a window with the frames `beside`, which are in its units; nothing is read back. For a renderer that embeds the denoiser: record with [`Gpu::record_whole`], then put
-    /// the commands into an encoder of its own with [`Recorder::encode_into`]. The frame must fit the binding limit as a whole.
+    /// Records the work on a frame that is on the GPU already, in a window with the frames `beside`, which are in its units; nothing is read back.
+    /// For a renderer that embeds the denoiser: record with [`Gpu::record_whole`], then put the commands into an encoder of its own with [`Recorder::encode_into`]. The
+    /// frame must fit the binding limit as a whole.
     ///
     /// # Errors
     /// [`Error::Device`] where a buffer exceeds the device's limits; [`Error::Request`] where frames are beside and the method does not filter over time.
     pub fn record(&self, rec: &mut Recorder, frame: GpuFrame, beside: Vec<GpuFrame>) -> Result<GpuEstimate> {
-        self.check_time(beside.len())?;
         self.method.record(rec, frame, beside, &[], self.schedule, |_, _| Ok(()))
     }
 }

@@ -123,16 +123,15 @@ impl Method {
         match self {
             Self::Dfc(params) => dfc::footprint(params, frame, beside, kept, schedule),
             Self::Gem(params) => gem::footprint(params, kept),
-            Self::Nlm(params) => nlm::footprint(params, frame, kept, schedule),
+            Self::Nlm(params) => nlm::footprint(params, beside, kept, schedule),
         }
     }
 
     /// Whether its window can hold neighbouring frames of a shot.
     pub fn filters_in_time(&self) -> bool {
         match self {
-            Self::Dfc(_) => true,
+            Self::Dfc(_) | Self::Nlm(_) => true,
             Self::Gem(_) => false,
-            Self::Nlm(_) => false,
         }
     }
 
@@ -161,7 +160,7 @@ impl Method {
         match self {
             Self::Dfc(params) => dfc::dfc(rec, frame, beside, params, wanted, schedule, progress),
             Self::Gem(params) => gem::gem(rec, frame, params, wanted, progress),
-            Self::Nlm(params) => nlm::nlm(rec, frame, params, wanted, schedule, progress),
+            Self::Nlm(params) => nlm::nlm(rec, frame, beside, params, wanted, schedule, progress),
         }
     }
 }

@@ -11,12 +11,11 @@ use super::estimate::{GpuEstimate, Intermediate, Keeper, Lane, RGB, Unit};
 use super::memory::{Footprint, uploaded_planes};
 use super::{GpuFrame, GpuSignal, Method};
 use crate::error::{Error, Result};
-use crate::frame::Frame;
 use crate::gpu::{Buffer, Recorder};
 use crate::stage::error::error_halves;
 use crate::stage::gaussian::{Averaging, Gaussian, gaussian};
 use crate::stage::half::{Halves, half_join, half_split};
-use crate::stage::nlm::{Filtered, Guide, Payload, Schedule, Weighting, nlm_filter};
+use crate::stage::nlm::{Beside, Filtered, Guide, Payload, Schedule, Weighting, nlm_filter};
 use crate::stage::sample::sample_attach;
 use crate::stage::variance::{INPUT_SMOOTHING, VariancePair, variance_clamp, variance_pair};
 
@@ -33,61 +32,62 @@ const VARIANCE_PATCH_RADIUS: u32 = 3;
 const VARIANCE_K: f32 = 0.45;
 const VARIANCE_ALPHA: f32 = 4.0;
 
-/// Non-local means. Uses no features.
+/// Non-local means. Uses no features. With frames `beside`, which are in the same units, its window reaches into them (thesis 7.3).
 ///
 /// `progress` is called with the share of the work that is recorded.
 ///
 /// # Errors
-/// Those of recording; [`Error::Request`] where the variance is to be uniform and the frame does not say which.
+/// Those of recording; [`Error::Request`] where the variance is to be uniform and a frame does not say which.
 pub fn nlm(
     rec: &mut Recorder,
     frame: GpuFrame,
+    beside: Vec<GpuFrame>,
     params: &NlmParams,
     wanted: &[Intermediate],
     schedule: Schedule,
     mut progress: impl FnMut(&mut Recorder, f32) -> Result<()>,
 ) -> Result<GpuEstimate> {
-    let GpuFrame { extent, color, features, samples, mean_variance } = frame;
-    drop(features);
+    let extent = frame.extent;
+    let has_halves = frame.color.has_halves;
     let mut keeper = Keeper::new(wanted);
 
     // Variance estimation.
-    let variance = match params.variance {
-        NlmVariance::Scaled => scaled_variance(rec, extent, &color)?,
-        NlmVariance::CrossFiltered => cross_filtered_variance(rec, extent, &color, params.weighting, schedule)?,
-        NlmVariance::Uniform => {
-            let of_channels = mean_variance.ok_or_else(|| Error::Request {
-                problem: "the variance is to be the same everywhere, but the frame does not say its mean".into(),
-                remedy: "set `GpuFrame::mean_variance`, or choose another `NlmParams::variance`".into(),
-            })?;
-            Arc::new(rec.upload("uniform variance", &of_channels.extend(0.0).to_array().repeat((extent.x * extent.y) as usize))?)
-        }
-    };
-    keeper.keep(Intermediate::Variance, "variance_of_mean", &RGB, Unit::ColorSquared, &variance, 0);
+    let Prepared { signal, variance, halves } = &Prepared::new(rec, frame, params, schedule)?;
+    let beside = beside.into_iter().map(|frame| Prepared::new(rec, frame, params, schedule)).collect::<Result<Vec<_>>>()?;
+    keeper.keep(Intermediate::Variance, "variance_of_mean", &RGB, Unit::ColorSquared, variance, 0);
 
     // Dual-buffer filtering; without halves, and for comparison, the original with one buffer.
-    let guide = |signal, variance_of_mean| Guide {
-        signal,
-        variance_of_mean,
-        channels: 3,
-        k: params.k,
-        alpha: params.alpha,
-        patch_radius: params.patch_radius,
-        small_patch_radius: None,
-        patchwise: params.patchwise,
-        cut: params.cut,
-        beside: &[],
+    let filter = |rec: &mut Recorder, buffers: &Buffers, others: &[Buffers], with_residual_variance: bool| {
+        let neighbours: Vec<_> = others.iter().map(|other| Beside { signal: other.guide, variance_of_mean: other.variance }).collect();
+        let payloads: Vec<_> = others.iter().map(|other| other.payload).collect();
+        let guide = Guide {
+            signal: buffers.guide,
+            variance_of_mean: buffers.variance,
+            channels: 3,
+            k: params.k,
+            alpha: params.alpha,
+            patch_radius: params.patch_radius,
+            small_patch_radius: None,
+            patchwise: params.patchwise,
+            cut: params.cut,
+            beside: &neighbours,
+        };
+        let payload = Payload { planes: buffers.payload, count: buffers.payload_planes, beside: &payloads };
+        nlm_filter(rec, extent, &guide, &payload, params.window_radius, params.weighting, with_residual_variance, schedule)
     };
-    let signal = &sample_attach(rec, extent, &color.signal, &samples)?;
-    let filtered = if params.dual_buffer && color.has_halves {
-        let Halves { a, b, variance } = &half_split(rec, extent, signal, &variance)?;
-        let weighting = params.weighting;
-        let filtered_a = nlm_filter(rec, extent, &guide(b, variance), &Payload::new(a, 1), params.window_radius, weighting, false, schedule)?;
+    let filtered = if let Some(halves) = halves {
+        let others: Vec<_> = beside.iter().filter_map(|frame| frame.halves.as_ref()).collect();
+        let half = |rec: &mut Recorder, buffers: fn(&Halves) -> Buffers| {
+            filter(rec, &buffers(halves), &others.iter().map(|halves| buffers(halves)).collect::<Vec<_>>(), false)
+        };
+        let filtered_a = half(rec, |halves| Buffers { guide: &halves.b, variance: &halves.variance, payload: &halves.a, payload_planes: 1 })?;
         progress(rec, 0.5)?;
-        let filtered_b = nlm_filter(rec, extent, &guide(a, variance), &Payload::new(b, 1), params.window_radius, weighting, false, schedule)?;
+        let filtered_b = half(rec, |halves| Buffers { guide: &halves.a, variance: &halves.variance, payload: &halves.b, payload_planes: 1 })?;
         half_join(rec, extent, [&filtered_a, &filtered_b])?
     } else {
-        nlm_filter(rec, extent, &guide(signal, &variance), &Payload::new(signal, 2), params.window_radius, params.weighting, !color.has_halves, schedule)?
+        let of = |signal, variance| Buffers { guide: signal, variance, payload: signal, payload_planes: 2 };
+        let others: Vec<_> = beside.iter().map(|frame| of(&frame.signal, &frame.variance)).collect();
+        filter(rec, &of(signal, variance), &others, !has_halves)?
     };
     progress(rec, 1.0)?;
 
@@ -98,8 +98,8 @@ pub fn nlm(
 
     let Filtered { planes, weights, .. } = filtered;
     let signal = Arc::new(planes);
-    if keeper.wants(Intermediate::Halves) && color.has_halves {
-        let Halves { a, b, .. } = half_split(rec, extent, &signal, &variance)?;
+    if keeper.wants(Intermediate::Halves) && has_halves {
+        let Halves { a, b, .. } = half_split(rec, extent, &signal, variance)?;
         keeper.keep(Intermediate::Halves, "half_a", &RGB, Unit::Color, &Arc::new(a), 0);
         keeper.keep(Intermediate::Halves, "half_b", &RGB, Unit::Color, &Arc::new(b), 0);
     }
@@ -110,6 +110,43 @@ pub fn nlm(
         selection: None,
         kept: keeper.into_kept(),
     })
+}
+
+/// What one run of the filter takes from a frame.
+struct Buffers<'a> {
+    guide: &'a Buffer,
+    variance: &'a Buffer,
+    payload: &'a Buffer,
+    payload_planes: u32,
+}
+
+/// What the filter needs of a frame.
+struct Prepared {
+    /// With the samples of each pixel in w.
+    signal: Buffer,
+    variance: Arc<Buffer>,
+    /// Where they are filtered by each other.
+    halves: Option<Halves>,
+}
+
+impl Prepared {
+    fn new(rec: &mut Recorder, frame: GpuFrame, params: &NlmParams, schedule: Schedule) -> Result<Self> {
+        let GpuFrame { extent, color, features: _, samples, mean_variance } = frame;
+        let variance = match params.variance {
+            NlmVariance::Scaled => scaled_variance(rec, extent, &color)?,
+            NlmVariance::CrossFiltered => cross_filtered_variance(rec, extent, &color, params.weighting, schedule)?,
+            NlmVariance::Uniform => {
+                let of_channels = mean_variance.ok_or_else(|| Error::Request {
+                    problem: "the variance is to be the same everywhere, but the frame does not say its mean".into(),
+                    remedy: "set `GpuFrame::mean_variance`, or choose another `NlmParams::variance`".into(),
+                })?;
+                Arc::new(rec.upload("uniform variance", &of_channels.extend(0.0).to_array().repeat((extent.x * extent.y) as usize))?)
+            }
+        };
+        let signal = sample_attach(rec, extent, &color.signal, &samples)?;
+        let halves = (params.dual_buffer && color.has_halves).then(|| half_split(rec, extent, &signal, &variance)).transpose()?;
+        Ok(Self { signal, variance, halves })
+    }
 }
 
 /// Scaled as in thesis 8.2, and held below the sample variance as in 7.1.1. Measured on six renders with 8 and 32 samples per pixel, holding it saves single dark pixels beside
@@ -152,14 +189,15 @@ impl From<NlmParams> for Method {
 }
 
 /// Counted from [`nlm`]: what is dropped is used again.
-pub(super) fn footprint(params: &NlmParams, frame: &Frame, kept: bool, schedule: Schedule) -> Footprint {
+pub(super) fn footprint(params: &NlmParams, beside: usize, kept: bool, schedule: Schedule) -> Footprint {
     // Variance 1, signal with samples 2, halves and their variance 3, filtered halves and weights 4, joined 3; later errors 3 in place of the halves.
     let later = 13;
     // Variance and errors are there anyway; the filtered halves and their variance.
     let kept = if kept { 3 } else { 0 };
     Footprint {
         halo: halo(params) as usize,
-        live_planes: uploaded_planes(frame.features().len()) + later + kept,
+        // All frames are uploaded before the first is prepared; variance, signal and halves of the others stay until the end.
+        live_planes: uploaded_planes(0) * (1 + beside as u64) + later + kept + 6 * beside as u64,
         largest_planes: 2,
         // The column sums of distances and those of weights.
         scratch_bytes: 2 * schedule.scratch_bytes,

@@ -4,7 +4,7 @@ use stein::frame::{SamplesPerPixel, Signal};
 use stein::gpu::{Gpu, GpuOptions};
 use stein::sampling::stub::{Sequence, StubSampler, scene};
 use stein::sampling::{SampleCounts, Sampler};
-use stein::{Denoiser, DfcParams, Error, Estimate, Extent, Frame, Image, Options, metric};
+use stein::{Denoiser, DfcParams, Error, Estimate, Extent, Frame, GemParams, Image, Method, NlmParams, Options, metric};
 
 use crate::common::{gpu, open};
 
@@ -19,7 +19,15 @@ fn still(samples: u32, seed: u64) -> Frame {
 }
 
 fn denoiser(gpu: &Gpu) -> Denoiser {
-    Denoiser::new(gpu, DfcParams { window_radius: 5, ..DfcParams::default() }).unwrap_or_else(|error| panic!("{error}"))
+    with_method(gpu, DfcParams { window_radius: 5, ..DfcParams::default() })
+}
+
+fn nlm(gpu: &Gpu) -> Denoiser {
+    with_method(gpu, NlmParams { window_radius: 5, ..NlmParams::default() })
+}
+
+fn with_method(gpu: &Gpu, method: impl Into<Method>) -> Denoiser {
+    Denoiser::new(gpu, method).unwrap_or_else(|error| panic!("{error}"))
 }
 
 fn window(denoiser: &Denoiser, frames: &[&Frame], centre: usize) -> Estimate {
@@ -33,28 +41,56 @@ fn error(image: &Image, reference: &Frame) -> f64 {
 #[test]
 fn a_static_shot_of_n_frames_is_as_good_as_n_times_the_samples() {
     let reference = still(2048, 1000);
-    let denoiser = denoiser(gpu());
+    // Differences are judged by the noise of single frames, and by that of their halves in NLM: hence not quite as good.
+    as_good_as_n_times_the_samples(&denoiser(gpu()), &reference, 1.3);
+    as_good_as_n_times_the_samples(&nlm(gpu()), &reference, 1.5);
+}
+
+fn as_good_as_n_times_the_samples(denoiser: &Denoiser, reference: &Frame, most: f64) {
     let (mut alone, mut together, mut at_once) = (0.0, 0.0, 0.0);
     for shot in 0..3 {
         let frames: Vec<Frame> = (0..3).map(|frame| still(8, 10 * shot + frame)).collect();
-        alone += error(&denoiser.denoise(&frames[1]).unwrap_or_else(|error| panic!("{error}")).color, &reference);
-        together += error(&window(&denoiser, &frames.iter().collect::<Vec<_>>(), 1).color, &reference);
-        at_once += error(&window(&denoiser, &[&still(24, 10 * shot + 5)], 0).color, &reference);
+        alone += error(&denoiser.denoise(&frames[1]).unwrap_or_else(|error| panic!("{error}")).color, reference);
+        together += error(&window(denoiser, &frames.iter().collect::<Vec<_>>(), 1).color, reference);
+        at_once += error(&window(denoiser, &[&still(24, 10 * shot + 5)], 0).color, reference);
     }
     assert!(together < 0.65 * alone, "{alone} became {together}");
-    assert!(together < 1.3 * at_once, "three frames: {together}, their samples in one: {at_once}");
+    assert!(together < most * at_once, "three frames: {together}, their samples in one: {at_once}");
+}
+
+/// Where the centre weighs 1, copies of a frame add to every weight sum what it has already, and change no average.
+#[test]
+fn copies_of_a_frame_change_nothing() {
+    let frame = still(8, 1);
+    let params = NlmParams { window_radius: 4, ..NlmParams::default() };
+    for params in [params, NlmParams { patchwise: false, ..params }, NlmParams { dual_buffer: false, ..params }] {
+        let denoiser = with_method(gpu(), params);
+        let (alone, together) = (window(&denoiser, &[&frame], 0), window(&denoiser, &[&frame, &frame, &frame], 1));
+        let near = |actual: &Image, expected: &Image, factor: f32, what: &str| {
+            let values = actual.planes.iter().flatten().zip(expected.planes.iter().flatten());
+            let worst = values.map(|(actual, expected)| (actual - factor * expected).abs() / (factor * expected).abs().max(1e-3)).fold(0.0, f32::max);
+            assert!(worst < 1e-4, "{what} is off by {worst} with {params:?}");
+        };
+        near(&together.color, &alone.color, 1.0, "the colour");
+        near(&together.weight_sum, &alone.weight_sum, 3.0, "Σ w");
+    }
 }
 
 #[test]
 fn strips_in_time_give_the_bits_of_the_whole_and_keep_to_the_memory_allowed() {
     let frames: Vec<Frame> = (0..3).map(|seed| tall(&still(4, seed))).collect();
     let frames: Vec<&Frame> = frames.iter().collect();
-    let whole = window(&denoiser(gpu()), &frames, 0);
+    for (method, limit) in [(denoiser as fn(&Gpu) -> Denoiser, 10_000_000), (nlm, 3_000_000)] {
+        strips_are_the_whole(method, &frames, limit);
+    }
+}
+
+fn strips_are_the_whole(method: fn(&Gpu) -> Denoiser, frames: &[&Frame], limit: u64) {
+    let whole = window(&method(gpu()), frames, 0);
     assert_eq!(whole.strips, 1);
     // Of its own: what other tests hold would count.
     let gpu = open(GpuOptions::default());
-    let limit = 10_000_000;
-    let in_strips = window(&denoiser(&gpu).with_max_memory(limit), &frames, 0);
+    let in_strips = window(&method(&gpu).with_max_memory(limit), frames, 0);
     assert!(in_strips.strips >= 2, "{} strips", in_strips.strips);
     assert!(in_strips.peak_bytes <= limit, "{} bytes where {limit} were allowed", in_strips.peak_bytes);
     assert!(in_strips.color == whole.color && in_strips.error == whole.error);
@@ -130,5 +166,7 @@ fn frames_that_do_not_fit_together_are_refused() {
         let Err(Error::Request { problem, .. }) = refused else { panic!("{what} was accepted") };
         assert!(problem.contains("frame 1") && problem.contains(what), "{problem}");
     }
+    let refused = with_method(gpu(), GemParams::default()).denoise_window(&[&frame, &frame], 0, Options::default());
+    assert!(matches!(refused, Err(Error::Request { problem, .. }) if problem.contains("gem")));
     assert!(matches!(denoiser(gpu()).denoise_window(&[&frame], 1, Options::default()), Err(Error::Request { .. })));
 }
