@@ -1,4 +1,4 @@
-// Chooses, for one candidate and each pixel, between the filter over all frames of a window in time and the filter over the pixel's own frame.
+// Chooses, for one filter and each pixel, between the filter over all frames of a window in time and the filter over the pixel's own frame.
 //
 // What moves through a window brings along pixels that only seem to fit: the noisy rim of a lamp, say, may stand for anything. Where the pixel's own SURE says that the other
 // frames have done harm, by more than chance explains, they are left out.
@@ -7,7 +7,7 @@
 
 struct SelectFramesParams {
     extent: vec2<i32>,
-    // Which of FIRST, SECOND and THIRD: the plane of its derivatives.
+    // Which plane of the derivatives belongs to the filter.
     candidate: i32,
     own_sigmas: f32,
     own_noise: f32,
@@ -16,12 +16,21 @@ struct SelectFramesParams {
 @group(0) @binding(0) var<uniform> params: SelectFramesParams;
 @group(0) @binding(1) var<storage, read> signal: array<vec4<f32>>;
 @group(0) @binding(2) var<storage, read> variance_of_mean: array<vec4<f32>>;
-// Over the own frame: a signal with Σ w in the w of the mean, and the derivatives of all candidates.
+// Over the own frame: a signal, and the derivatives of all candidates. Or, WEIGHT_SUMS, one plane with Σ w in x: where the weights do not depend on the noise of what is
+// averaged, the centre's share 1 / Σ w is the derivative.
 @group(0) @binding(3) var<storage, read> alone: array<vec4<f32>>;
 @group(0) @binding(4) var<storage, read> alone_derivatives: array<vec4<f32>>;
 // The same over all frames; it becomes what is chosen.
 @group(0) @binding(5) var<storage, read_write> together: array<vec4<f32>>;
 @group(0) @binding(6) var<storage, read_write> derivatives: array<vec4<f32>>;
+
+fn derivative(of_pixel: vec4<f32>) -> vec3<f32> {
+#ifdef WEIGHT_SUMS
+    return vec3<f32>(1.0 / of_pixel.x);
+#else
+    return of_pixel.xyz;
+#endif
+}
 
 @compute @workgroup_size(32, 2, 1)
 fn main(@builtin(global_invocation_id) id: vec3<u32>) {
@@ -34,8 +43,8 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     let at_derivative = params.candidate * pixels + at;
     let u = signal[at].xyz;
     let variance = variance_of_mean[at].xyz;
-    let error_alone = sure(u, variance, alone[at].xyz, alone_derivatives[at_derivative].xyz);
-    let error_together = sure(u, variance, together[at].xyz, derivatives[at_derivative].xyz);
+    let error_alone = sure(u, variance, alone[at].xyz, derivative(alone_derivatives[at_derivative]));
+    let error_together = sure(u, variance, together[at].xyz, derivative(derivatives[at_derivative]));
     if error_together - error_alone > error_by_chance(together[at].xyz - alone[at].xyz, variance, params.own_sigmas, params.own_noise) {
         together[at] = alone[at];
         together[pixels + at] = alone[pixels + at];

@@ -24,11 +24,11 @@ pub fn mse(image: &Image, reference: &Image) -> Result<f64> {
 
 /// How much the error of two consecutive frames differs: the mean over pixels and channels of
 ///
-/// ((x_t − ref_t) − (x_{t−1} − ref_{t−1}))² / (ref_t² + 0.01)
+/// ((x_t − ref_t) − (x_{t−1} − ref_{t−1}))² / ((ref_t² + ref_{t−1}²)/2 + 0.01)
 ///
 /// for `images` x_{t−1}, x_t and `references` ref_{t−1}, ref_t. 0 where the error stands still, be it large; of errors that are independent from frame to frame it is
-/// about the sum of both frames' [`relative_mse`]. Where something bright leaves a pixel, its error of before counts by what is there now, and may outweigh the whole rest of the
-/// picture. Of a shot: the mean over all pairs of consecutive frames.
+/// about the sum of both frames' [`relative_mse`]. Measured by both frames: where something bright enters or leaves a pixel, its error would outweigh the rest of the picture
+/// if it counted by the dark one. Of a shot: the mean over all pairs of consecutive frames.
 ///
 /// # Errors
 /// Images of different extent or channel count, or without pixels.
@@ -42,7 +42,7 @@ pub fn flicker(images: [&Image; 2], references: [&Image; 2]) -> Result<f64> {
         let [before, image, reference_before, reference] =
             [before, image, reference_before, reference].map(|image| image.planes[channel].iter().map(|&x| f64::from(x)));
         for ((x, reference), (x_before, reference_before)) in image.zip(reference).zip(before.zip(reference_before)) {
-            sum += ((x - reference) - (x_before - reference_before)).powi(2) / (reference.powi(2) + RELATIVE_EPSILON);
+            sum += ((x - reference) - (x_before - reference_before)).powi(2) / ((reference.powi(2) + reference_before.powi(2)) / 2.0 + RELATIVE_EPSILON);
         }
     }
     Ok(sum / (image.extent.pixels() * image.channels()) as f64)
@@ -159,9 +159,9 @@ mod tests {
     fn flicker_is_the_change_of_the_error() {
         let row = |values: &[f32]| image(2, 1, vec![values.to_vec()]);
         let (references, images) = ([row(&[1.0, 0.0]), row(&[2.0, 0.5])], [row(&[1.5, 0.0]), row(&[1.0, 0.75])]);
-        // Errors 0.5, 0 and then −1, 0.25: (−1.5)²/(4 + 0.01) and 0.25²/(0.25 + 0.01).
+        // Errors 0.5, 0 and then −1, 0.25: (−1.5)²/((4 + 1)/2 + 0.01) and 0.25²/(0.25/2 + 0.01).
         let found = flicker([&images[0], &images[1]], [&references[0], &references[1]]).unwrap();
-        let expected = (2.25 / 4.01 + 0.0625 / 0.26) / 2.0;
+        let expected = (2.25 / 2.51 + 0.0625 / 0.135) / 2.0;
         assert!((found - expected).abs() < 1e-12, "{found} {expected}");
 
         // An error that stays as it is does not flicker, however the picture moves.

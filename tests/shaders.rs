@@ -39,7 +39,8 @@ fn definitions(stage: &str) -> Option<Vec<Definitions>> {
     let none = Some(vec![Vec::new()]);
     match stage {
         "variance_rows" | "variance_scale" | "variance_pair" | "variance_clamp" | "half_split" | "half_join" | "feature_pack" | "candidate_resolve"
-        | "error_sure" | "select_least" | "select_blend" | "select_frames" | "select_pass" => none,
+        | "error_sure" | "select_least" | "select_blend" | "select_pass" => none,
+        "select_frames" => Some(combinations(&[("WEIGHT_SUMS", flags())])),
         "sample_attach" => Some(combinations(&[("SAMPLES_VARY", flags())])),
         "error_halves" => Some(combinations(&[("HALVES", flags())])),
         "scale_stop" | "scale_reduction" => none,

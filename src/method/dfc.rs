@@ -18,7 +18,7 @@ use crate::stage::error::error_sure;
 use crate::stage::feature::{Features, Packing, feature_pack};
 use crate::stage::nlm::{Beside, Guide, Payload, Schedule, Weighting, nlm_filter};
 use crate::stage::sample::sample_density;
-use crate::stage::select::{HARM, select_blend, select_frames, select_least, select_pass};
+use crate::stage::select::{HARM, Noisy, select_blend, select_frames, select_least, select_pass};
 use crate::stage::variance::{INPUT_SMOOTHING, RESIDUAL_SMOOTHING, variance_smooth};
 
 pub use params::{DfcParams, SecondPass};
@@ -95,7 +95,7 @@ pub fn dfc(
     let CandidatesInTime { together: candidates, alone } =
         candidates(rec, extent, signal, &variance, features.first(), &neighbours, &filter, schedule, progress)?;
     if let (Some(alone), Some(_)) = (&alone, params.guard) {
-        select_frames(rec, extent, signal, &variance, alone, &candidates, HARM)?;
+        select_frames(rec, extent, Noisy { signal, variance_of_mean: &variance }, alone, &candidates, HARM)?;
     }
     drop((features, colors_beside, variances_beside, alone));
     for (name, candidate) in BY_CANDIDATE.iter().zip(&candidates.signals) {

@@ -17,6 +17,7 @@ use crate::stage::gaussian::{Averaging, Gaussian, gaussian};
 use crate::stage::half::{Halves, half_join, half_split};
 use crate::stage::nlm::{Beside, Filtered, Guide, Payload, Schedule, Weighting, nlm_filter};
 use crate::stage::sample::sample_attach;
+use crate::stage::select::{HARM, Noisy, select_frames_of_filtered};
 use crate::stage::variance::{INPUT_SMOOTHING, VariancePair, variance_clamp, variance_pair};
 
 pub use params::{NlmParams, NlmVariance};
@@ -75,21 +76,32 @@ pub fn nlm(
         let payload = Payload { planes: buffers.payload, count: buffers.payload_planes, beside: &payloads };
         nlm_filter(rec, extent, &guide, &payload, params.window_radius, params.weighting, with_residual_variance, schedule)
     };
-    let filtered = if let Some(halves) = halves {
-        let others: Vec<_> = beside.iter().filter_map(|frame| frame.halves.as_ref()).collect();
-        let half = |rec: &mut Recorder, buffers: fn(&Halves) -> Buffers| {
-            filter(rec, &buffers(halves), &others.iter().map(|halves| buffers(halves)).collect::<Vec<_>>(), false)
+    let mut filtered_with = |rec: &mut Recorder, beside: &[Prepared], from: f32, to: f32| {
+        let filtered = if let Some(halves) = halves {
+            let others: Vec<_> = beside.iter().filter_map(|frame| frame.halves.as_ref()).collect();
+            let half = |rec: &mut Recorder, buffers: fn(&Halves) -> Buffers| {
+                filter(rec, &buffers(halves), &others.iter().map(|halves| buffers(halves)).collect::<Vec<_>>(), false)
+            };
+            let filtered_a = half(rec, |halves| Buffers { guide: &halves.b, variance: &halves.variance, payload: &halves.a, payload_planes: 1 })?;
+            progress(rec, (from + to) / 2.0)?;
+            let filtered_b = half(rec, |halves| Buffers { guide: &halves.a, variance: &halves.variance, payload: &halves.b, payload_planes: 1 })?;
+            half_join(rec, extent, [&filtered_a, &filtered_b])?
+        } else {
+            let of = |signal, variance| Buffers { guide: signal, variance, payload: signal, payload_planes: 2 };
+            let others: Vec<_> = beside.iter().map(|frame| of(&frame.signal, &frame.variance)).collect();
+            filter(rec, &of(signal, variance), &others, !has_halves)?
         };
-        let filtered_a = half(rec, |halves| Buffers { guide: &halves.b, variance: &halves.variance, payload: &halves.a, payload_planes: 1 })?;
-        progress(rec, 0.5)?;
-        let filtered_b = half(rec, |halves| Buffers { guide: &halves.a, variance: &halves.variance, payload: &halves.b, payload_planes: 1 })?;
-        half_join(rec, extent, [&filtered_a, &filtered_b])?
-    } else {
-        let of = |signal, variance| Buffers { guide: signal, variance, payload: signal, payload_planes: 2 };
-        let others: Vec<_> = beside.iter().map(|frame| of(&frame.signal, &frame.variance)).collect();
-        filter(rec, &of(signal, variance), &others, !has_halves)?
+        progress(rec, to)?;
+        Ok::<_, Error>(filtered)
     };
-    progress(rec, 1.0)?;
+    // Of the whole, the work on the own frame alone.
+    let share = if params.guard_frames && !beside.is_empty() { 1.0 / (beside.len() as f32 + 2.0) } else { 0.0 };
+    let alone = (share > 0.0).then(|| filtered_with(rec, &[], 0.0, share)).transpose()?;
+    let filtered = filtered_with(rec, &beside, share, 1.0)?;
+    if let Some(alone) = &alone {
+        select_frames_of_filtered(rec, extent, Noisy { signal, variance_of_mean: variance }, alone, &filtered, HARM)?;
+    }
+    drop((beside, alone));
 
     // Error estimation, and where the next samples pay (thesis 7.1.3).
     let errors = error_halves(rec, extent, &filtered)?;
@@ -192,12 +204,14 @@ impl From<NlmParams> for Method {
 pub(super) fn footprint(params: &NlmParams, beside: usize, kept: bool, schedule: Schedule) -> Footprint {
     // Variance 1, signal with samples 2, halves and their variance 3, filtered halves and weights 4, joined 3; later errors 3 in place of the halves.
     let later = 13;
+    // Filtered over the own frame.
+    let alone = if beside > 0 { 3 } else { 0 };
     // Variance and errors are there anyway; the filtered halves and their variance.
     let kept = if kept { 3 } else { 0 };
     Footprint {
         halo: halo(params) as usize,
         // All frames are uploaded before the first is prepared; variance, signal and halves of the others stay until the end.
-        live_planes: uploaded_planes(0) * (1 + beside as u64) + later + kept + 6 * beside as u64,
+        live_planes: uploaded_planes(0) * (1 + beside as u64) + later + kept + alone + 6 * beside as u64,
         largest_planes: 2,
         // The column sums of distances and those of weights.
         scratch_bytes: 2 * schedule.scratch_bytes,

@@ -4,6 +4,7 @@ use glam::IVec2;
 use serde::Serialize;
 
 use super::candidate::Candidates;
+use super::nlm::Filtered;
 use super::{per_pixel, plane_bytes};
 use crate::error::Result;
 use crate::gpu::{Buffer, Recorder, bindings, uniforms};
@@ -66,31 +67,43 @@ pub struct Harm {
 /// What measured best.
 pub const HARM: Harm = Harm { sigmas: 4.0, noise: 1.0 };
 
+/// Of a pixel's own frame, what SURE needs.
+#[derive(Clone, Copy, Debug)]
+pub struct Noisy<'a> {
+    /// Its signal.
+    pub signal: &'a Buffer,
+    /// The variance of its mean, one plane.
+    pub variance_of_mean: &'a Buffer,
+}
+
 /// Of candidates that were filtered over several frames, replaces in `together` what the pixel's own SURE says is worse than over its frame alone.
-pub fn select_frames(
-    rec: &mut Recorder,
-    extent: IVec2,
-    signal: &Buffer,
-    variance_of_mean: &Buffer,
-    alone: &Candidates,
-    together: &Candidates,
-    harm: Harm,
-) -> Result<()> {
-    let kernel = rec.gpu().kernel::<SelectFrames>("select_frames", &[])?;
-    for (candidate, (alone_signal, together_signal)) in (0..).zip(alone.signals.iter().zip(&together.signals)) {
-        let params = SelectFramesParams { extent, candidate, own_sigmas: harm.sigmas, own_noise: harm.noise };
-        let bound = SelectFrames {
-            params,
-            signal,
-            variance_of_mean,
-            alone: alone_signal,
-            alone_derivatives: &alone.derivatives,
-            together: together_signal,
-            derivatives: &together.derivatives,
-        };
-        rec.dispatch(&kernel, &bound, per_pixel(extent))?;
+pub fn select_frames(rec: &mut Recorder, extent: IVec2, noisy: Noisy, alone: &Candidates, together: &Candidates, harm: Harm) -> Result<()> {
+    for (candidate, signals) in (0..).zip(alone.signals.iter().zip(&together.signals)) {
+        select_frames_of_one(rec, extent, noisy, [signals.0, &alone.derivatives], [signals.1, &together.derivatives], Some(candidate), harm)?;
     }
     Ok(())
+}
+
+/// The same of one filter whose weights do not depend on the noise of what they average, and whose centre weighs 1.
+pub fn select_frames_of_filtered(rec: &mut Recorder, extent: IVec2, noisy: Noisy, alone: &Filtered, together: &Filtered, harm: Harm) -> Result<()> {
+    select_frames_of_one(rec, extent, noisy, [&alone.planes, &alone.weights], [&together.planes, &together.weights], None, harm)
+}
+
+/// `alone` and `together`: a filtered signal, and the derivatives of which those of the candidate count, or Σ w.
+fn select_frames_of_one(
+    rec: &mut Recorder,
+    extent: IVec2,
+    noisy: Noisy,
+    [alone, alone_derivatives]: [&Buffer; 2],
+    [together, derivatives]: [&Buffer; 2],
+    candidate: Option<i32>,
+    harm: Harm,
+) -> Result<()> {
+    let params = SelectFramesParams { extent, candidate: candidate.unwrap_or(0), own_sigmas: harm.sigmas, own_noise: harm.noise };
+    let Noisy { signal, variance_of_mean } = noisy;
+    let kernel = rec.gpu().kernel::<SelectFrames>("select_frames", &[("WEIGHT_SUMS", candidate.is_none().into())])?;
+    let bound = SelectFrames { params, signal, variance_of_mean, alone, alone_derivatives, together, derivatives };
+    rec.dispatch(&kernel, &bound, per_pixel(extent))
 }
 
 /// The average of the candidates.

@@ -62,7 +62,8 @@ fn as_good_as_n_times_the_samples(denoiser: &Denoiser, reference: &Frame, most: 
 #[test]
 fn copies_of_a_frame_change_nothing() {
     let frame = still(8, 1);
-    let params = NlmParams { window_radius: 4, ..NlmParams::default() };
+    // The guard may find rounding errors harmful.
+    let params = NlmParams { window_radius: 4, guard_frames: false, ..NlmParams::default() };
     for params in [params, NlmParams { patchwise: false, ..params }, NlmParams { dual_buffer: false, ..params }] {
         let denoiser = with_method(gpu(), params);
         let (alone, together) = (window(&denoiser, &[&frame], 0), window(&denoiser, &[&frame, &frame, &frame], 1));

@@ -5,8 +5,9 @@ use std::sync::Arc;
 use stein::gpu::{Gpu, Recorder};
 use stein::stage::candidate::Candidates;
 use stein::stage::error::error_sure;
+use stein::stage::nlm::Filtered;
 use stein::stage::sample::{GpuSamples, sample_density};
-use stein::stage::select::{Guard, Harm, select_blend, select_frames, select_least, select_pass};
+use stein::stage::select::{Guard, Harm, Noisy, select_blend, select_frames, select_frames_of_filtered, select_least, select_pass};
 
 use crate::common::{Scene, assert_near, checked_gpu, extent_of, flat, gpu, own_size, packed, packed_signal, read, rounded, run, scene, upload};
 use crate::reference::dfc::{Pass, limited};
@@ -208,7 +209,7 @@ fn other_frames_are_left_out_where_they_do_harm() {
             let signal = rec.upload("signal", &packed_signal(&scene.mean, &scene.spread))?;
             let variance = upload(rec, &scene.variance)?;
             let (alone, together) = (upload_bank(rec, &alone)?, upload_bank(rec, &together)?);
-            select_frames(rec, extent, &signal, &variance, &alone, &together, rule)?;
+            select_frames(rec, extent, Noisy { signal: &signal, variance_of_mean: &variance }, &alone, &together, rule)?;
             Ok(together)
         });
         let derivatives = read(gpu, &chosen.derivatives, extent);
@@ -236,6 +237,42 @@ fn other_frames_are_left_out_where_they_do_harm() {
             assert!(width * height < 100 || (width * height / 20..width * height * 19 / 20).contains(&left_out), "{left_out} pixels");
         }
     }
+}
+
+/// Weights that do not depend on the noise of what they average: the derivative is the centre's share.
+#[test]
+fn other_frames_are_left_out_of_one_filter_where_they_do_harm() {
+    let (rule, twin_rule) =
+        (Harm { sigmas: 0.5, noise: 0.25 }, reference::select::Guard { smoothed_error: 0.0, smoothed_noise: 0.0, own_sigmas: 0.5, own_noise: 0.25 });
+    let (width, height) = (57, 31);
+    let scene = scene(width, height, 53);
+    let [alone, together] = [54, 55].map(|seed| seeded_bank(width, height, seed));
+    let extent = extent_of(&scene.mean[0]);
+    let chosen = run(gpu(), |rec| {
+        let signal = rec.upload("signal", &packed_signal(&scene.mean, &scene.spread))?;
+        let variance = upload(rec, &scene.variance)?;
+        let mut filtered = |of: &Bank| {
+            let (planes, weights) = (rec.upload("filtered", &packed_signal(&of.means[0], &of.spreads[0]))?, upload(rec, &of.weight_sums[..1])?);
+            Ok::<_, stein::Error>(Filtered { planes, weights, residual_variance: None })
+        };
+        let (alone, together) = (filtered(&alone)?, filtered(&together)?);
+        select_frames_of_filtered(rec, extent, Noisy { signal: &signal, variance_of_mean: &variance }, &alone, &together, rule)?;
+        Ok(together)
+    });
+    let sure = |bank: &Bank| {
+        let derivative = vec![bank.weight_sums[0].like(|p| 1.0 / bank.weight_sums[0].at(p)); 3];
+        reference::sure::sure(&scene.mean, &scene.variance, &bank.means[0], &derivative)
+    };
+    let (sure_alone, sure_together) = (sure(&alone), sure(&together));
+    let of_alone = reference::select::Filtered { mean: &alone.means[0], sure: &sure_alone };
+    let of_together = reference::select::Filtered { mean: &together.means[0], sure: &sure_together };
+    let choose =
+        |a: &Grid, b: &Grid| a.like(|p| if reference::select::harmed(of_together, of_alone, &scene.variance, &twin_rule, p) { a.at(p) } else { b.at(p) });
+    let expected: Planes = (0..3).map(|i| choose(&alone.means[0][i], &together.means[0][i])).collect();
+    assert_near("the filtered colour", &read(gpu(), &chosen.planes, extent)[0][..3], &expected, &own_size(&expected, 0.0), 1e-12, 0.0);
+    let expected = [choose(&alone.weight_sums[0], &together.weight_sums[0])];
+    assert_near("Σ w", &read(gpu(), &chosen.weights, extent)[0][..1], &expected, &own_size(&expected, 0.0), 1e-12, 0.0);
+    assert!(expected[0].values != alone.weight_sums[0].values && expected[0].values != together.weight_sums[0].values);
 }
 
 #[test]

@@ -155,7 +155,7 @@ impl ShotErrors {
         let row = |means: &Means| vec![means.image.to_owned(), number(means.mean_relative_mse), means.flicker.map_or_else(|| "-".to_owned(), number)];
         let rows: Vec<_> = std::iter::once(head).chain(self.images.iter().map(row)).collect();
         format!(
-            "{}\n  (flicker: mean over consecutive frames of (error − error of the frame before)²/(reference² + {}))",
+            "{}\n  (flicker: mean over consecutive frames of (error − error of the frame before)²/(mean reference² of both + {}))",
             table(&rows, 1),
             metric::RELATIVE_EPSILON
         )

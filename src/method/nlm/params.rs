@@ -20,6 +20,7 @@ use crate::stage::nlm::{CentreWeight, Symmetry, Weighting};
 /// | `cut` | 0.05 | 0.05 | 0–1 | weights below it become 0 |
 /// | `dual_buffer` | yes | yes | | each half is filtered with the weights of the other; needs halves |
 /// | `variance` | scaled | cross-filtered | | what is taken for the variance of the pixel means |
+/// | `guard_frames` | yes | no | | over several frames, whether those that harm a pixel, by its SURE, are left out there |
 ///
 /// A frame without halves is filtered with its own weights, whatever `dual_buffer` says.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -42,6 +43,8 @@ pub struct NlmParams {
     pub dual_buffer: bool,
     /// What is taken for the variance of the pixel means.
     pub variance: NlmVariance,
+    /// Whether frames beside that harm a pixel are left out there.
+    pub guard_frames: bool,
 }
 
 /// What is taken for the variance of the pixel means. Without halves the sample variance stands for all but the uniform one, without sample variance the smoothed
@@ -60,7 +63,7 @@ pub enum NlmVariance {
 
 impl Default for NlmParams {
     fn default() -> Self {
-        Self { variance: NlmVariance::Scaled, ..Self::thesis() }
+        Self { variance: NlmVariance::Scaled, guard_frames: true, ..Self::thesis() }
     }
 }
 
@@ -77,6 +80,7 @@ impl NlmParams {
             cut: 0.05,
             dual_buffer: true,
             variance: NlmVariance::CrossFiltered,
+            guard_frames: false,
         }
     }
 
