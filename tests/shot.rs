@@ -120,11 +120,29 @@ fn a_missing_frame_is_told_before_any_work() {
 fn a_frame_of_another_size_is_named() {
     let folder = shot();
     std::fs::copy(test_image("cornell_8spp.exr"), path(&folder, "shot", 1)).unwrap();
-    denoise(&folder, "clean", &["--temporal-radius=1"]).failed(3, &["frame 1: ", "96×96", "28×28", "remedy: "]);
+    denoise(&folder, "clean", &["--temporal-radius=1"]).failed(3, &["frame 1: ", "96×96", "32×32", "remedy: "]);
     assert_eq!(new_names(&folder), Vec::<String>::new());
     // Nothing is wrong with it where each frame stands for itself.
     denoise(&folder, "clean", &["--frames=0-1"]).succeeded();
     assert_eq!(new_names(&folder), ["clean.0000.exr", "clean.0001.exr"]);
+}
+
+/// What the window over several frames is for, with the methods as they are.
+#[test]
+fn neighbouring_frames_lower_error_and_flicker() {
+    let folder = shot();
+    for method in ["dfc", "nlm"] {
+        let errors = |window: &str| {
+            let (input, output, reference) = (folder.path("shot.####.exr"), folder.path("clean.####.exr"), folder.path("reference.####.exr"));
+            let told =
+                stein(&["denoise", &input, "--method", method, "--temporal-radius", window, "--ref", &reference, "-o", &output, "--json"]).succeeded().json();
+            let of_result = &told["errors"]["images"][1];
+            ["mean_relative_mse", "flicker"].map(|name| of_result[name].as_f64().unwrap())
+        };
+        let ([error_alone, flicker_alone], [error, flicker]) = (errors("0"), errors("1"));
+        assert!(error < error_alone, "{method}: the error {error_alone} became {error}");
+        assert!(flicker < 0.8 * flicker_alone, "{method}: the flicker {flicker_alone} became {flicker}");
+    }
 }
 
 #[test]
