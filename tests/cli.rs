@@ -207,7 +207,7 @@ fn nlm_says_what_it_did() {
     let document = stein(&[&arguments[..], &options].concat()).succeeded().json();
     let parameters = &document["parameters"];
     let expected = serde_json::json!({
-        "method": "nlm", "window_radius": 2, "patch_radius": 1, "k": 0.5, "alpha": 0.5, "cut": parameters["cut"], "patchwise": false, "dual_buffer": false,
+        "method": "nlm", "window_radius": 2, "patch_radius": 1, "k": 0.5, "alpha": 0.5, "cut": parameters["cut"], "patchwise": false, "dual_buffer": false, "guard_frames": true,
         "variance": "uniform", "weighting": { "symmetric": "off", "centre": "One" },
     });
     assert_eq!(parameters, &expected);
