@@ -18,6 +18,8 @@ const EXAMPLE: &str = "\
 The map has a layer `density.V`, real samples per pixel, a layer `samples.V`, whole and even numbers with the same sum, and, where the input says how many samples its \
 pixels have, a layer `drawn.V` with these. Samples go where the estimated relative error is largest, weighed by how many pixels profit (thesis 7.1.2, 8.6).
 
+For the map, nlm filters with a radius of 7 pixels and an alpha of 0.5 at the most, and gem has fewer scales.
+
 Examples:
   stein sample-map render.exr --budget 16             writes render.map.exr
   stein sample-map render.exr --budget 16 --cap 128 -o map.exr
