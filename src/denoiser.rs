@@ -213,8 +213,8 @@ impl Denoiser {
     /// frame must fit the binding limit as a whole.
     ///
     /// # Errors
-    /// [`Error::Device`] where a buffer exceeds the device's limits; [`Error::Request`] where frames are beside that are not alike or the method does not filter over time, or where it wants a
-    /// [`GpuFrame::mean_variance`] that is not given.
+    /// [`Error::Device`] where a buffer exceeds the device's limits; [`Error::Request`] where frames are beside that are not alike or the method does not filter over time, or
+    /// where it wants a [`GpuFrame::mean_variance`] that is not given.
     pub fn record(&self, rec: &mut Recorder, frame: GpuFrame, beside: Vec<GpuFrame>) -> Result<GpuEstimate> {
         self.method.record(rec, frame, beside, &[], self.schedule, |_, _| Ok(()))
     }
