@@ -1,6 +1,7 @@
-// The NL-means filter of one guide applied to a payload of one or more planes (eq. 7.1): feature prefilter, SURE smoothing, selection-map smoothing, second pass.
+// The NL-means filter of one guide applied to a payload of one or more planes (eq. 7.1): all of NLM's filters, and those of DFC but for the candidates.
 //
-// Works on the chunk of pairs whose column sums nlm_distance has left, or of which nlm_weight has made column sums of weights (PATCHWISE); `filtered` and `weights` carry the sums from chunk to chunk and hold the result after the last.
+// Works on the chunk of pairs whose column sums nlm_distance has left, or of which nlm_weight has made column sums of weights (PATCHWISE); `filtered` and `weights` carry
+// the sums from chunk to chunk and hold the result after the last.
 // Sums are taken of the differences to the centre pixel: F = u_p + Σ w·(u_q − u_p) / Σ w loses no digits to a large common offset.
 #import stein::planes::{inside, pixel_index, clamped_index}
 #import stein::nlm::{NlmParams, pair_offset, next_offset, has_opposite, patch_pairs, weights_from_sums, centre_weight}

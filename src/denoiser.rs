@@ -207,12 +207,14 @@ impl Denoiser {
         Ok(())
     }
 
-    /// Records the work on a frame that is on the GPU already, in a window with the frames `beside`, which are in its units; nothing is read back.
+    /// Records the work on a frame that is on the GPU already, in a window with the frames `beside`, which are in its units, have its extent and features, and
+    /// halves if it does; nothing is read back.
     /// For a renderer that embeds the denoiser: record with [`Gpu::record_whole`], then put the commands into an encoder of its own with [`Recorder::encode_into`]. The
     /// frame must fit the binding limit as a whole.
     ///
     /// # Errors
-    /// [`Error::Device`] where a buffer exceeds the device's limits; [`Error::Request`] where frames are beside and the method does not filter over time.
+    /// [`Error::Device`] where a buffer exceeds the device's limits; [`Error::Request`] where frames are beside that are not alike or the method does not filter over time, or
+    /// where it wants a [`GpuFrame::mean_variance`] that is not given.
     pub fn record(&self, rec: &mut Recorder, frame: GpuFrame, beside: Vec<GpuFrame>) -> Result<GpuEstimate> {
         self.method.record(rec, frame, beside, &[], self.schedule, |_, _| Ok(()))
     }

@@ -7,9 +7,10 @@
 //! EXR files -> BufferSet  (buffers: what the files said)
 //!           -> Frame      (frame: finite, one extent, meaning normalised, repairs counted)
 //!           -> GpuFrame   (method: uploaded, colour at the order of 1)
-//!           -> variances of the pixel mean -> prefiltered features -> candidates -> SURE -> selection -> blend -> second pass
-//!                         (method: this is dfc; each method is a straight function of the stages. gem: scales -> stopping maps -> the finest that stops)
-//!                          nlm: variances -> halves -> each filtered by the other -> their difference)
+//!           -> GpuEstimate (method: one straight function of the stages each)
+//!                dfc: variances of the pixel mean -> prefiltered features -> candidates -> SURE -> selection -> blend -> second pass
+//!                nlm: variances of the pixel mean -> halves -> each filtered with the weights of the other -> their difference
+//!                gem: variances of the pixel mean -> scales -> stopping maps -> the finest that stops
 //!           -> Estimate   (denoiser: colour, halves, estimated error, intermediates) -> EXR file
 //! ```
 //!

@@ -376,6 +376,8 @@ fn gem_works_in_the_loop_and_makes_maps() {
     let document: Value = serde_json::from_str(&call(&whole, &[])).unwrap();
     assert_eq!(document["iterations"][2]["samples"]["total_samples"], 12 * PIXELS);
     assert!(document["iterations"][2]["samples"]["most"].as_u64() > document["iterations"][2]["samples"]["least"].as_u64());
+    let phase = |iteration: u32| content(&whole.join(format!("denoised_{iteration}.exr"))).1["stein.parameters"].clone();
+    assert!(phase(1).contains("sampling") && phase(2).contains("sampling") && phase(3).contains("final"), "{} {} {}", phase(1), phase(2), phase(3));
     let budgets: Vec<u64> = (1..=3).map(|iteration| MapFile::read(&whole.join(format!("map_{iteration}.exr"))).unwrap().map.counts.total_samples()).collect();
     assert_eq!(budgets, [4 * PIXELS; 3]);
     // The last iteration is lost.

@@ -207,12 +207,17 @@ fn nlm_says_what_it_did() {
     let document = stein(&[&arguments[..], &options].concat()).succeeded().json();
     let parameters = &document["parameters"];
     let expected = serde_json::json!({
-        "method": "nlm", "window_radius": 2, "patch_radius": 1, "k": 0.5, "alpha": 0.5, "cut": parameters["cut"], "patchwise": false, "dual_buffer": false, "guard_frames": true,
-        "variance": "uniform", "weighting": { "symmetric": "off", "centre": "One" },
+        "method": "nlm", "window_radius": 2, "patch_radius": 1, "k": 0.5, "alpha": 0.5, "cut": 0.1, "patchwise": false, "dual_buffer": false,
+        "variance": "uniform", "guard_frames": true, "weighting": { "symmetric": "off", "centre": "One" },
     });
     assert_eq!(parameters, &expected);
     assert!(document["errors"].as_array().unwrap().iter().any(|errors| errors["image"] == "half_b"));
     assert!(attribute(&output, "stein.parameters").unwrap().contains("uniform"));
+    // Features are not told of as used, and options about them are not ignored.
+    let text = stein(&["denoise", &input, "-o", &output, RADIUS, "--method=nlm", "--keep=all"]).succeeded();
+    assert!(!text.stdout.contains("feature albedo"), "{}", text.stdout);
+    stein(&["denoise", &input, "-o", &output, "--method=nlm", "--skip-feature=depth"]).failed(2, &["--skip-feature depth", "nlm uses no features", "remedy: "]);
+    stein(&["denoise", &input, "-o", &output, RADIUS, "--no-features", "--keep=features"]).succeeded().said(&["--keep features: there is nothing"]);
     stein(&["denoise", &input, "-o", &output, RADIUS, "--method=nlm", "--keep=all"]).succeeded();
     let layers = stein(&["info", &output]).succeeded();
     layers.said(&["stein.half_a", "stein.half_b", "stein.density", "stein.variance_of_mean", "stein.error"]);

@@ -29,6 +29,8 @@ it is to write: the new samples alone, with halves and variance of the colour an
 samples.V (even numbers of samples to draw), density.V (before rounding) and drawn.V (what the pixel has already). A renderer that draws other numbers, because it works in \
 blocks perhaps, is warned about; the numbers in its file count.
 
+Before the last iteration, nlm filters with a radius of 7 pixels and an alpha of 0.5 at the most, and gem has fewer scales.
+
 Examples:
   stein adapt dof --spp 64 -o loop
   stein adapt dof --spp 64 --size 128x128 --ref reference.exr -o loop
@@ -191,7 +193,9 @@ impl Job<'_> {
                 Event::Denoising { iteration, share } => advance(iteration, (1.0 + share) / 2.0),
                 Event::Planned { iteration, map, drawn } => self.folder.write_map(&label(iteration), map, drawn)?,
                 Event::Finished { iteration, map: _, samples, estimate } => {
-                    self.folder.write(&label(iteration), samples, estimate, self.denoiser.method())?;
+                    // As `adapt` denoises.
+                    let method = if iteration < iterations { self.denoiser.method().while_sampling() } else { *self.denoiser.method() };
+                    self.folder.write(&label(iteration), samples, estimate, &method)?;
                     let row = Row::new(label(iteration), samples, estimate, self.reference.as_ref())?;
                     bar.suspend(|| out.say(row.text()));
                     rows.push(row);

@@ -116,13 +116,15 @@ pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
     let names = if args.presets.is_empty() { PresetName::value_variants() } else { &args.presets };
     let methods = names.iter().map(|name| Ok((name.preset(), args.choice.method(*name)?))).collect::<Result<Vec<_>, Failure>>()?;
     methods.iter().try_for_each(|(_, method)| args.source.check(method))?;
+    // The presets are of one method.
+    let source = methods.first().map_or_else(|| args.source.clone(), |(_, method)| args.source.for_method(method));
     let gpu = args.device.open()?;
     let denoisers = methods.into_iter().map(|(preset, method)| Ok((preset, args.device.denoiser(&gpu, method)?))).collect::<Result<Vec<_>, Failure>>()?;
     out.say(format_args!("{}, median of {}", gpu.summary(), args.repeat));
 
     let mut document = Document { device: gpu.summary().clone(), repeats: args.repeat, cases: Vec::new() };
     for (index, input) in args.inputs.iter().enumerate() {
-        let frame = settle(&args.source.read(input)?).0.map_err(|error| Failure::in_file(input, error))?;
+        let frame = settle(&source.read(input)?).0.map_err(|error| Failure::in_file(input, error))?;
         let reference = args.references.get(index).map(|reference| quality::read(reference, &frame, input)).transpose()?;
         let sizes = if args.sizes.is_empty() { vec![frame.extent()] } else { args.sizes.clone() };
         for extent in sizes {

@@ -149,7 +149,9 @@ fn denoise(args: &Args, out: &mut Out) -> Result<(), Failure> {
     }
     args.source.check(&method)?;
     let keep = args.keep(&method)?;
-    let plan = Plan::new(args, input)?;
+    let mut plan = Plan::new(args, input)?;
+    plan.reads.iter_mut().for_each(|read| read.source = read.source.for_method(&method));
+    let plan = plan;
     let job = Job { args, method, keep, plan: &plan };
     std::thread::scope(|scope| job.run(Frames::start(scope, &plan.reads), input, out))
 }
@@ -293,7 +295,14 @@ impl Job<'_> {
         let options = Options { keep: &needed, progress: if is_wanted { Some(&mut tell) } else { None } };
         let estimate = denoiser.denoise_window(&frames, planned.centre, options)?;
         let run = Run::new(&estimate, start.elapsed().as_secs_f64());
-        let output = output::write(&set, &planned.output, &estimate, keep, method)?;
+        let mut output = output::write(&set, &planned.output, &estimate, keep, method)?;
+        let missing = keep.iter().filter(|one| !estimate.layers.iter().any(|layer| layer.intermediate == **one));
+        output.notes.extend(missing.map(|one| format!("--keep {}: there is nothing of the kind without halves or features", one.name())));
+        let everywhere = |name: &str| frames.iter().all(|frame| frame.features().iter().any(|feature| feature.name == name));
+        let left_out = frame.features().iter().filter(|feature| !everywhere(&feature.name));
+        output
+            .notes
+            .extend(left_out.map(|feature| format!("feature {}: not used, because a frame beside lacks it or has it the same everywhere", feature.name)));
         let errors = reference.as_ref().map(|reference| quality::compare(frame, &estimate, reference)).transpose()?;
         if let (Some(number), Some(reference), Some(errors)) = (planned.number, reference, &errors) {
             let images = [frame.color().mean.clone(), estimate.color];

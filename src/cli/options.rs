@@ -249,13 +249,20 @@ impl Source {
 
     /// Options that the method has no use for are not ignored.
     pub(crate) fn check(&self, method: &Method) -> Result<(), Failure> {
-        match self.features.first() {
-            Some((feature, _)) if !method.uses_features() => {
+        let given = self.features.first().map(|(feature, _)| format!("--feature {feature}"));
+        let given = given.or_else(|| self.skip_features.first().map(|feature| format!("--skip-feature {feature}")));
+        match given.filter(|_| !method.uses_features()) {
+            Some(option) => {
                 let name = method.name();
-                Err(Failure::usage(format_args!("--feature {feature}: {name} uses no features\n  remedy: leave it out, or choose another --method")))
+                Err(Failure::usage(format_args!("{option}: {name} uses no features\n  remedy: leave it out, or choose another --method")))
             }
-            _ => Ok(()),
+            None => Ok(()),
         }
+    }
+
+    /// What the method reads: features that it does not use are not told of as used.
+    pub(crate) fn for_method(&self, method: &Method) -> Self {
+        Self { no_features: self.no_features || !method.uses_features(), ..self.clone() }
     }
 
     /// Files besides the input, none of which an output may replace.

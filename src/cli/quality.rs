@@ -76,7 +76,7 @@ pub(crate) fn compare(frame: &Frame, estimate: &Estimate, reference: &Image) -> 
     }
     for name in ["half_a", "half_b"] {
         if let Some(image) = kept(name) {
-            // Of one half, whose noise the two halves together have half of.
+            // The estimated error is that of their mean.
             errors.push(Errors::new(name, image, reference, None)?);
         }
     }

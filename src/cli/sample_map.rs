@@ -18,6 +18,8 @@ const EXAMPLE: &str = "\
 The map has a layer `density.V`, real samples per pixel, a layer `samples.V`, whole and even numbers with the same sum, and, where the input says how many samples its \
 pixels have, a layer `drawn.V` with these. Samples go where the estimated relative error is largest, weighed by how many pixels profit (thesis 7.1.2, 8.6).
 
+For the map, nlm filters with a radius of 7 pixels and an alpha of 0.5 at the most, and gem has fewer scales.
+
 Examples:
   stein sample-map render.exr --budget 16             writes render.map.exr
   stein sample-map render.exr --budget 16 --cap 128 -o map.exr
@@ -114,7 +116,7 @@ pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
     let file = args.output.clone().unwrap_or_else(|| input.with_extension("map.exr"));
     output::check(&file, args.source.files().chain([input]), false, false)?;
 
-    let set = args.source.read(input)?;
+    let set = args.source.for_method(&method).read(input)?;
     let (frame, described) = settle(&set);
     out.say(described.text(false));
     let frame = frame.map_err(|error| Failure::in_file(input, error))?;

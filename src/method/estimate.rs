@@ -7,9 +7,9 @@ use crate::gpu::Buffer;
 /// Intermediates that can be kept for inspection. Which of them there are depends on the method: [`Method::intermediates`](super::Method::intermediates).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Intermediate {
-    /// Scaled variance of the colour's mean.
+    /// Variance of the colour's mean as the filters take it: scaled (thesis 8.2), of NLM as [`NlmVariance`](super::nlm::NlmVariance) says.
     Variance,
-    /// Prefiltered features and their residual variances.
+    /// Prefiltered features and their residual variances; nothing where there are no features.
     Features,
     /// FIRST, SECOND and THIRD.
     Candidates,
@@ -19,15 +19,15 @@ pub enum Intermediate {
     Sure,
     /// Selection maps: binary, and as they entered the blend.
     Selection,
-    /// The blend before the second pass.
+    /// The blend before the second pass; nothing where there is none, as without halves.
     Pass1,
     /// Stopping maps of each pair of scales: binary, and smoothed.
     Stopping,
     /// σ of the scale that was chosen, in pixels; 0 for the pixel filter.
     Scale,
-    /// The filtered halves.
+    /// The filtered halves; nothing where the frame has none.
     Halves,
-    /// Where the next samples pay most.
+    /// Where the next samples pay most; of GEM what that is made of, for [`sampling_density`](crate::sampling::sampling_density).
     Density,
 }
 

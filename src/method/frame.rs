@@ -43,7 +43,7 @@ pub struct GpuFrame {
     pub color: GpuSignal,
     /// 0 to 8.
     pub features: Vec<GpuFeature>,
-    /// Only the sampling density asks for it.
+    /// GEM corrects the variances of few samples by it; of DFC and NLM only the sampling density asks for it.
     pub samples: GpuSamples,
     /// The mean over the whole image of the variance of the colour's mean, per channel; by the halves, where there are any. Only [`NlmVariance::Uniform`](super::nlm::NlmVariance)
     /// asks for it.

@@ -1,6 +1,6 @@
 //! The methods: a straight function each, that reads like its chapter. They know the stages, never the GPU interface beneath them.
 //!
-//! All are one shape: a bank of candidates, an error for each, a smoothed choice, a blend.
+//! DFC and GEM are one shape: a bank of candidates, an error for each, a smoothed choice. NLM is one filter whose two halves tell its error.
 
 mod common;
 pub mod dfc;
@@ -83,8 +83,7 @@ impl Method {
     pub fn uses_features(&self) -> bool {
         match self {
             Self::Dfc(_) => true,
-            Self::Gem(_) => false,
-            Self::Nlm(_) => false,
+            Self::Gem(_) | Self::Nlm(_) => false,
         }
     }
 
@@ -157,6 +156,14 @@ impl Method {
         progress: impl FnMut(&mut Recorder, f32) -> Result<()>,
     ) -> Result<GpuEstimate> {
         self.check_beside(beside.len())?;
+        let channels = |frame: &GpuFrame| if self.uses_features() { frame.features.iter().map(|feature| feature.channels).collect() } else { Vec::new() };
+        let shape = |frame: &GpuFrame| (frame.extent, frame.color.has_halves, channels(frame));
+        if beside.iter().any(|other| shape(other) != shape(&frame)) {
+            return Err(Error::Request {
+                problem: "a frame of the window has another extent, other halves or other features than the one to denoise".into(),
+                remedy: "hand over frames that are rendered alike".into(),
+            });
+        }
         match self {
             Self::Dfc(params) => dfc::dfc(rec, frame, beside, params, wanted, schedule, progress),
             Self::Gem(params) => gem::gem(rec, frame, params, wanted, progress),

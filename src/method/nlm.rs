@@ -15,7 +15,7 @@ use crate::gpu::{Buffer, Recorder};
 use crate::stage::error::error_halves;
 use crate::stage::gaussian::{Averaging, Gaussian, gaussian};
 use crate::stage::half::{Halves, half_join, half_split};
-use crate::stage::nlm::{Beside, Filtered, Guide, Payload, Schedule, Weighting, nlm_filter};
+use crate::stage::nlm::{Beside, CentreWeight, Filtered, Guide, Payload, Schedule, Weighting, nlm_filter};
 use crate::stage::sample::sample_attach;
 use crate::stage::select::{HARM, Noisy, select_frames_of_filtered};
 use crate::stage::variance::{INPUT_SMOOTHING, VariancePair, variance_clamp, variance_pair};
@@ -94,8 +94,9 @@ pub fn nlm(
         progress(rec, to)?;
         Ok::<_, Error>(filtered)
     };
-    // Of the whole, the work on the own frame alone.
-    let share = if params.guard_frames && !beside.is_empty() { 1.0 / (beside.len() as f32 + 2.0) } else { 0.0 };
+    // Weights from the other half do not depend on the noise of what they average, so that SURE is had for nothing. Of the whole, the share of the work on the own frame alone.
+    let guarded = params.guard_frames && halves.is_some() && params.weighting.centre == CentreWeight::One;
+    let share = if guarded && !beside.is_empty() { 1.0 / (beside.len() as f32 + 2.0) } else { 0.0 };
     let alone = (share > 0.0).then(|| filtered_with(rec, &[], 0.0, share)).transpose()?;
     let filtered = filtered_with(rec, &beside, share, 1.0)?;
     if let Some(alone) = &alone {

@@ -11,8 +11,8 @@ use crate::stage::gaussian::Gaussian;
 /// Where the next samples pay most, of an estimate that was made with [`Intermediate::Density`] kept: one plane, at least 0, in any unit, for a
 /// [`SamplingMap`](super::SamplingMap) of `samples_per_pixel` samples on average.
 ///
-/// Of DFC it is the layer `density` (thesis 8.6), whatever the numbers. Of GEM (thesis 6.3), the `samples_per_pixel` are enough for `samples_per_filter` samples in each of
-/// the pixels that gain most, ties going to the upper and left ones; a pixel's samples are spread over the support of its filter by its weights. Where the frame did not
+/// Of DFC and NLM it is the layer `density` (thesis 8.6, 7.1.2), whatever the numbers. Of GEM (thesis 6.3), the `samples_per_pixel` are enough for `samples_per_filter`
+/// samples in each of the pixels that gain most, ties going to the upper and left ones; a pixel's samples are spread over the support of its filter by its weights. Where the frame did not
 /// know its samples, each pixel is taken to have `samples_per_filter`.
 ///
 /// # Errors

@@ -2,10 +2,10 @@
 
 use glam::IVec2;
 
+use super::nlm::Filtered;
 use super::{per_pixel, plane_bytes};
 use crate::error::Result;
 use crate::gpu::{Buffer, Recorder, bindings, uniforms};
-use crate::stage::nlm::Filtered;
 
 uniforms! { struct HalfParams { extent: IVec2 } }
 

@@ -1,4 +1,5 @@
-//! Choosing among the candidates and averaging them (thesis 8.4, Algorithm 1 lines 23 to 33).
+//! Choosing among the candidates and averaging them (thesis 8.4, Algorithm 1 lines 23 to 33), between windows of one frame and of several (8.6), and between the passes (lines
+//! 34 to 37).
 
 use glam::IVec2;
 use serde::Serialize;

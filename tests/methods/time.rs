@@ -1,9 +1,12 @@
 //! Windows over several frames of a shot (thesis 7.3 and 8.6).
 
+use glam::IVec2;
 use stein::frame::{SamplesPerPixel, Signal};
-use stein::gpu::{Gpu, GpuOptions};
+use stein::gpu::{Gpu, GpuOptions, Recorder};
+use stein::method::{GpuFeature, GpuFrame, GpuSignal};
 use stein::sampling::stub::{Sequence, StubSampler, scene};
 use stein::sampling::{SampleCounts, Sampler};
+use stein::stage::sample::GpuSamples;
 use stein::{Denoiser, DfcParams, Error, Estimate, Extent, Frame, GemParams, Image, Method, NlmParams, Options, metric};
 
 use crate::common::{gpu, open};
@@ -155,6 +158,34 @@ fn a_feature_that_one_frame_lacks_is_left_out_of_the_window() {
     let one = window(&denoiser(gpu()), &[&changed(&centre, same), &without], 0);
     let both = window(&denoiser(gpu()), &[&changed(&centre, without_depth), &without], 0);
     assert!(one.color == both.color);
+}
+
+/// What a renderer hands over is checked too, as far as the host can see it.
+#[test]
+fn frames_on_the_gpu_that_do_not_fit_together_are_refused() {
+    let frame = |rec: &mut Recorder, width: i32, has_halves: bool, features: usize| {
+        let mut signal = |has_halves: bool| {
+            let signal = rec.upload("signal", &vec![0.5; 8 * width as usize]).unwrap_or_else(|error| panic!("{error}"));
+            GpuSignal { signal: signal.into(), variance_of_mean: None, has_halves }
+        };
+        let features = (0..features).map(|index| GpuFeature { name: index.to_string(), signal: signal(true), channels: 1 }).collect();
+        GpuFrame { extent: IVec2::new(width, 1), color: signal(has_halves), features, samples: GpuSamples::Uniform(1.0), mean_variance: None }
+    };
+    for (denoiser, width, has_halves, features, fits) in [
+        (denoiser(gpu()), 2, true, 1, true),
+        (denoiser(gpu()), 3, true, 1, false),
+        (denoiser(gpu()), 2, false, 1, false),
+        (denoiser(gpu()), 2, true, 0, false),
+        (nlm(gpu()), 2, true, 0, true),
+        (nlm(gpu()), 2, false, 1, false),
+    ] {
+        let mut rec = gpu().record_whole();
+        let (own, other) = (frame(&mut rec, 2, true, 1), frame(&mut rec, width, has_halves, features));
+        match denoiser.record(&mut rec, own, vec![other]) {
+            Ok(_) => assert!(fits, "{width} {has_halves} {features}"),
+            Err(error) => assert!(!fits && matches!(error, Error::Request { .. }), "{width} {has_halves} {features}: {error}"),
+        }
+    }
 }
 
 #[test]

@@ -2,7 +2,8 @@
 
 use serde::Serialize;
 
-use crate::error::{Error, Result};
+use crate::error::Result;
+use crate::method::common::refused;
 use crate::stage::gaussian::Gaussian;
 
 /// Parameters of GEM (thesis chapter 6).
@@ -61,11 +62,12 @@ impl Phase {
         }
     }
 
+    /// The largest σ, in pixels.
     pub(super) fn coarsest(self) -> f32 {
         self.sigmas().iter().copied().fold(0.0, f32::max)
     }
 
-    /// What smooths the stopping map of the step to a scale.
+    /// Whether smoothing a stopping map may take pixels to the coarser scale alone (thesis 6.4).
     pub(super) fn coarser_only(self) -> bool {
         self == Self::Final
     }
@@ -105,16 +107,13 @@ impl GemParams {
     /// Checks the ranges of the table above.
     ///
     /// # Errors
-    /// [`Error::Request`] naming the parameter and its range.
+    /// [`Error::Request`](crate::Error::Request) naming the parameter and its range.
     pub fn validate(&self) -> Result<()> {
-        let refuse = |name: &str, value: f32, range: &str| {
-            Err(Error::Request { problem: format!("{name} is {value}, outside its range"), remedy: format!("choose it {range}") })
-        };
         if !(self.gamma > 0.0 && self.gamma < 0.4) {
-            return refuse("γ", self.gamma, "above 0 and below 0.4");
+            return refused("γ", self.gamma, "above 0 and below 0.4");
         }
         if !(0.5..=4.0).contains(&self.final_outlier_size) {
-            return refuse("the size of the final outlier filter", self.final_outlier_size, "from 0.5 to 4 sizes of the coarse scale");
+            return refused("the size of the final outlier filter", self.final_outlier_size, "from 0.5 to 4 sizes of the coarse scale");
         }
         Ok(())
     }

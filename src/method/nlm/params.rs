@@ -20,7 +20,7 @@ use crate::stage::nlm::{CentreWeight, Symmetry, Weighting};
 /// | `cut` | 0.05 | 0.05 | 0–1 | weights below it become 0 |
 /// | `dual_buffer` | yes | yes | | each half is filtered with the weights of the other; needs halves |
 /// | `variance` | scaled | cross-filtered | | what is taken for the variance of the pixel means |
-/// | `guard_frames` | yes | no | | over several frames, whether those that harm a pixel, by its SURE, are left out there |
+/// | `guard_frames` | yes | no | | over several frames, whether those that harm a pixel, by its SURE, are left out there; needs two buffers and a centre of weight one |
 ///
 /// A frame without halves is filtered with its own weights, whatever `dual_buffer` says.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
