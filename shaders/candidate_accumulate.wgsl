@@ -23,7 +23,7 @@ const FEATURE_GROUPS: i32 = #{FEATURE_GROUPS};
 @group(0) @binding(7) var<storage, read> features: array<vec4<f32>>;
 #endif
 #ifdef OTHER_FRAME
-// Of the frame beside that q is taken from. Bindings of their own only there: without them the kernel gets by with the eight that every device has.
+// Of the frame beside that q is taken from. Bindings of their own only there: a single image needs none of them.
 @group(0) @binding(8) var<storage, read> neighbours_signal: array<vec4<f32>>;
 @group(0) @binding(9) var<storage, read> neighbours_variance: array<vec4<f32>>;
 #if FEATURE_GROUPS != 0

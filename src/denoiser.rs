@@ -60,6 +60,8 @@ pub struct Estimate {
     pub weight_sum: Image,
     /// Shares of FIRST, SECOND and THIRD in each pixel, where the method has them.
     pub selection: Option<Image>,
+    /// Names of the features that were used: of a window in time, those that all its frames have.
+    pub features: Vec<String>,
     /// What [`Options::keep`] asked for.
     pub layers: Vec<Layer>,
     /// Number of strips that the image was cut into.
@@ -308,9 +310,10 @@ impl<'a> Assembly<'a> {
     }
 
     fn finish(self, strips: usize, stage_times: Option<Vec<StageTime>>, peak_bytes: u64) -> Estimate {
-        let Self { frame, color, half_spread, selection, error, weight_sum, layers, .. } = self;
+        let Self { frame, features, color, half_spread, selection, error, weight_sum, layers, .. } = self;
         let half_spread = frame.color().half_spread.is_some().then_some(half_spread);
-        Estimate { color, half_spread, error, weight_sum, selection, layers, strips, stage_times, peak_bytes }
+        let features = features.iter().map(|feature| feature.name.clone()).collect();
+        Estimate { color, half_spread, error, weight_sum, selection, features, layers, strips, stage_times, peak_bytes }
     }
 }
 

@@ -192,10 +192,8 @@ impl Job<'_> {
                 Event::Drawing { iteration, share } => advance(iteration, share / 2.0),
                 Event::Denoising { iteration, share } => advance(iteration, (1.0 + share) / 2.0),
                 Event::Planned { iteration, map, drawn } => self.folder.write_map(&label(iteration), map, drawn)?,
-                Event::Finished { iteration, map: _, samples, estimate } => {
-                    // As `adapt` denoises.
-                    let method = if iteration < iterations { self.denoiser.method().while_sampling() } else { *self.denoiser.method() };
-                    self.folder.write(&label(iteration), samples, estimate, &method)?;
+                Event::Finished { iteration, map: _, samples, estimate, method } => {
+                    self.folder.write(&label(iteration), samples, estimate, method)?;
                     let row = Row::new(label(iteration), samples, estimate, self.reference.as_ref())?;
                     bar.suspend(|| out.say(row.text()));
                     rows.push(row);

@@ -149,9 +149,7 @@ fn denoise(args: &Args, out: &mut Out) -> Result<(), Failure> {
     }
     args.source.check(&method)?;
     let keep = args.keep(&method)?;
-    let mut plan = Plan::new(args, input)?;
-    plan.reads.iter_mut().for_each(|read| read.source = read.source.for_method(&method));
-    let plan = plan;
+    let plan = Plan::new(args, &args.source.for_method(&method), input)?;
     let job = Job { args, method, keep, plan: &plan };
     std::thread::scope(|scope| job.run(Frames::start(scope, &plan.reads), input, out))
 }
@@ -298,8 +296,7 @@ impl Job<'_> {
         let mut output = output::write(&set, &planned.output, &estimate, keep, method)?;
         let missing = keep.iter().filter(|one| !estimate.layers.iter().any(|layer| layer.intermediate == **one));
         output.notes.extend(missing.map(|one| format!("--keep {}: there is nothing of the kind without halves or features", one.name())));
-        let everywhere = |name: &str| frames.iter().all(|frame| frame.features().iter().any(|feature| feature.name == name));
-        let left_out = frame.features().iter().filter(|feature| !everywhere(&feature.name));
+        let left_out = frame.features().iter().filter(|feature| !estimate.features.contains(&feature.name));
         output
             .notes
             .extend(left_out.map(|feature| format!("feature {}: not used, because a frame beside lacks it or has it the same everywhere", feature.name)));

@@ -88,27 +88,18 @@ impl Choice {
             MethodName::Dfc => {
                 self.refuse(&[("--gamma", self.gamma.is_some())])?;
                 self.refuse(&self.nlm.given())?;
-                let params = match preset {
-                    PresetName::Default => DfcParams::default(),
-                    PresetName::Thesis => DfcParams::thesis(),
-                };
+                let params = preset.choose(DfcParams::default, DfcParams::thesis);
                 Method::from(DfcParams { window_radius: self.radius.unwrap_or(params.window_radius), ..params })
             }
             MethodName::Gem => {
                 self.refuse(&[("--radius", self.radius.is_some())])?;
                 self.refuse(&self.nlm.given())?;
-                let params = match preset {
-                    PresetName::Default => GemParams::default(),
-                    PresetName::Thesis => GemParams::thesis(),
-                };
+                let params = preset.choose(GemParams::default, GemParams::thesis);
                 Method::from(GemParams { gamma: self.gamma.unwrap_or(params.gamma), ..params })
             }
             MethodName::Nlm => {
                 self.refuse(&[("--gamma", self.gamma.is_some())])?;
-                let params = match preset {
-                    PresetName::Default => NlmParams::default(),
-                    PresetName::Thesis => NlmParams::thesis(),
-                };
+                let params = preset.choose(NlmParams::default, NlmParams::thesis);
                 Method::from(self.nlm.applied_to(NlmParams { window_radius: self.radius.unwrap_or(params.window_radius), ..params }))
             }
         };
@@ -340,6 +331,14 @@ pub(crate) enum PresetName {
 }
 
 impl PresetName {
+    /// A method's parameters of this name.
+    fn choose<P>(self, default: fn() -> P, thesis: fn() -> P) -> P {
+        match self {
+            Self::Default => default(),
+            Self::Thesis => thesis(),
+        }
+    }
+
     pub(crate) fn preset(self) -> Preset {
         match self {
             Self::Default => Preset::Default,

@@ -33,18 +33,7 @@ pub(super) struct Auxiliary {
 
 impl Auxiliary {
     pub(super) fn guide<'a>(&self, signal: &'a Buffer, variance_of_mean: &'a Buffer, channels: u32) -> Guide<'a> {
-        Guide {
-            signal,
-            variance_of_mean,
-            channels,
-            k: self.k,
-            alpha: 1.0,
-            patch_radius: self.patch_radius,
-            small_patch_radius: None,
-            patchwise: false,
-            cut: 0.0,
-            beside: &[],
-        }
+        Guide::new(signal, variance_of_mean, channels, self.k, self.patch_radius)
     }
 }
 

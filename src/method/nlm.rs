@@ -62,16 +62,11 @@ pub fn nlm(
         let neighbours: Vec<_> = others.iter().map(|other| Beside { signal: other.guide, variance_of_mean: other.variance }).collect();
         let payloads: Vec<_> = others.iter().map(|other| other.payload).collect();
         let guide = Guide {
-            signal: buffers.guide,
-            variance_of_mean: buffers.variance,
-            channels: 3,
-            k: params.k,
             alpha: params.alpha,
-            patch_radius: params.patch_radius,
-            small_patch_radius: None,
             patchwise: params.patchwise,
             cut: params.cut,
             beside: &neighbours,
+            ..Guide::new(buffers.guide, buffers.variance, 3, params.k, params.patch_radius)
         };
         let payload = Payload { planes: buffers.payload, count: buffers.payload_planes, beside: &payloads };
         nlm_filter(rec, extent, &guide, &payload, params.window_radius, params.weighting, with_residual_variance, schedule)
@@ -95,9 +90,9 @@ pub fn nlm(
         Ok::<_, Error>(filtered)
     };
     // Weights from the other half do not depend on the noise of what they average, so that SURE is had for nothing. Of the whole, the share of the work on the own frame alone.
-    let guarded = params.guard_frames && halves.is_some() && params.weighting.centre == CentreWeight::One;
-    let share = if guarded && !beside.is_empty() { 1.0 / (beside.len() as f32 + 2.0) } else { 0.0 };
-    let alone = (share > 0.0).then(|| filtered_with(rec, &[], 0.0, share)).transpose()?;
+    let guarded = params.guard_frames && !beside.is_empty() && halves.is_some() && params.weighting.centre == CentreWeight::One;
+    let share = if guarded { 1.0 / (beside.len() as f32 + 2.0) } else { 0.0 };
+    let alone = guarded.then(|| filtered_with(rec, &[], 0.0, share)).transpose()?;
     let filtered = filtered_with(rec, &beside, share, 1.0)?;
     if let Some(alone) = &alone {
         select_frames_of_filtered(rec, extent, Noisy { signal, variance_of_mean: variance }, alone, &filtered, HARM)?;
@@ -179,18 +174,7 @@ fn cross_filtered_variance(rec: &mut Recorder, extent: IVec2, color: &GpuSignal,
         return input_variance(rec, extent, color);
     };
     let VariancePair { two_buffer_variance, uncertainty } = variance_pair(rec, extent, &color.signal, sample_variance)?;
-    let guide = Guide {
-        signal: sample_variance,
-        variance_of_mean: &uncertainty,
-        channels: 3,
-        k: VARIANCE_K,
-        alpha: VARIANCE_ALPHA,
-        patch_radius: VARIANCE_PATCH_RADIUS,
-        small_patch_radius: None,
-        patchwise: false,
-        cut: 0.0,
-        beside: &[],
-    };
+    let guide = Guide { alpha: VARIANCE_ALPHA, ..Guide::new(sample_variance, &uncertainty, 3, VARIANCE_K, VARIANCE_PATCH_RADIUS) };
     let filtered = nlm_filter(rec, extent, &guide, &Payload::new(&two_buffer_variance, 1), VARIANCE_WINDOW_RADIUS, weighting, false, schedule)?;
     Ok(Arc::new(variance_clamp(rec, extent, &filtered.planes, sample_variance)?))
 }

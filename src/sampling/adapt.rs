@@ -5,7 +5,7 @@ use std::ops::ControlFlow;
 use super::{SampleCounts, Sampler, Samples, SamplingMap, sampling_density};
 use crate::error::{Error, Result};
 use crate::image::{Extent, Image};
-use crate::method::Intermediate;
+use crate::method::{Intermediate, Method};
 use crate::{Denoiser, Estimate, Options, metric};
 
 /// How many samples are drawn, and in how many iterations.
@@ -104,6 +104,8 @@ pub enum Event<'a> {
         samples: &'a Samples,
         /// What is known of the image from them.
         estimate: &'a Estimate,
+        /// What it was denoised with.
+        method: &'a Method,
     },
 }
 
@@ -138,7 +140,7 @@ pub fn adapt<S: Sampler, E: From<Error> + Send>(
     let mut state: Option<Outcome> = None;
     if let Some(Resumed { iterations: iteration, samples }) = resumed {
         let estimate = denoise(denoiser(iteration), &samples, |share| observe(Event::Denoising { iteration, share }))?;
-        observe(Event::Finished { iteration, map: None, samples: &samples, estimate: &estimate })?;
+        observe(Event::Finished { iteration, map: None, samples: &samples, estimate: &estimate, method: denoiser(iteration).method() })?;
         state = Some(Outcome { samples, estimate });
     }
     for iteration in done + 1..=plan.iterations {
@@ -160,7 +162,7 @@ pub fn adapt<S: Sampler, E: From<Error> + Send>(
             }
         };
         let estimate = denoise(denoiser(iteration), &samples, |share| observe(Event::Denoising { iteration, share }))?;
-        observe(Event::Finished { iteration, map: Some(&map), samples: &samples, estimate: &estimate })?;
+        observe(Event::Finished { iteration, map: Some(&map), samples: &samples, estimate: &estimate, method: denoiser(iteration).method() })?;
         state = Some(Outcome { samples, estimate });
     }
     // A plan has at least one iteration.

@@ -113,16 +113,9 @@ pub fn candidates(
     let alone = (!beside.is_empty()).then(|| Candidates::take(rec, extent)).transpose()?;
     let neighbours: Vec<_> = beside.iter().map(|frame| Beside { signal: frame.signal, variance_of_mean: frame.variance_of_mean }).collect();
     let guide = Guide {
-        signal,
-        variance_of_mean,
-        channels: 3,
-        k: filter.color_k,
-        alpha: 1.0,
-        patch_radius: filter.second_patch_radius,
         small_patch_radius: Some(filter.first_patch_radius),
-        patchwise: false,
-        cut: 0.0,
         beside: &neighbours,
+        ..Guide::new(signal, variance_of_mean, 3, filter.color_k, filter.second_patch_radius)
     };
     let groups = features.map_or(0, |features| features.packing.groups);
     let [symmetric, hard] = filter.weighting.symmetric.definitions();

@@ -146,6 +146,13 @@ pub struct Guide<'a> {
     pub beside: &'a [Beside<'a>],
 }
 
+impl<'a> Guide<'a> {
+    /// Plain patches of one size in one frame: α is 1, every weight counts.
+    pub fn new(signal: &'a Buffer, variance_of_mean: &'a Buffer, channels: u32, k: f32, patch_radius: u32) -> Self {
+        Self { signal, variance_of_mean, channels, k, alpha: 1.0, patch_radius, small_patch_radius: None, patchwise: false, cut: 0.0, beside: &[] }
+    }
+}
+
 /// A frame beside the one that is filtered, whose pixels take part as neighbours (thesis 7.3, 8.6): the same window around the same position, patches inside that frame. Pairs
 /// of opposite neighbours are formed within a frame.
 #[derive(Clone, Copy, Debug)]

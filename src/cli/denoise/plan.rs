@@ -52,14 +52,15 @@ impl PlannedFrame {
 }
 
 impl Plan {
-    pub(super) fn new(args: &Args, input: &Path) -> Result<Self, Failure> {
+    /// `source` is what the method reads beside the input.
+    pub(super) fn new(args: &Args, source: &Source, input: &Path) -> Result<Self, Failure> {
         match Pattern::of_input(input) {
-            Some(pattern) => Self::of_shot(args, input, &pattern),
-            None => Self::of_image(args, input),
+            Some(pattern) => Self::of_shot(args, source, input, &pattern),
+            None => Self::of_image(args, source, input),
         }
     }
 
-    fn of_image(args: &Args, input: &Path) -> Result<Self, Failure> {
+    fn of_image(args: &Args, source: &Source, input: &Path) -> Result<Self, Failure> {
         let trouble = if args.frames.is_some() {
             Some("--frames: the input")
         } else if args.temporal_radius > 0 {
@@ -74,16 +75,16 @@ impl Plan {
             return Err(Failure::usage(format_args!("{trouble}, {input}, is a single image\n  remedy: give a pattern such as 'shot.####.exr' as the input")));
         }
         let output = output::choose(input, args.output.as_deref());
-        let read_too = args.source.files().chain(args.reference.as_ref().map(|reference| reference.file.as_path()));
+        let read_too = source.files().chain(args.reference.as_ref().map(|reference| reference.file.as_path()));
         // Half A may be the input itself, one layer of it: that the user may replace.
         let read_too = read_too.filter(|file| *file != input);
         output::check(&output, read_too, args.no_clobber, args.dry_run)?;
-        let read = Read { number: None, input: input.to_owned(), source: args.source.clone(), reference: args.reference.clone(), is_denoised: true };
+        let read = Read { number: None, input: input.to_owned(), source: source.clone(), reference: args.reference.clone(), is_denoised: true };
         let frame = PlannedFrame { number: None, input: input.to_owned(), output, window: 0..1, centre: 0 };
         Ok(Self { reads: vec![read], frames: vec![frame], is_shot: false })
     }
 
-    fn of_shot(args: &Args, input: &Path, pattern: &Pattern) -> Result<Self, Failure> {
+    fn of_shot(args: &Args, source: &Source, input: &Path, pattern: &Pattern) -> Result<Self, Failure> {
         let frames = match &args.frames {
             Some(list) => list.0.clone(),
             None => pattern.frames_on_disk()?,
@@ -124,7 +125,7 @@ impl Plan {
         let read = |&frame: &u32| Read {
             number: Some(frame),
             input: pattern.path(frame),
-            source: args.source.map_files(|layer| at_frame(layer, frame)),
+            source: source.map_files(|layer| at_frame(layer, frame)),
             reference: args.reference.as_ref().filter(|_| denoised.contains(&frame)).map(|reference| at_frame(reference, frame)),
             is_denoised: denoised.contains(&frame),
         };
