@@ -27,6 +27,11 @@ fn numbers(values: &[i32]) -> Vec<Definition> {
     values.iter().map(|value| Definition::from(*value)).collect()
 }
 
+/// Which candidates take part.
+fn takes_part() -> Vec<(&'static str, Vec<Definition>)> {
+    ["FIRST", "SECOND", "THIRD"].map(|name| (name, flags())).to_vec()
+}
+
 /// What opposite neighbours do for each other: nothing, by degrees, at once.
 fn with_rules(sets: &[Definitions]) -> Vec<Definitions> {
     let rules = [(false, false), (true, false), (true, true)].map(|(symmetric, hard)| [("SYMMETRIC", symmetric.into()), ("SYMMETRIC_HARD", hard.into())]);
@@ -38,9 +43,10 @@ fn with_rules(sets: &[Definitions]) -> Vec<Definitions> {
 fn definitions(stage: &str) -> Option<Vec<Definitions>> {
     let none = Some(vec![Vec::new()]);
     match stage {
-        "variance_rows" | "variance_scale" | "variance_pair" | "variance_clamp" | "half_split" | "half_join" | "feature_pack" | "candidate_resolve"
-        | "error_sure" | "select_least" | "select_blend" | "select_pass" => none,
-        "select_share" => Some(combinations(&[("GUARDED", flags())])),
+        "variance_rows" | "variance_scale" | "variance_pair" | "variance_clamp" | "half_split" | "half_join" | "candidate_resolve" | "select_pass" => none,
+        "feature_pack" => Some(combinations(&[("NOISY", flags())])),
+        "error_sure" | "select_least" | "select_blend" => Some(combinations(&takes_part())),
+        "select_share" => Some(combinations(&[&takes_part()[..], &[("GUARDED", flags())]].concat())),
         "select_frames" => Some(combinations(&[("WEIGHT_SUMS", flags())])),
         "sample_attach" => Some(combinations(&[("SAMPLES_VARY", flags())])),
         "error_halves" => Some(combinations(&[("HALVES", flags())])),

@@ -16,6 +16,7 @@ use stein::buffers::LayerRef;
 use stein::method::Intermediate;
 use stein::{Denoiser, Frame, Method, Options};
 
+use super::explain::Explained;
 use super::options::{Device, Filter, Source};
 use super::report::{self, FrameReport, Report, Run, Settings};
 use super::{Failure, Out, output, quality};
@@ -34,6 +35,7 @@ Examples:
   stein denoise render.exr -o clean.exr --ref converged.exr
   stein denoise both.exr --half-a seed1.exr --half-b seed2.exr --feature albedo=aux.exr::albedo
   stein denoise render.exr --keep candidates,sure --json
+  stein denoise render.exr --explain --candidates second,third --no-error
   stein denoise render.exr --method nlm --keep halves
   stein denoise 'shot.####.exr' --frames 1-240 --temporal-radius 1 -o 'clean.####.exr'
 
@@ -61,6 +63,15 @@ pub(crate) struct Args {
     /// Intermediates to write as layers `stein.*`
     #[arg(long, value_name = "NAME", value_delimiter = ',', value_parser = keepable())]
     keep: Vec<Keep>,
+    /// Do without the estimated error: `stein.error` is not written, and what serves it alone is left out
+    #[arg(long)]
+    no_error: bool,
+    /// Also run what this scene does not need, to compare: the result is the same to the bit, or within bounds that docs/leave-out.md tells
+    #[arg(long)]
+    everything: bool,
+    /// Print the plan: what runs for this frame, what is left out and why, and what each step takes; with -n without times
+    #[arg(long, conflicts_with = "quiet")]
+    explain: bool,
     /// Print one JSON document in place of text
     #[arg(long)]
     pub(crate) json: bool,
@@ -174,8 +185,11 @@ impl Job<'_> {
             self.wait_for(&mut frames, first, out)?;
         }
         let gpu = self.args.device.open()?;
-        let denoiser = self.args.device.denoiser(&gpu, self.method)?;
-        gpu.set_timing(self.args.verbose || self.args.json);
+        let mut denoiser = self.args.device.denoiser(&gpu, self.method)?;
+        if self.args.everything {
+            denoiser = denoiser.with_everything();
+        }
+        gpu.set_timing(self.args.verbose || self.args.json || self.args.explain);
         let settings = Settings {
             preset: self.args.filter.preset(),
             parameters: self.method,
@@ -275,9 +289,11 @@ impl Job<'_> {
         let frames: Vec<&Frame> = window.iter().map(|frame| &frame.frame).collect();
         let frame = frames[planned.centre];
         if args.dry_run {
+            let plan = denoiser.plan(&frames, planned.centre, &Options { keep: &needed, error: !args.no_error, progress: None })?;
             return Ok(FrameReport {
                 input: *described,
-                strips: denoiser.strip_count(frame, frames.len() - 1, &needed)?,
+                strips: plan.strips,
+                plan: args.explain.then(|| Explained::new(&plan, None)),
                 run: None,
                 output: None,
                 errors: None,
@@ -290,9 +306,10 @@ impl Job<'_> {
             progress.share(share, out);
             ControlFlow::Continue(())
         };
-        let options = Options { keep: &needed, progress: if is_wanted { Some(&mut tell) } else { None } };
+        let options = Options { keep: &needed, error: !args.no_error, progress: if is_wanted { Some(&mut tell) } else { None } };
         let estimate = denoiser.denoise_window(&frames, planned.centre, options)?;
         let run = Run::new(&estimate, start.elapsed().as_secs_f64());
+        let plan = args.explain.then(|| Explained::new(&estimate.plan, estimate.step_times.as_deref()));
         let mut output = output::write(&set, &planned.output, &estimate, keep, method)?;
         let missing = keep.iter().filter(|one| !estimate.layers.iter().any(|layer| layer.intermediate == **one));
         output.notes.extend(missing.map(|one| format!("--keep {}: there is nothing of the kind without halves or features", one.name())));
@@ -305,6 +322,6 @@ impl Job<'_> {
             let images = [frame.color().mean.clone(), estimate.color];
             comparison.add(Compared { number, data_window: set.data_window(), images, reference }, errors)?;
         }
-        Ok(FrameReport { input: *described, strips: estimate.strips, run: Some(run), output: Some(output), errors })
+        Ok(FrameReport { input: *described, strips: estimate.strips, plan, run: Some(run), output: Some(output), errors })
     }
 }

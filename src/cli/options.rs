@@ -6,6 +6,7 @@ use clap::ValueEnum;
 use stein::buffers::{BufferSet, BufferSetRequest, LayerRef};
 use stein::gpu::DeviceChoice;
 use stein::method::nlm::NlmVariance;
+use stein::stage::candidate_set::CandidateSet;
 use stein::stage::nlm::{Symmetry, Weighting};
 use stein::{Denoiser, DfcParams, Extent, GemParams, Gpu, Method, NlmParams, Preset};
 
@@ -44,6 +45,9 @@ pub(crate) struct Choice {
     /// Of dfc and nlm: radius of the window that is averaged over, in pixels [default: 10]
     #[arg(long, value_name = "PIXELS")]
     radius: Option<u32>,
+    /// Of dfc: which candidates take part; the others are not computed [default: first,second,third]
+    #[arg(long, value_enum, value_name = "NAME", value_delimiter = ',')]
+    candidates: Vec<CandidateName>,
     /// Of gem: share of wrong decisions for a sharper filter where the image is constant, above 0 and below 0.4; lower is smoother [default: 0.15]
     #[arg(long, value_name = "SHARE")]
     gamma: Option<f32>,
@@ -89,16 +93,20 @@ impl Choice {
                 self.refuse(&[("--gamma", self.gamma.is_some())])?;
                 self.refuse(&self.nlm.given())?;
                 let params = preset.choose(DfcParams::default, DfcParams::thesis);
-                Method::from(DfcParams { window_radius: self.radius.unwrap_or(params.window_radius), ..params })
+                Method::from(DfcParams {
+                    window_radius: self.radius.unwrap_or(params.window_radius),
+                    candidates: CandidateName::set(&self.candidates).unwrap_or(params.candidates),
+                    ..params
+                })
             }
             MethodName::Gem => {
-                self.refuse(&[("--radius", self.radius.is_some())])?;
+                self.refuse(&[("--radius", self.radius.is_some()), ("--candidates", !self.candidates.is_empty())])?;
                 self.refuse(&self.nlm.given())?;
                 let params = preset.choose(GemParams::default, GemParams::thesis);
                 Method::from(GemParams { gamma: self.gamma.unwrap_or(params.gamma), ..params })
             }
             MethodName::Nlm => {
-                self.refuse(&[("--gamma", self.gamma.is_some())])?;
+                self.refuse(&[("--gamma", self.gamma.is_some()), ("--candidates", !self.candidates.is_empty())])?;
                 let params = preset.choose(NlmParams::default, NlmParams::thesis);
                 Method::from(self.nlm.applied_to(NlmParams { window_radius: self.radius.unwrap_or(params.window_radius), ..params }))
             }
@@ -155,6 +163,25 @@ enum MethodName {
     Gem,
     /// Non-local means, each half of the samples filtered with the weights of the other; needs no features
     Nlm,
+}
+
+/// The candidates of DFC, as [`CandidateSet`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum CandidateName {
+    /// Small patches: sharp
+    First,
+    /// Large patches: smooth
+    Second,
+    /// Features alone
+    Third,
+}
+
+impl CandidateName {
+    /// Those that are named; `None` if none is.
+    fn set(names: &[Self]) -> Option<CandidateSet> {
+        let [first, second, third] = [Self::First, Self::Second, Self::Third].map(|name| names.contains(&name));
+        (!names.is_empty()).then_some(CandidateSet { first, second, third })
+    }
 }
 
 /// As [`Symmetry`].

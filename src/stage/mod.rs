@@ -4,6 +4,7 @@
 //! ([`Signal::half_spread`](crate::frame::Signal::half_spread)).
 
 pub mod candidate;
+pub mod candidate_set;
 pub mod error;
 pub mod feature;
 pub mod gaussian;

@@ -9,7 +9,7 @@ use stein::stage::nlm::{CentreWeight, Symmetry};
 use stein::{Denoiser, DfcParams, Estimate, Frame, Image, Options};
 
 use crate::common::{assert_near, flat, gpu, own_size};
-use crate::frames::{EVERYTHING, Keep, frame, noisy};
+use crate::frames::{EVERYTHING, Keep, error_of, frame, noisy};
 use crate::reference::dfc::{CandidateParams, Dfc, DfcParams as TwinParams, Frame as TwinFrame, SecondPassParams, dfc, sampling_density};
 use crate::reference::variance::Signal;
 use crate::reference::{self, Grid, Planes};
@@ -50,6 +50,7 @@ fn twin_params(params: &DfcParams) -> TwinParams {
     TwinParams {
         window_radius: params.window_radius as usize,
         candidates: [first, second, third],
+        takes_part: params.candidates.flags(),
         symmetric: params.weighting.symmetric != Symmetry::Off,
         centre: match params.weighting.centre {
             CentreWeight::One => reference::nlm::CentreWeight::One,
@@ -184,7 +185,7 @@ impl Compared {
             self.near("half spread", spread, expected, &self.color_scale(&input, &result.mean), FILTERED, FLIPPED);
         }
         let size: Planes = vec![terms[0].like(|p| twin.errors.iter().map(|error| error.at(p).abs()).sum::<f64>() + terms[0].at(p))];
-        self.near("error", &grids(&self.estimate.error, exposure * exposure), std::slice::from_ref(&twin.error), &size, 2e-3, FLIPPED);
+        self.near("error", &grids(error_of(&self.estimate), exposure * exposure), std::slice::from_ref(&twin.error), &size, 2e-3, FLIPPED);
         // An average of what may be decided otherwise anywhere in a wide window.
         let density = std::slice::from_ref(&self.density);
         let size = [self.density.like(|p| self.density.at(p) + self.density.mean())];
