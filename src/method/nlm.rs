@@ -192,7 +192,11 @@ impl From<NlmParams> for Method {
 /// and what is exact moves.
 pub(super) fn plan(params: &NlmParams, facts: &Facts, wishes: &Wishes) -> Plan {
     let mut plan = Planner::new(wishes);
-    plan.step(Step::Variance, "", &[]);
+    let because = match params.variance {
+        NlmVariance::Uniform => "the mean of the image, everywhere",
+        NlmVariance::Scaled | NlmVariance::CrossFiltered => "what the filters judge differences by",
+    };
+    plan.step(Step::Variance, because, &[]);
     let unless = [
         impossible(!params.dual_buffer, "the parameters leave it out"),
         impossible(!facts.has_halves, "the frame has none: it is filtered with its own weights"),
@@ -204,10 +208,10 @@ pub(super) fn plan(params: &NlmParams, facts: &Facts, wishes: &Wishes) -> Plan {
         impossible(!by_halves || params.weighting.centre != CentreWeight::One, "the guard needs weights from the other half, and a centre of weight one"),
     ];
     plan.step(Step::FilterAlone, "to judge the frames beside by", &guard);
-    plan.step(Step::Filter, "", &[]);
+    plan.step(Step::Filter, "makes the result", &[]);
     plan.step(Step::Frames, "where they harm, frames beside are left out", &guard);
     let unwanted = !wishes.error && !wishes.keeps(Intermediate::Density);
-    plan.step(Step::Error, "", &[needless(unwanted, "neither the error nor the sampling density is wanted")]);
+    plan.step(Step::Error, "what the filtered halves, or weights, show", &[needless(unwanted, "neither the error nor the sampling density is wanted")]);
     plan.finish()
 }
 

@@ -5,6 +5,7 @@
 //! decisions are looked at by themselves: where one differs, the errors must tie.
 
 use stein::method::Intermediate;
+use stein::stage::candidate_set::CandidateSet;
 use stein::stage::nlm::{CentreWeight, Symmetry};
 use stein::{Denoiser, DfcParams, Estimate, Frame, Image, Options};
 
@@ -107,6 +108,7 @@ struct Compared {
     twin: Dfc,
     exposure: f64,
     density: Grid,
+    takes_part: [bool; 3],
 }
 
 impl Compared {
@@ -118,7 +120,7 @@ impl Compared {
         let (input, params) = (twin_frame(frame, exposure), twin_params(&params));
         let twin = dfc(&input, &params);
         let density = sampling_density(&input, &twin, &params, 0.0);
-        Self { what, estimate, twin, exposure, density }
+        Self { what, estimate, twin, exposure, density, takes_part: params.takes_part }
     }
 
     fn near(&self, part: &str, actual: &[Grid], expected: &[Grid], scale: &[Grid], relative: f64, allowed_share: f64) {
@@ -153,7 +155,8 @@ impl Compared {
             self.near(&name, &layer(&name, scale.powi(-2)), residual, &own_size(residual, 1e-7), 5e-4, 0.0);
         }
 
-        for (candidate, name) in twin.candidates.iter().zip(CANDIDATES) {
+        let taking_part = (0..3).filter(|k| self.takes_part[*k]);
+        for (candidate, name) in taking_part.clone().map(|k| (&twin.candidates[k], CANDIDATES[k])) {
             self.near(name, &layer(name, exposure), &candidate.mean, &self.color_scale(&input, &candidate.mean), FILTERED, 0.0);
             let derivative = format!("{name}_derivative");
             self.near(&derivative, &layer(&derivative, 1.0), &candidate.derivative, &own_size(&candidate.derivative, 1.0), 1e-3, 0.0);
@@ -170,7 +173,8 @@ impl Compared {
             })
         };
         let terms: Planes = (0..3).map(terms).collect();
-        self.near("SURE", &layer("sure", exposure * exposure), &twin.sure, &terms, 4e-4, 0.0);
+        let of = |planes: &[Grid]| taking_part.clone().map(|k| planes[k].clone()).collect::<Planes>();
+        self.near("SURE", &of(&layer("sure", exposure * exposure)), &of(&twin.sure), &of(&terms), 4e-4, 0.0);
         self.check_decisions(&layer("selected", 1.0), &terms);
 
         self.near("maps", &layer("selection", 1.0), &twin.maps, &flat(&twin.maps, 1.0), FILTERED, FLIPPED);
@@ -262,6 +266,16 @@ fn variance_without_halves() {
 #[test]
 fn no_features() {
     check("no features", "cornell_8spp", [20, 0, 33, 40], Keep { features: &[], ..EVERYTHING }, small(DfcParams::default()));
+}
+
+#[test]
+fn candidates_that_take_no_part() {
+    let without_first = CandidateSet { first: false, ..CandidateSet::ALL };
+    let without_second = CandidateSet { second: false, ..CandidateSet::ALL };
+    for (what, candidates) in [("without FIRST", without_first), ("without SECOND", without_second)] {
+        let keep = Keep { features: &["albedo", "normal"], ..EVERYTHING };
+        check(what, "cornell_8spp", [20, 62, 32, 30], keep, DfcParams { candidates, ..small(DfcParams::default()) });
+    }
 }
 
 /// Neither halves nor variance: the feature is taken as it is, and the colour with what it has.

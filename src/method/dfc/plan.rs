@@ -34,7 +34,7 @@ pub(in crate::method) fn plan(params: &DfcParams, facts: &Facts, wishes: &Wishes
         ];
         candidates += u32::from(plan.step(Step::Candidate(name), "it may win", &unless));
     }
-    plan.step(Step::Candidates, "", &[]);
+    plan.step(Step::Candidates, "the result is made of them", &[]);
     let one_frame = impossible(facts.beside == 0, "there are no frames beside");
     plan.step(Step::Frames, "where they harm, frames beside are left out", &[one_frame, impossible(params.guard.is_none(), "there is no guard")]);
 
@@ -45,9 +45,9 @@ pub(in crate::method) fn plan(params: &DfcParams, facts: &Facts, wishes: &Wishes
     plan.step(Step::Sure, "errors of the candidates", &nothing_to_judge());
     plan.step(Step::SureSmoothing, "the estimates are noisy", &nothing_to_judge());
     let nothing_to_choose = || [needless(one, "there is one candidate")];
-    plan.step(Step::Selection, "", &nothing_to_choose());
-    plan.step(Step::SelectionSmoothing, "", &nothing_to_choose());
-    plan.step(Step::Blend, "", &nothing_to_choose());
+    plan.step(Step::Selection, "the least error wins", &nothing_to_choose());
+    plan.step(Step::SelectionSmoothing, "decisions are noisy", &nothing_to_choose());
+    plan.step(Step::Blend, "by shares, under the guard if there is one", &nothing_to_choose());
 
     plan.step(Step::Density, "it is asked for", &[impossible(!wishes.keeps(Intermediate::Density), "it is not asked for")]);
     let unless = [
