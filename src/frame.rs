@@ -1,5 +1,6 @@
 //! The frame: a buffer set whose meaning has been settled. Everything finite, one extent, variances of the pixel mean, halves as one spread, features in unit range.
 
+mod noise;
 mod repairs;
 mod sanitise;
 mod unit_range;
@@ -10,6 +11,7 @@ use serde::Serialize;
 use crate::buffers::{BufferSet, MAX_FEATURES, RawSignal, names};
 use crate::error::{Error, Result};
 use crate::image::{Extent, Image};
+pub(crate) use noise::NoiseTiles;
 pub use repairs::{LayerRepairs, Repairs};
 
 /// Values that a thread looks at before it asks whether another one has found what they all look for.
@@ -74,12 +76,6 @@ impl Signal {
             (None, Some(_)) => Some(NoiseKnowledge::VarianceOnly),
             (None, None) => None,
         }
-    }
-
-    /// Whether any pixel is known to have noise: a half spread or a variance other than 0.
-    pub fn has_noise(&self) -> bool {
-        let noisy = |plane: &Vec<f32>| plane.par_chunks(VALUES_AT_ONCE).any(|values| values.iter().any(|value| *value != 0.0));
-        [&self.half_spread, &self.variance_of_mean].into_iter().flatten().flat_map(|image| &image.planes).any(noisy)
     }
 
     /// Whether all channels are the same to the bit, in the mean and in all that is known of its noise.

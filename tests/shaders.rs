@@ -47,6 +47,8 @@ fn definitions(stage: &str) -> Option<Vec<Definitions>> {
         "feature_pack" => Some(combinations(&[("NOISY", flags())])),
         "error_sure" | "select_least" | "select_blend" => Some(combinations(&takes_part())),
         "select_share" => Some(combinations(&[&takes_part()[..], &[("GUARDED", flags())]].concat())),
+        "exact_copy" => Some(combinations(&[("WEIGHT_SUM", flags())])),
+        "exact_fill" => Some(combinations(&[("ONES", flags())])),
         "select_frames" => Some(combinations(&[("WEIGHT_SUMS", flags())])),
         "sample_attach" => Some(combinations(&[("SAMPLES_VARY", flags())])),
         "error_halves" => Some(combinations(&[("HALVES", flags())])),

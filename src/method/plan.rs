@@ -2,14 +2,15 @@
 //!
 //! A method asks its plan at every step, so that the plan is what happens and not a description beside it.
 
-use rayon::prelude::*;
 use serde::{Serialize, Serializer};
 
 use super::frame::Units;
 use super::{GpuFrame, GpuSignal, Intermediate};
-use crate::frame::{Feature, Frame, Signal};
+use crate::frame::{Feature, Frame, NoiseTiles};
 use crate::gpu::Recorder;
 use crate::stage::candidate_set::CandidateSet;
+use crate::stage::exact::{ExactTiles, TILE};
+use crate::stage::variance::INPUT_SMOOTHING;
 
 /// The steps of a method in their order, those that run and those that are left out.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -36,6 +37,9 @@ pub struct PlannedStep {
     pub why: String,
     /// The share of the pixels that it is left out for: 1 where it does not run.
     pub skipped: f64,
+    /// Tiles in which it is left out.
+    #[serde(skip)]
+    exact: Option<ExactTiles>,
 }
 
 /// What a method may do. Times are told under the name of the step ([`Gpu::step_timings`](crate::gpu::Gpu::step_timings)).
@@ -128,6 +132,17 @@ impl Plan {
         self.find(step).is_some_and(|planned| planned.runs)
     }
 
+    /// Tiles in which a step that runs is left out.
+    pub(super) fn exact(&self, step: &Step) -> Option<&ExactTiles> {
+        self.find(step)?.exact.as_ref()
+    }
+
+    /// The same for a strip that begins at this row of pixels.
+    pub(crate) fn from_row(&self, first_row: usize) -> Self {
+        let moved = |planned: &PlannedStep| PlannedStep { exact: planned.exact.as_ref().map(|exact| exact.from_row(first_row)), ..planned.clone() };
+        Self { steps: self.steps.iter().map(moved).collect(), ..self.clone() }
+    }
+
     /// Begins a step if it runs: what is dispatched from here on belongs to it.
     pub(super) fn begins(&self, rec: &mut Recorder, step: Step) -> bool {
         let runs = self.runs(&step);
@@ -149,6 +164,9 @@ impl Plan {
     }
 }
 
+/// The least share of exact tiles that a filter looks for them for.
+const LEAST_SHARE: f64 = 0.05;
+
 /// What is known of a window of frames before anything runs.
 #[derive(Clone, Debug)]
 pub(crate) struct Facts {
@@ -156,8 +174,10 @@ pub(crate) struct Facts {
     pub(super) has_sample_variance: bool,
     /// Frames beside the one to denoise.
     pub(super) beside: usize,
-    /// No pixel of any frame has noise.
-    pub(super) noise_free: bool,
+    /// Where the colour has noise, in any of the frames. `None` where nobody can look.
+    pub(super) noise: Option<NoiseTiles>,
+    /// Tiles in a row.
+    tile_columns: usize,
     /// Those that are used, in their order.
     pub(super) features: Vec<FeatureFacts>,
     /// Those that were given and are not used, and why.
@@ -170,20 +190,32 @@ pub(super) struct FeatureFacts {
     pub(super) channels: u32,
     /// Halves or variance tell of its noise.
     pub(super) noise_is_told: bool,
-    /// But there is none, in any frame.
-    pub(super) noise_free: bool,
+    /// Whether sample variance is among it, so that the variance of a pixel without it is 0.
+    has_sample_variance: bool,
+    /// Where it is, in any of the frames. `None` where nobody can look.
+    noise: Option<NoiseTiles>,
+}
+
+impl FeatureFacts {
+    /// No pixel has noise.
+    pub(super) fn is_noise_free(&self) -> bool {
+        self.noise.as_ref().is_some_and(|noise| !noise.any())
+    }
 }
 
 impl Facts {
     /// Looks at the frames of a window, of which `frames[centre]` is to be denoised.
     pub(crate) fn of_window(frames: &[&Frame], centre: usize, units: &Units, with_features: bool) -> Self {
         let frame = frames[centre];
-        let noise_free = |signal: &dyn Fn(&Frame) -> Option<&Signal>| frames.iter().filter_map(|frame| signal(frame)).all(|signal| !signal.has_noise());
-        let features = units.features.par_iter().map(|feature| FeatureFacts {
-            name: feature.name.clone(),
-            channels: feature.signal.mean.channels() as u32,
-            noise_is_told: feature.signal.noise_knowledge().is_some(),
-            noise_free: frames.iter().flat_map(|frame| frame.features()).filter(|other| other.name == feature.name).all(|other| !other.signal.has_noise()),
+        let features = units.features.iter().map(|feature| {
+            let in_all_frames = || frames.iter().flat_map(|frame| frame.features()).filter(|other| other.name == feature.name).map(|other| &other.signal);
+            FeatureFacts {
+                name: feature.name.clone(),
+                channels: feature.signal.mean.channels() as u32,
+                noise_is_told: in_all_frames().any(|signal| signal.noise_knowledge().is_some()),
+                has_sample_variance: in_all_frames().all(|signal| signal.variance_of_mean.is_some()),
+                noise: NoiseTiles::of_all(in_all_frames()),
+            }
         });
         let constant = frame.constant_features().iter().map(|name| (name.clone(), "it is the same everywhere"));
         let is_used = |feature: &Feature| units.features.iter().any(|used| used.name == feature.name);
@@ -193,7 +225,8 @@ impl Facts {
             has_halves: frame.color().half_spread.is_some(),
             has_sample_variance: frame.color().variance_of_mean.is_some(),
             beside: frames.len() - 1,
-            noise_free: noise_free(&|frame| Some(frame.color())),
+            noise: NoiseTiles::of_all(frames.iter().map(|frame| frame.color())),
+            tile_columns: (frame.extent().width as usize).div_ceil(TILE),
             features: features.collect(),
             unused_features: if with_features { constant.chain(lacking).collect() } else { Vec::new() },
         }
@@ -206,16 +239,42 @@ impl Facts {
             name: feature.name.clone(),
             channels: feature.channels,
             noise_is_told: told(&feature.signal),
-            noise_free: false,
+            has_sample_variance: feature.signal.variance_of_mean.is_some(),
+            noise: None,
         });
         Self {
             has_halves: frame.color.has_halves,
             has_sample_variance: frame.color.variance_of_mean.is_some(),
             beside,
-            noise_free: false,
+            noise: None,
+            tile_columns: 0,
             features: features.collect(),
             unused_features: Vec::new(),
         }
+    }
+}
+
+impl Facts {
+    /// No pixel of any frame has noise.
+    pub(super) fn is_noise_free(&self) -> bool {
+        self.noise.as_ref().is_some_and(|noise| !noise.any())
+    }
+
+    /// Tiles around which the colour has no noise, as far as a filter reaches, in pixels.
+    pub(super) fn exact_color(&self, reach: u32) -> Option<ExactTiles> {
+        self.exact(self.noise.as_ref(), self.has_sample_variance, reach)
+    }
+
+    /// The same of a feature.
+    pub(super) fn exact_feature(&self, feature: &FeatureFacts, reach: u32) -> Option<ExactTiles> {
+        self.exact(feature.noise.as_ref(), feature.has_sample_variance, reach)
+    }
+
+    /// Without sample variance, the variance that a filter takes is smoothed, and reaches further than the noise. Where few tiles are exact, that is not worth a thing.
+    fn exact(&self, noise: Option<&NoiseTiles>, has_sample_variance: bool, reach: u32) -> Option<ExactTiles> {
+        let smoothing = if has_sample_variance { 0 } else { INPUT_SMOOTHING.radius };
+        let exact = ExactTiles::new(noise?.exact((reach + smoothing) as usize), self.tile_columns);
+        Some(exact).filter(|exact| exact.share() >= LEAST_SHARE)
     }
 }
 
@@ -270,8 +329,16 @@ impl Planner {
     pub(super) fn step(&mut self, step: Step, because: &str, unless: &[Unless]) -> bool {
         let reason = unless.iter().find(|unless| unless.holds && !(unless.could_run && self.everything));
         let (runs, why) = reason.map_or((true, because), |reason| (false, reason.why));
-        self.steps.push(PlannedStep { step, runs, why: why.to_owned(), skipped: if runs { 0.0 } else { 1.0 } });
+        self.steps.push(PlannedStep { step, runs, why: why.to_owned(), skipped: if runs { 0.0 } else { 1.0 }, exact: None });
         runs
+    }
+
+    /// Leaves the last step out in these tiles, if it runs.
+    pub(super) fn but_for(&mut self, exact: Option<&ExactTiles>) {
+        if let (Some(planned), Some(exact)) = (self.steps.last_mut().filter(|planned| planned.runs && !self.everything), exact) {
+            planned.skipped = exact.share();
+            planned.exact = Some(exact.clone());
+        }
     }
 
     /// The variance of the colour's mean, from what there is.
@@ -288,7 +355,7 @@ impl Planner {
     pub(super) fn leave_all_out(mut self, why: &str) -> Plan {
         for planned in &mut self.steps {
             if planned.runs {
-                *planned = PlannedStep { step: planned.step.clone(), runs: false, why: why.to_owned(), skipped: 1.0 };
+                *planned = PlannedStep { step: planned.step.clone(), runs: false, why: why.to_owned(), skipped: 1.0, exact: None };
             }
         }
         self.finish()

@@ -6,6 +6,7 @@
 pub mod candidate;
 pub mod candidate_set;
 pub mod error;
+pub mod exact;
 pub mod feature;
 pub mod gaussian;
 pub mod half;
