@@ -147,11 +147,12 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     let extent = nlm.extent;
     let row = i32(id.y);
     let y = nlm.first_row + row;
-    let first_x = i32(id.x) * PIXELS;
-    if first_x >= extent.x || row >= nlm.rows {
+    let first_column = i32(id.x) * PIXELS;
+    let first_x = nlm.first_column + first_column;
+    if first_column >= nlm.width || row >= nlm.rows {
         return;
     }
-    let strip_pixels = nlm.rows * extent.x;
+    let strip_pixels = nlm.rows * nlm.width;
     var centres: array<Pixel, PIXELS>;
     var firsts: array<Sums, PIXELS>;
     var seconds: array<Sums, PIXELS>;
@@ -161,7 +162,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     for (var i = 0; i < PIXELS; i++) {
         centres[i] = centre_at(first_x + i, y);
         if nlm.starts == 0 {
-            let at_state = row * extent.x + min(first_x + i, extent.x - 1);
+            let at_state = row * nlm.width + min(first_column + i, nlm.width - 1);
             firsts[i] = load_sums(0, strip_pixels, at_state);
             seconds[i] = load_sums(PLANES_WITH_COLOR, strip_pixels, at_state);
             third_means[i] = state[THIRD_MEAN_SUM * strip_pixels + at_state];
@@ -197,7 +198,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
             behinds[0] = neighbour_at(first_x - dx, behind_row);
 
             // Colour distances: what the patches of these pixels sum up horizontally.
-            let column = ((j * nlm.offsets.x + o) * nlm.rows + row) * nlm.stride + first_x;
+            let column = ((j * nlm.offsets.x + o) * nlm.rows + row) * nlm.stride + first_column;
             var second_columns: array<vec3<f32>, PIXELS + 2 * SECOND_RADIUS>;
             for (var n = 0; n < PIXELS + 2 * SECOND_RADIUS; n++) {
                 second_columns[n] = columns[column + n];
@@ -335,8 +336,8 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     }
 
     for (var i = 0; i < PIXELS; i++) {
-        let at_state = row * extent.x + first_x + i;
-        if first_x + i < extent.x {
+        let at_state = row * nlm.width + first_column + i;
+        if first_column + i < nlm.width {
             store_sums(firsts[i], 0, strip_pixels, at_state);
             store_sums(seconds[i], PLANES_WITH_COLOR, strip_pixels, at_state);
             state[THIRD_MEAN_SUM * strip_pixels + at_state] = third_means[i];

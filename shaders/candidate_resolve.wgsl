@@ -35,15 +35,16 @@ fn resolve_with_color(base: i32, strip_pixels: i32, at: i32, step: vec3<f32>) ->
 @compute @workgroup_size(32, 2, 1)
 fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     let extent = params.extent;
+    let column = i32(id.x);
     let row = i32(id.y);
-    let p = vec2<i32>(i32(id.x), params.first_row + row);
-    if p.x >= extent.x || row >= params.rows {
+    if column >= params.width || row >= params.rows {
         return;
     }
+    let p = vec2<i32>(params.first_column + column, params.first_row + row);
     let pixels = extent.x * extent.y;
     let at_p = pixel_index(p, extent);
-    let strip_pixels = params.rows * extent.x;
-    let at_state = row * extent.x + p.x;
+    let strip_pixels = params.rows * params.width;
+    let at_state = row * params.width + column;
     let u_p = signal[at_p].xyz;
     let spread_p = signal[pixels + at_p].xyz;
     let step = difference_step(u_p, variance_of_mean[at_p].xyz);

@@ -61,7 +61,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     if column >= nlm.stride {
         return;
     }
-    let x = column - PATCH_RADIUS;
+    let x = nlm.first_column + column - PATCH_RADIUS;
     let first_row_of_offsets = (i32(id.z) / nlm.offsets.x) * OFFSET_ROWS;
     let first_plane = first_row_of_offsets * nlm.offsets.x + i32(id.z) % nlm.offsets.x;
     let first_offset = nlm.first_offset + vec2<i32>(i32(id.z) % nlm.offsets.x, first_row_of_offsets);

@@ -66,8 +66,9 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     let extent = nlm.extent;
     let row = i32(id.y);
     let y = nlm.first_row + row;
-    let first_x = i32(id.x) * PIXELS;
-    if first_x >= extent.x || row >= nlm.rows {
+    let first_column = i32(id.x) * PIXELS;
+    let first_x = nlm.first_column + first_column;
+    if first_column >= nlm.width || row >= nlm.rows {
         return;
     }
     let pixels = extent.x * extent.y;
@@ -114,7 +115,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
             aheads[PIXELS - 1] = neighbour_at(first_x + PIXELS - 1 + dx, ahead_row);
             behinds[0] = neighbour_at(first_x - dx, behind_row);
 
-            let column = ((j * nlm.offsets.x + o) * nlm.rows + row) * nlm.stride + first_x;
+            let column = ((j * nlm.offsets.x + o) * nlm.rows + row) * nlm.stride + first_column;
             var patch_columns: array<vec3<f32>, PIXELS + 2 * PATCH_RADIUS>;
             for (var n = 0; n < PIXELS + 2 * PATCH_RADIUS; n++) {
                 patch_columns[n] = columns[column + n];
@@ -150,7 +151,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     }
 
     for (var i = 0; i < PIXELS; i++) {
-        if first_x + i >= extent.x {
+        if first_column + i >= nlm.width {
             continue;
         }
         let at_p = y * extent.x + first_x + i;

@@ -82,7 +82,7 @@ mod tests {
             assert_eq!((tiles.columns, tiles.noisy.len()), (columns, columns * rows));
             assert!(tiles.any());
             assert_eq!(tiles.noisy.iter().position(|noisy| *noisy), Some(columns * rows - 1));
-            for reach in [0, 1, 8, 9, 16] {
+            for reach in [0usize, 1, 8, 9, 16] {
                 let near = reach.div_ceil(TILE);
                 for (tile, exact) in tiles.exact(reach).into_iter().enumerate() {
                     let is_near = columns - 1 - tile % columns <= near && rows - 1 - tile / columns <= near;

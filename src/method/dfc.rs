@@ -99,7 +99,7 @@ pub fn dfc(
         weighting,
     };
     let CandidatesInTime { together: candidates, alone } =
-        candidates(rec, extent, signal, &variance, features.first(), &neighbours, &filter, schedule, progress)?;
+        candidates(rec, extent, signal, &variance, features.first(), &neighbours, &filter, plan.exact(&Step::Candidates), schedule, progress)?;
     if let Some(alone) = alone.as_ref().filter(|_| plan.begins(rec, Step::Frames)) {
         select_frames(rec, extent, Noisy { signal, variance_of_mean: &variance }, alone, &candidates, takes_part, HARM)?;
     }
@@ -110,15 +110,15 @@ pub fn dfc(
     }
 
     // Filtered SURE error estimates.
-    let smooth = |rec: &mut Recorder, payload: &Buffer, filter: &Auxiliary| {
-        let guide = filter.guide(signal, &variance, 3);
+    let smooth = |rec: &mut Recorder, step: Step, payload: &Buffer, filter: &Auxiliary| {
+        let guide = Guide { exact: plan.exact(&step), ..filter.guide(signal, &variance, 3) };
+        plan.begins(rec, step);
         nlm_filter(rec, extent, &guide, &Payload::new(payload, 1), filter.window_radius, weighting, false, schedule).map(|filtered| filtered.planes)
     };
     let mut judged = None;
     if plan.begins(rec, Step::Sure) {
         let sure = Arc::new(error_sure(rec, extent, signal, &variance, &candidates, takes_part)?);
-        plan.begins(rec, Step::SureSmoothing);
-        let errors = Arc::new(smooth(rec, &sure, &ERROR_SMOOTHING)?);
+        let errors = Arc::new(smooth(rec, Step::SureSmoothing, &sure, &ERROR_SMOOTHING)?);
         keeper.keep(Intermediate::Sure, "sure", &BY_CANDIDATE, Unit::ColorSquared, &sure, 0);
         keeper.keep(Intermediate::Sure, "sure_smoothed", &BY_CANDIDATE, Unit::ColorSquared, &errors, 0);
         judged = Some((sure, errors));
@@ -128,8 +128,7 @@ pub fn dfc(
         // Binary selection maps.
         let selected = Arc::new(select_least(rec, extent, errors, &candidates.derivatives, takes_part)?);
         // Filter selection maps.
-        plan.begins(rec, Step::SelectionSmoothing);
-        let smoothed = smooth(rec, &selected, &SELECTION_SMOOTHING)?;
+        let smoothed = smooth(rec, Step::SelectionSmoothing, &selected, &SELECTION_SMOOTHING)?;
         // Candidate filter averaging.
         plan.begins(rec, Step::Blend);
         let evidence = Evidence { selected: &selected, errors, sure, variance_of_mean: &variance, candidates: &candidates, takes_part };
@@ -149,7 +148,7 @@ pub fn dfc(
     // Adaptive sampling (thesis 8.6).
     if plan.begins(rec, Step::Density) {
         let density = sample_density(rec, extent, &pass1, selection.maps().filter(|_| !color.has_halves), &samples)?;
-        keeper.keep(Intermediate::Density, "density", &["V"], Unit::Number, &Arc::new(smooth(rec, &density, &DENSITY_SMOOTHING)?), 0);
+        keeper.keep(Intermediate::Density, "density", &["V"], Unit::Number, &Arc::new(smooth(rec, Step::Density, &density, &DENSITY_SMOOTHING)?), 0);
     }
 
     // The error and Σ w are those of pass 1.
@@ -168,7 +167,7 @@ pub fn dfc(
     let upper_bound = second_pass.clamp_to_input.then_some(&*variance);
     let left_variance = variance_smooth(rec, extent, &pass1, RESIDUAL_SMOOTHING, upper_bound)?;
     let filter = Auxiliary { window_radius: second_pass.window_radius(params.window_radius), patch_radius: second_pass.patch_radius, k: second_pass.color_k };
-    let guide = filter.guide(&pass1, &left_variance, 3);
+    let guide = Guide { exact: plan.exact(&Step::SecondPass), ..filter.guide(&pass1, &left_variance, 3) };
     let pass2 = nlm_filter(rec, extent, &guide, &Payload::new(&pass1, 2), filter.window_radius, weighting, false, schedule)?;
     keeper.keep(Intermediate::Pass1, "pass1", &RGB, Unit::Color, &pass1, 0);
     let result = match second_pass.most_sigmas {
@@ -204,7 +203,9 @@ fn prefilter(
     order.sort_by_key(|index| slots[*index].single);
     for index in order {
         let features: Vec<&GpuFeature> = frames.iter().map(|features| &features[index]).collect();
-        let has_noise = plan.begins(rec, Step::Prefilter(features[0].name.clone()));
+        let step = Step::Prefilter(features[0].name.clone());
+        let exact = plan.exact(&step);
+        let has_noise = plan.begins(rec, step.clone());
         let variances = features.iter().map(|feature| if has_noise { noise(rec, extent, &feature.signal) } else { Ok(None) }).collect::<Result<Vec<_>>>()?;
         let mut prefiltered = Vec::new();
         for (frame, feature) in features.iter().enumerate() {
@@ -216,7 +217,7 @@ fn prefilter(
                         .filter_map(|(_, (other, variance))| Some(Beside { signal: &other.signal.signal, variance_of_mean: variance.as_ref()? }))
                         .collect();
                     let payloads: Vec<_> = beside.iter().map(|beside| beside.signal).collect();
-                    let guide = Guide { beside: &beside, ..PREFILTER.guide(&signal.signal, variance, *channels) };
+                    let guide = Guide { beside: &beside, exact, ..PREFILTER.guide(&signal.signal, variance, *channels) };
                     let payload = Payload { planes: &signal.signal, count: 2, beside: &payloads };
                     let filtered = nlm_filter(rec, extent, &guide, &payload, PREFILTER.window_radius, weighting, !signal.has_halves, schedule)?;
                     let residual = match filtered.residual_variance {

@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use glam::{IVec2, Vec4};
 
+use super::exact::ExactTiles;
 use super::feature::{Features, MAX_GROUPS};
 use super::nlm::{Beside, Guide, NlmParams, Schedule, Weighting, for_each_chunk};
 use super::plane_bytes;
@@ -94,7 +95,7 @@ pub struct CandidatesInTime {
 }
 
 /// Filters a colour signal with the three candidates, over a window in its frame and in the frames `beside`. `variance_of_mean` is its scaled variance; without features
-/// the feature weights are 1.
+/// the feature weights are 1. In `exact` tiles no pixel within reach has noise: there every candidate is the signal, with derivatives of 1.
 ///
 /// `progress` is called with the share of rows whose commands are recorded.
 #[expect(clippy::too_many_arguments, reason = "they are the operator's definition; a struct would only rename them")]
@@ -106,6 +107,7 @@ pub fn candidates(
     features: Option<&Features>,
     beside: &[CandidateBeside],
     filter: &CandidateFilter,
+    exact: Option<&ExactTiles>,
     schedule: Schedule,
     mut progress: impl FnMut(&mut Recorder, f32) -> Result<()>,
 ) -> Result<CandidatesInTime> {
@@ -115,6 +117,7 @@ pub fn candidates(
     let guide = Guide {
         small_patch_radius: Some(filter.first_patch_radius),
         beside: &neighbours,
+        exact,
         ..Guide::new(signal, variance_of_mean, 3, filter.color_k, filter.second_patch_radius)
     };
     let groups = features.map_or(0, |features| features.packing.groups);
@@ -138,13 +141,16 @@ pub fn candidates(
         feature_tau_third: filter.feature_tau_third,
         triple_weights: features.map_or([Vec4::ZERO; MAX_GROUPS], |features| features.packing.triple_weights()),
     };
-    let mut state = None;
+    let mut state: Option<Buffer> = None;
     for_each_chunk(rec, extent, &guide, filter.window_radius, filter.weighting, schedule, |rec, chunk| {
         let params = chunk.params;
-        // The first strip is the highest.
+        if params.starts != 0 {
+            // Before the next is taken, this one is given back.
+            state = None;
+        }
         let state = match &mut state {
             Some(state) => state,
-            None => state.insert(rec.take("candidate sums", plane_bytes(IVec2::new(extent.x, params.rows), STATE_PLANES))?),
+            None => state.insert(rec.take("candidate sums", plane_bytes(IVec2::new(params.width, params.rows), STATE_PLANES))?),
         };
         let beside = chunk.beside.map(|index| beside[index]);
         // Only in the nearest rows do patches hold pixels of their own pair; in a frame beside none does.
@@ -162,18 +168,24 @@ pub fn candidates(
             neighbours_variance: beside.map(|frame| frame.variance_of_mean),
             neighbours_features: beside.and_then(|frame| frame.features).map(|features| &features.buffer),
         };
-        rec.dispatch(&accumulate, &bound, schedule.per_row_of_pixels(extent, params.rows))?;
+        rec.dispatch(&accumulate, &bound, schedule.per_row_of_pixels(&params))?;
         // The sums over the own frame are whole before those over the others begin.
         let complete = if chunk.last { Some(&together) } else { alone.as_ref().filter(|_| beside.is_none() && chunk.ends_frame) };
         if let Some(Candidates { signals: [first, second, third], derivatives }) = complete {
             let resolve = rec.gpu().kernel::<CandidateResolve>("candidate_resolve", &[])?;
             let bound = CandidateResolve { params, signal, variance_of_mean, state, first, second, third, derivatives };
-            rec.dispatch(&resolve, &bound, [extent.x as u32, params.rows as u32, 1])?;
+            rec.dispatch(&resolve, &bound, [params.width as u32, params.rows as u32, 1])?;
         }
         if chunk.last {
-            progress(rec, (params.first_row + params.rows) as f32 / extent.y as f32)?;
+            progress(rec, chunk.done)?;
         }
         Ok(())
     })?;
+    if let Some(exact) = exact {
+        for candidates in std::iter::once(&together).chain(&alone) {
+            candidates.signals.iter().try_for_each(|candidate| exact.copy_signal(rec, extent, signal, candidate))?;
+            exact.fill(rec, extent, &candidates.derivatives, 3, true)?;
+        }
+    }
     Ok(CandidatesInTime { together, alone })
 }
