@@ -4,21 +4,31 @@
 // FIRST and SECOND share the pixel distance and the features and differ in the box; THIRD shares the features' numerators. The perturbed weights need no second
 // pass: a step δ in channel i of p changes the pixel distances that p takes part in, and those alone, so the patch sums change by a few closed terms.
 //
+// FIRST, SECOND and THIRD say which of them take part, DERIVATIVES whether the perturbed sums are wanted; HALVES, whether the half spread says
+// anything; GREY, that all channels of the colour are the same, so that compilers find the work of one in place of three.
+//
 // An invocation filters PIXELS pixels in a row and goes through the offsets row by row: the neighbours of one offset are those of the offset before, but for one. They stay in
 // registers, as do the running sums.
 #import stein::planes::{pixel_index}
 #import stein::nlm::{NlmParams, PairWeights, EPSILON, DISTANCE_LIMIT, has_opposite, patch_members, pair_weights}
 #import stein::candidates::{CandidateParams, WEIGHT_LANES, LARGEST_LANES, MEAN_SUM, PERTURBED_SUM, SPREAD_SUM, PLANES_WITH_COLOR, THIRD_MEAN_SUM, THIRD_SPREAD_SUM, difference_step}
 
-const FIRST_RADIUS: i32 = #{SMALL_PATCH_RADIUS};
+#ifdef SECOND
 const SECOND_RADIUS: i32 = #{PATCH_RADIUS};
+const FIRST_RADIUS: i32 = #{SMALL_PATCH_RADIUS};
+#else
+const SECOND_RADIUS: i32 = 0;
+const FIRST_RADIUS: i32 = #{PATCH_RADIUS};
+#endif
 const PIXELS: i32 = #{PIXELS};
 const FEATURE_GROUPS: i32 = #{FEATURE_GROUPS};
 
 @group(0) @binding(0) var<uniform> params: NlmParams;
 @group(0) @binding(1) var<uniform> candidate: CandidateParams;
-// Of SECOND's patch, behind them those of FIRST's.
+#ifdef COLOR
+// Of SECOND's patch, behind them those of FIRST's; or of the one's that takes part.
 @group(0) @binding(2) var<storage, read> columns: array<vec3<f32>>;
+#endif
 // Two planes: the mean, then the half spread.
 @group(0) @binding(3) var<storage, read> signal: array<vec4<f32>>;
 @group(0) @binding(4) var<storage, read> variance_of_mean: array<vec4<f32>>;
@@ -67,14 +77,24 @@ struct Weights {
     third: f32,
 }
 
+fn channels(value: vec4<f32>) -> vec3<f32> {
+#ifdef GREY
+    return value.xxx;
+#else
+    return value.xyz;
+#endif
+}
+
 // Of the pixel in this row nearest to column x.
 fn centre_at(x: i32, row: i32) -> Pixel {
     let pixels = nlm.extent.x * nlm.extent.y;
     let at = row * nlm.extent.x + clamp(x, 0, nlm.extent.x - 1);
     var pixel: Pixel;
-    pixel.mean = signal[at].xyz;
-    pixel.spread = signal[pixels + at].xyz;
-    pixel.variance = variance_of_mean[at].xyz;
+    pixel.mean = channels(signal[at]);
+#ifdef HALVES
+    pixel.spread = channels(signal[pixels + at]);
+#endif
+    pixel.variance = channels(variance_of_mean[at]);
 #if FEATURE_GROUPS != 0
     for (var group = 0; group < FEATURE_GROUPS; group++) {
         pixel.value[group] = features[3 * group * pixels + at];
@@ -90,9 +110,11 @@ fn neighbour_at(x: i32, row: i32) -> Pixel {
     let pixels = nlm.extent.x * nlm.extent.y;
     let at = row * nlm.extent.x + clamp(x, 0, nlm.extent.x - 1);
     var pixel: Pixel;
-    pixel.mean = neighbours_signal[at].xyz;
-    pixel.spread = neighbours_signal[pixels + at].xyz;
-    pixel.variance = neighbours_variance[at].xyz;
+    pixel.mean = channels(neighbours_signal[at]);
+#ifdef HALVES
+    pixel.spread = channels(neighbours_signal[pixels + at]);
+#endif
+    pixel.variance = channels(neighbours_variance[at]);
 #if FEATURE_GROUPS != 0
     for (var group = 0; group < FEATURE_GROUPS; group++) {
         pixel.value[group] = neighbours_features[3 * group * pixels + at];
@@ -107,7 +129,12 @@ fn neighbour_at(x: i32, row: i32) -> Pixel {
 }
 
 fn added(before: Sums, w: vec4<f32>, mean: vec3<f32>, spread: vec3<f32>) -> Sums {
-    return Sums(before.weight + w, max(before.largest, w), before.mean + w.x * mean, before.perturbed + w.yzw * mean, before.spread + w.x * spread);
+#ifdef HALVES
+    let spread_sum = before.spread + w.x * spread;
+#else
+    let spread_sum = before.spread;
+#endif
+    return Sums(before.weight + w, max(before.largest, w), before.mean + w.x * mean, before.perturbed + w.yzw * mean, spread_sum);
 }
 
 // What a step of the centre value does to a squared difference t², over its denominator.
@@ -163,14 +190,24 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
         centres[i] = centre_at(first_x + i, y);
         if nlm.starts == 0 {
             let at_state = row * nlm.width + min(first_column + i, nlm.width - 1);
+#ifdef FIRST
             firsts[i] = load_sums(0, strip_pixels, at_state);
+#endif
+#ifdef SECOND
             seconds[i] = load_sums(PLANES_WITH_COLOR, strip_pixels, at_state);
+#endif
+#ifdef THIRD
             third_means[i] = state[THIRD_MEAN_SUM * strip_pixels + at_state];
             third_spreads[i] = state[THIRD_SPREAD_SUM * strip_pixels + at_state];
+#endif
         }
     }
 
-    let small_columns = nlm.offsets.x * nlm.offsets.y * nlm.rows * nlm.stride;
+#ifdef SECOND
+    let first_columns_at = nlm.offsets.x * nlm.offsets.y * nlm.rows * nlm.stride + SECOND_RADIUS - FIRST_RADIUS;
+#else
+    let first_columns_at = 0;
+#endif
     for (var j = 0; j < nlm.offsets.y; j++) {
         let dy = nlm.first_offset.y + j;
         let ahead_row_inside = y + dy < extent.y;
@@ -199,14 +236,18 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
 
             // Colour distances: what the patches of these pixels sum up horizontally.
             let column = ((j * nlm.offsets.x + o) * nlm.rows + row) * nlm.stride + first_column;
+#ifdef SECOND
             var second_columns: array<vec3<f32>, PIXELS + 2 * SECOND_RADIUS>;
             for (var n = 0; n < PIXELS + 2 * SECOND_RADIUS; n++) {
                 second_columns[n] = columns[column + n];
             }
+#endif
+#ifdef FIRST
             var first_columns: array<vec3<f32>, PIXELS + 2 * FIRST_RADIUS>;
             for (var n = 0; n < PIXELS + 2 * FIRST_RADIUS; n++) {
-                first_columns[n] = columns[small_columns + column + SECOND_RADIUS - FIRST_RADIUS + n];
+                first_columns[n] = columns[first_columns_at + column + n];
             }
+#endif
 
             for (var i = 0; i < PIXELS; i++) {
                 let x = first_x + i;
@@ -272,11 +313,14 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
                 // What a step in each channel of p does to the patch sums: the pair (p, q) itself, and where p lies in its neighbour's patch, the pair that ends in p.
                 // In another frame's patches p lies nowhere.
                 let zero = vec3<f32>(0.0);
+                var first_changes = PatchChanges(zero, zero, zero);
+                var second_changes = first_changes;
+#ifdef DERIVATIVES
                 let step = difference_step(p.mean, p.variance);
                 let change_q1 = select(zero, step_change(step, p.mean - q1.mean, EPSILON + nlm.k_squared * (p.variance + q1.variance)), q1_inside);
                 let change_q2 = select(zero, step_change(step, p.mean - q2.mean, EPSILON + nlm.k_squared * (p.variance + q2.variance)), q2_inside);
-                var first_changes = PatchChanges(change_q1, change_q2, zero);
-                var second_changes = first_changes;
+                first_changes = PatchChanges(change_q1, change_q2, zero);
+                second_changes = first_changes;
 #ifdef SYMMETRIC
                 let to_mean = p.mean - 0.5 * (q1.mean + q2.mean);
                 let denominator = EPSILON + nlm.k_squared * (p.variance + 0.25 * (q1.variance + q2.variance));
@@ -302,35 +346,46 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
                     }
                 }
 #endif
+#endif
 
                 // Colour weights (eq. 8.2).
-                var first_patch = zero;
-                for (var n = 0; n <= 2 * FIRST_RADIUS; n++) {
-                    first_patch += first_columns[i + n];
-                }
-                var second_patch = zero;
-                for (var n = 0; n <= 2 * SECOND_RADIUS; n++) {
-                    second_patch += second_columns[i + n];
-                }
-                let first_members = first_members_y * patch_members(x, dx, extent.x, FIRST_RADIUS);
-                let second_members = second_members_y * patch_members(x, dx, extent.x, SECOND_RADIUS);
-                let first_weights = color_weights(first_patch, first_changes, first_members, both_inside);
-                let second_weights = color_weights(second_patch, second_changes, second_members, both_inside);
-
                 let none = vec4<f32>(0.0);
                 let mean_q1 = q1.mean - p.mean;
                 let mean_q2 = q2.mean - p.mean;
                 let spread_q1 = q1.spread - p.spread;
                 let spread_q2 = q2.spread - p.spread;
+#ifdef FIRST
+                var first_patch = zero;
+                for (var n = 0; n <= 2 * FIRST_RADIUS; n++) {
+                    first_patch += first_columns[i + n];
+                }
+                let first_members = first_members_y * patch_members(x, dx, extent.x, FIRST_RADIUS);
+                let first_weights = color_weights(first_patch, first_changes, first_members, both_inside);
                 firsts[i] = added(firsts[i], select(none, min(first_weights.ahead, vec4<f32>(feature_q1)), q1_inside), mean_q1, spread_q1);
                 firsts[i] = added(firsts[i], select(none, min(first_weights.behind, vec4<f32>(feature_q2)), q2_inside), mean_q2, spread_q2);
+#endif
+#ifdef SECOND
+                var second_patch = zero;
+                for (var n = 0; n <= 2 * SECOND_RADIUS; n++) {
+                    second_patch += second_columns[i + n];
+                }
+                let second_members = second_members_y * patch_members(x, dx, extent.x, SECOND_RADIUS);
+                let second_weights = color_weights(second_patch, second_changes, second_members, both_inside);
                 seconds[i] = added(seconds[i], select(none, min(second_weights.ahead, vec4<f32>(feature_q1)), q1_inside), mean_q1, spread_q1);
                 seconds[i] = added(seconds[i], select(none, min(second_weights.behind, vec4<f32>(feature_q2)), q2_inside), mean_q2, spread_q2);
+#endif
+#ifdef THIRD
                 let third_q1 = select(0.0, exp(-third_distance_q1), q1_inside);
                 let third_q2 = select(0.0, exp(-third_distance_q2), q2_inside);
                 third_means[i] += vec4<f32>(third_q1 * mean_q1 + third_q2 * mean_q2, third_q1 + third_q2);
                 let before = third_spreads[i];
-                third_spreads[i] = vec4<f32>(before.xyz + third_q1 * spread_q1 + third_q2 * spread_q2, max(before.w, max(third_q1, third_q2)));
+#ifdef HALVES
+                let spread_sum = before.xyz + third_q1 * spread_q1 + third_q2 * spread_q2;
+#else
+                let spread_sum = before.xyz;
+#endif
+                third_spreads[i] = vec4<f32>(spread_sum, max(before.w, max(third_q1, third_q2)));
+#endif
             }
         }
     }
@@ -338,28 +393,46 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     for (var i = 0; i < PIXELS; i++) {
         let at_state = row * nlm.width + first_column + i;
         if first_column + i < nlm.width {
+#ifdef FIRST
             store_sums(firsts[i], 0, strip_pixels, at_state);
+#endif
+#ifdef SECOND
             store_sums(seconds[i], PLANES_WITH_COLOR, strip_pixels, at_state);
+#endif
+#ifdef THIRD
             state[THIRD_MEAN_SUM * strip_pixels + at_state] = third_means[i];
             state[THIRD_SPREAD_SUM * strip_pixels + at_state] = third_spreads[i];
+#endif
         }
     }
 }
 
+#ifdef COLOR
 fn load_sums(base: i32, strip_pixels: i32, at: i32) -> Sums {
     return Sums(
         state[(base + WEIGHT_LANES) * strip_pixels + at],
         state[(base + LARGEST_LANES) * strip_pixels + at],
         state[(base + MEAN_SUM) * strip_pixels + at].xyz,
+#ifdef DERIVATIVES
         state[(base + PERTURBED_SUM) * strip_pixels + at].xyz,
+#else
+        vec3<f32>(0.0),
+#endif
         state[(base + SPREAD_SUM) * strip_pixels + at].xyz,
     );
 }
 
 fn store_sums(sums: Sums, base: i32, strip_pixels: i32, at: i32) {
+#ifdef DERIVATIVES
     state[(base + WEIGHT_LANES) * strip_pixels + at] = sums.weight;
     state[(base + LARGEST_LANES) * strip_pixels + at] = sums.largest;
-    state[(base + MEAN_SUM) * strip_pixels + at] = vec4<f32>(sums.mean, 0.0);
     state[(base + PERTURBED_SUM) * strip_pixels + at] = vec4<f32>(sums.perturbed, 0.0);
+#else
+    // What is not stored is not computed.
+    state[(base + WEIGHT_LANES) * strip_pixels + at] = vec4<f32>(sums.weight.x, 0.0, 0.0, 0.0);
+    state[(base + LARGEST_LANES) * strip_pixels + at] = vec4<f32>(sums.largest.x, 0.0, 0.0, 0.0);
+#endif
+    state[(base + MEAN_SUM) * strip_pixels + at] = vec4<f32>(sums.mean, 0.0);
     state[(base + SPREAD_SUM) * strip_pixels + at] = vec4<f32>(sums.spread, 0.0);
 }
+#endif

@@ -28,6 +28,23 @@ const SMALL_PATCH_RADIUS: i32 = #{SMALL_PATCH_RADIUS};
 // Read once: software adapters read a parameter anew wherever it is used.
 var<private> nlm: NlmParams;
 
+fn channels(value: vec4<f32>) -> vec3<f32> {
+#ifdef GREY
+    // All are the same: compilers find the work of one in place of three.
+    return value.xxx;
+#else
+    return value.xyz;
+#endif
+}
+
+fn over_channels(distances: vec3<f32>) -> f32 {
+#ifdef ONE_CHANNEL
+    return distances.x;
+#else
+    return dot(vec3<f32>(1.0), distances);
+#endif
+}
+
 // What there is at a pixel.
 struct Pixel {
     u: vec3<f32>,
@@ -36,19 +53,18 @@ struct Pixel {
 
 fn neighbour_at(q: vec2<i32>) -> Pixel {
     let at = clamped_index(q, nlm.extent);
-    return Pixel(neighbours[at].xyz, neighbours_variance[at].xyz);
+    return Pixel(channels(neighbours[at]), channels(neighbours_variance[at]));
 }
 
 fn pair_distances(p: vec2<i32>, offset: vec2<i32>, centre: Pixel, q1: Pixel, q2: Pixel) -> vec3<f32> {
     let p_inside = inside(p, nlm.extent);
     let q1_inside = p_inside && inside(p + offset, nlm.extent);
     let q2_inside = p_inside && inside(p - offset, nlm.extent) && has_opposite(offset);
-    let one = vec3<f32>(1.0);
-    let d1 = select(0.0, dot(one, distance(centre.u, q1.u, centre.variance, q1.variance, nlm.k_squared, nlm.alpha)), q1_inside);
-    let d2 = select(0.0, dot(one, distance(centre.u, q2.u, centre.variance, q2.variance, nlm.k_squared, nlm.alpha)), q2_inside);
+    let d1 = select(0.0, over_channels(distance(centre.u, q1.u, centre.variance, q1.variance, nlm.k_squared, nlm.alpha)), q1_inside);
+    let d2 = select(0.0, over_channels(distance(centre.u, q2.u, centre.variance, q2.variance, nlm.k_squared, nlm.alpha)), q2_inside);
 #ifdef SYMMETRIC
     let both = symmetric_distance(centre.u, q1.u, q2.u, centre.variance, q1.variance, q2.variance, nlm.k_squared, nlm.alpha);
-    return vec3<f32>(d1, d2, select(0.0, dot(one, both), q1_inside && q2_inside));
+    return vec3<f32>(d1, d2, select(0.0, over_channels(both), q1_inside && q2_inside));
 #else
     return vec3<f32>(d1, d2, 0.0);
 #endif
@@ -80,7 +96,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     for (var row = first - PATCH_RADIUS; row < end + PATCH_RADIUS; row++) {
         let p = vec2<i32>(x, nlm.first_row + row);
         let at_p = clamped_index(p, nlm.extent);
-        let centre = Pixel(guide[at_p].xyz, variance_of_mean[at_p].xyz);
+        let centre = Pixel(channels(guide[at_p]), channels(variance_of_mean[at_p]));
         for (var k = 0; k < OFFSET_ROWS - 1; k++) {
             aheads[k] = aheads[k + 1];
             behinds[OFFSET_ROWS - 1 - k] = behinds[OFFSET_ROWS - 2 - k];

@@ -43,7 +43,8 @@ fn with_rules(sets: &[Definitions]) -> Vec<Definitions> {
 fn definitions(stage: &str) -> Option<Vec<Definitions>> {
     let none = Some(vec![Vec::new()]);
     match stage {
-        "variance_rows" | "variance_scale" | "variance_pair" | "variance_clamp" | "half_split" | "half_join" | "candidate_resolve" | "select_pass" => none,
+        "variance_rows" | "variance_scale" | "variance_pair" | "variance_clamp" | "half_split" | "half_join" | "select_pass" => none,
+        "candidate_resolve" => Some(combinations(&[("THIRD", flags()), ("DERIVATIVES", flags())])),
         "feature_pack" => Some(combinations(&[("NOISY", flags())])),
         "error_sure" | "select_least" | "select_blend" => Some(combinations(&takes_part())),
         "select_share" => Some(combinations(&[&takes_part()[..], &[("GUARDED", flags())]].concat())),
@@ -66,6 +67,8 @@ fn definitions(stage: &str) -> Option<Vec<Definitions>> {
                     ("SMALL_PATCH_RADIUS", numbers(small)),
                     ("OFFSET_ROWS", numbers(&[1, 2])),
                     ("SYMMETRIC", flags()),
+                    ("ONE_CHANNEL", flags()),
+                    ("GREY", flags()),
                 ])
             };
             Some(shapes.into_iter().flat_map(set).collect())
@@ -79,7 +82,9 @@ fn definitions(stage: &str) -> Option<Vec<Definitions>> {
                 ("PATCHWISE", flags()),
                 ("RESIDUAL", flags()),
             ]);
-            Some(with_rules(&shapes))
+            let lanes = [(false, false), (true, false), (true, true)].map(|(one, grey)| [("ONE_LANE", one.into()), ("GREY", grey.into())]);
+            let narrow = shapes.iter().flat_map(|set| lanes.iter().map(|lanes| [set.as_slice(), lanes].concat()));
+            Some(with_rules(&narrow.collect::<Vec<_>>()))
         }
         "candidate_accumulate" => {
             let set = |(other_frame, near): (bool, bool)| {
@@ -92,7 +97,22 @@ fn definitions(stage: &str) -> Option<Vec<Definitions>> {
                     ("NEAR", vec![near.into()]),
                 ])
             };
-            Some([(false, false), (false, true), (true, false)].into_iter().flat_map(|frames| with_rules(&set(frames))).collect())
+            let whole = |set: Definitions| {
+                let parts = ["FIRST", "SECOND", "THIRD", "COLOR", "DERIVATIVES", "HALVES"].map(|name| (name, true.into()));
+                [set.as_slice(), &parts].concat()
+            };
+            let all = [(false, false), (false, true), (true, false)].into_iter().flat_map(|frames| with_rules(&set(frames))).map(whole);
+            // What may be left out of them.
+            let shape =
+                [("PATCH_RADIUS", 3.into()), ("SMALL_PATCH_RADIUS", 1.into()), ("FEATURE_GROUPS", 2.into()), ("PIXELS", 4.into()), ("SYMMETRIC", true.into())];
+            let left = combinations(&[&takes_part()[..], &["DERIVATIVES", "HALVES", "GREY", "NEAR", "OTHER_FRAME"].map(|name| (name, flags()))].concat());
+            let part = |set: Definitions| {
+                let is_on = |name: &str| set.iter().any(|definition| *definition == (name, true.into()));
+                let color = [("COLOR", (is_on("FIRST") || is_on("SECOND")).into())];
+                let fits = !(is_on("NEAR") && is_on("OTHER_FRAME")) && (is_on("THIRD") || is_on("FIRST") || is_on("SECOND"));
+                fits.then(|| [&shape[..], &set, &color].concat())
+            };
+            Some(all.chain(left.into_iter().filter_map(part)).collect())
         }
         _ => None,
     }

@@ -14,11 +14,11 @@ use super::plan::{Facts, Plan, Step};
 use super::{GpuFeature, GpuFrame, GpuSignal};
 use crate::error::Result;
 use crate::gpu::{Buffer, Recorder};
-use crate::stage::candidate::{CANDIDATE_PLANES, CandidateBeside, CandidateFilter, CandidatesInTime, STATE_PLANES, candidates};
+use crate::stage::candidate::{CANDIDATE_PLANES, CandidateBeside, CandidateFilter, CandidatesInTime, Needed, STATE_PLANES, candidates};
 use crate::stage::candidate_set::CandidateSet;
 use crate::stage::error::error_sure;
 use crate::stage::feature::{Features, Packing, feature_pack};
-use crate::stage::nlm::{Beside, Guide, Payload, Schedule, Weighting, nlm_filter};
+use crate::stage::nlm::{Beside, Guide, Lanes, Payload, Schedule, Weighting, nlm_filter};
 use crate::stage::sample::sample_density;
 use crate::stage::select::{Evidence, HARM, Noisy, select_blend, select_frames, select_least, select_pass, select_share};
 use crate::stage::variance::{INPUT_SMOOTHING, RESIDUAL_SMOOTHING, variance_smooth};
@@ -83,7 +83,6 @@ pub fn dfc(
 
     // Candidate filters.
     plan.begins(rec, Step::Candidates);
-    let takes_part = plan.candidates();
     let neighbours = colors_beside.iter().zip(&variances_beside).enumerate();
     let neighbours =
         neighbours.map(|(index, (color, variance_of_mean))| CandidateBeside { signal: &color.signal, variance_of_mean, features: features.get(1 + index) });
@@ -98,26 +97,38 @@ pub fn dfc(
         feature_tau_third: params.feature_tau_third,
         weighting,
     };
+    let needed = Needed {
+        candidates: plan.candidates(),
+        derivatives: plan.runs(&Step::Derivatives),
+        half_spread: plan.runs(&Step::HalfSpread),
+        alone: plan.runs(&Step::Frames),
+        channels: plan.runs(&Step::Channels),
+        exact: plan.exact(&Step::Candidates),
+    };
     let CandidatesInTime { together: candidates, alone } =
-        candidates(rec, extent, signal, &variance, features.first(), &neighbours, &filter, plan.exact(&Step::Candidates), schedule, progress)?;
+        candidates(rec, extent, signal, &variance, features.first(), &neighbours, &filter, needed, schedule, progress)?;
     if let Some(alone) = alone.as_ref().filter(|_| plan.begins(rec, Step::Frames)) {
-        select_frames(rec, extent, Noisy { signal, variance_of_mean: &variance }, alone, &candidates, takes_part, HARM)?;
+        select_frames(rec, extent, Noisy { signal, variance_of_mean: &variance }, alone, &candidates, HARM)?;
     }
     drop((features, colors_beside, variances_beside, alone));
-    for (plane, name) in (0..).zip(BY_CANDIDATE).filter(|(_, name)| plan.runs(&Step::Candidate(name))) {
-        keeper.keep(Intermediate::Candidates, name, &RGB, Unit::Color, &candidates.signals[plane as usize], 0);
-        keeper.keep(Intermediate::Derivatives, format!("{name}_derivative"), &RGB, Unit::Number, &candidates.derivatives, plane);
+    for (plane, (name, candidate)) in (0..).zip(BY_CANDIDATE.into_iter().zip(&candidates.signals)) {
+        let Some(candidate) = candidate else { continue };
+        keeper.keep(Intermediate::Candidates, name, &RGB, Unit::Color, candidate, 0);
+        if let Some(derivatives) = &candidates.derivatives {
+            keeper.keep(Intermediate::Derivatives, format!("{name}_derivative"), &RGB, Unit::Number, derivatives, plane);
+        }
     }
 
     // Filtered SURE error estimates.
+    let grey = !plan.runs(&Step::Channels);
     let smooth = |rec: &mut Recorder, step: Step, payload: &Buffer, filter: &Auxiliary| {
-        let guide = Guide { exact: plan.exact(&step), ..filter.guide(signal, &variance, 3) };
+        let guide = Guide { grey, exact: plan.exact(&step), ..filter.guide(signal, &variance, 3) };
         plan.begins(rec, step);
         nlm_filter(rec, extent, &guide, &Payload::new(payload, 1), filter.window_radius, weighting, false, schedule).map(|filtered| filtered.planes)
     };
     let mut judged = None;
     if plan.begins(rec, Step::Sure) {
-        let sure = Arc::new(error_sure(rec, extent, signal, &variance, &candidates, takes_part)?);
+        let sure = Arc::new(error_sure(rec, extent, signal, &variance, &candidates)?);
         let errors = Arc::new(smooth(rec, Step::SureSmoothing, &sure, &ERROR_SMOOTHING)?);
         keeper.keep(Intermediate::Sure, "sure", &BY_CANDIDATE, Unit::ColorSquared, &sure, 0);
         keeper.keep(Intermediate::Sure, "sure_smoothed", &BY_CANDIDATE, Unit::ColorSquared, &errors, 0);
@@ -126,22 +137,22 @@ pub fn dfc(
 
     let (pass1, error, selection): (Arc<Buffer>, _, _) = if let Some((sure, errors)) = judged.as_ref().filter(|_| plan.begins(rec, Step::Selection)) {
         // Binary selection maps.
-        let selected = Arc::new(select_least(rec, extent, errors, &candidates.derivatives, takes_part)?);
+        let selected = Arc::new(select_least(rec, extent, errors, &candidates)?);
         // Filter selection maps.
         let smoothed = smooth(rec, Step::SelectionSmoothing, &selected, &SELECTION_SMOOTHING)?;
         // Candidate filter averaging.
         plan.begins(rec, Step::Blend);
-        let evidence = Evidence { selected: &selected, errors, sure, variance_of_mean: &variance, candidates: &candidates, takes_part };
+        let evidence = Evidence { selected: &selected, errors, sure, variance_of_mean: &variance, candidates: &candidates };
         let selection = Arc::new(select_share(rec, extent, smoothed, evidence, params.guard)?);
-        let pass1 = Arc::new(select_blend(rec, extent, &selection, &candidates, takes_part)?);
+        let pass1 = Arc::new(select_blend(rec, extent, &selection, &candidates)?);
         keeper.keep(Intermediate::Selection, "selected", &BY_CANDIDATE, Unit::Number, &selected, 0);
         keeper.keep(Intermediate::Selection, "selection", &BY_CANDIDATE, Unit::Number, &selection, 0);
         (pass1, Some(Lane { buffer: selection.clone(), plane: 0, component: 3 }), Shares::Maps(selection))
     } else {
         // Nothing to choose from.
-        let only = takes_part.only().unwrap_or_default();
+        let Some((only, candidate)) = candidates.first_of_all() else { unreachable!("a plan holds at least one candidate") };
         let error = judged.as_ref().map(|(_, errors)| Lane { buffer: errors.clone(), plane: 0, component: only as u32 });
-        (candidates.signals[only].clone(), error, Shares::Only(only))
+        (candidate.clone(), error, Shares::Only(only))
     };
     drop((candidates, judged));
 
@@ -167,8 +178,9 @@ pub fn dfc(
     let upper_bound = second_pass.clamp_to_input.then_some(&*variance);
     let left_variance = variance_smooth(rec, extent, &pass1, RESIDUAL_SMOOTHING, upper_bound)?;
     let filter = Auxiliary { window_radius: second_pass.window_radius(params.window_radius), patch_radius: second_pass.patch_radius, k: second_pass.color_k };
-    let guide = Guide { exact: plan.exact(&Step::SecondPass), ..filter.guide(&pass1, &left_variance, 3) };
-    let pass2 = nlm_filter(rec, extent, &guide, &Payload::new(&pass1, 2), filter.window_radius, weighting, false, schedule)?;
+    let guide = Guide { grey, exact: plan.exact(&Step::SecondPass), ..filter.guide(&pass1, &left_variance, 3) };
+    let payload = Payload { lanes: if grey { Lanes::Grey } else { Lanes::All }, ..Payload::new(&pass1, 2) };
+    let pass2 = nlm_filter(rec, extent, &guide, &payload, filter.window_radius, weighting, false, schedule)?;
     keeper.keep(Intermediate::Pass1, "pass1", &RGB, Unit::Color, &pass1, 0);
     let result = match second_pass.most_sigmas {
         Some(sigmas) => select_pass(rec, extent, &pass1, &pass2.planes, &variance, sigmas)?,
@@ -218,7 +230,8 @@ fn prefilter(
                         .collect();
                     let payloads: Vec<_> = beside.iter().map(|beside| beside.signal).collect();
                     let guide = Guide { beside: &beside, exact, ..PREFILTER.guide(&signal.signal, variance, *channels) };
-                    let payload = Payload { planes: &signal.signal, count: 2, beside: &payloads };
+                    let lanes = if *channels == 1 { Lanes::First } else { Lanes::All };
+                    let payload = Payload { planes: &signal.signal, count: if signal.has_halves { 2 } else { 1 }, beside: &payloads, lanes };
                     let filtered = nlm_filter(rec, extent, &guide, &payload, PREFILTER.window_radius, weighting, !signal.has_halves, schedule)?;
                     let residual = match filtered.residual_variance {
                         Some(residual) => residual,

@@ -69,7 +69,7 @@ pub fn nlm(
             beside: &neighbours,
             ..Guide::new(buffers.guide, buffers.variance, 3, params.k, params.patch_radius)
         };
-        let payload = Payload { planes: buffers.payload, count: buffers.payload_planes, beside: &payloads };
+        let payload = Payload { beside: &payloads, ..Payload::new(buffers.payload, buffers.payload_planes) };
         nlm_filter(rec, extent, &guide, &payload, params.window_radius, params.weighting, with_residual_variance, schedule)
     };
     let mut filtered_with = |rec: &mut Recorder, beside: &[Prepared], from: f32, to: f32| {

@@ -57,7 +57,13 @@ pub enum Step {
     Candidates,
     /// One of the candidates.
     Candidate(&'static str),
-    /// Leaving out frames beside where they harm.
+    /// Derivatives of the candidates.
+    Derivatives,
+    /// Half spreads of the candidates.
+    HalfSpread,
+    /// All three channels of the colour, not one in place of all.
+    Channels,
+    /// The candidates over the own frame too, and leaving out frames beside where they harm.
     Frames,
     /// SURE of the candidates (eq. 8.5).
     Sure,
@@ -97,6 +103,9 @@ impl Step {
             Self::Variance => "variance",
             Self::Features => "features",
             Self::Candidates => "candidates",
+            Self::Derivatives => "derivatives",
+            Self::HalfSpread => "half spread",
+            Self::Channels => "three channels",
             Self::Frames => "frames that harm",
             Self::Sure => "SURE",
             Self::SureSmoothing => "SURE smoothing",
@@ -176,6 +185,8 @@ pub(crate) struct Facts {
     pub(super) beside: usize,
     /// Where the colour has noise, in any of the frames. `None` where nobody can look.
     pub(super) noise: Option<NoiseTiles>,
+    /// All channels of the colour are the same, in all frames.
+    pub(super) grey: bool,
     /// Tiles in a row.
     tile_columns: usize,
     /// Those that are used, in their order.
@@ -226,6 +237,7 @@ impl Facts {
             has_sample_variance: frame.color().variance_of_mean.is_some(),
             beside: frames.len() - 1,
             noise: NoiseTiles::of_all(frames.iter().map(|frame| frame.color())),
+            grey: frames.iter().all(|frame| frame.color().is_grey()),
             tile_columns: (frame.extent().width as usize).div_ceil(TILE),
             features: features.collect(),
             unused_features: if with_features { constant.chain(lacking).collect() } else { Vec::new() },
@@ -247,6 +259,7 @@ impl Facts {
             has_sample_variance: frame.color.variance_of_mean.is_some(),
             beside,
             noise: None,
+            grey: false,
             tile_columns: 0,
             features: features.collect(),
             unused_features: Vec::new(),

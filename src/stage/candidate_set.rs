@@ -1,11 +1,10 @@
 //! Which of the candidates of DFC take part.
 
 use std::fmt;
-use std::sync::Arc;
 
 use serde::{Serialize, Serializer};
 
-use crate::gpu::{Buffer, Definition};
+use crate::gpu::Definition;
 
 /// Which of FIRST, SECOND and THIRD take part: in the selection, in the guard, and in what is computed at all.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -38,17 +37,6 @@ impl CandidateSet {
     /// How many take part.
     pub fn count(self) -> usize {
         self.flags().into_iter().filter(|takes_part| *takes_part).count()
-    }
-
-    /// The place of the only one that takes part, from 0.
-    pub fn only(self) -> Option<usize> {
-        if self.count() == 1 { self.flags().into_iter().position(|takes_part| takes_part) } else { None }
-    }
-
-    /// The buffers of those that take part.
-    pub(super) fn of(self, buffers: &[Arc<Buffer>; 3]) -> [Option<&Buffer>; 3] {
-        let flags = self.flags();
-        std::array::from_fn(|place| flags[place].then(|| &*buffers[place]))
     }
 
     /// What tells the shaders.

@@ -3,7 +3,6 @@
 use glam::IVec2;
 
 use super::candidate::Candidates;
-use super::candidate_set::CandidateSet;
 use super::nlm::Filtered;
 use super::sample::RELATIVE_FLOOR;
 use super::{per_pixel, plane_bytes};
@@ -16,26 +15,22 @@ uniforms! {
 }
 bindings! {
     struct ErrorSure<'a> {
-        uniform params: SureParams, read signal, read variance_of_mean, optional first, optional second, optional third, read derivatives, write errors,
+        uniform params: SureParams, read signal, read variance_of_mean, optional first, optional second, optional third, optional derivatives, write errors,
     }
     struct ErrorHalves<'a> { uniform params: ErrorHalvesParams, read signal, read weights, write errors, optional residual_variance }
 }
 
 /// Stein's unbiased risk estimate of the three candidates (eq. 8.5), summed over the channels, in the square of the colour's unit; may be negative. One plane, x:
 /// FIRST, y: SECOND, z: THIRD; 0 for those that take no part.
-pub fn error_sure(
-    rec: &mut Recorder,
-    extent: IVec2,
-    signal: &Buffer,
-    variance_of_mean: &Buffer,
-    candidates: &Candidates,
-    takes_part: CandidateSet,
-) -> Result<Buffer> {
+///
+/// # Errors
+/// Those of recording; [`Error::Shader`](crate::error::Error::Shader) where the candidates come without derivatives.
+pub fn error_sure(rec: &mut Recorder, extent: IVec2, signal: &Buffer, variance_of_mean: &Buffer, candidates: &Candidates) -> Result<Buffer> {
     let errors = rec.take("SURE", plane_bytes(extent, 1))?;
-    let [first, second, third] = takes_part.of(&candidates.signals);
-    let kernel = rec.gpu().kernel::<ErrorSure>("error_sure", &takes_part.definitions())?;
+    let [first, second, third] = candidates.buffers();
+    let kernel = rec.gpu().kernel::<ErrorSure>("error_sure", &candidates.set().definitions())?;
     let params = SureParams { extent };
-    let bound = ErrorSure { params, signal, variance_of_mean, first, second, third, derivatives: &candidates.derivatives, errors: &errors };
+    let bound = ErrorSure { params, signal, variance_of_mean, first, second, third, derivatives: candidates.derivatives.as_deref(), errors: &errors };
     rec.dispatch(&kernel, &bound, per_pixel(extent))?;
     Ok(errors)
 }

@@ -20,7 +20,7 @@ bindings! {
 pub const TILE: usize = 8;
 
 /// Which tiles of a frame are exact, and where in the frame an image begins that is a strip of it.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ExactTiles {
     /// Row by row, of the whole frame.
     flags: Vec<bool>,
@@ -46,7 +46,7 @@ impl ExactTiles {
     }
 
     /// The same seen from a strip that begins at this row of pixels.
-    pub(crate) fn from_row(&self, first_row: usize) -> Self {
+    pub fn from_row(&self, first_row: usize) -> Self {
         Self { first_row, ..self.clone() }
     }
 

@@ -217,6 +217,8 @@ pub struct Guide<'a> {
     pub cut: f32,
     /// Frames beside this one that neighbours are taken from too.
     pub beside: &'a [Beside<'a>],
+    /// All of its channels are the same, in the values and in the variance, in any frame.
+    pub grey: bool,
     /// Tiles in which no pixel within the reach of the filter has noise, in any frame: there everything stays as it is.
     pub exact: Option<&'a ExactTiles>,
 }
@@ -224,7 +226,20 @@ pub struct Guide<'a> {
 impl<'a> Guide<'a> {
     /// Plain patches of one size in one frame: α is 1, every weight counts.
     pub fn new(signal: &'a Buffer, variance_of_mean: &'a Buffer, channels: u32, k: f32, patch_radius: u32) -> Self {
-        Self { signal, variance_of_mean, channels, k, alpha: 1.0, patch_radius, small_patch_radius: None, patchwise: false, cut: 0.0, beside: &[], exact: None }
+        Self {
+            signal,
+            variance_of_mean,
+            channels,
+            k,
+            alpha: 1.0,
+            patch_radius,
+            small_patch_radius: None,
+            patchwise: false,
+            cut: 0.0,
+            beside: &[],
+            grey: false,
+            exact: None,
+        }
     }
 }
 
@@ -254,11 +269,13 @@ pub(super) struct Chunk<'a> {
 }
 
 /// Runs `nlm_distance`, and for a patchwise guide `nlm_weight`, chunk by chunk and hands each to `consume`, strips from top to bottom, all chunks of a strip before the next,
-/// those of the frame itself first.
+/// those of the frame itself first. A filter that knows no distances goes through the same chunks.
+#[expect(clippy::too_many_arguments, reason = "they are the operator's definition; a struct would only rename them")]
 pub(super) fn for_each_chunk(
     rec: &mut Recorder,
     extent: IVec2,
     guide: &Guide,
+    with_distances: bool,
     window_radius: u32,
     weighting: Weighting,
     schedule: Schedule,
@@ -310,15 +327,19 @@ pub(super) fn for_each_chunk(
                     ("PATCH_RADIUS", Definition::Int(patch_radius)),
                     ("SMALL_PATCH_RADIUS", Definition::Int(guide.small_patch_radius.map_or(-1, |small| small as i32))),
                     ("OFFSET_ROWS", Definition::Int(offset_rows as i32)),
+                    ("ONE_CHANNEL", (guide.channels == 1).into()),
+                    ("GREY", guide.grey.into()),
                     // How the distances to both are used does not matter here.
                     ("SYMMETRIC", (weighting.symmetric != Symmetry::Off).into()),
                 ];
-                let kernel = rec.gpu().kernel::<NlmDistance>("nlm_distance", &definitions)?;
-                let Beside { signal: neighbours, variance_of_mean: neighbours_variance } = *neighbours;
-                let (guide, variance_of_mean) = (guide.signal, guide.variance_of_mean);
-                let bound = NlmDistance { params: with_margin, guide, variance_of_mean, neighbours, neighbours_variance, columns: &columns };
                 let planes = (offsets.x * offsets.y) as u32;
-                rec.dispatch(&kernel, &bound, [cut.stride as u32, blocks(with_margin.rows), planes / offset_rows])?;
+                if with_distances {
+                    let kernel = rec.gpu().kernel::<NlmDistance>("nlm_distance", &definitions)?;
+                    let Beside { signal: neighbours, variance_of_mean: neighbours_variance } = *neighbours;
+                    let (guide, variance_of_mean) = (guide.signal, guide.variance_of_mean);
+                    let bound = NlmDistance { params: with_margin, guide, variance_of_mean, neighbours, neighbours_variance, columns: &columns };
+                    rec.dispatch(&kernel, &bound, [cut.stride as u32, blocks(with_margin.rows), planes / offset_rows])?;
+                }
                 if let Some(weight_columns) = &weight_columns {
                     let [symmetric, hard] = weighting.symmetric.definitions();
                     let definitions = [("PATCH_RADIUS", Definition::Int(patch_radius)), schedule.pixels_definition(), symmetric, hard];
@@ -352,12 +373,25 @@ pub struct Payload<'a> {
     pub count: u32,
     /// The same of each frame beside the guide.
     pub beside: &'a [&'a Buffer],
+    /// What of each plane there is to average.
+    pub lanes: Lanes,
+}
+
+/// What a plane holds.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Lanes {
+    /// Four numbers per pixel.
+    All,
+    /// One, in x; the others are 0.
+    First,
+    /// The same in x, y and z; w does not matter, and becomes 0.
+    Grey,
 }
 
 impl<'a> Payload<'a> {
     /// Of one frame alone.
     pub fn new(planes: &'a Buffer, count: u32) -> Self {
-        Self { planes, count, beside: &[] }
+        Self { planes, count, beside: &[], lanes: Lanes::All }
     }
 }
 
@@ -391,13 +425,15 @@ pub fn nlm_filter(
     let definitions = [
         ("PATCH_RADIUS", Definition::Int(guide.patch_radius as i32)),
         ("PAYLOAD_PLANES", Definition::Int(payload.count as i32)),
+        ("ONE_LANE", (payload.lanes != Lanes::All).into()),
+        ("GREY", (payload.lanes == Lanes::Grey).into()),
         schedule.pixels_definition(),
         ("PATCHWISE", guide.patchwise.into()),
         symmetric,
         hard,
         ("RESIDUAL", with_residual_variance.into()),
     ];
-    for_each_chunk(rec, extent, guide, window_radius, weighting, schedule, |rec, chunk| {
+    for_each_chunk(rec, extent, guide, true, window_radius, weighting, schedule, |rec, chunk| {
         let (params, columns) = (chunk.params, chunk.columns);
         let invocations = schedule.per_row_of_pixels(&params);
         let (filtered, weights, variance_of_mean) = (&planes, &weights, guide.variance_of_mean);

@@ -10,7 +10,7 @@ use stein::stage::nlm::Filtered;
 use stein::stage::sample::{GpuSamples, sample_density};
 use stein::stage::select::{Evidence, Guard, Harm, Noisy, select_blend, select_frames, select_frames_of_filtered, select_least, select_pass, select_share};
 
-use crate::common::{Scene, assert_near, checked_gpu, extent_of, flat, gpu, own_size, packed, packed_signal, read, rounded, run, scene, upload};
+use crate::common::{Scene, assert_near, checked_gpu, extent_of, flat, gpu, own_size, packed, packed_signal, read, rounded, run, scene, there, upload};
 use crate::reference::dfc::{Pass, limited};
 use crate::reference::random::Random;
 use crate::reference::{self, Grid, Planes, Point};
@@ -59,14 +59,14 @@ fn seeded_bank(width: usize, height: usize, seed: u64) -> Bank {
     }
 }
 
-fn upload_bank(rec: &mut Recorder, bank: &Bank) -> stein::Result<Candidates> {
+fn upload_bank(rec: &mut Recorder, bank: &Bank, takes_part: CandidateSet) -> stein::Result<Candidates> {
     let mut signal = |k: usize| {
         let mean = [bank.means[k].as_slice(), &[bank.weight_sums[k].clone()]].concat();
-        Ok(Arc::new(rec.upload("candidate", &packed_signal(&mean, &bank.spreads[k]))?))
+        if takes_part.flags()[k] { rec.upload("candidate", &packed_signal(&mean, &bank.spreads[k])).map(|buffer| Some(Arc::new(buffer))) } else { Ok(None) }
     };
     let signals = [signal(0)?, signal(1)?, signal(2)?];
     let derivatives = bank.derivatives.iter().map(|planes| packed(planes)).collect::<Vec<_>>().concat();
-    Ok(Candidates { signals, derivatives: Arc::new(rec.upload("derivatives", &derivatives)?) })
+    Ok(Candidates { signals, derivatives: Some(Arc::new(rec.upload("derivatives", &derivatives)?)) })
 }
 
 #[test]
@@ -78,8 +78,8 @@ fn sure_is_equation_8_5() {
         let buffer = run(gpu, |rec| {
             let signal = rec.upload("signal", &packed_signal(&scene.mean, &scene.spread))?;
             let variance = upload(rec, &scene.variance)?;
-            let candidates = upload_bank(rec, &bank)?;
-            error_sure(rec, extent, &signal, &variance, &candidates, takes_part)
+            let candidates = upload_bank(rec, &bank, takes_part)?;
+            error_sure(rec, extent, &signal, &variance, &candidates)
         });
         let zero = scene.mean[0].like(|_| 0.0);
         let sure = |k: usize| reference::sure::sure(&scene.mean, &scene.variance, &bank.means[k], &bank.derivatives[k]);
@@ -120,8 +120,8 @@ fn selected(gpu: &Gpu, errors: &[Grid], bank: &Bank, takes_part: CandidateSet) -
     let extent = extent_of(&errors[0]);
     let buffer = run(gpu, |rec| {
         let errors = upload(rec, errors)?;
-        let candidates = upload_bank(rec, bank)?;
-        select_least(rec, extent, &errors, &candidates.derivatives, takes_part)
+        let candidates = upload_bank(rec, bank, takes_part)?;
+        select_least(rec, extent, &errors, &candidates)
     });
     let mut planes = read(gpu, &buffer, extent).remove(0);
     planes.truncate(3);
@@ -168,10 +168,10 @@ fn check_shares_and_blend(gpu: &Gpu, width: usize, height: usize, rule: Option<G
     let (selection, signal) = run(gpu, |rec| {
         let (smoothed, winners, errors) = (upload(rec, &smoothed)?, upload(rec, &winners)?, upload(rec, &errors)?);
         let (sure, variance) = (upload(rec, &sure)?, upload(rec, &scene.variance)?);
-        let candidates = upload_bank(rec, &bank)?;
-        let evidence = Evidence { selected: &winners, errors: &errors, sure: &sure, variance_of_mean: &variance, candidates: &candidates, takes_part };
+        let candidates = upload_bank(rec, &bank, takes_part)?;
+        let evidence = Evidence { selected: &winners, errors: &errors, sure: &sure, variance_of_mean: &variance, candidates: &candidates };
         let shares = select_share(rec, extent, smoothed, evidence, rule)?;
-        let blended = select_blend(rec, extent, &shares, &candidates, takes_part)?;
+        let blended = select_blend(rec, extent, &shares, &candidates)?;
         Ok((shares, blended))
     });
     let (selection, signal) = (read(gpu, &selection, extent).remove(0), read(gpu, &signal, extent));
@@ -233,11 +233,11 @@ fn other_frames_are_left_out_where_they_do_harm() {
         let chosen = run(gpu, |rec| {
             let signal = rec.upload("signal", &packed_signal(&scene.mean, &scene.spread))?;
             let variance = upload(rec, &scene.variance)?;
-            let (alone, together) = (upload_bank(rec, &alone)?, upload_bank(rec, &together)?);
-            select_frames(rec, extent, Noisy { signal: &signal, variance_of_mean: &variance }, &alone, &together, CandidateSet::ALL, rule)?;
+            let (alone, together) = (upload_bank(rec, &alone, CandidateSet::ALL)?, upload_bank(rec, &together, CandidateSet::ALL)?);
+            select_frames(rec, extent, Noisy { signal: &signal, variance_of_mean: &variance }, &alone, &together, rule)?;
             Ok(together)
         });
-        let derivatives = read(gpu, &chosen.derivatives, extent);
+        let derivatives = read(gpu, there(&chosen.derivatives), extent);
         for (k, derivatives) in derivatives.iter().enumerate() {
             let sure = |bank: &Bank| reference::sure::sure(&scene.mean, &scene.variance, &bank.means[k], &bank.derivatives[k]);
             let (sure_alone, sure_together) = (sure(&alone), sure(&together));
@@ -248,7 +248,7 @@ fn other_frames_are_left_out_where_they_do_harm() {
                 alone.iter().zip(together).map(|(a, b)| a.like(|p| if harmed(p) { a.at(p) } else { b.at(p) })).collect()
             };
             let what = |part: &str| format!("select_frames, {width}×{height}, candidate {k}: {part}");
-            let signal = read(gpu, &chosen.signals[k], extent);
+            let signal = read(gpu, there(&chosen.signals[k]), extent);
             for (part, actual, alone, together) in [
                 ("mean", &signal[0][..3], &alone.means[k][..], &together.means[k][..]),
                 ("Σ w", &signal[0][3..], &alone.weight_sums[k..=k], &together.weight_sums[k..=k]),

@@ -48,11 +48,16 @@ pub(in crate::method) fn plan(params: &DfcParams, facts: &Facts, wishes: &Wishes
     plan.step(Step::Candidates, "the result is made of them", &[]);
     plan.but_for(exact.as_ref());
     let one_frame = impossible(facts.beside == 0, "there are no frames beside");
-    plan.step(Step::Frames, "where they harm, frames beside are left out", &[one_frame, impossible(params.guard.is_none(), "there is no guard")]);
+    let no_guard = impossible(params.guard.is_none(), "there is no guard");
+    let judges_frames = plan.step(Step::Frames, "where they harm, frames beside are left out", &[one_frame, no_guard]);
 
     // Without halves the density is made of what SURE says of the blend.
     let one = candidates == 1 && !wishes.keeps(Intermediate::Selection) && (facts.has_halves || !wishes.keeps(Intermediate::Density));
     let unwanted = one && !wishes.error && !wishes.keeps(Intermediate::Sure);
+    let not_differentiated = unwanted && !judges_frames && !wishes.keeps(Intermediate::Derivatives);
+    plan.step(Step::Derivatives, "SURE needs them", &[needless(not_differentiated, "nothing asks for SURE")]);
+    plan.step(Step::HalfSpread, "the halves are filtered along", &[impossible(!facts.has_halves, "there are no halves")]);
+    plan.step(Step::Channels, "they differ", &[needless(facts.grey, "all are the same: the work of one stands for all")]);
     let nothing_to_judge = || [needless(unwanted, "there is one candidate, and its error is not wanted")];
     plan.step(Step::Sure, "errors of the candidates", &nothing_to_judge());
     plan.step(Step::SureSmoothing, "the estimates are noisy", &nothing_to_judge());
