@@ -204,7 +204,7 @@ impl Denoiser {
         }
         for (index, strip) in strips.iter().enumerate() {
             let mut rec = self.gpu.record();
-            let plan = plan.from_row(strip.first_with_halo);
+            let plan = plan.starting_at(strip.first_with_halo);
             let on_gpu = GpuFrame::upload(&mut rec, frame, strip, &units, &plan)?;
             let beside = beside.clone().map(|frame| GpuFrame::upload(&mut rec, frame, strip, &units, &plan)).collect::<Result<Vec<_>>>()?;
             let extent = on_gpu.extent;

@@ -67,11 +67,11 @@ fn definitions(stage: &str) -> Option<Vec<Definitions>> {
                     ("SMALL_PATCH_RADIUS", numbers(small)),
                     ("OFFSET_ROWS", numbers(&[1, 2])),
                     ("SYMMETRIC", flags()),
-                    ("ONE_CHANNEL", flags()),
-                    ("GREY", flags()),
                 ])
             };
-            Some(shapes.into_iter().flat_map(set).collect())
+            let channels = ["ONE_CHANNEL", "GREY"]
+                .map(|name| vec![("PATCH_RADIUS", 3.into()), ("SMALL_PATCH_RADIUS", 1.into()), ("OFFSET_ROWS", 2.into()), (name, true.into())]);
+            Some(shapes.into_iter().flat_map(set).chain(channels).collect())
         }
         "nlm_weight" => Some(with_rules(&combinations(&[("PATCH_RADIUS", numbers(&[0, 1, 3, 5])), ("PIXELS", numbers(&[1, 4]))]))),
         "nlm_filter" => {
@@ -82,9 +82,15 @@ fn definitions(stage: &str) -> Option<Vec<Definitions>> {
                 ("PATCHWISE", flags()),
                 ("RESIDUAL", flags()),
             ]);
-            let lanes = [(false, false), (true, false), (true, true)].map(|(one, grey)| [("ONE_LANE", one.into()), ("GREY", grey.into())]);
-            let narrow = shapes.iter().flat_map(|set| lanes.iter().map(|lanes| [set.as_slice(), lanes].concat()));
-            Some(with_rules(&narrow.collect::<Vec<_>>()))
+            let narrow = combinations(&[
+                ("PATCH_RADIUS", numbers(&[3])),
+                ("PAYLOAD_PLANES", numbers(&[1, 2])),
+                ("PIXELS", numbers(&[1, 4])),
+                ("RESIDUAL", flags()),
+                ("ONE_LANE", vec![true.into()]),
+                ("GREY", flags()),
+            ]);
+            Some(with_rules(&[shapes, narrow].concat()))
         }
         "candidate_accumulate" => {
             let set = |(other_frame, near): (bool, bool)| {

@@ -147,8 +147,8 @@ impl Plan {
     }
 
     /// The same for a strip that begins at this row of pixels.
-    pub(crate) fn from_row(&self, first_row: usize) -> Self {
-        let moved = |planned: &PlannedStep| PlannedStep { exact: planned.exact.as_ref().map(|exact| exact.from_row(first_row)), ..planned.clone() };
+    pub(crate) fn starting_at(&self, first_row: usize) -> Self {
+        let moved = |planned: &PlannedStep| PlannedStep { exact: planned.exact.as_ref().map(|exact| exact.starting_at(first_row)), ..planned.clone() };
         Self { steps: self.steps.iter().map(moved).collect(), ..self.clone() }
     }
 

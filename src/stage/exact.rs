@@ -46,7 +46,7 @@ impl ExactTiles {
     }
 
     /// The same seen from a strip that begins at this row of pixels.
-    pub fn from_row(&self, first_row: usize) -> Self {
+    pub fn starting_at(&self, first_row: usize) -> Self {
         Self { first_row, ..self.clone() }
     }
 
@@ -154,7 +154,7 @@ mod tests {
 
     /// A map in which every third tile or so is exact, in blocks.
     fn map(columns: usize, rows: usize, seed: usize) -> ExactTiles {
-        let flags = (0..columns * rows).map(|tile| (tile % columns / 3 * 7 + tile / columns / 2 * 5 + seed) % 3 == 0).collect();
+        let flags = (0..columns * rows).map(|tile| (tile % columns / 3 * 7 + tile / columns / 2 * 5 + seed).is_multiple_of(3)).collect();
         ExactTiles::new(flags, columns)
     }
 
@@ -162,7 +162,7 @@ mod tests {
     fn regions_cover_each_pixel_that_is_not_exact_once() {
         for (width, height) in [(1, 1), (70, 51), (257, 89), (16, 8)] {
             for (seed, first_row) in [(0, 0), (1, 3), (2, 8)] {
-                let tiles = map((width as usize).div_ceil(TILE), (height as usize + first_row).div_ceil(TILE), seed).from_row(first_row);
+                let tiles = map((width as usize).div_ceil(TILE), (height as usize + first_row).div_ceil(TILE), seed).starting_at(first_row);
                 for cell in [IVec2::new(8, 8), IVec2::new(32, 2), IVec2::new(24, 16)] {
                     for overhead in [0, 100, 1 << 30] {
                         let extent = IVec2::new(width, height);

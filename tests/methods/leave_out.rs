@@ -5,6 +5,7 @@ use stein::gpu::{Gpu, GpuOptions};
 use stein::image::Extent;
 use stein::method::{Intermediate, Step};
 use stein::stage::candidate_set::CandidateSet;
+use stein::stage::nlm::Schedule;
 use stein::{Denoiser, DfcParams, Estimate, Frame, GemParams, Image, Method, NlmParams, Options};
 
 use crate::behaviour::{assert_same, image};
@@ -12,8 +13,10 @@ use crate::common::{calm_scene, gpu, open};
 use crate::frames::{EVERYTHING, Keep, error_of, frame, new_frame, noisy};
 use crate::reference::{Grid, Point};
 
+/// In the way whose kernels are compiled fastest: most of them serve here once.
 fn denoiser(gpu: &Gpu, method: impl Into<Method>) -> Denoiser {
-    Denoiser::new(gpu, method).unwrap_or_else(|error| panic!("{error}"))
+    let schedule = Schedule { pixels: 1, offset_rows: 1, ..Schedule::SOFTWARE };
+    Denoiser::new(gpu, method).unwrap_or_else(|error| panic!("{error}")).with_schedule(schedule)
 }
 
 fn small(params: DfcParams) -> DfcParams {
@@ -203,6 +206,91 @@ fn a_frame_without_noise_is_copied() {
     assert_eq!(kept.layers.len(), 1);
 }
 
+/// A render whose left part is empty, seen by all features as what it is beside; its noise is left out as well.
+fn half_empty_frame() -> Frame {
+    let render = frame(&noisy("cornell_8spp"), [0, 32, 96, 64], Keep { features: &["albedo", "depth", "normal"], ..EVERYTHING });
+    let emptied = |signal: &Signal| {
+        let cleared = |image: &Image| {
+            let mut image = image.clone();
+            image.planes.iter_mut().flat_map(|plane| plane.chunks_exact_mut(96)).for_each(|row| row[..56].fill(0.0));
+            image
+        };
+        Signal {
+            mean: cleared(&signal.mean),
+            half_spread: signal.half_spread.as_ref().map(cleared),
+            variance_of_mean: signal.variance_of_mean.as_ref().map(cleared),
+        }
+    };
+    let features = render.features().iter().map(|feature| (feature.name.clone(), emptied(&feature.signal)));
+    new_frame(emptied(render.color()), features.collect())
+}
+
+fn skipped(estimate: &Estimate, step: &Step) -> f64 {
+    estimate.plan.steps.iter().find(|planned| planned.step == *step).map_or(f64::NAN, |planned| planned.skipped)
+}
+
+/// Tiles that no noise reaches are copied. Nothing else changes but for what the prefilter did to exact features, and what is copied moves by no more than the filters resolve.
+#[test]
+fn tiles_without_noise_are_copied() {
+    let frame = half_empty_frame();
+    let [planned, everything] = both(small(DfcParams::default()), &frame, &[], true);
+    for step in [Step::Candidates, Step::SureSmoothing, Step::SelectionSmoothing, Step::SecondPass, Step::Prefilter("depth".into())] {
+        let share = skipped(&planned, &step);
+        assert!((0.2..0.6).contains(&share) && skipped(&everything, &step) == 0.0, "{}: {share}", step.name());
+    }
+    // The window, the patch and the smoothing reach 15 pixels, and so two tiles.
+    let copied = |image: &Image| image.planes.iter().flat_map(|plane| plane.chunks_exact(96)).flat_map(|row| row[..40].to_vec()).collect::<Vec<_>>();
+    assert_eq!(copied(&planned.color), copied(&frame.color().mean));
+    assert!(copied(&planned.weight_sum).iter().all(|sum| *sum == 1.0));
+    let (changed, filtered) = (root_mean_square(&planned.color, &everything.color), root_mean_square(&planned.color, &frame.color().mean));
+    assert!(changed <= 0.002 * filtered, "{changed} of {filtered}");
+    // Where everything is judged by colour alone, nothing but the copies differs.
+    let plain = new_frame(frame.color().clone(), Vec::new());
+    let [planned, everything] = both(small(DfcParams::default()), &plain, &[], true);
+    let most = f64::from(frame.color().mean.planes.iter().flatten().fold(0.0f32, |most, value| most.max(value.abs())));
+    let off = f64::from(farthest(&planned.color, &everything.color));
+    assert!(off <= 1e-6 * most, "{off} of {most}");
+
+    // Intermediates that are other there are computed.
+    let kept = run(&denoiser(gpu(), small(DfcParams::default())), &frame, Options { keep: &[Intermediate::Candidates], ..Options::default() });
+    assert_eq!(skipped(&kept, &Step::Candidates), 0.0);
+}
+
+#[test]
+fn tiles_are_those_of_the_frame_in_every_strip() {
+    let tall = stacked(&half_empty_frame());
+    let whole = run(&denoiser(gpu(), small(DfcParams::default())), &tall, Options::default());
+    assert!(skipped(&whole, &Step::Candidates) > 0.2);
+    // Of its own: what other tests hold would count.
+    let gpu = open(GpuOptions::default());
+    let limit = 16_000_000;
+    let in_strips = run(&denoiser(&gpu, small(DfcParams::default())).with_max_memory(limit), &tall, Options::default());
+    assert!(in_strips.strips >= 2 && in_strips.peak_bytes <= limit, "{} strips, {} bytes", in_strips.strips, in_strips.peak_bytes);
+    assert_same("in strips", &in_strips, &whole, 1.0);
+}
+
+#[test]
+fn a_grey_frame_is_filtered_by_one_channel() {
+    let grey = |image: &Image| Image { planes: vec![image.planes[1].clone(); 3], ..image.clone() };
+    let crop = crop(&["depth"]);
+    let color = crop.color();
+    let color =
+        Signal { mean: grey(&color.mean), half_spread: color.half_spread.as_ref().map(grey), variance_of_mean: color.variance_of_mean.as_ref().map(grey) };
+    let frame = new_frame(color, crop.features().iter().map(|feature| (feature.name.clone(), feature.signal.clone())).collect());
+    let [planned, everything] = both(small(DfcParams::default()), &frame, &[Intermediate::Candidates, Intermediate::Derivatives, Intermediate::Density], true);
+    assert!(left_out(&planned).contains(&"three channels".to_owned()) && !left_out(&everything).contains(&"three channels".to_owned()));
+    assert_same("a grey frame", &planned, &everything, 1.0);
+    for (layer, of_everything) in planned.layers.iter().zip(&everything.layers) {
+        assert_eq!(layer.image, of_everything.image, "{}", layer.name);
+    }
+    let window = |everything: bool| {
+        let denoiser = denoiser(gpu(), small(DfcParams::default()));
+        let denoiser = if everything { denoiser.with_everything() } else { denoiser };
+        denoiser.denoise_window(&[&frame, &frame], 0, Options::default()).unwrap_or_else(|error| panic!("{error}"))
+    };
+    assert_same("a grey window", &window(false), &window(true), 1.0);
+}
+
 #[test]
 fn in_strips_less_is_left_out_of_the_same_bits() {
     let (extent, names) = ([16, 0, 24, 96], ["albedo", "depth"]);
@@ -267,7 +355,7 @@ fn times_are_of(estimate: &Estimate, what: &str) {
     timed.dedup();
     timed.sort_unstable();
     timed.dedup();
-    let is_timed = |step: &Step| !matches!(step, Step::Candidate(_));
+    let is_timed = |step: &Step| !matches!(step, Step::Candidate(_) | Step::Derivatives | Step::HalfSpread | Step::Channels);
     let mut planned: Vec<String> =
         estimate.plan.steps.iter().filter(|planned| planned.runs && is_timed(&planned.step)).map(|planned| planned.step.name()).collect();
     planned.sort_unstable();

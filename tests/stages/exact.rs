@@ -82,7 +82,7 @@ fn a_strip_keeps_what_its_frame_keeps() {
         let rows = |planes: &[Grid]| -> Planes {
             planes.iter().map(|grid| Grid { width, height: height - first, values: grid.values[first * width..].to_vec() }).collect()
         };
-        let strip = filtered(&rows(&scene.mean), &rows(&scene.spread), &tiles.exact.from_row(first));
+        let strip = filtered(&rows(&scene.mean), &rows(&scene.spread), &tiles.exact.starting_at(first));
         let strip = read(gpu(), &strip.planes, extent_of(&rows(&scene.mean)[0])).concat();
         // The first row has lost its neighbours above.
         for (strip, whole) in strip.iter().zip(rows(&whole)) {
