@@ -11,7 +11,7 @@ use serde::Serialize;
 use crate::buffers::{BufferSet, MAX_FEATURES, RawSignal, names};
 use crate::error::{Error, Result};
 use crate::image::{Extent, Image};
-pub(crate) use noise::NoiseTiles;
+pub(crate) use noise::{NoiseTiles, TILE};
 pub use repairs::{LayerRepairs, Repairs};
 
 /// Values that a thread looks at before it asks whether another one has found what they all look for.

@@ -3,7 +3,9 @@
 use rayon::prelude::*;
 
 use super::Signal;
-use crate::stage::exact::TILE;
+
+/// Side of a tile, in pixels: filters reach a few of them.
+pub(crate) const TILE: usize = 8;
 
 /// Tiles of an image and whether any of their pixels is known to have noise: a half spread or a variance other than 0.
 #[derive(Clone, Debug, PartialEq, Eq)]

@@ -6,10 +6,10 @@ use serde::{Serialize, Serializer};
 
 use super::frame::Units;
 use super::{GpuFrame, GpuSignal, Intermediate};
-use crate::frame::{Feature, Frame, NoiseTiles};
+use crate::frame::{Feature, Frame, NoiseTiles, TILE};
 use crate::gpu::Recorder;
 use crate::stage::candidate_set::CandidateSet;
-use crate::stage::exact::{ExactTiles, TILE};
+use crate::stage::exact::ExactTiles;
 use crate::stage::variance::INPUT_SMOOTHING;
 
 /// The steps of a method in their order, those that run and those that are left out.
@@ -286,7 +286,7 @@ impl Facts {
     /// Without sample variance, the variance that a filter takes is smoothed, and reaches further than the noise. Where few tiles are exact, that is not worth a thing.
     fn exact(&self, noise: Option<&NoiseTiles>, has_sample_variance: bool, reach: u32) -> Option<ExactTiles> {
         let smoothing = if has_sample_variance { 0 } else { INPUT_SMOOTHING.radius };
-        let exact = ExactTiles::new(noise?.exact((reach + smoothing) as usize), self.tile_columns);
+        let exact = ExactTiles::new(noise?.exact((reach + smoothing) as usize), self.tile_columns, TILE);
         Some(exact).filter(|exact| exact.share() >= LEAST_SHARE)
     }
 }

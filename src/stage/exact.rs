@@ -16,9 +16,6 @@ bindings! {
     struct ExactFill<'a> { uniform params: ExactParams, read tiles, write result }
 }
 
-/// Side of a tile, in pixels.
-pub const TILE: usize = 8;
-
 /// Which tiles of a frame are exact, and where in the frame an image begins that is a strip of it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ExactTiles {
@@ -26,6 +23,8 @@ pub struct ExactTiles {
     flags: Vec<bool>,
     /// In a row.
     columns: usize,
+    /// Of a tile, in pixels.
+    side: usize,
     /// Row of pixels of the frame.
     first_row: usize,
 }
@@ -40,9 +39,9 @@ pub struct Region {
 }
 
 impl ExactTiles {
-    /// From a flag for each tile of a frame, row by row, so many in a row.
-    pub fn new(flags: Vec<bool>, columns: usize) -> Self {
-        Self { flags, columns, first_row: 0 }
+    /// From a flag for each tile of a frame, row by row, so many in a row, of so many pixels each way.
+    pub fn new(flags: Vec<bool>, columns: usize, side: usize) -> Self {
+        Self { flags, columns, side, first_row: 0 }
     }
 
     /// The same seen from a strip that begins at this row of pixels.
@@ -84,7 +83,7 @@ impl ExactTiles {
     }
 
     fn params(&self, extent: IVec2, planes: u32) -> ExactParams {
-        ExactParams { extent, tile: TILE as i32, tile_columns: self.columns as i32, first_row: self.first_row as i32, planes: planes as i32 }
+        ExactParams { extent, tile: self.side as i32, tile_columns: self.columns as i32, first_row: self.first_row as i32, planes: planes as i32 }
     }
 
     /// Rectangles that do not overlap and cover all pixels of an image that are in no exact tile. They are made of cells of this size, but at the right and lower border; two that
@@ -131,7 +130,7 @@ impl ExactTiles {
     }
 
     fn is_exact(&self, region: &Region) -> bool {
-        let tiles = |first: usize, count: i32| first / TILE..(first + count as usize).div_ceil(TILE);
+        let tiles = |first: usize, count: i32| first / self.side..(first + count as usize).div_ceil(self.side);
         let mut rows = tiles(region.first.y as usize + self.first_row, region.size.y);
         let columns = tiles(region.first.x as usize, region.size.x);
         rows.all(|row| self.flags[row * self.columns..][columns.clone()].iter().all(|exact| *exact))
@@ -152,17 +151,19 @@ fn share_columns(a: &Region, b: &Region) -> bool {
 mod tests {
     use super::*;
 
+    const SIDE: usize = 8;
+
     /// A map in which every third tile or so is exact, in blocks.
     fn map(columns: usize, rows: usize, seed: usize) -> ExactTiles {
         let flags = (0..columns * rows).map(|tile| (tile % columns / 3 * 7 + tile / columns / 2 * 5 + seed).is_multiple_of(3)).collect();
-        ExactTiles::new(flags, columns)
+        ExactTiles::new(flags, columns, SIDE)
     }
 
     #[test]
     fn regions_cover_each_pixel_that_is_not_exact_once() {
         for (width, height) in [(1, 1), (70, 51), (257, 89), (16, 8)] {
             for (seed, first_row) in [(0, 0), (1, 3), (2, 8)] {
-                let tiles = map((width as usize).div_ceil(TILE), (height as usize + first_row).div_ceil(TILE), seed).starting_at(first_row);
+                let tiles = map((width as usize).div_ceil(SIDE), (height as usize + first_row).div_ceil(SIDE), seed).starting_at(first_row);
                 for cell in [IVec2::new(8, 8), IVec2::new(32, 2), IVec2::new(24, 16)] {
                     for overhead in [0, 100, 1 << 30] {
                         let extent = IVec2::new(width, height);
@@ -171,7 +172,7 @@ mod tests {
                             for x in 0..width {
                                 let p = IVec2::new(x, y);
                                 let covered = regions.iter().filter(|region| p.cmpge(region.first).all() && p.cmplt(region.first + region.size).all()).count();
-                                let is_exact = tiles.flags[(y as usize + first_row) / TILE * tiles.columns + x as usize / TILE];
+                                let is_exact = tiles.flags[(y as usize + first_row) / SIDE * tiles.columns + x as usize / SIDE];
                                 assert!(covered <= 1 && (is_exact || covered == 1), "{width}×{height}, {cell}, {overhead}: {p} is covered {covered} times");
                             }
                         }
@@ -183,10 +184,10 @@ mod tests {
 
     #[test]
     fn regions_leave_out_what_is_exact() {
-        let half = ExactTiles::new((0..64).map(|tile| tile % 8 < 4).collect(), 8);
+        let half = ExactTiles::new((0..64).map(|tile| tile % 8 < 4).collect(), 8, SIDE);
         let right = Region { first: IVec2::new(32, 0), size: IVec2::new(32, 64) };
         assert_eq!(half.regions(IVec2::new(64, 64), IVec2::new(16, 8), 3, 100), [right]);
-        assert_eq!(ExactTiles::new(vec![true; 64], 8).regions(IVec2::new(64, 64), IVec2::new(16, 8), 3, 100), []);
+        assert_eq!(ExactTiles::new(vec![true; 64], 8, SIDE).regions(IVec2::new(64, 64), IVec2::new(16, 8), 3, 100), []);
         assert_eq!(half.share(), 0.5);
     }
 }

@@ -1,10 +1,13 @@
 //! `exact_copy` and `exact_fill`, through the filters that leave tiles out.
 
-use stein::stage::exact::{ExactTiles, TILE};
+use stein::stage::exact::ExactTiles;
 use stein::stage::nlm::{CentreWeight, Guide, Payload, Schedule, Symmetry, Weighting, nlm_filter};
 
 use crate::common::{checked_gpu, extent_of, gpu, packed_signal, read, run, scene, schedules, upload};
 use crate::reference::{Grid, Planes};
+
+/// Pixels.
+const SIDE: usize = 8;
 
 /// Some tiles of an image, alone and in blocks, and the same as they are read by hand.
 pub(crate) struct Tiles {
@@ -15,15 +18,15 @@ pub(crate) struct Tiles {
 }
 
 pub(crate) fn tiles(width: usize, height: usize) -> Tiles {
-    let (columns, rows) = (width.div_ceil(TILE), height.div_ceil(TILE));
+    let (columns, rows) = (width.div_ceil(SIDE), height.div_ceil(SIDE));
     let flags: Vec<bool> = (0..columns * rows).map(|tile| (tile % columns / 2 * 5 + tile / columns * 3) % 7 < 3).collect();
-    Tiles { exact: ExactTiles::new(flags.clone(), columns), all: ExactTiles::new(vec![true; columns * rows], columns), flags, columns }
+    Tiles { exact: ExactTiles::new(flags.clone(), columns, SIDE), all: ExactTiles::new(vec![true; columns * rows], columns, SIDE), flags, columns }
 }
 
 impl Tiles {
     /// `before` in exact tiles, `after` elsewhere.
     pub(crate) fn keep(&self, before: &[Grid], after: &[Grid]) -> Planes {
-        let is_exact = |x: isize, y: isize| self.flags[y as usize / TILE * self.columns + x as usize / TILE];
+        let is_exact = |x: isize, y: isize| self.flags[y as usize / SIDE * self.columns + x as usize / SIDE];
         before.iter().zip(after).map(|(before, after)| after.like(|p| if is_exact(p.x, p.y) { before.at(p) } else { after.at(p) })).collect()
     }
 }
