@@ -5,7 +5,7 @@
 // pass: a step δ in channel i of p changes the pixel distances that p takes part in, and those alone, so the patch sums change by a few closed terms.
 //
 // FIRST, SECOND and THIRD say which of them take part, DERIVATIVES whether the perturbed sums are wanted; HALVES, whether the half spread says
-// anything; GREY, that all channels of the colour are the same, so that compilers find the work of one in place of three.
+// anything; GREY, that all channels of the colour are the same.
 //
 // An invocation filters PIXELS pixels in a row and goes through the offsets row by row: the neighbours of one offset are those of the offset before, but for one. They stay in
 // registers, as do the running sums.
@@ -79,12 +79,18 @@ struct Weights {
     third: f32,
 }
 
-fn channels(value: vec4<f32>) -> vec3<f32> {
+// Of three channels that are the same, the first stands for all; what the others would be is not used, and so not computed.
+fn channels(value: vec3<f32>) -> vec3<f32> {
 #ifdef GREY
     return value.xxx;
 #else
-    return value.xyz;
+    return value;
 #endif
+}
+
+// The same of the filter itself and the filters with one channel perturbed.
+fn lanes(value: vec4<f32>) -> vec4<f32> {
+    return vec4<f32>(value.x, channels(value.yzw));
 }
 
 // Of the pixel in this row nearest to column x.
@@ -92,11 +98,11 @@ fn centre_at(x: i32, row: i32) -> Pixel {
     let pixels = nlm.extent.x * nlm.extent.y;
     let at = row * nlm.extent.x + clamp(x, 0, nlm.extent.x - 1);
     var pixel: Pixel;
-    pixel.mean = channels(signal[at]);
+    pixel.mean = signal[at].xyz;
 #ifdef HALVES
-    pixel.spread = channels(signal[pixels + at]);
+    pixel.spread = signal[pixels + at].xyz;
 #endif
-    pixel.variance = channels(variance_of_mean[at]);
+    pixel.variance = variance_of_mean[at].xyz;
 #if FEATURE_GROUPS != 0
     for (var group = 0; group < FEATURE_GROUPS; group++) {
         pixel.value[group] = features[3 * group * pixels + at];
@@ -114,11 +120,11 @@ fn neighbour_at(x: i32, row: i32) -> Pixel {
     let pixels = nlm.extent.x * nlm.extent.y;
     let at = row * nlm.extent.x + clamp(x, 0, nlm.extent.x - 1);
     var pixel: Pixel;
-    pixel.mean = channels(neighbours_signal[at]);
+    pixel.mean = neighbours_signal[at].xyz;
 #ifdef HALVES
-    pixel.spread = channels(neighbours_signal[pixels + at]);
+    pixel.spread = neighbours_signal[pixels + at].xyz;
 #endif
-    pixel.variance = channels(neighbours_variance[at]);
+    pixel.variance = neighbours_variance[at].xyz;
 #if FEATURE_GROUPS != 0
     for (var group = 0; group < FEATURE_GROUPS; group++) {
         pixel.value[group] = neighbours_features[3 * group * pixels + at];
@@ -134,7 +140,8 @@ fn neighbour_at(x: i32, row: i32) -> Pixel {
 #endif
 }
 
-fn added(before: Sums, w: vec4<f32>, mean: vec3<f32>, spread: vec3<f32>) -> Sums {
+fn added(before: Sums, weights: vec4<f32>, mean: vec3<f32>, spread: vec3<f32>) -> Sums {
+    let w = lanes(weights);
 #ifdef HALVES
     let spread_sum = before.spread + w.x * spread;
 #else
@@ -166,9 +173,9 @@ fn symmetric_change_at(q: Pixel, beyond: Pixel, exists: bool, p: Pixel, step: ve
 fn color_weights(sums: vec3<f32>, changes: PatchChanges, members: vec3<f32>, both_inside: bool) -> PairWeights {
     let normalise = nlm.inverse_channels / max(members, vec3<f32>(1.0));
     return pair_weights(
-        (vec4<f32>(sums.x) + vec4<f32>(0.0, changes.q1)) * normalise.x,
-        (vec4<f32>(sums.y) + vec4<f32>(0.0, changes.q2)) * normalise.y,
-        (vec4<f32>(sums.z) + vec4<f32>(0.0, changes.both)) * normalise.z,
+        (vec4<f32>(sums.x) + vec4<f32>(0.0, channels(changes.q1))) * normalise.x,
+        (vec4<f32>(sums.y) + vec4<f32>(0.0, channels(changes.q2))) * normalise.y,
+        (vec4<f32>(sums.z) + vec4<f32>(0.0, channels(changes.both))) * normalise.z,
         both_inside,
     );
 }
@@ -402,8 +409,8 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
             store_sums(seconds[i], PLANES_WITH_COLOR, strip_pixels, at_state);
 #endif
 #ifdef THIRD
-            state[THIRD_MEAN_SUM * strip_pixels + at_state] = third_means[i];
-            state[THIRD_SPREAD_SUM * strip_pixels + at_state] = third_spreads[i];
+            state[THIRD_MEAN_SUM * strip_pixels + at_state] = vec4<f32>(channels(third_means[i].xyz), third_means[i].w);
+            state[THIRD_SPREAD_SUM * strip_pixels + at_state] = vec4<f32>(channels(third_spreads[i].xyz), third_spreads[i].w);
 #endif
         }
     }
@@ -426,15 +433,15 @@ fn load_sums(base: i32, strip_pixels: i32, at: i32) -> Sums {
 
 fn store_sums(sums: Sums, base: i32, strip_pixels: i32, at: i32) {
 #ifdef DERIVATIVES
-    state[(base + WEIGHT_LANES) * strip_pixels + at] = sums.weight;
-    state[(base + LARGEST_LANES) * strip_pixels + at] = sums.largest;
-    state[(base + PERTURBED_SUM) * strip_pixels + at] = vec4<f32>(sums.perturbed, 0.0);
+    state[(base + WEIGHT_LANES) * strip_pixels + at] = lanes(sums.weight);
+    state[(base + LARGEST_LANES) * strip_pixels + at] = lanes(sums.largest);
+    state[(base + PERTURBED_SUM) * strip_pixels + at] = vec4<f32>(channels(sums.perturbed), 0.0);
 #else
     // What is not stored is not computed.
     state[(base + WEIGHT_LANES) * strip_pixels + at] = vec4<f32>(sums.weight.x, 0.0, 0.0, 0.0);
     state[(base + LARGEST_LANES) * strip_pixels + at] = vec4<f32>(sums.largest.x, 0.0, 0.0, 0.0);
 #endif
-    state[(base + MEAN_SUM) * strip_pixels + at] = vec4<f32>(sums.mean, 0.0);
-    state[(base + SPREAD_SUM) * strip_pixels + at] = vec4<f32>(sums.spread, 0.0);
+    state[(base + MEAN_SUM) * strip_pixels + at] = vec4<f32>(channels(sums.mean), 0.0);
+    state[(base + SPREAD_SUM) * strip_pixels + at] = vec4<f32>(channels(sums.spread), 0.0);
 }
 #endif

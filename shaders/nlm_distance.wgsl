@@ -28,20 +28,16 @@ const SMALL_PATCH_RADIUS: i32 = #{SMALL_PATCH_RADIUS};
 // Read once: software adapters read a parameter anew wherever it is used.
 var<private> nlm: NlmParams;
 
-fn channels(value: vec4<f32>) -> vec3<f32> {
-#ifdef GREY
-    // All are the same: compilers find the work of one in place of three.
-    return value.xxx;
-#else
-    return value.xyz;
-#endif
-}
-
+// Of a guide of one channel, or of three that are the same, what the others would be is not used, and so not computed.
 fn over_channels(distances: vec3<f32>) -> f32 {
 #ifdef ONE_CHANNEL
     return distances.x;
 #else
+#ifdef GREY
+    return dot(vec3<f32>(1.0), distances.xxx);
+#else
     return dot(vec3<f32>(1.0), distances);
+#endif
 #endif
 }
 
@@ -53,7 +49,7 @@ struct Pixel {
 
 fn neighbour_at(q: vec2<i32>) -> Pixel {
     let at = clamped_index(q, nlm.extent);
-    return Pixel(channels(neighbours[at]), channels(neighbours_variance[at]));
+    return Pixel(neighbours[at].xyz, neighbours_variance[at].xyz);
 }
 
 fn pair_distances(p: vec2<i32>, offset: vec2<i32>, centre: Pixel, q1: Pixel, q2: Pixel) -> vec3<f32> {
@@ -96,7 +92,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     for (var row = first - PATCH_RADIUS; row < end + PATCH_RADIUS; row++) {
         let p = vec2<i32>(x, nlm.first_row + row);
         let at_p = clamped_index(p, nlm.extent);
-        let centre = Pixel(channels(guide[at_p]), channels(variance_of_mean[at_p]));
+        let centre = Pixel(guide[at_p].xyz, variance_of_mean[at_p].xyz);
         for (var k = 0; k < OFFSET_ROWS - 1; k++) {
             aheads[k] = aheads[k + 1];
             behinds[OFFSET_ROWS - 1 - k] = behinds[OFFSET_ROWS - 2 - k];
