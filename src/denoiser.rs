@@ -9,7 +9,7 @@ use crate::error::{Error, Result};
 use crate::frame::{Feature, Frame};
 use crate::gpu::{Buffer, Gpu, Recorder, StageTime, StepTime};
 use crate::image::{Extent, Image};
-use crate::method::{Facts, GpuEstimate, GpuFrame, Intermediate, KeptPlane, Lane, Method, Plan, Shares, Strip, Unit, Units, Wishes, strips};
+use crate::method::{Facts, FrameInput, GpuEstimate, GpuFrame, Intermediate, KeptPlane, Lane, Method, Plan, Shares, Strip, Unit, Units, Wishes, strips};
 use crate::stage::nlm::Schedule;
 
 /// Denoises frames with one method and one set of parameters. Make one and use it for many frames: kernels and buffers are kept by the [`Gpu`].
@@ -205,8 +205,8 @@ impl Denoiser {
         for (index, strip) in strips.iter().enumerate() {
             let mut rec = self.gpu.record();
             let plan = plan.starting_at(strip.first_with_halo);
-            let on_gpu = GpuFrame::upload(&mut rec, frame, strip, &units, &plan)?;
-            let beside = beside.clone().map(|frame| GpuFrame::upload(&mut rec, frame, strip, &units, &plan)).collect::<Result<Vec<_>>>()?;
+            let on_gpu = FrameInput::upload(&mut rec, frame, strip, &units, &plan)?;
+            let beside = beside.clone().map(|frame| FrameInput::upload(&mut rec, frame, strip, &units, &plan)).collect::<Result<Vec<_>>>()?;
             let extent = on_gpu.extent;
             let report = |rec: &mut Recorder, share: f32| match &mut progress {
                 None => Ok(()),
@@ -258,7 +258,7 @@ impl Denoiser {
     pub fn record(&self, rec: &mut Recorder, frame: GpuFrame, beside: Vec<GpuFrame>) -> Result<GpuEstimate> {
         let wishes = Wishes { keep: &[], error: true, everything: self.everything };
         let plan = self.method.plan(&Facts::of_gpu_frame(&frame, beside.len()), &wishes);
-        self.method.record(rec, frame, beside, &plan, self.schedule, |_, _| Ok(()))
+        self.method.record(rec, frame.into(), beside.into_iter().map(FrameInput::from).collect(), &plan, self.schedule, |_, _| Ok(()))
     }
 }
 

@@ -11,7 +11,8 @@ use super::common::{Auxiliary, SCALE_RADIUS, input_variance};
 use super::estimate::{GpuEstimate, Intermediate, Keeper, Lane, RGB, Shares, Unit};
 use super::memory::{Footprint, uploaded_planes};
 use super::plan::{Facts, Plan, Step};
-use super::{GpuFeature, GpuFrame, GpuSignal};
+use super::frame::FeatureInput;
+use super::{FrameInput, GpuSignal};
 use crate::error::Result;
 use crate::gpu::{Buffer, Recorder};
 use crate::stage::candidate::{CANDIDATE_PLANES, CandidateBeside, CandidateFilter, CandidatesInTime, Needed, STATE_PLANES, candidates};
@@ -57,14 +58,14 @@ const BY_CANDIDATE: [&str; 3] = CandidateSet::NAMES;
 /// Those of recording.
 pub fn dfc(
     rec: &mut Recorder,
-    frame: GpuFrame,
-    beside: Vec<GpuFrame>,
+    frame: FrameInput,
+    beside: Vec<FrameInput>,
     params: &DfcParams,
     plan: &Plan,
     schedule: Schedule,
     progress: impl FnMut(&mut Recorder, f32) -> Result<()>,
 ) -> Result<GpuEstimate> {
-    let GpuFrame { extent, color, features, samples, .. } = frame;
+    let FrameInput { extent, color, features, samples, .. } = frame;
     let weighting = params.weighting;
     let mut keeper = Keeper::new(&plan.keep);
 
@@ -198,7 +199,7 @@ pub fn dfc(
 fn prefilter(
     rec: &mut Recorder,
     extent: IVec2,
-    frames: Vec<Vec<GpuFeature>>,
+    frames: Vec<Vec<FeatureInput>>,
     plan: &Plan,
     weighting: Weighting,
     schedule: Schedule,
@@ -214,19 +215,19 @@ fn prefilter(
     let mut order: Vec<usize> = (0..channels.len()).collect();
     order.sort_by_key(|index| slots[*index].single);
     for index in order {
-        let features: Vec<&GpuFeature> = frames.iter().map(|features| &features[index]).collect();
-        let step = Step::Prefilter(features[0].name.clone());
+        let FeatureInput { name, channels, .. } = &frames[0][index];
+        let step = Step::Prefilter(name.clone());
         let exact = plan.exact(&step);
         let has_noise = plan.begins(rec, step.clone());
-        let variances = features.iter().map(|feature| if has_noise { noise(rec, extent, &feature.signal) } else { Ok(None) }).collect::<Result<Vec<_>>>()?;
+        let features = frames.iter().map(|features| features[index].fetch(rec)).collect::<Result<Vec<_>>>()?;
+        let variances = features.iter().map(|signal| if has_noise { noise(rec, extent, signal) } else { Ok(None) }).collect::<Result<Vec<_>>>()?;
         let mut prefiltered = Vec::new();
-        for (frame, feature) in features.iter().enumerate() {
-            let GpuFeature { signal, channels, .. } = feature;
+        for (frame, signal) in features.iter().enumerate() {
             let others = || features.iter().zip(&variances).enumerate().filter(|(other, _)| *other != frame);
             prefiltered.push(match &variances[frame] {
                 Some(variance) => {
                     let beside: Vec<_> = others()
-                        .filter_map(|(_, (other, variance))| Some(Beside { signal: &other.signal.signal, variance_of_mean: variance.as_ref()? }))
+                        .filter_map(|(_, (other, variance))| Some(Beside { signal: &other.signal, variance_of_mean: variance.as_ref()? }))
                         .collect();
                     let payloads: Vec<_> = beside.iter().map(|beside| beside.signal).collect();
                     let guide = Guide { beside: &beside, exact, ..PREFILTER.guide(&signal.signal, variance, *channels) };
@@ -247,10 +248,9 @@ fn prefilter(
             feature_pack(rec, extent, packed, slots[index], filtered, residual_variance.as_deref())?;
         }
         let (filtered, residual_variance) = &prefiltered[0];
-        let GpuFeature { name, signal, channels } = features[0];
         let names = &["x", "y", "z"][..*channels as usize];
         // Without noise, the half spread is 0 as well.
-        let (residual_variance, plane) = residual_variance.as_ref().map_or((&signal.signal, 1), |variance| (variance, 0));
+        let (residual_variance, plane) = residual_variance.as_ref().map_or((&features[0].signal, 1), |variance| (variance, 0));
         keeper.keep(Intermediate::Features, format!("{name}_prefiltered"), names, Unit::Feature(index), filtered, 0);
         keeper.keep(Intermediate::Features, format!("{name}_residual_variance"), names, Unit::FeatureSquared(index), residual_variance, plane);
     }
@@ -268,23 +268,24 @@ pub(super) fn footprint(params: &DfcParams, facts: &Facts, kept: bool, schedule:
     let beside = facts.beside;
     let channels: Vec<u32> = facts.features.iter().map(|feature| feature.channels).collect();
     let packed = 3 * u64::from(Packing::new(&channels).groups);
-    // The colour's scaled variance.
-    let input = uploaded_planes(channels.len()) + 1;
-    // The scaled variance of each frame; two box sums, two filtered planes, weights, residual variance.
-    let prefilter = 7 + beside as u64;
-    // Candidates 6, derivatives 3, SURE, errors and weights 2, selected, smoothed and weights 2, blend 2, variance, second pass and weights 3.
-    let later = 21;
-    let alone = if beside > 0 { CANDIDATE_PLANES } else { 0 };
-    // Prefiltered features and residual variances, the sampling density and its weights.
-    let kept = if kept { 3 * channels.len() as u64 + 3 } else { 0 };
+    let frames = 1 + beside as u64;
+    // Of each frame, and the colour's scaled variance.
+    let color = uploaded_planes(0) + 1;
+    // Of each frame, the packed features and the one whose turn it is: 3, its variance, 2 filtered planes, residual variance; two box sums, or weights.
+    let prefilter = frames * (color + packed + 7) + 2;
+    // Over all frames, and over the own one.
+    let candidates = frames * (color + packed) + if beside > 0 { 2 * CANDIDATE_PLANES } else { CANDIDATE_PLANES };
+    // Candidates, SURE, errors and weights 2, selected, smoothed and weights 2, blend 2; variance, second pass and weights 3.
+    let later = color + CANDIDATE_PLANES + 12;
+    // Prefiltered features and residual variances, the sampling density and its weights; of each feature, the values that were taken as they are.
+    let kept = if kept { 5 * channels.len() as u64 + 3 } else { 0 };
     // Two scratch buffers for the column sums, and the running sums of the rows they cover: a scratch buffer holds at least one plane per pair of offsets, so with small
     // windows the running sums are the larger.
     let offsets_in_a_row = u64::from(2 * params.window_radius + 1);
     let running_sums = schedule.scratch_bytes * u64::from(STATE_PLANES) / offsets_in_a_row;
     Footprint {
         halo: halo(params) as usize,
-        // Of each frame beside, the prepared features stay with its input.
-        live_planes: (input + packed) * (1 + beside as u64) + later.max(prefilter) + kept + alone,
+        live_planes: prefilter.max(candidates).max(later) + kept,
         largest_planes: packed.max(3),
         scratch_bytes: 2 * schedule.scratch_bytes + running_sums,
     }

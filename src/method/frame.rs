@@ -13,7 +13,7 @@ use super::Strip;
 use super::plan::{Plan, Step};
 
 /// A noisy signal on the GPU.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct GpuSignal {
     /// Two planes of one vec4 per pixel, rows from the top: the mean in x, y, z (unused channels 0), behind it the half spread
     /// `(A − B)·√(n_A·n_B)/n`, all 0 without halves. Everything finite.
@@ -51,6 +51,52 @@ pub struct GpuFrame {
     pub mean_variance: Option<Vec3>,
 }
 
+/// What a method works on: a frame whose colour is on the device, and whose features are there or follow one by one, so that the raw features of a frame never take memory
+/// all at one time.
+pub(crate) struct FrameInput<'a> {
+    /// As [`GpuFrame::extent`].
+    pub(crate) extent: IVec2,
+    /// As [`GpuFrame::color`].
+    pub(super) color: GpuSignal,
+    /// As [`GpuFrame::features`].
+    pub(super) features: Vec<FeatureInput<'a>>,
+    /// As [`GpuFrame::samples`].
+    pub(super) samples: GpuSamples,
+    /// As [`GpuFrame::mean_variance`].
+    pub(super) mean_variance: Option<Vec3>,
+}
+
+/// A feature that is on the device or follows.
+pub(super) struct FeatureInput<'a> {
+    pub(super) name: String,
+    /// 1 to 3.
+    pub(super) channels: u32,
+    source: Source<'a>,
+}
+
+enum Source<'a> {
+    Device(GpuSignal),
+    Host { signal: &'a Signal, strip: Strip, map: Affine<'a>, noise: Noise },
+}
+
+impl FeatureInput<'_> {
+    /// Brings it to the device if it is not there.
+    pub(super) fn fetch(&self, rec: &mut Recorder) -> Result<GpuSignal> {
+        match &self.source {
+            Source::Device(signal) => Ok(signal.clone()),
+            Source::Host { signal, strip, map, noise } => upload_signal(rec, &self.name, signal, strip, *map, *noise),
+        }
+    }
+}
+
+impl From<GpuFrame> for FrameInput<'_> {
+    fn from(frame: GpuFrame) -> Self {
+        let GpuFrame { extent, color, features, samples, mean_variance } = frame;
+        let features = features.into_iter().map(|GpuFeature { name, signal, channels }| FeatureInput { name, channels, source: Source::Device(signal) });
+        Self { extent, color, features: features.collect(), samples, mean_variance }
+    }
+}
+
 /// In which units frames are uploaded: those of one window of time are in the units of the frame that is denoised.
 pub(crate) struct Units<'a> {
     /// The colour is multiplied by this.
@@ -69,9 +115,9 @@ impl<'a> Units<'a> {
     }
 }
 
-impl GpuFrame {
-    /// Uploads the rows of a strip and its halo: what the plan asks for. `frame` has all features that `units` lists.
-    pub(crate) fn upload(rec: &mut Recorder, frame: &Frame, strip: &Strip, units: &Units, plan: &Plan) -> Result<Self> {
+impl<'a> FrameInput<'a> {
+    /// Uploads the rows of a strip and its halo: what the plan asks for, the features when their turn comes. `frame` has all features that `units` lists.
+    pub(crate) fn upload(rec: &mut Recorder, frame: &'a Frame, strip: &Strip, units: &Units, plan: &Plan) -> Result<Self> {
         let mut features = Vec::with_capacity(units.features.len());
         for wanted in &units.features {
             let Some(feature) = frame.features().iter().find(|feature| feature.name == wanted.name) else { continue };
@@ -80,9 +126,9 @@ impl GpuFrame {
                 shift: (feature.unit_offset - wanted.unit_offset) / wanted.unit_scale,
                 fixed: &feature.misses,
             };
-            let channels = feature.signal.mean.channels() as u32;
             let noise = if plan.runs(&Step::Prefilter(feature.name.clone())) { Noise::Told } else { Noise::Absent };
-            features.push(GpuFeature { name: feature.name.clone(), signal: upload_signal(rec, &feature.name, &feature.signal, strip, map, noise)?, channels });
+            let source = Source::Host { signal: &feature.signal, strip: *strip, map, noise };
+            features.push(FeatureInput { name: feature.name.clone(), channels: feature.signal.mean.channels() as u32, source });
         }
         let extent = IVec2::new(frame.extent().width as i32, strip.rows_with_halo() as i32);
         let samples = match frame.samples_per_pixel() {

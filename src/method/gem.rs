@@ -8,7 +8,7 @@ use super::common::{SCALE_RADIUS, input_variance};
 use super::estimate::{GpuEstimate, Intermediate, Keeper, Lane, RGB, Unit};
 use super::memory::{Footprint, uploaded_planes};
 use super::plan::{Facts, Plan, Planner, Step, Wishes, impossible};
-use super::{GpuFrame, Method};
+use super::{FrameInput, Method};
 use crate::error::Result;
 use crate::gpu::Recorder;
 use crate::stage::gaussian::{Averaging, Gaussian, gaussian};
@@ -27,12 +27,12 @@ pub(super) const INTERMEDIATES: [Intermediate; 4] = [Intermediate::Variance, Int
 /// Those of recording.
 pub fn gem(
     rec: &mut Recorder,
-    frame: GpuFrame,
+    frame: FrameInput,
     params: &GemParams,
     plan: &Plan,
     mut progress: impl FnMut(&mut Recorder, f32) -> Result<()>,
 ) -> Result<GpuEstimate> {
-    let GpuFrame { extent, color, features, samples, .. } = frame;
+    let FrameInput { extent, color, features, samples, .. } = frame;
     // A renderer may hand over some.
     drop(features);
     let mut keeper = Keeper::new(&plan.keep);

@@ -19,7 +19,7 @@ use crate::stage::nlm::Schedule;
 
 pub use dfc::DfcParams;
 pub use estimate::{GpuEstimate, Intermediate, KeptPlane, Lane, Shares, Unit};
-pub(crate) use frame::Units;
+pub(crate) use frame::{FrameInput, Units};
 pub use frame::{GpuFeature, GpuFrame, GpuSignal};
 pub use gem::GemParams;
 use memory::Footprint;
@@ -160,15 +160,15 @@ impl Method {
     pub(crate) fn record(
         &self,
         rec: &mut Recorder,
-        frame: GpuFrame,
-        beside: Vec<GpuFrame>,
+        frame: FrameInput,
+        beside: Vec<FrameInput>,
         plan: &Plan,
         schedule: Schedule,
         progress: impl FnMut(&mut Recorder, f32) -> Result<()>,
     ) -> Result<GpuEstimate> {
         self.check_beside(beside.len())?;
-        let channels = |frame: &GpuFrame| if self.uses_features() { frame.features.iter().map(|feature| feature.channels).collect() } else { Vec::new() };
-        let shape = |frame: &GpuFrame| (frame.extent, frame.color.has_halves, channels(frame));
+        let channels = |frame: &FrameInput| if self.uses_features() { frame.features.iter().map(|feature| feature.channels).collect() } else { Vec::new() };
+        let shape = |frame: &FrameInput| (frame.extent, frame.color.has_halves, channels(frame));
         if beside.iter().any(|other| shape(other) != shape(&frame)) {
             return Err(Error::Request {
                 problem: "a frame of the window has another extent, other halves or other features than the one to denoise".into(),

@@ -10,7 +10,7 @@ use super::common::{SCALE_RADIUS, input_variance};
 use super::estimate::{GpuEstimate, Intermediate, Keeper, Lane, RGB, Unit};
 use super::memory::{Footprint, uploaded_planes};
 use super::plan::{Facts, Plan, Planner, Step, Wishes, impossible, needless};
-use super::{GpuFrame, GpuSignal, Method};
+use super::{FrameInput, GpuSignal, Method};
 use crate::error::{Error, Result};
 use crate::gpu::{Buffer, Recorder};
 use crate::stage::error::error_halves;
@@ -42,8 +42,8 @@ const VARIANCE_ALPHA: f32 = 4.0;
 /// Those of recording; [`Error::Request`] where the variance is to be uniform and a frame does not say which.
 pub fn nlm(
     rec: &mut Recorder,
-    frame: GpuFrame,
-    beside: Vec<GpuFrame>,
+    frame: FrameInput,
+    beside: Vec<FrameInput>,
     params: &NlmParams,
     plan: &Plan,
     schedule: Schedule,
@@ -140,8 +140,8 @@ struct Prepared {
 }
 
 impl Prepared {
-    fn new(rec: &mut Recorder, frame: GpuFrame, params: &NlmParams, plan: &Plan, schedule: Schedule) -> Result<Self> {
-        let GpuFrame { extent, color, features: _, samples, mean_variance } = frame;
+    fn new(rec: &mut Recorder, frame: FrameInput, params: &NlmParams, plan: &Plan, schedule: Schedule) -> Result<Self> {
+        let FrameInput { extent, color, features: _, samples, mean_variance } = frame;
         plan.begins(rec, Step::Variance);
         let variance = match params.variance {
             NlmVariance::Scaled => scaled_variance(rec, extent, &color)?,
