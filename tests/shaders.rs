@@ -40,6 +40,7 @@ fn definitions(stage: &str) -> Option<Vec<Definitions>> {
     match stage {
         "variance_rows" | "variance_scale" | "variance_pair" | "variance_clamp" | "half_split" | "half_join" | "feature_pack" | "candidate_resolve"
         | "error_sure" | "select_least" | "select_blend" | "select_pass" => none,
+        "select_share" => Some(combinations(&[("GUARDED", flags())])),
         "select_frames" => Some(combinations(&[("WEIGHT_SUMS", flags())])),
         "sample_attach" => Some(combinations(&[("SAMPLES_VARY", flags())])),
         "error_halves" => Some(combinations(&[("HALVES", flags())])),
@@ -91,8 +92,18 @@ fn in_every_language(what: &str, module: &naga::Module, info: &ModuleInfo) {
     assert!(text.contains("local_size_x"), "{what}: GLSL without a kernel");
 }
 
+/// Storage buffers that every WebGPU device lets a shader see.
+const STORAGE_BUFFERS_EVERYWHERE: usize = 8;
+
+fn fits_the_least_of_devices(stage: &str, set: &Definitions, module: &naga::Module) {
+    let buffers = module.global_variables.iter().filter(|(_, variable)| matches!(variable.space, naga::AddressSpace::Storage { .. })).count();
+    // The candidates of a window over several frames read colour, variance and features of two frames, and two chunks of column sums.
+    let is_known = stage == "candidate_accumulate" && set.contains(&("OTHER_FRAME", true.into())) && buffers <= 9;
+    assert!(buffers <= STORAGE_BUFFERS_EVERYWHERE || is_known, "{stage} with {set:?} binds {buffers} storage buffers");
+}
+
 #[test]
-fn every_stage_is_valid_and_translates() {
+fn every_stage_is_valid_translates_and_fits_the_least_of_devices() {
     for stage in stages() {
         let sets = definitions(stage).unwrap_or_else(|| panic!("stage '{stage}' is not in the table of this test: add the definitions it is used with"));
         for set in sets {
@@ -101,6 +112,7 @@ fn every_stage_is_valid_and_translates() {
             let info = Validator::new(ValidationFlags::all(), Capabilities::empty()).validate(&module);
             let info = info.unwrap_or_else(|error| panic!("{what}: {}", error.into_inner()));
             in_every_language(&what, &module, &info);
+            fits_the_least_of_devices(stage, &set, &module);
         }
     }
 }
