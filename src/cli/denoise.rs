@@ -37,6 +37,9 @@ Examples:
   stein denoise render.exr --method nlm --keep halves
   stein denoise 'shot.####.exr' --frames 1-240 --temporal-radius 1 -o 'clean.####.exr'
 
+Environment:
+  STEIN_CACHE  folder in which compiled shaders are kept from run to run, where the device hands them out; empty: nowhere [default: `stein` among the user's caches]
+
 Exit codes: 0 done, 2 wrong usage, 3 an input file or layer cannot be used, 4 no device or a device failed, 5 the output cannot be written, 1 anything else.";
 
 /// Denoise a rendering
@@ -206,6 +209,11 @@ impl Job<'_> {
                 },
             );
             progress.end(out);
+            if reports.is_empty() {
+                // What a later frame compiles in addition is kept when the device is closed.
+                let kept = report::pipelines(gpu.save_pipelines());
+                kept.filter(|_| self.args.verbose).inspect(|kept| progress.say(out, kept));
+            }
             reports.push(report);
         }
         progress.finish();
