@@ -329,7 +329,7 @@ fn an_absurd_request_names_the_limit_and_the_device_lives_on() {
     let mut rec = gpu.record();
     for bytes in [1 << 50, u64::MAX, limit + 1] {
         let text = problem(rec.take("offsets", bytes));
-        for part in ["'offsets'", &bytes.to_string(), &limit.to_string(), "--max-memory", "--radius"] {
+        for part in ["'offsets'", &bytes.to_string(), &limit.to_string(), "memory limit", "smaller window"] {
             assert!(text.contains(part), "{part} is missing in: {text}");
         }
     }
@@ -357,7 +357,7 @@ fn with_little_memory() {
         }
         assert!(held.len() < 1000, "the memory limit has no effect");
     };
-    for part in ["has no memory left for the buffer 'candidates'", &bytes.to_string(), "--max-memory", "--radius"] {
+    for part in ["has no memory left for the buffer 'candidates'", &bytes.to_string(), "memory limit", "smaller window"] {
         assert!(text.contains(part), "{part} is missing in: {text}");
     }
     // Idle buffers of the wrong size are given back when memory is short, also while commands that use them are still recorded.

@@ -5,8 +5,8 @@ use stein::gpu::{AdapterSummary, SavedPipelines, StageTime};
 use stein::method::Intermediate;
 use stein::{Estimate, Method};
 
+use super::Failure;
 use super::inspect::Input;
-use super::options::CACHE_VARIABLE;
 use super::out::{bytes, number, seconds, table};
 use super::output::Written;
 use super::quality::{self, Errors};
@@ -106,7 +106,7 @@ pub(crate) fn pipelines(saved: stein::Result<SavedPipelines>) -> Option<String> 
         Ok(SavedPipelines::Nowhere) => None,
         Ok(SavedPipelines::Unchanged { file, bytes: size }) => Some(format!("  compiled shaders: {} in {}, as before", bytes(size), file.display())),
         Ok(SavedPipelines::Written { file, bytes: size }) => Some(format!("  compiled shaders: {} written to {}", bytes(size), file.display())),
-        Err(error) => Some(format!("  {error}, with {CACHE_VARIABLE}")),
+        Err(error) => Some(format!("  {}", Failure::from(error).message())),
     }
 }
 

@@ -237,7 +237,7 @@ impl Gpu {
         };
         let (device, queue) = pollster::block_on(adapter.request_device(&description)).map_err(|error| Error::Device {
             problem: format!("adapter '{}' cannot be opened: {error}", summary.name),
-            remedy: "choose another adapter with --device (`stein devices` lists them) or update the graphics driver".into(),
+            remedy: "choose another adapter (`Gpu::adapters` lists them) or update the graphics driver".into(),
         })?;
 
         let health = Arc::new(Health::default());
@@ -378,8 +378,8 @@ impl Gpu {
         if let Some(reason) = lock(&self.inner.health.lost).as_ref() {
             return Err(Error::Device {
                 problem: format!("the device was lost: {reason}"),
-                remedy: "run again; if it happens again, update the graphics driver, choose another adapter with --device, or ask for less work at once \
-                         (smaller --radius, a cropped image)"
+                remedy: "run again; if it happens again, update the graphics driver, choose another adapter, or ask for less work at once \
+                         (a smaller window, a cropped image)"
                     .into(),
             });
         }
@@ -393,7 +393,7 @@ impl Gpu {
     pub(super) fn defect(&self, report: &str) -> Error {
         Error::Device {
             problem: format!("the driver of '{}' reported: {}", self.inner.summary.name, report.trim_end()),
-            remedy: "update the graphics driver or choose another adapter with --device; if it persists, report it with the output of `stein devices`".into(),
+            remedy: "update the graphics driver or choose another adapter; if it persists, report it with the output of `stein devices`".into(),
         }
     }
 }

@@ -147,7 +147,8 @@ impl Gpu {
     /// each value that a dispatch brings along: on llvmpipe 4.4 ms for each dispatch of `candidate_accumulate`, and half a second for each new size of an image. It leaves
     /// storage buffers alone.
     pub(super) fn uniform_binding(&self) -> wgpu::BufferBindingType {
-        if self.is_software() { wgpu::BufferBindingType::Storage { read_only: true } } else { wgpu::BufferBindingType::Uniform }
+        let has_to_spare = self.inner.limits.max_storage_buffers_per_shader_stage > wgpu::Limits::default().max_storage_buffers_per_shader_stage;
+        if self.is_software() && has_to_spare { wgpu::BufferBindingType::Storage { read_only: true } } else { wgpu::BufferBindingType::Uniform }
     }
 
     fn check_limits(&self, stage: &str, module: &Module, slots: &[Slot], places: &[Option<Place>], size: [u32; 3]) -> Result<()> {
@@ -171,7 +172,7 @@ impl Gpu {
             if need > u64::from(limit) {
                 return Err(Error::Device {
                     problem: format!("stage '{stage}' needs {need} {what}, but '{}' has {limit}", self.inner.summary.name),
-                    remedy: "choose another adapter with --device (`stein devices` lists them)".into(),
+                    remedy: "choose another adapter (`Gpu::adapters` lists them)".into(),
                 });
             }
         }
