@@ -99,15 +99,14 @@ impl Contents<'_> {
     /// Writes a frame and compares it with its reference.
     fn finish(self, denoised: Denoised, comparison: &mut Comparison) -> Result<Done, Failure> {
         let Denoised { number, output, original, described, introduction, frame, reference, estimate, run } = denoised;
-        let mut written = output::write(&original, &output, &estimate, self.keep, self.method)?;
+        let data_window = original.data_window();
+        let mut written = output::write(*original, &output, &estimate, self.keep, self.method)?;
         let missing = self.keep.iter().filter(|one| !estimate.layers.iter().any(|layer| layer.intermediate == **one));
         written.notes.extend(missing.map(|one| format!("--keep {}: there is nothing of the kind without halves or features", one.name())));
         let left_out = frame.features().iter().filter(|feature| !estimate.features.contains(&feature.name));
         written
             .notes
             .extend(left_out.map(|feature| format!("feature {}: not used, because a frame beside lacks it or has it the same everywhere", feature.name)));
-        let data_window = original.data_window();
-        drop(original);
         let errors = reference.as_ref().map(|reference| quality::compare(&frame, &estimate, reference)).transpose()?;
         let strips = estimate.strips;
         if let (Some(number), Some(reference), Some(errors)) = (number, reference, &errors) {
