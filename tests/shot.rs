@@ -114,6 +114,28 @@ fn a_frame_that_cannot_be_written_ends_the_run_and_those_before_it_stay() {
 }
 
 #[test]
+#[cfg(unix)]
+fn an_interruption_leaves_whole_frames_and_no_others() {
+    use std::process::{Command, Stdio};
+    let folder = shot();
+    let (input, output) = (folder.path("shot.####.exr"), folder.path("clean.####.exr"));
+    let mut run = process::command(&["denoise", &input, "-o", &output, RADIUS, "--quiet"]).stderr(Stdio::null()).spawn().unwrap();
+    while run.try_wait().unwrap().is_none() && !Path::new(&path(&folder, "clean", 0)).exists() {
+        std::thread::sleep(std::time::Duration::from_millis(1));
+    }
+    // SIGINT is Ctrl-C. The run may be over by now.
+    let _ = Command::new("kill").args(["-INT", &run.id().to_string()]).stderr(Stdio::null()).status().unwrap();
+    run.wait().unwrap();
+    denoise(&folder, "whole", &[]).succeeded();
+    let written: Vec<_> = (0..4).filter(|frame| Path::new(&path(&folder, "clean", *frame)).exists()).collect();
+    assert_eq!(written, (0..written.len() as u32).collect::<Vec<_>>());
+    assert!(!written.is_empty());
+    for frame in written {
+        assert_eq!(channels(&path(&folder, "clean", frame)), channels(&path(&folder, "whole", frame)), "{frame}");
+    }
+}
+
+#[test]
 fn a_missing_frame_is_told_before_any_work() {
     let folder = shot();
     std::fs::remove_file(path(&folder, "shot", 2)).unwrap();
