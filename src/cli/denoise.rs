@@ -199,8 +199,11 @@ impl Job<'_> {
         let mut results = Results::new(writer, progress, &settings.device, self.args.verbose, self.plan.is_shot);
         let ended = self.denoise_all(&to_do, &mut frames, &denoiser, &mut results, out);
         let (reports, errors) = results.finish(ended, out)?;
-        let pipelines = self.args.verbose.then(|| report::pipelines(gpu.save_pipelines())).flatten();
-        pipelines.inspect(|pipelines| out.say(pipelines));
+        if self.args.verbose
+            && let Some(pipelines) = report::pipelines(gpu.save_pipelines())
+        {
+            out.say(pipelines);
+        }
 
         if self.plan.is_shot {
             let frames = shot::frames(self.plan, reports);

@@ -29,12 +29,9 @@ impl<'a> Results<'a> {
 
     /// Waits until the frame before is written. Fails where that could not be, of which [`Self::finish`] tells.
     pub(super) fn hand_over(&mut self, denoised: Denoised, out: &mut Out) -> Result<(), Failure> {
-        self.writer.hand_over(denoised);
+        let is_taken = self.writer.hand_over(denoised);
         self.progress.denoised(out);
-        match self.collect(out) {
-            ControlFlow::Continue(()) => Ok(()),
-            ControlFlow::Break(()) => Err(Error::Cancelled.into()),
-        }
+        if self.collect(out).is_break() || !is_taken { Err(Error::Cancelled.into()) } else { Ok(()) }
     }
 
     /// Tells of what was written meanwhile. Nothing is worth going on with after a failure.

@@ -70,12 +70,9 @@ impl<'scope> Writer<'scope> {
         Self { to_write: Some(to_write), done, thread }
     }
 
-    /// Waits until the frame before is written. A failure comes with [`Self::done`].
-    pub(super) fn hand_over(&self, frame: Denoised) {
-        if let Some(to_write) = &self.to_write {
-            // Nobody takes it after a failure.
-            let _ = to_write.send(frame);
-        }
+    /// Waits until the frame before is written. Whether the frame was taken: none is after a failure, which comes with [`Self::done`].
+    pub(super) fn hand_over(&self, frame: Denoised) -> bool {
+        self.to_write.as_ref().is_some_and(|to_write| to_write.send(frame).is_ok())
     }
 
     /// A frame that was written since the last call, or why one was not.
