@@ -9,9 +9,9 @@ use glam::IVec2;
 
 use super::common::{Auxiliary, SCALE_RADIUS, input_variance};
 use super::estimate::{GpuEstimate, Intermediate, Keeper, Lane, RGB, Shares, Unit};
-use super::memory::{Footprint, uploaded_planes};
-use super::plan::{Facts, Plan, Step};
 use super::frame::FeatureInput;
+use super::memory::{Footprint, UPLOADED_PLANES};
+use super::plan::{Facts, Plan, Step};
 use super::{FrameInput, GpuSignal};
 use crate::error::Result;
 use crate::gpu::{Buffer, Recorder};
@@ -56,7 +56,7 @@ const BY_CANDIDATE: [&str; 3] = CandidateSet::NAMES;
 ///
 /// # Errors
 /// Those of recording.
-pub fn dfc(
+pub(crate) fn dfc(
     rec: &mut Recorder,
     frame: FrameInput,
     beside: Vec<FrameInput>,
@@ -226,9 +226,8 @@ fn prefilter(
             let others = || features.iter().zip(&variances).enumerate().filter(|(other, _)| *other != frame);
             prefiltered.push(match &variances[frame] {
                 Some(variance) => {
-                    let beside: Vec<_> = others()
-                        .filter_map(|(_, (other, variance))| Some(Beside { signal: &other.signal, variance_of_mean: variance.as_ref()? }))
-                        .collect();
+                    let beside: Vec<_> =
+                        others().filter_map(|(_, (other, variance))| Some(Beside { signal: &other.signal, variance_of_mean: variance.as_ref()? })).collect();
                     let payloads: Vec<_> = beside.iter().map(|beside| beside.signal).collect();
                     let guide = Guide { beside: &beside, exact, ..PREFILTER.guide(&signal.signal, variance, *channels) };
                     let lanes = if *channels == 1 { Lanes::First } else { Lanes::All };
@@ -270,7 +269,7 @@ pub(super) fn footprint(params: &DfcParams, facts: &Facts, kept: bool, schedule:
     let packed = 3 * u64::from(Packing::new(&channels).groups);
     let frames = 1 + beside as u64;
     // Of each frame, and the colour's scaled variance.
-    let color = uploaded_planes(0) + 1;
+    let color = UPLOADED_PLANES + 1;
     // Of each frame, the packed features and the one whose turn it is: 3, its variance, 2 filtered planes, residual variance; two box sums, or weights.
     let prefilter = frames * (color + packed + 7) + 2;
     // Over all frames, and over the own one.

@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use super::common::{SCALE_RADIUS, input_variance};
 use super::estimate::{GpuEstimate, Intermediate, Keeper, Lane, RGB, Unit};
-use super::memory::{Footprint, uploaded_planes};
+use super::memory::{Footprint, UPLOADED_PLANES};
 use super::plan::{Facts, Plan, Planner, Step, Wishes, impossible};
 use super::{FrameInput, Method};
 use crate::error::Result;
@@ -25,7 +25,7 @@ pub(super) const INTERMEDIATES: [Intermediate; 4] = [Intermediate::Variance, Int
 ///
 /// # Errors
 /// Those of recording.
-pub fn gem(
+pub(crate) fn gem(
     rec: &mut Recorder,
     frame: FrameInput,
     params: &GemParams,
@@ -99,7 +99,7 @@ pub(super) fn footprint(params: &GemParams, kept: bool) -> Footprint {
     let scales = 3 * 3 + 3 + 2;
     // Scaled variance, stopping maps raw and smoothed, reduction.
     let kept = if kept { 2 + 2 * sigmas.len() as u64 } else { 0 };
-    Footprint { halo: halo(params) as usize, live_planes: uploaded_planes(0) + scales + kept, largest_planes: 2, scratch_bytes: 0 }
+    Footprint { halo: halo(params) as usize, live_planes: UPLOADED_PLANES + scales + kept, largest_planes: 2, scratch_bytes: 0 }
 }
 
 /// A pixel asks for its neighbours' stopping maps, these for the scales there, and their variances were brought to scale. Each scale is made from the pixels themselves, so

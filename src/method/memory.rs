@@ -44,10 +44,8 @@ pub(super) struct Footprint {
     pub(super) scratch_bytes: u64,
 }
 
-/// Planes that a frame is uploaded to: mean, half spread and sample variance of the colour and of each of `features`, and the samples of each pixel.
-pub(super) fn uploaded_planes(features: usize) -> u64 {
-    3 * (1 + features as u64) + 1
-}
+/// Planes that a frame without its features is uploaded to: mean, half spread and sample variance of the colour, and the samples of each pixel.
+pub(super) const UPLOADED_PLANES: u64 = 4;
 
 /// Cuts a frame into strips of which each, with the same rows of the frames beside it, fits the adapter's binding limit and `max_memory` bytes.
 ///

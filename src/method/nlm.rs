@@ -8,7 +8,7 @@ use glam::IVec2;
 
 use super::common::{SCALE_RADIUS, input_variance};
 use super::estimate::{GpuEstimate, Intermediate, Keeper, Lane, RGB, Unit};
-use super::memory::{Footprint, uploaded_planes};
+use super::memory::{Footprint, UPLOADED_PLANES};
 use super::plan::{Facts, Plan, Planner, Step, Wishes, impossible, needless};
 use super::{FrameInput, GpuSignal, Method};
 use crate::error::{Error, Result};
@@ -40,7 +40,7 @@ const VARIANCE_ALPHA: f32 = 4.0;
 ///
 /// # Errors
 /// Those of recording; [`Error::Request`] where the variance is to be uniform and a frame does not say which.
-pub fn nlm(
+pub(crate) fn nlm(
     rec: &mut Recorder,
     frame: FrameInput,
     beside: Vec<FrameInput>,
@@ -226,7 +226,7 @@ pub(super) fn footprint(params: &NlmParams, beside: usize, kept: bool, schedule:
     Footprint {
         halo: halo(params) as usize,
         // All frames are uploaded before the first is prepared; variance, signal and halves of the others stay until the end.
-        live_planes: uploaded_planes(0) * (1 + beside as u64) + later + kept + alone + 6 * beside as u64,
+        live_planes: UPLOADED_PLANES * (1 + beside as u64) + later + kept + alone + 6 * beside as u64,
         largest_planes: 2,
         // The column sums of distances and those of weights.
         scratch_bytes: 2 * schedule.scratch_bytes,
