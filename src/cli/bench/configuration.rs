@@ -47,8 +47,7 @@ pub(super) fn configurations(axes: &Axes) -> Result<(Vec<Configuration>, Vec<Str
     let mut configurations = Vec::new();
     for &method in &methods {
         // `None`: the preset's own.
-        let radii: Vec<Option<u32>> =
-            if method.has_radius() && !radii.is_empty() { radii.iter().map(|&radius| Some(radius)).collect() } else { vec![None] };
+        let radii: Vec<Option<u32>> = if method.has_radius() && !radii.is_empty() { radii.iter().map(|&radius| Some(radius)).collect() } else { vec![None] };
         let second_passes = if has_second_pass(method) { &second_passes[..] } else { &[true] };
         for &preset in &presets {
             for &with_second_pass in second_passes {

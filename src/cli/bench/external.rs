@@ -84,10 +84,7 @@ impl External {
         if image.extent == extent {
             return Ok(image);
         }
-        Err(failed(format!(
-            "its output is of {}, but the input of {extent}\n  remedy: let it keep the size of its input",
-            image.extent
-        )))
+        Err(failed(format!("its output is of {}, but the input of {extent}\n  remedy: let it keep the size of its input", image.extent)))
     }
 }
 
@@ -106,7 +103,9 @@ mod tests {
     fn a_command_is_split_into_words_as_a_shell_would() {
         let external: External = "my tool=tool --in={in} 'two words' \"{out}\"".parse().unwrap();
         assert_eq!((external.name.as_str(), external.words), ("my tool", ["tool", "--in={in}", "two words", "{out}"].map(String::from).to_vec()));
-        for (text, missing) in [("tool {in} {out}", "NAME="), ("a=tool {in}", "{out}"), ("a=tool {out}", "{in}"), ("a='tool {in} {out}", "quote"), ("=x {in} {out}", "NAME")] {
+        for (text, missing) in
+            [("tool {in} {out}", "NAME="), ("a=tool {in}", "{out}"), ("a=tool {out}", "{in}"), ("a='tool {in} {out}", "quote"), ("=x {in} {out}", "NAME")]
+        {
             let problem = text.parse::<External>().unwrap_err();
             assert!(problem.contains(missing), "{text}: {problem}");
         }

@@ -50,8 +50,9 @@ impl Folder {
     /// Writes the files, in the order of [`FILES`], and puts them in the place of what was there.
     pub(super) fn write(&self, contents: [&[u8]; 3]) -> Result<(), Failure> {
         let name = self.path.display();
-        let failed =
-            |error: std::io::Error| Failure::output(format_args!("{name}: cannot be written: {error}\n  remedy: check that there is space, and choose a folder with -o"));
+        let failed = |error: std::io::Error| {
+            Failure::output(format_args!("{name}: cannot be written: {error}\n  remedy: check that there is space, and choose a folder with -o"))
+        };
         let new = self.aside().map_err(failed)?;
         for (file, content) in FILES.iter().zip(contents) {
             std::fs::write(new.path().join(file), content).map_err(failed)?;
@@ -59,7 +60,9 @@ impl Folder {
         // What is there may have changed meanwhile.
         if self.path.exists() {
             if !may_be_replaced(&self.path).map_err(failed)? {
-                return Err(Failure::output(format_args!("{name}: something else than a report was put there meanwhile\n  remedy: choose another folder with -o")));
+                return Err(Failure::output(format_args!(
+                    "{name}: something else than a report was put there meanwhile\n  remedy: choose another folder with -o"
+                )));
             }
             let old = self.aside().map_err(failed)?;
             let old_report = old.path().join("old");

@@ -72,7 +72,14 @@ pub(super) fn runs(repeats: u32) -> u64 {
 }
 
 /// Measures all contestants that can run on a case, in their order. `folder` is for the files of other programs.
-pub(super) fn measure(gpu: &Gpu, contestants: &[Contestant<'_>], case: &Case<'_>, repeats: u32, folder: &Path, bar: &ProgressBar) -> Result<Vec<Outcome>, Failure> {
+pub(super) fn measure(
+    gpu: &Gpu,
+    contestants: &[Contestant<'_>],
+    case: &Case<'_>,
+    repeats: u32,
+    folder: &Path,
+    bar: &ProgressBar,
+) -> Result<Vec<Outcome>, Failure> {
     let contestants: Vec<_> = contestants.iter().filter(|contestant| contestant.can_run(case)).collect();
     let output = folder.join("out.exr");
     let input = std::path::absolute(&case.set.file).map_err(|error| Failure::input(format_args!("{}: {error}", case.set.file.display())))?;
@@ -143,16 +150,7 @@ fn warm_up(gpu: &Gpu, denoiser: &Denoiser, case: &Case<'_>) -> Result<Record, Fa
 fn warm_up_external(external: &External, input: &Path, output: &Path, case: &Case<'_>) -> Result<Record, Failure> {
     let first_ms = external.run(input, output)? * 1e3;
     let image = external.read(output, case.frame.extent())?;
-    Ok(Record {
-        first_ms,
-        image,
-        predicted_mse: None,
-        predicted_image_mse: None,
-        walls_ms: Vec::new(),
-        stages: Vec::new(),
-        peak_bytes: None,
-        strips: None,
-    })
+    Ok(Record { first_ms, image, predicted_mse: None, predicted_image_mse: None, walls_ms: Vec::new(), stages: Vec::new(), peak_bytes: None, strips: None })
 }
 
 impl Record {

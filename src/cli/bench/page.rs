@@ -65,7 +65,10 @@ impl<'a> Page<'a> {
             ("adapter", format!("{}, {}, {}", adapter.name, adapter.kind, adapter.backend)),
             ("driver", adapter.driver.clone()),
             ("stein", format!("{stein}, {date}")),
-            ("measured", format!("{} sets of {scenes} scenes, {} configurations, median of {repeats} after a warm-up, in turn", sets.len(), configurations.len())),
+            (
+                "measured",
+                format!("{} sets of {scenes} scenes, {} configurations, median of {repeats} after a warm-up, in turn", sets.len(), configurations.len()),
+            ),
         ];
         let facts: String = facts.iter().map(|(name, value)| format!("<dt>{name}</dt><dd>{}</dd>\n", escape(value))).collect();
         let notes: String = notes.iter().map(|note| format!("<dt>note</dt><dd>{}</dd>\n", escape(note))).collect();
@@ -160,7 +163,13 @@ impl<'a> Page<'a> {
                 return None;
             }
             let (time, error) = (geometric_mean(&rows.iter().map(|row| row.wall_ms_per_megapixel).collect::<Vec<_>>())?, geometric_mean(&errors)?);
-            let tip = format!("{}, geometric mean over {} sets\n{} ms per megapixel\nrelative MSE {}", configuration.name, sets.len(), milliseconds(time), number(error));
+            let tip = format!(
+                "{}, geometric mean over {} sets\n{} ms per megapixel\nrelative MSE {}",
+                configuration.name,
+                sets.len(),
+                milliseconds(time),
+                number(error)
+            );
             Some((configuration, (time, error), tip))
         };
         self.document.configurations.iter().filter_map(over).collect()
@@ -178,7 +187,8 @@ impl<'a> Page<'a> {
             if ticks.len() < 2 {
                 continue;
             }
-            let mut plot = Plot { title: scene.into(), x_title: "samples per pixel".into(), y_title: RELATIVE_MSE.into(), x_ticks: Some(ticks), ..Plot::default() };
+            let mut plot =
+                Plot { title: scene.into(), x_title: "samples per pixel".into(), y_title: RELATIVE_MSE.into(), x_ticks: Some(ticks), ..Plot::default() };
             let mut noisy: Vec<(f64, f64)> = sets.iter().filter_map(|(set, samples)| Some((*samples, set.noisy?.relative_mse?))).collect();
             noisy.sort_by(|a, b| a.0.total_cmp(&b.0));
             plot.lines.push(Line { points: noisy, class: "noisy".into(), is_stepped: false, tip: "noisy".into() });
@@ -226,7 +236,8 @@ impl<'a> Page<'a> {
                     let Some(stage) = row.stages.iter().find(|stage| stage.stage == **name) else { continue };
                     let value = stage.ms / set.megapixels();
                     let share = 100.0 * stage.ms / sum;
-                    let tip = format!("{}, {}\n{name}: {} ms, {share:.1} %, {} dispatches", row.set, row.configuration, milliseconds(stage.ms), stage.dispatches);
+                    let tip =
+                        format!("{}, {}\n{name}: {} ms, {share:.1} %, {} dispatches", row.set, row.configuration, milliseconds(stage.ms), stage.dispatches);
                     parts.push(Part { value, color: color(name), tip });
                 }
                 let of_scene = set.name.strip_prefix(scene).map_or(set.name.as_str(), |rest| rest.trim_start_matches(", "));
@@ -242,13 +253,7 @@ impl<'a> Page<'a> {
     fn predictions(&self) -> String {
         let mut plots = Vec::new();
         for scene in self.scenes() {
-            let mut plot = Plot {
-                title: scene.into(),
-                x_title: "true MSE".into(),
-                y_title: "predicted MSE".into(),
-                has_diagonal: true,
-                ..Plot::default()
-            };
+            let mut plot = Plot { title: scene.into(), x_title: "true MSE".into(), y_title: "predicted MSE".into(), has_diagonal: true, ..Plot::default() };
             for row in self.sets_of(scene).flat_map(|set| self.document.rows_of(set)) {
                 if let (Some(predicted), Some(known), Some(configuration)) = (row.predicted_mse, row.predicted_image_mse, self.document.configuration(row)) {
                     plot.marks.push(self.mark(configuration, (known, predicted), false, tip(row)));
@@ -269,7 +274,7 @@ impl<'a> Page<'a> {
                 exponents.push(format!("<tr><td>{}</td><td>{of}</td><td>{exponent:.2}</td></tr>", escape(name)));
             }
         };
-        let mut pixels = Plot { title: "pixels".into(), x_title: "pixels".into(), y_title: RUN_TIME.into(), ..Plot::default() };
+        let mut pixels = Plot { title: "time over pixels".into(), x_title: "pixels".into(), y_title: RUN_TIME.into(), ..Plot::default() };
         for configuration in &self.document.configurations {
             let mut rows: Vec<(u64, f64)> = Vec::new();
             for row in self.document.rows.iter().filter(|row| row.configuration == configuration.name) {
@@ -287,8 +292,12 @@ impl<'a> Page<'a> {
             }
             pixels.lines.push(self.line(&configuration.series, points));
         }
-        let mut window =
-            Plot { title: "window".into(), x_title: "(2R+1)², pixels of the window".into(), y_title: "wall time, ms per megapixel".into(), ..Plot::default() };
+        let mut window = Plot {
+            title: "time over window".into(),
+            x_title: "(2R+1)², pixels of the window".into(),
+            y_title: "wall time, ms per megapixel".into(),
+            ..Plot::default()
+        };
         let mut ticks = Vec::new();
         for series in &self.series {
             let mut points = Vec::new();
@@ -311,9 +320,18 @@ impl<'a> Page<'a> {
             window.lines.push(self.line(series, line));
             window.marks.extend(points.into_iter().map(|(_, _, mark)| mark));
         }
+        ticks.sort_by(f64::total_cmp);
+        ticks.dedup();
         window.x_ticks = (!ticks.is_empty()).then_some(ticks);
-        let text = "<p>Where several sets have a size or a radius, their geometric mean.</p>";
-        let mut content = panels(text, &[pixels, window], "One size and one radius were measured: give --size or --radii.");
+        let mut content = String::new();
+        for (plot, otherwise) in
+            [(&pixels, "All sets have one size: give several with --size."), (&window, "One radius was measured: give several with --radii.")]
+        {
+            if plot.marks.is_empty() {
+                content += &format!("<p>{otherwise}</p>\n");
+            }
+        }
+        content += &panels("<p>Where several sets have a size or a radius, their geometric mean.</p>", &[pixels, window], "");
         if !exponents.is_empty() {
             content += &format!(
                 "<h3>Fitted exponents</h3>\n<p>Time grows with this power; 1 is linear.</p>\n<table><thead><tr><th></th><th>with</th><th>exponent</th></tr></thead><tbody>{}</tbody></table>",
@@ -387,7 +405,10 @@ fn pictures(sets: &[(&str, Vec<Thumbnail>)]) -> String {
     let figure = |thumbnail: &Thumbnail| {
         let Thumbnail { caption, source, extent } = thumbnail;
         let caption = escape(caption);
-        format!("<figure><img src=\"{source}\" width=\"{}\" height=\"{}\" alt=\"{caption}\"><figcaption>{caption}</figcaption></figure>\n", extent.width, extent.height)
+        format!(
+            "<figure><img src=\"{source}\" width=\"{}\" height=\"{}\" alt=\"{caption}\"><figcaption>{caption}</figcaption></figure>\n",
+            extent.width, extent.height
+        )
     };
     let set = |(name, thumbnails): &(&str, Vec<Thumbnail>)| {
         format!("<h3>{}</h3>\n<div class=\"pictures\">\n{}</div>\n", escape(name), thumbnails.iter().map(figure).collect::<String>())

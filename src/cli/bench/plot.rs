@@ -2,7 +2,7 @@
 //! logarithmic axis cannot hold are most of what the page needs. Colours are classes of the page's style sheet: `s0`, `s1` … fill and stroke.
 
 /// Colours there are, after which they repeat.
-pub(super) const COLORS: usize = 8;
+pub(super) const COLORS: usize = 10;
 
 /// Shapes there are, after which they repeat.
 pub(super) const SHAPES: usize = 6;
@@ -195,7 +195,20 @@ fn shape(index: usize, x: f64, y: f64) -> String {
         2 => polygon(&[(0.0, -5.5), (5.2, 4.0), (-5.2, 4.0)]),
         3 => polygon(&[(0.0, -6.0), (6.0, 0.0), (0.0, 6.0), (-6.0, 0.0)]),
         4 => polygon(&[(0.0, 5.5), (5.2, -4.0), (-5.2, -4.0)]),
-        _ => polygon(&[(-2.0, -5.5), (2.0, -5.5), (2.0, -2.0), (5.5, -2.0), (5.5, 2.0), (2.0, 2.0), (2.0, 5.5), (-2.0, 5.5), (-2.0, 2.0), (-5.5, 2.0), (-5.5, -2.0), (-2.0, -2.0)]),
+        _ => polygon(&[
+            (-2.0, -5.5),
+            (2.0, -5.5),
+            (2.0, -2.0),
+            (5.5, -2.0),
+            (5.5, 2.0),
+            (2.0, 2.0),
+            (2.0, 5.5),
+            (-2.0, 5.5),
+            (-2.0, 2.0),
+            (-5.5, 2.0),
+            (-5.5, -2.0),
+            (-2.0, -2.0),
+        ]),
     }
 }
 
@@ -265,7 +278,12 @@ impl Bars {
             svg += &format!("<text class=\"tick\" x=\"{:.1}\" y=\"{:.1}\">{}</text>\n", place(from) + 6.0, y + 15.0, label(from));
         }
         svg += &format!("<line class=\"base\" x1=\"{left:.1}\" y1=\"{TOP}\" x2=\"{left:.1}\" y2=\"{bottom}\"/>");
-        svg += &format!("<text class=\"axis\" text-anchor=\"middle\" x=\"{:.1}\" y=\"{}\">{}</text>\n", (left + right) / 2.0, bottom + 36.0, escape(&self.x_title));
+        svg += &format!(
+            "<text class=\"axis\" text-anchor=\"middle\" x=\"{:.1}\" y=\"{}\">{}</text>\n",
+            (left + right) / 2.0,
+            bottom + 36.0,
+            escape(&self.x_title)
+        );
         Some(svg + "</svg>\n")
     }
 }
@@ -288,7 +306,7 @@ pub(super) fn label(value: f64) -> String {
     if digits.abs() >= 1000 {
         (digits, power) = (digits / 10, power + 1);
     }
-    if (-3..6).contains(&power) {
+    if (-3..5).contains(&power) {
         let rounded = digits as f64 * 10.0_f64.powi(power - 2);
         let text = format!("{rounded:.*}", usize::try_from(2 - power).unwrap_or(0));
         let text = if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.') } else { &text };
@@ -331,7 +349,8 @@ mod tests {
             (12_500.0, "12\u{2009}500"),
             (1681.0, "1680"),
             (3e-5, "3·10⁻⁵"),
-            (1e7, "10⁷"),
+            (1e5, "10⁵"),
+            (99_990.0, "10⁵"),
             (-0.25, "-0.25"),
         ];
         for (value, text) in pairs {
@@ -351,7 +370,7 @@ mod tests {
             assert!(axis.place(least) > 0.0 && axis.place(most) < 1.0);
         }
         assert_eq!(Axis::around([0.0, -1.0, f64::NAN].into_iter(), (0.0, 1.0)), None);
-        assert_eq!(linear_ticks(1.1), [0.0, 0.2, 0.4, 0.6, 0.8, 1.0].map(|tick: f64| tick));
+        assert_eq!(linear_ticks(5.5), [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]);
     }
 
     #[test]

@@ -25,8 +25,7 @@ pub(super) fn exponent(points: &[(f64, f64)]) -> Option<f64> {
     }
     let count = logs.len() as f64;
     let (mean_x, mean_y) = (logs.iter().map(|(x, _)| x).sum::<f64>() / count, logs.iter().map(|(_, y)| y).sum::<f64>() / count);
-    let (cross, square) =
-        logs.iter().fold((0.0, 0.0), |(cross, square), (x, y)| (cross + (x - mean_x) * (y - mean_y), square + (x - mean_x).powi(2)));
+    let (cross, square) = logs.iter().fold((0.0, 0.0), |(cross, square), (x, y)| (cross + (x - mean_x) * (y - mean_y), square + (x - mean_x).powi(2)));
     Some(cross / square)
 }
 
