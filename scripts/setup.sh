@@ -1,7 +1,7 @@
 #!/bin/sh
-# Makes this machine able to build and run stein and its tests. Where something is missing, installs it: a C linker and a C++ compiler (for the
-# FLIP error measure), Rust, and, if no Vulkan adapter is found, Mesa's
-# drivers, which bring a software adapter (lavapipe). Does nothing, silently, where all is there. Needs apt-get (Debian, Ubuntu) and root or sudo only to install.
+# Makes this machine able to build and run stein and its tests. Where something is missing, installs it: a C linker, a C++ compiler (the FLIP error measure is C++), Rust,
+# and, if no Vulkan adapter is found, Mesa's drivers, which bring a software adapter (lavapipe). Does nothing, silently, where all is there. Needs apt-get (Debian, Ubuntu)
+# and root or sudo only to install.
 set -eu
 
 say() {

@@ -78,7 +78,7 @@ pub(crate) struct Args {
     /// Print one JSON document, which is that of results.json
     #[arg(long)]
     pub(crate) json: bool,
-    /// Also print times per stage, of the first run, and more measures of error
+    /// Also print the time of the warm-up, times per stage, and more measures of error
     #[arg(short, long)]
     verbose: bool,
     #[command(flatten)]
@@ -184,7 +184,7 @@ pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
         },
     };
     for file in &files {
-        let Some(read) = bench.read(file, &source, out)? else { continue };
+        let Some(read) = bench.read(file, &source, axes.sizes.len(), out)? else { continue };
         for (set, rows) in bench.set(file, read, &axes.sizes)? {
             bench.bar.suspend(|| out.say(text::text(&set, &rows.iter().collect::<Vec<_>>(), args.verbose)));
         }
@@ -289,7 +289,7 @@ struct ReadSet {
 
 impl Bench<'_> {
     /// Reads a set. What was found in a folder and is none is left out, and told.
-    fn read(&mut self, file: &SetFile, source: &Source, out: &mut Out) -> Result<Option<ReadSet>, Failure> {
+    fn read(&mut self, file: &SetFile, source: &Source, sizes: usize, out: &mut Out) -> Result<Option<ReadSet>, Failure> {
         let name = file.file.display();
         let read = source.read(&file.file).and_then(|set| {
             if file.was_found && is_ours(&set) {
@@ -305,6 +305,7 @@ impl Bench<'_> {
                 let note = format!("left out: {}", failure.message().lines().next().unwrap_or_default());
                 self.bar.suspend(|| out.say(format_args!("note: {note}")));
                 self.document.notes.push(note);
+                self.bar.dec_length(sizes.max(1) as u64 * self.contestants.len() as u64 * runs(self.repeats));
                 Ok(None)
             }
             Err(failure) => Err(failure),

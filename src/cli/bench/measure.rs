@@ -80,7 +80,9 @@ pub(super) fn measure(
     folder: &Path,
     bar: &ProgressBar,
 ) -> Result<Vec<Outcome>, Failure> {
+    let all = contestants.len();
     let contestants: Vec<_> = contestants.iter().filter(|contestant| contestant.can_run(case)).collect();
+    bar.dec_length((all - contestants.len()) as u64 * runs(repeats));
     let output = folder.join("out.exr");
     let input = std::path::absolute(&case.set.file).map_err(|error| Failure::input(format_args!("{}: {error}", case.set.file.display())))?;
     let mut records = Vec::new();

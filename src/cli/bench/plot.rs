@@ -34,8 +34,8 @@ pub(super) struct Line {
 
 #[derive(Debug)]
 pub(super) struct Mark {
+    /// At most 0 here or below: drawn open at the edge.
     pub(super) x: f64,
-    /// At most 0: drawn open at the lower edge.
     pub(super) y: f64,
     pub(super) color: usize,
     pub(super) shape: usize,
@@ -170,8 +170,9 @@ impl Line {
 
 impl Mark {
     fn svg(&self, x_axis: &Axis, y_axis: &Axis) -> String {
-        let is_off = self.y <= 0.0;
-        let (x, y) = (x_axis.place(self.x), if is_off { FIELD.bottom } else { y_axis.place(self.y) });
+        let is_off = self.x <= 0.0 || self.y <= 0.0;
+        let x = if self.x > 0.0 { x_axis.place(self.x) } else { FIELD.left };
+        let y = if self.y > 0.0 { y_axis.place(self.y) } else { FIELD.bottom };
         let ring = if self.is_ringed { format!("<circle class=\"ring\" cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"9\"/>") } else { String::new() };
         let class = if is_off { "open" } else { "mark" };
         format!("<g class=\"{class} s{}\">{ring}{}<title>{}</title></g>\n", self.color % COLORS, shape(self.shape, x, y), escape(&self.tip))
@@ -374,12 +375,14 @@ mod tests {
     }
 
     #[test]
-    fn marks_below_zero_stand_open_at_the_edge() {
-        let mark = |y| Mark { x: 2.0, y, color: 1, shape: 0, is_ringed: true, tip: "a < b".into() };
-        let plot = Plot { title: "t".into(), marks: vec![mark(1.0), mark(-3.0)], ..Plot::default() };
+    fn marks_at_zero_and_below_stand_open_at_the_edge() {
+        let mark = |x, y| Mark { x, y, color: 1, shape: 0, is_ringed: true, tip: "a < b".into() };
+        let plot = Plot { title: "t".into(), marks: vec![mark(2.0, 1.0), mark(2.0, -3.0), mark(0.0, 1.0)], ..Plot::default() };
         let svg = plot.svg().unwrap_or_default();
         assert!(svg.contains("class=\"open s1\"") && svg.contains("class=\"mark s1\""), "{svg}");
-        assert!(svg.contains("a &lt; b") && svg.contains(&format!("cy=\"{:.1}\"", FIELD.bottom)), "{svg}");
+        let at = |x, y| format!("cx=\"{x:.1}\" cy=\"{y:.1}\"");
+        let middle = ((FIELD.left + FIELD.right) / 2.0, (FIELD.top + FIELD.bottom) / 2.0);
+        assert!(svg.contains("a &lt; b") && svg.contains(&at(middle.0, FIELD.bottom)) && svg.contains(&at(FIELD.left, middle.1)), "{svg}");
         assert_eq!(Plot::default().svg(), None);
     }
 }
