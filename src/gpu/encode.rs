@@ -32,7 +32,7 @@ pub(super) enum Bound {
 pub(super) fn encode(gpu: &Gpu, ops: &[Op], uniforms: &[u8], encoder: &mut wgpu::CommandEncoder) -> Result<()> {
     let uniforms = match uniforms {
         [] => None,
-        bytes => Some(gpu.filled("uniforms", wgpu::BufferUsages::UNIFORM, bytes, bytes.len() as u64)?),
+        bytes => Some(gpu.filled("uniforms", wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::STORAGE, bytes, bytes.len() as u64)?),
     };
     let timing = &gpu.inner.timing;
     let mut batch: Option<Batch> = None;

@@ -219,7 +219,8 @@ impl Recorder {
 
     /// Writes the members where the shader wants them and returns where the struct begins.
     fn append_uniform(&mut self, bytes: u32, offsets: &[u32], members: &[&[u8]]) -> u64 {
-        let alignment = self.gpu.inner.limits.min_uniform_buffer_offset_alignment as usize;
+        let limits = &self.gpu.inner.limits;
+        let alignment = limits.min_uniform_buffer_offset_alignment.max(limits.min_storage_buffer_offset_alignment) as usize;
         let start = self.uniforms.len().next_multiple_of(alignment);
         self.uniforms.resize(start + bytes as usize, 0);
         for (offset, member) in offsets.iter().zip(members) {
