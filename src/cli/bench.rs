@@ -61,8 +61,6 @@ failed, 5 the output cannot be written.";
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLE, override_usage = "stein bench [OPTIONS] SETS…\n       stein bench [OPTIONS] --compare OLD.json")]
 pub(crate) struct Args {
-    #[command(flatten)]
-    axes: Axes,
     /// Measured runs of each configuration [default: 5]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     repeat: Option<u32>,
@@ -82,14 +80,17 @@ pub(crate) struct Args {
     #[arg(short, long)]
     verbose: bool,
     #[command(flatten)]
+    axes: Axes,
+    #[command(flatten)]
     pub(crate) device: Device,
 }
 
 /// What is measured.
 #[derive(Clone, Debug, PartialEq, clap::Args)]
+#[command(next_help_heading = "What is measured")]
 struct Axes {
     /// OpenEXR files, as for `stein denoise`, or folders with such files
-    #[arg(value_name = "SETS", required_unless_present_any = ["list_devices", "compare"])]
+    #[arg(value_name = "SETS", help_heading = None::<&str>, required_unless_present_any = ["list_devices", "compare"])]
     inputs: Vec<PathBuf>,
     /// Noise-free reference, one for each file in their order [default: found by its name]
     #[arg(long = "ref", value_name = "FILE[::LAYER]")]

@@ -73,7 +73,7 @@ impl<'a> Page<'a> {
         let facts: String = facts.iter().map(|(name, value)| format!("<dt>{name}</dt><dd>{}</dd>\n", escape(value))).collect();
         let notes: String = notes.iter().map(|note| format!("<dt>note</dt><dd>{}</dd>\n", escape(note))).collect();
         let command = escape(&format!("stein bench {}", shell_words::join(arguments)));
-        format!("<h1>Error against run time</h1>\n<dl>\n{facts}<dt>command</dt><dd><code>{command}</code></dd>\n{notes}</dl>\n{}", self.legend())
+        format!("<h1>Error against run time</h1>\n<dl>\n{facts}<dt>command</dt><dd><code>{command}</code></dd>\n{notes}</dl>\n")
     }
 
     /// Colours and shapes, for all plots but that of the stages.
@@ -85,6 +85,15 @@ impl<'a> Page<'a> {
         });
         let (colors, shapes): (String, String) = (colors.collect(), if self.radii.len() > 1 { shapes.collect() } else { String::new() });
         format!("<div class=\"legend\">{colors}{shapes}</div>\n")
+    }
+
+    /// Plots side by side, or what to do to have some.
+    fn panels(&self, text: &str, plots: &[Plot], otherwise: &str) -> String {
+        let drawn: Vec<String> = plots.iter().filter_map(Plot::svg).collect();
+        if drawn.is_empty() {
+            return format!("<p>{otherwise}</p>");
+        }
+        format!("{text}\n{}<div class=\"panels\">\n{}</div>", self.legend(), drawn.concat())
     }
 
     fn color(&self, series: &str) -> usize {
@@ -151,7 +160,7 @@ impl<'a> Page<'a> {
         }
         let text = "<p>Down and to the left is better. Rings mark the Pareto front, where nothing else is both faster and better; lines join the radii of a method. \
                     Stein is timed from the frame in memory to the result in memory, other programs from their start to their end, with their reading and writing.</p>";
-        panels(text, &plots, "No set has a reference: give one with --ref.")
+        self.panels(text, &plots, "No set has a reference: give one with --ref.")
     }
 
     /// Configurations that ran on all of these sets, over all of them.
@@ -203,7 +212,7 @@ impl<'a> Page<'a> {
             plots.push(plot);
         }
         let text = "<p>The dashed line is the input: a method that converges keeps below it.</p>";
-        panels(text, &plots, "No scene was measured at several numbers of samples per pixel. Sets with the same reference are one scene.")
+        self.panels(text, &plots, "No scene was measured at several numbers of samples per pixel. Sets with the same reference are one scene.")
     }
 
     fn stages(&self) -> String {
@@ -228,23 +237,28 @@ impl<'a> Page<'a> {
             "<p>As the device measures it; the numbers are sums. What runs on the host, and waiting, is not in it.</p>\n<div class=\"legend\">{legend}</div>\n"
         );
         for scene in self.scenes() {
-            let rows = self.sets_of(scene).flat_map(|set| self.document.rows_of(set).map(move |row| (set, row)));
-            let bars = rows.filter(|(_, row)| !row.stages.is_empty()).map(|(set, row)| {
-                let sum = row.device_ms.unwrap_or(f64::NAN);
-                let mut parts: Vec<Part> = Vec::new();
-                for name in names.iter().filter(|name| color(name).is_some()).chain(names.iter().filter(|name| color(name).is_none())) {
-                    let Some(stage) = row.stages.iter().find(|stage| stage.stage == **name) else { continue };
-                    let value = stage.ms / set.megapixels();
-                    let share = 100.0 * stage.ms / sum;
-                    let tip =
-                        format!("{}, {}\n{name}: {} ms, {share:.1} %, {} dispatches", row.set, row.configuration, milliseconds(stage.ms), stage.dispatches);
-                    parts.push(Part { value, color: color(name), tip });
+            let timed = |set: &&Set| self.document.rows_of(set).any(|row| !row.stages.is_empty());
+            let sets: Vec<&Set> = self.sets_of(scene).filter(timed).collect();
+            let most = sets.iter().flat_map(|set| self.document.rows_of(set).filter_map(|row| Some(row.device_ms? / set.megapixels()))).fold(0.0, f64::max);
+            let (unit, unit_ms) = if most < 1e4 { ("ms", 1.0) } else { ("s", 1e3) };
+            let mut bars = Bars { title: scene.to_owned(), x_title: format!("device time, {unit} per megapixel"), bars: Vec::new() };
+            for (index, set) in sets.into_iter().enumerate() {
+                let mut begins_group = index > 0;
+                for row in self.document.rows_of(set).filter(|row| !row.stages.is_empty()) {
+                    let mut parts: Vec<Part> = Vec::new();
+                    for name in names.iter().filter(|name| color(name).is_some()).chain(names.iter().filter(|name| color(name).is_none())) {
+                        let Some(stage) = row.stages.iter().find(|stage| stage.stage == **name) else { continue };
+                        let share = 100.0 * stage.ms / row.device_ms.unwrap_or(f64::NAN);
+                        let tip =
+                            format!("{}, {}\n{name}: {} ms, {share:.1} %, {} dispatches", row.set, row.configuration, milliseconds(stage.ms), stage.dispatches);
+                        parts.push(Part { value: stage.ms / set.megapixels() / unit_ms, color: color(name), tip });
+                    }
+                    let of_scene = set.name.strip_prefix(scene).map_or(set.name.as_str(), |rest| rest.trim_start_matches(", "));
+                    let name = if of_scene.is_empty() { row.configuration.clone() } else { format!("{of_scene}, {}", row.configuration) };
+                    bars.bars.push(Bar { name, begins_group, parts });
+                    begins_group = false;
                 }
-                let of_scene = set.name.strip_prefix(scene).map_or(set.name.as_str(), |rest| rest.trim_start_matches(", "));
-                let name = if of_scene.is_empty() { row.configuration.clone() } else { format!("{of_scene}, {}", row.configuration) };
-                Bar { name, parts }
-            });
-            let bars = Bars { title: scene.to_owned(), x_title: "device time, ms per megapixel".into(), bars: bars.collect() };
+            }
             content += &bars.svg().unwrap_or_default();
         }
         content
@@ -264,7 +278,7 @@ impl<'a> Page<'a> {
         let text = "<p>Stein's own estimate of its mean squared error, made without the reference. On the diagonal it is right, below it too low; open marks at the lower edge \
                     are estimates of 0 and less. Of dfc it is about the image before the second pass, which is what it is held against; of nlm it is the variance alone and \
                     knows nothing of bias.</p>";
-        panels(text, &plots, "Nothing was predicted of a set with a reference.")
+        self.panels(text, &plots, "Nothing was predicted of a set with a reference.")
     }
 
     fn cost(&self) -> String {
@@ -331,7 +345,7 @@ impl<'a> Page<'a> {
                 content += &format!("<p>{otherwise}</p>\n");
             }
         }
-        content += &panels("<p>Where several sets have a size or a radius, their geometric mean.</p>", &[pixels, window], "");
+        content += &self.panels("<p>Where several sets have a size or a radius, their geometric mean.</p>", &[pixels, window], "");
         if !exponents.is_empty() {
             content += &format!(
                 "<h3>Fitted exponents</h3>\n<p>Time grows with this power; 1 is linear.</p>\n<table><thead><tr><th></th><th>with</th><th>exponent</th></tr></thead><tbody>{}</tbody></table>",
@@ -377,12 +391,6 @@ impl<'a> Page<'a> {
              <div class=\"scroll\"><table><thead><tr>{head}</tr></thead><tbody>\n{body}</tbody></table></div>"
         )
     }
-}
-
-/// Plots side by side, or what to do to have some.
-fn panels(text: &str, plots: &[Plot], otherwise: &str) -> String {
-    let drawn: Vec<String> = plots.iter().filter_map(Plot::svg).collect();
-    if drawn.is_empty() { format!("<p>{otherwise}</p>") } else { format!("{text}\n<div class=\"panels\">\n{}</div>", drawn.concat()) }
 }
 
 /// The geometric mean for each number of pixels, ascending.

@@ -224,6 +224,8 @@ pub(super) struct Bars {
 #[derive(Debug)]
 pub(super) struct Bar {
     pub(super) name: String,
+    /// Some space sets it apart from the one above.
+    pub(super) begins_group: bool,
     pub(super) parts: Vec<Part>,
 }
 
@@ -239,6 +241,7 @@ impl Bars {
     /// Nothing where nothing can be drawn.
     pub(super) fn svg(&self) -> Option<String> {
         const ROW: f64 = 22.0;
+        const GAP: f64 = 10.0;
         const TOP: f64 = 34.0;
         let sum = |bar: &Bar| bar.parts.iter().map(|part| part.value).sum::<f64>();
         let most = self.bars.iter().map(sum).fold(0.0, f64::max);
@@ -249,7 +252,7 @@ impl Bars {
         let (left, right) = (16.0 + 6.7 * letters as f64, 940.0);
         // The sum stands behind its bar.
         let place = |value: f64| left + value / most * (right - 60.0 - left);
-        let bottom = TOP + ROW * self.bars.len() as f64;
+        let bottom = TOP + self.bars.iter().map(|bar| if bar.begins_group { ROW + GAP } else { ROW }).sum::<f64>();
         let mut svg = format!(
             "<svg class=\"bars\" viewBox=\"0 0 {right} {}\" role=\"img\"><title>{}</title>\n<text class=\"title\" x=\"{left:.1}\" y=\"20\">{}</text>\n",
             bottom + 44.0,
@@ -261,8 +264,9 @@ impl Bars {
             svg += &format!("<line class=\"grid\" x1=\"{x:.1}\" y1=\"{TOP}\" x2=\"{x:.1}\" y2=\"{bottom}\"/>");
             svg += &format!("<text class=\"tick\" text-anchor=\"middle\" x=\"{x:.1}\" y=\"{}\">{}</text>\n", bottom + 16.0, label(tick));
         }
-        for (row, bar) in self.bars.iter().enumerate() {
-            let y = TOP + ROW * row as f64;
+        let mut y = TOP;
+        for bar in &self.bars {
+            y += if bar.begins_group { GAP } else { 0.0 };
             svg += &format!("<text class=\"name\" text-anchor=\"end\" x=\"{:.1}\" y=\"{:.1}\">{}</text>\n", left - 8.0, y + 15.0, escape(&bar.name));
             let mut from = 0.0;
             for part in &bar.parts {
@@ -277,6 +281,7 @@ impl Bars {
                 from += part.value;
             }
             svg += &format!("<text class=\"tick\" x=\"{:.1}\" y=\"{:.1}\">{}</text>\n", place(from) + 6.0, y + 15.0, label(from));
+            y += ROW;
         }
         svg += &format!("<line class=\"base\" x1=\"{left:.1}\" y1=\"{TOP}\" x2=\"{left:.1}\" y2=\"{bottom}\"/>");
         svg += &format!(
