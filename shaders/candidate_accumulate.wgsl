@@ -3,59 +3,53 @@
 //
 // FIRST and SECOND share the pixel distance and the features and differ in the box; THIRD shares the features' numerators. The perturbed weights need no second
 // pass: a step δ in channel i of p changes the pixel distances that p takes part in, and those alone, so the patch sums change by a few closed terms.
-#import stein::planes::{inside, pixel_index, clamped_index}
-#import stein::nlm::{NlmParams, PairWeights, EPSILON, DISTANCE_LIMIT, pair_offset, next_offset, has_opposite, patch_pairs, patch_triples, pair_weights}
+//
+// An invocation filters PIXELS pixels in a row and goes through the offsets row by row: the neighbours of one offset are those of the offset before, but for one. They stay in
+// registers, as do the running sums.
+#import stein::planes::{pixel_index}
+#import stein::nlm::{NlmParams, PairWeights, EPSILON, DISTANCE_LIMIT, has_opposite, patch_members, pair_weights}
 #import stein::candidates::{CandidateParams, WEIGHT_LANES, LARGEST_LANES, MEAN_SUM, PERTURBED_SUM, SPREAD_SUM, PLANES_WITH_COLOR, THIRD_MEAN_SUM, THIRD_SPREAD_SUM, difference_step}
 
 const FIRST_RADIUS: i32 = #{SMALL_PATCH_RADIUS};
 const SECOND_RADIUS: i32 = #{PATCH_RADIUS};
+const PIXELS: i32 = #{PIXELS};
 const FEATURE_GROUPS: i32 = #{FEATURE_GROUPS};
 
 @group(0) @binding(0) var<uniform> params: NlmParams;
 @group(0) @binding(1) var<uniform> candidate: CandidateParams;
-@group(0) @binding(2) var<storage, read> columns: array<vec4<f32>>;
-@group(0) @binding(3) var<storage, read> columns_small: array<vec4<f32>>;
+// Of SECOND's patch, behind them those of FIRST's.
+@group(0) @binding(2) var<storage, read> columns: array<vec3<f32>>;
 // Two planes: the mean, then the half spread.
-@group(0) @binding(4) var<storage, read> signal: array<vec4<f32>>;
-@group(0) @binding(5) var<storage, read> variance_of_mean: array<vec4<f32>>;
-@group(0) @binding(6) var<storage, read_write> state: array<vec4<f32>>;
+@group(0) @binding(3) var<storage, read> signal: array<vec4<f32>>;
+@group(0) @binding(4) var<storage, read> variance_of_mean: array<vec4<f32>>;
+@group(0) @binding(5) var<storage, read_write> state: array<vec4<f32>>;
 #if FEATURE_GROUPS != 0
-@group(0) @binding(7) var<storage, read> features: array<vec4<f32>>;
+@group(0) @binding(6) var<storage, read> features: array<vec4<f32>>;
 #endif
 #ifdef OTHER_FRAME
 // Of the frame beside that q is taken from. Bindings of their own only there: a single image needs none of them.
-@group(0) @binding(8) var<storage, read> neighbours_signal: array<vec4<f32>>;
-@group(0) @binding(9) var<storage, read> neighbours_variance: array<vec4<f32>>;
+@group(0) @binding(7) var<storage, read> neighbours_signal: array<vec4<f32>>;
+@group(0) @binding(8) var<storage, read> neighbours_variance: array<vec4<f32>>;
 #if FEATURE_GROUPS != 0
-@group(0) @binding(10) var<storage, read> neighbours_features: array<vec4<f32>>;
+@group(0) @binding(9) var<storage, read> neighbours_features: array<vec4<f32>>;
 #endif
 #endif
 
-fn neighbour_signal(at: i32) -> vec3<f32> {
-#ifdef OTHER_FRAME
-    return neighbours_signal[at].xyz;
-#else
-    return signal[at].xyz;
-#endif
-}
+// Read once: software adapters read a parameter anew wherever it is used.
+var<private> nlm: NlmParams;
+var<private> filter_params: CandidateParams;
 
-fn neighbour_variance(at: i32) -> vec3<f32> {
-#ifdef OTHER_FRAME
-    return neighbours_variance[at].xyz;
-#else
-    return variance_of_mean[at].xyz;
-#endif
-}
-
+// What there is at a pixel.
+struct Pixel {
+    mean: vec3<f32>,
+    spread: vec3<f32>,
+    variance: vec3<f32>,
 #if FEATURE_GROUPS != 0
-fn neighbour_feature(at: i32) -> vec4<f32> {
-#ifdef OTHER_FRAME
-    return neighbours_features[at];
-#else
-    return features[at];
+    value: array<vec4<f32>, FEATURE_GROUPS>,
+    residual: array<vec4<f32>, FEATURE_GROUPS>,
+    scale: array<vec4<f32>, FEATURE_GROUPS>,
 #endif
 }
-#endif
 
 // Running sums of one candidate with a colour term.
 struct Sums {
@@ -66,37 +60,59 @@ struct Sums {
     spread: vec3<f32>,
 }
 
-// One neighbour, as differences to the centre pixel.
-struct Neighbour {
-    exists: bool,
-    mean: vec3<f32>,
-    spread: vec3<f32>,
+// One neighbour's weights.
+struct Weights {
+    first: vec4<f32>,
+    second: vec4<f32>,
+    third: f32,
 }
 
-fn add(sums: ptr<function, Sums>, q: Neighbour, color_weight: vec4<f32>, feature_weight: f32) {
-    let w = select(vec4<f32>(0.0), min(color_weight, vec4<f32>(feature_weight)), q.exists);
-    (*sums).weight += w;
-    (*sums).largest = max((*sums).largest, w);
-    (*sums).mean += w.x * q.mean;
-    (*sums).perturbed += w.yzw * q.mean;
-    (*sums).spread += w.x * q.spread;
+// Of the pixel in this row nearest to column x.
+fn centre_at(x: i32, row: i32) -> Pixel {
+    let pixels = nlm.extent.x * nlm.extent.y;
+    let at = row * nlm.extent.x + clamp(x, 0, nlm.extent.x - 1);
+    var pixel: Pixel;
+    pixel.mean = signal[at].xyz;
+    pixel.spread = signal[pixels + at].xyz;
+    pixel.variance = variance_of_mean[at].xyz;
+#if FEATURE_GROUPS != 0
+    for (var group = 0; group < FEATURE_GROUPS; group++) {
+        pixel.value[group] = features[3 * group * pixels + at];
+        pixel.residual[group] = features[(3 * group + 1) * pixels + at];
+        pixel.scale[group] = features[(3 * group + 2) * pixels + at];
+    }
+#endif
+    return pixel;
+}
+
+fn neighbour_at(x: i32, row: i32) -> Pixel {
+#ifdef OTHER_FRAME
+    let pixels = nlm.extent.x * nlm.extent.y;
+    let at = row * nlm.extent.x + clamp(x, 0, nlm.extent.x - 1);
+    var pixel: Pixel;
+    pixel.mean = neighbours_signal[at].xyz;
+    pixel.spread = neighbours_signal[pixels + at].xyz;
+    pixel.variance = neighbours_variance[at].xyz;
+#if FEATURE_GROUPS != 0
+    for (var group = 0; group < FEATURE_GROUPS; group++) {
+        pixel.value[group] = neighbours_features[3 * group * pixels + at];
+        pixel.residual[group] = neighbours_features[(3 * group + 1) * pixels + at];
+        pixel.scale[group] = neighbours_features[(3 * group + 2) * pixels + at];
+    }
+#endif
+    return pixel;
+#else
+    return centre_at(x, row);
+#endif
+}
+
+fn added(before: Sums, w: vec4<f32>, mean: vec3<f32>, spread: vec3<f32>) -> Sums {
+    return Sums(before.weight + w, max(before.largest, w), before.mean + w.x * mean, before.perturbed + w.yzw * mean, before.spread + w.x * spread);
 }
 
 // What a step of the centre value does to a squared difference t², over its denominator.
 fn step_change(step: vec3<f32>, difference: vec3<f32>, denominator: vec3<f32>) -> vec3<f32> {
     return clamp(step * (2.0 * difference + step) / denominator, vec3<f32>(-DISTANCE_LIMIT), vec3<f32>(DISTANCE_LIMIT));
-}
-
-// Change of the symmetric distance centred at q, one of whose two neighbours is p: half a step, with the other sign.
-fn symmetric_change_at(
-    at_q: i32, beyond: vec2<i32>, exists: bool,
-    u_p: vec3<f32>, var_p: vec3<f32>, step: vec3<f32>,
-) -> vec3<f32> {
-    let at_beyond = clamped_index(beyond, params.extent);
-    let difference = signal[at_q].xyz - 0.5 * (u_p + signal[at_beyond].xyz);
-    let denominator = EPSILON + params.k_squared * (variance_of_mean[at_q].xyz + 0.25 * (var_p + variance_of_mean[at_beyond].xyz));
-    let change = step_change(-0.5 * step, difference, denominator);
-    return select(vec3<f32>(0.0), change, exists && inside(beyond, params.extent));
 }
 
 struct PatchChanges {
@@ -105,15 +121,17 @@ struct PatchChanges {
     both: vec3<f32>,
 }
 
-fn color_weights(
-    sums: vec3<f32>, changes: PatchChanges, p: vec2<i32>, offset: vec2<i32>, patch_radius: i32, both_inside: bool,
-) -> PairWeights {
-    let members = vec3<f32>(
-        patch_pairs(p, offset, params.extent, patch_radius),
-        patch_pairs(p, -offset, params.extent, patch_radius),
-        patch_triples(p, offset, params.extent, patch_radius),
-    );
-    let normalise = params.inverse_channels / members;
+#ifdef NEAR
+// Change of the symmetric distance centred at q, one of whose two neighbours is p: half a step, with the other sign. `beyond` is the other one.
+fn symmetric_change_at(q: Pixel, beyond: Pixel, exists: bool, p: Pixel, step: vec3<f32>) -> vec3<f32> {
+    let difference = q.mean - 0.5 * (p.mean + beyond.mean);
+    let denominator = EPSILON + nlm.k_squared * (q.variance + 0.25 * (p.variance + beyond.variance));
+    return select(vec3<f32>(0.0), step_change(-0.5 * step, difference, denominator), exists);
+}
+#endif
+
+fn color_weights(sums: vec3<f32>, changes: PatchChanges, members: vec3<f32>, both_inside: bool) -> PairWeights {
+    let normalise = nlm.inverse_channels / max(members, vec3<f32>(1.0));
     return pair_weights(
         (vec4<f32>(sums.x) + vec4<f32>(0.0, changes.q1)) * normalise.x,
         (vec4<f32>(sums.y) + vec4<f32>(0.0, changes.q2)) * normalise.y,
@@ -124,180 +142,207 @@ fn color_weights(
 
 @compute @workgroup_size(32, 2, 1)
 fn main(@builtin(global_invocation_id) id: vec3<u32>) {
-    let extent = params.extent;
+    nlm = params;
+    filter_params = candidate;
+    let extent = nlm.extent;
     let row = i32(id.y);
-    let p = vec2<i32>(i32(id.x), params.first_row + row);
-    if p.x >= extent.x || row >= params.rows {
+    let y = nlm.first_row + row;
+    let first_x = i32(id.x) * PIXELS;
+    if first_x >= extent.x || row >= nlm.rows {
         return;
     }
-    let pixels = extent.x * extent.y;
-    let at_p = pixel_index(p, extent);
-    let u_p = signal[at_p].xyz;
-    let spread_p = signal[pixels + at_p].xyz;
-    let var_p = variance_of_mean[at_p].xyz;
-    let step = difference_step(u_p, var_p);
-#if FEATURE_GROUPS != 0
-    var value_p: array<vec4<f32>, FEATURE_GROUPS>;
-    var residual_p: array<vec4<f32>, FEATURE_GROUPS>;
-    var scale_p: array<vec4<f32>, FEATURE_GROUPS>;
-    for (var group = 0; group < FEATURE_GROUPS; group++) {
-        value_p[group] = features[3 * group * pixels + at_p];
-        residual_p[group] = features[(3 * group + 1) * pixels + at_p];
-        scale_p[group] = features[(3 * group + 2) * pixels + at_p];
-    }
-#endif
-
-    let strip_pixels = params.rows * extent.x;
-    let at_state = row * extent.x + p.x;
-    var first: Sums;
-    var second: Sums;
+    let strip_pixels = nlm.rows * extent.x;
+    var centres: array<Pixel, PIXELS>;
+    var firsts: array<Sums, PIXELS>;
+    var seconds: array<Sums, PIXELS>;
     // xyz: Σ w·(u_q − u_p), w: Σ w; and for the spread, with the largest weight in w.
-    var third_mean = vec4<f32>(0.0);
-    var third_spread = vec4<f32>(0.0);
-    if params.starts == 0 {
-        first = load_sums(0, strip_pixels, at_state);
-        second = load_sums(PLANES_WITH_COLOR, strip_pixels, at_state);
-        third_mean = state[THIRD_MEAN_SUM * strip_pixels + at_state];
-        third_spread = state[THIRD_SPREAD_SUM * strip_pixels + at_state];
+    var third_means: array<vec4<f32>, PIXELS>;
+    var third_spreads: array<vec4<f32>, PIXELS>;
+    for (var i = 0; i < PIXELS; i++) {
+        centres[i] = centre_at(first_x + i, y);
+        if nlm.starts == 0 {
+            let at_state = row * extent.x + min(first_x + i, extent.x - 1);
+            firsts[i] = load_sums(0, strip_pixels, at_state);
+            seconds[i] = load_sums(PLANES_WITH_COLOR, strip_pixels, at_state);
+            third_means[i] = state[THIRD_MEAN_SUM * strip_pixels + at_state];
+            third_spreads[i] = state[THIRD_SPREAD_SUM * strip_pixels + at_state];
+        }
     }
 
-    let stride = extent.x + 2 * SECOND_RADIUS;
-    var offset = pair_offset(params.first_pair, params.window_radius);
-    for (var pair = 0; pair < params.pairs; pair++) {
-        let p_q1 = p + offset;
-        let p_q2 = p - offset;
-        let q1_inside = inside(p_q1, extent);
-        let q2_inside = inside(p_q2, extent) && has_opposite(offset);
-        let both_inside = q1_inside && q2_inside;
-        let at_q1 = clamped_index(p_q1, extent);
-        let at_q2 = clamped_index(p_q2, extent);
+    let small_columns = nlm.offsets.x * nlm.offsets.y * nlm.rows * nlm.stride;
+    for (var j = 0; j < nlm.offsets.y; j++) {
+        let dy = nlm.first_offset.y + j;
+        let ahead_row_inside = y + dy < extent.y;
+        let behind_row_inside = y - dy >= 0;
+        let ahead_row = min(y + dy, extent.y - 1);
+        let behind_row = max(y - dy, 0);
+        let first_members_y = patch_members(y, dy, extent.y, FIRST_RADIUS);
+        let second_members_y = patch_members(y, dy, extent.y, SECOND_RADIUS);
 
-        // Feature weights (eq. 8.3).
-        var feature_q1 = 1.0;
-        var feature_q2 = 1.0;
-        var third_distance_q1 = 0.0;
-        var third_distance_q2 = 0.0;
+        // The neighbours of the offset before the first one, as far as they are those of the first one too.
+        var aheads: array<Pixel, PIXELS>;
+        var behinds: array<Pixel, PIXELS>;
+        for (var i = 0; i < PIXELS - 1; i++) {
+            aheads[i + 1] = neighbour_at(first_x + i + nlm.first_offset.x, ahead_row);
+            behinds[i] = neighbour_at(first_x + i + 1 - nlm.first_offset.x, behind_row);
+        }
+        for (var o = 0; o < nlm.offsets.x; o++) {
+            let dx = nlm.first_offset.x + o;
+            let offset = vec2<i32>(dx, dy);
+            for (var i = 0; i < PIXELS - 1; i++) {
+                aheads[i] = aheads[i + 1];
+                behinds[PIXELS - 1 - i] = behinds[PIXELS - 2 - i];
+            }
+            aheads[PIXELS - 1] = neighbour_at(first_x + PIXELS - 1 + dx, ahead_row);
+            behinds[0] = neighbour_at(first_x - dx, behind_row);
+
+            // Colour distances: what the patches of these pixels sum up horizontally.
+            let column = ((j * nlm.offsets.x + o) * nlm.rows + row) * nlm.stride + first_x;
+            var second_columns: array<vec3<f32>, PIXELS + 2 * SECOND_RADIUS>;
+            for (var n = 0; n < PIXELS + 2 * SECOND_RADIUS; n++) {
+                second_columns[n] = columns[column + n];
+            }
+            var first_columns: array<vec3<f32>, PIXELS + 2 * FIRST_RADIUS>;
+            for (var n = 0; n < PIXELS + 2 * FIRST_RADIUS; n++) {
+                first_columns[n] = columns[small_columns + column + SECOND_RADIUS - FIRST_RADIUS + n];
+            }
+
+            for (var i = 0; i < PIXELS; i++) {
+                let x = first_x + i;
+                let p = centres[i];
+                let q1 = aheads[i];
+                let q2 = behinds[i];
+                let q1_inside = ahead_row_inside && x + dx >= 0 && x + dx < extent.x;
+                let q2_inside = behind_row_inside && x - dx >= 0 && x - dx < extent.x && has_opposite(offset);
+                let both_inside = q1_inside && q2_inside;
+
+                // Feature weights (eq. 8.3).
+                var feature_q1 = 1.0;
+                var feature_q2 = 1.0;
+                var third_distance_q1 = 0.0;
+                var third_distance_q2 = 0.0;
 #if FEATURE_GROUPS != 0
-        for (var group = 0; group < FEATURE_GROUPS; group++) {
-            let triple = candidate.triple_weights[group].xyz;
-            let plane = 3 * group * pixels;
-            let value_q1 = neighbour_feature(plane + at_q1);
-            let residual_q1 = neighbour_feature(plane + pixels + at_q1);
-            let scale_q1 = neighbour_feature(plane + 2 * pixels + at_q1);
-            let value_q2 = neighbour_feature(plane + at_q2);
-            let residual_q2 = neighbour_feature(plane + pixels + at_q2);
-            let scale_q2 = neighbour_feature(plane + 2 * pixels + at_q2);
-            let to_q1 = value_p[group] - value_q1;
-            let to_q2 = value_p[group] - value_q2;
-            let tau = vec4<f32>(candidate.feature_tau);
-            let tau_third = vec4<f32>(candidate.feature_tau_third);
+                for (var group = 0; group < FEATURE_GROUPS; group++) {
+                    let triple = filter_params.triple_weights[group].xyz;
+                    let to_q1 = p.value[group] - q1.value[group];
+                    let to_q2 = p.value[group] - q2.value[group];
+                    let tau = vec4<f32>(filter_params.feature_tau);
+                    let tau_third = vec4<f32>(filter_params.feature_tau_third);
 #ifdef SYMMETRIC
-            let least_q1 = min(residual_p[group], residual_q1);
-            let least_q2 = min(residual_p[group], residual_q2);
-            let squared_q1 = (to_q1 * to_q1 - (residual_p[group] + least_q1)) * candidate.inverse_feature_k_squared;
-            let squared_q2 = (to_q2 * to_q2 - (residual_p[group] + least_q2)) * candidate.inverse_feature_k_squared;
-            let to_both = 0.5 * (to_q1 + to_q2);
-            let squared_both = (to_both * to_both - (residual_p[group] + 0.25 * (least_q1 + least_q2))) * candidate.inverse_feature_k_squared;
-            let reach_p = max(tau, scale_p[group]);
-            let reach_q1 = max(tau, scale_q1);
-            let reach_q2 = max(tau, scale_q2);
-            let phi_q1 = squared_q1 / (reach_p + reach_q1);
-            let phi_q2 = squared_q2 / (reach_p + reach_q2);
-            let phi_both = squared_both / (reach_p + 0.25 * (reach_q1 + reach_q2));
-            let third_reach_p = max(tau_third, scale_p[group]);
-            let phi_third_q1 = squared_q1 / (third_reach_p + max(tau_third, scale_q1));
-            let phi_third_q2 = squared_q2 / (third_reach_p + max(tau_third, scale_q2));
+                    let least_q1 = min(p.residual[group], q1.residual[group]);
+                    let least_q2 = min(p.residual[group], q2.residual[group]);
+                    let squared_q1 = (to_q1 * to_q1 - (p.residual[group] + least_q1)) * filter_params.inverse_feature_k_squared;
+                    let squared_q2 = (to_q2 * to_q2 - (p.residual[group] + least_q2)) * filter_params.inverse_feature_k_squared;
+                    let to_both = 0.5 * (to_q1 + to_q2);
+                    let squared_both = (to_both * to_both - (p.residual[group] + 0.25 * (least_q1 + least_q2))) * filter_params.inverse_feature_k_squared;
+                    let reach_p = max(tau, p.scale[group]);
+                    let reach_q1 = max(tau, q1.scale[group]);
+                    let reach_q2 = max(tau, q2.scale[group]);
+                    let phi_q1 = squared_q1 / (reach_p + reach_q1);
+                    let phi_q2 = squared_q2 / (reach_p + reach_q2);
+                    let phi_both = squared_both / (reach_p + 0.25 * (reach_q1 + reach_q2));
+                    let third_reach_p = max(tau_third, p.scale[group]);
+                    let phi_third_q1 = squared_q1 / (third_reach_p + max(tau_third, q1.scale[group]));
+                    let phi_third_q2 = squared_q2 / (third_reach_p + max(tau_third, q2.scale[group]));
 #else
-            // The printed form: the scale of p alone, the full variance of q.
-            let squared_q1 = (to_q1 * to_q1 - (residual_p[group] + residual_q1)) * candidate.inverse_feature_k_squared;
-            let squared_q2 = (to_q2 * to_q2 - (residual_p[group] + residual_q2)) * candidate.inverse_feature_k_squared;
-            let phi_q1 = squared_q1 / max(tau, scale_p[group]);
-            let phi_q2 = squared_q2 / max(tau, scale_p[group]);
-            let phi_both = vec4<f32>(0.0);
-            let phi_third_q1 = squared_q1 / max(tau_third, scale_p[group]);
-            let phi_third_q2 = squared_q2 / max(tau_third, scale_p[group]);
+                    // The printed form: the scale of p alone, the full variance of q.
+                    let squared_q1 = (to_q1 * to_q1 - (p.residual[group] + q1.residual[group])) * filter_params.inverse_feature_k_squared;
+                    let squared_q2 = (to_q2 * to_q2 - (p.residual[group] + q2.residual[group])) * filter_params.inverse_feature_k_squared;
+                    let phi_q1 = squared_q1 / max(tau, p.scale[group]);
+                    let phi_q2 = squared_q2 / max(tau, p.scale[group]);
+                    let phi_both = vec4<f32>(0.0);
+                    let phi_third_q1 = squared_q1 / max(tau_third, p.scale[group]);
+                    let phi_third_q2 = squared_q2 / max(tau_third, p.scale[group]);
 #endif
-            // Lane 0: the triple, lane 1: the single.
-            let w = pair_weights(
-                vec4<f32>(dot(phi_q1.xyz, triple), phi_q1.w, 0.0, 0.0),
-                vec4<f32>(dot(phi_q2.xyz, triple), phi_q2.w, 0.0, 0.0),
-                vec4<f32>(dot(phi_both.xyz, triple), phi_both.w, 0.0, 0.0),
-                both_inside,
-            );
-            feature_q1 = min(feature_q1, min(w.ahead.x, w.ahead.y));
-            feature_q2 = min(feature_q2, min(w.behind.x, w.behind.y));
-            third_distance_q1 = max(third_distance_q1, max(dot(phi_third_q1.xyz, triple), phi_third_q1.w));
-            third_distance_q2 = max(third_distance_q2, max(dot(phi_third_q2.xyz, triple), phi_third_q2.w));
-        }
+                    // Lane 0: the triple, lane 1: the single.
+                    let w = pair_weights(
+                        vec4<f32>(dot(phi_q1.xyz, triple), phi_q1.w, 0.0, 0.0),
+                        vec4<f32>(dot(phi_q2.xyz, triple), phi_q2.w, 0.0, 0.0),
+                        vec4<f32>(dot(phi_both.xyz, triple), phi_both.w, 0.0, 0.0),
+                        both_inside,
+                    );
+                    feature_q1 = min(feature_q1, min(w.ahead.x, w.ahead.y));
+                    feature_q2 = min(feature_q2, min(w.behind.x, w.behind.y));
+                    third_distance_q1 = max(third_distance_q1, max(dot(phi_third_q1.xyz, triple), phi_third_q1.w));
+                    third_distance_q2 = max(third_distance_q2, max(dot(phi_third_q2.xyz, triple), phi_third_q2.w));
+                }
 #endif
 
-        // What a step in each channel of p does to the patch sums: the pair (p, q) itself, and where p lies in its neighbour's patch, the pair that ends in p.
-        // In another frame's patches p lies nowhere.
-        let u_q1 = neighbour_signal(at_q1);
-        let u_q2 = neighbour_signal(at_q2);
-        let var_q1 = neighbour_variance(at_q1);
-        let var_q2 = neighbour_variance(at_q2);
-        let zero = vec3<f32>(0.0);
-        let change_q1 = select(zero, step_change(step, u_p - u_q1, EPSILON + params.k_squared * (var_p + var_q1)), q1_inside);
-        let change_q2 = select(zero, step_change(step, u_p - u_q2, EPSILON + params.k_squared * (var_p + var_q2)), q2_inside);
-        var first_changes = PatchChanges(change_q1, change_q2, zero);
-        var second_changes = first_changes;
+                // What a step in each channel of p does to the patch sums: the pair (p, q) itself, and where p lies in its neighbour's patch, the pair that ends in p.
+                // In another frame's patches p lies nowhere.
+                let zero = vec3<f32>(0.0);
+                let step = difference_step(p.mean, p.variance);
+                let change_q1 = select(zero, step_change(step, p.mean - q1.mean, EPSILON + nlm.k_squared * (p.variance + q1.variance)), q1_inside);
+                let change_q2 = select(zero, step_change(step, p.mean - q2.mean, EPSILON + nlm.k_squared * (p.variance + q2.variance)), q2_inside);
+                var first_changes = PatchChanges(change_q1, change_q2, zero);
+                var second_changes = first_changes;
 #ifdef SYMMETRIC
-        let change_both = select(
-            zero,
-            step_change(step, u_p - 0.5 * (u_q1 + u_q2), EPSILON + params.k_squared * (var_p + 0.25 * (var_q1 + var_q2))),
-            both_inside,
-        );
-        first_changes.both = change_both;
-        second_changes.both = change_both;
+                let to_mean = p.mean - 0.5 * (q1.mean + q2.mean);
+                let denominator = EPSILON + nlm.k_squared * (p.variance + 0.25 * (q1.variance + q2.variance));
+                let change_both = select(zero, step_change(step, to_mean, denominator), both_inside);
+                first_changes.both = change_both;
+                second_changes.both = change_both;
 #endif
-#ifndef OTHER_FRAME
-        let reach = max(abs(offset.x), abs(offset.y));
-        if reach <= max(FIRST_RADIUS, SECOND_RADIUS) {
-            var near = PatchChanges(change_q2, change_q1, zero);
+#ifdef NEAR
+                let reach = max(abs(dx), dy);
+                if reach <= max(FIRST_RADIUS, SECOND_RADIUS) {
+                    var near = PatchChanges(change_q2, change_q1, zero);
 #ifdef SYMMETRIC
-            near.both = symmetric_change_at(at_q1, p + 2 * offset, q1_inside, u_p, var_p, step)
-                + symmetric_change_at(at_q2, p - 2 * offset, q2_inside, u_p, var_p, step);
+                    let beyond_q1_inside = q1_inside && x + 2 * dx >= 0 && x + 2 * dx < extent.x && y + 2 * dy < extent.y;
+                    let beyond_q2_inside = q2_inside && x - 2 * dx >= 0 && x - 2 * dx < extent.x && y - 2 * dy >= 0;
+                    near.both = symmetric_change_at(q1, centre_at(x + 2 * dx, min(y + 2 * dy, extent.y - 1)), beyond_q1_inside, p, step)
+                        + symmetric_change_at(q2, centre_at(x - 2 * dx, max(y - 2 * dy, 0)), beyond_q2_inside, p, step);
 #endif
-            if reach <= FIRST_RADIUS {
-                first_changes = PatchChanges(change_q1 + near.q1, change_q2 + near.q2, first_changes.both + near.both);
-            }
-            if reach <= SECOND_RADIUS {
-                second_changes = PatchChanges(change_q1 + near.q1, change_q2 + near.q2, second_changes.both + near.both);
-            }
-        }
+                    if reach <= FIRST_RADIUS {
+                        first_changes = PatchChanges(change_q1 + near.q1, change_q2 + near.q2, first_changes.both + near.both);
+                    }
+                    if reach <= SECOND_RADIUS {
+                        second_changes = PatchChanges(change_q1 + near.q1, change_q2 + near.q2, second_changes.both + near.both);
+                    }
+                }
 #endif
 
-        // Colour weights (eq. 8.2): the horizontal half of the patch sums.
-        let column = (pair * params.rows + row) * stride + p.x + SECOND_RADIUS;
-        var first_patch = zero;
-        for (var n = -FIRST_RADIUS; n <= FIRST_RADIUS; n++) {
-            first_patch += columns_small[column + n].xyz;
-        }
-        var second_patch = zero;
-        for (var n = -SECOND_RADIUS; n <= SECOND_RADIUS; n++) {
-            second_patch += columns[column + n].xyz;
-        }
-        let first_weights = color_weights(first_patch, first_changes, p, offset, FIRST_RADIUS, both_inside);
-        let second_weights = color_weights(second_patch, second_changes, p, offset, SECOND_RADIUS, both_inside);
+                // Colour weights (eq. 8.2).
+                var first_patch = zero;
+                for (var n = 0; n <= 2 * FIRST_RADIUS; n++) {
+                    first_patch += first_columns[i + n];
+                }
+                var second_patch = zero;
+                for (var n = 0; n <= 2 * SECOND_RADIUS; n++) {
+                    second_patch += second_columns[i + n];
+                }
+                let first_members = first_members_y * patch_members(x, dx, extent.x, FIRST_RADIUS);
+                let second_members = second_members_y * patch_members(x, dx, extent.x, SECOND_RADIUS);
+                let first_weights = color_weights(first_patch, first_changes, first_members, both_inside);
+                let second_weights = color_weights(second_patch, second_changes, second_members, both_inside);
 
-        let q1 = Neighbour(q1_inside, u_q1 - u_p, neighbour_signal(pixels + at_q1) - spread_p);
-        let q2 = Neighbour(q2_inside, u_q2 - u_p, neighbour_signal(pixels + at_q2) - spread_p);
-        add(&first, q1, first_weights.ahead, feature_q1);
-        add(&first, q2, first_weights.behind, feature_q2);
-        add(&second, q1, second_weights.ahead, feature_q1);
-        add(&second, q2, second_weights.behind, feature_q2);
-        let third_q1 = select(0.0, exp(-third_distance_q1), q1_inside);
-        let third_q2 = select(0.0, exp(-third_distance_q2), q2_inside);
-        third_mean += vec4<f32>(third_q1 * q1.mean + third_q2 * q2.mean, third_q1 + third_q2);
-        third_spread = vec4<f32>(third_spread.xyz + third_q1 * q1.spread + third_q2 * q2.spread, max(third_spread.w, max(third_q1, third_q2)));
-        offset = next_offset(offset, params.window_radius);
+                let none = vec4<f32>(0.0);
+                let mean_q1 = q1.mean - p.mean;
+                let mean_q2 = q2.mean - p.mean;
+                let spread_q1 = q1.spread - p.spread;
+                let spread_q2 = q2.spread - p.spread;
+                firsts[i] = added(firsts[i], select(none, min(first_weights.ahead, vec4<f32>(feature_q1)), q1_inside), mean_q1, spread_q1);
+                firsts[i] = added(firsts[i], select(none, min(first_weights.behind, vec4<f32>(feature_q2)), q2_inside), mean_q2, spread_q2);
+                seconds[i] = added(seconds[i], select(none, min(second_weights.ahead, vec4<f32>(feature_q1)), q1_inside), mean_q1, spread_q1);
+                seconds[i] = added(seconds[i], select(none, min(second_weights.behind, vec4<f32>(feature_q2)), q2_inside), mean_q2, spread_q2);
+                let third_q1 = select(0.0, exp(-third_distance_q1), q1_inside);
+                let third_q2 = select(0.0, exp(-third_distance_q2), q2_inside);
+                third_means[i] += vec4<f32>(third_q1 * mean_q1 + third_q2 * mean_q2, third_q1 + third_q2);
+                let before = third_spreads[i];
+                third_spreads[i] = vec4<f32>(before.xyz + third_q1 * spread_q1 + third_q2 * spread_q2, max(before.w, max(third_q1, third_q2)));
+            }
+        }
     }
 
-    store_sums(first, 0, strip_pixels, at_state);
-    store_sums(second, PLANES_WITH_COLOR, strip_pixels, at_state);
-    state[THIRD_MEAN_SUM * strip_pixels + at_state] = third_mean;
-    state[THIRD_SPREAD_SUM * strip_pixels + at_state] = third_spread;
+    for (var i = 0; i < PIXELS; i++) {
+        let at_state = row * extent.x + first_x + i;
+        if first_x + i < extent.x {
+            store_sums(firsts[i], 0, strip_pixels, at_state);
+            store_sums(seconds[i], PLANES_WITH_COLOR, strip_pixels, at_state);
+            state[THIRD_MEAN_SUM * strip_pixels + at_state] = third_means[i];
+            state[THIRD_SPREAD_SUM * strip_pixels + at_state] = third_spreads[i];
+        }
+    }
 }
 
 fn load_sums(base: i32, strip_pixels: i32, at: i32) -> Sums {

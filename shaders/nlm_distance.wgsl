@@ -1,13 +1,16 @@
 // NL-means pixel distances of every pair of neighbours in a chunk, box-filtered vertically (the vertical half of eq. 7.3's patch sum).
 //
-// One invocation walks down one column for one pair, with the last 2f+1 distances in registers; the horizontal half is summed where the weights are formed.
+// One invocation walks down one column for OFFSET_ROWS offsets one below the other, with their last 2f+1 distances in registers: what lies at an offset is what lay at the
+// next one a row before, and the other way round for its opposite, so that a row costs the same loads for several offsets as for one. The horizontal half is summed where the
+// weights are formed.
 // Sums run over channels and rows, unnormalised: x = d(p, q1), y = d(p, q2), z = d(p, mean of q1 and q2); rows and neighbours outside the image add nothing.
 // The scratch rows are padded by f on both sides, so that the horizontal sum needs no border test.
 #import stein::planes::{inside, clamped_index}
-#import stein::nlm::{NlmParams, pair_offset, has_opposite, distance, symmetric_distance}
+#import stein::nlm::{NlmParams, has_opposite, distance, symmetric_distance}
 
 const PATCH_RADIUS: i32 = #{PATCH_RADIUS};
 const SIDE: i32 = 2 * PATCH_RADIUS + 1;
+const OFFSET_ROWS: i32 = #{OFFSET_ROWS};
 
 @group(0) @binding(0) var<uniform> params: NlmParams;
 @group(0) @binding(1) var<storage, read> guide: array<vec4<f32>>;
@@ -15,33 +18,36 @@ const SIDE: i32 = 2 * PATCH_RADIUS + 1;
 // What q is taken from: the same again, or a frame beside.
 @group(0) @binding(3) var<storage, read> neighbours: array<vec4<f32>>;
 @group(0) @binding(4) var<storage, read> neighbours_variance: array<vec4<f32>>;
-@group(0) @binding(5) var<storage, read_write> columns: array<vec4<f32>>;
+// One plane for each offset; behind them those of a second, smaller patch, if there is one: the candidates FIRST and SECOND share their pixel distances and differ in the box
+// alone.
+@group(0) @binding(5) var<storage, read_write> columns: array<vec3<f32>>;
 #if SMALL_PATCH_RADIUS != -1
-// The same for a second, smaller patch: the candidates FIRST and SECOND share their pixel distances and differ in the box alone.
 const SMALL_PATCH_RADIUS: i32 = #{SMALL_PATCH_RADIUS};
-@group(0) @binding(6) var<storage, read_write> columns_small: array<vec4<f32>>;
 #endif
 
-fn pair_distances(p: vec2<i32>, offset: vec2<i32>) -> vec3<f32> {
-    let q1 = p + offset;
-    let q2 = p - offset;
-    let p_inside = inside(p, params.extent);
-    let q1_inside = p_inside && inside(q1, params.extent);
-    let q2_inside = p_inside && inside(q2, params.extent) && has_opposite(offset);
-    let at_p = clamped_index(p, params.extent);
-    let at_q1 = clamped_index(q1, params.extent);
-    let at_q2 = clamped_index(q2, params.extent);
-    let u_p = guide[at_p].xyz;
-    let u_q1 = neighbours[at_q1].xyz;
-    let u_q2 = neighbours[at_q2].xyz;
-    let var_p = variance_of_mean[at_p].xyz;
-    let var_q1 = neighbours_variance[at_q1].xyz;
-    let var_q2 = neighbours_variance[at_q2].xyz;
+// Read once: software adapters read a parameter anew wherever it is used.
+var<private> nlm: NlmParams;
+
+// What there is at a pixel.
+struct Pixel {
+    u: vec3<f32>,
+    variance: vec3<f32>,
+}
+
+fn neighbour_at(q: vec2<i32>) -> Pixel {
+    let at = clamped_index(q, nlm.extent);
+    return Pixel(neighbours[at].xyz, neighbours_variance[at].xyz);
+}
+
+fn pair_distances(p: vec2<i32>, offset: vec2<i32>, centre: Pixel, q1: Pixel, q2: Pixel) -> vec3<f32> {
+    let p_inside = inside(p, nlm.extent);
+    let q1_inside = p_inside && inside(p + offset, nlm.extent);
+    let q2_inside = p_inside && inside(p - offset, nlm.extent) && has_opposite(offset);
     let one = vec3<f32>(1.0);
-    let d1 = select(0.0, dot(one, distance(u_p, u_q1, var_p, var_q1, params.k_squared, params.alpha)), q1_inside);
-    let d2 = select(0.0, dot(one, distance(u_p, u_q2, var_p, var_q2, params.k_squared, params.alpha)), q2_inside);
+    let d1 = select(0.0, dot(one, distance(centre.u, q1.u, centre.variance, q1.variance, nlm.k_squared, nlm.alpha)), q1_inside);
+    let d2 = select(0.0, dot(one, distance(centre.u, q2.u, centre.variance, q2.variance, nlm.k_squared, nlm.alpha)), q2_inside);
 #ifdef SYMMETRIC
-    let both = symmetric_distance(u_p, u_q1, u_q2, var_p, var_q1, var_q2, params.k_squared, params.alpha);
+    let both = symmetric_distance(centre.u, q1.u, q2.u, centre.variance, q1.variance, q2.variance, nlm.k_squared, nlm.alpha);
     return vec3<f32>(d1, d2, select(0.0, dot(one, both), q1_inside && q2_inside));
 #else
     return vec3<f32>(d1, d2, 0.0);
@@ -50,37 +56,59 @@ fn pair_distances(p: vec2<i32>, offset: vec2<i32>) -> vec3<f32> {
 
 @compute @workgroup_size(64, 1, 1)
 fn main(@builtin(global_invocation_id) id: vec3<u32>) {
-    let stride = params.extent.x + 2 * PATCH_RADIUS;
+    nlm = params;
     let column = i32(id.x);
-    if column >= stride {
+    if column >= nlm.stride {
         return;
     }
-    let pair = i32(id.z);
-    let offset = pair_offset(params.first_pair + pair, params.window_radius);
-    let first = i32(id.y) * params.block_rows;
-    let end = min(first + params.block_rows, params.rows);
-    var recent: array<vec3<f32>, SIDE>;
+    let x = column - PATCH_RADIUS;
+    let first_row_of_offsets = (i32(id.z) / nlm.offsets.x) * OFFSET_ROWS;
+    let first_plane = first_row_of_offsets * nlm.offsets.x + i32(id.z) % nlm.offsets.x;
+    let first_offset = nlm.first_offset + vec2<i32>(i32(id.z) % nlm.offsets.x, first_row_of_offsets);
+    let plane_size = nlm.rows * nlm.stride;
+    let first = i32(id.y) * nlm.block_rows;
+    let end = min(first + nlm.block_rows, nlm.rows);
+    // The neighbours of the row above the first one, as far as they are those of the first one too.
+    let top = vec2<i32>(x, nlm.first_row + first - PATCH_RADIUS);
+    var aheads: array<Pixel, OFFSET_ROWS>;
+    var behinds: array<Pixel, OFFSET_ROWS>;
+    for (var k = 0; k < OFFSET_ROWS - 1; k++) {
+        aheads[k + 1] = neighbour_at(top + first_offset + vec2<i32>(0, k));
+        behinds[k] = neighbour_at(top - first_offset - vec2<i32>(0, k + 1));
+    }
+    var recent: array<array<vec3<f32>, SIDE>, OFFSET_ROWS>;
     for (var row = first - PATCH_RADIUS; row < end + PATCH_RADIUS; row++) {
-        for (var n = 0; n < SIDE - 1; n++) {
-            recent[n] = recent[n + 1];
+        let p = vec2<i32>(x, nlm.first_row + row);
+        let at_p = clamped_index(p, nlm.extent);
+        let centre = Pixel(guide[at_p].xyz, variance_of_mean[at_p].xyz);
+        for (var k = 0; k < OFFSET_ROWS - 1; k++) {
+            aheads[k] = aheads[k + 1];
+            behinds[OFFSET_ROWS - 1 - k] = behinds[OFFSET_ROWS - 2 - k];
         }
-        recent[SIDE - 1] = pair_distances(vec2<i32>(column - PATCH_RADIUS, params.first_row + row), offset);
-        let centre = row - PATCH_RADIUS;
-        if centre >= first {
-            // Summed anew for each row: a running sum would carry one outlier's rounding error to the end of the column.
-            let at = (pair * params.rows + centre) * stride + column;
-            var sum = vec3<f32>(0.0);
-            for (var n = 0; n < SIDE; n++) {
-                sum += recent[n];
+        aheads[OFFSET_ROWS - 1] = neighbour_at(p + first_offset + vec2<i32>(0, OFFSET_ROWS - 1));
+        behinds[0] = neighbour_at(p - first_offset);
+        let middle = row - PATCH_RADIUS;
+        for (var k = 0; k < OFFSET_ROWS; k++) {
+            for (var n = 0; n < SIDE - 1; n++) {
+                recent[k][n] = recent[k][n + 1];
             }
-            columns[at] = vec4<f32>(sum, 0.0);
+            recent[k][SIDE - 1] = pair_distances(p, first_offset + vec2<i32>(0, k), centre, aheads[k], behinds[k]);
+            if middle >= first {
+                // Summed anew for each row: a running sum would carry one outlier's rounding error to the end of the column.
+                let at = (first_plane + k * nlm.offsets.x) * plane_size + middle * nlm.stride + column;
+                var sum = vec3<f32>(0.0);
+                for (var n = 0; n < SIDE; n++) {
+                    sum += recent[k][n];
+                }
+                columns[at] = sum;
 #if SMALL_PATCH_RADIUS != -1
-            var sum_small = vec3<f32>(0.0);
-            for (var n = PATCH_RADIUS - SMALL_PATCH_RADIUS; n <= PATCH_RADIUS + SMALL_PATCH_RADIUS; n++) {
-                sum_small += recent[n];
-            }
-            columns_small[at] = vec4<f32>(sum_small, 0.0);
+                var sum_small = vec3<f32>(0.0);
+                for (var n = PATCH_RADIUS - SMALL_PATCH_RADIUS; n <= PATCH_RADIUS + SMALL_PATCH_RADIUS; n++) {
+                    sum_small += recent[k][n];
+                }
+                columns[nlm.offsets.x * nlm.offsets.y * plane_size + at] = sum_small;
 #endif
+            }
         }
     }
 }

@@ -1,16 +1,18 @@
 // The NL-means filter of one guide applied to a payload of one or more planes (eq. 7.1): all of NLM's filters, and those of DFC but for the candidates.
 //
-// Works on the chunk of pairs whose column sums nlm_distance has left, or of which nlm_weight has made column sums of weights (PATCHWISE); `filtered` and `weights` carry
+// Works on the chunk of offsets whose column sums nlm_distance has left, or of which nlm_weight has made column sums of weights (PATCHWISE); `filtered` and `weights` carry
 // the sums from chunk to chunk and hold the result after the last.
 // Sums are taken of the differences to the centre pixel: F = u_p + Σ w·(u_q − u_p) / Σ w loses no digits to a large common offset.
-#import stein::planes::{inside, pixel_index, clamped_index}
-#import stein::nlm::{NlmParams, pair_offset, next_offset, has_opposite, patch_pairs, weights_from_sums, centre_weight}
+//
+// An invocation filters PIXELS pixels in a row and goes through the offsets row by row, as candidate_accumulate does: what two pixels or two offsets share is loaded once.
+#import stein::nlm::{NlmParams, has_opposite, patch_members, weights_from_sums, centre_weight}
 
 const PATCH_RADIUS: i32 = #{PATCH_RADIUS};
 const PAYLOAD_PLANES: i32 = #{PAYLOAD_PLANES};
+const PIXELS: i32 = #{PIXELS};
 
 @group(0) @binding(0) var<uniform> params: NlmParams;
-@group(0) @binding(1) var<storage, read> columns: array<vec4<f32>>;
+@group(0) @binding(1) var<storage, read> columns: array<vec3<f32>>;
 @group(0) @binding(2) var<storage, read> payload: array<vec4<f32>>;
 // What q is taken from: the same again, or a frame beside.
 @group(0) @binding(3) var<storage, read> neighbours: array<vec4<f32>>;
@@ -24,87 +26,152 @@ const PAYLOAD_PLANES: i32 = #{PAYLOAD_PLANES};
 @group(0) @binding(8) var<storage, read_write> residual_variance: array<vec4<f32>>;
 #endif
 
+// Read once: software adapters read a parameter anew wherever it is used.
+var<private> nlm: NlmParams;
+
+// What there is at a pixel.
+struct Pixel {
+    planes: array<vec4<f32>, PAYLOAD_PLANES>,
+#ifdef RESIDUAL
+    variance: vec4<f32>,
+#endif
+}
+
+// Running sums of one pixel.
+struct Sums {
+    planes: array<vec4<f32>, PAYLOAD_PLANES>,
+    weight: f32,
+    largest: f32,
+#ifdef RESIDUAL
+    squared: vec4<f32>,
+#endif
+}
+
+// Of the pixel in this row nearest to column x.
+fn neighbour_at(x: i32, row: i32) -> Pixel {
+    let at = row * nlm.extent.x + clamp(x, 0, nlm.extent.x - 1);
+    var pixel: Pixel;
+    for (var plane = 0; plane < PAYLOAD_PLANES; plane++) {
+        pixel.planes[plane] = neighbours[plane * nlm.extent.x * nlm.extent.y + at];
+    }
+#ifdef RESIDUAL
+    pixel.variance = neighbours_variance[at];
+#endif
+    return pixel;
+}
+
 @compute @workgroup_size(32, 2, 1)
 fn main(@builtin(global_invocation_id) id: vec3<u32>) {
-    let extent = params.extent;
-    let p = vec2<i32>(i32(id.x), params.first_row + i32(id.y));
-    if p.x >= extent.x || i32(id.y) >= params.rows {
+    nlm = params;
+    let extent = nlm.extent;
+    let row = i32(id.y);
+    let y = nlm.first_row + row;
+    let first_x = i32(id.x) * PIXELS;
+    if first_x >= extent.x || row >= nlm.rows {
         return;
     }
     let pixels = extent.x * extent.y;
-    let at_p = pixel_index(p, extent);
-    var centre: array<vec4<f32>, PAYLOAD_PLANES>;
-    var sum: array<vec4<f32>, PAYLOAD_PLANES>;
-    for (var plane = 0; plane < PAYLOAD_PLANES; plane++) {
-        centre[plane] = payload[plane * pixels + at_p];
-    }
-    var weight_sum = 0.0;
-    var largest = 0.0;
-#ifdef RESIDUAL
-    var squared_sum = vec4<f32>(0.0);
-#endif
-    if params.starts == 0 {
+    var centres: array<array<vec4<f32>, PAYLOAD_PLANES>, PIXELS>;
+    var sums: array<Sums, PIXELS>;
+    for (var i = 0; i < PIXELS; i++) {
+        let at_p = y * extent.x + min(first_x + i, extent.x - 1);
         for (var plane = 0; plane < PAYLOAD_PLANES; plane++) {
-            sum[plane] = filtered[plane * pixels + at_p];
+            centres[i][plane] = payload[plane * pixels + at_p];
         }
-        weight_sum = weights[at_p].x;
-        largest = weights[at_p].y;
+        if nlm.starts == 0 {
+            for (var plane = 0; plane < PAYLOAD_PLANES; plane++) {
+                sums[i].planes[plane] = filtered[plane * pixels + at_p];
+            }
+            sums[i].weight = weights[at_p].x;
+            sums[i].largest = weights[at_p].y;
 #ifdef RESIDUAL
-        squared_sum = residual_variance[at_p];
+            sums[i].squared = residual_variance[at_p];
 #endif
+        }
     }
 
-    let stride = extent.x + 2 * PATCH_RADIUS;
-    var offset = pair_offset(params.first_pair, params.window_radius);
-    for (var pair = 0; pair < params.pairs; pair++) {
-        let q1 = p + offset;
-        let q2 = p - offset;
-        let q1_inside = inside(q1, extent);
-        let q2_inside = inside(q2, extent) && has_opposite(offset);
-        let column = (pair * params.rows + i32(id.y)) * stride + i32(id.x);
-        var patch_sum = vec3<f32>(0.0);
-        for (var n = 0; n <= 2 * PATCH_RADIUS; n++) {
-            patch_sum += columns[column + n].xyz;
+    for (var j = 0; j < nlm.offsets.y; j++) {
+        let dy = nlm.first_offset.y + j;
+        let ahead_row_inside = y + dy < extent.y;
+        let behind_row_inside = y - dy >= 0;
+        let ahead_row = min(y + dy, extent.y - 1);
+        let behind_row = max(y - dy, 0);
+        let members_y = patch_members(y, dy, extent.y, PATCH_RADIUS);
+
+        // The neighbours of the offset before the first one, as far as they are those of the first one too.
+        var aheads: array<Pixel, PIXELS>;
+        var behinds: array<Pixel, PIXELS>;
+        for (var i = 0; i < PIXELS - 1; i++) {
+            aheads[i + 1] = neighbour_at(first_x + i + nlm.first_offset.x, ahead_row);
+            behinds[i] = neighbour_at(first_x + i + 1 - nlm.first_offset.x, behind_row);
         }
+        for (var o = 0; o < nlm.offsets.x; o++) {
+            let dx = nlm.first_offset.x + o;
+            for (var i = 0; i < PIXELS - 1; i++) {
+                aheads[i] = aheads[i + 1];
+                behinds[PIXELS - 1 - i] = behinds[PIXELS - 2 - i];
+            }
+            aheads[PIXELS - 1] = neighbour_at(first_x + PIXELS - 1 + dx, ahead_row);
+            behinds[0] = neighbour_at(first_x - dx, behind_row);
+
+            let column = ((j * nlm.offsets.x + o) * nlm.rows + row) * nlm.stride + first_x;
+            var patch_columns: array<vec3<f32>, PIXELS + 2 * PATCH_RADIUS>;
+            for (var n = 0; n < PIXELS + 2 * PATCH_RADIUS; n++) {
+                patch_columns[n] = columns[column + n];
+            }
+            for (var i = 0; i < PIXELS; i++) {
+                let x = first_x + i;
+                let q1_inside = ahead_row_inside && x + dx >= 0 && x + dx < extent.x;
+                let q2_inside = behind_row_inside && x - dx >= 0 && x - dx < extent.x && has_opposite(vec2<i32>(dx, dy));
+                var patch_sum = vec3<f32>(0.0);
+                for (var n = 0; n <= 2 * PATCH_RADIUS; n++) {
+                    patch_sum += patch_columns[i + n];
+                }
+                let members = members_y * patch_members(x, dx, extent.x, PATCH_RADIUS);
 #ifdef PATCHWISE
-        // Thesis 7.1.1: W(p, q), the mean of w(p + n, q + n) over the patch.
-        let members = vec2<f32>(patch_pairs(p, offset, extent, PATCH_RADIUS), patch_pairs(p, -offset, extent, PATCH_RADIUS));
-        let pair_weight = select(vec2<f32>(0.0), patch_sum.xy / members, vec2<bool>(q1_inside, q2_inside));
+                // Thesis 7.1.1: W(p, q), the mean of w(p + n, q + n) over the patch.
+                let pair_weight = select(vec2<f32>(0.0), patch_sum.xy / max(members.xy, vec2<f32>(1.0)), vec2<bool>(q1_inside, q2_inside));
 #else
-        let pair_weight = weights_from_sums(patch_sum, p, offset, extent, PATCH_RADIUS, params.inverse_channels, q1_inside, q2_inside);
+                let pair_weight = weights_from_sums(patch_sum, members, nlm.inverse_channels, q1_inside, q2_inside);
 #endif
-        let w1 = select(0.0, pair_weight.x, pair_weight.x >= params.cut);
-        let w2 = select(0.0, pair_weight.y, pair_weight.y >= params.cut);
-        let at_q1 = clamped_index(q1, extent);
-        let at_q2 = clamped_index(q2, extent);
-        for (var plane = 0; plane < PAYLOAD_PLANES; plane++) {
-            sum[plane] += w1 * (neighbours[plane * pixels + at_q1] - centre[plane]) + w2 * (neighbours[plane * pixels + at_q2] - centre[plane]);
-        }
-        weight_sum += w1 + w2;
-        largest = max(largest, max(w1, w2));
+                let w1 = select(0.0, pair_weight.x, pair_weight.x >= nlm.cut);
+                let w2 = select(0.0, pair_weight.y, pair_weight.y >= nlm.cut);
+                for (var plane = 0; plane < PAYLOAD_PLANES; plane++) {
+                    let centre = centres[i][plane];
+                    sums[i].planes[plane] += w1 * (aheads[i].planes[plane] - centre) + w2 * (behinds[i].planes[plane] - centre);
+                }
+                sums[i].weight += w1 + w2;
+                sums[i].largest = max(sums[i].largest, max(w1, w2));
 #ifdef RESIDUAL
-        squared_sum += w1 * w1 * neighbours_variance[at_q1] + w2 * w2 * neighbours_variance[at_q2];
+                sums[i].squared += w1 * w1 * aheads[i].variance + w2 * w2 * behinds[i].variance;
 #endif
-        offset = next_offset(offset, params.window_radius);
+            }
+        }
     }
 
-    if params.completes == 0 {
-        for (var plane = 0; plane < PAYLOAD_PLANES; plane++) {
-            filtered[plane * pixels + at_p] = sum[plane];
+    for (var i = 0; i < PIXELS; i++) {
+        if first_x + i >= extent.x {
+            continue;
         }
-        weights[at_p] = vec4<f32>(weight_sum, largest, 0.0, 0.0);
+        let at_p = y * extent.x + first_x + i;
+        if nlm.completes == 0 {
+            for (var plane = 0; plane < PAYLOAD_PLANES; plane++) {
+                filtered[plane * pixels + at_p] = sums[i].planes[plane];
+            }
+            weights[at_p] = vec4<f32>(sums[i].weight, sums[i].largest, 0.0, 0.0);
 #ifdef RESIDUAL
-        residual_variance[at_p] = squared_sum;
+            residual_variance[at_p] = sums[i].squared;
 #endif
-        return;
-    }
-    let w_centre = centre_weight(vec4<f32>(largest), params.centre_floor).x;
-    let total = weight_sum + w_centre;
-    for (var plane = 0; plane < PAYLOAD_PLANES; plane++) {
-        filtered[plane * pixels + at_p] = centre[plane] + sum[plane] / total;
-    }
-    weights[at_p] = vec4<f32>(total, largest, 0.0, 0.0);
+            continue;
+        }
+        let w_centre = centre_weight(vec4<f32>(sums[i].largest), nlm.centre_floor).x;
+        let total = sums[i].weight + w_centre;
+        for (var plane = 0; plane < PAYLOAD_PLANES; plane++) {
+            filtered[plane * pixels + at_p] = centres[i][plane] + sums[i].planes[plane] / total;
+        }
+        weights[at_p] = vec4<f32>(total, sums[i].largest, 0.0, 0.0);
 #ifdef RESIDUAL
-    residual_variance[at_p] = (squared_sum + w_centre * w_centre * variance_of_mean[at_p]) / (total * total);
+        residual_variance[at_p] = (sums[i].squared + w_centre * w_centre * variance_of_mean[at_p]) / (total * total);
 #endif
+    }
 }

@@ -49,20 +49,42 @@ fn definitions(stage: &str) -> Option<Vec<Definitions>> {
         "sample_density" => Some(combinations(&[("SAMPLES_VARY", flags()), ("HALVES", flags())])),
         "gaussian" => Some(["SQUARED", "KEEP_WEIGHT_SUM", "WITHOUT_CENTRE"].map(|name| vec![(name, true.into())]).into_iter().chain([Vec::new()]).collect()),
         "variance_smooth" => Some(combinations(&[("CLAMPED", flags())])),
-        "nlm_distance" => Some(combinations(&[("PATCH_RADIUS", numbers(&[0, 1, 3, 5])), ("SMALL_PATCH_RADIUS", numbers(&[-1, 0])), ("SYMMETRIC", flags())]))
-            .map(|sets| [sets, combinations(&[("PATCH_RADIUS", numbers(&[1, 3, 5])), ("SMALL_PATCH_RADIUS", numbers(&[1])), ("SYMMETRIC", flags())])].concat()),
-        "nlm_weight" => Some(with_rules(&combinations(&[("PATCH_RADIUS", numbers(&[0, 1, 3, 5]))]))),
+        "nlm_distance" => {
+            let shapes = [([0, 1, 3, 5].as_slice(), [-1, 0].as_slice()), (&[1, 3, 5], &[1])];
+            let set = |(patches, small): (&[i32], &[i32])| {
+                combinations(&[
+                    ("PATCH_RADIUS", numbers(patches)),
+                    ("SMALL_PATCH_RADIUS", numbers(small)),
+                    ("OFFSET_ROWS", numbers(&[1, 2])),
+                    ("SYMMETRIC", flags()),
+                ])
+            };
+            Some(shapes.into_iter().flat_map(set).collect())
+        }
+        "nlm_weight" => Some(with_rules(&combinations(&[("PATCH_RADIUS", numbers(&[0, 1, 3, 5])), ("PIXELS", numbers(&[1, 4]))]))),
         "nlm_filter" => {
-            let shapes =
-                combinations(&[("PATCH_RADIUS", numbers(&[0, 1, 3, 5])), ("PAYLOAD_PLANES", numbers(&[1, 2])), ("PATCHWISE", flags()), ("RESIDUAL", flags())]);
+            let shapes = combinations(&[
+                ("PATCH_RADIUS", numbers(&[0, 1, 3, 5])),
+                ("PAYLOAD_PLANES", numbers(&[1, 2])),
+                ("PIXELS", numbers(&[1, 4])),
+                ("PATCHWISE", flags()),
+                ("RESIDUAL", flags()),
+            ]);
             Some(with_rules(&shapes))
         }
-        "candidate_accumulate" => Some(with_rules(&combinations(&[
-            ("PATCH_RADIUS", numbers(&[1, 3])),
-            ("SMALL_PATCH_RADIUS", numbers(&[0, 1])),
-            ("FEATURE_GROUPS", numbers(&[0, 1, 2, 8])),
-            ("OTHER_FRAME", flags()),
-        ]))),
+        "candidate_accumulate" => {
+            let set = |(other_frame, near): (bool, bool)| {
+                combinations(&[
+                    ("PATCH_RADIUS", numbers(&[1, 3])),
+                    ("SMALL_PATCH_RADIUS", numbers(&[0, 1])),
+                    ("FEATURE_GROUPS", numbers(&[0, 1, 2, 8])),
+                    ("PIXELS", numbers(&[1, 4])),
+                    ("OTHER_FRAME", vec![other_frame.into()]),
+                    ("NEAR", vec![near.into()]),
+                ])
+            };
+            Some([(false, false), (false, true), (true, false)].into_iter().flat_map(|frames| with_rules(&set(frames))).collect())
+        }
         _ => None,
     }
 }

@@ -9,13 +9,15 @@ struct NlmParams {
     // The strip of rows that one dispatch works on.
     first_row: i32,
     rows: i32,
-    // The chunk of pairs of offsets whose distances are in the scratch buffers at one time. In a frame beside, pair −1 is the pixel's own position.
-    first_pair: i32,
-    pairs: i32,
+    // The chunk of offsets whose distances are in the scratch buffer at one time: a rectangle in the half window, so many columns and rows of it from this offset on. The
+    // half window is (1..R, 0) and all of the rows 1..R below; in a frame beside it begins at (0, 0), the pixel's own position.
+    first_offset: vec2<i32>,
+    offsets: vec2<i32>,
     // 1: no sums are there yet for this strip; 1: this chunk completes them.
     starts: i32,
     completes: i32,
-    window_radius: i32,
+    // Pixels from one scratch row to the next: the image's width, rounded up to whole invocations, and f on both sides.
+    stride: i32,
     // Rows that one invocation of nlm_distance walks down.
     block_rows: i32,
     // k_c² of the guide.
@@ -36,22 +38,6 @@ const EPSILON: f32 = 1e-10;
 const DISTANCE_LIMIT: f32 = 1e8;
 // Above this distance weights vanish in f32 and the ratio that judges symmetry says nothing.
 const SYMMETRY_LIMIT: f32 = 25.0;
-
-// The half window in reading order: (1..R, 0), then the rows below. Pair −1 gives (0, 0): the same position, which only other frames have as a neighbour.
-fn pair_offset(pair: i32, radius: i32) -> vec2<i32> {
-    if pair < radius {
-        return vec2<i32>(pair + 1, 0);
-    }
-    let side = 2 * radius + 1;
-    let rest = pair - radius;
-    return vec2<i32>(rest % side - radius, rest / side + 1);
-}
-
-// The offset after this one: cheaper in a loop than the divisions of pair_offset.
-fn next_offset(offset: vec2<i32>, radius: i32) -> vec2<i32> {
-    let wraps = offset.x == radius;
-    return vec2<i32>(select(offset.x + 1, -radius, wraps), select(offset.y, offset.y + 1, wraps));
-}
 
 // eq. 7.4, per channel.
 fn distance(u_p: vec3<f32>, u_q: vec3<f32>, var_p: vec3<f32>, var_q: vec3<f32>, k_squared: f32, alpha: f32) -> vec3<f32> {
@@ -76,21 +62,16 @@ fn has_opposite(offset: vec2<i32>) -> bool {
     return any(offset != vec2<i32>(0));
 }
 
-// Number of offsets n of a patch for which both p + n and p + o + n exist.
-fn patch_pairs(p: vec2<i32>, offset: vec2<i32>, extent: vec2<i32>, patch_radius: i32) -> f32 {
-    let first = max(max(vec2<i32>(-patch_radius), -p), -p - offset);
-    let last = min(min(vec2<i32>(patch_radius), extent - 1 - p), extent - 1 - p - offset);
-    let size = max(last - first + 1, vec2<i32>(0));
-    return f32(max(size.x * size.y, 1));
-}
-
-// Number of offsets n of a patch for which p + n, p + o + n and p − o + n all exist.
-fn patch_triples(p: vec2<i32>, offset: vec2<i32>, extent: vec2<i32>, patch_radius: i32) -> f32 {
+// Along one axis: how many of the 2f+1 members n of a patch exist at p and at the neighbours compared with it. x: p + n and q1 + n, y: p + n and q2 + n, z: all three. The
+// members of a patch are the product of both axes.
+fn patch_members(p: i32, offset: i32, extent: i32, patch_radius: i32) -> vec3<f32> {
+    let before = min(patch_radius, p);
+    let after = min(patch_radius, extent - 1 - p);
+    let ahead = min(after, extent - 1 - p - offset) + min(before, p + offset);
+    let behind = min(after, extent - 1 - p + offset) + min(before, p - offset);
     let reach = abs(offset);
-    let first = max(vec2<i32>(-patch_radius), reach - p);
-    let last = min(vec2<i32>(patch_radius), extent - 1 - reach - p);
-    let size = max(last - first + 1, vec2<i32>(0));
-    return f32(max(size.x * size.y, 1));
+    let both = min(after, extent - 1 - p - reach) + min(before, p - reach);
+    return vec3<f32>(max(vec3<i32>(ahead, behind, both) + 1, vec3<i32>(0)));
 }
 
 struct PairWeights {
@@ -122,16 +103,9 @@ fn pair_weights(distance_q1: vec4<f32>, distance_q2: vec4<f32>, distance_both: v
 #endif
 }
 
-// Weights of q1 and q2 in the average of p, from the unnormalised sums of their distances over the patch; 0 for one that does not exist.
-fn weights_from_sums(
-    patch_sum: vec3<f32>, p: vec2<i32>, offset: vec2<i32>, extent: vec2<i32>, patch_radius: i32, inverse_channels: f32, ahead_inside: bool, behind_inside: bool,
-) -> vec2<f32> {
-    let members = vec3<f32>(
-        patch_pairs(p, offset, extent, patch_radius),
-        patch_pairs(p, -offset, extent, patch_radius),
-        patch_triples(p, offset, extent, patch_radius),
-    );
-    let d = patch_sum * inverse_channels / members;
+// Weights of q1 and q2 in the average of p, from the unnormalised sums of their distances over a patch of so many members; 0 for one that does not exist.
+fn weights_from_sums(patch_sum: vec3<f32>, members: vec3<f32>, inverse_channels: f32, ahead_inside: bool, behind_inside: bool) -> vec2<f32> {
+    let d = patch_sum * inverse_channels / max(members, vec3<f32>(1.0));
     let weights = pair_weights(vec4<f32>(d.x), vec4<f32>(d.y), vec4<f32>(d.z), ahead_inside && behind_inside);
     return select(vec2<f32>(0.0), vec2<f32>(weights.ahead.x, weights.behind.x), vec2<bool>(ahead_inside, behind_inside));
 }

@@ -17,7 +17,7 @@ uniforms! {
 bindings! {
     struct CandidateAccumulate<'a> {
         uniform params: NlmParams, uniform candidate: CandidateParams,
-        read columns, read columns_small, read signal, read variance_of_mean, write state, optional features,
+        read columns, read signal, read variance_of_mean, write state, optional features,
         optional neighbours_signal, optional neighbours_variance, optional neighbours_features,
     }
     struct CandidateResolve<'a> {
@@ -119,11 +119,14 @@ pub fn candidates(
     };
     let groups = features.map_or(0, |features| features.packing.groups);
     let [symmetric, hard] = filter.weighting.symmetric.definitions();
-    let definitions = |other_frame: bool| {
+    let (first, second) = (filter.first_patch_radius as i32, filter.second_patch_radius as i32);
+    let definitions = |other_frame: bool, near: bool| {
         [
             ("OTHER_FRAME", Definition::from(other_frame)),
-            ("PATCH_RADIUS", Definition::Int(filter.second_patch_radius as i32)),
-            ("SMALL_PATCH_RADIUS", Definition::Int(filter.first_patch_radius as i32)),
+            ("NEAR", near.into()),
+            schedule.pixels_definition(),
+            ("PATCH_RADIUS", Definition::Int(second)),
+            ("SMALL_PATCH_RADIUS", Definition::Int(first)),
             ("FEATURE_GROUPS", Definition::Int(groups as i32)),
             symmetric,
             hard,
@@ -138,20 +141,19 @@ pub fn candidates(
     let mut state = None;
     for_each_chunk(rec, extent, &guide, filter.window_radius, filter.weighting, schedule, |rec, chunk| {
         let params = chunk.params;
-        let invocations = [extent.x as u32, params.rows as u32, 1];
         // The first strip is the highest.
         let state = match &mut state {
             Some(state) => state,
             None => state.insert(rec.take("candidate sums", plane_bytes(IVec2::new(extent.x, params.rows), STATE_PLANES))?),
         };
-        let columns_small = chunk.columns_small.unwrap_or(chunk.columns);
         let beside = chunk.beside.map(|index| beside[index]);
-        let accumulate = rec.gpu().kernel::<CandidateAccumulate>("candidate_accumulate", &definitions(beside.is_some()))?;
+        // Only in the nearest rows do patches hold pixels of their own pair; in a frame beside none does.
+        let near = beside.is_none() && params.first_offset.y <= first.max(second);
+        let accumulate = rec.gpu().kernel::<CandidateAccumulate>("candidate_accumulate", &definitions(beside.is_some(), near))?;
         let bound = CandidateAccumulate {
             params,
             candidate,
             columns: chunk.columns,
-            columns_small,
             signal,
             variance_of_mean,
             state,
@@ -160,13 +162,13 @@ pub fn candidates(
             neighbours_variance: beside.map(|frame| frame.variance_of_mean),
             neighbours_features: beside.and_then(|frame| frame.features).map(|features| &features.buffer),
         };
-        rec.dispatch(&accumulate, &bound, invocations)?;
+        rec.dispatch(&accumulate, &bound, schedule.per_row_of_pixels(extent, params.rows))?;
         // The sums over the own frame are whole before those over the others begin.
         let complete = if chunk.last { Some(&together) } else { alone.as_ref().filter(|_| beside.is_none() && chunk.ends_frame) };
         if let Some(Candidates { signals: [first, second, third], derivatives }) = complete {
             let resolve = rec.gpu().kernel::<CandidateResolve>("candidate_resolve", &[])?;
             let bound = CandidateResolve { params, signal, variance_of_mean, state, first, second, third, derivatives };
-            rec.dispatch(&resolve, &bound, invocations)?;
+            rec.dispatch(&resolve, &bound, [extent.x as u32, params.rows as u32, 1])?;
         }
         if chunk.last {
             progress(rec, (params.first_row + params.rows) as f32 / extent.y as f32)?;

@@ -12,11 +12,11 @@ uniforms! {
         pub(super) extent: IVec2,
         pub(super) first_row: i32,
         pub(super) rows: i32,
-        pub(super) first_pair: i32,
-        pub(super) pairs: i32,
+        pub(super) first_offset: IVec2,
+        pub(super) offsets: IVec2,
         pub(super) starts: i32,
         pub(super) completes: i32,
-        pub(super) window_radius: i32,
+        pub(super) stride: i32,
         pub(super) block_rows: i32,
         pub(super) k_squared: f32,
         pub(super) alpha: f32,
@@ -28,9 +28,6 @@ uniforms! {
 
 bindings! {
     struct NlmDistance<'a> { uniform params: NlmParams, read guide, read variance_of_mean, read neighbours, read neighbours_variance, write columns }
-    struct NlmDistanceTwoPatches<'a> {
-        uniform params: NlmParams, read guide, read variance_of_mean, read neighbours, read neighbours_variance, write columns, write columns_small,
-    }
     struct NlmWeight<'a> { uniform params: NlmParams, read columns, write weight_columns }
     struct NlmFilter<'a> { uniform params: NlmParams, read columns, read payload, read neighbours, write filtered, write weights }
     struct NlmFilterResidual<'a> {
@@ -89,36 +86,95 @@ pub struct Weighting {
 /// How the work on the window is cut up: what is computed does not depend on it, to the bit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Schedule {
-    /// Bytes of the scratch buffer that holds the column sums of one strip of rows and one chunk of pairs of offsets.
+    /// Bytes of the scratch buffer that holds the column sums of one strip of rows and one chunk of offsets; where two sizes of patches are summed up, twice as many.
     pub scratch_bytes: u64,
-    /// Rows that one invocation of `nlm_distance` walks down; the 2f rows at its ends are computed twice.
+    /// Rows that one invocation of `nlm_distance` and `nlm_weight` walks down; the 2f rows at its ends are computed twice.
     pub block_rows: u32,
+    /// Offsets, one below the other, that one invocation of `nlm_distance` does at a time.
+    pub offset_rows: u32,
+    /// Pixels in a row that one invocation of the filters does at a time.
+    pub pixels: u32,
 }
 
 impl Schedule {
-    /// What suits the kind of adapter: a processor wants scratch that stays in its caches, a GPU wants enough pixels at a time to fill it.
+    /// What suits the kind of adapter.
     pub fn for_gpu(gpu: &Gpu) -> Self {
-        if gpu.is_software() { Self { scratch_bytes: 8 << 20, block_rows: 32 } } else { Self { scratch_bytes: 256 << 20, block_rows: 16 } }
+        if gpu.is_software() { Self::SOFTWARE } else { Self::HARDWARE }
     }
 
-    /// Rows of a strip and pairs of a chunk for images of this width, where a strip of distances has `margin` rows more above and below.
-    fn cut(&self, gpu: &Gpu, extent: IVec2, window_radius: i32, patch_radius: i32, margin: i32) -> (i32, i32) {
-        let pairs = pair_count(window_radius);
-        let row_bytes = plane_bytes(IVec2::new(extent.x + 2 * patch_radius, 1), 1);
-        let budget = (self.scratch_bytes.min(gpu.max_binding_bytes()) / row_bytes).max(1) as i32;
-        // A chunk of one row of offsets, unless the image is so small that more fit: each chunk loads and stores the running sums once.
+    /// For a processor: scratch that stays in its caches, and blocks in registers, for loads are what costs.
+    pub const SOFTWARE: Self = Self { scratch_bytes: 8 << 20, block_rows: 32, offset_rows: 2, pixels: 4 };
+
+    /// For a graphics card: enough pixels at a time to fill it, and few registers for each.
+    pub const HARDWARE: Self = Self { scratch_bytes: 256 << 20, block_rows: 16, offset_rows: 1, pixels: 1 };
+
+    /// Invocations of a filter over so many rows.
+    pub(super) fn per_row_of_pixels(&self, extent: IVec2, rows: i32) -> [u32; 3] {
+        [(extent.x as u32).div_ceil(self.pixels), rows as u32, 1]
+    }
+
+    /// What tells the filters how many pixels they do at a time.
+    pub(super) fn pixels_definition(&self) -> (&'static str, Definition) {
+        ("PIXELS", Definition::Int(self.pixels as i32))
+    }
+
+    /// How work on images of this width is cut.
+    fn cut(&self, gpu: &Gpu, extent: IVec2, window_radius: i32, guide: &Guide) -> Cut {
+        let patch_radius = guide.patch_radius as i32;
+        // The weights of f more rows above and below enter those of a strip.
+        let margin = if guide.patchwise { patch_radius } else { 0 };
+        // The last invocation of a row may reach beyond it.
+        let stride = (extent.x as u32).next_multiple_of(self.pixels) as i32 + 2 * patch_radius;
+        let patch_sizes = if guide.small_patch_radius.is_some() { 2 } else { 1 };
+        let row_bytes = plane_bytes(IVec2::new(stride, 1), 1);
+        let budget = (self.scratch_bytes.min(gpu.max_binding_bytes() / patch_sizes) / row_bytes).max(1) as i32;
+        // A row of offsets at a time, unless the image is so small that more fit: for each chunk the running sums are loaded and stored once.
         let side = 2 * window_radius + 1;
         let rows = (budget / side - 2 * margin).clamp(1, extent.y);
         let block = self.block_rows as i32;
         // Whole blocks, as far as there is one: a block cut short computes its 2f extra rows all the same.
         let rows = if rows < extent.y && rows > block { rows - rows % block } else { rows };
-        (rows, (budget / (rows + 2 * margin)).clamp(1, pairs.max(1)))
+        let planes = (budget / (rows + 2 * margin)).max(1);
+        let offset_rows = (planes / side).clamp(1, window_radius);
+        let whole = self.offset_rows as i32;
+        let offset_rows = if offset_rows > whole { offset_rows - offset_rows % whole } else { offset_rows };
+        Cut { stride, margin, rows, offsets: IVec2::new(planes.min(side), offset_rows), patch_sizes: patch_sizes as u32 }
     }
 }
 
-/// Pairs of opposite offsets in a window, as the shaders count them.
-fn pair_count(window_radius: i32) -> i32 {
-    2 * window_radius * (window_radius + 1)
+/// What one dispatch works on.
+struct Cut {
+    /// Pixels of a scratch row.
+    stride: i32,
+    /// Rows of distances above and below a strip.
+    margin: i32,
+    /// Rows of a strip.
+    rows: i32,
+    /// Columns and rows of offsets in a chunk.
+    offsets: IVec2,
+    patch_sizes: u32,
+}
+
+impl Cut {
+    fn scratch_bytes(&self, margin: i32) -> u64 {
+        plane_bytes(IVec2::new(self.stride, self.rows + 2 * margin), (self.offsets.x * self.offsets.y) as u32)
+    }
+
+    /// The half window in rectangles, in reading order: first offset, and number of columns and rows. The pixel's own row is one by itself, for it is half as long; a frame beside
+    /// has one neighbour more there, at the same position.
+    fn rectangles(&self, window_radius: i32, in_other_frame: bool) -> Vec<(IVec2, IVec2)> {
+        let mut rectangles = Vec::new();
+        let mut add_rows = |first_x: i32, y: i32, rows: i32| {
+            for x in (first_x..=window_radius).step_by(self.offsets.x as usize) {
+                rectangles.push((IVec2::new(x, y), IVec2::new(self.offsets.x.min(window_radius + 1 - x), rows)));
+            }
+        };
+        add_rows(if in_other_frame { 0 } else { 1 }, 0, 1);
+        for y in (1..=window_radius).step_by(self.offsets.y as usize) {
+            add_rows(-window_radius, y, self.offsets.y.min(window_radius + 1 - y));
+        }
+        rectangles
+    }
 }
 
 /// Neighbours are compared by the patches of a guide.
@@ -163,14 +219,14 @@ pub struct Beside<'a> {
     pub variance_of_mean: &'a Buffer,
 }
 
-/// One chunk of pairs of offsets over one strip of rows: what follows `nlm_distance` gets the column sums (of a patchwise guide, those of weights) and these parameters.
+/// One chunk of offsets over one strip of rows: what follows `nlm_distance` gets the column sums (of a patchwise guide, those of weights) and these parameters.
 pub(super) struct Chunk<'a> {
     pub(super) params: NlmParams,
+    /// Of the patches, and behind them of the smaller ones, if they are wanted too.
     pub(super) columns: &'a Buffer,
-    pub(super) columns_small: Option<&'a Buffer>,
     /// Which of the frames beside the neighbours are in; `None`: in the frame itself.
     pub(super) beside: Option<usize>,
-    /// No pairs are left for these rows in this frame.
+    /// No offsets are left for these rows in this frame.
     pub(super) ends_frame: bool,
     /// Nor in the frames after it.
     pub(super) last: bool,
@@ -189,40 +245,28 @@ pub(super) fn for_each_chunk(
 ) -> Result<()> {
     let radius = window_radius as i32;
     let patch_radius = guide.patch_radius as i32;
-    let pairs = pair_count(radius);
-    // The weights of f more rows above and below enter those of a strip.
-    let margin = if guide.patchwise { patch_radius } else { 0 };
-    let (strip_rows, chunk_pairs) = schedule.cut(rec.gpu(), extent, radius, patch_radius, margin);
-    let scratch_of = |rows: i32| plane_bytes(IVec2::new(extent.x + 2 * patch_radius, rows), chunk_pairs as u32);
-    let scratch = scratch_of(strip_rows + 2 * margin);
-    let columns = rec.take("column sums of distances", scratch)?;
-    let weight_columns = guide.patchwise.then(|| rec.take("column sums of weights", scratch_of(strip_rows))).transpose()?;
-    let columns_small = guide.small_patch_radius.map(|_| rec.take("column sums of distances, small patch", scratch)).transpose()?;
-    let definitions = [
-        ("PATCH_RADIUS", Definition::Int(patch_radius)),
-        ("SMALL_PATCH_RADIUS", Definition::Int(guide.small_patch_radius.map_or(-1, |small| small as i32))),
-        // How the distances to both are used does not matter here.
-        ("SYMMETRIC", (weighting.symmetric != Symmetry::Off).into()),
-    ];
+    let cut = schedule.cut(rec.gpu(), extent, radius, guide);
+    let margin = cut.margin;
+    let columns = rec.take("column sums of distances", cut.scratch_bytes(margin) * u64::from(cut.patch_sizes))?;
+    let weight_columns = guide.patchwise.then(|| rec.take("column sums of weights", cut.scratch_bytes(0))).transpose()?;
     let itself = Beside { signal: guide.signal, variance_of_mean: guide.variance_of_mean };
-    // A frame beside has one neighbour more, at the same position: pair −1.
-    let frames: Vec<_> = std::iter::once((None, itself, 0)).chain(guide.beside.iter().enumerate().map(|(index, frame)| (Some(index), *frame, -1))).collect();
-    for first_row in (0..extent.y).step_by(strip_rows as usize) {
-        let rows = strip_rows.min(extent.y - first_row);
-        for (place, (beside, neighbours, first)) in frames.iter().enumerate() {
-            let mut first_pair = *first;
-            loop {
-                let chunk_end = (first_pair + chunk_pairs).min(pairs);
-                let last = chunk_end >= pairs && place + 1 == frames.len();
+    let frames: Vec<_> = std::iter::once((None, itself)).chain(guide.beside.iter().enumerate().map(|(index, frame)| (Some(index), *frame))).collect();
+    for first_row in (0..extent.y).step_by(cut.rows as usize) {
+        let rows = cut.rows.min(extent.y - first_row);
+        for (place, (beside, neighbours)) in frames.iter().enumerate() {
+            let rectangles = cut.rectangles(radius, beside.is_some());
+            for (index, (first_offset, offsets)) in rectangles.iter().copied().enumerate() {
+                let ends_frame = index + 1 == rectangles.len();
+                let last = ends_frame && place + 1 == frames.len();
                 let params = NlmParams {
                     extent,
                     first_row,
                     rows,
-                    first_pair,
-                    pairs: chunk_end - first_pair,
-                    starts: i32::from(place == 0 && first_pair == 0),
+                    first_offset,
+                    offsets,
+                    starts: i32::from(place == 0 && index == 0),
                     completes: i32::from(last),
-                    window_radius: radius,
+                    stride: cut.stride,
                     block_rows: schedule.block_rows as i32,
                     k_squared: guide.k * guide.k,
                     alpha: guide.alpha,
@@ -230,50 +274,31 @@ pub(super) fn for_each_chunk(
                     cut: guide.cut,
                     centre_floor: weighting.centre.floor(),
                 };
-                let invocations = |rows: i32| [(extent.x + 2 * patch_radius) as u32, (rows as u32).div_ceil(schedule.block_rows), params.pairs as u32];
+                let blocks = |rows: i32| (rows as u32).div_ceil(schedule.block_rows);
                 let with_margin = NlmParams { first_row: first_row - margin, rows: rows + 2 * margin, ..params };
-                let (guide, variance_of_mean) = (guide.signal, guide.variance_of_mean);
+                // As many offsets in an invocation as fill all of them.
+                let offset_rows = if offsets.y % schedule.offset_rows as i32 == 0 { schedule.offset_rows } else { 1 };
+                let definitions = [
+                    ("PATCH_RADIUS", Definition::Int(patch_radius)),
+                    ("SMALL_PATCH_RADIUS", Definition::Int(guide.small_patch_radius.map_or(-1, |small| small as i32))),
+                    ("OFFSET_ROWS", Definition::Int(offset_rows as i32)),
+                    // How the distances to both are used does not matter here.
+                    ("SYMMETRIC", (weighting.symmetric != Symmetry::Off).into()),
+                ];
+                let kernel = rec.gpu().kernel::<NlmDistance>("nlm_distance", &definitions)?;
                 let Beside { signal: neighbours, variance_of_mean: neighbours_variance } = *neighbours;
-                match &columns_small {
-                    None => {
-                        let kernel = rec.gpu().kernel::<NlmDistance>("nlm_distance", &definitions)?;
-                        let bound = NlmDistance { params: with_margin, guide, variance_of_mean, neighbours, neighbours_variance, columns: &columns };
-                        rec.dispatch(&kernel, &bound, invocations(with_margin.rows))?;
-                    }
-                    Some(columns_small) => {
-                        let kernel = rec.gpu().kernel::<NlmDistanceTwoPatches>("nlm_distance", &definitions)?;
-                        let bound = NlmDistanceTwoPatches {
-                            params: with_margin,
-                            guide,
-                            variance_of_mean,
-                            neighbours,
-                            neighbours_variance,
-                            columns: &columns,
-                            columns_small,
-                        };
-                        rec.dispatch(&kernel, &bound, invocations(with_margin.rows))?;
-                    }
-                }
+                let (guide, variance_of_mean) = (guide.signal, guide.variance_of_mean);
+                let bound = NlmDistance { params: with_margin, guide, variance_of_mean, neighbours, neighbours_variance, columns: &columns };
+                let planes = (offsets.x * offsets.y) as u32;
+                rec.dispatch(&kernel, &bound, [cut.stride as u32, blocks(with_margin.rows), planes / offset_rows])?;
                 if let Some(weight_columns) = &weight_columns {
                     let [symmetric, hard] = weighting.symmetric.definitions();
-                    let kernel = rec.gpu().kernel::<NlmWeight>("nlm_weight", &[("PATCH_RADIUS", Definition::Int(patch_radius)), symmetric, hard])?;
-                    rec.dispatch(&kernel, &NlmWeight { params, columns: &columns, weight_columns }, invocations(rows))?;
+                    let definitions = [("PATCH_RADIUS", Definition::Int(patch_radius)), schedule.pixels_definition(), symmetric, hard];
+                    let kernel = rec.gpu().kernel::<NlmWeight>("nlm_weight", &definitions)?;
+                    let invocations = [(cut.stride as u32).div_ceil(schedule.pixels), blocks(rows), planes];
+                    rec.dispatch(&kernel, &NlmWeight { params, columns: &columns, weight_columns }, invocations)?;
                 }
-                first_pair = chunk_end;
-                consume(
-                    rec,
-                    &Chunk {
-                        params,
-                        columns: weight_columns.as_ref().unwrap_or(&columns),
-                        columns_small: columns_small.as_ref(),
-                        beside: *beside,
-                        ends_frame: chunk_end >= pairs,
-                        last,
-                    },
-                )?;
-                if chunk_end >= pairs {
-                    break;
-                }
+                consume(rec, &Chunk { params, columns: weight_columns.as_ref().unwrap_or(&columns), beside: *beside, ends_frame, last })?;
             }
         }
     }
@@ -328,6 +353,7 @@ pub fn nlm_filter(
     let definitions = [
         ("PATCH_RADIUS", Definition::Int(guide.patch_radius as i32)),
         ("PAYLOAD_PLANES", Definition::Int(payload.count as i32)),
+        schedule.pixels_definition(),
         ("PATCHWISE", guide.patchwise.into()),
         symmetric,
         hard,
@@ -335,7 +361,7 @@ pub fn nlm_filter(
     ];
     for_each_chunk(rec, extent, guide, window_radius, weighting, schedule, |rec, chunk| {
         let (params, columns) = (chunk.params, chunk.columns);
-        let invocations = [extent.x as u32, params.rows as u32, 1];
+        let invocations = schedule.per_row_of_pixels(extent, params.rows);
         let (filtered, weights, variance_of_mean) = (&planes, &weights, guide.variance_of_mean);
         let neighbours = chunk.beside.map_or(payload.planes, |index| payload.beside[index]);
         let neighbours_variance = chunk.beside.map_or(variance_of_mean, |index| guide.beside[index].variance_of_mean);

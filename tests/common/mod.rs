@@ -5,6 +5,7 @@ use std::sync::OnceLock;
 use glam::IVec2;
 use stein::error::Result;
 use stein::gpu::{Buffer, DeviceChoice, Gpu, GpuOptions, Recorder};
+use stein::stage::nlm::Schedule;
 
 use crate::reference::random::Random;
 use crate::reference::{Grid, Planes, Point};
@@ -24,6 +25,13 @@ pub fn checked_gpu() -> &'static Gpu {
 /// A device of one's own; a machine without an adapter fails the test with what to do about it.
 pub fn open(options: GpuOptions) -> Gpu {
     Gpu::open_with(&DeviceChoice::Auto, options).unwrap_or_else(|error| panic!("{error}"))
+}
+
+/// Ways of cutting up the work: from one row and one offset at a time to everything at once, for processors and for graphics cards. What is computed must not depend on it.
+pub fn schedules() -> impl Iterator<Item = Schedule> {
+    let blocks = [(1, 1, 1), (5, 2, 4), (16, 1, 1), (32, 3, 4)];
+    let schedule = move |scratch_bytes| blocks.map(|(block_rows, offset_rows, pixels)| Schedule { scratch_bytes, block_rows, offset_rows, pixels });
+    [16, 1 << 12, 30_000, 1 << 18, 64 << 20].into_iter().flat_map(schedule)
 }
 
 /// Records, submits, and gives what was recorded.

@@ -126,7 +126,7 @@ fn schedules_and_repetition_do_not_change_a_bit() {
     let plain = denoiser(gpu(), params());
     let first = denoised(&plain, &frame);
     assert_same("the second run", &denoised(&plain, &frame), &first, 1.0);
-    let schedule = Schedule { scratch_bytes: 20_000, block_rows: 5 };
+    let schedule = Schedule { scratch_bytes: 20_000, block_rows: 5, ..Schedule::SOFTWARE };
     assert_same("another schedule", &denoised(&plain.clone().with_schedule(schedule), &frame), &first, 1.0);
 }
 
@@ -203,7 +203,7 @@ fn a_renderer_that_keeps_its_buffers_gets_the_same_bits() {
 #[test]
 fn cancelling_ends_the_work_and_not_the_denoiser() {
     let frame = random_frame(37, 41, 1.0);
-    let denoiser = denoiser(gpu(), params()).with_schedule(Schedule { scratch_bytes: 60_000, block_rows: 4 });
+    let denoiser = denoiser(gpu(), params()).with_schedule(Schedule { scratch_bytes: 60_000, block_rows: 4, ..Schedule::SOFTWARE });
     let expected = denoised(&denoiser, &frame);
     for ended_at in [1, 3] {
         let mut calls = 0;
