@@ -282,11 +282,12 @@ impl<'a> Page<'a> {
     }
 
     fn cost(&self) -> String {
-        let mut exponents = Vec::new();
+        let mut exponents: Vec<String> = Vec::new();
+        // Whether they lie far enough apart to say anything.
         let mut tell = |name: &str, points: &[(f64, f64)], of: &str| {
-            if let Some(exponent) = exponent(points) {
-                exponents.push(format!("<tr><td>{}</td><td>{of}</td><td>{exponent:.2}</td></tr>", escape(name)));
-            }
+            let found = exponent(points);
+            exponents.extend(found.map(|exponent| format!("<tr><td>{}</td><td>{of}</td><td>{exponent:.2}</td></tr>", escape(name))));
+            found.is_some()
         };
         let mut pixels = Plot { title: "time over pixels".into(), x_title: "pixels".into(), y_title: RUN_TIME.into(), ..Plot::default() };
         for configuration in &self.document.configurations {
@@ -296,10 +297,9 @@ impl<'a> Page<'a> {
                 rows.push((u64::from(set.width) * u64::from(set.height), row.wall_ms));
             }
             let points = means(rows);
-            if points.len() < 2 {
+            if !tell(&configuration.name, &points, "pixels") {
                 continue;
             }
-            tell(&configuration.name, &points, "pixels");
             for &(x, y) in &points {
                 let tip = format!("{}\n{x} pixels, {} ms", configuration.name, milliseconds(y));
                 pixels.marks.push(self.mark(configuration, (x, y), false, tip));
@@ -324,13 +324,12 @@ impl<'a> Page<'a> {
                 let tip = format!("{}\n{x} pixels, {} ms per megapixel", configuration.name, milliseconds(y));
                 points.push((x, y, self.mark(configuration, (x, y), false, tip)));
             }
-            if points.len() < 2 {
+            points.sort_by(|a, b| a.0.total_cmp(&b.0));
+            let line: Vec<(f64, f64)> = points.iter().map(|(x, y, _)| (*x, *y)).collect();
+            if !tell(series, &line, "(2R+1)²") {
                 continue;
             }
-            points.sort_by(|a, b| a.0.total_cmp(&b.0));
             ticks.extend(points.iter().map(|(x, ..)| *x));
-            let line: Vec<(f64, f64)> = points.iter().map(|(x, y, _)| (*x, *y)).collect();
-            tell(series, &line, "(2R+1)²");
             window.lines.push(self.line(series, line));
             window.marks.extend(points.into_iter().map(|(_, _, mark)| mark));
         }
@@ -338,9 +337,10 @@ impl<'a> Page<'a> {
         ticks.dedup();
         window.x_ticks = (!ticks.is_empty()).then_some(ticks);
         let mut content = String::new();
-        for (plot, otherwise) in
-            [(&pixels, "All sets have one size: give several with --size."), (&window, "One radius was measured: give several with --radii.")]
-        {
+        for (plot, otherwise) in [
+            (&pixels, "No sizes of which one has twice the pixels of another were measured: give several with --size."),
+            (&window, "No radii of which one has twice the window of another were measured: give several with --radii."),
+        ] {
             if plot.marks.is_empty() {
                 content += &format!("<p>{otherwise}</p>\n");
             }

@@ -16,11 +16,11 @@ pub(super) fn front(points: &[(f64, f64)]) -> Vec<bool> {
     points.iter().map(|point| !points.iter().any(|other| beats(other, point))).collect()
 }
 
-/// The exponent e of y = c·xᵉ that fits best: least squares of the logarithms. `None` where x does not differ by half of itself at least, so that noise would decide.
+/// The exponent e of y = c·xᵉ that fits best: least squares of the logarithms. `None` where x does not differ by a factor of 2 at least, so that noise would decide.
 pub(super) fn exponent(points: &[(f64, f64)]) -> Option<f64> {
     let logs: Vec<_> = points.iter().filter(|(x, y)| *x > 0.0 && *y > 0.0).map(|(x, y)| (x.ln(), y.ln())).collect();
     let (least, most) = logs.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(least, most), (x, _)| (least.min(*x), most.max(*x)));
-    if most - least < 1.5_f64.ln() || logs.is_empty() {
+    if most - least < 2.0_f64.ln() || logs.is_empty() {
         return None;
     }
     let count = logs.len() as f64;
@@ -50,7 +50,7 @@ mod tests {
     fn an_exponent_is_found_and_not_made_up() {
         let cubes: Vec<_> = [1.0, 2.0, 5.0].map(|x: f64| (x, 7.0 * x.powi(3))).to_vec();
         assert!(exponent(&cubes).is_some_and(|exponent| (exponent - 3.0).abs() < 1e-12));
-        assert_eq!(exponent(&[(1.0, 1.0), (1.2, 3.0)]), None);
+        assert_eq!(exponent(&[(1.0, 1.0), (1.9, 3.0)]), None);
         assert_eq!(exponent(&[]), None);
         assert_eq!(exponent(&[(1.0, 0.0), (9.0, 1.0)]), None);
     }
