@@ -167,7 +167,9 @@ pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
         gpu: &gpu,
         contestants: &contestants,
         repeats,
-        scratch: tempfile::tempdir().map_err(|error| Failure::output(format_args!("no folder for temporary files: {error}")))?,
+        scratch: tempfile::tempdir().map_err(|error| {
+            Failure::output(format_args!("no folder for temporary files: {error}\n  remedy: let TMPDIR name a folder that may be written to"))
+        })?,
         gallery: folder.is_some().then(Gallery::default),
         bar: bar(!args.json, files.len() as u64 * axes.sizes.len().max(1) as u64 * contestants.len() as u64 * runs(repeats)),
         document: Document {
