@@ -47,7 +47,9 @@ struct Pixel {
 #if FEATURE_GROUPS != 0
     value: array<vec4<f32>, FEATURE_GROUPS>,
     residual: array<vec4<f32>, FEATURE_GROUPS>,
-    scale: array<vec4<f32>, FEATURE_GROUPS>,
+    // max(τ, scale), of FIRST and SECOND and of THIRD.
+    reach: array<vec4<f32>, FEATURE_GROUPS>,
+    third_reach: array<vec4<f32>, FEATURE_GROUPS>,
 #endif
 }
 
@@ -79,7 +81,9 @@ fn centre_at(x: i32, row: i32) -> Pixel {
     for (var group = 0; group < FEATURE_GROUPS; group++) {
         pixel.value[group] = features[3 * group * pixels + at];
         pixel.residual[group] = features[(3 * group + 1) * pixels + at];
-        pixel.scale[group] = features[(3 * group + 2) * pixels + at];
+        let scale = features[(3 * group + 2) * pixels + at];
+        pixel.reach[group] = max(vec4<f32>(filter_params.feature_tau), scale);
+        pixel.third_reach[group] = max(vec4<f32>(filter_params.feature_tau_third), scale);
     }
 #endif
     return pixel;
@@ -97,7 +101,9 @@ fn neighbour_at(x: i32, row: i32) -> Pixel {
     for (var group = 0; group < FEATURE_GROUPS; group++) {
         pixel.value[group] = neighbours_features[3 * group * pixels + at];
         pixel.residual[group] = neighbours_features[(3 * group + 1) * pixels + at];
-        pixel.scale[group] = neighbours_features[(3 * group + 2) * pixels + at];
+        let scale = neighbours_features[(3 * group + 2) * pixels + at];
+        pixel.reach[group] = max(vec4<f32>(filter_params.feature_tau), scale);
+        pixel.third_reach[group] = max(vec4<f32>(filter_params.feature_tau_third), scale);
     }
 #endif
     return pixel;
@@ -153,6 +159,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     }
     let strip_pixels = nlm.rows * extent.x;
     var centres: array<Pixel, PIXELS>;
+    var steps: array<vec3<f32>, PIXELS>;
     var firsts: array<Sums, PIXELS>;
     var seconds: array<Sums, PIXELS>;
     // xyz: Σ w·(u_q − u_p), w: Σ w; and for the spread, with the largest weight in w.
@@ -160,6 +167,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     var third_spreads: array<vec4<f32>, PIXELS>;
     for (var i = 0; i < PIXELS; i++) {
         centres[i] = centre_at(first_x + i, y);
+        steps[i] = difference_step(centres[i].mean, centres[i].variance);
         if nlm.starts == 0 {
             let at_state = row * extent.x + min(first_x + i, extent.x - 1);
             firsts[i] = load_sums(0, strip_pixels, at_state);
@@ -226,8 +234,6 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
                     let triple = filter_params.triple_weights[group].xyz;
                     let to_q1 = p.value[group] - q1.value[group];
                     let to_q2 = p.value[group] - q2.value[group];
-                    let tau = vec4<f32>(filter_params.feature_tau);
-                    let tau_third = vec4<f32>(filter_params.feature_tau_third);
 #ifdef SYMMETRIC
                     let least_q1 = min(p.residual[group], q1.residual[group]);
                     let least_q2 = min(p.residual[group], q2.residual[group]);
@@ -235,24 +241,20 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
                     let squared_q2 = (to_q2 * to_q2 - (p.residual[group] + least_q2)) * filter_params.inverse_feature_k_squared;
                     let to_both = 0.5 * (to_q1 + to_q2);
                     let squared_both = (to_both * to_both - (p.residual[group] + 0.25 * (least_q1 + least_q2))) * filter_params.inverse_feature_k_squared;
-                    let reach_p = max(tau, p.scale[group]);
-                    let reach_q1 = max(tau, q1.scale[group]);
-                    let reach_q2 = max(tau, q2.scale[group]);
-                    let phi_q1 = squared_q1 / (reach_p + reach_q1);
-                    let phi_q2 = squared_q2 / (reach_p + reach_q2);
-                    let phi_both = squared_both / (reach_p + 0.25 * (reach_q1 + reach_q2));
-                    let third_reach_p = max(tau_third, p.scale[group]);
-                    let phi_third_q1 = squared_q1 / (third_reach_p + max(tau_third, q1.scale[group]));
-                    let phi_third_q2 = squared_q2 / (third_reach_p + max(tau_third, q2.scale[group]));
+                    let phi_q1 = squared_q1 / (p.reach[group] + q1.reach[group]);
+                    let phi_q2 = squared_q2 / (p.reach[group] + q2.reach[group]);
+                    let phi_both = squared_both / (p.reach[group] + 0.25 * (q1.reach[group] + q2.reach[group]));
+                    let phi_third_q1 = squared_q1 / (p.third_reach[group] + q1.third_reach[group]);
+                    let phi_third_q2 = squared_q2 / (p.third_reach[group] + q2.third_reach[group]);
 #else
                     // The printed form: the scale of p alone, the full variance of q.
                     let squared_q1 = (to_q1 * to_q1 - (p.residual[group] + q1.residual[group])) * filter_params.inverse_feature_k_squared;
                     let squared_q2 = (to_q2 * to_q2 - (p.residual[group] + q2.residual[group])) * filter_params.inverse_feature_k_squared;
-                    let phi_q1 = squared_q1 / max(tau, p.scale[group]);
-                    let phi_q2 = squared_q2 / max(tau, p.scale[group]);
+                    let phi_q1 = squared_q1 / p.reach[group];
+                    let phi_q2 = squared_q2 / p.reach[group];
                     let phi_both = vec4<f32>(0.0);
-                    let phi_third_q1 = squared_q1 / max(tau_third, p.scale[group]);
-                    let phi_third_q2 = squared_q2 / max(tau_third, p.scale[group]);
+                    let phi_third_q1 = squared_q1 / p.third_reach[group];
+                    let phi_third_q2 = squared_q2 / p.third_reach[group];
 #endif
                     // Lane 0: the triple, lane 1: the single.
                     let w = pair_weights(
@@ -271,7 +273,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
                 // What a step in each channel of p does to the patch sums: the pair (p, q) itself, and where p lies in its neighbour's patch, the pair that ends in p.
                 // In another frame's patches p lies nowhere.
                 let zero = vec3<f32>(0.0);
-                let step = difference_step(p.mean, p.variance);
+                let step = steps[i];
                 let change_q1 = select(zero, step_change(step, p.mean - q1.mean, EPSILON + nlm.k_squared * (p.variance + q1.variance)), q1_inside);
                 let change_q2 = select(zero, step_change(step, p.mean - q2.mean, EPSILON + nlm.k_squared * (p.variance + q2.variance)), q2_inside);
                 var first_changes = PatchChanges(change_q1, change_q2, zero);
