@@ -1,48 +1,18 @@
-// Averages the candidates by their smoothed selection maps (Algorithm 1 line 33), with two guards.
-//
-// Smoothing hands a rejected candidate some weight near the border of its region. Where it is wildly wrong there, as THIRD is beside a visible lamp that shares all
-// features with the ceiling, that share would ruin the blend. So a candidate takes part in a pixel only where its smoothed error there is comparable to the winner's.
-//
-// The smoothed errors themselves are blind to single pixels: a clean pixel beside a caustic has neighbours whose errors are thousands of times its own. There the pixel
-// speaks for itself: its unsmoothed SURE tells two candidates F and G apart with a standard deviation of 2·√Σ σ_i²(F_i − G_i)², which vanishes with its noise. A candidate
-// that is worse than the best one by many of them takes no part.
+// Averages the candidates by their shares (Algorithm 1 line 33).
 #import stein::planes::{pixel_index}
-#import stein::candidates::{error_by_chance}
 
 struct SelectBlendParams {
     extent: vec2<i32>,
-    // A candidate takes part where its smoothed error exceeds the winner's by at most smoothed_error·|winner's error| + smoothed_noise·Σ_i σ_i². Negative: no guards.
-    smoothed_error: f32,
-    smoothed_noise: f32,
-    // And where its own SURE exceeds the least one by at most own_sigmas standard deviations + own_noise·Σ_i σ_i².
-    own_sigmas: f32,
-    own_noise: f32,
 }
 
 @group(0) @binding(0) var<uniform> params: SelectBlendParams;
-// Smoothed binary maps, the binary maps themselves, smoothed errors. x: FIRST, y: SECOND, z: THIRD.
-@group(0) @binding(1) var<storage, read> smoothed: array<vec4<f32>>;
-@group(0) @binding(2) var<storage, read> selected: array<vec4<f32>>;
-@group(0) @binding(3) var<storage, read> errors: array<vec4<f32>>;
-@group(0) @binding(4) var<storage, read> variance_of_mean: array<vec4<f32>>;
-@group(0) @binding(5) var<storage, read> first: array<vec4<f32>>;
-@group(0) @binding(6) var<storage, read> second: array<vec4<f32>>;
-@group(0) @binding(7) var<storage, read> third: array<vec4<f32>>;
-// SURE as computed.
-@group(0) @binding(10) var<storage, read> sure: array<vec4<f32>>;
-// Shares of the candidates, sum 1; w: blended error Σ share·error.
-@group(0) @binding(8) var<storage, read_write> selection: array<vec4<f32>>;
+// x: FIRST, y: SECOND, z: THIRD; they sum to 1.
+@group(0) @binding(1) var<storage, read> shares: array<vec4<f32>>;
+@group(0) @binding(2) var<storage, read> first: array<vec4<f32>>;
+@group(0) @binding(3) var<storage, read> second: array<vec4<f32>>;
+@group(0) @binding(4) var<storage, read> third: array<vec4<f32>>;
 // Two planes: mean with the blended Σ w in w, half spread.
-@group(0) @binding(9) var<storage, read_write> blended: array<vec4<f32>>;
-
-fn chance(apart: vec3<f32>, variance: vec3<f32>) -> f32 {
-    return error_by_chance(apart, variance, params.own_sigmas, params.own_noise);
-}
-
-// The squares of a spike overflow: a candidate that takes no part may have an error that is not finite, and 0·∞ is no number.
-fn weighted_error(share: vec3<f32>, error: vec3<f32>) -> f32 {
-    return dot(share, select(vec3<f32>(0.0), error, share > vec3<f32>(0.0)));
-}
+@group(0) @binding(5) var<storage, read_write> blended: array<vec4<f32>>;
 
 @compute @workgroup_size(32, 2, 1)
 fn main(@builtin(global_invocation_id) id: vec3<u32>) {
@@ -52,39 +22,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     }
     let pixels = params.extent.x * params.extent.y;
     let at = pixel_index(p, params.extent);
-    let error = errors[at].xyz;
-    let winner = selected[at].xyz;
-    var share = max(smoothed[at].xyz, vec3<f32>(0.0));
-    if params.smoothed_error >= 0.0 {
-        let variance = variance_of_mean[at].xyz;
-        let least = weighted_error(winner, error);
-        let allowed = params.smoothed_error * abs(least) + params.smoothed_noise * dot(vec3<f32>(1.0), variance);
-        share = select(vec3<f32>(0.0), share, error - least <= vec3<f32>(allowed));
-        // The winner always takes part, with a little at the least, so that something is left to normalise.
-        share = max(share, 1e-6 * winner);
-
-        let own = sure[at].xyz;
-        let f = array<vec3<f32>, 3>(first[at].xyz, second[at].xyz, third[at].xyz);
-        var best = f[0];
-        var own_least = own.x;
-        var own_winner = vec3<f32>(1.0, 0.0, 0.0);
-        if own.y < own_least {
-            best = f[1];
-            own_least = own.y;
-            own_winner = vec3<f32>(0.0, 1.0, 0.0);
-        }
-        if own.z < own_least {
-            best = f[2];
-            own_least = own.z;
-            own_winner = vec3<f32>(0.0, 0.0, 1.0);
-        }
-        let by_chance = vec3<f32>(chance(f[0] - best, variance), chance(f[1] - best, variance), chance(f[2] - best, variance));
-        share = select(vec3<f32>(0.0), share, own - own_least <= by_chance);
-        share = max(share, 1e-9 * own_winner);
-    }
-    let total = share.x + share.y + share.z;
-    share = select(winner, share / max(total, 1e-20), total > 1e-20);
-    selection[at] = vec4<f32>(share, weighted_error(share, error));
+    let share = shares[at];
     blended[at] = share.x * first[at] + share.y * second[at] + share.z * third[at];
     blended[pixels + at] = share.x * first[pixels + at] + share.y * second[pixels + at] + share.z * third[pixels + at];
 }

@@ -18,7 +18,7 @@
 //! | --- | --- | --- |
 //! | [`buffers`] | OpenEXR files as buffer sets, which layer is what, writing | [`image`] |
 //! | [`frame`] | a buffer set whose meaning is settled | `buffers` |
-//! | [`gpu`] | device, kernels, recording, pool, timing | nothing of denoising |
+//! | [`gpu`] | device, kernels, recording, pool, timing, compiled pipelines on disk | nothing of denoising |
 //! | [`stage`] | one function per shader, called like its file | `gpu` |
 //! | [`method`] | the methods: parameters and a straight function | `stage`, never the GPU interface |
 //! | [`metric`] | error measures | `image` |

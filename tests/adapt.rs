@@ -31,8 +31,8 @@ fn denoiser(method: Method) -> Denoiser {
 /// Exit code, standard output, standard error.
 fn run(arguments: &[&str]) -> (i32, String, String) {
     let mut command = Command::new(env!("CARGO_BIN_EXE_stein"));
-    // Mesa's device selection layer complains on stderr where there is no desktop.
-    let output = command.args(arguments).env("NODEVICE_SELECT", "1").stdin(Stdio::null()).output().unwrap();
+    // Mesa's device selection layer complains on stderr where there is no desktop. Nothing is left in the home of whoever runs the tests.
+    let output = command.args(arguments).env("NODEVICE_SELECT", "1").env("STEIN_CACHE", "").stdin(Stdio::null()).output().unwrap();
     (output.status.code().unwrap(), String::from_utf8(output.stdout).unwrap(), String::from_utf8(output.stderr).unwrap())
 }
 
@@ -230,7 +230,7 @@ fn a_renderer_that_draws_other_numbers_is_warned_about_and_believed() {
     let command = format!("'{}' render dof --spp=6 --size=24x20 -o {{out}}; : {{map}}", env!("CARGO_BIN_EXE_stein"));
     let run = |more: &[&str]| {
         let arguments = ["adapt", "--sampler-command", &command, "--spp=4", "--iterations=1", SMALL[0], SMALL[1], "--overwrite", "-o", text(&output)];
-        let run = Command::new(env!("CARGO_BIN_EXE_stein")).args(arguments).args(more).output().unwrap();
+        let run = Command::new(env!("CARGO_BIN_EXE_stein")).args(arguments).args(more).env("STEIN_CACHE", "").output().unwrap();
         assert!(run.status.success());
         assert_eq!(samples(&output.join("samples_1.exr")).counts().total_samples(), 6 * 24 * 20);
         String::from_utf8(run.stderr).unwrap()

@@ -137,6 +137,27 @@ fn a_user_sees_what_was_taken_for_what_and_how_good_it_became() {
 }
 
 #[test]
+fn compiled_shaders_are_kept_where_the_user_says() {
+    let folder = Folder::new();
+    let (input, output) = (test_image("cornell_8spp.exr"), folder.path("out.exr"));
+    let with_cache = |cache: &str| {
+        let output = command(&["denoise", &input, "-o", &output, "-v", "--method=gem"]).env("STEIN_CACHE", cache).output().unwrap();
+        assert!(output.status.success(), "{output:?}");
+        String::from_utf8(output.stdout).unwrap()
+    };
+    assert!(!with_cache("").contains("compiled shaders"));
+    let cache = folder.path("cache");
+    let first = with_cache(&cache);
+    // Not every adapter hands them out.
+    if first.contains("compiled shaders") {
+        assert_eq!(std::fs::read_dir(&cache).unwrap().count(), 1, "{first}");
+        assert!(first.contains(&cache) && with_cache(&cache).contains("as before"), "{first}");
+        let told = with_cache(&format!("{output}/cache"));
+        assert!(told.contains("cannot be kept") && told.contains("remedy: have STEIN_CACHE"), "{told}");
+    }
+}
+
+#[test]
 fn little_memory_gives_the_same_pixels() {
     let folder = Folder::new();
     let (input, whole, strips) = (test_image("cornell_32spp.exr"), folder.path("whole.exr"), folder.path("strips.exr"));

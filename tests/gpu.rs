@@ -1,10 +1,11 @@
 //! The graphics layer on whatever adapter this machine has; without one these tests fail and say how to get one.
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on says where")]
 
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use stein::error::{Error, Result};
-use stein::gpu::{Buffer, DeviceChoice, Gpu, GpuOptions, Kernel, Recorder, bindings, uniforms};
+use stein::gpu::{Buffer, DeviceChoice, Gpu, GpuOptions, Kernel, Recorder, SavedPipelines, bindings, uniforms};
 
 uniforms! {
     struct ScaleParams { extent: glam::UVec2, factor: f32 }
@@ -59,7 +60,7 @@ fn ramp() -> Vec<f32> {
 #[test]
 fn a_dispatch_computes() {
     for checked_shaders in [false, true] {
-        let gpu = gpu_with(GpuOptions { checked_shaders, poison: false });
+        let gpu = gpu_with(GpuOptions { checked_shaders, ..GpuOptions::default() });
         let kernel = scale_kernel(&gpu);
         assert_eq!(kernel.workgroup_size(), [8, 4, 1]);
         let mut rec = gpu.record();
@@ -182,7 +183,7 @@ fn definitions_specialise_and_members_are_found_by_name() {
 
 #[test]
 fn poison_shows_what_was_not_written_also_in_reused_memory() {
-    let gpu = gpu_with(GpuOptions { checked_shaders: false, poison: true });
+    let gpu = gpu_with(GpuOptions { poison: true, ..GpuOptions::default() });
     let kernel = scale_kernel(&gpu);
     let mut rec = gpu.record();
     // More than one copy of the poison, and not a whole number of them.
@@ -328,7 +329,7 @@ fn an_absurd_request_names_the_limit_and_the_device_lives_on() {
     let mut rec = gpu.record();
     for bytes in [1 << 50, u64::MAX, limit + 1] {
         let text = problem(rec.take("offsets", bytes));
-        for part in ["'offsets'", &bytes.to_string(), &limit.to_string(), "--max-memory", "--radius"] {
+        for part in ["'offsets'", &bytes.to_string(), &limit.to_string(), "memory limit", "smaller window"] {
             assert!(text.contains(part), "{part} is missing in: {text}");
         }
     }
@@ -356,7 +357,7 @@ fn with_little_memory() {
         }
         assert!(held.len() < 1000, "the memory limit has no effect");
     };
-    for part in ["has no memory left for the buffer 'candidates'", &bytes.to_string(), "--max-memory", "--radius"] {
+    for part in ["has no memory left for the buffer 'candidates'", &bytes.to_string(), "memory limit", "smaller window"] {
         assert!(text.contains(part), "{part} is missing in: {text}");
     }
     // Idle buffers of the wrong size are given back when memory is short, also while commands that use them are still recorded.
@@ -417,6 +418,84 @@ fn a_lost_device_of_a_renderer_is_an_error_too() {
     own.wgpu_device().destroy();
     assert!(problem(gpu.read(&source)).contains("remedy: "));
     assert!(problem(gpu.record().upload("more", &[1.0])).contains("remedy: "));
+}
+
+/// The file in which the adapter's pipelines are kept, if it hands any out.
+fn pipeline_file(saved: &SavedPipelines) -> Option<&Path> {
+    match saved {
+        SavedPipelines::Nowhere => None,
+        SavedPipelines::Unchanged { file, bytes } | SavedPipelines::Written { file, bytes } => {
+            assert_eq!(std::fs::metadata(file).unwrap().len(), *bytes);
+            Some(file)
+        }
+    }
+}
+
+#[test]
+fn compiled_pipelines_are_kept_and_found_again() {
+    let home = tempfile::tempdir().unwrap();
+    let folder = home.path().join("made/on the way");
+    let files = || std::fs::read_dir(&folder).map_or_else(|_| Vec::new(), |entries| entries.map(|entry| entry.unwrap().path()).collect());
+    let open = || gpu_with(GpuOptions { pipeline_folder: Some(folder.clone()), ..GpuOptions::default() });
+    // A kernel that no other test has, so that the driver has it from nowhere else.
+    let computed = |gpu: &Gpu| {
+        let kernel = gpu.kernel_from_source::<Scale>("scale", &SCALE.replace("params.factor", "params.factor + 0.03125"), &[]).unwrap();
+        let mut rec = gpu.record();
+        let source = rec.upload("source", &ramp()).unwrap();
+        let scaled = scale(&mut rec, &kernel, &source, 2.0).unwrap();
+        rec.submit().unwrap();
+        gpu.read(&scaled).unwrap()[1]
+    };
+    let first = open();
+    assert_eq!((computed(&first), files().len()), (1.03125, 0));
+    let saved = first.save_pipelines().unwrap();
+    let Some(file) = pipeline_file(&saved) else { return assert_eq!(files(), Vec::<PathBuf>::new()) };
+    assert!(matches!(saved, SavedPipelines::Written { .. }), "{saved:?}");
+    assert_eq!(files(), [file]);
+    let intact = std::fs::read(file).unwrap();
+    assert!(matches!(first.save_pipelines(), Ok(SavedPipelines::Unchanged { .. })));
+
+    // Found again, also by a device that is open at the same time; unchanged, it is not written again.
+    let old = std::time::SystemTime::UNIX_EPOCH + std::time::Duration::from_secs(1_000_000_000);
+    std::fs::File::options().write(true).open(file).unwrap().set_modified(old).unwrap();
+    let second = open();
+    assert_eq!(computed(&second), 1.03125);
+    assert!(matches!(second.save_pipelines(), Ok(SavedPipelines::Unchanged { .. })));
+    drop((first, second));
+    assert_eq!(std::fs::metadata(file).unwrap().modified().unwrap(), old);
+
+    // Cut off, spoiled, or no file of ours at all: compiled anew, and replaced when the device is closed.
+    let mut spoiled = intact.clone();
+    *spoiled.last_mut().unwrap() ^= 1;
+    for damaged in [&intact[..intact.len() / 2], &spoiled, b"", b"a picture"] {
+        std::fs::write(file, damaged).unwrap();
+        assert_eq!(computed(&open()), 1.03125);
+        assert_ne!(std::fs::read(file).unwrap(), damaged);
+        assert!(matches!(open().save_pipelines(), Ok(SavedPipelines::Unchanged { .. })));
+    }
+    assert_eq!(files(), [file], "nothing else is left behind");
+}
+
+#[test]
+fn a_folder_that_cannot_be_written_to_costs_only_time() {
+    let home = tempfile::tempdir().unwrap();
+    let occupied = home.path().join("a file");
+    std::fs::write(&occupied, "").unwrap();
+    let gpu = gpu_with(GpuOptions { pipeline_folder: Some(occupied.join("folder")), ..GpuOptions::default() });
+    scale_kernel(&gpu);
+    match gpu.save_pipelines() {
+        Ok(saved) => assert_eq!(saved, SavedPipelines::Nowhere),
+        Err(error) => assert!(error.to_string().contains("remedy: "), "{error}"),
+    }
+    drop(gpu);
+    assert_eq!(std::fs::read(&occupied).unwrap(), b"");
+}
+
+#[test]
+fn pipelines_are_kept_nowhere_unless_asked() {
+    let gpu = gpu();
+    scale_kernel(&gpu);
+    assert_eq!(gpu.save_pipelines().unwrap(), SavedPipelines::Nowhere);
 }
 
 #[test]

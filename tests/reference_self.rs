@@ -11,7 +11,7 @@ use reference::gem::{Scale, bias_weight, scaled, step};
 use reference::nlm::{CentreWeight, Feature, FilterParams, Guide, nlm_filter, window_weights};
 use reference::prefilter::{gradient_squared, prefilter};
 use reference::random::Random;
-use reference::select::{Evidence, FIRST, Guard, SECOND, THIRD, guard, select};
+use reference::select::{Evidence, FIRST, Guard, SECOND, THIRD, select, share};
 use reference::sure::sure;
 use reference::variance::{Signal, spread_of_halves, variance_scale};
 use reference::{Grid, Planes, Point, square};
@@ -246,7 +246,7 @@ fn guarded(maps: [f64; 3], errors: [f64; 3], sure: [f64; 3], filtered: [f64; 3],
     let candidates = filtered.each_ref().map(std::slice::from_ref);
     let variance = [row(&[4.0])];
     let evidence = Evidence { errors: &errors, binary_maps: &binary_maps, sure: &sure, candidates, variance: &variance };
-    let maps = guard(&maps, evidence, &rule);
+    let maps = share(&maps, evidence, Some(&rule));
     [maps[0].values[0], maps[1].values[0], maps[2].values[0]]
 }
 

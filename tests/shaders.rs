@@ -40,6 +40,7 @@ fn definitions(stage: &str) -> Option<Vec<Definitions>> {
     match stage {
         "variance_rows" | "variance_scale" | "variance_pair" | "variance_clamp" | "half_split" | "half_join" | "feature_pack" | "candidate_resolve"
         | "error_sure" | "select_least" | "select_blend" | "select_pass" => none,
+        "select_share" => Some(combinations(&[("GUARDED", flags())])),
         "select_frames" => Some(combinations(&[("WEIGHT_SUMS", flags())])),
         "sample_attach" => Some(combinations(&[("SAMPLES_VARY", flags())])),
         "error_halves" => Some(combinations(&[("HALVES", flags())])),
@@ -113,8 +114,22 @@ fn in_every_language(what: &str, module: &naga::Module, info: &ModuleInfo) {
     assert!(text.contains("local_size_x"), "{what}: GLSL without a kernel");
 }
 
+fn spirv(stage: &str, set: &Definitions) -> Vec<u32> {
+    let module = compose(stage, set).unwrap_or_else(|error| panic!("{stage}: {error}"));
+    let info = Validator::new(ValidationFlags::all(), Capabilities::empty()).validate(&module).unwrap();
+    spv::write_vec(&module, &info, &spv::Options::default(), None).unwrap()
+}
+
+/// Storage buffers that every WebGPU device lets a shader see.
+const STORAGE_BUFFERS_EVERYWHERE: usize = 8;
+
+fn fits_the_least_of_devices(stage: &str, set: &Definitions, module: &naga::Module) {
+    let buffers = module.global_variables.iter().filter(|(_, variable)| matches!(variable.space, naga::AddressSpace::Storage { .. })).count();
+    assert!(buffers <= STORAGE_BUFFERS_EVERYWHERE, "{stage} with {set:?} binds {buffers} storage buffers");
+}
+
 #[test]
-fn every_stage_is_valid_and_translates() {
+fn every_stage_is_valid_translates_and_fits_the_least_of_devices() {
     for stage in stages() {
         let sets = definitions(stage).unwrap_or_else(|| panic!("stage '{stage}' is not in the table of this test: add the definitions it is used with"));
         for set in sets {
@@ -123,8 +138,20 @@ fn every_stage_is_valid_and_translates() {
             let info = Validator::new(ValidationFlags::all(), Capabilities::empty()).validate(&module);
             let info = info.unwrap_or_else(|error| panic!("{what}: {}", error.into_inner()));
             in_every_language(&what, &module, &info);
+            fits_the_least_of_devices(stage, &set, &module);
         }
     }
+}
+
+/// What is compiled once is found again, by us and by the driver: so a stage has to be the same to the byte, whichever were composed before it.
+#[test]
+fn a_stage_is_the_same_whatever_was_composed_before() {
+    let all = |stages: &[&'static str]| -> Vec<Vec<u32>> { stages.iter().map(|stage| spirv(stage, &definitions(stage).unwrap_or_default()[0])).collect() };
+    let forwards = stages();
+    let backwards: Vec<_> = forwards.iter().rev().copied().collect();
+    let mut again = all(&backwards);
+    again.reverse();
+    assert_eq!(all(&forwards), again);
 }
 
 /// Every file in `shaders/` is a stage and every file in `shaders/shared/` a piece that stages import: what lies there unused only looks like part of the product.

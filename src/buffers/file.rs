@@ -15,7 +15,7 @@ use crate::error::{Error, Result};
 use crate::image::{Extent, Image, Window};
 
 /// A file's whole content. Samples stay in the type they were stored in, so that what is not replaced can be written back bit by bit.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(crate) struct ExrFile {
     pub(crate) path: PathBuf,
     pub(crate) image: FlatImage,

@@ -80,7 +80,7 @@ struct SignalSource {
 }
 
 /// What the files said. Keeps the files' whole content in memory, so that an output can carry over what was not denoised.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct BufferSet {
     files: Vec<ExrFile>,
     color: SignalSource,

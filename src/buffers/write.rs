@@ -5,7 +5,7 @@ use std::path::Path;
 use exr::prelude::*;
 
 use super::BufferSet;
-use super::file::FileLayer;
+use super::file::{ExrFile, FileLayer};
 use crate::error::{Error, Result};
 use crate::image::{Extent, Image};
 
@@ -63,28 +63,28 @@ impl std::fmt::Display for WriteReport {
 }
 
 /// Writes the input of `set` with its colour replaced. Header, parts, windows, alpha and all layers that are not replaced stay as they were; replaced
-/// channels keep their sample type. Mip levels are not kept.
+/// channels keep their sample type. Mip levels are not kept. The set is used up: its layers are handed on, not copied.
 ///
 /// The file appears under its name only when it is complete; an existing one is replaced, which may be the input.
 ///
 /// # Errors
 /// Images of another extent or number of channels than the layers that they replace, replacements for layers that do not exist, extra layers that do
 /// exist, and whatever the file system reports.
-pub fn write_denoised(set: &BufferSet, output: &Path, denoised: &DenoisedLayers<'_>) -> Result<WriteReport> {
-    let file = &set.files[0];
-    let part = set.color_part();
-    let mut image = file.image.clone();
-    let mut writer = Writer { report: WriteReport::default(), extent: set.extent(), output };
+pub fn write_denoised(set: BufferSet, output: &Path, denoised: &DenoisedLayers<'_>) -> Result<WriteReport> {
+    let (part, extent) = (set.color_part(), set.extent());
+    let BufferSet { files, color, .. } = set;
+    let Some(ExrFile { path, mut image, layers }) = files.into_iter().next() else { unreachable!("a set has an input") };
+    let mut writer = Writer { report: WriteReport::default(), extent, output };
 
-    let channels = &set.color.mean.channels;
+    let channels = &color.mean.channels;
     let luminance = channels.iter().all(|channel| *channel == channels[0]).then(|| mean_plane(denoised.color));
     match &luminance {
         Some(plane) => writer.replace(&mut image.layer_data[part], &channels[..1], plane, "the colour")?,
         None => writer.replace(&mut image.layer_data[part], channels, denoised.color, "the colour")?,
     }
     for (name, replacement) in denoised.replacements {
-        let layer = file.layers.iter().find(|layer| layer.name == *name).ok_or_else(|| Error::Request {
-            problem: format!("layer '{name}' cannot be replaced: {} has no such layer", file.path.display()),
+        let layer = layers.iter().find(|layer| layer.name == *name).ok_or_else(|| Error::Request {
+            problem: format!("layer '{name}' cannot be replaced: {} has no such layer", path.display()),
             remedy: "add it as an extra layer instead".into(),
         })?;
         let channels = colored_channels(layer);
@@ -93,7 +93,7 @@ pub fn write_denoised(set: &BufferSet, output: &Path, denoised: &DenoisedLayers<
     }
     // Before anything is added: layers know their channels by their positions in the input.
     for (index, part) in image.layer_data.iter_mut().enumerate() {
-        let dropped = file.layers.iter().filter(|layer| layer.part == index && denoised.dropped.contains(&layer.name));
+        let dropped = layers.iter().filter(|layer| layer.part == index && denoised.dropped.contains(&layer.name));
         let channels: Vec<usize> = dropped.flat_map(|layer| layer.channels.iter().map(|channel| channel.index)).collect();
         let mut position = 0..;
         part.channel_data.list.retain(|_| position.next().is_some_and(|position| !channels.contains(&position)));

@@ -5,25 +5,30 @@ mod pattern;
 mod plan;
 mod progress;
 mod reader;
+mod results;
 mod shot;
+mod writer;
 
-use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::time::Instant;
 
 use clap::builder::{PossibleValuesParser, TypedValueParser};
-use stein::buffers::LayerRef;
+use stein::buffers::{BufferSet, LayerRef};
 use stein::method::Intermediate;
 use stein::{Denoiser, Frame, Method, Options};
 
+use super::inspect::Input;
 use super::options::{Device, Filter, Source};
 use super::report::{self, FrameReport, Report, Run, Settings};
-use super::{Failure, Out, output, quality};
+use super::{Failure, Out, quality};
 use frame_list::FrameList;
 use plan::{Plan, PlannedFrame};
 use progress::{Progress, ProgressKind};
 use reader::{Frames, ReadFrame, Unusable};
-use shot::{Compared, Comparison, ShotReport};
+use results::Results;
+use shot::ShotReport;
+use writer::{Contents, Denoised, Done, Writer};
 
 const EXAMPLE: &str = "\
 The output keeps the input's header and layers. The colour is replaced, and so are its halves; its variance is left out, for it is not that of the denoised \
@@ -36,6 +41,9 @@ Examples:
   stein denoise render.exr --keep candidates,sure --json
   stein denoise render.exr --method nlm --keep halves
   stein denoise 'shot.####.exr' --frames 1-240 --temporal-radius 1 -o 'clean.####.exr'
+
+Environment:
+  STEIN_CACHE  folder in which compiled shaders are kept from run to run, where the device hands them out; empty: nowhere [default: `stein` among the user's caches]
 
 Exit codes: 0 done, 2 wrong usage, 3 an input file or layer cannot be used, 4 no device or a device failed, 5 the output cannot be written, 1 anything else.";
 
@@ -151,7 +159,10 @@ fn denoise(args: &Args, out: &mut Out) -> Result<(), Failure> {
     let keep = args.keep(&method)?;
     let plan = Plan::new(args, &args.source.for_method(&method), input)?;
     let job = Job { args, method, keep, plan: &plan };
-    std::thread::scope(|scope| job.run(Frames::start(scope, &plan.reads), input, out))
+    std::thread::scope(|scope| {
+        let contents = Contents { method: &job.method, keep: &job.keep };
+        job.run(Frames::start(scope, &plan.reads), Writer::start(scope, contents), input, out)
+    })
 }
 
 struct Job<'a> {
@@ -163,7 +174,7 @@ struct Job<'a> {
 }
 
 impl Job<'_> {
-    fn run(&self, mut frames: Frames, input: &Path, out: &mut Out) -> Result<(), Failure> {
+    fn run(&self, mut frames: Frames, writer: Writer, input: &Path, out: &mut Out) -> Result<(), Failure> {
         let mut to_do: Vec<&PlannedFrame> = self.plan.frames.iter().filter(|frame| !frame.is_left_alone()).collect();
         if self.args.dry_run {
             // One frame shows how they all would be used.
@@ -184,35 +195,19 @@ impl Job<'_> {
             kept: report::names(&self.keep),
         };
 
-        let mut progress = Progress::new(self.args.progress_kind(), to_do.len());
-        let mut comparison = Comparison::default();
-        let mut reports: Vec<FrameReport> = Vec::new();
-        for planned in to_do {
-            progress.begin(planned, out);
-            let report = self
-                .wait_for(&mut frames, planned, out)
-                .and_then(|window| {
-                    let report = self.frame(planned, window, &denoiser, reports.last(), &mut progress, &mut comparison, out);
-                    report.map_err(|failure| failure.in_frame(planned.number))
-                })
-                .inspect_err(|_| progress.finish())?;
-            let text = report.text(&settings.device, self.args.verbose);
-            progress.say(
-                out,
-                match &report.errors {
-                    None => text,
-                    Some(errors) if self.plan.is_shot && !self.args.verbose => format!("{text}, {}", shot::brief(errors)),
-                    Some(errors) => format!("{text}\n{}", quality::text(errors)),
-                },
-            );
-            progress.end(out);
-            reports.push(report);
+        let progress = Progress::new(self.args.progress_kind(), to_do.len());
+        let mut results = Results::new(writer, progress, &settings.device, self.args.verbose, self.plan.is_shot);
+        let ended = self.denoise_all(&to_do, &mut frames, &denoiser, &mut results, out);
+        let (reports, errors) = results.finish(ended, out)?;
+        if self.args.verbose
+            && let Some(pipelines) = report::pipelines(gpu.save_pipelines())
+        {
+            out.say(pipelines);
         }
-        progress.finish();
 
         if self.plan.is_shot {
             let frames = shot::frames(self.plan, reports);
-            let report = ShotReport { input: input.to_owned(), temporal_radius: self.args.temporal_radius, settings, frames, errors: comparison.finish() };
+            let report = ShotReport { input: input.to_owned(), temporal_radius: self.args.temporal_radius, settings, frames, errors };
             if let Some(text) = report.text(self.args.dry_run) {
                 out.say(text);
             }
@@ -222,6 +217,30 @@ impl Job<'_> {
             Some(frame) if self.args.json => out.json(&Report { settings: &settings, frame }),
             _ => Ok(()),
         }
+    }
+
+    /// Denoises one frame after the other, up to the first that fails.
+    fn denoise_all(&self, to_do: &[&PlannedFrame], frames: &mut Frames, denoiser: &Denoiser, results: &mut Results, out: &mut Out) -> Result<(), Failure> {
+        let mut before: Option<Input> = None;
+        for planned in to_do {
+            results.progress.begin(planned, out);
+            let window = self.wait_for(frames, planned, out)?;
+            let Some((original, described)) = window[planned.centre].original.take() else {
+                unreachable!("frames that are denoised are read with all that is in their files")
+            };
+            // Said again where something is other than before, with the frame itself: one may be written meanwhile that was before it.
+            let is_said = self.args.verbose || before.as_ref().is_none_or(|before| !before.is_used_like(&described));
+            let mut introduction = is_said.then(|| described.text(self.args.verbose));
+            if before.is_none()
+                && let Some(introduction) = introduction.take()
+            {
+                results.progress.say(out, introduction);
+            }
+            before = Some((*described).clone());
+            let read = Read { original, described, introduction };
+            self.frame(planned, window, read, denoiser, results, out).map_err(|failure| failure.in_frame(planned.number))?;
+        }
+        Ok(())
     }
 
     /// The frames that one is denoised with. Tells what a file holds that cannot be used.
@@ -248,63 +267,48 @@ impl Job<'_> {
         Ok(window)
     }
 
-    /// Denoises a frame, writes it, and compares it with its reference.
-    #[expect(clippy::too_many_arguments, reason = "what lives as long as the frame, and what lives as long as the run")]
+    /// Denoises a frame and hands it to the writer.
     fn frame(
         &self,
         planned: &PlannedFrame,
         window: &mut [ReadFrame],
+        read: Read,
         denoiser: &Denoiser,
-        before: Option<&FrameReport>,
-        progress: &mut Progress,
-        comparison: &mut Comparison,
+        results: &mut Results,
         out: &mut Out,
-    ) -> Result<FrameReport, Failure> {
-        let Self { args, keep, method, .. } = self;
-        let own = &mut window[planned.centre];
-        let Some((set, described)) = own.original.take() else { unreachable!("frames that are denoised are read with all that is in their files") };
-        let reference = own.reference.take();
-        // Said again where something is other than before.
-        if args.verbose || before.is_none_or(|before| !before.input.is_used_like(&described)) {
-            progress.say(out, described.text(args.verbose));
-        }
-        let mut needed = keep.clone();
+    ) -> Result<(), Failure> {
+        let Read { original, described, introduction } = read;
+        let reference = window[planned.centre].reference.take();
+        let mut needed = self.keep.clone();
         if reference.is_some() {
-            needed.extend(quality::NEEDED.iter().filter(|one| method.intermediates().contains(one) && !keep.contains(one)));
+            needed.extend(quality::NEEDED.iter().filter(|one| self.method.intermediates().contains(one) && !self.keep.contains(one)));
         }
-        let frames: Vec<&Frame> = window.iter().map(|frame| &frame.frame).collect();
-        let frame = frames[planned.centre];
-        if args.dry_run {
-            return Ok(FrameReport {
-                input: *described,
-                strips: denoiser.strip_count(frame, frames.len() - 1, &needed)?,
-                run: None,
-                output: None,
-                errors: None,
-            });
+        let frames: Vec<&Frame> = window.iter().map(|frame| &*frame.frame).collect();
+        if self.args.dry_run {
+            let strips = denoiser.strip_count(frames[planned.centre], frames.len() - 1, &needed)?;
+            results.progress.denoised(out);
+            results.add(Ok(Done { introduction, report: FrameReport { input: *described, strips, run: None, output: None, errors: None } }), out);
+            return Ok(());
         }
 
         let start = Instant::now();
-        let is_wanted = progress.is_wanted();
+        let is_wanted = results.progress.is_wanted();
         let mut tell = |share: f32| {
-            progress.share(share, out);
-            ControlFlow::Continue(())
+            results.progress.share(share, out);
+            results.collect(out)
         };
         let options = Options { keep: &needed, progress: if is_wanted { Some(&mut tell) } else { None } };
         let estimate = denoiser.denoise_window(&frames, planned.centre, options)?;
         let run = Run::new(&estimate, start.elapsed().as_secs_f64());
-        let mut output = output::write(&set, &planned.output, &estimate, keep, method)?;
-        let missing = keep.iter().filter(|one| !estimate.layers.iter().any(|layer| layer.intermediate == **one));
-        output.notes.extend(missing.map(|one| format!("--keep {}: there is nothing of the kind without halves or features", one.name())));
-        let left_out = frame.features().iter().filter(|feature| !estimate.features.contains(&feature.name));
-        output
-            .notes
-            .extend(left_out.map(|feature| format!("feature {}: not used, because a frame beside lacks it or has it the same everywhere", feature.name)));
-        let errors = reference.as_ref().map(|reference| quality::compare(frame, &estimate, reference)).transpose()?;
-        if let (Some(number), Some(reference), Some(errors)) = (planned.number, reference, &errors) {
-            let images = [frame.color().mean.clone(), estimate.color];
-            comparison.add(Compared { number, data_window: set.data_window(), images, reference }, errors)?;
-        }
-        Ok(FrameReport { input: *described, strips: estimate.strips, run: Some(run), output: Some(output), errors })
+        let frame = Arc::clone(&window[planned.centre].frame);
+        let output = planned.output.clone();
+        results.hand_over(Denoised { number: planned.number, output, original, described, introduction, frame, reference, estimate, run }, out)
     }
+}
+
+/// What a frame's output and report are made of, besides the result.
+struct Read {
+    original: Box<BufferSet>,
+    described: Box<Input>,
+    introduction: Option<String>,
 }

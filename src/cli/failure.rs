@@ -7,6 +7,8 @@ use std::process::ExitCode;
 
 use stein::Error;
 
+use super::options::CACHE_VARIABLE;
+
 /// A message for stderr and the exit code that goes with it.
 #[derive(Debug)]
 pub(crate) struct Failure {
@@ -66,6 +68,25 @@ impl Failure {
     }
 }
 
+/// What the library's remedies name, and what that is on the command line.
+const OPTIONS: [(&str, &str); 7] = [
+    ("the memory limit (`Denoiser::with_max_memory`)", "--max-memory"),
+    ("the memory limit", "--max-memory"),
+    ("a smaller window", "a smaller --radius"),
+    ("fewer frames beside", "a smaller --temporal-radius"),
+    ("choose another adapter", "choose another adapter with --device"),
+    ("`Gpu::adapters`", "`stein devices`"),
+    ("`GpuOptions::pipeline_folder`", CACHE_VARIABLE),
+];
+
+/// A remedy of the library in the words of the command line.
+fn with_options(error: &Error) -> String {
+    let text = error.to_string();
+    let Some((problem, remedy)) = text.split_once("remedy: ") else { return text };
+    let remedy = OPTIONS.iter().fold(remedy.to_owned(), |remedy, (named, option)| remedy.replace(named, option));
+    format!("{problem}remedy: {remedy}")
+}
+
 impl From<Error> for Failure {
     fn from(error: Error) -> Self {
         let code = match &error {
@@ -73,6 +94,6 @@ impl From<Error> for Failure {
             Error::Device { .. } => 4,
             _ => 1,
         };
-        Self { code, message: error.to_string() }
+        Self { code, message: with_options(&error) }
     }
 }

@@ -11,7 +11,7 @@ use stein::{Error, Frame};
 use super::out::{indent, number, table};
 
 /// An input, for programs and people.
-#[derive(Debug, Serialize)]
+#[derive(Clone, Debug, Serialize)]
 pub(crate) struct Input {
     pub(crate) file: PathBuf,
     width: u32,
@@ -27,7 +27,7 @@ pub(crate) struct Input {
     outcome: Outcome,
 }
 
-#[derive(Debug, Serialize)]
+#[derive(Clone, Debug, Serialize)]
 #[serde(rename_all = "snake_case")]
 enum Outcome {
     /// It can be denoised.
@@ -36,7 +36,7 @@ enum Outcome {
     Problem(String),
 }
 
-#[derive(Debug, Serialize)]
+#[derive(Clone, Debug, Serialize)]
 struct Rectangle {
     x: i32,
     y: i32,
@@ -50,7 +50,7 @@ impl From<Window> for Rectangle {
     }
 }
 
-#[derive(Debug, Serialize)]
+#[derive(Clone, Debug, Serialize)]
 #[serde(rename_all = "snake_case")]
 enum Samples {
     Uniform(f32),

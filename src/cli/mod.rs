@@ -25,6 +25,9 @@ pub(crate) use out::Out;
 const EXIT_CODES: &str = "\
 Exit codes: 0 done, 2 wrong usage, 3 an input file or layer cannot be used, 4 no device or a device failed, 5 the output cannot be written, 1 anything else.
 
+Environment:
+  STEIN_CACHE  folder in which compiled shaders are kept from run to run, where the device hands them out; empty: nowhere [default: `stein` among the user's caches]
+
 Example:
   stein denoise render.exr                 writes render.denoised.exr
   stein denoise --help                     says what else it can do";

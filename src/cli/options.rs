@@ -1,10 +1,11 @@
 //! Options that several subcommands share.
 
+use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
 use clap::ValueEnum;
 use stein::buffers::{BufferSet, BufferSetRequest, LayerRef};
-use stein::gpu::DeviceChoice;
+use stein::gpu::{DeviceChoice, GpuOptions};
 use stein::method::nlm::NlmVariance;
 use stein::stage::nlm::{Symmetry, Weighting};
 use stein::{Denoiser, DfcParams, Extent, GemParams, Gpu, Method, NlmParams, Preset};
@@ -314,6 +315,9 @@ fn feature(text: &str) -> Result<(String, LayerRef), String> {
     }
 }
 
+/// Names the folder in which compiled pipelines are kept.
+pub(crate) const CACHE_VARIABLE: &str = "STEIN_CACHE";
+
 /// Which device works, and with how much of its memory.
 #[derive(Debug, clap::Args)]
 #[command(next_help_heading = "Device")]
@@ -331,7 +335,8 @@ pub(crate) struct Device {
 
 impl Device {
     pub(crate) fn open(&self) -> Result<Gpu, Failure> {
-        Ok(Gpu::open(self.device.as_ref().unwrap_or(&DeviceChoice::Auto))?)
+        let options = GpuOptions { pipeline_folder: pipeline_folder(std::env::var_os(CACHE_VARIABLE), dirs::cache_dir()), ..GpuOptions::default() };
+        Ok(Gpu::open_with(self.device.as_ref().unwrap_or(&DeviceChoice::Auto), options)?)
     }
 
     pub(crate) fn denoiser(&self, gpu: &Gpu, method: Method) -> Result<Denoiser, Failure> {
@@ -340,6 +345,14 @@ impl Device {
             Some(bytes) => denoiser.with_max_memory(bytes),
             None => denoiser,
         })
+    }
+}
+
+/// The folder that is asked for, or one among the user's other caches. None where that is asked for, or where no user has any.
+fn pipeline_folder(asked_for: Option<OsString>, caches: Option<PathBuf>) -> Option<PathBuf> {
+    match asked_for {
+        Some(folder) => (!folder.is_empty()).then(|| folder.into()),
+        None => caches.map(|caches| caches.join("stein")),
     }
 }
 
@@ -411,6 +424,14 @@ pub(crate) fn same_file(a: &Path, b: &Path) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn pipelines_are_kept_where_the_user_says() {
+        let caches = || Some(PathBuf::from("/caches"));
+        assert_eq!(pipeline_folder(None, caches()), Some(PathBuf::from("/caches/stein")));
+        assert_eq!(pipeline_folder(Some("/elsewhere".into()), caches()), Some(PathBuf::from("/elsewhere")));
+        assert_eq!((pipeline_folder(Some(OsString::new()), caches()), pipeline_folder(None, None)), (None, None));
+    }
 
     #[test]
     fn memory_is_counted_in_powers_of_1024() {

@@ -87,7 +87,7 @@ pub(crate) struct Written {
 }
 
 /// Writes the denoised colour, its halves, the estimated error and the intermediates in `keep`.
-pub(crate) fn write(set: &BufferSet, output: &Path, estimate: &Estimate, keep: &[Intermediate], method: &Method) -> Result<Written, Failure> {
+pub(crate) fn write(set: BufferSet, output: &Path, estimate: &Estimate, keep: &[Intermediate], method: &Method) -> Result<Written, Failure> {
     let mut notes = Vec::new();
     let mut replacements = Vec::new();
     let mut dropped = Vec::new();

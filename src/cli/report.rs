@@ -1,10 +1,11 @@
 //! What `stein denoise` has to say.
 
 use serde::Serialize;
-use stein::gpu::{AdapterSummary, StageTime};
+use stein::gpu::{AdapterSummary, SavedPipelines, StageTime};
 use stein::method::Intermediate;
 use stein::{Estimate, Method};
 
+use super::Failure;
 use super::inspect::Input;
 use super::out::{bytes, number, seconds, table};
 use super::output::Written;
@@ -96,6 +97,16 @@ impl FrameReport {
             }
         }
         lines.join("\n")
+    }
+}
+
+/// Where compiled shaders are kept.
+pub(crate) fn pipelines(saved: stein::Result<SavedPipelines>) -> Option<String> {
+    match saved {
+        Ok(SavedPipelines::Nowhere) => None,
+        Ok(SavedPipelines::Unchanged { file, bytes: size }) => Some(format!("  compiled shaders: {} in {}, as before", bytes(size), file.display())),
+        Ok(SavedPipelines::Written { file, bytes: size }) => Some(format!("  compiled shaders: {} written to {}", bytes(size), file.display())),
+        Err(error) => Some(format!("  {}", Failure::from(error).message())),
     }
 }
 

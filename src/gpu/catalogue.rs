@@ -35,6 +35,7 @@ pub(super) const STAGES: &[(&str, &str)] = sources!("shaders":
     "error_sure",
     "error_halves",
     "select_least",
+    "select_share",
     "select_blend",
     "select_frames",
     "select_pass",

@@ -3,11 +3,13 @@
 use std::any::Any;
 use std::collections::HashMap;
 use std::fmt;
+use std::path::PathBuf;
 use std::str::FromStr;
 use std::sync::{Arc, Mutex};
 
 use serde::Serialize;
 
+use super::cache::PipelineCache;
 use super::kernel::{Kernel, KernelKey};
 use super::pool::{MemoryUse, Pool};
 use super::timing::Timing;
@@ -127,9 +129,12 @@ impl fmt::Display for AdapterSummary {
     }
 }
 
-/// How a device is opened. The default is what a user wants; the other settings serve the test suite.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+/// How a device is opened. The default suits a program that embeds the library; checks and poison serve the test suite.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct GpuOptions {
+    /// Folder in which compiled pipelines are kept from one process to the next, where the adapter hands them out; made where it does not exist. Drivers believe what they find
+    /// there: nobody else should be able to write to it. `None`, the default, keeps none: a library leaves nothing behind that it was not asked for.
+    pub pipeline_folder: Option<PathBuf>,
     /// Builds kernels with bounds checks, loop bounds and zeroed workgroup memory. Off, they are up to a third faster.
     pub checked_shaders: bool,
     /// Fills every buffer that [`Recorder::take`](super::Recorder::take) hands out with [`Gpu::POISON`], so that what a kernel forgets to write shows.
@@ -155,6 +160,7 @@ pub(super) struct Inner {
     pub(super) summary: AdapterSummary,
     pub(super) options: GpuOptions,
     pub(super) pool: Arc<Pool>,
+    pub(super) pipeline_cache: Option<PipelineCache>,
     pub(super) kernels: Mutex<HashMap<KernelKey, Arc<Kernel>>>,
     pub(super) timing: Timing,
     pub(super) poison_source: Mutex<Option<wgpu::Buffer>>,
@@ -166,6 +172,17 @@ pub(super) struct Inner {
 struct Health {
     lost: Mutex<Option<String>>,
     fault: Mutex<Option<String>>,
+}
+
+impl Drop for Inner {
+    fn drop(&mut self) {
+        if lock(&self.health.lost).is_none()
+            && let Some(cache) = &self.pipeline_cache
+        {
+            // Nobody is left to be told, and the next process only compiles again.
+            let _ = cache.save();
+        }
+    }
 }
 
 impl Gpu {
@@ -186,7 +203,7 @@ impl Gpu {
         Self::open_with(choice, GpuOptions::default())
     }
 
-    /// Opens an adapter for tests.
+    /// Opens an adapter in other ways than the usual one.
     ///
     /// # Errors
     /// As [`Gpu::open`].
@@ -214,13 +231,13 @@ impl Gpu {
         };
         let description = wgpu::DeviceDescriptor {
             label: Some("stein"),
-            required_features: adapter.features() & wgpu::Features::TIMESTAMP_QUERY,
+            required_features: adapter.features() & (wgpu::Features::TIMESTAMP_QUERY | wgpu::Features::PIPELINE_CACHE),
             required_limits: limits,
             ..Default::default()
         };
         let (device, queue) = pollster::block_on(adapter.request_device(&description)).map_err(|error| Error::Device {
             problem: format!("adapter '{}' cannot be opened: {error}", summary.name),
-            remedy: "choose another adapter with --device (`stein devices` lists them) or update the graphics driver".into(),
+            remedy: "choose another adapter (`Gpu::adapters` lists them) or update the graphics driver".into(),
         })?;
 
         let health = Arc::new(Health::default());
@@ -233,7 +250,9 @@ impl Gpu {
         device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| {
             lock(&fault.fault).get_or_insert(error.to_string());
         }));
-        Self::assemble(device, queue, summary, options, health)
+        let folder = options.pipeline_folder.as_deref().filter(|_| device.features().contains(wgpu::Features::PIPELINE_CACHE));
+        let pipeline_cache = folder.and_then(|folder| PipelineCache::open(&device, &adapter.get_info(), folder));
+        Self::assemble(device, queue, summary, options, pipeline_cache, health)
     }
 
     /// Takes over a device that a renderer already has. The renderer keeps its callbacks for errors and device loss.
@@ -242,10 +261,17 @@ impl Gpu {
     /// [`Error::Device`] where the device was opened without compute.
     pub fn from_wgpu(device: wgpu::Device, queue: wgpu::Queue, info: &wgpu::AdapterInfo) -> Result<Self> {
         let summary = AdapterSummary::new(0, info, &device.limits(), device.features());
-        Self::assemble(device, queue, summary, GpuOptions::default(), Arc::default())
+        Self::assemble(device, queue, summary, GpuOptions::default(), None, Arc::default())
     }
 
-    fn assemble(device: wgpu::Device, queue: wgpu::Queue, summary: AdapterSummary, options: GpuOptions, health: Arc<Health>) -> Result<Self> {
+    fn assemble(
+        device: wgpu::Device,
+        queue: wgpu::Queue,
+        summary: AdapterSummary,
+        options: GpuOptions,
+        pipeline_cache: Option<PipelineCache>,
+        health: Arc<Health>,
+    ) -> Result<Self> {
         let limits = device.limits();
         if limits.max_compute_invocations_per_workgroup == 0 || limits.max_storage_buffers_per_shader_stage == 0 {
             return Err(Error::Device {
@@ -254,8 +280,19 @@ impl Gpu {
             });
         }
         let timing = Timing::new(summary.timestamps, queue.get_timestamp_period());
-        let inner =
-            Inner { device, queue, limits, summary, options, pool: Arc::default(), kernels: Mutex::default(), timing, poison_source: Mutex::default(), health };
+        let inner = Inner {
+            device,
+            queue,
+            limits,
+            summary,
+            options,
+            pool: Arc::default(),
+            pipeline_cache,
+            kernels: Mutex::default(),
+            timing,
+            poison_source: Mutex::default(),
+            health,
+        };
         Ok(Self { inner: Arc::new(inner) })
     }
 
@@ -341,8 +378,8 @@ impl Gpu {
         if let Some(reason) = lock(&self.inner.health.lost).as_ref() {
             return Err(Error::Device {
                 problem: format!("the device was lost: {reason}"),
-                remedy: "run again; if it happens again, update the graphics driver, choose another adapter with --device, or ask for less work at once \
-                         (smaller --radius, a cropped image)"
+                remedy: "run again; if it happens again, update the graphics driver, choose another adapter, or ask for less work at once \
+                         (a smaller window, a cropped image)"
                     .into(),
             });
         }
@@ -356,7 +393,7 @@ impl Gpu {
     pub(super) fn defect(&self, report: &str) -> Error {
         Error::Device {
             problem: format!("the driver of '{}' reported: {}", self.inner.summary.name, report.trim_end()),
-            remedy: "update the graphics driver or choose another adapter with --device; if it persists, report it with the output of `stein devices`".into(),
+            remedy: "update the graphics driver or choose another adapter; if it persists, report it with the output of `stein devices`".into(),
         }
     }
 }

@@ -5,6 +5,7 @@ use std::sync::Arc;
 use naga::{AddressSpace, Handle, Module, ScalarKind, StorageAccess, Type, TypeInner};
 
 use super::bindings::{Bindings, Member, Slot, SlotKind};
+use super::cache::PipelineCache;
 use super::device::Gpu;
 use super::lock;
 use super::shader::{Definition, Definitions, compose, compose_source};
@@ -133,7 +134,7 @@ impl Gpu {
                     zero_initialize_workgroup_memory: self.inner.options.checked_shaders,
                     ..Default::default()
                 },
-                cache: None,
+                cache: self.inner.pipeline_cache.as_ref().map(PipelineCache::wgpu),
             });
             (layout, pipeline)
         };
@@ -146,7 +147,8 @@ impl Gpu {
     /// each value that a dispatch brings along: on llvmpipe 4.4 ms for each dispatch of `candidate_accumulate`, and half a second for each new size of an image. It leaves
     /// storage buffers alone.
     pub(super) fn uniform_binding(&self) -> wgpu::BufferBindingType {
-        if self.is_software() { wgpu::BufferBindingType::Storage { read_only: true } } else { wgpu::BufferBindingType::Uniform }
+        let has_to_spare = self.inner.limits.max_storage_buffers_per_shader_stage > wgpu::Limits::default().max_storage_buffers_per_shader_stage;
+        if self.is_software() && has_to_spare { wgpu::BufferBindingType::Storage { read_only: true } } else { wgpu::BufferBindingType::Uniform }
     }
 
     fn check_limits(&self, stage: &str, module: &Module, slots: &[Slot], places: &[Option<Place>], size: [u32; 3]) -> Result<()> {
@@ -170,7 +172,7 @@ impl Gpu {
             if need > u64::from(limit) {
                 return Err(Error::Device {
                     problem: format!("stage '{stage}' needs {need} {what}, but '{}' has {limit}", self.inner.summary.name),
-                    remedy: "choose another adapter with --device (`stein devices` lists them)".into(),
+                    remedy: "choose another adapter (`Gpu::adapters` lists them)".into(),
                 });
             }
         }
@@ -323,7 +325,7 @@ fn match_members(host: &str, wanted: &[Member], found: &[Laid]) -> std::result::
 
 #[cfg(test)]
 mod tests {
-    use super::super::shader::compose_with;
+    use super::super::shader::Pieces;
     use super::*;
     use crate::{bindings, uniforms};
 
@@ -362,9 +364,13 @@ mod tests {
         struct Fill<'a> { uniform params: Params, write result }
     }
 
+    fn composed(shared: &'static [(&str, &str)], definitions: Definitions) -> std::result::Result<Module, String> {
+        Pieces::read(shared)?.compose("fill", STAGE, definitions)
+    }
+
     #[test]
     fn structs_of_imported_pieces_are_laid_out_by_the_shader() {
-        let module = compose_with(SHARED, "fill", STAGE, &[("FLOOR", 0.into())]).expect("it composes");
+        let module = composed(SHARED, &[("FLOOR", 0.into())]).expect("it composes");
         let places = place(&module, Fill::SLOTS).expect("it fits");
         let params = Place { binding: 0, uniform_bytes: 32, offsets: vec![16 + 8, 16, 0] };
         assert_eq!(places, [Some(params), Some(Place { binding: 3, uniform_bytes: 0, offsets: vec![] })]);
@@ -373,10 +379,10 @@ mod tests {
 
     #[test]
     fn a_mistake_in_an_imported_piece_is_told_with_its_file() {
-        let broken = [SHARED[0], ("guard", "#define_import_path stein::guard\nfn at_least_zero(x: i32) -> i32 { return max(x, 0.5); }")];
-        let text = compose_with(&broken, "fill", STAGE, &[]).expect_err("a float is no integer").to_string();
+        const BROKEN: &[(&str, &str)] = &[SHARED[0], ("guard", "#define_import_path stein::guard\nfn at_least_zero(x: i32) -> i32 { return max(x, 0.5); }")];
+        let text = composed(BROKEN, &[]).expect_err("a float is no integer");
         assert!(text.contains("shaders/shared/guard.wgsl"), "{text}");
-        let text = compose_with(&SHARED[..1], "fill", STAGE, &[]).expect_err("a piece is missing").to_string();
+        let text = composed(SHARED.split_at(1).0, &[]).expect_err("a piece is missing");
         assert!(text.contains("shaders/shared/planes.wgsl") && text.contains("stein::guard"), "{text}");
     }
 }

@@ -21,6 +21,7 @@
 //! * Buffers come with whatever was in them before ([`Recorder::take`]): each kernel writes every element of its outputs.
 
 mod bindings;
+mod cache;
 mod catalogue;
 mod device;
 mod encode;
@@ -32,6 +33,7 @@ mod shader;
 mod timing;
 
 pub use bindings::{Bindings, Member, Slot, SlotKind, Uniform, Value, ValueType};
+pub use cache::SavedPipelines;
 pub use device::{AdapterSummary, DeviceChoice, DeviceKind, Gpu, GpuOptions};
 pub use kernel::Kernel;
 pub use pool::{Buffer, MemoryUse};

@@ -250,9 +250,9 @@ impl Gpu {
                 self.inner.summary.name,
                 human_bytes(limit)
             ),
-            remedy: "lower --max-memory so that the image is processed in smaller pieces, use a smaller --radius, crop the image, or choose another adapter \
-                     with --device"
-                .into(),
+            remedy:
+                "lower the memory limit so that the image is processed in smaller pieces, choose a smaller window, crop the image, or choose another adapter"
+                    .into(),
         })
     }
 
@@ -262,9 +262,9 @@ impl Gpu {
         let in_use = human_bytes(self.memory().bytes_in_use);
         Error::Device {
             problem: format!("'{}' has no memory left for {what}; {in_use} are in use by this program", self.inner.summary.name),
-            remedy: "lower --max-memory, use a smaller --radius, crop the image, close other programs that use the graphics card, or choose another adapter \
-                     with --device"
-                .into(),
+            remedy:
+                "lower the memory limit, choose a smaller window, crop the image, close other programs that use the graphics card, or choose another adapter"
+                    .into(),
         }
     }
 }

@@ -212,7 +212,7 @@ impl Recorder {
             None => Ok(()),
             Some(axis) => Err(Error::Device {
                 problem: format!("stage '{}' needs {} workgroups in {}, the adapter runs at most {limit}", kernel.stage(), groups[axis], ["x", "y", "z"][axis]),
-                remedy: "lower --max-memory so that the image is processed in smaller pieces, or crop the image".into(),
+                remedy: "lower the memory limit so that the image is processed in smaller pieces, or crop the image".into(),
             }),
         }
     }

@@ -1,9 +1,15 @@
 //! From WGSL files to a validated naga module.
 
+use std::sync::{LazyLock, Mutex};
+
 use naga_oil::compose::{ComposableModuleDescriptor, Composer, ComposerError, NagaModuleDescriptor, ShaderDefValue};
 
 use super::catalogue::{SHARED, STAGES};
+use super::lock;
 use crate::error::{Error, Result};
+
+/// What all stages may import, or why it cannot be. Reading the pieces takes longer than composing most stages, so it is done once in a process.
+static PIECES: LazyLock<std::result::Result<Mutex<Pieces>, String>> = LazyLock::new(|| Pieces::read(SHARED).map(Mutex::new));
 
 /// The value of a name that shaders test with `#ifdef` and `#if`, or insert with `#{NAME}`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -63,56 +69,62 @@ pub fn compose(stage: &str, definitions: Definitions) -> Result<naga::Module> {
 /// # Errors
 /// As [`compose`].
 pub fn compose_source(name: &str, source: &str, definitions: Definitions) -> Result<naga::Module> {
-    compose_with(SHARED, name, source, definitions)
-}
-
-pub(super) fn compose_with(shared: &[(&str, &str)], name: &str, source: &str, definitions: Definitions) -> Result<naga::Module> {
-    let failure = |problem: String| Error::Shader { stage: name.into(), problem };
-    for (definition, _) in definitions {
-        // naga_oil ignores names that no shader uses, so a misspelt one would silently build the wrong kernel.
-        if !source.contains(definition) && !shared.iter().any(|(_, shared)| shared.contains(definition)) {
-            return Err(failure(format!("no shader mentions the definition '{definition}'")));
-        }
+    match &*PIECES {
+        Ok(pieces) => lock(pieces).compose(name, source, definitions),
+        Err(problem) => Err(problem.clone()),
     }
-    let defined = || {
-        let values = definitions.iter().filter_map(|(name, value)| match *value {
-            Definition::Bool(false) => None,
-            Definition::Bool(true) => Some((*name, ShaderDefValue::Bool(true))),
-            Definition::Int(value) => Some((*name, ShaderDefValue::Int(value))),
-            Definition::UInt(value) => Some((*name, ShaderDefValue::UInt(value))),
-        });
-        values.map(|(name, value)| (name.to_owned(), value)).collect()
-    };
-
-    let mut composer = Composer::default();
-    add_shared_modules(&mut composer, shared).map_err(failure)?;
-    let file = format!("shaders/{name}.wgsl");
-    let description = NagaModuleDescriptor { source, file_path: &file, shader_defs: defined(), ..Default::default() };
-    composer.make_naga_module(description).map_err(|error| failure(told(&error, &composer)))
+    .map_err(|problem| Error::Shader { stage: name.into(), problem })
 }
 
-/// Adds every shared piece after those it imports, which is the order that naga_oil demands.
-fn add_shared_modules(composer: &mut Composer, shared: &[(&str, &str)]) -> std::result::Result<(), String> {
-    let mut waiting = shared.to_vec();
-    while !waiting.is_empty() {
-        let before = waiting.len();
-        let mut problem = String::new();
-        waiting.retain(|(name, source)| {
-            let file = format!("shaders/shared/{name}.wgsl");
-            let description = ComposableModuleDescriptor { source, file_path: &file, ..Default::default() };
-            match composer.add_composable_module(description) {
-                Ok(_) => false,
-                Err(error) => {
-                    problem = told(&error, composer);
-                    true
+/// Shared pieces that stages may import.
+pub(super) struct Pieces {
+    composer: Composer,
+    sources: &'static [(&'static str, &'static str)],
+}
+
+impl Pieces {
+    /// Adds every piece after those it imports, which is the order that naga_oil demands.
+    pub(super) fn read(sources: &'static [(&str, &str)]) -> std::result::Result<Self, String> {
+        let mut composer = Composer::default();
+        let mut waiting = sources.to_vec();
+        while !waiting.is_empty() {
+            let before = waiting.len();
+            let mut problem = String::new();
+            waiting.retain(|(name, source)| {
+                let file = format!("shaders/shared/{name}.wgsl");
+                let description = ComposableModuleDescriptor { source, file_path: &file, ..Default::default() };
+                match composer.add_composable_module(description) {
+                    Ok(_) => false,
+                    Err(error) => {
+                        problem = told(&error, &composer);
+                        true
+                    }
                 }
+            });
+            if waiting.len() == before {
+                return Err(problem);
             }
-        });
-        if waiting.len() == before {
-            return Err(problem);
         }
+        Ok(Self { composer, sources })
     }
-    Ok(())
+
+    pub(super) fn compose(&mut self, name: &str, source: &str, definitions: Definitions) -> std::result::Result<naga::Module, String> {
+        for (definition, _) in definitions {
+            // naga_oil ignores names that no shader uses, so a misspelt one would silently build the wrong kernel.
+            if !source.contains(definition) && !self.sources.iter().any(|(_, shared)| shared.contains(definition)) {
+                return Err(format!("no shader mentions the definition '{definition}'"));
+            }
+        }
+        let defined = definitions.iter().filter_map(|(name, value)| match *value {
+            Definition::Bool(false) => None,
+            Definition::Bool(true) => Some(((*name).to_owned(), ShaderDefValue::Bool(true))),
+            Definition::Int(value) => Some(((*name).to_owned(), ShaderDefValue::Int(value))),
+            Definition::UInt(value) => Some(((*name).to_owned(), ShaderDefValue::UInt(value))),
+        });
+        let file = format!("shaders/{name}.wgsl");
+        let description = NagaModuleDescriptor { source, file_path: &file, shader_defs: defined.collect(), ..Default::default() };
+        self.composer.make_naga_module(description).map_err(|error| told(&error, &self.composer))
+    }
 }
 
 /// The compiler's message with the lines it speaks of.

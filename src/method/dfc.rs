@@ -18,7 +18,7 @@ use crate::stage::error::error_sure;
 use crate::stage::feature::{Features, Packing, feature_pack};
 use crate::stage::nlm::{Beside, Guide, Payload, Schedule, Weighting, nlm_filter};
 use crate::stage::sample::sample_density;
-use crate::stage::select::{HARM, Noisy, select_blend, select_frames, select_least, select_pass};
+use crate::stage::select::{Evidence, HARM, Noisy, select_blend, select_frames, select_least, select_pass, select_share};
 use crate::stage::variance::{INPUT_SMOOTHING, RESIDUAL_SMOOTHING, variance_smooth};
 
 pub use params::{DfcParams, SecondPass};
@@ -118,23 +118,23 @@ pub fn dfc(
     // Filter selection maps.
     let smoothed =
         nlm_filter(rec, extent, &guide(&SELECTION_SMOOTHING), &Payload::new(&selected, 1), SELECTION_SMOOTHING.window_radius, weighting, false, schedule)?;
+    let evidence = Evidence { selected: &selected, errors: &errors, sure: &sure, variance_of_mean: &variance, candidates: &candidates };
+    let selection = Arc::new(select_share(rec, extent, smoothed.planes, evidence, params.guard)?);
     // Candidate filter averaging.
-    let blend = select_blend(rec, extent, &smoothed.planes, &selected, &errors, &sure, &variance, &candidates, params.guard)?;
-    let selection = Arc::new(blend.selection);
+    let pass1 = Arc::new(select_blend(rec, extent, &selection, &candidates)?);
     keeper.keep(Intermediate::Selection, "selected", &BY_CANDIDATE, Unit::Number, &selected, 0);
     keeper.keep(Intermediate::Selection, "selection", &BY_CANDIDATE, Unit::Number, &selection, 0);
-    drop((candidates, smoothed, errors, sure, selected));
+    drop((candidates, smoothed.weights, errors, sure, selected));
 
     // Adaptive sampling (thesis 8.6).
     if keeper.wants(Intermediate::Density) {
-        let density = sample_density(rec, extent, &blend.signal, (!color.has_halves).then_some(&*selection), &samples)?;
+        let density = sample_density(rec, extent, &pass1, (!color.has_halves).then_some(&*selection), &samples)?;
         let smoothed =
             nlm_filter(rec, extent, &guide(&DENSITY_SMOOTHING), &Payload::new(&density, 1), DENSITY_SMOOTHING.window_radius, weighting, false, schedule)?;
         keeper.keep(Intermediate::Density, "density", &["V"], Unit::Number, &Arc::new(smoothed.planes), 0);
     }
 
     // Second pass filtering.
-    let pass1 = Arc::new(blend.signal);
     let Some(second_pass) = params.second_pass.filter(|_| color.has_halves) else {
         return Ok(estimate(pass1.clone(), pass1, selection, keeper));
     };
@@ -235,8 +235,8 @@ pub(super) fn footprint(params: &DfcParams, frame: &Frame, beside: usize, kept: 
     let input = uploaded_planes(channels.len()) + 1;
     // The scaled variance of each frame; two box sums, two filtered planes, weights, residual variance.
     let prefilter = 7 + beside as u64;
-    // Candidates 6, derivatives 3, SURE, errors and weights 2, selected, smoothed and weights 2, blend 3, variance, second pass and weights 3.
-    let later = 22;
+    // Candidates 6, derivatives 3, SURE, errors and weights 2, selected, smoothed and weights 2, blend 2, variance, second pass and weights 3.
+    let later = 21;
     let alone = if beside > 0 { CANDIDATE_PLANES } else { 0 };
     // Prefiltered features and residual variances, the sampling density and its weights.
     let kept = if kept { 3 * channels.len() as u64 + 3 } else { 0 };

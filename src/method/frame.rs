@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use glam::{IVec2, Vec3};
+use rayon::prelude::*;
 
 use crate::error::Result;
 use crate::frame::{Feature, Frame, SamplesPerPixel, Signal};
@@ -149,10 +150,15 @@ fn mean_variance(signal: &Signal) -> Option<Vec3> {
     means.try_into().ok().map(Vec3::from_array)
 }
 
+/// Pixels that are interleaved at one time: they stay in the cache from the first channel to the last.
+const PIXELS_AT_ONCE: usize = 4096;
+
 fn interleave(planes: &[Vec<f32>], pixels: &std::ops::Range<usize>, map: Affine, packed: &mut [f32]) {
-    for (channel, plane) in planes.iter().enumerate() {
-        for (to, pixel) in packed.chunks_exact_mut(4).zip(pixels.clone()) {
-            to[channel] = map.of(plane[pixel], pixel);
+    packed.par_chunks_mut(4 * PIXELS_AT_ONCE).zip(pixels.clone().into_par_iter().step_by(PIXELS_AT_ONCE)).for_each(|(packed, first)| {
+        for (channel, plane) in planes.iter().enumerate() {
+            for (to, pixel) in packed.chunks_exact_mut(4).zip(first..) {
+                to[channel] = map.of(plane[pixel], pixel);
+            }
         }
-    }
+    });
 }

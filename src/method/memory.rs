@@ -71,7 +71,8 @@ pub(crate) fn strips(gpu: &Gpu, frame: &Frame, method: &Method, beside: usize, k
                 "a strip of one row of this image, with the {halo} rows above and below that it depends on, does not fit into the memory allowed: it needs {} MiB",
                 least.div_ceil(1 << 20)
             ),
-            remedy: "allow more with --max-memory, choose a smaller window (--radius, if the method has one) or fewer frames (--temporal-radius), leave features out, or a device that binds larger buffers".into(),
+            remedy: "raise the memory limit (`Denoiser::with_max_memory`), choose a smaller window or fewer frames beside, leave features out, or choose another adapter, \
+                     which binds larger buffers".into(),
         });
     }
     // Of equal height, so that the last one is not a sliver that costs as much halo as the others.

@@ -14,7 +14,8 @@ uniforms! {
     struct SelectLeastParams { extent: IVec2 }
     struct SelectFramesParams { extent: IVec2, candidate: i32, own_sigmas: f32, own_noise: f32 }
     struct SelectPassParams { extent: IVec2, squared_sigmas: f32 }
-    struct SelectBlendParams { extent: IVec2, smoothed_error: f32, smoothed_noise: f32, own_sigmas: f32, own_noise: f32 }
+    struct SelectShareParams { extent: IVec2, smoothed_error: f32, smoothed_noise: f32, own_sigmas: f32, own_noise: f32 }
+    struct SelectBlendParams { extent: IVec2 }
 }
 
 bindings! {
@@ -23,10 +24,11 @@ bindings! {
         uniform params: SelectFramesParams, read signal, read variance_of_mean, read alone, read alone_derivatives, write together, write derivatives,
     }
     struct SelectPass<'a> { uniform params: SelectPassParams, read pass1, read pass2, read variance_of_mean, write result }
-    struct SelectBlend<'a> {
-        uniform params: SelectBlendParams,
-        read smoothed, read selected, read errors, read variance_of_mean, read first, read second, read third, read sure, write selection, write blended,
+    struct SelectShare<'a> {
+        uniform params: SelectShareParams,
+        read selected, read errors, optional sure, optional variance_of_mean, optional first, optional second, optional third, write selection,
     }
+    struct SelectBlend<'a> { uniform params: SelectBlendParams, read shares, read first, read second, read third, write blended }
 }
 
 /// Binary selection maps: 1 for the candidate with the least smoothed error, 0 for the others. On ties the later, more robust one wins; FIRST may win only where its
@@ -107,42 +109,45 @@ fn select_frames_of_one(
     rec.dispatch(&kernel, &bound, per_pixel(extent))
 }
 
-/// The average of the candidates.
-#[derive(Debug)]
-pub struct Blend {
-    /// One plane: shares of FIRST, SECOND and THIRD (sum 1), and in w the blended error Σ share·error, in the square of the colour's unit.
-    pub selection: Buffer,
-    /// A signal; the blended Σ w in the w of the mean.
-    pub signal: Buffer,
+/// What the shares of the candidates are judged by.
+#[derive(Clone, Copy, Debug)]
+pub struct Evidence<'a> {
+    /// The binary selection maps.
+    pub selected: &'a Buffer,
+    /// SURE, smoothed. x: FIRST, y: SECOND, z: THIRD.
+    pub errors: &'a Buffer,
+    /// SURE as computed.
+    pub sure: &'a Buffer,
+    /// The pixel's, one plane.
+    pub variance_of_mean: &'a Buffer,
+    /// What is to be averaged.
+    pub candidates: &'a Candidates,
 }
 
-/// Averages the candidates by the smoothed selection maps, normalised to sum 1, under a guard if there is one. `errors` is `sure` smoothed.
-#[expect(clippy::too_many_arguments, reason = "they are the operator's definition; a struct would only rename them")]
-pub fn select_blend(
-    rec: &mut Recorder,
-    extent: IVec2,
-    smoothed: &Buffer,
-    selected: &Buffer,
-    errors: &Buffer,
-    sure: &Buffer,
-    variance_of_mean: &Buffer,
-    candidates: &Candidates,
-    guard: Option<Guard>,
-) -> Result<Blend> {
-    let selection = rec.take("selection maps", plane_bytes(extent, 1))?;
-    let signal = rec.take("blend", plane_bytes(extent, 2))?;
-    let [first, second, third] = &candidates.signals;
-    let params = match guard {
-        Some(Guard { smoothed_error, smoothed_noise, own_sigmas, own_noise }) => {
-            SelectBlendParams { extent, smoothed_error, smoothed_noise, own_sigmas, own_noise }
-        }
-        // A negative factor tells the shader that there is no guard.
-        None => SelectBlendParams { extent, smoothed_error: -1.0, smoothed_noise: 0.0, own_sigmas: 0.0, own_noise: 0.0 },
-    };
-    let kernel = rec.gpu().kernel::<SelectBlend>("select_blend", &[])?;
-    let bound = SelectBlend { params, smoothed, selected, errors, variance_of_mean, first, second, third, sure, selection: &selection, blended: &signal };
+/// Shares of the candidates, from `smoothed`, their smoothed selection maps, which they take the place of. Normalised to sum 1, under a guard if there is one. One plane, x:
+/// FIRST, y: SECOND, z: THIRD, w: the blended error Σ share·error, in the square of the colour's unit.
+pub fn select_share(rec: &mut Recorder, extent: IVec2, smoothed: Buffer, evidence: Evidence, guard: Option<Guard>) -> Result<Buffer> {
+    let Evidence { selected, errors, sure, variance_of_mean, candidates } = evidence;
+    let guarded = |buffer| guard.map(|_| buffer);
+    let [first, second, third] = candidates.signals.each_ref().map(|signal| guarded(&**signal));
+    let (sure, variance_of_mean) = (guarded(sure), guarded(variance_of_mean));
+    let rule = guard.map(|guard| [guard.smoothed_error, guard.smoothed_noise, guard.own_sigmas, guard.own_noise]);
+    let [smoothed_error, smoothed_noise, own_sigmas, own_noise] = rule.unwrap_or_default();
+    let params = SelectShareParams { extent, smoothed_error, smoothed_noise, own_sigmas, own_noise };
+    let kernel = rec.gpu().kernel::<SelectShare>("select_share", &[("GUARDED", guard.is_some().into())])?;
+    let bound = SelectShare { params, selected, errors, sure, variance_of_mean, first, second, third, selection: &smoothed };
     rec.dispatch(&kernel, &bound, per_pixel(extent))?;
-    Ok(Blend { selection, signal })
+    Ok(smoothed)
+}
+
+/// Averages the candidates by their shares. A signal; the blended Σ w in the w of the mean.
+pub fn select_blend(rec: &mut Recorder, extent: IVec2, shares: &Buffer, candidates: &Candidates) -> Result<Buffer> {
+    let blended = rec.take("blend", plane_bytes(extent, 2))?;
+    let [first, second, third] = &candidates.signals;
+    let kernel = rec.gpu().kernel::<SelectBlend>("select_blend", &[])?;
+    let bound = SelectBlend { params: SelectBlendParams { extent }, shares, first, second, third, blended: &blended };
+    rec.dispatch(&kernel, &bound, per_pixel(extent))?;
+    Ok(blended)
 }
 
 /// Of two signals the second, except where its mean differs from the first one's by more than `sigmas` standard deviations of all the noise that the pixel may have: the

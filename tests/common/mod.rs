@@ -19,7 +19,7 @@ pub fn gpu() -> &'static Gpu {
 /// The same with bounds checks in the kernels: what reads outside of a buffer then reads something else than an unchecked kernel does.
 pub fn checked_gpu() -> &'static Gpu {
     static GPU: OnceLock<Gpu> = OnceLock::new();
-    GPU.get_or_init(|| open(GpuOptions { poison: true, checked_shaders: true }))
+    GPU.get_or_init(|| open(GpuOptions { poison: true, checked_shaders: true, ..GpuOptions::default() }))
 }
 
 /// A device of one's own; a machine without an adapter fails the test with what to do about it.

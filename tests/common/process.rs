@@ -45,8 +45,8 @@ impl Outcome {
 
 pub fn command(arguments: &[&str]) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_stein"));
-    // Mesa's device selection layer complains on stderr where there is no desktop.
-    command.args(arguments).env("NODEVICE_SELECT", "1").stdin(Stdio::null());
+    // Mesa's device selection layer complains on stderr where there is no desktop. Nothing is left in the home of whoever runs the tests.
+    command.args(arguments).env("NODEVICE_SELECT", "1").env("STEIN_CACHE", "").stdin(Stdio::null());
     command
 }
 

@@ -65,7 +65,7 @@ fn a_multi_part_file_reads_like_a_single_part_one_and_keeps_its_parts() {
     assert_eq!(set.color().variance_of_mean, Some(rgb(4.0)));
     assert_eq!(set.features().next().unwrap().1.variance_of_mean, Some(rgb(6.0)));
     let output = folder.path().join("out.exr");
-    write_denoised(&set, &output, &replace_color(&rgb(50.0))).unwrap();
+    write_denoised(set.clone(), &output, &replace_color(&rgb(50.0))).unwrap();
     let again = read(&output);
     assert_eq!(again.color().mean, rgb(50.0));
     assert_eq!(again.color().half_a, Some(rgb(2.0)));
@@ -198,7 +198,7 @@ fn a_luminance_only_image_is_three_equal_planes_and_stays_one_channel() {
     assert_eq!(set.color().mean.planes, vec![ramp(1.0, PIXELS); 3]);
     assert_eq!(set.color().variance_of_mean.unwrap().planes, vec![ramp(2.0, PIXELS); 3]);
     let output = folder.path().join("out.exr");
-    write_denoised(&set, &output, &replace_color(&rgb(0.0))).unwrap();
+    write_denoised(set.clone(), &output, &replace_color(&rgb(0.0))).unwrap();
     // The mean of ramps from 0, 100 and 200.
     let FlatSamples::F32(written) = stored(&output, "Y") else { panic!("not a float") };
     assert!(written.iter().zip(ramp(100.0, PIXELS)).all(|(a, b)| (a - b).abs() < 1e-3), "{written:?}");

@@ -21,7 +21,7 @@ fn mixed_sample_types_are_read_and_kept() {
     let output = folder.path().join("out.exr");
     let mut color = rgb(10.0);
     color.planes[0][3] = 1e6;
-    let report = write_denoised(&set, &output, &replace_color(&color)).unwrap();
+    let report = write_denoised(set.clone(), &output, &replace_color(&color)).unwrap();
     assert_eq!(report.clamped_values, 1);
     let FlatSamples::F16(red) = stored(&output, "R") else { panic!("red is not half") };
     assert_eq!((red[0].to_f32(), red[3].to_f32()), (10.0, 65504.0));
@@ -38,7 +38,7 @@ fn alpha_and_unknown_layers_pass_through_untouched() {
     let set = read(&input);
     assert_eq!(role(&set, "matte"), Role::Untouched);
     let output = folder.path().join("out.exr");
-    write_denoised(&set, &output, &replace_color(&rgb(50.0))).unwrap();
+    write_denoised(set.clone(), &output, &replace_color(&rgb(50.0))).unwrap();
     let before = read_all_flat_layers_from_file(&input).unwrap();
     let mut after = read_all_flat_layers_from_file(&output).unwrap();
     let old_channels = &before.layer_data[0].channel_data.list;
@@ -61,7 +61,7 @@ fn a_cropped_render_keeps_both_windows() {
     let whole = Window { x: 0, y: 0, extent: Extent { width: 64, height: 48 } };
     assert_eq!((set.data_window(), set.display_window()), (data, whole));
     let output = folder.path().join("out.exr");
-    write_denoised(&set, &output, &replace_color(&rgb(50.0))).unwrap();
+    write_denoised(set.clone(), &output, &replace_color(&rgb(50.0))).unwrap();
     let again = read(&output);
     assert_eq!((again.data_window(), again.display_window()), (data, whole));
     assert_eq!(again.color().mean, rgb(50.0));
@@ -74,7 +74,7 @@ fn every_writable_compression_is_kept() {
     for compression in [Uncompressed, RLE, ZIP1, ZIP16, PIZ, PXR24, B44, B44A, DWAA(None), DWAB(Some(30.0))] {
         let set = read(&write(folder.path(), "in.exr", vec![Part { compression, ..Part::native() }]));
         let output = folder.path().join("out.exr");
-        write_denoised(&set, &output, &replace_color(&rgb(50.0))).unwrap();
+        write_denoised(set.clone(), &output, &replace_color(&rgb(50.0))).unwrap();
         let written = read_all_flat_layers_from_file(&output).unwrap();
         assert_eq!(written.layer_data[0].encoding.compression, compression);
         let again = read(&output).color().mean;
@@ -93,7 +93,7 @@ fn tiles_are_read_and_kept() {
     let set = read(&path);
     assert_eq!(set.color().half_a, Some(rgb(2.0)));
     let output = folder.path().join("out.exr");
-    write_denoised(&set, &output, &replace_color(&rgb(50.0))).unwrap();
+    write_denoised(set.clone(), &output, &replace_color(&rgb(50.0))).unwrap();
     let written = read_all_flat_layers_from_file(&output).unwrap();
     assert_eq!(written.layer_data[0].encoding.blocks, Blocks::Tiles(Vec2(2, 2)));
 }
@@ -108,7 +108,7 @@ fn results_replace_stale_halves_and_extra_layers_are_added() {
     let attributes = [("denoiser".to_owned(), "stein".to_owned())];
     let output = folder.path().join("out.exr");
     let layers = DenoisedLayers { color: &color, replacements: &replacements, dropped: &[], extra: &extra, attributes: &attributes };
-    let report = write_denoised(&set, &output, &layers).unwrap();
+    let report = write_denoised(set.clone(), &output, &layers).unwrap();
     assert_eq!(report, Default::default());
     let again = read(&output).color();
     assert_eq!(again.half_a, Some(rgb(60.0)));
@@ -130,7 +130,7 @@ fn layers_that_would_be_wrong_are_left_out() {
         assert!(set.color().variance_of_mean.is_some());
         let (color, output) = (rgb(50.0), folder.path().join("out.exr"));
         let layers = DenoisedLayers { dropped: &["variance".to_owned()], ..replace_color(&color) };
-        write_denoised(&set, &output, &layers).unwrap();
+        write_denoised(set.clone(), &output, &layers).unwrap();
         let again = read(&output);
         assert_eq!(again.color().mean, color);
         assert_eq!(again.color().variance_of_mean, None);
@@ -147,20 +147,20 @@ fn a_failed_write_leaves_nothing_behind_and_the_old_file_alone() {
     let before = std::fs::read(&input).unwrap();
     let color = rgb(50.0);
     let wrong = Planes::filled(Extent { width: 2, height: 2 }, 3, 0.0);
-    assert!(write_denoised(&set, &input, &replace_color(&wrong)).is_err());
+    assert!(write_denoised(set.clone(), &input, &replace_color(&wrong)).is_err());
     let extra = [NamedLayer { name: "normal".into(), channels: vec!["X".into()], image: single(0.0) }];
     let clash = DenoisedLayers { extra: &extra, ..replace_color(&color) };
-    let message = write_denoised(&set, &input, &clash).unwrap_err().to_string();
+    let message = write_denoised(set.clone(), &input, &clash).unwrap_err().to_string();
     assert!(message.contains("normal.X"), "{message}");
     let replacements = [("nowhere".to_owned(), rgb(0.0))];
     let lost = DenoisedLayers { replacements: &replacements, ..replace_color(&color) };
-    assert!(write_denoised(&set, &input, &lost).unwrap_err().to_string().contains("nowhere"));
+    assert!(write_denoised(set.clone(), &input, &lost).unwrap_err().to_string().contains("nowhere"));
     let missing = folder.path().join("no such folder").join("out.exr");
-    assert!(matches!(write_denoised(&set, &missing, &replace_color(&color)), Err(Error::File { .. })));
+    assert!(matches!(write_denoised(set.clone(), &missing, &replace_color(&color)), Err(Error::File { .. })));
     // The target is a folder, so that only the last step, the renaming, fails.
     let occupied = folder.path().join("occupied");
     std::fs::create_dir_all(occupied.join("inside")).unwrap();
-    assert!(write_denoised(&set, &occupied, &replace_color(&color)).is_err());
+    assert!(write_denoised(set.clone(), &occupied, &replace_color(&color)).is_err());
     assert_eq!(std::fs::read(&input).unwrap(), before);
     assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 2, "a temporary file was left");
 }
@@ -169,7 +169,7 @@ fn a_failed_write_leaves_nothing_behind_and_the_old_file_alone() {
 fn the_input_can_be_overwritten() {
     let folder = folder();
     let input = write(folder.path(), "in.exr", vec![Part::native()]);
-    write_denoised(&read(&input), &input, &replace_color(&rgb(50.0))).unwrap();
+    write_denoised(read(&input), &input, &replace_color(&rgb(50.0))).unwrap();
     assert_eq!(read(&input).color().mean, rgb(50.0));
     #[cfg(unix)]
     {

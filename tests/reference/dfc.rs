@@ -3,7 +3,7 @@
 use super::candidates::{Candidate, candidate};
 use super::nlm::{CentreWeight, Feature, FilterParams, Guide, nlm_filter};
 use super::prefilter::{Prefiltered, prefilter};
-use super::select::{self, Evidence, Guard, guard, select, smooth_maps};
+use super::select::{self, Evidence, Guard, select, share, smooth_maps};
 use super::sure::{self, smooth_errors, sure};
 use super::variance::{Signal, buffer_var, input_variance};
 use super::{Grid, Planes};
@@ -144,18 +144,12 @@ pub fn dfc(frame: &Frame, params: &DfcParams) -> Dfc {
     let derivatives = candidates.each_ref().map(|c| c.derivative.as_slice());
     let binary_maps = select(&errors, derivatives);
     let smoothed_maps = smooth_maps(&binary_maps, guide, &aside);
-    let maps = match &params.guard {
-        Some(rule) => {
-            let means = candidates.each_ref().map(|c| c.mean.as_slice());
-            let evidence = Evidence { errors: &errors, binary_maps: &binary_maps, sure: &sure, candidates: means, variance: &color_variance };
-            guard(&smoothed_maps, evidence, rule)
-        }
-        None => smoothed_maps.clone(),
-    };
+    let means = candidates.each_ref().map(|c| c.mean.as_slice());
+    let evidence = Evidence { errors: &errors, binary_maps: &binary_maps, sure: &sure, candidates: means, variance: &color_variance };
+    let maps = share(&smoothed_maps, evidence, params.guard.as_ref());
 
     // Lines 32 and 33: candidate averaging.
     let error = blend(&maps, &errors.iter().collect::<Vec<_>>());
-    let means = candidates.each_ref().map(|c| c.mean.as_slice());
     let pass1 = Pass {
         mean: blend_channels(&maps, means),
         spread: color.spread.as_ref().map(|_| {

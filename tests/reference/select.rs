@@ -53,7 +53,7 @@ const SMALLEST_SHARE_OF_WINNER: f64 = 1e-6;
 /// … and the winner by the pixel's own with this one, which matters where the first has failed by the second rule.
 const SMALLEST_SHARE_OF_OWN_WINNER: f64 = 1e-9;
 
-/// What the guard judges a pixel by.
+/// What the shares of a pixel are judged by.
 #[derive(Clone, Copy)]
 pub struct Evidence<'a> {
     /// Smoothed.
@@ -67,12 +67,13 @@ pub struct Evidence<'a> {
 }
 
 /// Smoothing hands a rejected candidate some weight near the border of its region, and one that is wildly wrong there ruins the
-/// blend with any weight at all: this takes such candidates out again. And smoothed errors know nothing of a single clean pixel
-/// among noisy ones, so that the pixel's own error has its say as well.
-pub fn guard(maps: &[Grid], evidence: Evidence, guard: &Guard) -> Planes {
+/// blend with any weight at all: the guard takes such candidates out again. And smoothed errors know nothing of a single clean pixel
+/// among noisy ones, so that the pixel's own error has its say as well. Without a guard the maps are only normalised.
+pub fn share(maps: &[Grid], evidence: Evidence, guard: Option<&Guard>) -> Planes {
     let Evidence { errors, binary_maps, sure, candidates, variance } = evidence;
     let noise = |p: Point| variance.iter().map(|v| v.at(p)).sum::<f64>();
     let winner = |p: Point| (0..3).find(|&k| binary_maps[k].at(p) == 1.0).unwrap_or(THIRD);
+    let Some(guard) = guard else { return normalise(maps, winner) };
     let own_winner = |p: Point| (0..3).fold(FIRST, |least, k| if sure[k].at(p) < sure[least].at(p) { k } else { least });
     let guarded: Planes = (0..3)
         .map(|k| {

@@ -7,7 +7,7 @@ use stein::stage::candidate::Candidates;
 use stein::stage::error::error_sure;
 use stein::stage::nlm::Filtered;
 use stein::stage::sample::{GpuSamples, sample_density};
-use stein::stage::select::{Guard, Harm, Noisy, select_blend, select_frames, select_frames_of_filtered, select_least, select_pass};
+use stein::stage::select::{Evidence, Guard, Harm, Noisy, select_blend, select_frames, select_frames_of_filtered, select_least, select_pass, select_share};
 
 use crate::common::{Scene, assert_near, checked_gpu, extent_of, flat, gpu, own_size, packed, packed_signal, read, rounded, run, scene, upload};
 use crate::reference::dfc::{Pass, limited};
@@ -115,7 +115,7 @@ fn the_least_error_wins() {
     }
 }
 
-fn check_blend(gpu: &Gpu, width: usize, height: usize, rule: Option<Guard>) {
+fn check_shares_and_blend(gpu: &Gpu, width: usize, height: usize, rule: Option<Guard>) {
     let (scene, bank) = (scene(width, height, 44), bank(width, height));
     let mut random = Random(45);
     let extent = extent_of(&scene.mean[0]);
@@ -138,15 +138,16 @@ fn check_blend(gpu: &Gpu, width: usize, height: usize, rule: Option<Guard>) {
             rounded(share.like(|p| if holes.at(p) < 0.1 { 0.0 } else { share.at(p) }))
         })
         .collect();
-    let (selection, signal) = {
-        let blend = run(gpu, |rec| {
-            let (smoothed, winners, errors) = (upload(rec, &smoothed)?, upload(rec, &winners)?, upload(rec, &errors)?);
-            let (sure, variance) = (upload(rec, &sure)?, upload(rec, &scene.variance)?);
-            let candidates = upload_bank(rec, &bank)?;
-            select_blend(rec, extent, &smoothed, &winners, &errors, &sure, &variance, &candidates, rule)
-        });
-        (read(gpu, &blend.selection, extent).remove(0), read(gpu, &blend.signal, extent))
-    };
+    let (selection, signal) = run(gpu, |rec| {
+        let (smoothed, winners, errors) = (upload(rec, &smoothed)?, upload(rec, &winners)?, upload(rec, &errors)?);
+        let (sure, variance) = (upload(rec, &sure)?, upload(rec, &scene.variance)?);
+        let candidates = upload_bank(rec, &bank)?;
+        let evidence = Evidence { selected: &winners, errors: &errors, sure: &sure, variance_of_mean: &variance, candidates: &candidates };
+        let shares = select_share(rec, extent, smoothed, evidence, rule)?;
+        let blended = select_blend(rec, extent, &shares, &candidates)?;
+        Ok((shares, blended))
+    });
+    let (selection, signal) = (read(gpu, &selection, extent).remove(0), read(gpu, &signal, extent));
 
     let positive: Planes = smoothed.iter().map(|grid| grid.like(|p| grid.at(p).max(0.0))).collect();
     let rule_twin = rule.map(|rule| reference::select::Guard {
@@ -155,18 +156,15 @@ fn check_blend(gpu: &Gpu, width: usize, height: usize, rule: Option<Guard>) {
         own_sigmas: rule.own_sigmas.into(),
         own_noise: rule.own_noise.into(),
     });
-    let maps = match &rule_twin {
-        Some(rule) => {
-            let candidates = bank.means.each_ref().map(Vec::as_slice);
-            let evidence = reference::select::Evidence { errors: &errors, binary_maps: &winners, sure: &sure, candidates, variance: &scene.variance };
-            reference::select::guard(&positive, evidence, rule)
-        }
-        None => {
-            let sum = |p| positive.iter().map(|grid| grid.at(p)).sum::<f64>();
-            (0..3).map(|k| positive[k].like(|p| if sum(p) > 0.0 { positive[k].at(p) / sum(p) } else { winners[k].at(p) })).collect()
-        }
+    let evidence = reference::select::Evidence {
+        errors: &errors,
+        binary_maps: &winners,
+        sure: &sure,
+        candidates: bank.means.each_ref().map(Vec::as_slice),
+        variance: &scene.variance,
     };
-    let what = |part: &str| format!("select_blend, {width}×{height}, {rule:?}: {part}");
+    let maps = reference::select::share(&positive, evidence, rule_twin.as_ref());
+    let what = |part: &str| format!("select_share and select_blend, {width}×{height}, {rule:?}: {part}");
     // Shares are quotients of a few products. A candidate whose error is within rounding of the guard's limit may go either way; there is none in these images.
     assert_near(&what("maps"), &selection[..3], &maps, &flat(&maps, 1.0), 1e-6, 0.0);
     let average = |planes: [&Grid; 3]| maps[0].like(|p| (0..3).map(|k| maps[k].at(p) * planes[k].at(p)).sum());
@@ -190,10 +188,10 @@ fn candidates_are_averaged_by_their_maps() {
     let strict = Guard { smoothed_error: 0.0, smoothed_noise: 0.0, own_sigmas: 0.0, own_noise: 0.0 };
     let rules = [best, strict, Guard { own_noise: 1e6, ..best }, Guard { smoothed_noise: 1e6, own_sigmas: 0.5, own_noise: 0.1, ..best }];
     for rule in rules.map(Some).into_iter().chain([None]) {
-        check_blend(gpu(), 257, 89, rule);
-        check_blend(gpu(), 7, 300, rule);
-        check_blend(gpu(), 1, 1, rule);
-        check_blend(checked_gpu(), 24, 20, rule);
+        check_shares_and_blend(gpu(), 257, 89, rule);
+        check_shares_and_blend(gpu(), 7, 300, rule);
+        check_shares_and_blend(gpu(), 1, 1, rule);
+        check_shares_and_blend(checked_gpu(), 24, 20, rule);
     }
 }
 

@@ -122,7 +122,7 @@ impl Folder {
         // They are among the others now.
         let _ = std::fs::remove_file(self.path.join(format!("new_{label}.exr")));
         let set = BufferSet::read(&BufferSetRequest { input: file, ..Default::default() })?;
-        output::write(&set, &self.path.join(format!("denoised_{label}.exr")), estimate, &[Intermediate::Density], method).map(drop)
+        output::write(set, &self.path.join(format!("denoised_{label}.exr")), estimate, &[Intermediate::Density], method).map(drop)
     }
 }
 

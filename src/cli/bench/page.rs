@@ -387,7 +387,7 @@ impl<'a> Page<'a> {
         }
         format!(
             "<p>Stars: the Pareto front of time and relative MSE. SSIM: 1 is perfect; of the others 0 is. FLIP and SSIM are of the picture as displayed, clamped to [0, 1]. \
-             First: the warm-up run, which compiles what no row before it has compiled.</p>\n\
+             First: the warm-up run, which compiles what no row before it has compiled and no cache holds.</p>\n\
              <div class=\"scroll\"><table><thead><tr>{head}</tr></thead><tbody>\n{body}</tbody></table></div>"
         )
     }

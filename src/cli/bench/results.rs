@@ -137,7 +137,7 @@ pub(super) struct Row {
     pub(super) set: String,
     /// A configuration's name.
     pub(super) configuration: String,
-    /// Of the warm-up run, which compiles what no row before it has compiled.
+    /// Of the warm-up run, which compiles what no row before it has compiled and no cache holds.
     pub(super) first_ms: f64,
     /// From the frame in memory to the result in memory; of another program from its start to its end.
     pub(super) wall_ms: f64,

@@ -16,38 +16,48 @@ pub(super) enum ProgressKind {
     Openjd,
 }
 
+/// How much of a frame's work it is to write it, as far as it is told of: a frame that is denoised is not done.
+const WRITING: f64 = 0.1;
+
 /// Over all frames that are denoised.
-pub(super) enum Progress {
+pub(super) struct Progress {
+    told: Told,
+    frames: usize,
+    /// Frames that the device is done with.
+    denoised: usize,
+    /// Of the frame on the device.
+    share: f32,
+    /// Frames whose outputs lie in their places.
+    written: usize,
+}
+
+enum Told {
     /// Nobody wants to know. Telling makes the device wait, so it is not asked for.
     Silent,
-    Bar {
-        bar: ProgressBar,
-        done: usize,
-    },
+    Bar(ProgressBar),
     OpenJd {
-        frames: usize,
-        done: usize,
         last: String,
     },
 }
 
 impl Progress {
     pub(super) fn new(kind: Option<ProgressKind>, frames: usize) -> Self {
-        match kind {
-            Some(ProgressKind::Openjd) => Self::OpenJd { frames, done: 0, last: String::new() },
-            Some(ProgressKind::Bar) if is_watched() => Self::Bar { bar: bar(true, 1000 * frames as u64), done: 0 },
-            _ => Self::Silent,
-        }
+        let told = match kind {
+            Some(ProgressKind::Openjd) => Told::OpenJd { last: String::new() },
+            Some(ProgressKind::Bar) if is_watched() => Told::Bar(bar(true, 1000 * frames as u64)),
+            _ => Told::Silent,
+        };
+        Self { told, frames, denoised: 0, share: 0.0, written: 0 }
     }
 
     pub(super) fn is_wanted(&self) -> bool {
-        !matches!(self, Self::Silent)
+        !matches!(self.told, Told::Silent)
     }
 
     pub(super) fn begin(&self, frame: &PlannedFrame, out: &mut Out) {
-        if let Self::OpenJd { frames, done, .. } = self {
+        if let Told::OpenJd { .. } = self.told {
             match frame.number {
-                Some(number) => out.line(format_args!("openjd_status: frame {number}, {} of {frames}", done + 1)),
+                Some(number) => out.line(format_args!("openjd_status: frame {number}, {} of {}", self.denoised + 1, self.frames)),
                 None => out.line(format_args!("openjd_status: {}", frame.input.display())),
             }
         }
@@ -55,11 +65,30 @@ impl Progress {
 
     /// Of the frame that has begun.
     pub(super) fn share(&mut self, share: f32, out: &mut Out) {
-        match self {
-            Self::Silent => {}
-            Self::Bar { bar, done } => bar.set_position(1000 * *done as u64 + (share * 1000.0) as u64),
-            Self::OpenJd { frames, done, last } => {
-                let line = format!("openjd_progress: {:.1}", 100.0 * (*done as f32 + share) / *frames as f32);
+        self.share = share;
+        self.tell(out);
+    }
+
+    /// Ends the frame on the device.
+    pub(super) fn denoised(&mut self, out: &mut Out) {
+        self.denoised += 1;
+        self.share = 0.0;
+        self.tell(out);
+    }
+
+    /// Ends the frame.
+    pub(super) fn written(&mut self, out: &mut Out) {
+        self.written += 1;
+        self.tell(out);
+    }
+
+    fn tell(&mut self, out: &mut Out) {
+        let done = (1.0 - WRITING) * (self.denoised as f64 + f64::from(self.share)) + WRITING * self.written as f64;
+        match &mut self.told {
+            Told::Silent => {}
+            Told::Bar(bar) => bar.set_position((1000.0 * done) as u64),
+            Told::OpenJd { last } => {
+                let line = format!("openjd_progress: {:.1}", 100.0 * done / self.frames as f64);
                 if line != *last {
                     out.line(&line);
                     *last = line;
@@ -68,25 +97,16 @@ impl Progress {
         }
     }
 
-    /// Ends the frame.
-    pub(super) fn end(&mut self, out: &mut Out) {
-        self.share(1.0, out);
-        match self {
-            Self::Silent => {}
-            Self::Bar { done, .. } | Self::OpenJd { done, .. } => *done += 1,
-        }
-    }
-
     /// Text for people, without the bar in its way.
     pub(super) fn say(&self, out: &mut Out, text: impl std::fmt::Display) {
-        match self {
-            Self::Bar { bar, .. } => bar.suspend(|| out.say(text)),
+        match &self.told {
+            Told::Bar(bar) => bar.suspend(|| out.say(text)),
             _ => out.say(text),
         }
     }
 
     pub(super) fn finish(&self) {
-        if let Self::Bar { bar, .. } = self {
+        if let Told::Bar(bar) = &self.told {
             bar.finish_and_clear();
         }
     }

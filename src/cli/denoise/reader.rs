@@ -2,6 +2,7 @@
 
 use std::collections::VecDeque;
 use std::ops::Range;
+use std::sync::Arc;
 use std::sync::mpsc::{Receiver, sync_channel};
 use std::thread::Scope;
 
@@ -16,9 +17,9 @@ use crate::cli::{Failure, quality};
 /// A frame in memory.
 pub(super) struct ReadFrame {
     pub(super) number: Option<u32>,
-    pub(super) frame: Frame,
+    pub(super) frame: Arc<Frame>,
     pub(super) reference: Option<Image>,
-    /// What its output is made from, until that is written; of a frame that is only looked at, nothing.
+    /// What its output is made from, until it is denoised; of a frame that is only looked at, nothing.
     pub(super) original: Option<(Box<BufferSet>, Box<Input>)>,
     pub(super) data_window: Window,
 }
@@ -88,5 +89,5 @@ fn load(read: &Read) -> Result<ReadFrame, Unusable> {
     };
     let data_window = set.data_window();
     let original = read.is_denoised.then(|| (Box::new(set), described));
-    Ok(ReadFrame { number: read.number, frame, reference, original, data_window })
+    Ok(ReadFrame { number: read.number, frame: Arc::new(frame), reference, original, data_window })
 }

@@ -1,0 +1,77 @@
+//! What becomes of the frames, told in their order as the writer is done with them.
+
+use std::ops::ControlFlow;
+
+use stein::Error;
+use stein::gpu::AdapterSummary;
+
+use super::progress::Progress;
+use super::shot::{self, ShotErrors};
+use super::writer::{Denoised, Done, Writer};
+use crate::cli::report::FrameReport;
+use crate::cli::{Failure, Out, quality};
+
+pub(super) struct Results<'a> {
+    pub(super) progress: Progress,
+    writer: Writer<'a>,
+    reports: Vec<FrameReport>,
+    /// Why a frame could not be written.
+    failure: Option<Failure>,
+    device: &'a AdapterSummary,
+    verbose: bool,
+    is_shot: bool,
+}
+
+impl<'a> Results<'a> {
+    pub(super) fn new(writer: Writer<'a>, progress: Progress, device: &'a AdapterSummary, verbose: bool, is_shot: bool) -> Self {
+        Self { progress, writer, reports: Vec::new(), failure: None, device, verbose, is_shot }
+    }
+
+    /// Waits until the frame before is written. Fails where that could not be, of which [`Self::finish`] tells.
+    pub(super) fn hand_over(&mut self, denoised: Denoised, out: &mut Out) -> Result<(), Failure> {
+        let is_taken = self.writer.hand_over(denoised);
+        self.progress.denoised(out);
+        if self.collect(out).is_break() || !is_taken { Err(Error::Cancelled.into()) } else { Ok(()) }
+    }
+
+    /// Tells of what was written meanwhile. Nothing is worth going on with after a failure.
+    pub(super) fn collect(&mut self, out: &mut Out) -> ControlFlow<()> {
+        while let Some(done) = self.writer.done() {
+            self.add(done, out);
+        }
+        if self.failure.is_some() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+    }
+
+    pub(super) fn add(&mut self, done: Result<Done, Failure>, out: &mut Out) {
+        let Done { introduction, report } = match done {
+            Ok(done) => done,
+            Err(failure) => {
+                self.failure.get_or_insert(failure);
+                return;
+            }
+        };
+        if let Some(introduction) = introduction {
+            self.progress.say(out, introduction);
+        }
+        let text = report.text(self.device, self.verbose);
+        let text = match &report.errors {
+            None => text,
+            Some(errors) if self.is_shot && !self.verbose => format!("{text}, {}", shot::brief(errors)),
+            Some(errors) => format!("{text}\n{}", quality::text(errors)),
+        };
+        self.progress.say(out, text);
+        self.progress.written(out);
+        self.reports.push(report);
+    }
+
+    /// Waits for the writer. What it failed in came before what `ended` the work on the device.
+    pub(super) fn finish(mut self, ended: Result<(), Failure>, out: &mut Out) -> Result<(Vec<FrameReport>, Option<ShotErrors>), Failure> {
+        while let Some(done) = self.writer.rest() {
+            self.add(done, out);
+        }
+        self.progress.finish();
+        let Self { writer, reports, failure, .. } = self;
+        failure.map_or(ended, Err)?;
+        Ok((reports, writer.comparison().finish()))
+    }
+}

@@ -1,0 +1,115 @@
+//! Frames on their way from the device to the files: written, and compared with their references, while the device works on the next one.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::mpsc::{Receiver, SyncSender, channel, sync_channel};
+use std::thread::{Scope, ScopedJoinHandle};
+
+use stein::buffers::BufferSet;
+use stein::method::Intermediate;
+use stein::{Estimate, Frame, Image, Method};
+
+use super::shot::{Compared, Comparison};
+use crate::cli::inspect::Input;
+use crate::cli::report::{FrameReport, Run};
+use crate::cli::{Failure, output, quality};
+
+/// A denoised frame, and all that its output and its report are made of.
+pub(super) struct Denoised {
+    pub(super) number: Option<u32>,
+    pub(super) output: PathBuf,
+    pub(super) original: Box<BufferSet>,
+    pub(super) described: Box<Input>,
+    /// What is to be said of the input before anything else.
+    pub(super) introduction: Option<String>,
+    pub(super) frame: Arc<Frame>,
+    pub(super) reference: Option<Image>,
+    pub(super) estimate: Estimate,
+    pub(super) run: Run,
+}
+
+/// A frame whose output lies in its place.
+pub(super) struct Done {
+    pub(super) introduction: Option<String>,
+    pub(super) report: FrameReport,
+}
+
+/// What goes into every output.
+#[derive(Clone, Copy)]
+pub(super) struct Contents<'a> {
+    pub(super) method: &'a Method,
+    pub(super) keep: &'a [Intermediate],
+}
+
+/// The thread that writes, one frame after the other in the order in which they come. After the first that cannot be written it writes no more.
+pub(super) struct Writer<'scope> {
+    /// `None` once there is nothing more to come.
+    to_write: Option<SyncSender<Denoised>>,
+    done: Receiver<Result<Done, Failure>>,
+    thread: ScopedJoinHandle<'scope, Comparison>,
+}
+
+impl<'scope> Writer<'scope> {
+    pub(super) fn start(scope: &'scope Scope<'scope, '_>, contents: Contents<'scope>) -> Self {
+        // No buffer: beside the frame that is being written and the one on the device, none takes memory.
+        let (to_write, incoming) = sync_channel::<Denoised>(0);
+        let (sender, done) = channel();
+        let thread = scope.spawn(move || {
+            let mut comparison = Comparison::default();
+            for frame in incoming {
+                let number = frame.number;
+                let written = contents.finish(frame, &mut comparison).map_err(|failure| failure.in_frame(number));
+                let is_last = written.is_err();
+                // Nobody listens any more once the work has ended early.
+                if sender.send(written).is_err() || is_last {
+                    break;
+                }
+            }
+            comparison
+        });
+        Self { to_write: Some(to_write), done, thread }
+    }
+
+    /// Waits until the frame before is written. Whether the frame was taken: none is after a failure, which comes with [`Self::done`].
+    pub(super) fn hand_over(&self, frame: Denoised) -> bool {
+        self.to_write.as_ref().is_some_and(|to_write| to_write.send(frame).is_ok())
+    }
+
+    /// A frame that was written since the last call, or why one was not.
+    pub(super) fn done(&self) -> Option<Result<Done, Failure>> {
+        self.done.try_recv().ok()
+    }
+
+    /// Waits for the next frame of those that were handed over; there will be no others. `None` after the last.
+    pub(super) fn rest(&mut self) -> Option<Result<Done, Failure>> {
+        self.to_write = None;
+        self.done.recv().ok()
+    }
+
+    /// All frames against their references, after the rest.
+    pub(super) fn comparison(self) -> Comparison {
+        self.thread.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
+    }
+}
+
+impl Contents<'_> {
+    /// Writes a frame and compares it with its reference.
+    fn finish(self, denoised: Denoised, comparison: &mut Comparison) -> Result<Done, Failure> {
+        let Denoised { number, output, original, described, introduction, frame, reference, estimate, run } = denoised;
+        let data_window = original.data_window();
+        let mut written = output::write(*original, &output, &estimate, self.keep, self.method)?;
+        let missing = self.keep.iter().filter(|one| !estimate.layers.iter().any(|layer| layer.intermediate == **one));
+        written.notes.extend(missing.map(|one| format!("--keep {}: there is nothing of the kind without halves or features", one.name())));
+        let left_out = frame.features().iter().filter(|feature| !estimate.features.contains(&feature.name));
+        written
+            .notes
+            .extend(left_out.map(|feature| format!("feature {}: not used, because a frame beside lacks it or has it the same everywhere", feature.name)));
+        let errors = reference.as_ref().map(|reference| quality::compare(&frame, &estimate, reference)).transpose()?;
+        let strips = estimate.strips;
+        if let (Some(number), Some(reference), Some(errors)) = (number, reference, &errors) {
+            let images = [frame.color().mean.clone(), estimate.color];
+            comparison.add(Compared { number, data_window, images, reference }, errors)?;
+        }
+        Ok(Done { introduction, report: FrameReport { input: *described, strips, run: Some(run), output: Some(written), errors } })
+    }
+}

@@ -1,0 +1,186 @@
+//! Compiled pipelines kept on disk, for drivers that leave it to programs.
+//!
+//! One file for each adapter, driver and version of this crate. It is written aside and renamed, so that a reader never sees half of one; where two processes write, the
+//! later one's stays. What does not read back as it was written is taken for no file, and replaced.
+
+use std::hash::{DefaultHasher, Hash, Hasher};
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::sync::Mutex;
+use std::time::SystemTime;
+
+use super::device::Gpu;
+use super::lock;
+use crate::error::{Error, Result};
+
+const MAGIC: &[u8; 16] = b"stein pipelines\n";
+/// The magic and a hash of what follows.
+const HEADER_BYTES: usize = MAGIC.len() + size_of::<u64>();
+
+/// A file that has grown beyond this many bytes is begun anew: drivers only ever add to what they are given.
+const MOST_BYTES: u64 = 32 << 20;
+
+/// Files that are kept in the folder, of the adapters, drivers and versions that were used last.
+const MOST_FILES: usize = 8;
+
+const PREFIX: &str = "stein-";
+const EXTENSION: &str = "pipelines";
+
+/// What became of the compiled pipelines.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum SavedPipelines {
+    /// No folder was given, or the adapter hands none out.
+    Nowhere,
+    /// The file holds them already.
+    Unchanged {
+        /// Where.
+        file: PathBuf,
+        /// Its size.
+        bytes: u64,
+    },
+    /// The file was written.
+    Written {
+        /// Where.
+        file: PathBuf,
+        /// Its size.
+        bytes: u64,
+    },
+}
+
+/// The pipelines of an open device.
+pub(super) struct PipelineCache {
+    cache: wgpu::PipelineCache,
+    file: PathBuf,
+    /// Hash of what the file holds, as far as this process knows.
+    saved: Mutex<Option<u64>>,
+}
+
+impl PipelineCache {
+    /// Begins with what the file in `folder` holds. `None` where the driver refuses.
+    pub(super) fn open(device: &wgpu::Device, info: &wgpu::AdapterInfo, folder: &Path) -> Option<Self> {
+        let file = folder.join(file_name(info));
+        let data = std::fs::metadata(&file).ok().filter(|found| found.len() <= MOST_BYTES).and_then(|_| std::fs::read(&file).ok());
+        let data = data.as_deref().and_then(unpacked);
+        let description = wgpu::PipelineCacheDescriptor { label: Some("stein"), data, fallback: true };
+        let scope = device.push_error_scope(wgpu::ErrorFilter::Validation);
+        #[expect(unsafe_code, reason = "drivers trust these bytes")]
+        // SAFETY: the hash beside the bytes says that they are what an earlier `get_data` gave; wgpu and the driver check that it was one of this adapter and driver.
+        let cache = unsafe { device.create_pipeline_cache(&description) };
+        let refused = pollster::block_on(scope.pop()).is_some();
+        (!refused).then(|| Self { cache, file, saved: Mutex::new(data.map(hash)) })
+    }
+
+    pub(super) fn wgpu(&self) -> &wgpu::PipelineCache {
+        &self.cache
+    }
+
+    pub(super) fn save(&self) -> Result<SavedPipelines> {
+        let Some(data) = self.cache.get_data() else { return Ok(SavedPipelines::Nowhere) };
+        let (file, bytes) = (self.file.clone(), (HEADER_BYTES + data.len()) as u64);
+        let hash = hash(&data);
+        let mut saved = lock(&self.saved);
+        if *saved == Some(hash) {
+            return Ok(SavedPipelines::Unchanged { file, bytes });
+        }
+        self.write(&data, hash).map_err(|error| Error::File {
+            path: file.clone(),
+            problem: format!("the compiled pipelines cannot be kept: {error}"),
+            remedy: "have `GpuOptions::pipeline_folder` name a folder that may be written to, or none".into(),
+        })?;
+        *saved = Some(hash);
+        Ok(SavedPipelines::Written { file, bytes })
+    }
+
+    fn write(&self, data: &[u8], hash: u64) -> std::io::Result<()> {
+        let folder = self.file.parent().unwrap_or(Path::new("."));
+        std::fs::create_dir_all(folder)?;
+        let mut aside = tempfile::Builder::new().prefix(".stein-").suffix(".part").tempfile_in(folder)?;
+        aside.write_all(MAGIC)?;
+        aside.write_all(&hash.to_le_bytes())?;
+        aside.write_all(data)?;
+        aside.persist(&self.file).map_err(|error| error.error)?;
+        remove_oldest(folder);
+        Ok(())
+    }
+}
+
+impl Gpu {
+    /// Writes the pipelines that were compiled so far into the folder of [`GpuOptions::pipeline_folder`](super::GpuOptions::pipeline_folder), unless its file holds them
+    /// already. It happens by itself when the device is closed; called, it also tells what came of it, and what was compiled survives a process that is killed later.
+    ///
+    /// # Errors
+    /// [`Error::File`] where the file cannot be written.
+    pub fn save_pipelines(&self) -> Result<SavedPipelines> {
+        self.inner.pipeline_cache.as_ref().map_or(Ok(SavedPipelines::Nowhere), PipelineCache::save)
+    }
+}
+
+/// A driver refuses what another version of it has compiled, and each version of this crate compiles other shaders.
+fn file_name(info: &wgpu::AdapterInfo) -> String {
+    let mut hasher = DefaultHasher::new();
+    (&info.name, &info.driver, &info.driver_info, info.backend).hash(&mut hasher);
+    format!("{PREFIX}{}-{:04x}-{:04x}-{:016x}.{EXTENSION}", env!("CARGO_PKG_VERSION"), info.vendor, info.device, hasher.finish())
+}
+
+fn hash(data: &[u8]) -> u64 {
+    let mut hasher = DefaultHasher::new();
+    data.hash(&mut hasher);
+    hasher.finish()
+}
+
+/// What follows the header; `None` where it is not what was written.
+fn unpacked(file: &[u8]) -> Option<&[u8]> {
+    let (magic, rest) = file.split_first_chunk()?;
+    let (expected, data) = rest.split_first_chunk()?;
+    (magic == MAGIC && u64::from_le_bytes(*expected) == hash(data)).then_some(data)
+}
+
+/// Lets go of files that nobody has written for the longest time. A folder that cannot be read keeps what it has.
+fn remove_oldest(folder: &Path) {
+    let is_ours = |path: &PathBuf| {
+        let name = path.file_name().and_then(|name| name.to_str());
+        path.extension().is_some_and(|extension| extension == EXTENSION) && name.is_some_and(|name| name.starts_with(PREFIX))
+    };
+    let paths = folder.read_dir().into_iter().flatten().flatten().map(|entry| entry.path()).filter(is_ours);
+    let mut files: Vec<(SystemTime, PathBuf)> = paths.filter_map(|path| Some((path.metadata().ok()?.modified().ok()?, path))).collect();
+    files.sort();
+    for (_, path) in files.iter().rev().skip(MOST_FILES) {
+        // Another process may have been faster.
+        let _ = std::fs::remove_file(path);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_was_not_written_like_this_is_no_file() {
+        let data = b"pipelines".as_slice();
+        let whole = [MAGIC.as_slice(), &hash(data).to_le_bytes(), data].concat();
+        assert_eq!(unpacked(&whole), Some(data));
+        for length in 0..whole.len() {
+            assert_eq!(unpacked(&whole[..length]), None, "{length}");
+        }
+        for byte in 0..whole.len() {
+            let mut damaged = whole.clone();
+            damaged[byte] ^= 1;
+            assert_eq!(unpacked(&damaged), None, "{byte}");
+        }
+    }
+
+    #[test]
+    fn the_files_used_last_are_kept_and_nothing_else_is_touched() {
+        let folder = tempfile::tempdir().expect("a folder");
+        std::fs::write(folder.path().join("other.pipelines"), "").expect("a file");
+        for age in 0..MOST_FILES as u64 + 3 {
+            let file = std::fs::File::create(folder.path().join(format!("{PREFIX}{age:02}.{EXTENSION}"))).expect("a file");
+            file.set_modified(SystemTime::UNIX_EPOCH + std::time::Duration::from_secs(1000 - age)).expect("a date");
+        }
+        remove_oldest(folder.path());
+        let mut left: Vec<_> = folder.path().read_dir().expect("a folder").map(|entry| entry.expect("an entry").file_name()).collect();
+        left.sort();
+        let expected = std::iter::once("other.pipelines".to_owned()).chain((0..MOST_FILES).map(|age| format!("{PREFIX}{age:02}.{EXTENSION}")));
+        assert_eq!(left, expected.map(Into::into).collect::<Vec<std::ffi::OsString>>());
+    }
+}
