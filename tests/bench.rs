@@ -99,7 +99,11 @@ fn a_report_tells_the_same_to_people_and_to_programs() {
             assert!(of["errors"][measure].as_f64().is_some_and(|error| error.is_finite()), "{of}");
         }
         let is_stein = of["configuration"] != "again <&>";
-        assert_eq!((number("predicted_mse").is_some(), number("peak_bytes").is_some(), number("device_ms").is_some()), (is_stein, is_stein, is_stein), "{of}");
+        assert_eq!(
+            (number("predicted_mse").is_some(), number("peak_bytes").is_some(), number("device_ms").is_some(), number("cpu_ms").is_some()),
+            (is_stein, is_stein, is_stein, is_stein),
+            "{of}"
+        );
         let stages: f64 = of["stages"].as_array().unwrap().iter().map(|stage| stage["ms"].as_f64().unwrap()).sum();
         assert!((stages - number("device_ms").unwrap_or(0.0)).abs() <= 1e-9 * stages);
         assert!(!is_stein || number("predicted_image_mse").unwrap() > 0.0);

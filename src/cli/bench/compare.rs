@@ -36,6 +36,7 @@ struct Ratios {
     set: String,
     configuration: String,
     wall: f64,
+    cpu: Option<f64>,
     device: Option<f64>,
     /// Those that changed.
     stages: Vec<(String, f64)>,
@@ -122,6 +123,7 @@ impl Ratios {
             set: new.set.clone(),
             configuration: new.configuration.clone(),
             wall,
+            cpu: ratio(old.cpu_ms, new.cpu_ms),
             device: ratio(old.device_ms, new.device_ms),
             stages: stages.collect(),
             relative_mse,
@@ -138,7 +140,7 @@ impl Comparison {
             lines.push(format!("  ANOTHER ADAPTER: the old run was on {adapter}; the ratios of times compare the adapters"));
         }
         lines.extend(self.notes.iter().map(|note| format!("  {note}")));
-        let mut rows = vec![["", "", "wall", "device", "relative MSE", "", "  stages that changed"].map(String::from).to_vec()];
+        let mut rows = vec![["", "", "wall", "CPU", "device", "relative MSE", "", "  stages that changed"].map(String::from).to_vec()];
         let ratio = |value: Option<f64>| value.map_or_else(|| "-".to_owned(), |value| format!("{value:.3}"));
         for row in &self.rows {
             let marks = [(row.is_slower, "slower"), (row.is_worse, "worse")].into_iter().filter(|(is_so, _)| *is_so).map(|(_, mark)| mark);
@@ -147,6 +149,7 @@ impl Comparison {
                 row.set.clone(),
                 row.configuration.clone(),
                 ratio(Some(row.wall)),
+                ratio(row.cpu),
                 ratio(row.device),
                 ratio(row.relative_mse),
                 marks.collect::<Vec<_>>().join(", "),

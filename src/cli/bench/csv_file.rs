@@ -39,6 +39,7 @@ pub(super) fn csv(document: &Document) -> Result<Vec<u8>, Failure> {
             row.first_ms.to_string(),
             row.wall_ms.to_string(),
             row.wall_ms_per_megapixel.to_string(),
+            cell(row.cpu_ms),
             cell(row.device_ms),
             cell(row.peak_bytes),
             cell(row.strips),
@@ -53,7 +54,7 @@ pub(super) fn csv(document: &Document) -> Result<Vec<u8>, Failure> {
 }
 
 /// Before the stages.
-const COLUMNS: [&str; 34] = [
+const COLUMNS: [&str; 35] = [
     "date",
     "stein",
     "adapter",
@@ -74,6 +75,7 @@ const COLUMNS: [&str; 34] = [
     "first_ms",
     "wall_ms",
     "wall_ms_per_megapixel",
+    "cpu_ms",
     "device_ms",
     "peak_bytes",
     "strips",

@@ -3,6 +3,7 @@
 use std::path::Path;
 use std::time::Instant;
 
+use cpu_time::ProcessTime;
 use indicatif::ProgressBar;
 use stein::gpu::StageTime;
 use stein::method::Intermediate;
@@ -60,6 +61,7 @@ struct Record {
     predicted_mse: Option<f64>,
     predicted_image_mse: Option<f64>,
     walls_ms: Vec<f64>,
+    cpus_ms: Vec<f64>,
     /// Stage, dispatches, milliseconds of each run.
     stages: Vec<(String, usize, Vec<f64>)>,
     peak_bytes: Option<u64>,
@@ -99,9 +101,11 @@ pub(super) fn measure(
             match &contestant.runner {
                 Runner::Stein(denoiser) => {
                     gpu.set_timing(false);
-                    let start = Instant::now();
+                    let (start, cpu_start) = (Instant::now(), ProcessTime::try_now());
                     let estimate = denoiser.denoise(case.frame)?;
                     record.walls_ms.push(start.elapsed().as_secs_f64() * 1e3);
+                    let cpu = cpu_start.and_then(|start| start.try_elapsed());
+                    record.cpus_ms.extend(cpu.map(|cpu| cpu.as_secs_f64() * 1e3));
                     (record.peak_bytes, record.strips) = (Some(estimate.peak_bytes), Some(estimate.strips));
                     bar.inc(1);
                     gpu.set_timing(true);
@@ -143,6 +147,7 @@ fn warm_up(gpu: &Gpu, denoiser: &Denoiser, case: &Case<'_>) -> Result<Record, Fa
         predicted_image_mse: case.reference.map(|reference| metric::mse(predicted, reference)).transpose()?,
         image: estimate.color,
         walls_ms: Vec::new(),
+        cpus_ms: Vec::new(),
         stages: Vec::new(),
         peak_bytes: None,
         strips: None,
@@ -152,7 +157,17 @@ fn warm_up(gpu: &Gpu, denoiser: &Denoiser, case: &Case<'_>) -> Result<Record, Fa
 fn warm_up_external(external: &External, input: &Path, output: &Path, case: &Case<'_>) -> Result<Record, Failure> {
     let first_ms = external.run(input, output)? * 1e3;
     let image = external.read(output, case.frame.extent())?;
-    Ok(Record { first_ms, image, predicted_mse: None, predicted_image_mse: None, walls_ms: Vec::new(), stages: Vec::new(), peak_bytes: None, strips: None })
+    Ok(Record {
+        first_ms,
+        image,
+        predicted_mse: None,
+        predicted_image_mse: None,
+        walls_ms: Vec::new(),
+        cpus_ms: Vec::new(),
+        stages: Vec::new(),
+        peak_bytes: None,
+        strips: None,
+    })
 }
 
 impl Record {
@@ -175,6 +190,7 @@ impl Record {
             first_ms: self.first_ms,
             wall_ms,
             wall_ms_per_megapixel: wall_ms / case.set.megapixels(),
+            cpu_ms: (!self.cpus_ms.is_empty()).then(|| median(self.cpus_ms)),
             device_ms: (!stages.is_empty()).then(|| stages.iter().map(|stage| stage.ms).sum()),
             stages,
             peak_bytes: self.peak_bytes,

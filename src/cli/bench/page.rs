@@ -356,7 +356,7 @@ impl<'a> Page<'a> {
     }
 
     fn table(&self) -> String {
-        let head = ["", "wall ms", "ms per megapixel", "device ms", "first ms", "memory", RELATIVE_MSE, "MSE", "SSIM", "FLIP", "predicted MSE"];
+        let head = ["", "wall ms", "ms per megapixel", "CPU ms", "device ms", "first ms", "memory", RELATIVE_MSE, "MSE", "SSIM", "FLIP", "predicted MSE"];
         let head: String = head.iter().map(|name| format!("<th>{name}</th>")).collect();
         let cell = |text: Option<String>| format!("<td>{}</td>", text.unwrap_or_else(|| "–".into()));
         let measures = |errors: Option<Errors>| {
@@ -366,9 +366,9 @@ impl<'a> Page<'a> {
         let mut body = String::new();
         for set in &self.document.sets {
             let file = escape(&format!("{}, {}×{}", set.file.display(), set.width, set.height));
-            body += &format!("<tr class=\"set\"><th colspan=\"11\">{} <small>{file}</small></th></tr>\n", escape(&set.name));
+            body += &format!("<tr class=\"set\"><th colspan=\"12\">{} <small>{file}</small></th></tr>\n", escape(&set.name));
             if set.noisy.is_some() {
-                body += &format!("<tr><td>noisy</td>{}{}{}</tr>\n", cell(None).repeat(5), measures(set.noisy), cell(None));
+                body += &format!("<tr><td>noisy</td>{}{}{}</tr>\n", cell(None).repeat(6), measures(set.noisy), cell(None));
             }
             for row in self.document.rows_of(set) {
                 let class = if row.on_front == Some(true) { " class=\"front\"" } else { "" };
@@ -376,6 +376,7 @@ impl<'a> Page<'a> {
                 for text in [
                     Some(milliseconds(row.wall_ms)),
                     Some(milliseconds(row.wall_ms_per_megapixel)),
+                    row.cpu_ms.map(milliseconds),
                     row.device_ms.map(milliseconds),
                     Some(milliseconds(row.first_ms)),
                     row.peak_bytes.map(bytes),

@@ -22,6 +22,7 @@ fn summary(set: &Set, rows: &[&Row], verbose: bool) -> Vec<Vec<String>> {
     let mut columns: Vec<(&str, Cell)> = vec![
         ("wall ms", |row| Some(milliseconds(row.wall_ms))),
         ("ms/megapixel", |row| Some(milliseconds(row.wall_ms_per_megapixel))),
+        ("CPU ms", |row| row.cpu_ms.map(milliseconds)),
         ("device ms", |row| row.device_ms.map(milliseconds)),
     ];
     if verbose {
