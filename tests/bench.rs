@@ -189,6 +189,18 @@ fn people_see_a_row_for_each_configuration() {
         assert!(of["errors"]["relative_mse"].as_f64() < set["noisy"]["relative_mse"].as_f64());
     }
 
+    // What takes part, and whether what the frame does not need runs as well.
+    let axes = ["bench", &input, "--repeat=1", "--size=32x20", "--radius=2", "--presets=default", "--methods=dfc,gem"];
+    let document = stein(&[&axes[..], &["--candidates=first+second,all", "--everything=on,off", "--json"]].concat()).succeeded().json();
+    let errors: Vec<(&str, f64)> =
+        document["rows"].as_array().unwrap().iter().map(|of| (of["configuration"].as_str().unwrap(), of["errors"]["mse"].as_f64().unwrap())).collect();
+    let names: Vec<&str> = errors.iter().map(|(name, _)| *name).collect();
+    assert_eq!(names, ["dfc first+second everything R2", "dfc everything R2", "dfc first+second R2", "dfc R2", "gem everything", "gem"]);
+    for (everything, without) in [(0, 2), (1, 3), (4, 5)] {
+        assert!((errors[everything].1 / errors[without].1 - 1.0).abs() < 1e-3, "{errors:?}");
+    }
+    assert_ne!(errors[2].1, errors[3].1);
+
     // Without a reference all but the errors is told.
     let folder = Folder::new();
     let lone = folder.path("lone.exr");
@@ -262,6 +274,8 @@ fn options_that_none_of_the_methods_has_are_refused() {
     let input = test_image("cornell_8spp.exr");
     stein(&["bench", &input, "--methods=gem", "--radii=5"]).failed(2, &["--radii is no option of the method gem", "remedy: "]);
     stein(&["bench", &input, "--methods=nlm,gem", "--second-pass=off"]).failed(2, &["--second-pass is no option of the method nlm or gem", "remedy: "]);
+    stein(&["bench", &input, "--methods=nlm", "--candidates=first"]).failed(2, &["--candidates is no option of the method nlm", "remedy: "]);
+    stein(&["bench", &input, "--candidates=first+fourth"]).failed(2, &["first+second"]);
     stein(&["bench", &input, "--methods=dfc,gem", "--k=0.3"]).failed(2, &["--k is no option of the method dfc or gem"]);
     stein(&["bench", &input, "--methods=nlm,gem", "--skip-feature=depth"]).failed(2, &["uses no features"]);
     stein(&["bench", &input, "--radii=5,100"]).failed(2, &["window radius is 100"]);

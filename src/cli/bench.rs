@@ -20,10 +20,11 @@ use std::time::SystemTime;
 use clap::Parser;
 use stein::buffers::{BufferSet, LayerRef};
 use stein::frame::SamplesPerPixel;
+use stein::stage::candidate_set::CandidateSet;
 use stein::{Extent, Frame, Gpu, Image};
 
 use super::inspect::settle;
-use super::options::{Device, MethodName, PresetName, Source, Tuning, size};
+use super::options::{Device, MethodName, PresetName, Source, Tuning, candidates, size};
 use super::progress::bar;
 use super::quality;
 use super::tile::{cover, cover_frame};
@@ -50,6 +51,7 @@ Examples:
   stein bench render.exr --ref converged.exr
   stein bench renders --methods dfc,nlm,gem --radii 5,10,20 --second-pass on,off -o report
   stein bench render.exr --size 512x512,1024x1024,2048x2048 --presets default --repeat 9 -v
+  stein bench renders --candidates all,first+second,third --everything on,off
   stein bench renders -o report --external 'other=/opt/other/denoise --hdr {in} -o {out}'
   stein bench renders --json > before.json
   stein bench --compare before.json --fail-above 1.1      measures the same again
@@ -107,6 +109,12 @@ struct Axes {
     /// Of dfc: with the second pass, without, or both [default: on]
     #[arg(long, value_enum, value_name = "on,off", value_delimiter = ',')]
     second_pass: Vec<Switch>,
+    /// Of dfc: which candidates take part, such as first+second,third for two configurations [default: all]
+    #[arg(long, value_name = "NAME+NAME,…", value_delimiter = ',', value_parser = candidates)]
+    candidates: Vec<CandidateSet>,
+    /// Also running what a scene does not need, without, or both: what leaving it out saves [default: off]
+    #[arg(long, value_enum, value_name = "on,off", value_delimiter = ',')]
+    everything: Vec<Switch>,
     /// Sizes to measure at: the input is repeated, mirrored at the seams, or cut off [default: its own]
     #[arg(long = "size", value_name = "WxH,…", value_delimiter = ',', value_parser = size)]
     sizes: Vec<Extent>,
@@ -259,7 +267,7 @@ impl Job {
 /// Options about layers must be of use to a method, and what none of them uses is not read.
 fn source(source: &Source, configurations: &[Configuration]) -> Result<Source, Failure> {
     let methods = configurations.iter().filter_map(|configuration| match &configuration.how {
-        How::Stein(method) => Some(method),
+        How::Stein { method, .. } => Some(method),
         How::External(_) => None,
     });
     // One that uses features decides, where there is one.

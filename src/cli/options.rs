@@ -7,6 +7,7 @@ use clap::ValueEnum;
 use stein::buffers::{BufferSet, BufferSetRequest, LayerRef};
 use stein::gpu::{DeviceChoice, GpuOptions};
 use stein::method::nlm::NlmVariance;
+use stein::stage::candidate_set::CandidateSet;
 use stein::stage::nlm::{Symmetry, Weighting};
 use stein::{Denoiser, DfcParams, Extent, GemParams, Gpu, Method, NlmParams, Preset};
 
@@ -45,6 +46,9 @@ struct Choice {
     /// Of dfc and nlm: radius of the window that is averaged over, in pixels [default: 10]
     #[arg(long, value_name = "PIXELS")]
     radius: Option<u32>,
+    /// Of dfc: which candidates take part; the others are not computed [default: first,second,third]
+    #[arg(long, value_enum, value_name = "NAME", value_delimiter = ',')]
+    candidates: Vec<CandidateName>,
     #[command(flatten)]
     tuning: Tuning,
 }
@@ -96,9 +100,20 @@ impl Choice {
         if self.radius.is_some() && !self.method.has_radius() {
             return Err(not_theirs("--radius", &[self.method]));
         }
+        if !self.candidates.is_empty() && !self.method.has_candidates() {
+            return Err(not_theirs("--candidates", &[self.method]));
+        }
         self.tuning.check(&[self.method])?;
-        self.tuning.method(self.method, preset, self.radius)
+        let candidates = CandidateName::set(&self.candidates);
+        self.tuning.method(self.method, preset, Choices { radius: self.radius, candidates })
     }
+}
+
+/// What may be set of several methods, or of which `stein bench` measures several; `None` is the preset's own.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Choices {
+    pub(crate) radius: Option<u32>,
+    pub(crate) candidates: Option<CandidateSet>,
 }
 
 impl Tuning {
@@ -115,11 +130,11 @@ impl Tuning {
     }
 
     /// A method with the parameters of a preset, but for those that were set.
-    pub(crate) fn method(&self, method: MethodName, preset: PresetName, radius: Option<u32>) -> Result<Method, Failure> {
+    pub(crate) fn method(&self, method: MethodName, preset: PresetName, Choices { radius, candidates }: Choices) -> Result<Method, Failure> {
         let method = match method {
             MethodName::Dfc => {
                 let params = preset.choose(DfcParams::default, DfcParams::thesis);
-                Method::from(DfcParams { window_radius: radius.unwrap_or(params.window_radius), ..params })
+                Method::from(DfcParams { window_radius: radius.unwrap_or(params.window_radius), candidates: candidates.unwrap_or(params.candidates), ..params })
             }
             MethodName::Gem => {
                 let params = preset.choose(GemParams::default, GemParams::thesis);
@@ -191,12 +206,50 @@ impl MethodName {
     pub(crate) fn has_radius(self) -> bool {
         self != Self::Gem
     }
+
+    /// Whether it has candidates of which some can be left out.
+    pub(crate) fn has_candidates(self) -> bool {
+        self == Self::Dfc
+    }
+
+    /// Whether it has a second pass.
+    pub(crate) fn has_second_pass(self) -> bool {
+        self == Self::Dfc
+    }
 }
 
 /// An option that none of the methods has is not ignored.
 pub(crate) fn not_theirs(option: &str, methods: &[MethodName]) -> Failure {
     let names = methods.iter().map(|method| method.name()).collect::<Vec<_>>().join(" or ");
     Failure::usage(format_args!("{option} is no option of the method {names}\n  remedy: leave it out, or choose another --method"))
+}
+
+/// The candidates of DFC, as [`CandidateSet`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum CandidateName {
+    /// Small patches: sharp
+    First,
+    /// Large patches: smooth
+    Second,
+    /// Features alone
+    Third,
+}
+
+impl CandidateName {
+    /// Those that are named; `None` if none is.
+    fn set(names: &[Self]) -> Option<CandidateSet> {
+        let [first, second, third] = [Self::First, Self::Second, Self::Third].map(|name| names.contains(&name));
+        (!names.is_empty()).then_some(CandidateSet { first, second, third })
+    }
+}
+
+/// Candidates joined by plus signs, as in first+second, or all.
+pub(crate) fn candidates(text: &str) -> Result<CandidateSet, String> {
+    if text == "all" {
+        return Ok(CandidateSet::ALL);
+    }
+    let names = text.split('+').map(|name| CandidateName::from_str(name.trim(), true)).collect::<Result<Vec<_>, _>>();
+    names.ok().and_then(|names| CandidateName::set(&names)).ok_or_else(|| "it must be all, or look like first+second, of first, second and third".to_owned())
 }
 
 /// As [`Symmetry`].

@@ -2,9 +2,10 @@
 
 use clap::ValueEnum;
 use stein::Method;
+use stein::stage::candidate_set::CandidateSet;
 
 use super::super::Failure;
-use super::super::options::{MethodName, PresetName, not_theirs};
+use super::super::options::{Choices, MethodName, PresetName, not_theirs};
 use super::Axes;
 use super::external::External;
 use super::results::{self, Parameters};
@@ -16,7 +17,11 @@ pub(super) struct Configuration {
 }
 
 pub(super) enum How {
-    Stein(Method),
+    Stein {
+        method: Method,
+        /// Also what a frame does not need.
+        everything: bool,
+    },
     External(External),
 }
 
@@ -24,8 +29,10 @@ pub(super) enum How {
 pub(super) fn configurations(axes: &Axes) -> Result<(Vec<Configuration>, Vec<String>), Failure> {
     let methods = distinct(&axes.methods, &[MethodName::Dfc]);
     let presets = distinct(&axes.presets, PresetName::value_variants());
-    let radii = distinct(&axes.radii, &[]);
-    let second_passes: Vec<bool> = distinct(&axes.second_pass, &[Switch::On]).into_iter().map(|switch| switch == Switch::On).collect();
+    let radii = choices(&axes.radii);
+    let candidates = choices(&axes.candidates);
+    let second_passes = choices(&axes.second_pass);
+    let everything = distinct(&axes.everything, &[Switch::Off]);
     axes.tuning.check(&methods)?;
     let mut notes = Vec::new();
     // An option that only some have makes no further configurations of the others.
@@ -41,23 +48,22 @@ pub(super) fn configurations(axes: &Axes) -> Result<(Vec<Configuration>, Vec<Str
             }
         }
     };
-    check("--radii", !radii.is_empty(), MethodName::has_radius)?;
-    check("--second-pass", !axes.second_pass.is_empty(), has_second_pass)?;
+    check("--radii", !axes.radii.is_empty(), MethodName::has_radius)?;
+    check("--candidates", !axes.candidates.is_empty(), MethodName::has_candidates)?;
+    check("--second-pass", !axes.second_pass.is_empty(), MethodName::has_second_pass)?;
 
     let mut configurations = Vec::new();
     for &method in &methods {
-        // `None`: the preset's own.
-        let radii: Vec<Option<u32>> = if method.has_radius() && !radii.is_empty() { radii.iter().map(|&radius| Some(radius)).collect() } else { vec![None] };
-        let second_passes = if has_second_pass(method) { &second_passes[..] } else { &[true] };
         for &preset in &presets {
-            for &with_second_pass in second_passes {
-                for &radius in &radii {
-                    let mut parameters = axes.tuning.method(method, preset, radius)?;
-                    if let (Method::Dfc(params), false) = (&mut parameters, with_second_pass) {
-                        params.second_pass = None;
+            for &everything in &everything {
+                for &candidates in of(&candidates, method.has_candidates()) {
+                    for &second_pass in of(&second_passes, method.has_second_pass()) {
+                        for &radius in of(&radii, method.has_radius()) {
+                            let choices = Choices { radius, candidates };
+                            let way = Way { method, preset, second_pass, everything };
+                            configurations.push(way.configuration(axes.tuning.method(method, preset, choices)?)?);
+                        }
                     }
-                    let second_pass = has_second_pass(method).then_some(with_second_pass);
-                    configurations.push(Configuration { described: described(method, preset, second_pass, &parameters)?, how: How::Stein(parameters) });
                 }
             }
         }
@@ -79,8 +85,9 @@ pub(super) enum Switch {
     Off,
 }
 
-fn has_second_pass(method: MethodName) -> bool {
-    method == MethodName::Dfc
+/// What was given, or the preset's own.
+fn choices<T: Copy + PartialEq>(given: &[T]) -> Vec<Option<T>> {
+    if given.is_empty() { vec![None] } else { distinct(given, &[]).into_iter().map(Some).collect() }
 }
 
 /// What was given, without repetitions, or the default where nothing was.
@@ -94,18 +101,54 @@ fn distinct<T: Copy + PartialEq>(given: &[T], default: &[T]) -> Vec<T> {
     values
 }
 
-/// Its name says all that differs from the default, so that it means the same in every report.
-fn described(method: MethodName, preset: PresetName, second_pass: Option<bool>, parameters: &Method) -> Result<results::Configuration, Failure> {
-    let mut series = method.name().to_owned();
-    if preset != PresetName::Default {
-        series += &format!(" {}", preset.name());
+/// The choices of a method that has any, or the only one.
+fn of<T: Copy>(choices: &[Option<T>], has: bool) -> &[Option<T>] {
+    if has { choices } else { &[None] }
+}
+
+/// What a configuration is made of, besides the method's parameters.
+struct Way {
+    method: MethodName,
+    preset: PresetName,
+    second_pass: Option<Switch>,
+    everything: Switch,
+}
+
+impl Way {
+    /// Its name says all that differs from the default, so that it means the same in every report.
+    fn configuration(&self, mut parameters: Method) -> Result<Configuration, Failure> {
+        let &Self { method, preset, second_pass, everything } = self;
+        let mut candidates = None;
+        let mut series = method.name().to_owned();
+        if preset != PresetName::Default {
+            series += &format!(" {}", preset.name());
+        }
+        if let Method::Dfc(params) = &mut parameters {
+            candidates = Some(params.candidates.names().join("+"));
+            if params.candidates != CandidateSet::ALL {
+                series += &format!(" {}", params.candidates.names().join("+"));
+            }
+            if second_pass == Some(Switch::Off) {
+                params.second_pass = None;
+                series += " one pass";
+            }
+        }
+        let everything = everything == Switch::On;
+        if everything {
+            series += " everything";
+        }
+        let window_radius = method.has_radius().then(|| parameters.window_radius());
+        let name = window_radius.map_or_else(|| series.clone(), |radius| format!("{series} R{radius}"));
+        let stein = Parameters {
+            method: method.name().into(),
+            preset: preset.name().into(),
+            window_radius,
+            second_pass: method.has_second_pass().then_some(second_pass != Some(Switch::Off)),
+            candidates,
+            everything,
+            all: serde_json::to_value(parameters).map_err(|error| Failure::output(format_args!("the parameters: {error}")))?,
+        };
+        let described = results::Configuration { name, series, stein: Some(stein), command: None };
+        Ok(Configuration { described, how: How::Stein { method: parameters, everything } })
     }
-    if second_pass == Some(false) {
-        series += " one pass";
-    }
-    let window_radius = method.has_radius().then(|| parameters.window_radius());
-    let name = window_radius.map_or_else(|| series.clone(), |radius| format!("{series} R{radius}"));
-    let parameters = serde_json::to_value(parameters).map_err(|error| Failure::output(format_args!("the parameters: {error}")))?;
-    let parameters = Parameters { method: method.name().into(), preset: preset.name().into(), window_radius, second_pass, all: parameters };
-    Ok(results::Configuration { name, series, stein: Some(parameters), command: None })
 }

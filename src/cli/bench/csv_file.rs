@@ -35,6 +35,8 @@ pub(super) fn csv(document: &Document) -> Result<Vec<u8>, Failure> {
             cell(stein.map(|stein| &stein.preset)),
             cell(stein.and_then(|stein| stein.window_radius)),
             cell(stein.and_then(|stein| stein.second_pass)),
+            cell(stein.and_then(|stein| stein.candidates.as_ref())),
+            cell(stein.map(|stein| stein.everything)),
             cell(configuration.command.as_ref()),
             row.first_ms.to_string(),
             row.wall_ms.to_string(),
@@ -54,7 +56,7 @@ pub(super) fn csv(document: &Document) -> Result<Vec<u8>, Failure> {
 }
 
 /// Before the stages.
-const COLUMNS: [&str; 35] = [
+const COLUMNS: [&str; 37] = [
     "date",
     "stein",
     "adapter",
@@ -71,6 +73,8 @@ const COLUMNS: [&str; 35] = [
     "preset",
     "window_radius",
     "second_pass",
+    "candidates",
+    "everything",
     "command",
     "first_ms",
     "wall_ms",

@@ -7,7 +7,7 @@ use cpu_time::ProcessTime;
 use indicatif::ProgressBar;
 use stein::gpu::StageTime;
 use stein::method::Intermediate;
-use stein::{Denoiser, Frame, Gpu, Image, Options, metric};
+use stein::{Denoiser, Frame, Gpu, Image, Method, Options, metric};
 
 use super::super::{Failure, quality};
 use super::configuration::{Configuration, How};
@@ -27,9 +27,10 @@ enum Runner<'a> {
 }
 
 impl<'a> Contestant<'a> {
-    pub(super) fn new(configuration: &'a Configuration, denoiser: impl FnOnce(stein::Method) -> Result<Denoiser, Failure>) -> Result<Self, Failure> {
+    pub(super) fn new(configuration: &'a Configuration, denoiser: impl FnOnce(Method) -> Result<Denoiser, Failure>) -> Result<Self, Failure> {
         let runner = match &configuration.how {
-            How::Stein(method) => Runner::Stein(denoiser(*method)?),
+            How::Stein { method, everything: false } => Runner::Stein(denoiser(*method)?),
+            How::Stein { method, everything: true } => Runner::Stein(denoiser(*method)?.with_everything()),
             How::External(external) => Runner::External(external),
         };
         Ok(Self { configuration, runner })
@@ -138,12 +139,12 @@ fn warm_up(gpu: &Gpu, denoiser: &Denoiser, case: &Case<'_>) -> Result<Record, Fa
     let is_known = case.reference.is_some() && denoiser.method().intermediates().contains(&Intermediate::Pass1);
     let keep = if is_known { &before_second_pass[..] } else { &[] };
     let start = Instant::now();
-    let estimate = denoiser.denoise_with(case.frame, Options { keep, progress: None })?;
+    let estimate = denoiser.denoise_with(case.frame, Options { keep, error: true, progress: None })?;
     let first_ms = start.elapsed().as_secs_f64() * 1e3;
     let predicted = estimate.layers.iter().find(|layer| layer.intermediate == Intermediate::Pass1).map_or(&estimate.color, |layer| &layer.image);
     Ok(Record {
         first_ms,
-        predicted_mse: estimate.error.planes.first().map(|plane| quality::mean(plane) / estimate.color.channels() as f64),
+        predicted_mse: estimate.error.as_ref().and_then(|error| error.planes.first()).map(|plane| quality::mean(plane) / estimate.color.channels() as f64),
         predicted_image_mse: case.reference.map(|reference| metric::mse(predicted, reference)).transpose()?,
         image: estimate.color,
         walls_ms: Vec::new(),

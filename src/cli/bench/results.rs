@@ -91,6 +91,10 @@ pub(super) struct Parameters {
     pub(super) window_radius: Option<u32>,
     /// Where the method has one.
     pub(super) second_pass: Option<bool>,
+    /// Names joined by plus signs, where the method has them.
+    pub(super) candidates: Option<String>,
+    /// Whether what a frame does not need ran as well.
+    pub(super) everything: bool,
     /// All of them.
     pub(super) all: Value,
 }
