@@ -4,21 +4,31 @@
 // FIRST and SECOND share the pixel distance and the features and differ in the box; THIRD shares the features' numerators. The perturbed weights need no second
 // pass: a step δ in channel i of p changes the pixel distances that p takes part in, and those alone, so the patch sums change by a few closed terms.
 //
+// FIRST, SECOND and THIRD say which of them take part, DERIVATIVES whether the perturbed sums are wanted; HALVES, whether the half spread says
+// anything; GREY, that all channels of the colour are the same.
+//
 // An invocation filters PIXELS pixels in a row and goes through the offsets row by row: the neighbours of one offset are those of the offset before, but for one. They stay in
 // registers, as do the running sums.
 #import stein::planes::{pixel_index}
 #import stein::nlm::{NlmParams, PairWeights, EPSILON, DISTANCE_LIMIT, has_opposite, patch_members, pair_weights}
 #import stein::candidates::{CandidateParams, WEIGHT_LANES, LARGEST_LANES, MEAN_SUM, PERTURBED_SUM, SPREAD_SUM, PLANES_WITH_COLOR, THIRD_MEAN_SUM, THIRD_SPREAD_SUM, difference_step}
 
-const FIRST_RADIUS: i32 = #{SMALL_PATCH_RADIUS};
+#ifdef SECOND
 const SECOND_RADIUS: i32 = #{PATCH_RADIUS};
+const FIRST_RADIUS: i32 = #{SMALL_PATCH_RADIUS};
+#else
+const SECOND_RADIUS: i32 = 0;
+const FIRST_RADIUS: i32 = #{PATCH_RADIUS};
+#endif
 const PIXELS: i32 = #{PIXELS};
 const FEATURE_GROUPS: i32 = #{FEATURE_GROUPS};
 
 @group(0) @binding(0) var<uniform> params: NlmParams;
 @group(0) @binding(1) var<uniform> candidate: CandidateParams;
-// Of SECOND's patch, behind them those of FIRST's.
+#ifdef COLOR
+// Of SECOND's patch, behind them those of FIRST's; or of the one's that takes part.
 @group(0) @binding(2) var<storage, read> columns: array<vec3<f32>>;
+#endif
 // Two planes: the mean, then the half spread.
 @group(0) @binding(3) var<storage, read> signal: array<vec4<f32>>;
 @group(0) @binding(4) var<storage, read> variance_of_mean: array<vec4<f32>>;
@@ -69,13 +79,29 @@ struct Weights {
     third: f32,
 }
 
+// Of three channels that are the same, the first stands for all; what the others would be is not used, and so not computed.
+fn channels(value: vec3<f32>) -> vec3<f32> {
+#ifdef GREY
+    return value.xxx;
+#else
+    return value;
+#endif
+}
+
+// The same of the filter itself and the filters with one channel perturbed.
+fn lanes(value: vec4<f32>) -> vec4<f32> {
+    return vec4<f32>(value.x, channels(value.yzw));
+}
+
 // Of the pixel in this row nearest to column x.
 fn centre_at(x: i32, row: i32) -> Pixel {
     let pixels = nlm.extent.x * nlm.extent.y;
     let at = row * nlm.extent.x + clamp(x, 0, nlm.extent.x - 1);
     var pixel: Pixel;
     pixel.mean = signal[at].xyz;
+#ifdef HALVES
     pixel.spread = signal[pixels + at].xyz;
+#endif
     pixel.variance = variance_of_mean[at].xyz;
 #if FEATURE_GROUPS != 0
     for (var group = 0; group < FEATURE_GROUPS; group++) {
@@ -95,7 +121,9 @@ fn neighbour_at(x: i32, row: i32) -> Pixel {
     let at = row * nlm.extent.x + clamp(x, 0, nlm.extent.x - 1);
     var pixel: Pixel;
     pixel.mean = neighbours_signal[at].xyz;
+#ifdef HALVES
     pixel.spread = neighbours_signal[pixels + at].xyz;
+#endif
     pixel.variance = neighbours_variance[at].xyz;
 #if FEATURE_GROUPS != 0
     for (var group = 0; group < FEATURE_GROUPS; group++) {
@@ -112,8 +140,14 @@ fn neighbour_at(x: i32, row: i32) -> Pixel {
 #endif
 }
 
-fn added(before: Sums, w: vec4<f32>, mean: vec3<f32>, spread: vec3<f32>) -> Sums {
-    return Sums(before.weight + w, max(before.largest, w), before.mean + w.x * mean, before.perturbed + w.yzw * mean, before.spread + w.x * spread);
+fn added(before: Sums, weights: vec4<f32>, mean: vec3<f32>, spread: vec3<f32>) -> Sums {
+    let w = lanes(weights);
+#ifdef HALVES
+    let spread_sum = before.spread + w.x * spread;
+#else
+    let spread_sum = before.spread;
+#endif
+    return Sums(before.weight + w, max(before.largest, w), before.mean + w.x * mean, before.perturbed + w.yzw * mean, spread_sum);
 }
 
 // What a step of the centre value does to a squared difference t², over its denominator.
@@ -139,9 +173,9 @@ fn symmetric_change_at(q: Pixel, beyond: Pixel, exists: bool, p: Pixel, step: ve
 fn color_weights(sums: vec3<f32>, changes: PatchChanges, members: vec3<f32>, both_inside: bool) -> PairWeights {
     let normalise = nlm.inverse_channels / max(members, vec3<f32>(1.0));
     return pair_weights(
-        (vec4<f32>(sums.x) + vec4<f32>(0.0, changes.q1)) * normalise.x,
-        (vec4<f32>(sums.y) + vec4<f32>(0.0, changes.q2)) * normalise.y,
-        (vec4<f32>(sums.z) + vec4<f32>(0.0, changes.both)) * normalise.z,
+        (vec4<f32>(sums.x) + vec4<f32>(0.0, channels(changes.q1))) * normalise.x,
+        (vec4<f32>(sums.y) + vec4<f32>(0.0, channels(changes.q2))) * normalise.y,
+        (vec4<f32>(sums.z) + vec4<f32>(0.0, channels(changes.both))) * normalise.z,
         both_inside,
     );
 }
@@ -153,11 +187,12 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     let extent = nlm.extent;
     let row = i32(id.y);
     let y = nlm.first_row + row;
-    let first_x = i32(id.x) * PIXELS;
-    if first_x >= extent.x || row >= nlm.rows {
+    let first_column = i32(id.x) * PIXELS;
+    let first_x = nlm.first_column + first_column;
+    if first_column >= nlm.width || row >= nlm.rows {
         return;
     }
-    let strip_pixels = nlm.rows * extent.x;
+    let strip_pixels = nlm.rows * nlm.width;
     var centres: array<Pixel, PIXELS>;
     var steps: array<vec3<f32>, PIXELS>;
     var firsts: array<Sums, PIXELS>;
@@ -169,15 +204,25 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
         centres[i] = centre_at(first_x + i, y);
         steps[i] = difference_step(centres[i].mean, centres[i].variance);
         if nlm.starts == 0 {
-            let at_state = row * extent.x + min(first_x + i, extent.x - 1);
+            let at_state = row * nlm.width + min(first_column + i, nlm.width - 1);
+#ifdef FIRST
             firsts[i] = load_sums(0, strip_pixels, at_state);
+#endif
+#ifdef SECOND
             seconds[i] = load_sums(PLANES_WITH_COLOR, strip_pixels, at_state);
+#endif
+#ifdef THIRD
             third_means[i] = state[THIRD_MEAN_SUM * strip_pixels + at_state];
             third_spreads[i] = state[THIRD_SPREAD_SUM * strip_pixels + at_state];
+#endif
         }
     }
 
-    let small_columns = nlm.offsets.x * nlm.offsets.y * nlm.rows * nlm.stride;
+#ifdef SECOND
+    let first_columns_at = nlm.offsets.x * nlm.offsets.y * nlm.rows * nlm.stride + SECOND_RADIUS - FIRST_RADIUS;
+#else
+    let first_columns_at = 0;
+#endif
     for (var j = 0; j < nlm.offsets.y; j++) {
         let dy = nlm.first_offset.y + j;
         let ahead_row_inside = y + dy < extent.y;
@@ -205,15 +250,19 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
             behinds[0] = neighbour_at(first_x - dx, behind_row);
 
             // Colour distances: what the patches of these pixels sum up horizontally.
-            let column = ((j * nlm.offsets.x + o) * nlm.rows + row) * nlm.stride + first_x;
+            let column = ((j * nlm.offsets.x + o) * nlm.rows + row) * nlm.stride + first_column;
+#ifdef SECOND
             var second_columns: array<vec3<f32>, PIXELS + 2 * SECOND_RADIUS>;
             for (var n = 0; n < PIXELS + 2 * SECOND_RADIUS; n++) {
                 second_columns[n] = columns[column + n];
             }
+#endif
+#ifdef FIRST
             var first_columns: array<vec3<f32>, PIXELS + 2 * FIRST_RADIUS>;
             for (var n = 0; n < PIXELS + 2 * FIRST_RADIUS; n++) {
-                first_columns[n] = columns[small_columns + column + SECOND_RADIUS - FIRST_RADIUS + n];
+                first_columns[n] = columns[first_columns_at + column + n];
             }
+#endif
 
             for (var i = 0; i < PIXELS; i++) {
                 let x = first_x + i;
@@ -273,11 +322,14 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
                 // What a step in each channel of p does to the patch sums: the pair (p, q) itself, and where p lies in its neighbour's patch, the pair that ends in p.
                 // In another frame's patches p lies nowhere.
                 let zero = vec3<f32>(0.0);
+                var first_changes = PatchChanges(zero, zero, zero);
+                var second_changes = first_changes;
+#ifdef DERIVATIVES
                 let step = steps[i];
                 let change_q1 = select(zero, step_change(step, p.mean - q1.mean, EPSILON + nlm.k_squared * (p.variance + q1.variance)), q1_inside);
                 let change_q2 = select(zero, step_change(step, p.mean - q2.mean, EPSILON + nlm.k_squared * (p.variance + q2.variance)), q2_inside);
-                var first_changes = PatchChanges(change_q1, change_q2, zero);
-                var second_changes = first_changes;
+                first_changes = PatchChanges(change_q1, change_q2, zero);
+                second_changes = first_changes;
 #ifdef SYMMETRIC
                 let to_mean = p.mean - 0.5 * (q1.mean + q2.mean);
                 let denominator = EPSILON + nlm.k_squared * (p.variance + 0.25 * (q1.variance + q2.variance));
@@ -303,64 +355,93 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
                     }
                 }
 #endif
+#endif
 
                 // Colour weights (eq. 8.2).
-                var first_patch = zero;
-                for (var n = 0; n <= 2 * FIRST_RADIUS; n++) {
-                    first_patch += first_columns[i + n];
-                }
-                var second_patch = zero;
-                for (var n = 0; n <= 2 * SECOND_RADIUS; n++) {
-                    second_patch += second_columns[i + n];
-                }
-                let first_members = first_members_y * patch_members(x, dx, extent.x, FIRST_RADIUS);
-                let second_members = second_members_y * patch_members(x, dx, extent.x, SECOND_RADIUS);
-                let first_weights = color_weights(first_patch, first_changes, first_members, both_inside);
-                let second_weights = color_weights(second_patch, second_changes, second_members, both_inside);
-
                 let none = vec4<f32>(0.0);
                 let mean_q1 = q1.mean - p.mean;
                 let mean_q2 = q2.mean - p.mean;
                 let spread_q1 = q1.spread - p.spread;
                 let spread_q2 = q2.spread - p.spread;
+#ifdef FIRST
+                var first_patch = zero;
+                for (var n = 0; n <= 2 * FIRST_RADIUS; n++) {
+                    first_patch += first_columns[i + n];
+                }
+                let first_members = first_members_y * patch_members(x, dx, extent.x, FIRST_RADIUS);
+                let first_weights = color_weights(first_patch, first_changes, first_members, both_inside);
                 firsts[i] = added(firsts[i], select(none, min(first_weights.ahead, vec4<f32>(feature_q1)), q1_inside), mean_q1, spread_q1);
                 firsts[i] = added(firsts[i], select(none, min(first_weights.behind, vec4<f32>(feature_q2)), q2_inside), mean_q2, spread_q2);
+#endif
+#ifdef SECOND
+                var second_patch = zero;
+                for (var n = 0; n <= 2 * SECOND_RADIUS; n++) {
+                    second_patch += second_columns[i + n];
+                }
+                let second_members = second_members_y * patch_members(x, dx, extent.x, SECOND_RADIUS);
+                let second_weights = color_weights(second_patch, second_changes, second_members, both_inside);
                 seconds[i] = added(seconds[i], select(none, min(second_weights.ahead, vec4<f32>(feature_q1)), q1_inside), mean_q1, spread_q1);
                 seconds[i] = added(seconds[i], select(none, min(second_weights.behind, vec4<f32>(feature_q2)), q2_inside), mean_q2, spread_q2);
+#endif
+#ifdef THIRD
                 let third_q1 = select(0.0, exp(-third_distance_q1), q1_inside);
                 let third_q2 = select(0.0, exp(-third_distance_q2), q2_inside);
                 third_means[i] += vec4<f32>(third_q1 * mean_q1 + third_q2 * mean_q2, third_q1 + third_q2);
                 let before = third_spreads[i];
-                third_spreads[i] = vec4<f32>(before.xyz + third_q1 * spread_q1 + third_q2 * spread_q2, max(before.w, max(third_q1, third_q2)));
+#ifdef HALVES
+                let spread_sum = before.xyz + third_q1 * spread_q1 + third_q2 * spread_q2;
+#else
+                let spread_sum = before.xyz;
+#endif
+                third_spreads[i] = vec4<f32>(spread_sum, max(before.w, max(third_q1, third_q2)));
+#endif
             }
         }
     }
 
     for (var i = 0; i < PIXELS; i++) {
-        let at_state = row * extent.x + first_x + i;
-        if first_x + i < extent.x {
+        let at_state = row * nlm.width + first_column + i;
+        if first_column + i < nlm.width {
+#ifdef FIRST
             store_sums(firsts[i], 0, strip_pixels, at_state);
+#endif
+#ifdef SECOND
             store_sums(seconds[i], PLANES_WITH_COLOR, strip_pixels, at_state);
-            state[THIRD_MEAN_SUM * strip_pixels + at_state] = third_means[i];
-            state[THIRD_SPREAD_SUM * strip_pixels + at_state] = third_spreads[i];
+#endif
+#ifdef THIRD
+            state[THIRD_MEAN_SUM * strip_pixels + at_state] = vec4<f32>(channels(third_means[i].xyz), third_means[i].w);
+            state[THIRD_SPREAD_SUM * strip_pixels + at_state] = vec4<f32>(channels(third_spreads[i].xyz), third_spreads[i].w);
+#endif
         }
     }
 }
 
+#ifdef COLOR
 fn load_sums(base: i32, strip_pixels: i32, at: i32) -> Sums {
     return Sums(
         state[(base + WEIGHT_LANES) * strip_pixels + at],
         state[(base + LARGEST_LANES) * strip_pixels + at],
         state[(base + MEAN_SUM) * strip_pixels + at].xyz,
+#ifdef DERIVATIVES
         state[(base + PERTURBED_SUM) * strip_pixels + at].xyz,
+#else
+        vec3<f32>(0.0),
+#endif
         state[(base + SPREAD_SUM) * strip_pixels + at].xyz,
     );
 }
 
 fn store_sums(sums: Sums, base: i32, strip_pixels: i32, at: i32) {
-    state[(base + WEIGHT_LANES) * strip_pixels + at] = sums.weight;
-    state[(base + LARGEST_LANES) * strip_pixels + at] = sums.largest;
-    state[(base + MEAN_SUM) * strip_pixels + at] = vec4<f32>(sums.mean, 0.0);
-    state[(base + PERTURBED_SUM) * strip_pixels + at] = vec4<f32>(sums.perturbed, 0.0);
-    state[(base + SPREAD_SUM) * strip_pixels + at] = vec4<f32>(sums.spread, 0.0);
+#ifdef DERIVATIVES
+    state[(base + WEIGHT_LANES) * strip_pixels + at] = lanes(sums.weight);
+    state[(base + LARGEST_LANES) * strip_pixels + at] = lanes(sums.largest);
+    state[(base + PERTURBED_SUM) * strip_pixels + at] = vec4<f32>(channels(sums.perturbed), 0.0);
+#else
+    // What is not stored is not computed.
+    state[(base + WEIGHT_LANES) * strip_pixels + at] = vec4<f32>(sums.weight.x, 0.0, 0.0, 0.0);
+    state[(base + LARGEST_LANES) * strip_pixels + at] = vec4<f32>(sums.largest.x, 0.0, 0.0, 0.0);
+#endif
+    state[(base + MEAN_SUM) * strip_pixels + at] = vec4<f32>(channels(sums.mean), 0.0);
+    state[(base + SPREAD_SUM) * strip_pixels + at] = vec4<f32>(channels(sums.spread), 0.0);
 }
+#endif

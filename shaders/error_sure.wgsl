@@ -1,4 +1,4 @@
-// Stein's unbiased risk estimate of each candidate (eq. 8.5): Σ_i (F_i − u_i)² − σ_i² + 2σ_i²·dF_i/du_i. x: FIRST, y: SECOND, z: THIRD. It may be negative.
+// Stein's unbiased risk estimate of each candidate (eq. 8.5): Σ_i (F_i − u_i)² − σ_i² + 2σ_i²·dF_i/du_i. x: FIRST, y: SECOND, z: THIRD; 0 for those that take no part. It may be negative.
 #import stein::planes::{pixel_index}
 #import stein::candidates::{sure}
 
@@ -9,9 +9,15 @@ struct SureParams {
 @group(0) @binding(0) var<uniform> params: SureParams;
 @group(0) @binding(1) var<storage, read> signal: array<vec4<f32>>;
 @group(0) @binding(2) var<storage, read> variance_of_mean: array<vec4<f32>>;
+#ifdef FIRST
 @group(0) @binding(3) var<storage, read> first: array<vec4<f32>>;
+#endif
+#ifdef SECOND
 @group(0) @binding(4) var<storage, read> second: array<vec4<f32>>;
+#endif
+#ifdef THIRD
 @group(0) @binding(5) var<storage, read> third: array<vec4<f32>>;
+#endif
 @group(0) @binding(6) var<storage, read> derivatives: array<vec4<f32>>;
 @group(0) @binding(7) var<storage, read_write> errors: array<vec4<f32>>;
 
@@ -25,10 +31,15 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     let at = pixel_index(p, params.extent);
     let u = signal[at].xyz;
     let variance = variance_of_mean[at].xyz;
-    errors[at] = vec4<f32>(
-        sure(u, variance, first[at].xyz, derivatives[at].xyz),
-        sure(u, variance, second[at].xyz, derivatives[pixels + at].xyz),
-        sure(u, variance, third[at].xyz, derivatives[2 * pixels + at].xyz),
-        0.0,
-    );
+    var of_each = vec4<f32>(0.0);
+#ifdef FIRST
+    of_each.x = sure(u, variance, first[at].xyz, derivatives[at].xyz);
+#endif
+#ifdef SECOND
+    of_each.y = sure(u, variance, second[at].xyz, derivatives[pixels + at].xyz);
+#endif
+#ifdef THIRD
+    of_each.z = sure(u, variance, third[at].xyz, derivatives[2 * pixels + at].xyz);
+#endif
+    errors[at] = of_each;
 }

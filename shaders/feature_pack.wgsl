@@ -12,7 +12,10 @@ struct FeaturePackParams {
 
 @group(0) @binding(0) var<uniform> params: FeaturePackParams;
 @group(0) @binding(1) var<storage, read> filtered: array<vec4<f32>>;
+// Absent where the feature has no noise.
+#ifdef NOISY
 @group(0) @binding(2) var<storage, read> residual_variance: array<vec4<f32>>;
+#endif
 // Three planes per group: value, residual variance, scale.
 @group(0) @binding(3) var<storage, read_write> features: array<vec4<f32>>;
 
@@ -41,7 +44,11 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     let along_x = half_pixel_difference(p, vec2<i32>(1, 0));
     let along_y = half_pixel_difference(p, vec2<i32>(0, 1));
     let value = filtered[at_p];
+#ifdef NOISY
     let residual = residual_variance[at_p];
+#else
+    let residual = vec4<f32>(0.0);
+#endif
     let scale = max(residual, along_x * along_x + along_y * along_y);
     let at = params.group * 3 * pixels + at_p;
     if params.single == 1 {

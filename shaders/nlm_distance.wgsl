@@ -28,6 +28,19 @@ const SMALL_PATCH_RADIUS: i32 = #{SMALL_PATCH_RADIUS};
 // Read once: software adapters read a parameter anew wherever it is used.
 var<private> nlm: NlmParams;
 
+// Of a guide of one channel, or of three that are the same, what the others would be is not used, and so not computed.
+fn over_channels(distances: vec3<f32>) -> f32 {
+#ifdef ONE_CHANNEL
+    return distances.x;
+#else
+#ifdef GREY
+    return dot(vec3<f32>(1.0), distances.xxx);
+#else
+    return dot(vec3<f32>(1.0), distances);
+#endif
+#endif
+}
+
 // What there is at a pixel.
 struct Pixel {
     u: vec3<f32>,
@@ -43,12 +56,11 @@ fn pair_distances(p: vec2<i32>, offset: vec2<i32>, centre: Pixel, q1: Pixel, q2:
     let p_inside = inside(p, nlm.extent);
     let q1_inside = p_inside && inside(p + offset, nlm.extent);
     let q2_inside = p_inside && inside(p - offset, nlm.extent) && has_opposite(offset);
-    let one = vec3<f32>(1.0);
-    let d1 = select(0.0, dot(one, distance(centre.u, q1.u, centre.variance, q1.variance, nlm.k_squared, nlm.alpha)), q1_inside);
-    let d2 = select(0.0, dot(one, distance(centre.u, q2.u, centre.variance, q2.variance, nlm.k_squared, nlm.alpha)), q2_inside);
+    let d1 = select(0.0, over_channels(distance(centre.u, q1.u, centre.variance, q1.variance, nlm.k_squared, nlm.alpha)), q1_inside);
+    let d2 = select(0.0, over_channels(distance(centre.u, q2.u, centre.variance, q2.variance, nlm.k_squared, nlm.alpha)), q2_inside);
 #ifdef SYMMETRIC
     let both = symmetric_distance(centre.u, q1.u, q2.u, centre.variance, q1.variance, q2.variance, nlm.k_squared, nlm.alpha);
-    return vec3<f32>(d1, d2, select(0.0, dot(one, both), q1_inside && q2_inside));
+    return vec3<f32>(d1, d2, select(0.0, over_channels(both), q1_inside && q2_inside));
 #else
     return vec3<f32>(d1, d2, 0.0);
 #endif
@@ -61,7 +73,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     if column >= nlm.stride {
         return;
     }
-    let x = column - PATCH_RADIUS;
+    let x = nlm.first_column + column - PATCH_RADIUS;
     let first_row_of_offsets = (i32(id.z) / nlm.offsets.x) * OFFSET_ROWS;
     let first_plane = first_row_of_offsets * nlm.offsets.x + i32(id.z) % nlm.offsets.x;
     let first_offset = nlm.first_offset + vec2<i32>(i32(id.z) % nlm.offsets.x, first_row_of_offsets);

@@ -29,21 +29,44 @@ const PIXELS: i32 = #{PIXELS};
 // Read once: software adapters read a parameter anew wherever it is used.
 var<private> nlm: NlmParams;
 
+// What is averaged of each plane: all of it, or one number that stands in x alone (ONE_LANE), or in x, y and z (GREY).
+#ifdef ONE_LANE
+alias Value = f32;
+fn value_of(stored: vec4<f32>) -> Value {
+    return stored.x;
+}
+fn stored(value: Value) -> vec4<f32> {
+#ifdef GREY
+    return vec4<f32>(vec3<f32>(value), 0.0);
+#else
+    return vec4<f32>(value, 0.0, 0.0, 0.0);
+#endif
+}
+#else
+alias Value = vec4<f32>;
+fn value_of(stored: vec4<f32>) -> Value {
+    return stored;
+}
+fn stored(value: Value) -> vec4<f32> {
+    return value;
+}
+#endif
+
 // What there is at a pixel.
 struct Pixel {
-    planes: array<vec4<f32>, PAYLOAD_PLANES>,
+    planes: array<Value, PAYLOAD_PLANES>,
 #ifdef RESIDUAL
-    variance: vec4<f32>,
+    variance: Value,
 #endif
 }
 
 // Running sums of one pixel.
 struct Sums {
-    planes: array<vec4<f32>, PAYLOAD_PLANES>,
+    planes: array<Value, PAYLOAD_PLANES>,
     weight: f32,
     largest: f32,
 #ifdef RESIDUAL
-    squared: vec4<f32>,
+    squared: Value,
 #endif
 }
 
@@ -52,10 +75,10 @@ fn neighbour_at(x: i32, row: i32) -> Pixel {
     let at = row * nlm.extent.x + clamp(x, 0, nlm.extent.x - 1);
     var pixel: Pixel;
     for (var plane = 0; plane < PAYLOAD_PLANES; plane++) {
-        pixel.planes[plane] = neighbours[plane * nlm.extent.x * nlm.extent.y + at];
+        pixel.planes[plane] = value_of(neighbours[plane * nlm.extent.x * nlm.extent.y + at]);
     }
 #ifdef RESIDUAL
-    pixel.variance = neighbours_variance[at];
+    pixel.variance = value_of(neighbours_variance[at]);
 #endif
     return pixel;
 }
@@ -66,26 +89,27 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     let extent = nlm.extent;
     let row = i32(id.y);
     let y = nlm.first_row + row;
-    let first_x = i32(id.x) * PIXELS;
-    if first_x >= extent.x || row >= nlm.rows {
+    let first_column = i32(id.x) * PIXELS;
+    let first_x = nlm.first_column + first_column;
+    if first_column >= nlm.width || row >= nlm.rows {
         return;
     }
     let pixels = extent.x * extent.y;
-    var centres: array<array<vec4<f32>, PAYLOAD_PLANES>, PIXELS>;
+    var centres: array<array<Value, PAYLOAD_PLANES>, PIXELS>;
     var sums: array<Sums, PIXELS>;
     for (var i = 0; i < PIXELS; i++) {
         let at_p = y * extent.x + min(first_x + i, extent.x - 1);
         for (var plane = 0; plane < PAYLOAD_PLANES; plane++) {
-            centres[i][plane] = payload[plane * pixels + at_p];
+            centres[i][plane] = value_of(payload[plane * pixels + at_p]);
         }
         if nlm.starts == 0 {
             for (var plane = 0; plane < PAYLOAD_PLANES; plane++) {
-                sums[i].planes[plane] = filtered[plane * pixels + at_p];
+                sums[i].planes[plane] = value_of(filtered[plane * pixels + at_p]);
             }
             sums[i].weight = weights[at_p].x;
             sums[i].largest = weights[at_p].y;
 #ifdef RESIDUAL
-            sums[i].squared = residual_variance[at_p];
+            sums[i].squared = value_of(residual_variance[at_p]);
 #endif
         }
     }
@@ -114,7 +138,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
             aheads[PIXELS - 1] = neighbour_at(first_x + PIXELS - 1 + dx, ahead_row);
             behinds[0] = neighbour_at(first_x - dx, behind_row);
 
-            let column = ((j * nlm.offsets.x + o) * nlm.rows + row) * nlm.stride + first_x;
+            let column = ((j * nlm.offsets.x + o) * nlm.rows + row) * nlm.stride + first_column;
             var patch_columns: array<vec3<f32>, PIXELS + 2 * PATCH_RADIUS>;
             for (var n = 0; n < PIXELS + 2 * PATCH_RADIUS; n++) {
                 patch_columns[n] = columns[column + n];
@@ -150,28 +174,28 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     }
 
     for (var i = 0; i < PIXELS; i++) {
-        if first_x + i >= extent.x {
+        if first_column + i >= nlm.width {
             continue;
         }
         let at_p = y * extent.x + first_x + i;
         if nlm.completes == 0 {
             for (var plane = 0; plane < PAYLOAD_PLANES; plane++) {
-                filtered[plane * pixels + at_p] = sums[i].planes[plane];
+                filtered[plane * pixels + at_p] = stored(sums[i].planes[plane]);
             }
             weights[at_p] = vec4<f32>(sums[i].weight, sums[i].largest, 0.0, 0.0);
 #ifdef RESIDUAL
-            residual_variance[at_p] = sums[i].squared;
+            residual_variance[at_p] = stored(sums[i].squared);
 #endif
             continue;
         }
         let w_centre = centre_weight(vec4<f32>(sums[i].largest), nlm.centre_floor).x;
         let total = sums[i].weight + w_centre;
         for (var plane = 0; plane < PAYLOAD_PLANES; plane++) {
-            filtered[plane * pixels + at_p] = centres[i][plane] + sums[i].planes[plane] / total;
+            filtered[plane * pixels + at_p] = stored(centres[i][plane] + sums[i].planes[plane] / total);
         }
         weights[at_p] = vec4<f32>(total, sums[i].largest, 0.0, 0.0);
 #ifdef RESIDUAL
-        residual_variance[at_p] = (sums[i].squared + w_centre * w_centre * variance_of_mean[at_p]) / (total * total);
+        residual_variance[at_p] = stored((sums[i].squared + w_centre * w_centre * value_of(variance_of_mean[at_p])) / (total * total));
 #endif
     }
 }

@@ -29,7 +29,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     let plane = i32(id.z);
     let offset = nlm.first_offset + vec2<i32>(plane % nlm.offsets.x, plane / nlm.offsets.x);
     let end = min(first + nlm.block_rows, nlm.rows);
-    let first_x = first_column - PATCH_RADIUS;
+    let first_x = nlm.first_column + first_column - PATCH_RADIUS;
     var members_x: array<vec3<f32>, PIXELS>;
     for (var i = 0; i < PIXELS; i++) {
         members_x[i] = patch_members(first_x + i, offset.x, nlm.extent.x, PATCH_RADIUS);
@@ -41,7 +41,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
         let source = (plane * (nlm.rows + 2 * PATCH_RADIUS) + row + PATCH_RADIUS) * nlm.stride;
         var patch_columns: array<vec3<f32>, PIXELS + 2 * PATCH_RADIUS>;
         for (var n = 0; n < PIXELS + 2 * PATCH_RADIUS; n++) {
-            patch_columns[n] = columns[source + clamp(first_x + n, 0, nlm.stride - 1)];
+            patch_columns[n] = columns[source + clamp(first_column - PATCH_RADIUS + n, 0, nlm.stride - 1)];
         }
         let centre = row - PATCH_RADIUS;
         for (var i = 0; i < PIXELS; i++) {

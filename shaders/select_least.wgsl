@@ -1,7 +1,7 @@
 // Binary selection maps (Algorithm 1 lines 24–26, the typo of line 26 mended): 1 for the candidate with the least smoothed error, 0 for the others.
 //
 // On ties the later, more robust candidate wins. FIRST may win only where it filters more than SECOND, told by the smaller mean derivative (thesis 8.4):
-// noise that it keeps goes unnoticed by SURE. An error that is not finite cannot win.
+// noise that it keeps goes unnoticed by SURE. Without SECOND it stands for itself. An error that is not finite cannot win; where none is, the last that takes part does.
 #import stein::planes::{pixel_index}
 
 struct SelectLeastParams {
@@ -11,7 +11,11 @@ struct SelectLeastParams {
 @group(0) @binding(0) var<uniform> params: SelectLeastParams;
 // Smoothed errors, x: FIRST, y: SECOND, z: THIRD.
 @group(0) @binding(1) var<storage, read> errors: array<vec4<f32>>;
+#ifdef FIRST
+#ifdef SECOND
 @group(0) @binding(2) var<storage, read> derivatives: array<vec4<f32>>;
+#endif
+#endif
 @group(0) @binding(3) var<storage, read_write> selected: array<vec4<f32>>;
 
 // By its bits: a comparison may be assumed not to meet NaN.
@@ -25,22 +29,34 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     if any(p >= params.extent) {
         return;
     }
-    let pixels = params.extent.x * params.extent.y;
     let at = pixel_index(p, params.extent);
     let error = errors[at];
-    let one = vec3<f32>(1.0);
-    let first_filters_more = dot(one, derivatives[at].xyz) < dot(one, derivatives[pixels + at].xyz);
     var least = 3.4e38;
+    var map = vec4<f32>(0.0);
+#ifdef THIRD
+    map = vec4<f32>(0.0, 0.0, 1.0, 0.0);
     if is_finite(error.z) {
         least = error.z;
     }
-    var map = vec4<f32>(0.0, 0.0, 1.0, 0.0);
-    if is_finite(error.y) && error.y < least {
-        least = error.y;
+#endif
+#ifdef SECOND
+    if (is_finite(error.y) && error.y < least) || all(map == vec4<f32>(0.0)) {
         map = vec4<f32>(0.0, 1.0, 0.0, 0.0);
+        if is_finite(error.y) {
+            least = error.y;
+        }
     }
-    if is_finite(error.x) && error.x < least && first_filters_more {
+#endif
+#ifdef FIRST
+    var may_win = true;
+#ifdef SECOND
+    let pixels = params.extent.x * params.extent.y;
+    let one = vec3<f32>(1.0);
+    may_win = dot(one, derivatives[at].xyz) < dot(one, derivatives[pixels + at].xyz);
+#endif
+    if (is_finite(error.x) && error.x < least && may_win) || all(map == vec4<f32>(0.0)) {
         map = vec4<f32>(1.0, 0.0, 0.0, 0.0);
     }
+#endif
     selected[at] = map;
 }

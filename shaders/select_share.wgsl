@@ -27,9 +27,15 @@ struct SelectShareParams {
 // SURE as computed.
 @group(0) @binding(3) var<storage, read> sure: array<vec4<f32>>;
 @group(0) @binding(4) var<storage, read> variance_of_mean: array<vec4<f32>>;
+#ifdef FIRST
 @group(0) @binding(5) var<storage, read> first: array<vec4<f32>>;
+#endif
+#ifdef SECOND
 @group(0) @binding(6) var<storage, read> second: array<vec4<f32>>;
+#endif
+#ifdef THIRD
 @group(0) @binding(7) var<storage, read> third: array<vec4<f32>>;
+#endif
 #endif
 // In place: the smoothed maps become the shares, w: the blended error Σ share·error.
 @group(0) @binding(8) var<storage, read_write> selection: array<vec4<f32>>;
@@ -64,20 +70,36 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     share = max(share, 1e-6 * winner);
 
     let own = sure[at].xyz;
-    let f = array<vec3<f32>, 3>(first[at].xyz, second[at].xyz, third[at].xyz);
-    var best = f[0];
-    var own_least = own.x;
-    var own_winner = vec3<f32>(1.0, 0.0, 0.0);
-    if own.y < own_least {
-        best = f[1];
-        own_least = own.y;
-        own_winner = vec3<f32>(0.0, 1.0, 0.0);
-    }
+    // Those that take no part have no share, and what stands for them here does not matter.
+    var f = array<vec3<f32>, 3>(vec3<f32>(0.0), vec3<f32>(0.0), vec3<f32>(0.0));
+    var best = vec3<f32>(0.0);
+    var own_least = 3.4e38;
+    var own_winner = vec3<f32>(0.0);
+    // On ties the later one is the best, as in the selection.
+#ifdef THIRD
+    f[2] = third[at].xyz;
     if own.z < own_least {
         best = f[2];
         own_least = own.z;
         own_winner = vec3<f32>(0.0, 0.0, 1.0);
     }
+#endif
+#ifdef SECOND
+    f[1] = second[at].xyz;
+    if own.y < own_least {
+        best = f[1];
+        own_least = own.y;
+        own_winner = vec3<f32>(0.0, 1.0, 0.0);
+    }
+#endif
+#ifdef FIRST
+    f[0] = first[at].xyz;
+    if own.x < own_least {
+        best = f[0];
+        own_least = own.x;
+        own_winner = vec3<f32>(1.0, 0.0, 0.0);
+    }
+#endif
     let by_chance = vec3<f32>(chance(f[0] - best, variance), chance(f[1] - best, variance), chance(f[2] - best, variance));
     share = select(vec3<f32>(0.0), share, own - own_least <= by_chance);
     share = max(share, 1e-9 * own_winner);

@@ -1,14 +1,15 @@
 //! The denoiser: frames in, estimates out.
 
 use std::ops::ControlFlow;
+use std::time::Instant;
 
 use glam::IVec2;
 
 use crate::error::{Error, Result};
 use crate::frame::{Feature, Frame};
-use crate::gpu::{Buffer, Gpu, Recorder, StageTime};
+use crate::gpu::{Buffer, Gpu, Recorder, StageTime, StepTime};
 use crate::image::{Extent, Image};
-use crate::method::{GpuEstimate, GpuFrame, Intermediate, KeptPlane, Lane, Method, Strip, Unit, Units, strips};
+use crate::method::{Facts, GpuEstimate, GpuFrame, Intermediate, KeptPlane, Lane, Method, Plan, Shares, Strip, Unit, Units, Wishes, strips};
 use crate::stage::nlm::Schedule;
 
 /// Denoises frames with one method and one set of parameters. Make one and use it for many frames: kernels and buffers are kept by the [`Gpu`].
@@ -33,15 +34,23 @@ pub struct Denoiser {
     method: Method,
     schedule: Schedule,
     max_memory: Option<u64>,
+    everything: bool,
 }
 
 /// What is wanted besides the result, and who wants to know how far it is.
-#[derive(Default)]
 pub struct Options<'a> {
     /// Intermediates to read back as [`Estimate::layers`].
     pub keep: &'a [Intermediate],
+    /// Whether the estimated error is wanted, as it is by default. Without it, [`Estimate::error`] is `None`, and what serves the error alone is left out.
+    pub error: bool,
     /// Called with the share of the work that is done, 0 to 1; `Break` ends it with [`Error::Cancelled`].
     pub progress: Option<&'a mut dyn FnMut(f32) -> ControlFlow<()>>,
+}
+
+impl Default for Options<'_> {
+    fn default() -> Self {
+        Self { keep: &[], error: true, progress: None }
+    }
 }
 
 /// What is known of the true image.
@@ -53,21 +62,26 @@ pub struct Estimate {
     pub half_spread: Option<Image>,
     /// One plane: the estimated squared error of each pixel, summed over the channels. Of DFC it comes from SURE (eq. 8.5) smoothed and blended like the candidates, and is
     /// that of pass 1; the second pass leaves less. May be negative where the true error is small. Of NLM it is the variance left by the halves (thesis 7.1.2), smoothed; it
-    /// knows nothing of bias. Of GEM it is the variance of the chosen scale and the estimated bias of the steps that led to it (thesis 6.3), never negative.
-    pub error: Image,
+    /// knows nothing of bias. Of GEM it is the variance of the chosen scale and the estimated bias of the steps that led to it (thesis 6.3), never negative. `None` where
+    /// [`Options::error`] is off.
+    pub error: Option<Image>,
     /// One plane: how many pixels took part. Of DFC Σ w over the window, blended like the candidates (thesis 8.6); of NLM Σ w, the mean of both halves; of GEM 1/Σw² of the
-    /// chosen scale's normalised weights.
+    /// chosen scale's normalised weights. Of a frame that was copied, 1.
     pub weight_sum: Image,
-    /// Shares of FIRST, SECOND and THIRD in each pixel, where the method has them.
+    /// Shares of FIRST, SECOND and THIRD in each pixel, where the method has them and there was anything to choose; `None` of a frame that was copied.
     pub selection: Option<Image>,
     /// Names of the features that were used: of a window in time, those that all its frames have.
     pub features: Vec<String>,
     /// What [`Options::keep`] asked for.
     pub layers: Vec<Layer>,
+    /// What ran, and what was left out.
+    pub plan: Plan,
     /// Number of strips that the image was cut into.
     pub strips: usize,
     /// GPU time per stage, where [`Gpu::set_timing`] is on and the adapter can tell.
     pub stage_times: Option<Vec<StageTime>>,
+    /// The same, apart by the step of the plan that the stage served.
+    pub step_times: Option<Vec<StepTime>>,
     /// The most memory that buffers took on the device, in bytes.
     pub peak_bytes: u64,
 }
@@ -93,7 +107,7 @@ impl Denoiser {
     pub fn new(gpu: &Gpu, method: impl Into<Method>) -> Result<Self> {
         let method = method.into();
         method.validate()?;
-        Ok(Self { gpu: gpu.clone(), method, schedule: Schedule::for_gpu(gpu), max_memory: None })
+        Ok(Self { gpu: gpu.clone(), method, schedule: Schedule::for_gpu(gpu), max_memory: None, everything: false })
     }
 
     /// Holds the buffers on the device to `bytes`, working in strips of rows where the image would take more. The result is the same to the bit.
@@ -112,6 +126,13 @@ impl Denoiser {
         self
     }
 
+    /// Also runs what a frame does not need, for comparison: the result is the same to the bit, or within the bounds that the plan of the method states.
+    #[must_use]
+    pub fn with_everything(mut self) -> Self {
+        self.everything = true;
+        self
+    }
+
     /// Its method and parameters.
     pub fn method(&self) -> &Method {
         &self.method
@@ -123,12 +144,24 @@ impl Denoiser {
         Self { method: self.method.while_sampling(), ..self.clone() }
     }
 
-    /// Into how many strips a frame would be cut, with so many frames beside it in its window and with these intermediates kept.
+    /// What would be done for `frames[centre]` in its window, what would be left out, and why.
     ///
     /// # Errors
-    /// [`Error::Device`] where not even one row fits into the memory.
-    pub fn strip_count(&self, frame: &Frame, beside: usize, keep: &[Intermediate]) -> Result<usize> {
-        strips(&self.gpu, frame, &self.method, beside, !keep.is_empty(), self.schedule, self.max_memory).map(|strips| strips.len())
+    /// As [`Denoiser::denoise_window`]; [`Error::Device`] where not even one row fits into the memory.
+    pub fn plan(&self, frames: &[&Frame], centre: usize, options: &Options) -> Result<Plan> {
+        self.check_window(frames, centre)?;
+        let units = Units::of_window(frames, centre, self.method.uses_features(), 1.0);
+        self.plan_in(frames, centre, &units, options).map(|(plan, _)| plan)
+    }
+
+    fn plan_in(&self, frames: &[&Frame], centre: usize, units: &Units, options: &Options) -> Result<(Plan, Vec<Strip>)> {
+        let start = Instant::now();
+        let facts = Facts::of_window(frames, centre, units, self.method.uses_features());
+        let wishes = Wishes { keep: options.keep, error: options.error, everything: self.everything };
+        let plan = self.method.plan(&facts, &wishes);
+        let analysis_seconds = start.elapsed().as_secs_f64();
+        let strips = strips(&self.gpu, frames[centre].extent(), &self.method, &facts, !options.keep.is_empty(), self.schedule, self.max_memory)?;
+        Ok((Plan { strips: strips.len(), analysis_seconds, ..plan }, strips))
     }
 
     /// Denoises a frame.
@@ -154,21 +187,26 @@ impl Denoiser {
     /// As [`Denoiser::denoise_with`], and [`Error::Request`] where the method cannot do it or a frame has another extent or kind of noise than the others.
     pub fn denoise_window(&self, frames: &[&Frame], centre: usize, options: Options) -> Result<Estimate> {
         self.check_window(frames, centre)?;
-        let Options { keep, mut progress } = options;
         let frame = frames[centre];
         let units = Units::of_window(frames, centre, self.method.uses_features(), exposure(frame));
         let beside = frames.iter().enumerate().filter(|(index, _)| *index != centre).map(|(_, frame)| *frame);
-        let strips = strips(&self.gpu, frame, &self.method, frames.len() - 1, !keep.is_empty(), self.schedule, self.max_memory)?;
+        let (plan, strips) = self.plan_in(frames, centre, &units, &options)?;
+        let Options { error, mut progress, .. } = options;
         self.gpu.set_memory_limit(self.max_memory);
         // What an earlier frame of another size left behind would count against the limit.
         self.gpu.trim();
         self.gpu.reset_peak();
         self.gpu.reset_timings()?;
-        let mut assembly = Assembly::new(frame, &units);
+        let mut assembly = Assembly::new(frame, &units, error);
+        if plan.copies_the_frame() {
+            assembly.copy();
+            return Ok(assembly.finish(plan, Times::default(), 0));
+        }
         for (index, strip) in strips.iter().enumerate() {
             let mut rec = self.gpu.record();
-            let on_gpu = GpuFrame::upload(&mut rec, frame, strip, &units)?;
-            let beside = beside.clone().map(|frame| GpuFrame::upload(&mut rec, frame, strip, &units)).collect::<Result<Vec<_>>>()?;
+            let plan = plan.starting_at(strip.first_with_halo);
+            let on_gpu = GpuFrame::upload(&mut rec, frame, strip, &units, &plan)?;
+            let beside = beside.clone().map(|frame| GpuFrame::upload(&mut rec, frame, strip, &units, &plan)).collect::<Result<Vec<_>>>()?;
             let extent = on_gpu.extent;
             let report = |rec: &mut Recorder, share: f32| match &mut progress {
                 None => Ok(()),
@@ -180,12 +218,12 @@ impl Denoiser {
                     if progress(done).is_break() { Err(Error::Cancelled) } else { Ok(()) }
                 }
             };
-            let estimate = self.method.record(&mut rec, on_gpu, beside, keep, self.schedule, report)?;
+            let estimate = self.method.record(&mut rec, on_gpu, beside, &plan, self.schedule, report)?;
             rec.submit()?;
             assembly.add(&self.gpu, &estimate, extent, strip)?;
         }
-        let (stage_times, peak_bytes) = (self.gpu.timings()?, self.gpu.memory().peak_bytes);
-        Ok(assembly.finish(strips.len(), stage_times, peak_bytes))
+        let times = Times { stages: self.gpu.timings()?, steps: self.gpu.step_timings()? };
+        Ok(assembly.finish(plan, times, self.gpu.memory().peak_bytes))
     }
 
     fn check_window(&self, frames: &[&Frame], centre: usize) -> Result<()> {
@@ -218,7 +256,9 @@ impl Denoiser {
     /// [`Error::Device`] where a buffer exceeds the device's limits; [`Error::Request`] where frames are beside that are not alike or the method does not filter over time, or
     /// where it wants a [`GpuFrame::mean_variance`] that is not given.
     pub fn record(&self, rec: &mut Recorder, frame: GpuFrame, beside: Vec<GpuFrame>) -> Result<GpuEstimate> {
-        self.method.record(rec, frame, beside, &[], self.schedule, |_, _| Ok(()))
+        let wishes = Wishes { keep: &[], error: true, everything: self.everything };
+        let plan = self.method.plan(&Facts::of_gpu_frame(&frame, beside.len()), &wishes);
+        self.method.record(rec, frame, beside, &plan, self.schedule, |_, _| Ok(()))
     }
 }
 
@@ -253,16 +293,33 @@ struct Assembly<'a> {
     color: Image,
     half_spread: Image,
     selection: Option<Image>,
-    error: Image,
+    error: Option<Image>,
     weight_sum: Image,
     layers: Vec<Layer>,
 }
 
+/// How long the device took.
+#[derive(Default)]
+struct Times {
+    stages: Option<Vec<StageTime>>,
+    steps: Option<Vec<StepTime>>,
+}
+
 impl<'a> Assembly<'a> {
-    fn new(frame: &'a Frame, units: &'a Units) -> Self {
+    fn new(frame: &'a Frame, units: &'a Units, with_error: bool) -> Self {
         let image = |channels| Image::filled(frame.extent(), channels, 0.0);
-        let (color, half_spread, error, weight_sum) = (image(3), image(3), image(1), image(1));
+        let (color, half_spread, error, weight_sum) = (image(3), image(3), with_error.then(|| image(1)), image(1));
         Self { frame, exposure: units.exposure, features: &units.features, color, half_spread, selection: None, error, weight_sum, layers: Vec::new() }
+    }
+
+    /// The frame itself.
+    fn copy(&mut self) {
+        let color = self.frame.color();
+        self.color = color.mean.clone();
+        if let Some(half_spread) = &color.half_spread {
+            self.half_spread = half_spread.clone();
+        }
+        self.weight_sum.planes[0].fill(1.0);
     }
 
     fn add(&mut self, gpu: &Gpu, estimate: &GpuEstimate, extent: IVec2, strip: &Strip) -> Result<()> {
@@ -280,12 +337,17 @@ impl<'a> Assembly<'a> {
 
         place(&estimate.signal, 0, 0, color, &mut self.color)?;
         place(&estimate.signal, 1, 0, color, &mut self.half_spread)?;
-        let Lane { buffer, plane, component } = &estimate.error;
-        place(buffer, *plane, *component, squared, &mut self.error)?;
+        if let (Some(error), Some(Lane { buffer, plane, component })) = (&mut self.error, &estimate.error) {
+            place(buffer, *plane, *component, squared, error)?;
+        }
         let Lane { buffer, plane, component } = &estimate.weight_sum;
         place(buffer, *plane, *component, number, &mut self.weight_sum)?;
-        if let Some(selection) = &estimate.selection {
-            place(selection, 0, 0, number, self.selection.get_or_insert_with(|| Image::filled(frame_extent, 3, 0.0)))?;
+        if let Some(shares) = &estimate.selection {
+            let selection = self.selection.get_or_insert_with(|| Image::filled(frame_extent, 3, 0.0));
+            match shares {
+                Shares::Maps(maps) => place(maps, 0, 0, number, selection)?,
+                Shares::Only(only) => selection.planes[*only].fill(1.0),
+            }
         }
         if self.layers.is_empty() {
             let layer = |kept: &KeptPlane| Layer {
@@ -309,11 +371,12 @@ impl<'a> Assembly<'a> {
         Ok(())
     }
 
-    fn finish(self, strips: usize, stage_times: Option<Vec<StageTime>>, peak_bytes: u64) -> Estimate {
+    fn finish(self, plan: Plan, times: Times, peak_bytes: u64) -> Estimate {
         let Self { frame, features, color, half_spread, selection, error, weight_sum, layers, .. } = self;
         let half_spread = frame.color().half_spread.is_some().then_some(half_spread);
         let features = features.iter().map(|feature| feature.name.clone()).collect();
-        Estimate { color, half_spread, error, weight_sum, selection, features, layers, strips, stage_times, peak_bytes }
+        let (strips, Times { stages: stage_times, steps: step_times }) = (plan.strips, times);
+        Estimate { color, half_spread, error, weight_sum, selection, features, layers, plan, strips, stage_times, step_times, peak_bytes }
     }
 }
 

@@ -1,15 +1,21 @@
 //! The frame: a buffer set whose meaning has been settled. Everything finite, one extent, variances of the pixel mean, halves as one spread, features in unit range.
 
+mod noise;
 mod repairs;
 mod sanitise;
 mod unit_range;
 
+use rayon::prelude::*;
 use serde::Serialize;
 
 use crate::buffers::{BufferSet, MAX_FEATURES, RawSignal, names};
 use crate::error::{Error, Result};
 use crate::image::{Extent, Image};
+pub(crate) use noise::{NoiseTiles, TILE};
 pub use repairs::{LayerRepairs, Repairs};
+
+/// Values that a thread looks at before it asks whether another one has found what they all look for.
+const VALUES_AT_ONCE: usize = 1 << 16;
 
 /// A noisy mean with what is known of its noise. All images have the same extent and number of channels.
 #[derive(Clone, Debug)]
@@ -72,6 +78,15 @@ impl Signal {
         }
     }
 
+    /// Whether all channels are the same to the bit, in the mean and in all that is known of its noise.
+    pub fn is_grey(&self) -> bool {
+        let same = |a: &Vec<f32>, b: &Vec<f32>| {
+            let pairs = a.par_chunks(VALUES_AT_ONCE).zip(b.par_chunks(VALUES_AT_ONCE));
+            pairs.into_par_iter().all(|(a, b)| bytemuck::cast_slice::<f32, u32>(a) == bytemuck::cast_slice::<f32, u32>(b))
+        };
+        self.images().all(|image| image.planes.iter().skip(1).all(|plane| same(&image.planes[0], plane)))
+    }
+
     fn images(&self) -> impl Iterator<Item = &Image> {
         [Some(&self.mean), self.half_spread.as_ref(), self.variance_of_mean.as_ref()].into_iter().flatten()
     }
@@ -93,6 +108,7 @@ pub struct Frame {
     extent: Extent,
     color: Signal,
     features: Vec<Feature>,
+    constant_features: Vec<String>,
     samples_per_pixel: SamplesPerPixel,
 }
 
@@ -158,7 +174,8 @@ impl Frame {
             }
         }
         let samples_per_pixel = sanitise::sanitise_samples(samples_per_pixel, extent, &mut repairs)?;
-        Ok((Self { extent, color, features: kept, samples_per_pixel }, repairs))
+        let constant_features = repairs.dropped_features.clone();
+        Ok((Self { extent, color, features: kept, constant_features, samples_per_pixel }, repairs))
     }
 
     /// Width and height of all images of the frame.
@@ -174,6 +191,11 @@ impl Frame {
     /// The features, in unit range; at most [`MAX_FEATURES`], possibly none.
     pub fn features(&self) -> &[Feature] {
         &self.features
+    }
+
+    /// Names of features that were given and are the same everywhere, so that they cannot tell pixels apart; they are not kept.
+    pub fn constant_features(&self) -> &[String] {
+        &self.constant_features
     }
 
     /// Samples per pixel, positive and finite where known.

@@ -6,6 +6,7 @@
 //! ```text
 //! EXR files -> BufferSet  (buffers: what the files said)
 //!           -> Frame      (frame: finite, one extent, meaning normalised, repairs counted)
+//!           -> Plan       (method: what of the method this frame needs, and why not the rest)
 //!           -> GpuFrame   (method: uploaded, colour at the order of 1)
 //!           -> GpuEstimate (method: one straight function of the stages each)
 //!                dfc: variances of the pixel mean -> prefiltered features -> candidates -> SURE -> selection -> blend -> second pass
@@ -25,6 +26,10 @@
 //! | [`sampling`] | where the next samples go, what a renderer implements, the adaptive loop, a small renderer | the denoiser's public face, `buffers` |
 //!
 //! One word names a stage everywhere: shader file, Rust function, reference function, timing label.
+//!
+//! # What is left out
+//! Before anything runs, a [`Plan`](method::Plan) is made of the parameters, of what is wanted and of a look at the frame; the methods ask it at every step, so that it is what happens.
+//! [`Denoiser::with_everything`] runs the rest as well, to compare: the result is the same to the bit, or within bounds that are stated where the plan is made.
 //!
 //! # Half buffers
 //! Halves travel as the mean and one *half spread*, `(A − B)·√(n_A·n_B)/n`: zero in expectation, its square the two-buffer estimate of the variance of the mean, and with

@@ -137,6 +137,47 @@ fn a_user_sees_what_was_taken_for_what_and_how_good_it_became() {
 }
 
 #[test]
+fn a_user_sees_what_runs_what_is_left_out_and_why() {
+    let (folder, input) = Folder::with("cornell_8spp.exr");
+    let (output, other) = (folder.path("out.exr"), folder.path("other.exr"));
+    let arguments = ["denoise", &input, "-o", &output, RADIUS, "--skip-feature=albedo", "--candidates=second", "--no-error", "--explain"];
+    let with = |more: &[&str]| stein(&[&arguments[..], more].concat());
+    let told = ["prefilter depth", "it has noise", "the parameters leave it out", "there is one candidate", "second pass", "in one piece"];
+    with(&[]).succeeded().said(&told);
+    let names: Vec<String> = channels(&output).into_iter().map(|(name, _)| name).collect();
+    assert!(!names.iter().any(|name| name.starts_with("stein.error")), "{names:?}");
+    let planned = channels(&output);
+
+    let document = with(&["--json"]).succeeded().json();
+    assert_eq!(document["parameters"]["candidates"], serde_json::json!(["second"]));
+    assert_eq!(document["run"]["mean_estimated_squared_error"], Value::Null);
+    let step = |document: &Value, name: &str| {
+        let steps = document["plan"]["steps"].as_array().unwrap();
+        steps.iter().find(|step| step["step"] == name).unwrap_or_else(|| panic!("no {name} in {steps:?}")).clone()
+    };
+    let (candidates, selection) = (step(&document, "candidates"), step(&document, "selection"));
+    assert!(candidates["seconds"].as_f64() > Some(0.0) && candidates["share"].as_f64() > Some(0.0) && candidates["stages"].as_array().unwrap().len() > 1);
+    assert_eq!((&selection["runs"], &selection["skipped"], &selection["seconds"]), (&false.into(), &1.0.into(), &Value::Null));
+    let dry = with(&["--json", "-n"]).succeeded().json();
+    assert_eq!((step(&dry, "candidates")["runs"].clone(), step(&dry, "candidates")["seconds"].clone()), (true.into(), Value::Null));
+    with(&["-n"]).succeeded().said(&told);
+
+    // The same with everything on.
+    let everything = stein(&["denoise", &input, "-o", &other, RADIUS, "--skip-feature=albedo", "--candidates=second", "--everything", "--explain", "--json"]);
+    assert_eq!(step(&everything.succeeded().json(), "selection")["runs"], true);
+    let with_everything = channels(&other);
+    assert!(planned.iter().all(|channel| with_everything.contains(channel)));
+
+    stein(&["denoise", &input, "--candidates=fourth"]).failed(2, &["fourth", "first", "second", "third"]);
+    for method in ["nlm", "gem"] {
+        stein(&["denoise", &input, "--method", method, "--candidates=first"]).failed(2, &["--candidates is no option of the method", "remedy: "]);
+        let told = stein(&["denoise", &input, "-o", &output, "--method", method, "--explain", "--no-error"]).succeeded();
+        told.said(&["variance", "sampling density", "left out"]);
+    }
+    assert_eq!(folder.names(), ["other.exr", "out.exr", "render.exr"]);
+}
+
+#[test]
 fn compiled_shaders_are_kept_where_the_user_says() {
     let folder = Folder::new();
     let (input, output) = (test_image("cornell_8spp.exr"), folder.path("out.exr"));

@@ -11,7 +11,7 @@ use reference::gem::{Scale, bias_weight, scaled, step};
 use reference::nlm::{CentreWeight, Feature, FilterParams, Guide, nlm_filter, window_weights};
 use reference::prefilter::{gradient_squared, prefilter};
 use reference::random::Random;
-use reference::select::{Evidence, FIRST, Guard, SECOND, THIRD, select, share};
+use reference::select::{ALL, Evidence, FIRST, Guard, SECOND, THIRD, select, share};
 use reference::sure::sure;
 use reference::variance::{Signal, spread_of_halves, variance_scale};
 use reference::{Grid, Planes, Point, square};
@@ -233,9 +233,29 @@ fn the_least_error_wins_and_ties_go_to_the_later_candidate() {
         let errors = [r, g, b].map(|e| row(&[e]));
         let (low, high) = ([row(&[0.1])], [row(&[0.2])]);
         let derivatives: [&[Grid]; 3] = if more { [&low, &high, &low] } else { [&high, &high, &low] };
-        let maps = select(&errors, derivatives);
+        let maps = select(&errors, derivatives, ALL);
         let expected = [FIRST, SECOND, THIRD].map(|k| f64::from(k == winner));
         assert_eq!([maps[0].values[0], maps[1].values[0], maps[2].values[0]], expected, "case {i}");
+    }
+}
+
+#[test]
+fn candidates_that_take_no_part_do_not_exist() {
+    let inf = f64::INFINITY;
+    // Errors, who takes part, winner; FIRST filters less than SECOND.
+    let cases = [
+        ([1.0, 2.0, 3.0], [true, false, true], FIRST),
+        ([1.0, 2.0, 3.0], [true, true, false], SECOND),
+        ([1.0, 2.0, 3.0], [false, false, true], THIRD),
+        ([3.0, 2.0, 1.0], [true, true, false], SECOND),
+        ([inf, inf, 0.0], [true, true, false], SECOND),
+        ([inf, 0.0, 0.0], [true, false, false], FIRST),
+        ([1.0, 0.0, 1.0], [true, false, true], THIRD),
+    ];
+    for (errors, takes_part, winner) in cases {
+        let (low, high) = ([row(&[0.1])], [row(&[0.2])]);
+        let maps = select(&errors.map(|error| row(&[error])), [&high, &low, &low], takes_part);
+        assert_eq!(maps[winner].values[0], 1.0, "{errors:?} {takes_part:?}");
     }
 }
 
@@ -245,7 +265,7 @@ fn guarded(maps: [f64; 3], errors: [f64; 3], sure: [f64; 3], filtered: [f64; 3],
     let (maps, errors, sure, binary_maps, filtered) = (grids(maps), grids(errors), grids(sure), grids([0.0, 1.0, 0.0]), grids(filtered));
     let candidates = filtered.each_ref().map(std::slice::from_ref);
     let variance = [row(&[4.0])];
-    let evidence = Evidence { errors: &errors, binary_maps: &binary_maps, sure: &sure, candidates, variance: &variance };
+    let evidence = Evidence { errors: &errors, binary_maps: &binary_maps, sure: &sure, candidates, takes_part: ALL, variance: &variance };
     let maps = share(&maps, evidence, Some(&rule));
     [maps[0].values[0], maps[1].values[0], maps[2].values[0]]
 }

@@ -27,6 +27,11 @@ fn numbers(values: &[i32]) -> Vec<Definition> {
     values.iter().map(|value| Definition::from(*value)).collect()
 }
 
+/// Which candidates take part.
+fn takes_part() -> Vec<(&'static str, Vec<Definition>)> {
+    ["FIRST", "SECOND", "THIRD"].map(|name| (name, flags())).to_vec()
+}
+
 /// What opposite neighbours do for each other: nothing, by degrees, at once.
 fn with_rules(sets: &[Definitions]) -> Vec<Definitions> {
     let rules = [(false, false), (true, false), (true, true)].map(|(symmetric, hard)| [("SYMMETRIC", symmetric.into()), ("SYMMETRIC_HARD", hard.into())]);
@@ -38,9 +43,13 @@ fn with_rules(sets: &[Definitions]) -> Vec<Definitions> {
 fn definitions(stage: &str) -> Option<Vec<Definitions>> {
     let none = Some(vec![Vec::new()]);
     match stage {
-        "variance_rows" | "variance_scale" | "variance_pair" | "variance_clamp" | "half_split" | "half_join" | "feature_pack" | "candidate_resolve"
-        | "error_sure" | "select_least" | "select_blend" | "select_pass" => none,
-        "select_share" => Some(combinations(&[("GUARDED", flags())])),
+        "variance_rows" | "variance_scale" | "variance_pair" | "variance_clamp" | "half_split" | "half_join" | "select_pass" => none,
+        "candidate_resolve" => Some(combinations(&[("THIRD", flags()), ("DERIVATIVES", flags())])),
+        "feature_pack" => Some(combinations(&[("NOISY", flags())])),
+        "error_sure" | "select_least" | "select_blend" => Some(combinations(&takes_part())),
+        "select_share" => Some(combinations(&[&takes_part()[..], &[("GUARDED", flags())]].concat())),
+        "exact_copy" => Some(combinations(&[("WEIGHT_SUM", flags())])),
+        "exact_fill" => Some(combinations(&[("ONES", flags())])),
         "select_frames" => Some(combinations(&[("WEIGHT_SUMS", flags())])),
         "sample_attach" => Some(combinations(&[("SAMPLES_VARY", flags())])),
         "error_halves" => Some(combinations(&[("HALVES", flags())])),
@@ -60,7 +69,9 @@ fn definitions(stage: &str) -> Option<Vec<Definitions>> {
                     ("SYMMETRIC", flags()),
                 ])
             };
-            Some(shapes.into_iter().flat_map(set).collect())
+            let channels = ["ONE_CHANNEL", "GREY"]
+                .map(|name| vec![("PATCH_RADIUS", 3.into()), ("SMALL_PATCH_RADIUS", 1.into()), ("OFFSET_ROWS", 2.into()), (name, true.into())]);
+            Some(shapes.into_iter().flat_map(set).chain(channels).collect())
         }
         "nlm_weight" => Some(with_rules(&combinations(&[("PATCH_RADIUS", numbers(&[0, 1, 3, 5])), ("PIXELS", numbers(&[1, 4]))]))),
         "nlm_filter" => {
@@ -71,7 +82,15 @@ fn definitions(stage: &str) -> Option<Vec<Definitions>> {
                 ("PATCHWISE", flags()),
                 ("RESIDUAL", flags()),
             ]);
-            Some(with_rules(&shapes))
+            let narrow = combinations(&[
+                ("PATCH_RADIUS", numbers(&[3])),
+                ("PAYLOAD_PLANES", numbers(&[1, 2])),
+                ("PIXELS", numbers(&[1, 4])),
+                ("RESIDUAL", flags()),
+                ("ONE_LANE", vec![true.into()]),
+                ("GREY", flags()),
+            ]);
+            Some(with_rules(&[shapes, narrow].concat()))
         }
         "candidate_accumulate" => {
             let set = |(other_frame, near): (bool, bool)| {
@@ -84,7 +103,22 @@ fn definitions(stage: &str) -> Option<Vec<Definitions>> {
                     ("NEAR", vec![near.into()]),
                 ])
             };
-            Some([(false, false), (false, true), (true, false)].into_iter().flat_map(|frames| with_rules(&set(frames))).collect())
+            let whole = |set: Definitions| {
+                let parts = ["FIRST", "SECOND", "THIRD", "COLOR", "DERIVATIVES", "HALVES"].map(|name| (name, true.into()));
+                [set.as_slice(), &parts].concat()
+            };
+            let all = [(false, false), (false, true), (true, false)].into_iter().flat_map(|frames| with_rules(&set(frames))).map(whole);
+            // What may be left out of them.
+            let shape =
+                [("PATCH_RADIUS", 3.into()), ("SMALL_PATCH_RADIUS", 1.into()), ("FEATURE_GROUPS", 2.into()), ("PIXELS", 4.into()), ("SYMMETRIC", true.into())];
+            let left = combinations(&[&takes_part()[..], &["DERIVATIVES", "HALVES", "GREY", "NEAR", "OTHER_FRAME"].map(|name| (name, flags()))].concat());
+            let part = |set: Definitions| {
+                let is_on = |name: &str| set.iter().any(|definition| *definition == (name, true.into()));
+                let color = [("COLOR", (is_on("FIRST") || is_on("SECOND")).into())];
+                let fits = !(is_on("NEAR") && is_on("OTHER_FRAME")) && (is_on("THIRD") || is_on("FIRST") || is_on("SECOND"));
+                fits.then(|| [&shape[..], &set, &color].concat())
+            };
+            Some(all.chain(left.into_iter().filter_map(part)).collect())
         }
         _ => None,
     }

@@ -6,7 +6,9 @@
 
 struct NlmParams {
     extent: vec2<i32>,
-    // The strip of rows that one dispatch works on.
+    // The rectangle that one dispatch works on: a strip of rows of the image, or of a part of it.
+    first_column: i32,
+    width: i32,
     first_row: i32,
     rows: i32,
     // The chunk of offsets whose distances are in the scratch buffer at one time: a rectangle in the half window, so many columns and rows of it from this offset on. The
@@ -16,7 +18,7 @@ struct NlmParams {
     // 1: no sums are there yet for this strip; 1: this chunk completes them.
     starts: i32,
     completes: i32,
-    // Pixels from one scratch row to the next: the image's width, rounded up to whole invocations, and f on both sides.
+    // Pixels from one scratch row to the next: the rectangle's width, rounded up to whole invocations, and f on both sides.
     stride: i32,
     // Rows that one invocation of nlm_distance walks down.
     block_rows: i32,

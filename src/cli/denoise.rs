@@ -18,6 +18,7 @@ use stein::buffers::{BufferSet, LayerRef};
 use stein::method::Intermediate;
 use stein::{Denoiser, Frame, Method, Options};
 
+use super::explain::Explained;
 use super::inspect::Input;
 use super::options::{Device, Filter, Source};
 use super::report::{self, FrameReport, Report, Run, Settings};
@@ -39,6 +40,7 @@ Examples:
   stein denoise render.exr -o clean.exr --ref converged.exr
   stein denoise both.exr --half-a seed1.exr --half-b seed2.exr --feature albedo=aux.exr::albedo
   stein denoise render.exr --keep candidates,sure --json
+  stein denoise render.exr --explain --candidates second,third --no-error
   stein denoise render.exr --method nlm --keep halves
   stein denoise 'shot.####.exr' --frames 1-240 --temporal-radius 1 -o 'clean.####.exr'
 
@@ -69,6 +71,15 @@ pub(crate) struct Args {
     /// Intermediates to write as layers `stein.*`
     #[arg(long, value_name = "NAME", value_delimiter = ',', value_parser = keepable())]
     keep: Vec<Keep>,
+    /// Do without the estimated error: `stein.error` is not written, and what serves it alone is left out
+    #[arg(long)]
+    no_error: bool,
+    /// Also run what this scene does not need, to compare: the result is the same to the bit, or within bounds that docs/leave-out.md tells
+    #[arg(long)]
+    everything: bool,
+    /// Print the plan: what runs for this frame, what is left out and why, and what each step takes; with -n without times
+    #[arg(long, conflicts_with = "quiet")]
+    explain: bool,
     /// Print one JSON document in place of text
     #[arg(long)]
     pub(crate) json: bool,
@@ -185,8 +196,11 @@ impl Job<'_> {
             self.wait_for(&mut frames, first, out)?;
         }
         let gpu = self.args.device.open()?;
-        let denoiser = self.args.device.denoiser(&gpu, self.method)?;
-        gpu.set_timing(self.args.verbose || self.args.json);
+        let mut denoiser = self.args.device.denoiser(&gpu, self.method)?;
+        if self.args.everything {
+            denoiser = denoiser.with_everything();
+        }
+        gpu.set_timing(self.args.verbose || self.args.json || self.args.explain);
         let settings = Settings {
             preset: self.args.filter.preset(),
             parameters: self.method,
@@ -285,9 +299,11 @@ impl Job<'_> {
         }
         let frames: Vec<&Frame> = window.iter().map(|frame| &*frame.frame).collect();
         if self.args.dry_run {
-            let strips = denoiser.strip_count(frames[planned.centre], frames.len() - 1, &needed)?;
+            let plan = denoiser.plan(&frames, planned.centre, &Options { keep: &needed, error: !self.args.no_error, progress: None })?;
+            let explained = self.args.explain.then(|| Explained::new(&plan, None));
+            let report = FrameReport { input: *described, strips: plan.strips, plan: explained, run: None, output: None, errors: None };
             results.progress.denoised(out);
-            results.add(Ok(Done { introduction, report: FrameReport { input: *described, strips, run: None, output: None, errors: None } }), out);
+            results.add(Ok(Done { introduction, report }), out);
             return Ok(());
         }
 
@@ -297,12 +313,13 @@ impl Job<'_> {
             results.progress.share(share, out);
             results.collect(out)
         };
-        let options = Options { keep: &needed, progress: if is_wanted { Some(&mut tell) } else { None } };
+        let options = Options { keep: &needed, error: !self.args.no_error, progress: if is_wanted { Some(&mut tell) } else { None } };
         let estimate = denoiser.denoise_window(&frames, planned.centre, options)?;
         let run = Run::new(&estimate, start.elapsed().as_secs_f64());
+        let plan = self.args.explain.then(|| Explained::new(&estimate.plan, estimate.step_times.as_deref()));
         let frame = Arc::clone(&window[planned.centre].frame);
         let output = planned.output.clone();
-        results.hand_over(Denoised { number: planned.number, output, original, described, introduction, frame, reference, estimate, run }, out)
+        results.hand_over(Denoised { number: planned.number, output, original, described, introduction, frame, reference, estimate, run, plan }, out)
     }
 }
 

@@ -86,7 +86,7 @@ pub(crate) struct Written {
     pub(crate) notes: Vec<String>,
 }
 
-/// Writes the denoised colour, its halves, the estimated error and the intermediates in `keep`.
+/// Writes the denoised colour, its halves, the estimated error if there is one, and the intermediates in `keep`.
 pub(crate) fn write(set: BufferSet, output: &Path, estimate: &Estimate, keep: &[Intermediate], method: &Method) -> Result<Written, Failure> {
     let mut notes = Vec::new();
     let mut replacements = Vec::new();
@@ -109,11 +109,11 @@ pub(crate) fn write(set: BufferSet, output: &Path, estimate: &Estimate, keep: &[
         }
     }
 
-    let error = NamedLayer { name: format!("{PREFIX}.error"), channels: vec!["V".into()], image: estimate.error.clone() };
+    let error = estimate.error.as_ref().map(|image| NamedLayer { name: format!("{PREFIX}.error"), channels: vec!["V".into()], image: image.clone() });
     let kept = estimate.layers.iter().filter(|layer| keep.contains(&layer.intermediate));
     let named = kept.map(|layer| NamedLayer { name: format!("{PREFIX}.{}", layer.name), channels: layer.channels.clone(), image: layer.image.clone() });
     // Layers that an earlier run left in the input are brought up to date.
-    let (stale, extra): (Vec<_>, Vec<_>) = std::iter::once(error).chain(named).partition(|layer| in_input().any(|other| other.layer == layer.name));
+    let (stale, extra): (Vec<_>, Vec<_>) = error.into_iter().chain(named).partition(|layer| in_input().any(|other| other.layer == layer.name));
     if !stale.is_empty() {
         notes.push("the input was denoised before".into());
     }

@@ -70,7 +70,7 @@ pub(crate) fn compare(frame: &Frame, estimate: &Estimate, reference: &Image) -> 
             errors.push(Errors::new(name, image, reference, estimated)?);
         }
     }
-    let blended = estimate.error.planes.first().map(|plane| mean(plane));
+    let blended = estimate.error.as_ref().and_then(|error| error.planes.first()).map(|plane| mean(plane));
     if let Some(image) = kept("pass1") {
         errors.push(Errors::new("pass1", image, reference, blended)?);
     }

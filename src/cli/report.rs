@@ -6,6 +6,7 @@ use stein::method::Intermediate;
 use stein::{Estimate, Method};
 
 use super::Failure;
+use super::explain::Explained;
 use super::inspect::Input;
 use super::out::{bytes, number, seconds, table};
 use super::output::Written;
@@ -36,6 +37,8 @@ pub(crate) struct FrameReport {
     pub(crate) input: Input,
     /// Parts that the image was (or, in a dry run, would be) worked on in.
     pub(crate) strips: usize,
+    /// Where it was asked for.
+    pub(crate) plan: Option<Explained>,
     /// `None` in a dry run.
     pub(crate) run: Option<Run>,
     pub(crate) output: Option<Written>,
@@ -51,7 +54,8 @@ pub(crate) struct Run {
     pub(crate) stage_times: Option<Vec<StageTime>>,
     pub(crate) peak_bytes: u64,
     /// Mean over the pixels of the squared error summed over the channels; of DFC by SURE, before the second pass.
-    pub(crate) mean_estimated_squared_error: f64,
+    /// `None` where nobody wanted it.
+    pub(crate) mean_estimated_squared_error: Option<f64>,
     /// How many pixels took part in the average of one, on average.
     pub(crate) mean_weight_sum: f64,
 }
@@ -63,7 +67,7 @@ impl Run {
             seconds,
             stage_times: estimate.stage_times.clone(),
             peak_bytes: estimate.peak_bytes,
-            mean_estimated_squared_error: mean(&estimate.error),
+            mean_estimated_squared_error: estimate.error.as_ref().map(mean),
             mean_weight_sum: mean(&estimate.weight_sum),
         }
     }
@@ -87,15 +91,16 @@ impl FrameReport {
                 }
                 if verbose {
                     lines.push(format!(
-                        "  {} on the device, {} pixels averaged per pixel, mean squared error estimated at {}",
+                        "  {} on the device, {} pixels averaged per pixel{}",
                         bytes(run.peak_bytes),
                         number(run.mean_weight_sum),
-                        number(run.mean_estimated_squared_error)
+                        run.mean_estimated_squared_error.map_or_else(String::new, |error| format!(", mean squared error estimated at {}", number(error)))
                     ));
                     lines.push(run.stage_times.as_deref().map_or_else(|| "  this adapter cannot time stages".into(), stage_table));
                 }
             }
         }
+        lines.extend(self.plan.as_ref().map(Explained::text));
         lines.join("\n")
     }
 }

@@ -122,7 +122,7 @@ pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
     let frame = frame.map_err(|error| Failure::in_file(input, error))?;
     let gpu = args.device.open()?;
     let denoiser = args.device.denoiser(&gpu, method)?.while_sampling();
-    let estimate = denoiser.denoise_with(&frame, Options { keep: &[Intermediate::Density], progress: None })?;
+    let estimate = denoiser.denoise_with(&frame, Options { keep: &[Intermediate::Density], error: false, progress: None })?;
     // Whole pairs, which a small budget has few of.
     let cap = args.cap.unwrap_or_else(|| (budget * f64::from(DEFAULT_CAP)).max(2.0) as u32);
     let density = sampling_density(&estimate, budget, budget * f64::from(DEFAULT_CAP))?;

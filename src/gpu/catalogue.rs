@@ -13,6 +13,7 @@ pub(super) const SHARED: &[(&str, &str)] = sources!("shaders/shared":
     "planes",
     "nlm",
     "candidates",
+    "exact",
 );
 
 /// The stages: each file is one kernel.
@@ -39,6 +40,8 @@ pub(super) const STAGES: &[(&str, &str)] = sources!("shaders":
     "select_blend",
     "select_frames",
     "select_pass",
+    "exact_copy",
+    "exact_fill",
     "sample_attach",
     "sample_density",
     "scale_pixel",

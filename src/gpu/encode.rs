@@ -17,6 +17,8 @@ pub(super) enum Op {
 #[derive(Debug)]
 pub(super) struct Dispatch {
     pub(super) kernel: Arc<Kernel>,
+    /// What it is for.
+    pub(super) step: Arc<str>,
     pub(super) bound: Vec<Bound>,
     pub(super) groups: [u32; 3],
 }
@@ -51,7 +53,7 @@ pub(super) fn encode(gpu: &Gpu, ops: &[Op], uniforms: &[u8], encoder: &mut wgpu:
                         timing.resolve(full, encoder);
                     }
                     let batch = batch.get_or_insert_with(|| timing.batch(&gpu.inner.device));
-                    let timestamps = batch.next(dispatch.kernel.stage());
+                    let timestamps = batch.next(&dispatch.step, dispatch.kernel.stage());
                     let description = wgpu::ComputePassDescriptor { label: Some(dispatch.kernel.stage()), timestamp_writes: Some(timestamps) };
                     run(&mut encoder.begin_compute_pass(&description), dispatch, &group);
                 } else {

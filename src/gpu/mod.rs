@@ -39,7 +39,7 @@ pub use kernel::Kernel;
 pub use pool::{Buffer, MemoryUse};
 pub use record::Recorder;
 pub use shader::{Definition, Definitions, compose, compose_source, shared_modules, stages};
-pub use timing::StageTime;
+pub use timing::{StageTime, StepTime};
 
 pub use crate::{bindings, uniforms};
 

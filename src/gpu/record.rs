@@ -35,6 +35,8 @@ pub struct Recorder {
     staged_bytes: u64,
     whole: bool,
     has_submitted: bool,
+    /// What the dispatches are for; their times are summed under it.
+    step: Arc<str>,
 }
 
 impl Gpu {
@@ -50,7 +52,17 @@ impl Gpu {
 
     fn recorder(&self, whole: bool) -> Recorder {
         let id = self.inner.pool.open_recorder();
-        Recorder { gpu: self.clone(), id, ops: Vec::new(), uniforms: Vec::new(), dispatches: 0, staged_bytes: 0, whole, has_submitted: false }
+        Recorder {
+            gpu: self.clone(),
+            id,
+            ops: Vec::new(),
+            uniforms: Vec::new(),
+            dispatches: 0,
+            staged_bytes: 0,
+            whole,
+            has_submitted: false,
+            step: Arc::from(""),
+        }
     }
 }
 
@@ -58,6 +70,11 @@ impl Recorder {
     /// The device it records for.
     pub fn gpu(&self) -> &Gpu {
         &self.gpu
+    }
+
+    /// Names what the dispatches from here on are for, so that [`Gpu::step_timings`] can tell the uses of one stage apart.
+    pub fn begin_step(&mut self, name: &str) {
+        self.step = Arc::from(name);
     }
 
     /// A storage buffer of at least `bytes` bytes, from the pool. Its content is whatever was there before: a zero, another stage's image, or poison.
@@ -145,7 +162,7 @@ impl Recorder {
         if let Some((name, other)) = aliased(kernel, &values) {
             return Err(failure(format!("the same buffer is bound to '{name}', which is written, and to '{other}'")));
         }
-        self.ops.push(Op::Dispatch(Dispatch { kernel: Arc::clone(kernel), bound, groups }));
+        self.ops.push(Op::Dispatch(Dispatch { kernel: Arc::clone(kernel), step: Arc::clone(&self.step), bound, groups }));
         self.dispatches += 1;
         if self.dispatches >= DISPATCHES_PER_SUBMISSION { self.flush() } else { Ok(()) }
     }

@@ -26,6 +26,16 @@ pub struct StageTime {
     pub dispatches: usize,
 }
 
+/// The time of all dispatches of one stage in one step.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct StepTime {
+    /// What they were for: as told to [`Recorder::begin_step`](super::Recorder::begin_step); empty where nothing was told.
+    pub step: String,
+    /// The stage and its time there.
+    #[serde(flatten)]
+    pub time: StageTime,
+}
+
 pub(super) struct Timing {
     available: bool,
     on: AtomicBool,
@@ -36,7 +46,7 @@ pub(super) struct Timing {
 #[derive(Default)]
 struct State {
     /// In the order of first use.
-    totals: Vec<StageTime>,
+    totals: Vec<StepTime>,
     pending: Vec<(Batch, Receiver<bool>)>,
     free: Vec<Arc<Queries>>,
 }
@@ -50,19 +60,26 @@ struct Queries {
 /// The timestamps of a few dispatches: two each, before and after.
 pub(super) struct Batch {
     queries: Arc<Queries>,
-    stages: Vec<String>,
+    /// Step and stage of each.
+    dispatches: Vec<(Arc<str>, String)>,
 }
 
 impl Batch {
     pub(super) fn is_full(&self) -> bool {
-        self.stages.len() == DISPATCHES_PER_BATCH as usize
+        self.dispatches.len() == DISPATCHES_PER_BATCH as usize
     }
 
     /// Where the next dispatch writes its timestamps.
-    pub(super) fn next(&mut self, stage: &str) -> wgpu::ComputePassTimestampWrites<'_> {
-        let first = self.stages.len() as u32 * 2;
-        self.stages.push(stage.to_owned());
+    pub(super) fn next(&mut self, step: &Arc<str>, stage: &str) -> wgpu::ComputePassTimestampWrites<'_> {
+        let first = self.dispatches.len() as u32 * 2;
+        self.dispatches.push((Arc::clone(step), stage.to_owned()));
         wgpu::ComputePassTimestampWrites { query_set: &self.queries.set, beginning_of_pass_write_index: Some(first), end_of_pass_write_index: Some(first + 1) }
+    }
+}
+
+impl StepTime {
+    fn is_of(&self, step: &str, stage: &str) -> bool {
+        self.step == step && self.time.stage == stage
     }
 }
 
@@ -84,13 +101,13 @@ impl Timing {
             let readback = buffer(wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST);
             Arc::new(Queries { set, resolved, readback })
         });
-        Batch { queries, stages: Vec::new() }
+        Batch { queries, dispatches: Vec::new() }
     }
 
     /// Has the timestamps of `batch` read back once `encoder` is submitted, by whomever.
     pub(super) fn resolve(&self, batch: Batch, encoder: &mut wgpu::CommandEncoder) {
         let Queries { set, resolved, readback } = &*batch.queries;
-        let count = batch.stages.len() as u32 * 2;
+        let count = batch.dispatches.len() as u32 * 2;
         encoder.resolve_query_set(set, 0..count, resolved, 0);
         encoder.copy_buffer_to_buffer(resolved, 0, readback, 0, BATCH_BYTES);
         let (sender, receiver) = channel();
@@ -99,9 +116,10 @@ impl Timing {
             let _ = sender.send(mapped.is_ok());
         });
         let mut state = lock(&self.state);
-        for stage in &batch.stages {
-            if !state.totals.iter().any(|total| total.stage == *stage) {
-                state.totals.push(StageTime { stage: stage.clone(), seconds: 0.0, dispatches: 0 });
+        for (step, stage) in &batch.dispatches {
+            if !state.totals.iter().any(|total| total.is_of(step, stage)) {
+                let time = StageTime { stage: stage.clone(), seconds: 0.0, dispatches: 0 };
+                state.totals.push(StepTime { step: step.to_string(), time });
             }
         }
         state.pending.push((batch, receiver));
@@ -117,10 +135,10 @@ impl Timing {
                 let ticks: Vec<u64> = view.chunks_exact(8).map(bytemuck::pod_read_unaligned).collect();
                 drop(view);
                 batch.queries.readback.unmap();
-                for (stage, pair) in batch.stages.iter().zip(ticks.chunks_exact(2)) {
-                    if let Some(total) = totals.iter_mut().find(|total| total.stage == *stage) {
-                        total.seconds += pair[1].saturating_sub(pair[0]) as f64 * self.nanoseconds_per_tick * 1e-9;
-                        total.dispatches += 1;
+                for ((step, stage), pair) in batch.dispatches.iter().zip(ticks.chunks_exact(2)) {
+                    if let Some(total) = totals.iter_mut().find(|total| total.is_of(step, stage)) {
+                        total.time.seconds += pair[1].saturating_sub(pair[0]) as f64 * self.nanoseconds_per_tick * 1e-9;
+                        total.time.dispatches += 1;
                     }
                 }
                 free.push(Arc::clone(&batch.queries));
@@ -143,6 +161,27 @@ impl Gpu {
     /// # Errors
     /// As [`Gpu::wait`].
     pub fn timings(&self) -> Result<Option<Vec<StageTime>>> {
+        let steps = self.step_timings()?;
+        Ok(steps.map(|steps| {
+            let mut stages: Vec<StageTime> = Vec::new();
+            for StepTime { time, .. } in steps {
+                match stages.iter_mut().find(|stage| stage.stage == time.stage) {
+                    Some(stage) => {
+                        stage.seconds += time.seconds;
+                        stage.dispatches += time.dispatches;
+                    }
+                    None => stages.push(time),
+                }
+            }
+            stages
+        }))
+    }
+
+    /// The same, with the uses that a stage has in several steps apart.
+    ///
+    /// # Errors
+    /// As [`Gpu::wait`].
+    pub fn step_timings(&self) -> Result<Option<Vec<StepTime>>> {
         if !self.inner.timing.available {
             return Ok(None);
         }
@@ -156,7 +195,7 @@ impl Gpu {
     /// # Errors
     /// As [`Gpu::wait`].
     pub fn reset_timings(&self) -> Result<()> {
-        self.timings()?;
+        self.step_timings()?;
         lock(&self.inner.timing.state).totals.clear();
         Ok(())
     }

@@ -1,27 +1,30 @@
 //! Denoising by combining colour and feature filters (thesis chapter 8): Algorithm 1 as one straight function.
 
 mod params;
+mod plan;
 
 use std::sync::Arc;
 
 use glam::IVec2;
 
 use super::common::{Auxiliary, SCALE_RADIUS, input_variance};
-use super::estimate::{GpuEstimate, Intermediate, Keeper, Lane, RGB, Unit};
+use super::estimate::{GpuEstimate, Intermediate, Keeper, Lane, RGB, Shares, Unit};
 use super::memory::{Footprint, uploaded_planes};
+use super::plan::{Facts, Plan, Step};
 use super::{GpuFeature, GpuFrame, GpuSignal};
 use crate::error::Result;
-use crate::frame::Frame;
 use crate::gpu::{Buffer, Recorder};
-use crate::stage::candidate::{CANDIDATE_PLANES, CandidateBeside, CandidateFilter, CandidatesInTime, STATE_PLANES, candidates};
+use crate::stage::candidate::{CANDIDATE_PLANES, CandidateBeside, CandidateFilter, CandidatesInTime, Needed, STATE_PLANES, candidates};
+use crate::stage::candidate_set::CandidateSet;
 use crate::stage::error::error_sure;
 use crate::stage::feature::{Features, Packing, feature_pack};
-use crate::stage::nlm::{Beside, Guide, Payload, Schedule, Weighting, nlm_filter};
+use crate::stage::nlm::{Beside, Guide, Lanes, Payload, Schedule, Weighting, nlm_filter};
 use crate::stage::sample::sample_density;
 use crate::stage::select::{Evidence, HARM, Noisy, select_blend, select_frames, select_least, select_pass, select_share};
 use crate::stage::variance::{INPUT_SMOOTHING, RESIDUAL_SMOOTHING, variance_smooth};
 
 pub use params::{DfcParams, SecondPass};
+pub(super) use plan::plan;
 
 /// Algorithm 1 line 7.
 const PREFILTER: Auxiliary = Auxiliary { window_radius: 5, patch_radius: 3, k: 1.0 };
@@ -43,10 +46,10 @@ pub(super) const INTERMEDIATES: [Intermediate; 8] = [
     Intermediate::Density,
 ];
 
-const BY_CANDIDATE: [&str; 3] = ["first", "second", "third"];
+const BY_CANDIDATE: [&str; 3] = CandidateSet::NAMES;
 
 /// Algorithm 1. Degrades by what the frame knows of its noise: without halves the variances are taken as they are and there is no second pass; without sample variance
-/// the smoothed two-buffer variance takes its place.
+/// the smoothed two-buffer variance takes its place. What the plan leaves out does not happen.
 ///
 /// The frames `beside` are in the same units and have the same features. `progress` is called with the share of the work that is recorded.
 ///
@@ -57,15 +60,16 @@ pub fn dfc(
     frame: GpuFrame,
     beside: Vec<GpuFrame>,
     params: &DfcParams,
-    wanted: &[Intermediate],
+    plan: &Plan,
     schedule: Schedule,
     progress: impl FnMut(&mut Recorder, f32) -> Result<()>,
 ) -> Result<GpuEstimate> {
     let GpuFrame { extent, color, features, samples, .. } = frame;
     let weighting = params.weighting;
-    let mut keeper = Keeper::new(wanted);
+    let mut keeper = Keeper::new(&plan.keep);
 
     // Sample variance scaling.
+    plan.begins(rec, Step::Variance);
     let variance = input_variance(rec, extent, &color)?;
     let signal = &color.signal;
     keeper.keep(Intermediate::Variance, "scaled_variance", &RGB, Unit::ColorSquared, &variance, 0);
@@ -75,9 +79,10 @@ pub fn dfc(
     let variances_beside = colors_beside.iter().map(|color| input_variance(rec, extent, color)).collect::<Result<Vec<_>>>()?;
 
     // Feature prefiltering.
-    let features = prefilter(rec, extent, std::iter::once(features).chain(features_beside).collect(), weighting, schedule, &mut keeper)?;
+    let features = prefilter(rec, extent, std::iter::once(features).chain(features_beside).collect(), plan, weighting, schedule, &mut keeper)?;
 
     // Candidate filters.
+    plan.begins(rec, Step::Candidates);
     let neighbours = colors_beside.iter().zip(&variances_beside).enumerate();
     let neighbours =
         neighbours.map(|(index, (color, variance_of_mean))| CandidateBeside { signal: &color.signal, variance_of_mean, features: features.get(1 + index) });
@@ -92,77 +97,99 @@ pub fn dfc(
         feature_tau_third: params.feature_tau_third,
         weighting,
     };
+    let needed = Needed {
+        candidates: plan.candidates(),
+        derivatives: plan.runs(&Step::Derivatives),
+        half_spread: plan.runs(&Step::HalfSpread),
+        alone: plan.runs(&Step::Frames),
+        channels: plan.runs(&Step::Channels),
+        exact: plan.exact(&Step::Candidates),
+    };
     let CandidatesInTime { together: candidates, alone } =
-        candidates(rec, extent, signal, &variance, features.first(), &neighbours, &filter, schedule, progress)?;
-    if let (Some(alone), Some(_)) = (&alone, params.guard) {
+        candidates(rec, extent, signal, &variance, features.first(), &neighbours, &filter, needed, schedule, progress)?;
+    if let Some(alone) = alone.as_ref().filter(|_| plan.begins(rec, Step::Frames)) {
         select_frames(rec, extent, Noisy { signal, variance_of_mean: &variance }, alone, &candidates, HARM)?;
     }
     drop((features, colors_beside, variances_beside, alone));
-    for (name, candidate) in BY_CANDIDATE.iter().zip(&candidates.signals) {
-        keeper.keep(Intermediate::Candidates, *name, &RGB, Unit::Color, candidate, 0);
-    }
-    for (plane, name) in (0..).zip(BY_CANDIDATE) {
-        keeper.keep(Intermediate::Derivatives, format!("{name}_derivative"), &RGB, Unit::Number, &candidates.derivatives, plane);
+    for (plane, (name, candidate)) in (0..).zip(BY_CANDIDATE.into_iter().zip(&candidates.signals)) {
+        let Some(candidate) = candidate else { continue };
+        keeper.keep(Intermediate::Candidates, name, &RGB, Unit::Color, candidate, 0);
+        if let Some(derivatives) = &candidates.derivatives {
+            keeper.keep(Intermediate::Derivatives, format!("{name}_derivative"), &RGB, Unit::Number, derivatives, plane);
+        }
     }
 
     // Filtered SURE error estimates.
-    let sure = Arc::new(error_sure(rec, extent, signal, &variance, &candidates)?);
-    let guide = |filter: &Auxiliary| filter.guide(signal, &variance, 3);
-    let errors = nlm_filter(rec, extent, &guide(&ERROR_SMOOTHING), &Payload::new(&sure, 1), ERROR_SMOOTHING.window_radius, weighting, false, schedule)?;
-    let errors = Arc::new(errors.planes);
-    keeper.keep(Intermediate::Sure, "sure", &BY_CANDIDATE, Unit::ColorSquared, &sure, 0);
-    keeper.keep(Intermediate::Sure, "sure_smoothed", &BY_CANDIDATE, Unit::ColorSquared, &errors, 0);
-
-    // Binary selection maps.
-    let selected = Arc::new(select_least(rec, extent, &errors, &candidates.derivatives)?);
-    // Filter selection maps.
-    let smoothed =
-        nlm_filter(rec, extent, &guide(&SELECTION_SMOOTHING), &Payload::new(&selected, 1), SELECTION_SMOOTHING.window_radius, weighting, false, schedule)?;
-    let evidence = Evidence { selected: &selected, errors: &errors, sure: &sure, variance_of_mean: &variance, candidates: &candidates };
-    let selection = Arc::new(select_share(rec, extent, smoothed.planes, evidence, params.guard)?);
-    // Candidate filter averaging.
-    let pass1 = Arc::new(select_blend(rec, extent, &selection, &candidates)?);
-    keeper.keep(Intermediate::Selection, "selected", &BY_CANDIDATE, Unit::Number, &selected, 0);
-    keeper.keep(Intermediate::Selection, "selection", &BY_CANDIDATE, Unit::Number, &selection, 0);
-    drop((candidates, smoothed.weights, errors, sure, selected));
-
-    // Adaptive sampling (thesis 8.6).
-    if keeper.wants(Intermediate::Density) {
-        let density = sample_density(rec, extent, &pass1, (!color.has_halves).then_some(&*selection), &samples)?;
-        let smoothed =
-            nlm_filter(rec, extent, &guide(&DENSITY_SMOOTHING), &Payload::new(&density, 1), DENSITY_SMOOTHING.window_radius, weighting, false, schedule)?;
-        keeper.keep(Intermediate::Density, "density", &["V"], Unit::Number, &Arc::new(smoothed.planes), 0);
+    let grey = !plan.runs(&Step::Channels);
+    let smooth = |rec: &mut Recorder, step: Step, payload: &Buffer, filter: &Auxiliary| {
+        let guide = Guide { grey, exact: plan.exact(&step), ..filter.guide(signal, &variance, 3) };
+        plan.begins(rec, step);
+        nlm_filter(rec, extent, &guide, &Payload::new(payload, 1), filter.window_radius, weighting, false, schedule).map(|filtered| filtered.planes)
+    };
+    let mut judged = None;
+    if plan.begins(rec, Step::Sure) {
+        let sure = Arc::new(error_sure(rec, extent, signal, &variance, &candidates)?);
+        let errors = Arc::new(smooth(rec, Step::SureSmoothing, &sure, &ERROR_SMOOTHING)?);
+        keeper.keep(Intermediate::Sure, "sure", &BY_CANDIDATE, Unit::ColorSquared, &sure, 0);
+        keeper.keep(Intermediate::Sure, "sure_smoothed", &BY_CANDIDATE, Unit::ColorSquared, &errors, 0);
+        judged = Some((sure, errors));
     }
 
+    let (pass1, error, selection): (Arc<Buffer>, _, _) = if let Some((sure, errors)) = judged.as_ref().filter(|_| plan.begins(rec, Step::Selection)) {
+        // Binary selection maps.
+        let selected = Arc::new(select_least(rec, extent, errors, &candidates)?);
+        // Filter selection maps.
+        let smoothed = smooth(rec, Step::SelectionSmoothing, &selected, &SELECTION_SMOOTHING)?;
+        // Candidate filter averaging.
+        plan.begins(rec, Step::Blend);
+        let evidence = Evidence { selected: &selected, errors, sure, variance_of_mean: &variance, candidates: &candidates };
+        let selection = Arc::new(select_share(rec, extent, smoothed, evidence, params.guard)?);
+        let pass1 = Arc::new(select_blend(rec, extent, &selection, &candidates)?);
+        keeper.keep(Intermediate::Selection, "selected", &BY_CANDIDATE, Unit::Number, &selected, 0);
+        keeper.keep(Intermediate::Selection, "selection", &BY_CANDIDATE, Unit::Number, &selection, 0);
+        (pass1, Some(Lane { buffer: selection.clone(), plane: 0, component: 3 }), Shares::Maps(selection))
+    } else {
+        // Nothing to choose from.
+        let Some((only, candidate)) = candidates.first_of_all() else { unreachable!("a plan holds at least one candidate") };
+        let error = judged.as_ref().map(|(_, errors)| Lane { buffer: errors.clone(), plane: 0, component: only as u32 });
+        (candidate.clone(), error, Shares::Only(only))
+    };
+    drop((candidates, judged));
+
+    // Adaptive sampling (thesis 8.6).
+    if plan.begins(rec, Step::Density) {
+        let density = sample_density(rec, extent, &pass1, selection.maps().filter(|_| !color.has_halves), &samples)?;
+        keeper.keep(Intermediate::Density, "density", &["V"], Unit::Number, &Arc::new(smooth(rec, Step::Density, &density, &DENSITY_SMOOTHING)?), 0);
+    }
+
+    // The error and Σ w are those of pass 1.
+    let estimate = |signal: Arc<Buffer>, keeper: Keeper| GpuEstimate {
+        signal,
+        error,
+        weight_sum: Lane { buffer: pass1.clone(), plane: 0, component: 3 },
+        selection: Some(selection),
+        kept: keeper.into_kept(),
+    };
+
     // Second pass filtering.
-    let Some(second_pass) = params.second_pass.filter(|_| color.has_halves) else {
-        return Ok(estimate(pass1.clone(), pass1, selection, keeper));
+    let Some(second_pass) = params.second_pass.filter(|_| plan.begins(rec, Step::SecondPass)) else {
+        return Ok(estimate(pass1.clone(), keeper));
     };
     let upper_bound = second_pass.clamp_to_input.then_some(&*variance);
     let left_variance = variance_smooth(rec, extent, &pass1, RESIDUAL_SMOOTHING, upper_bound)?;
     let filter = Auxiliary { window_radius: second_pass.window_radius(params.window_radius), patch_radius: second_pass.patch_radius, k: second_pass.color_k };
-    let guide = filter.guide(&pass1, &left_variance, 3);
-    let pass2 = nlm_filter(rec, extent, &guide, &Payload::new(&pass1, 2), filter.window_radius, weighting, false, schedule)?;
+    let guide = Guide { grey, exact: plan.exact(&Step::SecondPass), ..filter.guide(&pass1, &left_variance, 3) };
+    let payload = Payload { lanes: if grey { Lanes::Grey } else { Lanes::All }, ..Payload::new(&pass1, 2) };
+    let pass2 = nlm_filter(rec, extent, &guide, &payload, filter.window_radius, weighting, false, schedule)?;
     keeper.keep(Intermediate::Pass1, "pass1", &RGB, Unit::Color, &pass1, 0);
     let result = match second_pass.most_sigmas {
         Some(sigmas) => select_pass(rec, extent, &pass1, &pass2.planes, &variance, sigmas)?,
         None => pass2.planes,
     };
-    Ok(estimate(Arc::new(result), pass1, selection, keeper))
+    Ok(estimate(Arc::new(result), keeper))
 }
 
-/// The error and Σ w are those of pass 1.
-fn estimate(signal: Arc<Buffer>, pass1: Arc<Buffer>, selection: Arc<Buffer>, keeper: Keeper) -> GpuEstimate {
-    GpuEstimate {
-        signal,
-        error: Lane { buffer: selection.clone(), plane: 0, component: 3 },
-        weight_sum: Lane { buffer: pass1, plane: 0, component: 3 },
-        selection: Some(selection),
-        kept: keeper.into_kept(),
-    }
-}
-
-/// Prefilters each feature by itself (Algorithm 1 lines 4 to 10) and packs them for the candidates; features without any noise are taken as they are. Empty where there are
+/// Prefilters each feature by itself (Algorithm 1 lines 4 to 10) and packs them for the candidates; features without noise are taken as they are. Empty where there are
 /// none.
 ///
 /// `frames` holds the features of all frames of the window in time, the one to denoise first, and each is prefiltered with the help of all. Measured on three frames of
@@ -172,6 +199,7 @@ fn prefilter(
     rec: &mut Recorder,
     extent: IVec2,
     frames: Vec<Vec<GpuFeature>>,
+    plan: &Plan,
     weighting: Weighting,
     schedule: Schedule,
     keeper: &mut Keeper,
@@ -187,36 +215,44 @@ fn prefilter(
     order.sort_by_key(|index| slots[*index].single);
     for index in order {
         let features: Vec<&GpuFeature> = frames.iter().map(|features| &features[index]).collect();
-        let variances = features.iter().map(|feature| noise(rec, extent, &feature.signal)).collect::<Result<Vec<_>>>()?;
+        let step = Step::Prefilter(features[0].name.clone());
+        let exact = plan.exact(&step);
+        let has_noise = plan.begins(rec, step.clone());
+        let variances = features.iter().map(|feature| if has_noise { noise(rec, extent, &feature.signal) } else { Ok(None) }).collect::<Result<Vec<_>>>()?;
+        let mut prefiltered = Vec::new();
         for (frame, feature) in features.iter().enumerate() {
-            let GpuFeature { name, signal, channels } = feature;
+            let GpuFeature { signal, channels, .. } = feature;
             let others = || features.iter().zip(&variances).enumerate().filter(|(other, _)| *other != frame);
-            let (filtered, residual_variance) = match &variances[frame] {
+            prefiltered.push(match &variances[frame] {
                 Some(variance) => {
                     let beside: Vec<_> = others()
                         .filter_map(|(_, (other, variance))| Some(Beside { signal: &other.signal.signal, variance_of_mean: variance.as_ref()? }))
                         .collect();
                     let payloads: Vec<_> = beside.iter().map(|beside| beside.signal).collect();
-                    let guide = Guide { beside: &beside, ..PREFILTER.guide(&signal.signal, variance, *channels) };
-                    let payload = Payload { planes: &signal.signal, count: 2, beside: &payloads };
+                    let guide = Guide { beside: &beside, exact, ..PREFILTER.guide(&signal.signal, variance, *channels) };
+                    let lanes = if *channels == 1 { Lanes::First } else { Lanes::All };
+                    let payload = Payload { planes: &signal.signal, count: if signal.has_halves { 2 } else { 1 }, beside: &payloads, lanes };
                     let filtered = nlm_filter(rec, extent, &guide, &payload, PREFILTER.window_radius, weighting, !signal.has_halves, schedule)?;
                     let residual = match filtered.residual_variance {
                         Some(residual) => residual,
                         None => variance_smooth(rec, extent, &filtered.planes, RESIDUAL_SMOOTHING, None)?,
                     };
-                    (Arc::new(filtered.planes), residual)
+                    (Arc::new(filtered.planes), Some(Arc::new(residual)))
                 }
-                // The half spread is 0, so this is 0.
-                None => (signal.signal.clone(), variance_smooth(rec, extent, &signal.signal, RESIDUAL_SMOOTHING, None)?),
-            };
-            feature_pack(rec, extent, &packed[frame], slots[index], &filtered, &residual_variance)?;
-            if frame == 0 && keeper.wants(Intermediate::Features) {
-                let residual_variance = Arc::new(residual_variance);
-                let names = &["x", "y", "z"][..*channels as usize];
-                keeper.keep(Intermediate::Features, format!("{name}_prefiltered"), names, Unit::Feature(index), &filtered, 0);
-                keeper.keep(Intermediate::Features, format!("{name}_residual_variance"), names, Unit::FeatureSquared(index), &residual_variance, 0);
-            }
+                None => (signal.signal.clone(), None),
+            });
         }
+        plan.begins(rec, Step::Features);
+        for ((filtered, residual_variance), packed) in prefiltered.iter().zip(&packed) {
+            feature_pack(rec, extent, packed, slots[index], filtered, residual_variance.as_deref())?;
+        }
+        let (filtered, residual_variance) = &prefiltered[0];
+        let GpuFeature { name, signal, channels } = features[0];
+        let names = &["x", "y", "z"][..*channels as usize];
+        // Without noise, the half spread is 0 as well.
+        let (residual_variance, plane) = residual_variance.as_ref().map_or((&signal.signal, 1), |variance| (variance, 0));
+        keeper.keep(Intermediate::Features, format!("{name}_prefiltered"), names, Unit::Feature(index), filtered, 0);
+        keeper.keep(Intermediate::Features, format!("{name}_residual_variance"), names, Unit::FeatureSquared(index), residual_variance, plane);
     }
     Ok(packed)
 }
@@ -228,8 +264,9 @@ fn noise(rec: &mut Recorder, extent: IVec2, signal: &GpuSignal) -> Result<Option
 }
 
 /// Counted from [`dfc`]: what is dropped is used again.
-pub(super) fn footprint(params: &DfcParams, frame: &Frame, beside: usize, kept: bool, schedule: Schedule) -> Footprint {
-    let channels: Vec<u32> = frame.features().iter().map(|feature| feature.signal.mean.channels() as u32).collect();
+pub(super) fn footprint(params: &DfcParams, facts: &Facts, kept: bool, schedule: Schedule) -> Footprint {
+    let beside = facts.beside;
+    let channels: Vec<u32> = facts.features.iter().map(|feature| feature.channels).collect();
     let packed = 3 * u64::from(Packing::new(&channels).groups);
     // The colour's scaled variance.
     let input = uploaded_planes(channels.len()) + 1;

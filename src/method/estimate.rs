@@ -108,17 +108,36 @@ pub struct Lane {
     pub component: u32,
 }
 
+/// The shares of FIRST, SECOND and THIRD.
+#[derive(Clone, Debug)]
+pub enum Shares {
+    /// One plane, x, y and z.
+    Maps(Arc<Buffer>),
+    /// All is of the only one that took part, from 0.
+    Only(usize),
+}
+
+impl Shares {
+    /// The plane, where there is one.
+    pub(super) fn maps(&self) -> Option<&Buffer> {
+        match self {
+            Self::Maps(maps) => Some(maps),
+            Self::Only(_) => None,
+        }
+    }
+}
+
 /// What a method knows of the true image, on the GPU.
 #[derive(Debug)]
 pub struct GpuEstimate {
     /// The denoised signal: mean, behind it the half spread (0 without halves).
     pub signal: Arc<Buffer>,
-    /// The estimated squared error, summed over the channels. May be negative.
-    pub error: Lane,
+    /// The estimated squared error, summed over the channels. May be negative. `None` where the plan leaves it out.
+    pub error: Option<Lane>,
     /// How many pixels took part in a pixel's average.
     pub weight_sum: Lane,
-    /// One plane: the shares of FIRST, SECOND and THIRD, where the method has them.
-    pub selection: Option<Arc<Buffer>>,
+    /// The shares of FIRST, SECOND and THIRD, where the method has them.
+    pub selection: Option<Shares>,
     /// What was asked for.
     pub kept: Vec<KeptPlane>,
 }

@@ -11,6 +11,7 @@ use crate::gpu::{Buffer, Recorder};
 use crate::stage::sample::GpuSamples;
 
 use super::Strip;
+use super::plan::{Plan, Step};
 
 /// A noisy signal on the GPU.
 #[derive(Debug)]
@@ -70,8 +71,8 @@ impl<'a> Units<'a> {
 }
 
 impl GpuFrame {
-    /// Uploads the rows of a strip and its halo. `frame` has all features that `units` lists.
-    pub(crate) fn upload(rec: &mut Recorder, frame: &Frame, strip: &Strip, units: &Units) -> Result<Self> {
+    /// Uploads the rows of a strip and its halo: what the plan asks for. `frame` has all features that `units` lists.
+    pub(crate) fn upload(rec: &mut Recorder, frame: &Frame, strip: &Strip, units: &Units, plan: &Plan) -> Result<Self> {
         let mut features = Vec::with_capacity(units.features.len());
         for wanted in &units.features {
             let Some(feature) = frame.features().iter().find(|feature| feature.name == wanted.name) else { continue };
@@ -81,7 +82,8 @@ impl GpuFrame {
                 fixed: &feature.misses,
             };
             let channels = feature.signal.mean.channels() as u32;
-            features.push(GpuFeature { name: feature.name.clone(), signal: upload_signal(rec, &feature.name, &feature.signal, strip, map)?, channels });
+            let noise = if plan.runs(&Step::Prefilter(feature.name.clone())) { Noise::Told } else { Noise::Absent };
+            features.push(GpuFeature { name: feature.name.clone(), signal: upload_signal(rec, &feature.name, &feature.signal, strip, map, noise)?, channels });
         }
         let extent = IVec2::new(frame.extent().width as i32, strip.rows_with_halo() as i32);
         let samples = match frame.samples_per_pixel() {
@@ -94,7 +96,7 @@ impl GpuFrame {
                 GpuSamples::PerPixel(rec.upload("samples per pixel", &packed)?)
             }
         };
-        let color = upload_signal(rec, "colour", frame.color(), strip, Affine::scale(units.exposure))?;
+        let color = upload_signal(rec, "colour", frame.color(), strip, Affine::scale(units.exposure), Noise::Told)?;
         let mean_variance = mean_variance(frame.color()).map(|variance| variance * units.exposure * units.exposure);
         Ok(Self { extent, color, features, samples, mean_variance })
     }
@@ -119,16 +121,25 @@ impl Affine<'_> {
     }
 }
 
-fn upload_signal(rec: &mut Recorder, label: &str, signal: &Signal, strip: &Strip, map: Affine) -> Result<GpuSignal> {
+/// Whether what is known of a signal's noise is uploaded with it.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Noise {
+    Told,
+    /// It is 0, or nothing is known.
+    Absent,
+}
+
+fn upload_signal(rec: &mut Recorder, label: &str, signal: &Signal, strip: &Strip, map: Affine, noise: Noise) -> Result<GpuSignal> {
+    let [half_spread, variance] = [&signal.half_spread, &signal.variance_of_mean].map(|image| image.as_ref().filter(|_| noise == Noise::Told));
     let factor = map.factor;
     let pixels = strip.pixels(signal.mean.extent.width as usize);
     let mut packed = vec![0.0; pixels.len() * 8];
     let (mean, spread) = packed.split_at_mut(pixels.len() * 4);
     interleave(&signal.mean.planes, &pixels, map, mean);
-    if let Some(half_spread) = &signal.half_spread {
+    if let Some(half_spread) = half_spread {
         interleave(&half_spread.planes, &pixels, Affine::scale(factor), spread);
     }
-    let variance_of_mean = match &signal.variance_of_mean {
+    let variance_of_mean = match variance {
         None => None,
         Some(variance) => {
             let mut packed = vec![0.0; pixels.len() * 4];
@@ -136,7 +147,7 @@ fn upload_signal(rec: &mut Recorder, label: &str, signal: &Signal, strip: &Strip
             Some(Arc::new(rec.upload(&format!("variance of {label}"), &packed)?))
         }
     };
-    Ok(GpuSignal { signal: Arc::new(rec.upload(label, &packed)?), variance_of_mean, has_halves: signal.half_spread.is_some() })
+    Ok(GpuSignal { signal: Arc::new(rec.upload(label, &packed)?), variance_of_mean, has_halves: half_spread.is_some() })
 }
 
 /// Of the whole image, so that all strips agree.

@@ -7,6 +7,7 @@ use std::sync::Arc;
 use super::common::{SCALE_RADIUS, input_variance};
 use super::estimate::{GpuEstimate, Intermediate, Keeper, Lane, RGB, Unit};
 use super::memory::{Footprint, uploaded_planes};
+use super::plan::{Facts, Plan, Planner, Step, Wishes, impossible};
 use super::{GpuFrame, Method};
 use crate::error::Result;
 use crate::gpu::Recorder;
@@ -28,18 +29,20 @@ pub fn gem(
     rec: &mut Recorder,
     frame: GpuFrame,
     params: &GemParams,
-    wanted: &[Intermediate],
+    plan: &Plan,
     mut progress: impl FnMut(&mut Recorder, f32) -> Result<()>,
 ) -> Result<GpuEstimate> {
     let GpuFrame { extent, color, features, samples, .. } = frame;
     // A renderer may hand over some.
     drop(features);
-    let mut keeper = Keeper::new(wanted);
+    let mut keeper = Keeper::new(&plan.keep);
 
     // Mean variances of the pixels (eq. 6.3). Scaled by the halves, where there are any, they need no purely random samples.
+    plan.begins(rec, Step::Variance);
     let variance = input_variance(rec, extent, &color)?;
     keeper.keep(Intermediate::Variance, "scaled_variance", &RGB, Unit::ColorSquared, &variance, 0);
 
+    plan.begins(rec, Step::Scales);
     let (pixel, mut selected) = scale_pixel(rec, extent, &color.signal, &variance, &samples)?;
     drop((color, variance, samples));
     let sigmas = params.phase.sigmas();
@@ -64,7 +67,7 @@ pub fn gem(
     drop((finer, pixel));
 
     // Sample distribution (6.3): what the host ranks the pixels by, once it knows how many samples there will be.
-    if keeper.wants(Intermediate::Density) {
+    if plan.begins(rec, Step::Density) {
         let reduction = Arc::new(scale_reduction(rec, extent, &selected)?);
         keeper.keep(Intermediate::Density, "reduction", &["relative_mse", "support", "sigma"], Unit::Number, &reduction, 0);
     }
@@ -72,12 +75,21 @@ pub fn gem(
     let (signal, choice) = (Arc::new(signal), Arc::new(choice));
     keeper.keep(Intermediate::Scale, "scale", &["V"], Unit::Number, &choice, 0);
     Ok(GpuEstimate {
-        error: Lane { buffer: choice, plane: 0, component: 2 },
+        error: Some(Lane { buffer: choice, plane: 0, component: 2 }),
         weight_sum: Lane { buffer: signal.clone(), plane: 0, component: 3 },
         signal,
         selection: None,
         kept: keeper.into_kept(),
     })
+}
+
+/// The steps in the order of [`gem`]. Without variance its decisions are no less smoothed over the pixels around, so that a frame without noise is not simply copied.
+pub(super) fn plan(facts: &Facts, wishes: &Wishes) -> Plan {
+    let mut plan = Planner::new(wishes);
+    plan.variance(facts);
+    plan.step(Step::Scales, "from fine to coarse", &[]);
+    plan.step(Step::Density, "it is asked for", &[impossible(!wishes.keeps(Intermediate::Density), "it is not asked for")]);
+    plan.finish()
 }
 
 /// Counted from [`gem`]: what is dropped is used again.

@@ -1,9 +1,9 @@
 //! How an image is cut into strips of rows that fit: what a strip costs, and how far its result reaches into its neighbours.
 
-use super::Method;
+use super::{Facts, Method};
 use crate::error::{Error, Result};
-use crate::frame::Frame;
 use crate::gpu::Gpu;
+use crate::image::Extent;
 use crate::stage::PLANE_PIXEL_BYTES;
 use crate::stage::nlm::Schedule;
 
@@ -49,13 +49,13 @@ pub(super) fn uploaded_planes(features: usize) -> u64 {
     3 * (1 + features as u64) + 1
 }
 
-/// Cuts a frame into strips of which each, with the same rows of `beside` other frames, fits the adapter's binding limit and `max_memory` bytes.
+/// Cuts a frame into strips of which each, with the same rows of the frames beside it, fits the adapter's binding limit and `max_memory` bytes.
 ///
 /// # Errors
 /// [`Error::Device`] where not even one row with its halo fits.
-pub(crate) fn strips(gpu: &Gpu, frame: &Frame, method: &Method, beside: usize, kept: bool, schedule: Schedule, max_memory: Option<u64>) -> Result<Vec<Strip>> {
-    let (width, height) = (u64::from(frame.extent().width), frame.extent().height as usize);
-    let Footprint { halo, live_planes, largest_planes, scratch_bytes } = method.footprint(frame, beside, kept, schedule);
+pub(crate) fn strips(gpu: &Gpu, extent: Extent, method: &Method, facts: &Facts, kept: bool, schedule: Schedule, max_memory: Option<u64>) -> Result<Vec<Strip>> {
+    let (width, height) = (u64::from(extent.width), extent.height as usize);
+    let Footprint { halo, live_planes, largest_planes, scratch_bytes } = method.footprint(facts, kept, schedule);
     let row_bytes = width * PLANE_PIXEL_BYTES;
     let by_binding = gpu.max_binding_bytes() / (largest_planes * row_bytes);
     let by_memory = max_memory.map_or(u64::MAX, |limit| limit.saturating_sub(scratch_bytes) / (live_planes * row_bytes));

@@ -9,22 +9,24 @@ mod frame;
 pub mod gem;
 mod memory;
 pub mod nlm;
+pub mod plan;
 
 use serde::Serialize;
 
 use crate::error::{Error, Result};
-use crate::frame::Frame;
 use crate::gpu::Recorder;
 use crate::stage::nlm::Schedule;
 
 pub use dfc::DfcParams;
-pub use estimate::{GpuEstimate, Intermediate, KeptPlane, Lane, Unit};
+pub use estimate::{GpuEstimate, Intermediate, KeptPlane, Lane, Shares, Unit};
 pub(crate) use frame::Units;
 pub use frame::{GpuFeature, GpuFrame, GpuSignal};
 pub use gem::GemParams;
 use memory::Footprint;
 pub(crate) use memory::{Strip, strips};
 pub use nlm::NlmParams;
+pub(crate) use plan::{Facts, Wishes};
+pub use plan::{Plan, PlannedStep, Step};
 
 /// Which method, with its parameters.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -118,11 +120,20 @@ impl Method {
         }
     }
 
-    fn footprint(&self, frame: &Frame, beside: usize, kept: bool, schedule: Schedule) -> Footprint {
+    /// What it does for frames of which this is known.
+    pub(crate) fn plan(&self, facts: &Facts, wishes: &Wishes) -> Plan {
         match self {
-            Self::Dfc(params) => dfc::footprint(params, frame, beside, kept, schedule),
+            Self::Dfc(params) => dfc::plan(params, facts, wishes),
+            Self::Gem(_) => gem::plan(facts, wishes),
+            Self::Nlm(params) => nlm::plan(params, facts, wishes),
+        }
+    }
+
+    fn footprint(&self, facts: &Facts, kept: bool, schedule: Schedule) -> Footprint {
+        match self {
+            Self::Dfc(params) => dfc::footprint(params, facts, kept, schedule),
             Self::Gem(params) => gem::footprint(params, kept),
-            Self::Nlm(params) => nlm::footprint(params, beside, kept, schedule),
+            Self::Nlm(params) => nlm::footprint(params, facts.beside, kept, schedule),
         }
     }
 
@@ -145,13 +156,13 @@ impl Method {
         })
     }
 
-    /// Records the work on a frame, in a window with the frames `beside`, which are in its units. `progress` is called with the share of it that is recorded.
+    /// Records what the plan holds of the work on a frame, in a window with the frames `beside`, which are in its units. `progress` is called with the share of it that is recorded.
     pub(crate) fn record(
         &self,
         rec: &mut Recorder,
         frame: GpuFrame,
         beside: Vec<GpuFrame>,
-        wanted: &[Intermediate],
+        plan: &Plan,
         schedule: Schedule,
         progress: impl FnMut(&mut Recorder, f32) -> Result<()>,
     ) -> Result<GpuEstimate> {
@@ -165,9 +176,9 @@ impl Method {
             });
         }
         match self {
-            Self::Dfc(params) => dfc::dfc(rec, frame, beside, params, wanted, schedule, progress),
-            Self::Gem(params) => gem::gem(rec, frame, params, wanted, progress),
-            Self::Nlm(params) => nlm::nlm(rec, frame, beside, params, wanted, schedule, progress),
+            Self::Dfc(params) => dfc::dfc(rec, frame, beside, params, plan, schedule, progress),
+            Self::Gem(params) => gem::gem(rec, frame, params, plan, progress),
+            Self::Nlm(params) => nlm::nlm(rec, frame, beside, params, plan, schedule, progress),
         }
     }
 }

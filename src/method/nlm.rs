@@ -9,6 +9,7 @@ use glam::IVec2;
 use super::common::{SCALE_RADIUS, input_variance};
 use super::estimate::{GpuEstimate, Intermediate, Keeper, Lane, RGB, Unit};
 use super::memory::{Footprint, uploaded_planes};
+use super::plan::{Facts, Plan, Planner, Step, Wishes, impossible, needless};
 use super::{GpuFrame, GpuSignal, Method};
 use crate::error::{Error, Result};
 use crate::gpu::{Buffer, Recorder};
@@ -44,17 +45,17 @@ pub fn nlm(
     frame: GpuFrame,
     beside: Vec<GpuFrame>,
     params: &NlmParams,
-    wanted: &[Intermediate],
+    plan: &Plan,
     schedule: Schedule,
     mut progress: impl FnMut(&mut Recorder, f32) -> Result<()>,
 ) -> Result<GpuEstimate> {
     let extent = frame.extent;
     let has_halves = frame.color.has_halves;
-    let mut keeper = Keeper::new(wanted);
+    let mut keeper = Keeper::new(&plan.keep);
 
     // Variance estimation.
-    let Prepared { signal, variance, halves } = &Prepared::new(rec, frame, params, schedule)?;
-    let beside = beside.into_iter().map(|frame| Prepared::new(rec, frame, params, schedule)).collect::<Result<Vec<_>>>()?;
+    let Prepared { signal, variance, halves } = &Prepared::new(rec, frame, params, plan, schedule)?;
+    let beside = beside.into_iter().map(|frame| Prepared::new(rec, frame, params, plan, schedule)).collect::<Result<Vec<_>>>()?;
     keeper.keep(Intermediate::Variance, "variance_of_mean", &RGB, Unit::ColorSquared, variance, 0);
 
     // Dual-buffer filtering; without halves, and for comparison, the original with one buffer.
@@ -68,7 +69,7 @@ pub fn nlm(
             beside: &neighbours,
             ..Guide::new(buffers.guide, buffers.variance, 3, params.k, params.patch_radius)
         };
-        let payload = Payload { planes: buffers.payload, count: buffers.payload_planes, beside: &payloads };
+        let payload = Payload { beside: &payloads, ..Payload::new(buffers.payload, buffers.payload_planes) };
         nlm_filter(rec, extent, &guide, &payload, params.window_radius, params.weighting, with_residual_variance, schedule)
     };
     let mut filtered_with = |rec: &mut Recorder, beside: &[Prepared], from: f32, to: f32| {
@@ -90,34 +91,35 @@ pub fn nlm(
         Ok::<_, Error>(filtered)
     };
     // Weights from the other half do not depend on the noise of what they average, so that SURE is had for nothing. Of the whole, the share of the work on the own frame alone.
-    let guarded = params.guard_frames && !beside.is_empty() && halves.is_some() && params.weighting.centre == CentreWeight::One;
+    let guarded = plan.begins(rec, Step::FilterAlone);
     let share = if guarded { 1.0 / (beside.len() as f32 + 2.0) } else { 0.0 };
     let alone = guarded.then(|| filtered_with(rec, &[], 0.0, share)).transpose()?;
+    plan.begins(rec, Step::Filter);
     let filtered = filtered_with(rec, &beside, share, 1.0)?;
     if let Some(alone) = &alone {
+        plan.begins(rec, Step::Frames);
         select_frames_of_filtered(rec, extent, Noisy { signal, variance_of_mean: variance }, alone, &filtered, HARM)?;
     }
     drop((beside, alone));
 
     // Error estimation, and where the next samples pay (thesis 7.1.3).
-    let errors = error_halves(rec, extent, &filtered)?;
-    let errors = Arc::new(gaussian(rec, extent, &errors, 1, Gaussian::new(ERROR_SMOOTHING_SIGMA), Averaging::Mean)?);
-    keeper.keep(Intermediate::Density, "density", &["V"], Unit::Number, &errors, 0);
+    let mut error = None;
+    if plan.begins(rec, Step::Error) {
+        let errors = error_halves(rec, extent, &filtered)?;
+        let errors = Arc::new(gaussian(rec, extent, &errors, 1, Gaussian::new(ERROR_SMOOTHING_SIGMA), Averaging::Mean)?);
+        keeper.keep(Intermediate::Density, "density", &["V"], Unit::Number, &errors, 0);
+        error = Some(Lane { buffer: errors, plane: 0, component: 1 });
+    }
 
     let Filtered { planes, weights, .. } = filtered;
     let signal = Arc::new(planes);
     if keeper.wants(Intermediate::Halves) && has_halves {
+        plan.begins(rec, Step::Filter);
         let Halves { a, b, .. } = half_split(rec, extent, &signal, variance)?;
         keeper.keep(Intermediate::Halves, "half_a", &RGB, Unit::Color, &Arc::new(a), 0);
         keeper.keep(Intermediate::Halves, "half_b", &RGB, Unit::Color, &Arc::new(b), 0);
     }
-    Ok(GpuEstimate {
-        signal,
-        error: Lane { buffer: errors, plane: 0, component: 1 },
-        weight_sum: Lane { buffer: Arc::new(weights), plane: 0, component: 0 },
-        selection: None,
-        kept: keeper.into_kept(),
-    })
+    Ok(GpuEstimate { signal, error, weight_sum: Lane { buffer: Arc::new(weights), plane: 0, component: 0 }, selection: None, kept: keeper.into_kept() })
 }
 
 /// What one run of the filter takes from a frame.
@@ -138,8 +140,9 @@ struct Prepared {
 }
 
 impl Prepared {
-    fn new(rec: &mut Recorder, frame: GpuFrame, params: &NlmParams, schedule: Schedule) -> Result<Self> {
+    fn new(rec: &mut Recorder, frame: GpuFrame, params: &NlmParams, plan: &Plan, schedule: Schedule) -> Result<Self> {
         let GpuFrame { extent, color, features: _, samples, mean_variance } = frame;
+        plan.begins(rec, Step::Variance);
         let variance = match params.variance {
             NlmVariance::Scaled => scaled_variance(rec, extent, &color)?,
             NlmVariance::CrossFiltered => cross_filtered_variance(rec, extent, &color, params.weighting, schedule)?,
@@ -152,7 +155,7 @@ impl Prepared {
             }
         };
         let signal = sample_attach(rec, extent, &color.signal, &samples)?;
-        let halves = (params.dual_buffer && color.has_halves).then(|| half_split(rec, extent, &signal, &variance)).transpose()?;
+        let halves = plan.begins(rec, Step::Halves).then(|| half_split(rec, extent, &signal, &variance)).transpose()?;
         Ok(Self { signal, variance, halves })
     }
 }
@@ -183,6 +186,33 @@ impl From<NlmParams> for Method {
     fn from(params: NlmParams) -> Self {
         Self::Nlm(params)
     }
+}
+
+/// The steps in the order of [`nlm`]. A frame without noise is not simply copied: where a patch leaves the image, opposite neighbours that stand for each other get unequal weights,
+/// and what is exact moves.
+pub(super) fn plan(params: &NlmParams, facts: &Facts, wishes: &Wishes) -> Plan {
+    let mut plan = Planner::new(wishes);
+    let because = match params.variance {
+        NlmVariance::Uniform => "the mean of the image, everywhere",
+        NlmVariance::Scaled | NlmVariance::CrossFiltered => "what the filters judge differences by",
+    };
+    plan.step(Step::Variance, because, &[]);
+    let unless = [
+        impossible(!params.dual_buffer, "the parameters leave it out"),
+        impossible(!facts.has_halves, "the frame has none: it is filtered with its own weights"),
+    ];
+    let by_halves = plan.step(Step::Halves, "each is filtered with the weights of the other", &unless);
+    let guard = [
+        impossible(facts.beside == 0, "there are no frames beside"),
+        impossible(!params.guard_frames, "there is no guard"),
+        impossible(!by_halves || params.weighting.centre != CentreWeight::One, "the guard needs weights from the other half, and a centre of weight one"),
+    ];
+    plan.step(Step::FilterAlone, "to judge the frames beside by", &guard);
+    plan.step(Step::Filter, "makes the result", &[]);
+    plan.step(Step::Frames, "where they harm, frames beside are left out", &guard);
+    let unwanted = !wishes.error && !wishes.keeps(Intermediate::Density);
+    plan.step(Step::Error, "what the filtered halves, or weights, show", &[needless(unwanted, "neither the error nor the sampling density is wanted")]);
+    plan.finish()
 }
 
 /// Counted from [`nlm`]: what is dropped is used again.

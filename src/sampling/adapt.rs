@@ -183,11 +183,11 @@ pub fn uniform<S: Sampler, E: From<Error> + Send>(
 }
 
 /// What [`metric::relative_mse`] of the denoised image would be, without a reference: the estimated squared error over the denoised colour's square. Of DFC it is that of
-/// pass 1, and may be below 0 where little is left to estimate.
-pub fn estimated_relative_mse(estimate: &Estimate) -> f64 {
-    let error = &estimate.error.planes[0];
+/// pass 1, and may be below 0 where little is left to estimate. `None` of an estimate without its error.
+pub fn estimated_relative_mse(estimate: &Estimate) -> Option<f64> {
+    let error = &estimate.error.as_ref()?.planes[0];
     let square = |pixel: usize| estimate.color.planes.iter().map(|plane| f64::from(plane[pixel]).powi(2) + metric::RELATIVE_EPSILON).sum::<f64>();
-    error.iter().enumerate().map(|(pixel, &error)| f64::from(error) / square(pixel)).sum::<f64>() / error.len() as f64
+    Some(error.iter().enumerate().map(|(pixel, &error)| f64::from(error) / square(pixel)).sum::<f64>() / error.len() as f64)
 }
 
 impl SamplingMap {
@@ -224,7 +224,8 @@ fn draw<S: Sampler, E: From<Error> + Send>(
 fn denoise<E: From<Error>>(denoiser: &Denoiser, samples: &Samples, tell: impl FnMut(f32) -> std::result::Result<(), E>) -> std::result::Result<Estimate, E> {
     let (frame, _repairs) = samples.to_frame()?;
     let mut failed = None;
-    let estimate = denoiser.denoise_with(&frame, Options { keep: &[Intermediate::Density], progress: Some(&mut progress(&mut failed, tell)) });
+    let estimate =
+        denoiser.denoise_with(&frame, Options { keep: &[Intermediate::Density], progress: Some(&mut progress(&mut failed, tell)), ..Options::default() });
     estimate.map_err(|error| failed.unwrap_or_else(|| error.into()))
 }
 

@@ -4,6 +4,8 @@ use std::sync::Arc;
 
 use glam::{IVec2, Vec4};
 
+use super::candidate_set::CandidateSet;
+use super::exact::ExactTiles;
 use super::feature::{Features, MAX_GROUPS};
 use super::nlm::{Beside, Guide, NlmParams, Schedule, Weighting, for_each_chunk};
 use super::plane_bytes;
@@ -11,17 +13,21 @@ use crate::error::Result;
 use crate::gpu::{Buffer, Definition, Recorder, bindings, uniforms};
 
 uniforms! {
+    struct ResolveParams { candidate: i32 }
     struct CandidateParams { inverse_feature_k_squared: f32, feature_tau: f32, feature_tau_third: f32, triple_weights: [Vec4; MAX_GROUPS] }
 }
 
 bindings! {
     struct CandidateAccumulate<'a> {
         uniform params: NlmParams, uniform candidate: CandidateParams,
-        read columns, read signal, read variance_of_mean, write state, optional features,
+        optional columns, read signal, read variance_of_mean, write state, optional features,
         optional neighbours_signal, optional neighbours_variance, optional neighbours_features,
     }
     struct CandidateResolve<'a> {
-        uniform params: NlmParams, read signal, read variance_of_mean, read state, write first, write second, write third, write derivatives,
+        uniform params: NlmParams, uniform resolve: ResolveParams, read signal, read variance_of_mean, read state, write filtered, write derivatives,
+    }
+    struct CandidateResolveValue<'a> {
+        uniform params: NlmParams, uniform resolve: ResolveParams, read signal, read variance_of_mean, read state, write filtered,
     }
 }
 
@@ -61,23 +67,61 @@ pub struct CandidateBeside<'a> {
     pub features: Option<&'a Features>,
 }
 
+/// What is needed of the candidates, and what may be left out.
+#[derive(Clone, Copy, Debug)]
+pub struct Needed<'a> {
+    /// Those that are computed.
+    pub candidates: CandidateSet,
+    /// Their derivatives.
+    pub derivatives: bool,
+    /// Their half spreads, which are 0 otherwise.
+    pub half_spread: bool,
+    /// Where there are frames beside, the same over the own frame alone.
+    pub alone: bool,
+    /// The three channels of the colour are not all the same, in any frame.
+    pub channels: bool,
+    /// Tiles in which no pixel within reach has noise: there every candidate is the signal itself, with derivatives of 1.
+    pub exact: Option<&'a ExactTiles>,
+}
+
+impl Needed<'_> {
+    /// All there is.
+    pub const EVERYTHING: Self = Self { candidates: CandidateSet::ALL, derivatives: true, half_spread: true, alone: true, channels: true, exact: None };
+}
+
 /// The filtered candidates.
 #[derive(Debug)]
 pub struct Candidates {
-    /// Signals of FIRST, SECOND and THIRD; Σ w in the w of the mean.
-    pub signals: [Arc<Buffer>; 3],
+    /// Signals of FIRST, SECOND and THIRD, as far as they take part; Σ w in the w of the mean.
+    pub signals: [Option<Arc<Buffer>>; 3],
     /// Three planes: dF_i/du_i per channel, of FIRST, SECOND and THIRD.
-    pub derivatives: Arc<Buffer>,
+    pub derivatives: Option<Arc<Buffer>>,
 }
 
 impl Candidates {
-    fn take(rec: &mut Recorder, extent: IVec2) -> Result<Self> {
-        let signals = [
-            Arc::new(rec.take("FIRST", plane_bytes(extent, 2))?),
-            Arc::new(rec.take("SECOND", plane_bytes(extent, 2))?),
-            Arc::new(rec.take("THIRD", plane_bytes(extent, 2))?),
-        ];
-        Ok(Self { signals, derivatives: Arc::new(rec.take("derivatives", plane_bytes(extent, 3))?) })
+    fn take(rec: &mut Recorder, extent: IVec2, needed: &Needed) -> Result<Self> {
+        let mut signals = [None, None, None];
+        for (signal, (name, takes_part)) in signals.iter_mut().zip(["FIRST", "SECOND", "THIRD"].into_iter().zip(needed.candidates.flags())) {
+            *signal = if takes_part { Some(Arc::new(rec.take(name, plane_bytes(extent, 2))?)) } else { None };
+        }
+        let derivatives = if needed.derivatives { Some(Arc::new(rec.take("derivatives", plane_bytes(extent, 3))?)) } else { None };
+        Ok(Self { signals, derivatives })
+    }
+
+    /// Those that take part.
+    pub fn set(&self) -> CandidateSet {
+        let [first, second, third] = self.signals.each_ref().map(Option::is_some);
+        CandidateSet { first, second, third }
+    }
+
+    /// The place of the first one that takes part, from 0, and its signal.
+    pub(crate) fn first_of_all(&self) -> Option<(usize, &Arc<Buffer>)> {
+        self.signals.iter().enumerate().find_map(|(place, signal)| Some((place, signal.as_ref()?)))
+    }
+
+    /// The buffers of those that take part.
+    pub(super) fn buffers(&self) -> [Option<&Buffer>; 3] {
+        self.signals.each_ref().map(Option::as_deref)
     }
 }
 
@@ -89,7 +133,7 @@ pub(crate) const CANDIDATE_PLANES: u64 = 9;
 pub struct CandidatesInTime {
     /// Over all frames.
     pub together: Candidates,
-    /// Over the own frame, where there are others.
+    /// Over the own frame, where there are others and it is wanted.
     pub alone: Option<Candidates>,
 }
 
@@ -106,27 +150,41 @@ pub fn candidates(
     features: Option<&Features>,
     beside: &[CandidateBeside],
     filter: &CandidateFilter,
+    needed: Needed,
     schedule: Schedule,
     mut progress: impl FnMut(&mut Recorder, f32) -> Result<()>,
 ) -> Result<CandidatesInTime> {
-    let together = Candidates::take(rec, extent)?;
-    let alone = (!beside.is_empty()).then(|| Candidates::take(rec, extent)).transpose()?;
+    let together = Candidates::take(rec, extent, &needed)?;
+    let alone = (!beside.is_empty() && needed.alone).then(|| Candidates::take(rec, extent, &needed)).transpose()?;
     let neighbours: Vec<_> = beside.iter().map(|frame| Beside { signal: frame.signal, variance_of_mean: frame.variance_of_mean }).collect();
+    let CandidateSet { first: with_first, second: with_second, .. } = needed.candidates;
+    let patch_radius = if with_second { filter.second_patch_radius } else { filter.first_patch_radius };
     let guide = Guide {
-        small_patch_radius: Some(filter.first_patch_radius),
+        small_patch_radius: (with_first && with_second).then_some(filter.first_patch_radius),
         beside: &neighbours,
-        ..Guide::new(signal, variance_of_mean, 3, filter.color_k, filter.second_patch_radius)
+        grey: !needed.channels,
+        exact: needed.exact,
+        ..Guide::new(signal, variance_of_mean, 3, filter.color_k, patch_radius)
     };
+    // THIRD knows no colours.
+    let by_color = with_first || with_second;
     let groups = features.map_or(0, |features| features.packing.groups);
     let [symmetric, hard] = filter.weighting.symmetric.definitions();
-    let (first, second) = (filter.first_patch_radius as i32, filter.second_patch_radius as i32);
+    let [takes_part_first, takes_part_second, takes_part_third] = needed.candidates.definitions();
     let definitions = |other_frame: bool, near: bool| {
         [
             ("OTHER_FRAME", Definition::from(other_frame)),
             ("NEAR", near.into()),
             schedule.pixels_definition(),
-            ("PATCH_RADIUS", Definition::Int(second)),
-            ("SMALL_PATCH_RADIUS", Definition::Int(first)),
+            ("PATCH_RADIUS", Definition::Int(patch_radius as i32)),
+            ("SMALL_PATCH_RADIUS", Definition::Int(filter.first_patch_radius as i32)),
+            ("COLOR", by_color.into()),
+            takes_part_first,
+            takes_part_second,
+            takes_part_third,
+            ("DERIVATIVES", needed.derivatives.into()),
+            ("HALVES", needed.half_spread.into()),
+            ("GREY", guide.grey.into()),
             ("FEATURE_GROUPS", Definition::Int(groups as i32)),
             symmetric,
             hard,
@@ -138,22 +196,25 @@ pub fn candidates(
         feature_tau_third: filter.feature_tau_third,
         triple_weights: features.map_or([Vec4::ZERO; MAX_GROUPS], |features| features.packing.triple_weights()),
     };
-    let mut state = None;
-    for_each_chunk(rec, extent, &guide, filter.window_radius, filter.weighting, schedule, |rec, chunk| {
+    let mut state: Option<Buffer> = None;
+    for_each_chunk(rec, extent, &guide, by_color, filter.window_radius, filter.weighting, schedule, |rec, chunk| {
         let params = chunk.params;
-        // The first strip is the highest.
+        if params.starts != 0 {
+            // Before the next is taken, this one is given back.
+            state = None;
+        }
         let state = match &mut state {
             Some(state) => state,
-            None => state.insert(rec.take("candidate sums", plane_bytes(IVec2::new(extent.x, params.rows), STATE_PLANES))?),
+            None => state.insert(rec.take("candidate sums", plane_bytes(IVec2::new(params.width, params.rows), STATE_PLANES))?),
         };
         let beside = chunk.beside.map(|index| beside[index]);
         // Only in the nearest rows do patches hold pixels of their own pair; in a frame beside none does.
-        let near = beside.is_none() && params.first_offset.y <= first.max(second);
+        let near = beside.is_none() && params.first_offset.y <= patch_radius as i32;
         let accumulate = rec.gpu().kernel::<CandidateAccumulate>("candidate_accumulate", &definitions(beside.is_some(), near))?;
         let bound = CandidateAccumulate {
             params,
             candidate,
-            columns: chunk.columns,
+            columns: by_color.then_some(chunk.columns),
             signal,
             variance_of_mean,
             state,
@@ -162,18 +223,34 @@ pub fn candidates(
             neighbours_variance: beside.map(|frame| frame.variance_of_mean),
             neighbours_features: beside.and_then(|frame| frame.features).map(|features| &features.buffer),
         };
-        rec.dispatch(&accumulate, &bound, schedule.per_row_of_pixels(extent, params.rows))?;
+        rec.dispatch(&accumulate, &bound, schedule.per_row_of_pixels(&params))?;
         // The sums over the own frame are whole before those over the others begin.
         let complete = if chunk.last { Some(&together) } else { alone.as_ref().filter(|_| beside.is_none() && chunk.ends_frame) };
-        if let Some(Candidates { signals: [first, second, third], derivatives }) = complete {
-            let resolve = rec.gpu().kernel::<CandidateResolve>("candidate_resolve", &[])?;
-            let bound = CandidateResolve { params, signal, variance_of_mean, state, first, second, third, derivatives };
-            rec.dispatch(&resolve, &bound, [extent.x as u32, params.rows as u32, 1])?;
+        for (candidate, filtered) in (0..).zip(complete.iter().flat_map(|complete| complete.buffers())) {
+            let Some(filtered) = filtered else { continue };
+            let definitions = [("THIRD", (candidate == 2).into()), ("DERIVATIVES", needed.derivatives.into())];
+            let (resolve, invocations) = (ResolveParams { candidate }, [params.width as u32, params.rows as u32, 1]);
+            match complete.and_then(|complete| complete.derivatives.as_deref()) {
+                Some(derivatives) => {
+                    let kernel = rec.gpu().kernel::<CandidateResolve>("candidate_resolve", &definitions)?;
+                    rec.dispatch(&kernel, &CandidateResolve { params, resolve, signal, variance_of_mean, state, filtered, derivatives }, invocations)?;
+                }
+                None => {
+                    let kernel = rec.gpu().kernel::<CandidateResolveValue>("candidate_resolve", &definitions)?;
+                    rec.dispatch(&kernel, &CandidateResolveValue { params, resolve, signal, variance_of_mean, state, filtered }, invocations)?;
+                }
+            }
         }
         if chunk.last {
-            progress(rec, (params.first_row + params.rows) as f32 / extent.y as f32)?;
+            progress(rec, chunk.done)?;
         }
         Ok(())
     })?;
+    if let Some(exact) = needed.exact {
+        for candidates in std::iter::once(&together).chain(&alone) {
+            candidates.signals.iter().flatten().try_for_each(|candidate| exact.copy_signal(rec, extent, signal, candidate))?;
+            candidates.derivatives.iter().try_for_each(|derivatives| exact.fill(rec, extent, derivatives, 3, true))?;
+        }
+    }
     Ok(CandidatesInTime { together, alone })
 }

@@ -14,18 +14,23 @@ uniforms! {
     struct ErrorHalvesParams { extent: IVec2, relative_floor: f32 }
 }
 bindings! {
-    struct ErrorSure<'a> { uniform params: SureParams, read signal, read variance_of_mean, read first, read second, read third, read derivatives, write errors }
+    struct ErrorSure<'a> {
+        uniform params: SureParams, read signal, read variance_of_mean, optional first, optional second, optional third, optional derivatives, write errors,
+    }
     struct ErrorHalves<'a> { uniform params: ErrorHalvesParams, read signal, read weights, write errors, optional residual_variance }
 }
 
 /// Stein's unbiased risk estimate of the three candidates (eq. 8.5), summed over the channels, in the square of the colour's unit; may be negative. One plane, x:
-/// FIRST, y: SECOND, z: THIRD.
+/// FIRST, y: SECOND, z: THIRD; 0 for those that take no part.
+///
+/// # Errors
+/// Those of recording; [`Error::Shader`](crate::error::Error::Shader) where the candidates come without derivatives.
 pub fn error_sure(rec: &mut Recorder, extent: IVec2, signal: &Buffer, variance_of_mean: &Buffer, candidates: &Candidates) -> Result<Buffer> {
     let errors = rec.take("SURE", plane_bytes(extent, 1))?;
-    let [first, second, third] = &candidates.signals;
-    let kernel = rec.gpu().kernel::<ErrorSure>("error_sure", &[])?;
+    let [first, second, third] = candidates.buffers();
+    let kernel = rec.gpu().kernel::<ErrorSure>("error_sure", &candidates.set().definitions())?;
     let params = SureParams { extent };
-    let bound = ErrorSure { params, signal, variance_of_mean, first, second, third, derivatives: &candidates.derivatives, errors: &errors };
+    let bound = ErrorSure { params, signal, variance_of_mean, first, second, third, derivatives: candidates.derivatives.as_deref(), errors: &errors };
     rec.dispatch(&kernel, &bound, per_pixel(extent))?;
     Ok(errors)
 }

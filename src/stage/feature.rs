@@ -7,7 +7,7 @@ use crate::error::Result;
 use crate::gpu::{Buffer, Recorder, bindings, uniforms};
 
 uniforms! { struct FeaturePackParams { extent: IVec2, group: i32, single: i32 } }
-bindings! { struct FeaturePack<'a> { uniform params: FeaturePackParams, read filtered, read residual_variance, write features } }
+bindings! { struct FeaturePack<'a> { uniform params: FeaturePackParams, read filtered, optional residual_variance, write features } }
 
 /// Groups that the shaders hold parameters for; as many features of three channels fit.
 pub const MAX_GROUPS: usize = 8;
@@ -82,10 +82,10 @@ impl Features {
     }
 }
 
-/// Writes one prefiltered feature (unit range, first plane of `filtered`) and its residual variance to its slot, with its squared gradient: per axis the smaller of
-/// the two one-sided differences over half a pixel.
-pub fn feature_pack(rec: &mut Recorder, extent: IVec2, features: &Features, slot: Slot, filtered: &Buffer, residual_variance: &Buffer) -> Result<()> {
+/// Writes one prefiltered feature (unit range, first plane of `filtered`) and its residual variance, if it has noise, to its slot, with its squared gradient: per axis the
+/// smaller of the two one-sided differences over half a pixel.
+pub fn feature_pack(rec: &mut Recorder, extent: IVec2, features: &Features, slot: Slot, filtered: &Buffer, residual_variance: Option<&Buffer>) -> Result<()> {
     let params = FeaturePackParams { extent, group: slot.group as i32, single: i32::from(slot.single) };
-    let kernel = rec.gpu().kernel::<FeaturePack>("feature_pack", &[])?;
+    let kernel = rec.gpu().kernel::<FeaturePack>("feature_pack", &[("NOISY", residual_variance.is_some().into())])?;
     rec.dispatch(&kernel, &FeaturePack { params, filtered, residual_variance, features: &features.buffer }, per_pixel(extent))
 }

@@ -4,7 +4,9 @@
 //! ([`Signal::half_spread`](crate::frame::Signal::half_spread)).
 
 pub mod candidate;
+pub mod candidate_set;
 pub mod error;
+pub mod exact;
 pub mod feature;
 pub mod gaussian;
 pub mod half;

@@ -3,6 +3,7 @@
 use glam::IVec2;
 use serde::Serialize;
 
+use super::exact::{ExactTiles, Region};
 use super::plane_bytes;
 use crate::error::Result;
 use crate::gpu::{Buffer, Definition, Gpu, Recorder, bindings, uniforms};
@@ -10,6 +11,8 @@ use crate::gpu::{Buffer, Definition, Gpu, Recorder, bindings, uniforms};
 uniforms! {
     pub(super) struct NlmParams {
         pub(super) extent: IVec2,
+        pub(super) first_column: i32,
+        pub(super) width: i32,
         pub(super) first_row: i32,
         pub(super) rows: i32,
         pub(super) first_offset: IVec2,
@@ -94,6 +97,8 @@ pub struct Schedule {
     pub offset_rows: u32,
     /// Pixels in a row that one invocation of the filters does at a time.
     pub pixels: u32,
+    /// Pixels whose work costs as much as the dispatches for a rectangle of its own, where parts of an image are left out.
+    pub region_pixels: u32,
 }
 
 impl Schedule {
@@ -103,19 +108,28 @@ impl Schedule {
     }
 
     /// For a processor: scratch that stays in its caches, and blocks in registers, for loads are what costs.
-    pub const SOFTWARE: Self = Self { scratch_bytes: 8 << 20, block_rows: 32, offset_rows: 2, pixels: 4 };
+    pub const SOFTWARE: Self = Self { scratch_bytes: 8 << 20, block_rows: 32, offset_rows: 2, pixels: 4, region_pixels: 512 };
 
     /// For a graphics card: enough pixels at a time to fill it, and few registers for each.
-    pub const HARDWARE: Self = Self { scratch_bytes: 256 << 20, block_rows: 16, offset_rows: 1, pixels: 1 };
+    pub const HARDWARE: Self = Self { scratch_bytes: 256 << 20, block_rows: 16, offset_rows: 1, pixels: 1, region_pixels: 1 << 16 };
 
-    /// Invocations of a filter over so many rows.
-    pub(super) fn per_row_of_pixels(&self, extent: IVec2, rows: i32) -> [u32; 3] {
-        [(extent.x as u32).div_ceil(self.pixels), rows as u32, 1]
+    /// Invocations of a filter over the pixels of a dispatch.
+    pub(super) fn per_row_of_pixels(&self, params: &NlmParams) -> [u32; 3] {
+        [(params.width as u32).div_ceil(self.pixels), params.rows as u32, 1]
     }
 
     /// What tells the filters how many pixels they do at a time.
     pub(super) fn pixels_definition(&self) -> (&'static str, Definition) {
         ("PIXELS", Definition::Int(self.pixels as i32))
+    }
+
+    /// The parts of an image that the work is done for, and how it is cut there.
+    fn regions(&self, gpu: &Gpu, extent: IVec2, window_radius: i32, guide: &Guide) -> Vec<(Region, Cut)> {
+        let regions = match guide.exact {
+            Some(exact) => exact.regions(extent, REGION_CELL, guide.patch_radius as i32, self.region_pixels.into()),
+            None => vec![Region { first: IVec2::ZERO, size: extent }],
+        };
+        regions.into_iter().map(|region| (region, self.cut(gpu, region.size, window_radius, guide))).collect()
     }
 
     /// How work on images of this width is cut.
@@ -141,6 +155,9 @@ impl Schedule {
         Cut { stride, margin, rows, offsets: IVec2::new(planes.min(side), offset_rows), patch_sizes: patch_sizes as u32 }
     }
 }
+
+/// What rectangles are made of, in pixels: as wide as a vector of invocations of some pixels each.
+const REGION_CELL: IVec2 = IVec2::new(32, 16);
 
 /// What one dispatch works on.
 struct Cut {
@@ -200,12 +217,29 @@ pub struct Guide<'a> {
     pub cut: f32,
     /// Frames beside this one that neighbours are taken from too.
     pub beside: &'a [Beside<'a>],
+    /// All of its channels are the same, in the values and in the variance, in any frame.
+    pub grey: bool,
+    /// Tiles in which no pixel within the reach of the filter has noise, in any frame: there everything stays as it is.
+    pub exact: Option<&'a ExactTiles>,
 }
 
 impl<'a> Guide<'a> {
     /// Plain patches of one size in one frame: α is 1, every weight counts.
     pub fn new(signal: &'a Buffer, variance_of_mean: &'a Buffer, channels: u32, k: f32, patch_radius: u32) -> Self {
-        Self { signal, variance_of_mean, channels, k, alpha: 1.0, patch_radius, small_patch_radius: None, patchwise: false, cut: 0.0, beside: &[] }
+        Self {
+            signal,
+            variance_of_mean,
+            channels,
+            k,
+            alpha: 1.0,
+            patch_radius,
+            small_patch_radius: None,
+            patchwise: false,
+            cut: 0.0,
+            beside: &[],
+            grey: false,
+            exact: None,
+        }
     }
 }
 
@@ -230,14 +264,18 @@ pub(super) struct Chunk<'a> {
     pub(super) ends_frame: bool,
     /// Nor in the frames after it.
     pub(super) last: bool,
+    /// Which share of all pixels is done with it.
+    pub(super) done: f32,
 }
 
 /// Runs `nlm_distance`, and for a patchwise guide `nlm_weight`, chunk by chunk and hands each to `consume`, strips from top to bottom, all chunks of a strip before the next,
-/// those of the frame itself first.
+/// those of the frame itself first. A filter that knows no distances goes through the same chunks.
+#[expect(clippy::too_many_arguments, reason = "they are the operator's definition; a struct would only rename them")]
 pub(super) fn for_each_chunk(
     rec: &mut Recorder,
     extent: IVec2,
     guide: &Guide,
+    with_distances: bool,
     window_radius: u32,
     weighting: Weighting,
     schedule: Schedule,
@@ -245,14 +283,19 @@ pub(super) fn for_each_chunk(
 ) -> Result<()> {
     let radius = window_radius as i32;
     let patch_radius = guide.patch_radius as i32;
-    let cut = schedule.cut(rec.gpu(), extent, radius, guide);
-    let margin = cut.margin;
-    let columns = rec.take("column sums of distances", cut.scratch_bytes(margin) * u64::from(cut.patch_sizes))?;
-    let weight_columns = guide.patchwise.then(|| rec.take("column sums of weights", cut.scratch_bytes(0))).transpose()?;
+    let regions = schedule.regions(rec.gpu(), extent, radius, guide);
+    let largest = |bytes: &dyn Fn(&Cut) -> u64| regions.iter().map(|(_, cut)| bytes(cut)).max().unwrap_or(0);
+    let columns = rec.take("column sums of distances", largest(&|cut| cut.scratch_bytes(cut.margin) * u64::from(cut.patch_sizes)))?;
+    let weight_columns = guide.patchwise.then(|| rec.take("column sums of weights", largest(&|cut| cut.scratch_bytes(0)))).transpose()?;
     let itself = Beside { signal: guide.signal, variance_of_mean: guide.variance_of_mean };
     let frames: Vec<_> = std::iter::once((None, itself)).chain(guide.beside.iter().enumerate().map(|(index, frame)| (Some(index), *frame))).collect();
-    for first_row in (0..extent.y).step_by(cut.rows as usize) {
-        let rows = cut.rows.min(extent.y - first_row);
+    let strips = regions.iter().flat_map(|(region, cut)| (0..region.size.y).step_by(cut.rows as usize).map(move |row| (region, cut, row)));
+    let all_pixels = regions.iter().map(|(region, _)| region.size.element_product()).sum::<i32>() as f32;
+    let mut pixels_done = 0;
+    for (region, cut, row) in strips {
+        let (first_row, rows) = (region.first.y + row, cut.rows.min(region.size.y - row));
+        let margin = cut.margin;
+        pixels_done += region.size.x * rows;
         for (place, (beside, neighbours)) in frames.iter().enumerate() {
             let rectangles = cut.rectangles(radius, beside.is_some());
             for (index, (first_offset, offsets)) in rectangles.iter().copied().enumerate() {
@@ -260,6 +303,8 @@ pub(super) fn for_each_chunk(
                 let last = ends_frame && place + 1 == frames.len();
                 let params = NlmParams {
                     extent,
+                    first_column: region.first.x,
+                    width: region.size.x,
                     first_row,
                     rows,
                     first_offset,
@@ -282,15 +327,19 @@ pub(super) fn for_each_chunk(
                     ("PATCH_RADIUS", Definition::Int(patch_radius)),
                     ("SMALL_PATCH_RADIUS", Definition::Int(guide.small_patch_radius.map_or(-1, |small| small as i32))),
                     ("OFFSET_ROWS", Definition::Int(offset_rows as i32)),
+                    ("ONE_CHANNEL", (guide.channels == 1).into()),
+                    ("GREY", guide.grey.into()),
                     // How the distances to both are used does not matter here.
                     ("SYMMETRIC", (weighting.symmetric != Symmetry::Off).into()),
                 ];
-                let kernel = rec.gpu().kernel::<NlmDistance>("nlm_distance", &definitions)?;
-                let Beside { signal: neighbours, variance_of_mean: neighbours_variance } = *neighbours;
-                let (guide, variance_of_mean) = (guide.signal, guide.variance_of_mean);
-                let bound = NlmDistance { params: with_margin, guide, variance_of_mean, neighbours, neighbours_variance, columns: &columns };
                 let planes = (offsets.x * offsets.y) as u32;
-                rec.dispatch(&kernel, &bound, [cut.stride as u32, blocks(with_margin.rows), planes / offset_rows])?;
+                if with_distances {
+                    let kernel = rec.gpu().kernel::<NlmDistance>("nlm_distance", &definitions)?;
+                    let Beside { signal: neighbours, variance_of_mean: neighbours_variance } = *neighbours;
+                    let (guide, variance_of_mean) = (guide.signal, guide.variance_of_mean);
+                    let bound = NlmDistance { params: with_margin, guide, variance_of_mean, neighbours, neighbours_variance, columns: &columns };
+                    rec.dispatch(&kernel, &bound, [cut.stride as u32, blocks(with_margin.rows), planes / offset_rows])?;
+                }
                 if let Some(weight_columns) = &weight_columns {
                     let [symmetric, hard] = weighting.symmetric.definitions();
                     let definitions = [("PATCH_RADIUS", Definition::Int(patch_radius)), schedule.pixels_definition(), symmetric, hard];
@@ -298,7 +347,17 @@ pub(super) fn for_each_chunk(
                     let invocations = [(cut.stride as u32).div_ceil(schedule.pixels), blocks(rows), planes];
                     rec.dispatch(&kernel, &NlmWeight { params, columns: &columns, weight_columns }, invocations)?;
                 }
-                consume(rec, &Chunk { params, columns: weight_columns.as_ref().unwrap_or(&columns), beside: *beside, ends_frame, last })?;
+                consume(
+                    rec,
+                    &Chunk {
+                        params,
+                        columns: weight_columns.as_ref().unwrap_or(&columns),
+                        beside: *beside,
+                        ends_frame,
+                        last,
+                        done: pixels_done as f32 / all_pixels,
+                    },
+                )?;
             }
         }
     }
@@ -314,12 +373,25 @@ pub struct Payload<'a> {
     pub count: u32,
     /// The same of each frame beside the guide.
     pub beside: &'a [&'a Buffer],
+    /// What of each plane there is to average.
+    pub lanes: Lanes,
+}
+
+/// What a plane holds.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Lanes {
+    /// Four numbers per pixel.
+    All,
+    /// One, in x; the others are 0.
+    First,
+    /// The same in x, y and z; w does not matter, and becomes 0.
+    Grey,
 }
 
 impl<'a> Payload<'a> {
     /// Of one frame alone.
     pub fn new(planes: &'a Buffer, count: u32) -> Self {
-        Self { planes, count, beside: &[] }
+        Self { planes, count, beside: &[], lanes: Lanes::All }
     }
 }
 
@@ -353,15 +425,17 @@ pub fn nlm_filter(
     let definitions = [
         ("PATCH_RADIUS", Definition::Int(guide.patch_radius as i32)),
         ("PAYLOAD_PLANES", Definition::Int(payload.count as i32)),
+        ("ONE_LANE", (payload.lanes != Lanes::All).into()),
+        ("GREY", (payload.lanes == Lanes::Grey).into()),
         schedule.pixels_definition(),
         ("PATCHWISE", guide.patchwise.into()),
         symmetric,
         hard,
         ("RESIDUAL", with_residual_variance.into()),
     ];
-    for_each_chunk(rec, extent, guide, window_radius, weighting, schedule, |rec, chunk| {
+    for_each_chunk(rec, extent, guide, true, window_radius, weighting, schedule, |rec, chunk| {
         let (params, columns) = (chunk.params, chunk.columns);
-        let invocations = schedule.per_row_of_pixels(extent, params.rows);
+        let invocations = schedule.per_row_of_pixels(&params);
         let (filtered, weights, variance_of_mean) = (&planes, &weights, guide.variance_of_mean);
         let neighbours = chunk.beside.map_or(payload.planes, |index| payload.beside[index]);
         let neighbours_variance = chunk.beside.map_or(variance_of_mean, |index| guide.beside[index].variance_of_mean);
@@ -379,5 +453,10 @@ pub fn nlm_filter(
             }
         }
     })?;
+    if let Some(exact) = guide.exact {
+        exact.copy(rec, extent, payload.planes, &planes, payload.count)?;
+        exact.fill(rec, extent, &weights, 1, true)?;
+        residual_variance.iter().try_for_each(|variance| exact.fill(rec, extent, variance, 1, false))?;
+    }
     Ok(Filtered { planes, weights, residual_variance })
 }

@@ -7,7 +7,7 @@ use serde::Serialize;
 use super::candidate::Candidates;
 use super::nlm::Filtered;
 use super::{per_pixel, plane_bytes};
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::gpu::{Buffer, Recorder, bindings, uniforms};
 
 uniforms! {
@@ -19,7 +19,7 @@ uniforms! {
 }
 
 bindings! {
-    struct SelectLeast<'a> { uniform params: SelectLeastParams, read errors, read derivatives, write selected }
+    struct SelectLeast<'a> { uniform params: SelectLeastParams, read errors, optional derivatives, write selected }
     struct SelectFrames<'a> {
         uniform params: SelectFramesParams, read signal, read variance_of_mean, read alone, read alone_derivatives, write together, write derivatives,
     }
@@ -28,14 +28,16 @@ bindings! {
         uniform params: SelectShareParams,
         read selected, read errors, optional sure, optional variance_of_mean, optional first, optional second, optional third, write selection,
     }
-    struct SelectBlend<'a> { uniform params: SelectBlendParams, read shares, read first, read second, read third, write blended }
+    struct SelectBlend<'a> { uniform params: SelectBlendParams, read shares, optional first, optional second, optional third, write blended }
 }
 
 /// Binary selection maps: 1 for the candidate with the least smoothed error, 0 for the others. On ties the later, more robust one wins; FIRST may win only where its
-/// mean derivative is below SECOND's; an error that is not finite cannot win. One plane, x: FIRST, y: SECOND, z: THIRD.
-pub fn select_least(rec: &mut Recorder, extent: IVec2, errors: &Buffer, derivatives: &Buffer) -> Result<Buffer> {
+/// mean derivative is below SECOND's, if both take part; an error that is not finite cannot win. One plane, x: FIRST, y: SECOND, z: THIRD.
+pub fn select_least(rec: &mut Recorder, extent: IVec2, errors: &Buffer, candidates: &Candidates) -> Result<Buffer> {
     let selected = rec.take("binary selection maps", plane_bytes(extent, 1))?;
-    let kernel = rec.gpu().kernel::<SelectLeast>("select_least", &[])?;
+    let takes_part = candidates.set();
+    let kernel = rec.gpu().kernel::<SelectLeast>("select_least", &takes_part.definitions())?;
+    let derivatives = candidates.derivatives.as_deref().filter(|_| takes_part.first && takes_part.second);
     let bound = SelectLeast { params: SelectLeastParams { extent }, errors, derivatives, selected: &selected };
     rec.dispatch(&kernel, &bound, per_pixel(extent))?;
     Ok(selected)
@@ -81,10 +83,18 @@ pub struct Noisy<'a> {
 
 /// Of candidates that were filtered over several frames, replaces in `together` what the pixel's own SURE says is worse than over its frame alone.
 pub fn select_frames(rec: &mut Recorder, extent: IVec2, noisy: Noisy, alone: &Candidates, together: &Candidates, harm: Harm) -> Result<()> {
-    for (candidate, signals) in (0..).zip(alone.signals.iter().zip(&together.signals)) {
-        select_frames_of_one(rec, extent, noisy, [signals.0, &alone.derivatives], [signals.1, &together.derivatives], Some(candidate), harm)?;
+    let derivatives = [alone, together].map(|candidates| candidates.derivatives.as_deref());
+    let [Some(of_alone), Some(of_together)] = derivatives else { return Err(without_derivatives()) };
+    for (candidate, signals) in (0..).zip(alone.buffers().into_iter().zip(together.buffers())) {
+        if let (Some(alone), Some(together)) = signals {
+            select_frames_of_one(rec, extent, noisy, [alone, of_alone], [together, of_together], Some(candidate), harm)?;
+        }
     }
     Ok(())
+}
+
+fn without_derivatives() -> Error {
+    Error::Shader { stage: "select_frames".into(), problem: "the candidates come without derivatives".into() }
 }
 
 /// The same of one filter whose weights do not depend on the noise of what they average, and whose centre weighs 1.
@@ -129,12 +139,13 @@ pub struct Evidence<'a> {
 pub fn select_share(rec: &mut Recorder, extent: IVec2, smoothed: Buffer, evidence: Evidence, guard: Option<Guard>) -> Result<Buffer> {
     let Evidence { selected, errors, sure, variance_of_mean, candidates } = evidence;
     let guarded = |buffer| guard.map(|_| buffer);
-    let [first, second, third] = candidates.signals.each_ref().map(|signal| guarded(&**signal));
+    let [first, second, third] = candidates.buffers().map(|signal| signal.and_then(guarded));
     let (sure, variance_of_mean) = (guarded(sure), guarded(variance_of_mean));
     let rule = guard.map(|guard| [guard.smoothed_error, guard.smoothed_noise, guard.own_sigmas, guard.own_noise]);
     let [smoothed_error, smoothed_noise, own_sigmas, own_noise] = rule.unwrap_or_default();
     let params = SelectShareParams { extent, smoothed_error, smoothed_noise, own_sigmas, own_noise };
-    let kernel = rec.gpu().kernel::<SelectShare>("select_share", &[("GUARDED", guard.is_some().into())])?;
+    let [with_first, with_second, with_third] = candidates.set().definitions();
+    let kernel = rec.gpu().kernel::<SelectShare>("select_share", &[("GUARDED", guard.is_some().into()), with_first, with_second, with_third])?;
     let bound = SelectShare { params, selected, errors, sure, variance_of_mean, first, second, third, selection: &smoothed };
     rec.dispatch(&kernel, &bound, per_pixel(extent))?;
     Ok(smoothed)
@@ -143,8 +154,8 @@ pub fn select_share(rec: &mut Recorder, extent: IVec2, smoothed: Buffer, evidenc
 /// Averages the candidates by their shares. A signal; the blended Σ w in the w of the mean.
 pub fn select_blend(rec: &mut Recorder, extent: IVec2, shares: &Buffer, candidates: &Candidates) -> Result<Buffer> {
     let blended = rec.take("blend", plane_bytes(extent, 2))?;
-    let [first, second, third] = &candidates.signals;
-    let kernel = rec.gpu().kernel::<SelectBlend>("select_blend", &[])?;
+    let [first, second, third] = candidates.buffers();
+    let kernel = rec.gpu().kernel::<SelectBlend>("select_blend", &candidates.set().definitions())?;
     let bound = SelectBlend { params: SelectBlendParams { extent }, shares, first, second, third, blended: &blended };
     rec.dispatch(&kernel, &bound, per_pixel(extent))?;
     Ok(blended)

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use stein::buffers::{BufferSet, BufferSetRequest, RawSignal, read_reference};
 use stein::frame::{Signal, half_spread};
 use stein::image::{Extent, Image};
-use stein::{Frame, frame::SamplesPerPixel};
+use stein::{Estimate, Frame, frame::SamplesPerPixel};
 
 fn path(file: &str) -> PathBuf {
     PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("testdata").join(file)
@@ -49,6 +49,11 @@ pub fn frame(set: &BufferSet, [left, top, width, height]: [usize; 4], keep: Keep
     };
     let features = set.features().filter(|(name, _)| keep.features.contains(name)).map(|(name, raw)| (name.to_owned(), signal(raw)));
     new_frame(signal(set.color()), features.collect())
+}
+
+/// The estimated error, which is there unless it was not wanted.
+pub fn error_of(estimate: &Estimate) -> &Image {
+    estimate.error.as_ref().unwrap_or_else(|| panic!("there is no estimated error"))
 }
 
 pub fn new_frame(color: Signal, features: Vec<(String, Signal)>) -> Frame {

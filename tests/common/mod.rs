@@ -1,6 +1,6 @@
 //! What the tests of the GPU share: the device, images to feed it with, and the comparison with the float64 reference.
 
-use std::sync::OnceLock;
+use std::sync::{Arc, OnceLock};
 
 use glam::IVec2;
 use stein::error::Result;
@@ -29,8 +29,10 @@ pub fn open(options: GpuOptions) -> Gpu {
 
 /// Ways of cutting up the work: from one row and one offset at a time to everything at once, for processors and for graphics cards. What is computed must not depend on it.
 pub fn schedules() -> impl Iterator<Item = Schedule> {
-    let blocks = [(1, 1, 1), (5, 2, 4), (16, 1, 1), (32, 3, 4)];
-    let schedule = move |scratch_bytes| blocks.map(|(block_rows, offset_rows, pixels)| Schedule { scratch_bytes, block_rows, offset_rows, pixels });
+    let blocks = [(1, 1, 1, 0), (5, 2, 4, 1 << 16), (16, 1, 1, 200), (32, 3, 4, 512)];
+    let schedule = move |scratch_bytes| {
+        blocks.map(|(block_rows, offset_rows, pixels, region_pixels)| Schedule { scratch_bytes, block_rows, offset_rows, pixels, region_pixels })
+    };
     [16, 1 << 12, 30_000, 1 << 18, 64 << 20].into_iter().flat_map(schedule)
 }
 
@@ -60,6 +62,11 @@ pub fn packed_signal(mean: &[Grid], spread: &[Grid]) -> Vec<f32> {
 
 pub fn upload(rec: &mut Recorder, planes: &[Grid]) -> Result<Buffer> {
     rec.upload("input", &packed(planes))
+}
+
+/// A buffer that the case at hand has.
+pub fn there(buffer: &Option<Arc<Buffer>>) -> &Buffer {
+    buffer.as_deref().unwrap_or_else(|| panic!("it is left out"))
 }
 
 /// All planes of a buffer, four channels each.

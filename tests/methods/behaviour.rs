@@ -13,7 +13,7 @@ use stein::stage::sample::GpuSamples;
 use stein::{Denoiser, DfcParams, Error, Estimate, Frame, Image, Options};
 
 use crate::common::{Scene, calm_scene, gpu, open, packed, packed_signal, scene};
-use crate::frames::{EVERYTHING, Keep, frame, new_frame, noisy};
+use crate::frames::{EVERYTHING, Keep, error_of, frame, new_frame, noisy};
 use crate::reference::{Grid, Planes};
 
 fn params() -> DfcParams {
@@ -69,7 +69,7 @@ fn selection(estimate: &Estimate) -> &Image {
 /// Everything that a method says of a frame with halves, and the power of the colour's unit that it is in.
 fn images(estimate: &Estimate) -> Vec<(&str, i32, &Image)> {
     let Some(half_spread) = &estimate.half_spread else { panic!("the frame has halves") };
-    let mut images = vec![("colour", 1, &estimate.color), ("half spread", 1, half_spread), ("error", 2, &estimate.error), ("Σ w", 0, &estimate.weight_sum)];
+    let mut images = vec![("colour", 1, &estimate.color), ("half spread", 1, half_spread), ("error", 2, error_of(estimate)), ("Σ w", 0, &estimate.weight_sum)];
     images.extend(estimate.selection.as_ref().map(|selection| ("selection", 0, selection)));
     images
 }
@@ -317,7 +317,7 @@ fn every_kind_of_frame_has_a_result() {
             let frame = frame(&set, [30, 40, 33, 18], Keep { halves, variance, features });
             let estimate = denoised(&denoiser(gpu(), params()), &frame);
             assert_eq!(estimate.half_spread.is_some(), halves);
-            let all = [&estimate.color, &estimate.error, &estimate.weight_sum, selection(&estimate)];
+            let all = [&estimate.color, error_of(&estimate), &estimate.weight_sum, selection(&estimate)];
             assert!(all.iter().flat_map(|image| &image.planes).flatten().all(|value| value.is_finite()), "{halves} {variance} {features:?}");
             for pixel in 0..33 * 18 {
                 let sum: f32 = selection(&estimate).planes.iter().map(|plane| plane[pixel]).sum();

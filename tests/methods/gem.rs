@@ -8,7 +8,7 @@ use stein::{Denoiser, Estimate, Frame, GemParams, Options};
 
 use crate::behaviour::{assert_same, calm_frame, denoised, image, random_frame};
 use crate::common::{assert_near, flat, gpu, open, own_size};
-use crate::frames::{EVERYTHING, Keep, frame, noisy};
+use crate::frames::{EVERYTHING, Keep, error_of, frame, noisy};
 use crate::reference::gem as reference;
 use crate::reference::random::Random;
 use crate::reference::{Grid, Planes, Point};
@@ -24,7 +24,7 @@ fn with_everything_kept(params: GemParams, frame: &Frame) -> Estimate {
 
 fn all_of(denoiser: &Denoiser, frame: &Frame) -> Estimate {
     let keep = [Intermediate::Variance, Intermediate::Stopping, Intermediate::Scale, Intermediate::Density];
-    denoiser.denoise_with(frame, Options { keep: &keep, progress: None }).unwrap_or_else(|error| panic!("{error}"))
+    denoiser.denoise_with(frame, Options { keep: &keep, ..Options::default() }).unwrap_or_else(|error| panic!("{error}"))
 }
 
 /// The frame with these sample counts.
@@ -100,8 +100,8 @@ fn check(what: &str, frame: &Frame, params: GemParams) {
     let error = std::slice::from_ref(&chosen.error);
     // What is left of the finest scale's variance when the coarser ones have taken their part of it.
     let terms = chosen.error.like(|p| twin.variance.iter().map(|grid| grid.at(p)).sum::<f64>() + chosen.error.at(p).abs() + 1e-9);
-    near("error", &grids(&estimate.error, exposure * exposure), error, std::slice::from_ref(&terms), 1e-5, FLIPPED);
-    assert!(estimate.error.planes[0].iter().all(|error| *error >= 0.0), "{what}: negative errors");
+    near("error", &grids(error_of(&estimate), exposure * exposure), error, std::slice::from_ref(&terms), 1e-5, FLIPPED);
+    assert!(error_of(&estimate).planes[0].iter().all(|error| *error >= 0.0), "{what}: negative errors");
     let reduction = layer(&estimate, "reduction", 1.0);
     let relative_mse = reference::relative_mse(chosen);
     let scale = relative_mse.like(|p| relative_mse.at(p).abs() * terms.at(p) / chosen.error.at(p).abs().max(1e-12));
@@ -187,7 +187,7 @@ fn without_variance_the_input_is_the_output() {
         let frame = gray(&mean, &mean.like(|_| 0.0), SamplesPerPixel::Unknown);
         let estimate = denoised(&denoiser(GemParams { phase, ..GemParams::default() }), &frame);
         assert_eq!(estimate.color, frame.color().mean, "{phase:?}");
-        assert!(estimate.error.planes[0].iter().all(|error| *error == 0.0));
+        assert!(error_of(&estimate).planes[0].iter().all(|error| *error == 0.0));
     }
 }
 
@@ -202,7 +202,7 @@ fn a_constant_image_stays_constant() {
     assert!(layer(&estimate, "scale", 1.0)[0].values.iter().all(|sigma| *sigma == 16.0));
     let black = gray(&noise.like(|_| 0.0), &noise.like(|_| 0.0), SamplesPerPixel::Uniform(8.0));
     let estimate = denoised(&denoiser(GemParams::default()), &black);
-    assert!([&estimate.color, &estimate.error].iter().flat_map(|image| &image.planes).flatten().all(|value| *value == 0.0));
+    assert!([&estimate.color, error_of(&estimate)].iter().flat_map(|image| &image.planes).flatten().all(|value| *value == 0.0));
 }
 
 /// The mean of `samples` values around `level` in each pixel, and its sample variance.

@@ -11,7 +11,7 @@ use stein::{Denoiser, DfcParams, Error, Estimate, NlmParams, Options};
 
 use crate::behaviour::{calm_frame, image, random_frame};
 use crate::common::{assert_near, gpu, open, own_size};
-use crate::frames::{EVERYTHING, Keep, frame, new_frame, noisy};
+use crate::frames::{EVERYTHING, Keep, error_of, frame, new_frame, noisy};
 use crate::reference::nlm_method::{self, Filter, NlmParams as TwinParams, Variance};
 use crate::reference::random::Random;
 use crate::reference::variance::Signal as TwinSignal;
@@ -27,12 +27,12 @@ fn denoised(params: NlmParams, frame: &Frame) -> Estimate {
 }
 
 fn denoised_by(denoiser: &Denoiser, frame: &Frame) -> Estimate {
-    denoiser.denoise_with(frame, Options { keep: denoiser.method().intermediates(), progress: None }).unwrap_or_else(|error| panic!("{error}"))
+    denoiser.denoise_with(frame, Options { keep: denoiser.method().intermediates(), ..Options::default() }).unwrap_or_else(|error| panic!("{error}"))
 }
 
 /// All that an estimate holds, with names.
 fn images(estimate: &Estimate) -> Vec<(&str, &Image)> {
-    let named = [("colour", &estimate.color), ("error", &estimate.error), ("Σ w", &estimate.weight_sum)];
+    let named = [("colour", &estimate.color), ("error", error_of(estimate)), ("Σ w", &estimate.weight_sum)];
     let layers = estimate.layers.iter().map(|layer| (layer.name.as_str(), &layer.image));
     named.into_iter().chain(estimate.half_spread.as_ref().map(|image| ("half spread", image))).chain(layers).collect()
 }
@@ -134,7 +134,7 @@ fn check(what: &str, frame: &Frame, params: NlmParams) {
         near(part, &actual, expected, &own_size(expected, floor), 2e-3, FLIPPED);
     };
     one("Σ w", grids(&estimate.weight_sum, 1.0), &twin.weight_sum, 0.0);
-    one("error", grids(&estimate.error, exposure * exposure), &twin.error, 0.01 * twin.error.mean());
+    one("error", grids(error_of(&estimate), exposure * exposure), &twin.error, 0.01 * twin.error.mean());
     one("density", layer(&estimate, "density", 1.0), &twin.density, 0.01 * twin.density.mean());
 }
 
@@ -231,7 +231,7 @@ fn whatever_the_frame_the_result_is_finite() {
     let black = new_frame(Signal { mean: zero(), half_spread: Some(zero()), variance_of_mean: Some(zero()) }, Vec::new());
     for variance in OPTIONS {
         let estimate = denoised(small(NlmParams { variance, ..NlmParams::default() }), &black);
-        assert!(estimate.color.planes.iter().chain(&estimate.error.planes).flatten().all(|value| *value == 0.0), "{variance:?}");
+        assert!(estimate.color.planes.iter().chain(&error_of(&estimate).planes).flatten().all(|value| *value == 0.0), "{variance:?}");
         assert!(estimate.weight_sum.planes[0].iter().all(|sum| *sum >= 1.0), "{variance:?}");
     }
 }

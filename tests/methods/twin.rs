@@ -5,11 +5,12 @@
 //! decisions are looked at by themselves: where one differs, the errors must tie.
 
 use stein::method::Intermediate;
+use stein::stage::candidate_set::CandidateSet;
 use stein::stage::nlm::{CentreWeight, Symmetry};
 use stein::{Denoiser, DfcParams, Estimate, Frame, Image, Options};
 
 use crate::common::{assert_near, flat, gpu, own_size};
-use crate::frames::{EVERYTHING, Keep, frame, noisy};
+use crate::frames::{EVERYTHING, Keep, error_of, frame, noisy};
 use crate::reference::dfc::{CandidateParams, Dfc, DfcParams as TwinParams, Frame as TwinFrame, SecondPassParams, dfc, sampling_density};
 use crate::reference::variance::Signal;
 use crate::reference::{self, Grid, Planes};
@@ -50,6 +51,7 @@ fn twin_params(params: &DfcParams) -> TwinParams {
     TwinParams {
         window_radius: params.window_radius as usize,
         candidates: [first, second, third],
+        takes_part: params.candidates.flags(),
         symmetric: params.weighting.symmetric != Symmetry::Off,
         centre: match params.weighting.centre {
             CentreWeight::One => reference::nlm::CentreWeight::One,
@@ -106,6 +108,7 @@ struct Compared {
     twin: Dfc,
     exposure: f64,
     density: Grid,
+    takes_part: [bool; 3],
 }
 
 impl Compared {
@@ -117,7 +120,7 @@ impl Compared {
         let (input, params) = (twin_frame(frame, exposure), twin_params(&params));
         let twin = dfc(&input, &params);
         let density = sampling_density(&input, &twin, &params, 0.0);
-        Self { what, estimate, twin, exposure, density }
+        Self { what, estimate, twin, exposure, density, takes_part: params.takes_part }
     }
 
     fn near(&self, part: &str, actual: &[Grid], expected: &[Grid], scale: &[Grid], relative: f64, allowed_share: f64) {
@@ -152,7 +155,8 @@ impl Compared {
             self.near(&name, &layer(&name, scale.powi(-2)), residual, &own_size(residual, 1e-7), 5e-4, 0.0);
         }
 
-        for (candidate, name) in twin.candidates.iter().zip(CANDIDATES) {
+        let taking_part = (0..3).filter(|k| self.takes_part[*k]);
+        for (candidate, name) in taking_part.clone().map(|k| (&twin.candidates[k], CANDIDATES[k])) {
             self.near(name, &layer(name, exposure), &candidate.mean, &self.color_scale(&input, &candidate.mean), FILTERED, 0.0);
             let derivative = format!("{name}_derivative");
             self.near(&derivative, &layer(&derivative, 1.0), &candidate.derivative, &own_size(&candidate.derivative, 1.0), 1e-3, 0.0);
@@ -169,7 +173,8 @@ impl Compared {
             })
         };
         let terms: Planes = (0..3).map(terms).collect();
-        self.near("SURE", &layer("sure", exposure * exposure), &twin.sure, &terms, 4e-4, 0.0);
+        let of = |planes: &[Grid]| taking_part.clone().map(|k| planes[k].clone()).collect::<Planes>();
+        self.near("SURE", &of(&layer("sure", exposure * exposure)), &of(&twin.sure), &of(&terms), 4e-4, 0.0);
         self.check_decisions(&layer("selected", 1.0), &terms);
 
         self.near("maps", &layer("selection", 1.0), &twin.maps, &flat(&twin.maps, 1.0), FILTERED, FLIPPED);
@@ -184,7 +189,7 @@ impl Compared {
             self.near("half spread", spread, expected, &self.color_scale(&input, &result.mean), FILTERED, FLIPPED);
         }
         let size: Planes = vec![terms[0].like(|p| twin.errors.iter().map(|error| error.at(p).abs()).sum::<f64>() + terms[0].at(p))];
-        self.near("error", &grids(&self.estimate.error, exposure * exposure), std::slice::from_ref(&twin.error), &size, 2e-3, FLIPPED);
+        self.near("error", &grids(error_of(&self.estimate), exposure * exposure), std::slice::from_ref(&twin.error), &size, 2e-3, FLIPPED);
         // An average of what may be decided otherwise anywhere in a wide window.
         let density = std::slice::from_ref(&self.density);
         let size = [self.density.like(|p| self.density.at(p) + self.density.mean())];
@@ -261,6 +266,16 @@ fn variance_without_halves() {
 #[test]
 fn no_features() {
     check("no features", "cornell_8spp", [20, 0, 33, 40], Keep { features: &[], ..EVERYTHING }, small(DfcParams::default()));
+}
+
+#[test]
+fn candidates_that_take_no_part() {
+    let without_first = CandidateSet { first: false, ..CandidateSet::ALL };
+    let without_second = CandidateSet { second: false, ..CandidateSet::ALL };
+    for (what, candidates) in [("without FIRST", without_first), ("without SECOND", without_second)] {
+        let keep = Keep { features: &["albedo", "normal"], ..EVERYTHING };
+        check(what, "cornell_8spp", [20, 62, 32, 30], keep, DfcParams { candidates, ..small(DfcParams::default()) });
+    }
 }
 
 /// Neither halves nor variance: the feature is taken as it is, and the colour with what it has.

@@ -35,6 +35,7 @@ pub struct DfcParams {
     pub window_radius: usize,
     /// FIRST, SECOND, THIRD.
     pub candidates: [CandidateParams; 3],
+    pub takes_part: [bool; 3],
     /// Pairs of opposite neighbours and two-sided feature distances. THIRD has the distances alone: it is the widest filter as it is, and without a colour
     /// term nothing would hold the blend of a pair back.
     pub symmetric: bool,
@@ -50,6 +51,7 @@ impl DfcParams {
         DfcParams {
             window_radius: 10,
             candidates: [first, CandidateParams { patch_radius: 3, ..first }, CandidateParams { k_color: f64::INFINITY, tau: 1e-3, ..first }],
+            takes_part: select::ALL,
             symmetric: false,
             centre: CentreWeight::One,
             guard: None,
@@ -142,10 +144,11 @@ pub fn dfc(frame: &Frame, params: &DfcParams) -> Dfc {
 
     // Lines 23–31: selection maps.
     let derivatives = candidates.each_ref().map(|c| c.derivative.as_slice());
-    let binary_maps = select(&errors, derivatives);
+    let binary_maps = select(&errors, derivatives, params.takes_part);
     let smoothed_maps = smooth_maps(&binary_maps, guide, &aside);
     let means = candidates.each_ref().map(|c| c.mean.as_slice());
-    let evidence = Evidence { errors: &errors, binary_maps: &binary_maps, sure: &sure, candidates: means, variance: &color_variance };
+    let evidence =
+        Evidence { errors: &errors, binary_maps: &binary_maps, sure: &sure, candidates: means, takes_part: params.takes_part, variance: &color_variance };
     let maps = share(&smoothed_maps, evidence, params.guard.as_ref());
 
     // Lines 32 and 33: candidate averaging.

@@ -8,6 +8,9 @@ pub const FIRST: usize = 0;
 pub const SECOND: usize = 1;
 pub const THIRD: usize = 2;
 
+/// Which of them take part.
+pub const ALL: [bool; 3] = [true; 3];
+
 /// When a candidate may take part in the blend of a pixel.
 #[derive(Clone, Copy, Debug)]
 pub struct Guard {
@@ -23,22 +26,27 @@ pub struct Guard {
 
 /// The candidate with the least error; ties go to the more robust one. FIRST must also filter more than SECOND (line 24):
 /// where it keeps noise, its error estimate may not notice. An error that is not finite cannot win, and where none can,
-/// THIRD does.
-pub fn select(errors: &[Grid], derivatives: [&[Grid]; 3]) -> Planes {
+/// the last one does. Those that do not take part do not exist: FIRST need not filter more than a SECOND that is not there.
+pub fn select(errors: &[Grid], derivatives: [&[Grid]; 3], takes_part: [bool; 3]) -> Planes {
     let (width, height) = (errors[0].width, errors[0].height);
     let winners = map_pixels(width, height, |p| {
-        let first_filters_more = channel_mean(derivatives[FIRST], p) < channel_mean(derivatives[SECOND], p);
+        let first_filters_more = !takes_part[SECOND] || channel_mean(derivatives[FIRST], p) < channel_mean(derivatives[SECOND], p);
         let mut winner = None;
-        for k in [FIRST, SECOND, THIRD] {
+        for k in [FIRST, SECOND, THIRD].into_iter().filter(|k| takes_part[*k]) {
             let error = errors[k].at(p);
             let eligible = error.is_finite() && (k != FIRST || first_filters_more);
             if eligible && winner.is_none_or(|w: usize| error <= errors[w].at(p)) {
                 winner = Some(k);
             }
         }
-        winner.unwrap_or(THIRD)
+        winner.unwrap_or_else(|| last(takes_part))
     });
     [FIRST, SECOND, THIRD].map(|k| Grid { width, height, values: winners.iter().map(|&winner| if winner == k { 1.0 } else { 0.0 }).collect() }).to_vec()
+}
+
+/// The most robust one that takes part.
+fn last(takes_part: [bool; 3]) -> usize {
+    [FIRST, SECOND, THIRD].into_iter().rfind(|k| takes_part[*k]).unwrap_or(THIRD)
 }
 
 /// Lines 27 to 31 of Algorithm 1, normalised. See `sure::smooth_errors` for `aside`.
@@ -63,6 +71,7 @@ pub struct Evidence<'a> {
     pub sure: &'a [Grid],
     /// The filtered colours.
     pub candidates: [&'a [Grid]; 3],
+    pub takes_part: [bool; 3],
     pub variance: &'a [Grid],
 }
 
@@ -70,11 +79,15 @@ pub struct Evidence<'a> {
 /// blend with any weight at all: the guard takes such candidates out again. And smoothed errors know nothing of a single clean pixel
 /// among noisy ones, so that the pixel's own error has its say as well. Without a guard the maps are only normalised.
 pub fn share(maps: &[Grid], evidence: Evidence, guard: Option<&Guard>) -> Planes {
-    let Evidence { errors, binary_maps, sure, candidates, variance } = evidence;
+    let Evidence { errors, binary_maps, sure, candidates, takes_part, variance } = evidence;
     let noise = |p: Point| variance.iter().map(|v| v.at(p)).sum::<f64>();
-    let winner = |p: Point| (0..3).find(|&k| binary_maps[k].at(p) == 1.0).unwrap_or(THIRD);
+    let winner = |p: Point| (0..3).find(|&k| binary_maps[k].at(p) == 1.0).unwrap_or_else(|| last(takes_part));
     let Some(guard) = guard else { return normalise(maps, winner) };
-    let own_winner = |p: Point| (0..3).fold(FIRST, |least, k| if sure[k].at(p) < sure[least].at(p) { k } else { least });
+    // Ties go to the more robust one. There is none where no error is finite.
+    let own_winner = |p: Point| {
+        let finite = [THIRD, SECOND, FIRST].into_iter().filter(|&k| takes_part[k] && sure[k].at(p).is_finite());
+        finite.reduce(|least, k| if sure[k].at(p) < sure[least].at(p) { k } else { least })
+    };
     let guarded: Planes = (0..3)
         .map(|k| {
             maps[k].like(|p| {
@@ -85,7 +98,7 @@ pub fn share(maps: &[Grid], evidence: Evidence, guard: Option<&Guard>) -> Planes
                     share = share.max(SMALLEST_SHARE_OF_WINNER);
                 }
 
-                let best = own_winner(p);
+                let Some(best) = own_winner(p) else { return 0.0 };
                 if sure[k].at(p) - sure[best].at(p) > by_chance(candidates[k], candidates[best], variance, guard, p) {
                     share = 0.0;
                 }

@@ -1,10 +1,12 @@
 //! `candidate_accumulate` and `candidate_resolve`: FIRST, SECOND and THIRD with their derivatives.
 
 use stein::gpu::Gpu;
-use stein::stage::candidate::{CandidateBeside, CandidateFilter, Candidates, CandidatesInTime, candidates};
+use stein::stage::candidate::{CandidateBeside, CandidateFilter, Candidates, CandidatesInTime, Needed, candidates};
+use stein::stage::candidate_set::CandidateSet;
 use stein::stage::nlm::{CentreWeight, Schedule, Weighting};
 
-use crate::common::{Scene, assert_near, bits, calm_scene, checked_gpu, extent_of, gpu, own_size, packed_signal, read, run, scene, schedules, upload};
+use crate::common::{Scene, assert_near, bits, calm_scene, checked_gpu, extent_of, gpu, own_size, packed_signal, read, run, scene, schedules, there, upload};
+use crate::exact;
 use crate::feature::{features, pack};
 use crate::nlm::{rule_of, twin_of};
 use crate::reference::candidates::{analytic_derivative, candidate, finite_difference, finite_difference_step};
@@ -61,12 +63,16 @@ fn twin_params(case: Case) -> [FilterParams; 3] {
 }
 
 fn filtered(gpu: &Gpu, case: Case, scene: &Scene, features: &[Feature], schedule: Schedule) -> Candidates {
+    filtered_as_needed(gpu, case, scene, features, Needed::EVERYTHING, schedule)
+}
+
+fn filtered_as_needed(gpu: &Gpu, case: Case, scene: &Scene, features: &[Feature], needed: Needed, schedule: Schedule) -> Candidates {
     let extent = extent_of(&scene.mean[0]);
     let filtered = run(gpu, |rec| {
         let signal = rec.upload("signal", &packed_signal(&scene.mean, &scene.spread))?;
         let variance = upload(rec, &scene.variance)?;
         let features = if features.is_empty() { None } else { Some(pack(rec, features)?) };
-        candidates(rec, extent, &signal, &variance, features.as_ref(), &[], &filter(case), schedule, |_, _| Ok(()))
+        candidates(rec, extent, &signal, &variance, features.as_ref(), &[], &filter(case), needed, schedule, |_, _| Ok(()))
     });
     assert!(filtered.alone.is_none(), "there is one frame only");
     filtered.together
@@ -76,11 +82,11 @@ fn check_scene(gpu: &Gpu, case: Case, scene: &Scene) {
     let features = features(case.width, case.height, case.features, 31);
     let actual = filtered(gpu, case, scene, &features, SCHEDULE);
     let extent = extent_of(&scene.mean[0]);
-    let derivatives = read(gpu, &actual.derivatives, extent);
+    let derivatives = read(gpu, there(&actual.derivatives), extent);
     let guide = Guide { mean: &scene.mean, variance: &scene.variance };
     for (k, params) in twin_params(case).into_iter().enumerate() {
         let what = |part: &str| format!("{case:?}: {} {part}", NAMES[k]);
-        let signal = read(gpu, &actual.signals[k], extent);
+        let signal = read(gpu, there(&actual.signals[k]), extent);
         let payload = [scene.mean.as_slice(), &scene.spread].concat();
         let expected = filtered_twin(&payload, Some(guide), &features, &params);
         let (mean, spread) = expected.planes.split_at(3);
@@ -133,7 +139,7 @@ fn filtered_in_time(gpu: &Gpu, case: Case, frames: &[InTime], schedule: Schedule
             beside.push(CandidateBeside { signal, variance_of_mean, features: features.as_ref() });
         }
         let (signal, variance, features) = &uploaded[0];
-        candidates(rec, extent, signal, variance, features.as_ref(), &beside, &filter(case), schedule, |_, _| Ok(()))
+        candidates(rec, extent, signal, variance, features.as_ref(), &beside, &filter(case), Needed::EVERYTHING, schedule, |_, _| Ok(()))
     })
 }
 
@@ -173,15 +179,15 @@ fn check_in_time(gpu: &Gpu, case: Case) {
     let frames: Vec<_> = (0..3).map(|seed| InTime::new(case, 40 + seed)).collect();
     let CandidatesInTime { together: actual, alone } = filtered_in_time(gpu, case, &frames, SCHEDULE);
     let one_frame = filtered(gpu, case, &frames[0].scene, &frames[0].features, SCHEDULE);
-    let all_bits = |of: &Candidates| of.signals.iter().chain([&of.derivatives]).map(|buffer| bits(gpu, buffer)).collect::<Vec<_>>();
+    let all_bits = |of: &Candidates| of.signals.iter().chain([&of.derivatives]).flatten().map(|buffer| bits(gpu, buffer)).collect::<Vec<_>>();
     assert!(alone.is_some_and(|alone| all_bits(&alone) == all_bits(&one_frame)), "{case:?}: the own frame is filtered as if there were no other");
     let own = frames[0].payload();
     let like = &own[0];
     let extent = extent_of(like);
-    let derivatives = read(gpu, &actual.derivatives, extent);
+    let derivatives = read(gpu, there(&actual.derivatives), extent);
     for (k, params) in twin_params(case).into_iter().enumerate() {
         let what = |part: &str| format!("{case:?} in time: {} {part}", NAMES[k]);
-        let signal = read(gpu, &actual.signals[k], extent);
+        let signal = read(gpu, there(&actual.signals[k]), extent);
         let expected = map_pixels(case.width, case.height, |p| average(&frames, &own, p, &params));
         let planes = |value: &dyn Fn(&Average, usize) -> f64| -> Planes {
             (0..6).map(|plane| Grid { values: expected.iter().map(|of| value(of, plane)).collect(), ..*like }).collect()
@@ -285,14 +291,14 @@ fn every_schedule_gives_the_same_bits() {
         let features = features(case.width, case.height, case.features, 34);
         let result = |schedule| {
             let candidates = filtered(gpu(), case, &scene, &features, schedule);
-            candidates.signals.iter().chain([&candidates.derivatives]).map(|buffer| bits(gpu(), buffer)).collect::<Vec<_>>()
+            candidates.signals.iter().chain([&candidates.derivatives]).flatten().map(|buffer| bits(gpu(), buffer)).collect::<Vec<_>>()
         };
         let whole = result(Schedule { scratch_bytes: 64 << 20, block_rows: 16, ..Schedule::SOFTWARE });
         for schedule in schedules() {
             assert!(result(schedule) == whole, "{case:?} with {schedule:?}");
         }
         let frames: Vec<_> = (0..2).map(|seed| InTime::new(case, 50 + seed)).collect();
-        let in_time = |schedule| filtered_in_time(gpu(), case, &frames, schedule).together.signals.map(|buffer| bits(gpu(), &buffer));
+        let in_time = |schedule| filtered_in_time(gpu(), case, &frames, schedule).together.signals.map(|buffer| bits(gpu(), there(&buffer)));
         let whole = in_time(Schedule { scratch_bytes: 64 << 20, block_rows: 16, ..Schedule::SOFTWARE });
         for schedule in schedules().filter(|schedule| schedule.scratch_bytes <= 30_000) {
             assert!(in_time(schedule) == whole, "{case:?} in time with {schedule:?}");
@@ -313,7 +319,7 @@ fn finite_differences_approach_the_analytic_derivative() {
             let case = Case { width, height, window_radius: 3, patch_radii: [1, 3], features: &[3, 1], symmetric, centre };
             let features = features(width, height, case.features, 36);
             let derivatives = filtered(gpu(), case, &scene, &features, SCHEDULE).derivatives;
-            for (k, (actual, params)) in read(gpu(), &derivatives, extent).into_iter().zip(twin_params(case)).enumerate() {
+            for (k, (actual, params)) in read(gpu(), there(&derivatives), extent).into_iter().zip(twin_params(case)).enumerate() {
                 let plane = |i: usize| {
                     scene.mean[i].like(|p| {
                         let step = finite_difference_step(scene.mean[i].at(p), scene.variance[i].at(p));
@@ -331,4 +337,101 @@ fn finite_differences_approach_the_analytic_derivative() {
             }
         }
     }
+}
+
+/// Of which kernels are compiled fast.
+const PART: Case = Case { width: 39, height: 21, window_radius: 3, patch_radii: [1, 2], features: &[3], ..WIDE };
+const FEW_REGISTERS: Schedule = Schedule { pixels: 1, offset_rows: 1, ..SCHEDULE };
+const NONE: CandidateSet = CandidateSet { first: false, second: false, third: false };
+
+/// What is left out changes nothing of what is left.
+#[test]
+fn parts_have_the_bits_of_the_whole() {
+    // Every kernel is compiled, so there are few.
+    let second_and_third = CandidateSet { first: false, ..CandidateSet::ALL };
+    let first_and_second = CandidateSet { third: false, ..CandidateSet::ALL };
+    let parts = [
+        (second_and_third, true),
+        (first_and_second, true),
+        (CandidateSet { first: true, ..NONE }, false),
+        (CandidateSet { third: true, ..NONE }, false),
+        (CandidateSet { second: true, ..NONE }, true),
+    ];
+    let scene = scene(PART.width, PART.height, 37);
+    let features = features(PART.width, PART.height, PART.features, 38);
+    let whole = filtered(gpu(), PART, &scene, &features, FEW_REGISTERS);
+    for (candidates, derivatives) in parts {
+        let part = filtered_as_needed(gpu(), PART, &scene, &features, Needed { candidates, derivatives, ..Needed::EVERYTHING }, FEW_REGISTERS);
+        assert_eq!((part.set(), part.derivatives.is_some()), (candidates, derivatives));
+        for k in (0..3).filter(|k| candidates.flags()[*k]) {
+            let of_candidate = |of: &Candidates| bits(gpu(), there(&of.signals[k]));
+            assert!(of_candidate(&part) == of_candidate(&whole), "{} of {candidates}, derivatives {derivatives}", NAMES[k]);
+            let derivative = |of: &Candidates| bits(gpu(), there(&of.derivatives)).chunks_exact(4 * PART.width * PART.height).nth(k).map(<[u32]>::to_vec);
+            assert!(!derivatives || derivative(&part) == derivative(&whole), "derivative of {} of {candidates}", NAMES[k]);
+        }
+    }
+}
+
+#[test]
+fn a_grey_image_needs_one_channel() {
+    let case = PART;
+    let grey = |planes: &Planes| vec![planes[0].clone(); 3];
+    let Scene { mean, spread, variance } = scene(case.width, case.height, 39);
+    let scene = Scene { mean: grey(&mean), spread: grey(&spread), variance: grey(&variance) };
+    let features = features(case.width, case.height, case.features, 38);
+    let all = |needed| {
+        let candidates = filtered_as_needed(gpu(), case, &scene, &features, needed, FEW_REGISTERS);
+        candidates.signals.iter().chain([&candidates.derivatives]).map(|buffer| bits(gpu(), there(buffer))).collect::<Vec<_>>()
+    };
+    assert!(all(Needed::EVERYTHING) == all(Needed { channels: false, ..Needed::EVERYTHING }));
+}
+
+#[test]
+fn a_half_spread_that_says_nothing_is_not_filtered() {
+    let case = PART;
+    let of = scene(case.width, case.height, 40);
+    let scene = Scene { spread: of.spread.iter().map(|grid| grid.like(|_| 0.0)).collect(), ..of };
+    let features = features(case.width, case.height, case.features, 38);
+    let all = |needed| {
+        let candidates = filtered_as_needed(gpu(), case, &scene, &features, needed, FEW_REGISTERS);
+        candidates.signals.iter().chain([&candidates.derivatives]).map(|buffer| bits(gpu(), there(buffer))).collect::<Vec<_>>()
+    };
+    assert!(all(Needed::EVERYTHING) == all(Needed { half_spread: false, ..Needed::EVERYTHING }));
+}
+
+/// Beside what has noise nothing changes, however the work is cut; where nothing has, every candidate is the signal.
+#[test]
+fn exact_tiles_keep_the_signal() {
+    let case = Case { window_radius: 3, width: 71, height: 43, features: &[3], ..WIDE };
+    let scene = scene(case.width, case.height, 41);
+    let features = features(case.width, case.height, case.features, 42);
+    let tiles = exact::tiles(case.width, case.height);
+    let whole = filtered(gpu(), case, &scene, &features, SCHEDULE);
+    let extent = extent_of(&scene.mean[0]);
+    for schedule in schedules().filter(|schedule| schedule.scratch_bytes >= 30_000) {
+        let part = filtered_as_needed(gpu(), case, &scene, &features, Needed { exact: Some(&tiles.exact), ..Needed::EVERYTHING }, schedule);
+        for (k, (part, whole)) in part.signals.iter().zip(&whole.signals).enumerate() {
+            let (part, whole) = (read(gpu(), there(part), extent), read(gpu(), there(whole), extent));
+            let one = scene.mean[0].like(|_| 1.0);
+            let signal = [[scene.mean.as_slice(), &[one]].concat(), scene.spread.clone()];
+            for plane in 0..2 {
+                let expected = tiles.keep(&signal[plane], &whole[plane]);
+                assert!(part[plane][..expected.len()] == expected[..], "{schedule:?}: {} plane {plane}", NAMES[k]);
+            }
+        }
+        let (part, whole) = (read(gpu(), there(&part.derivatives), extent), read(gpu(), there(&whole.derivatives), extent));
+        let ones = vec![scene.mean[0].like(|_| 1.0); 3];
+        for (part, whole) in part.iter().zip(&whole) {
+            assert!(part[..3] == tiles.keep(&ones, whole)[..], "{schedule:?}: derivatives");
+        }
+    }
+    let none = filtered_as_needed(
+        gpu(),
+        case,
+        &scene,
+        &features,
+        Needed { candidates: CandidateSet { third: true, ..NONE }, exact: Some(&tiles.all), ..Needed::EVERYTHING },
+        SCHEDULE,
+    );
+    assert!(read(gpu(), there(&none.signals[2]), extent)[0][..3] == scene.mean[..], "nothing is filtered where all is exact");
 }

@@ -63,6 +63,8 @@ fn filtered(gpu: &Gpu, case: Case, guide: &Scene, payload: &[Grid], schedule: Sc
             patchwise: case.patchwise,
             cut: case.cut,
             beside: &[],
+            grey: false,
+            exact: None,
         };
         let weighting = Weighting { symmetric: case.symmetric, centre: case.centre };
         nlm_filter(rec, extent, &guide, &Payload::new(&payload, 1), case.window_radius, weighting, case.residual, schedule)

@@ -26,7 +26,9 @@ pub(crate) fn features(width: usize, height: usize, channels: &[usize], seed: u6
             }))
         };
         let mean: Planes = (0..channels).map(|_| mean()).collect();
-        let residual_variance = (0..channels).map(|_| rounded(random.uniform_grid(width, height, -5e-4, 1e-3).like_positive())).collect();
+        // The second has no noise.
+        let most = if index == 1 { 0.0 } else { 1e-3 };
+        let residual_variance = (0..channels).map(|_| rounded(random.uniform_grid(width, height, -0.5 * most, most).like_positive())).collect();
         Feature { gradient_squared: mean.iter().map(gradient_squared).collect(), mean, residual_variance }
     };
     channels.iter().enumerate().map(|(index, channels)| feature(index, *channels)).collect()
@@ -48,7 +50,9 @@ pub(crate) fn pack(rec: &mut Recorder, features: &[Feature]) -> stein::Result<Fe
     for (feature, slot) in order {
         let filtered = upload(rec, &feature.mean)?;
         let residual_variance = upload(rec, &feature.residual_variance)?;
-        feature_pack(rec, extent, &packed, slot, &filtered, &residual_variance)?;
+        // What is 0 everywhere need not be there.
+        let has_noise = feature.residual_variance.iter().flat_map(|grid| &grid.values).any(|variance| *variance != 0.0);
+        feature_pack(rec, extent, &packed, slot, &filtered, has_noise.then_some(&residual_variance))?;
     }
     Ok(packed)
 }

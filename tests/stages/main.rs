@@ -13,6 +13,7 @@ mod reference;
 
 mod candidate;
 mod chapter7;
+mod exact;
 mod feature;
 mod gaussian;
 mod nlm;

@@ -48,6 +48,8 @@ fn filtered(gpu: &Gpu, case: Case, guide: &Scene, payload: &[Planes], schedule: 
             patchwise: false,
             cut: 0.0,
             beside: &[],
+            grey: false,
+            exact: None,
         };
         let weighting = Weighting { symmetric: rule_of(case.symmetric), centre: case.centre };
         nlm_filter(rec, extent, &guide, &Payload::new(&payload, case.payload_planes as u32), case.window_radius, weighting, case.residual, schedule)
@@ -127,9 +129,11 @@ fn check_in_time(gpu: &Gpu, case: Case) {
             patchwise: false,
             cut: 0.0,
             beside: &[Beside { signal: &signals[1], variance_of_mean: &variances[1] }],
+            grey: false,
+            exact: None,
         };
         let weighting = Weighting { symmetric: rule_of(case.symmetric), centre: case.centre };
-        let payload = Payload { planes: &payloads[0], count: case.payload_planes as u32, beside: &[&payloads[1]] };
+        let payload = Payload { beside: &[&payloads[1]], ..Payload::new(&payloads[0], case.payload_planes as u32) };
         nlm_filter(rec, extent, &guide, &payload, case.window_radius, weighting, case.residual, SCHEDULE)
     });
 

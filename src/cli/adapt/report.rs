@@ -30,7 +30,7 @@ pub(crate) struct Row {
     /// Of all samples so far.
     samples: Spread,
     /// Without a reference.
-    estimated_relative_mse: f64,
+    estimated_relative_mse: Option<f64>,
     /// Against the reference.
     errors: Option<Errors>,
 }
@@ -82,7 +82,7 @@ impl Row {
         let errors =
             self.errors.as_ref().map(|errors| [errors.noisy_relative_mse, errors.denoised_relative_mse].map(|error| format!("{:>12}", number(error))).concat());
         let range = self.samples.range();
-        let (spp, estimated) = (number(self.samples.samples_per_pixel), number(self.estimated_relative_mse));
+        let (spp, estimated) = (number(self.samples.samples_per_pixel), self.estimated_relative_mse.map_or_else(|| "-".to_owned(), number));
         format!("  {:<9}{spp:>9}{range:>16}{estimated:>12}{}", self.iteration, errors.unwrap_or_default())
     }
 }

@@ -94,6 +94,7 @@ pub(super) struct Parameters {
     /// Names joined by plus signs, where the method has them.
     pub(super) candidates: Option<String>,
     /// Whether what a frame does not need ran as well.
+    #[serde(default)]
     pub(super) everything: bool,
     /// All of them.
     pub(super) all: Value,

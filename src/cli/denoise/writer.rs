@@ -10,6 +10,7 @@ use stein::method::Intermediate;
 use stein::{Estimate, Frame, Image, Method};
 
 use super::shot::{Compared, Comparison};
+use crate::cli::explain::Explained;
 use crate::cli::inspect::Input;
 use crate::cli::report::{FrameReport, Run};
 use crate::cli::{Failure, output, quality};
@@ -26,6 +27,8 @@ pub(super) struct Denoised {
     pub(super) reference: Option<Image>,
     pub(super) estimate: Estimate,
     pub(super) run: Run,
+    /// Where it was asked for.
+    pub(super) plan: Option<Explained>,
 }
 
 /// A frame whose output lies in its place.
@@ -95,7 +98,7 @@ impl<'scope> Writer<'scope> {
 impl Contents<'_> {
     /// Writes a frame and compares it with its reference.
     fn finish(self, denoised: Denoised, comparison: &mut Comparison) -> Result<Done, Failure> {
-        let Denoised { number, output, original, described, introduction, frame, reference, estimate, run } = denoised;
+        let Denoised { number, output, original, described, introduction, frame, reference, estimate, run, plan } = denoised;
         let data_window = original.data_window();
         let mut written = output::write(*original, &output, &estimate, self.keep, self.method)?;
         let missing = self.keep.iter().filter(|one| !estimate.layers.iter().any(|layer| layer.intermediate == **one));
@@ -110,6 +113,6 @@ impl Contents<'_> {
             let images = [frame.color().mean.clone(), estimate.color];
             comparison.add(Compared { number, data_window, images, reference }, errors)?;
         }
-        Ok(Done { introduction, report: FrameReport { input: *described, strips, run: Some(run), output: Some(written), errors } })
+        Ok(Done { introduction, report: FrameReport { input: *described, strips, plan, run: Some(run), output: Some(written), errors } })
     }
 }

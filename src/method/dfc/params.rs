@@ -4,6 +4,7 @@ use serde::Serialize;
 
 use crate::error::{Error, Result};
 use crate::method::common::{LARGEST_PATCH_RADIUS, LARGEST_WINDOW_RADIUS, refused};
+use crate::stage::candidate_set::CandidateSet;
 use crate::stage::nlm::{CentreWeight, Symmetry, Weighting};
 use crate::stage::select::Guard;
 
@@ -12,6 +13,7 @@ use crate::stage::select::Guard;
 /// | parameter | default | thesis | range | meaning |
 /// | --- | --- | --- | --- | --- |
 /// | `window_radius` | 10 | 10 | 1–64 pixels | R: candidates average over 2R+1 squared pixels; work grows with its square |
+/// | `candidates` | all | all | at least one | which of FIRST, SECOND and THIRD take part; FIRST has to filter more than SECOND where both do |
 /// | `color_k` | 0.45 | 0.45 | > 0 | k_c of FIRST and SECOND |
 /// | `first_patch_radius` | 1 | 1 | 0–5 pixels | f of FIRST, at most that of SECOND |
 /// | `second_patch_radius` | 3 | 3 | 0–5 pixels | f of SECOND |
@@ -26,6 +28,8 @@ use crate::stage::select::Guard;
 pub struct DfcParams {
     /// R, in pixels.
     pub window_radius: u32,
+    /// Which candidates take part: the others have no share in the result, and are not computed.
+    pub candidates: CandidateSet,
     /// k_c of FIRST and SECOND.
     pub color_k: f32,
     /// f of FIRST, in pixels.
@@ -84,6 +88,7 @@ impl DfcParams {
     pub fn thesis() -> Self {
         Self {
             window_radius: 10,
+            candidates: CandidateSet::ALL,
             color_k: 0.45,
             first_patch_radius: 1,
             second_patch_radius: 3,
@@ -103,6 +108,9 @@ impl DfcParams {
     pub fn validate(&self) -> Result<()> {
         if !(1..=LARGEST_WINDOW_RADIUS).contains(&self.window_radius) {
             return refused("the window radius", self.window_radius, &format!("from 1 to {LARGEST_WINDOW_RADIUS} pixels"));
+        }
+        if self.candidates.count() == 0 {
+            return Err(Error::Request { problem: "no candidate takes part".into(), remedy: "choose at least one of FIRST, SECOND and THIRD".into() });
         }
         let second_pass = self.second_pass.map_or(0, |pass| pass.patch_radius);
         for (name, radius) in [("the patch radius of SECOND", self.second_patch_radius), ("the patch radius of the second pass", second_pass)] {

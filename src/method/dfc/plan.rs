@@ -1,0 +1,83 @@
+//! What of DFC a frame needs.
+
+use super::{BY_CANDIDATE, DfcParams, ERROR_SMOOTHING, PREFILTER, SELECTION_SMOOTHING};
+use crate::method::Intermediate;
+use crate::method::plan::{Facts, Plan, Planner, Step, Wishes, impossible, needless};
+
+/// The steps in the order of [`dfc`](super::dfc).
+///
+/// What is left out because the frame does not need it changes no bit of the result, but for what has no noise:
+///
+/// * A feature without noise is taken as it is, and so are tiles of a feature from which no pixel with noise is within reach. Filtered, a value would become an average of
+///   values that differ by less than the distance that two pixels without variance are told apart by, √(25·3·7²·10⁻¹⁰) = 6·10⁻⁴ of the unit range.
+/// * A frame without noise is copied, and so are tiles from which no pixel with noise is within reach. FIRST and SECOND would move their colours by no more than that
+///   distance, √(25·3·(2f+1)²·10⁻¹⁰) at the order of 1, and the guard keeps THIRD out wherever it would move them further: without variance nothing happens by chance,
+///   so that only the candidates with the least SURE, (F − u)², have a share. A second pass with a limit changes nothing where there is no noise.
+pub(in crate::method) fn plan(params: &DfcParams, facts: &Facts, wishes: &Wishes) -> Plan {
+    let mut plan = Planner::new(wishes);
+    plan.variance(facts);
+
+    for (name, why) in &facts.unused_features {
+        plan.step(Step::Feature(name.clone()), "", &[impossible(true, why)]);
+    }
+    for feature in &facts.features {
+        let unless = [impossible(!feature.noise_is_told, "nothing tells of noise in it"), needless(feature.is_noise_free(), "no pixel has noise in it")];
+        plan.step(Step::Prefilter(feature.name.clone()), "it has noise", &unless);
+        plan.but_for(facts.exact_feature(feature, PREFILTER.window_radius + PREFILTER.patch_radius).as_ref());
+    }
+    plan.step(Step::Features, "gradients and packing", &[impossible(facts.features.is_empty(), "there are none")]);
+
+    // Beyond the reach of the candidates nothing has noise, and beyond that of the smoothing that follows nothing reads what was not computed. The intermediates are others there.
+    let by_colour = params.candidates.first || params.candidates.second;
+    let keeps_only = |allowed: &[Intermediate]| wishes.keep.iter().all(|kept| allowed.contains(kept));
+    let may_copy = by_colour && params.guard.is_some() && keeps_only(&[Intermediate::Variance, Intermediate::Features]);
+    let smoothing = [ERROR_SMOOTHING, SELECTION_SMOOTHING].iter().map(|filter| filter.window_radius + filter.patch_radius).sum::<u32>();
+    let exact = if may_copy { facts.exact_color(params.window_radius + params.second_patch_radius + smoothing) } else { None };
+
+    // With the patches of SECOND it has the derivative of SECOND, below which its own must be.
+    let kept = [Intermediate::Candidates, Intermediate::Derivatives, Intermediate::Sure].into_iter().any(|kept| wishes.keeps(kept));
+    let second_beats_first = params.candidates.second && params.first_patch_radius == params.second_patch_radius && !kept;
+    let mut candidates = 0;
+    for (place, (name, takes_part)) in BY_CANDIDATE.into_iter().zip(params.candidates.flags()).enumerate() {
+        let unless = [
+            impossible(!takes_part, "the parameters leave it out"),
+            needless(place == 0 && second_beats_first, "its patches are those of SECOND, so that it cannot win"),
+        ];
+        candidates += u32::from(plan.step(Step::Candidate(name), "it may win", &unless));
+    }
+    plan.step(Step::Candidates, "the result is made of them", &[]);
+    plan.but_for(exact.as_ref());
+    let one_frame = impossible(facts.beside == 0, "there are no frames beside");
+    let no_guard = impossible(params.guard.is_none(), "there is no guard");
+    let judges_frames = plan.step(Step::Frames, "where they harm, frames beside are left out", &[one_frame, no_guard]);
+
+    // Without halves the density is made of what SURE says of the blend.
+    let one = candidates == 1 && !wishes.keeps(Intermediate::Selection) && (facts.has_halves || !wishes.keeps(Intermediate::Density));
+    let unwanted = one && !wishes.error && !wishes.keeps(Intermediate::Sure);
+    let not_differentiated = unwanted && !judges_frames && !wishes.keeps(Intermediate::Derivatives);
+    plan.step(Step::Derivatives, "SURE needs them", &[needless(not_differentiated, "nothing asks for SURE")]);
+    plan.step(Step::HalfSpread, "the halves are filtered along", &[impossible(!facts.has_halves, "there are no halves")]);
+    plan.step(Step::Channels, "they differ", &[needless(facts.grey, "all are the same: the work of one stands for all")]);
+    let nothing_to_judge = || [needless(unwanted, "there is one candidate, and its error is not wanted")];
+    plan.step(Step::Sure, "errors of the candidates", &nothing_to_judge());
+    plan.step(Step::SureSmoothing, "the estimates are noisy", &nothing_to_judge());
+    plan.but_for(exact.as_ref());
+    let nothing_to_choose = || [needless(one, "there is one candidate")];
+    plan.step(Step::Selection, "the least error wins", &nothing_to_choose());
+    plan.step(Step::SelectionSmoothing, "decisions are noisy", &nothing_to_choose());
+    plan.but_for(exact.as_ref());
+    plan.step(Step::Blend, "by shares, under the guard if there is one", &nothing_to_choose());
+
+    plan.step(Step::Density, "it is asked for", &[impossible(!wishes.keeps(Intermediate::Density), "it is not asked for")]);
+    let unless = [
+        impossible(params.second_pass.is_none(), "the parameters leave it out"),
+        impossible(!facts.has_halves, "without halves nothing tells what noise is left"),
+    ];
+    plan.step(Step::SecondPass, "the halves tell what noise is left", &unless);
+    plan.but_for(exact.as_ref().filter(|_| params.second_pass.is_some_and(|pass| pass.most_sigmas.is_some())));
+
+    if facts.is_noise_free() && may_copy && wishes.keep.is_empty() && !wishes.everything {
+        return plan.leave_all_out("no pixel has noise: the frame is copied");
+    }
+    plan.finish()
+}

@@ -1,0 +1,376 @@
+//! What of a method a frame needs, settled before anything runs: by the parameters, by what is wanted, and by looking at the frame.
+//!
+//! A method asks its plan at every step, so that the plan is what happens and not a description beside it.
+
+use serde::{Serialize, Serializer};
+
+use super::frame::Units;
+use super::{GpuFrame, GpuSignal, Intermediate};
+use crate::frame::{Feature, Frame, NoiseTiles, TILE};
+use crate::gpu::Recorder;
+use crate::stage::candidate_set::CandidateSet;
+use crate::stage::exact::ExactTiles;
+use crate::stage::variance::INPUT_SMOOTHING;
+
+/// The steps of a method in their order, those that run and those that are left out.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Plan {
+    /// In the order of the method.
+    pub steps: Vec<PlannedStep>,
+    /// Intermediates to be kept.
+    #[serde(skip)]
+    pub keep: Vec<Intermediate>,
+    /// Strips that the image is cut into; 1 where it fits as a whole.
+    pub strips: usize,
+    /// What looking at the frames took, in seconds on the host.
+    pub analysis_seconds: f64,
+}
+
+/// One step of a plan.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct PlannedStep {
+    /// Which one.
+    pub step: Step,
+    /// Whether it runs.
+    pub runs: bool,
+    /// What makes it run, or why it is left out.
+    pub why: String,
+    /// The share of the pixels that it is left out for: 1 where it does not run.
+    pub skipped: f64,
+    /// Tiles in which it is left out.
+    #[serde(skip)]
+    exact: Option<ExactTiles>,
+}
+
+/// What a method may do. Times are told under the name of the step ([`Gpu::step_timings`](crate::gpu::Gpu::step_timings)).
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Step {
+    /// The variance of the colour's mean as the filters want it (thesis 8.2).
+    Variance,
+    /// Use of a feature. Listed where it is left out.
+    Feature(String),
+    /// Prefiltering of a feature (Algorithm 1 lines 4 to 10).
+    Prefilter(String),
+    /// Gradients of the features, and their packing.
+    Features,
+    /// The filters that the result is chosen from, over all frames of the window.
+    Candidates,
+    /// One of the candidates.
+    Candidate(&'static str),
+    /// Derivatives of the candidates.
+    Derivatives,
+    /// Half spreads of the candidates.
+    HalfSpread,
+    /// All three channels of the colour, not one in place of all.
+    Channels,
+    /// The candidates over the own frame too, and leaving out frames beside where they harm.
+    Frames,
+    /// SURE of the candidates (eq. 8.5).
+    Sure,
+    /// Smoothing of SURE (lines 18 to 22).
+    SureSmoothing,
+    /// Binary selection maps (lines 23 to 26).
+    Selection,
+    /// Smoothing of the selection maps (lines 27 to 31).
+    SelectionSmoothing,
+    /// Averaging of the candidates (lines 32 and 33).
+    Blend,
+    /// Where the next samples pay (thesis 8.6).
+    Density,
+    /// The filter of what noise pass 1 has left (lines 34 to 37).
+    SecondPass,
+    /// Halves to be filtered by each other (thesis 7.1.1).
+    Halves,
+    /// The filter of NLM.
+    Filter,
+    /// The same over the own frame, to judge the frames beside by.
+    FilterAlone,
+    /// The error that the filtered halves show (thesis 7.1.2).
+    Error,
+    /// The scales of GEM and their choice (thesis 6.2).
+    Scales,
+    /// Work in strips of rows.
+    Strips,
+}
+
+impl Step {
+    /// What users read.
+    pub fn name(&self) -> String {
+        let name = match self {
+            Self::Feature(name) => return format!("feature {name}"),
+            Self::Prefilter(name) => return format!("prefilter {name}"),
+            Self::Candidate(name) => name,
+            Self::Variance => "variance",
+            Self::Features => "features",
+            Self::Candidates => "candidates",
+            Self::Derivatives => "derivatives",
+            Self::HalfSpread => "half spread",
+            Self::Channels => "three channels",
+            Self::Frames => "frames that harm",
+            Self::Sure => "SURE",
+            Self::SureSmoothing => "SURE smoothing",
+            Self::Selection => "selection",
+            Self::SelectionSmoothing => "selection smoothing",
+            Self::Blend => "blend",
+            Self::Density => "sampling density",
+            Self::SecondPass => "second pass",
+            Self::Halves => "halves",
+            Self::Filter => "filter",
+            Self::FilterAlone => "filter over one frame",
+            Self::Error => "error",
+            Self::Scales => "scales",
+            Self::Strips => "strips",
+        };
+        name.to_owned()
+    }
+}
+
+impl Serialize for Step {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.serialize_str(&self.name())
+    }
+}
+
+impl Plan {
+    fn find(&self, step: &Step) -> Option<&PlannedStep> {
+        self.steps.iter().find(|planned| planned.step == *step)
+    }
+
+    /// Whether a step runs.
+    pub fn runs(&self, step: &Step) -> bool {
+        self.find(step).is_some_and(|planned| planned.runs)
+    }
+
+    /// Tiles in which a step that runs is left out.
+    pub(super) fn exact(&self, step: &Step) -> Option<&ExactTiles> {
+        self.find(step)?.exact.as_ref()
+    }
+
+    /// The same for a strip that begins at this row of pixels.
+    pub(crate) fn starting_at(&self, first_row: usize) -> Self {
+        let moved = |planned: &PlannedStep| PlannedStep { exact: planned.exact.as_ref().map(|exact| exact.starting_at(first_row)), ..planned.clone() };
+        Self { steps: self.steps.iter().map(moved).collect(), ..self.clone() }
+    }
+
+    /// Begins a step if it runs: what is dispatched from here on belongs to it.
+    pub(super) fn begins(&self, rec: &mut Recorder, step: Step) -> bool {
+        let runs = self.runs(&step);
+        if runs {
+            rec.begin_step(&step.name());
+        }
+        runs
+    }
+
+    /// Candidates of DFC that are computed and compared.
+    pub(super) fn candidates(&self) -> CandidateSet {
+        let [first, second, third] = CandidateSet::NAMES.map(|name| self.runs(&Step::Candidate(name)));
+        CandidateSet { first, second, third }
+    }
+
+    /// Whether nothing has to be computed: the frame is the result.
+    pub(crate) fn copies_the_frame(&self) -> bool {
+        self.steps.iter().all(|planned| !planned.runs)
+    }
+}
+
+/// The least share of exact tiles that a filter looks for them for.
+const LEAST_SHARE: f64 = 0.05;
+
+/// What is known of a window of frames before anything runs.
+#[derive(Clone, Debug)]
+pub(crate) struct Facts {
+    pub(super) has_halves: bool,
+    pub(super) has_sample_variance: bool,
+    /// Frames beside the one to denoise.
+    pub(super) beside: usize,
+    /// Where the colour has noise, in any of the frames. `None` where nobody can look.
+    pub(super) noise: Option<NoiseTiles>,
+    /// All channels of the colour are the same, in all frames.
+    pub(super) grey: bool,
+    /// Tiles in a row.
+    tile_columns: usize,
+    /// Those that are used, in their order.
+    pub(super) features: Vec<FeatureFacts>,
+    /// Those that were given and are not used, and why.
+    pub(super) unused_features: Vec<(String, &'static str)>,
+}
+
+#[derive(Clone, Debug)]
+pub(super) struct FeatureFacts {
+    pub(super) name: String,
+    pub(super) channels: u32,
+    /// Halves or variance tell of its noise.
+    pub(super) noise_is_told: bool,
+    /// Whether sample variance is among it, so that the variance of a pixel without it is 0.
+    has_sample_variance: bool,
+    /// Where it is, in any of the frames. `None` where nobody can look.
+    noise: Option<NoiseTiles>,
+}
+
+impl FeatureFacts {
+    /// No pixel has noise.
+    pub(super) fn is_noise_free(&self) -> bool {
+        self.noise.as_ref().is_some_and(|noise| !noise.any())
+    }
+}
+
+impl Facts {
+    /// Looks at the frames of a window, of which `frames[centre]` is to be denoised.
+    pub(crate) fn of_window(frames: &[&Frame], centre: usize, units: &Units, with_features: bool) -> Self {
+        let frame = frames[centre];
+        let features = units.features.iter().map(|feature| {
+            let in_all_frames = || frames.iter().flat_map(|frame| frame.features()).filter(|other| other.name == feature.name).map(|other| &other.signal);
+            FeatureFacts {
+                name: feature.name.clone(),
+                channels: feature.signal.mean.channels() as u32,
+                noise_is_told: in_all_frames().any(|signal| signal.noise_knowledge().is_some()),
+                has_sample_variance: in_all_frames().all(|signal| signal.variance_of_mean.is_some()),
+                noise: NoiseTiles::of_all(in_all_frames()),
+            }
+        });
+        let constant = frame.constant_features().iter().map(|name| (name.clone(), "it is the same everywhere"));
+        let is_used = |feature: &Feature| units.features.iter().any(|used| used.name == feature.name);
+        let lacking = frame.features().iter().filter(|feature| !is_used(feature));
+        let lacking = lacking.map(|feature| (feature.name.clone(), "a frame beside lacks it, or has it the same everywhere"));
+        Self {
+            has_halves: frame.color().half_spread.is_some(),
+            has_sample_variance: frame.color().variance_of_mean.is_some(),
+            beside: frames.len() - 1,
+            noise: NoiseTiles::of_all(frames.iter().map(|frame| frame.color())),
+            grey: frames.iter().all(|frame| frame.color().is_grey()),
+            tile_columns: (frame.extent().width as usize).div_ceil(TILE),
+            features: features.collect(),
+            unused_features: if with_features { constant.chain(lacking).collect() } else { Vec::new() },
+        }
+    }
+
+    /// Of frames that cannot be looked at, because a renderer keeps them on the device: whatever may be there is.
+    pub(crate) fn of_gpu_frame(frame: &GpuFrame, beside: usize) -> Self {
+        let told = |signal: &GpuSignal| signal.has_halves || signal.variance_of_mean.is_some();
+        let features = frame.features.iter().map(|feature| FeatureFacts {
+            name: feature.name.clone(),
+            channels: feature.channels,
+            noise_is_told: told(&feature.signal),
+            has_sample_variance: feature.signal.variance_of_mean.is_some(),
+            noise: None,
+        });
+        Self {
+            has_halves: frame.color.has_halves,
+            has_sample_variance: frame.color.variance_of_mean.is_some(),
+            beside,
+            noise: None,
+            grey: false,
+            tile_columns: 0,
+            features: features.collect(),
+            unused_features: Vec::new(),
+        }
+    }
+}
+
+impl Facts {
+    /// No pixel of any frame has noise.
+    pub(super) fn is_noise_free(&self) -> bool {
+        self.noise.as_ref().is_some_and(|noise| !noise.any())
+    }
+
+    /// Tiles around which the colour has no noise, as far as a filter reaches, in pixels.
+    pub(super) fn exact_color(&self, reach: u32) -> Option<ExactTiles> {
+        self.exact(self.noise.as_ref(), self.has_sample_variance, reach)
+    }
+
+    /// The same of a feature.
+    pub(super) fn exact_feature(&self, feature: &FeatureFacts, reach: u32) -> Option<ExactTiles> {
+        self.exact(feature.noise.as_ref(), feature.has_sample_variance, reach)
+    }
+
+    /// Without sample variance, the variance that a filter takes is smoothed, and reaches further than the noise. Where few tiles are exact, that is not worth a thing.
+    fn exact(&self, noise: Option<&NoiseTiles>, has_sample_variance: bool, reach: u32) -> Option<ExactTiles> {
+        let smoothing = if has_sample_variance { 0 } else { INPUT_SMOOTHING.radius };
+        let exact = ExactTiles::new(noise?.exact((reach + smoothing) as usize), self.tile_columns, TILE);
+        Some(exact).filter(|exact| exact.share() >= LEAST_SHARE)
+    }
+}
+
+/// What is wanted of a method.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Wishes<'a> {
+    /// Intermediates to be kept.
+    pub(crate) keep: &'a [Intermediate],
+    /// The estimated error.
+    pub(crate) error: bool,
+    /// What the frame does not need, too.
+    pub(crate) everything: bool,
+}
+
+impl Wishes<'_> {
+    pub(super) fn keeps(&self, intermediate: Intermediate) -> bool {
+        self.keep.contains(&intermediate)
+    }
+}
+
+/// A reason to leave a step out, where it holds.
+pub(super) struct Unless {
+    holds: bool,
+    why: &'static str,
+    /// It could run, so that it does where everything is to.
+    could_run: bool,
+}
+
+/// There is nothing to work on, or nobody asked for it.
+pub(super) fn impossible(holds: bool, why: &'static str) -> Unless {
+    Unless { holds, why, could_run: false }
+}
+
+/// It would change nothing.
+pub(super) fn needless(holds: bool, why: &'static str) -> Unless {
+    Unless { holds, why, could_run: true }
+}
+
+/// Puts a plan together, step by step.
+pub(super) struct Planner {
+    everything: bool,
+    keep: Vec<Intermediate>,
+    steps: Vec<PlannedStep>,
+}
+
+impl Planner {
+    pub(super) fn new(wishes: &Wishes) -> Self {
+        Self { everything: wishes.everything, keep: wishes.keep.to_vec(), steps: Vec::new() }
+    }
+
+    /// A step that runs, for a reason, unless one of others holds. Returns whether it does.
+    pub(super) fn step(&mut self, step: Step, because: &str, unless: &[Unless]) -> bool {
+        let reason = unless.iter().find(|unless| unless.holds && !(unless.could_run && self.everything));
+        let (runs, why) = reason.map_or((true, because), |reason| (false, reason.why));
+        self.steps.push(PlannedStep { step, runs, why: why.to_owned(), skipped: if runs { 0.0 } else { 1.0 }, exact: None });
+        runs
+    }
+
+    /// Leaves the last step out in these tiles, if it runs.
+    pub(super) fn but_for(&mut self, exact: Option<&ExactTiles>) {
+        if let (Some(planned), Some(exact)) = (self.steps.last_mut().filter(|planned| planned.runs && !self.everything), exact) {
+            planned.skipped = exact.share();
+            planned.exact = Some(exact.clone());
+        }
+    }
+
+    /// The variance of the colour's mean, from what there is.
+    pub(super) fn variance(&mut self, facts: &Facts) {
+        let because = if facts.has_sample_variance { "the sample variance, scaled by the halves" } else { "the squared half spread, smoothed" };
+        self.step(Step::Variance, because, &[impossible(!facts.has_halves, "without halves the sample variance is taken as it is")]);
+    }
+
+    pub(super) fn finish(self) -> Plan {
+        Plan { steps: self.steps, keep: self.keep, strips: 1, analysis_seconds: 0.0 }
+    }
+
+    /// The frame itself is the result.
+    pub(super) fn leave_all_out(mut self, why: &str) -> Plan {
+        for planned in &mut self.steps {
+            if planned.runs {
+                *planned = PlannedStep { step: planned.step.clone(), runs: false, why: why.to_owned(), skipped: 1.0, exact: None };
+            }
+        }
+        self.finish()
+    }
+}

@@ -1,0 +1,96 @@
+//! `exact_copy` and `exact_fill`, through the filters that leave tiles out.
+
+use stein::stage::exact::ExactTiles;
+use stein::stage::nlm::{CentreWeight, Guide, Payload, Schedule, Symmetry, Weighting, nlm_filter};
+
+use crate::common::{checked_gpu, extent_of, gpu, packed_signal, read, run, scene, schedules, upload};
+use crate::reference::{Grid, Planes};
+
+/// Pixels.
+const SIDE: usize = 8;
+
+/// Some tiles of an image, alone and in blocks, and the same as they are read by hand.
+pub(crate) struct Tiles {
+    pub(crate) exact: ExactTiles,
+    pub(crate) all: ExactTiles,
+    flags: Vec<bool>,
+    columns: usize,
+}
+
+pub(crate) fn tiles(width: usize, height: usize) -> Tiles {
+    let (columns, rows) = (width.div_ceil(SIDE), height.div_ceil(SIDE));
+    let flags: Vec<bool> = (0..columns * rows).map(|tile| (tile % columns / 2 * 5 + tile / columns * 3) % 7 < 3).collect();
+    Tiles { exact: ExactTiles::new(flags.clone(), columns, SIDE), all: ExactTiles::new(vec![true; columns * rows], columns, SIDE), flags, columns }
+}
+
+impl Tiles {
+    /// `before` in exact tiles, `after` elsewhere.
+    pub(crate) fn keep(&self, before: &[Grid], after: &[Grid]) -> Planes {
+        let is_exact = |x: isize, y: isize| self.flags[y as usize / SIDE * self.columns + x as usize / SIDE];
+        before.iter().zip(after).map(|(before, after)| after.like(|p| if is_exact(p.x, p.y) { before.at(p) } else { after.at(p) })).collect()
+    }
+}
+
+#[test]
+fn exact_tiles_keep_the_payload_and_nothing_else_changes() {
+    for (gpu, width, height) in [(gpu(), 257, 89), (gpu(), 7, 300), (gpu(), 1, 1), (checked_gpu(), 40, 33)] {
+        let scene = scene(width, height, 81);
+        let extent = extent_of(&scene.mean[0]);
+        let tiles = tiles(width, height);
+        let filtered = |exact: Option<&ExactTiles>, schedule: Schedule| {
+            let filtered = run(gpu, |rec| {
+                let signal = rec.upload("signal", &packed_signal(&scene.mean, &scene.spread))?;
+                let variance = upload(rec, &scene.variance)?;
+                let weighting = Weighting { symmetric: Symmetry::Blended, centre: CentreWeight::LargestNeighbour };
+                let guide = Guide { exact, ..Guide::new(&signal, &variance, 3, 0.45, 1) };
+                nlm_filter(rec, extent, &guide, &Payload::new(&signal, 2), 2, weighting, true, schedule)
+            });
+            let residual = filtered.residual_variance.unwrap_or_else(|| panic!("it was asked for"));
+            [read(gpu, &filtered.planes, extent).concat(), read(gpu, &filtered.weights, extent).concat(), read(gpu, &residual, extent).concat()]
+        };
+        let [planes, weights, residual] = filtered(None, Schedule::SOFTWARE);
+        let zero = scene.mean[0].like(|_| 0.0);
+        let one = scene.mean[0].like(|_| 1.0);
+        let payload = [&scene.mean[..], std::slice::from_ref(&zero), &scene.spread, std::slice::from_ref(&zero)].concat();
+        for schedule in schedules().filter(|schedule| schedule.scratch_bytes >= 1 << 18) {
+            let part = filtered(Some(&tiles.exact), schedule);
+            let what = format!("{width}×{height}, {schedule:?}");
+            assert!(part[0] == tiles.keep(&payload, &planes), "{what}: planes");
+            assert!(part[1][..1] == tiles.keep(std::slice::from_ref(&one), &weights)[..], "{what}: Σ w");
+            assert!(part[2][..3] == tiles.keep(&vec![zero.clone(); 3], &residual)[..], "{what}: residual variance");
+        }
+        let [planes, weights, _] = filtered(Some(&tiles.all), Schedule::SOFTWARE);
+        assert!(planes == payload && weights[0] == one, "{width}×{height}: all is exact");
+    }
+}
+
+/// A strip of a frame reads the tiles of its own rows, be they cut or not.
+#[test]
+fn a_strip_keeps_what_its_frame_keeps() {
+    let (width, height) = (40, 61);
+    let scene = scene(width, height, 82);
+    let tiles = tiles(width, height);
+    let filtered = |mean: &[Grid], spread: &[Grid], exact: &ExactTiles| {
+        run(gpu(), |rec| {
+            let signal = rec.upload("signal", &packed_signal(mean, spread))?;
+            // So much noise that all neighbours count.
+            let variance = upload(rec, &vec![mean[0].like(|_| 1e9); 3])?;
+            let weighting = Weighting { symmetric: Symmetry::Off, centre: CentreWeight::One };
+            let guide = Guide { exact: Some(exact), ..Guide::new(&signal, &variance, 3, 0.45, 0) };
+            nlm_filter(rec, extent_of(&mean[0]), &guide, &Payload::new(&signal, 2), 1, weighting, false, Schedule::SOFTWARE)
+        })
+    };
+    let whole = read(gpu(), &filtered(&scene.mean, &scene.spread, &tiles.exact).planes, extent_of(&scene.mean[0])).concat();
+    for first in [0usize, 5, 8, 23] {
+        let rows = |planes: &[Grid]| -> Planes {
+            planes.iter().map(|grid| Grid { width, height: height - first, values: grid.values[first * width..].to_vec() }).collect()
+        };
+        let strip = filtered(&rows(&scene.mean), &rows(&scene.spread), &tiles.exact.starting_at(first));
+        let strip = read(gpu(), &strip.planes, extent_of(&rows(&scene.mean)[0])).concat();
+        // The first row has lost its neighbours above.
+        for (strip, whole) in strip.iter().zip(rows(&whole)) {
+            let skipped = if first > 0 { width } else { 0 };
+            assert!(strip.values[skipped..] == whole.values[skipped..], "from row {first}");
+        }
+    }
+}
