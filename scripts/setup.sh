@@ -1,6 +1,7 @@
 #!/bin/sh
-# Makes this machine able to build and run stein and its tests. Where something is missing, installs it: a C linker, Rust, and, if no Vulkan adapter is found, Mesa's
-# drivers, which bring a software adapter (lavapipe). Does nothing, silently, where all is there. Needs apt-get (Debian, Ubuntu) and root or sudo only to install.
+# Makes this machine able to build and run stein and its tests. Where something is missing, installs it: a C linker, a C++ compiler (the FLIP error measure is C++), Rust,
+# and, if no Vulkan adapter is found, Mesa's drivers, which bring a software adapter (lavapipe). Does nothing, silently, where all is there. Needs apt-get (Debian, Ubuntu)
+# and root or sudo only to install.
 set -eu
 
 say() {
@@ -92,6 +93,10 @@ fi
 if ! command -v cc >/dev/null 2>&1; then
     say "no C linker found: installing gcc"
     install_packages gcc libc6-dev
+fi
+if ! command -v c++ >/dev/null 2>&1; then
+    say "no C++ compiler found: installing g++"
+    install_packages g++
 fi
 
 has_adapter && exit 0

@@ -1,7 +1,7 @@
-//! How far an image is from a reference. All sums are in f64; a NaN anywhere makes the result NaN.
+//! How far an image is from a reference. All sums are in f64; a NaN anywhere makes the result NaN, but for FLIP, which sees it as black.
 
 use crate::error::{Error, Result};
-use crate::image::Image;
+use crate::image::{Extent, Image};
 
 /// The ε of the relative measures: keeps dark pixels from counting without bound (thesis 6.5).
 pub const RELATIVE_EPSILON: f64 = 0.01;
@@ -79,6 +79,44 @@ pub fn ssim(image: &Image, reference: &Image) -> Result<f64> {
     Ok(sum / x.len() as f64)
 }
 
+/// FLIP: how large the differences are that a person sees who flips between the two images, 0 (none) to 1 (black against white comes near). The mean over the pixels of
+/// LDR-FLIP (Andersson and others 2020), at [`nv_flip::DEFAULT_PIXELS_PER_DEGREE`] (67) pixels per degree of visual angle: a display 3840 pixels and 0.7 m wide, seen from
+/// 0.7 m. The images are compared as [`display_bytes`] shows them, so that what is brighter than 1 in both does not count.
+///
+/// # Errors
+/// Images of different extent or channel count, without pixels, or with other than one or three channels.
+pub fn flip(image: &Image, reference: &Image) -> Result<f64> {
+    check(image, reference)?;
+    let Extent { width, height } = image.extent;
+    let shown = |image| Ok::<_, Error>(nv_flip::FlipImageRgb8::with_data(width, height, &display_bytes(image)?));
+    let map = nv_flip::flip(shown(reference)?, shown(image)?, nv_flip::DEFAULT_PIXELS_PER_DEGREE).to_vec();
+    Ok(map.iter().map(|&value| f64::from(value)).sum::<f64>() / map.len() as f64)
+}
+
+/// What a display shows of scene-linear values: clamped to [0, 1], with the transfer curve of sRGB, 8 bits for each of R, G and B, row by row. No exposure and no curve besides,
+/// so that pictures and their figures compare. A single channel is shown in grey; NaN is black.
+///
+/// # Errors
+/// Other than one or three channels.
+pub fn display_bytes(image: &Image) -> Result<Vec<u8>> {
+    let [r, g, b] = match image.planes.as_slice() {
+        [grey] => [grey; 3],
+        [r, g, b] => [r, g, b],
+        planes => {
+            return Err(Error::Request {
+                problem: format!("an image of {} channels cannot be shown", planes.len()),
+                remedy: "give one channel, or red, green and blue".into(),
+            });
+        }
+    };
+    let byte = |linear: f32| {
+        let linear = linear.clamp(0.0, 1.0);
+        let encoded = if linear <= 0.003_130_8 { 12.92 * linear } else { 1.055 * linear.powf(1.0 / 2.4) - 0.055 };
+        (255.0 * encoded).round() as u8
+    };
+    Ok(r.iter().zip(g).zip(b).flat_map(|((&r, &g), &b)| [byte(r), byte(g), byte(b)]).collect())
+}
+
 fn check(image: &Image, reference: &Image) -> Result<()> {
     if image.extent == reference.extent && image.channels() == reference.channels() && image.extent.pixels() > 0 && image.channels() > 0 {
         return Ok(());
@@ -136,7 +174,6 @@ fn gaussian_window(plane: &[f64], width: usize) -> Vec<f64> {
 #[allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 mod tests {
     use super::*;
-    use crate::image::Extent;
 
     fn image(width: u32, height: u32, planes: Vec<Vec<f32>>) -> Image {
         Image { extent: Extent { width, height }, planes }
@@ -195,6 +232,60 @@ mod tests {
         let (pattern, negative) = (image(20, 20, vec![pattern]), image(20, 20, vec![negative]));
         assert!((ssim(&pattern, &pattern).unwrap() - 1.0).abs() < 1e-12);
         assert!(ssim(&pattern, &negative).unwrap() < -0.5);
+    }
+
+    #[test]
+    fn a_display_shows_srgb_from_black_to_white() {
+        // 0.5 is shown as 188, 0.002 on the linear foot of the curve as 12.92 · 0.002 · 255 = 6.6.
+        let shown = display_bytes(&image(3, 2, vec![vec![-1.0, 0.0, 0.002, 0.5, 1.0, 9.0]])).unwrap();
+        assert_eq!(shown.iter().step_by(3).copied().collect::<Vec<_>>(), [0, 0, 7, 188, 255, 255]);
+        let shown = display_bytes(&image(1, 1, vec![vec![1.0], vec![0.5], vec![f32::NAN]])).unwrap();
+        assert_eq!(shown, [255, 188, 0]);
+        assert!(display_bytes(&image(1, 1, vec![vec![1.0], vec![0.5]])).is_err());
+    }
+
+    /// FLIP of two flat greys of linear values a and b, by the formulas of the paper: filters leave flat images as they are and find neither edges nor points in them, so that
+    /// what is left is the difference in lightness, to the power 0.7, mapped to [0, 1] so that 0.4 of the greatest difference (that of green and blue) is at 0.95.
+    fn flip_of_greys(a: f64, b: f64) -> f64 {
+        let f = |t: f64| if t > (6.0_f64 / 29.0).powi(3) { t.cbrt() } else { t / (3.0 * (6.0_f64 / 29.0).powi(2)) + 4.0 / 29.0 };
+        // Hunt-adjusted L*a*b* of a primary: its column of the sRGB matrix, against the white.
+        let hunt = |[x, y, z]: [f64; 3]| {
+            let [x, y, z] = [f(x / 0.950_428_545), f(y), f(z / 1.088_900_371)];
+            let lightness = 116.0 * y - 16.0;
+            [lightness, 0.01 * lightness * 500.0 * (x - y), 0.01 * lightness * 200.0 * (y - z)]
+        };
+        let green = hunt([0.357_584, 0.715_169, 0.119_195]);
+        let blue = hunt([0.180_437, 0.072_175, 0.950_304]);
+        let greatest = ((green[0] - blue[0]).abs() + (green[1] - blue[1]).hypot(green[2] - blue[2])).powf(0.7);
+        let difference = (116.0 * (f(a) - f(b)).abs()).powf(0.7);
+        let knee = 0.4 * greatest;
+        if difference < knee { 0.95 * difference / knee } else { 0.95 + (difference - knee) / (greatest - knee) * 0.05 }
+    }
+
+    #[test]
+    fn flip_of_flat_greys_is_what_the_paper_makes_of_their_lightness() {
+        let flat = |byte: u8| {
+            let encoded = f64::from(byte) / 255.0;
+            let linear = if encoded <= 0.04045 { encoded / 12.92 } else { ((encoded + 0.055) / 1.055).powf(2.4) };
+            (linear, Image::filled(Extent { width: 33, height: 21 }, 3, linear as f32))
+        };
+        for (a, b) in [(0, 255), (100, 110), (188, 60), (7, 7)] {
+            let ((a, image), (b, reference)) = (flat(a), flat(b));
+            let (found, expected) = (flip(&image, &reference).unwrap(), flip_of_greys(a, b));
+            assert!((found - expected).abs() < 2e-4, "{a} {b}: {found} {expected}");
+        }
+        let (black, white) = (flat(0).1, flat(255).1);
+        assert!((0.95..1.0).contains(&flip(&black, &white).unwrap()));
+    }
+
+    #[test]
+    fn flip_sees_noise_and_nothing_where_there_is_nothing() {
+        let pattern = |contrast: f32| image(40, 30, vec![(0..1200).map(|i| 0.5 + contrast * ((i * 7919 % 13) as f32 / 13.0 - 0.5)).collect(); 3]);
+        let (clean, little, much) = (pattern(0.0), pattern(0.1), pattern(0.8));
+        assert_eq!(flip(&much, &much).unwrap(), 0.0);
+        let (little, much) = (flip(&little, &clean).unwrap(), flip(&much, &clean).unwrap());
+        assert!(0.0 < little && little < much && much < 1.0, "{little} {much}");
+        assert!(flip(&clean, &Image::filled(Extent { width: 30, height: 40 }, 3, 0.0)).is_err());
     }
 
     #[test]

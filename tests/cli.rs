@@ -334,23 +334,6 @@ fn info_tells_what_denoise_would_do_with_each_file() {
 }
 
 #[test]
-fn bench_compares_the_presets_within_one_run() {
-    let (input, reference) = (test_image("dof_spheres_32spp.exr"), test_image("dof_spheres_reference.exr"));
-    let arguments = ["bench", &input, "--ref", &reference, RADIUS, "--repeat=1", "--size=64x40"];
-    let document = stein(&[&arguments[..], &["--json"]].concat()).succeeded().json();
-    let case = &document["cases"][0];
-    assert_eq!((&case["width"], &case["height"]), (&64.into(), &40.into()));
-    let presets = case["presets"].as_array().unwrap();
-    assert_eq!(presets.iter().map(|preset| preset["preset"].as_str().unwrap()).collect::<Vec<_>>(), ["default", "thesis"]);
-    for preset in presets {
-        assert!(preset["total_ms"].as_f64().unwrap() > 0.0 && preset["peak_bytes"].as_u64().unwrap() > 0);
-        assert!(preset["relative_mse"].as_f64() < case["noisy_relative_mse"].as_f64());
-    }
-    assert!(case["default_to_thesis"]["total"].as_f64().unwrap() > 0.0);
-    stein(&[&arguments[..], &["--preset=default"]].concat()).succeeded().said(&["64×40, radius 2", "ms per megapixel", "peak memory"]);
-}
-
-#[test]
 fn a_reader_that_goes_away_ends_the_text_but_not_the_work() {
     let (folder, input) = Folder::with("cornell_8spp.exr");
     let mut child = command(&["denoise", &input, "-v", RADIUS]).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();

@@ -1,262 +1,392 @@
-//! `stein bench`: how fast the presets are, as ratios within one run.
+//! `stein bench`: error against run time.
 
-use std::path::{Path, PathBuf};
-use std::time::Instant;
+mod compare;
+mod configuration;
+mod csv_file;
+mod external;
+mod folder;
+mod measure;
+mod page;
+mod plot;
+mod results;
+mod sets;
+mod statistics;
+mod text;
+mod thumbnail;
 
-use clap::ValueEnum;
-use serde::Serialize;
-use stein::buffers::LayerRef;
-use stein::gpu::{AdapterSummary, Gpu};
-use stein::{Denoiser, Extent, Frame, Image, Preset, metric};
+use std::path::PathBuf;
+use std::time::SystemTime;
+
+use clap::Parser;
+use stein::buffers::{BufferSet, LayerRef};
+use stein::frame::SamplesPerPixel;
+use stein::stage::candidate_set::CandidateSet;
+use stein::{Extent, Frame, Gpu, Image};
 
 use super::inspect::settle;
-use super::options::{Choice, Device, PresetName, Source, size};
-use super::out::{bytes, milliseconds, number, table};
+use super::options::{Device, MethodName, PresetName, Source, Tuning, candidates, size};
 use super::progress::bar;
 use super::quality;
 use super::tile::{cover, cover_frame};
 use super::{Failure, Out};
+use compare::Comparison;
+use configuration::{Configuration, How, Switch, configurations};
+use external::External;
+use folder::Folder;
+use measure::{Case, Contestant, errors, measure, runs};
+use results::{Adapter, Document, Row, SCHEMA, Set, VERSION};
+use sets::SetFile;
+use thumbnail::Gallery;
 
 const EXAMPLE: &str = "\
-Every preset runs once to warm up, then N times in turn with the others: the median time on the clock, from the frame in memory to the result in memory. Each of \
+Every configuration runs once to warm up, then N times in turn with the others: the median time on the clock, from the frame in memory to the result in memory. Each of \
 these runs is followed by one in which the device times its stages, which slows it a little. Times of different machines, or of different days, say less than the ratios \
 within one run.
 
+Sets are OpenEXR files, or folders that are searched for them. The reference of DIR/NAME_32spp.exr or DIR/NAME.exr is DIR/NAME_reference.exr, that of DIR/shot.0007.exr is \
+DIR/reference.0007.exr, or else it is reference.exr in DIR or in the folder above; references are no sets. Sets with the same reference are one scene at several samples \
+per pixel. A set without a reference is timed.
+
 Examples:
   stein bench render.exr --ref converged.exr
-  stein bench render.exr --size 1024x1024,2048x2048 --repeat 9 --json";
+  stein bench renders --methods dfc,nlm,gem --radii 5,10,20 --second-pass on,off -o report
+  stein bench render.exr --size 512x512,1024x1024,2048x2048 --presets default --repeat 9 -v
+  stein bench renders --candidates all,first+second,third --everything on,off
+  stein bench renders -o report --external 'other=/opt/other/denoise --hdr {in} -o {out}'
+  stein bench renders --json > before.json
+  stein bench --compare before.json --fail-above 1.1      measures the same again
 
-/// Measure the speed, memory and error of the presets
+Exit codes: 0 done, 1 slower or worse than --fail-above allows, 2 wrong usage, 3 an input file or layer cannot be used or another program fails, 4 no device or a device \
+failed, 5 the output cannot be written.";
+
+/// Measure speed, memory and error, and report them
 #[derive(Debug, clap::Args)]
-#[command(after_help = EXAMPLE, override_usage = "stein bench [OPTIONS] IN…")]
+#[command(after_help = EXAMPLE, override_usage = "stein bench [OPTIONS] SETS…\n       stein bench [OPTIONS] --compare OLD.json")]
 pub(crate) struct Args {
-    /// OpenEXR files, as for `stein denoise`
-    #[arg(value_name = "IN", required_unless_present = "list_devices")]
-    inputs: Vec<PathBuf>,
-    /// Noise-free reference, one for each input in their order
-    #[arg(long = "ref", value_name = "FILE[::LAYER]")]
-    references: Vec<LayerRef>,
-    /// Measured runs of each preset
-    #[arg(long, value_name = "N", default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..))]
-    repeat: u32,
-    /// Sizes to measure at: the input is repeated, mirrored at the seams, or cut off [default: its own]
-    #[arg(long = "size", value_name = "WxH", value_delimiter = ',', value_parser = size)]
-    sizes: Vec<Extent>,
-    /// Presets to measure [default: all]
-    #[arg(long = "preset", value_enum, value_delimiter = ',')]
-    presets: Vec<PresetName>,
-    /// Print one JSON document
+    /// Measured runs of each configuration [default: 5]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    repeat: Option<u32>,
+    /// Write a report into this folder: index.html to look at, results.json and results.csv for programs; an earlier report there is replaced
+    #[arg(short, long, value_name = "DIR")]
+    output: Option<PathBuf>,
+    /// Print ratios to an earlier run: the results.json of a report, its folder, or what --json printed. Without SETS the same is measured again
+    #[arg(long, value_name = "OLD.json")]
+    compare: Option<PathBuf>,
+    /// End with exit code 1 where a row's time or relative MSE is more than this many times that of the earlier run
+    #[arg(long, value_name = "RATIO", requires = "compare", value_parser = ratio)]
+    fail_above: Option<f64>,
+    /// Print one JSON document, which is that of results.json
     #[arg(long)]
     pub(crate) json: bool,
+    /// Also print the time of the warm-up, times per stage, and more measures of error
+    #[arg(short, long)]
+    verbose: bool,
     #[command(flatten)]
-    choice: Choice,
-    #[command(flatten)]
-    source: Source,
+    axes: Axes,
     #[command(flatten)]
     pub(crate) device: Device,
 }
 
-#[derive(Serialize)]
-struct Document {
-    device: AdapterSummary,
-    repeats: u32,
-    cases: Vec<Case>,
+/// What is measured.
+#[derive(Clone, Debug, PartialEq, clap::Args)]
+#[command(next_help_heading = "What is measured")]
+struct Axes {
+    /// OpenEXR files, as for `stein denoise`, or folders with such files
+    #[arg(value_name = "SETS", help_heading = None::<&str>, required_unless_present_any = ["list_devices", "compare"])]
+    inputs: Vec<PathBuf>,
+    /// Noise-free reference, one for each file in their order [default: found by its name]
+    #[arg(long = "ref", value_name = "FILE[::LAYER]")]
+    references: Vec<LayerRef>,
+    /// Methods to measure [default: dfc]
+    #[arg(long, alias = "method", value_enum, value_name = "NAME,…", value_delimiter = ',')]
+    methods: Vec<MethodName>,
+    /// Presets to measure [default: all]
+    #[arg(long, alias = "preset", value_enum, value_name = "NAME,…", value_delimiter = ',')]
+    presets: Vec<PresetName>,
+    /// Of dfc and nlm: radii of the window, in pixels [default: 10]
+    #[arg(long, alias = "radius", value_name = "PIXELS,…", value_delimiter = ',')]
+    radii: Vec<u32>,
+    /// Of dfc: with the second pass, without, or both [default: on]
+    #[arg(long, value_enum, value_name = "on,off", value_delimiter = ',')]
+    second_pass: Vec<Switch>,
+    /// Of dfc: which candidates take part, such as first+second,third for two configurations [default: all]
+    #[arg(long, value_name = "NAME+NAME,…", value_delimiter = ',', value_parser = candidates)]
+    candidates: Vec<CandidateSet>,
+    /// Also running what a scene does not need, without, or both: what leaving it out saves [default: off]
+    #[arg(long, value_enum, value_name = "on,off", value_delimiter = ',')]
+    everything: Vec<Switch>,
+    /// Sizes to measure at: the input is repeated, mirrored at the seams, or cut off [default: its own]
+    #[arg(long = "size", value_name = "WxH,…", value_delimiter = ',', value_parser = size)]
+    sizes: Vec<Extent>,
+    /// Another denoiser, to run on the set's file, time by the clock and compare: `NAME=command {in} {out}`, split into words as a shell would, but run without one; may be repeated
+    #[arg(long = "external", value_name = "NAME=COMMAND")]
+    externals: Vec<External>,
+    #[command(flatten)]
+    tuning: Tuning,
+    #[command(flatten)]
+    source: Source,
 }
 
-/// One input at one size.
-#[derive(Serialize)]
-struct Case {
-    input: PathBuf,
-    width: u32,
-    height: u32,
-    window_radius: u32,
-    noisy_relative_mse: Option<f64>,
-    presets: Vec<Measured>,
-    /// Where both were measured.
-    default_to_thesis: Option<Ratios>,
+fn ratio(text: &str) -> Result<f64, String> {
+    match text.parse() {
+        Ok(ratio) if ratio > 0.0 && f64::is_finite(ratio) => Ok(ratio),
+        _ => Err("it must be a positive number, as in 1.1".into()),
+    }
 }
 
-#[derive(Serialize)]
-struct Measured {
-    preset: Preset,
-    total_ms: f64,
-    total_ms_per_megapixel: f64,
-    /// Sum of the stages; `None` where the adapter cannot time them.
-    device_ms: Option<f64>,
-    stages: Vec<Stage>,
-    strips: usize,
-    peak_bytes: u64,
-    relative_mse: Option<f64>,
+/// Arguments out of an earlier run's document.
+#[derive(Parser)]
+#[command(name = "stein bench")]
+struct Again {
+    #[command(flatten)]
+    args: Args,
 }
 
-#[derive(Serialize)]
-struct Stage {
-    stage: String,
-    ms: f64,
-    dispatches: usize,
-}
-
-#[derive(Serialize)]
-struct Ratios {
-    total: f64,
-    device: Option<f64>,
-    relative_mse: Option<f64>,
+impl Again {
+    fn parse(arguments: &[String]) -> Option<Args> {
+        Self::try_parse_from(std::iter::once("stein bench").chain(arguments.iter().map(String::as_str))).ok().map(|again| again.args)
+    }
 }
 
 pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
     if args.json {
         out.silence();
     }
-    if !args.references.is_empty() && args.references.len() != args.inputs.len() {
-        let (references, inputs) = (args.references.len(), args.inputs.len());
-        return Err(Failure::usage(format_args!(
-            "{references} references are given for {inputs} inputs\n  remedy: give --ref once for each input, or not at all"
-        )));
-    }
-    let names = if args.presets.is_empty() { PresetName::value_variants() } else { &args.presets };
-    let methods = names.iter().map(|name| Ok((name.preset(), args.choice.method(*name)?))).collect::<Result<Vec<_>, Failure>>()?;
-    methods.iter().try_for_each(|(_, method)| args.source.check(method))?;
-    // The presets are of one method.
-    let source = methods.first().map_or_else(|| args.source.clone(), |(_, method)| args.source.for_method(method));
+    let old = args.compare.as_deref().map(compare::read).transpose()?;
+    let Job { axes, repeats, arguments } = Job::new(args, old.as_ref())?;
+    let (configurations, mut notes) = configurations(&axes)?;
+    let folder = args.output.as_deref().map(Folder::check).transpose()?;
+    let files = sets::find(&axes.inputs, &axes.references)?;
+    let source = source(&axes.source, &configurations)?;
     let gpu = args.device.open()?;
-    let denoisers = methods.into_iter().map(|(preset, method)| Ok((preset, args.device.denoiser(&gpu, method)?))).collect::<Result<Vec<_>, Failure>>()?;
-    out.say(format_args!("{}, median of {}", gpu.summary(), args.repeat));
+    let adapter = Adapter::from(gpu.summary());
+    if let Some(old) = &old {
+        compare::check_adapter(old, &adapter, args.fail_above)?;
+    }
+    let contestants = configurations.iter().map(|configuration| Contestant::new(configuration, |method| args.device.denoiser(&gpu, method)));
+    let contestants = contestants.collect::<Result<Vec<_>, Failure>>()?;
+    out.say(format_args!("{adapter}, median of {repeats}"));
+    if !axes.sizes.is_empty() && !axes.externals.is_empty() {
+        notes.push("--size: other programs run only where a set has that size itself, for they read its file".into());
+    }
+    notes.iter().for_each(|note| out.say(format_args!("note: {note}")));
 
-    let mut document = Document { device: gpu.summary().clone(), repeats: args.repeat, cases: Vec::new() };
-    for (index, input) in args.inputs.iter().enumerate() {
-        let frame = settle(&source.read(input)?).0.map_err(|error| Failure::in_file(input, error))?;
-        let reference = args.references.get(index).map(|reference| quality::read(reference, &frame, input)).transpose()?;
-        let sizes = if args.sizes.is_empty() { vec![frame.extent()] } else { args.sizes.clone() };
+    let mut bench = Bench {
+        gpu: &gpu,
+        contestants: &contestants,
+        repeats,
+        scratch: tempfile::tempdir().map_err(|error| {
+            Failure::output(format_args!("no folder for temporary files: {error}\n  remedy: let TMPDIR name a folder that may be written to"))
+        })?,
+        gallery: folder.is_some().then(Gallery::default),
+        bar: bar(!args.json, files.len() as u64 * axes.sizes.len().max(1) as u64 * contestants.len() as u64 * runs(repeats)),
+        document: Document {
+            schema: SCHEMA.into(),
+            version: VERSION,
+            stein: env!("CARGO_PKG_VERSION").into(),
+            date: humantime::format_rfc3339_seconds(SystemTime::now()).to_string(),
+            arguments,
+            adapter,
+            repeats,
+            configurations: configurations.iter().map(|configuration| configuration.described.clone()).collect(),
+            sets: Vec::new(),
+            rows: Vec::new(),
+            notes,
+        },
+    };
+    for file in &files {
+        let Some(read) = bench.read(file, &source, axes.sizes.len(), out)? else { continue };
+        for (set, rows) in bench.set(file, read, &axes.sizes)? {
+            bench.bar.suspend(|| out.say(text::text(&set, &rows.iter().collect::<Vec<_>>(), args.verbose)));
+        }
+    }
+    bench.bar.finish_and_clear();
+    let Bench { document, gallery, .. } = bench;
+    if document.rows.is_empty() {
+        return Err(Failure::input("nothing was measured\n  remedy: name sets that can be denoised; `stein info` tells what is missing"));
+    }
+
+    let comparison = old.as_ref().map(|old| compare::compare(old, &document, args.fail_above));
+    if let (Some(folder), Some(gallery)) = (folder, gallery) {
+        let json = serde_json::to_string_pretty(&document).map_err(|error| Failure::output(format_args!("results.json: {error}")))?;
+        folder.write([json.as_bytes(), &csv_file::csv(&document)?, page::page(&document, &gallery)?.as_bytes()])?;
+        out.say(format_args!("{}: the report", folder.index().display()));
+    }
+    if let Some(comparison) = &comparison {
+        out.say(comparison.text());
+    }
+    if args.json {
+        out.json(&Printed { document: &document, comparison: comparison.as_ref() })?;
+    }
+    comparison.map_or(Ok(()), |comparison| comparison.verdict(args.fail_above))
+}
+
+/// What `--json` prints.
+#[derive(serde::Serialize)]
+struct Printed<'a> {
+    #[serde(flatten)]
+    document: &'a Document,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    comparison: Option<&'a Comparison>,
+}
+
+/// What is to be measured: what the arguments say, or what an earlier run's did.
+struct Job {
+    axes: Axes,
+    repeats: u32,
+    arguments: Vec<String>,
+}
+
+impl Job {
+    const REPEATS: u32 = 5;
+
+    fn new(args: &Args, old: Option<&Document>) -> Result<Self, Failure> {
+        match old {
+            Some(old) if args.axes.inputs.is_empty() => {
+                let Some(then) = Again::parse(&old.arguments) else {
+                    return Err(Failure::input("--compare: the old run's arguments are none of this version\n  remedy: name the sets"));
+                };
+                // Nothing that was given may go without effect.
+                let nothing = Axes { inputs: Vec::new(), ..Again::parse(&["-".to_owned()]).map_or_else(|| args.axes.clone(), |args| args.axes) };
+                if args.axes != nothing {
+                    return Err(Failure::usage(
+                        "without SETS, --compare measures what the old run did\n  remedy: name the sets, or leave out the options that say what is measured",
+                    ));
+                }
+                Ok(Self { axes: then.axes, repeats: args.repeat.or(then.repeat).unwrap_or(Self::REPEATS), arguments: old.arguments.clone() })
+            }
+            _ => {
+                let arguments = std::env::args_os().skip_while(|argument| argument != "bench").skip(1);
+                let arguments = arguments.map(|argument| argument.to_string_lossy().into_owned()).collect();
+                Ok(Self { axes: args.axes.clone(), repeats: args.repeat.unwrap_or(Self::REPEATS), arguments })
+            }
+        }
+    }
+}
+
+/// Options about layers must be of use to a method, and what none of them uses is not read.
+fn source(source: &Source, configurations: &[Configuration]) -> Result<Source, Failure> {
+    let methods = configurations.iter().filter_map(|configuration| match &configuration.how {
+        How::Stein { method, .. } => Some(method),
+        How::External(_) => None,
+    });
+    // One that uses features decides, where there is one.
+    match methods.max_by_key(|method| method.uses_features()) {
+        Some(method) => {
+            source.check(method)?;
+            Ok(source.for_method(method))
+        }
+        None => Ok(source.clone()),
+    }
+}
+
+struct Bench<'a> {
+    gpu: &'a Gpu,
+    contestants: &'a [Contestant<'a>],
+    repeats: u32,
+    /// For the files of other programs.
+    scratch: tempfile::TempDir,
+    /// Where there is to be a page.
+    gallery: Option<Gallery>,
+    bar: indicatif::ProgressBar,
+    document: Document,
+}
+
+/// A set in memory.
+struct ReadSet {
+    frame: Frame,
+    reference: Option<Image>,
+}
+
+impl Bench<'_> {
+    /// Reads a set. What was found in a folder and is none is left out, and told.
+    fn read(&mut self, file: &SetFile, source: &Source, sizes: usize, out: &mut Out) -> Result<Option<ReadSet>, Failure> {
+        let name = file.file.display();
+        let read = source.read(&file.file).and_then(|set| {
+            if file.was_found && is_ours(&set) {
+                return Err(Failure::input(format_args!("{name}: was written by stein")));
+            }
+            let frame = settle(&set).0.map_err(|error| Failure::in_file(&file.file, error))?;
+            let reference = file.reference.as_ref().map(|reference| quality::read(reference, &frame, &file.file)).transpose()?;
+            Ok(ReadSet { frame, reference })
+        });
+        match read {
+            Ok(read) => Ok(Some(read)),
+            Err(failure) if file.was_found => {
+                let note = format!("left out: {}", failure.message().lines().next().unwrap_or_default());
+                self.bar.suspend(|| out.say(format_args!("note: {note}")));
+                self.document.notes.push(note);
+                self.bar.dec_length(sizes.max(1) as u64 * self.contestants.len() as u64 * runs(self.repeats));
+                Ok(None)
+            }
+            Err(failure) => Err(failure),
+        }
+    }
+
+    /// Measures a set at all sizes.
+    fn set(&mut self, file: &SetFile, read: ReadSet, sizes: &[Extent]) -> Result<Vec<(Set, Vec<Row>)>, Failure> {
+        let ReadSet { frame, reference } = read;
+        let samples_per_pixel = mean_samples(&frame);
+        let sizes = if sizes.is_empty() { vec![frame.extent()] } else { sizes.to_vec() };
+        let are_given = sizes != [frame.extent()];
+        let mut measured = Vec::new();
         for extent in sizes {
+            let is_resized = extent != frame.extent();
             let covered;
-            let frame = if extent == frame.extent() {
-                &frame
-            } else {
+            let frame = if is_resized {
                 covered = cover_frame(&frame, extent)?;
                 &covered
+            } else {
+                &frame
             };
             let reference = reference.as_ref().map(|reference| cover(reference, extent));
-            let case = measure(&gpu, &denoisers, input, frame, reference.as_ref(), args)?;
-            out.say(case.text());
-            document.cases.push(case);
-        }
-    }
-    if args.json { out.json(&document) } else { Ok(()) }
-}
-
-fn measure(gpu: &Gpu, denoisers: &[(Preset, Denoiser)], input: &Path, frame: &Frame, reference: Option<&Image>, args: &Args) -> Result<Case, Failure> {
-    let Extent { width, height } = frame.extent();
-    let megapixels = frame.extent().pixels() as f64 * 1e-6;
-    let error = |image: &Image| reference.map(|reference| metric::relative_mse(image, reference)).transpose();
-    let bar = bar(!args.json, denoisers.len() as u64 * (1 + 2 * u64::from(args.repeat)));
-    let run = |denoiser: &Denoiser, timing: bool| {
-        gpu.set_timing(timing);
-        let estimate = denoiser.denoise(frame);
-        bar.inc(1);
-        estimate
-    };
-
-    // The first dispatch of a kernel compiles it.
-    let first = denoisers.iter().map(|(_, denoiser)| run(denoiser, false)).collect::<Result<Vec<_>, _>>()?;
-    let mut totals = vec![Vec::new(); denoisers.len()];
-    let mut stages: Vec<Vec<(String, usize, Vec<f64>)>> = vec![Vec::new(); denoisers.len()];
-    for _ in 0..args.repeat {
-        // In turn, so that a machine that slows down meanwhile slows down for all.
-        for (index, (_, denoiser)) in denoisers.iter().enumerate() {
-            let start = Instant::now();
-            run(denoiser, false)?;
-            totals[index].push(start.elapsed().as_secs_f64() * 1e3);
-            for time in run(denoiser, true)?.stage_times.unwrap_or_default() {
-                let known = stages[index].iter().position(|(stage, ..)| *stage == time.stage);
-                let known = known.unwrap_or_else(|| {
-                    stages[index].push((time.stage, time.dispatches, Vec::new()));
-                    stages[index].len() - 1
-                });
-                stages[index][known].2.push(time.seconds * 1e3);
+            let mut name = file.scene.clone();
+            if let Some(samples) = samples_per_pixel {
+                name += &if samples.fract() == 0.0 { format!(", {samples} spp") } else { format!(", {samples:.1} spp") };
             }
-        }
-    }
-    bar.finish_and_clear();
-
-    let mut presets = Vec::new();
-    for (((preset, _), estimate), (total, stages)) in denoisers.iter().zip(first).zip(totals.into_iter().zip(stages)) {
-        let total_ms = median(total);
-        let stages: Vec<_> = stages.into_iter().map(|(stage, dispatches, times)| Stage { stage, ms: median(times), dispatches }).collect();
-        presets.push(Measured {
-            preset: *preset,
-            total_ms,
-            total_ms_per_megapixel: total_ms / megapixels,
-            device_ms: (!stages.is_empty()).then(|| stages.iter().map(|stage| stage.ms).sum()),
-            stages,
-            strips: estimate.strips,
-            peak_bytes: estimate.peak_bytes,
-            relative_mse: error(&estimate.color)?,
-        });
-    }
-    let window_radius = denoisers.first().map_or(0, |(_, denoiser)| denoiser.method().window_radius());
-    let noisy_relative_mse = error(&frame.color().mean)?;
-    let default_to_thesis = Ratios::of(&presets);
-    Ok(Case { input: input.to_owned(), width, height, window_radius, noisy_relative_mse, presets, default_to_thesis })
-}
-
-impl Ratios {
-    fn of(presets: &[Measured]) -> Option<Self> {
-        let find = |preset| presets.iter().find(|measured| measured.preset == preset);
-        let (default, thesis) = (find(Preset::Default)?, find(Preset::Thesis)?);
-        Some(Self {
-            total: default.total_ms / thesis.total_ms,
-            device: default.device_ms.zip(thesis.device_ms).map(|(default, thesis)| default / thesis),
-            relative_mse: default.relative_mse.zip(thesis.relative_mse).map(|(default, thesis)| default / thesis),
-        })
-    }
-}
-
-impl Case {
-    /// A column for each preset.
-    fn text(&self) -> String {
-        let ratios = self.default_to_thesis.as_ref();
-        let mut head = vec![String::new()];
-        head.extend(self.presets.iter().map(|measured| match measured.preset {
-            Preset::Default => "default".to_owned(),
-            Preset::Thesis => "thesis".to_owned(),
-        }));
-        head.extend(ratios.map(|_| "default/thesis".to_owned()));
-        let mut rows = vec![head];
-        let mut add = |name: &str, values: &dyn Fn(&Measured) -> Option<String>, ratio: Option<f64>| {
-            let mut row = vec![name.to_owned()];
-            row.extend(self.presets.iter().map(|measured| values(measured).unwrap_or_else(|| "-".to_owned())));
-            row.extend(ratio.map(number));
-            rows.push(row);
-        };
-        add("total, ms", &|measured| Some(milliseconds(measured.total_ms)), ratios.map(|ratios| ratios.total));
-        add("total, ms per megapixel", &|measured| Some(milliseconds(measured.total_ms_per_megapixel)), None);
-        add("stages, ms", &|measured| measured.device_ms.map(milliseconds), ratios.and_then(|ratios| ratios.device));
-        let mut names: Vec<&str> = Vec::new();
-        for stage in self.presets.iter().flat_map(|measured| &measured.stages) {
-            if !names.contains(&stage.stage.as_str()) {
-                names.push(&stage.stage);
+            if are_given {
+                name += &format!(", {extent}");
             }
+            if self.document.sets.iter().any(|other| other.name == name) {
+                name += &format!(" ({})", file.file.display());
+            }
+            let set = Set {
+                name,
+                scene: file.scene.clone(),
+                file: file.file.clone(),
+                reference: file.reference.as_ref().map(|reference| reference.file.clone()),
+                samples_per_pixel,
+                width: extent.width,
+                height: extent.height,
+                is_resized,
+                noisy: reference.as_ref().map(|reference| errors(&frame.color().mean, reference)).transpose()?,
+            };
+            let case = Case { set: &set, frame, reference: reference.as_ref() };
+            let outcomes = measure(self.gpu, self.contestants, &case, self.repeats, self.scratch.path(), &self.bar)?;
+            if let Some(gallery) = &mut self.gallery {
+                gallery.add(&case, &outcomes)?;
+            }
+            let rows: Vec<Row> = outcomes.into_iter().map(|outcome| outcome.row).collect();
+            for row in rows.iter().filter(|row| row.errors.is_some_and(|errors| errors.relative_mse.is_none())) {
+                self.document.notes.push(format!("{}, {}: the result holds values that are not finite, so that it has no errors", row.set, row.configuration));
+            }
+            self.document.sets.push(set.clone());
+            self.document.rows.extend(rows.iter().cloned());
+            measured.push((set, rows));
         }
-        for name in names {
-            add(&format!("  {name}"), &|measured| measured.stages.iter().find(|stage| stage.stage == name).map(|stage| milliseconds(stage.ms)), None);
-        }
-        add("peak memory", &|measured| Some(bytes(measured.peak_bytes)), None);
-        if self.presets.iter().any(|measured| measured.strips > 1) {
-            add("strips", &|measured| Some(measured.strips.to_string()), None);
-        }
-        if let Some(noisy) = self.noisy_relative_mse {
-            let name = format!("relative MSE, of {} when noisy", number(noisy));
-            add(&name, &|measured| measured.relative_mse.map(number), ratios.and_then(|ratios| ratios.relative_mse));
-        }
-        format!("{}, {}×{}, radius {}\n{}", self.input.display(), self.width, self.height, self.window_radius, table(&rows, 1))
+        Ok(measured)
     }
 }
 
-fn median(mut values: Vec<f64>) -> f64 {
-    values.sort_unstable_by(f64::total_cmp);
-    match values.as_slice() {
-        [] => f64::NAN,
-        values if values.len() % 2 == 1 => values[values.len() / 2],
-        values => (values[values.len() / 2 - 1] + values[values.len() / 2]) / 2.0,
+/// A result, which lies where its input does.
+fn is_ours(set: &BufferSet) -> bool {
+    set.text_attribute("stein.version").is_some()
+}
+
+fn mean_samples(frame: &Frame) -> Option<f64> {
+    match frame.samples_per_pixel() {
+        SamplesPerPixel::Unknown => None,
+        SamplesPerPixel::Uniform(count) => Some(f64::from(*count)),
+        SamplesPerPixel::PerPixel(counts) => counts.planes.first().map(|plane| quality::mean(plane)),
     }
 }

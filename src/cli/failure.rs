@@ -32,6 +32,11 @@ impl Failure {
         Self { code: 5, message: message.to_string() }
     }
 
+    /// What is none of these.
+    pub(crate) fn other(message: impl Display) -> Self {
+        Self { code: 1, message: message.to_string() }
+    }
+
     /// What the library says about a file without knowing which one it was.
     pub(crate) fn in_file(path: &Path, error: Error) -> Self {
         match error {

@@ -39,7 +39,7 @@ impl Filter {
 /// The method and what may be set of it.
 #[derive(Debug, clap::Args)]
 #[command(next_help_heading = "Filter")]
-pub(crate) struct Choice {
+struct Choice {
     /// Method
     #[arg(long, value_enum, default_value = "dfc")]
     method: MethodName,
@@ -49,6 +49,14 @@ pub(crate) struct Choice {
     /// Of dfc: which candidates take part; the others are not computed [default: first,second,third]
     #[arg(long, value_enum, value_name = "NAME", value_delimiter = ',')]
     candidates: Vec<CandidateName>,
+    #[command(flatten)]
+    tuning: Tuning,
+}
+
+/// What may be set of one method alone.
+#[derive(Clone, Debug, PartialEq, clap::Args)]
+#[command(next_help_heading = "Filter")]
+pub(crate) struct Tuning {
     /// Of gem: share of wrong decisions for a sharper filter where the image is constant, above 0 and below 0.4; lower is smoother [default: 0.15]
     #[arg(long, value_name = "SHARE")]
     gamma: Option<f32>,
@@ -57,7 +65,7 @@ pub(crate) struct Choice {
 }
 
 /// What may be set of NLM alone.
-#[derive(Debug, clap::Args)]
+#[derive(Clone, Debug, PartialEq, clap::Args)]
 #[command(next_help_heading = "Filter")]
 struct NlmChoice {
     /// Of nlm: radius of the patches that are compared, in pixels; 0 compares single pixels [default: 3]
@@ -87,40 +95,58 @@ struct NlmChoice {
 }
 
 impl Choice {
-    /// The method with the parameters of a preset, but for those that were set.
-    pub(crate) fn method(&self, preset: PresetName) -> Result<Method, Failure> {
-        let method = match self.method {
+    /// The method with the parameters of a preset, but for those that were set. Options that it does not have are not ignored.
+    fn method(&self, preset: PresetName) -> Result<Method, Failure> {
+        if self.radius.is_some() && !self.method.has_radius() {
+            return Err(not_theirs("--radius", &[self.method]));
+        }
+        if !self.candidates.is_empty() && !self.method.has_candidates() {
+            return Err(not_theirs("--candidates", &[self.method]));
+        }
+        self.tuning.check(&[self.method])?;
+        let candidates = CandidateName::set(&self.candidates);
+        self.tuning.method(self.method, preset, Choices { radius: self.radius, candidates })
+    }
+}
+
+/// What may be set of several methods, or of which `stein bench` measures several; `None` is the preset's own.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Choices {
+    pub(crate) radius: Option<u32>,
+    pub(crate) candidates: Option<CandidateSet>,
+}
+
+impl Tuning {
+    /// Refuses options that none of the methods has.
+    pub(crate) fn check(&self, methods: &[MethodName]) -> Result<(), Failure> {
+        let of_gem = [("--gamma", self.gamma.is_some())];
+        for (owner, options) in [(MethodName::Gem, &of_gem[..]), (MethodName::Nlm, &self.nlm.given()[..])] {
+            let given = options.iter().find(|(_, is_given)| *is_given);
+            if let (Some((option, _)), false) = (given, methods.contains(&owner)) {
+                return Err(not_theirs(option, methods));
+            }
+        }
+        Ok(())
+    }
+
+    /// A method with the parameters of a preset, but for those that were set.
+    pub(crate) fn method(&self, method: MethodName, preset: PresetName, Choices { radius, candidates }: Choices) -> Result<Method, Failure> {
+        let method = match method {
             MethodName::Dfc => {
-                self.refuse(&[("--gamma", self.gamma.is_some())])?;
-                self.refuse(&self.nlm.given())?;
                 let params = preset.choose(DfcParams::default, DfcParams::thesis);
-                Method::from(DfcParams {
-                    window_radius: self.radius.unwrap_or(params.window_radius),
-                    candidates: CandidateName::set(&self.candidates).unwrap_or(params.candidates),
-                    ..params
-                })
+                Method::from(DfcParams { window_radius: radius.unwrap_or(params.window_radius), candidates: candidates.unwrap_or(params.candidates), ..params })
             }
             MethodName::Gem => {
-                self.refuse(&[("--radius", self.radius.is_some()), ("--candidates", !self.candidates.is_empty())])?;
-                self.refuse(&self.nlm.given())?;
                 let params = preset.choose(GemParams::default, GemParams::thesis);
                 Method::from(GemParams { gamma: self.gamma.unwrap_or(params.gamma), ..params })
             }
             MethodName::Nlm => {
-                self.refuse(&[("--gamma", self.gamma.is_some()), ("--candidates", !self.candidates.is_empty())])?;
                 let params = preset.choose(NlmParams::default, NlmParams::thesis);
-                Method::from(self.nlm.applied_to(NlmParams { window_radius: self.radius.unwrap_or(params.window_radius), ..params }))
+                Method::from(self.nlm.applied_to(NlmParams { window_radius: radius.unwrap_or(params.window_radius), ..params }))
             }
         };
         method.validate().map_err(Failure::usage)?;
         Ok(method)
-    }
-
-    /// Options that the method does not have are not ignored.
-    fn refuse(&self, options: &[(&str, bool)]) -> Result<(), Failure> {
-        let Some((option, _)) = options.iter().find(|(_, is_given)| *is_given) else { return Ok(()) };
-        let name = self.method.to_possible_value().map_or_else(String::new, |value| value.get_name().to_owned());
-        Err(Failure::usage(format_args!("{option} is no option of the method {name}\n  remedy: leave it out, or choose another --method")))
     }
 }
 
@@ -157,13 +183,45 @@ impl NlmChoice {
 
 /// The methods, as [`Method`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-enum MethodName {
+pub(crate) enum MethodName {
     /// Combined colour and feature filters
     Dfc,
     /// Greedy error minimisation over Gaussian scales; needs no features
     Gem,
     /// Non-local means, each half of the samples filtered with the weights of the other; needs no features
     Nlm,
+}
+
+impl MethodName {
+    /// As on the command line.
+    pub(crate) fn name(self) -> &'static str {
+        match self {
+            Self::Dfc => "dfc",
+            Self::Gem => "gem",
+            Self::Nlm => "nlm",
+        }
+    }
+
+    /// Whether it has a window whose radius can be set.
+    pub(crate) fn has_radius(self) -> bool {
+        self != Self::Gem
+    }
+
+    /// Whether it has candidates of which some can be left out.
+    pub(crate) fn has_candidates(self) -> bool {
+        self == Self::Dfc
+    }
+
+    /// Whether it has a second pass.
+    pub(crate) fn has_second_pass(self) -> bool {
+        self == Self::Dfc
+    }
+}
+
+/// An option that none of the methods has is not ignored.
+pub(crate) fn not_theirs(option: &str, methods: &[MethodName]) -> Failure {
+    let names = methods.iter().map(|method| method.name()).collect::<Vec<_>>().join(" or ");
+    Failure::usage(format_args!("{option} is no option of the method {names}\n  remedy: leave it out, or choose another --method"))
 }
 
 /// The candidates of DFC, as [`CandidateSet`].
@@ -183,6 +241,15 @@ impl CandidateName {
         let [first, second, third] = [Self::First, Self::Second, Self::Third].map(|name| names.contains(&name));
         (!names.is_empty()).then_some(CandidateSet { first, second, third })
     }
+}
+
+/// Candidates joined by plus signs, as in first+second, or all.
+pub(crate) fn candidates(text: &str) -> Result<CandidateSet, String> {
+    if text == "all" {
+        return Ok(CandidateSet::ALL);
+    }
+    let names = text.split('+').map(|name| CandidateName::from_str(name.trim(), true)).collect::<Result<Vec<_>, _>>();
+    names.ok().and_then(|names| CandidateName::set(&names)).ok_or_else(|| "it must be all, or look like first+second, of first, second and third".to_owned())
 }
 
 /// As [`Symmetry`].
@@ -207,7 +274,7 @@ impl SymmetryName {
 }
 
 /// Where colour, noise and features are found.
-#[derive(Clone, Debug, clap::Args)]
+#[derive(Clone, Debug, PartialEq, clap::Args)]
 #[command(next_help_heading = "Layers")]
 pub(crate) struct Source {
     /// Layer with the noisy colour [default: plain R G B, or one with a usual name such as `Combined` or `beauty`]
@@ -384,6 +451,11 @@ impl PresetName {
             Self::Default => Preset::Default,
             Self::Thesis => Preset::Thesis,
         }
+    }
+
+    /// As on the command line.
+    pub(crate) fn name(self) -> &'static str {
+        self.choose(|| "default", || "thesis")
     }
 }
 

@@ -1,0 +1,195 @@
+//! A run against an earlier one, row by row.
+
+use std::path::Path;
+
+use serde::Serialize;
+
+use super::super::Failure;
+use super::super::out::{number, table};
+use super::results::{Adapter, Document, Row, SCHEMA, VERSION};
+
+/// Stages whose time changed by less are not told.
+const STAGE_CHANGE: f64 = 0.05;
+
+/// From where on a row is marked, where no --fail-above says otherwise.
+const MARK_ABOVE: f64 = 1.1;
+
+/// From where on an error is worse: results are the same to the bit where nothing was changed.
+const ERROR_ABOVE: f64 = 1.001;
+
+/// New to old.
+#[derive(Debug, Serialize)]
+pub(super) struct Comparison {
+    /// When the old run was.
+    date: String,
+    /// The old run's, where it was another.
+    other_adapter: Option<Adapter>,
+    /// What makes the runs hard to compare.
+    notes: Vec<String>,
+    rows: Vec<Ratios>,
+    /// Rows whose time or error grew more than allowed.
+    failed: Vec<String>,
+}
+
+#[derive(Debug, Serialize)]
+struct Ratios {
+    set: String,
+    configuration: String,
+    wall: f64,
+    cpu: Option<f64>,
+    device: Option<f64>,
+    /// Those that changed.
+    stages: Vec<(String, f64)>,
+    relative_mse: Option<f64>,
+    is_slower: bool,
+    is_worse: bool,
+}
+
+/// The `results.json` of an earlier run; a report's folder will do.
+pub(super) fn read(path: &Path) -> Result<Document, Failure> {
+    let file = if path.is_dir() { path.join("results.json") } else { path.to_owned() };
+    let failed = |problem: String| Failure::input(format_args!("{}: {problem}\n  remedy: give the results.json of a report", file.display()));
+    let text = std::fs::read_to_string(&file).map_err(|error| failed(format!("cannot be read: {error}")))?;
+    let value: serde_json::Value = serde_json::from_str(&text).map_err(|error| failed(format!("is not JSON: {error}")))?;
+    if value["schema"] != SCHEMA {
+        return Err(failed("was not written by `stein bench`".into()));
+    }
+    if value["version"] != VERSION {
+        return Err(failed(format!("has version {} of the format, not {VERSION}", value["version"])));
+    }
+    serde_json::from_value(value).map_err(|error| failed(format!("is damaged: {error}")))
+}
+
+/// Times of different adapters say nothing of a program's progress: they are not allowed to decide over an exit code.
+pub(super) fn check_adapter(old: &Document, adapter: &Adapter, fail_above: Option<f64>) -> Result<(), Failure> {
+    if fail_above.is_none() || old.adapter == *adapter {
+        return Ok(());
+    }
+    Err(Failure::usage(format_args!(
+        "--fail-above: the old run was on {}, this one would be on {adapter}\n  remedy: leave --fail-above out, or compare with a run on this adapter",
+        old.adapter
+    )))
+}
+
+pub(super) fn compare(old: &Document, new: &Document, fail_above: Option<f64>) -> Comparison {
+    let mut notes = Vec::new();
+    if old.arguments != new.arguments {
+        notes.push(format!("the old run was of: stein bench {}", shell_words::join(&old.arguments)));
+    }
+    let find = |row: &Row| {
+        let before = old.rows.iter().find(|other| (&other.set, &other.configuration) == (&row.set, &row.configuration))?;
+        let size = |document: &Document, row: &Row| document.set(row).map(|set| (set.width, set.height));
+        (size(old, before) == size(new, row)).then_some(before)
+    };
+    let pairs: Vec<(&Row, &Row)> = new.rows.iter().filter_map(|row| Some((find(row)?, row))).collect();
+    let unmatched = |document: &Document| document.rows.len() - pairs.len();
+    for (count, which) in [(unmatched(new), "old"), (unmatched(old), "new")] {
+        if count > 0 {
+            notes.push(format!("{count} rows have no partner in the {which} run"));
+        }
+    }
+    let changed_parameters = |name: &str| {
+        let parameters = |document: &Document| {
+            let found = document.configurations.iter().find(|configuration| configuration.name == name)?;
+            found.stein.as_ref().map(|stein| stein.all.clone())
+        };
+        parameters(old) != parameters(new)
+    };
+    for configuration in &new.configurations {
+        if pairs.iter().any(|(_, row)| row.configuration == configuration.name) && changed_parameters(&configuration.name) {
+            notes.push(format!("{} had other parameters then", configuration.name));
+        }
+    }
+    let rows: Vec<Ratios> = pairs.iter().map(|(old, new)| Ratios::new(old, new, fail_above.unwrap_or(MARK_ABOVE))).collect();
+    let beyond = |limit: f64, row: &Ratios| row.wall > limit || row.relative_mse.is_some_and(|ratio| ratio > limit);
+    let failed = rows.iter().filter(|row| fail_above.is_some_and(|limit| beyond(limit, row)));
+    Comparison {
+        date: old.date.clone(),
+        other_adapter: (old.adapter != new.adapter).then(|| old.adapter.clone()),
+        notes,
+        failed: failed.map(|row| format!("{}, {}", row.set, row.configuration)).collect(),
+        rows,
+    }
+}
+
+impl Ratios {
+    fn new(old: &Row, new: &Row, mark_above: f64) -> Self {
+        let ratio = |old: Option<f64>, new: Option<f64>| old.zip(new).filter(|(old, _)| *old > 0.0).map(|(old, new)| new / old);
+        let time = |row: &Row, name: &str| row.stages.iter().find(|stage| stage.stage == name).map(|stage| stage.ms);
+        let stage = |name: &str| ratio(time(old, name), time(new, name)).map(|ratio| (name.to_owned(), ratio));
+        let stages = new.stages.iter().filter_map(|of| stage(&of.stage)).filter(|(_, ratio)| (ratio - 1.0).abs() > STAGE_CHANGE);
+        let (wall, relative_mse) = (new.wall_ms / old.wall_ms, ratio(old.relative_mse(), new.relative_mse()));
+        Self {
+            set: new.set.clone(),
+            configuration: new.configuration.clone(),
+            wall,
+            cpu: ratio(old.cpu_ms, new.cpu_ms),
+            device: ratio(old.device_ms, new.device_ms),
+            stages: stages.collect(),
+            relative_mse,
+            is_slower: wall > mark_above,
+            is_worse: relative_mse.is_some_and(|ratio| ratio > ERROR_ABOVE),
+        }
+    }
+}
+
+impl Comparison {
+    pub(super) fn text(&self) -> String {
+        let mut lines = vec![format!("new / old, the old run being of {}", self.date)];
+        if let Some(adapter) = &self.other_adapter {
+            lines.push(format!("  ANOTHER ADAPTER: the old run was on {adapter}; the ratios of times compare the adapters"));
+        }
+        lines.extend(self.notes.iter().map(|note| format!("  {note}")));
+        let mut rows = vec![["", "", "wall", "CPU", "device", "relative MSE", "", "  stages that changed"].map(String::from).to_vec()];
+        let ratio = |value: Option<f64>| value.map_or_else(|| "-".to_owned(), |value| format!("{value:.3}"));
+        for row in &self.rows {
+            let marks = [(row.is_slower, "slower"), (row.is_worse, "worse")].into_iter().filter(|(is_so, _)| *is_so).map(|(_, mark)| mark);
+            let stages = row.stages.iter().map(|(stage, ratio)| format!("{stage} {ratio:.2}")).collect::<Vec<_>>().join(", ");
+            rows.push(vec![
+                row.set.clone(),
+                row.configuration.clone(),
+                ratio(Some(row.wall)),
+                ratio(row.cpu),
+                ratio(row.device),
+                ratio(row.relative_mse),
+                marks.collect::<Vec<_>>().join(", "),
+                format!("  {stages}"),
+            ]);
+        }
+        if self.rows.is_empty() {
+            lines.push("  no row is in both runs".into());
+        } else {
+            lines.push(left_last(&rows));
+        }
+        lines.join("\n")
+    }
+
+    /// Fails where --fail-above says so.
+    pub(super) fn verdict(&self, fail_above: Option<f64>) -> Result<(), Failure> {
+        let Some(limit) = fail_above else { return Ok(()) };
+        if self.rows.is_empty() {
+            return Err(Failure::input("--fail-above: no row is in both runs\n  remedy: measure the same sets and configurations"));
+        }
+        if self.failed.is_empty() {
+            return Ok(());
+        }
+        let rows = self.failed.join("\n  ");
+        Err(Failure::other(format_args!("time or relative MSE of these rows is more than {} times that of the old run:\n  {rows}", number(limit))))
+    }
+}
+
+/// A table whose last column is text.
+fn left_last(rows: &[Vec<String>]) -> String {
+    let width = rows.iter().filter_map(|row| row.last()).map(|cell| cell.chars().count()).max().unwrap_or(0);
+    let padded: Vec<Vec<String>> = rows
+        .iter()
+        .map(|row| {
+            let mut row = row.clone();
+            if let Some(last) = row.last_mut() {
+                *last = format!("{last:width$}");
+            }
+            row
+        })
+        .collect();
+    table(&padded, 2)
+}

@@ -1,0 +1,133 @@
+//! The folder of a report.
+
+use std::path::{Path, PathBuf};
+
+use super::super::Failure;
+use super::compare;
+
+/// What a report consists of.
+const FILES: [&str; 3] = ["results.json", "results.csv", "index.html"];
+
+/// Where a report goes.
+pub(super) struct Folder {
+    path: PathBuf,
+}
+
+impl Folder {
+    /// Only a report, an empty folder or nothing may be there. Told before anything is measured.
+    pub(super) fn check(path: &Path) -> Result<Self, Failure> {
+        let name = path.display();
+        let unusable = |error: std::io::Error| {
+            Failure::output(format_args!("{name}: {error}\n  remedy: choose another folder with -o, or check that this one may be written to"))
+        };
+        let absolute = std::path::absolute(path).map_err(unusable)?;
+        if path.exists() && !may_be_replaced(path).map_err(unusable)? {
+            return Err(Failure::output(format_args!(
+                "{name}: is there already, and is no report of `stein bench`\n  remedy: choose another folder with -o; only reports are replaced"
+            )));
+        }
+        let folder = Self { path: absolute };
+        // It is gone again at once.
+        folder.aside().map_err(unusable)?;
+        Ok(folder)
+    }
+
+    /// The page.
+    pub(super) fn index(&self) -> PathBuf {
+        self.path.join("index.html")
+    }
+
+    /// A new folder beside it, so that renaming is all that is left to do.
+    fn aside(&self) -> std::io::Result<tempfile::TempDir> {
+        let mut builder = tempfile::Builder::new();
+        builder.prefix(".stein-report-");
+        // Temporary folders are private by default; a report is as readable as the user's other files.
+        #[cfg(unix)]
+        builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o777));
+        builder.tempdir_in(self.path.parent().unwrap_or(Path::new("/")))
+    }
+
+    /// Writes the files, in the order of [`FILES`], and puts them in the place of what was there.
+    pub(super) fn write(&self, contents: [&[u8]; 3]) -> Result<(), Failure> {
+        let name = self.path.display();
+        let failed = |error: std::io::Error| {
+            Failure::output(format_args!("{name}: cannot be written: {error}\n  remedy: check that there is space, and choose a folder with -o"))
+        };
+        let new = self.aside().map_err(failed)?;
+        for (file, content) in FILES.iter().zip(contents) {
+            std::fs::write(new.path().join(file), content).map_err(failed)?;
+        }
+        // What is there may have changed meanwhile.
+        if self.path.exists() {
+            if !may_be_replaced(&self.path).map_err(failed)? {
+                return Err(Failure::output(format_args!(
+                    "{name}: something else than a report was put there meanwhile\n  remedy: choose another folder with -o"
+                )));
+            }
+            let old = self.aside().map_err(failed)?;
+            let old_report = old.path().join("old");
+            std::fs::rename(&self.path, &old_report).map_err(failed)?;
+            if let Err(error) = std::fs::rename(new.path(), &self.path) {
+                std::fs::rename(&old_report, &self.path).map_err(failed)?;
+                return Err(failed(error));
+            }
+        } else {
+            std::fs::rename(new.path(), &self.path).map_err(failed)?;
+        }
+        // It is not temporary any more, and is not there under its first name.
+        let _ = new.keep();
+        Ok(())
+    }
+}
+
+/// An empty folder, or a report and nothing else.
+fn may_be_replaced(path: &Path) -> std::io::Result<bool> {
+    if !path.is_dir() {
+        return Ok(false);
+    }
+    let mut names = Vec::new();
+    for entry in std::fs::read_dir(path)? {
+        names.push(entry?.file_name());
+    }
+    Ok(names.is_empty() || (names.iter().all(|name| FILES.iter().any(|file| name == file)) && compare::read(path).is_ok()))
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_reports_are_replaced() {
+        let parent = tempfile::tempdir().unwrap();
+        let path = parent.path().join("report");
+        let folder = Folder::check(&path).unwrap();
+        let document = |date: &str| {
+            let adapter = serde_json::json!({ "name": "", "backend": "", "kind": "", "driver": "", "timestamps": true });
+            let document = serde_json::json!({
+                "schema": "stein.bench", "version": 1, "stein": "0", "date": date, "arguments": [], "adapter": adapter, "repeats": 1,
+                "configurations": [], "sets": [], "rows": [], "notes": [],
+            });
+            document.to_string()
+        };
+        for date in ["first", "second"] {
+            folder.write([document(date).as_bytes(), b"csv", b"html"]).unwrap();
+            assert_eq!(compare::read(&path).unwrap().date, date);
+            assert_eq!(std::fs::read(path.join("index.html")).unwrap(), b"html");
+        }
+        assert_eq!(std::fs::read_dir(parent.path()).unwrap().count(), 1, "nothing is left beside it");
+        Folder::check(&path).unwrap();
+
+        std::fs::write(path.join("thoughts.txt"), "mine").unwrap();
+        assert!(Folder::check(&path).is_err() && folder.write([b"", b"", b""]).is_err());
+        assert_eq!(std::fs::read(path.join("thoughts.txt")).unwrap(), b"mine");
+        std::fs::remove_file(path.join("thoughts.txt")).unwrap();
+        std::fs::write(path.join("results.json"), "{}").unwrap();
+        assert!(Folder::check(&path).is_err(), "of another program");
+        assert!(Folder::check(&path.join("results.json")).is_err(), "a file");
+        assert!(Folder::check(&parent.path().join("no/such")).is_err());
+        let empty = parent.path().join("empty");
+        std::fs::create_dir(&empty).unwrap();
+        Folder::check(&empty).unwrap().write([document("").as_bytes(), b"", b""]).unwrap();
+    }
+}

@@ -1,0 +1,219 @@
+//! The measuring itself: warm-up, then repeats, all configurations in turn.
+
+use std::path::Path;
+use std::time::Instant;
+
+use cpu_time::ProcessTime;
+use indicatif::ProgressBar;
+use stein::gpu::StageTime;
+use stein::method::Intermediate;
+use stein::{Denoiser, Frame, Gpu, Image, Method, Options, metric};
+
+use super::super::{Failure, quality};
+use super::configuration::{Configuration, How};
+use super::external::External;
+use super::results::{Errors, Row, Set, Stage, mark_front};
+use super::statistics::median;
+
+/// A configuration, ready to run.
+pub(super) struct Contestant<'a> {
+    configuration: &'a Configuration,
+    runner: Runner<'a>,
+}
+
+enum Runner<'a> {
+    Stein(Denoiser),
+    External(&'a External),
+}
+
+impl<'a> Contestant<'a> {
+    pub(super) fn new(configuration: &'a Configuration, denoiser: impl FnOnce(Method) -> Result<Denoiser, Failure>) -> Result<Self, Failure> {
+        let runner = match &configuration.how {
+            How::Stein { method, everything: false } => Runner::Stein(denoiser(*method)?),
+            How::Stein { method, everything: true } => Runner::Stein(denoiser(*method)?.with_everything()),
+            How::External(external) => Runner::External(external),
+        };
+        Ok(Self { configuration, runner })
+    }
+
+    /// Another program reads the file, and knows nothing of what was made of it.
+    fn can_run(&self, case: &Case<'_>) -> bool {
+        matches!(self.runner, Runner::Stein(_)) || !case.set.is_resized
+    }
+}
+
+/// A set at a size, in memory.
+pub(super) struct Case<'a> {
+    pub(super) set: &'a Set,
+    pub(super) frame: &'a Frame,
+    pub(super) reference: Option<&'a Image>,
+}
+
+/// What a configuration made of a case.
+pub(super) struct Outcome {
+    pub(super) row: Row,
+    pub(super) image: Image,
+}
+
+/// What is known of a configuration while it is being measured.
+struct Record {
+    first_ms: f64,
+    image: Image,
+    predicted_mse: Option<f64>,
+    predicted_image_mse: Option<f64>,
+    walls_ms: Vec<f64>,
+    cpus_ms: Vec<f64>,
+    /// Stage, dispatches, milliseconds of each run.
+    stages: Vec<(String, usize, Vec<f64>)>,
+    peak_bytes: Option<u64>,
+    strips: Option<usize>,
+}
+
+/// How many runs [`measure`] makes of each contestant.
+pub(super) fn runs(repeats: u32) -> u64 {
+    1 + 2 * u64::from(repeats)
+}
+
+/// Measures all contestants that can run on a case, in their order. `folder` is for the files of other programs.
+pub(super) fn measure(
+    gpu: &Gpu,
+    contestants: &[Contestant<'_>],
+    case: &Case<'_>,
+    repeats: u32,
+    folder: &Path,
+    bar: &ProgressBar,
+) -> Result<Vec<Outcome>, Failure> {
+    let all = contestants.len();
+    let contestants: Vec<_> = contestants.iter().filter(|contestant| contestant.can_run(case)).collect();
+    bar.dec_length((all - contestants.len()) as u64 * runs(repeats));
+    let output = folder.join("out.exr");
+    let input = std::path::absolute(&case.set.file).map_err(|error| Failure::input(format_args!("{}: {error}", case.set.file.display())))?;
+    let mut records = Vec::new();
+    for contestant in &contestants {
+        records.push(match &contestant.runner {
+            Runner::Stein(denoiser) => warm_up(gpu, denoiser, case)?,
+            Runner::External(external) => warm_up_external(external, &input, &output, case)?,
+        });
+        bar.inc(1);
+    }
+    for _ in 0..repeats {
+        // In turn, so that a machine that slows down meanwhile slows down for all.
+        for (contestant, record) in contestants.iter().zip(&mut records) {
+            match &contestant.runner {
+                Runner::Stein(denoiser) => {
+                    gpu.set_timing(false);
+                    let (start, cpu_start) = (Instant::now(), ProcessTime::try_now());
+                    let estimate = denoiser.denoise(case.frame)?;
+                    record.walls_ms.push(start.elapsed().as_secs_f64() * 1e3);
+                    let cpu = cpu_start.and_then(|start| start.try_elapsed());
+                    record.cpus_ms.extend(cpu.map(|cpu| cpu.as_secs_f64() * 1e3));
+                    (record.peak_bytes, record.strips) = (Some(estimate.peak_bytes), Some(estimate.strips));
+                    bar.inc(1);
+                    gpu.set_timing(true);
+                    record.add_stages(denoiser.denoise(case.frame)?.stage_times.unwrap_or_default());
+                    bar.inc(1);
+                }
+                Runner::External(external) => {
+                    record.walls_ms.push(external.run(&input, &output)? * 1e3);
+                    bar.inc(2);
+                }
+            }
+        }
+    }
+    let _ = std::fs::remove_file(&output);
+    let mut outcomes = Vec::new();
+    for (contestant, record) in contestants.iter().zip(records) {
+        outcomes.push(record.finish(&contestant.configuration.described.name, case)?);
+    }
+    let mut rows: Vec<Row> = outcomes.iter().map(|outcome| outcome.row.clone()).collect();
+    mark_front(&mut rows);
+    outcomes.iter_mut().zip(rows).for_each(|(outcome, row)| outcome.row = row);
+    Ok(outcomes)
+}
+
+/// The first dispatch of a kernel compiles it.
+fn warm_up(gpu: &Gpu, denoiser: &Denoiser, case: &Case<'_>) -> Result<Record, Failure> {
+    gpu.set_timing(false);
+    // What the prediction is about.
+    let before_second_pass = [Intermediate::Pass1];
+    let is_known = case.reference.is_some() && denoiser.method().intermediates().contains(&Intermediate::Pass1);
+    let keep = if is_known { &before_second_pass[..] } else { &[] };
+    let start = Instant::now();
+    let estimate = denoiser.denoise_with(case.frame, Options { keep, error: true, progress: None })?;
+    let first_ms = start.elapsed().as_secs_f64() * 1e3;
+    let predicted = estimate.layers.iter().find(|layer| layer.intermediate == Intermediate::Pass1).map_or(&estimate.color, |layer| &layer.image);
+    Ok(Record {
+        first_ms,
+        predicted_mse: estimate.error.as_ref().and_then(|error| error.planes.first()).map(|plane| quality::mean(plane) / estimate.color.channels() as f64),
+        predicted_image_mse: case.reference.map(|reference| metric::mse(predicted, reference)).transpose()?,
+        image: estimate.color,
+        walls_ms: Vec::new(),
+        cpus_ms: Vec::new(),
+        stages: Vec::new(),
+        peak_bytes: None,
+        strips: None,
+    })
+}
+
+fn warm_up_external(external: &External, input: &Path, output: &Path, case: &Case<'_>) -> Result<Record, Failure> {
+    let first_ms = external.run(input, output)? * 1e3;
+    let image = external.read(output, case.frame.extent())?;
+    Ok(Record {
+        first_ms,
+        image,
+        predicted_mse: None,
+        predicted_image_mse: None,
+        walls_ms: Vec::new(),
+        cpus_ms: Vec::new(),
+        stages: Vec::new(),
+        peak_bytes: None,
+        strips: None,
+    })
+}
+
+impl Record {
+    fn add_stages(&mut self, times: Vec<StageTime>) {
+        for StageTime { stage, seconds, dispatches } in times {
+            let known = self.stages.iter().position(|(name, ..)| *name == stage).unwrap_or_else(|| {
+                self.stages.push((stage, dispatches, Vec::new()));
+                self.stages.len() - 1
+            });
+            self.stages[known].2.push(seconds * 1e3);
+        }
+    }
+
+    fn finish(self, configuration: &str, case: &Case<'_>) -> Result<Outcome, Failure> {
+        let wall_ms = median(self.walls_ms);
+        let stages: Vec<_> = self.stages.into_iter().map(|(stage, dispatches, times)| Stage { stage, ms: median(times), dispatches }).collect();
+        let row = Row {
+            set: case.set.name.clone(),
+            configuration: configuration.to_owned(),
+            first_ms: self.first_ms,
+            wall_ms,
+            wall_ms_per_megapixel: wall_ms / case.set.megapixels(),
+            cpu_ms: (!self.cpus_ms.is_empty()).then(|| median(self.cpus_ms)),
+            device_ms: (!stages.is_empty()).then(|| stages.iter().map(|stage| stage.ms).sum()),
+            stages,
+            peak_bytes: self.peak_bytes,
+            strips: self.strips,
+            errors: case.reference.map(|reference| errors(&self.image, reference)).transpose()?,
+            predicted_mse: self.predicted_mse,
+            predicted_image_mse: self.predicted_image_mse,
+            on_front: None,
+        };
+        Ok(Outcome { row, image: self.image })
+    }
+}
+
+/// An image against its reference, by all measures.
+pub(super) fn errors(image: &Image, reference: &Image) -> Result<Errors, Failure> {
+    let finite = |value: f64| value.is_finite().then_some(value);
+    let relative_mse = finite(metric::relative_mse(image, reference)?);
+    Ok(Errors {
+        relative_mse,
+        mse: finite(metric::mse(image, reference)?),
+        ssim: finite(metric::ssim(image, reference)?),
+        // Takes what is not finite for black.
+        flip: relative_mse.map(|_| metric::flip(image, reference)).transpose()?,
+    })
+}

@@ -1,0 +1,167 @@
+//! Small pictures of inputs, results and references, for the page.
+
+use base64::Engine as _;
+use base64::engine::general_purpose::STANDARD;
+use stein::{Extent, Image, metric};
+
+use super::super::Failure;
+use super::measure::{Case, Outcome};
+
+/// Pixels of the longer side, at most.
+const LARGEST_SIDE: u32 = 384;
+
+/// Sides to try until all pictures together are small enough.
+const SIDES: [u32; 6] = [LARGEST_SIDE, 320, 256, 192, 128, 96];
+
+/// Bytes that all pictures together may take.
+const BUDGET: usize = 6 << 20;
+
+/// Results that are shown of each set: the best, by relative MSE.
+const SHOWN: usize = 4;
+
+/// Pictures of all sets.
+#[derive(Default)]
+pub(super) struct Gallery {
+    sets: Vec<Pictures>,
+}
+
+/// Pictures of one set.
+struct Pictures {
+    set: String,
+    pictures: Vec<Picture>,
+}
+
+struct Picture {
+    caption: String,
+    shown: Shown,
+}
+
+/// A picture for the page.
+pub(super) struct Thumbnail {
+    pub(super) caption: String,
+    /// A PNG, as `data:` address.
+    pub(super) source: String,
+    pub(super) extent: Extent,
+}
+
+/// What a display shows of an image.
+#[derive(Clone, Debug, PartialEq)]
+struct Shown {
+    extent: Extent,
+    /// Red, green and blue of each pixel.
+    bytes: Vec<u8>,
+}
+
+impl Gallery {
+    /// Adds what a set was, what became of it, and what it should be.
+    pub(super) fn add(&mut self, case: &Case<'_>, outcomes: &[Outcome]) -> Result<(), Failure> {
+        let picture = |caption: String, image: &Image| Ok::<_, Failure>(Picture { caption, shown: Shown::of(image)?.within(LARGEST_SIDE) });
+        let mut best: Vec<&Outcome> = outcomes.iter().collect();
+        best.sort_by(|a, b| {
+            let error = |outcome: &Outcome| outcome.row.relative_mse().unwrap_or(f64::INFINITY);
+            error(a).total_cmp(&error(b))
+        });
+        let mut pictures = vec![picture("noisy".into(), &case.frame.color().mean)?];
+        for outcome in best.into_iter().take(SHOWN) {
+            pictures.push(picture(outcome.row.configuration.clone(), &outcome.image)?);
+        }
+        if let Some(reference) = case.reference {
+            pictures.push(picture("reference".into(), reference)?);
+        }
+        self.sets.push(Pictures { set: case.set.name.clone(), pictures });
+        Ok(())
+    }
+
+    /// The name of each set with its pictures, all of one size that lets the page stay small; sets that do not fit even so have none.
+    pub(super) fn thumbnails(&self) -> Result<Vec<(&str, Vec<Thumbnail>)>, Failure> {
+        let mut made = Vec::new();
+        for side in SIDES {
+            made = self.of_side(side)?;
+            let bytes: usize = made.iter().flat_map(|(_, thumbnails)| thumbnails).map(|thumbnail| thumbnail.source.len()).sum();
+            if bytes <= BUDGET {
+                return Ok(made);
+            }
+        }
+        let mut left = BUDGET;
+        made.retain(|(_, thumbnails)| {
+            let bytes = thumbnails.iter().map(|thumbnail| thumbnail.source.len()).sum();
+            let fits = bytes <= left;
+            left -= if fits { bytes } else { 0 };
+            fits
+        });
+        Ok(made)
+    }
+
+    fn of_side(&self, side: u32) -> Result<Vec<(&str, Vec<Thumbnail>)>, Failure> {
+        let thumbnail = |picture: &Picture| {
+            let shown = picture.shown.within(side);
+            Ok(Thumbnail { caption: picture.caption.clone(), source: shown.png()?, extent: shown.extent })
+        };
+        self.sets.iter().map(|set| Ok((set.set.as_str(), set.pictures.iter().map(thumbnail).collect::<Result<_, Failure>>()?))).collect()
+    }
+}
+
+impl Shown {
+    fn of(image: &Image) -> Result<Self, Failure> {
+        Ok(Self { extent: image.extent, bytes: metric::display_bytes(image)? })
+    }
+
+    /// Made smaller where it is larger, by averaging what a pixel covers as it is shown: so noise looks like noise seen from afar, and one bright pixel stays a bright pixel.
+    fn within(&self, side: u32) -> Self {
+        let Extent { width, height } = self.extent;
+        let longest = width.max(height);
+        if longest <= side {
+            return self.clone();
+        }
+        let shorter = |length: u32| (u64::from(length) * u64::from(side)).div_ceil(longest.into()) as u32;
+        let extent = Extent { width: shorter(width), height: shorter(height) };
+        let range = |position: u32, to: u32, from: u32| {
+            let first = (u64::from(position) * u64::from(from) / u64::from(to)) as usize;
+            let end = (u64::from(position + 1) * u64::from(from)).div_ceil(to.into()) as usize;
+            first..end
+        };
+        let mut bytes = Vec::with_capacity(extent.pixels() * 3);
+        for y in 0..extent.height {
+            for x in 0..extent.width {
+                let (rows, columns) = (range(y, extent.height, height), range(x, extent.width, width));
+                let count = (rows.len() * columns.len()) as u32;
+                let mut sums = [0u32; 3];
+                for row in rows {
+                    for pixel in self.bytes[(row * width as usize + columns.start) * 3..][..columns.len() * 3].chunks_exact(3) {
+                        sums.iter_mut().zip(pixel).for_each(|(sum, byte)| *sum += u32::from(*byte));
+                    }
+                }
+                bytes.extend(sums.map(|sum| ((sum + count / 2) / count) as u8));
+            }
+        }
+        Self { extent, bytes }
+    }
+
+    fn png(&self) -> Result<String, Failure> {
+        let failed = |error: png::EncodingError| Failure::output(format_args!("a thumbnail: {error}"));
+        let mut file = Vec::new();
+        let mut encoder = png::Encoder::new(&mut file, self.extent.width, self.extent.height);
+        encoder.set_color(png::ColorType::Rgb);
+        encoder.set_depth(png::BitDepth::Eight);
+        encoder.set_compression(png::Compression::High);
+        let mut writer = encoder.write_header().map_err(failed)?;
+        writer.write_image_data(&self.bytes).map_err(failed)?;
+        writer.finish().map_err(failed)?;
+        Ok(format!("data:image/png;base64,{}", STANDARD.encode(file)))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_large_picture_is_averaged_and_a_small_one_stays() {
+        let shown = Shown { extent: Extent { width: 4, height: 2 }, bytes: (0..8).flat_map(|i| [i * 10, 0, 255]).collect() };
+        assert_eq!(shown.within(4), shown);
+        let half = shown.within(2);
+        assert_eq!(half.extent, Extent { width: 2, height: 1 });
+        assert_eq!(half.bytes, [25, 0, 255, 45, 0, 255]);
+        assert_eq!(shown.within(3).extent, Extent { width: 3, height: 2 });
+    }
+}
