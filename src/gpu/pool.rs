@@ -6,7 +6,7 @@
 //! is submitted; a buffer whose last use lies in a recorder that is still open is handed out to that recorder only. Recorders that use the same buffer must be
 //! submitted in the order in which they did.
 //!
-//! Sizes: a request is rounded up to 256 bytes. The smallest idle buffer that is large enough serves it if at most half of it would lie fallow;
+//! Sizes: a request is rounded up to 256 bytes. The smallest idle buffer that is large enough serves it if at most a quarter of it would lie fallow;
 //! otherwise a buffer of exactly the rounded size is made.
 
 use std::collections::HashSet;
@@ -151,7 +151,7 @@ impl Pool {
         let mut state = lock(&self.0);
         let fits = |idle: &Idle| {
             let size = idle.wgpu.size();
-            size >= bytes && size - bytes <= size / 2 && (idle.last_use == recorder || !state.open.contains(&idle.last_use))
+            size >= bytes && size - bytes <= size / 4 && (idle.last_use == recorder || !state.open.contains(&idle.last_use))
         };
         let best = state.idle.iter().enumerate().filter(|(_, idle)| fits(idle)).min_by_key(|(_, idle)| idle.wgpu.size())?.0;
         let wgpu = state.idle.swap_remove(best).wgpu;

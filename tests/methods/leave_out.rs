@@ -263,7 +263,7 @@ fn tiles_are_those_of_the_frame_in_every_strip() {
     assert!(skipped(&whole, &Step::Candidates) > 0.2);
     // Of its own: what other tests hold would count.
     let gpu = open(GpuOptions::default());
-    let limit = 16_000_000;
+    let limit = 12_000_000;
     let in_strips = run(&denoiser(&gpu, small(DfcParams::default())).with_max_memory(limit), &tall, Options::default());
     assert!(in_strips.strips >= 2 && in_strips.peak_bytes <= limit, "{} strips, {} bytes", in_strips.strips, in_strips.peak_bytes);
     assert_same("in strips", &in_strips, &whole, 1.0);
