@@ -72,13 +72,6 @@ struct Sums {
     spread: vec3<f32>,
 }
 
-// One neighbour's weights.
-struct Weights {
-    first: vec4<f32>,
-    second: vec4<f32>,
-    third: f32,
-}
-
 // Of three channels that are the same, the first stands for all; what the others would be is not used, and so not computed.
 fn channels(value: vec3<f32>) -> vec3<f32> {
 #ifdef GREY
