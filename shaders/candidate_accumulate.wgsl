@@ -9,7 +9,6 @@
 //
 // An invocation filters PIXELS pixels in a row and goes through the offsets row by row: the neighbours of one offset are those of the offset before, but for one. They stay in
 // registers, as do the running sums.
-#import stein::planes::{pixel_index}
 #import stein::nlm::{NlmParams, PairWeights, EPSILON, DISTANCE_LIMIT, has_opposite, patch_members, pair_weights}
 #import stein::candidates::{CandidateParams, WEIGHT_LANES, LARGEST_LANES, MEAN_SUM, PERTURBED_SUM, SPREAD_SUM, PLANES_WITH_COLOR, THIRD_MEAN_SUM, THIRD_SPREAD_SUM, difference_step}
 

@@ -79,7 +79,7 @@ pub(crate) struct Written {
     added_layers: Vec<String>,
     /// Halves that were replaced by those of the denoised colour.
     replaced_layers: Vec<String>,
-    /// The input's variance, which is not that of the denoised colour.
+    /// The input's variance, and without an error that of an earlier run: they are not those of the denoised colour.
     dropped_layers: Vec<String>,
     clamped_values: usize,
     non_finite_values: usize,
@@ -109,12 +109,18 @@ pub(crate) fn write(set: BufferSet, output: &Path, estimate: &Estimate, keep: &[
         }
     }
 
-    let error = estimate.error.as_ref().map(|image| NamedLayer { name: format!("{PREFIX}.error"), channels: vec!["V".into()], image: image.clone() });
+    let error_name = format!("{PREFIX}.error");
+    // An earlier run's is not that of this colour.
+    let drops_error = estimate.error.is_none() && in_input().any(|other| other.layer == error_name);
+    if drops_error {
+        dropped.push(error_name.clone());
+    }
+    let error = estimate.error.as_ref().map(|image| NamedLayer { name: error_name, channels: vec!["V".into()], image: image.clone() });
     let kept = estimate.layers.iter().filter(|layer| keep.contains(&layer.intermediate));
     let named = kept.map(|layer| NamedLayer { name: format!("{PREFIX}.{}", layer.name), channels: layer.channels.clone(), image: layer.image.clone() });
     // Layers that an earlier run left in the input are brought up to date.
     let (stale, extra): (Vec<_>, Vec<_>) = error.into_iter().chain(named).partition(|layer| in_input().any(|other| other.layer == layer.name));
-    if !stale.is_empty() {
+    if drops_error || !stale.is_empty() {
         notes.push("the input was denoised before".into());
     }
     replacements.extend(stale.into_iter().map(|layer| (layer.name, layer.image)));

@@ -20,7 +20,7 @@ const HEADER_BYTES: usize = MAGIC.len() + size_of::<u64>();
 /// A file that has grown beyond this many bytes is begun anew: drivers only ever add to what they are given.
 const MOST_BYTES: u64 = 32 << 20;
 
-/// Files that are kept in the folder, of the adapters, drivers and versions that were used last.
+/// Files that are kept in the folder, of the adapters, drivers and versions that were written last.
 const MOST_FILES: usize = 8;
 
 const PREFIX: &str = "stein-";
@@ -170,7 +170,7 @@ mod tests {
     }
 
     #[test]
-    fn the_files_used_last_are_kept_and_nothing_else_is_touched() {
+    fn the_files_written_last_are_kept_and_nothing_else_is_touched() {
         let folder = tempfile::tempdir().expect("a folder");
         std::fs::write(folder.path().join("other.pipelines"), "").expect("a file");
         for age in 0..MOST_FILES as u64 + 3 {

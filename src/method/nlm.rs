@@ -85,7 +85,7 @@ pub(crate) fn nlm(
         } else {
             let of = |signal, variance| Buffers { guide: signal, variance, payload: signal, payload_planes: 2 };
             let others: Vec<_> = beside.iter().map(|frame| of(&frame.signal, &frame.variance)).collect();
-            filter(rec, &of(signal, variance), &others, !has_halves)?
+            filter(rec, &of(signal, variance), &others, !has_halves && plan.runs(&Step::Error))?
         };
         progress(rec, to)?;
         Ok::<_, Error>(filtered)

@@ -89,8 +89,6 @@ pub enum Step {
     Error,
     /// The scales of GEM and their choice (thesis 6.2).
     Scales,
-    /// Work in strips of rows.
-    Strips,
 }
 
 impl Step {
@@ -119,7 +117,6 @@ impl Step {
             Self::FilterAlone => "filter over one frame",
             Self::Error => "error",
             Self::Scales => "scales",
-            Self::Strips => "strips",
         };
         name.to_owned()
     }

@@ -157,12 +157,16 @@ fn one_candidate_is_not_chosen() {
 #[test]
 fn without_its_error_the_result_is_the_same() {
     let frame = crop(&["albedo"]);
+    let without_halves = new_frame(Signal { half_spread: None, ..frame.color().clone() }, Vec::new());
     for method in [small(DfcParams::default()).into(), NlmParams { window_radius: 4, ..NlmParams::default() }.into(), GemParams::default().into()] {
         let method: Method = method;
         let denoiser = denoiser(gpu(), method);
         let [with, without] = [true, false].map(|error| run(&denoiser, &frame, Options { error, ..Options::default() }));
         assert!(without.error.is_none() && with.error.is_some());
         assert!(with.color == without.color && with.half_spread == without.half_spread && with.weight_sum == without.weight_sum, "{}", method.name());
+        // Without halves, what is left of the variance serves the error alone.
+        let [with, without] = [true, false].map(|error| run(&denoiser, &without_halves, Options { error, ..Options::default() }));
+        assert!(with.color == without.color && with.weight_sum == without.weight_sum, "{} without halves", method.name());
         // The sampling density is made of it.
         let [with, without] = [true, false].map(|error| run(&denoiser, &frame, Options { error, keep: &[Intermediate::Density], ..Options::default() }));
         assert_eq!(with.layers[0].image, without.layers[0].image, "{}", method.name());
@@ -251,6 +255,10 @@ fn tiles_without_noise_are_copied() {
     let off = f64::from(farthest(&planned.color, &everything.color));
     assert!(off <= 1e-6 * most, "{off} of {most}");
 
+    // The image before the second pass is copied as well, so that asking for it changes nothing.
+    let keeping = run(&denoiser(gpu(), small(DfcParams::default())), &plain, Options { keep: &[Intermediate::Pass1], ..Options::default() });
+    assert_same("keeping pass 1", &keeping, &planned, 1.0);
+    assert!(keeping.plan.steps == planned.plan.steps && copied(&keeping.layers[0].image) == copied(&plain.color().mean));
     // Intermediates that are other there are computed.
     let kept = run(&denoiser(gpu(), small(DfcParams::default())), &frame, Options { keep: &[Intermediate::Candidates], ..Options::default() });
     assert_eq!(skipped(&kept, &Step::Candidates), 0.0);

@@ -27,7 +27,7 @@ pub(super) struct Comparison {
     /// What makes the runs hard to compare.
     notes: Vec<String>,
     rows: Vec<Ratios>,
-    /// Rows whose time or error grew more than allowed.
+    /// Rows whose time or error grew more than allowed, or that have no error any more.
     failed: Vec<String>,
 }
 
@@ -41,6 +41,8 @@ struct Ratios {
     /// Those that changed.
     stages: Vec<(String, f64)>,
     relative_mse: Option<f64>,
+    /// The result had errors, and holds values that are not finite now.
+    lost_its_errors: bool,
     is_slower: bool,
     is_worse: bool,
 }
@@ -101,13 +103,13 @@ pub(super) fn compare(old: &Document, new: &Document, fail_above: Option<f64>) -
         }
     }
     let rows: Vec<Ratios> = pairs.iter().map(|(old, new)| Ratios::new(old, new, fail_above.unwrap_or(MARK_ABOVE))).collect();
-    let beyond = |limit: f64, row: &Ratios| row.wall > limit || row.relative_mse.is_some_and(|ratio| ratio > limit);
+    let beyond = |limit: f64, row: &Ratios| row.lost_its_errors || row.wall > limit || row.relative_mse.is_some_and(|ratio| ratio > limit);
     let failed = rows.iter().filter(|row| fail_above.is_some_and(|limit| beyond(limit, row)));
     Comparison {
         date: old.date.clone(),
         other_adapter: (old.adapter != new.adapter).then(|| old.adapter.clone()),
         notes,
-        failed: failed.map(|row| format!("{}, {}", row.set, row.configuration)).collect(),
+        failed: failed.map(|row| format!("{}, {}{}", row.set, row.configuration, if row.lost_its_errors { ": not finite any more" } else { "" })).collect(),
         rows,
     }
 }
@@ -119,6 +121,8 @@ impl Ratios {
         let stage = |name: &str| ratio(time(old, name), time(new, name)).map(|ratio| (name.to_owned(), ratio));
         let stages = new.stages.iter().filter_map(|of| stage(&of.stage)).filter(|(_, ratio)| (ratio - 1.0).abs() > STAGE_CHANGE);
         let (wall, relative_mse) = (new.wall_ms / old.wall_ms, ratio(old.relative_mse(), new.relative_mse()));
+        // Where there is a reference still.
+        let lost_its_errors = old.relative_mse().is_some() && new.errors.is_some() && new.relative_mse().is_none();
         Self {
             set: new.set.clone(),
             configuration: new.configuration.clone(),
@@ -127,8 +131,9 @@ impl Ratios {
             device: ratio(old.device_ms, new.device_ms),
             stages: stages.collect(),
             relative_mse,
+            lost_its_errors,
             is_slower: wall > mark_above,
-            is_worse: relative_mse.is_some_and(|ratio| ratio > ERROR_ABOVE),
+            is_worse: lost_its_errors || relative_mse.is_some_and(|ratio| ratio > ERROR_ABOVE),
         }
     }
 }
@@ -174,7 +179,10 @@ impl Comparison {
             return Ok(());
         }
         let rows = self.failed.join("\n  ");
-        Err(Failure::other(format_args!("time or relative MSE of these rows is more than {} times that of the old run:\n  {rows}", number(limit))))
+        let limit = number(limit);
+        Err(Failure::other(format_args!(
+            "time or relative MSE of these rows is more than {limit} times that of the old run, or there is none any more:\n  {rows}"
+        )))
     }
 }
 
@@ -192,4 +200,36 @@ fn left_last(rows: &[Vec<String>]) -> String {
         })
         .collect();
     table(&padded, 2)
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
+mod tests {
+    use serde_json::{Value, json};
+
+    use super::*;
+
+    /// One row, of 100 ms and this relative MSE.
+    fn document(relative_mse: Value) -> Document {
+        let errors = json!({ "relative_mse": relative_mse, "mse": null, "ssim": null, "flip": null });
+        let row =
+            json!({ "set": "box", "configuration": "gem", "first_ms": 1.0, "wall_ms": 100.0, "wall_ms_per_megapixel": 1.0, "stages": [], "errors": errors });
+        let adapter = json!({ "name": "", "backend": "", "kind": "", "driver": "", "timestamps": true });
+        let document = json!({
+            "schema": SCHEMA, "version": VERSION, "stein": "0", "date": "then", "arguments": [], "adapter": adapter, "repeats": 1,
+            "configurations": [], "sets": [], "rows": [row], "notes": [],
+        });
+        serde_json::from_value(document).unwrap()
+    }
+
+    #[test]
+    fn a_result_that_is_not_finite_any_more_is_worse_than_any_other() {
+        let compared = |old: Value, new: Value| compare(&document(old), &document(new), Some(1e9));
+        let lost = compared(json!(0.5), Value::Null);
+        assert!(lost.rows[0].is_worse && !lost.rows[0].is_slower && lost.verdict(Some(1e9)).is_err(), "{lost:?}");
+        for (old, new) in [(json!(0.5), json!(0.5)), (Value::Null, Value::Null), (Value::Null, json!(0.5))] {
+            let same = compared(old, new);
+            assert!(!same.rows[0].is_worse && same.verdict(Some(1e9)).is_ok(), "{same:?}");
+        }
+    }
 }
