@@ -272,7 +272,7 @@ pub struct Beside<'a> {
 /// One chunk of offsets over one strip of rows: what follows `nlm_distance` gets the column sums (of a patchwise guide, those of weights) and these parameters.
 pub(super) struct Chunk<'a> {
     pub(super) params: NlmParams,
-    /// Of the patches, and behind them of the smaller ones, if they are wanted too.
+    /// Of the patches, and behind them of the smaller ones, if they are wanted too; without distances it holds nothing.
     pub(super) columns: &'a Buffer,
     /// Which of the frames beside the neighbours are in; `None`: in the frame itself.
     pub(super) beside: Option<usize>,
@@ -301,7 +301,8 @@ pub(super) fn for_each_chunk(
     let patch_radius = guide.patch_radius as i32;
     let regions = schedule.regions(rec.gpu(), extent, radius, guide);
     let largest = |bytes: &dyn Fn(&Cut) -> u64| regions.iter().map(|(_, cut)| bytes(cut)).max().unwrap_or(0);
-    let columns = rec.take("column sums of distances", largest(&|cut| cut.scratch_bytes(cut.margin) * u64::from(cut.patch_sizes)))?;
+    let column_bytes = if with_distances { largest(&|cut| cut.scratch_bytes(cut.margin) * u64::from(cut.patch_sizes)) } else { 0 };
+    let columns = rec.take("column sums of distances", column_bytes)?;
     let weight_columns = guide.patchwise.then(|| rec.take("column sums of weights", largest(&|cut| cut.scratch_bytes(0)))).transpose()?;
     let itself = Beside { signal: guide.signal, variance_of_mean: guide.variance_of_mean };
     let frames: Vec<_> = std::iter::once((None, itself)).chain(guide.beside.iter().enumerate().map(|(index, frame)| (Some(index), *frame))).collect();

@@ -3,7 +3,7 @@
 use stein::frame::Signal;
 use stein::gpu::{Gpu, GpuOptions};
 use stein::image::Extent;
-use stein::method::{Intermediate, Step};
+use stein::method::{Intermediate, Plan, Step};
 use stein::stage::candidate_set::CandidateSet;
 use stein::stage::nlm::Schedule;
 use stein::{Denoiser, DfcParams, Estimate, Frame, GemParams, Image, Method, NlmParams, Options};
@@ -274,6 +274,39 @@ fn tiles_are_those_of_the_frame_in_every_strip() {
     let limit = 12_000_000;
     let in_strips = run(&denoiser(&gpu, small(DfcParams::default())).with_max_memory(limit), &tall, Options::default());
     assert!(in_strips.strips >= 2 && in_strips.peak_bytes <= limit, "{} strips, {} bytes", in_strips.strips, in_strips.peak_bytes);
+    assert_same("in strips", &in_strips, &whole, 1.0);
+}
+
+/// In a window of frames, noise in any of them counts; with candidates left out, and in strips as well.
+#[test]
+fn tiles_of_a_window_have_no_noise_in_any_of_its_frames() {
+    let tall = stacked(&half_empty_frame());
+    let plain = |frame: &Frame, columns: usize| {
+        let noise = |image: &Image| {
+            let mut image = image.clone();
+            image.planes.iter_mut().flat_map(|plane| plane.chunks_exact_mut(96)).for_each(|row| row[columns..56].fill(0.01));
+            image
+        };
+        let color = frame.color();
+        let [half_spread, variance_of_mean] = [&color.half_spread, &color.variance_of_mean].map(|image| image.as_ref().map(noise));
+        new_frame(Signal { mean: color.mean.clone(), half_spread, variance_of_mean }, Vec::new())
+    };
+    let (own, beside) = (plain(&tall, 56), plain(&tall, 40));
+    let params = DfcParams { candidates: CandidateSet { first: false, ..CandidateSet::ALL }, ..small(DfcParams::default()) };
+    let window = |denoiser: &Denoiser| denoiser.denoise_window(&[&own, &beside], 0, Options::default()).unwrap_or_else(|error| panic!("{error}"));
+    let planned = denoiser(gpu(), params);
+    let (whole, everything) = (window(&planned), window(&planned.clone().with_everything()));
+    let alone = planned.plan(&[&own], 0, &Options::default()).unwrap_or_else(|error| panic!("{error}"));
+    let share = |plan: &Plan| plan.steps.iter().find(|planned| planned.step == Step::Candidates).map_or(f64::NAN, |planned| planned.skipped);
+    assert!(0.2 < share(&whole.plan) && share(&whole.plan) < share(&alone) - 0.1, "{} {}", share(&whole.plan), share(&alone));
+    let most = f64::from(own.color().mean.planes.iter().flatten().fold(0.0f32, |most, value| most.max(value.abs())));
+    let off = f64::from(farthest(&whole.color, &everything.color));
+    assert!(off <= 1e-6 * most, "{off} of {most}");
+
+    // Of its own: what other tests hold would count.
+    let gpu = open(GpuOptions::default());
+    let in_strips = window(&denoiser(&gpu, params).with_max_memory(14_000_000));
+    assert!(in_strips.strips >= 2, "{} strips", in_strips.strips);
     assert_same("in strips", &in_strips, &whole, 1.0);
 }
 
