@@ -55,7 +55,12 @@ pub(in crate::method) fn plan(params: &DfcParams, facts: &Facts, wishes: &Wishes
     let one = candidates == 1 && !wishes.keeps(Intermediate::Selection) && (facts.has_halves || !wishes.keeps(Intermediate::Density));
     let unwanted = one && !wishes.error && !wishes.keeps(Intermediate::Sure);
     let not_differentiated = unwanted && !judges_frames && !wishes.keeps(Intermediate::Derivatives);
-    plan.step(Step::Derivatives, "SURE needs them", &[needless(not_differentiated, "nothing asks for SURE")]);
+    let because = match unwanted {
+        true if judges_frames => "frames beside are judged by them",
+        true if wishes.keeps(Intermediate::Derivatives) => "they are asked for",
+        _ => "SURE needs them",
+    };
+    plan.step(Step::Derivatives, because, &[needless(not_differentiated, "nothing asks for SURE")]);
     plan.step(Step::HalfSpread, "the halves are filtered along", &[impossible(!facts.has_halves, "there are no halves")]);
     plan.step(Step::Channels, "they differ", &[needless(facts.grey, "all are the same: the work of one stands for all")]);
     let nothing_to_judge = || [needless(unwanted, "there is one candidate, and its error is not wanted")];
