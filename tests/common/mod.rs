@@ -29,9 +29,16 @@ pub fn open(options: GpuOptions) -> Gpu {
 
 /// Ways of cutting up the work: from one row and one offset at a time to everything at once, for processors and for graphics cards. What is computed must not depend on it.
 pub fn schedules() -> impl Iterator<Item = Schedule> {
-    let blocks = [(1, 1, 1, 0), (5, 2, 4, 1 << 16), (16, 1, 1, 200), (32, 3, 4, 512)];
+    let blocks = [(1, 1, 1, 1 << 20, 0), (5, 2, 4, 9, 1 << 16), (16, 1, 1, 16, 200), (32, 3, 4, 1 << 20, 512)];
     let schedule = move |scratch_bytes| {
-        blocks.map(|(block_rows, offset_rows, pixels, region_pixels)| Schedule { scratch_bytes, block_rows, offset_rows, pixels, region_pixels })
+        blocks.map(|(block_rows, offset_rows, pixels, band_columns, region_pixels)| Schedule {
+            scratch_bytes,
+            block_rows,
+            offset_rows,
+            pixels,
+            band_columns,
+            region_pixels,
+        })
     };
     [16, 1 << 12, 30_000, 1 << 18, 64 << 20].into_iter().flat_map(schedule)
 }
