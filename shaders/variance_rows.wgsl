@@ -1,4 +1,6 @@
 // Horizontal half of the box sums of variance_scale: per channel Σ spread² and Σ sample variance over a row of 2·radius+1 pixels, existing ones only.
+//
+// An invocation makes PIXELS pixels in a row: their boxes share most of what they sum up, and loads are what costs.
 #import stein::planes::{pixel_index}
 
 struct VarianceScaleParams {
@@ -13,22 +15,35 @@ struct VarianceScaleParams {
 @group(0) @binding(3) var<storage, read_write> spread_rows: array<vec4<f32>>;
 @group(0) @binding(4) var<storage, read_write> sample_rows: array<vec4<f32>>;
 
+const PIXELS: i32 = #{PIXELS};
+
 @compute @workgroup_size(32, 2, 1)
 fn main(@builtin(global_invocation_id) id: vec3<u32>) {
-    let p = vec2<i32>(id.xy);
-    if any(p >= params.extent) {
+    let extent = params.extent;
+    let first = vec2<i32>(id.xy) * vec2<i32>(PIXELS, 1);
+    if any(first >= extent) {
         return;
     }
-    let pixels = params.extent.x * params.extent.y;
-    var spread_sum = vec4<f32>(0.0);
-    var sample_sum = vec4<f32>(0.0);
-    for (var x = max(p.x - params.radius, 0); x <= min(p.x + params.radius, params.extent.x - 1); x++) {
-        let at = pixel_index(vec2<i32>(x, p.y), params.extent);
+    let pixels = extent.x * extent.y;
+    let radius = params.radius;
+    var spread_sums: array<vec4<f32>, PIXELS>;
+    var sample_sums: array<vec4<f32>, PIXELS>;
+    for (var x = max(first.x - radius, 0); x <= min(first.x + PIXELS - 1 + radius, extent.x - 1); x++) {
+        let at = pixel_index(vec2<i32>(x, first.y), extent);
         let spread = signal[pixels + at];
-        spread_sum += spread * spread;
-        sample_sum += sample_variance[at];
+        let two_buffer_variance = spread * spread;
+        let variance = sample_variance[at];
+        for (var i = 0; i < PIXELS; i++) {
+            let is_near = abs(x - first.x - i) <= radius;
+            spread_sums[i] += select(vec4<f32>(0.0), two_buffer_variance, is_near);
+            sample_sums[i] += select(vec4<f32>(0.0), variance, is_near);
+        }
     }
-    let at_p = pixel_index(p, params.extent);
-    spread_rows[at_p] = spread_sum;
-    sample_rows[at_p] = sample_sum;
+    for (var i = 0; i < PIXELS; i++) {
+        if first.x + i < extent.x {
+            let at = pixel_index(first, extent) + i;
+            spread_rows[at] = spread_sums[i];
+            sample_rows[at] = sample_sums[i];
+        }
+    }
 }

@@ -1,5 +1,7 @@
 // Scales the sample variance to the magnitude of the two-buffer variance (thesis 8.2): sample variance has the finer structure, the halves have no bias
 // whatever the sampler. The ratio is that of two box means over the same pixels, so the sums of variance_rows serve.
+//
+// An invocation makes PIXELS pixels, one below the other, as variance_rows makes them in a row.
 #import stein::planes::{pixel_index}
 
 struct VarianceScaleParams {
@@ -13,21 +15,35 @@ struct VarianceScaleParams {
 @group(0) @binding(3) var<storage, read> sample_variance: array<vec4<f32>>;
 @group(0) @binding(4) var<storage, read_write> scaled_variance: array<vec4<f32>>;
 
+const PIXELS: i32 = #{PIXELS};
+
 @compute @workgroup_size(32, 2, 1)
 fn main(@builtin(global_invocation_id) id: vec3<u32>) {
-    let p = vec2<i32>(id.xy);
-    if any(p >= params.extent) {
+    let extent = params.extent;
+    let first = vec2<i32>(id.xy) * vec2<i32>(1, PIXELS);
+    if any(first >= extent) {
         return;
     }
-    var spread_sum = vec4<f32>(0.0);
-    var sample_sum = vec4<f32>(0.0);
-    for (var y = max(p.y - params.radius, 0); y <= min(p.y + params.radius, params.extent.y - 1); y++) {
-        let at = pixel_index(vec2<i32>(p.x, y), params.extent);
-        spread_sum += spread_rows[at];
-        sample_sum += sample_rows[at];
+    let radius = params.radius;
+    var spread_sums: array<vec4<f32>, PIXELS>;
+    var sample_sums: array<vec4<f32>, PIXELS>;
+    for (var y = max(first.y - radius, 0); y <= min(first.y + PIXELS - 1 + radius, extent.y - 1); y++) {
+        let at = pixel_index(vec2<i32>(first.x, y), extent);
+        let spread_row = spread_rows[at];
+        let sample_row = sample_rows[at];
+        for (var i = 0; i < PIXELS; i++) {
+            let is_near = abs(y - first.y - i) <= radius;
+            spread_sums[i] += select(vec4<f32>(0.0), spread_row, is_near);
+            sample_sums[i] += select(vec4<f32>(0.0), sample_row, is_near);
+        }
     }
-    let at_p = pixel_index(p, params.extent);
-    // Divided before it is multiplied: the pixel's share of the box is at most 1, where the ratio alone could overflow.
-    let share = sample_variance[at_p] / select(vec4<f32>(1.0), sample_sum, sample_sum > vec4<f32>(0.0));
-    scaled_variance[at_p] = select(vec4<f32>(0.0), share * spread_sum, sample_sum > vec4<f32>(0.0));
+    for (var i = 0; i < PIXELS; i++) {
+        if first.y + i < extent.y {
+            let at = pixel_index(first + vec2<i32>(0, i), extent);
+            let has_variance = sample_sums[i] > vec4<f32>(0.0);
+            // Divided before it is multiplied: the pixel's share of the box is at most 1, where the ratio alone could overflow.
+            let share = sample_variance[at] / select(vec4<f32>(1.0), sample_sums[i], has_variance);
+            scaled_variance[at] = select(vec4<f32>(0.0), share * spread_sums[i], has_variance);
+        }
+    }
 }

@@ -43,7 +43,8 @@ fn with_rules(sets: &[Definitions]) -> Vec<Definitions> {
 fn definitions(stage: &str) -> Option<Vec<Definitions>> {
     let none = Some(vec![Vec::new()]);
     match stage {
-        "variance_rows" | "variance_scale" | "variance_pair" | "variance_clamp" | "half_split" | "half_join" | "select_pass" => none,
+        "variance_rows" | "variance_scale" => Some(combinations(&[("PIXELS", numbers(&[4]))])),
+        "variance_pair" | "variance_clamp" | "half_split" | "half_join" | "select_pass" => none,
         "candidate_resolve" => Some(combinations(&[("THIRD", flags()), ("DERIVATIVES", flags())])),
         "feature_pack" => Some(combinations(&[("NOISY", flags())])),
         "error_sure" | "select_least" | "select_blend" => Some(combinations(&takes_part())),

@@ -5,7 +5,7 @@ use glam::IVec2;
 use super::gaussian::Gaussian;
 use super::{per_pixel, plane_bytes};
 use crate::error::Result;
-use crate::gpu::{Buffer, Recorder, bindings, uniforms};
+use crate::gpu::{Buffer, Definition, Recorder, bindings, uniforms};
 
 uniforms! {
     struct VarianceScaleParams { extent: IVec2, radius: i32 }
@@ -22,6 +22,9 @@ bindings! {
     struct VarianceSmooth<'a> { uniform params: VarianceSmoothParams, read signal, write smoothed_variance, optional upper_bound }
 }
 
+/// Neighbouring pixels that one invocation of the box sums makes: most of what they sum up is the same.
+const BOX_PIXELS: u32 = 4;
+
 /// Scales `sample_variance` (one plane, s²/n) to the magnitude of the two-buffer variance: times the ratio of the box means of spread² and of sample variance over
 /// a box of 2·`radius`+1 pixels; 0 where the box holds no sample variance (thesis 8.2). One plane.
 pub fn variance_scale(rec: &mut Recorder, extent: IVec2, signal: &Buffer, sample_variance: &Buffer, radius: u32) -> Result<Buffer> {
@@ -30,11 +33,13 @@ pub fn variance_scale(rec: &mut Recorder, extent: IVec2, signal: &Buffer, sample
     let scaled_variance = rec.take("scaled variance", bytes)?;
     let spread_rows = &rec.take("box sums of spread²", bytes)?;
     let sample_rows = &rec.take("box sums of sample variance", bytes)?;
-    let rows = rec.gpu().kernel::<VarianceRows>("variance_rows", &[])?;
-    rec.dispatch(&rows, &VarianceRows { params, signal, sample_variance, spread_rows, sample_rows }, per_pixel(extent))?;
-    let scale = rec.gpu().kernel::<VarianceScale>("variance_scale", &[])?;
+    let [width, height, _] = per_pixel(extent);
+    let definitions = [("PIXELS", Definition::Int(BOX_PIXELS as i32))];
+    let rows = rec.gpu().kernel::<VarianceRows>("variance_rows", &definitions)?;
+    rec.dispatch(&rows, &VarianceRows { params, signal, sample_variance, spread_rows, sample_rows }, [width.div_ceil(BOX_PIXELS), height, 1])?;
+    let scale = rec.gpu().kernel::<VarianceScale>("variance_scale", &definitions)?;
     let bound = VarianceScale { params, spread_rows, sample_rows, sample_variance, scaled_variance: &scaled_variance };
-    rec.dispatch(&scale, &bound, per_pixel(extent))?;
+    rec.dispatch(&scale, &bound, [width, height.div_ceil(BOX_PIXELS), 1])?;
     Ok(scaled_variance)
 }
 
