@@ -250,9 +250,10 @@ pub fn candidates(
         Ok(())
     })?;
     if let Some(exact) = needed.exact {
+        let tiles = exact.upload(rec, extent)?;
         for candidates in std::iter::once(&together).chain(&alone) {
-            candidates.signals.iter().flatten().try_for_each(|candidate| exact.copy_signal(rec, extent, signal, candidate))?;
-            candidates.derivatives.iter().try_for_each(|derivatives| exact.fill(rec, extent, derivatives, 3, true))?;
+            candidates.signals.iter().flatten().try_for_each(|candidate| tiles.copy_signal(rec, signal, candidate))?;
+            candidates.derivatives.iter().try_for_each(|derivatives| tiles.fill(rec, derivatives, 3, true))?;
         }
     }
     Ok(CandidatesInTime { together, alone })

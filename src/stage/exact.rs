@@ -54,36 +54,12 @@ impl ExactTiles {
         self.flags.iter().filter(|exact| **exact).count() as f64 / self.flags.len() as f64
     }
 
-    /// Puts `before`, so many planes, in the place of `result` in exact tiles.
-    pub(super) fn copy(&self, rec: &mut Recorder, extent: IVec2, before: &Buffer, result: &Buffer, planes: u32) -> Result<()> {
-        self.copy_as(rec, extent, before, result, planes, false)
-    }
-
-    /// The same with a signal whose w becomes 1: the pixel is an average of itself alone.
-    pub(super) fn copy_signal(&self, rec: &mut Recorder, extent: IVec2, before: &Buffer, result: &Buffer) -> Result<()> {
-        self.copy_as(rec, extent, before, result, 2, true)
-    }
-
-    fn copy_as(&self, rec: &mut Recorder, extent: IVec2, before: &Buffer, result: &Buffer, planes: u32, weight_sum: bool) -> Result<()> {
-        let tiles = &self.upload(rec)?;
-        let kernel = rec.gpu().kernel::<ExactCopy>("exact_copy", &[("WEIGHT_SUM", weight_sum.into())])?;
-        rec.dispatch(&kernel, &ExactCopy { params: self.params(extent, planes), tiles, before, result }, per_pixel(extent))
-    }
-
-    /// Puts 1 into the channels of so many planes in exact tiles, or 0.
-    pub(super) fn fill(&self, rec: &mut Recorder, extent: IVec2, result: &Buffer, planes: u32, ones: bool) -> Result<()> {
-        let tiles = &self.upload(rec)?;
-        let kernel = rec.gpu().kernel::<ExactFill>("exact_fill", &[("ONES", ones.into())])?;
-        rec.dispatch(&kernel, &ExactFill { params: self.params(extent, planes), tiles, result }, per_pixel(extent))
-    }
-
-    fn upload(&self, rec: &mut Recorder) -> Result<Buffer> {
+    /// Brings the map to the device, for images of this extent.
+    pub(super) fn upload(&self, rec: &mut Recorder, extent: IVec2) -> Result<UploadedTiles> {
         let words: Vec<u32> = self.flags.iter().map(|exact| u32::from(*exact)).collect();
-        rec.upload_bytes("exact tiles", bytemuck::cast_slice(&words))
-    }
-
-    fn params(&self, extent: IVec2, planes: u32) -> ExactParams {
-        ExactParams { extent, tile: self.side as i32, tile_columns: self.columns as i32, first_row: self.first_row as i32, planes: planes as i32 }
+        let tiles = rec.upload_bytes("exact tiles", bytemuck::cast_slice(&words))?;
+        let params = ExactParams { extent, tile: self.side as i32, tile_columns: self.columns as i32, first_row: self.first_row as i32, planes: 0 };
+        Ok(UploadedTiles { tiles, params })
     }
 
     /// Rectangles that do not overlap and cover all pixels of an image that are in no exact tile. They are made of cells of this size, but at the right and lower border; two that
@@ -134,6 +110,41 @@ impl ExactTiles {
         let mut rows = tiles(region.first.y as usize + self.first_row, region.size.y);
         let columns = tiles(region.first.x as usize, region.size.x);
         rows.all(|row| self.flags[row * self.columns..][columns.clone()].iter().all(|exact| *exact))
+    }
+}
+
+/// Exact tiles on the device, once for all that is written to them.
+#[derive(Debug)]
+pub(super) struct UploadedTiles {
+    tiles: Buffer,
+    /// But for the number of planes.
+    params: ExactParams,
+}
+
+impl UploadedTiles {
+    /// Puts `before`, so many planes, in the place of `result` in exact tiles.
+    pub(super) fn copy(&self, rec: &mut Recorder, before: &Buffer, result: &Buffer, planes: u32) -> Result<()> {
+        self.copy_as(rec, before, result, planes, false)
+    }
+
+    /// The same with a signal whose w becomes 1: the pixel is an average of itself alone.
+    pub(super) fn copy_signal(&self, rec: &mut Recorder, before: &Buffer, result: &Buffer) -> Result<()> {
+        self.copy_as(rec, before, result, 2, true)
+    }
+
+    fn copy_as(&self, rec: &mut Recorder, before: &Buffer, result: &Buffer, planes: u32, weight_sum: bool) -> Result<()> {
+        let kernel = rec.gpu().kernel::<ExactCopy>("exact_copy", &[("WEIGHT_SUM", weight_sum.into())])?;
+        rec.dispatch(&kernel, &ExactCopy { params: self.of_planes(planes), tiles: &self.tiles, before, result }, per_pixel(self.params.extent))
+    }
+
+    /// Puts 1 into the channels of so many planes in exact tiles, or 0.
+    pub(super) fn fill(&self, rec: &mut Recorder, result: &Buffer, planes: u32, ones: bool) -> Result<()> {
+        let kernel = rec.gpu().kernel::<ExactFill>("exact_fill", &[("ONES", ones.into())])?;
+        rec.dispatch(&kernel, &ExactFill { params: self.of_planes(planes), tiles: &self.tiles, result }, per_pixel(self.params.extent))
+    }
+
+    fn of_planes(&self, planes: u32) -> ExactParams {
+        ExactParams { planes: planes as i32, ..self.params }
     }
 }
 

@@ -483,9 +483,10 @@ pub fn nlm_filter(
         }
     })?;
     if let Some(exact) = guide.exact {
-        exact.copy(rec, extent, payload.planes, &planes, payload.count)?;
-        exact.fill(rec, extent, &weights, 1, true)?;
-        residual_variance.iter().try_for_each(|variance| exact.fill(rec, extent, variance, 1, false))?;
+        let tiles = exact.upload(rec, extent)?;
+        tiles.copy(rec, payload.planes, &planes, payload.count)?;
+        tiles.fill(rec, &weights, 1, true)?;
+        residual_variance.iter().try_for_each(|variance| tiles.fill(rec, variance, 1, false))?;
     }
     Ok(Filtered { planes, weights, residual_variance })
 }
