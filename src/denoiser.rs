@@ -9,7 +9,7 @@ use crate::error::{Error, Result};
 use crate::frame::{Feature, Frame};
 use crate::gpu::{Buffer, Gpu, Recorder, StageTime, StepTime};
 use crate::image::{Extent, Image};
-use crate::method::{Facts, FrameInput, GpuEstimate, GpuFrame, Intermediate, KeptPlane, Lane, Method, Plan, Shares, Strip, Unit, Units, Wishes, strips};
+use crate::method::{Facts, FrameInput, GpuEstimate, GpuFrame, Intermediate, KeptPlane, Lane, Method, Plan, Shares, SpikeReport, Strip, Unit, Units, Wishes, strips};
 use crate::stage::nlm::Schedule;
 
 /// Denoises frames with one method and one set of parameters. Make one and use it for many frames: kernels and buffers are kept by the [`Gpu`].
@@ -72,6 +72,8 @@ pub struct Estimate {
     pub selection: Option<Image>,
     /// Names of the features that were used: of a window in time, those that all its frames have.
     pub features: Vec<String>,
+    /// What was done about spikes; `None` where nobody looked for any.
+    pub spikes: Option<SpikeReport>,
     /// What [`Options::keep`] asked for.
     pub layers: Vec<Layer>,
     /// What ran, and what was left out.
@@ -295,7 +297,16 @@ struct Assembly<'a> {
     selection: Option<Image>,
     error: Option<Image>,
     weight_sum: Image,
+    spikes: Option<FoundSpikes>,
     layers: Vec<Layer>,
+}
+
+/// What was found in some strips, in the units of the device.
+#[derive(Default)]
+struct FoundSpikes {
+    pixels: usize,
+    taken: f64,
+    spread: f64,
 }
 
 /// How long the device took.
@@ -309,7 +320,7 @@ impl<'a> Assembly<'a> {
     fn new(frame: &'a Frame, units: &'a Units, with_error: bool) -> Self {
         let image = |channels| Image::filled(frame.extent(), channels, 0.0);
         let (color, half_spread, error, weight_sum) = (image(3), image(3), with_error.then(|| image(1)), image(1));
-        Self { frame, exposure: units.exposure, features: &units.features, color, half_spread, selection: None, error, weight_sum, layers: Vec::new() }
+        Self { frame, exposure: units.exposure, features: &units.features, color, half_spread, selection: None, error, weight_sum, spikes: None, layers: Vec::new() }
     }
 
     /// The frame itself.
@@ -325,6 +336,18 @@ impl<'a> Assembly<'a> {
     fn add(&mut self, gpu: &Gpu, estimate: &GpuEstimate, extent: IVec2, strip: &Strip) -> Result<()> {
         let frame_extent = self.frame.extent();
         let mut values = vec![0.0; extent.x as usize * extent.y as usize * 4];
+        if let Some(spikes) = &estimate.spikes {
+            gpu.read_into(spikes, 0, &mut values)?;
+            let first = (strip.first - strip.first_with_halo) * frame_extent.width as usize;
+            let wanted = (strip.end - strip.first) * frame_extent.width as usize;
+            let found = self.spikes.get_or_insert_default();
+            for pixel in values.chunks_exact(4).skip(first).take(wanted).filter(|pixel| pixel[..3] != [0.0; 3]) {
+                let taken: f64 = pixel[..3].iter().map(|value| f64::from(*value)).sum();
+                found.pixels += 1;
+                found.taken += taken;
+                found.spread += taken * f64::from(pixel[3]);
+            }
+        }
         // Reads a plane and puts it, from a component on, into an image.
         let mut place = |buffer: &Buffer, plane: u32, component: u32, (factor, offset): (f32, f32), image: &mut Image| -> Result<()> {
             gpu.read_into(buffer, u64::from(plane) * values.len() as u64 * 4, &mut values)?;
@@ -372,11 +395,17 @@ impl<'a> Assembly<'a> {
     }
 
     fn finish(self, plan: Plan, times: Times, peak_bytes: u64) -> Estimate {
-        let Self { frame, features, color, half_spread, selection, error, weight_sum, layers, .. } = self;
+        let Self { frame, exposure, features, color, half_spread, selection, error, weight_sum, spikes, layers } = self;
         let half_spread = frame.color().half_spread.is_some().then_some(half_spread);
         let features = features.iter().map(|feature| feature.name.clone()).collect();
+        let spikes = spikes.map(|FoundSpikes { pixels, taken, spread }| {
+            let energy: f64 = frame.color().mean.planes.iter().flatten().map(|value| f64::from(*value)).sum();
+            // Of an image without energy, no share can be told.
+            let share = |scaled: f64| if energy > 0.0 { scaled / f64::from(exposure) / energy } else { 0.0 };
+            SpikeReport { pixels, taken: share(taken), spread: share(spread) }
+        });
         let (strips, Times { stages: stage_times, steps: step_times }) = (plan.strips, times);
-        Estimate { color, half_spread, error, weight_sum, selection, features, layers, plan, strips, stage_times, step_times, peak_bytes }
+        Estimate { color, half_spread, error, weight_sum, selection, features, spikes, layers, plan, strips, stage_times, step_times, peak_bytes }
     }
 }
 

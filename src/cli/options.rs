@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use clap::ValueEnum;
 use stein::buffers::{BufferSet, BufferSetRequest, LayerRef};
 use stein::gpu::{DeviceChoice, GpuOptions};
+use stein::method::Spikes;
 use stein::method::nlm::NlmVariance;
 use stein::stage::candidate_set::CandidateSet;
 use stein::stage::nlm::{Symmetry, Weighting};
@@ -53,10 +54,13 @@ struct Choice {
     tuning: Tuning,
 }
 
-/// What may be set of one method alone.
+/// What may be set of every method, and of one alone.
 #[derive(Clone, Debug, PartialEq, clap::Args)]
 #[command(next_help_heading = "Filter")]
 pub(crate) struct Tuning {
+    /// What becomes of spikes: pixels that stand out from those of their kind and rest on very few samples [default: spread; of the preset thesis: keep]
+    #[arg(long, value_enum, value_name = "RULE")]
+    spikes: Option<SpikesName>,
     /// Of gem: share of wrong decisions for a sharper filter where the image is constant, above 0 and below 0.4; lower is smoother [default: 0.15]
     #[arg(long, value_name = "SHARE")]
     gamma: Option<f32>,
@@ -145,6 +149,7 @@ impl Tuning {
                 Method::from(self.nlm.applied_to(NlmParams { window_radius: radius.unwrap_or(params.window_radius), ..params }))
             }
         };
+        let method = self.spikes.map_or(method, |spikes| method.with_spikes(spikes.rule()));
         method.validate().map_err(Failure::usage)?;
         Ok(method)
     }
@@ -250,6 +255,27 @@ pub(crate) fn candidates(text: &str) -> Result<CandidateSet, String> {
     }
     let names = text.split('+').map(|name| CandidateName::from_str(name.trim(), true)).collect::<Result<Vec<_>, _>>();
     names.ok().and_then(|names| CandidateName::set(&names)).ok_or_else(|| "it must be all, or look like first+second, of first, second and third".to_owned())
+}
+
+/// As [`Spikes`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum SpikesName {
+    /// They are filtered like everything else
+    Keep,
+    /// What stands out goes to the pixels around, as far as that is likely
+    Spread,
+    /// What stands out is cut off
+    Clamp,
+}
+
+impl SpikesName {
+    fn rule(self) -> Spikes {
+        match self {
+            Self::Keep => Spikes::Keep,
+            Self::Spread => Spikes::Spread,
+            Self::Clamp => Spikes::Clamp,
+        }
+    }
 }
 
 /// As [`Symmetry`].

@@ -2,7 +2,7 @@
 
 use serde::Serialize;
 use stein::gpu::{AdapterSummary, SavedPipelines, StageTime};
-use stein::method::Intermediate;
+use stein::method::{Intermediate, SpikeReport};
 use stein::{Estimate, Method};
 
 use super::Failure;
@@ -51,6 +51,8 @@ pub(crate) struct FrameReport {
 pub(crate) struct Run {
     /// On the clock, with the compilation of the shaders.
     pub(crate) seconds: f64,
+    /// What was done about spikes; `None` where nobody looked for any.
+    pub(crate) spikes: Option<SpikeReport>,
     pub(crate) stage_times: Option<Vec<StageTime>>,
     pub(crate) peak_bytes: u64,
     /// Mean over the pixels of the squared error summed over the channels; of DFC by SURE, before the second pass.
@@ -65,6 +67,7 @@ impl Run {
         let mean = |image: &stein::Image| image.planes.first().map_or(f64::NAN, |plane| quality::mean(plane));
         Self {
             seconds,
+            spikes: estimate.spikes,
             stage_times: estimate.stage_times.clone(),
             peak_bytes: estimate.peak_bytes,
             mean_estimated_squared_error: estimate.error.as_ref().map(mean),
@@ -89,6 +92,8 @@ impl FrameReport {
                     lines.extend(written.notes.iter().map(|note| format!("  {note}")));
                     lines.push(format!("{}: {} on {}{strips}", written.file.display(), seconds(run.seconds), device.name));
                 }
+                // With none there is nothing to say, as of other repairs.
+                lines.extend(run.spikes.filter(|spikes| verbose || spikes.pixels > 0).map(|spikes| format!("  {spikes}")));
                 if verbose {
                     lines.push(format!(
                         "  {} on the device, {} pixels averaged per pixel{}",

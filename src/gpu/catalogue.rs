@@ -14,11 +14,15 @@ pub(super) const SHARED: &[(&str, &str)] = sources!("shaders/shared":
     "nlm",
     "candidates",
     "exact",
+    "spike",
 );
 
 /// The stages: each file is one kernel.
 #[rustfmt::skip]
 pub(super) const STAGES: &[(&str, &str)] = sources!("shaders":
+    "spike_find",
+    "spike_rows",
+    "spike_spread",
     "variance_rows",
     "variance_scale",
     "variance_smooth",

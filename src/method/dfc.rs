@@ -36,7 +36,8 @@ const SELECTION_SMOOTHING: Auxiliary = Auxiliary { window_radius: 5, patch_radiu
 /// Thesis 8.6: the error estimate is noisy, and filtered aggressively.
 const DENSITY_SMOOTHING: Auxiliary = Auxiliary { window_radius: 10, patch_radius: 1, k: 1.0 };
 
-pub(super) const INTERMEDIATES: [Intermediate; 8] = [
+pub(super) const INTERMEDIATES: [Intermediate; 9] = [
+    Intermediate::Spikes,
     Intermediate::Variance,
     Intermediate::Features,
     Intermediate::Candidates,
@@ -65,22 +66,34 @@ pub(crate) fn dfc(
     schedule: Schedule,
     progress: impl FnMut(&mut Recorder, f32) -> Result<()>,
 ) -> Result<GpuEstimate> {
-    let FrameInput { extent, color, features, samples, .. } = frame;
+    let FrameInput { extent, mut color, features, samples, .. } = frame;
     let weighting = params.weighting;
     let mut keeper = Keeper::new(&plan.keep);
+
+    // Space-time filtering (8.6): the window gains frames. What belongs to a pixel comes from its own frame.
+    let (mut colors_beside, features_beside): (Vec<_>, Vec<_>) = beside.into_iter().map(|frame| (frame.color, frame.features)).unzip();
+
+    // Feature prefiltering.
+    let features = prefilter(rec, extent, std::iter::once(features).chain(features_beside).collect(), plan, weighting, schedule, &mut keeper)?;
+
+    // Spikes.
+    let mut spikes = None;
+    if plan.begins(rec, Step::Spikes) {
+        (color, spikes) = params.spikes.repair(rec, extent, color, features.first())?;
+        for (index, color) in colors_beside.iter_mut().enumerate() {
+            *color = params.spikes.repair(rec, extent, color.clone(), features.get(1 + index))?.0;
+        }
+    }
+    if let Some(spikes) = &spikes {
+        keeper.keep(Intermediate::Spikes, "spikes", &RGB, Unit::Color, spikes, 0);
+    }
 
     // Sample variance scaling.
     plan.begins(rec, Step::Variance);
     let variance = input_variance(rec, extent, &color)?;
     let signal = &color.signal;
     keeper.keep(Intermediate::Variance, "scaled_variance", &RGB, Unit::ColorSquared, &variance, 0);
-
-    // Space-time filtering (8.6): the window gains frames. What belongs to a pixel comes from its own frame.
-    let (colors_beside, features_beside): (Vec<_>, Vec<_>) = beside.into_iter().map(|frame| (frame.color, frame.features)).unzip();
     let variances_beside = colors_beside.iter().map(|color| input_variance(rec, extent, color)).collect::<Result<Vec<_>>>()?;
-
-    // Feature prefiltering.
-    let features = prefilter(rec, extent, std::iter::once(features).chain(features_beside).collect(), plan, weighting, schedule, &mut keeper)?;
 
     // Candidate filters.
     plan.begins(rec, Step::Candidates);
@@ -169,6 +182,7 @@ pub(crate) fn dfc(
         error,
         weight_sum: Lane { buffer: pass1.clone(), plane: 0, component: 3 },
         selection: Some(selection),
+        spikes,
         kept: keeper.into_kept(),
     };
 
@@ -268,10 +282,14 @@ pub(super) fn footprint(params: &DfcParams, facts: &Facts, kept: bool, schedule:
     let channels: Vec<u32> = facts.features.iter().map(|feature| feature.channels).collect();
     let packed = 3 * u64::from(Packing::new(&channels).groups);
     let frames = 1 + beside as u64;
+    // While a colour is repaired, and what was found in the own one.
+    let (repaired, found) = params.spikes.planes();
     // Of each frame, and the colour's scaled variance.
     let color = UPLOADED_PLANES + 1;
     // Of each frame, the packed features and the one whose turn it is: 3, its variance, 2 filtered planes, residual variance; two box sums, or weights.
     let prefilter = frames * (color + packed + 7) + 2;
+    // Of the frames beside as well until the next one is repaired.
+    let spikes = frames * (color + packed) + repaired + 2 * found;
     // Over all frames, and over the own one.
     let candidates = frames * (color + packed) + if beside > 0 { 2 * CANDIDATE_PLANES } else { CANDIDATE_PLANES };
     // Candidates, SURE, errors and weights 2, selected, smoothed and weights 2, blend 2; variance, second pass and weights 3.
@@ -284,7 +302,7 @@ pub(super) fn footprint(params: &DfcParams, facts: &Facts, kept: bool, schedule:
     let running_sums = schedule.scratch_bytes * u64::from(STATE_PLANES) / offsets_in_a_row;
     Footprint {
         halo: halo(params) as usize,
-        live_planes: prefilter.max(candidates).max(later) + kept,
+        live_planes: prefilter.max(spikes).max(found + candidates.max(later)) + kept,
         largest_planes: packed.max(3),
         scratch_bytes: 2 * schedule.scratch_bytes + running_sums,
     }
@@ -294,6 +312,7 @@ fn halo(params: &DfcParams) -> u32 {
     let scaled_variance = SCALE_RADIUS.max(INPUT_SMOOTHING.radius);
     // One more for the gradient, which is less than the smoothing of the residual variance.
     let features = PREFILTER.window_radius + PREFILTER.patch_radius + scaled_variance + RESIDUAL_SMOOTHING.radius.max(1);
+    let scaled_variance = scaled_variance + params.spikes.reach(features);
     let candidates = params.window_radius + features.max(params.second_patch_radius + scaled_variance);
     let errors = ERROR_SMOOTHING.window_radius + ERROR_SMOOTHING.patch_radius + candidates;
     let pass1 = SELECTION_SMOOTHING.window_radius + SELECTION_SMOOTHING.patch_radius + errors;

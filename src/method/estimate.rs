@@ -7,6 +7,8 @@ use crate::gpu::Buffer;
 /// Intermediates that can be kept for inspection. Which of them there are depends on the method: [`Method::intermediates`](super::Method::intermediates).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Intermediate {
+    /// What was taken from spikes.
+    Spikes,
     /// Variance of the colour's mean as the filters take it: scaled (thesis 8.2), of NLM as [`NlmVariance`](super::nlm::NlmVariance) says.
     Variance,
     /// Prefiltered features and their residual variances; nothing where there are no features.
@@ -33,7 +35,8 @@ pub enum Intermediate {
 
 impl Intermediate {
     /// All of them, whatever the method.
-    pub const ALL: [Self; 11] = [
+    pub const ALL: [Self; 12] = [
+        Self::Spikes,
         Self::Variance,
         Self::Features,
         Self::Candidates,
@@ -50,6 +53,7 @@ impl Intermediate {
     /// Its name on the command line.
     pub fn name(self) -> &'static str {
         match self {
+            Self::Spikes => "spikes",
             Self::Variance => "variance",
             Self::Features => "features",
             Self::Candidates => "candidates",
@@ -138,6 +142,8 @@ pub struct GpuEstimate {
     pub weight_sum: Lane,
     /// The shares of FIRST, SECOND and THIRD, where the method has them.
     pub selection: Option<Shares>,
+    /// What was taken from spikes, the colour of each in x, y and z, and in w the part of it that the pixels around got. `None` where nobody looked for any.
+    pub spikes: Option<Arc<Buffer>>,
     /// What was asked for.
     pub kept: Vec<KeptPlane>,
 }

@@ -17,7 +17,7 @@ use crate::stage::variance::INPUT_SMOOTHING;
 
 pub use params::{GemParams, Phase};
 
-pub(super) const INTERMEDIATES: [Intermediate; 4] = [Intermediate::Variance, Intermediate::Stopping, Intermediate::Scale, Intermediate::Density];
+pub(super) const INTERMEDIATES: [Intermediate; 5] = [Intermediate::Spikes, Intermediate::Variance, Intermediate::Stopping, Intermediate::Scale, Intermediate::Density];
 
 /// Greedy error minimisation. Uses no features. Every pixel is the mean of its own samples and counts once, whatever its sample count, so that no sub-pixel grid is needed.
 ///
@@ -32,10 +32,18 @@ pub(crate) fn gem(
     plan: &Plan,
     mut progress: impl FnMut(&mut Recorder, f32) -> Result<()>,
 ) -> Result<GpuEstimate> {
-    let FrameInput { extent, color, features, samples, .. } = frame;
+    let FrameInput { extent, mut color, features, samples, .. } = frame;
     // A renderer may hand over some.
     drop(features);
     let mut keeper = Keeper::new(&plan.keep);
+
+    let mut spikes = None;
+    if plan.begins(rec, Step::Spikes) {
+        (color, spikes) = params.spikes.repair(rec, extent, color, None)?;
+    }
+    if let Some(spikes) = &spikes {
+        keeper.keep(Intermediate::Spikes, "spikes", &RGB, Unit::Color, spikes, 0);
+    }
 
     // Mean variances of the pixels (eq. 6.3). Scaled by the halves, where there are any, they need no purely random samples.
     plan.begins(rec, Step::Variance);
@@ -79,13 +87,15 @@ pub(crate) fn gem(
         weight_sum: Lane { buffer: signal.clone(), plane: 0, component: 3 },
         signal,
         selection: None,
+        spikes,
         kept: keeper.into_kept(),
     })
 }
 
 /// The steps in the order of [`gem`]. Without variance its decisions are no less smoothed over the pixels around, so that a frame without noise is not simply copied.
-pub(super) fn plan(facts: &Facts, wishes: &Wishes) -> Plan {
+pub(super) fn plan(params: &GemParams, facts: &Facts, wishes: &Wishes) -> Plan {
     let mut plan = Planner::new(wishes);
+    params.spikes.plan(&mut plan, facts);
     plan.variance(facts);
     plan.step(Step::Scales, "from fine to coarse", &[]);
     plan.step(Step::Density, "it is asked for", &[impossible(!wishes.keeps(Intermediate::Density), "it is not asked for")]);
@@ -99,14 +109,15 @@ pub(super) fn footprint(params: &GemParams, kept: bool) -> Footprint {
     let scales = 3 * 3 + 3 + 2;
     // Scaled variance, stopping maps raw and smoothed, reduction.
     let kept = if kept { 2 + 2 * sigmas.len() as u64 } else { 0 };
-    Footprint { halo: halo(params) as usize, live_planes: UPLOADED_PLANES + scales + kept, largest_planes: 2, scratch_bytes: 0 }
+    let (repaired, found) = params.spikes.planes();
+    Footprint { halo: halo(params) as usize, live_planes: UPLOADED_PLANES + found + repaired.max(scales) + kept, largest_planes: 2, scratch_bytes: 0 }
 }
 
 /// A pixel asks for its neighbours' stopping maps, these for the scales there, and their variances were brought to scale. Each scale is made from the pixels themselves, so
 /// that only the coarsest one counts.
 fn halo(params: &GemParams) -> u32 {
     let coarsest = params.phase.coarsest();
-    params.outlier_filter(coarsest).radius + Gaussian::new(coarsest).radius + SCALE_RADIUS.max(INPUT_SMOOTHING.radius)
+    params.outlier_filter(coarsest).radius + Gaussian::new(coarsest).radius + SCALE_RADIUS.max(INPUT_SMOOTHING.radius) + params.spikes.reach(0)
 }
 
 impl From<GemParams> for Method {

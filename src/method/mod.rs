@@ -10,6 +10,7 @@ pub mod gem;
 mod memory;
 pub mod nlm;
 pub mod plan;
+mod spikes;
 
 use serde::Serialize;
 
@@ -27,6 +28,7 @@ pub(crate) use memory::{Strip, strips};
 pub use nlm::NlmParams;
 pub(crate) use plan::{Facts, Wishes};
 pub use plan::{Plan, PlannedStep, Step};
+pub use spikes::{SpikeReport, Spikes};
 
 /// Which method, with its parameters.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -124,7 +126,7 @@ impl Method {
     pub(crate) fn plan(&self, facts: &Facts, wishes: &Wishes) -> Plan {
         match self {
             Self::Dfc(params) => dfc::plan(params, facts, wishes),
-            Self::Gem(_) => gem::plan(facts, wishes),
+            Self::Gem(params) => gem::plan(params, facts, wishes),
             Self::Nlm(params) => nlm::plan(params, facts, wishes),
         }
     }
@@ -142,6 +144,25 @@ impl Method {
         match self {
             Self::Dfc(_) | Self::Nlm(_) => true,
             Self::Gem(_) => false,
+        }
+    }
+
+    /// What it does about spikes.
+    pub fn spikes(&self) -> Spikes {
+        match self {
+            Self::Dfc(params) => params.spikes,
+            Self::Gem(params) => params.spikes,
+            Self::Nlm(params) => params.spikes,
+        }
+    }
+
+    /// The same that does this about spikes.
+    #[must_use]
+    pub fn with_spikes(self, spikes: Spikes) -> Self {
+        match self {
+            Self::Dfc(params) => Self::Dfc(DfcParams { spikes, ..params }),
+            Self::Gem(params) => Self::Gem(GemParams { spikes, ..params }),
+            Self::Nlm(params) => Self::Nlm(NlmParams { spikes, ..params }),
         }
     }
 

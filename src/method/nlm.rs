@@ -23,7 +23,7 @@ use crate::stage::variance::{INPUT_SMOOTHING, VariancePair, variance_clamp, vari
 
 pub use params::{NlmParams, NlmVariance};
 
-pub(super) const INTERMEDIATES: [Intermediate; 3] = [Intermediate::Variance, Intermediate::Halves, Intermediate::Density];
+pub(super) const INTERMEDIATES: [Intermediate; 4] = [Intermediate::Spikes, Intermediate::Variance, Intermediate::Halves, Intermediate::Density];
 
 /// Thesis 7.1.3: lets pixels that missed a rare event be sampled where their neighbours recorded it.
 const ERROR_SMOOTHING_SIGMA: f32 = 0.8;
@@ -54,8 +54,11 @@ pub(crate) fn nlm(
     let mut keeper = Keeper::new(&plan.keep);
 
     // Variance estimation.
-    let Prepared { signal, variance, halves } = &Prepared::new(rec, frame, params, plan, schedule)?;
+    let Prepared { signal, variance, halves, spikes } = &Prepared::new(rec, frame, params, plan, schedule)?;
     let beside = beside.into_iter().map(|frame| Prepared::new(rec, frame, params, plan, schedule)).collect::<Result<Vec<_>>>()?;
+    if let Some(spikes) = spikes {
+        keeper.keep(Intermediate::Spikes, "spikes", &RGB, Unit::Color, spikes, 0);
+    }
     keeper.keep(Intermediate::Variance, "variance_of_mean", &RGB, Unit::ColorSquared, variance, 0);
 
     // Dual-buffer filtering; without halves, and for comparison, the original with one buffer.
@@ -119,7 +122,7 @@ pub(crate) fn nlm(
         keeper.keep(Intermediate::Halves, "half_a", &RGB, Unit::Color, &Arc::new(a), 0);
         keeper.keep(Intermediate::Halves, "half_b", &RGB, Unit::Color, &Arc::new(b), 0);
     }
-    Ok(GpuEstimate { signal, error, weight_sum: Lane { buffer: Arc::new(weights), plane: 0, component: 0 }, selection: None, kept: keeper.into_kept() })
+    Ok(GpuEstimate { signal, error, weight_sum: Lane { buffer: Arc::new(weights), plane: 0, component: 0 }, selection: None, spikes: spikes.clone(), kept: keeper.into_kept() })
 }
 
 /// What one run of the filter takes from a frame.
@@ -137,11 +140,17 @@ struct Prepared {
     variance: Arc<Buffer>,
     /// Where they are filtered by each other.
     halves: Option<Halves>,
+    /// What was taken from them.
+    spikes: Option<Arc<Buffer>>,
 }
 
 impl Prepared {
     fn new(rec: &mut Recorder, frame: FrameInput, params: &NlmParams, plan: &Plan, schedule: Schedule) -> Result<Self> {
-        let FrameInput { extent, color, features: _, samples, mean_variance } = frame;
+        let FrameInput { extent, mut color, features: _, samples, mean_variance } = frame;
+        let mut spikes = None;
+        if plan.begins(rec, Step::Spikes) {
+            (color, spikes) = params.spikes.repair(rec, extent, color, None)?;
+        }
         plan.begins(rec, Step::Variance);
         let variance = match params.variance {
             NlmVariance::Scaled => scaled_variance(rec, extent, &color)?,
@@ -156,7 +165,7 @@ impl Prepared {
         };
         let signal = sample_attach(rec, extent, &color.signal, &samples)?;
         let halves = plan.begins(rec, Step::Halves).then(|| half_split(rec, extent, &signal, &variance)).transpose()?;
-        Ok(Self { signal, variance, halves })
+        Ok(Self { signal, variance, halves, spikes })
     }
 }
 
@@ -192,6 +201,7 @@ impl From<NlmParams> for Method {
 /// and what is exact moves.
 pub(super) fn plan(params: &NlmParams, facts: &Facts, wishes: &Wishes) -> Plan {
     let mut plan = Planner::new(wishes);
+    params.spikes.plan(&mut plan, facts);
     let because = match params.variance {
         NlmVariance::Uniform => "the mean of the image, everywhere",
         NlmVariance::Scaled | NlmVariance::CrossFiltered => "what the filters judge differences by",
@@ -219,6 +229,7 @@ pub(super) fn plan(params: &NlmParams, facts: &Facts, wishes: &Wishes) -> Plan {
 pub(super) fn footprint(params: &NlmParams, beside: usize, kept: bool, schedule: Schedule) -> Footprint {
     // Variance 1, signal with samples 2, halves and their variance 3, filtered halves and weights 4, joined 3; later errors 3 in place of the halves.
     let later = 13;
+    let (repaired, found) = params.spikes.planes();
     // Filtered over the own frame.
     let alone = if beside > 0 { 3 } else { 0 };
     // Variance and errors are there anyway; the filtered halves and their variance.
@@ -226,7 +237,8 @@ pub(super) fn footprint(params: &NlmParams, beside: usize, kept: bool, schedule:
     Footprint {
         halo: halo(params) as usize,
         // All frames are uploaded before the first is prepared; variance, signal and halves of the others stay until the end.
-        live_planes: UPLOADED_PLANES * (1 + beside as u64) + later + kept + alone + 6 * beside as u64,
+        // What was found in them is kept as long, and one is repaired after the other.
+        live_planes: (UPLOADED_PLANES + found) * (1 + beside as u64) + repaired + later + kept + alone + 6 * beside as u64,
         largest_planes: 2,
         // The column sums of distances and those of weights.
         scratch_bytes: 2 * schedule.scratch_bytes,
@@ -243,5 +255,5 @@ fn halo(params: &NlmParams) -> u32 {
     };
     // A weight is that of patches, and patchwise the mean over a patch of them.
     let patches = if params.patchwise { 2 * params.patch_radius } else { params.patch_radius };
-    params.window_radius + patches + variance + Gaussian::new(ERROR_SMOOTHING_SIGMA).radius
+    params.window_radius + patches + variance + params.spikes.reach(0) + Gaussian::new(ERROR_SMOOTHING_SIGMA).radius
 }

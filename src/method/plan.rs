@@ -45,6 +45,8 @@ pub struct PlannedStep {
 /// What a method may do. Times are told under the name of the step ([`Gpu::step_timings`](crate::gpu::Gpu::step_timings)).
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Step {
+    /// Spikes taken out of the colour.
+    Spikes,
     /// The variance of the colour's mean as the filters want it (thesis 8.2).
     Variance,
     /// Use of a feature. Listed where it is left out.
@@ -98,6 +100,7 @@ impl Step {
             Self::Feature(name) => return format!("feature {name}"),
             Self::Prefilter(name) => return format!("prefilter {name}"),
             Self::Candidate(name) => name,
+            Self::Spikes => "spikes",
             Self::Variance => "variance",
             Self::Features => "features",
             Self::Candidates => "candidates",

@@ -14,6 +14,7 @@ pub mod nlm;
 pub mod sample;
 pub mod scale;
 pub mod select;
+pub mod spike;
 pub mod variance;
 
 use glam::IVec2;

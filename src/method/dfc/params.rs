@@ -3,6 +3,7 @@
 use serde::Serialize;
 
 use crate::error::{Error, Result};
+use crate::method::Spikes;
 use crate::method::common::{LARGEST_PATCH_RADIUS, LARGEST_WINDOW_RADIUS, refused};
 use crate::stage::candidate_set::CandidateSet;
 use crate::stage::nlm::{CentreWeight, Symmetry, Weighting};
@@ -23,6 +24,7 @@ use crate::stage::select::Guard;
 /// | `weighting.symmetric` | blended | off | not hard | pairs of opposite neighbours (eq. 7.6) for colour and features; feature distances scaled by both pixels |
 /// | `weighting.centre` | largest neighbour | one | | weight of a pixel in its own average |
 /// | `guard` | 4, 0.3; 8, 4 | none | ≥ 0 | keeps candidates out of the blend that are clearly worse, by the smoothed errors and by the pixel's own |
+/// | `spikes` | spread | keep | | what becomes of pixels that stand out and rest on few samples |
 /// | `second_pass` | ⌈R/2⌉, f 3, clamped, 4σ | R, f 1 | | filters what noise pass 1 left; needs halves |
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct DfcParams {
@@ -46,6 +48,8 @@ pub struct DfcParams {
     pub weighting: Weighting,
     /// `None`: the smoothed selection maps decide alone.
     pub guard: Option<Guard>,
+    /// What becomes of spikes.
+    pub spikes: Spikes,
     /// `None`: pass 1 is the result.
     pub second_pass: Option<SecondPass>,
 }
@@ -77,6 +81,7 @@ impl Default for DfcParams {
             feature_tau_third: 5e-4,
             weighting: Weighting { symmetric: Symmetry::Blended, centre: CentreWeight::LargestNeighbour },
             guard: Some(Guard { smoothed_error: 4.0, smoothed_noise: 0.3, own_sigmas: 8.0, own_noise: 4.0 }),
+            spikes: Spikes::Spread,
             second_pass: Some(SecondPass { half_window: true, patch_radius: 3, color_k: 0.45, clamp_to_input: true, most_sigmas: Some(4.0) }),
             ..Self::thesis()
         }
@@ -97,6 +102,7 @@ impl DfcParams {
             feature_tau_third: 1e-3,
             weighting: Weighting { symmetric: Symmetry::Off, centre: CentreWeight::One },
             guard: None,
+            spikes: Spikes::Keep,
             second_pass: Some(SecondPass { half_window: false, patch_radius: 1, color_k: 0.45, clamp_to_input: false, most_sigmas: None }),
         }
     }

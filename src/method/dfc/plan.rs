@@ -15,8 +15,6 @@ use crate::method::plan::{Facts, Plan, Planner, Step, Wishes, impossible, needle
 ///   so that only the candidates with the least SURE, (F − u)², have a share. A second pass with a limit changes nothing where there is no noise.
 pub(in crate::method) fn plan(params: &DfcParams, facts: &Facts, wishes: &Wishes) -> Plan {
     let mut plan = Planner::new(wishes);
-    plan.variance(facts);
-
     for (name, why) in &facts.unused_features {
         plan.step(Step::Feature(name.clone()), "", &[impossible(true, why)]);
     }
@@ -27,12 +25,16 @@ pub(in crate::method) fn plan(params: &DfcParams, facts: &Facts, wishes: &Wishes
     }
     plan.step(Step::Features, "gradients and packing", &[impossible(facts.features.is_empty(), "there are none")]);
 
+    params.spikes.plan(&mut plan, facts);
+    plan.variance(facts);
+
     // Beyond the reach of the candidates nothing has noise, and beyond that of the smoothing that follows nothing reads what was not computed. The intermediates are others there.
     let by_colour = params.candidates.first || params.candidates.second;
     let keeps_only = |allowed: &[Intermediate]| wishes.keep.iter().all(|kept| allowed.contains(kept));
-    let may_copy = by_colour && params.guard.is_some() && keeps_only(&[Intermediate::Variance, Intermediate::Features, Intermediate::Pass1]);
+    let may_copy = by_colour && params.guard.is_some() && keeps_only(&[Intermediate::Spikes, Intermediate::Variance, Intermediate::Features, Intermediate::Pass1]);
     let smoothing = [ERROR_SMOOTHING, SELECTION_SMOOTHING].iter().map(|filter| filter.window_radius + filter.patch_radius).sum::<u32>();
-    let exact = if may_copy { facts.exact_color(params.window_radius + params.second_patch_radius + smoothing) } else { None };
+    let reach = (params.window_radius + params.second_patch_radius + smoothing).max(params.spikes.spread_radius());
+    let exact = if may_copy { facts.exact_color(reach) } else { None };
 
     // With the patches of SECOND it has the derivative of SECOND, below which its own must be.
     let kept = [Intermediate::Candidates, Intermediate::Derivatives, Intermediate::Sure].into_iter().any(|kept| wishes.keeps(kept));

@@ -3,6 +3,7 @@
 use serde::Serialize;
 
 use crate::error::Result;
+use crate::method::Spikes;
 use crate::method::common::refused;
 use crate::stage::gaussian::Gaussian;
 
@@ -13,6 +14,7 @@ use crate::stage::gaussian::Gaussian;
 /// | `gamma` | 0.15 | 0.1 | above 0, below 0.4 | γ: the share of wrong decisions for the finer scale in a constant region; lower is smoother, higher is sharper and more spotted |
 /// | `phase` | final | final | | which scales, and how outliers are removed from the stopping maps |
 /// | `final_outlier_size` | 1 | 2 | 0.5–4 | size of the filter that removes outliers for the final image, in sizes of the pair's coarse scale |
+/// | `spikes` | spread | keep | | what becomes of pixels that stand out and rest on few samples |
 ///
 /// | phase | σ of the scales, in pixels | maps smoothed by | outliers |
 /// | --- | --- | --- | --- |
@@ -40,6 +42,8 @@ pub struct GemParams {
     pub phase: Phase,
     /// Size of the filter that removes outliers for the final image, in sizes of the pair's coarse scale.
     pub final_outlier_size: f32,
+    /// What becomes of spikes.
+    pub spikes: Spikes,
 }
 
 /// What the result is for.
@@ -75,14 +79,14 @@ impl Phase {
 
 impl Default for GemParams {
     fn default() -> Self {
-        Self { gamma: 0.15, final_outlier_size: 1.0, ..Self::thesis() }
+        Self { gamma: 0.15, final_outlier_size: 1.0, spikes: Spikes::Spread, ..Self::thesis() }
     }
 }
 
 impl GemParams {
     /// As the published results were made (thesis 6.4, 6.5).
     pub fn thesis() -> Self {
-        Self { gamma: 0.1, phase: Phase::Final, final_outlier_size: 2.0 }
+        Self { gamma: 0.1, phase: Phase::Final, final_outlier_size: 2.0, spikes: Spikes::Keep }
     }
 
     /// What smooths the stopping map of the step to a scale (thesis 6.2.4).

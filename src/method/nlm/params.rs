@@ -3,6 +3,7 @@
 use serde::Serialize;
 
 use crate::error::Result;
+use crate::method::Spikes;
 use crate::method::common::{LARGEST_PATCH_RADIUS, LARGEST_WINDOW_RADIUS, refused};
 use crate::stage::nlm::{CentreWeight, Symmetry, Weighting};
 
@@ -20,6 +21,7 @@ use crate::stage::nlm::{CentreWeight, Symmetry, Weighting};
 /// | `cut` | 0.05 | 0.05 | 0–1 | weights below it become 0 |
 /// | `dual_buffer` | yes | yes | | each half is filtered with the weights of the other; needs halves |
 /// | `variance` | scaled | cross-filtered | | what is taken for the variance of the pixel means |
+/// | `spikes` | spread | keep | | what becomes of pixels that stand out and rest on few samples |
 /// | `guard_frames` | yes | no | | over several frames, whether those that harm a pixel, by its SURE, are left out there; needs two buffers and a centre of weight one |
 ///
 /// A frame without halves is filtered with its own weights, whatever `dual_buffer` says.
@@ -43,6 +45,8 @@ pub struct NlmParams {
     pub dual_buffer: bool,
     /// What is taken for the variance of the pixel means.
     pub variance: NlmVariance,
+    /// What becomes of spikes.
+    pub spikes: Spikes,
     /// Whether frames beside that harm a pixel are left out there.
     pub guard_frames: bool,
 }
@@ -63,7 +67,7 @@ pub enum NlmVariance {
 
 impl Default for NlmParams {
     fn default() -> Self {
-        Self { variance: NlmVariance::Scaled, guard_frames: true, ..Self::thesis() }
+        Self { variance: NlmVariance::Scaled, spikes: Spikes::Spread, guard_frames: true, ..Self::thesis() }
     }
 }
 
@@ -80,6 +84,7 @@ impl NlmParams {
             cut: 0.05,
             dual_buffer: true,
             variance: NlmVariance::CrossFiltered,
+            spikes: Spikes::Keep,
             guard_frames: false,
         }
     }

@@ -1,0 +1,151 @@
+// Finds spikes and puts the level of their surroundings in their place.
+//
+// A spike stands out from the pixels of its kind around it, as a small light does, but for what it stands out it rests on very few samples: if k of n samples that a pixel
+// has are the bright ones, its excess over the level is about √k standard deviations of its mean, whatever n is and however bright they are. Both the sample variance and the
+// halves say so, and the one that says more is believed, for either may miss it. A light has many bright samples, and without noise infinitely many.
+//
+// SPREAD: what is taken from a spike goes to all pixels of its kind in a wider window, to each the same. One spike says little about how much light there is: it stands for as
+// many pixels as there would have to be until the next one. Where it would raise the level around it by more than a part of it, it is rarer than that, and the more it would,
+// the more of it is left out.
+#import stein::planes::{pixel_index}
+#import stein::spike::{SpikeParams, SpikeFeatures, are_alike, brightness}
+
+const FEATURE_GROUPS: i32 = #{FEATURE_GROUPS};
+
+@group(0) @binding(0) var<uniform> params: SpikeParams;
+// Two planes: the mean, then the half spread.
+@group(0) @binding(1) var<storage, read> signal: array<vec4<f32>>;
+#if FEATURE_GROUPS != 0
+@group(0) @binding(2) var<storage, read> features: array<vec4<f32>>;
+#endif
+#ifdef VARIANCE
+@group(0) @binding(3) var<storage, read> sample_variance: array<vec4<f32>>;
+@group(0) @binding(4) var<storage, read_write> repaired_variance: array<vec4<f32>>;
+#endif
+@group(0) @binding(5) var<storage, read_write> repaired: array<vec4<f32>>;
+// Two planes. What is taken from each pixel, in w the part of it that others get; behind it what each of them gets.
+@group(0) @binding(6) var<storage, read_write> spikes: array<vec4<f32>>;
+
+// Of the halves alone, whose squared spread is as likely too small as too large.
+fn two_buffer_variance(at: i32) -> vec3<f32> {
+    let spread = signal[params.extent.x * params.extent.y + at].xyz;
+    return spread * spread;
+}
+
+fn claimed_variance(at: i32) -> vec3<f32> {
+#ifdef VARIANCE
+    return sample_variance[at].xyz;
+#else
+    return two_buffer_variance(at);
+#endif
+}
+
+#if FEATURE_GROUPS != 0
+fn features_at(at: i32, group: i32) -> SpikeFeatures {
+    let pixels = params.extent.x * params.extent.y;
+    let plane = 3 * group * pixels + at;
+    return SpikeFeatures(features[plane], features[plane + pixels], features[plane + 2 * pixels]);
+}
+#endif
+
+// Whether the pixel at q is of the same kind.
+fn is_like(at_p: i32, at_q: i32) -> bool {
+    var alike = true;
+#if FEATURE_GROUPS != 0
+    for (var group = 0; group < FEATURE_GROUPS && alike; group++) {
+        alike = are_alike(features_at(at_p, group), features_at(at_q, group), params.triple_weights[group].xyz, params);
+    }
+#endif
+    return alike;
+}
+
+@compute @workgroup_size(32, 2, 1)
+fn main(@builtin(global_invocation_id) id: vec3<u32>) {
+    let extent = params.extent;
+    let p = vec2<i32>(id.xy);
+    if any(p >= extent) {
+        return;
+    }
+    let pixels = extent.x * extent.y;
+    let at_p = pixel_index(p, extent);
+    let first = max(p - params.window_radius, vec2<i32>(0));
+    let last = min(p + params.window_radius, extent - 1);
+    let own = signal[at_p].xyz;
+    let own_brightness = brightness(own);
+
+    // Two neighbours may be parts of the same spike: the third brightest is the first that shows how bright pixels of this kind are.
+    var neighbours = 0.0;
+    var brightest = vec3<f32>(-3.4e38);
+    for (var y = first.y; y <= last.y; y++) {
+        for (var x = first.x; x <= last.x; x++) {
+            let at_q = pixel_index(vec2<i32>(x, y), extent);
+            if at_q != at_p && is_like(at_p, at_q) {
+                let value = brightness(signal[at_q].xyz);
+                let second = max(brightest.y, min(brightest.x, value));
+                let third = max(brightest.z, min(brightest.y, value));
+                brightest = vec3<f32>(max(brightest.x, value), second, third);
+                neighbours += 1.0;
+            }
+        }
+    }
+    let bright = brightest.z;
+
+    var is_spike = neighbours >= params.least_neighbours && own_brightness > bright;
+    var level = vec3<f32>(0.0);
+    var level_variance = vec3<f32>(0.0);
+    if is_spike {
+        // The mean of all that are not brighter.
+        var members = 0.0;
+        for (var y = first.y; y <= last.y; y++) {
+            for (var x = first.x; x <= last.x; x++) {
+                let at_q = pixel_index(vec2<i32>(x, y), extent);
+                let color = signal[at_q].xyz;
+                if at_q != at_p && brightness(color) <= bright && is_like(at_p, at_q) {
+                    level += color;
+                    level_variance += claimed_variance(at_q);
+                    members += 1.0;
+                }
+            }
+        }
+        level /= members;
+        level_variance /= members;
+        let excess = own - level;
+        let level_brightness = brightness(level);
+        let variance = max(claimed_variance(at_p), two_buffer_variance(at_p));
+        is_spike = own_brightness - level_brightness > params.prominence * (bright - level_brightness)
+            && dot(excess, excess) <= params.most_samples * dot(variance, vec3<f32>(1.0));
+    }
+
+    let spread = signal[pixels + at_p];
+    var excess = vec3<f32>(0.0);
+    var part = 0.0;
+    var share = vec3<f32>(0.0);
+    if is_spike {
+        excess = own - level;
+#ifdef SPREAD
+        let from = max(p - params.spread_radius, vec2<i32>(0));
+        let to = min(p + params.spread_radius, extent - 1);
+        var members = 0.0;
+        for (var y = from.y; y <= to.y; y++) {
+            for (var x = from.x; x <= to.x; x++) {
+                members += select(0.0, 1.0, is_like(at_p, pixel_index(vec2<i32>(x, y), extent)));
+            }
+        }
+        let even = excess / members;
+        let limit = params.share_limit * max(brightness(level), 0.0);
+        part = limit / (limit + brightness(even));
+        share = part * even;
+#endif
+        let deviation = sqrt(level_variance);
+        repaired[at_p] = vec4<f32>(level, signal[at_p].w);
+        repaired[pixels + at_p] = vec4<f32>(clamp(spread.xyz, -deviation, deviation), spread.w);
+    } else {
+        repaired[at_p] = signal[at_p];
+        repaired[pixels + at_p] = spread;
+    }
+    spikes[at_p] = vec4<f32>(excess, part);
+    spikes[pixels + at_p] = vec4<f32>(share, 0.0);
+#ifdef VARIANCE
+    repaired_variance[at_p] = select(sample_variance[at_p], vec4<f32>(level_variance, 0.0), is_spike);
+#endif
+}

@@ -1,0 +1,58 @@
+// Adds to each pixel what it gets of the spikes around it.
+#import stein::planes::{pixel_index}
+#import stein::spike::{SpikeParams, SpikeFeatures, are_alike}
+
+const FEATURE_GROUPS: i32 = #{FEATURE_GROUPS};
+
+@group(0) @binding(0) var<uniform> params: SpikeParams;
+// What was taken from each pixel; behind it what each of its kind gets of it, in w 1 where there is a spike in the row of pixels around.
+@group(0) @binding(1) var<storage, read> spikes: array<vec4<f32>>;
+#if FEATURE_GROUPS != 0
+@group(0) @binding(2) var<storage, read> features: array<vec4<f32>>;
+#endif
+@group(0) @binding(3) var<storage, read_write> repaired: array<vec4<f32>>;
+
+#if FEATURE_GROUPS != 0
+fn features_at(at: i32, group: i32) -> SpikeFeatures {
+    let pixels = params.extent.x * params.extent.y;
+    let plane = 3 * group * pixels + at;
+    return SpikeFeatures(features[plane], features[plane + pixels], features[plane + 2 * pixels]);
+}
+#endif
+
+fn is_like(at_p: i32, at_q: i32) -> bool {
+    var alike = true;
+#if FEATURE_GROUPS != 0
+    for (var group = 0; group < FEATURE_GROUPS && alike; group++) {
+        alike = are_alike(features_at(at_p, group), features_at(at_q, group), params.triple_weights[group].xyz, params);
+    }
+#endif
+    return alike;
+}
+
+@compute @workgroup_size(32, 2, 1)
+fn main(@builtin(global_invocation_id) id: vec3<u32>) {
+    let extent = params.extent;
+    let q = vec2<i32>(id.xy);
+    if any(q >= extent) {
+        return;
+    }
+    let pixels = extent.x * extent.y;
+    let at_q = pixel_index(q, extent);
+    let first = max(q - params.spread_radius, vec2<i32>(0));
+    let last = min(q + params.spread_radius, extent - 1);
+    var sum = vec3<f32>(0.0);
+    for (var y = first.y; y <= last.y; y++) {
+        // Spikes are rare: most rows have none.
+        if spikes[pixels + pixel_index(vec2<i32>(q.x, y), extent)].w > 0.0 {
+            for (var x = first.x; x <= last.x; x++) {
+                let at_p = pixel_index(vec2<i32>(x, y), extent);
+                let share = spikes[pixels + at_p].xyz;
+                if any(share != vec3<f32>(0.0)) && is_like(at_p, at_q) {
+                    sum += share;
+                }
+            }
+        }
+    }
+    repaired[at_q] = vec4<f32>(repaired[at_q].xyz + sum, repaired[at_q].w);
+}

@@ -1,0 +1,104 @@
+//! What the methods do about spikes before they filter.
+
+use std::fmt;
+use std::sync::Arc;
+
+use glam::IVec2;
+use serde::Serialize;
+
+use super::GpuSignal;
+use super::plan::{Facts, Planner, Step, impossible, needless};
+use crate::error::Result;
+use crate::gpu::{Buffer, Recorder};
+use crate::stage::feature::Features;
+use crate::stage::spike::{SpikeRule, spike_find, spike_spread};
+
+/// What becomes of spikes: pixels far above those of their kind around them, that rest on very few samples for it. The more samples there are, the fewer pixels are spikes, and
+/// where a pixel has no noise it is none.
+///
+/// | on the command line | a spike | its energy |
+/// | --- | --- | --- |
+/// | `keep` | stays | stays |
+/// | `spread`, the default | becomes the mean of its neighbours | goes to all pixels of its kind around it, as far as they would not become brighter by much more than a tenth |
+/// | `clamp` | becomes the mean of its neighbours | is lost |
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Spikes {
+    /// They are filtered like everything else.
+    Keep,
+    /// What stands out is spread over the pixels around.
+    Spread,
+    /// What stands out is cut off.
+    Clamp,
+}
+
+/// What was found.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct SpikeReport {
+    /// Number of spikes.
+    pub pixels: usize,
+    /// What was taken from them, as a share of the whole image's energy: the sum of the colour over pixels and channels.
+    pub taken: f64,
+    /// What the pixels around got of it, as the same share.
+    pub spread: f64,
+}
+
+impl fmt::Display for SpikeReport {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { pixels, taken, spread } = self;
+        let percent = |share: f64| format!("{:.2} %", 100.0 * share);
+        match pixels {
+            0 => f.write_str("colour: no spikes"),
+            _ => write!(f, "colour: {pixels} spikes taken out with {} of the energy, of which the pixels around got {}", percent(*taken), percent(*spread)),
+        }
+    }
+}
+
+impl Spikes {
+    /// How far around a pixel its repaired value depends on what, given how far the features at a pixel do, in pixels.
+    pub(super) fn reach(self, of_features: u32) -> u32 {
+        let SpikeRule { window_radius, spread_radius, .. } = SpikeRule::DEFAULT;
+        match self {
+            Self::Keep => 0,
+            Self::Clamp => window_radius + of_features,
+            // How many pixels a spike is spread over is counted around the spike.
+            Self::Spread => spread_radius + spread_radius.max(window_radius) + of_features,
+        }
+    }
+
+    /// How far a spike is spread, in pixels.
+    pub(super) fn spread_radius(self) -> u32 {
+        if self == Self::Spread { SpikeRule::DEFAULT.spread_radius } else { 0 }
+    }
+
+    /// Planes that they take besides the colour: while it is repaired, and of what was found.
+    pub(super) fn planes(self) -> (u64, u64) {
+        if self == Self::Keep { (0, 0) } else { (3, 2) }
+    }
+
+    /// Plans the step.
+    pub(super) fn plan(self, plan: &mut Planner, facts: &Facts) {
+        let because = match self {
+            Self::Clamp => "what rests on few samples is cut off",
+            Self::Keep | Self::Spread => "what rests on few samples is spread",
+        };
+        let unless = [impossible(self == Self::Keep, "the parameters leave it out"), needless(facts.is_noise_free(), "no pixel has noise")];
+        plan.step(Step::Spikes, because, &unless);
+    }
+
+    /// A colour without spikes, and what was taken from each pixel: the first plane of a buffer, in w the part of it that the pixels around got. Features tell which pixels are
+    /// of one kind.
+    pub(super) fn repair(self, rec: &mut Recorder, extent: IVec2, color: GpuSignal, features: Option<&Features>) -> Result<(GpuSignal, Option<Arc<Buffer>>)> {
+        if self == Self::Keep {
+            return Ok((color, None));
+        }
+        let rule = SpikeRule::DEFAULT;
+        let is_spread = self == Self::Spread;
+        let mut repaired = spike_find(rec, extent, &color.signal, color.variance_of_mean.as_deref(), features, &rule, is_spread)?;
+        if is_spread {
+            spike_spread(rec, extent, &mut repaired, features, &rule)?;
+        }
+        let color = GpuSignal { signal: Arc::new(repaired.signal), variance_of_mean: repaired.variance_of_mean.map(Arc::new), has_halves: color.has_halves };
+        Ok((color, Some(Arc::new(repaired.spikes))))
+    }
+}

@@ -1,0 +1,140 @@
+//! Spikes: pixels that stand out from those of their kind and rest on very few samples for it.
+
+use glam::{IVec2, Vec4};
+use serde::Serialize;
+
+use super::feature::{Features, MAX_GROUPS};
+use super::{per_pixel, plane_bytes};
+use crate::error::Result;
+use crate::gpu::{Buffer, Definition, Recorder, bindings, uniforms};
+
+uniforms! {
+    struct SpikeParams {
+        extent: IVec2,
+        window_radius: i32,
+        spread_radius: i32,
+        least_neighbours: f32,
+        prominence: f32,
+        most_samples: f32,
+        share_limit: f32,
+        inverse_feature_k_squared: f32,
+        feature_tau: f32,
+        triple_weights: [Vec4; MAX_GROUPS],
+    }
+}
+
+bindings! {
+    struct SpikeFind<'a> { uniform params: SpikeParams, read signal, optional features, write repaired, write spikes }
+    struct SpikeFindVariance<'a> {
+        uniform params: SpikeParams, read signal, optional features, read sample_variance, write repaired_variance, write repaired, write spikes,
+    }
+    struct SpikeRows<'a> { uniform params: SpikeParams, write spikes }
+    struct SpikeSpread<'a> { uniform params: SpikeParams, read spikes, optional features, write repaired }
+}
+
+/// What makes a spike, and what becomes of it. [`SpikeRule::DEFAULT`] is what measured best: `docs/robustness.md` has the table.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct SpikeRule {
+    /// Half width of the window that a pixel is judged in, in pixels.
+    pub window_radius: u32,
+    /// Half width of the window that a spike is spread over, in pixels.
+    pub spread_radius: u32,
+    /// Neighbours of its kind that it takes to judge a pixel.
+    pub least_neighbours: u32,
+    /// How far above the level of its neighbours it is at least, in distances from the level to the third brightest of them.
+    pub prominence: f32,
+    /// How many samples its excess rests on at the most: the square of the excess over its variance.
+    pub most_samples: f32,
+    /// What a spike may add to the level of its neighbours, in parts of that level, before half of it is left out.
+    pub share_limit: f32,
+    /// k_f of the features, as that of the candidates: pixels are of one kind where no feature's distance (eq. 8.3) is above 1.
+    pub feature_k: f32,
+    /// τ of the features, in squares of the unit range.
+    pub feature_tau: f32,
+}
+
+impl SpikeRule {
+    /// What measured best.
+    pub const DEFAULT: Self = Self {
+        window_radius: 3,
+        spread_radius: 10,
+        least_neighbours: 12,
+        prominence: 3.0,
+        most_samples: 4.0,
+        share_limit: 0.1,
+        feature_k: 0.6,
+        feature_tau: 1e-2,
+    };
+
+    fn params(&self, extent: IVec2, features: Option<&Features>) -> SpikeParams {
+        SpikeParams {
+            extent,
+            window_radius: self.window_radius as i32,
+            spread_radius: self.spread_radius as i32,
+            least_neighbours: self.least_neighbours as f32,
+            prominence: self.prominence,
+            most_samples: self.most_samples,
+            share_limit: self.share_limit,
+            inverse_feature_k_squared: 1.0 / (self.feature_k * self.feature_k),
+            feature_tau: self.feature_tau,
+            triple_weights: features.map_or([Vec4::ZERO; MAX_GROUPS], |features| features.packing.triple_weights()),
+        }
+    }
+}
+
+/// A signal without its spikes.
+#[derive(Debug)]
+pub struct Repaired {
+    /// The signal; in the place of a spike the mean of its neighbours.
+    pub signal: Buffer,
+    /// Its sample variance, where there is one: of a spike the mean of its neighbours'.
+    pub variance_of_mean: Option<Buffer>,
+    /// Two planes. What was taken from each pixel, 0 where it is none, and in w the part of it that the pixels around are to get; behind it what each of them is to get.
+    pub spikes: Buffer,
+}
+
+fn feature_groups(features: Option<&Features>) -> (&'static str, Definition) {
+    ("FEATURE_GROUPS", Definition::Int(features.map_or(0, |features| features.packing.groups as i32)))
+}
+
+/// Finds spikes in a signal, with its sample variance (one plane, s²/n) where there is one, and takes them out. Neighbours are compared by `features`, if there are any. With
+/// `to_spread`, it is settled what the pixels around are to get of them: [`spike_spread`] gives it to them.
+pub fn spike_find(
+    rec: &mut Recorder,
+    extent: IVec2,
+    signal: &Buffer,
+    sample_variance: Option<&Buffer>,
+    features: Option<&Features>,
+    rule: &SpikeRule,
+    to_spread: bool,
+) -> Result<Repaired> {
+    let params = rule.params(extent, features);
+    let repaired = rec.take("signal without spikes", plane_bytes(extent, 2))?;
+    let repaired_variance = sample_variance.map(|_| rec.take("its sample variance", plane_bytes(extent, 1))).transpose()?;
+    let spikes = rec.take("spikes", plane_bytes(extent, 2))?;
+    let definitions = [feature_groups(features), ("VARIANCE", sample_variance.is_some().into()), ("SPREAD", to_spread.into())];
+    let features = features.map(|features| &features.buffer);
+    match (sample_variance, &repaired_variance) {
+        (Some(sample_variance), Some(repaired_variance)) => {
+            let kernel = rec.gpu().kernel::<SpikeFindVariance>("spike_find", &definitions)?;
+            let bound = SpikeFindVariance { params, signal, features, sample_variance, repaired_variance, repaired: &repaired, spikes: &spikes };
+            rec.dispatch(&kernel, &bound, per_pixel(extent))?;
+        }
+        _ => {
+            let kernel = rec.gpu().kernel::<SpikeFind>("spike_find", &definitions)?;
+            rec.dispatch(&kernel, &SpikeFind { params, signal, features, repaired: &repaired, spikes: &spikes }, per_pixel(extent))?;
+        }
+    }
+    Ok(Repaired { signal: repaired, variance_of_mean: repaired_variance, spikes })
+}
+
+/// Gives the pixels around each spike what they are to get of it, evenly to all of its kind.
+pub fn spike_spread(rec: &mut Recorder, extent: IVec2, repaired: &mut Repaired, features: Option<&Features>, rule: &SpikeRule) -> Result<()> {
+    let params = rule.params(extent, features);
+    let kernel = rec.gpu().kernel::<SpikeRows>("spike_rows", &[])?;
+    rec.dispatch(&kernel, &SpikeRows { params, spikes: &repaired.spikes }, per_pixel(extent))?;
+    let kernel = rec.gpu().kernel::<SpikeSpread>("spike_spread", &[feature_groups(features)])?;
+    let features = features.map(|features| &features.buffer);
+    let bound = SpikeSpread { params, spikes: &repaired.spikes, features, repaired: &repaired.signal };
+    rec.dispatch(&kernel, &bound, per_pixel(extent))
+}
