@@ -123,11 +123,11 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     if is_spike {
         excess = own - level;
 #ifdef SPREAD
-        let from = max(p - params.spread_radius, vec2<i32>(0));
-        let to = min(p + params.spread_radius, extent - 1);
+        let spread_first = max(p - params.spread_radius, vec2<i32>(0));
+        let spread_last = min(p + params.spread_radius, extent - 1);
         var members = 0.0;
-        for (var y = from.y; y <= to.y; y++) {
-            for (var x = from.x; x <= to.x; x++) {
+        for (var y = spread_first.y; y <= spread_last.y; y++) {
+            for (var x = spread_first.x; x <= spread_last.x; x++) {
                 members += select(0.0, 1.0, is_like(at_p, pixel_index(vec2<i32>(x, y), extent)));
             }
         }

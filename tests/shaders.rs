@@ -44,6 +44,9 @@ fn definitions(stage: &str) -> Option<Vec<Definitions>> {
     let none = Some(vec![Vec::new()]);
     match stage {
         "variance_rows" | "variance_scale" => Some(combinations(&[("PIXELS", numbers(&[4]))])),
+        "spike_find" => Some(combinations(&[("FEATURE_GROUPS", numbers(&[0, 1, 2, 8])), ("VARIANCE", flags()), ("SPREAD", flags())])),
+        "spike_rows" => none,
+        "spike_spread" => Some(combinations(&[("FEATURE_GROUPS", numbers(&[0, 1, 2, 8]))])),
         "variance_pair" | "variance_clamp" | "half_split" | "half_join" | "select_pass" => none,
         "candidate_resolve" => Some(combinations(&[("THIRD", flags()), ("DERIVATIVES", flags())])),
         "feature_pack" => Some(combinations(&[("NOISY", flags())])),
