@@ -9,7 +9,9 @@ use crate::error::{Error, Result};
 use crate::frame::{Feature, Frame};
 use crate::gpu::{Buffer, Gpu, Recorder, StageTime, StepTime};
 use crate::image::{Extent, Image};
-use crate::method::{Facts, FrameInput, GpuEstimate, GpuFrame, Intermediate, KeptPlane, Lane, Method, Plan, Shares, SpikeReport, Strip, Unit, Units, Wishes, strips};
+use crate::method::{
+    Facts, FrameInput, GpuEstimate, GpuFrame, Intermediate, KeptPlane, Lane, Method, Plan, Shares, SpikeReport, Strip, Unit, Units, Wishes, strips,
+};
 use crate::stage::nlm::Schedule;
 
 /// Denoises frames with one method and one set of parameters. Make one and use it for many frames: kernels and buffers are kept by the [`Gpu`].
@@ -320,7 +322,18 @@ impl<'a> Assembly<'a> {
     fn new(frame: &'a Frame, units: &'a Units, with_error: bool) -> Self {
         let image = |channels| Image::filled(frame.extent(), channels, 0.0);
         let (color, half_spread, error, weight_sum) = (image(3), image(3), with_error.then(|| image(1)), image(1));
-        Self { frame, exposure: units.exposure, features: &units.features, color, half_spread, selection: None, error, weight_sum, spikes: None, layers: Vec::new() }
+        Self {
+            frame,
+            exposure: units.exposure,
+            features: &units.features,
+            color,
+            half_spread,
+            selection: None,
+            error,
+            weight_sum,
+            spikes: None,
+            layers: Vec::new(),
+        }
     }
 
     /// The frame itself.

@@ -17,7 +17,8 @@ use crate::stage::variance::INPUT_SMOOTHING;
 
 pub use params::{GemParams, Phase};
 
-pub(super) const INTERMEDIATES: [Intermediate; 5] = [Intermediate::Spikes, Intermediate::Variance, Intermediate::Stopping, Intermediate::Scale, Intermediate::Density];
+pub(super) const INTERMEDIATES: [Intermediate; 5] =
+    [Intermediate::Spikes, Intermediate::Variance, Intermediate::Stopping, Intermediate::Scale, Intermediate::Density];
 
 /// Greedy error minimisation. Uses no features. Every pixel is the mean of its own samples and counts once, whatever its sample count, so that no sub-pixel grid is needed.
 ///

@@ -122,7 +122,14 @@ pub(crate) fn nlm(
         keeper.keep(Intermediate::Halves, "half_a", &RGB, Unit::Color, &Arc::new(a), 0);
         keeper.keep(Intermediate::Halves, "half_b", &RGB, Unit::Color, &Arc::new(b), 0);
     }
-    Ok(GpuEstimate { signal, error, weight_sum: Lane { buffer: Arc::new(weights), plane: 0, component: 0 }, selection: None, spikes: spikes.clone(), kept: keeper.into_kept() })
+    Ok(GpuEstimate {
+        signal,
+        error,
+        weight_sum: Lane { buffer: Arc::new(weights), plane: 0, component: 0 },
+        selection: None,
+        spikes: spikes.clone(),
+        kept: keeper.into_kept(),
+    })
 }
 
 /// What one run of the filter takes from a frame.

@@ -12,7 +12,7 @@ use crate::frames::{EVERYTHING, Keep, error_of, frame, noisy};
 use crate::reference::gem as reference;
 use crate::reference::random::Random;
 use crate::reference::{Grid, Planes, Point};
-use crate::twin::{exposure, grids, layer};
+use crate::twin::{exposure, grids, layer, spikes};
 
 fn denoiser(params: GemParams) -> Denoiser {
     Denoiser::new(gpu(), params).unwrap_or_else(|error| panic!("{error}"))
@@ -51,11 +51,12 @@ fn check(what: &str, frame: &Frame, params: GemParams) {
         SamplesPerPixel::PerPixel(image) => grids(image, 1.0).remove(0),
     };
     let gamma = format!("{}", params.gamma).parse().unwrap_or(f64::NAN);
-    let twin_params = match params.phase {
+    let mut twin_params = match params.phase {
         Phase::Sampling => reference::GemParams::while_sampling(gamma),
         Phase::Final => reference::GemParams::for_the_final_image(gamma, params.final_outlier_size.into()),
     };
     assert!(params.phase.sigmas().iter().zip(&twin_params.sigmas).all(|(a, b)| (f64::from(*a) - b).abs() < 1e-6), "{what}: scales");
+    twin_params.spikes = spikes(params.spikes);
     let twin = reference::gem(&input, &samples, &twin_params);
 
     let near = |part: &str, actual: &[Grid], expected: &[Grid], scale: &[Grid], relative: f64, allowed: f64| {

@@ -14,9 +14,10 @@ use crate::common::{assert_near, gpu, open, own_size};
 use crate::frames::{EVERYTHING, Keep, error_of, frame, new_frame, noisy};
 use crate::reference::nlm_method::{self, Filter, NlmParams as TwinParams, Variance};
 use crate::reference::random::Random;
+use crate::reference::spike::SpikeParams;
 use crate::reference::variance::Signal as TwinSignal;
 use crate::reference::{self, Grid, Planes};
-use crate::twin::{exposure, grids, layer};
+use crate::twin::{exposure, grids, layer, spikes};
 
 fn small(params: NlmParams) -> NlmParams {
     NlmParams { window_radius: 4, ..params }
@@ -65,6 +66,7 @@ fn twin_params(params: &NlmParams) -> TwinParams {
             },
         },
         dual_buffer: params.dual_buffer,
+        spikes: spikes(params.spikes),
         variance: match params.variance {
             NlmVariance::Scaled => Variance::Scaled,
             NlmVariance::CrossFiltered => Variance::CrossFiltered,
@@ -77,7 +79,9 @@ fn twin_params(params: &NlmParams) -> TwinParams {
 #[test]
 fn the_presets_are_those_of_the_reference() {
     let twin = TwinParams::thesis();
-    for (preset, twin) in [(NlmParams::thesis(), twin), (NlmParams::default(), TwinParams { variance: Variance::Scaled, ..twin })] {
+    for (preset, twin) in
+        [(NlmParams::thesis(), twin), (NlmParams::default(), TwinParams { variance: Variance::Scaled, spikes: Some(SpikeParams::default()), ..twin })]
+    {
         let mut shown = twin_params(&preset);
         // 0.45 as a float32 is not 0.45.
         [&mut shown.filter.k, &mut shown.filter.cut].into_iter().for_each(|value| *value = format!("{value:.4e}").parse().unwrap_or(f64::NAN));

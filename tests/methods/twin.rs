@@ -4,14 +4,16 @@
 //! (which of them is the least, whether the guard lets a candidate in), and with it the maps of all pixels within the smoothing's radius. So the
 //! decisions are looked at by themselves: where one differs, the errors must tie.
 
-use stein::method::Intermediate;
+use stein::method::{Intermediate, Spikes};
 use stein::stage::candidate_set::CandidateSet;
 use stein::stage::nlm::{CentreWeight, Symmetry};
+use stein::stage::spike::SpikeRule;
 use stein::{Denoiser, DfcParams, Estimate, Frame, Image, Options};
 
 use crate::common::{assert_near, flat, gpu, own_size};
 use crate::frames::{EVERYTHING, Keep, error_of, frame, noisy};
 use crate::reference::dfc::{CandidateParams, Dfc, DfcParams as TwinParams, Frame as TwinFrame, SecondPassParams, dfc, sampling_density};
+use crate::reference::spike::SpikeParams;
 use crate::reference::variance::Signal;
 use crate::reference::{self, Grid, Planes};
 
@@ -63,6 +65,7 @@ fn twin_params(params: &DfcParams) -> TwinParams {
             own_sigmas: guard.own_sigmas.into(),
             own_noise: guard.own_noise.into(),
         }),
+        spikes: spikes(params.spikes),
         second_pass: SecondPassParams {
             half_radius: pass.half_window,
             patch_radius: pass.patch_radius as usize,
@@ -71,6 +74,25 @@ fn twin_params(params: &DfcParams) -> TwinParams {
             most_sigmas: pass.most_sigmas.map(f64::from),
         },
     }
+}
+
+/// The reference's parameters of what a method does about spikes.
+pub(crate) fn spikes(spikes: Spikes) -> Option<SpikeParams> {
+    let SpikeRule { window_radius, spread_radius, least_neighbours, prominence, most_samples, share_limit, feature_k, feature_tau } = SpikeRule::DEFAULT;
+    // 0.1 as a float32 is not 0.1.
+    let [prominence, most_samples, share_limit, k_feature, tau] =
+        [prominence, most_samples, share_limit, feature_k, feature_tau].map(|value| format!("{value:.4e}").parse().unwrap_or(f64::NAN));
+    let params = SpikeParams {
+        window_radius: window_radius as usize,
+        spread_radius: spread_radius as usize,
+        least_neighbours: least_neighbours as usize,
+        prominence,
+        most_samples,
+        share_limit: (spikes == Spikes::Spread).then_some(share_limit),
+        k_feature,
+        tau,
+    };
+    (spikes != Spikes::Keep).then_some(params)
 }
 
 /// Parameter by parameter: two tables, written by two people from one text.
@@ -139,7 +161,7 @@ impl Compared {
     fn check(&self, frame: &Frame) {
         let (twin, exposure) = (&self.twin, self.exposure);
         let layer = |name: &str, factor: f64| layer(&self.estimate, name, factor);
-        let input = grids(&frame.color().mean, exposure);
+        let input = &twin.color.mean;
 
         self.near("scaled variance", &layer("scaled_variance", exposure * exposure), &twin.color_variance, &own_size(&twin.color_variance, 0.0), 1e-5, 0.0);
 
@@ -157,7 +179,7 @@ impl Compared {
 
         let taking_part = (0..3).filter(|k| self.takes_part[*k]);
         for (candidate, name) in taking_part.clone().map(|k| (&twin.candidates[k], CANDIDATES[k])) {
-            self.near(name, &layer(name, exposure), &candidate.mean, &self.color_scale(&input, &candidate.mean), FILTERED, 0.0);
+            self.near(name, &layer(name, exposure), &candidate.mean, &self.color_scale(input, &candidate.mean), FILTERED, 0.0);
             let derivative = format!("{name}_derivative");
             self.near(&derivative, &layer(&derivative, 1.0), &candidate.derivative, &own_size(&candidate.derivative, 1.0), 1e-3, 0.0);
         }
@@ -179,14 +201,14 @@ impl Compared {
 
         self.near("maps", &layer("selection", 1.0), &twin.maps, &flat(&twin.maps, 1.0), FILTERED, FLIPPED);
         if frame.color().half_spread.is_some() {
-            self.near("pass 1", &layer("pass1", exposure), &twin.pass1.mean, &self.color_scale(&input, &twin.pass1.mean), FILTERED, FLIPPED);
+            self.near("pass 1", &layer("pass1", exposure), &twin.pass1.mean, &self.color_scale(input, &twin.pass1.mean), FILTERED, FLIPPED);
         }
         let result = twin.pass2.as_ref().unwrap_or(&twin.pass1);
-        self.near("result", &grids(&self.estimate.color, exposure), &result.mean, &self.color_scale(&input, &result.mean), FILTERED, FLIPPED);
+        self.near("result", &grids(&self.estimate.color, exposure), &result.mean, &self.color_scale(input, &result.mean), FILTERED, FLIPPED);
         let spread = self.estimate.half_spread.as_ref().map(|image| grids(image, exposure));
         assert_eq!(spread.is_some(), result.spread.is_some(), "{}: half spread", self.what);
         if let (Some(spread), Some(expected)) = (&spread, &result.spread) {
-            self.near("half spread", spread, expected, &self.color_scale(&input, &result.mean), FILTERED, FLIPPED);
+            self.near("half spread", spread, expected, &self.color_scale(input, &result.mean), FILTERED, FLIPPED);
         }
         let size: Planes = vec![terms[0].like(|p| twin.errors.iter().map(|error| error.at(p).abs()).sum::<f64>() + terms[0].at(p))];
         self.near("error", &grids(error_of(&self.estimate), exposure * exposure), std::slice::from_ref(&twin.error), &size, 2e-3, FLIPPED);

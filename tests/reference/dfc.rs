@@ -4,6 +4,7 @@ use super::candidates::{Candidate, candidate};
 use super::nlm::{CentreWeight, Feature, FilterParams, Guide, nlm_filter};
 use super::prefilter::{Prefiltered, prefilter};
 use super::select::{self, Evidence, Guard, select, share, smooth_maps};
+use super::spike::{self, SpikeParams};
 use super::sure::{self, smooth_errors, sure};
 use super::variance::{Signal, buffer_var, input_variance};
 use super::{Grid, Planes};
@@ -41,6 +42,8 @@ pub struct DfcParams {
     pub symmetric: bool,
     pub centre: CentreWeight,
     pub guard: Option<Guard>,
+    /// None: spikes stay.
+    pub spikes: Option<SpikeParams>,
     pub second_pass: SecondPassParams,
 }
 
@@ -55,6 +58,7 @@ impl DfcParams {
             symmetric: false,
             centre: CentreWeight::One,
             guard: None,
+            spikes: None,
             second_pass: SecondPassParams { half_radius: false, patch_radius: 1, k_color: 0.45, clamp_to_input: false, most_sigmas: None },
         }
     }
@@ -85,6 +89,7 @@ impl Default for DfcParams {
             symmetric: true,
             centre: CentreWeight::LargestNeighbour,
             guard: Some(Guard { smoothed_error: 4.0, smoothed_noise: 0.3, own_sigmas: 8.0, own_noise: 4.0 }),
+            spikes: Some(SpikeParams::default()),
             second_pass: SecondPassParams { half_radius: true, patch_radius: 3, k_color: 0.45, clamp_to_input: true, most_sigmas: Some(4.0) },
             ..thesis
         }
@@ -106,6 +111,8 @@ pub struct Pass {
 
 /// Every value that Algorithm 1 passes through.
 pub struct Dfc {
+    /// The input without spikes.
+    pub color: Signal,
     pub color_variance: Planes,
     pub features: Vec<Prefiltered>,
     pub candidates: [Candidate; 3],
@@ -125,12 +132,11 @@ pub struct Dfc {
 }
 
 pub fn dfc(frame: &Frame, params: &DfcParams) -> Dfc {
-    let color = &frame.color;
-
-    // Lines 2–5 and 6–10: variances and features.
-    let color_variance = input_variance(color);
+    // Lines 2–5 and 6–10: features and variances. Spikes are none of Algorithm 1.
     let prefiltered: Vec<Prefiltered> = frame.features.iter().map(|signal| prefilter(signal, params.symmetric, params.centre)).collect();
     let features: Vec<Feature> = prefiltered.iter().map(|prefiltered| prefiltered.feature.clone()).collect();
+    let color = params.spikes.map_or_else(|| frame.color.clone(), |params| spike::repaired(&frame.color, &features, &params).signal);
+    let color_variance = input_variance(&color);
 
     // Lines 11–17: candidate filters.
     let candidates =
@@ -164,7 +170,7 @@ pub fn dfc(frame: &Frame, params: &DfcParams) -> Dfc {
     // Lines 34–37: second pass.
     let pass2 = second_pass(&pass1, &color_variance, params);
 
-    Dfc { color_variance, features: prefiltered, candidates, sure, errors, binary_maps, smoothed_maps, maps, error, pass1, pass2 }
+    Dfc { color, color_variance, features: prefiltered, candidates, sure, errors, binary_maps, smoothed_maps, maps, error, pass1, pass2 }
 }
 
 /// Removes the noise that pass 1 left, which its halves show.
@@ -211,7 +217,7 @@ pub fn sampling_density(frame: &Frame, result: &Dfc, params: &DfcParams, samples
     let left = result.pass1.spread.as_ref().map(|spread| spread[0].like(|p| spread.iter().map(|plane| plane.at(p) * plane.at(p)).sum()));
     let density = sure::sample_density(&result.pass1.mean, left.as_ref().unwrap_or(&result.error), &weight_sum, samples_per_pixel);
     let own = CandidateParams { k_color: 1.0, k_feature: f64::INFINITY, patch_radius: 1, tau: 0.0 };
-    let guide = Guide { mean: &frame.color.mean, variance: &result.color_variance };
+    let guide = Guide { mean: &result.color.mean, variance: &result.color_variance };
     nlm_filter(&[density], Some(guide), &[], &params.filter(10, &own)).planes.remove(0)
 }
 

@@ -1,6 +1,7 @@
 //! Greedy error minimisation (chapter 6): all scales, all stopping maps, then for each pixel the finest scale whose map says stop.
 
 use super::gaussian::{gaussian, gaussian_neighbours, gaussian_variance};
+use super::spike::{self, SpikeParams};
 use super::variance::{Signal, input_variance};
 use super::{Grid, Planes, Point};
 
@@ -13,15 +14,17 @@ pub struct GemParams {
     /// Size of the outlier filter, in sizes of the coarse scale.
     pub outlier_size: f64,
     pub coarser_only: bool,
+    /// None: spikes stay.
+    pub spikes: Option<SpikeParams>,
 }
 
 impl GemParams {
     pub fn while_sampling(gamma: f64) -> Self {
-        Self { gamma, sigmas: vec![1.0, 2.0, 4.0, 8.0], outlier_size: 1.0, coarser_only: false }
+        Self { gamma, sigmas: vec![1.0, 2.0, 4.0, 8.0], outlier_size: 1.0, coarser_only: false, spikes: None }
     }
 
     pub fn for_the_final_image(gamma: f64, outlier_size: f64) -> Self {
-        Self { gamma, sigmas: (1..=8).map(|step| 2f64.powf(0.5 * f64::from(step))).collect(), outlier_size, coarser_only: true }
+        Self { gamma, sigmas: (1..=8).map(|step| 2f64.powf(0.5 * f64::from(step))).collect(), outlier_size, coarser_only: true, spikes: None }
     }
 }
 
@@ -142,6 +145,8 @@ pub struct Gem {
 }
 
 pub fn gem(color: &Signal, samples: &Grid, params: &GemParams) -> Gem {
+    let repaired = params.spikes.map(|params| spike::repaired(color, &[], &params).signal);
+    let color = repaired.as_ref().unwrap_or(color);
     let variance = input_variance(color);
     let zero = || color.mean.iter().map(|grid| grid.like(|_| 0.0)).collect();
     let spread = color.spread.clone().unwrap_or_else(zero);

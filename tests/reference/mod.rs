@@ -5,6 +5,7 @@
 //!
 //! ```text
 //! variance    what is known of the noise: scaled sample variances, two-buffer variances      8.2, 8.3
+//! spike       what stands out on very few samples, and where it goes
 //! gaussian    averages, their variance, averages of a pixel's neighbours                      6.2, 6.4
 //! nlm         the one NL-means operator: payload, optional guide, optional features          7.1.1, 8.2, 8.3
 //! prefilter   features: denoised, their residual variance and gradient                       8.3
@@ -28,6 +29,7 @@ pub mod nlm_method;
 pub mod prefilter;
 pub mod random;
 pub mod select;
+pub mod spike;
 pub mod sure;
 pub mod variance;
 

@@ -2,6 +2,7 @@
 
 use super::gaussian::gaussian;
 use super::nlm::{CentreWeight, Guide, Pair, WindowWeights, blendable, half_window, weight};
+use super::spike::{self, SpikeParams};
 use super::variance::{Signal, input_variance};
 use super::{Grid, Planes, Point, map_pixels, square};
 
@@ -127,6 +128,8 @@ pub struct NlmParams {
     pub filter: Filter,
     pub dual_buffer: bool,
     pub variance: Variance,
+    /// None: spikes stay.
+    pub spikes: Option<SpikeParams>,
 }
 
 impl NlmParams {
@@ -142,7 +145,7 @@ impl NlmParams {
             cut: 0.05,
             centre: CentreWeight::One,
         };
-        NlmParams { filter, dual_buffer: true, variance: Variance::CrossFiltered }
+        NlmParams { filter, dual_buffer: true, variance: Variance::CrossFiltered, spikes: None }
     }
 }
 
@@ -159,13 +162,16 @@ pub struct Nlm {
 }
 
 pub fn nlm(color: &Signal, params: &NlmParams, samples: &Grid) -> Nlm {
+    let raw = color;
+    let repaired = params.spikes.map(|params| spike::repaired(raw, &[], &params).signal);
+    let color = repaired.as_ref().unwrap_or(raw);
     let like = &color.mean[0];
     let variance = match params.variance {
         Variance::Scaled => at_most_claimed(input_variance(color), color),
         Variance::CrossFiltered => cross_filtered(color, &params.filter),
         Variance::Uniform => {
             let of_channel =
-                |i: usize| color.spread.as_ref().map_or_else(|| color.sample_variance.as_ref().map_or(0.0, |v| v[i].mean()), |s| squared(&s[i]).mean());
+                |i: usize| raw.spread.as_ref().map_or_else(|| raw.sample_variance.as_ref().map_or(0.0, |v| v[i].mean()), |s| squared(&s[i]).mean());
             (0..3).map(|i| Grid::filled(like.width, like.height, of_channel(i))).collect()
         }
     };

@@ -19,6 +19,7 @@ mod gaussian;
 mod nlm;
 mod scale;
 mod select;
+mod spike;
 mod variance;
 
 use reference::nlm::{Feature, FilterParams, Guide, window_weights};

@@ -31,7 +31,8 @@ pub(in crate::method) fn plan(params: &DfcParams, facts: &Facts, wishes: &Wishes
     // Beyond the reach of the candidates nothing has noise, and beyond that of the smoothing that follows nothing reads what was not computed. The intermediates are others there.
     let by_colour = params.candidates.first || params.candidates.second;
     let keeps_only = |allowed: &[Intermediate]| wishes.keep.iter().all(|kept| allowed.contains(kept));
-    let may_copy = by_colour && params.guard.is_some() && keeps_only(&[Intermediate::Spikes, Intermediate::Variance, Intermediate::Features, Intermediate::Pass1]);
+    let may_copy =
+        by_colour && params.guard.is_some() && keeps_only(&[Intermediate::Spikes, Intermediate::Variance, Intermediate::Features, Intermediate::Pass1]);
     let smoothing = [ERROR_SMOOTHING, SELECTION_SMOOTHING].iter().map(|filter| filter.window_radius + filter.patch_radius).sum::<u32>();
     let reach = (params.window_radius + params.second_patch_radius + smoothing).max(params.spikes.spread_radius());
     let exact = if may_copy { facts.exact_color(reach) } else { None };
