@@ -4,7 +4,7 @@
 // has are the bright ones, its excess over the level is about √k standard deviations of its mean, whatever n is and however bright they are. Both the sample variance and the
 // halves say so, and the one that says more is believed, for either may miss it. A light has many bright samples, and without noise infinitely many.
 //
-// SPREAD: what is taken from a spike goes to all pixels of its kind in a wider window, to each the same. One spike says little about how much light there is: it stands for as
+// SPREAD: what is taken from a spike goes to all pixels of its kind in a wider window, to each the same, but for those without noise: they are what they are. One spike says little about how much light there is: it stands for as
 // many pixels as there would have to be until the next one. Where it would raise the level around it by more than a part of it, it is rarer than that, and the more it would,
 // the more of it is left out.
 #import stein::planes::{pixel_index}
@@ -47,6 +47,10 @@ fn features_at(at: i32, group: i32) -> SpikeFeatures {
     return SpikeFeatures(features[plane], features[plane + pixels], features[plane + 2 * pixels]);
 }
 #endif
+
+fn is_noisy(at: i32) -> bool {
+    return any(max(claimed_variance(at), two_buffer_variance(at)) > vec3<f32>(0.0));
+}
 
 // Whether the pixel at q is of the same kind.
 fn is_like(at_p: i32, at_q: i32) -> bool {
@@ -128,7 +132,8 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
         var members = 0.0;
         for (var y = spread_first.y; y <= spread_last.y; y++) {
             for (var x = spread_first.x; x <= spread_last.x; x++) {
-                members += select(0.0, 1.0, is_like(at_p, pixel_index(vec2<i32>(x, y), extent)));
+                let at_q = pixel_index(vec2<i32>(x, y), extent);
+                members += select(0.0, 1.0, is_noisy(at_q) && is_like(at_p, at_q));
             }
         }
         let even = excess / members;

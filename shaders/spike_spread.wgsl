@@ -1,4 +1,4 @@
-// Adds to each pixel what it gets of the spikes around it.
+// Adds to each pixel that has noise what it gets of the spikes around it.
 #import stein::planes::{pixel_index}
 #import stein::spike::{SpikeParams, SpikeFeatures, are_alike}
 
@@ -10,7 +10,12 @@ const FEATURE_GROUPS: i32 = #{FEATURE_GROUPS};
 #if FEATURE_GROUPS != 0
 @group(0) @binding(2) var<storage, read> features: array<vec4<f32>>;
 #endif
-@group(0) @binding(3) var<storage, read_write> repaired: array<vec4<f32>>;
+// As spike_find got them.
+@group(0) @binding(3) var<storage, read> signal: array<vec4<f32>>;
+#ifdef VARIANCE
+@group(0) @binding(4) var<storage, read> sample_variance: array<vec4<f32>>;
+#endif
+@group(0) @binding(5) var<storage, read_write> repaired: array<vec4<f32>>;
 
 #if FEATURE_GROUPS != 0
 fn features_at(at: i32, group: i32) -> SpikeFeatures {
@@ -39,6 +44,13 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     }
     let pixels = extent.x * extent.y;
     let at_q = pixel_index(q, extent);
+    var noise = abs(signal[pixels + at_q].xyz);
+#ifdef VARIANCE
+    noise = max(noise, sample_variance[at_q].xyz);
+#endif
+    if all(noise == vec3<f32>(0.0)) {
+        return;
+    }
     let first = max(q - params.spread_radius, vec2<i32>(0));
     let last = min(q + params.spread_radius, extent - 1);
     var sum = vec3<f32>(0.0);

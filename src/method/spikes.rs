@@ -19,7 +19,7 @@ use crate::stage::spike::{SpikeRule, spike_find, spike_spread};
 /// | on the command line | a spike | its energy |
 /// | --- | --- | --- |
 /// | `keep` | stays | stays |
-/// | `spread`, the default | becomes the mean of its neighbours | goes to all pixels of its kind around it, as far as they would not become brighter by much more than a tenth |
+/// | `spread`, the default | becomes the mean of its neighbours | goes to all noisy pixels of its kind around it, as far as they would not become brighter by much more than a tenth |
 /// | `clamp` | becomes the mean of its neighbours | is lost |
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
@@ -66,11 +66,6 @@ impl Spikes {
         }
     }
 
-    /// How far a spike is spread, in pixels.
-    pub(super) fn spread_radius(self) -> u32 {
-        if self == Self::Spread { SpikeRule::DEFAULT.spread_radius } else { 0 }
-    }
-
     /// Planes that they take besides the colour: while it is repaired, and of what was found.
     pub(super) fn planes(self) -> (u64, u64) {
         if self == Self::Keep { (0, 0) } else { (3, 2) }
@@ -96,7 +91,7 @@ impl Spikes {
         let is_spread = self == Self::Spread;
         let mut repaired = spike_find(rec, extent, &color.signal, color.variance_of_mean.as_deref(), features, &rule, is_spread)?;
         if is_spread {
-            spike_spread(rec, extent, &mut repaired, features, &rule)?;
+            spike_spread(rec, extent, &color.signal, color.variance_of_mean.as_deref(), features, &rule, &mut repaired)?;
         }
         let color = GpuSignal { signal: Arc::new(repaired.signal), variance_of_mean: repaired.variance_of_mean.map(Arc::new), has_halves: color.has_halves };
         Ok((color, Some(Arc::new(repaired.spikes))))

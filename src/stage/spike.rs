@@ -29,7 +29,7 @@ bindings! {
         uniform params: SpikeParams, read signal, optional features, read sample_variance, write repaired_variance, write repaired, write spikes,
     }
     struct SpikeRows<'a> { uniform params: SpikeParams, write spikes }
-    struct SpikeSpread<'a> { uniform params: SpikeParams, read spikes, optional features, write repaired }
+    struct SpikeSpread<'a> { uniform params: SpikeParams, read spikes, optional features, read signal, optional sample_variance, write repaired }
 }
 
 /// What makes a spike, and what becomes of it. [`SpikeRule::DEFAULT`] is what measured best: `docs/robustness.md` has the table.
@@ -63,7 +63,7 @@ impl SpikeRule {
         most_samples: 4.0,
         share_limit: 0.1,
         feature_k: 0.6,
-        feature_tau: 1e-2,
+        feature_tau: 0.1,
     };
 
     fn params(&self, extent: IVec2, features: Option<&Features>) -> SpikeParams {
@@ -128,13 +128,21 @@ pub fn spike_find(
     Ok(Repaired { signal: repaired, variance_of_mean: repaired_variance, spikes })
 }
 
-/// Gives the pixels around each spike what they are to get of it, evenly to all of its kind.
-pub fn spike_spread(rec: &mut Recorder, extent: IVec2, repaired: &mut Repaired, features: Option<&Features>, rule: &SpikeRule) -> Result<()> {
+/// Gives the pixels around each spike what they are to get of it, evenly to all of its kind that have noise: to what [`spike_find`] has made of the others.
+pub fn spike_spread(
+    rec: &mut Recorder,
+    extent: IVec2,
+    signal: &Buffer,
+    sample_variance: Option<&Buffer>,
+    features: Option<&Features>,
+    rule: &SpikeRule,
+    repaired: &mut Repaired,
+) -> Result<()> {
     let params = rule.params(extent, features);
     let kernel = rec.gpu().kernel::<SpikeRows>("spike_rows", &[])?;
     rec.dispatch(&kernel, &SpikeRows { params, spikes: &repaired.spikes }, per_pixel(extent))?;
-    let kernel = rec.gpu().kernel::<SpikeSpread>("spike_spread", &[feature_groups(features)])?;
+    let kernel = rec.gpu().kernel::<SpikeSpread>("spike_spread", &[feature_groups(features), ("VARIANCE", sample_variance.is_some().into())])?;
     let features = features.map(|features| &features.buffer);
-    let bound = SpikeSpread { params, spikes: &repaired.spikes, features, repaired: &repaired.signal };
+    let bound = SpikeSpread { params, spikes: &repaired.spikes, features, signal, sample_variance, repaired: &repaired.signal };
     rec.dispatch(&kernel, &bound, per_pixel(extent))
 }

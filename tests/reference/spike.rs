@@ -30,7 +30,7 @@ impl Default for SpikeParams {
             most_samples: 4.0,
             share_limit: Some(0.1),
             k_feature: 0.6,
-            tau: 1e-2,
+            tau: 0.1,
         }
     }
 }
@@ -60,7 +60,7 @@ pub fn repaired(color: &Signal, features: &[Feature], params: &SpikeParams) -> R
     let received = |i: usize, q: Point| {
         let from = square(params.spread_radius).map(|o| q + o).filter(|&p| mean[0].contains(p));
         let share = |p: Point| at(p).filter(|_| alike(features, params, p, q)).map_or(0.0, |spike| spike.part * spike.excess[i] / spike.members);
-        from.map(share).sum::<f64>()
+        if is_noisy(color, q) { from.map(share).sum::<f64>() } else { 0.0 }
     };
     let channels = 0..mean.len();
     let plane = |i: usize| mean[i].like(|p| at(p).map_or(mean[i].at(p), |spike| spike.level[i]) + received(i, p));
@@ -106,10 +106,15 @@ fn spike(color: &Signal, features: &[Feature], params: &SpikeParams, p: Point) -
     if !stands_out || excess.iter().map(|e| e * e).sum::<f64>() > params.most_samples * noise {
         return None;
     }
-    let members = window(params.spread_radius).count() as f64;
+    let members = window(params.spread_radius).filter(|&q| is_noisy(color, q)).count() as f64;
     let limit = params.share_limit.unwrap_or(0.0) * brightness(&level).max(0.0);
     let part = limit / (limit + brightness(&excess) / members);
     Some(Spike { variance: of_neighbours(&claimed), level, excess, part, members })
+}
+
+/// What has no noise is what it is.
+fn is_noisy(color: &Signal, p: Point) -> bool {
+    [&color.spread, &color.sample_variance].into_iter().flatten().flatten().any(|plane| plane.at(p) != 0.0)
 }
 
 /// Pixels of one kind: the distance of no feature (eq. 8.3, scaled by both pixels) is above 1.

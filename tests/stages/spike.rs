@@ -11,17 +11,18 @@ use crate::reference::spike::{SpikeParams, repaired};
 use crate::reference::variance::Signal;
 use crate::reference::{Grid, Planes};
 
-/// A calm scene in which one pixel of 40 stands out, by anything from a tenth to a million; of the noise that goes with it, halves and variance tell everything or next to nothing.
+/// A calm scene in which one pixel of 7 has no noise and one of 40 stands out, by anything from a tenth to a million; of the noise that goes with it, halves and variance tell everything or next to nothing.
 fn spiky_scene(width: usize, height: usize, seed: u64) -> Scene {
     let calm = calm_scene(width, height, seed);
     let mut random = Random(seed + 100);
     let mut uniform = |high: f64| random.uniform_grid(width, height, 0.0, high);
     let (chosen, size, told, sign) = (uniform(40.0), uniform(7.0), uniform(1.0), uniform(1.0));
-    let is_spike = |grid: &Grid, i: usize| chosen.values[i] < 1.0 && grid.values.len() > i;
+    let is_exact = |i: usize| i % 7 == 3;
+    let is_spike = |grid: &Grid, i: usize| chosen.values[i] < 1.0 && grid.values.len() > i && !is_exact(i);
     let height_of = |channel: usize, i: usize| [1.0, 0.3, 2.0][channel] * 10f64.powf(size.values[i] - 1.0);
     let changed = |planes: &Planes, value: &dyn Fn(usize, usize, f64) -> f64| -> Planes {
         let grid = |(channel, grid): (usize, &Grid)| {
-            let values = grid.values.iter().enumerate().map(|(i, old)| if is_spike(grid, i) { value(channel, i, *old) } else { *old });
+            let values = grid.values.iter().enumerate().map(|(i, old)| if is_spike(grid, i) || is_exact(i) { value(channel, i, *old) } else { *old });
             rounded(Grid { values: values.collect(), ..*grid })
         };
         planes.iter().enumerate().map(grid).collect()
@@ -29,9 +30,25 @@ fn spiky_scene(width: usize, height: usize, seed: u64) -> Scene {
     let halves_tell = |i: usize| told.values[i] < 0.6;
     let variance_tells = |i: usize| told.values[i] > 0.4;
     Scene {
-        mean: changed(&calm.mean, &|channel, i, old| old + height_of(channel, i)),
-        spread: changed(&calm.spread, &|channel, i, old| if halves_tell(i) { height_of(channel, i) * (2.0 * sign.values[i] - 1.0) } else { old }),
-        variance: changed(&calm.variance, &|channel, i, old| if variance_tells(i) { (height_of(channel, i) * sign.values[i]).powi(2) } else { old }),
+        mean: changed(&calm.mean, &|channel, i, old| if is_exact(i) { old } else { old + height_of(channel, i) }),
+        spread: changed(&calm.spread, &|channel, i, old| {
+            if is_exact(i) {
+                0.0
+            } else if halves_tell(i) {
+                height_of(channel, i) * (2.0 * sign.values[i] - 1.0)
+            } else {
+                old
+            }
+        }),
+        variance: changed(&calm.variance, &|channel, i, old| {
+            if is_exact(i) {
+                0.0
+            } else if variance_tells(i) {
+                (height_of(channel, i) * sign.values[i]).powi(2)
+            } else {
+                old
+            }
+        }),
     }
 }
 
@@ -61,7 +78,7 @@ fn check(case: &Case) -> usize {
         let packed = if guides.is_empty() { None } else { Some(pack(rec, &guides)?) };
         let mut found = spike_find(rec, extent, &signal, sample_variance.as_ref(), packed.as_ref(), &rule, spread)?;
         if spread {
-            spike_spread(rec, extent, &mut found, packed.as_ref(), &rule)?;
+            spike_spread(rec, extent, &signal, sample_variance.as_ref(), packed.as_ref(), &rule, &mut found)?;
         }
         Ok(found)
     });

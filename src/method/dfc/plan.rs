@@ -34,8 +34,7 @@ pub(in crate::method) fn plan(params: &DfcParams, facts: &Facts, wishes: &Wishes
     let may_copy =
         by_colour && params.guard.is_some() && keeps_only(&[Intermediate::Spikes, Intermediate::Variance, Intermediate::Features, Intermediate::Pass1]);
     let smoothing = [ERROR_SMOOTHING, SELECTION_SMOOTHING].iter().map(|filter| filter.window_radius + filter.patch_radius).sum::<u32>();
-    let reach = (params.window_radius + params.second_patch_radius + smoothing).max(params.spikes.spread_radius());
-    let exact = if may_copy { facts.exact_color(reach) } else { None };
+    let exact = if may_copy { facts.exact_color(params.window_radius + params.second_patch_radius + smoothing) } else { None };
 
     // With the patches of SECOND it has the derivative of SECOND, below which its own must be.
     let kept = [Intermediate::Candidates, Intermediate::Derivatives, Intermediate::Sure].into_iter().any(|kept| wishes.keeps(kept));
