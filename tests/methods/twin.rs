@@ -179,9 +179,9 @@ impl Compared {
 
         let taking_part = (0..3).filter(|k| self.takes_part[*k]);
         for (candidate, name) in taking_part.clone().map(|k| (&twin.candidates[k], CANDIDATES[k])) {
-            self.near(name, &layer(name, exposure), &candidate.mean, &self.color_scale(input, &candidate.mean), FILTERED, 0.0);
+            self.near(name, &layer(name, exposure), &candidate.mean, &self.color_scale(input, &candidate.mean), FILTERED, OF_ONE_KIND);
             let derivative = format!("{name}_derivative");
-            self.near(&derivative, &layer(&derivative, 1.0), &candidate.derivative, &own_size(&candidate.derivative, 1.0), 1e-3, 0.0);
+            self.near(&derivative, &layer(&derivative, 1.0), &candidate.derivative, &own_size(&candidate.derivative, 1.0), 1e-3, OF_ONE_KIND);
         }
 
         let terms = |k: usize| {
@@ -196,7 +196,7 @@ impl Compared {
         };
         let terms: Planes = (0..3).map(terms).collect();
         let of = |planes: &[Grid]| taking_part.clone().map(|k| planes[k].clone()).collect::<Planes>();
-        self.near("SURE", &of(&layer("sure", exposure * exposure)), &of(&twin.sure), &of(&terms), 4e-4, 0.0);
+        self.near("SURE", &of(&layer("sure", exposure * exposure)), &of(&twin.sure), &of(&terms), 4e-4, OF_ONE_KIND);
         self.check_decisions(&layer("selected", 1.0), &terms);
 
         self.near("maps", &layer("selection", 1.0), &twin.maps, &flat(&twin.maps, 1.0), FILTERED, FLIPPED);
@@ -248,6 +248,9 @@ impl Compared {
 /// Filtered values, by how far they are from the input. Features agree to some 10⁻⁶ with their twins. Where a weight is worth anything their difference is below 0.1,
 /// so that its square over k_f²·2τ, at the least 4·10⁻⁴, agrees to 10⁻⁴ or so; the errors of hundreds of weights average out.
 const FILTERED: f64 = 2e-4;
+
+/// The share of values in which it may be decided otherwise whether a pixel is of a spike's kind, and gets its part of it.
+const OF_ONE_KIND: f64 = 0.001;
 
 /// The share of pixels in which a decision may fall the other way, or that the smoothing of such a decision reaches.
 const FLIPPED: f64 = 0.005;
