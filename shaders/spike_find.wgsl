@@ -77,24 +77,36 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     let own = signal[at_p].xyz;
     let own_brightness = brightness(own);
 
-    // Two neighbours may be parts of the same spike: the third brightest is the first that shows how bright pixels of this kind are.
+    // Two neighbours may be parts of the same spike: the third brightest is the first that shows how bright pixels of this kind are. Most pixels are no brighter than that, which
+    // is found out early.
+    var brighter = select(3, 0, is_noisy(at_p));
+    for (var y = first.y; y <= last.y && brighter < 3; y++) {
+        for (var x = first.x; x <= last.x && brighter < 3; x++) {
+            let at_q = pixel_index(vec2<i32>(x, y), extent);
+            if at_q != at_p && brightness(signal[at_q].xyz) >= own_brightness && is_like(at_p, at_q) {
+                brighter++;
+            }
+        }
+    }
     var neighbours = 0.0;
     var brightest = vec3<f32>(-3.4e38);
-    for (var y = first.y; y <= last.y; y++) {
-        for (var x = first.x; x <= last.x; x++) {
-            let at_q = pixel_index(vec2<i32>(x, y), extent);
-            if at_q != at_p && is_like(at_p, at_q) {
-                let value = brightness(signal[at_q].xyz);
-                let second = max(brightest.y, min(brightest.x, value));
-                let third = max(brightest.z, min(brightest.y, value));
-                brightest = vec3<f32>(max(brightest.x, value), second, third);
-                neighbours += 1.0;
+    if brighter < 3 {
+        for (var y = first.y; y <= last.y; y++) {
+            for (var x = first.x; x <= last.x; x++) {
+                let at_q = pixel_index(vec2<i32>(x, y), extent);
+                if at_q != at_p && is_like(at_p, at_q) {
+                    let value = brightness(signal[at_q].xyz);
+                    let second = max(brightest.y, min(brightest.x, value));
+                    let third = max(brightest.z, min(brightest.y, value));
+                    brightest = vec3<f32>(max(brightest.x, value), second, third);
+                    neighbours += 1.0;
+                }
             }
         }
     }
     let bright = brightest.z;
 
-    var is_spike = neighbours >= params.least_neighbours && own_brightness > bright;
+    var is_spike = neighbours >= params.least_neighbours;
     var level = vec3<f32>(0.0);
     var level_variance = vec3<f32>(0.0);
     if is_spike {

@@ -92,7 +92,7 @@ fn gem_is_a_method_with_options_and_intermediates_of_its_own() {
     let document = with(&["--gamma=0.1", "--ref", &reference, "--keep=all", "--json"]).succeeded().json();
     assert_eq!(document["parameters"]["method"], "gem");
     assert_eq!((document["parameters"]["gamma"].as_f64().unwrap() * 1e3).round(), 100.0);
-    assert_eq!(document["kept"], serde_json::json!(["variance", "stopping", "scale", "density"]));
+    assert_eq!(document["kept"], serde_json::json!(["spikes", "variance", "stopping", "scale", "density"]));
     let error = |image: &str| error_of(&document, image)["relative_mse"].as_f64().unwrap();
     assert!(error("result") < error("noisy") / 3.0, "{}", document["errors"]);
     let names: Vec<String> = channels(&output).into_iter().map(|(name, _)| name).collect();
@@ -106,6 +106,25 @@ fn gem_is_a_method_with_options_and_intermediates_of_its_own() {
     with(&["--keep=candidates"]).failed(2, &["gem has no such intermediate", "stopping"]);
     with(&["--feature", "albedo=a.exr"]).failed(2, &["gem uses no features"]);
     stein(&["denoise", &input, "--gamma=0.2"]).failed(2, &["--gamma is no option of the method dfc"]);
+}
+
+#[test]
+fn spikes_are_counted_kept_as_a_layer_and_may_stay() {
+    let input = test_image("caustic_ring_32spp.exr");
+    let folder = Folder::new();
+    let output = folder.path("out.exr");
+    let with = |more: &[&str]| stein(&[&["denoise", &input, "-o", &output, "--method=gem"], more].concat());
+    with(&["--explain"]).succeeded().said(&["spikes taken out with", "% of the energy", "what rests on few samples is spread"]);
+    let report = |more: &[&str]| with(&[&["--json"], more].concat()).succeeded().json();
+    let spread = report(&["--keep=spikes"]);
+    let found = |document: &Value, name: &str| document["run"]["spikes"][name].as_f64().unwrap();
+    assert!(found(&spread, "pixels") > 3.0 && found(&spread, "spread") < found(&spread, "taken"), "{}", spread["run"]["spikes"]);
+    assert!(channels(&output).iter().any(|(name, values)| name == "stein.spikes.R" && values.values_as_f32().any(|value| value != 0.0)));
+    let clamped = report(&["--spikes=clamp"]);
+    assert_eq!((found(&clamped, "pixels"), found(&clamped, "spread")), (found(&spread, "pixels"), 0.0));
+    assert!(report(&["--spikes=keep"])["run"]["spikes"].is_null());
+    let thesis = report(&["--preset=thesis"]);
+    assert!(thesis["parameters"]["spikes"] == "keep" && thesis["run"]["spikes"].is_null());
 }
 
 #[test]
@@ -207,7 +226,8 @@ fn compiled_shaders_are_kept_where_the_user_says() {
 fn little_memory_gives_the_same_pixels() {
     let folder = Folder::new();
     let (input, whole, strips) = (test_image("cornell_32spp.exr"), folder.path("whole.exr"), folder.path("strips.exr"));
-    let denoise = |more: &[&str]| stein(&[&["denoise", &input, RADIUS, "--no-features", "--json"], more].concat());
+    // Spikes reach further than half of this image.
+    let denoise = |more: &[&str]| stein(&[&["denoise", &input, RADIUS, "--no-features", "--spikes=keep", "--json"], more].concat());
     // The least memory that is enough.
     let least = (10..80).map(|step| format!("{}k", 100 * step)).find(|size| denoise(&["--dry-run", "--max-memory", size]).code == 0).unwrap();
     assert_eq!(denoise(&["-o", &whole]).succeeded().json()["strips"], 1);

@@ -141,7 +141,7 @@ impl Compared {
         let exposure = exposure(frame);
         let (input, params) = (twin_frame(frame, exposure), twin_params(&params));
         let twin = dfc(&input, &params);
-        let density = sampling_density(&input, &twin, &params, 0.0);
+        let density = sampling_density(&twin, &params, 0.0);
         Self { what, estimate, twin, exposure, density, takes_part: params.takes_part }
     }
 

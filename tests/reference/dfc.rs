@@ -211,7 +211,7 @@ pub fn limited(pass1: &Pass, pass2: &Pass, input_variance: &[Grid], sigmas: f64)
 }
 
 /// Where the next samples pay most (section 8.6): the error of the blend relative to its square, times W(p) = Σ w/(1 + n_p), smoothed.
-pub fn sampling_density(frame: &Frame, result: &Dfc, params: &DfcParams, samples_per_pixel: f64) -> Grid {
+pub fn sampling_density(result: &Dfc, params: &DfcParams, samples_per_pixel: f64) -> Grid {
     let weight_sum = blend(&result.maps, &result.candidates.each_ref().map(|c| &c.weight_sum));
     // With halves, what they say of the noise that is left (section 7.1.2); without them, SURE.
     let left = result.pass1.spread.as_ref().map(|spread| spread[0].like(|p| spread.iter().map(|plane| plane.at(p) * plane.at(p)).sum()));
