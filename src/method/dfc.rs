@@ -17,7 +17,7 @@ use crate::error::Result;
 use crate::gpu::{Buffer, Recorder};
 use crate::stage::candidate::{CANDIDATE_PLANES, CandidateBeside, CandidateFilter, CandidatesInTime, Needed, STATE_PLANES, candidates};
 use crate::stage::candidate_set::CandidateSet;
-use crate::stage::error::error_sure;
+use crate::stage::error::{ErrorParts, MadeOf, error_blend, error_sure};
 use crate::stage::feature::{Features, Packing, feature_pack};
 use crate::stage::nlm::{Beside, Guide, Lanes, Payload, Schedule, Weighting, nlm_filter};
 use crate::stage::sample::sample_density;
@@ -129,14 +129,14 @@ pub(crate) fn dfc(
     };
     let mut judged = None;
     if plan.begins(rec, Step::Sure) {
-        let sure = Arc::new(error_sure(rec, extent, signal, &variance, &candidates)?);
+        let sure = Arc::new(error_sure(rec, extent, signal, &variance, &candidates, params.covariance)?);
         let errors = Arc::new(smooth(rec, Step::SureSmoothing, &sure, &ERROR_SMOOTHING)?);
         keeper.keep(Intermediate::Sure, "sure", &BY_CANDIDATE, Unit::ColorSquared, &sure, 0);
         keeper.keep(Intermediate::Sure, "sure_smoothed", &BY_CANDIDATE, Unit::ColorSquared, &errors, 0);
         judged = Some((sure, errors));
     }
 
-    let (pass1, error, selection): (Arc<Buffer>, _, _) = if let Some((sure, errors)) = judged.as_ref().filter(|_| plan.begins(rec, Step::Selection)) {
+    let (pass1, selection): (Arc<Buffer>, _) = if let Some((sure, errors)) = judged.as_ref().filter(|_| plan.begins(rec, Step::Selection)) {
         // Binary selection maps.
         let selected = Arc::new(select_least(rec, extent, errors, &candidates)?);
         // Filter selection maps.
@@ -148,25 +148,35 @@ pub(crate) fn dfc(
         let pass1 = Arc::new(select_blend(rec, extent, &selection, &candidates)?);
         keeper.keep(Intermediate::Selection, "selected", &BY_CANDIDATE, Unit::Number, &selected, 0);
         keeper.keep(Intermediate::Selection, "selection", &BY_CANDIDATE, Unit::Number, &selection, 0);
-        (pass1, Some(Lane { buffer: selection.clone(), plane: 0, component: 3 }), Shares::Maps(selection))
+        (pass1, Shares::Maps(selection))
     } else {
         // Nothing to choose from.
         let Some((only, candidate)) = candidates.first_of_all() else { unreachable!("a plan holds at least one candidate") };
-        let error = judged.as_ref().map(|(_, errors)| Lane { buffer: errors.clone(), plane: 0, component: only as u32 });
-        (candidate.clone(), error, Shares::Only(only))
+        (candidate.clone(), Shares::Only(only))
     };
+
+    // What is left of the error, of which SURE tells little more than the order of the candidates.
+    let mut error = None;
+    if plan.begins(rec, Step::Error) {
+        let made_of = match &selection {
+            Shares::Maps(maps) => MadeOf::Shares(maps),
+            Shares::Only(only) => MadeOf::Only(*only),
+        };
+        let parts = ErrorParts::measured(color.has_halves, params.several_can_win());
+        error = Some(Arc::new(error_blend(rec, extent, &pass1, &variance, &candidates, made_of, parts)?));
+    }
     drop((candidates, judged));
 
     // Adaptive sampling (thesis 8.6).
     if plan.begins(rec, Step::Density) {
-        let density = sample_density(rec, extent, &pass1, selection.maps().filter(|_| !color.has_halves), &samples)?;
+        let density = sample_density(rec, extent, &pass1, error.as_deref().filter(|_| !color.has_halves), &samples)?;
         keeper.keep(Intermediate::Density, "density", &["V"], Unit::Number, &Arc::new(smooth(rec, Step::Density, &density, &DENSITY_SMOOTHING)?), 0);
     }
 
-    // The error and Σ w are those of pass 1.
+    // Σ w is that of pass 1.
     let estimate = |signal: Arc<Buffer>, keeper: Keeper| GpuEstimate {
         signal,
-        error,
+        error: error.map(|buffer| Lane { buffer, plane: 0, component: 0 }),
         weight_sum: Lane { buffer: pass1.clone(), plane: 0, component: 3 },
         selection: Some(selection),
         kept: keeper.into_kept(),
