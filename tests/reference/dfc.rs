@@ -121,7 +121,7 @@ pub struct Dfc {
     pub smoothed_maps: Planes,
     /// The maps of the blend: the smoothed ones, guarded if the parameters ask for it.
     pub maps: Planes,
-    /// Of the blend.
+    /// Of the result.
     pub error: Grid,
     pub pass1: Pass,
     /// None without halves: nothing tells what noise is left.
@@ -164,14 +164,15 @@ pub fn dfc(frame: &Frame, params: &DfcParams) -> Dfc {
         }),
     };
 
+    // Lines 34–37: second pass.
+    let pass2 = second_pass(&pass1, &color_variance, params);
+
     // What is left of the error. A candidate alone is no blend.
     let part = |k: usize| Part { share: &maps[k], mean: means[k], derivative: derivatives[k] };
     let made_of: Vec<Part> = (0..3).filter(|k| params.takes_part[*k]).map(part).collect();
-    let parts = ErrorParts::measured(pass1.spread.is_some(), made_of.len() > 1);
-    let error = error_blend(&pass1.mean, pass1.spread.as_deref(), &color_variance, &made_of, parts);
-
-    // Lines 34–37: second pass.
-    let pass2 = second_pass(&pass1, &color_variance, params);
+    let result = pass2.as_ref().unwrap_or(&pass1);
+    let parts = ErrorParts::measured(result.spread.is_some(), made_of.len() > 1);
+    let error = error_blend(&result.mean, result.spread.as_deref(), &color_variance, &made_of, parts);
 
     Dfc { color_variance, features: prefiltered, candidates, sure, errors, binary_maps, smoothed_maps, maps, error, pass1, pass2 }
 }

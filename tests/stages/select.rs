@@ -277,7 +277,7 @@ fn other_frames_are_left_out_where_they_do_harm() {
         });
         let derivatives = read(gpu, there(&chosen.derivatives), extent);
         for (k, derivatives) in derivatives.iter().enumerate() {
-            let sure = |bank: &Bank| reference::sure::sure(&scene.mean, &scene.variance, &bank.means[k], &bank.derivatives[k]);
+            let sure = |bank: &Bank| reference::sure::sure(&scene.mean, &scene.variance, &bank.means[k], &bank.derivatives[k], 1.0);
             let (sure_alone, sure_together) = (sure(&alone), sure(&together));
             let of_alone = reference::select::Filtered { mean: &alone.means[k], sure: &sure_alone };
             let of_together = reference::select::Filtered { mean: &together.means[k], sure: &sure_together };
@@ -324,7 +324,7 @@ fn other_frames_are_left_out_of_one_filter_where_they_do_harm() {
     });
     let sure = |bank: &Bank| {
         let derivative = vec![bank.weight_sums[0].like(|p| 1.0 / bank.weight_sums[0].at(p)); 3];
-        reference::sure::sure(&scene.mean, &scene.variance, &bank.means[0], &derivative)
+        reference::sure::sure(&scene.mean, &scene.variance, &bank.means[0], &derivative, 1.0)
     };
     let (sure_alone, sure_together) = (sure(&alone), sure(&together));
     let of_alone = reference::select::Filtered { mean: &alone.means[0], sure: &sure_alone };

@@ -74,14 +74,14 @@ pub(in crate::method) fn plan(params: &DfcParams, facts: &Facts, wishes: &Wishes
     plan.but_for(exact.as_ref());
     plan.step(Step::Blend, "by shares, under the guard if there is one", &nothing_to_choose());
 
-    plan.step(Step::Error, "what the halves, the candidates and the pixel's own weight show", &[needless(!needs_error, "it is not wanted")]);
-    plan.step(Step::Density, "it is asked for", &[impossible(!wishes.keeps(Intermediate::Density), "it is not asked for")]);
     let unless = [
         impossible(params.second_pass.is_none(), "the parameters leave it out"),
         impossible(!facts.has_halves, "without halves nothing tells what noise is left"),
     ];
     plan.step(Step::SecondPass, "the halves tell what noise is left", &unless);
     plan.but_for(exact.as_ref().filter(|_| params.second_pass.is_some_and(|pass| pass.most_sigmas.is_some())));
+    plan.step(Step::Error, "what the halves, the candidates and the pixel's own weight show", &[needless(!needs_error, "it is not wanted")]);
+    plan.step(Step::Density, "it is asked for", &[impossible(!wishes.keeps(Intermediate::Density), "it is not asked for")]);
 
     if facts.is_noise_free() && may_copy && wishes.keep.is_empty() && !wishes.everything {
         return plan.leave_all_out("no pixel has noise: the frame is copied");
