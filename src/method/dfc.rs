@@ -161,7 +161,8 @@ pub(crate) fn dfc(
     if let Some(second_pass) = params.second_pass.filter(|_| plan.begins(rec, Step::SecondPass)) {
         let upper_bound = second_pass.clamp_to_input.then_some(&*variance);
         let left_variance = variance_smooth(rec, extent, &pass1, RESIDUAL_SMOOTHING, upper_bound)?;
-        let filter = Auxiliary { window_radius: second_pass.window_radius(params.window_radius), patch_radius: second_pass.patch_radius, k: second_pass.color_k };
+        let filter =
+            Auxiliary { window_radius: second_pass.window_radius(params.window_radius), patch_radius: second_pass.patch_radius, k: second_pass.color_k };
         let guide = Guide { grey, exact: plan.exact(&Step::SecondPass), ..filter.guide(&pass1, &left_variance, 3) };
         let payload = Payload { lanes: if grey { Lanes::Grey } else { Lanes::All }, ..Payload::new(&pass1, 2) };
         let pass2 = nlm_filter(rec, extent, &guide, &payload, filter.window_radius, weighting, false, schedule)?;

@@ -30,14 +30,7 @@ bindings! {
 ///
 /// # Errors
 /// Those of recording; [`Error::Shader`](crate::error::Error::Shader) where the candidates come without derivatives.
-pub fn error_sure(
-    rec: &mut Recorder,
-    extent: IVec2,
-    signal: &Buffer,
-    variance_of_mean: &Buffer,
-    candidates: &Candidates,
-    covariance: f32,
-) -> Result<Buffer> {
+pub fn error_sure(rec: &mut Recorder, extent: IVec2, signal: &Buffer, variance_of_mean: &Buffer, candidates: &Candidates, covariance: f32) -> Result<Buffer> {
     let errors = rec.take("SURE", plane_bytes(extent, 1))?;
     let [first, second, third] = candidates.buffers();
     let kernel = rec.gpu().kernel::<ErrorSure>("error_sure", &candidates.set().definitions())?;
