@@ -118,7 +118,7 @@ fn the_error_of_a_blend_has_three_parts() {
                 rounded(share.like(|p| if takes_part { share.at(p).max(0.0) } else { 0.0 }))
             })
             .into();
-        let only = takes_part.flags().iter().position(|takes_part| *takes_part).unwrap();
+        let only = (0..3).find(|k| takes_part.flags()[*k]).unwrap_or_default();
         for shared in [true, false] {
             let buffer = run(gpu, |rec| {
                 let blended = rec.upload("blend", &packed_signal(&scene.mean, &scene.spread))?;
