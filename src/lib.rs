@@ -9,9 +9,9 @@
 //!           -> Plan       (method: what of the method this frame needs, and why not the rest)
 //!           -> GpuFrame   (method: uploaded, colour at the order of 1)
 //!           -> GpuEstimate (method: one straight function of the stages each)
-//!                dfc: variances of the pixel mean -> prefiltered features -> candidates -> SURE -> selection -> blend -> second pass
-//!                nlm: variances of the pixel mean -> halves -> each filtered with the weights of the other -> their difference
-//!                gem: variances of the pixel mean -> scales -> stopping maps -> the finest that stops
+//!                dfc: prefiltered features -> spikes -> variances of the pixel mean -> candidates -> SURE -> selection -> blend -> second pass
+//!                nlm: spikes -> variances of the pixel mean -> halves -> each filtered with the weights of the other -> their difference
+//!                gem: spikes -> variances of the pixel mean -> scales -> stopping maps -> the finest that stops
 //!           -> Estimate   (denoiser: colour, halves, estimated error, intermediates) -> EXR file
 //! ```
 //!

@@ -123,6 +123,7 @@ fn spikes_are_counted_kept_as_a_layer_and_may_stay() {
     let clamped = report(&["--spikes=clamp"]);
     assert_eq!((found(&clamped, "pixels"), found(&clamped, "spread")), (found(&spread, "pixels"), 0.0));
     assert!(report(&["--spikes=keep"])["run"]["spikes"].is_null());
+    stein(&["sample-map", &input, "-o", &output, "--budget=8", "--spikes=spread"]).failed(2, &["--spikes", "remedy: leave it out"]);
     let thesis = report(&["--preset=thesis"]);
     assert!(thesis["parameters"]["spikes"] == "keep" && thesis["run"]["spikes"].is_null());
 }
@@ -295,7 +296,7 @@ fn nlm_says_what_it_did() {
     let parameters = &document["parameters"];
     let expected = serde_json::json!({
         "method": "nlm", "window_radius": 2, "patch_radius": 1, "k": 0.5, "alpha": 0.5, "cut": 0.1, "patchwise": false, "dual_buffer": false,
-        "variance": "uniform", "guard_frames": true, "weighting": { "symmetric": "off", "centre": "One" },
+        "variance": "uniform", "guard_frames": true, "spikes": "spread", "weighting": { "symmetric": "off", "centre": "One" },
     });
     assert_eq!(parameters, &expected);
     assert!(document["errors"].as_array().unwrap().iter().any(|errors| errors["image"] == "half_b"));

@@ -31,6 +31,11 @@ impl Filter {
         self.preset.preset()
     }
 
+    /// Whether it is said what becomes of spikes.
+    pub(crate) fn sets_spikes(&self) -> bool {
+        self.choice.tuning.spikes.is_some()
+    }
+
     /// The method, with the parameters that were asked for.
     pub(crate) fn method(&self) -> Result<Method, Failure> {
         self.choice.method(self.preset)

@@ -112,6 +112,9 @@ pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
         out.silence();
     }
     let method = args.filter.method()?;
+    if args.filter.sets_spikes() {
+        return Err(Failure::usage("--spikes: where more samples are to be drawn, spikes stay\n  remedy: leave it out"));
+    }
     args.source.check(&method)?;
     let file = args.output.clone().unwrap_or_else(|| input.with_extension("map.exr"));
     output::check(&file, args.source.files().chain([input]), false, false)?;

@@ -100,12 +100,12 @@ impl Method {
         }
     }
 
-    /// With the parameters that serve while samples are still being drawn.
+    /// With the parameters that serve while samples are still being drawn. Spikes stay: where few samples tell much, more are wanted.
     #[must_use]
     pub fn while_sampling(self) -> Self {
         match self {
-            Self::Dfc(_) => self,
-            Self::Gem(params) => Self::Gem(GemParams { phase: gem::Phase::Sampling, ..params }),
+            Self::Dfc(params) => Self::Dfc(DfcParams { spikes: Spikes::Keep, ..params }),
+            Self::Gem(params) => Self::Gem(GemParams { phase: gem::Phase::Sampling, spikes: Spikes::Keep, ..params }),
             Self::Nlm(params) => Self::Nlm(params.while_sampling()),
         }
     }

@@ -89,10 +89,10 @@ impl NlmParams {
         }
     }
 
-    /// Filters less, so that the error that is left is noise and not bias (thesis 7.2): r and α are 7 and 0.5 at the most.
+    /// Spikes stay. Filters less, so that the error that is left is noise and not bias (thesis 7.2): r and α are 7 and 0.5 at the most.
     #[must_use]
     pub fn while_sampling(self) -> Self {
-        Self { window_radius: self.window_radius.min(7), alpha: self.alpha.min(0.5), ..self }
+        Self { window_radius: self.window_radius.min(7), alpha: self.alpha.min(0.5), spikes: Spikes::Keep, ..self }
     }
 
     /// Checks the ranges of the table above.
