@@ -1,11 +1,13 @@
 //! The denoised picture in the clothes of its input: same header, parts, windows and layers, other pixels.
 
+use std::io::{BufWriter, Write};
 use std::path::Path;
 
 use exr::prelude::*;
 
 use super::BufferSet;
 use super::file::{ExrFile, FileLayer};
+use crate::aside;
 use crate::error::{Error, Result};
 use crate::image::{Extent, Image};
 
@@ -270,22 +272,23 @@ fn add_attributes(header: &mut LayerAttributes, attributes: &[(String, String)])
 }
 
 fn write_then_rename(image: &FlatImage, output: &Path) -> Result<()> {
-    let failed = |message: String| Error::File {
-        path: output.to_owned(),
-        problem: format!("cannot be written: {message}"),
-        remedy: "check that the folder exists, may be written to and has space left".into(),
-    };
-    let folder = match output.parent() {
-        Some(folder) if !folder.as_os_str().is_empty() => folder,
-        _ => Path::new("."),
-    };
     let mut builder = tempfile::Builder::new();
     builder.prefix(".stein-").suffix(".exr.part");
     // Temporary files are private by default; an output is as readable as the user's other files.
     #[cfg(unix)]
     builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
-    let mut file = builder.tempfile_in(folder).map_err(|error| failed(error.to_string()))?;
-    image.write().to_unbuffered(file.as_file_mut()).map_err(|error| failed(error.to_string()))?;
-    file.persist(output).map_err(|error| failed(error.error.to_string()))?;
-    Ok(())
+    let written = aside::replace(output, &mut builder, |file| {
+        let mut file = BufWriter::new(file);
+        image.write().to_buffered(&mut file).map_err(|error| match error {
+            exr::error::Error::Io(error) => error,
+            error => std::io::Error::other(error.to_string()),
+        })?;
+        // The last of it would be lost in silence where the disk is full.
+        file.flush()
+    });
+    written.map_err(|error| Error::File {
+        path: output.to_owned(),
+        problem: format!("cannot be written: {error}"),
+        remedy: "check that the folder exists, may be written to and has space left".into(),
+    })
 }
