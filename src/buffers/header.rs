@@ -3,7 +3,7 @@
 //! The decoder takes sizes for granted, repairs what it should refuse (a window whose right edge lies left of its left one) and tells little of where a file ends. So the head
 //! is walked here first: nothing is allocated for what it claims, only for what is there.
 
-use std::io::{BufRead, Read, Seek, SeekFrom};
+use std::io::{BufRead, BufReader, Read, Seek, SeekFrom, Write};
 use std::ops::Range;
 
 /// Why a file cannot be read, and what to do about it.
@@ -75,10 +75,10 @@ const LONGEST_VALUE: u64 = MOST_CHANNELS as u64 * (LONGEST_NAME + 17);
 /// Where an attribute stands in its file.
 #[derive(Clone, Debug)]
 pub(super) struct Attribute {
-    pub(super) name: Vec<u8>,
+    name: Vec<u8>,
     kind: Vec<u8>,
     /// All of it, from its name on.
-    pub(super) whole: Range<u64>,
+    whole: Range<u64>,
     value: Range<u64>,
 }
 
@@ -167,6 +167,25 @@ impl Head {
         }
         Ok(())
     }
+}
+
+/// Puts the attributes of a file that was just written in the order of their names: the encoder leaves it to chance, and the same image is to be the same file.
+pub(super) fn sort_attributes(file: &mut (impl Read + Write + Seek)) -> std::io::Result<()> {
+    let bytes = file.seek(SeekFrom::End(0))?;
+    file.rewind()?;
+    let head = Head::read(&mut BufReader::new(&mut *file), bytes).map_err(|trouble| std::io::Error::other(trouble.problem))?;
+    for mut part in head.parts {
+        let Some(start) = part.first().map(|attribute| attribute.whole.start) else { continue };
+        part.sort_by(|a, b| a.name.cmp(&b.name));
+        let mut sorted = Vec::new();
+        for attribute in part {
+            file.seek(SeekFrom::Start(attribute.whole.start))?;
+            file.take(attribute.whole.end - attribute.whole.start).read_to_end(&mut sorted)?;
+        }
+        file.seek(SeekFrom::Start(start))?;
+        file.write_all(&sorted)?;
+    }
+    Ok(())
 }
 
 impl Attribute {
@@ -260,11 +279,17 @@ fn check_window(name: &str, value: &[u8]) -> Result<(), Trouble> {
 /// The number of channels: each is a name, a type, four bytes, and the steps in x and y at which there are samples.
 fn check_channels(value: &[u8]) -> Result<usize, Trouble> {
     let mut rest = value;
-    for channel in 0.. {
-        let Some(end) = rest.iter().position(|byte| *byte == 0) else { break };
+    let mut names: Vec<&[u8]> = Vec::new();
+    while let Some(end) = rest.iter().position(|byte| *byte == 0) {
         if end == 0 {
-            return Ok(channel);
+            return Ok(names.len());
         }
+        let name = &rest[..end];
+        // They are sorted: the decoder sees to it.
+        if names.last() == Some(&name) {
+            return Err(Trouble::damaged(format_args!("its list of channels has '{}' twice", String::from_utf8_lossy(name))));
+        }
+        names.push(name);
         let Some((fields, behind)) = rest[end + 1..].split_first_chunk::<16>() else { break };
         if fields[8..] != [1, 0, 0, 0, 1, 0, 0, 0] {
             return Err(Trouble::subsampled());

@@ -7,6 +7,7 @@ use exr::prelude::*;
 
 use super::BufferSet;
 use super::file::{ExrFile, FileLayer};
+use super::header::sort_attributes;
 use crate::aside;
 use crate::error::{Error, Result};
 use crate::image::{Extent, Image};
@@ -278,13 +279,15 @@ fn write_then_rename(image: &FlatImage, output: &Path) -> Result<()> {
     #[cfg(unix)]
     builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
     let written = aside::replace(output, &mut builder, |file| {
-        let mut file = BufWriter::new(file);
-        image.write().to_buffered(&mut file).map_err(|error| match error {
+        let mut buffered = BufWriter::new(&mut *file);
+        image.write().to_buffered(&mut buffered).map_err(|error| match error {
             exr::error::Error::Io(error) => error,
             error => std::io::Error::other(error.to_string()),
         })?;
         // The last of it would be lost in silence where the disk is full.
-        file.flush()
+        buffered.flush()?;
+        drop(buffered);
+        sort_attributes(file)
     });
     written.map_err(|error| Error::File {
         path: output.to_owned(),

@@ -166,6 +166,23 @@ fn a_failed_write_leaves_nothing_behind_and_the_old_file_alone() {
 }
 
 #[test]
+fn the_same_image_is_the_same_file() {
+    let folder = folder();
+    let attributes = |part: Part| ["one", "two", "three", "four", "five"].into_iter().fold(part, |part, name| part.attribute(name, AttributeValue::I32(1)));
+    let parts = vec![attributes(Part::named("beauty").with("", "RGB", 1.0)), attributes(Part::named("variance").with("", "RGB", 2.0))];
+    let set = read(&write(folder.path(), "in.exr", parts));
+    let more = ["six", "seven", "eight"].map(|name| (name.to_owned(), name.to_owned()));
+    let (color, output) = (rgb(50.0), folder.path().join("out.exr"));
+    let mut written = Vec::new();
+    for _ in 0..4 {
+        write_denoised(set.clone(), &output, &DenoisedLayers { attributes: &more, ..replace_color(&color) }).unwrap();
+        written.push(std::fs::read(&output).unwrap());
+    }
+    assert!(written.iter().all(|bytes| *bytes == written[0]));
+    assert_eq!(read(&output).text_attribute("seven").as_deref(), Some("seven"));
+}
+
+#[test]
 fn the_input_can_be_overwritten() {
     let folder = folder();
     let input = write(folder.path(), "in.exr", vec![Part::native()]);
