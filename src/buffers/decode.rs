@@ -139,7 +139,7 @@ fn places(file: &mut (impl BufRead + Seek), meta: &MetaData, start: u64, file_by
             return Err(Trouble::damaged(format_args!("block ({x}, {y}) is missing")));
         }
         if *offset < tables_end || *offset >= file_bytes {
-            return Err(Trouble::damaged(format_args!("block ({x}, {y}) is said to stand at byte {offset}, where none can be: the file has {file_bytes}")));
+            return Err(Trouble::damaged(format_args!("block ({x}, {y}) is said to stand at byte {offset}, but none can: the file has {file_bytes}")));
         }
         if index > 0 && places[index - 1].offset == *offset {
             return Err(Trouble::damaged(format_args!("two blocks are said to stand at byte {offset}")));

@@ -86,7 +86,7 @@ fn corpus() -> Vec<Broken> {
     draft("display_inverted", Draft::good().with("displayWindow", ints(&[3, 2, 0, 0])), "'displayWindow' goes from");
 
     // Channels.
-    draft("channels_none", Draft::good().with("channels", vec![0]), "no channel");
+    draft("channels_none", Draft::good().with("channels", vec![0]), "at least one channel");
     draft("channels_endless", Draft::good().with("channels", channels(&CHANNELS)[..40].to_vec()), "does not end");
     draft("channels_twice", Draft::good().with("channels", channels(&["B", "G", "G", "R", "variance.G", "variance.R"])), "'G' twice");
     draft("channels_subsampled", Draft::good().with("channels", sampled([2, 2])), "subsampled");
@@ -109,8 +109,8 @@ fn corpus() -> Vec<Broken> {
     draft("offsets_missing", offsets(vec![places[0], 0, places[2]]), "block (0, 1) is missing");
     draft("offsets_swapped", offsets(vec![places[1], places[0], places[2]]), "is another one");
     draft("offsets_equal", offsets(vec![places[0], places[1], places[1]]), "two blocks");
-    draft("offsets_beyond", offsets(vec![places[0], places[1], u64::MAX]), "where none can be");
-    draft("offsets_in_header", offsets(vec![places[0], places[1], 8]), "where none can be");
+    draft("offsets_beyond", offsets(vec![places[0], places[1], u64::MAX]), "but none can");
+    draft("offsets_in_header", offsets(vec![places[0], places[1], 8]), "but none can");
     draft("offsets_too_few", offsets(vec![places[0], places[1]]), "block");
     let block = |change: &dyn Fn(&mut Block)| {
         let mut draft = Draft::good();
@@ -124,7 +124,8 @@ fn corpus() -> Vec<Broken> {
     draft("block_small", block(&|block| block.bytes.truncate(5)), "damaged");
     draft("count_wrong", Draft::good().and("chunkCount", "int", ints(&[99])), "chunk count");
     for (name, method) in [("rle", 1), ("zips", 2), ("zip", 3), ("piz", 4), ("pxr24", 5), ("b44", 6), ("b44a", 7), ("dwaa", 8), ("dwab", 9)] {
-        let noise = (0..100u32).map(|at| (at.wrapping_mul(2_654_435_761) >> 24) as u8).collect();
+        // Of B44, too few for the blocks.
+        let noise = (0..if name.starts_with('b') { 10 } else { 100u32 }).map(|at| (at.wrapping_mul(2_654_435_761) >> 24) as u8).collect();
         // Of one row, and therefore of three blocks.
         let one = Draft::compressed(method, noise);
         let several = Draft { blocks: (0..HEIGHT).map(|y| Block { numbers: vec![y], ..one.blocks[0].clone() }).collect(), ..one.clone() };
@@ -208,6 +209,7 @@ fn each_broken_file_is_refused_with_what_is_wrong_and_what_to_do() {
         let _ = std::fs::remove_dir_all(committed());
         std::fs::create_dir_all(committed()).expect("a folder");
     }
+    let mut wrong = Vec::new();
     for Broken { name, bytes, said } in &corpus {
         let path = committed().join(format!("{name}.exr"));
         if remakes {
@@ -215,8 +217,11 @@ fn each_broken_file_is_refused_with_what_is_wrong_and_what_to_do() {
         }
         assert!(std::fs::read(&path).is_ok_and(|found| found == *bytes), "{name} is not what is made here: {REMAKE}=1 writes all of them anew");
         let text = refusal(&path);
-        assert!(text.contains(said) && text.contains("remedy: "), "{name}: no '{said}' in {text}");
+        if !text.contains(said) || !text.contains("remedy: ") {
+            wrong.push(format!("{name}: no '{said}' in {text}"));
+        }
     }
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
     let files = std::fs::read_dir(committed()).expect("a folder").count();
     assert_eq!(files, corpus.len(), "a file in testdata/broken is made nowhere");
 }
