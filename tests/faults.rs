@@ -312,18 +312,25 @@ mod unix {
 
     #[test]
     fn a_file_that_is_being_written_is_taken_away() {
-        let (folder, output) = with_output();
-        let child = command(&["render", "dof", "--spp=2", "--size=400x400", "-q", "-o", &output]).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
-        let start = Instant::now();
-        while folder.names().len() == 1 {
-            assert!(start.elapsed() < Duration::from_secs(60), "nothing was written");
-            std::thread::sleep(Duration::from_millis(1));
-        }
+        let writing = |signals: &[&str]| {
+            let (folder, output) = with_output();
+            let arguments = ["render", "dof", "--spp=2", "--size=400x400", "-q", "-o", &output];
+            let child = command(&arguments).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
+            let start = Instant::now();
+            while folder.names().len() == 1 {
+                assert!(start.elapsed() < Duration::from_secs(60), "nothing was written");
+                std::thread::sleep(Duration::from_millis(1));
+            }
+            signals.iter().for_each(|signal| send(signal, &child));
+            (folder, end(child).0.signal())
+        };
         // The first asks, the second does not.
-        send("TERM", &child);
-        send("TERM", &child);
-        assert_eq!(end(child).0.signal(), Some(15));
+        let (folder, signal) = writing(&["TERM", "TERM"]);
+        assert_eq!(signal, Some(15));
         assert_untouched(&folder);
+        // Nothing can be done about this, but what was there is there.
+        let (folder, signal) = writing(&["KILL"]);
+        assert_eq!((signal, std::fs::read_to_string(folder.path("out.exr")).unwrap().as_str()), (Some(9), BEFORE));
     }
 
     #[test]

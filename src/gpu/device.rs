@@ -6,6 +6,7 @@ use std::fmt;
 use std::path::PathBuf;
 use std::str::FromStr;
 use std::sync::{Arc, Mutex};
+use std::time::Duration;
 
 use serde::Serialize;
 
@@ -18,6 +19,9 @@ use crate::error::{Error, Result};
 
 /// The interfaces that are good for compute. OpenGL lists the same hardware a second time, with fewer abilities.
 const BACKENDS: wgpu::Backends = wgpu::Backends::VULKAN.union(wgpu::Backends::METAL).union(wgpu::Backends::DX12);
+
+/// How long a failure may wait for the news that the device is lost.
+const NEWS_PATIENCE: Duration = Duration::from_secs(2);
 
 /// Storage buffers that one kernel may bind: as many as are asked of an adapter that has more.
 const STORAGE_BUFFERS_WANTED: u32 = 16;
@@ -400,8 +404,8 @@ impl Gpu {
 
     /// An error that the driver reported for commands which wgpu had accepted, or the other way round.
     pub(super) fn defect(&self, report: &str) -> Error {
-        // Whatever fails on a device that was just lost fails because of that, and may be the first to tell.
-        self.poll_for_news(wgpu::PollType::Poll);
+        // Whatever fails on a device that was just lost fails because of that, and may be the first to tell: the news comes after the work that is left.
+        self.poll_for_news(wgpu::PollType::Wait { submission_index: None, timeout: Some(NEWS_PATIENCE) });
         if let Some(lost) = self.lost() {
             return lost;
         }
