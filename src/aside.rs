@@ -99,6 +99,10 @@ pub(crate) fn replace(output: &Path, builder: &mut Builder<'_, '_>, write: impl 
     let mut aside: Aside<NamedTempFile> = Aside::make(|| builder.tempfile_in(folder))?;
     write(aside.as_file_mut())?;
     // A disk far away tells only now that it is full; and a name must not outlive a power failure that its content did not.
-    aside.as_file().sync_all()?;
+    match aside.as_file().sync_all() {
+        // Some file systems have no such thing.
+        Err(error) if matches!(error.kind(), ErrorKind::Unsupported | ErrorKind::InvalidInput) => {}
+        synced => synced?,
+    }
     aside.finish(|aside| aside.persist(output).map(drop).map_err(|error| error.error))
 }

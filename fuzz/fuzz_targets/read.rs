@@ -8,7 +8,7 @@ use std::sync::LazyLock;
 
 use libfuzzer_sys::{Corpus, fuzz_target};
 use stein::Frame;
-use stein::buffers::{BufferSet, BufferSetRequest, read_reference};
+use stein::buffers::{BufferSet, BufferSetRequest, DenoisedLayers, read_reference, write_denoised};
 use stein::frame::Signal;
 
 /// A file in memory, where there is such a place. One for each process: the fuzzer may run several.
@@ -17,6 +17,9 @@ static FILE: LazyLock<PathBuf> = LazyLock::new(|| {
     let folder = if memory.is_dir() { memory.to_owned() } else { std::env::temp_dir() };
     folder.join(format!("stein-fuzz-{}.exr", std::process::id()))
 });
+
+/// To compress takes longer than to decompress.
+const MOST_PIXELS_WRITTEN: usize = 1 << 12;
 
 /// What a few bytes can become at most is still too much to be settled thousands of times in a second.
 const MOST_PIXELS: usize = 1 << 20;
@@ -42,6 +45,18 @@ fuzz_target!(
     }
 );
 
+/// What can be read can be written, and is what it was.
+fn write_and_read_again(set: &BufferSet, file: &Path) {
+    if set.extent().pixels() > MOST_PIXELS_WRITTEN {
+        return;
+    }
+    let color = set.color().mean;
+    let layers = DenoisedLayers { color: &color, replacements: &[], dropped: &[], extra: &[], attributes: &[] };
+    write_denoised(set.clone(), file, &layers).unwrap_or_else(|error| panic!("it cannot be written: {error}"));
+    let again = read_reference(file, Some(set.color_layer()).filter(|name| !name.is_empty())).unwrap_or_else(|error| panic!("it was written wrong: {error}"));
+    assert_eq!(again.extent, color.extent);
+}
+
 fn read(file: &Path) -> Corpus {
     let names_the_file = |error: stein::Error| {
         let text = error.to_string();
@@ -60,6 +75,7 @@ fn read(file: &Path) -> Corpus {
     if set.extent().pixels() > MOST_PIXELS {
         return Corpus::Reject;
     }
+    write_and_read_again(&set, file);
     // Without noise that is known there is no frame; the error says how to get it.
     if let Ok((frame, _)) = Frame::from_buffer_set(&set) {
         let features = frame.features().iter().map(|feature| &feature.signal);

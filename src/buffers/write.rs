@@ -1,8 +1,10 @@
 //! The denoised picture in the clothes of its input: same header, parts, windows and layers, other pixels.
 
+use std::collections::HashMap;
 use std::io::{BufWriter, Write};
 use std::path::Path;
 
+use exr::meta::attribute::TimeCode;
 use exr::prelude::*;
 
 use super::BufferSet;
@@ -106,7 +108,9 @@ pub fn write_denoised(set: BufferSet, output: &Path, denoised: &DenoisedLayers<'
     }
     add_attributes(&mut image.layer_data[part].attributes, denoised.attributes)?;
     image.layer_data.retain(|part| !part.channel_data.list.is_empty());
+    writer.settle_attributes(&mut image.attributes.time_code, &mut image.attributes.other);
     for layer in &mut image.layer_data {
+        writer.settle_attributes(&mut None, &mut layer.attributes.other);
         writer.settle_encoding(layer);
     }
     write_then_rename(&image, output)?;
@@ -203,6 +207,17 @@ impl Writer<'_> {
         if value > 0.0 { f16::MAX } else { f16::MIN }
     }
 
+    /// Leaves out time codes that the encoder refuses: those of more than 30 frames in a second, for one.
+    fn settle_attributes(&mut self, time_code: &mut Option<TimeCode>, others: &mut HashMap<Text, AttributeValue>) {
+        let is_writable = |code: &TimeCode| code.pack_time_as_tv60_u32().is_ok();
+        let before = others.len() + usize::from(time_code.is_some());
+        *time_code = time_code.filter(is_writable);
+        others.retain(|_, value| !matches!(value, AttributeValue::TimeCode(code) if !is_writable(code)));
+        if others.len() + usize::from(time_code.is_some()) < before {
+            self.report.notes.push("a time code beyond 29 frames, 59 seconds, 59 minutes or 23 hours cannot be written: it is left out".into());
+        }
+    }
+
     /// Keeps the input's encoding where it can be written.
     fn settle_encoding(&mut self, layer: &mut Layer<AnyChannels<FlatSamples>>) {
         if layer.encoding.blocks == Blocks::ScanLines && layer.encoding.line_order == LineOrder::Unspecified {
@@ -280,7 +295,8 @@ fn write_then_rename(image: &FlatImage, output: &Path) -> Result<()> {
     builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
     let written = aside::replace(output, &mut builder, |file| {
         let mut buffered = BufWriter::new(&mut *file);
-        image.write().to_buffered(&mut buffered).map_err(|error| match error {
+        // What is odd about the input's header was no reason to refuse it, and is none here.
+        image.write().skip_compatibility_checks().to_buffered(&mut buffered).map_err(|error| match error {
             exr::error::Error::Io(error) => error,
             error => std::io::Error::other(error.to_string()),
         })?;

@@ -6,6 +6,7 @@ use stein::buffers::{DenoisedLayers, NamedLayer, Role, SampleKind, write_denoise
 use stein::error::Error;
 use stein::image::{Extent, Image as Planes, Window};
 
+use super::draft::Draft;
 use super::*;
 
 #[test]
@@ -180,6 +181,19 @@ fn the_same_image_is_the_same_file() {
     }
     assert!(written.iter().all(|bytes| *bytes == written[0]));
     assert_eq!(read(&output).text_attribute("seven").as_deref(), Some("seven"));
+}
+
+#[test]
+fn a_time_code_of_60_frames_in_a_second_does_not_cost_the_work() {
+    let folder = folder();
+    let good = Draft::good().and("timeCode", "timecode", vec![0x35, 0x12, 0x34, 0x12, 0, 0, 0, 0]);
+    let input = folder.path().join("in.exr");
+    std::fs::write(&input, good.bytes().0).unwrap();
+    let (set, output) = (read(&input), folder.path().join("out.exr"));
+    let color = Planes::filled(set.extent(), 3, 0.5);
+    let report = write_denoised(set, &output, &replace_color(&color)).unwrap();
+    assert!(report.to_string().contains("time code"), "{report}");
+    assert_eq!(read(&output).color().mean, color);
 }
 
 #[test]
