@@ -44,7 +44,13 @@ fn every_broken_file_ends_with_code_3() {
     assert!(files.len() > 50);
     for file in files {
         let file = file.to_str().unwrap();
-        stein(&["denoise", file, "-o", &output]).failed(3, &[file, "remedy: "]);
+        let ended = stein(&["denoise", file, "-o", &output]);
+        ended.failed(3, &[file, "remedy: "]);
+        // The words of the command line, not of the library.
+        assert!(!ended.stderr.contains("BufferSetRequest"), "{}", ended.stderr);
+    }
+    for (name, option) in [("half_alone", "--half-b"), ("no_blue", "--layer"), ("nothing_known_of_noise", "--half-a"), ("parts_elsewhere", "--skip-feature")] {
+        stein(&["denoise", &broken(name), "-o", &output]).failed(3, &[option]);
     }
     assert_untouched(&folder);
 }
@@ -155,6 +161,35 @@ fn a_device_lost_at_any_step_is_told_and_another_one_goes_on() {
 }
 
 #[test]
+fn a_device_of_small_limits_says_what_is_too_large() {
+    let own = gpu();
+    let adapter = own.summary().name.clone();
+    let instance =
+        wgpu::Instance::new(wgpu::InstanceDescriptor { backends: wgpu::Backends::PRIMARY, ..wgpu::InstanceDescriptor::new_without_display_handle() });
+    let adapters = pollster::block_on(instance.enumerate_adapters(wgpu::Backends::PRIMARY));
+    let adapter = adapters.into_iter().find(|found| found.get_info().name == adapter).unwrap();
+    let denoise = |bytes: u64| {
+        let required_limits = wgpu::Limits {
+            max_storage_buffers_per_shader_stage: adapter.limits().max_storage_buffers_per_shader_stage.min(16),
+            max_storage_buffer_binding_size: bytes,
+            max_buffer_size: bytes,
+            ..wgpu::Limits::default().or_worse_values_from(&adapter.limits())
+        };
+        let description = wgpu::DeviceDescriptor { required_limits, ..Default::default() };
+        let (device, queue) = pollster::block_on(adapter.request_device(&description)).unwrap();
+        let gpu = Gpu::from_wgpu(device, queue, &adapter.get_info()).unwrap();
+        Denoiser::new(&gpu, GemParams::default()).unwrap().denoise(&frame(24))
+    };
+    // Of a frame of 24 by 24 pixels, a plane takes 9 KiB.
+    match denoise(2048) {
+        Err(Error::Device { problem, remedy }) => assert!(problem.contains("does not fit") && remedy.contains("binds larger buffers"), "{problem} {remedy}"),
+        other => panic!("{:?}", other.map(|_| ())),
+    }
+    let expected = Denoiser::new(&own, GemParams::default()).unwrap().denoise(&frame(24)).unwrap();
+    assert_eq!(denoise(1 << 20).unwrap().color, expected.color);
+}
+
+#[test]
 fn no_device_and_no_memory_end_with_code_4() {
     let (folder, output) = with_output();
     let input = test_image("cornell_8spp.exr");
@@ -258,12 +293,12 @@ mod unix {
         assert_untouched(&folder);
     }
 
-    /// A run that has begun to work, as its first line of progress tells.
-    fn working(arguments: &[&str]) -> Child {
+    /// A run that has said this much.
+    fn running(arguments: &[&str], until: &str) -> Child {
         let mut child = command(arguments).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
         let mut lines = BufReader::new(child.stdout.as_mut().unwrap());
         let mut line = String::new();
-        while !line.starts_with("openjd_progress") {
+        while !line.starts_with(until) {
             line.clear();
             assert!(lines.read_line(&mut line).unwrap() > 0, "it ended before it worked");
         }
@@ -303,12 +338,15 @@ mod unix {
 
     #[test]
     fn a_signal_ends_the_work_and_leaves_nothing_half_done() {
-        for (name, number) in [("INT", 2), ("TERM", 15), ("HUP", 1)] {
+        // While the shaders are compiled, and while it works.
+        for (name, number, method, until) in [("INT", 2, "dfc", "openjd_progress"), ("TERM", 15, "dfc", "openjd_status"), ("HUP", 1, "nlm", "openjd_progress")]
+        {
             if is_ignored(number) {
                 continue;
             }
             let (folder, output) = with_output();
-            let child = working(&["denoise", &test_image("dof_spheres_32spp.exr"), "-o", &output, "--radius=20", "--progress=openjd"]);
+            let input = test_image("dof_spheres_32spp.exr");
+            let child = running(&["denoise", &input, "-o", &output, "--method", method, "--radius=20", "--progress=openjd"], until);
             send(name, &child);
             let (status, said) = end(child);
             assert_eq!((status.signal(), said.as_str()), (Some(number as i32), ""), "{name}: {status}");

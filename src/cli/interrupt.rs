@@ -57,6 +57,8 @@ fn take(signal: i32) {
     if SIGNAL.compare_exchange(0, signal, Ordering::Relaxed, Ordering::Relaxed).is_err() {
         end(signal);
     }
+    #[cfg(unix)]
+    system::pass_on(signal);
     let in_time = std::thread::Builder::new().name("patience".into()).spawn(move || {
         std::thread::sleep(PATIENCE);
         end(signal);
@@ -92,22 +94,29 @@ mod system {
         }
     }
 
+    /// To the program that is run; of Ctrl-C the terminal tells all its programs by itself.
+    pub(super) fn pass_on(signal: i32) {
+        if signal != SIGINT {
+            terminate_child();
+        }
+    }
+
     pub(super) fn end(signal: i32) -> ! {
         stein::aside::abandon();
-        let child = super::CHILD.load(Ordering::Relaxed);
-        if child != 0 {
-            terminate(child);
-        }
+        terminate_child();
         // Without the drivers' farewells, which do not expect to be called while others of their threads work.
         let _ = signal_hook::low_level::emulate_default_handler(signal);
         signal_hook::low_level::exit(128 + signal)
     }
 
     #[expect(unsafe_code, reason = "the standard library kills, but does not ask to end")]
-    fn terminate(process: u32) {
-        // SAFETY: a call without pointers.
-        unsafe {
-            libc::kill(process as libc::pid_t, libc::SIGTERM);
+    fn terminate_child() {
+        let child = super::CHILD.load(Ordering::Relaxed);
+        if child != 0 {
+            // SAFETY: a call without pointers.
+            unsafe {
+                libc::kill(child as libc::pid_t, libc::SIGTERM);
+            }
         }
     }
 }

@@ -6,7 +6,7 @@ use stein::buffers::{DenoisedLayers, NamedLayer, Role, SampleKind, write_denoise
 use stein::error::Error;
 use stein::image::{Extent, Image as Planes, Window};
 
-use super::draft::Draft;
+use super::draft::{CHANNELS, Draft};
 use super::*;
 
 #[test]
@@ -72,7 +72,7 @@ fn a_cropped_render_keeps_both_windows() {
 fn every_writable_compression_is_kept() {
     let folder = folder();
     use Compression::*;
-    for compression in [Uncompressed, RLE, ZIP1, ZIP16, PIZ, PXR24, B44, B44A, DWAA(None), DWAB(Some(30.0))] {
+    for compression in [Uncompressed, RLE, ZIP1, ZIP16, PIZ, PXR24, DWAA(None), DWAB(Some(30.0))] {
         let set = read(&write(folder.path(), "in.exr", vec![Part { compression, ..Part::native() }]));
         let output = folder.path().join("out.exr");
         write_denoised(set.clone(), &output, &replace_color(&rgb(50.0))).unwrap();
@@ -81,6 +81,23 @@ fn every_writable_compression_is_kept() {
         let again = read(&output).color().mean;
         let close = |(a, b): (&f32, &f32)| (a - b).abs() <= 0.02 * b.abs();
         assert!(again.planes.iter().flatten().zip(rgb(50.0).planes.iter().flatten()).all(close), "{compression}");
+    }
+}
+
+#[test]
+fn a_compression_whose_encoder_is_not_sound_becomes_zip() {
+    let folder = folder();
+    let (input, output) = (folder.path().join("in.exr"), folder.path().join("out.exr"));
+    // B44 and B44A, stored as they are because they did not shrink. Its encoder has too little room for an image of one row.
+    for (method, width) in [(6, 4), (7, 3000)] {
+        let values = (0..CHANNELS.len() * width).flat_map(|at| f16::from_f32(if at % 2 == 0 { -6e4 } else { 6e4 }).to_le_bytes());
+        std::fs::write(&input, Draft::compressed(method, values.collect()).window([0, 0, width as i32 - 1, 0]).bytes().0).unwrap();
+        let set = read(&input);
+        let color = set.color().mean;
+        assert_eq!(color.extent, Extent { width: width as u32, height: 1 });
+        let report = write_denoised(set, &output, &replace_color(&color)).unwrap();
+        assert!(report.to_string().contains("ZIP"), "{report}");
+        assert_eq!(read(&output).color().mean, color);
     }
 }
 
