@@ -19,6 +19,7 @@ impl From<exr::error::Error> for Trouble {
     fn from(error: exr::error::Error) -> Self {
         match error {
             exr::error::Error::Io(error) => error.into(),
+            exr::error::Error::NotSupported(what) => Self::unsupported(what),
             error => Self::damaged(error),
         }
     }

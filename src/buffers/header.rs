@@ -22,7 +22,7 @@ impl Trouble {
         Self::new(format!("is damaged or incomplete: {problem}"), "render or copy it again; check whether the disk was full or the writer was interrupted")
     }
 
-    fn unsupported(problem: impl std::fmt::Display) -> Self {
+    pub(super) fn unsupported(problem: impl std::fmt::Display) -> Self {
         Self::new(format!("uses a part of OpenEXR that cannot be read here: {problem}"), "write it as a flat scan line image with ZIP compression")
     }
 

@@ -85,6 +85,24 @@ fn every_writable_compression_is_kept() {
 }
 
 #[test]
+fn lines_and_tiles_may_stand_in_any_order() {
+    let folder = folder();
+    for blocks in [Blocks::ScanLines, Blocks::Tiles(Vec2(2, 2))] {
+        for line_order in [LineOrder::Increasing, LineOrder::Decreasing, LineOrder::Unspecified] {
+            let mut image = image_of(vec![Part { compression: Compression::ZIP1, ..Part::native() }], IntegerBounds::from_dimensions(SIZE));
+            image.layer_data[0].encoding.blocks = blocks;
+            image.layer_data[0].encoding.line_order = line_order;
+            let (path, output) = (folder.path().join("in.exr"), folder.path().join("out.exr"));
+            image.write().skip_compatibility_checks().to_file(&path).unwrap();
+            let set = read(&path);
+            assert_eq!(set.color().half_a, Some(rgb(2.0)));
+            write_denoised(set, &output, &replace_color(&rgb(50.0))).unwrap();
+            assert_eq!((read(&output).color().mean, read(&output).color().half_a), (rgb(50.0), Some(rgb(2.0))));
+        }
+    }
+}
+
+#[test]
 fn a_compression_whose_encoder_is_not_sound_becomes_zip() {
     let folder = folder();
     let (input, output) = (folder.path().join("in.exr"), folder.path().join("out.exr"));
