@@ -136,6 +136,8 @@ pub fn choose(scales: &[Scale], steps: &[Step], maps: &[Grid]) -> Chosen {
 /// All of it.
 pub struct Gem {
     pub variance: Planes,
+    /// The pixel filter first.
+    pub scales: Vec<Scale>,
     pub steps: Vec<Step>,
     pub smoothed: Vec<Grid>,
     pub chosen: Chosen,
@@ -153,7 +155,7 @@ pub fn gem(color: &Signal, samples: &Grid, params: &GemParams) -> Gem {
     let smoothed: Vec<Grid> = steps.iter().zip(&params.sigmas).map(smooth).collect();
     let maps: Vec<Grid> = steps.iter().zip(&smoothed).map(|(step, smoothed)| decided(&step.stops(), smoothed, params.coarser_only)).collect();
     let chosen = choose(&scales, &steps, &maps);
-    Gem { variance, steps, smoothed, chosen }
+    Gem { variance, scales, steps, smoothed, chosen }
 }
 
 /// Estimated error relative to the squared value (section 6.3), for three channels.
