@@ -87,7 +87,8 @@ pub fn step(fine: &Scale, coarse: &Scale, bias_weight: f64) -> Step {
     let factor = if r_f == 0.0 { 1.0 } else { (r_c * r_c + r_f * r_f) / (r_c * r_c - r_f * r_f) };
     let rho = |p: Point| {
         let n = coarse.samples.at(p);
-        if n == 0.0 { 1.0 } else { (1.0 - 1.0 / n).max(0.0) }
+        // One sample has no variance.
+        if n == 0.0 { 1.0 } else { 1.0 - 1.0 / n.max(2.0) }
     };
     let squared_change = |p: Point| (0..3).map(|i| (coarse.mean[i].at(p) - fine.mean[i].at(p)).powi(2)).sum::<f64>();
     let change_of_variance = |p: Point| (0..3).map(|i| coarse.variance[i].at(p) - fine.variance[i].at(p)).sum::<f64>();

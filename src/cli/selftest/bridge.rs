@@ -17,8 +17,9 @@ pub(crate) fn grids(image: &Image, factor: f64) -> Planes {
 
 /// What the colour is multiplied by on its way to the device.
 pub(crate) fn exposure(frame: &Frame) -> f64 {
-    let variance = frame.color().variance_of_mean.as_ref().map_or_else(Planes::new, |image| grids(image, 1.0));
-    exposure::exposure(&grids(&frame.color().mean, 1.0), &variance)
+    let planes = |image: &Option<Image>| image.as_ref().map_or_else(Planes::new, |image| grids(image, 1.0));
+    let color = frame.color();
+    exposure::exposure(&grids(&color.mean, 1.0), &planes(&color.half_spread), &planes(&color.variance_of_mean))
 }
 
 /// A signal in other units.

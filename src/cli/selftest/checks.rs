@@ -55,6 +55,8 @@ pub(super) enum Check {
     Finite,
     /// Change of the mean colour, relative to the mean magnitude of the input; the largest of the channels.
     Energy,
+    /// What the mean colour lacks to that of the truth or of the input, whichever is darker; relative to that of the truth.
+    Dark,
     /// Error over that of the noisy input.
     Error,
     /// Values that a damaged pixel changes though it is out of reach.
@@ -68,13 +70,14 @@ pub(super) enum Check {
 }
 
 impl Check {
-    pub(super) const ALL: [Self; 8] = [Self::Door, Self::Finite, Self::Energy, Self::Error, Self::Reach, Self::Twin, Self::Limit, Self::Bits];
+    pub(super) const ALL: [Self; 9] = [Self::Door, Self::Finite, Self::Energy, Self::Dark, Self::Error, Self::Reach, Self::Twin, Self::Limit, Self::Bits];
 
     pub(super) fn name(self) -> &'static str {
         match self {
             Self::Door => "door",
             Self::Finite => "finite",
             Self::Energy => "energy",
+            Self::Dark => "dark",
             Self::Error => "error",
             Self::Reach => "reach",
             Self::Twin => "twin",
@@ -245,6 +248,7 @@ impl Bench<'_> {
         let with_everything = denoiser.denoise_window(&frames, 0, Options { keep: method.intermediates(), ..Options::default() })?;
         let mut figures = vec![finite(&estimate, &with_everything), energy(frame, &estimate, bound(Check::Energy))];
         if let Some(truth) = &picture.truth {
+            figures.push(dark(frame, &estimate, truth, bound(Check::Dark)));
             figures.push(error(frame, &estimate, truth, picture.unit, bound(Check::Error)));
         }
         if let (Some(damage), Some(sound)) = (&case.damage, sound) {
@@ -262,9 +266,10 @@ impl Bench<'_> {
             }
         }
         if !calmer.is_empty() {
-            let mut corrections = vec![correction(frame, &estimate, picture.unit)];
+            let of = |frame: &Frame, estimate: &Estimate| correction(frame, estimate, picture);
+            let mut corrections = vec![of(frame, &estimate)];
             for frame in calmer {
-                corrections.push(correction(frame, &denoiser.denoise(frame)?, picture.unit));
+                corrections.push(of(frame, &denoiser.denoise(frame)?));
             }
             let ratio = |pair: &[f64]| pair[1] / pair[0].max(INDISTINCT);
             let worst = corrections.windows(2).map(ratio).fold(0.0, f64::max);
@@ -272,7 +277,7 @@ impl Bench<'_> {
         }
         let mut differing = differing(&window(&denoiser)?, &estimate, |_| true);
         let mut detail = "in another run".to_owned();
-        if let Some(bytes) = case.strips {
+        if let Some(bytes) = case.strips.map(|bytes| bytes(subject)) {
             let in_strips = window(&denoiser.clone().with_max_memory(bytes))?;
             differing += self::differing(&in_strips, &estimate, |_| true) + usize::from(in_strips.strips < 2);
             detail = format!("in another run and in {} strips", in_strips.strips);
@@ -306,31 +311,46 @@ fn energy(frame: &Frame, estimate: &Estimate, bound: f64) -> Figure {
     Figure::new(Check::Energy, if change == 0.0 { 0.0 } else { change / size }, bound, String::new())
 }
 
+fn dark(frame: &Frame, estimate: &Estimate, truth: &Image, bound: f64) -> Figure {
+    let size = truth.planes.iter().map(|plane| plane.iter().map(|value| f64::from(value.abs())).sum::<f64>() / plane.len() as f64).fold(0.0, f64::max);
+    // Noise may have darkened the input.
+    let least = |truth: &Vec<f32>, input: &Vec<f32>| mean(truth).min(mean(input));
+    let planes = truth.planes.iter().zip(&frame.color().mean.planes).zip(&estimate.color.planes);
+    let lost = planes.map(|((truth, input), after)| least(truth, input) - mean(after)).fold(0.0, f64::max);
+    Figure::new(Check::Dark, if lost == 0.0 { 0.0 } else { lost / size }, bound, String::new())
+}
+
 fn error(frame: &Frame, estimate: &Estimate, truth: &Image, unit: f64, bound: f64) -> Figure {
     let (noisy, denoised) = (relative_square(&frame.color().mean, truth, unit), relative_square(&estimate.color, truth, unit));
     // An input without error may be changed by what cannot be told apart.
-    Figure::new(Check::Error, denoised / noisy.max(INDISTINCT * INDISTINCT), bound, format!("relative MSE {denoised:.3e}, of the input {noisy:.3e}"))
+    Figure::new(Check::Error, denoised / (noisy + INDISTINCT * INDISTINCT), bound, format!("relative MSE {denoised:.3e}, of the input {noisy:.3e}"))
 }
 
-/// By how much an input was changed.
-fn correction(frame: &Frame, estimate: &Estimate, unit: f64) -> f64 {
-    relative_square(&estimate.color, &frame.color().mean, unit).sqrt()
+/// By how much an input was changed, relative to the truth.
+fn correction(frame: &Frame, estimate: &Estimate, picture: &Picture) -> f64 {
+    let input = &frame.color().mean;
+    relative_square_by(&estimate.color, input, picture.truth.as_ref().unwrap_or(input), picture.unit).sqrt()
 }
 
 /// Mean over pixels and channels of (x − ref)²/(ref² + 0.01·unit²).
 fn relative_square(image: &Image, reference: &Image, unit: f64) -> f64 {
-    let pairs = image.planes.iter().flatten().zip(reference.planes.iter().flatten());
-    let of = |(x, reference): (&f32, &f32)| {
-        let (x, reference) = (f64::from(*x) / unit, f64::from(*reference) / unit);
-        (x - reference).powi(2) / (reference.powi(2) + 0.01)
-    };
-    pairs.map(of).sum::<f64>() / (image.extent.pixels() * image.channels()) as f64
+    relative_square_by(image, reference, reference, unit)
 }
 
-/// `None` where everything is within reach.
+fn relative_square_by(image: &Image, reference: &Image, size: &Image, unit: f64) -> f64 {
+    let in_unit = |image: &Image| image.planes.iter().flatten().map(|value| f64::from(*value) / unit).collect::<Vec<_>>();
+    let (image, reference, size) = (in_unit(image), in_unit(reference), in_unit(size));
+    let relative = image.iter().zip(&reference).zip(&size).map(|((x, reference), size)| (x - reference).powi(2) / (size.powi(2) + 0.01));
+    relative.sum::<f64>() / image.len() as f64
+}
+
+/// `None` where everything is within reach, or damaged.
 fn reach(damaged: &Estimate, sound: &Estimate, pixels: &[(usize, usize)], reach: usize) -> Option<Figure> {
     let extent = damaged.color.extent;
     let width = extent.width as usize;
+    if pixels.is_empty() {
+        return None;
+    }
     let far = |pixel: usize| pixels.iter().all(|(x, y)| (pixel % width).abs_diff(*x).max((pixel / width).abs_diff(*y)) > reach);
     let count = (0..extent.pixels()).filter(|pixel| far(*pixel)).count();
     (count > 0).then(|| Figure::count(Check::Reach, differing(damaged, sound, far), format!("in {count} pixels that are more than {reach} away")))

@@ -28,14 +28,13 @@ impl Surface {
     }
 }
 
-/// A wall with a gradient above a chequered floor that goes into the distance, and on both a shadow that no feature shows. Median brightness well between two powers of two.
+/// A wall above a chequered floor that goes into the distance, and on both a shadow that no feature shows. Median brightness well between two powers of two.
 pub(super) fn room(extent: Extent) -> impl Fn(usize, usize) -> Surface {
     let (width, height) = (extent.width as usize, extent.height as usize);
     move |x, y| {
         let lit = if x * 10 < width * 6 { 1.0 } else { 0.55 };
-        let along = x as f64 / width as f64;
         let (albedo, normal, depth, light) = if 2 * y < height {
-            ([0.7, 0.6, 0.5], [0.0, 0.0, 1.0], 5.0, 2.0 + 0.8 * along)
+            ([0.7, 0.6, 0.5], [0.0, 0.0, 1.0], 5.0, 2.4)
         } else {
             let chequer = if (x / 5 + y / 4) % 2 == 0 { 0.9 } else { 0.35 };
             let near = (y + 1) as f64 / height as f64;
@@ -43,6 +42,16 @@ pub(super) fn room(extent: Extent) -> impl Fn(usize, usize) -> Surface {
         };
         let radiance = albedo.map(|albedo| albedo * light * lit);
         Surface { albedo, normal, depth, ..Surface::of(radiance) }
+    }
+}
+
+/// A corridor along the longer side: sections of twenty pixels, each of another colour and distance, every other one in a shadow that no feature shows.
+pub(super) fn corridor(extent: Extent) -> impl Fn(usize, usize) -> Surface {
+    move |x, y| {
+        let section = if extent.width >= extent.height { x } else { y } / 20;
+        let albedo = [[0.7, 0.6, 0.5], [0.4, 0.5, 0.6], [0.9, 0.8, 0.3]][section % 3];
+        let light = if section % 2 == 0 { 2.4 } else { 1.7 };
+        Surface { albedo, depth: 3.0 + 0.5 * section as f64, ..Surface::of(albedo.map(|albedo| albedo * light)) }
     }
 }
 
@@ -123,10 +132,6 @@ impl Picture {
     pub(super) fn without_halves(mut self) -> Self {
         (self.color.half_a, self.color.half_b) = (None, None);
         self
-    }
-
-    pub(super) fn in_unit(self, unit: f64) -> Self {
-        Self { unit, ..self }
     }
 
     pub(super) fn extent(&self) -> Extent {

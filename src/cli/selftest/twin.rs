@@ -5,13 +5,14 @@
 //! in a few pixels.
 
 use stein::{DfcParams, Estimate, Frame, GemParams, Image, Method, NlmParams};
+use stein_reference::candidates::{Candidate, finite_difference_step};
 use stein_reference::dfc::{Pass, dfc, sampling_density, second_pass};
 use stein_reference::gaussian::gaussian_neighbours;
 use stein_reference::gem::{self, choose, decided};
 use stein_reference::nlm::{FilterParams, Guide};
 use stein_reference::select::{self, Evidence};
 use stein_reference::sure::smooth_errors;
-use stein_reference::{Grid, Planes, Point, nlm_method, square};
+use stein_reference::{Grid, Planes, Point, channel_mean, nlm_method, square};
 
 use super::bridge;
 
@@ -27,10 +28,16 @@ pub(super) struct Part {
 /// Filtered values, by how far they are from the input. Features agree to some 10⁻⁶ with their twins; where a weight is worth anything their difference is below 0.1, so that its
 /// square over k_f²·2τ, at the least 4·10⁻⁴, agrees to 10⁻⁴ or so.
 const FILTERED: f64 = 2e-4;
+/// Derivatives, which are finite differences.
+const DERIVED: f64 = 1e-3;
+/// Sums of squares of filtered values and such.
+const SQUARED: f64 = 4e-4;
 /// What was averaged over few values without weights of their own.
 const AVERAGED: f64 = 1e-5;
 /// The share of values that a decision may turn over: by a guard, by a limit, by a cut.
 const TURNED: f64 = 0.01;
+/// A few units of float32's last digit.
+const ROUNDED: f64 = 2.5e-7;
 /// What float32 takes for 0 when it is multiplied, in the units that the methods work in.
 const VANISHING: f64 = 1e-30;
 
@@ -80,23 +87,20 @@ impl Comparison<'_> {
         for (name, candidate) in NAMES.into_iter().zip(&twin.candidates) {
             self.add(name, &self.color(name), &candidate.mean, &color_size(&candidate.mean), FILTERED, 0.0);
             let derivative = format!("{name}_derivative");
-            self.add(&derivative, &self.layer(&derivative, 1.0), &candidate.derivative, &sizes(&candidate.derivative, 1.0), 1e-3, 0.0);
+            // Finite differences of what is rounded.
+            let rounded =
+                |i: usize, p: Point| ROUNDED * (candidate.mean[i].at(p) - u[i].at(p)).abs() / finite_difference_step(u[i].at(p), variance[i].at(p)).abs();
+            let size: Planes = (0..3).map(|i| u[i].like(|p| 1.0 + candidate.derivative[i].at(p).abs() + rounded(i, p) / DERIVED)).collect();
+            self.add(&derivative, &self.layer(&derivative, 1.0), &candidate.derivative, &size, DERIVED, 0.0);
         }
-        let terms: Planes = twin
-            .candidates
-            .iter()
-            .map(|candidate| {
-                u[0].like(|p| {
-                    let term = |i: usize| {
-                        let (residual, variance) = (candidate.mean[i].at(p) - u[i].at(p), variance[i].at(p));
-                        residual * residual + variance * (1.0 + 2.0 * candidate.derivative[i].at(p).abs())
-                    };
-                    (0..3).map(term).sum::<f64>() + VANISHING
-                })
-            })
-            .collect();
+        let terms = |candidate: &Candidate, i: usize, p: Point| {
+            let (residual, variance, rounded) = (candidate.mean[i].at(p) - u[i].at(p), variance[i].at(p), ROUNDED * u[i].at(p).abs());
+            residual * residual + variance * (1.0 + 2.0 * candidate.derivative[i].at(p).abs()) + (2.0 * residual.abs() + rounded) * rounded / SQUARED
+        };
+        let terms = |candidate: &Candidate| u[0].like(|p| (0..3).map(|i| terms(candidate, i, p)).sum::<f64>() + VANISHING);
+        let terms: Planes = twin.candidates.iter().map(terms).collect();
         let sure = self.squared("sure");
-        self.add("SURE", &sure, &twin.sure, &terms, 4e-4, 0.0);
+        self.add("SURE", &sure, &twin.sure, &terms, SQUARED, 0.0);
 
         // From here on by what the device has decided.
         let aside = FilterParams { symmetric_features: params.symmetric, blend_pairs: params.symmetric, ..aside(&params) };
@@ -112,13 +116,21 @@ impl Comparison<'_> {
         self.add("SURE smoothed", &errors, &smooth_errors(&sure, guide, &aside), &around(&sure), FILTERED, 0.0);
         let derivatives = NAMES.map(|name| self.layer(&format!("{name}_derivative"), 1.0));
         let selected = self.layer("selected", 1.0);
+        // Whether FIRST may win is turned over by the last digit of a derivative.
+        let mean_derivative = |k: usize, p: Point| channel_mean(&derivatives[k], p);
+        let ties = |p: Point| (mean_derivative(0, p) - mean_derivative(1, p)).abs() <= 1e-6 * mean_derivative(1, p).abs();
         let expected = select::select(&errors, derivatives.each_ref().map(Vec::as_slice), params.takes_part);
-        self.add("selected", &selected, &expected, &flat(&selected, 1.0), AVERAGED, TURNED);
+        let expected: Planes =
+            expected.iter().zip(&selected).map(|(expected, selected)| expected.like(|p| if ties(p) { selected.at(p) } else { expected.at(p) })).collect();
+        self.add("selected", &selected, &expected, &flat(&selected, 1.0), AVERAGED, 0.0);
         let candidates = NAMES.map(|name| self.color(name));
         let means = candidates.each_ref().map(Vec::as_slice);
         let evidence = Evidence { errors: &errors, binary_maps: &selected, sure: &sure, candidates: means, takes_part: params.takes_part, variance };
         let maps = self.layer("selection", 1.0);
         let expected = select::share(&select::smooth_maps(&selected, guide, &aside), evidence, params.guard.as_ref());
+        // Where the candidates are the same, it does not matter which is taken.
+        let same = |p: Point| (0..3).all(|i| (means[0][i].at(p) - means[1][i].at(p)).abs() + (means[0][i].at(p) - means[2][i].at(p)).abs() < ROUNDED);
+        let expected: Planes = expected.iter().zip(&maps).map(|(expected, map)| expected.like(|p| if same(p) { map.at(p) } else { expected.at(p) })).collect();
         self.add("selection", &maps, &expected, &flat(&maps, 1.0), FILTERED, TURNED);
 
         let blended = |planes: [&[Grid]; 3]| -> Planes { (0..planes[0].len()).map(|i| blend(&maps, planes.map(|planes| &planes[i]))).collect() };
@@ -155,7 +167,7 @@ impl Comparison<'_> {
 
     fn nlm(&mut self, frame: &Frame, params: &NlmParams) {
         let color = bridge::signal(frame.color(), self.exposure);
-        let twin = nlm_method::nlm(&color, &bridge::nlm_params(params), &bridge::samples(frame, 0.0));
+        let twin = nlm_method::nlm(&color, &bridge::nlm_params(params), &bridge::samples(frame, 1.0));
         let (u, variance) = (&color.mean, &twin.variance);
         self.own_size("variance", &self.squared("variance_of_mean"), variance, AVERAGED);
         let channel = |i: usize| u[i].like(|p| (twin.mean[i].at(p) - u[i].at(p)).abs() + variance[i].at(p).sqrt() + 0.01 * u[i].at(p).abs() + VANISHING);
@@ -242,11 +254,13 @@ impl Comparison<'_> {
             self.parts.push(Part { name: name.to_owned(), off: f64::INFINITY, detail: "it is missing".into() });
             return;
         }
+        // The smallest number of float32 in the file's units, in which layers are told.
+        let least = f64::from(f32::from_bits(1)) * self.exposure.max(1.0).powi(2);
         let mut errors = Vec::new();
         for (channel, (actual, (expected, scale))) in actual.iter().zip(expected.iter().zip(scale)).enumerate() {
             for (pixel, ((a, e), s)) in actual.values.iter().zip(&expected.values).zip(&scale.values).enumerate() {
                 // Both may have overflowed.
-                let error = if a == e || (a.is_nan() && e.is_nan()) { 0.0 } else { (a - e).abs() / (relative * s) };
+                let error = if a == e || (a.is_nan() && e.is_nan()) { 0.0 } else { (a - e).abs() / (relative * s + least) };
                 errors.push((if error.is_nan() { f64::INFINITY } else { error }, channel, pixel));
             }
         }
