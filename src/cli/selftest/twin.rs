@@ -87,9 +87,10 @@ impl Comparison<'_> {
         for (name, candidate) in NAMES.into_iter().zip(&twin.candidates) {
             self.add(name, &self.color(name), &candidate.mean, &color_size(&candidate.mean), FILTERED, 0.0);
             let derivative = format!("{name}_derivative");
-            // Finite differences of what is rounded.
-            let rounded =
-                |i: usize, p: Point| ROUNDED * (candidate.mean[i].at(p) - u[i].at(p)).abs() / finite_difference_step(u[i].at(p), variance[i].at(p)).abs();
+            // Finite differences of what is rounded, by weights whose exponents are rounded.
+            let rounded = |i: usize, p: Point| {
+                40.0 * ROUNDED * (candidate.mean[i].at(p) - u[i].at(p)).abs() / finite_difference_step(u[i].at(p), variance[i].at(p)).abs()
+            };
             let size: Planes = (0..3).map(|i| u[i].like(|p| 1.0 + candidate.derivative[i].at(p).abs() + rounded(i, p) / DERIVED)).collect();
             self.add(&derivative, &self.layer(&derivative, 1.0), &candidate.derivative, &size, DERIVED, 0.0);
         }
@@ -128,10 +129,13 @@ impl Comparison<'_> {
         let evidence = Evidence { errors: &errors, binary_maps: &selected, sure: &sure, candidates: means, takes_part: params.takes_part, variance };
         let maps = self.layer("selection", 1.0);
         let expected = select::share(&select::smooth_maps(&selected, guide, &aside), evidence, params.guard.as_ref());
-        // Where the candidates are the same, it does not matter which is taken.
-        let same = |p: Point| (0..3).all(|i| (means[0][i].at(p) - means[1][i].at(p)).abs() + (means[0][i].at(p) - means[2][i].at(p)).abs() < ROUNDED);
-        let expected: Planes = expected.iter().zip(&maps).map(|(expected, map)| expected.like(|p| if same(p) { map.at(p) } else { expected.at(p) })).collect();
-        self.add("selection", &maps, &expected, &flat(&maps, 1.0), FILTERED, TURNED);
+        // By what they make of the candidates: where these are the same, it does not matter which is taken.
+        let apart = |i: usize, p: Point| {
+            (0..3).flat_map(|j| (0..j).map(move |k| (j, k))).map(|(j, k)| (means[j][i].at(p) - means[k][i].at(p)).abs()).fold(0.0, f64::max)
+        };
+        let by = |maps: &[Grid]| -> Planes { (0..3).map(|i| blend(maps, means.map(|mean| &mean[i]))).collect() };
+        let size: Planes = (0..3).map(|i| u[0].like(|p| apart(i, p) + ROUNDED * means[0][i].at(p).abs() / FILTERED + VANISHING)).collect();
+        self.add("selection", &by(&maps), &by(&expected), &size, FILTERED, TURNED);
 
         let blended = |planes: [&[Grid]; 3]| -> Planes { (0..planes[0].len()).map(|i| blend(&maps, planes.map(|planes| &planes[i]))).collect() };
         let largest = |planes: [&[Grid]; 3]| -> Planes {
