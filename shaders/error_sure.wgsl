@@ -1,9 +1,15 @@
-// Stein's unbiased risk estimate of each candidate (eq. 8.5): Σ_i (F_i − u_i)² − σ_i² + 2σ_i²·dF_i/du_i. x: FIRST, y: SECOND, z: THIRD; 0 for those that take no part. It may be negative.
+// Stein's unbiased risk estimate of each candidate (eq. 8.5): Σ_i (F_i − u_i)² − σ_i² + 2κ·σ_i²·dF_i/du_i. x: FIRST, y: SECOND, z: THIRD; 0 for those that take no part. It
+// may be negative.
+//
+// κ is 1 by the book, for noise whose variance is known. Here a pixel that came out low claims little variance, and for that very reason the filter follows it: the
+// product of the two misses most of their covariance.
 #import stein::planes::{pixel_index}
 #import stein::candidates::{sure}
 
 struct SureParams {
     extent: vec2<i32>,
+    // κ.
+    covariance: f32,
 }
 
 @group(0) @binding(0) var<uniform> params: SureParams;
@@ -33,13 +39,13 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     let variance = variance_of_mean[at].xyz;
     var of_each = vec4<f32>(0.0);
 #ifdef FIRST
-    of_each.x = sure(u, variance, first[at].xyz, derivatives[at].xyz);
+    of_each.x = sure(u, variance, first[at].xyz, derivatives[at].xyz, params.covariance);
 #endif
 #ifdef SECOND
-    of_each.y = sure(u, variance, second[at].xyz, derivatives[pixels + at].xyz);
+    of_each.y = sure(u, variance, second[at].xyz, derivatives[pixels + at].xyz, params.covariance);
 #endif
 #ifdef THIRD
-    of_each.z = sure(u, variance, third[at].xyz, derivatives[2 * pixels + at].xyz);
+    of_each.z = sure(u, variance, third[at].xyz, derivatives[2 * pixels + at].xyz, params.covariance);
 #endif
     errors[at] = of_each;
 }

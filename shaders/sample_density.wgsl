@@ -1,6 +1,6 @@
 // How much a sample drawn in each pixel is expected to gain (thesis 8.6): the relative error estimate of the blend, times W(p) = Σ w / (1 + n_p).
 //
-// With halves, the error is the two-buffer variance that is left in the blend, as in thesis 7.1.2: SURE knows of bias too, but its noise sends samples astray.
+// With halves, the error is the two-buffer variance that is left in the blend, as in thesis 7.1.2.
 // A sample lowers the variance of its pixel by a factor n_p / (1 + n_p), and serves all pixels that the filter lets it contribute to. One plane, x.
 #import stein::planes::{pixel_index}
 
@@ -17,8 +17,8 @@ struct SampleDensityParams {
 @group(0) @binding(1) var<storage, read> blended: array<vec4<f32>>;
 @group(0) @binding(2) var<storage, read_write> density: array<vec4<f32>>;
 #ifndef HALVES
-// Blended SURE, summed over the channels, in w.
-@group(0) @binding(3) var<storage, read> selection: array<vec4<f32>>;
+// The squared error of the blend, summed over the channels, in x.
+@group(0) @binding(3) var<storage, read> errors: array<vec4<f32>>;
 #endif
 #ifdef SAMPLES_VARY
 @group(0) @binding(4) var<storage, read> samples: array<vec4<f32>>;
@@ -36,8 +36,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     let left = blended[params.extent.x * params.extent.y + at].xyz;
     let error = dot(left, left);
 #else
-    // SURE may be negative: nothing to gain there.
-    let error = max(selection[at].w, 0.0);
+    let error = errors[at].x;
 #endif
     let relative = error / (dot(value.xyz, value.xyz) + 3.0 * params.relative_floor);
 #ifdef SAMPLES_VARY

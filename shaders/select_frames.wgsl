@@ -43,8 +43,8 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     let at_derivative = params.candidate * pixels + at;
     let u = signal[at].xyz;
     let variance = variance_of_mean[at].xyz;
-    let error_alone = sure(u, variance, alone[at].xyz, derivative(alone_derivatives[at_derivative]));
-    let error_together = sure(u, variance, together[at].xyz, derivative(derivatives[at_derivative]));
+    let error_alone = sure(u, variance, alone[at].xyz, derivative(alone_derivatives[at_derivative]), 1.0);
+    let error_together = sure(u, variance, together[at].xyz, derivative(derivatives[at_derivative]), 1.0);
     if error_together - error_alone > error_by_chance(together[at].xyz - alone[at].xyz, variance, params.own_sigmas, params.own_noise) {
         together[at] = alone[at];
         together[pixels + at] = alone[pixels + at];

@@ -20,11 +20,11 @@ struct SelectShareParams {
 }
 
 @group(0) @binding(0) var<uniform> params: SelectShareParams;
-// The binary maps and the smoothed errors. x: FIRST, y: SECOND, z: THIRD.
+// The binary maps. x: FIRST, y: SECOND, z: THIRD.
 @group(0) @binding(1) var<storage, read> selected: array<vec4<f32>>;
-@group(0) @binding(2) var<storage, read> errors: array<vec4<f32>>;
 #ifdef GUARDED
-// SURE as computed.
+// SURE, smoothed and as computed.
+@group(0) @binding(2) var<storage, read> errors: array<vec4<f32>>;
 @group(0) @binding(3) var<storage, read> sure: array<vec4<f32>>;
 @group(0) @binding(4) var<storage, read> variance_of_mean: array<vec4<f32>>;
 #ifdef FIRST
@@ -37,7 +37,7 @@ struct SelectShareParams {
 @group(0) @binding(7) var<storage, read> third: array<vec4<f32>>;
 #endif
 #endif
-// In place: the smoothed maps become the shares, w: the blended error Σ share·error.
+// In place: the smoothed maps become the shares.
 @group(0) @binding(8) var<storage, read_write> selection: array<vec4<f32>>;
 
 #ifdef GUARDED
@@ -46,11 +46,6 @@ fn chance(apart: vec3<f32>, variance: vec3<f32>) -> f32 {
 }
 #endif
 
-// The squares of a spike overflow: a candidate that takes no part may have an error that is not finite, and 0·∞ is no number.
-fn weighted_error(share: vec3<f32>, error: vec3<f32>) -> f32 {
-    return dot(share, select(vec3<f32>(0.0), error, share > vec3<f32>(0.0)));
-}
-
 @compute @workgroup_size(32, 2, 1)
 fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     let p = vec2<i32>(id.xy);
@@ -58,12 +53,13 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
         return;
     }
     let at = pixel_index(p, params.extent);
-    let error = errors[at].xyz;
     let winner = selected[at].xyz;
     var share = max(selection[at].xyz, vec3<f32>(0.0));
 #ifdef GUARDED
     let variance = variance_of_mean[at].xyz;
-    let least = weighted_error(winner, error);
+    let error = errors[at].xyz;
+    // The squares of a spike overflow: another candidate than the winner may have an error that is not finite, and 0·∞ is no number.
+    let least = dot(winner, select(vec3<f32>(0.0), error, winner > vec3<f32>(0.0)));
     let allowed = params.smoothed_error * abs(least) + params.smoothed_noise * dot(vec3<f32>(1.0), variance);
     share = select(vec3<f32>(0.0), share, error - least <= vec3<f32>(allowed));
     // The winner always takes part, with a little at the least, so that something is left to normalise.
@@ -106,5 +102,5 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
 #endif
     let total = share.x + share.y + share.z;
     share = select(winner, share / max(total, 1e-20), total > 1e-20);
-    selection[at] = vec4<f32>(share, weighted_error(share, error));
+    selection[at] = vec4<f32>(share, 0.0);
 }

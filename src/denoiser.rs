@@ -60,8 +60,9 @@ pub struct Estimate {
     pub color: Image,
     /// Half spread of the denoised colour: its filtered halves are `color ± half_spread`. `None` without halves.
     pub half_spread: Option<Image>,
-    /// One plane: the estimated squared error of each pixel, summed over the channels. Of DFC it comes from SURE (eq. 8.5) smoothed and blended like the candidates, and is
-    /// that of pass 1; the second pass leaves less. May be negative where the true error is small. Of NLM it is the variance left by the halves (thesis 7.1.2), smoothed; it
+    /// One plane: the estimated squared error of each pixel, summed over the channels. Never negative. Of DFC it is made of what the halves of the
+    /// result differ by, of how far its candidates lie apart from it, and of the pixel's own noise that is left
+    /// ([`error_blend`](crate::stage::error::error_blend)): typically right within a factor of two on regions of 16×16 pixels. Of NLM it is the variance left by the halves (thesis 7.1.2), smoothed; it
     /// knows nothing of bias. Of GEM it is the variance of the chosen scale and the estimated bias of the steps that led to it (thesis 6.3), never negative. `None` where
     /// [`Options::error`] is off.
     pub error: Option<Image>,

@@ -106,7 +106,6 @@ fn a_report_tells_the_same_to_people_and_to_programs() {
         );
         let stages: f64 = of["stages"].as_array().unwrap().iter().map(|stage| stage["ms"].as_f64().unwrap()).sum();
         assert!((stages - number("device_ms").unwrap_or(0.0)).abs() <= 1e-9 * stages);
-        assert!(!is_stein || number("predicted_image_mse").unwrap() > 0.0);
 
         // What is on the front is beaten by nothing.
         let point = |row: &Value| (row["wall_ms"].as_f64().unwrap(), row["errors"]["relative_mse"].as_f64().unwrap());
@@ -119,10 +118,6 @@ fn a_report_tells_the_same_to_people_and_to_programs() {
         let error = |name: &str| row(&document, set, name)["errors"]["relative_mse"].as_f64().unwrap();
         // The same program, by way of files.
         assert!((error("again <&>") / error("dfc R2") - 1.0).abs() < 1e-6);
-        // The prediction is of the image before the second pass, whether there is one or not.
-        let of = |name: &str, key: &str| row(&document, set, name)[key].as_f64().unwrap();
-        assert_eq!(of("dfc R2", "predicted_image_mse"), of("dfc one pass R2", "predicted_image_mse"));
-        assert_eq!(row(&document, set, "dfc one pass R2")["errors"]["mse"].as_f64(), Some(of("dfc one pass R2", "predicted_image_mse")));
         assert_ne!(error("dfc R2"), error("dfc one pass R2"));
     }
 

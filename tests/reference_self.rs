@@ -539,7 +539,7 @@ fn sure_is_unbiased_for_every_candidate() {
                     let mean = planes(3, || random.gaussian_grid(width, height, 1.0, sigma));
                     let variance = planes(3, || Grid::filled(width, height, sigma * sigma));
                     let Candidate { mean: filtered, derivative, .. } = candidate(&mean, None, &variance, &[], &filter);
-                    let estimate = sure(&mean, &variance, &filtered, &derivative);
+                    let estimate = sure(&mean, &variance, &filtered, &derivative, 1.0);
                     let error = estimate.like(|p| filtered.iter().map(|plane| (plane.at(p) - 1.0).powi(2)).sum());
                     (estimate.mean() - error.mean()) / (3.0 * sigma * sigma)
                 })

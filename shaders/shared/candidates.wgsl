@@ -29,10 +29,11 @@ fn difference_step(u: vec3<f32>, variance_of_mean: vec3<f32>) -> vec3<f32> {
     return select(size, -size, u < vec3<f32>(0.0));
 }
 
-// Stein's unbiased risk estimate (eq. 8.5), summed over the channels. It may be negative.
-fn sure(u: vec3<f32>, variance: vec3<f32>, filtered: vec3<f32>, derivative: vec3<f32>) -> f32 {
+// Stein's unbiased risk estimate (eq. 8.5), summed over the channels; its last term, which stands for the covariance of noise and filtered value, times `covariance`. It may
+// be negative.
+fn sure(u: vec3<f32>, variance: vec3<f32>, filtered: vec3<f32>, derivative: vec3<f32>, covariance: f32) -> f32 {
     let change = filtered - u;
-    return dot(vec3<f32>(1.0), change * change - variance + 2.0 * variance * derivative);
+    return dot(vec3<f32>(1.0), change * change - variance + 2.0 * covariance * variance * derivative);
 }
 
 // By how much the errors of two filtered values that lie `apart` may differ by chance: their difference has a standard deviation of 2·√Σ σ_i²·apart_i².

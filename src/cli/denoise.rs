@@ -33,7 +33,7 @@ use writer::{Contents, Denoised, Done, Writer};
 
 const EXAMPLE: &str = "\
 The output keeps the input's header and layers. The colour is replaced, and so are its halves; its variance is left out, for it is not that of the denoised \
-colour. `stein.error.V` is added: the estimated squared error, summed over the channels; of dfc before the second pass.
+colour. `stein.error.V` is added: the estimated squared error, summed over the channels.
 
 Examples:
   stein denoise render.exr

@@ -37,7 +37,7 @@ pub(crate) struct Errors {
     ssim: f64,
     /// Mean over the pixels of the squared error summed over the channels.
     squared_error: f64,
-    /// The same, estimated without the reference. Of the result of DFC it is that of pass 1.
+    /// The same, estimated without the reference.
     estimated_squared_error: Option<f64>,
 }
 
@@ -70,17 +70,14 @@ pub(crate) fn compare(frame: &Frame, estimate: &Estimate, reference: &Image) -> 
             errors.push(Errors::new(name, image, reference, estimated)?);
         }
     }
-    let blended = estimate.error.as_ref().and_then(|error| error.planes.first()).map(|plane| mean(plane));
-    if let Some(image) = kept("pass1") {
-        errors.push(Errors::new("pass1", image, reference, blended)?);
-    }
-    for name in ["half_a", "half_b"] {
+    let estimated = estimate.error.as_ref().and_then(|error| error.planes.first()).map(|plane| mean(plane));
+    for name in ["pass1", "half_a", "half_b"] {
         if let Some(image) = kept(name) {
-            // The estimated error is that of their mean.
+            // The estimated error is that of the result.
             errors.push(Errors::new(name, image, reference, None)?);
         }
     }
-    errors.push(Errors::new("result", &estimate.color, reference, blended)?);
+    errors.push(Errors::new("result", &estimate.color, reference, estimated)?);
     Ok(errors)
 }
 
@@ -92,8 +89,5 @@ pub(crate) fn text(errors: &[Errors]) -> String {
         vec![errors.image.to_owned(), number(errors.relative_mse), number(errors.mse), format!("{:.4}", errors.ssim), number(errors.squared_error), estimated]
     };
     let rows: Vec<_> = std::iter::once(head).chain(errors.iter().map(row)).collect();
-    format!(
-        "{}\n  (squared error: mean over the pixels, summed over the channels; estimated: without the reference; for dfc by SURE, before the second pass)",
-        table(&rows, 1)
-    )
+    format!("{}\n  (squared error: mean over the pixels, summed over the channels; estimated: without the reference; for candidates by SURE)", table(&rows, 1))
 }

@@ -53,7 +53,7 @@ pub(crate) struct Run {
     pub(crate) seconds: f64,
     pub(crate) stage_times: Option<Vec<StageTime>>,
     pub(crate) peak_bytes: u64,
-    /// Mean over the pixels of the squared error summed over the channels; of DFC by SURE, before the second pass.
+    /// Mean over the pixels of the squared error summed over the channels.
     /// `None` where nobody wanted it.
     pub(crate) mean_estimated_squared_error: Option<f64>,
     /// How many pixels took part in the average of one, on average.

@@ -34,6 +34,7 @@ pub(super) const STAGES: &[(&str, &str)] = sources!("shaders":
     "candidate_accumulate",
     "candidate_resolve",
     "error_sure",
+    "error_blend",
     "error_halves",
     "select_least",
     "select_share",

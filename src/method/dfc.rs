@@ -17,7 +17,7 @@ use crate::error::Result;
 use crate::gpu::{Buffer, Recorder};
 use crate::stage::candidate::{CANDIDATE_PLANES, CandidateBeside, CandidateFilter, CandidatesInTime, Needed, STATE_PLANES, candidates};
 use crate::stage::candidate_set::CandidateSet;
-use crate::stage::error::error_sure;
+use crate::stage::error::{ErrorParts, MadeOf, error_blend, error_sure};
 use crate::stage::feature::{Features, Packing, feature_pack};
 use crate::stage::nlm::{Beside, Guide, Lanes, Payload, Schedule, Weighting, nlm_filter};
 use crate::stage::sample::sample_density;
@@ -129,14 +129,14 @@ pub(crate) fn dfc(
     };
     let mut judged = None;
     if plan.begins(rec, Step::Sure) {
-        let sure = Arc::new(error_sure(rec, extent, signal, &variance, &candidates)?);
+        let sure = Arc::new(error_sure(rec, extent, signal, &variance, &candidates, params.covariance)?);
         let errors = Arc::new(smooth(rec, Step::SureSmoothing, &sure, &ERROR_SMOOTHING)?);
         keeper.keep(Intermediate::Sure, "sure", &BY_CANDIDATE, Unit::ColorSquared, &sure, 0);
         keeper.keep(Intermediate::Sure, "sure_smoothed", &BY_CANDIDATE, Unit::ColorSquared, &errors, 0);
         judged = Some((sure, errors));
     }
 
-    let (pass1, error, selection): (Arc<Buffer>, _, _) = if let Some((sure, errors)) = judged.as_ref().filter(|_| plan.begins(rec, Step::Selection)) {
+    let (pass1, selection): (Arc<Buffer>, _) = if let Some((sure, errors)) = judged.as_ref().filter(|_| plan.begins(rec, Step::Selection)) {
         // Binary selection maps.
         let selected = Arc::new(select_least(rec, extent, errors, &candidates)?);
         // Filter selection maps.
@@ -148,46 +148,57 @@ pub(crate) fn dfc(
         let pass1 = Arc::new(select_blend(rec, extent, &selection, &candidates)?);
         keeper.keep(Intermediate::Selection, "selected", &BY_CANDIDATE, Unit::Number, &selected, 0);
         keeper.keep(Intermediate::Selection, "selection", &BY_CANDIDATE, Unit::Number, &selection, 0);
-        (pass1, Some(Lane { buffer: selection.clone(), plane: 0, component: 3 }), Shares::Maps(selection))
+        (pass1, Shares::Maps(selection))
     } else {
         // Nothing to choose from.
         let Some((only, candidate)) = candidates.first_of_all() else { unreachable!("a plan holds at least one candidate") };
-        let error = judged.as_ref().map(|(_, errors)| Lane { buffer: errors.clone(), plane: 0, component: only as u32 });
-        (candidate.clone(), error, Shares::Only(only))
+        (candidate.clone(), Shares::Only(only))
     };
-    drop((candidates, judged));
+    drop(judged);
+
+    // Second pass filtering.
+    let mut result = pass1.clone();
+    if let Some(second_pass) = params.second_pass.filter(|_| plan.begins(rec, Step::SecondPass)) {
+        let upper_bound = second_pass.clamp_to_input.then_some(&*variance);
+        let left_variance = variance_smooth(rec, extent, &pass1, RESIDUAL_SMOOTHING, upper_bound)?;
+        let filter =
+            Auxiliary { window_radius: second_pass.window_radius(params.window_radius), patch_radius: second_pass.patch_radius, k: second_pass.color_k };
+        let guide = Guide { grey, exact: plan.exact(&Step::SecondPass), ..filter.guide(&pass1, &left_variance, 3) };
+        let payload = Payload { lanes: if grey { Lanes::Grey } else { Lanes::All }, ..Payload::new(&pass1, 2) };
+        let pass2 = nlm_filter(rec, extent, &guide, &payload, filter.window_radius, weighting, false, schedule)?;
+        keeper.keep(Intermediate::Pass1, "pass1", &RGB, Unit::Color, &pass1, 0);
+        result = Arc::new(match second_pass.most_sigmas {
+            Some(sigmas) => select_pass(rec, extent, &pass1, &pass2.planes, &variance, sigmas)?,
+            None => pass2.planes,
+        });
+    }
+
+    // What is left of the error, of which SURE tells little more than the order of the candidates.
+    let mut error = None;
+    if plan.begins(rec, Step::Error) {
+        let made_of = match &selection {
+            Shares::Maps(maps) => MadeOf::Shares(maps),
+            Shares::Only(only) => MadeOf::Only(*only),
+        };
+        let parts = ErrorParts::measured(color.has_halves, params.several_can_win());
+        error = Some(Arc::new(error_blend(rec, extent, &result, &variance, &candidates, made_of, parts)?));
+    }
+    drop(candidates);
 
     // Adaptive sampling (thesis 8.6).
     if plan.begins(rec, Step::Density) {
-        let density = sample_density(rec, extent, &pass1, selection.maps().filter(|_| !color.has_halves), &samples)?;
+        let density = sample_density(rec, extent, &pass1, error.as_deref().filter(|_| !color.has_halves), &samples)?;
         keeper.keep(Intermediate::Density, "density", &["V"], Unit::Number, &Arc::new(smooth(rec, Step::Density, &density, &DENSITY_SMOOTHING)?), 0);
     }
 
-    // The error and Σ w are those of pass 1.
-    let estimate = |signal: Arc<Buffer>, keeper: Keeper| GpuEstimate {
-        signal,
-        error,
-        weight_sum: Lane { buffer: pass1.clone(), plane: 0, component: 3 },
+    Ok(GpuEstimate {
+        signal: result,
+        error: error.map(|buffer| Lane { buffer, plane: 0, component: 0 }),
+        // Σ w is that of pass 1.
+        weight_sum: Lane { buffer: pass1, plane: 0, component: 3 },
         selection: Some(selection),
         kept: keeper.into_kept(),
-    };
-
-    // Second pass filtering.
-    let Some(second_pass) = params.second_pass.filter(|_| plan.begins(rec, Step::SecondPass)) else {
-        return Ok(estimate(pass1.clone(), keeper));
-    };
-    let upper_bound = second_pass.clamp_to_input.then_some(&*variance);
-    let left_variance = variance_smooth(rec, extent, &pass1, RESIDUAL_SMOOTHING, upper_bound)?;
-    let filter = Auxiliary { window_radius: second_pass.window_radius(params.window_radius), patch_radius: second_pass.patch_radius, k: second_pass.color_k };
-    let guide = Guide { grey, exact: plan.exact(&Step::SecondPass), ..filter.guide(&pass1, &left_variance, 3) };
-    let payload = Payload { lanes: if grey { Lanes::Grey } else { Lanes::All }, ..Payload::new(&pass1, 2) };
-    let pass2 = nlm_filter(rec, extent, &guide, &payload, filter.window_radius, weighting, false, schedule)?;
-    keeper.keep(Intermediate::Pass1, "pass1", &RGB, Unit::Color, &pass1, 0);
-    let result = match second_pass.most_sigmas {
-        Some(sigmas) => select_pass(rec, extent, &pass1, &pass2.planes, &variance, sigmas)?,
-        None => pass2.planes,
-    };
-    Ok(estimate(Arc::new(result), keeper))
+    })
 }
 
 /// Prefilters each feature by itself (Algorithm 1 lines 4 to 10) and packs them for the candidates; features without noise are taken as they are. Empty where there are
@@ -274,7 +285,8 @@ pub(super) fn footprint(params: &DfcParams, facts: &Facts, kept: bool, schedule:
     let prefilter = frames * (color + packed + 7) + 2;
     // Over all frames, and over the own one.
     let candidates = frames * (color + packed) + if beside > 0 { 2 * CANDIDATE_PLANES } else { CANDIDATE_PLANES };
-    // Candidates, SURE, errors and weights 2, selected, smoothed and weights 2, blend 2; variance, second pass and weights 3.
+    // Candidates, SURE, errors and weights 2, selected, smoothed and weights 2, blend 2; variance, second pass and weights 3. Before the error and what is chosen of the
+    // passes 3, what belongs to the choice is given back.
     let later = color + CANDIDATE_PLANES + 12;
     // Prefiltered features and residual variances, the sampling density and its weights; of each feature, the values that were taken as they are.
     let kept = if kept { 5 * channels.len() as u64 + 3 } else { 0 };

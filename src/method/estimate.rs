@@ -117,22 +117,12 @@ pub enum Shares {
     Only(usize),
 }
 
-impl Shares {
-    /// The plane, where there is one.
-    pub(super) fn maps(&self) -> Option<&Buffer> {
-        match self {
-            Self::Maps(maps) => Some(maps),
-            Self::Only(_) => None,
-        }
-    }
-}
-
 /// What a method knows of the true image, on the GPU.
 #[derive(Debug)]
 pub struct GpuEstimate {
     /// The denoised signal: mean, behind it the half spread (0 without halves).
     pub signal: Arc<Buffer>,
-    /// The estimated squared error, summed over the channels. May be negative. `None` where the plan leaves it out.
+    /// The estimated squared error, summed over the channels, at least 0. `None` where the plan leaves it out.
     pub error: Option<Lane>,
     /// How many pixels took part in a pixel's average.
     pub weight_sum: Lane,

@@ -85,7 +85,7 @@ pub enum Step {
     Filter,
     /// The same over the own frame, to judge the frames beside by.
     FilterAlone,
-    /// The error that the filtered halves show (thesis 7.1.2).
+    /// The estimated error of the result.
     Error,
     /// The scales of GEM and their choice (thesis 6.2).
     Scales,

@@ -26,7 +26,7 @@ bindings! {
     struct SelectPass<'a> { uniform params: SelectPassParams, read pass1, read pass2, read variance_of_mean, write result }
     struct SelectShare<'a> {
         uniform params: SelectShareParams,
-        read selected, read errors, optional sure, optional variance_of_mean, optional first, optional second, optional third, write selection,
+        read selected, optional errors, optional sure, optional variance_of_mean, optional first, optional second, optional third, write selection,
     }
     struct SelectBlend<'a> { uniform params: SelectBlendParams, read shares, optional first, optional second, optional third, write blended }
 }
@@ -135,12 +135,12 @@ pub struct Evidence<'a> {
 }
 
 /// Shares of the candidates, from `smoothed`, their smoothed selection maps, which they take the place of. Normalised to sum 1, under a guard if there is one. One plane, x:
-/// FIRST, y: SECOND, z: THIRD, w: the blended error Σ share·error, in the square of the colour's unit.
+/// FIRST, y: SECOND, z: THIRD.
 pub fn select_share(rec: &mut Recorder, extent: IVec2, smoothed: Buffer, evidence: Evidence, guard: Option<Guard>) -> Result<Buffer> {
     let Evidence { selected, errors, sure, variance_of_mean, candidates } = evidence;
     let guarded = |buffer| guard.map(|_| buffer);
     let [first, second, third] = candidates.buffers().map(|signal| signal.and_then(guarded));
-    let (sure, variance_of_mean) = (guarded(sure), guarded(variance_of_mean));
+    let (errors, sure, variance_of_mean) = (guarded(errors), guarded(sure), guarded(variance_of_mean));
     let rule = guard.map(|guard| [guard.smoothed_error, guard.smoothed_noise, guard.own_sigmas, guard.own_noise]);
     let [smoothed_error, smoothed_noise, own_sigmas, own_noise] = rule.unwrap_or_default();
     let params = SelectShareParams { extent, smoothed_error, smoothed_noise, own_sigmas, own_noise };

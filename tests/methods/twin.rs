@@ -108,7 +108,7 @@ impl Compared {
             input[0].like(|p| {
                 let term = |i: usize| {
                     let (residual, variance) = (candidate.mean[i].at(p) - input[i].at(p), twin.color_variance[i].at(p));
-                    residual * residual + variance * (1.0 + 2.0 * candidate.derivative[i].at(p).abs())
+                    residual * residual + variance * (1.0 + 3.0 * candidate.derivative[i].at(p).abs())
                 };
                 (0..3).map(term).sum()
             })
@@ -129,7 +129,8 @@ impl Compared {
         if let (Some(spread), Some(expected)) = (&spread, &result.spread) {
             self.near("half spread", spread, expected, &self.color_scale(&input, &result.mean), FILTERED, FLIPPED);
         }
-        let size: Planes = vec![terms[0].like(|p| twin.errors.iter().map(|error| error.at(p).abs()).sum::<f64>() + terms[0].at(p))];
+        // Where shares differ by rounding, another one of the candidates' distances counts.
+        let size: Planes = vec![terms[0].like(|p| twin.error.at(p) + terms[0].at(p))];
         self.near("error", &grids(error_of(&self.estimate), exposure * exposure), std::slice::from_ref(&twin.error), &size, 2e-3, FLIPPED);
         // An average of what may be decided otherwise anywhere in a wide window.
         let density = std::slice::from_ref(&self.density);

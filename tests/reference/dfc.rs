@@ -4,7 +4,7 @@ use super::candidates::{Candidate, candidate};
 use super::nlm::{CentreWeight, Feature, FilterParams, Guide, nlm_filter};
 use super::prefilter::{Prefiltered, prefilter};
 use super::select::{self, Evidence, Guard, select, share, smooth_maps};
-use super::sure::{self, smooth_errors, sure};
+use super::sure::{self, ErrorParts, Part, error_blend, smooth_errors, sure};
 use super::variance::{Signal, buffer_var, input_variance};
 use super::{Grid, Planes};
 
@@ -40,6 +40,8 @@ pub struct DfcParams {
     /// term nothing would hold the blend of a pair back.
     pub symmetric: bool,
     pub centre: CentreWeight,
+    /// How often the last term of SURE counts.
+    pub covariance: f64,
     pub guard: Option<Guard>,
     pub second_pass: SecondPassParams,
 }
@@ -54,6 +56,7 @@ impl DfcParams {
             takes_part: select::ALL,
             symmetric: false,
             centre: CentreWeight::One,
+            covariance: 1.0,
             guard: None,
             second_pass: SecondPassParams { half_radius: false, patch_radius: 1, k_color: 0.45, clamp_to_input: false, most_sigmas: None },
         }
@@ -84,6 +87,7 @@ impl Default for DfcParams {
             candidates: [first, second, CandidateParams { tau: 5e-4, ..third }],
             symmetric: true,
             centre: CentreWeight::LargestNeighbour,
+            covariance: 1.5,
             guard: Some(Guard { smoothed_error: 4.0, smoothed_noise: 0.3, own_sigmas: 8.0, own_noise: 4.0 }),
             second_pass: SecondPassParams { half_radius: true, patch_radius: 3, k_color: 0.45, clamp_to_input: true, most_sigmas: Some(4.0) },
             ..thesis
@@ -117,7 +121,7 @@ pub struct Dfc {
     pub smoothed_maps: Planes,
     /// The maps of the blend: the smoothed ones, guarded if the parameters ask for it.
     pub maps: Planes,
-    /// Σ_k maps_k · errors_k.
+    /// Of the result.
     pub error: Grid,
     pub pass1: Pass,
     /// None without halves: nothing tells what noise is left.
@@ -139,7 +143,7 @@ pub fn dfc(frame: &Frame, params: &DfcParams) -> Dfc {
     // Lines 18–22: errors.
     let guide = Guide { mean: &color.mean, variance: &color_variance };
     let aside = params.filter(0, &params.candidates[select::FIRST]);
-    let sure: Planes = candidates.iter().map(|c| sure(&color.mean, &color_variance, &c.mean, &c.derivative)).collect();
+    let sure: Planes = candidates.iter().map(|c| sure(&color.mean, &color_variance, &c.mean, &c.derivative, params.covariance)).collect();
     let errors = smooth_errors(&sure, guide, &aside);
 
     // Lines 23–31: selection maps.
@@ -152,7 +156,6 @@ pub fn dfc(frame: &Frame, params: &DfcParams) -> Dfc {
     let maps = share(&smoothed_maps, evidence, params.guard.as_ref());
 
     // Lines 32 and 33: candidate averaging.
-    let error = blend(&maps, &errors.iter().collect::<Vec<_>>());
     let pass1 = Pass {
         mean: blend_channels(&maps, means),
         spread: color.spread.as_ref().map(|_| {
@@ -163,6 +166,13 @@ pub fn dfc(frame: &Frame, params: &DfcParams) -> Dfc {
 
     // Lines 34–37: second pass.
     let pass2 = second_pass(&pass1, &color_variance, params);
+
+    // What is left of the error. A candidate alone is no blend.
+    let part = |k: usize| Part { share: &maps[k], mean: means[k], derivative: derivatives[k] };
+    let made_of: Vec<Part> = (0..3).filter(|k| params.takes_part[*k]).map(part).collect();
+    let result = pass2.as_ref().unwrap_or(&pass1);
+    let parts = ErrorParts::measured(result.spread.is_some(), made_of.len() > 1);
+    let error = error_blend(&result.mean, result.spread.as_deref(), &color_variance, &made_of, parts);
 
     Dfc { color_variance, features: prefiltered, candidates, sure, errors, binary_maps, smoothed_maps, maps, error, pass1, pass2 }
 }
@@ -207,7 +217,7 @@ pub fn limited(pass1: &Pass, pass2: &Pass, input_variance: &[Grid], sigmas: f64)
 /// Where the next samples pay most (section 8.6): the error of the blend relative to its square, times W(p) = Σ w/(1 + n_p), smoothed.
 pub fn sampling_density(frame: &Frame, result: &Dfc, params: &DfcParams, samples_per_pixel: f64) -> Grid {
     let weight_sum = blend(&result.maps, &result.candidates.each_ref().map(|c| &c.weight_sum));
-    // With halves, what they say of the noise that is left (section 7.1.2); without them, SURE.
+    // With halves, what they say of the noise that is left (section 7.1.2); without them, its error.
     let left = result.pass1.spread.as_ref().map(|spread| spread[0].like(|p| spread.iter().map(|plane| plane.at(p) * plane.at(p)).sum()));
     let density = sure::sample_density(&result.pass1.mean, left.as_ref().unwrap_or(&result.error), &weight_sum, samples_per_pixel);
     let own = CandidateParams { k_color: 1.0, k_feature: f64::INFINITY, patch_radius: 1, tau: 0.0 };

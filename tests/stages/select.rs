@@ -5,7 +5,7 @@ use std::sync::Arc;
 use stein::gpu::{Gpu, Recorder};
 use stein::stage::candidate::Candidates;
 use stein::stage::candidate_set::CandidateSet;
-use stein::stage::error::error_sure;
+use stein::stage::error::{ErrorParts, MadeOf, error_blend, error_sure};
 use stein::stage::nlm::Filtered;
 use stein::stage::sample::{GpuSamples, sample_density};
 use stein::stage::select::{Evidence, Guard, Harm, Noisy, select_blend, select_frames, select_frames_of_filtered, select_least, select_pass, select_share};
@@ -79,10 +79,10 @@ fn sure_is_equation_8_5() {
             let signal = rec.upload("signal", &packed_signal(&scene.mean, &scene.spread))?;
             let variance = upload(rec, &scene.variance)?;
             let candidates = upload_bank(rec, &bank, takes_part)?;
-            error_sure(rec, extent, &signal, &variance, &candidates)
+            error_sure(rec, extent, &signal, &variance, &candidates, 1.5)
         });
         let zero = scene.mean[0].like(|_| 0.0);
-        let sure = |k: usize| reference::sure::sure(&scene.mean, &scene.variance, &bank.means[k], &bank.derivatives[k]);
+        let sure = |k: usize| reference::sure::sure(&scene.mean, &scene.variance, &bank.means[k], &bank.derivatives[k], 1.5);
         let expected: Planes = takes_part.flags().iter().enumerate().map(|(k, takes_part)| if *takes_part { sure(k) } else { zero.clone() }).collect();
         // The terms cancel; each is rounded by itself.
         let terms = |k: usize| {
@@ -90,13 +90,54 @@ fn sure_is_equation_8_5() {
             scene.mean[0].like(|p| {
                 let term = |i: usize| {
                     let (residual, variance) = (means[i].at(p) - scene.mean[i].at(p), scene.variance[i].at(p));
-                    residual * residual + variance * (1.0 + 2.0 * derivatives[i].at(p).abs())
+                    residual * residual + variance * (1.0 + 3.0 * derivatives[i].at(p).abs())
                 };
                 (0..3).map(term).sum()
             })
         };
         let scale: Planes = (0..3).map(terms).collect();
         assert_near(&format!("error_sure, {width}×{height}"), &read(gpu, &buffer, extent).remove(0), &expected, &scale, 1e-6, 0.0);
+    }
+}
+
+/// Derivatives far outside 0 to 1, candidates without a share, and one that alone stands for the blend.
+#[test]
+fn the_error_of_a_blend_has_three_parts() {
+    let parts = ErrorParts { spread: 0.75, disagreement: 2.0, own_noise: 0.375 };
+    let twin_parts = reference::sure::ErrorParts { spread: 0.75, disagreement: 2.0, own_noise: 0.375 };
+    for (gpu, width, height, takes_part) in SIZES_AND_SETS {
+        let gpu = gpu();
+        let (scene, mut bank) = (scene(width, height, 48), bank(width, height));
+        let extent = extent_of(&scene.mean[0]);
+        let mut random = Random(49);
+        bank.derivatives.iter_mut().flatten().for_each(|plane| *plane = rounded(random.uniform_grid(width, height, -1.0, 2.0)));
+        let shares: Planes = takes_part
+            .flags()
+            .map(|takes_part| {
+                let share = random.uniform_grid(width, height, -0.5, 1.0);
+                rounded(share.like(|p| if takes_part { share.at(p).max(0.0) } else { 0.0 }))
+            })
+            .into();
+        let only = (0..3).find(|k| takes_part.flags()[*k]).unwrap_or_default();
+        for shared in [true, false] {
+            let buffer = run(gpu, |rec| {
+                let blended = rec.upload("blend", &packed_signal(&scene.mean, &scene.spread))?;
+                let (variance, shares) = (upload(rec, &scene.variance)?, upload(rec, &shares)?);
+                let candidates = upload_bank(rec, &bank, takes_part)?;
+                let made_of = if shared { MadeOf::Shares(&shares) } else { MadeOf::Only(only) };
+                error_blend(rec, extent, &blended, &variance, &candidates, made_of, parts)
+            });
+            let all = scene.mean[0].like(|_| 1.0);
+            let share = |k: usize| if shared { &shares[k] } else { &all };
+            // A candidate alone is the blend.
+            let mean = |k: usize| if shared { bank.means[k].as_slice() } else { scene.mean.as_slice() };
+            let part = |k: usize| reference::sure::Part { share: share(k), mean: mean(k), derivative: &bank.derivatives[k] };
+            let made_of: Vec<_> = (0..3).filter(|k| if shared { takes_part.flags()[*k] } else { *k == only }).map(part).collect();
+            let expected = [reference::sure::error_blend(&scene.mean, Some(&scene.spread), &scene.variance, &made_of, twin_parts)];
+            let what = format!("error_blend, {width}×{height}, {takes_part}, shared {shared}");
+            assert_near(&what, &read(gpu, &buffer, extent).remove(0), &expected, &own_size(&expected, 0.0), 2e-6, 0.0);
+            assert!(expected[0].values.iter().all(|error| *error >= 0.0));
+        }
     }
 }
 
@@ -203,9 +244,6 @@ fn check_shares_and_blend(gpu: &Gpu, width: usize, height: usize, rule: Option<G
     let expected: Planes = (0..7).map(|i| average(channel(i))).collect();
     let scale: Planes = (0..7).map(|i| size(channel(i))).collect();
     assert_near(&what("signal"), &signal.concat()[..7], &expected, &scale, 1e-6, 0.0);
-    let errors: Planes = (0..3).map(|k| errors[k].like(|p| if maps[k].at(p) > 0.0 { errors[k].at(p) } else { 0.0 })).collect();
-    let errors = [&errors[0], &errors[1], &errors[2]];
-    assert_near(&what("error"), &selection[3..], &[average(errors)], &[size(errors)], 1e-6, 0.0);
     let rejected = maps.iter().flat_map(|grid| &grid.values).filter(|share| **share == 0.0).count();
     assert!(width * height < 100 || takes_part.count() == 1 || rejected > width * height / 10, "{rejected} shares of 0");
 }
@@ -239,7 +277,7 @@ fn other_frames_are_left_out_where_they_do_harm() {
         });
         let derivatives = read(gpu, there(&chosen.derivatives), extent);
         for (k, derivatives) in derivatives.iter().enumerate() {
-            let sure = |bank: &Bank| reference::sure::sure(&scene.mean, &scene.variance, &bank.means[k], &bank.derivatives[k]);
+            let sure = |bank: &Bank| reference::sure::sure(&scene.mean, &scene.variance, &bank.means[k], &bank.derivatives[k], 1.0);
             let (sure_alone, sure_together) = (sure(&alone), sure(&together));
             let of_alone = reference::select::Filtered { mean: &alone.means[k], sure: &sure_alone };
             let of_together = reference::select::Filtered { mean: &together.means[k], sure: &sure_together };
@@ -286,7 +324,7 @@ fn other_frames_are_left_out_of_one_filter_where_they_do_harm() {
     });
     let sure = |bank: &Bank| {
         let derivative = vec![bank.weight_sums[0].like(|p| 1.0 / bank.weight_sums[0].at(p)); 3];
-        reference::sure::sure(&scene.mean, &scene.variance, &bank.means[0], &derivative)
+        reference::sure::sure(&scene.mean, &scene.variance, &bank.means[0], &derivative, 1.0)
     };
     let (sure_alone, sure_together) = (sure(&alone), sure(&together));
     let of_alone = reference::select::Filtered { mean: &alone.means[0], sure: &sure_alone };
@@ -329,15 +367,15 @@ fn samples_are_wanted_where_they_pay() {
         let (scene, bank) = (scene(width, height, 46), bank(width, height));
         let extent = extent_of(&scene.mean[0]);
         let mut random = Random(47);
-        let (error, counts) = (rounded(random.gaussian_grid(width, height, 0.0, 1.0)), rounded(random.uniform_grid(width, height, 1.0, 99.0)));
-        // With halves the spread tells the error, without them SURE.
+        let (error, counts) = (rounded(random.uniform_grid(width, height, 0.0, 2.0)), rounded(random.uniform_grid(width, height, 1.0, 99.0)));
+        // With halves the spread tells the error, without them what is given.
         let left = error.like(|p| scene.spread.iter().map(|plane| plane.at(p) * plane.at(p)).sum());
         for (vary, halves) in [(false, false), (true, false), (false, true), (true, true)] {
             let buffer = run(gpu, |rec| {
                 let blended = rec.upload("blend", &packed_signal(&[scene.mean.as_slice(), &bank.weight_sums[..1]].concat(), &scene.spread))?;
-                let selection = upload(rec, &[bank.means[0].as_slice(), std::slice::from_ref(&error)].concat())?;
+                let errors = upload(rec, std::slice::from_ref(&error))?;
                 let samples = if vary { GpuSamples::PerPixel(upload(rec, std::slice::from_ref(&counts))?) } else { GpuSamples::Uniform(31.0) };
-                sample_density(rec, extent, &blended, (!halves).then_some(&selection), &samples)
+                sample_density(rec, extent, &blended, (!halves).then_some(&errors), &samples)
             });
             let expected = reference::sure::sample_density(&scene.mean, if halves { &left } else { &error }, &bank.weight_sums[0], 0.0);
             let expected = [expected.like(|p| expected.at(p) / (1.0 + if vary { counts.at(p) } else { 31.0 }))];

@@ -52,7 +52,7 @@ impl Document {
         let errors = self.iterations.last().zip(self.uniform.as_ref()).and_then(|(adaptive, uniform)| adaptive.errors.as_ref().zip(uniform.errors.as_ref()));
         let ratio = errors.map(|(adaptive, uniform)| adaptive.denoised_relative_mse / uniform.denoised_relative_mse);
         let ratio = ratio.map(|ratio| format!("; adaptive sampling leaves {} times the error of even sampling", number(ratio)));
-        format!("(relative MSE; estimated: without the reference, of dfc before the second pass{})", ratio.unwrap_or_default())
+        format!("(relative MSE; estimated: without the reference{})", ratio.unwrap_or_default())
     }
 }
 

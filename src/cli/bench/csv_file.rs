@@ -47,7 +47,7 @@ pub(super) fn csv(document: &Document) -> Result<Vec<u8>, Failure> {
             cell(row.strips),
         ];
         record.extend(errors(row.errors));
-        record.extend([cell(row.predicted_mse), cell(row.predicted_image_mse), cell(row.on_front)]);
+        record.extend([cell(row.predicted_mse), cell(row.on_front)]);
         record.extend(errors(set.noisy));
         record.extend(stages.iter().map(|name| cell(row.stages.iter().find(|stage| stage.stage == *name).map(|stage| stage.ms))));
         writer.write_record(&record).map_err(failed)?;
@@ -56,7 +56,7 @@ pub(super) fn csv(document: &Document) -> Result<Vec<u8>, Failure> {
 }
 
 /// Before the stages.
-const COLUMNS: [&str; 37] = [
+const COLUMNS: [&str; 36] = [
     "date",
     "stein",
     "adapter",
@@ -88,7 +88,6 @@ const COLUMNS: [&str; 37] = [
     "ssim",
     "flip",
     "predicted_mse",
-    "predicted_image_mse",
     "on_front",
     "noisy_relative_mse",
     "noisy_mse",

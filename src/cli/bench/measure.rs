@@ -6,7 +6,6 @@ use std::time::Instant;
 use cpu_time::ProcessTime;
 use indicatif::ProgressBar;
 use stein::gpu::StageTime;
-use stein::method::Intermediate;
 use stein::{Denoiser, Frame, Gpu, Image, Method, Options, metric};
 
 use super::super::{Failure, quality};
@@ -60,7 +59,6 @@ struct Record {
     first_ms: f64,
     image: Image,
     predicted_mse: Option<f64>,
-    predicted_image_mse: Option<f64>,
     walls_ms: Vec<f64>,
     cpus_ms: Vec<f64>,
     /// Stage, dispatches, milliseconds of each run.
@@ -134,18 +132,12 @@ pub(super) fn measure(
 /// The first dispatch of a kernel compiles it.
 fn warm_up(gpu: &Gpu, denoiser: &Denoiser, case: &Case<'_>) -> Result<Record, Failure> {
     gpu.set_timing(false);
-    // What the prediction is about.
-    let before_second_pass = [Intermediate::Pass1];
-    let is_known = case.reference.is_some() && denoiser.method().intermediates().contains(&Intermediate::Pass1);
-    let keep = if is_known { &before_second_pass[..] } else { &[] };
     let start = Instant::now();
-    let estimate = denoiser.denoise_with(case.frame, Options { keep, error: true, progress: None })?;
+    let estimate = denoiser.denoise_with(case.frame, Options::default())?;
     let first_ms = start.elapsed().as_secs_f64() * 1e3;
-    let predicted = estimate.layers.iter().find(|layer| layer.intermediate == Intermediate::Pass1).map_or(&estimate.color, |layer| &layer.image);
     Ok(Record {
         first_ms,
         predicted_mse: estimate.error.as_ref().and_then(|error| error.planes.first()).map(|plane| quality::mean(plane) / estimate.color.channels() as f64),
-        predicted_image_mse: case.reference.map(|reference| metric::mse(predicted, reference)).transpose()?,
         image: estimate.color,
         walls_ms: Vec::new(),
         cpus_ms: Vec::new(),
@@ -158,17 +150,7 @@ fn warm_up(gpu: &Gpu, denoiser: &Denoiser, case: &Case<'_>) -> Result<Record, Fa
 fn warm_up_external(external: &External, input: &Path, output: &Path, case: &Case<'_>) -> Result<Record, Failure> {
     let first_ms = external.run(input, output)? * 1e3;
     let image = external.read(output, case.frame.extent())?;
-    Ok(Record {
-        first_ms,
-        image,
-        predicted_mse: None,
-        predicted_image_mse: None,
-        walls_ms: Vec::new(),
-        cpus_ms: Vec::new(),
-        stages: Vec::new(),
-        peak_bytes: None,
-        strips: None,
-    })
+    Ok(Record { first_ms, image, predicted_mse: None, walls_ms: Vec::new(), cpus_ms: Vec::new(), stages: Vec::new(), peak_bytes: None, strips: None })
 }
 
 impl Record {
@@ -198,7 +180,6 @@ impl Record {
             strips: self.strips,
             errors: case.reference.map(|reference| errors(&self.image, reference)).transpose()?,
             predicted_mse: self.predicted_mse,
-            predicted_image_mse: self.predicted_image_mse,
             on_front: None,
         };
         Ok(Outcome { row, image: self.image })

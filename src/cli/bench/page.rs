@@ -269,15 +269,16 @@ impl<'a> Page<'a> {
         for scene in self.scenes() {
             let mut plot = Plot { title: scene.into(), x_title: "true MSE".into(), y_title: "predicted MSE".into(), has_diagonal: true, ..Plot::default() };
             for row in self.sets_of(scene).flat_map(|set| self.document.rows_of(set)) {
-                if let (Some(predicted), Some(known), Some(configuration)) = (row.predicted_mse, row.predicted_image_mse, self.document.configuration(row)) {
+                if let (Some(predicted), Some(known), Some(configuration)) =
+                    (row.predicted_mse, row.errors.and_then(|errors| errors.mse), self.document.configuration(row))
+                {
                     plot.marks.push(self.mark(configuration, (known, predicted), false, tip(row)));
                 }
             }
             plots.push(plot);
         }
         let text = "<p>Stein's own estimate of its mean squared error, made without the reference. On the diagonal it is right, below it too low; open marks at the lower edge \
-                    are estimates of 0 and less. Of dfc it is about the image before the second pass, which is what it is held against; of nlm it is the variance alone and \
-                    knows nothing of bias.</p>";
+                    are estimates of 0. Of nlm it is the variance alone and knows nothing of bias.</p>";
         self.panels(text, &plots, "Nothing was predicted of a set with a reference.")
     }
 
@@ -406,7 +407,7 @@ fn tip(row: &Row) -> String {
     lines.extend(row.relative_mse().map(|error| format!("relative MSE {}", number(error))));
     lines.extend(row.errors.and_then(|errors| errors.flip).map(|flip| format!("FLIP {}", number(flip))));
     lines.extend(row.predicted_mse.map(|predicted| format!("predicted MSE {}", number(predicted))));
-    lines.extend(row.predicted_image_mse.map(|mse| format!("true MSE of that image {}", number(mse))));
+    lines.extend(row.errors.and_then(|errors| errors.mse).map(|mse| format!("MSE {}", number(mse))));
     lines.join("\n")
 }
 

@@ -157,10 +157,8 @@ pub(super) struct Row {
     /// Parts that the image was worked on in.
     pub(super) strips: Option<usize>,
     pub(super) errors: Option<Errors>,
-    /// The mean squared error as estimated without the reference: of dfc of the image before the second pass, of nlm its variance alone.
+    /// The mean squared error as estimated without the reference; of nlm the variance alone.
     pub(super) predicted_mse: Option<f64>,
-    /// The mean squared error of the image that the prediction is about.
-    pub(super) predicted_image_mse: Option<f64>,
     /// No other row of the set is both as fast and as good.
     pub(super) on_front: Option<bool>,
 }

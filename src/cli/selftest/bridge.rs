@@ -70,6 +70,7 @@ pub(crate) fn dfc_params(params: &DfcParams) -> dfc::DfcParams {
         takes_part: params.candidates.flags(),
         symmetric: params.weighting.symmetric != Symmetry::Off,
         centre: centre(params.weighting.centre),
+        covariance: params.covariance.into(),
         guard: params.guard.map(|guard| select::Guard {
             smoothed_error: guard.smoothed_error.into(),
             smoothed_noise: guard.smoothed_noise.into(),

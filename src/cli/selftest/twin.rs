@@ -11,7 +11,7 @@ use stein_reference::gaussian::gaussian_neighbours;
 use stein_reference::gem::{self, choose, decided};
 use stein_reference::nlm::{FilterParams, Guide};
 use stein_reference::select::{self, Evidence};
-use stein_reference::sure::smooth_errors;
+use stein_reference::sure::{self, smooth_errors};
 use stein_reference::{Grid, Planes, Point, channel_mean, nlm_method, square};
 
 use super::bridge;
@@ -96,7 +96,9 @@ impl Comparison<'_> {
         }
         let terms = |candidate: &Candidate, i: usize, p: Point| {
             let (residual, variance, rounded) = (candidate.mean[i].at(p) - u[i].at(p), variance[i].at(p), ROUNDED * u[i].at(p).abs());
-            residual * residual + variance * (1.0 + 2.0 * candidate.derivative[i].at(p).abs()) + (2.0 * residual.abs() + rounded) * rounded / SQUARED
+            residual * residual
+                + variance * (1.0 + 2.0 * params.covariance * candidate.derivative[i].at(p).abs())
+                + (2.0 * residual.abs() + rounded) * rounded / SQUARED
         };
         let terms = |candidate: &Candidate| u[0].like(|p| (0..3).map(|i| terms(candidate, i, p)).sum::<f64>() + VANISHING);
         let terms: Planes = twin.candidates.iter().map(terms).collect();
@@ -149,12 +151,20 @@ impl Comparison<'_> {
         let pass1 = Pass { mean: blended(means), spread };
         let actual = if pass1.spread.is_some() { self.color("pass1") } else { bridge::grids(&self.estimate.color, self.exposure) };
         self.add("pass 1", &actual, &pass1.mean, &largest(means), AVERAGED, 0.0);
-        let errors = [0, 1, 2].map(|k| std::slice::from_ref(&errors[k]));
-        self.add("error", &self.grids(self.estimate.error.as_ref(), self.exposure.powi(2)), &blended(errors), &largest(errors), AVERAGED, 0.0);
         let weight_sums = twin.candidates.each_ref().map(|candidate| std::slice::from_ref(&candidate.weight_sum));
         self.add("Σ w", &bridge::grids(&self.estimate.weight_sum, 1.0), &blended(weight_sums), &largest(weight_sums), 1e-3, 0.0);
 
-        let twin = stein_reference::dfc::Dfc { maps: maps.clone(), error: blended(errors).remove(0), pass1: pass1.clone(), ..twin };
+        // The error is that of the result as it is.
+        let part = |k: usize| sure::Part { share: &maps[k], mean: means[k], derivative: &derivatives[k] };
+        let (mean, spread) = (bridge::grids(&self.estimate.color, self.exposure), self.grids(self.estimate.half_spread.as_ref(), self.exposure));
+        let spread = pass1.spread.is_some().then_some(spread.as_slice());
+        let parts = sure::ErrorParts::measured(spread.is_some(), true);
+        let error = sure::error_blend(&mean, spread, variance, &[0, 1, 2].map(part), parts);
+        let rounded = |p: Point| (0..3).map(|i| (ROUNDED * (mean[i].at(p).abs() + apart(i, p))).powi(2) / AVERAGED).sum::<f64>();
+        let size = [error.like(|p| error.at(p) + rounded(p) + 2.0 * (error.at(p) * rounded(p) / AVERAGED).sqrt() + VANISHING)];
+        self.add("error", &self.grids(self.estimate.error.as_ref(), self.exposure.powi(2)), std::slice::from_ref(&error), &size, AVERAGED, 0.0);
+
+        let twin = stein_reference::dfc::Dfc { maps: maps.clone(), error, pass1: pass1.clone(), ..twin };
         let density = [sampling_density(&input, &twin, &params, bridge::samples(frame, 0.0).mean())];
         if !matches!(frame.samples_per_pixel(), stein::frame::SamplesPerPixel::PerPixel(_)) {
             let size = [density[0].like(|p| density[0].at(p) + density[0].mean() + VANISHING)];

@@ -34,9 +34,8 @@ pub(in crate::method) fn plan(params: &DfcParams, facts: &Facts, wishes: &Wishes
     let smoothing = [ERROR_SMOOTHING, SELECTION_SMOOTHING].iter().map(|filter| filter.window_radius + filter.patch_radius).sum::<u32>();
     let exact = if may_copy { facts.exact_color(params.window_radius + params.second_patch_radius + smoothing) } else { None };
 
-    // With the patches of SECOND it has the derivative of SECOND, below which its own must be.
     let kept = [Intermediate::Candidates, Intermediate::Derivatives, Intermediate::Sure].into_iter().any(|kept| wishes.keeps(kept));
-    let second_beats_first = params.candidates.second && params.first_patch_radius == params.second_patch_radius && !kept;
+    let second_beats_first = params.first_cannot_win() && !kept;
     let mut candidates = 0;
     for (place, (name, takes_part)) in BY_CANDIDATE.into_iter().zip(params.candidates.flags()).enumerate() {
         let unless = [
@@ -51,19 +50,21 @@ pub(in crate::method) fn plan(params: &DfcParams, facts: &Facts, wishes: &Wishes
     let no_guard = impossible(params.guard.is_none(), "there is no guard");
     let judges_frames = plan.step(Step::Frames, "where they harm, frames beside are left out", &[one_frame, no_guard]);
 
-    // Without halves the density is made of what SURE says of the blend.
-    let one = candidates == 1 && !wishes.keeps(Intermediate::Selection) && (facts.has_halves || !wishes.keeps(Intermediate::Density));
-    let unwanted = one && !wishes.error && !wishes.keeps(Intermediate::Sure);
-    let not_differentiated = unwanted && !judges_frames && !wishes.keeps(Intermediate::Derivatives);
-    let because = match unwanted {
-        true if judges_frames => "frames beside are judged by them",
-        true if wishes.keeps(Intermediate::Derivatives) => "they are asked for",
-        _ => "SURE needs them",
-    };
-    plan.step(Step::Derivatives, because, &[needless(not_differentiated, "nothing asks for SURE")]);
+    let one = candidates == 1 && !wishes.keeps(Intermediate::Selection);
+    let unwanted = one && !wishes.keeps(Intermediate::Sure);
+    // Without halves the density is made of it.
+    let needs_error = wishes.error || (!facts.has_halves && wishes.keeps(Intermediate::Density));
+    let reasons = [
+        (!unwanted, "SURE needs them"),
+        (needs_error, "the error is made of them"),
+        (judges_frames, "frames beside are judged by them"),
+        (wishes.keeps(Intermediate::Derivatives), "they are asked for"),
+    ];
+    let because = reasons.iter().find_map(|(holds, because)| holds.then_some(*because));
+    plan.step(Step::Derivatives, because.unwrap_or_default(), &[needless(because.is_none(), "neither SURE nor the error is wanted")]);
     plan.step(Step::HalfSpread, "the halves are filtered along", &[impossible(!facts.has_halves, "there are no halves")]);
     plan.step(Step::Channels, "they differ", &[needless(facts.grey, "all are the same: the work of one stands for all")]);
-    let nothing_to_judge = || [needless(unwanted, "there is one candidate, and its error is not wanted")];
+    let nothing_to_judge = || [needless(unwanted, "there is one candidate")];
     plan.step(Step::Sure, "errors of the candidates", &nothing_to_judge());
     plan.step(Step::SureSmoothing, "the estimates are noisy", &nothing_to_judge());
     plan.but_for(exact.as_ref());
@@ -73,13 +74,14 @@ pub(in crate::method) fn plan(params: &DfcParams, facts: &Facts, wishes: &Wishes
     plan.but_for(exact.as_ref());
     plan.step(Step::Blend, "by shares, under the guard if there is one", &nothing_to_choose());
 
-    plan.step(Step::Density, "it is asked for", &[impossible(!wishes.keeps(Intermediate::Density), "it is not asked for")]);
     let unless = [
         impossible(params.second_pass.is_none(), "the parameters leave it out"),
         impossible(!facts.has_halves, "without halves nothing tells what noise is left"),
     ];
     plan.step(Step::SecondPass, "the halves tell what noise is left", &unless);
     plan.but_for(exact.as_ref().filter(|_| params.second_pass.is_some_and(|pass| pass.most_sigmas.is_some())));
+    plan.step(Step::Error, "what the halves, the candidates and the pixel's own weight show", &[needless(!needs_error, "it is not wanted")]);
+    plan.step(Step::Density, "it is asked for", &[impossible(!wishes.keeps(Intermediate::Density), "it is not asked for")]);
 
     if facts.is_noise_free() && may_copy && wishes.keep.is_empty() && !wishes.everything {
         return plan.leave_all_out("no pixel has noise: the frame is copied");

@@ -1,0 +1,83 @@
+// The squared error of a blend of candidates, summed over the channels: x, at least 0. A sum of three parts, each of which tells what the others cannot:
+//
+//   spread        what the halves differ by: noise that the filter left. It misses what both have in common, as they were filtered by the same weights.
+//   disagreement  how far the candidates that share in the blend lie apart from it: where filters differ, they differ by their bias.
+//   own noise     σ²·dF/du: the noise of the pixel itself that its own weight lets through.
+//
+// SURE adds and subtracts terms many times the size of what is left, and claims a negative error for half of an image; none of these is ever negative. What each counts is
+// measured.
+#import stein::planes::{pixel_index}
+
+struct ErrorBlendParams {
+    extent: vec2<i32>,
+    // What the parts count.
+    spread: f32,
+    disagreement: f32,
+    own_noise: f32,
+    // The plane of the derivatives, where there is one candidate alone.
+    candidate: i32,
+}
+
+@group(0) @binding(0) var<uniform> params: ErrorBlendParams;
+// Two planes: mean, half spread.
+@group(0) @binding(1) var<storage, read> blended: array<vec4<f32>>;
+// Of the input.
+@group(0) @binding(2) var<storage, read> variance_of_mean: array<vec4<f32>>;
+// Three planes, one per candidate: dF_i/du_i per channel.
+@group(0) @binding(3) var<storage, read> derivatives: array<vec4<f32>>;
+#ifdef SHARED
+// x: FIRST, y: SECOND, z: THIRD; they sum to 1.
+@group(0) @binding(4) var<storage, read> shares: array<vec4<f32>>;
+#ifdef FIRST
+@group(0) @binding(5) var<storage, read> first: array<vec4<f32>>;
+#endif
+#ifdef SECOND
+@group(0) @binding(6) var<storage, read> second: array<vec4<f32>>;
+#endif
+#ifdef THIRD
+@group(0) @binding(7) var<storage, read> third: array<vec4<f32>>;
+#endif
+#endif
+@group(0) @binding(8) var<storage, read_write> errors: array<vec4<f32>>;
+
+// Σ_i σ_i²·dF_i/du_i of a candidate. A derivative beyond 0 to 1 is one of the weights, not the share of the pixel's own noise that is left in it.
+fn own_noise(candidate: i32, at: i32) -> f32 {
+    let derivative = derivatives[candidate * params.extent.x * params.extent.y + at].xyz;
+    return dot(variance_of_mean[at].xyz, clamp(derivative, vec3<f32>(0.0), vec3<f32>(1.0)));
+}
+
+fn squared(difference: vec3<f32>) -> f32 {
+    return dot(difference, difference);
+}
+
+// What a candidate adds with its share of the blend.
+fn of_candidate(share: f32, candidate: i32, filtered: vec3<f32>, mean: vec3<f32>, at: i32) -> f32 {
+    // One that has no share may be anything.
+    return select(0.0, share * (params.disagreement * squared(filtered - mean) + params.own_noise * own_noise(candidate, at)), share > 0.0);
+}
+
+@compute @workgroup_size(32, 2, 1)
+fn main(@builtin(global_invocation_id) id: vec3<u32>) {
+    let p = vec2<i32>(id.xy);
+    if any(p >= params.extent) {
+        return;
+    }
+    let at = pixel_index(p, params.extent);
+    var error = params.spread * squared(blended[params.extent.x * params.extent.y + at].xyz);
+#ifdef SHARED
+    let mean = blended[at].xyz;
+    let share = shares[at];
+#ifdef FIRST
+    error += of_candidate(share.x, 0, first[at].xyz, mean, at);
+#endif
+#ifdef SECOND
+    error += of_candidate(share.y, 1, second[at].xyz, mean, at);
+#endif
+#ifdef THIRD
+    error += of_candidate(share.z, 2, third[at].xyz, mean, at);
+#endif
+#else
+    error += params.own_noise * own_noise(params.candidate, at);
+#endif
+    errors[at] = vec4<f32>(error, 0.0, 0.0, 0.0);
+}
