@@ -134,6 +134,11 @@ impl Denoiser {
         self
     }
 
+    /// Its device.
+    pub fn gpu(&self) -> &Gpu {
+        &self.gpu
+    }
+
     /// Its method and parameters.
     pub fn method(&self) -> &Method {
         &self.method

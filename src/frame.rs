@@ -296,8 +296,8 @@ fn check_noise_is_known(color: &Signal, repairs: &mut Repairs) -> Result<()> {
     match color.noise_knowledge() {
         None => Err(Error::Request {
             problem: "nothing is known of the colour's noise: there are neither two halves nor a variance".into(),
-            remedy: "render twice with different seeds and pass both with --half-a and --half-b, their average as the input; or let the renderer write \
-                     the variance of the pixel mean, as layer `variance` or with --variance"
+            remedy: "render twice with different seeds and give both as halves (`BufferSetRequest::half_a`, `BufferSetRequest::half_b`), their average as \
+                     the input; or let the renderer write the variance of the pixel mean, as layer `variance` or for `BufferSetRequest::variance`"
                 .into(),
         }),
         Some(NoiseKnowledge::HalvesOnly) if same_halves => Err(Error::Request {

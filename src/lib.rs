@@ -17,7 +17,8 @@
 //!
 //! | room | holds | knows |
 //! | --- | --- | --- |
-//! | [`buffers`] | OpenEXR files as buffer sets, which layer is what, writing | [`image`] |
+//! | [`aside`] | files on their way to their names | nothing |
+//! | [`buffers`] | OpenEXR files as buffer sets, which layer is what, writing | [`image`], `aside` |
 //! | [`frame`] | a buffer set whose meaning is settled | `buffers` |
 //! | [`gpu`] | device, kernels, recording, pool, timing, compiled pipelines on disk | nothing of denoising |
 //! | [`stage`] | one function per shader, called like its file | `gpu` |
@@ -38,6 +39,7 @@
 //! # Where to start
 //! [`Denoiser`] for frames from files; [`Denoiser::record`] for a renderer that keeps its buffers on the GPU.
 
+pub mod aside;
 pub mod buffers;
 mod denoiser;
 pub mod error;

@@ -5,11 +5,14 @@ mod cli;
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
+    cli::interrupt::listen();
     let mut out = cli::Out::new();
     let result = cli::run(&cli::parse(), &mut out).and_then(|()| out.finish());
     match result {
         Ok(()) => ExitCode::SUCCESS,
         Err(failure) => {
+            // What failed did because of that.
+            cli::interrupt::end_if_asked();
             failure.tell();
             failure.exit_code()
         }

@@ -80,7 +80,7 @@ fn names(folder: &Path) -> Vec<String> {
     names
 }
 
-/// Every channel as it was stored, and the header. Its attributes are written in any order, so that the bytes may differ.
+/// Every channel as it was stored, and the header.
 fn content(file: &Path) -> (Vec<(String, FlatSamples)>, BTreeMap<String, String>) {
     let part = read_all_flat_layers_from_file(file).unwrap().layer_data.remove(0);
     let channels = part.channel_data.list.into_iter().map(|channel| (channel.name.to_string(), channel.sample_data));

@@ -155,7 +155,7 @@ fn a_layer_without_one_usable_pixel_is_an_error_that_names_it() {
     let dead = Signal { mean: flat(f32::NAN, 3), ..color() };
     assert!(failure(dead, vec![]).contains("colour"));
     let message = failure(color(), vec![depth([f32::NAN; 12])]);
-    assert!(message.contains("depth") && message.contains("--skip-feature"), "{message}");
+    assert!(message.contains("depth") && message.contains("`BufferSetRequest::skip_features`"), "{message}");
     let blind = Signal { variance_of_mean: Some(flat(f32::INFINITY, 3)), ..color() };
     assert!(failure(blind, vec![]).contains("variance"));
 }
@@ -169,7 +169,7 @@ fn what_is_known_of_the_noise_decides_what_works() {
     let (variance_only, repairs) = frame(with(false, true), vec![]);
     assert_eq!(variance_only.noise_knowledge(), NoiseKnowledge::VarianceOnly);
     assert!(repairs.to_string().contains("no second pass"));
-    assert!(failure(with(false, false), vec![]).contains("--half-a"));
+    assert!(failure(with(false, false), vec![]).contains("`BufferSetRequest::half_a`"));
     let levels = [with(true, true), with(true, false)].map(|signal| frame(signal, vec![]).0.noise_level());
     assert_eq!(levels[0], levels[1], "0.5² is 0.25");
 }

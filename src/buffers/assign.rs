@@ -109,7 +109,7 @@ pub(super) fn color_layer(file: &ExrFile, wanted: Option<&str>) -> Result<usize>
         .filter(colorful)
         .filter(|&layer| {
             let name = &file.layers[layer].name;
-            names::companion_base(name).is_none() && !names::is_feature_name(name) && names::why_not_a_variance(name).is_none()
+            names::companion_base(name).is_none() && !names::is_bare_half(name) && !names::is_feature_name(name) && names::why_not_a_variance(name).is_none()
         })
         .collect();
     match other.as_slice() {
@@ -118,12 +118,12 @@ pub(super) fn color_layer(file: &ExrFile, wanted: Option<&str>) -> Result<usize>
         [] => Err(Error::File {
             path: file.path.clone(),
             problem: format!("has no colour, that is no channels R, G and B; it holds {}", file.layer_list()),
-            remedy: "name the layer to take: --layer NAME for the input, FILE::NAME for other files".into(),
+            remedy: "name the layer to take (`BufferSetRequest::layer`, `LayerRef::layer`)".into(),
         }),
         _ => Err(Error::File {
             path: file.path.clone(),
             problem: format!("has several layers that could be the colour; it holds {}", file.layer_list()),
-            remedy: "name the layer to take: --layer NAME for the input, FILE::NAME for other files".into(),
+            remedy: "name the layer to take (`BufferSetRequest::layer`, `LayerRef::layer`)".into(),
         }),
     }
 }
@@ -218,7 +218,7 @@ fn check_halves(files: &[ExrFile], source: &SignalSource) -> Result<()> {
         path: file.path.clone(),
         layer: file.layers[present.layer].name.clone(),
         problem: format!("it is one half of the samples, but half {missing} is missing"),
-        remedy: format!("add half {missing} (for the colour: --half-{} FILE::LAYER)", missing.to_lowercase()),
+        remedy: format!("add half {missing} (for the colour: `BufferSetRequest::half_{}`)", missing.to_lowercase()),
     })
 }
 
@@ -344,7 +344,7 @@ fn check_windows(set: &BufferSet) -> Result<()> {
                 path: file.path.clone(),
                 layer: layer.name.clone(),
                 problem: format!("its data window is {found}, but the colour's in {} is {expected}", set.input().display()),
-                remedy: "render both with the same resolution and crop; a feature can also be left out (--skip-feature NAME)".into(),
+                remedy: "render both with the same resolution and crop; a feature can also be left out (`BufferSetRequest::skip_features`)".into(),
             });
         }
     }

@@ -8,7 +8,9 @@
 //! type. Each of these layers can also come from a file of its own: see [`BufferSetRequest`].
 
 mod assign;
+mod decode;
 mod file;
+mod header;
 mod layer_ref;
 pub(crate) mod names;
 mod uses;

@@ -98,6 +98,11 @@ pub(crate) fn companion_base(name: &str) -> Option<(&str, SignalPart)> {
     Some((base, part))
 }
 
+/// Whether a layer is half of whatever the file's colour is.
+pub(crate) fn is_bare_half(name: &str) -> bool {
+    ["halfA", "halfB"].iter().any(|half| last_component(name).eq_ignore_ascii_case(half))
+}
+
 /// Why a layer that speaks of noise is not taken for a variance of the mean. `None` for all others.
 pub(crate) fn why_not_a_variance(name: &str) -> Option<&'static str> {
     let last = last_component(name);
@@ -109,7 +114,7 @@ pub(crate) fn why_not_a_variance(name: &str) -> Option<&'static str> {
     } else if is("RelativeVariance") {
         Some("variance divided by the mean, not the variance of the mean")
     } else if last == "Variance" {
-        Some("taken for pbrt's variance of one sample: divide it by the samples per pixel and pass it with --variance")
+        Some("taken for pbrt's variance of one sample: divide it by the samples per pixel and give it as the variance")
     } else if is("Debug Sample Count") {
         Some("a fraction of the header's sample count, not a count")
     } else {

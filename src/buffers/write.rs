@@ -1,11 +1,16 @@
 //! The denoised picture in the clothes of its input: same header, parts, windows and layers, other pixels.
 
+use std::collections::HashMap;
+use std::io::{BufWriter, Write};
 use std::path::Path;
 
+use exr::meta::attribute::TimeCode;
 use exr::prelude::*;
 
 use super::BufferSet;
 use super::file::{ExrFile, FileLayer};
+use super::header::sort_attributes;
+use crate::aside;
 use crate::error::{Error, Result};
 use crate::image::{Extent, Image};
 
@@ -103,7 +108,9 @@ pub fn write_denoised(set: BufferSet, output: &Path, denoised: &DenoisedLayers<'
     }
     add_attributes(&mut image.layer_data[part].attributes, denoised.attributes)?;
     image.layer_data.retain(|part| !part.channel_data.list.is_empty());
+    writer.settle_attributes(&mut image.attributes.time_code, &mut image.attributes.other);
     for layer in &mut image.layer_data {
+        writer.settle_attributes(&mut None, &mut layer.attributes.other);
         writer.settle_encoding(layer);
     }
     write_then_rename(&image, output)?;
@@ -200,6 +207,17 @@ impl Writer<'_> {
         if value > 0.0 { f16::MAX } else { f16::MIN }
     }
 
+    /// Leaves out time codes that the encoder refuses: those of more than 30 frames in a second, for one.
+    fn settle_attributes(&mut self, time_code: &mut Option<TimeCode>, others: &mut HashMap<Text, AttributeValue>) {
+        let is_writable = |code: &TimeCode| code.pack_time_as_tv60_u32().is_ok();
+        let before = others.len() + usize::from(time_code.is_some());
+        *time_code = time_code.filter(is_writable);
+        others.retain(|_, value| !matches!(value, AttributeValue::TimeCode(code) if !is_writable(code)));
+        if others.len() + usize::from(time_code.is_some()) < before {
+            self.report.notes.push("a time code beyond 29 frames, 59 seconds, 59 minutes or 23 hours cannot be written: it is left out".into());
+        }
+    }
+
     /// Keeps the input's encoding where it can be written.
     fn settle_encoding(&mut self, layer: &mut Layer<AnyChannels<FlatSamples>>) {
         if layer.encoding.blocks == Blocks::ScanLines && layer.encoding.line_order == LineOrder::Unspecified {
@@ -208,6 +226,8 @@ impl Writer<'_> {
         let integers = layer.channel_data.list.iter().any(|channel| matches!(channel.sample_data, FlatSamples::U32(_)));
         let writable = match layer.encoding.compression {
             Compression::HTJ2K32 | Compression::HTJ2K256 => false,
+            // The encoder writes some blocks that do not read back, and panics on narrow images.
+            Compression::B44 | Compression::B44A => false,
             Compression::DWAA(_) | Compression::DWAB(_) => !integers,
             _ => true,
         };
@@ -270,22 +290,26 @@ fn add_attributes(header: &mut LayerAttributes, attributes: &[(String, String)])
 }
 
 fn write_then_rename(image: &FlatImage, output: &Path) -> Result<()> {
-    let failed = |message: String| Error::File {
-        path: output.to_owned(),
-        problem: format!("cannot be written: {message}"),
-        remedy: "check that the folder exists, may be written to and has space left".into(),
-    };
-    let folder = match output.parent() {
-        Some(folder) if !folder.as_os_str().is_empty() => folder,
-        _ => Path::new("."),
-    };
     let mut builder = tempfile::Builder::new();
     builder.prefix(".stein-").suffix(".exr.part");
     // Temporary files are private by default; an output is as readable as the user's other files.
     #[cfg(unix)]
     builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
-    let mut file = builder.tempfile_in(folder).map_err(|error| failed(error.to_string()))?;
-    image.write().to_unbuffered(file.as_file_mut()).map_err(|error| failed(error.to_string()))?;
-    file.persist(output).map_err(|error| failed(error.error.to_string()))?;
-    Ok(())
+    let written = aside::replace(output, &mut builder, |file| {
+        let mut buffered = BufWriter::new(&mut *file);
+        // What is odd about the input's header was no reason to refuse it, and is none here.
+        image.write().skip_compatibility_checks().to_buffered(&mut buffered).map_err(|error| match error {
+            exr::error::Error::Io(error) => error,
+            error => std::io::Error::other(error.to_string()),
+        })?;
+        // The last of it would be lost in silence where the disk is full.
+        buffered.flush()?;
+        drop(buffered);
+        sort_attributes(file)
+    });
+    written.map_err(|error| Error::File {
+        path: output.to_owned(),
+        problem: format!("cannot be written: {error}"),
+        remedy: "check that the folder exists, may be written to and has space left".into(),
+    })
 }

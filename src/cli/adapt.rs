@@ -15,7 +15,7 @@ use super::options::{Device, Filter};
 use super::progress::bar;
 use super::render::Picture;
 use super::sample_map::DEFAULT_CAP;
-use super::{Failure, Out};
+use super::{Failure, Out, interrupt};
 use folder::{Folder, Setup};
 use renderer::{Renderer, Turn};
 use report::{Document, Row};
@@ -186,6 +186,7 @@ impl Job<'_> {
         let bar = bar(!self.args.quiet && !self.args.json && self.args.sampler_command.is_none(), 1000).with_finish(ProgressFinish::AndClear);
         let label = move |iteration: u32| name.map_or_else(|| iteration.to_string(), str::to_owned);
         move |event| {
+            interrupt::check()?;
             let advance = |iteration: u32, share: f32| bar.set_position((1000.0 * (iteration as f32 - 1.0 + share) / iterations as f32) as u64);
             match event {
                 // Nobody knows which takes longer; half of the way each is near enough.

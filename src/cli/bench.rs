@@ -18,6 +18,7 @@ use std::path::PathBuf;
 use std::time::SystemTime;
 
 use clap::Parser;
+use stein::aside::Aside;
 use stein::buffers::{BufferSet, LayerRef};
 use stein::frame::SamplesPerPixel;
 use stein::stage::candidate_set::CandidateSet;
@@ -176,7 +177,7 @@ pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
         gpu: &gpu,
         contestants: &contestants,
         repeats,
-        scratch: tempfile::tempdir().map_err(|error| {
+        scratch: Aside::make(tempfile::tempdir).map_err(|error| {
             Failure::output(format_args!("no folder for temporary files: {error}\n  remedy: let TMPDIR name a folder that may be written to"))
         })?,
         gallery: folder.is_some().then(Gallery::default),
@@ -286,7 +287,7 @@ struct Bench<'a> {
     contestants: &'a [Contestant<'a>],
     repeats: u32,
     /// For the files of other programs.
-    scratch: tempfile::TempDir,
+    scratch: Aside<tempfile::TempDir>,
     /// Where there is to be a page.
     gallery: Option<Gallery>,
     bar: indicatif::ProgressBar,

@@ -9,6 +9,7 @@ mod results;
 mod shot;
 mod writer;
 
+use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Instant;
@@ -22,7 +23,7 @@ use super::explain::Explained;
 use super::inspect::Input;
 use super::options::{Device, Filter, Source};
 use super::report::{self, FrameReport, Report, Run, Settings};
-use super::{Failure, Out, quality};
+use super::{Failure, Out, interrupt, quality};
 use frame_list::FrameList;
 use plan::{Plan, PlannedFrame};
 use progress::{Progress, ProgressKind};
@@ -237,6 +238,7 @@ impl Job<'_> {
     fn denoise_all(&self, to_do: &[&PlannedFrame], frames: &mut Frames, denoiser: &Denoiser, results: &mut Results, out: &mut Out) -> Result<(), Failure> {
         let mut before: Option<Input> = None;
         for planned in to_do {
+            interrupt::check()?;
             results.progress.begin(planned, out);
             let window = self.wait_for(frames, planned, out)?;
             let Some((original, described)) = window[planned.centre].original.take() else {
@@ -308,10 +310,11 @@ impl Job<'_> {
         }
 
         let start = Instant::now();
-        let is_wanted = results.progress.is_wanted();
+        // To tell makes the device wait; but where it is this processor, that costs nothing, and a frame takes long enough to be interrupted.
+        let is_wanted = results.progress.is_wanted() || denoiser.gpu().is_software();
         let mut tell = |share: f32| {
             results.progress.share(share, out);
-            results.collect(out)
+            if interrupt::is_asked() { ControlFlow::Break(()) } else { results.collect(out) }
         };
         let options = Options { keep: &needed, error: !self.args.no_error, progress: if is_wanted { Some(&mut tell) } else { None } };
         let estimate = denoiser.denoise_window(&frames, planned.centre, options)?;

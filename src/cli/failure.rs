@@ -19,17 +19,17 @@ pub(crate) struct Failure {
 impl Failure {
     /// Contradicting or impossible arguments; clap uses the same code.
     pub(crate) fn usage(message: impl Display) -> Self {
-        Self { code: 2, message: message.to_string() }
+        Self { code: 2, message: with_options(message) }
     }
 
     /// An input file or layer cannot be used.
     pub(crate) fn input(message: impl Display) -> Self {
-        Self { code: 3, message: message.to_string() }
+        Self { code: 3, message: with_options(message) }
     }
 
     /// The output cannot be written.
     pub(crate) fn output(message: impl Display) -> Self {
-        Self { code: 5, message: message.to_string() }
+        Self { code: 5, message: with_options(message) }
     }
 
     /// The self test found results that are not what they should be.
@@ -39,7 +39,7 @@ impl Failure {
 
     /// What is none of these.
     pub(crate) fn other(message: impl Display) -> Self {
-        Self { code: 1, message: message.to_string() }
+        Self { code: 1, message: with_options(message) }
     }
 
     /// What the library says about a file without knowing which one it was.
@@ -74,19 +74,24 @@ impl Failure {
 }
 
 /// What the library's remedies name, and what that is on the command line.
-const OPTIONS: [(&str, &str); 7] = [
+const OPTIONS: [(&str, &str); 12] = [
+    ("name the layer to take (`BufferSetRequest::layer`, `LayerRef::layer`)", "name the layer to take: --layer NAME for the input, FILE::NAME for other files"),
+    ("`BufferSetRequest::half_a`", "--half-a"),
+    ("`BufferSetRequest::half_b`", "--half-b"),
+    ("`BufferSetRequest::variance`", "--variance"),
+    ("`BufferSetRequest::skip_features`", "--skip-feature"),
     ("the memory limit (`Denoiser::with_max_memory`)", "--max-memory"),
     ("the memory limit", "--max-memory"),
-    ("a smaller window", "a smaller --radius"),
+    ("a smaller window", "a smaller --radius (dfc, nlm)"),
     ("fewer frames beside", "a smaller --temporal-radius"),
     ("choose another adapter", "choose another adapter with --device"),
     ("`Gpu::adapters`", "`stein devices`"),
     ("`GpuOptions::pipeline_folder`", CACHE_VARIABLE),
 ];
 
-/// A remedy of the library in the words of the command line.
-fn with_options(error: &Error) -> String {
-    let text = error.to_string();
+/// With a remedy of the library in the words of the command line.
+fn with_options(text: impl Display) -> String {
+    let text = text.to_string();
     let Some((problem, remedy)) = text.split_once("remedy: ") else { return text };
     let remedy = OPTIONS.iter().fold(remedy.to_owned(), |remedy, (named, option)| remedy.replace(named, option));
     format!("{problem}remedy: {remedy}")
@@ -99,6 +104,6 @@ impl From<Error> for Failure {
             Error::Device { .. } => 4,
             _ => 1,
         };
-        Self { code, message: with_options(&error) }
+        Self { code, message: with_options(error) }
     }
 }

@@ -8,6 +8,7 @@ use stein::frame::{NoiseKnowledge, Repairs, SamplesPerPixel};
 use stein::image::Window;
 use stein::{Error, Frame};
 
+use super::Failure;
 use super::out::{indent, number, table};
 
 /// An input, for programs and people.
@@ -105,7 +106,7 @@ impl Input {
                     features: frame.features().iter().map(|feature| feature.name.clone()).collect(),
                     repairs,
                 },
-                Err(error) => Outcome::Problem(error.to_string()),
+                Err(error) => Outcome::Problem(Failure::input(error).message().to_owned()),
             },
         }
     }

@@ -8,6 +8,7 @@ mod explain;
 mod failure;
 mod info;
 mod inspect;
+pub(crate) mod interrupt;
 mod options;
 mod out;
 mod output;

@@ -79,7 +79,7 @@ pub(crate) struct Written {
     added_layers: Vec<String>,
     /// Halves that were replaced by those of the denoised colour.
     replaced_layers: Vec<String>,
-    /// The input's variance, and without an error that of an earlier run: they are not those of the denoised colour.
+    /// The input's variance, and what an earlier run added: they are not those of the denoised colour.
     dropped_layers: Vec<String>,
     clamped_values: usize,
     non_finite_values: usize,
@@ -109,21 +109,16 @@ pub(crate) fn write(set: BufferSet, output: &Path, estimate: &Estimate, keep: &[
         }
     }
 
-    let error_name = format!("{PREFIX}.error");
-    // An earlier run's is not that of this colour.
-    let drops_error = estimate.error.is_none() && in_input().any(|other| other.layer == error_name);
-    if drops_error {
-        dropped.push(error_name.clone());
-    }
-    let error = estimate.error.as_ref().map(|image| NamedLayer { name: error_name, channels: vec!["V".into()], image: image.clone() });
+    let error = estimate.error.as_ref().map(|image| NamedLayer { name: format!("{PREFIX}.error"), channels: vec!["V".into()], image: image.clone() });
     let kept = estimate.layers.iter().filter(|layer| keep.contains(&layer.intermediate));
     let named = kept.map(|layer| NamedLayer { name: format!("{PREFIX}.{}", layer.name), channels: layer.channels.clone(), image: layer.image.clone() });
-    // Layers that an earlier run left in the input are brought up to date.
-    let (stale, extra): (Vec<_>, Vec<_>) = error.into_iter().chain(named).partition(|layer| in_input().any(|other| other.layer == layer.name));
-    if drops_error || !stale.is_empty() {
+    let extra: Vec<_> = error.into_iter().chain(named).collect();
+    // An earlier run's are not of this colour.
+    let stale: Vec<_> = in_input().map(|layer| &layer.layer).filter(|layer| layer.strip_prefix(PREFIX).is_some_and(|rest| rest.starts_with('.'))).collect();
+    if !stale.is_empty() {
         notes.push("the input was denoised before".into());
     }
-    replacements.extend(stale.into_iter().map(|layer| (layer.name, layer.image)));
+    dropped.extend(stale.into_iter().cloned());
 
     let parameters = serde_json::to_string(method).map_err(|error| Failure::output(format_args!("{}: {error}", output.display())))?;
     let attributes = [("stein.version".to_owned(), env!("CARGO_PKG_VERSION").to_owned()), ("stein.parameters".to_owned(), parameters)];

@@ -14,7 +14,7 @@ use stein::{Extent, Image};
 use super::options::size;
 use super::out::{seconds, table};
 use super::progress::bar;
-use super::{Failure, Out, output};
+use super::{Failure, Out, interrupt, output};
 
 const EXAMPLE: &str = "\
 The file holds the colour, both halves, the sample variance of the mean, and the same of the features albedo, normal, depth, visibility and caustic.
@@ -138,7 +138,7 @@ pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
     let bar = bar(!args.quiet, 1000);
     let mut progress = |share: f32| {
         bar.set_position((share * 1000.0) as u64);
-        ControlFlow::Continue(())
+        if interrupt::is_asked() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     };
     let samples = sampler.sample(&counts, Some(&mut progress));
     bar.finish_and_clear();

@@ -1,5 +1,6 @@
 //! `stein sample-map`
 
+use std::ops::ControlFlow;
 use std::path::PathBuf;
 
 use serde::Serialize;
@@ -12,7 +13,7 @@ use stein::sampling::{MapFile, SampleCounts, SamplingMap, sampling_density};
 use super::inspect::{Input, settle};
 use super::options::{Device, Filter, Source};
 use super::out::number;
-use super::{Failure, Out, output};
+use super::{Failure, Out, interrupt, output};
 
 const EXAMPLE: &str = "\
 The map has a layer `density.V`, real samples per pixel, a layer `samples.V`, whole and even numbers with the same sum, and, where the input says how many samples its \
@@ -122,7 +123,8 @@ pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
     let frame = frame.map_err(|error| Failure::in_file(input, error))?;
     let gpu = args.device.open()?;
     let denoiser = args.device.denoiser(&gpu, method)?.while_sampling();
-    let estimate = denoiser.denoise_with(&frame, Options { keep: &[Intermediate::Density], error: false, progress: None })?;
+    let mut progress = |_: f32| if interrupt::is_asked() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) };
+    let estimate = denoiser.denoise_with(&frame, Options { keep: &[Intermediate::Density], error: false, progress: Some(&mut progress) })?;
     // Whole pairs, which a small budget has few of.
     let cap = args.cap.unwrap_or_else(|| (budget * f64::from(DEFAULT_CAP)).max(2.0) as u32);
     let density = sampling_density(&estimate, budget, budget * f64::from(DEFAULT_CAP))?;

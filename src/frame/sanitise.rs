@@ -144,7 +144,7 @@ fn repair(name: &str, what: &str, planes: &mut [&mut Vec<f32>], state: &[Pixel],
     if unreached.len() == state.len() {
         return Err(Error::Request {
             problem: format!("layer {name}: not one pixel has a usable {what}"),
-            remedy: "look at the layer in an image viewer; leave it out (--skip-feature) or render it again".into(),
+            remedy: "look at the layer in an image viewer; leave a feature out (`BufferSetRequest::skip_features`) or render it again".into(),
         });
     }
     // Damaged pixels amid misses only: nothing near tells more than the layer's zero.

@@ -94,11 +94,11 @@ impl PipelineCache {
     fn write(&self, data: &[u8], hash: u64) -> std::io::Result<()> {
         let folder = self.file.parent().unwrap_or(Path::new("."));
         std::fs::create_dir_all(folder)?;
-        let mut aside = tempfile::Builder::new().prefix(".stein-").suffix(".part").tempfile_in(folder)?;
-        aside.write_all(MAGIC)?;
-        aside.write_all(&hash.to_le_bytes())?;
-        aside.write_all(data)?;
-        aside.persist(&self.file).map_err(|error| error.error)?;
+        crate::aside::replace(&self.file, tempfile::Builder::new().prefix(".stein-").suffix(".part"), |aside| {
+            aside.write_all(MAGIC)?;
+            aside.write_all(&hash.to_le_bytes())?;
+            aside.write_all(data)
+        })?;
         remove_oldest(folder);
         Ok(())
     }

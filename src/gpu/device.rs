@@ -6,6 +6,7 @@ use std::fmt;
 use std::path::PathBuf;
 use std::str::FromStr;
 use std::sync::{Arc, Mutex};
+use std::time::Duration;
 
 use serde::Serialize;
 
@@ -18,6 +19,9 @@ use crate::error::{Error, Result};
 
 /// The interfaces that are good for compute. OpenGL lists the same hardware a second time, with fewer abilities.
 const BACKENDS: wgpu::Backends = wgpu::Backends::VULKAN.union(wgpu::Backends::METAL).union(wgpu::Backends::DX12);
+
+/// How long a failure may wait for the news that the device is lost.
+const NEWS_PATIENCE: Duration = Duration::from_secs(2);
 
 /// Storage buffers that one kernel may bind: as many as are asked of an adapter that has more.
 const STORAGE_BUFFERS_WANTED: u32 = 16;
@@ -347,18 +351,23 @@ impl Gpu {
     /// Lets the driver's callbacks run.
     pub(super) fn poll(&self, poll: wgpu::PollType) -> Result<()> {
         self.check()?;
+        if let Some(error) = self.poll_for_news(poll) {
+            lock(&self.inner.health.fault).get_or_insert(error.to_string());
+        }
+        self.check()
+    }
+
+    /// Lets the driver's callbacks run; one of them tells that the device is lost.
+    fn poll_for_news(&self, poll: wgpu::PollType) -> Option<wgpu::PollError> {
         // wgpu panics where the driver reports a lost device from inside a poll, the very place where a hang or a reset of the hardware becomes known.
         let device = &self.inner.device;
         match std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| device.poll(poll))) {
-            Ok(Ok(_)) => {}
-            Ok(Err(error)) => {
-                lock(&self.inner.health.fault).get_or_insert(error.to_string());
-            }
+            Ok(polled) => polled.err(),
             Err(panic) => {
                 lock(&self.inner.health.lost).get_or_insert(panic_message(panic.as_ref()));
+                None
             }
         }
-        self.check()
     }
 
     /// Runs `work` and returns what wgpu or the driver reported meanwhile.
@@ -375,13 +384,8 @@ impl Gpu {
 
     /// Fails where the device was lost, or where an error came up that no call could return.
     pub(super) fn check(&self) -> Result<()> {
-        if let Some(reason) = lock(&self.inner.health.lost).as_ref() {
-            return Err(Error::Device {
-                problem: format!("the device was lost: {reason}"),
-                remedy: "run again; if it happens again, update the graphics driver, choose another adapter, or ask for less work at once \
-                         (a smaller window, a cropped image)"
-                    .into(),
-            });
+        if let Some(lost) = self.lost() {
+            return Err(lost);
         }
         match lock(&self.inner.health.fault).take() {
             Some(fault) => Err(self.defect(&fault)),
@@ -389,8 +393,22 @@ impl Gpu {
         }
     }
 
+    fn lost(&self) -> Option<Error> {
+        lock(&self.inner.health.lost).as_ref().map(|reason| Error::Device {
+            problem: format!("the device was lost: {reason}"),
+            remedy: "run again; if it happens again, update the graphics driver, choose another adapter, or ask for less work at once \
+                     (a smaller window, a cropped image)"
+                .into(),
+        })
+    }
+
     /// An error that the driver reported for commands which wgpu had accepted, or the other way round.
     pub(super) fn defect(&self, report: &str) -> Error {
+        // Whatever fails on a device that was just lost fails because of that, and may be the first to tell: the news comes after the work that is left.
+        self.poll_for_news(wgpu::PollType::Wait { submission_index: None, timeout: Some(NEWS_PATIENCE) });
+        if let Some(lost) = self.lost() {
+            return lost;
+        }
         Error::Device {
             problem: format!("the driver of '{}' reported: {}", self.inner.summary.name, report.trim_end()),
             remedy: "update the graphics driver or choose another adapter; if it persists, report it with the output of `stein devices`".into(),

@@ -29,7 +29,7 @@ bindings! {
 /// FIRST, y: SECOND, z: THIRD; 0 for those that take no part. The term of the derivative, 2σ²·dF/du, counts `covariance` times; eq. 8.5 has 1.
 ///
 /// # Errors
-/// Those of recording; [`Error::Shader`](crate::error::Error::Shader) where the candidates come without derivatives.
+/// Those of recording; [`Error::Shader`] where the candidates come without derivatives.
 pub fn error_sure(rec: &mut Recorder, extent: IVec2, signal: &Buffer, variance_of_mean: &Buffer, candidates: &Candidates, covariance: f32) -> Result<Buffer> {
     let errors = rec.take("SURE", plane_bytes(extent, 1))?;
     let [first, second, third] = candidates.buffers();
@@ -82,7 +82,7 @@ pub enum MadeOf<'a> {
 /// The estimated squared error of a blend of candidates, summed over the channels, in the square of the colour's unit; at least 0. Not smoothed. One plane, x.
 ///
 /// # Errors
-/// Those of recording; [`Error::Shader`](crate::error::Error::Shader) where the candidates come without derivatives.
+/// Those of recording; [`Error::Shader`] where the candidates come without derivatives.
 pub fn error_blend(
     rec: &mut Recorder,
     extent: IVec2,

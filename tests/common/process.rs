@@ -81,7 +81,12 @@ impl Folder {
 
     /// Everything in it, hidden files too.
     pub fn names(&self) -> Vec<String> {
-        let entries = std::fs::read_dir(self.0.path()).unwrap();
+        Self::names_in(&self.path(""))
+    }
+
+    /// Everything in another one.
+    pub fn names_in(path: &str) -> Vec<String> {
+        let entries = std::fs::read_dir(path).unwrap();
         let mut names: Vec<_> = entries.map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect();
         names.sort();
         names

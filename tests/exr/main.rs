@@ -1,6 +1,8 @@
 //! OpenEXR files as renderers, crops, broken disks and users leave them.
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 
+mod broken;
+mod draft;
 mod reading;
 mod trouble;
 mod writing;

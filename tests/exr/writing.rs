@@ -6,6 +6,7 @@ use stein::buffers::{DenoisedLayers, NamedLayer, Role, SampleKind, write_denoise
 use stein::error::Error;
 use stein::image::{Extent, Image as Planes, Window};
 
+use super::draft::{CHANNELS, Draft};
 use super::*;
 
 #[test]
@@ -71,7 +72,7 @@ fn a_cropped_render_keeps_both_windows() {
 fn every_writable_compression_is_kept() {
     let folder = folder();
     use Compression::*;
-    for compression in [Uncompressed, RLE, ZIP1, ZIP16, PIZ, PXR24, B44, B44A, DWAA(None), DWAB(Some(30.0))] {
+    for compression in [Uncompressed, RLE, ZIP1, ZIP16, PIZ, PXR24, DWAA(None), DWAB(Some(30.0))] {
         let set = read(&write(folder.path(), "in.exr", vec![Part { compression, ..Part::native() }]));
         let output = folder.path().join("out.exr");
         write_denoised(set.clone(), &output, &replace_color(&rgb(50.0))).unwrap();
@@ -80,6 +81,41 @@ fn every_writable_compression_is_kept() {
         let again = read(&output).color().mean;
         let close = |(a, b): (&f32, &f32)| (a - b).abs() <= 0.02 * b.abs();
         assert!(again.planes.iter().flatten().zip(rgb(50.0).planes.iter().flatten()).all(close), "{compression}");
+    }
+}
+
+#[test]
+fn lines_and_tiles_may_stand_in_any_order() {
+    let folder = folder();
+    for blocks in [Blocks::ScanLines, Blocks::Tiles(Vec2(2, 2))] {
+        for line_order in [LineOrder::Increasing, LineOrder::Decreasing, LineOrder::Unspecified] {
+            let mut image = image_of(vec![Part { compression: Compression::ZIP1, ..Part::native() }], IntegerBounds::from_dimensions(SIZE));
+            image.layer_data[0].encoding.blocks = blocks;
+            image.layer_data[0].encoding.line_order = line_order;
+            let (path, output) = (folder.path().join("in.exr"), folder.path().join("out.exr"));
+            image.write().skip_compatibility_checks().to_file(&path).unwrap();
+            let set = read(&path);
+            assert_eq!(set.color().half_a, Some(rgb(2.0)));
+            write_denoised(set, &output, &replace_color(&rgb(50.0))).unwrap();
+            assert_eq!((read(&output).color().mean, read(&output).color().half_a), (rgb(50.0), Some(rgb(2.0))));
+        }
+    }
+}
+
+#[test]
+fn a_compression_whose_encoder_is_not_sound_becomes_zip() {
+    let folder = folder();
+    let (input, output) = (folder.path().join("in.exr"), folder.path().join("out.exr"));
+    // B44 and B44A, stored as they are because they did not shrink. Its encoder has too little room for an image of one row.
+    for (method, width) in [(6, 4), (7, 3000)] {
+        let values = (0..CHANNELS.len() * width).flat_map(|at| f16::from_f32(if at % 2 == 0 { -6e4 } else { 6e4 }).to_le_bytes());
+        std::fs::write(&input, Draft::compressed(method, values.collect()).window([0, 0, width as i32 - 1, 0]).bytes().0).unwrap();
+        let set = read(&input);
+        let color = set.color().mean;
+        assert_eq!(color.extent, Extent { width: width as u32, height: 1 });
+        let report = write_denoised(set, &output, &replace_color(&color)).unwrap();
+        assert!(report.to_string().contains("ZIP"), "{report}");
+        assert_eq!(read(&output).color().mean, color);
     }
 }
 
@@ -163,6 +199,36 @@ fn a_failed_write_leaves_nothing_behind_and_the_old_file_alone() {
     assert!(write_denoised(set.clone(), &occupied, &replace_color(&color)).is_err());
     assert_eq!(std::fs::read(&input).unwrap(), before);
     assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 2, "a temporary file was left");
+}
+
+#[test]
+fn the_same_image_is_the_same_file() {
+    let folder = folder();
+    let attributes = |part: Part| ["one", "two", "three", "four", "five"].into_iter().fold(part, |part, name| part.attribute(name, AttributeValue::I32(1)));
+    let parts = vec![attributes(Part::named("beauty").with("", "RGB", 1.0)), attributes(Part::named("variance").with("", "RGB", 2.0))];
+    let set = read(&write(folder.path(), "in.exr", parts));
+    let more = ["six", "seven", "eight"].map(|name| (name.to_owned(), name.to_owned()));
+    let (color, output) = (rgb(50.0), folder.path().join("out.exr"));
+    let mut written = Vec::new();
+    for _ in 0..4 {
+        write_denoised(set.clone(), &output, &DenoisedLayers { attributes: &more, ..replace_color(&color) }).unwrap();
+        written.push(std::fs::read(&output).unwrap());
+    }
+    assert!(written.iter().all(|bytes| *bytes == written[0]));
+    assert_eq!(read(&output).text_attribute("seven").as_deref(), Some("seven"));
+}
+
+#[test]
+fn a_time_code_of_60_frames_in_a_second_does_not_cost_the_work() {
+    let folder = folder();
+    let good = Draft::good().and("timeCode", "timecode", vec![0x35, 0x12, 0x34, 0x12, 0, 0, 0, 0]);
+    let input = folder.path().join("in.exr");
+    std::fs::write(&input, good.bytes().0).unwrap();
+    let (set, output) = (read(&input), folder.path().join("out.exr"));
+    let color = Planes::filled(set.extent(), 3, 0.5);
+    let report = write_denoised(set, &output, &replace_color(&color)).unwrap();
+    assert!(report.to_string().contains("time code"), "{report}");
+    assert_eq!(read(&output).color().mean, color);
 }
 
 #[test]

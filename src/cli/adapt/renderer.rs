@@ -12,6 +12,7 @@ use stein::error::{Error, Result};
 use stein::sampling::{Progress, SampleCounts, Sampler, Samples};
 
 use super::super::Failure;
+use super::super::interrupt::Companion;
 use super::super::progress::is_watched;
 
 /// How much of what a command said is kept for an error message.
@@ -72,6 +73,7 @@ impl<'a> Renderer<'a> {
         };
         let child = shell(command).stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn();
         let mut child = child.map_err(|error| failed(format!("cannot be run ({error})"), ""))?;
+        let _ends_with_this = Companion::of(&child);
         let (stdout, stderr) = (child.stdout.take(), child.stderr.take());
         // Both at once: a full pipe would make the command wait.
         let (stdout, stderr) = thread::scope(|scope| {

@@ -27,7 +27,7 @@ pub(super) struct Comparison {
     /// What makes the runs hard to compare.
     notes: Vec<String>,
     rows: Vec<Ratios>,
-    /// Rows whose time or error grew more than allowed, or that have no error any more.
+    /// Rows whose time or error grew more than allowed, or that have no error any more, or are gone though the same was to be measured.
     failed: Vec<String>,
 }
 
@@ -43,6 +43,8 @@ struct Ratios {
     relative_mse: Option<f64>,
     /// The result had errors, and holds values that are not finite now.
     lost_its_errors: bool,
+    /// The result was the reference to the bit, and is not any more.
+    was_exact: bool,
     is_slower: bool,
     is_worse: bool,
 }
@@ -84,11 +86,12 @@ pub(super) fn compare(old: &Document, new: &Document, fail_above: Option<f64>) -
         (size(old, before) == size(new, row)).then_some(before)
     };
     let pairs: Vec<(&Row, &Row)> = new.rows.iter().filter_map(|row| Some((find(row)?, row))).collect();
-    let unmatched = |document: &Document| document.rows.len() - pairs.len();
-    for (count, which) in [(unmatched(new), "old"), (unmatched(old), "new")] {
-        if count > 0 {
-            notes.push(format!("{count} rows have no partner in the {which} run"));
-        }
+    if new.rows.len() > pairs.len() {
+        notes.push(format!("{} rows have no partner in the old run", new.rows.len() - pairs.len()));
+    }
+    let vanished: Vec<&Row> = old.rows.iter().filter(|row| !pairs.iter().any(|(before, _)| std::ptr::eq(*before, *row))).collect();
+    if !vanished.is_empty() {
+        notes.push(format!("{} rows have no partner in the new run", vanished.len()));
     }
     let changed_parameters = |name: &str| {
         let parameters = |document: &Document| {
@@ -103,15 +106,18 @@ pub(super) fn compare(old: &Document, new: &Document, fail_above: Option<f64>) -
         }
     }
     let rows: Vec<Ratios> = pairs.iter().map(|(old, new)| Ratios::new(old, new, fail_above.unwrap_or(MARK_ABOVE))).collect();
-    let beyond = |limit: f64, row: &Ratios| row.lost_its_errors || row.wall > limit || row.relative_mse.is_some_and(|ratio| ratio > limit);
-    let failed = rows.iter().filter(|row| fail_above.is_some_and(|limit| beyond(limit, row)));
-    Comparison {
-        date: old.date.clone(),
-        other_adapter: (old.adapter != new.adapter).then(|| old.adapter.clone()),
-        notes,
-        failed: failed.map(|row| format!("{}, {}{}", row.set, row.configuration, if row.lost_its_errors { ": not finite any more" } else { "" })).collect(),
-        rows,
+    let mut failed = Vec::new();
+    if let Some(limit) = fail_above {
+        let beyond = |row: &&Ratios| row.lost_its_errors || row.was_exact || row.wall > limit || row.relative_mse.is_some_and(|ratio| ratio > limit);
+        failed.extend(rows.iter().filter(beyond).map(|row| {
+            let why = if row.lost_its_errors { ": not finite any more" } else { "" };
+            format!("{}, {}{why}", row.set, row.configuration)
+        }));
+        // Who asks for something else does without them.
+        let are_missed = old.arguments == new.arguments;
+        failed.extend(vanished.iter().filter(|_| are_missed).map(|row| format!("{}, {}: not measured any more", row.set, row.configuration)));
     }
+    Comparison { date: old.date.clone(), other_adapter: (old.adapter != new.adapter).then(|| old.adapter.clone()), notes, failed, rows }
 }
 
 impl Ratios {
@@ -123,6 +129,8 @@ impl Ratios {
         let (wall, relative_mse) = (new.wall_ms / old.wall_ms, ratio(old.relative_mse(), new.relative_mse()));
         // Where there is a reference still.
         let lost_its_errors = old.relative_mse().is_some() && new.errors.is_some() && new.relative_mse().is_none();
+        // No ratio tells of it.
+        let was_exact = old.relative_mse() == Some(0.0) && new.relative_mse().is_some_and(|error| error > 0.0);
         Self {
             set: new.set.clone(),
             configuration: new.configuration.clone(),
@@ -132,8 +140,9 @@ impl Ratios {
             stages: stages.collect(),
             relative_mse,
             lost_its_errors,
+            was_exact,
             is_slower: wall > mark_above,
-            is_worse: lost_its_errors || relative_mse.is_some_and(|ratio| ratio > ERROR_ABOVE),
+            is_worse: lost_its_errors || was_exact || relative_mse.is_some_and(|ratio| ratio > ERROR_ABOVE),
         }
     }
 }
@@ -172,7 +181,7 @@ impl Comparison {
     /// Fails where --fail-above says so.
     pub(super) fn verdict(&self, fail_above: Option<f64>) -> Result<(), Failure> {
         let Some(limit) = fail_above else { return Ok(()) };
-        if self.rows.is_empty() {
+        if self.rows.is_empty() && self.failed.is_empty() {
             return Err(Failure::input("--fail-above: no row is in both runs\n  remedy: measure the same sets and configurations"));
         }
         if self.failed.is_empty() {
@@ -227,9 +236,20 @@ mod tests {
         let compared = |old: Value, new: Value| compare(&document(old), &document(new), Some(1e9));
         let lost = compared(json!(0.5), Value::Null);
         assert!(lost.rows[0].is_worse && !lost.rows[0].is_slower && lost.verdict(Some(1e9)).is_err(), "{lost:?}");
-        for (old, new) in [(json!(0.5), json!(0.5)), (Value::Null, Value::Null), (Value::Null, json!(0.5))] {
+        let inexact = compared(json!(0.0), json!(1e-9));
+        assert!(inexact.rows[0].is_worse && inexact.verdict(Some(1e9)).is_err(), "{inexact:?}");
+        for (old, new) in [(json!(0.5), json!(0.5)), (json!(0.0), json!(0.0)), (Value::Null, Value::Null), (Value::Null, json!(0.5))] {
             let same = compared(old, new);
             assert!(!same.rows[0].is_worse && same.verdict(Some(1e9)).is_ok(), "{same:?}");
         }
+    }
+
+    #[test]
+    fn a_row_that_is_gone_fails_where_the_same_was_to_be_measured() {
+        let (old, mut new) = (document(json!(0.5)), document(json!(0.5)));
+        new.rows.clear();
+        assert!(compare(&old, &new, Some(1e9)).failed[0].contains("not measured any more"));
+        new.arguments = vec!["another.exr".into()];
+        assert!(compare(&old, &new, Some(1e9)).failed.is_empty());
     }
 }

@@ -10,6 +10,7 @@ use stein::buffers::read_reference;
 use stein::{Extent, Image};
 
 use super::super::Failure;
+use super::super::interrupt::Companion;
 use super::results;
 
 /// How much of what a program said is kept for an error message.
@@ -66,7 +67,11 @@ impl External {
         let unusable = |error: std::io::Error| Failure::output(format_args!("{}: {error}\n  remedy: check the folder for temporary files", log.display()));
         let stderr = File::create(&log).map_err(unusable)?;
         let start = Instant::now();
-        let ended = Command::new(&words[0]).args(&words[1..]).stdin(Stdio::null()).stdout(Stdio::null()).stderr(stderr).status();
+        let child = Command::new(&words[0]).args(&words[1..]).stdin(Stdio::null()).stdout(Stdio::null()).stderr(stderr).spawn();
+        let ended = child.and_then(|mut child| {
+            let _ends_with_this = Companion::of(&child);
+            child.wait()
+        });
         let seconds = start.elapsed().as_secs_f64();
         let status = ended.map_err(|error| failed(format!("cannot be run ({error})"), ""))?;
         let said = last_lines(&String::from_utf8_lossy(&std::fs::read(&log).map_err(unusable)?));

@@ -2,6 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
+use stein::aside::Aside;
+
 use super::super::Failure;
 use super::compare;
 
@@ -38,13 +40,13 @@ impl Folder {
     }
 
     /// A new folder beside it, so that renaming is all that is left to do.
-    fn aside(&self) -> std::io::Result<tempfile::TempDir> {
+    fn aside(&self) -> std::io::Result<Aside<tempfile::TempDir>> {
         let mut builder = tempfile::Builder::new();
         builder.prefix(".stein-report-");
         // Temporary folders are private by default; a report is as readable as the user's other files.
         #[cfg(unix)]
         builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o777));
-        builder.tempdir_in(self.path.parent().unwrap_or(Path::new("/")))
+        Aside::make(|| builder.tempdir_in(self.path.parent().unwrap_or(Path::new("/"))))
     }
 
     /// Writes the files, in the order of [`FILES`], and puts them in the place of what was there.
@@ -66,17 +68,19 @@ impl Folder {
             }
             let old = self.aside().map_err(failed)?;
             let old_report = old.path().join("old");
-            std::fs::rename(&self.path, &old_report).map_err(failed)?;
-            if let Err(error) = std::fs::rename(new.path(), &self.path) {
-                std::fs::rename(&old_report, &self.path).map_err(failed)?;
-                return Err(failed(error));
-            }
-        } else {
-            std::fs::rename(new.path(), &self.path).map_err(failed)?;
+            let placed = new.finish(|new| {
+                std::fs::rename(&self.path, &old_report)?;
+                let placed = std::fs::rename(new.path(), &self.path);
+                match &placed {
+                    // It is not temporary any more, and is not there under its first name.
+                    Ok(()) => drop(new.keep()),
+                    Err(_) => std::fs::rename(&old_report, &self.path)?,
+                }
+                placed
+            });
+            return placed.map_err(failed);
         }
-        // It is not temporary any more, and is not there under its first name.
-        let _ = new.keep();
-        Ok(())
+        new.finish(|new| std::fs::rename(new.path(), &self.path).map(|()| drop(new.keep()))).map_err(failed)
     }
 }
 

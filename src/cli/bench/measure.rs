@@ -8,7 +8,7 @@ use indicatif::ProgressBar;
 use stein::gpu::StageTime;
 use stein::{Denoiser, Frame, Gpu, Image, Method, Options, metric};
 
-use super::super::{Failure, quality};
+use super::super::{Failure, interrupt, quality};
 use super::configuration::{Configuration, How};
 use super::external::External;
 use super::results::{Errors, Row, Set, Stage, mark_front};
@@ -88,6 +88,7 @@ pub(super) fn measure(
     let input = std::path::absolute(&case.set.file).map_err(|error| Failure::input(format_args!("{}: {error}", case.set.file.display())))?;
     let mut records = Vec::new();
     for contestant in &contestants {
+        interrupt::check()?;
         records.push(match &contestant.runner {
             Runner::Stein(denoiser) => warm_up(gpu, denoiser, case)?,
             Runner::External(external) => warm_up_external(external, &input, &output, case)?,
@@ -97,6 +98,7 @@ pub(super) fn measure(
     for _ in 0..repeats {
         // In turn, so that a machine that slows down meanwhile slows down for all.
         for (contestant, record) in contestants.iter().zip(&mut records) {
+            interrupt::check()?;
             match &contestant.runner {
                 Runner::Stein(denoiser) => {
                     gpu.set_timing(false);

@@ -1,0 +1,108 @@
+//! Files that appear under their names only when they are complete: written beside their place, and renamed into it.
+//!
+//! What is on its way is known to the process, so that a program that a signal ends can take it away first: see [`abandon`].
+
+use std::collections::BTreeSet;
+use std::fs::File;
+use std::io::{Error, ErrorKind, Result};
+use std::ops::{Deref, DerefMut};
+use std::path::{Path, PathBuf};
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
+use tempfile::{Builder, NamedTempFile};
+
+/// The files and folders of this process that are on their way; `None` once they were abandoned.
+static UNFINISHED: Mutex<Option<BTreeSet<PathBuf>>> = Mutex::new(Some(BTreeSet::new()));
+
+fn unfinished() -> MutexGuard<'static, Option<BTreeSet<PathBuf>>> {
+    UNFINISHED.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// Removes everything that is on its way to its place; from now on nothing sets out or arrives. For a program that ends at once, without going back through what it was doing: on
+/// a second Ctrl-C. What has arrived stays, and nothing is ever seen half.
+pub fn abandon() {
+    for path in unfinished().take().into_iter().flatten() {
+        // Nobody is left to be told.
+        let _ = if path.is_dir() { std::fs::remove_dir_all(&path) } else { std::fs::remove_file(&path) };
+    }
+}
+
+/// A temporary file or folder that [`abandon`] removes, as dropping it does.
+pub struct Aside<T: AsRef<Path>> {
+    /// `None` once it has arrived.
+    made: Option<T>,
+    path: PathBuf,
+}
+
+impl<T: AsRef<Path>> Aside<T> {
+    /// Has one made.
+    ///
+    /// # Errors
+    /// What `make` fails with, and [`ErrorKind::Interrupted`] once everything was abandoned.
+    pub fn make(make: impl FnOnce() -> Result<T>) -> Result<Self> {
+        let mut unfinished = unfinished();
+        let paths = unfinished.as_mut().ok_or_else(abandoned)?;
+        let made = make()?;
+        let path = std::path::absolute(made.as_ref())?;
+        paths.insert(path.clone());
+        Ok(Self { made: Some(made), path })
+    }
+
+    /// Lets `place` put it where it belongs. It is not abandoned meanwhile.
+    ///
+    /// # Errors
+    /// What `place` fails with, and [`ErrorKind::Interrupted`] once everything was abandoned.
+    pub fn finish<R>(mut self, place: impl FnOnce(T) -> Result<R>) -> Result<R> {
+        let unfinished = unfinished();
+        if unfinished.is_none() {
+            return Err(abandoned());
+        }
+        let placed = self.made.take().map_or_else(|| Err(abandoned()), place);
+        drop(unfinished);
+        placed
+    }
+}
+
+fn abandoned() -> Error {
+    Error::new(ErrorKind::Interrupted, "the process is ending")
+}
+
+impl<T: AsRef<Path>> Deref for Aside<T> {
+    type Target = T;
+
+    fn deref(&self) -> &T {
+        self.made.as_ref().unwrap_or_else(|| unreachable!("it is there until it is finished, which uses it up"))
+    }
+}
+
+impl<T: AsRef<Path>> DerefMut for Aside<T> {
+    fn deref_mut(&mut self) -> &mut T {
+        self.made.as_mut().unwrap_or_else(|| unreachable!("it is there until it is finished, which uses it up"))
+    }
+}
+
+impl<T: AsRef<Path>> Drop for Aside<T> {
+    fn drop(&mut self) {
+        drop(self.made.take());
+        if let Some(paths) = unfinished().as_mut() {
+            paths.remove(&self.path);
+        }
+    }
+}
+
+/// Writes a file aside, has the system keep it, and renames it to `output`, where another may be replaced. Where anything fails, what was there stays and nothing else is left.
+pub(crate) fn replace(output: &Path, builder: &mut Builder<'_, '_>, write: impl FnOnce(&mut File) -> Result<()>) -> Result<()> {
+    let folder = match output.parent() {
+        Some(folder) if !folder.as_os_str().is_empty() => folder,
+        _ => Path::new("."),
+    };
+    let mut aside: Aside<NamedTempFile> = Aside::make(|| builder.tempfile_in(folder))?;
+    write(aside.as_file_mut())?;
+    // A disk far away tells only now that it is full; and a name must not outlive a power failure that its content did not.
+    match aside.as_file().sync_all() {
+        // Some file systems have no such thing.
+        Err(error) if matches!(error.kind(), ErrorKind::Unsupported | ErrorKind::InvalidInput) => {}
+        synced => synced?,
+    }
+    aside.finish(|aside| aside.persist(output).map(drop).map_err(|error| error.error))
+}

@@ -1,0 +1,310 @@
+//! The head of an OpenEXR file, attribute by attribute, before a decoder believes it.
+//!
+//! The decoder takes sizes for granted, repairs what it should refuse (a window whose right edge lies left of its left one) and tells little of where a file ends. So the head
+//! is walked here first: nothing is allocated for what it claims, only for what is there.
+
+use std::io::{BufRead, BufReader, Read, Seek, SeekFrom, Write};
+use std::ops::Range;
+
+/// Why a file cannot be read, and what to do about it.
+#[derive(Debug)]
+pub(super) struct Trouble {
+    pub(super) problem: String,
+    pub(super) remedy: &'static str,
+}
+
+impl Trouble {
+    pub(super) fn new(problem: impl Into<String>, remedy: &'static str) -> Self {
+        Self { problem: problem.into(), remedy }
+    }
+
+    pub(super) fn damaged(problem: impl std::fmt::Display) -> Self {
+        Self::new(format!("is damaged or incomplete: {problem}"), "render or copy it again; check whether the disk was full or the writer was interrupted")
+    }
+
+    pub(super) fn unsupported(problem: impl std::fmt::Display) -> Self {
+        Self::new(format!("uses a part of OpenEXR that cannot be read here: {problem}"), "write it as a flat scan line image with ZIP compression")
+    }
+
+    pub(super) fn subsampled() -> Self {
+        Self::new(
+            "has subsampled channels, probably luminance and chroma (Y, RY, BY), which cannot be read here",
+            "write R, G and B at full resolution, or convert the file",
+        )
+    }
+
+    pub(super) fn deep() -> Self {
+        Self::new(
+            "holds deep data, that is many samples per pixel at different depths, which cannot be denoised here",
+            "flatten it first, or let the renderer write a flat image as well",
+        )
+    }
+
+    fn compressed(method: impl std::fmt::Display) -> Self {
+        Self::new(
+            format!("is compressed with a method that cannot be read here: {method}"),
+            "write it with ZIP, PIZ or DWAA compression, or convert it, for example with `exrmetrics --convert -z zip in.exr -o out.exr`",
+        )
+    }
+}
+
+impl From<std::io::Error> for Trouble {
+    fn from(error: std::io::Error) -> Self {
+        match error.kind() {
+            std::io::ErrorKind::UnexpectedEof => Self::damaged("it ends too early"),
+            _ => Self::new(format!("cannot be read: {error}"), "check the path, its permissions and the disk"),
+        }
+    }
+}
+
+/// One side of more pixels fits no film and no buffer.
+pub(super) const MOST_PIXELS_PER_SIDE: usize = 1 << 20;
+
+/// Renderers write hundreds of channels; the names of all are compared with each other.
+const MOST_CHANNELS: usize = 4096;
+
+/// Far more than any file has, and little enough to be kept.
+const MOST_ATTRIBUTES: usize = 1 << 16;
+
+/// The longest name of an attribute, a type or a channel.
+const LONGEST_NAME: u64 = 255;
+
+/// Attributes with a meaning for the decoder are smaller, but for the list of channels.
+const LONGEST_VALUE: u64 = MOST_CHANNELS as u64 * (LONGEST_NAME + 17);
+
+/// Where an attribute stands in its file.
+#[derive(Clone, Debug)]
+pub(super) struct Attribute {
+    name: Vec<u8>,
+    kind: Vec<u8>,
+    /// All of it, from its name on.
+    whole: Range<u64>,
+    value: Range<u64>,
+}
+
+/// The head of a file.
+#[derive(Debug)]
+pub(super) struct Head {
+    /// The attributes of each part, in the file's order.
+    pub(super) parts: Vec<Vec<Attribute>>,
+    /// Where the offset tables begin.
+    pub(super) end: u64,
+}
+
+impl Head {
+    /// Walks from one attribute to the next. `file_bytes`: where the file ends.
+    pub(super) fn read(file: &mut (impl BufRead + Seek), file_bytes: u64) -> Result<Self, Trouble> {
+        let mut start = Vec::new();
+        file.by_ref().take(8).read_to_end(&mut start)?;
+        if start.is_empty() {
+            return Err(Trouble::new("is empty", "render or copy it again: the writer was probably interrupted"));
+        }
+        if !start.starts_with(&[0x76, 0x2f, 0x31, 0x01]) {
+            return Err(Trouble::new("is not an OpenEXR file", "give an .exr file, or convert the image to OpenEXR first"));
+        }
+        let Ok(start) = <[u8; 8]>::try_from(start) else { return Err(Trouble::damaged("it ends in its first eight bytes")) };
+        let [.., version, flags, flags_above, flags_unused] = start;
+        if version != 2 {
+            return Err(Trouble::unsupported(format_args!("version {version} of the format")));
+        }
+        if flags & 0x08 != 0 {
+            return Err(Trouble::deep());
+        }
+        if flags & 0xe1 != 0 || flags_above != 0 || flags_unused != 0 {
+            return Err(Trouble::unsupported("flags that are not of version 2 of the format"));
+        }
+        let mut walk = Walk { file, at: 8, end: file_bytes, attributes: 0 };
+        let mut parts = Vec::new();
+        let many_parts = flags & 0x10 != 0;
+        loop {
+            let attributes = walk.part()?;
+            // A part without attributes ends the list.
+            if many_parts && attributes.is_empty() {
+                break;
+            }
+            parts.push(attributes);
+            if !many_parts {
+                break;
+            }
+        }
+        if parts.is_empty() {
+            return Err(Trouble::damaged("it has no parts"));
+        }
+        let end = walk.at;
+        Ok(Self { parts, end })
+    }
+
+    /// Refuses what the decoder would misread, or stumble over.
+    pub(super) fn check(&self, file: &mut (impl BufRead + Seek)) -> Result<(), Trouble> {
+        let mut channels = 0;
+        for part in &self.parts {
+            for (index, attribute) in part.iter().enumerate() {
+                let names = |name: &[u8], kind: &[u8]| attribute.name == name && attribute.kind == kind;
+                let is_window = names(b"dataWindow", b"box2i") || names(b"displayWindow", b"box2i");
+                let is_channels = names(b"channels", b"chlist");
+                let (is_compression, is_type) = (names(b"compression", b"compression"), names(b"type", b"string"));
+                if !(is_window || is_channels || is_compression || is_type) {
+                    continue;
+                }
+                let name = String::from_utf8_lossy(&attribute.name);
+                if part[..index].iter().any(|before| before.name == attribute.name) {
+                    return Err(Trouble::damaged(format_args!("its header gives '{name}' twice")));
+                }
+                let value = attribute.value(file)?;
+                if is_window {
+                    check_window(&name, &value)?;
+                } else if is_channels {
+                    channels += check_channels(&value)?;
+                } else if is_compression {
+                    check_compression(&value)?;
+                } else if value.starts_with(b"deep") {
+                    return Err(Trouble::deep());
+                }
+            }
+        }
+        if channels > MOST_CHANNELS {
+            return Err(Trouble::unsupported(format_args!("it has {channels} channels, more than {MOST_CHANNELS}")));
+        }
+        Ok(())
+    }
+}
+
+/// Puts the attributes of a file that was just written in the order of their names: the encoder leaves it to chance, and the same image is to be the same file.
+pub(super) fn sort_attributes(file: &mut (impl Read + Write + Seek)) -> std::io::Result<()> {
+    let bytes = file.seek(SeekFrom::End(0))?;
+    file.rewind()?;
+    let head = Head::read(&mut BufReader::new(&mut *file), bytes).map_err(|trouble| std::io::Error::other(trouble.problem))?;
+    for mut part in head.parts {
+        let Some(start) = part.first().map(|attribute| attribute.whole.start) else { continue };
+        part.sort_by(|a, b| a.name.cmp(&b.name));
+        let mut sorted = Vec::new();
+        for attribute in part {
+            file.seek(SeekFrom::Start(attribute.whole.start))?;
+            file.take(attribute.whole.end - attribute.whole.start).read_to_end(&mut sorted)?;
+        }
+        file.seek(SeekFrom::Start(start))?;
+        file.write_all(&sorted)?;
+    }
+    Ok(())
+}
+
+impl Attribute {
+    fn value(&self, file: &mut (impl BufRead + Seek)) -> Result<Vec<u8>, Trouble> {
+        let bytes = self.value.end - self.value.start;
+        if bytes > LONGEST_VALUE {
+            return Err(Trouble::damaged(format_args!("'{}' in its header takes {bytes} bytes", String::from_utf8_lossy(&self.name))));
+        }
+        file.seek(SeekFrom::Start(self.value.start))?;
+        let mut value = vec![0; bytes as usize];
+        file.read_exact(&mut value)?;
+        Ok(value)
+    }
+}
+
+struct Walk<'a, F> {
+    file: &'a mut F,
+    at: u64,
+    end: u64,
+    attributes: usize,
+}
+
+impl<F: BufRead + Seek> Walk<'_, F> {
+    /// The attributes up to the empty name that ends them.
+    fn part(&mut self) -> Result<Vec<Attribute>, Trouble> {
+        let mut attributes = Vec::new();
+        loop {
+            let start = self.at;
+            let name = self.name()?;
+            if name.is_empty() {
+                return Ok(attributes);
+            }
+            self.attributes += 1;
+            if self.attributes > MOST_ATTRIBUTES {
+                return Err(Trouble::damaged(format_args!("its header has more than {MOST_ATTRIBUTES} attributes")));
+            }
+            let kind = self.name()?;
+            let mut size = [0; 4];
+            self.file.read_exact(&mut size).map_err(|error| self.ended(error))?;
+            self.at += 4;
+            let shown = String::from_utf8_lossy(&name);
+            let Ok(size) = u64::try_from(i32::from_le_bytes(size)) else {
+                return Err(Trouble::damaged(format_args!("'{shown}' in its header has a negative size")));
+            };
+            let value = self.at..self.at + size;
+            if value.end > self.end {
+                return Err(Trouble::damaged(format_args!("it ends in its header, in '{shown}', which takes {size} bytes")));
+            }
+            // Small steps stay within what is buffered.
+            self.file.seek_relative(size as i64)?;
+            self.at = value.end;
+            attributes.push(Attribute { name, kind, whole: start..self.at, value });
+        }
+    }
+
+    fn name(&mut self) -> Result<Vec<u8>, Trouble> {
+        let mut name = Vec::new();
+        self.file.by_ref().take(LONGEST_NAME + 1).read_until(0, &mut name)?;
+        self.at += name.len() as u64;
+        match name.pop() {
+            Some(0) => Ok(name),
+            Some(_) if name.len() as u64 == LONGEST_NAME => Err(Trouble::damaged("its header has a name that does not end")),
+            _ => Err(self.ended(std::io::ErrorKind::UnexpectedEof.into())),
+        }
+    }
+
+    fn ended(&self, error: std::io::Error) -> Trouble {
+        match error.kind() {
+            std::io::ErrorKind::UnexpectedEof => Trouble::damaged("it ends in its header"),
+            _ => error.into(),
+        }
+    }
+}
+
+/// Both corners belong to the window, so that none of no pixels can be stored.
+fn check_window(name: &str, value: &[u8]) -> Result<(), Trouble> {
+    let (corners, []) = value.as_chunks::<4>() else { return Err(Trouble::damaged(format_args!("'{name}' is no window"))) };
+    let corners: Vec<i64> = corners.iter().map(|corner| i32::from_le_bytes(*corner).into()).collect();
+    let &[left, top, right, bottom] = corners.as_slice() else { return Err(Trouble::damaged(format_args!("'{name}' is no window"))) };
+    let (width, height) = (right - left + 1, bottom - top + 1);
+    if width < 1 || height < 1 {
+        return Err(Trouble::damaged(format_args!("'{name}' goes from ({left}, {top}) to ({right}, {bottom}), which is no pixel")));
+    }
+    let most = MOST_PIXELS_PER_SIDE as i64;
+    if name == "dataWindow" && (width > most || height > most) {
+        return Err(Trouble::damaged(format_args!("its header claims {width}×{height} pixels")));
+    }
+    Ok(())
+}
+
+/// The number of channels: each is a name, a type, four bytes, and the steps in x and y at which there are samples.
+fn check_channels(value: &[u8]) -> Result<usize, Trouble> {
+    let mut rest = value;
+    let mut names: Vec<&[u8]> = Vec::new();
+    while let Some(end) = rest.iter().position(|byte| *byte == 0) {
+        if end == 0 {
+            return Ok(names.len());
+        }
+        let name = &rest[..end];
+        // They are sorted: the decoder sees to it.
+        if names.last() == Some(&name) {
+            return Err(Trouble::damaged(format_args!("its list of channels has '{}' twice", String::from_utf8_lossy(name))));
+        }
+        names.push(name);
+        let Some((fields, behind)) = rest[end + 1..].split_first_chunk::<16>() else { break };
+        if fields[8..] != [1, 0, 0, 0, 1, 0, 0, 0] {
+            return Err(Trouble::subsampled());
+        }
+        rest = behind;
+    }
+    Err(Trouble::damaged("its list of channels does not end"))
+}
+
+fn check_compression(value: &[u8]) -> Result<(), Trouble> {
+    match value {
+        [0..=9] => Ok(()),
+        [10 | 11] => Err(Trouble::compressed("HTJ2K (high-throughput JPEG 2000)")),
+        [12] => Err(Trouble::compressed("ZSTD")),
+        [other] => Err(Trouble::compressed(format_args!("unknown (number {other})"))),
+        _ => Err(Trouble::damaged("its compression is no number")),
+    }
+}

@@ -1,0 +1,143 @@
+//! Ctrl-C and its like: the work ends where it stands, and nothing half done is left.
+//!
+//! The first signal asks: what runs looks at [`check`] between its steps and ends as on any failure. Where it has not ended soon after (a step is long, a file is large, a renderer
+//! does not listen), or at a second signal, unfinished files are removed and the process ends then and there. Either way it ends by that signal, as whoever started it expects: a
+//! shell tells 130, 143 or 129, and ends the loop that it was in.
+
+use std::process::Child;
+use std::sync::atomic::{AtomicI32, AtomicU32, Ordering};
+use std::time::Duration;
+
+use super::Failure;
+
+/// The signal that came first; 0: none has.
+static SIGNAL: AtomicI32 = AtomicI32::new(0);
+
+/// The program that is run, by its number; 0: none is. There is one at a time.
+static CHILD: AtomicU32 = AtomicU32::new(0);
+
+/// How long the work may take to end by itself.
+const PATIENCE: Duration = Duration::from_millis(1500);
+
+/// Whether the work is to end.
+pub(crate) fn is_asked() -> bool {
+    SIGNAL.load(Ordering::Relaxed) != 0
+}
+
+/// Fails where the work is to end.
+pub(crate) fn check() -> Result<(), Failure> {
+    if is_asked() { Err(Failure::other("interrupted")) } else { Ok(()) }
+}
+
+/// A program that ends with this one, until it is dropped.
+pub(crate) struct Companion;
+
+impl Companion {
+    pub(crate) fn of(child: &Child) -> Self {
+        CHILD.store(child.id(), Ordering::Relaxed);
+        Self
+    }
+}
+
+impl Drop for Companion {
+    fn drop(&mut self) {
+        CHILD.store(0, Ordering::Relaxed);
+    }
+}
+
+/// Ends the process the way it was asked to, where it was.
+pub(crate) fn end_if_asked() {
+    if is_asked() {
+        end(SIGNAL.load(Ordering::Relaxed));
+    }
+}
+
+/// Takes note of a signal. A first one is given time.
+fn take(signal: i32) {
+    if SIGNAL.compare_exchange(0, signal, Ordering::Relaxed, Ordering::Relaxed).is_err() {
+        end(signal);
+    }
+    #[cfg(unix)]
+    system::pass_on(signal);
+    let in_time = std::thread::Builder::new().name("patience".into()).spawn(move || {
+        std::thread::sleep(PATIENCE);
+        end(signal);
+    });
+    if in_time.is_err() {
+        end(signal);
+    }
+}
+
+#[cfg(unix)]
+mod system {
+    use std::sync::Arc;
+    use std::sync::atomic::{AtomicBool, Ordering};
+
+    use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM, SIGXFSZ};
+    use signal_hook::iterator::Signals;
+
+    /// Listens, from now on. What whoever started the process had it ignore stays ignored: `nohup`.
+    pub(crate) fn listen() {
+        // A limit to the size of files is told like a full disk, by the write that meets it.
+        let _ = signal_hook::flag::register(SIGXFSZ, Arc::new(AtomicBool::new(false)));
+        let Ok(mut signals) = Signals::new([SIGHUP, SIGINT, SIGTERM].into_iter().filter(|signal| !is_ignored(*signal))) else { return };
+        // Without the thread the system's own way stays: the process ends at once.
+        let _ = std::thread::Builder::new().name("signals".into()).spawn(move || signals.forever().for_each(super::take));
+    }
+
+    #[expect(unsafe_code, reason = "there is no other way to ask")]
+    fn is_ignored(signal: i32) -> bool {
+        // SAFETY: without a new action, nothing is changed; the old one is plain data that the call fills.
+        unsafe {
+            let mut action: libc::sigaction = std::mem::zeroed();
+            libc::sigaction(signal, std::ptr::null(), &mut action) == 0 && action.sa_sigaction == libc::SIG_IGN
+        }
+    }
+
+    /// To the program that is run; of Ctrl-C the terminal tells all its programs by itself.
+    pub(super) fn pass_on(signal: i32) {
+        if signal != SIGINT {
+            terminate_child();
+        }
+    }
+
+    pub(super) fn end(signal: i32) -> ! {
+        stein::aside::abandon();
+        terminate_child();
+        // Without the drivers' farewells, which do not expect to be called while others of their threads work.
+        let _ = signal_hook::low_level::emulate_default_handler(signal);
+        signal_hook::low_level::exit(128 + signal)
+    }
+
+    #[expect(unsafe_code, reason = "the standard library kills, but does not ask to end")]
+    fn terminate_child() {
+        let child = super::CHILD.load(Ordering::Relaxed);
+        if child != 0 {
+            // SAFETY: a call without pointers.
+            unsafe {
+                libc::kill(child as libc::pid_t, libc::SIGTERM);
+            }
+        }
+    }
+}
+
+#[cfg(windows)]
+mod system {
+    /// As on Unix, where this is the signal of Ctrl-C.
+    const INTERRUPT: i32 = 2;
+
+    /// Listens, from now on.
+    pub(crate) fn listen() {
+        // Without a handler the system's own way stays: the process ends at once.
+        let _ = ctrlc::set_handler(|| super::take(INTERRUPT));
+    }
+
+    /// Programs that were started share the console, and are told by it.
+    pub(super) fn end(signal: i32) -> ! {
+        stein::aside::abandon();
+        std::process::exit(128 + signal)
+    }
+}
+
+use system::end;
+pub(crate) use system::listen;
