@@ -25,9 +25,9 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
         return;
     }
     let at = pixel_index(p, params.extent);
-    // ρ = 1 − 1/n makes up for the variances that few samples estimate too low. A count of 0 is one that nobody knows.
+    // ρ = 1 − 1/n makes up for the variances that few samples estimate too low; one sample has none, and is no reason to blur. A count of 0 is one that nobody knows.
     let count = coarse[at].w;
-    let rho = select(1.0, max(1.0 - 1.0 / max(count, 1e-3), 0.0), count > 0.0);
+    let rho = select(1.0, 1.0 - 1.0 / max(count, 2.0), count > 0.0);
     let change = coarse[at].xyz - fine[at].xyz;
     let bias = rho * params.bias_weight * params.bias_factor * dot(change, change);
     let selector = bias + dot(vec3<f32>(1.0), coarse_variance[at].xyz - fine_variance[at].xyz);

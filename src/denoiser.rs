@@ -289,8 +289,10 @@ fn exposure(frame: &Frame) -> f32 {
     let middle = brightness.len() / 2;
     let median = *brightness.select_nth_unstable_by(middle, f32::total_cmp).1;
     // Of a scaled value the square must stay finite.
-    let deviations = frame.color().variance_of_mean.iter().flat_map(|variance| &variance.planes).flatten().map(|variance| variance.sqrt());
-    let most = brightness.iter().copied().chain(deviations).fold(0.0, f32::max);
+    let color = frame.color();
+    let deviations = color.variance_of_mean.iter().flat_map(|variance| &variance.planes).flatten().map(|variance| variance.sqrt());
+    let spreads = color.half_spread.iter().flat_map(|spread| &spread.planes).flatten().map(|spread| spread.abs());
+    let most = brightness.iter().copied().chain(deviations).chain(spreads).fold(0.0, f32::max);
     let headroom = (LARGEST_SCALED / most).log2().floor();
     (-median.log2().floor()).clamp(-60.0, 60.0).min(headroom).exp2()
 }

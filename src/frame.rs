@@ -115,17 +115,26 @@ pub struct Frame {
 impl Frame {
     /// Settles the meaning of what the files said. The halves are taken to have equal numbers of samples, since no file says otherwise.
     ///
+    /// Halves of which one is 0 everywhere, and the other is not, are left out.
+    ///
     /// # Errors
     /// As [`Frame::new`].
     pub fn from_buffer_set(set: &BufferSet) -> Result<(Self, Repairs)> {
         let mut notes = Vec::new();
         let raw = set.color();
-        if let Some(note) = mean_beside_halves(&raw) {
-            notes.push(note);
+        match empty_half(&raw) {
+            Some(half) if raw.variance_of_mean.is_none() => {
+                return Err(Error::Request {
+                    problem: format!("half {half} of the colour is empty, and there is no variance: nothing is known of the colour's noise"),
+                    remedy: "render both halves with the same number of samples".into(),
+                });
+            }
+            Some(_) => {}
+            None => notes.extend(mean_beside_halves(&raw)),
         }
-        let color = signal(raw);
+        let color = signal("colour", raw, &mut notes);
         // Feature by feature, so that no more than one is in memory both raw and settled.
-        let features = set.features().map(|(name, raw)| (name.to_owned(), signal(raw))).collect();
+        let features = set.features().map(|(name, raw)| (name.to_owned(), signal(name, raw, &mut notes))).collect();
         let (frame, mut repairs) = Self::new(color, features, set.samples_per_pixel())?;
         repairs.notes.splice(0..0, notes);
         Ok((frame, repairs))
@@ -225,9 +234,25 @@ impl Frame {
     }
 }
 
-fn signal(raw: RawSignal) -> Signal {
-    let half_spread = raw.half_a.as_ref().zip(raw.half_b.as_ref()).map(|(a, b)| half_spread(a, b, 1.0, 1.0));
+/// Halves of which one is empty say nothing.
+fn signal(name: &str, raw: RawSignal, notes: &mut Vec<String>) -> Signal {
+    let empty = empty_half(&raw);
+    if let Some(half) = empty {
+        notes.push(format!("{name}: half {half} is empty, so that the halves are not used"));
+    }
+    let halves = raw.half_a.as_ref().zip(raw.half_b.as_ref()).filter(|_| empty.is_none());
+    let half_spread = halves.map(|(a, b)| half_spread(a, b, 1.0, 1.0));
     Signal { mean: raw.mean, half_spread, variance_of_mean: raw.variance_of_mean }
+}
+
+/// The half that no sample fell into, as of a render with one sample per pixel: 0 everywhere, unlike the other.
+fn empty_half(raw: &RawSignal) -> Option<&'static str> {
+    let is_empty = |image: &Image| image.planes.iter().flatten().all(|value| *value == 0.0);
+    match raw.half_a.as_ref().zip(raw.half_b.as_ref()).map(|(a, b)| (is_empty(a), is_empty(b)))? {
+        (true, false) => Some("A"),
+        (false, true) => Some("B"),
+        _ => None,
+    }
 }
 
 /// Says so when the halves are not halves of the mean, as when a render with one seed is given beside two renders with other seeds.

@@ -3,7 +3,7 @@
 
 use std::path::{Path, PathBuf};
 
-use stein::buffers::{BufferSet, BufferSetRequest, read_reference};
+use stein::buffers::{BufferSet, BufferSetRequest, NamedLayer, read_reference, write_layers};
 use stein::frame::{Frame, NoiseKnowledge, Repairs, SamplesPerPixel, Signal, half_spread};
 use stein::image::{Extent, Image};
 use stein::metric;
@@ -179,6 +179,37 @@ fn identical_halves_are_not_taken_for_a_noise_free_image() {
     let same = Signal { half_spread: Some(flat(0.0, 3)), variance_of_mean: None, ..color() };
     let message = failure(same, vec![]);
     assert!(message.contains("identical") && message.contains("seeds"), "{message}");
+}
+
+/// As of a render with one sample per pixel.
+#[test]
+fn an_empty_half_is_not_taken_for_noise() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("render.exr");
+    let rgb = || ["R", "G", "B"].map(str::to_owned).to_vec();
+    let layer = |name: &str, image: Image| NamedLayer { name: name.into(), channels: rgb(), image };
+    let half = |name: &str, value: f32| layer(name, flat(value, 3));
+    let layers = [layer("", color().mean), half("halfA", 3.0), half("halfB", 0.0), half("variance", 0.25), layer("albedo", color().mean)];
+    let settled = |layers: &[NamedLayer]| {
+        write_layers(&path, layers, &[]).unwrap();
+        Frame::from_buffer_set(&BufferSet::read(&BufferSetRequest { input: path.clone(), ..Default::default() }).unwrap())
+    };
+    let (frame, repairs) = settled(&layers).unwrap();
+    assert_eq!(frame.noise_knowledge(), NoiseKnowledge::VarianceOnly);
+    assert!(repairs.notes.iter().any(|note| note.contains("half B is empty")), "{repairs}");
+    assert!(!repairs.notes.iter().any(|note| note.contains("not the average")), "{repairs}");
+
+    let mut feature_halves = layers.to_vec();
+    feature_halves.extend([half("albedo_halfA", 0.0), half("albedo_halfB", 1.0)]);
+    let (frame, repairs) = settled(&feature_halves).unwrap();
+    assert_eq!(frame.features()[0].signal.noise_knowledge(), None);
+    assert!(repairs.notes.iter().any(|note| note.contains("albedo: half A is empty")), "{repairs}");
+
+    let refused = settled(&layers[..3]).unwrap_err().to_string();
+    assert!(refused.contains("half B of the colour is empty") && refused.contains("remedy"), "{refused}");
+    // Black is black in both.
+    let black = [layer("", flat(0.0, 3)), half("halfA", 0.0), half("halfB", 0.0), half("variance", 0.0)];
+    assert_eq!(settled(&black).unwrap().0.noise_knowledge(), NoiseKnowledge::HalvesAndVariance);
 }
 
 #[test]

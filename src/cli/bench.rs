@@ -35,7 +35,8 @@ use configuration::{Configuration, How, Switch, configurations};
 use external::External;
 use folder::Folder;
 use measure::{Case, Contestant, errors, measure, runs};
-use results::{Adapter, Document, Row, SCHEMA, Set, VERSION};
+pub(super) use results::Adapter;
+use results::{Document, Row, SCHEMA, Set, VERSION};
 use sets::SetFile;
 use thumbnail::Gallery;
 

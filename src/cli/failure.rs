@@ -32,6 +32,11 @@ impl Failure {
         Self { code: 5, message: with_options(message) }
     }
 
+    /// The self test found results that are not what they should be.
+    pub(crate) fn out_of_bounds(message: impl Display) -> Self {
+        Self { code: 6, message: message.to_string() }
+    }
+
     /// What is none of these.
     pub(crate) fn other(message: impl Display) -> Self {
         Self { code: 1, message: with_options(message) }

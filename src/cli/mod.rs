@@ -17,6 +17,7 @@ mod quality;
 mod render;
 mod report;
 mod sample_map;
+mod selftest;
 mod tile;
 
 use clap::{CommandFactory, Parser, Subcommand};
@@ -25,7 +26,8 @@ pub(crate) use failure::Failure;
 pub(crate) use out::Out;
 
 const EXIT_CODES: &str = "\
-Exit codes: 0 done, 2 wrong usage, 3 an input file or layer cannot be used, 4 no device or a device failed, 5 the output cannot be written, 1 anything else.
+Exit codes: 0 done, 2 wrong usage, 3 an input file or layer cannot be used, 4 no device or a device failed, 5 the output cannot be written,
+6 the self test found something out of bounds, 1 anything else.
 
 Environment:
   STEIN_CACHE  folder in which compiled shaders are kept from run to run, where the device hands them out; empty: nowhere [default: `stein` among the user's caches]
@@ -54,6 +56,7 @@ enum Command {
     Render(render::Args),
     Bench(bench::Args),
     Devices(devices::Args),
+    Selftest(selftest::Args),
 }
 
 /// Parses the arguments; ends the process where they are wrong or ask for help.
@@ -68,6 +71,7 @@ pub(crate) fn run(cli: &Cli, out: &mut Out) -> Result<(), Failure> {
         Some(Command::Bench(args)) if args.device.list_devices => devices::run(&devices::Args { json: args.json }, out),
         Some(Command::SampleMap(args)) if args.device.list_devices => devices::run(&devices::Args { json: args.json }, out),
         Some(Command::Adapt(args)) if args.device.list_devices => devices::run(&devices::Args { json: args.json }, out),
+        Some(Command::Selftest(args)) if args.device.list_devices => devices::run(&devices::Args { json: args.json }, out),
         Some(Command::Denoise(args)) => denoise::run(args, out),
         Some(Command::SampleMap(args)) => sample_map::run(args, out),
         Some(Command::Adapt(args)) => adapt::run(args, out),
@@ -75,6 +79,7 @@ pub(crate) fn run(cli: &Cli, out: &mut Out) -> Result<(), Failure> {
         Some(Command::Bench(args)) => bench::run(args, out),
         Some(Command::Info(args)) => info::run(args, out),
         Some(Command::Devices(args)) => devices::run(args, out),
+        Some(Command::Selftest(args)) => selftest::run(args, out),
         None if cli.list_devices => devices::run(&devices::Args { json: false }, out),
         None => {
             out.say(Cli::command().render_help());

@@ -13,7 +13,7 @@ pub struct LayerRepairs {
     pub nan_values: usize,
     /// Values that are infinite.
     pub infinite_values: usize,
-    /// Finite values beyond ±10¹⁸, whose squares overflow.
+    /// Finite values beyond ±10¹⁸, whose squares overflow, and variances beyond 10³⁶.
     pub oversized_values: usize,
     /// Pixels whose mean and halves (and variance) were replaced by their neighbours' average.
     pub pixels_replaced: usize,
@@ -37,7 +37,7 @@ impl fmt::Display for LayerRepairs {
         let counted = [
             (self.nan_values, "values NaN"),
             (self.infinite_values, "values infinite"),
-            (self.oversized_values, "values beyond 1e18"),
+            (self.oversized_values, "values beyond 1e18, variances beyond 1e36"),
             (self.pixels_replaced, "pixels replaced by their neighbours' average"),
             (self.variances_replaced, "variances replaced by their neighbours' average"),
             (self.negative_variances, "negative variances set to 0"),

@@ -7,6 +7,9 @@ use crate::image::Extent;
 /// Squares of larger values come too close to the end of f32 for sums of them.
 const LARGEST: f32 = 1e18;
 
+/// Variances are squares already.
+const LARGEST_VARIANCE: f32 = LARGEST * LARGEST;
+
 /// A distance from here on means that the ray hit nothing: Cycles writes 10¹⁰.
 const MISS_DISTANCE: f32 = 1e9;
 
@@ -39,17 +42,17 @@ pub(super) fn sanitise(name: &str, signal: &mut Signal, may_miss: bool) -> Resul
     }
     let misses_so_far = state.clone();
     for plane in [Some(&signal.mean), signal.half_spread.as_ref()].into_iter().flatten().flat_map(|image| &image.planes) {
-        count_damage(&mut found, plane, &misses_so_far);
-        mark(&mut state, plane, Pixel::Bad, is_damaged);
+        count_damage(&mut found, plane, &misses_so_far, LARGEST);
+        mark(&mut state, plane, Pixel::Bad, |value| is_damaged(value, LARGEST));
     }
     keep_misses(&mut state, &misses_so_far);
 
     let mut variance_state = state.clone();
     if let Some(variance) = &mut signal.variance_of_mean {
         for plane in &mut variance.planes {
-            count_damage(&mut found, plane, &state);
-            mark(&mut variance_state, plane, Pixel::Bad, is_damaged);
-            for value in plane.iter_mut().filter(|value| **value < 0.0 && **value >= -LARGEST) {
+            count_damage(&mut found, plane, &state, LARGEST_VARIANCE);
+            mark(&mut variance_state, plane, Pixel::Bad, |value| is_damaged(value, LARGEST_VARIANCE));
+            for value in plane.iter_mut().filter(|value| **value < 0.0 && **value >= -LARGEST_VARIANCE) {
                 *value = 0.0;
                 found.negative_variances += 1;
             }
@@ -98,8 +101,8 @@ pub(super) fn sanitise_samples(samples: SamplesPerPixel, extent: Extent, repairs
             }
             let mut found = LayerRepairs { layer: "samples".into(), ..LayerRepairs::default() };
             let mut state = vec![Pixel::Good; extent.pixels()];
-            count_damage(&mut found, &counts.planes[0], &state);
-            mark(&mut state, &counts.planes[0], Pixel::Bad, |count| is_damaged(count) || count <= 0.0);
+            count_damage(&mut found, &counts.planes[0], &state, LARGEST);
+            mark(&mut state, &counts.planes[0], Pixel::Bad, |count| is_damaged(count, LARGEST) || count <= 0.0);
             found.pixels_replaced = state.iter().filter(|state| **state == Pixel::Bad).count();
             if found.pixels_replaced == state.len() {
                 repairs.notes.push("samples: not one pixel has a positive count, taken as unknown".into());
@@ -112,8 +115,8 @@ pub(super) fn sanitise_samples(samples: SamplesPerPixel, extent: Extent, repairs
     }
 }
 
-fn is_damaged(value: f32) -> bool {
-    value.is_nan() || value.abs() > LARGEST
+fn is_damaged(value: f32, largest: f32) -> bool {
+    value.is_nan() || value.abs() > largest
 }
 
 fn mark(state: &mut [Pixel], plane: &[f32], mark: Pixel, matches: impl Fn(f32) -> bool) {
@@ -124,13 +127,13 @@ fn keep_misses(state: &mut [Pixel], before: &[Pixel]) {
     state.iter_mut().zip(before).filter(|(_, before)| **before == Pixel::Miss).for_each(|(state, _)| *state = Pixel::Miss);
 }
 
-fn count_damage(found: &mut LayerRepairs, plane: &[f32], state: &[Pixel]) {
+fn count_damage(found: &mut LayerRepairs, plane: &[f32], state: &[Pixel], largest: f32) {
     for (value, _) in plane.iter().zip(state).filter(|(_, state)| **state != Pixel::Miss) {
         if value.is_nan() {
             found.nan_values += 1;
         } else if value.is_infinite() {
             found.infinite_values += 1;
-        } else if is_damaged(*value) {
+        } else if is_damaged(*value, largest) {
             found.oversized_values += 1;
         }
     }

@@ -320,7 +320,7 @@ pub(super) fn footprint(params: &DfcParams, facts: &Facts, kept: bool, schedule:
     }
 }
 
-fn halo(params: &DfcParams) -> u32 {
+pub(super) fn halo(params: &DfcParams) -> u32 {
     let scaled_variance = SCALE_RADIUS.max(INPUT_SMOOTHING.radius);
     // One more for the gradient, which is less than the smoothing of the residual variance.
     let features = PREFILTER.window_radius + PREFILTER.patch_radius + scaled_variance + RESIDUAL_SMOOTHING.radius.max(1);

@@ -116,7 +116,7 @@ pub(super) fn footprint(params: &GemParams, kept: bool) -> Footprint {
 
 /// A pixel asks for its neighbours' stopping maps, these for the scales there, and their variances were brought to scale. Each scale is made from the pixels themselves, so
 /// that only the coarsest one counts.
-fn halo(params: &GemParams) -> u32 {
+pub(super) fn halo(params: &GemParams) -> u32 {
     let coarsest = params.phase.coarsest();
     params.outlier_filter(coarsest).radius + Gaussian::new(coarsest).radius + SCALE_RADIUS.max(INPUT_SMOOTHING.radius) + params.spikes.reach(0)
 }

@@ -83,6 +83,16 @@ impl Method {
         }
     }
 
+    /// How far a pixel of a frame can have an influence, in pixels along either axis: the reach of each stage, added up along the longest chain. But for what is settled for a frame
+    /// as a whole, its units and what of the method it needs.
+    pub fn reach(&self) -> u32 {
+        match self {
+            Self::Dfc(params) => dfc::halo(params),
+            Self::Gem(params) => gem::halo(params),
+            Self::Nlm(params) => nlm::halo(params),
+        }
+    }
+
     /// Whether features help it. Those of a frame stay off the device where they do not.
     pub fn uses_features(&self) -> bool {
         match self {

@@ -252,7 +252,7 @@ pub(super) fn footprint(params: &NlmParams, beside: usize, kept: bool, schedule:
     }
 }
 
-fn halo(params: &NlmParams) -> u32 {
+pub(super) fn halo(params: &NlmParams) -> u32 {
     let input = SCALE_RADIUS.max(INPUT_SMOOTHING.radius);
     let variance = match params.variance {
         NlmVariance::Uniform => 0,

@@ -7,12 +7,13 @@ use stein::method::gem::Phase;
 use stein::{Denoiser, Estimate, Frame, GemParams, Options};
 
 use crate::behaviour::{assert_same, calm_frame, denoised, image, random_frame};
+use crate::bridge::{self, exposure, gem_params, grids};
 use crate::common::{assert_near, flat, gpu, open, own_size};
 use crate::frames::{EVERYTHING, Keep, error_of, frame, noisy};
 use crate::reference::gem as reference;
 use crate::reference::random::Random;
 use crate::reference::{Grid, Planes, Point};
-use crate::twin::{exposure, grids, layer, spikes};
+use crate::twin::layer;
 
 fn denoiser(params: GemParams) -> Denoiser {
     Denoiser::new(gpu(), params).unwrap_or_else(|error| panic!("{error}"))
@@ -39,24 +40,9 @@ fn check(what: &str, frame: &Frame, params: GemParams) {
     let estimate = with_everything_kept(params, frame);
     let exposure = exposure(frame);
     let color = frame.color();
-    let (mean, like) = (grids(&color.mean, exposure), grids(&color.mean, 0.0).remove(0));
-    let input = crate::reference::variance::Signal {
-        mean: mean.clone(),
-        spread: color.half_spread.as_ref().map(|image| grids(image, exposure)),
-        sample_variance: color.variance_of_mean.as_ref().map(|image| grids(image, exposure * exposure)),
-    };
-    let samples = match frame.samples_per_pixel() {
-        SamplesPerPixel::Unknown => like,
-        SamplesPerPixel::Uniform(samples) => like.like(|_| f64::from(*samples)),
-        SamplesPerPixel::PerPixel(image) => grids(image, 1.0).remove(0),
-    };
-    let gamma = format!("{}", params.gamma).parse().unwrap_or(f64::NAN);
-    let mut twin_params = match params.phase {
-        Phase::Sampling => reference::GemParams::while_sampling(gamma),
-        Phase::Final => reference::GemParams::for_the_final_image(gamma, params.final_outlier_size.into()),
-    };
+    let (input, samples) = (bridge::signal(color, exposure), bridge::samples(frame, 0.0));
+    let twin_params = gem_params(&params);
     assert!(params.phase.sigmas().iter().zip(&twin_params.sigmas).all(|(a, b)| (f64::from(*a) - b).abs() < 1e-6), "{what}: scales");
-    twin_params.spikes = spikes(params.spikes);
     let twin = reference::gem(&input, &samples, &twin_params);
 
     let near = |part: &str, actual: &[Grid], expected: &[Grid], scale: &[Grid], relative: f64, allowed: f64| {
@@ -89,7 +75,7 @@ fn check(what: &str, frame: &Frame, params: GemParams) {
     let sigma = std::slice::from_ref(&chosen.sigma);
     near("scale", &layer(&estimate, "scale", 1.0), sigma, &flat(sigma, 1.0), 1e-5, FLIPPED);
     // A colour by its noise and a hundredth of the largest value around.
-    let largest = mean.iter().flat_map(|grid| &grid.values).fold(0.0, |most: f64, value| most.max(value.abs()));
+    let largest = input.mean.iter().flat_map(|grid| &grid.values).fold(0.0, |most: f64, value| most.max(value.abs()));
     let color_scale: Planes = twin.variance.iter().map(|grid| grid.like(|p| grid.at(p).sqrt() + 0.01 * largest)).collect();
     near("result", &grids(&estimate.color, exposure), &chosen.mean, &color_scale, 1e-4, FLIPPED);
     assert_eq!(estimate.half_spread.is_some(), color.half_spread.is_some());

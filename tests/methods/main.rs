@@ -6,9 +6,11 @@ mod common;
 #[allow(dead_code, unreachable_pub, reason = "every test includes all shared pieces and uses a part of them")]
 #[path = "../common/frames.rs"]
 mod frames;
-#[allow(dead_code, unreachable_pub, reason = "every test includes all shared pieces and uses a part of them")]
-#[path = "../reference/mod.rs"]
-mod reference;
+
+#[path = "../../src/cli/selftest/bridge.rs"]
+mod bridge;
+
+use stein_reference as reference;
 
 mod behaviour;
 mod gem;

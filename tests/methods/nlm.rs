@@ -10,14 +10,14 @@ use stein::stage::sample::GpuSamples;
 use stein::{Denoiser, DfcParams, Error, Estimate, NlmParams, Options};
 
 use crate::behaviour::{calm_frame, image, random_frame};
+use crate::bridge::{self, exposure, grids, nlm_params};
 use crate::common::{assert_near, gpu, open, own_size};
 use crate::frames::{EVERYTHING, Keep, error_of, frame, new_frame, noisy};
-use crate::reference::nlm_method::{self, Filter, NlmParams as TwinParams, Variance};
+use crate::reference::nlm_method::{self, NlmParams as TwinParams, Variance};
 use crate::reference::random::Random;
 use crate::reference::spike::SpikeParams;
-use crate::reference::variance::Signal as TwinSignal;
-use crate::reference::{self, Grid, Planes};
-use crate::twin::{exposure, grids, layer, spikes};
+use crate::reference::{Grid, Planes};
+use crate::twin::layer;
 
 fn small(params: NlmParams) -> NlmParams {
     NlmParams { window_radius: 4, ..params }
@@ -46,35 +46,6 @@ fn assert_same(what: &str, actual: &Estimate, expected: &Estimate) {
     assert_eq!(images(actual).len(), images(expected).len(), "{what}");
 }
 
-fn twin_params(params: &NlmParams) -> TwinParams {
-    TwinParams {
-        filter: Filter {
-            window_radius: params.window_radius as usize,
-            patch_radius: params.patch_radius as usize,
-            k: params.k.into(),
-            alpha: params.alpha.into(),
-            symmetric: match params.weighting.symmetric {
-                Symmetry::Off => nlm_method::Symmetry::Off,
-                Symmetry::Blended => nlm_method::Symmetry::Blended,
-                Symmetry::Hard => nlm_method::Symmetry::Hard,
-            },
-            patchwise: params.patchwise,
-            cut: params.cut.into(),
-            centre: match params.weighting.centre {
-                CentreWeight::One => reference::nlm::CentreWeight::One,
-                CentreWeight::LargestNeighbour => reference::nlm::CentreWeight::LargestNeighbour,
-            },
-        },
-        dual_buffer: params.dual_buffer,
-        spikes: spikes(params.spikes),
-        variance: match params.variance {
-            NlmVariance::Scaled => Variance::Scaled,
-            NlmVariance::CrossFiltered => Variance::CrossFiltered,
-            NlmVariance::Uniform => Variance::Uniform,
-        },
-    }
-}
-
 /// Parameter by parameter: two tables from one text.
 #[test]
 fn the_presets_are_those_of_the_reference() {
@@ -82,7 +53,7 @@ fn the_presets_are_those_of_the_reference() {
     for (preset, twin) in
         [(NlmParams::thesis(), twin), (NlmParams::default(), TwinParams { variance: Variance::Scaled, spikes: Some(SpikeParams::default()), ..twin })]
     {
-        let mut shown = twin_params(&preset);
+        let mut shown = nlm_params(&preset);
         // 0.45 as a float32 is not 0.45.
         [&mut shown.filter.k, &mut shown.filter.cut].into_iter().for_each(|value| *value = format!("{value:.4e}").parse().unwrap_or(f64::NAN));
         assert_eq!(format!("{shown:?}"), format!("{twin:?}"));
@@ -102,19 +73,8 @@ const FLIPPED: f64 = 0.01;
 fn check(what: &str, frame: &Frame, params: NlmParams) {
     let estimate = denoised(params, frame);
     let exposure = exposure(frame);
-    let planes = |image: &Option<Image>, factor: f64| image.as_ref().map(|image| grids(image, factor));
-    let color = frame.color();
-    let input = TwinSignal {
-        mean: grids(&color.mean, exposure),
-        spread: planes(&color.half_spread, exposure),
-        sample_variance: planes(&color.variance_of_mean, exposure * exposure),
-    };
-    let samples = match frame.samples_per_pixel() {
-        SamplesPerPixel::PerPixel(counts) => grids(counts, 1.0).remove(0),
-        SamplesPerPixel::Uniform(count) => input.mean[0].like(|_| f64::from(*count)),
-        SamplesPerPixel::Unknown => input.mean[0].like(|_| 1.0),
-    };
-    let twin = nlm_method::nlm(&input, &twin_params(&params), &samples);
+    let (input, samples) = (bridge::signal(frame.color(), exposure), bridge::samples(frame, 1.0));
+    let twin = nlm_method::nlm(&input, &nlm_params(&params), &samples);
     let near = |part: &str, actual: &[Grid], expected: &[Grid], size: &[Grid], relative: f64, share: f64| {
         assert_near(&format!("{what}: {part}"), actual, expected, size, relative, share);
     };
@@ -127,7 +87,7 @@ fn check(what: &str, frame: &Frame, params: NlmParams) {
     let size: Planes = (0..3).map(size).collect();
     near("colour", &grids(&estimate.color, exposure), &twin.mean, &size, FILTERED, FLIPPED);
     assert_eq!(estimate.half_spread.is_some(), twin.spread.is_some(), "{what}");
-    if let (Some(spread), Some(expected)) = (planes(&estimate.half_spread, exposure), &twin.spread) {
+    if let (Some(spread), Some(expected)) = (estimate.half_spread.as_ref().map(|image| grids(image, exposure)), &twin.spread) {
         near("half spread", &spread, expected, &size, FILTERED, FLIPPED);
         let half = |sign: f64| -> Planes { twin.mean.iter().zip(expected).map(|(mean, spread)| mean.like(|p| mean.at(p) + sign * spread.at(p))).collect() };
         near("half A", &layer(&estimate, "half_a", exposure), &half(1.0), &size, FILTERED, FLIPPED);

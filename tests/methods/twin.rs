@@ -4,103 +4,21 @@
 //! (which of them is the least, whether the guard lets a candidate in), and with it the maps of all pixels within the smoothing's radius. So the
 //! decisions are looked at by themselves: where one differs, the errors must tie.
 
-use stein::method::{Intermediate, Spikes};
+use stein::method::Intermediate;
 use stein::stage::candidate_set::CandidateSet;
-use stein::stage::nlm::{CentreWeight, Symmetry};
-use stein::stage::spike::SpikeRule;
-use stein::{Denoiser, DfcParams, Estimate, Frame, Image, Options};
+use stein::{Denoiser, DfcParams, Estimate, Frame, Options};
 
+use crate::bridge::{self, dfc_params, exposure, grids};
 use crate::common::{assert_near, flat, gpu, own_size};
 use crate::frames::{EVERYTHING, Keep, error_of, frame, noisy};
-use crate::reference::dfc::{CandidateParams, Dfc, DfcParams as TwinParams, Frame as TwinFrame, SecondPassParams, dfc, sampling_density};
-use crate::reference::spike::SpikeParams;
-use crate::reference::variance::Signal;
+use crate::reference::dfc::{Dfc, DfcParams as TwinParams, dfc, sampling_density};
 use crate::reference::{self, Grid, Planes};
-
-pub(crate) fn grids(image: &Image, factor: f64) -> Planes {
-    let (width, height) = (image.extent.width as usize, image.extent.height as usize);
-    image.planes.iter().map(|plane| Grid { width, height, values: plane.iter().map(|v| f64::from(*v) * factor).collect() }).collect()
-}
-
-/// The power of two that brings the median brightness between 1 and 2: the method's ε and smallest step are meant for such images.
-pub(crate) fn exposure(frame: &Frame) -> f64 {
-    let planes = &frame.color().mean.planes;
-    let brightest = |pixel: usize| planes.iter().map(|plane| plane[pixel].abs()).fold(0.0, f32::max);
-    let mut brightness: Vec<f32> = (0..frame.extent().pixels()).map(brightest).filter(|v| *v > 0.0).collect();
-    brightness.sort_by(f32::total_cmp);
-    f64::from(-brightness[brightness.len() / 2].log2().floor()).exp2()
-}
-
-fn twin_frame(frame: &Frame, exposure: f64) -> TwinFrame {
-    let signal = |signal: &stein::frame::Signal, factor: f64| Signal {
-        mean: grids(&signal.mean, factor),
-        spread: signal.half_spread.as_ref().map(|image| grids(image, factor)),
-        sample_variance: signal.variance_of_mean.as_ref().map(|image| grids(image, factor * factor)),
-    };
-    TwinFrame { color: signal(frame.color(), exposure), features: frame.features().iter().map(|feature| signal(&feature.signal, 1.0)).collect() }
-}
-
-fn twin_params(params: &DfcParams) -> TwinParams {
-    let first = CandidateParams {
-        k_color: params.color_k.into(),
-        k_feature: params.feature_k.into(),
-        patch_radius: params.first_patch_radius as usize,
-        tau: params.feature_tau.into(),
-    };
-    let second = CandidateParams { patch_radius: params.second_patch_radius as usize, ..first };
-    let third = CandidateParams { k_color: f64::INFINITY, tau: params.feature_tau_third.into(), ..first };
-    let pass = params.second_pass.unwrap_or_else(|| panic!("the presets have a second pass"));
-    TwinParams {
-        window_radius: params.window_radius as usize,
-        candidates: [first, second, third],
-        takes_part: params.candidates.flags(),
-        symmetric: params.weighting.symmetric != Symmetry::Off,
-        centre: match params.weighting.centre {
-            CentreWeight::One => reference::nlm::CentreWeight::One,
-            CentreWeight::LargestNeighbour => reference::nlm::CentreWeight::LargestNeighbour,
-        },
-        covariance: params.covariance.into(),
-        guard: params.guard.map(|guard| reference::select::Guard {
-            smoothed_error: guard.smoothed_error.into(),
-            smoothed_noise: guard.smoothed_noise.into(),
-            own_sigmas: guard.own_sigmas.into(),
-            own_noise: guard.own_noise.into(),
-        }),
-        spikes: spikes(params.spikes),
-        second_pass: SecondPassParams {
-            half_radius: pass.half_window,
-            patch_radius: pass.patch_radius as usize,
-            k_color: pass.color_k.into(),
-            clamp_to_input: pass.clamp_to_input,
-            most_sigmas: pass.most_sigmas.map(f64::from),
-        },
-    }
-}
-
-/// The reference's parameters of what a method does about spikes.
-pub(crate) fn spikes(spikes: Spikes) -> Option<SpikeParams> {
-    let SpikeRule { window_radius, spread_radius, least_neighbours, prominence, most_samples, share_limit, feature_k, feature_tau } = SpikeRule::DEFAULT;
-    // 0.1 as a float32 is not 0.1.
-    let [prominence, most_samples, share_limit, k_feature, tau] =
-        [prominence, most_samples, share_limit, feature_k, feature_tau].map(|value| format!("{value:.4e}").parse().unwrap_or(f64::NAN));
-    let params = SpikeParams {
-        window_radius: window_radius as usize,
-        spread_radius: spread_radius as usize,
-        least_neighbours: least_neighbours as usize,
-        prominence,
-        most_samples,
-        share_limit: (spikes == Spikes::Spread).then_some(share_limit),
-        k_feature,
-        tau,
-    };
-    (spikes != Spikes::Keep).then_some(params)
-}
 
 /// Parameter by parameter: two tables, written by two people from one text.
 #[test]
 fn the_presets_are_those_of_the_reference() {
     for (preset, twin) in [(DfcParams::default(), TwinParams::default()), (DfcParams::thesis(), TwinParams::thesis())] {
-        let mut shown = twin_params(&preset);
+        let mut shown = dfc_params(&preset);
         // 0.45 as a float32 is not 0.45.
         let round = |value: &mut f64| *value = format!("{:.4e}", value).parse().unwrap_or(f64::NAN);
         for candidate in &mut shown.candidates {
@@ -140,7 +58,7 @@ impl Compared {
         let options = Options { keep: &Intermediate::ALL, ..Options::default() };
         let estimate = denoiser.denoise_with(frame, options).unwrap_or_else(|error| panic!("{error}"));
         let exposure = exposure(frame);
-        let (input, params) = (twin_frame(frame, exposure), twin_params(&params));
+        let (input, params) = (bridge::frame(frame, exposure), dfc_params(&params));
         let twin = dfc(&input, &params);
         let density = sampling_density(&twin, &params, 0.0);
         Self { what, estimate, twin, exposure, density, takes_part: params.takes_part }

@@ -35,7 +35,10 @@ pub fn candidate(mean: &[Grid], spread: Option<&[Grid]>, variance: &[Grid], feat
         .map(|i| {
             mean[i].like(|p| {
                 let step = finite_difference_step(mean[i].at(p), variance[i].at(p));
-                finite_difference(mean, variance, features, params, p, i, step)
+                if params.k_color.is_infinite() {
+                    return finite_difference(mean, variance, features, params, p, i, step);
+                }
+                (perturbed(mean, variance, features, params, p, i, step) - planes[i].at(p)) / step
             })
         })
         .collect();
@@ -48,21 +51,23 @@ pub fn finite_difference_step(u: f64, variance: f64) -> f64 {
     if u < 0.0 { -size } else { size }
 }
 
-/// dF_i(p)/du_i(p) of section 8.4: filters p once more, in an image where only u_i(p) has changed. Weights that do not
-/// depend on the colour leave w(p, p)/C, which is exact.
+/// dF_i(p)/du_i(p) of section 8.4. Weights that do not depend on the colour leave w(p, p)/C, which is exact.
 pub fn finite_difference(mean: &[Grid], variance: &[Grid], features: &[Feature], params: &FilterParams, p: Point, i: usize, step: f64) -> f64 {
-    let filter_at = |mean: &[Grid]| {
-        let guide = Some(Guide { mean, variance });
-        window_weights(&mean[0], p, guide, features, params).average(&mean[i])
-    };
     if params.k_color.is_infinite() {
         let weights = window_weights(&mean[0], p, None, features, params);
         return weights.centre.1 / weights.sum();
     }
+    let filtered = window_weights(&mean[0], p, Some(Guide { mean, variance }), features, params).average(&mean[i]);
+    (perturbed(mean, variance, features, params, p, i, step) - filtered) / step
+}
+
+/// F_i(p) in an image where only u_i(p) has changed.
+fn perturbed(mean: &[Grid], variance: &[Grid], features: &[Feature], params: &FilterParams, p: Point, i: usize, step: f64) -> f64 {
     let mut perturbed = mean.to_vec();
     let at = perturbed[i].index(p);
     perturbed[i].values[at] += step;
-    (filter_at(&perturbed) - filter_at(mean)) / step
+    let guide = Some(Guide { mean: &perturbed, variance });
+    window_weights(&mean[0], p, guide, features, params).average(&perturbed[i])
 }
 
 /// dF_i(p)/du_i(p) where it exists: (Σ w'(p, q)·(u_i(q) − F_i(p)) + w(p, p))/C(p), the sum including q = p. This is not part

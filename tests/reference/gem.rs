@@ -90,7 +90,8 @@ pub fn step(fine: &Scale, coarse: &Scale, bias_weight: f64) -> Step {
     let factor = if r_f == 0.0 { 1.0 } else { (r_c * r_c + r_f * r_f) / (r_c * r_c - r_f * r_f) };
     let rho = |p: Point| {
         let n = coarse.samples.at(p);
-        if n == 0.0 { 1.0 } else { (1.0 - 1.0 / n).max(0.0) }
+        // One sample has no variance.
+        if n == 0.0 { 1.0 } else { 1.0 - 1.0 / n.max(2.0) }
     };
     let squared_change = |p: Point| (0..3).map(|i| (coarse.mean[i].at(p) - fine.mean[i].at(p)).powi(2)).sum::<f64>();
     let change_of_variance = |p: Point| (0..3).map(|i| coarse.variance[i].at(p) - fine.variance[i].at(p)).sum::<f64>();
@@ -139,6 +140,8 @@ pub fn choose(scales: &[Scale], steps: &[Step], maps: &[Grid]) -> Chosen {
 /// All of it.
 pub struct Gem {
     pub variance: Planes,
+    /// The pixel filter first.
+    pub scales: Vec<Scale>,
     pub steps: Vec<Step>,
     pub smoothed: Vec<Grid>,
     pub chosen: Chosen,
@@ -158,7 +161,7 @@ pub fn gem(color: &Signal, samples: &Grid, params: &GemParams) -> Gem {
     let smoothed: Vec<Grid> = steps.iter().zip(&params.sigmas).map(smooth).collect();
     let maps: Vec<Grid> = steps.iter().zip(&smoothed).map(|(step, smoothed)| decided(&step.stops(), smoothed, params.coarser_only)).collect();
     let chosen = choose(&scales, &steps, &maps);
-    Gem { variance, steps, smoothed, chosen }
+    Gem { variance, scales, steps, smoothed, chosen }
 }
 
 /// Estimated error relative to the squared value (section 6.3), for three channels.

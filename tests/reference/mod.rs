@@ -4,6 +4,7 @@
 //! separable filter, no value kept from one pixel to the next. The speed of a test is not worth a doubt about its reference.
 //!
 //! ```text
+//! exposure    the unit that all of it is done in
 //! variance    what is known of the noise: scaled sample variances, two-buffer variances      8.2, 8.3
 //! spike       what stands out on very few samples, and where it goes
 //! gaussian    averages, their variance, averages of a pixel's neighbours                      6.2, 6.4
@@ -20,8 +21,11 @@
 //! Neighbours outside the image do not exist: windows, patches, boxes and Gaussians all shrink at the border and are
 //! normalised by what is left.
 
+#![allow(missing_docs, reason = "fields and parameters bear the names of the text; each stage says which section it is")]
+
 pub mod candidates;
 pub mod dfc;
+pub mod exposure;
 pub mod gaussian;
 pub mod gem;
 pub mod nlm;

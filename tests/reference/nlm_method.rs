@@ -40,7 +40,8 @@ pub fn windows(guide: Guide, filter: &Filter) -> Vec<WindowWeights> {
     let like = &guide.mean[0];
     let pixel = |i: usize| Point { x: (i % like.width) as isize, y: (i / like.width) as isize };
     let mut windows: Vec<_> = (0..like.values.len()).map(|i| WindowWeights { centre: (pixel(i), 1.0), neighbours: Vec::new() }).collect();
-    for offset in half_window(filter.window_radius) {
+    let is_inside = |o: &Point| o.x.unsigned_abs() < like.width && o.y.unsigned_abs() < like.height;
+    for offset in half_window(filter.window_radius).filter(is_inside) {
         let weights = map_pixels(like.width, like.height, |p| pair_weights(guide, p, offset, filter));
         let weights = if filter.patchwise { patch_means(like, &weights, offset, filter.patch_radius) } else { weights };
         for (window, weights) in windows.iter_mut().zip(weights) {

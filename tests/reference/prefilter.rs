@@ -40,9 +40,10 @@ pub fn prefilter(signal: &Signal, symmetric: bool, centre: CentreWeight) -> Pref
 
     let (mean, spread, residual_variance) = match (&signal.spread, &signal.sample_variance) {
         (Some(spread), _) => {
-            let spread = filter(spread).planes;
+            let mut mean = filter(&[signal.mean.as_slice(), spread].concat()).planes;
+            let spread = mean.split_off(signal.mean.len());
             let residual_variance = buffer_var(&spread);
-            (filter(&signal.mean).planes, Some(spread), residual_variance)
+            (mean, Some(spread), residual_variance)
         }
         (None, Some(_)) => (filter(&signal.mean).planes, None, nlm_variance(&variance, guide, &[], &params)),
         (None, None) => (signal.mean.clone(), None, variance.clone()),

@@ -28,16 +28,14 @@ pub(crate) fn features(width: usize, height: usize, channels: &[usize], seed: u6
         let mean: Planes = (0..channels).map(|_| mean()).collect();
         // The second has no noise.
         let most = if index == 1 { 0.0 } else { 1e-3 };
-        let residual_variance = (0..channels).map(|_| rounded(random.uniform_grid(width, height, -0.5 * most, most).like_positive())).collect();
+        let residual_variance = (0..channels).map(|_| positive(rounded(random.uniform_grid(width, height, -0.5 * most, most)))).collect();
         Feature { gradient_squared: mean.iter().map(gradient_squared).collect(), mean, residual_variance }
     };
     channels.iter().enumerate().map(|(index, channels)| feature(index, *channels)).collect()
 }
 
-impl Grid {
-    fn like_positive(self) -> Grid {
-        Grid { values: self.values.into_iter().map(|v| v.max(0.0)).collect(), ..self }
-    }
+fn positive(grid: Grid) -> Grid {
+    grid.like(|p| grid.at(p).max(0.0))
 }
 
 /// In the order that the method uses: what sits alone in a group's w comes after what fills the rest of the group.

@@ -7,9 +7,6 @@
 #[allow(dead_code, unreachable_pub, reason = "every test includes all shared pieces and uses a part of them")]
 #[path = "../common/mod.rs"]
 mod common;
-#[allow(dead_code, unreachable_pub, reason = "every test includes all shared pieces and uses a part of them")]
-#[path = "../reference/mod.rs"]
-mod reference;
 
 mod candidate;
 mod chapter7;
@@ -21,6 +18,8 @@ mod scale;
 mod select;
 mod spike;
 mod variance;
+
+use stein_reference as reference;
 
 use reference::nlm::{Feature, FilterParams, Guide, window_weights};
 use reference::{Grid, Planes, map_pixels};

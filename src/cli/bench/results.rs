@@ -39,7 +39,7 @@ pub(super) struct Document {
 
 /// What it was measured on.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub(super) struct Adapter {
+pub(crate) struct Adapter {
     pub(super) name: String,
     /// The interface: Vulkan, Metal or DX12.
     pub(super) backend: String,

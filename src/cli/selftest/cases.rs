@@ -1,0 +1,714 @@
+//! The cases: each a situation that a user's render may be in, and how far a result may go in it.
+
+use stein::{Extent, Image};
+
+use super::checks::{Check, Subject};
+use super::picture::{Picture, Samples, Sampling, Surface, corridor, exact, image, room};
+
+/// A situation, and what holds in it.
+pub(super) struct Case {
+    /// In a user's words.
+    pub(super) name: String,
+    /// Of the methods that have a window, in pixels.
+    pub(super) window_radius: u32,
+    pub(super) methods: Vec<Subject>,
+    /// The render, with its noise multiplied by this.
+    base: Make,
+    pub(super) damage: Option<Damage>,
+    /// Other frames of a shot.
+    pub(super) beside: Option<Box<dyn Fn(f64) -> Picture>>,
+    pub(super) expected: Expected,
+    /// Whether less noise is to bring the output to the input.
+    pub(super) has_limit: bool,
+    /// Whether a second run is to give the same bits.
+    pub(super) is_repeated: bool,
+    /// Memory in which the same bits are to come out of several strips.
+    pub(super) strips: Option<fn(Subject) -> u64>,
+    bounds: Vec<Bound>,
+}
+
+type Make = Box<dyn Fn(f64) -> stein::Result<Picture>>;
+
+/// Does damage to a render whose noise was multiplied by this.
+type Apply = Box<dyn Fn(&mut Picture, f64)>;
+
+/// What is wrong with a render, and where.
+pub(super) struct Damage {
+    /// Column and row of each damaged pixel.
+    pub(super) pixels: Vec<(usize, usize)>,
+    /// It has a share in what is settled for the frame as a whole, and so in all pixels.
+    pub(super) moves_units: bool,
+    apply: Apply,
+}
+
+/// What is to become of the render.
+pub(super) enum Expected {
+    Result,
+    /// A refusal that says all of this.
+    Refusal(&'static [&'static str]),
+}
+
+/// Another bound than [`usual`].
+struct Bound {
+    check: Check,
+    /// `None` for all.
+    subject: Option<Subject>,
+    bound: f64,
+    /// Why it is another.
+    reason: &'static str,
+}
+
+/// What holds where no case says otherwise.
+fn usual(check: Check, subject: Subject) -> f64 {
+    match (check, subject) {
+        // Counts.
+        (Check::Door | Check::Finite | Check::Reach | Check::Bits, _) => 0.0,
+        (Check::Energy | Check::Dark, _) => 0.05,
+        (Check::Error | Check::Twin, _) => 1.0,
+        // The smoothing of the selection maps hands THIRD a share beside the borders of its regions, whatever the noise, and the published algorithm has no guard: it does not
+        // become the identity, and may even correct more where there is less noise.
+        (Check::Limit, Subject::DfcThesis) => 3.0,
+        // A sixteenth is what is left of the noise.
+        (Check::Limit, _) => 0.25,
+    }
+}
+
+const THIRD: &str = "the smoothed selection maps hand THIRD a share where it is wrong, and the published algorithm has no guard";
+const DECADES: &str = "a Gaussian mixes pixels of which each is twice as bright as its neighbour";
+const BLACK: &str = "below some 10⁻²³, ε of eq. 7.4 tells no pixels apart, so that all are averaged as if they were black";
+const BORDER: &str = "where the image's border cuts patches, opposite neighbours on a gradient get unequal weights, however little noise there is";
+const CHEQUER: &str = "the choice of scale is smoothed over the pixels around, which blurs a chequer of 5×4 pixels by more than the noise";
+const FEW_PIXELS: &str = "averages over a few pixels differ by chance";
+const NO_SCALES: &str = "scales are told apart by averages over more pixels than there are";
+const CLAIM: &str = "the claim is wrong and nothing contradicts it: it is filtered as the claim asks for";
+const OUTLIER: &str = "the energy of a spike is no part of the image, and what is not spread with it goes; `dark` holds the rest";
+const SPREAD: &str = "halves travel as mean and half spread: beside a million, the last digits of the other half are lost";
+const RENDER: &str = "its outliers hold that much of the energy, and go";
+
+impl Case {
+    fn new(name: impl Into<String>, window_radius: u32, base: impl Fn(f64) -> Picture + 'static) -> Self {
+        Self {
+            name: name.into(),
+            window_radius,
+            methods: Subject::value_variants().to_vec(),
+            base: Box::new(move |noise| Ok(base(noise))),
+            damage: None,
+            beside: None,
+            expected: Expected::Result,
+            has_limit: true,
+            is_repeated: false,
+            strips: None,
+            bounds: Vec::new(),
+        }
+    }
+
+    /// The render with its noise multiplied.
+    pub(super) fn picture(&self, noise: f64) -> stein::Result<Picture> {
+        let mut picture = self.sound(noise)?;
+        if let Some(damage) = &self.damage {
+            (damage.apply)(&mut picture, noise);
+        }
+        Ok(picture)
+    }
+
+    /// The same before it was damaged.
+    pub(super) fn sound(&self, noise: f64) -> stein::Result<Picture> {
+        (self.base)(noise)
+    }
+
+    pub(super) fn bound(&self, subject: Subject, check: Check) -> f64 {
+        let own = self.bounds.iter().find(|bound| bound.check == check && bound.subject.is_none_or(|of| of == subject));
+        own.map_or_else(|| usual(check, subject), |bound| bound.bound)
+    }
+
+    /// Why bounds are other than usual, one line for each.
+    pub(super) fn reasons(&self) -> Vec<String> {
+        let line = |bound: &Bound| {
+            let of = bound.subject.map_or_else(String::new, |subject| format!(" of {}", subject.name()));
+            format!("{}{of} up to {}: {}", bound.check.name(), bound.bound, bound.reason)
+        };
+        self.bounds.iter().map(line).collect()
+    }
+
+    fn damaged(self, pixels: Vec<(usize, usize)>, apply: impl Fn(&mut Picture, f64) + 'static) -> Self {
+        Self { damage: Some(Damage { pixels, moves_units: false, apply: Box::new(apply) }), ..self }
+    }
+
+    /// A damage that is everywhere, or has a share in the units of the frame.
+    fn changed(self, apply: impl Fn(&mut Picture, f64) + 'static) -> Self {
+        Self { damage: Some(Damage { pixels: Vec::new(), moves_units: true, apply: Box::new(apply) }), ..self }
+    }
+
+    fn refused(self, words: &'static [&'static str]) -> Self {
+        Self { expected: Expected::Refusal(words), ..self }
+    }
+
+    fn within(mut self, check: Check, bound: f64, reason: &'static str) -> Self {
+        self.bounds.push(Bound { check, subject: None, bound, reason });
+        self
+    }
+
+    fn but(mut self, subject: Subject, check: Check, bound: f64, reason: &'static str) -> Self {
+        // The particular before the general.
+        self.bounds.insert(0, Bound { check, subject: Some(subject), bound, reason });
+        self
+    }
+
+    fn repeated(self) -> Self {
+        Self { is_repeated: true, ..self }
+    }
+
+    /// For the methods that use features; to the others it is a case that there is already.
+    fn of_features(self) -> Self {
+        Self { methods: vec![Subject::Dfc, Subject::DfcThesis], ..self }
+    }
+
+    fn without_limit(self) -> Self {
+        Self { has_limit: false, ..self }
+    }
+}
+
+use clap::ValueEnum;
+
+const fn extent(width: u32, height: u32) -> Extent {
+    Extent { width, height }
+}
+
+/// Most cases.
+const STANDARD: Extent = extent(24, 20);
+/// So wide, and so high, that parts are out of reach of a pixel near one end.
+const WIDE: Extent = extent(128, 4);
+const TALL: Extent = extent(4, 128);
+const RADIUS: u32 = 3;
+/// Of wide images.
+const SMALL: u32 = 2;
+
+fn standard(noise: f64) -> Picture {
+    Picture::sampled(STANDARD, Sampling::new(noise), room(STANDARD))
+}
+
+fn of(extent: Extent) -> impl Fn(f64) -> Picture {
+    move |noise| Picture::sampled(extent, Sampling::new(noise), room(extent))
+}
+
+fn long(extent: Extent) -> impl Fn(f64) -> Picture {
+    move |noise| Picture::sampled(extent, Sampling::new(noise), corridor(extent))
+}
+
+/// One surface everywhere.
+fn flat(noise: f64, surface: Surface) -> Picture {
+    Picture::sampled(STANDARD, Sampling::new(noise), move |_, _| surface)
+}
+
+/// The pixel of the wide image, and the row of the tall one, that are damaged.
+const PIXEL: (usize, usize) = (2, 1);
+const ROW: usize = 2;
+
+/// Every case, in the order in which it is told of them.
+pub(super) fn cases() -> Vec<Case> {
+    let mut cases = Vec::new();
+    cases.extend(plain().into_iter().map(Case::repeated));
+    // Less noise is looked at where something else is: these differ in size alone, or in what is repaired at the door.
+    cases.extend(sizes().into_iter().map(|case| case.repeated().without_limit()));
+    cases.extend(broken().into_iter().map(Case::without_limit));
+    cases.extend(noise_told_wrong());
+    cases.extend(ranges());
+    cases.extend(samples());
+    cases.extend(features().into_iter().map(Case::of_features));
+    cases.extend(windows().into_iter().map(Case::repeated));
+    cases.extend(outliers());
+    cases.extend(renders().into_iter().map(Case::repeated));
+    cases
+}
+
+/// Little, but enough for a few rows and what they depend on.
+const STRIP_BYTES: fn(Subject) -> u64 = |subject| match subject {
+    Subject::Dfc | Subject::DfcThesis => 1_400_000,
+    Subject::Nlm => 600_000,
+    Subject::Gem => 780_000,
+};
+
+fn plain() -> Vec<Case> {
+    vec![
+        Case::new("an ordinary room", RADIUS, standard),
+        Case::new("all of it is black, without noise", RADIUS, |noise| flat(noise, Surface::grey(0.0))),
+        Case::new("all of it is black, and noise is claimed", RADIUS, |noise| flat(noise, Surface::grey(0.0)))
+            .changed(|picture, noise| picture.variance().planes.iter_mut().flatten().for_each(|value| *value = (noise * noise) as f32)),
+        Case::new("a constant image without noise", RADIUS, |_| flat(0.0, Surface::grey(0.7))),
+        Case::new("a constant image with noise", RADIUS, |noise| flat(noise, Surface::grey(0.7))),
+        Case::new("a room without noise", RADIUS, |_| standard(0.0)).but(Subject::DfcThesis, Check::Error, 2500.0, THIRD),
+        Case::new("grey: all channels are the same", RADIUS, |noise| {
+            let mut picture = standard(noise);
+            let channels =
+                [Some(&mut picture.color.mean), picture.color.half_a.as_mut(), picture.color.half_b.as_mut(), picture.color.variance_of_mean.as_mut()];
+            for image in channels.into_iter().flatten().chain(picture.truth.as_mut()) {
+                image.planes = vec![image.planes[0].clone(); 3];
+            }
+            picture
+        }),
+        Case::new("negative values only", RADIUS, |noise| {
+            let mut picture = standard(noise);
+            picture.scale_radiance(-1.0);
+            Picture { unit: picture.unit.abs(), ..picture }
+        }),
+        Case::new("noise in a chequer, every other pixel without", RADIUS, |noise| {
+            let surface = room(STANDARD);
+            Picture::sampled(STANDARD, Sampling::new(noise), move |x, y| {
+                let surface = surface(x, y);
+                if (x + y) % 2 == 0 { surface } else { Surface { deviation: [0.0; 3], ..surface } }
+            })
+        }),
+        Case { strips: Some(STRIP_BYTES), ..Case::new("little memory: worked on in strips", SMALL, long(extent(12, 250))) },
+    ]
+}
+
+fn sizes() -> Vec<Case> {
+    let named = |name: &str, width: u32, height: u32, radius: u32| {
+        let case = Case::new(format!("{name}, {width}×{height}"), radius, of(extent(width, height)));
+        case.within(Check::Energy, 0.15, FEW_PIXELS).within(Check::Dark, 0.15, FEW_PIXELS).but(Subject::Gem, Check::Error, 1.5, NO_SCALES)
+    };
+    let mut cases =
+        vec![named("one pixel", 1, 1, RADIUS), named("one row", 37, 1, RADIUS), named("one column", 1, 37, RADIUS), named("two by two", 2, 2, RADIUS)];
+    // Tiles of 8 pixels, workgroups of 32 by 2, four pixels at a time.
+    for (width, height) in [(7, 9), (8, 8), (9, 7), (31, 3), (32, 2), (33, 5), (16, 17)] {
+        cases.push(Case::new(format!("at the border of a tile, {width}×{height}"), RADIUS, long(extent(width, height))));
+    }
+    // A window of seven.
+    for side in [6, 7, 8] {
+        cases.push(named("at the border of a window", side, side, RADIUS));
+    }
+    cases.extend([named("smaller than the window and its patches", 5, 4, 10), named("the smallest window", 24, 20, 1)]);
+    cases.extend([named("a window of radius 32", 14, 12, 32), named("the largest window", 10, 9, 64)]);
+    cases
+}
+
+/// Whatever a float can be, in one pixel, in a row, in all of a layer.
+fn broken() -> Vec<Case> {
+    const VALUES: [(&str, f32); 5] = [("NaN", f32::NAN), ("+Inf", f32::INFINITY), ("−Inf", f32::NEG_INFINITY), ("a negative value", -3.0), ("1e30", 1e30)];
+    type Layer = (&'static str, fn(&mut Picture) -> &mut Image);
+    const LAYERS: [Layer; 5] = [
+        ("the colour", |picture| &mut picture.color.mean),
+        ("half A", Picture::half_a),
+        ("the variance", Picture::variance),
+        ("a feature", |picture| &mut picture.feature("albedo").mean),
+        ("a feature's half", |picture| picture.feature("albedo").half_b.as_mut().unwrap_or_else(|| unreachable!("it has halves"))),
+    ];
+    let mut cases = Vec::new();
+    // To the repair all that is not finite is one.
+    let is_new = |value: f32, layer: &str| value.is_nan() || value == -3.0 || ["the colour", "the variance"].contains(&layer);
+    for (what, value) in VALUES {
+        for (layer, image) in LAYERS.into_iter().filter(|(layer, _)| is_new(value, layer)) {
+            let fill = move |picture: &mut Picture, pixels: &[(usize, usize)]| {
+                let pixels: Vec<usize> = pixels.iter().map(|(x, y)| picture.pixel(*x, *y)).collect();
+                image(picture).planes.iter_mut().for_each(|plane| pixels.iter().for_each(|pixel| plane[*pixel] = value));
+            };
+            let in_pixels = |name: String, extent: Extent, pixels: Vec<(usize, usize)>| {
+                let case = Case::new(name, SMALL, long(extent));
+                let damaged = pixels.clone();
+                let apply = move |picture: &mut Picture, _: f64| fill(picture, &damaged);
+                // Albedo from −3 on has another range.
+                let case = if value == -3.0 && layer == "a feature" { case.changed(apply) } else { case.damaged(pixels, apply) };
+                if layer.contains("feature") { case.of_features() } else { case }
+            };
+            cases.push(in_pixels(format!("{what} in one pixel of {layer}"), WIDE, vec![PIXEL]));
+            if value.is_nan() || value == -3.0 {
+                cases.push(in_pixels(format!("{what} in a row of {layer}"), TALL, (0..TALL.width as usize).map(|x| (x, ROW)).collect()));
+            }
+            if value.is_nan() || value == f32::INFINITY {
+                let case = Case::new(format!("{what} in all of {layer}"), RADIUS, standard);
+                let case = case.changed(move |picture, _| image(picture).planes.iter_mut().flatten().for_each(|v| *v = value));
+                cases.push(case.refused(&["not one pixel has a usable", "render it again"]));
+            }
+        }
+    }
+    cases.push(
+        Case::new("all variances are negative", RADIUS, standard).changed(|picture, _| picture.variance().planes.iter_mut().flatten().for_each(|v| *v = -*v)),
+    );
+    cases.push(Case::new("NaN in a block wider than the window", SMALL, of(extent(40, 24))).changed(|picture, _| {
+        for pixel in (6..18).flat_map(|y| (8..24).map(move |x| 40 * y + x)) {
+            picture.color.mean.planes.iter_mut().for_each(|plane| plane[pixel] = f32::NAN);
+        }
+    }));
+    cases
+}
+
+fn noise_told_wrong() -> Vec<Case> {
+    let row = |y: usize| (0..TALL.width as usize).map(move |x| (x, y)).collect::<Vec<_>>();
+    let variance_of = |picture: &mut Picture, pixels: &[(usize, usize)], value: f32| {
+        let pixels: Vec<usize> = pixels.iter().map(|(x, y)| picture.pixel(*x, *y)).collect();
+        picture.variance().planes.iter_mut().for_each(|plane| pixels.iter().for_each(|pixel| plane[*pixel] = value));
+    };
+    let clean_background = |picture: &mut Picture, _: f64| {
+        for pixel in 0..picture.extent().pixels() / 2 {
+            picture.variance().planes.iter_mut().for_each(|plane| plane[pixel] = 0.0);
+        }
+    };
+    let mut cases = vec![
+        Case::new("no variance, halves alone", RADIUS, standard).changed(|picture, _| picture.color.variance_of_mean = None).but(
+            Subject::Gem,
+            Check::Error,
+            2.0,
+            CHEQUER,
+        ),
+        Case::new("no halves, variance alone", RADIUS, |noise| standard(noise).without_halves()),
+        Case::new("neither halves nor variance", RADIUS, |noise| standard(noise).without_halves())
+            .changed(|picture, _| picture.color.variance_of_mean = None)
+            .refused(&["nothing is known of the colour's noise", "render twice with different seeds"]),
+    ];
+    for (what, value) in [("no variance", 0.0), ("an enormous variance", 1e12)] {
+        cases.push(Case::new(format!("{what} is claimed for one pixel"), SMALL, long(WIDE)).damaged(vec![PIXEL], move |p, _| variance_of(p, &[PIXEL], value)));
+        cases.push(Case::new(format!("{what} is claimed for a row"), SMALL, long(TALL)).damaged(row(ROW), move |p, _| variance_of(p, &row(ROW), value)));
+        let everywhere = move |picture: &mut Picture, _: f64| picture.variance().planes.iter_mut().flatten().for_each(|v| *v = value);
+        let case = Case::new(format!("{what} is claimed for every pixel"), RADIUS, standard).changed(everywhere);
+        cases.push(if value > 0.0 { case.but(Subject::Nlm, Check::Error, 1.5, CLAIM).but(Subject::Gem, Check::Error, 3.0, CLAIM) } else { case });
+        let case =
+            Case::new(format!("{what} is claimed for every pixel, without halves"), RADIUS, |noise| standard(noise).without_halves()).changed(everywhere);
+        cases.push(if value > 0.0 {
+            case.without_limit().but(Subject::Nlm, Check::Error, 10.0, CLAIM).but(Subject::Gem, Check::Error, 20.0, CLAIM)
+        } else {
+            case
+        });
+    }
+    cases.push(Case::new("the renderer reports 0 variance for the background", RADIUS, standard).changed(clean_background).but(
+        Subject::Gem,
+        Check::Error,
+        2.0,
+        CHEQUER,
+    ));
+    let without_halves = Case::new("the renderer reports 0 variance for the background, without halves", RADIUS, |noise| standard(noise).without_halves());
+    cases.push(without_halves.changed(clean_background).but(Subject::Gem, Check::Error, 2.0, CHEQUER));
+    let huge = |picture: &mut Picture, noise: f64| picture.variance().planes.iter_mut().flatten().for_each(|value| *value = (noise * noise) as f32);
+    cases.push(Case::new("a clean colour with a huge variance", RADIUS, |_| standard(0.0)).changed(huge).but(Subject::DfcThesis, Check::Error, 2500.0, THIRD));
+    let case = Case::new("a clean colour with a huge variance, without halves", RADIUS, |_| standard(0.0).without_halves()).changed(huge);
+    // In squares of what cannot be told apart: a relative MSE of .015 for DFC, of .4 and .5 for the others.
+    let case = case.but(Subject::Dfc, Check::Error, 4e4, CLAIM).but(Subject::DfcThesis, Check::Error, 4e4, CLAIM);
+    cases.push(case.but(Subject::Nlm, Check::Error, 1e6, CLAIM).but(Subject::Gem, Check::Error, 1.3e6, CLAIM));
+    cases.push(Case::new("identical halves, with variance", RADIUS, standard).changed(|picture, _| {
+        let mean = picture.color.mean.clone();
+        (*picture.half_a(), *picture.half_b()) = (mean.clone(), mean);
+    }));
+    cases.push(
+        Case::new("identical halves, without variance", RADIUS, standard)
+            .changed(|picture, _| {
+                let mean = picture.color.mean.clone();
+                (*picture.half_a(), *picture.half_b()) = (mean.clone(), mean);
+                picture.color.variance_of_mean = None;
+            })
+            .refused(&["the two halves are identical", "different seeds"]),
+    );
+    cases.push(Case::new("half B is empty", RADIUS, standard).changed(|picture, _| {
+        picture.color.mean = picture.half_a().clone();
+        picture.half_b().planes.iter_mut().flatten().for_each(|value| *value = 0.0);
+    }));
+    cases.push(
+        Case::new("half B is empty, and there is no variance", RADIUS, standard)
+            .changed(|picture, _| {
+                picture.color.mean = picture.half_a().clone();
+                picture.half_b().planes.iter_mut().flatten().for_each(|value| *value = 0.0);
+                picture.color.variance_of_mean = None;
+            })
+            .refused(&["half B", "empty"]),
+    );
+    cases.push(Case::new("low-discrepancy samples: the variance is four times too large", RADIUS, standard).changed(|picture, _| {
+        picture.variance().planes.iter_mut().flatten().for_each(|value| *value *= 4.0);
+    }));
+    cases
+}
+
+fn ranges() -> Vec<Case> {
+    let decades = |x: usize| 10f64.powf(-8.0 + 16.0 * x as f64 / 47.0);
+    let scaled = |factor: f32| {
+        move |noise: f64| {
+            let mut picture = standard(noise);
+            picture.scale_radiance(factor);
+            picture
+        }
+    };
+    vec![
+        Case::new("radiance from 1e-8 to 1e8 in one image", RADIUS, move |noise| {
+            Picture::sampled(extent(48, 10), Sampling::new(noise), move |x, _| Surface::grey(decades(x)))
+        })
+        .but(Subject::Gem, Check::Energy, 0.2, DECADES)
+        .but(Subject::Gem, Check::Dark, 0.2, DECADES)
+        .but(Subject::Gem, Check::Error, 2.0, DECADES),
+        Case::new("all radiance of the order of 1e-8", RADIUS, scaled(1e-8)),
+        Case::new("all radiance of the order of 1e8", RADIUS, scaled(1e8)),
+        Case::new("denormal radiance", RADIUS, scaled(1e-40)).without_limit().within(Check::Error, 20.0, BLACK),
+        Case::new("squares of radiance are denormal", RADIUS, scaled(1e-20)),
+        Case::new("radiance at the end of what is taken for finite", RADIUS, scaled(1e17)),
+        Case::new("radiance at the limits of half floats", RADIUS, |noise| {
+            Picture::sampled(STANDARD, Sampling::new(noise), |x, y| Surface::grey(if (x / 6 + y / 5) % 2 == 0 { 65504.0 } else { 6e-8 }))
+        }),
+        Case::new("written as half floats", RADIUS, |noise| {
+            let mut picture = standard(noise);
+            let half = |value: &mut f32| {
+                // Ten bits after the first, and none below 2⁻²⁴.
+                let unit = (value.abs().max(6.2e-5).log2().floor() - 10.0).exp2();
+                *value = (*value / unit).round() * unit;
+            };
+            let images = [Some(&mut picture.color.mean), picture.color.half_a.as_mut(), picture.color.half_b.as_mut(), picture.color.variance_of_mean.as_mut()];
+            images.into_iter().flatten().flat_map(|image| &mut image.planes).flatten().for_each(half);
+            picture
+        }),
+        Case::new("black beside light: u = 0 under the step of SURE", RADIUS, |noise| {
+            Picture::sampled(
+                STANDARD,
+                Sampling::new(noise),
+                |x, _| if x < 12 { Surface { deviation: [0.3; 3], ..Surface::grey(0.0) } } else { Surface::grey(1.4) },
+            )
+        })
+        .changed(|picture, _| {
+            for pixel in (0..480).filter(|pixel| pixel % 24 < 12 && pixel % 3 == 0) {
+                picture.color.mean.planes.iter_mut().for_each(|plane| plane[pixel] = 0.0);
+            }
+        }),
+        Case::new("light and its negative: u < 0 under the step of SURE", RADIUS, |noise| {
+            Picture::sampled(STANDARD, Sampling::new(noise), |x, _| Surface::grey(if x < 12 { -1.4 } else { 1.4 }))
+        }),
+        Case::new("dark areas where differences come near ε", RADIUS, |noise| {
+            Picture::sampled(STANDARD, Sampling::new(noise), |x, y| Surface::grey(if x < 12 { 1.4 } else { 1e-5 * (1.0 + (y % 3) as f64) }))
+        }),
+        Case::new("a stiff ramp: exponents of weights from 0 to 10⁶", RADIUS, |noise| {
+            Picture::sampled(STANDARD, Sampling::new(noise), |x, _| {
+                // Steps that grow by a half: of one deviation, of a thousand in the end.
+                let level = 1.0 + 1e-3 * 1.5f64.powi(x as i32);
+                Surface { deviation: [2e-3; 3], ..Surface::grey(level) }
+            })
+        }),
+        Case::new("a gradient that runs into the border of the image", RADIUS, |noise| {
+            Picture::sampled(STANDARD, Sampling::new(noise), |x, y| Surface::grey(1.2 + 0.02 * x as f64 + 0.01 * y as f64))
+        })
+        .but(Subject::Nlm, Check::Limit, 1.1, BORDER),
+        Case::new("halves of 1e17 that cancel, in some pixels", RADIUS, standard)
+            .changed(|picture, noise| {
+                for pixel in (0..480).filter(|pixel| pixel % 97 == 5) {
+                    for channel in 0..3 {
+                        picture.half_a().planes[channel][pixel] = 1e17 * noise as f32;
+                        picture.half_b().planes[channel][pixel] = -1e17 * noise as f32;
+                    }
+                }
+            })
+            .without_limit()
+            .but(Subject::Dfc, Check::Error, 3.0, CLAIM)
+            .but(Subject::DfcThesis, Check::Error, 6.0, CLAIM)
+            .but(Subject::Gem, Check::Error, 16.0, CLAIM)
+            .but(Subject::Nlm, Check::Twin, 20.0, SPREAD),
+        Case::new("black and white by turns", RADIUS, |noise| {
+            Picture::sampled(STANDARD, Sampling::new(noise), |x, y| Surface { deviation: [0.2; 3], ..Surface::grey(if (x + y) % 2 == 0 { 1.4 } else { 0.0 }) })
+        }),
+    ]
+}
+
+fn samples() -> Vec<Case> {
+    let drawn = |samples: usize| move |noise: f64| Picture::sampled(STANDARD, Sampling { samples, ..Sampling::new(noise) }, room(STANDARD));
+    vec![
+        Case::new("one sample per pixel, which has no variance and no second half", RADIUS, drawn(1)),
+        Case::new("two samples per pixel", RADIUS, drawn(2)),
+        Case::new("four samples per pixel", RADIUS, drawn(4)).but(Subject::Gem, Check::Error, 2.0, CHEQUER),
+        Case::new("sample counts that differ a thousandfold between neighbours", RADIUS, |noise| {
+            let counts = |pixel: usize| if (pixel % 24 + pixel / 24).is_multiple_of(2) { 4 } else { 4096 };
+            let surface = room(STANDARD);
+            let mut picture = Picture::sampled(STANDARD, Sampling { samples: 4, ..Sampling::new(noise) }, move |x, y| {
+                let surface = surface(x, y);
+                let calmer = (4.0 / f64::from(counts(24 * y + x))).sqrt();
+                Surface { deviation: surface.deviation.map(|deviation| calmer * deviation), ..surface }
+            });
+            picture.samples = Samples::PerPixel((0..480).map(|pixel| counts(pixel) as f32).collect());
+            picture
+        }),
+        Case::new("sample counts of 0, NaN and below 0 in some pixels", RADIUS, |noise| {
+            let mut picture = standard(noise);
+            let count = |pixel: usize| [8.0, 8.0, 0.0, f32::NAN, 8.0, -3.0, f32::INFINITY][pixel % 7];
+            picture.samples = Samples::PerPixel((0..480).map(count).collect());
+            picture
+        }),
+        Case::new("nobody knows the sample counts", RADIUS, |noise| Picture { samples: Samples::Unknown, ..standard(noise) }),
+    ]
+}
+
+fn features() -> Vec<Case> {
+    let without_noise = |mean: Image| exact(mean);
+    let plane = |value: &dyn Fn(usize) -> f64| image(STANDARD, &(0..480).map(|pixel| [value(pixel)]).collect::<Vec<_>>());
+    vec![
+        Case::new("no features", RADIUS, |noise| standard(noise).without_features()),
+        Case::new("eight features", RADIUS, move |noise| {
+            let mut picture = standard(noise).with_normals(room(STANDARD));
+            for index in 0..5usize {
+                let mean = plane(&|pixel| ((pixel % 24) / (index + 2) + pixel / 24 / (index + 3)) as f64 % 3.0);
+                picture.features.push((format!("{}.position", ["a", "b", "c", "d", "e"][index]), without_noise(mean)));
+            }
+            picture
+        }),
+        Case::new("nine features", RADIUS, |noise| {
+            let mut picture = standard(noise);
+            let depth = picture.feature("depth").clone();
+            picture.features.extend((0..7).map(|index| (format!("{index}.depth"), depth.clone())));
+            picture
+        }),
+        Case::new("infinite depth where nothing is hit", RADIUS, standard).changed(|picture, _| {
+            let depth = picture.feature("depth");
+            depth.mean.planes[0][..150].fill(f32::INFINITY);
+            for half in [&mut depth.half_a, &mut depth.half_b].into_iter().flatten() {
+                half.planes[0][..150].fill(f32::INFINITY);
+            }
+        }),
+        Case::new("depth from 1e-3 to 1e9", RADIUS, standard).changed(|picture, _| {
+            for (pixel, value) in picture.feature("depth").mean.planes[0].iter_mut().enumerate() {
+                *value = 10f64.powf(-3.0 + 12.0 * (pixel / 24) as f64 / 19.5) as f32;
+            }
+        }),
+        Case::new("normals that are not normalised", RADIUS, |noise| standard(noise).with_normals(room(STANDARD))).changed(|picture, _| {
+            for (pixel, value) in picture.feature("normal").mean.planes.iter_mut().flat_map(|plane| plane.iter_mut().enumerate()) {
+                *value *= 1.0 + 9.0 * (pixel % 24) as f32;
+            }
+        }),
+        Case::new("features that are the same everywhere", RADIUS, standard).changed(|picture, _| {
+            for (_, feature) in &mut picture.features {
+                *feature = exact(Image::filled(feature.mean.extent, feature.mean.channels(), 0.5));
+            }
+        }),
+        Case::new("a feature that is nothing but noise", RADIUS, standard).changed(|picture, _| {
+            let mut random = stein_reference::random::Random(5);
+            let feature = picture.feature("albedo");
+            let images = [Some(&mut feature.mean), feature.half_a.as_mut(), feature.half_b.as_mut()];
+            images.into_iter().flatten().flat_map(|image| &mut image.planes).flatten().for_each(|value| *value = random.uniform() as f32);
+            feature.variance_of_mean = Some(Image::filled(feature.mean.extent, 3, 1.0 / 12.0));
+        }),
+        Case::new("a feature that is nothing but noise, and does not say so", RADIUS, standard).changed(|picture, _| {
+            let mut random = stein_reference::random::Random(6);
+            let mut mean = picture.feature("albedo").mean.clone();
+            mean.planes.iter_mut().flatten().for_each(|value| *value = random.uniform() as f32);
+            *picture.feature("albedo") = exact(mean);
+        }),
+        Case::new("a feature that contradicts the colour", RADIUS, move |noise| {
+            let mut picture = standard(noise);
+            picture.features = vec![("albedo".into(), without_noise(plane(&|pixel| f64::from(u8::from((pixel % 24 + 2 * (pixel / 24)) % 7 < 3)))))];
+            picture
+        }),
+        Case::new("a feature of a tiny range far from 0", RADIUS, move |noise| {
+            let mut picture = standard(noise);
+            picture.features.push(("position".into(), without_noise(plane(&|pixel| 1e4 + 1e-1 * (pixel % 24) as f64))));
+            picture
+        }),
+        Case::new("features without variance, halves alone", RADIUS, standard)
+            .changed(|picture, _| picture.features.iter_mut().for_each(|(_, feature)| feature.variance_of_mean = None)),
+        Case::new("features without halves, variance alone", RADIUS, standard)
+            .changed(|picture, _| picture.features.iter_mut().for_each(|(_, feature)| (feature.half_a, feature.half_b) = (None, None))),
+        Case::new("features with an enormous variance", RADIUS, standard).changed(|picture, _| {
+            picture
+                .features
+                .iter_mut()
+                .for_each(|(_, feature)| feature.variance_of_mean = Some(Image::filled(feature.mean.extent, feature.mean.channels(), 1e12)));
+        }),
+    ]
+}
+
+fn windows() -> Vec<Case> {
+    let with_windows = vec![Subject::Dfc, Subject::DfcThesis, Subject::Nlm];
+    let other = |noise: f64| Picture::sampled(STANDARD, Sampling { seed: 8, ..Sampling::new(noise) }, room(STANDARD));
+    let beside = |name: &str, beside: Box<dyn Fn(f64) -> Picture>| Case {
+        methods: with_windows.clone(),
+        beside: Some(beside),
+        ..Case::new(name, RADIUS, standard).without_limit()
+    };
+    vec![
+        beside("two frames of a shot that stands still", Box::new(other)),
+        beside("the frame beside is black", Box::new(|noise| flat(noise, Surface::grey(0.0)))),
+        beside(
+            "the frame beside is a million times brighter",
+            Box::new(move |noise| {
+                let mut picture = other(noise);
+                picture.scale_radiance(1e6);
+                picture
+            }),
+        ),
+        beside("the frame beside lacks the features", Box::new(move |noise| other(noise).without_features())),
+    ]
+}
+
+fn outliers() -> Vec<Case> {
+    const MILLION: f32 = 1e6;
+    let spikes = |name: &str, every: &'static [(usize, usize)], told: bool, in_one_half: bool| {
+        Case::new(name, SMALL, long(WIDE))
+            .damaged(every.to_vec(), move |picture, noise| {
+                let value = noise as f32 * MILLION;
+                for (x, y) in every {
+                    let pixel = picture.pixel(*x, *y);
+                    if in_one_half {
+                        picture.add_to_half_a(pixel, [2.0 * value; 3]);
+                    } else {
+                        picture.add_to_both(pixel, [value; 3]);
+                    }
+                    if told {
+                        picture.variance().planes.iter_mut().for_each(|plane| plane[pixel] = value * value);
+                    }
+                }
+            })
+            .within(Check::Energy, 1.0, OUTLIER)
+            .but(Subject::Nlm, Check::Twin, 20.0, SPREAD)
+    };
+    const BOTH: &str = "nothing tells that it is none: it stays, and some of it goes to its neighbours";
+    vec![
+        spikes("a spike of a million times the mean", &[(2, 1)], true, true),
+        spikes("a spike of a million times the mean that claims a small variance", &[(2, 1)], false, true),
+        spikes("a spike in both halves that claims a small variance", &[(2, 1)], false, false).within(Check::Error, 1.1, BOTH),
+        spikes("spikes of a million times the mean, clustered", &[(2, 1), (3, 1), (2, 2), (3, 2), (4, 1)], true, true),
+        spikes("spikes, clustered, that claim a small variance", &[(2, 1), (3, 1), (2, 2), (3, 2), (4, 1)], false, true),
+        Case::new("one bright pixel in each corner", RADIUS, standard)
+            .changed(|picture, noise| {
+                for (x, y) in [(0, 0), (23, 0), (0, 19), (23, 19)] {
+                    let pixel = picture.pixel(x, y);
+                    picture.add_to_half_a(pixel, [200.0 * noise as f32; 3]);
+                    picture.variance().planes.iter_mut().for_each(|plane| plane[pixel] = (100.0 * noise).powi(2) as f32);
+                }
+            })
+            .within(Check::Energy, 1.0, OUTLIER),
+        Case::new("a lamp beside a wall that shares all its features", RADIUS, |noise| {
+            Picture::sampled(STANDARD, Sampling::new(noise), |x, y| {
+                let is_lamp = (8..13).contains(&x) && (6..10).contains(&y);
+                // What is seen of a lamp directly has no noise.
+                if is_lamp { Surface { deviation: [0.0; 3], ..Surface::grey(400.0) } } else { Surface::grey(1.4) }
+            })
+        })
+        .but(Subject::DfcThesis, Check::Energy, 0.12, THIRD)
+        .but(Subject::DfcThesis, Check::Error, 300.0, THIRD),
+        Case::new("a clean pixel beside bright noise", RADIUS, |noise| {
+            Picture::sampled(STANDARD, Sampling::new(noise), |x, y| match (x < 12, (x + y) % 5 == 0) {
+                (true, _) => Surface::grey(0.07),
+                (false, true) => Surface { deviation: [0.0; 3], ..Surface::grey(0.07) },
+                (false, false) => Surface::grey(12.0),
+            })
+        })
+        .but(Subject::DfcThesis, Check::Error, 60.0, THIRD)
+        .but(Subject::Gem, Check::Error, 2e4, "a pixel that is unlike all around it is an outlier of the choice of scales (6.2.4)"),
+    ]
+}
+
+fn renders() -> Vec<Case> {
+    let render = |name: &str, file: &'static [u8]| {
+        let mut case = Case::new(name, RADIUS, standard).without_limit();
+        case.base = Box::new(move |_| {
+            // Its own folder: it is read again beside the file of the frame.
+            let folder = tempfile::tempdir().map_err(|error| stein::Error::Request {
+                problem: format!("no folder for temporary files: {error}"),
+                remedy: "let TMPDIR name a folder that may be written to".into(),
+            })?;
+            Picture::rendered(file, folder.path())
+        });
+        case
+    };
+    vec![
+        render("a render: the lamp of a Cornell box, 8 samples per pixel", include_bytes!("crops/lamp.exr")).but(
+            Subject::DfcThesis,
+            Check::Error,
+            800.0,
+            THIRD,
+        ),
+        render("a render: caustics and spikes, 32 samples per pixel", include_bytes!("crops/caustic.exr")).within(Check::Energy, 0.25, RENDER).within(
+            Check::Dark,
+            0.15,
+            RENDER,
+        ),
+        render("a render: texture out of focus, 32 samples per pixel", include_bytes!("crops/focus.exr")),
+    ]
+}

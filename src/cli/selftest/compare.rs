@@ -1,0 +1,121 @@
+//! Two runs, result by result: where adapters differ.
+
+use std::path::Path;
+
+use serde::Serialize;
+
+use super::super::Failure;
+use super::super::bench::Adapter;
+use super::super::out::{number, table};
+use super::checks::Summary;
+use super::{Document, SCHEMA, VERSION};
+
+/// This run against another one.
+#[derive(Debug, Serialize)]
+pub(super) struct Comparison {
+    other_adapter: Adapter,
+    /// Results that both have, and how many of them are the same to the bit.
+    compared: usize,
+    same: usize,
+    /// Those that are not.
+    different: Vec<Difference>,
+    /// Results that one of the two lacks.
+    missing: Vec<String>,
+}
+
+#[derive(Debug, Serialize)]
+struct Difference {
+    case: String,
+    method: String,
+    /// Of the colour's mean, relative to its root mean square.
+    mean: f64,
+    /// Of the root mean square.
+    root_mean_square: f64,
+    /// Of the least and of the largest value, the greater difference, relative to the largest magnitude.
+    extremes: f64,
+    /// Of the mean estimated error.
+    error: f64,
+    /// Of the mean number of pixels that took part.
+    weight_sum: f64,
+    /// Whether one is within bounds and the other is not.
+    verdicts_differ: bool,
+}
+
+impl Difference {
+    fn new(case: &str, method: &str, here: &Summary, there: &Summary, verdicts_differ: bool) -> Self {
+        let relative = |a: f64, b: f64, size: f64| if a == b { 0.0 } else { (a - b).abs() / size };
+        let own = |a: f64, b: f64| relative(a, b, a.abs().max(b.abs()));
+        let magnitude = here.most.abs().max(here.least.abs());
+        Self {
+            case: case.to_owned(),
+            method: method.to_owned(),
+            mean: relative(here.mean, there.mean, here.root_mean_square),
+            root_mean_square: own(here.root_mean_square, there.root_mean_square),
+            extremes: relative(here.least, there.least, magnitude).max(relative(here.most, there.most, magnitude)),
+            error: own(here.error, there.error),
+            weight_sum: own(here.weight_sum, there.weight_sum),
+            verdicts_differ,
+        }
+    }
+}
+
+/// What `--json` printed in another run.
+pub(super) fn read(path: &Path) -> Result<Document, Failure> {
+    let failed = |problem: String| Failure::input(format_args!("{}: {problem}\n  remedy: give what `stein selftest --json` printed", path.display()));
+    let text = std::fs::read_to_string(path).map_err(|error| failed(format!("cannot be read: {error}")))?;
+    let value: serde_json::Value = serde_json::from_str(&text).map_err(|error| failed(format!("is not JSON: {error}")))?;
+    if value["schema"] != SCHEMA {
+        return Err(failed("was not printed by `stein selftest --json`".into()));
+    }
+    if value["version"] != VERSION {
+        return Err(failed(format!("has version {} of the format, not {VERSION}", value["version"])));
+    }
+    serde_json::from_value(value).map_err(|error| failed(format!("is damaged: {error}")))
+}
+
+impl Comparison {
+    pub(super) fn new(other: &Document, own: &Document) -> Self {
+        let mut comparison = Self { other_adapter: other.adapter.clone(), compared: 0, same: 0, different: Vec::new(), missing: Vec::new() };
+        for row in &own.rows {
+            let name = || format!("{}, {}", row.case, row.method);
+            let Some(there) = other.rows.iter().find(|there| there.case == row.case && there.method == row.method) else {
+                comparison.missing.push(format!("{} (there)", name()));
+                continue;
+            };
+            match (&row.result, &there.result) {
+                (Some(here), Some(of_other)) => {
+                    comparison.compared += 1;
+                    if here.checksum == of_other.checksum && row.passed == there.passed {
+                        comparison.same += 1;
+                    } else {
+                        comparison.different.push(Difference::new(&row.case, &row.method, here, of_other, row.passed != there.passed));
+                    }
+                }
+                (Some(_), None) => comparison.missing.push(format!("{} (there)", name())),
+                (None, Some(_)) => comparison.missing.push(format!("{} (here)", name())),
+                (None, None) => {}
+            }
+        }
+        let lacks = |case: &str, method: &str| !own.rows.iter().any(|row| row.case == case && row.method == method);
+        comparison.missing.extend(other.rows.iter().filter(|row| lacks(&row.case, &row.method)).map(|row| format!("{}, {} (here)", row.case, row.method)));
+        comparison
+    }
+
+    pub(super) fn text(&self) -> String {
+        let mut text = format!("Against {}: {} of {} results are the same to the bit", self.other_adapter, self.same, self.compared);
+        if !self.different.is_empty() {
+            let head = ["case", "method", "", "mean", "RMS", "extremes", "error", "Σ w"].map(String::from).to_vec();
+            let line = |row: &Difference| {
+                let verdict = if row.verdicts_differ { "another verdict" } else { "" };
+                let figures = [row.mean, row.root_mean_square, row.extremes, row.error, row.weight_sum].map(number);
+                [row.case.clone(), row.method.clone(), verdict.to_owned()].into_iter().chain(figures).collect::<Vec<_>>()
+            };
+            let rows: Vec<_> = std::iter::once(head).chain(self.different.iter().map(line)).collect();
+            text += &format!("; relative differences of the others:\n{}", table(&rows, 3));
+        }
+        if !self.missing.is_empty() {
+            text += &format!("\nMissing: {}", self.missing.join("; "));
+        }
+        text
+    }
+}

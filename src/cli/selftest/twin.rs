@@ -1,0 +1,324 @@
+//! A result against the float64 reference, which gets the same frame.
+//!
+//! Step by step: where a method decides (which candidate, which scale), the reference goes on with what the device has decided, so that a decision that falls the other way between
+//! two ties does not hide what comes after it, and every step is held to its own tolerance. Tolerances are relative to what a value is made of. Decisions by themselves may differ
+//! in a few pixels.
+
+use stein::{DfcParams, Estimate, Frame, GemParams, Image, Method, NlmParams};
+use stein_reference::candidates::{Candidate, finite_difference_step};
+use stein_reference::dfc::{Pass, dfc, sampling_density, second_pass};
+use stein_reference::gaussian::gaussian_neighbours;
+use stein_reference::gem::{self, choose, decided};
+use stein_reference::nlm::{FilterParams, Guide};
+use stein_reference::select::{self, Evidence};
+use stein_reference::sure::{self, smooth_errors};
+use stein_reference::{Grid, Planes, Point, channel_mean, nlm_method, square};
+
+use super::bridge;
+
+/// One thing that was compared.
+pub(super) struct Part {
+    pub(super) name: String,
+    /// How far off its worst value is, in tolerances, but for the share of values that decisions may turn over.
+    pub(super) off: f64,
+    /// Where that is, and what is there in place of what.
+    pub(super) detail: String,
+}
+
+/// Filtered values, by how far they are from the input. Features agree to some 10⁻⁶ with their twins; where a weight is worth anything their difference is below 0.1, so that its
+/// square over k_f²·2τ, at the least 4·10⁻⁴, agrees to 10⁻⁴ or so.
+const FILTERED: f64 = 2e-4;
+/// Derivatives, which are finite differences.
+const DERIVED: f64 = 1e-3;
+/// Sums of squares of filtered values and such.
+const SQUARED: f64 = 4e-4;
+/// What was averaged over few values without weights of their own.
+const AVERAGED: f64 = 1e-5;
+/// The share of values that a decision may turn over: by a guard, by a limit, by a cut.
+const TURNED: f64 = 0.01;
+/// A few units of float32's last digit.
+const ROUNDED: f64 = 2.5e-7;
+/// What float32 takes for 0 when it is multiplied, in the units that the methods work in.
+const VANISHING: f64 = 1e-30;
+
+/// Compares what an estimate with all its intermediates holds.
+pub(super) fn compare(frame: &Frame, method: &Method, estimate: &Estimate) -> Vec<Part> {
+    let exposure = bridge::exposure(frame);
+    let mut comparison = Comparison { estimate, exposure, parts: Vec::new() };
+    match method {
+        Method::Dfc(params) => comparison.dfc(frame, params),
+        Method::Nlm(params) => comparison.nlm(frame, params),
+        Method::Gem(params) => comparison.gem(frame, params),
+    }
+    comparison.parts
+}
+
+struct Comparison<'a> {
+    estimate: &'a Estimate,
+    exposure: f64,
+    parts: Vec<Part>,
+}
+
+impl Comparison<'_> {
+    fn dfc(&mut self, frame: &Frame, params: &DfcParams) {
+        let (input, params) = (bridge::frame(frame, self.exposure), bridge::dfc_params(params));
+        let twin = dfc(&input, &params);
+        // Without its spikes.
+        let (u, variance) = (&twin.color.mean.clone(), &twin.color_variance.clone());
+        self.own_size("scaled variance", &self.squared("scaled_variance"), variance, AVERAGED);
+
+        for (feature, expected) in frame.features().iter().zip(&twin.features) {
+            let (scale, offset) = (f64::from(feature.unit_scale), f64::from(feature.unit_offset));
+            let name = format!("{}_prefiltered", feature.name);
+            let actual: Planes = self.layer(&name, 1.0).iter().map(|grid| grid.like(|p| (grid.at(p) - offset) / scale)).collect();
+            // In unit range; layers are in the file's, whose offset costs digits.
+            let size = flat(&actual, 1.0 + (offset / scale).abs());
+            self.add(&name, &actual, &expected.feature.mean, &size, AVERAGED, 0.0);
+            let residual = &expected.feature.residual_variance;
+            let name = format!("{}_residual_variance", feature.name);
+            self.add(&name, &self.layer(&name, scale.powi(-2)), residual, &sizes(residual, 1e-7), 5e-4, 0.0);
+        }
+
+        // What a pixel of a filtered colour may be measured by: how far it was moved, its noise, a hundredth of itself.
+        let color_size = |filtered: &[Grid]| -> Planes {
+            let channel = |i: usize| u[i].like(|p| (filtered[i].at(p) - u[i].at(p)).abs() + variance[i].at(p).sqrt() + 0.01 * u[i].at(p).abs() + VANISHING);
+            (0..3).map(channel).collect()
+        };
+        const NAMES: [&str; 3] = ["first", "second", "third"];
+        for (name, candidate) in NAMES.into_iter().zip(&twin.candidates) {
+            self.add(name, &self.color(name), &candidate.mean, &color_size(&candidate.mean), FILTERED, 0.0);
+            let derivative = format!("{name}_derivative");
+            // Finite differences of what is rounded, by weights whose exponents are rounded.
+            let rounded = |i: usize, p: Point| {
+                40.0 * ROUNDED * (candidate.mean[i].at(p) - u[i].at(p)).abs() / finite_difference_step(u[i].at(p), variance[i].at(p)).abs()
+            };
+            let size: Planes = (0..3).map(|i| u[i].like(|p| 1.0 + candidate.derivative[i].at(p).abs() + rounded(i, p) / DERIVED)).collect();
+            self.add(&derivative, &self.layer(&derivative, 1.0), &candidate.derivative, &size, DERIVED, 0.0);
+        }
+        let terms = |candidate: &Candidate, i: usize, p: Point| {
+            let (residual, variance, rounded) = (candidate.mean[i].at(p) - u[i].at(p), variance[i].at(p), ROUNDED * u[i].at(p).abs());
+            residual * residual
+                + variance * (1.0 + 2.0 * params.covariance * candidate.derivative[i].at(p).abs())
+                + (2.0 * residual.abs() + rounded) * rounded / SQUARED
+        };
+        let terms = |candidate: &Candidate| u[0].like(|p| (0..3).map(|i| terms(candidate, i, p)).sum::<f64>() + VANISHING);
+        let terms: Planes = twin.candidates.iter().map(terms).collect();
+        let sure = self.squared("sure");
+        self.add("SURE", &sure, &twin.sure, &terms, SQUARED, 0.0);
+
+        // From here on by what the device has decided.
+        let aside = FilterParams { symmetric_features: params.symmetric, blend_pairs: params.symmetric, ..aside(&params) };
+        let guide = Guide { mean: u, variance };
+        let errors = self.squared("sure_smoothed");
+        // An average of nine.
+        let around = |grids: &[Grid]| -> Planes {
+            grids
+                .iter()
+                .map(|grid| grid.like(|p| square(1).map(|o| p + o).filter(|q| grid.contains(*q)).map(|q| grid.at(q).abs()).fold(VANISHING, f64::max)))
+                .collect()
+        };
+        self.add("SURE smoothed", &errors, &smooth_errors(&sure, guide, &aside), &around(&sure), FILTERED, 0.0);
+        let derivatives = NAMES.map(|name| self.layer(&format!("{name}_derivative"), 1.0));
+        let selected = self.layer("selected", 1.0);
+        // Whether FIRST may win is turned over by the last digit of a derivative.
+        let mean_derivative = |k: usize, p: Point| channel_mean(&derivatives[k], p);
+        let ties = |p: Point| (mean_derivative(0, p) - mean_derivative(1, p)).abs() <= 1e-6 * mean_derivative(1, p).abs();
+        let expected = select::select(&errors, derivatives.each_ref().map(Vec::as_slice), params.takes_part);
+        let expected: Planes =
+            expected.iter().zip(&selected).map(|(expected, selected)| expected.like(|p| if ties(p) { selected.at(p) } else { expected.at(p) })).collect();
+        self.add("selected", &selected, &expected, &flat(&selected, 1.0), AVERAGED, 0.0);
+        let candidates = NAMES.map(|name| self.color(name));
+        let means = candidates.each_ref().map(Vec::as_slice);
+        let evidence = Evidence { errors: &errors, binary_maps: &selected, sure: &sure, candidates: means, takes_part: params.takes_part, variance };
+        let maps = self.layer("selection", 1.0);
+        let expected = select::share(&select::smooth_maps(&selected, guide, &aside), evidence, params.guard.as_ref());
+        // By what they make of the candidates: where these are the same, it does not matter which is taken.
+        let apart = |i: usize, p: Point| {
+            (0..3).flat_map(|j| (0..j).map(move |k| (j, k))).map(|(j, k)| (means[j][i].at(p) - means[k][i].at(p)).abs()).fold(0.0, f64::max)
+        };
+        let by = |maps: &[Grid]| -> Planes { (0..3).map(|i| blend(maps, means.map(|mean| &mean[i]))).collect() };
+        let size: Planes = (0..3).map(|i| u[0].like(|p| apart(i, p) + ROUNDED * means[0][i].at(p).abs() / FILTERED + VANISHING)).collect();
+        self.add("selection", &by(&maps), &by(&expected), &size, FILTERED, TURNED);
+
+        let blended = |planes: [&[Grid]; 3]| -> Planes { (0..planes[0].len()).map(|i| blend(&maps, planes.map(|planes| &planes[i]))).collect() };
+        let largest = |planes: [&[Grid]; 3]| -> Planes {
+            (0..planes[0].len()).map(|i| u[0].like(|p| planes.iter().map(|planes| planes[i].at(p).abs()).fold(VANISHING, f64::max))).collect()
+        };
+        let spreads = twin.candidates.each_ref().map(|candidate| candidate.spread.as_deref());
+        let spread = match spreads {
+            [Some(first), Some(second), Some(third)] => Some(blended([first, second, third])),
+            _ => None,
+        };
+        let pass1 = Pass { mean: blended(means), spread };
+        let actual = if pass1.spread.is_some() { self.color("pass1") } else { bridge::grids(&self.estimate.color, self.exposure) };
+        self.add("pass 1", &actual, &pass1.mean, &largest(means), AVERAGED, 0.0);
+        let weight_sums = twin.candidates.each_ref().map(|candidate| std::slice::from_ref(&candidate.weight_sum));
+        self.add("Σ w", &bridge::grids(&self.estimate.weight_sum, 1.0), &blended(weight_sums), &largest(weight_sums), 1e-3, 0.0);
+
+        // The error is that of the result as it is.
+        let part = |k: usize| sure::Part { share: &maps[k], mean: means[k], derivative: &derivatives[k] };
+        let (mean, spread) = (bridge::grids(&self.estimate.color, self.exposure), self.grids(self.estimate.half_spread.as_ref(), self.exposure));
+        let spread = pass1.spread.is_some().then_some(spread.as_slice());
+        let parts = sure::ErrorParts::measured(spread.is_some(), true);
+        let error = sure::error_blend(&mean, spread, variance, &[0, 1, 2].map(part), parts);
+        let rounded = |p: Point| (0..3).map(|i| (ROUNDED * (mean[i].at(p).abs() + apart(i, p))).powi(2) / AVERAGED).sum::<f64>();
+        let size = [error.like(|p| error.at(p) + rounded(p) + 2.0 * (error.at(p) * rounded(p) / AVERAGED).sqrt() + VANISHING)];
+        self.add("error", &self.grids(self.estimate.error.as_ref(), self.exposure.powi(2)), std::slice::from_ref(&error), &size, AVERAGED, 0.0);
+
+        let twin = stein_reference::dfc::Dfc { maps: maps.clone(), error, pass1: pass1.clone(), ..twin };
+        let density = [sampling_density(&twin, &params, bridge::samples(frame, 0.0).mean())];
+        if !matches!(frame.samples_per_pixel(), stein::frame::SamplesPerPixel::PerPixel(_)) {
+            let size = [density[0].like(|p| density[0].at(p) + density[0].mean() + VANISHING)];
+            self.add("density", &self.layer("density", 1.0), &density, &size, 2e-3, 0.0);
+        }
+
+        let result = second_pass(&pass1, variance, &params).unwrap_or(pass1);
+        let size = color_size(&result.mean);
+        self.add("result", &bridge::grids(&self.estimate.color, self.exposure), &result.mean, &size, FILTERED, TURNED);
+        if let Some(spread) = &result.spread {
+            self.add("half spread", &self.grids(self.estimate.half_spread.as_ref(), self.exposure), spread, &size, FILTERED, TURNED);
+        }
+    }
+
+    fn nlm(&mut self, frame: &Frame, params: &NlmParams) {
+        let color = bridge::signal(frame.color(), self.exposure);
+        let twin = nlm_method::nlm(&color, &bridge::nlm_params(params), &bridge::samples(frame, 1.0));
+        let (u, variance) = (&color.mean, &twin.variance);
+        self.own_size("variance", &self.squared("variance_of_mean"), variance, AVERAGED);
+        let channel = |i: usize| u[i].like(|p| (twin.mean[i].at(p) - u[i].at(p)).abs() + variance[i].at(p).sqrt() + 0.01 * u[i].at(p).abs() + VANISHING);
+        let size: Planes = (0..3).map(channel).collect();
+        self.add("result", &bridge::grids(&self.estimate.color, self.exposure), &twin.mean, &size, FILTERED, TURNED);
+        if let Some(spread) = &twin.spread {
+            self.add("half spread", &self.grids(self.estimate.half_spread.as_ref(), self.exposure), spread, &size, FILTERED, TURNED);
+        }
+        let one = |grid: &Grid| [grid.like(|p| grid.at(p).abs() + 0.01 * grid.mean() + VANISHING)];
+        let of = std::slice::from_ref;
+        self.add("Σ w", &bridge::grids(&self.estimate.weight_sum, 1.0), of(&twin.weight_sum), &one(&twin.weight_sum), 2e-3, TURNED);
+        self.add("error", &self.grids(self.estimate.error.as_ref(), self.exposure.powi(2)), of(&twin.error), &one(&twin.error), 2e-3, TURNED);
+        self.add("density", &self.layer("density", 1.0), of(&twin.density), &one(&twin.density), 2e-3, TURNED);
+    }
+
+    fn gem(&mut self, frame: &Frame, params: &GemParams) {
+        let params = bridge::gem_params(params);
+        let twin = gem::gem(&bridge::signal(frame.color(), self.exposure), &bridge::samples(frame, 0.0), &params);
+        self.own_size("scaled variance", &self.squared("scaled_variance"), &twin.variance, AVERAGED);
+        let mut maps = Vec::new();
+        for (index, (step, sigma)) in twin.steps.iter().zip(&params.sigmas).enumerate() {
+            let name = format!("stopping_{}", index + 1);
+            let (stops, smoothed) = (self.layer(&name, 1.0), self.layer(&format!("{name}_smoothed"), 1.0));
+            // Where the selector is within rounding of 0, both are right.
+            let ties = |p: Point| step.selector(p).abs() <= 1e-4 * (step.bias_term.at(p) + step.variance_term.at(p).abs()) + self.rounding(&twin, p);
+            let expected = step.stops();
+            let expected = [expected.like(|p| if ties(p) { stops[0].at(p) } else { expected.at(p) })];
+            self.add(&name, &stops, &expected, &flat(&expected, 1.0), AVERAGED, 0.0);
+            let size = params.outlier_size * sigma;
+            let again = [gaussian_neighbours(&stops[0], size, (3.0 * size).ceil() as usize)];
+            self.add(&format!("{name} smoothed"), &smoothed, &again, &flat(&again, 1.0), AVERAGED, 0.0);
+            maps.push(decided(&stops[0], &smoothed[0], params.coarser_only));
+        }
+        let chosen = choose(&twin.scales, &twin.steps, &maps);
+        let sigma = std::slice::from_ref(&chosen.sigma);
+        self.add("scale", &self.layer("scale", 1.0), sigma, &flat(sigma, 1.0), AVERAGED, 0.0);
+        let size: Planes = twin.scales[0].mean.iter().map(|plane| Grid::filled(plane.width, plane.height, largest(plane))).collect();
+        self.add("result", &bridge::grids(&self.estimate.color, self.exposure), &chosen.mean, &size, AVERAGED, 0.0);
+        if self.estimate.half_spread.is_some() {
+            let size: Planes = twin.scales[0].spread.iter().map(|plane| Grid::filled(plane.width, plane.height, largest(plane))).collect();
+            self.add("half spread", &self.grids(self.estimate.half_spread.as_ref(), self.exposure), &chosen.spread, &size, AVERAGED, 0.0);
+        }
+        let pixels = std::slice::from_ref(&chosen.pixels);
+        self.add("pixels", &bridge::grids(&self.estimate.weight_sum, 1.0), pixels, &sizes(pixels, VANISHING), AVERAGED, 0.0);
+        let terms = |p: Point| {
+            let steps: f64 = twin.steps.iter().map(|step| step.bias_term.at(p) + step.variance_term.at(p).abs()).sum();
+            steps + twin.scales[0].variance.iter().map(|plane| plane.at(p)).sum::<f64>() + self.rounding(&twin, p)
+        };
+        let (error, size) = ([chosen.error.like(|p| chosen.error.at(p).max(0.0))], [chosen.error.like(terms)]);
+        self.add("error", &self.grids(self.estimate.error.as_ref(), self.exposure.powi(2)), &error, &size, 1e-4, 0.0);
+    }
+
+    /// What a bias term of nothing but rounding may be: the square of float32's last digits of the largest value that a scale averages.
+    fn rounding(&self, twin: &gem::Gem, _: Point) -> f64 {
+        let largest: f64 = twin.scales[0].mean.iter().map(largest).fold(0.0, f64::max);
+        (4e-6 * largest).powi(2)
+    }
+
+    fn color(&self, layer: &str) -> Planes {
+        self.layer(layer, self.exposure)
+    }
+
+    fn squared(&self, layer: &str) -> Planes {
+        self.layer(layer, self.exposure * self.exposure)
+    }
+
+    /// A kept layer, in the units of the reference; nothing where there is none.
+    fn layer(&self, name: &str, factor: f64) -> Planes {
+        let layer = self.estimate.layers.iter().find(|layer| layer.name == name);
+        self.grids(layer.map(|layer| &layer.image), factor)
+    }
+
+    fn grids(&self, image: Option<&Image>, factor: f64) -> Planes {
+        image.map_or_else(Planes::new, |image| bridge::grids(image, factor))
+    }
+
+    fn own_size(&mut self, name: &str, actual: &[Grid], expected: &[Grid], relative: f64) {
+        self.add(name, actual, expected, &sizes(expected, VANISHING), relative, 0.0);
+    }
+
+    /// `scale` says for each value what a relative error of 1 would be.
+    fn add(&mut self, name: &str, actual: &[Grid], expected: &[Grid], scale: &[Grid], relative: f64, share: f64) {
+        if actual.len() < expected.len() {
+            self.parts.push(Part { name: name.to_owned(), off: f64::INFINITY, detail: "it is missing".into() });
+            return;
+        }
+        // The smallest number of float32 in the file's units, in which layers are told.
+        let least = f64::from(f32::from_bits(1)) * self.exposure.max(1.0).powi(2);
+        let mut errors = Vec::new();
+        for (channel, (actual, (expected, scale))) in actual.iter().zip(expected.iter().zip(scale)).enumerate() {
+            for (pixel, ((a, e), s)) in actual.values.iter().zip(&expected.values).zip(&scale.values).enumerate() {
+                // Both may have overflowed.
+                let error = if a == e || (a.is_nan() && e.is_nan()) { 0.0 } else { (a - e).abs() / (relative * s + least) };
+                errors.push((if error.is_nan() { f64::INFINITY } else { error }, channel, pixel));
+            }
+        }
+        errors.sort_by(|a, b| b.0.total_cmp(&a.0));
+        let Some(&(off, channel, pixel)) = errors.get((share * errors.len() as f64) as usize) else { return };
+        let width = expected[channel].width;
+        let (actual, expected) = (actual[channel].values[pixel], expected[channel].values[pixel]);
+        self.parts.push(Part {
+            name: name.to_owned(),
+            off,
+            detail: format!("x {}, y {}, channel {channel}: {actual:e} in place of {expected:e}", pixel % width, pixel / width),
+        });
+    }
+}
+
+/// What the smoothing of errors and maps has in common with the candidates.
+fn aside(params: &stein_reference::dfc::DfcParams) -> FilterParams {
+    FilterParams {
+        window_radius: 0,
+        patch_radius: 0,
+        k_color: f64::INFINITY,
+        k_feature: f64::INFINITY,
+        tau: 0.0,
+        symmetric_features: params.symmetric,
+        blend_pairs: params.symmetric,
+        centre: params.centre,
+    }
+}
+
+/// Σ_k maps_k · planes_k, without what has no weight: it may not be finite.
+fn blend(maps: &[Grid], planes: [&Grid; 3]) -> Grid {
+    maps[0].like(|p| maps.iter().zip(planes).filter(|(map, _)| map.at(p) > 0.0).map(|(map, plane)| map.at(p) * plane.at(p)).sum())
+}
+
+fn flat(like: &[Grid], scale: f64) -> Planes {
+    like.iter().map(|grid| grid.like(|_| scale)).collect()
+}
+
+/// Each value's own size, as a scale, and a floor where it vanishes.
+fn sizes(planes: &[Grid], floor: f64) -> Planes {
+    planes.iter().map(|grid| grid.like(|p| grid.at(p).abs() + floor)).collect()
+}
+
+fn largest(plane: &Grid) -> f64 {
+    plane.values.iter().fold(VANISHING, |most, value| value.abs().max(most))
+}
