@@ -225,7 +225,7 @@ pub(super) fn cases() -> Vec<Case> {
 const STRIP_BYTES: fn(Subject) -> u64 = |subject| match subject {
     Subject::Dfc | Subject::DfcThesis => 1_400_000,
     Subject::Nlm => 600_000,
-    Subject::Gem => 780_000,
+    Subject::Gem => 1_110_000,
 };
 
 fn plain() -> Vec<Case> {
@@ -258,7 +258,7 @@ fn plain() -> Vec<Case> {
                 if (x + y) % 2 == 0 { surface } else { Surface { deviation: [0.0; 3], ..surface } }
             })
         }),
-        Case { strips: Some(STRIP_BYTES), ..Case::new("little memory: worked on in strips", SMALL, long(extent(12, 250))) },
+        Case { strips: Some(STRIP_BYTES), ..Case::new("little memory: worked on in strips", SMALL, long(extent(12, 290))) },
     ]
 }
 

@@ -12,7 +12,7 @@ use stein_reference::gem::{self, choose, decided};
 use stein_reference::nlm::{FilterParams, Guide};
 use stein_reference::select::{self, Evidence};
 use stein_reference::sure::{self, smooth_errors};
-use stein_reference::{Grid, Planes, Point, channel_mean, nlm_method, square};
+use stein_reference::{Grid, Planes, Point, channel_mean, nlm_method, spike, square};
 
 use super::bridge;
 
@@ -36,6 +36,8 @@ const SQUARED: f64 = 4e-4;
 const AVERAGED: f64 = 1e-5;
 /// The share of values that a decision may turn over: by a guard, by a limit, by a cut.
 const TURNED: f64 = 0.01;
+/// The share of values in which it may be decided otherwise whether a pixel is of a spike's kind, and gets its part of it.
+const OF_ONE_KIND: f64 = 0.001;
 /// A few units of float32's last digit.
 const ROUNDED: f64 = 2.5e-7;
 /// What float32 takes for 0 when it is multiplied, in the units that the methods work in.
@@ -79,6 +81,15 @@ impl Comparison<'_> {
             self.add(&name, &self.layer(&name, scale.powi(-2)), residual, &sizes(residual, 1e-7), 5e-4, 0.0);
         }
 
+        // What a pixel gets of spikes is a sum, so that its last digits are not the twin's: where a pixel with next to no noise has steep weights, its derivative tells.
+        let (of_one_kind, steep) = if params.spikes.is_some() { (OF_ONE_KIND, TURNED) } else { (0.0, 0.0) };
+        if let Some(spikes) = &params.spikes {
+            let features: Vec<_> = twin.features.iter().map(|prefiltered| prefiltered.feature.clone()).collect();
+            let taken = spike::repaired(&input.color, &features, spikes).taken;
+            let size: Planes = taken.iter().zip(&input.color.mean).map(|(taken, mean)| taken.like(|p| taken.at(p).abs() + mean.at(p).abs() + VANISHING)).collect();
+            self.add("spikes", &self.color("spikes"), &taken, &size, AVERAGED, OF_ONE_KIND);
+        }
+
         // What a pixel of a filtered colour may be measured by: how far it was moved, its noise, a hundredth of itself.
         let color_size = |filtered: &[Grid]| -> Planes {
             let channel = |i: usize| u[i].like(|p| (filtered[i].at(p) - u[i].at(p)).abs() + variance[i].at(p).sqrt() + 0.01 * u[i].at(p).abs() + VANISHING);
@@ -86,14 +97,14 @@ impl Comparison<'_> {
         };
         const NAMES: [&str; 3] = ["first", "second", "third"];
         for (name, candidate) in NAMES.into_iter().zip(&twin.candidates) {
-            self.add(name, &self.color(name), &candidate.mean, &color_size(&candidate.mean), FILTERED, 0.0);
+            self.add(name, &self.color(name), &candidate.mean, &color_size(&candidate.mean), FILTERED, of_one_kind);
             let derivative = format!("{name}_derivative");
             // Finite differences of what is rounded, by weights whose exponents are rounded.
             let rounded = |i: usize, p: Point| {
                 40.0 * ROUNDED * (candidate.mean[i].at(p) - u[i].at(p)).abs() / finite_difference_step(u[i].at(p), variance[i].at(p)).abs()
             };
             let size: Planes = (0..3).map(|i| u[i].like(|p| 1.0 + candidate.derivative[i].at(p).abs() + rounded(i, p) / DERIVED)).collect();
-            self.add(&derivative, &self.layer(&derivative, 1.0), &candidate.derivative, &size, DERIVED, 0.0);
+            self.add(&derivative, &self.layer(&derivative, 1.0), &candidate.derivative, &size, DERIVED, steep);
         }
         let terms = |candidate: &Candidate, i: usize, p: Point| {
             let (residual, variance, rounded) = (candidate.mean[i].at(p) - u[i].at(p), variance[i].at(p), ROUNDED * u[i].at(p).abs());
@@ -104,7 +115,7 @@ impl Comparison<'_> {
         let terms = |candidate: &Candidate| u[0].like(|p| (0..3).map(|i| terms(candidate, i, p)).sum::<f64>() + VANISHING);
         let terms: Planes = twin.candidates.iter().map(terms).collect();
         let sure = self.squared("sure");
-        self.add("SURE", &sure, &twin.sure, &terms, SQUARED, 0.0);
+        self.add("SURE", &sure, &twin.sure, &terms, SQUARED, of_one_kind);
 
         // From here on by what the device has decided.
         let aside = FilterParams { symmetric_features: params.symmetric, blend_pairs: params.symmetric, ..aside(&params) };
