@@ -86,7 +86,8 @@ impl Comparison<'_> {
         if let Some(spikes) = &params.spikes {
             let features: Vec<_> = twin.features.iter().map(|prefiltered| prefiltered.feature.clone()).collect();
             let taken = spike::repaired(&input.color, &features, spikes).taken;
-            let size: Planes = taken.iter().zip(&input.color.mean).map(|(taken, mean)| taken.like(|p| taken.at(p).abs() + mean.at(p).abs() + VANISHING)).collect();
+            let size: Planes =
+                taken.iter().zip(&input.color.mean).map(|(taken, mean)| taken.like(|p| taken.at(p).abs() + mean.at(p).abs() + VANISHING)).collect();
             self.add("spikes", &self.color("spikes"), &taken, &size, AVERAGED, OF_ONE_KIND);
         }
 
