@@ -142,14 +142,24 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
         let spread_first = max(p - params.spread_radius, vec2<i32>(0));
         let spread_last = min(p + params.spread_radius, extent - 1);
         var members = 0.0;
+        // Where the spike is at the edge of a light, its own level is not that of those who get its parts.
+        var darker = 0.0;
+        var darker_brightness = 0.0;
         for (var y = spread_first.y; y <= spread_last.y; y++) {
             for (var x = spread_first.x; x <= spread_last.x; x++) {
                 let at_q = pixel_index(vec2<i32>(x, y), extent);
-                members += select(0.0, 1.0, is_noisy(at_q) && is_like(at_p, at_q));
+                if is_like(at_p, at_q) {
+                    members += select(0.0, 1.0, is_noisy(at_q));
+                    let value = brightness(signal[at_q].xyz);
+                    if value <= bright {
+                        darker += 1.0;
+                        darker_brightness += value;
+                    }
+                }
             }
         }
         let even = excess / members;
-        let limit = params.share_limit * max(brightness(level), 0.0);
+        let limit = params.share_limit * max(min(brightness(level), darker_brightness / darker), 0.0);
         part = limit / (limit + brightness(even));
         share = part * even;
 #endif

@@ -107,7 +107,10 @@ fn spike(color: &Signal, features: &[Feature], params: &SpikeParams, p: Point) -
         return None;
     }
     let members = window(params.spread_radius).filter(|&q| is_noisy(color, q)).count() as f64;
-    let limit = params.share_limit.unwrap_or(0.0) * brightness(&level).max(0.0);
+    // Where the spike is at the edge of a light, its own level is not that of those who get its parts.
+    let darker: Vec<f64> = window(params.spread_radius).map(|q| channel_mean(mean, q)).filter(|value| *value <= bright).collect();
+    let around = darker.iter().sum::<f64>() / darker.len() as f64;
+    let limit = params.share_limit.unwrap_or(0.0) * brightness(&level).min(around).max(0.0);
     let part = limit / (limit + brightness(&excess) / members);
     Some(Spike { variance: of_neighbours(&claimed), level, excess, part, members })
 }
