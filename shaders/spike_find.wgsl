@@ -4,11 +4,11 @@
 // has are the bright ones, its excess over the level is about √k standard deviations of its mean, whatever n is and however bright they are. Both the sample variance and the
 // halves say so, and the one that says more is believed, for either may miss it. A light has many bright samples, and without noise infinitely many.
 //
-// SPREAD: what is taken from a spike goes to all pixels of its kind in a wider window, to each the same, but for those without noise: they are what they are. One spike says little about how much light there is: it stands for as
-// many pixels as there would have to be until the next one. Where it would raise the level around it by more than a part of it, it is rarer than that, and the more it would,
-// the more of it is left out.
+// SPREAD: what is taken from a spike goes to all pixels of its kind in a wider window, to each the same, but for those without noise: they are what they are. One spike says
+// little about how much light there is: it stands for as many pixels as there would have to be until the next one. Where it would raise the level around it by more than a part
+// of it, it is rarer than that, and the more it would, the more of it is left out.
 #import stein::planes::{pixel_index}
-#import stein::spike::{SpikeParams, SpikeFeatures, are_alike, brightness}
+#import stein::spike::{SpikeParams, SpikeFeatures, are_alike, brightness, has_noise}
 
 const FEATURE_GROUPS: i32 = #{FEATURE_GROUPS};
 
@@ -49,7 +49,12 @@ fn features_at(at: i32, group: i32) -> SpikeFeatures {
 #endif
 
 fn is_noisy(at: i32) -> bool {
-    return any(max(claimed_variance(at), two_buffer_variance(at)) > vec3<f32>(0.0));
+#ifdef VARIANCE
+    let variance = sample_variance[at].xyz;
+#else
+    let variance = vec3<f32>(0.0);
+#endif
+    return has_noise(signal[params.extent.x * params.extent.y + at].xyz, variance);
 }
 
 // Whether the pixel at q is of the same kind.

@@ -1,6 +1,6 @@
 // Adds to each pixel that has noise what it gets of the spikes around it.
 #import stein::planes::{pixel_index}
-#import stein::spike::{SpikeParams, SpikeFeatures, are_alike}
+#import stein::spike::{SpikeParams, SpikeFeatures, are_alike, has_noise}
 
 const FEATURE_GROUPS: i32 = #{FEATURE_GROUPS};
 
@@ -44,11 +44,12 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     }
     let pixels = extent.x * extent.y;
     let at_q = pixel_index(q, extent);
-    var noise = abs(signal[pixels + at_q].xyz);
 #ifdef VARIANCE
-    noise = max(noise, sample_variance[at_q].xyz);
+    let variance = sample_variance[at_q].xyz;
+#else
+    let variance = vec3<f32>(0.0);
 #endif
-    if all(noise == vec3<f32>(0.0)) {
+    if !has_noise(signal[pixels + at_q].xyz, variance) {
         return;
     }
     let first = max(q - params.spread_radius, vec2<i32>(0));

@@ -8,7 +8,7 @@ struct SpikeParams {
     spread_radius: i32,
     // Neighbours of its kind that it takes to judge a pixel.
     least_neighbours: f32,
-    // How far above the level a spike is, in distances from the level to the brightest neighbour but the companions.
+    // How far above the level a spike is, in distances from the level to the third brightest neighbour.
     prominence: f32,
     // How many samples a spike rests on at the most.
     most_samples: f32,
@@ -19,6 +19,11 @@ struct SpikeParams {
     feature_tau: f32,
     // 1 / number of channels, per channel of the triple.
     triple_weights: array<vec4<f32>, 8>,
+}
+
+// What has no noise is what it is: it is no spike, and gets nothing of one. A spread counts before it is squared, which may leave nothing of it.
+fn has_noise(spread: vec3<f32>, variance: vec3<f32>) -> bool {
+    return any(abs(spread) + variance > vec3<f32>(0.0));
 }
 
 // Of one pixel's prefiltered features, four channels.

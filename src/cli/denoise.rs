@@ -16,7 +16,7 @@ use std::time::Instant;
 
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use stein::buffers::{BufferSet, LayerRef};
-use stein::method::Intermediate;
+use stein::method::{Intermediate, Spikes};
 use stein::{Denoiser, Frame, Method, Options};
 
 use super::explain::Explained;
@@ -132,11 +132,16 @@ impl Args {
                 return Err(Failure::usage(format_args!("--keep {}: {name} has no such intermediate\n  remedy: choose from {all}", one.name())));
             }
         }
+        let are_looked_for = method.spikes() != Spikes::Keep;
+        if self.keep.iter().any(|keep| matches!(keep, Keep::One(Intermediate::Spikes))) && !are_looked_for {
+            return Err(Failure::usage("--keep spikes: nothing is taken from spikes\n  remedy: leave it out, or choose --spikes spread or clamp"));
+        }
         let wanted = |intermediate: &Intermediate| {
-            self.keep.iter().any(|keep| match keep {
-                Keep::All => true,
-                Keep::One(one) => one == intermediate,
-            })
+            (are_looked_for || *intermediate != Intermediate::Spikes)
+                && self.keep.iter().any(|keep| match keep {
+                    Keep::All => true,
+                    Keep::One(one) => one == intermediate,
+                })
         };
         Ok(has.iter().copied().filter(wanted).collect())
     }

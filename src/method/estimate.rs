@@ -7,7 +7,7 @@ use crate::gpu::Buffer;
 /// Intermediates that can be kept for inspection. Which of them there are depends on the method: [`Method::intermediates`](super::Method::intermediates).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Intermediate {
-    /// What was taken from spikes.
+    /// What was taken from spikes; nothing where nobody looks for any.
     Spikes,
     /// Variance of the colour's mean as the filters take it: scaled (thesis 8.2), of NLM as [`NlmVariance`](super::nlm::NlmVariance) says.
     Variance,

@@ -2,6 +2,7 @@
 
 use clap::ValueEnum;
 use stein::Method;
+use stein::method::Spikes;
 use stein::stage::candidate_set::CandidateSet;
 
 use super::super::Failure;
@@ -133,6 +134,13 @@ impl Way {
                 series += " one pass";
             }
         }
+        let usual = if preset == PresetName::Default { Spikes::Spread } else { Spikes::Keep };
+        series += match parameters.spikes() {
+            spikes if spikes == usual => "",
+            Spikes::Keep => " spikes keep",
+            Spikes::Spread => " spikes spread",
+            Spikes::Clamp => " spikes clamp",
+        };
         let everything = everything == Switch::On;
         if everything {
             series += " everything";

@@ -12,7 +12,7 @@ use super::statistics::front;
 pub(super) const SCHEMA: &str = "stein.bench";
 
 /// Raised when a field changes its meaning or goes away; new fields alone do not raise it.
-pub(super) const VERSION: u32 = 1;
+pub(super) const VERSION: u32 = 2;
 
 /// `results.json`. Times are in milliseconds, memory in bytes, errors without a unit or in squares of the file's.
 #[derive(Clone, Debug, Serialize, Deserialize)]
