@@ -19,7 +19,7 @@ fn unfinished() -> MutexGuard<'static, Option<BTreeSet<PathBuf>>> {
 }
 
 /// Removes everything that is on its way to its place; from now on nothing sets out or arrives. For a program that ends at once, without going back through what it was doing: on
-/// a second Ctrl-C. What has arrived stays, and nothing is ever seen half.
+/// a second Ctrl-C, or where the first was not heeded in time. What has arrived stays, and nothing is ever seen half.
 pub fn abandon() {
     for path in unfinished().take().into_iter().flatten() {
         // Nobody is left to be told.

@@ -71,6 +71,16 @@ fn some_cases_are_told_as_a_table_and_compared_with_another_run() {
     with(&["--compare", &other]).succeeded().said(&["Against another", "0 of 1 results are the same to the bit", "Missing: ", "gem (there)", "nlm (here)"]);
     let comparison = &with(&["--compare", &other, "--json"]).succeeded().json()["comparison"];
     assert!(comparison["different"][0]["mean"].as_f64().unwrap() > 0.1, "{comparison}");
+
+    // As if another adapter had values that are not finite, which JSON tells as null.
+    let mut changed = document.json();
+    for field in ["mean", "root_mean_square", "least", "most"] {
+        changed["rows"][0]["result"][field] = Value::Null;
+    }
+    changed["rows"][0]["result"]["checksum"] = "0".into();
+    changed["rows"][1]["result"]["error"] = Value::Null;
+    std::fs::write(&other, changed.to_string()).unwrap();
+    with(&["--compare", &other]).succeeded().said(&["0 of 2 results are the same to the bit", "inf"]);
 }
 
 #[test]
@@ -80,8 +90,13 @@ fn what_cannot_be_checked_is_refused() {
     stein(&["selftest", "--case", "no such situation"]).failed(2, &["there is no such case", "remedy: "]);
     stein(&["selftest", "--methods", "magic"]).failed(2, &["magic", "dfc", "gem"]);
     stein(&["selftest", "--device", "no such adapter"]).failed(4, &["no such adapter"]);
+    // A device that fails in a case is no figure.
+    let starved = ["selftest", "--case", "a constant image with noise", "--methods", "gem", "--max-memory", "1KiB", "--json"];
+    let outcome = stein(&starved);
+    outcome.failed(4, &["a constant image with noise, gem: ", "remedy: ", "--max-memory"]);
+    assert_eq!(outcome.stdout, "");
     stein(&["selftest", "--compare", &path]).failed(3, &[&path, "cannot be read"]);
     std::fs::write(&path, "{}").unwrap();
     stein(&["selftest", "--compare", &path]).failed(3, &[&path, "was not printed by", "remedy: "]);
-    stein(&["selftest", "--help"]).succeeded().said(&["stein selftest --device 1", "Exit codes: 0 all within bounds, 6"]);
+    stein(&["selftest", "--help"]).succeeded().said(&["stein selftest --device 1", "dark    what the mean colour lacks", "Exit codes: 0 all within bounds, 6"]);
 }

@@ -358,7 +358,8 @@ mod unix {
     fn a_file_that_is_being_written_is_taken_away() {
         let writing = |signals: &[&str]| {
             let (folder, output) = with_output();
-            let arguments = ["render", "dof", "--spp=2", "--size=400x400", "-q", "-o", &output];
+            // So large that writing it takes far longer than sending two signals.
+            let arguments = ["render", "dof", "--spp=2", "--size=700x700", "-q", "-o", &output];
             let child = command(&arguments).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
             let start = Instant::now();
             while folder.names().len() == 1 {

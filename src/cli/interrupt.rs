@@ -80,9 +80,19 @@ mod system {
     pub(crate) fn listen() {
         // A limit to the size of files is told like a full disk, by the write that meets it.
         let _ = signal_hook::flag::register(SIGXFSZ, Arc::new(AtomicBool::new(false)));
-        let Ok(mut signals) = Signals::new([SIGHUP, SIGINT, SIGTERM].into_iter().filter(|signal| !is_ignored(*signal))) else { return };
-        // Without the thread the system's own way stays: the process ends at once.
-        let _ = std::thread::Builder::new().name("signals".into()).spawn(move || signals.forever().for_each(super::take));
+        let (ready, is_ready) = std::sync::mpsc::channel();
+        let listening = move || {
+            let signals = Signals::new([SIGHUP, SIGINT, SIGTERM].into_iter().filter(|signal| !is_ignored(*signal)));
+            // Whoever waits need not know how it went.
+            let _ = ready.send(());
+            if let Ok(mut signals) = signals {
+                signals.forever().for_each(super::take);
+            }
+        };
+        // Without the thread the system's own way stays, as nothing else asks for signals: the process ends at once.
+        if std::thread::Builder::new().name("signals".into()).spawn(listening).is_ok() {
+            let _ = is_ready.recv();
+        }
     }
 
     #[expect(unsafe_code, reason = "there is no other way to ask")]

@@ -13,11 +13,12 @@ use std::time::Instant;
 
 use clap::ValueEnum;
 use serde::{Deserialize, Serialize};
+use stein::aside::Aside;
 
 use super::bench::Adapter;
 use super::options::Device;
 use super::progress::bar;
-use super::{Failure, Out};
+use super::{Failure, Out, interrupt};
 use cases::{Case, cases};
 use checks::{Bench, Row, Subject};
 use compare::Comparison;
@@ -30,6 +31,7 @@ Each result is checked for:
   door    the frame is taken, or refused in words that help
   finite  values that are not finite, in everything that a caller gets
   energy  change of the mean colour, relative to the input's
+  dark    what the mean colour lacks to that of the truth or of the input, whichever is darker
   error   squared error over that of the noisy input
   reach   values that a damaged pixel changes though it is farther away than the method reaches
   twin    distance to the same method in float64 on the processor, in tolerances
@@ -100,7 +102,7 @@ pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
     if cases.is_empty() {
         return Err(Failure::usage("there is no such case\n  remedy: leave --case out; the table then shows them all"));
     }
-    let folder = tempfile::tempdir()
+    let folder = Aside::make(tempfile::tempdir)
         .map_err(|error| Failure::output(format_args!("no folder for temporary files: {error}\n  remedy: let TMPDIR name a folder that may be written to")))?;
     let gpu = args.device.open()?;
     let adapter = Adapter::from(gpu.summary());
@@ -111,7 +113,8 @@ pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
     let progress = bar(!args.json, cases.len() as u64);
     let mut rows = Vec::new();
     for case in &cases {
-        rows.extend(bench.run(case, subjects));
+        interrupt::check()?;
+        rows.extend(bench.run(case, subjects)?);
         progress.inc(1);
     }
     progress.finish_and_clear();

@@ -18,11 +18,11 @@ fn spiky_scene(width: usize, height: usize, seed: u64) -> Scene {
     let mut uniform = |high: f64| random.uniform_grid(width, height, 0.0, high);
     let (chosen, size, told, sign) = (uniform(40.0), uniform(7.0), uniform(1.0), uniform(1.0));
     let is_exact = |i: usize| i % 7 == 3;
-    let is_spike = |grid: &Grid, i: usize| chosen.values[i] < 1.0 && grid.values.len() > i && !is_exact(i);
+    let is_spike = |i: usize| chosen.values[i] < 1.0 && !is_exact(i);
     let height_of = |channel: usize, i: usize| [1.0, 0.3, 2.0][channel] * 10f64.powf(size.values[i] - 1.0);
     let changed = |planes: &Planes, value: &dyn Fn(usize, usize, f64) -> f64| -> Planes {
         let grid = |(channel, grid): (usize, &Grid)| {
-            let values = grid.values.iter().enumerate().map(|(i, old)| if is_spike(grid, i) || is_exact(i) { value(channel, i, *old) } else { *old });
+            let values = grid.values.iter().enumerate().map(|(i, old)| if is_spike(i) || is_exact(i) { value(channel, i, *old) } else { *old });
             rounded(Grid { values: values.collect(), ..*grid })
         };
         planes.iter().enumerate().map(grid).collect()

@@ -1,5 +1,6 @@
 //! The cases: each a situation that a user's render may be in, and how far a result may go in it.
 
+use stein::aside::Aside;
 use stein::{Extent, Image};
 
 use super::checks::{Check, Subject};
@@ -689,7 +690,7 @@ fn renders() -> Vec<Case> {
         let mut case = Case::new(name, RADIUS, standard).without_limit();
         case.base = Box::new(move |_| {
             // Its own folder: it is read again beside the file of the frame.
-            let folder = tempfile::tempdir().map_err(|error| stein::Error::Request {
+            let folder = Aside::make(tempfile::tempdir).map_err(|error| stein::Error::Request {
                 problem: format!("no folder for temporary files: {error}"),
                 remedy: "let TMPDIR name a folder that may be written to".into(),
             })?;

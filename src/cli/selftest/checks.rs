@@ -102,12 +102,16 @@ pub(super) struct Figure {
 
 impl Figure {
     fn new(check: Check, value: f64, bound: f64, detail: String) -> Self {
-        Self { check, value: Some(value).filter(|value| value.is_finite()), bound, passed: value <= bound, detail }
+        Self { check, value: finite_or_none(value), bound, passed: value <= bound, detail }
     }
 
     fn count(check: Check, count: usize, detail: String) -> Self {
         Self::new(check, count as f64, 0.0, detail)
     }
+}
+
+fn finite_or_none(value: f64) -> Option<f64> {
+    Some(value).filter(|value| value.is_finite())
 }
 
 /// One case with one method.
@@ -133,20 +137,20 @@ impl Row {
     }
 }
 
-/// What runs on two adapters are compared by.
+/// What runs on two adapters are compared by. Values are `None` where they are not finite, which JSON cannot tell.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct Summary {
     /// Of the bits of the denoised colour.
     pub(super) checksum: String,
     /// Of the denoised colour.
-    pub(super) mean: f64,
-    pub(super) root_mean_square: f64,
-    pub(super) least: f64,
-    pub(super) most: f64,
+    pub(super) mean: Option<f64>,
+    pub(super) root_mean_square: Option<f64>,
+    pub(super) least: Option<f64>,
+    pub(super) most: Option<f64>,
     /// Mean of the estimated error.
-    pub(super) error: f64,
+    pub(super) error: Option<f64>,
     /// Mean number of pixels that took part.
-    pub(super) weight_sum: f64,
+    pub(super) weight_sum: Option<f64>,
 }
 
 impl Summary {
@@ -155,13 +159,13 @@ impl Summary {
         let count = values().count() as f64;
         // FNV-1a.
         let checksum = values().fold(0xcbf2_9ce4_8422_2325u64, |hash, value| (hash ^ u64::from(value.to_bits())).wrapping_mul(0x0000_0100_0000_01b3));
-        let mean_of = |image: Option<&Image>| image.map_or(0.0, |image| mean(&image.planes[0]));
+        let mean_of = |image: Option<&Image>| finite_or_none(image.map_or(0.0, |image| mean(&image.planes[0])));
         Self {
             checksum: format!("{checksum:016x}"),
-            mean: values().map(|value| f64::from(*value)).sum::<f64>() / count,
-            root_mean_square: (values().map(|value| f64::from(*value).powi(2)).sum::<f64>() / count).sqrt(),
-            least: values().fold(f32::INFINITY, |least, value| least.min(*value)).into(),
-            most: values().fold(f32::NEG_INFINITY, |most, value| most.max(*value)).into(),
+            mean: finite_or_none(values().map(|value| f64::from(*value)).sum::<f64>() / count),
+            root_mean_square: finite_or_none((values().map(|value| f64::from(*value).powi(2)).sum::<f64>() / count).sqrt()),
+            least: finite_or_none(values().fold(f32::INFINITY, |least, value| least.min(*value)).into()),
+            most: finite_or_none(values().fold(f32::NEG_INFINITY, |most, value| most.max(*value)).into()),
             error: mean_of(estimate.error.as_ref()),
             weight_sum: mean_of(Some(&estimate.weight_sum)),
         }
@@ -196,7 +200,10 @@ const INDISTINCT: f64 = 6.1e-4;
 
 impl Bench<'_> {
     /// Looks at a case with each of the methods.
-    pub(super) fn run(&self, case: &Case, subjects: &[Subject]) -> Vec<Row> {
+    ///
+    /// # Errors
+    /// Where the device fails: what it would be found to do from then on says nothing about it.
+    pub(super) fn run(&self, case: &Case, subjects: &[Subject]) -> stein::Result<Vec<Row>> {
         let subjects = subjects.iter().filter(|subject| case.methods.contains(subject));
         let prepared = self.prepare(case);
         if let Expected::Refusal(words) = &case.expected {
@@ -209,11 +216,11 @@ impl Bench<'_> {
                 }
                 Err(error) => Figure::count(Check::Door, 1, error.to_string()),
             };
-            return vec![Row::new(case, "all", vec![figure], None)];
+            return Ok(vec![Row::new(case, "all", vec![figure], None)]);
         }
         match prepared {
             Ok(prepared) => subjects.map(|subject| self.look_at(case, &prepared, *subject)).collect(),
-            Err(error) => vec![Row::new(case, "all", vec![Figure::count(Check::Door, 1, error.to_string())], None)],
+            Err(error) => Ok(vec![Row::new(case, "all", vec![Figure::count(Check::Door, 1, error.to_string())], None)]),
         }
     }
 
@@ -229,11 +236,12 @@ impl Bench<'_> {
         })
     }
 
-    fn look_at(&self, case: &Case, prepared: &Prepared, subject: Subject) -> Row {
+    fn look_at(&self, case: &Case, prepared: &Prepared, subject: Subject) -> stein::Result<Row> {
         match self.figures(case, prepared, subject) {
-            Ok((figures, estimate)) => Row::new(case, subject.name(), figures, Some(Summary::new(&estimate))),
-            // The device's, as an input that is no use would not have become a frame.
-            Err(error) => Row::new(case, subject.name(), vec![Figure::count(Check::Finite, 1, error.to_string())], None),
+            Ok((figures, estimate)) => Ok(Row::new(case, subject.name(), figures, Some(Summary::new(&estimate)))),
+            Err(Error::Device { problem, remedy }) => Err(Error::Device { problem: format!("{}, {}: {problem}", case.name, subject.name()), remedy }),
+            // A shader's, as an input that is no use would not have become a frame.
+            Err(error) => Ok(Row::new(case, subject.name(), vec![Figure::count(Check::Finite, 1, error.to_string())], None)),
         }
     }
 

@@ -23,6 +23,7 @@ pub(super) struct Comparison {
     missing: Vec<String>,
 }
 
+/// Relative differences; infinite, which JSON tells as null, where one of the two has no finite value.
 #[derive(Debug, Serialize)]
 struct Difference {
     case: String,
@@ -43,9 +44,14 @@ struct Difference {
 
 impl Difference {
     fn new(case: &str, method: &str, here: &Summary, there: &Summary, verdicts_differ: bool) -> Self {
-        let relative = |a: f64, b: f64, size: f64| if a == b { 0.0 } else { (a - b).abs() / size };
-        let own = |a: f64, b: f64| relative(a, b, a.abs().max(b.abs()));
-        let magnitude = here.most.abs().max(here.least.abs());
+        let relative = |a: Option<f64>, b: Option<f64>, size: Option<f64>| match (a, b, size) {
+            _ if a == b => 0.0,
+            (Some(a), Some(b), Some(size)) => (a - b).abs() / size,
+            _ => f64::INFINITY,
+        };
+        let larger = |a: Option<f64>, b: Option<f64>| Some(a?.abs().max(b?.abs()));
+        let own = |a, b| relative(a, b, larger(a, b));
+        let magnitude = larger(here.least, here.most);
         Self {
             case: case.to_owned(),
             method: method.to_owned(),
@@ -75,6 +81,8 @@ pub(super) fn read(path: &Path) -> Result<Document, Failure> {
 
 impl Comparison {
     pub(super) fn new(other: &Document, own: &Document) -> Self {
+        // Beside the same colour there may be values that are finite here alone.
+        let is_told = |result: &Summary| [result.error, result.weight_sum].map(|value| value.is_some());
         let mut comparison = Self { other_adapter: other.adapter.clone(), compared: 0, same: 0, different: Vec::new(), missing: Vec::new() };
         for row in &own.rows {
             let name = || format!("{}, {}", row.case, row.method);
@@ -85,7 +93,7 @@ impl Comparison {
             match (&row.result, &there.result) {
                 (Some(here), Some(of_other)) => {
                     comparison.compared += 1;
-                    if here.checksum == of_other.checksum && row.passed == there.passed {
+                    if here.checksum == of_other.checksum && is_told(here) == is_told(of_other) && row.passed == there.passed {
                         comparison.same += 1;
                     } else {
                         comparison.different.push(Difference::new(&row.case, &row.method, here, of_other, row.passed != there.passed));

@@ -214,12 +214,14 @@ impl Comparison<'_> {
         let params = bridge::gem_params(params);
         let twin = gem::gem(&bridge::signal(frame.color(), self.exposure), &bridge::samples(frame, 0.0), &params);
         self.own_size("scaled variance", &self.squared("scaled_variance"), &twin.variance, AVERAGED);
+        // What a bias term of nothing but rounding may be: the square of float32's last digits of the largest value that a scale averages.
+        let rounding = (4e-6 * twin.scales[0].mean.iter().map(largest).fold(0.0, f64::max)).powi(2);
         let mut maps = Vec::new();
         for (index, (step, sigma)) in twin.steps.iter().zip(&params.sigmas).enumerate() {
             let name = format!("stopping_{}", index + 1);
             let (stops, smoothed) = (self.layer(&name, 1.0), self.layer(&format!("{name}_smoothed"), 1.0));
             // Where the selector is within rounding of 0, both are right.
-            let ties = |p: Point| step.selector(p).abs() <= 1e-4 * (step.bias_term.at(p) + step.variance_term.at(p).abs()) + self.rounding(&twin, p);
+            let ties = |p: Point| step.selector(p).abs() <= 1e-4 * (step.bias_term.at(p) + step.variance_term.at(p).abs()) + rounding;
             let expected = step.stops();
             let expected = [expected.like(|p| if ties(p) { stops[0].at(p) } else { expected.at(p) })];
             self.add(&name, &stops, &expected, &flat(&expected, 1.0), AVERAGED, 0.0);
@@ -241,16 +243,10 @@ impl Comparison<'_> {
         self.add("pixels", &bridge::grids(&self.estimate.weight_sum, 1.0), pixels, &sizes(pixels, VANISHING), AVERAGED, 0.0);
         let terms = |p: Point| {
             let steps: f64 = twin.steps.iter().map(|step| step.bias_term.at(p) + step.variance_term.at(p).abs()).sum();
-            steps + twin.scales[0].variance.iter().map(|plane| plane.at(p)).sum::<f64>() + self.rounding(&twin, p)
+            steps + twin.scales[0].variance.iter().map(|plane| plane.at(p)).sum::<f64>() + rounding
         };
         let (error, size) = ([chosen.error.like(|p| chosen.error.at(p).max(0.0))], [chosen.error.like(terms)]);
         self.add("error", &self.grids(self.estimate.error.as_ref(), self.exposure.powi(2)), &error, &size, 1e-4, 0.0);
-    }
-
-    /// What a bias term of nothing but rounding may be: the square of float32's last digits of the largest value that a scale averages.
-    fn rounding(&self, twin: &gem::Gem, _: Point) -> f64 {
-        let largest: f64 = twin.scales[0].mean.iter().map(largest).fold(0.0, f64::max);
-        (4e-6 * largest).powi(2)
     }
 
     fn color(&self, layer: &str) -> Planes {
