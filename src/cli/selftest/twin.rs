@@ -81,14 +81,17 @@ impl Comparison<'_> {
             self.add(&name, &self.layer(&name, scale.powi(-2)), residual, &sizes(residual, 1e-7), 5e-4, 0.0);
         }
 
-        // What a pixel gets of spikes is a sum, so that its last digits are not the twin's: where a pixel with next to no noise has steep weights, its derivative tells.
-        let (of_one_kind, steep) = if params.spikes.is_some() { (OF_ONE_KIND, TURNED) } else { (0.0, 0.0) };
+        // What a pixel gets of spikes is a sum, so that its last digits are not the twin's: where a pixel with next to no noise has steep weights, they show. Where spikes stay, as
+        // with the preset of the thesis, every value counts.
+        let steep = if params.spikes.is_some() { TURNED } else { 0.0 };
         if let Some(spikes) = &params.spikes {
             let features: Vec<_> = twin.features.iter().map(|prefiltered| prefiltered.feature.clone()).collect();
             let taken = spike::repaired(&input.color, &features, spikes).taken;
             let size: Planes =
                 taken.iter().zip(&input.color.mean).map(|(taken, mean)| taken.like(|p| taken.at(p).abs() + mean.at(p).abs() + VANISHING)).collect();
-            self.add("spikes", &self.color("spikes"), &taken, &size, AVERAGED, OF_ONE_KIND);
+            // In a frame without noise nobody looks for any.
+            let found = Some(self.color("spikes")).filter(|found| !found.is_empty()).unwrap_or_else(|| flat(&taken, 0.0));
+            self.add("spikes", &found, &taken, &size, AVERAGED, OF_ONE_KIND);
         }
 
         // What a pixel of a filtered colour may be measured by: how far it was moved, its noise, a hundredth of itself.
@@ -98,7 +101,7 @@ impl Comparison<'_> {
         };
         const NAMES: [&str; 3] = ["first", "second", "third"];
         for (name, candidate) in NAMES.into_iter().zip(&twin.candidates) {
-            self.add(name, &self.color(name), &candidate.mean, &color_size(&candidate.mean), FILTERED, of_one_kind);
+            self.add(name, &self.color(name), &candidate.mean, &color_size(&candidate.mean), FILTERED, steep);
             let derivative = format!("{name}_derivative");
             // Finite differences of what is rounded, by weights whose exponents are rounded.
             let rounded = |i: usize, p: Point| {
@@ -116,7 +119,7 @@ impl Comparison<'_> {
         let terms = |candidate: &Candidate| u[0].like(|p| (0..3).map(|i| terms(candidate, i, p)).sum::<f64>() + VANISHING);
         let terms: Planes = twin.candidates.iter().map(terms).collect();
         let sure = self.squared("sure");
-        self.add("SURE", &sure, &twin.sure, &terms, SQUARED, of_one_kind);
+        self.add("SURE", &sure, &twin.sure, &terms, SQUARED, steep);
 
         // From here on by what the device has decided.
         let aside = FilterParams { symmetric_features: params.symmetric, blend_pairs: params.symmetric, ..aside(&params) };
