@@ -99,6 +99,7 @@ fn may_be_replaced(path: &Path) -> std::io::Result<bool> {
 #[cfg(test)]
 #[allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 mod tests {
+    use super::super::results::VERSION;
     use super::*;
 
     #[test]
@@ -109,7 +110,7 @@ mod tests {
         let document = |date: &str| {
             let adapter = serde_json::json!({ "name": "", "backend": "", "kind": "", "driver": "", "timestamps": true });
             let document = serde_json::json!({
-                "schema": "stein.bench", "version": 1, "stein": "0", "date": date, "arguments": [], "adapter": adapter, "repeats": 1,
+                "schema": "stein.bench", "version": VERSION, "stein": "0", "date": date, "arguments": [], "adapter": adapter, "repeats": 1,
                 "configurations": [], "sets": [], "rows": [], "notes": [],
             });
             document.to_string()
