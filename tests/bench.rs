@@ -80,7 +80,7 @@ fn a_report_tells_the_same_to_people_and_to_programs() {
     let arguments = ["bench", &sets, "--methods=dfc,gem", "--presets=default", "--radii=1,2", "--second-pass=on,off", "--repeat=1", "-o", &report, "--json"];
     let document = stein(&[&arguments[..], &[&external("again <&>", "--radius=2 --quiet")]].concat()).succeeded().json();
 
-    assert_eq!((&document["schema"], &document["version"], &document["repeats"]), (&json!("stein.bench"), &json!(1), &json!(1)));
+    assert_eq!((&document["schema"], &document["version"], &document["repeats"]), (&json!("stein.bench"), &json!(2), &json!(1)));
     assert!(document["adapter"]["driver"].as_str().is_some_and(|driver| !driver.is_empty()));
     let names = |list: &str, key: &str| document[list].as_array().unwrap().iter().map(|of| of[key].as_str().unwrap().to_owned()).collect::<Vec<_>>();
     assert_eq!(names("sets", "name"), ["box, 8 spp", "box, 32 spp"]);
@@ -246,8 +246,8 @@ fn a_run_is_compared_with_an_earlier_one_and_measured_again() {
     stein(&["bench", "--compare", &before, "--repeat=2"]).succeeded().said(&["ANOTHER ADAPTER", "Voodoo 2", "median of 2"]);
     stein(&["bench", "--compare", &before, "--fail-above=2"]).failed(2, &["Voodoo 2", "remedy: "]);
     stein(&["bench", "--compare", &before, "--methods=nlm"]).failed(2, &["without SETS", "remedy: "]);
-    write(&|document| document["version"] = json!(2));
-    stein(&["bench", "--compare", &before]).failed(3, &["version 2", "remedy: "]);
+    write(&|document| document["version"] = json!(3));
+    stein(&["bench", "--compare", &before]).failed(3, &["version 3", "remedy: "]);
     std::fs::write(&before, "{}").unwrap();
     stein(&["bench", &sets, "--compare", &before]).failed(3, &["was not written by `stein bench`", "remedy: "]);
 }
