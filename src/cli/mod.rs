@@ -4,6 +4,7 @@ mod adapt;
 mod bench;
 mod denoise;
 mod devices;
+mod document;
 mod explain;
 mod failure;
 mod info;

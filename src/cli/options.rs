@@ -477,6 +477,11 @@ impl PresetName {
         }
     }
 
+    /// What parameters of this name do about spikes, which is the same of all methods.
+    pub(crate) fn spikes(self) -> Spikes {
+        self.choose(DfcParams::default, DfcParams::thesis).spikes
+    }
+
     pub(crate) fn preset(self) -> Preset {
         match self {
             Self::Default => Preset::Default,

@@ -117,6 +117,8 @@ pub struct Pass {
 pub struct Dfc {
     /// The input without spikes.
     pub color: Signal,
+    /// What was taken from them. None where spikes stay.
+    pub spikes: Option<Planes>,
     pub color_variance: Planes,
     pub features: Vec<Prefiltered>,
     pub candidates: [Candidate; 3],
@@ -139,7 +141,8 @@ pub fn dfc(frame: &Frame, params: &DfcParams) -> Dfc {
     // Lines 2–5 and 6–10: features and variances. Spikes are none of Algorithm 1.
     let prefiltered: Vec<Prefiltered> = frame.features.iter().map(|signal| prefilter(signal, params.symmetric, params.centre)).collect();
     let features: Vec<Feature> = prefiltered.iter().map(|prefiltered| prefiltered.feature.clone()).collect();
-    let color = params.spikes.map_or_else(|| frame.color.clone(), |params| spike::repaired(&frame.color, &features, &params).signal);
+    let repaired = params.spikes.map(|params| spike::repaired(&frame.color, &features, &params));
+    let (color, spikes) = repaired.map_or_else(|| (frame.color.clone(), None), |repaired| (repaired.signal, Some(repaired.taken)));
     let color_variance = input_variance(&color);
 
     // Lines 11–17: candidate filters.
@@ -180,7 +183,7 @@ pub fn dfc(frame: &Frame, params: &DfcParams) -> Dfc {
     let parts = ErrorParts::measured(result.spread.is_some(), made_of.len() > 1);
     let error = error_blend(&result.mean, result.spread.as_deref(), &color_variance, &made_of, parts);
 
-    Dfc { color, color_variance, features: prefiltered, candidates, sure, errors, binary_maps, smoothed_maps, maps, error, pass1, pass2 }
+    Dfc { color, spikes, color_variance, features: prefiltered, candidates, sure, errors, binary_maps, smoothed_maps, maps, error, pass1, pass2 }
 }
 
 /// Removes the noise that pass 1 left, which its halves show.

@@ -5,6 +5,7 @@ use std::path::Path;
 use serde::Serialize;
 
 use super::super::Failure;
+use super::super::document::{self, Kind};
 use super::super::out::{number, table};
 use super::results::{Adapter, Document, Row, SCHEMA, VERSION};
 
@@ -52,16 +53,7 @@ struct Ratios {
 /// The `results.json` of an earlier run; a report's folder will do.
 pub(super) fn read(path: &Path) -> Result<Document, Failure> {
     let file = if path.is_dir() { path.join("results.json") } else { path.to_owned() };
-    let failed = |problem: String| Failure::input(format_args!("{}: {problem}\n  remedy: give the results.json of a report", file.display()));
-    let text = std::fs::read_to_string(&file).map_err(|error| failed(format!("cannot be read: {error}")))?;
-    let value: serde_json::Value = serde_json::from_str(&text).map_err(|error| failed(format!("is not JSON: {error}")))?;
-    if value["schema"] != SCHEMA {
-        return Err(failed("was not written by `stein bench`".into()));
-    }
-    if value["version"] != VERSION {
-        return Err(failed(format!("has version {} of the format, not {VERSION}", value["version"])));
-    }
-    serde_json::from_value(value).map_err(|error| failed(format!("is damaged: {error}")))
+    document::read(&file, &Kind { schema: SCHEMA, version: VERSION, made: "written by `stein bench`", remedy: "give the results.json of a report" })
 }
 
 /// Times of different adapters say nothing of a program's progress: they are not allowed to decide over an exit code.

@@ -134,9 +134,8 @@ impl Way {
                 series += " one pass";
             }
         }
-        let usual = if preset == PresetName::Default { Spikes::Spread } else { Spikes::Keep };
         series += match parameters.spikes() {
-            spikes if spikes == usual => "",
+            spikes if spikes == preset.spikes() => "",
             Spikes::Keep => " spikes keep",
             Spikes::Spread => " spikes spread",
             Spikes::Clamp => " spikes clamp",

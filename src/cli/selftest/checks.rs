@@ -315,14 +315,13 @@ fn finite(estimate: &Estimate, with_everything: &Estimate) -> Figure {
 
 fn energy(frame: &Frame, estimate: &Estimate, bound: f64) -> Figure {
     let before = &frame.color().mean;
-    // By the brightest channel, so that one without light may have some.
-    let size = before.planes.iter().map(|plane| plane.iter().map(|value| f64::from(value.abs())).sum::<f64>() / plane.len() as f64).fold(0.0, f64::max);
+    let size = magnitude(before);
     let change = before.planes.iter().zip(&estimate.color.planes).map(|(before, after)| (mean(after) - mean(before)).abs()).fold(0.0, f64::max);
     Figure::new(Check::Energy, if change == 0.0 { 0.0 } else { change / size }, bound, String::new())
 }
 
 fn dark(frame: &Frame, estimate: &Estimate, truth: &Image, bound: f64) -> Figure {
-    let size = truth.planes.iter().map(|plane| plane.iter().map(|value| f64::from(value.abs())).sum::<f64>() / plane.len() as f64).fold(0.0, f64::max);
+    let size = magnitude(truth);
     // Noise may have darkened the input.
     let least = |truth: &Vec<f32>, input: &Vec<f32>| mean(truth).min(mean(input));
     let planes = truth.planes.iter().zip(&frame.color().mean.planes).zip(&estimate.color.planes);
@@ -375,6 +374,11 @@ fn differing(a: &Estimate, b: &Estimate, of: impl Fn(usize) -> bool) -> usize {
     };
     let images = a.iter().zip(&b).map(|((_, a), (_, b))| differing((a, b)));
     images.sum::<usize>() + a.len().abs_diff(b.len())
+}
+
+/// The mean magnitude of the brightest channel, so that one without light may have some.
+fn magnitude(image: &Image) -> f64 {
+    image.planes.iter().map(|plane| plane.iter().map(|value| f64::from(value.abs())).sum::<f64>() / plane.len() as f64).fold(0.0, f64::max)
 }
 
 fn mean(plane: &[f32]) -> f64 {

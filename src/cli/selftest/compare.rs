@@ -6,6 +6,7 @@ use serde::Serialize;
 
 use super::super::Failure;
 use super::super::bench::Adapter;
+use super::super::document::{self, Kind};
 use super::super::out::{number, table};
 use super::checks::Summary;
 use super::{Document, SCHEMA, VERSION};
@@ -67,16 +68,10 @@ impl Difference {
 
 /// What `--json` printed in another run.
 pub(super) fn read(path: &Path) -> Result<Document, Failure> {
-    let failed = |problem: String| Failure::input(format_args!("{}: {problem}\n  remedy: give what `stein selftest --json` printed", path.display()));
-    let text = std::fs::read_to_string(path).map_err(|error| failed(format!("cannot be read: {error}")))?;
-    let value: serde_json::Value = serde_json::from_str(&text).map_err(|error| failed(format!("is not JSON: {error}")))?;
-    if value["schema"] != SCHEMA {
-        return Err(failed("was not printed by `stein selftest --json`".into()));
-    }
-    if value["version"] != VERSION {
-        return Err(failed(format!("has version {} of the format, not {VERSION}", value["version"])));
-    }
-    serde_json::from_value(value).map_err(|error| failed(format!("is damaged: {error}")))
+    document::read(
+        path,
+        &Kind { schema: SCHEMA, version: VERSION, made: "printed by `stein selftest --json`", remedy: "give what `stein selftest --json` printed" },
+    )
 }
 
 impl Comparison {

@@ -12,7 +12,7 @@ use stein_reference::gem::{self, choose, decided};
 use stein_reference::nlm::{FilterParams, Guide};
 use stein_reference::select::{self, Evidence};
 use stein_reference::sure::{self, smooth_errors};
-use stein_reference::{Grid, Planes, Point, channel_mean, nlm_method, spike, square};
+use stein_reference::{Grid, Planes, Point, channel_mean, nlm_method, square};
 
 use super::bridge;
 
@@ -84,14 +84,12 @@ impl Comparison<'_> {
         // What a pixel gets of spikes is a sum, so that its last digits are not the twin's: where a pixel with next to no noise has steep weights, they show. Where spikes stay, as
         // with the preset of the thesis, every value counts.
         let steep = if params.spikes.is_some() { TURNED } else { 0.0 };
-        if let Some(spikes) = &params.spikes {
-            let features: Vec<_> = twin.features.iter().map(|prefiltered| prefiltered.feature.clone()).collect();
-            let taken = spike::repaired(&input.color, &features, spikes).taken;
+        if let Some(taken) = &twin.spikes {
             let size: Planes =
                 taken.iter().zip(&input.color.mean).map(|(taken, mean)| taken.like(|p| taken.at(p).abs() + mean.at(p).abs() + VANISHING)).collect();
             // In a frame without noise nobody looks for any.
-            let found = Some(self.color("spikes")).filter(|found| !found.is_empty()).unwrap_or_else(|| flat(&taken, 0.0));
-            self.add("spikes", &found, &taken, &size, AVERAGED, OF_ONE_KIND);
+            let found = Some(self.color("spikes")).filter(|found| !found.is_empty()).unwrap_or_else(|| flat(taken, 0.0));
+            self.add("spikes", &found, taken, &size, AVERAGED, OF_ONE_KIND);
         }
 
         // What a pixel of a filtered colour may be measured by: how far it was moved, its noise, a hundredth of itself.

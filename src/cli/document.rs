@@ -1,0 +1,34 @@
+//! JSON documents of ours, read again by a later run.
+
+use std::path::Path;
+
+use serde::de::DeserializeOwned;
+
+use super::Failure;
+
+/// What tells a kind of document from others.
+pub(crate) struct Kind {
+    /// In its field `schema`.
+    pub(crate) schema: &'static str,
+    /// In its field `version`.
+    pub(crate) version: u32,
+    /// Such as "written by `stein bench`".
+    pub(crate) made: &'static str,
+    /// What to give in place of a file that is none.
+    pub(crate) remedy: &'static str,
+}
+
+/// Reads a document.
+pub(crate) fn read<D: DeserializeOwned>(path: &Path, kind: &Kind) -> Result<D, Failure> {
+    let Kind { schema, version, made, remedy } = kind;
+    let failed = |problem: String| Failure::input(format_args!("{}: {problem}\n  remedy: {remedy}", path.display()));
+    let text = std::fs::read_to_string(path).map_err(|error| failed(format!("cannot be read: {error}")))?;
+    let value: serde_json::Value = serde_json::from_str(&text).map_err(|error| failed(format!("is not JSON: {error}")))?;
+    if value["schema"] != *schema {
+        return Err(failed(format!("was not {made}")));
+    }
+    if value["version"] != *version {
+        return Err(failed(format!("has version {} of the format, not {version}", value["version"])));
+    }
+    serde_json::from_value(value).map_err(|error| failed(format!("is damaged: {error}")))
+}
