@@ -158,6 +158,7 @@ impl fmt::Debug for Gpu {
 }
 
 pub(super) struct Inner {
+    origin: Option<Origin>,
     pub(super) device: wgpu::Device,
     pub(super) queue: wgpu::Queue,
     pub(super) limits: wgpu::Limits,
@@ -169,6 +170,12 @@ pub(super) struct Inner {
     pub(super) timing: Timing,
     pub(super) poison_source: Mutex<Option<wgpu::Buffer>>,
     health: Arc<Health>,
+}
+
+/// What a device was opened from, where it was opened here.
+struct Origin {
+    instance: wgpu::Instance,
+    adapter: wgpu::Adapter,
 }
 
 /// What went wrong outside of any call that could have returned it.
@@ -195,7 +202,7 @@ impl Gpu {
 
     /// All adapters of this machine, in the driver's order.
     pub fn adapters() -> Vec<AdapterSummary> {
-        let summaries = enumerate().into_iter().enumerate();
+        let summaries = enumerate().1.into_iter().enumerate();
         summaries.map(|(index, adapter)| AdapterSummary::new(index, &adapter.get_info(), &adapter.limits(), adapter.features())).collect()
     }
 
@@ -212,7 +219,7 @@ impl Gpu {
     /// # Errors
     /// As [`Gpu::open`].
     pub fn open_with(choice: &DeviceChoice, options: GpuOptions) -> Result<Self> {
-        let adapters = enumerate();
+        let (instance, adapters) = enumerate();
         let summaries: Vec<_> = adapters
             .iter()
             .enumerate()
@@ -231,6 +238,8 @@ impl Gpu {
             max_compute_workgroup_size_x: offered.max_compute_workgroup_size_x,
             max_compute_workgroup_size_y: offered.max_compute_workgroup_size_y,
             max_compute_workgroup_size_z: offered.max_compute_workgroup_size_z,
+            // For those who show images on the same device.
+            max_texture_dimension_2d: offered.max_texture_dimension_2d,
             ..wgpu::Limits::default().or_worse_values_from(&offered)
         };
         let description = wgpu::DeviceDescriptor {
@@ -256,7 +265,8 @@ impl Gpu {
         }));
         let folder = options.pipeline_folder.as_deref().filter(|_| device.features().contains(wgpu::Features::PIPELINE_CACHE));
         let pipeline_cache = folder.and_then(|folder| PipelineCache::open(&device, &adapter.get_info(), folder));
-        Self::assemble(device, queue, summary, options, pipeline_cache, health)
+        let origin = Some(Origin { instance, adapter: adapter.clone() });
+        Self::assemble(origin, device, queue, summary, options, pipeline_cache, health)
     }
 
     /// Takes over a device that a renderer already has. The renderer keeps its callbacks for errors and device loss.
@@ -265,10 +275,11 @@ impl Gpu {
     /// [`Error::Device`] where the device was opened without compute.
     pub fn from_wgpu(device: wgpu::Device, queue: wgpu::Queue, info: &wgpu::AdapterInfo) -> Result<Self> {
         let summary = AdapterSummary::new(0, info, &device.limits(), device.features());
-        Self::assemble(device, queue, summary, GpuOptions::default(), None, Arc::default())
+        Self::assemble(None, device, queue, summary, GpuOptions::default(), None, Arc::default())
     }
 
     fn assemble(
+        origin: Option<Origin>,
         device: wgpu::Device,
         queue: wgpu::Queue,
         summary: AdapterSummary,
@@ -285,6 +296,7 @@ impl Gpu {
         }
         let timing = Timing::new(summary.timestamps, queue.get_timestamp_period());
         let inner = Inner {
+            origin,
             device,
             queue,
             limits,
@@ -323,6 +335,16 @@ impl Gpu {
     /// Its queue, for embedders.
     pub fn wgpu_queue(&self) -> &wgpu::Queue {
         &self.inner.queue
+    }
+
+    /// The instance that it was opened from, for embedders who present to a window; `None` of a device that was taken over by [`Gpu::from_wgpu`].
+    pub fn wgpu_instance(&self) -> Option<&wgpu::Instance> {
+        self.inner.origin.as_ref().map(|origin| &origin.instance)
+    }
+
+    /// The adapter that it was opened on; `None` of a device that was taken over by [`Gpu::from_wgpu`].
+    pub fn wgpu_adapter(&self) -> Option<&wgpu::Adapter> {
+        self.inner.origin.as_ref().map(|origin| &origin.adapter)
     }
 
     /// Memory held by pooled buffers.
@@ -421,9 +443,11 @@ fn panic_message(panic: &(dyn Any + Send)) -> String {
     text.unwrap_or("the driver failed while it was waited for").to_owned()
 }
 
-fn enumerate() -> Vec<wgpu::Adapter> {
+fn enumerate() -> (wgpu::Instance, Vec<wgpu::Adapter>) {
     let description = wgpu::InstanceDescriptor { backends: BACKENDS, ..wgpu::InstanceDescriptor::new_without_display_handle() };
-    pollster::block_on(wgpu::Instance::new(description).enumerate_adapters(BACKENDS))
+    let instance = wgpu::Instance::new(description);
+    let adapters = pollster::block_on(instance.enumerate_adapters(BACKENDS));
+    (instance, adapters)
 }
 
 fn choose(summaries: &[AdapterSummary], choice: &DeviceChoice) -> Result<AdapterSummary> {

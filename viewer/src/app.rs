@@ -1,0 +1,357 @@
+//! The window: where the panels are, and what keys, messages and files do.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use eframe::egui::{self, Align, CentralPanel, Context, Frame as Margins, Layout, Panel as SidePanel, RichText, Ui};
+use eframe::wgpu;
+use stein::Gpu;
+
+use crate::document::{Document, Source};
+use crate::files::{Dialog, Purpose, is_reference, short_name};
+use crate::layer::Layer;
+use crate::panel::{self, Panel};
+use crate::settings::{Parameters, Settings};
+use crate::shortcut::{self, Action};
+use crate::view::{Compare, Display, View, canvas};
+use crate::worker::{Reply, Request, Task, Worker};
+
+/// What the program starts with.
+#[derive(Clone, Debug, Default)]
+pub struct Start {
+    /// What to open.
+    pub source: Option<Source>,
+    /// How to denoise.
+    pub parameters: Parameters,
+    /// The layer to show, by its name.
+    pub layer: Option<String>,
+}
+
+/// The window's state. Panels read and change it; what takes time goes to the worker.
+pub struct Viewer {
+    /// The device, for the denoiser and the window.
+    pub gpu: Gpu,
+    /// What takes time.
+    pub worker: Worker,
+    /// What is open.
+    pub document: Option<Document>,
+    /// What is shown of it, and how.
+    pub view: View,
+    /// How is denoised.
+    pub parameters: Parameters,
+    /// What is remembered.
+    pub settings: Settings,
+    /// The panel at the right.
+    pub panel: Panel,
+    /// Whether the help is shown.
+    pub shows_help: bool,
+    /// What went wrong, until it is dismissed.
+    pub trouble: Option<String>,
+    /// What the worker is at, and how much of it is done.
+    pub progress: Option<(Task, f32)>,
+    dialog: Option<Dialog>,
+    format: wgpu::TextureFormat,
+}
+
+impl Viewer {
+    /// The window on a device, whose target has this format.
+    ///
+    /// # Errors
+    /// As [`Worker::start`].
+    pub fn new(context: &Context, gpu: &Gpu, format: wgpu::TextureFormat, settings: Settings, start: Start) -> stein::Result<Self> {
+        let mut viewer = Self {
+            gpu: gpu.clone(),
+            worker: Worker::start(gpu, context)?,
+            document: None,
+            view: View::new(settings.display.clone()),
+            parameters: start.parameters,
+            settings,
+            panel: Panel::Display,
+            shows_help: false,
+            trouble: None,
+            progress: None,
+            dialog: None,
+            format,
+        };
+        if let Some(layer) = start.layer {
+            viewer.view.layer = layer;
+        }
+        if let Some(source) = start.source {
+            viewer.open(source);
+        }
+        Ok(viewer)
+    }
+
+    /// The same for eframe, with what it remembers.
+    ///
+    /// # Errors
+    /// As [`Viewer::new`].
+    pub fn in_window(creation: &eframe::CreationContext, gpu: &Gpu, start: Start) -> stein::Result<Self> {
+        let format = creation.wgpu_render_state.as_ref().map_or(wgpu::TextureFormat::Rgba8Unorm, |state| state.target_format);
+        let settings = creation.storage.and_then(|storage| eframe::get_value(storage, Settings::KEY)).unwrap_or_default();
+        Self::new(&creation.egui_ctx, gpu, format, settings, start)
+    }
+
+    /// Reads a file; what is open stays until that is done.
+    pub fn open(&mut self, source: Source) {
+        self.progress = Some((Task::Open, 0.0));
+        self.worker.send(Request::Open(source));
+    }
+
+    /// Denoises what is open with the parameters as they are.
+    pub fn run(&mut self) {
+        let Some(document) = &self.document else { return };
+        self.progress = Some((Task::Denoise, 0.0));
+        let (frame, reference) = (document.opened.frame.clone(), document.opened.reference.clone());
+        self.worker.send(Request::Denoise { frame, reference, method: self.parameters.method });
+    }
+
+    /// Whether nothing is at work and nothing waits to be told.
+    pub fn is_idle(&self) -> bool {
+        self.progress.is_none() && self.worker.busy().is_none()
+    }
+
+    /// The layer A; the first one where there is none of that name.
+    pub fn layer(&self) -> Option<&Arc<Layer>> {
+        let document = self.document.as_ref()?;
+        document.layer(&self.view.layer).or_else(|| document.layer("noisy"))
+    }
+
+    /// The layer B, where there is one.
+    pub fn other(&self) -> Option<&Arc<Layer>> {
+        self.document.as_ref()?.layer(self.view.other.as_deref()?)
+    }
+
+    /// Compares in this way, with the likeliest layer where none was marked.
+    pub fn compare(&mut self, compare: Compare) {
+        self.view.compare = compare;
+        let is_there = |name: &str| self.document.as_ref().is_some_and(|document| document.layer(name).is_some());
+        if compare != Compare::Single && self.other().is_none() {
+            let likeliest = ["reference", "noisy", "result"].into_iter().find(|name| *name != self.view.layer && is_there(name));
+            self.view.other = likeliest.map(ToOwned::to_owned);
+        }
+    }
+
+    /// Does what a key or a menu asks for.
+    pub fn perform(&mut self, action: Action, context: &Context) {
+        match action {
+            Action::Open => self.ask(Purpose::Input, context),
+            Action::OpenReference => self.ask(Purpose::Reference, context),
+            Action::Run => self.run(),
+            Action::Cancel => self.cancel(),
+            Action::StepLayer(step) => self.step_layer(step),
+            Action::ShowLayer(name) => {
+                if self.document.as_ref().is_some_and(|document| document.layer(name).is_some()) {
+                    self.view.layer = name.to_owned();
+                }
+            }
+            Action::MarkOther => self.view.other = self.layer().map(|layer| layer.name().to_owned()),
+            Action::Swap => {
+                if let Some(other) = self.view.other.take() {
+                    self.view.other = Some(std::mem::replace(&mut self.view.layer, other));
+                }
+            }
+            Action::Compare(compare) => self.compare(compare),
+            Action::Expose(stops) => self.view.display.exposure += stops,
+            Action::Offset(by) => self.view.display.offset += by,
+            Action::ResetDisplay => {
+                let Display { tone, colormap, .. } = self.view.display;
+                self.view.display = Display { tone, colormap, ..Display::default() };
+            }
+            Action::Fit => self.view.camera.fits = true,
+            Action::ActualSize => {
+                self.view.camera.fits = false;
+                self.view.camera.zoom = 1.0 / context.pixels_per_point();
+            }
+            Action::Zoom(factor) => {
+                self.view.camera.fits = false;
+                self.view.camera.zoom *= factor;
+            }
+            Action::Panel(panel) => self.panel = panel,
+            Action::ToggleTheme => context.set_theme(if context.theme() == egui::Theme::Dark { egui::Theme::Light } else { egui::Theme::Dark }),
+            Action::Help => self.shows_help = !self.shows_help,
+        }
+    }
+
+    fn cancel(&mut self) {
+        if self.trouble.take().is_some() {
+            return;
+        }
+        if std::mem::take(&mut self.shows_help) {
+            return;
+        }
+        match self.progress.take() {
+            Some((task, _)) => self.worker.cancel(task),
+            None => self.view.pinned = None,
+        }
+    }
+
+    fn step_layer(&mut self, step: isize) {
+        let Some(document) = &self.document else { return };
+        let layers = document.layers();
+        let place = layers.iter().position(|layer| layer.name() == self.view.layer).unwrap_or(0);
+        if let Some(layer) = layers.get(place.saturating_add_signed(step).min(layers.len() - 1)) {
+            self.view.layer = layer.name().to_owned();
+        }
+    }
+
+    fn ask(&mut self, purpose: Purpose, context: &Context) {
+        if self.dialog.is_none() {
+            let beside = self.document.as_ref().map(|document| document.opened.source.input.as_path());
+            self.dialog = Dialog::open(purpose, beside, context);
+        }
+    }
+
+    /// Opens a file, or adds it to what is open as its reference.
+    pub fn take_file(&mut self, purpose: Purpose, path: PathBuf) {
+        match (purpose, &self.document) {
+            (Purpose::Input, _) => self.open(Source { input: path, reference: None }),
+            (Purpose::Reference, Some(document)) => {
+                let source = Source { reference: Some(path), ..document.opened.source.clone() };
+                self.open(source);
+            }
+            (Purpose::Reference, None) => self.trouble = Some("a reference is compared with a frame\n  remedy: open the frame first".into()),
+        }
+    }
+
+    /// Files that were dropped on the window: one whose name says so is the reference of the other, or of what is open.
+    fn take_dropped(&mut self, context: &Context) {
+        let dropped: Vec<PathBuf> = context.input(|input| input.raw.dropped_files.iter().map(|file| file.path().to_owned()).collect());
+        let (references, inputs): (Vec<_>, Vec<_>) = dropped.into_iter().partition(|path| is_reference(path));
+        match (inputs.into_iter().next(), references.into_iter().next()) {
+            (Some(input), reference) => self.open(Source { input, reference }),
+            (None, Some(reference)) if self.document.is_some() => self.take_file(Purpose::Reference, reference),
+            (None, Some(input)) => self.open(Source { input, reference: None }),
+            (None, None) => {}
+        }
+    }
+
+    fn take_replies(&mut self) {
+        for reply in self.worker.replies() {
+            match reply {
+                Reply::Progress(task, share) => self.progress = Some((task, share)),
+                Reply::Opened(opened) => {
+                    self.settings.remember(&opened.source);
+                    self.view.camera.fits = true;
+                    self.view.pinned = None;
+                    self.view.display.scales.clear();
+                    self.document = Some(Document::new(*opened));
+                    self.trouble = None;
+                    self.run();
+                }
+                Reply::Denoised(denoised) => {
+                    self.progress = None;
+                    if let Some(document) = &mut self.document {
+                        document.add(*denoised);
+                    }
+                }
+                Reply::Failed(_, error) => {
+                    self.progress = None;
+                    self.trouble = Some(error.to_string());
+                }
+            }
+        }
+    }
+
+    fn take_dialog(&mut self) {
+        let Some(Ok(answer)) = self.dialog.as_ref().map(Dialog::answer) else { return };
+        self.dialog = None;
+        if let Some((purpose, path)) = answer {
+            self.take_file(purpose, path);
+        }
+    }
+
+    /// Takes in what the worker told, and files that were chosen or dropped.
+    pub fn poll(&mut self, context: &Context) {
+        self.take_replies();
+        self.take_dialog();
+        self.take_dropped(context);
+    }
+
+    /// The whole window.
+    pub fn show(&mut self, ui: &mut Ui) {
+        let context = ui.ctx().clone();
+        self.view.begin_frame(self.format);
+        self.poll(&context);
+        for action in shortcut::pressed(&context) {
+            self.perform(action, &context);
+        }
+        SidePanel::top("toolbar").show(ui, |ui| panel::toolbar::show(ui, self));
+        SidePanel::bottom("status").show(ui, |ui| panel::status::show(ui, self));
+        SidePanel::left("layers").resizable(true).default_size(216.0).size_range(150.0..=420.0).show(ui, |ui| panel::layers::show(ui, self));
+        SidePanel::right("panel").resizable(true).default_size(316.0).size_range(240.0..=620.0).show(ui, |ui| panel::show(ui, self));
+        CentralPanel::default().frame(Margins::NONE).show(ui, |ui| self.show_canvas(ui));
+        panel::help::show(&context, self);
+    }
+
+    fn show_canvas(&mut self, ui: &mut Ui) {
+        if let Some(trouble) = self.trouble.clone() {
+            self.show_trouble(ui, &trouble);
+        }
+        let (layer, other) = (self.layer().cloned(), self.other().cloned());
+        match layer {
+            Some(layer) => {
+                canvas::show(ui, &mut self.view, &layer, other.as_deref());
+            }
+            None => self.show_welcome(ui),
+        }
+    }
+
+    fn show_trouble(&mut self, ui: &mut Ui, trouble: &str) {
+        let (problem, remedy) = trouble.split_once("\n  remedy: ").unwrap_or((trouble, ""));
+        Margins::new().fill(ui.visuals().extreme_bg_color).inner_margin(8.0).show(ui, |ui| {
+            ui.horizontal_top(|ui| {
+                ui.with_layout(Layout::right_to_left(Align::TOP), |ui| {
+                    if ui.button("Dismiss").clicked() {
+                        self.trouble = None;
+                    }
+                    ui.with_layout(Layout::top_down(Align::LEFT), |ui| {
+                        ui.label(RichText::new(problem).color(ui.visuals().error_fg_color));
+                        if !remedy.is_empty() {
+                            ui.label(format!("Remedy: {remedy}"));
+                        }
+                    });
+                });
+            });
+        });
+    }
+
+    fn show_welcome(&mut self, ui: &mut Ui) {
+        let context = ui.ctx().clone();
+        ui.vertical_centered(|ui| {
+            ui.add_space(ui.available_height() * 0.28);
+            if matches!(self.progress, Some((Task::Open, _))) {
+                ui.spinner();
+                return;
+            }
+            ui.heading("Drop an OpenEXR buffer set here");
+            ui.label("the noisy image with its halves or variance, and features; with it, if there is one, the reference");
+            ui.add_space(10.0);
+            if ui.button("Open…").clicked() {
+                self.perform(Action::Open, &context);
+            }
+            if !self.settings.recent.is_empty() {
+                ui.add_space(16.0);
+                ui.label(RichText::new("Recent").strong());
+                panel::toolbar::recent(ui, self);
+            }
+        });
+    }
+}
+
+impl eframe::App for Viewer {
+    fn ui(&mut self, ui: &mut Ui, _frame: &mut eframe::Frame) {
+        self.show(ui);
+    }
+
+    fn save(&mut self, storage: &mut dyn eframe::Storage) {
+        let display = Display { scales: Default::default(), ..self.view.display.clone() };
+        self.settings.display = display;
+        eframe::set_value(storage, Settings::KEY, &self.settings);
+    }
+}
+
+/// What a window is called.
+pub fn title(source: Option<&Source>) -> String {
+    source.map_or_else(|| "Stein".into(), |source| format!("{} - Stein", short_name(&source.input)))
+}

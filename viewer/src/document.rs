@@ -1,0 +1,137 @@
+//! What is open: a frame, perhaps its reference, and what the newest run made of them.
+
+mod inputs;
+mod outputs;
+
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use stein::frame::Repairs;
+use stein::method::Plan;
+use stein::{Estimate, Frame, Image, Method, metric};
+
+use crate::layer::{Description, Group, Kind, Layer};
+
+pub use inputs::input_layers;
+pub use outputs::output_layers;
+
+/// What to open.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Source {
+    /// The buffer set.
+    pub input: PathBuf,
+    /// The true image, where one is known.
+    pub reference: Option<PathBuf>,
+}
+
+/// What was read, before any run.
+#[derive(Debug)]
+pub struct Opened {
+    /// Where it comes from.
+    pub source: Source,
+    /// What is denoised.
+    pub frame: Arc<Frame>,
+    /// What had to be changed to make the frame.
+    pub repairs: Repairs,
+    /// The true image.
+    pub reference: Option<Arc<Image>>,
+    /// Relative MSE of the noisy colour against the reference.
+    pub noisy_error: Option<f64>,
+    /// Layers that no run changes.
+    pub layers: Vec<Arc<Layer>>,
+}
+
+/// What a run has made.
+#[derive(Debug)]
+pub struct Denoised {
+    /// With which parameters.
+    pub method: Method,
+    /// What is known of the true image. Its layers have become [`Denoised::layers`].
+    pub estimate: Estimate,
+    /// What would be done where only the result and its error are wanted.
+    pub lean_plan: Plan,
+    /// From the request to the estimate, on the clock.
+    pub seconds: f64,
+    /// Relative MSE against the reference.
+    pub error: Option<f64>,
+    /// What it made, to be looked at.
+    pub layers: Vec<Arc<Layer>>,
+}
+
+/// One run, to be listed and plotted.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Run {
+    /// With which parameters.
+    pub method: Method,
+    /// On the clock.
+    pub seconds: f64,
+    /// Relative MSE against the reference.
+    pub error: Option<f64>,
+}
+
+/// What is open.
+#[derive(Debug)]
+pub struct Document {
+    /// What was read.
+    pub opened: Opened,
+    /// The newest run that came to its end.
+    pub denoised: Option<Denoised>,
+    /// All runs that came to their ends, oldest first.
+    pub history: Vec<Run>,
+    layers: Vec<Arc<Layer>>,
+}
+
+impl Document {
+    /// What was read, without a run.
+    pub fn new(opened: Opened) -> Self {
+        let layers = opened.layers.clone();
+        let mut document = Self { opened, denoised: None, history: Vec::new(), layers };
+        document.sort();
+        document
+    }
+
+    /// Takes over what a run has made. The result before stays as a layer to compare with.
+    pub fn add(&mut self, denoised: Denoised) {
+        let Denoised { method, seconds, error, .. } = denoised;
+        self.history.push(Run { method, seconds, error });
+        self.layers = self.opened.layers.iter().chain(&denoised.layers).cloned().collect();
+        let before = self.denoised.as_ref().and_then(|denoised| denoised.layers.iter().find(|layer| layer.name() == "result"));
+        if let Some(before) = before {
+            let about = "The result of the run before, to see what a change of the parameters does.".into();
+            let description = Description { name: "before".into(), title: "run before".into(), about, ..before.description.clone() };
+            self.layers.push(Arc::new(before.renamed(description)));
+        }
+        self.denoised = Some(denoised);
+        self.sort();
+    }
+
+    /// Layers of one group stay in the order in which they were made.
+    fn sort(&mut self) {
+        self.layers.sort_by_key(|layer| layer.description.group);
+    }
+
+    /// Everything that can be looked at, in the order of the strip.
+    pub fn layers(&self) -> &[Arc<Layer>] {
+        &self.layers
+    }
+
+    /// The layer of this name.
+    pub fn layer(&self, name: &str) -> Option<&Arc<Layer>> {
+        self.layers.iter().find(|layer| layer.name() == name)
+    }
+}
+
+/// Relative MSE; `None` without a reference, or where it cannot be told.
+pub fn relative_mse(image: &Image, reference: Option<&Arc<Image>>) -> Option<f64> {
+    reference.and_then(|reference| metric::relative_mse(image, reference).ok())
+}
+
+/// A description, for the tables of layers.
+fn describe(name: impl Into<String>, title: impl Into<String>, about: impl Into<String>, group: Group, kind: Kind, unit: &'static str) -> Description {
+    Description { name: name.into(), title: title.into(), about: about.into(), group, kind, unit }
+}
+
+/// The unit of the colour, for the legend.
+const RADIANCE: &str = "radiance";
+/// The unit of its variance and squared errors.
+const RADIANCE_SQUARED: &str = "radiance²";

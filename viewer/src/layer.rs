@@ -1,0 +1,293 @@
+//! Layers: every image that can be looked at, with what is needed to show and to explain it.
+
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, OnceLock};
+
+use stein::Image;
+
+/// Longest side of a thumbnail, in pixels.
+const THUMBNAIL_SIDE: usize = 96;
+/// Values that a range is estimated from, at the most.
+const SAMPLED_VALUES: usize = 1 << 16;
+/// Decades that a logarithmic range shows, at the most.
+const DECADES: f32 = 6.0;
+
+/// Where in the strip a layer stands.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Group {
+    /// What comes out, and what it is compared with.
+    Result,
+    /// The noisy colour and what is known of its noise.
+    Input,
+    /// Features before and after prefiltering.
+    Features,
+    /// FIRST, SECOND, THIRD and what judges them; the scales of GEM.
+    Candidates,
+    /// Which candidate has which share.
+    Selection,
+    /// How far off the result is, and where samples should go.
+    Error,
+}
+
+impl Group {
+    /// All, in the order of the strip.
+    pub const ALL: [Self; 6] = [Self::Result, Self::Input, Self::Features, Self::Candidates, Self::Selection, Self::Error];
+
+    /// What users read.
+    pub fn title(self) -> &'static str {
+        match self {
+            Self::Result => "Result",
+            Self::Input => "Input",
+            Self::Features => "Features",
+            Self::Candidates => "Candidates",
+            Self::Selection => "Selection",
+            Self::Error => "Error and sampling",
+        }
+    }
+}
+
+/// How the steps of a false-colour scale lie.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+pub enum Scale {
+    /// Evenly from the low to the high end.
+    Linear,
+    /// Evenly in the logarithm; values at or below 0 are at the low end.
+    Log,
+    /// Evenly, with two colours that meet in the middle.
+    Diverging,
+}
+
+/// What the values of a layer are.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Kind {
+    /// Scene-linear colour.
+    Color,
+    /// A vector with components from −1 to 1, such as a normal.
+    Direction,
+    /// Numbers, shown in false colour; of several channels their mean or one.
+    Scalar(Scale),
+    /// Shares of FIRST, SECOND and THIRD, shown in red, green and blue.
+    Shares,
+}
+
+/// Ends of a false-colour scale.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct Range {
+    /// Value of the first colour.
+    pub low: f32,
+    /// Value of the last colour.
+    pub high: f32,
+}
+
+/// What a layer is, without its values.
+#[derive(Clone, Debug)]
+pub struct Description {
+    /// As in files and on the command line, such as `albedo_prefiltered`; unique among the layers of a document.
+    pub name: String,
+    /// For people.
+    pub title: String,
+    /// What it shows, in a sentence.
+    pub about: String,
+    /// Where it stands.
+    pub group: Group,
+    /// What its values are.
+    pub kind: Kind,
+    /// Unit of the values; empty for pure numbers.
+    pub unit: &'static str,
+}
+
+/// An image with an identity, under which its texture is kept.
+#[derive(Clone, Debug)]
+pub struct Shown {
+    /// Different for any two images of this process.
+    pub id: u64,
+    /// One to three planes.
+    pub image: Arc<Image>,
+}
+
+impl Shown {
+    /// Gives an image an identity.
+    pub fn new(image: Arc<Image>) -> Self {
+        static NEXT: AtomicU64 = AtomicU64::new(1);
+        Self { id: NEXT.fetch_add(1, Ordering::Relaxed), image }
+    }
+}
+
+/// An image that can be looked at.
+#[derive(Debug)]
+pub struct Layer {
+    /// What it is.
+    pub description: Description,
+    /// One to three planes.
+    pub shown: Shown,
+    /// The same with at most 96 pixels along the longer side.
+    pub thumbnail: Shown,
+    /// Ends of the scale that show most of its values.
+    pub range: Range,
+    histogram: OnceLock<Histogram>,
+}
+
+impl Layer {
+    /// A layer. `range` is worked out from the values where it is `None`.
+    pub fn new(description: Description, image: Arc<Image>, range: Option<Range>) -> Self {
+        let range = range.unwrap_or_else(|| automatic_range(&image, description.kind));
+        let thumbnail = Shown::new(Arc::new(thumbnail(&image)));
+        Self { description, shown: Shown::new(image), thumbnail, range, histogram: OnceLock::new() }
+    }
+
+    /// The same image under another description.
+    pub fn renamed(&self, description: Description) -> Self {
+        Self { description, shown: self.shown.clone(), thumbnail: self.thumbnail.clone(), range: self.range, histogram: self.histogram.clone() }
+    }
+
+    /// Its values.
+    pub fn image(&self) -> &Image {
+        &self.shown.image
+    }
+
+    /// Its name.
+    pub fn name(&self) -> &str {
+        &self.description.name
+    }
+
+    /// The values of a pixel, one per plane. `None` outside of the image.
+    pub fn values(&self, x: u32, y: u32) -> Option<Vec<f32>> {
+        let extent = self.image().extent;
+        let inside = x < extent.width && y < extent.height;
+        inside.then(|| self.image().planes.iter().map(|plane| plane[y as usize * extent.width as usize + x as usize]).collect())
+    }
+
+    /// Names of the planes, one letter or word each.
+    pub fn channel_names(&self) -> &'static [&'static str] {
+        match (self.description.kind, self.image().channels()) {
+            (Kind::Shares, _) => &["FIRST", "SECOND", "THIRD"],
+            (_, 1) => &[""],
+            (Kind::Direction, _) | (_, 2) => &["x", "y", "z"],
+            _ => &["R", "G", "B"],
+        }
+    }
+
+    /// How often which values occur.
+    pub fn histogram(&self) -> &Histogram {
+        self.histogram.get_or_init(|| Histogram::of(self.image(), matches!(self.description.kind, Kind::Color | Kind::Scalar(Scale::Log))))
+    }
+}
+
+/// How often which values occur, per plane.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Histogram {
+    /// Whether the bins lie evenly in log₂.
+    pub logarithmic: bool,
+    /// Lower edge of the first bin: a value, or its log₂.
+    pub first: f32,
+    /// Upper edge of the last bin.
+    pub last: f32,
+    /// Numbers of pixels, one vector per plane.
+    pub counts: Vec<Vec<u32>>,
+    /// Smallest finite value.
+    pub least: f32,
+    /// Largest finite value.
+    pub most: f32,
+    /// Mean of the finite values.
+    pub mean: f64,
+    /// Values that are no numbers or infinite.
+    pub not_finite: usize,
+}
+
+impl Histogram {
+    /// Number of bins.
+    pub const BINS: usize = 128;
+
+    fn of(image: &Image, logarithmic: bool) -> Self {
+        let finite = || image.planes.iter().flatten().copied().filter(|value| value.is_finite());
+        let (mut least, mut most, mut sum, mut count) = (f32::INFINITY, f32::NEG_INFINITY, 0.0, 0_usize);
+        for value in finite() {
+            (least, most, sum, count) = (least.min(value), most.max(value), sum + f64::from(value), count + 1);
+        }
+        if count == 0 {
+            (least, most) = (0.0, 0.0);
+        }
+        let (first, last) = if logarithmic {
+            let last = most.max(f32::MIN_POSITIVE).log2().ceil().clamp(-60.0, 60.0);
+            (last - 20.0, last)
+        } else {
+            (least, if most > least { most } else { least + 1.0 })
+        };
+        let bin = |value: f32| {
+            let place = if logarithmic { value.max(f32::MIN_POSITIVE).log2() } else { value };
+            (((place - first) / (last - first) * Self::BINS as f32) as usize).min(Self::BINS - 1)
+        };
+        let counts = image.planes.iter().map(|plane| {
+            let mut counts = vec![0; Self::BINS];
+            plane.iter().filter(|value| value.is_finite()).for_each(|value| counts[bin(*value)] += 1);
+            counts
+        });
+        let counts = counts.collect();
+        let not_finite = image.planes.len() * image.extent.pixels() - count;
+        Self { logarithmic, first, last, counts, least, most, mean: sum / count.max(1) as f64, not_finite }
+    }
+}
+
+/// Mean of the planes.
+fn means(image: &Image, pixels: impl Iterator<Item = usize>) -> impl Iterator<Item = f32> {
+    let planes = image.channels() as f32;
+    pixels.map(move |pixel| image.planes.iter().map(|plane| plane[pixel]).sum::<f32>() / planes)
+}
+
+/// Ends between which lie all values of a sample but half a percent on each side.
+fn automatic_range(image: &Image, kind: Kind) -> Range {
+    let step = image.extent.pixels().div_ceil(SAMPLED_VALUES).max(1);
+    let mut values: Vec<f32> = means(image, (0..image.extent.pixels()).step_by(step)).filter(|value| value.is_finite()).collect();
+    range_of(&mut values, kind)
+}
+
+/// The same of these values.
+pub(crate) fn range_of(values: &mut [f32], kind: Kind) -> Range {
+    if values.is_empty() {
+        return Range { low: 0.0, high: 1.0 };
+    }
+    values.sort_unstable_by(f32::total_cmp);
+    let at = |share: f32| values[((values.len() - 1) as f32 * share) as usize];
+    let (low, high) = (at(0.005), at(0.995));
+    let or_one = |value: f32| if value > 0.0 { value } else { 1.0 };
+    match kind {
+        Kind::Scalar(Scale::Diverging) => {
+            let most = or_one(low.abs().max(high.abs()));
+            Range { low: -most, high: most }
+        }
+        Kind::Scalar(Scale::Log) => {
+            let high = or_one(high);
+            let first_positive = values.partition_point(|value| *value <= 0.0);
+            let low = values.get(first_positive + (values.len() - first_positive) / 50).copied().unwrap_or(high);
+            Range { low: low.clamp(high * 10.0_f32.powf(-DECADES), high * 0.1), high }
+        }
+        _ if high > low => Range { low, high },
+        _ => Range { low, high: low + or_one(low.abs()) },
+    }
+}
+
+/// Averages boxes of pixels, so that no side is longer than a thumbnail's.
+fn thumbnail(image: &Image) -> Image {
+    let (width, height) = (image.extent.width as usize, image.extent.height as usize);
+    let factor = width.max(height).div_ceil(THUMBNAIL_SIDE).max(1);
+    let extent = stein::Extent { width: width.div_ceil(factor) as u32, height: height.div_ceil(factor) as u32 };
+    let shrunk = |plane: &Vec<f32>| {
+        let mut shrunk = Vec::with_capacity(extent.pixels());
+        for top in (0..height).step_by(factor) {
+            for left in (0..width).step_by(factor) {
+                let rows = top..(top + factor).min(height);
+                let columns = left..(left + factor).min(width);
+                let count = rows.len() * columns.len();
+                let sum: f32 = rows.flat_map(|y| &plane[y * width + columns.start..y * width + columns.end]).sum();
+                shrunk.push(sum / count as f32);
+            }
+        }
+        shrunk
+    };
+    Image { extent, planes: image.planes.iter().map(shrunk).collect() }
+}
+
+/// One plane of an image by itself.
+pub fn single_plane(image: &Image, plane: usize) -> Image {
+    Image { extent: image.extent, planes: vec![image.planes[plane].clone()] }
+}

@@ -1,0 +1,29 @@
+//! The viewer: looks inside a frame that Stein has denoised. What each candidate did, which won where, what the estimated error says, where samples should go.
+//!
+//! | room | holds |
+//! | --- | --- |
+//! | [`app`] | the window: layout, what keys and messages do |
+//! | [`worker`] | one thread that reads and denoises, and the messages to and from it |
+//! | [`document`] | what is open: the frame, its reference, the newest run, and the layers that they make |
+//! | [`layer`] | an image that can be looked at, with what explains it |
+//! | [`view`] | the canvas: pan, zoom, comparison; values to colours on the GPU |
+//! | [`panel`] | one file per panel beside the canvas |
+//! | [`shortcut`] | the table of keys, which the help reads as well |
+//! | [`screenshot`] | the same window without a screen |
+//! | [`settings`] | what is remembered from one start to the next |
+//!
+//! The window never waits: whatever takes time is a [`Request`](worker::Request) to the worker, whose [`Reply`](worker::Reply) wakes the window.
+
+pub mod app;
+pub mod device;
+pub mod document;
+pub mod files;
+pub mod layer;
+pub mod panel;
+pub mod screenshot;
+pub mod settings;
+pub mod shortcut;
+pub mod view;
+pub mod worker;
+
+pub use app::{Start, Viewer};

@@ -1,0 +1,178 @@
+//! `stein-viewer`: the command line of the viewer.
+
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+use clap::{Parser, ValueEnum};
+use eframe::egui::{Theme, Vec2, ViewportBuilder};
+use stein::gpu::{DeviceChoice, GpuOptions};
+use stein::{Error, Gpu, Preset};
+use stein_viewer::document::Source;
+use stein_viewer::screenshot::{self, Shot};
+use stein_viewer::settings::Parameters;
+use stein_viewer::{Start, Viewer, app, device};
+
+const AFTER_HELP: &str = "\
+Exit codes: 0 done, 2 wrong usage, 3 an input file or layer cannot be used, 4 no device, or one that cannot show a window, 5 the picture cannot be written, 1 anything else.
+
+Example:
+  stein-viewer testdata/dof_spheres_32spp.exr --reference testdata/dof_spheres_reference.exr
+  stein-viewer render.exr --screenshot selection.png --layer selection";
+
+/// Looks inside a denoised frame: candidates, selection, estimated error, sampling density.
+#[derive(Debug, Parser)]
+#[command(name = "stein-viewer", version, after_help = AFTER_HELP)]
+struct Args {
+    /// OpenEXR file with the noisy image, its halves or variance, and features
+    file: Option<PathBuf>,
+    /// The true image, to compare with
+    #[arg(long, value_name = "FILE", requires = "file")]
+    reference: Option<PathBuf>,
+    /// Method
+    #[arg(long, value_enum, default_value = "dfc")]
+    method: MethodName,
+    /// Parameters
+    #[arg(long, value_enum, default_value = "default")]
+    preset: PresetName,
+    /// Of dfc and nlm: radius of the window that is averaged over, in pixels [default: 10]
+    #[arg(long, value_name = "PIXELS")]
+    radius: Option<u32>,
+    /// Adapter, by its index or a part of its name [default: the fastest kind]
+    #[arg(long, value_name = "NAME|INDEX")]
+    device: Option<DeviceChoice>,
+    /// The layer to show, by its name, such as result, selection or albedo_prefiltered [default: result]
+    #[arg(long, value_name = "NAME")]
+    layer: Option<String>,
+    /// Writes a picture of the window as PNG, without opening one
+    #[arg(long, value_name = "FILE", requires = "file")]
+    screenshot: Option<PathBuf>,
+    /// Size of the window, in points
+    #[arg(long, value_name = "WIDTHxHEIGHT", default_value = "1280x720", value_parser = size)]
+    size: [f32; 2],
+    /// Of a screenshot: pixels per point
+    #[arg(long, value_name = "NUMBER", default_value_t = 1.0, requires = "screenshot", value_parser = scale)]
+    scale: f32,
+    /// Of a screenshot: dark or light
+    #[arg(long, value_enum, default_value = "dark", requires = "screenshot")]
+    theme: ThemeName,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum MethodName {
+    /// Combined colour and feature filters
+    Dfc,
+    /// Greedy error minimisation over Gaussian scales
+    Gem,
+    /// Non-local means
+    Nlm,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum PresetName {
+    /// What measured best
+    Default,
+    /// The published algorithm to the letter
+    Thesis,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum ThemeName {
+    Dark,
+    Light,
+}
+
+fn size(text: &str) -> Result<[f32; 2], String> {
+    let sides = text.split_once(['x', '×']).and_then(|(width, height)| Some((width.parse::<u16>().ok()?, height.parse::<u16>().ok()?)));
+    match sides {
+        Some((width @ 320..=8192, height @ 240..=8192)) => Ok([width.into(), height.into()]),
+        _ => Err("it must look like 1280x720, from 320x240 to 8192x8192".into()),
+    }
+}
+
+fn scale(text: &str) -> Result<f32, String> {
+    text.parse().ok().filter(|scale| (0.5..=4.0).contains(scale)).ok_or_else(|| "it must be a number from 0.5 to 4".into())
+}
+
+/// What ends the program, and its exit code.
+struct Failure {
+    code: u8,
+    message: String,
+}
+
+impl From<Error> for Failure {
+    fn from(error: Error) -> Self {
+        let code = match &error {
+            Error::File { .. } | Error::Layer { .. } => 3,
+            Error::Request { .. } => 2,
+            Error::Device { .. } => 4,
+            _ => 1,
+        };
+        Self { code, message: error.to_string() }
+    }
+}
+
+fn main() -> ExitCode {
+    match run(&Args::parse()) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(Failure { code, message }) => {
+            eprintln!("stein-viewer: error: {message}");
+            code.into()
+        }
+    }
+}
+
+fn run(args: &Args) -> Result<(), Failure> {
+    let start = start(args)?;
+    let gpu = Gpu::open_with(args.device.as_ref().unwrap_or(&DeviceChoice::Auto), GpuOptions::default())?;
+    match &args.screenshot {
+        Some(path) => {
+            let theme = match args.theme {
+                ThemeName::Dark => Theme::Dark,
+                ThemeName::Light => Theme::Light,
+            };
+            let picture = screenshot::take(&gpu, &Shot { start, size: args.size, scale: args.scale, theme }, |_| {})?;
+            picture.write_png(path).map_err(|error| Failure { code: 5, message: error.to_string() })
+        }
+        None => window(args, &gpu, start),
+    }
+}
+
+fn start(args: &Args) -> Result<Start, Failure> {
+    let method = match args.method {
+        MethodName::Dfc => "dfc",
+        MethodName::Gem => "gem",
+        MethodName::Nlm => "nlm",
+    };
+    let preset = match args.preset {
+        PresetName::Default => Preset::Default,
+        PresetName::Thesis => Preset::Thesis,
+    };
+    let mut parameters = Parameters::of(method, preset).unwrap_or_default();
+    if let Some(radius) = args.radius {
+        match parameters.radius_mut() {
+            Some(own) => *own = radius,
+            None => {
+                let message = format!("--radius is no option of the method {method}\n  remedy: leave it out, or choose another --method");
+                return Err(Failure { code: 2, message });
+            }
+        }
+        parameters.method.validate()?;
+    }
+    let source = args.file.clone().map(|input| Source { input, reference: args.reference.clone() });
+    Ok(Start { source, parameters, layer: args.layer.clone() })
+}
+
+fn window(args: &Args, gpu: &Gpu, start: Start) -> Result<(), Failure> {
+    let title = app::title(start.source.as_ref());
+    let viewport = ViewportBuilder::default().with_title(&title).with_inner_size(Vec2::from(args.size)).with_min_inner_size([640.0, 400.0]);
+    let options = eframe::NativeOptions { viewport, wgpu_options: device::configuration(gpu)?, ..Default::default() };
+    let in_window = |creation: &eframe::CreationContext| Viewer::in_window(creation, gpu, start).map(|viewer| Box::new(viewer) as Box<dyn eframe::App>);
+    eframe::run_native("stein-viewer", options, Box::new(|creation| Ok(in_window(creation)?))).map_err(|error| Failure {
+        code: 4,
+        message: format!(
+            "no window can be shown on '{}': {error}\n  remedy: choose an adapter that the screen is connected to with --device (`stein devices` lists them), \
+             or take a picture without a window with --screenshot",
+            gpu.summary().name
+        ),
+    })
+}

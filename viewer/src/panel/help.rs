@@ -1,0 +1,47 @@
+//! The help: every key of the table, over the window.
+
+use eframe::egui::{Context, Grid, Id, Modal, RichText, Ui};
+
+use crate::app::Viewer;
+use crate::shortcut::{SECTIONS, Section};
+
+/// Shows it, if it is wanted.
+pub fn show(context: &Context, viewer: &mut Viewer) {
+    if !viewer.shows_help {
+        return;
+    }
+    let modal = Modal::new(Id::unique("help")).show(context, |ui| {
+        ui.heading("Keys");
+        ui.label(
+            RichText::new(
+                "Drag pans, the wheel zooms about the pointer, a double click fits. A click keeps a pixel. In the strip, a right click chooses layer B.",
+            )
+            .weak(),
+        );
+        ui.add_space(6.0);
+        ui.columns(2, |columns| {
+            let half = SECTIONS.len() / 2;
+            SECTIONS[..half].iter().for_each(|part| section(&mut columns[0], part));
+            SECTIONS[half..].iter().for_each(|part| section(&mut columns[1], part));
+        });
+        ui.button("Close").clicked()
+    });
+    if modal.inner || modal.backdrop_response.clicked() {
+        viewer.shows_help = false;
+    }
+}
+
+fn section(ui: &mut Ui, section: &Section) {
+    ui.label(RichText::new(section.title).strong());
+    let context = ui.ctx().clone();
+    Grid::new(section.title).num_columns(2).spacing([12.0, 2.0]).show(ui, |ui| {
+        for shortcut in section.shortcuts.iter().filter(|shortcut| !shortcut.about.is_empty()) {
+            let keys = section.shortcuts.iter().filter(|other| other.action == shortcut.action);
+            let keys: Vec<_> = keys.map(|other| context.format_shortcut(&other.keys)).collect();
+            ui.label(RichText::new(keys.join(", ")).monospace());
+            ui.label(shortcut.about);
+            ui.end_row();
+        }
+    });
+    ui.add_space(6.0);
+}

@@ -1,0 +1,59 @@
+//! What is beside the canvas: a file for each panel.
+
+pub mod display;
+pub mod help;
+pub mod layers;
+pub mod parameters;
+pub mod pixel;
+pub mod report;
+pub mod status;
+pub mod toolbar;
+
+use eframe::egui::{ScrollArea, Ui};
+
+use crate::app::Viewer;
+
+/// The panels at the right, of which one is shown.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Panel {
+    /// Exposure, ranges, histogram.
+    Display,
+    /// Method, preset, radius.
+    Parameters,
+    /// The values of a pixel.
+    Pixel,
+    /// What ran and what was left out, and what the frame is.
+    Report,
+}
+
+impl Panel {
+    /// In the order of their tabs.
+    pub const ALL: [Self; 4] = [Self::Display, Self::Parameters, Self::Pixel, Self::Report];
+
+    /// What users read.
+    pub fn title(self) -> &'static str {
+        match self {
+            Self::Display => "Display",
+            Self::Parameters => "Parameters",
+            Self::Pixel => "Pixel",
+            Self::Report => "Report",
+        }
+    }
+}
+
+/// The tabs, and the panel that is chosen.
+pub fn show(ui: &mut Ui, viewer: &mut Viewer) {
+    ui.add_space(2.0);
+    ui.horizontal_wrapped(|ui| {
+        for panel in Panel::ALL {
+            ui.selectable_value(&mut viewer.panel, panel, panel.title());
+        }
+    });
+    ui.separator();
+    ScrollArea::vertical().id_salt(viewer.panel.title()).auto_shrink(false).show(ui, |ui| match viewer.panel {
+        Panel::Display => display::show(ui, viewer),
+        Panel::Parameters => parameters::show(ui, viewer),
+        Panel::Pixel => pixel::show(ui, viewer),
+        Panel::Report => report::show(ui, viewer),
+    });
+}

@@ -1,0 +1,44 @@
+//! All values of the chosen pixel: the one that was clicked, or else the one under the pointer.
+
+use eframe::egui::{Grid, RichText, Ui};
+
+use super::status::explained;
+use crate::app::Viewer;
+use crate::layer::Group;
+use crate::view::numbers::number;
+
+/// Shows it.
+pub fn show(ui: &mut Ui, viewer: &mut Viewer) {
+    let (Some(document), Some([x, y])) = (&viewer.document, viewer.view.chosen()) else {
+        ui.label("Point at a pixel to see its values in every layer. Click to keep it.");
+        return;
+    };
+    let how = if viewer.view.pinned.is_some() { "kept; click it again to let it go" } else { "under the pointer; click to keep it" };
+    ui.label(RichText::new(format!("Pixel ({x}, {y})")).strong());
+    ui.label(RichText::new(how).weak());
+    let mut chosen = None;
+    for group in Group::ALL {
+        let members: Vec<_> = document.layers().iter().filter(|layer| layer.description.group == group).collect();
+        if members.is_empty() {
+            continue;
+        }
+        ui.add_space(4.0);
+        ui.label(RichText::new(group.title()).strong());
+        Grid::new(group.title()).num_columns(4).striped(true).spacing([8.0, 2.0]).show(ui, |ui| {
+            for layer in members {
+                let Some(values) = layer.values(x, y) else { continue };
+                let is_shown = layer.name() == viewer.view.layer;
+                if ui.selectable_label(is_shown, &layer.description.title).on_hover_text(explained(layer)).clicked() {
+                    chosen = Some(layer.name().to_owned());
+                }
+                for value in values {
+                    ui.label(RichText::new(number(value)).monospace());
+                }
+                ui.end_row();
+            }
+        });
+    }
+    if let Some(name) = chosen {
+        viewer.view.layer = name;
+    }
+}

@@ -1,0 +1,154 @@
+//! Keys: one table that the input handling and the help overlay read.
+
+use eframe::egui::{Context, Key, KeyboardShortcut, Modifiers};
+
+use crate::panel::Panel;
+use crate::view::Compare;
+
+/// What a key does.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Action {
+    /// Asks for a buffer set.
+    Open,
+    /// Asks for a reference.
+    OpenReference,
+    /// Denoises again.
+    Run,
+    /// Ends the work in flight, closes the help, or lets a pinned pixel go.
+    Cancel,
+    /// To the next layer of the strip, or with −1 to the one before.
+    StepLayer(isize),
+    /// The layer of this name.
+    ShowLayer(&'static str),
+    /// The shown layer becomes the one to compare with.
+    MarkOther,
+    /// Swaps the two layers.
+    Swap,
+    /// How two layers are compared.
+    Compare(Compare),
+    /// Brightens by stops.
+    Expose(f32),
+    /// Adds an offset.
+    Offset(f32),
+    /// Exposure, offset and ranges as at the start.
+    ResetDisplay,
+    /// The image fits into the view.
+    Fit,
+    /// One pixel of the image is one of the screen.
+    ActualSize,
+    /// Magnifies by this factor.
+    Zoom(f32),
+    /// Shows a side panel.
+    Panel(Panel),
+    /// Dark or light.
+    ToggleTheme,
+    /// Shows or hides the help.
+    Help,
+}
+
+/// A key, what it does, and how the help calls that.
+#[derive(Clone, Copy, Debug)]
+pub struct Shortcut {
+    /// The key with its modifiers.
+    pub keys: KeyboardShortcut,
+    /// What it does.
+    pub action: Action,
+    /// What the help says; empty where the line before says it for several keys.
+    pub about: &'static str,
+}
+
+/// A heading of the help with its keys.
+#[derive(Clone, Copy, Debug)]
+pub struct Section {
+    /// What users read.
+    pub title: &'static str,
+    /// In the order of the help.
+    pub shortcuts: &'static [Shortcut],
+}
+
+const fn key(key: Key, action: Action, about: &'static str) -> Shortcut {
+    Shortcut { keys: KeyboardShortcut::new(Modifiers::NONE, key), action, about }
+}
+
+const fn with(modifiers: Modifiers, key: Key, action: Action, about: &'static str) -> Shortcut {
+    Shortcut { keys: KeyboardShortcut::new(modifiers, key), action, about }
+}
+
+/// All keys. Those with modifiers are looked at first, so that `Shift+E` is not taken for `E`.
+pub const SECTIONS: &[Section] = &[
+    Section {
+        title: "File and run",
+        shortcuts: &[
+            with(Modifiers::COMMAND, Key::O, Action::Open, "open a buffer set"),
+            with(Modifiers::COMMAND, Key::R, Action::OpenReference, "open a reference"),
+            key(Key::F5, Action::Run, "denoise again"),
+            key(Key::Escape, Action::Cancel, "cancel the run, close the help, unpin the pixel"),
+        ],
+    },
+    Section {
+        title: "Layers",
+        shortcuts: &[
+            key(Key::ArrowDown, Action::StepLayer(1), "next layer"),
+            key(Key::ArrowUp, Action::StepLayer(-1), "layer before"),
+            key(Key::Num1, Action::ShowLayer("result"), "result"),
+            key(Key::Num2, Action::ShowLayer("noisy"), "noisy"),
+            key(Key::Num3, Action::ShowLayer("reference"), "reference"),
+            key(Key::Num4, Action::ShowLayer("first"), "FIRST"),
+            key(Key::Num5, Action::ShowLayer("second"), "SECOND"),
+            key(Key::Num6, Action::ShowLayer("third"), "THIRD"),
+            key(Key::Num7, Action::ShowLayer("selection"), "selection"),
+            key(Key::Num8, Action::ShowLayer("error"), "estimated error"),
+            key(Key::Num9, Action::ShowLayer("density"), "sampling density"),
+        ],
+    },
+    Section {
+        title: "Compare",
+        shortcuts: &[
+            key(Key::M, Action::MarkOther, "compare with this layer (B)"),
+            key(Key::X, Action::Swap, "swap the layers A and B"),
+            key(Key::A, Action::Compare(Compare::Single), "layer A alone"),
+            key(Key::S, Action::Compare(Compare::SideBySide), "side by side"),
+            key(Key::W, Action::Compare(Compare::Wipe), "wipe"),
+            key(Key::B, Action::Compare(Compare::Blink), "blink"),
+            key(Key::D, Action::Compare(Compare::Difference), "signed difference A − B"),
+            key(Key::R, Action::Compare(Compare::Relative), "relative difference"),
+        ],
+    },
+    Section {
+        title: "View",
+        shortcuts: &[
+            key(Key::F, Action::Fit, "fit the image"),
+            key(Key::Num0, Action::ActualSize, "one pixel to one"),
+            key(Key::Plus, Action::Zoom(1.25), "magnify"),
+            key(Key::Equals, Action::Zoom(1.25), ""),
+            key(Key::Minus, Action::Zoom(0.8), "reduce"),
+            key(Key::E, Action::Expose(0.5), "half a stop brighter"),
+            with(Modifiers::SHIFT, Key::E, Action::Expose(-0.5), "half a stop darker"),
+            key(Key::O, Action::Offset(0.05), "offset up"),
+            with(Modifiers::SHIFT, Key::O, Action::Offset(-0.05), "offset down"),
+            key(Key::N, Action::ResetDisplay, "reset exposure, offset and ranges"),
+        ],
+    },
+    Section {
+        title: "Panels",
+        shortcuts: &[
+            key(Key::F1, Action::Panel(Panel::Display), "display"),
+            key(Key::F2, Action::Panel(Panel::Parameters), "parameters"),
+            key(Key::F3, Action::Panel(Panel::Pixel), "pixel"),
+            key(Key::F4, Action::Panel(Panel::Report), "report"),
+            key(Key::T, Action::ToggleTheme, "dark or light"),
+            key(Key::H, Action::Help, "this help"),
+            key(Key::Questionmark, Action::Help, ""),
+        ],
+    },
+];
+
+/// What the keys of this frame ask for; nothing while a text is edited.
+pub fn pressed(context: &Context) -> Vec<Action> {
+    if context.egui_wants_keyboard_input() {
+        return Vec::new();
+    }
+    let mut all: Vec<&Shortcut> = SECTIONS.iter().flat_map(|section| section.shortcuts).collect();
+    all.sort_by_key(|shortcut| shortcut.keys.modifiers == Modifiers::NONE);
+    context.input_mut(|input| all.into_iter().filter(|shortcut| input.consume_shortcut(&shortcut.keys)).map(|shortcut| shortcut.action).collect())
+}

@@ -1,0 +1,360 @@
+//! Values to colours on the GPU: layers as textures, and a draw for each view of them.
+
+use std::collections::HashMap;
+
+use bytemuck::{Pod, Zeroable};
+use eframe::egui::{PaintCallback, PaintCallbackInfo, Rect};
+use eframe::egui_wgpu::{Callback, CallbackResources, CallbackTrait, ScreenDescriptor};
+use eframe::wgpu;
+
+use super::colormap::{self, Colormap};
+use super::{Channel, Tone};
+use crate::layer::{Kind, Range, Scale, Shown};
+
+/// Keeps relative differences of dark pixels finite.
+pub const RELATIVE_EPSILON: f32 = 0.01;
+/// Bytes from one draw's uniforms to those of the next: no device asks for more.
+const SLOT_BYTES: u64 = 256;
+/// Frames that a texture stays after it was last drawn.
+const FRAMES_KEPT: u64 = 120;
+/// Taps along each axis where an image is reduced, at the most.
+const MOST_TAPS: f32 = 8.0;
+
+/// What is done with the two layers.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Operation {
+    /// A alone.
+    #[default]
+    Single = 0,
+    /// A − B.
+    Difference = 1,
+    /// (A − B)/(|B| + ε).
+    Relative = 2,
+}
+
+/// One view of one layer, or of two that are compared.
+#[derive(Clone, Debug)]
+pub struct Draw {
+    /// Layer A.
+    pub a: Shown,
+    /// Layer B, of the same extent; `None` shows A alone.
+    pub b: Option<Shown>,
+    /// What the values of A are.
+    pub kind: Kind,
+    /// What is done with the two.
+    pub operation: Operation,
+    /// The image's place of the target's pixel (0, 0), in pixels of the image.
+    pub first: [f32; 2],
+    /// Pixels of the image per pixel of the target.
+    pub step: f32,
+    /// Which channels.
+    pub channel: Channel,
+    /// The curve of colours.
+    pub tone: Tone,
+    /// Stops.
+    pub exposure: f32,
+    /// Added after the exposure.
+    pub offset: f32,
+    /// γ of [`Tone::Gamma`].
+    pub gamma: f32,
+    /// Ends of the false-colour scale.
+    pub range: Range,
+    /// Steps of the false-colour scale.
+    pub scale: Scale,
+    /// Its colours.
+    pub colormap: Colormap,
+    /// Around the image, as a screen shows it.
+    pub background: [f32; 3],
+}
+
+/// As in the shader.
+#[repr(C)]
+#[derive(Clone, Copy, Pod, Zeroable)]
+struct Uniforms {
+    first: [f32; 2],
+    step: [f32; 2],
+    size: [u32; 2],
+    kind: u32,
+    planes_a: u32,
+    planes_b: u32,
+    operation: u32,
+    channel: u32,
+    tone: u32,
+    scale: u32,
+    colormap: u32,
+    encodes: u32,
+    factor: f32,
+    offset: f32,
+    inverse_gamma: f32,
+    low: f32,
+    high: f32,
+    epsilon: f32,
+    taps: u32,
+    padding: [u32; 2],
+    background: [f32; 4],
+}
+
+impl Draw {
+    fn uniforms(&self, encodes: bool) -> Uniforms {
+        let extent = self.a.image.extent;
+        let row = |map: Colormap| Colormap::ALL.iter().position(|other| *other == map).unwrap_or(0) as u32;
+        let diverges = self.scale == Scale::Diverging || self.operation != Operation::Single;
+        Uniforms {
+            first: self.first,
+            step: [self.step; 2],
+            size: [extent.width, extent.height],
+            kind: match self.kind {
+                Kind::Color => 0,
+                Kind::Direction => 1,
+                Kind::Scalar(_) => 2,
+                Kind::Shares => 3,
+            },
+            planes_a: self.a.image.channels() as u32,
+            planes_b: self.b.as_ref().map_or(1, |b| b.image.channels() as u32),
+            operation: self.operation as u32,
+            channel: self.channel as u32,
+            tone: self.tone as u32,
+            scale: u32::from(self.scale == Scale::Log && !diverges),
+            colormap: row(if diverges { Colormap::Diverging } else { self.colormap }),
+            encodes: encodes.into(),
+            factor: self.exposure.exp2(),
+            offset: self.offset,
+            inverse_gamma: 1.0 / self.gamma,
+            low: self.range.low,
+            high: self.range.high,
+            epsilon: RELATIVE_EPSILON,
+            taps: self.step.ceil().clamp(1.0, MOST_TAPS) as u32,
+            padding: [0; 2],
+            background: [self.background[0], self.background[1], self.background[2], 1.0],
+        }
+    }
+}
+
+/// Numbers the draws of a frame, each of which has its own place for uniforms.
+#[derive(Debug)]
+pub struct Slots {
+    frame: u64,
+    next: u32,
+    format: wgpu::TextureFormat,
+}
+
+impl Default for Slots {
+    fn default() -> Self {
+        Self { frame: 0, next: 0, format: wgpu::TextureFormat::Rgba8Unorm }
+    }
+}
+
+impl Slots {
+    /// Begins a frame, which is drawn to a target of this format.
+    pub fn begin(&mut self, format: wgpu::TextureFormat) {
+        *self = Self { frame: self.frame + 1, next: 0, format };
+    }
+
+    /// A shape that shows this in a rectangle of the window.
+    pub fn paint(&mut self, rect: Rect, draw: Draw) -> PaintCallback {
+        let slot = self.next;
+        self.next += 1;
+        Callback::new_paint_callback(rect, Paint { draw, slot, frame: self.frame, format: self.format })
+    }
+}
+
+struct Paint {
+    draw: Draw,
+    slot: u32,
+    frame: u64,
+    format: wgpu::TextureFormat,
+}
+
+impl Paint {
+    fn key(&self) -> [u64; 2] {
+        [self.draw.a.id, self.draw.b.as_ref().map_or(self.draw.a.id, |b| b.id)]
+    }
+}
+
+impl CallbackTrait for Paint {
+    fn prepare(
+        &self,
+        device: &wgpu::Device,
+        queue: &wgpu::Queue,
+        _screen: &ScreenDescriptor,
+        _encoder: &mut wgpu::CommandEncoder,
+        resources: &mut CallbackResources,
+    ) -> Vec<wgpu::CommandBuffer> {
+        let resources = resources.entry::<Resources>().or_insert_with(|| Resources::new(device, queue, self.format));
+        resources.forget_before(self.frame.saturating_sub(FRAMES_KEPT));
+        let shown = [Some(&self.draw.a), self.draw.b.as_ref()];
+        for shown in shown.into_iter().flatten() {
+            resources.upload(device, queue, shown, self.frame);
+        }
+        resources.bind(device, self.key());
+        resources.write(device, queue, self.slot, &self.draw.uniforms(self.format.is_srgb()));
+        Vec::new()
+    }
+
+    fn paint(&self, _info: PaintCallbackInfo, pass: &mut wgpu::RenderPass<'static>, resources: &CallbackResources) {
+        let Some(resources) = resources.get::<Resources>() else { return };
+        let Some(group) = resources.groups.get(&self.key()) else { return };
+        pass.set_pipeline(&resources.pipeline);
+        pass.set_bind_group(0, &resources.draw_group, &[self.slot * SLOT_BYTES as u32]);
+        pass.set_bind_group(1, group, &[]);
+        pass.draw(0..3, 0..1);
+    }
+}
+
+struct Texture {
+    view: wgpu::TextureView,
+    last_drawn: u64,
+}
+
+/// What the draws of a window share.
+struct Resources {
+    pipeline: wgpu::RenderPipeline,
+    uniforms: wgpu::Buffer,
+    colors: wgpu::TextureView,
+    draw_group: wgpu::BindGroup,
+    textures: HashMap<u64, Texture>,
+    groups: HashMap<[u64; 2], wgpu::BindGroup>,
+}
+
+impl Resources {
+    fn new(device: &wgpu::Device, queue: &wgpu::Queue, format: wgpu::TextureFormat) -> Self {
+        let module = device.create_shader_module(wgpu::include_wgsl!("display.wgsl"));
+        let texture = |binding| wgpu::BindGroupLayoutEntry {
+            binding,
+            visibility: wgpu::ShaderStages::FRAGMENT,
+            ty: wgpu::BindingType::Texture {
+                sample_type: wgpu::TextureSampleType::Float { filterable: false },
+                view_dimension: wgpu::TextureViewDimension::D2,
+                multisampled: false,
+            },
+            count: None,
+        };
+        let uniforms = wgpu::BindGroupLayoutEntry {
+            binding: 0,
+            visibility: wgpu::ShaderStages::FRAGMENT,
+            ty: wgpu::BindingType::Buffer {
+                ty: wgpu::BufferBindingType::Uniform,
+                has_dynamic_offset: true,
+                min_binding_size: wgpu::BufferSize::new(size_of::<Uniforms>() as u64),
+            },
+            count: None,
+        };
+        let layout =
+            |label, entries: &[wgpu::BindGroupLayoutEntry]| device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label: Some(label), entries });
+        let draw_layout = layout("draw", &[uniforms, texture(1)]);
+        let layers_layout = layout("layers", &[texture(0), texture(1)]);
+        let pipeline_layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
+            label: Some("display"),
+            bind_group_layouts: &[Some(&draw_layout), Some(&layers_layout)],
+            immediate_size: 0,
+        });
+        let pipeline = device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
+            label: Some("display"),
+            layout: Some(&pipeline_layout),
+            vertex: wgpu::VertexState { module: &module, entry_point: Some("cover"), compilation_options: Default::default(), buffers: &[] },
+            fragment: Some(wgpu::FragmentState {
+                module: &module,
+                entry_point: Some("paint"),
+                compilation_options: Default::default(),
+                targets: &[Some(format.into())],
+            }),
+            primitive: Default::default(),
+            depth_stencil: None,
+            multisample: Default::default(),
+            multiview_mask: None,
+            cache: None,
+        });
+        let colors = upload(device, queue, colormap::STEPS as u32, Colormap::ALL.len() as u32, &colormap::table());
+        let uniforms = uniform_buffer(device, 64);
+        let draw_group = bind_draw(device, &draw_layout, &uniforms, &colors);
+        Self { pipeline, uniforms, colors, draw_group, textures: HashMap::new(), groups: HashMap::new() }
+    }
+
+    /// Keeps a layer's values as a texture.
+    fn upload(&mut self, device: &wgpu::Device, queue: &wgpu::Queue, shown: &Shown, frame: u64) {
+        let texture = self.textures.entry(shown.id).or_insert_with(|| {
+            let image = &shown.image;
+            let pixel = |pixel: usize| {
+                let value = |plane: usize| image.planes.get(plane).map_or(0.0, |plane| plane[pixel]);
+                if image.channels() == 1 { [value(0); 4] } else { [value(0), value(1), value(2), 0.0] }
+            };
+            let pixels: Vec<[f32; 4]> = (0..image.extent.pixels()).map(pixel).collect();
+            Texture { view: upload(device, queue, image.extent.width, image.extent.height, &pixels), last_drawn: frame }
+        });
+        texture.last_drawn = frame;
+    }
+
+    fn bind(&mut self, device: &wgpu::Device, key: [u64; 2]) {
+        let (Some(a), Some(b)) = (self.textures.get(&key[0]), self.textures.get(&key[1])) else { return };
+        self.groups.entry(key).or_insert_with(|| {
+            device.create_bind_group(&wgpu::BindGroupDescriptor {
+                label: Some("layers"),
+                layout: &self.pipeline.get_bind_group_layout(1),
+                entries: &[
+                    wgpu::BindGroupEntry { binding: 0, resource: wgpu::BindingResource::TextureView(&a.view) },
+                    wgpu::BindGroupEntry { binding: 1, resource: wgpu::BindingResource::TextureView(&b.view) },
+                ],
+            })
+        });
+    }
+
+    /// Writes what a draw needs to its slot, making room where there are more draws than ever before.
+    fn write(&mut self, device: &wgpu::Device, queue: &wgpu::Queue, slot: u32, uniforms: &Uniforms) {
+        let offset = u64::from(slot) * SLOT_BYTES;
+        if offset + SLOT_BYTES > self.uniforms.size() {
+            let grown = uniform_buffer(device, 2 * (slot + 1));
+            let mut encoder = device.create_command_encoder(&Default::default());
+            encoder.copy_buffer_to_buffer(&self.uniforms, 0, &grown, 0, self.uniforms.size());
+            queue.submit([encoder.finish()]);
+            self.uniforms = grown;
+            self.draw_group = bind_draw(device, &self.pipeline.get_bind_group_layout(0), &self.uniforms, &self.colors);
+        }
+        queue.write_buffer(&self.uniforms, offset, bytemuck::bytes_of(uniforms));
+    }
+
+    fn forget_before(&mut self, frame: u64) {
+        let textures = self.textures.len();
+        self.textures.retain(|_, texture| texture.last_drawn >= frame);
+        if self.textures.len() < textures {
+            self.groups.retain(|ids, _| ids.iter().all(|id| self.textures.contains_key(id)));
+        }
+    }
+}
+
+fn uniform_buffer(device: &wgpu::Device, slots: u32) -> wgpu::Buffer {
+    device.create_buffer(&wgpu::BufferDescriptor {
+        label: Some("draws"),
+        size: u64::from(slots) * SLOT_BYTES,
+        usage: wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST | wgpu::BufferUsages::COPY_SRC,
+        mapped_at_creation: false,
+    })
+}
+
+fn bind_draw(device: &wgpu::Device, layout: &wgpu::BindGroupLayout, uniforms: &wgpu::Buffer, colors: &wgpu::TextureView) -> wgpu::BindGroup {
+    let uniforms = wgpu::BufferBinding { buffer: uniforms, offset: 0, size: wgpu::BufferSize::new(size_of::<Uniforms>() as u64) };
+    device.create_bind_group(&wgpu::BindGroupDescriptor {
+        label: Some("draw"),
+        layout,
+        entries: &[
+            wgpu::BindGroupEntry { binding: 0, resource: wgpu::BindingResource::Buffer(uniforms) },
+            wgpu::BindGroupEntry { binding: 1, resource: wgpu::BindingResource::TextureView(colors) },
+        ],
+    })
+}
+
+fn upload(device: &wgpu::Device, queue: &wgpu::Queue, width: u32, height: u32, pixels: &[[f32; 4]]) -> wgpu::TextureView {
+    let size = wgpu::Extent3d { width, height, depth_or_array_layers: 1 };
+    let texture = device.create_texture(&wgpu::TextureDescriptor {
+        label: Some("layer"),
+        size,
+        mip_level_count: 1,
+        sample_count: 1,
+        dimension: wgpu::TextureDimension::D2,
+        format: wgpu::TextureFormat::Rgba32Float,
+        usage: wgpu::TextureUsages::TEXTURE_BINDING | wgpu::TextureUsages::COPY_DST,
+        view_formats: &[],
+    });
+    let layout = wgpu::TexelCopyBufferLayout { offset: 0, bytes_per_row: Some(width * 16), rows_per_image: Some(height) };
+    queue.write_texture(texture.as_image_copy(), bytemuck::cast_slice(pixels), layout, size);
+    texture.create_view(&Default::default())
+}

@@ -1,0 +1,278 @@
+//! The view: which layers are shown, from where, and how their values become colours.
+
+mod camera;
+pub mod canvas;
+pub mod colormap;
+pub mod display;
+pub mod legend;
+pub mod numbers;
+
+use std::collections::HashMap;
+
+use eframe::egui::{Painter, Rect, Vec2};
+use serde::{Deserialize, Serialize};
+
+use crate::layer::{Kind, Layer, Range, Scale, Shown, range_of};
+use colormap::Colormap;
+use display::{Draw, Operation};
+
+pub use camera::Camera;
+
+/// How two layers are shown.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Compare {
+    /// A alone.
+    #[default]
+    Single,
+    /// A at the left, B at the right, from the same place.
+    SideBySide,
+    /// A at the left and B at the right of a line that can be dragged.
+    Wipe,
+    /// One after the other.
+    Blink,
+    /// A − B, averaged over the channels.
+    Difference,
+    /// (A − B)/(|B| + 0.01), averaged over the channels.
+    Relative,
+}
+
+impl Compare {
+    /// In the order of the toolbar.
+    pub const ALL: [Self; 6] = [Self::Single, Self::SideBySide, Self::Wipe, Self::Blink, Self::Difference, Self::Relative];
+
+    /// What users read.
+    pub fn title(self) -> &'static str {
+        match self {
+            Self::Single => "A",
+            Self::SideBySide => "side by side",
+            Self::Wipe => "wipe",
+            Self::Blink => "blink",
+            Self::Difference => "difference",
+            Self::Relative => "relative",
+        }
+    }
+
+    /// What it does.
+    pub fn about(self) -> &'static str {
+        match self {
+            Self::Single => "Shows layer A alone",
+            Self::SideBySide => "Shows A at the left and B at the right, from the same place",
+            Self::Wipe => "Shows A at the left and B at the right of a line that can be dragged",
+            Self::Blink => "Shows A and B one after the other",
+            Self::Difference => "Shows A − B, averaged over the channels",
+            Self::Relative => "Shows (A − B)/(|B| + 0.01), averaged over the channels",
+        }
+    }
+}
+
+/// How scene-linear colour becomes what a screen shows.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Tone {
+    /// The sRGB curve; what is above 1 is white.
+    #[default]
+    Srgb,
+    /// x^(1/γ).
+    Gamma,
+    /// x/(1 + x), then the sRGB curve.
+    Reinhard,
+    /// A filmic curve (Narkowicz's fit to ACES), then the sRGB curve.
+    Filmic,
+}
+
+impl Tone {
+    /// In the order of the menu.
+    pub const ALL: [Self; 4] = [Self::Srgb, Self::Gamma, Self::Reinhard, Self::Filmic];
+
+    /// What users read.
+    pub fn title(self) -> &'static str {
+        match self {
+            Self::Srgb => "sRGB",
+            Self::Gamma => "gamma",
+            Self::Reinhard => "Reinhard",
+            Self::Filmic => "filmic (ACES)",
+        }
+    }
+}
+
+/// Which channels are shown.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Channel {
+    /// All; of numbers their mean.
+    #[default]
+    All,
+    /// The first.
+    Red,
+    /// The second.
+    Green,
+    /// The third.
+    Blue,
+}
+
+impl Channel {
+    /// In the order of the menu.
+    pub const ALL: [Self; 4] = [Self::All, Self::Red, Self::Green, Self::Blue];
+
+    /// What users read.
+    pub fn title(self) -> &'static str {
+        match self {
+            Self::All => "all",
+            Self::Red => "R",
+            Self::Green => "G",
+            Self::Blue => "B",
+        }
+    }
+}
+
+/// How values become colours, the same for all layers but for the ranges.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct Display {
+    /// Stops: colours are multiplied by 2 to the power of this.
+    pub exposure: f32,
+    /// Added to colours after the exposure.
+    pub offset: f32,
+    /// γ of [`Tone::Gamma`].
+    pub gamma: f32,
+    /// The curve from scene-linear to the screen.
+    pub tone: Tone,
+    /// Which channels.
+    pub channel: Channel,
+    /// False colours of numbers that have no sign.
+    pub colormap: Colormap,
+    /// False-colour scales that were set by hand, by the layer's name.
+    pub scales: HashMap<String, (Range, Scale)>,
+}
+
+impl Default for Display {
+    fn default() -> Self {
+        Self {
+            exposure: 0.0,
+            offset: 0.0,
+            gamma: 2.2,
+            tone: Tone::default(),
+            channel: Channel::default(),
+            colormap: Colormap::default(),
+            scales: HashMap::new(),
+        }
+    }
+}
+
+impl Display {
+    /// Ends and steps of a layer's false-colour scale.
+    pub fn scale_of(&self, layer: &Layer) -> (Range, Scale) {
+        let scale = match layer.description.kind {
+            Kind::Scalar(scale) => scale,
+            _ => Scale::Linear,
+        };
+        self.scales.get(layer.name()).copied().unwrap_or((layer.range, scale))
+    }
+}
+
+/// What is shown.
+#[derive(Debug)]
+pub struct View {
+    /// Layer A, by its name.
+    pub layer: String,
+    /// Layer B, by its name.
+    pub other: Option<String>,
+    /// How the two are shown.
+    pub compare: Compare,
+    /// Where the line of [`Compare::Wipe`] is, as a share of the canvas's width.
+    pub wipe: f32,
+    /// From where.
+    pub camera: Camera,
+    /// How values become colours.
+    pub display: Display,
+    /// The pixel under the pointer.
+    pub hovered: Option<[u32; 2]>,
+    /// The pixel that was clicked: it stays the chosen one while the pointer moves on.
+    pub pinned: Option<[u32; 2]>,
+    /// Ends of the scale of a difference, worked out for these two layers.
+    difference: Option<([u64; 2], Compare, Range)>,
+    slots: display::Slots,
+}
+
+impl View {
+    /// The result, fitted into the canvas.
+    pub fn new(display: Display) -> Self {
+        Self {
+            layer: "result".into(),
+            other: None,
+            compare: Compare::Single,
+            wipe: 0.5,
+            camera: Camera::default(),
+            display,
+            hovered: None,
+            pinned: None,
+            difference: None,
+            slots: display::Slots::default(),
+        }
+    }
+
+    /// Begins a frame of a window whose target has this format.
+    pub fn begin_frame(&mut self, format: eframe::wgpu::TextureFormat) {
+        self.slots.begin(format);
+    }
+
+    /// Shows a layer's thumbnail, as the canvas would show the layer.
+    pub fn paint_thumbnail(&mut self, painter: &Painter, rect: Rect, layer: &Layer) {
+        let extent = layer.thumbnail.image.extent;
+        let scale = (rect.width() / extent.width as f32).min(rect.height() / extent.height as f32);
+        let size = Vec2::new(extent.width as f32, extent.height as f32) * scale;
+        let inner = Rect::from_center_size(rect.center(), size);
+        let pixels_per_point = painter.pixels_per_point();
+        let step = 1.0 / (scale * pixels_per_point);
+        let first = inner.min.to_vec2() * -pixels_per_point * step;
+        let draw = self.draw(layer, layer.thumbnail.clone(), first.into(), step);
+        painter.add(self.slots.paint(inner, draw));
+    }
+
+    /// A draw of a layer's values by the settings.
+    fn draw(&self, layer: &Layer, shown: Shown, first: [f32; 2], step: f32) -> Draw {
+        let display = &self.display;
+        let (range, scale) = display.scale_of(layer);
+        Draw {
+            a: shown,
+            b: None,
+            kind: layer.description.kind,
+            operation: Operation::Single,
+            first,
+            step,
+            channel: display.channel,
+            tone: display.tone,
+            exposure: display.exposure,
+            offset: display.offset,
+            gamma: display.gamma,
+            range,
+            scale,
+            colormap: display.colormap,
+            background: [0.0; 3],
+        }
+    }
+
+    /// The pixel whose values are shown.
+    pub fn chosen(&self) -> Option<[u32; 2]> {
+        self.pinned.or(self.hovered)
+    }
+
+    /// Ends of the scale that shows most of a difference.
+    fn difference_range(&mut self, a: &Layer, b: &Layer) -> Range {
+        let key = ([a.shown.id, b.shown.id], self.compare);
+        if let Some((ids, compare, range)) = self.difference
+            && (ids, compare) == key
+        {
+            return range;
+        }
+        let pixels = a.image().extent.pixels();
+        let mean = |layer: &Layer, pixel: usize| layer.image().planes.iter().map(|plane| plane[pixel]).sum::<f32>() / layer.image().channels() as f32;
+        let difference = |pixel: usize| {
+            let (a, b) = (mean(a, pixel), mean(b, pixel));
+            if self.compare == Compare::Relative { (a - b) / (b.abs() + display::RELATIVE_EPSILON) } else { a - b }
+        };
+        let step = pixels.div_ceil(1 << 16).max(1);
+        let mut values: Vec<f32> = (0..pixels).step_by(step).map(difference).filter(|value| value.is_finite()).collect();
+        let range = range_of(&mut values, Kind::Scalar(Scale::Diverging));
+        self.difference = Some((key.0, key.1, range));
+        range
+    }
+}

@@ -1,0 +1,336 @@
+//! The worker: one thread that reads files and denoises, so that the window never waits.
+//!
+//! The window sends [`Request`]s and gets [`Reply`]s. Of each [`Task`] only the newest request counts: it replaces one that waits, and cancels one that is at work. Tasks that wait
+//! are taken in the order of [`Task::ALL`]; long work of low rank splits itself into requests that it sends to itself, so that it makes way between them.
+
+use std::any::Any;
+use std::ops::ControlFlow;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Receiver, Sender, channel};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::thread::JoinHandle;
+use std::time::Instant;
+
+use eframe::egui::Context;
+use stein::buffers::{BufferSet, BufferSetRequest, read_reference};
+use stein::{Denoiser, Error, Frame, Gpu, Image, Method, Options};
+
+use crate::document::{Denoised, Opened, Source, input_layers, output_layers, relative_mse};
+
+/// What the worker is asked for.
+#[derive(Debug)]
+pub enum Request {
+    /// Reads a frame, and a reference if one is named.
+    Open(Source),
+    /// Denoises a frame, keeping all that can be looked at.
+    Denoise {
+        /// What is denoised.
+        frame: Arc<Frame>,
+        /// What it is compared with.
+        reference: Option<Arc<Image>>,
+        /// How.
+        method: Method,
+    },
+}
+
+/// The kinds of requests.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Task {
+    /// [`Request::Open`].
+    Open,
+    /// [`Request::Denoise`].
+    Denoise,
+}
+
+impl Task {
+    /// In the order in which they are taken.
+    pub const ALL: [Self; 2] = [Self::Open, Self::Denoise];
+
+    /// What users read while it is at work.
+    pub fn title(self) -> &'static str {
+        match self {
+            Self::Open => "reading",
+            Self::Denoise => "denoising",
+        }
+    }
+}
+
+impl Request {
+    /// Its kind.
+    pub fn task(&self) -> Task {
+        match self {
+            Self::Open(_) => Task::Open,
+            Self::Denoise { .. } => Task::Denoise,
+        }
+    }
+}
+
+/// What the worker tells.
+#[derive(Debug)]
+pub enum Reply {
+    /// How much of a task is done, 0 to 1.
+    Progress(Task, f32),
+    /// A frame was read.
+    Opened(Box<Opened>),
+    /// A frame was denoised.
+    Denoised(Box<Denoised>),
+    /// A task came to no end because of this. Nothing is told of tasks that were cancelled.
+    Failed(Task, Error),
+}
+
+/// The window's end.
+#[derive(Debug)]
+pub struct Worker {
+    mailbox: Arc<Mailbox>,
+    replies: Receiver<(u64, Reply)>,
+    thread: Option<JoinHandle<()>>,
+}
+
+#[derive(Debug, Default)]
+struct Mailbox {
+    state: Mutex<State>,
+    news: Condvar,
+}
+
+#[derive(Debug, Default)]
+struct State {
+    /// At most one of each task.
+    waiting: Vec<(u64, Request)>,
+    at_work: Option<AtWork>,
+    /// Number of the newest request of each task: what is told of older ones does not count.
+    newest: [u64; Task::ALL.len()],
+    sent: u64,
+    ends: bool,
+}
+
+#[derive(Debug)]
+struct AtWork {
+    task: Task,
+    cancelled: Arc<AtomicBool>,
+}
+
+impl Mailbox {
+    fn lock(&self) -> MutexGuard<'_, State> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl State {
+    /// Ends what is asked for and what is done of a task.
+    fn cancel(&mut self, task: Task) {
+        self.waiting.retain(|(_, waiting)| waiting.task() != task);
+        if let Some(at_work) = self.at_work.as_ref().filter(|at_work| at_work.task == task) {
+            at_work.cancelled.store(true, Ordering::Relaxed);
+        }
+        self.sent += 1;
+        self.newest[task as usize] = self.sent;
+    }
+}
+
+impl Worker {
+    /// Starts the thread. It wakes the window of `context` with each reply.
+    ///
+    /// # Errors
+    /// [`Error::Device`] where the system gives no thread.
+    pub fn start(gpu: &Gpu, context: &Context) -> stein::Result<Self> {
+        let mailbox = Arc::<Mailbox>::default();
+        let (sender, replies) = channel();
+        let desk = Desk { gpu: gpu.clone(), mailbox: mailbox.clone(), replies: sender, context: context.clone() };
+        let thread = std::thread::Builder::new().name("stein-worker".into()).spawn(move || desk.work()).map_err(|error| Error::Device {
+            problem: format!("no thread can be started: {error}"),
+            remedy: "end other programs, or raise the limit on processes (ulimit -u)".into(),
+        })?;
+        Ok(Self { mailbox, replies, thread: Some(thread) })
+    }
+
+    /// Asks for something. What was asked for before of the same task is cancelled; a frame to open makes all other work pointless.
+    pub fn send(&self, request: Request) {
+        let mut state = self.mailbox.lock();
+        let task = request.task();
+        if task == Task::Open {
+            Task::ALL.into_iter().for_each(|task| state.cancel(task));
+        } else {
+            state.cancel(task);
+        }
+        let number = state.newest[task as usize];
+        state.waiting.push((number, request));
+        self.mailbox.news.notify_one();
+    }
+
+    /// Ends a task, whether it waits or is at work.
+    pub fn cancel(&self, task: Task) {
+        self.mailbox.lock().cancel(task);
+    }
+
+    /// What was told since the last call and still counts.
+    pub fn replies(&self) -> Vec<Reply> {
+        let replies: Vec<_> = self.replies.try_iter().collect();
+        let state = self.mailbox.lock();
+        let counts = |number: u64, reply: &Reply| number == state.newest[reply.task() as usize];
+        replies.into_iter().filter(|(number, reply)| counts(*number, reply)).map(|(_, reply)| reply).collect()
+    }
+
+    /// The task that is at work or waits to be.
+    pub fn busy(&self) -> Option<Task> {
+        let state = self.mailbox.lock();
+        let at_work = state.at_work.as_ref().map(|at_work| at_work.task);
+        at_work.or_else(|| state.waiting.first().map(|(_, request)| request.task()))
+    }
+}
+
+impl Drop for Worker {
+    fn drop(&mut self) {
+        {
+            let mut state = self.mailbox.lock();
+            Task::ALL.into_iter().for_each(|task| state.cancel(task));
+            state.ends = true;
+        }
+        self.mailbox.news.notify_one();
+        if let Some(thread) = self.thread.take() {
+            // A panic in the thread has been told where it happened.
+            let _ = thread.join();
+        }
+    }
+}
+
+impl Reply {
+    fn task(&self) -> Task {
+        match self {
+            Self::Progress(task, _) | Self::Failed(task, _) => *task,
+            Self::Opened(_) => Task::Open,
+            Self::Denoised(_) => Task::Denoise,
+        }
+    }
+}
+
+/// The thread's end.
+struct Desk {
+    gpu: Gpu,
+    mailbox: Arc<Mailbox>,
+    replies: Sender<(u64, Reply)>,
+    context: Context,
+}
+
+/// A request at work.
+struct Job<'a> {
+    desk: &'a Desk,
+    number: u64,
+    task: Task,
+    cancelled: Arc<AtomicBool>,
+}
+
+impl Job<'_> {
+    fn tell(&self, reply: Reply) {
+        // Where nobody listens any more, the window is closed.
+        let _ = self.desk.replies.send((self.number, reply));
+        self.desk.context.request_repaint();
+    }
+
+    fn progress(&self, share: f32) -> ControlFlow<()> {
+        self.tell(Reply::Progress(self.task, share));
+        if self.cancelled.load(Ordering::Relaxed) { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+    }
+
+    fn check(&self, share: f32) -> stein::Result<()> {
+        if self.progress(share).is_break() { Err(Error::Cancelled) } else { Ok(()) }
+    }
+}
+
+impl Desk {
+    fn work(self) {
+        while let Some((number, request, cancelled)) = self.next() {
+            let task = request.task();
+            let job = Job { desk: &self, number, task, cancelled };
+            let done = catch_unwind(AssertUnwindSafe(|| self.fulfil(&job, request))).unwrap_or_else(|panic| Err(defect(panic.as_ref())));
+            self.mailbox.lock().at_work = None;
+            match done {
+                Ok(reply) => job.tell(reply),
+                Err(Error::Cancelled) => self.context.request_repaint(),
+                Err(error) => job.tell(Reply::Failed(task, error)),
+            }
+        }
+    }
+
+    /// Waits for the next request. `None` where there will be none.
+    fn next(&self) -> Option<(u64, Request, Arc<AtomicBool>)> {
+        let mut state = self.mailbox.lock();
+        loop {
+            if state.ends {
+                return None;
+            }
+            if let Some(first) = (0..state.waiting.len()).min_by_key(|index| state.waiting[*index].1.task() as usize) {
+                let (number, request) = state.waiting.remove(first);
+                let cancelled = Arc::<AtomicBool>::default();
+                state.at_work = Some(AtWork { task: request.task(), cancelled: cancelled.clone() });
+                return Some((number, request, cancelled));
+            }
+            state = self.mailbox.news.wait(state).unwrap_or_else(PoisonError::into_inner);
+        }
+    }
+
+    fn fulfil(&self, job: &Job, request: Request) -> stein::Result<Reply> {
+        match request {
+            Request::Open(source) => open(job, source).map(|opened| Reply::Opened(Box::new(opened))),
+            Request::Denoise { frame, reference, method } => {
+                denoise(&self.gpu, job, &frame, reference.as_ref(), method).map(|denoised| Reply::Denoised(Box::new(denoised)))
+            }
+        }
+    }
+}
+
+fn open(job: &Job, source: Source) -> stein::Result<Opened> {
+    job.check(0.0)?;
+    let set = BufferSet::read(&BufferSetRequest { input: source.input.clone(), ..Default::default() })?;
+    job.check(0.4)?;
+    let (frame, repairs) = Frame::from_buffer_set(&set).map_err(|error| in_file(&source, error))?;
+    drop(set);
+    job.check(0.6)?;
+    let reference = source.reference.as_ref().map(|path| read_reference(path, None)).transpose()?.map(Arc::new);
+    if let (Some(path), Some(image)) = (&source.reference, &reference)
+        && image.extent != frame.extent()
+    {
+        return Err(Error::File {
+            path: path.clone(),
+            problem: format!("the reference has {} pixels, the frame {}", image.extent, frame.extent()),
+            remedy: "give a reference of the same size".into(),
+        });
+    }
+    job.check(0.8)?;
+    let layers = input_layers(&frame, reference.as_ref());
+    let noisy_error = relative_mse(&frame.color().mean, reference.as_ref());
+    Ok(Opened { source, frame: Arc::new(frame), repairs, reference, noisy_error, layers })
+}
+
+/// What the library says about a file without knowing which one it was.
+fn in_file(source: &Source, error: Error) -> Error {
+    match error {
+        Error::Request { problem, remedy } => Error::File { path: source.input.clone(), problem, remedy },
+        error => error,
+    }
+}
+
+fn denoise(gpu: &Gpu, job: &Job, frame: &Frame, reference: Option<&Arc<Image>>, method: Method) -> stein::Result<Denoised> {
+    let start = Instant::now();
+    job.check(0.0)?;
+    gpu.set_timing(true);
+    let denoiser = Denoiser::new(gpu, method)?;
+    let mut progress = |share| job.progress(share);
+    let options = Options { keep: method.intermediates(), progress: Some(&mut progress), ..Default::default() };
+    let mut estimate = denoiser.denoise_with(frame, options)?;
+    let seconds = start.elapsed().as_secs_f64();
+    job.check(1.0)?;
+    let lean_plan = denoiser.plan(&[frame], 0, &Options::default())?;
+    let error = relative_mse(&estimate.color, reference);
+    let layers = output_layers(&mut estimate, reference);
+    Ok(Denoised { method, estimate, lean_plan, seconds, error, layers })
+}
+
+/// A panic is a defect of this program: the window stays, and says so.
+fn defect(panic: &(dyn Any + Send)) -> Error {
+    let text = panic.downcast_ref::<String>().map(String::as_str).or(panic.downcast_ref::<&str>().copied());
+    Error::Request {
+        problem: format!("the work ended with a panic: {}", text.unwrap_or("nothing is known of it")),
+        remedy: "this is a defect of stein-viewer: please report it with the file that was open".into(),
+    }
+}
