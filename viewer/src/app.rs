@@ -23,8 +23,16 @@ pub struct Start {
     pub source: Option<Source>,
     /// How to denoise.
     pub parameters: Parameters,
-    /// The layer to show, by its name.
+    /// Layer A, by its name.
     pub layer: Option<String>,
+    /// Layer B, by its name.
+    pub other: Option<String>,
+    /// How the two are shown.
+    pub compare: Compare,
+    /// The panel at the right.
+    pub panel: Panel,
+    /// The pixel that is kept.
+    pub pixel: Option<[u32; 2]>,
 }
 
 /// The window's state. Panels read and change it; what takes time goes to the worker.
@@ -66,7 +74,7 @@ impl Viewer {
             view: View::new(settings.display.clone()),
             parameters: start.parameters,
             settings,
-            panel: Panel::Display,
+            panel: start.panel,
             shows_help: false,
             trouble: None,
             progress: None,
@@ -76,6 +84,7 @@ impl Viewer {
         if let Some(layer) = start.layer {
             viewer.view.layer = layer;
         }
+        (viewer.view.other, viewer.view.compare, viewer.view.pinned) = (start.other, start.compare, start.pixel);
         if let Some(source) = start.source {
             viewer.open(source);
         }
@@ -233,10 +242,13 @@ impl Viewer {
                 Reply::Opened(opened) => {
                     self.settings.remember(&opened.source);
                     self.view.camera.fits = true;
-                    self.view.pinned = None;
+                    if self.document.is_some() {
+                        self.view.pinned = None;
+                    }
                     self.view.display.scales.clear();
                     self.document = Some(Document::new(*opened));
                     self.trouble = None;
+                    self.compare(self.view.compare);
                     self.run();
                 }
                 Reply::Denoised(denoised) => {

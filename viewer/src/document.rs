@@ -105,9 +105,15 @@ impl Document {
         self.sort();
     }
 
-    /// Layers of one group stay in the order in which they were made.
+    /// By group. In it the result goes before what it is compared with, what belongs to one feature stays together, and all else keeps the order in which it was made.
     fn sort(&mut self) {
-        self.layers.sort_by_key(|layer| layer.description.group);
+        let features = self.opened.frame.features();
+        let place = |layer: &Layer| match layer.description.group {
+            Group::Result => ["result", "pass1", "before", "reference"].iter().position(|name| *name == layer.name()),
+            Group::Features => features.iter().position(|feature| layer.name() == feature.name || layer.name().starts_with(&format!("{}_", feature.name))),
+            _ => None,
+        };
+        self.layers.sort_by_key(|layer| (layer.description.group, place(layer)));
     }
 
     /// Everything that can be looked at, in the order of the strip.

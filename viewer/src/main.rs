@@ -8,8 +8,10 @@ use eframe::egui::{Theme, Vec2, ViewportBuilder};
 use stein::gpu::{DeviceChoice, GpuOptions};
 use stein::{Error, Gpu, Preset};
 use stein_viewer::document::Source;
+use stein_viewer::panel::Panel;
 use stein_viewer::screenshot::{self, Shot};
 use stein_viewer::settings::Parameters;
+use stein_viewer::view::Compare;
 use stein_viewer::{Start, Viewer, app, device};
 
 const AFTER_HELP: &str = "\
@@ -43,6 +45,18 @@ struct Args {
     /// The layer to show, by its name, such as result, selection or albedo_prefiltered [default: result]
     #[arg(long, value_name = "NAME")]
     layer: Option<String>,
+    /// A second layer, to compare with [default: the reference, or the noisy image]
+    #[arg(long, value_name = "NAME")]
+    other: Option<String>,
+    /// How the two layers are shown
+    #[arg(long, value_enum, default_value = "single")]
+    compare: CompareName,
+    /// The panel beside the image
+    #[arg(long, value_enum, default_value = "display")]
+    panel: PanelName,
+    /// A pixel to keep chosen, from 0 at the upper left
+    #[arg(long, value_name = "X,Y", value_parser = pixel)]
+    pixel: Option<[u32; 2]>,
     /// Writes a picture of the window as PNG, without opening one
     #[arg(long, value_name = "FILE", requires = "file")]
     screenshot: Option<PathBuf>,
@@ -75,6 +89,60 @@ enum PresetName {
     Thesis,
 }
 
+/// As [`Compare`].
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum CompareName {
+    /// The layer alone
+    Single,
+    /// Side by side
+    SideBySide,
+    /// Left and right of a line
+    Wipe,
+    /// One after the other
+    Blink,
+    /// The layer minus the other
+    Difference,
+    /// The same, relative to the other
+    Relative,
+}
+
+impl CompareName {
+    fn compare(self) -> Compare {
+        match self {
+            Self::Single => Compare::Single,
+            Self::SideBySide => Compare::SideBySide,
+            Self::Wipe => Compare::Wipe,
+            Self::Blink => Compare::Blink,
+            Self::Difference => Compare::Difference,
+            Self::Relative => Compare::Relative,
+        }
+    }
+}
+
+/// As [`Panel`].
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum PanelName {
+    /// Exposure, ranges, histogram
+    Display,
+    /// Method and its parameters
+    Parameters,
+    /// All values of a pixel
+    Pixel,
+    /// What ran and what was left out
+    Report,
+}
+
+impl PanelName {
+    fn panel(self) -> Panel {
+        match self {
+            Self::Display => Panel::Display,
+            Self::Parameters => Panel::Parameters,
+            Self::Pixel => Panel::Pixel,
+            Self::Report => Panel::Report,
+        }
+    }
+}
+
 #[derive(Clone, Copy, Debug, ValueEnum)]
 enum ThemeName {
     Dark,
@@ -87,6 +155,11 @@ fn size(text: &str) -> Result<[f32; 2], String> {
         Some((width @ 320..=8192, height @ 240..=8192)) => Ok([width.into(), height.into()]),
         _ => Err("it must look like 1280x720, from 320x240 to 8192x8192".into()),
     }
+}
+
+fn pixel(text: &str) -> Result<[u32; 2], String> {
+    let place = text.split_once(',').and_then(|(x, y)| Some([x.trim().parse().ok()?, y.trim().parse().ok()?]));
+    place.ok_or_else(|| "it must look like 40,30".into())
 }
 
 fn scale(text: &str) -> Result<f32, String> {
@@ -159,7 +232,15 @@ fn start(args: &Args) -> Result<Start, Failure> {
         parameters.method.validate()?;
     }
     let source = args.file.clone().map(|input| Source { input, reference: args.reference.clone() });
-    Ok(Start { source, parameters, layer: args.layer.clone() })
+    Ok(Start {
+        source,
+        parameters,
+        layer: args.layer.clone(),
+        other: args.other.clone(),
+        compare: args.compare.compare(),
+        panel: args.panel.panel(),
+        pixel: args.pixel,
+    })
 }
 
 fn window(args: &Args, gpu: &Gpu, start: Start) -> Result<(), Failure> {

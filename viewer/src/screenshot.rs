@@ -110,15 +110,13 @@ impl Offscreen {
             ..Default::default()
         };
         input.viewports.entry(ViewportId::ROOT).or_default().native_pixels_per_point = Some(self.scale);
-        let output = self.context.run_ui(input, show);
+        let mut output = self.context.run_ui(input, show);
         let screen = ScreenDescriptor { size_in_pixels: [self.extent.width, self.extent.height], pixels_per_point: self.scale };
         let shapes = self.context.tessellate(output.shapes, output.pixels_per_point);
         let (device, queue) = (&self.state.device, &self.state.queue);
         let mut renderer = self.state.renderer.write();
-        for (id, deltas) in &output.textures_delta.set {
-            for delta in deltas {
-                renderer.update_texture(device, queue, *id, delta);
-            }
+        for (id, deltas) in output.textures_delta.set.drain() {
+            deltas.iter().for_each(|delta| renderer.update_texture(device, queue, id, delta));
         }
         let target = device.create_texture(&wgpu::TextureDescriptor {
             label: Some("picture"),
@@ -144,8 +142,8 @@ impl Offscreen {
             ..Default::default()
         });
         renderer.render(&mut pass.forget_lifetime(), &shapes, &screen);
-        for id in &output.textures_delta.free {
-            renderer.free_texture(id);
+        for id in output.textures_delta.free.drain() {
+            renderer.free_texture(&id);
         }
         drop(renderer);
         commands.push(encoder.finish());
@@ -218,18 +216,31 @@ pub fn take(gpu: &Gpu, shot: &Shot, arrange: impl FnOnce(&mut Viewer)) -> Result
         }
         std::thread::sleep(PAUSE);
     }
-    if let (Some(name), Some(document)) = (&shot.start.layer, &viewer.document)
-        && document.layer(name).is_none()
-    {
-        let names: Vec<_> = document.layers().iter().map(|layer| layer.name()).collect();
-        return Err(request(format!("there is no layer '{name}'\n  remedy: choose one of {}", names.join(", "))));
-    }
+    check_names(&viewer, &shot.start)?;
     arrange(&mut viewer);
     let mut picture = window.frame(|ui| viewer.show(ui))?;
     for _ in 1..SETTLING_FRAMES {
         picture = window.frame(|ui| viewer.show(ui))?;
     }
     Ok(picture)
+}
+
+/// A picture of another layer than the one that was asked for would be taken for it.
+fn check_names(viewer: &Viewer, start: &Start) -> Result<()> {
+    let Some(document) = &viewer.document else { return Ok(()) };
+    for name in [&start.layer, &start.other].into_iter().flatten() {
+        if document.layer(name).is_none() {
+            let names: Vec<_> = document.layers().iter().map(|layer| layer.name()).collect();
+            return Err(request(format!("there is no layer '{name}'\n  remedy: choose one of {}", names.join(", "))));
+        }
+    }
+    let extent = document.opened.frame.extent();
+    match start.pixel {
+        Some([x, y]) if x >= extent.width || y >= extent.height => {
+            Err(request(format!("there is no pixel ({x}, {y})\n  remedy: the image has {extent} pixels, counted from 0")))
+        }
+        _ => Ok(()),
+    }
 }
 
 fn request(text: String) -> Error {

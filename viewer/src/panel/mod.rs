@@ -14,9 +14,10 @@ use eframe::egui::{ScrollArea, Ui};
 use crate::app::Viewer;
 
 /// The panels at the right, of which one is shown.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Panel {
     /// Exposure, ranges, histogram.
+    #[default]
     Display,
     /// Method, preset, radius.
     Parameters,
