@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 use std::sync::Arc;
 
-use eframe::egui::{self, Align, CentralPanel, Context, Frame as Margins, Layout, Panel as SidePanel, RichText, Ui};
+use eframe::egui::{self, Align, CentralPanel, Color32, Context, Frame as Margins, Layout, Panel as SidePanel, RichText, Ui};
 use eframe::wgpu;
 use stein::Gpu;
 
@@ -54,7 +54,7 @@ pub struct Viewer {
     /// Whether the help is shown.
     pub shows_help: bool,
     /// What went wrong, until it is dismissed.
-    pub trouble: Option<String>,
+    pub trouble: Option<stein::Error>,
     /// What the worker is at, and how much of it is done.
     pub progress: Option<(Task, f32)>,
     dialog: Option<Dialog>,
@@ -67,6 +67,12 @@ impl Viewer {
     /// # Errors
     /// As [`Worker::start`].
     pub fn new(context: &Context, gpu: &Gpu, format: wgpu::TextureFormat, settings: Settings, start: Start) -> stein::Result<Self> {
+        context.all_styles_mut(|style| {
+            // Text on panels is read, not only glanced at.
+            let visuals = &mut style.visuals;
+            visuals.widgets.noninteractive.fg_stroke.color = if visuals.dark_mode { Color32::from_gray(205) } else { Color32::from_gray(50) };
+            visuals.weak_text_alpha = 0.75;
+        });
         let mut viewer = Self {
             gpu: gpu.clone(),
             worker: Worker::start(gpu, context)?,
@@ -219,7 +225,9 @@ impl Viewer {
                 let source = Source { reference: Some(path), ..document.opened.source.clone() };
                 self.open(source);
             }
-            (Purpose::Reference, None) => self.trouble = Some("a reference is compared with a frame\n  remedy: open the frame first".into()),
+            (Purpose::Reference, None) => {
+                self.trouble = Some(stein::Error::Request { problem: "a reference is compared with a frame".into(), remedy: "open the frame first".into() });
+            }
         }
     }
 
@@ -248,7 +256,9 @@ impl Viewer {
                     self.view.display.scales.clear();
                     self.document = Some(Document::new(*opened));
                     self.trouble = None;
-                    self.compare(self.view.compare);
+                    if self.view.other.is_none() {
+                        self.compare(self.view.compare);
+                    }
                     self.run();
                 }
                 Reply::Denoised(denoised) => {
@@ -259,7 +269,7 @@ impl Viewer {
                 }
                 Reply::Failed(_, error) => {
                     self.progress = None;
-                    self.trouble = Some(error.to_string());
+                    self.trouble = Some(error);
                 }
             }
         }
@@ -297,7 +307,7 @@ impl Viewer {
     }
 
     fn show_canvas(&mut self, ui: &mut Ui) {
-        if let Some(trouble) = self.trouble.clone() {
+        if let Some(trouble) = self.trouble.as_ref().map(ToString::to_string) {
             self.show_trouble(ui, &trouble);
         }
         let (layer, other) = (self.layer().cloned(), self.other().cloned());

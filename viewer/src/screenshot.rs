@@ -206,7 +206,7 @@ pub fn take(gpu: &Gpu, shot: &Shot, arrange: impl FnOnce(&mut Viewer)) -> Result
     loop {
         viewer.poll(window.context());
         if let Some(trouble) = viewer.trouble.take() {
-            return Err(request(trouble));
+            return Err(trouble);
         }
         if viewer.is_idle() {
             break;

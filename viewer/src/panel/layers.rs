@@ -19,7 +19,7 @@ pub fn show(ui: &mut Ui, viewer: &mut Viewer) {
         ui.label("Nothing is open.");
         return;
     };
-    ui.label(RichText::new("Click: A. Right click: B.").small().weak());
+    ui.label(RichText::new("click: A, right click: B").weak());
     let layers: Vec<Arc<Layer>> = document.layers().to_vec();
     ScrollArea::vertical().auto_shrink(false).show(ui, |ui| {
         ui.spacing_mut().item_spacing.y = 1.0;

@@ -24,15 +24,15 @@ pub fn show(ui: &mut Ui, viewer: &mut Viewer) {
         }
         ui.add_space(4.0);
         ui.label(RichText::new(group.title()).strong());
-        Grid::new(group.title()).num_columns(4).striped(true).spacing([8.0, 2.0]).show(ui, |ui| {
+        Grid::new(group.title()).num_columns(4).striped(true).spacing([6.0, 1.0]).show(ui, |ui| {
             for layer in members {
                 let Some(values) = layer.values(x, y) else { continue };
                 let is_shown = layer.name() == viewer.view.layer;
-                if ui.selectable_label(is_shown, &layer.description.title).on_hover_text(explained(layer)).clicked() {
+                if ui.selectable_label(is_shown, RichText::new(&layer.description.title).size(11.5)).on_hover_text(explained(layer)).clicked() {
                     chosen = Some(layer.name().to_owned());
                 }
                 for value in values {
-                    ui.label(RichText::new(number(value)).monospace());
+                    ui.label(RichText::new(number(value)).monospace().size(10.5));
                 }
                 ui.end_row();
             }

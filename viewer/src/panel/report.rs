@@ -1,7 +1,8 @@
 //! What ran for this frame and what was left out, what each step took, and what had to be repaired.
 
-use eframe::egui::{Grid, RichText, Ui};
+use eframe::egui::{Align, Layout, RichText, Ui};
 use stein::frame::{NoiseKnowledge, SamplesPerPixel};
+use stein::method::PlannedStep;
 
 use crate::app::Viewer;
 use crate::document::{Denoised, Opened};
@@ -57,25 +58,34 @@ fn run(ui: &mut Ui, denoised: &Denoised, noisy_error: Option<f64>) {
     if let Some(spikes) = &estimate.spikes {
         ui.label(spikes.to_string());
     }
-    ui.label(format!("{:.0} MiB on the device at most, in {} strips", estimate.peak_bytes as f64 / f64::from(1 << 20), estimate.strips));
+    let strips = if estimate.strips == 1 { "one piece".to_owned() } else { format!("{} strips", estimate.strips) };
+    ui.label(format!("{:.0} MiB on the device at most, in {strips}", estimate.peak_bytes as f64 / f64::from(1 << 20)));
     ui.add_space(4.0);
     ui.label(RichText::new("Steps").strong());
-    ui.label(RichText::new("Grey steps are left out here, or would be if only the result were wanted.").weak().small());
+    ui.label(RichText::new("Times of the device. What is left out would be if only the result and its error were wanted.").weak());
+    ui.add_space(2.0);
     let times = estimate.step_times.as_deref().unwrap_or_default();
-    Grid::new("steps").num_columns(3).striped(true).spacing([8.0, 2.0]).show(ui, |ui| {
-        for planned in &estimate.plan.steps {
-            let lean = denoised.lean_plan.steps.iter().find(|lean| lean.step == planned.step).unwrap_or(planned);
-            let name = planned.step.name();
-            let taken: f64 = times.iter().filter(|time| time.step == name).map(|time| time.time.seconds).sum();
-            let name = RichText::new(name);
-            ui.label(if lean.runs { name } else { name.weak() });
-            ui.label(RichText::new(if taken > 0.0 { format!("{:.0} ms", taken * 1e3) } else { String::new() }).monospace());
-            let share =
-                |skipped: f64| if skipped > 0.0 && skipped < 1.0 { format!(" (not for {:.0} % of the pixels)", 100.0 * skipped) } else { String::new() };
-            let why = if lean.runs { format!("{}{}", lean.why, share(lean.skipped)) } else { format!("left out: {}", lean.why) };
-            let why = RichText::new(why);
-            ui.label(if lean.runs { why } else { why.weak() });
-            ui.end_row();
-        }
+    for planned in &estimate.plan.steps {
+        let lean = denoised.lean_plan.steps.iter().find(|lean| lean.step == planned.step).unwrap_or(planned);
+        let name = planned.step.name();
+        let taken: f64 = times.iter().filter(|time| time.step == name).map(|time| time.time.seconds).sum();
+        step(ui, lean, &name, taken);
+    }
+}
+
+/// A step with its time, and under it why it runs or does not.
+fn step(ui: &mut Ui, planned: &PlannedStep, name: &str, seconds: f64) {
+    ui.horizontal(|ui| {
+        let name = RichText::new(name);
+        ui.label(if planned.runs { name } else { name.weak() });
+        ui.with_layout(Layout::right_to_left(Align::Center), |ui| {
+            if seconds > 0.0 {
+                ui.label(RichText::new(format!("{:.1} ms", seconds * 1e3)).monospace());
+            }
+        });
     });
+    let not_for =
+        if planned.skipped > 0.0 && planned.skipped < 1.0 { format!(", but for {:.0} % of the pixels", 100.0 * planned.skipped) } else { String::new() };
+    let why = if planned.runs { format!("{}{not_for}", planned.why) } else { format!("left out: {}", planned.why) };
+    ui.indent(name, |ui| ui.label(RichText::new(why).weak().size(11.5)));
 }

@@ -50,11 +50,11 @@ pub fn scale(painter: &Painter, view: Rect, title: &str, range: Range, scale: Sc
 
 /// Which colour is which candidate's.
 pub fn shares(painter: &Painter, view: Rect) {
-    let names = [("FIRST", Color32::from_rgb(255, 60, 60)), ("SECOND", Color32::from_rgb(60, 220, 60)), ("THIRD", Color32::from_rgb(90, 120, 255))];
+    let names = [("FIRST", 0.0, Color32::RED), ("SECOND", 58.0, Color32::GREEN), ("THIRD", 130.0, Color32::BLUE)];
     let inner = Rect::from_min_size(view.max - Vec2::new(SIZE.x + 2.0 * MARGIN, 20.0 + MARGIN), Vec2::new(SIZE.x, 14.0));
     painter.rect_filled(inner.expand2(Vec2::new(MARGIN, 4.0)), 4.0, BACKDROP);
-    for (place, (name, color)) in names.into_iter().enumerate() {
-        let left = inner.left_center() + Vec2::new(place as f32 * SIZE.x / 3.0, 0.0);
+    for (name, place, color) in names {
+        let left = inner.left_center() + Vec2::new(place, 0.0);
         painter.rect_filled(Rect::from_center_size(left + Vec2::new(4.0, 0.0), Vec2::splat(8.0)), 1.0, color);
         painter.text(left + Vec2::new(11.0, 0.0), Align2::LEFT_CENTER, name, FontId::proportional(FONT), Color32::WHITE);
     }

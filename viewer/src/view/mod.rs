@@ -43,7 +43,7 @@ impl Compare {
     /// What users read.
     pub fn title(self) -> &'static str {
         match self {
-            Self::Single => "A",
+            Self::Single => "single",
             Self::SideBySide => "side by side",
             Self::Wipe => "wipe",
             Self::Blink => "blink",
