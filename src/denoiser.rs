@@ -7,7 +7,7 @@ use glam::IVec2;
 
 use crate::error::{Error, Result};
 use crate::frame::{Feature, Frame};
-use crate::gpu::{Buffer, Gpu, Recorder, StageTime, StepTime};
+use crate::gpu::{Buffer, Gpu, Pace, Recorder, StageTime, StepTime};
 use crate::image::{Extent, Image};
 use crate::method::{
     Facts, FrameInput, GpuEstimate, GpuFrame, Intermediate, KeptPlane, Lane, Method, Plan, Shares, SpikeReport, Strip, Unit, Units, Wishes, strips,
@@ -47,11 +47,13 @@ pub struct Options<'a> {
     pub error: bool,
     /// Called with the share of the work that is done, 0 to 1; `Break` ends it with [`Error::Cancelled`].
     pub progress: Option<&'a mut dyn FnMut(f32) -> ControlFlow<()>>,
+    /// For a device that a window is shown with as well. `None` keeps it as busy as can be.
+    pub pace: Option<Pace>,
 }
 
 impl Default for Options<'_> {
     fn default() -> Self {
-        Self { keep: &[], error: true, progress: None }
+        Self { keep: &[], error: true, progress: None, pace: None }
     }
 }
 
@@ -200,7 +202,7 @@ impl Denoiser {
         let units = Units::of_window(frames, centre, self.method.uses_features(), exposure(frame));
         let beside = frames.iter().enumerate().filter(|(index, _)| *index != centre).map(|(_, frame)| *frame);
         let (plan, strips) = self.plan_in(frames, centre, &units, &options)?;
-        let Options { error, mut progress, .. } = options;
+        let Options { error, mut progress, pace, .. } = options;
         self.gpu.set_memory_limit(self.max_memory);
         // What an earlier frame of another size left behind would count against the limit.
         self.gpu.trim();
@@ -213,6 +215,9 @@ impl Denoiser {
         }
         for (index, strip) in strips.iter().enumerate() {
             let mut rec = self.gpu.record();
+            if let Some(pace) = &pace {
+                rec.set_pace(pace.clone());
+            }
             let plan = plan.starting_at(strip.first_with_halo);
             let on_gpu = FrameInput::upload(&mut rec, frame, strip, &units, &plan)?;
             let beside = beside.clone().map(|frame| FrameInput::upload(&mut rec, frame, strip, &units, &plan)).collect::<Result<Vec<_>>>()?;

@@ -306,7 +306,7 @@ impl Job<'_> {
         }
         let frames: Vec<&Frame> = window.iter().map(|frame| &*frame.frame).collect();
         if self.args.dry_run {
-            let plan = denoiser.plan(&frames, planned.centre, &Options { keep: &needed, error: !self.args.no_error, progress: None })?;
+            let plan = denoiser.plan(&frames, planned.centre, &Options { keep: &needed, error: !self.args.no_error, ..Default::default() })?;
             let explained = self.args.explain.then(|| Explained::new(&plan, None));
             let report = FrameReport { input: *described, strips: plan.strips, plan: explained, run: None, output: None, errors: None };
             results.progress.denoised(out);
@@ -321,7 +321,7 @@ impl Job<'_> {
             results.progress.share(share, out);
             if interrupt::is_asked() { ControlFlow::Break(()) } else { results.collect(out) }
         };
-        let options = Options { keep: &needed, error: !self.args.no_error, progress: if is_wanted { Some(&mut tell) } else { None } };
+        let options = Options { keep: &needed, error: !self.args.no_error, progress: if is_wanted { Some(&mut tell) } else { None }, ..Default::default() };
         let estimate = denoiser.denoise_window(&frames, planned.centre, options)?;
         let run = Run::new(&estimate, start.elapsed().as_secs_f64());
         let plan = self.args.explain.then(|| Explained::new(&estimate.plan, estimate.step_times.as_deref()));

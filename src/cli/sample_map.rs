@@ -127,7 +127,8 @@ pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
     let gpu = args.device.open()?;
     let denoiser = args.device.denoiser(&gpu, method)?.while_sampling();
     let mut progress = |_: f32| if interrupt::is_asked() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) };
-    let estimate = denoiser.denoise_with(&frame, Options { keep: &[Intermediate::Density], error: false, progress: Some(&mut progress) })?;
+    let estimate =
+        denoiser.denoise_with(&frame, Options { keep: &[Intermediate::Density], error: false, progress: Some(&mut progress), ..Default::default() })?;
     // Whole pairs, which a small budget has few of.
     let cap = args.cap.unwrap_or_else(|| (budget * f64::from(DEFAULT_CAP)).max(2.0) as u32);
     let density = sampling_density(&estimate, budget, budget * f64::from(DEFAULT_CAP))?;

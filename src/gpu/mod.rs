@@ -37,7 +37,7 @@ pub use cache::SavedPipelines;
 pub use device::{AdapterSummary, DeviceChoice, DeviceKind, Gpu, GpuOptions};
 pub use kernel::Kernel;
 pub use pool::{Buffer, MemoryUse};
-pub use record::Recorder;
+pub use record::{Pace, Recorder};
 pub use shader::{Definition, Definitions, compose, compose_source, shared_modules, stages};
 pub use timing::{StageTime, StepTime};
 

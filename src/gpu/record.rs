@@ -1,6 +1,7 @@
 //! Recording commands: dispatches, uploads and the buffers between them.
 
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use super::bindings::{Bindings, SlotKind, Value};
 use super::device::Gpu;
@@ -20,6 +21,15 @@ const STAGED_BYTES: u64 = 256 << 20;
 /// Size of the buffer that poison is copied from, in bytes.
 const POISON_BYTES: u64 = 1 << 20;
 
+/// How a recorder shares the device with somebody who waits for it, such as a window. The result is the same to the bit.
+#[derive(Clone, Debug)]
+pub struct Pace {
+    /// Dispatches that are submitted together, at least 1. The recorder waits for them before it goes on, so that what others submit meanwhile comes next.
+    pub dispatches: usize,
+    /// Where this becomes true, the recorder ends with [`Error::Cancelled`] after the dispatches that are on their way.
+    pub cancelled: Arc<AtomicBool>,
+}
+
 /// A list of commands that execute in the order in which they were recorded.
 ///
 /// From [`Gpu::record`], it submits itself every few dozen dispatches and the rest in [`Recorder::submit`]. From [`Gpu::record_whole`], it touches no queue, and
@@ -35,6 +45,7 @@ pub struct Recorder {
     staged_bytes: u64,
     whole: bool,
     has_submitted: bool,
+    pace: Option<Pace>,
     /// What the dispatches are for; their times are summed under it.
     step: Arc<str>,
 }
@@ -61,12 +72,18 @@ impl Gpu {
             staged_bytes: 0,
             whole,
             has_submitted: false,
+            pace: None,
             step: Arc::from(""),
         }
     }
 }
 
 impl Recorder {
+    /// Shares the device from here on.
+    pub fn set_pace(&mut self, pace: Pace) {
+        self.pace = Some(pace);
+    }
+
     /// The device it records for.
     pub fn gpu(&self) -> &Gpu {
         &self.gpu
@@ -164,7 +181,8 @@ impl Recorder {
         }
         self.ops.push(Op::Dispatch(Dispatch { kernel: Arc::clone(kernel), step: Arc::clone(&self.step), bound, groups }));
         self.dispatches += 1;
-        if self.dispatches >= DISPATCHES_PER_SUBMISSION { self.flush() } else { Ok(()) }
+        let most = self.pace.as_ref().map_or(DISPATCHES_PER_SUBMISSION, |pace| pace.dispatches);
+        if self.dispatches >= most { self.flush() } else { Ok(()) }
     }
 
     /// Hands what was recorded so far to the device, which starts on it. Does nothing in a recorder from [`Gpu::record_whole`].
@@ -219,8 +237,12 @@ impl Recorder {
         inner.pool.close_recorder(self.id);
         self.id = inner.pool.open_recorder();
         submitted.map_err(|error| self.gpu.out_of_memory("the commands", &error))??;
-        // Without waiting: frees what finished, and lets a lost device become known.
-        self.gpu.poll(wgpu::PollType::Poll)
+        let Some(pace) = &self.pace else {
+            // Without waiting: frees what finished, and lets a lost device become known.
+            return self.gpu.poll(wgpu::PollType::Poll);
+        };
+        self.gpu.wait()?;
+        if pace.cancelled.load(Ordering::Relaxed) { Err(Error::Cancelled) } else { Ok(()) }
     }
 
     fn check_groups(&self, kernel: &Kernel, groups: [u32; 3]) -> Result<()> {

@@ -4,19 +4,27 @@
 //! are taken in the order of [`Task::ALL`]; long work of low rank splits itself into requests that it sends to itself, so that it makes way between them.
 
 use std::any::Any;
+use std::cell::Cell;
 use std::ops::ControlFlow;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use eframe::egui::Context;
 use stein::buffers::{BufferSet, BufferSetRequest, read_reference};
+use stein::gpu::Pace;
 use stein::{Denoiser, Error, Frame, Gpu, Image, Method, Options};
 
 use crate::document::{Denoised, Opened, Source, input_layers, output_layers, relative_mse};
+
+/// Dispatches between which the window can draw, on a graphics card; a processor takes long for one.
+const DISPATCHES_AT_ONCE: usize = 8;
+
+/// How often progress is told at the most.
+const BETWEEN_REPLIES: Duration = Duration::from_millis(200);
 
 /// What the worker is asked for.
 #[derive(Debug)]
@@ -218,6 +226,7 @@ struct Job<'a> {
     number: u64,
     task: Task,
     cancelled: Arc<AtomicBool>,
+    told: Cell<Option<Instant>>,
 }
 
 impl Job<'_> {
@@ -228,8 +237,18 @@ impl Job<'_> {
     }
 
     fn progress(&self, share: f32) -> ControlFlow<()> {
-        self.tell(Reply::Progress(self.task, share));
+        // Each reply has the window drawn again, on the same device.
+        if self.told.get().is_none_or(|told| told.elapsed() >= BETWEEN_REPLIES) {
+            self.told.set(Some(Instant::now()));
+            self.tell(Reply::Progress(self.task, share));
+        }
         if self.cancelled.load(Ordering::Relaxed) { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+    }
+
+    /// Lets the window draw between the dispatches, and ends soon after a cancellation.
+    fn pace(&self) -> Pace {
+        let dispatches = if self.desk.gpu.is_software() { 1 } else { DISPATCHES_AT_ONCE };
+        Pace { dispatches, cancelled: self.cancelled.clone() }
     }
 
     fn check(&self, share: f32) -> stein::Result<()> {
@@ -241,7 +260,7 @@ impl Desk {
     fn work(self) {
         while let Some((number, request, cancelled)) = self.next() {
             let task = request.task();
-            let job = Job { desk: &self, number, task, cancelled };
+            let job = Job { desk: &self, number, task, cancelled, told: Cell::new(None) };
             let done = catch_unwind(AssertUnwindSafe(|| self.fulfil(&job, request))).unwrap_or_else(|panic| Err(defect(panic.as_ref())));
             self.mailbox.lock().at_work = None;
             match done {
@@ -316,7 +335,7 @@ fn denoise(gpu: &Gpu, job: &Job, frame: &Frame, reference: Option<&Arc<Image>>, 
     gpu.set_timing(true);
     let denoiser = Denoiser::new(gpu, method)?;
     let mut progress = |share| job.progress(share);
-    let options = Options { keep: method.intermediates(), progress: Some(&mut progress), ..Default::default() };
+    let options = Options { keep: method.intermediates(), progress: Some(&mut progress), pace: Some(job.pace()), ..Default::default() };
     let mut estimate = denoiser.denoise_with(frame, options)?;
     let seconds = start.elapsed().as_secs_f64();
     job.check(1.0)?;

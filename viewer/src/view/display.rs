@@ -21,7 +21,7 @@ const FRAMES_KEPT: u64 = 120;
 const MOST_TAPS: f32 = 8.0;
 
 /// What is done with the two layers.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub enum Operation {
     /// A alone.
     #[default]
@@ -74,57 +74,87 @@ struct Uniforms {
     first: [f32; 2],
     step: [f32; 2],
     size: [u32; 2],
-    kind: u32,
     planes_a: u32,
     planes_b: u32,
-    operation: u32,
     channel: u32,
-    tone: u32,
-    scale: u32,
     colormap: u32,
-    encodes: u32,
+    taps: u32,
+    epsilon: f32,
     factor: f32,
     offset: f32,
     inverse_gamma: f32,
     low: f32,
     high: f32,
-    epsilon: f32,
-    taps: u32,
-    padding: [u32; 2],
+    padding: [u32; 3],
     background: [f32; 4],
 }
 
+/// What a pipeline is built for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+struct Variant {
+    kind: u32,
+    operation: Operation,
+    tone: Tone,
+    is_log: bool,
+    reduces: bool,
+}
+
+impl Variant {
+    /// The shader's overrides.
+    fn constants(self, encodes: bool) -> [(&'static str, f64); 6] {
+        [
+            ("KIND", self.kind.into()),
+            ("OPERATION", self.operation as u32 as f64),
+            ("TONE", self.tone as u32 as f64),
+            ("IS_LOG", u32::from(self.is_log).into()),
+            ("REDUCES", u32::from(self.reduces).into()),
+            ("ENCODES", u32::from(encodes).into()),
+        ]
+    }
+}
+
 impl Draw {
-    fn uniforms(&self, encodes: bool) -> Uniforms {
+    fn diverges(&self) -> bool {
+        self.scale == Scale::Diverging || self.operation != Operation::Single
+    }
+
+    /// Pixels that differ in nothing that matters share a pipeline.
+    fn variant(&self) -> Variant {
+        let kind = match self.kind {
+            _ if self.operation != Operation::Single => 2,
+            Kind::Color => 0,
+            Kind::Direction => 1,
+            Kind::Scalar(_) => 2,
+            Kind::Shares => 3,
+        };
+        Variant {
+            kind,
+            operation: self.operation,
+            tone: if kind == 0 { self.tone } else { Tone::Srgb },
+            is_log: kind == 2 && self.scale == Scale::Log && !self.diverges(),
+            reduces: self.step > 1.0,
+        }
+    }
+
+    fn uniforms(&self) -> Uniforms {
         let extent = self.a.image.extent;
         let row = |map: Colormap| Colormap::ALL.iter().position(|other| *other == map).unwrap_or(0) as u32;
-        let diverges = self.scale == Scale::Diverging || self.operation != Operation::Single;
         Uniforms {
             first: self.first,
             step: [self.step; 2],
             size: [extent.width, extent.height],
-            kind: match self.kind {
-                Kind::Color => 0,
-                Kind::Direction => 1,
-                Kind::Scalar(_) => 2,
-                Kind::Shares => 3,
-            },
             planes_a: self.a.image.channels() as u32,
             planes_b: self.b.as_ref().map_or(1, |b| b.image.channels() as u32),
-            operation: self.operation as u32,
             channel: self.channel as u32,
-            tone: self.tone as u32,
-            scale: u32::from(self.scale == Scale::Log && !diverges),
-            colormap: row(if diverges { Colormap::Diverging } else { self.colormap }),
-            encodes: encodes.into(),
+            colormap: row(if self.diverges() { Colormap::Diverging } else { self.colormap }),
+            taps: self.step.ceil().clamp(1.0, MOST_TAPS) as u32,
+            epsilon: RELATIVE_EPSILON,
             factor: self.exposure.exp2(),
             offset: self.offset,
             inverse_gamma: 1.0 / self.gamma,
             low: self.range.low,
             high: self.range.high,
-            epsilon: RELATIVE_EPSILON,
-            taps: self.step.ceil().clamp(1.0, MOST_TAPS) as u32,
-            padding: [0; 2],
+            padding: [0; 3],
             background: [self.background[0], self.background[1], self.background[2], 1.0],
         }
     }
@@ -187,14 +217,16 @@ impl CallbackTrait for Paint {
             resources.upload(device, queue, shown, self.frame);
         }
         resources.bind(device, self.key());
-        resources.write(device, queue, self.slot, &self.draw.uniforms(self.format.is_srgb()));
+        resources.build(device, self.draw.variant());
+        resources.write(device, queue, self.slot, &self.draw.uniforms());
         Vec::new()
     }
 
     fn paint(&self, _info: PaintCallbackInfo, pass: &mut wgpu::RenderPass<'static>, resources: &CallbackResources) {
         let Some(resources) = resources.get::<Resources>() else { return };
         let Some(group) = resources.groups.get(&self.key()) else { return };
-        pass.set_pipeline(&resources.pipeline);
+        let Some(pipeline) = resources.pipelines.get(&self.draw.variant()) else { return };
+        pass.set_pipeline(pipeline);
         pass.set_bind_group(0, &resources.draw_group, &[self.slot * SLOT_BYTES as u32]);
         pass.set_bind_group(1, group, &[]);
         pass.draw(0..3, 0..1);
@@ -208,7 +240,12 @@ struct Texture {
 
 /// What the draws of a window share.
 struct Resources {
-    pipeline: wgpu::RenderPipeline,
+    format: wgpu::TextureFormat,
+    module: wgpu::ShaderModule,
+    draw_layout: wgpu::BindGroupLayout,
+    layers_layout: wgpu::BindGroupLayout,
+    pipeline_layout: wgpu::PipelineLayout,
+    pipelines: HashMap<Variant, wgpu::RenderPipeline>,
     uniforms: wgpu::Buffer,
     colors: wgpu::TextureView,
     draw_group: wgpu::BindGroup,
@@ -248,26 +285,43 @@ impl Resources {
             bind_group_layouts: &[Some(&draw_layout), Some(&layers_layout)],
             immediate_size: 0,
         });
-        let pipeline = device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
-            label: Some("display"),
-            layout: Some(&pipeline_layout),
-            vertex: wgpu::VertexState { module: &module, entry_point: Some("cover"), compilation_options: Default::default(), buffers: &[] },
-            fragment: Some(wgpu::FragmentState {
-                module: &module,
-                entry_point: Some("paint"),
-                compilation_options: Default::default(),
-                targets: &[Some(format.into())],
-            }),
-            primitive: Default::default(),
-            depth_stencil: None,
-            multisample: Default::default(),
-            multiview_mask: None,
-            cache: None,
-        });
         let colors = upload(device, queue, colormap::STEPS as u32, Colormap::ALL.len() as u32, &colormap::table());
         let uniforms = uniform_buffer(device, 64);
         let draw_group = bind_draw(device, &draw_layout, &uniforms, &colors);
-        Self { pipeline, uniforms, colors, draw_group, textures: HashMap::new(), groups: HashMap::new() }
+        Self {
+            format,
+            module,
+            draw_layout,
+            layers_layout,
+            pipeline_layout,
+            pipelines: HashMap::new(),
+            uniforms,
+            colors,
+            draw_group,
+            textures: HashMap::new(),
+            groups: HashMap::new(),
+        }
+    }
+
+    fn build(&mut self, device: &wgpu::Device, variant: Variant) {
+        self.pipelines.entry(variant).or_insert_with(|| {
+            device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
+                label: Some("display"),
+                layout: Some(&self.pipeline_layout),
+                vertex: wgpu::VertexState { module: &self.module, entry_point: Some("cover"), compilation_options: Default::default(), buffers: &[] },
+                fragment: Some(wgpu::FragmentState {
+                    module: &self.module,
+                    entry_point: Some("paint"),
+                    compilation_options: wgpu::PipelineCompilationOptions { constants: &variant.constants(self.format.is_srgb()), ..Default::default() },
+                    targets: &[Some(self.format.into())],
+                }),
+                primitive: Default::default(),
+                depth_stencil: None,
+                multisample: Default::default(),
+                multiview_mask: None,
+                cache: None,
+            })
+        });
     }
 
     /// Keeps a layer's values as a texture.
@@ -289,7 +343,7 @@ impl Resources {
         self.groups.entry(key).or_insert_with(|| {
             device.create_bind_group(&wgpu::BindGroupDescriptor {
                 label: Some("layers"),
-                layout: &self.pipeline.get_bind_group_layout(1),
+                layout: &self.layers_layout,
                 entries: &[
                     wgpu::BindGroupEntry { binding: 0, resource: wgpu::BindingResource::TextureView(&a.view) },
                     wgpu::BindGroupEntry { binding: 1, resource: wgpu::BindingResource::TextureView(&b.view) },
@@ -307,7 +361,7 @@ impl Resources {
             encoder.copy_buffer_to_buffer(&self.uniforms, 0, &grown, 0, self.uniforms.size());
             queue.submit([encoder.finish()]);
             self.uniforms = grown;
-            self.draw_group = bind_draw(device, &self.pipeline.get_bind_group_layout(0), &self.uniforms, &self.colors);
+            self.draw_group = bind_draw(device, &self.draw_layout, &self.uniforms, &self.colors);
         }
         queue.write_buffer(&self.uniforms, offset, bytemuck::bytes_of(uniforms));
     }

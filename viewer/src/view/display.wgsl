@@ -1,38 +1,43 @@
 // How the values of one layer, or of two that are compared, become colours. A triangle that covers the view; each invocation looks up the pixels of the image that its pixel of
 // the screen shows.
 
+// What a draw does is settled when its pipeline is built: on a processor, a branch that is not taken costs as much as one that is.
+
+// What layer A holds: 0 colour, 1 direction, 2 numbers, 3 shares.
+override KIND: u32;
+// 0 layer A alone, 1 A − B, 2 (A − B)/(|B| + epsilon).
+override OPERATION: u32;
+// 0 sRGB, 1 gamma, 2 Reinhard, 3 filmic.
+override TONE: u32;
+// Whether the false-colour scale is logarithmic.
+override IS_LOG: bool;
+// Whether a pixel of the screen covers several of the image.
+override REDUCES: bool;
+// Whether the target encodes sRGB by itself.
+override ENCODES: bool;
+
 struct Draw {
     // The image's place of the fragment at (x, y): first + (x, y) · step, in pixels of the image.
     first: vec2f,
     step: vec2f,
     // Width and height of the image in pixels.
     size: vec2u,
-    // What layer A holds: 0 colour, 1 direction, 2 numbers, 3 shares.
-    kind: u32,
     // Number of planes of layer A and B.
     planes_a: u32,
     planes_b: u32,
-    // 0 layer A alone, 1 A − B, 2 (A − B)/(|B| + epsilon).
-    operation: u32,
     // 0 all channels, 1 to 3 one of them.
     channel: u32,
-    // 0 sRGB, 1 gamma, 2 Reinhard, 3 filmic.
-    tone: u32,
-    // 0 linear, 1 logarithmic; a diverging scale is linear.
-    scale: u32,
     // Row of the colour table.
     colormap: u32,
-    // Whether the target encodes sRGB by itself.
-    encodes: u32,
+    // Taps along each axis where the image is reduced.
+    taps: u32,
+    epsilon: f32,
     factor: f32,
     offset: f32,
     inverse_gamma: f32,
+    // Ends of the false-colour scale.
     low: f32,
     high: f32,
-    epsilon: f32,
-    // Taps along each axis where the image is reduced.
-    taps: u32,
-    padding: vec2u,
     background: vec4f,
 }
 
@@ -59,7 +64,7 @@ fn all_finite(value: vec3f) -> bool {
 // The mean over the pixels that a pixel of the screen covers.
 fn fetch(layer: texture_2d<f32>, place: vec2f) -> vec3f {
     let last = vec2i(draw.size) - 1;
-    if draw.taps <= 1u {
+    if !REDUCES {
         return textureLoad(layer, clamp(vec2i(floor(place)), vec2i(0), last), 0).xyz;
     }
     var sum = vec3f(0.0);
@@ -93,7 +98,7 @@ fn srgb(value: vec3f) -> vec3f {
 
 fn tone_mapped(value: vec3f) -> vec3f {
     let positive = max(value, vec3f(0.0));
-    switch draw.tone {
+    switch TONE {
         case 1u: { return pow(min(positive, vec3f(1.0)), vec3f(draw.inverse_gamma)); }
         case 2u: { return srgb(positive / (1.0 + positive)); }
         case 3u: {
@@ -107,7 +112,7 @@ fn tone_mapped(value: vec3f) -> vec3f {
 
 fn false_color(value: f32) -> vec3f {
     var place = (value - draw.low) / (draw.high - draw.low);
-    if draw.scale == 1u {
+    if IS_LOG {
         place = 0.0;
         if value > 0.0 {
             place = log2(value / draw.low) / log2(draw.high / draw.low);
@@ -126,18 +131,18 @@ fn chequered(position: vec2f) -> vec3f {
 }
 
 fn shown(a: vec3f, b: vec3f, position: vec2f) -> vec3f {
-    if draw.operation != 0u {
+    if OPERATION != 0u {
         if !all_finite(a) || !all_finite(b) {
             return chequered(position);
         }
         let of_b = number(b, draw.planes_b);
         let difference = number(a, draw.planes_a) - of_b;
-        return false_color(select(difference, difference / (abs(of_b) + draw.epsilon), draw.operation == 2u));
+        return false_color(select(difference, difference / (abs(of_b) + draw.epsilon), OPERATION == 2u));
     }
     if !all_finite(a) {
         return chequered(position);
     }
-    switch draw.kind {
+    switch KIND {
         case 1u: {
             if draw.channel > 0u {
                 return vec3f(clamp(number(a, 3u) * 0.5 + 0.5, 0.0, 1.0));
@@ -167,12 +172,12 @@ fn paint(@builtin(position) position: vec4f) -> @location(0) vec4f {
     if all(place >= vec2f(0.0)) && all(place < vec2f(draw.size)) {
         let a = fetch(layer_a, place);
         var b = a;
-        if draw.operation != 0u {
+        if OPERATION != 0u {
             b = fetch(layer_b, place);
         }
         color = shown(a, b, position.xy);
     }
-    if draw.encodes != 0u {
+    if ENCODES {
         color = select(pow((color + 0.055) / 1.055, vec3f(2.4)), color / 12.92, color <= vec3f(0.04045));
     }
     return vec4f(color, 1.0);

@@ -66,7 +66,7 @@ impl Compare {
 }
 
 /// How scene-linear colour becomes what a screen shows.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum Tone {
     /// The sRGB curve; what is above 1 is white.
     #[default]
