@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 use std::sync::Arc;
+use std::task::Poll;
 
 use eframe::egui::{self, Align, CentralPanel, Color32, Context, Frame as Margins, Layout, Panel as SidePanel, RichText, Ui};
 use eframe::wgpu;
@@ -54,9 +55,13 @@ pub struct Viewer {
     /// Whether the help is shown.
     pub shows_help: bool,
     /// What went wrong, until it is dismissed.
-    pub trouble: Option<stein::Error>,
+    pub trouble: Option<(Task, stein::Error)>,
     /// What the worker is at, and how much of it is done.
     pub progress: Option<(Task, f32)>,
+    /// Whether the strip is to be moved to layer A.
+    pub scrolls_to_layer: bool,
+    /// Whether a run was given up for a file that is being read.
+    interrupted: bool,
     dialog: Option<Dialog>,
     format: wgpu::TextureFormat,
 }
@@ -84,6 +89,8 @@ impl Viewer {
             shows_help: false,
             trouble: None,
             progress: None,
+            scrolls_to_layer: true,
+            interrupted: false,
             dialog: None,
             format,
         };
@@ -109,6 +116,7 @@ impl Viewer {
 
     /// Reads a file; what is open stays until that is done.
     pub fn open(&mut self, source: Source) {
+        self.interrupted |= matches!(self.progress, Some((Task::Denoise, _)));
         self.progress = Some((Task::Open, 0.0));
         self.worker.send(Request::Open(source));
     }
@@ -158,6 +166,7 @@ impl Viewer {
             Action::ShowLayer(name) => {
                 if self.document.as_ref().is_some_and(|document| document.layer(name).is_some()) {
                     self.view.layer = name.to_owned();
+                    self.scrolls_to_layer = true;
                 }
             }
             Action::MarkOther => self.view.other = self.layer().map(|layer| layer.name().to_owned()),
@@ -178,10 +187,7 @@ impl Viewer {
                 self.view.camera.fits = false;
                 self.view.camera.zoom = 1.0 / context.pixels_per_point();
             }
-            Action::Zoom(factor) => {
-                self.view.camera.fits = false;
-                self.view.camera.zoom *= factor;
-            }
+            Action::Zoom(factor) => self.view.camera.magnify(factor),
             Action::Panel(panel) => self.panel = panel,
             Action::ToggleTheme => context.set_theme(if context.theme() == egui::Theme::Dark { egui::Theme::Light } else { egui::Theme::Dark }),
             Action::Help => self.shows_help = !self.shows_help,
@@ -207,6 +213,7 @@ impl Viewer {
         let place = layers.iter().position(|layer| layer.name() == self.view.layer).unwrap_or(0);
         if let Some(layer) = layers.get(place.saturating_add_signed(step).min(layers.len() - 1)) {
             self.view.layer = layer.name().to_owned();
+            self.scrolls_to_layer = true;
         }
     }
 
@@ -226,7 +233,8 @@ impl Viewer {
                 self.open(source);
             }
             (Purpose::Reference, None) => {
-                self.trouble = Some(stein::Error::Request { problem: "a reference is compared with a frame".into(), remedy: "open the frame first".into() });
+                let (problem, remedy) = ("a reference is compared with a frame".into(), "open the frame first".into());
+                self.trouble = Some((Task::Open, stein::Error::Request { problem, remedy }));
             }
         }
     }
@@ -255,7 +263,7 @@ impl Viewer {
                     }
                     self.view.display.scales.clear();
                     self.document = Some(Document::new(*opened));
-                    self.trouble = None;
+                    (self.trouble, self.interrupted, self.scrolls_to_layer) = (None, false, true);
                     if self.view.other.is_none() {
                         self.compare(self.view.compare);
                     }
@@ -263,20 +271,24 @@ impl Viewer {
                 }
                 Reply::Denoised(denoised) => {
                     self.progress = None;
+                    self.trouble.take_if(|(task, _)| *task == Task::Denoise);
                     if let Some(document) = &mut self.document {
                         document.add(*denoised);
                     }
                 }
-                Reply::Failed(_, error) => {
+                Reply::Failed(task, error) => {
                     self.progress = None;
-                    self.trouble = Some(error);
+                    self.trouble = Some((task, error));
+                    if task == Task::Open && std::mem::take(&mut self.interrupted) {
+                        self.run();
+                    }
                 }
             }
         }
     }
 
     fn take_dialog(&mut self) {
-        let Some(Ok(answer)) = self.dialog.as_ref().map(Dialog::answer) else { return };
+        let Some(Poll::Ready(answer)) = self.dialog.as_ref().map(Dialog::answer) else { return };
         self.dialog = None;
         if let Some((purpose, path)) = answer {
             self.take_file(purpose, path);
@@ -307,7 +319,7 @@ impl Viewer {
     }
 
     fn show_canvas(&mut self, ui: &mut Ui) {
-        if let Some(trouble) = self.trouble.as_ref().map(ToString::to_string) {
+        if let Some(trouble) = self.trouble.as_ref().map(|(_, error)| error.to_string()) {
             self.show_trouble(ui, &trouble);
         }
         let (layer, other) = (self.layer().cloned(), self.other().cloned());

@@ -1,7 +1,8 @@
 //! File dialogs, each in a thread of its own so that the window goes on.
 
 use std::path::{Path, PathBuf};
-use std::sync::mpsc::{Receiver, channel};
+use std::sync::mpsc::{Receiver, TryRecvError, channel};
+use std::task::Poll;
 
 use eframe::egui::Context;
 
@@ -43,12 +44,12 @@ impl Dialog {
         std::thread::Builder::new().name("stein-dialog".into()).spawn(ask).ok().map(|_| Self { purpose, answer })
     }
 
-    /// What was chosen, once it is; `Err` while the dialog is open.
-    pub fn answer(&self) -> Result<Option<(Purpose, PathBuf)>, ()> {
+    /// What was chosen, if anything was; pending while the dialog is open.
+    pub fn answer(&self) -> Poll<Option<(Purpose, PathBuf)>> {
         match self.answer.try_recv() {
-            Ok(path) => Ok(path.map(|path| (self.purpose, path))),
-            Err(std::sync::mpsc::TryRecvError::Disconnected) => Ok(None),
-            Err(std::sync::mpsc::TryRecvError::Empty) => Err(()),
+            Ok(path) => Poll::Ready(path.map(|path| (self.purpose, path))),
+            Err(TryRecvError::Disconnected) => Poll::Ready(None),
+            Err(TryRecvError::Empty) => Poll::Pending,
         }
     }
 }

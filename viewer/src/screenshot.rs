@@ -205,7 +205,7 @@ pub fn take(gpu: &Gpu, shot: &Shot, arrange: impl FnOnce(&mut Viewer)) -> Result
     let start = Instant::now();
     loop {
         viewer.poll(window.context());
-        if let Some(trouble) = viewer.trouble.take() {
+        if let Some((_, trouble)) = viewer.trouble.take() {
             return Err(trouble);
         }
         if viewer.is_idle() {

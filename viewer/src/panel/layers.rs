@@ -40,7 +40,7 @@ fn row(ui: &mut Ui, viewer: &mut Viewer, layer: &Layer) {
     let is_b = viewer.view.other.as_deref() == Some(layer.name());
     let title = &layer.description.title;
     response.widget_info(|| WidgetInfo::selected(Role::Button, true, is_a, title));
-    if is_a && ui.input(|input| input.events.iter().any(|event| matches!(event, eframe::egui::Event::Key { pressed: true, .. }))) {
+    if is_a && std::mem::take(&mut viewer.scrolls_to_layer) {
         response.scroll_to_me(None);
     }
     if response.clicked() {

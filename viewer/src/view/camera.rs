@@ -43,12 +43,17 @@ impl Camera {
         self.centre + (position - view.center()) / self.zoom
     }
 
+    /// Magnifies about the middle of the view.
+    pub fn magnify(&mut self, factor: f32) {
+        self.zoom = (self.zoom * factor).clamp(LEAST_ZOOM, MOST_ZOOM);
+        self.fits = false;
+    }
+
     /// Magnifies, while what is at `position` stays there.
     pub fn zoom_about(&mut self, view: Rect, position: Pos2, factor: f32) {
         let place = self.to_image(view, position);
-        self.zoom = (self.zoom * factor).clamp(LEAST_ZOOM, MOST_ZOOM);
+        self.magnify(factor);
         self.centre = place - (position - view.center()) / self.zoom;
-        self.fits = false;
     }
 
     /// Moves with the pointer.

@@ -104,8 +104,8 @@ impl Variant {
     fn constants(self, encodes: bool) -> [(&'static str, f64); 6] {
         [
             ("KIND", self.kind.into()),
-            ("OPERATION", self.operation as u32 as f64),
-            ("TONE", self.tone as u32 as f64),
+            ("OPERATION", f64::from(self.operation as u32)),
+            ("TONE", f64::from(self.tone as u32)),
             ("IS_LOG", u32::from(self.is_log).into()),
             ("REDUCES", u32::from(self.reduces).into()),
             ("ENCODES", u32::from(encodes).into()),
