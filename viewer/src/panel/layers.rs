@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use eframe::egui::{Align2, Color32, FontId, Rect, RichText, Role, ScrollArea, Sense, Stroke, StrokeKind, Ui, Vec2, WidgetInfo};
+use eframe::egui::{Align, Align2, Color32, FontId, Rect, RichText, Role, ScrollArea, Sense, Stroke, StrokeKind, Ui, Vec2, WidgetInfo};
 
 use super::status::explained;
 use crate::app::Viewer;
@@ -41,7 +41,7 @@ fn row(ui: &mut Ui, viewer: &mut Viewer, layer: &Layer) {
     let title = &layer.description.title;
     response.widget_info(|| WidgetInfo::selected(Role::Button, true, is_a, title));
     if is_a && std::mem::take(&mut viewer.scrolls_to_layer) {
-        response.scroll_to_me(None);
+        response.scroll_to_me(Some(Align::Center));
     }
     if response.clicked() {
         viewer.view.layer = layer.name().to_owned();

@@ -62,7 +62,7 @@ fn run(ui: &mut Ui, denoised: &Denoised, noisy_error: Option<f64>) {
     ui.label(format!("{:.0} MiB on the device at most, in {strips}", estimate.peak_bytes as f64 / f64::from(1 << 20)));
     ui.add_space(4.0);
     ui.label(RichText::new("Steps").strong());
-    ui.label(RichText::new("Times of the device. What is left out would be if only the result and its error were wanted.").weak());
+    ui.label(RichText::new("Times of the device. A step counts as left out where the result and its error do without it.").weak());
     ui.add_space(2.0);
     let times = estimate.step_times.as_deref().unwrap_or_default();
     for planned in &estimate.plan.steps {

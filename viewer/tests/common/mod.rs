@@ -1,0 +1,51 @@
+//! What the tests of the window share: a window on the denoiser's own device.
+
+#![allow(dead_code, reason = "each test uses its part")]
+#![expect(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
+
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+use egui_kittest::Harness;
+use stein::Gpu;
+use stein::gpu::DeviceChoice;
+use stein_viewer::document::Source;
+use stein_viewer::{Start, Viewer, device};
+
+/// Longest that the worker may take.
+const PATIENCE: Duration = Duration::from_secs(300);
+
+/// A file of `testdata/`.
+pub(crate) fn testdata(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../testdata").join(name)
+}
+
+/// A window of 1280×720 points, once the worker is idle.
+pub(crate) fn window(start: Start) -> Harness<'static, Viewer> {
+    let gpu = Gpu::open(&DeviceChoice::Auto).unwrap();
+    let setup = device::setup(&gpu).unwrap();
+    let mut harness =
+        Harness::builder().with_size([1280.0, 720.0]).wgpu_setup(setup).build_eframe(move |creation| Viewer::in_window(creation, &gpu, start).unwrap());
+    settle(&mut harness);
+    harness
+}
+
+/// A window with a file, and its reference if there is one.
+pub(crate) fn window_with(input: &str, reference: Option<&str>) -> Harness<'static, Viewer> {
+    window(Start { source: Some(Source { input: testdata(input), reference: reference.map(testdata) }), ..Default::default() })
+}
+
+/// Draws frames until nothing is at work.
+pub(crate) fn settle(harness: &mut Harness<'static, Viewer>) {
+    let start = Instant::now();
+    loop {
+        harness.step();
+        if harness.state().is_idle() {
+            break;
+        }
+        assert!(start.elapsed() < PATIENCE, "the worker is still at it: {:?}", harness.state().progress);
+        std::thread::sleep(Duration::from_millis(10));
+    }
+    // What the last reply changed is laid out in the frame after it.
+    harness.run_steps(2);
+}
