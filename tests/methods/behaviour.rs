@@ -2,10 +2,11 @@
 
 use std::ops::ControlFlow;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use glam::IVec2;
 use stein::frame::Signal;
-use stein::gpu::{Gpu, GpuOptions};
+use stein::gpu::{Gpu, GpuOptions, Pace};
 use stein::image::Extent;
 use stein::method::{GpuFeature, GpuFrame, GpuSignal};
 use stein::stage::nlm::Schedule;
@@ -219,6 +220,24 @@ fn a_renderer_that_keeps_its_buffers_gets_the_same_bits() {
             assert_eq!(actual.to_bits(), expected.to_bits(), "x {}, y {}, channel {channel}: {actual} instead of {expected}", pixel % 45, pixel / 45);
         }
     }
+}
+
+/// Beside a window: the same bits, and an end that needs no report of progress.
+#[test]
+fn sharing_the_device_changes_nothing_and_can_be_ended() {
+    let frame = random_frame(37, 41, 1.0);
+    let denoiser = denoiser(gpu(), params());
+    let expected = denoised(&denoiser, &frame);
+    let cancelled = Arc::<AtomicBool>::default();
+    for dispatches in [1, 7] {
+        let pace = Some(Pace { dispatches, cancelled: cancelled.clone() });
+        let estimate = denoiser.denoise_with(&frame, Options { pace, ..Options::default() }).unwrap_or_else(|error| panic!("{error}"));
+        assert!(estimate.color == expected.color && estimate.error == expected.error, "{dispatches} dispatches at once");
+    }
+    cancelled.store(true, Ordering::Relaxed);
+    let result = denoiser.denoise_with(&frame, Options { pace: Some(Pace { dispatches: 1, cancelled }), ..Options::default() });
+    assert!(matches!(result, Err(Error::Cancelled)), "{result:?}");
+    assert!(denoised(&denoiser, &frame).color == expected.color);
 }
 
 #[test]

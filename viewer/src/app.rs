@@ -76,6 +76,7 @@ impl Viewer {
             // Text on panels is read, not only glanced at.
             let visuals = &mut style.visuals;
             visuals.widgets.noninteractive.fg_stroke.color = if visuals.dark_mode { Color32::from_gray(205) } else { Color32::from_gray(50) };
+            visuals.error_fg_color = if visuals.dark_mode { Color32::from_rgb(255, 120, 110) } else { Color32::from_rgb(170, 0, 0) };
             visuals.weak_text_alpha = 0.75;
         });
         let mut viewer = Self {
@@ -314,7 +315,7 @@ impl Viewer {
         SidePanel::bottom("status").show(ui, |ui| panel::status::show(ui, self));
         SidePanel::left("layers").resizable(true).default_size(216.0).size_range(150.0..=420.0).show(ui, |ui| panel::layers::show(ui, self));
         SidePanel::right("panel").resizable(true).default_size(316.0).size_range(240.0..=620.0).show(ui, |ui| panel::show(ui, self));
-        CentralPanel::default().frame(Margins::NONE).show(ui, |ui| self.show_canvas(ui));
+        CentralPanel::default().frame(Margins::NONE.fill(ui.visuals().panel_fill)).show(ui, |ui| self.show_canvas(ui));
         panel::help::show(&context, self);
     }
 

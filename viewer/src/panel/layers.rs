@@ -13,6 +13,8 @@ const ROW: f32 = 42.0;
 
 /// Shows it.
 pub fn show(ui: &mut Ui, viewer: &mut Viewer) {
+    // Short contents would let the panel shrink.
+    ui.set_min_width(ui.available_width());
     ui.add_space(2.0);
     let Some(document) = &viewer.document else {
         ui.label(RichText::new("Layers").strong());

@@ -44,6 +44,8 @@ impl Panel {
 
 /// The tabs, and the panel that is chosen.
 pub fn show(ui: &mut Ui, viewer: &mut Viewer) {
+    // Short contents would let the panel shrink.
+    ui.set_min_width(ui.available_width());
     ui.add_space(2.0);
     ui.horizontal_wrapped(|ui| {
         for panel in Panel::ALL {
