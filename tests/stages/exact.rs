@@ -1,5 +1,6 @@
 //! `exact_copy` and `exact_fill`, through the filters that leave tiles out.
 
+use glam::IVec2;
 use stein::stage::exact::ExactTiles;
 use stein::stage::nlm::{CentreWeight, Guide, Payload, Schedule, Symmetry, Weighting, nlm_filter};
 
@@ -85,7 +86,7 @@ fn a_strip_keeps_what_its_frame_keeps() {
         let rows = |planes: &[Grid]| -> Planes {
             planes.iter().map(|grid| Grid { width, height: height - first, values: grid.values[first * width..].to_vec() }).collect()
         };
-        let strip = filtered(&rows(&scene.mean), &rows(&scene.spread), &tiles.exact.starting_at(first));
+        let strip = filtered(&rows(&scene.mean), &rows(&scene.spread), &tiles.exact.starting_at(IVec2::new(0, first as i32)));
         let strip = read(gpu(), &strip.planes, extent_of(&rows(&scene.mean)[0])).concat();
         // The first row has lost its neighbours above.
         for (strip, whole) in strip.iter().zip(rows(&whole)) {

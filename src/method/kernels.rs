@@ -1,7 +1,12 @@
 //! Which neighbours made a pixel, and why: the kernels of a method's filters at one pixel.
 
+use std::sync::Arc;
+
+use super::{Lane, Plan};
+use crate::gpu::Buffer;
 use crate::image::{Extent, Image};
-use crate::method::Plan;
+use crate::stage::nlm::CentreWeight;
+use crate::stage::window::{CellLane, DistanceLanes};
 
 /// The kernels at one pixel, as [`Denoiser::kernels`](crate::Denoiser::kernels) tells them.
 #[derive(Clone, Debug)]
@@ -162,4 +167,21 @@ impl PixelInFrame {
         (cell < side * side).then_some(())?;
         Some((along(self.x, cell % side, self.extent.width)?, along(self.y, cell / side, self.extent.height)?))
     }
+}
+
+/// A kernel as it lies on the device.
+pub(crate) struct KernelOnGpu {
+    pub(crate) name: &'static str,
+    /// What is averaged: the first plane of an image.
+    pub(crate) averaged: Arc<Buffer>,
+    pub(crate) weights: WeightsOnGpu,
+}
+
+pub(crate) enum WeightsOnGpu {
+    /// The window of a stage, but for the cell in its middle.
+    Cells { cells: Arc<Buffer>, window_radius: u32, weight: CellLane, distances: Vec<(Compared, DistanceLanes)>, rule: WeightRule, centre: CentreWeight },
+    /// The Gaussian whose σ an image says at the pixel.
+    Gaussian(Lane),
+    /// The pixel is left as it is by a filter of this window.
+    Exact { window_radius: u32 },
 }
