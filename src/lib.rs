@@ -37,7 +37,7 @@
 //! fixed weights it is filtered like the mean. So the factor of two between the variance of a half and of the mean is settled once, where the spread is made.
 //!
 //! # Where to start
-//! [`Denoiser`] for frames from files; [`Denoiser::record`] for a renderer that keeps its buffers on the GPU.
+//! [`Denoiser`] for frames from files; [`Denoiser::record`] for a renderer that keeps its buffers on the GPU; [`Denoiser::kernels`] for those who wonder about a pixel.
 
 pub mod aside;
 pub mod buffers;

@@ -1,4 +1,7 @@
 //! Which neighbours made a pixel, and why: the kernels of a method's filters at one pixel.
+//!
+//! A kernel is made of what the filter itself reads: spikes repaired, variances scaled, features prefiltered, patch distances from the same stage. So that its weights make the value that
+//! the filter makes.
 
 use std::sync::Arc;
 
