@@ -17,7 +17,7 @@ use crate::gpu::{Buffer, Recorder};
 use crate::stage::gaussian::{Averaging, Gaussian, gaussian};
 use crate::stage::sample::GpuSamples;
 use crate::stage::scale::{Scale, Selected, scale_advance, scale_gaussian, scale_pixel, scale_reduction, scale_stop};
-use crate::stage::variance::INPUT_SMOOTHING;
+use crate::stage::variance::{BoxWeight, INPUT_SMOOTHING};
 
 pub use params::{GemParams, Phase};
 
@@ -106,7 +106,7 @@ fn select(
 ) -> Result<Selected> {
     // Mean variances of the pixels (eq. 6.3). Scaled by the halves, where there are any, they need no purely random samples.
     plan.begins(rec, Step::Variance);
-    let variance = input_variance(rec, extent, &color)?;
+    let variance = input_variance(rec, extent, &color, BoxWeight::Deviation)?;
     keeper.keep(Intermediate::Variance, "scaled_variance", &RGB, Unit::ColorSquared, &variance, 0);
 
     plan.begins(rec, Step::Scales);

@@ -8,6 +8,7 @@ use crate::method::common::{LARGEST_PATCH_RADIUS, LARGEST_WINDOW_RADIUS, refused
 use crate::stage::candidate_set::CandidateSet;
 use crate::stage::nlm::{CentreWeight, Symmetry, Weighting};
 use crate::stage::select::Guard;
+use crate::stage::variance::BoxWeight;
 
 /// Parameters of DFC (thesis chapter 8). [`DfcParams::default`] is what measured best, [`DfcParams::thesis`] is Algorithm 1 to the letter.
 ///
@@ -23,6 +24,7 @@ use crate::stage::select::Guard;
 /// | `feature_tau_third` | 5·10⁻⁴ | 10⁻³ | > 0 | τ of THIRD |
 /// | `weighting.symmetric` | blended | off | not hard | pairs of opposite neighbours (eq. 7.6) for colour and features; feature distances scaled by both pixels |
 /// | `weighting.centre` | largest neighbour | one | | weight of a pixel in its own average |
+/// | `box_weight` | deviation | even | | how pixels count where sample variances are scaled by the halves |
 /// | `covariance` | 1.5 | 1 | > 0 | how often the derivative's term of SURE counts |
 /// | `guard` | 4, 0.3; 8, 4 | none | ≥ 0 | keeps candidates out of the blend that are clearly worse, by the smoothed errors and by the pixel's own |
 /// | `spikes` | spread | keep | | what becomes of pixels that stand out and rest on few samples |
@@ -47,6 +49,8 @@ pub struct DfcParams {
     pub feature_tau_third: f32,
     /// How distances become weights, in every filter.
     pub weighting: Weighting,
+    /// How the pixels of a box count where the sample variances in it are scaled by the halves.
+    pub box_weight: BoxWeight,
     /// How often the last term of SURE counts, 2σ²·dF/du (eq. 8.5). It stands for the covariance of noise and filtered value, and reads low: a pixel that came out low claims
     /// little variance, so that the filter follows it. Measured on nine scenes at 8 and 32 samples per pixel, pass 1 has 2 % less error with 1.5 than with 1 on average (6 % on
     /// `cornell` and on the spiky one, none more than 1 % more); with 2 some lose 5 %.
@@ -85,6 +89,7 @@ impl Default for DfcParams {
         Self {
             feature_tau_third: 5e-4,
             weighting: Weighting { symmetric: Symmetry::Blended, centre: CentreWeight::LargestNeighbour },
+            box_weight: BoxWeight::Deviation,
             covariance: 1.5,
             guard: Some(Guard { smoothed_error: 4.0, smoothed_noise: 0.3, own_sigmas: 8.0, own_noise: 4.0 }),
             spikes: Spikes::Spread,
@@ -107,6 +112,7 @@ impl DfcParams {
             feature_tau: 1e-2,
             feature_tau_third: 1e-3,
             weighting: Weighting { symmetric: Symmetry::Off, centre: CentreWeight::One },
+            box_weight: BoxWeight::Even,
             covariance: 1.0,
             guard: None,
             spikes: Spikes::Keep,
