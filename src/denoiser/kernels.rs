@@ -47,7 +47,7 @@ impl Denoiser {
         self.gpu.set_memory_limit(self.max_memory);
         let mut rec = self.gpu.record();
         let plan_of_part = plan.starting_at(IVec2::new(part.x, part.y));
-        let on_gpu = FrameInput::upload(&mut rec, &part_of_frame, &all_of_it, &units, &plan_of_part)?.as_part_of(frame, &units);
+        let on_gpu = FrameInput::upload(&mut rec, &part_of_frame, &all_of_it, &units, &plan_of_part)?.settled_for(frame, &units);
         let kernels = self.method.kernels(&mut rec, on_gpu, pixel, &plan_of_part, self.schedule)?;
         rec.submit()?;
 

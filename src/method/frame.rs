@@ -146,8 +146,8 @@ impl<'a> FrameInput<'a> {
         Ok(Self { extent, color, features, samples, mean_variance: mean_variance(frame.color(), units) })
     }
 
-    /// The same as a part of a frame, where what is settled for all of it is settled for that one.
-    pub(crate) fn as_part_of(self, whole: &Frame, units: &Units) -> Self {
+    /// The same as a part of a frame: what is settled for a frame as a whole is settled for that one.
+    pub(crate) fn settled_for(self, whole: &Frame, units: &Units) -> Self {
         Self { mean_variance: mean_variance(whole.color(), units), ..self }
     }
 }

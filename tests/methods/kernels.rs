@@ -35,6 +35,10 @@ fn at(image: &Image, (x, y): (u32, u32)) -> Vec<f32> {
     image.planes.iter().map(|plane| plane[(y * image.extent.width + x) as usize]).collect()
 }
 
+fn at_cell(image: &Image, cell: usize) -> Vec<f32> {
+    image.planes.iter().map(|plane| plane[cell]).collect()
+}
+
 fn layer<'a>(estimate: &'a Estimate, name: &str) -> &'a Image {
     &estimate.layers.iter().find(|layer| layer.name == name).unwrap_or_else(|| panic!("no layer {name}")).image
 }
@@ -61,14 +65,14 @@ fn check(what: &str, kernel: &FilterKernel, expected: &[f32], place: (u32, u32),
     assert_eq!((side, weights.len()), (2 * kernel.window_radius as usize + 1, side * side), "{what}");
     assert_eq!(kernel.pixel(middle), Some(place), "{what}");
     assert!(weights[middle] > 0.0, "{what}: the pixel weighs {}", weights[middle]);
-    for cell in 0..side * side {
+    for (cell, &weight) in weights.iter().enumerate() {
         let (dx, dy) = ((cell % side) as i64 - i64::from(kernel.window_radius), (cell / side) as i64 - i64::from(kernel.window_radius));
         let (x, y) = (i64::from(place.0) + dx, i64::from(place.1) + dy);
         let is_inside = (0..i64::from(extent.width)).contains(&x) && (0..i64::from(extent.height)).contains(&y);
         assert_eq!(kernel.pixel(cell), is_inside.then_some((x as u32, y as u32)), "{what}: {dx}, {dy}");
         let distances = kernel.distances.iter().map(|distance| (distance.distances.planes[0][cell], distance.weights.planes[0][cell]));
         if !is_inside {
-            assert_eq!(weights[cell], 0.0, "{what}: {dx}, {dy}");
+            assert_eq!(weight, 0.0, "{what}: {dx}, {dy}");
             assert!(distances.into_iter().all(|(distance, weight)| distance == f32::INFINITY && weight == 0.0), "{what}: {dx}, {dy}");
         } else if cell == middle {
             assert!(distances.into_iter().all(|(distance, weight)| distance == 0.0 && weight == 1.0), "{what}");
@@ -76,21 +80,20 @@ fn check(what: &str, kernel: &FilterKernel, expected: &[f32], place: (u32, u32),
         } else {
             assert!(distances.clone().all(|(distance, weight)| distance.is_finite() && (0.0..=1.0).contains(&weight)), "{what}: {dx}, {dy}");
             if kernel.rule == WeightRule::Least {
-                assert_eq!(weights[cell], distances.map(|(_, weight)| weight).fold(1.0, f32::min), "{what}: {dx}, {dy}");
+                assert_eq!(weight, distances.map(|(_, weight)| weight).fold(1.0, f32::min), "{what}: {dx}, {dy}");
             }
             let least = kernel.decided_by(cell).map_or(1.0, |distance| distance.weights.planes[0][cell]);
-            assert!(kernel.rule != WeightRule::Least || weights[cell] == least, "{what}: {dx}, {dy}");
+            assert!(kernel.rule != WeightRule::Least || weight == least, "{what}: {dx}, {dy}");
         }
     }
 
     let sum: f64 = weights.iter().map(|weight| f64::from(*weight)).sum();
     assert!((f64::from(kernel.weight_sum) - sum).abs() <= 1e-6 * sum, "{what}: Σ w is {} and not {sum}", kernel.weight_sum);
-    for channel in 0..3 {
-        let colors = &kernel.colors.planes[channel];
+    for (channel, (colors, expected)) in kernel.colors.planes.iter().zip(expected).enumerate() {
         let centre = f64::from(colors[middle]);
         let average = |value: &dyn Fn(f64) -> f64| colors.iter().zip(weights).map(|(u, w)| f64::from(*w) * value(f64::from(*u) - centre)).sum::<f64>() / sum;
         let (mean, span) = (centre + average(&|off| off), average(&f64::abs) + 0.01 * centre.abs());
-        for (of, value) in [("itself", kernel.value[channel]), ("the method", expected[channel])] {
+        for (of, value) in [("itself", kernel.value[channel]), ("the method", *expected)] {
             let off = (f64::from(value) - mean).abs();
             assert!(
                 off <= ROUNDING * span + 1e-7 * centre.abs(),
@@ -121,6 +124,11 @@ fn check_candidates_of(what: &str, frame: &Frame, denoiser: &Denoiser, expected:
             let color = (filter.name != "third").then_some("colour".to_owned());
             assert_eq!(compared, color.into_iter().chain(estimate.features.iter().cloned()).collect::<Vec<_>>(), "{what}: {}", filter.name);
             check(what, filter, &at(layer(&estimate, filter.name), place), place, frame.extent());
+            for (cell, color) in (0..filter.weights.extent.pixels()).map(|cell| (cell, at_cell(&filter.colors, cell))) {
+                // Spikes may lie anywhere, where they are looked for.
+                let as_given = filter.pixel(cell).map_or(vec![0.0; 3], |pixel| at(&frame.color().mean, pixel));
+                assert!(denoiser.method().spikes() != Spikes::Keep || color == as_given, "{what}: the colour of cell {cell} is {color:?} and not {as_given:?}");
+            }
         }
     }
 }
