@@ -1,7 +1,7 @@
 //! Which neighbours made a pixel, and why: the kernels of a method's filters at one pixel.
 //!
-//! A kernel is made of what the filter itself reads: spikes repaired, variances scaled, features prefiltered, patch distances from the same stage. So that its weights make the value that
-//! the filter makes.
+//! A kernel is made of what the filter itself reads: spikes repaired, variances scaled, features prefiltered, patch distances from the same stage. Averaged with its weights, the
+//! neighbours give the value that the filter gives, but for the rounding of float32 sums.
 
 use std::sync::Arc;
 
@@ -49,9 +49,9 @@ pub struct FilterKernel {
     pub name: &'static str,
     /// R, in pixels.
     pub window_radius: u32,
-    /// One plane: w(p, q) as it enters the average, at least 0 and in no particular scale; 0 for cells outside of the frame. Where pairs of opposite neighbours stand in for each
+    /// One plane: w(p, q) as it enters the average, from 0 to 1; 0 for cells outside of the frame. Where pairs of opposite neighbours stand in for each
     /// other ([`Symmetry`](crate::stage::nlm::Symmetry)), each of the two cells has the weight that its own pixel is averaged with, the share in the weight of their mean included.
-    /// In the middle the weight of the pixel itself, by the rule of [`CentreWeight`](crate::stage::nlm::CentreWeight).
+    /// In the middle the weight of the pixel itself, by the rule of [`CentreWeight`].
     pub weights: Image,
     /// Σ w over the window.
     pub weight_sum: f32,
