@@ -10,7 +10,7 @@
 // An invocation filters PIXELS pixels in a row and goes through the offsets row by row: the neighbours of one offset are those of the offset before, but for one. They stay in
 // registers, as do the running sums.
 #import stein::nlm::{NlmParams, PairWeights, EPSILON, DISTANCE_LIMIT, has_opposite, patch_members, pair_weights}
-#import stein::candidates::{CandidateParams, WEIGHT_LANES, LARGEST_LANES, MEAN_SUM, PERTURBED_SUM, SPREAD_SUM, PLANES_WITH_COLOR, THIRD_MEAN_SUM, THIRD_SPREAD_SUM, difference_step}
+#import stein::candidates::{CandidateParams, FeatureGroup, feature_group, feature_distances, WEIGHT_LANES, LARGEST_LANES, MEAN_SUM, PERTURBED_SUM, SPREAD_SUM, PLANES_WITH_COLOR, THIRD_MEAN_SUM, THIRD_SPREAD_SUM, difference_step}
 
 #ifdef SECOND
 const SECOND_RADIUS: i32 = #{PATCH_RADIUS};
@@ -54,11 +54,7 @@ struct Pixel {
     spread: vec3<f32>,
     variance: vec3<f32>,
 #if FEATURE_GROUPS != 0
-    value: array<vec4<f32>, FEATURE_GROUPS>,
-    residual: array<vec4<f32>, FEATURE_GROUPS>,
-    // max(τ, scale), of FIRST and SECOND and of THIRD.
-    reach: array<vec4<f32>, FEATURE_GROUPS>,
-    third_reach: array<vec4<f32>, FEATURE_GROUPS>,
+    features: array<FeatureGroup, FEATURE_GROUPS>,
 #endif
 }
 
@@ -97,11 +93,9 @@ fn centre_at(x: i32, row: i32) -> Pixel {
     pixel.variance = variance_of_mean[at].xyz;
 #if FEATURE_GROUPS != 0
     for (var group = 0; group < FEATURE_GROUPS; group++) {
-        pixel.value[group] = features[3 * group * pixels + at];
-        pixel.residual[group] = features[(3 * group + 1) * pixels + at];
-        let scale = features[(3 * group + 2) * pixels + at];
-        pixel.reach[group] = max(vec4<f32>(filter_params.feature_tau), scale);
-        pixel.third_reach[group] = max(vec4<f32>(filter_params.feature_tau_third), scale);
+        let first = 3 * group * pixels + at;
+        let scale = features[first + 2 * pixels];
+        pixel.features[group] = feature_group(features[first], features[first + pixels], scale, filter_params.feature_tau, filter_params.feature_tau_third);
     }
 #endif
     return pixel;
@@ -119,11 +113,10 @@ fn neighbour_at(x: i32, row: i32) -> Pixel {
     pixel.variance = neighbours_variance[at].xyz;
 #if FEATURE_GROUPS != 0
     for (var group = 0; group < FEATURE_GROUPS; group++) {
-        pixel.value[group] = neighbours_features[3 * group * pixels + at];
-        pixel.residual[group] = neighbours_features[(3 * group + 1) * pixels + at];
-        let scale = neighbours_features[(3 * group + 2) * pixels + at];
-        pixel.reach[group] = max(vec4<f32>(filter_params.feature_tau), scale);
-        pixel.third_reach[group] = max(vec4<f32>(filter_params.feature_tau_third), scale);
+        let first = 3 * group * pixels + at;
+        let value = neighbours_features[first];
+        let scale = neighbours_features[first + 2 * pixels];
+        pixel.features[group] = feature_group(value, neighbours_features[first + pixels], scale, filter_params.feature_tau, filter_params.feature_tau_third);
     }
 #endif
     return pixel;
@@ -273,41 +266,18 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
 #if FEATURE_GROUPS != 0
                 for (var group = 0; group < FEATURE_GROUPS; group++) {
                     let triple = filter_params.triple_weights[group].xyz;
-                    let to_q1 = p.value[group] - q1.value[group];
-                    let to_q2 = p.value[group] - q2.value[group];
-#ifdef SYMMETRIC
-                    let least_q1 = min(p.residual[group], q1.residual[group]);
-                    let least_q2 = min(p.residual[group], q2.residual[group]);
-                    let squared_q1 = (to_q1 * to_q1 - (p.residual[group] + least_q1)) * filter_params.inverse_feature_k_squared;
-                    let squared_q2 = (to_q2 * to_q2 - (p.residual[group] + least_q2)) * filter_params.inverse_feature_k_squared;
-                    let to_both = 0.5 * (to_q1 + to_q2);
-                    let squared_both = (to_both * to_both - (p.residual[group] + 0.25 * (least_q1 + least_q2))) * filter_params.inverse_feature_k_squared;
-                    let phi_q1 = squared_q1 / (p.reach[group] + q1.reach[group]);
-                    let phi_q2 = squared_q2 / (p.reach[group] + q2.reach[group]);
-                    let phi_both = squared_both / (p.reach[group] + 0.25 * (q1.reach[group] + q2.reach[group]));
-                    let phi_third_q1 = squared_q1 / (p.third_reach[group] + q1.third_reach[group]);
-                    let phi_third_q2 = squared_q2 / (p.third_reach[group] + q2.third_reach[group]);
-#else
-                    // The printed form: the scale of p alone, the full variance of q.
-                    let squared_q1 = (to_q1 * to_q1 - (p.residual[group] + q1.residual[group])) * filter_params.inverse_feature_k_squared;
-                    let squared_q2 = (to_q2 * to_q2 - (p.residual[group] + q2.residual[group])) * filter_params.inverse_feature_k_squared;
-                    let phi_q1 = squared_q1 / p.reach[group];
-                    let phi_q2 = squared_q2 / p.reach[group];
-                    let phi_both = vec4<f32>(0.0);
-                    let phi_third_q1 = squared_q1 / p.third_reach[group];
-                    let phi_third_q2 = squared_q2 / p.third_reach[group];
-#endif
+                    let d = feature_distances(p.features[group], q1.features[group], q2.features[group], triple, filter_params.inverse_feature_k_squared);
                     // Lane 0: the triple, lane 1: the single.
                     let w = pair_weights(
-                        vec4<f32>(dot(phi_q1.xyz, triple), phi_q1.w, 0.0, 0.0),
-                        vec4<f32>(dot(phi_q2.xyz, triple), phi_q2.w, 0.0, 0.0),
-                        vec4<f32>(dot(phi_both.xyz, triple), phi_both.w, 0.0, 0.0),
+                        vec4<f32>(d.ahead, 0.0, 0.0),
+                        vec4<f32>(d.behind, 0.0, 0.0),
+                        vec4<f32>(d.both, 0.0, 0.0),
                         both_inside,
                     );
                     feature_q1 = min(feature_q1, min(w.ahead.x, w.ahead.y));
                     feature_q2 = min(feature_q2, min(w.behind.x, w.behind.y));
-                    third_distance_q1 = max(third_distance_q1, max(dot(phi_third_q1.xyz, triple), phi_third_q1.w));
-                    third_distance_q2 = max(third_distance_q2, max(dot(phi_third_q2.xyz, triple), phi_third_q2.w));
+                    third_distance_q1 = max(third_distance_q1, max(d.third_ahead.x, d.third_ahead.y));
+                    third_distance_q2 = max(third_distance_q2, max(d.third_behind.x, d.third_behind.y));
                 }
 #endif
 

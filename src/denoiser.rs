@@ -1,5 +1,7 @@
 //! The denoiser: frames in, estimates out.
 
+mod kernels;
+
 use std::ops::ControlFlow;
 use std::time::Instant;
 
@@ -218,7 +220,7 @@ impl Denoiser {
             if let Some(pace) = &pace {
                 rec.set_pace(pace.clone());
             }
-            let plan = plan.starting_at(strip.first_with_halo);
+            let plan = plan.starting_at(IVec2::new(0, strip.first_with_halo as i32));
             let on_gpu = FrameInput::upload(&mut rec, frame, strip, &units, &plan)?;
             let beside = beside.clone().map(|frame| FrameInput::upload(&mut rec, frame, strip, &units, &plan)).collect::<Result<Vec<_>>>()?;
             let extent = on_gpu.extent;

@@ -10,7 +10,7 @@ use serde::Serialize;
 
 use crate::buffers::{BufferSet, MAX_FEATURES, RawSignal, names};
 use crate::error::{Error, Result};
-use crate::image::{Extent, Image};
+use crate::image::{self, Extent, Image, Window};
 pub(crate) use noise::{NoiseTiles, TILE};
 pub use repairs::{LayerRepairs, Repairs};
 
@@ -185,6 +185,30 @@ impl Frame {
         let samples_per_pixel = sanitise::sanitise_samples(samples_per_pixel, extent, &mut repairs)?;
         let constant_features = repairs.dropped_features.clone();
         Ok((Self { extent, color, features: kept, constant_features, samples_per_pixel }, repairs))
+    }
+
+    /// A part of it, in the same units.
+    pub(crate) fn cropped(&self, part: Window) -> Self {
+        let crop = |signal: &Signal| {
+            let [half_spread, variance_of_mean] = [&signal.half_spread, &signal.variance_of_mean].map(|image| image.as_ref().map(|image| image.cropped(part)));
+            Signal { mean: signal.mean.cropped(part), half_spread, variance_of_mean }
+        };
+        let features = self.features.iter().map(|feature| {
+            let misses = if feature.misses.is_empty() { Vec::new() } else { image::cropped(&feature.misses, self.extent, part) };
+            Feature { signal: crop(&feature.signal), misses, name: feature.name.clone(), ..*feature }
+        });
+        let samples_per_pixel = match &self.samples_per_pixel {
+            SamplesPerPixel::PerPixel(counts) => SamplesPerPixel::PerPixel(counts.cropped(part)),
+            SamplesPerPixel::Uniform(count) => SamplesPerPixel::Uniform(*count),
+            SamplesPerPixel::Unknown => SamplesPerPixel::Unknown,
+        };
+        Self {
+            extent: part.extent,
+            color: crop(&self.color),
+            features: features.collect(),
+            constant_features: self.constant_features.clone(),
+            samples_per_pixel,
+        }
     }
 
     /// Width and height of all images of the frame.

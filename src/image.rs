@@ -33,10 +33,22 @@ impl Image {
         Self { extent, planes: vec![vec![value; extent.pixels()]; channels] }
     }
 
+    /// A part of it.
+    pub(crate) fn cropped(&self, part: Window) -> Self {
+        Self { extent: part.extent, planes: self.planes.iter().map(|plane| cropped(plane, self.extent, part)).collect() }
+    }
+
     /// Number of planes.
     pub fn channels(&self) -> usize {
         self.planes.len()
     }
+}
+
+/// The values of a part of a plane, which lies inside of it.
+pub(crate) fn cropped<T: Copy>(plane: &[T], extent: Extent, part: Window) -> Vec<T> {
+    let (left, width) = (part.x as usize, part.extent.width as usize);
+    let rows = plane.chunks_exact(extent.width as usize).skip(part.y as usize).take(part.extent.height as usize);
+    rows.flat_map(|row| &row[left..left + width]).copied().collect()
 }
 
 /// A rectangle of pixels in an image's own coordinates: an OpenEXR data or display window.

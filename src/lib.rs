@@ -37,7 +37,7 @@
 //! fixed weights it is filtered like the mean. So the factor of two between the variance of a half and of the mean is settled once, where the spread is made.
 //!
 //! # Where to start
-//! [`Denoiser`] for frames from files; [`Denoiser::record`] for a renderer that keeps its buffers on the GPU.
+//! [`Denoiser`] for frames from files; [`Denoiser::record`] for a renderer that keeps its buffers on the GPU; [`Denoiser::kernels`] for those who wonder about a pixel.
 
 pub mod aside;
 pub mod buffers;
@@ -56,4 +56,5 @@ pub use error::{Error, Result};
 pub use frame::Frame;
 pub use gpu::Gpu;
 pub use image::{Extent, Image};
+pub use method::kernels::{self, FilterKernel, Kernels};
 pub use method::{DfcParams, GemParams, Method, NlmParams, Preset};

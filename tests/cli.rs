@@ -377,3 +377,31 @@ fn a_full_disk_behind_standard_output_is_told() {
     let ended = command(&["info", &test_image("cornell_8spp.exr")]).stdout(full).output().unwrap();
     assert_eq!(ended.status.code(), Some(5), "{}", String::from_utf8_lossy(&ended.stderr));
 }
+
+#[test]
+fn the_kernel_of_a_pixel_is_told_and_written() {
+    let (folder, input) = Folder::with("cornell_8spp.exr");
+    let window = folder.path("window.exr");
+    let told = stein(&["kernel", &input, "--pixel=3,50", "-o", &window, "--skip-feature=visibility", RADIUS]).succeeded();
+    told.said(&["pixel 3,50", "first", "second", "third", "normal", "window.exr"]);
+    let written = channels(&window);
+    assert!(written.iter().all(|(_, samples)| samples.len() == 25));
+    for channel in ["first.weight.V", "second.colour.G", "first.distance.colour.V", "third.alone.albedo.V", "third.distance.normal.V"] {
+        assert!(written.iter().any(|(name, _)| name == channel), "{channel}");
+    }
+    assert!(!written.iter().any(|(name, _)| name == "third.distance.colour.V" || name.contains("visibility")));
+    assert_eq!(attribute(&window, "pixel").as_deref(), Some("3,50"));
+
+    let document = stein(&["kernel", &input, "--pixel=0,0", "--method=gem", "--json"]).succeeded().json();
+    assert_eq!((&document["filters"][0]["filter"], &document["output"]), (&Value::from("scale"), &Value::Null));
+    assert!(document["filters"][0]["sigma"].as_f64().unwrap() >= 0.0);
+    let document = stein(&["kernel", &input, "--pixel=0,0", "--candidates=first,third", "--json", RADIUS]).succeeded().json();
+    assert_eq!((&document["filters"][1]["filter"], &document["left_out"][0]["step"]), (&Value::from("third"), &Value::from("second")));
+    let of_third = document["filters"][1]["decided"].as_array().unwrap();
+    assert!(of_third.iter().map(|decided| decided["neighbours"].as_u64().unwrap()).sum::<u64>() <= 8, "nine pixels of the window exist");
+
+    stein(&["kernel", &input, "--pixel=96,0", RADIUS]).failed(2, &["--pixel", "96×96", "from 0 to 95"]);
+    stein(&["kernel", &input, "--pixel=96"]).failed(2, &["120,64"]);
+    stein(&["kernel", &input]).failed(2, &["--pixel"]);
+    stein(&["kernel", &input, "--pixel=1,1", "-o", "window.png", RADIUS]).failed(2, &[".exr"]);
+}

@@ -98,6 +98,17 @@ fn definitions(stage: &str) -> Option<Vec<Definitions>> {
             ]);
             Some(with_rules(&[shapes, narrow].concat()))
         }
+        "nlm_window" => Some(with_rules(&combinations(&[("PATCH_RADIUS", numbers(&[0, 1, 3, 5])), ("PATCHWISE", flags())]))),
+        "candidate_window" => {
+            let radii = [("PATCH_RADIUS", numbers(&[1, 3])), ("SMALL_PATCH_RADIUS", numbers(&[0, 1])), ("FEATURE_GROUPS", numbers(&[0, 1, 2, 8]))];
+            let with_color = |set: Definitions| {
+                let is_on = |name: &str| set.iter().any(|definition| *definition == (name, true.into()));
+                let color = is_on("FIRST") || is_on("SECOND");
+                (color || is_on("THIRD")).then(|| [&set[..], &[("COLOR", color.into())]].concat())
+            };
+            let sets = combinations(&[&radii[..], &takes_part(), &[("SYMMETRIC", flags())]].concat());
+            Some(sets.into_iter().filter_map(with_color).collect())
+        }
         "candidate_accumulate" => {
             let set = |(other_frame, near): (bool, bool)| {
                 combinations(&[

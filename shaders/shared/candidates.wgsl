@@ -11,6 +11,65 @@ struct CandidateParams {
     triple_weights: array<vec4<f32>, 8>,
 }
 
+// What there is of one group of features at a pixel. x, y, z: the triple, w: the single.
+struct FeatureGroup {
+    value: vec4<f32>,
+    residual: vec4<f32>,
+    // max(τ, scale), of FIRST and SECOND and of THIRD.
+    reach: vec4<f32>,
+    third_reach: vec4<f32>,
+}
+
+// From the three planes of a group.
+fn feature_group(value: vec4<f32>, residual: vec4<f32>, scale: vec4<f32>, tau: f32, tau_third: f32) -> FeatureGroup {
+    return FeatureGroup(value, residual, max(vec4<f32>(tau), scale), max(vec4<f32>(tau_third), scale));
+}
+
+// Distances of a group from p to a pair of neighbours (eq. 8.3): x: the triple's, y: the single's; `third_` with the τ of THIRD.
+struct FeatureDistances {
+    ahead: vec2<f32>,
+    behind: vec2<f32>,
+    both: vec2<f32>,
+    third_ahead: vec2<f32>,
+    third_behind: vec2<f32>,
+}
+
+// Of the triple the mean over its channels.
+fn over_triple(distances: vec4<f32>, triple_weights: vec3<f32>) -> vec2<f32> {
+    return vec2<f32>(dot(distances.xyz, triple_weights), distances.w);
+}
+
+fn feature_distances(p: FeatureGroup, ahead: FeatureGroup, behind: FeatureGroup, triple_weights: vec3<f32>, inverse_k_squared: f32) -> FeatureDistances {
+    let to_ahead = p.value - ahead.value;
+    let to_behind = p.value - behind.value;
+#ifdef SYMMETRIC
+    let least_ahead = min(p.residual, ahead.residual);
+    let least_behind = min(p.residual, behind.residual);
+    let squared_ahead = (to_ahead * to_ahead - (p.residual + least_ahead)) * inverse_k_squared;
+    let squared_behind = (to_behind * to_behind - (p.residual + least_behind)) * inverse_k_squared;
+    let to_both = 0.5 * (to_ahead + to_behind);
+    let squared_both = (to_both * to_both - (p.residual + 0.25 * (least_ahead + least_behind))) * inverse_k_squared;
+    return FeatureDistances(
+        over_triple(squared_ahead / (p.reach + ahead.reach), triple_weights),
+        over_triple(squared_behind / (p.reach + behind.reach), triple_weights),
+        over_triple(squared_both / (p.reach + 0.25 * (ahead.reach + behind.reach)), triple_weights),
+        over_triple(squared_ahead / (p.third_reach + ahead.third_reach), triple_weights),
+        over_triple(squared_behind / (p.third_reach + behind.third_reach), triple_weights),
+    );
+#else
+    // The printed form: the scale of p alone, the full variance of q.
+    let squared_ahead = (to_ahead * to_ahead - (p.residual + ahead.residual)) * inverse_k_squared;
+    let squared_behind = (to_behind * to_behind - (p.residual + behind.residual)) * inverse_k_squared;
+    return FeatureDistances(
+        over_triple(squared_ahead / p.reach, triple_weights),
+        over_triple(squared_behind / p.reach, triple_weights),
+        vec2<f32>(0.0),
+        over_triple(squared_ahead / p.third_reach, triple_weights),
+        over_triple(squared_behind / p.third_reach, triple_weights),
+    );
+#endif
+}
+
 // Planes of the running sums. Lane 0 of a "lanes" plane belongs to the filter itself, lanes 1 to 3 to the filter with channel 0 to 2 of the centre pixel perturbed.
 const WEIGHT_LANES: i32 = 0;       // Σ w
 const LARGEST_LANES: i32 = 1;      // largest w

@@ -1,4 +1,4 @@
-// Tiles of a frame around which nothing has noise, seen from an image that is a strip of it.
+// Tiles of a frame around which nothing has noise, seen from an image that is a part of it.
 #define_import_path stein::exact
 
 struct ExactParams {
@@ -6,12 +6,12 @@ struct ExactParams {
     // Side of a tile in pixels, and tiles in a row of the frame.
     tile: i32,
     tile_columns: i32,
-    // Row of the frame at which the image begins.
-    first_row: i32,
+    // Pixel of the frame at which the image begins.
+    first: vec2<i32>,
     planes: i32,
 }
 
 fn tile_index(p: vec2<i32>, params: ExactParams) -> i32 {
-    let tile = vec2<i32>(p.x, p.y + params.first_row) / params.tile;
+    let tile = (p + params.first) / params.tile;
     return tile.y * params.tile_columns + tile.x;
 }

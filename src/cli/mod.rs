@@ -10,6 +10,7 @@ mod failure;
 mod info;
 mod inspect;
 pub(crate) mod interrupt;
+mod kernel;
 mod options;
 mod out;
 mod output;
@@ -52,6 +53,7 @@ pub(crate) struct Cli {
 enum Command {
     Denoise(denoise::Args),
     Info(info::Args),
+    Kernel(kernel::Args),
     SampleMap(sample_map::Args),
     Adapt(Box<adapt::Args>),
     Render(render::Args),
@@ -70,10 +72,12 @@ pub(crate) fn run(cli: &Cli, out: &mut Out) -> Result<(), Failure> {
     match &cli.command {
         Some(Command::Denoise(args)) if args.device.list_devices => devices::run(&devices::Args { json: args.json }, out),
         Some(Command::Bench(args)) if args.device.list_devices => devices::run(&devices::Args { json: args.json }, out),
+        Some(Command::Kernel(args)) if args.device.list_devices => devices::run(&devices::Args { json: args.json }, out),
         Some(Command::SampleMap(args)) if args.device.list_devices => devices::run(&devices::Args { json: args.json }, out),
         Some(Command::Adapt(args)) if args.device.list_devices => devices::run(&devices::Args { json: args.json }, out),
         Some(Command::Selftest(args)) if args.device.list_devices => devices::run(&devices::Args { json: args.json }, out),
         Some(Command::Denoise(args)) => denoise::run(args, out),
+        Some(Command::Kernel(args)) => kernel::run(args, out),
         Some(Command::SampleMap(args)) => sample_map::run(args, out),
         Some(Command::Adapt(args)) => adapt::run(args, out),
         Some(Command::Render(args)) => render::run(args, out),

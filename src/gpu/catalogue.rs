@@ -15,6 +15,7 @@ pub(super) const SHARED: &[(&str, &str)] = sources!("shaders/shared":
     "candidates",
     "exact",
     "spike",
+    "window",
 );
 
 /// The stages: each file is one kernel.
@@ -34,9 +35,11 @@ pub(super) const STAGES: &[(&str, &str)] = sources!("shaders":
     "nlm_distance",
     "nlm_weight",
     "nlm_filter",
+    "nlm_window",
     "feature_pack",
     "candidate_accumulate",
     "candidate_resolve",
+    "candidate_window",
     "error_sure",
     "error_blend",
     "error_halves",

@@ -10,6 +10,7 @@ use glam::IVec2;
 use super::common::{Auxiliary, SCALE_RADIUS, input_variance};
 use super::estimate::{GpuEstimate, Intermediate, Keeper, Lane, RGB, Shares, Unit};
 use super::frame::FeatureInput;
+use super::kernels::{Compared, KernelOnGpu, WeightRule, WeightsOnGpu};
 use super::memory::{Footprint, UPLOADED_PLANES};
 use super::plan::{Facts, Plan, Step};
 use super::{FrameInput, GpuSignal};
@@ -18,11 +19,13 @@ use crate::gpu::{Buffer, Recorder};
 use crate::stage::candidate::{CANDIDATE_PLANES, CandidateBeside, CandidateFilter, CandidatesInTime, Needed, STATE_PLANES, candidates};
 use crate::stage::candidate_set::CandidateSet;
 use crate::stage::error::{ErrorParts, MadeOf, error_blend, error_sure};
+use crate::stage::exact::Region;
 use crate::stage::feature::{Features, Packing, feature_pack};
 use crate::stage::nlm::{Beside, Guide, Lanes, Payload, Schedule, nlm_filter};
-use crate::stage::sample::sample_density;
+use crate::stage::sample::{GpuSamples, sample_density};
 use crate::stage::select::{Evidence, HARM, Noisy, select_blend, select_frames, select_least, select_pass, select_share};
 use crate::stage::variance::{BoxWeight, INPUT_SMOOTHING, RESIDUAL_SMOOTHING, variance_smooth};
+use crate::stage::window::{WindowOfCandidates, candidate_window};
 
 pub use params::{DfcParams, SecondPass};
 pub(super) use plan::plan;
@@ -66,34 +69,12 @@ pub(crate) fn dfc(
     schedule: Schedule,
     progress: impl FnMut(&mut Recorder, f32) -> Result<()>,
 ) -> Result<GpuEstimate> {
-    let FrameInput { extent, mut color, features, samples, .. } = frame;
+    let extent = frame.extent;
     let weighting = params.weighting;
     let mut keeper = Keeper::new(&plan.keep);
-
-    // Space-time filtering (8.6): the window gains frames. What belongs to a pixel comes from its own frame.
-    let (mut colors_beside, features_beside): (Vec<_>, Vec<_>) = beside.into_iter().map(|frame| (frame.color, frame.features)).unzip();
-
-    // Feature prefiltering.
-    let features = prefilter(rec, extent, std::iter::once(features).chain(features_beside).collect(), plan, params, schedule, &mut keeper)?;
-
-    // Spikes.
-    let mut spikes = None;
-    if plan.begins(rec, Step::Spikes) {
-        (color, spikes) = params.spikes.repair(rec, extent, color, features.first())?;
-        for (index, color) in colors_beside.iter_mut().enumerate() {
-            *color = params.spikes.repair(rec, extent, color.clone(), features.get(1 + index))?.0;
-        }
-    }
-    if let Some(spikes) = &spikes {
-        keeper.keep(Intermediate::Spikes, "spikes", &RGB, Unit::Color, spikes, 0);
-    }
-
-    // Sample variance scaling.
-    plan.begins(rec, Step::Variance);
-    let variance = input_variance(rec, extent, &color, params.box_weight)?;
+    let Prepared { color, variance, features, spikes, samples, colors_beside, variances_beside } =
+        Prepared::new(rec, frame, beside, params, plan, schedule, &mut keeper)?;
     let signal = &color.signal;
-    keeper.keep(Intermediate::Variance, "scaled_variance", &RGB, Unit::ColorSquared, &variance, 0);
-    let variances_beside = colors_beside.iter().map(|color| input_variance(rec, extent, color, params.box_weight)).collect::<Result<Vec<_>>>()?;
 
     // Candidate filters.
     plan.begins(rec, Step::Candidates);
@@ -101,16 +82,7 @@ pub(crate) fn dfc(
     let neighbours =
         neighbours.map(|(index, (color, variance_of_mean))| CandidateBeside { signal: &color.signal, variance_of_mean, features: features.get(1 + index) });
     let neighbours: Vec<_> = neighbours.collect();
-    let filter = CandidateFilter {
-        window_radius: params.window_radius,
-        color_k: params.color_k,
-        first_patch_radius: params.first_patch_radius,
-        second_patch_radius: params.second_patch_radius,
-        feature_k: params.feature_k,
-        feature_tau: params.feature_tau,
-        feature_tau_third: params.feature_tau_third,
-        weighting,
-    };
+    let filter = candidate_filter(params);
     let needed = Needed {
         candidates: plan.candidates(),
         derivatives: plan.runs(&Step::Derivatives),
@@ -213,6 +185,109 @@ pub(crate) fn dfc(
         spikes,
         kept: keeper.into_kept(),
     })
+}
+
+/// The kernels of the candidates at a pixel.
+pub(super) fn kernels(rec: &mut Recorder, frame: FrameInput, pixel: IVec2, params: &DfcParams, plan: &Plan, schedule: Schedule) -> Result<Vec<KernelOnGpu>> {
+    let extent = frame.extent;
+    let names: Vec<String> = frame.features.iter().map(|feature| feature.name.clone()).collect();
+    let Prepared { color, variance, features, .. } = Prepared::new(rec, frame, Vec::new(), params, plan, schedule, &mut Keeper::new(&[]))?;
+    plan.begins(rec, Step::Candidates);
+    let taking_part = plan.candidates();
+    let numbered = (0..).zip(BY_CANDIDATE).zip(taking_part.flags()).filter_map(|(candidate, takes_part)| takes_part.then_some(candidate));
+    let window_radius = params.window_radius;
+    if plan.exact(&Step::Candidates).is_some_and(|exact| exact.is_exact(&Region { first: pixel, size: IVec2::ONE })) {
+        let left = |(_, name)| KernelOnGpu { name, averaged: color.signal.clone(), weights: WeightsOnGpu::Exact { window_radius } };
+        return Ok(numbered.map(left).collect());
+    }
+    let (features, filter, grey) = (features.first(), candidate_filter(params), !plan.runs(&Step::Channels));
+    let window = candidate_window(rec, extent, pixel, &color.signal, &variance, features, &filter, taking_part, grey, schedule)?;
+    let cells = Arc::new(window.cells);
+    let kernel = |(candidate, name): (u32, &'static str)| {
+        let patch_radius = [Some(params.first_patch_radius), Some(params.second_patch_radius), None][candidate as usize];
+        let of_color = patch_radius.map(|patch_radius| (Compared::Color { patch_radius, k: params.color_k }, WindowOfCandidates::color(candidate)));
+        let tau = if candidate == 2 { params.feature_tau_third } else { params.feature_tau };
+        let slots = features.iter().flat_map(|features| &features.packing.slots);
+        let of_features = names
+            .iter()
+            .zip(slots)
+            .map(|(name, slot)| (Compared::Feature { name: name.clone(), k: params.feature_k, tau }, WindowOfCandidates::feature(candidate, *slot)));
+        let weights = WeightsOnGpu::Cells {
+            cells: cells.clone(),
+            window_radius,
+            weight: WindowOfCandidates::weight(candidate),
+            distances: of_color.into_iter().chain(of_features).collect(),
+            rule: WeightRule::Least,
+            centre: params.weighting.centre,
+        };
+        KernelOnGpu { name, averaged: color.signal.clone(), weights }
+    };
+    Ok(numbered.map(kernel).collect())
+}
+
+fn candidate_filter(params: &DfcParams) -> CandidateFilter {
+    CandidateFilter {
+        window_radius: params.window_radius,
+        color_k: params.color_k,
+        first_patch_radius: params.first_patch_radius,
+        second_patch_radius: params.second_patch_radius,
+        feature_k: params.feature_k,
+        feature_tau: params.feature_tau,
+        feature_tau_third: params.feature_tau_third,
+        weighting: params.weighting,
+    }
+}
+
+/// What the candidates are made from.
+struct Prepared {
+    /// Without spikes.
+    color: GpuSignal,
+    variance: Arc<Buffer>,
+    /// Of the own frame, then of those beside; empty where there are none.
+    features: Vec<Features>,
+    /// What was taken from the own frame.
+    spikes: Option<Arc<Buffer>>,
+    samples: GpuSamples,
+    colors_beside: Vec<GpuSignal>,
+    variances_beside: Vec<Arc<Buffer>>,
+}
+
+impl Prepared {
+    fn new(
+        rec: &mut Recorder,
+        frame: FrameInput,
+        beside: Vec<FrameInput>,
+        params: &DfcParams,
+        plan: &Plan,
+        schedule: Schedule,
+        keeper: &mut Keeper,
+    ) -> Result<Self> {
+        let FrameInput { extent, mut color, features, samples, .. } = frame;
+        // Space-time filtering (8.6): the window gains frames. What belongs to a pixel comes from its own frame.
+        let (mut colors_beside, features_beside): (Vec<_>, Vec<_>) = beside.into_iter().map(|frame| (frame.color, frame.features)).unzip();
+
+        // Feature prefiltering.
+        let features = prefilter(rec, extent, std::iter::once(features).chain(features_beside).collect(), plan, params, schedule, keeper)?;
+
+        // Spikes.
+        let mut spikes = None;
+        if plan.begins(rec, Step::Spikes) {
+            (color, spikes) = params.spikes.repair(rec, extent, color, features.first())?;
+            for (index, color) in colors_beside.iter_mut().enumerate() {
+                *color = params.spikes.repair(rec, extent, color.clone(), features.get(1 + index))?.0;
+            }
+        }
+        if let Some(spikes) = &spikes {
+            keeper.keep(Intermediate::Spikes, "spikes", &RGB, Unit::Color, spikes, 0);
+        }
+
+        // Sample variance scaling.
+        plan.begins(rec, Step::Variance);
+        let variance = input_variance(rec, extent, &color, params.box_weight)?;
+        keeper.keep(Intermediate::Variance, "scaled_variance", &RGB, Unit::ColorSquared, &variance, 0);
+        let variances_beside = colors_beside.iter().map(|color| input_variance(rec, extent, color, params.box_weight)).collect::<Result<Vec<_>>>()?;
+        Ok(Self { color, variance, features, spikes, samples, colors_beside, variances_beside })
+    }
 }
 
 /// Prefilters each feature by itself (Algorithm 1 lines 4 to 10) and packs them for the candidates; features without noise are taken as they are. Empty where there are
@@ -320,13 +395,17 @@ pub(super) fn footprint(params: &DfcParams, facts: &Facts, kept: bool, schedule:
     }
 }
 
-pub(super) fn halo(params: &DfcParams) -> u32 {
+/// How far the candidates depend on a frame.
+pub(super) fn reach_of_candidates(params: &DfcParams) -> u32 {
     let scaled_variance = SCALE_RADIUS.max(INPUT_SMOOTHING.radius);
     // One more for the gradient, which is less than the smoothing of the residual variance.
     let features = PREFILTER.window_radius + PREFILTER.patch_radius + scaled_variance + RESIDUAL_SMOOTHING.radius.max(1);
     let scaled_variance = scaled_variance + params.spikes.reach(features);
-    let candidates = params.window_radius + features.max(params.second_patch_radius + scaled_variance);
-    let errors = ERROR_SMOOTHING.window_radius + ERROR_SMOOTHING.patch_radius + candidates;
+    params.window_radius + features.max(params.second_patch_radius + scaled_variance)
+}
+
+pub(super) fn halo(params: &DfcParams) -> u32 {
+    let errors = ERROR_SMOOTHING.window_radius + ERROR_SMOOTHING.patch_radius + reach_of_candidates(params);
     let pass1 = SELECTION_SMOOTHING.window_radius + SELECTION_SMOOTHING.patch_radius + errors;
     let pass2 = params.second_pass.map_or(0, |pass| pass.window_radius(params.window_radius) + pass.patch_radius + RESIDUAL_SMOOTHING.radius);
     let density = DENSITY_SMOOTHING.window_radius + DENSITY_SMOOTHING.patch_radius;

@@ -143,8 +143,12 @@ impl<'a> FrameInput<'a> {
             }
         };
         let color = upload_signal(rec, "colour", frame.color(), strip, Affine::scale(units.exposure), Noise::Told)?;
-        let mean_variance = mean_variance(frame.color()).map(|variance| variance * units.exposure * units.exposure);
-        Ok(Self { extent, color, features, samples, mean_variance })
+        Ok(Self { extent, color, features, samples, mean_variance: mean_variance(frame.color(), units) })
+    }
+
+    /// The same as a part of a frame: what is settled for a frame as a whole is settled for that one.
+    pub(crate) fn settled_for(self, whole: &Frame, units: &Units) -> Self {
+        Self { mean_variance: mean_variance(whole.color(), units), ..self }
     }
 }
 
@@ -197,14 +201,15 @@ fn upload_signal(rec: &mut Recorder, label: &str, signal: &Signal, strip: &Strip
 }
 
 /// Of the whole image, so that all strips agree.
-fn mean_variance(signal: &Signal) -> Option<Vec3> {
+fn mean_variance(signal: &Signal, units: &Units) -> Option<Vec3> {
     let mean = |plane: &Vec<f32>, value: fn(f64) -> f64| (plane.iter().map(|v| value(f64::from(*v))).sum::<f64>() / plane.len() as f64) as f32;
     let means: Vec<f32> = match (&signal.half_spread, &signal.variance_of_mean) {
         (Some(half_spread), _) => half_spread.planes.iter().map(|plane| mean(plane, |spread| spread * spread)).collect(),
         (None, Some(variance)) => variance.planes.iter().map(|plane| mean(plane, |variance| variance)).collect(),
         (None, None) => return None,
     };
-    means.try_into().ok().map(Vec3::from_array)
+    let in_file_units = means.try_into().ok().map(Vec3::from_array);
+    in_file_units.map(|variance| variance * units.exposure * units.exposure)
 }
 
 /// Pixels that are interleaved at one time: they stay in the cache from the first channel to the last.

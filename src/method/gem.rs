@@ -4,14 +4,18 @@ mod params;
 
 use std::sync::Arc;
 
+use glam::IVec2;
+
 use super::common::{SCALE_RADIUS, input_variance};
 use super::estimate::{GpuEstimate, Intermediate, Keeper, Lane, RGB, Unit};
+use super::kernels::{KernelOnGpu, WeightsOnGpu};
 use super::memory::{Footprint, UPLOADED_PLANES};
 use super::plan::{Facts, Plan, Planner, Step, Wishes, impossible};
-use super::{FrameInput, Method};
+use super::{FrameInput, GpuSignal, Method};
 use crate::error::Result;
-use crate::gpu::Recorder;
+use crate::gpu::{Buffer, Recorder};
 use crate::stage::gaussian::{Averaging, Gaussian, gaussian};
+use crate::stage::sample::GpuSamples;
 use crate::stage::scale::{Scale, Selected, scale_advance, scale_gaussian, scale_pixel, scale_reduction, scale_stop};
 use crate::stage::variance::{BoxWeight, INPUT_SMOOTHING};
 
@@ -31,21 +35,75 @@ pub(crate) fn gem(
     frame: FrameInput,
     params: &GemParams,
     plan: &Plan,
-    mut progress: impl FnMut(&mut Recorder, f32) -> Result<()>,
+    progress: impl FnMut(&mut Recorder, f32) -> Result<()>,
 ) -> Result<GpuEstimate> {
-    let FrameInput { extent, mut color, features, samples, .. } = frame;
-    // A renderer may hand over some.
-    drop(features);
+    let extent = frame.extent;
     let mut keeper = Keeper::new(&plan.keep);
-
-    let mut spikes = None;
-    if plan.begins(rec, Step::Spikes) {
-        (color, spikes) = params.spikes.repair(rec, extent, color, None)?;
-    }
+    let Repaired { color, samples, spikes } = Repaired::new(rec, frame, params, plan)?;
     if let Some(spikes) = &spikes {
         keeper.keep(Intermediate::Spikes, "spikes", &RGB, Unit::Color, spikes, 0);
     }
+    let selected = select(rec, extent, color, samples, params, plan, &mut keeper, progress)?;
 
+    // Sample distribution (6.3): what the host ranks the pixels by, once it knows how many samples there will be.
+    if plan.begins(rec, Step::Density) {
+        let reduction = Arc::new(scale_reduction(rec, extent, &selected)?);
+        keeper.keep(Intermediate::Density, "reduction", &["relative_mse", "support", "sigma"], Unit::Number, &reduction, 0);
+    }
+    let Selected { signal, choice } = selected;
+    let (signal, choice) = (Arc::new(signal), Arc::new(choice));
+    keeper.keep(Intermediate::Scale, "scale", &["V"], Unit::Number, &choice, 0);
+    Ok(GpuEstimate {
+        error: Some(Lane { buffer: choice, plane: 0, component: 2 }),
+        weight_sum: Lane { buffer: signal.clone(), plane: 0, component: 3 },
+        signal,
+        selection: None,
+        spikes,
+        kept: keeper.into_kept(),
+    })
+}
+
+/// The kernel at a pixel: the Gaussian of the scale that it comes to.
+pub(super) fn kernels(rec: &mut Recorder, frame: FrameInput, params: &GemParams, plan: &Plan) -> Result<Vec<KernelOnGpu>> {
+    let extent = frame.extent;
+    let Repaired { color, samples, .. } = Repaired::new(rec, frame, params, plan)?;
+    let averaged = color.signal.clone();
+    let Selected { choice, .. } = select(rec, extent, color, samples, params, plan, &mut Keeper::new(&[]), |_, _| Ok(()))?;
+    let weights = WeightsOnGpu::Gaussian(Lane { buffer: Arc::new(choice), plane: 0, component: 0 });
+    Ok(vec![KernelOnGpu { name: "scale", averaged, weights }])
+}
+
+/// A frame without spikes. Of features, which a renderer may hand over, none are used.
+struct Repaired {
+    color: GpuSignal,
+    samples: GpuSamples,
+    spikes: Option<Arc<Buffer>>,
+}
+
+impl Repaired {
+    fn new(rec: &mut Recorder, frame: FrameInput, params: &GemParams, plan: &Plan) -> Result<Self> {
+        let FrameInput { extent, color, features, samples, .. } = frame;
+        drop(features);
+        if !plan.begins(rec, Step::Spikes) {
+            return Ok(Self { color, samples, spikes: None });
+        }
+        let (color, spikes) = params.spikes.repair(rec, extent, color, None)?;
+        Ok(Self { color, samples, spikes })
+    }
+}
+
+/// The scale that each pixel comes to.
+#[expect(clippy::too_many_arguments, reason = "they are what is left of the method's")]
+fn select(
+    rec: &mut Recorder,
+    extent: IVec2,
+    color: GpuSignal,
+    samples: GpuSamples,
+    params: &GemParams,
+    plan: &Plan,
+    keeper: &mut Keeper,
+    mut progress: impl FnMut(&mut Recorder, f32) -> Result<()>,
+) -> Result<Selected> {
     // Mean variances of the pixels (eq. 6.3). Scaled by the halves, where there are any, they need no purely random samples.
     plan.begins(rec, Step::Variance);
     let variance = input_variance(rec, extent, &color, BoxWeight::Deviation)?;
@@ -73,24 +131,7 @@ pub(crate) fn gem(
         done += sigma;
         progress(rec, done / work)?;
     }
-    drop((finer, pixel));
-
-    // Sample distribution (6.3): what the host ranks the pixels by, once it knows how many samples there will be.
-    if plan.begins(rec, Step::Density) {
-        let reduction = Arc::new(scale_reduction(rec, extent, &selected)?);
-        keeper.keep(Intermediate::Density, "reduction", &["relative_mse", "support", "sigma"], Unit::Number, &reduction, 0);
-    }
-    let Selected { signal, choice } = selected;
-    let (signal, choice) = (Arc::new(signal), Arc::new(choice));
-    keeper.keep(Intermediate::Scale, "scale", &["V"], Unit::Number, &choice, 0);
-    Ok(GpuEstimate {
-        error: Some(Lane { buffer: choice, plane: 0, component: 2 }),
-        weight_sum: Lane { buffer: signal.clone(), plane: 0, component: 3 },
-        signal,
-        selection: None,
-        spikes,
-        kept: keeper.into_kept(),
-    })
+    Ok(selected)
 }
 
 /// The steps in the order of [`gem`]. Without variance its decisions are no less smoothed over the pixels around, so that a frame without noise is not simply copied.

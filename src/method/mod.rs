@@ -7,16 +7,19 @@ pub mod dfc;
 mod estimate;
 mod frame;
 pub mod gem;
+pub mod kernels;
 mod memory;
 pub mod nlm;
 pub mod plan;
 mod spikes;
 
+use glam::IVec2;
 use serde::Serialize;
 
 use crate::error::{Error, Result};
 use crate::gpu::Recorder;
 use crate::stage::nlm::Schedule;
+use kernels::KernelOnGpu;
 
 pub use dfc::DfcParams;
 pub use estimate::{GpuEstimate, Intermediate, KeptPlane, Lane, Shares, Unit};
@@ -90,6 +93,16 @@ impl Method {
             Self::Dfc(params) => dfc::halo(params),
             Self::Gem(params) => gem::halo(params),
             Self::Nlm(params) => nlm::halo(params),
+        }
+    }
+
+    /// The same of its kernels ([`kernels`]).
+    pub(crate) fn reach_of_kernels(&self) -> u32 {
+        match self {
+            Self::Dfc(params) => dfc::reach_of_candidates(params),
+            // What a pixel comes to depends on all of it.
+            Self::Gem(params) => gem::halo(params),
+            Self::Nlm(params) => nlm::reach_of_filter(params),
         }
     }
 
@@ -185,6 +198,15 @@ impl Method {
             problem: format!("{} does not filter over several frames", self.name()),
             remedy: "give it one frame at a time, or choose another method".into(),
         })
+    }
+
+    /// Records what tells the kernels at a pixel, of a frame or as much of it around the pixel as they reach.
+    pub(crate) fn kernels(&self, rec: &mut Recorder, frame: FrameInput, pixel: IVec2, plan: &Plan, schedule: Schedule) -> Result<Vec<KernelOnGpu>> {
+        match self {
+            Self::Dfc(params) => dfc::kernels(rec, frame, pixel, params, plan, schedule),
+            Self::Gem(params) => gem::kernels(rec, frame, params, plan),
+            Self::Nlm(params) => nlm::kernels(rec, frame, pixel, params, plan, schedule),
+        }
     }
 
     /// Records what the plan holds of the work on a frame, in a window with the frames `beside`, which are in its units. `progress` is called with the share of it that is recorded.

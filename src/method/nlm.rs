@@ -8,6 +8,7 @@ use glam::IVec2;
 
 use super::common::{SCALE_RADIUS, input_variance};
 use super::estimate::{GpuEstimate, Intermediate, Keeper, Lane, RGB, Unit};
+use super::kernels::{Compared, KernelOnGpu, WeightRule, WeightsOnGpu};
 use super::memory::{Footprint, UPLOADED_PLANES};
 use super::plan::{Facts, Plan, Planner, Step, Wishes, impossible, needless};
 use super::{FrameInput, GpuSignal, Method};
@@ -20,6 +21,7 @@ use crate::stage::nlm::{Beside, CentreWeight, Filtered, Guide, Payload, Schedule
 use crate::stage::sample::sample_attach;
 use crate::stage::select::{HARM, Noisy, select_frames_of_filtered};
 use crate::stage::variance::{BoxWeight, INPUT_SMOOTHING, VariancePair, variance_clamp, variance_pair};
+use crate::stage::window::{NLM_DISTANCE, NLM_WEIGHT, nlm_window};
 
 pub use params::{NlmParams, NlmVariance};
 
@@ -65,13 +67,7 @@ pub(crate) fn nlm(
     let filter = |rec: &mut Recorder, buffers: &Buffers, others: &[Buffers], with_residual_variance: bool| {
         let neighbours: Vec<_> = others.iter().map(|other| Beside { signal: other.guide, variance_of_mean: other.variance }).collect();
         let payloads: Vec<_> = others.iter().map(|other| other.payload).collect();
-        let guide = Guide {
-            alpha: params.alpha,
-            patchwise: params.patchwise,
-            cut: params.cut,
-            beside: &neighbours,
-            ..Guide::new(buffers.guide, buffers.variance, 3, params.k, params.patch_radius)
-        };
+        let guide = Guide { beside: &neighbours, ..buffers.guide(params) };
         let payload = Payload { beside: &payloads, ..Payload::new(buffers.payload, buffers.payload_planes) };
         nlm_filter(rec, extent, &guide, &payload, params.window_radius, params.weighting, with_residual_variance, schedule)
     };
@@ -81,14 +77,13 @@ pub(crate) fn nlm(
             let half = |rec: &mut Recorder, buffers: fn(&Halves) -> Buffers| {
                 filter(rec, &buffers(halves), &others.iter().map(|halves| buffers(halves)).collect::<Vec<_>>(), false)
             };
-            let filtered_a = half(rec, |halves| Buffers { guide: &halves.b, variance: &halves.variance, payload: &halves.a, payload_planes: 1 })?;
+            let filtered_a = half(rec, Buffers::of_half_a)?;
             progress(rec, (from + to) / 2.0)?;
-            let filtered_b = half(rec, |halves| Buffers { guide: &halves.a, variance: &halves.variance, payload: &halves.b, payload_planes: 1 })?;
+            let filtered_b = half(rec, Buffers::of_half_b)?;
             half_join(rec, extent, [&filtered_a, &filtered_b])?
         } else {
-            let of = |signal, variance| Buffers { guide: signal, variance, payload: signal, payload_planes: 2 };
-            let others: Vec<_> = beside.iter().map(|frame| of(&frame.signal, &frame.variance)).collect();
-            filter(rec, &of(signal, variance), &others, !has_halves && plan.runs(&Step::Error))?
+            let others: Vec<_> = beside.iter().map(|frame| Buffers::of_signal(&frame.signal, &frame.variance)).collect();
+            filter(rec, &Buffers::of_signal(signal, variance), &others, !has_halves && plan.runs(&Step::Error))?
         };
         progress(rec, to)?;
         Ok::<_, Error>(filtered)
@@ -138,6 +133,58 @@ struct Buffers<'a> {
     variance: &'a Buffer,
     payload: &'a Buffer,
     payload_planes: u32,
+}
+
+impl Buffers<'_> {
+    /// Each half is filtered with the weights of the other.
+    fn of_half_a(halves: &Halves) -> Buffers<'_> {
+        Buffers { guide: &halves.b, variance: &halves.variance, payload: &halves.a, payload_planes: 1 }
+    }
+
+    fn of_half_b(halves: &Halves) -> Buffers<'_> {
+        Buffers { guide: &halves.a, variance: &halves.variance, payload: &halves.b, payload_planes: 1 }
+    }
+}
+
+impl<'a> Buffers<'a> {
+    /// With its own weights.
+    fn of_signal(signal: &'a Buffer, variance: &'a Buffer) -> Self {
+        Self { guide: signal, variance, payload: signal, payload_planes: 2 }
+    }
+
+    fn guide(&self, params: &NlmParams) -> Guide<'a> {
+        Guide { alpha: params.alpha, patchwise: params.patchwise, cut: params.cut, ..Guide::new(self.guide, self.variance, 3, params.k, params.patch_radius) }
+    }
+}
+
+/// The kernels at a pixel: of both halves where they are filtered by each other.
+pub(super) fn kernels(rec: &mut Recorder, frame: FrameInput, pixel: IVec2, params: &NlmParams, plan: &Plan, schedule: Schedule) -> Result<Vec<KernelOnGpu>> {
+    let extent = frame.extent;
+    let Prepared { signal, variance, halves, .. } = Prepared::new(rec, frame, params, plan, schedule)?;
+    plan.begins(rec, Step::Filter);
+    let mut weights = |buffers: Buffers| {
+        let cells = nlm_window(rec, extent, pixel, &buffers.guide(params), params.window_radius, params.weighting, schedule)?;
+        let color = Compared::Color { patch_radius: params.patch_radius, k: params.k };
+        Ok::<_, Error>(WeightsOnGpu::Cells {
+            cells: Arc::new(cells),
+            window_radius: params.window_radius,
+            weight: NLM_WEIGHT,
+            distances: vec![(color, NLM_DISTANCE)],
+            rule: if params.patchwise { WeightRule::PatchMean { cut: params.cut } } else { WeightRule::Cut { cut: params.cut } },
+            centre: params.weighting.centre,
+        })
+    };
+    Ok(match halves {
+        Some(halves) => {
+            let (of_a, of_b) = (weights(Buffers::of_half_a(&halves))?, weights(Buffers::of_half_b(&halves))?);
+            let Halves { a, b, .. } = halves;
+            vec![KernelOnGpu { name: "half_a", averaged: Arc::new(a), weights: of_a }, KernelOnGpu { name: "half_b", averaged: Arc::new(b), weights: of_b }]
+        }
+        None => {
+            let weights = weights(Buffers::of_signal(&signal, &variance))?;
+            vec![KernelOnGpu { name: "filter", averaged: Arc::new(signal), weights }]
+        }
+    })
 }
 
 /// What the filter needs of a frame.
@@ -253,6 +300,11 @@ pub(super) fn footprint(params: &NlmParams, beside: usize, kept: bool, schedule:
 }
 
 pub(super) fn halo(params: &NlmParams) -> u32 {
+    reach_of_filter(params) + Gaussian::new(ERROR_SMOOTHING_SIGMA).radius
+}
+
+/// How far the filter depends on a frame.
+pub(super) fn reach_of_filter(params: &NlmParams) -> u32 {
     let input = SCALE_RADIUS.max(INPUT_SMOOTHING.radius);
     let variance = match params.variance {
         NlmVariance::Uniform => 0,
@@ -262,5 +314,5 @@ pub(super) fn halo(params: &NlmParams) -> u32 {
     };
     // A weight is that of patches, and patchwise the mean over a patch of them.
     let patches = if params.patchwise { 2 * params.patch_radius } else { params.patch_radius };
-    params.window_radius + patches + variance + params.spikes.reach(0) + Gaussian::new(ERROR_SMOOTHING_SIGMA).radius
+    params.window_radius + patches + variance + params.spikes.reach(0)
 }

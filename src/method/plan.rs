@@ -2,6 +2,7 @@
 //!
 //! A method asks its plan at every step, so that the plan is what happens and not a description beside it.
 
+use glam::IVec2;
 use serde::{Serialize, Serializer};
 
 use super::frame::Units;
@@ -146,9 +147,9 @@ impl Plan {
         self.find(step)?.exact.as_ref()
     }
 
-    /// The same for a strip that begins at this row of pixels.
-    pub(crate) fn starting_at(&self, first_row: usize) -> Self {
-        let moved = |planned: &PlannedStep| PlannedStep { exact: planned.exact.as_ref().map(|exact| exact.starting_at(first_row)), ..planned.clone() };
+    /// The same for a part of the frame that begins at this pixel.
+    pub(crate) fn starting_at(&self, first: IVec2) -> Self {
+        let moved = |planned: &PlannedStep| PlannedStep { exact: planned.exact.as_ref().map(|exact| exact.starting_at(first)), ..planned.clone() };
         Self { steps: self.steps.iter().map(moved).collect(), ..self.clone() }
     }
 

@@ -14,7 +14,12 @@ use crate::gpu::{Buffer, Definition, Recorder, bindings, uniforms};
 
 uniforms! {
     struct ResolveParams { candidate: i32 }
-    struct CandidateParams { inverse_feature_k_squared: f32, feature_tau: f32, feature_tau_third: f32, triple_weights: [Vec4; MAX_GROUPS] }
+    pub(super) struct CandidateParams {
+        inverse_feature_k_squared: f32,
+        feature_tau: f32,
+        feature_tau_third: f32,
+        triple_weights: [Vec4; MAX_GROUPS],
+    }
 }
 
 bindings! {
@@ -54,6 +59,29 @@ pub struct CandidateFilter {
     /// For FIRST and SECOND. THIRD takes the symmetric distances where the others do, but never blends pairs: it is the widest filter as it is, and without a colour
     /// term nothing would hold the blend back.
     pub weighting: Weighting,
+}
+
+impl CandidateFilter {
+    /// What the colour is compared by, for those that know colours.
+    pub(super) fn guide<'a>(&self, signal: &'a Buffer, variance_of_mean: &'a Buffer, candidates: CandidateSet, grey: bool) -> Guide<'a> {
+        let CandidateSet { first: with_first, second: with_second, .. } = candidates;
+        let patch_radius = if with_second { self.second_patch_radius } else { self.first_patch_radius };
+        Guide {
+            small_patch_radius: (with_first && with_second).then_some(self.first_patch_radius),
+            grey,
+            ..Guide::new(signal, variance_of_mean, 3, self.color_k, patch_radius)
+        }
+    }
+
+    /// What the features are compared by.
+    pub(super) fn params(&self, features: Option<&Features>) -> CandidateParams {
+        CandidateParams {
+            inverse_feature_k_squared: 1.0 / (self.feature_k * self.feature_k),
+            feature_tau: self.feature_tau,
+            feature_tau_third: self.feature_tau_third,
+            triple_weights: features.map_or([Vec4::ZERO; MAX_GROUPS], |features| features.packing.triple_weights()),
+        }
+    }
 }
 
 /// A frame beside the one that is filtered, whose pixels take part as neighbours (thesis 8.6).
@@ -157,17 +185,9 @@ pub fn candidates(
     let together = Candidates::take(rec, extent, &needed)?;
     let alone = (!beside.is_empty() && needed.alone).then(|| Candidates::take(rec, extent, &needed)).transpose()?;
     let neighbours: Vec<_> = beside.iter().map(|frame| Beside { signal: frame.signal, variance_of_mean: frame.variance_of_mean }).collect();
-    let CandidateSet { first: with_first, second: with_second, .. } = needed.candidates;
-    let patch_radius = if with_second { filter.second_patch_radius } else { filter.first_patch_radius };
-    let guide = Guide {
-        small_patch_radius: (with_first && with_second).then_some(filter.first_patch_radius),
-        beside: &neighbours,
-        grey: !needed.channels,
-        exact: needed.exact,
-        ..Guide::new(signal, variance_of_mean, 3, filter.color_k, patch_radius)
-    };
-    // THIRD knows no colours.
-    let by_color = with_first || with_second;
+    let guide = Guide { beside: &neighbours, exact: needed.exact, ..filter.guide(signal, variance_of_mean, needed.candidates, !needed.channels) };
+    let patch_radius = guide.patch_radius;
+    let by_color = needed.candidates.by_color();
     let groups = features.map_or(0, |features| features.packing.groups);
     let [symmetric, hard] = filter.weighting.symmetric.definitions();
     let [takes_part_first, takes_part_second, takes_part_third] = needed.candidates.definitions();
@@ -193,12 +213,7 @@ pub fn candidates(
             hard,
         ]
     };
-    let candidate = CandidateParams {
-        inverse_feature_k_squared: 1.0 / (filter.feature_k * filter.feature_k),
-        feature_tau: filter.feature_tau,
-        feature_tau_third: filter.feature_tau_third,
-        triple_weights: features.map_or([Vec4::ZERO; MAX_GROUPS], |features| features.packing.triple_weights()),
-    };
+    let candidate = filter.params(features);
     let mut state: Option<Buffer> = None;
     for_each_chunk(rec, extent, &guide, by_color, filter.window_radius, filter.weighting, schedule, |rec, chunk| {
         let params = chunk.params;

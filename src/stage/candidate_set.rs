@@ -39,6 +39,11 @@ impl CandidateSet {
         self.flags().into_iter().filter(|takes_part| *takes_part).count()
     }
 
+    /// Whether any of them looks at the colour: THIRD knows none.
+    pub(super) fn by_color(self) -> bool {
+        self.first || self.second
+    }
+
     /// What tells the shaders.
     pub(super) fn definitions(self) -> [(&'static str, Definition); 3] {
         [("FIRST", self.first.into()), ("SECOND", self.second.into()), ("THIRD", self.third.into())]

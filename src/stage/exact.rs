@@ -9,14 +9,14 @@ use super::per_pixel;
 use crate::error::Result;
 use crate::gpu::{Buffer, Recorder, bindings, uniforms};
 
-uniforms! { struct ExactParams { extent: IVec2, tile: i32, tile_columns: i32, first_row: i32, planes: i32 } }
+uniforms! { struct ExactParams { extent: IVec2, tile: i32, tile_columns: i32, first: IVec2, planes: i32 } }
 
 bindings! {
     struct ExactCopy<'a> { uniform params: ExactParams, read tiles, read before, write result }
     struct ExactFill<'a> { uniform params: ExactParams, read tiles, write result }
 }
 
-/// Which tiles of a frame are exact, and where in the frame an image begins that is a strip of it.
+/// Which tiles of a frame are exact, and where in the frame an image begins that is a part of it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ExactTiles {
     /// Row by row, of the whole frame.
@@ -25,8 +25,8 @@ pub struct ExactTiles {
     columns: usize,
     /// Of a tile, in pixels.
     side: usize,
-    /// Row of pixels of the frame.
-    first_row: usize,
+    /// Pixel of the frame.
+    first: IVec2,
 }
 
 /// A rectangle of pixels.
@@ -41,12 +41,12 @@ pub struct Region {
 impl ExactTiles {
     /// From a flag for each tile of a frame, row by row, so many in a row, of so many pixels each way.
     pub fn new(flags: Vec<bool>, columns: usize, side: usize) -> Self {
-        Self { flags, columns, side, first_row: 0 }
+        Self { flags, columns, side, first: IVec2::ZERO }
     }
 
-    /// The same seen from a strip that begins at this row of pixels.
-    pub fn starting_at(&self, first_row: usize) -> Self {
-        Self { first_row, ..self.clone() }
+    /// The same seen from an image that begins at this pixel of the frame.
+    pub fn starting_at(&self, first: IVec2) -> Self {
+        Self { first, ..self.clone() }
     }
 
     /// The share of the tiles that are exact.
@@ -58,7 +58,7 @@ impl ExactTiles {
     pub(super) fn upload(&self, rec: &mut Recorder, extent: IVec2) -> Result<UploadedTiles> {
         let words: Vec<u32> = self.flags.iter().map(|exact| u32::from(*exact)).collect();
         let tiles = rec.upload_bytes("exact tiles", bytemuck::cast_slice(&words))?;
-        let params = ExactParams { extent, tile: self.side as i32, tile_columns: self.columns as i32, first_row: self.first_row as i32, planes: 0 };
+        let params = ExactParams { extent, tile: self.side as i32, tile_columns: self.columns as i32, first: self.first, planes: 0 };
         Ok(UploadedTiles { tiles, params })
     }
 
@@ -105,10 +105,11 @@ impl ExactTiles {
         done
     }
 
-    fn is_exact(&self, region: &Region) -> bool {
-        let tiles = |first: usize, count: i32| first / self.side..(first + count as usize).div_ceil(self.side);
-        let mut rows = tiles(region.first.y as usize + self.first_row, region.size.y);
-        let columns = tiles(region.first.x as usize, region.size.x);
+    /// Whether all tiles that a part of the image lies in are exact.
+    pub(crate) fn is_exact(&self, region: &Region) -> bool {
+        let tiles = |first: i32, count: i32| first as usize / self.side..((first + count) as usize).div_ceil(self.side);
+        let first = region.first + self.first;
+        let (columns, mut rows) = (tiles(first.x, region.size.x), tiles(first.y, region.size.y));
         rows.all(|row| self.flags[row * self.columns..][columns.clone()].iter().all(|exact| *exact))
     }
 }
@@ -173,8 +174,9 @@ mod tests {
     #[test]
     fn regions_cover_each_pixel_that_is_not_exact_once() {
         for (width, height) in [(1, 1), (70, 51), (257, 89), (16, 8)] {
-            for (seed, first_row) in [(0, 0), (1, 3), (2, 8)] {
-                let tiles = map((width as usize).div_ceil(SIDE), (height as usize + first_row).div_ceil(SIDE), seed).starting_at(first_row);
+            for (seed, first_column, first_row) in [(0, 0, 0), (1, 0, 3), (2, 0, 8), (1, 5, 3), (2, 16, 0)] {
+                let tiles_along = |size: i32, first: i32| ((size + first) as usize).div_ceil(SIDE);
+                let tiles = map(tiles_along(width, first_column), tiles_along(height, first_row), seed).starting_at(IVec2::new(first_column, first_row));
                 for cell in [IVec2::new(8, 8), IVec2::new(32, 2), IVec2::new(24, 16)] {
                     for overhead in [0, 100, 1 << 30] {
                         let extent = IVec2::new(width, height);
@@ -183,7 +185,7 @@ mod tests {
                             for x in 0..width {
                                 let p = IVec2::new(x, y);
                                 let covered = regions.iter().filter(|region| p.cmpge(region.first).all() && p.cmplt(region.first + region.size).all()).count();
-                                let is_exact = tiles.flags[(y as usize + first_row) / SIDE * tiles.columns + x as usize / SIDE];
+                                let is_exact = tiles.flags[(y + first_row) as usize / SIDE * tiles.columns + (x + first_column) as usize / SIDE];
                                 assert!(covered <= 1 && (is_exact || covered == 1), "{width}×{height}, {cell}, {overhead}: {p} is covered {covered} times");
                             }
                         }

@@ -24,6 +24,16 @@ impl Gaussian {
         Self { sigma, radius: (3.0 * sigma).ceil() as u32 }
     }
 
+    /// The weight of a pixel so far away along both axes; 1 for the pixel itself, 0 beyond the square.
+    pub(crate) fn weight(&self, offset: IVec2) -> f32 {
+        match offset.abs().max_element() {
+            // Of σ = 0, the only one.
+            0 => 1.0,
+            reach if reach > self.radius as i32 => 0.0,
+            _ => (self.exponent() * offset.length_squared() as f32).exp(),
+        }
+    }
+
     /// −1/(2σ²): the weight of a pixel at distance d is exp(d² times this).
     pub(super) fn exponent(&self) -> f32 {
         -0.5 / (self.sigma * self.sigma)

@@ -16,6 +16,7 @@ pub mod scale;
 pub mod select;
 pub mod spike;
 pub mod variance;
+pub mod window;
 
 use glam::IVec2;
 

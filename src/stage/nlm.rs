@@ -56,6 +56,14 @@ impl CentreWeight {
             Self::LargestNeighbour => 1e-3,
         }
     }
+
+    /// What a pixel weighs whose neighbours weigh at most this much.
+    pub(crate) fn weight(self, largest_neighbour: f32) -> f32 {
+        match self {
+            Self::One => 1.0,
+            Self::LargestNeighbour => largest_neighbour.max(self.floor()),
+        }
+    }
 }
 
 /// Whether pairs of opposite neighbours stand in for each other where their mean matches better than both (eq. 7.6).
@@ -285,6 +293,8 @@ pub(super) struct Chunk<'a> {
     pub(super) params: NlmParams,
     /// Of the patches, and behind them of the smaller ones, if they are wanted too; without distances it holds nothing.
     pub(super) columns: &'a Buffer,
+    /// Of distances always: of a patchwise guide, those of f rows more above and below.
+    pub(super) distances: &'a Buffer,
     /// Which of the frames beside the neighbours are in; `None`: in the frame itself.
     pub(super) beside: Option<usize>,
     /// No offsets are left for these rows in this frame.
@@ -306,11 +316,47 @@ pub(super) fn for_each_chunk(
     window_radius: u32,
     weighting: Weighting,
     schedule: Schedule,
+    consume: impl FnMut(&mut Recorder, &Chunk) -> Result<()>,
+) -> Result<()> {
+    let regions = schedule.regions(rec.gpu(), extent, window_radius as i32, guide);
+    for_each_chunk_of(rec, extent, regions, guide, with_distances, window_radius, weighting, schedule, consume)
+}
+
+/// The same for the window of one pixel: the chunks are no larger than its weights ask for, so that they hold nothing of use for any other.
+#[expect(clippy::too_many_arguments, reason = "they are the operator's definition; a struct would only rename them")]
+pub(super) fn for_each_chunk_around(
+    rec: &mut Recorder,
+    extent: IVec2,
+    pixel: IVec2,
+    guide: &Guide,
+    with_distances: bool,
+    window_radius: u32,
+    weighting: Weighting,
+    schedule: Schedule,
+    consume: impl FnMut(&mut Recorder, &Chunk) -> Result<()>,
+) -> Result<()> {
+    // A patchwise weight is made of those of the pixels in its patch; the rows of it are the chunk's margin.
+    let columns = if guide.patchwise { guide.patch_radius as i32 } else { 0 };
+    let first = IVec2::new((pixel.x - columns).max(0), pixel.y);
+    let region = Region { first, size: IVec2::new((pixel.x + columns + 1).min(extent.x) - first.x, 1) };
+    let cut = schedule.cut(rec.gpu(), region.size, window_radius as i32, guide);
+    for_each_chunk_of(rec, extent, vec![(region, cut)], guide, with_distances, window_radius, weighting, schedule, consume)
+}
+
+#[expect(clippy::too_many_arguments, reason = "they are the operator's definition; a struct would only rename them")]
+fn for_each_chunk_of(
+    rec: &mut Recorder,
+    extent: IVec2,
+    regions: Vec<(Region, Cut)>,
+    guide: &Guide,
+    with_distances: bool,
+    window_radius: u32,
+    weighting: Weighting,
+    schedule: Schedule,
     mut consume: impl FnMut(&mut Recorder, &Chunk) -> Result<()>,
 ) -> Result<()> {
     let radius = window_radius as i32;
     let patch_radius = guide.patch_radius as i32;
-    let regions = schedule.regions(rec.gpu(), extent, radius, guide);
     let largest = |bytes: &dyn Fn(&Cut) -> u64| regions.iter().map(|(_, cut)| bytes(cut)).max().unwrap_or(0);
     let column_bytes = if with_distances { largest(&|cut| cut.scratch_bytes(cut.margin) * u64::from(cut.patch_sizes)) } else { 0 };
     let columns = rec.take("column sums of distances", column_bytes)?;
@@ -381,6 +427,7 @@ pub(super) fn for_each_chunk(
                     &Chunk {
                         params,
                         columns: weight_columns.as_ref().unwrap_or(&columns),
+                        distances: &columns,
                         beside: *beside,
                         ends_frame,
                         last,

@@ -14,6 +14,7 @@ use stein_reference as reference;
 
 mod behaviour;
 mod gem;
+mod kernels;
 mod leave_out;
 mod nlm;
 mod spikes;

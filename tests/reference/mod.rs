@@ -9,6 +9,7 @@
 //! spike       what stands out on very few samples, and where it goes
 //! gaussian    averages, their variance, averages of a pixel's neighbours                      6.2, 6.4
 //! nlm         the one NL-means operator: payload, optional guide, optional features          7.1.1, 8.2, 8.3
+//! window      what the operator sees from one pixel: weights and the distances behind them  7.1.1, 8.2, 8.3
 //! prefilter   features: denoised, their residual variance and gradient                       8.3
 //! candidates  one candidate filter and its derivative                                        8.4
 //! sure        its error                                                                      8.4
@@ -36,6 +37,7 @@ pub mod select;
 pub mod spike;
 pub mod sure;
 pub mod variance;
+pub mod window;
 
 use std::num::NonZero;
 use std::ops::{Add, Range, Sub};

@@ -187,7 +187,7 @@ impl Pair {
 }
 
 /// w_c of eq. 8.2 for both neighbours; the guides are those of the frame of p and of the frame of the neighbours.
-fn color_weights(guides: (Guide, Guide), pair: &Pair, params: &FilterParams) -> [f64; 2] {
+pub(super) fn color_weights(guides: (Guide, Guide), pair: &Pair, params: &FilterParams) -> [f64; 2] {
     let (f, k, p) = (params.patch_radius, params.k_color, pair.p);
     pair_weights(pair, params.blend_pairs, |q| patch_distance(guides, k, f, p, q), |q1, q2| patch_distance_to_mean(guides, k, f, p, q1, q2))
 }
@@ -296,7 +296,7 @@ pub fn distance_to_mean_scale(v_p: f64, v_1: f64, v_2: f64, k: f64) -> f64 {
 
 /// Φ² of section 8.3, the mean over the feature's channels. As printed it is normalised by p alone and cancels all of q's
 /// variance; the symmetric filter treats the features as section 8.2 treats the colour, and scales by both pixels.
-fn feature_distance(features: (&Feature, &Feature), params: &FilterParams, p: Point, q: Point) -> f64 {
+pub(super) fn feature_distance(features: (&Feature, &Feature), params: &FilterParams, p: Point, q: Point) -> f64 {
     let k_squared = params.k_feature * params.k_feature;
     mean_over_channels(features, params.tau, |at_p, at_q| {
         let difference = at_p.mean(p) - at_q.mean(q);

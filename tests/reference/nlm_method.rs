@@ -59,7 +59,7 @@ pub fn windows(guide: Guide, filter: &Filter) -> Vec<WindowWeights> {
 }
 
 /// w(p, p + o) and w(p, p − o), 0 for a neighbour that does not exist.
-fn pair_weights(guide: Guide, p: Point, offset: Point, filter: &Filter) -> [f64; 2] {
+pub(super) fn pair_weights(guide: Guide, p: Point, offset: Point, filter: &Filter) -> [f64; 2] {
     let pair = Pair::new(&guide.mean[0], p, offset);
     let distance = |q: Option<Point>| q.map_or(f64::INFINITY, |q| patch_distance(guide, p, &[q], filter));
     let (d1, d2) = (distance(pair.q1), distance(pair.q2));
@@ -77,7 +77,7 @@ fn pair_weights(guide: Guide, p: Point, offset: Point, filter: &Filter) -> [f64;
 }
 
 /// Eq. 7.4 averaged over the patch (eq. 7.3); q is one pixel, or the mean of two (eq. 7.6).
-fn patch_distance(guide: Guide, p: Point, q: &[Point], filter: &Filter) -> f64 {
+pub(super) fn patch_distance(guide: Guide, p: Point, q: &[Point], filter: &Filter) -> f64 {
     let (mut sum, mut count, members) = (0.0, 0, q.len() as f64);
     for n in square(filter.patch_radius) {
         if !guide.mean[0].contains(p + n) || !q.iter().all(|q| guide.mean[0].contains(*q + n)) {

@@ -1,5 +1,6 @@
 //! `exact_copy` and `exact_fill`, through the filters that leave tiles out.
 
+use glam::IVec2;
 use stein::stage::exact::ExactTiles;
 use stein::stage::nlm::{CentreWeight, Guide, Payload, Schedule, Symmetry, Weighting, nlm_filter};
 
@@ -64,9 +65,9 @@ fn exact_tiles_keep_the_payload_and_nothing_else_changes() {
     }
 }
 
-/// A strip of a frame reads the tiles of its own rows, be they cut or not.
+/// A part of a frame reads its own tiles, be they cut or not.
 #[test]
-fn a_strip_keeps_what_its_frame_keeps() {
+fn a_part_keeps_what_its_frame_keeps() {
     let (width, height) = (40, 61);
     let scene = scene(width, height, 82);
     let tiles = tiles(width, height);
@@ -81,16 +82,20 @@ fn a_strip_keeps_what_its_frame_keeps() {
         })
     };
     let whole = read(gpu(), &filtered(&scene.mean, &scene.spread, &tiles.exact).planes, extent_of(&scene.mean[0])).concat();
-    for first in [0usize, 5, 8, 23] {
-        let rows = |planes: &[Grid]| -> Planes {
-            planes.iter().map(|grid| Grid { width, height: height - first, values: grid.values[first * width..].to_vec() }).collect()
+    for (left, first) in [(0usize, 0usize), (0, 5), (0, 8), (0, 23), (8, 0), (11, 5)] {
+        let part_of = |planes: &[Grid]| -> Planes {
+            let rows = |grid: &Grid| grid.values.chunks_exact(width).skip(first).flat_map(|row| row[left..].to_vec()).collect();
+            planes.iter().map(|grid| Grid { width: width - left, height: height - first, values: rows(grid) }).collect()
         };
-        let strip = filtered(&rows(&scene.mean), &rows(&scene.spread), &tiles.exact.starting_at(first));
-        let strip = read(gpu(), &strip.planes, extent_of(&rows(&scene.mean)[0])).concat();
-        // The first row has lost its neighbours above.
-        for (strip, whole) in strip.iter().zip(rows(&whole)) {
-            let skipped = if first > 0 { width } else { 0 };
-            assert!(strip.values[skipped..] == whole.values[skipped..], "from row {first}");
+        let part = filtered(&part_of(&scene.mean), &part_of(&scene.spread), &tiles.exact.starting_at(IVec2::new(left as i32, first as i32)));
+        let part = read(gpu(), &part.planes, extent_of(&part_of(&scene.mean)[0])).concat();
+        for (part, whole) in part.iter().zip(part_of(&whole)) {
+            // The first row has lost its neighbours above, the first column those on its left.
+            let kept = |grid: &Grid| -> Vec<f64> {
+                let rows = grid.values.chunks_exact(grid.width).skip(usize::from(first > 0));
+                rows.flat_map(|row| row[usize::from(left > 0)..].to_vec()).collect()
+            };
+            assert!(kept(part) == kept(&whole), "from column {left}, row {first}");
         }
     }
 }

@@ -18,6 +18,7 @@ mod scale;
 mod select;
 mod spike;
 mod variance;
+mod window;
 
 use stein_reference as reference;
 

@@ -1,0 +1,18 @@
+// One pixel's window, laid out as an image: a plane holds one vec4 per cell, row by row, and the cell of the neighbour p + o lies at o from the middle.
+#define_import_path stein::window
+
+struct WindowParams {
+    // p.
+    pixel: vec2<i32>,
+    // R: 2R+1 cells in a row.
+    radius: i32,
+}
+
+fn window_cells(window: WindowParams) -> i32 {
+    let side = 2 * window.radius + 1;
+    return side * side;
+}
+
+fn window_cell(offset: vec2<i32>, window: WindowParams) -> i32 {
+    return (offset.y + window.radius) * (2 * window.radius + 1) + offset.x + window.radius;
+}

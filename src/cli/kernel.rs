@@ -1,0 +1,185 @@
+//! `stein kernel`
+
+use std::path::PathBuf;
+
+use serde::Serialize;
+use stein::buffers::{NamedLayer, write_layers};
+use stein::gpu::AdapterSummary;
+use stein::kernels::WeightRule;
+use stein::method::{PlannedStep, Step};
+use stein::{Error, FilterKernel, Image, Kernels, Options};
+
+use super::inspect::{Input, settle};
+use super::options::{Device, Filter, Source};
+use super::out::{number, table};
+use super::{Failure, Out, output};
+
+const EXAMPLE: &str = "\
+The output is one window, with the pixel in its middle. For each filter of the method it has a layer `FILTER.weight.V`, a layer `FILTER.colour` with what is averaged, and for all that \
+the neighbours are told apart by, the colour and each feature, `FILTER.distance.NAME.V` and the weight that this would give alone, `FILTER.alone.NAME.V`. Outside of the image \
+weights are 0 and distances infinite.
+
+Examples:
+  stein kernel render.exr --pixel 120,64
+  stein kernel render.exr --pixel 120,64 -o window.exr
+  stein kernel render.exr --pixel 120,64 --method nlm
+
+Exit codes: 0 done, 2 wrong usage, 3 an input file or layer cannot be used, 4 no device or a device failed, 5 the output cannot be written, 1 anything else.";
+
+/// Tell which neighbours make a pixel, and why
+#[derive(Debug, clap::Args)]
+#[command(after_help = EXAMPLE, override_usage = "stein kernel [OPTIONS] IN --pixel X,Y")]
+pub(crate) struct Args {
+    /// OpenEXR file, as for `stein denoise`
+    #[arg(value_name = "IN", required_unless_present = "list_devices")]
+    input: Option<PathBuf>,
+    /// Column and row, from 0 at the upper left of the data window
+    #[arg(long, value_name = "X,Y", value_parser = pixel, required_unless_present = "list_devices")]
+    pixel: Option<(u32, u32)>,
+    /// Write the windows to this OpenEXR file [default: print a summary alone]
+    #[arg(short, long, value_name = "OUT")]
+    output: Option<PathBuf>,
+    /// Print one JSON document in place of text
+    #[arg(long)]
+    pub(crate) json: bool,
+    #[command(flatten)]
+    filter: Filter,
+    #[command(flatten)]
+    source: Source,
+    #[command(flatten)]
+    pub(crate) device: Device,
+}
+
+/// A column and a row, as in 120,64.
+fn pixel(text: &str) -> Result<(u32, u32), String> {
+    text.split_once(',').and_then(|(x, y)| Some((x.trim().parse().ok()?, y.trim().parse().ok()?))).ok_or_else(|| "it must look like 120,64".into())
+}
+
+#[derive(Serialize)]
+struct Document {
+    input: Input,
+    device: AdapterSummary,
+    x: u32,
+    y: u32,
+    filters: Vec<Summary>,
+    left_out: Vec<PlannedStep>,
+    output: Option<PathBuf>,
+}
+
+/// One filter, without its images.
+#[derive(Serialize)]
+struct Summary {
+    filter: &'static str,
+    window_radius: u32,
+    value: [f32; 3],
+    weight_sum: f32,
+    /// Of the pixel itself.
+    own_weight: f32,
+    /// Of a Gaussian, in pixels.
+    sigma: Option<f32>,
+    /// How many neighbours each distance decided about, in the order of the distances.
+    decided: Vec<Decided>,
+}
+
+#[derive(Serialize)]
+struct Decided {
+    by: String,
+    neighbours: usize,
+}
+
+impl Summary {
+    fn new(kernel: &FilterKernel) -> Self {
+        let cells = 0..kernel.weights.extent.pixels();
+        let decided = kernel.distances.iter().map(|distance| {
+            let is_this = |cell: &usize| kernel.decided_by(*cell).is_some_and(|by| by.of == distance.of);
+            Decided { by: distance.of.name().to_owned(), neighbours: cells.clone().filter(is_this).count() }
+        });
+        Self {
+            filter: kernel.name,
+            window_radius: kernel.window_radius,
+            value: kernel.value,
+            weight_sum: kernel.weight_sum,
+            own_weight: kernel.weights.planes[0][cells.end / 2],
+            sigma: if let WeightRule::Gaussian { sigma } = kernel.rule { Some(sigma) } else { None },
+            decided: decided.collect(),
+        }
+    }
+
+    fn row(&self) -> Vec<String> {
+        let decided: Vec<_> = self.decided.iter().map(|Decided { by, neighbours }| format!("{by} {neighbours}")).collect();
+        let how = self.sigma.map_or_else(|| decided.join(", "), |sigma| format!("σ {} pixels", number(sigma.into())));
+        let value = self.value.map(|value| number(value.into())).join(" ");
+        vec![self.filter.to_owned(), how, value, number(self.weight_sum.into()), number(self.own_weight.into())]
+    }
+}
+
+pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
+    let input = args.input.as_deref().ok_or_else(|| Failure::usage("no input is given"))?;
+    let (x, y) = args.pixel.ok_or_else(|| Failure::usage("no pixel is given"))?;
+    if args.json {
+        out.silence();
+    }
+    let method = args.filter.method()?;
+    args.source.check(&method)?;
+    if let Some(file) = &args.output {
+        output::check(file, args.source.files().chain([input]), false, false)?;
+    }
+
+    let set = args.source.for_method(&method).read(input)?;
+    let (frame, described) = settle(&set);
+    out.say(described.text(false));
+    let frame = frame.map_err(|error| Failure::in_file(input, error))?;
+    let gpu = args.device.open()?;
+    let kernels = args.device.denoiser(&gpu, method)?.kernels(&frame, x, y, &Options::default());
+    let kernels = kernels.map_err(|error| match error {
+        Error::Request { .. } => Failure::usage(format_args!("--pixel: {error}")),
+        error => error.into(),
+    })?;
+    if let Some(file) = &args.output {
+        if kernels.filters.is_empty() {
+            return Err(Failure::usage("no pixel of this frame is filtered, so that there is no window to write\n  remedy: leave -o out"));
+        }
+        let texts = [("pixel".to_owned(), format!("{x},{y}")), ("method".to_owned(), method.name().to_owned())];
+        write_layers(file, &layers(&kernels), &texts).map_err(Failure::output)?;
+    }
+
+    let filters: Vec<_> = kernels.filters.iter().map(Summary::new).collect();
+    let left_out: Vec<_> = kernels.plan.steps.iter().filter(|planned| !planned.runs && matters(&planned.step)).cloned().collect();
+    let head = ["filter", "decided by", "value", "Σ w", "own w"].map(String::from).to_vec();
+    out.say(format_args!("  pixel {x},{y}\n{}", table(&std::iter::once(head).chain(filters.iter().map(Summary::row)).collect::<Vec<_>>(), 3)));
+    for planned in &left_out {
+        out.say(format_args!("  left out: {}: {}", planned.step.name(), planned.why));
+    }
+    if let Some(file) = &args.output {
+        out.say(file.display());
+    }
+    if !args.json {
+        return Ok(());
+    }
+    out.json(&Document { input: described, device: gpu.summary().clone(), x, y, filters, left_out, output: args.output.clone() })
+}
+
+/// Whether a step decides about what weights there are.
+fn matters(step: &Step) -> bool {
+    matches!(step, Step::Spikes | Step::Feature(_) | Step::Prefilter(_) | Step::Candidates | Step::Candidate(_) | Step::Halves)
+}
+
+/// All windows: those of a method are of one size.
+fn layers(kernels: &Kernels) -> Vec<NamedLayer> {
+    let layer = |name: String, channels: &[&str], image: &Image| NamedLayer {
+        name,
+        channels: channels.iter().map(ToString::to_string).collect(),
+        image: image.clone(),
+    };
+    let of_kernel = |kernel: &FilterKernel| {
+        let named = |part: &str| format!("{}.{part}", kernel.name);
+        let mut layers = vec![layer(named("weight"), &["V"], &kernel.weights), layer(named("colour"), &["R", "G", "B"], &kernel.colors)];
+        for distance in &kernel.distances {
+            let of = distance.of.name();
+            layers.push(layer(named(&format!("distance.{of}")), &["V"], &distance.distances));
+            layers.push(layer(named(&format!("alone.{of}")), &["V"], &distance.weights));
+        }
+        layers
+    };
+    kernels.filters.iter().flat_map(of_kernel).collect()
+}

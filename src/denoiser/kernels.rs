@@ -1,0 +1,183 @@
+//! The kernels at a pixel: from a frame, through the device, back in the units of the frame.
+
+use std::sync::Arc;
+
+use glam::IVec2;
+
+use super::{Denoiser, Options, exposure};
+use crate::error::{Error, Result};
+use crate::frame::Frame;
+use crate::gpu::{Buffer, Gpu};
+use crate::image::{Extent, Image, Window};
+use crate::kernels::{Compared, Distance, FilterKernel, Kernels, PixelInFrame, WeightRule};
+use crate::method::kernels::{KernelOnGpu, WeightsOnGpu};
+use crate::method::{FrameInput, Strip, Units};
+use crate::stage::PLANE_PIXEL_BYTES;
+use crate::stage::gaussian::Gaussian;
+use crate::stage::nlm::CentreWeight;
+use crate::stage::window::{CellLane, DistanceLanes};
+
+impl Denoiser {
+    /// Which neighbours make the pixel in column `x` and row `y`, and why: the weights of each filter of the method over its window, and the distances behind them, read back from
+    /// the device. They are those of a run with the same `options`, whose progress is not called; of the frame no more is worked on than they depend on.
+    ///
+    /// Of a window in time there are none: the frame is taken by itself.
+    ///
+    /// # Errors
+    /// [`Error::Request`] where the frame has no such pixel; else as [`Denoiser::plan`] and [`Denoiser::denoise`].
+    pub fn kernels(&self, frame: &Frame, x: u32, y: u32, options: &Options) -> Result<Kernels> {
+        let extent = frame.extent();
+        if x >= extent.width || y >= extent.height {
+            return Err(Error::Request {
+                problem: format!("pixel ({x}, {y}) lies outside of a frame of {extent} pixels"),
+                remedy: format!("choose a column from 0 to {} and a row from 0 to {}", extent.width - 1, extent.height - 1),
+            });
+        }
+        let plan = self.plan(&[frame], 0, options)?;
+        if plan.copies_the_frame() {
+            return Ok(Kernels { x, y, filters: Vec::new(), plan });
+        }
+
+        let part = around(x, y, self.method.reach_of_kernels(), extent);
+        let part_of_frame = frame.cropped(part);
+        let units = Units::of_window(&[&part_of_frame], 0, self.method.uses_features(), exposure(frame));
+        let rows = part.extent.height as usize;
+        let all_of_it = Strip { first: 0, end: rows, first_with_halo: 0, end_with_halo: rows };
+        let pixel = IVec2::new(x as i32 - part.x, y as i32 - part.y);
+        self.gpu.set_memory_limit(self.max_memory);
+        let mut rec = self.gpu.record();
+        let plan_of_part = plan.starting_at(IVec2::new(part.x, part.y));
+        let on_gpu = FrameInput::upload(&mut rec, &part_of_frame, &all_of_it, &units, &plan_of_part)?.settled_for(frame, &units);
+        let kernels = self.method.kernels(&mut rec, on_gpu, pixel, &plan_of_part, self.schedule)?;
+        rec.submit()?;
+
+        let mut reader = Reader { gpu: &self.gpu, read: Vec::new(), part, at: PixelInFrame { x, y, extent }, exposure: units.exposure };
+        let filters = kernels.iter().map(|kernel| reader.kernel(kernel)).collect::<Result<_>>()?;
+        Ok(Kernels { x, y, filters, plan })
+    }
+}
+
+/// The pixels that far around one, as far as they exist.
+fn around(x: u32, y: u32, reach: u32, extent: Extent) -> Window {
+    let along = |at: u32, size: u32| (at.saturating_sub(reach), at.saturating_add(reach + 1).min(size));
+    let ((left, right), (top, bottom)) = (along(x, extent.width), along(y, extent.height));
+    Window { x: left as i32, y: top as i32, extent: Extent { width: right - left, height: bottom - top } }
+}
+
+/// Reads kernels back.
+struct Reader<'a> {
+    gpu: &'a Gpu,
+    /// What was read, by the buffer it was read from: the filters of a method share some.
+    read: Vec<(Arc<Buffer>, Arc<Vec<f32>>)>,
+    /// Of the frame, what is on the device.
+    part: Window,
+    at: PixelInFrame,
+    exposure: f32,
+}
+
+impl Reader<'_> {
+    fn values(&mut self, buffer: &Arc<Buffer>) -> Result<Arc<Vec<f32>>> {
+        if let Some((_, values)) = self.read.iter().find(|(read, _)| Arc::ptr_eq(read, buffer)) {
+            return Ok(values.clone());
+        }
+        let values = Arc::new(self.gpu.read(buffer)?);
+        self.read.push((buffer.clone(), values.clone()));
+        Ok(values)
+    }
+
+    /// Of a plane of what is on the device, where a pixel of the frame begins.
+    fn place(&self, (x, y): (u32, u32)) -> usize {
+        let (column, row) = (x as usize - self.part.x as usize, y as usize - self.part.y as usize);
+        (row * self.part.extent.width as usize + column) * 4
+    }
+
+    fn kernel(&mut self, kernel: &KernelOnGpu) -> Result<FilterKernel> {
+        let KernelOnGpu { name, averaged, weights } = kernel;
+        let (window_radius, rule, weights, distances) = match weights {
+            WeightsOnGpu::Cells { cells, window_radius, weight, distances, rule, centre } => {
+                let window = WindowOfCells { cells: self.values(cells)?, radius: *window_radius, at: self.at };
+                (*window_radius, *rule, window.weights(*weight, *centre), window.distances(distances))
+            }
+            WeightsOnGpu::Gaussian(lane) => {
+                let pixels = self.part.extent.pixels();
+                let sigma = self.values(&lane.buffer)?[lane.plane as usize * pixels * 4 + self.place((self.at.x, self.at.y)) + lane.component as usize];
+                let gaussian = Gaussian::new(sigma);
+                (gaussian.radius, WeightRule::Gaussian { sigma }, self.window(gaussian.radius, |offset| gaussian.weight(offset)), Vec::new())
+            }
+            WeightsOnGpu::Exact { window_radius } => {
+                let alone = |offset: IVec2| if offset == IVec2::ZERO { 1.0 } else { 0.0 };
+                (*window_radius, WeightRule::Exact, self.window(*window_radius, alone), Vec::new())
+            }
+        };
+
+        let averaged = self.values(averaged)?;
+        let mut colors = Image::filled(weights.extent, 3, 0.0);
+        let (mut weight_sum, mut sums) = (0.0, [0.0; 3]);
+        let centre = self.place((self.at.x, self.at.y));
+        for (cell, weight) in weights.planes[0].iter().enumerate() {
+            let Some(pixel) = self.at.neighbour(cell, window_radius) else { continue };
+            let at = self.place(pixel);
+            weight_sum += f64::from(*weight);
+            for (channel, sum) in sums.iter_mut().enumerate() {
+                let value = averaged[at + channel];
+                colors.planes[channel][cell] = value / self.exposure;
+                *sum += f64::from(*weight) * (f64::from(value) - f64::from(averaged[centre + channel]));
+            }
+        }
+        let value = std::array::from_fn(|channel| (f64::from(averaged[centre + channel]) + sums[channel] / weight_sum) as f32 / self.exposure);
+        Ok(FilterKernel { name, window_radius, weights, weight_sum: weight_sum as f32, colors, value, rule, distances, at: self.at })
+    }
+
+    /// Weights that follow from the offset.
+    fn window(&self, radius: u32, weight: impl Fn(IVec2) -> f32) -> Image {
+        window(radius, |cell| {
+            let exists = self.at.neighbour(cell, radius).is_some();
+            let (column, row) = (cell as i32 % (2 * radius as i32 + 1), cell as i32 / (2 * radius as i32 + 1));
+            if exists { weight(IVec2::new(column, row) - radius as i32) } else { 0.0 }
+        })
+    }
+}
+
+/// One plane of cells.
+fn window(radius: u32, value: impl Fn(usize) -> f32) -> Image {
+    let side = 2 * radius + 1;
+    let extent = Extent { width: side, height: side };
+    Image { extent, planes: vec![(0..extent.pixels()).map(value).collect()] }
+}
+
+/// What a stage wrote of a window.
+struct WindowOfCells {
+    cells: Arc<Vec<f32>>,
+    radius: u32,
+    at: PixelInFrame,
+}
+
+impl WindowOfCells {
+    /// A lane of the cells, but for the middle and the cells outside of the frame.
+    fn lane(&self, lane: CellLane, middle: f32, outside: f32) -> Image {
+        let side = 2 * self.radius as usize + 1;
+        let first = lane.plane as usize * side * side;
+        window(self.radius, |cell| match self.at.neighbour(cell, self.radius) {
+            None => outside,
+            Some(_) if cell == side * side / 2 => middle,
+            Some(_) => self.cells[(first + cell) * (PLANE_PIXEL_BYTES as usize / 4) + lane.component as usize],
+        })
+    }
+
+    fn weights(&self, lane: CellLane, centre: CentreWeight) -> Image {
+        let mut weights = self.lane(lane, 0.0, 0.0);
+        let plane = &mut weights.planes[0];
+        let middle = plane.len() / 2;
+        plane[middle] = centre.weight(plane.iter().copied().fold(0.0, f32::max));
+        weights
+    }
+
+    fn distances(&self, distances: &[(Compared, DistanceLanes)]) -> Vec<Distance> {
+        let distance = |(of, lanes): &(Compared, DistanceLanes)| Distance {
+            of: of.clone(),
+            distances: self.lane(lanes.distance, 0.0, f32::INFINITY),
+            weights: self.lane(lanes.weight, 1.0, 0.0),
+        };
+        distances.iter().map(distance).collect()
+    }
+}

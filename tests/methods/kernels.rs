@@ -1,0 +1,288 @@
+//! The kernels at a pixel: they make what the method makes of it, and say what there is to say of the neighbours.
+
+use stein::frame::Signal;
+use stein::image::{Extent, Image};
+use stein::kernels::{Compared, WeightRule};
+use stein::method::nlm::NlmVariance;
+use stein::method::{Intermediate, Method, Spikes, Step};
+use stein::stage::candidate_set::CandidateSet;
+use stein::stage::nlm::{CentreWeight, Schedule, Symmetry, Weighting};
+use stein::{Denoiser, DfcParams, Error, Estimate, FilterKernel, Frame, GemParams, Kernels, NlmParams, Options};
+
+use crate::behaviour::{calm_frame, random_frame};
+use crate::common::gpu;
+use crate::frames::{EVERYTHING, Keep, frame, new_frame, noisy};
+
+/// In the way whose kernels are compiled fastest.
+fn denoiser(method: impl Into<Method>) -> Denoiser {
+    let schedule = Schedule { pixels: 1, offset_rows: 1, ..Schedule::SOFTWARE };
+    Denoiser::new(gpu(), method).unwrap_or_else(|error| panic!("{error}")).with_schedule(schedule)
+}
+
+fn small(params: DfcParams) -> DfcParams {
+    DfcParams { window_radius: 4, ..params }
+}
+
+fn kernels(denoiser: &Denoiser, frame: &Frame, (x, y): (u32, u32), keep: &[Intermediate]) -> Kernels {
+    denoiser.kernels(frame, x, y, &Options { keep, ..Options::default() }).unwrap_or_else(|error| panic!("{error}"))
+}
+
+fn denoised(denoiser: &Denoiser, frame: &Frame, keep: &[Intermediate]) -> Estimate {
+    denoiser.denoise_with(frame, Options { keep, ..Options::default() }).unwrap_or_else(|error| panic!("{error}"))
+}
+
+fn at(image: &Image, (x, y): (u32, u32)) -> Vec<f32> {
+    image.planes.iter().map(|plane| plane[(y * image.extent.width + x) as usize]).collect()
+}
+
+fn at_cell(image: &Image, cell: usize) -> Vec<f32> {
+    image.planes.iter().map(|plane| plane[cell]).collect()
+}
+
+fn layer<'a>(estimate: &'a Estimate, name: &str) -> &'a Image {
+    &estimate.layers.iter().find(|layer| layer.name == name).unwrap_or_else(|| panic!("no layer {name}")).image
+}
+
+/// Corners, edges and what lies between.
+fn places(extent: Extent) -> Vec<(u32, u32)> {
+    let (right, bottom) = (extent.width - 1, extent.height - 1);
+    let mut places =
+        vec![(0, 0), (right, 0), (0, bottom), (right, bottom), (right / 2, 0), (right, bottom / 3), (right / 2, bottom / 2), (right / 3, 2 * bottom / 3)];
+    places.sort_unstable();
+    places.dedup();
+    places
+}
+
+/// Of a weighted average in float32 against one in float64, in units of what is averaged: some hundred terms that are each rounded.
+const ROUNDING: f64 = 3e-6;
+
+/// The weights make the value, the value is that of the method, and the images agree with each other.
+#[track_caller]
+fn check(what: &str, kernel: &FilterKernel, expected: &[f32], place: (u32, u32), extent: Extent) {
+    let what = format!("{what}: {} at {place:?}", kernel.name);
+    let weights = &kernel.weights.planes[0];
+    let (side, middle) = (kernel.side(), weights.len() / 2);
+    assert_eq!((side, weights.len()), (2 * kernel.window_radius as usize + 1, side * side), "{what}");
+    assert_eq!(kernel.pixel(middle), Some(place), "{what}");
+    assert!(weights[middle] > 0.0, "{what}: the pixel weighs {}", weights[middle]);
+    for (cell, &weight) in weights.iter().enumerate() {
+        let (dx, dy) = ((cell % side) as i64 - i64::from(kernel.window_radius), (cell / side) as i64 - i64::from(kernel.window_radius));
+        let (x, y) = (i64::from(place.0) + dx, i64::from(place.1) + dy);
+        let is_inside = (0..i64::from(extent.width)).contains(&x) && (0..i64::from(extent.height)).contains(&y);
+        assert_eq!(kernel.pixel(cell), is_inside.then_some((x as u32, y as u32)), "{what}: {dx}, {dy}");
+        let distances = kernel.distances.iter().map(|distance| (distance.distances.planes[0][cell], distance.weights.planes[0][cell]));
+        if !is_inside {
+            assert_eq!(weight, 0.0, "{what}: {dx}, {dy}");
+            assert!(distances.into_iter().all(|(distance, weight)| distance == f32::INFINITY && weight == 0.0), "{what}: {dx}, {dy}");
+        } else if cell == middle {
+            assert!(distances.into_iter().all(|(distance, weight)| distance == 0.0 && weight == 1.0), "{what}");
+            assert!(kernel.decided_by(cell).is_none(), "{what}");
+        } else {
+            assert!(distances.clone().all(|(distance, weight)| distance.is_finite() && (0.0..=1.0).contains(&weight)), "{what}: {dx}, {dy}");
+            if kernel.rule == WeightRule::Least {
+                assert_eq!(weight, distances.map(|(_, weight)| weight).fold(1.0, f32::min), "{what}: {dx}, {dy}");
+            }
+            let least = kernel.decided_by(cell).map_or(1.0, |distance| distance.weights.planes[0][cell]);
+            assert!(kernel.rule != WeightRule::Least || weight == least, "{what}: {dx}, {dy}");
+        }
+    }
+
+    let sum: f64 = weights.iter().map(|weight| f64::from(*weight)).sum();
+    assert!((f64::from(kernel.weight_sum) - sum).abs() <= 1e-6 * sum, "{what}: Σ w is {} and not {sum}", kernel.weight_sum);
+    for (channel, (colors, expected)) in kernel.colors.planes.iter().zip(expected).enumerate() {
+        let centre = f64::from(colors[middle]);
+        let average = |value: &dyn Fn(f64) -> f64| colors.iter().zip(weights).map(|(u, w)| f64::from(*w) * value(f64::from(*u) - centre)).sum::<f64>() / sum;
+        let (mean, span) = (centre + average(&|off| off), average(&f64::abs) + 0.01 * centre.abs());
+        for (of, value) in [("itself", kernel.value[channel]), ("the method", *expected)] {
+            let off = (f64::from(value) - mean).abs();
+            assert!(
+                off <= ROUNDING * span + 1e-7 * centre.abs(),
+                "{what}, channel {channel}: {mean} from the weights, {value} of {of}: {} of a span of {span}",
+                off / span
+            );
+        }
+    }
+}
+
+/// FIRST, SECOND and THIRD, as far as they take part.
+#[track_caller]
+fn check_candidates(what: &str, frame: &Frame, params: DfcParams) {
+    check_candidates_of(what, frame, &denoiser(params), params.candidates);
+}
+
+#[track_caller]
+fn check_candidates_of(what: &str, frame: &Frame, denoiser: &Denoiser, expected: CandidateSet) {
+    let keep = [Intermediate::Candidates];
+    let estimate = denoised(denoiser, frame, &keep);
+    for place in places(frame.extent()) {
+        let kernels = kernels(denoiser, frame, place, &keep);
+        assert_eq!((kernels.x, kernels.y), place);
+        assert_eq!(kernels.filters.iter().map(|filter| filter.name).collect::<Vec<_>>(), expected.names(), "{what}");
+        assert_eq!(kernels.plan.steps, estimate.plan.steps, "{what}");
+        for filter in &kernels.filters {
+            let compared: Vec<_> = filter.distances.iter().map(|distance| distance.of.name().to_owned()).collect();
+            let color = (filter.name != "third").then_some("colour".to_owned());
+            assert_eq!(compared, color.into_iter().chain(estimate.features.iter().cloned()).collect::<Vec<_>>(), "{what}: {}", filter.name);
+            check(what, filter, &at(layer(&estimate, filter.name), place), place, frame.extent());
+            for (cell, color) in (0..filter.weights.extent.pixels()).map(|cell| (cell, at_cell(&filter.colors, cell))) {
+                // Spikes may lie anywhere, where they are looked for.
+                let as_given = filter.pixel(cell).map_or(vec![0.0; 3], |pixel| at(&frame.color().mean, pixel));
+                assert!(denoiser.method().spikes() != Spikes::Keep || color == as_given, "{what}: the colour of cell {cell} is {color:?} and not {as_given:?}");
+            }
+        }
+    }
+}
+
+fn crop(render: &str, keep: Keep) -> Frame {
+    frame(&noisy(render), [16, 20, 40, 33], keep)
+}
+
+#[test]
+fn of_the_candidates_with_all_there_is() {
+    let frame = crop("cornell_32spp", Keep { features: &["albedo", "depth", "normal"], ..EVERYTHING });
+    check_candidates("default", &frame, small(DfcParams::default()));
+    check_candidates("thesis", &frame, small(DfcParams::thesis()));
+    check_candidates("with spikes", &random_frame(33, 21, 1e3), small(DfcParams::default()));
+}
+
+#[test]
+fn of_the_candidates_with_less() {
+    let params = small(DfcParams::default());
+    check_candidates("no features", &crop("cornell_8spp", Keep { features: &[], ..EVERYTHING }), params);
+    check_candidates("halves only", &crop("caustic_ring_32spp", Keep { variance: false, ..EVERYTHING }), params);
+    check_candidates("variance only", &crop("dof_spheres_32spp", Keep { halves: false, ..EVERYTHING }), params);
+    let frame = crop("cornell_8spp", Keep { features: &["normal"], ..EVERYTHING });
+    for candidates in [CandidateSet { first: false, ..CandidateSet::ALL }, CandidateSet { first: false, second: false, third: true }] {
+        check_candidates("some candidates", &frame, DfcParams { candidates, ..params });
+    }
+    check_candidates("FIRST alone", &frame, DfcParams { candidates: CandidateSet { first: true, second: false, third: false }, ..params });
+}
+
+/// The window of a grey frame, of a tiny one, of one pixel.
+#[test]
+fn of_the_candidates_of_unusual_frames() {
+    let params = small(DfcParams::default());
+    for (width, height) in [(1, 1), (1, 7), (5, 2)] {
+        check_candidates("tiny", &calm_frame(width, height), DfcParams { window_radius: 10, ..params });
+    }
+    let frame = crop("cornell_8spp", Keep { features: &["normal"], ..EVERYTHING });
+    let grey = |image: &Image| Image { extent: image.extent, planes: vec![image.planes[0].clone(); 3] };
+    let Signal { mean, half_spread, variance_of_mean } = frame.color();
+    let color = Signal { mean: grey(mean), half_spread: half_spread.as_ref().map(grey), variance_of_mean: variance_of_mean.as_ref().map(grey) };
+    let frame = new_frame(color, Vec::new());
+    assert!(!denoised(&denoiser(params), &frame, &[]).plan.runs(&Step::Channels));
+    check_candidates("grey", &frame, params);
+}
+
+/// The frame is larger than what the kernels depend on, so that a part of it is worked on; with spikes everywhere in its surroundings.
+#[test]
+fn a_part_of_the_frame_tells_what_all_of_it_does() {
+    let params = DfcParams { window_radius: 2, ..DfcParams::default() };
+    let frame = random_frame(150, 121, 1.0);
+    for params in [params, DfcParams { spikes: Spikes::Keep, ..params }] {
+        assert!(Method::from(params).reach() < 120, "a part of the frame is all of it");
+        check_candidates("large", &frame, params);
+    }
+}
+
+/// Beyond the reach of noise nothing is filtered, and a frame without any is copied.
+#[test]
+fn what_is_left_as_it_is_weighs_itself_alone() {
+    let noisy = calm_frame(150, 40);
+    let (width, dark) = (150, 64);
+    let without_noise_on_the_left = |image: &Image| {
+        let value = |(i, v): (usize, &f32)| if i % width < dark { 0.0 } else { *v };
+        Image { extent: image.extent, planes: image.planes.iter().map(|plane| plane.iter().enumerate().map(value).collect()).collect() }
+    };
+    let color = noisy.color();
+    let [half_spread, variance_of_mean] = [&color.half_spread, &color.variance_of_mean].map(|image| image.as_ref().map(without_noise_on_the_left));
+    let frame = new_frame(Signal { mean: color.mean.clone(), half_spread, variance_of_mean }, Vec::new());
+    let denoiser = denoiser(DfcParams { window_radius: 2, ..DfcParams::default() });
+    let estimate = denoised(&denoiser, &frame, &[]);
+    for (place, is_exact) in [((3, 7), true), ((30, 39), true), ((60, 20), false), ((149, 0), false)] {
+        let kernels = kernels(&denoiser, &frame, place, &[]);
+        for filter in &kernels.filters {
+            assert_eq!(filter.rule == WeightRule::Exact, is_exact, "{place:?}");
+            if is_exact {
+                assert_eq!((filter.weight_sum, filter.value.as_slice()), (1.0, at(&color.mean, place).as_slice()), "{place:?}");
+                check("exact", filter, &at(&estimate.color, place), place, frame.extent());
+            }
+        }
+        assert_eq!(kernels.filters.len(), 3);
+    }
+    // Asked for, the candidates are filtered everywhere.
+    let keep = [Intermediate::Candidates];
+    assert!(kernels(&denoiser, &frame, (3, 7), &keep).filters.iter().all(|filter| filter.rule == WeightRule::Least));
+    check_candidates_of("exact where asked for", &frame, &denoiser, CandidateSet::ALL);
+
+    let zero = || Some(Image::filled(color.mean.extent, 3, 0.0));
+    let clean = new_frame(Signal { mean: color.mean.clone(), half_spread: zero(), variance_of_mean: zero() }, Vec::new());
+    let kernels = kernels(&denoiser, &clean, (3, 7), &[]);
+    assert!(kernels.filters.is_empty() && kernels.filter("first").is_none() && kernels.plan.steps.iter().all(|step| !step.runs));
+}
+
+#[track_caller]
+fn check_nlm(what: &str, frame: &Frame, params: NlmParams) {
+    let denoiser = denoiser(params);
+    let estimate = denoised(&denoiser, frame, &[Intermediate::Halves]);
+    for place in places(frame.extent()) {
+        let kernels = kernels(&denoiser, frame, place, &[]);
+        let has_halves = frame.color().half_spread.is_some() && params.dual_buffer;
+        let expected: Vec<_> =
+            if has_halves { vec![("half_a", layer(&estimate, "half_a")), ("half_b", layer(&estimate, "half_b"))] } else { vec![("filter", &estimate.color)] };
+        assert_eq!(kernels.filters.iter().map(|filter| filter.name).collect::<Vec<_>>(), expected.iter().map(|(name, _)| *name).collect::<Vec<_>>(), "{what}");
+        for (filter, (_, image)) in kernels.filters.iter().zip(&expected) {
+            let rule = if params.patchwise { WeightRule::PatchMean { cut: params.cut } } else { WeightRule::Cut { cut: params.cut } };
+            assert_eq!((filter.rule, &filter.distances[0].of), (rule, &Compared::Color { patch_radius: params.patch_radius, k: params.k }), "{what}");
+            check(what, filter, &at(image, place), place, frame.extent());
+        }
+        // Both halves together.
+        let sum = kernels.filters.iter().map(|filter| filter.weight_sum).sum::<f32>() / kernels.filters.len() as f32;
+        let expected = at(&estimate.weight_sum, place)[0];
+        assert!((sum - expected).abs() <= 1e-5 * expected, "{what} at {place:?}: Σ w is {sum} and not {expected}");
+    }
+}
+
+#[test]
+fn of_nlm() {
+    let small = |params: NlmParams| NlmParams { window_radius: 3, ..params };
+    let frame = crop("cornell_8spp", Keep { features: &["normal"], ..EVERYTHING });
+    check_nlm("default", &frame, small(NlmParams::default()));
+    check_nlm("thesis", &frame, small(NlmParams::thesis()));
+    let weighting = Weighting { symmetric: Symmetry::Blended, centre: CentreWeight::LargestNeighbour };
+    check_nlm("one buffer", &frame, NlmParams { dual_buffer: false, patchwise: false, cut: 0.0, weighting, ..small(NlmParams::default()) });
+    check_nlm("no halves", &crop("cornell_8spp", Keep { halves: false, ..EVERYTHING }), small(NlmParams::default()));
+    check_nlm("spikes, uniform variance", &random_frame(110, 40, 1.0), NlmParams { variance: NlmVariance::Uniform, ..small(NlmParams::default()) });
+    for (width, height) in [(1, 1), (1, 7), (5, 2)] {
+        check_nlm("tiny", &calm_frame(width, height), NlmParams::default());
+    }
+}
+
+#[test]
+fn of_gem() {
+    for (frame, params) in [
+        (crop("cornell_8spp", EVERYTHING), GemParams::default()),
+        (crop("caustic_ring_32spp", Keep { halves: false, ..EVERYTHING }), GemParams::thesis()),
+        (random_frame(70, 20, 1.0), GemParams { phase: stein::method::gem::Phase::Sampling, ..GemParams::default() }),
+        (calm_frame(1, 1), GemParams::default()),
+    ] {
+        let denoiser = denoiser(params);
+        let estimate = denoised(&denoiser, &frame, &[Intermediate::Scale]);
+        for place in places(frame.extent()) {
+            let kernels = kernels(&denoiser, &frame, place, &[]);
+            let [filter] = kernels.filters.as_slice() else { panic!("one filter") };
+            assert_eq!((filter.name, filter.rule), ("scale", WeightRule::Gaussian { sigma: at(layer(&estimate, "scale"), place)[0] }));
+            check("GEM", filter, &at(&estimate.color, place), place, frame.extent());
+        }
+    }
+}
+
+#[test]
+fn a_pixel_outside_of_the_frame_is_refused() {
+    let frame = calm_frame(9, 5);
+    for (x, y) in [(9, 0), (0, 5), (u32::MAX, u32::MAX)] {
+        let Err(Error::Request { problem, remedy }) = denoiser(DfcParams::default()).kernels(&frame, x, y, &Options::default()) else { panic!("({x}, {y})") };
+        assert_eq!(problem, format!("pixel ({x}, {y}) lies outside of a frame of 9×5 pixels"));
+        assert_eq!(remedy, "choose a column from 0 to 8 and a row from 0 to 4");
+    }
+}
