@@ -87,7 +87,9 @@ impl Parameter {
     /// The first sentence of its documentation.
     pub fn summary(&self) -> &str {
         let text = self.documentation.split("\n\n").next().unwrap_or_default();
-        text.find(". ").map_or(text, |end| &text[..=end])
+        // Not that of "eq. 7.6".
+        let is_end = |end: &usize| text[end + 2..].starts_with(char::is_uppercase);
+        text.match_indices(". ").map(|(end, _)| end).find(is_end).map_or(text, |end| &text[..=end])
     }
 
     /// What it can be, with its unit: `from 1 to 64 pixels`, `off, blended, hard`.
@@ -98,29 +100,49 @@ impl Parameter {
         }
     }
 
-    /// Whether it can have this value.
+    /// The same as part of a sentence: `a whole number from 1 to 64 pixels`, `one of off, blended, hard`.
+    pub fn rule(&self) -> String {
+        let range = self.range();
+        match &self.kind {
+            Kind::Integer { .. } => format!("a whole number {range}"),
+            Kind::Number { can_be_off: false, .. } => format!("a number {range}"),
+            Kind::Number { can_be_off: true, .. } => format!("a number {range}, or false to leave it out"),
+            Kind::Flag | Kind::Group => "true or false".into(),
+            Kind::Choice { .. } => format!("one of {range}"),
+            Kind::Set { .. } => format!("at least one of {range}, each once"),
+        }
+    }
+
+    /// Whether it is in the group of this name.
+    pub fn is_in(&self, group: &str) -> bool {
+        self.name.strip_prefix(group).is_some_and(|rest| rest.starts_with('.'))
+    }
+
+    /// Checks that it can have this value.
     ///
     /// # Errors
     /// [`Error::Request`] naming the parameter and its range.
     pub fn check(&self, value: &Value) -> Result<()> {
-        if self.kind.contains(value) {
-            return Ok(());
+        match value {
+            value if self.kind.contains(value) => Ok(()),
+            Value::Set(names) if names.is_empty() => Err(self.refused("empty")),
+            value => Err(self.refused(value)),
         }
-        let range = self.range();
-        let remedy = match &self.kind {
-            Kind::Integer { .. } => format!("choose a whole number {range}"),
-            Kind::Number { can_be_off: false, .. } => format!("choose a number {range}"),
-            Kind::Number { can_be_off: true, .. } => format!("choose a number {range}, or false to leave it out"),
-            Kind::Flag | Kind::Group => "choose true or false".into(),
-            Kind::Choice { .. } => format!("choose one of {range}"),
-            Kind::Set { .. } => format!("choose at least one of {range}, each once"),
-        };
-        let name = &self.name;
-        let problem = match value {
-            Value::Set(names) if names.is_empty() => format!("`{name}` cannot be empty"),
-            value => format!("`{name}` cannot be {value}"),
-        };
-        Err(Error::Request { problem, remedy })
+    }
+
+    /// That it cannot be this.
+    pub(crate) fn refused(&self, value: impl fmt::Display) -> Error {
+        Error::Request { problem: format!("`{}` cannot be {value}", self.name), remedy: format!("choose {}", self.rule()) }
+    }
+
+    /// The value that it gets where it is set to this one.
+    pub(crate) fn settle(&self, value: &Value) -> Result<Value> {
+        self.check(value)?;
+        let number = |value: &Option<Value>| value.clone().filter(|value| matches!(value, Value::Number(_)));
+        match (&self.kind, value) {
+            (Kind::Number { .. }, Value::Flag(true)) => number(&self.value).or_else(|| number(&self.default)).ok_or_else(|| self.refused(value)),
+            _ => Ok(value.clone()),
+        }
     }
 }
 
@@ -417,41 +439,9 @@ pub(crate) fn list<P: Describe<Limits = Option<Without>>>(values: Values<P>) -> 
     parameters
 }
 
-/// Sets one of those that are listed.
-///
-/// # Errors
-/// [`Error::Request`] where there is none of that name, a group that it is in is left out, or it cannot have that value.
-pub(crate) fn set<P: Describe>(params: &mut P, listed: &[Parameter], name: &str, value: &Value) -> Result<()> {
-    let Some(parameter) = listed.iter().find(|parameter| parameter.name == name) else {
-        return Err(unknown(listed, name));
-    };
-    parameter.check(value)?;
-    let is_number = |value: &&Value| matches!(value, Value::Number(_));
-    let value = match (&parameter.kind, value) {
-        (Kind::Number { .. }, Value::Flag(true)) => parameter.value.as_ref().filter(is_number).or(parameter.default.as_ref()).unwrap_or(value),
-        _ => value,
-    };
-    if parameter.value.is_none() {
-        let group = listed.iter().find(|group| group.kind == Kind::Group && group.value == Some(Value::Flag(false)) && is_in(name, &group.name));
-        let group = group.map_or("its group", |group| &group.name);
-        return Err(Error::Request { problem: format!("`{name}` cannot be set where `{group}` is left out"), remedy: format!("make `{group}` true before") });
-    }
+/// Sets the parameter of this name to a value of its kind.
+pub(crate) fn set<P: Describe>(params: &mut P, name: &str, value: &Value) {
     params.set(name, value);
-    Ok(())
-}
-
-/// Whether a parameter is one of a group.
-pub(crate) fn is_in(name: &str, group: &str) -> bool {
-    name.strip_prefix(group).is_some_and(|rest| rest.starts_with('.'))
-}
-
-fn unknown(listed: &[Parameter], name: &str) -> Error {
-    // Those beside it, where there are any.
-    let group = name.rsplit_once('.').map_or("", |(group, _)| group);
-    let beside = |parameter: &&Parameter| group.is_empty() || is_in(&parameter.name, group);
-    let names = |filter: &dyn Fn(&&Parameter) -> bool| listed.iter().filter(filter).map(|parameter| parameter.name.as_str()).collect::<Vec<_>>().join(", ");
-    let (near, all) = (names(&beside), names(&|_| true));
-    Error::Request { problem: format!("there is no parameter `{name}`"), remedy: format!("choose one of {}", if near.is_empty() { all } else { near }) }
 }
 
 /// Checks the ranges of those that are listed.

@@ -9,14 +9,16 @@ mod frame;
 pub mod gem;
 mod memory;
 pub mod nlm;
+mod parameters;
 pub mod plan;
 mod spikes;
+mod toml;
 
 use serde::Serialize;
 
 use crate::error::{Error, Result};
 use crate::gpu::Recorder;
-use crate::parameters::{self, Parameter, Value};
+use crate::parameters::choices;
 use crate::stage::nlm::Schedule;
 
 pub use dfc::DfcParams;
@@ -43,14 +45,16 @@ pub enum Method {
     Nlm(NlmParams),
 }
 
-/// Named parameter sets.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Preset {
-    /// What measured best.
-    Default,
-    /// The published algorithm to the letter, its misprints mended.
-    Thesis,
+choices! {
+    /// Named parameter sets.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+    #[serde(rename_all = "lowercase")]
+    pub enum Preset {
+        /// What measured best.
+        Default => "default",
+        /// The published algorithm to the letter, its misprints mended.
+        Thesis => "thesis",
+    }
 }
 
 impl Default for Method {
@@ -66,30 +70,12 @@ impl From<DfcParams> for Method {
 }
 
 impl Method {
-    /// All of them, with the parameters of the default preset.
-    pub fn all() -> [Self; 3] {
-        [Self::Dfc(DfcParams::default()), Self::Gem(GemParams::default()), Self::Nlm(NlmParams::default())]
-    }
-
     /// Its name on the command line.
     pub fn name(&self) -> &'static str {
         match self {
             Self::Dfc(_) => "dfc",
             Self::Gem(_) => "gem",
             Self::Nlm(_) => "nlm",
-        }
-    }
-
-    /// The same method with the parameters of a preset.
-    #[must_use]
-    pub fn of_preset(&self, preset: Preset) -> Self {
-        match (self, preset) {
-            (Self::Dfc(_), Preset::Default) => Self::Dfc(DfcParams::default()),
-            (Self::Dfc(_), Preset::Thesis) => Self::Dfc(DfcParams::thesis()),
-            (Self::Gem(_), Preset::Default) => Self::Gem(GemParams::default()),
-            (Self::Gem(_), Preset::Thesis) => Self::Gem(GemParams::thesis()),
-            (Self::Nlm(_), Preset::Default) => Self::Nlm(NlmParams::default()),
-            (Self::Nlm(_), Preset::Thesis) => Self::Nlm(NlmParams::thesis()),
         }
     }
 
@@ -149,36 +135,6 @@ impl Method {
             Self::Gem(params) => params.validate(),
             Self::Nlm(params) => params.validate(),
         }
-    }
-
-    /// Its parameters, with their documentation, ranges and values, in the order of their declaration.
-    pub fn parameters(&self) -> Vec<Parameter> {
-        match self {
-            Self::Dfc(params) => params.parameters(),
-            Self::Gem(params) => params.parameters(),
-            Self::Nlm(params) => params.parameters(),
-        }
-    }
-
-    /// The same with another value of one parameter, named as in [`Method::parameters`].
-    ///
-    /// # Errors
-    /// [`Error::Request`] naming the parameter and its range: where there is none of that name, where it cannot be `value`, or where that contradicts the other parameters.
-    pub fn with_parameter(self, name: &str, value: impl Into<Value>) -> Result<Self> {
-        let method = self.with_unchecked(name, &value.into())?;
-        method.validate()?;
-        Ok(method)
-    }
-
-    /// The same, which may contradict the other parameters.
-    fn with_unchecked(mut self, name: &str, value: &Value) -> Result<Self> {
-        let listed = self.parameters();
-        match &mut self {
-            Self::Dfc(params) => parameters::set(params, &listed, name, value)?,
-            Self::Gem(params) => parameters::set(params, &listed, name, value)?,
-            Self::Nlm(params) => parameters::set(params, &listed, name, value)?,
-        }
-        Ok(self)
     }
 
     /// What it does for frames of which this is known.

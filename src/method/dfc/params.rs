@@ -26,7 +26,8 @@ parameters! {
         pub second_patch_radius: u32 => pixels(0..=LARGEST_PATCH_RADIUS),
         /// k_f of all candidates: how large a difference of features counts, in standard deviations. More filters more.
         pub feature_k: f32 => above(0.0).of("σ"),
-        /// τ of FIRST and SECOND: the variance that a feature has at the least, in squares of the unit range that features are brought to.
+        /// τ of FIRST and SECOND: what squared differences of features are divided by at the least, besides k_f², in squares of the unit range that features are brought to.
+        /// More filters more.
         pub feature_tau: f32 => above(0.0),
         /// τ of THIRD, as `feature_tau`.
         ///

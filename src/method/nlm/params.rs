@@ -16,7 +16,7 @@ parameters! {
     pub struct NlmParams {
         /// r, the radius of the window: a pixel is averaged over (2r+1)² pixels. Work grows with its square.
         pub window_radius: u32 => pixels(1..=LARGEST_WINDOW_RADIUS),
-        /// f, the radius of the patches: those of (2f+1)² pixels are compared. 0 compares single pixels, as the bilateral filter does.
+        /// f, the radius of the patches: those of (2f+1)² pixels are compared. Radius 0 compares single pixels, as the bilateral filter does.
         pub patch_radius: u32 => pixels(0..=LARGEST_PATCH_RADIUS),
         /// How large a difference counts, in standard deviations. More filters more.
         pub k: f32 => above(0.0).of("σ"),
