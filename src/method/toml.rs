@@ -25,6 +25,7 @@ impl Method {
         let is_table = |parameter: &Parameter, value: &Value| parameter.kind == Kind::Group && *value == Value::Flag(true);
         // A key behind the head of a table is one of the table.
         for (parameter, value) in there().filter(|(parameter, value)| !parameter.name.contains('.') && !is_table(parameter, value)) {
+            document.push('\n');
             pair(&mut document, parameter, &parameter.name, value);
         }
         let mut last_table = "";
@@ -34,8 +35,8 @@ impl Method {
                 Some((table, key)) => (table, Some(key)),
                 None => ("", None),
             };
+            document.push('\n');
             if table != last_table {
-                document.push('\n');
                 if key.is_none() {
                     comment(&mut document, &format!("{} In place of this table, `{table} = false` above leaves it out.", parameter.summary()));
                 }
@@ -102,7 +103,7 @@ impl Method {
             (Some(Parameter { kind: Kind::Group, .. }), DeValue::Table(_)) => Value::Flag(true),
             // The method tells what is wrong with the name.
             (None, _) => Value::Flag(true),
-            (Some(parameter), value) => read(value).ok_or_else(|| parameter.refused(shown(value)))?,
+            (Some(parameter), value) => read(value).filter(|read| parameter.kind.contains(read)).ok_or_else(|| parameter.refused(shown(value)))?,
         };
         self.with_unchecked(name, &value)
     }
@@ -141,7 +142,7 @@ fn read(value: &DeValue<'_>) -> Option<Value> {
     }
 }
 
-/// As in the document, but for what would be long.
+/// As in the document.
 fn shown(value: &DeValue<'_>) -> String {
     match value {
         DeValue::Boolean(flag) => flag.to_string(),
@@ -149,7 +150,7 @@ fn shown(value: &DeValue<'_>) -> String {
         DeValue::Float(number) => number.to_string(),
         DeValue::String(word) => format!("{word:?}"),
         DeValue::Datetime(time) => time.to_string(),
-        DeValue::Array(_) => "such an array".into(),
+        DeValue::Array(values) => format!("[{}]", values.iter().map(|value| shown(value.get_ref())).collect::<Vec<_>>().join(", ")),
         DeValue::Table(_) => "a table".into(),
     }
 }
@@ -167,14 +168,11 @@ fn in_line(document: &str, at: usize) -> impl Fn(Error) -> Error {
     }
 }
 
-/// A key with its value, apart from the one before, and above it what it means and can be.
+/// A key with its value, and above it what it means and can be.
 fn pair(document: &mut String, parameter: &Parameter, key: &str, value: &Value) {
     let mut rule = parameter.rule();
     if let Some(first) = rule.get_mut(..1) {
         first.make_ascii_uppercase();
-    }
-    if !document.ends_with("]\n") {
-        document.push('\n');
     }
     comment(document, &format!("{} {rule}.", parameter.summary()));
     let value = match value {
