@@ -102,7 +102,7 @@ fn gem_is_a_method_with_options_and_intermediates_of_its_own() {
     assert!(attribute(&output, "stein.parameters").unwrap().contains("gem"));
 
     with(&["--radius=5"]).failed(2, &["--radius is no option of the method gem", "remedy: "]);
-    with(&["--gamma=0.5"]).failed(2, &["γ is 0.5", "below 0.4"]);
+    with(&["--gamma=0.5"]).failed(2, &["`gamma` cannot be 0.5", "below 0.4"]);
     with(&["--keep=candidates"]).failed(2, &["gem has no such intermediate", "stopping"]);
     with(&["--feature", "albedo=a.exr"]).failed(2, &["gem uses no features"]);
     stein(&["denoise", &input, "--gamma=0.2"]).failed(2, &["--gamma is no option of the method dfc"]);

@@ -34,10 +34,11 @@ fn others(parameter: &Parameter) -> Vec<Value> {
     let all = match &parameter.kind {
         Kind::Integer { range } => vec![Value::Integer(*range.start()), Value::Integer(*range.end())],
         Kind::Number { range, can_be_off } => {
-            let ends = [range.0, range.1].into_iter().filter_map(|bound| match bound {
-                Bound::Included(end) => Some(end),
-                Bound::Excluded(end) => Some(if end == 0.0 { f32::MIN_POSITIVE } else { end.next_down() }),
-                Bound::Unbounded => Some(f32::MAX),
+            let ends = [range.0, range.1].into_iter().map(|bound| match bound {
+                Bound::Included(end) => end,
+                Bound::Excluded(0.0) => f32::MIN_POSITIVE,
+                Bound::Excluded(end) => end.next_down(),
+                Bound::Unbounded => f32::MAX,
             });
             let number = match parameter.value {
                 Some(Value::Number(number)) => number,
