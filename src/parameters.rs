@@ -242,7 +242,7 @@ pub(crate) trait Describe: Copy {
     /// Adds what is at `place` and below.
     fn list(values: Values<Self>, place: Place<'_>, limits: Self::Limits, into: &mut Vec<Parameter>);
 
-    /// Sets what has this name, empty for the whole, to a value of its kind.
+    /// Sets what has this name, empty for the whole, to a value of its kind. Nothing is set where there is none of that name or kind, as [`Parameter::check`] tells before.
     fn set(&mut self, name: &str, value: &Value);
 }
 
@@ -437,11 +437,6 @@ pub(crate) fn list<P: Describe<Limits = Option<Without>>>(values: Values<P>) -> 
     let mut parameters = Vec::new();
     P::list(values, Place { name: "", documentation: &[] }, None, &mut parameters);
     parameters
-}
-
-/// Sets the parameter of this name to a value of its kind.
-pub(crate) fn set<P: Describe>(params: &mut P, name: &str, value: &Value) {
-    params.set(name, value);
 }
 
 /// Checks the ranges of those that are listed.

@@ -2,7 +2,7 @@
 
 use super::{DfcParams, GemParams, Method, NlmParams, Preset};
 use crate::error::{Error, Result};
-use crate::parameters::{Kind, Parameter, Value, set};
+use crate::parameters::{Describe, Kind, Parameter, Value};
 
 impl Method {
     /// All methods, with the parameters of the default preset.
@@ -65,9 +65,9 @@ impl Method {
             return Err(Error::Request { problem: format!("`{name}` is none where `{group}` is left out"), remedy: format!("make `{group}` true before") });
         }
         match &mut self {
-            Self::Dfc(params) => set(params, name, &value),
-            Self::Gem(params) => set(params, name, &value),
-            Self::Nlm(params) => set(params, name, &value),
+            Self::Dfc(params) => params.set(name, &value),
+            Self::Gem(params) => params.set(name, &value),
+            Self::Nlm(params) => params.set(name, &value),
         }
         Ok(self)
     }
