@@ -4,11 +4,11 @@
 // has are the bright ones, its excess over the level is about √k standard deviations of its mean, whatever n is and however bright they are. Both the sample variance and the
 // halves say so, and the one that says more is believed, for either may miss it. A light has many bright samples, and without noise infinitely many.
 //
-// SPREAD: what is taken from a spike goes to all pixels of its kind in a wider window, to each the same, but for those without noise: they are what they are. One spike says
-// little about how much light there is: it stands for as many pixels as there would have to be until the next one. Where it would raise the level around it by more than a part
-// of it, it is rarer than that, and the more it would, the more of it is left out.
+// SPREAD: what is taken from a spike goes to all pixels of its kind in a wider window, to each the less the further it is away, but for those without noise: they are what they
+// are. One spike says little about how much light there is: it stands for as many pixels as there would have to be until the next one. Where it would raise the level around it by
+// more than a part of it, it is rarer than that, and the more it would, the more of it is left out.
 #import stein::planes::{pixel_index}
-#import stein::spike::{SpikeParams, SpikeFeatures, are_alike, brightness, has_noise}
+#import stein::spike::{SpikeParams, SpikeFeatures, are_alike, brightness, falloff, has_noise}
 
 const FEATURE_GROUPS: i32 = #{FEATURE_GROUPS};
 
@@ -23,7 +23,7 @@ const FEATURE_GROUPS: i32 = #{FEATURE_GROUPS};
 @group(0) @binding(4) var<storage, read_write> repaired_variance: array<vec4<f32>>;
 #endif
 @group(0) @binding(5) var<storage, read_write> repaired: array<vec4<f32>>;
-// Two planes. What is taken from each pixel, in w the part of it that others get; behind it what each of them gets.
+// Two planes. What is taken from each pixel, in w the part of it that others get; behind it what one of them in its place would get.
 @group(0) @binding(6) var<storage, read_write> spikes: array<vec4<f32>>;
 
 // Of the halves alone, whose squared spread is as likely too small as too large.
@@ -154,7 +154,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
             for (var x = spread_first.x; x <= spread_last.x; x++) {
                 let at_q = pixel_index(vec2<i32>(x, y), extent);
                 if is_like(at_p, at_q) {
-                    members += select(0.0, 1.0, is_noisy(at_q));
+                    members += select(0.0, falloff(vec2<i32>(x, y) - p, params.spread_radius), is_noisy(at_q));
                     let value = brightness(signal[at_q].xyz);
                     if value <= bright {
                         darker += 1.0;

@@ -1,11 +1,11 @@
 // Adds to each pixel that has noise what it gets of the spikes around it.
 #import stein::planes::{pixel_index}
-#import stein::spike::{SpikeParams, SpikeFeatures, are_alike, has_noise}
+#import stein::spike::{SpikeParams, SpikeFeatures, are_alike, falloff, has_noise}
 
 const FEATURE_GROUPS: i32 = #{FEATURE_GROUPS};
 
 @group(0) @binding(0) var<uniform> params: SpikeParams;
-// What was taken from each pixel; behind it what each of its kind gets of it, in w 1 where there is a spike in the row of pixels around.
+// What was taken from each pixel; behind it what one of its kind in its place gets of it, in w 1 where there is a spike in the row of pixels around.
 @group(0) @binding(1) var<storage, read> spikes: array<vec4<f32>>;
 #if FEATURE_GROUPS != 0
 @group(0) @binding(2) var<storage, read> features: array<vec4<f32>>;
@@ -62,7 +62,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
                 let at_p = pixel_index(vec2<i32>(x, y), extent);
                 let share = spikes[pixels + at_p].xyz;
                 if any(share != vec3<f32>(0.0)) && is_like(at_p, at_q) {
-                    sum += share;
+                    sum += falloff(vec2<i32>(x, y) - q, params.spread_radius) * share;
                 }
             }
         }

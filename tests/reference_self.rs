@@ -12,7 +12,7 @@ use reference::prefilter::{gradient_squared, prefilter};
 use reference::random::Random;
 use reference::select::{ALL, Evidence, FIRST, Guard, SECOND, THIRD, select, share};
 use reference::sure::sure;
-use reference::variance::{Signal, spread_of_halves, variance_scale};
+use reference::variance::{BoxWeight, Signal, spread_of_halves, variance_scale};
 use reference::{Grid, Planes, Point, square};
 
 /// Both presets at a radius that a test can afford; they differ in every switch.
@@ -368,14 +368,30 @@ fn variance_scaling_keeps_the_structure_and_corrects_the_magnitude() {
     let spread = truth.like(|p| truth.at(p).sqrt() * noise.at(p));
     // Low-discrepancy samples: the sample variance claims three times too much.
     let claimed = truth.like(|p| 3.0 * truth.at(p));
-    let scaled = variance_scale(&[claimed], &[spread], 10);
-    for p in square(5).map(|o| o + Point { x: 20, y: 20 }) {
-        // 441 squared normals have a relative deviation of √(2/441) = 0.07.
-        let ratio = scaled[0].at(p) / truth.at(p);
-        assert_close(ratio, 1.0, 4.0 * 0.07, "scaled variance over the true one");
+    for weight in [BoxWeight::Even, BoxWeight::Deviation] {
+        let scaled = variance_scale(std::slice::from_ref(&claimed), std::slice::from_ref(&spread), 10, weight);
+        for p in square(5).map(|o| o + Point { x: 20, y: 20 }) {
+            // 441 squared normals have a relative deviation of √(2/441) = 0.07.
+            let ratio = scaled[0].at(p) / truth.at(p);
+            assert_close(ratio, 1.0, 4.0 * 0.07, "scaled variance over the true one");
+        }
+        let none = variance_scale(&[row(&[0.0; 5])], &[row(&[1.0; 5])], 2, weight);
+        assert_eq!(none[0], row(&[0.0; 5]));
     }
-    let none = variance_scale(&[row(&[0.0; 5])], &[row(&[1.0; 5])], 2);
-    assert_eq!(none[0], row(&[0.0; 5]));
+}
+
+/// An outlier whose halves agree by accident takes all variance of its box where pixels count alike.
+#[test]
+fn an_outlier_does_not_decide_how_the_variances_around_it_are_scaled() {
+    let mut random = Random(4);
+    let noise = random.gaussian_grid(40, 40, 0.0, 1.0);
+    let is_outlier = |p: Point| p == Point { x: 20, y: 20 };
+    let spread = noise.like(|p| if is_outlier(p) { 0.0 } else { noise.at(p) });
+    let claimed = noise.like(|p| if is_outlier(p) { 1e6 } else { 1.0 });
+    let beside = |weight: BoxWeight| variance_scale(std::slice::from_ref(&claimed), std::slice::from_ref(&spread), 10, weight)[0].at(Point { x: 22, y: 21 });
+    assert!(beside(BoxWeight::Even) < 1e-3, "{}", beside(BoxWeight::Even));
+    // It counts as a thousand of the 440 others.
+    assert_close(beside(BoxWeight::Deviation), 440.0 / 1440.0, 0.1, "variance beside an outlier");
 }
 
 /// Shared by every later stage: mixing up the two is a factor of two that no other test sees.
@@ -423,7 +439,7 @@ fn a_feature_without_variance_is_left_alone() {
     let mut random = Random(4);
     let mean = planes(2, || random.uniform_grid(9, 7, 0.0, 1.0));
     let signal = Signal { mean: mean.clone(), spread: None, sample_variance: None };
-    let result = prefilter(&signal, true, CentreWeight::LargestNeighbour);
+    let result = prefilter(&signal, true, CentreWeight::LargestNeighbour, BoxWeight::Deviation);
     assert_eq!(result.feature.mean, mean);
     assert!(result.feature.residual_variance.iter().all(|plane| plane.mean() == 0.0));
     assert!(result.spread.is_none());
@@ -436,7 +452,7 @@ fn a_feature_with_noise_ends_with_less_of_it_however_the_noise_is_known() {
     let (spread, variance) = (known.spread, known.sample_variance);
     for (spread, sample_variance) in [(spread.clone(), variance.clone()), (spread, None), (None, variance)] {
         let signal = Signal { mean: known.mean.clone(), spread, sample_variance };
-        let feature = prefilter(&signal, true, CentreWeight::LargestNeighbour).feature;
+        let feature = prefilter(&signal, true, CentreWeight::LargestNeighbour, BoxWeight::Deviation).feature;
         let error = feature.mean[0].like(|p| (feature.mean[0].at(p) - 0.5).powi(2)).mean();
         let claimed = feature.residual_variance[0].mean();
         assert!(error < 0.002, "0.01 before the filter, {error} after");

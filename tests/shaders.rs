@@ -43,7 +43,8 @@ fn with_rules(sets: &[Definitions]) -> Vec<Definitions> {
 fn definitions(stage: &str) -> Option<Vec<Definitions>> {
     let none = Some(vec![Vec::new()]);
     match stage {
-        "variance_rows" | "variance_scale" => Some(combinations(&[("PIXELS", numbers(&[4]))])),
+        "variance_rows" => Some(combinations(&[("PIXELS", numbers(&[4])), ("BY_DEVIATION", flags())])),
+        "variance_scale" => Some(combinations(&[("PIXELS", numbers(&[4]))])),
         "spike_find" => Some(combinations(&[("FEATURE_GROUPS", numbers(&[0, 1, 2, 8])), ("VARIANCE", flags()), ("SPREAD", flags())])),
         "spike_rows" => none,
         "spike_spread" => Some(combinations(&[("FEATURE_GROUPS", numbers(&[0, 1, 2, 8])), ("VARIANCE", flags())])),

@@ -43,6 +43,12 @@ fn are_alike(p: SpikeFeatures, q: SpikeFeatures, triple: vec3<f32>, params: Spik
     return dot(distance.xyz, triple) <= 1.0 && distance.w <= 1.0;
 }
 
+// What a pixel gets of a spike at this offset, in parts of what one in its place would get: less towards the rim of the window, so that no border shows.
+fn falloff(offset: vec2<i32>, radius: i32) -> f32 {
+    let away = vec2<f32>(offset) / f32(radius + 1);
+    return max(1.0 - dot(away, away), 0.0);
+}
+
 fn brightness(color: vec3<f32>) -> f32 {
     return dot(color, vec3<f32>(1.0 / 3.0));
 }

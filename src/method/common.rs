@@ -8,7 +8,7 @@ use super::GpuSignal;
 use crate::error::Result;
 use crate::gpu::{Buffer, Recorder};
 use crate::stage::nlm::Guide;
-use crate::stage::variance::{INPUT_SMOOTHING, variance_scale, variance_smooth};
+use crate::stage::variance::{BoxWeight, INPUT_SMOOTHING, variance_scale, variance_smooth};
 
 /// Half width of the box over which variances are brought to scale (thesis 8.2: 21×21), in pixels.
 pub(super) const SCALE_RADIUS: u32 = 10;
@@ -32,9 +32,9 @@ impl Auxiliary {
 }
 
 /// The variance of the mean as the filters want it (thesis 8.2), from what there is.
-pub(super) fn input_variance(rec: &mut Recorder, extent: IVec2, signal: &GpuSignal) -> Result<Arc<Buffer>> {
+pub(super) fn input_variance(rec: &mut Recorder, extent: IVec2, signal: &GpuSignal, weight: BoxWeight) -> Result<Arc<Buffer>> {
     let variance = match (&signal.variance_of_mean, signal.has_halves) {
-        (Some(sample_variance), true) => variance_scale(rec, extent, &signal.signal, sample_variance, SCALE_RADIUS)?,
+        (Some(sample_variance), true) => variance_scale(rec, extent, &signal.signal, sample_variance, SCALE_RADIUS, weight)?,
         (None, _) => variance_smooth(rec, extent, &signal.signal, INPUT_SMOOTHING, None)?,
         (Some(sample_variance), false) => return Ok(sample_variance.clone()),
     };

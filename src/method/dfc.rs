@@ -19,10 +19,10 @@ use crate::stage::candidate::{CANDIDATE_PLANES, CandidateBeside, CandidateFilter
 use crate::stage::candidate_set::CandidateSet;
 use crate::stage::error::{ErrorParts, MadeOf, error_blend, error_sure};
 use crate::stage::feature::{Features, Packing, feature_pack};
-use crate::stage::nlm::{Beside, Guide, Lanes, Payload, Schedule, Weighting, nlm_filter};
+use crate::stage::nlm::{Beside, Guide, Lanes, Payload, Schedule, nlm_filter};
 use crate::stage::sample::sample_density;
 use crate::stage::select::{Evidence, HARM, Noisy, select_blend, select_frames, select_least, select_pass, select_share};
-use crate::stage::variance::{INPUT_SMOOTHING, RESIDUAL_SMOOTHING, variance_smooth};
+use crate::stage::variance::{BoxWeight, INPUT_SMOOTHING, RESIDUAL_SMOOTHING, variance_smooth};
 
 pub use params::{DfcParams, SecondPass};
 pub(super) use plan::plan;
@@ -74,7 +74,7 @@ pub(crate) fn dfc(
     let (mut colors_beside, features_beside): (Vec<_>, Vec<_>) = beside.into_iter().map(|frame| (frame.color, frame.features)).unzip();
 
     // Feature prefiltering.
-    let features = prefilter(rec, extent, std::iter::once(features).chain(features_beside).collect(), plan, weighting, schedule, &mut keeper)?;
+    let features = prefilter(rec, extent, std::iter::once(features).chain(features_beside).collect(), plan, params, schedule, &mut keeper)?;
 
     // Spikes.
     let mut spikes = None;
@@ -90,10 +90,10 @@ pub(crate) fn dfc(
 
     // Sample variance scaling.
     plan.begins(rec, Step::Variance);
-    let variance = input_variance(rec, extent, &color)?;
+    let variance = input_variance(rec, extent, &color, params.box_weight)?;
     let signal = &color.signal;
     keeper.keep(Intermediate::Variance, "scaled_variance", &RGB, Unit::ColorSquared, &variance, 0);
-    let variances_beside = colors_beside.iter().map(|color| input_variance(rec, extent, color)).collect::<Result<Vec<_>>>()?;
+    let variances_beside = colors_beside.iter().map(|color| input_variance(rec, extent, color, params.box_weight)).collect::<Result<Vec<_>>>()?;
 
     // Candidate filters.
     plan.begins(rec, Step::Candidates);
@@ -226,7 +226,7 @@ fn prefilter(
     extent: IVec2,
     frames: Vec<Vec<FeatureInput>>,
     plan: &Plan,
-    weighting: Weighting,
+    &DfcParams { weighting, box_weight, .. }: &DfcParams,
     schedule: Schedule,
     keeper: &mut Keeper,
 ) -> Result<Vec<Features>> {
@@ -245,7 +245,7 @@ fn prefilter(
         let exact = plan.exact(&step);
         let has_noise = plan.begins(rec, step.clone());
         let features = frames.iter().map(|features| features[index].fetch(rec)).collect::<Result<Vec<_>>>()?;
-        let variances = features.iter().map(|signal| if has_noise { noise(rec, extent, signal) } else { Ok(None) }).collect::<Result<Vec<_>>>()?;
+        let variances = features.iter().map(|signal| if has_noise { noise(rec, extent, signal, box_weight) } else { Ok(None) }).collect::<Result<Vec<_>>>()?;
         let mut prefiltered = Vec::new();
         for (frame, signal) in features.iter().enumerate() {
             let others = || features.iter().zip(&variances).enumerate().filter(|(other, _)| *other != frame);
@@ -282,9 +282,9 @@ fn prefilter(
 }
 
 /// The variance of a signal of whose noise anything is known.
-fn noise(rec: &mut Recorder, extent: IVec2, signal: &GpuSignal) -> Result<Option<Arc<Buffer>>> {
+fn noise(rec: &mut Recorder, extent: IVec2, signal: &GpuSignal, box_weight: BoxWeight) -> Result<Option<Arc<Buffer>>> {
     let noisy = signal.has_halves || signal.variance_of_mean.is_some();
-    noisy.then(|| input_variance(rec, extent, signal)).transpose()
+    noisy.then(|| input_variance(rec, extent, signal, box_weight)).transpose()
 }
 
 /// Counted from [`dfc`]: what is dropped is used again.

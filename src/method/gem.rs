@@ -13,7 +13,7 @@ use crate::error::Result;
 use crate::gpu::Recorder;
 use crate::stage::gaussian::{Averaging, Gaussian, gaussian};
 use crate::stage::scale::{Scale, Selected, scale_advance, scale_gaussian, scale_pixel, scale_reduction, scale_stop};
-use crate::stage::variance::INPUT_SMOOTHING;
+use crate::stage::variance::{BoxWeight, INPUT_SMOOTHING};
 
 pub use params::{GemParams, Phase};
 
@@ -48,7 +48,7 @@ pub(crate) fn gem(
 
     // Mean variances of the pixels (eq. 6.3). Scaled by the halves, where there are any, they need no purely random samples.
     plan.begins(rec, Step::Variance);
-    let variance = input_variance(rec, extent, &color)?;
+    let variance = input_variance(rec, extent, &color, BoxWeight::Deviation)?;
     keeper.keep(Intermediate::Variance, "scaled_variance", &RGB, Unit::ColorSquared, &variance, 0);
 
     plan.begins(rec, Step::Scales);

@@ -19,7 +19,7 @@ use crate::stage::half::{Halves, half_join, half_split};
 use crate::stage::nlm::{Beside, CentreWeight, Filtered, Guide, Payload, Schedule, Weighting, nlm_filter};
 use crate::stage::sample::sample_attach;
 use crate::stage::select::{HARM, Noisy, select_frames_of_filtered};
-use crate::stage::variance::{INPUT_SMOOTHING, VariancePair, variance_clamp, variance_pair};
+use crate::stage::variance::{BoxWeight, INPUT_SMOOTHING, VariancePair, variance_clamp, variance_pair};
 
 pub use params::{NlmParams, NlmVariance};
 
@@ -179,7 +179,7 @@ impl Prepared {
 /// Scaled as in thesis 8.2, and held below the sample variance as in 7.1.1. Measured on six renders with 8 and 32 samples per pixel, holding it saves single dark pixels beside
 /// bright noise (relative MSE of `caustic_ring` at 32 spp 0.0199 without, 0.0075 with; `dof_spheres` 0.0050 and 0.0048) and changes no other by more than 2 %.
 fn scaled_variance(rec: &mut Recorder, extent: IVec2, color: &GpuSignal) -> Result<Arc<Buffer>> {
-    let scaled = input_variance(rec, extent, color)?;
+    let scaled = input_variance(rec, extent, color, BoxWeight::Deviation)?;
     match color.variance_of_mean.as_ref().filter(|_| color.has_halves) {
         Some(sample_variance) => Ok(Arc::new(variance_clamp(rec, extent, &scaled, sample_variance)?)),
         None => Ok(scaled),
@@ -190,7 +190,7 @@ fn scaled_variance(rec: &mut Recorder, extent: IVec2, color: &GpuSignal) -> Resu
 /// everything here scales alike, so that the filter is that of the source, which speaks of one half.
 fn cross_filtered_variance(rec: &mut Recorder, extent: IVec2, color: &GpuSignal, weighting: Weighting, schedule: Schedule) -> Result<Arc<Buffer>> {
     let Some(sample_variance) = color.variance_of_mean.as_ref().filter(|_| color.has_halves) else {
-        return input_variance(rec, extent, color);
+        return input_variance(rec, extent, color, BoxWeight::Deviation);
     };
     let VariancePair { two_buffer_variance, uncertainty } = variance_pair(rec, extent, &color.signal, sample_variance)?;
     let guide = Guide { alpha: VARIANCE_ALPHA, ..Guide::new(sample_variance, &uncertainty, 3, VARIANCE_K, VARIANCE_PATCH_RADIUS) };

@@ -57,10 +57,10 @@ impl SpikeRule {
     /// What measured best.
     pub const DEFAULT: Self = Self {
         window_radius: 3,
-        spread_radius: 10,
+        spread_radius: 13,
         least_neighbours: 12,
         prominence: 3.0,
-        most_samples: 4.0,
+        most_samples: 2.0,
         share_limit: 0.1,
         feature_k: 0.6,
         feature_tau: 0.1,
@@ -89,7 +89,7 @@ pub struct Repaired {
     pub signal: Buffer,
     /// Its sample variance, where there is one: of a spike the mean of its neighbours'.
     pub variance_of_mean: Option<Buffer>,
-    /// Two planes. What was taken from each pixel, 0 where it is none, and in w the part of it that the pixels around are to get; behind it what each of them is to get.
+    /// Two planes. What was taken from each pixel, 0 where it is none, and in w the part of it that the pixels around are to get; behind it what one of them in its place is to get.
     pub spikes: Buffer,
 }
 
@@ -128,7 +128,7 @@ pub fn spike_find(
     Ok(Repaired { signal: repaired, variance_of_mean: repaired_variance, spikes })
 }
 
-/// Gives the pixels around each spike what they are to get of it, evenly to all of its kind that have noise: to what [`spike_find`] has made of the others.
+/// Gives the pixels around each spike what they are to get of it, to all of its kind that have noise, less the further they are away: to what [`spike_find`] has made of the others.
 pub fn spike_spread(
     rec: &mut Recorder,
     extent: IVec2,

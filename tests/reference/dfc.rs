@@ -6,7 +6,7 @@ use super::prefilter::{Prefiltered, prefilter};
 use super::select::{self, Evidence, Guard, select, share, smooth_maps};
 use super::spike::{self, SpikeParams};
 use super::sure::{self, ErrorParts, Part, error_blend, smooth_errors, sure};
-use super::variance::{Signal, buffer_var, input_variance};
+use super::variance::{BoxWeight, Signal, buffer_var, input_variance};
 use super::{Grid, Planes};
 
 /// What a candidate has of its own.
@@ -42,6 +42,7 @@ pub struct DfcParams {
     pub symmetric: bool,
     pub centre: CentreWeight,
     /// How often the last term of SURE counts.
+    pub box_weight: BoxWeight,
     pub covariance: f64,
     pub guard: Option<Guard>,
     /// None: spikes stay.
@@ -59,6 +60,7 @@ impl DfcParams {
             takes_part: select::ALL,
             symmetric: false,
             centre: CentreWeight::One,
+            box_weight: BoxWeight::Even,
             covariance: 1.0,
             guard: None,
             spikes: None,
@@ -91,6 +93,7 @@ impl Default for DfcParams {
             candidates: [first, second, CandidateParams { tau: 5e-4, ..third }],
             symmetric: true,
             centre: CentreWeight::LargestNeighbour,
+            box_weight: BoxWeight::Deviation,
             covariance: 1.5,
             guard: Some(Guard { smoothed_error: 4.0, smoothed_noise: 0.3, own_sigmas: 8.0, own_noise: 4.0 }),
             spikes: Some(SpikeParams::default()),
@@ -139,11 +142,11 @@ pub struct Dfc {
 
 pub fn dfc(frame: &Frame, params: &DfcParams) -> Dfc {
     // Lines 2–5 and 6–10: features and variances. Spikes are none of Algorithm 1.
-    let prefiltered: Vec<Prefiltered> = frame.features.iter().map(|signal| prefilter(signal, params.symmetric, params.centre)).collect();
+    let prefiltered: Vec<Prefiltered> = frame.features.iter().map(|signal| prefilter(signal, params.symmetric, params.centre, params.box_weight)).collect();
     let features: Vec<Feature> = prefiltered.iter().map(|prefiltered| prefiltered.feature.clone()).collect();
     let repaired = params.spikes.map(|params| spike::repaired(&frame.color, &features, &params));
     let (color, spikes) = repaired.map_or_else(|| (frame.color.clone(), None), |repaired| (repaired.signal, Some(repaired.taken)));
-    let color_variance = input_variance(&color);
+    let color_variance = input_variance(&color, params.box_weight);
 
     // Lines 11–17: candidate filters.
     let candidates =

@@ -2,7 +2,7 @@
 
 use super::gaussian::{gaussian, gaussian_neighbours, gaussian_variance};
 use super::spike::{self, SpikeParams};
-use super::variance::{Signal, input_variance};
+use super::variance::{BoxWeight, Signal, input_variance};
 use super::{Grid, Planes, Point};
 
 /// γ, the scales, and how outliers are removed (6.2.4, 6.4).
@@ -150,7 +150,7 @@ pub struct Gem {
 pub fn gem(color: &Signal, samples: &Grid, params: &GemParams) -> Gem {
     let repaired = params.spikes.map(|params| spike::repaired(color, &[], &params).signal);
     let color = repaired.as_ref().unwrap_or(color);
-    let variance = input_variance(color);
+    let variance = input_variance(color, BoxWeight::Deviation);
     let zero = || color.mean.iter().map(|grid| grid.like(|_| 0.0)).collect();
     let spread = color.spread.clone().unwrap_or_else(zero);
     let pixel = Scale { sigma: 0.0, mean: color.mean.clone(), spread, variance: variance.clone(), samples: samples.clone(), pixels: samples.like(|_| 1.0) };

@@ -3,7 +3,7 @@
 use super::gaussian::gaussian;
 use super::nlm::{CentreWeight, Guide, Pair, WindowWeights, blendable, half_window, weight};
 use super::spike::{self, SpikeParams};
-use super::variance::{Signal, input_variance};
+use super::variance::{BoxWeight, Signal, input_variance};
 use super::{Grid, Planes, Point, map_pixels, square};
 
 /// ε of eq. 7.4.
@@ -168,7 +168,7 @@ pub fn nlm(color: &Signal, params: &NlmParams, samples: &Grid) -> Nlm {
     let color = repaired.as_ref().unwrap_or(raw);
     let like = &color.mean[0];
     let variance = match params.variance {
-        Variance::Scaled => at_most_claimed(input_variance(color), color),
+        Variance::Scaled => at_most_claimed(input_variance(color, BoxWeight::Deviation), color),
         Variance::CrossFiltered => cross_filtered(color, &params.filter),
         Variance::Uniform => {
             let of_channel =
@@ -225,7 +225,7 @@ pub fn nlm(color: &Signal, params: &NlmParams, samples: &Grid) -> Nlm {
 
 /// Section 7.1.1, variance estimation. The uncertainty of Σ, of which the source has one from each half, is its variance over 3×3 pixels.
 pub fn cross_filtered(color: &Signal, filter: &Filter) -> Planes {
-    let (Some(claimed), Some(spread)) = (&color.sample_variance, &color.spread) else { return input_variance(color) };
+    let (Some(claimed), Some(spread)) = (&color.sample_variance, &color.spread) else { return input_variance(color, BoxWeight::Deviation) };
     let two_buffer: Planes = spread.iter().map(squared).collect();
     let uncertainty: Planes = claimed.iter().map(local_variance).collect();
     let own = Filter { window_radius: 1, patch_radius: 3, k: 0.45, alpha: 4.0, patchwise: false, cut: 0.0, ..*filter };

@@ -1,7 +1,7 @@
 //! Features are denoised before they guide (section 8.3).
 
 use super::nlm::{CentreWeight, Feature, FilterParams, Filtered, Guide, nlm_filter, nlm_variance};
-use super::variance::{Signal, buffer_var, input_variance};
+use super::variance::{BoxWeight, Signal, buffer_var, input_variance};
 use super::{Grid, Planes, Point};
 
 /// The gradient is measured over half a pixel: the distance from a pixel's centre to its edge.
@@ -23,8 +23,8 @@ pub struct Prefiltered {
 /// Lines 9 and 10 of Algorithm 1. The halves are filtered with the weights of the full data, and what they still differ by is
 /// the residual variance. Without halves it comes from the weights; a feature of which nothing is known but its mean is taken
 /// to be exact and left alone.
-pub fn prefilter(signal: &Signal, symmetric: bool, centre: CentreWeight) -> Prefiltered {
-    let variance = input_variance(signal);
+pub fn prefilter(signal: &Signal, symmetric: bool, centre: CentreWeight, box_weight: BoxWeight) -> Prefiltered {
+    let variance = input_variance(signal, box_weight);
     let params = FilterParams {
         window_radius: WINDOW_RADIUS,
         patch_radius: PATCH_RADIUS,

@@ -24,10 +24,10 @@ impl Default for SpikeParams {
     fn default() -> SpikeParams {
         SpikeParams {
             window_radius: 3,
-            spread_radius: 10,
+            spread_radius: 13,
             least_neighbours: 12,
             prominence: 3.0,
-            most_samples: 4.0,
+            most_samples: 2.0,
             share_limit: Some(0.1),
             k_feature: 0.6,
             tau: 0.1,
@@ -48,7 +48,7 @@ struct Spike {
     /// By its neighbours' claims.
     variance: Vec<f64>,
     excess: Vec<f64>,
-    /// Which part of the excess each of how many pixels gets.
+    /// Which part of the excess goes to how many pixels in its place.
     part: f64,
     members: f64,
 }
@@ -59,7 +59,9 @@ pub fn repaired(color: &Signal, features: &[Feature], params: &SpikeParams) -> R
     let at = |p: Point| spikes[mean[0].index(p)].as_ref();
     let received = |i: usize, q: Point| {
         let from = square(params.spread_radius).map(|o| q + o).filter(|&p| mean[0].contains(p));
-        let share = |p: Point| at(p).filter(|_| alike(features, params, p, q)).map_or(0.0, |spike| spike.part * spike.excess[i] / spike.members);
+        let share = |p: Point| {
+            at(p).filter(|_| alike(features, params, p, q)).map_or(0.0, |spike| falloff(params, p, q) * spike.part * spike.excess[i] / spike.members)
+        };
         if is_noisy(color, q) { from.map(share).sum::<f64>() } else { 0.0 }
     };
     let channels = 0..mean.len();
@@ -106,13 +108,19 @@ fn spike(color: &Signal, features: &[Feature], params: &SpikeParams, p: Point) -
     if !stands_out || excess.iter().map(|e| e * e).sum::<f64>() > params.most_samples * noise {
         return None;
     }
-    let members = window(params.spread_radius).filter(|&q| is_noisy(color, q)).count() as f64;
+    let members: f64 = window(params.spread_radius).filter(|&q| is_noisy(color, q)).map(|q| falloff(params, p, q)).sum();
     // Where the spike is at the edge of a light, its own level is not that of those who get its parts.
     let darker: Vec<f64> = window(params.spread_radius).map(|q| channel_mean(mean, q)).filter(|value| *value <= bright).collect();
     let around = darker.iter().sum::<f64>() / darker.len() as f64;
     let limit = params.share_limit.unwrap_or(0.0) * brightness(&level).min(around).max(0.0);
     let part = limit / (limit + brightness(&excess) / members);
     Some(Spike { variance: of_neighbours(&claimed), level, excess, part, members })
+}
+
+/// What a pixel gets, in parts of what one in the place of the spike would get.
+fn falloff(params: &SpikeParams, p: Point, q: Point) -> f64 {
+    let squared = |a: isize, b: isize| ((a - b) as f64 / (params.spread_radius + 1) as f64).powi(2);
+    (1.0 - squared(p.x, q.x) - squared(p.y, q.y)).max(0.0)
 }
 
 /// What has no noise is what it is.

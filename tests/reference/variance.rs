@@ -25,6 +25,14 @@ pub struct Signal {
     pub sample_variance: Option<Planes>,
 }
 
+/// How the pixels of a box count.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum BoxWeight {
+    Even,
+    /// By one over the standard deviation that they claim, or over a tenth of what their halves differ by where that is more.
+    Deviation,
+}
+
 /// Carries two half-buffer means as one plane, `(A − B)·√(n_A·n_B)/n`: its square is the two-buffer estimate of the variance
 /// of the mean of all samples. For equal halves it is (A − B)/2, and the square (A − B)²/4; chapter 7's Δ = (A − B)²/2 is
 /// the variance of *one half*.
@@ -35,9 +43,9 @@ pub fn spread_of_halves(a: &Grid, b: &Grid, samples_a: f64, samples_b: f64) -> G
 
 /// The best variance that a signal allows: scaled if it can be, taken at its word without halves, two-buffer alone without
 /// sample variance. With neither, the signal claims to be free of noise.
-pub fn input_variance(signal: &Signal) -> Planes {
+pub fn input_variance(signal: &Signal, weight: BoxWeight) -> Planes {
     match (&signal.sample_variance, &signal.spread) {
-        (Some(variance), Some(spread)) => variance_scale(variance, spread, SCALE_RADIUS),
+        (Some(variance), Some(spread)) => variance_scale(variance, spread, SCALE_RADIUS, weight),
         (Some(variance), None) => variance.clone(),
         (None, Some(spread)) => spread.iter().map(|spread| gaussian(&squared(spread), HALVES_ONLY_SIGMA, HALVES_ONLY_RADIUS)).collect(),
         (None, None) => signal.mean.iter().map(|mean| mean.like(|_| 0.0)).collect(),
@@ -46,18 +54,25 @@ pub fn input_variance(signal: &Signal) -> Planes {
 
 /// `scale_svar` of Algorithm 1: gives the sample variance, which knows the structure of the noise, the magnitude of the
 /// two-buffer variance, which is unbiased for low-discrepancy samples too.
-pub fn variance_scale(sample_variance: &[Grid], spread: &[Grid], radius: usize) -> Planes {
+pub fn variance_scale(sample_variance: &[Grid], spread: &[Grid], radius: usize, weight: BoxWeight) -> Planes {
     sample_variance
         .iter()
         .zip(spread)
         .map(|(sample_variance, spread)| {
             let two_buffer = squared(spread);
+            let weights = sample_variance.like(|q| match weight {
+                BoxWeight::Even => 1.0,
+                BoxWeight::Deviation if sample_variance.at(q) == 0.0 => 0.0,
+                BoxWeight::Deviation => 1.0 / sample_variance.at(q).max(two_buffer.at(q) / 100.0).max(1e-30).sqrt(),
+            });
+            let weighted = |plane: &Grid| plane.like(|q| weights.at(q) * plane.at(q));
+            let (weighted_sample, weighted_two_buffer) = (weighted(sample_variance), weighted(&two_buffer));
             sample_variance.like(|p| {
-                let claimed = box_sum(sample_variance, p, radius);
+                let claimed = box_sum(&weighted_sample, p, radius);
                 if claimed == 0.0 {
                     return 0.0;
                 }
-                sample_variance.at(p) * box_sum(&two_buffer, p, radius) / claimed
+                sample_variance.at(p) * box_sum(&weighted_two_buffer, p, radius) / claimed
             })
         })
         .collect()

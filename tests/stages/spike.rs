@@ -118,5 +118,5 @@ fn spikes_are_found_and_spread() {
         }
     }
     let least = |wanted: usize| found.iter().filter(|(width, _)| *width == wanted).map(|(_, spikes)| *spikes).min();
-    assert!(least(257) > Some(50) && least(7) >= Some(3) && least(1) == Some(0), "{found:?}");
+    assert!(least(257) > Some(50) && least(7) >= Some(2) && least(1) == Some(0), "{found:?}");
 }

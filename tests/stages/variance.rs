@@ -4,7 +4,7 @@ use stein::frame::half_spread;
 use stein::gpu::Gpu;
 use stein::image::{Extent, Image};
 use stein::stage::gaussian::Gaussian;
-use stein::stage::variance::{INPUT_SMOOTHING, RESIDUAL_SMOOTHING, variance_scale, variance_smooth};
+use stein::stage::variance::{BoxWeight, INPUT_SMOOTHING, RESIDUAL_SMOOTHING, variance_scale, variance_smooth};
 
 use crate::common::{assert_near, checked_gpu, extent_of, gpu, own_size, packed, packed_signal, read, run, scene, upload};
 use crate::reference;
@@ -13,12 +13,12 @@ use crate::reference::{Grid, Planes};
 
 const POSITIVE_SUMS: f64 = 1e-5;
 
-fn scaled(gpu: &Gpu, mean: &[Grid], spread: &[Grid], sample_variance: &[Grid], radius: u32) -> Planes {
+fn scaled(gpu: &Gpu, mean: &[Grid], spread: &[Grid], sample_variance: &[Grid], radius: u32, weight: BoxWeight) -> Planes {
     let extent = extent_of(&mean[0]);
     let buffer = run(gpu, |rec| {
         let signal = rec.upload("signal", &packed_signal(mean, spread))?;
         let sample_variance = rec.upload("sample variance", &packed(sample_variance))?;
-        variance_scale(rec, extent, &signal, &sample_variance, radius)
+        variance_scale(rec, extent, &signal, &sample_variance, radius, weight)
     });
     read(gpu, &buffer, extent).remove(0)
 }
@@ -29,11 +29,14 @@ fn variance_is_brought_to_scale() {
         [(gpu(), 257, 89, 10), (gpu(), 7, 300, 10), (gpu(), 1, 1, 10), (gpu(), 24, 20, 2), (gpu(), 24, 20, 0), (checked_gpu(), 31, 9, 10)]
     {
         let scene = scene(width, height, 1);
-        let actual = scaled(gpu, &scene.mean, &scene.spread, &scene.variance, radius);
-        let expected = reference::variance::variance_scale(&scene.variance, &scene.spread, radius as usize);
-        assert_near(&format!("variance_scale, {width}×{height}, radius {radius}"), &actual, &expected, &own_size(&expected, 0.0), POSITIVE_SUMS, 0.0);
-        let is_zero = |planes: &[Grid]| planes[0].values.iter().filter(|v| **v == 0.0).count();
-        assert!(width < 257 || (is_zero(&actual) > 1000 && is_zero(&actual) < 10_000), "{} pixels without variance", is_zero(&actual));
+        for (weight, twin) in [(BoxWeight::Even, reference::variance::BoxWeight::Even), (BoxWeight::Deviation, reference::variance::BoxWeight::Deviation)] {
+            let actual = scaled(gpu, &scene.mean, &scene.spread, &scene.variance, radius, weight);
+            let expected = reference::variance::variance_scale(&scene.variance, &scene.spread, radius as usize, twin);
+            let what = format!("variance_scale, {width}×{height}, radius {radius}, {weight:?}");
+            assert_near(&what, &actual, &expected, &own_size(&expected, 0.0), POSITIVE_SUMS, 0.0);
+            let is_zero = |planes: &[Grid]| planes[0].values.iter().filter(|v| **v == 0.0).count();
+            assert!(width < 257 || (is_zero(&actual) > 1000 && is_zero(&actual) < 10_000), "{} pixels without variance", is_zero(&actual));
+        }
     }
 }
 
@@ -98,10 +101,12 @@ fn scaled_variance_is_that_of_the_mean_and_not_of_a_half() {
         // A claim that is three times too large, as from low-discrepancy samples.
         let of_the_mean = of_one_sample / (samples_a + samples_b);
         let claimed: Planes = spread.iter().map(|grid| grid.like(|_| 3.0 * of_the_mean)).collect();
-        for plane in &scaled(gpu(), &spread, &spread, &claimed, 10)[..3] {
-            let ratio = plane.mean() / of_the_mean;
-            // 9216 squared normals: a relative deviation of √(2/9216) = 0.015.
-            assert!((ratio - 1.0).abs() < 4.0 * 0.015, "halves of {samples_a} and {samples_b} samples: {ratio} times the variance of the mean");
+        for weight in [BoxWeight::Even, BoxWeight::Deviation] {
+            for plane in &scaled(gpu(), &spread, &spread, &claimed, 10, weight)[..3] {
+                let ratio = plane.mean() / of_the_mean;
+                // 9216 squared normals: a relative deviation of √(2/9216) = 0.015.
+                assert!((ratio - 1.0).abs() < 4.0 * 0.015, "halves of {samples_a} and {samples_b} samples: {ratio} times the variance of the mean");
+            }
         }
     }
 }

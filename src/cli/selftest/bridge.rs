@@ -7,6 +7,7 @@ use stein::method::gem::Phase;
 use stein::method::nlm::NlmVariance;
 use stein::stage::nlm::{CentreWeight, Symmetry};
 use stein::stage::spike::SpikeRule;
+use stein::stage::variance::BoxWeight;
 use stein::{DfcParams, Frame, GemParams, NlmParams};
 use stein_reference::dfc::{self, CandidateParams, SecondPassParams};
 use stein_reference::{Grid, Planes, exposure, gem, nlm, nlm_method, select, spike, variance};
@@ -72,6 +73,10 @@ pub(crate) fn dfc_params(params: &DfcParams) -> dfc::DfcParams {
         takes_part: params.candidates.flags(),
         symmetric: params.weighting.symmetric != Symmetry::Off,
         centre: centre(params.weighting.centre),
+        box_weight: match params.box_weight {
+            BoxWeight::Even => variance::BoxWeight::Even,
+            BoxWeight::Deviation => variance::BoxWeight::Deviation,
+        },
         covariance: params.covariance.into(),
         guard: params.guard.map(|guard| select::Guard {
             smoothed_error: guard.smoothed_error.into(),

@@ -9,6 +9,7 @@ use crate::parameters::{Group, Parameter, Values, Without, above, check, list, p
 use crate::stage::candidate_set::CandidateSet;
 use crate::stage::nlm::{CentreWeight, Symmetry, Weighting};
 use crate::stage::select::Guard;
+use crate::stage::variance::BoxWeight;
 
 parameters! {
     /// Parameters of DFC (thesis chapter 8), in [a table](crate::parameters#dfc). [`DfcParams::default`] is what measured best, [`DfcParams::thesis`] is Algorithm 1 to the letter.
@@ -39,6 +40,8 @@ parameters! {
             choice: "hard",
             because: "the weights of opposite neighbours would be replaced at once, so that SURE could not differentiate them.",
         }),
+        /// How the pixels of a box count where the variances that they claim are scaled by what their halves differ by.
+        pub box_weight: BoxWeight,
         /// How often the last term of SURE counts, 2σ²·dF/du (eq. 8.5).
         ///
         /// It stands for the covariance of noise and filtered value, and reads low: a pixel that came out low claims little variance, so that the filter follows it. Measured on
@@ -90,6 +93,7 @@ impl Default for DfcParams {
         Self {
             feature_tau_third: 5e-4,
             weighting: Weighting { symmetric: Symmetry::Blended, centre: CentreWeight::LargestNeighbour },
+            box_weight: BoxWeight::Deviation,
             covariance: 1.5,
             guard: Some(Guard::default()),
             spikes: Spikes::Spread,
@@ -112,6 +116,7 @@ impl DfcParams {
             feature_tau: 1e-2,
             feature_tau_third: 1e-3,
             weighting: Weighting { symmetric: Symmetry::Off, centre: CentreWeight::One },
+            box_weight: BoxWeight::Even,
             covariance: 1.0,
             guard: None,
             spikes: Spikes::Keep,
