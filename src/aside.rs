@@ -4,7 +4,7 @@
 
 use std::collections::BTreeSet;
 use std::fs::File;
-use std::io::{Error, ErrorKind, Result};
+use std::io::{Error, ErrorKind, Result, Write};
 use std::ops::{Deref, DerefMut};
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, MutexGuard, PoisonError};
@@ -88,6 +88,22 @@ impl<T: AsRef<Path>> Drop for Aside<T> {
             paths.remove(&self.path);
         }
     }
+}
+
+/// Writes a file of these bytes, as readable as the user's other files. Where anything fails, what was there stays and nothing else is left.
+///
+/// # Errors
+/// Those of the file system, and [`ErrorKind::Interrupted`] once everything was abandoned.
+pub fn write(output: &Path, bytes: &[u8]) -> Result<()> {
+    let mut builder = Builder::new();
+    replace(output, readable(builder.prefix(".stein-").suffix(".part")), |file| file.write_all(bytes))
+}
+
+/// Temporary files are private by default; an output is as readable as the user's other files.
+pub(crate) fn readable<'a, 'b, 'c>(builder: &'c mut Builder<'a, 'b>) -> &'c mut Builder<'a, 'b> {
+    #[cfg(unix)]
+    builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
+    builder
 }
 
 /// Writes a file aside, has the system keep it, and renames it to `output`, where another may be replaced. Where anything fails, what was there stays and nothing else is left.

@@ -22,6 +22,7 @@
 //! | [`frame`] | a buffer set whose meaning is settled | `buffers` |
 //! | [`gpu`] | device, kernels, recording, pool, timing, compiled pipelines on disk | nothing of denoising |
 //! | [`stage`] | one function per shader, called like its file | `gpu` |
+//! | [`parameters`] | parameters that describe themselves | nothing |
 //! | [`method`] | the methods: parameters and a straight function | `stage`, never the GPU interface |
 //! | [`metric`] | error measures | `image` |
 //! | [`sampling`] | where the next samples go, what a renderer implements, the adaptive loop, a small renderer | the denoiser's public face, `buffers` |
@@ -48,6 +49,7 @@ pub mod gpu;
 pub mod image;
 pub mod method;
 pub mod metric;
+pub mod parameters;
 pub mod sampling;
 pub mod stage;
 

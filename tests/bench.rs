@@ -200,8 +200,11 @@ fn people_see_a_row_for_each_configuration() {
     let folder = Folder::new();
     let lone = folder.path("lone.exr");
     write_crop("cornell_8spp", 8, &lone);
-    let text = stein(&["bench", &lone, "--methods=gem", "--presets=default", "--repeat=1"]).succeeded();
-    text.said(&["lone, 8 spp", "no reference", "wall ms", "predicted MSE"]);
+    // And parameters of a file have a name of their own.
+    let file = folder.path("own.toml");
+    std::fs::write(&file, "method = 'gem'\npreset = 'thesis'\ngamma = 0.2\nspikes = 'clamp'").unwrap();
+    let text = stein(&["bench", &lone, "--params", &file, "--repeat=1"]).succeeded();
+    text.said(&["lone, 8 spp", "no reference", "wall ms", "predicted MSE", "gem thesis gamma 0.2 spikes clamp"]);
     assert!(!text.stdout.contains("relative MSE"), "{}", text.stdout);
 }
 
@@ -257,7 +260,7 @@ fn other_programs_that_fail_are_told_with_what_they_said() {
     let folder = renders();
     let input = folder.path("renders/box/spp8/input.exr");
     let bench = |external: &str| stein(&["bench", &input, "--methods=gem", "--repeat=1", external]);
-    bench(&external("picky", "--radius=100")).failed(3, &["--external picky", "exit code 2", "window radius is 100", "remedy: "]);
+    bench(&external("picky", "--radius=100")).failed(3, &["--external picky", "exit code 2", "`window_radius` cannot be 100", "remedy: "]);
     bench("--external=lost=no-such-program {in} {out}").failed(3, &["--external lost", "cannot be run", "no-such-program"]);
     bench(&external("idle", "--dry-run")).failed(3, &["--external idle", "did not write its output"]);
     bench("--external=half=tool {in}").failed(2, &["{out}"]);
@@ -273,7 +276,7 @@ fn options_that_none_of_the_methods_has_are_refused() {
     stein(&["bench", &input, "--candidates=first+fourth"]).failed(2, &["first+second"]);
     stein(&["bench", &input, "--methods=dfc,gem", "--k=0.3"]).failed(2, &["--k is no option of the method dfc or gem"]);
     stein(&["bench", &input, "--methods=nlm,gem", "--skip-feature=depth"]).failed(2, &["uses no features"]);
-    stein(&["bench", &input, "--radii=5,100"]).failed(2, &["window radius is 100"]);
+    stein(&["bench", &input, "--radii=5,100"]).failed(2, &["`window_radius` cannot be 100"]);
     stein(&["bench", &input, "--fail-above=2"]).failed(2, &["--compare"]);
     stein(&["bench"]).failed(2, &["SETS"]);
     let folder = Folder::new();

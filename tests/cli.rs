@@ -5,7 +5,7 @@
 #[path = "common/process.rs"]
 mod process;
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::Stdio;
 
 use exr::prelude::*;
@@ -102,7 +102,7 @@ fn gem_is_a_method_with_options_and_intermediates_of_its_own() {
     assert!(attribute(&output, "stein.parameters").unwrap().contains("gem"));
 
     with(&["--radius=5"]).failed(2, &["--radius is no option of the method gem", "remedy: "]);
-    with(&["--gamma=0.5"]).failed(2, &["γ is 0.5", "below 0.4"]);
+    with(&["--gamma=0.5"]).failed(2, &["`gamma` cannot be 0.5", "below 0.4"]);
     with(&["--keep=candidates"]).failed(2, &["gem has no such intermediate", "stopping"]);
     with(&["--feature", "albedo=a.exr"]).failed(2, &["gem uses no features"]);
     stein(&["denoise", &input, "--gamma=0.2"]).failed(2, &["--gamma is no option of the method dfc"]);
@@ -270,10 +270,10 @@ fn wrong_arguments_are_told_with_the_right_ones() {
     let input = test_image("cornell_8spp.exr");
     stein(&["denoise", &input, "--keep", "candidates,shure"]).failed(2, &["shure", "sure", "selection", "pass1", "derivatives"]);
     stein(&["denoise", &input, "--max-memory", "lots"]).failed(2, &["512M"]);
-    stein(&["denoise", &input, "--radius", "100"]).failed(2, &["window radius is 100", "from 1 to 64"]);
+    stein(&["denoise", &input, "--radius", "100"]).failed(2, &["`window_radius` cannot be 100", "from 1 to 64"]);
     stein(&["denoise", &input, "--patch-radius", "1"]).failed(2, &["--patch-radius is no option of the method dfc", "remedy: "]);
     stein(&["bench", &input, "--single-buffer"]).failed(2, &["--single-buffer is no option of the method dfc", "remedy: "]);
-    stein(&["denoise", &input, "--method", "nlm", "--patch-radius", "9"]).failed(2, &["patch radius is 9", "from 0 to 5"]);
+    stein(&["denoise", &input, "--method", "nlm", "--patch-radius", "9"]).failed(2, &["`patch_radius` cannot be 9", "from 0 to 5"]);
     stein(&["denoise", &input, "--method", "nlm", "--keep", "sure", "--dry-run"]).failed(2, &["--keep sure: nlm has no such intermediate", "halves"]);
     stein(&["denoise", &input, "--feature", "albedo"]).failed(2, &["NAME=FILE"]);
     stein(&["bench", &input, "--size", "big"]).failed(2, &["1024x1024"]);
@@ -404,4 +404,66 @@ fn the_kernel_of_a_pixel_is_told_and_written() {
     stein(&["kernel", &input, "--pixel=96"]).failed(2, &["120,64"]);
     stein(&["kernel", &input]).failed(2, &["--pixel"]);
     stein(&["kernel", &input, "--pixel=1,1", "-o", "window.png", RADIUS]).failed(2, &[".exr"]);
+}
+
+#[test]
+fn a_file_of_parameters_stands_for_options() {
+    let (folder, input) = Folder::with("cornell_8spp.exr");
+    let (file, output) = (folder.path("own.toml"), folder.path("out.exr"));
+    let options = ["--method=nlm", "--preset=thesis", RADIUS, "--patch-radius=1", "--symmetric=off"];
+    stein(&[&["params", "-o", &file][..], &options].concat()).succeeded();
+    assert_eq!(stein(&["params", "--params", &file]).succeeded().stdout, std::fs::read_to_string(&file).unwrap());
+    let denoise = |more: &[&str]| stein(&[&["denoise", &input, "-o", &output, "--json", "--dry-run"], more].concat());
+    let of_options = denoise(&options).succeeded().json();
+    let of_file = denoise(&["--params", &file]).succeeded().json();
+    assert_eq!((&of_file["parameters"], &of_file["preset"]), (&of_options["parameters"], &of_options["preset"]));
+    assert_eq!(of_file["preset"], "thesis");
+
+    // Options go before it, and the method and preset that are its own may be said again.
+    let document = denoise(&["--params", &file, "--radius=3", "--spikes=clamp", "--method=nlm", "--preset=thesis"]).succeeded().json();
+    let parameters = &document["parameters"];
+    assert_eq!((&parameters["window_radius"], &parameters["spikes"], &parameters["patch_radius"]), (&3.into(), &"clamp".into(), &1.into()));
+    denoise(&["--params", &file, "--method=dfc"]).failed(2, &["--method dfc", "own.toml is for nlm", "remedy: ", "method = \"dfc\""]);
+    denoise(&["--params", &file, "--preset=default"]).failed(2, &["--preset default", "own.toml is for thesis", "remedy: "]);
+    denoise(&["--params", &file, "--gamma=0.2"]).failed(2, &["--gamma is no option of the method nlm"]);
+    let adapt = ["adapt", "dof", "--spp=8", "-o", &folder.path("loop"), "--params", &file];
+    stein(&[&adapt[..], &["--method=gem"]].concat()).failed(2, &["own.toml is for nlm"]);
+    stein(&["bench", &input, "--params", &file, "--methods=nlm,dfc"]).failed(2, &["--methods dfc", "own.toml is for nlm"]);
+    stein(&["bench", &input, "--params", &file, "--candidates=first"]).failed(2, &["--candidates is no option of the method nlm"]);
+}
+
+#[test]
+fn a_file_of_parameters_that_cannot_be_meant_is_told_with_its_line() {
+    let (folder, input) = Folder::with("cornell_8spp.exr");
+    let file = folder.path("own.toml");
+    let denoise = || stein(&["denoise", &input, "--params", &file]);
+    denoise().failed(3, &["own.toml: cannot be read", "remedy: ", "stein params"]);
+    std::fs::write(&file, "preset = \"thesis\"\nwindow_radius = 100\n").unwrap();
+    denoise().failed(3, &["own.toml: line 2: `window_radius` cannot be 100", "remedy: choose a whole number from 1 to 64 pixels"]);
+    std::fs::write(&file, "gama = 1").unwrap();
+    denoise().failed(3, &["own.toml: line 1: `gama` is no parameter of dfc", "remedy: "]);
+    std::fs::write(&file, b"\xff\xfe").unwrap();
+    denoise().failed(3, &["own.toml: cannot be read", "remedy: "]);
+    assert_eq!(folder.names(), ["own.toml", "render.exr"]);
+}
+
+#[test]
+fn parameters_are_listed() {
+    let listed = stein(&["params", "--list", "--radius=7", "--preset=thesis"]).succeeded();
+    let row =
+        |name: &str| listed.stdout.lines().find(|line| line.split_whitespace().next() == Some(name)).unwrap().split_whitespace().collect::<Vec<_>>().join(" ");
+    assert!(row("window_radius").starts_with("window_radius 7 10 10 from 1 to 64 pixels R, the radius of the window"), "{}", row("window_radius"));
+    assert!(row("guard").starts_with("guard false true false Keeps"), "{}", row("guard"));
+
+    let folder = Folder::new();
+    stein(&["params", "-o", &folder.path("missing/own.toml")]).failed(5, &["own.toml: cannot be written", "remedy: "]);
+    stein(&["params", "--radius=100"]).failed(2, &["`window_radius` cannot be 100"]);
+    stein(&["params", "--markdown", "--radius=5"]).failed(2, &["--markdown"]);
+}
+
+#[test]
+fn the_page_about_parameters_is_what_the_program_prints() {
+    let page = std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/parameters.md")).unwrap();
+    let printed = stein(&["params", "--markdown"]).succeeded().stdout;
+    assert!(page == printed, "docs/parameters.md is out of date: write it again with `stein params --markdown > docs/parameters.md`");
 }

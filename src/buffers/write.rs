@@ -291,11 +291,7 @@ fn add_attributes(header: &mut LayerAttributes, attributes: &[(String, String)])
 
 fn write_then_rename(image: &FlatImage, output: &Path) -> Result<()> {
     let mut builder = tempfile::Builder::new();
-    builder.prefix(".stein-").suffix(".exr.part");
-    // Temporary files are private by default; an output is as readable as the user's other files.
-    #[cfg(unix)]
-    builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
-    let written = aside::replace(output, &mut builder, |file| {
+    let written = aside::replace(output, aside::readable(builder.prefix(".stein-").suffix(".exr.part")), |file| {
         let mut buffered = BufWriter::new(&mut *file);
         // What is odd about the input's header was no reason to refuse it, and is none here.
         image.write().skip_compatibility_checks().to_buffered(&mut buffered).map_err(|error| match error {

@@ -11,7 +11,8 @@ use stein::buffers::{LayerRef, read_reference};
 use stein::sampling::{Event, Plan, Resumed, Sampler, adapt, uniform};
 use stein::{Denoiser, Extent, Image};
 
-use super::options::{Device, Filter};
+use super::filter::Filter;
+use super::options::Device;
 use super::progress::bar;
 use super::render::Picture;
 use super::sample_map::DEFAULT_CAP;
@@ -106,7 +107,7 @@ pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
     let plan = Plan::new(spp, args.iterations, args.cap).map_err(Failure::usage)?;
     let cap = args.cap.unwrap_or_else(|| plan.budget(1).saturating_mul(DEFAULT_CAP));
     let plan = Plan::new(spp, args.iterations, Some(cap)).map_err(Failure::usage)?;
-    let method = args.filter.method()?;
+    let method = args.filter.chosen()?.method;
     let extent = args.picture.extent();
     let setup = Setup {
         scene: args.scene.as_deref(),

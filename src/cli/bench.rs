@@ -22,10 +22,11 @@ use stein::aside::Aside;
 use stein::buffers::{BufferSet, LayerRef};
 use stein::frame::SamplesPerPixel;
 use stein::stage::candidate_set::CandidateSet;
-use stein::{Extent, Frame, Gpu, Image};
+use stein::{Extent, Frame, Gpu, Image, Preset};
 
+use super::filter::{MethodName, Tuning, candidates, presets};
 use super::inspect::settle;
-use super::options::{Device, MethodName, PresetName, Source, Tuning, candidates, size};
+use super::options::{Device, Source, size};
 use super::progress::bar;
 use super::quality;
 use super::tile::{cover, cover_frame};
@@ -99,12 +100,12 @@ struct Axes {
     /// Noise-free reference, one for each file in their order [default: found by its name]
     #[arg(long = "ref", value_name = "FILE[::LAYER]")]
     references: Vec<LayerRef>,
-    /// Methods to measure [default: dfc]
+    /// Methods to measure [default: dfc, or that of --params]
     #[arg(long, alias = "method", value_enum, value_name = "NAME,…", value_delimiter = ',')]
     methods: Vec<MethodName>,
-    /// Presets to measure [default: all]
-    #[arg(long, alias = "preset", value_enum, value_name = "NAME,…", value_delimiter = ',')]
-    presets: Vec<PresetName>,
+    /// Presets to measure [default: all, or that of --params]
+    #[arg(long, alias = "preset", value_name = "NAME,…", value_delimiter = ',', value_parser = presets())]
+    presets: Vec<Preset>,
     /// Of dfc and nlm: radii of the window, in pixels [default: 10]
     #[arg(long, alias = "radius", value_name = "PIXELS,…", value_delimiter = ',')]
     radii: Vec<u32>,

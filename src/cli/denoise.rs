@@ -17,11 +17,12 @@ use std::time::Instant;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use stein::buffers::{BufferSet, LayerRef};
 use stein::method::{Intermediate, Spikes};
-use stein::{Denoiser, Frame, Method, Options};
+use stein::{Denoiser, Frame, Method, Options, Preset};
 
 use super::explain::Explained;
+use super::filter::{Chosen, Filter};
 use super::inspect::Input;
-use super::options::{Device, Filter, Source};
+use super::options::{Device, Source};
 use super::report::{self, FrameReport, Report, Run, Settings};
 use super::{Failure, Out, interrupt, quality};
 use frame_list::FrameList;
@@ -165,7 +166,7 @@ fn denoise(args: &Args, out: &mut Out) -> Result<(), Failure> {
     if args.quiet || args.json {
         out.silence();
     }
-    let method = args.filter.method()?;
+    let Chosen { method, preset } = args.filter.chosen()?;
     if args.temporal_radius > 0 && !method.filters_in_time() {
         let name = method.name();
         return Err(Failure::usage(format_args!(
@@ -175,7 +176,7 @@ fn denoise(args: &Args, out: &mut Out) -> Result<(), Failure> {
     args.source.check(&method)?;
     let keep = args.keep(&method)?;
     let plan = Plan::new(args, &args.source.for_method(&method), input)?;
-    let job = Job { args, method, keep, plan: &plan };
+    let job = Job { args, method, preset, keep, plan: &plan };
     std::thread::scope(|scope| {
         let contents = Contents { method: &job.method, keep: &job.keep };
         job.run(Frames::start(scope, &plan.reads), Writer::start(scope, contents), input, out)
@@ -185,6 +186,7 @@ fn denoise(args: &Args, out: &mut Out) -> Result<(), Failure> {
 struct Job<'a> {
     args: &'a Args,
     method: Method,
+    preset: Preset,
     /// Intermediates that go into the output.
     keep: Vec<Intermediate>,
     plan: &'a Plan,
@@ -208,7 +210,7 @@ impl Job<'_> {
         }
         gpu.set_timing(self.args.verbose || self.args.json || self.args.explain);
         let settings = Settings {
-            preset: self.args.filter.preset(),
+            preset: self.preset,
             parameters: self.method,
             device: gpu.summary().clone(),
             max_memory_bytes: self.args.device.max_memory,

@@ -7,6 +7,7 @@ mod devices;
 mod document;
 mod explain;
 mod failure;
+mod filter;
 mod info;
 mod inspect;
 pub(crate) mod interrupt;
@@ -14,6 +15,7 @@ mod kernel;
 mod options;
 mod out;
 mod output;
+mod params;
 mod progress;
 mod quality;
 mod render;
@@ -56,6 +58,7 @@ enum Command {
     Kernel(kernel::Args),
     SampleMap(sample_map::Args),
     Adapt(Box<adapt::Args>),
+    Params(Box<params::Args>),
     Render(render::Args),
     Bench(bench::Args),
     Devices(devices::Args),
@@ -80,6 +83,7 @@ pub(crate) fn run(cli: &Cli, out: &mut Out) -> Result<(), Failure> {
         Some(Command::Kernel(args)) => kernel::run(args, out),
         Some(Command::SampleMap(args)) => sample_map::run(args, out),
         Some(Command::Adapt(args)) => adapt::run(args, out),
+        Some(Command::Params(args)) => params::run(args, out),
         Some(Command::Render(args)) => render::run(args, out),
         Some(Command::Bench(args)) => bench::run(args, out),
         Some(Command::Info(args)) => info::run(args, out),

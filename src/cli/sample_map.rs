@@ -10,8 +10,9 @@ use stein::gpu::AdapterSummary;
 use stein::method::Intermediate;
 use stein::sampling::{MapFile, SampleCounts, SamplingMap, sampling_density};
 
+use super::filter::Filter;
 use super::inspect::{Input, settle};
-use super::options::{Device, Filter, Source};
+use super::options::{Device, Source};
 use super::out::number;
 use super::{Failure, Out, interrupt, output};
 
@@ -19,7 +20,7 @@ const EXAMPLE: &str = "\
 The map has a layer `density.V`, real samples per pixel, a layer `samples.V`, whole and even numbers with the same sum, and, where the input says how many samples its \
 pixels have, a layer `drawn.V` with these. Samples go where the estimated relative error is largest, weighed by how many pixels profit (thesis 7.1.2, 8.6).
 
-For the map, nlm filters with a radius of 7 pixels and an alpha of 0.5 at the most, and gem has fewer scales.
+For the map, nlm filters with a radius of 7 pixels and an alpha of 0.5 at the most, gem has fewer scales, and spikes stay, whatever --params says.
 
 Examples:
   stein sample-map render.exr --budget 16             writes render.map.exr
@@ -112,7 +113,7 @@ pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
     if args.quiet || args.json {
         out.silence();
     }
-    let method = args.filter.method()?;
+    let method = args.filter.chosen()?.method;
     if args.filter.sets_spikes() {
         return Err(Failure::usage("--spikes: where more samples are to be drawn, spikes stay\n  remedy: leave it out"));
     }

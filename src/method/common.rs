@@ -1,12 +1,11 @@
 //! What the methods have in common.
 
-use std::fmt::Display;
 use std::sync::Arc;
 
 use glam::IVec2;
 
 use super::GpuSignal;
-use crate::error::{Error, Result};
+use crate::error::Result;
 use crate::gpu::{Buffer, Recorder};
 use crate::stage::nlm::Guide;
 use crate::stage::variance::{BoxWeight, INPUT_SMOOTHING, variance_scale, variance_smooth};
@@ -18,11 +17,6 @@ pub(super) const SCALE_RADIUS: u32 = 10;
 pub(super) const LARGEST_WINDOW_RADIUS: u32 = 64;
 /// The largest patch radius: a window of distances of 2f+1 rows lives in registers.
 pub(super) const LARGEST_PATCH_RADIUS: u32 = 5;
-
-/// A parameter outside its range.
-pub(super) fn refused(name: &str, value: impl Display, range: &str) -> Result<()> {
-    Err(Error::Request { problem: format!("{name} is {value}, outside its range"), remedy: format!("choose it {range}") })
-}
 
 /// A filter by colour patches alone.
 pub(super) struct Auxiliary {

@@ -10,14 +10,17 @@ pub mod gem;
 pub mod kernels;
 mod memory;
 pub mod nlm;
+mod parameters;
 pub mod plan;
 mod spikes;
+mod toml;
 
 use glam::IVec2;
 use serde::Serialize;
 
 use crate::error::{Error, Result};
 use crate::gpu::Recorder;
+use crate::parameters::choices;
 use crate::stage::nlm::Schedule;
 use kernels::KernelOnGpu;
 
@@ -45,14 +48,16 @@ pub enum Method {
     Nlm(NlmParams),
 }
 
-/// Named parameter sets.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Preset {
-    /// What measured best.
-    Default,
-    /// The published algorithm to the letter, its misprints mended.
-    Thesis,
+choices! {
+    /// Named parameter sets.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+    #[serde(rename_all = "lowercase")]
+    pub enum Preset {
+        /// What measured best.
+        Default => "default",
+        /// The published algorithm to the letter, its misprints mended.
+        Thesis => "thesis",
+    }
 }
 
 impl Default for Method {

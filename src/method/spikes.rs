@@ -10,26 +10,29 @@ use super::GpuSignal;
 use super::plan::{Facts, Planner, Step, impossible, needless};
 use crate::error::Result;
 use crate::gpu::{Buffer, Recorder};
+use crate::parameters::choices;
 use crate::stage::feature::Features;
 use crate::stage::spike::{SpikeRule, spike_find, spike_spread};
 
-/// What becomes of spikes: pixels far above those of their kind around them, that rest on very few samples for it. The more samples there are, the fewer pixels are spikes, and
-/// where a pixel has no noise it is none.
-///
-/// | on the command line | a spike | its energy |
-/// | --- | --- | --- |
-/// | `keep` | stays | stays |
-/// | `spread`, the default | becomes the mean of its neighbours | goes to all noisy pixels of its kind around it, as far as they would not become brighter by much more than a tenth |
-/// | `clamp` | becomes the mean of its neighbours | is lost |
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Spikes {
-    /// They are filtered like everything else.
-    Keep,
-    /// What stands out is spread over the pixels around.
-    Spread,
-    /// What stands out is cut off.
-    Clamp,
+choices! {
+    /// What becomes of spikes: pixels far above those of their kind around them, that rest on very few samples for it. The more samples there are, the fewer pixels are spikes, and
+    /// where a pixel has no noise it is none.
+    ///
+    /// | on the command line | a spike | its energy |
+    /// | --- | --- | --- |
+    /// | `keep` | stays | stays |
+    /// | `spread`, the default | becomes the mean of its neighbours | goes to all noisy pixels of its kind around it, as far as they would not become brighter by much more than a tenth |
+    /// | `clamp` | becomes the mean of its neighbours | is lost |
+    #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+    #[serde(rename_all = "lowercase")]
+    pub enum Spikes {
+        /// They are filtered like everything else.
+        Keep => "keep",
+        /// What stands out goes to the pixels around, as far as that is likely.
+        Spread => "spread",
+        /// What stands out is cut off.
+        Clamp => "clamp",
+    }
 }
 
 /// What was found.

@@ -5,16 +5,19 @@ use std::fmt;
 use serde::{Serialize, Serializer};
 
 use crate::gpu::Definition;
+use crate::parameters::choice_set;
 
-/// Which of FIRST, SECOND and THIRD take part: in the selection, in the guard, and in what is computed at all.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct CandidateSet {
-    /// Small patches, sharp.
-    pub first: bool,
-    /// Large patches, smooth.
-    pub second: bool,
-    /// Features alone.
-    pub third: bool,
+choice_set! {
+    /// Which of FIRST, SECOND and THIRD take part: in the selection, in the guard, and in what is computed at all.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+    pub struct CandidateSet {
+        /// Small patches: sharp.
+        pub first,
+        /// Large patches: smooth.
+        pub second,
+        /// Features alone.
+        pub third,
+    }
 }
 
 impl CandidateSet {

@@ -7,6 +7,7 @@ use super::exact::{ExactTiles, Region};
 use super::plane_bytes;
 use crate::error::Result;
 use crate::gpu::{Buffer, Definition, Gpu, Recorder, bindings, uniforms};
+use crate::parameters::{choices, parameters};
 
 uniforms! {
     pub(super) struct NlmParams {
@@ -39,13 +40,16 @@ bindings! {
     }
 }
 
-/// The weight of a pixel in its own average.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-pub enum CentreWeight {
-    /// 1: the distance of a pixel to itself is 0.
-    One,
-    /// The largest weight among its neighbours, at least 10⁻³: a spike, which is like no neighbour, does not hold on to itself.
-    LargestNeighbour,
+choices! {
+    /// The weight of a pixel in its own average.
+    // A JSON document calls them by the variants' names.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+    pub enum CentreWeight {
+        /// 1: the distance of a pixel to itself is 0.
+        One => "one",
+        /// The largest weight among its neighbours, at least 10⁻³: a spike, which is like no neighbour, does not hold on to itself.
+        LargestNeighbour => "largest-neighbour",
+    }
 }
 
 impl CentreWeight {
@@ -66,16 +70,18 @@ impl CentreWeight {
     }
 }
 
-/// Whether pairs of opposite neighbours stand in for each other where their mean matches better than both (eq. 7.6).
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Symmetry {
-    /// Each neighbour stands for itself.
-    Off,
-    /// By degrees, from where the weight of their mean exceeds the sum of theirs to where it is twice that: weights are continuous, as finite differences want them.
-    Blended,
-    /// Both weights become that of their mean wherever it exceeds their sum (thesis 7.1.1).
-    Hard,
+choices! {
+    /// Whether pairs of opposite neighbours stand in for each other where their mean matches better than both (eq. 7.6).
+    #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+    #[serde(rename_all = "lowercase")]
+    pub enum Symmetry {
+        /// Each neighbour stands for itself.
+        Off => "off",
+        /// By degrees, from where the weight of their mean exceeds the sum of theirs to where it is twice that: weights are continuous, as finite differences want them.
+        Blended => "blended",
+        /// Both weights become that of their mean wherever it exceeds their sum (thesis 7.1.1).
+        Hard => "hard",
+    }
 }
 
 impl Symmetry {
@@ -85,13 +91,15 @@ impl Symmetry {
     }
 }
 
-/// How distances become weights, the same in every filter of a method.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-pub struct Weighting {
-    /// What pairs of opposite neighbours do for each other.
-    pub symmetric: Symmetry,
-    /// The weight of the pixel itself.
-    pub centre: CentreWeight,
+parameters! {
+    /// How distances become weights, the same in every filter of a method.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+    pub struct Weighting {
+        /// Whether the mean of opposite neighbours may stand for both where it matches better (eq. 7.6). It keeps gradients.
+        pub symmetric: Symmetry,
+        /// Weight of a pixel in its own average.
+        pub centre: CentreWeight,
+    }
 }
 
 /// How the work on the window is cut up: what is computed does not depend on it, to the bit.

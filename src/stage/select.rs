@@ -9,6 +9,7 @@ use super::nlm::Filtered;
 use super::{per_pixel, plane_bytes};
 use crate::error::{Error, Result};
 use crate::gpu::{Buffer, Recorder, bindings, uniforms};
+use crate::parameters::{Group, parameters, real};
 
 uniforms! {
     struct SelectLeastParams { extent: IVec2 }
@@ -43,21 +44,31 @@ pub fn select_least(rec: &mut Recorder, extent: IVec2, errors: &Buffer, candidat
     Ok(selected)
 }
 
-/// Which candidates may take part in the blend of a pixel: those that are not clearly worse than another one there, by the smoothed errors and by the pixel's own.
-///
-/// Measured on three renders at 8, 32 and 128 spp. The first pair saves scenes with a visible lamp (relative MSE of `cornell` at 32 spp 0.038 without, 0.0005 with), the
-/// second single clean pixels beside bright noise (`caustic_ring` at 32 spp 0.018 without, 0.0053 with; `dof_spheres` 0.0033 without, 0.0031 with).
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Guard {
-    /// The smoothed error may exceed the winner's by this share of the winner's magnitude, at least 0 …
-    pub smoothed_error: f32,
-    /// … plus this share of the pixel's variance, Σ_i σ_i², at least 0.
-    pub smoothed_noise: f32,
-    /// The pixel's own SURE may exceed the least one by this many standard deviations of their difference, at least 0 …
-    pub own_sigmas: f32,
-    /// … plus this share of the pixel's variance, at least 0.
-    pub own_noise: f32,
+parameters! {
+    /// Which candidates may take part in the blend of a pixel: those that are not clearly worse than another one there, by the smoothed errors and by the pixel's own.
+    ///
+    /// Measured on three renders at 8, 32 and 128 spp. The first pair saves scenes with a visible lamp (relative MSE of `cornell` at 32 spp 0.038 without, 0.0005 with), the
+    /// second single clean pixels beside bright noise (`caustic_ring` at 32 spp 0.018 without, 0.0053 with; `dof_spheres` 0.0033 without, 0.0031 with).
+    #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+    pub struct Guard {
+        /// A candidate's smoothed error may exceed the winner's by this many times the winner's magnitude, plus `guard.smoothed_noise`.
+        pub smoothed_error: f32 => real(0.0..),
+        /// How many times the pixel's variance is added to what `guard.smoothed_error` allows.
+        pub smoothed_noise: f32 => real(0.0..),
+        /// A candidate's own SURE at the pixel may exceed the least one by this many standard deviations of their difference, plus `guard.own_noise`.
+        pub own_sigmas: f32 => real(0.0..).of("σ"),
+        /// How many times the pixel's variance is added to what `guard.own_sigmas` allows.
+        pub own_noise: f32 => real(0.0..),
+    }
 }
+
+impl Default for Guard {
+    fn default() -> Self {
+        Self { smoothed_error: 4.0, smoothed_noise: 0.3, own_sigmas: 8.0, own_noise: 4.0 }
+    }
+}
+
+impl Group for Guard {}
 
 /// By how much more than chance explains the frames beside must have done harm before they are left out of a pixel. Measured on a shot with a moving lamp, relative MSE
 /// of its middle frames: .00129 and .00103 with 8 standard deviations and 4 times the noise, .00123 and .00095 with these and with half of these, .0013 and .033 without.

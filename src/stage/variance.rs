@@ -7,6 +7,7 @@ use super::gaussian::Gaussian;
 use super::{per_pixel, plane_bytes};
 use crate::error::Result;
 use crate::gpu::{Buffer, Definition, Recorder, bindings, uniforms};
+use crate::parameters::choices;
 
 uniforms! {
     struct VarianceScaleParams { extent: IVec2, radius: i32 }
@@ -26,15 +27,17 @@ bindings! {
 /// Neighbouring pixels that one invocation of the box sums makes: most of what they sum up is the same.
 const BOX_PIXELS: u32 = 4;
 
-/// How the pixels of a box count where the variances that they claim are scaled by what their halves differ by.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "lowercase")]
-pub enum BoxWeight {
-    /// All the same (thesis 8.2). One outlier whose halves agree by accident takes the variance of all others in its box away, one whose halves do not lends them its own.
-    Even,
-    /// By one over the standard deviation that they claim. Measured on 46 images of `dfc` and 18 of `nlm` and `gem`, the error is 3, 2 and 1 % less on average, and up to 20 % where
-    /// there are outliers.
-    Deviation,
+choices! {
+    /// How the pixels of a box count where the variances that they claim are scaled by what their halves differ by.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+    #[serde(rename_all = "lowercase")]
+    pub enum BoxWeight {
+        /// All the same (thesis 8.2). One outlier whose halves agree by accident takes the variance of all others in its box away, one whose halves do not lends them its own.
+        Even => "even",
+        /// By one over the standard deviation that they claim. Measured on 46 images of `dfc` and 18 of `nlm` and `gem`, the error is 3, 2 and 1 % less on average, and up to 20 %
+        /// where there are outliers.
+        Deviation => "deviation",
+    }
 }
 
 /// Scales `sample_variance` (one plane, s²/n) to the magnitude of the two-buffer variance: times the ratio of the means of spread² and of sample variance over

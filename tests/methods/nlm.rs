@@ -266,16 +266,16 @@ fn a_uniform_variance_is_that_of_the_image() {
 #[test]
 fn parameters_out_of_range_are_refused() {
     let wrong = [
-        (NlmParams { window_radius: 0, ..NlmParams::default() }, "window radius is 0"),
-        (NlmParams { window_radius: 65, ..NlmParams::default() }, "window radius is 65"),
-        (NlmParams { patch_radius: 6, ..NlmParams::default() }, "patch radius is 6"),
-        (NlmParams { k: 0.0, ..NlmParams::default() }, "k is 0"),
-        (NlmParams { alpha: f32::NAN, ..NlmParams::default() }, "α is NaN"),
-        (NlmParams { cut: 1.5, ..NlmParams::default() }, "smallest weight is 1.5"),
+        (NlmParams { window_radius: 0, ..NlmParams::default() }, "`window_radius` cannot be 0"),
+        (NlmParams { window_radius: 65, ..NlmParams::default() }, "`window_radius` cannot be 65"),
+        (NlmParams { patch_radius: 6, ..NlmParams::default() }, "`patch_radius` cannot be 6"),
+        (NlmParams { k: 0.0, ..NlmParams::default() }, "`k` cannot be 0"),
+        (NlmParams { alpha: f32::NAN, ..NlmParams::default() }, "`alpha` cannot be NaN"),
+        (NlmParams { cut: 1.5, ..NlmParams::default() }, "`cut` cannot be 1.5"),
     ];
     for (params, said) in wrong {
         let Err(Error::Request { problem, remedy }) = Denoiser::new(gpu(), params) else { panic!("{params:?} is accepted") };
-        assert!(problem.contains(said) && remedy.starts_with("choose it"), "{problem}\n{remedy}");
+        assert!(problem.contains(said) && remedy.starts_with("choose a"), "{problem}\n{remedy}");
     }
     let hard = Weighting { symmetric: Symmetry::Hard, centre: CentreWeight::One };
     assert!(matches!(Denoiser::new(gpu(), DfcParams { weighting: hard, ..DfcParams::default() }), Err(Error::Request { .. })));

@@ -1,12 +1,11 @@
 //! How the sets are denoised: every combination of the axes that a method has.
 
 use clap::ValueEnum;
-use stein::Method;
-use stein::method::Spikes;
-use stein::stage::candidate_set::CandidateSet;
+use stein::parameters::Value;
+use stein::{Method, Preset};
 
 use super::super::Failure;
-use super::super::options::{Choices, MethodName, PresetName, not_theirs};
+use super::super::filter::{Choices, Chosen, MethodName, not_theirs};
 use super::Axes;
 use super::external::External;
 use super::results::{self, Parameters};
@@ -28,8 +27,14 @@ pub(super) enum How {
 
 /// All of them, and what is to say of options that some of the methods do not have.
 pub(super) fn configurations(axes: &Axes) -> Result<(Vec<Configuration>, Vec<String>), Failure> {
-    let methods = distinct(&axes.methods, &[MethodName::Dfc]);
-    let presets = distinct(&axes.presets, PresetName::value_variants());
+    let file = axes.tuning.file()?;
+    if let Some(file) = &file {
+        file.agrees("--methods", &axes.methods, MethodName::of(&file.chosen.method), MethodName::name)?;
+        file.agrees("--presets", &axes.presets, file.chosen.preset, Preset::name)?;
+    }
+    let file = file.map(|file| file.chosen);
+    let methods = distinct(&axes.methods, &[file.map_or(MethodName::Dfc, |file| MethodName::of(&file.method))]);
+    let presets = distinct(&axes.presets, &file.map_or_else(|| Preset::ALL.to_vec(), |file| vec![file.preset]));
     let radii = choices(&axes.radii);
     let candidates = choices(&axes.candidates);
     let second_passes = choices(&axes.second_pass);
@@ -60,9 +65,9 @@ pub(super) fn configurations(axes: &Axes) -> Result<(Vec<Configuration>, Vec<Str
                 for &candidates in of(&candidates, method.has_candidates()) {
                     for &second_pass in of(&second_passes, method.has_second_pass()) {
                         for &radius in of(&radii, method.has_radius()) {
-                            let choices = Choices { radius, candidates };
-                            let way = Way { method, preset, second_pass, everything };
-                            configurations.push(way.configuration(axes.tuning.method(method, preset, choices)?)?);
+                            let base = file.unwrap_or(Chosen::of(method, preset));
+                            let method = axes.tuning.applied_to(base.method, Choices { radius, candidates })?;
+                            configurations.push(configuration(Chosen { method, ..base }, second_pass, everything)?);
                         }
                     }
                 }
@@ -107,55 +112,57 @@ fn of<T: Copy>(choices: &[Option<T>], has: bool) -> &[Option<T>] {
     if has { choices } else { &[None] }
 }
 
-/// What a configuration is made of, besides the method's parameters.
-struct Way {
-    method: MethodName,
-    preset: PresetName,
-    second_pass: Option<Switch>,
-    everything: Switch,
-}
-
-impl Way {
-    /// Its name says all that differs from the default, so that it means the same in every report.
-    fn configuration(&self, mut parameters: Method) -> Result<Configuration, Failure> {
-        let &Self { method, preset, second_pass, everything } = self;
-        let mut candidates = None;
-        let mut series = method.name().to_owned();
-        if preset != PresetName::Default {
-            series += &format!(" {}", preset.name());
-        }
-        if let Method::Dfc(params) = &mut parameters {
-            candidates = Some(params.candidates.names().join("+"));
-            if params.candidates != CandidateSet::ALL {
-                series += &format!(" {}", params.candidates.names().join("+"));
-            }
-            if second_pass == Some(Switch::Off) {
-                params.second_pass = None;
-                series += " one pass";
-            }
-        }
-        series += match parameters.spikes() {
-            spikes if spikes == preset.spikes() => "",
-            Spikes::Keep => " spikes keep",
-            Spikes::Spread => " spikes spread",
-            Spikes::Clamp => " spikes clamp",
-        };
-        let everything = everything == Switch::On;
-        if everything {
-            series += " everything";
-        }
-        let window_radius = method.has_radius().then(|| parameters.window_radius());
-        let name = window_radius.map_or_else(|| series.clone(), |radius| format!("{series} R{radius}"));
-        let stein = Parameters {
-            method: method.name().into(),
-            preset: preset.name().into(),
-            window_radius,
-            second_pass: method.has_second_pass().then_some(second_pass != Some(Switch::Off)),
-            candidates,
-            everything,
-            all: serde_json::to_value(parameters).map_err(|error| Failure::output(format_args!("the parameters: {error}")))?,
-        };
-        let described = results::Configuration { name, series, stein: Some(stein), command: None };
-        Ok(Configuration { described, how: How::Stein { method: parameters, everything } })
+/// Its name says all that differs from the default, so that it means the same in every report.
+fn configuration(Chosen { mut method, preset }: Chosen, second_pass: Option<Switch>, everything: Switch) -> Result<Configuration, Failure> {
+    if let Some(second_pass) = second_pass {
+        method = method.with_parameter("second_pass", second_pass == Switch::On)?;
     }
+    let mut series = method.name().to_owned();
+    if preset != Preset::Default {
+        series += &format!(" {}", preset.name());
+    }
+    let mut candidates = None;
+    let mut has_second_pass = None;
+    for (parameter, of_preset) in method.parameters().into_iter().zip(method.of_preset(preset).parameters()) {
+        // One of a group that is left out.
+        let Some(value) = parameter.value else { continue };
+        let differs = Some(&value) != of_preset.value.as_ref();
+        match (parameter.name.as_str(), value) {
+            ("candidates", Value::Set(names)) => {
+                let names = names.join("+");
+                if differs {
+                    series += &format!(" {names}");
+                }
+                candidates = Some(names);
+            }
+            ("second_pass", Value::Flag(is_there)) => {
+                if !is_there {
+                    series += " one pass";
+                }
+                has_second_pass = Some(is_there);
+            }
+            ("spikes", value) if differs => series += &format!(" spikes {value}"),
+            // It stands at the end.
+            ("window_radius", _) => {}
+            (name, value) if differs => series += &format!(" {name} {value}"),
+            _ => {}
+        }
+    }
+    let everything = everything == Switch::On;
+    if everything {
+        series += " everything";
+    }
+    let window_radius = MethodName::of(&method).has_radius().then(|| method.window_radius());
+    let name = window_radius.map_or_else(|| series.clone(), |radius| format!("{series} R{radius}"));
+    let stein = Parameters {
+        method: method.name().into(),
+        preset: preset.name().into(),
+        window_radius,
+        second_pass: has_second_pass,
+        candidates,
+        everything,
+        all: serde_json::to_value(method).map_err(|error| Failure::output(format_args!("the parameters: {error}")))?,
+    };
+    let described = results::Configuration { name, series, stein: Some(stein), command: None };
+    Ok(Configuration { described, how: How::Stein { method, everything } })
 }

@@ -1,59 +1,59 @@
 //! Parameters of GEM.
 
+use std::ops::Bound;
+
 use serde::Serialize;
 
 use crate::error::Result;
 use crate::method::Spikes;
-use crate::method::common::refused;
+use crate::parameters::{Parameter, Values, check, choices, list, parameters, real};
 use crate::stage::gaussian::Gaussian;
 
-/// Parameters of GEM (thesis chapter 6).
-///
-/// | parameter | default | thesis | range | meaning |
-/// | --- | --- | --- | --- | --- |
-/// | `gamma` | 0.15 | 0.1 | above 0, below 0.4 | γ: the share of wrong decisions for the finer scale in a constant region; lower is smoother, higher is sharper and more spotted |
-/// | `phase` | final | final | | which scales, and how outliers are removed from the stopping maps |
-/// | `final_outlier_size` | 1 | 2 | 0.5–4 | size of the filter that removes outliers for the final image, in sizes of the pair's coarse scale |
-/// | `spikes` | spread | keep | | what becomes of pixels that stand out and rest on few samples |
-///
-/// | phase | σ of the scales, in pixels | maps smoothed by | outliers |
-/// | --- | --- | --- | --- |
-/// | sampling | 1, 2, 4, 8 | the coarse scale of the pair | removed both ways |
-/// | final | √2, 2, √8, 4 … 16 | `final_outlier_size` times the coarse scale | only changes towards the coarser scale |
-///
-/// Measured, as geometric means of the relative MSE, on ten renders (four scenes at 8 to 128 samples per pixel) and six of the built-in scenes at 32:
-///
-/// | γ | size 1 | size 2 |
-/// | --- | --- | --- |
-/// | 0.1 | 0.0064 | 0.0078 |
-/// | 0.15 | 0.0060 | 0.0066 |
-/// | 0.2 | 0.0069 | 0.0070 |
-///
-/// The larger filter takes the stopping maps along edges for outliers; without the rule that only changes towards the coarser scale count, spikes stay (0.1 in place of
-/// 0.009 on `caustic_ring` at 32).
-///
-/// The pixel filter is the finest scale of both. Gaussians end at 3σ, rounded up. The samples per pixel of the frame correct for the variance of few samples
-/// (ρ = 1 − 1/n); where the frame does not know them, nothing is corrected.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct GemParams {
-    /// γ.
-    pub gamma: f32,
-    /// Which scales, and how outliers are removed.
-    pub phase: Phase,
-    /// Size of the filter that removes outliers for the final image, in sizes of the pair's coarse scale.
-    pub final_outlier_size: f32,
-    /// What becomes of spikes.
-    pub spikes: Spikes,
+parameters! {
+    /// Parameters of GEM (thesis chapter 6), in [a table](crate::parameters#gem). [`GemParams::default`] is what measured best, [`GemParams::thesis`] what the results of the chapter
+    /// were made with.
+    ///
+    /// | phase | σ of the scales, in pixels | maps smoothed by | outliers |
+    /// | --- | --- | --- | --- |
+    /// | sampling | 1, 2, 4, 8 | the coarse scale of the pair | removed both ways |
+    /// | final | √2, 2, √8, 4 … 16 | `final_outlier_size` times the coarse scale | only changes towards the coarser scale |
+    ///
+    /// Measured, as geometric means of the relative MSE, on ten renders (four scenes at 8 to 128 samples per pixel) and six of the built-in scenes at 32:
+    ///
+    /// | γ | size 1 | size 2 |
+    /// | --- | --- | --- |
+    /// | 0.1 | 0.0064 | 0.0078 |
+    /// | 0.15 | 0.0060 | 0.0066 |
+    /// | 0.2 | 0.0069 | 0.0070 |
+    ///
+    /// The larger filter takes the stopping maps along edges for outliers; without the rule that only changes towards the coarser scale count, spikes stay (0.1 in place of
+    /// 0.009 on `caustic_ring` at 32).
+    ///
+    /// The pixel filter is the finest scale of both. Gaussians end at 3σ, rounded up. The samples per pixel of the frame correct for the variance of few samples
+    /// (ρ = 1 − 1/n); where the frame does not know them, nothing is corrected.
+    #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+    pub struct GemParams {
+        /// γ: the share of wrong decisions for the finer scale in a constant region. Lower is smoother, higher is sharper and more spotted.
+        pub gamma: f32 => real((Bound::Excluded(0.0), Bound::Excluded(0.4))),
+        /// What the result is for: which scales there are, and how outliers are removed from the stopping maps.
+        pub phase: Phase,
+        /// Size of the filter that removes outliers from the stopping maps for the final image, in sizes of the pair's coarse scale.
+        pub final_outlier_size: f32 => real(0.5..=4.0),
+        /// What becomes of spikes: pixels that stand out from those of their kind and rest on very few samples.
+        pub spikes: Spikes,
+    }
 }
 
-/// What the result is for.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Phase {
-    /// To tell where samples are missing: fewer scales, and clusters of outliers are left to be sampled.
-    Sampling,
-    /// To be looked at (thesis 6.4, final reconstruction).
-    Final,
+choices! {
+    /// What the result is for.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+    #[serde(rename_all = "lowercase")]
+    pub enum Phase {
+        /// To tell where samples are missing: fewer scales, and clusters of outliers are left to be sampled.
+        Sampling => "sampling",
+        /// To be looked at (thesis 6.4, final reconstruction).
+        Final => "final",
+    }
 }
 
 impl Phase {
@@ -108,17 +108,16 @@ impl GemParams {
         -(1.0 - wrong).ln() as f32
     }
 
-    /// Checks the ranges of the table above.
+    /// What they are, with their documentation and ranges.
+    pub fn parameters(&self) -> Vec<Parameter> {
+        list(Values { value: Some(*self), default: Some(Self::default()), thesis: Some(Self::thesis()) })
+    }
+
+    /// Checks the ranges.
     ///
     /// # Errors
     /// [`Error::Request`](crate::Error::Request) naming the parameter and its range.
     pub fn validate(&self) -> Result<()> {
-        if !(self.gamma > 0.0 && self.gamma < 0.4) {
-            return refused("γ", self.gamma, "above 0 and below 0.4");
-        }
-        if !(0.5..=4.0).contains(&self.final_outlier_size) {
-            return refused("the size of the final outlier filter", self.final_outlier_size, "from 0.5 to 4 sizes of the coarse scale");
-        }
-        Ok(())
+        check(&self.parameters())
     }
 }

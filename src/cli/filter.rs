@@ -1,0 +1,316 @@
+//! How to filter: the options of all methods, and files of parameters.
+
+use std::fmt::Display;
+use std::path::{Path, PathBuf};
+
+use clap::ValueEnum;
+use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
+use stein::method::Spikes;
+use stein::method::nlm::NlmVariance;
+use stein::parameters::Choice as Word;
+use stein::stage::candidate_set::CandidateSet;
+use stein::stage::nlm::{Symmetry, Weighting};
+use stein::{DfcParams, Error, GemParams, Method, NlmParams, Preset};
+
+use super::Failure;
+
+/// How to filter.
+#[derive(Debug, clap::Args)]
+#[command(next_help_heading = "Filter")]
+pub(crate) struct Filter {
+    /// Parameters [default: default, or that of --params]
+    #[arg(long, value_name = "NAME", value_parser = presets())]
+    preset: Option<Preset>,
+    /// Method [default: dfc, or that of --params]
+    #[arg(long, value_enum)]
+    method: Option<MethodName>,
+    /// Of dfc and nlm: radius of the window that is averaged over, in pixels [default: 10]
+    #[arg(long, value_name = "PIXELS")]
+    radius: Option<u32>,
+    /// Of dfc: which candidates take part; the others are not computed [default: first,second,third]
+    #[arg(long, value_name = "NAME", value_delimiter = ',', value_parser = PossibleValuesParser::new(words(CandidateSet::choices())))]
+    candidates: Vec<String>,
+    #[command(flatten)]
+    tuning: Tuning,
+}
+
+/// A method with the parameters that were asked for, and the preset that they set out from.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Chosen {
+    pub(crate) method: Method,
+    pub(crate) preset: Preset,
+}
+
+/// What may be set of every method, and of one alone.
+#[derive(Clone, Debug, PartialEq, clap::Args)]
+#[command(next_help_heading = "Filter")]
+pub(crate) struct Tuning {
+    /// TOML file with method, preset and parameters, such as `stein params` writes; the other options go before it
+    #[arg(long, value_name = "FILE")]
+    params: Option<PathBuf>,
+    /// What becomes of spikes: pixels that stand out from those of their kind and rest on very few samples [default: spread; of the preset thesis: keep]
+    #[arg(long, value_name = "RULE", value_parser = words_of(Spikes::ALL, Spikes::choices()))]
+    spikes: Option<Spikes>,
+    /// Of gem: share of wrong decisions for a sharper filter where the image is constant, above 0 and below 0.4; lower is smoother [default: 0.15]
+    #[arg(long, value_name = "SHARE")]
+    gamma: Option<f32>,
+    #[command(flatten)]
+    nlm: NlmChoice,
+}
+
+/// What may be set of NLM alone.
+#[derive(Clone, Debug, PartialEq, clap::Args)]
+#[command(next_help_heading = "Filter")]
+struct NlmChoice {
+    /// Of nlm: radius of the patches that are compared, in pixels; 0 compares single pixels [default: 3]
+    #[arg(long, value_name = "PIXELS")]
+    patch_radius: Option<u32>,
+    /// Of nlm: how large a difference counts, in standard deviations; more filters more [default: 0.45]
+    #[arg(long, value_name = "NUMBER")]
+    k: Option<f32>,
+    /// Of nlm: how much of the variance is cancelled from differences; more filters more [default: 1]
+    #[arg(long, value_name = "NUMBER")]
+    alpha: Option<f32>,
+    /// Of nlm: whether the mean of opposite neighbours may stand for both, which keeps gradients [default: hard]
+    #[arg(long, value_name = "RULE", value_parser = words_of(Symmetry::ALL, Symmetry::choices()))]
+    symmetric: Option<Symmetry>,
+    /// Of nlm: weights below this one become 0 [default: 0.05]
+    #[arg(long, value_name = "WEIGHT")]
+    cut: Option<f32>,
+    /// Of nlm: weigh pixels by their own patches alone, not by the mean over all patches that they share
+    #[arg(long)]
+    pixelwise: bool,
+    /// Of nlm: filter the whole with its own weights, not each half with those of the other
+    #[arg(long)]
+    single_buffer: bool,
+    /// Of nlm: take the image's mean variance for every pixel
+    #[arg(long)]
+    uniform_variance: bool,
+}
+
+impl Filter {
+    /// Whether it is said what becomes of spikes.
+    pub(crate) fn sets_spikes(&self) -> bool {
+        self.tuning.spikes.is_some()
+    }
+
+    /// The parameters of the file or of the preset, but for those that were set. Options that the method does not have are not ignored.
+    pub(crate) fn chosen(&self) -> Result<Chosen, Failure> {
+        let base = match self.tuning.file()? {
+            Some(file) => {
+                file.agrees("--method", self.method.as_slice(), MethodName::of(&file.chosen.method), MethodName::name)?;
+                file.agrees("--preset", self.preset.as_slice(), file.chosen.preset, Preset::name)?;
+                file.chosen
+            }
+            None => Chosen::of(self.method.unwrap_or(MethodName::Dfc), self.preset.unwrap_or(Preset::Default)),
+        };
+        let method = MethodName::of(&base.method);
+        if self.radius.is_some() && !method.has_radius() {
+            return Err(not_theirs("--radius", &[method]));
+        }
+        if !self.candidates.is_empty() && !method.has_candidates() {
+            return Err(not_theirs("--candidates", &[method]));
+        }
+        self.tuning.check(&[method])?;
+        let candidates = (!self.candidates.is_empty()).then(|| CandidateSet::of_names(&self.candidates));
+        let method = self.tuning.applied_to(base.method, Choices { radius: self.radius, candidates })?;
+        Ok(Chosen { method, ..base })
+    }
+}
+
+impl Chosen {
+    pub(crate) fn of(method: MethodName, preset: Preset) -> Self {
+        Self { method: method.of_preset(preset), preset }
+    }
+}
+
+/// What may be set of several methods, or of which `stein bench` measures several; `None` is the preset's own.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Choices {
+    pub(crate) radius: Option<u32>,
+    pub(crate) candidates: Option<CandidateSet>,
+}
+
+impl Tuning {
+    /// What the file says, where there is one.
+    pub(crate) fn file(&self) -> Result<Option<ParamsFile<'_>>, Failure> {
+        self.params.as_deref().map(ParamsFile::read).transpose()
+    }
+
+    /// Refuses options that none of the methods has.
+    pub(crate) fn check(&self, methods: &[MethodName]) -> Result<(), Failure> {
+        let of_gem = [("--gamma", self.gamma.is_some())];
+        for (owner, options) in [(MethodName::Gem, &of_gem[..]), (MethodName::Nlm, &self.nlm.given()[..])] {
+            let given = options.iter().find(|(_, is_given)| *is_given);
+            if let (Some((option, _)), false) = (given, methods.contains(&owner)) {
+                return Err(not_theirs(option, methods));
+            }
+        }
+        Ok(())
+    }
+
+    /// A method with its parameters, but for those that were set.
+    pub(crate) fn applied_to(&self, method: Method, Choices { radius, candidates }: Choices) -> Result<Method, Failure> {
+        let method = match method {
+            Method::Dfc(params) => {
+                Method::from(DfcParams { window_radius: radius.unwrap_or(params.window_radius), candidates: candidates.unwrap_or(params.candidates), ..params })
+            }
+            Method::Gem(params) => Method::from(GemParams { gamma: self.gamma.unwrap_or(params.gamma), ..params }),
+            Method::Nlm(params) => Method::from(self.nlm.applied_to(NlmParams { window_radius: radius.unwrap_or(params.window_radius), ..params })),
+        };
+        let method = self.spikes.map_or(method, |spikes| method.with_spikes(spikes));
+        method.validate().map_err(Failure::usage)?;
+        Ok(method)
+    }
+}
+
+impl NlmChoice {
+    /// Every option, and whether it is given.
+    fn given(&self) -> [(&'static str, bool); 8] {
+        [
+            ("--patch-radius", self.patch_radius.is_some()),
+            ("--k", self.k.is_some()),
+            ("--alpha", self.alpha.is_some()),
+            ("--symmetric", self.symmetric.is_some()),
+            ("--cut", self.cut.is_some()),
+            ("--pixelwise", self.pixelwise),
+            ("--single-buffer", self.single_buffer),
+            ("--uniform-variance", self.uniform_variance),
+        ]
+    }
+
+    fn applied_to(&self, params: NlmParams) -> NlmParams {
+        NlmParams {
+            patch_radius: self.patch_radius.unwrap_or(params.patch_radius),
+            k: self.k.unwrap_or(params.k),
+            alpha: self.alpha.unwrap_or(params.alpha),
+            weighting: Weighting { symmetric: self.symmetric.unwrap_or(params.weighting.symmetric), ..params.weighting },
+            cut: self.cut.unwrap_or(params.cut),
+            patchwise: params.patchwise && !self.pixelwise,
+            dual_buffer: params.dual_buffer && !self.single_buffer,
+            variance: if self.uniform_variance { NlmVariance::Uniform } else { params.variance },
+            ..params
+        }
+    }
+}
+
+/// A file of parameters.
+pub(crate) struct ParamsFile<'a> {
+    path: &'a Path,
+    pub(crate) chosen: Chosen,
+}
+
+impl<'a> ParamsFile<'a> {
+    fn read(path: &'a Path) -> Result<Self, Failure> {
+        let text = std::fs::read_to_string(path).map_err(|error| {
+            let remedy = "name a TOML file of parameters, such as `stein params -o FILE` writes";
+            Failure::from(Error::File { path: path.to_owned(), problem: format!("cannot be read: {error}"), remedy: remedy.into() })
+        })?;
+        let (method, preset) = Method::from_toml(&text).map_err(|error| Failure::in_file(path, error))?;
+        Ok(Self { path, chosen: Chosen { method, preset } })
+    }
+
+    /// Refuses an option that says something else than the file.
+    pub(crate) fn agrees<T: Copy + PartialEq, N: Display>(&self, option: &str, given: &[T], own: T, name: fn(T) -> N) -> Result<(), Failure> {
+        match given.iter().find(|given| **given != own) {
+            None => Ok(()),
+            Some(other) => {
+                let (path, key) = (self.path.display(), option.trim_start_matches('-').trim_end_matches('s'));
+                Err(Failure::usage(format_args!(
+                    "{option} {}: {path} is for {}\n  remedy: leave the option out, or write `{key} = \"{}\"` into the file",
+                    name(*other),
+                    name(own),
+                    name(*other)
+                )))
+            }
+        }
+    }
+}
+
+/// The methods, as [`Method`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(crate) enum MethodName {
+    /// Combined colour and feature filters
+    Dfc,
+    /// Greedy error minimisation over Gaussian scales; needs no features
+    Gem,
+    /// Non-local means, each half of the samples filtered with the weights of the other; needs no features
+    Nlm,
+}
+
+impl MethodName {
+    pub(crate) fn of(method: &Method) -> Self {
+        match method {
+            Method::Dfc(_) => Self::Dfc,
+            Method::Gem(_) => Self::Gem,
+            Method::Nlm(_) => Self::Nlm,
+        }
+    }
+
+    pub(crate) fn of_preset(self, preset: Preset) -> Method {
+        let [dfc, gem, nlm] = Method::all();
+        let method = match self {
+            Self::Dfc => dfc,
+            Self::Gem => gem,
+            Self::Nlm => nlm,
+        };
+        method.of_preset(preset)
+    }
+
+    /// As on the command line.
+    pub(crate) fn name(self) -> &'static str {
+        match self {
+            Self::Dfc => "dfc",
+            Self::Gem => "gem",
+            Self::Nlm => "nlm",
+        }
+    }
+
+    /// Whether it has a window whose radius can be set.
+    pub(crate) fn has_radius(self) -> bool {
+        self != Self::Gem
+    }
+
+    /// Whether it has candidates of which some can be left out.
+    pub(crate) fn has_candidates(self) -> bool {
+        self == Self::Dfc
+    }
+
+    /// Whether it has a second pass.
+    pub(crate) fn has_second_pass(self) -> bool {
+        self == Self::Dfc
+    }
+}
+
+/// An option that none of the methods has is not ignored.
+pub(crate) fn not_theirs(option: &str, methods: &[MethodName]) -> Failure {
+    let names = methods.iter().map(|method| method.name()).collect::<Vec<_>>().join(" or ");
+    Failure::usage(format_args!("{option} is no option of the method {names}\n  remedy: leave it out, or choose another --method"))
+}
+
+/// Words with their meaning.
+fn words(words: Vec<Word>) -> Vec<PossibleValue> {
+    words.into_iter().map(|word| PossibleValue::new(word.name).help(word.documentation.trim_end_matches('.').to_owned())).collect()
+}
+
+/// One of several values, by its word: that at the same place.
+fn words_of<T: Copy + Send + Sync + 'static>(values: &'static [T], choices: Vec<Word>) -> impl TypedValueParser<Value = T> {
+    let names: Vec<_> = choices.iter().map(|word| word.name).collect();
+    let find = move |name: String| names.iter().zip(values).find(|(other, _)| **other == name).map(|(_, value)| *value).ok_or("it is none of them");
+    PossibleValuesParser::new(words(choices)).try_map(find)
+}
+
+/// The presets by their names.
+pub(crate) fn presets() -> impl TypedValueParser<Value = Preset> {
+    words_of(Preset::ALL, Preset::choices())
+}
+
+/// Candidates joined by plus signs, as in first+second, or all.
+pub(crate) fn candidates(text: &str) -> Result<CandidateSet, String> {
+    if text == "all" {
+        return Ok(CandidateSet::ALL);
+    }
+    let names: Vec<_> = text.split('+').map(|name| name.trim().to_ascii_lowercase()).collect();
+    let are_known = names.iter().all(|name| CandidateSet::NAMES.contains(&name.as_str()));
+    are_known.then(|| CandidateSet::of_names(&names)).ok_or_else(|| "it must be all, or look like first+second, of first, second and third".to_owned())
+}

@@ -1,0 +1,96 @@
+//! The parameters of a method by their names.
+
+use super::{DfcParams, GemParams, Method, NlmParams, Preset};
+use crate::error::{Error, Result};
+use crate::parameters::{Describe, Kind, Parameter, Value};
+
+impl Method {
+    /// All methods, with the parameters of the default preset.
+    pub fn all() -> [Self; 3] {
+        [Self::Dfc(DfcParams::default()), Self::Gem(GemParams::default()), Self::Nlm(NlmParams::default())]
+    }
+
+    /// The same method with the parameters of a preset.
+    #[must_use]
+    pub fn of_preset(&self, preset: Preset) -> Self {
+        match (self, preset) {
+            (Self::Dfc(_), Preset::Default) => Self::Dfc(DfcParams::default()),
+            (Self::Dfc(_), Preset::Thesis) => Self::Dfc(DfcParams::thesis()),
+            (Self::Gem(_), Preset::Default) => Self::Gem(GemParams::default()),
+            (Self::Gem(_), Preset::Thesis) => Self::Gem(GemParams::thesis()),
+            (Self::Nlm(_), Preset::Default) => Self::Nlm(NlmParams::default()),
+            (Self::Nlm(_), Preset::Thesis) => Self::Nlm(NlmParams::thesis()),
+        }
+    }
+
+    /// Its parameters, with their documentation, ranges and values, in the order of their declaration.
+    pub fn parameters(&self) -> Vec<Parameter> {
+        match self {
+            Self::Dfc(params) => params.parameters(),
+            Self::Gem(params) => params.parameters(),
+            Self::Nlm(params) => params.parameters(),
+        }
+    }
+
+    /// The same with another value of one parameter, named as in [`Method::parameters`].
+    ///
+    /// ```
+    /// use stein::Method;
+    ///
+    /// let method = Method::default().with_parameter("window_radius", 5)?.with_parameter("guard", false)?;
+    /// assert_eq!(method.window_radius(), 5);
+    /// assert!(method.with_parameter("window_radius", 100).is_err());
+    /// # Ok::<(), stein::Error>(())
+    /// ```
+    ///
+    /// # Errors
+    /// [`Error::Request`] naming the parameter and its range: where there is none of that name, where a group that it is in is left out, where it cannot be `value`, or where
+    /// that contradicts the other parameters.
+    pub fn with_parameter(self, name: &str, value: impl Into<Value>) -> Result<Self> {
+        let method = self.with_unchecked(name, &value.into())?;
+        method.validate()?;
+        Ok(method)
+    }
+
+    /// The same, which may contradict the other parameters.
+    pub(super) fn with_unchecked(mut self, name: &str, value: &Value) -> Result<Self> {
+        let listed = self.parameters();
+        let Some(parameter) = listed.iter().find(|parameter| parameter.name == name) else {
+            return Err(self.has_no(name));
+        };
+        let value = parameter.settle(value)?;
+        if parameter.value.is_none() {
+            let is_out = |group: &&Parameter| group.kind == Kind::Group && group.value == Some(Value::Flag(false)) && parameter.is_in(&group.name);
+            let group = listed.iter().find(is_out).map_or("", |group| &group.name);
+            return Err(Error::Request { problem: format!("`{name}` is none where `{group}` is left out"), remedy: format!("make `{group}` true before") });
+        }
+        match &mut self {
+            Self::Dfc(params) => params.set(name, &value),
+            Self::Gem(params) => params.set(name, &value),
+            Self::Nlm(params) => params.set(name, &value),
+        }
+        Ok(self)
+    }
+
+    /// That no parameter is called like this.
+    fn has_no(&self, name: &str) -> Error {
+        let listed = self.parameters();
+        let names_in = |group: &str| {
+            let names = listed.iter().filter(|parameter| group.is_empty() || parameter.is_in(group)).map(|parameter| parameter.name.as_str());
+            names.collect::<Vec<_>>().join(", ")
+        };
+        let own = self.name();
+        let others = Self::all().into_iter().filter(|other| other.parameters().iter().any(|parameter| parameter.name == name));
+        let others = others.map(|other| other.name()).collect::<Vec<_>>().join(" and ");
+        let beside = names_in(name.rsplit_once('.').map_or("", |(group, _)| group));
+        let (problem, remedy) = match (names_in(name), beside) {
+            (members, _) if !members.is_empty() => (format!("`{name}` is a group of parameters"), format!("set one of {members}")),
+            _ if !others.is_empty() => (format!("`{name}` is no parameter of {own}, but of {others}"), "leave it out, or choose another method".into()),
+            (_, beside) => {
+                let names = if beside.is_empty() { names_in("") } else { beside };
+                (format!("`{name}` is no parameter of {own}"), format!("leave it out, or choose one of {names}"))
+            }
+        };
+        Error::Request { problem, remedy }
+    }
+}
