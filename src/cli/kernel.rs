@@ -9,8 +9,9 @@ use stein::kernels::WeightRule;
 use stein::method::{PlannedStep, Step};
 use stein::{Error, FilterKernel, Image, Kernels, Options};
 
+use super::filter::Filter;
 use super::inspect::{Input, settle};
-use super::options::{Device, Filter, Source};
+use super::options::{Device, Source};
 use super::out::{number, table};
 use super::{Failure, Out, output};
 
@@ -119,7 +120,7 @@ pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
     if args.json {
         out.silence();
     }
-    let method = args.filter.method()?;
+    let method = args.filter.chosen()?.method;
     args.source.check(&method)?;
     if let Some(file) = &args.output {
         output::check(file, args.source.files().chain([input]), false, false)?;
