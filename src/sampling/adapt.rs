@@ -43,6 +43,17 @@ impl Plan {
         Ok(plan)
     }
 
+    /// With a cap of [`SamplingMap::DEFAULT_CAP`] times what the first iteration draws.
+    #[must_use]
+    pub fn with_default_cap(self) -> Self {
+        Self { cap: Some(self.budget(1).saturating_mul(SamplingMap::DEFAULT_CAP)), ..self }
+    }
+
+    /// The most samples that an iteration gives a pixel.
+    pub fn cap(&self) -> Option<u32> {
+        self.cap
+    }
+
     /// Samples per pixel in all iterations together.
     pub fn samples_per_pixel(&self) -> u32 {
         self.samples_per_pixel

@@ -6,6 +6,7 @@ pub mod layers;
 pub mod parameters;
 pub mod pixel;
 pub mod report;
+pub mod sampling;
 pub mod status;
 pub mod toolbar;
 
@@ -25,11 +26,13 @@ pub enum Panel {
     Pixel,
     /// What ran and what was left out, and what the frame is.
     Report,
+    /// The adaptive loop on a built-in scene.
+    Sampling,
 }
 
 impl Panel {
     /// In the order of their tabs.
-    pub const ALL: [Self; 4] = [Self::Display, Self::Parameters, Self::Pixel, Self::Report];
+    pub const ALL: [Self; 5] = [Self::Display, Self::Parameters, Self::Pixel, Self::Report, Self::Sampling];
 
     /// What users read.
     pub fn title(self) -> &'static str {
@@ -38,6 +41,7 @@ impl Panel {
             Self::Parameters => "Parameters",
             Self::Pixel => "Pixel",
             Self::Report => "Report",
+            Self::Sampling => "Sampling",
         }
     }
 }
@@ -58,5 +62,6 @@ pub fn show(ui: &mut Ui, viewer: &mut Viewer) {
         Panel::Parameters => parameters::show(ui, viewer),
         Panel::Pixel => pixel::show(ui, viewer),
         Panel::Report => report::show(ui, viewer),
+        Panel::Sampling => sampling::show(ui, viewer),
     });
 }
