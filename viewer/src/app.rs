@@ -35,6 +35,8 @@ pub struct Start {
     pub panel: Panel,
     /// The pixel that is kept.
     pub pixel: Option<[u32; 2]>,
+    /// Closes the window after so many frames, counted from when nothing is at work any more.
+    pub exit_after_frames: Option<u32>,
     /// An adaptive loop to start, in place of a file to open.
     pub adapt: Option<Setup>,
 }
@@ -67,6 +69,8 @@ pub struct Viewer {
     pub scrolls_to_layer: bool,
     /// Whether a run was given up for a file that is being read.
     interrupted: bool,
+    /// Frames until the window closes by itself.
+    frames_left: Option<u32>,
     dialog: Option<Dialog>,
     format: wgpu::TextureFormat,
 }
@@ -98,6 +102,7 @@ impl Viewer {
             progress: None,
             scrolls_to_layer: true,
             interrupted: false,
+            frames_left: start.exit_after_frames,
             dialog: None,
             format,
         };
@@ -450,6 +455,15 @@ impl Viewer {
 impl eframe::App for Viewer {
     fn ui(&mut self, ui: &mut Ui, _frame: &mut eframe::Frame) {
         self.show(ui);
+        if let Some(frames_left) = &mut self.frames_left {
+            if self.progress.is_none() {
+                *frames_left = frames_left.saturating_sub(1);
+            }
+            if *frames_left == 0 {
+                ui.ctx().send_viewport_cmd(egui::ViewportCommand::Close);
+            }
+            ui.ctx().request_repaint();
+        }
     }
 
     fn save(&mut self, storage: &mut dyn eframe::Storage) {

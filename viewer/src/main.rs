@@ -71,6 +71,9 @@ struct Args {
     /// Of a screenshot: pixels per point
     #[arg(long, value_name = "NUMBER", default_value_t = 1.0, requires = "screenshot", value_parser = scale)]
     scale: f32,
+    /// Closes the window after so many frames, counted from when nothing is at work any more: for tests
+    #[arg(long, value_name = "NUMBER", hide = true, conflicts_with = "screenshot")]
+    exit_after_frames: Option<u32>,
     /// Of a screenshot: dark or light
     #[arg(long, value_enum, default_value = "dark", requires = "screenshot")]
     theme: ThemeName,
@@ -248,6 +251,7 @@ fn start(args: &Args) -> Result<Start, Failure> {
         compare: args.compare.compare(),
         panel: args.panel.panel(),
         pixel: args.pixel,
+        exit_after_frames: args.exit_after_frames,
         adapt: args.adapt.clone().map(|scene| Setup { scene, ..Setup::default() }),
     })
 }
