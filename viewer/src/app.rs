@@ -1,29 +1,35 @@
 //! The window: where the panels are, and what keys, messages and files do.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::task::Poll;
 
-use eframe::egui::{self, Align, CentralPanel, Color32, Context, Frame as Margins, Layout, Panel as SidePanel, RichText, Ui};
+use eframe::egui::{self, Align, CentralPanel, Color32, Context, Frame as Margins, Layout, Panel as SidePanel, RichText, Ui, Vec2};
 use eframe::wgpu;
 use stein::Gpu;
 
 use crate::document::{Document, Source};
+use crate::edit::Edits;
 use crate::files::{Dialog, Purpose, is_reference, short_name};
 use crate::layer::Layer;
 use crate::panel::{self, Panel};
+use crate::saving::{Content, Saving, Sight};
 use crate::settings::{Parameters, Settings};
 use crate::shortcut::{self, Action};
+use crate::sweep::Sweep;
 use crate::view::{Compare, Display, View, canvas};
 use crate::worker::{Reply, Request, Task, Worker};
+
+/// How long it is told that a file was written.
+const NOTICE_SECONDS: f64 = 8.0;
 
 /// What the program starts with.
 #[derive(Clone, Debug, Default)]
 pub struct Start {
     /// What to open.
     pub source: Option<Source>,
-    /// How to denoise.
-    pub parameters: Parameters,
+    /// How to denoise; `None` as remembered.
+    pub parameters: Option<Parameters>,
     /// Layer A, by its name.
     pub layer: Option<String>,
     /// Layer B, by its name.
@@ -34,6 +40,8 @@ pub struct Start {
     pub panel: Panel,
     /// The pixel that is kept.
     pub pixel: Option<[u32; 2]>,
+    /// Whether error is measured against run time once the frame is open.
+    pub sweeps: bool,
 }
 
 /// The window's state. Panels read and change it; what takes time goes to the worker.
@@ -48,6 +56,10 @@ pub struct Viewer {
     pub view: View,
     /// How is denoised.
     pub parameters: Parameters,
+    /// Changes of the parameters that contradict them.
+    pub edits: Edits,
+    /// Error against run time.
+    pub sweep: Sweep,
     /// What is remembered.
     pub settings: Settings,
     /// The panel at the right.
@@ -60,9 +72,16 @@ pub struct Viewer {
     pub progress: Option<(Task, f32)>,
     /// Whether the strip is to be moved to layer A.
     pub scrolls_to_layer: bool,
+    /// What the last file that was written has to tell, or why it was not, and when that was, in seconds.
+    pub notice: Option<(stein::Result<String>, f64)>,
     /// Whether a run was given up for a file that is being read.
     interrupted: bool,
+    /// Whether a sweep follows when the frame is open.
+    sweeps: bool,
     dialog: Option<Dialog>,
+    savings: Vec<Saving>,
+    /// Size of the canvas, in points.
+    canvas: Vec2,
     format: wgpu::TextureFormat,
 }
 
@@ -72,27 +91,28 @@ impl Viewer {
     /// # Errors
     /// As [`Worker::start`].
     pub fn new(context: &Context, gpu: &Gpu, format: wgpu::TextureFormat, settings: Settings, start: Start) -> stein::Result<Self> {
-        context.all_styles_mut(|style| {
-            // Text on panels is read, not only glanced at.
-            let visuals = &mut style.visuals;
-            visuals.widgets.noninteractive.fg_stroke.color = if visuals.dark_mode { Color32::from_gray(205) } else { Color32::from_gray(50) };
-            visuals.error_fg_color = if visuals.dark_mode { Color32::from_rgb(255, 120, 110) } else { Color32::from_rgb(170, 0, 0) };
-            visuals.weak_text_alpha = 0.75;
-        });
+        set_style(context);
+        let remembered = settings.parameters.as_deref().and_then(|text| Parameters::from_toml(text).ok());
         let mut viewer = Self {
             gpu: gpu.clone(),
             worker: Worker::start(gpu, context)?,
             document: None,
             view: View::new(settings.display.clone()),
-            parameters: start.parameters,
+            parameters: start.parameters.or(remembered).unwrap_or_default(),
+            edits: Edits::default(),
+            sweep: Sweep::default(),
             settings,
             panel: start.panel,
             shows_help: false,
             trouble: None,
             progress: None,
             scrolls_to_layer: true,
+            notice: None,
             interrupted: false,
+            sweeps: start.sweeps,
             dialog: None,
+            savings: Vec::new(),
+            canvas: Vec2::ZERO,
             format,
         };
         if let Some(layer) = start.layer {
@@ -119,6 +139,7 @@ impl Viewer {
     pub fn open(&mut self, source: Source) {
         self.interrupted |= matches!(self.progress, Some((Task::Denoise, _)));
         self.progress = Some((Task::Open, 0.0));
+        self.sweep.is_running = false;
         self.worker.send(Request::Open(source));
     }
 
@@ -130,9 +151,31 @@ impl Viewer {
         self.worker.send(Request::Denoise { frame, reference, method: self.parameters.method });
     }
 
+    /// Denoises with other parameters from now on.
+    pub fn take_parameters(&mut self, parameters: Parameters) {
+        self.edits.clear();
+        if self.parameters != parameters {
+            self.parameters = parameters;
+            self.run();
+        }
+    }
+
+    /// Starts to measure error against run time, or ends that.
+    fn toggle_sweep(&mut self) {
+        let Some(document) = &self.document else { return };
+        if self.sweep.is_running {
+            self.worker.cancel(Task::Sweep);
+            self.sweep.is_running = false;
+            self.progress.take_if(|(task, _)| *task == Task::Sweep);
+            return;
+        }
+        let (frame, reference) = (document.opened.frame.clone(), document.opened.reference.clone());
+        self.worker.send(Request::Sweep { frame, reference, runs: self.sweep.start(self.parameters), next: 0 });
+    }
+
     /// Whether nothing is at work and nothing waits to be told.
     pub fn is_idle(&self) -> bool {
-        self.progress.is_none() && self.worker.busy().is_none()
+        self.progress.is_none() && !self.sweep.is_running && self.savings.is_empty() && self.worker.busy().is_none()
     }
 
     /// The layer A; the first one where there is none of that name.
@@ -161,6 +204,13 @@ impl Viewer {
         match action {
             Action::Open => self.ask(Purpose::Input, context),
             Action::OpenReference => self.ask(Purpose::Reference, context),
+            Action::OpenParameters => self.ask(Purpose::Parameters, context),
+            Action::SaveView => self.ask(Purpose::SaveView, context),
+            Action::SaveLayer => self.ask(Purpose::SaveLayer, context),
+            Action::SaveResult => self.ask(Purpose::SaveResult, context),
+            Action::SaveParameters => self.ask(Purpose::SaveParameters, context),
+            Action::ResetParameters => self.take_parameters(self.parameters.reset()),
+            Action::Sweep => self.toggle_sweep(),
             Action::Run => self.run(),
             Action::Cancel => self.cancel(),
             Action::StepLayer(step) => self.step_layer(step),
@@ -196,13 +246,14 @@ impl Viewer {
     }
 
     fn cancel(&mut self) {
-        if self.trouble.take().is_some() {
+        if self.trouble.take().is_some() || self.notice.take_if(|(notice, _)| notice.is_err()).is_some() {
             return;
         }
         if std::mem::take(&mut self.shows_help) {
             return;
         }
         match self.progress.take() {
+            Some((Task::Sweep, _)) => self.toggle_sweep(),
             Some((task, _)) => self.worker.cancel(task),
             None => self.view.pinned = None,
         }
@@ -221,14 +272,37 @@ impl Viewer {
     fn ask(&mut self, purpose: Purpose, context: &Context) {
         if self.dialog.is_none() {
             let beside = self.document.as_ref().map(|document| document.opened.source.input.as_path());
-            self.dialog = Dialog::open(purpose, beside, context);
+            self.dialog = Dialog::open(purpose, beside, &self.name_for(purpose), context);
         }
     }
 
-    /// Opens a file, or adds it to what is open as its reference.
-    pub fn take_file(&mut self, purpose: Purpose, path: PathBuf) {
+    /// What a file to write is called, unless it is called otherwise; without an ending.
+    fn name_for(&self, purpose: Purpose) -> String {
+        let input = self.document.as_ref().and_then(|document| document.opened.source.input.file_stem());
+        let input = input.map_or_else(|| "stein".into(), |stem| stem.to_string_lossy());
+        match purpose {
+            Purpose::SaveResult => format!("{input}.denoised"),
+            Purpose::SaveParameters => self.parameters.method.name().to_owned(),
+            Purpose::SaveLayer => format!("{input}.{}", self.view.layer),
+            _ => format!("{input}.view"),
+        }
+    }
+
+    /// Does with a file what it was asked for.
+    pub fn take_file(&mut self, purpose: Purpose, path: PathBuf, context: &Context) {
         match (purpose, &self.document) {
             (Purpose::Input, _) => self.open(Source { input: path, reference: None }),
+            (Purpose::Parameters, _) => match Parameters::read(&path) {
+                Ok(parameters) => self.take_parameters(parameters),
+                Err(error) => self.tell(Err(error), context),
+            },
+            (Purpose::SaveView | Purpose::SaveLayer | Purpose::SaveResult | Purpose::SaveParameters, _) => {
+                let saving = self.content(purpose, &path, context).and_then(|content| Saving::start(&self.gpu, content, path, context));
+                match saving {
+                    Ok(saving) => self.savings.push(saving),
+                    Err(error) => self.tell(Err(error), context),
+                }
+            }
             (Purpose::Reference, Some(document)) => {
                 let source = Source { reference: Some(path), ..document.opened.source.clone() };
                 self.open(source);
@@ -240,13 +314,74 @@ impl Viewer {
         }
     }
 
+    /// What is to be saved.
+    fn content(&self, purpose: Purpose, path: &Path, context: &Context) -> stein::Result<Content> {
+        let missing = |what: &str| stein::Error::Request { problem: format!("there is no {what} to save"), remedy: "open a file and wait for the run".into() };
+        let layer = || self.layer().cloned().ok_or_else(|| missing("image"));
+        match purpose {
+            Purpose::SaveParameters => Ok(Content::Parameters(self.parameters)),
+            Purpose::SaveLayer => Ok(Content::Layer(layer()?, self.view.display.clone())),
+            Purpose::SaveResult => {
+                let document = self.document.as_ref().ok_or_else(|| missing("result"))?;
+                let denoised = document.denoised.as_ref().ok_or_else(|| missing("result"))?;
+                let Source { input, reference } = &document.opened.source;
+                let same = |other: &Path| path.canonicalize().is_ok_and(|path| other.canonicalize().is_ok_and(|other| path == other));
+                if same(input) || reference.as_deref().is_some_and(same) {
+                    return Err(stein::Error::File {
+                        path: path.to_owned(),
+                        problem: "is open here, and would be replaced".into(),
+                        remedy: "choose another name".into(),
+                    });
+                }
+                Ok(Content::Result { input: input.clone(), estimate: denoised.estimate.clone(), method: denoised.method })
+            }
+            _ => {
+                let View { compare, wipe, camera, display, pinned, .. } = &self.view;
+                Ok(Content::View(Box::new(Sight {
+                    layer: layer()?,
+                    other: self.other().cloned(),
+                    compare: *compare,
+                    wipe: *wipe,
+                    camera: *camera,
+                    display: display.clone(),
+                    pinned: *pinned,
+                    size: self.canvas,
+                    scale: context.pixels_per_point(),
+                    theme: context.theme(),
+                })))
+            }
+        }
+    }
+
+    fn tell(&mut self, notice: stein::Result<String>, context: &Context) {
+        self.notice = Some((notice, context.input(|input| input.time)));
+        context.request_repaint_after_secs(NOTICE_SECONDS as f32);
+    }
+
+    /// Tells of files that were written, and no longer of what was told long ago.
+    fn take_savings(&mut self, context: &Context) {
+        let answers: Vec<_> = self.savings.iter().map(Saving::answer).collect();
+        let mut answers = answers.into_iter();
+        let mut done = Vec::new();
+        self.savings.retain(|_| match answers.next() {
+            Some(Poll::Ready(answer)) => {
+                done.push(answer);
+                false
+            }
+            _ => true,
+        });
+        done.into_iter().for_each(|answer| self.tell(answer, context));
+        let now = context.input(|input| input.time);
+        self.notice.take_if(|(notice, told)| notice.is_ok() && now > *told + NOTICE_SECONDS);
+    }
+
     /// Files that were dropped on the window: one whose name says so is the reference of the other, or of what is open.
     fn take_dropped(&mut self, context: &Context) {
         let dropped: Vec<PathBuf> = context.input(|input| input.raw.dropped_files.iter().map(|file| file.path().to_owned()).collect());
         let (references, inputs): (Vec<_>, Vec<_>) = dropped.into_iter().partition(|path| is_reference(path));
         match (inputs.into_iter().next(), references.into_iter().next()) {
             (Some(input), reference) => self.open(Source { input, reference }),
-            (None, Some(reference)) if self.document.is_some() => self.take_file(Purpose::Reference, reference),
+            (None, Some(reference)) if self.document.is_some() => self.take_file(Purpose::Reference, reference, context),
             (None, Some(input)) => self.open(Source { input, reference: None }),
             (None, None) => {}
         }
@@ -268,7 +403,15 @@ impl Viewer {
                     if self.view.other.is_none() {
                         self.compare(self.view.compare);
                     }
+                    self.sweep.clear();
                     self.run();
+                    if std::mem::take(&mut self.sweeps) {
+                        self.toggle_sweep();
+                    }
+                }
+                Reply::Swept(point) => {
+                    self.sweep.add(*point);
+                    self.progress.take_if(|(task, _)| *task == Task::Sweep && !self.sweep.is_running);
                 }
                 Reply::Denoised(denoised) => {
                     self.progress = None;
@@ -280,6 +423,7 @@ impl Viewer {
                 Reply::Failed(task, error) => {
                     self.progress = None;
                     self.trouble = Some((task, error));
+                    self.sweep.is_running &= task != Task::Sweep;
                     if task == Task::Open && std::mem::take(&mut self.interrupted) {
                         self.run();
                     }
@@ -288,18 +432,19 @@ impl Viewer {
         }
     }
 
-    fn take_dialog(&mut self) {
+    fn take_dialog(&mut self, context: &Context) {
         let Some(Poll::Ready(answer)) = self.dialog.as_ref().map(Dialog::answer) else { return };
         self.dialog = None;
         if let Some((purpose, path)) = answer {
-            self.take_file(purpose, path);
+            self.take_file(purpose, path, context);
         }
     }
 
     /// Takes in what the worker told, and files that were chosen or dropped.
     pub fn poll(&mut self, context: &Context) {
         self.take_replies();
-        self.take_dialog();
+        self.take_dialog(context);
+        self.take_savings(context);
         self.take_dropped(context);
     }
 
@@ -320,13 +465,13 @@ impl Viewer {
     }
 
     fn show_canvas(&mut self, ui: &mut Ui) {
-        if let Some(trouble) = self.trouble.as_ref().map(|(_, error)| error.to_string()) {
-            self.show_trouble(ui, &trouble);
-        }
+        let failures = [self.trouble.as_ref().map(|(_, error)| error), self.notice.as_ref().and_then(|(notice, _)| notice.as_ref().err())];
+        let failures: Vec<_> = failures.into_iter().flatten().map(ToString::to_string).collect();
+        failures.iter().for_each(|failure| self.show_trouble(ui, failure));
         let (layer, other) = (self.layer().cloned(), self.other().cloned());
         match layer {
             Some(layer) => {
-                canvas::show(ui, &mut self.view, &layer, other.as_deref());
+                self.canvas = canvas::show(ui, &mut self.view, &layer, other.as_deref()).rect.size();
             }
             None => self.show_welcome(ui),
         }
@@ -338,7 +483,7 @@ impl Viewer {
             ui.horizontal_top(|ui| {
                 ui.with_layout(Layout::right_to_left(Align::TOP), |ui| {
                     if ui.button("Dismiss").clicked() {
-                        self.trouble = None;
+                        (self.trouble, self.notice) = (None, None);
                     }
                     ui.with_layout(Layout::top_down(Align::LEFT), |ui| {
                         ui.label(RichText::new(problem).color(ui.visuals().error_fg_color));
@@ -382,8 +527,20 @@ impl eframe::App for Viewer {
     fn save(&mut self, storage: &mut dyn eframe::Storage) {
         let display = Display { scales: Default::default(), ..self.view.display.clone() };
         self.settings.display = display;
+        self.settings.parameters = Some(self.parameters.to_toml());
         eframe::set_value(storage, Settings::KEY, &self.settings);
     }
+}
+
+/// How the window looks, dark and light.
+pub fn set_style(context: &Context) {
+    context.all_styles_mut(|style| {
+        // Text on panels is read, not only glanced at.
+        let visuals = &mut style.visuals;
+        visuals.widgets.noninteractive.fg_stroke.color = if visuals.dark_mode { Color32::from_gray(205) } else { Color32::from_gray(50) };
+        visuals.error_fg_color = if visuals.dark_mode { Color32::from_rgb(255, 120, 110) } else { Color32::from_rgb(170, 0, 0) };
+        visuals.weak_text_alpha = 0.75;
+    });
 }
 
 /// What a window is called.

@@ -12,7 +12,7 @@ use stein_viewer::panel::Panel;
 use stein_viewer::screenshot::{self, Shot};
 use stein_viewer::settings::Parameters;
 use stein_viewer::view::Compare;
-use stein_viewer::{Start, Viewer, app, device};
+use stein_viewer::{Start, Viewer, app, device, sweep};
 
 const AFTER_HELP: &str = "\
 Exit codes: 0 done, 2 wrong usage, 3 an input file or layer cannot be used, 4 no device, or one that cannot show a window, 5 the picture cannot be written, 1 anything else.
@@ -30,12 +30,15 @@ struct Args {
     /// The true image, to compare with
     #[arg(long, value_name = "FILE", requires = "file")]
     reference: Option<PathBuf>,
-    /// Method
-    #[arg(long, value_enum, default_value = "dfc")]
-    method: MethodName,
-    /// Parameters
-    #[arg(long, value_enum, default_value = "default")]
-    preset: PresetName,
+    /// Method [default: that of --params, or what was used last; of a screenshot dfc]
+    #[arg(long, value_enum)]
+    method: Option<MethodName>,
+    /// Parameters [default: that of --params, or what was used last; of a screenshot default]
+    #[arg(long, value_enum)]
+    preset: Option<PresetName>,
+    /// TOML file with method, preset and parameters, such as `stein params` writes
+    #[arg(long, value_name = "FILE")]
+    params: Option<PathBuf>,
     /// Of dfc and nlm: radius of the window that is averaged over, in pixels [default: 10]
     #[arg(long, value_name = "PIXELS")]
     radius: Option<u32>,
@@ -57,6 +60,9 @@ struct Args {
     /// A pixel to keep chosen, from 0 at the upper left
     #[arg(long, value_name = "X,Y", value_parser = pixel)]
     pixel: Option<[u32; 2]>,
+    /// Measures error against run time, over radii and presets: the plot's panel shows it
+    #[arg(long, requires = "file")]
+    sweep: bool,
     /// Writes a picture of the window as PNG, without opening one
     #[arg(long, value_name = "FILE", requires = "file")]
     screenshot: Option<PathBuf>,
@@ -81,12 +87,31 @@ enum MethodName {
     Nlm,
 }
 
+impl MethodName {
+    fn name(self) -> &'static str {
+        match self {
+            Self::Dfc => "dfc",
+            Self::Gem => "gem",
+            Self::Nlm => "nlm",
+        }
+    }
+}
+
 #[derive(Clone, Copy, Debug, ValueEnum)]
 enum PresetName {
     /// What measured best
     Default,
     /// The published algorithm to the letter
     Thesis,
+}
+
+impl PresetName {
+    fn preset(self) -> Preset {
+        match self {
+            Self::Default => Preset::Default,
+            Self::Thesis => Preset::Thesis,
+        }
+    }
 }
 
 /// As [`Compare`].
@@ -130,6 +155,8 @@ enum PanelName {
     Pixel,
     /// What ran and what was left out
     Report,
+    /// Error against run time
+    Plot,
 }
 
 impl PanelName {
@@ -139,6 +166,7 @@ impl PanelName {
             Self::Parameters => Panel::Parameters,
             Self::Pixel => Panel::Pixel,
             Self::Report => Panel::Report,
+            Self::Plot => Panel::Plot,
         }
     }
 }
@@ -211,26 +239,7 @@ fn run(args: &Args) -> Result<(), Failure> {
 }
 
 fn start(args: &Args) -> Result<Start, Failure> {
-    let method = match args.method {
-        MethodName::Dfc => "dfc",
-        MethodName::Gem => "gem",
-        MethodName::Nlm => "nlm",
-    };
-    let preset = match args.preset {
-        PresetName::Default => Preset::Default,
-        PresetName::Thesis => Preset::Thesis,
-    };
-    let mut parameters = Parameters::of(method, preset).unwrap_or_default();
-    if let Some(radius) = args.radius {
-        match parameters.radius_mut() {
-            Some(own) => *own = radius,
-            None => {
-                let message = format!("--radius is no option of the method {method}\n  remedy: leave it out, or choose another --method");
-                return Err(Failure { code: 2, message });
-            }
-        }
-        parameters.method.validate()?;
-    }
+    let parameters = parameters(args)?;
     let source = args.file.clone().map(|input| Source { input, reference: args.reference.clone() });
     Ok(Start {
         source,
@@ -240,7 +249,39 @@ fn start(args: &Args) -> Result<Start, Failure> {
         compare: args.compare.compare(),
         panel: args.panel.panel(),
         pixel: args.pixel,
+        sweeps: args.sweep,
     })
+}
+
+/// What the command line says of the parameters; `None` where it says nothing.
+fn parameters(args: &Args) -> Result<Option<Parameters>, Failure> {
+    let usage = |message: String| Failure { code: 2, message };
+    let method = args.method.map(MethodName::name);
+    let preset = args.preset.map(PresetName::preset);
+    let file = args.params.as_deref().map(|path| Ok::<_, Failure>((path, Parameters::read(path)?))).transpose()?;
+    let mut parameters = match file {
+        Some((path, parameters)) => {
+            let own = [("method", parameters.method.name(), method), ("preset", parameters.preset.name(), preset.map(Preset::name))];
+            let contradicts = own.into_iter().find_map(|(key, own, given)| Some((key, own, given.filter(|given| *given != own)?)));
+            if let Some((key, own, given)) = contradicts {
+                let path = path.display();
+                return Err(usage(format!(
+                    "--{key} {given}: {path} is for {own}\n  remedy: leave the option out, or write `{key} = \"{given}\"` into the file"
+                )));
+            }
+            parameters
+        }
+        None if method.is_none() && preset.is_none() && args.radius.is_none() => return Ok(None),
+        None => Parameters::of(method.unwrap_or("dfc"), preset.unwrap_or(Preset::Default)).unwrap_or_default(),
+    };
+    if let Some(radius) = args.radius {
+        if sweep::radius(&parameters.method).is_none() {
+            let name = parameters.method.name();
+            return Err(usage(format!("--radius is no option of the method {name}\n  remedy: leave it out, or choose another --method")));
+        }
+        parameters.method = parameters.method.with_parameter("window_radius", radius)?;
+    }
+    Ok(Some(parameters))
 }
 
 fn window(args: &Args, gpu: &Gpu, start: Start) -> Result<(), Failure> {

@@ -12,6 +12,20 @@ pub enum Action {
     Open,
     /// Asks for a reference.
     OpenReference,
+    /// Asks for parameters.
+    OpenParameters,
+    /// Asks where to save what the canvas shows.
+    SaveView,
+    /// Asks where to save the layer A at its own size.
+    SaveLayer,
+    /// Asks where to save the denoised frame.
+    SaveResult,
+    /// Asks where to save the parameters.
+    SaveParameters,
+    /// Puts all parameters back to those of the preset.
+    ResetParameters,
+    /// Measures error against run time, or ends that.
+    Sweep,
     /// Denoises again.
     Run,
     /// Ends the work in flight, closes the help, or lets a pinned pixel go.
@@ -66,6 +80,8 @@ pub struct Section {
     pub shortcuts: &'static [Shortcut],
 }
 
+const COMMAND_SHIFT: Modifiers = Modifiers { shift: true, ..Modifiers::COMMAND };
+
 const fn key(key: Key, action: Action, about: &'static str) -> Shortcut {
     Shortcut { keys: KeyboardShortcut::new(Modifiers::NONE, key), action, about }
 }
@@ -74,14 +90,21 @@ const fn with(modifiers: Modifiers, key: Key, action: Action, about: &'static st
     Shortcut { keys: KeyboardShortcut::new(modifiers, key), action, about }
 }
 
-/// All keys. Those with modifiers are looked at first, so that `Shift+E` is not taken for `E`.
+/// All keys. Those with the most modifiers are looked at first, so that `Shift+E` is not taken for `E`.
 pub const SECTIONS: &[Section] = &[
     Section {
         title: "File and run",
         shortcuts: &[
             with(Modifiers::COMMAND, Key::O, Action::Open, "open a buffer set"),
             with(Modifiers::COMMAND, Key::R, Action::OpenReference, "open a reference"),
+            with(Modifiers::COMMAND, Key::S, Action::SaveResult, "save the result as OpenEXR"),
+            with(Modifiers::COMMAND, Key::E, Action::SaveView, "save the view as PNG"),
+            with(COMMAND_SHIFT, Key::E, Action::SaveLayer, "save the layer as PNG"),
+            with(Modifiers::COMMAND, Key::P, Action::SaveParameters, "save the parameters as TOML"),
+            with(COMMAND_SHIFT, Key::P, Action::OpenParameters, "load parameters"),
+            with(Modifiers::COMMAND, Key::Backspace, Action::ResetParameters, "all parameters as in the preset"),
             key(Key::F5, Action::Run, "denoise again"),
+            key(Key::F9, Action::Sweep, "measure error against time, or stop"),
             key(Key::Escape, Action::Cancel, "cancel the run, close the help, unpin the pixel"),
         ],
     },
@@ -136,6 +159,7 @@ pub const SECTIONS: &[Section] = &[
             key(Key::F2, Action::Panel(Panel::Parameters), "parameters"),
             key(Key::F3, Action::Panel(Panel::Pixel), "pixel"),
             key(Key::F4, Action::Panel(Panel::Report), "report"),
+            key(Key::F8, Action::Panel(Panel::Plot), "error against time"),
             key(Key::T, Action::ToggleTheme, "dark or light"),
             key(Key::H, Action::Help, "this help"),
             key(Key::Questionmark, Action::Help, ""),
@@ -149,6 +173,7 @@ pub fn pressed(context: &Context) -> Vec<Action> {
         return Vec::new();
     }
     let mut all: Vec<&Shortcut> = SECTIONS.iter().flat_map(|section| section.shortcuts).collect();
-    all.sort_by_key(|shortcut| shortcut.keys.modifiers == Modifiers::NONE);
+    let modifiers = |Modifiers { alt, ctrl, shift, command, .. }: Modifiers| [alt, ctrl || command, shift].into_iter().filter(|held| *held).count();
+    all.sort_by_key(|shortcut| std::cmp::Reverse(modifiers(shortcut.keys.modifiers)));
     context.input_mut(|input| all.into_iter().filter(|shortcut| input.consume_shortcut(&shortcut.keys)).map(|shortcut| shortcut.action).collect())
 }

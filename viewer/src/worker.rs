@@ -16,9 +16,12 @@ use std::time::{Duration, Instant};
 use eframe::egui::Context;
 use stein::buffers::{BufferSet, BufferSetRequest, read_reference};
 use stein::gpu::Pace;
+use stein::sampling::estimated_relative_mse;
 use stein::{Denoiser, Error, Frame, Gpu, Image, Method, Options};
 
 use crate::document::{Denoised, Opened, Source, input_layers, output_layers, relative_mse};
+use crate::settings::Parameters;
+use crate::sweep::Point;
 
 /// Dispatches between which the window can draw, on a graphics card; a processor takes long for one.
 const DISPATCHES_AT_ONCE: usize = 8;
@@ -26,8 +29,11 @@ const DISPATCHES_AT_ONCE: usize = 8;
 /// How often progress is told at the most.
 const BETWEEN_REPLIES: Duration = Duration::from_millis(200);
 
+/// A run that takes longer than this is not measured again: what compiling shaders takes is little beside it.
+const MEASURED_TWICE: Duration = Duration::from_secs(10);
+
 /// What the worker is asked for.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub enum Request {
     /// Reads a frame, and a reference if one is named.
     Open(Source),
@@ -40,6 +46,17 @@ pub enum Request {
         /// How.
         method: Method,
     },
+    /// Measures time and error of one run after the other.
+    Sweep {
+        /// What is denoised.
+        frame: Arc<Frame>,
+        /// What it is compared with.
+        reference: Option<Arc<Image>>,
+        /// How, each time.
+        runs: Arc<[Parameters]>,
+        /// The first of them that is not yet done.
+        next: usize,
+    },
 }
 
 /// The kinds of requests.
@@ -49,17 +66,20 @@ pub enum Task {
     Open,
     /// [`Request::Denoise`].
     Denoise,
+    /// [`Request::Sweep`], which makes way for all else and goes on after it.
+    Sweep,
 }
 
 impl Task {
     /// In the order in which they are taken.
-    pub const ALL: [Self; 2] = [Self::Open, Self::Denoise];
+    pub const ALL: [Self; 3] = [Self::Open, Self::Denoise, Self::Sweep];
 
     /// What users read while it is at work.
     pub fn title(self) -> &'static str {
         match self {
             Self::Open => "reading",
             Self::Denoise => "denoising",
+            Self::Sweep => "measuring",
         }
     }
 }
@@ -70,6 +90,17 @@ impl Request {
         match self {
             Self::Open(_) => Task::Open,
             Self::Denoise { .. } => Task::Denoise,
+            Self::Sweep { .. } => Task::Sweep,
+        }
+    }
+
+    /// What is left of it after its first part.
+    fn rest(&self) -> Option<Self> {
+        match self {
+            Self::Sweep { frame, reference, runs, next } if next + 1 < runs.len() => {
+                Some(Self::Sweep { frame: frame.clone(), reference: reference.clone(), runs: runs.clone(), next: next + 1 })
+            }
+            _ => None,
         }
     }
 }
@@ -83,6 +114,8 @@ pub enum Reply {
     Opened(Box<Opened>),
     /// A frame was denoised.
     Denoised(Box<Denoised>),
+    /// A run was measured.
+    Swept(Box<Point>),
     /// A task came to no end because of this. Nothing is told of tasks that were cancelled.
     Failed(Task, Error),
 }
@@ -134,6 +167,19 @@ impl State {
         self.sent += 1;
         self.newest[task as usize] = self.sent;
     }
+
+    /// Ends what is at work; what is left of it waits, unless it was cancelled.
+    fn end(&mut self, number: u64, goes_on: Option<Request>) {
+        self.at_work = None;
+        self.waiting.extend(goes_on.filter(|request| self.newest[request.task() as usize] == number).map(|request| (number, request)));
+    }
+
+    /// Breaks off what is at work for a request of higher rank, where it goes on afterwards.
+    fn make_way(&self, task: Task) {
+        if let Some(at_work) = self.at_work.as_ref().filter(|at_work| at_work.task == Task::Sweep && task != Task::Sweep) {
+            at_work.cancelled.store(true, Ordering::Relaxed);
+        }
+    }
 }
 
 impl Worker {
@@ -161,6 +207,7 @@ impl Worker {
         } else {
             state.cancel(task);
         }
+        state.make_way(task);
         let number = state.newest[task as usize];
         state.waiting.push((number, request));
         self.mailbox.news.notify_one();
@@ -208,6 +255,7 @@ impl Reply {
             Self::Progress(task, _) | Self::Failed(task, _) => *task,
             Self::Opened(_) => Task::Open,
             Self::Denoised(_) => Task::Denoise,
+            Self::Swept(_) => Task::Sweep,
         }
     }
 }
@@ -261,8 +309,14 @@ impl Desk {
         while let Some((number, request, cancelled)) = self.next() {
             let task = request.task();
             let job = Job { desk: &self, number, task, cancelled, told: Cell::new(None) };
+            let (whole, rest) = ((task == Task::Sweep).then(|| request.clone()), request.rest());
             let done = catch_unwind(AssertUnwindSafe(|| self.fulfil(&job, request))).unwrap_or_else(|panic| Err(defect(panic.as_ref())));
-            self.mailbox.lock().at_work = None;
+            let goes_on = match &done {
+                Ok(_) => rest,
+                Err(Error::Cancelled) => whole,
+                Err(_) => None,
+            };
+            self.mailbox.lock().end(number, goes_on);
             match done {
                 Ok(reply) => job.tell(reply),
                 Err(Error::Cancelled) => self.context.request_repaint(),
@@ -293,6 +347,10 @@ impl Desk {
             Request::Open(source) => open(job, source).map(|opened| Reply::Opened(Box::new(opened))),
             Request::Denoise { frame, reference, method } => {
                 denoise(&self.gpu, job, &frame, reference.as_ref(), method).map(|denoised| Reply::Denoised(Box::new(denoised)))
+            }
+            Request::Sweep { frame, reference, runs, next } => {
+                let share = |share: f32| (next as f32 + share) / runs.len() as f32;
+                measure(&self.gpu, job, &frame, reference.as_ref(), runs[next], share).map(|point| Reply::Swept(Box::new(point)))
             }
         }
     }
@@ -341,8 +399,28 @@ fn denoise(gpu: &Gpu, job: &Job, frame: &Frame, reference: Option<&Arc<Image>>, 
     job.check(1.0)?;
     let lean_plan = denoiser.plan(&[frame], 0, &Options::default())?;
     let error = relative_mse(&estimate.color, reference);
+    let estimated_error = estimated_relative_mse(&estimate);
     let layers = output_layers(&mut estimate, reference);
-    Ok(Denoised { method, estimate, lean_plan, seconds, error, layers })
+    Ok(Denoised { method, estimate: Arc::new(estimate), lean_plan, seconds, error, estimated_error, layers })
+}
+
+/// Time and error of the result and its estimated error, with nothing kept to look at.
+fn measure(gpu: &Gpu, job: &Job, frame: &Frame, reference: Option<&Arc<Image>>, parameters: Parameters, share: impl Fn(f32) -> f32) -> stein::Result<Point> {
+    job.check(share(0.0))?;
+    gpu.set_timing(false);
+    let denoiser = Denoiser::new(gpu, parameters.method)?;
+    let run = |first: f32| {
+        let start = Instant::now();
+        let mut progress = |done: f32| job.progress(share(first + done / 2.0));
+        let estimate = denoiser.denoise_with(frame, Options { progress: Some(&mut progress), pace: Some(job.pace()), ..Default::default() })?;
+        Ok::<_, Error>((estimate, start.elapsed()))
+    };
+    let (estimate, mut time) = run(0.0)?;
+    if time < MEASURED_TWICE {
+        time = time.min(run(0.5)?.1);
+    }
+    let (error, estimated_error) = (relative_mse(&estimate.color, reference), estimated_relative_mse(&estimate));
+    Ok(Point { parameters, seconds: time.as_secs_f64(), error, estimated_error })
 }
 
 /// A panic is a defect of this program: the window stays, and says so.

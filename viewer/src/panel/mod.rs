@@ -5,6 +5,7 @@ pub mod help;
 pub mod layers;
 pub mod parameters;
 pub mod pixel;
+pub mod plot;
 pub mod report;
 pub mod status;
 pub mod toolbar;
@@ -19,17 +20,19 @@ pub enum Panel {
     /// Exposure, ranges, histogram.
     #[default]
     Display,
-    /// Method, preset, radius.
+    /// Method, preset, and every parameter.
     Parameters,
     /// The values of a pixel.
     Pixel,
     /// What ran and what was left out, and what the frame is.
     Report,
+    /// Error against run time.
+    Plot,
 }
 
 impl Panel {
     /// In the order of their tabs.
-    pub const ALL: [Self; 4] = [Self::Display, Self::Parameters, Self::Pixel, Self::Report];
+    pub const ALL: [Self; 5] = [Self::Display, Self::Parameters, Self::Pixel, Self::Report, Self::Plot];
 
     /// What users read.
     pub fn title(self) -> &'static str {
@@ -38,6 +41,7 @@ impl Panel {
             Self::Parameters => "Parameters",
             Self::Pixel => "Pixel",
             Self::Report => "Report",
+            Self::Plot => "Plot",
         }
     }
 }
@@ -58,5 +62,6 @@ pub fn show(ui: &mut Ui, viewer: &mut Viewer) {
         Panel::Parameters => parameters::show(ui, viewer),
         Panel::Pixel => pixel::show(ui, viewer),
         Panel::Report => report::show(ui, viewer),
+        Panel::Plot => plot::show(ui, viewer),
     });
 }

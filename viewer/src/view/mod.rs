@@ -216,14 +216,19 @@ impl View {
 
     /// Shows a layer's thumbnail, as the canvas would show the layer.
     pub fn paint_thumbnail(&mut self, painter: &Painter, rect: Rect, layer: &Layer) {
-        let extent = layer.thumbnail.image.extent;
+        self.paint_whole(painter, rect, layer, layer.thumbnail.clone());
+    }
+
+    /// Shows an image of a layer, fitted into a rectangle, in the colours of the layer.
+    pub fn paint_whole(&mut self, painter: &Painter, rect: Rect, layer: &Layer, image: Shown) {
+        let extent = image.image.extent;
         let scale = (rect.width() / extent.width as f32).min(rect.height() / extent.height as f32);
         let size = Vec2::new(extent.width as f32, extent.height as f32) * scale;
         let inner = Rect::from_center_size(rect.center(), size);
         let pixels_per_point = painter.pixels_per_point();
         let step = 1.0 / (scale * pixels_per_point);
         let first = inner.min.to_vec2() * -pixels_per_point * step;
-        let draw = self.draw(layer, layer.thumbnail.clone(), first.into(), step);
+        let draw = self.draw(layer, image, first.into(), step);
         painter.add(self.slots.paint(inner, draw));
     }
 
