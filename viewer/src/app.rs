@@ -4,7 +4,9 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::task::Poll;
 
-use eframe::egui::{self, Align, CentralPanel, Color32, Context, Frame as Margins, Layout, Panel as SidePanel, RichText, Ui, Vec2};
+use eframe::egui::{
+    self, Align, CentralPanel, Color32, Context, FontDefinitions, FontFamily, Frame as Margins, Layout, Panel as SidePanel, RichText, Ui, Vec2,
+};
 use eframe::wgpu;
 use stein::Gpu;
 
@@ -534,6 +536,11 @@ impl eframe::App for Viewer {
 
 /// How the window looks, dark and light.
 pub fn set_style(context: &Context) {
+    let mut fonts = FontDefinitions::default();
+    // It has the mathematical signs that the other font lacks.
+    let [proportional, monospace] = [FontFamily::Proportional, FontFamily::Monospace].map(|family| fonts.families.get(&family).cloned().unwrap_or_default());
+    fonts.families.insert(FontFamily::Proportional, proportional.into_iter().chain(monospace).collect());
+    context.set_fonts(fonts);
     context.all_styles_mut(|style| {
         // Text on panels is read, not only glanced at.
         let visuals = &mut style.visuals;

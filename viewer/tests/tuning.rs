@@ -5,6 +5,7 @@
 mod common;
 
 use common::{settle, testdata, window, window_with};
+use eframe::egui::accesskit::Role;
 use eframe::egui::{Key, Modifiers, Pos2};
 use egui_kittest::Harness;
 use egui_kittest::kittest::{NodeT, Queryable};
@@ -44,7 +45,7 @@ fn press(harness: &mut Harness<'static, Viewer>, name: &str) {
 /// The widget of a parameter, which is called like the name beside it.
 fn press_value(harness: &mut Harness<'static, Viewer>, name: &str) {
     let widgets: Vec<_> = harness.get_all_by_label(name).collect();
-    widgets.into_iter().find(|node| node.accesskit_node().role() == eframe::egui::accesskit::Role::CheckBox).unwrap().click();
+    widgets.into_iter().find(|node| node.accesskit_node().role() == Role::CheckBox).unwrap().click();
     settle(harness);
 }
 
@@ -55,10 +56,16 @@ fn every_parameter_has_a_widget_under_its_name() {
         harness.state_mut().take_parameters(Parameters::of(method, Preset::Default).unwrap());
         harness.run_steps(2);
         for parameter in harness.state().parameters.method.parameters() {
-            let nodes = harness.get_all_by_label(&parameter.name).count();
-            // A set is several words, each a button.
-            let widgets = if matches!(parameter.kind, Kind::Set { .. }) { 1 } else { 2 };
-            assert!(nodes >= widgets, "{method} {}: {nodes}", parameter.name);
+            let roles: Vec<_> = harness.get_all_by_label(&parameter.name).map(|node| node.accesskit_node().role()).collect();
+            let role = match parameter.kind {
+                Kind::Integer { .. } => Role::Slider,
+                Kind::Number { .. } => Role::SpinButton,
+                Kind::Flag | Kind::Group => Role::CheckBox,
+                Kind::Choice { .. } => Role::ComboBox,
+                // Several words, each a button; what they are called together stands before them.
+                Kind::Set { .. } => Role::Label,
+            };
+            assert!(roles.contains(&role), "{method} {}: {roles:?}", parameter.name);
         }
     }
 }

@@ -104,7 +104,7 @@ fn row(ui: &mut Ui, viewer: &Viewer, parameter: &Parameter) -> Option<Change> {
         ui.with_layout(Layout::right_to_left(Align::Center), |ui| {
             if differs {
                 let before = viewer.parameters.preset_value(parameter).map_or_else(String::new, |value| format!("Back to {value}, as in the preset"));
-                let button = ui.add_sized(Vec2::new(RESET_WIDTH, ROW_HEIGHT), Button::new("⟲").frame(false)).on_hover_text(before);
+                let button = ui.add_sized(Vec2::new(RESET_WIDTH, ROW_HEIGHT), Button::new("↺").frame(false)).on_hover_text(before);
                 button.widget_info(|| WidgetInfo::labeled(Role::Button, true, format!("reset {}", parameter.name)));
                 if button.clicked() {
                     change = Some(Change::Reset);

@@ -238,10 +238,10 @@ fn legend(ui: &mut Ui, series: &[Series], spots: &[Spot]) {
     }
     ui.horizontal_wrapped(|ui| {
         for Series { method, preset, color, .. } in series {
-            let sign = if *preset == Preset::Default { "⏺" } else { "◆" };
+            let sign = if *preset == Preset::Default { "●" } else { "◆" };
             ui.label(RichText::new(format!("{sign} {method} {}", preset.name())).color(*color));
         }
-        ui.label(RichText::new("◯ in use").strong());
+        ui.label(RichText::new("○ in use").strong());
     });
 }
 
