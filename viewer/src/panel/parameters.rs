@@ -137,7 +137,7 @@ fn named(ui: &mut Ui, name: &str) -> Response {
 
 /// The name of a parameter: what groups it is weak, what differs from the preset is strong.
 fn name(ui: &mut Ui, parameter: &Parameter, differs: bool) -> Response {
-    let font = FontId::proportional(TextStyle::Body.resolve(ui.style()).size - 0.5);
+    let font = FontId::proportional(TextStyle::Body.resolve(ui.style()).size - 1.0);
     let strong = if differs { ui.visuals().hyperlink_color } else { ui.visuals().text_color() };
     let mut job = LayoutJob::default();
     let (group, own) = parameter.name.rfind('.').map_or(("", parameter.name.as_str()), |dot| parameter.name.split_at(dot + 1));
@@ -251,6 +251,7 @@ fn choice(ui: &mut Ui, parameter: &Parameter, options: &[Choice], value: &str, l
 fn set(ui: &mut Ui, options: &[Choice], names: &[String]) -> Option<Value> {
     let mut change = None;
     ui.spacing_mut().item_spacing.x = 2.0;
+    ui.spacing_mut().button_padding.x = 4.0;
     for option in options {
         let is_in = names.iter().any(|name| name == option.name);
         if ui.selectable_label(is_in, option.name).on_hover_text(&option.documentation).clicked() {

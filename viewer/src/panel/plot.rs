@@ -288,7 +288,8 @@ fn marks(input: GridInput) -> Vec<GridMark> {
     // Where many decades are shown, they alone are.
     let steps: &[(f64, f64)] = if input.bounds.1 - input.bounds.0 > 4.0 { &[(1.0, 1.0)] } else { &[(1.0, 1.0), (2.0, 0.3), (5.0, 0.3)] };
     let decade = |decade: i32| steps.iter().map(move |(digit, step_size)| GridMark { value: f64::from(decade) + digit.log10(), step_size: *step_size });
-    (first..=last).flat_map(decade).collect()
+    let is_in = |mark: &GridMark| (input.bounds.0..=input.bounds.1).contains(&mark.value);
+    (first..=last).flat_map(decade).filter(is_in).collect()
 }
 
 fn tick(mark: GridMark, _: &RangeInclusive<f64>) -> String {
