@@ -11,7 +11,7 @@ use crate::gpu::{Buffer, Recorder, bindings, uniforms};
 
 uniforms! {
     struct SureParams { extent: IVec2, covariance: f32 }
-    struct ErrorBlendParams { extent: IVec2, spread: f32, disagreement: f32, own_noise: f32, candidate: i32 }
+    struct ErrorBlendParams { extent: IVec2, spread: f32, disagreement: f32, own_noise: f32, spikes: f32, candidate: i32 }
     struct ErrorHalvesParams { extent: IVec2, relative_floor: f32 }
 }
 bindings! {
@@ -20,7 +20,7 @@ bindings! {
     }
     struct ErrorBlend<'a> {
         uniform params: ErrorBlendParams,
-        read blended, read variance_of_mean, read derivatives, optional shares, optional first, optional second, optional third, write errors,
+        read blended, read variance_of_mean, read derivatives, optional shares, optional first, optional second, optional third, write errors, optional spikes,
     }
     struct ErrorHalves<'a> { uniform params: ErrorHalvesParams, read signal, read weights, write errors, optional residual_variance }
 }
@@ -49,6 +49,8 @@ pub struct ErrorParts {
     pub disagreement: f32,
     /// σ²·dF/du of the candidates, by their shares.
     pub own_noise: f32,
+    /// The squares of what the pixel got of spikes around.
+    pub spikes: f32,
 }
 
 impl ErrorParts {
@@ -66,7 +68,7 @@ impl ErrorParts {
             (false, true) => (0.0, 2.2, 0.53),
             (false, false) => (0.0, 0.0, 1.2),
         };
-        Self { spread, disagreement, own_noise }
+        Self { spread, disagreement, own_noise, spikes: 8.0 }
     }
 }
 
@@ -79,6 +81,17 @@ pub enum MadeOf<'a> {
     Only(usize),
 }
 
+/// A filtered signal and what became of it on the way.
+#[derive(Clone, Copy, Debug)]
+pub struct Blend<'a> {
+    /// Two planes: mean, half spread.
+    pub signal: &'a Buffer,
+    /// The candidates in it.
+    pub made_of: MadeOf<'a>,
+    /// The spikes that [`spike_spread`](super::spike::spike_spread) has spread before it was filtered, if it has.
+    pub spikes: Option<&'a Buffer>,
+}
+
 /// The estimated squared error of a blend of candidates, summed over the channels, in the square of the colour's unit; at least 0. Not smoothed. One plane, x.
 ///
 /// # Errors
@@ -86,10 +99,9 @@ pub enum MadeOf<'a> {
 pub fn error_blend(
     rec: &mut Recorder,
     extent: IVec2,
-    blended: &Buffer,
+    Blend { signal: blended, made_of, spikes }: Blend,
     variance_of_mean: &Buffer,
     candidates: &Candidates,
-    made_of: MadeOf,
     parts: ErrorParts,
 ) -> Result<Buffer> {
     let Some(derivatives) = candidates.derivatives.as_deref() else {
@@ -101,11 +113,14 @@ pub fn error_blend(
         MadeOf::Only(candidate) => (None, candidate as i32),
     };
     let [first, second, third] = candidates.buffers().map(|signal| signal.filter(|_| shares.is_some()));
-    let ErrorParts { spread, disagreement, own_noise } = parts;
-    let params = ErrorBlendParams { extent, spread, disagreement, own_noise, candidate };
+    let ErrorParts { spread, disagreement, own_noise, spikes: of_spikes } = parts;
+    let params = ErrorBlendParams { extent, spread, disagreement, own_noise, spikes: of_spikes, candidate };
     let [with_first, with_second, with_third] = candidates.set().definitions();
-    let kernel = rec.gpu().kernel::<ErrorBlend>("error_blend", &[("SHARED", shares.is_some().into()), with_first, with_second, with_third])?;
-    let bound = ErrorBlend { params, blended, variance_of_mean, derivatives, shares, first, second, third, errors: &errors };
+    let kernel = rec.gpu().kernel::<ErrorBlend>(
+        "error_blend",
+        &[("SHARED", shares.is_some().into()), ("SPIKES", spikes.is_some().into()), with_first, with_second, with_third],
+    )?;
+    let bound = ErrorBlend { params, blended, variance_of_mean, derivatives, shares, first, second, third, errors: &errors, spikes };
     rec.dispatch(&kernel, &bound, per_pixel(extent))?;
     Ok(errors)
 }
