@@ -1,9 +1,8 @@
-// The squared error of a blend of candidates, summed over the channels: x, at least 0. A sum of four parts, each of which tells what the others cannot:
+// The squared error of a blend of candidates, summed over the channels: x, at least 0. A sum of three parts, each of which tells what the others cannot:
 //
 //   spread        what the halves differ by: noise that the filter left. It misses what both have in common, as they were filtered by the same weights.
 //   disagreement  how far the candidates that share in the blend lie apart from it: where filters differ, they differ by their bias.
 //   own noise     σ²·dF/du: the noise of the pixel itself that its own weight lets through.
-//   spikes        the squares of what the pixel got of spikes around: one that fell elsewhere would have left nothing here.
 //
 // SURE adds and subtracts terms many times the size of what is left, and claims a negative error for half of an image; none of these is ever negative. What each counts is
 // measured.
@@ -15,7 +14,6 @@ struct ErrorBlendParams {
     spread: f32,
     disagreement: f32,
     own_noise: f32,
-    spikes: f32,
     // The plane of the derivatives, where there is one candidate alone.
     candidate: i32,
 }
@@ -41,10 +39,6 @@ struct ErrorBlendParams {
 #endif
 #endif
 @group(0) @binding(8) var<storage, read_write> errors: array<vec4<f32>>;
-#ifdef SPIKES
-// Three planes, the last of which has in x the squares of what a pixel got.
-@group(0) @binding(9) var<storage, read> spikes: array<vec4<f32>>;
-#endif
 
 // Σ_i σ_i²·dF_i/du_i of a candidate. A derivative beyond 0 to 1 is one of the weights, not the share of the pixel's own noise that is left in it.
 fn own_noise(candidate: i32, at: i32) -> f32 {
@@ -84,9 +78,6 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
 #endif
 #else
     error += params.own_noise * own_noise(params.candidate, at);
-#endif
-#ifdef SPIKES
-    error += params.spikes * spikes[2 * params.extent.x * params.extent.y + at].x;
 #endif
     errors[at] = vec4<f32>(error, 0.0, 0.0, 0.0);
 }

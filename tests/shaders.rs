@@ -57,7 +57,7 @@ fn definitions(stage: &str) -> Option<Vec<Definitions>> {
         "exact_fill" => Some(combinations(&[("ONES", flags())])),
         "select_frames" => Some(combinations(&[("WEIGHT_SUMS", flags())])),
         "sample_attach" => Some(combinations(&[("SAMPLES_VARY", flags())])),
-        "error_blend" => Some(combinations(&[&takes_part()[..], &[("SHARED", flags()), ("SPIKES", flags())]].concat())),
+        "error_blend" => Some(combinations(&[&takes_part()[..], &[("SHARED", flags())]].concat())),
         "error_halves" => Some(combinations(&[("HALVES", flags())])),
         "scale_stop" | "scale_reduction" => none,
         "scale_pixel" => Some(combinations(&[("SAMPLES_VARY", flags())])),

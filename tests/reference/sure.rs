@@ -37,12 +37,12 @@ impl ErrorParts {
     /// As measured, for frames with and without halves, and for one candidate or several.
     pub fn measured(has_halves: bool, several: bool) -> ErrorParts {
         let [spread, disagreement, own_noise] = match (has_halves, several) {
-            (true, true) => [1.0, 1.8, 0.36],
+            (true, true) => [1.0, 1.5, 0.5],
             (true, false) => [1.7, 0.0, 0.74],
             (false, true) => [0.0, 2.2, 0.53],
             (false, false) => [0.0, 0.0, 1.2],
         };
-        ErrorParts { spread, disagreement, own_noise, spikes: 8.0 }
+        ErrorParts { spread, disagreement, own_noise, spikes: 6.0 }
     }
 }
 

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use stein::gpu::{Gpu, Recorder};
 use stein::stage::candidate::Candidates;
 use stein::stage::candidate_set::CandidateSet;
-use stein::stage::error::{Blend, ErrorParts, MadeOf, error_blend, error_sure};
+use stein::stage::error::{ErrorParts, MadeOf, error_blend, error_spikes, error_sure};
 use stein::stage::nlm::Filtered;
 use stein::stage::sample::{GpuSamples, sample_density};
 use stein::stage::select::{Evidence, Guard, Harm, Noisy, select_blend, select_frames, select_frames_of_filtered, select_least, select_pass, select_share};
@@ -130,8 +130,11 @@ fn the_error_of_a_blend_has_four_parts() {
                 let made_of = if shared { MadeOf::Shares(&shares) } else { MadeOf::Only(only) };
                 let planes = [vec![f32::NAN; 8 * width * height], packed(&[squares.clone(), squares.clone(), squares.clone()])].concat();
                 let spikes = if with_spikes { Some(rec.upload("spikes", &planes)?) } else { None };
-                let blend = Blend { signal: &blended, made_of, spikes: spikes.as_ref() };
-                error_blend(rec, extent, blend, &variance, &candidates, parts)
+                let errors = error_blend(rec, extent, &blended, &variance, &candidates, made_of, parts)?;
+                match &spikes {
+                    Some(spikes) => error_spikes(rec, extent, errors, spikes, parts),
+                    None => Ok(errors),
+                }
             });
             let all = scene.mean[0].like(|_| 1.0);
             let share = |k: usize| if shared { &shares[k] } else { &all };
