@@ -19,6 +19,7 @@ use stein::gpu::Pace;
 use stein::{Denoiser, Error, Frame, Gpu, Image, Method, Options};
 
 use crate::document::{Denoised, Opened, Source, input_layers, output_layers, relative_mse};
+use crate::inspector::{Inspected, Question};
 
 /// Dispatches between which the window can draw, on a graphics card; a processor takes long for one.
 const DISPATCHES_AT_ONCE: usize = 8;
@@ -31,6 +32,8 @@ const BETWEEN_REPLIES: Duration = Duration::from_millis(200);
 pub enum Request {
     /// Reads a frame, and a reference if one is named.
     Open(Source),
+    /// Works out which neighbours made a pixel.
+    Inspect(Question),
     /// Denoises a frame, keeping all that can be looked at.
     Denoise {
         /// What is denoised.
@@ -47,18 +50,21 @@ pub enum Request {
 pub enum Task {
     /// [`Request::Open`].
     Open,
+    /// [`Request::Inspect`].
+    Inspect,
     /// [`Request::Denoise`].
     Denoise,
 }
 
 impl Task {
     /// In the order in which they are taken.
-    pub const ALL: [Self; 2] = [Self::Open, Self::Denoise];
+    pub const ALL: [Self; 3] = [Self::Open, Self::Inspect, Self::Denoise];
 
     /// What users read while it is at work.
     pub fn title(self) -> &'static str {
         match self {
             Self::Open => "reading",
+            Self::Inspect => "looking at a pixel",
             Self::Denoise => "denoising",
         }
     }
@@ -69,6 +75,7 @@ impl Request {
     pub fn task(&self) -> Task {
         match self {
             Self::Open(_) => Task::Open,
+            Self::Inspect(_) => Task::Inspect,
             Self::Denoise { .. } => Task::Denoise,
         }
     }
@@ -81,6 +88,8 @@ pub enum Reply {
     Progress(Task, f32),
     /// A frame was read.
     Opened(Box<Opened>),
+    /// The kernels of a pixel are there.
+    Inspected(Box<Inspected>),
     /// A frame was denoised.
     Denoised(Box<Denoised>),
     /// A task came to no end because of this. Nothing is told of tasks that were cancelled.
@@ -207,6 +216,7 @@ impl Reply {
         match self {
             Self::Progress(task, _) | Self::Failed(task, _) => *task,
             Self::Opened(_) => Task::Open,
+            Self::Inspected(_) => Task::Inspect,
             Self::Denoised(_) => Task::Denoise,
         }
     }
@@ -291,6 +301,7 @@ impl Desk {
     fn fulfil(&self, job: &Job, request: Request) -> stein::Result<Reply> {
         match request {
             Request::Open(source) => open(job, source).map(|opened| Reply::Opened(Box::new(opened))),
+            Request::Inspect(question) => inspect(&self.gpu, job, question).map(|inspected| Reply::Inspected(Box::new(inspected))),
             Request::Denoise { frame, reference, method } => {
                 denoise(&self.gpu, job, &frame, reference.as_ref(), method).map(|denoised| Reply::Denoised(Box::new(denoised)))
             }
@@ -327,6 +338,13 @@ fn in_file(source: &Source, error: Error) -> Error {
         Error::Request { problem, remedy } => Error::File { path: source.input.clone(), problem, remedy },
         error => error,
     }
+}
+
+fn inspect(gpu: &Gpu, job: &Job, question: Question) -> stein::Result<Inspected> {
+    let denoiser = Denoiser::new(gpu, question.method)?;
+    let [x, y] = question.pixel;
+    let kernels = denoiser.kernels(&question.frame, x, y, &Options { pace: Some(job.pace()), ..Default::default() })?;
+    Ok(Inspected::new(question, kernels))
 }
 
 fn denoise(gpu: &Gpu, job: &Job, frame: &Frame, reference: Option<&Arc<Image>>, method: Method) -> stein::Result<Denoised> {

@@ -2,6 +2,7 @@
 
 pub mod display;
 pub mod help;
+pub mod kernel;
 pub mod layers;
 pub mod parameters;
 pub mod pixel;
@@ -23,13 +24,15 @@ pub enum Panel {
     Parameters,
     /// The values of a pixel.
     Pixel,
+    /// Which neighbours made a pixel, and why.
+    Kernel,
     /// What ran and what was left out, and what the frame is.
     Report,
 }
 
 impl Panel {
     /// In the order of their tabs.
-    pub const ALL: [Self; 4] = [Self::Display, Self::Parameters, Self::Pixel, Self::Report];
+    pub const ALL: [Self; 5] = [Self::Display, Self::Parameters, Self::Pixel, Self::Kernel, Self::Report];
 
     /// What users read.
     pub fn title(self) -> &'static str {
@@ -37,6 +40,7 @@ impl Panel {
             Self::Display => "Display",
             Self::Parameters => "Parameters",
             Self::Pixel => "Pixel",
+            Self::Kernel => "Kernel",
             Self::Report => "Report",
         }
     }
@@ -57,6 +61,7 @@ pub fn show(ui: &mut Ui, viewer: &mut Viewer) {
         Panel::Display => display::show(ui, viewer),
         Panel::Parameters => parameters::show(ui, viewer),
         Panel::Pixel => pixel::show(ui, viewer),
+        Panel::Kernel => kernel::show(ui, viewer),
         Panel::Report => report::show(ui, viewer),
     });
 }
