@@ -66,7 +66,6 @@ fn the_weights_that_are_drawn_are_the_library_s() {
             let effective = weights().sum::<f64>().powi(2) / weights().map(|weight| weight * weight).sum::<f64>();
             assert!((f64::from(window.effective_pixels) / effective - 1.0).abs() < 1e-5, "{what}");
             harness.get_by_label(&format!("filter {}", filter.name));
-            harness.get_by_label_contains(&format!("Σw {}", number(filter.weight_sum)));
         }
     }
 }
@@ -162,9 +161,9 @@ fn a_pixel_is_chosen_by_click_and_moved_by_keys() {
     let moved = [clicked[0] - 10, clicked[1] - 1];
     assert_eq!(harness.state().view.pinned, Some(moved));
     assert_eq!(inspected(&harness).question.pixel, moved);
-    assert!(inspected(&harness).question == inspected(&harness).question);
 
-    // The pointer is on the canvas still: the pixel under it is a neighbour, or with the modifier the pixel itself.
+    harness.hover_at(middle);
+    harness.run_steps(2);
     assert_eq!(harness.state().view.hovered, Some(clicked));
     harness.key_press_modifiers(Modifiers::SHIFT, Key::K);
     settle(&mut harness);

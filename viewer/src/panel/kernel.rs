@@ -1,5 +1,7 @@
 //! The kernel: which neighbours made the chosen pixel, with which weights, and what told them apart.
 
+use std::ops::RangeInclusive;
+
 use eframe::egui::{Color32, ComboBox, Grid, Label, Painter, Pos2, Rect, Response, RichText, Role, Sense, Stroke, StrokeKind, Ui, Vec2, WidgetInfo};
 use stein::FilterKernel;
 use stein::kernels::{Compared, WeightRule};
@@ -14,9 +16,12 @@ use crate::view::legend;
 use crate::view::numbers::number;
 
 /// Side of a filter's small window, in points, at the most.
-const SMALL: f32 = 96.0;
-/// Side of the large window, in points, at the most.
-const LARGE: f32 = 460.0;
+const SMALL: f32 = 72.0;
+/// Side of the large window, in points.
+const LARGE: RangeInclusive<f32> = 200.0..=460.0;
+/// Points that the small windows and the lines take, and each distance of the table.
+const OTHERS: f32 = 306.0;
+const LINE: f32 = 16.0;
 /// Between two small windows.
 const GAP: f32 = 6.0;
 /// Between the lines where the frame has ended.
@@ -24,45 +29,50 @@ const HATCH: f32 = 5.0;
 
 /// Shows it.
 pub fn show(ui: &mut Ui, viewer: &mut Viewer) {
-    ui.checkbox(&mut viewer.inspector.follows, "of the pixel under the pointer").on_hover_text("Shift+K; or hold Ctrl");
-    let Some(inspected) = viewer.inspector.inspected.clone() else {
-        viewer.inspector.pointed = None;
+    ui.spacing_mut().item_spacing.y = 2.0;
+    ui.horizontal(|ui| {
+        let pixel = viewer.inspector.inspected.as_ref().map(|inspected| inspected.question.pixel);
+        ui.label(RichText::new(pixel.map_or_else(|| "No pixel".into(), |[x, y]| format!("Pixel ({x}, {y})"))).strong());
+        ui.checkbox(&mut viewer.inspector.follows, "follow the pointer").on_hover_text("Shift+K; or hold Ctrl");
         if viewer.inspector.waits() {
             ui.spinner();
-        } else if viewer.document.as_ref().is_some_and(|document| document.denoised.is_some()) {
+        }
+    });
+    let Some(inspected) = viewer.inspector.inspected.clone() else {
+        viewer.inspector.pointed = None;
+        if viewer.document.as_ref().is_some_and(|document| document.denoised.is_some()) {
             ui.label("Click a pixel to see which neighbours it was made of, and why.");
         } else {
             ui.label("The kernel can be seen once a frame is denoised.");
         }
         return;
     };
-    let [x, y] = inspected.question.pixel;
-    ui.horizontal(|ui| {
-        ui.label(RichText::new(format!("Pixel ({x}, {y}), {}", inspected.question.method.name())).strong());
-        if viewer.inspector.waits() {
-            ui.spinner();
-        }
-    });
     filters(ui, viewer, &inspected);
-    for planned in inspected.kernels.plan.steps.iter().filter(|planned| !planned.runs && decides(&planned.step)) {
-        ui.label(RichText::new(left_out(planned)).weak().size(11.5));
-    }
     let Some((filter, window)) = viewer.inspector.shown(&inspected) else {
         viewer.inspector.pointed = None;
-        ui.label("Nothing is filtered here: the pixel stays as it is.");
+        ui.label("Nothing is filtered: the frame stays as it is.");
+        explanations(ui, &inspected, None);
         return;
     };
     ui.separator();
     head(ui, &mut viewer.inspector, filter);
     large(ui, viewer, filter, window);
-    ui.label(RichText::new(rule(filter)).weak().size(11.5));
-    decisions(ui, filter, window);
-    ui.separator();
     match viewer.inspector.cell(filter) {
-        Some(cell) => neighbour(ui, viewer, filter, cell),
+        Some(cell) => neighbour(ui, viewer, (filter, window), cell),
         None => {
             ui.label("Point at a cell, or at the image inside of the window, to see what told that neighbour from the pixel. Click a cell to keep it.");
         }
+    }
+    ui.separator();
+    explanations(ui, &inspected, Some((filter, window)));
+}
+
+/// How the weights came about, and what does not take part.
+fn explanations(ui: &mut Ui, inspected: &Inspected, shown: Option<(&FilterKernel, &Window)>) {
+    let left_out = inspected.kernels.plan.steps.iter().filter(|planned| !planned.runs && decides(&planned.step)).map(left_out);
+    let of_filter = shown.into_iter().flat_map(|(filter, window)| [rule(filter), decisions(filter, window)]);
+    for text in of_filter.chain(left_out).filter(|text| !text.is_empty()) {
+        ui.label(RichText::new(text).size(11.5));
     }
 }
 
@@ -116,16 +126,23 @@ fn filters(ui: &mut Ui, viewer: &mut Viewer, inspected: &Inspected) {
                 if let Some(share) = share {
                     small(ui, format!("{:.0} % of the blend", 100.0 * share), "Its share in the blend of the pixel, from the selection map");
                 }
-                small(ui, format!("Σw {}", number(filter.weight_sum)), "Sum of the weights");
-                small(
-                    ui,
-                    format!("≈ {} pixels", number(window.effective_pixels)),
-                    "Effective number of pixels, (Σw)²/Σw²: so many of equal weight leave as much noise",
-                );
+                let about = "Sum of the weights, and the effective number of pixels, (Σw)²/Σw²: so many of equal weight leave as much noise";
+                small(ui, format!("Σw {}, n {}", short(filter.weight_sum), short(window.effective_pixels)), about);
                 swatch(ui, viewer, (&window.value, [0, 0]), filter.value, "What the filter makes of the pixel");
             });
         }
     });
+}
+
+/// Three digits, for where there is little room.
+fn short(value: f32) -> String {
+    let size = value.abs();
+    if (0.001..1000.0).contains(&size) {
+        let digits = (2.0 - size.log10().floor()).clamp(0.0, 5.0) as usize;
+        format!("{value:.digits$}")
+    } else {
+        number(value)
+    }
 }
 
 fn small(ui: &mut Ui, text: String, about: &str) {
@@ -134,10 +151,11 @@ fn small(ui: &mut Ui, text: String, about: &str) {
 
 /// A pixel of an image as the canvas shows colours, with its values under it.
 fn swatch(ui: &mut Ui, viewer: &mut Viewer, (image, place): (&Shown, [usize; 2]), color: [f32; 3], about: &str) {
-    let (rect, response) = ui.allocate_exact_size(Vec2::new(ui.available_width().min(SMALL), 10.0), Sense::hover());
+    let (rect, response) = ui.allocate_exact_size(Vec2::new(SMALL, 10.0), Sense::hover());
     viewer.view.paint_pixel(ui.painter(), rect, image.clone(), place);
     response.on_hover_text(about);
-    ui.add(Label::new(RichText::new(joined(&color)).monospace().size(9.0)).truncate()).on_hover_text(format!("{about}: {}", joined(&color)));
+    let text = RichText::new(color.map(short).join(" ")).size(10.0);
+    ui.add(Label::new(text).truncate()).on_hover_text(format!("{about}: {}", joined(&color)));
 }
 
 /// What is shown large, and on which scale.
@@ -172,7 +190,9 @@ fn same_distance(filter: &FilterKernel, of: &Compared) -> Option<usize> {
 
 /// The window as large as there is room for, its legend, and the cell under the pointer.
 fn large(ui: &mut Ui, viewer: &mut Viewer, filter: &FilterKernel, window: &Window) {
-    let side = ui.available_width().min(LARGE);
+    // So that the table can be seen as well.
+    let room = ui.clip_rect().height() - OTHERS - LINE * filter.distances.len() as f32;
+    let side = ui.available_width().min(room.clamp(*LARGE.start(), *LARGE.end()));
     let (rect, response) = ui.allocate_exact_size(Vec2::splat(side), Sense::click());
     response.widget_info(|| WidgetInfo::labeled(Role::Image, true, "window of weights"));
     let scale = viewer.inspector.scale_of_weights();
@@ -274,28 +294,27 @@ fn rule(filter: &FilterKernel) -> String {
 }
 
 /// How many neighbours each distance decided about.
-fn decisions(ui: &mut Ui, filter: &FilterKernel, window: &Window) {
+fn decisions(filter: &FilterKernel, window: &Window) -> String {
     if filter.distances.is_empty() {
-        return;
+        return String::new();
     }
     let decided: Vec<_> = filter.distances.iter().zip(&window.decided).map(|(distance, count)| format!("{} {count}", distance.of.name())).collect();
     let free = window.neighbours - window.decided.iter().sum::<usize>();
-    let text = format!("Of {} neighbours decided: {}; {free} are like the pixel in all.", window.neighbours, decided.join(", "));
-    ui.label(RichText::new(text).size(11.5));
+    format!("Of {} neighbours decided: {}; {free} are like the pixel in all.", window.neighbours, decided.join(", "))
 }
 
 /// All that is known of a neighbour.
-fn neighbour(ui: &mut Ui, viewer: &mut Viewer, filter: &FilterKernel, cell: usize) {
+fn neighbour(ui: &mut Ui, viewer: &mut Viewer, (filter, window): (&FilterKernel, &Window), cell: usize) {
     let Some((x, y)) = filter.pixel(cell) else { return };
     let [dx, dy] = offset_of(filter, cell);
     let weight = filter.weights.planes[0][cell];
     ui.label(RichText::new(format!("Neighbour ({x}, {y}), offset ({dx:+}, {dy:+})")).strong());
     ui.label(format!("w {}, {:.2} % of Σw", number(weight), 100.0 * weight / filter.weight_sum));
     let color = [0, 1, 2].map(|channel| filter.colors.planes[channel][cell]);
-    let inspected = viewer.inspector.inspected.clone();
-    if let Some((_, window)) = inspected.as_ref().and_then(|inspected| viewer.inspector.shown(inspected)) {
+    ui.horizontal(|ui| {
+        ui.label(format!("w {}, {:.2} % of Σw", number(weight), 100.0 * weight / filter.weight_sum));
         swatch(ui, viewer, (&window.colors, [cell % filter.side(), cell / filter.side()]), color, "What of the neighbour is averaged");
-    }
+    });
     if filter.distances.is_empty() {
         return;
     }
