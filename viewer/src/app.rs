@@ -5,14 +5,15 @@ use std::sync::Arc;
 use std::task::Poll;
 
 use eframe::egui::{
-    self, Align, CentralPanel, Color32, Context, FontDefinitions, FontFamily, Frame as Margins, Layout, Panel as SidePanel, RichText, Ui, Vec2,
+    self, Align, CentralPanel, Color32, Context, FontDefinitions, FontFamily, Frame as Margins, Layout, Panel as SidePanel, RichText, Ui, Vec2, ViewportCommand,
 };
 use eframe::wgpu;
-use stein::Gpu;
+use stein::{Extent, Gpu};
 
 use crate::document::{Document, Source};
 use crate::edit::Edits;
 use crate::files::{Dialog, Purpose, is_reference, short_name};
+use crate::inspector::{Inspector, Question};
 use crate::layer::Layer;
 use crate::panel::{self, Panel};
 use crate::saving::{Content, Saving, Sight};
@@ -44,6 +45,8 @@ pub struct Start {
     pub pixel: Option<[u32; 2]>,
     /// Whether error is measured against run time once the frame is open.
     pub sweeps: bool,
+    /// Of its neighbours the one that the kernel's panel explains, as an offset.
+    pub neighbour: Option<[i32; 2]>,
 }
 
 /// The window's state. Panels read and change it; what takes time goes to the worker.
@@ -66,12 +69,16 @@ pub struct Viewer {
     pub settings: Settings,
     /// The panel at the right.
     pub panel: Panel,
+    /// Which neighbours made a pixel.
+    pub inspector: Inspector,
     /// Whether the help is shown.
     pub shows_help: bool,
     /// What went wrong, until it is dismissed.
     pub trouble: Option<(Task, stein::Error)>,
     /// What the worker is at, and how much of it is done.
     pub progress: Option<(Task, f32)>,
+    /// Where a panel that was shown by its own key goes back to.
+    pub panel_before: Panel,
     /// Whether the strip is to be moved to layer A.
     pub scrolls_to_layer: bool,
     /// What the last file that was written has to tell, or why it was not, and when that was, in seconds.
@@ -105,9 +112,11 @@ impl Viewer {
             sweep: Sweep::default(),
             settings,
             panel: start.panel,
+            inspector: Inspector::default(),
             shows_help: false,
             trouble: None,
             progress: None,
+            panel_before: Panel::Display,
             scrolls_to_layer: true,
             notice: None,
             interrupted: false,
@@ -120,6 +129,7 @@ impl Viewer {
         if let Some(layer) = start.layer {
             viewer.view.layer = layer;
         }
+        viewer.inspector.kept = start.neighbour;
         (viewer.view.other, viewer.view.compare, viewer.view.pinned) = (start.other, start.compare, start.pixel);
         if let Some(source) = start.source {
             viewer.open(source);
@@ -142,6 +152,7 @@ impl Viewer {
         self.interrupted |= matches!(self.progress, Some((Task::Denoise, _)));
         self.progress = Some((Task::Open, 0.0));
         self.sweep.is_running = false;
+        self.inspector.forget_question();
         self.worker.send(Request::Open(source));
     }
 
@@ -177,7 +188,7 @@ impl Viewer {
 
     /// Whether nothing is at work and nothing waits to be told.
     pub fn is_idle(&self) -> bool {
-        self.progress.is_none() && !self.sweep.is_running && self.savings.is_empty() && self.worker.busy().is_none()
+        self.progress.is_none() && !self.sweep.is_running && self.savings.is_empty() && !self.inspector.waits() && self.worker.busy().is_none()
     }
 
     /// The layer A; the first one where there is none of that name.
@@ -242,6 +253,11 @@ impl Viewer {
             }
             Action::Zoom(factor) => self.view.camera.magnify(factor),
             Action::Panel(panel) => self.panel = panel,
+            Action::TogglePanel(panel) if self.panel == panel => self.panel = self.panel_before,
+            Action::TogglePanel(panel) => self.panel_before = std::mem::replace(&mut self.panel, panel),
+            Action::ToggleFollow => self.inspector.follows = !self.inspector.follows,
+            Action::MovePixel(by) => self.move_pixel(by),
+            Action::ToggleSharedScale => self.view.display.shares_scale = !self.view.display.shares_scale,
             Action::ToggleTheme => context.set_theme(if context.theme() == egui::Theme::Dark { egui::Theme::Light } else { egui::Theme::Dark }),
             Action::Help => self.shows_help = !self.shows_help,
         }
@@ -269,6 +285,15 @@ impl Viewer {
             self.view.layer = layer.name().to_owned();
             self.scrolls_to_layer = true;
         }
+    }
+
+    /// From the middle of the image where none is chosen.
+    fn move_pixel(&mut self, by: [i32; 2]) {
+        let Some(document) = &self.document else { return };
+        let Extent { width, height } = document.opened.frame.extent();
+        let [x, y] = self.view.chosen().unwrap_or([width / 2, height / 2]);
+        self.view.pinned = Some([x.saturating_add_signed(by[0]).min(width - 1), y.saturating_add_signed(by[1]).min(height - 1)]);
+        self.view.reveals_pinned = true;
     }
 
     fn ask(&mut self, purpose: Purpose, context: &Context) {
@@ -338,7 +363,7 @@ impl Viewer {
                 Ok(Content::Result { input: input.clone(), estimate: denoised.estimate.clone(), method: denoised.method })
             }
             _ => {
-                let View { compare, wipe, camera, display, pinned, .. } = &self.view;
+                let View { compare, wipe, camera, display, pinned, marked, .. } = &self.view;
                 Ok(Content::View(Box::new(Sight {
                     layer: layer()?,
                     other: self.other().cloned(),
@@ -347,6 +372,7 @@ impl Viewer {
                     camera: *camera,
                     display: display.clone(),
                     pinned: *pinned,
+                    marked: *marked,
                     size: self.canvas,
                     scale: context.pixels_per_point(),
                     theme: context.theme(),
@@ -389,12 +415,17 @@ impl Viewer {
         }
     }
 
-    fn take_replies(&mut self) {
+    fn take_replies(&mut self, context: &Context) {
         for reply in self.worker.replies() {
             match reply {
                 Reply::Progress(task, share) => self.progress = Some((task, share)),
                 Reply::Opened(opened) => {
                     self.settings.remember(&opened.source);
+                    context.send_viewport_cmd(ViewportCommand::Title(title(Some(&opened.source))));
+                    if self.document.is_some() {
+                        self.inspector.kept = None;
+                    }
+                    self.inspector.clear();
                     self.view.camera.fits = true;
                     if self.document.is_some() {
                         self.view.pinned = None;
@@ -414,6 +445,11 @@ impl Viewer {
                 Reply::Swept(point) => {
                     self.sweep.add(*point);
                     self.progress.take_if(|(task, _)| *task == Task::Sweep && !self.sweep.is_running);
+                }
+                Reply::Inspected(inspected) => self.inspector.take(*inspected),
+                Reply::Failed(Task::Inspect, error) => {
+                    self.inspector.give_up();
+                    self.trouble = Some((Task::Inspect, error));
                 }
                 Reply::Denoised(denoised) => {
                     self.progress = None;
@@ -444,10 +480,27 @@ impl Viewer {
 
     /// Takes in what the worker told, and files that were chosen or dropped.
     pub fn poll(&mut self, context: &Context) {
-        self.take_replies();
+        self.take_replies(context);
         self.take_dialog(context);
         self.take_savings(context);
         self.take_dropped(context);
+        self.inspect(context);
+    }
+
+    /// Asks for the kernels of the pixel that is to be explained, where they are not there yet.
+    fn inspect(&mut self, context: &Context) {
+        let run = self.document.as_ref().and_then(|document| Some((document, document.denoised.as_ref()?)));
+        let Some((document, denoised)) = run.filter(|_| self.panel == Panel::Kernel) else { return };
+        let is_followed = self.inspector.follows || context.input(|input| input.modifiers.command);
+        let View { pinned, hovered, .. } = self.view;
+        let pixel = if is_followed { hovered.or(pinned) } else { pinned };
+        let Some(pixel) = pixel else { return };
+        let question = Question { frame: document.opened.frame.clone(), method: denoised.method, pixel };
+        // Of a pointer that moves on and on, each pixel would cancel the one before.
+        if self.inspector.asks(&question) && (pinned == Some(pixel) || !self.inspector.waits()) {
+            self.inspector.asked(question.clone());
+            self.worker.send(Request::Inspect(question));
+        }
     }
 
     /// The whole window.
@@ -470,6 +523,7 @@ impl Viewer {
         let failures = [self.trouble.as_ref().map(|(_, error)| error), self.notice.as_ref().and_then(|(notice, _)| notice.as_ref().err())];
         let failures: Vec<_> = failures.into_iter().flatten().map(ToString::to_string).collect();
         failures.iter().for_each(|failure| self.show_trouble(ui, failure));
+        self.view.marked = if self.panel == Panel::Kernel { self.inspector.marked() } else { None };
         let (layer, other) = (self.layer().cloned(), self.other().cloned());
         match layer {
             Some(layer) => {

@@ -7,6 +7,7 @@
 //! | [`document`] | what is open: the frame, its reference, the newest run, and the layers that they make |
 //! | [`layer`] | an image that can be looked at, with what explains it |
 //! | [`view`] | the canvas: pan, zoom, comparison; values to colours on the GPU |
+//! | [`inspector`] | which neighbours made a pixel: what was asked, what came back, what is looked at |
 //! | [`panel`] | one file per panel beside the canvas |
 //! | [`shortcut`] | the table of keys, which the help reads as well |
 //! | [`screenshot`] | the same window without a screen |
@@ -22,6 +23,7 @@ pub mod device;
 pub mod document;
 pub mod edit;
 pub mod files;
+pub mod inspector;
 pub mod layer;
 pub mod panel;
 pub mod saving;

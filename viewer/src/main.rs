@@ -63,6 +63,9 @@ struct Args {
     /// Measures error against run time, over radii and presets: the plot's panel shows it
     #[arg(long, requires = "file")]
     sweep: bool,
+    /// With --panel kernel: the neighbour of the pixel to explain, as an offset from it
+    #[arg(long, value_name = "DX,DY", value_parser = offset, requires = "pixel", allow_hyphen_values = true)]
+    neighbour: Option<[i32; 2]>,
     /// Writes a picture of the window as PNG, without opening one
     #[arg(long, value_name = "FILE", requires = "file")]
     screenshot: Option<PathBuf>,
@@ -153,6 +156,8 @@ enum PanelName {
     Parameters,
     /// All values of a pixel
     Pixel,
+    /// Which neighbours made a pixel, and why
+    Kernel,
     /// What ran and what was left out
     Report,
     /// Error against run time
@@ -165,6 +170,7 @@ impl PanelName {
             Self::Display => Panel::Display,
             Self::Parameters => Panel::Parameters,
             Self::Pixel => Panel::Pixel,
+            Self::Kernel => Panel::Kernel,
             Self::Report => Panel::Report,
             Self::Plot => Panel::Plot,
         }
@@ -188,6 +194,11 @@ fn size(text: &str) -> Result<[f32; 2], String> {
 fn pixel(text: &str) -> Result<[u32; 2], String> {
     let place = text.split_once(',').and_then(|(x, y)| Some([x.trim().parse().ok()?, y.trim().parse().ok()?]));
     place.ok_or_else(|| "it must look like 40,30".into())
+}
+
+fn offset(text: &str) -> Result<[i32; 2], String> {
+    let offset = text.split_once(',').and_then(|(x, y)| Some([x.trim().parse().ok()?, y.trim().parse().ok()?]));
+    offset.ok_or_else(|| "it must look like -3,5".into())
 }
 
 fn scale(text: &str) -> Result<f32, String> {
@@ -250,6 +261,7 @@ fn start(args: &Args) -> Result<Start, Failure> {
         panel: args.panel.panel(),
         pixel: args.pixel,
         sweeps: args.sweep,
+        neighbour: args.neighbour,
     })
 }
 

@@ -15,7 +15,7 @@ use crate::files::short_name;
 use crate::layer::Layer;
 use crate::screenshot::{Offscreen, Picture};
 use crate::settings::Parameters;
-use crate::view::{Camera, Compare, Display, View, canvas};
+use crate::view::{Camera, Compare, Display, Marked, View, canvas};
 
 /// What is written.
 #[derive(Debug)]
@@ -54,6 +54,8 @@ pub struct Sight {
     pub display: Display,
     /// The pixel that is framed.
     pub pinned: Option<[u32; 2]>,
+    /// The pixels that the kernel's panel is about.
+    pub marked: Option<Marked>,
     /// Of the canvas, in points.
     pub size: Vec2,
     /// Pixels per point.
@@ -141,7 +143,8 @@ impl Sight {
         window.context().set_theme(self.theme);
         app::set_style(window.context());
         let mut view = View::new(self.display.clone());
-        (view.compare, view.wipe, view.camera, view.pinned) = (self.compare, self.wipe, self.camera, self.pinned);
+        (view.compare, view.wipe, view.camera) = (self.compare, self.wipe, self.camera);
+        (view.pinned, view.marked) = (self.pinned, self.marked);
         let format = window.format();
         let mut draw = || {
             window.frame(|ui| {

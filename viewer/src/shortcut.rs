@@ -54,6 +54,14 @@ pub enum Action {
     Zoom(f32),
     /// Shows a side panel.
     Panel(Panel),
+    /// Shows a side panel, or if it is shown the one before.
+    TogglePanel(Panel),
+    /// Whether the kernel is that of the pixel under the pointer.
+    ToggleFollow,
+    /// Keeps the pixel that lies this far from the chosen one.
+    MovePixel([i32; 2]),
+    /// Layer B on the false-colour scale of layer A.
+    ToggleSharedScale,
     /// Dark or light.
     ToggleTheme,
     /// Shows or hides the help.
@@ -111,8 +119,8 @@ pub const SECTIONS: &[Section] = &[
     Section {
         title: "Layers",
         shortcuts: &[
-            key(Key::ArrowDown, Action::StepLayer(1), "next layer"),
-            key(Key::ArrowUp, Action::StepLayer(-1), "layer before"),
+            key(Key::PageDown, Action::StepLayer(1), "next layer"),
+            key(Key::PageUp, Action::StepLayer(-1), "layer before"),
             key(Key::Num1, Action::ShowLayer("result"), "result"),
             key(Key::Num2, Action::ShowLayer("noisy"), "noisy"),
             key(Key::Num3, Action::ShowLayer("reference"), "reference"),
@@ -135,6 +143,7 @@ pub const SECTIONS: &[Section] = &[
             key(Key::B, Action::Compare(Compare::Blink), "blink"),
             key(Key::D, Action::Compare(Compare::Difference), "signed difference A − B"),
             key(Key::R, Action::Compare(Compare::Relative), "relative difference"),
+            key(Key::L, Action::ToggleSharedScale, "one scale for A and B"),
         ],
     },
     Section {
@@ -150,6 +159,21 @@ pub const SECTIONS: &[Section] = &[
             key(Key::O, Action::Offset(0.05), "offset up"),
             with(Modifiers::SHIFT, Key::O, Action::Offset(-0.05), "offset down"),
             key(Key::N, Action::ResetDisplay, "reset exposure, offset and ranges"),
+        ],
+    },
+    Section {
+        title: "Pixel and kernel",
+        shortcuts: &[
+            key(Key::ArrowLeft, Action::MovePixel([-1, 0]), "one pixel left"),
+            key(Key::ArrowRight, Action::MovePixel([1, 0]), "one pixel right"),
+            key(Key::ArrowUp, Action::MovePixel([0, -1]), "one pixel up"),
+            key(Key::ArrowDown, Action::MovePixel([0, 1]), "one pixel down"),
+            with(Modifiers::SHIFT, Key::ArrowLeft, Action::MovePixel([-10, 0]), "ten pixels left"),
+            with(Modifiers::SHIFT, Key::ArrowRight, Action::MovePixel([10, 0]), "ten pixels right"),
+            with(Modifiers::SHIFT, Key::ArrowUp, Action::MovePixel([0, -10]), "ten pixels up"),
+            with(Modifiers::SHIFT, Key::ArrowDown, Action::MovePixel([0, 10]), "ten pixels down"),
+            key(Key::K, Action::TogglePanel(Panel::Kernel), "kernel, and back"),
+            with(Modifiers::SHIFT, Key::K, Action::ToggleFollow, "kernel under the pointer (as while Ctrl is held)"),
         ],
     },
     Section {

@@ -20,6 +20,7 @@ use stein::sampling::estimated_relative_mse;
 use stein::{Denoiser, Error, Frame, Gpu, Image, Method, Options};
 
 use crate::document::{Denoised, Opened, Source, input_layers, output_layers, relative_mse};
+use crate::inspector::{Inspected, Question};
 use crate::settings::Parameters;
 use crate::sweep::Point;
 
@@ -37,6 +38,8 @@ const MEASURED_TWICE: Duration = Duration::from_secs(10);
 pub enum Request {
     /// Reads a frame, and a reference if one is named.
     Open(Source),
+    /// Works out which neighbours made a pixel.
+    Inspect(Question),
     /// Denoises a frame, keeping all that can be looked at.
     Denoise {
         /// What is denoised.
@@ -64,6 +67,8 @@ pub enum Request {
 pub enum Task {
     /// [`Request::Open`].
     Open,
+    /// [`Request::Inspect`].
+    Inspect,
     /// [`Request::Denoise`].
     Denoise,
     /// [`Request::Sweep`], which makes way for all else and goes on after it.
@@ -72,12 +77,13 @@ pub enum Task {
 
 impl Task {
     /// In the order in which they are taken.
-    pub const ALL: [Self; 3] = [Self::Open, Self::Denoise, Self::Sweep];
+    pub const ALL: [Self; 4] = [Self::Open, Self::Inspect, Self::Denoise, Self::Sweep];
 
     /// What users read while it is at work.
     pub fn title(self) -> &'static str {
         match self {
             Self::Open => "reading",
+            Self::Inspect => "looking at a pixel",
             Self::Denoise => "denoising",
             Self::Sweep => "measuring",
         }
@@ -89,6 +95,7 @@ impl Request {
     pub fn task(&self) -> Task {
         match self {
             Self::Open(_) => Task::Open,
+            Self::Inspect(_) => Task::Inspect,
             Self::Denoise { .. } => Task::Denoise,
             Self::Sweep { .. } => Task::Sweep,
         }
@@ -112,6 +119,8 @@ pub enum Reply {
     Progress(Task, f32),
     /// A frame was read.
     Opened(Box<Opened>),
+    /// The kernels of a pixel are there.
+    Inspected(Box<Inspected>),
     /// A frame was denoised.
     Denoised(Box<Denoised>),
     /// A run was measured.
@@ -254,6 +263,7 @@ impl Reply {
         match self {
             Self::Progress(task, _) | Self::Failed(task, _) => *task,
             Self::Opened(_) => Task::Open,
+            Self::Inspected(_) => Task::Inspect,
             Self::Denoised(_) => Task::Denoise,
             Self::Swept(_) => Task::Sweep,
         }
@@ -345,6 +355,7 @@ impl Desk {
     fn fulfil(&self, job: &Job, request: Request) -> stein::Result<Reply> {
         match request {
             Request::Open(source) => open(job, source).map(|opened| Reply::Opened(Box::new(opened))),
+            Request::Inspect(question) => inspect(&self.gpu, job, question).map(|inspected| Reply::Inspected(Box::new(inspected))),
             Request::Denoise { frame, reference, method } => {
                 denoise(&self.gpu, job, &frame, reference.as_ref(), method).map(|denoised| Reply::Denoised(Box::new(denoised)))
             }
@@ -385,6 +396,13 @@ fn in_file(source: &Source, error: Error) -> Error {
         Error::Request { problem, remedy } => Error::File { path: source.input.clone(), problem, remedy },
         error => error,
     }
+}
+
+fn inspect(gpu: &Gpu, job: &Job, question: Question) -> stein::Result<Inspected> {
+    let denoiser = Denoiser::new(gpu, question.method)?;
+    let [x, y] = question.pixel;
+    let kernels = denoiser.kernels(&question.frame, x, y, &Options { pace: Some(job.pace()), ..Default::default() })?;
+    Ok(Inspected::new(question, kernels))
 }
 
 fn denoise(gpu: &Gpu, job: &Job, frame: &Frame, reference: Option<&Arc<Image>>, method: Method) -> stein::Result<Denoised> {

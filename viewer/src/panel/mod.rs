@@ -2,6 +2,7 @@
 
 pub mod display;
 pub mod help;
+pub mod kernel;
 pub mod layers;
 pub mod parameters;
 pub mod pixel;
@@ -24,6 +25,8 @@ pub enum Panel {
     Parameters,
     /// The values of a pixel.
     Pixel,
+    /// Which neighbours made a pixel, and why.
+    Kernel,
     /// What ran and what was left out, and what the frame is.
     Report,
     /// Error against run time.
@@ -32,7 +35,7 @@ pub enum Panel {
 
 impl Panel {
     /// In the order of their tabs.
-    pub const ALL: [Self; 5] = [Self::Display, Self::Parameters, Self::Pixel, Self::Report, Self::Plot];
+    pub const ALL: [Self; 6] = [Self::Display, Self::Parameters, Self::Pixel, Self::Kernel, Self::Report, Self::Plot];
 
     /// What users read.
     pub fn title(self) -> &'static str {
@@ -40,6 +43,7 @@ impl Panel {
             Self::Display => "Display",
             Self::Parameters => "Parameters",
             Self::Pixel => "Pixel",
+            Self::Kernel => "Kernel",
             Self::Report => "Report",
             Self::Plot => "Plot",
         }
@@ -61,6 +65,7 @@ pub fn show(ui: &mut Ui, viewer: &mut Viewer) {
         Panel::Display => display::show(ui, viewer),
         Panel::Parameters => parameters::show(ui, viewer),
         Panel::Pixel => pixel::show(ui, viewer),
+        Panel::Kernel => kernel::show(ui, viewer),
         Panel::Report => report::show(ui, viewer),
         Panel::Plot => plot::show(ui, viewer),
     });
