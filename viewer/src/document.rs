@@ -52,13 +52,15 @@ pub struct Denoised {
     /// With which parameters.
     pub method: Method,
     /// What is known of the true image. Its layers have become [`Denoised::layers`].
-    pub estimate: Estimate,
+    pub estimate: Arc<Estimate>,
     /// What would be done where only the result and its error are wanted.
     pub lean_plan: Plan,
     /// From the request to the estimate, on the clock.
     pub seconds: f64,
     /// Relative MSE against the reference.
     pub error: Option<f64>,
+    /// The same as the error estimate has it.
+    pub estimated_error: Option<f64>,
     /// What it made, to be looked at.
     pub layers: Vec<Arc<Layer>>,
 }
@@ -72,6 +74,8 @@ pub struct Run {
     pub seconds: f64,
     /// Relative MSE against the reference.
     pub error: Option<f64>,
+    /// The same as the error estimate has it.
+    pub estimated_error: Option<f64>,
 }
 
 /// What is open.
@@ -115,8 +119,8 @@ impl Document {
 
     /// Takes over what a run has made. The result before stays as a layer to compare with.
     pub fn add(&mut self, denoised: Denoised) {
-        let Denoised { method, seconds, error, .. } = denoised;
-        self.history.push(Run { method, seconds, error });
+        let Denoised { method, seconds, error, estimated_error, .. } = denoised;
+        self.history.push(Run { method, seconds, error, estimated_error });
         self.layers = self.opened.layers.iter().chain(&denoised.layers).cloned().collect();
         let before = self.denoised.as_ref().and_then(|denoised| denoised.layers.iter().find(|layer| layer.name() == "result"));
         if let Some(before) = before {

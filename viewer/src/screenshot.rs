@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 use eframe::egui::{Context, Event, Pos2, RawInput, Rect, Theme, Ui, Vec2, ViewportId};
 use eframe::egui_wgpu::{RenderState, RendererOptions, ScreenDescriptor};
 use eframe::wgpu;
-use stein::{Error, Extent, Gpu, Result};
+use stein::{Error, Extent, Gpu, Result, aside};
 
 use crate::app::{Start, Viewer};
 use crate::device;
@@ -35,18 +35,19 @@ impl Picture {
         [self.rgba[first], self.rgba[first + 1], self.rgba[first + 2]]
     }
 
-    /// Writes it as PNG.
+    /// Writes it as PNG. The file appears under its name when it is complete.
     ///
     /// # Errors
     /// [`Error::File`] where it cannot be written.
     pub fn write_png(&self, path: &Path) -> Result<()> {
         let failed = |problem: String| Error::File { path: path.to_owned(), problem, remedy: "choose a folder that exists and can be written to".into() };
-        let file = std::fs::File::create(path).map_err(|error| failed(format!("cannot be made: {error}")))?;
-        let mut encoder = png::Encoder::new(std::io::BufWriter::new(file), self.extent.width, self.extent.height);
+        let mut bytes = Vec::new();
+        let mut encoder = png::Encoder::new(&mut bytes, self.extent.width, self.extent.height);
         encoder.set_color(png::ColorType::Rgba);
         encoder.set_depth(png::BitDepth::Eight);
         let written = encoder.write_header().and_then(|mut writer| writer.write_image_data(&self.rgba).and_then(|()| writer.finish()));
-        written.map_err(|error| failed(format!("cannot be written: {error}")))
+        written.map_err(|error| failed(format!("cannot be written: {error}")))?;
+        aside::write(path, &bytes).map_err(|error| failed(format!("cannot be written: {error}")))
     }
 }
 

@@ -5,7 +5,7 @@
 mod common;
 
 use common::{settle, window};
-use eframe::egui::Key;
+use eframe::egui::{Key, Modifiers};
 use egui_kittest::kittest::Queryable;
 use stein::Extent;
 use stein::sampling::stub::{Sequence, StubSampler, scene};
@@ -18,15 +18,14 @@ use stein_viewer::settings::Parameters;
 
 fn small() -> (Setup, Parameters) {
     let setup = Setup { scene: "dof".into(), extent: Extent { width: 40, height: 24 }, samples_per_pixel: 12, iterations: 3, seed: 5, reference_samples: 64 };
-    let mut parameters = Parameters::default();
-    *parameters.radius_mut().unwrap() = 3;
-    (setup, parameters)
+    let Parameters { preset, method } = Parameters::default();
+    (setup, Parameters { preset, method: method.with_parameter("window_radius", 3).unwrap() })
 }
 
 #[test]
 fn iterations_are_those_of_the_library_and_can_be_chosen() {
     let (setup, parameters) = small();
-    let start = Start { adapt: Some(setup.clone()), parameters, panel: Panel::Sampling, ..Default::default() };
+    let start = Start { adapt: Some(setup.clone()), parameters: Some(parameters), panel: Panel::Sampling, ..Default::default() };
     let mut harness = window(start);
     let viewer = harness.state();
     assert!(viewer.trouble.is_none(), "{:?}", viewer.trouble);
@@ -54,7 +53,7 @@ fn iterations_are_those_of_the_library_and_can_be_chosen() {
     assert_eq!(harness.state().adaptive.shown, Some(1));
     let first = harness.state().document.as_ref().unwrap().layer("result").unwrap().image().clone();
     assert_ne!(first, last);
-    harness.key_press(Key::PageDown);
+    harness.key_press_modifiers(Modifiers::SHIFT, Key::PageDown);
     harness.run_steps(2);
     assert_eq!(harness.state().adaptive.shown, Some(2));
     assert_eq!(harness.state().document.as_ref().unwrap().layer("before").unwrap().image(), &first);
@@ -70,7 +69,7 @@ fn iterations_are_those_of_the_library_and_can_be_chosen() {
 fn a_loop_ends_when_it_is_stopped_started_again_or_a_file_is_opened() {
     let (mut setup, parameters) = small();
     (setup.samples_per_pixel, setup.reference_samples) = (400, 1 << 14);
-    let mut harness = window(Start { parameters, panel: Panel::Sampling, ..Default::default() });
+    let mut harness = window(Start { parameters: Some(parameters), panel: Panel::Sampling, ..Default::default() });
     harness.state_mut().adaptive.setup = setup.clone();
     harness.get_by_label("Start").click();
     harness.run_steps(2);

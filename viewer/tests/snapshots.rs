@@ -21,8 +21,8 @@ const TOLERANCE: f32 = 2.0;
 
 #[test]
 fn the_main_states_look_as_they_did() {
-    let mut parameters = Parameters::default();
-    *parameters.radius_mut().unwrap() = 3;
+    let Parameters { preset, method } = Parameters::default();
+    let parameters = Some(Parameters { preset, method: method.with_parameter("window_radius", 3).unwrap() });
     let source = Source { input: testdata("dof_spheres_32spp.exr"), reference: Some(testdata("dof_spheres_reference.exr")) };
     let mut harness = window_of([1280.0, 720.0], 0.5, Start { source: Some(source), parameters, layer: Some("result".into()), ..Default::default() });
     settle(&mut harness);

@@ -2,9 +2,11 @@
 
 pub mod display;
 pub mod help;
+pub mod kernel;
 pub mod layers;
 pub mod parameters;
 pub mod pixel;
+pub mod plot;
 pub mod report;
 pub mod sampling;
 pub mod status;
@@ -20,19 +22,23 @@ pub enum Panel {
     /// Exposure, ranges, histogram.
     #[default]
     Display,
-    /// Method, preset, radius.
+    /// Method, preset, and every parameter.
     Parameters,
     /// The values of a pixel.
     Pixel,
+    /// Which neighbours made a pixel, and why.
+    Kernel,
     /// What ran and what was left out, and what the frame is.
     Report,
     /// The adaptive loop on a built-in scene.
     Sampling,
+    /// Error against run time.
+    Plot,
 }
 
 impl Panel {
     /// In the order of their tabs.
-    pub const ALL: [Self; 5] = [Self::Display, Self::Parameters, Self::Pixel, Self::Report, Self::Sampling];
+    pub const ALL: [Self; 7] = [Self::Display, Self::Parameters, Self::Pixel, Self::Kernel, Self::Plot, Self::Sampling, Self::Report];
 
     /// What users read.
     pub fn title(self) -> &'static str {
@@ -40,8 +46,10 @@ impl Panel {
             Self::Display => "Display",
             Self::Parameters => "Parameters",
             Self::Pixel => "Pixel",
+            Self::Kernel => "Kernel",
             Self::Report => "Report",
             Self::Sampling => "Sampling",
+            Self::Plot => "Plot",
         }
     }
 }
@@ -61,7 +69,9 @@ pub fn show(ui: &mut Ui, viewer: &mut Viewer) {
         Panel::Display => display::show(ui, viewer),
         Panel::Parameters => parameters::show(ui, viewer),
         Panel::Pixel => pixel::show(ui, viewer),
+        Panel::Kernel => kernel::show(ui, viewer),
         Panel::Report => report::show(ui, viewer),
         Panel::Sampling => sampling::show(ui, viewer),
+        Panel::Plot => plot::show(ui, viewer),
     });
 }
