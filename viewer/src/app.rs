@@ -8,6 +8,7 @@ use eframe::egui::{self, Align, CentralPanel, Color32, Context, Frame as Margins
 use eframe::wgpu;
 use stein::{Extent, Gpu};
 
+use crate::adaptive::{Adapted, Adaptive, Setup, Step};
 use crate::document::{Document, Source};
 use crate::files::{Dialog, Purpose, is_reference, short_name};
 use crate::inspector::{Inspector, Question};
@@ -37,6 +38,8 @@ pub struct Start {
     pub pixel: Option<[u32; 2]>,
     /// Of its neighbours the one that the kernel's panel explains, as an offset.
     pub neighbour: Option<[i32; 2]>,
+    /// An adaptive loop to start, in place of a file to open.
+    pub adapt: Option<Setup>,
 }
 
 /// The window's state. Panels read and change it; what takes time goes to the worker.
@@ -51,6 +54,8 @@ pub struct Viewer {
     pub view: View,
     /// How is denoised.
     pub parameters: Parameters,
+    /// The adaptive loop.
+    pub adaptive: Adaptive,
     /// What is remembered.
     pub settings: Settings,
     /// The panel at the right.
@@ -92,6 +97,7 @@ impl Viewer {
             document: None,
             view: View::new(settings.display.clone()),
             parameters: start.parameters,
+            adaptive: Adaptive::default(),
             settings,
             panel: start.panel,
             inspector: Inspector::default(),
@@ -111,6 +117,9 @@ impl Viewer {
         (viewer.view.other, viewer.view.compare, viewer.view.pinned) = (start.other, start.compare, start.pixel);
         if let Some(source) = start.source {
             viewer.open(source);
+        } else if let Some(setup) = start.adapt {
+            viewer.adaptive.setup = setup;
+            viewer.adapt();
         }
         Ok(viewer)
     }
@@ -128,6 +137,7 @@ impl Viewer {
     /// Reads a file; what is open stays until that is done.
     pub fn open(&mut self, source: Source) {
         self.interrupted |= matches!(self.progress, Some((Task::Denoise, _)));
+        self.adaptive.is_running = false;
         self.progress = Some((Task::Open, 0.0));
         self.inspector.forget_question();
         self.worker.send(Request::Open(source));
@@ -139,6 +149,58 @@ impl Viewer {
         self.progress = Some((Task::Denoise, 0.0));
         let (frame, reference) = (document.opened.frame.clone(), document.opened.reference.clone());
         self.worker.send(Request::Denoise { frame, reference, method: self.parameters.method });
+    }
+
+    /// Starts the adaptive loop on a built-in scene.
+    pub fn adapt(&mut self) {
+        (self.progress, self.interrupted) = (Some((Task::Adapt, 0.0)), false);
+        self.trouble.take_if(|(task, _)| *task == Task::Adapt);
+        let adaptive = self.adaptive.start(self.parameters.method);
+        self.worker.send(Request::Adapt(Box::new(adaptive)));
+    }
+
+    /// Ends the adaptive loop; its iterations stay.
+    pub fn stop_adapting(&mut self) {
+        self.adaptive.is_running = false;
+        self.progress.take_if(|(task, _)| *task == Task::Adapt);
+        self.worker.cancel(Task::Adapt);
+    }
+
+    /// Opens an iteration of the adaptive loop. Where it is not the newest one, those that come are no longer shown by themselves.
+    pub fn show_iteration(&mut self, number: u32) {
+        let Some(document) = self.adaptive.document(number) else { return };
+        self.adaptive.shown = Some(number);
+        self.adaptive.follows = self.adaptive.iterations.last().is_some_and(|last| last.number == number);
+        self.document = Some(document);
+    }
+
+    fn take_adapted(&mut self, Adapted { step, is_last }: Adapted) {
+        self.adaptive.is_running = !is_last;
+        if is_last {
+            self.progress = None;
+        }
+        match step {
+            Step::Iteration(iteration) => {
+                let number = iteration.number;
+                self.adaptive.iterations.push(iteration);
+                if number == 1 {
+                    (self.view.camera.fits, self.scrolls_to_layer, self.trouble) = (true, true, None);
+                    self.view.display.scales.clear();
+                }
+                if self.adaptive.follows {
+                    self.show_iteration(number);
+                }
+            }
+            Step::Reference(reference) => {
+                self.adaptive.compare(&reference);
+                if let Some(document) = self.document.as_mut().filter(|_| self.adaptive.shown.is_some()) {
+                    document.compare(&reference);
+                }
+            }
+        }
+        if self.view.other.is_none() {
+            self.compare(self.view.compare);
+        }
     }
 
     /// Whether nothing is at work and nothing waits to be told.
@@ -206,6 +268,10 @@ impl Viewer {
             Action::ToggleFollow => self.inspector.follows = !self.inspector.follows,
             Action::MovePixel(by) => self.move_pixel(by),
             Action::ToggleSharedScale => self.view.display.shares_scale = !self.view.display.shares_scale,
+            Action::StepIteration(step) => {
+                let number = self.adaptive.shown.and_then(|shown| shown.checked_add_signed(step));
+                number.into_iter().for_each(|number| self.show_iteration(number));
+            }
             Action::ToggleTheme => context.set_theme(if context.theme() == egui::Theme::Dark { egui::Theme::Light } else { egui::Theme::Dark }),
             Action::Help => self.shows_help = !self.shows_help,
         }
@@ -219,6 +285,7 @@ impl Viewer {
             return;
         }
         match self.progress.take() {
+            Some((Task::Adapt, _)) => self.stop_adapting(),
             Some((task, _)) => self.worker.cancel(task),
             None => self.view.pinned = None,
         }
@@ -245,7 +312,8 @@ impl Viewer {
 
     fn ask(&mut self, purpose: Purpose, context: &Context) {
         if self.dialog.is_none() {
-            let beside = self.document.as_ref().map(|document| document.opened.source.input.as_path());
+            let source = self.document.as_ref().and_then(|document| document.opened.source.as_ref());
+            let beside = source.map(|source| source.input.as_path());
             self.dialog = Dialog::open(purpose, beside, context);
         }
     }
@@ -254,15 +322,16 @@ impl Viewer {
     pub fn take_file(&mut self, purpose: Purpose, path: PathBuf) {
         match (purpose, &self.document) {
             (Purpose::Input, _) => self.open(Source { input: path, reference: None }),
-            (Purpose::Reference, Some(document)) => {
-                let source = Source { reference: Some(path), ..document.opened.source.clone() };
-                self.open(source);
-            }
-            (Purpose::Reference, None) => {
-                let (problem, remedy) = ("a reference is compared with a frame".into(), "open the frame first".into());
-                self.trouble = Some((Task::Open, stein::Error::Request { problem, remedy }));
-            }
+            (Purpose::Reference, document) => match document.as_ref().map(|document| &document.opened.source) {
+                Some(Some(source)) => self.open(Source { reference: Some(path), ..source.clone() }),
+                Some(None) => self.refuse("a frame that was rendered here is compared with a reference of the same scene", "let one be drawn (panel Sampling)"),
+                None => self.refuse("a reference is compared with a frame", "open the frame first"),
+            },
         }
+    }
+
+    fn refuse(&mut self, problem: &str, remedy: &str) {
+        self.trouble = Some((Task::Open, stein::Error::Request { problem: problem.into(), remedy: remedy.into() }));
     }
 
     /// Files that were dropped on the window: one whose name says so is the reference of the other, or of what is open.
@@ -282,12 +351,15 @@ impl Viewer {
             match reply {
                 Reply::Progress(task, share) => self.progress = Some((task, share)),
                 Reply::Opened(opened) => {
-                    self.settings.remember(&opened.source);
-                    context.send_viewport_cmd(ViewportCommand::Title(title(Some(&opened.source))));
+                    if let Some(source) = &opened.source {
+                        self.settings.remember(source);
+                    }
+                    context.send_viewport_cmd(ViewportCommand::Title(title(opened.source.as_ref())));
                     if self.document.is_some() {
                         self.inspector.kept = None;
                     }
                     self.inspector.clear();
+                    self.adaptive.clear();
                     self.view.camera.fits = true;
                     if self.document.is_some() {
                         self.view.pinned = None;
@@ -307,13 +379,16 @@ impl Viewer {
                 }
                 Reply::Denoised(denoised) => {
                     self.progress = None;
+                    self.adaptive.follows = false;
                     self.trouble.take_if(|(task, _)| *task == Task::Denoise);
                     if let Some(document) = &mut self.document {
                         document.add(*denoised);
                     }
                 }
+                Reply::Adapted(adapted) => self.take_adapted(*adapted),
                 Reply::Failed(task, error) => {
                     self.progress = None;
+                    self.adaptive.is_running &= task != Task::Adapt;
                     self.trouble = Some((task, error));
                     if task == Task::Open && std::mem::take(&mut self.interrupted) {
                         self.run();
@@ -346,7 +421,8 @@ impl Viewer {
         let is_followed = self.inspector.follows || context.input(|input| input.modifiers.command);
         let View { pinned, hovered, .. } = self.view;
         let pixel = if is_followed { hovered.or(pinned) } else { pinned };
-        let Some(pixel) = pixel else { return };
+        let Extent { width, height } = document.opened.frame.extent();
+        let Some(pixel) = pixel.filter(|[x, y]| *x < width && *y < height) else { return };
         let question = Question { frame: document.opened.frame.clone(), method: denoised.method, pixel };
         // Of a pointer that moves on and on, each pixel would cancel the one before.
         if self.inspector.asks(&question) && (pinned == Some(pixel) || !self.inspector.waits()) {

@@ -7,6 +7,7 @@ use clap::{Parser, ValueEnum};
 use eframe::egui::{Theme, Vec2, ViewportBuilder};
 use stein::gpu::{DeviceChoice, GpuOptions};
 use stein::{Error, Gpu, Preset};
+use stein_viewer::adaptive::Setup;
 use stein_viewer::document::Source;
 use stein_viewer::panel::Panel;
 use stein_viewer::screenshot::{self, Shot};
@@ -24,12 +25,16 @@ Example:
 /// Looks inside a denoised frame: candidates, selection, estimated error, sampling density.
 #[derive(Debug, Parser)]
 #[command(name = "stein-viewer", version, after_help = AFTER_HELP)]
+#[command(group = clap::ArgGroup::new("shown").args(["file", "adapt"]).multiple(false))]
 struct Args {
     /// OpenEXR file with the noisy image, its halves or variance, and features
     file: Option<PathBuf>,
     /// The true image, to compare with
     #[arg(long, value_name = "FILE", requires = "file")]
     reference: Option<PathBuf>,
+    /// Samples a built-in scene adaptively in place of opening a file: soft, dof, motion, caustic, texture or spikes
+    #[arg(long, value_name = "SCENE", conflicts_with = "file")]
+    adapt: Option<String>,
     /// Method
     #[arg(long, value_enum, default_value = "dfc")]
     method: MethodName,
@@ -61,7 +66,7 @@ struct Args {
     #[arg(long, value_name = "DX,DY", value_parser = offset, requires = "pixel", allow_hyphen_values = true)]
     neighbour: Option<[i32; 2]>,
     /// Writes a picture of the window as PNG, without opening one
-    #[arg(long, value_name = "FILE", requires = "file")]
+    #[arg(long, value_name = "FILE", requires = "shown")]
     screenshot: Option<PathBuf>,
     /// Size of the window, in points
     #[arg(long, value_name = "WIDTHxHEIGHT", default_value = "1280x720", value_parser = size)]
@@ -135,6 +140,8 @@ enum PanelName {
     Kernel,
     /// What ran and what was left out
     Report,
+    /// The adaptive loop on a built-in scene
+    Sampling,
 }
 
 impl PanelName {
@@ -145,6 +152,7 @@ impl PanelName {
             Self::Pixel => Panel::Pixel,
             Self::Kernel => Panel::Kernel,
             Self::Report => Panel::Report,
+            Self::Sampling => Panel::Sampling,
         }
     }
 }
@@ -222,6 +230,9 @@ fn run(args: &Args) -> Result<(), Failure> {
 }
 
 fn start(args: &Args) -> Result<Start, Failure> {
+    if args.neighbour.is_some() && args.panel.panel() != Panel::Kernel {
+        return Err(Failure { code: 2, message: "--neighbour is explained by the kernel's panel\n  remedy: add --panel kernel, or leave it out".into() });
+    }
     let method = match args.method {
         MethodName::Dfc => "dfc",
         MethodName::Gem => "gem",
@@ -252,6 +263,7 @@ fn start(args: &Args) -> Result<Start, Failure> {
         panel: args.panel.panel(),
         pixel: args.pixel,
         neighbour: args.neighbour,
+        adapt: args.adapt.clone().map(|scene| Setup { scene, ..Setup::default() }),
     })
 }
 

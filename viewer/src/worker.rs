@@ -4,7 +4,6 @@
 //! are taken in the order of [`Task::ALL`]; long work of low rank splits itself into requests that it sends to itself, so that it makes way between them.
 
 use std::any::Any;
-use std::cell::Cell;
 use std::ops::ControlFlow;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -18,7 +17,9 @@ use stein::buffers::{BufferSet, BufferSetRequest, read_reference};
 use stein::gpu::Pace;
 use stein::{Denoiser, Error, Frame, Gpu, Image, Method, Options};
 
+use crate::adaptive::{Adapted, Loop};
 use crate::document::{Denoised, Opened, Source, input_layers, output_layers, relative_mse};
+use crate::files::short_name;
 use crate::inspector::{Inspected, Question};
 
 /// Dispatches between which the window can draw, on a graphics card; a processor takes long for one.
@@ -43,6 +44,8 @@ pub enum Request {
         /// How.
         method: Method,
     },
+    /// Does the next step of an adaptive loop; the worker asks itself for those after it.
+    Adapt(Box<Loop>),
 }
 
 /// The kinds of requests.
@@ -54,11 +57,13 @@ pub enum Task {
     Inspect,
     /// [`Request::Denoise`].
     Denoise,
+    /// [`Request::Adapt`].
+    Adapt,
 }
 
 impl Task {
     /// In the order in which they are taken.
-    pub const ALL: [Self; 3] = [Self::Open, Self::Inspect, Self::Denoise];
+    pub const ALL: [Self; 4] = [Self::Open, Self::Inspect, Self::Denoise, Self::Adapt];
 
     /// What users read while it is at work.
     pub fn title(self) -> &'static str {
@@ -66,6 +71,7 @@ impl Task {
             Self::Open => "reading",
             Self::Inspect => "looking at a pixel",
             Self::Denoise => "denoising",
+            Self::Adapt => "sampling",
         }
     }
 }
@@ -77,6 +83,7 @@ impl Request {
             Self::Open(_) => Task::Open,
             Self::Inspect(_) => Task::Inspect,
             Self::Denoise { .. } => Task::Denoise,
+            Self::Adapt(_) => Task::Adapt,
         }
     }
 }
@@ -92,6 +99,8 @@ pub enum Reply {
     Inspected(Box<Inspected>),
     /// A frame was denoised.
     Denoised(Box<Denoised>),
+    /// An adaptive loop is one step further.
+    Adapted(Box<Adapted>),
     /// A task came to no end because of this. Nothing is told of tasks that were cancelled.
     Failed(Task, Error),
 }
@@ -161,11 +170,11 @@ impl Worker {
         Ok(Self { mailbox, replies, thread: Some(thread) })
     }
 
-    /// Asks for something. What was asked for before of the same task is cancelled; a frame to open makes all other work pointless.
+    /// Asks for something. What was asked for before of the same task is cancelled; what replaces the open frame makes all other work pointless.
     pub fn send(&self, request: Request) {
         let mut state = self.mailbox.lock();
         let task = request.task();
-        if task == Task::Open {
+        if matches!(task, Task::Open | Task::Adapt) {
             Task::ALL.into_iter().for_each(|task| state.cancel(task));
         } else {
             state.cancel(task);
@@ -218,6 +227,7 @@ impl Reply {
             Self::Opened(_) => Task::Open,
             Self::Inspected(_) => Task::Inspect,
             Self::Denoised(_) => Task::Denoise,
+            Self::Adapted(_) => Task::Adapt,
         }
     }
 }
@@ -236,7 +246,7 @@ struct Job<'a> {
     number: u64,
     task: Task,
     cancelled: Arc<AtomicBool>,
-    told: Cell<Option<Instant>>,
+    told: Mutex<Option<Instant>>,
 }
 
 impl Job<'_> {
@@ -248,8 +258,9 @@ impl Job<'_> {
 
     fn progress(&self, share: f32) -> ControlFlow<()> {
         // Each reply has the window drawn again, on the same device.
-        if self.told.get().is_none_or(|told| told.elapsed() >= BETWEEN_REPLIES) {
-            self.told.set(Some(Instant::now()));
+        let mut told = self.told.lock().unwrap_or_else(PoisonError::into_inner);
+        if told.is_none_or(|told| told.elapsed() >= BETWEEN_REPLIES) {
+            *told = Some(Instant::now());
             self.tell(Reply::Progress(self.task, share));
         }
         if self.cancelled.load(Ordering::Relaxed) { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
@@ -270,10 +281,19 @@ impl Desk {
     fn work(self) {
         while let Some((number, request, cancelled)) = self.next() {
             let task = request.task();
-            let job = Job { desk: &self, number, task, cancelled, told: Cell::new(None) };
+            let job = Job { desk: &self, number, task, cancelled, told: Mutex::default() };
             let done = catch_unwind(AssertUnwindSafe(|| self.fulfil(&job, request))).unwrap_or_else(|panic| Err(defect(panic.as_ref())));
-            self.mailbox.lock().at_work = None;
-            match done {
+            let (told, next) = match done {
+                Ok((reply, next)) => (Ok(reply), next),
+                Err(error) => (Err(error), None),
+            };
+            {
+                let mut state = self.mailbox.lock();
+                state.at_work = None;
+                let counts = state.newest[task as usize] == number;
+                state.waiting.extend(next.filter(|_| counts).map(|next| (number, next)));
+            }
+            match told {
                 Ok(reply) => job.tell(reply),
                 Err(Error::Cancelled) => self.context.request_repaint(),
                 Err(error) => job.tell(Reply::Failed(task, error)),
@@ -298,12 +318,18 @@ impl Desk {
         }
     }
 
-    fn fulfil(&self, job: &Job, request: Request) -> stein::Result<Reply> {
+    /// What is told, and what the worker asks itself for next.
+    fn fulfil(&self, job: &Job, request: Request) -> stein::Result<(Reply, Option<Request>)> {
         match request {
-            Request::Open(source) => open(job, source).map(|opened| Reply::Opened(Box::new(opened))),
-            Request::Inspect(question) => inspect(&self.gpu, job, question).map(|inspected| Reply::Inspected(Box::new(inspected))),
+            Request::Open(source) => open(job, source).map(|opened| (Reply::Opened(Box::new(opened)), None)),
+            Request::Inspect(question) => inspect(&self.gpu, job, question).map(|inspected| (Reply::Inspected(Box::new(inspected)), None)),
             Request::Denoise { frame, reference, method } => {
-                denoise(&self.gpu, job, &frame, reference.as_ref(), method).map(|denoised| Reply::Denoised(Box::new(denoised)))
+                denoise(&self.gpu, job, &frame, reference.as_ref(), method).map(|denoised| (Reply::Denoised(Box::new(denoised)), None))
+            }
+            Request::Adapt(mut adaptive) => {
+                let adapted = adaptive.step(&self.gpu, job.pace(), &|share| job.check(share))?;
+                let next = (!adapted.is_last).then_some(Request::Adapt(adaptive));
+                Ok((Reply::Adapted(Box::new(adapted)), next))
             }
         }
     }
@@ -329,7 +355,8 @@ fn open(job: &Job, source: Source) -> stein::Result<Opened> {
     job.check(0.8)?;
     let layers = input_layers(&frame, reference.as_ref());
     let noisy_error = relative_mse(&frame.color().mean, reference.as_ref());
-    Ok(Opened { source, frame: Arc::new(frame), repairs, reference, noisy_error, layers })
+    let name = short_name(&source.input);
+    Ok(Opened { source: Some(source), name, frame: Arc::new(frame), repairs, reference, noisy_error, layers })
 }
 
 /// What the library says about a file without knowing which one it was.

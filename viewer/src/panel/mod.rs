@@ -7,6 +7,7 @@ pub mod layers;
 pub mod parameters;
 pub mod pixel;
 pub mod report;
+pub mod sampling;
 pub mod status;
 pub mod toolbar;
 
@@ -28,11 +29,13 @@ pub enum Panel {
     Kernel,
     /// What ran and what was left out, and what the frame is.
     Report,
+    /// The adaptive loop on a built-in scene.
+    Sampling,
 }
 
 impl Panel {
     /// In the order of their tabs.
-    pub const ALL: [Self; 5] = [Self::Display, Self::Parameters, Self::Pixel, Self::Kernel, Self::Report];
+    pub const ALL: [Self; 6] = [Self::Display, Self::Parameters, Self::Pixel, Self::Kernel, Self::Report, Self::Sampling];
 
     /// What users read.
     pub fn title(self) -> &'static str {
@@ -42,6 +45,7 @@ impl Panel {
             Self::Pixel => "Pixel",
             Self::Kernel => "Kernel",
             Self::Report => "Report",
+            Self::Sampling => "Sampling",
         }
     }
 }
@@ -63,5 +67,6 @@ pub fn show(ui: &mut Ui, viewer: &mut Viewer) {
         Panel::Pixel => pixel::show(ui, viewer),
         Panel::Kernel => kernel::show(ui, viewer),
         Panel::Report => report::show(ui, viewer),
+        Panel::Sampling => sampling::show(ui, viewer),
     });
 }
