@@ -23,7 +23,7 @@ const FEATURE_GROUPS: i32 = #{FEATURE_GROUPS};
 @group(0) @binding(4) var<storage, read_write> repaired_variance: array<vec4<f32>>;
 #endif
 @group(0) @binding(5) var<storage, read_write> repaired: array<vec4<f32>>;
-// Two planes. What is taken from each pixel, in w the part of it that others get; behind it what one of them in its place would get.
+// Three planes, of which two are written here. What is taken from each pixel, in w the part of it that others get; behind it what one of them in its place would get.
 @group(0) @binding(6) var<storage, read_write> spikes: array<vec4<f32>>;
 
 // Of the halves alone, whose squared spread is as likely too small as too large.

@@ -1,4 +1,5 @@
-// Adds to each pixel that has noise what it gets of the spikes around it.
+// Adds to each pixel that has noise what it gets of the spikes around it, and notes how uncertain that is: of a spike that might as well have fallen elsewhere it gets all or nothing,
+// so that the squares of the parts are summed.
 #import stein::planes::{pixel_index}
 #import stein::spike::{SpikeParams, SpikeFeatures, are_alike, falloff, has_noise}
 
@@ -6,7 +7,8 @@ const FEATURE_GROUPS: i32 = #{FEATURE_GROUPS};
 
 @group(0) @binding(0) var<uniform> params: SpikeParams;
 // What was taken from each pixel; behind it what one of its kind in its place gets of it, in w 1 where there is a spike in the row of pixels around.
-@group(0) @binding(1) var<storage, read> spikes: array<vec4<f32>>;
+// The third plane is written: in x the squares of the parts, summed over spikes and channels.
+@group(0) @binding(1) var<storage, read_write> spikes: array<vec4<f32>>;
 #if FEATURE_GROUPS != 0
 @group(0) @binding(2) var<storage, read> features: array<vec4<f32>>;
 #endif
@@ -50,11 +52,13 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     let variance = vec3<f32>(0.0);
 #endif
     if !has_noise(signal[pixels + at_q].xyz, variance) {
+        spikes[2 * pixels + at_q] = vec4<f32>(0.0);
         return;
     }
     let first = max(q - params.spread_radius, vec2<i32>(0));
     let last = min(q + params.spread_radius, extent - 1);
     var sum = vec3<f32>(0.0);
+    var squares = 0.0;
     for (var y = first.y; y <= last.y; y++) {
         // Spikes are rare: most rows have none.
         if spikes[pixels + pixel_index(vec2<i32>(q.x, y), extent)].w > 0.0 {
@@ -62,10 +66,13 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
                 let at_p = pixel_index(vec2<i32>(x, y), extent);
                 let share = spikes[pixels + at_p].xyz;
                 if any(share != vec3<f32>(0.0)) && is_like(at_p, at_q) {
-                    sum += falloff(vec2<i32>(x, y) - q, params.spread_radius) * share;
+                    let gets = falloff(vec2<i32>(x, y) - q, params.spread_radius) * share;
+                    sum += gets;
+                    squares += dot(gets, gets);
                 }
             }
         }
     }
+    spikes[2 * pixels + at_q] = vec4<f32>(squares, 0.0, 0.0, 0.0);
     repaired[at_q] = vec4<f32>(repaired[at_q].xyz + sum, repaired[at_q].w);
 }

@@ -42,6 +42,7 @@ pub(super) const STAGES: &[(&str, &str)] = sources!("shaders":
     "candidate_window",
     "error_sure",
     "error_blend",
+    "error_spikes",
     "error_halves",
     "select_least",
     "select_share",

@@ -13,12 +13,12 @@ use super::frame::FeatureInput;
 use super::kernels::{Compared, KernelOnGpu, WeightRule, WeightsOnGpu};
 use super::memory::{Footprint, UPLOADED_PLANES};
 use super::plan::{Facts, Plan, Step};
-use super::{FrameInput, GpuSignal};
+use super::{FrameInput, GpuSignal, Spikes};
 use crate::error::Result;
 use crate::gpu::{Buffer, Recorder};
 use crate::stage::candidate::{CANDIDATE_PLANES, CandidateBeside, CandidateFilter, CandidatesInTime, Needed, STATE_PLANES, candidates};
 use crate::stage::candidate_set::CandidateSet;
-use crate::stage::error::{ErrorParts, MadeOf, error_blend, error_sure};
+use crate::stage::error::{ErrorParts, MadeOf, error_blend, error_spikes, error_sure};
 use crate::stage::exact::Region;
 use crate::stage::feature::{Features, Packing, feature_pack};
 use crate::stage::nlm::{Beside, Guide, Lanes, Payload, Schedule, nlm_filter};
@@ -166,7 +166,11 @@ pub(crate) fn dfc(
             Shares::Only(only) => MadeOf::Only(*only),
         };
         let parts = ErrorParts::measured(color.has_halves, params.several_can_win());
-        error = Some(Arc::new(error_blend(rec, extent, &result, &variance, &candidates, made_of, parts)?));
+        let mut errors = error_blend(rec, extent, &result, &variance, &candidates, made_of, parts)?;
+        if let Some(spikes) = spikes.as_ref().filter(|_| params.spikes == Spikes::Spread) {
+            errors = error_spikes(rec, extent, errors, spikes, parts)?;
+        }
+        error = Some(Arc::new(errors));
     }
     drop(candidates);
 

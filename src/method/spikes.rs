@@ -71,7 +71,7 @@ impl Spikes {
 
     /// Planes that they take besides the colour: while it is repaired, and of what was found.
     pub(super) fn planes(self) -> (u64, u64) {
-        if self == Self::Keep { (0, 0) } else { (3, 2) }
+        if self == Self::Keep { (0, 0) } else { (3, 3) }
     }
 
     /// Plans the step.

@@ -29,7 +29,7 @@ bindings! {
         uniform params: SpikeParams, read signal, optional features, read sample_variance, write repaired_variance, write repaired, write spikes,
     }
     struct SpikeRows<'a> { uniform params: SpikeParams, write spikes }
-    struct SpikeSpread<'a> { uniform params: SpikeParams, read spikes, optional features, read signal, optional sample_variance, write repaired }
+    struct SpikeSpread<'a> { uniform params: SpikeParams, write spikes, optional features, read signal, optional sample_variance, write repaired }
 }
 
 /// What makes a spike, and what becomes of it. [`SpikeRule::DEFAULT`] is what measured best: `docs/robustness.md` has the table.
@@ -89,7 +89,8 @@ pub struct Repaired {
     pub signal: Buffer,
     /// Its sample variance, where there is one: of a spike the mean of its neighbours'.
     pub variance_of_mean: Option<Buffer>,
-    /// Two planes. What was taken from each pixel, 0 where it is none, and in w the part of it that the pixels around are to get; behind it what one of them in its place is to get.
+    /// Three planes. What was taken from each pixel, 0 where it is none, and in w the part of it that the pixels around are to get; behind it what one of them in its place is to get.
+    /// The last one is that of [`spike_spread`]: in x the squares of what the pixel got of each spike, summed over the channels.
     pub spikes: Buffer,
 }
 
@@ -111,7 +112,7 @@ pub fn spike_find(
     let params = rule.params(extent, features);
     let repaired = rec.take("signal without spikes", plane_bytes(extent, 2))?;
     let repaired_variance = sample_variance.map(|_| rec.take("its sample variance", plane_bytes(extent, 1))).transpose()?;
-    let spikes = rec.take("spikes", plane_bytes(extent, 2))?;
+    let spikes = rec.take("spikes", plane_bytes(extent, 3))?;
     let definitions = [feature_groups(features), ("VARIANCE", sample_variance.is_some().into()), ("SPREAD", to_spread.into())];
     let features = features.map(|features| &features.buffer);
     match (sample_variance, &repaired_variance) {

@@ -34,8 +34,8 @@ choices! {
     pub enum BoxWeight {
         /// All the same (thesis 8.2). One outlier whose halves agree by accident takes the variance of all others in its box away, one whose halves do not lends them its own.
         Even => "even",
-        /// By one over the standard deviation that they claim. Measured on 46 images of `dfc` and 18 of `nlm` and `gem`, the error is 3, 2 and 1 % less on average, and up to 20 %
-        /// where there are outliers.
+        /// By one over the standard deviation that they claim. Measured on 46 images, `dfc` has 1.6 % less error on average (15 % less to 9 % more), on 18 `nlm` 1.9 % (11 % less to
+        /// 3 % more) and `gem` 1.0 % (7 % less to 1 % more).
         Deviation => "deviation",
     }
 }

@@ -41,8 +41,9 @@ pub struct DfcParams {
     /// term nothing would hold the blend of a pair back.
     pub symmetric: bool,
     pub centre: CentreWeight,
-    /// How often the last term of SURE counts.
+    /// How pixels count where sample variances are scaled by the halves.
     pub box_weight: BoxWeight,
+    /// How often the last term of SURE counts.
     pub covariance: f64,
     pub guard: Option<Guard>,
     /// None: spikes stay.
@@ -122,6 +123,8 @@ pub struct Dfc {
     pub color: Signal,
     /// What was taken from them. None where spikes stay.
     pub spikes: Option<Planes>,
+    /// The squares of what pixels got of them.
+    pub squares: Option<Grid>,
     pub color_variance: Planes,
     pub features: Vec<Prefiltered>,
     pub candidates: [Candidate; 3],
@@ -145,7 +148,10 @@ pub fn dfc(frame: &Frame, params: &DfcParams) -> Dfc {
     let prefiltered: Vec<Prefiltered> = frame.features.iter().map(|signal| prefilter(signal, params.symmetric, params.centre, params.box_weight)).collect();
     let features: Vec<Feature> = prefiltered.iter().map(|prefiltered| prefiltered.feature.clone()).collect();
     let repaired = params.spikes.map(|params| spike::repaired(&frame.color, &features, &params));
-    let (color, spikes) = repaired.map_or_else(|| (frame.color.clone(), None), |repaired| (repaired.signal, Some(repaired.taken)));
+    let (color, spikes, squares) = match repaired {
+        Some(repaired) => (repaired.signal, Some(repaired.taken), Some(repaired.squares)),
+        None => (frame.color.clone(), None, None),
+    };
     let color_variance = input_variance(&color, params.box_weight);
 
     // Lines 11–17: candidate filters.
@@ -184,9 +190,9 @@ pub fn dfc(frame: &Frame, params: &DfcParams) -> Dfc {
     let made_of: Vec<Part> = (0..3).filter(|k| params.takes_part[*k]).map(part).collect();
     let result = pass2.as_ref().unwrap_or(&pass1);
     let parts = ErrorParts::measured(result.spread.is_some(), made_of.len() > 1);
-    let error = error_blend(&result.mean, result.spread.as_deref(), &color_variance, &made_of, parts);
+    let error = error_blend(&result.mean, result.spread.as_deref(), &color_variance, &made_of, squares.as_ref(), parts);
 
-    Dfc { color, spikes, color_variance, features: prefiltered, candidates, sure, errors, binary_maps, smoothed_maps, maps, error, pass1, pass2 }
+    Dfc { color, spikes, squares, color_variance, features: prefiltered, candidates, sure, errors, binary_maps, smoothed_maps, maps, error, pass1, pass2 }
 }
 
 /// Removes the noise that pass 1 left, which its halves show.

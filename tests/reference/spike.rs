@@ -41,6 +41,8 @@ pub struct Repaired {
     pub taken: Planes,
     /// Which part of it the pixels around got.
     pub part: Grid,
+    /// The squares of what each pixel got, summed over spikes and channels.
+    pub squares: Grid,
 }
 
 struct Spike {
@@ -57,15 +59,15 @@ pub fn repaired(color: &Signal, features: &[Feature], params: &SpikeParams) -> R
     let mean = &color.mean;
     let spikes: Vec<Option<Spike>> = super::map_pixels(mean[0].width, mean[0].height, |p| spike(color, features, params, p));
     let at = |p: Point| spikes[mean[0].index(p)].as_ref();
-    let received = |i: usize, q: Point| {
+    let received = |i: usize, q: Point, power: i32| {
         let from = square(params.spread_radius).map(|o| q + o).filter(|&p| mean[0].contains(p));
         let share = |p: Point| {
             at(p).filter(|_| alike(features, params, p, q)).map_or(0.0, |spike| falloff(params, p, q) * spike.part * spike.excess[i] / spike.members)
         };
-        if is_noisy(color, q) { from.map(share).sum::<f64>() } else { 0.0 }
+        if is_noisy(color, q) { from.map(|p| share(p).powi(power)).sum::<f64>() } else { 0.0 }
     };
     let channels = 0..mean.len();
-    let plane = |i: usize| mean[i].like(|p| at(p).map_or(mean[i].at(p), |spike| spike.level[i]) + received(i, p));
+    let plane = |i: usize| mean[i].like(|p| at(p).map_or(mean[i].at(p), |spike| spike.level[i]) + received(i, p, 1));
     let spread = |planes: &Planes| {
         let held = |i: usize, p: Point| at(p).map_or(f64::INFINITY, |spike| spike.variance[i].sqrt());
         planes.iter().enumerate().map(|(i, plane)| plane.like(|p| plane.at(p).clamp(-held(i, p), held(i, p)))).collect()
@@ -77,6 +79,7 @@ pub fn repaired(color: &Signal, features: &[Feature], params: &SpikeParams) -> R
             spread: color.spread.as_ref().map(spread),
             sample_variance: color.sample_variance.as_ref().map(variance),
         },
+        squares: mean[0].like(|p| channels.clone().map(|i| received(i, p, 2)).sum()),
         taken: channels.map(|i| mean[i].like(|p| at(p).map_or(0.0, |spike| spike.excess[i]))).collect(),
         part: mean[0].like(|p| at(p).map_or(0.0, |spike| spike.part)),
     }

@@ -30,18 +30,19 @@ pub struct ErrorParts {
     pub spread: f64,
     pub disagreement: f64,
     pub own_noise: f64,
+    pub spikes: f64,
 }
 
 impl ErrorParts {
     /// As measured, for frames with and without halves, and for one candidate or several.
     pub fn measured(has_halves: bool, several: bool) -> ErrorParts {
         let [spread, disagreement, own_noise] = match (has_halves, several) {
-            (true, true) => [1.0, 1.8, 0.36],
+            (true, true) => [1.0, 1.5, 0.5],
             (true, false) => [1.7, 0.0, 0.74],
             (false, true) => [0.0, 2.2, 0.53],
             (false, false) => [0.0, 0.0, 1.2],
         };
-        ErrorParts { spread, disagreement, own_noise }
+        ErrorParts { spread, disagreement, own_noise, spikes: 6.0 }
     }
 }
 
@@ -53,8 +54,9 @@ pub struct Part<'a> {
     pub derivative: &'a [Grid],
 }
 
-/// The squared error of a blend: the noise that its halves show, how far its candidates lie apart from it, and what their own weight leaves of each pixel's noise.
-pub fn error_blend(mean: &[Grid], spread: Option<&[Grid]>, variance: &[Grid], made_of: &[Part], parts: ErrorParts) -> Grid {
+/// The squared error of a blend: the noise that its halves show, how far its candidates lie apart from it, what their own weight leaves of each pixel's noise, and the
+/// squares of what it got of spikes.
+pub fn error_blend(mean: &[Grid], spread: Option<&[Grid]>, variance: &[Grid], made_of: &[Part], squares: Option<&Grid>, parts: ErrorParts) -> Grid {
     mean[0].like(|p| {
         let left: f64 = spread.iter().flat_map(|spread| spread.iter()).map(|plane| plane.at(p).powi(2)).sum();
         let of_each = made_of.iter().filter(|part| part.share.at(p) > 0.0).map(|part| {
@@ -62,7 +64,7 @@ pub fn error_blend(mean: &[Grid], spread: Option<&[Grid]>, variance: &[Grid], ma
             let noise: f64 = part.derivative.iter().zip(variance).map(|(derivative, variance)| variance.at(p) * derivative.at(p).clamp(0.0, 1.0)).sum();
             part.share.at(p) * (parts.disagreement * apart + parts.own_noise * noise)
         });
-        parts.spread * left + of_each.sum::<f64>()
+        parts.spread * left + of_each.sum::<f64>() + parts.spikes * squares.map_or(0.0, |squares| squares.at(p))
     })
 }
 

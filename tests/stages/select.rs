@@ -5,7 +5,7 @@ use std::sync::Arc;
 use stein::gpu::{Gpu, Recorder};
 use stein::stage::candidate::Candidates;
 use stein::stage::candidate_set::CandidateSet;
-use stein::stage::error::{ErrorParts, MadeOf, error_blend, error_sure};
+use stein::stage::error::{ErrorParts, MadeOf, error_blend, error_spikes, error_sure};
 use stein::stage::nlm::Filtered;
 use stein::stage::sample::{GpuSamples, sample_density};
 use stein::stage::select::{Evidence, Guard, Harm, Noisy, select_blend, select_frames, select_frames_of_filtered, select_least, select_pass, select_share};
@@ -102,9 +102,9 @@ fn sure_is_equation_8_5() {
 
 /// Derivatives far outside 0 to 1, candidates without a share, and one that alone stands for the blend.
 #[test]
-fn the_error_of_a_blend_has_three_parts() {
-    let parts = ErrorParts { spread: 0.75, disagreement: 2.0, own_noise: 0.375 };
-    let twin_parts = reference::sure::ErrorParts { spread: 0.75, disagreement: 2.0, own_noise: 0.375 };
+fn the_error_of_a_blend_has_four_parts() {
+    let parts = ErrorParts { spread: 0.75, disagreement: 2.0, own_noise: 0.375, spikes: 3.0 };
+    let twin_parts = reference::sure::ErrorParts { spread: 0.75, disagreement: 2.0, own_noise: 0.375, spikes: 3.0 };
     for (gpu, width, height, takes_part) in SIZES_AND_SETS {
         let gpu = gpu();
         let (scene, mut bank) = (scene(width, height, 48), bank(width, height));
@@ -119,13 +119,22 @@ fn the_error_of_a_blend_has_three_parts() {
             })
             .into();
         let only = (0..3).find(|k| takes_part.flags()[*k]).unwrap_or_default();
-        for shared in [true, false] {
+        // Half of the pixels got nothing of any spike.
+        let squares = random.uniform_grid(width, height, -1.0, 1.0);
+        let squares = rounded(squares.like(|p| squares.at(p).max(0.0)));
+        for (shared, with_spikes) in [(true, true), (false, true), (true, false)] {
             let buffer = run(gpu, |rec| {
                 let blended = rec.upload("blend", &packed_signal(&scene.mean, &scene.spread))?;
                 let (variance, shares) = (upload(rec, &scene.variance)?, upload(rec, &shares)?);
                 let candidates = upload_bank(rec, &bank, takes_part)?;
                 let made_of = if shared { MadeOf::Shares(&shares) } else { MadeOf::Only(only) };
-                error_blend(rec, extent, &blended, &variance, &candidates, made_of, parts)
+                let planes = [vec![f32::NAN; 8 * width * height], packed(&[squares.clone(), squares.clone(), squares.clone()])].concat();
+                let spikes = if with_spikes { Some(rec.upload("spikes", &planes)?) } else { None };
+                let errors = error_blend(rec, extent, &blended, &variance, &candidates, made_of, parts)?;
+                match &spikes {
+                    Some(spikes) => error_spikes(rec, extent, errors, spikes, parts),
+                    None => Ok(errors),
+                }
             });
             let all = scene.mean[0].like(|_| 1.0);
             let share = |k: usize| if shared { &shares[k] } else { &all };
@@ -133,8 +142,9 @@ fn the_error_of_a_blend_has_three_parts() {
             let mean = |k: usize| if shared { bank.means[k].as_slice() } else { scene.mean.as_slice() };
             let part = |k: usize| reference::sure::Part { share: share(k), mean: mean(k), derivative: &bank.derivatives[k] };
             let made_of: Vec<_> = (0..3).filter(|k| if shared { takes_part.flags()[*k] } else { *k == only }).map(part).collect();
-            let expected = [reference::sure::error_blend(&scene.mean, Some(&scene.spread), &scene.variance, &made_of, twin_parts)];
-            let what = format!("error_blend, {width}×{height}, {takes_part}, shared {shared}");
+            let expected =
+                [reference::sure::error_blend(&scene.mean, Some(&scene.spread), &scene.variance, &made_of, with_spikes.then_some(&squares), twin_parts)];
+            let what = format!("error_blend, {width}×{height}, {takes_part}, shared {shared}, spikes {with_spikes}");
             assert_near(&what, &read(gpu, &buffer, extent).remove(0), &expected, &own_size(&expected, 0.0), 2e-6, 0.0);
             assert!(expected[0].values.iter().all(|error| *error >= 0.0));
         }

@@ -99,8 +99,12 @@ fn check(case: &Case) -> usize {
     if let (Some(buffer), Some(expected)) = (&found.variance_of_mean, &expected.signal.sample_variance) {
         near("variance", &read(gpu, buffer, extent)[0], expected, 0.0);
     }
-    let spikes = read(gpu, &found.spikes, extent).remove(0);
-    near("taken", &spikes, &expected.taken, 1.0);
+    let spikes = read(gpu, &found.spikes, extent);
+    if spread {
+        near("squares", &spikes[2][..1], std::slice::from_ref(&expected.squares), 1e-3);
+    }
+    let spikes = &spikes[0];
+    near("taken", spikes, &expected.taken, 1.0);
     near("part", &spikes[3..], std::slice::from_ref(&expected.part), 0.0);
     expected.taken[0].values.iter().filter(|taken| **taken != 0.0).count()
 }

@@ -173,7 +173,7 @@ impl Comparison<'_> {
         let (mean, spread) = (bridge::grids(&self.estimate.color, self.exposure), self.grids(self.estimate.half_spread.as_ref(), self.exposure));
         let spread = pass1.spread.is_some().then_some(spread.as_slice());
         let parts = sure::ErrorParts::measured(spread.is_some(), true);
-        let error = sure::error_blend(&mean, spread, variance, &[0, 1, 2].map(part), parts);
+        let error = sure::error_blend(&mean, spread, variance, &[0, 1, 2].map(part), twin.squares.as_ref(), parts);
         let rounded = |p: Point| (0..3).map(|i| (ROUNDED * (mean[i].at(p).abs() + apart(i, p))).powi(2) / AVERAGED).sum::<f64>();
         let size = [error.like(|p| error.at(p) + rounded(p) + 2.0 * (error.at(p) * rounded(p) / AVERAGED).sqrt() + VANISHING)];
         self.add("error", &self.grids(self.estimate.error.as_ref(), self.exposure.powi(2)), std::slice::from_ref(&error), &size, AVERAGED, 0.0);
