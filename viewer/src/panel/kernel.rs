@@ -249,8 +249,8 @@ fn hatch(painter: &Painter, outside: Rect, whole: Rect) {
 
 /// Where the cells of the frame are.
 fn inside(rect: Rect, filter: &FilterKernel) -> Rect {
-    let cells = (0..filter.weights.extent.pixels()).filter(|cell| filter.pixel(*cell).is_some());
-    match (cells.clone().next(), cells.last()) {
+    let mut cells = (0..filter.weights.extent.pixels()).filter(|cell| filter.pixel(*cell).is_some());
+    match (cells.next(), cells.next_back()) {
         (Some(first), Some(last)) => cell_rect(rect, filter, first).union(cell_rect(rect, filter, last)),
         _ => rect,
     }
