@@ -582,7 +582,8 @@ impl Viewer {
         let is_followed = self.inspector.follows || context.input(|input| input.modifiers.command);
         let View { pinned, hovered, .. } = self.view;
         let pixel = if is_followed { hovered.or(pinned) } else { pinned };
-        let Some(pixel) = pixel else { return };
+        let Extent { width, height } = document.opened.frame.extent();
+        let Some(pixel) = pixel.filter(|[x, y]| *x < width && *y < height) else { return };
         let question = Question { frame: document.opened.frame.clone(), method: denoised.method, pixel };
         // Of a pointer that moves on and on, each pixel would cancel the one before.
         if self.inspector.asks(&question) && (pinned == Some(pixel) || !self.inspector.waits()) {

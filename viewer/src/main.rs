@@ -261,6 +261,9 @@ fn run(args: &Args) -> Result<(), Failure> {
 }
 
 fn start(args: &Args) -> Result<Start, Failure> {
+    if args.neighbour.is_some() && args.panel.panel() != Panel::Kernel {
+        return Err(Failure { code: 2, message: "--neighbour is explained by the kernel's panel\n  remedy: add --panel kernel, or leave it out".into() });
+    }
     let parameters = parameters(args)?;
     let source = args.file.clone().map(|input| Source { input, reference: args.reference.clone() });
     Ok(Start {

@@ -121,10 +121,10 @@ pub const SECTIONS: &[Section] = &[
     Section {
         title: "Layers",
         shortcuts: &[
-            key(Key::PageDown, Action::StepLayer(1), "next layer"),
-            key(Key::PageUp, Action::StepLayer(-1), "layer before"),
-            with(Modifiers::SHIFT, Key::PageDown, Action::StepIteration(1), "next iteration of sampling"),
-            with(Modifiers::SHIFT, Key::PageUp, Action::StepIteration(-1), "iteration before"),
+            key(Key::Period, Action::StepLayer(1), "next layer"),
+            key(Key::Comma, Action::StepLayer(-1), "layer before"),
+            key(Key::PageDown, Action::StepIteration(1), "next iteration of sampling"),
+            key(Key::PageUp, Action::StepIteration(-1), "iteration before"),
             key(Key::Num1, Action::ShowLayer("result"), "result"),
             key(Key::Num2, Action::ShowLayer("noisy"), "noisy"),
             key(Key::Num3, Action::ShowLayer("reference"), "reference"),

@@ -5,7 +5,7 @@
 mod common;
 
 use common::{settle, window};
-use eframe::egui::{Key, Modifiers};
+use eframe::egui::Key;
 use egui_kittest::kittest::Queryable;
 use stein::Extent;
 use stein::sampling::stub::{Sequence, StubSampler, scene};
@@ -53,7 +53,7 @@ fn iterations_are_those_of_the_library_and_can_be_chosen() {
     assert_eq!(harness.state().adaptive.shown, Some(1));
     let first = harness.state().document.as_ref().unwrap().layer("result").unwrap().image().clone();
     assert_ne!(first, last);
-    harness.key_press_modifiers(Modifiers::SHIFT, Key::PageDown);
+    harness.key_press(Key::PageDown);
     harness.run_steps(2);
     assert_eq!(harness.state().adaptive.shown, Some(2));
     assert_eq!(harness.state().document.as_ref().unwrap().layer("before").unwrap().image(), &first);

@@ -70,12 +70,12 @@ fn every_layer_of_each_method_is_shown_and_its_pixel_told() {
         assert!(names.len() > 15, "{method}: {names:?}");
         for (place, name) in names.iter().enumerate() {
             if place > 0 {
-                harness.key_press(Key::PageDown);
+                harness.key_press(Key::Period);
                 harness.run_steps(1);
             }
             assert_eq!(harness.state().view.layer, *name, "{method}");
         }
-        harness.key_press(Key::PageUp);
+        harness.key_press(Key::Comma);
         harness.state_mut().view.pinned = Some([7, 21]);
         harness.run_steps(2);
         assert_eq!(harness.state().view.layer, names[names.len() - 2]);

@@ -91,7 +91,7 @@ fn table(ui: &mut Ui, adaptive: &Adaptive) -> Option<u32> {
     let text = |value: Option<f64>| RichText::new(value.map_or_else(|| "–".to_owned(), |value| number(value as f32))).monospace().size(11.0);
     Grid::new("iterations").num_columns(if has_reference { 6 } else { 4 }).striped(true).spacing([8.0, 2.0]).show(ui, |ui| {
         let headings = [
-            ("", "Iteration: click to show it (Shift+Page up, Shift+Page down)"),
+            ("", "Iteration: click to show it (Page up, Page down)"),
             ("spp", "Samples per pixel so far, on average"),
             ("least–most", "Fewest and most samples of a pixel so far"),
             ("estimated", "Relative MSE as it is estimated, without a reference"),
