@@ -10,6 +10,7 @@ use eframe::egui::{
 use eframe::wgpu;
 use stein::{Extent, Gpu};
 
+use crate::adaptive::{Adapted, Adaptive, Setup, Step};
 use crate::document::{Document, Source};
 use crate::edit::Edits;
 use crate::files::{Dialog, Purpose, is_reference, short_name};
@@ -47,6 +48,8 @@ pub struct Start {
     pub sweeps: bool,
     /// Of its neighbours the one that the kernel's panel explains, as an offset.
     pub neighbour: Option<[i32; 2]>,
+    /// An adaptive loop to start, in place of a file to open.
+    pub adapt: Option<Setup>,
 }
 
 /// The window's state. Panels read and change it; what takes time goes to the worker.
@@ -65,6 +68,8 @@ pub struct Viewer {
     pub edits: Edits,
     /// Error against run time.
     pub sweep: Sweep,
+    /// The adaptive loop.
+    pub adaptive: Adaptive,
     /// What is remembered.
     pub settings: Settings,
     /// The panel at the right.
@@ -110,6 +115,7 @@ impl Viewer {
             parameters: start.parameters.or(remembered).unwrap_or_default(),
             edits: Edits::default(),
             sweep: Sweep::default(),
+            adaptive: Adaptive::default(),
             settings,
             panel: start.panel,
             inspector: Inspector::default(),
@@ -133,6 +139,9 @@ impl Viewer {
         (viewer.view.other, viewer.view.compare, viewer.view.pinned) = (start.other, start.compare, start.pixel);
         if let Some(source) = start.source {
             viewer.open(source);
+        } else if let Some(setup) = start.adapt {
+            viewer.adaptive.setup = setup;
+            viewer.adapt();
         }
         Ok(viewer)
     }
@@ -150,6 +159,7 @@ impl Viewer {
     /// Reads a file; what is open stays until that is done.
     pub fn open(&mut self, source: Source) {
         self.interrupted |= matches!(self.progress, Some((Task::Denoise, _)));
+        self.adaptive.is_running = false;
         self.progress = Some((Task::Open, 0.0));
         self.sweep.is_running = false;
         self.inspector.forget_question();
@@ -184,6 +194,66 @@ impl Viewer {
         }
         let (frame, reference) = (document.opened.frame.clone(), document.opened.reference.clone());
         self.worker.send(Request::Sweep { frame, reference, runs: self.sweep.start(self.parameters), next: 0 });
+    }
+
+    /// Ends the sweep and forgets it, for another frame.
+    fn forget_sweep(&mut self) {
+        self.worker.cancel(Task::Sweep);
+        self.progress.take_if(|(task, _)| *task == Task::Sweep);
+        self.sweep.clear();
+    }
+
+    /// Starts the adaptive loop on a built-in scene.
+    pub fn adapt(&mut self) {
+        (self.progress, self.interrupted) = (Some((Task::Adapt, 0.0)), false);
+        self.trouble.take_if(|(task, _)| *task == Task::Adapt);
+        let adaptive = self.adaptive.start(self.parameters.method);
+        self.worker.send(Request::Adapt(Box::new(adaptive)));
+    }
+
+    /// Ends the adaptive loop; its iterations stay.
+    pub fn stop_adapting(&mut self) {
+        self.adaptive.is_running = false;
+        self.progress.take_if(|(task, _)| *task == Task::Adapt);
+        self.worker.cancel(Task::Adapt);
+    }
+
+    /// Opens an iteration of the adaptive loop. Where it is not the newest one, those that come are no longer shown by themselves.
+    pub fn show_iteration(&mut self, number: u32) {
+        let Some(document) = self.adaptive.document(number) else { return };
+        self.forget_sweep();
+        self.adaptive.shown = Some(number);
+        self.adaptive.follows = self.adaptive.iterations.last().is_some_and(|last| last.number == number);
+        self.document = Some(document);
+    }
+
+    fn take_adapted(&mut self, Adapted { step, is_last }: Adapted) {
+        self.adaptive.is_running = !is_last;
+        if is_last {
+            self.progress = None;
+        }
+        match step {
+            Step::Iteration(iteration) => {
+                let number = iteration.number;
+                self.adaptive.iterations.push(iteration);
+                if number == 1 {
+                    (self.view.camera.fits, self.scrolls_to_layer, self.trouble) = (true, true, None);
+                    self.view.display.scales.clear();
+                }
+                if self.adaptive.follows {
+                    self.show_iteration(number);
+                }
+            }
+            Step::Reference(reference) => {
+                self.adaptive.compare(&reference);
+                if let Some(document) = self.document.as_mut().filter(|_| self.adaptive.shown.is_some()) {
+                    document.compare(&reference);
+                }
+            }
+        }
+        if self.view.other.is_none() {
+            self.compare(self.view.compare);
+        }
     }
 
     /// Whether nothing is at work and nothing waits to be told.
@@ -258,6 +328,10 @@ impl Viewer {
             Action::ToggleFollow => self.inspector.follows = !self.inspector.follows,
             Action::MovePixel(by) => self.move_pixel(by),
             Action::ToggleSharedScale => self.view.display.shares_scale = !self.view.display.shares_scale,
+            Action::StepIteration(step) => {
+                let number = self.adaptive.shown.and_then(|shown| shown.checked_add_signed(step));
+                number.into_iter().for_each(|number| self.show_iteration(number));
+            }
             Action::ToggleTheme => context.set_theme(if context.theme() == egui::Theme::Dark { egui::Theme::Light } else { egui::Theme::Dark }),
             Action::Help => self.shows_help = !self.shows_help,
         }
@@ -272,6 +346,7 @@ impl Viewer {
         }
         match self.progress.take() {
             Some((Task::Sweep, _)) => self.toggle_sweep(),
+            Some((Task::Adapt, _)) => self.stop_adapting(),
             Some((task, _)) => self.worker.cancel(task),
             None => self.view.pinned = None,
         }
@@ -298,14 +373,16 @@ impl Viewer {
 
     fn ask(&mut self, purpose: Purpose, context: &Context) {
         if self.dialog.is_none() {
-            let beside = self.document.as_ref().map(|document| document.opened.source.input.as_path());
+            let source = self.document.as_ref().and_then(|document| document.opened.source.as_ref());
+            let beside = source.map(|source| source.input.as_path());
             self.dialog = Dialog::open(purpose, beside, &self.name_for(purpose), context);
         }
     }
 
     /// What a file to write is called, unless it is called otherwise; without an ending.
     fn name_for(&self, purpose: Purpose) -> String {
-        let input = self.document.as_ref().and_then(|document| document.opened.source.input.file_stem());
+        let source = self.document.as_ref().and_then(|document| document.opened.source.as_ref());
+        let input = source.and_then(|source| source.input.file_stem());
         let input = input.map_or_else(|| "stein".into(), |stem| stem.to_string_lossy());
         match purpose {
             Purpose::SaveResult => format!("{input}.denoised"),
@@ -330,14 +407,11 @@ impl Viewer {
                     Err(error) => self.tell(Err(error), context),
                 }
             }
-            (Purpose::Reference, Some(document)) => {
-                let source = Source { reference: Some(path), ..document.opened.source.clone() };
-                self.open(source);
-            }
-            (Purpose::Reference, None) => {
-                let (problem, remedy) = ("a reference is compared with a frame".into(), "open the frame first".into());
-                self.trouble = Some((Task::Open, stein::Error::Request { problem, remedy }));
-            }
+            (Purpose::Reference, document) => match document.as_ref().map(|document| &document.opened.source) {
+                Some(Some(source)) => self.open(Source { reference: Some(path), ..source.clone() }),
+                Some(None) => self.refuse("a frame that was rendered here is compared with a reference of the same scene", "let one be drawn (panel Sampling)"),
+                None => self.refuse("a reference is compared with a frame", "open the frame first"),
+            },
         }
     }
 
@@ -351,7 +425,12 @@ impl Viewer {
             Purpose::SaveResult => {
                 let document = self.document.as_ref().ok_or_else(|| missing("result"))?;
                 let denoised = document.denoised.as_ref().ok_or_else(|| missing("result"))?;
-                let Source { input, reference } = &document.opened.source;
+                let Some(Source { input, reference }) = &document.opened.source else {
+                    return Err(stein::Error::Request {
+                        problem: "a frame that was rendered here has no file whose layers could be handed on".into(),
+                        remedy: "save the layer or the view, or let `stein adapt` write its iterations".into(),
+                    });
+                };
                 let same = |other: &Path| path.canonicalize().is_ok_and(|path| other.canonicalize().is_ok_and(|other| path == other));
                 if same(input) || reference.as_deref().is_some_and(same) {
                     return Err(stein::Error::File {
@@ -403,6 +482,10 @@ impl Viewer {
         self.notice.take_if(|(notice, told)| notice.is_ok() && now > *told + NOTICE_SECONDS);
     }
 
+    fn refuse(&mut self, problem: &str, remedy: &str) {
+        self.trouble = Some((Task::Open, stein::Error::Request { problem: problem.into(), remedy: remedy.into() }));
+    }
+
     /// Files that were dropped on the window: one whose name says so is the reference of the other, or of what is open.
     fn take_dropped(&mut self, context: &Context) {
         let dropped: Vec<PathBuf> = context.input(|input| input.raw.dropped_files.iter().map(|file| file.path().to_owned()).collect());
@@ -420,12 +503,15 @@ impl Viewer {
             match reply {
                 Reply::Progress(task, share) => self.progress = Some((task, share)),
                 Reply::Opened(opened) => {
-                    self.settings.remember(&opened.source);
-                    context.send_viewport_cmd(ViewportCommand::Title(title(Some(&opened.source))));
+                    if let Some(source) = &opened.source {
+                        self.settings.remember(source);
+                    }
+                    context.send_viewport_cmd(ViewportCommand::Title(title(opened.source.as_ref())));
                     if self.document.is_some() {
                         self.inspector.kept = None;
                     }
                     self.inspector.clear();
+                    self.adaptive.clear();
                     self.view.camera.fits = true;
                     if self.document.is_some() {
                         self.view.pinned = None;
@@ -436,7 +522,7 @@ impl Viewer {
                     if self.view.other.is_none() {
                         self.compare(self.view.compare);
                     }
-                    self.sweep.clear();
+                    self.forget_sweep();
                     self.run();
                     if std::mem::take(&mut self.sweeps) {
                         self.toggle_sweep();
@@ -453,13 +539,16 @@ impl Viewer {
                 }
                 Reply::Denoised(denoised) => {
                     self.progress = None;
+                    self.adaptive.follows = false;
                     self.trouble.take_if(|(task, _)| *task == Task::Denoise);
                     if let Some(document) = &mut self.document {
                         document.add(*denoised);
                     }
                 }
+                Reply::Adapted(adapted) => self.take_adapted(*adapted),
                 Reply::Failed(task, error) => {
                     self.progress = None;
+                    self.adaptive.is_running &= task != Task::Adapt;
                     self.trouble = Some((task, error));
                     self.sweep.is_running &= task != Task::Sweep;
                     if task == Task::Open && std::mem::take(&mut self.interrupted) {
@@ -494,7 +583,8 @@ impl Viewer {
         let is_followed = self.inspector.follows || context.input(|input| input.modifiers.command);
         let View { pinned, hovered, .. } = self.view;
         let pixel = if is_followed { hovered.or(pinned) } else { pinned };
-        let Some(pixel) = pixel else { return };
+        let Extent { width, height } = document.opened.frame.extent();
+        let Some(pixel) = pixel.filter(|[x, y]| *x < width && *y < height) else { return };
         let question = Question { frame: document.opened.frame.clone(), method: denoised.method, pixel };
         // Of a pointer that moves on and on, each pixel would cancel the one before.
         if self.inspector.asks(&question) && (pinned == Some(pixel) || !self.inspector.waits()) {

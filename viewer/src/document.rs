@@ -12,8 +12,11 @@ use stein::{Estimate, Frame, Image, Method, metric};
 
 use crate::layer::{Description, Group, Kind, Layer};
 
-pub use inputs::input_layers;
+pub use inputs::{drawn_layer, input_layers};
 pub use outputs::output_layers;
+
+use inputs::reference_layer;
+use outputs::true_error_layer;
 
 /// What to open.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -24,11 +27,13 @@ pub struct Source {
     pub reference: Option<PathBuf>,
 }
 
-/// What was read, before any run.
-#[derive(Debug)]
+/// What was read or rendered, before any run.
+#[derive(Clone, Debug)]
 pub struct Opened {
-    /// Where it comes from.
-    pub source: Source,
+    /// The file that it comes from; `None` of what was rendered here.
+    pub source: Option<Source>,
+    /// What people call it.
+    pub name: String,
     /// What is denoised.
     pub frame: Arc<Frame>,
     /// What had to be changed to make the frame.
@@ -42,7 +47,7 @@ pub struct Opened {
 }
 
 /// What a run has made.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct Denoised {
     /// With which parameters.
     pub method: Method,
@@ -85,6 +90,24 @@ pub struct Document {
     layers: Vec<Arc<Layer>>,
 }
 
+impl Opened {
+    /// Takes over a reference that was not there before.
+    pub fn compare(&mut self, reference: &Arc<Image>) {
+        self.noisy_error = relative_mse(&self.frame.color().mean, Some(reference));
+        self.layers.push(reference_layer(reference));
+        self.reference = Some(reference.clone());
+    }
+}
+
+impl Denoised {
+    /// Takes over a reference that was not there before.
+    pub fn compare(&mut self, reference: &Arc<Image>) {
+        self.error = relative_mse(&self.estimate.color, Some(reference));
+        let scale = self.layers.iter().find(|layer| layer.name() == "error").map(|layer| layer.range);
+        self.layers.push(true_error_layer(&self.estimate, reference, scale));
+    }
+}
+
 impl Document {
     /// What was read, without a run.
     pub fn new(opened: Opened) -> Self {
@@ -106,6 +129,18 @@ impl Document {
             self.layers.push(Arc::new(before.renamed(description)));
         }
         self.denoised = Some(denoised);
+        self.sort();
+    }
+
+    /// Takes over a reference that was not there before.
+    pub fn compare(&mut self, reference: &Arc<Image>) {
+        let before = self.layer("before").cloned();
+        self.opened.compare(reference);
+        if let Some(denoised) = &mut self.denoised {
+            denoised.compare(reference);
+        }
+        let made = self.denoised.iter().flat_map(|denoised| &denoised.layers);
+        self.layers = self.opened.layers.iter().chain(made).cloned().chain(before).collect();
         self.sort();
     }
 

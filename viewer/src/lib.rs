@@ -5,6 +5,7 @@
 //! | [`app`] | the window: layout, what keys and messages do |
 //! | [`worker`] | one thread that reads and denoises, and the messages to and from it |
 //! | [`document`] | what is open: the frame, its reference, the newest run, and the layers that they make |
+//! | [`adaptive`] | the adaptive loop on a built-in scene, whose iterations are opened as they come |
 //! | [`layer`] | an image that can be looked at, with what explains it |
 //! | [`view`] | the canvas: pan, zoom, comparison; values to colours on the GPU |
 //! | [`inspector`] | which neighbours made a pixel: what was asked, what came back, what is looked at |
@@ -18,6 +19,7 @@
 //!
 //! The window never waits: whatever takes time is a [`Request`](worker::Request) to the worker, whose [`Reply`](worker::Reply) wakes the window.
 
+pub mod adaptive;
 pub mod app;
 pub mod device;
 pub mod document;

@@ -7,6 +7,7 @@ use clap::{Parser, ValueEnum};
 use eframe::egui::{Theme, Vec2, ViewportBuilder};
 use stein::gpu::{DeviceChoice, GpuOptions};
 use stein::{Error, Gpu, Preset};
+use stein_viewer::adaptive::Setup;
 use stein_viewer::document::Source;
 use stein_viewer::panel::Panel;
 use stein_viewer::screenshot::{self, Shot};
@@ -24,12 +25,16 @@ Example:
 /// Looks inside a denoised frame: candidates, selection, estimated error, sampling density.
 #[derive(Debug, Parser)]
 #[command(name = "stein-viewer", version, after_help = AFTER_HELP)]
+#[command(group = clap::ArgGroup::new("shown").args(["file", "adapt"]).multiple(false))]
 struct Args {
     /// OpenEXR file with the noisy image, its halves or variance, and features
     file: Option<PathBuf>,
     /// The true image, to compare with
     #[arg(long, value_name = "FILE", requires = "file")]
     reference: Option<PathBuf>,
+    /// Samples a built-in scene adaptively in place of opening a file: soft, dof, motion, caustic, texture or spikes
+    #[arg(long, value_name = "SCENE", conflicts_with = "file")]
+    adapt: Option<String>,
     /// Method [default: that of --params, or what was used last; of a screenshot dfc]
     #[arg(long, value_enum)]
     method: Option<MethodName>,
@@ -67,7 +72,7 @@ struct Args {
     #[arg(long, value_name = "DX,DY", value_parser = offset, requires = "pixel", allow_hyphen_values = true)]
     neighbour: Option<[i32; 2]>,
     /// Writes a picture of the window as PNG, without opening one
-    #[arg(long, value_name = "FILE", requires = "file")]
+    #[arg(long, value_name = "FILE", requires = "shown")]
     screenshot: Option<PathBuf>,
     /// Size of the window, in points
     #[arg(long, value_name = "WIDTHxHEIGHT", default_value = "1280x720", value_parser = size)]
@@ -162,6 +167,8 @@ enum PanelName {
     Report,
     /// Error against run time
     Plot,
+    /// The adaptive loop on a built-in scene
+    Sampling,
 }
 
 impl PanelName {
@@ -173,6 +180,7 @@ impl PanelName {
             Self::Kernel => Panel::Kernel,
             Self::Report => Panel::Report,
             Self::Plot => Panel::Plot,
+            Self::Sampling => Panel::Sampling,
         }
     }
 }
@@ -250,6 +258,9 @@ fn run(args: &Args) -> Result<(), Failure> {
 }
 
 fn start(args: &Args) -> Result<Start, Failure> {
+    if args.neighbour.is_some() && args.panel.panel() != Panel::Kernel {
+        return Err(Failure { code: 2, message: "--neighbour is explained by the kernel's panel\n  remedy: add --panel kernel, or leave it out".into() });
+    }
     let parameters = parameters(args)?;
     let source = args.file.clone().map(|input| Source { input, reference: args.reference.clone() });
     Ok(Start {
@@ -262,6 +273,7 @@ fn start(args: &Args) -> Result<Start, Failure> {
         pixel: args.pixel,
         sweeps: args.sweep,
         neighbour: args.neighbour,
+        adapt: args.adapt.clone().map(|scene| Setup { scene, ..Setup::default() }),
     })
 }
 

@@ -10,6 +10,7 @@ use stein::{Error, Extent, Gpu, Result, aside};
 
 use crate::app::{Start, Viewer};
 use crate::device;
+use crate::inspector::cell_at;
 use crate::settings::Settings;
 
 /// Longest that a run may take before a picture is given up.
@@ -233,6 +234,13 @@ fn check_names(viewer: &Viewer, start: &Start) -> Result<()> {
         if document.layer(name).is_none() {
             let names: Vec<_> = document.layers().iter().map(|layer| layer.name()).collect();
             return Err(request(format!("there is no layer '{name}'\n  remedy: choose one of {}", names.join(", "))));
+        }
+    }
+    if let Some([dx, dy]) = start.neighbour {
+        let inspected = viewer.inspector.inspected.as_ref();
+        let is_there = inspected.is_some_and(|inspected| viewer.inspector.shown(inspected).is_some_and(|(filter, _)| cell_at(filter, [dx, dy]).is_some()));
+        if !is_there {
+            return Err(request(format!("the window has no neighbour ({dx}, {dy}) in the image\n  remedy: choose an offset within the radius of the window")));
         }
     }
     let extent = document.opened.frame.extent();

@@ -52,6 +52,8 @@ pub enum Action {
     ActualSize,
     /// Magnifies by this factor.
     Zoom(f32),
+    /// To the next iteration of the adaptive loop, or with −1 to the one before.
+    StepIteration(i32),
     /// Shows a side panel.
     Panel(Panel),
     /// Shows a side panel, or if it is shown the one before.
@@ -119,8 +121,10 @@ pub const SECTIONS: &[Section] = &[
     Section {
         title: "Layers",
         shortcuts: &[
-            key(Key::PageDown, Action::StepLayer(1), "next layer"),
-            key(Key::PageUp, Action::StepLayer(-1), "layer before"),
+            key(Key::Period, Action::StepLayer(1), "next layer"),
+            key(Key::Comma, Action::StepLayer(-1), "layer before"),
+            key(Key::PageDown, Action::StepIteration(1), "next iteration of the adaptive loop"),
+            key(Key::PageUp, Action::StepIteration(-1), "iteration before"),
             key(Key::Num1, Action::ShowLayer("result"), "result"),
             key(Key::Num2, Action::ShowLayer("noisy"), "noisy"),
             key(Key::Num3, Action::ShowLayer("reference"), "reference"),
@@ -183,7 +187,8 @@ pub const SECTIONS: &[Section] = &[
             key(Key::F2, Action::Panel(Panel::Parameters), "parameters"),
             key(Key::F3, Action::Panel(Panel::Pixel), "pixel"),
             key(Key::F4, Action::Panel(Panel::Report), "report"),
-            key(Key::F8, Action::Panel(Panel::Plot), "error against time"),
+            key(Key::F7, Action::Panel(Panel::Plot), "error against time"),
+            key(Key::F8, Action::Panel(Panel::Sampling), "sampling"),
             key(Key::T, Action::ToggleTheme, "dark or light"),
             key(Key::H, Action::Help, "this help"),
             key(Key::Questionmark, Action::Help, ""),

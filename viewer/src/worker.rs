@@ -4,7 +4,6 @@
 //! are taken in the order of [`Task::ALL`]; long work of low rank splits itself into requests that it sends to itself, so that it makes way between them.
 
 use std::any::Any;
-use std::cell::Cell;
 use std::ops::ControlFlow;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -19,7 +18,9 @@ use stein::gpu::Pace;
 use stein::sampling::estimated_relative_mse;
 use stein::{Denoiser, Error, Frame, Gpu, Image, Method, Options};
 
+use crate::adaptive::{Adapted, Loop};
 use crate::document::{Denoised, Opened, Source, input_layers, output_layers, relative_mse};
+use crate::files::short_name;
 use crate::inspector::{Inspected, Question};
 use crate::settings::Parameters;
 use crate::sweep::Point;
@@ -34,7 +35,7 @@ const BETWEEN_REPLIES: Duration = Duration::from_millis(200);
 const MEASURED_TWICE: Duration = Duration::from_secs(10);
 
 /// What the worker is asked for.
-#[derive(Clone, Debug)]
+#[derive(Debug)]
 pub enum Request {
     /// Reads a frame, and a reference if one is named.
     Open(Source),
@@ -60,6 +61,8 @@ pub enum Request {
         /// The first of them that is not yet done.
         next: usize,
     },
+    /// Does the next step of an adaptive loop; the worker asks itself for those after it.
+    Adapt(Box<Loop>),
 }
 
 /// The kinds of requests.
@@ -71,13 +74,15 @@ pub enum Task {
     Inspect,
     /// [`Request::Denoise`].
     Denoise,
+    /// [`Request::Adapt`].
+    Adapt,
     /// [`Request::Sweep`], which makes way for all else and goes on after it.
     Sweep,
 }
 
 impl Task {
     /// In the order in which they are taken.
-    pub const ALL: [Self; 4] = [Self::Open, Self::Inspect, Self::Denoise, Self::Sweep];
+    pub const ALL: [Self; 5] = [Self::Open, Self::Inspect, Self::Denoise, Self::Adapt, Self::Sweep];
 
     /// What users read while it is at work.
     pub fn title(self) -> &'static str {
@@ -85,6 +90,7 @@ impl Task {
             Self::Open => "reading",
             Self::Inspect => "looking at a pixel",
             Self::Denoise => "denoising",
+            Self::Adapt => "sampling",
             Self::Sweep => "measuring",
         }
     }
@@ -97,15 +103,16 @@ impl Request {
             Self::Open(_) => Task::Open,
             Self::Inspect(_) => Task::Inspect,
             Self::Denoise { .. } => Task::Denoise,
+            Self::Adapt(_) => Task::Adapt,
             Self::Sweep { .. } => Task::Sweep,
         }
     }
 
-    /// What is left of it after its first part.
-    fn rest(&self) -> Option<Self> {
+    /// A sweep without its next runs, as long as any are left.
+    fn after(&self, done: usize) -> Option<Self> {
         match self {
-            Self::Sweep { frame, reference, runs, next } if next + 1 < runs.len() => {
-                Some(Self::Sweep { frame: frame.clone(), reference: reference.clone(), runs: runs.clone(), next: next + 1 })
+            Self::Sweep { frame, reference, runs, next } if next + done < runs.len() => {
+                Some(Self::Sweep { frame: frame.clone(), reference: reference.clone(), runs: runs.clone(), next: next + done })
             }
             _ => None,
         }
@@ -123,6 +130,8 @@ pub enum Reply {
     Inspected(Box<Inspected>),
     /// A frame was denoised.
     Denoised(Box<Denoised>),
+    /// An adaptive loop is one step further.
+    Adapted(Box<Adapted>),
     /// A run was measured.
     Swept(Box<Point>),
     /// A task came to no end because of this. Nothing is told of tasks that were cancelled.
@@ -207,11 +216,11 @@ impl Worker {
         Ok(Self { mailbox, replies, thread: Some(thread) })
     }
 
-    /// Asks for something. What was asked for before of the same task is cancelled; a frame to open makes all other work pointless.
+    /// Asks for something. What was asked for before of the same task is cancelled; what replaces the open frame makes all other work pointless.
     pub fn send(&self, request: Request) {
         let mut state = self.mailbox.lock();
         let task = request.task();
-        if task == Task::Open {
+        if matches!(task, Task::Open | Task::Adapt) {
             Task::ALL.into_iter().for_each(|task| state.cancel(task));
         } else {
             state.cancel(task);
@@ -265,6 +274,7 @@ impl Reply {
             Self::Opened(_) => Task::Open,
             Self::Inspected(_) => Task::Inspect,
             Self::Denoised(_) => Task::Denoise,
+            Self::Adapted(_) => Task::Adapt,
             Self::Swept(_) => Task::Sweep,
         }
     }
@@ -284,7 +294,7 @@ struct Job<'a> {
     number: u64,
     task: Task,
     cancelled: Arc<AtomicBool>,
-    told: Cell<Option<Instant>>,
+    told: Mutex<Option<Instant>>,
 }
 
 impl Job<'_> {
@@ -296,8 +306,9 @@ impl Job<'_> {
 
     fn progress(&self, share: f32) -> ControlFlow<()> {
         // Each reply has the window drawn again, on the same device.
-        if self.told.get().is_none_or(|told| told.elapsed() >= BETWEEN_REPLIES) {
-            self.told.set(Some(Instant::now()));
+        let mut told = self.told.lock().unwrap_or_else(PoisonError::into_inner);
+        if told.is_none_or(|told| told.elapsed() >= BETWEEN_REPLIES) {
+            *told = Some(Instant::now());
             self.tell(Reply::Progress(self.task, share));
         }
         if self.cancelled.load(Ordering::Relaxed) { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
@@ -318,16 +329,17 @@ impl Desk {
     fn work(self) {
         while let Some((number, request, cancelled)) = self.next() {
             let task = request.task();
-            let job = Job { desk: &self, number, task, cancelled, told: Cell::new(None) };
-            let (whole, rest) = ((task == Task::Sweep).then(|| request.clone()), request.rest());
+            let job = Job { desk: &self, number, task, cancelled, told: Mutex::default() };
+            let (whole, rest) = (request.after(0), request.after(1));
             let done = catch_unwind(AssertUnwindSafe(|| self.fulfil(&job, request))).unwrap_or_else(|panic| Err(defect(panic.as_ref())));
-            let goes_on = match &done {
-                Ok(_) => rest,
-                Err(Error::Cancelled) => whole,
-                Err(_) => None,
+            let (told, next) = match done {
+                Ok((reply, next)) => (Ok(reply), next.or(rest)),
+                // It made way; where it was cancelled for good, nothing follows either.
+                Err(Error::Cancelled) => (Err(Error::Cancelled), whole),
+                Err(error) => (Err(error), None),
             };
-            self.mailbox.lock().end(number, goes_on);
-            match done {
+            self.mailbox.lock().end(number, next);
+            match told {
                 Ok(reply) => job.tell(reply),
                 Err(Error::Cancelled) => self.context.request_repaint(),
                 Err(error) => job.tell(Reply::Failed(task, error)),
@@ -352,16 +364,22 @@ impl Desk {
         }
     }
 
-    fn fulfil(&self, job: &Job, request: Request) -> stein::Result<Reply> {
+    /// What is told, and what the worker asks itself for next.
+    fn fulfil(&self, job: &Job, request: Request) -> stein::Result<(Reply, Option<Request>)> {
         match request {
-            Request::Open(source) => open(job, source).map(|opened| Reply::Opened(Box::new(opened))),
-            Request::Inspect(question) => inspect(&self.gpu, job, question).map(|inspected| Reply::Inspected(Box::new(inspected))),
+            Request::Open(source) => open(job, source).map(|opened| (Reply::Opened(Box::new(opened)), None)),
+            Request::Inspect(question) => inspect(&self.gpu, job, question).map(|inspected| (Reply::Inspected(Box::new(inspected)), None)),
             Request::Denoise { frame, reference, method } => {
-                denoise(&self.gpu, job, &frame, reference.as_ref(), method).map(|denoised| Reply::Denoised(Box::new(denoised)))
+                denoise(&self.gpu, job, &frame, reference.as_ref(), method).map(|denoised| (Reply::Denoised(Box::new(denoised)), None))
+            }
+            Request::Adapt(mut adaptive) => {
+                let adapted = adaptive.step(&self.gpu, job.pace(), &|share| job.check(share))?;
+                let next = (!adapted.is_last).then_some(Request::Adapt(adaptive));
+                Ok((Reply::Adapted(Box::new(adapted)), next))
             }
             Request::Sweep { frame, reference, runs, next } => {
                 let share = |share: f32| (next as f32 + share) / runs.len() as f32;
-                measure(&self.gpu, job, &frame, reference.as_ref(), runs[next], share).map(|point| Reply::Swept(Box::new(point)))
+                measure(&self.gpu, job, &frame, reference.as_ref(), runs[next], share).map(|point| (Reply::Swept(Box::new(point)), None))
             }
         }
     }
@@ -387,7 +405,8 @@ fn open(job: &Job, source: Source) -> stein::Result<Opened> {
     job.check(0.8)?;
     let layers = input_layers(&frame, reference.as_ref());
     let noisy_error = relative_mse(&frame.color().mean, reference.as_ref());
-    Ok(Opened { source, frame: Arc::new(frame), repairs, reference, noisy_error, layers })
+    let name = short_name(&source.input);
+    Ok(Opened { source: Some(source), name, frame: Arc::new(frame), repairs, reference, noisy_error, layers })
 }
 
 /// What the library says about a file without knowing which one it was.

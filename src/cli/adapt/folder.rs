@@ -23,7 +23,7 @@ pub(crate) struct Setup<'a> {
     pub(crate) size: [u32; 2],
     pub(crate) spp: u32,
     pub(crate) iterations: u32,
-    pub(crate) cap: u32,
+    pub(crate) cap: Option<u32>,
     pub(crate) seed: u64,
     pub(crate) sequence: SequenceName,
     pub(crate) parameters: Method,

@@ -128,7 +128,7 @@ fn filters(ui: &mut Ui, viewer: &mut Viewer, inspected: &Inspected) {
                 }
                 let about = "Sum of the weights, and the effective number of pixels, (Σw)²/Σw²: so many of equal weight leave as much noise";
                 small(ui, format!("Σw {}, n {}", short(filter.weight_sum), short(window.effective_pixels)), about);
-                swatch(ui, viewer, (&window.value, [0, 0]), filter.value, "What the filter makes of the pixel");
+                swatch(ui, viewer, (&window.value, [0, 0], SMALL), filter.value, "What the filter makes of the pixel");
             });
         }
     });
@@ -150,12 +150,12 @@ fn small(ui: &mut Ui, text: String, about: &str) {
 }
 
 /// A pixel of an image as the canvas shows colours, with its values under it.
-fn swatch(ui: &mut Ui, viewer: &mut Viewer, (image, place): (&Shown, [usize; 2]), color: [f32; 3], about: &str) {
-    let (rect, response) = ui.allocate_exact_size(Vec2::new(SMALL, 10.0), Sense::hover());
+fn swatch(ui: &mut Ui, viewer: &mut Viewer, (image, place, width): (&Shown, [usize; 2], f32), color: [f32; 3], about: &str) {
+    let (rect, response) = ui.allocate_exact_size(Vec2::new(width, 10.0), Sense::hover());
     viewer.view.paint_pixel(ui.painter(), rect, image.clone(), place);
     response.on_hover_text(about);
-    let text = RichText::new(color.map(short).join(" ")).size(10.0);
-    ui.add(Label::new(text).truncate()).on_hover_text(format!("{about}: {}", joined(&color)));
+    let text = RichText::new(color.map(short).join(" ")).size(9.5);
+    ui.add(Label::new(text).extend()).on_hover_text(format!("{about}: {}", joined(&color)));
 }
 
 /// What is shown large, and on which scale.
@@ -309,21 +309,22 @@ fn neighbour(ui: &mut Ui, viewer: &mut Viewer, (filter, window): (&FilterKernel,
     let [dx, dy] = offset_of(filter, cell);
     let weight = filter.weights.planes[0][cell];
     ui.label(RichText::new(format!("Neighbour ({x}, {y}), offset ({dx:+}, {dy:+})")).strong());
-    ui.label(format!("w {}, {:.2} % of Σw", number(weight), 100.0 * weight / filter.weight_sum));
     let color = [0, 1, 2].map(|channel| filter.colors.planes[channel][cell]);
     ui.horizontal(|ui| {
         ui.label(format!("w {}, {:.2} % of Σw", number(weight), 100.0 * weight / filter.weight_sum));
-        swatch(ui, viewer, (&window.colors, [cell % filter.side(), cell / filter.side()]), color, "What of the neighbour is averaged");
+        let place = [cell % filter.side(), cell / filter.side()];
+        swatch(ui, viewer, (&window.colors, place, 28.0), color, "What of the neighbour is averaged");
     });
     if filter.distances.is_empty() {
         return;
     }
     let decided = filter.decided_by(cell).map(|distance| &distance.of);
+    ui.spacing_mut().interact_size.y = LINE;
     Grid::new("distances").num_columns(4).striped(true).spacing([10.0, 2.0]).show(ui, |ui| {
         for (text, about) in [
             ("told apart by", "What is compared"),
             ("d", "Distance, in units of what noise explains; at or below 0 nothing speaks against the neighbour"),
-            ("alone", "The weight that this distance alone would give"),
+            ("alone", "The weight that this distance alone would give: exp(−d), or more where the neighbour and the one opposite to it match the pixel better as a pair"),
             ("", ""),
         ] {
             ui.label(RichText::new(text).weak().size(11.5)).on_hover_text(about);

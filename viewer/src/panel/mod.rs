@@ -8,6 +8,7 @@ pub mod parameters;
 pub mod pixel;
 pub mod plot;
 pub mod report;
+pub mod sampling;
 pub mod status;
 pub mod toolbar;
 
@@ -31,11 +32,13 @@ pub enum Panel {
     Report,
     /// Error against run time.
     Plot,
+    /// The adaptive loop on a built-in scene.
+    Sampling,
 }
 
 impl Panel {
     /// In the order of their tabs.
-    pub const ALL: [Self; 6] = [Self::Display, Self::Parameters, Self::Pixel, Self::Kernel, Self::Report, Self::Plot];
+    pub const ALL: [Self; 7] = [Self::Display, Self::Parameters, Self::Pixel, Self::Kernel, Self::Report, Self::Plot, Self::Sampling];
 
     /// What users read.
     pub fn title(self) -> &'static str {
@@ -46,6 +49,7 @@ impl Panel {
             Self::Kernel => "Kernel",
             Self::Report => "Report",
             Self::Plot => "Plot",
+            Self::Sampling => "Sampling",
         }
     }
 }
@@ -68,5 +72,6 @@ pub fn show(ui: &mut Ui, viewer: &mut Viewer) {
         Panel::Kernel => kernel::show(ui, viewer),
         Panel::Report => report::show(ui, viewer),
         Panel::Plot => plot::show(ui, viewer),
+        Panel::Sampling => sampling::show(ui, viewer),
     });
 }

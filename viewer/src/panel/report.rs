@@ -26,9 +26,16 @@ pub fn show(ui: &mut Ui, viewer: &Viewer) {
 fn frame(ui: &mut Ui, opened: &Opened) {
     let frame = &opened.frame;
     ui.label(RichText::new("Frame").strong());
-    ui.label(opened.source.input.display().to_string());
-    if let Some(reference) = &opened.source.reference {
-        ui.label(format!("reference: {}", reference.display()));
+    match &opened.source {
+        Some(source) => {
+            ui.label(source.input.display().to_string());
+            if let Some(reference) = &source.reference {
+                ui.label(format!("reference: {}", reference.display()));
+            }
+        }
+        None => {
+            ui.label(&opened.name);
+        }
     }
     let noise = match frame.noise_knowledge() {
         NoiseKnowledge::HalvesAndVariance => "halves and variance",
