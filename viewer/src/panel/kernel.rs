@@ -119,7 +119,7 @@ fn filters(ui: &mut Ui, viewer: &mut Viewer, inspected: &Inspected) {
                 let scale = viewer.inspector.scale_of_weights();
                 paint(ui.painter(), viewer, rect, filter, &window.weights, Kind::Scalar(scale.1));
                 if is_shown {
-                    ui.painter().rect_stroke(rect, 0.0, Stroke::new(2.0, ui.visuals().selection.stroke.color), StrokeKind::Inside);
+                    ui.painter().rect_stroke(rect, 0.0, Stroke::new(2.0, Color32::WHITE), StrokeKind::Inside);
                 }
                 ui.label(RichText::new(title(filter.name)).strong());
                 let share = ["first", "second", "third"].iter().position(|name| *name == filter.name).and_then(|place| shares.as_ref()?.get(place).copied());
@@ -249,8 +249,8 @@ fn hatch(painter: &Painter, outside: Rect, whole: Rect) {
 
 /// Where the cells of the frame are.
 fn inside(rect: Rect, filter: &FilterKernel) -> Rect {
-    let cells = (0..filter.weights.extent.pixels()).filter(|cell| filter.pixel(*cell).is_some());
-    match (cells.clone().next(), cells.last()) {
+    let mut cells = (0..filter.weights.extent.pixels()).filter(|cell| filter.pixel(*cell).is_some());
+    match (cells.next(), cells.next_back()) {
         (Some(first), Some(last)) => cell_rect(rect, filter, first).union(cell_rect(rect, filter, last)),
         _ => rect,
     }
