@@ -115,7 +115,7 @@ pub const SECTIONS: &[Section] = &[
             with(Modifiers::COMMAND, Key::Backspace, Action::ResetParameters, "all parameters as in the preset"),
             key(Key::F5, Action::Run, "denoise again"),
             key(Key::F9, Action::Sweep, "measure error against time, or stop"),
-            key(Key::Escape, Action::Cancel, "cancel the run, close the help, unpin the pixel"),
+            key(Key::Escape, Action::Cancel, "cancel, close the help, unpin the pixel"),
         ],
     },
     Section {

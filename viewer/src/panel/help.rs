@@ -43,7 +43,8 @@ pub fn show(context: &Context, viewer: &mut Viewer) {
 fn section(ui: &mut Ui, section: &Section) {
     ui.label(RichText::new(section.title).strong());
     let context = ui.ctx().clone();
-    Grid::new(section.title).num_columns(2).spacing([12.0, 2.0]).show(ui, |ui| {
+    ui.spacing_mut().interact_size.y = 15.0;
+    Grid::new(section.title).num_columns(2).min_row_height(15.0).spacing([12.0, 2.0]).show(ui, |ui| {
         for shortcut in section.shortcuts.iter().filter(|shortcut| !shortcut.about.is_empty()) {
             let keys = section.shortcuts.iter().filter(|other| other.action == shortcut.action);
             let keys: Vec<_> = keys.map(|other| context.format_shortcut(&other.keys)).collect();
