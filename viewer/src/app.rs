@@ -179,10 +179,17 @@ impl Viewer {
         self.worker.send(Request::Denoise { frame, reference, method: self.parameters.method });
     }
 
+    /// Ends the sweep and forgets it, for another frame.
+    fn forget_sweep(&mut self) {
+        self.worker.cancel(Task::Sweep);
+        self.progress.take_if(|(task, _)| *task == Task::Sweep);
+        self.sweep.clear();
+    }
+
     /// Starts the adaptive loop on a built-in scene.
     pub fn adapt(&mut self) {
         (self.progress, self.interrupted) = (Some((Task::Adapt, 0.0)), false);
-        self.sweep.is_running = false;
+        self.forget_sweep();
         self.inspector.forget_question();
         self.trouble.take_if(|(task, _)| *task == Task::Adapt);
         let adaptive = self.adaptive.start(self.parameters.method);
@@ -200,15 +207,13 @@ impl Viewer {
     pub fn show_iteration(&mut self, number: u32, context: &Context) {
         let Some(document) = self.adaptive.document(number) else { return };
         // What is at work on the frame that was open would come out as this one's.
-        for task in [Task::Denoise, Task::Sweep] {
-            self.worker.cancel(task);
-            self.progress.take_if(|(at_work, _)| *at_work == task);
-        }
+        self.worker.cancel(Task::Denoise);
+        self.progress.take_if(|(task, _)| *task == Task::Denoise);
+        self.forget_sweep();
         self.adaptive.shown = Some(number);
         self.adaptive.follows = self.adaptive.iterations.last().is_some_and(|last| last.number == number);
         context.send_viewport_cmd(ViewportCommand::Title(title(Some(&document.opened.name))));
         self.inspector.clear();
-        self.sweep.clear();
         self.document = Some(document);
     }
 
@@ -521,7 +526,7 @@ impl Viewer {
                     if self.view.other.is_none() {
                         self.compare(self.view.compare);
                     }
-                    self.sweep.clear();
+                    self.forget_sweep();
                     self.run();
                     if std::mem::take(&mut self.sweeps) {
                         self.toggle_sweep();

@@ -168,10 +168,10 @@ enum PanelName {
     Kernel,
     /// What ran and what was left out
     Report,
-    /// The adaptive loop on a built-in scene
-    Sampling,
     /// Error against run time
     Plot,
+    /// The adaptive loop on a built-in scene
+    Sampling,
 }
 
 impl PanelName {
@@ -182,8 +182,8 @@ impl PanelName {
             Self::Pixel => Panel::Pixel,
             Self::Kernel => Panel::Kernel,
             Self::Report => Panel::Report,
-            Self::Sampling => Panel::Sampling,
             Self::Plot => Panel::Plot,
+            Self::Sampling => Panel::Sampling,
         }
     }
 }

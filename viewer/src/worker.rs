@@ -35,7 +35,7 @@ const BETWEEN_REPLIES: Duration = Duration::from_millis(200);
 const MEASURED_TWICE: Duration = Duration::from_secs(10);
 
 /// What the worker is asked for.
-#[derive(Clone, Debug)]
+#[derive(Debug)]
 pub enum Request {
     /// Reads a frame, and a reference if one is named.
     Open(Source),
@@ -108,11 +108,11 @@ impl Request {
         }
     }
 
-    /// What is left of it after its first part.
-    fn rest(&self) -> Option<Self> {
+    /// A sweep without its next runs, as long as any are left.
+    fn after(&self, done: usize) -> Option<Self> {
         match self {
-            Self::Sweep { frame, reference, runs, next } if next + 1 < runs.len() => {
-                Some(Self::Sweep { frame: frame.clone(), reference: reference.clone(), runs: runs.clone(), next: next + 1 })
+            Self::Sweep { frame, reference, runs, next } if next + done < runs.len() => {
+                Some(Self::Sweep { frame: frame.clone(), reference: reference.clone(), runs: runs.clone(), next: next + done })
             }
             _ => None,
         }
@@ -330,7 +330,8 @@ impl Desk {
         while let Some((number, request, cancelled)) = self.next() {
             let task = request.task();
             let job = Job { desk: &self, number, task, cancelled, told: Mutex::default() };
-            let whole = (task == Task::Sweep).then(|| request.clone());
+            // It made way; where it was cancelled for good, nothing follows either.
+            let whole = request.after(0);
             let done = catch_unwind(AssertUnwindSafe(|| self.fulfil(&job, request))).unwrap_or_else(|panic| Err(defect(panic.as_ref())));
             let (told, goes_on) = match done {
                 Ok((reply, rest)) => (Ok(reply), rest),
@@ -365,7 +366,7 @@ impl Desk {
 
     /// What is told, and what is left to do.
     fn fulfil(&self, job: &Job, request: Request) -> stein::Result<(Reply, Option<Request>)> {
-        let mut rest = request.rest();
+        let mut rest = request.after(1);
         let reply = match request {
             Request::Open(source) => Reply::Opened(Box::new(open(job, source)?)),
             Request::Inspect(question) => Reply::Inspected(Box::new(inspect(&self.gpu, job, question)?)),

@@ -77,7 +77,8 @@ fn nothing_is_open_at_first_and_the_help_lists_the_keys() {
     let mut harness = window(Start::default());
     harness.get_by_label("Open…");
     harness.key_press(Key::H);
-    harness.run_steps(2);
+    // It is in its place once its size is known.
+    harness.run_steps(5);
     harness.get_by_label("half a stop brighter");
     harness.get_by_label("Close").click();
     harness.run_steps(2);

@@ -30,15 +30,15 @@ pub enum Panel {
     Kernel,
     /// What ran and what was left out, and what the frame is.
     Report,
-    /// The adaptive loop on a built-in scene.
-    Sampling,
     /// Error against run time.
     Plot,
+    /// The adaptive loop on a built-in scene.
+    Sampling,
 }
 
 impl Panel {
     /// In the order of their tabs.
-    pub const ALL: [Self; 7] = [Self::Display, Self::Parameters, Self::Pixel, Self::Kernel, Self::Plot, Self::Sampling, Self::Report];
+    pub const ALL: [Self; 7] = [Self::Display, Self::Parameters, Self::Pixel, Self::Kernel, Self::Report, Self::Plot, Self::Sampling];
 
     /// What users read.
     pub fn title(self) -> &'static str {
@@ -48,8 +48,8 @@ impl Panel {
             Self::Pixel => "Pixel",
             Self::Kernel => "Kernel",
             Self::Report => "Report",
-            Self::Sampling => "Sampling",
             Self::Plot => "Plot",
+            Self::Sampling => "Sampling",
         }
     }
 }
@@ -71,7 +71,7 @@ pub fn show(ui: &mut Ui, viewer: &mut Viewer) {
         Panel::Pixel => pixel::show(ui, viewer),
         Panel::Kernel => kernel::show(ui, viewer),
         Panel::Report => report::show(ui, viewer),
-        Panel::Sampling => sampling::show(ui, viewer),
         Panel::Plot => plot::show(ui, viewer),
+        Panel::Sampling => sampling::show(ui, viewer),
     });
 }
