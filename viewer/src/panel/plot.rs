@@ -283,7 +283,7 @@ fn title(parameters: &Parameters) -> String {
 }
 
 /// 1, 2 and 5 of every decade.
-fn marks(input: GridInput) -> Vec<GridMark> {
+pub(super) fn marks(input: GridInput) -> Vec<GridMark> {
     let (first, last) = (input.bounds.0.floor() as i32, input.bounds.1.ceil() as i32);
     // Where many decades are shown, they alone are.
     let steps: &[(f64, f64)] = if input.bounds.1 - input.bounds.0 > 4.0 { &[(1.0, 1.0)] } else { &[(1.0, 1.0), (2.0, 0.3), (5.0, 0.3)] };
@@ -292,7 +292,7 @@ fn marks(input: GridInput) -> Vec<GridMark> {
     (first..=last).flat_map(decade).filter(is_in).collect()
 }
 
-fn tick(mark: GridMark, _: &RangeInclusive<f64>) -> String {
+pub(super) fn tick(mark: GridMark, _: &RangeInclusive<f64>) -> String {
     let value = 10.0_f64.powf(mark.value);
     let digits = (-mark.value.floor()).max(0.0) as usize;
     if digits > 3 { format!("{value:.0e}") } else { format!("{value:.digits$}") }

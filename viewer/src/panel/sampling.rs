@@ -1,9 +1,10 @@
 //! The adaptive loop on a built-in scene: what is asked for, and the iterations as they come.
 
-use eframe::egui::{ComboBox, DragValue, Grid, RichText, Role, Ui, Vec2, WidgetInfo};
+use eframe::egui::{Color32, ComboBox, DragValue, Grid, RichText, Role, Ui, Vec2, WidgetInfo};
 use egui_plot::{AxisHints, Legend, Line, MarkerShape, Plot, PlotPoints, Points};
 use stein::sampling::stub::scenes;
 
+use super::plot::{marks, tick};
 use crate::adaptive::{Adaptive, Iteration, Setup};
 use crate::app::Viewer;
 use crate::view::numbers::number;
@@ -16,8 +17,7 @@ const MOST_ITERATIONS: u32 = 12;
 /// Shows it.
 pub fn show(ui: &mut Ui, viewer: &mut Viewer) {
     ui.label(RichText::new("Adaptive sampling of a built-in scene").strong());
-    let about = "Draws samples, denoises, and draws the next where the estimated error is largest. The first iteration samples evenly. \
-                 The method is that of the panel Parameters.";
+    let about = "Draws samples, denoises, and draws the next where the estimated error is largest. The method is that of the panel Parameters.";
     ui.label(RichText::new(about).weak());
     ui.add_space(4.0);
     choose(ui, &mut viewer.adaptive.setup);
@@ -46,7 +46,7 @@ pub fn show(ui: &mut Ui, viewer: &mut Viewer) {
 }
 
 fn choose(ui: &mut Ui, setup: &mut Setup) {
-    Grid::new("setup").num_columns(2).spacing([8.0, 4.0]).show(ui, |ui| {
+    Grid::new("setup").num_columns(2).spacing([8.0, 3.0]).show(ui, |ui| {
         let label = ui.label("scene");
         let menu = ComboBox::from_id_salt("scene").selected_text(&setup.scene).show_ui(ui, |ui| {
             for (name, about) in scenes() {
@@ -67,34 +67,37 @@ fn choose(ui: &mut Ui, setup: &mut Setup) {
             }
         });
         ui.end_row();
-        let about = "On average, of all iterations together; at least two for each";
-        number_row(ui, "samples per pixel", about, &mut setup.samples_per_pixel, 2, 1024, true);
-        number_row(ui, "iterations", "All draw the same number of samples", &mut setup.iterations, 1, MOST_ITERATIONS, false);
-        number_row(ui, "seed", "Same seed, same samples", &mut setup.seed, 0, 999_999, false);
+    });
+    Grid::new("numbers").num_columns(4).spacing([8.0, 3.0]).show(ui, |ui| {
+        let about = "Samples per pixel on average, of all iterations together; at least two for each";
+        number_of(ui, "samples", about, &mut setup.samples_per_pixel, 2, 1024, true);
+        number_of(ui, "iterations", "The first samples evenly; all draw the same number of samples", &mut setup.iterations, 1, MOST_ITERATIONS, false);
+        ui.end_row();
         let about = "Samples per pixel of a reference, which is drawn after the last iteration; 0 for none. Its own noise counts as error";
-        number_row(ui, "reference", about, &mut setup.reference_samples, 0, 1 << 14, true);
+        number_of(ui, "reference", about, &mut setup.reference_samples, 0, 1 << 14, true);
+        number_of(ui, "seed", "Same seed, same samples", &mut setup.seed, 0, 999_999, false);
+        ui.end_row();
     });
     setup.samples_per_pixel = setup.samples_per_pixel.max(2 * setup.iterations);
 }
 
-fn number_row(ui: &mut Ui, name: &str, about: &str, value: &mut u32, least: u32, most: u32, is_even: bool) {
+fn number_of(ui: &mut Ui, name: &str, about: &str, value: &mut u32, least: u32, most: u32, is_even: bool) {
     let label = ui.label(name).on_hover_text(about);
     ui.add(DragValue::new(value).range(least..=most)).labelled_by(label.id).on_hover_text(about);
     *value -= if is_even { *value % 2 } else { 0 };
-    ui.end_row();
 }
 
 /// The iterations. The one that was clicked.
 fn table(ui: &mut Ui, adaptive: &Adaptive) -> Option<u32> {
     let mut chosen = None;
     let has_reference = adaptive.iterations.iter().any(|iteration| iteration.denoised.error.is_some());
-    let text = |value: Option<f64>| RichText::new(value.map_or_else(|| "–".to_owned(), |value| number(value as f32))).monospace().size(11.0);
-    Grid::new("iterations").num_columns(if has_reference { 6 } else { 4 }).striped(true).spacing([8.0, 2.0]).show(ui, |ui| {
+    let text = |value: Option<f64>| RichText::new(value.map_or_else(|| "–".to_owned(), |value| number(value as f32))).monospace().size(10.5);
+    Grid::new("iterations").num_columns(if has_reference { 6 } else { 4 }).striped(true).spacing([5.0, 1.0]).show(ui, |ui| {
         let headings = [
             ("", "Iteration: click to show it (Page up, Page down)"),
             ("spp", "Samples per pixel so far, on average"),
-            ("least–most", "Fewest and most samples of a pixel so far"),
-            ("estimated", "Relative MSE as it is estimated, without a reference"),
+            ("range", "Fewest and most samples of a pixel so far"),
+            ("estim.", "Relative MSE as it is estimated, without a reference"),
             ("error", "Relative MSE of the result against the reference"),
             ("noisy", "Relative MSE of the noisy image against the reference"),
         ];
@@ -110,7 +113,7 @@ fn table(ui: &mut Ui, adaptive: &Adaptive) -> Option<u32> {
                 chosen = Some(*place);
             }
             ui.label(text(Some(*samples_per_pixel)));
-            ui.label(RichText::new(format!("{least}–{most}")).monospace().size(11.0));
+            ui.label(RichText::new(format!("{least}–{most}")).monospace().size(10.5));
             ui.label(text(denoised.estimated_error));
             if has_reference {
                 ui.label(text(denoised.error));
@@ -124,6 +127,11 @@ fn table(ui: &mut Ui, adaptive: &Adaptive) -> Option<u32> {
 
 /// Errors over samples, on logarithmic axes.
 fn plot(ui: &mut Ui, iterations: &[Iteration]) {
+    let colors = if ui.visuals().dark_mode {
+        [Color32::from_rgb(250, 170, 70), Color32::from_rgb(90, 170, 250), Color32::from_gray(160)]
+    } else {
+        [Color32::from_rgb(190, 95, 0), Color32::from_rgb(20, 90, 190), Color32::from_gray(110)]
+    };
     let series: [(&str, fn(&Iteration) -> Option<f64>); 3] = [
         ("estimated", |iteration| iteration.denoised.estimated_error),
         ("error", |iteration| iteration.denoised.error),
@@ -133,21 +141,23 @@ fn plot(ui: &mut Ui, iterations: &[Iteration]) {
     ui.add_space(4.0);
     let plot = Plot::new("error over samples")
         .width(width)
-        .height((width * 0.7).clamp(150.0, 320.0))
-        .custom_x_axes(vec![AxisHints::new_x().label("samples per pixel").formatter(|mark, _| number(10.0_f32.powf(mark.value as f32)))])
-        .custom_y_axes(vec![AxisHints::new_y().label("relative MSE").formatter(|mark, _| number(10.0_f32.powf(mark.value as f32)))])
+        .height((width * 0.62).clamp(150.0, 320.0))
+        .custom_x_axes(vec![AxisHints::new_x().label("samples per pixel").formatter(tick)])
+        .custom_y_axes(vec![AxisHints::new_y().label("relative MSE").formatter(tick)])
+        .x_grid_spacer(marks)
+        .y_grid_spacer(marks)
         .set_margin_fraction(Vec2::splat(0.08))
         .legend(Legend::default())
         .allow_scroll(false);
     let shown = plot.show(ui, |ui| {
-        for (name, of) in series {
+        for ((name, of), color) in series.into_iter().zip(colors) {
             // What is not above 0 has no place on a logarithmic axis.
             let places =
                 iterations.iter().filter_map(|iteration| Some([iteration.samples_per_pixel.log10(), of(iteration).filter(|error| *error > 0.0)?.log10()]));
             let places: Vec<_> = places.collect();
             if !places.is_empty() {
-                ui.line(Line::new(name, PlotPoints::from(places.clone())));
-                ui.points(Points::new(name, PlotPoints::from(places)).radius(3.5).shape(MarkerShape::Circle));
+                ui.line(Line::new(name, PlotPoints::from(places.clone())).color(color));
+                ui.points(Points::new(name, PlotPoints::from(places)).color(color).radius(3.5).shape(MarkerShape::Circle));
             }
         }
     });
