@@ -49,7 +49,7 @@ impl Setup {
 }
 
 /// A loop on its way, which the worker hands on from one step to the next.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct Loop {
     setup: Setup,
     method: Method,
@@ -84,8 +84,6 @@ pub struct Iteration {
     pub samples_per_pixel: f64,
     /// Fewest and most samples of a pixel so far.
     pub spread: [u64; 2],
-    /// Relative MSE as it is estimated, without a reference.
-    pub estimated_error: Option<f64>,
     /// The samples so far, as a frame.
     pub opened: Opened,
     /// What they were denoised to.
@@ -161,7 +159,6 @@ fn iteration_of(
         number,
         samples_per_pixel: counts.total_samples() as f64 / frame.extent().pixels() as f64,
         spread: [of_pixels().min().unwrap_or(0), of_pixels().max().unwrap_or(0)],
-        estimated_error,
         opened: Opened { source: None, name, frame: Arc::new(frame), repairs, reference: None, noisy_error: None, layers },
         denoised: Denoised { method: *denoiser.method(), estimate: Arc::new(estimate), lean_plan, seconds, error: None, estimated_error, layers: layers_made },
     })

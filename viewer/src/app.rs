@@ -13,7 +13,7 @@ use stein::{Extent, Gpu};
 use crate::adaptive::{Adapted, Adaptive, Setup, Step};
 use crate::document::{Document, Source};
 use crate::edit::Edits;
-use crate::files::{Dialog, Purpose, is_reference, short_name};
+use crate::files::{Dialog, Purpose, is_reference};
 use crate::inspector::{Inspector, Question};
 use crate::layer::Layer;
 use crate::panel::{self, Panel};
@@ -44,12 +44,14 @@ pub struct Start {
     pub panel: Panel,
     /// The pixel that is kept.
     pub pixel: Option<[u32; 2]>,
+    /// Closes the window after so many frames, counted from when nothing is at work any more.
+    pub exit_after_frames: Option<u32>,
+    /// An adaptive loop to start, in place of a file to open.
+    pub adapt: Option<Setup>,
     /// Whether error is measured against run time once the frame is open.
     pub sweeps: bool,
     /// Of its neighbours the one that the kernel's panel explains, as an offset.
     pub neighbour: Option<[i32; 2]>,
-    /// An adaptive loop to start, in place of a file to open.
-    pub adapt: Option<Setup>,
 }
 
 /// The window's state. Panels read and change it; what takes time goes to the worker.
@@ -64,12 +66,12 @@ pub struct Viewer {
     pub view: View,
     /// How is denoised.
     pub parameters: Parameters,
+    /// The adaptive loop.
+    pub adaptive: Adaptive,
     /// Changes of the parameters that contradict them.
     pub edits: Edits,
     /// Error against run time.
     pub sweep: Sweep,
-    /// The adaptive loop.
-    pub adaptive: Adaptive,
     /// What is remembered.
     pub settings: Settings,
     /// The panel at the right.
@@ -90,6 +92,8 @@ pub struct Viewer {
     pub notice: Option<(stein::Result<String>, f64)>,
     /// Whether a run was given up for a file that is being read.
     interrupted: bool,
+    /// Frames until the window closes by itself.
+    frames_left: Option<u32>,
     /// Whether a sweep follows when the frame is open.
     sweeps: bool,
     dialog: Option<Dialog>,
@@ -112,10 +116,10 @@ impl Viewer {
             worker: Worker::start(gpu, context)?,
             document: None,
             view: View::new(settings.display.clone()),
+            adaptive: Adaptive::default(),
             parameters: start.parameters.or(remembered).unwrap_or_default(),
             edits: Edits::default(),
             sweep: Sweep::default(),
-            adaptive: Adaptive::default(),
             settings,
             panel: start.panel,
             inspector: Inspector::default(),
@@ -126,6 +130,7 @@ impl Viewer {
             scrolls_to_layer: true,
             notice: None,
             interrupted: false,
+            frames_left: start.exit_after_frames,
             sweeps: start.sweeps,
             dialog: None,
             savings: Vec::new(),
@@ -174,6 +179,73 @@ impl Viewer {
         self.worker.send(Request::Denoise { frame, reference, method: self.parameters.method });
     }
 
+    /// Ends the sweep and forgets it, for another frame.
+    fn forget_sweep(&mut self) {
+        self.worker.cancel(Task::Sweep);
+        self.progress.take_if(|(task, _)| *task == Task::Sweep);
+        self.sweep.clear();
+    }
+
+    /// Starts the adaptive loop on a built-in scene.
+    pub fn adapt(&mut self) {
+        (self.progress, self.interrupted) = (Some((Task::Adapt, 0.0)), false);
+        self.forget_sweep();
+        self.inspector.forget_question();
+        self.trouble.take_if(|(task, _)| *task == Task::Adapt);
+        let adaptive = self.adaptive.start(self.parameters.method);
+        self.worker.send(Request::Adapt(Box::new(adaptive)));
+    }
+
+    /// Ends the adaptive loop; its iterations stay.
+    pub fn stop_adapting(&mut self) {
+        self.adaptive.is_running = false;
+        self.progress.take_if(|(task, _)| *task == Task::Adapt);
+        self.worker.cancel(Task::Adapt);
+    }
+
+    /// Opens an iteration of the adaptive loop. Where it is not the newest one, those that come are no longer shown by themselves.
+    pub fn show_iteration(&mut self, number: u32, context: &Context) {
+        let Some(document) = self.adaptive.document(number) else { return };
+        // What is at work on the frame that was open would come out as this one's.
+        self.worker.cancel(Task::Denoise);
+        self.progress.take_if(|(task, _)| *task == Task::Denoise);
+        self.forget_sweep();
+        self.adaptive.shown = Some(number);
+        self.adaptive.follows = self.adaptive.iterations.last().is_some_and(|last| last.number == number);
+        context.send_viewport_cmd(ViewportCommand::Title(title(Some(&document.opened.name))));
+        self.inspector.clear();
+        self.document = Some(document);
+    }
+
+    fn take_adapted(&mut self, Adapted { step, is_last }: Adapted, context: &Context) {
+        self.adaptive.is_running = !is_last;
+        if is_last {
+            self.progress = None;
+        }
+        match step {
+            Step::Iteration(iteration) => {
+                let number = iteration.number;
+                self.adaptive.iterations.push(iteration);
+                if number == 1 {
+                    (self.view.camera.fits, self.scrolls_to_layer, self.trouble) = (true, true, None);
+                    self.view.display.scales.clear();
+                }
+                if self.adaptive.follows {
+                    self.show_iteration(number, context);
+                }
+            }
+            Step::Reference(reference) => {
+                self.adaptive.compare(&reference);
+                if let Some(document) = self.document.as_mut().filter(|_| self.adaptive.shown.is_some()) {
+                    document.compare(&reference);
+                }
+            }
+        }
+        if self.view.other.is_none() {
+            self.compare(self.view.compare);
+        }
+    }
+
     /// Denoises with other parameters from now on.
     pub fn take_parameters(&mut self, parameters: Parameters) {
         self.edits.clear();
@@ -194,66 +266,6 @@ impl Viewer {
         }
         let (frame, reference) = (document.opened.frame.clone(), document.opened.reference.clone());
         self.worker.send(Request::Sweep { frame, reference, runs: self.sweep.start(self.parameters), next: 0 });
-    }
-
-    /// Ends the sweep and forgets it, for another frame.
-    fn forget_sweep(&mut self) {
-        self.worker.cancel(Task::Sweep);
-        self.progress.take_if(|(task, _)| *task == Task::Sweep);
-        self.sweep.clear();
-    }
-
-    /// Starts the adaptive loop on a built-in scene.
-    pub fn adapt(&mut self) {
-        (self.progress, self.interrupted) = (Some((Task::Adapt, 0.0)), false);
-        self.trouble.take_if(|(task, _)| *task == Task::Adapt);
-        let adaptive = self.adaptive.start(self.parameters.method);
-        self.worker.send(Request::Adapt(Box::new(adaptive)));
-    }
-
-    /// Ends the adaptive loop; its iterations stay.
-    pub fn stop_adapting(&mut self) {
-        self.adaptive.is_running = false;
-        self.progress.take_if(|(task, _)| *task == Task::Adapt);
-        self.worker.cancel(Task::Adapt);
-    }
-
-    /// Opens an iteration of the adaptive loop. Where it is not the newest one, those that come are no longer shown by themselves.
-    pub fn show_iteration(&mut self, number: u32) {
-        let Some(document) = self.adaptive.document(number) else { return };
-        self.forget_sweep();
-        self.adaptive.shown = Some(number);
-        self.adaptive.follows = self.adaptive.iterations.last().is_some_and(|last| last.number == number);
-        self.document = Some(document);
-    }
-
-    fn take_adapted(&mut self, Adapted { step, is_last }: Adapted) {
-        self.adaptive.is_running = !is_last;
-        if is_last {
-            self.progress = None;
-        }
-        match step {
-            Step::Iteration(iteration) => {
-                let number = iteration.number;
-                self.adaptive.iterations.push(iteration);
-                if number == 1 {
-                    (self.view.camera.fits, self.scrolls_to_layer, self.trouble) = (true, true, None);
-                    self.view.display.scales.clear();
-                }
-                if self.adaptive.follows {
-                    self.show_iteration(number);
-                }
-            }
-            Step::Reference(reference) => {
-                self.adaptive.compare(&reference);
-                if let Some(document) = self.document.as_mut().filter(|_| self.adaptive.shown.is_some()) {
-                    document.compare(&reference);
-                }
-            }
-        }
-        if self.view.other.is_none() {
-            self.compare(self.view.compare);
-        }
     }
 
     /// Whether nothing is at work and nothing waits to be told.
@@ -323,15 +335,15 @@ impl Viewer {
             }
             Action::Zoom(factor) => self.view.camera.magnify(factor),
             Action::Panel(panel) => self.panel = panel,
+            Action::StepIteration(step) => {
+                let number = self.adaptive.shown.and_then(|shown| shown.checked_add_signed(step));
+                number.into_iter().for_each(|number| self.show_iteration(number, context));
+            }
             Action::TogglePanel(panel) if self.panel == panel => self.panel = self.panel_before,
             Action::TogglePanel(panel) => self.panel_before = std::mem::replace(&mut self.panel, panel),
             Action::ToggleFollow => self.inspector.follows = !self.inspector.follows,
             Action::MovePixel(by) => self.move_pixel(by),
             Action::ToggleSharedScale => self.view.display.shares_scale = !self.view.display.shares_scale,
-            Action::StepIteration(step) => {
-                let number = self.adaptive.shown.and_then(|shown| shown.checked_add_signed(step));
-                number.into_iter().for_each(|number| self.show_iteration(number));
-            }
             Action::ToggleTheme => context.set_theme(if context.theme() == egui::Theme::Dark { egui::Theme::Light } else { egui::Theme::Dark }),
             Action::Help => self.shows_help = !self.shows_help,
         }
@@ -345,8 +357,8 @@ impl Viewer {
             return;
         }
         match self.progress.take() {
-            Some((Task::Sweep, _)) => self.toggle_sweep(),
             Some((Task::Adapt, _)) => self.stop_adapting(),
+            Some((Task::Sweep, _)) => self.toggle_sweep(),
             Some((task, _)) => self.worker.cancel(task),
             None => self.view.pinned = None,
         }
@@ -381,9 +393,8 @@ impl Viewer {
 
     /// What a file to write is called, unless it is called otherwise; without an ending.
     fn name_for(&self, purpose: Purpose) -> String {
-        let source = self.document.as_ref().and_then(|document| document.opened.source.as_ref());
-        let input = source.and_then(|source| source.input.file_stem());
-        let input = input.map_or_else(|| "stein".into(), |stem| stem.to_string_lossy());
+        let input = self.document.as_ref().map_or("stein", |document| &document.opened.name);
+        let input = input.strip_suffix(".exr").unwrap_or(input);
         match purpose {
             Purpose::SaveResult => format!("{input}.denoised"),
             Purpose::SaveParameters => self.parameters.method.name().to_owned(),
@@ -396,6 +407,11 @@ impl Viewer {
     pub fn take_file(&mut self, purpose: Purpose, path: PathBuf, context: &Context) {
         match (purpose, &self.document) {
             (Purpose::Input, _) => self.open(Source { input: path, reference: None }),
+            (Purpose::Reference, document) => match document.as_ref().map(|document| &document.opened.source) {
+                Some(Some(source)) => self.open(Source { reference: Some(path), ..source.clone() }),
+                Some(None) => self.refuse("a frame that was rendered here is compared with a reference of the same scene", "let one be drawn (panel Sampling)"),
+                None => self.refuse("a reference is compared with a frame", "open the frame first"),
+            },
             (Purpose::Parameters, _) => match Parameters::read(&path) {
                 Ok(parameters) => self.take_parameters(parameters),
                 Err(error) => self.tell(Err(error), context),
@@ -407,12 +423,11 @@ impl Viewer {
                     Err(error) => self.tell(Err(error), context),
                 }
             }
-            (Purpose::Reference, document) => match document.as_ref().map(|document| &document.opened.source) {
-                Some(Some(source)) => self.open(Source { reference: Some(path), ..source.clone() }),
-                Some(None) => self.refuse("a frame that was rendered here is compared with a reference of the same scene", "let one be drawn (panel Sampling)"),
-                None => self.refuse("a reference is compared with a frame", "open the frame first"),
-            },
         }
+    }
+
+    fn refuse(&mut self, problem: &str, remedy: &str) {
+        self.trouble = Some((Task::Open, stein::Error::Request { problem: problem.into(), remedy: remedy.into() }));
     }
 
     /// What is to be saved.
@@ -425,21 +440,16 @@ impl Viewer {
             Purpose::SaveResult => {
                 let document = self.document.as_ref().ok_or_else(|| missing("result"))?;
                 let denoised = document.denoised.as_ref().ok_or_else(|| missing("result"))?;
-                let Some(Source { input, reference }) = &document.opened.source else {
-                    return Err(stein::Error::Request {
-                        problem: "a frame that was rendered here has no file whose layers could be handed on".into(),
-                        remedy: "save the layer or the view, or let `stein adapt` write its iterations".into(),
-                    });
-                };
+                let source = document.opened.source.as_ref();
                 let same = |other: &Path| path.canonicalize().is_ok_and(|path| other.canonicalize().is_ok_and(|other| path == other));
-                if same(input) || reference.as_deref().is_some_and(same) {
+                if source.is_some_and(|Source { input, reference }| same(input) || reference.as_deref().is_some_and(same)) {
                     return Err(stein::Error::File {
                         path: path.to_owned(),
                         problem: "is open here, and would be replaced".into(),
                         remedy: "choose another name".into(),
                     });
                 }
-                Ok(Content::Result { input: input.clone(), estimate: denoised.estimate.clone(), method: denoised.method })
+                Ok(Content::Result { input: source.map(|source| source.input.clone()), estimate: denoised.estimate.clone(), method: denoised.method })
             }
             _ => {
                 let View { compare, wipe, camera, display, pinned, marked, .. } = &self.view;
@@ -482,10 +492,6 @@ impl Viewer {
         self.notice.take_if(|(notice, told)| notice.is_ok() && now > *told + NOTICE_SECONDS);
     }
 
-    fn refuse(&mut self, problem: &str, remedy: &str) {
-        self.trouble = Some((Task::Open, stein::Error::Request { problem: problem.into(), remedy: remedy.into() }));
-    }
-
     /// Files that were dropped on the window: one whose name says so is the reference of the other, or of what is open.
     fn take_dropped(&mut self, context: &Context) {
         let dropped: Vec<PathBuf> = context.input(|input| input.raw.dropped_files.iter().map(|file| file.path().to_owned()).collect());
@@ -503,15 +509,13 @@ impl Viewer {
             match reply {
                 Reply::Progress(task, share) => self.progress = Some((task, share)),
                 Reply::Opened(opened) => {
-                    if let Some(source) = &opened.source {
-                        self.settings.remember(source);
-                    }
-                    context.send_viewport_cmd(ViewportCommand::Title(title(opened.source.as_ref())));
+                    opened.source.iter().for_each(|source| self.settings.remember(source));
+                    self.adaptive.clear();
+                    context.send_viewport_cmd(ViewportCommand::Title(title(Some(&opened.name))));
                     if self.document.is_some() {
                         self.inspector.kept = None;
                     }
                     self.inspector.clear();
-                    self.adaptive.clear();
                     self.view.camera.fits = true;
                     if self.document.is_some() {
                         self.view.pinned = None;
@@ -545,7 +549,7 @@ impl Viewer {
                         document.add(*denoised);
                     }
                 }
-                Reply::Adapted(adapted) => self.take_adapted(*adapted),
+                Reply::Adapted(adapted) => self.take_adapted(*adapted, context),
                 Reply::Failed(task, error) => {
                     self.progress = None;
                     self.adaptive.is_running &= task != Task::Adapt;
@@ -668,6 +672,15 @@ impl Viewer {
 impl eframe::App for Viewer {
     fn ui(&mut self, ui: &mut Ui, _frame: &mut eframe::Frame) {
         self.show(ui);
+        if let Some(frames_left) = &mut self.frames_left {
+            if self.progress.is_none() {
+                *frames_left = frames_left.saturating_sub(1);
+            }
+            if *frames_left == 0 {
+                ui.ctx().send_viewport_cmd(egui::ViewportCommand::Close);
+            }
+            ui.ctx().request_repaint();
+        }
     }
 
     fn save(&mut self, storage: &mut dyn eframe::Storage) {
@@ -695,6 +708,6 @@ pub fn set_style(context: &Context) {
 }
 
 /// What a window is called.
-pub fn title(source: Option<&Source>) -> String {
-    source.map_or_else(|| "Stein".into(), |source| format!("{} - Stein", short_name(&source.input)))
+pub fn title(name: Option<&str>) -> String {
+    name.map_or_else(|| "Stein".into(), |name| format!("{name} - Stein"))
 }

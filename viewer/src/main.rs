@@ -13,7 +13,7 @@ use stein_viewer::panel::Panel;
 use stein_viewer::screenshot::{self, Shot};
 use stein_viewer::settings::Parameters;
 use stein_viewer::view::Compare;
-use stein_viewer::{Start, Viewer, app, device, sweep};
+use stein_viewer::{Start, Viewer, app, device, files, sweep};
 
 const AFTER_HELP: &str = "\
 Exit codes: 0 done, 2 wrong usage, 3 an input file or layer cannot be used, 4 no device, or one that cannot show a window, 5 the picture cannot be written, 1 anything else.
@@ -80,6 +80,9 @@ struct Args {
     /// Of a screenshot: pixels per point
     #[arg(long, value_name = "NUMBER", default_value_t = 1.0, requires = "screenshot", value_parser = scale)]
     scale: f32,
+    /// Closes the window after so many frames, counted from when nothing is at work any more: for tests
+    #[arg(long, value_name = "NUMBER", hide = true, conflicts_with = "screenshot")]
+    exit_after_frames: Option<u32>,
     /// Of a screenshot: dark or light
     #[arg(long, value_enum, default_value = "dark", requires = "screenshot")]
     theme: ThemeName,
@@ -271,9 +274,10 @@ fn start(args: &Args) -> Result<Start, Failure> {
         compare: args.compare.compare(),
         panel: args.panel.panel(),
         pixel: args.pixel,
+        exit_after_frames: args.exit_after_frames,
+        adapt: args.adapt.clone().map(|scene| Setup { scene, ..Setup::default() }),
         sweeps: args.sweep,
         neighbour: args.neighbour,
-        adapt: args.adapt.clone().map(|scene| Setup { scene, ..Setup::default() }),
     })
 }
 
@@ -309,7 +313,7 @@ fn parameters(args: &Args) -> Result<Option<Parameters>, Failure> {
 }
 
 fn window(args: &Args, gpu: &Gpu, start: Start) -> Result<(), Failure> {
-    let title = app::title(start.source.as_ref());
+    let title = app::title(start.source.as_ref().map(|source| files::short_name(&source.input)).as_deref());
     let viewport = ViewportBuilder::default().with_title(&title).with_inner_size(Vec2::from(args.size)).with_min_inner_size([640.0, 400.0]);
     let options = eframe::NativeOptions { viewport, wgpu_options: device::configuration(gpu)?, ..Default::default() };
     let in_window = |creation: &eframe::CreationContext| Viewer::in_window(creation, gpu, start).map(|viewer| Box::new(viewer) as Box<dyn eframe::App>);

@@ -7,8 +7,8 @@ use std::task::Poll;
 use std::thread::JoinHandle;
 
 use eframe::egui::{CentralPanel, Context, Frame as Margins, Pos2, Rect, Theme, Vec2};
-use stein::buffers::{BufferSet, BufferSetRequest};
-use stein::{Error, Estimate, Gpu, Method, Result, aside};
+use stein::buffers::{BufferSet, BufferSetRequest, NamedLayer, write_layers};
+use stein::{Error, Estimate, Gpu, Image, Method, Result, aside};
 
 use crate::app;
 use crate::files::short_name;
@@ -26,8 +26,8 @@ pub enum Content {
     Layer(Arc<Layer>, Display),
     /// The denoised frame in the clothes of its file, as OpenEXR.
     Result {
-        /// The file that the frame was read from.
-        input: PathBuf,
+        /// The file that the frame was read from; `None` of one that was rendered here.
+        input: Option<PathBuf>,
         /// What to write.
         estimate: Arc<Estimate>,
         /// With which parameters it was made.
@@ -127,7 +127,17 @@ impl Content {
                 problem: format!("cannot be written: {error}"),
                 remedy: "check that the folder exists, may be written to and has space left".into(),
             })?,
-            Self::Result { input, estimate, method } => {
+            Self::Result { input: None, estimate, .. } => {
+                let layer = |name: &str, channels: &[&str], image: &Image| NamedLayer {
+                    name: name.into(),
+                    channels: channels.iter().map(|channel| (*channel).to_owned()).collect(),
+                    image: image.clone(),
+                };
+                let error = estimate.error.iter().map(|error| layer("stein.error", &["V"], error));
+                let layers: Vec<_> = [layer("", &["R", "G", "B"], &estimate.color)].into_iter().chain(error).collect();
+                write_layers(path, &layers, &[])?;
+            }
+            Self::Result { input: Some(input), estimate, method } => {
                 let set = BufferSet::read(&BufferSetRequest { input, ..Default::default() })?;
                 notes = estimate.write(set, path, &[], &method)?.notes;
             }

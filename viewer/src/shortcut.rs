@@ -123,7 +123,7 @@ pub const SECTIONS: &[Section] = &[
         shortcuts: &[
             key(Key::Period, Action::StepLayer(1), "next layer"),
             key(Key::Comma, Action::StepLayer(-1), "layer before"),
-            key(Key::PageDown, Action::StepIteration(1), "next iteration of the adaptive loop"),
+            key(Key::PageDown, Action::StepIteration(1), "next iteration of sampling"),
             key(Key::PageUp, Action::StepIteration(-1), "iteration before"),
             key(Key::Num1, Action::ShowLayer("result"), "result"),
             key(Key::Num2, Action::ShowLayer("noisy"), "noisy"),

@@ -50,6 +50,8 @@ pub enum Request {
         /// How.
         method: Method,
     },
+    /// Does the next step of an adaptive loop; the worker asks itself for those after it.
+    Adapt(Box<Loop>),
     /// Measures time and error of one run after the other.
     Sweep {
         /// What is denoised.
@@ -61,8 +63,6 @@ pub enum Request {
         /// The first of them that is not yet done.
         next: usize,
     },
-    /// Does the next step of an adaptive loop; the worker asks itself for those after it.
-    Adapt(Box<Loop>),
 }
 
 /// The kinds of requests.
@@ -330,15 +330,15 @@ impl Desk {
         while let Some((number, request, cancelled)) = self.next() {
             let task = request.task();
             let job = Job { desk: &self, number, task, cancelled, told: Mutex::default() };
-            let (whole, rest) = (request.after(0), request.after(1));
+            // It made way; where it was cancelled for good, nothing follows either.
+            let whole = request.after(0);
             let done = catch_unwind(AssertUnwindSafe(|| self.fulfil(&job, request))).unwrap_or_else(|panic| Err(defect(panic.as_ref())));
-            let (told, next) = match done {
-                Ok((reply, next)) => (Ok(reply), next.or(rest)),
-                // It made way; where it was cancelled for good, nothing follows either.
+            let (told, goes_on) = match done {
+                Ok((reply, rest)) => (Ok(reply), rest),
                 Err(Error::Cancelled) => (Err(Error::Cancelled), whole),
                 Err(error) => (Err(error), None),
             };
-            self.mailbox.lock().end(number, next);
+            self.mailbox.lock().end(number, goes_on);
             match told {
                 Ok(reply) => job.tell(reply),
                 Err(Error::Cancelled) => self.context.request_repaint(),
@@ -364,24 +364,24 @@ impl Desk {
         }
     }
 
-    /// What is told, and what the worker asks itself for next.
+    /// What is told, and what is left to do.
     fn fulfil(&self, job: &Job, request: Request) -> stein::Result<(Reply, Option<Request>)> {
-        match request {
-            Request::Open(source) => open(job, source).map(|opened| (Reply::Opened(Box::new(opened)), None)),
-            Request::Inspect(question) => inspect(&self.gpu, job, question).map(|inspected| (Reply::Inspected(Box::new(inspected)), None)),
-            Request::Denoise { frame, reference, method } => {
-                denoise(&self.gpu, job, &frame, reference.as_ref(), method).map(|denoised| (Reply::Denoised(Box::new(denoised)), None))
-            }
+        let mut rest = request.after(1);
+        let reply = match request {
+            Request::Open(source) => Reply::Opened(Box::new(open(job, source)?)),
+            Request::Inspect(question) => Reply::Inspected(Box::new(inspect(&self.gpu, job, question)?)),
+            Request::Denoise { frame, reference, method } => Reply::Denoised(Box::new(denoise(&self.gpu, job, &frame, reference.as_ref(), method)?)),
             Request::Adapt(mut adaptive) => {
                 let adapted = adaptive.step(&self.gpu, job.pace(), &|share| job.check(share))?;
-                let next = (!adapted.is_last).then_some(Request::Adapt(adaptive));
-                Ok((Reply::Adapted(Box::new(adapted)), next))
+                rest = (!adapted.is_last).then_some(Request::Adapt(adaptive));
+                Reply::Adapted(Box::new(adapted))
             }
             Request::Sweep { frame, reference, runs, next } => {
                 let share = |share: f32| (next as f32 + share) / runs.len() as f32;
-                measure(&self.gpu, job, &frame, reference.as_ref(), runs[next], share).map(|point| (Reply::Swept(Box::new(point)), None))
+                Reply::Swept(Box::new(measure(&self.gpu, job, &frame, reference.as_ref(), runs[next], share)?))
             }
-        }
+        };
+        Ok((reply, rest))
     }
 }
 

@@ -41,7 +41,7 @@ pub fn show(ui: &mut Ui, viewer: &mut Viewer) {
     let chosen = table(ui, &viewer.adaptive);
     plot(ui, &viewer.adaptive.iterations);
     if let Some(number) = chosen {
-        viewer.show_iteration(number);
+        viewer.show_iteration(number, &ui.ctx().clone());
     }
 }
 
@@ -103,7 +103,7 @@ fn table(ui: &mut Ui, adaptive: &Adaptive) -> Option<u32> {
         }
         ui.end_row();
         for iteration in &adaptive.iterations {
-            let Iteration { number: place, samples_per_pixel, spread: [least, most], estimated_error, opened, denoised } = iteration;
+            let Iteration { number: place, samples_per_pixel, spread: [least, most], opened, denoised } = iteration;
             let response = ui.selectable_label(adaptive.shown == Some(*place), format!(" {place} "));
             response.widget_info(|| WidgetInfo::selected(Role::Button, true, adaptive.shown == Some(*place), format!("iteration {place}")));
             if response.clicked() {
@@ -111,7 +111,7 @@ fn table(ui: &mut Ui, adaptive: &Adaptive) -> Option<u32> {
             }
             ui.label(text(Some(*samples_per_pixel)));
             ui.label(RichText::new(format!("{least}–{most}")).monospace().size(11.0));
-            ui.label(text(*estimated_error));
+            ui.label(text(denoised.estimated_error));
             if has_reference {
                 ui.label(text(denoised.error));
                 ui.label(text(opened.noisy_error));
@@ -125,7 +125,7 @@ fn table(ui: &mut Ui, adaptive: &Adaptive) -> Option<u32> {
 /// Errors over samples, on logarithmic axes.
 fn plot(ui: &mut Ui, iterations: &[Iteration]) {
     let series: [(&str, fn(&Iteration) -> Option<f64>); 3] = [
-        ("estimated", |iteration| iteration.estimated_error),
+        ("estimated", |iteration| iteration.denoised.estimated_error),
         ("error", |iteration| iteration.denoised.error),
         ("noisy", |iteration| iteration.opened.noisy_error),
     ];
