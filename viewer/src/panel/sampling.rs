@@ -124,7 +124,8 @@ fn table(ui: &mut Ui, adaptive: &Adaptive) -> Option<u32> {
 
 /// Errors over samples, on logarithmic axes.
 fn plot(ui: &mut Ui, iterations: &[Iteration]) {
-    let series: [(&str, fn(&Iteration) -> Option<f64>); 3] = [
+    type Series = (&'static str, fn(&Iteration) -> Option<f64>);
+    let series: [Series; 3] = [
         ("estimated", |iteration| iteration.denoised.estimated_error),
         ("error", |iteration| iteration.denoised.error),
         ("noisy", |iteration| iteration.opened.noisy_error),
