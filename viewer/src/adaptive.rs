@@ -70,7 +70,7 @@ pub struct Adapted {
 #[derive(Debug)]
 pub enum Step {
     /// One more iteration.
-    Iteration(Iteration),
+    Iteration(Box<Iteration>),
     /// The image that the iterations are compared with.
     Reference(Arc<Image>),
 }
@@ -104,7 +104,7 @@ impl Loop {
         if self.state.is_none() {
             gpu.set_timing(true);
             let denoiser = Denoiser::new(gpu, self.method)?;
-            let iterations = Iterations::new(&denoiser, &self.setup.plan()?).with_kept(&self.method.intermediates());
+            let iterations = Iterations::new(&denoiser, &self.setup.plan()?).with_kept(self.method.intermediates());
             self.state = Some((self.setup.sampler(self.setup.seed.into(), Sequence::Random)?, iterations));
         }
         let Self { setup, state: Some((sampler, iterations)), .. } = self else { return Err(Error::Cancelled) };
@@ -131,7 +131,7 @@ impl Loop {
                 Ok(())
             }
         })?;
-        let step = Step::Iteration(finished.ok_or(Error::Cancelled)?);
+        let step = Step::Iteration(Box::new(finished.ok_or(Error::Cancelled)?));
         Ok(Adapted { step, is_last: !goes_on && !has_reference })
     }
 }

@@ -225,7 +225,7 @@ impl Viewer {
         match step {
             Step::Iteration(iteration) => {
                 let number = iteration.number;
-                self.adaptive.iterations.push(iteration);
+                self.adaptive.iterations.push(*iteration);
                 if number == 1 {
                     (self.view.camera.fits, self.scrolls_to_layer, self.trouble) = (true, true, None);
                     self.view.display.scales.clear();

@@ -4,7 +4,8 @@ use std::ops::Bound;
 
 use eframe::egui::text::LayoutJob;
 use eframe::egui::{
-    Align, Button, Checkbox, ComboBox, DragValue, FontId, Id, Label, Layout, Response, RichText, Role, Slider, TextFormat, TextStyle, Ui, Vec2, WidgetInfo,
+    Align, Button, Checkbox, Color32, ComboBox, DragValue, FontId, Id, Label, Layout, Response, RichText, Role, Slider, TextFormat, TextStyle, Ui, Vec2,
+    WidgetInfo,
 };
 use stein::Preset;
 use stein::parameters::{Choice, Kind, Parameter, Value};
@@ -104,7 +105,7 @@ fn row(ui: &mut Ui, viewer: &Viewer, parameter: &Parameter) -> Option<Change> {
         ui.with_layout(Layout::right_to_left(Align::Center), |ui| {
             if differs {
                 let before = viewer.parameters.preset_value(parameter).map_or_else(String::new, |value| format!("Back to {value}, as in the preset"));
-                let button = ui.add_sized(Vec2::new(RESET_WIDTH, ROW_HEIGHT), Button::new("↺").frame(false)).on_hover_text(before);
+                let button = ui.add_sized(Vec2::new(RESET_WIDTH, ROW_HEIGHT), Button::new(RichText::new("↺").size(16.0)).frame(false)).on_hover_text(before);
                 button.widget_info(|| WidgetInfo::labeled(Role::Button, true, format!("reset {}", parameter.name)));
                 if button.clicked() {
                     change = Some(Change::Reset);
@@ -138,7 +139,8 @@ fn named(ui: &mut Ui, name: &str) -> Response {
 /// The name of a parameter: what groups it is weak, what differs from the preset is strong.
 fn name(ui: &mut Ui, parameter: &Parameter, differs: bool) -> Response {
     let font = FontId::proportional(TextStyle::Body.resolve(ui.style()).size - 1.0);
-    let strong = if differs { ui.visuals().hyperlink_color } else { ui.visuals().text_color() };
+    let marked = if ui.visuals().dark_mode { Color32::from_rgb(110, 185, 255) } else { Color32::from_rgb(0, 75, 165) };
+    let strong = if differs { marked } else { ui.visuals().text_color() };
     let mut job = LayoutJob::default();
     let (group, own) = parameter.name.rfind('.').map_or(("", parameter.name.as_str()), |dot| parameter.name.split_at(dot + 1));
     job.append(group, 0.0, TextFormat::simple(font.clone(), if differs { strong } else { ui.visuals().weak_text_color() }));

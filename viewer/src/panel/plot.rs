@@ -87,7 +87,7 @@ fn choose(ui: &mut Ui, viewer: &mut Viewer) {
     Grid::new("sweep").num_columns(2).spacing([8.0, 3.0]).show(ui, |ui| {
         ui.label("radii");
         ui.horizontal_wrapped(|ui| {
-            Extent::RADII.iter().for_each(|radius| toggle(ui, &mut extent.radii, *radius, &radius.to_string(), &format!("radius {radius}")))
+            Extent::RADII.iter().for_each(|radius| toggle(ui, &mut extent.radii, *radius, &radius.to_string(), &format!("radius {radius}")));
         });
         ui.end_row();
         ui.label("presets");

@@ -127,12 +127,13 @@ fn table(ui: &mut Ui, adaptive: &Adaptive) -> Option<u32> {
 
 /// Errors over samples, on logarithmic axes.
 fn plot(ui: &mut Ui, iterations: &[Iteration]) {
+    type Series = (&'static str, fn(&Iteration) -> Option<f64>);
     let colors = if ui.visuals().dark_mode {
         [Color32::from_rgb(250, 170, 70), Color32::from_rgb(90, 170, 250), Color32::from_gray(160)]
     } else {
         [Color32::from_rgb(190, 95, 0), Color32::from_rgb(20, 90, 190), Color32::from_gray(110)]
     };
-    let series: [(&str, fn(&Iteration) -> Option<f64>); 3] = [
+    let series: [Series; 3] = [
         ("estimated", |iteration| iteration.denoised.estimated_error),
         ("error", |iteration| iteration.denoised.error),
         ("noisy", |iteration| iteration.opened.noisy_error),
