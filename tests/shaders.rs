@@ -46,7 +46,7 @@ fn definitions(stage: &str) -> Option<Vec<Definitions>> {
         "variance_rows" => Some(combinations(&[("PIXELS", numbers(&[4])), ("BY_DEVIATION", flags())])),
         "variance_scale" => Some(combinations(&[("PIXELS", numbers(&[4]))])),
         "spike_find" => Some(combinations(&[("FEATURE_GROUPS", numbers(&[0, 1, 2, 8])), ("VARIANCE", flags()), ("SPREAD", flags())])),
-        "spike_rows" => none,
+        "spike_rows" | "error_spikes" => none,
         "spike_spread" => Some(combinations(&[("FEATURE_GROUPS", numbers(&[0, 1, 2, 8])), ("VARIANCE", flags())])),
         "variance_pair" | "variance_clamp" | "half_split" | "half_join" | "select_pass" => none,
         "candidate_resolve" => Some(combinations(&[("THIRD", flags()), ("DERIVATIVES", flags())])),

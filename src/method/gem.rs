@@ -106,7 +106,7 @@ fn select(
 ) -> Result<Selected> {
     // Mean variances of the pixels (eq. 6.3). Scaled by the halves, where there are any, they need no purely random samples.
     plan.begins(rec, Step::Variance);
-    let variance = input_variance(rec, extent, &color, BoxWeight::Deviation)?;
+    let variance = input_variance(rec, extent, &color, BoxWeight::Even)?;
     keeper.keep(Intermediate::Variance, "scaled_variance", &RGB, Unit::ColorSquared, &variance, 0);
 
     plan.begins(rec, Step::Scales);

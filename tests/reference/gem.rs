@@ -150,7 +150,7 @@ pub struct Gem {
 pub fn gem(color: &Signal, samples: &Grid, params: &GemParams) -> Gem {
     let repaired = params.spikes.map(|params| spike::repaired(color, &[], &params).signal);
     let color = repaired.as_ref().unwrap_or(color);
-    let variance = input_variance(color, BoxWeight::Deviation);
+    let variance = input_variance(color, BoxWeight::Even);
     let zero = || color.mean.iter().map(|grid| grid.like(|_| 0.0)).collect();
     let spread = color.spread.clone().unwrap_or_else(zero);
     let pixel = Scale { sigma: 0.0, mean: color.mean.clone(), spread, variance: variance.clone(), samples: samples.clone(), pixels: samples.like(|_| 1.0) };

@@ -224,7 +224,8 @@ pub(super) fn cases() -> Vec<Case> {
 
 /// Little, but enough for a few rows and what they depend on.
 const STRIP_BYTES: fn(Subject) -> u64 = |subject| match subject {
-    Subject::Dfc | Subject::DfcThesis => 2_400_000,
+    Subject::Dfc => 2_400_000,
+    Subject::DfcThesis => 1_400_000,
     Subject::Nlm => 600_000,
     Subject::Gem => 1_110_000,
 };

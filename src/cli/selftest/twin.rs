@@ -55,6 +55,11 @@ pub(super) fn compare(frame: &Frame, method: &Method, estimate: &Estimate) -> Ve
     comparison.parts
 }
 
+/// A half spread may be far larger than the colour that it belongs to.
+fn with_own(spread: &[Grid], size: &[Grid]) -> Planes {
+    spread.iter().zip(size).map(|(spread, size)| size.like(|p| size.at(p) + 0.01 * spread.at(p).abs())).collect()
+}
+
 struct Comparison<'a> {
     estimate: &'a Estimate,
     exposure: f64,
@@ -189,7 +194,7 @@ impl Comparison<'_> {
         let size = color_size(&result.mean);
         self.add("result", &bridge::grids(&self.estimate.color, self.exposure), &result.mean, &size, FILTERED, TURNED);
         if let Some(spread) = &result.spread {
-            self.add("half spread", &self.grids(self.estimate.half_spread.as_ref(), self.exposure), spread, &size, FILTERED, TURNED);
+            self.add("half spread", &self.grids(self.estimate.half_spread.as_ref(), self.exposure), spread, &with_own(spread, &size), FILTERED, TURNED);
         }
     }
 
@@ -202,7 +207,7 @@ impl Comparison<'_> {
         let size: Planes = (0..3).map(channel).collect();
         self.add("result", &bridge::grids(&self.estimate.color, self.exposure), &twin.mean, &size, FILTERED, TURNED);
         if let Some(spread) = &twin.spread {
-            self.add("half spread", &self.grids(self.estimate.half_spread.as_ref(), self.exposure), spread, &size, FILTERED, TURNED);
+            self.add("half spread", &self.grids(self.estimate.half_spread.as_ref(), self.exposure), spread, &with_own(spread, &size), FILTERED, TURNED);
         }
         let one = |grid: &Grid| [grid.like(|p| grid.at(p).abs() + 0.01 * grid.mean() + VANISHING)];
         let of = std::slice::from_ref;
