@@ -1,17 +1,17 @@
 #!/bin/sh
-# Makes this machine able to build and run stein and its tests. Where something is missing, installs it: a C linker, a C++ compiler (the FLIP error measure is C++), Rust,
-# and, if no Vulkan adapter is found, Mesa's drivers, which bring a software adapter (lavapipe). Does nothing, silently, where all is there. Needs apt-get (Debian, Ubuntu)
-# and root or sudo only to install.
+# Makes this machine able to build and run stein, its viewer and their tests. Where something is missing, installs it: a C linker, a C++ compiler (the FLIP error measure is
+# C++), Rust, the X libraries that the viewer's window is opened with and the virtual screen of its test, and, if no Vulkan adapter is found, Mesa's drivers, which bring a
+# software adapter (lavapipe). Does nothing, silently, where all is there. Needs apt-get (Debian, Ubuntu) and root or sudo only to install.
 set -eu
 
 say() {
     printf 'setup: %s\n' "$*" >&2
 }
 
-has_loader() {
-    { ldconfig -p || /sbin/ldconfig -p; } 2>/dev/null | grep -q 'libvulkan\.so\.1' && return 0
+has_library() {
+    { ldconfig -p || /sbin/ldconfig -p; } 2>/dev/null | grep -qF "$1" && return 0
     for folder in /usr/lib /usr/lib/* /usr/lib64 /usr/local/lib /lib/*; do
-        [ -e "$folder/libvulkan.so.1" ] && return 0
+        [ -e "$folder/$1" ] && return 0
     done
     return 1
 }
@@ -50,7 +50,7 @@ is_driver() {
 
 # The file may outlive the hardware: where vulkaninfo is at hand, ask it whether the driver finds an adapter.
 has_adapter() {
-    has_loader && has_driver || return 1
+    has_library libvulkan.so.1 && has_driver || return 1
     command -v vulkaninfo >/dev/null 2>&1 || return 0
     vulkaninfo --summary </dev/null 2>/dev/null | grep -q 'deviceName'
 }
@@ -97,6 +97,26 @@ fi
 if ! command -v c++ >/dev/null 2>&1; then
     say "no C++ compiler found: installing g++"
     install_packages g++
+fi
+
+# What the viewer's window looks for when it opens, and the package of each.
+window=
+while read -r library package; do
+    has_library "$library" || window="$window $package"
+done <<END
+libX11.so.6 libx11-6
+libX11-xcb.so.1 libx11-xcb1
+libXcursor.so.1 libxcursor1
+libXi.so.6 libxi6
+libxkbcommon.so.0 libxkbcommon0
+libxkbcommon-x11.so.0 libxkbcommon-x11-0
+END
+command -v Xvfb >/dev/null 2>&1 || window="$window xvfb"
+if [ -n "$window" ]; then
+    say "the viewer's window or its test lacks something: installing$window"
+    # All else works without.
+    # shellcheck disable=SC2086
+    (install_packages $window) || say "not installed: the viewer may not open its window, and the test of that fails"
 fi
 
 has_adapter && exit 0

@@ -1,6 +1,7 @@
 //! The denoiser: frames in, estimates out.
 
 mod kernels;
+mod write;
 
 use std::ops::ControlFlow;
 use std::time::Instant;
@@ -15,6 +16,8 @@ use crate::method::{
     Facts, FrameInput, GpuEstimate, GpuFrame, Intermediate, KeptPlane, Lane, Method, Plan, Shares, SpikeReport, Strip, Unit, Units, Wishes, strips,
 };
 use crate::stage::nlm::Schedule;
+
+pub use write::Written;
 
 /// Denoises frames with one method and one set of parameters. Make one and use it for many frames: kernels and buffers are kept by the [`Gpu`].
 ///

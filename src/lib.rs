@@ -53,7 +53,7 @@ pub mod parameters;
 pub mod sampling;
 pub mod stage;
 
-pub use denoiser::{Denoiser, Estimate, Layer, Options};
+pub use denoiser::{Denoiser, Estimate, Layer, Options, Written};
 pub use error::{Error, Result};
 pub use frame::Frame;
 pub use gpu::Gpu;

@@ -15,7 +15,6 @@ use super::filter::Filter;
 use super::options::Device;
 use super::progress::bar;
 use super::render::Picture;
-use super::sample_map::DEFAULT_CAP;
 use super::{Failure, Out, interrupt};
 use folder::{Folder, Setup};
 use renderer::{Renderer, Turn};
@@ -105,8 +104,7 @@ pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
         out.silence();
     }
     let plan = Plan::new(spp, args.iterations, args.cap).map_err(Failure::usage)?;
-    let cap = args.cap.unwrap_or_else(|| plan.budget(1).saturating_mul(DEFAULT_CAP));
-    let plan = Plan::new(spp, args.iterations, Some(cap)).map_err(Failure::usage)?;
+    let plan = if args.cap.is_none() { plan.with_default_cap() } else { plan };
     let method = args.filter.chosen()?.method;
     let extent = args.picture.extent();
     let setup = Setup {
@@ -115,7 +113,7 @@ pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
         size: [extent.width, extent.height],
         spp,
         iterations: args.iterations,
-        cap,
+        cap: plan.cap(),
         seed: args.picture.seed,
         sequence: args.picture.sequence,
         parameters: method,

@@ -3,13 +3,12 @@
 use serde::Serialize;
 use stein::gpu::{AdapterSummary, SavedPipelines, StageTime};
 use stein::method::{Intermediate, SpikeReport};
-use stein::{Estimate, Method};
+use stein::{Estimate, Method, Written};
 
 use super::Failure;
 use super::explain::Explained;
 use super::inspect::Input;
 use super::out::{bytes, number, seconds, table};
-use super::output::Written;
 use super::quality::{self, Errors};
 
 /// The JSON document of a single image.

@@ -28,9 +28,6 @@ Examples:
 
 Exit codes: 0 done, 2 wrong usage, 3 an input file or layer cannot be used, 4 no device or a device failed, 5 the output cannot be written, 1 anything else.";
 
-/// Without a limit, a pixel whose estimate an outlier spoils can take all samples (thesis 8.6). In multiples of the average.
-pub(crate) const DEFAULT_CAP: u32 = 8;
-
 /// Tell a renderer where its next samples pay most
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLE, override_usage = "stein sample-map [OPTIONS] IN --budget SPP")]
@@ -131,8 +128,8 @@ pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
     let estimate =
         denoiser.denoise_with(&frame, Options { keep: &[Intermediate::Density], error: false, progress: Some(&mut progress), ..Default::default() })?;
     // Whole pairs, which a small budget has few of.
-    let cap = args.cap.unwrap_or_else(|| (budget * f64::from(DEFAULT_CAP)).max(2.0) as u32);
-    let density = sampling_density(&estimate, budget, budget * f64::from(DEFAULT_CAP))?;
+    let cap = args.cap.unwrap_or_else(|| (budget * f64::from(SamplingMap::DEFAULT_CAP)).max(2.0) as u32);
+    let density = sampling_density(&estimate, budget, budget * f64::from(SamplingMap::DEFAULT_CAP))?;
     let map = SamplingMap::new(&density, budget, Some(cap)).map_err(Failure::usage)?;
     let spread = Spread::of(&map.counts);
     MapFile { map, drawn: drawn(&set.samples_per_pixel(), frame.extent()) }.write(&file, &[]).map_err(Failure::output)?;

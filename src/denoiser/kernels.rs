@@ -24,7 +24,7 @@ impl Denoiser {
     /// Of a window in time there are none: the frame is taken by itself.
     ///
     /// # Errors
-    /// [`Error::Request`] where the frame has no such pixel; else as [`Denoiser::plan`] and [`Denoiser::denoise`].
+    /// [`Error::Request`] where the frame has no such pixel; [`Error::Cancelled`] by [`Options::pace`]; else as [`Denoiser::plan`] and [`Denoiser::denoise`].
     pub fn kernels(&self, frame: &Frame, x: u32, y: u32, options: &Options) -> Result<Kernels> {
         let extent = frame.extent();
         if x >= extent.width || y >= extent.height {
@@ -46,6 +46,9 @@ impl Denoiser {
         let pixel = IVec2::new(x as i32 - part.x, y as i32 - part.y);
         self.gpu.set_memory_limit(self.max_memory);
         let mut rec = self.gpu.record();
+        if let Some(pace) = &options.pace {
+            rec.set_pace(pace.clone());
+        }
         let plan_of_part = plan.starting_at(IVec2::new(part.x, part.y));
         let on_gpu = FrameInput::upload(&mut rec, &part_of_frame, &all_of_it, &units, &plan_of_part)?.settled_for(frame, &units);
         let kernels = self.method.kernels(&mut rec, on_gpu, pixel, &plan_of_part, self.schedule)?;

@@ -4,6 +4,7 @@ use std::ops::ControlFlow;
 
 use super::{SampleCounts, Sampler, Samples, SamplingMap, sampling_density};
 use crate::error::{Error, Result};
+use crate::gpu::Pace;
 use crate::image::{Extent, Image};
 use crate::method::{Intermediate, Method};
 use crate::{Denoiser, Estimate, Options, metric};
@@ -40,6 +41,17 @@ impl Plan {
             );
         }
         Ok(plan)
+    }
+
+    /// With a cap of [`SamplingMap::DEFAULT_CAP`] times what the first iteration draws.
+    #[must_use]
+    pub fn with_default_cap(self) -> Self {
+        Self { cap: Some(self.budget(1).saturating_mul(SamplingMap::DEFAULT_CAP)), ..self }
+    }
+
+    /// The most samples that an iteration gives a pixel.
+    pub fn cap(&self) -> Option<u32> {
+        self.cap
     }
 
     /// Samples per pixel in all iterations together.
@@ -134,39 +146,125 @@ pub fn adapt<S: Sampler, E: From<Error> + Send>(
     resumed: Option<Resumed>,
     mut observe: impl FnMut(Event<'_>) -> std::result::Result<(), E> + Send,
 ) -> std::result::Result<Outcome, E> {
-    let while_sampling = denoiser.while_sampling();
-    let denoiser = |iteration: u32| if iteration < plan.iterations { &while_sampling } else { denoiser };
-    let done = resumed.as_ref().map_or(0, |resumed| resumed.iterations);
-    let mut state: Option<Outcome> = None;
-    if let Some(Resumed { iterations: iteration, samples }) = resumed {
-        let estimate = denoise(denoiser(iteration), &samples, |share| observe(Event::Denoising { iteration, share }))?;
-        observe(Event::Finished { iteration, map: None, samples: &samples, estimate: &estimate, method: denoiser(iteration).method() })?;
-        state = Some(Outcome { samples, estimate });
+    let mut iterations = Iterations::new(denoiser, plan);
+    if let Some(resumed) = resumed {
+        iterations.resume(resumed, &mut observe)?;
     }
-    for iteration in done + 1..=plan.iterations {
-        let budget = plan.budget(iteration);
-        let map = match &state {
+    while iterations.step(sampler, &mut observe)? {}
+    // A plan has at least one iteration.
+    iterations.state.ok_or_else(|| Error::Cancelled.into())
+}
+
+/// The loop of [`adapt`], one iteration at a time: for a program that does other work between them, or looks at more than the result.
+#[derive(Clone, Debug)]
+pub struct Iterations {
+    denoiser: Denoiser,
+    while_sampling: Denoiser,
+    plan: Plan,
+    keep: Vec<Intermediate>,
+    pace: Option<Pace>,
+    done: u32,
+    state: Option<Outcome>,
+}
+
+impl Iterations {
+    /// A loop that has drawn nothing yet.
+    pub fn new(denoiser: &Denoiser, plan: &Plan) -> Self {
+        let while_sampling = denoiser.while_sampling();
+        Self { denoiser: denoiser.clone(), while_sampling, plan: *plan, keep: vec![Intermediate::Density], pace: None, done: 0, state: None }
+    }
+
+    /// Also keeps these intermediates of each iteration, in [`Estimate::layers`]; those that the method does not have are not there.
+    #[must_use]
+    pub fn with_kept(mut self, keep: &[Intermediate]) -> Self {
+        self.keep.extend(keep.iter().filter(|kept| **kept != Intermediate::Density));
+        self
+    }
+
+    /// Shares the device with somebody who waits for it. `None` keeps it as busy as can be.
+    pub fn set_pace(&mut self, pace: Option<Pace>) {
+        self.pace = pace;
+    }
+
+    /// How many samples are drawn in how many iterations.
+    pub fn plan(&self) -> &Plan {
+        &self.plan
+    }
+
+    /// Iterations that are complete.
+    pub fn done(&self) -> u32 {
+        self.done
+    }
+
+    fn denoiser(&self, iteration: u32) -> &Denoiser {
+        if iteration < self.plan.iterations { &self.while_sampling } else { &self.denoiser }
+    }
+
+    /// Goes on after an interruption; the last iteration that was complete is denoised and told once more.
+    ///
+    /// # Errors
+    /// As [`adapt`].
+    pub fn resume<E: From<Error> + Send>(
+        &mut self,
+        resumed: Resumed,
+        observe: &mut (impl FnMut(Event<'_>) -> std::result::Result<(), E> + Send),
+    ) -> std::result::Result<(), E> {
+        let Resumed { iterations: iteration, samples } = resumed;
+        let estimate = self.denoise(iteration, &samples, observe)?;
+        observe(Event::Finished { iteration, map: None, samples: &samples, estimate: &estimate, method: self.denoiser(iteration).method() })?;
+        (self.done, self.state) = (iteration, Some(Outcome { samples, estimate }));
+        Ok(())
+    }
+
+    /// Draws and denoises the next iteration, and says whether there is one more; draws nothing where there is none. After an error, the loop stands where it stood before, but
+    /// the sampler may have drawn.
+    ///
+    /// # Errors
+    /// As [`adapt`].
+    pub fn step<S: Sampler, E: From<Error> + Send>(
+        &mut self,
+        sampler: &mut S,
+        observe: &mut (impl FnMut(Event<'_>) -> std::result::Result<(), E> + Send),
+    ) -> std::result::Result<bool, E> {
+        if self.done >= self.plan.iterations {
+            return Ok(false);
+        }
+        let iteration = self.done + 1;
+        let budget = self.plan.budget(iteration);
+        let map = match &self.state {
             None => SamplingMap::uniform(sampler.extent(), budget)?,
             Some(Outcome { estimate, .. }) => {
-                let density = sampling_density(estimate, budget.into(), plan.samples_per_pixel.into())?;
-                SamplingMap::new(&density, budget.into(), plan.cap)?
+                let density = sampling_density(estimate, budget.into(), self.plan.samples_per_pixel.into())?;
+                SamplingMap::new(&density, budget.into(), self.plan.cap)?
             }
         };
-        observe(Event::Planned { iteration, map: &map, drawn: state.as_ref().map(|state| &state.samples) })?;
-        let new = draw(sampler, &map.counts, |share| observe(Event::Drawing { iteration, share }))?;
-        let samples = match state {
-            None => new,
-            Some(Outcome { mut samples, .. }) => {
-                samples.merge(&new)?;
-                samples
-            }
-        };
-        let estimate = denoise(denoiser(iteration), &samples, |share| observe(Event::Denoising { iteration, share }))?;
-        observe(Event::Finished { iteration, map: Some(&map), samples: &samples, estimate: &estimate, method: denoiser(iteration).method() })?;
-        state = Some(Outcome { samples, estimate });
+        observe(Event::Planned { iteration, map: &map, drawn: self.state.as_ref().map(|state| &state.samples) })?;
+        let mut samples = draw(sampler, &map.counts, |share| observe(Event::Drawing { iteration, share }))?;
+        if let Some(Outcome { samples: before, .. }) = &self.state {
+            let new = std::mem::replace(&mut samples, before.clone());
+            samples.merge(&new)?;
+        }
+        let estimate = self.denoise(iteration, &samples, observe)?;
+        observe(Event::Finished { iteration, map: Some(&map), samples: &samples, estimate: &estimate, method: self.denoiser(iteration).method() })?;
+        (self.done, self.state) = (iteration, Some(Outcome { samples, estimate }));
+        Ok(iteration < self.plan.iterations)
     }
-    // A plan has at least one iteration.
-    state.ok_or_else(|| Error::Cancelled.into())
+
+    fn denoise<E: From<Error>>(
+        &self,
+        iteration: u32,
+        samples: &Samples,
+        observe: &mut impl FnMut(Event<'_>) -> std::result::Result<(), E>,
+    ) -> std::result::Result<Estimate, E> {
+        let (frame, _repairs) = samples.to_frame()?;
+        let mut failed = None;
+        let mut tell = |share| observe(Event::Denoising { iteration, share });
+        let estimate = self.denoiser(iteration).denoise_with(
+            &frame,
+            Options { keep: &self.keep, progress: Some(&mut progress(&mut failed, &mut tell)), pace: self.pace.clone(), ..Options::default() },
+        );
+        estimate.map_err(|error| failed.unwrap_or_else(|| error.into()))
+    }
 }
 
 /// All samples of a plan at once and evenly, to compare the loop with.
@@ -219,14 +317,6 @@ fn draw<S: Sampler, E: From<Error> + Send>(
     let mut failed = None;
     let drawn = sampler.sample(counts, Some(&mut progress(&mut failed, tell)));
     drawn.map_err(|error| failed.unwrap_or_else(|| error.into()))
-}
-
-fn denoise<E: From<Error>>(denoiser: &Denoiser, samples: &Samples, tell: impl FnMut(f32) -> std::result::Result<(), E>) -> std::result::Result<Estimate, E> {
-    let (frame, _repairs) = samples.to_frame()?;
-    let mut failed = None;
-    let estimate =
-        denoiser.denoise_with(&frame, Options { keep: &[Intermediate::Density], progress: Some(&mut progress(&mut failed, tell)), ..Options::default() });
-    estimate.map_err(|error| failed.unwrap_or_else(|| error.into()))
 }
 
 #[cfg(test)]

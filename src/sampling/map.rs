@@ -14,6 +14,9 @@ pub struct SamplingMap {
 }
 
 impl SamplingMap {
+    /// The cap, in multiples of the average, where nothing else is asked for. Without one, a pixel whose estimate an outlier spoils can take all samples (thesis 8.6).
+    pub const DEFAULT_CAP: u32 = 8;
+
     /// Hands out `samples_per_pixel` samples on average, in proportion to `density` (one plane, in any unit, at least 0) and at most `cap` in one pixel. What a cap cuts off
     /// goes to the others in proportion; where the density is 0 everywhere, or all of it is at the cap, the rest is spread evenly. Rounding errors are carried from pixel to
     /// pixel. Same input, same map.

@@ -16,7 +16,7 @@ mod sampler;
 mod samples;
 pub mod stub;
 
-pub use adapt::{Event, Outcome, Plan, Resumed, adapt, estimated_relative_mse, uniform};
+pub use adapt::{Event, Iterations, Outcome, Plan, Resumed, adapt, estimated_relative_mse, uniform};
 pub use density::sampling_density;
 pub use map::SamplingMap;
 pub use map_file::MapFile;

@@ -1,29 +1,39 @@
 //! The window: where the panels are, and what keys, messages and files do.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::task::Poll;
 
-use eframe::egui::{self, Align, CentralPanel, Color32, Context, Frame as Margins, Layout, Panel as SidePanel, RichText, Ui};
+use eframe::egui::{
+    self, Align, CentralPanel, Color32, Context, FontDefinitions, FontFamily, Frame as Margins, Layout, Panel as SidePanel, RichText, Ui, Vec2, ViewportCommand,
+};
 use eframe::wgpu;
-use stein::Gpu;
+use stein::{Extent, Gpu};
 
+use crate::adaptive::{Adapted, Adaptive, Setup, Step};
 use crate::document::{Document, Source};
-use crate::files::{Dialog, Purpose, is_reference, short_name};
+use crate::edit::Edits;
+use crate::files::{Dialog, Purpose, is_reference};
+use crate::inspector::{Inspector, Question};
 use crate::layer::Layer;
 use crate::panel::{self, Panel};
+use crate::saving::{Content, Saving, Sight};
 use crate::settings::{Parameters, Settings};
 use crate::shortcut::{self, Action};
+use crate::sweep::Sweep;
 use crate::view::{Compare, Display, View, canvas};
 use crate::worker::{Reply, Request, Task, Worker};
+
+/// How long it is told that a file was written.
+const NOTICE_SECONDS: f64 = 8.0;
 
 /// What the program starts with.
 #[derive(Clone, Debug, Default)]
 pub struct Start {
     /// What to open.
     pub source: Option<Source>,
-    /// How to denoise.
-    pub parameters: Parameters,
+    /// How to denoise; `None` as remembered.
+    pub parameters: Option<Parameters>,
     /// Layer A, by its name.
     pub layer: Option<String>,
     /// Layer B, by its name.
@@ -34,6 +44,14 @@ pub struct Start {
     pub panel: Panel,
     /// The pixel that is kept.
     pub pixel: Option<[u32; 2]>,
+    /// Closes the window after so many frames, counted from when nothing is at work any more.
+    pub exit_after_frames: Option<u32>,
+    /// An adaptive loop to start, in place of a file to open.
+    pub adapt: Option<Setup>,
+    /// Whether error is measured against run time once the frame is open.
+    pub sweeps: bool,
+    /// Of its neighbours the one that the kernel's panel explains, as an offset.
+    pub neighbour: Option<[i32; 2]>,
 }
 
 /// The window's state. Panels read and change it; what takes time goes to the worker.
@@ -48,21 +66,40 @@ pub struct Viewer {
     pub view: View,
     /// How is denoised.
     pub parameters: Parameters,
+    /// The adaptive loop.
+    pub adaptive: Adaptive,
+    /// Changes of the parameters that contradict them.
+    pub edits: Edits,
+    /// Error against run time.
+    pub sweep: Sweep,
     /// What is remembered.
     pub settings: Settings,
     /// The panel at the right.
     pub panel: Panel,
+    /// Which neighbours made a pixel.
+    pub inspector: Inspector,
     /// Whether the help is shown.
     pub shows_help: bool,
     /// What went wrong, until it is dismissed.
     pub trouble: Option<(Task, stein::Error)>,
     /// What the worker is at, and how much of it is done.
     pub progress: Option<(Task, f32)>,
+    /// Where a panel that was shown by its own key goes back to.
+    pub panel_before: Panel,
     /// Whether the strip is to be moved to layer A.
     pub scrolls_to_layer: bool,
+    /// What the last file that was written has to tell, or why it was not, and when that was, in seconds.
+    pub notice: Option<(stein::Result<String>, f64)>,
     /// Whether a run was given up for a file that is being read.
     interrupted: bool,
+    /// Frames until the window closes by itself.
+    frames_left: Option<u32>,
+    /// Whether a sweep follows when the frame is open.
+    sweeps: bool,
     dialog: Option<Dialog>,
+    savings: Vec<Saving>,
+    /// Size of the canvas, in points.
+    canvas: Vec2,
     format: wgpu::TextureFormat,
 }
 
@@ -72,35 +109,44 @@ impl Viewer {
     /// # Errors
     /// As [`Worker::start`].
     pub fn new(context: &Context, gpu: &Gpu, format: wgpu::TextureFormat, settings: Settings, start: Start) -> stein::Result<Self> {
-        context.all_styles_mut(|style| {
-            // Text on panels is read, not only glanced at.
-            let visuals = &mut style.visuals;
-            visuals.widgets.noninteractive.fg_stroke.color = if visuals.dark_mode { Color32::from_gray(205) } else { Color32::from_gray(50) };
-            visuals.error_fg_color = if visuals.dark_mode { Color32::from_rgb(255, 120, 110) } else { Color32::from_rgb(170, 0, 0) };
-            visuals.weak_text_alpha = 0.75;
-        });
+        set_style(context);
+        let remembered = settings.parameters.as_deref().and_then(|text| Parameters::from_toml(text).ok());
         let mut viewer = Self {
             gpu: gpu.clone(),
             worker: Worker::start(gpu, context)?,
             document: None,
             view: View::new(settings.display.clone()),
-            parameters: start.parameters,
+            adaptive: Adaptive::default(),
+            parameters: start.parameters.or(remembered).unwrap_or_default(),
+            edits: Edits::default(),
+            sweep: Sweep::default(),
             settings,
             panel: start.panel,
+            inspector: Inspector::default(),
             shows_help: false,
             trouble: None,
             progress: None,
+            panel_before: Panel::Display,
             scrolls_to_layer: true,
+            notice: None,
             interrupted: false,
+            frames_left: start.exit_after_frames,
+            sweeps: start.sweeps,
             dialog: None,
+            savings: Vec::new(),
+            canvas: Vec2::ZERO,
             format,
         };
         if let Some(layer) = start.layer {
             viewer.view.layer = layer;
         }
+        viewer.inspector.kept = start.neighbour;
         (viewer.view.other, viewer.view.compare, viewer.view.pinned) = (start.other, start.compare, start.pixel);
         if let Some(source) = start.source {
             viewer.open(source);
+        } else if let Some(setup) = start.adapt {
+            viewer.adaptive.setup = setup;
+            viewer.adapt();
         }
         Ok(viewer)
     }
@@ -118,7 +164,10 @@ impl Viewer {
     /// Reads a file; what is open stays until that is done.
     pub fn open(&mut self, source: Source) {
         self.interrupted |= matches!(self.progress, Some((Task::Denoise, _)));
+        self.adaptive.is_running = false;
         self.progress = Some((Task::Open, 0.0));
+        self.sweep.is_running = false;
+        self.inspector.forget_question();
         self.worker.send(Request::Open(source));
     }
 
@@ -130,9 +179,98 @@ impl Viewer {
         self.worker.send(Request::Denoise { frame, reference, method: self.parameters.method });
     }
 
+    /// Ends the sweep and forgets it, for another frame.
+    fn forget_sweep(&mut self) {
+        self.worker.cancel(Task::Sweep);
+        self.progress.take_if(|(task, _)| *task == Task::Sweep);
+        self.sweep.clear();
+    }
+
+    /// Starts the adaptive loop on a built-in scene.
+    pub fn adapt(&mut self) {
+        (self.progress, self.interrupted) = (Some((Task::Adapt, 0.0)), false);
+        self.forget_sweep();
+        self.inspector.forget_question();
+        self.trouble.take_if(|(task, _)| *task == Task::Adapt);
+        let adaptive = self.adaptive.start(self.parameters.method);
+        self.worker.send(Request::Adapt(Box::new(adaptive)));
+    }
+
+    /// Ends the adaptive loop; its iterations stay.
+    pub fn stop_adapting(&mut self) {
+        self.adaptive.is_running = false;
+        self.progress.take_if(|(task, _)| *task == Task::Adapt);
+        self.worker.cancel(Task::Adapt);
+    }
+
+    /// Opens an iteration of the adaptive loop. Where it is not the newest one, those that come are no longer shown by themselves.
+    pub fn show_iteration(&mut self, number: u32, context: &Context) {
+        let Some(document) = self.adaptive.document(number) else { return };
+        // What is at work on the frame that was open would come out as this one's.
+        self.worker.cancel(Task::Denoise);
+        self.progress.take_if(|(task, _)| *task == Task::Denoise);
+        self.forget_sweep();
+        self.adaptive.shown = Some(number);
+        self.adaptive.follows = self.adaptive.iterations.last().is_some_and(|last| last.number == number);
+        context.send_viewport_cmd(ViewportCommand::Title(title(Some(&document.opened.name))));
+        self.inspector.clear();
+        self.document = Some(document);
+    }
+
+    fn take_adapted(&mut self, Adapted { step, is_last }: Adapted, context: &Context) {
+        self.adaptive.is_running = !is_last;
+        if is_last {
+            self.progress = None;
+        }
+        match step {
+            Step::Iteration(iteration) => {
+                let number = iteration.number;
+                self.adaptive.iterations.push(*iteration);
+                if number == 1 {
+                    (self.view.camera.fits, self.scrolls_to_layer, self.trouble) = (true, true, None);
+                    self.view.display.scales.clear();
+                }
+                if self.adaptive.follows {
+                    self.show_iteration(number, context);
+                }
+            }
+            Step::Reference(reference) => {
+                self.adaptive.compare(&reference);
+                if let Some(document) = self.document.as_mut().filter(|_| self.adaptive.shown.is_some()) {
+                    document.compare(&reference);
+                }
+            }
+        }
+        if self.view.other.is_none() {
+            self.compare(self.view.compare);
+        }
+    }
+
+    /// Denoises with other parameters from now on.
+    pub fn take_parameters(&mut self, parameters: Parameters) {
+        self.edits.clear();
+        if self.parameters != parameters {
+            self.parameters = parameters;
+            self.run();
+        }
+    }
+
+    /// Starts to measure error against run time, or ends that.
+    fn toggle_sweep(&mut self) {
+        let Some(document) = &self.document else { return };
+        if self.sweep.is_running {
+            self.worker.cancel(Task::Sweep);
+            self.sweep.is_running = false;
+            self.progress.take_if(|(task, _)| *task == Task::Sweep);
+            return;
+        }
+        let (frame, reference) = (document.opened.frame.clone(), document.opened.reference.clone());
+        self.worker.send(Request::Sweep { frame, reference, runs: self.sweep.start(self.parameters), next: 0 });
+    }
+
     /// Whether nothing is at work and nothing waits to be told.
     pub fn is_idle(&self) -> bool {
-        self.progress.is_none() && self.worker.busy().is_none()
+        self.progress.is_none() && !self.sweep.is_running && self.savings.is_empty() && !self.inspector.waits() && self.worker.busy().is_none()
     }
 
     /// The layer A; the first one where there is none of that name.
@@ -161,6 +299,13 @@ impl Viewer {
         match action {
             Action::Open => self.ask(Purpose::Input, context),
             Action::OpenReference => self.ask(Purpose::Reference, context),
+            Action::OpenParameters => self.ask(Purpose::Parameters, context),
+            Action::SaveView => self.ask(Purpose::SaveView, context),
+            Action::SaveLayer => self.ask(Purpose::SaveLayer, context),
+            Action::SaveResult => self.ask(Purpose::SaveResult, context),
+            Action::SaveParameters => self.ask(Purpose::SaveParameters, context),
+            Action::ResetParameters => self.take_parameters(self.parameters.reset()),
+            Action::Sweep => self.toggle_sweep(),
             Action::Run => self.run(),
             Action::Cancel => self.cancel(),
             Action::StepLayer(step) => self.step_layer(step),
@@ -190,19 +335,30 @@ impl Viewer {
             }
             Action::Zoom(factor) => self.view.camera.magnify(factor),
             Action::Panel(panel) => self.panel = panel,
+            Action::StepIteration(step) => {
+                let number = self.adaptive.shown.and_then(|shown| shown.checked_add_signed(step));
+                number.into_iter().for_each(|number| self.show_iteration(number, context));
+            }
+            Action::TogglePanel(panel) if self.panel == panel => self.panel = self.panel_before,
+            Action::TogglePanel(panel) => self.panel_before = std::mem::replace(&mut self.panel, panel),
+            Action::ToggleFollow => self.inspector.follows = !self.inspector.follows,
+            Action::MovePixel(by) => self.move_pixel(by),
+            Action::ToggleSharedScale => self.view.display.shares_scale = !self.view.display.shares_scale,
             Action::ToggleTheme => context.set_theme(if context.theme() == egui::Theme::Dark { egui::Theme::Light } else { egui::Theme::Dark }),
             Action::Help => self.shows_help = !self.shows_help,
         }
     }
 
     fn cancel(&mut self) {
-        if self.trouble.take().is_some() {
+        if self.trouble.take().is_some() || self.notice.take_if(|(notice, _)| notice.is_err()).is_some() {
             return;
         }
         if std::mem::take(&mut self.shows_help) {
             return;
         }
         match self.progress.take() {
+            Some((Task::Adapt, _)) => self.stop_adapting(),
+            Some((Task::Sweep, _)) => self.toggle_sweep(),
             Some((task, _)) => self.worker.cancel(task),
             None => self.view.pinned = None,
         }
@@ -218,26 +374,122 @@ impl Viewer {
         }
     }
 
+    /// From the middle of the image where none is chosen.
+    fn move_pixel(&mut self, by: [i32; 2]) {
+        let Some(document) = &self.document else { return };
+        let Extent { width, height } = document.opened.frame.extent();
+        let [x, y] = self.view.chosen().unwrap_or([width / 2, height / 2]);
+        self.view.pinned = Some([x.saturating_add_signed(by[0]).min(width - 1), y.saturating_add_signed(by[1]).min(height - 1)]);
+        self.view.reveals_pinned = true;
+    }
+
     fn ask(&mut self, purpose: Purpose, context: &Context) {
         if self.dialog.is_none() {
-            let beside = self.document.as_ref().map(|document| document.opened.source.input.as_path());
-            self.dialog = Dialog::open(purpose, beside, context);
+            let source = self.document.as_ref().and_then(|document| document.opened.source.as_ref());
+            let beside = source.map(|source| source.input.as_path());
+            self.dialog = Dialog::open(purpose, beside, &self.name_for(purpose), context);
         }
     }
 
-    /// Opens a file, or adds it to what is open as its reference.
-    pub fn take_file(&mut self, purpose: Purpose, path: PathBuf) {
+    /// What a file to write is called, unless it is called otherwise; without an ending.
+    fn name_for(&self, purpose: Purpose) -> String {
+        let input = self.document.as_ref().map_or("stein", |document| &document.opened.name);
+        let input = input.strip_suffix(".exr").unwrap_or(input);
+        match purpose {
+            Purpose::SaveResult => format!("{input}.denoised"),
+            Purpose::SaveParameters => self.parameters.method.name().to_owned(),
+            Purpose::SaveLayer => format!("{input}.{}", self.view.layer),
+            _ => format!("{input}.view"),
+        }
+    }
+
+    /// Does with a file what it was asked for.
+    pub fn take_file(&mut self, purpose: Purpose, path: PathBuf, context: &Context) {
         match (purpose, &self.document) {
             (Purpose::Input, _) => self.open(Source { input: path, reference: None }),
-            (Purpose::Reference, Some(document)) => {
-                let source = Source { reference: Some(path), ..document.opened.source.clone() };
-                self.open(source);
-            }
-            (Purpose::Reference, None) => {
-                let (problem, remedy) = ("a reference is compared with a frame".into(), "open the frame first".into());
-                self.trouble = Some((Task::Open, stein::Error::Request { problem, remedy }));
+            (Purpose::Reference, document) => match document.as_ref().map(|document| &document.opened.source) {
+                Some(Some(source)) => self.open(Source { reference: Some(path), ..source.clone() }),
+                Some(None) => self.refuse("a frame that was rendered here is compared with a reference of the same scene", "let one be drawn (panel Sampling)"),
+                None => self.refuse("a reference is compared with a frame", "open the frame first"),
+            },
+            (Purpose::Parameters, _) => match Parameters::read(&path) {
+                Ok(parameters) => self.take_parameters(parameters),
+                Err(error) => self.tell(Err(error), context),
+            },
+            (Purpose::SaveView | Purpose::SaveLayer | Purpose::SaveResult | Purpose::SaveParameters, _) => {
+                let saving = self.content(purpose, &path, context).and_then(|content| Saving::start(&self.gpu, content, path, context));
+                match saving {
+                    Ok(saving) => self.savings.push(saving),
+                    Err(error) => self.tell(Err(error), context),
+                }
             }
         }
+    }
+
+    fn refuse(&mut self, problem: &str, remedy: &str) {
+        self.trouble = Some((Task::Open, stein::Error::Request { problem: problem.into(), remedy: remedy.into() }));
+    }
+
+    /// What is to be saved.
+    fn content(&self, purpose: Purpose, path: &Path, context: &Context) -> stein::Result<Content> {
+        let missing = |what: &str| stein::Error::Request { problem: format!("there is no {what} to save"), remedy: "open a file and wait for the run".into() };
+        let layer = || self.layer().cloned().ok_or_else(|| missing("image"));
+        match purpose {
+            Purpose::SaveParameters => Ok(Content::Parameters(self.parameters)),
+            Purpose::SaveLayer => Ok(Content::Layer(layer()?, self.view.display.clone())),
+            Purpose::SaveResult => {
+                let document = self.document.as_ref().ok_or_else(|| missing("result"))?;
+                let denoised = document.denoised.as_ref().ok_or_else(|| missing("result"))?;
+                let source = document.opened.source.as_ref();
+                let same = |other: &Path| path.canonicalize().is_ok_and(|path| other.canonicalize().is_ok_and(|other| path == other));
+                if source.is_some_and(|Source { input, reference }| same(input) || reference.as_deref().is_some_and(same)) {
+                    return Err(stein::Error::File {
+                        path: path.to_owned(),
+                        problem: "is open here, and would be replaced".into(),
+                        remedy: "choose another name".into(),
+                    });
+                }
+                Ok(Content::Result { input: source.map(|source| source.input.clone()), estimate: denoised.estimate.clone(), method: denoised.method })
+            }
+            _ => {
+                let View { compare, wipe, camera, display, pinned, marked, .. } = &self.view;
+                Ok(Content::View(Box::new(Sight {
+                    layer: layer()?,
+                    other: self.other().cloned(),
+                    compare: *compare,
+                    wipe: *wipe,
+                    camera: *camera,
+                    display: display.clone(),
+                    pinned: *pinned,
+                    marked: *marked,
+                    size: self.canvas,
+                    scale: context.pixels_per_point(),
+                    theme: context.theme(),
+                })))
+            }
+        }
+    }
+
+    fn tell(&mut self, notice: stein::Result<String>, context: &Context) {
+        self.notice = Some((notice, context.input(|input| input.time)));
+        context.request_repaint_after_secs(NOTICE_SECONDS as f32);
+    }
+
+    /// Tells of files that were written, and no longer of what was told long ago.
+    fn take_savings(&mut self, context: &Context) {
+        let answers: Vec<_> = self.savings.iter().map(Saving::answer).collect();
+        let mut answers = answers.into_iter();
+        let mut done = Vec::new();
+        self.savings.retain(|_| match answers.next() {
+            Some(Poll::Ready(answer)) => {
+                done.push(answer);
+                false
+            }
+            _ => true,
+        });
+        done.into_iter().for_each(|answer| self.tell(answer, context));
+        let now = context.input(|input| input.time);
+        self.notice.take_if(|(notice, told)| notice.is_ok() && now > *told + NOTICE_SECONDS);
     }
 
     /// Files that were dropped on the window: one whose name says so is the reference of the other, or of what is open.
@@ -246,18 +498,24 @@ impl Viewer {
         let (references, inputs): (Vec<_>, Vec<_>) = dropped.into_iter().partition(|path| is_reference(path));
         match (inputs.into_iter().next(), references.into_iter().next()) {
             (Some(input), reference) => self.open(Source { input, reference }),
-            (None, Some(reference)) if self.document.is_some() => self.take_file(Purpose::Reference, reference),
+            (None, Some(reference)) if self.document.is_some() => self.take_file(Purpose::Reference, reference, context),
             (None, Some(input)) => self.open(Source { input, reference: None }),
             (None, None) => {}
         }
     }
 
-    fn take_replies(&mut self) {
+    fn take_replies(&mut self, context: &Context) {
         for reply in self.worker.replies() {
             match reply {
                 Reply::Progress(task, share) => self.progress = Some((task, share)),
                 Reply::Opened(opened) => {
-                    self.settings.remember(&opened.source);
+                    opened.source.iter().for_each(|source| self.settings.remember(source));
+                    self.adaptive.clear();
+                    context.send_viewport_cmd(ViewportCommand::Title(title(Some(&opened.name))));
+                    if self.document.is_some() {
+                        self.inspector.kept = None;
+                    }
+                    self.inspector.clear();
                     self.view.camera.fits = true;
                     if self.document.is_some() {
                         self.view.pinned = None;
@@ -268,18 +526,35 @@ impl Viewer {
                     if self.view.other.is_none() {
                         self.compare(self.view.compare);
                     }
+                    self.forget_sweep();
                     self.run();
+                    if std::mem::take(&mut self.sweeps) {
+                        self.toggle_sweep();
+                    }
+                }
+                Reply::Swept(point) => {
+                    self.sweep.add(*point);
+                    self.progress.take_if(|(task, _)| *task == Task::Sweep && !self.sweep.is_running);
+                }
+                Reply::Inspected(inspected) => self.inspector.take(*inspected),
+                Reply::Failed(Task::Inspect, error) => {
+                    self.inspector.give_up();
+                    self.trouble = Some((Task::Inspect, error));
                 }
                 Reply::Denoised(denoised) => {
                     self.progress = None;
+                    self.adaptive.follows = false;
                     self.trouble.take_if(|(task, _)| *task == Task::Denoise);
                     if let Some(document) = &mut self.document {
                         document.add(*denoised);
                     }
                 }
+                Reply::Adapted(adapted) => self.take_adapted(*adapted, context),
                 Reply::Failed(task, error) => {
                     self.progress = None;
+                    self.adaptive.is_running &= task != Task::Adapt;
                     self.trouble = Some((task, error));
+                    self.sweep.is_running &= task != Task::Sweep;
                     if task == Task::Open && std::mem::take(&mut self.interrupted) {
                         self.run();
                     }
@@ -288,19 +563,38 @@ impl Viewer {
         }
     }
 
-    fn take_dialog(&mut self) {
+    fn take_dialog(&mut self, context: &Context) {
         let Some(Poll::Ready(answer)) = self.dialog.as_ref().map(Dialog::answer) else { return };
         self.dialog = None;
         if let Some((purpose, path)) = answer {
-            self.take_file(purpose, path);
+            self.take_file(purpose, path, context);
         }
     }
 
     /// Takes in what the worker told, and files that were chosen or dropped.
     pub fn poll(&mut self, context: &Context) {
-        self.take_replies();
-        self.take_dialog();
+        self.take_replies(context);
+        self.take_dialog(context);
+        self.take_savings(context);
         self.take_dropped(context);
+        self.inspect(context);
+    }
+
+    /// Asks for the kernels of the pixel that is to be explained, where they are not there yet.
+    fn inspect(&mut self, context: &Context) {
+        let run = self.document.as_ref().and_then(|document| Some((document, document.denoised.as_ref()?)));
+        let Some((document, denoised)) = run.filter(|_| self.panel == Panel::Kernel) else { return };
+        let is_followed = self.inspector.follows || context.input(|input| input.modifiers.command);
+        let View { pinned, hovered, .. } = self.view;
+        let pixel = if is_followed { hovered.or(pinned) } else { pinned };
+        let Extent { width, height } = document.opened.frame.extent();
+        let Some(pixel) = pixel.filter(|[x, y]| *x < width && *y < height) else { return };
+        let question = Question { frame: document.opened.frame.clone(), method: denoised.method, pixel };
+        // Of a pointer that moves on and on, each pixel would cancel the one before.
+        if self.inspector.asks(&question) && (pinned == Some(pixel) || !self.inspector.waits()) {
+            self.inspector.asked(question.clone());
+            self.worker.send(Request::Inspect(question));
+        }
     }
 
     /// The whole window.
@@ -320,13 +614,14 @@ impl Viewer {
     }
 
     fn show_canvas(&mut self, ui: &mut Ui) {
-        if let Some(trouble) = self.trouble.as_ref().map(|(_, error)| error.to_string()) {
-            self.show_trouble(ui, &trouble);
-        }
+        let failures = [self.trouble.as_ref().map(|(_, error)| error), self.notice.as_ref().and_then(|(notice, _)| notice.as_ref().err())];
+        let failures: Vec<_> = failures.into_iter().flatten().map(ToString::to_string).collect();
+        failures.iter().for_each(|failure| self.show_trouble(ui, failure));
+        self.view.marked = if self.panel == Panel::Kernel { self.inspector.marked() } else { None };
         let (layer, other) = (self.layer().cloned(), self.other().cloned());
         match layer {
             Some(layer) => {
-                canvas::show(ui, &mut self.view, &layer, other.as_deref());
+                self.canvas = canvas::show(ui, &mut self.view, &layer, other.as_deref()).rect.size();
             }
             None => self.show_welcome(ui),
         }
@@ -338,7 +633,7 @@ impl Viewer {
             ui.horizontal_top(|ui| {
                 ui.with_layout(Layout::right_to_left(Align::TOP), |ui| {
                     if ui.button("Dismiss").clicked() {
-                        self.trouble = None;
+                        (self.trouble, self.notice) = (None, None);
                     }
                     ui.with_layout(Layout::top_down(Align::LEFT), |ui| {
                         ui.label(RichText::new(problem).color(ui.visuals().error_fg_color));
@@ -377,16 +672,42 @@ impl Viewer {
 impl eframe::App for Viewer {
     fn ui(&mut self, ui: &mut Ui, _frame: &mut eframe::Frame) {
         self.show(ui);
+        if let Some(frames_left) = &mut self.frames_left {
+            if self.progress.is_none() {
+                *frames_left = frames_left.saturating_sub(1);
+            }
+            if *frames_left == 0 {
+                ui.ctx().send_viewport_cmd(egui::ViewportCommand::Close);
+            }
+            ui.ctx().request_repaint();
+        }
     }
 
     fn save(&mut self, storage: &mut dyn eframe::Storage) {
         let display = Display { scales: Default::default(), ..self.view.display.clone() };
         self.settings.display = display;
+        self.settings.parameters = Some(self.parameters.to_toml());
         eframe::set_value(storage, Settings::KEY, &self.settings);
     }
 }
 
+/// How the window looks, dark and light.
+pub fn set_style(context: &Context) {
+    let mut fonts = FontDefinitions::default();
+    // It has the mathematical signs that the other font lacks.
+    let [proportional, monospace] = [FontFamily::Proportional, FontFamily::Monospace].map(|family| fonts.families.get(&family).cloned().unwrap_or_default());
+    fonts.families.insert(FontFamily::Proportional, proportional.into_iter().chain(monospace).collect());
+    context.set_fonts(fonts);
+    context.all_styles_mut(|style| {
+        // Text on panels is read, not only glanced at.
+        let visuals = &mut style.visuals;
+        visuals.widgets.noninteractive.fg_stroke.color = if visuals.dark_mode { Color32::from_gray(205) } else { Color32::from_gray(50) };
+        visuals.error_fg_color = if visuals.dark_mode { Color32::from_rgb(255, 120, 110) } else { Color32::from_rgb(170, 0, 0) };
+        visuals.weak_text_alpha = 0.75;
+    });
+}
+
 /// What a window is called.
-pub fn title(source: Option<&Source>) -> String {
-    source.map_or_else(|| "Stein".into(), |source| format!("{} - Stein", short_name(&source.input)))
+pub fn title(name: Option<&str>) -> String {
+    name.map_or_else(|| "Stein".into(), |name| format!("{name} - Stein"))
 }

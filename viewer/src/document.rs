@@ -12,8 +12,11 @@ use stein::{Estimate, Frame, Image, Method, metric};
 
 use crate::layer::{Description, Group, Kind, Layer};
 
-pub use inputs::input_layers;
+pub use inputs::{drawn_layer, input_layers};
 pub use outputs::output_layers;
+
+use inputs::reference_layer;
+use outputs::true_error_layer;
 
 /// What to open.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -24,11 +27,13 @@ pub struct Source {
     pub reference: Option<PathBuf>,
 }
 
-/// What was read, before any run.
-#[derive(Debug)]
+/// What was read or rendered, before any run.
+#[derive(Clone, Debug)]
 pub struct Opened {
-    /// Where it comes from.
-    pub source: Source,
+    /// The file that it comes from; `None` of what was rendered here.
+    pub source: Option<Source>,
+    /// What people call it.
+    pub name: String,
     /// What is denoised.
     pub frame: Arc<Frame>,
     /// What had to be changed to make the frame.
@@ -42,18 +47,20 @@ pub struct Opened {
 }
 
 /// What a run has made.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct Denoised {
     /// With which parameters.
     pub method: Method,
     /// What is known of the true image. Its layers have become [`Denoised::layers`].
-    pub estimate: Estimate,
+    pub estimate: Arc<Estimate>,
     /// What would be done where only the result and its error are wanted.
     pub lean_plan: Plan,
     /// From the request to the estimate, on the clock.
     pub seconds: f64,
     /// Relative MSE against the reference.
     pub error: Option<f64>,
+    /// The same as the error estimate has it.
+    pub estimated_error: Option<f64>,
     /// What it made, to be looked at.
     pub layers: Vec<Arc<Layer>>,
 }
@@ -67,6 +74,8 @@ pub struct Run {
     pub seconds: f64,
     /// Relative MSE against the reference.
     pub error: Option<f64>,
+    /// The same as the error estimate has it.
+    pub estimated_error: Option<f64>,
 }
 
 /// What is open.
@@ -81,6 +90,24 @@ pub struct Document {
     layers: Vec<Arc<Layer>>,
 }
 
+impl Opened {
+    /// Takes over a reference that was not there before.
+    pub fn compare(&mut self, reference: &Arc<Image>) {
+        self.noisy_error = relative_mse(&self.frame.color().mean, Some(reference));
+        self.layers.push(reference_layer(reference));
+        self.reference = Some(reference.clone());
+    }
+}
+
+impl Denoised {
+    /// Takes over a reference that was not there before.
+    pub fn compare(&mut self, reference: &Arc<Image>) {
+        self.error = relative_mse(&self.estimate.color, Some(reference));
+        let scale = self.layers.iter().find(|layer| layer.name() == "error").map(|layer| layer.range);
+        self.layers.push(true_error_layer(&self.estimate, reference, scale));
+    }
+}
+
 impl Document {
     /// What was read, without a run.
     pub fn new(opened: Opened) -> Self {
@@ -92,8 +119,8 @@ impl Document {
 
     /// Takes over what a run has made. The result before stays as a layer to compare with.
     pub fn add(&mut self, denoised: Denoised) {
-        let Denoised { method, seconds, error, .. } = denoised;
-        self.history.push(Run { method, seconds, error });
+        let Denoised { method, seconds, error, estimated_error, .. } = denoised;
+        self.history.push(Run { method, seconds, error, estimated_error });
         self.layers = self.opened.layers.iter().chain(&denoised.layers).cloned().collect();
         let before = self.denoised.as_ref().and_then(|denoised| denoised.layers.iter().find(|layer| layer.name() == "result"));
         if let Some(before) = before {
@@ -102,6 +129,18 @@ impl Document {
             self.layers.push(Arc::new(before.renamed(description)));
         }
         self.denoised = Some(denoised);
+        self.sort();
+    }
+
+    /// Takes over a reference that was not there before.
+    pub fn compare(&mut self, reference: &Arc<Image>) {
+        let before = self.layer("before").cloned();
+        self.opened.compare(reference);
+        if let Some(denoised) = &mut self.denoised {
+            denoised.compare(reference);
+        }
+        let made = self.denoised.iter().flat_map(|denoised| &denoised.layers);
+        self.layers = self.opened.layers.iter().chain(made).cloned().chain(before).collect();
         self.sort();
     }
 

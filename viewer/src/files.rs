@@ -13,6 +13,51 @@ pub enum Purpose {
     Input,
     /// To compare with.
     Reference,
+    /// Parameters to denoise with.
+    Parameters,
+    /// For what the canvas shows.
+    SaveView,
+    /// For the layer A at its own size.
+    SaveLayer,
+    /// For the denoised frame.
+    SaveResult,
+    /// For the parameters in use.
+    SaveParameters,
+}
+
+impl Purpose {
+    /// What the dialog is called.
+    fn title(self) -> &'static str {
+        match self {
+            Self::Input => "Open a buffer set",
+            Self::Reference => "Open a reference",
+            Self::Parameters => "Load parameters",
+            Self::SaveView => "Save the view",
+            Self::SaveLayer => "Save the layer",
+            Self::SaveResult => "Save the result",
+            Self::SaveParameters => "Save the parameters",
+        }
+    }
+
+    /// The format, and the ending of its files.
+    fn format(self) -> (&'static str, &'static str) {
+        match self {
+            Self::Input | Self::Reference | Self::SaveResult => ("OpenEXR", "exr"),
+            Self::SaveView | Self::SaveLayer => ("PNG", "png"),
+            Self::Parameters | Self::SaveParameters => ("TOML", "toml"),
+        }
+    }
+
+    /// Whether a file is written.
+    fn saves(self) -> bool {
+        matches!(self, Self::SaveView | Self::SaveLayer | Self::SaveResult | Self::SaveParameters)
+    }
+
+    /// A path with the ending of the format, where it has none.
+    #[must_use]
+    pub fn with_ending(self, path: PathBuf) -> PathBuf {
+        if path.extension().is_none() { path.with_extension(self.format().1) } else { path }
+    }
 }
 
 /// A dialog that is open.
@@ -23,14 +68,12 @@ pub struct Dialog {
 }
 
 impl Dialog {
-    /// Opens a dialog in the folder of `beside`. `None` where the system gives no thread.
-    pub fn open(purpose: Purpose, beside: Option<&Path>, context: &Context) -> Option<Self> {
+    /// Opens a dialog in the folder of `beside`, where a file to write is to be called `name`. `None` where the system gives no thread.
+    pub fn open(purpose: Purpose, beside: Option<&Path>, name: &str, context: &Context) -> Option<Self> {
         let (sender, answer) = channel();
-        let title = match purpose {
-            Purpose::Input => "Open a buffer set",
-            Purpose::Reference => "Open a reference",
-        };
-        let dialog = rfd::FileDialog::new().set_title(title).add_filter("OpenEXR", &["exr"]);
+        let (format, ending) = purpose.format();
+        let dialog = rfd::FileDialog::new().set_title(purpose.title()).add_filter(format, &[ending]);
+        let dialog = if purpose.saves() { dialog.set_file_name(format!("{name}.{ending}")) } else { dialog };
         let dialog = match beside.and_then(Path::parent) {
             Some(folder) => dialog.set_directory(folder),
             None => dialog,
@@ -38,7 +81,7 @@ impl Dialog {
         let context = context.clone();
         let ask = move || {
             // Where nobody waits for the answer any more, the window is closed.
-            let _ = sender.send(dialog.pick_file());
+            let _ = sender.send(if purpose.saves() { dialog.save_file().map(|path| purpose.with_ending(path)) } else { dialog.pick_file() });
             context.request_repaint();
         };
         std::thread::Builder::new().name("stein-dialog".into()).spawn(ask).ok().map(|_| Self { purpose, answer })

@@ -7,12 +7,13 @@ use clap::{Parser, ValueEnum};
 use eframe::egui::{Theme, Vec2, ViewportBuilder};
 use stein::gpu::{DeviceChoice, GpuOptions};
 use stein::{Error, Gpu, Preset};
+use stein_viewer::adaptive::Setup;
 use stein_viewer::document::Source;
 use stein_viewer::panel::Panel;
 use stein_viewer::screenshot::{self, Shot};
 use stein_viewer::settings::Parameters;
 use stein_viewer::view::Compare;
-use stein_viewer::{Start, Viewer, app, device};
+use stein_viewer::{Start, Viewer, app, device, files, sweep};
 
 const AFTER_HELP: &str = "\
 Exit codes: 0 done, 2 wrong usage, 3 an input file or layer cannot be used, 4 no device, or one that cannot show a window, 5 the picture cannot be written, 1 anything else.
@@ -24,18 +25,25 @@ Example:
 /// Looks inside a denoised frame: candidates, selection, estimated error, sampling density.
 #[derive(Debug, Parser)]
 #[command(name = "stein-viewer", version, after_help = AFTER_HELP)]
+#[command(group = clap::ArgGroup::new("shown").args(["file", "adapt"]).multiple(false))]
 struct Args {
     /// OpenEXR file with the noisy image, its halves or variance, and features
     file: Option<PathBuf>,
     /// The true image, to compare with
     #[arg(long, value_name = "FILE", requires = "file")]
     reference: Option<PathBuf>,
-    /// Method
-    #[arg(long, value_enum, default_value = "dfc")]
-    method: MethodName,
-    /// Parameters
-    #[arg(long, value_enum, default_value = "default")]
-    preset: PresetName,
+    /// Samples a built-in scene adaptively in place of opening a file: soft, dof, motion, caustic, texture or spikes
+    #[arg(long, value_name = "SCENE", conflicts_with = "file")]
+    adapt: Option<String>,
+    /// Method [default: that of --params, or what was used last; of a screenshot dfc]
+    #[arg(long, value_enum)]
+    method: Option<MethodName>,
+    /// Parameters [default: that of --params, or what was used last; of a screenshot default]
+    #[arg(long, value_enum)]
+    preset: Option<PresetName>,
+    /// TOML file with method, preset and parameters, such as `stein params` writes
+    #[arg(long, value_name = "FILE")]
+    params: Option<PathBuf>,
     /// Of dfc and nlm: radius of the window that is averaged over, in pixels [default: 10]
     #[arg(long, value_name = "PIXELS")]
     radius: Option<u32>,
@@ -57,8 +65,14 @@ struct Args {
     /// A pixel to keep chosen, from 0 at the upper left
     #[arg(long, value_name = "X,Y", value_parser = pixel)]
     pixel: Option<[u32; 2]>,
+    /// Measures error against run time, over radii and presets: the plot's panel shows it
+    #[arg(long, requires = "file")]
+    sweep: bool,
+    /// With --panel kernel: the neighbour of the pixel to explain, as an offset from it
+    #[arg(long, value_name = "DX,DY", value_parser = offset, requires = "pixel", allow_hyphen_values = true)]
+    neighbour: Option<[i32; 2]>,
     /// Writes a picture of the window as PNG, without opening one
-    #[arg(long, value_name = "FILE", requires = "file")]
+    #[arg(long, value_name = "FILE", requires = "shown")]
     screenshot: Option<PathBuf>,
     /// Size of the window, in points
     #[arg(long, value_name = "WIDTHxHEIGHT", default_value = "1280x720", value_parser = size)]
@@ -66,6 +80,9 @@ struct Args {
     /// Of a screenshot: pixels per point
     #[arg(long, value_name = "NUMBER", default_value_t = 1.0, requires = "screenshot", value_parser = scale)]
     scale: f32,
+    /// Closes the window after so many frames, counted from when nothing is at work any more: for tests
+    #[arg(long, value_name = "NUMBER", hide = true, conflicts_with = "screenshot")]
+    exit_after_frames: Option<u32>,
     /// Of a screenshot: dark or light
     #[arg(long, value_enum, default_value = "dark", requires = "screenshot")]
     theme: ThemeName,
@@ -81,12 +98,31 @@ enum MethodName {
     Nlm,
 }
 
+impl MethodName {
+    fn name(self) -> &'static str {
+        match self {
+            Self::Dfc => "dfc",
+            Self::Gem => "gem",
+            Self::Nlm => "nlm",
+        }
+    }
+}
+
 #[derive(Clone, Copy, Debug, ValueEnum)]
 enum PresetName {
     /// What measured best
     Default,
     /// The published algorithm to the letter
     Thesis,
+}
+
+impl PresetName {
+    fn preset(self) -> Preset {
+        match self {
+            Self::Default => Preset::Default,
+            Self::Thesis => Preset::Thesis,
+        }
+    }
 }
 
 /// As [`Compare`].
@@ -128,8 +164,14 @@ enum PanelName {
     Parameters,
     /// All values of a pixel
     Pixel,
+    /// Which neighbours made a pixel, and why
+    Kernel,
     /// What ran and what was left out
     Report,
+    /// Error against run time
+    Plot,
+    /// The adaptive loop on a built-in scene
+    Sampling,
 }
 
 impl PanelName {
@@ -138,7 +180,10 @@ impl PanelName {
             Self::Display => Panel::Display,
             Self::Parameters => Panel::Parameters,
             Self::Pixel => Panel::Pixel,
+            Self::Kernel => Panel::Kernel,
             Self::Report => Panel::Report,
+            Self::Plot => Panel::Plot,
+            Self::Sampling => Panel::Sampling,
         }
     }
 }
@@ -160,6 +205,11 @@ fn size(text: &str) -> Result<[f32; 2], String> {
 fn pixel(text: &str) -> Result<[u32; 2], String> {
     let place = text.split_once(',').and_then(|(x, y)| Some([x.trim().parse().ok()?, y.trim().parse().ok()?]));
     place.ok_or_else(|| "it must look like 40,30".into())
+}
+
+fn offset(text: &str) -> Result<[i32; 2], String> {
+    let offset = text.split_once(',').and_then(|(x, y)| Some([x.trim().parse().ok()?, y.trim().parse().ok()?]));
+    offset.ok_or_else(|| "it must look like -3,5".into())
 }
 
 fn scale(text: &str) -> Result<f32, String> {
@@ -211,26 +261,10 @@ fn run(args: &Args) -> Result<(), Failure> {
 }
 
 fn start(args: &Args) -> Result<Start, Failure> {
-    let method = match args.method {
-        MethodName::Dfc => "dfc",
-        MethodName::Gem => "gem",
-        MethodName::Nlm => "nlm",
-    };
-    let preset = match args.preset {
-        PresetName::Default => Preset::Default,
-        PresetName::Thesis => Preset::Thesis,
-    };
-    let mut parameters = Parameters::of(method, preset).unwrap_or_default();
-    if let Some(radius) = args.radius {
-        match parameters.radius_mut() {
-            Some(own) => *own = radius,
-            None => {
-                let message = format!("--radius is no option of the method {method}\n  remedy: leave it out, or choose another --method");
-                return Err(Failure { code: 2, message });
-            }
-        }
-        parameters.method.validate()?;
+    if args.neighbour.is_some() && args.panel.panel() != Panel::Kernel {
+        return Err(Failure { code: 2, message: "--neighbour is explained by the kernel's panel\n  remedy: add --panel kernel, or leave it out".into() });
     }
+    let parameters = parameters(args)?;
     let source = args.file.clone().map(|input| Source { input, reference: args.reference.clone() });
     Ok(Start {
         source,
@@ -240,11 +274,46 @@ fn start(args: &Args) -> Result<Start, Failure> {
         compare: args.compare.compare(),
         panel: args.panel.panel(),
         pixel: args.pixel,
+        exit_after_frames: args.exit_after_frames,
+        adapt: args.adapt.clone().map(|scene| Setup { scene, ..Setup::default() }),
+        sweeps: args.sweep,
+        neighbour: args.neighbour,
     })
 }
 
+/// What the command line says of the parameters; `None` where it says nothing.
+fn parameters(args: &Args) -> Result<Option<Parameters>, Failure> {
+    let usage = |message: String| Failure { code: 2, message };
+    let method = args.method.map(MethodName::name);
+    let preset = args.preset.map(PresetName::preset);
+    let file = args.params.as_deref().map(|path| Ok::<_, Failure>((path, Parameters::read(path)?))).transpose()?;
+    let mut parameters = match file {
+        Some((path, parameters)) => {
+            let own = [("method", parameters.method.name(), method), ("preset", parameters.preset.name(), preset.map(Preset::name))];
+            let contradicts = own.into_iter().find_map(|(key, own, given)| Some((key, own, given.filter(|given| *given != own)?)));
+            if let Some((key, own, given)) = contradicts {
+                let path = path.display();
+                return Err(usage(format!(
+                    "--{key} {given}: {path} is for {own}\n  remedy: leave the option out, or write `{key} = \"{given}\"` into the file"
+                )));
+            }
+            parameters
+        }
+        None if method.is_none() && preset.is_none() && args.radius.is_none() => return Ok(None),
+        None => Parameters::of(method.unwrap_or("dfc"), preset.unwrap_or(Preset::Default)).unwrap_or_default(),
+    };
+    if let Some(radius) = args.radius {
+        if sweep::radius(&parameters.method).is_none() {
+            let name = parameters.method.name();
+            return Err(usage(format!("--radius is no option of the method {name}\n  remedy: leave it out, or choose another --method")));
+        }
+        parameters.method = parameters.method.with_parameter("window_radius", radius)?;
+    }
+    Ok(Some(parameters))
+}
+
 fn window(args: &Args, gpu: &Gpu, start: Start) -> Result<(), Failure> {
-    let title = app::title(start.source.as_ref());
+    let title = app::title(start.source.as_ref().map(|source| files::short_name(&source.input)).as_deref());
     let viewport = ViewportBuilder::default().with_title(&title).with_inner_size(Vec2::from(args.size)).with_min_inner_size([640.0, 400.0]);
     let options = eframe::NativeOptions { viewport, wgpu_options: device::configuration(gpu)?, ..Default::default() };
     let in_window = |creation: &eframe::CreationContext| Viewer::in_window(creation, gpu, start).map(|viewer| Box::new(viewer) as Box<dyn eframe::App>);

@@ -6,10 +6,11 @@ use std::time::{Duration, Instant};
 use eframe::egui::{Context, Event, Pos2, RawInput, Rect, Theme, Ui, Vec2, ViewportId};
 use eframe::egui_wgpu::{RenderState, RendererOptions, ScreenDescriptor};
 use eframe::wgpu;
-use stein::{Error, Extent, Gpu, Result};
+use stein::{Error, Extent, Gpu, Result, aside};
 
 use crate::app::{Start, Viewer};
 use crate::device;
+use crate::inspector::cell_at;
 use crate::settings::Settings;
 
 /// Longest that a run may take before a picture is given up.
@@ -35,18 +36,19 @@ impl Picture {
         [self.rgba[first], self.rgba[first + 1], self.rgba[first + 2]]
     }
 
-    /// Writes it as PNG.
+    /// Writes it as PNG. The file appears under its name when it is complete.
     ///
     /// # Errors
     /// [`Error::File`] where it cannot be written.
     pub fn write_png(&self, path: &Path) -> Result<()> {
         let failed = |problem: String| Error::File { path: path.to_owned(), problem, remedy: "choose a folder that exists and can be written to".into() };
-        let file = std::fs::File::create(path).map_err(|error| failed(format!("cannot be made: {error}")))?;
-        let mut encoder = png::Encoder::new(std::io::BufWriter::new(file), self.extent.width, self.extent.height);
+        let mut bytes = Vec::new();
+        let mut encoder = png::Encoder::new(&mut bytes, self.extent.width, self.extent.height);
         encoder.set_color(png::ColorType::Rgba);
         encoder.set_depth(png::BitDepth::Eight);
         let written = encoder.write_header().and_then(|mut writer| writer.write_image_data(&self.rgba).and_then(|()| writer.finish()));
-        written.map_err(|error| failed(format!("cannot be written: {error}")))
+        written.map_err(|error| failed(format!("cannot be written: {error}")))?;
+        aside::write(path, &bytes).map_err(|error| failed(format!("cannot be written: {error}")))
     }
 }
 
@@ -232,6 +234,13 @@ fn check_names(viewer: &Viewer, start: &Start) -> Result<()> {
         if document.layer(name).is_none() {
             let names: Vec<_> = document.layers().iter().map(|layer| layer.name()).collect();
             return Err(request(format!("there is no layer '{name}'\n  remedy: choose one of {}", names.join(", "))));
+        }
+    }
+    if let Some([dx, dy]) = start.neighbour {
+        let inspected = viewer.inspector.inspected.as_ref();
+        let is_there = inspected.is_some_and(|inspected| viewer.inspector.shown(inspected).is_some_and(|(filter, _)| cell_at(filter, [dx, dy]).is_some()));
+        if !is_there {
+            return Err(request(format!("the window has no neighbour ({dx}, {dy}) in the image\n  remedy: choose an offset within the radius of the window")));
         }
     }
     let extent = document.opened.frame.extent();

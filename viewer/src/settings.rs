@@ -3,7 +3,8 @@
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
-use stein::{DfcParams, GemParams, Method, NlmParams, Preset};
+use stein::parameters::{Parameter, Value};
+use stein::{Error, Method, Preset, Result};
 
 use crate::document::Source;
 use crate::view::Display;
@@ -19,6 +20,8 @@ pub struct Settings {
     pub recent: Vec<(PathBuf, Option<PathBuf>)>,
     /// Exposure and the like; not the scales of layers, which belong to a file.
     pub display: Display,
+    /// How was denoised, as [`Parameters::to_toml`] has it.
+    pub parameters: Option<String>,
 }
 
 impl Settings {
@@ -56,28 +59,54 @@ impl Parameters {
 
     /// A method with the parameters of a preset. `None` where there is no method of that name.
     pub fn of(method: &str, preset: Preset) -> Option<Self> {
-        let thesis = preset == Preset::Thesis;
-        let method = match method {
-            "dfc" => Method::Dfc(if thesis { DfcParams::thesis() } else { DfcParams::default() }),
-            "nlm" => Method::Nlm(if thesis { NlmParams::thesis() } else { NlmParams::default() }),
-            "gem" => Method::Gem(if thesis { GemParams::thesis() } else { GemParams::default() }),
-            _ => return None,
-        };
-        Some(Self { preset, method })
+        let method = Method::all().into_iter().find(|known| known.name() == method)?;
+        Some(Self { preset, method: method.of_preset(preset) })
     }
 
     /// The method's parameters as its preset has them.
     #[must_use]
     pub fn reset(self) -> Self {
-        Self::of(self.method.name(), self.preset).unwrap_or_default()
+        Self { method: self.method.of_preset(self.preset), ..self }
     }
 
-    /// The radius of the window, where the method has one that can be set.
-    pub fn radius_mut(&mut self) -> Option<&mut u32> {
-        match &mut self.method {
-            Method::Dfc(params) => Some(&mut params.window_radius),
-            Method::Nlm(params) => Some(&mut params.window_radius),
-            Method::Gem(_) => None,
-        }
+    /// What a parameter is in the preset; of one in a group that the preset leaves out, what it is where the group is put in.
+    pub fn preset_value(self, parameter: &Parameter) -> Option<Value> {
+        let own = match self.preset {
+            Preset::Default => &parameter.default,
+            Preset::Thesis => &parameter.thesis,
+        };
+        own.as_ref().or(parameter.default.as_ref()).cloned()
+    }
+
+    /// Whether a parameter is something else than in the preset.
+    pub fn differs(self, parameter: &Parameter) -> bool {
+        parameter.value.is_some() && parameter.value != self.preset_value(parameter)
+    }
+
+    /// As a file that `stein denoise --params` accepts.
+    pub fn to_toml(self) -> String {
+        self.method.to_toml(self.preset)
+    }
+
+    /// Out of such a file's text.
+    ///
+    /// # Errors
+    /// As [`Method::from_toml`].
+    pub fn from_toml(text: &str) -> Result<Self> {
+        Method::from_toml(text).map(|(method, preset)| Self { preset, method })
+    }
+
+    /// Out of such a file.
+    ///
+    /// # Errors
+    /// [`Error::File`] where it cannot be read, or with what [`Method::from_toml`] says of it.
+    pub fn read(path: &Path) -> Result<Self> {
+        let refused = |problem, remedy| Error::File { path: path.to_owned(), problem, remedy };
+        let text = std::fs::read_to_string(path)
+            .map_err(|error| refused(format!("cannot be read: {error}"), "name a TOML file of parameters, such as `stein params -o FILE` writes".into()))?;
+        Self::from_toml(&text).map_err(|error| match error {
+            Error::Request { problem, remedy } => refused(problem, remedy),
+            error => error,
+        })
     }
 }

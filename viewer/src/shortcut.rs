@@ -12,6 +12,20 @@ pub enum Action {
     Open,
     /// Asks for a reference.
     OpenReference,
+    /// Asks for parameters.
+    OpenParameters,
+    /// Asks where to save what the canvas shows.
+    SaveView,
+    /// Asks where to save the layer A at its own size.
+    SaveLayer,
+    /// Asks where to save the denoised frame.
+    SaveResult,
+    /// Asks where to save the parameters.
+    SaveParameters,
+    /// Puts all parameters back to those of the preset.
+    ResetParameters,
+    /// Measures error against run time, or ends that.
+    Sweep,
     /// Denoises again.
     Run,
     /// Ends the work in flight, closes the help, or lets a pinned pixel go.
@@ -38,8 +52,18 @@ pub enum Action {
     ActualSize,
     /// Magnifies by this factor.
     Zoom(f32),
+    /// To the next iteration of the adaptive loop, or with −1 to the one before.
+    StepIteration(i32),
     /// Shows a side panel.
     Panel(Panel),
+    /// Shows a side panel, or if it is shown the one before.
+    TogglePanel(Panel),
+    /// Whether the kernel is that of the pixel under the pointer.
+    ToggleFollow,
+    /// Keeps the pixel that lies this far from the chosen one.
+    MovePixel([i32; 2]),
+    /// Layer B on the false-colour scale of layer A.
+    ToggleSharedScale,
     /// Dark or light.
     ToggleTheme,
     /// Shows or hides the help.
@@ -66,6 +90,8 @@ pub struct Section {
     pub shortcuts: &'static [Shortcut],
 }
 
+const COMMAND_SHIFT: Modifiers = Modifiers { shift: true, ..Modifiers::COMMAND };
+
 const fn key(key: Key, action: Action, about: &'static str) -> Shortcut {
     Shortcut { keys: KeyboardShortcut::new(Modifiers::NONE, key), action, about }
 }
@@ -74,22 +100,31 @@ const fn with(modifiers: Modifiers, key: Key, action: Action, about: &'static st
     Shortcut { keys: KeyboardShortcut::new(modifiers, key), action, about }
 }
 
-/// All keys. Those with modifiers are looked at first, so that `Shift+E` is not taken for `E`.
+/// All keys. Those with the most modifiers are looked at first, so that `Shift+E` is not taken for `E`.
 pub const SECTIONS: &[Section] = &[
     Section {
         title: "File and run",
         shortcuts: &[
             with(Modifiers::COMMAND, Key::O, Action::Open, "open a buffer set"),
             with(Modifiers::COMMAND, Key::R, Action::OpenReference, "open a reference"),
+            with(Modifiers::COMMAND, Key::S, Action::SaveResult, "save the result as OpenEXR"),
+            with(Modifiers::COMMAND, Key::E, Action::SaveView, "save the view as PNG"),
+            with(COMMAND_SHIFT, Key::E, Action::SaveLayer, "save the layer as PNG"),
+            with(Modifiers::COMMAND, Key::P, Action::SaveParameters, "save the parameters as TOML"),
+            with(COMMAND_SHIFT, Key::P, Action::OpenParameters, "load parameters"),
+            with(Modifiers::COMMAND, Key::Backspace, Action::ResetParameters, "all parameters as in the preset"),
             key(Key::F5, Action::Run, "denoise again"),
-            key(Key::Escape, Action::Cancel, "cancel the run, close the help, unpin the pixel"),
+            key(Key::F9, Action::Sweep, "measure error against time, or stop"),
+            key(Key::Escape, Action::Cancel, "cancel, close the help, unpin the pixel"),
         ],
     },
     Section {
         title: "Layers",
         shortcuts: &[
-            key(Key::ArrowDown, Action::StepLayer(1), "next layer"),
-            key(Key::ArrowUp, Action::StepLayer(-1), "layer before"),
+            key(Key::Period, Action::StepLayer(1), "next layer"),
+            key(Key::Comma, Action::StepLayer(-1), "layer before"),
+            key(Key::PageDown, Action::StepIteration(1), "next iteration of sampling"),
+            key(Key::PageUp, Action::StepIteration(-1), "iteration before"),
             key(Key::Num1, Action::ShowLayer("result"), "result"),
             key(Key::Num2, Action::ShowLayer("noisy"), "noisy"),
             key(Key::Num3, Action::ShowLayer("reference"), "reference"),
@@ -112,6 +147,7 @@ pub const SECTIONS: &[Section] = &[
             key(Key::B, Action::Compare(Compare::Blink), "blink"),
             key(Key::D, Action::Compare(Compare::Difference), "signed difference A − B"),
             key(Key::R, Action::Compare(Compare::Relative), "relative difference"),
+            key(Key::L, Action::ToggleSharedScale, "one scale for A and B"),
         ],
     },
     Section {
@@ -130,12 +166,29 @@ pub const SECTIONS: &[Section] = &[
         ],
     },
     Section {
+        title: "Pixel and kernel",
+        shortcuts: &[
+            key(Key::ArrowLeft, Action::MovePixel([-1, 0]), "one pixel left"),
+            key(Key::ArrowRight, Action::MovePixel([1, 0]), "one pixel right"),
+            key(Key::ArrowUp, Action::MovePixel([0, -1]), "one pixel up"),
+            key(Key::ArrowDown, Action::MovePixel([0, 1]), "one pixel down"),
+            with(Modifiers::SHIFT, Key::ArrowLeft, Action::MovePixel([-10, 0]), "ten pixels left"),
+            with(Modifiers::SHIFT, Key::ArrowRight, Action::MovePixel([10, 0]), "ten pixels right"),
+            with(Modifiers::SHIFT, Key::ArrowUp, Action::MovePixel([0, -10]), "ten pixels up"),
+            with(Modifiers::SHIFT, Key::ArrowDown, Action::MovePixel([0, 10]), "ten pixels down"),
+            key(Key::K, Action::TogglePanel(Panel::Kernel), "kernel, and back"),
+            with(Modifiers::SHIFT, Key::K, Action::ToggleFollow, "kernel under the pointer (as while Ctrl is held)"),
+        ],
+    },
+    Section {
         title: "Panels",
         shortcuts: &[
             key(Key::F1, Action::Panel(Panel::Display), "display"),
             key(Key::F2, Action::Panel(Panel::Parameters), "parameters"),
             key(Key::F3, Action::Panel(Panel::Pixel), "pixel"),
             key(Key::F4, Action::Panel(Panel::Report), "report"),
+            key(Key::F7, Action::Panel(Panel::Plot), "error against time"),
+            key(Key::F8, Action::Panel(Panel::Sampling), "sampling"),
             key(Key::T, Action::ToggleTheme, "dark or light"),
             key(Key::H, Action::Help, "this help"),
             key(Key::Questionmark, Action::Help, ""),
@@ -149,6 +202,7 @@ pub fn pressed(context: &Context) -> Vec<Action> {
         return Vec::new();
     }
     let mut all: Vec<&Shortcut> = SECTIONS.iter().flat_map(|section| section.shortcuts).collect();
-    all.sort_by_key(|shortcut| shortcut.keys.modifiers == Modifiers::NONE);
+    let modifiers = |Modifiers { alt, ctrl, shift, command, .. }: Modifiers| [alt, ctrl || command, shift].into_iter().filter(|held| *held).count();
+    all.sort_by_key(|shortcut| std::cmp::Reverse(modifiers(shortcut.keys.modifiers)));
     context.input_mut(|input| all.into_iter().filter(|shortcut| input.consume_shortcut(&shortcut.keys)).map(|shortcut| shortcut.action).collect())
 }

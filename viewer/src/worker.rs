@@ -4,7 +4,6 @@
 //! are taken in the order of [`Task::ALL`]; long work of low rank splits itself into requests that it sends to itself, so that it makes way between them.
 
 use std::any::Any;
-use std::cell::Cell;
 use std::ops::ControlFlow;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -16,9 +15,15 @@ use std::time::{Duration, Instant};
 use eframe::egui::Context;
 use stein::buffers::{BufferSet, BufferSetRequest, read_reference};
 use stein::gpu::Pace;
+use stein::sampling::estimated_relative_mse;
 use stein::{Denoiser, Error, Frame, Gpu, Image, Method, Options};
 
+use crate::adaptive::{Adapted, Loop};
 use crate::document::{Denoised, Opened, Source, input_layers, output_layers, relative_mse};
+use crate::files::short_name;
+use crate::inspector::{Inspected, Question};
+use crate::settings::Parameters;
+use crate::sweep::Point;
 
 /// Dispatches between which the window can draw, on a graphics card; a processor takes long for one.
 const DISPATCHES_AT_ONCE: usize = 8;
@@ -26,11 +31,16 @@ const DISPATCHES_AT_ONCE: usize = 8;
 /// How often progress is told at the most.
 const BETWEEN_REPLIES: Duration = Duration::from_millis(200);
 
+/// A run that takes longer than this is not measured again: what compiling shaders takes is little beside it.
+const MEASURED_TWICE: Duration = Duration::from_secs(10);
+
 /// What the worker is asked for.
 #[derive(Debug)]
 pub enum Request {
     /// Reads a frame, and a reference if one is named.
     Open(Source),
+    /// Works out which neighbours made a pixel.
+    Inspect(Question),
     /// Denoises a frame, keeping all that can be looked at.
     Denoise {
         /// What is denoised.
@@ -40,6 +50,19 @@ pub enum Request {
         /// How.
         method: Method,
     },
+    /// Does the next step of an adaptive loop; the worker asks itself for those after it.
+    Adapt(Box<Loop>),
+    /// Measures time and error of one run after the other.
+    Sweep {
+        /// What is denoised.
+        frame: Arc<Frame>,
+        /// What it is compared with.
+        reference: Option<Arc<Image>>,
+        /// How, each time.
+        runs: Arc<[Parameters]>,
+        /// The first of them that is not yet done.
+        next: usize,
+    },
 }
 
 /// The kinds of requests.
@@ -47,19 +70,28 @@ pub enum Request {
 pub enum Task {
     /// [`Request::Open`].
     Open,
+    /// [`Request::Inspect`].
+    Inspect,
     /// [`Request::Denoise`].
     Denoise,
+    /// [`Request::Adapt`].
+    Adapt,
+    /// [`Request::Sweep`], which makes way for all else and goes on after it.
+    Sweep,
 }
 
 impl Task {
     /// In the order in which they are taken.
-    pub const ALL: [Self; 2] = [Self::Open, Self::Denoise];
+    pub const ALL: [Self; 5] = [Self::Open, Self::Inspect, Self::Denoise, Self::Adapt, Self::Sweep];
 
     /// What users read while it is at work.
     pub fn title(self) -> &'static str {
         match self {
             Self::Open => "reading",
+            Self::Inspect => "looking at a pixel",
             Self::Denoise => "denoising",
+            Self::Adapt => "sampling",
+            Self::Sweep => "measuring",
         }
     }
 }
@@ -69,7 +101,20 @@ impl Request {
     pub fn task(&self) -> Task {
         match self {
             Self::Open(_) => Task::Open,
+            Self::Inspect(_) => Task::Inspect,
             Self::Denoise { .. } => Task::Denoise,
+            Self::Adapt(_) => Task::Adapt,
+            Self::Sweep { .. } => Task::Sweep,
+        }
+    }
+
+    /// A sweep without its next runs, as long as any are left.
+    fn after(&self, done: usize) -> Option<Self> {
+        match self {
+            Self::Sweep { frame, reference, runs, next } if next + done < runs.len() => {
+                Some(Self::Sweep { frame: frame.clone(), reference: reference.clone(), runs: runs.clone(), next: next + done })
+            }
+            _ => None,
         }
     }
 }
@@ -81,8 +126,14 @@ pub enum Reply {
     Progress(Task, f32),
     /// A frame was read.
     Opened(Box<Opened>),
+    /// The kernels of a pixel are there.
+    Inspected(Box<Inspected>),
     /// A frame was denoised.
     Denoised(Box<Denoised>),
+    /// An adaptive loop is one step further.
+    Adapted(Box<Adapted>),
+    /// A run was measured.
+    Swept(Box<Point>),
     /// A task came to no end because of this. Nothing is told of tasks that were cancelled.
     Failed(Task, Error),
 }
@@ -134,6 +185,19 @@ impl State {
         self.sent += 1;
         self.newest[task as usize] = self.sent;
     }
+
+    /// Ends what is at work; what is left of it waits, unless it was cancelled.
+    fn end(&mut self, number: u64, goes_on: Option<Request>) {
+        self.at_work = None;
+        self.waiting.extend(goes_on.filter(|request| self.newest[request.task() as usize] == number).map(|request| (number, request)));
+    }
+
+    /// Breaks off what is at work for a request of higher rank, where it goes on afterwards.
+    fn make_way(&self, task: Task) {
+        if let Some(at_work) = self.at_work.as_ref().filter(|at_work| at_work.task == Task::Sweep && task != Task::Sweep) {
+            at_work.cancelled.store(true, Ordering::Relaxed);
+        }
+    }
 }
 
 impl Worker {
@@ -152,15 +216,16 @@ impl Worker {
         Ok(Self { mailbox, replies, thread: Some(thread) })
     }
 
-    /// Asks for something. What was asked for before of the same task is cancelled; a frame to open makes all other work pointless.
+    /// Asks for something. What was asked for before of the same task is cancelled; what replaces the open frame makes all other work pointless.
     pub fn send(&self, request: Request) {
         let mut state = self.mailbox.lock();
         let task = request.task();
-        if task == Task::Open {
+        if matches!(task, Task::Open | Task::Adapt) {
             Task::ALL.into_iter().for_each(|task| state.cancel(task));
         } else {
             state.cancel(task);
         }
+        state.make_way(task);
         let number = state.newest[task as usize];
         state.waiting.push((number, request));
         self.mailbox.news.notify_one();
@@ -207,7 +272,10 @@ impl Reply {
         match self {
             Self::Progress(task, _) | Self::Failed(task, _) => *task,
             Self::Opened(_) => Task::Open,
+            Self::Inspected(_) => Task::Inspect,
             Self::Denoised(_) => Task::Denoise,
+            Self::Adapted(_) => Task::Adapt,
+            Self::Swept(_) => Task::Sweep,
         }
     }
 }
@@ -226,7 +294,7 @@ struct Job<'a> {
     number: u64,
     task: Task,
     cancelled: Arc<AtomicBool>,
-    told: Cell<Option<Instant>>,
+    told: Mutex<Option<Instant>>,
 }
 
 impl Job<'_> {
@@ -238,8 +306,9 @@ impl Job<'_> {
 
     fn progress(&self, share: f32) -> ControlFlow<()> {
         // Each reply has the window drawn again, on the same device.
-        if self.told.get().is_none_or(|told| told.elapsed() >= BETWEEN_REPLIES) {
-            self.told.set(Some(Instant::now()));
+        let mut told = self.told.lock().unwrap_or_else(PoisonError::into_inner);
+        if told.is_none_or(|told| told.elapsed() >= BETWEEN_REPLIES) {
+            *told = Some(Instant::now());
             self.tell(Reply::Progress(self.task, share));
         }
         if self.cancelled.load(Ordering::Relaxed) { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
@@ -260,10 +329,17 @@ impl Desk {
     fn work(self) {
         while let Some((number, request, cancelled)) = self.next() {
             let task = request.task();
-            let job = Job { desk: &self, number, task, cancelled, told: Cell::new(None) };
+            let job = Job { desk: &self, number, task, cancelled, told: Mutex::default() };
+            // It made way; where it was cancelled for good, nothing follows either.
+            let whole = request.after(0);
             let done = catch_unwind(AssertUnwindSafe(|| self.fulfil(&job, request))).unwrap_or_else(|panic| Err(defect(panic.as_ref())));
-            self.mailbox.lock().at_work = None;
-            match done {
+            let (told, goes_on) = match done {
+                Ok((reply, rest)) => (Ok(reply), rest),
+                Err(Error::Cancelled) => (Err(Error::Cancelled), whole),
+                Err(error) => (Err(error), None),
+            };
+            self.mailbox.lock().end(number, goes_on);
+            match told {
                 Ok(reply) => job.tell(reply),
                 Err(Error::Cancelled) => self.context.request_repaint(),
                 Err(error) => job.tell(Reply::Failed(task, error)),
@@ -288,13 +364,24 @@ impl Desk {
         }
     }
 
-    fn fulfil(&self, job: &Job, request: Request) -> stein::Result<Reply> {
-        match request {
-            Request::Open(source) => open(job, source).map(|opened| Reply::Opened(Box::new(opened))),
-            Request::Denoise { frame, reference, method } => {
-                denoise(&self.gpu, job, &frame, reference.as_ref(), method).map(|denoised| Reply::Denoised(Box::new(denoised)))
+    /// What is told, and what is left to do.
+    fn fulfil(&self, job: &Job, request: Request) -> stein::Result<(Reply, Option<Request>)> {
+        let mut rest = request.after(1);
+        let reply = match request {
+            Request::Open(source) => Reply::Opened(Box::new(open(job, source)?)),
+            Request::Inspect(question) => Reply::Inspected(Box::new(inspect(&self.gpu, job, question)?)),
+            Request::Denoise { frame, reference, method } => Reply::Denoised(Box::new(denoise(&self.gpu, job, &frame, reference.as_ref(), method)?)),
+            Request::Adapt(mut adaptive) => {
+                let adapted = adaptive.step(&self.gpu, job.pace(), &|share| job.check(share))?;
+                rest = (!adapted.is_last).then_some(Request::Adapt(adaptive));
+                Reply::Adapted(Box::new(adapted))
             }
-        }
+            Request::Sweep { frame, reference, runs, next } => {
+                let share = |share: f32| (next as f32 + share) / runs.len() as f32;
+                Reply::Swept(Box::new(measure(&self.gpu, job, &frame, reference.as_ref(), runs[next], share)?))
+            }
+        };
+        Ok((reply, rest))
     }
 }
 
@@ -318,7 +405,8 @@ fn open(job: &Job, source: Source) -> stein::Result<Opened> {
     job.check(0.8)?;
     let layers = input_layers(&frame, reference.as_ref());
     let noisy_error = relative_mse(&frame.color().mean, reference.as_ref());
-    Ok(Opened { source, frame: Arc::new(frame), repairs, reference, noisy_error, layers })
+    let name = short_name(&source.input);
+    Ok(Opened { source: Some(source), name, frame: Arc::new(frame), repairs, reference, noisy_error, layers })
 }
 
 /// What the library says about a file without knowing which one it was.
@@ -327,6 +415,13 @@ fn in_file(source: &Source, error: Error) -> Error {
         Error::Request { problem, remedy } => Error::File { path: source.input.clone(), problem, remedy },
         error => error,
     }
+}
+
+fn inspect(gpu: &Gpu, job: &Job, question: Question) -> stein::Result<Inspected> {
+    let denoiser = Denoiser::new(gpu, question.method)?;
+    let [x, y] = question.pixel;
+    let kernels = denoiser.kernels(&question.frame, x, y, &Options { pace: Some(job.pace()), ..Default::default() })?;
+    Ok(Inspected::new(question, kernels))
 }
 
 fn denoise(gpu: &Gpu, job: &Job, frame: &Frame, reference: Option<&Arc<Image>>, method: Method) -> stein::Result<Denoised> {
@@ -341,8 +436,28 @@ fn denoise(gpu: &Gpu, job: &Job, frame: &Frame, reference: Option<&Arc<Image>>, 
     job.check(1.0)?;
     let lean_plan = denoiser.plan(&[frame], 0, &Options::default())?;
     let error = relative_mse(&estimate.color, reference);
+    let estimated_error = estimated_relative_mse(&estimate);
     let layers = output_layers(&mut estimate, reference);
-    Ok(Denoised { method, estimate, lean_plan, seconds, error, layers })
+    Ok(Denoised { method, estimate: Arc::new(estimate), lean_plan, seconds, error, estimated_error, layers })
+}
+
+/// Time and error of the result and its estimated error, with nothing kept to look at.
+fn measure(gpu: &Gpu, job: &Job, frame: &Frame, reference: Option<&Arc<Image>>, parameters: Parameters, share: impl Fn(f32) -> f32) -> stein::Result<Point> {
+    job.check(share(0.0))?;
+    gpu.set_timing(false);
+    let denoiser = Denoiser::new(gpu, parameters.method)?;
+    let run = |first: f32| {
+        let start = Instant::now();
+        let mut progress = |done: f32| job.progress(share(first + done / 2.0));
+        let estimate = denoiser.denoise_with(frame, Options { progress: Some(&mut progress), pace: Some(job.pace()), ..Default::default() })?;
+        Ok::<_, Error>((estimate, start.elapsed()))
+    };
+    let (estimate, mut time) = run(0.0)?;
+    if time < MEASURED_TWICE {
+        time = time.min(run(0.5)?.1);
+    }
+    let (error, estimated_error) = (relative_mse(&estimate.color, reference), estimated_relative_mse(&estimate));
+    Ok(Point { parameters, seconds: time.as_secs_f64(), error, estimated_error })
 }
 
 /// A panic is a defect of this program: the window stays, and says so.

@@ -7,6 +7,7 @@ mod common;
 use common::{settle, testdata, window, window_with};
 use eframe::egui::{Key, Modifiers};
 use egui_kittest::kittest::Queryable;
+use stein::parameters::Value;
 use stein_viewer::document::Source;
 use stein_viewer::view::Compare;
 use stein_viewer::{Start, panel::Panel};
@@ -58,8 +59,9 @@ fn a_change_of_parameters_runs_again_and_keeps_the_run_before() {
     let mut harness =
         window(Start { source: Some(Source { input: testdata("cornell_8spp.exr"), reference: None }), panel: Panel::Parameters, ..Default::default() });
     for radius in [3, 4, 5] {
-        *harness.state_mut().parameters.radius_mut().unwrap() = radius;
-        harness.state_mut().run();
+        let viewer = harness.state_mut();
+        assert!(viewer.edits.set(&mut viewer.parameters, "window_radius", Value::Integer(radius)));
+        viewer.run();
     }
     settle(&mut harness);
     let document = harness.state().document.as_ref().unwrap();
@@ -75,7 +77,8 @@ fn nothing_is_open_at_first_and_the_help_lists_the_keys() {
     let mut harness = window(Start::default());
     harness.get_by_label("Open…");
     harness.key_press(Key::H);
-    harness.run_steps(2);
+    // It is in its place once its size is known.
+    harness.run_steps(5);
     harness.get_by_label("half a stop brighter");
     harness.get_by_label("Close").click();
     harness.run_steps(2);

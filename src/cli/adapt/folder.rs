@@ -9,8 +9,8 @@ use stein::method::Intermediate;
 use stein::sampling::{MapFile, Resumed, Samples, SamplingMap};
 use stein::{Estimate, Method};
 
+use super::super::Failure;
 use super::super::render::SequenceName;
-use super::super::{Failure, output};
 
 /// Header attribute of the samples, with the setup as JSON.
 const ATTRIBUTE: &str = "stein.adapt";
@@ -23,7 +23,7 @@ pub(crate) struct Setup<'a> {
     pub(crate) size: [u32; 2],
     pub(crate) spp: u32,
     pub(crate) iterations: u32,
-    pub(crate) cap: u32,
+    pub(crate) cap: Option<u32>,
     pub(crate) seed: u64,
     pub(crate) sequence: SequenceName,
     pub(crate) parameters: Method,
@@ -122,7 +122,7 @@ impl Folder {
         // They are among the others now.
         let _ = std::fs::remove_file(self.path.join(format!("new_{label}.exr")));
         let set = BufferSet::read(&BufferSetRequest { input: file, ..Default::default() })?;
-        output::write(set, &self.path.join(format!("denoised_{label}.exr")), estimate, &[Intermediate::Density], method).map(drop)
+        estimate.write(set, &self.path.join(format!("denoised_{label}.exr")), &[Intermediate::Density], method).map(drop).map_err(Failure::output)
     }
 }
 

@@ -13,7 +13,7 @@ use super::shot::{Compared, Comparison};
 use crate::cli::explain::Explained;
 use crate::cli::inspect::Input;
 use crate::cli::report::{FrameReport, Run};
-use crate::cli::{Failure, output, quality};
+use crate::cli::{Failure, quality};
 
 /// A denoised frame, and all that its output and its report are made of.
 pub(super) struct Denoised {
@@ -100,7 +100,7 @@ impl Contents<'_> {
     fn finish(self, denoised: Denoised, comparison: &mut Comparison) -> Result<Done, Failure> {
         let Denoised { number, output, original, described, introduction, frame, reference, estimate, run, plan } = denoised;
         let data_window = original.data_window();
-        let mut written = output::write(*original, &output, &estimate, self.keep, self.method)?;
+        let mut written = estimate.write(*original, &output, self.keep, self.method).map_err(Failure::output)?;
         let missing = self.keep.iter().filter(|one| !estimate.layers.iter().any(|layer| layer.intermediate == **one));
         written.notes.extend(missing.map(|one| format!("--keep {}: there is nothing of the kind without halves or features", one.name())));
         let left_out = frame.features().iter().filter(|feature| !estimate.features.contains(&feature.name));

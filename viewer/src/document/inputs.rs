@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use stein::frame::{Feature, SamplesPerPixel, Signal};
+use stein::sampling::SampleCounts;
 use stein::{Frame, Image};
 
 use super::{RADIANCE, RADIANCE_SQUARED, describe};
@@ -14,10 +15,6 @@ pub fn input_layers(frame: &Frame, reference: Option<&Arc<Image>>) -> Vec<Arc<La
     let mut add = |description: Description, image: Arc<Image>| layers.push(Arc::new(Layer::new(description, image, None)));
     let color = frame.color();
     let input = |name, title, about, kind, unit| describe(name, title, about, Group::Input, kind, unit);
-    if let Some(reference) = reference {
-        let about = "The true image, as far as it was rendered.";
-        add(describe("reference", "reference", about, Group::Result, Kind::Color, RADIANCE), reference.clone());
-    }
     add(input("noisy", "noisy", "The mean of each pixel's samples: what is denoised.", Kind::Color, RADIANCE), Arc::new(color.mean.clone()));
     if let Some([a, b]) = halves(color) {
         add(input("noisy_half_a", "half A", "The mean of one half of the samples.", Kind::Color, RADIANCE), Arc::new(a));
@@ -49,7 +46,22 @@ pub fn input_layers(frame: &Frame, reference: Option<&Arc<Image>>) -> Vec<Arc<La
             add(describe(name, title, about, Group::Features, Kind::Scalar(Scale::Log), ""), image(&variance, feature.unit_scale.powi(2), 0.0));
         }
     }
+    layers.extend(reference.map(reference_layer));
     layers
+}
+
+/// The layer of a reference.
+pub(super) fn reference_layer(reference: &Arc<Image>) -> Arc<Layer> {
+    let about = "The true image, as far as it was rendered.";
+    Arc::new(Layer::new(describe("reference", "reference", about, Group::Result, Kind::Color, RADIANCE), reference.clone(), None))
+}
+
+/// The layer of what an iteration of the adaptive loop drew.
+pub fn drawn_layer(counts: &SampleCounts) -> Arc<Layer> {
+    let samples = counts.pairs().iter().map(|pairs| (2 * pairs) as f32).collect();
+    let about = "How many samples this iteration drew in each pixel: the density of the iteration before, in whole pairs.";
+    let description = describe("drawn", "sampling map", about, Group::Error, Kind::Scalar(Scale::Linear), "samples");
+    Arc::new(Layer::new(description, Arc::new(Image { extent: counts.extent(), planes: vec![samples] }), None))
 }
 
 /// What is known of a feature's noise, in unit range.

@@ -37,12 +37,15 @@ pub fn output_layers(estimate: &mut Estimate, reference: Option<&Arc<Image>>) ->
         let description = describe("error", "estimated error", about, Group::Error, Kind::Scalar(Scale::Log), RADIANCE_SQUARED);
         layers.add(description, Arc::new(error.clone()), None)
     });
-    if let Some(reference) = reference {
-        let about = "Squared error of the result against the reference, summed over the channels. On the scale of the estimated error.";
-        let description = describe("true_error", "true error", about, Group::Error, Kind::Scalar(Scale::Log), RADIANCE_SQUARED);
-        layers.add(description, Arc::new(squared_error(&estimate.color, reference)), estimated.map(|estimated| estimated.range));
-    }
+    layers.0.extend(reference.map(|reference| true_error_layer(estimate, reference, estimated.map(|estimated| estimated.range))));
     layers.0
+}
+
+/// The layer of the true error, on the scale of the estimated one.
+pub(super) fn true_error_layer(estimate: &Estimate, reference: &Image, scale: Option<Range>) -> Arc<Layer> {
+    let about = "Squared error of the result against the reference, summed over the channels. On the scale of the estimated error.";
+    let description = describe("true_error", "true error", about, Group::Error, Kind::Scalar(Scale::Log), RADIANCE_SQUARED);
+    Arc::new(Layer::new(description, Arc::new(squared_error(&estimate.color, reference)), scale))
 }
 
 struct Layers(Vec<Arc<Layer>>);

@@ -35,6 +35,7 @@ pub fn show(ui: &mut Ui, viewer: &mut Viewer) {
     if let Kind::Scalar(_) = description.kind {
         ui.label(RichText::new("False colour").strong());
         false_color(ui, display, &layer);
+        ui.checkbox(&mut display.shares_scale, "one scale for A and B").on_hover_text("Layer B is shown on the scale of A, where both are numbers (L)");
         ui.separator();
     }
 

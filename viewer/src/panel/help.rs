@@ -1,9 +1,12 @@
 //! The help: every key of the table, over the window.
 
-use eframe::egui::{Context, Grid, Id, Modal, RichText, Ui};
+use eframe::egui::{Context, Grid, Id, Modal, RichText, ScrollArea, Ui};
 
 use crate::app::Viewer;
 use crate::shortcut::{SECTIONS, Section};
+
+/// Columns of keys.
+const COLUMNS: usize = 3;
 
 /// Shows it, if it is wanted.
 pub fn show(context: &Context, viewer: &mut Viewer) {
@@ -19,10 +22,16 @@ pub fn show(context: &Context, viewer: &mut Viewer) {
             .weak(),
         );
         ui.add_space(6.0);
-        ui.columns(2, |columns| {
-            let half = SECTIONS.len() / 2;
-            SECTIONS[..half].iter().for_each(|part| section(&mut columns[0], part));
-            SECTIONS[half..].iter().for_each(|part| section(&mut columns[1], part));
+        let screen = context.content_rect();
+        ui.set_width((screen.width() - 80.0).min(1120.0));
+        ScrollArea::vertical().max_height(screen.height() - 150.0).show(ui, |ui| {
+            ui.columns(COLUMNS, |columns| {
+                let lines = |sections: &[Section]| sections.iter().map(|section| section.shortcuts.len()).sum::<usize>();
+                for (index, part) in SECTIONS.iter().enumerate() {
+                    let before = lines(&SECTIONS[..index]) + part.shortcuts.len() / 2;
+                    section(&mut columns[before * COLUMNS / lines(SECTIONS)], part);
+                }
+            });
         });
         ui.button("Close").clicked()
     });
@@ -34,7 +43,8 @@ pub fn show(context: &Context, viewer: &mut Viewer) {
 fn section(ui: &mut Ui, section: &Section) {
     ui.label(RichText::new(section.title).strong());
     let context = ui.ctx().clone();
-    Grid::new(section.title).num_columns(2).spacing([12.0, 2.0]).show(ui, |ui| {
+    ui.spacing_mut().interact_size.y = 15.0;
+    Grid::new(section.title).num_columns(2).min_row_height(15.0).spacing([12.0, 2.0]).show(ui, |ui| {
         for shortcut in section.shortcuts.iter().filter(|shortcut| !shortcut.about.is_empty()) {
             let keys = section.shortcuts.iter().filter(|other| other.action == shortcut.action);
             let keys: Vec<_> = keys.map(|other| context.format_shortcut(&other.keys)).collect();

@@ -2,10 +2,13 @@
 
 pub mod display;
 pub mod help;
+pub mod kernel;
 pub mod layers;
 pub mod parameters;
 pub mod pixel;
+pub mod plot;
 pub mod report;
+pub mod sampling;
 pub mod status;
 pub mod toolbar;
 
@@ -19,17 +22,23 @@ pub enum Panel {
     /// Exposure, ranges, histogram.
     #[default]
     Display,
-    /// Method, preset, radius.
+    /// Method, preset, and every parameter.
     Parameters,
     /// The values of a pixel.
     Pixel,
+    /// Which neighbours made a pixel, and why.
+    Kernel,
     /// What ran and what was left out, and what the frame is.
     Report,
+    /// Error against run time.
+    Plot,
+    /// The adaptive loop on a built-in scene.
+    Sampling,
 }
 
 impl Panel {
     /// In the order of their tabs.
-    pub const ALL: [Self; 4] = [Self::Display, Self::Parameters, Self::Pixel, Self::Report];
+    pub const ALL: [Self; 7] = [Self::Display, Self::Parameters, Self::Pixel, Self::Kernel, Self::Report, Self::Plot, Self::Sampling];
 
     /// What users read.
     pub fn title(self) -> &'static str {
@@ -37,7 +46,10 @@ impl Panel {
             Self::Display => "Display",
             Self::Parameters => "Parameters",
             Self::Pixel => "Pixel",
+            Self::Kernel => "Kernel",
             Self::Report => "Report",
+            Self::Plot => "Plot",
+            Self::Sampling => "Sampling",
         }
     }
 }
@@ -57,6 +69,9 @@ pub fn show(ui: &mut Ui, viewer: &mut Viewer) {
         Panel::Display => display::show(ui, viewer),
         Panel::Parameters => parameters::show(ui, viewer),
         Panel::Pixel => pixel::show(ui, viewer),
+        Panel::Kernel => kernel::show(ui, viewer),
         Panel::Report => report::show(ui, viewer),
+        Panel::Plot => plot::show(ui, viewer),
+        Panel::Sampling => sampling::show(ui, viewer),
     });
 }

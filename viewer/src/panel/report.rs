@@ -1,6 +1,6 @@
 //! What ran for this frame and what was left out, what each step took, and what had to be repaired.
 
-use eframe::egui::{Align, Layout, RichText, Ui};
+use eframe::egui::{Align, Grid, Layout, RichText, Ui};
 use stein::frame::{NoiseKnowledge, SamplesPerPixel};
 use stein::method::PlannedStep;
 
@@ -26,9 +26,16 @@ pub fn show(ui: &mut Ui, viewer: &Viewer) {
 fn frame(ui: &mut Ui, opened: &Opened) {
     let frame = &opened.frame;
     ui.label(RichText::new("Frame").strong());
-    ui.label(opened.source.input.display().to_string());
-    if let Some(reference) = &opened.source.reference {
-        ui.label(format!("reference: {}", reference.display()));
+    match &opened.source {
+        Some(source) => {
+            ui.label(source.input.display().to_string());
+            if let Some(reference) = &source.reference {
+                ui.label(format!("reference: {}", reference.display()));
+            }
+        }
+        None => {
+            ui.label(&opened.name);
+        }
     }
     let noise = match frame.noise_knowledge() {
         NoiseKnowledge::HalvesAndVariance => "halves and variance",
@@ -71,6 +78,20 @@ fn run(ui: &mut Ui, denoised: &Denoised, noisy_error: Option<f64>) {
         let taken: f64 = times.iter().filter(|time| time.step == name).map(|time| time.time.seconds).sum();
         step(ui, lean, &name, taken);
     }
+    let Some(stages) = &estimate.stage_times else { return };
+    ui.separator();
+    ui.label(RichText::new("Stages").strong());
+    ui.label(RichText::new("The same times by shader, the longest first.").weak());
+    let mut stages: Vec<_> = stages.iter().collect();
+    stages.sort_by(|a, b| b.seconds.total_cmp(&a.seconds));
+    Grid::new("stages").num_columns(3).striped(true).spacing([10.0, 1.0]).show(ui, |ui| {
+        for stage in stages {
+            ui.label(&stage.stage);
+            ui.label(RichText::new(format!("{:.1} ms", stage.seconds * 1e3)).monospace());
+            ui.label(RichText::new(if stage.dispatches == 1 { "1 dispatch".to_owned() } else { format!("{} dispatches", stage.dispatches) }).weak());
+            ui.end_row();
+        }
+    });
 }
 
 /// A step with its time, and under it why it runs or does not.

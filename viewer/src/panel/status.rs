@@ -9,6 +9,10 @@ use crate::view::numbers::number;
 /// Shows it.
 pub fn show(ui: &mut Ui, viewer: &Viewer) {
     ui.horizontal(|ui| {
+        if let Some((Ok(notice), _)) = &viewer.notice {
+            ui.label(RichText::new(notice).strong());
+            ui.separator();
+        }
         let Some(document) = &viewer.document else {
             ui.label(format!("{}, {}", viewer.gpu.summary().name, viewer.gpu.summary().backend));
             return;

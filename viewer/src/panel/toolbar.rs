@@ -23,6 +23,13 @@ pub fn show(ui: &mut Ui, viewer: &mut Viewer) {
             };
             item(ui, "Open…", Action::Open, true);
             item(ui, "Open reference…", Action::OpenReference, has_document);
+            item(ui, "Load parameters…", Action::OpenParameters, true);
+            ui.separator();
+            let is_denoised = viewer.document.as_ref().is_some_and(|document| document.denoised.is_some());
+            item(ui, "Save result…", Action::SaveResult, is_denoised);
+            item(ui, "Save view…", Action::SaveView, has_document);
+            item(ui, "Save layer…", Action::SaveLayer, has_document);
+            item(ui, "Save parameters…", Action::SaveParameters, true);
             if !viewer.settings.recent.is_empty() {
                 ui.separator();
                 recent(ui, viewer);

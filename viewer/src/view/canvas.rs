@@ -3,7 +3,7 @@
 use eframe::egui::{Align2, Color32, CursorIcon, FontId, Id, Painter, Pos2, Rect, Response, Role, Sense, Stroke, StrokeKind, Ui, Vec2, WidgetInfo};
 
 use super::display::{Draw, Operation};
-use super::{Camera, Compare, View, legend, numbers};
+use super::{Camera, Compare, Marked, View, legend, numbers};
 use crate::layer::{Kind, Layer, Range, Scale};
 use crate::view::colormap::Colormap;
 
@@ -16,6 +16,9 @@ const BLINK_SECONDS: f64 = 0.6;
 /// Magnification from which on the pixel under the pointer is framed.
 const FRAMED_ZOOM: f32 = 4.0;
 
+/// Of the neighbour whose distances are shown.
+pub const NEIGHBOUR: Color32 = Color32::from_rgb(80, 230, 255);
+
 /// One part of the canvas.
 #[derive(Clone, Copy)]
 struct Part<'a> {
@@ -24,6 +27,8 @@ struct Part<'a> {
     /// What is seen of it.
     clip: Rect,
     layer: &'a Layer,
+    /// Whose false-colour scale it is shown on.
+    scaled_as: &'a Layer,
     /// The layer that is subtracted.
     minus: Option<&'a Layer>,
     label: &'static str,
@@ -37,6 +42,7 @@ pub fn show(ui: &mut Ui, view: &mut View, a: &Layer, b: Option<&Layer>) -> Respo
     let parts = parts(ui, rect, view, compare, a, b);
     let extent = a.image().extent;
     view.camera.settle(parts[0].view, extent);
+    reveal(view, parts[0].view);
     navigate(ui, &response, view, &parts);
     if compare == Compare::Wipe {
         drag_line(ui, rect, view);
@@ -62,8 +68,10 @@ pub fn show(ui: &mut Ui, view: &mut View, a: &Layer, b: Option<&Layer>) -> Respo
 }
 
 fn parts<'a>(ui: &Ui, rect: Rect, view: &View, compare: Compare, a: &'a Layer, b: Option<&'a Layer>) -> Vec<Part<'a>> {
-    let whole = |layer, label| Part { view: rect, clip: rect, layer, minus: None, label };
-    let Some(b) = b else { return vec![whole(a, "")] };
+    let Some(b) = b else { return vec![Part { view: rect, clip: rect, layer: a, scaled_as: a, minus: None, label: "" }] };
+    let is_number = |layer: &Layer| matches!(layer.description.kind, Kind::Scalar(_));
+    let shares_scale = view.display.shares_scale && is_number(a) && is_number(b);
+    let whole = |layer, label| Part { view: rect, clip: rect, layer, scaled_as: if shares_scale { a } else { layer }, minus: None, label };
     match compare {
         Compare::Single => vec![whole(a, "")],
         Compare::SideBySide => {
@@ -84,6 +92,15 @@ fn parts<'a>(ui: &Ui, rect: Rect, view: &View, compare: Compare, a: &'a Layer, b
             vec![if shows_b { whole(b, "B") } else { whole(a, "A") }]
         }
         Compare::Difference | Compare::Relative => vec![Part { minus: Some(b), ..whole(a, "A − B") }],
+    }
+}
+
+/// Moves the camera to the kept pixel, if a key has moved that out of sight.
+fn reveal(view: &mut View, rect: Rect) {
+    let Some([x, y]) = view.pinned.filter(|_| std::mem::take(&mut view.reveals_pinned)) else { return };
+    let place = Vec2::new(x as f32 + 0.5, y as f32 + 0.5);
+    if !rect.contains(view.camera.to_screen(rect, place)) {
+        (view.camera.centre, view.camera.fits) = (place, false);
     }
 }
 
@@ -124,6 +141,7 @@ fn paint_part(ui: &Ui, painter: &Painter, view: &mut View, part: &Part) {
         numbers::paint(painter, part.view, &view.camera, part.layer);
     }
     frame_pixels(painter, part.view, view);
+    mark_window(painter, part.view, view);
     if !part.label.is_empty() {
         label(painter, part);
     }
@@ -151,7 +169,9 @@ fn draw(view: &View, part: &Part, difference: Option<Range>, dark: bool, pixels_
     let Camera { centre, zoom, .. } = view.camera;
     let first = centre - part.view.center().to_vec2() / zoom;
     let step = 1.0 / (zoom * pixels_per_point);
-    let draw = Draw { background: if dark { [0.09; 3] } else { [0.72; 3] }, ..view.draw(part.layer, part.layer.shown.clone(), first.into(), step) };
+    let scale = view.display.scale_of(part.scaled_as);
+    let on_scale = view.draw_on(part.layer.shown.clone(), part.layer.description.kind, scale, first.into(), step);
+    let draw = Draw { background: if dark { [0.09; 3] } else { [0.72; 3] }, ..on_scale };
     match (part.minus, difference) {
         (Some(minus), Some(range)) => {
             let operation = if view.compare == Compare::Relative { Operation::Relative } else { Operation::Difference };
@@ -165,8 +185,7 @@ fn frame_pixels(painter: &Painter, rect: Rect, view: &View) {
     let framed = |[x, y]: [u32; 2], color: Color32| {
         let corner = view.camera.to_screen(rect, Vec2::new(x as f32, y as f32));
         let pixel = Rect::from_min_size(corner, Vec2::splat(view.camera.zoom.max(3.0)));
-        painter.rect_stroke(pixel.expand(1.0), 0.0, Stroke::new(1.0, Color32::BLACK), StrokeKind::Outside);
-        painter.rect_stroke(pixel, 0.0, Stroke::new(1.0, color), StrokeKind::Outside);
+        outline(painter, pixel, color);
     };
     if let Some(hovered) = view.hovered.filter(|_| view.camera.zoom >= FRAMED_ZOOM) {
         framed(hovered, Color32::WHITE);
@@ -174,6 +193,25 @@ fn frame_pixels(painter: &Painter, rect: Rect, view: &View) {
     if let Some(pinned) = view.pinned {
         framed(pinned, Color32::YELLOW);
     }
+}
+
+/// Outlines the window around a pixel and the neighbour in it that is explained.
+fn mark_window(painter: &Painter, rect: Rect, view: &View) {
+    let Some(Marked { pixel: [x, y], radius, neighbour }) = view.marked else { return };
+    let place = |x: f32, y: f32| view.camera.to_screen(rect, Vec2::new(x, y));
+    let (x, y, radius) = (x as f32, y as f32, radius as f32);
+    let window = Rect::from_min_max(place(x - radius, y - radius), place(x + radius + 1.0, y + radius + 1.0));
+    outline(painter, window, Color32::YELLOW);
+    if let Some([x, y]) = neighbour {
+        let corner = place(x as f32, y as f32);
+        outline(painter, Rect::from_min_size(corner, Vec2::splat(view.camera.zoom.max(3.0))), NEIGHBOUR);
+    }
+}
+
+/// A line of two colours, to be seen on every image.
+pub fn outline(painter: &Painter, rect: Rect, color: Color32) {
+    painter.rect_stroke(rect.expand(1.0), 0.0, Stroke::new(1.0, Color32::BLACK), StrokeKind::Outside);
+    painter.rect_stroke(rect, 0.0, Stroke::new(1.0, color), StrokeKind::Outside);
 }
 
 fn label(painter: &Painter, part: &Part) {

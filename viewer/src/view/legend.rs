@@ -27,6 +27,11 @@ pub fn scale(painter: &Painter, view: Rect, title: &str, range: Range, scale: Sc
     let inner = Rect::from_min_size(view.max - SIZE - Vec2::new(2.0 * MARGIN, MARGIN + 22.0), SIZE);
     painter.rect_filled(Rect::from_min_max(inner.min - Vec2::new(MARGIN, 22.0), inner.max + Vec2::new(MARGIN, 18.0)), 4.0, BACKDROP);
     painter.text(inner.left_top() - Vec2::new(0.0, 4.0), Align2::LEFT_BOTTOM, title, FontId::proportional(FONT + 1.0), Color32::WHITE);
+    bar(painter, inner, (range, scale), colormap, Color32::WHITE);
+}
+
+/// The colours of a scale in a rectangle, and under it values, in text of this colour.
+pub fn bar(painter: &Painter, inner: Rect, (range, scale): (Range, Scale), colormap: Colormap, text: Color32) {
     let mut mesh = Mesh::default();
     for step in 0..=STEPS {
         let share = step as f32 / STEPS as f32;
@@ -44,7 +49,7 @@ pub fn scale(painter: &Painter, view: Rect, title: &str, range: Range, scale: Sc
     painter.rect_stroke(inner, 0.0, Stroke::new(1.0, Color32::GRAY), StrokeKind::Outside);
     for (share, align) in [(0.0, Align2::LEFT_TOP), (0.5, Align2::CENTER_TOP), (1.0, Align2::RIGHT_TOP)] {
         let place = Pos2::new(inner.left() + inner.width() * share, inner.bottom() + 3.0);
-        painter.text(place, align, number(value_at(range, scale, share)), FontId::monospace(FONT), Color32::WHITE);
+        painter.text(place, align, number(value_at(range, scale, share)), FontId::monospace(FONT), text);
     }
 }
 

@@ -137,6 +137,8 @@ pub struct Display {
     pub tone: Tone,
     /// Which channels.
     pub channel: Channel,
+    /// Whether layer B has the false-colour scale of layer A.
+    pub shares_scale: bool,
     /// False colours of numbers that have no sign.
     pub colormap: Colormap,
     /// False-colour scales that were set by hand, by the layer's name.
@@ -151,6 +153,7 @@ impl Default for Display {
             gamma: 2.2,
             tone: Tone::default(),
             channel: Channel::default(),
+            shares_scale: false,
             colormap: Colormap::default(),
             scales: HashMap::new(),
         }
@@ -166,6 +169,17 @@ impl Display {
         };
         self.scales.get(layer.name()).copied().unwrap_or((layer.range, scale))
     }
+}
+
+/// A window of neighbours that is drawn over the image.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Marked {
+    /// The pixel in its middle.
+    pub pixel: [u32; 2],
+    /// R, in pixels.
+    pub radius: u32,
+    /// The neighbour that is explained.
+    pub neighbour: Option<[u32; 2]>,
 }
 
 /// What is shown.
@@ -187,6 +201,10 @@ pub struct View {
     pub hovered: Option<[u32; 2]>,
     /// The pixel that was clicked: it stays the chosen one while the pointer moves on.
     pub pinned: Option<[u32; 2]>,
+    /// Whether the camera is to move to that pixel, should it be out of sight.
+    pub reveals_pinned: bool,
+    /// The window that the kernel's panel explains.
+    pub marked: Option<Marked>,
     /// Ends of the scale of a difference, worked out for these two layers.
     difference: Option<([u64; 2], Compare, Range)>,
     slots: display::Slots,
@@ -204,6 +222,8 @@ impl View {
             display,
             hovered: None,
             pinned: None,
+            reveals_pinned: false,
+            marked: None,
             difference: None,
             slots: display::Slots::default(),
         }
@@ -216,25 +236,46 @@ impl View {
 
     /// Shows a layer's thumbnail, as the canvas would show the layer.
     pub fn paint_thumbnail(&mut self, painter: &Painter, rect: Rect, layer: &Layer) {
-        let extent = layer.thumbnail.image.extent;
+        self.paint_whole(painter, rect, layer, layer.thumbnail.clone());
+    }
+
+    /// Shows an image of a layer, fitted into a rectangle, in the colours of the layer.
+    pub fn paint_whole(&mut self, painter: &Painter, rect: Rect, layer: &Layer, image: Shown) {
+        let extent = image.image.extent;
         let scale = (rect.width() / extent.width as f32).min(rect.height() / extent.height as f32);
         let size = Vec2::new(extent.width as f32, extent.height as f32) * scale;
         let inner = Rect::from_center_size(rect.center(), size);
-        let pixels_per_point = painter.pixels_per_point();
-        let step = 1.0 / (scale * pixels_per_point);
-        let first = inner.min.to_vec2() * -pixels_per_point * step;
-        let draw = self.draw(layer, layer.thumbnail.clone(), first.into(), step);
+        let (first, step) = placed(painter, inner, scale);
+        let draw = self.draw(layer, image, first, step);
         painter.add(self.slots.paint(inner, draw));
+    }
+
+    /// Shows any image, stretched to the width of a rectangle; numbers on the scale that is given.
+    pub fn paint_image(&mut self, painter: &Painter, rect: Rect, shown: Shown, kind: Kind, (range, scale): (Range, Scale)) {
+        let (first, step) = placed(painter, rect, rect.width() / shown.image.extent.width as f32);
+        let draw = Draw { channel: Channel::All, ..self.draw_on(shown, kind, (range, scale), first, step) };
+        painter.add(self.slots.paint(rect, draw));
+    }
+
+    /// Fills a rectangle with the colour of one pixel, as the canvas would show it.
+    pub fn paint_pixel(&mut self, painter: &Painter, rect: Rect, shown: Shown, [x, y]: [usize; 2]) {
+        const STEP: f32 = 1e-6;
+        let scale = (Range { low: 0.0, high: 1.0 }, Scale::Linear);
+        let draw = Draw { channel: Channel::All, ..self.draw_on(shown, Kind::Color, scale, [x as f32 + 0.5, y as f32 + 0.5], STEP) };
+        painter.add(self.slots.paint(rect, draw));
     }
 
     /// A draw of a layer's values by the settings.
     fn draw(&self, layer: &Layer, shown: Shown, first: [f32; 2], step: f32) -> Draw {
+        self.draw_on(shown, layer.description.kind, self.display.scale_of(layer), first, step)
+    }
+
+    fn draw_on(&self, shown: Shown, kind: Kind, (range, scale): (Range, Scale), first: [f32; 2], step: f32) -> Draw {
         let display = &self.display;
-        let (range, scale) = display.scale_of(layer);
         Draw {
             a: shown,
             b: None,
-            kind: layer.description.kind,
+            kind,
             operation: Operation::Single,
             first,
             step,
@@ -275,4 +316,11 @@ impl View {
         self.difference = Some((key.0, key.1, range));
         range
     }
+}
+
+/// Of an image that begins at the corner of a rectangle and has so many points per pixel: where the target's first pixel is in it, and how far the next.
+fn placed(painter: &Painter, rect: Rect, points_per_pixel: f32) -> ([f32; 2], f32) {
+    let pixels_per_point = painter.pixels_per_point();
+    let step = 1.0 / (points_per_pixel * pixels_per_point);
+    ((rect.min.to_vec2() * -pixels_per_point * step).into(), step)
 }

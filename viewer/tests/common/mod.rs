@@ -22,10 +22,18 @@ pub(crate) fn testdata(name: &str) -> PathBuf {
 
 /// A window of 1280×720 points, once the worker is idle.
 pub(crate) fn window(start: Start) -> Harness<'static, Viewer> {
+    window_of([1280.0, 720.0], 1.0, start)
+}
+
+/// A window of this many points, each of `scale` pixels, once the worker is idle.
+pub(crate) fn window_of(size: [f32; 2], scale: f32, start: Start) -> Harness<'static, Viewer> {
     let gpu = Gpu::open(&DeviceChoice::Auto).unwrap();
     let setup = device::setup(&gpu).unwrap();
-    let mut harness =
-        Harness::builder().with_size([1280.0, 720.0]).wgpu_setup(setup).build_eframe(move |creation| Viewer::in_window(creation, &gpu, start).unwrap());
+    let mut harness = Harness::builder()
+        .with_size(size)
+        .with_pixels_per_point(scale)
+        .wgpu_setup(setup)
+        .build_eframe(move |creation| Viewer::in_window(creation, &gpu, start).unwrap());
     settle(&mut harness);
     harness
 }

@@ -1,0 +1,360 @@
+//! The kernel: which neighbours made the chosen pixel, with which weights, and what told them apart.
+
+use std::ops::RangeInclusive;
+
+use eframe::egui::{Color32, ComboBox, Grid, Label, Painter, Pos2, Rect, Response, RichText, Role, Sense, Stroke, StrokeKind, Ui, Vec2, WidgetInfo};
+use stein::FilterKernel;
+use stein::kernels::{Compared, WeightRule};
+use stein::method::{PlannedStep, Step};
+
+use super::status::joined;
+use crate::app::Viewer;
+use crate::inspector::{Inspected, Inspector, Quantity, Window, cell_at, offset_of};
+use crate::layer::{Kind, Scale, Shown};
+use crate::view::canvas::{NEIGHBOUR, outline};
+use crate::view::legend;
+use crate::view::numbers::number;
+
+/// Side of a filter's small window, in points, at the most.
+const SMALL: f32 = 72.0;
+/// Side of the large window, in points.
+const LARGE: RangeInclusive<f32> = 200.0..=460.0;
+/// Points that the small windows and the lines take, and each distance of the table.
+const OTHERS: f32 = 306.0;
+const LINE: f32 = 16.0;
+/// Between two small windows.
+const GAP: f32 = 6.0;
+/// Between the lines where the frame has ended.
+const HATCH: f32 = 5.0;
+
+/// Shows it.
+pub fn show(ui: &mut Ui, viewer: &mut Viewer) {
+    ui.spacing_mut().item_spacing.y = 2.0;
+    ui.horizontal(|ui| {
+        let pixel = viewer.inspector.inspected.as_ref().map(|inspected| inspected.question.pixel);
+        ui.label(RichText::new(pixel.map_or_else(|| "No pixel".into(), |[x, y]| format!("Pixel ({x}, {y})"))).strong());
+        ui.checkbox(&mut viewer.inspector.follows, "follow the pointer").on_hover_text("Shift+K; or hold Ctrl");
+        if viewer.inspector.waits() {
+            ui.spinner();
+        }
+    });
+    let Some(inspected) = viewer.inspector.inspected.clone() else {
+        viewer.inspector.pointed = None;
+        if viewer.document.as_ref().is_some_and(|document| document.denoised.is_some()) {
+            ui.label("Click a pixel to see which neighbours it was made of, and why.");
+        } else {
+            ui.label("The kernel can be seen once a frame is denoised.");
+        }
+        return;
+    };
+    filters(ui, viewer, &inspected);
+    let Some((filter, window)) = viewer.inspector.shown(&inspected) else {
+        viewer.inspector.pointed = None;
+        ui.label("Nothing is filtered: the frame stays as it is.");
+        explanations(ui, &inspected, None);
+        return;
+    };
+    ui.separator();
+    head(ui, &mut viewer.inspector, filter);
+    large(ui, viewer, filter, window);
+    match viewer.inspector.cell(filter) {
+        Some(cell) => neighbour(ui, viewer, (filter, window), cell),
+        None => {
+            ui.label("Point at a cell, or at the image inside of the window, to see what told that neighbour from the pixel. Click a cell to keep it.");
+        }
+    }
+    ui.separator();
+    explanations(ui, &inspected, Some((filter, window)));
+}
+
+/// How the weights came about, and what does not take part.
+fn explanations(ui: &mut Ui, inspected: &Inspected, shown: Option<(&FilterKernel, &Window)>) {
+    let left_out = inspected.kernels.plan.steps.iter().filter(|planned| !planned.runs && decides(&planned.step)).map(left_out);
+    let of_filter = shown.into_iter().flat_map(|(filter, window)| [rule(filter), decisions(filter, window)]);
+    for text in of_filter.chain(left_out).filter(|text| !text.is_empty()) {
+        ui.label(RichText::new(text).size(11.5));
+    }
+}
+
+/// Whether a step decides about what weights there are.
+fn decides(step: &Step) -> bool {
+    matches!(step, Step::Feature(_) | Step::Candidates | Step::Candidate(_) | Step::Halves | Step::Filter | Step::Scales)
+}
+
+fn left_out(planned: &PlannedStep) -> String {
+    let name = match &planned.step {
+        Step::Candidate(name) => title(name),
+        step => step.name(),
+    };
+    format!("{name} is left out: {}", planned.why)
+}
+
+/// As the layers are called.
+fn title(filter: &str) -> String {
+    match filter {
+        "first" | "second" | "third" => filter.to_uppercase(),
+        other => other.replace('_', " "),
+    }
+}
+
+/// All windows side by side, with what came out.
+fn filters(ui: &mut Ui, viewer: &mut Viewer, inspected: &Inspected) {
+    let count = inspected.windows.len().max(1) as f32;
+    let width = (ui.available_width() - GAP * (count - 1.0)) / count;
+    let side = width.min(SMALL);
+    let [x, y] = inspected.question.pixel;
+    let shares = viewer.document.as_ref().and_then(|document| document.layer("selection")?.values(x, y));
+    ui.horizontal_top(|ui| {
+        ui.spacing_mut().item_spacing.x = GAP;
+        for (place, (filter, window)) in inspected.kernels.filters.iter().zip(&inspected.windows).enumerate() {
+            ui.vertical(|ui| {
+                ui.set_width(width);
+                ui.spacing_mut().item_spacing.y = 1.0;
+                let is_shown = viewer.inspector.filter.min(inspected.windows.len() - 1) == place;
+                let (rect, response) = ui.allocate_exact_size(Vec2::splat(side), Sense::click());
+                response.widget_info(|| WidgetInfo::selected(Role::Button, true, is_shown, format!("filter {}", filter.name)));
+                if response.clicked() {
+                    viewer.inspector.filter = place;
+                }
+                let scale = viewer.inspector.scale_of_weights();
+                paint(ui.painter(), viewer, rect, filter, &window.weights, Kind::Scalar(scale.1));
+                if is_shown {
+                    ui.painter().rect_stroke(rect, 0.0, Stroke::new(2.0, Color32::WHITE), StrokeKind::Inside);
+                }
+                ui.label(RichText::new(title(filter.name)).strong());
+                let share = ["first", "second", "third"].iter().position(|name| *name == filter.name).and_then(|place| shares.as_ref()?.get(place).copied());
+                if let Some(share) = share {
+                    small(ui, format!("{:.0} % of the blend", 100.0 * share), "Its share in the blend of the pixel, from the selection map");
+                }
+                let about = "Sum of the weights, and the effective number of pixels, (Σw)²/Σw²: so many of equal weight leave as much noise";
+                small(ui, format!("Σw {}, n {}", short(filter.weight_sum), short(window.effective_pixels)), about);
+                swatch(ui, viewer, (&window.value, [0, 0], SMALL), filter.value, "What the filter makes of the pixel");
+            });
+        }
+    });
+}
+
+/// Three digits, for where there is little room.
+fn short(value: f32) -> String {
+    let size = value.abs();
+    if (0.001..1000.0).contains(&size) {
+        let digits = (2.0 - size.log10().floor()).clamp(0.0, 5.0) as usize;
+        format!("{value:.digits$}")
+    } else {
+        number(value)
+    }
+}
+
+fn small(ui: &mut Ui, text: String, about: &str) {
+    ui.label(RichText::new(text).size(11.5)).on_hover_text(about);
+}
+
+/// A pixel of an image as the canvas shows colours, with its values under it.
+fn swatch(ui: &mut Ui, viewer: &mut Viewer, (image, place, width): (&Shown, [usize; 2], f32), color: [f32; 3], about: &str) {
+    let (rect, response) = ui.allocate_exact_size(Vec2::new(width, 10.0), Sense::hover());
+    viewer.view.paint_pixel(ui.painter(), rect, image.clone(), place);
+    response.on_hover_text(about);
+    let text = RichText::new(color.map(short).join(" ")).size(9.5);
+    ui.add(Label::new(text).extend()).on_hover_text(format!("{about}: {}", joined(&color)));
+}
+
+/// What is shown large, and on which scale.
+fn head(ui: &mut Ui, inspector: &mut Inspector, filter: &FilterKernel) {
+    let name = |quantity: &Quantity| match quantity {
+        Quantity::Weight => "weights".to_owned(),
+        Quantity::Colors => "what is averaged".to_owned(),
+        Quantity::Alone(of) => format!("weights by {} alone", of.name()),
+    };
+    // The filters differ in patch radius and τ, but a distance is looked for in all of them by its name.
+    inspector.quantity = match &inspector.quantity {
+        Quantity::Alone(of) => same_distance(filter, of).map_or(Quantity::Weight, |place| Quantity::Alone(filter.distances[place].of.clone())),
+        other => other.clone(),
+    };
+    ui.horizontal(|ui| {
+        let alone = filter.distances.iter().map(|distance| Quantity::Alone(distance.of.clone()));
+        ComboBox::from_id_salt("quantity").selected_text(name(&inspector.quantity)).show_ui(ui, |ui| {
+            for quantity in [Quantity::Weight, Quantity::Colors].into_iter().chain(alone) {
+                let text = name(&quantity);
+                ui.selectable_value(&mut inspector.quantity, quantity, text);
+            }
+        });
+        for (scale, text) in [(Scale::Log, "log"), (Scale::Linear, "linear")] {
+            ui.selectable_value(&mut inspector.scale, scale, text);
+        }
+    });
+}
+
+fn same_distance(filter: &FilterKernel, of: &Compared) -> Option<usize> {
+    filter.distances.iter().position(|distance| distance.of.name() == of.name())
+}
+
+/// The window as large as there is room for, its legend, and the cell under the pointer.
+fn large(ui: &mut Ui, viewer: &mut Viewer, filter: &FilterKernel, window: &Window) {
+    // So that the table can be seen as well.
+    let room = ui.clip_rect().height() - OTHERS - LINE * filter.distances.len() as f32;
+    let side = ui.available_width().min(room.clamp(*LARGE.start(), *LARGE.end()));
+    let (rect, response) = ui.allocate_exact_size(Vec2::splat(side), Sense::click());
+    response.widget_info(|| WidgetInfo::labeled(Role::Image, true, "window of weights"));
+    let scale = viewer.inspector.scale_of_weights();
+    let (shown, kind) = match &viewer.inspector.quantity {
+        Quantity::Weight => (&window.weights, Kind::Scalar(scale.1)),
+        Quantity::Colors => (&window.colors, Kind::Color),
+        Quantity::Alone(of) => (same_distance(filter, of).map_or(&window.weights, |place| &window.alone[place]), Kind::Scalar(scale.1)),
+    };
+    paint(ui.painter(), viewer, rect, filter, shown, kind);
+
+    let pointed = cell_under_pointer(&response, rect, filter).or_else(|| on_canvas(viewer, filter));
+    viewer.inspector.pointed = pointed;
+    if let Some(offset) = pointed.filter(|_| response.clicked()) {
+        viewer.inspector.kept = if viewer.inspector.kept == Some(offset) { None } else { Some(offset) };
+    }
+    let middle = filter.weights.extent.pixels() / 2;
+    outline(ui.painter(), cell_rect(rect, filter, middle), Color32::YELLOW);
+    if let Some(cell) = viewer.inspector.cell(filter) {
+        outline(ui.painter(), cell_rect(rect, filter, cell), NEIGHBOUR);
+    }
+    if let Kind::Scalar(_) = kind {
+        let (row, _) = ui.allocate_exact_size(Vec2::new(side, 26.0), Sense::hover());
+        let bar = Rect::from_min_size(row.min + Vec2::new(0.0, 2.0), Vec2::new(side, 8.0));
+        legend::bar(ui.painter(), bar, scale, viewer.view.display.colormap, ui.visuals().text_color());
+    }
+}
+
+/// An image of a window's size, hatched where the frame has ended.
+fn paint(painter: &Painter, viewer: &mut Viewer, rect: Rect, filter: &FilterKernel, shown: &Shown, kind: Kind) {
+    let scale = viewer.inspector.scale_of_weights();
+    viewer.view.paint_image(painter, rect, shown.clone(), kind, scale);
+    let inside = inside(rect, filter);
+    let beside = [
+        Rect::from_min_max(rect.min, Pos2::new(inside.left(), rect.bottom())),
+        Rect::from_min_max(Pos2::new(inside.right(), rect.top()), rect.max),
+        Rect::from_min_max(Pos2::new(inside.left(), rect.top()), Pos2::new(inside.right(), inside.top())),
+        Rect::from_min_max(Pos2::new(inside.left(), inside.bottom()), Pos2::new(inside.right(), rect.bottom())),
+    ];
+    for outside in beside.into_iter().filter(|outside| outside.width() > 0.0 && outside.height() > 0.0) {
+        hatch(&painter.with_clip_rect(outside.intersect(painter.clip_rect())), outside, rect);
+    }
+}
+
+/// Lines that run through all parts alike.
+fn hatch(painter: &Painter, outside: Rect, whole: Rect) {
+    painter.rect_filled(outside, 0.0, Color32::from_gray(70));
+    let lines = (2.0 * whole.width() / HATCH) as usize;
+    for line in 0..=lines {
+        let x = whole.left() + line as f32 * HATCH;
+        let from = Pos2::new(x, whole.top());
+        painter.line_segment([from, from + Vec2::new(-whole.height(), whole.height())], Stroke::new(1.0, Color32::from_gray(150)));
+    }
+}
+
+/// Where the cells of the frame are.
+fn inside(rect: Rect, filter: &FilterKernel) -> Rect {
+    let mut cells = (0..filter.weights.extent.pixels()).filter(|cell| filter.pixel(*cell).is_some());
+    match (cells.next(), cells.next_back()) {
+        (Some(first), Some(last)) => cell_rect(rect, filter, first).union(cell_rect(rect, filter, last)),
+        _ => rect,
+    }
+}
+
+fn cell_rect(rect: Rect, filter: &FilterKernel, cell: usize) -> Rect {
+    let size = rect.width() / filter.side() as f32;
+    let corner = Vec2::new((cell % filter.side()) as f32, (cell / filter.side()) as f32) * size;
+    Rect::from_min_size(rect.min + corner, Vec2::splat(size))
+}
+
+fn cell_under_pointer(response: &Response, rect: Rect, filter: &FilterKernel) -> Option<[i32; 2]> {
+    let place = (response.hover_pos()? - rect.min) / rect.width() * filter.side() as f32;
+    let last = filter.side() - 1;
+    let offset = offset_of(filter, (place.y as usize).min(last) * filter.side() + (place.x as usize).min(last));
+    cell_at(filter, offset).map(|_| offset)
+}
+
+/// The neighbour that the pointer is at on the canvas; the pixel that the window follows is none.
+fn on_canvas(viewer: &Viewer, filter: &FilterKernel) -> Option<[i32; 2]> {
+    let pixel = viewer.inspector.inspected.as_ref()?.question.pixel;
+    let hovered = viewer.view.hovered.filter(|_| viewer.view.pinned == Some(pixel))?;
+    let offset = [0, 1].map(|axis| hovered[axis] as i32 - pixel[axis] as i32);
+    cell_at(filter, offset).map(|_| offset)
+}
+
+/// How the weights came about.
+fn rule(filter: &FilterKernel) -> String {
+    let side = filter.side();
+    match filter.rule {
+        WeightRule::Least if filter.distances.is_empty() => format!("A box of {side}×{side}: nothing tells the neighbours apart."),
+        WeightRule::Least => format!("{side}×{side} cells. A neighbour weighs as its largest distance says: the least of exp(−d)."),
+        WeightRule::Cut { cut } => format!("{side}×{side} cells, exp(−d) of the patches; weights below {} count as 0.", number(cut)),
+        WeightRule::PatchMean { cut } => {
+            format!("{side}×{side} cells. The mean of the weights of all pairs of pixels in the two patches; below {} it counts as 0.", number(cut))
+        }
+        WeightRule::Gaussian { sigma: 0.0 } => "The pixel filter: no neighbour takes part.".into(),
+        WeightRule::Gaussian { sigma } => format!("A Gaussian of σ = {} pixels, by distance on the image alone.", number(sigma)),
+        WeightRule::Exact => "No pixel with noise is within reach: the pixel is left as it is.".into(),
+    }
+}
+
+/// How many neighbours each distance decided about.
+fn decisions(filter: &FilterKernel, window: &Window) -> String {
+    if filter.distances.is_empty() {
+        return String::new();
+    }
+    let decided: Vec<_> = filter.distances.iter().zip(&window.decided).map(|(distance, count)| format!("{} {count}", distance.of.name())).collect();
+    let free = window.neighbours - window.decided.iter().sum::<usize>();
+    format!("Of {} neighbours decided: {}; {free} are like the pixel in all.", window.neighbours, decided.join(", "))
+}
+
+/// All that is known of a neighbour.
+fn neighbour(ui: &mut Ui, viewer: &mut Viewer, (filter, window): (&FilterKernel, &Window), cell: usize) {
+    let Some((x, y)) = filter.pixel(cell) else { return };
+    let [dx, dy] = offset_of(filter, cell);
+    let weight = filter.weights.planes[0][cell];
+    ui.label(RichText::new(format!("Neighbour ({x}, {y}), offset ({dx:+}, {dy:+})")).strong());
+    let color = [0, 1, 2].map(|channel| filter.colors.planes[channel][cell]);
+    ui.horizontal(|ui| {
+        ui.label(format!("w {}, {:.2} % of Σw", number(weight), 100.0 * weight / filter.weight_sum));
+        let place = [cell % filter.side(), cell / filter.side()];
+        swatch(ui, viewer, (&window.colors, place, 28.0), color, "What of the neighbour is averaged");
+    });
+    if filter.distances.is_empty() {
+        return;
+    }
+    let decided = filter.decided_by(cell).map(|distance| &distance.of);
+    ui.spacing_mut().interact_size.y = LINE;
+    Grid::new("distances").num_columns(4).striped(true).spacing([10.0, 2.0]).show(ui, |ui| {
+        for (text, about) in [
+            ("told apart by", "What is compared"),
+            ("d", "Distance, in units of what noise explains; at or below 0 nothing speaks against the neighbour"),
+            ("alone", "The weight that this distance alone would give: exp(−d), or more where the neighbour and the one opposite to it match the pixel better as a pair"),
+            ("", ""),
+        ] {
+            ui.label(RichText::new(text).weak().size(11.5)).on_hover_text(about);
+        }
+        ui.end_row();
+        for distance in &filter.distances {
+            let decides = decided == Some(&distance.of);
+            let styled = |text: String| if decides { RichText::new(text).strong() } else { RichText::new(text) };
+            ui.label(styled(distance.of.name().to_owned())).on_hover_text(compared(&distance.of));
+            for image in [&distance.distances, &distance.weights] {
+                ui.label(styled(number(image.planes[0][cell])).monospace().size(11.0));
+            }
+            ui.label(if decides { "decides" } else { "" });
+            ui.end_row();
+        }
+    });
+    if decided.is_none() {
+        ui.label(RichText::new("Nothing speaks against this neighbour.").weak());
+    }
+}
+
+/// What is compared, and how strictly.
+fn compared(of: &Compared) -> String {
+    match of {
+        Compared::Color { patch_radius, k } => {
+            let side = 2 * patch_radius + 1;
+            format!("patches of {side}×{side} pixels; differences count in {} standard deviations", number(*k))
+        }
+        Compared::Feature { k, tau, .. } => {
+            format!("pixel by pixel; k_f = {}, squared differences from τ = {} on count, in squares of the unit range", number(*k), number(*tau))
+        }
+    }
+}

@@ -1,0 +1,299 @@
+//! Error against run time of the open frame, over radius, preset and method: how much time buys how much.
+
+use std::ops::RangeInclusive;
+
+use eframe::egui::{Button, Color32, Grid, Response, RichText, Role, Ui, Vec2, WidgetInfo};
+use egui_plot::{AxisHints, GridInput, GridMark, Line, LineStyle, MarkerShape, Plot, PlotPoint, PlotPoints, PlotTransform, Points};
+use stein::Preset;
+
+use crate::app::Viewer;
+use crate::settings::Parameters;
+use crate::shortcut::Action;
+use crate::sweep::{Extent, radius};
+use crate::view::numbers::number;
+
+/// How near the pointer must be to a point, in points of the screen.
+const REACH: f32 = 12.0;
+/// Room around the points, in decades.
+const MARGIN: f64 = 0.12;
+
+/// A run in the plot.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Spot {
+    parameters: Parameters,
+    seconds: f64,
+    error: f64,
+    /// Whether every layer was kept, as for the window itself.
+    keeps_layers: bool,
+}
+
+impl Spot {
+    /// Where it is in the plot.
+    fn place(&self) -> [f64; 2] {
+        [self.seconds.log10(), self.error.log10()]
+    }
+
+    fn text(&self) -> String {
+        let how = if self.keeps_layers { ", every layer kept" } else { "" };
+        format!("{}{how}: {} s, {}", title(&self.parameters), number(self.seconds as f32), number(self.error as f32))
+    }
+}
+
+/// Shows it.
+pub fn show(ui: &mut Ui, viewer: &mut Viewer) {
+    let Some(document) = &viewer.document else {
+        ui.label("Open a file to measure error against run time.");
+        return;
+    };
+    let has_reference = document.opened.reference.is_some();
+    let axis = if has_reference { "relative MSE against the reference" } else { "relative MSE, estimated" };
+    let error_of = |error: Option<f64>, estimated: Option<f64>| if has_reference { error } else { estimated };
+    let swept = viewer.sweep.points.iter().map(|point| {
+        let error = error_of(point.error, point.estimated_error);
+        (point.parameters, point.seconds, error, false)
+    });
+    let preset = viewer.parameters.preset;
+    let runs = document.history.iter().map(|run| {
+        let error = error_of(run.error, run.estimated_error);
+        (Parameters { preset, method: run.method }, run.seconds, error, true)
+    });
+    let all: Vec<_> = swept.chain(runs).collect();
+    // What is not above 0 has no place on a logarithmic axis.
+    let spot = |(parameters, seconds, error, keeps_layers): &(Parameters, f64, Option<f64>, bool)| {
+        let error = error.filter(|error| *error > 0.0 && *seconds > 0.0)?;
+        Some(Spot { parameters: *parameters, seconds: *seconds, error, keeps_layers: *keeps_layers })
+    };
+    let spots: Vec<Spot> = all.iter().filter_map(spot).collect();
+    let missing = all.len() - spots.len();
+
+    choose(ui, viewer);
+    let mut taken = plot(ui, viewer, &spots, axis);
+    if missing > 0 {
+        ui.label(RichText::new(format!("{missing} runs without an error above 0 are left out")).weak());
+    }
+    ui.label(
+        RichText::new("Crosses: runs of this window, which keep every layer. The others made the result and its estimated error alone.").weak().size(11.5),
+    );
+    taken = taken.or(table(ui, viewer, &spots));
+    if let Some(parameters) = taken {
+        viewer.take_parameters(parameters);
+    }
+}
+
+/// Over what is swept, and how far it is.
+fn choose(ui: &mut Ui, viewer: &mut Viewer) {
+    let context = ui.ctx().clone();
+    let extent = &mut viewer.sweep.extent;
+    Grid::new("sweep").num_columns(2).spacing([8.0, 3.0]).show(ui, |ui| {
+        ui.label("radii");
+        ui.horizontal_wrapped(|ui| {
+            Extent::RADII.iter().for_each(|radius| toggle(ui, &mut extent.radii, *radius, &radius.to_string(), &format!("radius {radius}")));
+        });
+        ui.end_row();
+        ui.label("presets");
+        ui.horizontal(|ui| Preset::ALL.iter().for_each(|preset| toggle(ui, &mut extent.presets, *preset, preset.name(), &format!("preset {}", preset.name()))));
+        ui.end_row();
+        ui.label("methods");
+        ui.horizontal(|ui| Parameters::METHODS.iter().for_each(|method| toggle(ui, &mut extent.methods, *method, method, &format!("method {method}"))));
+        ui.end_row();
+    });
+    ui.horizontal(|ui| {
+        let count = viewer.sweep.extent.parameters(viewer.parameters).len();
+        if viewer.sweep.is_running {
+            if ui.button("Stop").on_hover_text("Ends the sweep; what was measured stays").clicked() {
+                viewer.perform(Action::Sweep, &context);
+            }
+            ui.label(format!("{} of {} measured", viewer.sweep.points.len(), viewer.sweep.planned.len()));
+        } else {
+            let about = "Denoises the open frame with each, twice, whenever there is nothing else to do (F9)";
+            if ui.add(Button::new(format!("Measure {count}"))).on_hover_text(about).clicked() {
+                viewer.perform(Action::Sweep, &context);
+            }
+        }
+    });
+    ui.add_space(2.0);
+}
+
+/// A word that is in a list or not.
+fn toggle<T: Copy + PartialEq>(ui: &mut Ui, all: &mut Vec<T>, one: T, text: &str, name: &str) {
+    let is_in = all.contains(&one);
+    let response = ui.selectable_label(is_in, text);
+    response.widget_info(|| WidgetInfo::selected(Role::Button, true, is_in, name));
+    if response.clicked() {
+        if is_in { all.retain(|other| *other != one) } else { all.push(one) }
+    }
+}
+
+/// The plot. The parameters of a point that was clicked.
+fn plot(ui: &mut Ui, viewer: &Viewer, spots: &[Spot], axis: &str) -> Option<Parameters> {
+    let width = ui.available_width();
+    let series = series(viewer, ui.visuals().dark_mode);
+    let in_use = viewer.parameters.method;
+    let strong = ui.visuals().strong_text_color();
+    let weak = ui.visuals().weak_text_color();
+    // A point in the middle of nothing would fill the axes.
+    let bounds = |axis: usize| {
+        let places = || spots.iter().map(|spot| spot.place()[axis]);
+        let (least, most) = (places().fold(f64::INFINITY, f64::min), places().fold(f64::NEG_INFINITY, f64::max));
+        if spots.is_empty() { (-3.0, 0.0) } else { (least - MARGIN, most + MARGIN) }
+    };
+    let ((left, right), (bottom, top)) = (bounds(0), bounds(1));
+    let plot = Plot::new("error against time")
+        .height((width * 0.85).clamp(180.0, 420.0))
+        .width(width)
+        .custom_x_axes(vec![AxisHints::new_x().label("seconds").formatter(tick)])
+        .custom_y_axes(vec![AxisHints::new_y().label(axis).formatter(tick)])
+        .x_grid_spacer(marks)
+        .y_grid_spacer(marks)
+        .include_x(left)
+        .include_x(right)
+        .include_y(bottom)
+        .include_y(top)
+        .set_margin_fraction(Vec2::splat(0.02))
+        .show_x(false)
+        .show_y(false)
+        .allow_scroll(false)
+        .allow_boxed_zoom(false)
+        .label_formatter(|_| None);
+    let shown = plot.show(ui, |ui| {
+        for Series { method, preset, color, style } in &series {
+            let own = spots.iter().filter(|spot| !spot.keeps_layers && spot.parameters.method.name() == *method && spot.parameters.preset == *preset);
+            let mut places: Vec<[f64; 2]> = own.map(Spot::place).collect();
+            places.sort_by(|a, b| a[0].total_cmp(&b[0]));
+            let name = format!("{method} {}", preset.name());
+            if is_a_line(*preset, method) {
+                ui.line(Line::new(&name, PlotPoints::from(places.clone())).color(*color).style(*style).width(1.5).allow_hover(false));
+            }
+            ui.points(Points::new(&name, PlotPoints::from(places)).color(*color).radius(4.0).shape(marker(*preset)).allow_hover(false));
+        }
+        let runs: Vec<_> = spots.iter().filter(|spot| spot.keeps_layers).map(Spot::place).collect();
+        ui.points(Points::new("runs of this window", PlotPoints::from(runs)).color(weak).radius(4.0).shape(MarkerShape::Cross).allow_hover(false));
+        let own = |spot: &&Spot| spot.parameters.method == in_use;
+        let current = spots.iter().find(|spot| own(spot) && !spot.keeps_layers).or_else(|| spots.iter().rev().find(own));
+        let ring = PlotPoints::from(current.map(Spot::place).into_iter().collect::<Vec<_>>());
+        ui.points(Points::new("in use", ring).color(strong).radius(8.0).filled(false).shape(MarkerShape::Circle).allow_hover(false));
+    });
+    let response = shown.response;
+    response.widget_info(|| WidgetInfo::labeled(Role::Image, true, format!("plot: {axis} against seconds")));
+    let hovered = response.hover_pos().and_then(|pointer| nearest(&shown.transform, spots, pointer));
+    tell(&response, hovered);
+    legend(ui, &series, spots);
+    hovered.filter(|_| response.clicked()).map(|spot| spot.parameters)
+}
+
+fn tell(response: &Response, hovered: Option<&Spot>) {
+    if let Some(spot) = hovered {
+        response.clone().on_hover_text_at_pointer(format!("{}\nClick to take these parameters.", spot.text()));
+    }
+}
+
+/// The spot under the pointer.
+fn nearest<'a>(transform: &PlotTransform, spots: &'a [Spot], pointer: eframe::egui::Pos2) -> Option<&'a Spot> {
+    let distance = |spot: &Spot| {
+        let [x, y] = spot.place();
+        transform.position_from_point(&PlotPoint::new(x, y)).distance(pointer)
+    };
+    let nearest = spots.iter().map(|spot| (spot, distance(spot))).min_by(|a, b| a.1.total_cmp(&b.1));
+    nearest.filter(|(_, distance)| *distance <= REACH).map(|(spot, _)| spot)
+}
+
+/// Points of one method and preset.
+struct Series {
+    method: &'static str,
+    preset: Preset,
+    color: Color32,
+    style: LineStyle,
+}
+
+fn series(viewer: &Viewer, is_dark: bool) -> Vec<Series> {
+    let colors = if is_dark {
+        [Color32::from_rgb(90, 170, 250), Color32::from_rgb(250, 170, 70), Color32::from_rgb(110, 210, 130)]
+    } else {
+        [Color32::from_rgb(20, 90, 190), Color32::from_rgb(190, 95, 0), Color32::from_rgb(20, 125, 55)]
+    };
+    let is_there =
+        |method: &str, preset: Preset| viewer.sweep.points.iter().any(|point| point.parameters.method.name() == method && point.parameters.preset == preset);
+    let of_method = |(method, color): (&'static str, Color32)| {
+        let presets = Preset::ALL.iter().copied().filter(move |preset| is_there(method, *preset));
+        presets.map(move |preset| {
+            let style = if preset == Preset::Default { LineStyle::Solid } else { LineStyle::dashed_loose() };
+            Series { method, preset, color, style }
+        })
+    };
+    Parameters::METHODS.into_iter().zip(colors).flat_map(of_method).collect()
+}
+
+/// Whether its points differ in the radius.
+fn is_a_line(preset: Preset, method: &str) -> bool {
+    Parameters::of(method, preset).is_some_and(|parameters| radius(&parameters.method).is_some())
+}
+
+fn marker(preset: Preset) -> MarkerShape {
+    if preset == Preset::Default { MarkerShape::Circle } else { MarkerShape::Diamond }
+}
+
+fn legend(ui: &mut Ui, series: &[Series], spots: &[Spot]) {
+    if spots.is_empty() {
+        return;
+    }
+    ui.horizontal_wrapped(|ui| {
+        for Series { method, preset, color, .. } in series {
+            let sign = if *preset == Preset::Default { "●" } else { "◆" };
+            ui.label(RichText::new(format!("{sign} {method} {}", preset.name())).color(*color));
+        }
+        ui.label(RichText::new("○ in use").strong());
+    });
+}
+
+/// What was measured, as text. The parameters of a line that was clicked.
+fn table(ui: &mut Ui, viewer: &Viewer, spots: &[Spot]) -> Option<Parameters> {
+    let mut taken = None;
+    let mut swept: Vec<&Spot> = spots.iter().filter(|spot| !spot.keeps_layers).collect();
+    if swept.is_empty() {
+        return None;
+    }
+    swept.sort_by(|a, b| a.seconds.total_cmp(&b.seconds));
+    ui.separator();
+    Grid::new("measured").num_columns(3).striped(true).spacing([10.0, 1.0]).show(ui, |ui| {
+        for heading in ["parameters", "seconds", "relative MSE"] {
+            ui.label(RichText::new(heading).strong());
+        }
+        ui.end_row();
+        for spot in swept {
+            let is_in_use = spot.parameters.method == viewer.parameters.method;
+            if ui.selectable_label(is_in_use, title(&spot.parameters)).on_hover_text("Click to take these parameters").clicked() {
+                taken = Some(spot.parameters);
+            }
+            ui.label(RichText::new(number(spot.seconds as f32)).monospace());
+            ui.label(RichText::new(number(spot.error as f32)).monospace());
+            ui.end_row();
+        }
+    });
+    taken
+}
+
+/// Method, preset, radius, and whether anything else differs from the preset.
+fn title(parameters: &Parameters) -> String {
+    let Parameters { preset, method } = parameters;
+    let radius = radius(method);
+    let others = method.parameters().iter().filter(|parameter| parameter.name != "window_radius" && parameters.differs(parameter)).count();
+    let radius = radius.map_or_else(String::new, |radius| format!(", radius {radius}"));
+    let changed = if others > 0 { format!(", {others} changed") } else { String::new() };
+    format!("{} {}{radius}{changed}", method.name(), preset.name())
+}
+
+/// 1, 2 and 5 of every decade.
+fn marks(input: GridInput) -> Vec<GridMark> {
+    let (first, last) = (input.bounds.0.floor() as i32, input.bounds.1.ceil() as i32);
+    // Where many decades are shown, they alone are.
+    let steps: &[(f64, f64)] = if input.bounds.1 - input.bounds.0 > 4.0 { &[(1.0, 1.0)] } else { &[(1.0, 1.0), (2.0, 0.3), (5.0, 0.3)] };
+    let decade = |decade: i32| steps.iter().map(move |(digit, step_size)| GridMark { value: f64::from(decade) + digit.log10(), step_size: *step_size });
+    let is_in = |mark: &GridMark| (input.bounds.0..=input.bounds.1).contains(&mark.value);
+    (first..=last).flat_map(decade).filter(is_in).collect()
+}
+
+fn tick(mark: GridMark, _: &RangeInclusive<f64>) -> String {
+    let value = 10.0_f64.powf(mark.value);
+    let digits = (-mark.value.floor()).max(0.0) as usize;
+    if digits > 3 { format!("{value:.0e}") } else { format!("{value:.digits$}") }
+}

@@ -1,0 +1,235 @@
+//! The kernel's panel: what it draws and tells against the library's numbers.
+
+#![expect(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
+
+mod common;
+
+use std::sync::Arc;
+
+use common::{settle, testdata, window};
+use eframe::egui::{Key, Modifiers, Pos2, Rect};
+use egui_kittest::Harness;
+use egui_kittest::kittest::Queryable;
+use stein::{Denoiser, FilterKernel, Image, Kernels, Method, Options, Preset};
+use stein_viewer::document::Source;
+use stein_viewer::inspector::{Inspected, Quantity, cell_at};
+use stein_viewer::layer::Scale;
+use stein_viewer::panel::Panel;
+use stein_viewer::settings::Parameters;
+use stein_viewer::view::colormap::Colormap;
+use stein_viewer::view::numbers::number;
+use stein_viewer::{Start, Viewer};
+
+/// Close to the upper left corner, so that the window is cut.
+const PIXEL: [u32; 2] = [5, 40];
+const NEIGHBOUR: [i32; 2] = [3, -2];
+
+fn open(method: &str, pixel: Option<[u32; 2]>) -> Harness<'static, Viewer> {
+    let mut parameters = Parameters::of(method, Preset::Default).unwrap();
+    if method != "gem" {
+        parameters.method = parameters.method.with_parameter("window_radius", 6).unwrap();
+    }
+    let source = Some(Source { input: testdata("dof_spheres_32spp.exr"), reference: None });
+    window(Start { source, parameters: Some(parameters), panel: Panel::Kernel, pixel, neighbour: Some(NEIGHBOUR), ..Default::default() })
+}
+
+fn inspected(harness: &Harness<'static, Viewer>) -> Arc<Inspected> {
+    harness.state().inspector.inspected.clone().unwrap()
+}
+
+/// Asked apart from the window.
+fn by_the_library(viewer: &Viewer, [x, y]: [u32; 2]) -> Kernels {
+    let document = viewer.document.as_ref().unwrap();
+    let method: Method = document.denoised.as_ref().unwrap().method;
+    Denoiser::new(&viewer.gpu, method).unwrap().kernels(&document.opened.frame, x, y, &Options::default()).unwrap()
+}
+
+fn same_bits(a: &Image, b: &Image) -> bool {
+    let bits = |image: &Image| image.planes.iter().flatten().map(|value| value.to_bits()).collect::<Vec<_>>();
+    a.extent == b.extent && bits(a) == bits(b)
+}
+
+#[test]
+fn the_weights_that_are_drawn_are_the_library_s() {
+    for method in Parameters::METHODS {
+        let harness = open(method, Some(PIXEL));
+        let (shown, kernels) = (inspected(&harness), by_the_library(harness.state(), PIXEL));
+        assert!(!kernels.filters.is_empty() && shown.windows.len() == kernels.filters.len(), "{method}");
+        for (window, filter) in shown.windows.iter().zip(&kernels.filters) {
+            let what = format!("{method}, {}", filter.name);
+            assert!(same_bits(&window.weights.image, &filter.weights), "{what}");
+            assert!(same_bits(&window.colors.image, &filter.colors), "{what}");
+            for (alone, distance) in window.alone.iter().zip(&filter.distances) {
+                assert!(same_bits(&alone.image, &distance.weights), "{what}, {}", distance.of.name());
+            }
+            let weights = || filter.weights.planes[0].iter().map(|weight| f64::from(*weight));
+            let effective = weights().sum::<f64>().powi(2) / weights().map(|weight| weight * weight).sum::<f64>();
+            assert!((f64::from(window.effective_pixels) / effective - 1.0).abs() < 1e-5, "{what}");
+            harness.get_by_label(&format!("filter {}", filter.name));
+        }
+    }
+}
+
+/// The colour of a cell of the large window, on a logarithmic or linear scale from 0.001 or 0 to 1.
+fn colour_of(weight: f32, scale: Scale) -> [f32; 3] {
+    let place = match scale {
+        Scale::Log => 1.0 + weight.max(1e-3).log10() / 3.0,
+        _ => weight,
+    };
+    Colormap::Viridis.color(place).map(|channel| channel * 255.0)
+}
+
+/// The middle of each cell, but for those that are outlined and their neighbours.
+fn check_cells(harness: &mut Harness<'static, Viewer>, filter: &FilterKernel, image: &Image, scale: Scale) {
+    let rect: Rect = harness.get_by_label("window of weights").rect();
+    let picture = harness.render().unwrap();
+    let side = filter.side();
+    let outlined = [side * side / 2, cell_at(filter, NEIGHBOUR).unwrap()];
+    let mut inside = 0;
+    for cell in (0..side * side).filter(|cell| !outlined.contains(cell)) {
+        let size = rect.width() / side as f32;
+        let place: Pos2 = rect.min + size * eframe::egui::Vec2::new((cell % side) as f32 + 0.5, (cell / side) as f32 + 0.5);
+        let found = picture.get_pixel(place.x as u32, place.y as u32).0;
+        if filter.pixel(cell).is_none() {
+            assert!(found[0] == found[1] && found[1] == found[2], "a cell outside of the frame is {found:?}");
+            continue;
+        }
+        inside += 1;
+        let expected = colour_of(image.planes[0][cell], scale);
+        let off = found.iter().zip(expected).map(|(found, expected)| (f32::from(*found) - expected).abs()).fold(0.0, f32::max);
+        assert!(off <= 2.5, "cell {cell} is {found:?}, its weight {} should be {expected:?}", image.planes[0][cell]);
+    }
+    assert!(inside > side && inside < side * side - 2);
+}
+
+#[test]
+fn the_picture_of_a_window_shows_its_weights() {
+    let mut harness = open("dfc", Some(PIXEL));
+    let shown = inspected(&harness);
+    let place = shown.kernels.filters.iter().position(|filter| !filter.distances.is_empty()).unwrap();
+    let filter = &shown.kernels.filters[place];
+    harness.get_by_label(&format!("filter {}", filter.name)).click();
+    harness.run_steps(3);
+    assert_eq!(harness.state().inspector.filter, place);
+    check_cells(&mut harness, filter, &filter.weights, Scale::Log);
+    harness.get_by_label("linear").click();
+    harness.run_steps(3);
+    check_cells(&mut harness, filter, &filter.weights, Scale::Linear);
+    let distance = &filter.distances[0];
+    harness.state_mut().inspector.quantity = Quantity::Alone(distance.of.clone());
+    harness.run_steps(3);
+    check_cells(&mut harness, filter, &distance.weights, Scale::Linear);
+}
+
+#[test]
+fn the_chosen_neighbour_s_distances_are_the_library_s() {
+    let harness = open("dfc", Some(PIXEL));
+    let kernels = by_the_library(harness.state(), PIXEL);
+    let filter = &kernels.filters[0];
+    let cell = cell_at(filter, NEIGHBOUR).unwrap();
+    let (x, y) = filter.pixel(cell).unwrap();
+    harness.get_by_label(&format!("Neighbour ({x}, {y}), offset (+3, -2)"));
+    harness.get_by_label_contains(&format!("w {}, ", number(filter.weights.planes[0][cell])));
+    assert!(!filter.distances.is_empty());
+    for distance in &filter.distances {
+        assert!(harness.query_all_by_label(distance.of.name()).next().is_some(), "{}", distance.of.name());
+        for image in [&distance.distances, &distance.weights] {
+            assert!(harness.query_all_by_label(&number(image.planes[0][cell])).next().is_some(), "{}", distance.of.name());
+        }
+    }
+    assert_eq!(harness.query_by_label("decides").is_some(), filter.decided_by(cell).is_some());
+    let marked = harness.state().view.marked.unwrap();
+    assert_eq!((marked.pixel, marked.radius, marked.neighbour), (PIXEL, filter.window_radius, Some([x, y])));
+}
+
+#[test]
+fn a_pixel_is_chosen_by_click_and_moved_by_keys() {
+    let mut harness = open("dfc", None);
+    harness.get_by_label_contains("Click a pixel");
+    let middle = harness.get_by_label_contains("image: ").rect().center();
+    harness.hover_at(middle);
+    harness.run_steps(2);
+    harness.drag_at(middle);
+    harness.drop_at(middle);
+    settle(&mut harness);
+    let clicked = harness.state().view.pinned.unwrap();
+    assert_eq!(inspected(&harness).question.pixel, clicked);
+
+    harness.key_press_modifiers(Modifiers::SHIFT, Key::ArrowLeft);
+    harness.key_press(Key::ArrowUp);
+    settle(&mut harness);
+    let moved = [clicked[0] - 10, clicked[1] - 1];
+    assert_eq!(harness.state().view.pinned, Some(moved));
+    assert_eq!(inspected(&harness).question.pixel, moved);
+
+    harness.hover_at(middle);
+    harness.run_steps(2);
+    assert_eq!(harness.state().view.hovered, Some(clicked));
+    harness.key_press_modifiers(Modifiers::SHIFT, Key::K);
+    settle(&mut harness);
+    assert_eq!(inspected(&harness).question.pixel, clicked);
+
+    harness.key_press(Key::K);
+    settle(&mut harness);
+    assert_eq!((harness.state().panel, harness.state().view.marked), (Panel::Display, None));
+    harness.key_press(Key::K);
+    settle(&mut harness);
+    assert_eq!(harness.state().panel, Panel::Kernel);
+}
+
+#[test]
+fn a_change_of_parameters_asks_again() {
+    let mut harness = open("dfc", Some(PIXEL));
+    assert_eq!(inspected(&harness).kernels.filters[0].window_radius, 6);
+    let viewer = harness.state_mut();
+    let method = viewer.parameters.method.with_parameter("window_radius", 3).unwrap();
+    viewer.take_parameters(Parameters { method, ..viewer.parameters });
+    settle(&mut harness);
+    assert_eq!(inspected(&harness).kernels.filters[0].window_radius, 3);
+    assert_eq!(inspected(&harness).question.method, harness.state().document.as_ref().unwrap().denoised.as_ref().unwrap().method);
+}
+
+/// Three candidates as three colours, on the result of a run and not only on made-up numbers.
+#[test]
+fn the_selection_is_drawn_in_the_library_s_shares() {
+    let mut harness = open("dfc", Some(PIXEL));
+    harness.state_mut().panel = Panel::Display;
+    harness.state_mut().view.layer = "selection".into();
+    harness.state_mut().view.pinned = None;
+    harness.run_steps(3);
+    let rect = harness.get_by_label("image: selection").rect();
+    let picture = harness.render().unwrap();
+    let viewer = harness.state();
+    let shares = viewer.document.as_ref().unwrap().denoised.as_ref().unwrap().estimate.selection.clone().unwrap();
+    let (width, height) = (shares.extent.width, shares.extent.height);
+    let mut checked = 0;
+    for y in (1..height - 1).step_by(3) {
+        // Below lies the legend.
+        for x in (1..width - 1).step_by(3) {
+            let place = viewer.view.camera.to_screen(rect, eframe::egui::Vec2::new(x as f32 + 0.5, y as f32 + 0.5));
+            if place.y > rect.bottom() - 40.0 {
+                continue;
+            }
+            let found = picture.get_pixel(place.x as u32, place.y as u32).0;
+            let expected = [0, 1, 2].map(|plane| shares.planes[plane][(y * width + x) as usize].clamp(0.0, 1.0) * 255.0);
+            let off = found.iter().zip(expected).map(|(found, expected)| (f32::from(*found) - expected).abs()).fold(0.0, f32::max);
+            assert!(off <= 1.5, "({x}, {y}) is {found:?}, its shares are {expected:?}");
+            checked += 1;
+        }
+    }
+    assert!(checked > 200);
+}
+
+#[test]
+fn the_title_tells_the_file_that_is_open() {
+    let mut harness = open("gem", None);
+    harness.state_mut().open(Source { input: testdata("cornell_8spp.exr"), reference: None });
+    let mut titles = Vec::new();
+    while titles.is_empty() {
+        harness.step();
+        let commands = harness.output().viewport_output.values().flat_map(|output| output.commands.clone());
+        titles.extend(commands.filter(|command| matches!(command, eframe::egui::ViewportCommand::Title(_))));
+    }
+    assert_eq!(titles, [eframe::egui::ViewportCommand::Title("cornell_8spp.exr - Stein".into())]);
+    settle(&mut harness);
+}
