@@ -673,13 +673,14 @@ impl eframe::App for Viewer {
     fn ui(&mut self, ui: &mut Ui, _frame: &mut eframe::Frame) {
         self.show(ui);
         if let Some(frames_left) = &mut self.frames_left {
+            // Frames that nothing asks for would only hold up the work.
             if self.progress.is_none() {
                 *frames_left = frames_left.saturating_sub(1);
+                ui.ctx().request_repaint();
             }
             if *frames_left == 0 {
-                ui.ctx().send_viewport_cmd(egui::ViewportCommand::Close);
+                ui.ctx().send_viewport_cmd(ViewportCommand::Close);
             }
-            ui.ctx().request_repaint();
         }
     }
 
