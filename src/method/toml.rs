@@ -133,7 +133,11 @@ fn flatten<'a>(table: &str, entries: &'a DeTable<'a>, into: &mut Vec<Entry<'a>>)
 fn read(value: &DeValue<'_>) -> Option<Value> {
     match value {
         DeValue::Boolean(flag) => Some(Value::Flag(*flag)),
-        DeValue::Integer(number) => u32::from_str_radix(number.as_str(), number.radix()).ok().map(Value::Integer),
+        DeValue::Integer(number) => {
+            let integer = u32::from_str_radix(number.as_str(), number.radix()).ok().map(Value::Integer);
+            // Too large for an integer, or negative, but a number.
+            integer.or_else(|| number.as_str().parse().ok().filter(|_| number.radix() == 10).map(Value::Number))
+        }
         // Its digits, not a number of another precision between.
         DeValue::Float(number) => number.as_str().parse().ok().map(Value::Number),
         DeValue::String(word) => Some(Value::Choice(word.to_string())),

@@ -228,6 +228,8 @@ fn what_toml_does_not_say_is_as_in_its_preset() {
     }
     assert_eq!(read("preset = \"thesis\"\n[guard]").0, set(thesis, "guard", true));
     assert_eq!(read("guard = false").0, set(dfc, "guard", false));
+    // A whole number too large for an integer is a number all the same.
+    assert_eq!(read("color_k = 5000000000").0, set(dfc, "color_k", 5e9));
     // What contradicts the rest half way does not at the end.
     assert_eq!(read("first_patch_radius = 5\nsecond_patch_radius = 5").0, set(set(dfc, "second_patch_radius", 5), "first_patch_radius", 5));
     // Digits are read as they are, not by way of another precision: this is above the middle of two numbers by less than a float64 can tell.

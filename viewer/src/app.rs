@@ -174,6 +174,8 @@ impl Viewer {
     /// Denoises what is open with the parameters as they are.
     pub fn run(&mut self) {
         let Some(document) = &self.document else { return };
+        // The next iteration would take the run away.
+        self.adaptive.follows &= self.adaptive.shown.is_none();
         self.progress = Some((Task::Denoise, 0.0));
         let (frame, reference) = (document.opened.frame.clone(), document.opened.reference.clone());
         self.worker.send(Request::Denoise { frame, reference, method: self.parameters.method });
@@ -238,6 +240,8 @@ impl Viewer {
                 self.adaptive.compare(&reference);
                 if let Some(document) = self.document.as_mut().filter(|_| self.adaptive.shown.is_some()) {
                     document.compare(&reference);
+                    // Its points know of none.
+                    self.forget_sweep();
                 }
             }
         }
@@ -273,7 +277,7 @@ impl Viewer {
         self.progress.is_none() && !self.sweep.is_running && self.savings.is_empty() && !self.inspector.waits() && self.worker.busy().is_none()
     }
 
-    /// The layer A; the first one where there is none of that name.
+    /// The layer A; the noisy image where there is none of that name.
     pub fn layer(&self) -> Option<&Arc<Layer>> {
         let document = self.document.as_ref()?;
         document.layer(&self.view.layer).or_else(|| document.layer("noisy"))
@@ -359,7 +363,12 @@ impl Viewer {
         match self.progress.take() {
             Some((Task::Adapt, _)) => self.stop_adapting(),
             Some((Task::Sweep, _)) => self.toggle_sweep(),
-            Some((task, _)) => self.worker.cancel(task),
+            Some((task, _)) => {
+                self.worker.cancel(task);
+                if task == Task::Open && std::mem::take(&mut self.interrupted) {
+                    self.run();
+                }
+            }
             None => self.view.pinned = None,
         }
     }
@@ -398,7 +407,7 @@ impl Viewer {
         match purpose {
             Purpose::SaveResult => format!("{input}.denoised"),
             Purpose::SaveParameters => self.parameters.method.name().to_owned(),
-            Purpose::SaveLayer => format!("{input}.{}", self.view.layer),
+            Purpose::SaveLayer => format!("{input}.{}", self.layer().map_or("layer", |layer| layer.name())),
             _ => format!("{input}.view"),
         }
     }
@@ -505,7 +514,7 @@ impl Viewer {
     }
 
     fn take_replies(&mut self, context: &Context) {
-        for reply in self.worker.replies() {
+        while let Some(reply) = self.worker.next_reply() {
             match reply {
                 Reply::Progress(task, share) => self.progress = Some((task, share)),
                 Reply::Opened(opened) => {
@@ -672,9 +681,10 @@ impl Viewer {
 impl eframe::App for Viewer {
     fn ui(&mut self, ui: &mut Ui, _frame: &mut eframe::Frame) {
         self.show(ui);
+        let is_idle = self.is_idle();
         if let Some(frames_left) = &mut self.frames_left {
             // Frames that nothing asks for would only hold up the work.
-            if self.progress.is_none() {
+            if is_idle {
                 *frames_left = frames_left.saturating_sub(1);
                 ui.ctx().request_repaint();
             }

@@ -55,7 +55,7 @@ pub struct Denoised {
     pub estimate: Arc<Estimate>,
     /// What would be done where only the result and its error are wanted.
     pub lean_plan: Plan,
-    /// From the request to the estimate, on the clock.
+    /// What denoising took, on the clock, while the window drew as well.
     pub seconds: f64,
     /// Relative MSE against the reference.
     pub error: Option<f64>,
@@ -118,7 +118,11 @@ impl Document {
     }
 
     /// Takes over what a run has made. The result before stays as a layer to compare with.
-    pub fn add(&mut self, denoised: Denoised) {
+    pub fn add(&mut self, mut denoised: Denoised) {
+        // It may have come while the run was at work.
+        if let (Some(reference), None) = (&self.opened.reference, denoised.error) {
+            denoised.compare(reference);
+        }
         let Denoised { method, seconds, error, estimated_error, .. } = denoised;
         self.history.push(Run { method, seconds, error, estimated_error });
         self.layers = self.opened.layers.iter().chain(&denoised.layers).cloned().collect();
@@ -138,6 +142,9 @@ impl Document {
         self.opened.compare(reference);
         if let Some(denoised) = &mut self.denoised {
             denoised.compare(reference);
+        }
+        if let (Some(newest), Some(denoised)) = (self.history.last_mut(), &self.denoised) {
+            newest.error = denoised.error;
         }
         let made = self.denoised.iter().flat_map(|denoised| &denoised.layers);
         self.layers = self.opened.layers.iter().chain(made).cloned().chain(before).collect();

@@ -53,10 +53,11 @@ impl Purpose {
         matches!(self, Self::SaveView | Self::SaveLayer | Self::SaveResult | Self::SaveParameters)
     }
 
-    /// A path with the ending of the format, where it has none.
+    /// A path with the ending of the format, where it has none; but for one that exists, which nobody was asked about.
     #[must_use]
     pub fn with_ending(self, path: PathBuf) -> PathBuf {
-        if path.extension().is_none() { path.with_extension(self.format().1) } else { path }
+        let complete = path.with_extension(self.format().1);
+        if path.extension().is_none() && !complete.exists() { complete } else { path }
     }
 }
 

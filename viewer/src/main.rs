@@ -35,10 +35,10 @@ struct Args {
     /// Samples a built-in scene adaptively in place of opening a file: soft, dof, motion, caustic, texture or spikes
     #[arg(long, value_name = "SCENE", conflicts_with = "file")]
     adapt: Option<String>,
-    /// Method [default: that of --params, or what was used last; of a screenshot dfc]
+    /// Method [default: that of --params; where no filter option is given, what was used last; else dfc]
     #[arg(long, value_enum)]
     method: Option<MethodName>,
-    /// Parameters [default: that of --params, or what was used last; of a screenshot default]
+    /// Parameters [default: that of --params; where no filter option is given, what was used last; else default]
     #[arg(long, value_enum)]
     preset: Option<PresetName>,
     /// TOML file with method, preset and parameters, such as `stein params` writes

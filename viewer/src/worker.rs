@@ -236,12 +236,10 @@ impl Worker {
         self.mailbox.lock().cancel(task);
     }
 
-    /// What was told since the last call and still counts.
-    pub fn replies(&self) -> Vec<Reply> {
-        let replies: Vec<_> = self.replies.try_iter().collect();
-        let state = self.mailbox.lock();
-        let counts = |number: u64, reply: &Reply| number == state.newest[reply.task() as usize];
-        replies.into_iter().filter(|(number, reply)| counts(*number, reply)).map(|(_, reply)| reply).collect()
+    /// The next thing that was told and still counts, if anything was. One at a time: what is done about one may cancel what another belongs to.
+    pub fn next_reply(&self) -> Option<Reply> {
+        let counts = |(number, reply): &(u64, Reply)| *number == self.mailbox.lock().newest[reply.task() as usize];
+        self.replies.try_iter().find(counts).map(|(_, reply)| reply)
     }
 
     /// The task that is at work or waits to be.
@@ -391,6 +389,14 @@ fn open(job: &Job, source: Source) -> stein::Result<Opened> {
     job.check(0.4)?;
     let (frame, repairs) = Frame::from_buffer_set(&set).map_err(|error| in_file(&source, error))?;
     drop(set);
+    let most = job.desk.gpu.wgpu_device().limits().max_texture_dimension_2d;
+    if frame.extent().width.max(frame.extent().height) > most {
+        return Err(Error::File {
+            path: source.input.clone(),
+            problem: format!("it has {} pixels, and '{}' shows {most} along each side", frame.extent(), job.desk.gpu.summary().name),
+            remedy: "crop it, or choose another adapter with --device; `stein denoise` takes it as it is".into(),
+        });
+    }
     job.check(0.6)?;
     let reference = source.reference.as_ref().map(|path| read_reference(path, None)).transpose()?.map(Arc::new);
     if let (Some(path), Some(image)) = (&source.reference, &reference)
