@@ -70,9 +70,10 @@ pub struct Estimate {
     /// Half spread of the denoised colour: its filtered halves are `color ± half_spread`. `None` without halves.
     pub half_spread: Option<Image>,
     /// One plane: the estimated squared error of each pixel, summed over the channels. Never negative. Of DFC it is made of what the halves of the result differ by, of how far
-    /// its candidates lie apart from it, of the pixel's own noise that is left and of what it got of spikes ([`error_blend`](crate::stage::error::error_blend)): mostly right within a factor of two on
-    /// regions of 16×16 pixels. Of NLM it is the variance left by the halves (thesis 7.1.2), smoothed; it knows nothing of bias. Of GEM it is the variance of the chosen scale
-    /// and the estimated bias of the steps that led to it (thesis 6.3). `None` where [`Options::error`] is off.
+    /// its candidates lie apart from it, of the pixel's own noise that is left ([`error_blend`](crate::stage::error::error_blend)) and of what it got of spikes
+    /// ([`error_spikes`](crate::stage::error::error_spikes)): mostly right within a factor of two on regions of 16×16 pixels. Of NLM it is the variance left by the halves (thesis
+    /// 7.1.2), smoothed; it knows nothing of bias. Of GEM it is the variance of the chosen scale and the estimated bias of the steps that led to it (thesis 6.3). `None` where
+    /// [`Options::error`] is off.
     pub error: Option<Image>,
     /// One plane: how many pixels took part. Of DFC Σ w over the window, blended like the candidates (thesis 8.6); of NLM Σ w, the mean of both halves; of GEM 1/Σw² of the
     /// chosen scale's normalised weights. Of a frame that was copied, 1.

@@ -19,21 +19,21 @@ use crate::{FILTERED, filtered_twin};
 const DERIVATIVE: f64 = 2e-5;
 
 #[derive(Clone, Copy, Debug)]
-struct Case {
-    width: usize,
-    height: usize,
-    window_radius: u32,
-    patch_radii: [u32; 2],
+pub(crate) struct Case {
+    pub(crate) width: usize,
+    pub(crate) height: usize,
+    pub(crate) window_radius: u32,
+    pub(crate) patch_radii: [u32; 2],
     /// Numbers of channels.
-    features: &'static [usize],
-    symmetric: bool,
-    centre: CentreWeight,
+    pub(crate) features: &'static [usize],
+    pub(crate) symmetric: bool,
+    pub(crate) centre: CentreWeight,
 }
 
 const NAMES: [&str; 3] = ["FIRST", "SECOND", "THIRD"];
 const SCHEDULE: Schedule = Schedule { scratch_bytes: 1 << 20, block_rows: 16, ..Schedule::SOFTWARE };
 
-fn filter(case: Case) -> CandidateFilter {
+pub(crate) fn filter(case: Case) -> CandidateFilter {
     CandidateFilter {
         window_radius: case.window_radius,
         color_k: 0.45,
@@ -46,7 +46,7 @@ fn filter(case: Case) -> CandidateFilter {
     }
 }
 
-fn twin_params(case: Case) -> [FilterParams; 3] {
+pub(crate) fn twin_params(case: Case) -> [FilterParams; 3] {
     let filter = filter(case);
     let first = FilterParams {
         window_radius: case.window_radius as usize,

@@ -2,15 +2,15 @@
 
 use glam::IVec2;
 use stein::gpu::Gpu;
-use stein::stage::candidate::CandidateFilter;
 use stein::stage::candidate_set::CandidateSet;
 use stein::stage::nlm::{CentreWeight, Guide, Schedule, Symmetry, Weighting};
 use stein::stage::window::{CellLane, NLM_DISTANCE, NLM_WEIGHT, WindowOfCandidates, candidate_window, nlm_window};
 
+use crate::candidate::{Case, filter, twin_params};
 use crate::common::{Scene, assert_near, calm_scene, checked_gpu, extent_of, gpu, packed_signal, run, scene, schedules, upload};
 use crate::feature::{features, pack};
-use crate::nlm::{rule_of, twin_of};
-use crate::reference::nlm::{self, FilterParams};
+use crate::nlm::twin_of;
+use crate::reference::nlm;
 use crate::reference::nlm_method::{self, Filter};
 use crate::reference::window::{self, Neighbour};
 use crate::reference::{Grid, Point};
@@ -91,51 +91,9 @@ fn check_distances(what: &str, actual: &Grid, expected: Vec<f64>) {
     assert_near(what, &[limited(&actual.values)], &[expected], &[scale], DISTANCE, 0.0);
 }
 
-#[derive(Clone, Copy, Debug)]
-struct Case {
-    width: usize,
-    height: usize,
-    window_radius: u32,
-    patch_radii: [u32; 2],
-    /// Numbers of channels.
-    features: &'static [usize],
-    symmetric: bool,
-    candidates: CandidateSet,
-}
+const BEST: Case = Case { width: 257, height: 89, window_radius: 4, patch_radii: [1, 3], features: &[3, 1, 3, 1], symmetric: true, centre: CentreWeight::One };
 
-const BEST: Case =
-    Case { width: 257, height: 89, window_radius: 4, patch_radii: [1, 3], features: &[3, 1, 3, 1], symmetric: true, candidates: CandidateSet::ALL };
-
-fn filter(case: Case) -> CandidateFilter {
-    CandidateFilter {
-        window_radius: case.window_radius,
-        color_k: 0.45,
-        first_patch_radius: case.patch_radii[0],
-        second_patch_radius: case.patch_radii[1],
-        feature_k: 0.6,
-        feature_tau: 1e-2,
-        feature_tau_third: 5e-4,
-        weighting: Weighting { symmetric: rule_of(case.symmetric), centre: CentreWeight::One },
-    }
-}
-
-fn twin_params(case: Case) -> [FilterParams; 3] {
-    let filter = filter(case);
-    let first = FilterParams {
-        window_radius: case.window_radius as usize,
-        patch_radius: case.patch_radii[0] as usize,
-        k_color: f64::from(filter.color_k),
-        k_feature: f64::from(filter.feature_k),
-        tau: f64::from(filter.feature_tau),
-        symmetric_features: case.symmetric,
-        blend_pairs: case.symmetric,
-        centre: nlm::CentreWeight::One,
-    };
-    let second = FilterParams { patch_radius: case.patch_radii[1] as usize, ..first };
-    [first, second, FilterParams { k_color: f64::INFINITY, tau: f64::from(filter.feature_tau_third), blend_pairs: false, ..first }]
-}
-
-fn check(gpu: &Gpu, case: Case, scene: &Scene, grey: bool) {
+fn check(gpu: &Gpu, case: Case, candidates: CandidateSet, scene: &Scene, grey: bool) {
     let extent = extent_of(&scene.mean[0]);
     let features = features(case.width, case.height, case.features, 61);
     for p in places(case.width, case.height) {
@@ -144,13 +102,13 @@ fn check(gpu: &Gpu, case: Case, scene: &Scene, grey: bool) {
             let variance = upload(rec, &scene.variance)?;
             let packed = if features.is_empty() { None } else { Some(pack(rec, &features)?) };
             let slots = packed.as_ref().map_or_else(Vec::new, |packed| packed.packing.slots.clone());
-            let of = candidate_window(rec, extent, pixel(p), &signal, &variance, packed.as_ref(), &filter(case), case.candidates, grey, SCHEDULE)?;
+            let of = candidate_window(rec, extent, pixel(p), &signal, &variance, packed.as_ref(), &filter(case), candidates, grey, SCHEDULE)?;
             Ok((of.cells, slots))
         });
         let cells = Cells { values: gpu.read(&cells).unwrap_or_else(|error| panic!("{error}")), radius: case.window_radius as isize, p };
         let guide = nlm::Guide { mean: &scene.mean, variance: &scene.variance };
-        for (candidate, params) in (0..).zip(twin_params(case)).filter(|(candidate, _)| case.candidates.flags()[*candidate as usize]) {
-            let what = |part: &str| format!("{case:?} at {p:?}: {} {part}", CandidateSet::NAMES[candidate as usize]);
+        for (candidate, params) in (0..).zip(twin_params(case)).filter(|(candidate, _)| candidates.flags()[*candidate as usize]) {
+            let what = |part: &str| format!("{case:?}, {candidates} at {p:?}: {} {part}", CandidateSet::NAMES[candidate as usize]);
             let expected = window::candidate_window(guide, &features, &params, p);
             let color = (candidate < 2).then(|| WindowOfCandidates::color(candidate));
             let lanes: Vec<_> = color.into_iter().chain(slots.iter().map(|slot| WindowOfCandidates::feature(candidate, *slot))).collect();
@@ -172,14 +130,14 @@ fn check(gpu: &Gpu, case: Case, scene: &Scene, grey: bool) {
 #[test]
 fn of_the_candidates() {
     for case in [BEST, Case { features: &[], ..BEST }, Case { symmetric: false, features: &[2, 1], ..BEST }] {
-        check(gpu(), case, &scene(case.width, case.height, 62), false);
+        check(gpu(), case, CandidateSet::ALL, &scene(case.width, case.height, 62), false);
     }
     let tall = Case { width: 7, height: 300, window_radius: 10, features: &[1], ..BEST };
-    check(gpu(), tall, &calm_scene(7, 300, 63), false);
+    check(gpu(), tall, CandidateSet::ALL, &calm_scene(7, 300, 63), false);
     for (width, height) in [(1, 1), (1, 9), (9, 1)] {
-        check(gpu(), Case { width, height, ..tall }, &calm_scene(width, height, 64), false);
+        check(gpu(), Case { width, height, ..tall }, CandidateSet::ALL, &calm_scene(width, height, 64), false);
     }
-    check(checked_gpu(), Case { width: 19, height: 14, ..BEST }, &scene(19, 14, 65), false);
+    check(checked_gpu(), Case { width: 19, height: 14, ..BEST }, CandidateSet::ALL, &scene(19, 14, 65), false);
 }
 
 #[test]
@@ -192,13 +150,13 @@ fn of_candidates_of_which_some_take_no_part() {
         CandidateSet { third: true, ..none },
         CandidateSet { first: false, ..CandidateSet::ALL },
     ] {
-        check(gpu(), Case { width, height, candidates, features: &[3], ..BEST }, &calm_scene(width, height, 66), false);
+        check(gpu(), Case { width, height, features: &[3], ..BEST }, candidates, &calm_scene(width, height, 66), false);
     }
     // One channel stands for all.
     let scene = calm_scene(width, height, 67);
     let grey = |planes: &[Grid]| vec![planes[0].clone(); 3];
     let scene = Scene { mean: grey(&scene.mean), spread: grey(&scene.spread), variance: grey(&scene.variance) };
-    check(gpu(), Case { width, height, features: &[3], ..BEST }, &scene, true);
+    check(gpu(), Case { width, height, features: &[3], ..BEST }, CandidateSet::ALL, &scene, true);
 }
 
 #[derive(Clone, Copy, Debug)]
