@@ -35,17 +35,17 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     for (var x = max(first.x - radius, 0); x <= min(first.x + PIXELS - 1 + radius, extent.x - 1); x++) {
         let at = pixel_index(vec2<i32>(x, first.y), extent);
         let spread = signal[pixels + at];
-        let two_buffer_variance = spread * spread;
-        let variance = sample_variance[at];
+        var two_buffer_variance = spread * spread;
+        var variance = sample_variance[at];
 #ifdef BY_DEVIATION
         let weight = select(vec4<f32>(0.0), inverseSqrt(max(max(variance, two_buffer_variance / 100.0), vec4<f32>(1e-30))), variance > vec4<f32>(0.0));
-#else
-        let weight = vec4<f32>(1.0);
+        two_buffer_variance *= weight;
+        variance *= weight;
 #endif
         for (var i = 0; i < PIXELS; i++) {
             let is_near = abs(x - first.x - i) <= radius;
-            spread_sums[i] += select(vec4<f32>(0.0), weight * two_buffer_variance, is_near);
-            sample_sums[i] += select(vec4<f32>(0.0), weight * variance, is_near);
+            spread_sums[i] += select(vec4<f32>(0.0), two_buffer_variance, is_near);
+            sample_sums[i] += select(vec4<f32>(0.0), variance, is_near);
         }
     }
     for (var i = 0; i < PIXELS; i++) {

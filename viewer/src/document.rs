@@ -142,9 +142,9 @@ impl Document {
         self.opened.compare(reference);
         if let Some(denoised) = &mut self.denoised {
             denoised.compare(reference);
-        }
-        if let (Some(newest), Some(denoised)) = (self.history.last_mut(), &self.denoised) {
-            newest.error = denoised.error;
+            if let Some(newest) = self.history.last_mut() {
+                newest.error = denoised.error;
+            }
         }
         let made = self.denoised.iter().flat_map(|denoised| &denoised.layers);
         self.layers = self.opened.layers.iter().chain(made).cloned().chain(before).collect();
