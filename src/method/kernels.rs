@@ -5,6 +5,8 @@
 
 use std::sync::Arc;
 
+use serde::Serialize;
+
 use super::{Lane, Plan};
 use crate::gpu::Buffer;
 use crate::image::{Extent, Image};
@@ -69,8 +71,9 @@ pub struct FilterKernel {
     pub(crate) at: PixelInFrame,
 }
 
-/// How the weights of a window came about.
-#[derive(Clone, Copy, Debug, PartialEq)]
+/// How the weights of a window came about. A JSON document names it as `rule`, its numbers beside.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[serde(tag = "rule", rename_all = "snake_case")]
 pub enum WeightRule {
     /// A weight is the least among those of the distances (eq. 8.4), and 1 where there are none.
     Least,
