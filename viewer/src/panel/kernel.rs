@@ -20,7 +20,7 @@ const SMALL: f32 = 72.0;
 /// Side of the large window, in points.
 const LARGE: RangeInclusive<f32> = 200.0..=460.0;
 /// Points that the small windows and the lines take, and each distance of the table.
-const OTHERS: f32 = 306.0;
+const OTHERS: f32 = 336.0;
 const LINE: f32 = 16.0;
 /// What a neighbour weighs beyond what it would by itself before that is explained: this factor, and more than what does not show.
 const TOLD_APART: f32 = 1.01;
@@ -131,9 +131,9 @@ fn filters(ui: &mut Ui, viewer: &mut Viewer, inspected: &Inspected) {
                     }
                     None => {}
                 }
+                swatch(ui, viewer, (&window.value, [0, 0], side), filter.value, "What the filter makes of the pixel");
                 let about = "Sum of the weights, and the effective number of pixels, (Σw)²/Σw²: so many of equal weight leave as much noise";
                 small(ui, format!("Σw {}, n {}", short(filter.weight_sum), short(window.effective_pixels)), about);
-                swatch(ui, viewer, (&window.value, [0, 0], side), filter.value, "What the filter makes of the pixel");
             });
         }
     });
@@ -274,9 +274,10 @@ fn on_canvas(viewer: &Viewer, filter: &FilterKernel) -> Option<[i32; 2]> {
 /// How the weights came about.
 fn rule(filter: &FilterKernel) -> String {
     let side = filter.side();
+    let of = if filter.name == "second_pass" { " of pass 1" } else { "" };
     match filter.rule {
         WeightRule::Least if filter.distances.is_empty() => format!("A box of {side}×{side}: nothing tells the neighbours apart."),
-        WeightRule::Least => format!("{side}×{side} cells. A neighbour weighs as its largest distance says: the least of exp(−d)."),
+        WeightRule::Least => format!("{side}×{side} cells{of}. A neighbour weighs as its largest distance says: the least of exp(−d)."),
         WeightRule::Cut { cut } => format!("{side}×{side} cells, exp(−d) of the patches; weights below {} count as 0.", number(cut)),
         WeightRule::PatchMean { cut } => {
             format!("{side}×{side} cells. The mean of the weights of all pairs of pixels in the two patches; below {} it counts as 0.", number(cut))
@@ -284,7 +285,7 @@ fn rule(filter: &FilterKernel) -> String {
         WeightRule::Gaussian { sigma: 0.0 } => "The pixel filter: no neighbour takes part.".into(),
         WeightRule::Gaussian { sigma } => format!("A Gaussian of σ = {} pixels, by distance on the image alone.", number(sigma)),
         WeightRule::Refused { sigmas } => {
-            format!("{side}×{side} cells. It would change the pixel by more than {} σ of its noise, and is refused: pass 1 is the result.", number(sigmas))
+            format!("{side}×{side} cells{of}. It would change the pixel by more than {} σ of its noise, and is refused: pass 1 is the result.", number(sigmas))
         }
         WeightRule::Exact => "No pixel with noise is within reach: the pixel is left as it is.".into(),
     }
@@ -334,7 +335,17 @@ fn neighbour(ui: &mut Ui, viewer: &mut Viewer, (filter, window): (&FilterKernel,
             for image in [&distance.distances, &distance.weights] {
                 ui.label(styled(number(image.planes[0][cell])).monospace().size(11.0));
             }
-            ui.label(if decides { "decides" } else { "" });
+            let as_pair = stands_in(filter, distance, cell);
+            let text = match (decides, as_pair.is_some()) {
+                (true, true) => "as pair, decides",
+                (true, false) => "decides",
+                (false, true) => "as pair",
+                (false, false) => "",
+            };
+            let label = ui.label(text);
+            if let Some(about) = as_pair {
+                label.on_hover_text(about);
+            }
             ui.end_row();
         }
     });
