@@ -1,5 +1,6 @@
-//! Denoising by combining colour and feature filters (thesis chapter 8): Algorithm 1 as one straight function.
+//! Denoising by combining colour and feature filters (thesis chapter 8): Algorithm 1 from above to below, what is prepared, pass 1, pass 2, the error of the result.
 
+mod kernels;
 mod params;
 mod plan;
 
@@ -10,7 +11,6 @@ use glam::IVec2;
 use super::common::{Auxiliary, SCALE_RADIUS, input_variance};
 use super::estimate::{GpuEstimate, Intermediate, Keeper, Lane, RGB, Shares, Unit};
 use super::frame::FeatureInput;
-use super::kernels::{Compared, KernelOnGpu, LimitOnGpu, ShareOnGpu, WeightRule, WeightsOnGpu};
 use super::memory::{Footprint, UPLOADED_PLANES};
 use super::plan::{Facts, Plan, Step};
 use super::{FrameInput, GpuSignal, Spikes};
@@ -25,8 +25,8 @@ use crate::stage::nlm::{Beside, Guide, Lanes, Payload, Schedule, nlm_filter};
 use crate::stage::sample::{GpuSamples, sample_density};
 use crate::stage::select::{Evidence, HARM, Noisy, select_blend, select_frames, select_least, select_pass, select_share};
 use crate::stage::variance::{BoxWeight, INPUT_SMOOTHING, RESIDUAL_SMOOTHING, variance_smooth};
-use crate::stage::window::{NLM_DISTANCE, NLM_WEIGHT, WindowOfCandidates, candidate_window, nlm_window};
 
+pub(super) use kernels::kernels;
 pub use params::{DfcParams, SecondPass};
 pub(super) use plan::plan;
 
@@ -73,11 +73,12 @@ pub(crate) fn dfc(
     let work = Work { params, plan, schedule, wanted: Wanted::default() };
     let mut prepared = Prepared::new(rec, frame, beside, work, &mut keeper)?;
     let Pass1 { candidates, selection, blend: pass1 } = Pass1::new(rec, &mut prepared, work, &mut keeper, progress)?;
-    let Prepared { extent, color, variance, spikes, samples, .. } = prepared;
+    let Prepared { extent, color, variance, spikes, samples, .. } = &prepared;
+    let extent = *extent;
 
     // Second pass filtering.
     let mut result = pass1.clone();
-    if let Some(pass2) = Pass2::new(rec, extent, &pass1, &variance, work)? {
+    if let Some(pass2) = Pass2::new(rec, extent, &pass1, variance, work)? {
         keeper.keep(Intermediate::Pass1, "pass1", &RGB, Unit::Color, &pass1, 0);
         result = pass2.result;
     }
@@ -90,7 +91,7 @@ pub(crate) fn dfc(
             Shares::Only(only) => MadeOf::Only(*only),
         };
         let parts = ErrorParts::measured(color.has_halves, params.several_can_win());
-        let mut errors = error_blend(rec, extent, &result, &variance, &candidates, made_of, parts)?;
+        let mut errors = error_blend(rec, extent, &result, variance, &candidates, made_of, parts)?;
         if let Some(spikes) = spikes.as_ref().filter(|_| params.spikes == Spikes::Spread) {
             errors = error_spikes(rec, extent, errors, spikes, parts)?;
         }
@@ -100,8 +101,8 @@ pub(crate) fn dfc(
 
     // Adaptive sampling (thesis 8.6).
     if plan.begins(rec, Step::Density) {
-        let density = sample_density(rec, extent, &pass1, error.as_deref().filter(|_| !color.has_halves), &samples)?;
-        let density = smooth(rec, extent, &color.signal, &variance, Step::Density, &density, &DENSITY_SMOOTHING, work)?;
+        let density = sample_density(rec, extent, &pass1, error.as_deref().filter(|_| !color.has_halves), samples)?;
+        let density = prepared.smooth(rec, Step::Density, &density, &DENSITY_SMOOTHING, work)?;
         keeper.keep(Intermediate::Density, "density", &["V"], Unit::Number, &Arc::new(density), 0);
     }
 
@@ -111,7 +112,7 @@ pub(crate) fn dfc(
         // Σ w is that of pass 1.
         weight_sum: Lane { buffer: pass1, plane: 0, component: 3 },
         selection: Some(selection),
-        spikes,
+        spikes: spikes.clone(),
         kept: keeper.into_kept(),
     })
 }
@@ -140,103 +141,6 @@ struct Wanted {
     candidates: Option<Region>,
     /// Of the second pass.
     result: Option<Region>,
-}
-
-/// The kernels at a pixel: of the candidates, and of the second pass where there is one.
-pub(super) fn kernels(rec: &mut Recorder, frame: FrameInput, pixel: IVec2, params: &DfcParams, plan: &Plan, schedule: Schedule) -> Result<Vec<KernelOnGpu>> {
-    let extent = frame.extent;
-    let names: Vec<String> = frame.features.iter().map(|feature| feature.name.clone()).collect();
-    let around = |reach| Some(Region::around(pixel, reach, extent));
-    let wanted = Wanted {
-        features: around(reach_of_kernels(params, plan) - reach_of_prefilter()),
-        candidates: around(reach_of_choice_and_second_pass(params, plan)),
-        result: around(0),
-    };
-    let work = Work { params, plan, schedule, wanted };
-    let mut keeper = Keeper::new(&[]);
-    let mut prepared = Prepared::new(rec, frame, Vec::new(), work, &mut keeper)?;
-    plan.begins(rec, Step::Candidates);
-    let mut kernels = kernels_of_candidates(rec, &prepared, &names, pixel, work)?;
-    if !plan.runs(&Step::Selection) && !plan.runs(&Step::SecondPass) {
-        // One candidate is the result.
-        kernels.iter_mut().for_each(|kernel| kernel.share = Some(ShareOnGpu::Whole));
-        return Ok(kernels);
-    }
-
-    let pass1 = Pass1::new(rec, &mut prepared, work, &mut keeper, |_, _| Ok(()))?;
-    let Prepared { variance, .. } = prepared;
-    for (kernel, candidate) in kernels.iter_mut().zip(candidates_of(plan).map(|(candidate, _)| candidate)) {
-        kernel.share = Some(match &pass1.selection {
-            Shares::Maps(maps) => ShareOnGpu::Lane(Lane { buffer: maps.clone(), plane: 0, component: candidate }),
-            Shares::Only(_) => ShareOnGpu::Whole,
-        });
-    }
-    if let Some(pass2) = Pass2::new(rec, extent, &pass1.blend, &variance, work)? {
-        let Pass2 { filter, left_variance, filtered, result, most_sigmas } = pass2;
-        let window_radius = filter.window_radius;
-        let weights = if is_exact_at(pixel, plan, &Step::SecondPass) {
-            WeightsOnGpu::Exact { window_radius }
-        } else {
-            let guide = Guide { grey: work.is_grey(), ..filter.guide(&pass1.blend, &left_variance, 3) };
-            let cells = nlm_window(rec, extent, pixel, &guide, window_radius, params.weighting, schedule)?;
-            WeightsOnGpu::Cells {
-                cells: Arc::new(cells),
-                window_radius,
-                weight: NLM_WEIGHT,
-                distances: vec![(Compared::Color { patch_radius: filter.patch_radius, k: filter.k }, NLM_DISTANCE)],
-                rule: WeightRule::Least,
-                centre: params.weighting.centre,
-                limit: most_sigmas.map(|sigmas| LimitOnGpu { filtered, result, sigmas }),
-            }
-        };
-        kernels.push(KernelOnGpu { name: "second_pass", averaged: pass1.blend, weights, share: None });
-    }
-    Ok(kernels)
-}
-
-/// The candidates that are computed, numbered from FIRST on.
-fn candidates_of(plan: &Plan) -> impl Iterator<Item = (u32, &'static str)> {
-    let taking_part = plan.candidates().flags();
-    (0..).zip(BY_CANDIDATE).zip(taking_part).filter_map(|(candidate, takes_part)| takes_part.then_some(candidate))
-}
-
-/// Whether a step leaves this pixel as it is.
-fn is_exact_at(pixel: IVec2, plan: &Plan, step: &Step) -> bool {
-    plan.exact(step).is_some_and(|exact| exact.is_exact(&Region { first: pixel, size: IVec2::ONE }))
-}
-
-fn kernels_of_candidates(rec: &mut Recorder, prepared: &Prepared, names: &[String], pixel: IVec2, work: Work) -> Result<Vec<KernelOnGpu>> {
-    let Prepared { extent, color, variance, features, .. } = prepared;
-    let Work { params, plan, schedule, .. } = work;
-    let window_radius = params.window_radius;
-    if is_exact_at(pixel, plan, &Step::Candidates) {
-        let left = |(_, name)| KernelOnGpu { name, averaged: color.signal.clone(), weights: WeightsOnGpu::Exact { window_radius }, share: None };
-        return Ok(candidates_of(plan).map(left).collect());
-    }
-    let (features, filter) = (features.first(), candidate_filter(params));
-    let window = candidate_window(rec, *extent, pixel, &color.signal, variance, features, &filter, plan.candidates(), work.is_grey(), schedule)?;
-    let cells = Arc::new(window.cells);
-    let kernel = |(candidate, name): (u32, &'static str)| {
-        let patch_radius = [Some(params.first_patch_radius), Some(params.second_patch_radius), None][candidate as usize];
-        let of_color = patch_radius.map(|patch_radius| (Compared::Color { patch_radius, k: params.color_k }, WindowOfCandidates::color(candidate)));
-        let tau = if candidate == 2 { params.feature_tau_third } else { params.feature_tau };
-        let slots = features.iter().flat_map(|features| &features.packing.slots);
-        let of_features = names
-            .iter()
-            .zip(slots)
-            .map(|(name, slot)| (Compared::Feature { name: name.clone(), k: params.feature_k, tau }, WindowOfCandidates::feature(candidate, *slot)));
-        let weights = WeightsOnGpu::Cells {
-            cells: cells.clone(),
-            window_radius,
-            weight: WindowOfCandidates::weight(candidate),
-            distances: of_color.into_iter().chain(of_features).collect(),
-            rule: WeightRule::Least,
-            centre: params.weighting.centre,
-            limit: None,
-        };
-        KernelOnGpu { name, averaged: color.signal.clone(), weights, share: None }
-    };
-    Ok(candidates_of(plan).map(kernel).collect())
 }
 
 fn candidate_filter(params: &DfcParams) -> CandidateFilter {
@@ -296,6 +200,23 @@ impl Prepared {
         let variances_beside = colors_beside.iter().map(|color| input_variance(rec, extent, color, params.box_weight)).collect::<Result<Vec<_>>>()?;
         Ok(Self { extent, color, variance, features, spikes, samples, colors_beside, variances_beside })
     }
+
+    /// Gives back what the candidates alone are made from.
+    fn forget_neighbours(&mut self) {
+        self.features.clear();
+        self.colors_beside.clear();
+        self.variances_beside.clear();
+    }
+
+    /// A plane smoothed along the colour.
+    fn smooth(&self, rec: &mut Recorder, step: Step, payload: &Buffer, filter: &Auxiliary, work: Work) -> Result<Buffer> {
+        let Work { params, plan, schedule, wanted } = work;
+        let guide = filter.guide(&self.color.signal, &self.variance, 3);
+        let guide = Guide { grey: work.is_grey(), exact: plan.exact(&step), wanted: wanted.candidates, ..guide };
+        plan.begins(rec, step);
+        let filtered = nlm_filter(rec, self.extent, &guide, &Payload::new(payload, 1), filter.window_radius, params.weighting, false, schedule)?;
+        Ok(filtered.planes)
+    }
 }
 
 /// The candidates averaged by what chose among them.
@@ -306,7 +227,7 @@ struct Pass1 {
 }
 
 impl Pass1 {
-    /// Gives back what the candidates alone are made from.
+    /// Afterwards, `prepared` holds what belongs to the frame itself.
     fn new(
         rec: &mut Recorder,
         prepared: &mut Prepared,
@@ -315,12 +236,12 @@ impl Pass1 {
         progress: impl FnMut(&mut Recorder, f32) -> Result<()>,
     ) -> Result<Self> {
         let Work { params, plan, schedule, wanted } = work;
-        let Prepared { extent, color, variance, features, colors_beside, variances_beside, .. } = prepared;
-        let (extent, signal, variance) = (*extent, &color.signal, &*variance);
+        let Prepared { extent, color, variance, features, colors_beside, variances_beside, .. } = &*prepared;
+        let (extent, signal) = (*extent, &color.signal);
 
         // Candidate filters.
         plan.begins(rec, Step::Candidates);
-        let neighbours = colors_beside.iter().zip(&*variances_beside).enumerate();
+        let neighbours = colors_beside.iter().zip(variances_beside).enumerate();
         let neighbours =
             neighbours.map(|(index, (color, variance_of_mean))| CandidateBeside { signal: &color.signal, variance_of_mean, features: features.get(1 + index) });
         let neighbours: Vec<_> = neighbours.collect();
@@ -339,9 +260,9 @@ impl Pass1 {
             select_frames(rec, extent, Noisy { signal, variance_of_mean: variance }, alone, &candidates, HARM)?;
         }
         drop(alone);
-        features.clear();
-        colors_beside.clear();
-        variances_beside.clear();
+        prepared.forget_neighbours();
+        let Prepared { color, variance, .. } = &*prepared;
+        let signal = &color.signal;
         for (plane, (name, candidate)) in (0..).zip(BY_CANDIDATE.into_iter().zip(&candidates.signals)) {
             let Some(candidate) = candidate else { continue };
             keeper.keep(Intermediate::Candidates, name, &RGB, Unit::Color, candidate, 0);
@@ -354,7 +275,7 @@ impl Pass1 {
         let mut judged = None;
         if plan.begins(rec, Step::Sure) {
             let sure = Arc::new(error_sure(rec, extent, signal, variance, &candidates, params.covariance)?);
-            let errors = Arc::new(smooth(rec, extent, signal, variance, Step::SureSmoothing, &sure, &ERROR_SMOOTHING, work)?);
+            let errors = Arc::new(prepared.smooth(rec, Step::SureSmoothing, &sure, &ERROR_SMOOTHING, work)?);
             keeper.keep(Intermediate::Sure, "sure", &BY_CANDIDATE, Unit::ColorSquared, &sure, 0);
             keeper.keep(Intermediate::Sure, "sure_smoothed", &BY_CANDIDATE, Unit::ColorSquared, &errors, 0);
             judged = Some((sure, errors));
@@ -368,7 +289,7 @@ impl Pass1 {
         // Binary selection maps.
         let selected = Arc::new(select_least(rec, extent, errors, &candidates)?);
         // Filter selection maps.
-        let smoothed = smooth(rec, extent, signal, variance, Step::SelectionSmoothing, &selected, &SELECTION_SMOOTHING, work)?;
+        let smoothed = prepared.smooth(rec, Step::SelectionSmoothing, &selected, &SELECTION_SMOOTHING, work)?;
         // Candidate filter averaging.
         plan.begins(rec, Step::Blend);
         let evidence = Evidence { selected: &selected, errors, sure, variance_of_mean: variance, candidates: &candidates };
@@ -378,25 +299,6 @@ impl Pass1 {
         keeper.keep(Intermediate::Selection, "selection", &BY_CANDIDATE, Unit::Number, &selection, 0);
         Ok(Self { candidates, selection: Shares::Maps(selection), blend })
     }
-}
-
-/// A plane smoothed along the colour.
-#[expect(clippy::too_many_arguments, reason = "they are the filter's definition; a struct would only rename them")]
-fn smooth(
-    rec: &mut Recorder,
-    extent: IVec2,
-    signal: &Buffer,
-    variance: &Buffer,
-    step: Step,
-    payload: &Buffer,
-    filter: &Auxiliary,
-    work: Work,
-) -> Result<Buffer> {
-    let Work { params, plan, schedule, wanted } = work;
-    let guide = Guide { grey: work.is_grey(), exact: plan.exact(&step), wanted: wanted.candidates, ..filter.guide(signal, variance, 3) };
-    plan.begins(rec, step);
-    let filtered = nlm_filter(rec, extent, &guide, &Payload::new(payload, 1), filter.window_radius, params.weighting, false, schedule)?;
-    Ok(filtered.planes)
 }
 
 /// What the second pass made of pass 1.

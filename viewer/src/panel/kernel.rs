@@ -124,12 +124,10 @@ fn filters(ui: &mut Ui, viewer: &mut Viewer, inspected: &Inspected) {
                     ui.painter().rect_stroke(rect, 0.0, Stroke::new(2.0, Color32::WHITE), StrokeKind::Inside);
                 }
                 ui.label(RichText::new(title(filter.name)).strong());
-                match filter.share {
-                    Some(share) => small(ui, format!("{:.0} % of pass 1", 100.0 * share), "Its share in pass 1 of the pixel: the smoothed selection map there"),
-                    None if filter.name == "second_pass" => {
-                        small(ui, "the result".into(), "It averages pass 1, what the candidates were blended to, and makes the result of it")
-                    }
-                    None => {}
+                if let Some(share) = filter.share {
+                    small(ui, format!("{:.0} % of pass 1", 100.0 * share), "Its share in pass 1 of the pixel: the smoothed selection map there");
+                } else if filter.name == "second_pass" {
+                    small(ui, "the result".into(), "It averages pass 1, what the candidates were blended to, and makes the result of it");
                 }
                 swatch(ui, viewer, (&window.value, [0, 0], side), filter.value, "What the filter makes of the pixel");
                 let about = "Sum of the weights, and the effective number of pixels, (Σw)²/Σw²: so many of equal weight leave as much noise";
