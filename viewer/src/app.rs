@@ -13,7 +13,7 @@ use stein::{Extent, Gpu};
 use crate::adaptive::{Adapted, Adaptive, Setup, Step};
 use crate::document::{Document, Source};
 use crate::edit::Edits;
-use crate::files::{Dialog, Purpose, is_reference};
+use crate::files::{Dialog, Purpose, is_reference, short_name};
 use crate::inspector::{Inspector, Question};
 use crate::layer::Layer;
 use crate::panel::{self, Panel};
@@ -513,6 +513,10 @@ impl Viewer {
     fn take_dropped(&mut self, context: &Context) {
         let dropped: Vec<PathBuf> = context.input(|input| input.raw.dropped_files.iter().map(|file| file.path().to_owned()).collect());
         let (references, inputs): (Vec<_>, Vec<_>) = dropped.into_iter().partition(|path| is_reference(path));
+        let left_out: Vec<_> = inputs.iter().skip(1).chain(references.iter().skip(1)).map(|path| short_name(path)).collect();
+        if !left_out.is_empty() {
+            self.tell(Ok(format!("One file is open at a time, left out: {}", left_out.join(", "))), context);
+        }
         match (inputs.into_iter().next(), references.into_iter().next()) {
             (Some(input), reference) => self.open(Source { input, reference }),
             (None, Some(reference)) if self.document.is_some() => self.take_file(Purpose::Reference, reference, context),

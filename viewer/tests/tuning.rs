@@ -6,16 +6,18 @@ mod common;
 
 use common::{settle, testdata, window, window_with};
 use eframe::egui::accesskit::Role;
-use eframe::egui::{Key, Modifiers, Pos2};
+use eframe::egui::{Id, Key, Modifiers, Pos2};
 use egui_kittest::Harness;
 use egui_kittest::kittest::{NodeT, Queryable};
+use egui_plot::{PlotMemory, PlotPoint};
 use stein::buffers::{BufferSet, BufferSetRequest};
 use stein::parameters::{Kind, Value};
 use stein::{Denoiser, Frame, Image, Method, Preset};
 use stein_viewer::document::Source;
 use stein_viewer::files::Purpose;
 use stein_viewer::panel::Panel;
-use stein_viewer::settings::{Parameters, Settings};
+use stein_viewer::panel::plot::PLOT;
+use stein_viewer::settings::{Aside, Parameters, Settings};
 use stein_viewer::view::Compare;
 use stein_viewer::{Start, Viewer};
 
@@ -87,6 +89,37 @@ fn a_changed_parameter_runs_again_changes_the_result_and_can_be_put_back() {
     assert_ne!(result(&harness), before);
 }
 
+fn choose(harness: &mut Harness<'static, Viewer>, method: &str) {
+    let menu: Vec<_> = harness.get_all_by_label("method").collect();
+    menu.into_iter().find(|node| node.accesskit_node().role() == Role::ComboBox).unwrap().click();
+    harness.run_steps(2);
+    press(harness, method);
+}
+
+#[test]
+fn a_method_and_preset_that_is_chosen_again_has_its_edits() {
+    let mut harness = tuning();
+    let edited = harness.state().parameters;
+    choose(&mut harness, "nlm");
+    assert_eq!(harness.state().parameters, Parameters::of("nlm", Preset::Default).unwrap());
+    press_value(&mut harness, "dual_buffer");
+    let nlm = harness.state().parameters;
+    assert_ne!(nlm, nlm.reset());
+    choose(&mut harness, "dfc");
+    assert_eq!(harness.state().parameters, edited);
+    assert_eq!(harness.state().document.as_ref().unwrap().denoised.as_ref().unwrap().method, edited.method);
+    press(&mut harness, "thesis");
+    assert_eq!(harness.state().parameters, Parameters::of("dfc", Preset::Thesis).unwrap());
+    press(&mut harness, "default");
+    assert_eq!(harness.state().parameters, edited);
+    // What was reset is not edited any more, the other method is.
+    press(&mut harness, "Reset all");
+    choose(&mut harness, "nlm");
+    assert_eq!(harness.state().parameters, nlm);
+    choose(&mut harness, "dfc");
+    assert_eq!(harness.state().parameters, Parameters::default());
+}
+
 #[test]
 fn a_contradiction_is_told_and_waits_while_the_last_parameters_stay_in_use() {
     let mut harness = tuning();
@@ -117,7 +150,16 @@ fn parameters_are_remembered_and_read_from_files() {
     let viewer = |settings: &Settings, start| Viewer::new(&context, &gpu, eframe::wgpu::TextureFormat::Rgba8Unorm, settings.clone(), start).unwrap();
     assert_eq!(viewer(&settings, Start::default()).parameters, own);
     let said = Start { parameters: Some(Parameters::default()), ..Default::default() };
-    assert_eq!(viewer(&settings, said).parameters, Parameters::default());
+    let started = viewer(&settings, said);
+    assert_eq!(started.parameters, Parameters::default());
+    // What is remembered comes back when it is chosen, and so do others from before.
+    let nlm = Parameters { method: Parameters::of("nlm", Preset::Default).unwrap().method.with_parameter("cut", 0.1).unwrap(), ..Parameters::default() };
+    let settings = Settings { aside: vec![nlm.to_toml(), "nonsense".into()], ..settings };
+    let aside = viewer(&settings, Start::default()).aside;
+    for left in [own, nlm] {
+        assert_eq!(started.aside.take_up(own.reset()), own);
+        assert_eq!(Aside::from_toml(&aside.to_toml()).take_up(left.reset()), left);
+    }
 
     let folder = tempfile::tempdir().unwrap();
     let (good, bad) = (folder.path().join("good.toml"), folder.path().join("bad.toml"));
@@ -242,11 +284,39 @@ fn a_sweep_measures_makes_way_and_hands_over_its_parameters() {
     assert_eq!(harness.state().parameters, Parameters { preset: Preset::Thesis, method: expected });
     assert_eq!(harness.state().document.as_ref().unwrap().denoised.as_ref().unwrap().method, expected);
 
+    // The point that lies most by itself is clicked.
+    let spots: Vec<_> = {
+        let viewer = harness.state();
+        let swept = viewer.sweep.points.iter().map(|point| (point.parameters.method, point.seconds, point.error));
+        let runs = viewer.document.as_ref().unwrap().history.iter().map(|run| (run.method, run.seconds, run.error));
+        let transform = PlotMemory::load(&harness.ctx, Id::unique(PLOT)).unwrap().transform();
+        let place = |seconds: f64, error: Option<f64>| transform.position_from_point(&PlotPoint::new(seconds.log10(), error.unwrap().log10()));
+        swept.chain(runs).map(|(method, seconds, error)| (method, place(seconds, error))).collect()
+    };
+    let lonely = |(method, place): &(Method, Pos2)| {
+        let others = spots.iter().filter(|(other, _)| other != method);
+        others.map(|(_, other)| other.distance(*place)).fold(f32::INFINITY, f32::min)
+    };
+    let measured = spots.iter().take(harness.state().sweep.points.len()).filter(|(method, _)| *method != expected);
+    let (method, place) = *measured.max_by(|a, b| lonely(a).total_cmp(&lonely(b))).unwrap();
+    assert!(lonely(&(method, place)) > 1.0, "{spots:?}");
+    harness.hover_at(place);
+    harness.run_steps(8);
+    harness.get_by_label_contains("Click to take these parameters.");
+    harness.drag_at(place);
+    harness.drop_at(place);
+    settle(&mut harness);
+    assert_eq!(harness.state().parameters.method, method);
+    assert_eq!(harness.state().document.as_ref().unwrap().denoised.as_ref().unwrap().method, method);
+
     // Stopped, it leaves what was measured.
     harness.key_press(Key::F9);
     harness.run_steps(2);
     press(&mut harness, "Stop");
     assert!(harness.state().sweep.points.len() < 7);
+    let edited = Parameters::of("dfc", Preset::Thesis).unwrap();
+    let edited = Parameters { method: edited.method.with_parameter("window_radius", 2).unwrap(), ..edited };
+    harness.state_mut().take_parameters(edited);
     harness.key_press_modifiers(Modifiers::COMMAND, Key::Backspace);
     settle(&mut harness);
     assert_eq!(harness.state().parameters, Parameters::of("dfc", Preset::Thesis).unwrap());
