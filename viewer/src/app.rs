@@ -18,7 +18,7 @@ use crate::inspector::{Inspector, Question};
 use crate::layer::Layer;
 use crate::panel::{self, Panel};
 use crate::saving::{Content, Saving, Sight};
-use crate::settings::{Aside, Parameters, Settings};
+use crate::settings::{Earlier, Parameters, Settings};
 use crate::shortcut::{self, Action};
 use crate::sweep::Sweep;
 use crate::view::{Compare, Display, View, canvas};
@@ -69,7 +69,7 @@ pub struct Viewer {
     /// The adaptive loop.
     pub adaptive: Adaptive,
     /// How was denoised before, for when that is chosen again.
-    pub aside: Aside,
+    pub earlier: Earlier,
     /// Changes of the parameters that contradict them.
     pub edits: Edits,
     /// Error against run time.
@@ -115,8 +115,8 @@ impl Viewer {
     pub fn new(context: &Context, gpu: &Gpu, format: wgpu::TextureFormat, settings: Settings, start: Start) -> stein::Result<Self> {
         set_style(context);
         let remembered = settings.parameters.as_deref().and_then(|text| Parameters::from_toml(text).ok());
-        let mut aside = Aside::from_toml(&settings.aside);
-        remembered.into_iter().for_each(|remembered| aside.keep(remembered));
+        let mut earlier = Earlier::from_toml(&settings.earlier);
+        remembered.into_iter().for_each(|remembered| earlier.keep(remembered));
         let mut viewer = Self {
             gpu: gpu.clone(),
             worker: Worker::start(gpu, context)?,
@@ -124,7 +124,7 @@ impl Viewer {
             view: View::new(settings.display.clone()),
             adaptive: Adaptive::default(),
             parameters: start.parameters.or(remembered).unwrap_or_default(),
-            aside,
+            earlier,
             edits: Edits::default(),
             sweep: Sweep::default(),
             settings,
@@ -262,7 +262,7 @@ impl Viewer {
     pub fn take_parameters(&mut self, parameters: Parameters) {
         self.edits.clear();
         if self.parameters != parameters {
-            self.aside.keep(std::mem::replace(&mut self.parameters, parameters));
+            self.earlier.keep(std::mem::replace(&mut self.parameters, parameters));
             self.run();
         }
     }
@@ -404,7 +404,10 @@ impl Viewer {
         if self.dialog.is_none() {
             let source = self.document.as_ref().and_then(|document| document.opened.source.as_ref());
             let beside = source.map(|source| source.input.as_path());
-            self.dialog = Dialog::open(purpose, beside, &self.name_for(purpose), context);
+            match Dialog::open(purpose, beside, &self.name_for(purpose), context) {
+                Ok(dialog) => self.dialog = Some(dialog),
+                Err(error) => self.tell(Err(error), context),
+            }
         }
     }
 
@@ -587,8 +590,10 @@ impl Viewer {
     fn take_dialog(&mut self, context: &Context) {
         let Some(Poll::Ready(answer)) = self.dialog.as_ref().map(Dialog::answer) else { return };
         self.dialog = None;
-        if let Some((purpose, path)) = answer {
-            self.take_file(purpose, path, context);
+        match answer {
+            Ok(Some((purpose, path))) => self.take_file(purpose, path, context),
+            Ok(None) => {}
+            Err(error) => self.tell(Err(error), context),
         }
     }
 
@@ -751,7 +756,7 @@ impl eframe::App for Viewer {
         let display = Display { scales: Default::default(), ..self.view.display.clone() };
         self.settings.display = display;
         self.settings.parameters = Some(self.parameters.to_toml());
-        self.settings.aside = self.aside.to_toml();
+        self.settings.earlier = self.earlier.to_toml();
         eframe::set_value(storage, Settings::KEY, &self.settings);
     }
 }

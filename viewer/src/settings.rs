@@ -22,8 +22,8 @@ pub struct Settings {
     pub display: Display,
     /// How was denoised, as [`Parameters::to_toml`] has it.
     pub parameters: Option<String>,
-    /// [`Aside`], in the same way.
-    pub aside: Vec<String>,
+    /// [`Earlier`], in the same way.
+    pub earlier: Vec<String>,
 }
 
 impl Settings {
@@ -42,9 +42,9 @@ impl Settings {
 
 /// Parameters that were left for those of another method or preset: of each method and preset the last.
 #[derive(Clone, Debug, Default)]
-pub struct Aside(Vec<Parameters>);
+pub struct Earlier(Vec<Parameters>);
 
-impl Aside {
+impl Earlier {
     /// Out of what is remembered.
     pub fn from_toml(texts: &[String]) -> Self {
         Self(texts.iter().filter_map(|text| Parameters::from_toml(text).ok()).collect())

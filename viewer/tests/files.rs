@@ -11,11 +11,11 @@ use eframe::egui::Key;
 use egui_kittest::Harness;
 use egui_kittest::kittest::Queryable;
 use stein::Preset;
-use stein_viewer::{Start, Viewer};
 use stein_viewer::document::Source;
 use stein_viewer::files::{is_reference, short_name};
 use stein_viewer::panel::Panel;
 use stein_viewer::settings::Parameters;
+use stein_viewer::{Start, Viewer};
 
 /// A method that is done soon.
 fn quick(method: &str) -> Option<Parameters> {

@@ -21,7 +21,7 @@ use x11rb::rust_connection::RustConnection;
 /// Between two looks at what is waited for.
 const PAUSE: Duration = Duration::from_millis(20);
 /// After which a key is pressed again that has come to nothing: the frame may not have been denoised.
-const BETWEEN_KEYS: Duration = Duration::from_secs(3);
+const BETWEEN_KEYS: Duration = Duration::from_secs(1);
 /// Longest that the window may take.
 const PATIENCE: Duration = Duration::from_secs(120);
 

@@ -17,7 +17,7 @@ use stein_viewer::document::Source;
 use stein_viewer::files::Purpose;
 use stein_viewer::panel::Panel;
 use stein_viewer::panel::plot::PLOT;
-use stein_viewer::settings::{Aside, Parameters, Settings};
+use stein_viewer::settings::{Earlier, Parameters, Settings};
 use stein_viewer::view::Compare;
 use stein_viewer::{Start, Viewer};
 
@@ -154,11 +154,11 @@ fn parameters_are_remembered_and_read_from_files() {
     assert_eq!(started.parameters, Parameters::default());
     // What is remembered comes back when it is chosen, and so do others from before.
     let nlm = Parameters { method: Parameters::of("nlm", Preset::Default).unwrap().method.with_parameter("cut", 0.1).unwrap(), ..Parameters::default() };
-    let settings = Settings { aside: vec![nlm.to_toml(), "nonsense".into()], ..settings };
-    let aside = viewer(&settings, Start::default()).aside;
+    let settings = Settings { earlier: vec![nlm.to_toml(), "nonsense".into()], ..settings };
+    let earlier = viewer(&settings, Start::default()).earlier;
     for left in [own, nlm] {
-        assert_eq!(started.aside.take_up(own.reset()), own);
-        assert_eq!(Aside::from_toml(&aside.to_toml()).take_up(left.reset()), left);
+        assert_eq!(started.earlier.take_up(own.reset()), own);
+        assert_eq!(Earlier::from_toml(&earlier.to_toml()).take_up(left.reset()), left);
     }
 
     let folder = tempfile::tempdir().unwrap();
@@ -172,6 +172,42 @@ fn parameters_are_remembered_and_read_from_files() {
     assert_eq!(viewer.parameters, own);
     let told = viewer.notice.unwrap().0.unwrap_err().to_string();
     assert!(told.contains("bad.toml: line 1") && told.contains("from 1 to 64"), "{told}");
+}
+
+#[test]
+fn the_command_line_takes_a_file_of_parameters_and_says_what_is_wrong_with_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = |name: &str, text: &str| {
+        let path = folder.path().join(name);
+        std::fs::write(&path, text).unwrap();
+        path.to_str().unwrap().to_owned()
+    };
+    let picture = folder.path().join("picture.png");
+    let program = |options: &[&str]| {
+        let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_stein-viewer"));
+        command.arg(testdata("anim/shot.0000.exr")).arg("--screenshot").arg(&picture).args(options);
+        let output = command.output().unwrap();
+        (output.status.code(), String::from_utf8_lossy(&output.stderr).into_owned())
+    };
+    let gem = file("gem.toml", "method = \"gem\"\n");
+    let nlm = file("nlm.toml", "method = \"nlm\"\nwindow_radius = 2\n");
+    let bad = file("bad.toml", "\nwindow_radius = 100\n");
+    let (code, said) = program(&["--params", &gem, "--method", "gem", "--layer", "noisy"]);
+    assert!(code == Some(0) && picture.exists(), "{said}");
+    let cases: [(&[&str], i32, &[&str]); 7] = [
+        // It is what denoises: GEM has no FIRST.
+        (&["--params", &gem, "--layer", "first"], 2, &["there is no layer 'first'", "stopping"]),
+        (&["--params", &gem, "--method", "nlm"], 2, &["--method nlm: ", "gem.toml is for gem", "remedy: leave the option out, or write `method = \"nlm\"`"]),
+        (&["--params", &nlm, "--preset", "thesis"], 2, &["--preset thesis: ", "nlm.toml is for default"]),
+        (&["--params", &gem, "--radius", "3"], 2, &["--radius is no option of the method gem"]),
+        (&["--params", &nlm, "--radius", "100"], 2, &["`window_radius` cannot be 100", "from 1 to 64 pixels"]),
+        (&["--params", &bad], 3, &["bad.toml: line 2: `window_radius` cannot be 100"]),
+        (&["--params", "nowhere.toml"], 3, &["nowhere.toml: cannot be read", "remedy: name a TOML file of parameters"]),
+    ];
+    for (options, expected, parts) in cases {
+        let (code, said) = program(options);
+        assert!(code == Some(expected) && parts.iter().all(|part| said.contains(part)), "{options:?}: {code:?}, {said}");
+    }
 }
 
 #[test]

@@ -183,7 +183,10 @@ fn what_is_named_at_the_start_and_not_there_is_told_once_and_the_window_goes_on(
         screenshot::take(&gpu, &shot, |_| {}).unwrap_err()
     };
     let error = refused(start.clone());
-    assert!(matches!(error, stein::Error::Request { .. }) && error.to_string().contains("there is no layer 'first' or 'nonsense'; there is no pixel"), "{error}");
+    assert!(
+        matches!(error, stein::Error::Request { .. }) && error.to_string().contains("there is no layer 'first' or 'nonsense'; there is no pixel"),
+        "{error}"
+    );
 
     // A neighbour, of a pixel that is there, in both ways.
     let parameters = Some(Parameters { method: Method::default().with_parameter("window_radius", 2).unwrap(), ..Parameters::default() });

@@ -81,7 +81,7 @@ fn choose(ui: &mut Ui, viewer: &mut Viewer) {
     });
     if name != method.name() || preset != viewer.parameters.preset {
         let fresh = Parameters::of(name, preset).unwrap_or(viewer.parameters);
-        viewer.take_parameters(viewer.aside.take_up(fresh));
+        viewer.take_parameters(viewer.earlier.take_up(fresh));
     }
 }
 
