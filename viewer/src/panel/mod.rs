@@ -17,7 +17,7 @@ use eframe::egui::{RichText, ScrollArea, Ui};
 use crate::app::Viewer;
 
 /// Size of the tabs' text, in points.
-const TAB_SIZE: f32 = 11.5;
+const TAB_SIZE: f32 = 11.0;
 
 /// The panels at the right, of which one is shown.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
