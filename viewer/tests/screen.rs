@@ -271,6 +271,9 @@ fn keys_ask_for_files_and_what_is_answered_is_opened_and_written() {
     window.close();
     let (code, said) = ended(child);
     assert_eq!(code, Some(0), "{said}");
+    // The next start knows the file, and what was changed of the method that is not in use any more.
+    let remembered = std::fs::read_to_string(path("stein-viewer/app.ron")).unwrap();
+    assert!(remembered.contains("shot.0001.exr") && remembered.contains("cut = 0.1"), "{remembered}");
     let asked = std::fs::read_to_string(path("asked")).unwrap();
     for suggested in ["shot.0001.denoised.exr", "shot.0001.view.png", "shot.0001.result.png", "nlm.toml"] {
         assert!(asked.contains(&format!("--filename {suggested}")), "{suggested}: {asked}");
