@@ -617,7 +617,8 @@ impl Viewer {
         self.checks_names = false;
         let mut missing: Vec<(String, String)> = Vec::new();
         let is_unknown = |name: &&String| document.layer(name).is_none();
-        let unknown: Vec<_> = [Some(&self.view.layer), self.view.other.as_ref()].into_iter().flatten().filter(is_unknown).cloned().collect();
+        let mut unknown: Vec<_> = [Some(&self.view.layer), self.view.other.as_ref()].into_iter().flatten().filter(is_unknown).cloned().collect();
+        unknown.dedup();
         if !unknown.is_empty() {
             let names: Vec<_> = document.layers().iter().map(|layer| layer.name()).collect();
             missing.push((format!("there is no layer '{}'", unknown.join("' or '")), format!("choose one of {}", names.join(", "))));

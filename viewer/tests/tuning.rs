@@ -18,6 +18,7 @@ use stein_viewer::files::Purpose;
 use stein_viewer::panel::Panel;
 use stein_viewer::panel::plot::PLOT;
 use stein_viewer::settings::{Earlier, Parameters, Settings};
+use stein_viewer::sweep::Point;
 use stein_viewer::view::Compare;
 use stein_viewer::{Start, Viewer};
 
@@ -320,30 +321,24 @@ fn a_sweep_measures_makes_way_and_hands_over_its_parameters() {
     assert_eq!(harness.state().parameters, Parameters { preset: Preset::Thesis, method: expected });
     assert_eq!(harness.state().document.as_ref().unwrap().denoised.as_ref().unwrap().method, expected);
 
-    // The point that lies most by itself is clicked.
-    let spots: Vec<_> = {
-        let viewer = harness.state();
-        let swept = viewer.sweep.points.iter().map(|point| (point.parameters.method, point.seconds, point.error));
-        let runs = viewer.document.as_ref().unwrap().history.iter().map(|run| (run.method, run.seconds, run.error));
-        let transform = PlotMemory::load(&harness.ctx, Id::unique(PLOT)).unwrap().transform();
-        let place = |seconds: f64, error: Option<f64>| transform.position_from_point(&PlotPoint::new(seconds.log10(), error.unwrap().log10()));
-        swept.chain(runs).map(|(method, seconds, error)| (method, place(seconds, error))).collect()
-    };
-    let lonely = |(method, place): &(Method, Pos2)| {
-        let others = spots.iter().filter(|(other, _)| other != method);
-        others.map(|(_, other)| other.distance(*place)).fold(f32::INFINITY, f32::min)
-    };
-    let measured = spots.iter().take(harness.state().sweep.points.len()).filter(|(method, _)| *method != expected);
-    let (method, place) = *measured.max_by(|a, b| lonely(a).total_cmp(&lonely(b))).unwrap();
-    assert!(lonely(&(method, place)) > 1.0, "{spots:?}");
+    // Of the points, the one that lies most by itself is clicked.
+    let transform = PlotMemory::load(&harness.ctx, Id::unique(PLOT)).unwrap().transform();
+    let place = |point: &Point| transform.position_from_point(&PlotPoint::new(point.seconds.log10(), point.error.unwrap().log10()));
+    let points = harness.state().sweep.points.clone();
+    let others = |point: &Point| points.iter().filter(|other| other.parameters != point.parameters).map(place).collect::<Vec<_>>();
+    let alone = |point: &Point| others(point).into_iter().map(|other| other.distance(place(point))).fold(f32::INFINITY, f32::min);
+    let clickable = points.iter().filter(|point| point.parameters.method != expected);
+    let point = clickable.max_by(|a, b| alone(a).total_cmp(&alone(b))).unwrap();
+    assert!(alone(point) > 1.0, "{points:?}");
+    let place = place(point);
     harness.hover_at(place);
     harness.run_steps(8);
     harness.get_by_label_contains("Click to take these parameters.");
     harness.drag_at(place);
     harness.drop_at(place);
     settle(&mut harness);
-    assert_eq!(harness.state().parameters.method, method);
-    assert_eq!(harness.state().document.as_ref().unwrap().denoised.as_ref().unwrap().method, method);
+    assert_eq!(harness.state().parameters, point.parameters);
+    assert_eq!(harness.state().document.as_ref().unwrap().denoised.as_ref().unwrap().method, point.parameters.method);
 
     // Stopped, it leaves what was measured.
     harness.key_press(Key::F9);
