@@ -22,9 +22,9 @@ use stein::aside::Aside;
 use stein::buffers::{BufferSet, LayerRef};
 use stein::frame::SamplesPerPixel;
 use stein::stage::candidate_set::CandidateSet;
-use stein::{Extent, Frame, Gpu, Image, Preset};
+use stein::{Extent, Frame, Gpu, Image, Method, Preset};
 
-use super::filter::{MethodName, Tuning, candidates, presets};
+use super::filter::{Tuning, candidates, methods, presets};
 use super::inspect::settle;
 use super::options::{Device, Source, size};
 use super::progress::bar;
@@ -101,8 +101,8 @@ struct Axes {
     #[arg(long = "ref", value_name = "FILE[::LAYER]")]
     references: Vec<LayerRef>,
     /// Methods to measure [default: dfc, or that of --params]
-    #[arg(long, alias = "method", value_enum, value_name = "NAME,…", value_delimiter = ',')]
-    methods: Vec<MethodName>,
+    #[arg(long, alias = "method", value_name = "NAME,…", value_delimiter = ',', value_parser = methods())]
+    methods: Vec<Method>,
     /// Presets to measure [default: all, or that of --params]
     #[arg(long, alias = "preset", value_name = "NAME,…", value_delimiter = ',', value_parser = presets())]
     presets: Vec<Preset>,

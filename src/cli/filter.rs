@@ -1,18 +1,21 @@
 //! How to filter: the options of all methods, and files of parameters.
 
-use std::fmt::Display;
 use std::path::{Path, PathBuf};
 
-use clap::ValueEnum;
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use stein::method::Spikes;
 use stein::method::nlm::NlmVariance;
 use stein::parameters::Choice as Word;
 use stein::stage::candidate_set::CandidateSet;
 use stein::stage::nlm::{Symmetry, Weighting};
-use stein::{DfcParams, Error, GemParams, Method, NlmParams, Preset};
+use stein::{DfcParams, GemParams, Method, NlmParams, Preset};
 
 use super::Failure;
+
+/// The parameter of `--radius`.
+pub(crate) const WINDOW_RADIUS: &str = "window_radius";
+/// The parameter of `--candidates`.
+pub(crate) const CANDIDATES: &str = "candidates";
 
 /// How to filter.
 #[derive(Debug, clap::Args)]
@@ -22,8 +25,8 @@ pub(crate) struct Filter {
     #[arg(long, value_name = "NAME", value_parser = presets())]
     preset: Option<Preset>,
     /// Method [default: dfc, or that of --params]
-    #[arg(long, value_enum)]
-    method: Option<MethodName>,
+    #[arg(long, value_parser = methods())]
+    method: Option<Method>,
     /// Of dfc and nlm: radius of the window that is averaged over, in pixels [default: 10]
     #[arg(long, value_name = "PIXELS")]
     radius: Option<u32>,
@@ -49,7 +52,7 @@ pub(crate) struct Tuning {
     #[arg(long, value_name = "FILE")]
     params: Option<PathBuf>,
     /// What becomes of spikes: pixels that stand out from those of their kind and rest on very few samples [default: spread; of the preset thesis: keep]
-    #[arg(long, value_name = "RULE", value_parser = words_of(Spikes::ALL, Spikes::choices()))]
+    #[arg(long, value_name = "RULE", value_parser = words_of(Spikes::ALL.to_vec(), Spikes::choices()))]
     spikes: Option<Spikes>,
     /// Of gem: share of wrong decisions for a sharper filter where the image is constant, above 0 and below 0.4; lower is smoother [default: 0.15]
     #[arg(long, value_name = "SHARE")]
@@ -72,7 +75,7 @@ struct NlmChoice {
     #[arg(long, value_name = "NUMBER")]
     alpha: Option<f32>,
     /// Of nlm: whether the mean of opposite neighbours may stand for both, which keeps gradients [default: hard]
-    #[arg(long, value_name = "RULE", value_parser = words_of(Symmetry::ALL, Symmetry::choices()))]
+    #[arg(long, value_name = "RULE", value_parser = words_of(Symmetry::ALL.to_vec(), Symmetry::choices()))]
     symmetric: Option<Symmetry>,
     /// Of nlm: weights below this one become 0 [default: 0.05]
     #[arg(long, value_name = "WEIGHT")]
@@ -98,20 +101,17 @@ impl Filter {
     pub(crate) fn chosen(&self) -> Result<Chosen, Failure> {
         let base = match self.tuning.file()? {
             Some(file) => {
-                file.agrees("--method", self.method.as_slice(), MethodName::of(&file.chosen.method), MethodName::name)?;
-                file.agrees("--preset", self.preset.as_slice(), file.chosen.preset, Preset::name)?;
+                file.agrees("--method", self.method.iter().map(Method::name), file.chosen.method.name())?;
+                file.agrees("--preset", self.preset.iter().map(|preset| preset.name()), file.chosen.preset.name())?;
                 file.chosen
             }
-            None => Chosen::of(self.method.unwrap_or(MethodName::Dfc), self.preset.unwrap_or(Preset::Default)),
+            None => Chosen::of(self.method.unwrap_or_default(), self.preset.unwrap_or(Preset::Default)),
         };
-        let method = MethodName::of(&base.method);
-        if self.radius.is_some() && !method.has_radius() {
-            return Err(not_theirs("--radius", &[method]));
+        let given = [("--radius", WINDOW_RADIUS, self.radius.is_some()), ("--candidates", CANDIDATES, !self.candidates.is_empty())];
+        if let Some((option, ..)) = given.iter().find(|(_, parameter, is_given)| *is_given && !base.method.has_parameter(parameter)) {
+            return Err(not_theirs(option, &[base.method]));
         }
-        if !self.candidates.is_empty() && !method.has_candidates() {
-            return Err(not_theirs("--candidates", &[method]));
-        }
-        self.tuning.check(&[method])?;
+        self.tuning.check(&[base.method])?;
         let candidates = (!self.candidates.is_empty()).then(|| CandidateSet::of_names(&self.candidates));
         let method = self.tuning.applied_to(base.method, Choices { radius: self.radius, candidates })?;
         Ok(Chosen { method, ..base })
@@ -119,7 +119,7 @@ impl Filter {
 }
 
 impl Chosen {
-    pub(crate) fn of(method: MethodName, preset: Preset) -> Self {
+    pub(crate) fn of(method: Method, preset: Preset) -> Self {
         Self { method: method.of_preset(preset), preset }
     }
 }
@@ -138,11 +138,11 @@ impl Tuning {
     }
 
     /// Refuses options that none of the methods has.
-    pub(crate) fn check(&self, methods: &[MethodName]) -> Result<(), Failure> {
+    pub(crate) fn check(&self, methods: &[Method]) -> Result<(), Failure> {
         let of_gem = [("--gamma", self.gamma.is_some())];
-        for (owner, options) in [(MethodName::Gem, &of_gem[..]), (MethodName::Nlm, &self.nlm.given()[..])] {
+        for (owner, options) in [("gem", &of_gem[..]), ("nlm", &self.nlm.given()[..])] {
             let given = options.iter().find(|(_, is_given)| *is_given);
-            if let (Some((option, _)), false) = (given, methods.contains(&owner)) {
+            if let (Some((option, _)), false) = (given, methods.iter().any(|method| method.name() == owner)) {
                 return Err(not_theirs(option, methods));
             }
         }
@@ -202,107 +202,51 @@ pub(crate) struct ParamsFile<'a> {
 
 impl<'a> ParamsFile<'a> {
     fn read(path: &'a Path) -> Result<Self, Failure> {
-        let text = std::fs::read_to_string(path).map_err(|error| {
-            let remedy = "name a TOML file of parameters, such as `stein params -o FILE` writes";
-            Failure::from(Error::File { path: path.to_owned(), problem: format!("cannot be read: {error}"), remedy: remedy.into() })
-        })?;
-        let (method, preset) = Method::from_toml(&text).map_err(|error| Failure::in_file(path, error))?;
+        let (method, preset) = Method::read_toml(path)?;
         Ok(Self { path, chosen: Chosen { method, preset } })
     }
 
     /// Refuses an option that says something else than the file.
-    pub(crate) fn agrees<T: Copy + PartialEq, N: Display>(&self, option: &str, given: &[T], own: T, name: fn(T) -> N) -> Result<(), Failure> {
-        match given.iter().find(|given| **given != own) {
+    pub(crate) fn agrees(&self, option: &str, given: impl IntoIterator<Item = &'static str>, own: &str) -> Result<(), Failure> {
+        match given.into_iter().find(|given| *given != own) {
             None => Ok(()),
             Some(other) => {
                 let (path, key) = (self.path.display(), option.trim_start_matches('-').trim_end_matches('s'));
                 Err(Failure::usage(format_args!(
-                    "{option} {}: {path} is for {}\n  remedy: leave the option out, or write `{key} = \"{}\"` into the file",
-                    name(*other),
-                    name(own),
-                    name(*other)
+                    "{option} {other}: {path} is for {own}\n  remedy: leave the option out, or write `{key} = \"{other}\"` into the file"
                 )))
             }
         }
     }
 }
 
-/// The methods, as [`Method`].
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub(crate) enum MethodName {
-    /// Combined colour and feature filters
-    Dfc,
-    /// Greedy error minimisation over Gaussian scales; needs no features
-    Gem,
-    /// Non-local means, each half of the samples filtered with the weights of the other; needs no features
-    Nlm,
-}
-
-impl MethodName {
-    pub(crate) fn of(method: &Method) -> Self {
-        match method {
-            Method::Dfc(_) => Self::Dfc,
-            Method::Gem(_) => Self::Gem,
-            Method::Nlm(_) => Self::Nlm,
-        }
-    }
-
-    pub(crate) fn of_preset(self, preset: Preset) -> Method {
-        let [dfc, gem, nlm] = Method::all();
-        let method = match self {
-            Self::Dfc => dfc,
-            Self::Gem => gem,
-            Self::Nlm => nlm,
-        };
-        method.of_preset(preset)
-    }
-
-    /// As on the command line.
-    pub(crate) fn name(self) -> &'static str {
-        match self {
-            Self::Dfc => "dfc",
-            Self::Gem => "gem",
-            Self::Nlm => "nlm",
-        }
-    }
-
-    /// Whether it has a window whose radius can be set.
-    pub(crate) fn has_radius(self) -> bool {
-        self != Self::Gem
-    }
-
-    /// Whether it has candidates of which some can be left out.
-    pub(crate) fn has_candidates(self) -> bool {
-        self == Self::Dfc
-    }
-
-    /// Whether it has a second pass.
-    pub(crate) fn has_second_pass(self) -> bool {
-        self == Self::Dfc
-    }
-}
-
 /// An option that none of the methods has is not ignored.
-pub(crate) fn not_theirs(option: &str, methods: &[MethodName]) -> Failure {
-    let names = methods.iter().map(|method| method.name()).collect::<Vec<_>>().join(" or ");
+pub(crate) fn not_theirs(option: &str, methods: &[Method]) -> Failure {
+    let names = methods.iter().map(Method::name).collect::<Vec<_>>().join(" or ");
     Failure::usage(format_args!("{option} is no option of the method {names}\n  remedy: leave it out, or choose another --method"))
 }
 
 /// Words with their meaning.
-fn words(words: Vec<Word>) -> Vec<PossibleValue> {
+fn words(words: impl IntoIterator<Item = Word>) -> Vec<PossibleValue> {
     words.into_iter().map(|word| PossibleValue::new(word.name).help(word.documentation.trim_end_matches('.').to_owned())).collect()
 }
 
 /// One of several values, by its word: that at the same place.
-fn words_of<T: Copy + Send + Sync + 'static>(values: &'static [T], choices: Vec<Word>) -> impl TypedValueParser<Value = T> {
+fn words_of<T: Copy + Send + Sync + 'static>(values: Vec<T>, choices: impl IntoIterator<Item = Word>) -> impl TypedValueParser<Value = T> {
+    let choices: Vec<_> = choices.into_iter().collect();
     let names: Vec<_> = choices.iter().map(|word| word.name).collect();
-    let find = move |name: String| names.iter().zip(values).find(|(other, _)| **other == name).map(|(_, value)| *value).ok_or("it is none of them");
+    let find = move |name: String| names.iter().zip(&values).find(|(other, _)| **other == name).map(|(_, value)| *value).ok_or("it is none of them");
     PossibleValuesParser::new(words(choices)).try_map(find)
 }
 
 /// The presets by their names.
 pub(crate) fn presets() -> impl TypedValueParser<Value = Preset> {
-    words_of(Preset::ALL, Preset::choices())
+    words_of(Preset::ALL.to_vec(), Preset::choices())
+}
+
+/// The methods by their names, with the parameters of the default preset.
+pub(crate) fn methods() -> impl TypedValueParser<Value = Method> {
+    words_of(Method::all().to_vec(), Method::choices())
 }
 
 /// Candidates joined by plus signs, as in first+second, or all.

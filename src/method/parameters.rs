@@ -2,12 +2,22 @@
 
 use super::{DfcParams, GemParams, Method, NlmParams, Preset};
 use crate::error::{Error, Result};
-use crate::parameters::{Describe, Kind, Parameter, Value};
+use crate::parameters::{Choice, Describe, Kind, Parameter, Value};
 
 impl Method {
     /// All methods, with the parameters of the default preset.
     pub fn all() -> [Self; 3] {
         [Self::Dfc(DfcParams::default()), Self::Gem(GemParams::default()), Self::Nlm(NlmParams::default())]
+    }
+
+    /// Their names and what they are, in the order of [`Method::all`].
+    pub fn choices() -> [Choice; 3] {
+        let about = |method: &Self| match method {
+            Self::Dfc(_) => "Combined colour and feature filters.",
+            Self::Gem(_) => "Greedy error minimisation over Gaussian scales; needs no features.",
+            Self::Nlm(_) => "Non-local means, each half of the samples filtered with the weights of the other; needs no features.",
+        };
+        Self::all().map(|method| Choice { name: method.name(), documentation: about(&method).into() })
     }
 
     /// The same method with the parameters of a preset.
@@ -30,6 +40,11 @@ impl Method {
             Self::Gem(params) => params.parameters(),
             Self::Nlm(params) => params.parameters(),
         }
+    }
+
+    /// Whether it has a parameter of this name, be it in a group that is left out.
+    pub fn has_parameter(&self, name: &str) -> bool {
+        self.parameters().iter().any(|parameter| parameter.name == name)
     }
 
     /// The same with another value of one parameter, named as in [`Method::parameters`].
@@ -80,7 +95,7 @@ impl Method {
             names.collect::<Vec<_>>().join(", ")
         };
         let own = self.name();
-        let others = Self::all().into_iter().filter(|other| other.parameters().iter().any(|parameter| parameter.name == name));
+        let others = Self::all().into_iter().filter(|other| other.has_parameter(name));
         let others = others.map(|other| other.name()).collect::<Vec<_>>().join(" and ");
         let beside = names_in(name.rsplit_once('.').map_or("", |(group, _)| group));
         let (problem, remedy) = match (names_in(name), beside) {

@@ -1,6 +1,7 @@
 //! A method's parameters as a TOML file that people read and write.
 
 use std::fmt::Write;
+use std::path::Path;
 
 use toml::de::{DeTable, DeValue};
 
@@ -92,6 +93,20 @@ impl Method {
         }
         method.validate()?;
         Ok((method, preset))
+    }
+
+    /// The same out of a file.
+    ///
+    /// # Errors
+    /// [`Error::File`] where it cannot be read, or with what [`Method::from_toml`] says of it.
+    pub fn read_toml(path: &Path) -> Result<(Self, Preset)> {
+        let refused = |problem, remedy| Error::File { path: path.to_owned(), problem, remedy };
+        let text = std::fs::read_to_string(path)
+            .map_err(|error| refused(format!("cannot be read: {error}"), "name a TOML file of parameters, such as `stein params -o FILE` writes".into()))?;
+        Self::from_toml(&text).map_err(|error| match error {
+            Error::Request { problem, remedy } => refused(problem, remedy),
+            error => error,
+        })
     }
 
     fn with_entry(self, name: &str, value: &DeValue<'_>) -> Result<Self> {

@@ -13,12 +13,12 @@ use stein::{Extent, Gpu};
 use crate::adaptive::{Adapted, Adaptive, Setup, Step};
 use crate::document::{Document, Source};
 use crate::edit::Edits;
-use crate::files::{Dialog, Purpose, is_reference};
+use crate::files::{Dialog, Purpose, is_reference, short_name};
 use crate::inspector::{Inspector, Question};
 use crate::layer::Layer;
 use crate::panel::{self, Panel};
 use crate::saving::{Content, Saving, Sight};
-use crate::settings::{Parameters, Settings};
+use crate::settings::{Earlier, Parameters, Settings};
 use crate::shortcut::{self, Action};
 use crate::sweep::Sweep;
 use crate::view::{Compare, Display, View, canvas};
@@ -68,6 +68,8 @@ pub struct Viewer {
     pub parameters: Parameters,
     /// The adaptive loop.
     pub adaptive: Adaptive,
+    /// How was denoised before, for when that is chosen again.
+    pub earlier: Earlier,
     /// Changes of the parameters that contradict them.
     pub edits: Edits,
     /// Error against run time.
@@ -96,6 +98,8 @@ pub struct Viewer {
     frames_left: Option<u32>,
     /// Whether a sweep follows when the frame is open.
     sweeps: bool,
+    /// Whether it is still to be checked that what the program starts with is there: that cannot be told before the first run is done.
+    checks_names: bool,
     dialog: Option<Dialog>,
     savings: Vec<Saving>,
     /// Size of the canvas, in points.
@@ -111,6 +115,8 @@ impl Viewer {
     pub fn new(context: &Context, gpu: &Gpu, format: wgpu::TextureFormat, settings: Settings, start: Start) -> stein::Result<Self> {
         set_style(context);
         let remembered = settings.parameters.as_deref().and_then(|text| Parameters::from_toml(text).ok());
+        let mut earlier = Earlier::from_toml(&settings.earlier);
+        remembered.into_iter().for_each(|remembered| earlier.keep(remembered));
         let mut viewer = Self {
             gpu: gpu.clone(),
             worker: Worker::start(gpu, context)?,
@@ -118,6 +124,7 @@ impl Viewer {
             view: View::new(settings.display.clone()),
             adaptive: Adaptive::default(),
             parameters: start.parameters.or(remembered).unwrap_or_default(),
+            earlier,
             edits: Edits::default(),
             sweep: Sweep::default(),
             settings,
@@ -132,6 +139,7 @@ impl Viewer {
             interrupted: false,
             frames_left: start.exit_after_frames,
             sweeps: start.sweeps,
+            checks_names: true,
             dialog: None,
             savings: Vec::new(),
             canvas: Vec2::ZERO,
@@ -254,7 +262,7 @@ impl Viewer {
     pub fn take_parameters(&mut self, parameters: Parameters) {
         self.edits.clear();
         if self.parameters != parameters {
-            self.parameters = parameters;
+            self.earlier.keep(std::mem::replace(&mut self.parameters, parameters));
             self.run();
         }
     }
@@ -396,7 +404,10 @@ impl Viewer {
         if self.dialog.is_none() {
             let source = self.document.as_ref().and_then(|document| document.opened.source.as_ref());
             let beside = source.map(|source| source.input.as_path());
-            self.dialog = Dialog::open(purpose, beside, &self.name_for(purpose), context);
+            match Dialog::open(purpose, beside, &self.name_for(purpose), context) {
+                Ok(dialog) => self.dialog = Some(dialog),
+                Err(error) => self.tell(Err(error), context),
+            }
         }
     }
 
@@ -505,6 +516,10 @@ impl Viewer {
     fn take_dropped(&mut self, context: &Context) {
         let dropped: Vec<PathBuf> = context.input(|input| input.raw.dropped_files.iter().map(|file| file.path().to_owned()).collect());
         let (references, inputs): (Vec<_>, Vec<_>) = dropped.into_iter().partition(|path| is_reference(path));
+        let left_out: Vec<_> = inputs.iter().skip(1).chain(references.iter().skip(1)).map(|path| short_name(path)).collect();
+        if !left_out.is_empty() {
+            self.tell(Ok(format!("One file is open at a time, left out: {}", left_out.join(", "))), context);
+        }
         match (inputs.into_iter().next(), references.into_iter().next()) {
             (Some(input), reference) => self.open(Source { input, reference }),
             (None, Some(reference)) if self.document.is_some() => self.take_file(Purpose::Reference, reference, context),
@@ -575,8 +590,10 @@ impl Viewer {
     fn take_dialog(&mut self, context: &Context) {
         let Some(Poll::Ready(answer)) = self.dialog.as_ref().map(Dialog::answer) else { return };
         self.dialog = None;
-        if let Some((purpose, path)) = answer {
-            self.take_file(purpose, path, context);
+        match answer {
+            Ok(Some((purpose, path))) => self.take_file(purpose, path, context),
+            Ok(None) => {}
+            Err(error) => self.tell(Err(error), context),
         }
     }
 
@@ -587,6 +604,48 @@ impl Viewer {
         self.take_savings(context);
         self.take_dropped(context);
         self.inspect(context);
+        self.check_names();
+    }
+
+    /// Tells, once the first run is done, what the program was started with and is not there. The usual is shown in its place.
+    fn check_names(&mut self) {
+        let Some(document) = self.document.as_ref().filter(|document| document.denoised.is_some()) else { return };
+        // The last iteration brings layers as well, and what is told already is not to be replaced.
+        if !self.checks_names || self.adaptive.is_running || self.inspector.waits() || self.trouble.is_some() {
+            return;
+        }
+        self.checks_names = false;
+        let mut missing: Vec<(String, String)> = Vec::new();
+        let is_unknown = |name: &&String| document.layer(name).is_none();
+        let mut unknown: Vec<_> = [Some(&self.view.layer), self.view.other.as_ref()].into_iter().flatten().filter(is_unknown).cloned().collect();
+        unknown.dedup();
+        if !unknown.is_empty() {
+            let names: Vec<_> = document.layers().iter().map(|layer| layer.name()).collect();
+            missing.push((format!("there is no layer '{}'", unknown.join("' or '")), format!("choose one of {}", names.join(", "))));
+        }
+        let extent = document.opened.frame.extent();
+        let outside = self.view.pinned.filter(|[x, y]| *x >= extent.width || *y >= extent.height);
+        if let Some([x, y]) = outside {
+            missing.push((format!("there is no pixel ({x}, {y})"), format!("the image has {extent} pixels, counted from 0")));
+        }
+        let lost = self.inspector.kept.filter(|offset| self.inspector.lacks(*offset));
+        if let Some([dx, dy]) = lost {
+            missing.push((format!("the window has no neighbour ({dx}, {dy}) in the image"), "choose an offset within the radius of the window".into()));
+        }
+        if missing.is_empty() {
+            return;
+        }
+        if unknown.contains(&self.view.layer) {
+            self.view.layer = "result".into();
+            self.scrolls_to_layer = true;
+        }
+        if self.view.other.take_if(|other| unknown.contains(other)).is_some() {
+            self.compare(self.view.compare);
+        }
+        self.view.pinned.take_if(|_| outside.is_some());
+        self.inspector.kept.take_if(|_| lost.is_some());
+        let (problems, remedies): (Vec<_>, Vec<_>) = missing.into_iter().unzip();
+        self.refuse(&problems.join("; "), &remedies.join("; "));
     }
 
     /// Asks for the kernels of the pixel that is to be explained, where they are not there yet.
@@ -698,6 +757,7 @@ impl eframe::App for Viewer {
         let display = Display { scales: Default::default(), ..self.view.display.clone() };
         self.settings.display = display;
         self.settings.parameters = Some(self.parameters.to_toml());
+        self.settings.earlier = self.earlier.to_toml();
         eframe::set_value(storage, Settings::KEY, &self.settings);
     }
 }

@@ -29,3 +29,8 @@ pub fn setup(gpu: &Gpu) -> Result<WgpuSetup> {
 pub fn configuration(gpu: &Gpu) -> Result<WgpuConfiguration> {
     Ok(WgpuConfiguration { wgpu_setup: setup(gpu)?, ..Default::default() })
 }
+
+/// That the system starts no thread.
+pub(crate) fn no_thread(error: std::io::Error) -> Error {
+    Error::Device { problem: format!("no thread can be started: {error}"), remedy: "end other programs, or raise the limit on processes (ulimit -u)".into() }
+}

@@ -3,8 +3,15 @@
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::{Receiver, TryRecvError, channel};
 use std::task::Poll;
+use std::time::{Duration, Instant};
 
 use eframe::egui::Context;
+use stein::{Error, Result};
+
+use crate::device::no_thread;
+
+/// Nobody closes a dialog sooner: where there is no answer by then, none was shown.
+const SOONEST: Duration = Duration::from_millis(150);
 
 /// What a file is asked for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -65,12 +72,15 @@ impl Purpose {
 #[derive(Debug)]
 pub struct Dialog {
     purpose: Purpose,
-    answer: Receiver<Option<PathBuf>>,
+    answer: Receiver<Result<Option<PathBuf>>>,
 }
 
 impl Dialog {
-    /// Opens a dialog in the folder of `beside`, where a file to write is to be called `name`. `None` where the system gives no thread.
-    pub fn open(purpose: Purpose, beside: Option<&Path>, name: &str, context: &Context) -> Option<Self> {
+    /// Opens a dialog in the folder of `beside`, where a file to write is to be called `name`.
+    ///
+    /// # Errors
+    /// [`Error::Device`] where the system gives no thread.
+    pub fn open(purpose: Purpose, beside: Option<&Path>, name: &str, context: &Context) -> Result<Self> {
         let (sender, answer) = channel();
         let (format, ending) = purpose.format();
         let dialog = rfd::FileDialog::new().set_title(purpose.title()).add_filter(format, &[ending]);
@@ -81,21 +91,36 @@ impl Dialog {
         };
         let context = context.clone();
         let ask = move || {
+            let asked = Instant::now();
+            let path = if purpose.saves() { dialog.save_file().map(|path| purpose.with_ending(path)) } else { dialog.pick_file() };
             // Where nobody waits for the answer any more, the window is closed.
-            let _ = sender.send(if purpose.saves() { dialog.save_file().map(|path| purpose.with_ending(path)) } else { dialog.pick_file() });
+            let _ = sender.send(answered(path, asked.elapsed()));
             context.request_repaint();
         };
-        std::thread::Builder::new().name("stein-dialog".into()).spawn(ask).ok().map(|_| Self { purpose, answer })
+        std::thread::Builder::new().name("stein-dialog".into()).spawn(ask).map_err(no_thread)?;
+        Ok(Self { purpose, answer })
     }
 
     /// What was chosen, if anything was; pending while the dialog is open.
-    pub fn answer(&self) -> Poll<Option<(Purpose, PathBuf)>> {
+    pub fn answer(&self) -> Poll<Result<Option<(Purpose, PathBuf)>>> {
         match self.answer.try_recv() {
-            Ok(path) => Poll::Ready(path.map(|path| (self.purpose, path))),
-            Err(TryRecvError::Disconnected) => Poll::Ready(None),
+            Ok(answer) => Poll::Ready(answer.map(|path| path.map(|path| (self.purpose, path)))),
+            Err(TryRecvError::Disconnected) => Poll::Ready(Ok(None)),
             Err(TryRecvError::Empty) => Poll::Pending,
         }
     }
+}
+
+/// A dialog that the system cannot show tells nothing else than one that was closed, but at once.
+fn answered(path: Option<PathBuf>, after: Duration) -> Result<Option<PathBuf>> {
+    if path.is_some() || after >= SOONEST {
+        return Ok(path);
+    }
+    Err(Error::Request {
+        problem: "no file dialog can be shown".into(),
+        remedy: "install zenity, or the xdg-desktop-portal of your desktop; files to open can also be dropped on the window, or named on the command line"
+            .into(),
+    })
 }
 
 /// Whether a dropped file is meant as a reference, by its name.
@@ -107,4 +132,16 @@ pub fn is_reference(path: &Path) -> bool {
 /// A file's name for people, without its folder.
 pub fn short_name(path: &Path) -> String {
     path.file_name().map_or_else(|| path.display().to_string(), |name| name.to_string_lossy().into_owned())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_dialog_that_was_never_shown_is_told_from_one_that_was_closed() {
+        let (at_once, later) = (Duration::from_millis(3), Duration::from_secs(2));
+        assert_eq!(answered(Some("a.exr".into()), at_once).ok(), Some(Some("a.exr".into())));
+        assert!(matches!(answered(None, later), Ok(None)) && matches!(answered(None, at_once), Err(Error::Request { .. })));
+    }
 }

@@ -180,6 +180,12 @@ impl Inspector {
         [self.pointed, self.kept].into_iter().flatten().find_map(|offset| cell_at(filter, offset))
     }
 
+    /// Whether what is there has no neighbour at this offset.
+    pub fn lacks(&self, offset: [i32; 2]) -> bool {
+        let is_there = |inspected: &Inspected| self.shown(inspected).is_some_and(|(filter, _)| cell_at(filter, offset).is_some());
+        self.inspected.as_ref().is_some_and(|inspected| !is_there(inspected))
+    }
+
     /// What is drawn on the canvas.
     pub fn marked(&self) -> Option<Marked> {
         let inspected = self.inspected.as_ref()?;

@@ -3,10 +3,12 @@
 use std::path::PathBuf;
 use std::process::ExitCode;
 
+use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use clap::{Parser, ValueEnum};
 use eframe::egui::{Theme, Vec2, ViewportBuilder};
 use stein::gpu::{DeviceChoice, GpuOptions};
-use stein::{Error, Gpu, Preset};
+use stein::parameters::Choice;
+use stein::{Error, Gpu, Method, Preset};
 use stein_viewer::adaptive::Setup;
 use stein_viewer::document::Source;
 use stein_viewer::panel::Panel;
@@ -36,11 +38,11 @@ struct Args {
     #[arg(long, value_name = "SCENE", conflicts_with = "file")]
     adapt: Option<String>,
     /// Method [default: that of --params; where no filter option is given, what was used last; else dfc]
-    #[arg(long, value_enum)]
-    method: Option<MethodName>,
+    #[arg(long, value_parser = words_of(Method::all().to_vec(), Method::choices()))]
+    method: Option<Method>,
     /// Parameters [default: that of --params; where no filter option is given, what was used last; else default]
-    #[arg(long, value_enum)]
-    preset: Option<PresetName>,
+    #[arg(long, value_parser = words_of(Preset::ALL.to_vec(), Preset::choices()))]
+    preset: Option<Preset>,
     /// TOML file with method, preset and parameters, such as `stein params` writes
     #[arg(long, value_name = "FILE")]
     params: Option<PathBuf>,
@@ -86,43 +88,6 @@ struct Args {
     /// Of a screenshot: dark or light
     #[arg(long, value_enum, default_value = "dark", requires = "screenshot")]
     theme: ThemeName,
-}
-
-#[derive(Clone, Copy, Debug, ValueEnum)]
-enum MethodName {
-    /// Combined colour and feature filters
-    Dfc,
-    /// Greedy error minimisation over Gaussian scales
-    Gem,
-    /// Non-local means
-    Nlm,
-}
-
-impl MethodName {
-    fn name(self) -> &'static str {
-        match self {
-            Self::Dfc => "dfc",
-            Self::Gem => "gem",
-            Self::Nlm => "nlm",
-        }
-    }
-}
-
-#[derive(Clone, Copy, Debug, ValueEnum)]
-enum PresetName {
-    /// What measured best
-    Default,
-    /// The published algorithm to the letter
-    Thesis,
-}
-
-impl PresetName {
-    fn preset(self) -> Preset {
-        match self {
-            Self::Default => Preset::Default,
-            Self::Thesis => Preset::Thesis,
-        }
-    }
 }
 
 /// As [`Compare`].
@@ -192,6 +157,15 @@ impl PanelName {
 enum ThemeName {
     Dark,
     Light,
+}
+
+/// One of the library's values by its word, that at the same place.
+fn words_of<T: Copy + Send + Sync + 'static>(values: Vec<T>, words: impl IntoIterator<Item = Choice>) -> impl TypedValueParser<Value = T> {
+    let words: Vec<_> = words.into_iter().collect();
+    let names: Vec<_> = words.iter().map(|word| word.name).collect();
+    let meanings = words.into_iter().map(|word| PossibleValue::new(word.name).help(word.documentation.trim_end_matches('.').to_owned()));
+    let find = move |name: String| names.iter().zip(&values).find(|(other, _)| **other == name).map(|(_, value)| *value).ok_or("it is none of them");
+    PossibleValuesParser::new(meanings.collect::<Vec<_>>()).try_map(find)
 }
 
 fn size(text: &str) -> Result<[f32; 2], String> {
@@ -284,12 +258,11 @@ fn start(args: &Args) -> Result<Start, Failure> {
 /// What the command line says of the parameters; `None` where it says nothing.
 fn parameters(args: &Args) -> Result<Option<Parameters>, Failure> {
     let usage = |message: String| Failure { code: 2, message };
-    let method = args.method.map(MethodName::name);
-    let preset = args.preset.map(PresetName::preset);
     let file = args.params.as_deref().map(|path| Ok::<_, Failure>((path, Parameters::read(path)?))).transpose()?;
     let mut parameters = match file {
         Some((path, parameters)) => {
-            let own = [("method", parameters.method.name(), method), ("preset", parameters.preset.name(), preset.map(Preset::name))];
+            let (method, preset) = (args.method.as_ref().map(Method::name), args.preset.map(Preset::name));
+            let own = [("method", parameters.method.name(), method), ("preset", parameters.preset.name(), preset)];
             let contradicts = own.into_iter().find_map(|(key, own, given)| Some((key, own, given.filter(|given| *given != own)?)));
             if let Some((key, own, given)) = contradicts {
                 let path = path.display();
@@ -299,8 +272,8 @@ fn parameters(args: &Args) -> Result<Option<Parameters>, Failure> {
             }
             parameters
         }
-        None if method.is_none() && preset.is_none() && args.radius.is_none() => return Ok(None),
-        None => Parameters::of(method.unwrap_or("dfc"), preset.unwrap_or(Preset::Default)).unwrap_or_default(),
+        None if args.method.is_none() && args.preset.is_none() && args.radius.is_none() => return Ok(None),
+        None => Parameters { preset: args.preset.unwrap_or(Preset::Default), method: args.method.unwrap_or_default() }.reset(),
     };
     if let Some(radius) = args.radius {
         if sweep::radius(&parameters.method).is_none() {

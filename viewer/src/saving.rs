@@ -11,6 +11,7 @@ use stein::buffers::{BufferSet, BufferSetRequest, NamedLayer, write_layers};
 use stein::{Error, Estimate, Gpu, Image, Method, Result, aside};
 
 use crate::app;
+use crate::device::no_thread;
 use crate::files::short_name;
 use crate::layer::Layer;
 use crate::screenshot::{Offscreen, Picture};
@@ -85,10 +86,7 @@ impl Saving {
             let _ = sender.send(content.write(&gpu, &to));
             context.request_repaint();
         };
-        let thread = std::thread::Builder::new().name("stein-saving".into()).spawn(write).map_err(|error| Error::Device {
-            problem: format!("no thread can be started: {error}"),
-            remedy: "end other programs, or raise the limit on processes (ulimit -u)".into(),
-        })?;
+        let thread = std::thread::Builder::new().name("stein-saving".into()).spawn(write).map_err(no_thread)?;
         Ok(Self { path, answer, thread: Some(thread) })
     }
 

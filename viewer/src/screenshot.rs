@@ -10,7 +10,6 @@ use stein::{Error, Extent, Gpu, Result, aside};
 
 use crate::app::{Start, Viewer};
 use crate::device;
-use crate::inspector::cell_at;
 use crate::settings::Settings;
 
 /// Longest that a run may take before a picture is given up.
@@ -199,7 +198,7 @@ pub struct Shot {
 /// Opens a file, waits for the run, and draws the window. `arrange` is called once everything is there, to set what is shown.
 ///
 /// # Errors
-/// What went wrong in the window; [`Error::Request`] where the layer does not exist.
+/// What went wrong in the window; [`Error::Request`] where a layer, a pixel or a neighbour does not exist, of which another would be taken for it.
 pub fn take(gpu: &Gpu, shot: &Shot, arrange: impl FnOnce(&mut Viewer)) -> Result<Picture> {
     let mut window = Offscreen::new(gpu, shot.size[0], shot.size[1], shot.scale)?;
     window.context().set_theme(shot.theme);
@@ -214,45 +213,15 @@ pub fn take(gpu: &Gpu, shot: &Shot, arrange: impl FnOnce(&mut Viewer)) -> Result
             break;
         }
         if start.elapsed() > PATIENCE {
-            return Err(request(format!("the run took longer than {} s\n  remedy: give a smaller frame", PATIENCE.as_secs())));
+            let problem = format!("the run took longer than {} s", PATIENCE.as_secs());
+            return Err(Error::Request { problem, remedy: "give a smaller frame".into() });
         }
         std::thread::sleep(PAUSE);
     }
-    check_names(&viewer, &shot.start)?;
     arrange(&mut viewer);
     let mut picture = window.frame(|ui| viewer.show(ui))?;
     for _ in 1..SETTLING_FRAMES {
         picture = window.frame(|ui| viewer.show(ui))?;
     }
     Ok(picture)
-}
-
-/// A picture of another layer than the one that was asked for would be taken for it.
-fn check_names(viewer: &Viewer, start: &Start) -> Result<()> {
-    let Some(document) = &viewer.document else { return Ok(()) };
-    for name in [&start.layer, &start.other].into_iter().flatten() {
-        if document.layer(name).is_none() {
-            let names: Vec<_> = document.layers().iter().map(|layer| layer.name()).collect();
-            return Err(request(format!("there is no layer '{name}'\n  remedy: choose one of {}", names.join(", "))));
-        }
-    }
-    if let Some([dx, dy]) = start.neighbour {
-        let inspected = viewer.inspector.inspected.as_ref();
-        let is_there = inspected.is_some_and(|inspected| viewer.inspector.shown(inspected).is_some_and(|(filter, _)| cell_at(filter, [dx, dy]).is_some()));
-        if !is_there {
-            return Err(request(format!("the window has no neighbour ({dx}, {dy}) in the image\n  remedy: choose an offset within the radius of the window")));
-        }
-    }
-    let extent = document.opened.frame.extent();
-    match start.pixel {
-        Some([x, y]) if x >= extent.width || y >= extent.height => {
-            Err(request(format!("there is no pixel ({x}, {y})\n  remedy: the image has {extent} pixels, counted from 0")))
-        }
-        _ => Ok(()),
-    }
-}
-
-fn request(text: String) -> Error {
-    let (problem, remedy) = text.split_once("\n  remedy: ").unwrap_or((&text, "see `stein-viewer --help`"));
-    Error::Request { problem: problem.into(), remedy: remedy.into() }
 }

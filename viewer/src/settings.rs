@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 use stein::parameters::{Parameter, Value};
-use stein::{Error, Method, Preset, Result};
+use stein::{Method, Preset, Result};
 
 use crate::document::Source;
 use crate::view::Display;
@@ -22,6 +22,8 @@ pub struct Settings {
     pub display: Display,
     /// How was denoised, as [`Parameters::to_toml`] has it.
     pub parameters: Option<String>,
+    /// [`Earlier`], in the same way.
+    pub earlier: Vec<String>,
 }
 
 impl Settings {
@@ -35,6 +37,33 @@ impl Settings {
         self.recent.retain(|(input, _)| *input != entry.0);
         self.recent.insert(0, entry);
         self.recent.truncate(RECENT);
+    }
+}
+
+/// Parameters that were left for those of another method or preset: of each method and preset the last.
+#[derive(Clone, Debug, Default)]
+pub struct Earlier(Vec<Parameters>);
+
+impl Earlier {
+    /// Out of what is remembered.
+    pub fn from_toml(texts: &[String]) -> Self {
+        Self(texts.iter().filter_map(|text| Parameters::from_toml(text).ok()).collect())
+    }
+
+    /// To be remembered.
+    pub fn to_toml(&self) -> Vec<String> {
+        self.0.iter().map(|left| left.to_toml()).collect()
+    }
+
+    /// Keeps parameters that are left.
+    pub fn keep(&mut self, left: Parameters) {
+        self.0.retain(|other| !other.is_like(left));
+        self.0.push(left);
+    }
+
+    /// A method and preset with the parameters that were left, or else with those of the preset.
+    pub fn take_up(&self, fresh: Parameters) -> Parameters {
+        self.0.iter().find(|left| left.is_like(fresh)).copied().unwrap_or(fresh)
     }
 }
 
@@ -61,6 +90,11 @@ impl Parameters {
     pub fn of(method: &str, preset: Preset) -> Option<Self> {
         let method = Method::all().into_iter().find(|known| known.name() == method)?;
         Some(Self { preset, method: method.of_preset(preset) })
+    }
+
+    /// Whether method and preset are the same.
+    fn is_like(self, other: Self) -> bool {
+        (self.method.name(), self.preset) == (other.method.name(), other.preset)
     }
 
     /// The method's parameters as its preset has them.
@@ -99,14 +133,8 @@ impl Parameters {
     /// Out of such a file.
     ///
     /// # Errors
-    /// [`Error::File`] where it cannot be read, or with what [`Method::from_toml`] says of it.
+    /// As [`Method::read_toml`].
     pub fn read(path: &Path) -> Result<Self> {
-        let refused = |problem, remedy| Error::File { path: path.to_owned(), problem, remedy };
-        let text = std::fs::read_to_string(path)
-            .map_err(|error| refused(format!("cannot be read: {error}"), "name a TOML file of parameters, such as `stein params -o FILE` writes".into()))?;
-        Self::from_toml(&text).map_err(|error| match error {
-            Error::Request { problem, remedy } => refused(problem, remedy),
-            error => error,
-        })
+        Method::read_toml(path).map(|(method, preset)| Self { preset, method })
     }
 }

@@ -65,7 +65,7 @@ impl Extent {
 
 /// The radius of the window, in pixels, where it is a parameter.
 pub fn radius(method: &Method) -> Option<u32> {
-    method.parameters().iter().any(|parameter| parameter.name == "window_radius").then(|| method.window_radius())
+    method.has_parameter("window_radius").then(|| method.window_radius())
 }
 
 /// What is swept, and what has come of it.

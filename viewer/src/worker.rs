@@ -19,6 +19,7 @@ use stein::sampling::estimated_relative_mse;
 use stein::{Denoiser, Error, Frame, Gpu, Image, Method, Options};
 
 use crate::adaptive::{Adapted, Loop};
+use crate::device::no_thread;
 use crate::document::{Denoised, Opened, Source, input_layers, output_layers, relative_mse};
 use crate::files::short_name;
 use crate::inspector::{Inspected, Question};
@@ -209,10 +210,7 @@ impl Worker {
         let mailbox = Arc::<Mailbox>::default();
         let (sender, replies) = channel();
         let desk = Desk { gpu: gpu.clone(), mailbox: mailbox.clone(), replies: sender, context: context.clone() };
-        let thread = std::thread::Builder::new().name("stein-worker".into()).spawn(move || desk.work()).map_err(|error| Error::Device {
-            problem: format!("no thread can be started: {error}"),
-            remedy: "end other programs, or raise the limit on processes (ulimit -u)".into(),
-        })?;
+        let thread = std::thread::Builder::new().name("stein-worker".into()).spawn(move || desk.work()).map_err(no_thread)?;
         Ok(Self { mailbox, replies, thread: Some(thread) })
     }
 

@@ -6,15 +6,16 @@ mod common;
 
 use std::path::{Path, PathBuf};
 
-use common::{settle, testdata, window};
+use common::{drop_files, settle, testdata, window};
 use eframe::egui::Key;
+use egui_kittest::Harness;
 use egui_kittest::kittest::Queryable;
 use stein::Preset;
-use stein_viewer::Start;
 use stein_viewer::document::Source;
 use stein_viewer::files::{is_reference, short_name};
 use stein_viewer::panel::Panel;
 use stein_viewer::settings::Parameters;
+use stein_viewer::{Start, Viewer};
 
 /// A method that is done soon.
 fn quick(method: &str) -> Option<Parameters> {
@@ -116,4 +117,44 @@ fn broken_files_are_told_and_the_window_goes_on() {
     harness.state_mut().open(Source { input: testdata("anim/shot.0000.exr"), reference: Some(reference) });
     settle(&mut harness);
     harness.get_by_label_contains("the reference has 96×96 pixels");
+}
+
+#[test]
+fn files_that_are_dropped_are_opened_and_a_reference_is_told_by_its_name() {
+    let mut harness = window(Start { parameters: quick("gem"), ..Default::default() });
+    let [first, second, reference] = ["anim/shot.0000.exr", "anim/shot.0001.exr", "anim/reference.0001.exr"].map(testdata);
+    let is_open = |harness: &Harness<'static, Viewer>, input: &PathBuf, reference: Option<&PathBuf>| {
+        let document = harness.state().document.as_ref().unwrap();
+        let source = document.opened.source.as_ref().unwrap();
+        assert_eq!((&source.input, source.reference.as_ref()), (input, reference));
+        assert_eq!(document.denoised.as_ref().unwrap().error.is_some(), reference.is_some());
+    };
+    harness.get_by_label("Drop an OpenEXR buffer set here");
+    drop_files(&mut harness, std::slice::from_ref(&first));
+    is_open(&harness, &first, None);
+    // In whichever order they come.
+    for files in [[&second, &reference], [&reference, &second]] {
+        drop_files(&mut harness, &files.map(PathBuf::clone));
+        is_open(&harness, &second, Some(&reference));
+        drop_files(&mut harness, std::slice::from_ref(&first));
+        is_open(&harness, &first, None);
+    }
+    // By itself it is that of what is open, and stays nowhere else.
+    drop_files(&mut harness, std::slice::from_ref(&reference));
+    is_open(&harness, &first, Some(&reference));
+
+    let broken = testdata("broken/cut_in_block_1.exr");
+    drop_files(&mut harness, std::slice::from_ref(&broken));
+    harness.get_by_label_contains("cut_in_block_1.exr");
+    is_open(&harness, &first, Some(&reference));
+    drop_files(&mut harness, &[second.clone(), broken]);
+    assert!(harness.state().trouble.is_none(), "one file is opened, the first");
+    harness.get_by_label("One file is open at a time, left out: cut_in_block_1.exr");
+    is_open(&harness, &second, None);
+
+    // With nothing to compare with, it is taken for a frame, and is none.
+    let mut harness = window(Start { parameters: quick("gem"), ..Default::default() });
+    drop_files(&mut harness, &[reference]);
+    harness.get_by_label_contains("reference.0001.exr: nothing is known of the colour's noise");
+    assert!(harness.state().document.is_none());
 }

@@ -6,16 +6,19 @@ mod common;
 
 use common::{settle, testdata, window, window_with};
 use eframe::egui::accesskit::Role;
-use eframe::egui::{Key, Modifiers, Pos2};
+use eframe::egui::{Id, Key, Modifiers, Pos2};
 use egui_kittest::Harness;
 use egui_kittest::kittest::{NodeT, Queryable};
+use egui_plot::{PlotMemory, PlotPoint};
 use stein::buffers::{BufferSet, BufferSetRequest};
 use stein::parameters::{Kind, Value};
 use stein::{Denoiser, Frame, Image, Method, Preset};
 use stein_viewer::document::Source;
 use stein_viewer::files::Purpose;
 use stein_viewer::panel::Panel;
-use stein_viewer::settings::{Parameters, Settings};
+use stein_viewer::panel::plot::PLOT;
+use stein_viewer::settings::{Earlier, Parameters, Settings};
+use stein_viewer::sweep::Point;
 use stein_viewer::view::Compare;
 use stein_viewer::{Start, Viewer};
 
@@ -87,6 +90,37 @@ fn a_changed_parameter_runs_again_changes_the_result_and_can_be_put_back() {
     assert_ne!(result(&harness), before);
 }
 
+fn choose(harness: &mut Harness<'static, Viewer>, method: &str) {
+    let menu: Vec<_> = harness.get_all_by_label("method").collect();
+    menu.into_iter().find(|node| node.accesskit_node().role() == Role::ComboBox).unwrap().click();
+    harness.run_steps(2);
+    press(harness, method);
+}
+
+#[test]
+fn a_method_and_preset_that_is_chosen_again_has_its_edits() {
+    let mut harness = tuning();
+    let edited = harness.state().parameters;
+    choose(&mut harness, "nlm");
+    assert_eq!(harness.state().parameters, Parameters::of("nlm", Preset::Default).unwrap());
+    press_value(&mut harness, "dual_buffer");
+    let nlm = harness.state().parameters;
+    assert_ne!(nlm, nlm.reset());
+    choose(&mut harness, "dfc");
+    assert_eq!(harness.state().parameters, edited);
+    assert_eq!(harness.state().document.as_ref().unwrap().denoised.as_ref().unwrap().method, edited.method);
+    press(&mut harness, "thesis");
+    assert_eq!(harness.state().parameters, Parameters::of("dfc", Preset::Thesis).unwrap());
+    press(&mut harness, "default");
+    assert_eq!(harness.state().parameters, edited);
+    // What was reset is not edited any more, the other method is.
+    press(&mut harness, "Reset all");
+    choose(&mut harness, "nlm");
+    assert_eq!(harness.state().parameters, nlm);
+    choose(&mut harness, "dfc");
+    assert_eq!(harness.state().parameters, Parameters::default());
+}
+
 #[test]
 fn a_contradiction_is_told_and_waits_while_the_last_parameters_stay_in_use() {
     let mut harness = tuning();
@@ -117,7 +151,16 @@ fn parameters_are_remembered_and_read_from_files() {
     let viewer = |settings: &Settings, start| Viewer::new(&context, &gpu, eframe::wgpu::TextureFormat::Rgba8Unorm, settings.clone(), start).unwrap();
     assert_eq!(viewer(&settings, Start::default()).parameters, own);
     let said = Start { parameters: Some(Parameters::default()), ..Default::default() };
-    assert_eq!(viewer(&settings, said).parameters, Parameters::default());
+    let started = viewer(&settings, said);
+    assert_eq!(started.parameters, Parameters::default());
+    // What is remembered comes back when it is chosen, and so do others from before.
+    let nlm = Parameters { method: Parameters::of("nlm", Preset::Default).unwrap().method.with_parameter("cut", 0.1).unwrap(), ..Parameters::default() };
+    let settings = Settings { earlier: vec![nlm.to_toml(), "nonsense".into()], ..settings };
+    let earlier = viewer(&settings, Start::default()).earlier;
+    for left in [own, nlm] {
+        assert_eq!(started.earlier.take_up(own.reset()), own);
+        assert_eq!(Earlier::from_toml(&earlier.to_toml()).take_up(left.reset()), left);
+    }
 
     let folder = tempfile::tempdir().unwrap();
     let (good, bad) = (folder.path().join("good.toml"), folder.path().join("bad.toml"));
@@ -130,6 +173,42 @@ fn parameters_are_remembered_and_read_from_files() {
     assert_eq!(viewer.parameters, own);
     let told = viewer.notice.unwrap().0.unwrap_err().to_string();
     assert!(told.contains("bad.toml: line 1") && told.contains("from 1 to 64"), "{told}");
+}
+
+#[test]
+fn the_command_line_takes_a_file_of_parameters_and_says_what_is_wrong_with_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = |name: &str, text: &str| {
+        let path = folder.path().join(name);
+        std::fs::write(&path, text).unwrap();
+        path.to_str().unwrap().to_owned()
+    };
+    let picture = folder.path().join("picture.png");
+    let program = |options: &[&str]| {
+        let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_stein-viewer"));
+        command.arg(testdata("anim/shot.0000.exr")).arg("--screenshot").arg(&picture).args(options);
+        let output = command.output().unwrap();
+        (output.status.code(), String::from_utf8_lossy(&output.stderr).into_owned())
+    };
+    let gem = file("gem.toml", "method = \"gem\"\n");
+    let nlm = file("nlm.toml", "method = \"nlm\"\nwindow_radius = 2\n");
+    let bad = file("bad.toml", "\nwindow_radius = 100\n");
+    let (code, said) = program(&["--params", &gem, "--method", "gem", "--layer", "noisy"]);
+    assert!(code == Some(0) && picture.exists(), "{said}");
+    let cases: [(&[&str], i32, &[&str]); 7] = [
+        // It is what denoises: GEM has no FIRST.
+        (&["--params", &gem, "--layer", "first"], 2, &["there is no layer 'first'", "stopping"]),
+        (&["--params", &gem, "--method", "nlm"], 2, &["--method nlm: ", "gem.toml is for gem", "remedy: leave the option out, or write `method = \"nlm\"`"]),
+        (&["--params", &nlm, "--preset", "thesis"], 2, &["--preset thesis: ", "nlm.toml is for default"]),
+        (&["--params", &gem, "--radius", "3"], 2, &["--radius is no option of the method gem"]),
+        (&["--params", &nlm, "--radius", "100"], 2, &["`window_radius` cannot be 100", "from 1 to 64 pixels"]),
+        (&["--params", &bad], 3, &["bad.toml: line 2: `window_radius` cannot be 100"]),
+        (&["--params", "nowhere.toml"], 3, &["nowhere.toml: cannot be read", "remedy: name a TOML file of parameters"]),
+    ];
+    for (options, expected, parts) in cases {
+        let (code, said) = program(options);
+        assert!(code == Some(expected) && parts.iter().all(|part| said.contains(part)), "{options:?}: {code:?}, {said}");
+    }
 }
 
 #[test]
@@ -242,11 +321,33 @@ fn a_sweep_measures_makes_way_and_hands_over_its_parameters() {
     assert_eq!(harness.state().parameters, Parameters { preset: Preset::Thesis, method: expected });
     assert_eq!(harness.state().document.as_ref().unwrap().denoised.as_ref().unwrap().method, expected);
 
+    // Of the points, the one that lies most by itself is clicked.
+    let transform = PlotMemory::load(&harness.ctx, Id::unique(PLOT)).unwrap().transform();
+    let place = |point: &Point| transform.position_from_point(&PlotPoint::new(point.seconds.log10(), point.error.unwrap().log10()));
+    let points = harness.state().sweep.points.clone();
+    let others = |point: &Point| points.iter().filter(|other| other.parameters != point.parameters).map(place).collect::<Vec<_>>();
+    let alone = |point: &Point| others(point).into_iter().map(|other| other.distance(place(point))).fold(f32::INFINITY, f32::min);
+    let clickable = points.iter().filter(|point| point.parameters.method != expected);
+    let point = clickable.max_by(|a, b| alone(a).total_cmp(&alone(b))).unwrap();
+    assert!(alone(point) > 1.0, "{points:?}");
+    let place = place(point);
+    harness.hover_at(place);
+    harness.run_steps(8);
+    harness.get_by_label_contains("Click to take these parameters.");
+    harness.drag_at(place);
+    harness.drop_at(place);
+    settle(&mut harness);
+    assert_eq!(harness.state().parameters, point.parameters);
+    assert_eq!(harness.state().document.as_ref().unwrap().denoised.as_ref().unwrap().method, point.parameters.method);
+
     // Stopped, it leaves what was measured.
     harness.key_press(Key::F9);
     harness.run_steps(2);
     press(&mut harness, "Stop");
     assert!(harness.state().sweep.points.len() < 7);
+    let edited = Parameters::of("dfc", Preset::Thesis).unwrap();
+    let edited = Parameters { method: edited.method.with_parameter("window_radius", 2).unwrap(), ..edited };
+    harness.state_mut().take_parameters(edited);
     harness.key_press_modifiers(Modifiers::COMMAND, Key::Backspace);
     settle(&mut harness);
     assert_eq!(harness.state().parameters, Parameters::of("dfc", Preset::Thesis).unwrap());

@@ -5,10 +5,13 @@ use stein::parameters::Value;
 use stein::{Method, Preset};
 
 use super::super::Failure;
-use super::super::filter::{Choices, Chosen, MethodName, not_theirs};
+use super::super::filter::{CANDIDATES, Choices, Chosen, WINDOW_RADIUS, not_theirs};
 use super::Axes;
 use super::external::External;
 use super::results::{self, Parameters};
+
+/// The parameter of `--second-pass`.
+const SECOND_PASS: &str = "second_pass";
 
 /// A way to denoise a set.
 pub(super) struct Configuration {
@@ -29,11 +32,11 @@ pub(super) enum How {
 pub(super) fn configurations(axes: &Axes) -> Result<(Vec<Configuration>, Vec<String>), Failure> {
     let file = axes.tuning.file()?;
     if let Some(file) = &file {
-        file.agrees("--methods", &axes.methods, MethodName::of(&file.chosen.method), MethodName::name)?;
-        file.agrees("--presets", &axes.presets, file.chosen.preset, Preset::name)?;
+        file.agrees("--methods", axes.methods.iter().map(Method::name), file.chosen.method.name())?;
+        file.agrees("--presets", axes.presets.iter().map(|preset| preset.name()), file.chosen.preset.name())?;
     }
     let file = file.map(|file| file.chosen);
-    let methods = distinct(&axes.methods, &[file.map_or(MethodName::Dfc, |file| MethodName::of(&file.method))]);
+    let methods = distinct(&axes.methods, &[file.map(|file| file.method).unwrap_or_default()]);
     let presets = distinct(&axes.presets, &file.map_or_else(|| Preset::ALL.to_vec(), |file| vec![file.preset]));
     let radii = choices(&axes.radii);
     let candidates = choices(&axes.candidates);
@@ -42,8 +45,8 @@ pub(super) fn configurations(axes: &Axes) -> Result<(Vec<Configuration>, Vec<Str
     axes.tuning.check(&methods)?;
     let mut notes = Vec::new();
     // An option that only some have makes no further configurations of the others.
-    let mut check = |option: &str, is_given: bool, has: fn(MethodName) -> bool| {
-        let without: Vec<_> = methods.iter().filter(|method| !has(**method)).map(|method| method.name()).collect();
+    let mut check = |option: &str, is_given: bool, parameter: &str| {
+        let without: Vec<_> = methods.iter().filter(|method| !method.has_parameter(parameter)).map(Method::name).collect();
         match without.len() {
             0 => Ok(()),
             _ if !is_given => Ok(()),
@@ -54,17 +57,17 @@ pub(super) fn configurations(axes: &Axes) -> Result<(Vec<Configuration>, Vec<Str
             }
         }
     };
-    check("--radii", !axes.radii.is_empty(), MethodName::has_radius)?;
-    check("--candidates", !axes.candidates.is_empty(), MethodName::has_candidates)?;
-    check("--second-pass", !axes.second_pass.is_empty(), MethodName::has_second_pass)?;
+    check("--radii", !axes.radii.is_empty(), WINDOW_RADIUS)?;
+    check("--candidates", !axes.candidates.is_empty(), CANDIDATES)?;
+    check("--second-pass", !axes.second_pass.is_empty(), SECOND_PASS)?;
 
     let mut configurations = Vec::new();
     for &method in &methods {
         for &preset in &presets {
             for &everything in &everything {
-                for &candidates in of(&candidates, method.has_candidates()) {
-                    for &second_pass in of(&second_passes, method.has_second_pass()) {
-                        for &radius in of(&radii, method.has_radius()) {
+                for &candidates in of(&candidates, method.has_parameter(CANDIDATES)) {
+                    for &second_pass in of(&second_passes, method.has_parameter(SECOND_PASS)) {
+                        for &radius in of(&radii, method.has_parameter(WINDOW_RADIUS)) {
                             let base = file.unwrap_or(Chosen::of(method, preset));
                             let method = axes.tuning.applied_to(base.method, Choices { radius, candidates })?;
                             configurations.push(configuration(Chosen { method, ..base }, second_pass, everything)?);
@@ -115,7 +118,7 @@ fn of<T: Copy>(choices: &[Option<T>], has: bool) -> &[Option<T>] {
 /// Its name says all that differs from the default, so that it means the same in every report.
 fn configuration(Chosen { mut method, preset }: Chosen, second_pass: Option<Switch>, everything: Switch) -> Result<Configuration, Failure> {
     if let Some(second_pass) = second_pass {
-        method = method.with_parameter("second_pass", second_pass == Switch::On)?;
+        method = method.with_parameter(SECOND_PASS, second_pass == Switch::On)?;
     }
     let mut series = method.name().to_owned();
     if preset != Preset::Default {
@@ -128,14 +131,14 @@ fn configuration(Chosen { mut method, preset }: Chosen, second_pass: Option<Swit
         let Some(value) = parameter.value else { continue };
         let differs = Some(&value) != of_preset.value.as_ref();
         match (parameter.name.as_str(), value) {
-            ("candidates", Value::Set(names)) => {
+            (CANDIDATES, Value::Set(names)) => {
                 let names = names.join("+");
                 if differs {
                     series += &format!(" {names}");
                 }
                 candidates = Some(names);
             }
-            ("second_pass", Value::Flag(is_there)) => {
+            (SECOND_PASS, Value::Flag(is_there)) => {
                 if !is_there {
                     series += " one pass";
                 }
@@ -143,7 +146,7 @@ fn configuration(Chosen { mut method, preset }: Chosen, second_pass: Option<Swit
             }
             ("spikes", value) if differs => series += &format!(" spikes {value}"),
             // It stands at the end.
-            ("window_radius", _) => {}
+            (WINDOW_RADIUS, _) => {}
             (name, value) if differs => series += &format!(" {name} {value}"),
             _ => {}
         }
@@ -152,7 +155,7 @@ fn configuration(Chosen { mut method, preset }: Chosen, second_pass: Option<Swit
     if everything {
         series += " everything";
     }
-    let window_radius = MethodName::of(&method).has_radius().then(|| method.window_radius());
+    let window_radius = method.has_parameter(WINDOW_RADIUS).then(|| method.window_radius());
     let name = window_radius.map_or_else(|| series.clone(), |radius| format!("{series} R{radius}"));
     let stein = Parameters {
         method: method.name().into(),

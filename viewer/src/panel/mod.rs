@@ -12,9 +12,12 @@ pub mod sampling;
 pub mod status;
 pub mod toolbar;
 
-use eframe::egui::{ScrollArea, Ui};
+use eframe::egui::{RichText, ScrollArea, Ui};
 
 use crate::app::Viewer;
+
+/// Size of the tabs' text, in points.
+const TAB_SIZE: f32 = 11.0;
 
 /// The panels at the right, of which one is shown.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -60,8 +63,10 @@ pub fn show(ui: &mut Ui, viewer: &mut Viewer) {
     ui.set_min_width(ui.available_width());
     ui.add_space(2.0);
     ui.horizontal_wrapped(|ui| {
+        // In one line of the panel as it is at first.
+        (ui.spacing_mut().item_spacing.x, ui.spacing_mut().button_padding.x) = (1.0, 3.0);
         for panel in Panel::ALL {
-            ui.selectable_value(&mut viewer.panel, panel, panel.title());
+            ui.selectable_value(&mut viewer.panel, panel, RichText::new(panel.title()).size(TAB_SIZE));
         }
     });
     ui.separator();

@@ -80,7 +80,8 @@ fn choose(ui: &mut Ui, viewer: &mut Viewer) {
         }
     });
     if name != method.name() || preset != viewer.parameters.preset {
-        viewer.take_parameters(Parameters::of(name, preset).unwrap_or(viewer.parameters));
+        let fresh = Parameters::of(name, preset).unwrap_or(viewer.parameters);
+        viewer.take_parameters(viewer.earlier.take_up(fresh));
     }
 }
 

@@ -2,7 +2,7 @@
 
 use std::ops::RangeInclusive;
 
-use eframe::egui::{Button, Color32, Grid, Response, RichText, Role, Ui, Vec2, WidgetInfo};
+use eframe::egui::{Button, Color32, Grid, Id, Response, RichText, Role, Ui, Vec2, WidgetInfo};
 use egui_plot::{AxisHints, GridInput, GridMark, Line, LineStyle, MarkerShape, Plot, PlotPoint, PlotPoints, PlotTransform, Points};
 use stein::Preset;
 
@@ -12,6 +12,8 @@ use crate::shortcut::Action;
 use crate::sweep::{Extent, radius};
 use crate::view::numbers::number;
 
+/// The plot, for who looks for its place.
+pub const PLOT: &str = "error against time";
 /// How near the pointer must be to a point, in points of the screen.
 const REACH: f32 = 12.0;
 /// Room around the points, in decades.
@@ -138,7 +140,8 @@ fn plot(ui: &mut Ui, viewer: &Viewer, spots: &[Spot], axis: &str) -> Option<Para
         if spots.is_empty() { (-3.0, 0.0) } else { (least - MARGIN, most + MARGIN) }
     };
     let ((left, right), (bottom, top)) = (bounds(0), bounds(1));
-    let plot = Plot::new("error against time")
+    let plot = Plot::new(PLOT)
+        .id(Id::unique(PLOT))
         .height((width * 0.85).clamp(180.0, 420.0))
         .width(width)
         .custom_x_axes(vec![AxisHints::new_x().label("seconds").formatter(tick)])

@@ -4,8 +4,10 @@
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use eframe::egui::{DroppedFile, DroppedFileHandle};
 use egui_kittest::Harness;
 use stein::Gpu;
 use stein::gpu::DeviceChoice;
@@ -41,6 +43,23 @@ pub(crate) fn window_of(size: [f32; 2], scale: f32, start: Start) -> Harness<'st
 /// A window with a file, and its reference if there is one.
 pub(crate) fn window_with(input: &str, reference: Option<&str>) -> Harness<'static, Viewer> {
     window(Start { source: Some(Source { input: testdata(input), reference: reference.map(testdata) }), ..Default::default() })
+}
+
+/// Files that are dropped on the window.
+pub(crate) fn drop_files(harness: &mut Harness<'static, Viewer>, files: &[PathBuf]) {
+    #[derive(Debug)]
+    struct Dropped(PathBuf);
+    impl DroppedFile for Dropped {
+        fn path(&self) -> &Path {
+            &self.0
+        }
+        fn bytes(&self) -> Result<Vec<u8>, String> {
+            Err("the viewer reads files by their paths".into())
+        }
+    }
+    let dropped = files.iter().map(|file| Arc::new(Dropped(file.clone())) as DroppedFileHandle);
+    harness.input_mut().dropped_files.extend(dropped);
+    settle(harness);
 }
 
 /// Draws frames until nothing is at work.
