@@ -30,6 +30,16 @@ pub(super) fn read(request: &BufferSetRequest) -> Result<BufferSet> {
         });
     }
 
+    let first = &files.list[input];
+    let is_there = |skipped: &&String| first.layers.iter().any(|layer| layer.name == **skipped || layer.name.ends_with(&format!(".{skipped}")));
+    if let Some(skipped) = request.skip_features.iter().find(|skipped| !is_there(skipped)) {
+        return Err(Error::File {
+            path: first.path.clone(),
+            problem: format!("there is no feature '{skipped}' to skip; it holds {}", first.layer_list()),
+            remedy: "name one of these in `BufferSetRequest::skip_features`, or none".into(),
+        });
+    }
+
     let mut notes = Vec::new();
     if !request.no_features {
         find_features(&files.list, &color, request, &mut features, &mut notes)?;
