@@ -255,9 +255,9 @@ impl Viewer {
                     // Its points know of no reference, and neither do runs of one's own.
                     let is_own = document.history.len() > 1 || self.worker.has(Task::Denoise);
                     if is_own {
-                        document.reopen(compared.opened)
+                        document.reopen(compared.opened);
                     } else {
-                        *document = compared
+                        *document = compared;
                     }
                     self.forget_sweep();
                     if is_own {
