@@ -693,7 +693,7 @@ impl Viewer {
         SidePanel::top("toolbar").show(ui, |ui| panel::toolbar::show(ui, self));
         SidePanel::bottom("status").show(ui, |ui| panel::status::show(ui, self));
         SidePanel::left("layers").resizable(true).default_size(216.0).size_range(150.0..=420.0).show(ui, |ui| panel::layers::show(ui, self));
-        SidePanel::right("panel").resizable(true).default_size(316.0).size_range(240.0..=620.0).show(ui, |ui| panel::show(ui, self));
+        SidePanel::right("panel").resizable(true).default_size(336.0).size_range(240.0..=620.0).show(ui, |ui| panel::show(ui, self));
         CentralPanel::default().frame(Margins::NONE.fill(ui.visuals().panel_fill)).show(ui, |ui| self.show_canvas(ui));
         panel::help::show(&context, self);
     }
