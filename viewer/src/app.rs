@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::task::Poll;
+use std::time::Instant;
 
 use eframe::egui::{
     self, Align, CentralPanel, Color32, Context, FontDefinitions, FontFamily, Frame as Margins, Layout, Panel as SidePanel, RichText, Ui, Vec2, ViewportCommand,
@@ -22,7 +23,7 @@ use crate::settings::{Earlier, Parameters, Settings};
 use crate::shortcut::{self, Action};
 use crate::sweep::Sweep;
 use crate::view::{Compare, Display, View, canvas};
-use crate::worker::{Reply, Request, Task, Worker};
+use crate::worker::{Reply, Request, Task, Worker, rest_after};
 
 /// How long it is told that a file was written.
 const NOTICE_SECONDS: f64 = 8.0;
@@ -100,6 +101,8 @@ pub struct Viewer {
     sweeps: bool,
     /// Whether it is still to be checked that what the program starts with is there: that cannot be told before the first run is done.
     checks_names: bool,
+    /// When the newest frame was handed over to be drawn.
+    drawn: Instant,
     dialog: Option<Dialog>,
     savings: Vec<Saving>,
     /// Size of the canvas, in points.
@@ -140,6 +143,7 @@ impl Viewer {
             frames_left: start.exit_after_frames,
             sweeps: start.sweeps,
             checks_names: true,
+            drawn: Instant::now(),
             dialog: None,
             savings: Vec::new(),
             canvas: Vec2::ZERO,
@@ -186,7 +190,7 @@ impl Viewer {
         self.adaptive.follows &= self.adaptive.shown.is_none();
         self.progress = Some((Task::Denoise, 0.0));
         let (frame, reference) = (document.opened.frame.clone(), document.opened.reference.clone());
-        self.worker.send(Request::Denoise { frame, reference, method: self.parameters.method });
+        self.worker.send(Request::Denoise { frame, reference, parameters: self.parameters });
     }
 
     /// Ends the sweep and forgets it, for another frame.
@@ -202,7 +206,7 @@ impl Viewer {
         self.forget_sweep();
         self.inspector.forget_question();
         self.trouble.take_if(|(task, _)| *task == Task::Adapt);
-        let adaptive = self.adaptive.start(self.parameters.method);
+        let adaptive = self.adaptive.start(self.parameters);
         self.worker.send(Request::Adapt(Box::new(adaptive)));
     }
 
@@ -244,12 +248,21 @@ impl Viewer {
                     self.show_iteration(number, context);
                 }
             }
-            Step::Reference(reference) => {
-                self.adaptive.compare(&reference);
-                if let Some(document) = self.document.as_mut().filter(|_| self.adaptive.shown.is_some()) {
-                    document.compare(&reference);
-                    // Its points know of none.
+            Step::Compared(iterations) => {
+                self.adaptive.iterations = iterations;
+                let shown = self.adaptive.shown.and_then(|number| self.adaptive.document(number));
+                if let (Some(document), Some(compared)) = (&mut self.document, shown) {
+                    // Its points know of no reference, and neither do runs of one's own.
+                    let is_own = document.history.len() > 1 || self.worker.has(Task::Denoise);
+                    if is_own {
+                        document.reopen(compared.opened);
+                    } else {
+                        *document = compared;
+                    }
                     self.forget_sweep();
+                    if is_own {
+                        self.run();
+                    }
                 }
             }
         }
@@ -469,7 +482,11 @@ impl Viewer {
                         remedy: "choose another name".into(),
                     });
                 }
-                Ok(Content::Result { input: source.map(|source| source.input.clone()), estimate: denoised.estimate.clone(), method: denoised.method })
+                Ok(Content::Result {
+                    input: source.map(|source| source.input.clone()),
+                    estimate: denoised.estimate.clone(),
+                    method: denoised.parameters.method,
+                })
             }
             _ => {
                 let View { compare, wipe, camera, display, pinned, marked, .. } = &self.view;
@@ -657,7 +674,7 @@ impl Viewer {
         let pixel = if is_followed { hovered.or(pinned) } else { pinned };
         let Extent { width, height } = document.opened.frame.extent();
         let Some(pixel) = pixel.filter(|[x, y]| *x < width && *y < height) else { return };
-        let question = Question { frame: document.opened.frame.clone(), method: denoised.method, pixel };
+        let question = Question { frame: document.opened.frame.clone(), method: denoised.parameters.method, pixel };
         // Of a pointer that moves on and on, each pixel would cancel the one before.
         if self.inspector.asks(&question) && (pinned == Some(pixel) || !self.inspector.waits()) {
             self.inspector.asked(question.clone());
@@ -676,7 +693,7 @@ impl Viewer {
         SidePanel::top("toolbar").show(ui, |ui| panel::toolbar::show(ui, self));
         SidePanel::bottom("status").show(ui, |ui| panel::status::show(ui, self));
         SidePanel::left("layers").resizable(true).default_size(216.0).size_range(150.0..=420.0).show(ui, |ui| panel::layers::show(ui, self));
-        SidePanel::right("panel").resizable(true).default_size(316.0).size_range(240.0..=620.0).show(ui, |ui| panel::show(ui, self));
+        SidePanel::right("panel").resizable(true).default_size(336.0).size_range(240.0..=620.0).show(ui, |ui| panel::show(ui, self));
         CentralPanel::default().frame(Margins::NONE.fill(ui.visuals().panel_fill)).show(ui, |ui| self.show_canvas(ui));
         panel::help::show(&context, self);
     }
@@ -739,7 +756,13 @@ impl Viewer {
 
 impl eframe::App for Viewer {
     fn ui(&mut self, ui: &mut Ui, _frame: &mut eframe::Frame) {
+        let begun = Instant::now();
         self.show(ui);
+        if self.gpu.is_software() {
+            // What was clicked is on its way, and what is clicked meanwhile is in the next frame.
+            self.worker.make_room(rest_after(begun.saturating_duration_since(self.drawn)));
+            self.drawn = Instant::now();
+        }
         let is_idle = self.is_idle();
         if let Some(frames_left) = &mut self.frames_left {
             // Frames that nothing asks for would only hold up the work.

@@ -40,7 +40,7 @@ fn inspected(harness: &Harness<'static, Viewer>) -> Arc<Inspected> {
 /// Asked apart from the window.
 fn by_the_library(viewer: &Viewer, [x, y]: [u32; 2]) -> Kernels {
     let document = viewer.document.as_ref().unwrap();
-    let method: Method = document.denoised.as_ref().unwrap().method;
+    let method: Method = document.denoised.as_ref().unwrap().parameters.method;
     Denoiser::new(&viewer.gpu, method).unwrap().kernels(&document.opened.frame, x, y, &Options::default()).unwrap()
 }
 
@@ -186,7 +186,7 @@ fn a_change_of_parameters_asks_again() {
     viewer.take_parameters(Parameters { method, ..viewer.parameters });
     settle(&mut harness);
     assert_eq!(inspected(&harness).kernels.filters[0].window_radius, 3);
-    assert_eq!(inspected(&harness).question.method, harness.state().document.as_ref().unwrap().denoised.as_ref().unwrap().method);
+    assert_eq!(inspected(&harness).question.method, harness.state().document.as_ref().unwrap().denoised.as_ref().unwrap().parameters.method);
 }
 
 /// Three candidates as three colours, on the result of a run and not only on made-up numbers.

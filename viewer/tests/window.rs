@@ -72,7 +72,7 @@ fn a_change_of_parameters_runs_again_and_keeps_the_run_before() {
     }
     settle(&mut harness);
     let document = harness.state().document.as_ref().unwrap();
-    assert_eq!(document.denoised.as_ref().unwrap().method.window_radius(), 5);
+    assert_eq!(document.denoised.as_ref().unwrap().parameters.method.window_radius(), 5);
     assert!(document.layer("before").is_some());
     harness.get_by_label("thesis").click();
     settle(&mut harness);

@@ -70,7 +70,8 @@ pub fn show(ui: &mut Ui, viewer: &mut Viewer) {
         }
     });
     ui.separator();
-    ScrollArea::vertical().id_salt(viewer.panel.title()).auto_shrink(false).show(ui, |ui| match viewer.panel {
+    // In both directions: what is too wide for it would widen the panel, and move the image.
+    ScrollArea::both().id_salt(viewer.panel.title()).auto_shrink(false).show(ui, |ui| match viewer.panel {
         Panel::Display => display::show(ui, viewer),
         Panel::Parameters => parameters::show(ui, viewer),
         Panel::Pixel => pixel::show(ui, viewer),

@@ -2,7 +2,7 @@
 
 use std::ops::RangeInclusive;
 
-use eframe::egui::{Button, Color32, Grid, Id, Response, RichText, Role, Ui, Vec2, WidgetInfo};
+use eframe::egui::{Button, Color32, Grid, Id, Rangef, Response, RichText, Role, Ui, Vec2, WidgetInfo};
 use egui_plot::{AxisHints, GridInput, GridMark, Line, LineStyle, MarkerShape, Plot, PlotPoint, PlotPoints, PlotTransform, Points};
 use stein::Preset;
 
@@ -16,6 +16,10 @@ use crate::view::numbers::number;
 pub const PLOT: &str = "error against time";
 /// How near the pointer must be to a point, in points of the screen.
 const REACH: f32 = 12.0;
+/// Marks that an axis has at least, if it is not very short.
+const LEAST_MARKS: usize = 3;
+/// Between the numbers of an axis along which they stand, in points: where there is less, and from where on they are clear.
+pub(super) const X_SPACING: Rangef = Rangef { min: 24.0, max: 40.0 };
 /// Room around the points, in decades.
 const MARGIN: f64 = 0.12;
 
@@ -54,10 +58,9 @@ pub fn show(ui: &mut Ui, viewer: &mut Viewer) {
         let error = error_of(point.error, point.estimated_error);
         (point.parameters, point.seconds, error, false)
     });
-    let preset = viewer.parameters.preset;
     let runs = document.history.iter().map(|run| {
         let error = error_of(run.error, run.estimated_error);
-        (Parameters { preset, method: run.method }, run.seconds, error, true)
+        (run.parameters, run.seconds, error, true)
     });
     let all: Vec<_> = swept.chain(runs).collect();
     // What is not above 0 has no place on a logarithmic axis.
@@ -144,7 +147,7 @@ fn plot(ui: &mut Ui, viewer: &Viewer, spots: &[Spot], axis: &str) -> Option<Para
         .id(Id::unique(PLOT))
         .height((width * 0.85).clamp(180.0, 420.0))
         .width(width)
-        .custom_x_axes(vec![AxisHints::new_x().label("seconds").formatter(tick)])
+        .custom_x_axes(vec![AxisHints::new_x().label("seconds").formatter(tick).label_spacing(X_SPACING)])
         .custom_y_axes(vec![AxisHints::new_y().label(axis).formatter(tick)])
         .x_grid_spacer(marks)
         .y_grid_spacer(marks)
@@ -285,18 +288,49 @@ fn title(parameters: &Parameters) -> String {
     format!("{} {}{radius}{changed}", method.name(), preset.name())
 }
 
-/// 1, 2 and 5 of every decade.
+/// Marks of a logarithmic axis: whole decades, or, where those are too few, parts of them. What is a mark of a coarser division has the room of that, so that its number stays
+/// where there is no room for all.
 pub(super) fn marks(input: GridInput) -> Vec<GridMark> {
-    let (first, last) = (input.bounds.0.floor() as i32, input.bounds.1.ceil() as i32);
-    // Where many decades are shown, they alone are.
-    let steps: &[(f64, f64)] = if input.bounds.1 - input.bounds.0 > 4.0 { &[(1.0, 1.0)] } else { &[(1.0, 1.0), (2.0, 0.3), (5.0, 0.3)] };
-    let decade = |decade: i32| steps.iter().map(move |(digit, step_size)| GridMark { value: f64::from(decade) + digit.log10(), step_size: *step_size });
-    let is_in = |mark: &GridMark| (input.bounds.0..=input.bounds.1).contains(&mark.value);
-    (first..=last).flat_map(decade).filter(is_in).collect()
+    let (low, high) = input.bounds;
+    let tenths = |step: usize| (10..100).step_by(step).collect::<Vec<u32>>();
+    let divisions = [vec![10], vec![10, 20, 50], tenths(10), tenths(5), tenths(1)];
+    let marks = |index: usize| {
+        let mark = |decade: i32, tenth: u32| {
+            let coarsest = divisions.iter().find(|division| division.contains(&tenth)).unwrap_or(&divisions[index]);
+            let next = coarsest.iter().copied().find(|other| *other > tenth).unwrap_or(100);
+            GridMark { value: f64::from(decade) + (f64::from(tenth) / 10.0).log10(), step_size: (f64::from(next) / f64::from(tenth)).log10() }
+        };
+        let decades = low.floor() as i32..=high.ceil() as i32;
+        let all = decades.flat_map(|decade| divisions[index].iter().map(move |tenth| mark(decade, *tenth)));
+        all.filter(|mark| (low..=high).contains(&mark.value)).collect::<Vec<_>>()
+    };
+    let finest = divisions.len() - 1;
+    (0..finest).map(marks).find(|marks| marks.len() >= LEAST_MARKS).unwrap_or_else(|| marks(finest))
 }
 
+/// The number at a mark, to two digits.
 pub(super) fn tick(mark: GridMark, _: &RangeInclusive<f64>) -> String {
-    let value = 10.0_f64.powf(mark.value);
-    let digits = (-mark.value.floor()).max(0.0) as usize;
-    if digits > 3 { format!("{value:.0e}") } else { format!("{value:.digits$}") }
+    let text = format!("{:.1e}", 10.0_f64.powf(mark.value));
+    match text.parse::<f64>() {
+        Ok(value) if value >= 1e-4 => value.to_string(),
+        _ => text.replace(".0e", "e"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn ticks(low: f64, high: f64) -> Vec<String> {
+        let input = GridInput { bounds: (low.log10(), high.log10()), base_step_size: 1.0 };
+        marks(input).into_iter().map(|mark| tick(mark, &(0.0..=1.0))).collect()
+    }
+
+    #[test]
+    fn axes_have_as_few_marks_as_will_do() {
+        assert_eq!(ticks(9e-7, 1.1), ["1e-6", "1e-5", "0.0001", "0.001", "0.01", "0.1", "1"]);
+        assert_eq!(ticks(0.9, 6.0), ["1", "2", "5"]);
+        assert_eq!(ticks(0.0028, 0.0053), ["0.003", "0.004", "0.005"]);
+        assert_eq!(ticks(0.00288, 0.00312), ["0.0029", "0.003", "0.0031"]);
+    }
 }

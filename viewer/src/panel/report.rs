@@ -58,7 +58,7 @@ fn frame(ui: &mut Ui, opened: &Opened) {
 fn run(ui: &mut Ui, denoised: &Denoised, noisy_error: Option<f64>) {
     let estimate = &denoised.estimate;
     ui.label(RichText::new("Run").strong());
-    ui.label(format!("{} in {:.2} s, with every layer kept", denoised.method.name(), denoised.seconds));
+    ui.label(format!("{} in {:.2} s, with every layer kept", denoised.parameters.method.name(), denoised.seconds));
     if let (Some(error), Some(noisy)) = (denoised.error, noisy_error) {
         ui.label(format!("relative MSE {error:.5}, noisy {noisy:.5}"));
     }

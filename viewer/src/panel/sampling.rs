@@ -4,7 +4,7 @@ use eframe::egui::{Color32, ComboBox, DragValue, Grid, RichText, Role, Ui, Vec2,
 use egui_plot::{AxisHints, Legend, Line, MarkerShape, Plot, PlotPoints, Points};
 use stein::sampling::stub::scenes;
 
-use super::plot::{marks, tick};
+use super::plot::{X_SPACING, marks, tick};
 use crate::adaptive::{Adaptive, Iteration, Setup};
 use crate::app::Viewer;
 use crate::view::numbers::number;
@@ -143,7 +143,7 @@ fn plot(ui: &mut Ui, iterations: &[Iteration]) {
     let plot = Plot::new("error over samples")
         .width(width)
         .height((width * 0.62).clamp(150.0, 320.0))
-        .custom_x_axes(vec![AxisHints::new_x().label("samples per pixel").formatter(tick)])
+        .custom_x_axes(vec![AxisHints::new_x().label("samples per pixel").formatter(tick).label_spacing(X_SPACING)])
         .custom_y_axes(vec![AxisHints::new_y().label("relative MSE").formatter(tick)])
         .x_grid_spacer(marks)
         .y_grid_spacer(marks)
