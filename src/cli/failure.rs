@@ -101,3 +101,22 @@ impl From<Error> for Failure {
         Self { code, message: with_options(error) }
     }
 }
+
+#[cfg(test)]
+#[path = "../../tests/common/remedies.rs"]
+mod remedies;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn remedies_name_nothing_that_only_programmers_know() {
+        let remedies = remedies::naming_items();
+        assert!(remedies.iter().filter(|remedy| remedy.contains("`BufferSetRequest::")).count() >= 6, "{remedies:?}");
+        for remedy in remedies {
+            let told = with_options(format_args!("remedy: {remedy}"));
+            assert!(!remedies::names_item(&told), "{told}");
+        }
+    }
+}

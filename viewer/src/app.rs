@@ -9,6 +9,7 @@ use eframe::egui::{
     self, Align, CentralPanel, Color32, Context, FontDefinitions, FontFamily, Frame as Margins, Layout, Panel as SidePanel, RichText, Ui, Vec2, ViewportCommand,
 };
 use eframe::wgpu;
+use stein::buffers::LayerRef;
 use stein::{Extent, Gpu};
 
 use crate::adaptive::{Adapted, Adaptive, Setup, Step};
@@ -23,6 +24,7 @@ use crate::settings::{Earlier, Parameters, Settings};
 use crate::shortcut::{self, Action};
 use crate::sweep::Sweep;
 use crate::view::{Compare, Display, View, canvas};
+use crate::words;
 use crate::worker::{Reply, Request, Task, Worker, rest_after};
 
 /// How long it is told that a file was written.
@@ -95,6 +97,8 @@ pub struct Viewer {
     pub notice: Option<(stein::Result<String>, f64)>,
     /// Whether a run was given up for a file that is being read.
     interrupted: bool,
+    /// The reference of what is opened next.
+    waiting_reference: Option<PathBuf>,
     /// Frames until the window closes by itself.
     frames_left: Option<u32>,
     /// Whether a sweep follows when the frame is open.
@@ -140,6 +144,7 @@ impl Viewer {
             scrolls_to_layer: true,
             notice: None,
             interrupted: false,
+            waiting_reference: None,
             frames_left: start.exit_after_frames,
             sweeps: start.sweeps,
             checks_names: true,
@@ -416,7 +421,7 @@ impl Viewer {
     fn ask(&mut self, purpose: Purpose, context: &Context) {
         if self.dialog.is_none() {
             let source = self.document.as_ref().and_then(|document| document.opened.source.as_ref());
-            let beside = source.map(|source| source.input.as_path());
+            let beside = source.map(|source| source.request.input.as_path());
             match Dialog::open(purpose, beside, &self.name_for(purpose), context) {
                 Ok(dialog) => self.dialog = Some(dialog),
                 Err(error) => self.tell(Err(error), context),
@@ -439,11 +444,11 @@ impl Viewer {
     /// Does with a file what it was asked for.
     pub fn take_file(&mut self, purpose: Purpose, path: PathBuf, context: &Context) {
         match (purpose, &self.document) {
-            (Purpose::Input, _) => self.open(Source { input: path, reference: None }),
+            (Purpose::Input, _) => self.open(Source::whole(path, None)),
             (Purpose::Reference, document) => match document.as_ref().map(|document| &document.opened.source) {
-                Some(Some(source)) => self.open(Source { reference: Some(path), ..source.clone() }),
+                Some(Some(source)) => self.open(Source { reference: Some(LayerRef::whole(path)), ..source.clone() }),
                 Some(None) => self.refuse("a frame that was rendered here is compared with a reference of the same scene", "let one be drawn (panel Sampling)"),
-                None => self.refuse("a reference is compared with a frame", "open the frame first"),
+                None => self.waiting_reference = Some(path),
             },
             (Purpose::Parameters, _) => match Parameters::read(&path) {
                 Ok(parameters) => self.take_parameters(parameters),
@@ -467,23 +472,23 @@ impl Viewer {
     fn content(&self, purpose: Purpose, path: &Path, context: &Context) -> stein::Result<Content> {
         let missing = |what: &str| stein::Error::Request { problem: format!("there is no {what} to save"), remedy: "open a file and wait for the run".into() };
         let layer = || self.layer().cloned().ok_or_else(|| missing("image"));
+        let source = self.document.as_ref().and_then(|document| document.opened.source.as_ref());
+        let same = |other: &Path| path.canonicalize().is_ok_and(|path| other.canonicalize().is_ok_and(|other| path == other));
+        if source.is_some_and(|source| source.files().any(same)) {
+            return Err(stein::Error::File {
+                path: path.to_owned(),
+                problem: "is open here, and would be replaced".into(),
+                remedy: "choose another name".into(),
+            });
+        }
         match purpose {
             Purpose::SaveParameters => Ok(Content::Parameters(self.parameters)),
             Purpose::SaveLayer => Ok(Content::Layer(layer()?, self.view.display.clone())),
             Purpose::SaveResult => {
                 let document = self.document.as_ref().ok_or_else(|| missing("result"))?;
                 let denoised = document.denoised.as_ref().ok_or_else(|| missing("result"))?;
-                let source = document.opened.source.as_ref();
-                let same = |other: &Path| path.canonicalize().is_ok_and(|path| other.canonicalize().is_ok_and(|other| path == other));
-                if source.is_some_and(|Source { input, reference }| same(input) || reference.as_deref().is_some_and(same)) {
-                    return Err(stein::Error::File {
-                        path: path.to_owned(),
-                        problem: "is open here, and would be replaced".into(),
-                        remedy: "choose another name".into(),
-                    });
-                }
                 Ok(Content::Result {
-                    input: source.map(|source| source.input.clone()),
+                    request: source.map(|source| Box::new(source.request.clone())),
                     estimate: denoised.estimate.clone(),
                     method: denoised.parameters.method,
                 })
@@ -529,7 +534,7 @@ impl Viewer {
         self.notice.take_if(|(notice, told)| notice.is_ok() && now > *told + NOTICE_SECONDS);
     }
 
-    /// Files that were dropped on the window: one whose name says so is the reference of the other, or of what is open.
+    /// Files that were dropped on the window: one whose name says so is the reference of the other, or of what is open, or else of what is opened next.
     fn take_dropped(&mut self, context: &Context) {
         let dropped: Vec<PathBuf> = context.input(|input| input.raw.dropped_files.iter().map(|file| file.path().to_owned()).collect());
         let (references, inputs): (Vec<_>, Vec<_>) = dropped.into_iter().partition(|path| is_reference(path));
@@ -538,9 +543,8 @@ impl Viewer {
             self.tell(Ok(format!("One file is open at a time, left out: {}", left_out.join(", "))), context);
         }
         match (inputs.into_iter().next(), references.into_iter().next()) {
-            (Some(input), reference) => self.open(Source { input, reference }),
-            (None, Some(reference)) if self.document.is_some() => self.take_file(Purpose::Reference, reference, context),
-            (None, Some(input)) => self.open(Source { input, reference: None }),
+            (Some(input), reference) => self.open(Source::whole(input, reference)),
+            (None, Some(reference)) => self.take_file(Purpose::Reference, reference, context),
             (None, None) => {}
         }
     }
@@ -551,6 +555,7 @@ impl Viewer {
                 Reply::Progress(task, share) => self.progress = Some((task, share)),
                 Reply::Opened(opened) => {
                     opened.source.iter().for_each(|source| self.settings.remember(source));
+                    let reference = self.waiting_reference.take().filter(|_| opened.reference.is_none());
                     self.adaptive.clear();
                     context.send_viewport_cmd(ViewportCommand::Title(title(Some(&opened.name))));
                     if self.document.is_some() {
@@ -569,7 +574,9 @@ impl Viewer {
                     }
                     self.forget_sweep();
                     self.run();
-                    if std::mem::take(&mut self.sweeps) {
+                    if let Some(reference) = reference {
+                        self.take_file(Purpose::Reference, reference, context);
+                    } else if std::mem::take(&mut self.sweeps) {
                         self.toggle_sweep();
                     }
                 }
@@ -700,7 +707,7 @@ impl Viewer {
 
     fn show_canvas(&mut self, ui: &mut Ui) {
         let failures = [self.trouble.as_ref().map(|(_, error)| error), self.notice.as_ref().and_then(|(notice, _)| notice.as_ref().err())];
-        let failures: Vec<_> = failures.into_iter().flatten().map(ToString::to_string).collect();
+        let failures: Vec<_> = failures.into_iter().flatten().map(words::told).collect();
         failures.iter().for_each(|failure| self.show_trouble(ui, failure));
         self.view.marked = if self.panel == Panel::Kernel { self.inspector.marked() } else { None };
         let (layer, other) = (self.layer().cloned(), self.other().cloned());
@@ -744,6 +751,10 @@ impl Viewer {
             ui.add_space(10.0);
             if ui.button("Open…").clicked() {
                 self.perform(Action::Open, &context);
+            }
+            if let Some(reference) = &self.waiting_reference {
+                ui.add_space(10.0);
+                ui.label(format!("The reference {} waits for its frame.", short_name(reference)));
             }
             if !self.settings.recent.is_empty() {
                 ui.add_space(16.0);

@@ -3,9 +3,11 @@
 mod inputs;
 mod outputs;
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use serde::{Deserialize, Serialize};
+use stein::buffers::{BufferSetRequest, LayerRef};
 use stein::frame::Repairs;
 use stein::method::Plan;
 use stein::sampling::estimated_relative_mse;
@@ -20,12 +22,44 @@ pub use outputs::output_layers;
 use outputs::true_error_layer;
 
 /// What to open.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(default)]
 pub struct Source {
     /// The buffer set.
-    pub input: PathBuf,
+    pub request: BufferSetRequest,
     /// The true image, where one is known.
-    pub reference: Option<PathBuf>,
+    pub reference: Option<LayerRef>,
+}
+
+impl Source {
+    /// A file with what is in it, and perhaps a reference.
+    pub fn whole(input: PathBuf, reference: Option<PathBuf>) -> Self {
+        Self { request: BufferSetRequest { input, ..Default::default() }, reference: reference.map(LayerRef::whole) }
+    }
+
+    /// All files that are read.
+    pub fn files(&self) -> impl Iterator<Item = &Path> {
+        self.request.files().chain(self.reference.as_ref().map(|reference| reference.file.as_path()))
+    }
+
+    /// The same from whichever folder.
+    #[must_use]
+    pub fn absolute(&self) -> Self {
+        let absolute = |path: &Path| std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
+        Self { request: self.request.map_files(absolute), reference: self.reference.as_ref().map(|reference| reference.map_file(absolute)) }
+    }
+
+    /// What is read, and what is not, for people: the input first.
+    pub fn lines(&self) -> Vec<String> {
+        let BufferSetRequest { input, layer, half_a, half_b, variance, features, skip_features, no_features } = &self.request;
+        let input = LayerRef { file: input.clone(), layer: layer.clone() };
+        let named = [("half A", half_a), ("half B", half_b), ("variance", variance), ("reference", &self.reference)];
+        let named = named.into_iter().filter_map(|(what, layer)| Some(format!("{what}: {}", layer.as_ref()?)));
+        let features = features.iter().map(|(name, layer)| format!("feature {name}: {layer}"));
+        let skipped = skip_features.iter().map(|name| format!("without the feature {name}"));
+        let none = no_features.then(|| "without other features of the input".to_owned());
+        std::iter::once(input.to_string()).chain(named).chain(features).chain(skipped).chain(none).collect()
+    }
 }
 
 /// What was read or rendered, before any run.

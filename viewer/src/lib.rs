@@ -16,6 +16,7 @@
 //! | [`sweep`] | error against run time |
 //! | [`saving`] | files that the window writes |
 //! | [`settings`] | what is remembered from one start to the next |
+//! | [`words`] | what the library says, in the words of this program |
 //!
 //! The window never waits: whatever takes time is a [`Request`](worker::Request) to the worker, whose [`Reply`](worker::Reply) wakes the window.
 
@@ -34,6 +35,7 @@ pub mod settings;
 pub mod shortcut;
 pub mod sweep;
 pub mod view;
+pub mod words;
 pub mod worker;
 
 pub use app::{Start, Viewer};

@@ -13,7 +13,7 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use eframe::egui::Context;
-use stein::buffers::{BufferSet, BufferSetRequest, read_reference};
+use stein::buffers::{BufferSet, LayerRef, read_reference};
 use stein::gpu::Pace;
 use stein::sampling::estimated_relative_mse;
 use stein::{Denoiser, Error, Frame, Gpu, Image, Options};
@@ -413,25 +413,25 @@ impl Desk {
 
 fn open(job: &Job, source: Source) -> stein::Result<Opened> {
     job.check(0.0)?;
-    let set = BufferSet::read(&BufferSetRequest { input: source.input.clone(), ..Default::default() })?;
+    let set = BufferSet::read(&source.request).map_err(|error| in_file(&source, error))?;
     job.check(0.4)?;
     let (frame, repairs) = Frame::from_buffer_set(&set).map_err(|error| in_file(&source, error))?;
     drop(set);
     let most = job.desk.gpu.wgpu_device().limits().max_texture_dimension_2d;
     if frame.extent().width.max(frame.extent().height) > most {
         return Err(Error::File {
-            path: source.input.clone(),
+            path: source.request.input.clone(),
             problem: format!("it has {} pixels, and '{}' shows {most} along each side", frame.extent(), job.desk.gpu.summary().name),
-            remedy: "crop it, or choose another adapter with --device; `stein denoise` takes it as it is".into(),
+            remedy: "crop it, or choose another adapter; `stein denoise` takes it as it is".into(),
         });
     }
     job.check(0.6)?;
-    let reference = source.reference.as_ref().map(|path| read_reference(path, None)).transpose()?.map(Arc::new);
-    if let (Some(path), Some(image)) = (&source.reference, &reference)
+    let reference = source.reference.as_ref().map(|reference| read_reference(&reference.file, reference.layer.as_deref())).transpose()?.map(Arc::new);
+    if let (Some(LayerRef { file, .. }), Some(image)) = (&source.reference, &reference)
         && image.extent != frame.extent()
     {
         return Err(Error::File {
-            path: path.clone(),
+            path: file.clone(),
             problem: format!("the reference has {} pixels, the frame {}", image.extent, frame.extent()),
             remedy: "give a reference of the same size".into(),
         });
@@ -439,14 +439,14 @@ fn open(job: &Job, source: Source) -> stein::Result<Opened> {
     job.check(0.8)?;
     let layers = input_layers(&frame, reference.as_ref());
     let noisy_error = relative_mse(&frame.color().mean, reference.as_ref());
-    let name = short_name(&source.input);
+    let name = short_name(&source.request.input);
     Ok(Opened { source: Some(source), name, frame: Arc::new(frame), repairs, reference, noisy_error, layers })
 }
 
 /// What the library says about a file without knowing which one it was.
 fn in_file(source: &Source, error: Error) -> Error {
     match error {
-        Error::Request { problem, remedy } => Error::File { path: source.input.clone(), problem, remedy },
+        Error::Request { problem, remedy } => Error::File { path: source.request.input.clone(), problem, remedy },
         error => error,
     }
 }

@@ -118,7 +118,7 @@ fn a_loop_ends_when_it_is_stopped_started_again_or_a_file_is_opened() {
     harness.state_mut().adaptive.setup.reference_samples = 1 << 14;
     harness.state_mut().adapt();
     harness.run_steps(2);
-    harness.state_mut().open(Source { input: common::testdata("anim/shot.0000.exr"), reference: None });
+    harness.state_mut().open(Source::whole(common::testdata("anim/shot.0000.exr"), None));
     settle(&mut harness);
     assert!(harness.state().adaptive.iterations.is_empty() && harness.state().adaptive.shown.is_none());
     assert!(harness.state().document.as_ref().unwrap().opened.source.is_some());

@@ -29,7 +29,7 @@ fn open(method: &str, pixel: Option<[u32; 2]>) -> Harness<'static, Viewer> {
     if method != "gem" {
         parameters.method = parameters.method.with_parameter("window_radius", 6).unwrap();
     }
-    let source = Some(Source { input: testdata("dof_spheres_32spp.exr"), reference: None });
+    let source = Some(Source::whole(testdata("dof_spheres_32spp.exr"), None));
     window(Start { source, parameters: Some(parameters), panel: Panel::Kernel, pixel, neighbour: Some(NEIGHBOUR), ..Default::default() })
 }
 
@@ -223,7 +223,7 @@ fn the_selection_is_drawn_in_the_library_s_shares() {
 #[test]
 fn the_title_tells_the_file_that_is_open() {
     let mut harness = open("gem", None);
-    harness.state_mut().open(Source { input: testdata("cornell_8spp.exr"), reference: None });
+    harness.state_mut().open(Source::whole(testdata("cornell_8spp.exr"), None));
     let mut titles = Vec::new();
     while titles.is_empty() {
         harness.step();

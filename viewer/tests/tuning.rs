@@ -30,7 +30,7 @@ const FILE: &str = "cornell_8spp.exr";
 /// The file with a small window, so that runs are short, and its parameters in sight.
 fn tuning() -> Harness<'static, Viewer> {
     let parameters = Parameters { method: Method::default().with_parameter("window_radius", 3).unwrap(), ..Parameters::default() };
-    let source = Source { input: testdata(FILE), reference: None };
+    let source = Source::whole(testdata(FILE), None);
     window(Start { source: Some(source), parameters: Some(parameters), panel: Panel::Parameters, ..Default::default() })
 }
 

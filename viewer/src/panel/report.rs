@@ -27,12 +27,9 @@ fn frame(ui: &mut Ui, opened: &Opened) {
     let frame = &opened.frame;
     ui.label(RichText::new("Frame").strong());
     match &opened.source {
-        Some(source) => {
-            ui.label(source.input.display().to_string());
-            if let Some(reference) = &source.reference {
-                ui.label(format!("reference: {}", reference.display()));
-            }
-        }
+        Some(source) => source.lines().into_iter().for_each(|line| {
+            ui.label(line);
+        }),
         None => {
             ui.label(&opened.name);
         }
