@@ -218,9 +218,9 @@ fn matching_channels(file: &ExrFile, mean: &Planes, layer: usize) -> Result<Vec<
 }
 
 fn check_halves(files: &[ExrFile], source: &SignalSource) -> Result<()> {
-    let (present, missing) = match (&source.half_a, &source.half_b) {
-        (Some(present), None) => (present, "B"),
-        (None, Some(present)) => (present, "A"),
+    let (present, missing, named) = match (&source.half_a, &source.half_b) {
+        (Some(present), None) => (present, "B", "`BufferSetRequest::half_b`"),
+        (None, Some(present)) => (present, "A", "`BufferSetRequest::half_a`"),
         _ => return Ok(()),
     };
     let file = &files[present.file];
@@ -228,7 +228,7 @@ fn check_halves(files: &[ExrFile], source: &SignalSource) -> Result<()> {
         path: file.path.clone(),
         layer: file.layers[present.layer].name.clone(),
         problem: format!("it is one half of the samples, but half {missing} is missing"),
-        remedy: format!("add half {missing} (for the colour: `BufferSetRequest::half_{}`)", missing.to_lowercase()),
+        remedy: format!("add half {missing} (for the colour: {named})"),
     })
 }
 

@@ -23,7 +23,7 @@ Exit codes: 0 done, 2 wrong usage, 3 an input file or layer cannot be used, 4 no
 
 Examples:
   stein-viewer testdata/dof_spheres_32spp.exr --reference testdata/dof_spheres_reference.exr
-  stein-viewer both.exr::beauty --half-a seed1.exr --half-b seed2.exr --feature albedo=aux.exr::albedo --reference all.exr::converged
+  stein-viewer both.exr::beauty --half-a a.exr --half-b b.exr --reference all.exr::converged
   stein-viewer render.exr --screenshot selection.png --layer selection";
 
 /// Looks inside a denoised frame: candidates, selection, estimated error, sampling density.
