@@ -383,20 +383,31 @@ fn the_kernel_of_a_pixel_is_told_and_written() {
     let (folder, input) = Folder::with("cornell_8spp.exr");
     let window = folder.path("window.exr");
     let told = stein(&["kernel", &input, "--pixel=3,50", "-o", &window, "--skip-feature=visibility", RADIUS]).succeeded();
-    told.said(&["pixel 3,50", "first", "second", "third", "normal", "window.exr"]);
+    told.said(&["pixel 3,50", "first", "second", "third", "normal", "second_pass", "pass 1: ", " % SECOND", "window.exr"]);
     let written = channels(&window);
     assert!(written.iter().all(|(_, samples)| samples.len() == 25));
-    for channel in ["first.weight.V", "second.colour.G", "first.distance.colour.V", "third.alone.albedo.V", "third.distance.normal.V"] {
+    for channel in ["first.weight.V", "second.colour.G", "first.distance.colour.V", "third.alone.albedo.V", "third.distance.normal.V", "second_pass.colour.B"] {
         assert!(written.iter().any(|(name, _)| name == channel), "{channel}");
+    }
+    // A window of 3×3 within that of 5×5.
+    let of = |channel: &str| -> Vec<f32> { written.iter().find(|(name, _)| name == channel).unwrap().1.values_as_f32().collect() };
+    let (weights, distances) = (of("second_pass.weight.V"), of("second_pass.distance.colour.V"));
+    for cell in 0..25 {
+        let is_inside = (1..4).contains(&(cell % 5)) && (1..4).contains(&(cell / 5));
+        assert!(distances[cell].is_finite() == is_inside && (is_inside || weights[cell] == 0.0), "cell {cell}");
     }
     assert!(!written.iter().any(|(name, _)| name == "third.distance.colour.V" || name.contains("visibility")));
     assert_eq!(attribute(&window, "pixel").as_deref(), Some("3,50"));
 
     let document = stein(&["kernel", &input, "--pixel=0,0", "--method=gem", "--json"]).succeeded().json();
     assert_eq!((&document["filters"][0]["filter"], &document["output"]), (&Value::from("scale"), &Value::Null));
-    assert!(document["filters"][0]["sigma"].as_f64().unwrap() >= 0.0);
+    assert!(document["filters"][0]["sigma"].as_f64().unwrap() >= 0.0 && document["filters"][0]["share"].is_null());
+    assert_eq!(document["filters"][0]["rule"], "gaussian");
     let document = stein(&["kernel", &input, "--pixel=0,0", "--candidates=first,third", "--json", RADIUS]).succeeded().json();
     assert_eq!((&document["filters"][1]["filter"], &document["left_out"][0]["step"]), (&Value::from("third"), &Value::from("second")));
+    let shares = [0, 1].map(|filter| document["filters"][filter]["share"].as_f64().unwrap());
+    assert!((shares[0] + shares[1] - 1.0).abs() < 1e-6, "{shares:?}");
+    assert_eq!(document["filters"][2]["filter"], "second_pass");
     let of_third = document["filters"][1]["decided"].as_array().unwrap();
     assert!(of_third.iter().map(|decided| decided["neighbours"].as_u64().unwrap()).sum::<u64>() <= 8, "nine pixels of the window exist");
 

@@ -7,7 +7,7 @@ use stein::buffers::{NamedLayer, write_layers};
 use stein::gpu::AdapterSummary;
 use stein::kernels::WeightRule;
 use stein::method::{PlannedStep, Step};
-use stein::{Error, FilterKernel, Image, Kernels, Options};
+use stein::{Error, Extent, FilterKernel, Image, Kernels, Options};
 
 use super::filter::Filter;
 use super::inspect::{Input, settle};
@@ -17,8 +17,10 @@ use super::{Failure, Out, output};
 
 const EXAMPLE: &str = "\
 The output is one window, with the pixel in its middle. For each filter of the method it has a layer `FILTER.weight.V`, a layer `FILTER.colour` with what is averaged, and for all that \
-the neighbours are told apart by, the colour and each feature, `FILTER.distance.NAME.V` and the weight that this would give alone, `FILTER.alone.NAME.V`. Outside of the image \
-weights are 0 and distances infinite.
+the neighbours are told apart by, the colour and each feature, `FILTER.distance.NAME.V` and the weight that this would give alone, `FILTER.alone.NAME.V`. Outside of the image, and \
+of a window that is smaller than others, weights are 0 and distances infinite.
+
+Of dfc, `second_pass` averages pass 1, what the candidates were blended to by their shares, and its value is the result.
 
 Examples:
   stein kernel render.exr --pixel 120,64
@@ -73,11 +75,13 @@ struct Summary {
     filter: &'static str,
     window_radius: u32,
     value: [f32; 3],
+    /// Of a candidate, in pass 1.
+    share: Option<f32>,
     weight_sum: f32,
     /// Of the pixel itself.
     own_weight: f32,
-    /// Of a Gaussian, in pixels.
-    sigma: Option<f32>,
+    #[serde(flatten)]
+    rule: WeightRule,
     /// How many neighbours each distance decided about, in the order of the distances.
     decided: Vec<Decided>,
 }
@@ -99,16 +103,22 @@ impl Summary {
             filter: kernel.name,
             window_radius: kernel.window_radius,
             value: kernel.value,
+            share: kernel.share,
             weight_sum: kernel.weight_sum,
             own_weight: kernel.weights.planes[0][cells.end / 2],
-            sigma: if let WeightRule::Gaussian { sigma } = kernel.rule { Some(sigma) } else { None },
+            rule: kernel.rule,
             decided: decided.collect(),
         }
     }
 
     fn row(&self) -> Vec<String> {
         let decided: Vec<_> = self.decided.iter().map(|Decided { by, neighbours }| format!("{by} {neighbours}")).collect();
-        let how = self.sigma.map_or_else(|| decided.join(", "), |sigma| format!("σ {} pixels", number(sigma.into())));
+        let how = match self.rule {
+            WeightRule::Gaussian { sigma } => format!("σ {} pixels", number(sigma.into())),
+            WeightRule::Exact => "no noise within reach: left as it is".into(),
+            WeightRule::Refused { sigmas } => format!("refused, beyond {} σ: pass 1 stays", number(sigmas.into())),
+            WeightRule::Least | WeightRule::Cut { .. } | WeightRule::PatchMean { .. } => decided.join(", "),
+        };
         let value = self.value.map(|value| number(value.into())).join(" ");
         vec![self.filter.to_owned(), how, value, number(self.weight_sum.into()), number(self.own_weight.into())]
     }
@@ -148,6 +158,12 @@ pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
     let left_out: Vec<_> = kernels.plan.steps.iter().filter(|planned| !planned.runs && matters(&planned.step)).cloned().collect();
     let head = ["filter", "decided by", "value", "Σ w", "own w"].map(String::from).to_vec();
     out.say(format_args!("  pixel {x},{y}\n{}", table(&std::iter::once(head).chain(filters.iter().map(Summary::row)).collect::<Vec<_>>(), 3)));
+    let mut shares: Vec<_> = filters.iter().filter_map(|filter| Some((filter.share.filter(|share| *share > 0.0)?, filter.filter))).collect();
+    shares.sort_by(|(a, _), (b, _)| b.total_cmp(a));
+    if !shares.is_empty() {
+        let shares: Vec<_> = shares.into_iter().map(|(share, name)| format!("{:.1} % {}", 100.0 * share, name.to_uppercase())).collect();
+        out.say(format_args!("  pass 1: {}", shares.join(", ")));
+    }
     for planned in &left_out {
         out.say(format_args!("  left out: {}: {}", planned.step.name(), planned.why));
     }
@@ -162,25 +178,39 @@ pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
 
 /// Whether a step decides about what weights there are.
 fn matters(step: &Step) -> bool {
-    matches!(step, Step::Spikes | Step::Feature(_) | Step::Prefilter(_) | Step::Candidates | Step::Candidate(_) | Step::Halves)
+    matches!(step, Step::Spikes | Step::Feature(_) | Step::Prefilter(_) | Step::Candidates | Step::Candidate(_) | Step::SecondPass | Step::Halves)
 }
 
-/// All windows: those of a method are of one size.
+/// All windows, about one middle: as large as the largest.
 fn layers(kernels: &Kernels) -> Vec<NamedLayer> {
-    let layer = |name: String, channels: &[&str], image: &Image| NamedLayer {
+    let side = kernels.filters.iter().map(FilterKernel::side).max().unwrap_or(1);
+    let layer = |name: String, channels: &[&str], image: &Image, outside: f32| NamedLayer {
         name,
         channels: channels.iter().map(ToString::to_string).collect(),
-        image: image.clone(),
+        image: in_the_middle(image, side, outside),
     };
     let of_kernel = |kernel: &FilterKernel| {
         let named = |part: &str| format!("{}.{part}", kernel.name);
-        let mut layers = vec![layer(named("weight"), &["V"], &kernel.weights), layer(named("colour"), &["R", "G", "B"], &kernel.colors)];
+        let mut layers = vec![layer(named("weight"), &["V"], &kernel.weights, 0.0), layer(named("colour"), &["R", "G", "B"], &kernel.colors, 0.0)];
         for distance in &kernel.distances {
             let of = distance.of.name();
-            layers.push(layer(named(&format!("distance.{of}")), &["V"], &distance.distances));
-            layers.push(layer(named(&format!("alone.{of}")), &["V"], &distance.weights));
+            layers.push(layer(named(&format!("distance.{of}")), &["V"], &distance.distances, f32::INFINITY));
+            layers.push(layer(named(&format!("alone.{of}")), &["V"], &distance.weights, 0.0));
         }
         layers
     };
     kernels.filters.iter().flat_map(of_kernel).collect()
+}
+
+/// A square window within a larger one, both of an odd side.
+fn in_the_middle(window: &Image, side: usize, outside: f32) -> Image {
+    let (width, extent) = (window.extent.width as usize, Extent { width: side as u32, height: side as u32 });
+    let first = (side - width) / 2;
+    let mut larger = Image::filled(extent, window.channels(), outside);
+    for (to, from) in larger.planes.iter_mut().zip(&window.planes) {
+        for (row, values) in from.chunks_exact(width).enumerate() {
+            to[(first + row) * side + first..][..width].copy_from_slice(values);
+        }
+    }
+    larger
 }

@@ -10,8 +10,8 @@ use crate::frame::Frame;
 use crate::gpu::{Buffer, Gpu};
 use crate::image::{Extent, Image, Window};
 use crate::kernels::{Compared, Distance, FilterKernel, Kernels, PixelInFrame, WeightRule};
-use crate::method::kernels::{KernelOnGpu, WeightsOnGpu};
-use crate::method::{FrameInput, Strip, Units};
+use crate::method::kernels::{KernelOnGpu, LimitOnGpu, ShareOnGpu, WeightsOnGpu};
+use crate::method::{FrameInput, Lane, Strip, Units};
 use crate::stage::PLANE_PIXEL_BYTES;
 use crate::stage::gaussian::Gaussian;
 use crate::stage::nlm::CentreWeight;
@@ -38,7 +38,7 @@ impl Denoiser {
             return Ok(Kernels { x, y, filters: Vec::new(), plan });
         }
 
-        let part = around(x, y, self.method.reach_of_kernels(), extent);
+        let part = around(x, y, self.method.reach_of_kernels(&plan), extent);
         let part_of_frame = frame.cropped(part);
         let units = Units::of_window(&[&part_of_frame], 0, self.method.uses_features(), exposure(frame));
         let rows = part.extent.height as usize;
@@ -94,23 +94,46 @@ impl Reader<'_> {
         (row * self.part.extent.width as usize + column) * 4
     }
 
+    /// What an image says at the pixel.
+    fn at_pixel(&mut self, Lane { buffer, plane, component }: &Lane) -> Result<f32> {
+        let place = *plane as usize * self.part.extent.pixels() * 4 + self.place((self.at.x, self.at.y)) + *component as usize;
+        Ok(self.values(buffer)?[place])
+    }
+
+    /// Whether what a filter made of the pixel is not the result.
+    fn is_refused(&mut self, LimitOnGpu { filtered, result, .. }: &LimitOnGpu) -> Result<bool> {
+        for component in 0..3 {
+            let of = |buffer: &Arc<Buffer>| Lane { buffer: buffer.clone(), plane: 0, component };
+            if self.at_pixel(&of(filtered))? != self.at_pixel(&of(result))? {
+                return Ok(true);
+            }
+        }
+        Ok(false)
+    }
+
     fn kernel(&mut self, kernel: &KernelOnGpu) -> Result<FilterKernel> {
-        let KernelOnGpu { name, averaged, weights } = kernel;
+        let KernelOnGpu { name, share, averaged, weights } = kernel;
+        let share = match share {
+            Some(ShareOnGpu::Lane(lane)) => Some(self.at_pixel(lane)?),
+            Some(ShareOnGpu::Whole) => Some(1.0),
+            None => None,
+        };
+        let alone = |offset: IVec2| if offset == IVec2::ZERO { 1.0 } else { 0.0 };
         let (window_radius, rule, weights, distances) = match weights {
-            WeightsOnGpu::Cells { cells, window_radius, weight, distances, rule, centre } => {
+            WeightsOnGpu::Cells { cells, window_radius, weight, distances, rule, centre, limit } => {
                 let window = WindowOfCells { cells: self.values(cells)?, radius: *window_radius, at: self.at };
-                (*window_radius, *rule, window.weights(*weight, *centre), window.distances(distances))
+                let (rule, weights) = match limit {
+                    Some(limit) if self.is_refused(limit)? => (WeightRule::Refused { sigmas: limit.sigmas }, self.window(*window_radius, alone)),
+                    _ => (*rule, window.weights(*weight, *centre)),
+                };
+                (*window_radius, rule, weights, window.distances(distances))
             }
             WeightsOnGpu::Gaussian(lane) => {
-                let pixels = self.part.extent.pixels();
-                let sigma = self.values(&lane.buffer)?[lane.plane as usize * pixels * 4 + self.place((self.at.x, self.at.y)) + lane.component as usize];
+                let sigma = self.at_pixel(lane)?;
                 let gaussian = Gaussian::new(sigma);
                 (gaussian.radius, WeightRule::Gaussian { sigma }, self.window(gaussian.radius, |offset| gaussian.weight(offset)), Vec::new())
             }
-            WeightsOnGpu::Exact { window_radius } => {
-                let alone = |offset: IVec2| if offset == IVec2::ZERO { 1.0 } else { 0.0 };
-                (*window_radius, WeightRule::Exact, self.window(*window_radius, alone), Vec::new())
-            }
+            WeightsOnGpu::Exact { window_radius } => (*window_radius, WeightRule::Exact, self.window(*window_radius, alone), Vec::new()),
         };
 
         let averaged = self.values(averaged)?;
@@ -128,7 +151,7 @@ impl Reader<'_> {
             }
         }
         let value = std::array::from_fn(|channel| (f64::from(averaged[centre + channel]) + sums[channel] / weight_sum) as f32 / self.exposure);
-        Ok(FilterKernel { name, window_radius, weights, weight_sum: weight_sum as f32, colors, value, rule, distances, at: self.at })
+        Ok(FilterKernel { name, window_radius, weights, weight_sum: weight_sum as f32, colors, value, share, rule, distances, at: self.at })
     }
 
     /// Weights that follow from the offset.

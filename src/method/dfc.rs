@@ -1,5 +1,6 @@
-//! Denoising by combining colour and feature filters (thesis chapter 8): Algorithm 1 as one straight function.
+//! Denoising by combining colour and feature filters (thesis chapter 8): Algorithm 1 from above to below, what is prepared, pass 1, pass 2, the error of the result.
 
+mod kernels;
 mod params;
 mod plan;
 
@@ -10,13 +11,12 @@ use glam::IVec2;
 use super::common::{Auxiliary, SCALE_RADIUS, input_variance};
 use super::estimate::{GpuEstimate, Intermediate, Keeper, Lane, RGB, Shares, Unit};
 use super::frame::FeatureInput;
-use super::kernels::{Compared, KernelOnGpu, WeightRule, WeightsOnGpu};
 use super::memory::{Footprint, UPLOADED_PLANES};
 use super::plan::{Facts, Plan, Step};
 use super::{FrameInput, GpuSignal, Spikes};
 use crate::error::Result;
 use crate::gpu::{Buffer, Recorder};
-use crate::stage::candidate::{CANDIDATE_PLANES, CandidateBeside, CandidateFilter, CandidatesInTime, Needed, STATE_PLANES, candidates};
+use crate::stage::candidate::{CANDIDATE_PLANES, CandidateBeside, CandidateFilter, Candidates, CandidatesInTime, Needed, STATE_PLANES, candidates};
 use crate::stage::candidate_set::CandidateSet;
 use crate::stage::error::{ErrorParts, MadeOf, error_blend, error_spikes, error_sure};
 use crate::stage::exact::Region;
@@ -25,8 +25,8 @@ use crate::stage::nlm::{Beside, Guide, Lanes, Payload, Schedule, nlm_filter};
 use crate::stage::sample::{GpuSamples, sample_density};
 use crate::stage::select::{Evidence, HARM, Noisy, select_blend, select_frames, select_least, select_pass, select_share};
 use crate::stage::variance::{BoxWeight, INPUT_SMOOTHING, RESIDUAL_SMOOTHING, variance_smooth};
-use crate::stage::window::{WindowOfCandidates, candidate_window};
 
+pub(super) use kernels::kernels;
 pub use params::{DfcParams, SecondPass};
 pub(super) use plan::plan;
 
@@ -69,93 +69,18 @@ pub(crate) fn dfc(
     schedule: Schedule,
     progress: impl FnMut(&mut Recorder, f32) -> Result<()>,
 ) -> Result<GpuEstimate> {
-    let extent = frame.extent;
-    let weighting = params.weighting;
     let mut keeper = Keeper::new(&plan.keep);
-    let Prepared { color, variance, features, spikes, samples, colors_beside, variances_beside } =
-        Prepared::new(rec, frame, beside, params, plan, schedule, &mut keeper)?;
-    let signal = &color.signal;
-
-    // Candidate filters.
-    plan.begins(rec, Step::Candidates);
-    let neighbours = colors_beside.iter().zip(&variances_beside).enumerate();
-    let neighbours =
-        neighbours.map(|(index, (color, variance_of_mean))| CandidateBeside { signal: &color.signal, variance_of_mean, features: features.get(1 + index) });
-    let neighbours: Vec<_> = neighbours.collect();
-    let filter = candidate_filter(params);
-    let needed = Needed {
-        candidates: plan.candidates(),
-        derivatives: plan.runs(&Step::Derivatives),
-        half_spread: plan.runs(&Step::HalfSpread),
-        alone: plan.runs(&Step::Frames),
-        channels: plan.runs(&Step::Channels),
-        exact: plan.exact(&Step::Candidates),
-    };
-    let CandidatesInTime { together: candidates, alone } =
-        candidates(rec, extent, signal, &variance, features.first(), &neighbours, &filter, needed, schedule, progress)?;
-    if let Some(alone) = alone.as_ref().filter(|_| plan.begins(rec, Step::Frames)) {
-        select_frames(rec, extent, Noisy { signal, variance_of_mean: &variance }, alone, &candidates, HARM)?;
-    }
-    drop((features, colors_beside, variances_beside, alone));
-    for (plane, (name, candidate)) in (0..).zip(BY_CANDIDATE.into_iter().zip(&candidates.signals)) {
-        let Some(candidate) = candidate else { continue };
-        keeper.keep(Intermediate::Candidates, name, &RGB, Unit::Color, candidate, 0);
-        if let Some(derivatives) = &candidates.derivatives {
-            keeper.keep(Intermediate::Derivatives, format!("{name}_derivative"), &RGB, Unit::Number, derivatives, plane);
-        }
-    }
-
-    // Filtered SURE error estimates.
-    let grey = !plan.runs(&Step::Channels);
-    let smooth = |rec: &mut Recorder, step: Step, payload: &Buffer, filter: &Auxiliary| {
-        let guide = Guide { grey, exact: plan.exact(&step), ..filter.guide(signal, &variance, 3) };
-        plan.begins(rec, step);
-        nlm_filter(rec, extent, &guide, &Payload::new(payload, 1), filter.window_radius, weighting, false, schedule).map(|filtered| filtered.planes)
-    };
-    let mut judged = None;
-    if plan.begins(rec, Step::Sure) {
-        let sure = Arc::new(error_sure(rec, extent, signal, &variance, &candidates, params.covariance)?);
-        let errors = Arc::new(smooth(rec, Step::SureSmoothing, &sure, &ERROR_SMOOTHING)?);
-        keeper.keep(Intermediate::Sure, "sure", &BY_CANDIDATE, Unit::ColorSquared, &sure, 0);
-        keeper.keep(Intermediate::Sure, "sure_smoothed", &BY_CANDIDATE, Unit::ColorSquared, &errors, 0);
-        judged = Some((sure, errors));
-    }
-
-    let (pass1, selection): (Arc<Buffer>, _) = if let Some((sure, errors)) = judged.as_ref().filter(|_| plan.begins(rec, Step::Selection)) {
-        // Binary selection maps.
-        let selected = Arc::new(select_least(rec, extent, errors, &candidates)?);
-        // Filter selection maps.
-        let smoothed = smooth(rec, Step::SelectionSmoothing, &selected, &SELECTION_SMOOTHING)?;
-        // Candidate filter averaging.
-        plan.begins(rec, Step::Blend);
-        let evidence = Evidence { selected: &selected, errors, sure, variance_of_mean: &variance, candidates: &candidates };
-        let selection = Arc::new(select_share(rec, extent, smoothed, evidence, params.guard)?);
-        let pass1 = Arc::new(select_blend(rec, extent, &selection, &candidates)?);
-        keeper.keep(Intermediate::Selection, "selected", &BY_CANDIDATE, Unit::Number, &selected, 0);
-        keeper.keep(Intermediate::Selection, "selection", &BY_CANDIDATE, Unit::Number, &selection, 0);
-        (pass1, Shares::Maps(selection))
-    } else {
-        // Nothing to choose from.
-        let Some((only, candidate)) = candidates.first_of_all() else { unreachable!("a plan holds at least one candidate") };
-        (candidate.clone(), Shares::Only(only))
-    };
-    drop(judged);
+    let work = Work { params, plan, schedule, wanted: Wanted::default() };
+    let mut prepared = Prepared::new(rec, frame, beside, work, &mut keeper)?;
+    let Pass1 { candidates, selection, blend: pass1 } = Pass1::new(rec, &mut prepared, work, &mut keeper, progress)?;
+    let Prepared { extent, color, variance, spikes, samples, .. } = &prepared;
+    let extent = *extent;
 
     // Second pass filtering.
     let mut result = pass1.clone();
-    if let Some(second_pass) = params.second_pass.filter(|_| plan.begins(rec, Step::SecondPass)) {
-        let upper_bound = second_pass.clamp_to_input.then_some(&*variance);
-        let left_variance = variance_smooth(rec, extent, &pass1, RESIDUAL_SMOOTHING, upper_bound)?;
-        let filter =
-            Auxiliary { window_radius: second_pass.window_radius(params.window_radius), patch_radius: second_pass.patch_radius, k: second_pass.color_k };
-        let guide = Guide { grey, exact: plan.exact(&Step::SecondPass), ..filter.guide(&pass1, &left_variance, 3) };
-        let payload = Payload { lanes: if grey { Lanes::Grey } else { Lanes::All }, ..Payload::new(&pass1, 2) };
-        let pass2 = nlm_filter(rec, extent, &guide, &payload, filter.window_radius, weighting, false, schedule)?;
+    if let Some(pass2) = Pass2::new(rec, extent, &pass1, variance, work)? {
         keeper.keep(Intermediate::Pass1, "pass1", &RGB, Unit::Color, &pass1, 0);
-        result = Arc::new(match second_pass.most_sigmas {
-            Some(sigmas) => select_pass(rec, extent, &pass1, &pass2.planes, &variance, sigmas)?,
-            None => pass2.planes,
-        });
+        result = pass2.result;
     }
 
     // What is left of the error, of which SURE tells little more than the order of the candidates.
@@ -166,7 +91,7 @@ pub(crate) fn dfc(
             Shares::Only(only) => MadeOf::Only(*only),
         };
         let parts = ErrorParts::measured(color.has_halves, params.several_can_win());
-        let mut errors = error_blend(rec, extent, &result, &variance, &candidates, made_of, parts)?;
+        let mut errors = error_blend(rec, extent, &result, variance, &candidates, made_of, parts)?;
         if let Some(spikes) = spikes.as_ref().filter(|_| params.spikes == Spikes::Spread) {
             errors = error_spikes(rec, extent, errors, spikes, parts)?;
         }
@@ -176,8 +101,9 @@ pub(crate) fn dfc(
 
     // Adaptive sampling (thesis 8.6).
     if plan.begins(rec, Step::Density) {
-        let density = sample_density(rec, extent, &pass1, error.as_deref().filter(|_| !color.has_halves), &samples)?;
-        keeper.keep(Intermediate::Density, "density", &["V"], Unit::Number, &Arc::new(smooth(rec, Step::Density, &density, &DENSITY_SMOOTHING)?), 0);
+        let density = sample_density(rec, extent, &pass1, error.as_deref().filter(|_| !color.has_halves), samples)?;
+        let density = prepared.smooth(rec, Step::Density, &density, &DENSITY_SMOOTHING, work)?;
+        keeper.keep(Intermediate::Density, "density", &["V"], Unit::Number, &Arc::new(density), 0);
     }
 
     Ok(GpuEstimate {
@@ -186,47 +112,35 @@ pub(crate) fn dfc(
         // Σ w is that of pass 1.
         weight_sum: Lane { buffer: pass1, plane: 0, component: 3 },
         selection: Some(selection),
-        spikes,
+        spikes: spikes.clone(),
         kept: keeper.into_kept(),
     })
 }
 
-/// The kernels of the candidates at a pixel.
-pub(super) fn kernels(rec: &mut Recorder, frame: FrameInput, pixel: IVec2, params: &DfcParams, plan: &Plan, schedule: Schedule) -> Result<Vec<KernelOnGpu>> {
-    let extent = frame.extent;
-    let names: Vec<String> = frame.features.iter().map(|feature| feature.name.clone()).collect();
-    let Prepared { color, variance, features, .. } = Prepared::new(rec, frame, Vec::new(), params, plan, schedule, &mut Keeper::new(&[]))?;
-    plan.begins(rec, Step::Candidates);
-    let taking_part = plan.candidates();
-    let numbered = (0..).zip(BY_CANDIDATE).zip(taking_part.flags()).filter_map(|(candidate, takes_part)| takes_part.then_some(candidate));
-    let window_radius = params.window_radius;
-    if plan.exact(&Step::Candidates).is_some_and(|exact| exact.is_exact(&Region { first: pixel, size: IVec2::ONE })) {
-        let left = |(_, name)| KernelOnGpu { name, averaged: color.signal.clone(), weights: WeightsOnGpu::Exact { window_radius } };
-        return Ok(numbered.map(left).collect());
+/// How a frame is worked on.
+#[derive(Clone, Copy)]
+struct Work<'a> {
+    params: &'a DfcParams,
+    plan: &'a Plan,
+    schedule: Schedule,
+    wanted: Wanted,
+}
+
+impl Work<'_> {
+    fn is_grey(&self) -> bool {
+        !self.plan.runs(&Step::Channels)
     }
-    let (features, filter, grey) = (features.first(), candidate_filter(params), !plan.runs(&Step::Channels));
-    let window = candidate_window(rec, extent, pixel, &color.signal, &variance, features, &filter, taking_part, grey, schedule)?;
-    let cells = Arc::new(window.cells);
-    let kernel = |(candidate, name): (u32, &'static str)| {
-        let patch_radius = [Some(params.first_patch_radius), Some(params.second_patch_radius), None][candidate as usize];
-        let of_color = patch_radius.map(|patch_radius| (Compared::Color { patch_radius, k: params.color_k }, WindowOfCandidates::color(candidate)));
-        let tau = if candidate == 2 { params.feature_tau_third } else { params.feature_tau };
-        let slots = features.iter().flat_map(|features| &features.packing.slots);
-        let of_features = names
-            .iter()
-            .zip(slots)
-            .map(|(name, slot)| (Compared::Feature { name: name.clone(), k: params.feature_k, tau }, WindowOfCandidates::feature(candidate, *slot)));
-        let weights = WeightsOnGpu::Cells {
-            cells: cells.clone(),
-            window_radius,
-            weight: WindowOfCandidates::weight(candidate),
-            distances: of_color.into_iter().chain(of_features).collect(),
-            rule: WeightRule::Least,
-            centre: params.weighting.centre,
-        };
-        KernelOnGpu { name, averaged: color.signal.clone(), weights }
-    };
-    Ok(numbered.map(kernel).collect())
+}
+
+/// Which pixels of what are wanted; `None`: all.
+#[derive(Clone, Copy, Default)]
+struct Wanted {
+    /// Of the prefiltered features.
+    features: Option<Region>,
+    /// Of the candidates, and of what chooses among them.
+    candidates: Option<Region>,
+    /// Of the second pass.
+    result: Option<Region>,
 }
 
 fn candidate_filter(params: &DfcParams) -> CandidateFilter {
@@ -244,6 +158,7 @@ fn candidate_filter(params: &DfcParams) -> CandidateFilter {
 
 /// What the candidates are made from.
 struct Prepared {
+    extent: IVec2,
     /// Without spikes.
     color: GpuSignal,
     variance: Arc<Buffer>,
@@ -257,21 +172,14 @@ struct Prepared {
 }
 
 impl Prepared {
-    fn new(
-        rec: &mut Recorder,
-        frame: FrameInput,
-        beside: Vec<FrameInput>,
-        params: &DfcParams,
-        plan: &Plan,
-        schedule: Schedule,
-        keeper: &mut Keeper,
-    ) -> Result<Self> {
+    fn new(rec: &mut Recorder, frame: FrameInput, beside: Vec<FrameInput>, work: Work, keeper: &mut Keeper) -> Result<Self> {
+        let Work { params, plan, .. } = work;
         let FrameInput { extent, mut color, features, samples, .. } = frame;
         // Space-time filtering (8.6): the window gains frames. What belongs to a pixel comes from its own frame.
         let (mut colors_beside, features_beside): (Vec<_>, Vec<_>) = beside.into_iter().map(|frame| (frame.color, frame.features)).unzip();
 
         // Feature prefiltering.
-        let features = prefilter(rec, extent, std::iter::once(features).chain(features_beside).collect(), plan, params, schedule, keeper)?;
+        let features = prefilter(rec, extent, std::iter::once(features).chain(features_beside).collect(), work, keeper)?;
 
         // Spikes.
         let mut spikes = None;
@@ -290,8 +198,142 @@ impl Prepared {
         let variance = input_variance(rec, extent, &color, params.box_weight)?;
         keeper.keep(Intermediate::Variance, "scaled_variance", &RGB, Unit::ColorSquared, &variance, 0);
         let variances_beside = colors_beside.iter().map(|color| input_variance(rec, extent, color, params.box_weight)).collect::<Result<Vec<_>>>()?;
-        Ok(Self { color, variance, features, spikes, samples, colors_beside, variances_beside })
+        Ok(Self { extent, color, variance, features, spikes, samples, colors_beside, variances_beside })
     }
+
+    /// Gives back what the candidates alone are made from.
+    fn forget_neighbours(&mut self) {
+        self.features.clear();
+        self.colors_beside.clear();
+        self.variances_beside.clear();
+    }
+
+    /// A plane smoothed along the colour.
+    fn smooth(&self, rec: &mut Recorder, step: Step, payload: &Buffer, filter: &Auxiliary, work: Work) -> Result<Buffer> {
+        let Work { params, plan, schedule, wanted } = work;
+        let guide = filter.guide(&self.color.signal, &self.variance, 3);
+        let guide = Guide { grey: work.is_grey(), exact: plan.exact(&step), wanted: wanted.candidates, ..guide };
+        plan.begins(rec, step);
+        let filtered = nlm_filter(rec, self.extent, &guide, &Payload::new(payload, 1), filter.window_radius, params.weighting, false, schedule)?;
+        Ok(filtered.planes)
+    }
+}
+
+/// The candidates averaged by what chose among them.
+struct Pass1 {
+    candidates: Candidates,
+    selection: Shares,
+    blend: Arc<Buffer>,
+}
+
+impl Pass1 {
+    /// Afterwards, `prepared` holds what belongs to the frame itself.
+    fn new(
+        rec: &mut Recorder,
+        prepared: &mut Prepared,
+        work: Work,
+        keeper: &mut Keeper,
+        progress: impl FnMut(&mut Recorder, f32) -> Result<()>,
+    ) -> Result<Self> {
+        let Work { params, plan, schedule, wanted } = work;
+        let Prepared { extent, color, variance, features, colors_beside, variances_beside, .. } = &*prepared;
+        let (extent, signal) = (*extent, &color.signal);
+
+        // Candidate filters.
+        plan.begins(rec, Step::Candidates);
+        let neighbours = colors_beside.iter().zip(variances_beside).enumerate();
+        let neighbours =
+            neighbours.map(|(index, (color, variance_of_mean))| CandidateBeside { signal: &color.signal, variance_of_mean, features: features.get(1 + index) });
+        let neighbours: Vec<_> = neighbours.collect();
+        let needed = Needed {
+            candidates: plan.candidates(),
+            derivatives: plan.runs(&Step::Derivatives),
+            half_spread: plan.runs(&Step::HalfSpread),
+            alone: plan.runs(&Step::Frames),
+            channels: plan.runs(&Step::Channels),
+            exact: plan.exact(&Step::Candidates),
+            wanted: wanted.candidates,
+        };
+        let CandidatesInTime { together: candidates, alone } =
+            candidates(rec, extent, signal, variance, features.first(), &neighbours, &candidate_filter(params), needed, schedule, progress)?;
+        if let Some(alone) = alone.as_ref().filter(|_| plan.begins(rec, Step::Frames)) {
+            select_frames(rec, extent, Noisy { signal, variance_of_mean: variance }, alone, &candidates, HARM)?;
+        }
+        drop(alone);
+        prepared.forget_neighbours();
+        let Prepared { color, variance, .. } = &*prepared;
+        let signal = &color.signal;
+        for (plane, (name, candidate)) in (0..).zip(BY_CANDIDATE.into_iter().zip(&candidates.signals)) {
+            let Some(candidate) = candidate else { continue };
+            keeper.keep(Intermediate::Candidates, name, &RGB, Unit::Color, candidate, 0);
+            if let Some(derivatives) = &candidates.derivatives {
+                keeper.keep(Intermediate::Derivatives, format!("{name}_derivative"), &RGB, Unit::Number, derivatives, plane);
+            }
+        }
+
+        // Filtered SURE error estimates.
+        let mut judged = None;
+        if plan.begins(rec, Step::Sure) {
+            let sure = Arc::new(error_sure(rec, extent, signal, variance, &candidates, params.covariance)?);
+            let errors = Arc::new(prepared.smooth(rec, Step::SureSmoothing, &sure, &ERROR_SMOOTHING, work)?);
+            keeper.keep(Intermediate::Sure, "sure", &BY_CANDIDATE, Unit::ColorSquared, &sure, 0);
+            keeper.keep(Intermediate::Sure, "sure_smoothed", &BY_CANDIDATE, Unit::ColorSquared, &errors, 0);
+            judged = Some((sure, errors));
+        }
+
+        let Some((sure, errors)) = judged.as_ref().filter(|_| plan.begins(rec, Step::Selection)) else {
+            // Nothing to choose from.
+            let Some((only, candidate)) = candidates.first_of_all() else { unreachable!("a plan holds at least one candidate") };
+            return Ok(Self { blend: candidate.clone(), selection: Shares::Only(only), candidates });
+        };
+        // Binary selection maps.
+        let selected = Arc::new(select_least(rec, extent, errors, &candidates)?);
+        // Filter selection maps.
+        let smoothed = prepared.smooth(rec, Step::SelectionSmoothing, &selected, &SELECTION_SMOOTHING, work)?;
+        // Candidate filter averaging.
+        plan.begins(rec, Step::Blend);
+        let evidence = Evidence { selected: &selected, errors, sure, variance_of_mean: variance, candidates: &candidates };
+        let selection = Arc::new(select_share(rec, extent, smoothed, evidence, params.guard)?);
+        let blend = Arc::new(select_blend(rec, extent, &selection, &candidates)?);
+        keeper.keep(Intermediate::Selection, "selected", &BY_CANDIDATE, Unit::Number, &selected, 0);
+        keeper.keep(Intermediate::Selection, "selection", &BY_CANDIDATE, Unit::Number, &selection, 0);
+        Ok(Self { candidates, selection: Shares::Maps(selection), blend })
+    }
+}
+
+/// What the second pass made of pass 1.
+struct Pass2 {
+    filter: Auxiliary,
+    /// Of the noise in pass 1.
+    left_variance: Buffer,
+    /// Pass 1 filtered by itself.
+    filtered: Arc<Buffer>,
+    /// The same, and pass 1 where that would go too far.
+    result: Arc<Buffer>,
+    most_sigmas: Option<f32>,
+}
+
+impl Pass2 {
+    /// `None` where the plan has none.
+    fn new(rec: &mut Recorder, extent: IVec2, pass1: &Buffer, variance: &Buffer, work: Work) -> Result<Option<Self>> {
+        let Work { params, plan, schedule, wanted } = work;
+        let Some(second_pass) = params.second_pass.filter(|_| plan.begins(rec, Step::SecondPass)) else { return Ok(None) };
+        let SecondPass { clamp_to_input, most_sigmas, .. } = second_pass;
+        let left_variance = variance_smooth(rec, extent, pass1, RESIDUAL_SMOOTHING, clamp_to_input.then_some(variance))?;
+        let (filter, grey) = (second_pass_filter(&second_pass, params.window_radius), work.is_grey());
+        let guide = Guide { grey, exact: plan.exact(&Step::SecondPass), wanted: wanted.result, ..filter.guide(pass1, &left_variance, 3) };
+        let payload = Payload { lanes: if grey { Lanes::Grey } else { Lanes::All }, ..Payload::new(pass1, 2) };
+        let filtered = Arc::new(nlm_filter(rec, extent, &guide, &payload, filter.window_radius, params.weighting, false, schedule)?.planes);
+        let result = match most_sigmas {
+            Some(sigmas) => Arc::new(select_pass(rec, extent, pass1, &filtered, variance, sigmas)?),
+            None => filtered.clone(),
+        };
+        Ok(Some(Self { filter, left_variance, filtered, result, most_sigmas }))
+    }
+}
+
+fn second_pass_filter(second_pass: &SecondPass, window_radius: u32) -> Auxiliary {
+    Auxiliary { window_radius: second_pass.window_radius(window_radius), patch_radius: second_pass.patch_radius, k: second_pass.color_k }
 }
 
 /// Prefilters each feature by itself (Algorithm 1 lines 4 to 10) and packs them for the candidates; features without noise are taken as they are. Empty where there are
@@ -300,15 +342,8 @@ impl Prepared {
 /// `frames` holds the features of all frames of the window in time, the one to denoise first, and each is prefiltered with the help of all. Measured on three frames of
 /// the built-in scenes in which nothing moves, 8 and 32 samples per pixel: against one frame alone they leave .46 to .67 of the error, with features that are prefiltered
 /// frame by frame .60 to .77, and .46 to .53 if all the samples were in one frame.
-fn prefilter(
-    rec: &mut Recorder,
-    extent: IVec2,
-    frames: Vec<Vec<FeatureInput>>,
-    plan: &Plan,
-    &DfcParams { weighting, box_weight, .. }: &DfcParams,
-    schedule: Schedule,
-    keeper: &mut Keeper,
-) -> Result<Vec<Features>> {
+fn prefilter(rec: &mut Recorder, extent: IVec2, frames: Vec<Vec<FeatureInput>>, work: Work, keeper: &mut Keeper) -> Result<Vec<Features>> {
+    let Work { params: &DfcParams { weighting, box_weight, .. }, plan, schedule, wanted } = work;
     let channels: Vec<u32> = frames[0].iter().map(|feature| feature.channels).collect();
     if channels.is_empty() {
         return Ok(Vec::new());
@@ -333,7 +368,7 @@ fn prefilter(
                     let beside: Vec<_> =
                         others().filter_map(|(_, (other, variance))| Some(Beside { signal: &other.signal, variance_of_mean: variance.as_ref()? })).collect();
                     let payloads: Vec<_> = beside.iter().map(|beside| beside.signal).collect();
-                    let guide = Guide { beside: &beside, exact, ..PREFILTER.guide(&signal.signal, variance, *channels) };
+                    let guide = Guide { beside: &beside, exact, wanted: wanted.features, ..PREFILTER.guide(&signal.signal, variance, *channels) };
                     let lanes = if *channels == 1 { Lanes::First } else { Lanes::All };
                     let payload = Payload { planes: &signal.signal, count: if signal.has_halves { 2 } else { 1 }, beside: &payloads, lanes };
                     let filtered = nlm_filter(rec, extent, &guide, &payload, PREFILTER.window_radius, weighting, !signal.has_halves, schedule)?;
@@ -400,18 +435,42 @@ pub(super) fn footprint(params: &DfcParams, facts: &Facts, kept: bool, schedule:
 }
 
 /// How far the candidates depend on a frame.
-pub(super) fn reach_of_candidates(params: &DfcParams) -> u32 {
+fn reach_of_candidates(params: &DfcParams) -> u32 {
     let scaled_variance = SCALE_RADIUS.max(INPUT_SMOOTHING.radius);
     // One more for the gradient, which is less than the smoothing of the residual variance.
-    let features = PREFILTER.window_radius + PREFILTER.patch_radius + scaled_variance + RESIDUAL_SMOOTHING.radius.max(1);
+    let features = reach_of_prefilter() + RESIDUAL_SMOOTHING.radius.max(1);
     let scaled_variance = scaled_variance + params.spikes.reach(features);
     params.window_radius + features.max(params.second_patch_radius + scaled_variance)
 }
 
+/// How far a feature without its noise depends on it.
+fn reach_of_prefilter() -> u32 {
+    PREFILTER.window_radius + PREFILTER.patch_radius + SCALE_RADIUS.max(INPUT_SMOOTHING.radius)
+}
+
+/// How far the shares of the candidates depend on them.
+fn reach_of_choice() -> u32 {
+    [ERROR_SMOOTHING, SELECTION_SMOOTHING].iter().map(|filter| filter.window_radius + filter.patch_radius).sum()
+}
+
+/// How far the result depends on pass 1.
+fn reach_of_second_pass(params: &DfcParams) -> u32 {
+    let filter = params.second_pass.map(|pass| second_pass_filter(&pass, params.window_radius));
+    filter.map_or(0, |filter| filter.window_radius + filter.patch_radius + RESIDUAL_SMOOTHING.radius)
+}
+
+/// How far the result depends on the candidates, by what a plan makes of them.
+fn reach_of_choice_and_second_pass(params: &DfcParams, plan: &Plan) -> u32 {
+    let choice = if plan.runs(&Step::Selection) { reach_of_choice() } else { 0 };
+    let second_pass = if plan.runs(&Step::SecondPass) { reach_of_second_pass(params) } else { 0 };
+    choice + second_pass
+}
+
+pub(super) fn reach_of_kernels(params: &DfcParams, plan: &Plan) -> u32 {
+    reach_of_candidates(params) + reach_of_choice_and_second_pass(params, plan)
+}
+
 pub(super) fn halo(params: &DfcParams) -> u32 {
-    let errors = ERROR_SMOOTHING.window_radius + ERROR_SMOOTHING.patch_radius + reach_of_candidates(params);
-    let pass1 = SELECTION_SMOOTHING.window_radius + SELECTION_SMOOTHING.patch_radius + errors;
-    let pass2 = params.second_pass.map_or(0, |pass| pass.window_radius(params.window_radius) + pass.patch_radius + RESIDUAL_SMOOTHING.radius);
     let density = DENSITY_SMOOTHING.window_radius + DENSITY_SMOOTHING.patch_radius;
-    pass1 + pass2.max(density)
+    reach_of_candidates(params) + reach_of_choice() + reach_of_second_pass(params).max(density)
 }

@@ -70,7 +70,7 @@ pub(super) fn kernels(rec: &mut Recorder, frame: FrameInput, params: &GemParams,
     let averaged = color.signal.clone();
     let Selected { choice, .. } = select(rec, extent, color, samples, params, plan, &mut Keeper::new(&[]), |_, _| Ok(()))?;
     let weights = WeightsOnGpu::Gaussian(Lane { buffer: Arc::new(choice), plane: 0, component: 0 });
-    Ok(vec![KernelOnGpu { name: "scale", averaged, weights }])
+    Ok(vec![KernelOnGpu { name: "scale", averaged, weights, share: None }])
 }
 
 /// A frame without spikes. Of features, which a renderer may hand over, none are used.

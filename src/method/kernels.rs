@@ -5,6 +5,8 @@
 
 use std::sync::Arc;
 
+use serde::Serialize;
+
 use super::{Lane, Plan};
 use crate::gpu::Buffer;
 use crate::image::{Extent, Image};
@@ -22,7 +24,7 @@ pub struct Kernels {
     ///
     /// | method | names |
     /// | --- | --- |
-    /// | DFC | `first`, `second`, `third`, without those that are left out; not the second pass |
+    /// | DFC | `first`, `second`, `third`, without those that are left out; then `second_pass`, where there is one, which averages what the others were blended to |
     /// | NLM | `half_a` and `half_b`, each with the weights of the other half; `filter` where both are filtered as one |
     /// | GEM | `scale`, the scale that the pixel came to |
     ///
@@ -55,10 +57,13 @@ pub struct FilterKernel {
     pub weights: Image,
     /// Σ w over the window.
     pub weight_sum: f32,
-    /// Three planes: the colours u(q) that are averaged, in the units of the frame, spikes repaired; of a half of NLM that half's. 0 for cells outside of the frame.
+    /// Three planes: the colours u(q) that are averaged, in the units of the frame, spikes repaired; of a half of NLM that half's, of the second pass those of pass 1. 0 for cells
+    /// outside of the frame.
     pub colors: Image,
     /// Σ w·u / Σ w per channel: what the filter makes of p, in the units of the frame.
     pub value: [f32; 3],
+    /// Of a candidate of DFC the share that it has in pass 1 of the pixel, from 0 to 1 (Algorithm 1 lines 27 to 33); shares sum to 1. `None` of all other filters.
+    pub share: Option<f32>,
     /// How the weights came about.
     pub rule: WeightRule,
     /// What the neighbours were told apart by, the colour first. Empty where no distances are involved.
@@ -66,8 +71,9 @@ pub struct FilterKernel {
     pub(crate) at: PixelInFrame,
 }
 
-/// How the weights of a window came about.
-#[derive(Clone, Copy, Debug, PartialEq)]
+/// How the weights of a window came about. A JSON document names it as `rule`, its numbers beside.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[serde(tag = "rule", rename_all = "snake_case")]
 pub enum WeightRule {
     /// A weight is the least among those of the distances (eq. 8.4), and 1 where there are none.
     Least,
@@ -86,6 +92,12 @@ pub enum WeightRule {
     Gaussian {
         /// σ, in pixels; 0 for the pixel filter, whose window is the pixel.
         sigma: f32,
+    },
+    /// The filter would change the pixel by more than `sigmas` standard deviations of its noise, so that pass 1 is the result
+    /// ([`SecondPass::most_sigmas`](super::dfc::SecondPass::most_sigmas)): its weight is 1, the others are 0. The distances tell what the filter saw.
+    Refused {
+        /// The largest correction, in standard deviations.
+        sigmas: f32,
     },
     /// The pixel lies in a tile from which no pixel with noise is within reach, and is left as it is: its weight is 1, the others are 0.
     Exact,
@@ -135,6 +147,14 @@ impl Compared {
     }
 }
 
+impl Distance {
+    /// The weight that a neighbour would have by this distance if it stood for itself, exp(−max(0, d)); [`Distance::weights`] has more of it where the mean with its opposite matches
+    /// better ([`Symmetry`](crate::stage::nlm::Symmetry)). 0 for cells outside of the frame.
+    pub fn own_weight(&self, cell: usize) -> f32 {
+        (-self.distances.planes[0][cell].max(0.0)).exp()
+    }
+}
+
 impl FilterKernel {
     /// Cells in a row of the window, 2R+1.
     pub fn side(&self) -> usize {
@@ -146,8 +166,15 @@ impl FilterKernel {
         self.at.neighbour(cell, self.window_radius)
     }
 
+    /// The cell of the neighbour on the other side of the pixel, p − (q − p); `None` where it lies outside of the frame.
+    pub fn opposite(&self, cell: usize) -> Option<usize> {
+        let opposite = self.weights.extent.pixels().checked_sub(1 + cell)?;
+        self.pixel(opposite).map(|_| opposite)
+    }
+
     /// What decided about a neighbour: of [`FilterKernel::distances`] the one with the least weight, the first of several. `None` where nothing speaks against it, for the pixel
-    /// itself, and outside of the frame. A neighbour whose weight [`WeightRule::PatchMean`] or a cut changed may still weigh less.
+    /// itself, and outside of the frame. A neighbour whose weight [`WeightRule::PatchMean`] or a cut changed may still weigh less, and where the
+    /// filter was refused all weigh nothing.
     pub fn decided_by(&self, cell: usize) -> Option<&Distance> {
         self.pixel(cell)?;
         let least = self.distances.iter().map(|distance| distance.weights.planes[0][cell]).fold(1.0, f32::min);
@@ -175,14 +202,37 @@ impl PixelInFrame {
 /// A kernel as it lies on the device.
 pub(crate) struct KernelOnGpu {
     pub(crate) name: &'static str,
+    pub(crate) share: Option<ShareOnGpu>,
     /// What is averaged: the first plane of an image.
     pub(crate) averaged: Arc<Buffer>,
     pub(crate) weights: WeightsOnGpu,
 }
 
+pub(crate) enum ShareOnGpu {
+    /// All: there is one candidate.
+    Whole,
+    /// What an image says at the pixel.
+    Lane(Lane),
+}
+
+/// Where the filter's value is the result, and where not: the first planes of images.
+pub(crate) struct LimitOnGpu {
+    pub(crate) filtered: Arc<Buffer>,
+    pub(crate) result: Arc<Buffer>,
+    pub(crate) sigmas: f32,
+}
+
 pub(crate) enum WeightsOnGpu {
     /// The window of a stage, but for the cell in its middle.
-    Cells { cells: Arc<Buffer>, window_radius: u32, weight: CellLane, distances: Vec<(Compared, DistanceLanes)>, rule: WeightRule, centre: CentreWeight },
+    Cells {
+        cells: Arc<Buffer>,
+        window_radius: u32,
+        weight: CellLane,
+        distances: Vec<(Compared, DistanceLanes)>,
+        rule: WeightRule,
+        centre: CentreWeight,
+        limit: Option<LimitOnGpu>,
+    },
     /// The Gaussian whose σ an image says at the pixel.
     Gaussian(Lane),
     /// The pixel is left as it is by a filter of this window.

@@ -101,10 +101,10 @@ impl Method {
         }
     }
 
-    /// The same of its kernels ([`kernels`]).
-    pub(crate) fn reach_of_kernels(&self) -> u32 {
+    /// The same of its kernels ([`kernels`]), as far as a plan has any.
+    pub(crate) fn reach_of_kernels(&self, plan: &Plan) -> u32 {
         match self {
-            Self::Dfc(params) => dfc::reach_of_candidates(params),
+            Self::Dfc(params) => dfc::reach_of_kernels(params, plan),
             // What a pixel comes to depends on all of it.
             Self::Gem(params) => gem::halo(params),
             Self::Nlm(params) => nlm::reach_of_filter(params),

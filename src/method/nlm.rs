@@ -172,17 +172,21 @@ pub(super) fn kernels(rec: &mut Recorder, frame: FrameInput, pixel: IVec2, param
             distances: vec![(color, NLM_DISTANCE)],
             rule: if params.patchwise { WeightRule::PatchMean { cut: params.cut } } else { WeightRule::Cut { cut: params.cut } },
             centre: params.weighting.centre,
+            limit: None,
         })
     };
     Ok(match halves {
         Some(halves) => {
             let (of_a, of_b) = (weights(Buffers::of_half_a(&halves))?, weights(Buffers::of_half_b(&halves))?);
             let Halves { a, b, .. } = halves;
-            vec![KernelOnGpu { name: "half_a", averaged: Arc::new(a), weights: of_a }, KernelOnGpu { name: "half_b", averaged: Arc::new(b), weights: of_b }]
+            vec![
+                KernelOnGpu { name: "half_a", averaged: Arc::new(a), weights: of_a, share: None },
+                KernelOnGpu { name: "half_b", averaged: Arc::new(b), weights: of_b, share: None },
+            ]
         }
         None => {
             let weights = weights(Buffers::of_signal(&signal, &variance))?;
-            vec![KernelOnGpu { name: "filter", averaged: Arc::new(signal), weights }]
+            vec![KernelOnGpu { name: "filter", averaged: Arc::new(signal), weights, share: None }]
         }
     })
 }

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use glam::{IVec2, Vec4};
 
 use super::candidate_set::CandidateSet;
-use super::exact::ExactTiles;
+use super::exact::{ExactTiles, Region};
 use super::feature::{Features, MAX_GROUPS};
 use super::nlm::{Beside, Guide, NlmParams, Schedule, Weighting, for_each_chunk};
 use super::plane_bytes;
@@ -110,11 +110,14 @@ pub struct Needed<'a> {
     pub channels: bool,
     /// Tiles in which no pixel within reach has noise: there every candidate is the signal itself, with derivatives of 1.
     pub exact: Option<&'a ExactTiles>,
+    /// The pixels that are wanted: what comes out at others is arbitrary. `None`: all.
+    pub wanted: Option<Region>,
 }
 
 impl Needed<'_> {
     /// All there is.
-    pub const EVERYTHING: Self = Self { candidates: CandidateSet::ALL, derivatives: true, half_spread: true, alone: true, channels: true, exact: None };
+    pub const EVERYTHING: Self =
+        Self { candidates: CandidateSet::ALL, derivatives: true, half_spread: true, alone: true, channels: true, exact: None, wanted: None };
 }
 
 /// The filtered candidates.
@@ -185,7 +188,8 @@ pub fn candidates(
     let together = Candidates::take(rec, extent, &needed)?;
     let alone = (!beside.is_empty() && needed.alone).then(|| Candidates::take(rec, extent, &needed)).transpose()?;
     let neighbours: Vec<_> = beside.iter().map(|frame| Beside { signal: frame.signal, variance_of_mean: frame.variance_of_mean }).collect();
-    let guide = Guide { beside: &neighbours, exact: needed.exact, ..filter.guide(signal, variance_of_mean, needed.candidates, !needed.channels) };
+    let Needed { exact, wanted, .. } = needed;
+    let guide = Guide { beside: &neighbours, exact, wanted, ..filter.guide(signal, variance_of_mean, needed.candidates, !needed.channels) };
     let patch_radius = guide.patch_radius;
     let by_color = needed.candidates.by_color();
     let groups = features.map_or(0, |features| features.packing.groups);

@@ -38,6 +38,22 @@ pub struct Region {
     pub size: IVec2,
 }
 
+impl Region {
+    /// The pixels of an image that are this far from one at the most, along either axis.
+    pub(crate) fn around(pixel: IVec2, reach: u32, extent: IVec2) -> Self {
+        let reach = IVec2::splat(reach as i32);
+        let first = (pixel - reach).max(IVec2::ZERO);
+        Self { first, size: (pixel + reach + 1).min(extent) - first }
+    }
+
+    /// What two have in common, if there is anything.
+    pub(super) fn overlap(&self, other: &Self) -> Option<Self> {
+        let first = self.first.max(other.first);
+        let size = (self.first + self.size).min(other.first + other.size) - first;
+        (size.min_element() > 0).then_some(Self { first, size })
+    }
+}
+
 impl ExactTiles {
     /// From a flag for each tile of a frame, row by row, so many in a row, of so many pixels each way.
     pub fn new(flags: Vec<bool>, columns: usize, side: usize) -> Self {
@@ -66,7 +82,7 @@ impl ExactTiles {
     /// cost no less than one around both are made one: a rectangle costs its area, with `margin` pixels around it, and `overhead` pixels.
     pub(crate) fn regions(&self, extent: IVec2, cell: IVec2, margin: i32, overhead: i64) -> Vec<Region> {
         let cost = |region: &Region| i64::from(region.size.x + 2 * margin) * i64::from(region.size.y + 2 * margin) + overhead;
-        let pays = |a: &Region, b: &Region| cost(&around(a, b)) <= cost(a) + cost(b);
+        let pays = |a: &Region, b: &Region| cost(&covering(a, b)) <= cost(a) + cost(b);
         let mut done: Vec<Region> = Vec::new();
         // Those that end at the row of cells that is looked at.
         let mut open: Vec<Region> = Vec::new();
@@ -80,7 +96,7 @@ impl ExactTiles {
                     continue;
                 }
                 match runs.last_mut().filter(|last| pays(last, &run)) {
-                    Some(last) => *last = around(last, &run),
+                    Some(last) => *last = covering(last, &run),
                     None => runs.push(run),
                 }
             }
@@ -88,7 +104,7 @@ impl ExactTiles {
             let mut grown: Vec<Region> = Vec::new();
             for above in open.drain(..) {
                 let below: Vec<Region> = runs.iter().copied().filter(|run| share_columns(&above, run)).collect();
-                let merged = below.iter().fold(above, |all, run| around(&all, run));
+                let merged = below.iter().fold(above, |all, run| covering(&all, run));
                 // No wider than it was: nothing else above it may be covered twice.
                 let fits = !below.is_empty() && merged.size.x == above.size.x;
                 if fits && cost(&merged) <= cost(&above) + below.iter().map(cost).sum::<i64>() {
@@ -150,7 +166,7 @@ impl UploadedTiles {
 }
 
 /// The smallest rectangle around two.
-fn around(a: &Region, b: &Region) -> Region {
+fn covering(a: &Region, b: &Region) -> Region {
     let first = a.first.min(b.first);
     Region { first, size: (a.first + a.size).max(b.first + b.size) - first }
 }

@@ -164,6 +164,7 @@ impl Schedule {
             Some(exact) => exact.regions(extent, REGION_CELL, guide.patch_radius as i32, self.region_pixels.into()),
             None => vec![Region { first: IVec2::ZERO, size: extent }],
         };
+        let wanted = |region: Region| guide.wanted.map_or(Some(region), |wanted| region.overlap(&wanted));
         // The weights of f columns more on both sides enter those of a patchwise guide, and the scratch has no distances for them.
         let most_columns = if guide.patchwise { i32::MAX } else { self.band_columns as i32 };
         let bands = |region: Region| {
@@ -172,7 +173,7 @@ impl Schedule {
                 .step_by(width as usize)
                 .map(move |x| Region { first: region.first + IVec2::new(x, 0), size: IVec2::new(width.min(region.size.x - x), region.size.y) })
         };
-        regions.into_iter().flat_map(bands).map(|region| (region, self.cut(gpu, region.size, window_radius, guide))).collect()
+        regions.into_iter().filter_map(wanted).flat_map(bands).map(|region| (region, self.cut(gpu, region.size, window_radius, guide))).collect()
     }
 
     /// How work on images of this width is cut.
@@ -264,6 +265,8 @@ pub struct Guide<'a> {
     pub grey: bool,
     /// Tiles in which no pixel within the reach of the filter has noise, in any frame: there everything stays as it is.
     pub exact: Option<&'a ExactTiles>,
+    /// The pixels that are wanted: what comes out at others is arbitrary. `None`: all.
+    pub wanted: Option<Region>,
 }
 
 impl<'a> Guide<'a> {
@@ -282,6 +285,7 @@ impl<'a> Guide<'a> {
             beside: &[],
             grey: false,
             exact: None,
+            wanted: None,
         }
     }
 }

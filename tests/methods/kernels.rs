@@ -3,6 +3,7 @@
 use stein::frame::Signal;
 use stein::image::{Extent, Image};
 use stein::kernels::{Compared, WeightRule};
+use stein::method::dfc::SecondPass;
 use stein::method::nlm::NlmVariance;
 use stein::method::{Intermediate, Method, Spikes, Step};
 use stein::stage::candidate_set::CandidateSet;
@@ -96,7 +97,7 @@ fn check(what: &str, kernel: &FilterKernel, expected: &[f32], place: (u32, u32),
         for (of, value) in [("itself", kernel.value[channel]), ("the method", *expected)] {
             let off = (f64::from(value) - mean).abs();
             assert!(
-                off <= ROUNDING * span + 1e-7 * centre.abs(),
+                off <= ROUNDING * span + 1e-7 * centre.abs() + f64::from(f32::MIN_POSITIVE),
                 "{what}, channel {channel}: {mean} from the weights, {value} of {of}: {} of a span of {span}",
                 off / span
             );
@@ -104,22 +105,29 @@ fn check(what: &str, kernel: &FilterKernel, expected: &[f32], place: (u32, u32),
     }
 }
 
-/// FIRST, SECOND and THIRD, as far as they take part.
+/// FIRST, SECOND and THIRD, as far as they take part, and the second pass.
 #[track_caller]
-fn check_candidates(what: &str, frame: &Frame, params: DfcParams) {
-    check_candidates_of(what, frame, &denoiser(params), params.candidates);
+fn check_dfc(what: &str, frame: &Frame, params: DfcParams) {
+    check_dfc_of(what, frame, &denoiser(params), params.candidates);
 }
 
 #[track_caller]
-fn check_candidates_of(what: &str, frame: &Frame, denoiser: &Denoiser, expected: CandidateSet) {
-    let keep = [Intermediate::Candidates];
+fn check_dfc_of(what: &str, frame: &Frame, denoiser: &Denoiser, expected: CandidateSet) {
+    let keep = [Intermediate::Candidates, Intermediate::Pass1];
     let estimate = denoised(denoiser, frame, &keep);
     for place in places(frame.extent()) {
         let kernels = kernels(denoiser, frame, place, &keep);
         assert_eq!((kernels.x, kernels.y), place);
-        assert_eq!(kernels.filters.iter().map(|filter| filter.name).collect::<Vec<_>>(), expected.names(), "{what}");
         assert_eq!(kernels.plan.steps, estimate.plan.steps, "{what}");
-        for filter in &kernels.filters {
+        let second_pass = kernels.filters.iter().position(|filter| filter.name == "second_pass");
+        assert_eq!(second_pass.is_some(), estimate.plan.runs(&Step::SecondPass), "{what}");
+        let (candidates, second_pass) = kernels.filters.split_at(second_pass.unwrap_or(kernels.filters.len()));
+        check_blend(what, &estimate, candidates, place);
+        for filter in second_pass {
+            check_second_pass(what, denoiser.method(), &estimate, filter, place);
+        }
+        assert_eq!(candidates.iter().map(|filter| filter.name).collect::<Vec<_>>(), expected.names(), "{what}");
+        for filter in candidates {
             let compared: Vec<_> = filter.distances.iter().map(|distance| distance.of.name().to_owned()).collect();
             let color = (filter.name != "third").then_some("colour".to_owned());
             assert_eq!(compared, color.into_iter().chain(estimate.features.iter().cloned()).collect::<Vec<_>>(), "{what}: {}", filter.name);
@@ -137,25 +145,63 @@ fn crop(render: &str, keep: Keep) -> Frame {
     frame(&noisy(render), [16, 20, 40, 33], keep)
 }
 
+/// The shares are those of the run, and make its pass 1 of what the candidates make of the pixel.
+#[track_caller]
+fn check_blend(what: &str, estimate: &Estimate, candidates: &[FilterKernel], place: (u32, u32)) {
+    let pass1 = if estimate.plan.runs(&Step::SecondPass) { layer(estimate, "pass1") } else { &estimate.color };
+    let selection = at(estimate.selection.as_ref().unwrap_or_else(|| panic!("{what}: there is a selection")), place);
+    let share = |filter: &FilterKernel| filter.share.unwrap_or_else(|| panic!("{what}: {} has a share", filter.name));
+    for filter in candidates {
+        let candidate = CandidateSet::NAMES.iter().position(|name| *name == filter.name).unwrap_or_else(|| panic!("{what}: {}", filter.name));
+        assert_eq!(share(filter), selection[candidate], "{what}: the share of {} at {place:?}", filter.name);
+    }
+    for (channel, expected) in at(pass1, place).iter().map(|value| f64::from(*value)).enumerate() {
+        let terms = candidates.iter().map(|filter| f64::from(share(filter)) * f64::from(filter.value[channel]));
+        let (blend, span) = terms.fold((0.0, 0.0), |(sum, span), term| (sum + term, span + term.abs()));
+        assert!((blend - expected).abs() <= 1e-5 * span + f64::from(f32::MIN_POSITIVE), "{what} at {place:?}, channel {channel}: {blend} and not {expected}");
+    }
+}
+
+/// It averages pass 1, and makes the result of it.
+#[track_caller]
+fn check_second_pass(what: &str, method: &Method, estimate: &Estimate, filter: &FilterKernel, place: (u32, u32)) {
+    let Method::Dfc(DfcParams { window_radius, second_pass: Some(second_pass), .. }) = method else { panic!("{what}: there is a second pass") };
+    let pass1 = layer(estimate, "pass1");
+    let radius = if second_pass.half_window { window_radius.div_ceil(2) } else { *window_radius };
+    assert_eq!((filter.window_radius, filter.share), (radius, None), "{what}");
+    if filter.rule != WeightRule::Exact {
+        let [of_color] = filter.distances.as_slice() else { panic!("{what}: the colour tells neighbours apart, and nothing else") };
+        assert_eq!(of_color.of, Compared::Color { patch_radius: second_pass.patch_radius, k: second_pass.color_k }, "{what}");
+    }
+    for cell in 0..filter.weights.extent.pixels() {
+        let expected = filter.pixel(cell).map_or(vec![0.0; 3], |pixel| at(pass1, pixel));
+        assert_eq!(at_cell(&filter.colors, cell), expected, "{what}: pass 1 in cell {cell} at {place:?}");
+    }
+    if let WeightRule::Refused { sigmas } = filter.rule {
+        assert_eq!((Some(sigmas), at(&estimate.color, place)), (second_pass.most_sigmas, at(pass1, place)), "{what}: refused at {place:?}");
+    }
+    check(what, filter, &at(&estimate.color, place), place, pass1.extent);
+}
+
 #[test]
 fn of_the_candidates_with_all_there_is() {
     let frame = crop("cornell_32spp", Keep { features: &["albedo", "depth", "normal"], ..EVERYTHING });
-    check_candidates("default", &frame, small(DfcParams::default()));
-    check_candidates("thesis", &frame, small(DfcParams::thesis()));
-    check_candidates("with spikes", &random_frame(33, 21, 1e3), small(DfcParams::default()));
+    check_dfc("default", &frame, small(DfcParams::default()));
+    check_dfc("thesis", &frame, small(DfcParams::thesis()));
+    check_dfc("with spikes", &random_frame(33, 21, 1e3), small(DfcParams::default()));
 }
 
 #[test]
 fn of_the_candidates_with_less() {
     let params = small(DfcParams::default());
-    check_candidates("no features", &crop("cornell_8spp", Keep { features: &[], ..EVERYTHING }), params);
-    check_candidates("halves only", &crop("caustic_ring_32spp", Keep { variance: false, ..EVERYTHING }), params);
-    check_candidates("variance only", &crop("dof_spheres_32spp", Keep { halves: false, ..EVERYTHING }), params);
+    check_dfc("no features", &crop("cornell_8spp", Keep { features: &[], ..EVERYTHING }), params);
+    check_dfc("halves only", &crop("caustic_ring_32spp", Keep { variance: false, ..EVERYTHING }), params);
+    check_dfc("variance only", &crop("dof_spheres_32spp", Keep { halves: false, ..EVERYTHING }), params);
     let frame = crop("cornell_8spp", Keep { features: &["normal"], ..EVERYTHING });
     for candidates in [CandidateSet { first: false, ..CandidateSet::ALL }, CandidateSet { first: false, second: false, third: true }] {
-        check_candidates("some candidates", &frame, DfcParams { candidates, ..params });
+        check_dfc("some candidates", &frame, DfcParams { candidates, ..params });
     }
-    check_candidates("FIRST alone", &frame, DfcParams { candidates: CandidateSet { first: true, second: false, third: false }, ..params });
+    check_dfc("FIRST alone", &frame, DfcParams { candidates: CandidateSet { first: true, second: false, third: false }, ..params });
 }
 
 /// The window of a grey frame, of a tiny one, of one pixel.
@@ -163,7 +209,7 @@ fn of_the_candidates_with_less() {
 fn of_the_candidates_of_unusual_frames() {
     let params = small(DfcParams::default());
     for (width, height) in [(1, 1), (1, 7), (5, 2)] {
-        check_candidates("tiny", &calm_frame(width, height), DfcParams { window_radius: 10, ..params });
+        check_dfc("tiny", &calm_frame(width, height), DfcParams { window_radius: 10, ..params });
     }
     let frame = crop("cornell_8spp", Keep { features: &["normal"], ..EVERYTHING });
     let grey = |image: &Image| Image { extent: image.extent, planes: vec![image.planes[0].clone(); 3] };
@@ -171,7 +217,7 @@ fn of_the_candidates_of_unusual_frames() {
     let color = Signal { mean: grey(mean), half_spread: half_spread.as_ref().map(grey), variance_of_mean: variance_of_mean.as_ref().map(grey) };
     let frame = new_frame(color, Vec::new());
     assert!(!denoised(&denoiser(params), &frame, &[]).plan.runs(&Step::Channels));
-    check_candidates("grey", &frame, params);
+    check_dfc("grey", &frame, params);
 }
 
 /// The frame is larger than what the kernels depend on, so that a part of it is worked on; with spikes everywhere in its surroundings.
@@ -181,8 +227,71 @@ fn a_part_of_the_frame_tells_what_all_of_it_does() {
     let frame = random_frame(150, 121, 1.0);
     for params in [params, DfcParams { spikes: Spikes::Keep, ..params }] {
         assert!(Method::from(params).reach() < 120, "a part of the frame is all of it");
-        check_candidates("large", &frame, params);
+        check_dfc("large", &frame, params);
     }
+}
+
+/// Where the second pass would change a pixel by more than its noise explains, the kernel says so, and that pass 1 is the result.
+#[test]
+fn a_second_pass_that_goes_too_far_is_refused() {
+    let frame = crop("cornell_8spp", Keep { features: &["normal"], ..EVERYTHING });
+    let mut refused = Vec::new();
+    for most_sigmas in [Some(1e-6), Some(0.05), None] {
+        let params = small(DfcParams { second_pass: Some(SecondPass { most_sigmas, ..SecondPass::default() }), ..DfcParams::default() });
+        check_dfc("limited", &frame, params);
+        let denoiser = denoiser(params);
+        let is_refused = |place: &&(u32, u32)| {
+            let kernels = kernels(&denoiser, &frame, **place, &[]);
+            let filter = kernels.filter("second_pass").unwrap_or_else(|| panic!("there is a second pass"));
+            let is_refused = matches!(filter.rule, WeightRule::Refused { .. });
+            // What the filter saw is told all the same.
+            assert!(!is_refused || (filter.weight_sum == 1.0 && filter.decided_by(0).is_none_or(|by| by.distances.planes[0][0].is_finite())));
+            is_refused
+        };
+        refused.push(places(frame.extent()).iter().filter(is_refused).count());
+    }
+    assert!(refused[0] == places(frame.extent()).len() && refused[1] < refused[0] && refused[2] == 0, "{refused:?}");
+}
+
+/// Left out, the blend is the result; with one candidate, that candidate is.
+#[test]
+fn without_a_second_pass() {
+    let frame = crop("cornell_8spp", Keep { features: &["normal"], ..EVERYTHING });
+    let params = small(DfcParams { second_pass: None, ..DfcParams::default() });
+    check_dfc("none", &frame, params);
+    let candidates = CandidateSet { first: false, second: true, third: false };
+    check_dfc("none, and one candidate", &frame, DfcParams { candidates, ..params });
+}
+
+/// Of neighbours that stand in for each other: what each would weigh by itself is less than what the pair does.
+#[test]
+fn opposite_neighbours_are_told() {
+    let frame = crop("dof_spheres_32spp", Keep { features: &["normal"], ..EVERYTHING });
+    let denoiser = denoiser(small(DfcParams::default()));
+    let mut stand_in = 0;
+    for place in places(frame.extent()) {
+        for filter in &kernels(&denoiser, &frame, place, &[]).filters {
+            for cell in 0..filter.weights.extent.pixels() {
+                let opposite = filter.opposite(cell);
+                let (side, radius) = (filter.side(), filter.window_radius);
+                let mirrored = |pixel: (u32, u32)| {
+                    let along = |at: u32, middle: u32, size: u32| (2 * i64::from(middle) - i64::from(at)).try_into().ok().filter(|at: &u32| *at < size);
+                    Some((along(pixel.0, place.0, frame.extent().width)?, along(pixel.1, place.1, frame.extent().height)?))
+                };
+                if let Some(pixel) = filter.pixel(cell) {
+                    assert_eq!(opposite.and_then(|cell| filter.pixel(cell)), mirrored(pixel), "{place:?}, cell {cell} of {side}² with radius {radius}");
+                }
+                for distance in &filter.distances {
+                    let (own, shown) = (distance.own_weight(cell), distance.weights.planes[0][cell]);
+                    let rounding = 1e-4 * own + 1e-9;
+                    assert!(shown >= own - rounding, "{place:?}: {own} by itself, {shown} with its opposite");
+                    assert!(opposite.is_some() || shown <= own + rounding, "{place:?}: {own} by itself, and {shown} without an opposite");
+                    stand_in += usize::from(shown > 1.01 * own + 1e-6);
+                }
+            }
+        }
+    }
+    assert!(stand_in > 0);
 }
 
 /// Beyond the reach of noise nothing is filtered, and a frame without any is copied.
@@ -198,9 +307,14 @@ fn what_is_left_as_it_is_weighs_itself_alone() {
     let [half_spread, variance_of_mean] = [&color.half_spread, &color.variance_of_mean].map(|image| image.as_ref().map(without_noise_on_the_left));
     let frame = new_frame(Signal { mean: color.mean.clone(), half_spread, variance_of_mean }, Vec::new());
     let denoiser = denoiser(DfcParams { window_radius: 2, ..DfcParams::default() });
-    let estimate = denoised(&denoiser, &frame, &[]);
-    for (place, is_exact) in [((3, 7), true), ((30, 39), true), ((60, 20), false), ((149, 0), false)] {
-        let kernels = kernels(&denoiser, &frame, place, &[]);
+    // Pass 1 is the same where tiles are left as they are.
+    let keep = [Intermediate::Pass1];
+    let estimate = denoised(&denoiser, &frame, &keep);
+    // Tiles are left as they are up to column 48, and windows beside them hold both.
+    for (place, is_exact) in [((3, 7), true), ((30, 39), true), ((47, 0), true), ((48, 11), false), ((50, 39), false), ((60, 20), false), ((149, 0), false)] {
+        let kernels = kernels(&denoiser, &frame, place, &keep);
+        check_blend("exact", &estimate, &kernels.filters[..3], place);
+        check_second_pass("exact", denoiser.method(), &estimate, &kernels.filters[3], place);
         for filter in &kernels.filters {
             assert_eq!(filter.rule == WeightRule::Exact, is_exact, "{place:?}");
             if is_exact {
@@ -208,12 +322,12 @@ fn what_is_left_as_it_is_weighs_itself_alone() {
                 check("exact", filter, &at(&estimate.color, place), place, frame.extent());
             }
         }
-        assert_eq!(kernels.filters.len(), 3);
+        assert_eq!(kernels.filters.len(), 4);
     }
     // Asked for, the candidates are filtered everywhere.
     let keep = [Intermediate::Candidates];
     assert!(kernels(&denoiser, &frame, (3, 7), &keep).filters.iter().all(|filter| filter.rule == WeightRule::Least));
-    check_candidates_of("exact where asked for", &frame, &denoiser, CandidateSet::ALL);
+    check_dfc_of("exact where asked for", &frame, &denoiser, CandidateSet::ALL);
 
     let zero = || Some(Image::filled(color.mean.extent, 3, 0.0));
     let clean = new_frame(Signal { mean: color.mean.clone(), half_spread: zero(), variance_of_mean: zero() }, Vec::new());

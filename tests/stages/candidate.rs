@@ -3,6 +3,7 @@
 use stein::gpu::Gpu;
 use stein::stage::candidate::{CandidateBeside, CandidateFilter, Candidates, CandidatesInTime, Needed, candidates};
 use stein::stage::candidate_set::CandidateSet;
+use stein::stage::exact::Region;
 use stein::stage::nlm::{CentreWeight, Schedule, Weighting};
 
 use crate::common::{Scene, assert_near, bits, calm_scene, checked_gpu, extent_of, gpu, own_size, packed_signal, read, run, scene, schedules, there, upload};
@@ -384,6 +385,32 @@ fn a_grey_image_needs_one_channel() {
         candidates.signals.iter().chain([&candidates.derivatives]).map(|buffer| bits(gpu(), there(buffer))).collect::<Vec<_>>()
     };
     assert!(all(Needed::EVERYTHING) == all(Needed { channels: false, ..Needed::EVERYTHING }));
+}
+
+/// What is wanted has the bits that it has where all is.
+#[test]
+fn some_pixels_have_the_bits_of_all() {
+    let case = PART;
+    let scene = scene(case.width, case.height, 43);
+    let features = features(case.width, case.height, case.features, 44);
+    let tiles = exact::tiles(case.width, case.height);
+    let (width, pixels) = (case.width as i32, case.width * case.height);
+    for exact in [None, Some(&tiles.exact)] {
+        let of = |wanted: Option<Region>| {
+            let candidates = filtered_as_needed(gpu(), case, &scene, &features, Needed { exact, wanted, ..Needed::EVERYTHING }, FEW_REGISTERS);
+            candidates.signals.iter().chain([&candidates.derivatives]).map(|buffer| bits(gpu(), there(buffer))).collect::<Vec<_>>()
+        };
+        let all = of(None);
+        for region in exact::parts(width, case.height as i32) {
+            for (buffer, (some, all)) in of(Some(region)).iter().zip(&all).enumerate() {
+                for pixel in exact::pixels_of(region, width) {
+                    // w has no meaning in the half spread and the derivatives.
+                    let of = |bits: &[u32]| bits.chunks_exact(4 * pixels).map(|plane| plane[4 * pixel..][..3].to_vec()).collect::<Vec<_>>();
+                    assert_eq!(of(some), of(all), "{region:?}, buffer {buffer}, pixel {pixel}");
+                }
+            }
+        }
+    }
 }
 
 #[test]

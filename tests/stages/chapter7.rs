@@ -65,6 +65,7 @@ fn filtered(gpu: &Gpu, case: Case, guide: &Scene, payload: &[Grid], schedule: Sc
             beside: &[],
             grey: false,
             exact: None,
+            wanted: None,
         };
         let weighting = Weighting { symmetric: case.symmetric, centre: case.centre };
         nlm_filter(rec, extent, &guide, &Payload::new(&payload, 1), case.window_radius, weighting, case.residual, schedule)

@@ -1,7 +1,7 @@
 //! `exact_copy` and `exact_fill`, through the filters that leave tiles out.
 
 use glam::IVec2;
-use stein::stage::exact::ExactTiles;
+use stein::stage::exact::{ExactTiles, Region};
 use stein::stage::nlm::{CentreWeight, Guide, Payload, Schedule, Symmetry, Weighting, nlm_filter};
 
 use crate::common::{checked_gpu, extent_of, gpu, packed_signal, read, run, scene, schedules, upload};
@@ -62,6 +62,58 @@ fn exact_tiles_keep_the_payload_and_nothing_else_changes() {
         }
         let [planes, weights, _] = filtered(Some(&tiles.all), Schedule::SOFTWARE);
         assert!(planes == payload && weights[0] == one, "{width}×{height}: all is exact");
+    }
+}
+
+/// Rectangles that touch the borders, cut tiles, and hold one pixel.
+pub(crate) fn parts(width: i32, height: i32) -> [Region; 4] {
+    let region = |x: i32, y: i32, right: i32, bottom: i32| Region { first: IVec2::new(x, y), size: IVec2::new(right - x, bottom - y) };
+    let (middle, last) = (IVec2::new(width / 2, height / 2), IVec2::new(width - 1, height - 1));
+    [
+        region(0, 0, width, height),
+        region(0, middle.y, middle.x + 1, height),
+        region(middle.x, middle.y / 2, width, middle.y + 1),
+        region(last.x, last.y, width, height),
+    ]
+}
+
+/// Where an image holds the pixels of a rectangle, row by row.
+pub(crate) fn pixels_of(region: Region, width: i32) -> Vec<usize> {
+    let Region { first, size } = region;
+    (first.y..first.y + size.y).flat_map(|y| (first.x..first.x + size.x).map(move |x| (y * width + x) as usize)).collect()
+}
+
+/// What is wanted has the bits that it has where all is.
+#[test]
+fn some_pixels_have_the_bits_of_all() {
+    for (gpu, width, height) in [(gpu(), 257, 89), (gpu(), 7, 300), (gpu(), 1, 1), (checked_gpu(), 40, 33)] {
+        let scene = scene(width, height, 83);
+        let extent = extent_of(&scene.mean[0]);
+        let tiles = tiles(width, height);
+        let filtered = |exact: Option<&ExactTiles>, wanted: Option<Region>, schedule: Schedule| {
+            let filtered = run(gpu, |rec| {
+                let signal = rec.upload("signal", &packed_signal(&scene.mean, &scene.spread))?;
+                let variance = upload(rec, &scene.variance)?;
+                let weighting = Weighting { symmetric: Symmetry::Blended, centre: CentreWeight::LargestNeighbour };
+                let guide = Guide { exact, wanted, ..Guide::new(&signal, &variance, 3, 0.45, 1) };
+                nlm_filter(rec, extent, &guide, &Payload::new(&signal, 2), 2, weighting, true, schedule)
+            });
+            let residual = filtered.residual_variance.unwrap_or_else(|| panic!("it was asked for"));
+            [read(gpu, &filtered.planes, extent).concat(), read(gpu, &filtered.weights, extent).concat(), read(gpu, &residual, extent).concat()].concat()
+        };
+        for exact in [None, Some(&tiles.exact)] {
+            let all = filtered(exact, None, Schedule::SOFTWARE);
+            for region in parts(extent.x, extent.y) {
+                for schedule in [Schedule::SOFTWARE, Schedule { pixels: 1, offset_rows: 1, scratch_bytes: 1 << 18, ..Schedule::SOFTWARE }] {
+                    let some = filtered(exact, Some(region), schedule);
+                    let pixels = pixels_of(region, extent.x);
+                    for (lane, (some, all)) in some.iter().zip(&all).enumerate() {
+                        let of = |grid: &Grid| pixels.iter().map(|pixel| grid.values[*pixel].to_bits()).collect::<Vec<_>>();
+                        assert!(of(some) == of(all), "{width}×{height}, {region:?}, {schedule:?}: lane {lane}");
+                    }
+                }
+            }
+        }
     }
 }
 

@@ -50,6 +50,7 @@ fn filtered(gpu: &Gpu, case: Case, guide: &Scene, payload: &[Planes], schedule: 
             beside: &[],
             grey: false,
             exact: None,
+            wanted: None,
         };
         let weighting = Weighting { symmetric: rule_of(case.symmetric), centre: case.centre };
         nlm_filter(rec, extent, &guide, &Payload::new(&payload, case.payload_planes as u32), case.window_radius, weighting, case.residual, schedule)
@@ -131,6 +132,7 @@ fn check_in_time(gpu: &Gpu, case: Case) {
             beside: &[Beside { signal: &signals[1], variance_of_mean: &variances[1] }],
             grey: false,
             exact: None,
+            wanted: None,
         };
         let weighting = Weighting { symmetric: rule_of(case.symmetric), centre: case.centre };
         let payload = Payload { beside: &[&payloads[1]], ..Payload::new(&payloads[0], case.payload_planes as u32) };

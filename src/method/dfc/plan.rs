@@ -1,6 +1,6 @@
 //! What of DFC a frame needs.
 
-use super::{BY_CANDIDATE, DfcParams, ERROR_SMOOTHING, PREFILTER, SELECTION_SMOOTHING};
+use super::{BY_CANDIDATE, DfcParams, PREFILTER, reach_of_choice};
 use crate::method::Intermediate;
 use crate::method::plan::{Facts, Plan, Planner, Step, Wishes, impossible, needless};
 
@@ -33,8 +33,7 @@ pub(in crate::method) fn plan(params: &DfcParams, facts: &Facts, wishes: &Wishes
     let keeps_only = |allowed: &[Intermediate]| wishes.keep.iter().all(|kept| allowed.contains(kept));
     let may_copy =
         by_colour && params.guard.is_some() && keeps_only(&[Intermediate::Spikes, Intermediate::Variance, Intermediate::Features, Intermediate::Pass1]);
-    let smoothing = [ERROR_SMOOTHING, SELECTION_SMOOTHING].iter().map(|filter| filter.window_radius + filter.patch_radius).sum::<u32>();
-    let exact = if may_copy { facts.exact_color(params.window_radius + params.second_patch_radius + smoothing) } else { None };
+    let exact = if may_copy { facts.exact_color(params.window_radius + params.second_patch_radius + reach_of_choice()) } else { None };
 
     let kept = [Intermediate::Candidates, Intermediate::Derivatives, Intermediate::Sure].into_iter().any(|kept| wishes.keeps(kept));
     let second_beats_first = params.first_cannot_win() && !kept;

@@ -2,9 +2,9 @@
 
 use std::ops::RangeInclusive;
 
-use eframe::egui::{Color32, ComboBox, Grid, Label, Painter, Pos2, Rect, Response, RichText, Role, Sense, Stroke, StrokeKind, Ui, Vec2, WidgetInfo};
+use eframe::egui::{Color32, ComboBox, Grid, Painter, Pos2, Rect, Response, RichText, Role, Sense, Stroke, StrokeKind, Ui, Vec2, WidgetInfo};
 use stein::FilterKernel;
-use stein::kernels::{Compared, WeightRule};
+use stein::kernels::{Compared, Distance, WeightRule};
 use stein::method::{PlannedStep, Step};
 
 use super::status::joined;
@@ -13,17 +13,20 @@ use crate::inspector::{Inspected, Inspector, Quantity, Window, cell_at, offset_o
 use crate::layer::{Kind, Scale, Shown};
 use crate::view::canvas::{NEIGHBOUR, outline};
 use crate::view::legend;
-use crate::view::numbers::number;
+use crate::view::numbers::{number, short};
 
 /// Side of a filter's small window, in points, at the most.
 const SMALL: f32 = 72.0;
 /// Side of the large window, in points.
 const LARGE: RangeInclusive<f32> = 200.0..=460.0;
 /// Points that the small windows and the lines take, and each distance of the table.
-const OTHERS: f32 = 306.0;
+const OTHERS: f32 = 336.0;
 const LINE: f32 = 16.0;
+/// What a neighbour weighs beyond what it would by itself before that is explained: this factor, and more than what does not show.
+const TOLD_APART: f32 = 1.01;
+const LEAST_TOLD: f32 = 5e-4;
 /// Between two small windows.
-const GAP: f32 = 6.0;
+const GAP: f32 = 4.0;
 /// Between the lines where the frame has ended.
 const HATCH: f32 = 5.0;
 
@@ -78,7 +81,7 @@ fn explanations(ui: &mut Ui, inspected: &Inspected, shown: Option<(&FilterKernel
 
 /// Whether a step decides about what weights there are.
 fn decides(step: &Step) -> bool {
-    matches!(step, Step::Feature(_) | Step::Candidates | Step::Candidate(_) | Step::Halves | Step::Filter | Step::Scales)
+    matches!(step, Step::Feature(_) | Step::Candidates | Step::Candidate(_) | Step::SecondPass | Step::Halves | Step::Filter | Step::Scales)
 }
 
 fn left_out(planned: &PlannedStep) -> String {
@@ -102,12 +105,11 @@ fn filters(ui: &mut Ui, viewer: &mut Viewer, inspected: &Inspected) {
     let count = inspected.windows.len().max(1) as f32;
     let width = (ui.available_width() - GAP * (count - 1.0)) / count;
     let side = width.min(SMALL);
-    let [x, y] = inspected.question.pixel;
-    let shares = viewer.document.as_ref().and_then(|document| document.layer("selection")?.values(x, y));
     ui.horizontal_top(|ui| {
         ui.spacing_mut().item_spacing.x = GAP;
         for (place, (filter, window)) in inspected.kernels.filters.iter().zip(&inspected.windows).enumerate() {
             ui.vertical(|ui| {
+                // What is too long is wrapped: the panel keeps its width.
                 ui.set_width(width);
                 ui.spacing_mut().item_spacing.y = 1.0;
                 let is_shown = viewer.inspector.filter.min(inspected.windows.len() - 1) == place;
@@ -122,31 +124,21 @@ fn filters(ui: &mut Ui, viewer: &mut Viewer, inspected: &Inspected) {
                     ui.painter().rect_stroke(rect, 0.0, Stroke::new(2.0, Color32::WHITE), StrokeKind::Inside);
                 }
                 ui.label(RichText::new(title(filter.name)).strong());
-                let share = ["first", "second", "third"].iter().position(|name| *name == filter.name).and_then(|place| shares.as_ref()?.get(place).copied());
-                if let Some(share) = share {
-                    small(ui, format!("{:.0} % of the blend", 100.0 * share), "Its share in the blend of the pixel, from the selection map");
+                if let Some(share) = filter.share {
+                    small(ui, format!("{:.0} % of pass 1", 100.0 * share), "Its share in pass 1 of the pixel: the smoothed selection map there");
+                } else if filter.name == "second_pass" {
+                    small(ui, "the result".into(), "It averages pass 1, what the candidates were blended to, and makes the result of it");
                 }
+                swatch(ui, viewer, (&window.value, [0, 0], side), filter.value, "What the filter makes of the pixel");
                 let about = "Sum of the weights, and the effective number of pixels, (Σw)²/Σw²: so many of equal weight leave as much noise";
                 small(ui, format!("Σw {}, n {}", short(filter.weight_sum), short(window.effective_pixels)), about);
-                swatch(ui, viewer, (&window.value, [0, 0], SMALL), filter.value, "What the filter makes of the pixel");
             });
         }
     });
 }
 
-/// Three digits, for where there is little room.
-fn short(value: f32) -> String {
-    let size = value.abs();
-    if (0.001..1000.0).contains(&size) {
-        let digits = (2.0 - size.log10().floor()).clamp(0.0, 5.0) as usize;
-        format!("{value:.digits$}")
-    } else {
-        number(value)
-    }
-}
-
 fn small(ui: &mut Ui, text: String, about: &str) {
-    ui.label(RichText::new(text).size(11.5)).on_hover_text(about);
+    ui.label(RichText::new(text).size(10.5)).on_hover_text(about);
 }
 
 /// A pixel of an image as the canvas shows colours, with its values under it.
@@ -155,7 +147,7 @@ fn swatch(ui: &mut Ui, viewer: &mut Viewer, (image, place, width): (&Shown, [usi
     viewer.view.paint_pixel(ui.painter(), rect, image.clone(), place);
     response.on_hover_text(about);
     let text = RichText::new(color.map(short).join(" ")).size(9.5);
-    ui.add(Label::new(text).extend()).on_hover_text(format!("{about}: {}", joined(&color)));
+    ui.label(text).on_hover_text(format!("{about}: {}", joined(&color)));
 }
 
 /// What is shown large, and on which scale.
@@ -280,22 +272,26 @@ fn on_canvas(viewer: &Viewer, filter: &FilterKernel) -> Option<[i32; 2]> {
 /// How the weights came about.
 fn rule(filter: &FilterKernel) -> String {
     let side = filter.side();
+    let of = if filter.name == "second_pass" { " of pass 1" } else { "" };
     match filter.rule {
         WeightRule::Least if filter.distances.is_empty() => format!("A box of {side}×{side}: nothing tells the neighbours apart."),
-        WeightRule::Least => format!("{side}×{side} cells. A neighbour weighs as its largest distance says: the least of exp(−d)."),
+        WeightRule::Least => format!("{side}×{side} cells{of}. A neighbour weighs as its largest distance says: the least of exp(−d)."),
         WeightRule::Cut { cut } => format!("{side}×{side} cells, exp(−d) of the patches; weights below {} count as 0.", number(cut)),
         WeightRule::PatchMean { cut } => {
             format!("{side}×{side} cells. The mean of the weights of all pairs of pixels in the two patches; below {} it counts as 0.", number(cut))
         }
         WeightRule::Gaussian { sigma: 0.0 } => "The pixel filter: no neighbour takes part.".into(),
         WeightRule::Gaussian { sigma } => format!("A Gaussian of σ = {} pixels, by distance on the image alone.", number(sigma)),
+        WeightRule::Refused { sigmas } => {
+            format!("{side}×{side} cells{of}. It would change the pixel by more than {} σ of its noise, and is refused: pass 1 is the result.", number(sigmas))
+        }
         WeightRule::Exact => "No pixel with noise is within reach: the pixel is left as it is.".into(),
     }
 }
 
 /// How many neighbours each distance decided about.
 fn decisions(filter: &FilterKernel, window: &Window) -> String {
-    if filter.distances.is_empty() {
+    if filter.distances.is_empty() || matches!(filter.rule, WeightRule::Refused { .. }) {
         return String::new();
     }
     let decided: Vec<_> = filter.distances.iter().zip(&window.decided).map(|(distance, count)| format!("{} {count}", distance.of.name())).collect();
@@ -324,7 +320,7 @@ fn neighbour(ui: &mut Ui, viewer: &mut Viewer, (filter, window): (&FilterKernel,
         for (text, about) in [
             ("told apart by", "What is compared"),
             ("d", "Distance, in units of what noise explains; at or below 0 nothing speaks against the neighbour"),
-            ("alone", "The weight that this distance alone would give: exp(−d), or more where the neighbour and the one opposite to it match the pixel better as a pair"),
+            ("alone", "The weight that this distance alone would give: exp(−d), or more where the mean of the neighbour and its opposite stands in for both"),
             ("", ""),
         ] {
             ui.label(RichText::new(text).weak().size(11.5)).on_hover_text(about);
@@ -337,13 +333,38 @@ fn neighbour(ui: &mut Ui, viewer: &mut Viewer, (filter, window): (&FilterKernel,
             for image in [&distance.distances, &distance.weights] {
                 ui.label(styled(number(image.planes[0][cell])).monospace().size(11.0));
             }
-            ui.label(if decides { "decides" } else { "" });
+            let as_pair = stands_in(filter, distance, cell);
+            let text = match (decides, as_pair.is_some()) {
+                (true, true) => "as pair, decides",
+                (true, false) => "decides",
+                (false, true) => "as pair",
+                (false, false) => "",
+            };
+            let label = ui.label(text);
+            if let Some(about) = as_pair {
+                label.on_hover_text(about);
+            }
             ui.end_row();
         }
     });
     if decided.is_none() {
         ui.label(RichText::new("Nothing speaks against this neighbour.").weak());
     }
+    for text in filter.distances.iter().filter_map(|distance| stands_in(filter, distance, cell)) {
+        ui.label(RichText::new(text).size(11.5));
+    }
+}
+
+/// Where a neighbour weighs more than its distance says: what it and its opposite would weigh by themselves.
+fn stands_in(filter: &FilterKernel, distance: &Distance, cell: usize) -> Option<String> {
+    let opposite = filter.opposite(cell)?;
+    let [own, of_opposite] = [cell, opposite].map(|cell| distance.own_weight(cell));
+    let shown = distance.weights.planes[0][cell];
+    (shown > TOLD_APART * own + LEAST_TOLD).then(|| {
+        let [dx, dy] = offset_of(filter, opposite);
+        let (name, own, of_opposite, shown) = (distance.of.name(), short(own), short(of_opposite), short(shown));
+        format!("By {name} it would weigh {own}, its opposite ({dx:+}, {dy:+}) {of_opposite}. Their mean matches the pixel better and stands in: {shown}.")
+    })
 }
 
 /// What is compared, and how strictly.

@@ -25,6 +25,17 @@ pub fn number(value: f32) -> String {
     }
 }
 
+/// Three digits, for where there is little room.
+pub fn short(value: f32) -> String {
+    let size = value.abs();
+    if (0.001..1000.0).contains(&size) {
+        let digits = (2.0 - size.log10().floor()).clamp(0.0, 5.0) as usize;
+        format!("{value:.digits$}")
+    } else {
+        number(value)
+    }
+}
+
 /// Draws the values into pixels that are magnified far enough.
 pub fn paint(painter: &Painter, view: Rect, camera: &Camera, layer: &Layer) {
     let lines = layer.image().channels() as f32;

@@ -1,0 +1,122 @@
+//! The kernels of DFC at a pixel: of the candidates, and of the second pass.
+
+use std::sync::Arc;
+
+use glam::IVec2;
+
+use super::{
+    BY_CANDIDATE, DfcParams, Pass1, Pass2, Prepared, Wanted, Work, candidate_filter, reach_of_choice_and_second_pass, reach_of_kernels, reach_of_prefilter,
+};
+use crate::error::Result;
+use crate::gpu::Recorder;
+use crate::method::FrameInput;
+use crate::method::estimate::{Keeper, Lane, Shares};
+use crate::method::kernels::{Compared, KernelOnGpu, LimitOnGpu, ShareOnGpu, WeightRule, WeightsOnGpu};
+use crate::method::plan::{Plan, Step};
+use crate::stage::exact::Region;
+use crate::stage::nlm::{Guide, Schedule};
+use crate::stage::window::{NLM_DISTANCE, NLM_WEIGHT, WindowOfCandidates, candidate_window, nlm_window};
+
+/// Those of the candidates that are computed, and of the second pass where there is one.
+pub(in crate::method) fn kernels(
+    rec: &mut Recorder,
+    frame: FrameInput,
+    pixel: IVec2,
+    params: &DfcParams,
+    plan: &Plan,
+    schedule: Schedule,
+) -> Result<Vec<KernelOnGpu>> {
+    let extent = frame.extent;
+    let names: Vec<String> = frame.features.iter().map(|feature| feature.name.clone()).collect();
+    let around = |reach| Some(Region::around(pixel, reach, extent));
+    let wanted = Wanted {
+        features: around(reach_of_kernels(params, plan) - reach_of_prefilter()),
+        candidates: around(reach_of_choice_and_second_pass(params, plan)),
+        result: around(0),
+    };
+    let work = Work { params, plan, schedule, wanted };
+    let mut keeper = Keeper::new(&[]);
+    let mut prepared = Prepared::new(rec, frame, Vec::new(), work, &mut keeper)?;
+    plan.begins(rec, Step::Candidates);
+    let mut kernels = kernels_of_candidates(rec, &prepared, &names, pixel, work)?;
+    if !plan.runs(&Step::Selection) && !plan.runs(&Step::SecondPass) {
+        // One candidate is the result.
+        kernels.iter_mut().for_each(|kernel| kernel.share = Some(ShareOnGpu::Whole));
+        return Ok(kernels);
+    }
+
+    let pass1 = Pass1::new(rec, &mut prepared, work, &mut keeper, |_, _| Ok(()))?;
+    let Prepared { variance, .. } = prepared;
+    for (kernel, candidate) in kernels.iter_mut().zip(candidates_of(plan).map(|(candidate, _)| candidate)) {
+        kernel.share = Some(match &pass1.selection {
+            Shares::Maps(maps) => ShareOnGpu::Lane(Lane { buffer: maps.clone(), plane: 0, component: candidate }),
+            Shares::Only(_) => ShareOnGpu::Whole,
+        });
+    }
+    if let Some(pass2) = Pass2::new(rec, extent, &pass1.blend, &variance, work)? {
+        let Pass2 { filter, left_variance, filtered, result, most_sigmas } = pass2;
+        let window_radius = filter.window_radius;
+        let weights = if is_exact_at(pixel, plan, &Step::SecondPass) {
+            WeightsOnGpu::Exact { window_radius }
+        } else {
+            let guide = Guide { grey: work.is_grey(), ..filter.guide(&pass1.blend, &left_variance, 3) };
+            let cells = nlm_window(rec, extent, pixel, &guide, window_radius, params.weighting, schedule)?;
+            WeightsOnGpu::Cells {
+                cells: Arc::new(cells),
+                window_radius,
+                weight: NLM_WEIGHT,
+                distances: vec![(Compared::Color { patch_radius: filter.patch_radius, k: filter.k }, NLM_DISTANCE)],
+                rule: WeightRule::Least,
+                centre: params.weighting.centre,
+                limit: most_sigmas.map(|sigmas| LimitOnGpu { filtered, result, sigmas }),
+            }
+        };
+        kernels.push(KernelOnGpu { name: "second_pass", averaged: pass1.blend, weights, share: None });
+    }
+    Ok(kernels)
+}
+
+/// The candidates that are computed, numbered from FIRST on.
+fn candidates_of(plan: &Plan) -> impl Iterator<Item = (u32, &'static str)> {
+    let taking_part = plan.candidates().flags();
+    (0..).zip(BY_CANDIDATE).zip(taking_part).filter_map(|(candidate, takes_part)| takes_part.then_some(candidate))
+}
+
+/// Whether a step leaves this pixel as it is.
+fn is_exact_at(pixel: IVec2, plan: &Plan, step: &Step) -> bool {
+    plan.exact(step).is_some_and(|exact| exact.is_exact(&Region { first: pixel, size: IVec2::ONE }))
+}
+
+fn kernels_of_candidates(rec: &mut Recorder, prepared: &Prepared, names: &[String], pixel: IVec2, work: Work) -> Result<Vec<KernelOnGpu>> {
+    let Prepared { extent, color, variance, features, .. } = prepared;
+    let Work { params, plan, schedule, .. } = work;
+    let window_radius = params.window_radius;
+    if is_exact_at(pixel, plan, &Step::Candidates) {
+        let left = |(_, name)| KernelOnGpu { name, averaged: color.signal.clone(), weights: WeightsOnGpu::Exact { window_radius }, share: None };
+        return Ok(candidates_of(plan).map(left).collect());
+    }
+    let (features, filter) = (features.first(), candidate_filter(params));
+    let window = candidate_window(rec, *extent, pixel, &color.signal, variance, features, &filter, plan.candidates(), work.is_grey(), schedule)?;
+    let cells = Arc::new(window.cells);
+    let kernel = |(candidate, name): (u32, &'static str)| {
+        let patch_radius = [Some(params.first_patch_radius), Some(params.second_patch_radius), None][candidate as usize];
+        let of_color = patch_radius.map(|patch_radius| (Compared::Color { patch_radius, k: params.color_k }, WindowOfCandidates::color(candidate)));
+        let tau = if candidate == 2 { params.feature_tau_third } else { params.feature_tau };
+        let slots = features.iter().flat_map(|features| &features.packing.slots);
+        let of_features = names
+            .iter()
+            .zip(slots)
+            .map(|(name, slot)| (Compared::Feature { name: name.clone(), k: params.feature_k, tau }, WindowOfCandidates::feature(candidate, *slot)));
+        let weights = WeightsOnGpu::Cells {
+            cells: cells.clone(),
+            window_radius,
+            weight: WindowOfCandidates::weight(candidate),
+            distances: of_color.into_iter().chain(of_features).collect(),
+            rule: WeightRule::Least,
+            centre: params.weighting.centre,
+            limit: None,
+        };
+        KernelOnGpu { name, averaged: color.signal.clone(), weights, share: None }
+    };
+    Ok(candidates_of(plan).map(kernel).collect())
+}
