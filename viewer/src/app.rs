@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::sync::mpsc::{Receiver, TryRecvError, channel};
 use std::task::Poll;
 use std::time::Instant;
 
@@ -13,6 +14,7 @@ use stein::buffers::LayerRef;
 use stein::{Extent, Gpu};
 
 use crate::adaptive::{Adapted, Adaptive, Setup, Step};
+use crate::device::no_thread;
 use crate::document::{Document, Source};
 use crate::edit::Edits;
 use crate::files::{Dialog, Purpose, is_reference, short_name};
@@ -109,6 +111,8 @@ pub struct Viewer {
     drawn: Instant,
     dialog: Option<Dialog>,
     savings: Vec<Saving>,
+    /// Parameters that are read from a file.
+    reading: Option<Receiver<stein::Result<Parameters>>>,
     /// Size of the canvas, in points.
     canvas: Vec2,
     format: wgpu::TextureFormat,
@@ -151,6 +155,7 @@ impl Viewer {
             drawn: Instant::now(),
             dialog: None,
             savings: Vec::new(),
+            reading: None,
             canvas: Vec2::ZERO,
             format,
         };
@@ -300,7 +305,8 @@ impl Viewer {
 
     /// Whether nothing is at work and nothing waits to be told.
     pub fn is_idle(&self) -> bool {
-        self.progress.is_none() && !self.sweep.is_running && self.savings.is_empty() && !self.inspector.waits() && self.worker.busy().is_none()
+        let nothing_to_come = self.progress.is_none() && !self.sweep.is_running && !self.inspector.waits() && self.worker.busy().is_none();
+        nothing_to_come && self.savings.is_empty() && self.reading.is_none()
     }
 
     /// The layer A; the noisy image where there is none of that name.
@@ -450,10 +456,7 @@ impl Viewer {
                 Some(None) => self.refuse("a frame that was rendered here is compared with a reference of the same scene", "let one be drawn (panel Sampling)"),
                 None => self.waiting_reference = Some(path),
             },
-            (Purpose::Parameters, _) => match Parameters::read(&path) {
-                Ok(parameters) => self.take_parameters(parameters),
-                Err(error) => self.tell(Err(error), context),
-            },
+            (Purpose::Parameters, _) => self.read_parameters(path, context),
             (Purpose::SaveView | Purpose::SaveLayer | Purpose::SaveResult | Purpose::SaveParameters, _) => {
                 let saving = self.content(purpose, &path, context).and_then(|content| Saving::start(&self.gpu, content, path, context));
                 match saving {
@@ -461,6 +464,32 @@ impl Viewer {
                     Err(error) => self.tell(Err(error), context),
                 }
             }
+        }
+    }
+
+    /// In a thread of its own: a run that is at work does not put it off.
+    fn read_parameters(&mut self, path: PathBuf, context: &Context) {
+        let (sender, answer) = channel();
+        let window = context.clone();
+        let read = move || {
+            // Where nobody waits for the answer any more, another file was chosen, or the window is closed.
+            let _ = sender.send(Parameters::read(&path));
+            window.request_repaint();
+        };
+        match std::thread::Builder::new().name("stein-reading".into()).spawn(read).map_err(no_thread) {
+            Ok(_) => self.reading = Some(answer),
+            Err(error) => self.tell(Err(error), context),
+        }
+    }
+
+    fn take_read(&mut self, context: &Context) {
+        let Some(answer) = self.reading.take() else { return };
+        match answer.try_recv() {
+            Ok(Ok(parameters)) => self.take_parameters(parameters),
+            Ok(Err(error)) => self.tell(Err(error), context),
+            Err(TryRecvError::Empty) => self.reading = Some(answer),
+            // It ended with a panic, which was told where it happened.
+            Err(TryRecvError::Disconnected) => {}
         }
     }
 
@@ -626,6 +655,7 @@ impl Viewer {
         self.take_replies(context);
         self.take_dialog(context);
         self.take_savings(context);
+        self.take_read(context);
         self.take_dropped(context);
         self.inspect(context);
         self.check_names();

@@ -170,9 +170,14 @@ fn parameters_are_remembered_and_read_from_files() {
     std::fs::write(&good, own.to_toml()).unwrap();
     std::fs::write(&bad, "window_radius = 100\n").unwrap();
     let mut viewer = viewer(&Settings::default(), Start::default());
-    viewer.take_file(Purpose::Parameters, good, &context);
-    assert_eq!(viewer.parameters, own);
-    viewer.take_file(Purpose::Parameters, bad, &context);
+    let mut load = |path| {
+        viewer.take_file(Purpose::Parameters, path, &context);
+        while !viewer.is_idle() {
+            viewer.poll(&context);
+        }
+    };
+    load(good);
+    load(bad);
     assert_eq!(viewer.parameters, own);
     let told = viewer.notice.unwrap().0.unwrap_err().to_string();
     assert!(told.contains("bad.toml: line 1") && told.contains("from 1 to 64"), "{told}");
