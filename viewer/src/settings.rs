@@ -31,9 +31,12 @@ impl Settings {
     /// Under which key they are kept.
     pub const KEY: &str = "stein-viewer";
 
-    /// Puts what is open in front of the others, in place of the same with another reference.
+    /// Puts what is open in front of the others, in place of the same with another reference. Names of files that are not Unicode cannot be kept.
     pub fn remember(&mut self, source: &Source) {
         let source = source.absolute();
+        if source.files().any(|file| file.to_str().is_none()) {
+            return;
+        }
         self.recent.retain(|other| other.request != source.request);
         self.recent.insert(0, source);
         self.recent.truncate(RECENT);

@@ -163,6 +163,16 @@ fn files_that_are_dropped_are_opened_and_a_reference_is_told_by_its_name() {
     is_open(&harness, &second, Some(&reference));
     drop_files(&mut harness, std::slice::from_ref(&first));
     is_open(&harness, &first, None);
+
+    // Where it is broken, the frame is opened without.
+    let folder = tempfile::tempdir().unwrap();
+    let reference = folder.path().join("reference.exr");
+    std::fs::copy(testdata("broken/cut_in_block_1.exr"), &reference).unwrap();
+    let mut harness = window(Start { parameters: quick("gem"), ..Default::default() });
+    drop_files(&mut harness, &[reference]);
+    drop_files(&mut harness, std::slice::from_ref(&first));
+    harness.get_by_label_contains("reference.exr");
+    is_open(&harness, &first, None);
 }
 
 /// A set whose parts are in files of their own, some of them among other layers, and its reference.
@@ -336,4 +346,17 @@ fn what_an_older_window_remembers_of_files_is_forgotten_and_the_rest_is_not() {
     let settings: Settings = eframe::get_value(&memory, Settings::KEY).unwrap();
     assert!(settings.recent.is_empty());
     assert_eq!(settings.parameters.as_deref(), Some("method = \"gem\""));
+}
+
+#[test]
+#[cfg(unix)]
+fn a_file_whose_name_cannot_be_written_down_costs_no_other_memory() {
+    use std::os::unix::ffi::OsStringExt;
+    let mut settings = Settings { parameters: Some("method = \"gem\"".into()), ..Default::default() };
+    settings.remember(&Source::whole(testdata("cornell_8spp.exr"), None));
+    settings.remember(&Source::whole(std::ffi::OsString::from_vec(b"\xff.exr".to_vec()).into(), None));
+    let mut memory = Memory::default();
+    eframe::set_value(&mut memory, Settings::KEY, &settings);
+    let again: Settings = eframe::get_value(&memory, Settings::KEY).unwrap();
+    assert_eq!((again.recent.len(), again.parameters), (1, settings.parameters));
 }
