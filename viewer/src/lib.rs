@@ -17,7 +17,8 @@
 //! | [`saving`] | files that the window writes |
 //! | [`settings`] | what is remembered from one start to the next |
 //!
-//! The window never waits: whatever takes time is a [`Request`](worker::Request) to the worker, whose [`Reply`](worker::Reply) wakes the window.
+//! The window never waits: whatever takes time is a [`Request`](worker::Request) to the worker, whose [`Reply`](worker::Reply) wakes the window. Only where
+//! the processor plays the graphics card, it rests between frames while the worker is at it.
 
 pub mod adaptive;
 pub mod app;
