@@ -18,7 +18,8 @@
 //! | [`settings`] | what is remembered from one start to the next |
 //! | [`words`] | what the library says, in the words of this program |
 //!
-//! The window never waits: whatever takes time is a [`Request`](worker::Request) to the worker, whose [`Reply`](worker::Reply) wakes the window.
+//! The window never waits: whatever takes time is a [`Request`](worker::Request) to the worker, whose [`Reply`](worker::Reply) wakes the window. Only where
+//! the processor plays the graphics card, it rests between frames while the worker is at it.
 
 pub mod adaptive;
 pub mod app;

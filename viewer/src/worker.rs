@@ -36,10 +36,10 @@ const BETWEEN_REPLIES: Duration = Duration::from_millis(200);
 const MEASURED_TWICE: Duration = Duration::from_secs(10);
 
 /// The longest that the window rests after a frame.
-const LONGEST_REST: Duration = Duration::from_millis(100);
+const LONGEST_REST: Duration = Duration::from_millis(80);
 
-/// How long a window that draws on the processor's own cores leaves them to the worker, where the frame before took so long: a half of the time is for each. No longer
-/// than input may wait.
+/// How long a window that is drawn by the processor's own cores leaves them to the worker, where the frame before took so long: a half of the time is for each. No longer than
+/// input may wait.
 pub fn rest_after(frame: Duration) -> Duration {
     frame.min(LONGEST_REST)
 }
