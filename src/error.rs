@@ -67,3 +67,13 @@ pub enum Error {
     #[error("cancelled")]
     Cancelled,
 }
+
+impl Error {
+    /// A message of this library in the words of a program, which has options where the remedies name fields and functions. Each pair is what a remedy says and what takes its
+    /// place, the first before the second. What is no remedy stays as it is.
+    pub fn in_words<'a>(message: &str, words: impl IntoIterator<Item = &'a (&'a str, &'a str)>) -> String {
+        let Some((problem, remedy)) = message.split_once("remedy: ") else { return message.to_owned() };
+        let remedy = words.into_iter().fold(remedy.to_owned(), |remedy, (said, instead)| remedy.replace(said, instead));
+        format!("{problem}remedy: {remedy}")
+    }
+}

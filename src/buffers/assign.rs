@@ -30,6 +30,16 @@ pub(super) fn read(request: &BufferSetRequest) -> Result<BufferSet> {
         });
     }
 
+    let first = &files.list[input];
+    let is_there = |skipped: &&String| first.layers.iter().any(|layer| layer.name == **skipped || layer.name.ends_with(&format!(".{skipped}")));
+    if let Some(skipped) = request.skip_features.iter().find(|skipped| !is_there(skipped)) {
+        return Err(Error::File {
+            path: first.path.clone(),
+            problem: format!("there is no feature '{skipped}' to skip; it holds {}", first.layer_list()),
+            remedy: "name one of these in `BufferSetRequest::skip_features`, or none".into(),
+        });
+    }
+
     let mut notes = Vec::new();
     if !request.no_features {
         find_features(&files.list, &color, request, &mut features, &mut notes)?;
@@ -208,9 +218,9 @@ fn matching_channels(file: &ExrFile, mean: &Planes, layer: usize) -> Result<Vec<
 }
 
 fn check_halves(files: &[ExrFile], source: &SignalSource) -> Result<()> {
-    let (present, missing) = match (&source.half_a, &source.half_b) {
-        (Some(present), None) => (present, "B"),
-        (None, Some(present)) => (present, "A"),
+    let (present, missing, named) = match (&source.half_a, &source.half_b) {
+        (Some(present), None) => (present, "B", "`BufferSetRequest::half_b`"),
+        (None, Some(present)) => (present, "A", "`BufferSetRequest::half_a`"),
         _ => return Ok(()),
     };
     let file = &files[present.file];
@@ -218,7 +228,7 @@ fn check_halves(files: &[ExrFile], source: &SignalSource) -> Result<()> {
         path: file.path.clone(),
         layer: file.layers[present.layer].name.clone(),
         problem: format!("it is one half of the samples, but half {missing} is missing"),
-        remedy: format!("add half {missing} (for the colour: `BufferSetRequest::half_{}`)", missing.to_lowercase()),
+        remedy: format!("add half {missing} (for the colour: {named})"),
     })
 }
 

@@ -1,19 +1,33 @@
 //! How a user points at a layer, and how the program says what it took a layer for.
 
 use std::convert::Infallible;
+use std::ffi::OsString;
 use std::fmt;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 /// A file and, optionally, a layer inside it, written `file.exr` or `file.exr::layer`.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct LayerRef {
     /// The file.
     pub file: PathBuf,
     /// The layer, named as in the file; `None` leaves the choice to the reader.
     pub layer: Option<String>,
+}
+
+impl LayerRef {
+    /// A file of which the reader chooses the layer.
+    pub fn whole(file: impl Into<PathBuf>) -> Self {
+        Self { file: file.into(), layer: None }
+    }
+
+    /// The same layer of another file.
+    #[must_use]
+    pub fn map_file(&self, file: impl FnOnce(&Path) -> PathBuf) -> Self {
+        Self { file: file(&self.file), layer: self.layer.clone() }
+    }
 }
 
 impl FromStr for LayerRef {
@@ -23,8 +37,36 @@ impl FromStr for LayerRef {
     fn from_str(text: &str) -> Result<Self, Infallible> {
         Ok(match text.rsplit_once("::") {
             Some((file, layer)) if !file.is_empty() && !layer.is_empty() => Self { file: file.into(), layer: Some(layer.to_owned()) },
-            _ => Self { file: text.into(), layer: None },
+            _ => Self::whole(text),
         })
+    }
+}
+
+impl From<OsString> for LayerRef {
+    /// As the text; one that is not Unicode names a file alone.
+    fn from(text: OsString) -> Self {
+        text.into_string().map_or_else(Self::whole, |text| {
+            let Ok(layer) = text.parse();
+            layer
+        })
+    }
+}
+
+impl fmt::Display for LayerRef {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}", self.file.display())?;
+        self.layer.as_ref().map_or(Ok(()), |layer| write!(f, "::{layer}"))
+    }
+}
+
+/// A feature's name and where it is, written `NAME=FILE` or `NAME=FILE::LAYER`.
+pub(super) fn feature(text: &str) -> Result<(String, LayerRef), String> {
+    match text.split_once('=') {
+        Some((name, layer)) if !name.is_empty() && !layer.is_empty() => {
+            let Ok(layer) = layer.parse();
+            Ok((name.to_owned(), layer))
+        }
+        _ => Err("it must look like NAME=FILE or NAME=FILE::LAYER, as in albedo=aux.exr".into()),
     }
 }
 

@@ -13,12 +13,14 @@ mod file;
 mod header;
 mod layer_ref;
 pub(crate) mod names;
+mod request;
 mod uses;
 mod write;
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 pub use layer_ref::{LayerRef, LayerUse, Role, SampleKind, SignalPart};
+pub use request::BufferSetRequest;
 pub use write::{DenoisedLayers, NamedLayer, WriteReport, write_denoised, write_layers};
 
 use crate::error::Result;
@@ -28,28 +30,6 @@ pub(crate) use file::ExrFile;
 
 /// The most features that a frame takes; the text's scenes use up to five.
 pub const MAX_FEATURES: usize = 8;
-
-/// Which files and layers to read.
-#[derive(Clone, Debug, Default)]
-pub struct BufferSetRequest {
-    /// The file with the noisy colour; halves, variance and features are looked for in it unless they are named below.
-    pub input: PathBuf,
-    /// The colour's layer; `None` takes `R G B` or a layer with a usual name such as `Combined` or `beauty`.
-    pub layer: Option<String>,
-    /// The colour of the first half of the samples.
-    pub half_a: Option<LayerRef>,
-    /// The colour of the other half.
-    pub half_b: Option<LayerRef>,
-    /// The sample variance of the colour's mean.
-    pub variance: Option<LayerRef>,
-    /// Features from other files or under other names: the feature's name and its mean. Halves and variance are taken from the same file, as
-    /// `LAYER_halfA` and so on, or as plain `halfA`, `halfB`, `variance` where the feature is the file's main layer.
-    pub features: Vec<(String, LayerRef)>,
-    /// Use no features of the input but those named in `features`.
-    pub no_features: bool,
-    /// Features of the input that are not to be used.
-    pub skip_features: Vec<String>,
-}
 
 /// A mean and what the files hold of its noise, as stored: may contain anything that a float can be. All images have the same extent and channels.
 #[derive(Clone, Debug, PartialEq)]
@@ -96,7 +76,7 @@ impl BufferSet {
     ///
     /// # Errors
     /// A file that is missing, damaged or of a kind that cannot be read; a requested layer that does not exist; layers whose data windows or channel
-    /// counts differ from the colour's; half A without half B; more than [`MAX_FEATURES`] requested features.
+    /// counts differ from the colour's; half A without half B; more than [`MAX_FEATURES`] requested features; one to skip that the input does not have.
     pub fn read(request: &BufferSetRequest) -> Result<Self> {
         assign::read(request)
     }

@@ -26,7 +26,7 @@ use stein::{Extent, Frame, Gpu, Image, Method, Preset};
 
 use super::filter::{Tuning, candidates, methods, presets};
 use super::inspect::settle;
-use super::options::{Device, Source, size};
+use super::options::{self, Device, Source, size};
 use super::progress::bar;
 use super::quality;
 use super::tile::{cover, cover_frame};
@@ -305,7 +305,7 @@ impl Bench<'_> {
     /// Reads a set. What was found in a folder and is none is left out, and told.
     fn read(&mut self, file: &SetFile, source: &Source, sizes: usize, out: &mut Out) -> Result<Option<ReadSet>, Failure> {
         let name = file.file.display();
-        let read = source.read(&file.file).and_then(|set| {
+        let read = options::read(&source.request(&file.file)).and_then(|set| {
             if file.was_found && is_ours(&set) {
                 return Err(Failure::input(format_args!("{name}: was written by stein")));
             }

@@ -6,6 +6,7 @@ use std::path::Path;
 use std::process::ExitCode;
 
 use stein::Error;
+use stein::buffers::BufferSetRequest;
 
 use super::options::CACHE_VARIABLE;
 
@@ -73,13 +74,9 @@ impl Failure {
     }
 }
 
-/// What the library's remedies name, and what that is on the command line.
-const OPTIONS: [(&str, &str); 12] = [
+/// What the library's remedies say, and what that is on the command line, besides the options of [`BufferSetRequest`].
+const WORDS: [(&str, &str); 8] = [
     ("name the layer to take (`BufferSetRequest::layer`, `LayerRef::layer`)", "name the layer to take: --layer NAME for the input, FILE::NAME for other files"),
-    ("`BufferSetRequest::half_a`", "--half-a"),
-    ("`BufferSetRequest::half_b`", "--half-b"),
-    ("`BufferSetRequest::variance`", "--variance"),
-    ("`BufferSetRequest::skip_features`", "--skip-feature"),
     ("the memory limit (`Denoiser::with_max_memory`)", "--max-memory"),
     ("the memory limit", "--max-memory"),
     ("a smaller window", "a smaller --radius (dfc, nlm)"),
@@ -91,10 +88,7 @@ const OPTIONS: [(&str, &str); 12] = [
 
 /// With a remedy of the library in the words of the command line.
 fn with_options(text: impl Display) -> String {
-    let text = text.to_string();
-    let Some((problem, remedy)) = text.split_once("remedy: ") else { return text };
-    let remedy = OPTIONS.iter().fold(remedy.to_owned(), |remedy, (named, option)| remedy.replace(named, option));
-    format!("{problem}remedy: {remedy}")
+    Error::in_words(&text.to_string(), BufferSetRequest::OPTIONS.iter().chain(&WORDS))
 }
 
 impl From<Error> for Failure {
@@ -105,5 +99,24 @@ impl From<Error> for Failure {
             _ => 1,
         };
         Self { code, message: with_options(error) }
+    }
+}
+
+#[cfg(test)]
+#[path = "../../tests/common/remedies.rs"]
+mod remedies;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn remedies_name_nothing_that_only_programmers_know() {
+        let remedies = remedies::naming_items();
+        assert!(remedies.iter().filter(|remedy| remedy.contains("`BufferSetRequest::")).count() >= 6, "{remedies:?}");
+        for remedy in remedies {
+            let told = with_options(format_args!("remedy: {remedy}"));
+            assert!(!remedies::names_item(&told), "{told}");
+        }
     }
 }

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use serde::Serialize;
 
 use super::inspect::{Input, settle};
-use super::options::Source;
+use super::options::{self, Source};
 use super::{Failure, Out};
 
 const EXAMPLE: &str = "\
@@ -36,7 +36,7 @@ pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
     let mut document = Document { files: Vec::new() };
     let mut first_failure = None;
     for file in &args.files {
-        match args.source.read(file) {
+        match options::read(&args.source.request(file)) {
             Ok(set) => {
                 let (_, input) = settle(&set);
                 if !args.json {

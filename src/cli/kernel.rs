@@ -11,7 +11,7 @@ use stein::{Error, Extent, FilterKernel, Image, Kernels, Options};
 
 use super::filter::Filter;
 use super::inspect::{Input, settle};
-use super::options::{Device, Source};
+use super::options::{self, Device, Source};
 use super::out::{number, table};
 use super::{Failure, Out, output};
 
@@ -132,11 +132,12 @@ pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
     }
     let method = args.filter.chosen()?.method;
     args.source.check(&method)?;
+    let request = args.source.for_method(&method).request(input);
     if let Some(file) = &args.output {
-        output::check(file, args.source.files().chain([input]), false, false)?;
+        output::check(file, request.files(), false, false)?;
     }
 
-    let set = args.source.for_method(&method).read(input)?;
+    let set = options::read(&request)?;
     let (frame, described) = settle(&set);
     out.say(described.text(false));
     let frame = frame.map_err(|error| Failure::in_file(input, error))?;

@@ -3,7 +3,7 @@
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
-use stein::buffers::{BufferSet, BufferSetRequest, LayerRef};
+use stein::buffers::{BufferSet, BufferSetRequest};
 use stein::gpu::{DeviceChoice, GpuOptions};
 use stein::{Denoiser, Extent, Gpu, Method};
 
@@ -16,63 +16,20 @@ pub(crate) struct Source {
     /// Layer with the noisy colour [default: plain R G B, or one with a usual name such as `Combined` or `beauty`]
     #[arg(long, value_name = "NAME")]
     layer: Option<String>,
-    /// Colour of the first half of the samples
-    #[arg(long, value_name = "FILE[::LAYER]")]
-    half_a: Option<LayerRef>,
-    /// Colour of the other half of the samples
-    #[arg(long, value_name = "FILE[::LAYER]")]
-    half_b: Option<LayerRef>,
-    /// Variance of the colour's mean (of the pixel, not of one sample)
-    #[arg(long, value_name = "FILE[::LAYER]")]
-    variance: Option<LayerRef>,
-    /// A feature under another name or from another file, with its halves and variance beside it; may be repeated
-    #[arg(long = "feature", value_name = "NAME=FILE[::LAYER]", value_parser = feature)]
-    features: Vec<(String, LayerRef)>,
-    /// A feature of the input that is not to be used; may be repeated
-    #[arg(long = "skip-feature", value_name = "NAME")]
-    skip_features: Vec<String>,
-    /// Use no features of the input but those given with --feature
-    #[arg(long)]
-    no_features: bool,
+    #[command(flatten)]
+    others: BufferSetRequest,
 }
 
 impl Source {
-    /// Reads an input with everything that was named beside it.
-    pub(crate) fn read(&self, input: &Path) -> Result<BufferSet, Failure> {
-        let request = BufferSetRequest {
-            input: input.to_owned(),
-            layer: self.layer.clone(),
-            half_a: self.half_a.clone(),
-            half_b: self.half_b.clone(),
-            variance: self.variance.clone(),
-            features: self.features.clone(),
-            no_features: self.no_features,
-            skip_features: self.skip_features.clone(),
-        };
-        let set = BufferSet::read(&request).map_err(|error| Failure::in_file(input, error))?;
-        for skipped in &self.skip_features {
-            let known = |layer: &str| layer == skipped || layer.ends_with(&format!(".{skipped}"));
-            if !set.layer_uses().iter().any(|layer| known(&layer.layer)) {
-                return Err(Failure::input(format_args!(
-                    "{}: there is no feature '{skipped}' to skip\n  remedy: `stein info` lists the layers",
-                    input.display()
-                )));
-            }
-        }
-        Ok(set)
-    }
-
-    /// The same with other files, as of another frame of a shot.
-    pub(crate) fn map_files(&self, file: impl Fn(&LayerRef) -> LayerRef) -> Self {
-        let features = self.features.iter().map(|(name, layer)| (name.clone(), file(layer))).collect();
-        let [half_a, half_b, variance] = [&self.half_a, &self.half_b, &self.variance].map(|layer| layer.as_ref().map(&file));
-        Self { half_a, half_b, variance, features, ..self.clone() }
+    /// An input with everything that was named beside it.
+    pub(crate) fn request(&self, input: &Path) -> BufferSetRequest {
+        BufferSetRequest { input: input.to_owned(), layer: self.layer.clone(), ..self.others.clone() }
     }
 
     /// Options that the method has no use for are not ignored.
     pub(crate) fn check(&self, method: &Method) -> Result<(), Failure> {
-        let given = self.features.first().map(|(feature, _)| format!("--feature {feature}"));
-        let given = given.or_else(|| self.skip_features.first().map(|feature| format!("--skip-feature {feature}")));
+        let given = self.others.features.first().map(|(feature, _)| format!("--feature {feature}"));
+        let given = given.or_else(|| self.others.skip_features.first().map(|feature| format!("--skip-feature {feature}")));
         match given.filter(|_| !method.uses_features()) {
             Some(option) => {
                 let name = method.name();
@@ -84,24 +41,15 @@ impl Source {
 
     /// What the method reads: features that it does not use are not told of as used.
     pub(crate) fn for_method(&self, method: &Method) -> Self {
-        Self { no_features: self.no_features || !method.uses_features(), ..self.clone() }
-    }
-
-    /// Files besides the input, none of which an output may replace.
-    pub(crate) fn files(&self) -> impl Iterator<Item = &Path> {
-        let named = [&self.half_a, &self.half_b, &self.variance].into_iter().flatten();
-        named.chain(self.features.iter().map(|(_, layer)| layer)).map(|layer| layer.file.as_path())
+        let mut source = self.clone();
+        source.others.no_features |= !method.uses_features();
+        source
     }
 }
 
-fn feature(text: &str) -> Result<(String, LayerRef), String> {
-    match text.split_once('=') {
-        Some((name, layer)) if !name.is_empty() && !layer.is_empty() => {
-            let Ok(layer) = layer.parse();
-            Ok((name.to_owned(), layer))
-        }
-        _ => Err("it must look like NAME=FILE or NAME=FILE::LAYER, as in albedo=aux.exr".into()),
-    }
+/// Reads an input with everything that was named beside it.
+pub(crate) fn read(request: &BufferSetRequest) -> Result<BufferSet, Failure> {
+    BufferSet::read(request).map_err(|error| Failure::in_file(&request.input, error))
 }
 
 /// Names the folder in which compiled pipelines are kept.

@@ -12,7 +12,7 @@ use stein::sampling::{MapFile, SampleCounts, SamplingMap, sampling_density};
 
 use super::filter::Filter;
 use super::inspect::{Input, settle};
-use super::options::{Device, Source};
+use super::options::{self, Device, Source};
 use super::out::number;
 use super::{Failure, Out, interrupt, output};
 
@@ -115,10 +115,11 @@ pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
         return Err(Failure::usage("--spikes: where more samples are to be drawn, spikes stay\n  remedy: leave it out"));
     }
     args.source.check(&method)?;
+    let request = args.source.for_method(&method).request(input);
     let file = args.output.clone().unwrap_or_else(|| input.with_extension("map.exr"));
-    output::check(&file, args.source.files().chain([input]), false, false)?;
+    output::check(&file, request.files(), false, false)?;
 
-    let set = args.source.for_method(&method).read(input)?;
+    let set = options::read(&request)?;
     let (frame, described) = settle(&set);
     out.say(described.text(false));
     let frame = frame.map_err(|error| Failure::in_file(input, error))?;

@@ -106,6 +106,21 @@ fn a_chosen_layer_does_not_take_the_beautys_halves() {
 }
 
 #[test]
+fn a_layer_of_a_file_is_written_behind_two_colons() {
+    let of = |file: &str, layer: Option<&str>| LayerRef { file: file.into(), layer: layer.map(str::to_owned) };
+    for (text, expected) in [("a.exr", of("a.exr", None)), ("b::c.exr::d.e", of("b::c.exr", Some("d.e"))), ("a.exr::", of("a.exr::", None))] {
+        let Ok(read) = text.parse::<LayerRef>();
+        assert_eq!((read.to_string().as_str(), &read), (text, &expected));
+        assert_eq!(LayerRef::from(std::ffi::OsString::from(text)), expected);
+    }
+    #[cfg(unix)]
+    {
+        let name: std::ffi::OsString = std::os::unix::ffi::OsStringExt::from_vec(b"\xff.exr::a".to_vec());
+        assert_eq!(LayerRef::from(name.clone()), LayerRef::whole(name));
+    }
+}
+
+#[test]
 fn halves_variance_and_features_come_from_separate_files() {
     let folder = folder();
     let one = |name: &str, part: Part| write(folder.path(), name, vec![part]);

@@ -19,6 +19,20 @@ fn a_feature_of_another_size_names_its_file_and_both_windows() {
 }
 
 #[test]
+fn a_feature_to_skip_that_the_input_lacks_is_named_with_those_that_it_has() {
+    let folder = folder();
+    let input = write(folder.path(), "in.exr", vec![Part::new().with("", "RGB", 1.0).with("albedo", "RGB", 2.0).with("ViewLayer.depth", "Z", 3.0)]);
+    let skipping = |name: &str| BufferSetRequest { skip_features: vec![name.to_owned()], ..request(&input) };
+    for there in ["albedo", "depth", "ViewLayer.depth"] {
+        BufferSet::read(&skipping(there)).unwrap();
+    }
+    let message = failure(&skipping("albdo"));
+    for part in ["in.exr", "'albdo'", "'albedo'", "`BufferSetRequest::skip_features`"] {
+        assert!(message.contains(part), "{message}");
+    }
+}
+
+#[test]
 fn one_half_alone_is_an_error() {
     let folder = folder();
     let part = Part::new().with("", "RGB", 1.0).with("halfB", "RGB", 2.0);

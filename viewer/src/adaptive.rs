@@ -5,10 +5,11 @@ use std::time::Instant;
 
 use stein::gpu::Pace;
 use stein::sampling::stub::{Sequence, StubSampler, scene, scenes};
-use stein::sampling::{Event, Iterations, Plan, SampleCounts, Sampler, Samples, SamplingMap, estimated_relative_mse};
-use stein::{Denoiser, Error, Estimate, Extent, Gpu, Image, Method, Options};
+use stein::sampling::{Event, Iterations, Plan, SampleCounts, Sampler, Samples, SamplingMap};
+use stein::{Denoiser, Error, Extent, Gpu, Image};
 
-use crate::document::{Denoised, Document, Opened, drawn_layer, input_layers, output_layers};
+use crate::document::{Denoised, Document, Opened, drawn_layer, input_layers, reference_layer};
+use crate::settings::Parameters;
 
 /// What is sampled, and how.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -52,9 +53,11 @@ impl Setup {
 #[derive(Clone, Debug)]
 pub struct Loop {
     setup: Setup,
-    method: Method,
+    parameters: Parameters,
     /// `None` before the first step.
     state: Option<(StubSampler, Iterations)>,
+    /// Those that are complete.
+    complete: Vec<Iteration>,
 }
 
 /// What a step has come to.
@@ -71,8 +74,8 @@ pub struct Adapted {
 pub enum Step {
     /// One more iteration.
     Iteration(Box<Iteration>),
-    /// The image that the iterations are compared with.
-    Reference(Arc<Image>),
+    /// All iterations, compared with a reference.
+    Compared(Vec<Iteration>),
 }
 
 /// An iteration that is complete.
@@ -92,27 +95,32 @@ pub struct Iteration {
 
 impl Loop {
     /// A loop that has drawn nothing yet.
-    pub fn new(setup: Setup, method: Method) -> Self {
-        Self { setup, method, state: None }
+    pub fn new(setup: Setup, parameters: Parameters) -> Self {
+        Self { setup, parameters, state: None, complete: Vec::new() }
     }
 
-    /// Draws and denoises the next iteration, or draws the reference. `check` is told how much of the whole loop is done, and ends it by an error.
+    /// Draws and denoises the next iteration, or draws the reference and compares all of them with it. `check` is told how much of the whole loop is done, and ends it by an error.
     ///
     /// # Errors
     /// A setup that cannot be met, and as [`Iterations::step`].
     pub fn step(&mut self, gpu: &Gpu, pace: Pace, check: &(impl Fn(f32) -> stein::Result<()> + Sync)) -> stein::Result<Adapted> {
         if self.state.is_none() {
             gpu.set_timing(true);
-            let denoiser = Denoiser::new(gpu, self.method)?;
-            let iterations = Iterations::new(&denoiser, &self.setup.plan()?).with_kept(self.method.intermediates());
+            let method = self.parameters.method;
+            let iterations = Iterations::new(&Denoiser::new(gpu, method)?, &self.setup.plan()?).with_kept(method.intermediates());
             self.state = Some((self.setup.sampler(self.setup.seed.into(), Sequence::Random)?, iterations));
         }
-        let Self { setup, state: Some((sampler, iterations)), .. } = self else { return Err(Error::Cancelled) };
+        let Self { setup, parameters, state: Some((sampler, iterations)), complete } = self else { return Err(Error::Cancelled) };
         let has_reference = setup.reference_samples > 0;
         let parts = (iterations.plan().iterations() + u32::from(has_reference)) as f32;
         if iterations.done() == iterations.plan().iterations() {
-            let reference = draw_reference(setup, |share| check((parts - 1.0 + share) / parts))?;
-            return Ok(Adapted { step: Step::Reference(Arc::new(reference)), is_last: true });
+            let reference = Arc::new(draw_reference(setup, |share| check((parts - 1.0 + share) / parts))?);
+            let layer = reference_layer(&reference);
+            for iteration in complete.iter_mut() {
+                iteration.opened.compare(&layer);
+                iteration.denoised.compare(&reference);
+            }
+            return Ok(Adapted { step: Step::Compared(std::mem::take(complete)), is_last: true });
         }
         iterations.set_pace(Some(pace));
         let (mut drawn_at, mut finished) = (Instant::now(), None);
@@ -126,42 +134,36 @@ impl Loop {
             Event::Denoising { iteration, share } => check(((iteration - 1) as f32 + 0.5 + 0.5 * share) / parts),
             Event::Finished { iteration, map, samples, estimate, method } => {
                 let seconds = drawn_at.elapsed().as_secs_f64();
-                let denoiser = Denoiser::new(gpu, *method)?;
-                finished = Some(iteration_of(setup, iteration, map, samples, estimate, &denoiser, seconds)?);
+                let (denoiser, opened) = (Denoiser::new(gpu, *method)?, opened_of(setup, iteration, map, samples)?);
+                let denoised = Denoised::new(&denoiser, parameters.preset, &opened.frame, estimate.clone(), None, seconds)?;
+                finished = Some(iteration_of(iteration, &samples.counts(), opened, denoised));
                 Ok(())
             }
         })?;
-        let step = Step::Iteration(Box::new(finished.ok_or(Error::Cancelled)?));
-        Ok(Adapted { step, is_last: !goes_on && !has_reference })
+        let iteration = finished.ok_or(Error::Cancelled)?;
+        complete.push(iteration.clone());
+        Ok(Adapted { step: Step::Iteration(Box::new(iteration)), is_last: !goes_on && !has_reference })
     }
 }
 
-fn iteration_of(
-    setup: &Setup,
-    number: u32,
-    map: Option<&SamplingMap>,
-    samples: &Samples,
-    estimate: &Estimate,
-    denoiser: &Denoiser,
-    seconds: f64,
-) -> stein::Result<Iteration> {
+/// The samples so far as something that is open.
+fn opened_of(setup: &Setup, number: u32, map: Option<&SamplingMap>, samples: &Samples) -> stein::Result<Opened> {
     let (frame, repairs) = samples.to_frame()?;
     let mut layers = input_layers(&frame, None);
     layers.extend(map.map(|map| drawn_layer(&map.counts)));
-    let counts = samples.counts();
-    let of_pixels = || counts.pairs().iter().map(|pairs| 2 * u64::from(*pairs));
-    let estimated_error = estimated_relative_mse(estimate);
-    let lean_plan = denoiser.plan(&[&frame], 0, &Options::default())?;
-    let mut estimate = estimate.clone();
-    let layers_made = output_layers(&mut estimate, None);
     let name = format!("{}, iteration {number} of {}", setup.scene, setup.iterations);
-    Ok(Iteration {
+    Ok(Opened { source: None, name, frame: Arc::new(frame), repairs, reference: None, noisy_error: None, layers })
+}
+
+fn iteration_of(number: u32, counts: &SampleCounts, opened: Opened, denoised: Denoised) -> Iteration {
+    let of_pixels = || counts.pairs().iter().map(|pairs| 2 * u64::from(*pairs));
+    Iteration {
         number,
-        samples_per_pixel: counts.total_samples() as f64 / frame.extent().pixels() as f64,
+        samples_per_pixel: counts.total_samples() as f64 / counts.extent().pixels() as f64,
         spread: [of_pixels().min().unwrap_or(0), of_pixels().max().unwrap_or(0)],
-        opened: Opened { source: None, name, frame: Arc::new(frame), repairs, reference: None, noisy_error: None, layers },
-        denoised: Denoised { method: *denoiser.method(), estimate: Arc::new(estimate), lean_plan, seconds, error: None, estimated_error, layers: layers_made },
-    })
+        opened,
+        denoised,
+    }
 }
 
 /// Many samples, spread better than at random. No other seed is likely to be this one.
@@ -192,10 +194,10 @@ pub struct Adaptive {
 
 impl Adaptive {
     /// Starts anew.
-    pub fn start(&mut self, method: Method) -> Loop {
+    pub fn start(&mut self, parameters: Parameters) -> Loop {
         self.iterations.clear();
         (self.started, self.shown, self.follows, self.is_running) = (Some(self.setup.clone()), None, true, true);
-        Loop::new(self.setup.clone(), method)
+        Loop::new(self.setup.clone(), parameters)
     }
 
     /// Forgets the iterations: something else is open.
@@ -213,13 +215,5 @@ impl Adaptive {
         }
         document.add(self.iterations[place].denoised.clone());
         Some(document)
-    }
-
-    /// Takes over the reference.
-    pub fn compare(&mut self, reference: &Arc<Image>) {
-        for iteration in &mut self.iterations {
-            iteration.opened.compare(reference);
-            iteration.denoised.compare(reference);
-        }
     }
 }

@@ -2,15 +2,19 @@
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::sync::mpsc::{Receiver, TryRecvError, channel};
 use std::task::Poll;
+use std::time::Instant;
 
 use eframe::egui::{
     self, Align, CentralPanel, Color32, Context, FontDefinitions, FontFamily, Frame as Margins, Layout, Panel as SidePanel, RichText, Ui, Vec2, ViewportCommand,
 };
 use eframe::wgpu;
+use stein::buffers::LayerRef;
 use stein::{Extent, Gpu};
 
 use crate::adaptive::{Adapted, Adaptive, Setup, Step};
+use crate::device::no_thread;
 use crate::document::{Document, Source};
 use crate::edit::Edits;
 use crate::files::{Dialog, Purpose, is_reference, short_name};
@@ -22,7 +26,8 @@ use crate::settings::{Earlier, Parameters, Settings};
 use crate::shortcut::{self, Action};
 use crate::sweep::Sweep;
 use crate::view::{Compare, Display, View, canvas};
-use crate::worker::{Reply, Request, Task, Worker};
+use crate::words;
+use crate::worker::{Reply, Request, Task, Worker, rest_after};
 
 /// How long it is told that a file was written.
 const NOTICE_SECONDS: f64 = 8.0;
@@ -94,14 +99,20 @@ pub struct Viewer {
     pub notice: Option<(stein::Result<String>, f64)>,
     /// Whether a run was given up for a file that is being read.
     interrupted: bool,
+    /// The reference of what is opened next.
+    waiting_reference: Option<PathBuf>,
     /// Frames until the window closes by itself.
     frames_left: Option<u32>,
     /// Whether a sweep follows when the frame is open.
     sweeps: bool,
     /// Whether it is still to be checked that what the program starts with is there: that cannot be told before the first run is done.
     checks_names: bool,
+    /// When the newest frame was handed over to be drawn.
+    drawn: Instant,
     dialog: Option<Dialog>,
     savings: Vec<Saving>,
+    /// Parameters that are read from a file.
+    reading: Option<Receiver<stein::Result<Parameters>>>,
     /// Size of the canvas, in points.
     canvas: Vec2,
     format: wgpu::TextureFormat,
@@ -137,11 +148,14 @@ impl Viewer {
             scrolls_to_layer: true,
             notice: None,
             interrupted: false,
+            waiting_reference: None,
             frames_left: start.exit_after_frames,
             sweeps: start.sweeps,
             checks_names: true,
+            drawn: Instant::now(),
             dialog: None,
             savings: Vec::new(),
+            reading: None,
             canvas: Vec2::ZERO,
             format,
         };
@@ -186,7 +200,7 @@ impl Viewer {
         self.adaptive.follows &= self.adaptive.shown.is_none();
         self.progress = Some((Task::Denoise, 0.0));
         let (frame, reference) = (document.opened.frame.clone(), document.opened.reference.clone());
-        self.worker.send(Request::Denoise { frame, reference, method: self.parameters.method });
+        self.worker.send(Request::Denoise { frame, reference, parameters: self.parameters });
     }
 
     /// Ends the sweep and forgets it, for another frame.
@@ -202,7 +216,7 @@ impl Viewer {
         self.forget_sweep();
         self.inspector.forget_question();
         self.trouble.take_if(|(task, _)| *task == Task::Adapt);
-        let adaptive = self.adaptive.start(self.parameters.method);
+        let adaptive = self.adaptive.start(self.parameters);
         self.worker.send(Request::Adapt(Box::new(adaptive)));
     }
 
@@ -244,12 +258,21 @@ impl Viewer {
                     self.show_iteration(number, context);
                 }
             }
-            Step::Reference(reference) => {
-                self.adaptive.compare(&reference);
-                if let Some(document) = self.document.as_mut().filter(|_| self.adaptive.shown.is_some()) {
-                    document.compare(&reference);
-                    // Its points know of none.
+            Step::Compared(iterations) => {
+                self.adaptive.iterations = iterations;
+                let shown = self.adaptive.shown.and_then(|number| self.adaptive.document(number));
+                if let (Some(document), Some(compared)) = (&mut self.document, shown) {
+                    // Its points know of no reference, and neither do runs of one's own.
+                    let is_own = document.history.len() > 1 || self.worker.has(Task::Denoise);
+                    if is_own {
+                        document.reopen(compared.opened);
+                    } else {
+                        *document = compared;
+                    }
                     self.forget_sweep();
+                    if is_own {
+                        self.run();
+                    }
                 }
             }
         }
@@ -282,7 +305,8 @@ impl Viewer {
 
     /// Whether nothing is at work and nothing waits to be told.
     pub fn is_idle(&self) -> bool {
-        self.progress.is_none() && !self.sweep.is_running && self.savings.is_empty() && !self.inspector.waits() && self.worker.busy().is_none()
+        let nothing_to_come = self.progress.is_none() && !self.sweep.is_running && !self.inspector.waits() && self.worker.busy().is_none();
+        nothing_to_come && self.savings.is_empty() && self.reading.is_none()
     }
 
     /// The layer A; the noisy image where there is none of that name.
@@ -403,7 +427,7 @@ impl Viewer {
     fn ask(&mut self, purpose: Purpose, context: &Context) {
         if self.dialog.is_none() {
             let source = self.document.as_ref().and_then(|document| document.opened.source.as_ref());
-            let beside = source.map(|source| source.input.as_path());
+            let beside = source.map(|source| source.request.input.as_path());
             match Dialog::open(purpose, beside, &self.name_for(purpose), context) {
                 Ok(dialog) => self.dialog = Some(dialog),
                 Err(error) => self.tell(Err(error), context),
@@ -426,16 +450,13 @@ impl Viewer {
     /// Does with a file what it was asked for.
     pub fn take_file(&mut self, purpose: Purpose, path: PathBuf, context: &Context) {
         match (purpose, &self.document) {
-            (Purpose::Input, _) => self.open(Source { input: path, reference: None }),
+            (Purpose::Input, _) => self.open(Source::whole(path, None)),
             (Purpose::Reference, document) => match document.as_ref().map(|document| &document.opened.source) {
-                Some(Some(source)) => self.open(Source { reference: Some(path), ..source.clone() }),
+                Some(Some(source)) => self.open(Source { reference: Some(LayerRef::whole(path)), ..source.clone() }),
                 Some(None) => self.refuse("a frame that was rendered here is compared with a reference of the same scene", "let one be drawn (panel Sampling)"),
-                None => self.refuse("a reference is compared with a frame", "open the frame first"),
+                None => self.waiting_reference = Some(path),
             },
-            (Purpose::Parameters, _) => match Parameters::read(&path) {
-                Ok(parameters) => self.take_parameters(parameters),
-                Err(error) => self.tell(Err(error), context),
-            },
+            (Purpose::Parameters, _) => self.read_parameters(path, context),
             (Purpose::SaveView | Purpose::SaveLayer | Purpose::SaveResult | Purpose::SaveParameters, _) => {
                 let saving = self.content(purpose, &path, context).and_then(|content| Saving::start(&self.gpu, content, path, context));
                 match saving {
@@ -443,6 +464,32 @@ impl Viewer {
                     Err(error) => self.tell(Err(error), context),
                 }
             }
+        }
+    }
+
+    /// In a thread of its own: a run that is at work does not put it off.
+    fn read_parameters(&mut self, path: PathBuf, context: &Context) {
+        let (sender, answer) = channel();
+        let window = context.clone();
+        let read = move || {
+            // Where nobody waits for the answer any more, another file was chosen, or the window is closed.
+            let _ = sender.send(Parameters::read(&path));
+            window.request_repaint();
+        };
+        match std::thread::Builder::new().name("stein-reading".into()).spawn(read).map_err(no_thread) {
+            Ok(_) => self.reading = Some(answer),
+            Err(error) => self.tell(Err(error), context),
+        }
+    }
+
+    fn take_read(&mut self, context: &Context) {
+        let Some(answer) = self.reading.take() else { return };
+        match answer.try_recv() {
+            Ok(Ok(parameters)) => self.take_parameters(parameters),
+            Ok(Err(error)) => self.tell(Err(error), context),
+            Err(TryRecvError::Empty) => self.reading = Some(answer),
+            // It ended with a panic, which was told where it happened.
+            Err(TryRecvError::Disconnected) => {}
         }
     }
 
@@ -454,22 +501,26 @@ impl Viewer {
     fn content(&self, purpose: Purpose, path: &Path, context: &Context) -> stein::Result<Content> {
         let missing = |what: &str| stein::Error::Request { problem: format!("there is no {what} to save"), remedy: "open a file and wait for the run".into() };
         let layer = || self.layer().cloned().ok_or_else(|| missing("image"));
+        let source = self.document.as_ref().and_then(|document| document.opened.source.as_ref());
+        let same = |other: &Path| path.canonicalize().is_ok_and(|path| other.canonicalize().is_ok_and(|other| path == other));
+        if source.is_some_and(|source| source.files().any(same)) {
+            return Err(stein::Error::File {
+                path: path.to_owned(),
+                problem: "is open here, and would be replaced".into(),
+                remedy: "choose another name".into(),
+            });
+        }
         match purpose {
             Purpose::SaveParameters => Ok(Content::Parameters(self.parameters)),
             Purpose::SaveLayer => Ok(Content::Layer(layer()?, self.view.display.clone())),
             Purpose::SaveResult => {
                 let document = self.document.as_ref().ok_or_else(|| missing("result"))?;
                 let denoised = document.denoised.as_ref().ok_or_else(|| missing("result"))?;
-                let source = document.opened.source.as_ref();
-                let same = |other: &Path| path.canonicalize().is_ok_and(|path| other.canonicalize().is_ok_and(|other| path == other));
-                if source.is_some_and(|Source { input, reference }| same(input) || reference.as_deref().is_some_and(same)) {
-                    return Err(stein::Error::File {
-                        path: path.to_owned(),
-                        problem: "is open here, and would be replaced".into(),
-                        remedy: "choose another name".into(),
-                    });
-                }
-                Ok(Content::Result { input: source.map(|source| source.input.clone()), estimate: denoised.estimate.clone(), method: denoised.method })
+                Ok(Content::Result {
+                    request: source.map(|source| Box::new(source.request.clone())),
+                    estimate: denoised.estimate.clone(),
+                    method: denoised.parameters.method,
+                })
             }
             _ => {
                 let View { compare, wipe, camera, display, pinned, marked, .. } = &self.view;
@@ -512,7 +563,7 @@ impl Viewer {
         self.notice.take_if(|(notice, told)| notice.is_ok() && now > *told + NOTICE_SECONDS);
     }
 
-    /// Files that were dropped on the window: one whose name says so is the reference of the other, or of what is open.
+    /// Files that were dropped on the window: one whose name says so is the reference of the other, or of what is open, or else of what is opened next.
     fn take_dropped(&mut self, context: &Context) {
         let dropped: Vec<PathBuf> = context.input(|input| input.raw.dropped_files.iter().map(|file| file.path().to_owned()).collect());
         let (references, inputs): (Vec<_>, Vec<_>) = dropped.into_iter().partition(|path| is_reference(path));
@@ -521,9 +572,8 @@ impl Viewer {
             self.tell(Ok(format!("One file is open at a time, left out: {}", left_out.join(", "))), context);
         }
         match (inputs.into_iter().next(), references.into_iter().next()) {
-            (Some(input), reference) => self.open(Source { input, reference }),
-            (None, Some(reference)) if self.document.is_some() => self.take_file(Purpose::Reference, reference, context),
-            (None, Some(input)) => self.open(Source { input, reference: None }),
+            (Some(input), reference) => self.open(Source::whole(input, reference)),
+            (None, Some(reference)) => self.take_file(Purpose::Reference, reference, context),
             (None, None) => {}
         }
     }
@@ -534,6 +584,7 @@ impl Viewer {
                 Reply::Progress(task, share) => self.progress = Some((task, share)),
                 Reply::Opened(opened) => {
                     opened.source.iter().for_each(|source| self.settings.remember(source));
+                    let reference = self.waiting_reference.take().filter(|_| opened.reference.is_none());
                     self.adaptive.clear();
                     context.send_viewport_cmd(ViewportCommand::Title(title(Some(&opened.name))));
                     if self.document.is_some() {
@@ -552,7 +603,9 @@ impl Viewer {
                     }
                     self.forget_sweep();
                     self.run();
-                    if std::mem::take(&mut self.sweeps) {
+                    if let Some(reference) = reference {
+                        self.take_file(Purpose::Reference, reference, context);
+                    } else if std::mem::take(&mut self.sweeps) {
                         self.toggle_sweep();
                     }
                 }
@@ -602,6 +655,7 @@ impl Viewer {
         self.take_replies(context);
         self.take_dialog(context);
         self.take_savings(context);
+        self.take_read(context);
         self.take_dropped(context);
         self.inspect(context);
         self.check_names();
@@ -657,7 +711,7 @@ impl Viewer {
         let pixel = if is_followed { hovered.or(pinned) } else { pinned };
         let Extent { width, height } = document.opened.frame.extent();
         let Some(pixel) = pixel.filter(|[x, y]| *x < width && *y < height) else { return };
-        let question = Question { frame: document.opened.frame.clone(), method: denoised.method, pixel };
+        let question = Question { frame: document.opened.frame.clone(), method: denoised.parameters.method, pixel };
         // Of a pointer that moves on and on, each pixel would cancel the one before.
         if self.inspector.asks(&question) && (pinned == Some(pixel) || !self.inspector.waits()) {
             self.inspector.asked(question.clone());
@@ -683,7 +737,7 @@ impl Viewer {
 
     fn show_canvas(&mut self, ui: &mut Ui) {
         let failures = [self.trouble.as_ref().map(|(_, error)| error), self.notice.as_ref().and_then(|(notice, _)| notice.as_ref().err())];
-        let failures: Vec<_> = failures.into_iter().flatten().map(ToString::to_string).collect();
+        let failures: Vec<_> = failures.into_iter().flatten().map(words::told).collect();
         failures.iter().for_each(|failure| self.show_trouble(ui, failure));
         self.view.marked = if self.panel == Panel::Kernel { self.inspector.marked() } else { None };
         let (layer, other) = (self.layer().cloned(), self.other().cloned());
@@ -728,6 +782,10 @@ impl Viewer {
             if ui.button("Open…").clicked() {
                 self.perform(Action::Open, &context);
             }
+            if let Some(reference) = &self.waiting_reference {
+                ui.add_space(10.0);
+                ui.label(format!("The reference {} waits for its frame.", short_name(reference)));
+            }
             if !self.settings.recent.is_empty() {
                 ui.add_space(16.0);
                 ui.label(RichText::new("Recent").strong());
@@ -739,7 +797,13 @@ impl Viewer {
 
 impl eframe::App for Viewer {
     fn ui(&mut self, ui: &mut Ui, _frame: &mut eframe::Frame) {
+        let begun = Instant::now();
         self.show(ui);
+        if self.gpu.is_software() {
+            // What was clicked is on its way, and what is clicked meanwhile is in the next frame.
+            self.worker.make_room(rest_after(begun.saturating_duration_since(self.drawn)));
+            self.drawn = Instant::now();
+        }
         let is_idle = self.is_idle();
         if let Some(frames_left) = &mut self.frames_left {
             // Frames that nothing asks for would only hold up the work.

@@ -3,28 +3,63 @@
 mod inputs;
 mod outputs;
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use serde::{Deserialize, Serialize};
+use stein::buffers::{BufferSetRequest, LayerRef};
 use stein::frame::Repairs;
 use stein::method::Plan;
-use stein::{Estimate, Frame, Image, Method, metric};
+use stein::sampling::estimated_relative_mse;
+use stein::{Denoiser, Estimate, Frame, Image, Options, Preset, metric};
 
 use crate::layer::{Description, Group, Kind, Layer};
+use crate::settings::Parameters;
 
-pub use inputs::{drawn_layer, input_layers};
+pub use inputs::{drawn_layer, input_layers, reference_layer};
 pub use outputs::output_layers;
 
-use inputs::reference_layer;
 use outputs::true_error_layer;
 
 /// What to open.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(default)]
 pub struct Source {
     /// The buffer set.
-    pub input: PathBuf,
+    pub request: BufferSetRequest,
     /// The true image, where one is known.
-    pub reference: Option<PathBuf>,
+    pub reference: Option<LayerRef>,
+}
+
+impl Source {
+    /// A file with what is in it, and perhaps a reference.
+    pub fn whole(input: PathBuf, reference: Option<PathBuf>) -> Self {
+        Self { request: BufferSetRequest { input, ..Default::default() }, reference: reference.map(LayerRef::whole) }
+    }
+
+    /// All files that are read.
+    pub fn files(&self) -> impl Iterator<Item = &Path> {
+        self.request.files().chain(self.reference.as_ref().map(|reference| reference.file.as_path()))
+    }
+
+    /// The same from whichever folder.
+    #[must_use]
+    pub fn absolute(&self) -> Self {
+        let absolute = |path: &Path| std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
+        Self { request: self.request.map_files(absolute), reference: self.reference.as_ref().map(|reference| reference.map_file(absolute)) }
+    }
+
+    /// What is read, and what is not, for people: the input first.
+    pub fn lines(&self) -> Vec<String> {
+        let BufferSetRequest { input, layer, half_a, half_b, variance, features, skip_features, no_features } = &self.request;
+        let input = LayerRef { file: input.clone(), layer: layer.clone() };
+        let named = [("half A", half_a), ("half B", half_b), ("variance", variance), ("reference", &self.reference)];
+        let named = named.into_iter().filter_map(|(what, layer)| Some(format!("{what}: {}", layer.as_ref()?)));
+        let features = features.iter().map(|(name, layer)| format!("feature {name}: {layer}"));
+        let skipped = skip_features.iter().map(|name| format!("without the feature {name}"));
+        let none = no_features.then(|| "without other features of the input".to_owned());
+        std::iter::once(input.to_string()).chain(named).chain(features).chain(skipped).chain(none).collect()
+    }
 }
 
 /// What was read or rendered, before any run.
@@ -50,7 +85,7 @@ pub struct Opened {
 #[derive(Clone, Debug)]
 pub struct Denoised {
     /// With which parameters.
-    pub method: Method,
+    pub parameters: Parameters,
     /// What is known of the true image. Its layers have become [`Denoised::layers`].
     pub estimate: Arc<Estimate>,
     /// What would be done where only the result and its error are wanted.
@@ -69,7 +104,7 @@ pub struct Denoised {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Run {
     /// With which parameters.
-    pub method: Method,
+    pub parameters: Parameters,
     /// On the clock.
     pub seconds: f64,
     /// Relative MSE against the reference.
@@ -87,19 +122,41 @@ pub struct Document {
     pub denoised: Option<Denoised>,
     /// All runs that came to their ends, oldest first.
     pub history: Vec<Run>,
+    /// The result of the run before.
+    before: Option<Arc<Layer>>,
     layers: Vec<Arc<Layer>>,
 }
 
 impl Opened {
-    /// Takes over a reference that was not there before.
-    pub fn compare(&mut self, reference: &Arc<Image>) {
-        self.noisy_error = relative_mse(&self.frame.color().mean, Some(reference));
-        self.layers.push(reference_layer(reference));
-        self.reference = Some(reference.clone());
+    /// Takes over the layer of a reference that was not there before.
+    pub fn compare(&mut self, reference: &Arc<Layer>) {
+        let image = &reference.shown.image;
+        self.noisy_error = relative_mse(&self.frame.color().mean, Some(image));
+        self.reference = Some(image.clone());
+        self.layers.push(reference.clone());
     }
 }
 
 impl Denoised {
+    /// What `denoiser` has made of a frame in `seconds`, with all its layers.
+    ///
+    /// # Errors
+    /// As [`Denoiser::plan`].
+    pub fn new(
+        denoiser: &Denoiser,
+        preset: Preset,
+        frame: &Frame,
+        mut estimate: Estimate,
+        reference: Option<&Arc<Image>>,
+        seconds: f64,
+    ) -> stein::Result<Self> {
+        let parameters = Parameters { preset, method: *denoiser.method() };
+        let lean_plan = denoiser.plan(&[frame], 0, &Options::default())?;
+        let (error, estimated_error) = (relative_mse(&estimate.color, reference), estimated_relative_mse(&estimate));
+        let layers = output_layers(&mut estimate, reference);
+        Ok(Self { parameters, estimate: Arc::new(estimate), lean_plan, seconds, error, estimated_error, layers })
+    }
+
     /// Takes over a reference that was not there before.
     pub fn compare(&mut self, reference: &Arc<Image>) {
         self.error = relative_mse(&self.estimate.color, Some(reference));
@@ -111,48 +168,35 @@ impl Denoised {
 impl Document {
     /// What was read, without a run.
     pub fn new(opened: Opened) -> Self {
-        let layers = opened.layers.clone();
-        let mut document = Self { opened, denoised: None, history: Vec::new(), layers };
-        document.sort();
+        let mut document = Self { opened, denoised: None, history: Vec::new(), before: None, layers: Vec::new() };
+        document.arrange();
         document
     }
 
     /// Takes over what a run has made. The result before stays as a layer to compare with.
-    pub fn add(&mut self, mut denoised: Denoised) {
-        // It may have come while the run was at work.
-        if let (Some(reference), None) = (&self.opened.reference, denoised.error) {
-            denoised.compare(reference);
-        }
-        let Denoised { method, seconds, error, estimated_error, .. } = denoised;
-        self.history.push(Run { method, seconds, error, estimated_error });
-        self.layers = self.opened.layers.iter().chain(&denoised.layers).cloned().collect();
-        let before = self.denoised.as_ref().and_then(|denoised| denoised.layers.iter().find(|layer| layer.name() == "result"));
-        if let Some(before) = before {
+    pub fn add(&mut self, denoised: Denoised) {
+        let Denoised { parameters, seconds, error, estimated_error, .. } = denoised;
+        self.history.push(Run { parameters, seconds, error, estimated_error });
+        self.before = self.layer("result").map(|before| {
             let about = "The result of the run before, to see what a change of the parameters does.".into();
             let description = Description { name: "before".into(), title: "run before".into(), about, ..before.description.clone() };
-            self.layers.push(Arc::new(before.renamed(description)));
-        }
+            Arc::new(before.renamed(description))
+        });
         self.denoised = Some(denoised);
-        self.sort();
+        self.arrange();
     }
 
-    /// Takes over a reference that was not there before.
-    pub fn compare(&mut self, reference: &Arc<Image>) {
-        let before = self.layer("before").cloned();
-        self.opened.compare(reference);
-        if let Some(denoised) = &mut self.denoised {
-            denoised.compare(reference);
-            if let Some(newest) = self.history.last_mut() {
-                newest.error = denoised.error;
-            }
-        }
+    /// Takes over the same frame with its reference. What was made before stays as it is.
+    pub fn reopen(&mut self, opened: Opened) {
+        self.opened = opened;
+        self.arrange();
+    }
+
+    /// Puts the layers in order, by group. In it the result goes before what it is compared with, what belongs to one feature stays together, and all else keeps the order in
+    /// which it was made.
+    fn arrange(&mut self) {
         let made = self.denoised.iter().flat_map(|denoised| &denoised.layers);
-        self.layers = self.opened.layers.iter().chain(made).cloned().chain(before).collect();
-        self.sort();
-    }
-
-    /// By group. In it the result goes before what it is compared with, what belongs to one feature stays together, and all else keeps the order in which it was made.
-    fn sort(&mut self) {
+        self.layers = self.opened.layers.iter().chain(made).chain(&self.before).cloned().collect();
         let features = self.opened.frame.features();
         let place = |layer: &Layer| match layer.description.group {
             Group::Result => ["result", "pass1", "before", "reference"].iter().position(|name| *name == layer.name()),

@@ -1,14 +1,14 @@
 //! Layers: every image that can be looked at, with what is needed to show and to explain it.
 
+use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, OnceLock};
 
 use stein::Image;
 
 /// Longest side of a thumbnail, in pixels.
 const THUMBNAIL_SIDE: usize = 96;
-/// Values that a range is estimated from, at the most.
-const SAMPLED_VALUES: usize = 1 << 16;
+/// Pixels that a range and a histogram are made of, at the most.
+const SAMPLED_PIXELS: usize = 1 << 16;
 /// Decades that a logarithmic range shows, at the most.
 const DECADES: f32 = 6.0;
 
@@ -124,7 +124,8 @@ pub struct Layer {
     pub thumbnail: Shown,
     /// Ends of the scale that show most of its values.
     pub range: Range,
-    histogram: OnceLock<Histogram>,
+    /// How often which values occur.
+    pub histogram: Histogram,
 }
 
 impl Layer {
@@ -132,7 +133,8 @@ impl Layer {
     pub fn new(description: Description, image: Arc<Image>, range: Option<Range>) -> Self {
         let range = range.unwrap_or_else(|| automatic_range(&image, description.kind));
         let thumbnail = Shown::new(Arc::new(thumbnail(&image)));
-        Self { description, shown: Shown::new(image), thumbnail, range, histogram: OnceLock::new() }
+        let histogram = Histogram::of(&image, matches!(description.kind, Kind::Color | Kind::Scalar(Scale::Log)));
+        Self { description, shown: Shown::new(image), thumbnail, range, histogram }
     }
 
     /// The same image under another description.
@@ -166,11 +168,6 @@ impl Layer {
             _ => &["R", "G", "B"],
         }
     }
-
-    /// How often which values occur.
-    pub fn histogram(&self) -> &Histogram {
-        self.histogram.get_or_init(|| Histogram::of(self.image(), matches!(self.description.kind, Kind::Color | Kind::Scalar(Scale::Log))))
-    }
 }
 
 /// How often which values occur, per plane.
@@ -182,7 +179,7 @@ pub struct Histogram {
     pub first: f32,
     /// Upper edge of the last bin.
     pub last: f32,
-    /// Numbers of pixels, one vector per plane.
+    /// Numbers of finite values, one vector per plane; of a large image those of an even sample of 65536 pixels at the most. All else is told of all values.
     pub counts: Vec<Vec<u32>>,
     /// Smallest finite value.
     pub least: f32,
@@ -219,7 +216,7 @@ impl Histogram {
         };
         let counts = image.planes.iter().map(|plane| {
             let mut counts = vec![0; Self::BINS];
-            plane.iter().filter(|value| value.is_finite()).for_each(|value| counts[bin(*value)] += 1);
+            sample(image).map(|pixel| plane[pixel]).filter(|value| value.is_finite()).for_each(|value| counts[bin(value)] += 1);
             counts
         });
         let counts = counts.collect();
@@ -228,16 +225,17 @@ impl Histogram {
     }
 }
 
-/// Mean of the planes.
-fn means(image: &Image, pixels: impl Iterator<Item = usize>) -> impl Iterator<Item = f32> {
-    let planes = image.channels() as f32;
-    pixels.map(move |pixel| image.planes.iter().map(|plane| plane[pixel]).sum::<f32>() / planes)
+/// Pixels that stand for all.
+fn sample(image: &Image) -> impl Iterator<Item = usize> {
+    let pixels = image.extent.pixels();
+    // Odd, so that an even width does not make it a sample of a few columns.
+    (0..pixels).step_by(pixels.div_ceil(SAMPLED_PIXELS) | 1)
 }
 
 /// Ends between which lie all values of a sample but half a percent on each side.
 fn automatic_range(image: &Image, kind: Kind) -> Range {
-    let step = image.extent.pixels().div_ceil(SAMPLED_VALUES).max(1);
-    let mut values: Vec<f32> = means(image, (0..image.extent.pixels()).step_by(step)).filter(|value| value.is_finite()).collect();
+    let mean = |pixel: usize| image.planes.iter().map(|plane| plane[pixel]).sum::<f32>() / image.channels() as f32;
+    let mut values: Vec<f32> = sample(image).map(mean).filter(|value| value.is_finite()).collect();
     range_of(&mut values, kind)
 }
 

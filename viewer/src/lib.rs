@@ -16,8 +16,10 @@
 //! | [`sweep`] | error against run time |
 //! | [`saving`] | files that the window writes |
 //! | [`settings`] | what is remembered from one start to the next |
+//! | [`words`] | what the library says, in the words of this program |
 //!
-//! The window never waits: whatever takes time is a [`Request`](worker::Request) to the worker, whose [`Reply`](worker::Reply) wakes the window.
+//! The window never waits: whatever takes time is a [`Request`](worker::Request) to the worker, whose [`Reply`](worker::Reply) wakes the window. Only where
+//! the processor plays the graphics card, it rests between frames while the worker is at it.
 
 pub mod adaptive;
 pub mod app;
@@ -34,6 +36,7 @@ pub mod settings;
 pub mod shortcut;
 pub mod sweep;
 pub mod view;
+pub mod words;
 pub mod worker;
 
 pub use app::{Start, Viewer};

@@ -6,6 +6,7 @@ use std::process::ExitCode;
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use clap::{Parser, ValueEnum};
 use eframe::egui::{Theme, Vec2, ViewportBuilder};
+use stein::buffers::{BufferSetRequest, LayerRef};
 use stein::gpu::{DeviceChoice, GpuOptions};
 use stein::parameters::Choice;
 use stein::{Error, Gpu, Method, Preset};
@@ -15,13 +16,14 @@ use stein_viewer::panel::Panel;
 use stein_viewer::screenshot::{self, Shot};
 use stein_viewer::settings::Parameters;
 use stein_viewer::view::Compare;
-use stein_viewer::{Start, Viewer, app, device, files, sweep};
+use stein_viewer::{Start, Viewer, app, device, files, sweep, words};
 
 const AFTER_HELP: &str = "\
 Exit codes: 0 done, 2 wrong usage, 3 an input file or layer cannot be used, 4 no device, or one that cannot show a window, 5 the picture cannot be written, 1 anything else.
 
-Example:
+Examples:
   stein-viewer testdata/dof_spheres_32spp.exr --reference testdata/dof_spheres_reference.exr
+  stein-viewer both.exr::beauty --half-a a.exr --half-b b.exr --reference all.exr::converged
   stein-viewer render.exr --screenshot selection.png --layer selection";
 
 /// Looks inside a denoised frame: candidates, selection, estimated error, sampling density.
@@ -29,11 +31,12 @@ Example:
 #[command(name = "stein-viewer", version, after_help = AFTER_HELP)]
 #[command(group = clap::ArgGroup::new("shown").args(["file", "adapt"]).multiple(false))]
 struct Args {
-    /// OpenEXR file with the noisy image, its halves or variance, and features
-    file: Option<PathBuf>,
+    /// OpenEXR file with the noisy image and, usually, its halves or variance, and features; the image's layer where it is not the usual one
+    #[arg(value_name = "FILE[::LAYER]")]
+    file: Option<LayerRef>,
     /// The true image, to compare with
-    #[arg(long, value_name = "FILE", requires = "file")]
-    reference: Option<PathBuf>,
+    #[arg(long, value_name = "FILE[::LAYER]", requires = "file")]
+    reference: Option<LayerRef>,
     /// Samples a built-in scene adaptively in place of opening a file: soft, dof, motion, caustic, texture or spikes
     #[arg(long, value_name = "SCENE", conflicts_with = "file")]
     adapt: Option<String>,
@@ -88,6 +91,8 @@ struct Args {
     /// Of a screenshot: dark or light
     #[arg(long, value_enum, default_value = "dark", requires = "screenshot")]
     theme: ThemeName,
+    #[command(flatten)]
+    others: BufferSetRequest,
 }
 
 /// As [`Compare`].
@@ -204,7 +209,7 @@ impl From<Error> for Failure {
             Error::Device { .. } => 4,
             _ => 1,
         };
-        Self { code, message: error.to_string() }
+        Self { code, message: words::told(&error) }
     }
 }
 
@@ -228,7 +233,7 @@ fn run(args: &Args) -> Result<(), Failure> {
                 ThemeName::Light => Theme::Light,
             };
             let picture = screenshot::take(&gpu, &Shot { start, size: args.size, scale: args.scale, theme }, |_| {})?;
-            picture.write_png(path).map_err(|error| Failure { code: 5, message: error.to_string() })
+            picture.write_png(path).map_err(|error| Failure { code: 5, message: words::told(&error) })
         }
         None => window(args, &gpu, start),
     }
@@ -239,7 +244,12 @@ fn start(args: &Args) -> Result<Start, Failure> {
         return Err(Failure { code: 2, message: "--neighbour is explained by the kernel's panel\n  remedy: add --panel kernel, or leave it out".into() });
     }
     let parameters = parameters(args)?;
-    let source = args.file.clone().map(|input| Source { input, reference: args.reference.clone() });
+    let request = |LayerRef { file, layer }| BufferSetRequest { input: file, layer, ..args.others.clone() };
+    let source = args.file.clone().map(|input| Source { request: request(input), reference: args.reference.clone() });
+    if source.is_none() && args.others != BufferSetRequest::default() {
+        let message = "halves, variance and features are those of a file, and none is given\n  remedy: name it: stein-viewer FILE".into();
+        return Err(Failure { code: 2, message });
+    }
     Ok(Start {
         source,
         parameters,
@@ -286,7 +296,7 @@ fn parameters(args: &Args) -> Result<Option<Parameters>, Failure> {
 }
 
 fn window(args: &Args, gpu: &Gpu, start: Start) -> Result<(), Failure> {
-    let title = app::title(start.source.as_ref().map(|source| files::short_name(&source.input)).as_deref());
+    let title = app::title(start.source.as_ref().map(|source| files::short_name(&source.request.input)).as_deref());
     let viewport = ViewportBuilder::default().with_title(&title).with_inner_size(Vec2::from(args.size)).with_min_inner_size([640.0, 400.0]);
     let options = eframe::NativeOptions { viewport, wgpu_options: device::configuration(gpu)?, ..Default::default() };
     let in_window = |creation: &eframe::CreationContext| Viewer::in_window(creation, gpu, start).map(|viewer| Box::new(viewer) as Box<dyn eframe::App>);

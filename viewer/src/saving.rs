@@ -27,8 +27,8 @@ pub enum Content {
     Layer(Arc<Layer>, Display),
     /// The denoised frame in the clothes of its file, as OpenEXR.
     Result {
-        /// The file that the frame was read from; `None` of one that was rendered here.
-        input: Option<PathBuf>,
+        /// What the frame was read from; `None` of one that was rendered here.
+        request: Option<Box<BufferSetRequest>>,
         /// What to write.
         estimate: Arc<Estimate>,
         /// With which parameters it was made.
@@ -125,7 +125,7 @@ impl Content {
                 problem: format!("cannot be written: {error}"),
                 remedy: "check that the folder exists, may be written to and has space left".into(),
             })?,
-            Self::Result { input: None, estimate, .. } => {
+            Self::Result { request: None, estimate, .. } => {
                 let layer = |name: &str, channels: &[&str], image: &Image| NamedLayer {
                     name: name.into(),
                     channels: channels.iter().map(|channel| (*channel).to_owned()).collect(),
@@ -135,9 +135,8 @@ impl Content {
                 let layers: Vec<_> = [layer("", &["R", "G", "B"], &estimate.color)].into_iter().chain(error).collect();
                 write_layers(path, &layers, &[])?;
             }
-            Self::Result { input: Some(input), estimate, method } => {
-                let set = BufferSet::read(&BufferSetRequest { input, ..Default::default() })?;
-                notes = estimate.write(set, path, &[], &method)?.notes;
+            Self::Result { request: Some(request), estimate, method } => {
+                notes = estimate.write(BufferSet::read(&request)?, path, &[], &method)?.notes;
             }
         }
         notes.insert(0, format!("Wrote {}", short_name(path)));

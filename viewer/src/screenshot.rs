@@ -72,7 +72,7 @@ impl Offscreen {
         let state = pollster::block_on(RenderState::create(&configuration, instance, None, RendererOptions::PREDICTABLE));
         let state = state.map_err(|error| Error::Device {
             problem: format!("nothing can be drawn on '{}': {error}", gpu.summary().name),
-            remedy: "choose another adapter with --device".into(),
+            remedy: "choose another adapter".into(),
         })?;
         let context = Context::default();
         context.set_theme(Theme::Dark);
@@ -165,7 +165,7 @@ impl Offscreen {
         let layout = wgpu::TexelCopyBufferLayout { offset: 0, bytes_per_row: Some(row), rows_per_image: None };
         encoder.copy_texture_to_buffer(target.as_image_copy(), wgpu::TexelCopyBufferInfo { buffer: &buffer, layout }, target.size());
         queue.submit([encoder.finish()]);
-        let lost = |problem: String| Error::Device { problem, remedy: "run again; if it happens again, choose another adapter with --device".into() };
+        let lost = |problem: String| Error::Device { problem, remedy: "run again; if it happens again, choose another adapter".into() };
         let (sender, mapped) = std::sync::mpsc::channel();
         buffer.map_async(wgpu::MapMode::Read, .., move |result| {
             // The receiver lives until it has got this.

@@ -1,6 +1,6 @@
 //! What is remembered from one start to the next.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 use stein::parameters::{Parameter, Value};
@@ -16,8 +16,9 @@ const RECENT: usize = 10;
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Settings {
-    /// Newest first, each with its reference.
-    pub recent: Vec<(PathBuf, Option<PathBuf>)>,
+    /// What was open, newest first. What stood under the field's own name was of another type.
+    #[serde(rename = "sources")]
+    pub recent: Vec<Source>,
     /// Exposure and the like; not the scales of layers, which belong to a file.
     pub display: Display,
     /// How was denoised, as [`Parameters::to_toml`] has it.
@@ -30,12 +31,14 @@ impl Settings {
     /// Under which key they are kept.
     pub const KEY: &str = "stein-viewer";
 
-    /// Puts a file in front of the others.
+    /// Puts what is open in front of the others, in place of the same with another reference. Names of files that are not Unicode cannot be kept.
     pub fn remember(&mut self, source: &Source) {
-        let absolute = |path: &Path| std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
-        let entry = (absolute(&source.input), source.reference.as_deref().map(absolute));
-        self.recent.retain(|(input, _)| *input != entry.0);
-        self.recent.insert(0, entry);
+        let source = source.absolute();
+        if source.files().any(|file| file.to_str().is_none()) {
+            return;
+        }
+        self.recent.retain(|other| other.request != source.request);
+        self.recent.insert(0, source);
         self.recent.truncate(RECENT);
     }
 }

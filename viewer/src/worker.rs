@@ -13,14 +13,14 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use eframe::egui::Context;
-use stein::buffers::{BufferSet, BufferSetRequest, read_reference};
+use stein::buffers::{BufferSet, LayerRef, read_reference};
 use stein::gpu::Pace;
 use stein::sampling::estimated_relative_mse;
-use stein::{Denoiser, Error, Frame, Gpu, Image, Method, Options};
+use stein::{Denoiser, Error, Frame, Gpu, Image, Options};
 
 use crate::adaptive::{Adapted, Loop};
 use crate::device::no_thread;
-use crate::document::{Denoised, Opened, Source, input_layers, output_layers, relative_mse};
+use crate::document::{Denoised, Opened, Source, input_layers, relative_mse};
 use crate::files::short_name;
 use crate::inspector::{Inspected, Question};
 use crate::settings::Parameters;
@@ -34,6 +34,15 @@ const BETWEEN_REPLIES: Duration = Duration::from_millis(200);
 
 /// A run that takes longer than this is not measured again: what compiling shaders takes is little beside it.
 const MEASURED_TWICE: Duration = Duration::from_secs(10);
+
+/// The longest that the window rests after a frame.
+const LONGEST_REST: Duration = Duration::from_millis(80);
+
+/// How long a window that is drawn by the processor's own cores leaves them to the worker, where the frame before took so long: a half of the time is for each. No longer than
+/// input may wait.
+pub fn rest_after(frame: Duration) -> Duration {
+    frame.min(LONGEST_REST)
+}
 
 /// What the worker is asked for.
 #[derive(Debug)]
@@ -49,7 +58,7 @@ pub enum Request {
         /// What it is compared with.
         reference: Option<Arc<Image>>,
         /// How.
-        method: Method,
+        parameters: Parameters,
     },
     /// Does the next step of an adaptive loop; the worker asks itself for those after it.
     Adapt(Box<Loop>),
@@ -150,7 +159,10 @@ pub struct Worker {
 #[derive(Debug, Default)]
 struct Mailbox {
     state: Mutex<State>,
+    /// For the thread: there is something to do.
     news: Condvar,
+    /// For the window: something was done.
+    done: Condvar,
 }
 
 #[derive(Debug, Default)]
@@ -177,6 +189,12 @@ impl Mailbox {
 }
 
 impl State {
+    /// The task that is at work or waits to be.
+    fn busy(&self) -> Option<Task> {
+        let at_work = self.at_work.as_ref().map(|at_work| at_work.task);
+        at_work.or_else(|| self.waiting.first().map(|(_, request)| request.task()))
+    }
+
     /// Ends what is asked for and what is done of a task.
     fn cancel(&mut self, task: Task) {
         self.waiting.retain(|(_, waiting)| waiting.task() != task);
@@ -242,9 +260,20 @@ impl Worker {
 
     /// The task that is at work or waits to be.
     pub fn busy(&self) -> Option<Task> {
+        self.mailbox.lock().busy()
+    }
+
+    /// Whether this task is at work or waits to be.
+    pub fn has(&self, task: Task) -> bool {
         let state = self.mailbox.lock();
-        let at_work = state.at_work.as_ref().map(|at_work| at_work.task);
-        at_work.or_else(|| state.waiting.first().map(|(_, request)| request.task()))
+        state.at_work.as_ref().is_some_and(|at_work| at_work.task == task) || state.waiting.iter().any(|(_, request)| request.task() == task)
+    }
+
+    /// Blocks for this long, or until everything is done.
+    pub fn make_room(&self, time: Duration) {
+        let state = self.mailbox.lock();
+        // However that ends, the window goes on.
+        drop(self.mailbox.done.wait_timeout_while(state, time, |state| state.busy().is_some()));
     }
 }
 
@@ -335,6 +364,7 @@ impl Desk {
                 Err(error) => (Err(error), None),
             };
             self.mailbox.lock().end(number, goes_on);
+            self.mailbox.done.notify_one();
             match told {
                 Ok(reply) => job.tell(reply),
                 Err(Error::Cancelled) => self.context.request_repaint(),
@@ -366,7 +396,7 @@ impl Desk {
         let reply = match request {
             Request::Open(source) => Reply::Opened(Box::new(open(job, source)?)),
             Request::Inspect(question) => Reply::Inspected(Box::new(inspect(&self.gpu, job, question)?)),
-            Request::Denoise { frame, reference, method } => Reply::Denoised(Box::new(denoise(&self.gpu, job, &frame, reference.as_ref(), method)?)),
+            Request::Denoise { frame, reference, parameters } => Reply::Denoised(Box::new(denoise(&self.gpu, job, &frame, reference.as_ref(), parameters)?)),
             Request::Adapt(mut adaptive) => {
                 let adapted = adaptive.step(&self.gpu, job.pace(), &|share| job.check(share))?;
                 rest = (!adapted.is_last).then_some(Request::Adapt(adaptive));
@@ -383,25 +413,25 @@ impl Desk {
 
 fn open(job: &Job, source: Source) -> stein::Result<Opened> {
     job.check(0.0)?;
-    let set = BufferSet::read(&BufferSetRequest { input: source.input.clone(), ..Default::default() })?;
+    let set = BufferSet::read(&source.request).map_err(|error| in_file(&source, error))?;
     job.check(0.4)?;
     let (frame, repairs) = Frame::from_buffer_set(&set).map_err(|error| in_file(&source, error))?;
     drop(set);
     let most = job.desk.gpu.wgpu_device().limits().max_texture_dimension_2d;
     if frame.extent().width.max(frame.extent().height) > most {
         return Err(Error::File {
-            path: source.input.clone(),
+            path: source.request.input.clone(),
             problem: format!("it has {} pixels, and '{}' shows {most} along each side", frame.extent(), job.desk.gpu.summary().name),
-            remedy: "crop it, or choose another adapter with --device; `stein denoise` takes it as it is".into(),
+            remedy: "crop it, or choose another adapter; `stein denoise` takes it as it is".into(),
         });
     }
     job.check(0.6)?;
-    let reference = source.reference.as_ref().map(|path| read_reference(path, None)).transpose()?.map(Arc::new);
-    if let (Some(path), Some(image)) = (&source.reference, &reference)
+    let reference = source.reference.as_ref().map(|reference| read_reference(&reference.file, reference.layer.as_deref())).transpose()?.map(Arc::new);
+    if let (Some(LayerRef { file, .. }), Some(image)) = (&source.reference, &reference)
         && image.extent != frame.extent()
     {
         return Err(Error::File {
-            path: path.clone(),
+            path: file.clone(),
             problem: format!("the reference has {} pixels, the frame {}", image.extent, frame.extent()),
             remedy: "give a reference of the same size".into(),
         });
@@ -409,14 +439,14 @@ fn open(job: &Job, source: Source) -> stein::Result<Opened> {
     job.check(0.8)?;
     let layers = input_layers(&frame, reference.as_ref());
     let noisy_error = relative_mse(&frame.color().mean, reference.as_ref());
-    let name = short_name(&source.input);
+    let name = short_name(&source.request.input);
     Ok(Opened { source: Some(source), name, frame: Arc::new(frame), repairs, reference, noisy_error, layers })
 }
 
 /// What the library says about a file without knowing which one it was.
 fn in_file(source: &Source, error: Error) -> Error {
     match error {
-        Error::Request { problem, remedy } => Error::File { path: source.input.clone(), problem, remedy },
+        Error::Request { problem, remedy } => Error::File { path: source.request.input.clone(), problem, remedy },
         error => error,
     }
 }
@@ -428,21 +458,17 @@ fn inspect(gpu: &Gpu, job: &Job, question: Question) -> stein::Result<Inspected>
     Ok(Inspected::new(question, kernels))
 }
 
-fn denoise(gpu: &Gpu, job: &Job, frame: &Frame, reference: Option<&Arc<Image>>, method: Method) -> stein::Result<Denoised> {
+fn denoise(gpu: &Gpu, job: &Job, frame: &Frame, reference: Option<&Arc<Image>>, parameters: Parameters) -> stein::Result<Denoised> {
     let start = Instant::now();
     job.check(0.0)?;
     gpu.set_timing(true);
-    let denoiser = Denoiser::new(gpu, method)?;
+    let denoiser = Denoiser::new(gpu, parameters.method)?;
     let mut progress = |share| job.progress(share);
-    let options = Options { keep: method.intermediates(), progress: Some(&mut progress), pace: Some(job.pace()), ..Default::default() };
-    let mut estimate = denoiser.denoise_with(frame, options)?;
+    let options = Options { keep: parameters.method.intermediates(), progress: Some(&mut progress), pace: Some(job.pace()), ..Default::default() };
+    let estimate = denoiser.denoise_with(frame, options)?;
     let seconds = start.elapsed().as_secs_f64();
     job.check(1.0)?;
-    let lean_plan = denoiser.plan(&[frame], 0, &Options::default())?;
-    let error = relative_mse(&estimate.color, reference);
-    let estimated_error = estimated_relative_mse(&estimate);
-    let layers = output_layers(&mut estimate, reference);
-    Ok(Denoised { method, estimate: Arc::new(estimate), lean_plan, seconds, error, estimated_error, layers })
+    Denoised::new(&denoiser, parameters.preset, frame, estimate, reference, seconds)
 }
 
 /// Time and error of the result and its estimated error, with nothing kept to look at.

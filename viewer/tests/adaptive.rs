@@ -66,6 +66,36 @@ fn iterations_are_those_of_the_library_and_can_be_chosen() {
 }
 
 #[test]
+fn runs_of_an_iteration_are_compared_with_a_reference_that_comes_later() {
+    let (mut setup, parameters) = small();
+    setup.reference_samples = 1 << 10;
+    let mut harness = window(Start { parameters: Some(parameters), ..Default::default() });
+    let context = harness.ctx.clone();
+    // The first run is done before the reference is there, the second waits while it is drawn.
+    for complete in [1, 3] {
+        harness.state_mut().adaptive.setup = setup.clone();
+        harness.state_mut().adapt();
+        while harness.state().adaptive.iterations.len() < complete {
+            // A frame could take longer than what is left.
+            harness.state_mut().poll(&context);
+        }
+        assert!(harness.state().adaptive.is_running, "after {complete} iterations");
+        let number = harness.state().adaptive.shown;
+        harness.state_mut().run();
+        settle(&mut harness);
+        let viewer = harness.state();
+        assert!(!viewer.adaptive.is_running && viewer.adaptive.shown == number, "after {complete} iterations");
+        assert!(viewer.adaptive.iterations.iter().all(|iteration| iteration.denoised.error.is_some()));
+        let document = viewer.document.as_ref().unwrap();
+        assert!(document.history.len() > 1 && document.history.last().unwrap().error.is_some(), "{:?}", document.history);
+        assert_eq!(document.denoised.as_ref().unwrap().parameters, parameters);
+        for name in ["before", "reference", "true_error"] {
+            assert_eq!(document.layers().iter().filter(|layer| layer.name() == name).count(), 1, "{name}");
+        }
+    }
+}
+
+#[test]
 fn a_loop_ends_when_it_is_stopped_started_again_or_a_file_is_opened() {
     let (mut setup, parameters) = small();
     (setup.samples_per_pixel, setup.reference_samples) = (400, 1 << 14);
@@ -88,7 +118,7 @@ fn a_loop_ends_when_it_is_stopped_started_again_or_a_file_is_opened() {
     harness.state_mut().adaptive.setup.reference_samples = 1 << 14;
     harness.state_mut().adapt();
     harness.run_steps(2);
-    harness.state_mut().open(Source { input: common::testdata("anim/shot.0000.exr"), reference: None });
+    harness.state_mut().open(Source::whole(common::testdata("anim/shot.0000.exr"), None));
     settle(&mut harness);
     assert!(harness.state().adaptive.iterations.is_empty() && harness.state().adaptive.shown.is_none());
     assert!(harness.state().document.as_ref().unwrap().opened.source.is_some());

@@ -4,17 +4,20 @@
 
 mod common;
 
+use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
 use common::{drop_files, settle, testdata, window};
+use eframe::Storage;
 use eframe::egui::Key;
 use egui_kittest::Harness;
 use egui_kittest::kittest::Queryable;
-use stein::Preset;
+use stein::buffers::{BufferSet, BufferSetRequest, LayerRef, NamedLayer, read_reference, write_layers};
+use stein::{Denoiser, Frame, Image, Preset};
 use stein_viewer::document::Source;
-use stein_viewer::files::{is_reference, short_name};
+use stein_viewer::files::{Purpose, is_reference, short_name};
 use stein_viewer::panel::Panel;
-use stein_viewer::settings::Parameters;
+use stein_viewer::settings::{Parameters, Settings};
 use stein_viewer::{Start, Viewer};
 
 /// A method that is done soon.
@@ -49,12 +52,12 @@ fn every_buffer_set_is_opened_and_denoised() {
             path.parent() == folder && (other == format!("{stem}_reference.exr") || other == name.replace("shot", "reference"))
         };
         let reference = references.iter().find(belongs).cloned();
-        harness.state_mut().open(Source { input: input.clone(), reference: reference.clone() });
+        harness.state_mut().open(Source::whole(input.clone(), reference.clone()));
         settle(&mut harness);
         let viewer = harness.state();
         assert!(viewer.trouble.is_none(), "{}: {:?}", input.display(), viewer.trouble);
         let document = viewer.document.as_ref().unwrap();
-        assert_eq!(document.opened.source.as_ref().unwrap().input, input);
+        assert_eq!(document.opened.source.as_ref().unwrap().request.input, input);
         let denoised = document.denoised.as_ref().unwrap();
         assert!(denoised.estimate.color.planes.iter().flatten().all(|value| value.is_finite()), "{}", input.display());
         assert_eq!(denoised.error.is_some(), reference.is_some(), "{}", input.display());
@@ -63,7 +66,7 @@ fn every_buffer_set_is_opened_and_denoised() {
 
 #[test]
 fn every_layer_of_each_method_is_shown_and_its_pixel_told() {
-    let input = Some(Source { input: testdata("anim/shot.0001.exr"), reference: Some(testdata("anim/reference.0001.exr")) });
+    let input = Some(Source::whole(testdata("anim/shot.0001.exr"), Some(testdata("anim/reference.0001.exr"))));
     for method in Parameters::METHODS {
         let start = Start { source: input.clone(), parameters: quick(method), panel: Panel::Pixel, layer: Some("result".into()), ..Default::default() };
         let mut harness = window(start);
@@ -88,18 +91,18 @@ fn every_layer_of_each_method_is_shown_and_its_pixel_told() {
 
 #[test]
 fn broken_files_are_told_and_the_window_goes_on() {
-    let start = Start { source: Some(Source { input: testdata("anim/shot.0000.exr"), reference: None }), parameters: quick("gem"), ..Default::default() };
+    let start = Start { source: Some(Source::whole(testdata("anim/shot.0000.exr"), None)), parameters: quick("gem"), ..Default::default() };
     let mut harness = window(start);
     let mut refused = 0;
     let broken = files(&testdata("broken"));
     assert!(broken.len() > 40, "{broken:?}");
     for input in broken {
         let name = short_name(&input);
-        harness.state_mut().open(Source { input: input.clone(), reference: None });
+        harness.state_mut().open(Source::whole(input.clone(), None));
         settle(&mut harness);
         let viewer = harness.state();
         // What can be repaired is opened.
-        let is_open = viewer.document.as_ref().unwrap().opened.source.as_ref().unwrap().input == input;
+        let is_open = viewer.document.as_ref().unwrap().opened.source.as_ref().unwrap().request.input == input;
         assert_ne!(viewer.trouble.is_some(), is_open, "{name}: {:?}", viewer.trouble);
         assert!(viewer.document.as_ref().unwrap().denoised.is_some(), "{name}");
         if !is_open {
@@ -114,7 +117,7 @@ fn broken_files_are_told_and_the_window_goes_on() {
     }
     assert!(refused > 30, "{refused}");
     let reference = testdata("cornell_reference.exr");
-    harness.state_mut().open(Source { input: testdata("anim/shot.0000.exr"), reference: Some(reference) });
+    harness.state_mut().open(Source::whole(testdata("anim/shot.0000.exr"), Some(reference)));
     settle(&mut harness);
     harness.get_by_label_contains("the reference has 96×96 pixels");
 }
@@ -126,7 +129,7 @@ fn files_that_are_dropped_are_opened_and_a_reference_is_told_by_its_name() {
     let is_open = |harness: &Harness<'static, Viewer>, input: &PathBuf, reference: Option<&PathBuf>| {
         let document = harness.state().document.as_ref().unwrap();
         let source = document.opened.source.as_ref().unwrap();
-        assert_eq!((&source.input, source.reference.as_ref()), (input, reference));
+        assert_eq!(*source, Source::whole(input.clone(), reference.cloned()));
         assert_eq!(document.denoised.as_ref().unwrap().error.is_some(), reference.is_some());
     };
     harness.get_by_label("Drop an OpenEXR buffer set here");
@@ -152,9 +155,208 @@ fn files_that_are_dropped_are_opened_and_a_reference_is_told_by_its_name() {
     harness.get_by_label("One file is open at a time, left out: cut_in_block_1.exr");
     is_open(&harness, &second, None);
 
-    // With nothing to compare with, it is taken for a frame, and is none.
+    // With nothing to compare with, it waits for the next frame, and for no other.
+    let mut harness = window(Start { parameters: quick("gem"), ..Default::default() });
+    drop_files(&mut harness, std::slice::from_ref(&reference));
+    harness.get_by_label("The reference reference.0001.exr waits for its frame.");
+    drop_files(&mut harness, std::slice::from_ref(&second));
+    is_open(&harness, &second, Some(&reference));
+    drop_files(&mut harness, std::slice::from_ref(&first));
+    is_open(&harness, &first, None);
+
+    // Where it is broken, the frame is opened without.
+    let folder = tempfile::tempdir().unwrap();
+    let reference = folder.path().join("reference.exr");
+    std::fs::copy(testdata("broken/cut_in_block_1.exr"), &reference).unwrap();
     let mut harness = window(Start { parameters: quick("gem"), ..Default::default() });
     drop_files(&mut harness, &[reference]);
-    harness.get_by_label_contains("reference.0001.exr: nothing is known of the colour's noise");
-    assert!(harness.state().document.is_none());
+    drop_files(&mut harness, std::slice::from_ref(&first));
+    harness.get_by_label_contains("reference.exr");
+    is_open(&harness, &first, None);
+}
+
+/// A set whose parts are in files of their own, some of them among other layers, and its reference.
+fn scattered(folder: &Path) -> Source {
+    let set = BufferSet::read(&BufferSetRequest { input: testdata("cornell_8spp.exr"), ..Default::default() }).unwrap();
+    let color = set.color();
+    let (_, albedo) = set.features().find(|(name, _)| *name == "albedo").unwrap();
+    let layer = |name: &str, image: &Image| NamedLayer { name: name.into(), channels: ["R", "G", "B"].map(String::from).into(), image: image.clone() };
+    let other = Image::filled(set.extent(), 3, 0.25);
+    let write = |name: &str, layers: &[NamedLayer]| {
+        write_layers(&folder.join(name), layers, &[]).unwrap();
+        folder.join(name)
+    };
+    let of = |file: PathBuf, name: &str| LayerRef { file, layer: Some(name.into()) };
+    let half_b = write("b.exr", &[layer("seed1", &other), layer("seed2", color.half_b.as_ref().unwrap())]);
+    let features = [
+        layer("tint", &albedo.mean),
+        layer("tint_halfA", albedo.half_a.as_ref().unwrap()),
+        layer("tint_halfB", albedo.half_b.as_ref().unwrap()),
+        layer("position", &other),
+    ];
+    let truth = read_reference(&testdata("cornell_reference.exr"), None).unwrap();
+    Source {
+        request: BufferSetRequest {
+            input: write("both.exr", &[layer("left", &color.mean), layer("right", &other), layer("normal", &other)]),
+            layer: Some("left".into()),
+            half_a: Some(LayerRef::whole(write("a.exr", &[layer("", color.half_a.as_ref().unwrap())]))),
+            half_b: Some(of(half_b, "seed2")),
+            variance: color.variance_of_mean.map(|variance| LayerRef::whole(write("variance.exr", &[layer("", &variance)]))),
+            features: vec![("albedo".into(), of(write("aux.exr", &features), "tint"))],
+            skip_features: vec!["normal".into()],
+            no_features: false,
+        },
+        reference: Some(of(write("truth.exr", &[layer("noisy", &color.mean), layer("converged", &truth)]), "converged")),
+    }
+}
+
+/// What a window remembers.
+#[derive(Default)]
+struct Memory(HashMap<String, String>);
+
+impl Storage for Memory {
+    fn get_string(&self, key: &str) -> Option<String> {
+        self.0.get(key).cloned()
+    }
+    fn set_string(&mut self, key: &str, value: String) {
+        self.0.insert(key.to_owned(), value);
+    }
+    fn remove_string(&mut self, key: &str) {
+        self.0.remove(key);
+    }
+    fn flush(&mut self) {}
+}
+
+#[test]
+fn parts_of_a_frame_come_from_other_files_and_are_saved_and_remembered_so() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    let source = scattered(folder.path());
+    let parameters = quick("dfc");
+    let start = Start { source: Some(source.clone()), parameters, panel: Panel::Report, ..Default::default() };
+    let mut harness = window(start.clone());
+    assert!(harness.state().trouble.is_none(), "{:?}", harness.state().trouble);
+    for told in ["both.exr::left", "a.exr", "b.exr::seed2", "aux.exr::tint", "truth.exr::converged", "without the feature normal"] {
+        harness.get_by_label_contains(told);
+    }
+
+    // The library's bits.
+    let gpu = harness.state().gpu.clone();
+    let method = parameters.unwrap().method;
+    let read = |input: PathBuf| BufferSet::read(&BufferSetRequest { input, ..Default::default() }).unwrap();
+    let set = BufferSet::read(&source.request).unwrap();
+    let whole = read(testdata("cornell_8spp.exr"));
+    assert!(set.color() == whole.color(), "the file that it was scattered from");
+    let estimate = Denoiser::new(&gpu, method).unwrap().denoise(&Frame::from_buffer_set(&set).unwrap().0).unwrap();
+    let is_the_librarys = |harness: &Harness<'static, Viewer>| {
+        let document = harness.state().document.as_ref().unwrap();
+        assert_eq!(document.opened.source.as_ref(), Some(&source));
+        let denoised = document.denoised.as_ref().unwrap();
+        assert!(denoised.estimate.color == estimate.color && denoised.estimate.error == estimate.error, "other bits than the library's");
+        let truth = read_reference(&testdata("cornell_reference.exr"), None).unwrap();
+        assert_eq!(denoised.error.unwrap(), stein::metric::relative_mse(&estimate.color, &truth).unwrap());
+    };
+    is_the_librarys(&harness);
+
+    // The result is written into the file of the colour; none that it was made from is replaced.
+    let context = harness.ctx.clone();
+    estimate.write(set, &path("library.exr"), &[], &method).unwrap();
+    harness.state_mut().take_file(Purpose::SaveResult, path("own.exr"), &context);
+    settle(&mut harness);
+    assert!(std::fs::read(path("own.exr")).unwrap() == std::fs::read(path("library.exr")).unwrap(), "another file than the library's");
+    for read in source.files() {
+        let before = std::fs::read(read).unwrap();
+        harness.state_mut().take_file(Purpose::SaveResult, read.to_owned(), &context);
+        settle(&mut harness);
+        harness.get_by_label_contains("is open here, and would be replaced");
+        assert!(std::fs::read(read).unwrap() == before);
+    }
+
+    // Another start, with what was remembered of this one.
+    let mut memory = Memory::default();
+    eframe::App::save(harness.state_mut(), &mut memory);
+    let mut harness = window(Start { parameters, ..Default::default() });
+    harness.state_mut().settings = eframe::get_value(&memory, Settings::KEY).unwrap();
+    harness.run_steps(2);
+    harness.get_by_label("both.exr with truth.exr").click();
+    settle(&mut harness);
+    is_the_librarys(&harness);
+
+    // What cannot be read is told, and what is open stays.
+    let request = || source.request.clone();
+    let features = vec![("albedo".to_owned(), LayerRef { file: path("aux.exr"), layer: Some("tnt".into()) })];
+    let missing = Some(LayerRef::whole(path("missing.exr")));
+    let cases: [(BufferSetRequest, &[&str]); 5] = [
+        (BufferSetRequest { half_b: missing, ..request() }, &["missing.exr"]),
+        (BufferSetRequest { half_a: None, ..request() }, &["b.exr, layer 'seed2'", "add half A (for the colour: --half-a)"]),
+        (BufferSetRequest { skip_features: vec!["nonsense".into()], ..request() }, &["both.exr: there is no feature 'nonsense' to skip", "--skip-feature"]),
+        (BufferSetRequest { layer: None, ..request() }, &["both.exr: has several layers", "behind its file, on the command line: FILE::NAME"]),
+        (BufferSetRequest { features, ..request() }, &["aux.exr, layer 'tnt'"]),
+    ];
+    for (request, told) in cases {
+        harness.state_mut().open(Source { request, ..source.clone() });
+        settle(&mut harness);
+        told.iter().for_each(|told| assert!(harness.query_all_by_label_contains(told).next().is_some(), "{told}: {:?}", harness.state().trouble));
+        is_the_librarys(&harness);
+    }
+    harness.state_mut().open(Source { reference: Some(LayerRef { file: path("truth.exr"), layer: Some("true".into()) }), ..source.clone() });
+    settle(&mut harness);
+    harness.get_by_label_contains("truth.exr, layer 'true': there is no such layer");
+}
+
+#[test]
+fn the_command_line_takes_parts_of_a_frame_from_other_files() {
+    let folder = tempfile::tempdir().unwrap();
+    scattered(folder.path());
+    let picture = folder.path().join("picture.png");
+    let program = |options: &[&str]| {
+        let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_stein-viewer"));
+        let output = command.current_dir(&folder).args(["--method=gem", "--screenshot=picture.png"]).args(options).output().unwrap();
+        (output.status.code(), String::from_utf8_lossy(&output.stderr).into_owned())
+    };
+    let set = ["both.exr::left", "--half-a=a.exr", "--half-b=b.exr::seed2", "--feature=albedo=aux.exr::tint", "--no-features"];
+    let (code, said) = program(&[&set[..], &["--reference=truth.exr::converged", "--layer=true_error"]].concat());
+    assert!(code == Some(0) && picture.exists(), "{said}");
+    let cases: [(&[&str], i32, &[&str]); 6] = [
+        (&["--reference=truth.exr::true"], 3, &["truth.exr, layer 'true'", "'converged'"]),
+        (&["--reference=truth.exr"], 3, &["truth.exr: has several layers", "FILE::NAME"]),
+        (&["--skip-feature=nonsense"], 3, &["both.exr: there is no feature 'nonsense' to skip", "'normal'", "--skip-feature"]),
+        (&["--variance=missing.exr"], 3, &["missing.exr"]),
+        (&["--feature=depth=aux.exr::depth"], 3, &["aux.exr, layer 'depth'"]),
+        (&["--feature=aux.exr"], 2, &["NAME=FILE::LAYER"]),
+    ];
+    for (options, expected, told) in cases {
+        let (code, said) = program(&[&set[..], options].concat());
+        assert!(code == Some(expected) && told.iter().all(|told| said.contains(told)), "{options:?}: {code:?} {said}");
+    }
+    let (code, said) = program(&["--adapt=soft", "--half-a=a.exr"]);
+    assert!(code == Some(2) && said.contains("none is given") && said.contains("remedy:"), "{said}");
+}
+
+#[test]
+fn what_an_older_window_remembers_of_files_is_forgotten_and_the_rest_is_not() {
+    #[derive(serde::Serialize)]
+    struct Older {
+        recent: Vec<(PathBuf, Option<PathBuf>)>,
+        parameters: Option<String>,
+    }
+    let mut memory = Memory::default();
+    let recent = vec![("a.exr".into(), Some("reference.exr".into())), ("b.exr".into(), None)];
+    eframe::set_value(&mut memory, Settings::KEY, &Older { recent, parameters: Some("method = \"gem\"".into()) });
+    let settings: Settings = eframe::get_value(&memory, Settings::KEY).unwrap();
+    assert!(settings.recent.is_empty());
+    assert_eq!(settings.parameters.as_deref(), Some("method = \"gem\""));
+}
+
+#[test]
+#[cfg(unix)]
+fn a_file_whose_name_cannot_be_written_down_costs_no_other_memory() {
+    use std::os::unix::ffi::OsStringExt;
+    let mut settings = Settings { parameters: Some("method = \"gem\"".into()), ..Default::default() };
+    settings.remember(&Source::whole(testdata("cornell_8spp.exr"), None));
+    settings.remember(&Source::whole(std::ffi::OsString::from_vec(b"\xff.exr".to_vec()).into(), None));
+    let mut memory = Memory::default();
+    eframe::set_value(&mut memory, Settings::KEY, &settings);
+    let again: Settings = eframe::get_value(&memory, Settings::KEY).unwrap();
+    assert_eq!((again.recent.len(), again.parameters), (1, settings.parameters));
 }

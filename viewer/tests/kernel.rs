@@ -29,7 +29,7 @@ fn open(method: &str, pixel: Option<[u32; 2]>) -> Harness<'static, Viewer> {
     if method != "gem" {
         parameters.method = parameters.method.with_parameter("window_radius", 6).unwrap();
     }
-    let source = Some(Source { input: testdata("dof_spheres_32spp.exr"), reference: None });
+    let source = Some(Source::whole(testdata("dof_spheres_32spp.exr"), None));
     window(Start { source, parameters: Some(parameters), panel: Panel::Kernel, pixel, neighbour: Some(NEIGHBOUR), ..Default::default() })
 }
 
@@ -40,7 +40,7 @@ fn inspected(harness: &Harness<'static, Viewer>) -> Arc<Inspected> {
 /// Asked apart from the window.
 fn by_the_library(viewer: &Viewer, [x, y]: [u32; 2]) -> Kernels {
     let document = viewer.document.as_ref().unwrap();
-    let method: Method = document.denoised.as_ref().unwrap().method;
+    let method: Method = document.denoised.as_ref().unwrap().parameters.method;
     Denoiser::new(&viewer.gpu, method).unwrap().kernels(&document.opened.frame, x, y, &Options::default()).unwrap()
 }
 
@@ -244,7 +244,7 @@ fn a_change_of_parameters_asks_again() {
     viewer.take_parameters(Parameters { method, ..viewer.parameters });
     settle(&mut harness);
     assert_eq!(inspected(&harness).kernels.filters[0].window_radius, 3);
-    assert_eq!(inspected(&harness).question.method, harness.state().document.as_ref().unwrap().denoised.as_ref().unwrap().method);
+    assert_eq!(inspected(&harness).question.method, harness.state().document.as_ref().unwrap().denoised.as_ref().unwrap().parameters.method);
 }
 
 /// Three candidates as three colours, on the result of a run and not only on made-up numbers.
@@ -281,7 +281,7 @@ fn the_selection_is_drawn_in_the_library_s_shares() {
 #[test]
 fn the_title_tells_the_file_that_is_open() {
     let mut harness = open("gem", None);
-    harness.state_mut().open(Source { input: testdata("cornell_8spp.exr"), reference: None });
+    harness.state_mut().open(Source::whole(testdata("cornell_8spp.exr"), None));
     let mut titles = Vec::new();
     while titles.is_empty() {
         harness.step();

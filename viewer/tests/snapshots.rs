@@ -23,7 +23,7 @@ const TOLERANCE: f32 = 2.0;
 fn the_main_states_look_as_they_did() {
     let Parameters { preset, method } = Parameters::default();
     let parameters = Some(Parameters { preset, method: method.with_parameter("window_radius", 3).unwrap() });
-    let source = Source { input: testdata("dof_spheres_32spp.exr"), reference: Some(testdata("dof_spheres_reference.exr")) };
+    let source = Source::whole(testdata("dof_spheres_32spp.exr"), Some(testdata("dof_spheres_reference.exr")));
     let mut harness = window_of([1280.0, 720.0], 0.5, Start { source: Some(source), parameters, layer: Some("result".into()), ..Default::default() });
     settle(&mut harness);
     let options = SnapshotOptions::new()

@@ -4,6 +4,8 @@
 
 mod common;
 
+use std::time::Duration;
+
 use common::{settle, testdata, window, window_with};
 use eframe::egui::accesskit::Role;
 use eframe::egui::{Id, Key, Modifiers, Pos2};
@@ -20,6 +22,7 @@ use stein_viewer::panel::plot::PLOT;
 use stein_viewer::settings::{Earlier, Parameters, Settings};
 use stein_viewer::sweep::Point;
 use stein_viewer::view::Compare;
+use stein_viewer::worker::{Task, rest_after};
 use stein_viewer::{Start, Viewer};
 
 const FILE: &str = "cornell_8spp.exr";
@@ -27,7 +30,7 @@ const FILE: &str = "cornell_8spp.exr";
 /// The file with a small window, so that runs are short, and its parameters in sight.
 fn tuning() -> Harness<'static, Viewer> {
     let parameters = Parameters { method: Method::default().with_parameter("window_radius", 3).unwrap(), ..Parameters::default() };
-    let source = Source { input: testdata(FILE), reference: None };
+    let source = Source::whole(testdata(FILE), None);
     window(Start { source: Some(source), parameters: Some(parameters), panel: Panel::Parameters, ..Default::default() })
 }
 
@@ -79,7 +82,7 @@ fn a_changed_parameter_runs_again_changes_the_result_and_can_be_put_back() {
     let before = result(&harness);
     press_value(&mut harness, "second_pass");
     let viewer = harness.state();
-    assert_eq!(viewer.document.as_ref().unwrap().denoised.as_ref().unwrap().method, viewer.parameters.method);
+    assert_eq!(viewer.document.as_ref().unwrap().denoised.as_ref().unwrap().parameters.method, viewer.parameters.method);
     assert_ne!(result(&harness), before);
     harness.get_by_label("2 not as in default");
     assert!(harness.query_by_label("second_pass.color_k").is_none(), "its group is left out");
@@ -108,7 +111,7 @@ fn a_method_and_preset_that_is_chosen_again_has_its_edits() {
     assert_ne!(nlm, nlm.reset());
     choose(&mut harness, "dfc");
     assert_eq!(harness.state().parameters, edited);
-    assert_eq!(harness.state().document.as_ref().unwrap().denoised.as_ref().unwrap().method, edited.method);
+    assert_eq!(harness.state().document.as_ref().unwrap().denoised.as_ref().unwrap().parameters.method, edited.method);
     press(&mut harness, "thesis");
     assert_eq!(harness.state().parameters, Parameters::of("dfc", Preset::Thesis).unwrap());
     press(&mut harness, "default");
@@ -167,9 +170,14 @@ fn parameters_are_remembered_and_read_from_files() {
     std::fs::write(&good, own.to_toml()).unwrap();
     std::fs::write(&bad, "window_radius = 100\n").unwrap();
     let mut viewer = viewer(&Settings::default(), Start::default());
-    viewer.take_file(Purpose::Parameters, good, &context);
-    assert_eq!(viewer.parameters, own);
-    viewer.take_file(Purpose::Parameters, bad, &context);
+    let mut load = |path| {
+        viewer.take_file(Purpose::Parameters, path, &context);
+        while !viewer.is_idle() {
+            viewer.poll(&context);
+        }
+    };
+    load(good);
+    load(bad);
     assert_eq!(viewer.parameters, own);
     let told = viewer.notice.unwrap().0.unwrap_err().to_string();
     assert!(told.contains("bad.toml: line 1") && told.contains("from 1 to 64"), "{told}");
@@ -292,6 +300,47 @@ fn saved_pictures_show_the_view_and_the_layer() {
 }
 
 #[test]
+fn a_run_keeps_the_preset_that_it_was_made_with() {
+    let mut harness = tuning();
+    let radius = |preset| {
+        let parameters = Parameters::of("dfc", preset).unwrap();
+        Parameters { method: parameters.method.with_parameter("window_radius", 3).unwrap(), ..parameters }
+    };
+    harness.state_mut().take_parameters(radius(Preset::Thesis));
+    settle(&mut harness);
+    harness.state_mut().take_parameters(radius(Preset::Default));
+    harness.state_mut().panel = Panel::Plot;
+    settle(&mut harness);
+    let history = harness.state().document.as_ref().unwrap().history.clone();
+    assert_eq!(history.iter().map(|run| run.parameters.preset).collect::<Vec<_>>(), [Preset::Default, Preset::Thesis, Preset::Default]);
+    let transform = PlotMemory::load(&harness.ctx, Id::unique(PLOT)).unwrap().transform();
+    let thesis = PlotPoint::new(history[1].seconds.log10(), history[1].estimated_error.unwrap().log10());
+    harness.hover_at(transform.position_from_point(&thesis));
+    harness.run_steps(8);
+    harness.get_by_label_contains("dfc thesis, radius 3, every layer kept");
+}
+
+#[test]
+fn a_window_that_makes_room_waits_for_the_work_and_no_longer() {
+    let mut harness = tuning();
+    harness.state_mut().run();
+    let worker = &harness.state().worker;
+    assert_eq!(worker.busy(), Some(Task::Denoise));
+    worker.make_room(Duration::from_secs(3600));
+    assert_eq!(worker.busy(), None);
+    worker.make_room(Duration::from_secs(3600));
+    settle(&mut harness);
+    assert_eq!(harness.state().document.as_ref().unwrap().history.len(), 2);
+
+    // A half of the time is for the work, but input is not put off for as long as a slow frame takes.
+    for milliseconds in [0, 1, 60] {
+        let frame = Duration::from_millis(milliseconds);
+        assert_eq!(rest_after(frame), frame);
+    }
+    assert_eq!(rest_after(Duration::from_secs(60)), rest_after(Duration::from_millis(200)));
+}
+
+#[test]
 fn a_sweep_measures_makes_way_and_hands_over_its_parameters() {
     let mut harness = window_with(FILE, Some("cornell_reference.exr"));
     harness.state_mut().panel = Panel::Plot;
@@ -319,7 +368,7 @@ fn a_sweep_measures_makes_way_and_hands_over_its_parameters() {
     press(&mut harness, "dfc thesis, radius 3");
     let expected = Parameters::of("dfc", Preset::Thesis).unwrap().method.with_parameter("window_radius", 3).unwrap();
     assert_eq!(harness.state().parameters, Parameters { preset: Preset::Thesis, method: expected });
-    assert_eq!(harness.state().document.as_ref().unwrap().denoised.as_ref().unwrap().method, expected);
+    assert_eq!(harness.state().document.as_ref().unwrap().denoised.as_ref().unwrap().parameters.method, expected);
 
     // Of the points, the one that lies most by itself is clicked.
     let transform = PlotMemory::load(&harness.ctx, Id::unique(PLOT)).unwrap().transform();
@@ -338,7 +387,7 @@ fn a_sweep_measures_makes_way_and_hands_over_its_parameters() {
     harness.drop_at(place);
     settle(&mut harness);
     assert_eq!(harness.state().parameters, point.parameters);
-    assert_eq!(harness.state().document.as_ref().unwrap().denoised.as_ref().unwrap().method, point.parameters.method);
+    assert_eq!(harness.state().document.as_ref().unwrap().denoised.as_ref().unwrap().parameters.method, point.parameters.method);
 
     // Stopped, it leaves what was measured.
     harness.key_press(Key::F9);

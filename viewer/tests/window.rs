@@ -51,7 +51,7 @@ fn a_frame_is_opened_denoised_and_compared() {
 #[test]
 fn a_broken_file_is_told_and_what_is_open_stays() {
     let mut harness = window_with("cornell_8spp.exr", None);
-    harness.state_mut().open(Source { input: testdata("broken/cut_in_block_1.exr"), reference: None });
+    harness.state_mut().open(Source::whole(testdata("broken/cut_in_block_1.exr"), None));
     settle(&mut harness);
     harness.get_by_label_contains("cut_in_block_1.exr");
     harness.get_by_label_contains("Remedy:");
@@ -63,8 +63,7 @@ fn a_broken_file_is_told_and_what_is_open_stays() {
 
 #[test]
 fn a_change_of_parameters_runs_again_and_keeps_the_run_before() {
-    let mut harness =
-        window(Start { source: Some(Source { input: testdata("cornell_8spp.exr"), reference: None }), panel: Panel::Parameters, ..Default::default() });
+    let mut harness = window(Start { source: Some(Source::whole(testdata("cornell_8spp.exr"), None)), panel: Panel::Parameters, ..Default::default() });
     for radius in [3, 4, 5] {
         let viewer = harness.state_mut();
         assert!(viewer.edits.set(&mut viewer.parameters, "window_radius", Value::Integer(radius)));
@@ -72,7 +71,7 @@ fn a_change_of_parameters_runs_again_and_keeps_the_run_before() {
     }
     settle(&mut harness);
     let document = harness.state().document.as_ref().unwrap();
-    assert_eq!(document.denoised.as_ref().unwrap().method.window_radius(), 5);
+    assert_eq!(document.denoised.as_ref().unwrap().parameters.method.window_radius(), 5);
     assert!(document.layer("before").is_some());
     harness.get_by_label("thesis").click();
     settle(&mut harness);
@@ -151,7 +150,7 @@ fn one_scale_for_both_layers_recolours_b_alone() {
 #[test]
 fn what_is_named_at_the_start_and_not_there_is_told_once_and_the_window_goes_on() {
     let gem = Parameters::of("gem", Preset::Default);
-    let source = || Some(Source { input: testdata("anim/shot.0000.exr"), reference: None });
+    let source = || Some(Source::whole(testdata("anim/shot.0000.exr"), None));
     // FIRST is a candidate, but of another method.
     let start = Start {
         source: source(),

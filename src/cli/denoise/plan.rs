@@ -4,7 +4,7 @@ use std::collections::{BTreeSet, HashMap};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
-use stein::buffers::LayerRef;
+use stein::buffers::{BufferSetRequest, LayerRef};
 
 use super::Args;
 use super::pattern::Pattern;
@@ -26,8 +26,7 @@ pub(super) struct Plan {
 pub(super) struct Read {
     /// `None` of a single image.
     pub(super) number: Option<u32>,
-    pub(super) input: PathBuf,
-    pub(super) source: Source,
+    pub(super) request: BufferSetRequest,
     pub(super) reference: Option<LayerRef>,
     /// Whether it is denoised, and not only looked at by its neighbours.
     pub(super) is_denoised: bool,
@@ -75,11 +74,9 @@ impl Plan {
             return Err(Failure::usage(format_args!("{trouble}, {input}, is a single image\n  remedy: give a pattern such as 'shot.####.exr' as the input")));
         }
         let output = output::choose(input, args.output.as_deref());
-        let read_too = source.files().chain(args.reference.as_ref().map(|reference| reference.file.as_path()));
-        // Half A may be the input itself, one layer of it: that the user may replace.
-        let read_too = read_too.filter(|file| *file != input);
-        output::check(&output, read_too, args.no_clobber, args.dry_run)?;
-        let read = Read { number: None, input: input.to_owned(), source: source.clone(), reference: args.reference.clone(), is_denoised: true };
+        let read = Read { number: None, request: source.request(input), reference: args.reference.clone(), is_denoised: true };
+        // The input the user may replace, and half A may be one layer of it.
+        output::check(&output, read.files().filter(|file| *file != input), args.no_clobber, args.dry_run)?;
         let frame = PlannedFrame { number: None, input: input.to_owned(), output, window: 0..1, centre: 0 };
         Ok(Self { reads: vec![read], frames: vec![frame], is_shot: false })
     }
@@ -124,9 +121,8 @@ impl Plan {
         let denoised: BTreeSet<u32> = planned.iter().filter(|(.., is_left_alone)| !is_left_alone).map(|(frame, ..)| *frame).collect();
         let read = |&frame: &u32| Read {
             number: Some(frame),
-            input: pattern.path(frame),
-            source: source.map_files(|layer| at_frame(layer, frame)),
-            reference: args.reference.as_ref().filter(|_| denoised.contains(&frame)).map(|reference| at_frame(reference, frame)),
+            request: source.request(input).map_files(|file| at_frame(file, frame)),
+            reference: args.reference.as_ref().filter(|_| denoised.contains(&frame)).map(|reference| reference.map_file(|file| at_frame(file, frame))),
             is_denoised: denoised.contains(&frame),
         };
         let reads: Vec<Read> = needed.iter().map(read).collect();
@@ -154,14 +150,13 @@ impl Read {
     /// All that it reads.
     fn files(&self) -> impl Iterator<Item = &Path> {
         let reference = self.reference.as_ref().map(|reference| reference.file.as_path());
-        std::iter::once(self.input.as_path()).chain(self.source.files()).chain(reference)
+        self.request.files().chain(reference)
     }
 }
 
 /// One frame's file, where the path is a pattern; else the same file for all of them.
-fn at_frame(layer: &LayerRef, frame: u32) -> LayerRef {
-    let file = Pattern::of_input(&layer.file).map_or_else(|| layer.file.clone(), |pattern| pattern.path(frame));
-    LayerRef { file, layer: layer.layer.clone() }
+fn at_frame(file: &Path, frame: u32) -> PathBuf {
+    Pattern::of_input(file).map_or_else(|| file.to_owned(), |pattern| pattern.path(frame))
 }
 
 fn missing(frame: u32, file: &Path) -> Failure {

@@ -12,7 +12,7 @@ use stein::{Frame, Image};
 
 use super::plan::Read;
 use crate::cli::inspect::{Input, settle};
-use crate::cli::{Failure, quality};
+use crate::cli::{Failure, options, quality};
 
 /// A frame in memory.
 pub(super) struct ReadFrame {
@@ -76,14 +76,14 @@ impl Frames {
 }
 
 fn load(read: &Read) -> Result<ReadFrame, Unusable> {
-    let set = read.source.read(&read.input)?;
+    let set = options::read(&read.request)?;
     let (frame, described) = settle(&set);
     let described = Box::new(described);
     let frame = match frame {
         Ok(frame) => frame,
-        Err(error) => return Err(Unusable { described: Some(described), failure: Failure::in_file(&read.input, error) }),
+        Err(error) => return Err(Unusable { described: Some(described), failure: Failure::in_file(&read.request.input, error) }),
     };
-    let reference = match read.reference.as_ref().map(|reference| quality::read(reference, &frame, &read.input)).transpose() {
+    let reference = match read.reference.as_ref().map(|reference| quality::read(reference, &frame, &read.request.input)).transpose() {
         Ok(reference) => reference,
         Err(failure) => return Err(Unusable { described: Some(described), failure }),
     };

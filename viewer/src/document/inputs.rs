@@ -51,7 +51,7 @@ pub fn input_layers(frame: &Frame, reference: Option<&Arc<Image>>) -> Vec<Arc<La
 }
 
 /// The layer of a reference.
-pub(super) fn reference_layer(reference: &Arc<Image>) -> Arc<Layer> {
+pub fn reference_layer(reference: &Arc<Image>) -> Arc<Layer> {
     let about = "The true image, as far as it was rendered.";
     Arc::new(Layer::new(describe("reference", "reference", about, Group::Result, Kind::Color, RADIANCE), reference.clone(), None))
 }

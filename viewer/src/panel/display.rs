@@ -40,7 +40,7 @@ pub fn show(ui: &mut Ui, viewer: &mut Viewer) {
     }
 
     ui.label(RichText::new("Histogram").strong());
-    histogram(ui, layer.histogram(), description.kind);
+    histogram(ui, &layer.histogram, description.kind);
     ui.add_space(6.0);
     if ui.button("Reset").on_hover_text("Exposure, offset and ranges as at the start (N)").clicked() {
         viewer.perform(Action::ResetDisplay, &ui.ctx().clone());

@@ -58,10 +58,9 @@ pub fn show(ui: &mut Ui, viewer: &mut Viewer) {
         let error = error_of(point.error, point.estimated_error);
         (point.parameters, point.seconds, error, false)
     });
-    let preset = viewer.parameters.preset;
     let runs = document.history.iter().map(|run| {
         let error = error_of(run.error, run.estimated_error);
-        (Parameters { preset, method: run.method }, run.seconds, error, true)
+        (run.parameters, run.seconds, error, true)
     });
     let all: Vec<_> = swept.chain(runs).collect();
     // What is not above 0 has no place on a logarithmic axis.

@@ -27,12 +27,9 @@ fn frame(ui: &mut Ui, opened: &Opened) {
     let frame = &opened.frame;
     ui.label(RichText::new("Frame").strong());
     match &opened.source {
-        Some(source) => {
-            ui.label(source.input.display().to_string());
-            if let Some(reference) = &source.reference {
-                ui.label(format!("reference: {}", reference.display()));
-            }
-        }
+        Some(source) => source.lines().into_iter().for_each(|line| {
+            ui.label(line);
+        }),
         None => {
             ui.label(&opened.name);
         }
@@ -58,7 +55,7 @@ fn frame(ui: &mut Ui, opened: &Opened) {
 fn run(ui: &mut Ui, denoised: &Denoised, noisy_error: Option<f64>) {
     let estimate = &denoised.estimate;
     ui.label(RichText::new("Run").strong());
-    ui.label(format!("{} in {:.2} s, with every layer kept", denoised.method.name(), denoised.seconds));
+    ui.label(format!("{} in {:.2} s, with every layer kept", denoised.parameters.method.name(), denoised.seconds));
     if let (Some(error), Some(noisy)) = (denoised.error, noisy_error) {
         ui.label(format!("relative MSE {error:.5}, noisy {noisy:.5}"));
     }

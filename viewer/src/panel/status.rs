@@ -38,7 +38,7 @@ pub fn show(ui: &mut Ui, viewer: &Viewer) {
                 ui.separator();
                 let error = denoised.error.zip(document.opened.noisy_error);
                 let error = error.map_or_else(String::new, |(error, noisy)| format!(", relative MSE {error:.5} (noisy {noisy:.5})"));
-                ui.label(format!("{} in {:.2} s{error}", denoised.method.name(), denoised.seconds));
+                ui.label(format!("{} in {:.2} s{error}", denoised.parameters.method.name(), denoised.seconds));
             }
         });
     });

@@ -3,7 +3,6 @@
 use eframe::egui::{Align, Layout, ProgressBar, Ui};
 
 use crate::app::Viewer;
-use crate::document::Source;
 use crate::files::short_name;
 use crate::shortcut::Action;
 use crate::view::Compare;
@@ -22,7 +21,7 @@ pub fn show(ui: &mut Ui, viewer: &mut Viewer) {
                 }
             };
             item(ui, "Open…", Action::Open, true);
-            item(ui, "Open reference…", Action::OpenReference, has_document);
+            item(ui, "Open reference…", Action::OpenReference, true);
             item(ui, "Load parameters…", Action::OpenParameters, true);
             ui.separator();
             let is_denoised = viewer.document.as_ref().is_some_and(|document| document.denoised.is_some());
@@ -75,13 +74,14 @@ pub fn show(ui: &mut Ui, viewer: &mut Viewer) {
 /// The recent files, as buttons.
 pub fn recent(ui: &mut Ui, viewer: &mut Viewer) {
     let mut chosen = None;
-    for (input, reference) in &viewer.settings.recent {
-        let text = match reference {
-            Some(reference) => format!("{} with {}", short_name(input), short_name(reference)),
-            None => short_name(input),
+    for source in &viewer.settings.recent {
+        let input = short_name(&source.request.input);
+        let text = match &source.reference {
+            Some(reference) => format!("{input} with {}", short_name(&reference.file)),
+            None => input,
         };
-        if ui.button(text).on_hover_text(input.display().to_string()).clicked() {
-            chosen = Some(Source { input: input.clone(), reference: reference.clone() });
+        if ui.button(text).on_hover_text(source.lines().join("\n")).clicked() {
+            chosen = Some(source.clone());
         }
     }
     if let Some(source) = chosen {

@@ -42,7 +42,7 @@ pub(crate) fn window_of(size: [f32; 2], scale: f32, start: Start) -> Harness<'st
 
 /// A window with a file, and its reference if there is one.
 pub(crate) fn window_with(input: &str, reference: Option<&str>) -> Harness<'static, Viewer> {
-    window(Start { source: Some(Source { input: testdata(input), reference: reference.map(testdata) }), ..Default::default() })
+    window(Start { source: Some(Source::whole(testdata(input), reference.map(testdata))), ..Default::default() })
 }
 
 /// Files that are dropped on the window.

@@ -1,0 +1,65 @@
+//! Which files and layers to read.
+
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+
+use super::layer_ref::{LayerRef, feature};
+
+/// Which files and layers to read. All but the input and its layer are options of programs by their names: `--half-a FILE::LAYER`.
+///
+/// A feature of another file comes with its halves and variance from there: from `LAYER_halfA` and so on, or from plain `halfA`, `halfB`, `variance` where
+/// the feature is the file's main layer.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize, clap::Args)]
+#[command(next_help_heading = "Layers")]
+#[serde(default)]
+pub struct BufferSetRequest {
+    /// The file with the noisy colour; halves, variance and features are looked for in it unless they are named below.
+    #[arg(skip)]
+    pub input: PathBuf,
+    /// The colour's layer; `None` takes `R G B` or a layer with a usual name such as `Combined` or `beauty`.
+    #[arg(skip)]
+    pub layer: Option<String>,
+    /// Colour of the first half of the samples
+    #[arg(long, value_name = "FILE[::LAYER]")]
+    pub half_a: Option<LayerRef>,
+    /// Colour of the other half of the samples
+    #[arg(long, value_name = "FILE[::LAYER]")]
+    pub half_b: Option<LayerRef>,
+    /// Variance of the colour's mean (of the pixel, not of one sample)
+    #[arg(long, value_name = "FILE[::LAYER]")]
+    pub variance: Option<LayerRef>,
+    /// A feature under another name or from another file, with its halves and variance beside it; may be repeated
+    #[arg(long = "feature", value_name = "NAME=FILE[::LAYER]", value_parser = feature)]
+    pub features: Vec<(String, LayerRef)>,
+    /// A feature of the input that is not to be used; may be repeated
+    #[arg(long = "skip-feature", value_name = "NAME")]
+    pub skip_features: Vec<String>,
+    /// Use no features of the input but those in `features`.
+    #[arg(long, help = "Use no features of the input but those given with --feature")]
+    pub no_features: bool,
+}
+
+impl BufferSetRequest {
+    /// What the library's remedies name, and the option that it is: for [`Error::in_words`](crate::Error::in_words).
+    pub const OPTIONS: [(&str, &str); 4] = [
+        ("`BufferSetRequest::half_a`", "--half-a"),
+        ("`BufferSetRequest::half_b`", "--half-b"),
+        ("`BufferSetRequest::variance`", "--variance"),
+        ("`BufferSetRequest::skip_features`", "--skip-feature"),
+    ];
+
+    /// All files that are read, the input first; one that is named twice is there twice.
+    pub fn files(&self) -> impl Iterator<Item = &Path> {
+        let named = [&self.half_a, &self.half_b, &self.variance].into_iter().flatten().chain(self.features.iter().map(|(_, layer)| layer));
+        std::iter::once(self.input.as_path()).chain(named.map(|layer| layer.file.as_path()))
+    }
+
+    /// The same layers of other files, as of another frame of a shot.
+    #[must_use]
+    pub fn map_files(&self, file: impl Fn(&Path) -> PathBuf) -> Self {
+        let features = self.features.iter().map(|(name, layer)| (name.clone(), layer.map_file(&file))).collect();
+        let [half_a, half_b, variance] = [&self.half_a, &self.half_b, &self.variance].map(|layer| layer.as_ref().map(|layer| layer.map_file(&file)));
+        Self { input: file(&self.input), half_a, half_b, variance, features, ..self.clone() }
+    }
+}

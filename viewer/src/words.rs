@@ -1,0 +1,42 @@
+//! What the library says, in the words of this program.
+
+use stein::Error;
+use stein::buffers::BufferSetRequest;
+
+/// What the library's remedies say, and what that is here, besides the options of [`BufferSetRequest`].
+const WORDS: [(&str, &str); 7] = [
+    ("name the layer to take (`BufferSetRequest::layer`, `LayerRef::layer`)", "name the layer to take behind its file, on the command line: FILE::NAME"),
+    // There is none here.
+    ("raise the memory limit (`Denoiser::with_max_memory`), ", ""),
+    ("the memory limit", "the memory limit of `stein denoise` (--max-memory)"),
+    ("a smaller window", "a smaller `window_radius` (dfc, nlm)"),
+    (" or fewer frames beside", ""),
+    ("choose another adapter", "choose another adapter with --device"),
+    ("`Gpu::adapters`", "`stein devices`"),
+];
+
+/// An error for people, with its remedy.
+pub fn told(error: &Error) -> String {
+    Error::in_words(&error.to_string(), BufferSetRequest::OPTIONS.iter().chain(&WORDS))
+}
+
+#[cfg(test)]
+#[path = "../../tests/common/remedies.rs"]
+mod remedies;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn remedies_name_nothing_that_only_programmers_know() {
+        let mut remedies = remedies::naming_items();
+        // The viewer keeps no pipelines.
+        remedies.retain(|remedy| !remedy.contains("`GpuOptions::pipeline_folder`"));
+        assert!(remedies.iter().filter(|remedy| remedy.contains("`BufferSetRequest::")).count() >= 6, "{remedies:?}");
+        for remedy in remedies {
+            let told = told(&Error::Request { problem: String::new(), remedy });
+            assert!(!remedies::names_item(&told) && !told.contains("with --device with --device"), "{told}");
+        }
+    }
+}
