@@ -289,3 +289,22 @@ fn thumbnail(image: &Image) -> Image {
 pub fn single_plane(image: &Image, plane: usize) -> Image {
     Image { extent: image.extent, planes: vec![image.planes[plane].clone()] }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_histogram_of_a_large_image_is_that_of_a_sample_and_its_ends_are_those_of_all() {
+        let extent = stein::Extent { width: 512, height: 512 };
+        // Stripes, as wide as a pixel.
+        let mut plane: Vec<f32> = (0..extent.pixels()).map(|pixel| (pixel % 2) as f32).collect();
+        (plane[1234], plane[5678], plane[4321]) = (-2.0, 6.0, f32::NAN);
+        let Histogram { counts, least, most, not_finite, mean, .. } = Histogram::of(&Image { extent, planes: vec![plane] }, false);
+        assert_eq!((least, most, not_finite), (-2.0, 6.0, 1));
+        assert!((mean - 0.5).abs() < 1e-3, "{mean}");
+        // From −2 to 6, 0 and 1 are a quarter and three eighths of the way.
+        let [zeros, ones] = [Histogram::BINS / 4, Histogram::BINS * 3 / 8].map(|bin| counts[0][bin]);
+        assert!(zeros + ones > 40_000 && zeros + ones <= 1 << 16 && zeros.abs_diff(ones) < 100, "{zeros} and {ones}");
+    }
+}

@@ -4,6 +4,8 @@
 
 mod common;
 
+use std::time::Duration;
+
 use common::{settle, window};
 use eframe::egui::Key;
 use egui_kittest::kittest::Queryable;
@@ -78,6 +80,7 @@ fn runs_of_an_iteration_are_compared_with_a_reference_that_comes_later() {
         while harness.state().adaptive.iterations.len() < complete {
             // A frame could take longer than what is left.
             harness.state_mut().poll(&context);
+            std::thread::sleep(Duration::from_millis(1));
         }
         assert!(harness.state().adaptive.is_running, "after {complete} iterations");
         let number = harness.state().adaptive.shown;
