@@ -454,7 +454,9 @@ fn in_file(source: &Source, error: Error) -> Error {
 fn inspect(gpu: &Gpu, job: &Job, question: Question) -> stein::Result<Inspected> {
     let denoiser = Denoiser::new(gpu, question.method)?;
     let [x, y] = question.pixel;
-    let kernels = denoiser.kernels(&question.frame, x, y, &Options { pace: Some(job.pace()), ..Default::default() })?;
+    // As the run that is looked at.
+    let options = Options { keep: question.method.intermediates(), pace: Some(job.pace()), ..Default::default() };
+    let kernels = denoiser.kernels(&question.frame, x, y, &options)?;
     Ok(Inspected::new(question, kernels))
 }
 

@@ -41,7 +41,8 @@ fn inspected(harness: &Harness<'static, Viewer>) -> Arc<Inspected> {
 fn by_the_library(viewer: &Viewer, [x, y]: [u32; 2]) -> Kernels {
     let document = viewer.document.as_ref().unwrap();
     let method: Method = document.denoised.as_ref().unwrap().parameters.method;
-    Denoiser::new(&viewer.gpu, method).unwrap().kernels(&document.opened.frame, x, y, &Options::default()).unwrap()
+    let options = Options { keep: method.intermediates(), ..Default::default() };
+    Denoiser::new(&viewer.gpu, method).unwrap().kernels(&document.opened.frame, x, y, &options).unwrap()
 }
 
 fn same_bits(a: &Image, b: &Image) -> bool {
