@@ -7,8 +7,7 @@ use std::process::ExitCode;
 
 use stein::Error;
 use stein::buffers::BufferSetRequest;
-
-use super::options::CACHE_VARIABLE;
+use stein::gpu::GpuOptions;
 
 /// A message for stderr and the exit code that goes with it.
 #[derive(Debug)]
@@ -83,7 +82,7 @@ const WORDS: [(&str, &str); 8] = [
     ("fewer frames beside", "a smaller --temporal-radius"),
     ("choose another adapter", "choose another adapter with --device"),
     ("`Gpu::adapters`", "`stein devices`"),
-    ("`GpuOptions::pipeline_folder`", CACHE_VARIABLE),
+    ("`GpuOptions::pipeline_folder`", GpuOptions::FOLDER_VARIABLE),
 ];
 
 /// With a remedy of the library in the words of the command line.

@@ -1,6 +1,5 @@
 //! Options that several subcommands share.
 
-use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
 use stein::buffers::{BufferSet, BufferSetRequest};
@@ -52,9 +51,6 @@ pub(crate) fn read(request: &BufferSetRequest) -> Result<BufferSet, Failure> {
     BufferSet::read(request).map_err(|error| Failure::in_file(&request.input, error))
 }
 
-/// Names the folder in which compiled pipelines are kept.
-pub(crate) const CACHE_VARIABLE: &str = "STEIN_CACHE";
-
 /// Which device works, and with how much of its memory.
 #[derive(Debug, clap::Args)]
 #[command(next_help_heading = "Device")]
@@ -72,8 +68,7 @@ pub(crate) struct Device {
 
 impl Device {
     pub(crate) fn open(&self) -> Result<Gpu, Failure> {
-        let options = GpuOptions { pipeline_folder: pipeline_folder(std::env::var_os(CACHE_VARIABLE), dirs::cache_dir()), ..GpuOptions::default() };
-        Ok(Gpu::open_with(self.device.as_ref().unwrap_or(&DeviceChoice::Auto), options)?)
+        Ok(Gpu::open_with(self.device.as_ref().unwrap_or(&DeviceChoice::Auto), GpuOptions::of_user())?)
     }
 
     pub(crate) fn denoiser(&self, gpu: &Gpu, method: Method) -> Result<Denoiser, Failure> {
@@ -82,14 +77,6 @@ impl Device {
             Some(bytes) => denoiser.with_max_memory(bytes),
             None => denoiser,
         })
-    }
-}
-
-/// The folder that is asked for, or one among the user's other caches. None where that is asked for, or where no user has any.
-fn pipeline_folder(asked_for: Option<OsString>, caches: Option<PathBuf>) -> Option<PathBuf> {
-    match asked_for {
-        Some(folder) => (!folder.is_empty()).then(|| folder.into()),
-        None => caches.map(|caches| caches.join("stein")),
     }
 }
 
@@ -130,14 +117,6 @@ pub(crate) fn same_file(a: &Path, b: &Path) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn pipelines_are_kept_where_the_user_says() {
-        let caches = || Some(PathBuf::from("/caches"));
-        assert_eq!(pipeline_folder(None, caches()), Some(PathBuf::from("/caches/stein")));
-        assert_eq!(pipeline_folder(Some("/elsewhere".into()), caches()), Some(PathBuf::from("/elsewhere")));
-        assert_eq!((pipeline_folder(Some(OsString::new()), caches()), pipeline_folder(None, None)), (None, None));
-    }
 
     #[test]
     fn memory_is_counted_in_powers_of_1024() {

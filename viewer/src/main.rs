@@ -225,7 +225,7 @@ fn main() -> ExitCode {
 
 fn run(args: &Args) -> Result<(), Failure> {
     let start = start(args)?;
-    let gpu = Gpu::open_with(args.device.as_ref().unwrap_or(&DeviceChoice::Auto), GpuOptions::default())?;
+    let gpu = Gpu::open_with(args.device.as_ref().unwrap_or(&DeviceChoice::Auto), GpuOptions::of_user())?;
     match &args.screenshot {
         Some(path) => {
             let theme = match args.theme {

@@ -2,9 +2,10 @@
 
 use stein::Error;
 use stein::buffers::BufferSetRequest;
+use stein::gpu::GpuOptions;
 
 /// What the library's remedies say, and what that is here, besides the options of [`BufferSetRequest`].
-const WORDS: [(&str, &str); 7] = [
+const WORDS: [(&str, &str); 8] = [
     ("name the layer to take (`BufferSetRequest::layer`, `LayerRef::layer`)", "name the layer to take behind its file, on the command line: FILE::NAME"),
     // There is none here.
     ("raise the memory limit (`Denoiser::with_max_memory`), ", ""),
@@ -13,6 +14,7 @@ const WORDS: [(&str, &str); 7] = [
     (" or fewer frames beside", ""),
     ("choose another adapter", "choose another adapter with --device"),
     ("`Gpu::adapters`", "`stein devices`"),
+    ("`GpuOptions::pipeline_folder`", GpuOptions::FOLDER_VARIABLE),
 ];
 
 /// An error for people, with its remedy.
@@ -30,9 +32,7 @@ mod tests {
 
     #[test]
     fn remedies_name_nothing_that_only_programmers_know() {
-        let mut remedies = remedies::naming_items();
-        // The viewer keeps no pipelines.
-        remedies.retain(|remedy| !remedy.contains("`GpuOptions::pipeline_folder`"));
+        let remedies = remedies::naming_items();
         assert!(remedies.iter().filter(|remedy| remedy.contains("`BufferSetRequest::")).count() >= 6, "{remedies:?}");
         for remedy in remedies {
             let told = told(&Error::Request { problem: String::new(), remedy });

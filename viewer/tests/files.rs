@@ -311,7 +311,7 @@ fn the_command_line_takes_parts_of_a_frame_from_other_files() {
     let picture = folder.path().join("picture.png");
     let program = |options: &[&str]| {
         let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_stein-viewer"));
-        let output = command.current_dir(&folder).args(["--method=gem", "--screenshot=picture.png"]).args(options).output().unwrap();
+        let output = command.env("STEIN_CACHE", "").current_dir(&folder).args(["--method=gem", "--screenshot=picture.png"]).args(options).output().unwrap();
         (output.status.code(), String::from_utf8_lossy(&output.stderr).into_owned())
     };
     let set = ["both.exr::left", "--half-a=a.exr", "--half-b=b.exr::seed2", "--feature=albedo=aux.exr::tint", "--no-features"];

@@ -70,7 +70,7 @@ fn viewer(screen: &Screen) -> Command {
 fn viewer_of(screen: &Screen, home: &Path) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_stein-viewer"));
     command.env("DISPLAY", &screen.display).env_remove("WAYLAND_DISPLAY").env_remove("WAYLAND_SOCKET");
-    command.env("XDG_DATA_HOME", home).stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::piped());
+    command.env("XDG_DATA_HOME", home).env("STEIN_CACHE", "").stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::piped());
     command
 }
 

@@ -194,7 +194,7 @@ fn the_command_line_takes_a_file_of_parameters_and_says_what_is_wrong_with_it() 
     let picture = folder.path().join("picture.png");
     let program = |options: &[&str]| {
         let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_stein-viewer"));
-        command.arg(testdata("anim/shot.0000.exr")).arg("--screenshot").arg(&picture).args(options);
+        command.env("STEIN_CACHE", "").arg(testdata("anim/shot.0000.exr")).arg("--screenshot").arg(&picture).args(options);
         let output = command.output().unwrap();
         (output.status.code(), String::from_utf8_lossy(&output.stderr).into_owned())
     };

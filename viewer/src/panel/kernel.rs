@@ -121,7 +121,7 @@ fn filters(ui: &mut Ui, viewer: &mut Viewer, inspected: &Inspected) {
                 let scale = viewer.inspector.scale_of_weights();
                 paint(ui.painter(), viewer, rect, filter, &window.weights, Kind::Scalar(scale.1));
                 if is_shown {
-                    ui.painter().rect_stroke(rect, 0.0, Stroke::new(2.0, ui.visuals().strong_text_color()), StrokeKind::Outside);
+                    ui.painter().rect_stroke(rect, 0.0, Stroke::new(2.0, ui.visuals().strong_text_color()), StrokeKind::Middle);
                 }
                 ui.label(RichText::new(title(filter.name)).strong());
                 if let Some(share) = filter.share {
