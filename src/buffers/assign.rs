@@ -30,20 +30,8 @@ pub(super) fn read(request: &BufferSetRequest) -> Result<BufferSet> {
         });
     }
 
-    let first = &files.list[input];
-    let is_there = |skipped: &&String| first.layers.iter().any(|layer| layer.name == **skipped || layer.name.ends_with(&format!(".{skipped}")));
-    if let Some(skipped) = request.skip_features.iter().find(|skipped| !is_there(skipped)) {
-        return Err(Error::File {
-            path: first.path.clone(),
-            problem: format!("there is no feature '{skipped}' to skip; it holds {}", first.layer_list()),
-            remedy: "name one of these in `BufferSetRequest::skip_features`, or none".into(),
-        });
-    }
-
     let mut notes = Vec::new();
-    if !request.no_features {
-        find_features(&files.list, &color, request, &mut features, &mut notes)?;
-    }
+    find_features(&files.list, &color, request, &mut features, &mut notes)?;
     let samples = sample_count(&files.list[input]);
     let mut set = BufferSet { files: files.list, color, features, samples, layer_uses: Vec::new() };
     check_windows(&set)?;
@@ -278,7 +266,8 @@ fn main_layer(file: &ExrFile) -> Result<usize> {
     }
 }
 
-/// Adds the input's own features to those that were requested.
+/// Adds the input's own features to those that were requested, as far as they are wanted. What is to be skipped must be one of them, by its whole name or what stands behind one of
+/// its dots.
 fn find_features(
     files: &[ExrFile],
     color: &SignalSource,
@@ -294,6 +283,7 @@ fn find_features(
             .any(|planes| planes.file == 0 && planes.layer == layer)
     };
     let group = names::group(&file.layers[color.mean.layer].name);
+    let mut not_there: Vec<&String> = request.skip_features.iter().collect();
     for (layer, candidate) in file.layers.iter().enumerate() {
         let name = candidate.name.strip_prefix(group).unwrap_or(&candidate.name);
         if taken(layer) || names::why_not_a_variance(&candidate.name).is_some() || names::is_sample_count_name(name) {
@@ -313,7 +303,12 @@ fn find_features(
         if !has_companions && !names::is_feature_name(name) {
             continue;
         }
-        let skipped = request.skip_features.iter().any(|skip| skip == name || *skip == candidate.name);
+        let is_named = |skip: &str| candidate.name.strip_suffix(skip).is_some_and(|before| before.is_empty() || before.ends_with('.'));
+        let skipped = request.skip_features.iter().any(|skip| is_named(skip));
+        not_there.retain(|skip| !is_named(skip));
+        if request.no_features {
+            continue;
+        }
         let Some(channels) = feature_channels(candidate) else {
             notes.push((layer, "a feature has one to three channels".into()));
             continue;
@@ -332,7 +327,14 @@ fn find_features(
             features.push((name.to_owned(), source));
         }
     }
-    Ok(())
+    match not_there.first() {
+        None => Ok(()),
+        Some(skip) => Err(Error::File {
+            path: file.path.clone(),
+            problem: format!("there is no feature '{skip}' to skip; it holds {}", file.layer_list()),
+            remedy: "name one of these in `BufferSetRequest::skip_features`, or none".into(),
+        }),
+    }
 }
 
 fn sample_count(file: &ExrFile) -> Option<Planes> {

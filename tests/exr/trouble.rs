@@ -23,12 +23,50 @@ fn a_feature_to_skip_that_the_input_lacks_is_named_with_those_that_it_has() {
     let folder = folder();
     let input = write(folder.path(), "in.exr", vec![Part::new().with("", "RGB", 1.0).with("albedo", "RGB", 2.0).with("ViewLayer.depth", "Z", 3.0)]);
     let skipping = |name: &str| BufferSetRequest { skip_features: vec![name.to_owned()], ..request(&input) };
-    for there in ["albedo", "depth", "ViewLayer.depth"] {
-        BufferSet::read(&skipping(there)).unwrap();
+    for (skipped, left) in [("albedo", "ViewLayer.depth"), ("depth", "albedo"), ("ViewLayer.depth", "albedo")] {
+        let set = BufferSet::read(&skipping(skipped)).unwrap();
+        assert_eq!(set.feature_names().collect::<Vec<_>>(), [left], "without {skipped}");
     }
     let message = failure(&skipping("albdo"));
     for part in ["in.exr", "'albdo'", "'albedo'", "`BufferSetRequest::skip_features`"] {
         assert!(message.contains(part), "{message}");
+    }
+    // Where none is used, a name that is none is an error all the same.
+    assert_eq!(BufferSet::read(&BufferSetRequest { no_features: true, ..skipping("depth") }).unwrap().feature_names().len(), 0);
+    assert!(failure(&BufferSetRequest { no_features: true, ..skipping("albdo") }).contains("'albdo'"));
+}
+
+#[test]
+fn a_feature_of_two_view_layers_is_skipped_in_both_or_by_its_whole_name() {
+    let folder = folder();
+    let view = |part: Part, name: &str| {
+        part.with(&format!("{name}.Combined"), "RGB", 1.0).with(&format!("{name}.albedo"), "RGB", 2.0).with(&format!("{name}.depth"), "Z", 3.0)
+    };
+    let input = write(folder.path(), "in.exr", vec![view(view(Part::new(), "near"), "far")]);
+    let left = |skipped: &str| {
+        let request = BufferSetRequest { layer: Some("near.Combined".to_owned()), skip_features: vec![skipped.to_owned()], ..request(&input) };
+        let set = BufferSet::read(&request).unwrap();
+        let mut names: Vec<String> = set.feature_names().map(str::to_owned).collect();
+        names.sort_unstable();
+        names
+    };
+    assert_eq!(left("albedo"), ["depth", "far.depth"]);
+    assert_eq!(left("near.albedo"), ["depth", "far.albedo", "far.depth"]);
+    assert_eq!(left("far.albedo"), ["albedo", "depth", "far.depth"]);
+}
+
+#[test]
+fn what_is_there_but_no_feature_cannot_be_skipped() {
+    let folder = folder();
+    let part = Part::new().with("view.Combined", "RGB", 1.0).with("view.albedo", "RGB", 2.0).with("view.albedo_halfA", "RGB", 2.0).with(
+        "view.albedo_halfB",
+        "RGB",
+        2.0,
+    );
+    let input = write(folder.path(), "in.exr", vec![part]);
+    for name in ["albedo_halfA", "view.albedo_halfB", "Combined", "view.Combined", "lbedo", ""] {
+        let message = failure(&BufferSetRequest { skip_features: vec![name.to_owned()], ..request(&input) });
+        assert!(message.contains(&format!("there is no feature '{name}' to skip")), "{message}");
     }
 }
 
