@@ -6,7 +6,7 @@ use serde::Serialize;
 use stein::buffers::{NamedLayer, write_layers};
 use stein::gpu::AdapterSummary;
 use stein::kernels::WeightRule;
-use stein::method::{PlannedStep, Step};
+use stein::method::PlannedStep;
 use stein::{Error, Extent, FilterKernel, Image, Kernels, Options};
 
 use super::filter::Filter;
@@ -156,7 +156,7 @@ pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
     }
 
     let filters: Vec<_> = kernels.filters.iter().map(Summary::new).collect();
-    let left_out: Vec<_> = kernels.plan.steps.iter().filter(|planned| !planned.runs && matters(&planned.step)).cloned().collect();
+    let left_out: Vec<_> = kernels.plan.steps.iter().filter(|planned| !planned.runs && planned.step.makes_kernels()).cloned().collect();
     let head = ["filter", "decided by", "value", "Σ w", "own w"].map(String::from).to_vec();
     out.say(format_args!("  pixel {x},{y}\n{}", table(&std::iter::once(head).chain(filters.iter().map(Summary::row)).collect::<Vec<_>>(), 3)));
     let mut shares: Vec<_> = filters.iter().filter_map(|filter| Some((filter.share.filter(|share| *share > 0.0)?, filter.filter))).collect();
@@ -175,11 +175,6 @@ pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
         return Ok(());
     }
     out.json(&Document { input: described, device: gpu.summary().clone(), x, y, filters, left_out, output: args.output.clone() })
-}
-
-/// Whether a step decides about what weights there are.
-fn matters(step: &Step) -> bool {
-    matches!(step, Step::Spikes | Step::Feature(_) | Step::Prefilter(_) | Step::Candidates | Step::Candidate(_) | Step::SecondPass | Step::Halves)
 }
 
 /// All windows, about one middle: as large as the largest.

@@ -124,6 +124,16 @@ impl Step {
         };
         name.to_owned()
     }
+
+    /// Whether [`kernels`](super::kernels) are made by it: left out, it tells why a filter is missing, or what neighbours are not told apart by.
+    pub fn makes_kernels(&self) -> bool {
+        match self {
+            Self::Spikes | Self::Variance | Self::Feature(_) | Self::Prefilter(_) | Self::Features => true,
+            Self::Candidates | Self::Candidate(_) | Self::SecondPass | Self::Halves | Self::Filter | Self::Scales => true,
+            Self::Derivatives | Self::HalfSpread | Self::Channels | Self::Frames | Self::FilterAlone => false,
+            Self::Sure | Self::SureSmoothing | Self::Selection | Self::SelectionSmoothing | Self::Blend | Self::Density | Self::Error => false,
+        }
+    }
 }
 
 impl Serialize for Step {

@@ -72,16 +72,11 @@ pub fn show(ui: &mut Ui, viewer: &mut Viewer) {
 
 /// How the weights came about, and what does not take part.
 fn explanations(ui: &mut Ui, inspected: &Inspected, shown: Option<(&FilterKernel, &Window)>) {
-    let left_out = inspected.kernels.plan.steps.iter().filter(|planned| !planned.runs && decides(&planned.step)).map(left_out);
+    let left_out = inspected.kernels.plan.steps.iter().filter(|planned| !planned.runs && planned.step.makes_kernels()).map(left_out);
     let of_filter = shown.into_iter().flat_map(|(filter, window)| [rule(filter), decisions(filter, window)]);
     for text in of_filter.chain(left_out).filter(|text| !text.is_empty()) {
         ui.label(RichText::new(text).size(11.5));
     }
-}
-
-/// Whether a step decides about what weights there are.
-fn decides(step: &Step) -> bool {
-    matches!(step, Step::Feature(_) | Step::Candidates | Step::Candidate(_) | Step::SecondPass | Step::Halves | Step::Filter | Step::Scales)
 }
 
 fn left_out(planned: &PlannedStep) -> String {
