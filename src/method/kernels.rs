@@ -174,7 +174,7 @@ impl FilterKernel {
 
     /// What decided about a neighbour: of [`FilterKernel::distances`] the one with the least weight, the first of several. `None` where nothing speaks against it, for the pixel
     /// itself, and outside of the frame. A neighbour whose weight [`WeightRule::PatchMean`] or a cut changed may still weigh less, and where the
-    /// filter was refused all weigh nothing.
+    /// filter was refused all neighbours weigh nothing.
     pub fn decided_by(&self, cell: usize) -> Option<&Distance> {
         self.pixel(cell)?;
         let least = self.distances.iter().map(|distance| distance.weights.planes[0][cell]).fold(1.0, f32::min);

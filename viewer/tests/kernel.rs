@@ -201,6 +201,37 @@ fn a_neighbour_whose_opposite_stands_in_is_told() {
     assert_eq!(told(&harness), 0);
 }
 
+/// A second pass that goes too far: neighbours weigh nothing, so that no distance decides about them and no pair stands in.
+#[test]
+fn of_a_refused_filter_no_distance_decides() {
+    let mut harness = open("dfc", Some([20, 30]));
+    // The one that says most.
+    let told = |harness: &Harness<'static, Viewer>| {
+        let shown = inspected(harness);
+        let filter = shown.kernels.filter("second_pass").unwrap();
+        let gain = |cell: &usize| filter.distances[0].weights.planes[0][*cell] - filter.distances[0].own_weight(*cell);
+        let cells = (0..filter.weights.extent.pixels()).filter(|cell| filter.decided_by(*cell).is_some());
+        let cell = cells.max_by(|a, b| gain(a).total_cmp(&gain(b))).unwrap();
+        assert!(gain(&cell) > 0.01);
+        offset_of(filter, cell)
+    };
+    let neighbour = told(&harness);
+    choose(&mut harness, "second_pass", neighbour);
+    harness.get_by_label("as pair, decides");
+
+    let viewer = harness.state_mut();
+    let method = viewer.parameters.method.with_parameter("second_pass.most_sigmas", 1e-6).unwrap();
+    viewer.take_parameters(Parameters { method, ..viewer.parameters });
+    settle(&mut harness);
+    assert_eq!(told(&harness), neighbour);
+    harness.get_by_label("told apart by");
+    harness.get_by_label_contains("is refused: pass 1 is the result");
+    harness.get_by_label_contains("w 0, 0.00 % of Σw");
+    for text in ["decides", "as pair", "its opposite (", "Nothing speaks against", "neighbours decided"] {
+        assert_eq!(harness.query_all_by_label_contains(text).count(), 0, "{text}");
+    }
+}
+
 #[test]
 fn a_pixel_is_chosen_by_click_and_moved_by_keys() {
     let mut harness = open("dfc", None);

@@ -284,9 +284,14 @@ fn rule(filter: &FilterKernel) -> String {
     }
 }
 
+/// Whether neighbours weigh nothing, whatever their distances are.
+fn is_refused(filter: &FilterKernel) -> bool {
+    matches!(filter.rule, WeightRule::Refused { .. })
+}
+
 /// How many neighbours each distance decided about.
 fn decisions(filter: &FilterKernel, window: &Window) -> String {
-    if filter.distances.is_empty() || matches!(filter.rule, WeightRule::Refused { .. }) {
+    if filter.distances.is_empty() || is_refused(filter) {
         return String::new();
     }
     let decided: Vec<_> = filter.distances.iter().zip(&window.decided).map(|(distance, count)| format!("{} {count}", distance.of.name())).collect();
@@ -309,7 +314,8 @@ fn neighbour(ui: &mut Ui, viewer: &mut Viewer, (filter, window): (&FilterKernel,
     if filter.distances.is_empty() {
         return;
     }
-    let decided = filter.decided_by(cell).map(|distance| &distance.of);
+    let is_refused = is_refused(filter);
+    let decided = filter.decided_by(cell).filter(|_| !is_refused).map(|distance| &distance.of);
     ui.spacing_mut().interact_size.y = LINE;
     Grid::new("distances").num_columns(4).striped(true).spacing([10.0, 2.0]).show(ui, |ui| {
         for (text, about) in [
@@ -342,7 +348,7 @@ fn neighbour(ui: &mut Ui, viewer: &mut Viewer, (filter, window): (&FilterKernel,
             ui.end_row();
         }
     });
-    if decided.is_none() {
+    if decided.is_none() && !is_refused {
         ui.label(RichText::new("Nothing speaks against this neighbour.").weak());
     }
     for text in filter.distances.iter().filter_map(|distance| stands_in(filter, distance, cell)) {
@@ -352,7 +358,7 @@ fn neighbour(ui: &mut Ui, viewer: &mut Viewer, (filter, window): (&FilterKernel,
 
 /// Where a neighbour weighs more than its distance says: what it and its opposite would weigh by themselves.
 fn stands_in(filter: &FilterKernel, distance: &Distance, cell: usize) -> Option<String> {
-    let opposite = filter.opposite(cell)?;
+    let opposite = filter.opposite(cell).filter(|_| !is_refused(filter))?;
     let [own, of_opposite] = [cell, opposite].map(|cell| distance.own_weight(cell));
     let shown = distance.weights.planes[0][cell];
     (shown > TOLD_APART * own + LEAST_TOLD).then(|| {
