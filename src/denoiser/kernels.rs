@@ -13,6 +13,7 @@ use crate::kernels::{Compared, Distance, FilterKernel, Kernels, PixelInFrame, We
 use crate::method::kernels::{KernelOnGpu, LimitOnGpu, ShareOnGpu, WeightsOnGpu};
 use crate::method::{FrameInput, Lane, Strip, Units};
 use crate::stage::PLANE_PIXEL_BYTES;
+use crate::stage::exact::Region;
 use crate::stage::gaussian::Gaussian;
 use crate::stage::nlm::CentreWeight;
 use crate::stage::window::{CellLane, DistanceLanes};
@@ -38,33 +39,27 @@ impl Denoiser {
             return Ok(Kernels { x, y, filters: Vec::new(), plan });
         }
 
-        let part = around(x, y, self.method.reach_of_kernels(&plan), extent);
+        let pixel = IVec2::new(x as i32, y as i32);
+        let Region { first, size } = Region::around(pixel, self.method.reach_of_kernels(&plan), IVec2::new(extent.width as i32, extent.height as i32));
+        let part = Window { x: first.x, y: first.y, extent: Extent { width: size.x as u32, height: size.y as u32 } };
         let part_of_frame = frame.cropped(part);
         let units = Units::of_window(&[&part_of_frame], 0, self.method.uses_features(), exposure(frame));
         let rows = part.extent.height as usize;
         let all_of_it = Strip { first: 0, end: rows, first_with_halo: 0, end_with_halo: rows };
-        let pixel = IVec2::new(x as i32 - part.x, y as i32 - part.y);
         self.gpu.set_memory_limit(self.max_memory);
         let mut rec = self.gpu.record();
         if let Some(pace) = &options.pace {
             rec.set_pace(pace.clone());
         }
-        let plan_of_part = plan.starting_at(IVec2::new(part.x, part.y));
+        let plan_of_part = plan.starting_at(first);
         let on_gpu = FrameInput::upload(&mut rec, &part_of_frame, &all_of_it, &units, &plan_of_part)?.settled_for(frame, &units);
-        let kernels = self.method.kernels(&mut rec, on_gpu, pixel, &plan_of_part, self.schedule)?;
+        let kernels = self.method.kernels(&mut rec, on_gpu, pixel - first, &plan_of_part, self.schedule)?;
         rec.submit()?;
 
         let mut reader = Reader { gpu: &self.gpu, read: Vec::new(), part, at: PixelInFrame { x, y, extent }, exposure: units.exposure };
         let filters = kernels.iter().map(|kernel| reader.kernel(kernel)).collect::<Result<_>>()?;
         Ok(Kernels { x, y, filters, plan })
     }
-}
-
-/// The pixels that far around one, as far as they exist.
-fn around(x: u32, y: u32, reach: u32, extent: Extent) -> Window {
-    let along = |at: u32, size: u32| (at.saturating_sub(reach), at.saturating_add(reach + 1).min(size));
-    let ((left, right), (top, bottom)) = (along(x, extent.width), along(y, extent.height));
-    Window { x: left as i32, y: top as i32, extent: Extent { width: right - left, height: bottom - top } }
 }
 
 /// Reads kernels back.

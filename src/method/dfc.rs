@@ -310,7 +310,6 @@ struct Pass2 {
     filtered: Arc<Buffer>,
     /// The same, and pass 1 where that would go too far.
     result: Arc<Buffer>,
-    most_sigmas: Option<f32>,
 }
 
 impl Pass2 {
@@ -328,7 +327,7 @@ impl Pass2 {
             Some(sigmas) => Arc::new(select_pass(rec, extent, pass1, &filtered, variance, sigmas)?),
             None => filtered.clone(),
         };
-        Ok(Some(Self { filter, left_variance, filtered, result, most_sigmas }))
+        Ok(Some(Self { filter, left_variance, filtered, result }))
     }
 }
 

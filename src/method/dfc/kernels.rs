@@ -54,7 +54,7 @@ pub(in crate::method) fn kernels(
         });
     }
     if let Some(pass2) = Pass2::new(rec, extent, &pass1.blend, &variance, work)? {
-        let Pass2 { filter, left_variance, filtered, result, most_sigmas } = pass2;
+        let Pass2 { filter, left_variance, filtered, result } = pass2;
         let window_radius = filter.window_radius;
         let weights = if is_exact_at(pixel, plan, &Step::SecondPass) {
             WeightsOnGpu::Exact { window_radius }
@@ -68,7 +68,7 @@ pub(in crate::method) fn kernels(
                 distances: vec![(Compared::Color { patch_radius: filter.patch_radius, k: filter.k }, NLM_DISTANCE)],
                 rule: WeightRule::Least,
                 centre: params.weighting.centre,
-                limit: most_sigmas.map(|sigmas| LimitOnGpu { filtered, result, sigmas }),
+                limit: params.second_pass.and_then(|pass| pass.most_sigmas).map(|sigmas| LimitOnGpu { filtered, result, sigmas }),
             }
         };
         kernels.push(KernelOnGpu { name: "second_pass", averaged: pass1.blend, weights, share: None });
