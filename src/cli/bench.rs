@@ -24,7 +24,7 @@ use stein::frame::SamplesPerPixel;
 use stein::stage::candidate_set::CandidateSet;
 use stein::{Extent, Frame, Gpu, Image, Method, Preset};
 
-use super::filter::{Tuning, candidates, methods, presets};
+use super::filter::{Tuning, candidates};
 use super::inspect::settle;
 use super::options::{self, Device, Source, size};
 use super::progress::bar;
@@ -101,10 +101,10 @@ struct Axes {
     #[arg(long = "ref", value_name = "FILE[::LAYER]")]
     references: Vec<LayerRef>,
     /// Methods to measure [default: dfc, or that of --params]
-    #[arg(long, alias = "method", value_name = "NAME,…", value_delimiter = ',', value_parser = methods())]
+    #[arg(long, alias = "method", value_name = "NAME,…", value_delimiter = ',', value_parser = Method::value_parser())]
     methods: Vec<Method>,
     /// Presets to measure [default: all, or that of --params]
-    #[arg(long, alias = "preset", value_name = "NAME,…", value_delimiter = ',', value_parser = presets())]
+    #[arg(long, alias = "preset", value_name = "NAME,…", value_delimiter = ',', value_parser = Preset::value_parser())]
     presets: Vec<Preset>,
     /// Of dfc and nlm: radii of the window, in pixels [default: 10]
     #[arg(long, alias = "radius", value_name = "PIXELS,…", value_delimiter = ',')]

@@ -2,10 +2,9 @@
 
 use std::path::{Path, PathBuf};
 
-use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
+use clap::builder::PossibleValuesParser;
 use stein::method::Spikes;
 use stein::method::nlm::NlmVariance;
-use stein::parameters::Choice as Word;
 use stein::stage::candidate_set::CandidateSet;
 use stein::stage::nlm::{Symmetry, Weighting};
 use stein::{DfcParams, GemParams, Method, NlmParams, Preset};
@@ -22,16 +21,16 @@ pub(crate) const CANDIDATES: &str = "candidates";
 #[command(next_help_heading = "Filter")]
 pub(crate) struct Filter {
     /// Parameters [default: default, or that of --params]
-    #[arg(long, value_name = "NAME", value_parser = presets())]
+    #[arg(long, value_name = "NAME", value_parser = Preset::value_parser())]
     preset: Option<Preset>,
     /// Method [default: dfc, or that of --params]
-    #[arg(long, value_parser = methods())]
+    #[arg(long, value_parser = Method::value_parser())]
     method: Option<Method>,
     /// Of dfc and nlm: radius of the window that is averaged over, in pixels [default: 10]
     #[arg(long, value_name = "PIXELS")]
     radius: Option<u32>,
     /// Of dfc: which candidates take part; the others are not computed [default: first,second,third]
-    #[arg(long, value_name = "NAME", value_delimiter = ',', value_parser = PossibleValuesParser::new(words(CandidateSet::choices())))]
+    #[arg(long, value_name = "NAME", value_delimiter = ',', value_parser = PossibleValuesParser::new(CandidateSet::choices()))]
     candidates: Vec<String>,
     #[command(flatten)]
     tuning: Tuning,
@@ -52,7 +51,7 @@ pub(crate) struct Tuning {
     #[arg(long, value_name = "FILE")]
     params: Option<PathBuf>,
     /// What becomes of spikes: pixels that stand out from those of their kind and rest on very few samples [default: spread; of the preset thesis: keep]
-    #[arg(long, value_name = "RULE", value_parser = words_of(Spikes::ALL.to_vec(), Spikes::choices()))]
+    #[arg(long, value_name = "RULE", value_parser = Spikes::value_parser())]
     spikes: Option<Spikes>,
     /// Of gem: share of wrong decisions for a sharper filter where the image is constant, above 0 and below 0.4; lower is smoother [default: 0.15]
     #[arg(long, value_name = "SHARE")]
@@ -75,7 +74,7 @@ struct NlmChoice {
     #[arg(long, value_name = "NUMBER")]
     alpha: Option<f32>,
     /// Of nlm: whether the mean of opposite neighbours may stand for both, which keeps gradients [default: hard]
-    #[arg(long, value_name = "RULE", value_parser = words_of(Symmetry::ALL.to_vec(), Symmetry::choices()))]
+    #[arg(long, value_name = "RULE", value_parser = Symmetry::value_parser())]
     symmetric: Option<Symmetry>,
     /// Of nlm: weights below this one become 0 [default: 0.05]
     #[arg(long, value_name = "WEIGHT")]
@@ -224,29 +223,6 @@ impl<'a> ParamsFile<'a> {
 pub(crate) fn not_theirs(option: &str, methods: &[Method]) -> Failure {
     let names = methods.iter().map(Method::name).collect::<Vec<_>>().join(" or ");
     Failure::usage(format_args!("{option} is no option of the method {names}\n  remedy: leave it out, or choose another --method"))
-}
-
-/// Words with their meaning.
-fn words(words: impl IntoIterator<Item = Word>) -> Vec<PossibleValue> {
-    words.into_iter().map(|word| PossibleValue::new(word.name).help(word.documentation.trim_end_matches('.').to_owned())).collect()
-}
-
-/// One of several values, by its word: that at the same place.
-fn words_of<T: Copy + Send + Sync + 'static>(values: Vec<T>, choices: impl IntoIterator<Item = Word>) -> impl TypedValueParser<Value = T> {
-    let choices: Vec<_> = choices.into_iter().collect();
-    let names: Vec<_> = choices.iter().map(|word| word.name).collect();
-    let find = move |name: String| names.iter().zip(&values).find(|(other, _)| **other == name).map(|(_, value)| *value).ok_or("it is none of them");
-    PossibleValuesParser::new(words(choices)).try_map(find)
-}
-
-/// The presets by their names.
-pub(crate) fn presets() -> impl TypedValueParser<Value = Preset> {
-    words_of(Preset::ALL.to_vec(), Preset::choices())
-}
-
-/// The methods by their names, with the parameters of the default preset.
-pub(crate) fn methods() -> impl TypedValueParser<Value = Method> {
-    words_of(Method::all().to_vec(), Method::choices())
 }
 
 /// Candidates joined by plus signs, as in first+second, or all.

@@ -75,10 +75,11 @@ impl From<DfcParams> for Method {
 impl Method {
     /// Its name on the command line.
     pub fn name(&self) -> &'static str {
+        let [dfc, gem, nlm] = Self::NAMES;
         match self {
-            Self::Dfc(_) => "dfc",
-            Self::Gem(_) => "gem",
-            Self::Nlm(_) => "nlm",
+            Self::Dfc(_) => dfc,
+            Self::Gem(_) => gem,
+            Self::Nlm(_) => nlm,
         }
     }
 

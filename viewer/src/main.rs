@@ -3,12 +3,10 @@
 use std::path::PathBuf;
 use std::process::ExitCode;
 
-use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use clap::{Parser, ValueEnum};
 use eframe::egui::{Theme, Vec2, ViewportBuilder};
 use stein::buffers::{BufferSetRequest, LayerRef};
 use stein::gpu::{DeviceChoice, GpuOptions};
-use stein::parameters::Choice;
 use stein::{Error, Gpu, Method, Preset};
 use stein_viewer::adaptive::Setup;
 use stein_viewer::document::Source;
@@ -41,10 +39,10 @@ struct Args {
     #[arg(long, value_name = "SCENE", conflicts_with = "file")]
     adapt: Option<String>,
     /// Method [default: that of --params; where no filter option is given, what was used last; else dfc]
-    #[arg(long, value_parser = words_of(Method::all().to_vec(), Method::choices()))]
+    #[arg(long, value_parser = Method::value_parser())]
     method: Option<Method>,
     /// Parameters [default: that of --params; where no filter option is given, what was used last; else default]
-    #[arg(long, value_parser = words_of(Preset::ALL.to_vec(), Preset::choices()))]
+    #[arg(long, value_parser = Preset::value_parser())]
     preset: Option<Preset>,
     /// TOML file with method, preset and parameters, such as `stein params` writes
     #[arg(long, value_name = "FILE")]
@@ -162,15 +160,6 @@ impl PanelName {
 enum ThemeName {
     Dark,
     Light,
-}
-
-/// One of the library's values by its word, that at the same place.
-fn words_of<T: Copy + Send + Sync + 'static>(values: Vec<T>, words: impl IntoIterator<Item = Choice>) -> impl TypedValueParser<Value = T> {
-    let words: Vec<_> = words.into_iter().collect();
-    let names: Vec<_> = words.iter().map(|word| word.name).collect();
-    let meanings = words.into_iter().map(|word| PossibleValue::new(word.name).help(word.documentation.trim_end_matches('.').to_owned()));
-    let find = move |name: String| names.iter().zip(&values).find(|(other, _)| **other == name).map(|(_, value)| *value).ok_or("it is none of them");
-    PossibleValuesParser::new(meanings.collect::<Vec<_>>()).try_map(find)
 }
 
 fn size(text: &str) -> Result<[f32; 2], String> {

@@ -87,7 +87,7 @@ impl Default for Parameters {
 
 impl Parameters {
     /// Names of the methods.
-    pub const METHODS: [&str; 3] = ["dfc", "nlm", "gem"];
+    pub const METHODS: [&str; 3] = Method::NAMES;
 
     /// A method with the parameters of a preset. `None` where there is no method of that name.
     pub fn of(method: &str, preset: Preset) -> Option<Self> {

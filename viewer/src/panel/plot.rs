@@ -213,9 +213,9 @@ struct Series {
 
 fn series(viewer: &Viewer, is_dark: bool) -> Vec<Series> {
     let colors = if is_dark {
-        [Color32::from_rgb(90, 170, 250), Color32::from_rgb(250, 170, 70), Color32::from_rgb(110, 210, 130)]
+        [Color32::from_rgb(90, 170, 250), Color32::from_rgb(110, 210, 130), Color32::from_rgb(250, 170, 70)]
     } else {
-        [Color32::from_rgb(20, 90, 190), Color32::from_rgb(190, 95, 0), Color32::from_rgb(20, 125, 55)]
+        [Color32::from_rgb(20, 90, 190), Color32::from_rgb(20, 125, 55), Color32::from_rgb(190, 95, 0)]
     };
     let is_there =
         |method: &str, preset: Preset| viewer.sweep.points.iter().any(|point| point.parameters.method.name() == method && point.parameters.preset == preset);
