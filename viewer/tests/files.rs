@@ -278,7 +278,7 @@ fn parts_of_a_frame_come_from_other_files_and_are_saved_and_remembered_so() {
     let mut harness = window(Start { parameters, ..Default::default() });
     harness.state_mut().settings = eframe::get_value(&memory, Settings::KEY).unwrap();
     harness.run_steps(2);
-    harness.get_by_label("both.exr with truth.exr").click();
+    harness.get_by_label("both.exr::left with truth.exr").click();
     settle(&mut harness);
     is_the_librarys(&harness);
 
