@@ -212,7 +212,7 @@ impl Viewer {
 
     /// Starts the adaptive loop on a built-in scene.
     pub fn adapt(&mut self) {
-        (self.progress, self.interrupted) = (Some((Task::Adapt, 0.0)), false);
+        (self.progress, self.interrupted, self.waiting_reference) = (Some((Task::Adapt, 0.0)), false, None);
         self.forget_sweep();
         self.inspector.forget_question();
         self.trouble.take_if(|(task, _)| *task == Task::Adapt);
@@ -401,6 +401,7 @@ impl Viewer {
                     self.run();
                 }
             }
+            None if self.waiting_reference.take().is_some() => {}
             None => self.view.pinned = None,
         }
     }
@@ -438,7 +439,9 @@ impl Viewer {
     /// What a file to write is called, unless it is called otherwise; without an ending.
     fn name_for(&self, purpose: Purpose) -> String {
         let input = self.document.as_ref().map_or("stein", |document| &document.opened.name);
-        let input = input.strip_suffix(".exr").unwrap_or(input);
+        // A layer stands behind its file.
+        let input = input.replacen(".exr::", ".", 1);
+        let input = input.strip_suffix(".exr").unwrap_or(&input);
         match purpose {
             Purpose::SaveResult => format!("{input}.denoised"),
             Purpose::SaveParameters => self.parameters.method.name().to_owned(),
@@ -451,6 +454,8 @@ impl Viewer {
     pub fn take_file(&mut self, purpose: Purpose, path: PathBuf, context: &Context) {
         match (purpose, &self.document) {
             (Purpose::Input, _) => self.open(Source::whole(path, None)),
+            // Where another file is being read, it is the reference of that one.
+            (Purpose::Reference, _) if matches!(self.progress, Some((Task::Open, _))) => self.waiting_reference = Some(path),
             (Purpose::Reference, document) => match document.as_ref().map(|document| &document.opened.source) {
                 Some(Some(source)) => self.open(Source { reference: Some(LayerRef::whole(path)), ..source.clone() }),
                 Some(None) => self.refuse("a frame that was rendered here is compared with a reference of the same scene", "let one be drawn (panel Sampling)"),
@@ -618,6 +623,8 @@ impl Viewer {
                     self.inspector.give_up();
                     self.trouble = Some((Task::Inspect, error));
                 }
+                // It was sent before there was a reference.
+                Reply::Denoised(denoised) if self.document.as_ref().is_some_and(|document| document.has_more_to_compare(&denoised)) => self.run(),
                 Reply::Denoised(denoised) => {
                     self.progress = None;
                     self.adaptive.follows = false;
@@ -634,6 +641,10 @@ impl Viewer {
                     self.sweep.is_running &= task != Task::Sweep;
                     if task == Task::Open && std::mem::take(&mut self.interrupted) {
                         self.run();
+                        // The frame is open, and its reference cannot be.
+                        if std::mem::take(&mut self.sweeps) {
+                            self.toggle_sweep();
+                        }
                     }
                 }
             }

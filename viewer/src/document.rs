@@ -13,6 +13,7 @@ use stein::method::Plan;
 use stein::sampling::estimated_relative_mse;
 use stein::{Denoiser, Estimate, Frame, Image, Options, Preset, metric};
 
+use crate::files::short_name;
 use crate::layer::{Description, Group, Kind, Layer};
 use crate::settings::Parameters;
 
@@ -40,6 +41,12 @@ impl Source {
     /// All files that are read.
     pub fn files(&self) -> impl Iterator<Item = &Path> {
         self.request.files().chain(self.reference.as_ref().map(|reference| reference.file.as_path()))
+    }
+
+    /// What people call it: the name of the input, and its layer where one is named.
+    pub fn name(&self) -> String {
+        let BufferSetRequest { input, layer, .. } = &self.request;
+        layer.as_ref().map_or_else(|| short_name(input), |layer| format!("{}::{layer}", short_name(input)))
     }
 
     /// The same from whichever folder.
@@ -184,6 +191,11 @@ impl Document {
         });
         self.denoised = Some(denoised);
         self.arrange();
+    }
+
+    /// Whether there is a reference by now that a run knew nothing of.
+    pub fn has_more_to_compare(&self, denoised: &Denoised) -> bool {
+        self.opened.reference.is_some() && !denoised.layers.iter().any(|layer| layer.name() == "true_error")
     }
 
     /// Takes over the same frame with its reference. What was made before stays as it is.

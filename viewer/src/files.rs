@@ -10,8 +10,8 @@ use stein::{Error, Result};
 
 use crate::device::no_thread;
 
-/// Nobody closes a dialog sooner: where there is no answer by then, none was shown.
-const SOONEST: Duration = Duration::from_millis(150);
+/// Nobody closes a dialog sooner: where one ends before without an answer, it was not shown.
+const SOONEST: Duration = Duration::from_millis(400);
 
 /// What a file is asked for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -60,11 +60,13 @@ impl Purpose {
         matches!(self, Self::SaveView | Self::SaveLayer | Self::SaveResult | Self::SaveParameters)
     }
 
-    /// A path with the ending of the format, where it has none; but for one that exists, which nobody was asked about.
+    /// A path with the ending of the format, where it has none or another, such as the number of a frame; but not one that exists, which nobody was asked about.
     #[must_use]
     pub fn with_ending(self, path: PathBuf) -> PathBuf {
-        let complete = path.with_extension(self.format().1);
-        if path.extension().is_none() && !complete.exists() { complete } else { path }
+        let ending = self.format().1;
+        let has_ending = path.extension().is_some_and(|own| own.eq_ignore_ascii_case(ending));
+        let complete = path.with_added_extension(ending);
+        if has_ending || complete.exists() { path } else { complete }
     }
 }
 
@@ -137,6 +139,17 @@ pub fn short_name(path: &Path) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn files_have_the_ending_of_their_format() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let taken = folder.path().join("taken.exr");
+        std::fs::write(&taken, "").expect("a file");
+        let named = |name: &str| Purpose::SaveResult.with_ending(folder.path().join(name));
+        for (name, file) in [("a", "a.exr"), ("a.EXR", "a.EXR"), ("shot.0001", "shot.0001.exr"), ("taken", "taken"), ("taken.exr", "taken.exr")] {
+            assert_eq!(named(name), folder.path().join(file), "{name}");
+        }
+    }
 
     #[test]
     fn a_dialog_that_was_never_shown_is_told_from_one_that_was_closed() {

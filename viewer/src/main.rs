@@ -14,10 +14,13 @@ use stein_viewer::panel::Panel;
 use stein_viewer::screenshot::{self, Shot};
 use stein_viewer::settings::Parameters;
 use stein_viewer::view::Compare;
-use stein_viewer::{Start, Viewer, app, device, files, sweep, words};
+use stein_viewer::{Start, Viewer, app, device, sweep, words};
 
 const AFTER_HELP: &str = "\
 Exit codes: 0 done, 2 wrong usage, 3 an input file or layer cannot be used, 4 no device, or one that cannot show a window, 5 the picture cannot be written, 1 anything else.
+
+Environment:
+  STEIN_CACHE  folder in which compiled shaders are kept from run to run, where the device hands them out; empty: nowhere [default: `stein` among the user's caches]
 
 Examples:
   stein-viewer testdata/dof_spheres_32spp.exr --reference testdata/dof_spheres_reference.exr
@@ -215,7 +218,7 @@ fn main() -> ExitCode {
 fn run(args: &Args) -> Result<(), Failure> {
     let start = start(args)?;
     let gpu = Gpu::open_with(args.device.as_ref().unwrap_or(&DeviceChoice::Auto), GpuOptions::of_user())?;
-    match &args.screenshot {
+    let done = match &args.screenshot {
         Some(path) => {
             let theme = match args.theme {
                 ThemeName::Dark => Theme::Dark,
@@ -225,7 +228,12 @@ fn run(args: &Args) -> Result<(), Failure> {
             picture.write_png(path).map_err(|error| Failure { code: 5, message: words::told(&error) })
         }
         None => window(args, &gpu, start),
+    };
+    // What was done stays done: the next start takes longer.
+    if let Err(error) = gpu.save_pipelines() {
+        eprintln!("stein-viewer: {}", words::told(&error));
     }
+    done
 }
 
 fn start(args: &Args) -> Result<Start, Failure> {
@@ -233,7 +241,12 @@ fn start(args: &Args) -> Result<Start, Failure> {
         return Err(Failure { code: 2, message: "--neighbour is explained by the kernel's panel\n  remedy: add --panel kernel, or leave it out".into() });
     }
     let parameters = parameters(args)?;
-    let request = |LayerRef { file, layer }| BufferSetRequest { input: file, layer, ..args.others.clone() };
+    let request = |named: LayerRef| {
+        // A path may have `::` in it.
+        let whole = PathBuf::from(named.to_string());
+        let LayerRef { file, layer } = if whole.is_file() { LayerRef::whole(whole) } else { named };
+        BufferSetRequest { input: file, layer, ..args.others.clone() }
+    };
     let source = args.file.clone().map(|input| Source { request: request(input), reference: args.reference.clone() });
     if source.is_none() && args.others != BufferSetRequest::default() {
         let message = "halves, variance and features are those of a file, and none is given\n  remedy: name it: stein-viewer FILE".into();
@@ -285,7 +298,7 @@ fn parameters(args: &Args) -> Result<Option<Parameters>, Failure> {
 }
 
 fn window(args: &Args, gpu: &Gpu, start: Start) -> Result<(), Failure> {
-    let title = app::title(start.source.as_ref().map(|source| files::short_name(&source.request.input)).as_deref());
+    let title = app::title(start.source.as_ref().map(Source::name).as_deref());
     let viewport = ViewportBuilder::default().with_title(&title).with_inner_size(Vec2::from(args.size)).with_min_inner_size([640.0, 400.0]);
     let options = eframe::NativeOptions { viewport, wgpu_options: device::configuration(gpu)?, ..Default::default() };
     let in_window = |creation: &eframe::CreationContext| Viewer::in_window(creation, gpu, start).map(|viewer| Box::new(viewer) as Box<dyn eframe::App>);

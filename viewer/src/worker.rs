@@ -21,7 +21,6 @@ use stein::{Denoiser, Error, Frame, Gpu, Image, Options};
 use crate::adaptive::{Adapted, Loop};
 use crate::device::no_thread;
 use crate::document::{Denoised, Opened, Source, input_layers, relative_mse};
-use crate::files::short_name;
 use crate::inspector::{Inspected, Question};
 use crate::settings::Parameters;
 use crate::sweep::Point;
@@ -38,8 +37,8 @@ const MEASURED_TWICE: Duration = Duration::from_secs(10);
 /// The longest that the window rests after a frame.
 const LONGEST_REST: Duration = Duration::from_millis(80);
 
-/// How long a window that is drawn by the processor's own cores leaves them to the worker, where the frame before took so long: a half of the time is for each. No longer than
-/// input may wait.
+/// How long a window that draws on the processor's own cores leaves them to the worker, where it is so long since it handed over the frame before: where frames follow each
+/// other without pause a half of the time is for each. No longer than input may wait.
 pub fn rest_after(frame: Duration) -> Duration {
     frame.min(LONGEST_REST)
 }
@@ -439,7 +438,7 @@ fn open(job: &Job, source: Source) -> stein::Result<Opened> {
     job.check(0.8)?;
     let layers = input_layers(&frame, reference.as_ref());
     let noisy_error = relative_mse(&frame.color().mean, reference.as_ref());
-    let name = short_name(&source.request.input);
+    let name = source.name();
     Ok(Opened { source: Some(source), name, frame: Arc::new(frame), repairs, reference, noisy_error, layers })
 }
 

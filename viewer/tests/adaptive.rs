@@ -4,9 +4,9 @@
 
 mod common;
 
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
-use common::{settle, window};
+use common::{PATIENCE, settle, window};
 use eframe::egui::Key;
 use egui_kittest::kittest::Queryable;
 use stein::Extent;
@@ -70,14 +70,16 @@ fn iterations_are_those_of_the_library_and_can_be_chosen() {
 #[test]
 fn runs_of_an_iteration_are_compared_with_a_reference_that_comes_later() {
     let (mut setup, parameters) = small();
-    setup.reference_samples = 1 << 10;
     let mut harness = window(Start { parameters: Some(parameters), ..Default::default() });
     let context = harness.ctx.clone();
     // The first run is done before the reference is there, the second waits while it is drawn.
-    for complete in [1, 3] {
+    for (complete, reference_samples) in [(1, 1 << 10), (3, 1 << 12)] {
+        setup.reference_samples = reference_samples;
         harness.state_mut().adaptive.setup = setup.clone();
         harness.state_mut().adapt();
+        let start = Instant::now();
         while harness.state().adaptive.iterations.len() < complete {
+            assert!(harness.state().trouble.is_none() && start.elapsed() < PATIENCE, "{:?}", harness.state().trouble);
             // A frame could take longer than what is left.
             harness.state_mut().poll(&context);
             std::thread::sleep(Duration::from_millis(1));

@@ -164,6 +164,13 @@ fn files_that_are_dropped_are_opened_and_a_reference_is_told_by_its_name() {
     drop_files(&mut harness, std::slice::from_ref(&first));
     is_open(&harness, &first, None);
 
+    // What is being read is what it belongs to.
+    let context = harness.ctx.clone();
+    harness.state_mut().open(Source::whole(second.clone(), None));
+    harness.state_mut().take_file(Purpose::Reference, reference.clone(), &context);
+    settle(&mut harness);
+    is_open(&harness, &second, Some(&reference));
+
     // Where it is broken, the frame is opened without.
     let folder = tempfile::tempdir().unwrap();
     let reference = folder.path().join("reference.exr");
@@ -278,7 +285,7 @@ fn parts_of_a_frame_come_from_other_files_and_are_saved_and_remembered_so() {
     let mut harness = window(Start { parameters, ..Default::default() });
     harness.state_mut().settings = eframe::get_value(&memory, Settings::KEY).unwrap();
     harness.run_steps(2);
-    harness.get_by_label("both.exr with truth.exr").click();
+    harness.get_by_label("both.exr::left with truth.exr").click();
     settle(&mut harness);
     is_the_librarys(&harness);
 
@@ -328,6 +335,14 @@ fn the_command_line_takes_parts_of_a_frame_from_other_files() {
     for (options, expected, told) in cases {
         let (code, said) = program(&[&set[..], options].concat());
         assert!(code == Some(expected) && told.iter().all(|told| said.contains(told)), "{options:?}: {code:?} {said}");
+    }
+    // Its path is a file's, not that of a layer.
+    if cfg!(unix) {
+        let odd = folder.path().join("a::b");
+        std::fs::create_dir(&odd).unwrap();
+        std::fs::copy(testdata("anim/shot.0000.exr"), odd.join("shot.exr")).unwrap();
+        let (code, said) = program(&["a::b/shot.exr"]);
+        assert_eq!(code, Some(0), "{said}");
     }
     let (code, said) = program(&["--adapt=soft", "--half-a=a.exr"]);
     assert!(code == Some(2) && said.contains("none is given") && said.contains("remedy:"), "{said}");

@@ -11,6 +11,7 @@ use std::time::{Duration, Instant};
 
 use stein::buffers::{BufferSet, BufferSetRequest};
 use stein::{Denoiser, Frame, Gpu, Method, Preset, gpu::DeviceChoice};
+use tempfile::TempDir;
 use x11rb::connection::Connection;
 use x11rb::protocol::xproto::{
     Atom, AtomEnum, ClientMessageEvent, ConnectionExt, EventMask, InputFocus, KEY_PRESS_EVENT, KEY_RELEASE_EVENT, KeyButMask, KeyPressEvent, Keysym, MapState,
@@ -29,6 +30,8 @@ const PATIENCE: Duration = Duration::from_secs(120);
 struct Screen {
     server: Child,
     display: String,
+    /// Where programs on it remember things.
+    home: TempDir,
 }
 
 impl Screen {
@@ -43,7 +46,7 @@ impl Screen {
         let mut line = String::new();
         BufReader::new(server.stdout.take().unwrap()).read_line(&mut line).unwrap();
         let number: u32 = line.trim().parse().expect("Xvfb tells the number of its display");
-        Self { server, display: format!(":{number}") }
+        Self { server, display: format!(":{number}"), home: tempfile::tempdir().unwrap() }
     }
 }
 
@@ -61,9 +64,7 @@ fn testdata(name: &str) -> PathBuf {
 
 /// The program on this screen, with nothing remembered.
 fn viewer(screen: &Screen) -> Command {
-    let home = Path::new(env!("CARGO_TARGET_TMPDIR")).join("home");
-    std::fs::create_dir_all(&home).unwrap();
-    viewer_of(screen, &home)
+    viewer_of(screen, screen.home.path())
 }
 
 /// The program on this screen, with what is remembered in a folder.
@@ -97,7 +98,7 @@ fn a_window_opens_shows_a_frame_and_closes() {
 
 #[test]
 fn without_a_screen_it_says_what_to_do() {
-    let screen = Screen { server: Command::new("true").spawn().unwrap(), display: String::new() };
+    let screen = Screen { server: Command::new("true").spawn().unwrap(), display: String::new(), home: tempfile::tempdir().unwrap() };
     let child = viewer(&screen).env_remove("DISPLAY").spawn().unwrap();
     let (code, said) = ended(child);
     assert_eq!(code, Some(4), "{said}");

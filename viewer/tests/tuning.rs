@@ -6,7 +6,7 @@ mod common;
 
 use std::time::Duration;
 
-use common::{settle, testdata, window, window_with};
+use common::{PATIENCE, settle, testdata, window, window_with};
 use eframe::egui::accesskit::Role;
 use eframe::egui::{Id, Key, Modifiers, Pos2};
 use egui_kittest::Harness;
@@ -326,9 +326,9 @@ fn a_window_that_makes_room_waits_for_the_work_and_no_longer() {
     harness.state_mut().run();
     let worker = &harness.state().worker;
     assert_eq!(worker.busy(), Some(Task::Denoise));
-    worker.make_room(Duration::from_secs(3600));
+    worker.make_room(PATIENCE);
     assert_eq!(worker.busy(), None);
-    worker.make_room(Duration::from_secs(3600));
+    worker.make_room(PATIENCE);
     settle(&mut harness);
     assert_eq!(harness.state().document.as_ref().unwrap().history.len(), 2);
 

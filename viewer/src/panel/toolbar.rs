@@ -75,7 +75,7 @@ pub fn show(ui: &mut Ui, viewer: &mut Viewer) {
 pub fn recent(ui: &mut Ui, viewer: &mut Viewer) {
     let mut chosen = None;
     for source in &viewer.settings.recent {
-        let input = short_name(&source.request.input);
+        let input = source.name();
         let text = match &source.reference {
             Some(reference) => format!("{input} with {}", short_name(&reference.file)),
             None => input,

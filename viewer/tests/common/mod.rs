@@ -15,7 +15,7 @@ use stein_viewer::document::Source;
 use stein_viewer::{Start, Viewer, device};
 
 /// Longest that the worker may take.
-const PATIENCE: Duration = Duration::from_secs(300);
+pub(crate) const PATIENCE: Duration = Duration::from_secs(300);
 
 /// A file of `testdata/`.
 pub(crate) fn testdata(name: &str) -> PathBuf {
