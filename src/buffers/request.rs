@@ -32,7 +32,7 @@ pub struct BufferSetRequest {
     /// A feature under another name or from another file, with its halves and variance beside it; may be repeated
     #[arg(long = "feature", value_name = "NAME=FILE[::LAYER]", value_parser = feature)]
     pub features: Vec<(String, LayerRef)>,
-    /// A feature of the input that is not to be used; may be repeated
+    /// A feature of the input that is not to be used, by its whole name, or in all view layers by the last part of it; may be repeated
     #[arg(long = "skip-feature", value_name = "NAME")]
     pub skip_features: Vec<String>,
     /// Use no features of the input but those in `features`.
