@@ -4,20 +4,8 @@ use std::sync::Arc;
 
 use stein::{Method, Preset};
 
+use crate::document::Run;
 use crate::settings::Parameters;
-
-/// A run that was measured.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Point {
-    /// With which parameters.
-    pub parameters: Parameters,
-    /// For the result and its estimated error alone, on the clock: the shorter of two runs, so that compiling shaders does not count.
-    pub seconds: f64,
-    /// Relative MSE against the reference.
-    pub error: Option<f64>,
-    /// The same as the error estimate has it.
-    pub estimated_error: Option<f64>,
-}
 
 /// Over what is swept: all radii and presets of all methods, and besides them the parameters in use.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -73,8 +61,9 @@ pub fn radius(method: &Method) -> Option<u32> {
 pub struct Sweep {
     /// Over what the next one goes.
     pub extent: Extent,
-    /// What was measured on the open frame, in the order of measuring.
-    pub points: Vec<Point>,
+    /// What was measured on the open frame, in the order of measuring: the result and its estimated error alone, by the shorter of two runs, so that compiling shaders does not
+    /// count.
+    pub points: Vec<Run>,
     /// All that is measured; empty before the first sweep.
     pub planned: Arc<[Parameters]>,
     /// Whether it goes on.
@@ -83,7 +72,7 @@ pub struct Sweep {
 
 impl Sweep {
     /// Takes in what was measured; the last point ends it.
-    pub fn add(&mut self, point: Point) {
+    pub fn add(&mut self, point: Run) {
         self.points.retain(|other| other.parameters.method != point.parameters.method);
         self.points.push(point);
         self.is_running &= self.planned.last().is_some_and(|last| last.method != point.parameters.method);

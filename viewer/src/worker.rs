@@ -20,10 +20,9 @@ use stein::{Denoiser, Error, Frame, Gpu, Image, Options};
 
 use crate::adaptive::{Adapted, Loop};
 use crate::device::no_thread;
-use crate::document::{Denoised, Opened, Source, input_layers, relative_mse};
+use crate::document::{Denoised, Opened, Run, Source, input_layers, relative_mse};
 use crate::inspector::{Inspected, Question};
 use crate::settings::Parameters;
-use crate::sweep::Point;
 
 /// Dispatches between which the window can draw, on a graphics card; a processor takes long for one.
 const DISPATCHES_AT_ONCE: usize = 8;
@@ -142,7 +141,7 @@ pub enum Reply {
     /// An adaptive loop is one step further.
     Adapted(Box<Adapted>),
     /// A run was measured.
-    Swept(Box<Point>),
+    Swept(Box<Run>),
     /// A task came to no end because of this. Nothing is told of tasks that were cancelled.
     Failed(Task, Error),
 }
@@ -473,7 +472,7 @@ fn denoise(gpu: &Gpu, job: &Job, frame: &Frame, reference: Option<&Arc<Image>>, 
 }
 
 /// Time and error of the result and its estimated error, with nothing kept to look at.
-fn measure(gpu: &Gpu, job: &Job, frame: &Frame, reference: Option<&Arc<Image>>, parameters: Parameters, share: impl Fn(f32) -> f32) -> stein::Result<Point> {
+fn measure(gpu: &Gpu, job: &Job, frame: &Frame, reference: Option<&Arc<Image>>, parameters: Parameters, share: impl Fn(f32) -> f32) -> stein::Result<Run> {
     job.check(share(0.0))?;
     gpu.set_timing(false);
     let denoiser = Denoiser::new(gpu, parameters.method)?;
@@ -488,7 +487,7 @@ fn measure(gpu: &Gpu, job: &Job, frame: &Frame, reference: Option<&Arc<Image>>, 
         time = time.min(run(0.5)?.1);
     }
     let (error, estimated_error) = (relative_mse(&estimate.color, reference), estimated_relative_mse(&estimate));
-    Ok(Point { parameters, seconds: time.as_secs_f64(), error, estimated_error })
+    Ok(Run { parameters, seconds: time.as_secs_f64(), error, estimated_error })
 }
 
 /// A panic is a defect of this program: the window stays, and says so.

@@ -15,12 +15,11 @@ use egui_plot::{PlotMemory, PlotPoint};
 use stein::buffers::{BufferSet, BufferSetRequest};
 use stein::parameters::{Kind, Value};
 use stein::{Denoiser, Frame, Image, Method, Preset};
-use stein_viewer::document::Source;
+use stein_viewer::document::{Run, Source};
 use stein_viewer::files::Purpose;
 use stein_viewer::panel::Panel;
 use stein_viewer::panel::plot::PLOT;
 use stein_viewer::settings::{Earlier, Parameters, Settings};
-use stein_viewer::sweep::Point;
 use stein_viewer::view::Compare;
 use stein_viewer::worker::{Task, rest_after};
 use stein_viewer::{Start, Viewer};
@@ -372,10 +371,10 @@ fn a_sweep_measures_makes_way_and_hands_over_its_parameters() {
 
     // Of the points, the one that lies most by itself is clicked.
     let transform = PlotMemory::load(&harness.ctx, Id::unique(PLOT)).unwrap().transform();
-    let place = |point: &Point| transform.position_from_point(&PlotPoint::new(point.seconds.log10(), point.error.unwrap().log10()));
+    let place = |point: &Run| transform.position_from_point(&PlotPoint::new(point.seconds.log10(), point.error.unwrap().log10()));
     let points = harness.state().sweep.points.clone();
-    let others = |point: &Point| points.iter().filter(|other| other.parameters != point.parameters).map(place).collect::<Vec<_>>();
-    let alone = |point: &Point| others(point).into_iter().map(|other| other.distance(place(point))).fold(f32::INFINITY, f32::min);
+    let others = |point: &Run| points.iter().filter(|other| other.parameters != point.parameters).map(place).collect::<Vec<_>>();
+    let alone = |point: &Run| others(point).into_iter().map(|other| other.distance(place(point))).fold(f32::INFINITY, f32::min);
     let clickable = points.iter().filter(|point| point.parameters.method != expected);
     let point = clickable.max_by(|a, b| alone(a).total_cmp(&alone(b))).unwrap();
     assert!(alone(point) > 1.0, "{points:?}");

@@ -7,6 +7,7 @@ use egui_plot::{AxisHints, GridInput, GridMark, Line, LineStyle, MarkerShape, Pl
 use stein::Preset;
 
 use crate::app::Viewer;
+use crate::document::Run;
 use crate::settings::Parameters;
 use crate::shortcut::Action;
 use crate::sweep::{Extent, radius};
@@ -53,23 +54,15 @@ pub fn show(ui: &mut Ui, viewer: &mut Viewer) {
     };
     let has_reference = document.opened.reference.is_some();
     let axis = if has_reference { "relative MSE against the reference" } else { "relative MSE, estimated" };
-    let error_of = |error: Option<f64>, estimated: Option<f64>| if has_reference { error } else { estimated };
-    let swept = viewer.sweep.points.iter().map(|point| {
-        let error = error_of(point.error, point.estimated_error);
-        (point.parameters, point.seconds, error, false)
-    });
-    let runs = document.history.iter().map(|run| {
-        let error = error_of(run.error, run.estimated_error);
-        (run.parameters, run.seconds, error, true)
-    });
-    let all: Vec<_> = swept.chain(runs).collect();
     // What is not above 0 has no place on a logarithmic axis.
-    let spot = |(parameters, seconds, error, keeps_layers): &(Parameters, f64, Option<f64>, bool)| {
-        let error = error.filter(|error| *error > 0.0 && *seconds > 0.0)?;
-        Some(Spot { parameters: *parameters, seconds: *seconds, error, keeps_layers: *keeps_layers })
+    let spot = |run: &Run, keeps_layers: bool| {
+        let error = if has_reference { run.error } else { run.estimated_error };
+        let error = error.filter(|error| *error > 0.0 && run.seconds > 0.0)?;
+        Some(Spot { parameters: run.parameters, seconds: run.seconds, error, keeps_layers })
     };
-    let spots: Vec<Spot> = all.iter().filter_map(spot).collect();
-    let missing = all.len() - spots.len();
+    let (swept, runs) = (&viewer.sweep.points, &document.history);
+    let spots: Vec<Spot> = swept.iter().filter_map(|run| spot(run, false)).chain(runs.iter().filter_map(|run| spot(run, true))).collect();
+    let missing = swept.len() + runs.len() - spots.len();
 
     choose(ui, viewer);
     let mut taken = plot(ui, viewer, &spots, axis);
