@@ -187,7 +187,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     var third_spreads: array<vec4<f32>, PIXELS>;
     for (var i = 0; i < PIXELS; i++) {
         centres[i] = centre_at(first_x + i, y);
-        steps[i] = difference_step(centres[i].mean, centres[i].variance);
+        steps[i] = difference_step(centres[i].mean, variance_of_mean[y * extent.x + min(first_x + i, extent.x - 1)]);
         if nlm.starts == 0 {
             let at_state = row * nlm.width + min(first_column + i, nlm.width - 1);
 #ifdef FIRST

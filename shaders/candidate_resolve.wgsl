@@ -67,7 +67,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     let at_p = pixel_index(p, extent);
     let u_p = signal[at_p].xyz;
     let spread_p = signal[pixels + at_p].xyz;
-    let of_candidate = resolved(params.rows * params.width, row * params.width + column, difference_step(u_p, variance_of_mean[at_p].xyz));
+    let of_candidate = resolved(params.rows * params.width, row * params.width + column, difference_step(u_p, variance_of_mean[at_p]));
     filtered[at_p] = vec4<f32>(u_p + of_candidate.mean, of_candidate.weight_sum);
     filtered[pixels + at_p] = vec4<f32>(spread_p + of_candidate.spread, 0.0);
 #ifdef DERIVATIVES

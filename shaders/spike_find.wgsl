@@ -3,12 +3,8 @@
 // A spike stands out from the pixels of its kind around it, as a small light does, but for what it stands out it rests on very few samples: if k of n samples that a pixel
 // has are the bright ones, its excess over the level is about √k standard deviations of its mean, whatever n is and however bright they are. Both the sample variance and the
 // halves say so, and the one that says more is believed, for either may miss it. A light has many bright samples, and without noise infinitely many.
-//
-// SPREAD: what is taken from a spike goes to all pixels of its kind in a wider window, to each the less the further it is away, but for those without noise: they are what they
-// are. One spike says little about how much light there is: it stands for as many pixels as there would have to be until the next one. Where it would raise the level around it by
-// more than a part of it, it is rarer than that, and the more it would, the more of it is left out.
 #import stein::planes::{pixel_index}
-#import stein::spike::{SpikeParams, SpikeFeatures, are_alike, brightness, falloff, has_noise}
+#import stein::spike::{SpikeParams, SpikeFeatures, are_alike, brightness, has_noise}
 
 const FEATURE_GROUPS: i32 = #{FEATURE_GROUPS};
 
@@ -23,7 +19,7 @@ const FEATURE_GROUPS: i32 = #{FEATURE_GROUPS};
 @group(0) @binding(4) var<storage, read_write> repaired_variance: array<vec4<f32>>;
 #endif
 @group(0) @binding(5) var<storage, read_write> repaired: array<vec4<f32>>;
-// Three planes, of which two are written here. What is taken from each pixel, in w the part of it that others get; behind it what one of them in its place would get.
+// Three planes, of which the first is written here: what is taken from each pixel, 0 where it is no spike.
 @group(0) @binding(6) var<storage, read_write> spikes: array<vec4<f32>>;
 
 // Of the halves alone, whose squared spread is as likely too small as too large.
@@ -139,35 +135,8 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
 
     let spread = signal[pixels + at_p];
     var excess = vec3<f32>(0.0);
-    var part = 0.0;
-    var share = vec3<f32>(0.0);
     if is_spike {
         excess = own - level;
-#ifdef SPREAD
-        let spread_first = max(p - params.spread_radius, vec2<i32>(0));
-        let spread_last = min(p + params.spread_radius, extent - 1);
-        var members = 0.0;
-        // Where the spike is at the edge of a light, its own level is not that of those who get its parts.
-        var darker = 0.0;
-        var darker_brightness = 0.0;
-        for (var y = spread_first.y; y <= spread_last.y; y++) {
-            for (var x = spread_first.x; x <= spread_last.x; x++) {
-                let at_q = pixel_index(vec2<i32>(x, y), extent);
-                if is_like(at_p, at_q) {
-                    members += select(0.0, falloff(vec2<i32>(x, y) - p, params.spread_radius), is_noisy(at_q));
-                    let value = brightness(signal[at_q].xyz);
-                    if value <= bright {
-                        darker += 1.0;
-                        darker_brightness += value;
-                    }
-                }
-            }
-        }
-        let even = excess / members;
-        let limit = params.share_limit * max(min(brightness(level), darker_brightness / darker), 0.0);
-        part = limit / (limit + brightness(even));
-        share = part * even;
-#endif
         let deviation = sqrt(level_variance);
         repaired[at_p] = vec4<f32>(level, signal[at_p].w);
         repaired[pixels + at_p] = vec4<f32>(clamp(spread.xyz, -deviation, deviation), spread.w);
@@ -175,8 +144,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
         repaired[at_p] = signal[at_p];
         repaired[pixels + at_p] = spread;
     }
-    spikes[at_p] = vec4<f32>(excess, part);
-    spikes[pixels + at_p] = vec4<f32>(share, 0.0);
+    spikes[at_p] = vec4<f32>(excess, 0.0);
 #ifdef VARIANCE
     repaired_variance[at_p] = select(sample_variance[at_p], vec4<f32>(level_variance, 0.0), is_spike);
 #endif

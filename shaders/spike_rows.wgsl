@@ -3,7 +3,7 @@
 #import stein::spike::{SpikeParams}
 
 @group(0) @binding(0) var<uniform> params: SpikeParams;
-// As spike_find leaves it, and spike_spread takes it.
+// As spike_share leaves it, and spike_spread takes it.
 @group(0) @binding(1) var<storage, read_write> spikes: array<vec4<f32>>;
 
 @compute @workgroup_size(32, 2, 1)

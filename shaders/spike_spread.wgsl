@@ -1,7 +1,7 @@
-// Adds to each pixel that has noise what it gets of the spikes around it, and notes how uncertain that is: of a spike that might as well have fallen elsewhere it gets all or nothing,
+// Adds to each pixel that has noise what it gets of the spikes around it that are about as bright as it is, and notes how uncertain that is: of a spike that might as well have fallen elsewhere it gets all or nothing,
 // so that the squares of the parts are summed.
 #import stein::planes::{pixel_index}
-#import stein::spike::{SpikeParams, SpikeFeatures, are_alike, falloff, has_noise}
+#import stein::spike::{SpikeParams, SpikeFeatures, affinity, are_alike, falloff}
 
 const FEATURE_GROUPS: i32 = #{FEATURE_GROUPS};
 
@@ -12,12 +12,9 @@ const FEATURE_GROUPS: i32 = #{FEATURE_GROUPS};
 #if FEATURE_GROUPS != 0
 @group(0) @binding(2) var<storage, read> features: array<vec4<f32>>;
 #endif
-// As spike_find got them.
-@group(0) @binding(3) var<storage, read> signal: array<vec4<f32>>;
-#ifdef VARIANCE
-@group(0) @binding(4) var<storage, read> sample_variance: array<vec4<f32>>;
-#endif
-@group(0) @binding(5) var<storage, read_write> repaired: array<vec4<f32>>;
+// As spike_level left them.
+@group(0) @binding(3) var<storage, read> levels: array<vec4<f32>>;
+@group(0) @binding(4) var<storage, read_write> repaired: array<vec4<f32>>;
 
 #if FEATURE_GROUPS != 0
 fn features_at(at: i32, group: i32) -> SpikeFeatures {
@@ -46,12 +43,8 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     }
     let pixels = extent.x * extent.y;
     let at_q = pixel_index(q, extent);
-#ifdef VARIANCE
-    let variance = sample_variance[at_q].xyz;
-#else
-    let variance = vec3<f32>(0.0);
-#endif
-    if !has_noise(signal[pixels + at_q].xyz, variance) {
+    let own = levels[at_q];
+    if own.y == 0.0 {
         spikes[2 * pixels + at_q] = vec4<f32>(0.0);
         return;
     }
@@ -66,7 +59,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
                 let at_p = pixel_index(vec2<i32>(x, y), extent);
                 let share = spikes[pixels + at_p].xyz;
                 if any(share != vec3<f32>(0.0)) && is_like(at_p, at_q) {
-                    let gets = falloff(vec2<i32>(x, y) - q, params.spread_radius) * share;
+                    let gets = falloff(vec2<i32>(x, y) - q, params.spread_radius) * affinity(levels[at_p].x, own.x) * share;
                     sum += gets;
                     squares += dot(gets, gets);
                 }

@@ -82,9 +82,10 @@ const THIRD_MEAN_SUM: i32 = 10;
 const THIRD_SPREAD_SUM: i32 = 11;
 const STATE_PLANES: i32 = 12;
 
-// Step of the finite differences (thesis 8.4: 1 % of the value), held above 1 % of the pixel's noise, and above nothing at all: at u ≈ 0 the step would vanish.
-fn difference_step(u: vec3<f32>, variance_of_mean: vec3<f32>) -> vec3<f32> {
-    let size = max(max(0.01 * abs(u), 0.01 * sqrt(variance_of_mean)), vec3<f32>(1e-6));
+// Step of the finite differences (thesis 8.4: 1 % of the value), held above 1 % of the pixel's noise and above what float32 can tell from its neighbours: at u ≈ 0 the step would vanish.
+// w of the variance is the brightness around the pixel.
+fn difference_step(u: vec3<f32>, variance_of_mean: vec4<f32>) -> vec3<f32> {
+    let size = max(max(0.01 * abs(u), 0.01 * sqrt(variance_of_mean.xyz)), vec3<f32>(max(1e-6 * variance_of_mean.w, 1e-18)));
     return select(size, -size, u < vec3<f32>(0.0));
 }
 

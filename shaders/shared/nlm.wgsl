@@ -34,8 +34,8 @@ struct NlmParams {
     centre_floor: f32,
 }
 
-// Prevents a division by zero between two pixels without variance (eq. 7.4).
-const EPSILON: f32 = 1e-10;
+// Prevents a division by zero between two black pixels (eq. 7.4): all others have a variance, which variance_floor holds above their rounding.
+const EPSILON: f32 = 1e-30;
 // A pixel distance beyond this is total dissimilarity in any patch. The limit keeps sums and perturbed sums finite: inf − inf would become full weight.
 const DISTANCE_LIMIT: f32 = 1e8;
 // Above this distance weights vanish in f32 and the ratio that judges symmetry says nothing.

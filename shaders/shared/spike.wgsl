@@ -49,6 +49,12 @@ fn falloff(offset: vec2<i32>, radius: i32) -> f32 {
     return max(1.0 - dot(away, away), 0.0);
 }
 
+// How much two pixels count as equally bright, by the levels of their surroundings: 1 up to four times as bright, 0 from eight times on.
+fn affinity(level_p: f32, level_q: f32) -> f32 {
+    let brighter = max(level_p, level_q);
+    return select(1.0, clamp(8.0 * min(level_p, level_q) / brighter - 1.0, 0.0, 1.0), brighter > 0.0);
+}
+
 fn brightness(color: vec3<f32>) -> f32 {
     return dot(color, vec3<f32>(1.0 / 3.0));
 }

@@ -22,6 +22,8 @@ pub(super) const SHARED: &[(&str, &str)] = sources!("shaders/shared":
 #[rustfmt::skip]
 pub(super) const STAGES: &[(&str, &str)] = sources!("shaders":
     "spike_find",
+    "spike_level",
+    "spike_share",
     "spike_rows",
     "spike_spread",
     "variance_rows",
@@ -29,6 +31,7 @@ pub(super) const STAGES: &[(&str, &str)] = sources!("shaders":
     "variance_smooth",
     "variance_pair",
     "variance_clamp",
+    "variance_floor",
     "half_split",
     "half_join",
     "gaussian",
@@ -49,6 +52,7 @@ pub(super) const STAGES: &[(&str, &str)] = sources!("shaders":
     "select_blend",
     "select_frames",
     "select_pass",
+    "keep_clean",
     "exact_copy",
     "exact_fill",
     "sample_attach",

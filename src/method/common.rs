@@ -5,10 +5,13 @@ use std::sync::Arc;
 use glam::IVec2;
 
 use super::GpuSignal;
+use super::estimate::Lane;
+use super::plan::{Plan, Step};
 use crate::error::Result;
 use crate::gpu::{Buffer, Recorder};
+use crate::stage::keep_clean::{CleanRule, Input, keep_clean};
 use crate::stage::nlm::Guide;
-use crate::stage::variance::{BoxWeight, INPUT_SMOOTHING, variance_scale, variance_smooth};
+use crate::stage::variance::{BoxWeight, Floor, INPUT_SMOOTHING, variance_floor, variance_scale, variance_smooth};
 
 /// Half width of the box over which variances are brought to scale (thesis 8.2: 21×21), in pixels.
 pub(super) const SCALE_RADIUS: u32 = 10;
@@ -39,4 +42,27 @@ pub(super) fn input_variance(rec: &mut Recorder, extent: IVec2, signal: &GpuSign
         (Some(sample_variance), false) => return Ok(sample_variance.clone()),
     };
     Ok(Arc::new(variance))
+}
+
+/// The variance of the mean as distances want it: [`input_variance`], held above a floor.
+pub(super) fn guide_variance(rec: &mut Recorder, extent: IVec2, signal: &GpuSignal, weight: BoxWeight, floor: Floor) -> Result<Arc<Buffer>> {
+    let variance = input_variance(rec, extent, signal, weight)?;
+    Ok(Arc::new(variance_floor(rec, extent, &signal.signal, &variance, floor)?))
+}
+
+/// A result in which pixels of the colour without noise are as they were, if the plan says so; `error` becomes that of what is kept. `color` is without spikes.
+pub(super) fn with_clean_kept(
+    rec: &mut Recorder,
+    extent: IVec2,
+    color: &GpuSignal,
+    result: Arc<Buffer>,
+    error: Option<&Lane>,
+    plan: &Plan,
+) -> Result<Arc<Buffer>> {
+    if !plan.begins(rec, Step::KeepClean) {
+        return Ok(result);
+    }
+    let input = Input { signal: &color.signal, sample_variance: color.variance_of_mean.as_deref() };
+    let errors = error.map(|lane| (&*lane.buffer, lane.component));
+    Ok(Arc::new(keep_clean(rec, extent, input, &result, errors, CleanRule::DEFAULT)?))
 }

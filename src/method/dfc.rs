@@ -8,7 +8,7 @@ use std::sync::Arc;
 
 use glam::IVec2;
 
-use super::common::{Auxiliary, SCALE_RADIUS, input_variance};
+use super::common::{Auxiliary, SCALE_RADIUS, guide_variance, with_clean_kept};
 use super::estimate::{GpuEstimate, Intermediate, Keeper, Lane, RGB, Shares, Unit};
 use super::frame::FeatureInput;
 use super::memory::{Footprint, UPLOADED_PLANES};
@@ -24,7 +24,7 @@ use crate::stage::feature::{Features, Packing, feature_pack};
 use crate::stage::nlm::{Beside, Guide, Lanes, Payload, Schedule, nlm_filter};
 use crate::stage::sample::{GpuSamples, sample_density};
 use crate::stage::select::{Evidence, HARM, Noisy, select_blend, select_frames, select_least, select_pass, select_share};
-use crate::stage::variance::{BoxWeight, INPUT_SMOOTHING, RESIDUAL_SMOOTHING, variance_smooth};
+use crate::stage::variance::{BoxWeight, Floor, INPUT_SMOOTHING, RESIDUAL_SMOOTHING, variance_floor, variance_smooth};
 
 pub(super) use kernels::kernels;
 pub use params::{DfcParams, SecondPass};
@@ -106,9 +106,10 @@ pub(crate) fn dfc(
         keeper.keep(Intermediate::Density, "density", &["V"], Unit::Number, &Arc::new(density), 0);
     }
 
+    let error = error.map(|buffer| Lane { buffer, plane: 0, component: 0 });
     Ok(GpuEstimate {
-        signal: result,
-        error: error.map(|buffer| Lane { buffer, plane: 0, component: 0 }),
+        signal: with_clean_kept(rec, extent, color, result, error.as_ref(), plan)?,
+        error,
         // Σ w is that of pass 1.
         weight_sum: Lane { buffer: pass1, plane: 0, component: 3 },
         selection: Some(selection),
@@ -195,9 +196,10 @@ impl Prepared {
 
         // Sample variance scaling.
         plan.begins(rec, Step::Variance);
-        let variance = input_variance(rec, extent, &color, params.box_weight)?;
+        let variance_of = |rec: &mut Recorder, color: &GpuSignal| guide_variance(rec, extent, color, params.box_weight, Floor::Relative);
+        let variance = variance_of(rec, &color)?;
         keeper.keep(Intermediate::Variance, "scaled_variance", &RGB, Unit::ColorSquared, &variance, 0);
-        let variances_beside = colors_beside.iter().map(|color| input_variance(rec, extent, color, params.box_weight)).collect::<Result<Vec<_>>>()?;
+        let variances_beside = colors_beside.iter().map(|color| variance_of(rec, color)).collect::<Result<Vec<_>>>()?;
         Ok(Self { extent, color, variance, features, spikes, samples, colors_beside, variances_beside })
     }
 
@@ -319,6 +321,7 @@ impl Pass2 {
         let Some(second_pass) = params.second_pass.filter(|_| plan.begins(rec, Step::SecondPass)) else { return Ok(None) };
         let SecondPass { clamp_to_input, most_sigmas, .. } = second_pass;
         let left_variance = variance_smooth(rec, extent, pass1, RESIDUAL_SMOOTHING, clamp_to_input.then_some(variance))?;
+        let left_variance = variance_floor(rec, extent, pass1, &left_variance, Floor::Relative)?;
         let (filter, grey) = (second_pass_filter(&second_pass, params.window_radius), work.is_grey());
         let guide = Guide { grey, exact: plan.exact(&Step::SecondPass), wanted: wanted.result, ..filter.guide(pass1, &left_variance, 3) };
         let payload = Payload { lanes: if grey { Lanes::Grey } else { Lanes::All }, ..Payload::new(pass1, 2) };
@@ -397,7 +400,7 @@ fn prefilter(rec: &mut Recorder, extent: IVec2, frames: Vec<Vec<FeatureInput>>, 
 /// The variance of a signal of whose noise anything is known.
 fn noise(rec: &mut Recorder, extent: IVec2, signal: &GpuSignal, box_weight: BoxWeight) -> Result<Option<Arc<Buffer>>> {
     let noisy = signal.has_halves || signal.variance_of_mean.is_some();
-    noisy.then(|| input_variance(rec, extent, signal, box_weight)).transpose()
+    noisy.then(|| guide_variance(rec, extent, signal, box_weight, Floor::Absolute)).transpose()
 }
 
 /// Counted from [`dfc`]: what is dropped is used again.
@@ -410,8 +413,8 @@ pub(super) fn footprint(params: &DfcParams, facts: &Facts, kept: bool, schedule:
     let (repaired, found) = params.spikes.planes();
     // Of each frame, and the colour's scaled variance.
     let color = UPLOADED_PLANES + 1;
-    // Of each frame, the packed features and the one whose turn it is: 3, its variance, 2 filtered planes, residual variance; two box sums, or weights.
-    let prefilter = frames * (color + packed + 7) + 2;
+    // Of each frame, the packed features and the one whose turn it is: 3, its variance without and with its floor, 2 filtered planes, residual variance; two box sums, or weights.
+    let prefilter = frames * (color + packed + 8) + 2;
     // Of the frames beside as well until the next one is repaired.
     let spikes = frames * (color + packed) + repaired + 2 * found;
     // Over all frames, and over the own one.

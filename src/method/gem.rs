@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use glam::IVec2;
 
-use super::common::{SCALE_RADIUS, input_variance};
+use super::common::{SCALE_RADIUS, input_variance, with_clean_kept};
 use super::estimate::{GpuEstimate, Intermediate, Keeper, Lane, RGB, Unit};
 use super::kernels::{KernelOnGpu, WeightsOnGpu};
 use super::memory::{Footprint, UPLOADED_PLANES};
@@ -43,7 +43,7 @@ pub(crate) fn gem(
     if let Some(spikes) = &spikes {
         keeper.keep(Intermediate::Spikes, "spikes", &RGB, Unit::Color, spikes, 0);
     }
-    let selected = select(rec, extent, color, samples, params, plan, &mut keeper, progress)?;
+    let selected = select(rec, extent, &color, samples, params, plan, &mut keeper, progress)?;
 
     // Sample distribution (6.3): what the host ranks the pixels by, once it knows how many samples there will be.
     if plan.begins(rec, Step::Density) {
@@ -53,10 +53,11 @@ pub(crate) fn gem(
     let Selected { signal, choice } = selected;
     let (signal, choice) = (Arc::new(signal), Arc::new(choice));
     keeper.keep(Intermediate::Scale, "scale", &["V"], Unit::Number, &choice, 0);
+    let error = Lane { buffer: choice, plane: 0, component: 2 };
     Ok(GpuEstimate {
-        error: Some(Lane { buffer: choice, plane: 0, component: 2 }),
         weight_sum: Lane { buffer: signal.clone(), plane: 0, component: 3 },
-        signal,
+        signal: with_clean_kept(rec, extent, &color, signal, Some(&error), plan)?,
+        error: Some(error),
         selection: None,
         spikes,
         kept: keeper.into_kept(),
@@ -68,7 +69,7 @@ pub(super) fn kernels(rec: &mut Recorder, frame: FrameInput, params: &GemParams,
     let extent = frame.extent;
     let Repaired { color, samples, .. } = Repaired::new(rec, frame, params, plan)?;
     let averaged = color.signal.clone();
-    let Selected { choice, .. } = select(rec, extent, color, samples, params, plan, &mut Keeper::new(&[]), |_, _| Ok(()))?;
+    let Selected { choice, .. } = select(rec, extent, &color, samples, params, plan, &mut Keeper::new(&[]), |_, _| Ok(()))?;
     let weights = WeightsOnGpu::Gaussian(Lane { buffer: Arc::new(choice), plane: 0, component: 0 });
     Ok(vec![KernelOnGpu { name: "scale", averaged, weights, share: None }])
 }
@@ -97,7 +98,7 @@ impl Repaired {
 fn select(
     rec: &mut Recorder,
     extent: IVec2,
-    color: GpuSignal,
+    color: &GpuSignal,
     samples: GpuSamples,
     params: &GemParams,
     plan: &Plan,
@@ -106,12 +107,12 @@ fn select(
 ) -> Result<Selected> {
     // Mean variances of the pixels (eq. 6.3). Scaled by the halves, where there are any, they need no purely random samples.
     plan.begins(rec, Step::Variance);
-    let variance = input_variance(rec, extent, &color, BoxWeight::Even)?;
+    let variance = input_variance(rec, extent, color, BoxWeight::Even)?;
     keeper.keep(Intermediate::Variance, "scaled_variance", &RGB, Unit::ColorSquared, &variance, 0);
 
     plan.begins(rec, Step::Scales);
     let (pixel, mut selected) = scale_pixel(rec, extent, &color.signal, &variance, &samples)?;
-    drop((color, variance, samples));
+    drop((variance, samples));
     let sigmas = params.phase.sigmas();
     let work: f32 = sigmas.iter().sum();
     let mut done = 0.0;
@@ -141,6 +142,7 @@ pub(super) fn plan(params: &GemParams, facts: &Facts, wishes: &Wishes) -> Plan {
     plan.variance(facts);
     plan.step(Step::Scales, "from fine to coarse", &[]);
     plan.step(Step::Density, "it is asked for", &[impossible(!wishes.keeps(Intermediate::Density), "it is not asked for")]);
+    plan.keep_clean(params.keep_clean);
     plan.finish()
 }
 

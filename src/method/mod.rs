@@ -129,12 +129,13 @@ impl Method {
         }
     }
 
-    /// With the parameters that serve while samples are still being drawn. Spikes stay: where few samples tell much, more are wanted.
+    /// With the parameters that serve while samples are still being drawn. Spikes stay: where few samples tell much, more are wanted. Nor is a pixel taken to be without noise
+    /// because its first samples agree.
     #[must_use]
     pub fn while_sampling(self) -> Self {
         match self {
-            Self::Dfc(params) => Self::Dfc(DfcParams { spikes: Spikes::Keep, ..params }),
-            Self::Gem(params) => Self::Gem(GemParams { phase: gem::Phase::Sampling, spikes: Spikes::Keep, ..params }),
+            Self::Dfc(params) => Self::Dfc(DfcParams { spikes: Spikes::Keep, keep_clean: false, ..params }),
+            Self::Gem(params) => Self::Gem(GemParams { phase: gem::Phase::Sampling, spikes: Spikes::Keep, keep_clean: false, ..params }),
             Self::Nlm(params) => Self::Nlm(params.while_sampling()),
         }
     }

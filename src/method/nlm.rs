@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use glam::IVec2;
 
-use super::common::{SCALE_RADIUS, input_variance};
+use super::common::{SCALE_RADIUS, input_variance, with_clean_kept};
 use super::estimate::{GpuEstimate, Intermediate, Keeper, Lane, RGB, Unit};
 use super::kernels::{Compared, KernelOnGpu, WeightRule, WeightsOnGpu};
 use super::memory::{Footprint, UPLOADED_PLANES};
@@ -20,7 +20,7 @@ use crate::stage::half::{Halves, half_join, half_split};
 use crate::stage::nlm::{Beside, CentreWeight, Filtered, Guide, Payload, Schedule, Weighting, nlm_filter};
 use crate::stage::sample::sample_attach;
 use crate::stage::select::{HARM, Noisy, select_frames_of_filtered};
-use crate::stage::variance::{BoxWeight, INPUT_SMOOTHING, VariancePair, variance_clamp, variance_pair};
+use crate::stage::variance::{BoxWeight, Floor, INPUT_SMOOTHING, VariancePair, variance_clamp, variance_floor, variance_pair};
 use crate::stage::window::{NLM_DISTANCE, NLM_WEIGHT, nlm_window};
 
 pub use params::{NlmParams, NlmVariance};
@@ -56,7 +56,7 @@ pub(crate) fn nlm(
     let mut keeper = Keeper::new(&plan.keep);
 
     // Variance estimation.
-    let Prepared { signal, variance, halves, spikes } = &Prepared::new(rec, frame, params, plan, schedule)?;
+    let Prepared { color, signal, variance, halves, spikes } = &Prepared::new(rec, frame, params, plan, schedule)?;
     let beside = beside.into_iter().map(|frame| Prepared::new(rec, frame, params, plan, schedule)).collect::<Result<Vec<_>>>()?;
     if let Some(spikes) = spikes {
         keeper.keep(Intermediate::Spikes, "spikes", &RGB, Unit::Color, spikes, 0);
@@ -110,7 +110,7 @@ pub(crate) fn nlm(
     }
 
     let Filtered { planes, weights, .. } = filtered;
-    let signal = Arc::new(planes);
+    let signal = with_clean_kept(rec, extent, color, Arc::new(planes), error.as_ref(), plan)?;
     if keeper.wants(Intermediate::Halves) && has_halves {
         plan.begins(rec, Step::Filter);
         let Halves { a, b, .. } = half_split(rec, extent, &signal, variance)?;
@@ -193,6 +193,8 @@ pub(super) fn kernels(rec: &mut Recorder, frame: FrameInput, pixel: IVec2, param
 
 /// What the filter needs of a frame.
 struct Prepared {
+    /// Without spikes.
+    color: GpuSignal,
     /// With the samples of each pixel in w.
     signal: Buffer,
     variance: Arc<Buffer>,
@@ -221,9 +223,10 @@ impl Prepared {
                 Arc::new(rec.upload("uniform variance", &of_channels.extend(0.0).to_array().repeat((extent.x * extent.y) as usize))?)
             }
         };
+        let variance = Arc::new(variance_floor(rec, extent, &color.signal, &variance, Floor::Relative)?);
         let signal = sample_attach(rec, extent, &color.signal, &samples)?;
         let halves = plan.begins(rec, Step::Halves).then(|| half_split(rec, extent, &signal, &variance)).transpose()?;
-        Ok(Self { signal, variance, halves, spikes })
+        Ok(Self { color, signal, variance, halves, spikes })
     }
 }
 
@@ -244,6 +247,7 @@ fn cross_filtered_variance(rec: &mut Recorder, extent: IVec2, color: &GpuSignal,
         return input_variance(rec, extent, color, BoxWeight::Deviation);
     };
     let VariancePair { two_buffer_variance, uncertainty } = variance_pair(rec, extent, &color.signal, sample_variance)?;
+    let uncertainty = variance_floor(rec, extent, sample_variance, &uncertainty, Floor::Relative)?;
     let guide = Guide { alpha: VARIANCE_ALPHA, ..Guide::new(sample_variance, &uncertainty, 3, VARIANCE_K, VARIANCE_PATCH_RADIUS) };
     let filtered = nlm_filter(rec, extent, &guide, &Payload::new(&two_buffer_variance, 1), VARIANCE_WINDOW_RADIUS, weighting, false, schedule)?;
     Ok(Arc::new(variance_clamp(rec, extent, &filtered.planes, sample_variance)?))
@@ -280,13 +284,15 @@ pub(super) fn plan(params: &NlmParams, facts: &Facts, wishes: &Wishes) -> Plan {
     plan.step(Step::Frames, "where they harm, frames beside are left out", &guard);
     let unwanted = !wishes.error && !wishes.keeps(Intermediate::Density);
     plan.step(Step::Error, "what the filtered halves, or weights, show", &[needless(unwanted, "neither the error nor the sampling density is wanted")]);
+    plan.keep_clean(params.keep_clean);
     plan.finish()
 }
 
 /// Counted from [`nlm`]: what is dropped is used again.
 pub(super) fn footprint(params: &NlmParams, beside: usize, kept: bool, schedule: Schedule) -> Footprint {
-    // Variance 1, signal with samples 2, halves and their variance 3, filtered halves and weights 4, joined 3; later errors 3 in place of the halves.
-    let later = 13;
+    // Variance 1 and with its floor 1, signal with samples 2, halves and their variance 3, filtered halves and weights 4, joined 3; later errors 3 and what is kept clean 2 in
+    // place of the filtered halves.
+    let later = 15;
     let (repaired, found) = params.spikes.planes();
     // Filtered over the own frame.
     let alone = if beside > 0 { 3 } else { 0 };

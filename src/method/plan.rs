@@ -92,6 +92,8 @@ pub enum Step {
     Error,
     /// The scales of GEM and their choice (thesis 6.2).
     Scales,
+    /// Pixels without noise put back.
+    KeepClean,
 }
 
 impl Step {
@@ -121,6 +123,7 @@ impl Step {
             Self::FilterAlone => "filter over one frame",
             Self::Error => "error",
             Self::Scales => "scales",
+            Self::KeepClean => "clean pixels",
         };
         name.to_owned()
     }
@@ -131,7 +134,7 @@ impl Step {
             Self::Spikes | Self::Variance | Self::Feature(_) | Self::Prefilter(_) | Self::Features => true,
             Self::Candidates | Self::Candidate(_) | Self::SecondPass | Self::Halves | Self::Filter | Self::Scales => true,
             Self::Derivatives | Self::HalfSpread | Self::Channels | Self::Frames | Self::FilterAlone => false,
-            Self::Sure | Self::SureSmoothing | Self::Selection | Self::SelectionSmoothing | Self::Blend | Self::Density | Self::Error => false,
+            Self::Sure | Self::SureSmoothing | Self::Selection | Self::SelectionSmoothing | Self::Blend | Self::Density | Self::Error | Self::KeepClean => false,
         }
     }
 }
@@ -369,6 +372,11 @@ impl Planner {
     pub(super) fn variance(&mut self, facts: &Facts) {
         let because = if facts.has_sample_variance { "the sample variance, scaled by the halves" } else { "the squared half spread, smoothed" };
         self.step(Step::Variance, because, &[impossible(!facts.has_halves, "without halves the sample variance is taken as it is")]);
+    }
+
+    /// What has no noise stays.
+    pub(super) fn keep_clean(&mut self, keep_clean: bool) {
+        self.step(Step::KeepClean, "pixels without noise stay as they are", &[impossible(!keep_clean, "the parameters leave it out")]);
     }
 
     pub(super) fn finish(self) -> Plan {

@@ -21,7 +21,7 @@ choices! {
     /// | on the command line | a spike | its energy |
     /// | --- | --- | --- |
     /// | `keep` | stays | stays |
-    /// | `spread`, the default | becomes the mean of its neighbours | goes to all noisy pixels of its kind around it, as far as they would not become brighter by much more than a tenth |
+    /// | `spread`, the default | becomes the mean of its neighbours | goes to all noisy pixels of its kind around it that are about as bright, as far as they would not become brighter by much more than a tenth |
     /// | `clamp` | becomes the mean of its neighbours | is lost |
     #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
     #[serde(rename_all = "lowercase")]
@@ -64,14 +64,14 @@ impl Spikes {
         match self {
             Self::Keep => 0,
             Self::Clamp => window_radius + of_features,
-            // How many pixels a spike is spread over is counted around the spike.
-            Self::Spread => spread_radius + spread_radius.max(window_radius) + of_features,
+            // How many pixels a spike is spread over is counted around the spike; their levels are those of repaired pixels around them.
+            Self::Spread => 2 * spread_radius + 1 + window_radius + of_features,
         }
     }
 
     /// Planes that they take besides the colour: while it is repaired, and of what was found.
     pub(super) fn planes(self) -> (u64, u64) {
-        if self == Self::Keep { (0, 0) } else { (3, 3) }
+        if self == Self::Keep { (0, 0) } else { (4, 3) }
     }
 
     /// Plans the step.
@@ -91,9 +91,8 @@ impl Spikes {
             return Ok((color, None));
         }
         let rule = SpikeRule::DEFAULT;
-        let is_spread = self == Self::Spread;
-        let mut repaired = spike_find(rec, extent, &color.signal, color.variance_of_mean.as_deref(), features, &rule, is_spread)?;
-        if is_spread {
+        let mut repaired = spike_find(rec, extent, &color.signal, color.variance_of_mean.as_deref(), features, &rule)?;
+        if self == Self::Spread {
             spike_spread(rec, extent, &color.signal, color.variance_of_mean.as_deref(), features, &rule, &mut repaired)?;
         }
         let color = GpuSignal { signal: Arc::new(repaired.signal), variance_of_mean: repaired.variance_of_mean.map(Arc::new), has_halves: color.has_halves };

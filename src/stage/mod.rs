@@ -10,6 +10,7 @@ pub mod exact;
 pub mod feature;
 pub mod gaussian;
 pub mod half;
+pub mod keep_clean;
 pub mod nlm;
 pub mod sample;
 pub mod scale;

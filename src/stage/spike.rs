@@ -28,8 +28,10 @@ bindings! {
     struct SpikeFindVariance<'a> {
         uniform params: SpikeParams, read signal, optional features, read sample_variance, write repaired_variance, write repaired, write spikes,
     }
+    struct SpikeLevel<'a> { uniform params: SpikeParams, read signal, optional sample_variance, read repaired, write levels }
+    struct SpikeShare<'a> { uniform params: SpikeParams, write spikes, optional features, read levels }
     struct SpikeRows<'a> { uniform params: SpikeParams, write spikes }
-    struct SpikeSpread<'a> { uniform params: SpikeParams, write spikes, optional features, read signal, optional sample_variance, write repaired }
+    struct SpikeSpread<'a> { uniform params: SpikeParams, write spikes, optional features, read levels, write repaired }
 }
 
 /// What makes a spike, and what becomes of it. [`SpikeRule::DEFAULT`] is what measured best: `docs/robustness.md` has the table.
@@ -89,8 +91,8 @@ pub struct Repaired {
     pub signal: Buffer,
     /// Its sample variance, where there is one: of a spike the mean of its neighbours'.
     pub variance_of_mean: Option<Buffer>,
-    /// Three planes. What was taken from each pixel, 0 where it is none, and in w the part of it that the pixels around are to get; behind it what one of them in its place is to get.
-    /// The last one is that of [`spike_spread`]: in x the squares of what the pixel got of each spike, summed over the channels.
+    /// Three planes. The first has what was taken from each pixel, 0 where it is no spike. The others are written by [`spike_spread`]: the w of the first becomes the part of it
+    /// that the pixels around get, the second has what one of them in its place gets, and the third, in x, the squares of what each pixel got, summed over spikes and channels.
     pub spikes: Buffer,
 }
 
@@ -98,8 +100,11 @@ fn feature_groups(features: Option<&Features>) -> (&'static str, Definition) {
     ("FEATURE_GROUPS", Definition::Int(features.map_or(0, |features| features.packing.groups as i32)))
 }
 
-/// Finds spikes in a signal, with its sample variance (one plane, s²/n) where there is one, and takes them out. Neighbours are compared by `features`, if there are any. With
-/// `to_spread`, it is settled what the pixels around are to get of them: [`spike_spread`] gives it to them.
+/// Finds spikes in a signal, with its sample variance (one plane, s²/n) where there is one, and puts the level of their neighbours in their place.
+/// Neighbours are compared by `features`, if there are any.
+///
+/// # Errors
+/// As [`Recorder::dispatch`].
 pub fn spike_find(
     rec: &mut Recorder,
     extent: IVec2,
@@ -107,13 +112,12 @@ pub fn spike_find(
     sample_variance: Option<&Buffer>,
     features: Option<&Features>,
     rule: &SpikeRule,
-    to_spread: bool,
 ) -> Result<Repaired> {
     let params = rule.params(extent, features);
     let repaired = rec.take("signal without spikes", plane_bytes(extent, 2))?;
     let repaired_variance = sample_variance.map(|_| rec.take("its sample variance", plane_bytes(extent, 1))).transpose()?;
     let spikes = rec.take("spikes", plane_bytes(extent, 3))?;
-    let definitions = [feature_groups(features), ("VARIANCE", sample_variance.is_some().into()), ("SPREAD", to_spread.into())];
+    let definitions = [feature_groups(features), ("VARIANCE", sample_variance.is_some().into())];
     let features = features.map(|features| &features.buffer);
     match (sample_variance, &repaired_variance) {
         (Some(sample_variance), Some(repaired_variance)) => {
@@ -129,7 +133,11 @@ pub fn spike_find(
     Ok(Repaired { signal: repaired, variance_of_mean: repaired_variance, spikes })
 }
 
-/// Gives the pixels around each spike what they are to get of it, to all of its kind that have noise, less the further they are away: to what [`spike_find`] has made of the others.
+/// Gives the pixels around each spike their parts of it: all pixels of its kind that have noise and are about as bright, less the further they are away. `signal` and
+/// `sample_variance` are those that [`spike_find`] got, `repaired` is its result.
+///
+/// # Errors
+/// As [`Recorder::dispatch`].
 pub fn spike_spread(
     rec: &mut Recorder,
     extent: IVec2,
@@ -140,10 +148,17 @@ pub fn spike_spread(
     repaired: &mut Repaired,
 ) -> Result<()> {
     let params = rule.params(extent, features);
-    let kernel = rec.gpu().kernel::<SpikeRows>("spike_rows", &[])?;
-    rec.dispatch(&kernel, &SpikeRows { params, spikes: &repaired.spikes }, per_pixel(extent))?;
-    let kernel = rec.gpu().kernel::<SpikeSpread>("spike_spread", &[feature_groups(features), ("VARIANCE", sample_variance.is_some().into())])?;
+    let Repaired { signal: repaired, spikes, .. } = repaired;
+    let groups = [feature_groups(features)];
     let features = features.map(|features| &features.buffer);
-    let bound = SpikeSpread { params, spikes: &repaired.spikes, features, signal, sample_variance, repaired: &repaired.signal };
-    rec.dispatch(&kernel, &bound, per_pixel(extent))
+    let levels = &rec.take("brightness around each pixel", plane_bytes(extent, 1))?;
+
+    let kernel = rec.gpu().kernel::<SpikeLevel>("spike_level", &[("VARIANCE", sample_variance.is_some().into())])?;
+    rec.dispatch(&kernel, &SpikeLevel { params, signal, sample_variance, repaired, levels }, per_pixel(extent))?;
+    let kernel = rec.gpu().kernel::<SpikeShare>("spike_share", &groups)?;
+    rec.dispatch(&kernel, &SpikeShare { params, spikes, features, levels }, per_pixel(extent))?;
+    let kernel = rec.gpu().kernel::<SpikeRows>("spike_rows", &[])?;
+    rec.dispatch(&kernel, &SpikeRows { params, spikes }, per_pixel(extent))?;
+    let kernel = rec.gpu().kernel::<SpikeSpread>("spike_spread", &groups)?;
+    rec.dispatch(&kernel, &SpikeSpread { params, spikes, features, levels, repaired }, per_pixel(extent))
 }

@@ -13,6 +13,7 @@ uniforms! {
     struct VarianceScaleParams { extent: IVec2, radius: i32 }
     struct VariancePairParams { extent: IVec2 }
     struct VarianceClampParams { extent: IVec2 }
+    struct VarianceFloorParams { extent: IVec2, relative: f32, absolute: f32 }
     struct VarianceSmoothParams { extent: IVec2, radius: i32, exponent: f32 }
 }
 
@@ -21,6 +22,7 @@ bindings! {
     struct VarianceScale<'a> { uniform params: VarianceScaleParams, read spread_rows, read sample_rows, read sample_variance, write scaled_variance }
     struct VariancePairStage<'a> { uniform params: VariancePairParams, read signal, read sample_variance, write two_buffer_variance, write uncertainty }
     struct VarianceClamp<'a> { uniform params: VarianceClampParams, read variance, read upper_bound, write clamped_variance }
+    struct VarianceFloor<'a> { uniform params: VarianceFloorParams, read signal, read variance, write floored_variance }
     struct VarianceSmooth<'a> { uniform params: VarianceSmoothParams, read signal, write smoothed_variance, optional upper_bound }
 }
 
@@ -107,4 +109,31 @@ pub fn variance_clamp(rec: &mut Recorder, extent: IVec2, variance: &Buffer, uppe
     let bound = VarianceClamp { params: VarianceClampParams { extent }, variance, upper_bound, clamped_variance: &clamped_variance };
     rec.dispatch(&kernel, &bound, per_pixel(extent))?;
     Ok(clamped_variance)
+}
+
+/// What a variance is held above, so that eq. 7.4 divides by no zero: its ε.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Floor {
+    /// The square of 3·10⁻⁴ times the brightness around the pixel, the largest magnitude of any channel in the 3×3 pixels around it: twice what half floats round by. For radiance, whose
+    /// dark parts count as much as its bright ones. Measured on `cornell` at 8 spp, ten times less has 5 % more error: pixels that missed the light claim next to no noise.
+    Relative,
+    /// (10⁻⁵)²: for features in unit range.
+    Absolute,
+}
+
+/// The variance of a signal, channel by channel, held above a floor. One plane; in its w the brightness around each pixel as [`Floor::Relative`] has it, from which the candidates take
+/// the least step of their finite differences.
+///
+/// # Errors
+/// As [`Recorder::dispatch`].
+pub fn variance_floor(rec: &mut Recorder, extent: IVec2, signal: &Buffer, variance: &Buffer, floor: Floor) -> Result<Buffer> {
+    let (relative, absolute) = match floor {
+        Floor::Relative => (3e-4, 0.0),
+        Floor::Absolute => (0.0, 1e-5),
+    };
+    let floored_variance = rec.take("floored variance", plane_bytes(extent, 1))?;
+    let kernel = rec.gpu().kernel::<VarianceFloor>("variance_floor", &[])?;
+    let params = VarianceFloorParams { extent, relative, absolute };
+    rec.dispatch(&kernel, &VarianceFloor { params, signal, variance, floored_variance: &floored_variance }, per_pixel(extent))?;
+    Ok(floored_variance)
 }

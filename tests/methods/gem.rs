@@ -77,14 +77,15 @@ fn check(what: &str, frame: &Frame, params: GemParams) {
     // A colour by its noise and a hundredth of the largest value around.
     let largest = input.mean.iter().flat_map(|grid| &grid.values).fold(0.0, |most: f64, value| most.max(value.abs()));
     let color_scale: Planes = twin.variance.iter().map(|grid| grid.like(|p| grid.at(p).sqrt() + 0.01 * largest)).collect();
-    near("result", &grids(&estimate.color, exposure), &chosen.mean, &color_scale, 1e-4, FLIPPED);
+    let result = reference::result(&twin.color, chosen, &twin_params);
+    near("result", &grids(&estimate.color, exposure), &result.mean, &color_scale, 1e-4, FLIPPED);
     assert_eq!(estimate.half_spread.is_some(), color.half_spread.is_some());
     if let Some(spread) = &estimate.half_spread {
-        near("half spread", &grids(spread, exposure), &chosen.spread, &color_scale, 1e-4, FLIPPED);
+        near("half spread", &grids(spread, exposure), &result.spread.unwrap_or_default(), &color_scale, 1e-4, FLIPPED);
     }
     let size = |grid: &Grid, floor: f64| [grid.like(|p| grid.at(p).abs() + floor)];
     near("pixels", &grids(&estimate.weight_sum, 1.0), std::slice::from_ref(&chosen.pixels), &size(&chosen.pixels, 0.0), 1e-5, FLIPPED);
-    let error = std::slice::from_ref(&chosen.error);
+    let error = std::slice::from_ref(&result.error);
     // What is left of the finest scale's variance when the coarser ones have taken their part of it.
     let terms = chosen.error.like(|p| twin.variance.iter().map(|grid| grid.at(p)).sum::<f64>() + chosen.error.at(p).abs() + 1e-9);
     near("error", &grids(error_of(&estimate), exposure * exposure), error, std::slice::from_ref(&terms), 1e-5, FLIPPED);

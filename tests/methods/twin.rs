@@ -122,7 +122,7 @@ impl Compared {
         if frame.color().half_spread.is_some() {
             self.near("pass 1", &layer("pass1", exposure), &twin.pass1.mean, &self.color_scale(input, &twin.pass1.mean), FILTERED, FLIPPED);
         }
-        let result = twin.pass2.as_ref().unwrap_or(&twin.pass1);
+        let result = &twin.result;
         self.near("result", &grids(&self.estimate.color, exposure), &result.mean, &self.color_scale(input, &result.mean), FILTERED, FLIPPED);
         let spread = self.estimate.half_spread.as_ref().map(|image| grids(image, exposure));
         assert_eq!(spread.is_some(), result.spread.is_some(), "{}: half spread", self.what);
@@ -130,8 +130,8 @@ impl Compared {
             self.near("half spread", spread, expected, &self.color_scale(input, &result.mean), FILTERED, FLIPPED);
         }
         // Where shares differ by rounding, another one of the candidates' distances counts.
-        let size: Planes = vec![terms[0].like(|p| twin.error.at(p) + terms[0].at(p))];
-        self.near("error", &grids(error_of(&self.estimate), exposure * exposure), std::slice::from_ref(&twin.error), &size, 2e-3, FLIPPED);
+        let size: Planes = vec![terms[0].like(|p| twin.result_error.at(p) + terms[0].at(p))];
+        self.near("error", &grids(error_of(&self.estimate), exposure * exposure), std::slice::from_ref(&twin.result_error), &size, 2e-3, FLIPPED);
         // An average of what may be decided otherwise anywhere in a wide window.
         let density = std::slice::from_ref(&self.density);
         let size = [self.density.like(|p| self.density.at(p) + self.density.mean())];

@@ -4,14 +4,16 @@ use super::nlm::{
     CentreWeight, Feature, FilterParams, Guide, Pair, blendable, distance_to_mean_scale, feature_weights, half_window, nlm_filter, patch_distance,
     patch_distance_to_mean, pixel_distance_scale, weight, window_weights,
 };
+use super::variance::brightness_around;
 use super::{Grid, Planes, Point, square};
 
 /// δ = 0.01·u of section 8.4.
 const RELATIVE_STEP: f64 = 0.01;
 /// Where u is close to 0 that step vanishes: then this share of the standard deviation …
 const NOISE_STEP: f64 = 0.01;
-/// … and where that vanishes too, a step that float32 can still tell from radiance near 0.
-const SMALLEST_STEP: f64 = 1e-6;
+/// … and where that vanishes too, a step that float32 can still tell from the brightness around the pixel, or from nothing.
+const STEP_AROUND: f64 = 1e-6;
+const SMALLEST_STEP: f64 = 1e-18;
 
 pub struct Candidate {
     /// F.
@@ -31,10 +33,11 @@ pub fn candidate(mean: &[Grid], spread: Option<&[Grid]>, variance: &[Grid], feat
     let filtered = nlm_filter(&payload, guide, features, params);
     let mut planes = filtered.planes;
     let filtered_spread = planes.split_off(mean.len());
+    let around = brightness_around(mean);
     let derivative = (0..mean.len())
         .map(|i| {
             mean[i].like(|p| {
-                let step = finite_difference_step(mean[i].at(p), variance[i].at(p));
+                let step = finite_difference_step(mean[i].at(p), variance[i].at(p), around.at(p));
                 if params.k_color.is_infinite() {
                     return finite_difference(mean, variance, features, params, p, i, step);
                 }
@@ -46,8 +49,8 @@ pub fn candidate(mean: &[Grid], spread: Option<&[Grid]>, variance: &[Grid], feat
 }
 
 /// δ of section 8.4, with the sign of u and never 0.
-pub fn finite_difference_step(u: f64, variance: f64) -> f64 {
-    let size = (RELATIVE_STEP * u.abs()).max(NOISE_STEP * variance.max(0.0).sqrt()).max(SMALLEST_STEP);
+pub fn finite_difference_step(u: f64, variance: f64, brightness_around: f64) -> f64 {
+    let size = (RELATIVE_STEP * u.abs()).max(NOISE_STEP * variance.max(0.0).sqrt()).max(STEP_AROUND * brightness_around).max(SMALLEST_STEP);
     if u < 0.0 { -size } else { size }
 }
 

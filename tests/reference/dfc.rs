@@ -1,12 +1,13 @@
 //! Algorithm 1, line by line.
 
 use super::candidates::{Candidate, candidate};
+use super::keep_clean::{CleanParams, Kept, keep_clean};
 use super::nlm::{CentreWeight, Feature, FilterParams, Guide, nlm_filter};
 use super::prefilter::{Prefiltered, prefilter};
 use super::select::{self, Evidence, Guard, select, share, smooth_maps};
 use super::spike::{self, SpikeParams};
 use super::sure::{self, ErrorParts, Part, error_blend, smooth_errors, sure};
-use super::variance::{BoxWeight, Signal, buffer_var, input_variance};
+use super::variance::{BoxWeight, Floor, Signal, buffer_var, floored, input_variance};
 use super::{Grid, Planes};
 
 /// What a candidate has of its own.
@@ -49,6 +50,8 @@ pub struct DfcParams {
     /// None: spikes stay.
     pub spikes: Option<SpikeParams>,
     pub second_pass: SecondPassParams,
+    /// None: pixels without noise are filtered like all others.
+    pub keep_clean: Option<CleanParams>,
 }
 
 impl DfcParams {
@@ -66,6 +69,7 @@ impl DfcParams {
             guard: None,
             spikes: None,
             second_pass: SecondPassParams { half_radius: false, patch_radius: 1, k_color: 0.45, clamp_to_input: false, most_sigmas: None },
+            keep_clean: None,
         }
     }
 
@@ -99,6 +103,7 @@ impl Default for DfcParams {
             guard: Some(Guard { smoothed_error: 4.0, smoothed_noise: 0.3, own_sigmas: 8.0, own_noise: 4.0 }),
             spikes: Some(SpikeParams::default()),
             second_pass: SecondPassParams { half_radius: true, patch_radius: 3, k_color: 0.45, clamp_to_input: true, most_sigmas: Some(4.0) },
+            keep_clean: Some(CleanParams::default()),
             ..thesis
         }
     }
@@ -136,8 +141,11 @@ pub struct Dfc {
     pub smoothed_maps: Planes,
     /// The maps of the blend: the smoothed ones, guarded if the parameters ask for it.
     pub maps: Planes,
-    /// Of the result.
+    /// Of pass 2, or of pass 1 where there is none.
     pub error: Grid,
+    /// The passes' result with clean pixels kept, and its error.
+    pub result: Pass,
+    pub result_error: Grid,
     pub pass1: Pass,
     /// None without halves: nothing tells what noise is left.
     pub pass2: Option<Pass>,
@@ -152,7 +160,7 @@ pub fn dfc(frame: &Frame, params: &DfcParams) -> Dfc {
         Some(repaired) => (repaired.signal, Some(repaired.taken), Some(repaired.squares)),
         None => (frame.color.clone(), None, None),
     };
-    let color_variance = input_variance(&color, params.box_weight);
+    let color_variance = floored(&color.mean, &input_variance(&color, params.box_weight), Floor::Relative);
 
     // Lines 11–17: candidate filters.
     let candidates =
@@ -191,8 +199,13 @@ pub fn dfc(frame: &Frame, params: &DfcParams) -> Dfc {
     let result = pass2.as_ref().unwrap_or(&pass1);
     let parts = ErrorParts::measured(result.spread.is_some(), made_of.len() > 1);
     let error = error_blend(&result.mean, result.spread.as_deref(), &color_variance, &made_of, squares.as_ref(), parts);
+    let kept = params.keep_clean.map(|params| keep_clean(&color, &result.mean, result.spread.as_deref(), &error, params));
+    let (result, result_error) = match kept {
+        Some(Kept { mean, spread, error }) => (Pass { mean, spread }, error),
+        None => (result.clone(), error.clone()),
+    };
 
-    Dfc { color, spikes, squares, color_variance, features: prefiltered, candidates, sure, errors, binary_maps, smoothed_maps, maps, error, pass1, pass2 }
+    Dfc { color, spikes, squares, color_variance, features: prefiltered, candidates, sure, errors, binary_maps, smoothed_maps, maps, error, result, result_error, pass1, pass2 }
 }
 
 /// Removes the noise that pass 1 left, which its halves show.
@@ -203,6 +216,7 @@ pub fn second_pass(pass1: &Pass, input_variance: &[Grid], params: &DfcParams) ->
     if own.clamp_to_input {
         variance = variance.iter().zip(input_variance).map(|(residual, input)| residual.like(|p| residual.at(p).min(input.at(p)))).collect();
     }
+    let variance = floored(&pass1.mean, &variance, Floor::Relative);
     let full = params.window_radius;
     let filter = params.filter(
         if own.half_radius { full.div_ceil(2) } else { full },

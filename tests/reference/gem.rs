@@ -1,6 +1,7 @@
 //! Greedy error minimisation (chapter 6): all scales, all stopping maps, then for each pixel the finest scale whose map says stop.
 
 use super::gaussian::{gaussian, gaussian_neighbours, gaussian_variance};
+use super::keep_clean::{CleanParams, Kept, keep_clean};
 use super::spike::{self, SpikeParams};
 use super::variance::{BoxWeight, Signal, input_variance};
 use super::{Grid, Planes, Point};
@@ -16,15 +17,17 @@ pub struct GemParams {
     pub coarser_only: bool,
     /// None: spikes stay.
     pub spikes: Option<SpikeParams>,
+    /// None: pixels without noise are filtered like all others.
+    pub keep_clean: Option<CleanParams>,
 }
 
 impl GemParams {
     pub fn while_sampling(gamma: f64) -> Self {
-        Self { gamma, sigmas: vec![1.0, 2.0, 4.0, 8.0], outlier_size: 1.0, coarser_only: false, spikes: None }
+        Self { gamma, sigmas: vec![1.0, 2.0, 4.0, 8.0], outlier_size: 1.0, coarser_only: false, spikes: None, keep_clean: None }
     }
 
     pub fn for_the_final_image(gamma: f64, outlier_size: f64) -> Self {
-        Self { gamma, sigmas: (1..=8).map(|step| 2f64.powf(0.5 * f64::from(step))).collect(), outlier_size, coarser_only: true, spikes: None }
+        Self { gamma, sigmas: (1..=8).map(|step| 2f64.powf(0.5 * f64::from(step))).collect(), outlier_size, coarser_only: true, spikes: None, keep_clean: None }
     }
 }
 
@@ -139,6 +142,8 @@ pub fn choose(scales: &[Scale], steps: &[Step], maps: &[Grid]) -> Chosen {
 
 /// All of it.
 pub struct Gem {
+    /// The input without spikes.
+    pub color: Signal,
     pub variance: Planes,
     /// The pixel filter first.
     pub scales: Vec<Scale>,
@@ -161,7 +166,16 @@ pub fn gem(color: &Signal, samples: &Grid, params: &GemParams) -> Gem {
     let smoothed: Vec<Grid> = steps.iter().zip(&params.sigmas).map(smooth).collect();
     let maps: Vec<Grid> = steps.iter().zip(&smoothed).map(|(step, smoothed)| decided(&step.stops(), smoothed, params.coarser_only)).collect();
     let chosen = choose(&scales, &steps, &maps);
-    Gem { variance, scales, steps, smoothed, chosen }
+    Gem { color: color.clone(), variance, scales, steps, smoothed, chosen }
+}
+
+/// What is left of a choice where clean pixels are those of the input.
+pub fn result(color: &Signal, chosen: &Chosen, params: &GemParams) -> Kept {
+    let Chosen { mean, spread, error, .. } = chosen;
+    match params.keep_clean {
+        Some(clean) => keep_clean(color, mean, Some(spread), error, clean),
+        None => Kept { mean: mean.clone(), spread: Some(spread.clone()), error: error.clone() },
+    }
 }
 
 /// Estimated error relative to the squared value (section 6.3), for three channels.

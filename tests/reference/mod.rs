@@ -15,6 +15,7 @@
 //! sure        its error                                                                      8.4
 //! select      the least error, as binary maps, smoothed maps, guarded maps                   8.4
 //! dfc         all of it in order                                                             8.5
+//! keep_clean  what has no noise stays as it is
 //! gem         scales, stopping maps and what they choose                                      6
 //! random      noise that is the same on every machine
 //! ```
@@ -29,6 +30,7 @@ pub mod dfc;
 pub mod exposure;
 pub mod gaussian;
 pub mod gem;
+pub mod keep_clean;
 pub mod nlm;
 pub mod nlm_method;
 pub mod prefilter;

@@ -3,8 +3,8 @@
 
 use super::{Grid, Planes, Point, map_pixels, square};
 
-/// ε of eq. 7.4: "very small in order to preserve features in dark areas".
-const EPSILON: f64 = 1e-10;
+/// ε of eq. 7.4, "very small in order to preserve features in dark areas": between two black pixels without variance. All others have one, see `variance::floored`.
+const EPSILON: f64 = 1e-30;
 
 /// Beyond this distance a weight is e⁻²⁵ or less, and the ratio of the weights of a pair says nothing any more.
 const BLENDING_DISTANCE: f64 = 25.0;

@@ -1,13 +1,14 @@
 //! Chapter 7: the filter with all its rules, and the method made of it.
 
 use super::gaussian::gaussian;
+use super::keep_clean::{CleanParams, Kept, keep_clean};
 use super::nlm::{CentreWeight, Guide, Pair, WindowWeights, blendable, half_window, weight};
 use super::spike::{self, SpikeParams};
-use super::variance::{BoxWeight, Signal, input_variance};
+use super::variance::{BoxWeight, Floor, Signal, floored, input_variance};
 use super::{Grid, Planes, Point, map_pixels, square};
 
 /// ε of eq. 7.4.
-const EPSILON: f64 = 1e-10;
+const EPSILON: f64 = 1e-30;
 /// ε of section 7.1.2.
 const RELATIVE_FLOOR: f64 = 1e-3;
 /// The centre's weight where no neighbour is like it.
@@ -131,6 +132,8 @@ pub struct NlmParams {
     pub variance: Variance,
     /// None: spikes stay.
     pub spikes: Option<SpikeParams>,
+    /// None: pixels without noise are filtered like all others.
+    pub keep_clean: Option<CleanParams>,
 }
 
 impl NlmParams {
@@ -146,7 +149,7 @@ impl NlmParams {
             cut: 0.05,
             centre: CentreWeight::One,
         };
-        NlmParams { filter, dual_buffer: true, variance: Variance::CrossFiltered, spikes: None }
+        NlmParams { filter, dual_buffer: true, variance: Variance::CrossFiltered, spikes: None, keep_clean: None }
     }
 }
 
@@ -176,6 +179,8 @@ pub fn nlm(color: &Signal, params: &NlmParams, samples: &Grid) -> Nlm {
             (0..3).map(|i| Grid::filled(like.width, like.height, of_channel(i))).collect()
         }
     };
+
+    let variance = floored(&color.mean, &variance, Floor::Relative);
 
     // Section 7.1.1, dual-buffer filtering.
     // With it, Σ w·n / Σ w: the samples that contribute to a filtered value, per pixel of its support.
@@ -220,7 +225,10 @@ pub fn nlm(color: &Signal, params: &NlmParams, samples: &Grid) -> Nlm {
         (relative(1.0) + relative(-1.0)) * weight_sum.at(p) / (1.0 + weight_sum.at(p) * samples.at(p))
     });
     let error = like.like(|p| left.iter().map(|plane| plane.at(p)).sum());
-    Nlm { variance, mean, spread, weight_sum, error: gaussian(&error, 0.8, 3), density: gaussian(&density, 0.8, 3) }
+    let (error, density) = (gaussian(&error, 0.8, 3), gaussian(&density, 0.8, 3));
+    let Some(clean) = params.keep_clean else { return Nlm { variance, mean, spread, weight_sum, error, density } };
+    let Kept { mean, spread, error } = keep_clean(color, &mean, spread.as_deref(), &error, clean);
+    Nlm { variance, mean, spread, weight_sum, error, density }
 }
 
 /// Section 7.1.1, variance estimation. The uncertainty of Σ, of which the source has one from each half, is its variance over 3×3 pixels.
@@ -228,6 +236,7 @@ pub fn cross_filtered(color: &Signal, filter: &Filter) -> Planes {
     let (Some(claimed), Some(spread)) = (&color.sample_variance, &color.spread) else { return input_variance(color, BoxWeight::Deviation) };
     let two_buffer: Planes = spread.iter().map(squared).collect();
     let uncertainty: Planes = claimed.iter().map(local_variance).collect();
+    let uncertainty = floored(claimed, &uncertainty, Floor::Relative);
     let own = Filter { window_radius: 1, patch_radius: 3, k: 0.45, alpha: 4.0, patchwise: false, cut: 0.0, ..*filter };
     at_most_claimed(filtered(&two_buffer, &windows(Guide { mean: claimed, variance: &uncertainty }, &own)), color)
 }

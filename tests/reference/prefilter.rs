@@ -1,7 +1,7 @@
 //! Features are denoised before they guide (section 8.3).
 
 use super::nlm::{CentreWeight, Feature, FilterParams, Filtered, Guide, nlm_filter, nlm_variance};
-use super::variance::{BoxWeight, Signal, buffer_var, input_variance};
+use super::variance::{BoxWeight, Floor, Signal, buffer_var, floored, input_variance};
 use super::{Grid, Planes, Point};
 
 /// The gradient is measured over half a pixel: the distance from a pixel's centre to its edge.
@@ -24,7 +24,10 @@ pub struct Prefiltered {
 /// the residual variance. Without halves it comes from the weights; a feature of which nothing is known but its mean is taken
 /// to be exact and left alone.
 pub fn prefilter(signal: &Signal, symmetric: bool, centre: CentreWeight, box_weight: BoxWeight) -> Prefiltered {
-    let variance = input_variance(signal, box_weight);
+    let mut variance = input_variance(signal, box_weight);
+    if signal.spread.is_some() || signal.sample_variance.is_some() {
+        variance = floored(&signal.mean, &variance, Floor::Absolute);
+    }
     let params = FilterParams {
         window_radius: WINDOW_RADIUS,
         patch_radius: PATCH_RADIUS,

@@ -50,7 +50,10 @@ struct Spike {
     /// By its neighbours' claims.
     variance: Vec<f64>,
     excess: Vec<f64>,
-    /// Which part of the excess goes to how many pixels in its place.
+}
+
+/// How much of a spike goes to how many pixels in its place.
+struct Share {
     part: f64,
     members: f64,
 }
@@ -59,15 +62,31 @@ pub fn repaired(color: &Signal, features: &[Feature], params: &SpikeParams) -> R
     let mean = &color.mean;
     let spikes: Vec<Option<Spike>> = super::map_pixels(mean[0].width, mean[0].height, |p| spike(color, features, params, p));
     let at = |p: Point| spikes[mean[0].index(p)].as_ref();
+    let without: Planes = (0..mean.len()).map(|i| mean[i].like(|p| at(p).map_or(mean[i].at(p), |spike| spike.level[i]))).collect();
+    let levels = mean[0].like(|p| level_around(&without, p));
+    // Who gets how much of a spike at p, in parts of what one in its place would get.
+    let gets = |p: Point, q: Point| {
+        let alike = is_noisy(color, q) && alike(features, params, p, q);
+        if alike { falloff(params, p, q) * affinity(levels.at(p), levels.at(q)) } else { 0.0 }
+    };
+    let around = |p: Point| square(params.spread_radius).map(move |o| p + o).filter(|&q| mean[0].contains(q));
+    let shares: Vec<Share> = super::map_pixels(mean[0].width, mean[0].height, |p| {
+        let members: f64 = around(p).filter(|_| at(p).is_some()).map(|q| gets(p, q)).sum();
+        let Some(spike) = at(p).filter(|_| members > 0.0) else { return Share { part: 0.0, members: 1.0 } };
+        let level_of_members = around(p).map(|q| gets(p, q) * levels.at(q)).sum::<f64>() / members;
+        let limit = params.share_limit.unwrap_or(0.0) * levels.at(p).min(level_of_members);
+        let even = spike.excess.iter().map(|excess| excess.max(0.0)).sum::<f64>() / spike.excess.len() as f64 / members;
+        Share { part: if limit > 0.0 { limit / (limit + even) } else { 0.0 }, members }
+    });
     let received = |i: usize, q: Point, power: i32| {
-        let from = square(params.spread_radius).map(|o| q + o).filter(|&p| mean[0].contains(p));
         let share = |p: Point| {
-            at(p).filter(|_| alike(features, params, p, q)).map_or(0.0, |spike| falloff(params, p, q) * spike.part * spike.excess[i] / spike.members)
+            let Share { part, members } = shares[mean[0].index(p)];
+            at(p).map_or(0.0, |spike| gets(p, q) * part * spike.excess[i].max(0.0) / members)
         };
-        if is_noisy(color, q) { from.map(|p| share(p).powi(power)).sum::<f64>() } else { 0.0 }
+        around(q).map(|p| share(p).powi(power)).sum::<f64>()
     };
     let channels = 0..mean.len();
-    let plane = |i: usize| mean[i].like(|p| at(p).map_or(mean[i].at(p), |spike| spike.level[i]) + received(i, p, 1));
+    let plane = |i: usize| mean[i].like(|p| without[i].at(p) + received(i, p, 1));
     let spread = |planes: &Planes| {
         let held = |i: usize, p: Point| at(p).map_or(f64::INFINITY, |spike| spike.variance[i].sqrt());
         planes.iter().enumerate().map(|(i, plane)| plane.like(|p| plane.at(p).clamp(-held(i, p), held(i, p)))).collect()
@@ -81,7 +100,7 @@ pub fn repaired(color: &Signal, features: &[Feature], params: &SpikeParams) -> R
         },
         squares: mean[0].like(|p| channels.clone().map(|i| received(i, p, 2)).sum()),
         taken: channels.map(|i| mean[i].like(|p| at(p).map_or(0.0, |spike| spike.excess[i]))).collect(),
-        part: mean[0].like(|p| at(p).map_or(0.0, |spike| spike.part)),
+        part: mean[0].like(|p| shares[mean[0].index(p)].part),
     }
 }
 
@@ -111,13 +130,21 @@ fn spike(color: &Signal, features: &[Feature], params: &SpikeParams, p: Point) -
     if !stands_out || excess.iter().map(|e| e * e).sum::<f64>() > params.most_samples * noise {
         return None;
     }
-    let members: f64 = window(params.spread_radius).filter(|&q| is_noisy(color, q)).map(|q| falloff(params, p, q)).sum();
-    // Where the spike is at the edge of a light, its own level is not that of those who get its parts.
-    let darker: Vec<f64> = window(params.spread_radius).map(|q| channel_mean(mean, q)).filter(|value| *value <= bright).collect();
-    let around = darker.iter().sum::<f64>() / darker.len() as f64;
-    let limit = params.share_limit.unwrap_or(0.0) * brightness(&level).min(around).max(0.0);
-    let part = limit / (limit + brightness(&excess) / members);
-    Some(Spike { variance: of_neighbours(&claimed), level, excess, part, members })
+    Some(Spike { variance: of_neighbours(&claimed), level, excess })
+}
+
+/// How bright the 3×3 pixels around are: their median, of an even number the lower one of the two in the middle, at least 0. It follows an edge of light, which a mean would blur.
+fn level_around(without_spikes: &[Grid], p: Point) -> f64 {
+    let around = square(1).map(|o| p + o).filter(|&q| without_spikes[0].contains(q));
+    let mut values: Vec<f64> = around.map(|q| channel_mean(without_spikes, q)).collect();
+    values.sort_by(f64::total_cmp);
+    values[(values.len() - 1) / 2].max(0.0)
+}
+
+/// How much pixels of these levels count as equally bright: from eight times on not at all, up to four times wholly.
+fn affinity(level_p: f64, level_q: f64) -> f64 {
+    let brighter = level_p.max(level_q);
+    if brighter > 0.0 { (8.0 * level_p.min(level_q) / brighter - 1.0).clamp(0.0, 1.0) } else { 1.0 }
 }
 
 /// What a pixel gets, in parts of what one in the place of the spike would get.

@@ -52,6 +52,30 @@ pub fn input_variance(signal: &Signal, weight: BoxWeight) -> Planes {
     }
 }
 
+/// What a variance is held above, instead of an ε in eq. 7.4.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Floor {
+    /// For radiance: the rounding of values as bright as those around the pixel.
+    Relative,
+    /// For features in unit range.
+    Absolute,
+}
+
+/// The variance of a mean, held above what half floats round radiance by, or above next to nothing.
+pub fn floored(mean: &[Grid], variance: &[Grid], floor: Floor) -> Planes {
+    let around = brightness_around(mean);
+    let least_deviation = |p: Point| if floor == Floor::Relative { 3e-4 * around.at(p) } else { 1e-5 };
+    variance.iter().map(|variance| variance.like(|p| variance.at(p).max(least_deviation(p).powi(2)))).collect()
+}
+
+/// The largest magnitude of any channel in the 3×3 pixels around each pixel.
+pub fn brightness_around(mean: &[Grid]) -> Grid {
+    mean[0].like(|p| {
+        let around = square(1).map(|offset| p + offset).filter(|&q| mean[0].contains(q));
+        around.flat_map(|q| mean.iter().map(move |plane| plane.at(q).abs())).fold(0.0, f64::max)
+    })
+}
+
 /// `scale_svar` of Algorithm 1: gives the sample variance, which knows the structure of the noise, the magnitude of the
 /// two-buffer variance, which is unbiased for low-discrepancy samples too.
 pub fn variance_scale(sample_variance: &[Grid], spread: &[Grid], radius: usize, weight: BoxWeight) -> Planes {

@@ -1,17 +1,19 @@
 //! `candidate_accumulate` and `candidate_resolve`: FIRST, SECOND and THIRD with their derivatives.
 
-use stein::gpu::Gpu;
+use stein::error::Result;
+use stein::gpu::{Buffer, Gpu, Recorder};
 use stein::stage::candidate::{CandidateBeside, CandidateFilter, Candidates, CandidatesInTime, Needed, candidates};
 use stein::stage::candidate_set::CandidateSet;
 use stein::stage::exact::Region;
 use stein::stage::nlm::{CentreWeight, Schedule, Weighting};
 
-use crate::common::{Scene, assert_near, bits, calm_scene, checked_gpu, extent_of, gpu, own_size, packed_signal, read, run, scene, schedules, there, upload};
+use crate::common::{Scene, assert_near, bits, calm_scene, checked_gpu, extent_of, gpu, own_size, packed_signal, read, rounded, run, scene, schedules, there, upload};
 use crate::exact;
 use crate::feature::{features, pack};
 use crate::nlm::{rule_of, twin_of};
 use crate::reference::candidates::{analytic_derivative, candidate, finite_difference, finite_difference_step};
 use crate::reference::nlm::{Beside, Feature, FilterParams, Guide, window_weights_in_time};
+use crate::reference::variance::brightness_around;
 use crate::reference::{Grid, Planes, Point, map_pixels};
 use crate::{FILTERED, filtered_twin};
 
@@ -63,6 +65,12 @@ pub(crate) fn twin_params(case: Case) -> [FilterParams; 3] {
     [first, second, FilterParams { k_color: f64::INFINITY, tau: f64::from(filter.feature_tau_third), blend_pairs: false, ..first }]
 }
 
+/// A variance as `variance_floor` leaves it, with the brightness around each pixel in w.
+fn upload_variance(rec: &mut Recorder, scene: &Scene) -> Result<Buffer> {
+    let around = [rounded(brightness_around(&scene.mean))];
+    upload(rec, &[scene.variance.as_slice(), &around].concat())
+}
+
 fn filtered(gpu: &Gpu, case: Case, scene: &Scene, features: &[Feature], schedule: Schedule) -> Candidates {
     filtered_as_needed(gpu, case, scene, features, Needed::EVERYTHING, schedule)
 }
@@ -71,7 +79,7 @@ fn filtered_as_needed(gpu: &Gpu, case: Case, scene: &Scene, features: &[Feature]
     let extent = extent_of(&scene.mean[0]);
     let filtered = run(gpu, |rec| {
         let signal = rec.upload("signal", &packed_signal(&scene.mean, &scene.spread))?;
-        let variance = upload(rec, &scene.variance)?;
+        let variance = upload_variance(rec, scene)?;
         let features = if features.is_empty() { None } else { Some(pack(rec, features)?) };
         candidates(rec, extent, &signal, &variance, features.as_ref(), &[], &filter(case), needed, schedule, |_, _| Ok(()))
     });
@@ -98,8 +106,9 @@ fn check_scene(gpu: &Gpu, case: Case, scene: &Scene) {
         assert_near(&what("Σ w"), &signal[0][3..], &weight_sum, &own_size(&weight_sum, 0.0), FILTERED, 0.0);
 
         let twin = candidate(&scene.mean, None, &scene.variance, &features, &params);
+        let around = brightness_around(&scene.mean);
         let per_step = |i: usize| {
-            let step = |p| finite_difference_step(scene.mean[i].at(p), scene.variance[i].at(p)).abs();
+            let step = |p| finite_difference_step(scene.mean[i].at(p), scene.variance[i].at(p), around.at(p)).abs();
             mean_span[i].like(|p| 1.0 + twin.derivative[i].at(p).abs() + mean_span[i].at(p) / step(p))
         };
         let scale: Planes = (0..3).map(per_step).collect();
@@ -133,7 +142,7 @@ fn filtered_in_time(gpu: &Gpu, case: Case, frames: &[InTime], schedule: Schedule
         let mut uploaded = Vec::new();
         for InTime { scene, features } in frames {
             let features = if features.is_empty() { None } else { Some(pack(rec, features)?) };
-            uploaded.push((rec.upload("signal", &packed_signal(&scene.mean, &scene.spread))?, upload(rec, &scene.variance)?, features));
+            uploaded.push((rec.upload("signal", &packed_signal(&scene.mean, &scene.spread))?, upload_variance(rec, scene)?, features));
         }
         let mut beside = Vec::new();
         for (signal, variance_of_mean, features) in &uploaded[1..] {
@@ -199,7 +208,8 @@ fn check_in_time(gpu: &Gpu, case: Case) {
         let weight_sum = [planes(&|of, _| of.weight_sum).remove(0)];
         assert_near(&what("Σ w"), &signal[0][3..], &weight_sum, &own_size(&weight_sum, 0.0), FILTERED, 0.0);
 
-        let step = |p: Point, i: usize| finite_difference_step(own[i].at(p), frames[0].scene.variance[i].at(p));
+        let around = brightness_around(&own[..3]);
+        let step = |p: Point, i: usize| finite_difference_step(own[i].at(p), frames[0].scene.variance[i].at(p), around.at(p));
         let derivative = |i: usize| {
             like.like(|p| {
                 let of = &expected[like.index(p)];
@@ -315,6 +325,7 @@ fn finite_differences_approach_the_analytic_derivative() {
     let (width, height) = (24, 18);
     let scene = calm_scene(width, height, 35);
     let extent = extent_of(&scene.mean[0]);
+    let around = brightness_around(&scene.mean);
     for symmetric in [false, true] {
         for centre in [CentreWeight::One, CentreWeight::LargestNeighbour] {
             let case = Case { width, height, window_radius: 3, patch_radii: [1, 3], features: &[3, 1], symmetric, centre };
@@ -323,7 +334,7 @@ fn finite_differences_approach_the_analytic_derivative() {
             for (k, (actual, params)) in read(gpu(), there(&derivatives), extent).into_iter().zip(twin_params(case)).enumerate() {
                 let plane = |i: usize| {
                     scene.mean[i].like(|p| {
-                        let step = finite_difference_step(scene.mean[i].at(p), scene.variance[i].at(p));
+                        let step = finite_difference_step(scene.mean[i].at(p), scene.variance[i].at(p), around.at(p));
                         let difference = |step| finite_difference(&scene.mean, &scene.variance, &features, &params, p, i, step);
                         2.0 * (difference(step) - difference(-step)).abs() + 1e-3
                     })

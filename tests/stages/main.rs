@@ -13,6 +13,7 @@ mod chapter7;
 mod exact;
 mod feature;
 mod gaussian;
+mod keep_clean;
 mod nlm;
 mod scale;
 mod select;

@@ -1,4 +1,4 @@
-//! `spike_find`, and `spike_rows` with `spike_spread`. Levels are means of at most 48 values of one size, and what pixels get a sum of few shares: f32 keeps five digits.
+//! `spike_find`, and `spike_level`, `spike_share` and `spike_rows` with `spike_spread`. Levels are means of at most 48 values of one size, and what pixels get a sum of few shares: f32 keeps five digits.
 
 use stein::gpu::Gpu;
 use stein::stage::spike::{SpikeRule, spike_find, spike_spread};
@@ -76,7 +76,7 @@ fn check(case: &Case) -> usize {
         let signal = rec.upload("signal", &packed_signal(&scene.mean, &scene.spread))?;
         let sample_variance = if variance { Some(upload(rec, &scene.variance)?) } else { None };
         let packed = if guides.is_empty() { None } else { Some(pack(rec, &guides)?) };
-        let mut found = spike_find(rec, extent, &signal, sample_variance.as_ref(), packed.as_ref(), &rule, spread)?;
+        let mut found = spike_find(rec, extent, &signal, sample_variance.as_ref(), packed.as_ref(), &rule)?;
         if spread {
             spike_spread(rec, extent, &signal, sample_variance.as_ref(), packed.as_ref(), &rule, &mut found)?;
         }

@@ -10,6 +10,7 @@ use stein::stage::spike::SpikeRule;
 use stein::stage::variance::BoxWeight;
 use stein::{DfcParams, Frame, GemParams, NlmParams};
 use stein_reference::dfc::{self, CandidateParams, SecondPassParams};
+use stein_reference::keep_clean::CleanParams;
 use stein_reference::{Grid, Planes, exposure, gem, nlm, nlm_method, select, spike, variance};
 
 /// The planes of an image, times a factor.
@@ -92,6 +93,7 @@ pub(crate) fn dfc_params(params: &DfcParams) -> dfc::DfcParams {
             clamp_to_input: pass.clamp_to_input,
             most_sigmas: pass.most_sigmas.map(f64::from),
         },
+        keep_clean: params.keep_clean.then(CleanParams::default),
     }
 }
 
@@ -132,6 +134,7 @@ pub(crate) fn nlm_params(params: &NlmParams) -> nlm_method::NlmParams {
         },
         dual_buffer: params.dual_buffer,
         spikes: spikes(params.spikes),
+        keep_clean: params.keep_clean.then(CleanParams::default),
         variance: match params.variance {
             NlmVariance::Scaled => nlm_method::Variance::Scaled,
             NlmVariance::CrossFiltered => nlm_method::Variance::CrossFiltered,
@@ -147,5 +150,5 @@ pub(crate) fn gem_params(params: &GemParams) -> gem::GemParams {
         Phase::Sampling => gem::GemParams::while_sampling(gamma),
         Phase::Final => gem::GemParams::for_the_final_image(gamma, params.final_outlier_size.into()),
     };
-    gem::GemParams { spikes: spikes(params.spikes), ..of_phase }
+    gem::GemParams { spikes: spikes(params.spikes), keep_clean: params.keep_clean.then(CleanParams::default), ..of_phase }
 }

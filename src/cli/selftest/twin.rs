@@ -9,9 +9,11 @@ use stein_reference::candidates::{Candidate, finite_difference_step};
 use stein_reference::dfc::{Pass, dfc, sampling_density, second_pass};
 use stein_reference::gaussian::gaussian_neighbours;
 use stein_reference::gem::{self, choose, decided};
+use stein_reference::keep_clean::{CleanParams, Kept, clean_shares, keep_clean, kept_error, noise};
 use stein_reference::nlm::{FilterParams, Guide};
 use stein_reference::select::{self, Evidence};
 use stein_reference::sure::{self, smooth_errors};
+use stein_reference::variance::brightness_around;
 use stein_reference::{Grid, Planes, Point, channel_mean, nlm_method, square};
 
 use super::bridge;
@@ -103,12 +105,13 @@ impl Comparison<'_> {
             (0..3).map(channel).collect()
         };
         const NAMES: [&str; 3] = ["first", "second", "third"];
+        let around = brightness_around(u);
         for (name, candidate) in NAMES.into_iter().zip(&twin.candidates) {
             self.add(name, &self.color(name), &candidate.mean, &color_size(&candidate.mean), FILTERED, steep);
             let derivative = format!("{name}_derivative");
             // Finite differences of what is rounded, by weights whose exponents are rounded.
             let rounded = |i: usize, p: Point| {
-                40.0 * ROUNDED * (candidate.mean[i].at(p) - u[i].at(p)).abs() / finite_difference_step(u[i].at(p), variance[i].at(p)).abs()
+                40.0 * ROUNDED * (candidate.mean[i].at(p) - u[i].at(p)).abs() / finite_difference_step(u[i].at(p), variance[i].at(p), around.at(p)).abs()
             };
             let size: Planes = (0..3).map(|i| u[i].like(|p| 1.0 + candidate.derivative[i].at(p).abs() + rounded(i, p) / DERIVED)).collect();
             self.add(&derivative, &self.layer(&derivative, 1.0), &candidate.derivative, &size, DERIVED, steep);
@@ -179,19 +182,27 @@ impl Comparison<'_> {
         let spread = pass1.spread.is_some().then_some(spread.as_slice());
         let parts = sure::ErrorParts::measured(spread.is_some(), true);
         let error = sure::error_blend(&mean, spread, variance, &[0, 1, 2].map(part), twin.squares.as_ref(), parts);
+        // Where a pixel is moved back to the input, what it was before is not told. One that stays has the input's error.
+        let unlimited = second_pass(&pass1, variance, &params).unwrap_or_else(|| pass1.clone());
+        let shares = clean_shares(&twin.color, &unlimited.mean, params.keep_clean.unwrap_or(CleanParams { noise: 0.0, ..CleanParams::default() }));
+        let actual = self.grids(self.estimate.error.as_ref(), self.exposure.powi(2));
+        let moved = |p: Point| shares.at(p) > 0.0 && shares.at(p) < 1.0;
+        let of_kept = kept_error(&error, &noise(&twin.color), &shares);
+        let error = error.like(|p| if moved(p) { actual.first().map_or(f64::NAN, |actual| actual.at(p)) } else { of_kept.at(p) });
         let rounded = |p: Point| (0..3).map(|i| (ROUNDED * (mean[i].at(p).abs() + apart(i, p))).powi(2) / AVERAGED).sum::<f64>();
         let size = [error.like(|p| error.at(p) + rounded(p) + 2.0 * (error.at(p) * rounded(p) / AVERAGED).sqrt() + VANISHING)];
-        self.add("error", &self.grids(self.estimate.error.as_ref(), self.exposure.powi(2)), std::slice::from_ref(&error), &size, AVERAGED, 0.0);
+        self.add("error", &actual, std::slice::from_ref(&error), &size, AVERAGED, 0.0);
 
-        let twin = stein_reference::dfc::Dfc { maps: maps.clone(), error, pass1: pass1.clone(), ..twin };
+        let twin = stein_reference::dfc::Dfc { maps: maps.clone(), error: error.clone(), pass1: pass1.clone(), ..twin };
         let density = [sampling_density(&twin, &params, bridge::samples(frame, 0.0).mean())];
         if !matches!(frame.samples_per_pixel(), stein::frame::SamplesPerPixel::PerPixel(_)) {
             let size = [density[0].like(|p| density[0].at(p) + density[0].mean() + VANISHING)];
             self.add("density", &self.layer("density", 1.0), &density, &size, 2e-3, 0.0);
         }
 
-        let result = second_pass(&pass1, variance, &params).unwrap_or(pass1);
-        let size = color_size(&result.mean);
+        let size = color_size(&unlimited.mean);
+        let result = params.keep_clean.map(|clean| keep_clean(&twin.color, &unlimited.mean, unlimited.spread.as_deref(), &error, clean));
+        let result = result.map_or(unlimited, |Kept { mean, spread, .. }| Pass { mean, spread });
         self.add("result", &bridge::grids(&self.estimate.color, self.exposure), &result.mean, &size, FILTERED, TURNED);
         if let Some(spread) = &result.spread {
             self.add("half spread", &self.grids(self.estimate.half_spread.as_ref(), self.exposure), spread, &with_own(spread, &size), FILTERED, TURNED);
@@ -240,10 +251,11 @@ impl Comparison<'_> {
         let sigma = std::slice::from_ref(&chosen.sigma);
         self.add("scale", &self.layer("scale", 1.0), sigma, &flat(sigma, 1.0), AVERAGED, 0.0);
         let size: Planes = twin.scales[0].mean.iter().map(|plane| Grid::filled(plane.width, plane.height, largest(plane))).collect();
-        self.add("result", &bridge::grids(&self.estimate.color, self.exposure), &chosen.mean, &size, AVERAGED, 0.0);
+        let result = gem::result(&twin.color, &chosen, &params);
+        self.add("result", &bridge::grids(&self.estimate.color, self.exposure), &result.mean, &size, AVERAGED, 0.0);
         if self.estimate.half_spread.is_some() {
             let size: Planes = twin.scales[0].spread.iter().map(|plane| Grid::filled(plane.width, plane.height, largest(plane))).collect();
-            self.add("half spread", &self.grids(self.estimate.half_spread.as_ref(), self.exposure), &chosen.spread, &size, AVERAGED, 0.0);
+            self.add("half spread", &self.grids(self.estimate.half_spread.as_ref(), self.exposure), &result.spread.unwrap_or_default(), &size, AVERAGED, 0.0);
         }
         let pixels = std::slice::from_ref(&chosen.pixels);
         self.add("pixels", &bridge::grids(&self.estimate.weight_sum, 1.0), pixels, &sizes(pixels, VANISHING), AVERAGED, 0.0);
@@ -251,7 +263,7 @@ impl Comparison<'_> {
             let steps: f64 = twin.steps.iter().map(|step| step.bias_term.at(p) + step.variance_term.at(p).abs()).sum();
             steps + twin.scales[0].variance.iter().map(|plane| plane.at(p)).sum::<f64>() + rounding
         };
-        let (error, size) = ([chosen.error.like(|p| chosen.error.at(p).max(0.0))], [chosen.error.like(terms)]);
+        let (error, size) = ([result.error.like(|p| result.error.at(p).max(0.0))], [result.error.like(terms)]);
         self.add("error", &self.grids(self.estimate.error.as_ref(), self.exposure.powi(2)), &error, &size, 1e-4, 0.0);
     }
 

@@ -84,6 +84,8 @@ pub(in crate::method) fn plan(params: &DfcParams, facts: &Facts, wishes: &Wishes
     plan.step(Step::Error, "what the halves, the candidates and the pixel's own weight show", &[needless(!needs_error, "it is not wanted")]);
     plan.step(Step::Density, "it is asked for", &[impossible(!wishes.keeps(Intermediate::Density), "it is not asked for")]);
 
+    plan.keep_clean(params.keep_clean);
+
     if facts.is_noise_free() && may_copy && wishes.keep.is_empty() && !wishes.everything {
         return plan.leave_all_out("no pixel has noise: the frame is copied");
     }

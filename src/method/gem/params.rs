@@ -41,6 +41,9 @@ parameters! {
         pub final_outlier_size: f32 => real(0.5..=4.0),
         /// What becomes of spikes: pixels that stand out from those of their kind and rest on very few samples.
         pub spikes: Spikes,
+        /// Whether pixels whose samples show no noise stay as they are, however noisy their neighbours. Black pixels stay only where everything around them is black: elsewhere
+        /// their samples may all have missed the light.
+        pub keep_clean: bool,
     }
 }
 
@@ -79,14 +82,14 @@ impl Phase {
 
 impl Default for GemParams {
     fn default() -> Self {
-        Self { gamma: 0.15, final_outlier_size: 1.0, spikes: Spikes::Spread, ..Self::thesis() }
+        Self { gamma: 0.15, final_outlier_size: 1.0, spikes: Spikes::Spread, keep_clean: true, ..Self::thesis() }
     }
 }
 
 impl GemParams {
     /// As the published results were made (thesis 6.4, 6.5).
     pub fn thesis() -> Self {
-        Self { gamma: 0.1, phase: Phase::Final, final_outlier_size: 2.0, spikes: Spikes::Keep }
+        Self { gamma: 0.1, phase: Phase::Final, final_outlier_size: 2.0, spikes: Spikes::Keep, keep_clean: false }
     }
 
     /// What smooths the stopping map of the step to a scale (thesis 6.2.4).

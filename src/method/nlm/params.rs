@@ -37,6 +37,9 @@ parameters! {
         pub spikes: Spikes,
         /// Whether, over several frames, those that harm a pixel, by its SURE, are left out there. Needs two buffers and a centre of weight one.
         pub guard_frames: bool,
+        /// Whether pixels whose samples show no noise stay as they are, however noisy their neighbours. Black pixels stay only where everything around them is black: elsewhere
+        /// their samples may all have missed the light.
+        pub keep_clean: bool,
     }
 }
 
@@ -58,7 +61,7 @@ choices! {
 
 impl Default for NlmParams {
     fn default() -> Self {
-        Self { variance: NlmVariance::Scaled, spikes: Spikes::Spread, guard_frames: true, ..Self::thesis() }
+        Self { variance: NlmVariance::Scaled, spikes: Spikes::Spread, guard_frames: true, keep_clean: true, ..Self::thesis() }
     }
 }
 
@@ -77,13 +80,14 @@ impl NlmParams {
             variance: NlmVariance::CrossFiltered,
             spikes: Spikes::Keep,
             guard_frames: false,
+            keep_clean: false,
         }
     }
 
     /// Spikes stay. Filters less, so that the error that is left is noise and not bias (thesis 7.2): r and α are 7 and 0.5 at the most.
     #[must_use]
     pub fn while_sampling(self) -> Self {
-        Self { window_radius: self.window_radius.min(7), alpha: self.alpha.min(0.5), spikes: Spikes::Keep, ..self }
+        Self { window_radius: self.window_radius.min(7), alpha: self.alpha.min(0.5), spikes: Spikes::Keep, keep_clean: false, ..self }
     }
 
     /// What they are, with their documentation and ranges.

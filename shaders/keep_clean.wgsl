@@ -1,0 +1,113 @@
+// Keeps pixels without noise as they are: moves a filtered pixel back to its input where the input's noise is below what its values are rounded by.
+//
+// Weights alone do not see to it. A patch that differs in one pixel can be near, and what a neighbour with noise may be by its own variance says nothing of a pixel that has none.
+//
+// A black pixel without noise may be one that all samples missed the light in. It is taken to be black only where nothing but such pixels is around it.
+#import stein::planes::{inside, pixel_index}
+
+struct KeepCleanParams {
+    extent: vec2<i32>,
+    // Square of the noise from which on a pixel is filtered freely, in parts of its value.
+    squared_noise: f32,
+    // Square of the correction that a pixel with less noise may get, in standard deviations; it grows without limit towards that noise.
+    squared_sigmas: f32,
+    // How far around a black pixel everything has to be black.
+    black_radius: i32,
+    // Where in a pixel of `errors` its squared error is.
+    error_component: i32,
+}
+
+@group(0) @binding(0) var<uniform> params: KeepCleanParams;
+// Of the input, without spikes: the mean, then the half spread.
+@group(0) @binding(1) var<storage, read> signal: array<vec4<f32>>;
+#ifdef VARIANCE
+// Of its mean.
+@group(0) @binding(2) var<storage, read> sample_variance: array<vec4<f32>>;
+#endif
+// A signal.
+@group(0) @binding(3) var<storage, read> filtered: array<vec4<f32>>;
+@group(0) @binding(4) var<storage, read_write> kept: array<vec4<f32>>;
+#ifdef ERROR
+// In place: what stays has its input's error.
+@group(0) @binding(5) var<storage, read_write> errors: array<vec4<f32>>;
+#endif
+
+fn spread_squared(at: i32) -> f32 {
+    let spread = signal[params.extent.x * params.extent.y + at].xyz;
+    return dot(spread, spread);
+}
+
+// Σ over the channels of the variance that the samples of a pixel show. Halves alone may agree by accident, so that those of the pixels beside have a say too.
+fn noise_at(p: vec2<i32>) -> f32 {
+    let at = pixel_index(p, params.extent);
+#ifdef VARIANCE
+    let spread = signal[params.extent.x * params.extent.y + at].xyz;
+    return dot(max(sample_variance[at].xyz, spread * spread), vec3<f32>(1.0));
+#else
+    var noise = spread_squared(at);
+    for (var side = 0; side < 4; side++) {
+        let q = p + vec2<i32>(select(0, 1 - (side & 2), (side & 1) == 0), select(0, 1 - (side & 2), (side & 1) == 1));
+        if inside(q, params.extent) {
+            noise = max(noise, spread_squared(pixel_index(q, params.extent)));
+        }
+    }
+    return noise;
+#endif
+}
+
+fn is_black_around(p: vec2<i32>) -> bool {
+    let first = max(p - params.black_radius, vec2<i32>(0));
+    let last = min(p + params.black_radius, params.extent - 1);
+    for (var y = first.y; y <= last.y; y++) {
+        for (var x = first.x; x <= last.x; x++) {
+            let q = vec2<i32>(x, y);
+            if any(signal[pixel_index(q, params.extent)].xyz != vec3<f32>(0.0)) || noise_at(q) > 0.0 {
+                return false;
+            }
+        }
+    }
+    return true;
+}
+
+// How much of the correction a pixel gets, 0 to 1.
+fn share_of(p: vec2<i32>, correction: vec3<f32>) -> f32 {
+    let value = signal[pixel_index(p, params.extent)].xyz;
+    if all(value == vec3<f32>(0.0)) {
+        return select(1.0, 0.0, is_black_around(p));
+    }
+    let noise = noise_at(p);
+    let closeness = noise / max(params.squared_noise * dot(value, value), 1e-37);
+    if closeness >= 1.0 {
+        return 1.0;
+    }
+    let allowed = params.squared_sigmas * noise / (1.0 - closeness);
+    let squared = dot(correction, correction);
+    return select(1.0, sqrt(allowed / squared), squared > allowed);
+}
+
+@compute @workgroup_size(32, 2, 1)
+fn main(@builtin(global_invocation_id) id: vec3<u32>) {
+    let extent = params.extent;
+    let p = vec2<i32>(id.xy);
+    if any(p >= extent) {
+        return;
+    }
+    let pixels = extent.x * extent.y;
+    let at = pixel_index(p, extent);
+    let mean = filtered[at];
+    let spread = filtered[pixels + at];
+    let own = signal[at].xyz;
+    let own_spread = signal[pixels + at].xyz;
+    let share = share_of(p, mean.xyz - own);
+    if share == 1.0 {
+        kept[at] = mean;
+        kept[pixels + at] = spread;
+        return;
+    }
+    kept[at] = vec4<f32>(own + share * (mean.xyz - own), mean.w);
+    kept[pixels + at] = vec4<f32>(own_spread + share * (spread.xyz - own_spread), spread.w);
+#ifdef ERROR
+    let rest = 1.0 - share;
+    errors[at][params.error_component] = share * share * errors[at][params.error_component] + rest * rest * noise_at(p);
+#endif
+}

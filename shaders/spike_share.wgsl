@@ -1,0 +1,78 @@
+// Settles what the pixels around a spike get of it.
+//
+// They are all pixels of its kind in a wide window that have noise and are about as bright, each the less the further it is away; those without noise are what they are. One spike
+// says little about how much light there is: it stands for as many pixels as there would have to be until the next one. Where it would raise the level around it by more than a part
+// of it, it is rarer than that, and the more it would, the more of it is left out.
+#import stein::planes::{pixel_index}
+#import stein::spike::{SpikeParams, SpikeFeatures, affinity, are_alike, brightness, falloff}
+
+const FEATURE_GROUPS: i32 = #{FEATURE_GROUPS};
+
+@group(0) @binding(0) var<uniform> params: SpikeParams;
+// As spike_find left it: what was taken from each pixel. Here w becomes the part of it that others get; and behind it goes what one of them in its place would get.
+@group(0) @binding(1) var<storage, read_write> spikes: array<vec4<f32>>;
+#if FEATURE_GROUPS != 0
+@group(0) @binding(2) var<storage, read> features: array<vec4<f32>>;
+#endif
+// As spike_level left them.
+@group(0) @binding(3) var<storage, read> levels: array<vec4<f32>>;
+
+#if FEATURE_GROUPS != 0
+fn features_at(at: i32, group: i32) -> SpikeFeatures {
+    let pixels = params.extent.x * params.extent.y;
+    let plane = 3 * group * pixels + at;
+    return SpikeFeatures(features[plane], features[plane + pixels], features[plane + 2 * pixels]);
+}
+#endif
+
+fn is_like(at_p: i32, at_q: i32) -> bool {
+    var alike = true;
+#if FEATURE_GROUPS != 0
+    for (var group = 0; group < FEATURE_GROUPS && alike; group++) {
+        alike = are_alike(features_at(at_p, group), features_at(at_q, group), params.triple_weights[group].xyz, params);
+    }
+#endif
+    return alike;
+}
+
+@compute @workgroup_size(32, 2, 1)
+fn main(@builtin(global_invocation_id) id: vec3<u32>) {
+    let extent = params.extent;
+    let p = vec2<i32>(id.xy);
+    if any(p >= extent) {
+        return;
+    }
+    let pixels = extent.x * extent.y;
+    let at_p = pixel_index(p, extent);
+    let taken = spikes[at_p].xyz;
+    // What a channel lacks is made up for by the level; nobody has to give it back.
+    let excess = max(taken, vec3<f32>(0.0));
+    var part = 0.0;
+    var share = vec3<f32>(0.0);
+    if any(taken != vec3<f32>(0.0)) {
+        let first = max(p - params.spread_radius, vec2<i32>(0));
+        let last = min(p + params.spread_radius, extent - 1);
+        let level = levels[at_p].x;
+        var members = 0.0;
+        var member_levels = 0.0;
+        for (var y = first.y; y <= last.y; y++) {
+            for (var x = first.x; x <= last.x; x++) {
+                let at_q = pixel_index(vec2<i32>(x, y), extent);
+                let of_q = levels[at_q];
+                let gets = falloff(vec2<i32>(x, y) - p, params.spread_radius) * affinity(level, of_q.x) * of_q.y;
+                if gets > 0.0 && is_like(at_p, at_q) {
+                    members += gets;
+                    member_levels += gets * of_q.x;
+                }
+            }
+        }
+        if members > 0.0 {
+            let even = excess / members;
+            let limit = params.share_limit * min(level, member_levels / members);
+            part = limit / max(limit + brightness(even), 1e-30);
+            share = part * even;
+        }
+    }
+    spikes[at_p].w = part;
+    spikes[pixels + at_p] = vec4<f32>(share, 0.0);
+}

@@ -1,0 +1,39 @@
+// Holds a variance above the rounding of the values it belongs to, so that distances divide by no zero and depend on nothing but the pixels they compare (eq. 7.4).
+//
+// An ε of one size for the whole image would blur what is dark beside something bright: there every squared difference is smaller than ε.
+#import stein::planes::{pixel_index}
+
+struct VarianceFloorParams {
+    extent: vec2<i32>,
+    // The least standard deviation, in parts of the brightness around the pixel …
+    relative: f32,
+    // … and in the unit of the values.
+    absolute: f32,
+}
+
+@group(0) @binding(0) var<uniform> params: VarianceFloorParams;
+@group(0) @binding(1) var<storage, read> signal: array<vec4<f32>>;
+@group(0) @binding(2) var<storage, read> variance: array<vec4<f32>>;
+// In w the brightness around the pixel: the largest magnitude of any channel in the 3×3 pixels around it. Finite differences take their least step from it.
+@group(0) @binding(3) var<storage, read_write> floored_variance: array<vec4<f32>>;
+
+@compute @workgroup_size(32, 2, 1)
+fn main(@builtin(global_invocation_id) id: vec3<u32>) {
+    let extent = params.extent;
+    let p = vec2<i32>(id.xy);
+    if any(p >= extent) {
+        return;
+    }
+    let first = max(p - 1, vec2<i32>(0));
+    let last = min(p + 1, extent - 1);
+    var around = vec3<f32>(0.0);
+    for (var y = first.y; y <= last.y; y++) {
+        for (var x = first.x; x <= last.x; x++) {
+            around = max(around, abs(signal[pixel_index(vec2<i32>(x, y), extent)].xyz));
+        }
+    }
+    let brightness = max(around.x, max(around.y, around.z));
+    let least = max(params.relative * brightness, params.absolute);
+    let at = pixel_index(p, extent);
+    floored_variance[at] = vec4<f32>(max(variance[at].xyz, vec3<f32>(least * least)), brightness);
+}

@@ -1,0 +1,83 @@
+//! Pixels without noise stay as they are.
+
+use glam::IVec2;
+
+use super::{per_pixel, plane_bytes};
+use crate::error::Result;
+use crate::gpu::{Buffer, Recorder, bindings, uniforms};
+
+uniforms! {
+    struct KeepCleanParams { extent: IVec2, squared_noise: f32, squared_sigmas: f32, black_radius: i32, error_component: i32 }
+}
+
+bindings! {
+    struct KeepClean<'a> {
+        uniform params: KeepCleanParams, read signal, optional sample_variance, read filtered, write kept,
+    }
+    struct KeepCleanError<'a> {
+        uniform params: KeepCleanParams, read signal, optional sample_variance, read filtered, write kept, write errors,
+    }
+}
+
+/// Which pixels count as clean. [`CleanRule::DEFAULT`] is what measured best.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CleanRule {
+    /// Noise from which on a pixel is filtered freely: its standard deviation in parts of its value.
+    pub noise: f32,
+    /// How far a pixel with next to no noise may be moved, in standard deviations; towards `noise` it grows without limit.
+    pub sigmas: f32,
+    /// A black pixel counts as clean where all pixels this far around it are black and without noise, in pixels.
+    pub black_radius: u32,
+}
+
+impl CleanRule {
+    /// Half floats round by 1.4·10⁻⁴ of a value. Measured on `cornell`, `dof_spheres` and `caustic_ring` at 8, 32 and 128 spp, with 10⁻³ in place of 3·10⁻⁴ `dof_spheres` at
+    /// 8 spp has 0.7 % more error, because edges out of focus have pixels that all eight samples missed; with 10⁻² `caustic_ring` at 8 spp has 2.5 % more.
+    pub const DEFAULT: Self = Self { noise: 3e-4, sigmas: 4.0, black_radius: 3 };
+}
+
+/// The input of a filter: what tells which of its pixels have noise.
+#[derive(Clone, Copy, Debug)]
+pub struct Input<'a> {
+    /// A signal, without spikes; its half spread is 0 where there are no halves.
+    pub signal: &'a Buffer,
+    /// One plane, s²/n, where there is one. Without it the halves tell of the noise, and those of the four pixels beside with them, for two halves may agree by accident.
+    pub sample_variance: Option<&'a Buffer>,
+}
+
+/// A filtered signal in which pixels without noise are as in the input; in between, a pixel moves by as much as its noise allows. A signal.
+///
+/// `errors`: a plane and the component of it, 0 to 3, that holds squared errors of the filtered signal, summed over the channels; they become those of what is kept.
+///
+/// # Errors
+/// As [`Recorder::dispatch`].
+pub fn keep_clean(
+    rec: &mut Recorder,
+    extent: IVec2,
+    input: Input,
+    filtered: &Buffer,
+    errors: Option<(&Buffer, u32)>,
+    rule: CleanRule,
+) -> Result<Buffer> {
+    let Input { signal, sample_variance } = input;
+    let kept = rec.take("clean pixels kept", plane_bytes(extent, 2))?;
+    let params = KeepCleanParams {
+        extent,
+        squared_noise: rule.noise * rule.noise,
+        squared_sigmas: rule.sigmas * rule.sigmas,
+        black_radius: rule.black_radius as i32,
+        error_component: errors.map_or(0, |(_, component)| component as i32),
+    };
+    let definitions = [("VARIANCE", sample_variance.is_some().into()), ("ERROR", errors.is_some().into())];
+    match errors {
+        Some((errors, _)) => {
+            let kernel = rec.gpu().kernel::<KeepCleanError>("keep_clean", &definitions)?;
+            rec.dispatch(&kernel, &KeepCleanError { params, signal, sample_variance, filtered, kept: &kept, errors }, per_pixel(extent))?;
+        }
+        None => {
+            let kernel = rec.gpu().kernel::<KeepClean>("keep_clean", &definitions)?;
+            rec.dispatch(&kernel, &KeepClean { params, signal, sample_variance, filtered, kept: &kept }, per_pixel(extent))?;
+        }
+    }
+    Ok(kept)
+}
