@@ -14,7 +14,8 @@ use crate::gpu::{Buffer, Gpu, Pace, Recorder, StageTime, StepTime};
 use crate::host_memory::{FreeMemory, Shortage};
 use crate::image::Image;
 use crate::method::{
-    DeviceMemory, Facts, FrameInput, GpuEstimate, GpuFrame, Intermediate, KeptPlane, Lane, Method, Plan, Shares, SpikeReport, Strip, Unit, Units, Wishes, kept_planes, strips,
+    DeviceMemory, Facts, FrameInput, GpuEstimate, GpuFrame, Intermediate, KeptPlane, Lane, Method, Plan, Shares, SpikeReport, Strip, Unit, Units, Wishes,
+    kept_planes, strips,
 };
 use crate::stage::PLANE_PIXEL_BYTES;
 use crate::stage::nlm::Schedule;
@@ -186,7 +187,10 @@ impl Denoiser {
 
     /// What bounds the buffers on the device once the host has what it needs.
     fn memory(&self, frame: &Frame, facts: &Facts, options: &Options) -> Result<DeviceMemory> {
-        let planes_of_result = 3 + if frame.color().half_spread.is_some() { 3 } else { 0 } + u64::from(options.error) + 1 + 3;
+        // Colour, halves, error, sum of weights, and the shares of the candidates where the method has any.
+        let planes_of_shares = if matches!(self.method, Method::Dfc(_)) { 3 } else { 0 };
+        let planes_of_halves = if frame.color().half_spread.is_some() { 3 } else { 0 };
+        let planes_of_result = 3 + planes_of_halves + u64::from(options.error) + 1 + planes_of_shares;
         // Of one to three channels each.
         let kept = if options.keep.is_empty() { 0 } else { 3 * kept_planes(&self.method, facts, self.schedule) };
         let host = frame.extent().pixels() as u64 * 4 * (planes_of_result + kept) + TRANSFER_BYTES.min(frame.extent().pixels() as u64 * 64);
@@ -307,22 +311,31 @@ const LARGEST_SCALED: f32 = 1e17;
 /// of the pixels' largest channels, over pixels that are not black.
 fn exposure(frame: &Frame) -> f32 {
     let planes = &frame.color().mean.planes;
-    let mut brightness: Vec<f32> = (0..frame.extent().pixels())
-        .map(|pixel| planes.iter().fold(0.0f32, |most, plane| most.max(plane[pixel].abs())))
-        .filter(|&brightness| brightness > f32::MIN_POSITIVE)
-        .collect();
-    if brightness.is_empty() {
-        return 1.0;
+    // The median is needed to the power of two below it, so its exponent is enough: no copy of the pixels is sorted.
+    let mut pixels_by_exponent = [0_usize; 256];
+    let mut brightest = 0.0_f32;
+    for pixel in 0..frame.extent().pixels() {
+        let brightness = planes.iter().fold(0.0f32, |most, plane| most.max(plane[pixel].abs()));
+        if brightness > f32::MIN_POSITIVE {
+            pixels_by_exponent[(brightness.to_bits() >> 23) as usize] += 1;
+            brightest = brightest.max(brightness);
+        }
     }
-    let middle = brightness.len() / 2;
-    let median = *brightness.select_nth_unstable_by(middle, f32::total_cmp).1;
+    let middle = pixels_by_exponent.iter().sum::<usize>() / 2;
+    let mut pixels_below = 0;
+    let exponent_of_median = pixels_by_exponent.iter().position(|count| {
+        pixels_below += count;
+        pixels_below > middle
+    });
+    let Some(exponent_of_median) = exponent_of_median else { return 1.0 };
+    let log2_of_median = exponent_of_median as f32 - 127.0;
     // Of a scaled value the square must stay finite.
     let color = frame.color();
     let deviations = color.variance_of_mean.iter().flat_map(|variance| &variance.planes).flatten().map(|variance| variance.sqrt());
     let spreads = color.half_spread.iter().flat_map(|spread| &spread.planes).flatten().map(|spread| spread.abs());
-    let most = brightness.iter().copied().chain(deviations).chain(spreads).fold(0.0, f32::max);
+    let most = deviations.chain(spreads).fold(brightest, f32::max);
     let headroom = (LARGEST_SCALED / most).log2().floor();
-    (-median.log2().floor()).clamp(-60.0, 60.0).min(headroom).exp2()
+    (-log2_of_median).clamp(-60.0, 60.0).min(headroom).exp2()
 }
 
 /// Puts the strips together on the host, in the units of the frame.
@@ -386,7 +399,8 @@ impl<'a> Assembly<'a> {
     fn add(&mut self, gpu: &Gpu, estimate: &GpuEstimate, extent: IVec2, strip: &Strip) -> Result<()> {
         let frame_extent = self.frame.extent();
         let width = frame_extent.width as usize;
-        // Reads the rows of a plane that the strip is for, piece by piece: the position of the first pixel among them, and the pixels.
+        // Reads the rows of a plane that the strip is for, piece by piece: the position of the first pixel among them,
+        // and the pixels.
         let read = |buffer: &Buffer, plane: u32, take: &mut dyn FnMut(usize, &[f32])| -> Result<()> {
             let first = u64::from(plane) * extent.x as u64 * extent.y as u64 + ((strip.first - strip.first_with_halo) * width) as u64;
             gpu.read_with(buffer, first * PLANE_PIXEL_BYTES, (strip.end - strip.first) * width * 4, |first, values| take(first / 4, values))
@@ -468,7 +482,8 @@ impl<'a> Assembly<'a> {
     }
 }
 
-/// Copies pixels of vec4 into the planes of an image, from pixel `first` of the image and from component `first_component` of the vec4 on.
+/// Copies pixels of vec4 into the planes of an image, from pixel `first` of the image and from component
+/// `first_component` of the vec4 on.
 fn place(values: &[f32], first_component: usize, factor: f32, offset: f32, first: usize, image: &mut Image) {
     for (channel, plane) in image.planes.iter_mut().enumerate() {
         for (to, from) in plane[first..].iter_mut().zip(values.chunks_exact(4)) {

@@ -131,8 +131,9 @@ impl Frame {
         Self::settle(set.color(), set)
     }
 
-    /// As [`Frame::from_buffer_set`], for large frames: the set lets go of the stored samples of the colour and its noise, and of all other files than the input. What is left
-    /// of the set serves [`Estimate::write`](crate::Estimate::write).
+    /// As [`Frame::from_buffer_set`], for large frames: the set lets go of the stored samples of the colour and its
+    /// noise, and of all other files than the input. What is left of the set serves
+    /// [`Estimate::write`](crate::Estimate::write).
     ///
     /// # Errors
     /// As [`Frame::new`]; [`Error::File`] where memory ends, or where the input is gone.

@@ -1,4 +1,5 @@
-//! Memory of the computer: how much of it is left to the process, and large vectors whose allocation fails with a message in place of ending the process.
+//! Memory of the computer: how much of it is left to the process, and large vectors whose allocation fails with a
+//! message in place of ending the process.
 
 use std::fmt;
 
@@ -6,7 +7,8 @@ use sysinfo::{MemoryRefreshKind, Process, ProcessRefreshKind, ProcessesToUpdate,
 
 use crate::error::Error;
 
-/// Left to allocations that nobody plans and that cannot fail gently: stacks of threads, blocks in a decoder, the driver's compiler.
+/// Left to allocations that nobody plans and that cannot fail gently: stacks of threads, blocks in a decoder, the
+/// driver's compiler.
 const RESERVE: u64 = 48 << 20;
 
 /// What bounds the memory of a process.

@@ -257,7 +257,8 @@ mod unix {
         assert_untouched(&folder);
     }
 
-    /// A render of this many pixels per side whose halves differ, as half floats: 18 bytes per pixel in memory and next to nothing in the file.
+    /// A render of this many pixels per side whose halves differ, as half floats: 18 bytes per pixel in memory and next
+    /// to nothing in the file.
     fn write_large(path: &str, side: usize) {
         let channel = |(half, value): (&str, f32), name: &str| {
             let samples = FlatSamples::F16(vec![f16::from_f32(value); side * side]);

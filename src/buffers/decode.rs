@@ -67,7 +67,8 @@ pub(super) fn decode(file: &mut (impl BufRead + Seek), file_bytes: u64) -> Decod
     Ok(FlatImage { attributes: meta.headers[0].shared_attributes.clone(), layer_data: layers })
 }
 
-/// Refuses headers that claim more than the file can hold, before anything of that size is allocated. Returns the number of bytes that all samples take.
+/// Refuses headers that claim more than the file can hold, before anything of that size is allocated. Returns the
+/// number of bytes that all samples take.
 fn check_size(headers: &[Header], file_bytes: u64) -> Decoded<usize> {
     let too_large = || Trouble::damaged("its header claims an image larger than the file can hold");
     let (mut bytes, mut stored) = (0_usize, 0_u64);

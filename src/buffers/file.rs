@@ -64,7 +64,8 @@ impl ExrFile {
         Image { extent: extent(layer.size), planes }
     }
 
-    /// The planes of some of a part's channels, as f32. Where `is_kept` denies it of a channel, the stored samples are let go of, and an empty vector of their type is left.
+    /// The planes of some of a part's channels, as f32. Where `is_kept` denies it of a channel, the stored samples are
+    /// let go of, and an empty vector of their type is left.
     pub(crate) fn take_planes(&mut self, part: usize, channels: &[usize], is_kept: impl Fn(usize) -> bool) -> std::result::Result<Image, Shortage> {
         let layer = &mut self.image.layer_data[part];
         let mut planes = Vec::with_capacity(channels.len());

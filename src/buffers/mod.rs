@@ -33,7 +33,8 @@ pub(crate) use file::ExrFile;
 /// The most features that a frame takes; the text's scenes use up to five.
 pub const MAX_FEATURES: usize = 8;
 
-/// Bytes per pixel that settling a signal takes besides its planes: marks of pixels to repair, of misses, of neighbours that are usable.
+/// Bytes per pixel that settling a signal takes besides its planes: marks of pixels to repair, of misses, of neighbours
+/// that are usable.
 const STATE_BYTES: u64 = 6;
 
 /// A mean and what the files hold of its noise, as stored: may contain anything that a float can be. All images have the same extent and channels.
@@ -145,7 +146,8 @@ impl BufferSet {
         &self.layer_uses
     }
 
-    /// As [`BufferSet::color`]. Samples of the colour and its noise are let go of where nothing but the colour is made of them: an output replaces them or leaves them out.
+    /// As [`BufferSet::color`]. Samples of the colour and its noise are let go of where nothing but the colour is made
+    /// of them: an output replaces them or leaves them out.
     ///
     /// # Errors
     /// [`Error::File`] where memory ends.
@@ -165,7 +167,8 @@ impl BufferSet {
         })
     }
 
-    /// Reads the halves of the colour again where [`BufferSet::take_color`] let go of them: an output shows them as they were where the frame has no use for them.
+    /// Reads the halves of the colour again where [`BufferSet::take_color`] let go of them: an output shows them as
+    /// they were where the frame has no use for them.
     ///
     /// # Errors
     /// [`Error::File`] where the input cannot be read any more.
@@ -186,7 +189,8 @@ impl BufferSet {
         }
     }
 
-    /// Refuses to make a frame of the set where memory would end: planes of f32 beside the stored samples, of which those of the colour go where they are `taken`.
+    /// Refuses to make a frame of the set where memory would end: planes of f32 beside the stored samples, of which
+    /// those of the colour go where they are `taken`.
     ///
     /// # Errors
     /// [`Error::File`] with what is needed and what is free.
@@ -220,8 +224,8 @@ impl BufferSet {
         self.files[planes.file].layers[planes.layer].part
     }
 
-    /// Channels among those of `planes` whose stored samples are needed again: something else is made of them, too, or they share a layer of the input with others, so that an
-    /// output shows the layer as it was.
+    /// Channels among those of `planes` whose stored samples are needed again: something else is made of them, too, or
+    /// they share a layer of the input with others, so that an output shows the layer as it was.
     fn channels_needed_again(&self, planes: &Planes) -> Vec<usize> {
         let layer = &self.files[planes.file].layers[planes.layer];
         if planes != &self.color.mean && colored_channels(layer).iter().any(|channel| !planes.channels.contains(channel)) {

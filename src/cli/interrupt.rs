@@ -4,8 +4,9 @@
 //! does not listen), or at a second signal, unfinished files are removed and the process ends then and there. Either way it ends by that signal, as whoever started it expects: a
 //! shell tells 130, 143 or 129, and ends the loop that it was in.
 //!
-//! Where memory ends inside of a library or a driver, the library aborts the process, and nobody can catch that as an error. The signal of the abort can be caught: unfinished files
-//! are removed, a message tells what to do, and the process ends with the exit code of a device that failed.
+//! Where memory ends inside of a library or a driver, the library aborts the process, and nobody can catch that as an
+//! error. The signal of the abort can be caught: unfinished files are removed, a message tells what to do, and the
+//! process ends with the exit code of a device that failed.
 
 use std::process::Child;
 use std::sync::atomic::{AtomicI32, AtomicU32, Ordering};

@@ -98,8 +98,8 @@ impl Estimate {
 }
 
 impl Estimate {
-    /// Bytes that are in memory besides the estimate before the file is written, at most: the colour and its halves as the file stores them, the halves as they are made, and
-    /// two copies of what is added.
+    /// Bytes that are in memory besides the estimate before the file is written, at most: the colour and its halves as
+    /// the file stores them, the halves as they are made, and two copies of what is added.
     fn bytes_for_writing(&self, keep: &[Intermediate]) -> u64 {
         let halves = self.half_spread.as_ref().map_or(0, |_| 2 * self.color.channels());
         let kept = self.layers.iter().filter(|layer| keep.contains(&layer.intermediate)).map(|layer| layer.image.channels());

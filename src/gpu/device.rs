@@ -28,10 +28,12 @@ const NEWS_PATIENCE: Duration = Duration::from_secs(2);
 /// Storage buffers that one kernel may bind: as many as are asked of an adapter that has more.
 const STORAGE_BUFFERS_WANTED: u32 = 16;
 
-/// Kernels count the elements of a buffer in i32, and no element is smaller than four bytes: in a larger buffer an index could wrap around.
+/// Kernels count the elements of a buffer in i32, and no element is smaller than four bytes: in a larger buffer an
+/// index could wrap around.
 const LARGEST_INDEXED_BYTES: u64 = 4 * i32::MAX as u64;
 
-/// Address space that a driver takes when it is loaded and opened; a software one brings a compiler along. With less, drivers end the process or are not found.
+/// Address space that a driver takes when it is loaded and opened; a software one brings a compiler along. With less,
+/// drivers end the process or are not found.
 const DRIVER_BYTES: u64 = 320 << 20;
 
 /// Which adapter to open.
@@ -275,13 +277,16 @@ impl Gpu {
             label: Some("stein"),
             required_features: adapter.features() & (wgpu::Features::TIMESTAMP_QUERY | wgpu::Features::PIPELINE_CACHE),
             required_limits: limits,
-            // Of a device that is a program, buffers are in the memory of the computer: they are made one by one, without large blocks to cut them from.
+            // Of a device that is a program, buffers are in the memory of the computer: they are made one by one,
+            // without large blocks to cut them from.
             memory_hints: if summary.kind == DeviceKind::Software { wgpu::MemoryHints::MemoryUsage } else { wgpu::MemoryHints::Performance },
             ..Default::default()
         };
         let (device, queue) = pollster::block_on(adapter.request_device(&description)).map_err(|error| Error::Device {
             problem: format!("adapter '{}' cannot be opened: {error}", summary.name),
-            remedy: "choose another adapter (`Gpu::adapters` lists them), update the graphics driver, or raise the limit on memory where there is one (`ulimit -v`)".into(),
+            remedy:
+                "choose another adapter (`Gpu::adapters` lists them), update the graphics driver, or raise the limit on memory where there is one (`ulimit -v`)"
+                    .into(),
         })?;
 
         let health = Arc::new(Health::default());

@@ -32,8 +32,8 @@ impl Gpu {
         self.read_with(buffer, offset_bytes, values.len(), |first, piece| values[first..first + piece.len()].copy_from_slice(piece))
     }
 
-    /// Part of a buffer, from `offset_bytes` on, a multiple of four: `take` is called with each piece of the `values` values and with the position of the piece, which is a
-    /// multiple of four.
+    /// Part of a buffer, from `offset_bytes` on, a multiple of four: `take` is called with each piece of the `values`
+    /// values and with the position of the piece, which is a multiple of four.
     ///
     /// # Errors
     /// As [`Gpu::read_into`].

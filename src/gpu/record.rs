@@ -139,8 +139,9 @@ impl Recorder {
         Ok(buffer)
     }
 
-    /// A storage buffer of `values` values that are made piece by piece, so that they are never in memory a second time as a whole: `fill` is called with the position of each
-    /// piece and with the piece, which is a multiple of four values long but for the last one and holds zeros.
+    /// A storage buffer of `values` values that are made piece by piece, so that they are never in memory a second time
+    /// as a whole: `fill` is called with the position of each piece and with the piece, which is a multiple of four
+    /// values long but for the last one and holds zeros.
     ///
     /// # Errors
     /// As [`Recorder::take`].

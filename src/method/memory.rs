@@ -53,7 +53,8 @@ pub(super) const UPLOADED_PLANES: u64 = 4;
 pub(crate) struct DeviceMemory {
     /// The limit that a user set, in bytes.
     pub(crate) asked: Option<u64>,
-    /// The memory of the computer, and what the host takes of it, in bytes: where the device is a program on the processor, its buffers are in the same memory.
+    /// The memory of the computer, and what the host takes of it, in bytes: where the device is a program on the
+    /// processor, its buffers are in the same memory.
     pub(crate) shared: Option<(FreeMemory, u64)>,
 }
 
@@ -97,7 +98,8 @@ pub(crate) fn kept_planes(method: &Method, facts: &Facts, schedule: Schedule) ->
     live(true) - live(false)
 }
 
-/// Cuts a frame into strips of which each, with the same rows of the frames beside it, fits the adapter's limits on bindings and dispatches and the memory.
+/// Cuts a frame into strips of which each, with the same rows of the frames beside it, fits the adapter's limits on
+/// bindings and dispatches and the memory.
 ///
 /// # Errors
 /// [`Error::Device`] where not even one row with its halo fits.

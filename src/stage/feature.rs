@@ -98,9 +98,8 @@ mod tests {
 
     /// All lists of up to [`MAX_GROUPS`] features of one to three channels.
     fn channel_lists() -> impl Iterator<Item = Vec<u32>> {
-        (0..=MAX_GROUPS as u32).flat_map(|features| {
-            (0..3u32.pow(features)).map(move |list| (0..features).map(|feature| list / 3u32.pow(feature) % 3 + 1).collect())
-        })
+        (0..=MAX_GROUPS as u32)
+            .flat_map(|features| (0..3u32.pow(features)).map(move |list| (0..features).map(|feature| list / 3u32.pow(feature) % 3 + 1).collect()))
     }
 
     #[test]

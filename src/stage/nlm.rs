@@ -176,7 +176,8 @@ impl Schedule {
         regions.into_iter().filter_map(wanted).flat_map(bands).map(|region| (region, self.cut(gpu, region.size, window_radius, guide, sum_planes))).collect()
     }
 
-    /// The widest band of which one row fits every buffer that is as wide as the band: the column sums of one offset and the running sums.
+    /// The widest band of which one row fits every buffer that is as wide as the band: the column sums of one offset
+    /// and the running sums.
     fn most_columns(&self, gpu: &Gpu, guide: &Guide, sum_planes: u32) -> i32 {
         let planes = u64::from(sum_planes).max(guide.patch_sizes());
         let columns = gpu.max_binding_bytes() / (planes * PLANE_PIXEL_BYTES);
@@ -185,8 +186,8 @@ impl Schedule {
         i32::try_from(columns).unwrap_or(i32::MAX).min(self.band_columns as i32)
     }
 
-    /// How work on images of this width is cut, so that each buffer whose size follows from the cut fits the adapter's binding limit. `sum_planes`: planes of running sums
-    /// that the filter keeps for the pixels of a strip.
+    /// How work on images of this width is cut, so that each buffer whose size follows from the cut fits the adapter's
+    /// binding limit. `sum_planes`: planes of running sums that the filter keeps for the pixels of a strip.
     fn cut(&self, gpu: &Gpu, extent: IVec2, window_radius: i32, guide: &Guide, sum_planes: u32) -> Cut {
         let patch_radius = guide.patch_radius as i32;
         // The weights of f more rows above and below enter those of a strip.
@@ -313,7 +314,8 @@ impl<'a> Guide<'a> {
 pub(super) struct ChunkNeeds {
     /// The column sums of the distances are computed.
     pub(super) distances: bool,
-    /// Planes of running sums that the filter keeps for the pixels of a strip; 0 where it keeps them for the whole image.
+    /// Planes of running sums that the filter keeps for the pixels of a strip; 0 where it keeps them for the whole
+    /// image.
     pub(super) sum_planes: u32,
 }
 

@@ -1,4 +1,5 @@
-//! Devices with small limits: work that exceeds a limit is cut up, with the same bits; work that cannot be cut is refused with both numbers.
+//! Devices with small limits: work that exceeds a limit is cut up, with the same bits; work that cannot be cut is
+//! refused with both numbers.
 
 use stein::stage::nlm::Schedule;
 use stein::{Denoiser, DfcParams, Error, GemParams, Method, NlmParams};
@@ -49,11 +50,7 @@ fn a_row_whose_running_sums_do_not_fit_is_cut_into_bands() {
 }
 
 fn methods() -> [Method; 3] {
-    [
-        DfcParams { window_radius: 1, ..DfcParams::default() }.into(),
-        NlmParams { window_radius: 2, ..NlmParams::default() }.into(),
-        GemParams::default().into(),
-    ]
+    [DfcParams { window_radius: 1, ..DfcParams::default() }.into(), NlmParams { window_radius: 2, ..NlmParams::default() }.into(), GemParams::default().into()]
 }
 
 /// Workgroups per axis.
