@@ -53,6 +53,19 @@ fn methods() -> [Method; 3] {
     [DfcParams { window_radius: 1, ..DfcParams::default() }.into(), NlmParams { window_radius: 2, ..NlmParams::default() }.into(), GemParams::default().into()]
 }
 
+#[test]
+fn the_largest_buffer_of_each_method_is_planned_for() {
+    let frame = random_frame(24, 600, 1.0);
+    // The colour's signal fits whole, what is found of spikes does not.
+    let limited = binding(5 * plane(24, 600) / 2);
+    for method in methods() {
+        let expected = denoised(&Denoiser::new(gpu(), method).expect("it is in range"), &frame);
+        let actual = denoised(&Denoiser::new(&limited, method).expect("it is in range"), &frame);
+        assert!(actual.strips > 1, "{}", method.name());
+        assert_same(method.name(), &actual, &expected, 1.0);
+    }
+}
+
 /// Workgroups per axis.
 const GROUPS: u32 = 400;
 
