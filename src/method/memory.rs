@@ -117,7 +117,8 @@ pub(crate) fn strips(gpu: &Gpu, extent: Extent, method: &Method, facts: &Facts, 
     }
     let rows = most_rows.saturating_sub(2 * halo);
     if rows == 0 {
-        let rows = 2 * halo as u64 + 1;
+        // The halo ends with the image.
+        let rows = (2 * halo + 1).min(height) as u64;
         if by_memory < rows {
             return Err(memory.refuse(rows * live_planes * row_bytes + scratch_bytes, halo));
         }

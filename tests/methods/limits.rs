@@ -66,6 +66,19 @@ fn the_largest_buffer_of_each_method_is_planned_for() {
     }
 }
 
+#[test]
+fn an_image_that_no_strip_makes_fit_names_the_limit_that_it_exceeds() {
+    // The halo of one row is the whole image, and memory is not what lacks.
+    let limited = binding(5 * plane(24, 40) / 2);
+    match Denoiser::new(&limited, GemParams::default()).expect("it is in range").denoise(&random_frame(24, 40, 1.0)) {
+        Err(Error::Device { problem, remedy }) => {
+            assert!(problem.contains("does not fit the limits of") && problem.contains("the adapter binds"), "{problem}");
+            assert!(remedy.contains("another adapter, which binds larger buffers") && !remedy.contains("memory limit"), "{remedy}");
+        }
+        other => panic!("{:?}", other.map(|_| ())),
+    }
+}
+
 /// Workgroups per axis.
 const GROUPS: u32 = 400;
 
