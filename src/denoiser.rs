@@ -11,10 +11,13 @@ use glam::IVec2;
 use crate::error::{Error, Result};
 use crate::frame::{Feature, Frame};
 use crate::gpu::{Buffer, Gpu, Pace, Recorder, StageTime, StepTime};
-use crate::image::{Extent, Image};
+use crate::host_memory::{FreeMemory, Shortage};
+use crate::image::Image;
 use crate::method::{
-    Facts, FrameInput, GpuEstimate, GpuFrame, Intermediate, KeptPlane, Lane, Method, Plan, Shares, SpikeReport, Strip, Unit, Units, Wishes, strips,
+    DeviceMemory, Facts, FrameInput, GpuEstimate, GpuFrame, Intermediate, KeptPlane, Lane, Method, Plan, Shares, SpikeReport, Strip, Unit, Units, Wishes,
+    kept_planes, strips,
 };
+use crate::stage::PLANE_PIXEL_BYTES;
 use crate::stage::nlm::Schedule;
 
 pub use write::Written;
@@ -177,8 +180,23 @@ impl Denoiser {
         let wishes = Wishes { keep: options.keep, error: options.error, everything: self.everything };
         let plan = self.method.plan(&facts, &wishes);
         let analysis_seconds = start.elapsed().as_secs_f64();
-        let strips = strips(&self.gpu, frames[centre].extent(), &self.method, &facts, !options.keep.is_empty(), self.schedule, self.max_memory)?;
+        let memory = self.memory(frames[centre], &facts, options)?;
+        let strips = strips(&self.gpu, frames[centre].extent(), &self.method, &facts, !options.keep.is_empty(), self.schedule, memory)?;
         Ok((Plan { strips: strips.len(), analysis_seconds, ..plan }, strips))
+    }
+
+    /// What bounds the buffers on the device once the host has what it needs.
+    fn memory(&self, frame: &Frame, facts: &Facts, options: &Options) -> Result<DeviceMemory> {
+        // Colour, halves, error, sum of weights, and the shares of the candidates where the method has any.
+        let planes_of_shares = if matches!(self.method, Method::Dfc(_)) { 3 } else { 0 };
+        let planes_of_halves = if frame.color().half_spread.is_some() { 3 } else { 0 };
+        let planes_of_result = 3 + planes_of_halves + u64::from(options.error) + 1 + planes_of_shares;
+        // Of one to three channels each.
+        let kept = if options.keep.is_empty() { 0 } else { 3 * kept_planes(&self.method, facts, self.schedule) };
+        let host = frame.extent().pixels() as u64 * 4 * (planes_of_result + kept) + TRANSFER_BYTES.min(frame.extent().pixels() as u64 * 64);
+        let free = FreeMemory::now();
+        free.check(host).map_err(|shortage| shortage.error(&format!("the result of {} pixels", frame.extent())))?;
+        Ok(DeviceMemory { asked: self.max_memory, shared: self.gpu.is_software().then_some((free, host)) })
     }
 
     /// Denoises a frame.
@@ -207,14 +225,15 @@ impl Denoiser {
         let frame = frames[centre];
         let units = Units::of_window(frames, centre, self.method.uses_features(), exposure(frame));
         let beside = frames.iter().enumerate().filter(|(index, _)| *index != centre).map(|(_, frame)| *frame);
+        // What an earlier frame of another size left behind would count against the limit.
+        self.gpu.trim();
         let (plan, strips) = self.plan_in(frames, centre, &units, &options)?;
         let Options { error, mut progress, pace, .. } = options;
         self.gpu.set_memory_limit(self.max_memory);
-        // What an earlier frame of another size left behind would count against the limit.
-        self.gpu.trim();
         self.gpu.reset_peak();
         self.gpu.reset_timings()?;
-        let mut assembly = Assembly::new(frame, &units, error);
+        let out_of_memory = |shortage: Shortage| shortage.error("the result");
+        let mut assembly = Assembly::new(frame, &units, error).map_err(out_of_memory)?;
         if plan.copies_the_frame() {
             assembly.copy();
             return Ok(assembly.finish(plan, Times::default(), 0));
@@ -282,6 +301,9 @@ impl Denoiser {
     }
 }
 
+/// Bytes that are on their way between host and device at one time, at most, and their copies there.
+const TRANSFER_BYTES: u64 = 96 << 20;
+
 /// Squares of scaled values are summed over channels and patches in f32.
 const LARGEST_SCALED: f32 = 1e17;
 
@@ -289,22 +311,31 @@ const LARGEST_SCALED: f32 = 1e17;
 /// of the pixels' largest channels, over pixels that are not black.
 fn exposure(frame: &Frame) -> f32 {
     let planes = &frame.color().mean.planes;
-    let mut brightness: Vec<f32> = (0..frame.extent().pixels())
-        .map(|pixel| planes.iter().fold(0.0f32, |most, plane| most.max(plane[pixel].abs())))
-        .filter(|&brightness| brightness > f32::MIN_POSITIVE)
-        .collect();
-    if brightness.is_empty() {
-        return 1.0;
+    // The median is needed to the power of two below it, so its exponent is enough: no copy of the pixels is sorted.
+    let mut pixels_by_exponent = [0_usize; 256];
+    let mut brightest = 0.0_f32;
+    for pixel in 0..frame.extent().pixels() {
+        let brightness = planes.iter().fold(0.0f32, |most, plane| most.max(plane[pixel].abs()));
+        if brightness > f32::MIN_POSITIVE {
+            pixels_by_exponent[(brightness.to_bits() >> 23) as usize] += 1;
+            brightest = brightest.max(brightness);
+        }
     }
-    let middle = brightness.len() / 2;
-    let median = *brightness.select_nth_unstable_by(middle, f32::total_cmp).1;
+    let middle = pixels_by_exponent.iter().sum::<usize>() / 2;
+    let mut pixels_below = 0;
+    let exponent_of_median = pixels_by_exponent.iter().position(|count| {
+        pixels_below += count;
+        pixels_below > middle
+    });
+    let Some(exponent_of_median) = exponent_of_median else { return 1.0 };
+    let log2_of_median = exponent_of_median as f32 - 127.0;
     // Of a scaled value the square must stay finite.
     let color = frame.color();
     let deviations = color.variance_of_mean.iter().flat_map(|variance| &variance.planes).flatten().map(|variance| variance.sqrt());
     let spreads = color.half_spread.iter().flat_map(|spread| &spread.planes).flatten().map(|spread| spread.abs());
-    let most = brightness.iter().copied().chain(deviations).chain(spreads).fold(0.0, f32::max);
+    let most = deviations.chain(spreads).fold(brightest, f32::max);
     let headroom = (LARGEST_SCALED / most).log2().floor();
-    (-median.log2().floor()).clamp(-60.0, 60.0).min(headroom).exp2()
+    (-log2_of_median).clamp(-60.0, 60.0).min(headroom).exp2()
 }
 
 /// Puts the strips together on the host, in the units of the frame.
@@ -313,7 +344,8 @@ struct Assembly<'a> {
     exposure: f32,
     features: &'a [&'a Feature],
     color: Image,
-    half_spread: Image,
+    /// Where the frame has halves.
+    half_spread: Option<Image>,
     selection: Option<Image>,
     error: Option<Image>,
     weight_sum: Image,
@@ -337,80 +369,91 @@ struct Times {
 }
 
 impl<'a> Assembly<'a> {
-    fn new(frame: &'a Frame, units: &'a Units, with_error: bool) -> Self {
-        let image = |channels| Image::filled(frame.extent(), channels, 0.0);
-        let (color, half_spread, error, weight_sum) = (image(3), image(3), with_error.then(|| image(1)), image(1));
-        Self {
+    fn new(frame: &'a Frame, units: &'a Units, with_error: bool) -> std::result::Result<Self, Shortage> {
+        let image = |channels| Image::try_filled(frame.extent(), channels, 0.0);
+        Ok(Self {
             frame,
             exposure: units.exposure,
             features: &units.features,
-            color,
-            half_spread,
+            color: image(3)?,
+            half_spread: frame.color().half_spread.is_some().then(|| image(3)).transpose()?,
             selection: None,
-            error,
-            weight_sum,
+            error: with_error.then(|| image(1)).transpose()?,
+            weight_sum: image(1)?,
             spikes: None,
             layers: Vec::new(),
-        }
+        })
     }
 
     /// The frame itself.
     fn copy(&mut self) {
         let color = self.frame.color();
-        self.color = color.mean.clone();
-        if let Some(half_spread) = &color.half_spread {
-            self.half_spread = half_spread.clone();
+        let copies = [(&mut self.color, Some(&color.mean))].into_iter().chain(self.half_spread.as_mut().map(|spread| (spread, color.half_spread.as_ref())));
+        for (copy, image) in copies {
+            let planes = copy.planes.iter_mut().zip(image.iter().flat_map(|image| &image.planes));
+            planes.for_each(|(copy, plane)| copy.copy_from_slice(plane));
         }
         self.weight_sum.planes[0].fill(1.0);
     }
 
     fn add(&mut self, gpu: &Gpu, estimate: &GpuEstimate, extent: IVec2, strip: &Strip) -> Result<()> {
         let frame_extent = self.frame.extent();
-        let mut values = vec![0.0; extent.x as usize * extent.y as usize * 4];
+        let width = frame_extent.width as usize;
+        // Reads the rows of a plane that the strip is for, piece by piece: the position of the first pixel among them,
+        // and the pixels.
+        let read = |buffer: &Buffer, plane: u32, take: &mut dyn FnMut(usize, &[f32])| -> Result<()> {
+            let first = u64::from(plane) * extent.x as u64 * extent.y as u64 + ((strip.first - strip.first_with_halo) * width) as u64;
+            gpu.read_with(buffer, first * PLANE_PIXEL_BYTES, (strip.end - strip.first) * width * 4, |first, values| take(first / 4, values))
+        };
         if let Some(spikes) = &estimate.spikes {
-            gpu.read_into(spikes, 0, &mut values)?;
-            let first = (strip.first - strip.first_with_halo) * frame_extent.width as usize;
-            let wanted = (strip.end - strip.first) * frame_extent.width as usize;
             let found = self.spikes.get_or_insert_default();
-            for pixel in values.chunks_exact(4).skip(first).take(wanted).filter(|pixel| pixel[..3] != [0.0; 3]) {
-                let taken: f64 = pixel[..3].iter().map(|value| f64::from(*value)).sum();
-                found.pixels += 1;
-                found.taken += taken;
-                found.spread += taken * f64::from(pixel[3]);
-            }
+            read(spikes, 0, &mut |_, values| {
+                for pixel in values.chunks_exact(4).filter(|pixel| pixel[..3] != [0.0; 3]) {
+                    let taken: f64 = pixel[..3].iter().map(|value| f64::from(*value)).sum();
+                    found.pixels += 1;
+                    found.taken += taken;
+                    found.spread += taken * f64::from(pixel[3]);
+                }
+            })?;
         }
         // Reads a plane and puts it, from a component on, into an image.
-        let mut place = |buffer: &Buffer, plane: u32, component: u32, (factor, offset): (f32, f32), image: &mut Image| -> Result<()> {
-            gpu.read_into(buffer, u64::from(plane) * values.len() as u64 * 4, &mut values)?;
-            place(&values, component as usize, factor, offset, frame_extent, strip, image);
-            Ok(())
+        let place = |buffer: &Buffer, plane: u32, component: u32, (factor, offset): (f32, f32), image: &mut Image| -> Result<()> {
+            read(buffer, plane, &mut |first, values| place(values, component as usize, factor, offset, strip.first * width + first, image))
         };
+        let out_of_memory = |shortage: Shortage| shortage.error("the result");
         let number = (1.0, 0.0);
         let color = (1.0 / self.exposure, 0.0);
         let squared = (color.0 * color.0, 0.0);
 
         place(&estimate.signal, 0, 0, color, &mut self.color)?;
-        place(&estimate.signal, 1, 0, color, &mut self.half_spread)?;
+        if let Some(half_spread) = &mut self.half_spread {
+            place(&estimate.signal, 1, 0, color, half_spread)?;
+        }
         if let (Some(error), Some(Lane { buffer, plane, component })) = (&mut self.error, &estimate.error) {
             place(buffer, *plane, *component, squared, error)?;
         }
         let Lane { buffer, plane, component } = &estimate.weight_sum;
         place(buffer, *plane, *component, number, &mut self.weight_sum)?;
         if let Some(shares) = &estimate.selection {
-            let selection = self.selection.get_or_insert_with(|| Image::filled(frame_extent, 3, 0.0));
+            let selection = match &mut self.selection {
+                Some(selection) => selection,
+                none => none.insert(Image::try_filled(frame_extent, 3, 0.0).map_err(out_of_memory)?),
+            };
             match shares {
                 Shares::Maps(maps) => place(maps, 0, 0, number, selection)?,
                 Shares::Only(only) => selection.planes[*only].fill(1.0),
             }
         }
         if self.layers.is_empty() {
-            let layer = |kept: &KeptPlane| Layer {
-                intermediate: kept.intermediate,
-                name: kept.layer.clone(),
-                channels: kept.channels.clone(),
-                image: Image::filled(frame_extent, kept.channels.len(), 0.0),
+            let layer = |kept: &KeptPlane| {
+                Ok(Layer {
+                    intermediate: kept.intermediate,
+                    name: kept.layer.clone(),
+                    channels: kept.channels.clone(),
+                    image: Image::try_filled(frame_extent, kept.channels.len(), 0.0).map_err(out_of_memory)?,
+                })
             };
-            self.layers = estimate.kept.iter().map(layer).collect();
+            self.layers = estimate.kept.iter().map(layer).collect::<Result<_>>()?;
         }
         for (layer, kept) in self.layers.iter_mut().zip(&estimate.kept) {
             let unit = match kept.unit {
@@ -427,7 +470,6 @@ impl<'a> Assembly<'a> {
 
     fn finish(self, plan: Plan, times: Times, peak_bytes: u64) -> Estimate {
         let Self { frame, exposure, features, color, half_spread, selection, error, weight_sum, spikes, layers } = self;
-        let half_spread = frame.color().half_spread.is_some().then_some(half_spread);
         let features = features.iter().map(|feature| feature.name.clone()).collect();
         let spikes = spikes.map(|FoundSpikes { pixels, taken, spread }| {
             let energy: f64 = frame.color().mean.planes.iter().flatten().map(|value| f64::from(*value)).sum();
@@ -440,13 +482,11 @@ impl<'a> Assembly<'a> {
     }
 }
 
-/// Copies the wanted rows of a strip from vec4 pixels into the planes of an image, from component `first_component` on.
-fn place(values: &[f32], first_component: usize, factor: f32, offset: f32, extent: Extent, strip: &Strip, image: &mut Image) {
-    let width = extent.width as usize;
-    let skipped = (strip.first - strip.first_with_halo) * width;
-    let wanted = strip.first * width..strip.end * width;
+/// Copies pixels of vec4 into the planes of an image, from pixel `first` of the image and from component
+/// `first_component` of the vec4 on.
+fn place(values: &[f32], first_component: usize, factor: f32, offset: f32, first: usize, image: &mut Image) {
     for (channel, plane) in image.planes.iter_mut().enumerate() {
-        for (to, from) in plane[wanted.clone()].iter_mut().zip(values.chunks_exact(4).skip(skipped)) {
+        for (to, from) in plane[first..].iter_mut().zip(values.chunks_exact(4)) {
             *to = from[first_component + channel] * factor + offset;
         }
     }

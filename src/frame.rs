@@ -97,9 +97,16 @@ impl Signal {
 /// Its square estimates the variance of the *mean of both halves* (thesis 8.2), which is half of the variance of one half, (A − B)²/2, that chapter 7 uses.
 /// The images must have the same shape; `n_a` and `n_b` are the halves' sample counts, of which only the ratio matters.
 pub fn half_spread(a: &Image, b: &Image, n_a: f32, n_b: f32) -> Image {
+    into_half_spread(a.clone(), b, n_a, n_b)
+}
+
+/// As [`half_spread`], in the memory of half A.
+fn into_half_spread(mut a: Image, b: &Image, n_a: f32, n_b: f32) -> Image {
     let factor = (n_a * n_b).sqrt() / (n_a + n_b);
-    let spread = |(a, b): (&Vec<f32>, &Vec<f32>)| a.iter().zip(b).map(|(a, b)| (a - b) * factor).collect();
-    Image { extent: a.extent, planes: a.planes.iter().zip(&b.planes).map(spread).collect() }
+    for (a, b) in a.planes.iter_mut().zip(&b.planes) {
+        a.iter_mut().zip(b).for_each(|(a, b)| *a = (*a - b) * factor);
+    }
+    a
 }
 
 /// What the denoisers work on. Only `Frame::from_buffer_set` and `Frame::new` make one, so a frame is always finite and consistent.
@@ -120,8 +127,28 @@ impl Frame {
     /// # Errors
     /// As [`Frame::new`].
     pub fn from_buffer_set(set: &BufferSet) -> Result<(Self, Repairs)> {
+        set.check_memory_for_frame(false)?;
+        Self::settle(set.color(), set)
+    }
+
+    /// As [`Frame::from_buffer_set`], for large frames: the set lets go of the stored samples of the colour and its
+    /// noise, and of all other files than the input. What is left of the set serves
+    /// [`Estimate::write`](crate::Estimate::write).
+    ///
+    /// # Errors
+    /// As [`Frame::new`]; [`Error::File`] where memory ends, or where the input is gone.
+    pub fn take_from(set: &mut BufferSet) -> Result<(Self, Repairs)> {
+        set.check_memory_for_frame(true)?;
+        let (frame, repairs) = Self::settle(set.take_color()?, set)?;
+        set.forget_other_files();
+        if frame.color.half_spread.is_none() {
+            set.restore_halves()?;
+        }
+        Ok((frame, repairs))
+    }
+
+    fn settle(raw: RawSignal, set: &BufferSet) -> Result<(Self, Repairs)> {
         let mut notes = Vec::new();
-        let raw = set.color();
         match empty_half(&raw) {
             Some(half) if raw.variance_of_mean.is_none() => {
                 return Err(Error::Request {
@@ -264,8 +291,8 @@ fn signal(name: &str, raw: RawSignal, notes: &mut Vec<String>) -> Signal {
     if let Some(half) = empty {
         notes.push(format!("{name}: half {half} is empty, so that the halves are not used"));
     }
-    let halves = raw.half_a.as_ref().zip(raw.half_b.as_ref()).filter(|_| empty.is_none());
-    let half_spread = halves.map(|(a, b)| half_spread(a, b, 1.0, 1.0));
+    let halves = raw.half_a.zip(raw.half_b).filter(|_| empty.is_none());
+    let half_spread = halves.map(|(a, b)| into_half_spread(a, &b, 1.0, 1.0));
     Signal { mean: raw.mean, half_spread, variance_of_mean: raw.variance_of_mean }
 }
 

@@ -1,5 +1,7 @@
 //! Host-side planes.
 
+use crate::host_memory::{Shortage, try_filled};
+
 /// Width and height in pixels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Extent {
@@ -31,6 +33,12 @@ impl Image {
     /// An image of `channels` planes filled with `value`.
     pub fn filled(extent: Extent, channels: usize, value: f32) -> Self {
         Self { extent, planes: vec![vec![value; extent.pixels()]; channels] }
+    }
+
+    /// As [`Image::filled`], where memory may end.
+    pub(crate) fn try_filled(extent: Extent, channels: usize, value: f32) -> Result<Self, Shortage> {
+        let planes = (0..channels).map(|_| try_filled(extent.pixels(), value)).collect::<Result<_, _>>()?;
+        Ok(Self { extent, planes })
     }
 
     /// A part of it.

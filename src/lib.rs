@@ -21,6 +21,7 @@
 //! | [`buffers`] | OpenEXR files as buffer sets, which layer is what, writing | [`image`], `aside` |
 //! | [`frame`] | a buffer set whose meaning is settled | `buffers` |
 //! | [`gpu`] | device, kernels, recording, pool, timing, compiled pipelines on disk | nothing of denoising |
+//! | `host_memory` | how much memory of the computer is left, vectors that may fail | nothing |
 //! | [`stage`] | one function per shader, called like its file | `gpu` |
 //! | [`parameters`] | parameters that describe themselves | nothing |
 //! | [`method`] | the methods: parameters and a straight function | `stage`, never the GPU interface |
@@ -46,6 +47,7 @@ mod denoiser;
 pub mod error;
 pub mod frame;
 pub mod gpu;
+mod host_memory;
 pub mod image;
 pub mod method;
 pub mod metric;

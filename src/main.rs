@@ -5,6 +5,8 @@ mod cli;
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
+    // Before the first thread starts.
+    cli::arenas::limit();
     cli::interrupt::listen();
     let mut out = cli::Out::new();
     let result = cli::run(&cli::parse(), &mut out).and_then(|()| out.finish());

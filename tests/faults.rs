@@ -207,6 +207,8 @@ mod unix {
     use std::process::{Child, Command, ExitStatus, Stdio};
     use std::time::{Duration, Instant};
 
+    use exr::prelude::{AnyChannel, AnyChannels, Encoding, FlatSamples, Image, Layer, LayerAttributes, Text, WritableImage, f16};
+
     use super::process::{Folder, Outcome, command, test_image};
     use super::*;
 
@@ -253,6 +255,65 @@ mod unix {
             limited(&input).failed(3, &[&input, "remedy: "]);
         }
         assert_untouched(&folder);
+    }
+
+    /// A render of this many pixels per side whose halves differ, as half floats: 18 bytes per pixel in memory and next
+    /// to nothing in the file.
+    fn write_large(path: &str, side: usize) {
+        let channel = |(half, value): (&str, f32), name: &str| {
+            let samples = FlatSamples::F16(vec![f16::from_f32(value); side * side]);
+            AnyChannel::new(Text::new_or_panic(format!("{half}{name}")), samples)
+        };
+        let halves = [("", 0.5), ("halfA.", 0.25), ("halfB.", 0.75)];
+        let channels = halves.into_iter().flat_map(|half| ["R", "G", "B"].map(|name| channel(half, name))).collect();
+        let part = Layer::new((side, side), LayerAttributes::default(), Encoding::FAST_LOSSLESS, AnyChannels::sort(channels));
+        Image::from_layer(part).write().to_file(path).unwrap();
+    }
+
+    #[test]
+    fn where_memory_ends_a_message_tells_how_much_is_needed() {
+        let (folder, _) = with_output();
+        let large = folder.path("large.exr");
+        write_large(&large, 2048);
+        let mut refused = 0;
+        // From what the program alone does not fit into to what all of it fits into.
+        for megabytes in (40..=400).step_by(24) {
+            let mut command = in_shell(&format!("ulimit -v {};", megabytes * 1000), &["info", &large]);
+            command.env("RAYON_NUM_THREADS", "2");
+            let ended = outcome(command);
+            match ended.code {
+                0 => {}
+                3 => {
+                    ended.failed(3, &["large.exr", "MiB of memory, but", "MiB are free", "remedy: "]);
+                    refused += 1;
+                }
+                code => {
+                    assert_eq!(code, 4, "{megabytes} MB: {}", ended.stderr);
+                    ended.failed(4, &["remedy: "]);
+                }
+            }
+        }
+        assert!(refused > 3, "{refused}");
+        std::fs::remove_file(&large).unwrap();
+        assert_untouched(&folder);
+    }
+
+    #[test]
+    fn the_memory_of_a_software_device_counts_as_the_computers() {
+        let (folder, output) = with_output();
+        let large = folder.path("large.exr");
+        write_large(&large, 1024);
+        for megabytes in [250, 350, 450, 550] {
+            let mut command = in_shell(&format!("ulimit -v {};", megabytes * 1000), &["denoise", "--method=gem", &large, "-o", &output]);
+            command.env("RAYON_NUM_THREADS", "2");
+            let ended = outcome(command);
+            if ended.code != 0 {
+                assert!([3, 4].contains(&ended.code), "{megabytes} MB: {} {}", ended.code, ended.stderr);
+                ended.failed(ended.code, &["remedy: "]);
+                assert_eq!(std::fs::read_to_string(&output).unwrap(), BEFORE);
+            }
+        }
+        assert_eq!(folder.names(), ["large.exr", "out.exr"]);
     }
 
     #[test]

@@ -174,9 +174,17 @@ fn spirv(stage: &str, set: &Definitions) -> Vec<u32> {
 /// Storage buffers that every WebGPU device lets a shader see.
 const STORAGE_BUFFERS_EVERYWHERE: usize = 8;
 
+/// Workgroups that every WebGPU device runs along an axis of one dispatch.
+const WORKGROUPS_EVERYWHERE: u32 = 65_535;
+
+/// Images are cut into strips of rows, but not of columns; files of wider images are refused.
+const WIDEST_IMAGE: u32 = 1 << 20;
+
 fn fits_the_least_of_devices(stage: &str, set: &Definitions, module: &naga::Module) {
     let buffers = module.global_variables.iter().filter(|(_, variable)| matches!(variable.space, naga::AddressSpace::Storage { .. })).count();
     assert!(buffers <= STORAGE_BUFFERS_EVERYWHERE, "{stage} with {set:?} binds {buffers} storage buffers");
+    let [columns, ..] = module.entry_points[0].workgroup_size;
+    assert!(WORKGROUPS_EVERYWHERE * columns >= WIDEST_IMAGE, "{stage} with {set:?} does not reach the last column of the widest image in a file");
 }
 
 #[test]

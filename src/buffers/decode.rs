@@ -11,9 +11,19 @@ use exr::prelude::*;
 use rayon::prelude::*;
 
 use super::header::{Head, MOST_PIXELS_PER_SIDE, Trouble};
+use crate::host_memory::{FreeMemory, Shortage, try_filled};
+
+/// Decoded blocks that are in memory beside the image, in bytes; more where one block per thread is more.
+const BATCH_BYTES: usize = 16 << 20;
 
 type Decoded<T> = std::result::Result<T, Trouble>;
 type Parts = Layers<AnyChannels<FlatSamples>>;
+
+impl From<Shortage> for Trouble {
+    fn from(shortage: Shortage) -> Self {
+        Self::new(format!("cannot be held in memory: it {shortage}"), Shortage::REMEDY)
+    }
+}
 
 impl From<exr::error::Error> for Trouble {
     fn from(error: exr::error::Error) -> Self {
@@ -37,12 +47,17 @@ pub(super) fn decode(file: &mut (impl BufRead + Seek), file_bytes: u64) -> Decod
         Ok::<_, exr::error::Error>(meta)
     }));
     let meta = meta.map_err(|_| Trouble::damaged("the attributes in its header contradict each other"))??;
-    check_size(&meta.headers, file_bytes)?;
+    let bytes = check_size(&meta.headers, file_bytes)?;
     let places = places(file, &meta, head.end, file_bytes)?;
-
-    let mut layers: Parts = meta.headers.iter().map(empty_layer).collect();
+    // A header may claim blocks that are larger than the image.
+    let largest_block = meta.headers.iter().map(|header| header.max_block_byte_size().min(part_bytes(header))).max().unwrap_or(0);
     // Enough at once to keep every thread busy, little enough that the compressed and the decoded file are never in memory together.
-    for batch in places.chunks(256) {
+    let blocks_at_once = (BATCH_BYTES / largest_block.max(1)).max(rayon::current_num_threads()).min(places.len());
+    // The blocks of a batch are in memory compressed and decoded.
+    FreeMemory::now().check((bytes + 2 * blocks_at_once * largest_block) as u64)?;
+
+    let mut layers = meta.headers.iter().map(empty_layer).collect::<Decoded<Parts>>()?;
+    for batch in places.chunks(blocks_at_once.max(1)) {
         let chunks = batch.iter().map(|place| place.read(file, &meta, file_bytes)).collect::<Decoded<Vec<_>>>()?;
         let blocks = chunks.into_par_iter().map(|chunk| decompress(chunk, &meta)).collect::<Decoded<Vec<_>>>()?;
         for block in &blocks {
@@ -52,8 +67,9 @@ pub(super) fn decode(file: &mut (impl BufRead + Seek), file_bytes: u64) -> Decod
     Ok(FlatImage { attributes: meta.headers[0].shared_attributes.clone(), layer_data: layers })
 }
 
-/// Refuses headers that claim more than the file can hold, before anything of that size is allocated.
-fn check_size(headers: &[Header], file_bytes: u64) -> Decoded<()> {
+/// Refuses headers that claim more than the file can hold, before anything of that size is allocated. Returns the
+/// number of bytes that all samples take.
+fn check_size(headers: &[Header], file_bytes: u64) -> Decoded<usize> {
     let too_large = || Trouble::damaged("its header claims an image larger than the file can hold");
     let (mut bytes, mut stored) = (0_usize, 0_u64);
     for header in headers {
@@ -62,8 +78,7 @@ fn check_size(headers: &[Header], file_bytes: u64) -> Decoded<()> {
         if [width, height, block_width, block_height].iter().any(|side| !(1..=MOST_PIXELS_PER_SIDE).contains(side)) {
             return Err(too_large());
         }
-        // Sides of 2²⁰ and a few thousand channels of four bytes: this fits.
-        let part = width * height * header.channels.bytes_per_pixel;
+        let part = part_bytes(header);
         bytes = bytes.checked_add(part).ok_or_else(too_large)?;
         stored += (part / most_bytes_from_one(header.compression)) as u64;
         // Every chunk has an entry of 8 bytes in the offset table and 8 bytes or more of its own.
@@ -72,10 +87,12 @@ fn check_size(headers: &[Header], file_bytes: u64) -> Decoded<()> {
             return Err(too_large());
         }
     }
-    let mut probe: Vec<u8> = Vec::new();
-    probe.try_reserve_exact(bytes).map_err(|_| {
-        Trouble::new(format!("holds {bytes} bytes of pixels, more than there is memory"), "crop it, leave channels out, or use a computer with more memory")
-    })
+    Ok(bytes)
+}
+
+/// Bytes of the samples of a part. Sides of 2²⁰ and a few thousand channels of four bytes: the product fits.
+fn part_bytes(header: &Header) -> usize {
+    header.layer_size.area() * header.channels.bytes_per_pixel
 }
 
 /// How many bytes of pixels one byte of a file can become at most.
@@ -232,21 +249,23 @@ fn check_dwa_counters(chunk: &Chunk, header: &Header) -> Decoded<()> {
     Ok(())
 }
 
-fn empty_layer(header: &Header) -> Layer<AnyChannels<FlatSamples>> {
+fn empty_layer(header: &Header) -> Decoded<Layer<AnyChannels<FlatSamples>>> {
     let size = header.layer_size;
     let pixels = size.0 * size.1;
-    let channel = |channel: &ChannelDescription| AnyChannel {
-        name: channel.name.clone(),
-        sample_data: match channel.sample_type {
-            SampleType::F16 => FlatSamples::F16(vec![f16::ZERO; pixels]),
-            SampleType::F32 => FlatSamples::F32(vec![0.0; pixels]),
-            SampleType::U32 => FlatSamples::U32(vec![0; pixels]),
-        },
-        quantize_linearly: channel.quantize_linearly,
-        sampling: channel.sampling,
+    let channel = |channel: &ChannelDescription| {
+        Ok::<_, Trouble>(AnyChannel {
+            name: channel.name.clone(),
+            sample_data: match channel.sample_type {
+                SampleType::F16 => FlatSamples::F16(try_filled(pixels, f16::ZERO)?),
+                SampleType::F32 => FlatSamples::F32(try_filled(pixels, 0.0)?),
+                SampleType::U32 => FlatSamples::U32(try_filled(pixels, 0)?),
+            },
+            quantize_linearly: channel.quantize_linearly,
+            sampling: channel.sampling,
+        })
     };
-    Layer {
-        channel_data: AnyChannels { list: header.channels.list.iter().map(channel).collect() },
+    Ok(Layer {
+        channel_data: AnyChannels { list: header.channels.list.iter().map(channel).collect::<Decoded<_>>()? },
         attributes: header.own_attributes.clone(),
         size,
         encoding: Encoding {
@@ -257,7 +276,7 @@ fn empty_layer(header: &Header) -> Layer<AnyChannels<FlatSamples>> {
             },
             line_order: header.line_order,
         },
-    }
+    })
 }
 
 fn store(block: &UncompressedBlock, header: &Header, layer: &mut Layer<AnyChannels<FlatSamples>>) -> Decoded<()> {

@@ -9,6 +9,7 @@ use exr::prelude::*;
 use super::decode::decode;
 use super::header::Trouble;
 use crate::error::{Error, Result};
+use crate::host_memory::{Shortage, try_collected};
 use crate::image::{Extent, Image, Window};
 
 /// A file's whole content. Samples stay in the type they were stored in, so that what is not replaced can be written back bit by bit.
@@ -63,11 +64,69 @@ impl ExrFile {
         Image { extent: extent(layer.size), planes }
     }
 
+    /// The planes of some of a part's channels, as f32. Where `is_kept` denies it of a channel, the stored samples are
+    /// let go of, and an empty vector of their type is left.
+    pub(crate) fn take_planes(&mut self, part: usize, channels: &[usize], is_kept: impl Fn(usize) -> bool) -> std::result::Result<Image, Shortage> {
+        let layer = &mut self.image.layer_data[part];
+        let mut planes = Vec::with_capacity(channels.len());
+        for (position, &channel) in channels.iter().enumerate() {
+            let samples = &mut layer.channel_data.list[channel].sample_data;
+            let is_needed_again = channels[position + 1..].contains(&channel);
+            planes.push(match samples {
+                FlatSamples::F32(values) if !is_needed_again && !is_kept(channel) => std::mem::take(values),
+                samples => {
+                    let plane = try_to_f32(samples)?;
+                    if !is_needed_again && !is_kept(channel) {
+                        forget(samples);
+                    }
+                    plane
+                }
+            });
+        }
+        Ok(Image { extent: extent(layer.size), planes })
+    }
+
+    /// Lets go of the stored samples of all channels but those that `is_kept` names by part and channel.
+    pub(crate) fn forget_samples(&mut self, is_kept: impl Fn(usize, usize) -> bool) {
+        for (part, layer) in self.image.layer_data.iter_mut().enumerate() {
+            let channels = layer.channel_data.list.iter_mut().enumerate();
+            channels.filter(|(channel, _)| !is_kept(part, *channel)).for_each(|(_, channel)| forget(&mut channel.sample_data));
+        }
+    }
+
+    /// Reads the samples of some of a part's channels again that were let go of.
+    ///
+    /// # Errors
+    /// As [`ExrFile::read`], and where the file has changed since.
+    pub(crate) fn restore(&mut self, part: usize, channels: &[usize]) -> Result<()> {
+        let changed = || Error::File {
+            path: self.path.clone(),
+            problem: "has changed while it was worked on".into(),
+            remedy: "write to another file, or start again when the input is complete".into(),
+        };
+        let mut again = Self::read(&self.path)?;
+        for &channel in channels {
+            let layer = &self.image.layer_data[part];
+            let found = again.image.layer_data.get_mut(part).filter(|found| found.size == layer.size);
+            let found = found.and_then(|found| found.channel_data.list.get_mut(channel)).filter(|found| found.name == layer.channel_data.list[channel].name);
+            let samples = std::mem::replace(&mut found.ok_or_else(changed)?.sample_data, FlatSamples::F16(Vec::new()));
+            self.image.layer_data[part].channel_data.list[channel].sample_data = samples;
+        }
+        Ok(())
+    }
+
     pub(crate) fn sample_type(&self, layer: &FileLayer, channel: usize) -> SampleType {
         match self.image.layer_data[layer.part].channel_data.list[layer.channels[channel].index].sample_data {
             FlatSamples::F16(_) => SampleType::F16,
             FlatSamples::F32(_) => SampleType::F32,
             FlatSamples::U32(_) => SampleType::U32,
+        }
+    }
+
+    pub(crate) fn bytes_per_sample(&self, part: usize, channel: usize) -> u64 {
+        match self.image.layer_data[part].channel_data.list[channel].sample_data {
+            FlatSamples::F16(_) => 2,
+            FlatSamples::F32(_) | FlatSamples::U32(_) => 4,
         }
     }
 
@@ -137,6 +196,22 @@ fn read(path: &Path) -> std::result::Result<FlatImage, Trouble> {
 fn extent(size: Vec2<usize>) -> Extent {
     // Larger ones were refused when the file was decoded.
     Extent { width: size.0 as u32, height: size.1 as u32 }
+}
+
+fn forget(samples: &mut FlatSamples) {
+    match samples {
+        FlatSamples::F16(values) => *values = Vec::new(),
+        FlatSamples::F32(values) => *values = Vec::new(),
+        FlatSamples::U32(values) => *values = Vec::new(),
+    }
+}
+
+fn try_to_f32(samples: &FlatSamples) -> std::result::Result<Vec<f32>, Shortage> {
+    match samples {
+        FlatSamples::F16(values) => try_collected(values.iter().map(|value| value.to_f32())),
+        FlatSamples::F32(values) => try_collected(values.iter().copied()),
+        FlatSamples::U32(values) => try_collected(values.iter().map(|&value| value as f32)),
+    }
 }
 
 fn to_f32(samples: &FlatSamples) -> Vec<f32> {

@@ -21,15 +21,21 @@ use std::path::Path;
 
 pub use layer_ref::{LayerRef, LayerUse, Role, SampleKind, SignalPart};
 pub use request::BufferSetRequest;
+use write::colored_channels;
 pub use write::{DenoisedLayers, NamedLayer, WriteReport, write_denoised, write_layers};
 
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::frame::SamplesPerPixel;
+use crate::host_memory::{FreeMemory, Shortage};
 use crate::image::{Extent, Image, Window};
 pub(crate) use file::ExrFile;
 
 /// The most features that a frame takes; the text's scenes use up to five.
 pub const MAX_FEATURES: usize = 8;
+
+/// Bytes per pixel that settling a signal takes besides its planes: marks of pixels to repair, of misses, of neighbours
+/// that are usable.
+const STATE_BYTES: u64 = 6;
 
 /// A mean and what the files hold of its noise, as stored: may contain anything that a float can be. All images have the same extent and channels.
 #[derive(Clone, Debug, PartialEq)]
@@ -138,6 +144,101 @@ impl BufferSet {
     /// Every layer of every file, and what it is used as.
     pub fn layer_uses(&self) -> &[LayerUse] {
         &self.layer_uses
+    }
+
+    /// As [`BufferSet::color`]. Samples of the colour and its noise are let go of where nothing but the colour is made
+    /// of them: an output replaces them or leaves them out.
+    ///
+    /// # Errors
+    /// [`Error::File`] where memory ends.
+    pub(crate) fn take_color(&mut self) -> Result<RawSignal> {
+        let source = self.color.clone();
+        let mut take = |planes: &Planes| {
+            let part = self.part(planes);
+            let needed_again = self.channels_needed_again(planes);
+            let taken = self.files[planes.file].take_planes(part, &planes.channels, |channel| needed_again.contains(&channel));
+            taken.map_err(|shortage| self.no_memory(shortage))
+        };
+        Ok(RawSignal {
+            mean: take(&source.mean)?,
+            half_a: source.half_a.as_ref().map(&mut take).transpose()?,
+            half_b: source.half_b.as_ref().map(&mut take).transpose()?,
+            variance_of_mean: source.variance.as_ref().map(&mut take).transpose()?,
+        })
+    }
+
+    /// Reads the halves of the colour again where [`BufferSet::take_color`] let go of them: an output shows them as
+    /// they were where the frame has no use for them.
+    ///
+    /// # Errors
+    /// [`Error::File`] where the input cannot be read any more.
+    pub(crate) fn restore_halves(&mut self) -> Result<()> {
+        for planes in [self.color.half_a.clone(), self.color.half_b.clone()].into_iter().flatten().filter(|planes| planes.file == 0) {
+            let part = self.part(&planes);
+            self.files[0].restore(part, &planes.channels)?;
+        }
+        Ok(())
+    }
+
+    /// Lets go of what neither an output nor [`BufferSet::samples_per_pixel`] is made of: other files than the input.
+    pub(crate) fn forget_other_files(&mut self) {
+        let samples = self.samples.clone();
+        for (index, file) in self.files.iter_mut().enumerate().skip(1) {
+            let kept = samples.as_ref().filter(|planes| planes.file == index).map(|planes| (file.layers[planes.layer].part, planes.channels.clone()));
+            file.forget_samples(|part, channel| kept.as_ref().is_some_and(|(kept_part, channels)| *kept_part == part && channels.contains(&channel)));
+        }
+    }
+
+    /// Refuses to make a frame of the set where memory would end: planes of f32 beside the stored samples, of which
+    /// those of the colour go where they are `taken`.
+    ///
+    /// # Errors
+    /// [`Error::File`] with what is needed and what is free.
+    pub(crate) fn check_memory_for_frame(&self, taken: bool) -> Result<()> {
+        let pixels = self.extent().pixels() as u64;
+        let count = |planes: &Option<Planes>| planes.as_ref().map_or(0, |planes| planes.channels.len() as u64);
+        // The half spread takes the place of half A, and half B goes.
+        let kept = |source: &SignalSource| source.mean.channels.len() as u64 + count(&source.half_a) + count(&source.variance);
+        let let_go = |source: &SignalSource| count(&source.half_b);
+        let stored = |planes: &Planes| {
+            let file = &self.files[planes.file];
+            planes.channels.iter().map(|channel| file.bytes_per_sample(file.layers[planes.layer].part, *channel)).sum::<u64>()
+        };
+        let color = [Some(&self.color.mean), self.color.half_a.as_ref(), self.color.half_b.as_ref(), self.color.variance.as_ref()];
+        let stored = if taken { color.into_iter().flatten().map(stored).sum() } else { 0 };
+        let while_color = (4 * (kept(&self.color) + let_go(&self.color))).saturating_sub(stored);
+        let features = self.features.iter().map(|(_, source)| kept(source)).sum::<u64>();
+        let one_feature = self.features.iter().map(|(_, source)| let_go(source)).max().unwrap_or(0);
+        let with_features = (4 * (kept(&self.color) + features + one_feature + count(&self.samples))).saturating_sub(stored);
+        // What a pixel is to the repair of others.
+        let needed = pixels * (while_color.max(with_features) + STATE_BYTES);
+        FreeMemory::now().check(needed).map_err(|shortage| self.no_memory(shortage))
+    }
+
+    fn no_memory(&self, shortage: Shortage) -> Error {
+        let problem = format!("cannot be made ready in memory: that {shortage}");
+        Error::File { path: self.input().to_owned(), problem, remedy: Shortage::REMEDY.into() }
+    }
+
+    fn part(&self, planes: &Planes) -> usize {
+        self.files[planes.file].layers[planes.layer].part
+    }
+
+    /// Channels among those of `planes` whose stored samples are needed again: something else is made of them, too, or
+    /// they share a layer of the input with others, so that an output shows the layer as it was.
+    fn channels_needed_again(&self, planes: &Planes) -> Vec<usize> {
+        let layer = &self.files[planes.file].layers[planes.layer];
+        if planes != &self.color.mean && colored_channels(layer).iter().any(|channel| !planes.channels.contains(channel)) {
+            return planes.channels.clone();
+        }
+        let of_signal = |source: &SignalSource| [Some(source.mean.clone()), source.half_a.clone(), source.half_b.clone(), source.variance.clone()];
+        let signals = std::iter::once(&self.color).chain(self.features.iter().map(|(_, source)| source));
+        let all: Vec<Planes> = signals.flat_map(of_signal).chain([self.samples.clone()]).flatten().collect();
+        let users = |channel: usize| {
+            let uses = |other: &&Planes| other.file == planes.file && self.part(other) == self.part(planes) && other.channels.contains(&channel);
+            all.iter().filter(uses).count()
+        };
+        planes.channels.iter().copied().filter(|channel| users(*channel) > 1).collect()
     }
 
     fn color_part(&self) -> usize {

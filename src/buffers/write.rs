@@ -113,12 +113,20 @@ pub fn write_denoised(set: BufferSet, output: &Path, denoised: &DenoisedLayers<'
         writer.settle_attributes(&mut None, &mut layer.attributes.other);
         writer.settle_encoding(layer);
     }
+    let is_complete = |layer: &Layer<AnyChannels<FlatSamples>>| layer.channel_data.list.iter().all(|channel| channel.sample_data.len() == layer.size.area());
+    if !image.layer_data.iter().all(is_complete) {
+        return Err(Error::File {
+            path: output.to_owned(),
+            problem: "cannot be written: the samples of a layer that stays as it was are not in memory any more".into(),
+            remedy: "this is a defect of stein: please report it with the output of `stein info`".into(),
+        });
+    }
     write_then_rename(&image, output)?;
     Ok(writer.report)
 }
 
 /// All channels but the alpha.
-fn colored_channels(layer: &FileLayer) -> Vec<usize> {
+pub(super) fn colored_channels(layer: &FileLayer) -> Vec<usize> {
     let alpha = |suffix: &str| layer.channels.len() > 1 && suffix.eq_ignore_ascii_case("A");
     layer.channels.iter().filter(|channel| !alpha(&channel.suffix)).map(|channel| channel.index).collect()
 }

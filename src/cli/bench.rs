@@ -305,11 +305,11 @@ impl Bench<'_> {
     /// Reads a set. What was found in a folder and is none is left out, and told.
     fn read(&mut self, file: &SetFile, source: &Source, sizes: usize, out: &mut Out) -> Result<Option<ReadSet>, Failure> {
         let name = file.file.display();
-        let read = options::read(&source.request(&file.file)).and_then(|set| {
+        let read = options::read(&source.request(&file.file)).and_then(|mut set| {
             if file.was_found && is_ours(&set) {
                 return Err(Failure::input(format_args!("{name}: was written by stein")));
             }
-            let frame = settle(&set).0.map_err(|error| Failure::in_file(&file.file, error))?;
+            let frame = settle(&mut set).0.map_err(|error| Failure::in_file(&file.file, error))?;
             let reference = file.reference.as_ref().map(|reference| quality::read(reference, &frame, &file.file)).transpose()?;
             Ok(ReadSet { frame, reference })
         });

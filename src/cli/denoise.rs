@@ -244,7 +244,7 @@ impl Job<'_> {
     /// Denoises one frame after the other, up to the first that fails.
     fn denoise_all(&self, to_do: &[&PlannedFrame], frames: &mut Frames, denoiser: &Denoiser, results: &mut Results, out: &mut Out) -> Result<(), Failure> {
         let mut before: Option<Input> = None;
-        for planned in to_do {
+        for (position, planned) in to_do.iter().enumerate() {
             interrupt::check()?;
             results.progress.begin(planned, out);
             let window = self.wait_for(frames, planned, out)?;
@@ -262,6 +262,8 @@ impl Job<'_> {
             before = Some((*described).clone());
             let read = Read { original, described, introduction };
             self.frame(planned, window, read, denoiser, results, out).map_err(|failure| failure.in_frame(planned.number))?;
+            // Frames that no later one is denoised with are not in memory while this one is written.
+            frames.let_go_before(to_do.get(position + 1).map_or(usize::MAX, |next| next.window.start));
         }
         Ok(())
     }

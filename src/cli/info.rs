@@ -37,8 +37,8 @@ pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
     let mut first_failure = None;
     for file in &args.files {
         match options::read(&args.source.request(file)) {
-            Ok(set) => {
-                let (_, input) = settle(&set);
+            Ok(mut set) => {
+                let (_, input) = settle(&mut set);
                 if !args.json {
                     out.say(input.text(true));
                     if let Some(problem) = input.problem() {

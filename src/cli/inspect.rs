@@ -244,9 +244,9 @@ fn mode(knowledge: NoiseKnowledge) -> (&'static str, &'static str) {
     }
 }
 
-/// Settles an input's meaning and describes it.
-pub(crate) fn settle(set: &BufferSet) -> (Result<Frame, Error>, Input) {
-    match Frame::from_buffer_set(set) {
+/// Settles an input's meaning and describes it. Of the set, what an output is made of is left.
+pub(crate) fn settle(set: &mut BufferSet) -> (Result<Frame, Error>, Input) {
+    match Frame::take_from(set) {
         Ok((frame, repairs)) => {
             let input = Input::new(set, Ok((&frame, repairs)));
             (Ok(frame), input)

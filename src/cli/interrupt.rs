@@ -3,6 +3,10 @@
 //! The first signal asks: what runs looks at [`check`] between its steps and ends as on any failure. Where it has not ended soon after (a step is long, a file is large, a renderer
 //! does not listen), or at a second signal, unfinished files are removed and the process ends then and there. Either way it ends by that signal, as whoever started it expects: a
 //! shell tells 130, 143 or 129, and ends the loop that it was in.
+//!
+//! Where memory ends inside of a library or a driver, the library aborts the process, and nobody can catch that as an
+//! error. The signal of the abort can be caught: unfinished files are removed, a message tells what to do, and the
+//! process ends with the exit code of a device that failed.
 
 use std::process::Child;
 use std::sync::atomic::{AtomicI32, AtomicU32, Ordering};
@@ -52,6 +56,21 @@ pub(crate) fn end_if_asked() {
     }
 }
 
+/// Exit code where a library or a driver aborts: that of a device that failed.
+#[cfg(unix)]
+const ABORTED: i32 = 4;
+
+/// Ends a process in which a library or a driver aborts.
+#[cfg(unix)]
+fn give_up() -> ! {
+    stein::aside::abandon();
+    let problem = "no memory was left, or a library or driver gave up for another reason";
+    let remedy = "crop the image, raise the limit on memory (`ulimit -v`, or the container's), or use a computer with more memory; where there is enough memory, report this with \
+                  the output of `stein devices`";
+    Failure::other(format_args!("{problem}\n  remedy: {remedy}")).tell();
+    signal_hook::low_level::exit(ABORTED)
+}
+
 /// Takes note of a signal. A first one is given time.
 fn take(signal: i32) {
     if SIGNAL.compare_exchange(0, signal, Ordering::Relaxed, Ordering::Relaxed).is_err() {
@@ -73,7 +92,7 @@ mod system {
     use std::sync::Arc;
     use std::sync::atomic::{AtomicBool, Ordering};
 
-    use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM, SIGXFSZ};
+    use signal_hook::consts::{SIGABRT, SIGHUP, SIGINT, SIGTERM, SIGXFSZ};
     use signal_hook::iterator::Signals;
 
     /// Listens, from now on. What whoever started the process had it ignore stays ignored: `nohup`.
@@ -82,17 +101,32 @@ mod system {
         let _ = signal_hook::flag::register(SIGXFSZ, Arc::new(AtomicBool::new(false)));
         let (ready, is_ready) = std::sync::mpsc::channel();
         let listening = move || {
-            let signals = Signals::new([SIGHUP, SIGINT, SIGTERM].into_iter().filter(|signal| !is_ignored(*signal)));
+            let signals = Signals::new([SIGABRT, SIGHUP, SIGINT, SIGTERM].into_iter().filter(|signal| !is_ignored(*signal)));
             // Whoever waits need not know how it went.
             let _ = ready.send(());
             if let Ok(mut signals) = signals {
-                signals.forever().for_each(super::take);
+                signals.forever().for_each(|signal| if signal == SIGABRT { super::give_up() } else { super::take(signal) });
             }
         };
         // Without the thread the system's own way stays, as nothing else asks for signals: the process ends at once.
         if std::thread::Builder::new().name("signals".into()).spawn(listening).is_ok() {
             let _ = is_ready.recv();
+            hold_aborts();
         }
+    }
+
+    /// Keeps a thread that aborts from ending the process before the listening thread has.
+    #[expect(unsafe_code, reason = "few functions may be called in a handler of signals")]
+    fn hold_aborts() {
+        // SAFETY: sleeping and ending the process at once are among them.
+        let held = unsafe {
+            signal_hook::low_level::register(SIGABRT, || {
+                std::thread::sleep(super::PATIENCE);
+                signal_hook::low_level::exit(super::ABORTED);
+            })
+        };
+        // Without the handler, the process aborts as any other.
+        let _ = held;
     }
 
     #[expect(unsafe_code, reason = "there is no other way to ask")]

@@ -137,8 +137,8 @@ pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
         output::check(file, request.files(), false, false)?;
     }
 
-    let set = options::read(&request)?;
-    let (frame, described) = settle(&set);
+    let mut set = options::read(&request)?;
+    let (frame, described) = settle(&mut set);
     out.say(described.text(false));
     let frame = frame.map_err(|error| Failure::in_file(input, error))?;
     let gpu = args.device.open()?;

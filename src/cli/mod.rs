@@ -1,6 +1,7 @@
 //! Arguments, text and exit codes; one file for each subcommand.
 
 mod adapt;
+pub(crate) mod arenas;
 mod bench;
 mod denoise;
 mod devices;

@@ -7,6 +7,7 @@ use serde::Serialize;
 use super::Estimate;
 use crate::buffers::{BufferSet, DenoisedLayers, NamedLayer, Role, write_denoised};
 use crate::error::{Error, Result};
+use crate::host_memory::FreeMemory;
 use crate::image::Image;
 use crate::method::{Intermediate, Method};
 
@@ -42,6 +43,7 @@ impl Estimate {
     /// # Errors
     /// As [`write_denoised`].
     pub fn write(&self, set: BufferSet, output: &Path, keep: &[Intermediate], method: &Method) -> Result<Written> {
+        FreeMemory::now().check(self.bytes_for_writing(keep)).map_err(|shortage| shortage.error("writing the output"))?;
         let mut notes = Vec::new();
         let mut replacements = Vec::new();
         let mut dropped = Vec::new();
@@ -92,6 +94,17 @@ impl Estimate {
             non_finite_values: report.non_finite_values,
             notes,
         })
+    }
+}
+
+impl Estimate {
+    /// Bytes that are in memory besides the estimate before the file is written, at most: the colour and its halves as
+    /// the file stores them, the halves as they are made, and two copies of what is added.
+    fn bytes_for_writing(&self, keep: &[Intermediate]) -> u64 {
+        let halves = self.half_spread.as_ref().map_or(0, |_| 2 * self.color.channels());
+        let kept = self.layers.iter().filter(|layer| keep.contains(&layer.intermediate)).map(|layer| layer.image.channels());
+        let added = kept.sum::<usize>() + self.error.as_ref().map_or(0, Image::channels);
+        4 * (self.color.extent.pixels() * (self.color.channels() + 2 * halves + 2 * added)) as u64
     }
 }
 

@@ -17,6 +17,7 @@ use super::pool::{MemoryUse, Pool};
 use super::timing::Timing;
 use super::{human_bytes, lock};
 use crate::error::{Error, Result};
+use crate::host_memory::FreeMemory;
 
 /// The interfaces that are good for compute. OpenGL lists the same hardware a second time, with fewer abilities.
 const BACKENDS: wgpu::Backends = wgpu::Backends::VULKAN.union(wgpu::Backends::METAL).union(wgpu::Backends::DX12);
@@ -26,6 +27,14 @@ const NEWS_PATIENCE: Duration = Duration::from_secs(2);
 
 /// Storage buffers that one kernel may bind: as many as are asked of an adapter that has more.
 const STORAGE_BUFFERS_WANTED: u32 = 16;
+
+/// Kernels count the elements of a buffer in i32, and no element is smaller than four bytes: in a larger buffer an
+/// index could wrap around.
+const LARGEST_INDEXED_BYTES: u64 = 4 * i32::MAX as u64;
+
+/// Address space that a driver takes when it is loaded and opened; a software one brings a compiler along. With less,
+/// drivers end the process or are not found.
+const DRIVER_BYTES: u64 = 320 << 20;
 
 /// Which adapter to open.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -120,7 +129,7 @@ impl AdapterSummary {
             },
             driver: driver.trim().to_owned(),
             max_buffer_bytes: limits.max_buffer_size,
-            max_binding_bytes: limits.max_storage_buffer_binding_size.min(limits.max_buffer_size) & !3,
+            max_binding_bytes: limits.max_storage_buffer_binding_size.min(limits.max_buffer_size).min(LARGEST_INDEXED_BYTES) & !3,
             max_storage_buffers: limits.max_storage_buffers_per_shader_stage,
             timestamps: features.contains(wgpu::Features::TIMESTAMP_QUERY),
         }
@@ -238,6 +247,9 @@ impl Gpu {
     /// # Errors
     /// As [`Gpu::open`].
     pub fn open_with(choice: &DeviceChoice, options: GpuOptions) -> Result<Self> {
+        if let Some(free) = FreeMemory::of_address_space() {
+            free.check(DRIVER_BYTES).map_err(|shortage| shortage.error("the driver of a graphics adapter"))?;
+        }
         let (instance, adapters) = enumerate();
         let summaries: Vec<_> = adapters
             .iter()
@@ -265,11 +277,16 @@ impl Gpu {
             label: Some("stein"),
             required_features: adapter.features() & (wgpu::Features::TIMESTAMP_QUERY | wgpu::Features::PIPELINE_CACHE),
             required_limits: limits,
+            // Of a device that is a program, buffers are in the memory of the computer: they are made one by one,
+            // without large blocks to cut them from.
+            memory_hints: if summary.kind == DeviceKind::Software { wgpu::MemoryHints::MemoryUsage } else { wgpu::MemoryHints::Performance },
             ..Default::default()
         };
         let (device, queue) = pollster::block_on(adapter.request_device(&description)).map_err(|error| Error::Device {
             problem: format!("adapter '{}' cannot be opened: {error}", summary.name),
-            remedy: "choose another adapter (`Gpu::adapters` lists them) or update the graphics driver".into(),
+            remedy:
+                "choose another adapter (`Gpu::adapters` lists them), update the graphics driver, or raise the limit on memory where there is one (`ulimit -v`)"
+                    .into(),
         })?;
 
         let health = Arc::new(Health::default());
@@ -344,6 +361,11 @@ impl Gpu {
     /// The largest buffer that a kernel can see whole, in bytes.
     pub fn max_binding_bytes(&self) -> u64 {
         self.inner.summary.max_binding_bytes
+    }
+
+    /// The most workgroups that one dispatch runs along each of its three axes.
+    pub fn max_workgroups(&self) -> u32 {
+        self.inner.limits.max_compute_workgroups_per_dimension
     }
 
     /// The device itself, for embedders.

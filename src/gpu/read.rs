@@ -7,8 +7,8 @@ use super::device::Gpu;
 use super::pool::Buffer;
 use crate::error::{Error, Result};
 
-/// The most that is read at once, in bytes: bounds the staging memory.
-const CHUNK_BYTES: u64 = 64 << 20;
+/// The most values that are read at once: bounds the staging memory.
+const CHUNK_VALUES: usize = (16 << 20) / 4;
 
 /// How long another thread may take to run a callback that it has taken from the device. It does nothing but send one word.
 const CALLBACK_PATIENCE: Duration = Duration::from_secs(10);
@@ -29,8 +29,17 @@ impl Gpu {
     /// # Errors
     /// [`Error::Request`] where the buffer ends before or its commands are not submitted; [`Error::Device`] where the device failed.
     pub fn read_into(&self, buffer: &Buffer, offset_bytes: u64, values: &mut [f32]) -> Result<()> {
+        self.read_with(buffer, offset_bytes, values.len(), |first, piece| values[first..first + piece.len()].copy_from_slice(piece))
+    }
+
+    /// Part of a buffer, from `offset_bytes` on, a multiple of four: `take` is called with each piece of the `values`
+    /// values and with the position of the piece, which is a multiple of four.
+    ///
+    /// # Errors
+    /// As [`Gpu::read_into`].
+    pub fn read_with(&self, buffer: &Buffer, offset_bytes: u64, values: usize, mut take: impl FnMut(usize, &[f32])) -> Result<()> {
         let refuse = |problem: String, remedy: &str| Err(Error::Request { problem, remedy: remedy.into() });
-        let (label, end) = (buffer.label(), offset_bytes + size_of_val(values) as u64);
+        let (label, end) = (buffer.label(), offset_bytes + 4 * values as u64);
         if !offset_bytes.is_multiple_of(4) || end > buffer.bytes() {
             let problem = format!("bytes {offset_bytes} to {end} of the buffer '{label}' cannot be read: it has {} bytes", buffer.bytes());
             return refuse(problem, "read whole values within the buffer");
@@ -38,17 +47,15 @@ impl Gpu {
         if self.inner.pool.is_open(buffer.last_use()) {
             return refuse(format!("commands that use the buffer '{label}' are recorded but not submitted"), "call `Recorder::submit` or `flush` first");
         }
-        let mut offset = offset_bytes;
-        for chunk in values.chunks_mut((CHUNK_BYTES / 4) as usize) {
-            self.read_chunk(buffer, offset, bytemuck::cast_slice_mut(chunk))?;
-            offset += CHUNK_BYTES;
+        for first in (0..values).step_by(CHUNK_VALUES) {
+            let bytes = 4 * CHUNK_VALUES.min(values - first) as u64;
+            self.read_chunk(buffer, offset_bytes + 4 * first as u64, bytes, |chunk| take(first, chunk))?;
         }
         Ok(())
     }
 
-    fn read_chunk(&self, buffer: &Buffer, offset: u64, out: &mut [u8]) -> Result<()> {
+    fn read_chunk(&self, buffer: &Buffer, offset: u64, bytes: u64, take: impl FnOnce(&[f32])) -> Result<()> {
         self.check()?;
-        let bytes = out.len() as u64;
         let device = &self.inner.device;
         let usage = wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST;
         let (sender, receiver) = channel();
@@ -69,7 +76,7 @@ impl Gpu {
         // A thread that waits for the same device may have taken the callback along with its own, and not have come to it yet.
         receiver.recv_timeout(CALLBACK_PATIENCE).ok().and_then(std::result::Result::ok).ok_or_else(unreadable)?;
         let view = staging.get_mapped_range(..).map_err(|_| unreadable())?;
-        out.copy_from_slice(&view);
+        take(bytemuck::cast_slice(&view));
         Ok(())
     }
 }

@@ -16,7 +16,10 @@ use crate::error::{Error, Result};
 const DISPATCHES_PER_SUBMISSION: usize = 32;
 
 /// Bytes of staging memory that uploads may hold before they are submitted and waited for.
-const STAGED_BYTES: u64 = 256 << 20;
+const STAGED_BYTES: u64 = 64 << 20;
+
+/// Values that are made ready on the host at one time, where an upload is made piece by piece.
+const PIECE_VALUES: usize = (8 << 20) / 4;
 
 /// Size of the buffer that poison is copied from, in bytes.
 const POISON_BYTES: u64 = 1 << 20;
@@ -132,15 +135,39 @@ impl Recorder {
     /// As [`Recorder::take`].
     pub fn upload_bytes(&mut self, label: &str, data: &[u8]) -> Result<Buffer> {
         let buffer = self.take_plain(label, data.len() as u64)?;
-        let bytes = buffer.bytes();
-        let staging = self.gpu.filled(label, wgpu::BufferUsages::COPY_SRC, data, bytes)?;
-        self.copy(&staging, &buffer, bytes);
+        self.stage(data, &buffer, 0, buffer.bytes())?;
+        Ok(buffer)
+    }
+
+    /// A storage buffer of `values` values that are made piece by piece, so that they are never in memory a second time
+    /// as a whole: `fill` is called with the position of each piece and with the piece, which is a multiple of four
+    /// values long but for the last one and holds zeros.
+    ///
+    /// # Errors
+    /// As [`Recorder::take`].
+    pub fn upload_with(&mut self, label: &str, values: usize, mut fill: impl FnMut(usize, &mut [f32])) -> Result<Buffer> {
+        let buffer = self.take_plain(label, 4 * values as u64)?;
+        let mut piece = vec![0.0; PIECE_VALUES.min(values)];
+        for first in (0..values).step_by(PIECE_VALUES) {
+            let piece = &mut piece[..PIECE_VALUES.min(values - first)];
+            piece.fill(0.0);
+            fill(first, piece);
+            self.stage(bytemuck::cast_slice(piece), &buffer, 4 * first as u64, size_of_val(piece) as u64)?;
+        }
+        Ok(buffer)
+    }
+
+    /// Copies `data`, padded to so many bytes, to an offset of a buffer.
+    fn stage(&mut self, data: &[u8], buffer: &Buffer, to_offset: u64, bytes: u64) -> Result<()> {
+        let staging = self.gpu.filled(buffer.label(), wgpu::BufferUsages::COPY_SRC, data, bytes)?;
+        buffer.mark_used(self.id);
+        self.ops.push(Op::Copy { from: staging, to: buffer.wgpu().clone(), to_offset, bytes });
         self.staged_bytes += bytes;
         if self.staged_bytes > STAGED_BYTES && !self.whole {
             self.flush()?;
             self.gpu.wait()?;
         }
-        Ok(buffer)
+        Ok(())
     }
 
     /// Runs a kernel over `invocations` in x, y and z; each is rounded up to whole workgroups, so the shader must ignore those beyond its extent.
@@ -246,12 +273,12 @@ impl Recorder {
     }
 
     fn check_groups(&self, kernel: &Kernel, groups: [u32; 3]) -> Result<()> {
-        let limit = self.gpu.inner.limits.max_compute_workgroups_per_dimension;
+        let limit = self.gpu.max_workgroups();
         match groups.iter().position(|count| *count > limit) {
             None => Ok(()),
             Some(axis) => Err(Error::Device {
                 problem: format!("stage '{}' needs {} workgroups in {}, the adapter runs at most {limit}", kernel.stage(), groups[axis], ["x", "y", "z"][axis]),
-                remedy: "lower the memory limit so that the image is processed in smaller pieces, or crop the image".into(),
+                remedy: "crop the image, or cut it into pieces and denoise each".into(),
             }),
         }
     }
@@ -285,11 +312,6 @@ impl Recorder {
             self.ops.push(Op::Copy { from: poison.clone(), to: buffer.wgpu().clone(), to_offset: offset, bytes });
         }
         Ok(())
-    }
-
-    fn copy(&mut self, from: &wgpu::Buffer, to: &Buffer, bytes: u64) {
-        to.mark_used(self.id);
-        self.ops.push(Op::Copy { from: from.clone(), to: to.wgpu().clone(), to_offset: 0, bytes });
     }
 }
 

@@ -8,6 +8,7 @@ use rayon::prelude::*;
 use crate::error::Result;
 use crate::frame::{Feature, Frame, SamplesPerPixel, Signal};
 use crate::gpu::{Buffer, Recorder};
+use crate::image::Image;
 use crate::stage::sample::GpuSamples;
 
 use super::Strip;
@@ -137,9 +138,7 @@ impl<'a> FrameInput<'a> {
             SamplesPerPixel::Uniform(count) => GpuSamples::Uniform(*count),
             SamplesPerPixel::PerPixel(counts) => {
                 let pixels = strip.pixels(counts.extent.width as usize);
-                let mut packed = vec![0.0; pixels.len() * 4];
-                interleave(&counts.planes, &pixels, Affine::scale(1.0), &mut packed);
-                GpuSamples::PerPixel(rec.upload("samples per pixel", &packed)?)
+                GpuSamples::PerPixel(upload_planes(rec, "samples per pixel", &[Some((counts, Affine::scale(1.0)))], &pixels)?)
             }
         };
         let color = upload_signal(rec, "colour", frame.color(), strip, Affine::scale(units.exposure), Noise::Told)?;
@@ -183,21 +182,35 @@ fn upload_signal(rec: &mut Recorder, label: &str, signal: &Signal, strip: &Strip
     let [half_spread, variance] = [&signal.half_spread, &signal.variance_of_mean].map(|image| image.as_ref().filter(|_| noise == Noise::Told));
     let factor = map.factor;
     let pixels = strip.pixels(signal.mean.extent.width as usize);
-    let mut packed = vec![0.0; pixels.len() * 8];
-    let (mean, spread) = packed.split_at_mut(pixels.len() * 4);
-    interleave(&signal.mean.planes, &pixels, map, mean);
-    if let Some(half_spread) = half_spread {
-        interleave(&half_spread.planes, &pixels, Affine::scale(factor), spread);
-    }
     let variance_of_mean = match variance {
         None => None,
         Some(variance) => {
-            let mut packed = vec![0.0; pixels.len() * 4];
-            interleave(&variance.planes, &pixels, Affine::scale(factor * factor), &mut packed);
-            Some(Arc::new(rec.upload(&format!("variance of {label}"), &packed)?))
+            let label = format!("variance of {label}");
+            Some(Arc::new(upload_planes(rec, &label, &[Some((variance, Affine::scale(factor * factor)))], &pixels)?))
         }
     };
-    Ok(GpuSignal { signal: Arc::new(rec.upload(label, &packed)?), variance_of_mean, has_halves: half_spread.is_some() })
+    let planes = [Some((&signal.mean, map)), half_spread.map(|half_spread| (half_spread, Affine::scale(factor)))];
+    Ok(GpuSignal { signal: Arc::new(upload_planes(rec, label, &planes, &pixels)?), variance_of_mean, has_halves: half_spread.is_some() })
+}
+
+/// Uploads the same pixels of images, each to a plane of its own, mapped. A plane without an image is 0.
+fn upload_planes(rec: &mut Recorder, label: &str, planes: &[Option<(&Image, Affine)>], pixels: &std::ops::Range<usize>) -> Result<Buffer> {
+    let count = pixels.len();
+    rec.upload_with(label, planes.len() * count * 4, |first, mut piece| {
+        let mut first = first / 4;
+        // A piece may hold the end of one plane and the beginning of the next.
+        while !piece.is_empty() {
+            let (plane, at) = (first / count, first % count);
+            let (packed, rest) = piece.split_at_mut(4 * (count - at).min(piece.len() / 4));
+            let packed_pixels = packed.len() / 4;
+            if let Some((image, map)) = planes[plane] {
+                let start = pixels.start + at;
+                interleave(&image.planes, &(start..start + packed_pixels), map, packed);
+            }
+            first += packed_pixels;
+            piece = rest;
+        }
+    })
 }
 
 /// Of the whole image, so that all strips agree.

@@ -154,7 +154,12 @@ pub(super) fn footprint(params: &GemParams, kept: bool) -> Footprint {
     // Scaled variance, stopping maps raw and smoothed, reduction.
     let kept = if kept { 2 + 2 * sigmas.len() as u64 } else { 0 };
     let (repaired, found) = params.spikes.planes();
-    Footprint { halo: halo(params) as usize, live_planes: UPLOADED_PLANES + found + repaired.max(scales) + kept, largest_planes: 2, scratch_bytes: 0 }
+    Footprint {
+        halo: halo(params) as usize,
+        live_planes: UPLOADED_PLANES + found + repaired.max(scales) + kept,
+        largest_planes: params.spikes.largest_planes().max(2),
+        scratch_bytes: 0,
+    }
 }
 
 /// A pixel asks for its neighbours' stopping maps, these for the scales there, and their variances were brought to scale. Each scale is made from the pixels themselves, so

@@ -3,6 +3,7 @@
 use super::{Facts, Method};
 use crate::error::{Error, Result};
 use crate::gpu::Gpu;
+use crate::host_memory::{FreeMemory, Shortage};
 use crate::image::Extent;
 use crate::stage::PLANE_PIXEL_BYTES;
 use crate::stage::nlm::Schedule;
@@ -47,30 +48,91 @@ pub(super) struct Footprint {
 /// Planes that a frame without its features is uploaded to: mean, half spread and sample variance of the colour, and the samples of each pixel.
 pub(super) const UPLOADED_PLANES: u64 = 4;
 
-/// Cuts a frame into strips of which each, with the same rows of the frames beside it, fits the adapter's binding limit and `max_memory` bytes.
+/// What bounds the memory that buffers take on the device, besides the device.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct DeviceMemory {
+    /// The limit that a user set, in bytes.
+    pub(crate) asked: Option<u64>,
+    /// The memory of the computer, and what the host takes of it, in bytes: where the device is a program on the
+    /// processor, its buffers are in the same memory.
+    pub(crate) shared: Option<(FreeMemory, u64)>,
+}
+
+impl DeviceMemory {
+    /// Bytes that a program takes that plays a graphics card, besides buffers: it compiles the kernels.
+    const DRIVER_BYTES: u64 = 96 << 20;
+
+    fn left_by_host(self) -> Option<u64> {
+        self.shared.map(|(free, host)| free.bytes().saturating_sub(host + Self::DRIVER_BYTES))
+    }
+
+    /// Bytes that buffers may take.
+    pub(crate) fn bytes(self) -> Option<u64> {
+        self.asked.into_iter().chain(self.left_by_host()).min()
+    }
+
+    /// Why buffers of `least` bytes do not fit, which the adapter would bind.
+    fn refuse(self, least: u64, halo: usize) -> Error {
+        if let Some((free, host)) = self.shared
+            && self.left_by_host().is_some_and(|left| left < least)
+        {
+            let what = format!("a strip of one row of this image, with the {halo} rows above and below that it depends on, and the result");
+            return Shortage::new(host + Self::DRIVER_BYTES + least, free).error(&what);
+        }
+        let mib = |bytes: u64| bytes as f64 / f64::from(1 << 20);
+        Error::Device {
+            problem: format!(
+                "a strip of one row of this image, with the {halo} rows above and below that it depends on, does not fit into the memory allowed on the device: it needs {:.0} \
+                 MiB of {:.0} MiB",
+                mib(least).ceil(),
+                mib(self.asked.unwrap_or(u64::MAX)).floor()
+            ),
+            remedy: "raise the memory limit (`Denoiser::with_max_memory`), choose a smaller window or fewer frames beside, or leave features out".into(),
+        }
+    }
+}
+
+/// Planes per pixel that a method keeps as intermediates.
+pub(crate) fn kept_planes(method: &Method, facts: &Facts, schedule: Schedule) -> u64 {
+    let live = |kept: bool| method.footprint(facts, kept, schedule).live_planes;
+    live(true) - live(false)
+}
+
+/// Cuts a frame into strips of which each, with the same rows of the frames beside it, fits the adapter's limits on
+/// bindings and dispatches and the memory.
 ///
 /// # Errors
 /// [`Error::Device`] where not even one row with its halo fits.
-pub(crate) fn strips(gpu: &Gpu, extent: Extent, method: &Method, facts: &Facts, kept: bool, schedule: Schedule, max_memory: Option<u64>) -> Result<Vec<Strip>> {
+pub(crate) fn strips(gpu: &Gpu, extent: Extent, method: &Method, facts: &Facts, kept: bool, schedule: Schedule, memory: DeviceMemory) -> Result<Vec<Strip>> {
     let (width, height) = (u64::from(extent.width), extent.height as usize);
     let Footprint { halo, live_planes, largest_planes, scratch_bytes } = method.footprint(facts, kept, schedule);
     let row_bytes = width * PLANE_PIXEL_BYTES;
     let by_binding = gpu.max_binding_bytes() / (largest_planes * row_bytes);
-    let by_memory = max_memory.map_or(u64::MAX, |limit| limit.saturating_sub(scratch_bytes) / (live_planes * row_bytes));
-    let most_rows = usize::try_from(by_binding.min(by_memory)).unwrap_or(usize::MAX);
+    let by_memory = memory.bytes().map_or(u64::MAX, |limit| limit.saturating_sub(scratch_bytes) / (live_planes * row_bytes));
+    // A workgroup is at least one row high.
+    let by_dispatch = u64::from(gpu.max_workgroups());
+    let most_rows = usize::try_from(by_binding.min(by_memory).min(by_dispatch)).unwrap_or(usize::MAX);
     if most_rows >= height {
         return Ok(vec![Strip { first: 0, end: height, first_with_halo: 0, end_with_halo: height }]);
     }
     let rows = most_rows.saturating_sub(2 * halo);
     if rows == 0 {
-        let least = (2 * halo as u64 + 1) * live_planes * row_bytes + scratch_bytes;
+        // The halo ends with the image.
+        let rows = (2 * halo + 1).min(height) as u64;
+        if by_memory < rows {
+            return Err(memory.refuse(rows * live_planes * row_bytes + scratch_bytes, halo));
+        }
+        let mib = |bytes: u64| bytes.div_ceil(1 << 20);
         return Err(Error::Device {
             problem: format!(
-                "a strip of one row of this image, with the {halo} rows above and below that it depends on, does not fit into the memory allowed: it needs {} MiB",
-                least.div_ceil(1 << 20)
+                "a strip of one row of this image, with the {halo} rows above and below that it depends on, does not fit the limits of '{}': it needs a buffer of {} MiB and {rows} \
+                 workgroups in a row, the adapter binds {} MiB and runs {}",
+                gpu.summary().name,
+                mib(rows * largest_planes * row_bytes),
+                mib(gpu.max_binding_bytes()),
+                gpu.max_workgroups()
             ),
-            remedy: "raise the memory limit (`Denoiser::with_max_memory`), choose a smaller window or fewer frames beside, leave features out, or choose another adapter, \
-                     which binds larger buffers".into(),
+            remedy: "crop the image, choose a smaller window, leave features out, or choose another adapter, which binds larger buffers".into(),
         });
     }
     // Of equal height, so that the last one is not a sliver that costs as much halo as the others.

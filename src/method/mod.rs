@@ -30,7 +30,7 @@ pub(crate) use frame::{FrameInput, Units};
 pub use frame::{GpuFeature, GpuFrame, GpuSignal};
 pub use gem::GemParams;
 use memory::Footprint;
-pub(crate) use memory::{Strip, strips};
+pub(crate) use memory::{DeviceMemory, Strip, kept_planes, strips};
 pub use nlm::NlmParams;
 pub(crate) use plan::{Facts, Wishes};
 pub use plan::{Plan, PlannedStep, Step};

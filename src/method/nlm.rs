@@ -303,7 +303,7 @@ pub(super) fn footprint(params: &NlmParams, beside: usize, kept: bool, schedule:
         // All frames are uploaded before the first is prepared; variance, signal and halves of the others stay until the end.
         // What was found in them is kept as long, and one is repaired after the other.
         live_planes: (UPLOADED_PLANES + found) * (1 + beside as u64) + repaired + later + kept + alone + 6 * beside as u64,
-        largest_planes: 2,
+        largest_planes: params.spikes.largest_planes().max(2),
         // The column sums of distances and those of weights.
         scratch_bytes: 2 * schedule.scratch_bytes,
     }

@@ -74,6 +74,11 @@ impl Spikes {
         if self == Self::Keep { (0, 0) } else { (4, 3) }
     }
 
+    /// Planes of the largest buffer: of what was found.
+    pub(super) fn largest_planes(self) -> u64 {
+        self.planes().1
+    }
+
     /// Plans the step.
     pub(super) fn plan(self, plan: &mut Planner, facts: &Facts) {
         let because = match self {

@@ -7,7 +7,7 @@ use glam::{IVec2, Vec4};
 use super::candidate_set::CandidateSet;
 use super::exact::{ExactTiles, Region};
 use super::feature::{Features, MAX_GROUPS};
-use super::nlm::{Beside, Guide, NlmParams, Schedule, Weighting, for_each_chunk};
+use super::nlm::{Beside, ChunkNeeds, Guide, NlmParams, Schedule, Weighting, for_each_chunk};
 use super::plane_bytes;
 use crate::error::Result;
 use crate::gpu::{Buffer, Definition, Recorder, bindings, uniforms};
@@ -219,7 +219,8 @@ pub fn candidates(
     };
     let candidate = filter.params(features);
     let mut state: Option<Buffer> = None;
-    for_each_chunk(rec, extent, &guide, by_color, filter.window_radius, filter.weighting, schedule, |rec, chunk| {
+    let needs = ChunkNeeds { distances: by_color, sum_planes: STATE_PLANES };
+    for_each_chunk(rec, extent, &guide, needs, filter.window_radius, filter.weighting, schedule, |rec, chunk| {
         let params = chunk.params;
         if params.starts != 0 {
             // Before the next is taken, this one is given back.

@@ -41,7 +41,9 @@ impl Packing {
         // Wide features first, so that the narrow ones find their gaps.
         for wide in [true, false] {
             for (slot, _) in slots.iter_mut().zip(channels).filter(|(_, count)| (**count > 1) == wide) {
-                *slot = match free_singles.pop_front().filter(|_| !wide) {
+                // A wide feature does not fit into a w, so it must not take one out of the queue.
+                let free_single = if wide { None } else { free_singles.pop_front() };
+                *slot = match free_single {
                     Some(group) => Slot { group, single: true },
                     None => {
                         free_singles.push_back(groups);
@@ -88,4 +90,46 @@ pub fn feature_pack(rec: &mut Recorder, extent: IVec2, features: &Features, slot
     let params = FeaturePackParams { extent, group: slot.group as i32, single: i32::from(slot.single) };
     let kernel = rec.gpu().kernel::<FeaturePack>("feature_pack", &[("NOISY", residual_variance.is_some().into())])?;
     rec.dispatch(&kernel, &FeaturePack { params, filtered, residual_variance, features: &features.buffer }, per_pixel(extent))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// All lists of up to [`MAX_GROUPS`] features of one to three channels.
+    fn channel_lists() -> impl Iterator<Item = Vec<u32>> {
+        (0..=MAX_GROUPS as u32)
+            .flat_map(|features| (0..3u32.pow(features)).map(move |list| (0..features).map(|feature| list / 3u32.pow(feature) % 3 + 1).collect()))
+    }
+
+    #[test]
+    fn features_share_no_channel_and_take_the_fewest_groups() {
+        for channels in channel_lists() {
+            let Packing { slots, groups, .. } = Packing::new(&channels);
+            assert_eq!(slots.len(), channels.len());
+            let mut is_taken = vec![[false; 4]; groups as usize];
+            for (slot, &count) in slots.iter().zip(&channels) {
+                assert!(!slot.single || count == 1, "{channels:?}: {slot:?} holds one channel");
+                let places = if slot.single { 3..4 } else { 0..count as usize };
+                for taken in &mut is_taken[slot.group as usize][places] {
+                    assert!(!std::mem::replace(taken, true), "{channels:?}: two features share {slot:?}");
+                }
+            }
+            // Each group holds one wide feature or one single in its triple, and one single in its w.
+            let wide = channels.iter().filter(|count| **count > 1).count();
+            let singles_without_a_wide_one = (channels.len() - wide).saturating_sub(wide);
+            assert_eq!(groups as usize, wide + singles_without_a_wide_one.div_ceil(2), "{channels:?}");
+        }
+    }
+
+    #[test]
+    fn every_triple_of_a_group_is_written_before_its_single() {
+        // A single clears nothing, so that the channels beside it would stay as they were in a group without a triple.
+        for channels in channel_lists() {
+            let packing = Packing::new(&channels);
+            for group in 0..packing.groups {
+                assert!(packing.slots.contains(&Slot { group, single: false }), "{channels:?}: group {group} has no triple");
+            }
+        }
+    }
 }

@@ -4,7 +4,7 @@ use glam::IVec2;
 use serde::Serialize;
 
 use super::exact::{ExactTiles, Region};
-use super::plane_bytes;
+use super::{PLANE_PIXEL_BYTES, plane_bytes};
 use crate::error::Result;
 use crate::gpu::{Buffer, Definition, Gpu, Recorder, bindings, uniforms};
 use crate::parameters::{choices, parameters};
@@ -159,36 +159,50 @@ impl Schedule {
     }
 
     /// The parts of an image that the work is done for, and how it is cut there.
-    fn regions(&self, gpu: &Gpu, extent: IVec2, window_radius: i32, guide: &Guide) -> Vec<(Region, Cut)> {
+    fn regions(&self, gpu: &Gpu, extent: IVec2, window_radius: i32, guide: &Guide, sum_planes: u32) -> Vec<(Region, Cut)> {
         let regions = match guide.exact {
             Some(exact) => exact.regions(extent, REGION_CELL, guide.patch_radius as i32, self.region_pixels.into()),
             None => vec![Region { first: IVec2::ZERO, size: extent }],
         };
         let wanted = |region: Region| guide.wanted.map_or(Some(region), |wanted| region.overlap(&wanted));
         // The weights of f columns more on both sides enter those of a patchwise guide, and the scratch has no distances for them.
-        let most_columns = if guide.patchwise { i32::MAX } else { self.band_columns as i32 };
+        let most_columns = if guide.patchwise { i32::MAX } else { self.most_columns(gpu, guide, sum_planes) };
         let bands = |region: Region| {
             let width = region.size.x.min(most_columns);
             (0..region.size.x)
                 .step_by(width as usize)
                 .map(move |x| Region { first: region.first + IVec2::new(x, 0), size: IVec2::new(width.min(region.size.x - x), region.size.y) })
         };
-        regions.into_iter().filter_map(wanted).flat_map(bands).map(|region| (region, self.cut(gpu, region.size, window_radius, guide))).collect()
+        regions.into_iter().filter_map(wanted).flat_map(bands).map(|region| (region, self.cut(gpu, region.size, window_radius, guide, sum_planes))).collect()
     }
 
-    /// How work on images of this width is cut.
-    fn cut(&self, gpu: &Gpu, extent: IVec2, window_radius: i32, guide: &Guide) -> Cut {
+    /// The widest band of which one row fits every buffer that is as wide as the band: the column sums of one offset
+    /// and the running sums.
+    fn most_columns(&self, gpu: &Gpu, guide: &Guide, sum_planes: u32) -> i32 {
+        let planes = u64::from(sum_planes).max(guide.patch_sizes());
+        let columns = gpu.max_binding_bytes() / (planes * PLANE_PIXEL_BYTES);
+        // A scratch row is longer than the band.
+        let columns = columns.saturating_sub(u64::from(self.pixels + 2 * guide.patch_radius)).max(1);
+        i32::try_from(columns).unwrap_or(i32::MAX).min(self.band_columns as i32)
+    }
+
+    /// How work on images of this width is cut, so that each buffer whose size follows from the cut fits the adapter's
+    /// binding limit. `sum_planes`: planes of running sums that the filter keeps for the pixels of a strip.
+    fn cut(&self, gpu: &Gpu, extent: IVec2, window_radius: i32, guide: &Guide, sum_planes: u32) -> Cut {
         let patch_radius = guide.patch_radius as i32;
         // The weights of f more rows above and below enter those of a strip.
         let margin = if guide.patchwise { patch_radius } else { 0 };
         // The last invocation of a row may reach beyond it.
         let stride = (extent.x as u32).next_multiple_of(self.pixels) as i32 + 2 * patch_radius;
-        let patch_sizes = if guide.small_patch_radius.is_some() { 2 } else { 1 };
+        let patch_sizes = guide.patch_sizes();
         let row_bytes = plane_bytes(IVec2::new(stride, 1), 1);
         let budget = (self.scratch_bytes.min(gpu.max_binding_bytes() / patch_sizes) / row_bytes).max(1) as i32;
         // A row of offsets at a time, unless the image is so small that more fit: for each chunk the running sums are loaded and stored once.
         let side = 2 * window_radius + 1;
         let rows = (budget / side - 2 * margin).clamp(1, extent.y);
+        // With a small window, rows whose column sums fit have more running sums than fit.
+        let rows_of_sums = gpu.max_binding_bytes().checked_div(plane_bytes(IVec2::new(extent.x, 1), sum_planes));
+        let rows = rows_of_sums.map_or(rows, |most| rows.min(i32::try_from(most).unwrap_or(i32::MAX)).max(1));
         let block = self.block_rows as i32;
         // Whole blocks, as far as there is one: a block cut short computes its 2f extra rows all the same.
         let rows = if rows < extent.y && rows > block { rows - rows % block } else { rows };
@@ -288,6 +302,21 @@ impl<'a> Guide<'a> {
             wanted: None,
         }
     }
+
+    /// Sizes of patches whose sums are computed.
+    fn patch_sizes(&self) -> u64 {
+        if self.small_patch_radius.is_some() { 2 } else { 1 }
+    }
+}
+
+/// What a filter needs of the chunks that it goes through.
+#[derive(Clone, Copy)]
+pub(super) struct ChunkNeeds {
+    /// The column sums of the distances are computed.
+    pub(super) distances: bool,
+    /// Planes of running sums that the filter keeps for the pixels of a strip; 0 where it keeps them for the whole
+    /// image.
+    pub(super) sum_planes: u32,
 }
 
 /// A frame beside the one that is filtered, whose pixels take part as neighbours (thesis 7.3, 8.6): the same window around the same position, patches inside that frame. Pairs
@@ -324,14 +353,14 @@ pub(super) fn for_each_chunk(
     rec: &mut Recorder,
     extent: IVec2,
     guide: &Guide,
-    with_distances: bool,
+    needs: ChunkNeeds,
     window_radius: u32,
     weighting: Weighting,
     schedule: Schedule,
     consume: impl FnMut(&mut Recorder, &Chunk) -> Result<()>,
 ) -> Result<()> {
-    let regions = schedule.regions(rec.gpu(), extent, window_radius as i32, guide);
-    for_each_chunk_of(rec, extent, regions, guide, with_distances, window_radius, weighting, schedule, consume)
+    let regions = schedule.regions(rec.gpu(), extent, window_radius as i32, guide, needs.sum_planes);
+    for_each_chunk_of(rec, extent, regions, guide, needs.distances, window_radius, weighting, schedule, consume)
 }
 
 /// The same for the window of one pixel: the chunks are no larger than its weights ask for, so that they hold nothing of use for any other.
@@ -351,7 +380,7 @@ pub(super) fn for_each_chunk_around(
     let columns = if guide.patchwise { guide.patch_radius as i32 } else { 0 };
     let first = IVec2::new((pixel.x - columns).max(0), pixel.y);
     let region = Region { first, size: IVec2::new((pixel.x + columns + 1).min(extent.x) - first.x, 1) };
-    let cut = schedule.cut(rec.gpu(), region.size, window_radius as i32, guide);
+    let cut = schedule.cut(rec.gpu(), region.size, window_radius as i32, guide, 0);
     for_each_chunk_of(rec, extent, vec![(region, cut)], guide, with_distances, window_radius, weighting, schedule, consume)
 }
 
@@ -521,7 +550,8 @@ pub fn nlm_filter(
         hard,
         ("RESIDUAL", with_residual_variance.into()),
     ];
-    for_each_chunk(rec, extent, guide, true, window_radius, weighting, schedule, |rec, chunk| {
+    let needs = ChunkNeeds { distances: true, sum_planes: 0 };
+    for_each_chunk(rec, extent, guide, needs, window_radius, weighting, schedule, |rec, chunk| {
         let (params, columns) = (chunk.params, chunk.columns);
         let invocations = schedule.per_row_of_pixels(&params);
         let (filtered, weights, variance_of_mean) = (&planes, &weights, guide.variance_of_mean);

@@ -27,6 +27,18 @@ pub fn open(options: GpuOptions) -> Gpu {
     Gpu::open_with(&DeviceChoice::Auto, options).unwrap_or_else(|error| panic!("{error}"))
 }
 
+/// The same adapter with other limits than WebGPU's defaults.
+pub fn limited_gpu(change: impl FnOnce(&mut wgpu::Limits)) -> Gpu {
+    let description = wgpu::InstanceDescriptor { backends: wgpu::Backends::PRIMARY, ..wgpu::InstanceDescriptor::new_without_display_handle() };
+    let adapters = pollster::block_on(wgpu::Instance::new(description).enumerate_adapters(wgpu::Backends::PRIMARY));
+    let adapter = &adapters[gpu().summary().index];
+    let mut required_limits = wgpu::Limits::default();
+    change(&mut required_limits);
+    let description = wgpu::DeviceDescriptor { required_limits, ..Default::default() };
+    let (device, queue) = pollster::block_on(adapter.request_device(&description)).unwrap_or_else(|error| panic!("{error}"));
+    Gpu::from_wgpu(device, queue, &adapter.get_info()).unwrap_or_else(|error| panic!("{error}"))
+}
+
 /// Ways of cutting up the work: from one row and one offset at a time to everything at once, for processors and for graphics cards. What is computed must not depend on it.
 pub fn schedules() -> impl Iterator<Item = Schedule> {
     let blocks = [(1, 1, 1, 1 << 20, 0), (5, 2, 4, 9, 1 << 16), (16, 1, 1, 16, 200), (32, 3, 4, 1 << 20, 512)];

@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use stein::Frame;
 use stein::buffers::{DenoisedLayers, NamedLayer, Role, SampleKind, write_denoised};
 use stein::error::Error;
 use stein::image::{Extent, Image as Planes, Window};
@@ -245,4 +246,78 @@ fn the_input_can_be_overwritten() {
         let mode = |path: &Path| std::fs::metadata(path).unwrap().permissions().mode();
         assert_eq!(mode(&input), mode(&plain), "an output is as readable as any other file");
     }
+}
+
+fn assert_alike(a: &Frame, b: &Frame) {
+    let signals = |frame: &Frame| {
+        let features = frame.features().iter().map(|feature| feature.signal.clone());
+        std::iter::once(frame.color().clone()).chain(features).map(|signal| (signal.mean, signal.half_spread, signal.variance_of_mean)).collect::<Vec<_>>()
+    };
+    assert_eq!(signals(a), signals(b));
+    assert_eq!(a.samples_per_pixel(), b.samples_per_pixel());
+}
+
+fn halves_of(samples: FlatSamples) -> FlatSamples {
+    match samples {
+        FlatSamples::F32(values) => FlatSamples::F16(values.into_iter().map(f16::from_f32).collect()),
+        other => other,
+    }
+}
+
+#[test]
+fn a_set_that_gave_its_samples_away_makes_the_same_frame_and_output() {
+    let folder = folder();
+    let mut as_halves = Part::native();
+    as_halves.channels.iter_mut().for_each(|(_, samples)| *samples = halves_of(samples.clone()));
+    let with_more_in_a_half = Part::native().with("halfA", "Q", 9.0);
+    for (index, part) in [Part::native(), as_halves, with_more_in_a_half].into_iter().enumerate() {
+        let input = write(folder.path(), &format!("in_{index}.exr"), vec![part]);
+        let (whole, mut taken) = (read(&input), read(&input));
+        let expected = Frame::from_buffer_set(&whole).unwrap().0;
+        assert_alike(&Frame::take_from(&mut taken).unwrap().0, &expected);
+
+        let (color, halves) = (rgb(50.0), [("halfA".to_owned(), rgb(51.0)), ("halfB".to_owned(), rgb(52.0))]);
+        let replaced = if index == 2 { &halves[1..] } else { &halves[..] };
+        let layers = DenoisedLayers { replacements: replaced, dropped: &["variance".to_owned()], ..replace_color(&color) };
+        let outputs = ["whole", "taken"].map(|name| folder.path().join(format!("{name}_{index}.exr")));
+        for (set, output) in [whole, taken].into_iter().zip(&outputs) {
+            write_denoised(set, output, &layers).unwrap();
+        }
+        assert_eq!(std::fs::read(&outputs[0]).unwrap(), std::fs::read(&outputs[1]).unwrap());
+    }
+}
+
+#[test]
+fn halves_that_a_frame_has_no_use_for_are_written_as_they_were() {
+    let folder = folder();
+    let mut part = Part::native();
+    for (name, samples) in &mut part.channels {
+        if name.starts_with("halfB.") {
+            *samples = FlatSamples::F32(vec![0.0; PIXELS]);
+        }
+    }
+    let input = write(folder.path(), "in.exr", vec![part]);
+    let mut set = read(&input);
+    assert!(Frame::take_from(&mut set).unwrap().0.color().half_spread.is_none());
+    let output = folder.path().join("out.exr");
+    write_denoised(set, &output, &replace_color_without_variance(&rgb(50.0))).unwrap();
+    for channel in ["halfA.R", "halfA.B", "halfB.G", "normal.X"] {
+        assert_eq!(stored(&output, channel), stored(&input, channel), "{channel}");
+    }
+}
+
+#[test]
+fn samples_that_are_gone_are_not_written_as_if_they_were_there() {
+    let folder = folder();
+    let mut set = read(&write(folder.path(), "in.exr", vec![Part::native()]));
+    Frame::take_from(&mut set).unwrap();
+    let output = folder.path().join("out.exr");
+    let refused = write_denoised(set, &output, &replace_color_without_variance(&rgb(50.0))).unwrap_err().to_string();
+    assert!(refused.contains("out.exr") && refused.contains("not in memory any more"), "{refused}");
+    assert!(!output.exists());
+}
+
+fn replace_color_without_variance(color: &Planes) -> DenoisedLayers<'_> {
+    static VARIANCE: std::sync::LazyLock<Vec<String>> = std::sync::LazyLock::new(|| vec!["variance".to_owned()]);
+    DenoisedLayers { dropped: &VARIANCE, ..replace_color(color) }
 }

@@ -13,7 +13,7 @@ use stein::stage::nlm::Schedule;
 use stein::stage::sample::GpuSamples;
 use stein::{Denoiser, DfcParams, Error, Estimate, Frame, Image, Options};
 
-use crate::common::{Scene, calm_scene, gpu, open, packed, packed_signal, scene};
+use crate::common::{Scene, calm_scene, gpu, limited_gpu, open, packed, packed_signal, scene};
 use crate::frames::{EVERYTHING, Keep, error_of, frame, new_frame, noisy};
 use crate::reference::{Grid, Planes};
 
@@ -109,13 +109,7 @@ const STRIP_LIMITS: [u64; 2] = [3_800_000, 4_400_000];
 
 /// The same adapter as far as every device goes that WebGPU knows: 8 storage buffers, among other things.
 fn least_gpu() -> Gpu {
-    let description = wgpu::InstanceDescriptor { backends: wgpu::Backends::PRIMARY, ..wgpu::InstanceDescriptor::new_without_display_handle() };
-    let adapters = pollster::block_on(wgpu::Instance::new(description).enumerate_adapters(wgpu::Backends::PRIMARY));
-    let index = gpu().summary().index;
-    let description = wgpu::DeviceDescriptor { required_limits: wgpu::Limits::default(), ..Default::default() };
-    let opened = pollster::block_on(adapters[index].request_device(&description)).map_err(|error| error.to_string());
-    let (device, queue) = opened.unwrap_or_else(|error| panic!("{error}"));
-    Gpu::from_wgpu(device, queue, &adapters[index].get_info()).unwrap_or_else(|error| panic!("{error}"))
+    limited_gpu(|_| {})
 }
 
 #[test]

@@ -1,4 +1,7 @@
-//! Whole methods on the GPU. DFC: against its float64 twin (`twin`), as its callers use it (`behaviour`), over several frames (`time`), and with what a frame does not need left out (`leave_out`). GEM (`gem`) and NLM (`nlm`): the same of one frame. What all of them do about spikes (`spikes`), and what their parameters say of themselves (`parameters`).
+//! Whole methods on the GPU. DFC: against its float64 twin (`twin`), as its callers use it (`behaviour`), over several
+//! frames (`time`), and with what a frame does not need left out (`leave_out`). GEM (`gem`) and NLM (`nlm`): the same
+//! of one frame. What all of them do about spikes (`spikes`) and on devices with small limits (`limits`), and what
+//! their parameters say of themselves (`parameters`).
 
 #[allow(dead_code, unreachable_pub, reason = "every test includes all shared pieces and uses a part of them")]
 #[path = "../common/mod.rs"]
@@ -16,6 +19,7 @@ mod behaviour;
 mod gem;
 mod kernels;
 mod leave_out;
+mod limits;
 mod nlm;
 mod parameters;
 mod spikes;

@@ -411,9 +411,9 @@ impl Desk {
 
 fn open(job: &Job, source: Source) -> stein::Result<Opened> {
     job.check(0.0)?;
-    let set = BufferSet::read(&source.request).map_err(|error| in_file(&source, error))?;
+    let mut set = BufferSet::read(&source.request).map_err(|error| in_file(&source, error))?;
     job.check(0.4)?;
-    let (frame, repairs) = Frame::from_buffer_set(&set).map_err(|error| in_file(&source, error))?;
+    let (frame, repairs) = Frame::take_from(&mut set).map_err(|error| in_file(&source, error))?;
     drop(set);
     let most = job.desk.gpu.wgpu_device().limits().max_texture_dimension_2d;
     if frame.extent().width.max(frame.extent().height) > most {

@@ -62,11 +62,16 @@ impl Frames {
         Self { incoming, held: VecDeque::new(), first: 0 }
     }
 
-    /// Lets go of what lies before the window and waits until all of it is there.
-    pub(super) fn move_to(&mut self, window: &Range<usize>) -> Result<&mut [ReadFrame], Unusable> {
-        while self.first < window.start && self.held.pop_front().is_some() {
+    /// Lets go of the frames before this one.
+    pub(super) fn let_go_before(&mut self, start: usize) {
+        while self.first < start && self.held.pop_front().is_some() {
             self.first += 1;
         }
+    }
+
+    /// Lets go of what lies before the window and waits until all of it is there.
+    pub(super) fn move_to(&mut self, window: &Range<usize>) -> Result<&mut [ReadFrame], Unusable> {
+        self.let_go_before(window.start);
         while self.first + self.held.len() < window.end {
             let frame = self.incoming.recv().map_err(|_| Failure::input("a frame is missing after all have been read"))??;
             self.held.push_back(frame);
@@ -76,8 +81,8 @@ impl Frames {
 }
 
 fn load(read: &Read) -> Result<ReadFrame, Unusable> {
-    let set = options::read(&read.request)?;
-    let (frame, described) = settle(&set);
+    let mut set = options::read(&read.request)?;
+    let (frame, described) = settle(&mut set);
     let described = Box::new(described);
     let frame = match frame {
         Ok(frame) => frame,

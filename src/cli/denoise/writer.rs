@@ -98,18 +98,21 @@ impl<'scope> Writer<'scope> {
 impl Contents<'_> {
     /// Writes a frame and compares it with its reference.
     fn finish(self, denoised: Denoised, comparison: &mut Comparison) -> Result<Done, Failure> {
-        let Denoised { number, output, original, described, introduction, frame, reference, estimate, run, plan } = denoised;
+        let Denoised { number, output, original, described, introduction, frame, reference, mut estimate, run, plan } = denoised;
         let data_window = original.data_window();
+        let left_out: Vec<_> = frame.features().iter().map(|feature| feature.name.clone()).filter(|name| !estimate.features.contains(name)).collect();
+        // Writing needs memory, and nothing but a comparison needs the frame any more.
+        let frame = reference.is_some().then_some(frame);
+        estimate.selection = None;
         let mut written = estimate.write(*original, &output, self.keep, self.method).map_err(Failure::output)?;
         let missing = self.keep.iter().filter(|one| !estimate.layers.iter().any(|layer| layer.intermediate == **one));
         written.notes.extend(missing.map(|one| format!("--keep {}: there is nothing of the kind without halves or features", one.name())));
-        let left_out = frame.features().iter().filter(|feature| !estimate.features.contains(&feature.name));
-        written
-            .notes
-            .extend(left_out.map(|feature| format!("feature {}: not used, because a frame beside lacks it or has it the same everywhere", feature.name)));
-        let errors = reference.as_ref().map(|reference| quality::compare(&frame, &estimate, reference)).transpose()?;
+        let not_used = |name: String| format!("feature {name}: not used, because a frame beside lacks it or has it the same everywhere");
+        written.notes.extend(left_out.into_iter().map(not_used));
+        let compared = reference.as_ref().zip(frame.as_deref());
+        let errors = compared.map(|(reference, frame)| quality::compare(frame, &estimate, reference)).transpose()?;
         let strips = estimate.strips;
-        if let (Some(number), Some(reference), Some(errors)) = (number, reference, &errors) {
+        if let (Some(number), Some(reference), Some(frame), Some(errors)) = (number, reference, frame, &errors) {
             let images = [frame.color().mean.clone(), estimate.color];
             comparison.add(Compared { number, data_window, images, reference }, errors)?;
         }
