@@ -319,7 +319,13 @@ fn broken() -> Vec<Case> {
             if value.is_nan() || value == f32::INFINITY {
                 let case = Case::new(format!("{what} in all of {layer}"), RADIUS, standard);
                 let case = case.changed(move |picture, _| image(picture).planes.iter_mut().flatten().for_each(|v| *v = value));
-                cases.push(case.refused(&["not one pixel has a usable", "render it again"]));
+                cases.push(match layer {
+                    "the colour" => case.refused(&["not one pixel has a usable", "render it again"]),
+                    // The halves are left then.
+                    "the variance" => case.but(Subject::Gem, Check::Error, 2.0, CHEQUER),
+                    layer if layer.contains("feature") => case.of_features(),
+                    _ => case,
+                });
             }
         }
     }
@@ -362,7 +368,12 @@ fn noise_told_wrong() -> Vec<Case> {
         cases.push(Case::new(format!("{what} is claimed for a row"), SMALL, long(TALL)).damaged(row(ROW), move |p, _| variance_of(p, &row(ROW), value)));
         let everywhere = move |picture: &mut Picture, _: f64| picture.variance().planes.iter_mut().flatten().for_each(|v| *v = value);
         let case = Case::new(format!("{what} is claimed for every pixel"), RADIUS, standard).changed(everywhere);
-        cases.push(if value > 0.0 { case.but(Subject::Nlm, Check::Error, 1.5, CLAIM).but(Subject::Gem, Check::Error, 3.0, CLAIM) } else { case });
+        cases.push(if value > 0.0 {
+            case.but(Subject::Nlm, Check::Error, 1.5, CLAIM).but(Subject::Gem, Check::Error, 3.0, CLAIM)
+        } else {
+            // The halves are left then.
+            case.but(Subject::Gem, Check::Error, 2.0, CHEQUER)
+        });
         let case =
             Case::new(format!("{what} is claimed for every pixel, without halves"), RADIUS, |noise| standard(noise).without_halves()).changed(everywhere);
         cases.push(if value > 0.0 {
@@ -371,6 +382,9 @@ fn noise_told_wrong() -> Vec<Case> {
             case
         });
     }
+    let two_channels = Case::new("no variance is claimed in two channels", RADIUS, standard);
+    let two_channels = two_channels.changed(|picture, _| picture.variance().planes[1..].iter_mut().flatten().for_each(|value| *value = 0.0));
+    cases.push(two_channels.but(Subject::Gem, Check::Error, 2.0, CHEQUER));
     cases.push(Case::new("the renderer reports 0 variance for the background", RADIUS, standard).changed(clean_background).but(
         Subject::Gem,
         Check::Error,
@@ -554,6 +568,18 @@ fn features() -> Vec<Case> {
                 half.planes[0][..150].fill(f32::INFINITY);
             }
         }),
+        Case::new("a pixel of a feature at 1000", RADIUS, standard).changed(|picture, _| {
+            let albedo = picture.feature("albedo");
+            let images = [Some(&mut albedo.mean), albedo.half_a.as_mut(), albedo.half_b.as_mut()];
+            images.into_iter().flatten().for_each(|image| image.planes.iter_mut().for_each(|plane| plane[77] = 1000.0));
+        }),
+        Case::new("a sky dome far behind the scene", RADIUS, standard).changed(|picture, _| {
+            let depth = picture.feature("depth");
+            let images = [Some(&mut depth.mean), depth.half_a.as_mut(), depth.half_b.as_mut()];
+            images.into_iter().flatten().for_each(|image| image.planes[0][..96].fill(1e4));
+        }),
+        Case::new("normals stored as (n + 1)/2", RADIUS, |noise| standard(noise).with_normals(room(STANDARD)))
+            .changed(|picture, _| picture.feature("normal").mean.planes.iter_mut().flatten().for_each(|value| *value = (*value + 1.0) / 2.0)),
         Case::new("depth from 1e-3 to 1e9", RADIUS, standard).changed(|picture, _| {
             for (pixel, value) in picture.feature("depth").mean.planes[0].iter_mut().enumerate() {
                 *value = 10f64.powf(-3.0 + 12.0 * (pixel / 24) as f64 / 19.5) as f32;
