@@ -355,10 +355,13 @@ fn settle_color(color: &mut Signal, repairs: &mut Repairs) -> Result<()> {
         notes.push("colour: no halves, so the variance is taken as it is and there is no second pass".into());
     }
     if sources::is_silent(color) {
-        notes.push(format!("colour: {} of no noise at all, so that nothing is filtered", match color.noise_knowledge() {
-            Some(NoiseKnowledge::VarianceOnly) => "the variance tells",
-            _ => "neither the halves nor the variance tell",
-        }));
+        notes.push(format!(
+            "colour: {} of no noise at all, so that nothing is filtered",
+            match color.noise_knowledge() {
+                Some(NoiseKnowledge::VarianceOnly) => "the variance tells",
+                _ => "neither the halves nor the variance tell",
+            }
+        ));
     }
     repairs.add(found);
     repairs.notes.extend(notes);

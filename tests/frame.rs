@@ -382,7 +382,11 @@ fn noise_that_neighbours_share_is_pointed_out() {
     for plane in &mut blurred.half_spread.as_mut().unwrap().planes {
         let before = plane.clone();
         // A spike in every row, whose signs must not count for more.
-        plane.iter_mut().enumerate().skip(1).for_each(|(pixel, value)| *value = (before[pixel] + before[pixel - 1]) / 2.0 + if pixel % 64 == 9 { 1e5 } else { 0.0 });
+        plane
+            .iter_mut()
+            .enumerate()
+            .skip(1)
+            .for_each(|(pixel, value)| *value = (before[pixel] + before[pixel - 1]) / 2.0 + if pixel % 64 == 9 { 1e5 } else { 0.0 });
     }
     let (_, repairs) = frame(blurred, vec![]);
     assert!(repairs.to_string().contains("neighbouring pixels share their noise") && repairs.to_string().contains("box pixel filter"), "{repairs}");
@@ -469,7 +473,15 @@ fn outliers_do_not_stretch_a_features_range_and_stay_apart() {
     let cases: [Far; 3] = [
         |x, y| ((x, y) == (9, 9)).then_some(1e6),
         |_, y| (y < 20).then_some(1e4),
-        |x, y| (y < 21).then_some(if y < 20 { 1e4 } else if x % 3 == 0 { 3e3 } else { 3.0 }),
+        |x, y| {
+            (y < 21).then_some(if y < 20 {
+                1e4
+            } else if x % 3 == 0 {
+                3e3
+            } else {
+                3.0
+            })
+        },
     ];
     for far in cases {
         let (frame, repairs) = with_depth(noisy(3), far_depth(far));

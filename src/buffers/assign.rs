@@ -228,8 +228,7 @@ impl Companions {
             match matching_channels(file, mean, layer) {
                 Some(channels) => *slot = Some(Planes { file: mean.file, layer, channels }),
                 None => {
-                    let problem =
-                        format!("its channels do not match those of the layer that it belongs to, '{}'", file.layers[mean.layer].name);
+                    let problem = format!("its channels do not match those of the layer that it belongs to, '{}'", file.layers[mean.layer].name);
                     let remedy = "write both with the same channels, or rename it if it is something else".into();
                     self.left_out.push(LeftOut::new(files, mean.file, layer, problem, remedy));
                 }

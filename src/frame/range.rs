@@ -8,7 +8,7 @@ const DISTANCE_GAP: f64 = 10.0;
 const OTHER_GAP: f64 = 4.0;
 /// Share of the values that may lie outside of a feature that is no distance.
 const OTHER_OUTSIDE: f64 = 0.01;
-/// Values inside a gap, as a share of the values beyond it: pixels at the edge of a sky dome mix both distances. A tail without a gap, as of a
+/// Values inside a gap, as a share of the fewer values beside it: pixels at the edge of a sky dome mix both distances. A tail without a gap, as of a
 /// floor that runs to the horizon, has nine values out of ten between its last tenth and itself, and is never cut.
 const IN_GAP: f64 = 0.1;
 /// The tail of what is inside goes on as long as no step is wider than this share of its extent,
@@ -72,15 +72,25 @@ pub(super) fn range_of_hits(mean: &Image, misses: &[bool], is_distance: bool) ->
     let (mut least, mut greatest) = span(&mut inside.iter().map(|inside| inside.bins));
 
     // What is far outside in its own channel may be ordinary in another one: all share one map.
-    let gap = gap_before_outside(f64::from(least), f64::from(greatest), is_distance);
-    let above = inside.iter().map(|inside| inside.above).fold(f32::INFINITY, f32::min);
-    let below = inside.iter().map(|inside| inside.below).fold(f32::NEG_INFINITY, f32::max);
-    let is_constant = greatest <= least;
-    if is_constant || f64::from(above) - f64::from(greatest) < gap {
-        greatest = all.1;
+    if greatest <= least {
+        (least, greatest) = all;
     }
-    if is_constant || f64::from(least) - f64::from(below) < gap {
-        least = all.0;
+    let far = |is_far: fn(&Inside, &Bin) -> bool| {
+        let bins = channels.iter().zip(&inside).flat_map(|(bins, inside)| bins.iter().filter(|bin| is_far(inside, bin)));
+        let mut bins: Vec<Bin> = bins.copied().collect();
+        bins.sort_unstable_by(|a, b| a.least.total_cmp(&b.least));
+        bins
+    };
+    let gap = |least: f32, greatest: f32| gap_before_outside(f64::from(least), f64::from(greatest), is_distance);
+    for bin in far(|inside, bin| bin.least >= inside.above) {
+        if f64::from(bin.least) - f64::from(greatest) < gap(least, greatest) {
+            greatest = greatest.max(bin.greatest);
+        }
+    }
+    for bin in far(|inside, bin| bin.greatest <= inside.below).iter().rev() {
+        if f64::from(least) - f64::from(bin.greatest) < gap(least, greatest) {
+            least = least.min(bin.least);
+        }
     }
     let outside = channels.iter().flatten().filter(|bin| bin.least > greatest || bin.greatest < least).map(|bin| bin.count).sum();
     Range { least, greatest, outside, all }
@@ -133,7 +143,7 @@ fn bins_below_gap(bins: &[Bin], all: usize, is_distance: bool) -> Option<(usize,
         }
         let Some(first_outside) = bins.get(next) else { return None };
         let outside = total - below_next;
-        if (below_next - below) as f64 > IN_GAP * outside as f64 {
+        if (below_next - below) as f64 > IN_GAP * outside.min(below) as f64 {
             continue;
         }
         let is_cut = if is_distance {
@@ -257,6 +267,16 @@ mod tests {
         assert_eq!((position(&planes).least, position(&planes).greatest), (-5.0, 1005.0));
         planes[1][3] = 900.0;
         assert_eq!(position(&planes).outside, 0);
+    }
+
+    #[test]
+    fn a_milder_outlier_of_one_channel_does_not_hide_a_stronger_one_of_another() {
+        let extent = Extent { width: 1000, height: 1 };
+        let mut planes = vec![steps(1000, 0.1, 0.9); 3];
+        (planes[0][3], planes[0][4], planes[1][4]) = (200.0, 8.0, 4.0);
+        let found = range_of_hits(&Image { extent, planes }, &[false; 1000], false);
+        // 4 is no outlier, so that 8 is none; 200 is one.
+        assert_eq!((found.least, found.greatest, found.outside), (0.1, 8.0, 1));
     }
 
     #[test]

@@ -67,10 +67,8 @@ pub(super) fn settle(layer: Layer, signal: &mut Signal, notes: &mut Vec<String>)
     let channels = mean.channels();
     let is_silent = |image: &Image, channel: usize| image.planes[channel].iter().all(|value| *value == 0.0);
     let noise = Noise::new(mean);
-    let only_halves: Vec<_> =
-        (0..channels).filter(|&channel| is_silent(variance, channel) && noise.in_spread(mean, &spread.planes[channel])).collect();
-    let only_variance: Vec<_> =
-        (0..channels).filter(|&channel| is_silent(spread, channel) && noise.in_variance(mean, &variance.planes[channel])).collect();
+    let only_halves: Vec<_> = (0..channels).filter(|&channel| is_silent(variance, channel) && noise.in_spread(mean, &spread.planes[channel])).collect();
+    let only_variance: Vec<_> = (0..channels).filter(|&channel| is_silent(spread, channel) && noise.in_variance(mean, &variance.planes[channel])).collect();
 
     if !only_halves.is_empty() && (0..channels).all(|channel| is_silent(variance, channel)) {
         notes.push(format!("{layer}: the variance is 0 everywhere although the halves differ; it is left out"));
@@ -150,9 +148,7 @@ fn two_buffer_variance(spread: &Image, channel: usize) -> Vec<f32> {
         (sum / weights) as f32
     };
     let plane = &spread.planes[channel];
-    let across: Vec<f32> = (0..plane.len())
-        .map(|pixel| average(pixel % width, width, &|x| f64::from(plane[pixel - pixel % width + x]).powi(2)))
-        .collect();
+    let across: Vec<f32> = (0..plane.len()).map(|pixel| average(pixel % width, width, &|x| f64::from(plane[pixel - pixel % width + x]).powi(2))).collect();
     (0..plane.len()).map(|pixel| average(pixel / width, height, &|y| f64::from(across[y * width + pixel % width]))).collect()
 }
 
