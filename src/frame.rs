@@ -42,8 +42,9 @@ pub struct Signal {
 pub struct Feature {
     /// The layer's name, such as `albedo`.
     pub name: String,
-    /// 1 to 3 channels in unit range; variances scaled with the square of the map's factor. Outliers and far clusters, which the range leaves out, lie
-    /// outside of 0 to 1; beyond −1 and 2 they are pulled towards it by a logarithm, with their noise, and stay within ±200.
+    /// 1 to 3 channels in unit range; variances scaled with the square of the map's factor. Outliers and far clusters,
+    /// which the range leaves out, lie outside of 0 to 1; beyond −1 and 2 they are pulled towards it by a logarithm,
+    /// with their noise, and stay within ±200.
     pub signal: Signal,
     /// `value in the file = unit value · unit_scale + unit_offset`, for unit values from −1 to 2.
     pub unit_scale: f32,
@@ -151,13 +152,14 @@ impl Frame {
     /// Makes a frame from raw values: colour in scene-linear radiance (three planes), features in any units (one to three planes each, not yet in unit
     /// range), variances of the mean.
     ///
-    /// Everything in the frame is finite: damaged values take their neighbours' average, negative variances become 0. Of halves and variance, what does
-    /// not fit the mean, has no usable value, or is silent where the other one tells of noise is left out. Features are brought to unit range; constant
-    /// ones, those that cannot be used, and those after the first [`MAX_FEATURES`] are left out. All of it is reported.
+    /// Everything in the frame is finite: damaged values take their neighbours' average, negative variances become 0.
+    /// Of halves and variance, what does not fit the mean, has no usable value, or is silent where the other one tells
+    /// of noise is left out. Features are brought to unit range; constant ones, those that cannot be used, and those
+    /// after the first [`MAX_FEATURES`] are left out. All of it is reported.
     ///
     /// # Errors
-    /// Images of different extent, no pixels, a colour that has not three channels, or of whose noise nothing is known, or with a channel without a
-    /// single usable pixel; sample counts of another shape.
+    /// Images of different extent, no pixels, a colour that has not three channels, or of whose noise nothing is known,
+    /// or with a channel without a single usable pixel; sample counts of another shape.
     pub fn new(mut color: Signal, features: Vec<(String, Signal)>, samples_per_pixel: SamplesPerPixel) -> Result<(Self, Repairs)> {
         let extent = color.mean.extent;
         check_shape("colour", &color, extent)?;
@@ -368,7 +370,8 @@ fn settle_color(color: &mut Signal, repairs: &mut Repairs) -> Result<()> {
     Ok(())
 }
 
-/// Makes a feature finite, decides which source tells its noise, and returns its misses. `None` if not one pixel has a usable value.
+/// Makes a feature finite, decides which source tells its noise, and returns its misses. `None` if not one pixel has a
+/// usable value.
 fn settle_feature(name: &str, signal: &mut Signal, repairs: &mut Repairs) -> Option<Vec<bool>> {
     let layer = Layer::feature(name);
     let channels = signal.mean.channels();

@@ -265,7 +265,8 @@ fn identical_halves_are_not_taken_for_a_noise_free_image() {
     assert!(message.contains("identical") && message.contains("seeds"), "{message}");
 }
 
-/// A colour and a feature of 64×64 pixels, noisy: truth 0.5 or 0.8 in blocks, halves that differ by a deviation of 0.1, and the variance that fits.
+/// A colour and a feature of 64×64 pixels, noisy: truth 0.5 or 0.8 in blocks, halves that differ by a deviation of 0.1,
+/// and the variance that fits.
 fn noisy(channels: usize) -> Signal {
     let extent = Extent { width: 64, height: 64 };
     let mut state = 1u64;
@@ -519,7 +520,8 @@ fn what_lies_far_outside_keeps_its_noise_in_proportion() {
     assert!((value - 1.0) / variance.sqrt() >= 100.0, "{value} {variance}");
 }
 
-/// A frame and a piece of it agree to the bit wherever the range of the features is the same, which an outlier that is cut away does not change.
+/// A frame and a piece of it agree to the bit wherever the range of the features is the same, which an outlier that is
+/// cut away does not change.
 #[test]
 fn a_piece_without_the_outlier_is_as_in_the_whole() {
     type Far = fn(usize, usize) -> Option<f32>;

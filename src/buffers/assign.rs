@@ -84,7 +84,8 @@ impl LeftOut {
     }
 }
 
-/// The colour with its halves and variance. Of those, what is wrong is left out as long as the other source tells the noise.
+/// The colour with its halves and variance. Of those, what is wrong is left out as long as the other source tells the
+/// noise.
 fn color_source(files: &mut Files, input: usize, request: &BufferSetRequest, left_out: &mut Vec<LeftOut>) -> Result<SignalSource> {
     let file = &files.list[input];
     let layer = color_layer(file, request.layer.as_deref())?;

@@ -4,16 +4,17 @@ use std::f64::consts::FRAC_PI_2;
 
 use crate::image::Image;
 
-/// Correlation from which neighbours are said to share noise. Independent pixels stay below .03 on renders of 36 000 pixels.
+/// Correlation from which neighbours are said to share noise. Independent pixels stay below .03 on renders of 36 000
+/// pixels.
 const CORRELATED: f64 = 0.1;
 /// Standard deviations of the estimate above which it is no accident.
 const SIGMAS: f64 = 5.0;
 
-/// Correlation of the half spread between a pixel and its right or its lower neighbour, whichever is larger, if that is no accident: from
-/// 0.1 to 1. `None` for independent pixels, and for images with too few to tell.
+/// Correlation of the half spread between a pixel and its right or its lower neighbour, whichever is larger, if that is
+/// no accident: from 0.1 to 1. `None` for independent pixels, and for images with too few to tell.
 ///
-/// The signs alone are compared, so that no spike counts for more than other pixels. Of Gaussian noise with correlation r, signs have the
-/// correlation 2·arcsin(r)/π. Values that are 0 or not a number are left out.
+/// The signs alone are compared, so that no spike counts for more than other pixels. Of Gaussian noise with correlation
+/// r, signs have the correlation 2·arcsin(r)/π. Values that are 0 or not a number are left out.
 pub(super) fn shared_noise(half_spread: &Image) -> Option<f64> {
     let width = half_spread.extent.width as usize;
     let mut right = Signs::default();

@@ -20,7 +20,8 @@ const COMPONENT_TOLERANCE: f32 = 0.05;
 const OUT_OF_RANGE: f64 = 0.01;
 /// Share of the vectors that must be normals once they are decoded.
 const DECODED: f64 = 0.5;
-/// So many times fewer may have a length of 1 as they are stored: a scene of normals without a negative component has length 1 as it is.
+/// So many times fewer may have a length of 1 as they are stored: a scene of normals without a negative component has
+/// length 1 as it is.
 const STORED: f64 = 0.5;
 /// Share of the pixels that must hold a vector other than 0 and grey.
 const LEAST_VECTORS: f64 = 0.01;

@@ -2,20 +2,23 @@
 
 use crate::image::Image;
 
-/// A distance or position loses what lies beyond a gap of this many times the extent of what is inside; its unit may be anything.
+/// A distance or position loses what lies beyond a gap of this many times the extent of what is inside; its unit may be
+/// anything.
 const DISTANCE_GAP: f64 = 10.0;
 /// Gap of other features, which lie between 0 and 1 by nature: the inside counts as at least 1 wide.
 const OTHER_GAP: f64 = 4.0;
 /// Share of the values that may lie outside of a feature that is no distance.
 const OTHER_OUTSIDE: f64 = 0.01;
-/// Values inside a gap, as a share of the fewer values beside it: pixels at the edge of a sky dome mix both distances. A tail without a gap, as of a
-/// floor that runs to the horizon, has nine values out of ten between its last tenth and itself, and is never cut.
+/// Values inside a gap, as a share of the fewer values beside it: pixels at the edge of a sky dome mix both distances.
+/// A tail without a gap, as of a floor that runs to the horizon, has nine values out of ten between its last tenth and
+/// itself, and is never cut.
 const IN_GAP: f64 = 0.1;
 /// The tail of what is inside goes on as long as no step is wider than this share of its extent,
 const TAIL_STEP: f64 = 0.1;
 /// and up to this share beyond its end.
 const TAIL: f64 = 0.5;
-/// A sky that fills most of the image may be cut off too, where it has no structure of its own: its extent as a share of the gap before it.
+/// A sky that fills most of the image may be cut off too, where it has no structure of its own: its extent as a share
+/// of the gap before it.
 const FLAT: f64 = 0.01;
 /// Least share of the values that must stay inside then.
 const LEAST_INSIDE: f64 = 0.1;
@@ -57,7 +60,8 @@ struct Inside<'a> {
     below: f32,
 }
 
-/// The range of the hits of all channels. Outliers and far clusters lie outside if a wide and nearly empty gap separates them from the others.
+/// The range of the hits of all channels. Outliers and far clusters lie outside if a wide and nearly empty gap
+/// separates them from the others.
 ///
 /// `is_distance`: the feature is a distance or a position, of which a large part may be far away.
 /// The result depends on the values alone, not on their order. `(∞, −∞)` if there are no hits.
@@ -123,7 +127,8 @@ impl<'a> Inside<'a> {
     }
 }
 
-/// Number of bins below the lowest gap that sets what is above apart, and the least value above. `None` if there is no such gap.
+/// Number of bins below the lowest gap that sets what is above apart, and the least value above. `None` if there is no
+/// such gap.
 fn bins_below_gap(bins: &[Bin], all: usize, is_distance: bool) -> Option<(usize, f32)> {
     let total: usize = bins.iter().map(|bin| bin.count).sum();
     let share = |count: usize| count as f64 / all as f64;
@@ -141,7 +146,7 @@ fn bins_below_gap(bins: &[Bin], all: usize, is_distance: bool) -> Option<(usize,
             below_next += bins[next].count;
             next += 1;
         }
-        let Some(first_outside) = bins.get(next) else { return None };
+        let first_outside = bins.get(next)?;
         let outside = total - below_next;
         if (below_next - below) as f64 > IN_GAP * outside.min(below) as f64 {
             continue;
@@ -167,7 +172,8 @@ fn bins_below_gap(bins: &[Bin], all: usize, is_distance: bool) -> Option<(usize,
     None
 }
 
-/// Whether distances spread over their extent, and not by a hair only: those of a wall, or 0 of most pixels, are no scale for others.
+/// Whether distances spread over their extent, and not by a hair only: those of a wall, or 0 of most pixels, are no
+/// scale for others.
 fn is_filled(bins: &[Bin], count: usize, extent: f64) -> bool {
     let (Some(low), Some(high)) = (quantile(bins, count, 0.1), quantile(bins, count, 0.9)) else { return false };
     let largest = bins.iter().map(|bin| f64::from(bin.least).abs().max(f64::from(bin.greatest).abs())).fold(0.0, f64::max);

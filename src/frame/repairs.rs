@@ -17,7 +17,8 @@ pub struct LayerRepairs {
     pub oversized_values: usize,
     /// Where the damaged values are: one entry for each channel of each image that has any.
     pub damage: Vec<Damage>,
-    /// Pixels of which at least one channel's mean and halves (and variance) were replaced by their neighbours' average. Sound channels stay.
+    /// Pixels of which at least one channel's mean and halves (and variance) were replaced by their neighbours'
+    /// average. Sound channels stay.
     pub pixels_replaced: usize,
     /// Pixels of which at least one channel's variance was replaced, and no mean.
     pub variances_replaced: usize,

@@ -34,8 +34,8 @@ pub(super) struct Sanitised {
     pub(super) unusable: Vec<usize>,
 }
 
-/// Repairs a signal in place. Channels are repaired each by itself: where a mean or its half spread is damaged, both and the variance are replaced;
-/// where the variance is damaged, it alone is.
+/// Repairs a signal in place. Channels are repaired each by itself: where a mean or its half spread is damaged, both
+/// and the variance are replaced; where the variance is damaged, it alone is.
 ///
 /// `may_miss`: the signal is a distance or position, in which infinity or a huge value is no damage.
 pub(super) fn sanitise(layer: Layer, signal: &mut Signal, may_miss: bool) -> Sanitised {
@@ -59,7 +59,7 @@ pub(super) fn sanitise(layer: Layer, signal: &mut Signal, may_miss: bool) -> San
     let mut unusable = Vec::new();
     for channel in 0..signal.mean.channels() {
         let mean = &mut signal.mean.planes[channel];
-        let mut spread = signal.half_spread.as_mut().map(|image| &mut image.planes[channel]);
+        let spread = signal.half_spread.as_mut().map(|image| &mut image.planes[channel]);
         let mut variance = signal.variance_of_mean.as_mut().map(|image| &mut image.planes[channel]);
 
         let name = layer.channel(channel);
@@ -69,7 +69,7 @@ pub(super) fn sanitise(layer: Layer, signal: &mut Signal, may_miss: bool) -> San
             find_damage(&mut found, DamagedImage::Halves, &name, spread, &mut state, LARGEST);
         }
         pixels.add(&state);
-        let mut values: Vec<&mut Vec<f32>> = std::iter::once(mean).chain(spread.as_deref_mut()).collect();
+        let mut values: Vec<&mut Vec<f32>> = std::iter::once(mean).chain(spread).collect();
         if state.contains(&Pixel::Bad) && !repair(&mut values, &state, extent) {
             unusable.push(channel);
         }

@@ -1,4 +1,5 @@
-//! The two sources that tell a signal's noise, its halves and its variance: which of them can be used, and whether they agree.
+//! The two sources that tell a signal's noise, its halves and its variance: which of them can be used, and whether they
+//! agree.
 
 use glam::IVec2;
 
@@ -59,8 +60,8 @@ pub(super) fn leave_out_unusable(layer: Layer, signal: &mut Signal, notes: &mut 
     }
 }
 
-/// Takes the source that says something where the other one is silent, which is 0 everywhere, and remarks where both contradict each other.
-/// The signal is sanitised.
+/// Takes the source that says something where the other one is silent, which is 0 everywhere, and remarks where both
+/// contradict each other. The signal is sanitised.
 pub(super) fn settle(layer: Layer, signal: &mut Signal, notes: &mut Vec<String>) {
     let Signal { mean, half_spread, variance_of_mean } = signal;
     let (Some(spread), Some(variance)) = (&*half_spread, &mut *variance_of_mean) else { return };
@@ -152,10 +153,11 @@ fn two_buffer_variance(spread: &Image, channel: usize) -> Vec<f32> {
     (0..plane.len()).map(|pixel| average(pixel / width, height, &|y| f64::from(across[y * width + pixel % width]))).collect()
 }
 
-/// Median over boxes of the mean squared half spread over the mean variance: 1 if both agree. `None` if no box has enough pixels with a variance.
+/// Median over boxes of the mean squared half spread over the mean variance: 1 if both agree. `None` if no box has
+/// enough pixels with a variance.
 ///
-/// In single pixels the ratio is spread like χ² with one degree of freedom, and the variance by itself is too low where a rare bright path was
-/// missed; means over boxes have neither fault, and the median ignores the boxes with spikes.
+/// In single pixels the ratio is spread like χ² with one degree of freedom, and the variance by itself is too low where
+/// a rare bright path was missed; means over boxes have neither fault, and the median ignores the boxes with spikes.
 fn spread_over_variance(mean: &Image, spread: &Image, variance: &Image, noise: &Noise) -> Option<f64> {
     let width = spread.extent.width as usize;
     let mut ratios = Vec::new();

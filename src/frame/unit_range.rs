@@ -19,12 +19,14 @@ pub(super) struct UnitRange {
     pub(super) notes: Vec<String>,
 }
 
-/// Brings a sanitised signal to unit range by one affine map for all its channels. Spreads are divided by the scale, variances by its square.
-/// Misses get the value 1, without noise. Values that lie farther outside than the range is wide are pulled towards it, with their noise.
+/// Brings a sanitised signal to unit range by one affine map for all its channels. Spreads are divided by the scale,
+/// variances by its square. Misses get the value 1, without noise. Values that lie farther outside than the range is
+/// wide are pulled towards it, with their noise.
 ///
-/// Normals n are mapped by (n + 1)/2; encoded ones, which are (n + 1)/2 already, are decoded first. Everything else is mapped from its least to its
-/// greatest value, outliers and far clusters not counted. `None`, with the signal unchanged, if there are no misses and no channel varies by more
-/// than round-off: such a feature cannot tell pixels apart.
+/// Normals n are mapped by (n + 1)/2; encoded ones, which are (n + 1)/2 already, are decoded first. Everything else is
+/// mapped from its least to its greatest value, outliers and far clusters not counted. `None`, with the signal
+/// unchanged, if there are no misses and no channel varies by more than round-off: such a feature cannot tell pixels
+/// apart.
 pub(super) fn to_unit_range(name: &str, signal: &mut Signal, misses: &[bool]) -> Option<UnitRange> {
     let is_distance = names::is_distance_name(name);
     // Rounding makes a constant depth vary in its last digits.
@@ -79,7 +81,8 @@ const LINEAR: f64 = 1.0;
 /// How strongly what lies farther outside is told apart: by this times the logarithm of its distance to the range.
 const FAR: f64 = 0.25;
 
-/// Pulls a unit value far outside of [0, 1] towards it. It rises with the value and leaves everything from −1 to 2 as it is.
+/// Pulls a unit value far outside of [0, 1] towards it. It rises with the value and leaves everything from −1 to 2 as
+/// it is.
 fn pulled(value: f64) -> f64 {
     let beyond = (value - 1.0).max(-value);
     let near = |beyond: f64| if beyond <= LINEAR { beyond } else { LINEAR + FAR * (beyond / LINEAR).ln() };
@@ -100,9 +103,9 @@ fn map(signal: &mut Signal, scale: f64, offset: f64, inside: RangeInclusive<f32>
     // Of a pixel far outside: how far the pull lets values apart that lie one deviation to either side of it.
     let pulled_deviation = |mean: f64, deviation: f64| (pulled(mean + deviation) - pulled(mean - deviation)) / 2.0;
     for (channel, mean) in signal.mean.planes.iter_mut().enumerate() {
-        for pixel in 0..mean.len() {
-            let value = unit(mean[pixel]);
-            mean[pixel] = pulled(value) as f32;
+        for (pixel, mean) in mean.iter_mut().enumerate() {
+            let value = unit(*mean);
+            *mean = pulled(value) as f32;
             let is_far = pulled(value) != value;
             if let Some(spread) = &mut signal.half_spread {
                 let spread = &mut spread.planes[channel][pixel];

@@ -395,7 +395,8 @@ fn noise_told_wrong() -> Vec<Case> {
     let without_halves = Case::new("the renderer reports 0 variance for the background, without halves", RADIUS, |noise| standard(noise).without_halves());
     cases.push(without_halves.changed(clean_background).but(Subject::Gem, Check::Error, 2.0, CHEQUER));
     let huge = |picture: &mut Picture, noise: f64| picture.variance().planes.iter_mut().flatten().for_each(|value| *value = (noise * noise) as f32);
-    // In squares of what cannot be told apart: a relative MSE of .015 for DFC, of .4 and .5 for the others. Halves that are identical are not believed.
+    // In squares of what cannot be told apart: a relative MSE of .015 for DFC, of .4 and .5 for the others. Halves that
+    // are identical are not believed.
     let clean = [
         Case::new("a clean colour with a huge variance", RADIUS, |_| standard(0.0)),
         Case::new("a clean colour with a huge variance, without halves", RADIUS, |_| standard(0.0).without_halves()),
