@@ -1,8 +1,12 @@
 //! The frame: a buffer set whose meaning has been settled. Everything finite, one extent, variances of the pixel mean, halves as one spread, features in unit range.
 
+mod correlation;
 mod noise;
+mod normals;
+mod range;
 mod repairs;
 mod sanitise;
+mod sources;
 mod unit_range;
 
 use rayon::prelude::*;
@@ -12,13 +16,16 @@ use crate::buffers::{BufferSet, MAX_FEATURES, RawSignal, names};
 use crate::error::{Error, Result};
 use crate::image::{self, Extent, Image, Window};
 pub(crate) use noise::{NoiseTiles, TILE};
-pub use repairs::{LayerRepairs, Repairs};
+use repairs::Layer;
+pub use repairs::{Damage, DamagedImage, LayerRepairs, Repairs};
+use sanitise::Sanitised;
+use unit_range::UnitRange;
 
 /// Values that a thread looks at before it asks whether another one has found what they all look for.
 const VALUES_AT_ONCE: usize = 1 << 16;
 
 /// A noisy mean with what is known of its noise. All images have the same extent and number of channels.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Signal {
     /// The mean of all samples of each pixel.
     pub mean: Image,
@@ -35,9 +42,11 @@ pub struct Signal {
 pub struct Feature {
     /// The layer's name, such as `albedo`.
     pub name: String,
-    /// 1 to 3 channels in unit range; variances scaled with the square of the map's factor.
+    /// 1 to 3 channels in unit range; variances scaled with the square of the map's factor. Outliers and far clusters,
+    /// which the range leaves out, lie outside of 0 to 1; beyond −1 and 2 they are pulled towards it by a logarithm,
+    /// with their noise, and stay within ±200.
     pub signal: Signal,
-    /// `value in the file = unit value · unit_scale + unit_offset`.
+    /// `value in the file = unit value · unit_scale + unit_offset`, for unit values from −1 to 2.
     pub unit_scale: f32,
     /// See `unit_scale`.
     pub unit_offset: f32,
@@ -170,47 +179,55 @@ impl Frame {
     /// Makes a frame from raw values: colour in scene-linear radiance (three planes), features in any units (one to three planes each, not yet in unit
     /// range), variances of the mean.
     ///
-    /// Everything in the frame is finite: damaged pixels take their neighbours' average, negative variances become 0. Features are brought to unit range;
-    /// constant ones are left out. All of it is reported.
+    /// Everything in the frame is finite: damaged values take their neighbours' average, negative variances become 0.
+    /// Of halves and variance, what does not fit the mean, has no usable value, or is silent where the other one tells
+    /// of noise is left out. Features are brought to unit range; constant ones, those that cannot be used, and those
+    /// after the first [`MAX_FEATURES`] are left out. All of it is reported.
     ///
     /// # Errors
-    /// Images of different extent or channel count, no pixels, more than [`MAX_FEATURES`] features, a colour of whose noise nothing is known, a layer
-    /// without a single usable pixel.
+    /// Images of different extent, no pixels, a colour that has not three channels, or of whose noise nothing is known,
+    /// or with a channel without a single usable pixel; sample counts of another shape.
     pub fn new(mut color: Signal, features: Vec<(String, Signal)>, samples_per_pixel: SamplesPerPixel) -> Result<(Self, Repairs)> {
         let extent = color.mean.extent;
-        check_shape("colour", &color, extent, 3..=3)?;
-        if features.len() > MAX_FEATURES {
+        check_shape("colour", &color, extent)?;
+        if color.mean.channels() != 3 {
             return Err(Error::Request {
-                problem: format!("{} features are given, but at most {MAX_FEATURES} can be used", features.len()),
-                remedy: "leave out those that say least about this scene".into(),
+                problem: format!("colour has {} channels, not 3", color.mean.channels()),
+                remedy: "give its planes R, G and B; of a luminance the same plane three times".into(),
             });
         }
         let mut repairs = Repairs::default();
-        check_noise_is_known(&color, &mut repairs)?;
-        let (found, _) = sanitise::sanitise("colour", &mut color, false)?;
-        repairs.add(found);
+        settle_color(&mut color, &mut repairs)?;
 
         let mut kept = Vec::new();
+        let mut constant_features = Vec::new();
         for (name, mut signal) in features {
-            check_shape(&name, &signal, extent, 1..=3)?;
-            let (found, misses) = sanitise::sanitise(&name, &mut signal, names::is_distance_name(&name))?;
-            repairs.add(found);
-            if signal.noise_knowledge().is_none() {
-                repairs.notes.push(format!("feature {name}: neither halves nor variance, taken as free of noise"));
+            check_shape(&name, &signal, extent)?;
+            if !(1..=3).contains(&signal.mean.channels()) {
+                repairs.drop_feature(name, &format!("it has {} channels, not 1 to 3", signal.mean.channels()));
+                continue;
             }
+            if kept.len() == MAX_FEATURES {
+                repairs.drop_feature(name, &format!("at most {MAX_FEATURES} features can be used"));
+                continue;
+            }
+            let Some(misses) = settle_feature(&name, &mut signal, &mut repairs) else {
+                repairs.drop_feature(name, "not one pixel has a usable value");
+                continue;
+            };
             match unit_range::to_unit_range(&name, &mut signal, &misses) {
-                Some((unit_scale, unit_offset)) => {
+                Some(UnitRange { scale: unit_scale, offset: unit_offset, notes }) => {
+                    repairs.notes.extend(notes);
                     let misses = if misses.contains(&true) { misses } else { Vec::new() };
                     kept.push(Feature { name, signal, unit_scale, unit_offset, misses });
                 }
                 None => {
-                    repairs.notes.push(format!("feature {name}: the same everywhere, left out"));
-                    repairs.dropped_features.push(name);
+                    constant_features.push(name.clone());
+                    repairs.drop_feature(name, "the same everywhere");
                 }
             }
         }
         let samples_per_pixel = sanitise::sanitise_samples(samples_per_pixel, extent, &mut repairs)?;
-        let constant_features = repairs.dropped_features.clone();
         Ok((Self { extent, color, features: kept, constant_features, samples_per_pixel }, repairs))
     }
 
@@ -326,43 +343,97 @@ fn mean_beside_halves(raw: &RawSignal) -> Option<String> {
     })
 }
 
-fn check_shape(name: &str, signal: &Signal, extent: Extent, channels: std::ops::RangeInclusive<usize>) -> Result<()> {
+fn check_shape(name: &str, signal: &Signal, extent: Extent) -> Result<()> {
     let problem = if extent.pixels() == 0 {
         format!("{name} has no pixels")
-    } else if !channels.contains(&signal.mean.channels()) {
-        format!("{name} has {} channels, not {} to {}", signal.mean.channels(), channels.start(), channels.end())
-    } else if signal.images().any(|image| image.extent != extent || image.channels() != signal.mean.channels()) {
-        format!("the images of {name} do not all have {} channels of {extent}", signal.mean.channels())
+    } else if signal.images().any(|image| image.extent != extent) {
+        format!("the images of {name} do not all have the extent of the colour, {extent}")
     } else if signal.images().flat_map(|image| &image.planes).any(|plane| plane.len() != extent.pixels()) {
         format!("a plane of {name} does not have the {} values that its extent of {extent} asks for", extent.pixels())
     } else {
         return Ok(());
     };
-    Err(Error::Request { problem, remedy: "give all images of a frame the same extent, and a signal's images the same channels".into() })
+    Err(Error::Request { problem, remedy: "give all images of a frame the same extent".into() })
 }
 
-fn check_noise_is_known(color: &Signal, repairs: &mut Repairs) -> Result<()> {
-    let zero = |image: &Image| image.planes.iter().flatten().all(|value| *value == 0.0);
-    let same_halves = color.half_spread.as_ref().is_some_and(zero);
-    match color.noise_knowledge() {
-        None => Err(Error::Request {
-            problem: "nothing is known of the colour's noise: there are neither two halves nor a variance".into(),
-            remedy: "render twice with different seeds and give both as halves (`BufferSetRequest::half_a`, `BufferSetRequest::half_b`), their average as \
-                     the input; or let the renderer write the variance of the pixel mean, as layer `variance` or for `BufferSetRequest::variance`"
-                .into(),
-        }),
-        Some(NoiseKnowledge::HalvesOnly) if same_halves => Err(Error::Request {
-            problem: "the two halves are identical, so that they say nothing about the noise".into(),
-            remedy: "render the halves with different seeds".into(),
-        }),
-        Some(NoiseKnowledge::HalvesAndVariance) if same_halves => {
-            repairs.notes.push("colour: the two halves are identical (rendered with the same seed?)".into());
-            Ok(())
-        }
-        Some(NoiseKnowledge::VarianceOnly) => {
-            repairs.notes.push("colour: no halves, so the variance is taken as it is and there is no second pass".into());
-            Ok(())
-        }
-        Some(_) => Ok(()),
+/// Makes the colour finite and decides which source tells its noise.
+fn settle_color(color: &mut Signal, repairs: &mut Repairs) -> Result<()> {
+    let layer = Layer::COLOR;
+    let mut notes = Vec::new();
+    let had = (color.half_spread.is_some(), color.variance_of_mean.is_some());
+    sources::leave_out_unusable(layer, color, &mut notes);
+    // Repaired pixels share their neighbours' noise.
+    let shared_noise = color.half_spread.as_ref().and_then(correlation::shared_noise);
+    let Sanitised { found, unusable, .. } = sanitise::sanitise(layer, color, false);
+    if !unusable.is_empty() {
+        return Err(Error::Request {
+            problem: format!("layer colour: not one pixel has a usable value{}", layer.in_channels(&unusable, color.mean.channels())),
+            remedy: "look at the layer in an image viewer; render it again".into(),
+        });
     }
+    sources::settle(layer, color, &mut notes);
+    check_noise_is_known(color, had, &notes)?;
+    if let Some(correlation) = shared_noise.filter(|_| color.half_spread.is_some()) {
+        notes.push(format!(
+            "colour: neighbouring pixels share their noise (the halves' difference has a correlation of {correlation:.2} from pixel to pixel), so that \
+             more of it stays than its variance tells, as grain larger than a pixel; render with a box pixel filter of one pixel's width and \
+             independent pixels"
+        ));
+    }
+    if color.noise_knowledge() == Some(NoiseKnowledge::VarianceOnly) {
+        notes.push("colour: no halves, so the variance is taken as it is and there is no second pass".into());
+    }
+    if sources::is_silent(color) {
+        notes.push(format!(
+            "colour: {} of no noise at all, so that nothing is filtered",
+            match color.noise_knowledge() {
+                Some(NoiseKnowledge::VarianceOnly) => "the variance tells",
+                _ => "neither the halves nor the variance tell",
+            }
+        ));
+    }
+    repairs.add(found);
+    repairs.notes.extend(notes);
+    Ok(())
+}
+
+/// Makes a feature finite, decides which source tells its noise, and returns its misses. `None` if not one pixel has a
+/// usable value.
+fn settle_feature(name: &str, signal: &mut Signal, repairs: &mut Repairs) -> Option<Vec<bool>> {
+    let layer = Layer::feature(name);
+    let channels = signal.mean.channels();
+    sources::leave_out_unusable(layer, signal, &mut repairs.notes);
+    let Sanitised { found, misses, unusable } = sanitise::sanitise(layer, signal, names::is_distance_name(name));
+    if unusable.len() == channels {
+        return None;
+    }
+    repairs.add(found);
+    if !unusable.is_empty() {
+        repairs.notes.push(format!("{layer}: not one pixel has a usable value{}, taken as 0", layer.in_channels(&unusable, channels)));
+    }
+    sources::settle(layer, signal, &mut repairs.notes);
+    if signal.noise_knowledge().is_none() {
+        repairs.notes.push(format!("{layer}: neither halves nor variance, taken as free of noise"));
+    }
+    Some(misses)
+}
+
+/// `had`: whether halves and a variance were given; `notes` say what became of them.
+fn check_noise_is_known(color: &Signal, had: (bool, bool), notes: &[String]) -> Result<()> {
+    let (problem, remedy) = match color.noise_knowledge() {
+        None if had == (false, false) => (
+            "nothing is known of the colour's noise: there are neither two halves nor a variance".into(),
+            "render twice with different seeds and give both as halves (`BufferSetRequest::half_a`, `BufferSetRequest::half_b`), their average as \
+             the input; or let the renderer write the variance of the pixel mean, as layer `variance` or for `BufferSetRequest::variance`",
+        ),
+        None => (
+            format!("nothing is known of the colour's noise: {}", notes.join("; ")),
+            "look at the halves and the variance in an image viewer; render them again",
+        ),
+        Some(NoiseKnowledge::HalvesOnly) if sources::is_silent(color) => {
+            ("the two halves are identical, so that they say nothing about the noise".into(), "render the halves with different seeds")
+        }
+        Some(_) => return Ok(()),
+    };
+    Err(Error::Request { problem, remedy: remedy.into() })
 }

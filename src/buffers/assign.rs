@@ -1,18 +1,19 @@
 //! Which layer is taken for what.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use super::file::{ExrFile, FileLayer};
 use super::layer_ref::{LayerRef, SignalPart};
 use super::names;
-use super::uses::{layer_uses, used_planes};
+use super::uses::{Note, layer_uses, used_planes};
 use super::{BufferSet, BufferSetRequest, MAX_FEATURES, Planes, SignalSource};
 use crate::error::{Error, Result};
 
 pub(super) fn read(request: &BufferSetRequest) -> Result<BufferSet> {
     let mut files = Files::default();
     let input = files.open(&request.input)?;
-    let color = color_source(&mut files, input, request)?;
+    let mut left_out = Vec::new();
+    let color = color_source(&mut files, input, request, &mut left_out)?;
     let mut features = Vec::new();
     for (name, reference) in &request.features {
         if features.iter().any(|(other, _)| other == name) {
@@ -21,7 +22,7 @@ pub(super) fn read(request: &BufferSetRequest) -> Result<BufferSet> {
                 remedy: "give each feature once, or under different names".into(),
             });
         }
-        features.push((name.clone(), requested_feature(&mut files, name, reference)?));
+        features.push((name.clone(), requested_feature(&mut files, name, reference, &mut left_out)?));
     }
     if features.len() > MAX_FEATURES {
         return Err(Error::Request {
@@ -31,7 +32,9 @@ pub(super) fn read(request: &BufferSetRequest) -> Result<BufferSet> {
     }
 
     let mut notes = Vec::new();
-    find_features(&files.list, &color, request, &mut features, &mut notes)?;
+    find_features(&files.list, &color, request, &mut features, &mut notes, &mut left_out)?;
+    let mut notes: Vec<Note> = notes.into_iter().map(|(layer, text)| Note { file: 0, layer, text }).collect();
+    notes.extend(left_out.into_iter().map(LeftOut::into_note));
     let samples = sample_count(&files.list[input]);
     let mut set = BufferSet { files: files.list, color, features, samples, layer_uses: Vec::new() };
     check_windows(&set)?;
@@ -56,7 +59,34 @@ impl Files {
     }
 }
 
-fn color_source(files: &mut Files, input: usize, request: &BufferSetRequest) -> Result<SignalSource> {
+/// A layer that is left out because of what is wrong with it.
+struct LeftOut {
+    file: usize,
+    layer: usize,
+    path: PathBuf,
+    name: String,
+    problem: String,
+    remedy: String,
+}
+
+impl LeftOut {
+    fn new(files: &[ExrFile], file: usize, layer: usize, problem: String, remedy: String) -> Self {
+        Self { file, layer, path: files[file].path.clone(), name: files[file].layers[layer].name.clone(), problem, remedy }
+    }
+
+    fn into_note(self) -> Note {
+        Note { file: self.file, layer: self.layer, text: self.problem }
+    }
+
+    /// For a layer that cannot be done without.
+    fn into_error(self) -> Error {
+        Error::Layer { path: self.path, layer: self.name, problem: self.problem, remedy: self.remedy }
+    }
+}
+
+/// The colour with its halves and variance. Of those, what is wrong is left out as long as the other source tells the
+/// noise.
+fn color_source(files: &mut Files, input: usize, request: &BufferSetRequest, left_out: &mut Vec<LeftOut>) -> Result<SignalSource> {
     let file = &files.list[input];
     let layer = color_layer(file, request.layer.as_deref())?;
     let mean = Planes { file: input, layer, channels: color_channels(file, layer)? };
@@ -68,7 +98,7 @@ fn color_source(files: &mut Files, input: usize, request: &BufferSetRequest) -> 
             .iter()
             .enumerate()
             .any(|(other, candidate)| other != layer && candidate.name == names::group(name).trim_end_matches('.') && color_channels(file, other).is_ok());
-    let companions = companions(&files.list, &mean, bare_too)?;
+    let mut found = Companions::find(&files.list, &mean, bare_too);
     let mut named = |reference: &Option<LayerRef>, found: Option<Planes>| match reference {
         None => Ok(found),
         Some(reference) => {
@@ -83,14 +113,18 @@ fn color_source(files: &mut Files, input: usize, request: &BufferSetRequest) -> 
             Ok(Some(Planes { file, layer, channels: color_channels(&files.list[file], layer)? }))
         }
     };
-    let source = SignalSource {
-        half_a: named(&request.half_a, companions.0)?,
-        half_b: named(&request.half_b, companions.1)?,
-        variance: named(&request.variance, companions.2)?,
-        mean,
-    };
-    check_halves(&files.list, &source)?;
-    Ok(source)
+    found.half_a = named(&request.half_a, found.half_a)?;
+    found.half_b = named(&request.half_b, found.half_b)?;
+    found.variance = named(&request.variance, found.variance)?;
+    found.leave_out_single_half(&files.list);
+    let is_told = found.half_a.is_some() || found.variance.is_some();
+    // A half that was asked for by name is not left out without its other half.
+    let is_named = found.half_a.is_none() && (request.half_a.is_some() || request.half_b.is_some());
+    if found.left_out.is_empty() || is_told && !is_named {
+        left_out.append(&mut found.left_out);
+        return Ok(found.beside(mean));
+    }
+    Err(found.left_out.swap_remove(0).into_error())
 }
 
 /// Finds the layer that holds a file's colour.
@@ -168,22 +202,63 @@ fn feature_channels(layer: &FileLayer) -> Option<Vec<usize>> {
     (1..=3).contains(&channels.len()).then_some(channels)
 }
 
-type Companions = (Option<Planes>, Option<Planes>, Option<Planes>);
-
 /// Half A, half B and variance that stand beside a layer in the same file.
-fn companions(files: &[ExrFile], mean: &Planes, bare_too: bool) -> Result<Companions> {
-    let file = &files[mean.file];
-    let base = &file.layers[mean.layer].name;
-    let find = |part| -> Result<Option<Planes>> {
-        let found = (0..file.layers.len()).find(|&layer| layer != mean.layer && names::is_companion(&file.layers[layer].name, base, part, bare_too));
-        let Some(layer) = found else { return Ok(None) };
-        matching_channels(file, mean, layer).map(|channels| Some(Planes { file: mean.file, layer, channels }))
-    };
-    Ok((find(SignalPart::HalfA)?, find(SignalPart::HalfB)?, find(SignalPart::Variance)?))
+#[derive(Default)]
+struct Companions {
+    half_a: Option<Planes>,
+    half_b: Option<Planes>,
+    variance: Option<Planes>,
+    /// Those that cannot be used.
+    left_out: Vec<LeftOut>,
+}
+
+impl Companions {
+    fn find(files: &[ExrFile], mean: &Planes, bare_too: bool) -> Self {
+        let mut found = Self::default();
+        found.add(files, mean, &files[mean.file].layers[mean.layer].name, bare_too);
+        found
+    }
+
+    /// Adds those that are named after `base`, as far as they are missing.
+    fn add(&mut self, files: &[ExrFile], mean: &Planes, base: &str, bare_too: bool) {
+        let file = &files[mean.file];
+        let parts = [(&mut self.half_a, SignalPart::HalfA), (&mut self.half_b, SignalPart::HalfB), (&mut self.variance, SignalPart::Variance)];
+        for (slot, part) in parts.into_iter().filter(|(slot, _)| slot.is_none()) {
+            let named = |layer: &usize| *layer != mean.layer && names::is_companion(&file.layers[*layer].name, base, part, bare_too);
+            let Some(layer) = (0..file.layers.len()).find(named) else { continue };
+            match matching_channels(file, mean, layer) {
+                Some(channels) => *slot = Some(Planes { file: mean.file, layer, channels }),
+                None => {
+                    let problem = format!("its channels do not match those of the layer that it belongs to, '{}'", file.layers[mean.layer].name);
+                    let remedy = "write both with the same channels, or rename it if it is something else".into();
+                    self.left_out.push(LeftOut::new(files, mean.file, layer, problem, remedy));
+                }
+            }
+        }
+    }
+
+    /// One half says nothing without the other.
+    fn leave_out_single_half(&mut self, files: &[ExrFile]) {
+        let (single, missing, named) = match (&mut self.half_a, &mut self.half_b) {
+            (single @ Some(_), None) => (single, "B", "`BufferSetRequest::half_b`"),
+            (None, single @ Some(_)) => (single, "A", "`BufferSetRequest::half_a`"),
+            _ => return,
+        };
+        if let Some(Planes { file, layer, .. }) = single.take() {
+            let problem = format!("it is one half of the samples, but half {missing} is missing");
+            let remedy = format!("add half {missing} (for the colour: {named})");
+            self.left_out.push(LeftOut::new(files, file, layer, problem, remedy));
+        }
+    }
+
+    fn beside(self, mean: Planes) -> SignalSource {
+        SignalSource { mean, half_a: self.half_a, half_b: self.half_b, variance: self.variance }
+    }
 }
 
 /// The channels of `layer` that correspond to those of the mean, by name; by position where the names differ throughout (`Z` and `Y` of single channels).
-fn matching_channels(file: &ExrFile, mean: &Planes, layer: usize) -> Result<Vec<usize>> {
+/// `None` if they do not match.
+fn matching_channels(file: &ExrFile, mean: &Planes, layer: usize) -> Option<Vec<usize>> {
     let mean_layer = &file.layers[mean.layer];
     let suffix_of = |index: &usize| mean_layer.channels.iter().find(|channel| channel.index == *index).map(|channel| channel.suffix.as_str());
     let candidate = &file.layers[layer];
@@ -191,36 +266,11 @@ fn matching_channels(file: &ExrFile, mean: &Planes, layer: usize) -> Result<Vec<
         let suffix = suffix_of(index)?;
         candidate.channels.iter().find(|channel| channel.suffix.eq_ignore_ascii_case(suffix)).map(|channel| channel.index)
     };
-    if let Some(channels) = mean.channels.iter().map(by_name).collect() {
-        return Ok(channels);
-    }
-    match feature_channels(candidate) {
-        Some(channels) if channels.len() == mean.channels.len() => Ok(channels),
-        _ => Err(Error::Layer {
-            path: file.path.clone(),
-            layer: candidate.name.clone(),
-            problem: format!("its channels do not match those of the layer that it belongs to, '{}'", mean_layer.name),
-            remedy: "write both with the same channels, or rename it if it is something else".into(),
-        }),
-    }
+    let by_name: Option<Vec<usize>> = mean.channels.iter().map(by_name).collect();
+    by_name.or_else(|| feature_channels(candidate).filter(|channels| channels.len() == mean.channels.len()))
 }
 
-fn check_halves(files: &[ExrFile], source: &SignalSource) -> Result<()> {
-    let (present, missing, named) = match (&source.half_a, &source.half_b) {
-        (Some(present), None) => (present, "B", "`BufferSetRequest::half_b`"),
-        (None, Some(present)) => (present, "A", "`BufferSetRequest::half_a`"),
-        _ => return Ok(()),
-    };
-    let file = &files[present.file];
-    Err(Error::Layer {
-        path: file.path.clone(),
-        layer: file.layers[present.layer].name.clone(),
-        problem: format!("it is one half of the samples, but half {missing} is missing"),
-        remedy: format!("add half {missing} (for the colour: {named})"),
-    })
-}
-
-fn requested_feature(files: &mut Files, name: &str, reference: &LayerRef) -> Result<SignalSource> {
+fn requested_feature(files: &mut Files, name: &str, reference: &LayerRef, left_out: &mut Vec<LeftOut>) -> Result<SignalSource> {
     let index = files.open(&reference.file)?;
     let file = &files.list[index];
     let (layer, bare_too) = match &reference.layer {
@@ -239,20 +289,14 @@ fn requested_feature(files: &mut Files, name: &str, reference: &LayerRef) -> Res
         });
     };
     let mean = Planes { file: index, layer, channels };
-    let mut found = companions(&files.list, &mean, bare_too)?;
+    let mut found = Companions::find(&files.list, &mean, bare_too);
     // A file of its own may also name them after the feature: `R G B` with `albedo_halfA.R` ...
-    for (slot, part) in [(&mut found.0, SignalPart::HalfA), (&mut found.1, SignalPart::HalfB), (&mut found.2, SignalPart::Variance)] {
-        let file = &files.list[index];
-        if slot.is_none() && bare_too {
-            let layer = (0..file.layers.len()).find(|&layer| names::is_companion(&file.layers[layer].name, name, part, false));
-            if let Some(layer) = layer {
-                *slot = Some(Planes { file: index, layer, channels: matching_channels(file, &mean, layer)? });
-            }
-        }
+    if bare_too {
+        found.add(&files.list, &mean, name, false);
     }
-    let source = SignalSource { mean, half_a: found.0, half_b: found.1, variance: found.2 };
-    check_halves(&files.list, &source)?;
-    Ok(source)
+    found.leave_out_single_half(&files.list);
+    left_out.append(&mut found.left_out);
+    Ok(found.beside(mean))
 }
 
 /// The layer meant by a file that is named without one: the colour, or the only layer, or the one without a name.
@@ -274,6 +318,7 @@ fn find_features(
     request: &BufferSetRequest,
     features: &mut Vec<(String, SignalSource)>,
     notes: &mut Vec<(usize, String)>,
+    left_out: &mut Vec<LeftOut>,
 ) -> Result<()> {
     let file = &files[0];
     let taken = |layer: usize| {
@@ -321,10 +366,10 @@ fn find_features(
             notes.push((layer, format!("left out: at most {MAX_FEATURES} features can be used")));
         } else {
             let mean = Planes { file: 0, layer, channels };
-            let (half_a, half_b, variance) = companions(files, &mean, false)?;
-            let source = SignalSource { mean, half_a, half_b, variance };
-            check_halves(files, &source)?;
-            features.push((name.to_owned(), source));
+            let mut found = Companions::find(files, &mean, false);
+            found.leave_out_single_half(files);
+            left_out.append(&mut found.left_out);
+            features.push((name.to_owned(), found.beside(mean)));
         }
     }
     match not_there.first() {

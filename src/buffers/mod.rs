@@ -81,8 +81,11 @@ impl BufferSet {
     /// Reads the files and decides which layer is what.
     ///
     /// # Errors
-    /// A file that is missing, damaged or of a kind that cannot be read; a requested layer that does not exist; layers whose data windows or channel
-    /// counts differ from the colour's; half A without half B; more than [`MAX_FEATURES`] requested features; one to skip that the input does not have.
+    /// A file that is missing, damaged or of a kind that cannot be read; a requested layer that does not exist; layers
+    /// whose data windows differ from the colour's; a half of the colour without the other, or halves and variance of
+    /// other channels, where nothing else tells the colour's noise; more than [`MAX_FEATURES`] requested features; one
+    /// to skip that the input does not have. Halves and variances that cannot be used are else left out, and
+    /// [`BufferSet::layer_uses`] says why.
     pub fn read(request: &BufferSetRequest) -> Result<Self> {
         assign::read(request)
     }

@@ -24,14 +24,21 @@ pub(super) fn used_planes(set: &BufferSet) -> Vec<(&Planes, Role)> {
     used
 }
 
-/// Every layer of every file with its role; `notes` belong to layers of the first file.
-pub(super) fn layer_uses(set: &BufferSet, notes: &[(usize, String)]) -> Vec<LayerUse> {
+/// Why a layer is not used.
+pub(super) struct Note {
+    pub(super) file: usize,
+    pub(super) layer: usize,
+    pub(super) text: String,
+}
+
+/// Every layer of every file with its role, or with why it has none.
+pub(super) fn layer_uses(set: &BufferSet, notes: &[Note]) -> Vec<LayerUse> {
     let used = used_planes(set);
     let mut uses = Vec::new();
     for (file_index, file) in set.files.iter().enumerate() {
         for (layer_index, layer) in file.layers.iter().enumerate() {
             let role = used.iter().find(|(planes, _)| planes.file == file_index && planes.layer == layer_index).map(|(_, role)| role.clone());
-            let noted = notes.iter().find(|(noted, _)| file_index == 0 && *noted == layer_index).map(|(_, note)| note.clone());
+            let noted = notes.iter().find(|note| (note.file, note.layer) == (file_index, layer_index)).map(|note| note.text.clone());
             let note = match &role {
                 None => noted.or_else(|| names::why_not_a_variance(&layer.name).map(str::to_owned)),
                 Some(_) => None,

@@ -15,14 +15,53 @@ pub struct LayerRepairs {
     pub infinite_values: usize,
     /// Finite values beyond ±10¹⁸, whose squares overflow, and variances beyond 10³⁶.
     pub oversized_values: usize,
-    /// Pixels whose mean and halves (and variance) were replaced by their neighbours' average.
+    /// Where the damaged values are: one entry for each channel of each image that has any.
+    pub damage: Vec<Damage>,
+    /// Pixels of which at least one channel's mean and halves (and variance) were replaced by their neighbours'
+    /// average. Sound channels stay.
     pub pixels_replaced: usize,
-    /// Pixels of which only the variance was replaced.
+    /// Pixels of which at least one channel's variance was replaced, and no mean.
     pub variances_replaced: usize,
     /// Variance values below zero, set to 0.
     pub negative_variances: usize,
     /// Pixels that hit nothing, set to the far end of the feature's range. Not damage.
     pub misses: usize,
+}
+
+/// The damaged values of one channel of one image.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct Damage {
+    /// The image.
+    pub image: DamagedImage,
+    /// `R`, `G` or `B` of the colour; of a feature its number from 1, as in `channel 2`.
+    pub channel: String,
+    /// Values that are not a number, infinite, or beyond the limits of [`LayerRepairs::oversized_values`].
+    pub values: usize,
+}
+
+/// An image of a signal.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum DamagedImage {
+    /// The mean of all samples.
+    Mean,
+    /// The difference of both halves, which either may have spoilt.
+    Halves,
+    /// The variance of the mean.
+    Variance,
+    /// The samples per pixel.
+    Counts,
+}
+
+impl fmt::Display for DamagedImage {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Mean => "mean",
+            Self::Halves => "halves",
+            Self::Variance => "variance",
+            Self::Counts => "counts",
+        })
+    }
 }
 
 impl LayerRepairs {
@@ -38,12 +77,16 @@ impl fmt::Display for LayerRepairs {
             (self.nan_values, "values NaN"),
             (self.infinite_values, "values infinite"),
             (self.oversized_values, "values beyond 1e18, variances beyond 1e36"),
-            (self.pixels_replaced, "pixels replaced by their neighbours' average"),
+            (self.pixels_replaced, "pixels replaced by their neighbours' average, in the damaged channels"),
             (self.variances_replaced, "variances replaced by their neighbours' average"),
             (self.negative_variances, "negative variances set to 0"),
             (self.misses, "pixels without a hit set to the far end"),
         ];
-        let parts: Vec<_> = counted.iter().filter(|(count, _)| *count > 0).map(|(count, what)| format!("{count} {what}")).collect();
+        let mut parts: Vec<_> = counted.iter().filter(|(count, _)| *count > 0).map(|(count, what)| format!("{count} {what}")).collect();
+        if !self.damage.is_empty() {
+            let places: Vec<_> = self.damage.iter().map(|Damage { image, channel, values }| format!("{image} {channel} {values}")).collect();
+            parts.push(format!("damaged values: {}", places.join(", ")));
+        }
         write!(f, "{}: {}", self.layer, if parts.is_empty() { "nothing to repair".into() } else { parts.join(", ") })
     }
 }
@@ -53,7 +96,7 @@ impl fmt::Display for LayerRepairs {
 pub struct Repairs {
     /// The layers in which something was found; the sample counts are called `samples`.
     pub layers: Vec<LayerRepairs>,
-    /// Features left out because they are the same everywhere.
+    /// Features left out, because they are the same everywhere or cannot be used: the notes say why.
     pub dropped_features: Vec<String>,
     /// Remarks for people.
     pub notes: Vec<String>,
@@ -75,11 +118,52 @@ impl Repairs {
             self.layers.push(layer);
         }
     }
+
+    /// Leaves a feature out and says why.
+    pub(super) fn drop_feature(&mut self, name: String, why: &str) {
+        self.notes.push(format!("feature {name}: {why}, left out"));
+        self.dropped_features.push(name);
+    }
 }
 
 impl fmt::Display for Repairs {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let lines: Vec<_> = self.layers.iter().map(ToString::to_string).chain(self.notes.iter().cloned()).collect();
         f.write_str(&lines.join("\n"))
+    }
+}
+
+/// The signal that a remark is about. Displays as `colour` or `feature albedo`.
+#[derive(Clone, Copy)]
+pub(super) struct Layer<'a> {
+    pub(super) name: &'a str,
+    pub(super) is_color: bool,
+}
+
+impl Layer<'_> {
+    pub(super) const COLOR: Layer<'static> = Layer { name: "colour", is_color: true };
+
+    pub(super) fn feature(name: &str) -> Layer<'_> {
+        Layer { name, is_color: false }
+    }
+
+    /// Name of a channel, which is counted from 0.
+    pub(super) fn channel(self, channel: usize) -> String {
+        match ["R", "G", "B"].get(channel).filter(|_| self.is_color) {
+            Some(name) => (*name).to_owned(),
+            None => format!("channel {}", channel + 1),
+        }
+    }
+
+    /// ` in R and G`, or nothing where all channels are meant.
+    pub(super) fn in_channels(self, which: &[usize], channels: usize) -> String {
+        let names: Vec<_> = which.iter().map(|channel| self.channel(*channel)).collect();
+        if names.len() == channels { String::new() } else { format!(" in {}", names.join(" and ")) }
+    }
+}
+
+impl fmt::Display for Layer<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}{}", if self.is_color { "" } else { "feature " }, self.name)
     }
 }

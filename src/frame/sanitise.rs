@@ -1,19 +1,20 @@
 //! Making everything finite, without letting a damaged value leave a trace.
 
+use super::repairs::{Damage, DamagedImage, Layer};
 use super::{LayerRepairs, Repairs, SamplesPerPixel, Signal};
 use crate::error::{Error, Result};
 use crate::image::Extent;
 
 /// Squares of larger values come too close to the end of f32 for sums of them.
-const LARGEST: f32 = 1e18;
+pub(super) const LARGEST: f32 = 1e18;
 
 /// Variances are squares already.
-const LARGEST_VARIANCE: f32 = LARGEST * LARGEST;
+pub(super) const LARGEST_VARIANCE: f32 = LARGEST * LARGEST;
 
 /// A distance from here on means that the ray hit nothing: Cycles writes 10¹⁰.
 const MISS_DISTANCE: f32 = 1e9;
 
-/// What a pixel is to the repair of others.
+/// What a value is to the repair of others.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Pixel {
     /// Can be averaged.
@@ -24,63 +25,91 @@ enum Pixel {
     Miss,
 }
 
-/// Repairs a signal in place. Returns what was done and, for each pixel, whether it is a miss; misses hold zeros.
+/// What the repair of a signal did.
+pub(super) struct Sanitised {
+    pub(super) found: LayerRepairs,
+    /// For each pixel, whether it is a miss; misses hold zeros.
+    pub(super) misses: Vec<bool>,
+    /// Channels whose mean has not one usable value; they hold zeros.
+    pub(super) unusable: Vec<usize>,
+}
+
+/// Repairs a signal in place. Channels are repaired each by itself: where a mean or its half spread is damaged, both
+/// and the variance are replaced; where the variance is damaged, it alone is.
 ///
 /// `may_miss`: the signal is a distance or position, in which infinity or a huge value is no damage.
-pub(super) fn sanitise(name: &str, signal: &mut Signal, may_miss: bool) -> Result<(LayerRepairs, Vec<bool>)> {
+pub(super) fn sanitise(layer: Layer, signal: &mut Signal, may_miss: bool) -> Sanitised {
     let extent = signal.mean.extent;
-    let mut found = LayerRepairs { layer: name.to_owned(), ..LayerRepairs::default() };
-    let mut state = vec![Pixel::Good; extent.pixels()];
+    let mut found = LayerRepairs { layer: layer.name.to_owned(), ..LayerRepairs::default() };
+    let mut misses = vec![false; extent.pixels()];
     if may_miss {
-        for plane in &signal.mean.planes {
-            mark(&mut state, plane, Pixel::Miss, |value| value.abs() >= MISS_DISTANCE);
-        }
-        // A NaN in another channel is damage all the same.
-        for plane in &signal.mean.planes {
-            mark(&mut state, plane, Pixel::Bad, f32::is_nan);
+        let is_miss = |pixel: usize| signal.mean.planes.iter().any(|plane| plane[pixel].abs() >= MISS_DISTANCE);
+        let is_nan = |pixel: usize| signal.mean.planes.iter().any(|plane| plane[pixel].is_nan());
+        misses.iter_mut().enumerate().for_each(|(pixel, miss)| *miss = is_miss(pixel) && !is_nan(pixel));
+        // Where all that is left are misses, a damaged pixel is one too.
+        let has_hit = |plane: &Vec<f32>| plane.iter().zip(&misses).any(|(value, miss)| !miss && !is_damaged(*value, LARGEST));
+        if misses.contains(&true) && !signal.mean.planes.iter().any(has_hit) {
+            misses.fill(true);
         }
     }
-    let misses_so_far = state.clone();
-    for plane in [Some(&signal.mean), signal.half_spread.as_ref()].into_iter().flatten().flat_map(|image| &image.planes) {
-        count_damage(&mut found, plane, &misses_so_far, LARGEST);
-        mark(&mut state, plane, Pixel::Bad, |value| is_damaged(value, LARGEST));
-    }
-    keep_misses(&mut state, &misses_so_far);
+    found.misses = misses.iter().filter(|miss| **miss).count();
 
-    let mut variance_state = state.clone();
-    if let Some(variance) = &mut signal.variance_of_mean {
-        for plane in &mut variance.planes {
-            count_damage(&mut found, plane, &state, LARGEST_VARIANCE);
-            mark(&mut variance_state, plane, Pixel::Bad, |value| is_damaged(value, LARGEST_VARIANCE));
-            for value in plane.iter_mut().filter(|value| **value < 0.0 && **value >= -LARGEST_VARIANCE) {
+    let mut pixels = Replaced::default();
+    let mut variances = Replaced::default();
+    let mut unusable = Vec::new();
+    for channel in 0..signal.mean.channels() {
+        let mean = &mut signal.mean.planes[channel];
+        let spread = signal.half_spread.as_mut().map(|image| &mut image.planes[channel]);
+        let mut variance = signal.variance_of_mean.as_mut().map(|image| &mut image.planes[channel]);
+
+        let name = layer.channel(channel);
+        let mut state: Vec<Pixel> = misses.iter().map(|miss| if *miss { Pixel::Miss } else { Pixel::Good }).collect();
+        find_damage(&mut found, DamagedImage::Mean, &name, mean, &mut state, LARGEST);
+        if let Some(spread) = &spread {
+            find_damage(&mut found, DamagedImage::Halves, &name, spread, &mut state, LARGEST);
+        }
+        pixels.add(&state);
+        let mut values: Vec<&mut Vec<f32>> = std::iter::once(mean).chain(spread).collect();
+        if state.contains(&Pixel::Bad) && !repair(&mut values, &state, extent) {
+            unusable.push(channel);
+        }
+        if let Some(variance) = variance.as_deref_mut() {
+            find_damage(&mut found, DamagedImage::Variance, &name, variance, &mut state, LARGEST_VARIANCE);
+            for value in variance.iter_mut().filter(|value| **value < 0.0 && **value >= -LARGEST_VARIANCE) {
                 *value = 0.0;
                 found.negative_variances += 1;
             }
+            variances.add(&state);
+            repair(&mut [variance], &state, extent);
         }
-        keep_misses(&mut variance_state, &state);
+        for plane in values.into_iter().chain(variance) {
+            plane.iter_mut().zip(&misses).filter(|(_, miss)| **miss).for_each(|(value, _)| *value = 0.0);
+        }
+    }
+    found.pixels_replaced = pixels.count();
+    found.variances_replaced = variances.count_without(&pixels);
+    Sanitised { found, misses, unusable }
+}
+
+/// Pixels of which a channel was replaced; empty if there are none.
+#[derive(Default)]
+struct Replaced(Vec<bool>);
+
+impl Replaced {
+    fn add(&mut self, state: &[Pixel]) {
+        if state.contains(&Pixel::Bad) {
+            self.0.resize(state.len(), false);
+            self.0.iter_mut().zip(state).for_each(|(replaced, state)| *replaced |= *state == Pixel::Bad);
+        }
     }
 
-    // Where all that is left are misses, a damaged pixel is one too.
-    if !state.contains(&Pixel::Good) && state.contains(&Pixel::Miss) {
-        state.fill(Pixel::Miss);
-        variance_state.fill(Pixel::Miss);
+    fn count(&self) -> usize {
+        self.0.iter().filter(|replaced| **replaced).count()
     }
-    found.misses = state.iter().filter(|state| **state == Pixel::Miss).count();
-    found.pixels_replaced = state.iter().filter(|state| **state == Pixel::Bad).count();
-    found.variances_replaced = variance_state.iter().filter(|state| **state == Pixel::Bad).count() - found.pixels_replaced;
 
-    let mut values: Vec<&mut Vec<f32>> = signal.mean.planes.iter_mut().collect();
-    values.extend(signal.half_spread.iter_mut().flat_map(|spread| &mut spread.planes));
-    repair(name, "value", &mut values, &state, extent)?;
-    if let Some(variance) = &mut signal.variance_of_mean {
-        repair(name, "variance", &mut variance.planes.iter_mut().collect::<Vec<_>>(), &variance_state, extent)?;
+    fn count_without(&self, others: &Self) -> usize {
+        self.0.iter().enumerate().filter(|(pixel, replaced)| **replaced && others.0.get(*pixel) != Some(&true)).count()
     }
-    let misses: Vec<bool> = state.iter().map(|state| *state == Pixel::Miss).collect();
-    let spread_and_variance = [&mut signal.half_spread, &mut signal.variance_of_mean].into_iter().flatten();
-    for plane in spread_and_variance.flat_map(|image| &mut image.planes).chain(&mut signal.mean.planes) {
-        plane.iter_mut().zip(&misses).filter(|(_, miss)| **miss).for_each(|(value, _)| *value = 0.0);
-    }
-    Ok((found, misses))
 }
 
 /// Positive, finite sample counts; unknown where not one is.
@@ -101,57 +130,59 @@ pub(super) fn sanitise_samples(samples: SamplesPerPixel, extent: Extent, repairs
             }
             let mut found = LayerRepairs { layer: "samples".into(), ..LayerRepairs::default() };
             let mut state = vec![Pixel::Good; extent.pixels()];
-            count_damage(&mut found, &counts.planes[0], &state, LARGEST);
-            mark(&mut state, &counts.planes[0], Pixel::Bad, |count| is_damaged(count, LARGEST) || count <= 0.0);
+            find_damage(&mut found, DamagedImage::Counts, "channel 1", &counts.planes[0], &mut state, LARGEST);
+            mark(&mut state, &counts.planes[0], |count| count <= 0.0);
             found.pixels_replaced = state.iter().filter(|state| **state == Pixel::Bad).count();
-            if found.pixels_replaced == state.len() {
+            if !repair(&mut [&mut counts.planes[0]], &state, extent) {
                 repairs.notes.push("samples: not one pixel has a positive count, taken as unknown".into());
                 return Ok(SamplesPerPixel::Unknown);
             }
-            repair("samples", "count", &mut [&mut counts.planes[0]], &state, extent)?;
             repairs.add(found);
             Ok(SamplesPerPixel::PerPixel(counts))
         }
     }
 }
 
-fn is_damaged(value: f32, largest: f32) -> bool {
+pub(super) fn is_damaged(value: f32, largest: f32) -> bool {
     value.is_nan() || value.abs() > largest
 }
 
-fn mark(state: &mut [Pixel], plane: &[f32], mark: Pixel, matches: impl Fn(f32) -> bool) {
-    state.iter_mut().zip(plane).filter(|(_, value)| matches(**value)).for_each(|(state, _)| *state = mark);
+/// Marks those values as bad that match, except misses.
+fn mark(state: &mut [Pixel], plane: &[f32], matches: impl Fn(f32) -> bool) {
+    let hits = state.iter_mut().zip(plane).filter(|(state, _)| **state != Pixel::Miss);
+    hits.filter(|(_, value)| matches(**value)).for_each(|(state, _)| *state = Pixel::Bad);
 }
 
-fn keep_misses(state: &mut [Pixel], before: &[Pixel]) {
-    state.iter_mut().zip(before).filter(|(_, before)| **before == Pixel::Miss).for_each(|(state, _)| *state = Pixel::Miss);
-}
-
-fn count_damage(found: &mut LayerRepairs, plane: &[f32], state: &[Pixel], largest: f32) {
-    for (value, _) in plane.iter().zip(state).filter(|(_, state)| **state != Pixel::Miss) {
+/// Counts the damaged values of a plane and marks them as bad. Misses are not damage.
+fn find_damage(found: &mut LayerRepairs, image: DamagedImage, channel: &str, plane: &[f32], state: &mut [Pixel], largest: f32) {
+    let mut values = 0;
+    for (value, _) in plane.iter().zip(&*state).filter(|(value, state)| **state != Pixel::Miss && is_damaged(**value, largest)) {
+        values += 1;
         if value.is_nan() {
             found.nan_values += 1;
         } else if value.is_infinite() {
             found.infinite_values += 1;
-        } else if is_damaged(*value, largest) {
+        } else {
             found.oversized_values += 1;
         }
     }
+    if values > 0 {
+        found.damage.push(Damage { image, channel: channel.to_owned(), values });
+        mark(state, plane, |value| is_damaged(value, largest));
+    }
 }
 
-fn repair(name: &str, what: &str, planes: &mut [&mut Vec<f32>], state: &[Pixel], extent: Extent) -> Result<()> {
-    let unreached = fill_from_neighbours(planes, state, extent);
-    if unreached.len() == state.len() {
-        return Err(Error::Request {
-            problem: format!("layer {name}: not one pixel has a usable {what}"),
-            remedy: "look at the layer in an image viewer; leave a feature out (`BufferSetRequest::skip_features`) or render it again".into(),
-        });
+/// Fills the bad pixels of some planes. Returns whether there was a good one; without any, all become 0.
+fn repair(planes: &mut [&mut Vec<f32>], state: &[Pixel], extent: Extent) -> bool {
+    if !state.contains(&Pixel::Bad) {
+        return true;
     }
     // Damaged pixels amid misses only: nothing near tells more than the layer's zero.
+    let unreached = fill_from_neighbours(planes, state, extent);
     for plane in planes {
         unreached.iter().for_each(|&pixel| plane[pixel] = 0.0);
     }
-    Ok(())
+    state.contains(&Pixel::Good)
 }
 
 /// Replaces every bad pixel by an average of good ones, from the rim of each damaged region inwards: a pixel next to good pixels takes the average of

@@ -1,56 +1,144 @@
 //! Features in unit range, so that one filter parameter fits albedo, normals and depth alike.
 
-use super::Signal;
-use crate::buffers::names;
-use crate::image::Image;
+use std::ops::RangeInclusive;
 
-/// Brings a sanitised signal to unit range by one affine map for all its channels and returns `(scale, offset)` of
-/// `value before = unit value · scale + offset`. Spreads are divided by the scale, variances by its square. Misses get the value 1, without noise.
+use super::Signal;
+use super::normals::{self, Encoding};
+use super::range::{Range, range_of_hits};
+use crate::buffers::names;
+
+/// Normals may exceed a length of 1 by this much, as noise makes them do.
+const NORMAL_TOLERANCE: f32 = 0.0001;
+
+/// How a feature was brought to unit range.
+pub(super) struct UnitRange {
+    /// `value before = unit value · scale + offset`.
+    pub(super) scale: f32,
+    pub(super) offset: f32,
+    /// Remarks for people.
+    pub(super) notes: Vec<String>,
+}
+
+/// Brings a sanitised signal to unit range by one affine map for all its channels. Spreads are divided by the scale,
+/// variances by its square. Misses get the value 1, without noise. Values that lie farther outside than the range is
+/// wide are pulled towards it, with their noise.
 ///
-/// Normals are mapped by (n + 1)/2, everything else from its least to its greatest value among the hits. `None`, and nothing changed, where there
-/// are no misses and no channel varies by more than round-off: such a feature cannot tell pixels apart.
-pub(super) fn to_unit_range(name: &str, signal: &mut Signal, misses: &[bool]) -> Option<(f32, f32)> {
-    let ranges: Vec<(f32, f32)> = signal.mean.planes.iter().map(|plane| range_of_hits(plane, misses)).collect();
+/// Normals n are mapped by (n + 1)/2; encoded ones, which are (n + 1)/2 already, are decoded first. Everything else is
+/// mapped from its least to its greatest value, outliers and far clusters not counted. `None`, with the signal
+/// unchanged, if there are no misses and no channel varies by more than round-off: such a feature cannot tell pixels
+/// apart.
+pub(super) fn to_unit_range(name: &str, signal: &mut Signal, misses: &[bool]) -> Option<UnitRange> {
+    let is_distance = names::is_distance_name(name);
     // Rounding makes a constant depth vary in its last digits.
-    let varies = |(least, greatest): &(f32, f32)| greatest - least > 1e-6 * least.abs().max(greatest.abs()) && greatest - least > 1e-30;
-    let constant = !ranges.iter().any(varies);
+    let varies = |least: f32, greatest: f32| greatest - least > 1e-6 * least.abs().max(greatest.abs()) && greatest - least > 1e-30;
+    let constant = !signal.mean.planes.iter().any(|plane| {
+        let (least, greatest) = extremes(plane, misses);
+        varies(least, greatest)
+    });
     // Flat, but with holes in it: hits become 0 and misses 1, a difference worth having.
     let holes = misses.contains(&true) && misses.contains(&false);
     if constant && !holes {
         return None;
     }
-    let least = ranges.iter().map(|range| range.0).fold(f32::INFINITY, f32::min);
-    let greatest = ranges.iter().map(|range| range.1).fold(f32::NEG_INFINITY, f32::max);
-    let normal = names::is_normal_name(name) && signal.mean.channels() == 3 && least >= -1.0001 && greatest <= 1.0001;
-    let (scale, offset) = match (normal, constant) {
+    let may_be_normals = names::is_normal_name(name) && signal.mean.channels() == 3;
+    let encoding = if may_be_normals { normals::encoding(&signal.mean) } else { Encoding::Plain };
+    let mut notes = Vec::new();
+    if encoding == Encoding::Halved {
+        normals::decode(signal);
+        notes.push(format!("feature {name}: stored as (n + 1)/2, taken as the normals n"));
+    }
+    let Range { mut least, mut greatest, outside, all } = range_of_hits(&signal.mean, misses, is_distance);
+    if outside > 0 && !varies(least, greatest) {
+        (least, greatest) = all;
+    } else if outside > 0 {
+        notes.push(format!(
+            "feature {name}: {outside} of {} values lie far outside of {least} to {greatest} ({} to {} in all); its range is taken without them",
+            signal.mean.channels() * (misses.len() - misses.iter().filter(|miss| **miss).count()),
+            all.0,
+            all.1,
+        ));
+    }
+    let is_normal = may_be_normals && least >= -1.0 - NORMAL_TOLERANCE && greatest <= 1.0 + NORMAL_TOLERANCE;
+    let (scale, offset) = match (is_normal, constant) {
         (true, _) => (2.0, -1.0),
         (false, true) => (1.0, least),
         (false, false) => (greatest - least, least),
     };
-
-    let per_unit = 1.0 / f64::from(scale);
-    map(&mut signal.mean, |value| ((f64::from(value) - f64::from(offset)) * per_unit).clamp(0.0, 1.0));
+    map(signal, f64::from(scale), f64::from(offset), least..=greatest);
     for plane in &mut signal.mean.planes {
         plane.iter_mut().zip(misses).filter(|(_, miss)| **miss).for_each(|(value, _)| *value = 1.0);
     }
-    if let Some(spread) = &mut signal.half_spread {
-        map(spread, |value| (f64::from(value) * per_unit).clamp(-LARGEST, LARGEST));
-    }
-    if let Some(variance) = &mut signal.variance_of_mean {
-        map(variance, |value| (f64::from(value) * per_unit * per_unit).min(LARGEST));
-    }
-    Some((scale, offset))
+    let (scale, offset) = if encoding == Encoding::Halved { (scale / 2.0, (offset + 1.0) / 2.0) } else { (scale, offset) };
+    Some(UnitRange { scale, offset, notes })
 }
 
 /// Dividing by a tiny range must not make anything infinite.
 const LARGEST: f64 = 1e18;
 
-fn map(image: &mut Image, settle: impl Fn(f32) -> f64) {
-    image.planes.iter_mut().flatten().for_each(|value| *value = settle(*value) as f32);
+/// How far outside of the unit range values keep their distance to it.
+const LINEAR: f64 = 1.0;
+
+/// How strongly what lies farther outside is told apart: by this times the logarithm of its distance to the range.
+const FAR: f64 = 0.25;
+
+/// Pulls a unit value far outside of [0, 1] towards it. It rises with the value and leaves everything from −1 to 2 as
+/// it is.
+fn pulled(value: f64) -> f64 {
+    let beyond = (value - 1.0).max(-value);
+    let near = |beyond: f64| if beyond <= LINEAR { beyond } else { LINEAR + FAR * (beyond / LINEAR).ln() };
+    match value {
+        value if beyond <= LINEAR => value,
+        value if value > 0.0 => 1.0 + near(beyond),
+        _ => -near(beyond),
+    }
+}
+
+/// Maps mean, spread and variance. What is `inside` comes to the unit range whatever the rounding.
+fn map(signal: &mut Signal, scale: f64, offset: f64, inside: RangeInclusive<f32>) {
+    let per_unit = 1.0 / scale;
+    let unit = |value: f32| {
+        let unit = (f64::from(value) - offset) * per_unit;
+        if inside.contains(&value) { unit.clamp(0.0, 1.0) } else { unit }
+    };
+    // Of a pixel far outside: how far the pull lets values apart that lie one deviation to either side of it.
+    let pulled_deviation = |mean: f64, deviation: f64| (pulled(mean + deviation) - pulled(mean - deviation)) / 2.0;
+    for (channel, mean) in signal.mean.planes.iter_mut().enumerate() {
+        for (pixel, mean) in mean.iter_mut().enumerate() {
+            let value = unit(*mean);
+            *mean = pulled(value) as f32;
+            let is_far = pulled(value) != value;
+            if let Some(spread) = &mut signal.half_spread {
+                let spread = &mut spread.planes[channel][pixel];
+                let linear = (f64::from(*spread) * per_unit).clamp(-LARGEST, LARGEST);
+                *spread = if is_far { pulled_deviation(value, linear) } else { linear } as f32;
+            }
+            if let Some(variance) = &mut signal.variance_of_mean {
+                let variance = &mut variance.planes[channel][pixel];
+                let linear = (f64::from(*variance) * per_unit * per_unit).min(LARGEST);
+                *variance = if is_far { pulled_deviation(value, linear.sqrt()).powi(2) } else { linear } as f32;
+            }
+        }
+    }
 }
 
 /// Least and greatest value among the hits; (∞, −∞) if there are none.
-fn range_of_hits(plane: &[f32], misses: &[bool]) -> (f32, f32) {
+fn extremes(plane: &[f32], misses: &[bool]) -> (f32, f32) {
     let hits = plane.iter().zip(misses).filter(|(_, miss)| !**miss).map(|(value, _)| *value);
     hits.fold((f32::INFINITY, f32::NEG_INFINITY), |(least, greatest), value| (least.min(value), greatest.max(value)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_pull_rises_without_a_step_and_leaves_the_unit_range_alone() {
+        let values: Vec<f64> = (-4000..=4000).map(|step| f64::from(step) / 1000.0).collect();
+        for pair in values.windows(2) {
+            let (low, high) = (pulled(pair[0]), pulled(pair[1]));
+            assert!(low < high && high - low <= 1.001e-3, "{pair:?} {low} {high}");
+        }
+        assert!(values.iter().filter(|value| (-1.0..=2.0).contains(*value)).all(|value| pulled(*value) == *value));
+        assert!(pulled(1e300) < 200.0 && pulled(-1e300) > -200.0);
+    }
 }

@@ -79,6 +79,34 @@ fn one_half_alone_is_an_error() {
 }
 
 #[test]
+fn what_is_optional_and_cannot_be_used_is_left_out_and_named() {
+    let folder = folder();
+    let colour = || Part::new().with("", "RGB", 1.0).with("halfA", "RGB", 2.0).with("halfB", "RGB", 3.0);
+    let features = colour().with("albedo", "RGB", 4.0).with("albedo_halfA", "RGB", 5.0).with("normal", "XYZ", 6.0).with("normal_variance", "Q", 7.0);
+    let with_variance = Part::new().with("", "RGB", 1.0).with("halfB", "RGB", 2.0).with("variance", "RGB", 3.0);
+    let odd_variance = colour().with("variance", "PQ", 4.0);
+    let cases: [(Part, &[(&str, &str)]); 3] = [
+        (features, &[("albedo_halfA", "half B is missing"), ("normal_variance", "do not match")]),
+        (with_variance, &[("halfB", "half A is missing")]),
+        (odd_variance, &[("variance", "do not match")]),
+    ];
+    for (part, left_out) in cases {
+        let set = read(&write(folder.path(), "in.exr", vec![part]));
+        for (layer, problem) in left_out {
+            let found = set.layer_uses().iter().find(|found| found.layer == *layer).unwrap();
+            assert!(found.role == Role::Untouched && found.note.as_ref().is_some_and(|note| note.contains(problem)), "{found:?}");
+        }
+        assert!(Frame::from_buffer_set(&set).is_ok());
+    }
+    // A half that was asked for by name needs the other one, whatever else there is.
+    let part = Part::new().with("", "RGB", 1.0).with("first", "RGB", 2.0).with("variance", "RGB", 3.0);
+    let input = write(folder.path(), "named.exr", vec![part]);
+    let half_a = Some(LayerRef { file: input.clone(), layer: Some("first".into()) });
+    let message = failure(&BufferSetRequest { half_a, ..request(&input) });
+    assert!(message.contains("half B is missing"), "{message}");
+}
+
+#[test]
 fn the_input_given_as_its_own_variance_asks_for_a_layer() {
     let folder = folder();
     let input = write(folder.path(), "in.exr", vec![Part::native()]);
