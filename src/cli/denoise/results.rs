@@ -6,15 +6,14 @@ use stein::Error;
 use stein::gpu::AdapterSummary;
 
 use super::progress::Progress;
-use super::shot::{self, ShotErrors};
+use super::shot::{self, Reported, ShotErrors};
 use super::writer::{Denoised, Done, Writer};
-use crate::cli::report::FrameReport;
 use crate::cli::{Failure, Out, quality};
 
 pub(super) struct Results<'a> {
     pub(super) progress: Progress,
     writer: Writer<'a>,
-    reports: Vec<FrameReport>,
+    reports: Vec<Reported>,
     /// Why a frame could not be written.
     failure: Option<Failure>,
     device: &'a AdapterSummary,
@@ -43,7 +42,7 @@ impl<'a> Results<'a> {
     }
 
     pub(super) fn add(&mut self, done: Result<Done, Failure>, out: &mut Out) {
-        let Done { introduction, report } = match done {
+        let Done { introduction, reported } = match done {
             Ok(done) => done,
             Err(failure) => {
                 self.failure.get_or_insert(failure);
@@ -53,6 +52,10 @@ impl<'a> Results<'a> {
         if let Some(introduction) = introduction {
             self.progress.say(out, introduction);
         }
+        let report = &reported.report;
+        for left_out in &reported.beside.left_out {
+            self.progress.say(out, format_args!("  {left_out}"));
+        }
         let text = report.text(self.device, self.verbose);
         let text = match &report.errors {
             None => text,
@@ -61,11 +64,17 @@ impl<'a> Results<'a> {
         };
         self.progress.say(out, text);
         self.progress.written(out);
-        self.reports.push(report);
+        self.reports.push(reported);
+    }
+
+    /// Tells of a frame that cannot be denoised, after those before it.
+    pub(super) fn leave_out(&mut self, failure: &Failure, out: &mut Out) {
+        self.progress.say(out, format_args!("{}: not denoised", failure.cause()));
+        self.progress.left_out(out);
     }
 
     /// Waits for the writer. What it failed in came before what `ended` the work on the device.
-    pub(super) fn finish(mut self, ended: Result<(), Failure>, out: &mut Out) -> Result<(Vec<FrameReport>, Option<ShotErrors>), Failure> {
+    pub(super) fn finish(mut self, ended: Result<(), Failure>, out: &mut Out) -> Result<(Vec<Reported>, Option<ShotErrors>), Failure> {
         while let Some(done) = self.writer.rest() {
             self.add(done, out);
         }
