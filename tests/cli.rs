@@ -538,13 +538,13 @@ fn names_out_of_files_are_shown_escaped_and_documents_hold_them_as_they_are() {
     let folder = Folder::new();
     let input = folder.path("in\u{1b}[2J\n.exr");
     std::fs::copy(small(), &input).unwrap();
-    let told = stein(&["denoise", &input, "--feature", &format!("a\u{1b}b={input}::albedo"), "--radius=1", "-v"]).succeeded();
+    let told = stein(&["denoise", &input, "--feature", &format!("a\u{1b}b={input}::depth"), "--radius=1", "-v"]).succeeded();
     assert_harmless(&told.stdout);
     told.said(&[r"in\u{1b}[2J\n.exr: 32×32", r"feature a\u{1b}b", r"in\u{1b}[2J\n.denoised.exr: "]);
     let status = stein(&[&["denoise", &input, "--method=gem", "--progress=openjd"][..]].concat()).succeeded();
     status.said(&[r"openjd_status: "]);
     assert_harmless(&status.stdout);
-    let document = stein(&["info", &input, "--json", "--feature", &format!("a\u{1b}b={input}::albedo")]).succeeded().json();
+    let document = stein(&["info", &input, "--json", "--feature", &format!("a\u{1b}b={input}::depth")]).succeeded().json();
     assert_eq!(document["files"][0]["file"], input.as_str());
     assert!(document["files"][0]["layers"].as_array().unwrap().iter().any(|layer| layer["role"]["Feature"][0] == "a\u{1b}b"));
     let failed = stein(&["denoise", &folder.path("no\u{9b}file\n.exr")]);
@@ -584,9 +584,9 @@ fn files_are_found_whatever_their_names_hold() {
         let of = |layer: &str| format!("{input}::{layer}");
         // Each of these names the same pixels in another way.
         let others = ["--half-a", &of("halfA"), "--half-b", &of("halfB"), "--variance", &of("variance"), "--ref", &input];
-        let feature = format!("tint={}", of("albedo"));
+        let feature = format!("tint={}", of("depth"));
         stein(&[&["denoise", &input, "--feature", &feature, "--radius=1"][..], &others].concat()).succeeded().said(&["feature tint", "variance"]);
-        stein(&["denoise", &input, "--no-features", "--feature", &format!("all={input}"), "--literal", "-n"]).succeeded().said(&["feature all"]);
+        stein(&["denoise", &input, "--literal", "-n"]).succeeded().said(&["mode: full", "nothing is written"]);
         let output = Path::new(&input).with_extension("").to_str().unwrap().to_owned() + ".denoised.exr";
         assert!(Path::new(&output).exists(), "{output}");
         // An output in a folder of such a name, and one that replaces such a file.
@@ -610,13 +610,13 @@ fn a_path_is_taken_as_it_is_where_that_is_said() {
     // Now it exists.
     stein(&[&["denoise", &input, "-o", &output][..], &QUICK].concat()).succeeded();
     stein(&["denoise", &folder.path("shot.#.exr"), "--literal"]).failed(3, &["shot.#.exr: cannot be read", "remedy: "]);
-    stein(&["denoise", &folder.path("shot.#.exr")]).failed(3, &["shot.#.exr", "there is no such file, and no such frame"]);
-    let layer = format!("{input}::albedo");
-    stein(&["denoise", &input, "--half-a", &layer, "--literal"]).failed(3, &["render.exr::albedo: cannot be read"]);
-    stein(&["denoise", &input, "--ref", &layer, "--literal"]).failed(3, &["render.exr::albedo: cannot be read"]);
-    stein(&["bench", &input, "--ref", &layer, "--literal"]).failed(3, &["render.exr::albedo: cannot be read"]);
+    stein(&["denoise", &folder.path("shot.#.exr")]).failed(3, &["shot.#.exr", "there is no such file; if it is a pattern, there is no such frame"]);
+    let layer = format!("{input}::depth");
+    stein(&["denoise", &input, "--half-a", &layer, "--literal"]).failed(3, &["render.exr::depth: cannot be read"]);
+    stein(&["denoise", &input, "--ref", &layer, "--literal"]).failed(3, &["render.exr::depth: cannot be read"]);
+    stein(&["bench", &input, "--ref", &layer, "--literal"]).failed(3, &["render.exr::depth: cannot be read"]);
     let adapt = ["adapt", "dof", "--spp=8", "-o", &folder.path("loop"), "--literal", "--ref", &layer];
-    stein(&adapt).failed(3, &["render.exr::albedo: cannot be read"]);
+    stein(&adapt).failed(3, &["render.exr::depth: cannot be read"]);
     for subcommand in ["info", "kernel", "sample-map"] {
         stein(&[subcommand, "--help"]).succeeded().said(&["--literal"]);
     }

@@ -42,7 +42,8 @@ pub(crate) struct FileChannel {
 impl ExrFile {
     /// Reads everything in the file. Whatever the bytes are, it never panics, and takes no more memory than they can be decoded to.
     pub(crate) fn read(path: &Path) -> Result<Self> {
-        let image = read(path).map_err(|Trouble { problem, remedy }| Error::File { path: path.to_owned(), problem, remedy: remedy.into() })?;
+        let mut image = read(path).map_err(|Trouble { problem, remedy }| Error::File { path: path.to_owned(), problem, remedy: remedy.into() })?;
+        image.layer_data.iter_mut().for_each(mend_overshoots);
         let layers = layers_of(&image);
         Ok(Self { path: path.to_owned(), image, layers })
     }
@@ -149,6 +150,34 @@ fn read(path: &Path) -> std::result::Result<FlatImage, Trouble> {
     let file = File::open(path)?;
     let bytes = file.metadata()?.len();
     decode(&mut BufReader::new(file), bytes)
+}
+
+/// Whether a channel is stored as waves, with a loss: under DWA, by its name. All other channels are stored without.
+pub(super) fn is_lossy(compression: Compression, name: &Text) -> bool {
+    let name = name.as_slice();
+    let suffix = name.iter().rposition(|byte| *byte == b'.').map_or(name, |dot| &name[dot + 1..]);
+    let is_dwa = matches!(compression, Compression::DWAA(_) | Compression::DWAB(_));
+    is_dwa && [&b"R"[..], b"G", b"B", b"Y", b"RY", b"BY"].iter().any(|known| suffix.eq_ignore_ascii_case(known))
+}
+
+/// DWA stores no infinity, but waves whose sum may overshoot the largest half float where the values were near it. Such a
+/// value becomes the largest half float again, which is nearer to what was stored than anything around it.
+fn mend_overshoots(layer: &mut Layer<AnyChannels<FlatSamples>>) {
+    let compression = layer.encoding.compression;
+    let lossy = layer.channel_data.list.iter_mut().filter(|channel| is_lossy(compression, &channel.name));
+    for channel in lossy {
+        match &mut channel.sample_data {
+            FlatSamples::F16(values) => {
+                let infinite = values.iter_mut().filter(|value| value.is_infinite());
+                infinite.for_each(|value| *value = if value.is_sign_positive() { f16::MAX } else { f16::MIN });
+            }
+            FlatSamples::F32(values) => {
+                let most = f16::MAX.to_f32();
+                values.iter_mut().filter(|value| value.is_infinite()).for_each(|value| *value = most.copysign(*value));
+            }
+            FlatSamples::U32(_) => {}
+        }
+    }
 }
 
 fn extent(size: Vec2<usize>) -> Extent {

@@ -8,7 +8,7 @@ use exr::meta::attribute::TimeCode;
 use exr::prelude::*;
 
 use super::BufferSet;
-use super::file::{ExrFile, FileLayer};
+use super::file::{ExrFile, FileLayer, is_lossy};
 use super::header::settle;
 use super::names::{LONGEST_NAME, encoded};
 use crate::aside;
@@ -125,6 +125,13 @@ pub fn write_denoised(set: BufferSet, output: &Path, denoised: &DenoisedLayers<'
     }
     write_then_rename(&image, output)?;
     Ok(writer.report)
+}
+
+/// Whether a lossy compression may bring a value beyond the largest half float: its errors are relative ones, of a factor
+/// of two at the highest levels, and the reader gets infinity.
+fn may_overshoot(compression: Compression, channel: &AnyChannel<FlatSamples>) -> bool {
+    const MOST: f32 = 16_376.0;
+    is_lossy(compression, &channel.name) && channel.sample_data.values_as_f32().any(|value| value.abs() > MOST)
 }
 
 /// All channels but the alpha.
@@ -245,6 +252,11 @@ impl Writer<'_> {
         };
         if !writable {
             self.report.notes.push(format!("{} cannot be written: ZIP is used instead", layer.encoding.compression));
+            layer.encoding.compression = Compression::ZIP16;
+        }
+        if layer.channel_data.list.iter().any(|channel| may_overshoot(layer.encoding.compression, channel)) {
+            let compression = layer.encoding.compression;
+            self.report.notes.push(format!("{compression} would make infinities of the largest values: ZIP is used instead"));
             layer.encoding.compression = Compression::ZIP16;
         }
         // The input may have had them in any order, but the format wants them sorted.

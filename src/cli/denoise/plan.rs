@@ -116,7 +116,7 @@ impl Plan {
         if frames.is_empty() {
             let input = text::path(input);
             return Err(Failure::input(format_args!(
-                "{input}: there is no such file, and no such frame if it is a pattern\n  remedy: check the path, or the pattern and its number of digits"
+                "{input}: there is no such file; if it is a pattern, there is no such frame\n  remedy: check the path, or the number of digits"
             )));
         }
         let output_pattern = match &args.output {
