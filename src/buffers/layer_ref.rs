@@ -1,7 +1,7 @@
 //! How a user points at a layer, and how the program says what it took a layer for.
 
 use std::convert::Infallible;
-use std::ffi::OsString;
+use std::ffi::{OsStr, OsString};
 use std::fmt;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
@@ -52,29 +52,56 @@ impl FromStr for LayerRef {
 
     /// As [`LayerRef::from`] the same text.
     fn from_str(text: &str) -> Result<Self, Infallible> {
-        let splits = || text.rmatch_indices(SEPARATOR).map(|(at, _)| (&text[..at], &text[at + SEPARATOR.len()..]));
-        let splits = || splits().filter(|(file, layer)| !file.is_empty() && !layer.is_empty());
-        if Path::new(text).exists() {
-            return Ok(Self::whole(text));
-        }
-        let is_exr = |file: &str| file.len() >= 4 && file.as_bytes()[file.len() - 4..].eq_ignore_ascii_case(b".exr");
-        let split = splits().find(|(file, _)| Path::new(file).is_file());
-        let split = split.or_else(|| splits().find(|(file, _)| is_exr(file)));
-        // A folder with `::` in its name and no such file in it.
-        let split = split.or_else(|| splits().next().filter(|(_, layer)| !layer.contains(std::path::is_separator)));
-        Ok(split.map_or_else(|| Self::whole(text), |(file, layer)| Self { file: file.into(), layer: Some(layer.to_owned()) }))
+        Ok(OsString::from(text).into())
     }
 }
 
 impl From<OsString> for LayerRef {
     /// A text that is the path of something that exists is that file. Else it is split at a `::`: at the last one behind a
     /// file that exists, or behind a name that ends in `.exr`, such as that of a pattern, or at the last one of all. Any
-    /// text is a reference; whether there is such a file shows when it is read. One that is not Unicode names a file alone.
+    /// text is a reference; whether there is such a file shows when it is read.
     fn from(text: OsString) -> Self {
-        text.into_string().map_or_else(Self::whole, |text| {
-            let Ok(layer) = text.parse();
-            layer
-        })
+        if Path::new(&text).exists() {
+            return Self::whole(text);
+        }
+        let is_exr = |file: &Path| file.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("exr"));
+        let mut splits = splits(&text);
+        // A folder with `::` in its name and no such file in it.
+        let is_path = |layer: &str| layer.contains(std::path::is_separator);
+        let chosen = splits.iter().position(|(file, _)| file.is_file());
+        let chosen = chosen.or_else(|| splits.iter().position(|(file, _)| is_exr(file)));
+        let chosen = chosen.or_else(|| splits.first().filter(|(_, layer)| !is_path(layer)).map(|_| 0));
+        match chosen {
+            Some(chosen) => {
+                let (file, layer) = splits.swap_remove(chosen);
+                Self { file, layer: Some(layer) }
+            }
+            None => Self::whole(text),
+        }
+    }
+}
+
+/// A file and a layer for each `::` with something on both sides, from the last one on. The file need not be Unicode.
+fn splits(text: &OsStr) -> Vec<(PathBuf, String)> {
+    let places = text.as_encoded_bytes().windows(SEPARATOR.len()).enumerate().filter(|(_, found)| *found == SEPARATOR.as_bytes());
+    let mut splits: Vec<_> = places.filter_map(|(at, _)| parted(text, at, SEPARATOR.len())).collect();
+    splits.retain(|(file, layer)| !file.is_empty() && !layer.is_empty());
+    let named = |(file, layer): (OsString, OsString)| Some((file.into(), layer.into_string().ok()?));
+    splits.into_iter().rev().filter_map(named).collect()
+}
+
+/// What stands before and behind a separator.
+fn parted(text: &OsStr, at: usize, length: usize) -> Option<(OsString, OsString)> {
+    #[cfg(unix)]
+    {
+        use std::os::unix::ffi::OsStrExt;
+        let (before, behind) = (&text.as_bytes()[..at], &text.as_bytes()[at + length..]);
+        Some((OsStr::from_bytes(before).to_owned(), OsStr::from_bytes(behind).to_owned()))
+    }
+    #[cfg(not(unix))]
+    {
+        let text = text.to_str()?;
+        Some((text[..at].into(), text[at + length..].into()))
     }
 }
 
@@ -87,29 +114,14 @@ impl fmt::Display for LayerRef {
 
 /// A feature's name and where it is, written `NAME=FILE` or `NAME=FILE::LAYER`. The file's name may hold `=` as well.
 pub(super) fn feature(text: OsString) -> Result<(String, LayerRef), String> {
-    let shape = || "it must look like NAME=FILE or NAME=FILE::LAYER, as in albedo=aux.exr".to_owned();
-    let (name, file) = split_name(text).ok_or_else(shape)?;
-    if name.is_empty() || file.is_empty() {
-        return Err(shape());
-    }
-    Ok((name, file.into()))
-}
-
-/// What stands before and behind the first `=`. The file need not be Unicode, the name must be.
-fn split_name(text: OsString) -> Option<(String, OsString)> {
-    #[cfg(unix)]
-    {
-        use std::os::unix::ffi::OsStringExt;
-        let bytes = text.into_vec();
-        let at = bytes.iter().position(|byte| *byte == b'=')?;
-        let name = String::from_utf8(bytes[..at].to_vec()).ok()?;
-        Some((name, OsString::from_vec(bytes[at + 1..].to_vec())))
-    }
-    #[cfg(not(unix))]
-    {
-        let text = text.into_string().ok()?;
-        let (name, file) = text.split_once('=')?;
-        Some((name.to_owned(), file.into()))
+    let first = text.as_encoded_bytes().iter().position(|byte| *byte == b'=');
+    let named = first.and_then(|at| {
+        let (name, file) = parted(&text, at, 1)?;
+        Some((name.into_string().ok()?, file))
+    });
+    match named {
+        Some((name, file)) if !name.is_empty() && !file.is_empty() => Ok((name, file.into())),
+        _ => Err("it must look like NAME=FILE or NAME=FILE::LAYER, as in albedo=aux.exr".into()),
     }
 }
 

@@ -116,7 +116,9 @@ fn a_layer_of_a_file_is_written_behind_two_colons() {
     #[cfg(unix)]
     {
         let name: std::ffi::OsString = std::os::unix::ffi::OsStringExt::from_vec(b"\xff.exr::a".to_vec());
-        assert_eq!(LayerRef::from(name.clone()), LayerRef::whole(name));
+        let file: std::ffi::OsString = std::os::unix::ffi::OsStringExt::from_vec(b"\xff.exr".to_vec());
+        assert_eq!(LayerRef::from(name.clone()), LayerRef { file: file.into(), layer: Some("a".into()) });
+        assert_eq!(LayerRef::from(name.clone()).literal(), LayerRef::whole(name));
     }
 }
 
