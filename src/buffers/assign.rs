@@ -121,10 +121,7 @@ pub(super) fn color_layer(file: &ExrFile, wanted: Option<&str>) -> Result<usize>
         }),
         several => Err(Error::File {
             path: file.path.clone(),
-            problem: format!(
-                "has several layers that could be the colour: {}",
-                text::list(several.iter().map(|&layer| file.layers[layer].described()))
-            ),
+            problem: format!("has several layers that could be the colour: {}", text::list(several.iter().map(|&layer| file.layers[layer].described()))),
             remedy: "name the layer to take (`BufferSetRequest::layer`, `LayerRef::layer`)".into(),
         }),
     }

@@ -46,10 +46,7 @@ impl Trouble {
     /// A name that no reader opens, so that it cannot be written either.
     fn long_name(what: &str, name: &[u8]) -> Self {
         let start = text::beginning(&decoded(name), name.len());
-        Self::new(
-            format!("has a {what} whose name {start} is longer than the {LONGEST_NAME} bytes that OpenEXR stores"),
-            "write it under a shorter name",
-        )
+        Self::new(format!("has a {what} whose name {start} is longer than the {LONGEST_NAME} bytes that OpenEXR stores"), "write it under a shorter name")
     }
 
     fn compressed(method: impl std::fmt::Display) -> Self {

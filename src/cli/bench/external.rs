@@ -63,7 +63,9 @@ impl External {
         };
         // What an earlier run wrote must not be taken for an answer.
         match std::fs::remove_file(output) {
-            Err(error) if error.kind() != std::io::ErrorKind::NotFound => return Err(failed(format!("{} cannot be replaced ({error})", text::path(output)), "")),
+            Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
+                return Err(failed(format!("{} cannot be replaced ({error})", text::path(output)), ""));
+            }
             _ => {}
         }
         // Into files, which never make a program wait.

@@ -243,14 +243,9 @@ mod tests {
 
     #[test]
     fn gaps_are_what_breaks_the_step() {
-        for (found, missing) in [
-            (&[][..], ""),
-            (&[5], ""),
-            (&[1, 2, 3, 5, 8], "4, 6-7"),
-            (&[1, 3, 5, 11], "7-9"),
-            (&[1, 100], ""),
-            (&[0, 1, u32::MAX], "2-4294967294"),
-        ] {
+        for (found, missing) in
+            [(&[][..], ""), (&[5], ""), (&[1, 2, 3, 5, 8], "4, 6-7"), (&[1, 3, 5, 11], "7-9"), (&[1, 100], ""), (&[0, 1, u32::MAX], "2-4294967294")]
+        {
             let told = text::list(gaps(found.iter().copied()).iter().map(Gap::to_string));
             assert_eq!(told, missing, "{found:?}");
         }

@@ -105,9 +105,9 @@ impl Contents<'_> {
         let missing = self.keep.iter().filter(|one| !estimate.layers.iter().any(|layer| layer.intermediate == **one));
         written.notes.extend(missing.map(|one| format!("--keep {}: there is nothing of the kind without halves or features", one.name())));
         let left_out = frame.features().iter().filter(|feature| !estimate.features.contains(&feature.name));
-        written
-            .notes
-            .extend(left_out.map(|feature| format!("feature {}: not used, because a frame beside lacks it or has it the same everywhere", text::name(&feature.name))));
+        written.notes.extend(
+            left_out.map(|feature| format!("feature {}: not used, because a frame beside lacks it or has it the same everywhere", text::name(&feature.name))),
+        );
         let errors = reference.as_ref().map(|reference| quality::compare(&frame, &estimate, reference)).transpose()?;
         let strips = estimate.strips;
         if let (Some(number), Some(reference), Some(errors)) = (number, reference, &errors) {
