@@ -128,8 +128,8 @@ pub(crate) fn replace(output: &Path, builder: &mut Builder<'_, '_>, write: impl 
     aside.finish(|aside| aside.persist(output).map(drop).map_err(|error| error.error))
 }
 
-/// Gives a file or folder the access rights of the one that it replaces: owner and group as far as this process may, and
-/// the mode. Where the group cannot be kept, its members get no more than everybody has.
+/// Gives a file or folder the access rights of the one that it replaces: owner and group as far as this process may,
+/// and the mode. Where the group cannot be kept, its members get no more than everybody has.
 ///
 /// Best effort: file systems without such rights refuse, and there is nothing to keep on them.
 pub fn inherit(new: &File, replaced: &Metadata) {

@@ -21,8 +21,8 @@ const BEGINNING: usize = 40;
 /// others would be waited for.
 ///
 /// # Errors
-/// Those of the file system; [`ErrorKind::InvalidInput`] for what is no file, [`ErrorKind::FileTooLarge`] for one that is
-/// too large, [`ErrorKind::InvalidData`] for one that is not UTF-8. All of them say so in words.
+/// Those of the file system; [`ErrorKind::InvalidInput`] for what is no file, [`ErrorKind::FileTooLarge`] for one
+/// that is too large, [`ErrorKind::InvalidData`] for one that is not UTF-8. All of them say so in words.
 pub fn read_file(path: &Path, most_bytes: u64) -> Result<String> {
     let kind = path.metadata()?;
     if kind.is_dir() {

@@ -160,8 +160,8 @@ pub(super) fn is_lossy(compression: Compression, name: &Text) -> bool {
     is_dwa && [&b"R"[..], b"G", b"B", b"Y", b"RY", b"BY"].iter().any(|known| suffix.eq_ignore_ascii_case(known))
 }
 
-/// DWA stores no infinity, but waves whose sum may overshoot the largest half float where the values were near it. Such a
-/// value becomes the largest half float again, which is nearer to what was stored than anything around it.
+/// DWA stores no infinity, but waves whose sum may overshoot the largest half float where the values were near it.
+/// Such a value becomes the largest half float again, which is nearer to what was stored than anything around it.
 fn mend_overshoots(layer: &mut Layer<AnyChannels<FlatSamples>>) {
     let compression = layer.encoding.compression;
     let lossy = layer.channel_data.list.iter_mut().filter(|channel| is_lossy(compression, &channel.name));

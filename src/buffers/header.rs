@@ -196,9 +196,9 @@ impl Head {
     }
 }
 
-/// Completes the head of a file that was just written. The attributes get the order of their names: the encoder leaves it
-/// to chance, and the same image is to be the same file. The flag for long names is set for channels too, without which
-/// other readers refuse them.
+/// Completes the head of a file that was just written. The attributes get the order of their names: the encoder
+/// leaves it to chance, and the same image is to be the same file. The flag for long names is set for channels too,
+/// without which other readers refuse them.
 pub(super) fn settle(file: &mut (impl Read + Write + Seek)) -> std::io::Result<()> {
     let bytes = file.seek(SeekFrom::End(0))?;
     file.rewind()?;

@@ -57,9 +57,9 @@ impl FromStr for LayerRef {
 }
 
 impl From<OsString> for LayerRef {
-    /// A text that is the path of something that exists is that file. Else it is split at a `::`: at the last one behind a
-    /// file that exists, or behind a name that ends in `.exr`, such as that of a pattern, or at the last one of all. Any
-    /// text is a reference; whether there is such a file shows when it is read.
+    /// A text that is the path of something that exists is that file. Else it is split at a `::`: at the last one
+    /// behind a file that exists, or behind a name that ends in `.exr`, such as that of a pattern, or at the last one
+    /// of all. Any text is a reference; whether there is such a file shows when it is read.
     fn from(text: OsString) -> Self {
         if Path::new(&text).exists() {
             return Self::whole(text);

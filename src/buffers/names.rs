@@ -8,7 +8,8 @@ use crate::text;
 /// The longest name of a channel, an attribute or a type, in bytes. Readers refuse longer ones.
 pub(super) const LONGEST_NAME: usize = 255;
 
-/// A name as text. The format stores bytes: UTF-8 where they are valid UTF-8, else Latin-1, which every byte is part of.
+/// A name as text. The format stores bytes: UTF-8 where they are valid UTF-8, else Latin-1, which every byte is part
+/// of.
 pub(super) fn decoded(stored: &[u8]) -> String {
     str::from_utf8(stored).map_or_else(|_| stored.iter().copied().map(char::from).collect(), str::to_owned)
 }

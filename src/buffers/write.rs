@@ -79,8 +79,8 @@ impl std::fmt::Display for WriteReport {
 /// Writes the input of `set` with its colour replaced. Header, parts, windows, alpha and all layers that are not replaced stay as they were; replaced
 /// channels keep their sample type. Mip levels are not kept. The set is used up: its layers are handed on, not copied.
 ///
-/// The file appears under its name only when it is complete; an existing one is replaced, which may be the input. An extra
-/// layer whose name is too long to be stored is left out, see [`WriteReport::left_out`].
+/// The file appears under its name only when it is complete; an existing one is replaced, which may be the input. An
+/// extra layer whose name is too long to be stored is left out, see [`WriteReport::left_out`].
 ///
 /// # Errors
 /// Images of another extent or number of channels than the layers that they replace, replacements for layers that do not exist, extra layers that do
@@ -127,8 +127,8 @@ pub fn write_denoised(set: BufferSet, output: &Path, denoised: &DenoisedLayers<'
     Ok(writer.report)
 }
 
-/// Whether a lossy compression may bring a value beyond the largest half float: its errors are relative ones, of a factor
-/// of two at the highest levels, and the reader gets infinity.
+/// Whether a lossy compression may bring a value beyond the largest half float: its errors are relative ones, of a
+/// factor of two at the highest levels, and the reader gets infinity.
 fn may_overshoot(compression: Compression, channel: &AnyChannel<FlatSamples>) -> bool {
     const MOST: f32 = 16_376.0;
     is_lossy(compression, &channel.name) && channel.sample_data.values_as_f32().any(|value| value.abs() > MOST)

@@ -8,9 +8,9 @@ use stein::text;
 
 use crate::cli::Failure;
 
-/// `shot.####.exr` or `shot.%04d.exr`: as many digits as `#`, or as the number says, and more where the frame number has
-/// more. The last such place counts, in the file's name or else in that of a folder that does not exist; others are taken
-/// literally.
+/// `shot.####.exr` or `shot.%04d.exr`: as many digits as `#`, or as the number says, and more where the frame number
+/// has more. The last such place counts, in the file's name or else in that of a folder that does not exist; others
+/// are taken literally.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Pattern {
     /// Folder of the name with the place, as it was written.
