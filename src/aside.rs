@@ -3,7 +3,7 @@
 //! What is on its way is known to the process, so that a program that a signal ends can take it away first: see [`abandon`].
 
 use std::collections::BTreeSet;
-use std::fs::File;
+use std::fs::{File, Metadata};
 use std::io::{Error, ErrorKind, Result, Write};
 use std::ops::{Deref, DerefMut};
 use std::path::{Path, PathBuf};
@@ -90,7 +90,8 @@ impl<T: AsRef<Path>> Drop for Aside<T> {
     }
 }
 
-/// Writes a file of these bytes, as readable as the user's other files. Where anything fails, what was there stays and nothing else is left.
+/// Writes a file of these bytes, as readable as the user's other files, or as the file that it replaces. Where anything
+/// fails, what was there stays and nothing else is left.
 ///
 /// # Errors
 /// Those of the file system, and [`ErrorKind::Interrupted`] once everything was abandoned.
@@ -106,7 +107,8 @@ pub(crate) fn readable<'a, 'b, 'c>(builder: &'c mut Builder<'a, 'b>) -> &'c mut 
     builder
 }
 
-/// Writes a file aside, has the system keep it, and renames it to `output`, where another may be replaced. Where anything fails, what was there stays and nothing else is left.
+/// Writes a file aside, has the system keep it, and renames it to `output`, where another may be replaced, whose access
+/// rights it takes over. Where anything fails, what was there stays and nothing else is left.
 pub(crate) fn replace(output: &Path, builder: &mut Builder<'_, '_>, write: impl FnOnce(&mut File) -> Result<()>) -> Result<()> {
     let folder = match output.parent() {
         Some(folder) if !folder.as_os_str().is_empty() => folder,
@@ -114,6 +116,9 @@ pub(crate) fn replace(output: &Path, builder: &mut Builder<'_, '_>, write: impl 
     };
     let mut aside: Aside<NamedTempFile> = Aside::make(|| builder.tempfile_in(folder))?;
     write(aside.as_file_mut())?;
+    if let Some(replaced) = output.metadata().ok().filter(Metadata::is_file) {
+        inherit(aside.as_file(), &replaced);
+    }
     // A disk far away tells only now that it is full; and a name must not outlive a power failure that its content did not.
     match aside.as_file().sync_all() {
         // Some file systems have no such thing.
@@ -121,4 +126,25 @@ pub(crate) fn replace(output: &Path, builder: &mut Builder<'_, '_>, write: impl 
         synced => synced?,
     }
     aside.finish(|aside| aside.persist(output).map(drop).map_err(|error| error.error))
+}
+
+/// Gives a file or folder the access rights of the one that it replaces: owner and group as far as this process may,
+/// and the mode. Where the group cannot be kept, its members get no more than everybody has.
+///
+/// Best effort: file systems without such rights refuse, and there is nothing to keep on them.
+pub fn inherit(new: &File, replaced: &Metadata) {
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::{MetadataExt, PermissionsExt, fchown};
+        // Only the superuser gives files away. Of the owner's rights the new owner needs all.
+        let _ = fchown(new, Some(replaced.uid()), None);
+        let keeps_group = fchown(new, None, Some(replaced.gid())).is_ok();
+        let mode = replaced.mode() & 0o777;
+        let of_others = (mode & 0o007) << 3;
+        let mode = if keeps_group { mode } else { (mode & 0o707) | (mode & of_others) };
+        let _ = new.set_permissions(PermissionsExt::from_mode(mode));
+    }
+    // Elsewhere rights are the folder's.
+    #[cfg(not(unix))]
+    let _ = (new, replaced);
 }

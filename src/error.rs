@@ -2,6 +2,8 @@
 
 use std::path::PathBuf;
 
+use crate::text;
+
 /// The result of everything in this library that can fail.
 pub type Result<T> = std::result::Result<T, Error>;
 
@@ -10,7 +12,7 @@ pub type Result<T> = std::result::Result<T, Error>;
 #[non_exhaustive]
 pub enum Error {
     /// A file cannot be read or written.
-    #[error("{}: {problem}\n  remedy: {remedy}", path.display())]
+    #[error("{}: {problem}\n  remedy: {remedy}", text::path(path))]
     File {
         /// The file.
         path: PathBuf,
@@ -20,7 +22,7 @@ pub enum Error {
         remedy: String,
     },
     /// A layer inside a file is missing or cannot be used.
-    #[error("{}, layer '{layer}': {problem}\n  remedy: {remedy}", path.display())]
+    #[error("{}, layer '{}': {problem}\n  remedy: {remedy}", text::path(path), text::name(layer))]
     Layer {
         /// The file.
         path: PathBuf,

@@ -18,6 +18,7 @@
 //! | room | holds | knows |
 //! | --- | --- | --- |
 //! | [`aside`] | files on their way to their names | nothing |
+//! | [`text`] | text files; names, paths and lists in messages | nothing |
 //! | [`buffers`] | OpenEXR files as buffer sets, which layer is what, writing | [`image`], `aside` |
 //! | [`frame`] | a buffer set whose meaning is settled | `buffers` |
 //! | [`gpu`] | device, kernels, recording, pool, timing, compiled pipelines on disk | nothing of denoising |
@@ -54,6 +55,7 @@ pub mod metric;
 pub mod parameters;
 pub mod sampling;
 pub mod stage;
+pub mod text;
 
 pub use denoiser::{Denoiser, Estimate, Layer, Options, Written};
 pub use error::{Error, Result};

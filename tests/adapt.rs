@@ -155,8 +155,8 @@ fn a_run_keeps_its_budgets_and_can_be_resumed_to_the_same_bits() {
 #[test]
 fn a_sampler_command_gives_what_the_loop_in_the_process_gives() {
     let folder = Folder::new();
-    // A name that a shell would take apart.
-    let (inside, outside) = (folder.path("inside"), folder.path("it's out side"));
+    // A name that a shell would take apart, with placeholders that stand for nothing there.
+    let (inside, outside) = (folder.path("inside"), folder.path("it's {out} {map} side"));
     let reference = folder.path("reference.exr");
     stein(&["render", "dof", "--reference", "--spp=64", SMALL[1], "-o", text(&reference)]);
     let fixed = ["--spp=8", "--iterations=2", "--ref", text(&reference), SMALL[0], SMALL[1], "--json", "-o"];

@@ -478,3 +478,150 @@ fn the_page_about_parameters_is_what_the_program_prints() {
     let printed = stein(&["params", "--markdown"]).succeeded().stdout;
     assert!(page == printed, "docs/parameters.md is out of date: write it again with `stein params --markdown > docs/parameters.md`");
 }
+
+/// The pixels of a small image that is denoised in no time.
+fn small() -> String {
+    test_image("anim/shot.0000.exr")
+}
+
+const QUICK: [&str; 3] = ["--method=gem", "--no-error", "--quiet"];
+
+#[test]
+#[cfg(unix)]
+fn only_small_files_are_read_whole() {
+    let (folder, input) = Folder::with("cornell_8spp.exr");
+    stein(&["denoise", &input, "--params=/dev/zero"]).failed(3, &["/dev/zero: cannot be read: it is a pipe or a device", "remedy: "]);
+    stein(&["denoise", &input, "--params", &folder.path("")]).failed(3, &["it is a folder", "remedy: "]);
+    stein(&["bench", "--compare=/dev/zero"]).failed(3, &["/dev/zero: cannot be read: it is a pipe or a device", "remedy: "]);
+    stein(&["selftest", "--compare=/dev/zero"]).failed(3, &["/dev/zero", "it is a pipe or a device", "remedy: "]);
+    let pipe = folder.path("pipe.exr");
+    assert!(std::process::Command::new("mkfifo").arg(&pipe).status().unwrap().success());
+    stein(&["bench", &pipe]).failed(3, &["pipe.exr", "it is a pipe or a device", "remedy: "]);
+    let large = folder.path("large.toml");
+    std::fs::File::create(&large).unwrap().set_len(1 << 40).unwrap();
+    stein(&["denoise", &input, "--params", &large]).failed(3, &["large.toml", "it is larger than 1048576 bytes", "remedy: "]);
+}
+
+#[test]
+#[cfg(unix)]
+fn a_file_that_is_replaced_keeps_its_mode() {
+    use std::os::unix::fs::PermissionsExt;
+    let mode = |path: &str| std::fs::metadata(path).unwrap().permissions().mode() & 0o7777;
+    let set_mode = |path: &str, mode: u32| std::fs::set_permissions(path, PermissionsExt::from_mode(mode)).unwrap();
+    let (folder, input) = Folder::with("anim/shot.0000.exr");
+    let (output, params) = (folder.path("render.denoised.exr"), folder.path("own.toml"));
+    stein(&[&["denoise", &input][..], &QUICK].concat()).succeeded();
+    std::fs::write(folder.path("new"), "").unwrap();
+    assert_eq!(mode(&output), mode(&folder.path("new")), "a new file is as readable as others");
+    for kept in [0o640, 0o600, 0o664, 0o444] {
+        set_mode(&input, kept);
+        set_mode(&output, kept);
+        stein(&[&["denoise", &input][..], &QUICK].concat()).succeeded();
+        stein(&[&["denoise", &input, "-o", &input][..], &QUICK].concat()).succeeded();
+        assert_eq!((mode(&input), mode(&output)), (kept, kept));
+    }
+    std::fs::write(&params, "").unwrap();
+    set_mode(&params, 0o640);
+    stein(&["params", "-o", &params]).succeeded();
+    assert_eq!(mode(&params), 0o640);
+}
+
+/// What people read holds nothing that a terminal obeys.
+#[track_caller]
+fn assert_harmless(text: &str) {
+    assert!(text.chars().all(|character| character == '\n' || !character.is_control()), "{text:?}");
+}
+
+#[test]
+#[cfg(unix)]
+fn names_out_of_files_are_shown_escaped_and_documents_hold_them_as_they_are() {
+    let folder = Folder::new();
+    let input = folder.path("in\u{1b}[2J\n.exr");
+    std::fs::copy(small(), &input).unwrap();
+    let told = stein(&["denoise", &input, "--feature", &format!("a\u{1b}b={input}::depth"), "--radius=1", "-v"]).succeeded();
+    assert_harmless(&told.stdout);
+    told.said(&[r"in\u{1b}[2J\n.exr: 32×32", r"feature a\u{1b}b", r"in\u{1b}[2J\n.denoised.exr: "]);
+    let status = stein(&[&["denoise", &input, "--method=gem", "--progress=openjd"][..]].concat()).succeeded();
+    status.said(&[r"openjd_status: "]);
+    assert_harmless(&status.stdout);
+    let document = stein(&["info", &input, "--json", "--feature", &format!("a\u{1b}b={input}::depth")]).succeeded().json();
+    assert_eq!(document["files"][0]["file"], input.as_str());
+    assert!(document["files"][0]["layers"].as_array().unwrap().iter().any(|layer| layer["role"]["Feature"][0] == "a\u{1b}b"));
+    let failed = stein(&["denoise", &folder.path("no\u{9b}file\n.exr")]);
+    failed.failed(3, &[r"no\u{9b}file\n.exr: "]);
+    assert_harmless(&failed.stderr);
+}
+
+#[test]
+#[cfg(unix)]
+fn files_are_found_whatever_their_names_hold() {
+    use std::ffi::OsStr;
+    use std::os::unix::ffi::OsStrExt;
+    let folder = Folder::new();
+    for name in ["show #3", "50%d", "a::b"] {
+        std::fs::create_dir(folder.path(name)).unwrap();
+    }
+    let names = [
+        "my shot v2 #3.0001.exr",
+        "100%.0001.exr",
+        "a::b.0001.exr",
+        "a{b}$HOME.exr",
+        "-dash.exr",
+        "noext",
+        "UPPER.EXR",
+        "take#.exr",
+        "a=b.exr",
+        "[x]*.exr",
+        "new\nline.exr",
+        "café %d.exr",
+        "show #3/in.exr",
+        "50%d/in.exr",
+        "a::b/in.exr",
+    ];
+    for name in names {
+        let input = folder.path(name);
+        std::fs::copy(small(), &input).unwrap();
+        let of = |layer: &str| format!("{input}::{layer}");
+        // Each of these names the same pixels in another way.
+        let others = ["--half-a", &of("halfA"), "--half-b", &of("halfB"), "--variance", &of("variance"), "--ref", &input];
+        let feature = format!("tint={}", of("depth"));
+        stein(&[&["denoise", &input, "--feature", &feature, "--radius=1"][..], &others].concat()).succeeded().said(&["feature tint", "variance"]);
+        stein(&["denoise", &input, "--literal", "-n"]).succeeded().said(&["mode: full", "nothing is written"]);
+        let output = Path::new(&input).with_extension("").to_str().unwrap().to_owned() + ".denoised.exr";
+        assert!(Path::new(&output).exists(), "{output}");
+        // An output in a folder of such a name, and one that replaces such a file.
+        stein(&[&["denoise", &input, "-o", &output][..], &QUICK].concat()).succeeded();
+    }
+    let bad = Path::new(&folder.path("")).join(OsStr::from_bytes(b"bad\xff\xfe.exr"));
+    std::fs::copy(small(), &bad).unwrap();
+    let layer = |layer: &str| {
+        let mut named = bad.clone().into_os_string();
+        named.push(layer);
+        named
+    };
+    let told = command(&["denoise", "--json", "--method=gem", "--variance"]).arg(layer("::variance")).arg(&bad).output().unwrap();
+    let document: Value = serde_json::from_slice(&told.stdout).unwrap();
+    assert!(document["output"]["file"].as_str().unwrap().ends_with(r"bad\xff\xfe.denoised.exr"), "{document}");
+}
+
+#[test]
+fn a_path_is_taken_as_it_is_where_that_is_said() {
+    let (folder, input) = Folder::with("anim/shot.0000.exr");
+    let output = folder.path("take#.exr");
+    stein(&[&["denoise", &input, "-o", &output][..], &QUICK].concat()).failed(2, &["is a single image", "--literal"]);
+    stein(&[&["denoise", &input, "-o", &output, "--literal"][..], &QUICK].concat()).succeeded();
+    // Now it exists.
+    stein(&[&["denoise", &input, "-o", &output][..], &QUICK].concat()).succeeded();
+    stein(&["denoise", &folder.path("shot.#.exr"), "--literal"]).failed(3, &["shot.#.exr: cannot be read", "remedy: "]);
+    stein(&["denoise", &folder.path("shot.#.exr")]).failed(3, &["shot.#.exr", "there is no such file; if it is a pattern, there is no such frame"]);
+    let layer = format!("{input}::depth");
+    stein(&["denoise", &input, "--half-a", &layer, "--literal"]).failed(3, &["render.exr::depth: cannot be read"]);
+    stein(&["denoise", &input, "--ref", &layer, "--literal"]).failed(3, &["render.exr::depth: cannot be read"]);
+    stein(&["bench", &input, "--ref", &layer, "--literal"]).failed(3, &["render.exr::depth: cannot be read"]);
+    let adapt = ["adapt", "dof", "--spp=8", "-o", &folder.path("loop"), "--literal", "--ref", &layer];
+    stein(&adapt).failed(3, &["render.exr::depth: cannot be read"]);
+    for subcommand in ["info", "kernel", "sample-map"] {
+        stein(&[subcommand, "--help"]).succeeded().said(&["--literal"]);
+    }
+    assert_eq!(folder.names(), ["render.exr", "take#.exr"]);
+}

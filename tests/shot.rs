@@ -9,8 +9,8 @@ use std::path::{Path, PathBuf};
 
 use process::{Folder, Outcome, channels, stein, test_image};
 use serde_json::{Value, json};
-use stein::buffers::read_reference;
-use stein::metric;
+use stein::buffers::{BufferSet, BufferSetRequest, NamedLayer, read_reference, write_layers};
+use stein::{Image, metric};
 
 const RADIUS: &str = "--radius=2";
 
@@ -67,21 +67,49 @@ fn a_shot_in_pieces_is_the_shot_as_a_whole() {
     assert_ne!(channels(&path(&folder, "still", 1)), channels(&path(&folder, "whole", 1)), "neighbours take part");
 }
 
+/// Halves a frame's file; gives its whole content.
+fn cut(file: &str) -> Vec<u8> {
+    let whole = std::fs::read(file).unwrap();
+    std::fs::write(file, &whole[..whole.len() / 2]).unwrap();
+    whole
+}
+
 #[test]
-fn a_broken_frame_ends_the_run_and_no_clobber_goes_on() {
+fn a_broken_frame_is_named_the_others_are_written_and_no_clobber_goes_on() {
     let folder = shot();
     let broken = path(&folder, "shot", 2);
-    let intact = std::fs::read(&broken).unwrap();
-    std::fs::write(&broken, &intact[..intact.len() / 2]).unwrap();
-    denoise(&folder, "clean", &[]).failed(3, &["frame 2: ", "shot.0002.exr", "remedy: "]);
-    assert_eq!(new_names(&folder), ["clean.0000.exr", "clean.0001.exr"], "finished frames stay, and nothing half done");
-    // A neighbour that cannot be read stops the frame beside it.
-    denoise(&folder, "window", &["--temporal-radius=1"]).failed(3, &["frame 2: ", "shot.0002.exr"]);
-    assert!(!Path::new(&path(&folder, "window", 1)).exists() && Path::new(&path(&folder, "window", 0)).exists());
+    let intact = cut(&broken);
+    let said = ["1 of 4 frames cannot be denoised, the others are written", "frame 2: ", "shot.0002.exr", "remedy: "];
+    let told = denoise(&folder, "clean", &[]);
+    told.failed(3, &said);
+    let places = ["clean.0001.exr: ", "frame 2: ", "clean.0003.exr: "].map(|text| told.stdout.find(text).unwrap());
+    assert!(places.is_sorted() && told.stdout.contains("not denoised"), "{}", told.stdout);
+    assert_eq!(new_names(&folder), ["clean.0000.exr", "clean.0001.exr", "clean.0003.exr"], "all others, and nothing half done");
+    // A neighbour that cannot be read is left out of the windows of the others.
+    let told = denoise(&folder, "window", &["--temporal-radius=1"]);
+    told.failed(3, &said);
+    assert_eq!(told.stdout.matches("not filtered with frame 2: ").count(), 2, "{}", told.stdout);
+    let document = denoise(&folder, "window", &["--temporal-radius=1", "--json"]);
+    document.failed(3, &said);
+    let frames = document.json()["frames"].clone();
+    let windows: Vec<_> = [0, 1, 3].iter().map(|frame| frames[frame]["window"].clone()).collect();
+    assert_eq!(windows, [json!([0, 1]), json!([0, 1]), json!([3])]);
+    assert!(frames[2]["problem"].as_str().unwrap().contains("shot.0002.exr") && frames[2]["report"].is_null() && frames[1]["problem"].is_null());
+    assert!(frames[1]["left_out"][0].as_str().unwrap().contains("frame 2: "));
+    // The frames around a broken one are those that they are without it.
+    let gone = folder.path("gone");
+    std::fs::rename(&broken, &gone).unwrap();
+    denoise(&folder, "without", &["--temporal-radius=1"]).succeeded().said(&["missing between the frames that were found: 2"]);
+    std::fs::rename(&gone, &broken).unwrap();
+    for frame in [0, 1, 3] {
+        assert_eq!(channels(&path(&folder, "window", frame)), channels(&path(&folder, "without", frame)), "{frame}");
+    }
 
     std::fs::write(&broken, &intact).unwrap();
     let first = path(&folder, "window", 0);
     let (before, modified) = (std::fs::read(&first).unwrap(), std::fs::metadata(&first).unwrap().modified().unwrap());
+    std::fs::remove_file(path(&folder, "window", 1)).unwrap();
+    std::fs::remove_file(path(&folder, "window", 3)).unwrap();
     let document = denoise(&folder, "window", &["--temporal-radius=1", "--no-clobber", "--json"]).succeeded().json();
     let left_alone: Vec<_> = document["frames"].as_array().unwrap().iter().map(|frame| frame["is_left_alone"] == true).collect();
     assert_eq!(left_alone, [true, false, false, false]);
@@ -98,6 +126,54 @@ fn a_broken_frame_ends_the_run_and_no_clobber_goes_on() {
 }
 
 #[test]
+fn bad_frames_in_any_place_do_not_hold_up_the_others() {
+    let folder = shot();
+    // The first, the last, and one that is asked for and not there.
+    cut(&path(&folder, "shot", 0));
+    std::fs::write(path(&folder, "shot", 3), "").unwrap();
+    let told = denoise(&folder, "clean", &["--frames=0-5", "--temporal-radius=2"]);
+    told.failed(3, &["4 of 6 frames cannot be denoised, the others are written", "  frame 0: ", "  frame 3: ", "  frame 4: ", "does not exist", "  frame 5: "]);
+    assert_eq!(new_names(&folder), ["clean.0001.exr", "clean.0002.exr"]);
+    let dry = denoise(&folder, "dry", &["--frames=2-5", "--dry-run"]);
+    dry.failed(3, &["2 of 4 frames cannot be denoised\n", "frame 4: ", "frame 5: "]);
+    dry.said(&["shot.0004.exr -> ", "dry.0004.exr: cannot be denoised"]);
+    // Nothing is left: no device is asked for.
+    denoise(&folder, "none", &["--frames=0,3,7", "--device=no such adapter"]).failed(3, &["3 of 3 frames cannot be denoised\n", "frame 7: "]);
+    // A neighbour beyond the list is no failure.
+    let beside = denoise(&folder, "beside", &["--frames=2", "--temporal-radius=1"]).succeeded();
+    beside.said(&["not filtered with frame 3: ", "is empty"]);
+    assert_eq!(new_names(&folder).len(), 3);
+    // Thirty lines would hide what comes before them.
+    let many = denoise(&folder, "many", &["--frames=1,100-199"]);
+    many.failed(3, &["100 of 101 frames cannot be denoised", "frame 109: ", "  and 90 more"]);
+    assert!(many.stderr.lines().count() < 15, "{}", many.stderr);
+}
+
+#[test]
+fn features_that_end_half_way_and_other_sizes_are_told_once_and_are_no_failure() {
+    let folder = shot();
+    let shot = path(&folder, "shot", 0);
+    for (frame, size) in [(10, "24x24"), (11, "24x24"), (12, "16x16"), (13, "16x16")] {
+        stein(&["render", "dof", "--spp=4", "--size", size, "-o", &folder.path(&format!("walk.{frame:04}.exr"))]).succeeded();
+    }
+    // Without its features, as of a renderer whose passes were turned off.
+    let set = BufferSet::read(&BufferSetRequest { input: folder.path("walk.0013.exr").into(), ..Default::default() }).unwrap();
+    let color = set.color();
+    let layer = |name: &str, image: Image| NamedLayer { name: name.into(), channels: ["R", "G", "B"].map(String::from).to_vec(), image };
+    let layers = [("", Some(color.mean)), ("halfA", color.half_a), ("halfB", color.half_b)].map(|(name, image)| layer(name, image.unwrap()));
+    write_layers(Path::new(&folder.path("walk.0013.exr")), &layers, &[]).unwrap();
+    let arguments = ["denoise", &folder.path("walk.####.exr"), "-o", &folder.path("clean.####.exr"), RADIUS];
+    let told = stein(&arguments).succeeded();
+    for (line, count) in [("24×24", 1), ("16×16", 2), ("feature albedo", 2)] {
+        assert_eq!(told.stdout.matches(line).count(), count, "{line}: {}", told.stdout);
+    }
+    let told = stein(&[&arguments[..], &["--temporal-radius=1"]].concat()).succeeded();
+    told.said(&["not filtered with frame 12: its pixels are 16×16 at (0, 0), not 24×24 at (0, 0)", "not filtered with frame 11: "]);
+    assert!(Path::new(&shot).exists());
+    assert_eq!(new_names(&folder).iter().filter(|name| name.starts_with("clean.")).count(), 4);
+}
+
+#[test]
 fn a_frame_that_cannot_be_written_ends_the_run_and_those_before_it_stay() {
     let folder = shot();
     // A folder lies where an output is to be.
@@ -109,8 +185,8 @@ fn a_frame_that_cannot_be_written_ends_the_run_and_those_before_it_stay() {
     assert_eq!(channels(&path(&folder, "clean", 0)), channels(&path(&folder, "alone", 0)));
     // The last one's failure is not lost either, nor hidden by one that comes after it.
     denoise(&folder, "clean", &["--frames=0-1", "--quiet"]).failed(5, &["frame 1: ", "clean.0001.exr"]);
-    std::fs::write(path(&folder, "shot", 2), "no picture").unwrap();
-    denoise(&folder, "clean", &["--frames=1-2", "--progress=openjd"]).said(&["openjd_fail: frame 1: "]);
+    std::fs::write(path(&folder, "shot", 0), "no picture").unwrap();
+    denoise(&folder, "clean", &["--frames=0-2", "--progress=openjd"]).said(&["openjd_fail: frame 1: ", "before that", "frame 0: "]);
 }
 
 #[test]
@@ -136,10 +212,13 @@ fn an_interruption_leaves_whole_frames_and_no_others() {
 }
 
 #[test]
-fn a_missing_frame_is_told_before_any_work() {
+fn a_missing_frame_is_told_where_it_was_asked_for() {
     let folder = shot();
     std::fs::remove_file(path(&folder, "shot", 2)).unwrap();
-    denoise(&folder, "clean", &["--frames=0-3"]).failed(3, &["frame 2: ", "shot.0002.exr", "does not exist", "remedy: "]);
+    denoise(&folder, "listed", &["--frames=1-3"]).failed(3, &["frame 2: ", "shot.0002.exr", "does not exist", "remedy: "]);
+    for frame in [1, 3] {
+        std::fs::remove_file(path(&folder, "listed", frame)).unwrap();
+    }
     let reference = folder.path("shot.####.exr");
     denoise(&folder, "clean", &["--frames=0", "--temporal-radius=1", "--ref", &folder.path("ref.####.exr")]).failed(3, &["frame 0: ", "ref.0000.exr"]);
     denoise(&folder, "clean", &["--half-a", &folder.path("a.####.exr"), "--half-b", &reference]).failed(3, &["frame 0: ", "a.0000.exr"]);
@@ -152,17 +231,6 @@ fn a_missing_frame_is_told_before_any_work() {
     let dry = denoise(&folder, "clean", &["--temporal-radius=1", "--dry-run"]).succeeded();
     dry.said(&["nothing is written", "shot.0001.exr -> ", "clean.0001.exr, with 0\n"]);
     assert_eq!(new_names(&folder), Vec::<String>::new());
-}
-
-#[test]
-fn a_frame_of_another_size_is_named() {
-    let folder = shot();
-    std::fs::copy(test_image("cornell_8spp.exr"), path(&folder, "shot", 1)).unwrap();
-    denoise(&folder, "clean", &["--temporal-radius=1"]).failed(3, &["frame 1: ", "96×96", "32×32", "remedy: "]);
-    assert_eq!(new_names(&folder), Vec::<String>::new());
-    // Nothing is wrong with it where each frame stands for itself.
-    denoise(&folder, "clean", &["--frames=0-1"]).succeeded();
-    assert_eq!(new_names(&folder), ["clean.0000.exr", "clean.0001.exr"]);
 }
 
 /// What the window over several frames is for, with the methods as they are.
@@ -258,8 +326,7 @@ fn a_render_farm_is_told_how_far_the_work_is() {
     assert!(places.is_sorted() && place("frame 2, 2 of 2") < places[2], "{}", done.stdout);
     done.said(&["openjd_status: frame 1, 1 of 2\n", "openjd_status: frame 2, 2 of 2\n"]);
     let failed = denoise(&folder, "clean", &["--frames=3-4", "--progress=openjd"]);
-    failed.said(&["openjd_fail: frame 4: "]);
-    assert_eq!(failed.stdout.lines().count(), 1, "{}", failed.stdout);
+    failed.said(&["clean.0003.exr: ", "openjd_fail: 1 of 2 frames cannot be denoised, the others are written; frame 4: ", "openjd_progress: 100.0"]);
     failed.failed(3, &["frame 4: "]);
     denoise(&folder, "clean", &["--progress=openjd", "--json"]).failed(2, &["--json"]);
 }

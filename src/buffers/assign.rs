@@ -8,6 +8,7 @@ use super::names;
 use super::uses::{Note, layer_uses, used_planes};
 use super::{BufferSet, BufferSetRequest, MAX_FEATURES, Planes, SignalSource};
 use crate::error::{Error, Result};
+use crate::text;
 
 pub(super) fn read(request: &BufferSetRequest) -> Result<BufferSet> {
     let mut files = Files::default();
@@ -18,7 +19,7 @@ pub(super) fn read(request: &BufferSetRequest) -> Result<BufferSet> {
     for (name, reference) in &request.features {
         if features.iter().any(|(other, _)| other == name) {
             return Err(Error::Request {
-                problem: format!("the feature '{name}' is given twice"),
+                problem: format!("the feature '{}' is given twice", text::name(name)),
                 remedy: "give each feature once, or under different names".into(),
             });
         }
@@ -105,7 +106,7 @@ fn color_source(files: &mut Files, input: usize, request: &BufferSetRequest, lef
             let file = files.open(&reference.file)?;
             if file == input && reference.layer.is_none() {
                 return Err(Error::Request {
-                    problem: format!("{} is the input itself", reference.file.display()),
+                    problem: format!("{} is the input itself", text::path(&reference.file)),
                     remedy: "name a layer in it: FILE::LAYER".into(),
                 });
             }
@@ -152,9 +153,9 @@ pub(super) fn color_layer(file: &ExrFile, wanted: Option<&str>) -> Result<usize>
             problem: format!("has no colour, that is no channels R, G and B; it holds {}", file.layer_list()),
             remedy: "name the layer to take (`BufferSetRequest::layer`, `LayerRef::layer`)".into(),
         }),
-        _ => Err(Error::File {
+        several => Err(Error::File {
             path: file.path.clone(),
-            problem: format!("has several layers that could be the colour; it holds {}", file.layer_list()),
+            problem: format!("has several layers that could be the colour: {}", text::list(several.iter().map(|&layer| file.layers[layer].described()))),
             remedy: "name the layer to take (`BufferSetRequest::layer`, `LayerRef::layer`)".into(),
         }),
     }
@@ -172,7 +173,7 @@ fn named_layer(file: &ExrFile, wanted: &str) -> Result<usize> {
         .ok_or_else(|| Error::Layer {
             path: file.path.clone(),
             layer: wanted.to_owned(),
-            problem: format!("there is no such layer; the file holds {}", file.layer_list()),
+            problem: format!("there is no such layer; the file holds {}", file.layers_like(wanted)),
             remedy: "name one of these, without the channel's last letter".into(),
         })
 }
@@ -337,7 +338,7 @@ fn find_features(
         // A companion of some layer is that layer's business; without its layer it is nobody's.
         if let Some((base, _)) = names::companion_base(&candidate.name) {
             if !file.layers.iter().any(|other| other.name == base) {
-                notes.push((layer, format!("its layer '{base}' is not in the file")));
+                notes.push((layer, format!("its layer '{}' is not in the file", text::name(base))));
             }
             continue;
         }
@@ -376,7 +377,7 @@ fn find_features(
         None => Ok(()),
         Some(skip) => Err(Error::File {
             path: file.path.clone(),
-            problem: format!("there is no feature '{skip}' to skip; it holds {}", file.layer_list()),
+            problem: format!("there is no feature '{}' to skip; it holds {}", text::name(skip), file.layers_like(skip)),
             remedy: "name one of these in `BufferSetRequest::skip_features`, or none".into(),
         }),
     }
@@ -400,7 +401,7 @@ fn check_windows(set: &BufferSet) -> Result<()> {
             return Err(Error::Layer {
                 path: file.path.clone(),
                 layer: layer.name.clone(),
-                problem: format!("its data window is {found}, but the colour's in {} is {expected}", set.input().display()),
+                problem: format!("its data window is {found}, but the colour's in {} is {expected}", text::path(set.input())),
                 remedy: "render both with the same resolution and crop; a feature can also be left out (`BufferSetRequest::skip_features`)".into(),
             });
         }

@@ -8,9 +8,11 @@ use exr::prelude::*;
 
 use super::decode::decode;
 use super::header::Trouble;
+use super::names;
 use crate::error::{Error, Result};
 use crate::host_memory::{Shortage, try_collected};
 use crate::image::{Extent, Image, Window};
+use crate::text;
 
 /// A file's whole content. Samples stay in the type they were stored in, so that what is not replaced can be written back bit by bit.
 #[derive(Clone, Debug)]
@@ -41,7 +43,8 @@ pub(crate) struct FileChannel {
 impl ExrFile {
     /// Reads everything in the file. Whatever the bytes are, it never panics, and takes no more memory than they can be decoded to.
     pub(crate) fn read(path: &Path) -> Result<Self> {
-        let image = read(path).map_err(|Trouble { problem, remedy }| Error::File { path: path.to_owned(), problem, remedy: remedy.into() })?;
+        let mut image = read(path).map_err(|Trouble { problem, remedy }| Error::File { path: path.to_owned(), problem, remedy: remedy.into() })?;
+        image.layer_data.iter_mut().for_each(mend_overshoots);
         let layers = layers_of(&image);
         Ok(Self { path: path.to_owned(), image, layers })
     }
@@ -149,7 +152,7 @@ impl ExrFile {
     /// A text stored in the header under `name`, in the given part or for the whole file.
     pub(crate) fn text_attribute(&self, part: usize, name: &str) -> Option<String> {
         match self.attribute(part, name)? {
-            AttributeValue::Text(text) => Some(text.to_string()),
+            AttributeValue::Text(text) => Some(names::decoded(text.as_slice())),
             _ => None,
         }
     }
@@ -165,17 +168,32 @@ impl ExrFile {
         }
     }
 
-    /// The names of all layers, for messages.
+    /// The names of the first layers, for messages.
     pub(crate) fn layer_list(&self) -> String {
-        let names: Vec<_> = self
-            .layers
-            .iter()
-            .map(|layer| {
-                let channels: Vec<_> = layer.channels.iter().map(|channel| channel.suffix.as_str()).collect();
-                if layer.name.is_empty() { channels.join(" ") } else { format!("'{}' ({})", layer.name, channels.join(" ")) }
-            })
-            .collect();
-        names.join(", ")
+        text::list(self.layers.iter().map(FileLayer::described))
+    }
+
+    /// As [`Self::layer_list`], those first whose names are most like one that there is not.
+    pub(super) fn layers_like(&self, wanted: &str) -> String {
+        let wanted = wanted.to_lowercase();
+        let likeness = |layer: &FileLayer| {
+            let name = layer.name.to_lowercase();
+            let last = names::last_component(&name);
+            strsim::jaro_winkler(&name, &wanted).max(strsim::jaro_winkler(last, &wanted))
+        };
+        let mut layers: Vec<(f64, &FileLayer)> = self.layers.iter().map(|layer| (likeness(layer), layer)).collect();
+        // The file's order decides between equals.
+        layers.sort_by(|(a, _), (b, _)| b.total_cmp(a));
+        text::list(layers.into_iter().map(|(_, layer)| layer.described()))
+    }
+}
+
+impl FileLayer {
+    /// Its name and channels, for messages.
+    pub(super) fn described(&self) -> String {
+        let channels: Vec<_> = self.channels.iter().map(|channel| text::name(&channel.suffix)).collect();
+        let channels = channels.join(" ");
+        if self.name.is_empty() { channels } else { format!("'{}' ({channels})", text::name(&self.name)) }
     }
 }
 
@@ -191,6 +209,34 @@ fn read(path: &Path) -> std::result::Result<FlatImage, Trouble> {
     let file = File::open(path)?;
     let bytes = file.metadata()?.len();
     decode(&mut BufReader::new(file), bytes)
+}
+
+/// Whether a channel is stored as waves, with a loss: under DWA, by its name. All other channels are stored without.
+pub(super) fn is_lossy(compression: Compression, name: &Text) -> bool {
+    let name = name.as_slice();
+    let suffix = name.iter().rposition(|byte| *byte == b'.').map_or(name, |dot| &name[dot + 1..]);
+    let is_dwa = matches!(compression, Compression::DWAA(_) | Compression::DWAB(_));
+    is_dwa && [&b"R"[..], b"G", b"B", b"Y", b"RY", b"BY"].iter().any(|known| suffix.eq_ignore_ascii_case(known))
+}
+
+/// DWA stores no infinity, but waves whose sum may overshoot the largest half float where the values were near it.
+/// Such a value becomes the largest half float again, which is nearer to what was stored than anything around it.
+fn mend_overshoots(layer: &mut Layer<AnyChannels<FlatSamples>>) {
+    let compression = layer.encoding.compression;
+    let lossy = layer.channel_data.list.iter_mut().filter(|channel| is_lossy(compression, &channel.name));
+    for channel in lossy {
+        match &mut channel.sample_data {
+            FlatSamples::F16(values) => {
+                let infinite = values.iter_mut().filter(|value| value.is_infinite());
+                infinite.for_each(|value| *value = if value.is_sign_positive() { f16::MAX } else { f16::MIN });
+            }
+            FlatSamples::F32(values) => {
+                let most = f16::MAX.to_f32();
+                values.iter_mut().filter(|value| value.is_infinite()).for_each(|value| *value = most.copysign(*value));
+            }
+            FlatSamples::U32(_) => {}
+        }
+    }
 }
 
 fn extent(size: Vec2<usize>) -> Extent {
@@ -226,33 +272,39 @@ fn to_f32(samples: &FlatSamples) -> Vec<f32> {
 ///
 /// Channels without a dot belong to the part. In a part with R, G and B (or a luminance Y) those and the alpha are the part's own layer and every other
 /// channel, such as `Z` or `samples`, is a layer of its own. The part's own layer has no name in a file of one part, else the part's.
+///
+/// Layers are told apart by the bytes of their names: two encodings may spell the same text.
 fn layers_of(image: &FlatImage) -> Vec<FileLayer> {
     let many_parts = image.layer_data.len() > 1;
-    let mut layers: Vec<FileLayer> = Vec::new();
+    let mut layers: Vec<(&[u8], FileLayer)> = Vec::new();
     for (part, layer) in image.layer_data.iter().enumerate() {
-        let part_name = layer.attributes.layer_name.as_ref().map(ToString::to_string).unwrap_or_default();
-        let own_name = if many_parts { part_name.as_str() } else { "" };
-        let names: Vec<String> = layer.channel_data.list.iter().map(|channel| channel.name.to_string()).collect();
-        let has = |wanted: &str| names.iter().any(|name| name.eq_ignore_ascii_case(wanted));
-        let has_color = has("Y") && !has("X") || has("R") && has("G") && has("B");
-        for (index, name) in names.iter().enumerate() {
-            let (layer_name, suffix) = match name.rsplit_once('.') {
-                Some((layer_name, suffix)) => (layer_name, suffix),
+        let part_name = layer.attributes.layer_name.as_ref().map_or(&[][..], Text::as_slice);
+        let own_name = if many_parts { part_name } else { &[] };
+        let stored: Vec<&[u8]> = layer.channel_data.list.iter().map(|channel| channel.name.as_slice()).collect();
+        let has = |wanted: &[u8]| stored.iter().any(|name| name.eq_ignore_ascii_case(wanted));
+        let has_color = has(b"Y") && !has(b"X") || has(b"R") && has(b"G") && has(b"B");
+        for (index, &name) in stored.iter().enumerate() {
+            let (layer_name, suffix) = match name.iter().rposition(|byte| *byte == b'.') {
+                Some(dot) => (&name[..dot], &name[dot + 1..]),
                 None => {
-                    let color = ["R", "G", "B", "A", "Y"].iter().any(|color| name.eq_ignore_ascii_case(color));
-                    let own = if has_color { color } else { name.chars().count() == 1 };
-                    (if own { own_name } else { name.as_str() }, name.as_str())
+                    let color = [b"R", b"G", b"B", b"A", b"Y"].iter().any(|color| name.eq_ignore_ascii_case(*color));
+                    let own = if has_color { color } else { names::decoded(name).chars().count() == 1 };
+                    (if own { own_name } else { name }, name)
                 }
             };
-            let channel = FileChannel { index, suffix: suffix.to_owned() };
-            let taken = layers.iter().any(|other| other.part != part && other.name == layer_name);
-            let full_name = if taken { format!("{part_name}.{layer_name}") } else { layer_name.to_owned() };
-            match layers.iter_mut().find(|other| other.part == part && other.name == full_name) {
-                Some(found) => found.channels.push(channel),
-                None => layers.push(FileLayer { name: full_name, part, channels: vec![channel] }),
+            let channel = FileChannel { index, suffix: names::decoded(suffix) };
+            if let Some((_, found)) = layers.iter_mut().find(|(other, found)| found.part == part && *other == layer_name) {
+                found.channels.push(channel);
+                continue;
             }
+            let mut name = names::decoded(layer_name);
+            if layers.iter().any(|(_, other)| other.part != part && other.name == name) {
+                name = format!("{}.{name}", names::decoded(part_name));
+            }
+            layers.push((layer_name, FileLayer { name, part, channels: vec![channel] }));
         }
     }
+    let mut layers: Vec<FileLayer> = layers.into_iter().map(|(_, layer)| layer).collect();
     for layer in &mut layers {
         layer.channels.sort_by_key(|channel| (channel_rank(&channel.suffix), channel.suffix.clone()));
     }

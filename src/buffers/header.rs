@@ -6,6 +6,9 @@
 use std::io::{BufRead, BufReader, Read, Seek, SeekFrom, Write};
 use std::ops::Range;
 
+use super::names::{LONGEST_NAME, decoded};
+use crate::text;
+
 /// Why a file cannot be read, and what to do about it.
 #[derive(Debug)]
 pub(super) struct Trouble {
@@ -40,6 +43,12 @@ impl Trouble {
         )
     }
 
+    /// A name that no reader opens, so that it cannot be written either.
+    fn long_name(what: &str, name: &[u8]) -> Self {
+        let start = text::beginning(&decoded(name), name.len());
+        Self::new(format!("has a {what} whose name {start} is longer than the {LONGEST_NAME} bytes that OpenEXR stores"), "write it under a shorter name")
+    }
+
     fn compressed(method: impl std::fmt::Display) -> Self {
         Self::new(
             format!("is compressed with a method that cannot be read here: {method}"),
@@ -66,11 +75,14 @@ const MOST_CHANNELS: usize = 4096;
 /// Far more than any file has, and little enough to be kept.
 const MOST_ATTRIBUTES: usize = 1 << 16;
 
-/// The longest name of an attribute, a type or a channel.
-const LONGEST_NAME: u64 = 255;
+/// The longest name of an attribute, a type or a channel in a file without the flag for long names, in bytes.
+const LONGEST_SHORT_NAME: usize = 31;
+
+/// That flag is this bit of the byte behind the version.
+const LONG_NAMES: u8 = 0x04;
 
 /// Attributes with a meaning for the decoder are smaller, but for the list of channels.
-const LONGEST_VALUE: u64 = MOST_CHANNELS as u64 * (LONGEST_NAME + 17);
+const LONGEST_VALUE: u64 = MOST_CHANNELS as u64 * (LONGEST_NAME as u64 + 17);
 
 /// Where an attribute stands in its file.
 #[derive(Clone, Debug)]
@@ -146,7 +158,7 @@ impl Head {
                 if !(is_window || is_channels || is_compression || is_type) {
                     continue;
                 }
-                let name = String::from_utf8_lossy(&attribute.name);
+                let name = shown(&attribute.name);
                 if part[..index].iter().any(|before| before.name == attribute.name) {
                     return Err(Trouble::damaged(format_args!("its header gives '{name}' twice")));
                 }
@@ -154,7 +166,7 @@ impl Head {
                 if is_window {
                     check_window(&name, &value)?;
                 } else if is_channels {
-                    channels += check_channels(&value)?;
+                    channels += check_channels(&value)?.len();
                 } else if is_compression {
                     check_compression(&value)?;
                 } else if value.starts_with(b"deep") {
@@ -167,13 +179,41 @@ impl Head {
         }
         Ok(())
     }
+
+    /// Whether an attribute, a type or a channel has a name for which the file needs a flag.
+    fn has_long_names(&self, file: &mut (impl BufRead + Seek)) -> Result<bool, Trouble> {
+        for attribute in self.parts.iter().flatten() {
+            let mut is_long = [&attribute.name, &attribute.kind].iter().any(|name| name.len() > LONGEST_SHORT_NAME);
+            if attribute.name == b"channels" && attribute.kind == b"chlist" {
+                let value = attribute.value(file)?;
+                is_long |= check_channels(&value)?.iter().any(|name| name.len() > LONGEST_SHORT_NAME);
+            }
+            if is_long {
+                return Ok(true);
+            }
+        }
+        Ok(false)
+    }
 }
 
-/// Puts the attributes of a file that was just written in the order of their names: the encoder leaves it to chance, and the same image is to be the same file.
-pub(super) fn sort_attributes(file: &mut (impl Read + Write + Seek)) -> std::io::Result<()> {
+/// Completes the head of a file that was just written. The attributes get the order of their names: the encoder
+/// leaves it to chance, and the same image is to be the same file. The flag for long names is set for channels too,
+/// without which other readers refuse them.
+pub(super) fn settle(file: &mut (impl Read + Write + Seek)) -> std::io::Result<()> {
     let bytes = file.seek(SeekFrom::End(0))?;
     file.rewind()?;
-    let head = Head::read(&mut BufReader::new(&mut *file), bytes).map_err(|trouble| std::io::Error::other(trouble.problem))?;
+    let mut reader = BufReader::new(&mut *file);
+    let failed = |trouble: Trouble| std::io::Error::other(trouble.problem);
+    let head = Head::read(&mut reader, bytes).map_err(failed)?;
+    let has_long_names = head.has_long_names(&mut reader).map_err(failed)?;
+    drop(reader);
+    if has_long_names {
+        let mut flags = [0];
+        file.seek(SeekFrom::Start(5))?;
+        file.read_exact(&mut flags)?;
+        file.seek(SeekFrom::Start(5))?;
+        file.write_all(&[flags[0] | LONG_NAMES])?;
+    }
     for mut part in head.parts {
         let Some(start) = part.first().map(|attribute| attribute.whole.start) else { continue };
         part.sort_by(|a, b| a.name.cmp(&b.name));
@@ -192,7 +232,7 @@ impl Attribute {
     fn value(&self, file: &mut (impl BufRead + Seek)) -> Result<Vec<u8>, Trouble> {
         let bytes = self.value.end - self.value.start;
         if bytes > LONGEST_VALUE {
-            return Err(Trouble::damaged(format_args!("'{}' in its header takes {bytes} bytes", String::from_utf8_lossy(&self.name))));
+            return Err(Trouble::damaged(format_args!("'{}' in its header takes {bytes} bytes", shown(&self.name))));
         }
         file.seek(SeekFrom::Start(self.value.start))?;
         let mut value = vec![0; bytes as usize];
@@ -226,7 +266,7 @@ impl<F: BufRead + Seek> Walk<'_, F> {
             let mut size = [0; 4];
             self.file.read_exact(&mut size).map_err(|error| self.ended(error))?;
             self.at += 4;
-            let shown = String::from_utf8_lossy(&name);
+            let shown = shown(&name);
             let Ok(size) = u64::try_from(i32::from_le_bytes(size)) else {
                 return Err(Trouble::damaged(format_args!("'{shown}' in its header has a negative size")));
             };
@@ -243,11 +283,16 @@ impl<F: BufRead + Seek> Walk<'_, F> {
 
     fn name(&mut self) -> Result<Vec<u8>, Trouble> {
         let mut name = Vec::new();
-        self.file.by_ref().take(LONGEST_NAME + 1).read_until(0, &mut name)?;
+        self.file.by_ref().take(LONGEST_NAME as u64 + 1).read_until(0, &mut name)?;
         self.at += name.len() as u64;
         match name.pop() {
             Some(0) => Ok(name),
-            Some(_) if name.len() as u64 == LONGEST_NAME => Err(Trouble::damaged("its header has a name that does not end")),
+            Some(_) if name.len() == LONGEST_NAME => {
+                let start: String = decoded(&name).chars().take(40).collect();
+                let start = text::name(&start);
+                let problem = format_args!("its header has a name that does not end within {LONGEST_NAME} bytes, '{start}…'");
+                Err(Trouble::damaged(problem))
+            }
             _ => Err(self.ended(std::io::ErrorKind::UnexpectedEof.into())),
         }
     }
@@ -258,6 +303,11 @@ impl<F: BufRead + Seek> Walk<'_, F> {
             _ => error.into(),
         }
     }
+}
+
+/// A name out of a file, in a message.
+fn shown(stored: &[u8]) -> String {
+    text::name(&decoded(stored)).into_owned()
 }
 
 /// Both corners belong to the window, so that none of no pixels can be stored.
@@ -276,18 +326,21 @@ fn check_window(name: &str, value: &[u8]) -> Result<(), Trouble> {
     Ok(())
 }
 
-/// The number of channels: each is a name, a type, four bytes, and the steps in x and y at which there are samples.
-fn check_channels(value: &[u8]) -> Result<usize, Trouble> {
+/// The names of all channels: each is a name, a type, four bytes, and the steps in x and y at which there are samples.
+fn check_channels(value: &[u8]) -> Result<Vec<&[u8]>, Trouble> {
     let mut rest = value;
     let mut names: Vec<&[u8]> = Vec::new();
     while let Some(end) = rest.iter().position(|byte| *byte == 0) {
         if end == 0 {
-            return Ok(names.len());
+            return Ok(names);
         }
         let name = &rest[..end];
+        if name.len() > LONGEST_NAME {
+            return Err(Trouble::long_name("channel", name));
+        }
         // They are sorted: the decoder sees to it.
         if names.last() == Some(&name) {
-            return Err(Trouble::damaged(format_args!("its list of channels has '{}' twice", String::from_utf8_lossy(name))));
+            return Err(Trouble::damaged(format_args!("its list of channels has '{}' twice", shown(name))));
         }
         names.push(name);
         let Some((fields, behind)) = rest[end + 1..].split_first_chunk::<16>() else { break };

@@ -1,14 +1,18 @@
 //! How a user points at a layer, and how the program says what it took a layer for.
 
 use std::convert::Infallible;
-use std::ffi::OsString;
+use std::ffi::{OsStr, OsString};
 use std::fmt;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
 
+use crate::text;
+
 /// A file and, optionally, a layer inside it, written `file.exr` or `file.exr::layer`.
+///
+/// Names of files and layers may hold `::` too. So the disk is asked where a text is split: see [`LayerRef::from`].
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct LayerRef {
     /// The file.
@@ -17,10 +21,23 @@ pub struct LayerRef {
     pub layer: Option<String>,
 }
 
+/// What stands between a file and its layer.
+const SEPARATOR: &str = "::";
+
 impl LayerRef {
     /// A file of which the reader chooses the layer.
     pub fn whole(file: impl Into<PathBuf>) -> Self {
         Self { file: file.into(), layer: None }
+    }
+
+    /// The file whose path is the whole text: what was taken for a layer is a part of the file's name.
+    #[must_use]
+    pub fn literal(self) -> Self {
+        let Some(layer) = self.layer else { return self };
+        let mut file = self.file.into_os_string();
+        file.push(SEPARATOR);
+        file.push(layer);
+        Self::whole(file)
     }
 
     /// The same layer of another file.
@@ -33,39 +50,77 @@ impl LayerRef {
 impl FromStr for LayerRef {
     type Err = Infallible;
 
-    /// Splits at the last `::`. Any text is a valid reference; whether the file exists shows when it is read.
+    /// As [`LayerRef::from`] the same text.
     fn from_str(text: &str) -> Result<Self, Infallible> {
-        Ok(match text.rsplit_once("::") {
-            Some((file, layer)) if !file.is_empty() && !layer.is_empty() => Self { file: file.into(), layer: Some(layer.to_owned()) },
-            _ => Self::whole(text),
-        })
+        Ok(OsString::from(text).into())
     }
 }
 
 impl From<OsString> for LayerRef {
-    /// As the text; one that is not Unicode names a file alone.
+    /// A text that is the path of something that exists is that file. Else it is split at a `::`: at the last one
+    /// behind a file that exists, or behind a name that ends in `.exr`, such as that of a pattern, or at the last one
+    /// of all. Any text is a reference; whether there is such a file shows when it is read.
     fn from(text: OsString) -> Self {
-        text.into_string().map_or_else(Self::whole, |text| {
-            let Ok(layer) = text.parse();
-            layer
-        })
+        if Path::new(&text).exists() {
+            return Self::whole(text);
+        }
+        let is_exr = |file: &Path| file.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("exr"));
+        let mut splits = splits(&text);
+        // A folder with `::` in its name and no such file in it.
+        let is_path = |layer: &str| layer.contains(std::path::is_separator);
+        let chosen = splits.iter().position(|(file, _)| file.is_file());
+        let chosen = chosen.or_else(|| splits.iter().position(|(file, _)| is_exr(file)));
+        let chosen = chosen.or_else(|| splits.first().filter(|(_, layer)| !is_path(layer)).map(|_| 0));
+        match chosen {
+            Some(chosen) => {
+                let (file, layer) = splits.swap_remove(chosen);
+                Self { file, layer: Some(layer) }
+            }
+            None => Self::whole(text),
+        }
+    }
+}
+
+/// A file and a layer for each `::` with something on both sides, from the last one on. The file need not be Unicode.
+fn splits(text: &OsStr) -> Vec<(PathBuf, String)> {
+    let places = text.as_encoded_bytes().windows(SEPARATOR.len()).enumerate().filter(|(_, found)| *found == SEPARATOR.as_bytes());
+    let mut splits: Vec<_> = places.filter_map(|(at, _)| parted(text, at, SEPARATOR.len())).collect();
+    splits.retain(|(file, layer)| !file.is_empty() && !layer.is_empty());
+    let named = |(file, layer): (OsString, OsString)| Some((file.into(), layer.into_string().ok()?));
+    splits.into_iter().rev().filter_map(named).collect()
+}
+
+/// What stands before and behind a separator.
+fn parted(text: &OsStr, at: usize, length: usize) -> Option<(OsString, OsString)> {
+    #[cfg(unix)]
+    {
+        use std::os::unix::ffi::OsStrExt;
+        let (before, behind) = (&text.as_bytes()[..at], &text.as_bytes()[at + length..]);
+        Some((OsStr::from_bytes(before).to_owned(), OsStr::from_bytes(behind).to_owned()))
+    }
+    #[cfg(not(unix))]
+    {
+        let text = text.to_str()?;
+        Some((text[..at].into(), text[at + length..].into()))
     }
 }
 
 impl fmt::Display for LayerRef {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}", self.file.display())?;
-        self.layer.as_ref().map_or(Ok(()), |layer| write!(f, "::{layer}"))
+        f.write_str(&text::path(&self.file))?;
+        self.layer.as_ref().map_or(Ok(()), |layer| write!(f, "{SEPARATOR}{}", text::name(layer)))
     }
 }
 
-/// A feature's name and where it is, written `NAME=FILE` or `NAME=FILE::LAYER`.
-pub(super) fn feature(text: &str) -> Result<(String, LayerRef), String> {
-    match text.split_once('=') {
-        Some((name, layer)) if !name.is_empty() && !layer.is_empty() => {
-            let Ok(layer) = layer.parse();
-            Ok((name.to_owned(), layer))
-        }
+/// A feature's name and where it is, written `NAME=FILE` or `NAME=FILE::LAYER`. The file's name may hold `=` as well.
+pub(super) fn feature(text: OsString) -> Result<(String, LayerRef), String> {
+    let first = text.as_encoded_bytes().iter().position(|byte| *byte == b'=');
+    let named = first.and_then(|at| {
+        let (name, file) = parted(&text, at, 1)?;
+        Some((name.into_string().ok()?, file))
+    });
+    match named {
+        Some((name, file)) if !name.is_empty() && !file.is_empty() => Ok((name, file.into())),
         _ => Err("it must look like NAME=FILE or NAME=FILE::LAYER, as in albedo=aux.exr".into()),
     }
 }
@@ -109,10 +164,15 @@ impl fmt::Display for Role {
             Self::HalfA => f.write_str("half A"),
             Self::HalfB => f.write_str("half B"),
             Self::Variance => f.write_str("variance"),
-            Self::Feature(name, SignalPart::Mean) => write!(f, "feature {name}"),
-            Self::Feature(name, SignalPart::HalfA) => write!(f, "feature {name}, half A"),
-            Self::Feature(name, SignalPart::HalfB) => write!(f, "feature {name}, half B"),
-            Self::Feature(name, SignalPart::Variance) => write!(f, "feature {name}, variance"),
+            Self::Feature(name, part) => {
+                let part = match part {
+                    SignalPart::Mean => "",
+                    SignalPart::HalfA => ", half A",
+                    SignalPart::HalfB => ", half B",
+                    SignalPart::Variance => ", variance",
+                };
+                write!(f, "feature {}{part}", text::name(name))
+            }
             Self::Samples => f.write_str("samples per pixel"),
             Self::Untouched => f.write_str("not used"),
         }
@@ -147,6 +207,7 @@ impl fmt::Display for SampleKind {
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct LayerUse {
     /// The file that holds the layer.
+    #[serde(serialize_with = "text::serialize_path")]
     pub file: PathBuf,
     /// The layer, named as in the file; empty for channels without a layer name, such as plain `R G B`.
     pub layer: String,
@@ -164,8 +225,9 @@ pub struct LayerUse {
 
 impl fmt::Display for LayerUse {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let name = if self.layer.is_empty() { "(no layer name)" } else { &self.layer };
-        write!(f, "{name} [{}] {}: {}", self.channels.join(" "), self.sample_kind, self.role)?;
+        let name = if self.layer.is_empty() { "(no layer name)" } else { &text::name(&self.layer) };
+        let channels = self.channels.join(" ");
+        write!(f, "{name} [{}] {}: {}", text::name(&channels), self.sample_kind, self.role)?;
         if self.non_finite_values > 0 {
             write!(f, ", {} values not finite", self.non_finite_values)?;
         }

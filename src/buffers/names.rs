@@ -1,6 +1,33 @@
-//! What layer names mean. Nothing here looks at pixels.
+//! How names are stored, and what names of layers mean. Nothing here looks at pixels.
+
+use exr::prelude::Text;
 
 use super::layer_ref::SignalPart;
+use crate::text;
+
+/// The longest name of a channel, an attribute or a type, in bytes. Readers refuse longer ones.
+pub(super) const LONGEST_NAME: usize = 255;
+
+/// A name as text. The format stores bytes: UTF-8 where they are valid UTF-8, else Latin-1, which every byte is part
+/// of.
+pub(super) fn decoded(stored: &[u8]) -> String {
+    str::from_utf8(stored).map_or_else(|_| stored.iter().copied().map(char::from).collect(), str::to_owned)
+}
+
+/// The bytes of a new name, in UTF-8; or why it cannot be stored.
+pub(super) fn encoded(name: &str) -> Result<Text, String> {
+    if name.is_empty() {
+        return Err("a name is empty".into());
+    }
+    if name.contains('\0') {
+        return Err(format!("the name '{}' holds a zero, which ends a name in OpenEXR", text::name(name)));
+    }
+    if name.len() > LONGEST_NAME {
+        let start = text::beginning(name, name.len());
+        return Err(format!("the name {start} is longer than the {LONGEST_NAME} bytes that OpenEXR stores"));
+    }
+    Ok(Text::from_slice_unchecked(name.as_bytes()))
+}
 
 /// Layers that are a picture's colour wherever they occur, most wanted first; compared without case, by their last dotted component.
 /// `noisy image` comes before `combined`: Cycles stores the denoised picture in the latter when it has denoised already.
@@ -125,6 +152,18 @@ pub(crate) fn why_not_a_variance(name: &str) -> Option<&'static str> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn names_are_bytes() {
+        for (stored, name) in [(&b"plain.R"[..], "plain.R"), ("Größe".as_bytes(), "Größe"), (b"Gr\xf6\xdfe", "Größe"), (b"\xff", "ÿ")] {
+            assert_eq!(decoded(stored), name);
+        }
+        assert_eq!(encoded("Größe").map(|stored| stored.as_slice().to_vec()), Ok("Größe".as_bytes().to_vec()));
+        assert!(encoded(&"x".repeat(255)).is_ok());
+        for (name, why) in [("", "empty"), ("a\0b", "a zero"), (&"ö".repeat(128), "(256 bytes) is longer than the 255 bytes")] {
+            assert!(encoded(name).is_err_and(|problem| problem.contains(why)), "{name}");
+        }
+    }
 
     #[test]
     fn companions_are_found_beside_their_layer_only() {

@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use clap::builder::{OsStringValueParser, TypedValueParser};
 use serde::{Deserialize, Serialize};
 
 use super::layer_ref::{LayerRef, feature};
@@ -30,7 +31,7 @@ pub struct BufferSetRequest {
     #[arg(long, value_name = "FILE[::LAYER]")]
     pub variance: Option<LayerRef>,
     /// A feature under another name or from another file, with its halves and variance beside it; may be repeated
-    #[arg(long = "feature", value_name = "NAME=FILE[::LAYER]", value_parser = feature)]
+    #[arg(long = "feature", value_name = "NAME=FILE[::LAYER]", value_parser = OsStringValueParser::new().try_map(feature))]
     pub features: Vec<(String, LayerRef)>,
     /// A feature of the input that is not to be used, by its whole name, or in all view layers by the last part of it; may be repeated
     #[arg(long = "skip-feature", value_name = "NAME")]
@@ -58,8 +59,19 @@ impl BufferSetRequest {
     /// The same layers of other files, as of another frame of a shot.
     #[must_use]
     pub fn map_files(&self, file: impl Fn(&Path) -> PathBuf) -> Self {
-        let features = self.features.iter().map(|(name, layer)| (name.clone(), layer.map_file(&file))).collect();
-        let [half_a, half_b, variance] = [&self.half_a, &self.half_b, &self.variance].map(|layer| layer.as_ref().map(|layer| layer.map_file(&file)));
-        Self { input: file(&self.input), half_a, half_b, variance, features, ..self.clone() }
+        Self { input: file(&self.input), ..self.map_others(|layer| layer.map_file(&file)) }
+    }
+
+    /// The files whose paths are the whole texts, see [`LayerRef::literal`]. The input and its layer stay.
+    #[must_use]
+    pub fn literal(&self) -> Self {
+        self.map_others(|layer| layer.clone().literal())
+    }
+
+    /// With something else for each of the files beside the input.
+    fn map_others(&self, other: impl Fn(&LayerRef) -> LayerRef) -> Self {
+        let features = self.features.iter().map(|(name, layer)| (name.clone(), other(layer))).collect();
+        let [half_a, half_b, variance] = [&self.half_a, &self.half_b, &self.variance].map(|layer| layer.as_ref().map(&other));
+        Self { half_a, half_b, variance, features, ..self.clone() }
     }
 }

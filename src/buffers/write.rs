@@ -8,11 +8,13 @@ use exr::meta::attribute::TimeCode;
 use exr::prelude::*;
 
 use super::BufferSet;
-use super::file::{ExrFile, FileLayer};
-use super::header::sort_attributes;
+use super::file::{ExrFile, FileLayer, is_lossy};
+use super::header::settle;
+use super::names::{LONGEST_NAME, encoded};
 use crate::aside;
 use crate::error::{Error, Result};
 use crate::image::{Extent, Image};
+use crate::text;
 
 /// A layer to add to an output.
 #[derive(Clone, Debug)]
@@ -50,6 +52,8 @@ pub struct WriteReport {
     pub clamped_values: usize,
     /// Values that were not finite, written as 0.
     pub non_finite_values: usize,
+    /// Names of extra layers that were left out, because no reader opens a file with names as long as theirs.
+    pub left_out: Vec<String>,
     /// Other remarks, such as a changed compression.
     pub notes: Vec<String>,
 }
@@ -57,6 +61,11 @@ pub struct WriteReport {
 impl std::fmt::Display for WriteReport {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let mut lines = self.notes.clone();
+        if !self.left_out.is_empty() {
+            let names = self.left_out.iter().map(|name| text::beginning(name, name.len()));
+            let remedy = "give the feature a shorter name to keep them";
+            lines.push(format!("layers whose names are too long for OpenEXR are left out: {}; {remedy}", text::list(names)));
+        }
         if self.clamped_values > 0 {
             lines.push(format!("{} values are too large for half floats and were written as ±65504", self.clamped_values));
         }
@@ -70,7 +79,8 @@ impl std::fmt::Display for WriteReport {
 /// Writes the input of `set` with its colour replaced. Header, parts, windows, alpha and all layers that are not replaced stay as they were; replaced
 /// channels keep their sample type. Mip levels are not kept. The set is used up: its layers are handed on, not copied.
 ///
-/// The file appears under its name only when it is complete; an existing one is replaced, which may be the input.
+/// The file appears under its name only when it is complete; an existing one is replaced, which may be the input. An
+/// extra layer whose name is too long to be stored is left out, see [`WriteReport::left_out`].
 ///
 /// # Errors
 /// Images of another extent or number of channels than the layers that they replace, replacements for layers that do not exist, extra layers that do
@@ -89,7 +99,7 @@ pub fn write_denoised(set: BufferSet, output: &Path, denoised: &DenoisedLayers<'
     }
     for (name, replacement) in denoised.replacements {
         let layer = layers.iter().find(|layer| layer.name == *name).ok_or_else(|| Error::Request {
-            problem: format!("layer '{name}' cannot be replaced: {} has no such layer", path.display()),
+            problem: format!("layer '{}' cannot be replaced: {} has no such layer", text::name(name), text::path(&path)),
             remedy: "add it as an extra layer instead".into(),
         })?;
         let channels = colored_channels(layer);
@@ -123,6 +133,13 @@ pub fn write_denoised(set: BufferSet, output: &Path, denoised: &DenoisedLayers<'
     }
     write_then_rename(&image, output)?;
     Ok(writer.report)
+}
+
+/// Whether a lossy compression may bring a value beyond the largest half float: its errors are relative ones, of a
+/// factor of two at the highest levels, and the reader gets infinity.
+fn may_overshoot(compression: Compression, channel: &AnyChannel<FlatSamples>) -> bool {
+    const MOST: f32 = 16_376.0;
+    is_lossy(compression, &channel.name) && channel.sample_data.values_as_f32().any(|value| value.abs() > MOST)
 }
 
 /// All channels but the alpha.
@@ -176,23 +193,25 @@ impl Writer<'_> {
     fn add(&mut self, layer: &mut Layer<AnyChannels<FlatSamples>>, extra: &NamedLayer) -> Result<()> {
         self.check(&extra.image, extra.channels.len(), &extra.name)?;
         let list = &mut layer.channel_data.list;
-        for (suffix, plane) in extra.channels.iter().zip(&extra.image.planes) {
-            let full = full_name(extra, suffix);
-            let problem = match Text::new_or_none(&full) {
-                Some(name) if !list.iter().any(|channel| channel.name == name) => {
-                    let samples = plane.iter().map(|&value| self.finite(value)).collect();
-                    list.push(AnyChannel::new(name, FlatSamples::F32(samples)));
-                    continue;
-                }
-                Some(_) => "the input has a channel of that name",
-                None => "the name holds characters that OpenEXR cannot store",
-            };
-            return Err(Error::Layer {
+        let names: Vec<String> = extra.channels.iter().map(|suffix| full_name(extra, suffix)).collect();
+        if names.iter().any(|name| name.len() > LONGEST_NAME) {
+            // A feature's name is part of them. The picture is not given up for one of its intermediates.
+            self.report.left_out.push(extra.name.clone());
+            return Ok(());
+        }
+        for (full, plane) in names.iter().zip(&extra.image.planes) {
+            let refused = |problem: String| Error::Layer {
                 path: self.output.to_owned(),
-                layer: full,
-                problem: problem.into(),
+                layer: full.clone(),
+                problem,
                 remedy: "choose another name, or replace the input's layer".into(),
-            });
+            };
+            let name = encoded(full).map_err(refused)?;
+            if list.iter().any(|channel| channel.name == name) {
+                return Err(refused("the input has a channel of that name".into()));
+            }
+            let samples = plane.iter().map(|&value| self.finite(value)).collect();
+            list.push(AnyChannel::new(name, FlatSamples::F32(samples)));
         }
         Ok(())
     }
@@ -243,6 +262,11 @@ impl Writer<'_> {
             self.report.notes.push(format!("{} cannot be written: ZIP is used instead", layer.encoding.compression));
             layer.encoding.compression = Compression::ZIP16;
         }
+        if layer.channel_data.list.iter().any(|channel| may_overshoot(layer.encoding.compression, channel)) {
+            let compression = layer.encoding.compression;
+            self.report.notes.push(format!("{compression} would make infinities of the largest values: ZIP is used instead"));
+            layer.encoding.compression = Compression::ZIP16;
+        }
         // The input may have had them in any order, but the format wants them sorted.
         layer.channel_data.list.sort_by(|a, b| a.name.cmp(&b.name));
     }
@@ -263,14 +287,19 @@ pub fn write_layers(output: &Path, layers: &[NamedLayer], attributes: &[(String,
     for layer in layers {
         let complete = layer.image.extent == extent && layer.image.planes.iter().all(|plane| plane.len() == extent.pixels());
         if !complete || layer.channels.len() != layer.image.channels() {
-            return refuse(format!("layer '{}' does not have a full plane of {extent} for each of its channels", layer.name), "give layers of one extent");
+            let name = text::name(&layer.name);
+            return refuse(format!("layer '{name}' does not have a full plane of {extent} for each of its channels"), "give layers of one extent");
         }
         for (suffix, plane) in layer.channels.iter().zip(&layer.image.planes) {
             let full = full_name(layer, suffix);
-            match Text::new_or_none(&full) {
-                Some(name) if !channels.iter().any(|other| other.name == name) => channels.push(AnyChannel::new(name, FlatSamples::F32(plane.clone()))),
-                _ => return refuse(format!("a channel '{full}' cannot be written: it exists twice, or OpenEXR cannot store its name"), "choose other names"),
+            let name = match encoded(&full) {
+                Ok(name) => name,
+                Err(problem) => return refuse(format!("a channel cannot be written: {problem}"), "choose another name"),
+            };
+            if channels.iter().any(|other| other.name == name) {
+                return refuse(format!("a channel '{}' cannot be written: it exists twice", text::name(&full)), "choose another name");
             }
+            channels.push(AnyChannel::new(name, FlatSamples::F32(plane.clone())));
         }
     }
     let size = Vec2(extent.width as usize, extent.height as usize);
@@ -286,13 +315,10 @@ fn full_name(layer: &NamedLayer, suffix: &str) -> String {
 
 fn add_attributes(header: &mut LayerAttributes, attributes: &[(String, String)]) -> Result<()> {
     for (name, value) in attributes {
-        let (Some(name), Some(value)) = (Text::new_or_none(name), Text::new_or_none(value)) else {
-            return Err(Error::Request {
-                problem: format!("the attribute '{name}' holds characters that OpenEXR cannot store"),
-                remedy: "use Latin-1 characters".into(),
-            });
-        };
-        header.other.insert(name, AttributeValue::Text(value));
+        let name = encoded(name)
+            .map_err(|problem| Error::Request { problem: format!("an attribute cannot be written: {problem}"), remedy: "choose another name".into() })?;
+        // Of values the length is stored, so that they may hold anything.
+        header.other.insert(name, AttributeValue::Text(Text::from_slice_unchecked(value.as_bytes())));
     }
     Ok(())
 }
@@ -309,7 +335,7 @@ fn write_then_rename(image: &FlatImage, output: &Path) -> Result<()> {
         // The last of it would be lost in silence where the disk is full.
         buffered.flush()?;
         drop(buffered);
-        sort_attributes(file)
+        settle(file)
     });
     written.map_err(|error| Error::File {
         path: output.to_owned(),

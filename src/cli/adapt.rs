@@ -9,6 +9,7 @@ use std::path::PathBuf;
 use indicatif::ProgressFinish;
 use stein::buffers::{LayerRef, read_reference};
 use stein::sampling::{Event, Plan, Resumed, Sampler, adapt, uniform};
+use stein::text;
 use stein::{Denoiser, Extent, Image};
 
 use super::filter::Filter;
@@ -24,7 +25,8 @@ const EXAMPLE: &str = "\
 The first iteration samples evenly, every other where the estimated error of the denoised image is largest; all have equal budgets. Of each iteration K, DIR gets \
 map_K.exr (what was drawn), samples_K.exr (all samples so far, in the layout that `stein denoise` reads) and denoised_K.exr.
 
---sampler-command runs any renderer in place of the built-in scenes, through the shell. In the command, {map} stands for the map's path, {out} for the path of the file that \
+--sampler-command runs any renderer in place of the built-in scenes, through the shell. In the command, {map} stands \
+for the map's path, as one quoted word of the shell (write no quotes around it), and so does {out} for the path of the file that \
 it is to write: the new samples alone, with halves and variance of the colour and every feature and a channel `samples`; {iteration} for 1, 2, … The map has the layers \
 samples.V (even numbers of samples to draw), density.V (before rounding) and drawn.V (what the pixel has already). A renderer that draws other numbers, because it works in \
 blocks perhaps, is warned about; the numbers in its file count.
@@ -62,6 +64,9 @@ pub(crate) struct Args {
     /// Noise-free reference: print the error of noisy and denoised, also of even sampling
     #[arg(long = "ref", value_name = "FILE[::LAYER]")]
     reference: Option<LayerRef>,
+    /// Take the path of --ref as it is: `::` parts no layer from its file
+    #[arg(long)]
+    literal: bool,
     /// Also draw the whole budget evenly, and compare
     #[arg(long)]
     uniform: bool,
@@ -123,7 +128,8 @@ pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
     if let Some(command) = &args.sampler_command {
         Renderer::check(command)?;
     }
-    let reference = args.reference.as_ref().map(|reference| read(reference, extent)).transpose()?;
+    let reference = args.reference.clone().map(|reference| if args.literal { reference.literal() } else { reference });
+    let reference = reference.map(|reference| read(&reference, extent)).transpose()?;
     let folder = Folder::open(output, &setup, args.resume, args.overwrite)?;
     let resumed = if args.resume { folder.resume(args.iterations)? } else { None };
 
@@ -154,7 +160,7 @@ fn read(reference: &LayerRef, extent: Extent) -> Result<Image, Failure> {
     if image.extent == extent {
         return Ok(image);
     }
-    let (name, found) = (reference.file.display(), image.extent);
+    let (name, found) = (text::path(&reference.file), image.extent);
     Err(Failure::input(format_args!("{name}: is of {found}, but the picture is of {extent}\n  remedy: render both with the same --size")))
 }
 
@@ -169,7 +175,7 @@ impl Job<'_> {
             document.uniform = rows.pop();
         }
         out.say(document.comparison());
-        out.say(format_args!("{}", self.folder.path().display()));
+        out.say(text::path(self.folder.path()));
         Ok(())
     }
 

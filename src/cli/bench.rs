@@ -159,7 +159,8 @@ pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
     let Job { axes, repeats, arguments } = Job::new(args, old.as_ref())?;
     let (configurations, mut notes) = configurations(&axes)?;
     let folder = args.output.as_deref().map(Folder::check).transpose()?;
-    let files = sets::find(&axes.inputs, &axes.references)?;
+    let references: Vec<LayerRef> = axes.references.iter().map(|reference| axes.source.reference(reference)).collect();
+    let files = sets::find(&axes.inputs, &references)?;
     let source = source(&axes.source, &configurations)?;
     let gpu = args.device.open()?;
     let adapter = Adapter::from(gpu.summary());
@@ -213,7 +214,7 @@ pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
     if let (Some(folder), Some(gallery)) = (folder, gallery) {
         let json = serde_json::to_string_pretty(&document).map_err(|error| Failure::output(format_args!("results.json: {error}")))?;
         folder.write([json.as_bytes(), &csv_file::csv(&document)?, page::page(&document, &gallery)?.as_bytes()])?;
-        out.say(format_args!("{}: the report", folder.index().display()));
+        out.say(format_args!("{}: the report", stein::text::path(&folder.index())));
     }
     if let Some(comparison) = &comparison {
         out.say(comparison.text());
@@ -304,7 +305,7 @@ struct ReadSet {
 impl Bench<'_> {
     /// Reads a set. What was found in a folder and is none is left out, and told.
     fn read(&mut self, file: &SetFile, source: &Source, sizes: usize, out: &mut Out) -> Result<Option<ReadSet>, Failure> {
-        let name = file.file.display();
+        let name = stein::text::path(&file.file);
         let read = options::read(&source.request(&file.file)).and_then(|mut set| {
             if file.was_found && is_ours(&set) {
                 return Err(Failure::input(format_args!("{name}: was written by stein")));
@@ -351,7 +352,7 @@ impl Bench<'_> {
                 name += &format!(", {extent}");
             }
             if self.document.sets.iter().any(|other| other.name == name) {
-                name += &format!(" ({})", file.file.display());
+                name += &format!(" ({})", stein::text::path(&file.file));
             }
             let set = Set {
                 name,

@@ -26,11 +26,11 @@ use super::options::{Device, Source};
 use super::report::{self, FrameReport, Report, Run, Settings};
 use super::{Failure, Out, interrupt, quality};
 use frame_list::FrameList;
-use plan::{Plan, PlannedFrame};
+use plan::{Plan, PlannedFrame, State};
 use progress::{Progress, ProgressKind};
 use reader::{Frames, ReadFrame, Unusable};
 use results::Results;
-use shot::ShotReport;
+use shot::{BadFrames, Beside, Reported, ShotReport};
 use writer::{Contents, Denoised, Done, Writer};
 
 const EXAMPLE: &str = "\
@@ -49,7 +49,16 @@ Examples:
 Environment:
   STEIN_CACHE  folder in which compiled shaders are kept from run to run, where the device hands them out; empty: nowhere [default: `stein` among the user's caches]
 
-Exit codes: 0 done, 2 wrong usage, 3 an input file or layer cannot be used, 4 no device or a device failed, 5 the output cannot be written, 1 anything else.";
+Paths: one that exists is that file, whatever characters it holds. Of others, the last `#`, `####`, `%d` or `%04d` in a \
+name is the number of the frame, and `FILE::LAYER` is a layer of a file; --literal takes every path as it is. A name that \
+begins with a dash is written ./-name.
+
+Shots: a frame that cannot be used is named and left out, also of the frames that it is filtered with; all others are \
+written, and the exit code is 3. So is a frame of --frames that does not exist; without --frames, gaps are only named. A \
+full disk, a lost device and an interruption end the run.
+
+Exit codes: 0 done, 2 wrong usage, 3 an input file or layer cannot be used, of a shot those of one frame or more, 4 no \
+device or a device failed, 5 the output cannot be written, 1 anything else.";
 
 /// Denoise a rendering
 #[derive(Debug, clap::Args)]
@@ -194,14 +203,16 @@ struct Job<'a> {
 
 impl Job<'_> {
     fn run(&self, mut frames: Frames, writer: Writer, input: &Path, out: &mut Out) -> Result<(), Failure> {
-        let mut to_do: Vec<&PlannedFrame> = self.plan.frames.iter().filter(|frame| !frame.is_left_alone()).collect();
+        let mut to_do: Vec<&PlannedFrame> = self.plan.frames.iter().filter(|frame| matches!(frame.state, State::ToDo)).collect();
         if self.args.dry_run {
             // One frame shows how they all would be used.
             to_do.truncate(1);
         }
-        // A file that cannot be used is told before a device that cannot.
-        if let Some(first) = to_do.first() {
-            self.wait_for(&mut frames, first, out)?;
+        let mut bad = BadFrames::missing(self.plan);
+        // Files that cannot be used are told before a device that cannot.
+        let usable = self.first_usable(&to_do, &mut frames, &mut bad, out)?;
+        if usable.is_empty() && !bad.is_empty() {
+            return bad.verdict(self.args.dry_run);
         }
         let gpu = self.args.device.open()?;
         let mut denoiser = self.args.device.denoiser(&gpu, self.method)?;
@@ -217,10 +228,10 @@ impl Job<'_> {
             kept: report::names(&self.keep),
         };
 
-        let progress = Progress::new(self.args.progress_kind(), to_do.len());
+        let progress = Progress::new(self.args.progress_kind(), usable.len());
         let mut results = Results::new(writer, progress, &settings.device, self.args.verbose, self.plan.is_shot);
-        let ended = self.denoise_all(&to_do, &mut frames, &denoiser, &mut results, out);
-        let (reports, errors) = results.finish(ended, out)?;
+        let ended = self.denoise_all(usable, &mut frames, &denoiser, &mut results, &mut bad, out);
+        let (reports, errors) = results.finish(ended, out).map_err(|end| bad.before(end))?;
         if self.args.verbose
             && let Some(pipelines) = report::pipelines(gpu.save_pipelines())
         {
@@ -228,27 +239,86 @@ impl Job<'_> {
         }
 
         if self.plan.is_shot {
-            let frames = shot::frames(self.plan, reports);
-            let report = ShotReport { input: input.to_owned(), temporal_radius: self.args.temporal_radius, settings, frames, errors };
+            let report = ShotReport {
+                input: input.to_owned(),
+                temporal_radius: self.args.temporal_radius,
+                settings,
+                frames: shot::frames(self.plan, reports, &bad),
+                gaps: self.plan.gaps.clone(),
+                errors,
+            };
             if let Some(text) = report.text(self.args.dry_run) {
                 out.say(text);
             }
-            return if self.args.json { out.json(&report) } else { Ok(()) };
+            if self.args.json {
+                out.json(&report)?;
+            }
+            return bad.verdict(self.args.dry_run);
         }
         match reports.first() {
-            Some(frame) if self.args.json => out.json(&Report { settings: &settings, frame }),
+            Some(frame) if self.args.json => out.json(&Report { settings: &settings, frame: &frame.report }),
             _ => Ok(()),
         }
     }
 
-    /// Denoises one frame after the other, up to the first that fails.
-    fn denoise_all(&self, to_do: &[&PlannedFrame], frames: &mut Frames, denoiser: &Denoiser, results: &mut Results, out: &mut Out) -> Result<(), Failure> {
+    /// The frames from the first on that can be used. Those before it are bad.
+    fn first_usable<'p, 'f>(
+        &self,
+        to_do: &'f [&'p PlannedFrame],
+        frames: &mut Frames,
+        bad: &mut BadFrames,
+        out: &mut Out,
+    ) -> Result<&'f [&'p PlannedFrame], Failure> {
+        for (index, planned) in to_do.iter().enumerate() {
+            interrupt::check()?;
+            let window = frames.move_to(&planned.window)?;
+            let Err(unusable) = &window[planned.centre] else { return Ok(&to_do[index..]) };
+            let failure = self.unusable(unusable, bad, out)?;
+            out.say(format_args!("{}: not denoised", failure.cause()));
+        }
+        Ok(&[])
+    }
+
+    /// Notes a frame of a shot as bad. Fails for a single image, and where it is not the fault of one file.
+    fn unusable(&self, unusable: &Unusable, bad: &mut BadFrames, out: &mut Out) -> Result<Failure, Failure> {
+        let Unusable { number, described, failure } = unusable;
+        match number {
+            Some(number) if failure.is_of_input() => {
+                bad.add(*number, failure.clone());
+                Ok(failure.clone())
+            }
+            _ => {
+                // What a file holds that cannot be used shows why.
+                if let Some(described) = described {
+                    out.say(described.text(self.args.verbose));
+                }
+                Err(failure.clone())
+            }
+        }
+    }
+
+    /// Denoises one frame after the other, up to the first failure that is not the fault of a frame's files.
+    fn denoise_all(
+        &self,
+        to_do: &[&PlannedFrame],
+        held: &mut Frames,
+        denoiser: &Denoiser,
+        results: &mut Results,
+        bad: &mut BadFrames,
+        out: &mut Out,
+    ) -> Result<(), Failure> {
         let mut before: Option<Input> = None;
         for (position, planned) in to_do.iter().enumerate() {
             interrupt::check()?;
             results.progress.begin(planned, out);
-            let window = self.wait_for(frames, planned, out)?;
-            let Some((original, described)) = window[planned.centre].original.take() else {
+            let window = held.move_to(&planned.window)?;
+            if let Err(unusable) = &window[planned.centre] {
+                let failure = self.unusable(unusable, bad, out)?;
+                results.leave_out(&failure, out);
+                continue;
+            }
+            let Neighbours { mut frames, centre, beside } = neighbours(window, planned.centre);
+            let Some((original, described)) = frames[centre].original.take() else {
                 unreachable!("frames that are denoised are read with all that is in their files")
             };
             // Said again where something is other than before, with the frame itself: one may be written meanwhile that was before it.
@@ -260,61 +330,44 @@ impl Job<'_> {
                 results.progress.say(out, introduction);
             }
             before = Some((*described).clone());
-            let read = Read { original, described, introduction };
-            self.frame(planned, window, read, denoiser, results, out).map_err(|failure| failure.in_frame(planned.number))?;
+            let read = Read { original, described, introduction, centre, beside };
+            match self.frame(planned, &mut frames, read, denoiser, results, out).map_err(|failure| failure.in_frame(planned.number)) {
+                Err(failure) if failure.is_of_input() && self.plan.is_shot => {
+                    let unusable = Unusable { number: planned.number, described: None, failure };
+                    let failure = self.unusable(&unusable, bad, out)?;
+                    results.leave_out(&failure, out);
+                }
+                done => done?,
+            }
             // Frames that no later one is denoised with are not in memory while this one is written.
-            frames.let_go_before(to_do.get(position + 1).map_or(usize::MAX, |next| next.window.start));
+            held.let_go_before(to_do.get(position + 1).map_or(usize::MAX, |next| next.window.start));
         }
         Ok(())
-    }
-
-    /// The frames that one is denoised with. Tells what a file holds that cannot be used.
-    fn wait_for<'f>(&self, frames: &'f mut Frames, planned: &PlannedFrame, out: &mut Out) -> Result<&'f mut [ReadFrame], Failure> {
-        let window = frames.move_to(&planned.window).map_err(|Unusable { described, failure }| {
-            if let Some(described) = described {
-                out.say(described.text(self.args.verbose));
-            }
-            failure
-        })?;
-        let own = &window[planned.centre];
-        for other in &*window {
-            let problem = if other.data_window != own.data_window {
-                format!("its pixels are {}, but {}", other.data_window, own.data_window)
-            } else if other.frame.noise_knowledge() != own.frame.noise_knowledge() {
-                "halves or variance of the colour are not known as they are".to_owned()
-            } else {
-                continue;
-            };
-            let number = own.number.map_or_else(String::new, |number| number.to_string());
-            let remedy = "give all frames the same resolution, crop and layers, or leave --temporal-radius out";
-            return Err(Failure::input(format_args!("{problem} in frame {number}, which is to be filtered with it\n  remedy: {remedy}")).in_frame(other.number));
-        }
-        Ok(window)
     }
 
     /// Denoises a frame and hands it to the writer.
     fn frame(
         &self,
         planned: &PlannedFrame,
-        window: &mut [ReadFrame],
+        window: &mut [&mut ReadFrame],
         read: Read,
         denoiser: &Denoiser,
         results: &mut Results,
         out: &mut Out,
     ) -> Result<(), Failure> {
-        let Read { original, described, introduction } = read;
-        let reference = window[planned.centre].reference.take();
+        let Read { original, described, introduction, centre, beside } = read;
+        let reference = window[centre].reference.take();
         let mut needed = self.keep.clone();
         if reference.is_some() {
             needed.extend(quality::NEEDED.iter().filter(|one| self.method.intermediates().contains(one) && !self.keep.contains(one)));
         }
         let frames: Vec<&Frame> = window.iter().map(|frame| &*frame.frame).collect();
         if self.args.dry_run {
-            let plan = denoiser.plan(&frames, planned.centre, &Options { keep: &needed, error: !self.args.no_error, ..Default::default() })?;
+            let plan = denoiser.plan(&frames, centre, &Options { keep: &needed, error: !self.args.no_error, ..Default::default() })?;
             let explained = self.args.explain.then(|| Explained::new(&plan, None));
             let report = FrameReport { input: *described, strips: plan.strips, plan: explained, run: None, output: None, errors: None };
             results.progress.denoised(out);
-            results.add(Ok(Done { introduction, report }), out);
+            results.add(Ok(Done { introduction, reported: Reported { number: planned.number, beside, report } }), out);
             return Ok(());
         }
 
@@ -326,12 +379,12 @@ impl Job<'_> {
             if interrupt::is_asked() { ControlFlow::Break(()) } else { results.collect(out) }
         };
         let options = Options { keep: &needed, error: !self.args.no_error, progress: if is_wanted { Some(&mut tell) } else { None }, ..Default::default() };
-        let estimate = denoiser.denoise_window(&frames, planned.centre, options)?;
+        let estimate = denoiser.denoise_window(&frames, centre, options)?;
         let run = Run::new(&estimate, start.elapsed().as_secs_f64());
         let plan = self.args.explain.then(|| Explained::new(&estimate.plan, estimate.step_times.as_deref()));
-        let frame = Arc::clone(&window[planned.centre].frame);
+        let frame = Arc::clone(&window[centre].frame);
         let output = planned.output.clone();
-        results.hand_over(Denoised { number: planned.number, output, original, described, introduction, frame, reference, estimate, run, plan }, out)
+        results.hand_over(Denoised { number: planned.number, beside, output, original, described, introduction, frame, reference, estimate, run, plan }, out)
     }
 }
 
@@ -340,4 +393,47 @@ struct Read {
     original: Box<BufferSet>,
     described: Box<Input>,
     introduction: Option<String>,
+    /// Its place among the frames that it is denoised with.
+    centre: usize,
+    beside: Beside,
+}
+
+/// The frames that one is denoised with.
+struct Neighbours<'f> {
+    frames: Vec<&'f mut ReadFrame>,
+    /// Its own place among them.
+    centre: usize,
+    beside: Beside,
+}
+
+/// Leaves those out that cannot be used, or not together with the one at `centre`, which can.
+fn neighbours(window: &mut [Result<ReadFrame, Unusable>], centre: usize) -> Neighbours<'_> {
+    let own = window[centre].as_ref().ok().map(|own| (own.data_window, own.frame.noise_knowledge()));
+    let mut found = Neighbours { frames: Vec::new(), centre: 0, beside: Beside::default() };
+    for (index, other) in window.iter_mut().enumerate() {
+        let left_out = match other {
+            Err(unusable) => Some(unusable.failure.cause().to_owned()),
+            Ok(other) => {
+                let number = other.number.map_or_else(String::new, |number| format!("frame {number}"));
+                match own {
+                    Some((window, _)) if window != other.data_window => Some(format!("{number}: its pixels are {}, not {window}", other.data_window)),
+                    Some((_, noise)) if noise != other.frame.noise_knowledge() => {
+                        Some(format!("{number}: halves or variance of its colour are not known as they are here"))
+                    }
+                    _ => None,
+                }
+            }
+        };
+        match (left_out, other) {
+            (None, Ok(other)) => {
+                if index == centre {
+                    found.centre = found.frames.len();
+                }
+                found.beside.window.extend(other.number);
+                found.frames.push(other);
+            }
+            (left_out, _) => found.beside.left_out.extend(left_out.map(|cause| format!("not filtered with {cause}"))),
+        }
+    }
+    found
 }

@@ -3,8 +3,12 @@
 use std::path::Path;
 
 use serde::de::DeserializeOwned;
+use stein::text;
 
 use super::Failure;
+
+/// Far more than any report of ours takes.
+const MOST_BYTES: u64 = 256 << 20;
 
 /// What tells a kind of document from others.
 pub(crate) struct Kind {
@@ -21,8 +25,8 @@ pub(crate) struct Kind {
 /// Reads a document.
 pub(crate) fn read<D: DeserializeOwned>(path: &Path, kind: &Kind) -> Result<D, Failure> {
     let Kind { schema, version, made, remedy } = kind;
-    let failed = |problem: String| Failure::input(format_args!("{}: {problem}\n  remedy: {remedy}", path.display()));
-    let text = std::fs::read_to_string(path).map_err(|error| failed(format!("cannot be read: {error}")))?;
+    let failed = |problem: String| Failure::input(format_args!("{}: {problem}\n  remedy: {remedy}", text::path(path)));
+    let text = text::read_file(path, MOST_BYTES).map_err(|error| failed(format!("cannot be read: {error}")))?;
     let value: serde_json::Value = serde_json::from_str(&text).map_err(|error| failed(format!("is not JSON: {error}")))?;
     if value["schema"] != *schema {
         return Err(failed(format!("was not {made}")));

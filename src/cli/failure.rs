@@ -8,9 +8,13 @@ use std::process::ExitCode;
 use stein::Error;
 use stein::buffers::BufferSetRequest;
 use stein::gpu::GpuOptions;
+use stein::text;
+
+/// The exit code where an input file or layer cannot be used.
+const INPUT: u8 = 3;
 
 /// A message for stderr and the exit code that goes with it.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(crate) struct Failure {
     code: u8,
     message: String,
@@ -24,7 +28,7 @@ impl Failure {
 
     /// An input file or layer cannot be used.
     pub(crate) fn input(message: impl Display) -> Self {
-        Self { code: 3, message: with_options(message) }
+        Self { code: INPUT, message: with_options(message) }
     }
 
     /// The output cannot be written.
@@ -45,7 +49,7 @@ impl Failure {
     /// What the library says about a file without knowing which one it was.
     pub(crate) fn in_file(path: &Path, error: Error) -> Self {
         match error {
-            Error::Request { .. } => Self::input(format_args!("{}: {error}", path.display())),
+            Error::Request { .. } => Self::input(format_args!("{}: {error}", text::path(path))),
             error => error.into(),
         }
     }
@@ -62,10 +66,26 @@ impl Failure {
         &self.message
     }
 
+    /// Whether an input file or layer cannot be used: of a shot, that is one frame's trouble alone.
+    pub(crate) fn is_of_input(&self) -> bool {
+        self.code == INPUT
+    }
+
+    /// What is wrong, in one line: the message without its remedy.
+    pub(crate) fn cause(&self) -> &str {
+        self.message.lines().next().unwrap_or_default()
+    }
+
+    /// With more lines below.
+    pub(crate) fn and(mut self, lines: &str) -> Self {
+        self.message = format!("{}\n{lines}", self.message);
+        self
+    }
+
     /// Prints it.
     pub(crate) fn tell(&self) {
         // Where stderr is closed there is nobody to tell.
-        let _ = writeln!(std::io::stderr(), "stein: error: {}", self.message);
+        let _ = writeln!(std::io::stderr(), "stein: error: {}", text::message(&self.message));
     }
 
     pub(crate) fn exit_code(&self) -> ExitCode {
@@ -93,7 +113,7 @@ fn with_options(text: impl Display) -> String {
 impl From<Error> for Failure {
     fn from(error: Error) -> Self {
         let code = match &error {
-            Error::File { .. } | Error::Layer { .. } | Error::Request { .. } => 3,
+            Error::File { .. } | Error::Layer { .. } | Error::Request { .. } => INPUT,
             Error::Device { .. } => 4,
             _ => 1,
         };

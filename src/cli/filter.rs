@@ -7,6 +7,7 @@ use stein::method::Spikes;
 use stein::method::nlm::NlmVariance;
 use stein::stage::candidate_set::CandidateSet;
 use stein::stage::nlm::{Symmetry, Weighting};
+use stein::text;
 use stein::{DfcParams, GemParams, Method, NlmParams, Preset};
 
 use super::Failure;
@@ -210,7 +211,7 @@ impl<'a> ParamsFile<'a> {
         match given.into_iter().find(|given| *given != own) {
             None => Ok(()),
             Some(other) => {
-                let (path, key) = (self.path.display(), option.trim_start_matches('-').trim_end_matches('s'));
+                let (path, key) = (text::path(self.path), option.trim_start_matches('-').trim_end_matches('s'));
                 Err(Failure::usage(format_args!(
                     "{option} {other}: {path} is for {own}\n  remedy: leave the option out, or write `{key} = \"{other}\"` into the file"
                 )))

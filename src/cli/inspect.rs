@@ -6,6 +6,7 @@ use serde::Serialize;
 use stein::buffers::{BufferSet, LayerUse, Role, SignalPart};
 use stein::frame::{NoiseKnowledge, Repairs, SamplesPerPixel};
 use stein::image::Window;
+use stein::text;
 use stein::{Error, Frame};
 
 use super::Failure;
@@ -14,6 +15,7 @@ use super::out::{indent, number, table};
 /// An input, for programs and people.
 #[derive(Clone, Debug, Serialize)]
 pub(crate) struct Input {
+    #[serde(serialize_with = "text::serialize_path")]
     pub(crate) file: PathBuf,
     width: u32,
     height: u32,
@@ -113,7 +115,7 @@ impl Input {
 
     /// Everything, for people. `all` tells the windows and layers that nobody would miss, too.
     pub(crate) fn text(&self, all: bool) -> String {
-        let mut head = format!("{}: {}×{}", self.file.display(), self.width, self.height);
+        let mut head = format!("{}: {}×{}", text::path(&self.file), self.width, self.height);
         if let Some(samples) = &self.samples_per_pixel {
             head += &format!(", {samples}");
         }
@@ -141,8 +143,11 @@ impl Input {
         lines.join("\n")
     }
 
-    /// Whether another frame of a shot is used in the same way and nothing else was to repair.
+    /// Whether another frame of a shot has as many pixels, is used in the same way and nothing else was to repair.
     pub(crate) fn is_used_like(&self, other: &Self) -> bool {
+        if (self.width, self.height) != (other.width, other.height) {
+            return false;
+        }
         match (&self.outcome, &other.outcome) {
             (Outcome::Frame { mode, features, repairs, .. }, Outcome::Frame { mode: other_mode, features: other_features, repairs: other_repairs, .. }) => {
                 (mode, features, repairs) == (other_mode, other_features, other_repairs)
@@ -173,7 +178,7 @@ impl Input {
         }
         // The file's order is that of its channels' names; people look for the colour first.
         signals.sort_by_key(|(name, _)| (name != "colour", name == "samples"));
-        let or_none = |layers: Vec<String>| if layers.is_empty() { "-".to_owned() } else { layers.join(", ") };
+        let or_none = |layers: Vec<String>| if layers.is_empty() { "-".to_owned() } else { text::list(layers) };
         rows.extend(signals.into_iter().map(|(name, [mean, halves, variance])| [name, or_none(mean), or_none(halves), or_none(variance)]));
         table(&rows.into_iter().map(Vec::from).collect::<Vec<_>>(), 4)
     }
@@ -193,22 +198,27 @@ impl Input {
             }
         }
         groups.sort_by_key(|(note, _)| note.is_none());
+        // What a file holds is told in full where that is what was asked.
+        let list = |names: Vec<String>| if all { names.join(", ") } else { text::list(names) };
         let line = |(note, names): (Option<&str>, Vec<String>)| match note {
-            Some(note) => format!("  not used: {}: {note}", names.join(", ")),
-            None => format!("  not used: {}", names.join(", ")),
+            Some(note) => format!("  not used: {}: {note}", list(names)),
+            None => format!("  not used: {}", list(names)),
         };
-        groups.into_iter().map(line).collect()
+        let lines: Vec<String> = groups.into_iter().map(line).collect();
+        if all { lines } else { text::lines(lines) }
     }
 
     /// Its name, with the file's where that is another than the input.
     fn layer_name(&self, layer: &LayerUse, with_channels: bool) -> String {
-        let mut name = if layer.file == self.file { String::new() } else { format!("{}::", layer.file.display()) };
+        let mut name = if layer.file == self.file { String::new() } else { format!("{}::", text::path(&layer.file)) };
+        let channels = layer.channels.join(" ");
+        let channels = text::name(&channels);
         if layer.layer.is_empty() {
-            name += &layer.channels.join(" ");
+            name += &channels;
         } else {
-            name += &layer.layer;
+            name += &text::name(&layer.layer);
             if with_channels && layer.channels != [layer.layer.clone()] {
-                name += &format!(" ({})", layer.channels.join(" "));
+                name += &format!(" ({channels})");
             }
         }
         if with_channels { format!("{name} {}", layer.sample_kind) } else { name }
@@ -228,7 +238,7 @@ fn cell(role: &Role) -> Option<(String, usize)> {
                 SignalPart::HalfA | SignalPart::HalfB => 1,
                 SignalPart::Variance => 2,
             };
-            Some((format!("feature {name}"), column))
+            Some((format!("feature {}", text::name(name)), column))
         }
         Role::Samples => Some(("samples".to_owned(), 0)),
         Role::Untouched => None,

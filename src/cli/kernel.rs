@@ -7,6 +7,7 @@ use stein::buffers::{NamedLayer, write_layers};
 use stein::gpu::AdapterSummary;
 use stein::kernels::WeightRule;
 use stein::method::PlannedStep;
+use stein::text;
 use stein::{Error, Extent, FilterKernel, Image, Kernels, Options};
 
 use super::filter::Filter;
@@ -66,6 +67,7 @@ struct Document {
     y: u32,
     filters: Vec<Summary>,
     left_out: Vec<PlannedStep>,
+    #[serde(serialize_with = "text::serialize_path_or_none")]
     output: Option<PathBuf>,
 }
 
@@ -169,7 +171,7 @@ pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
         out.say(format_args!("  left out: {}: {}", planned.step.name(), planned.why));
     }
     if let Some(file) = &args.output {
-        out.say(file.display());
+        out.say(text::path(file));
     }
     if !args.json {
         return Ok(());

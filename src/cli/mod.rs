@@ -23,6 +23,7 @@ mod render;
 mod report;
 mod sample_map;
 mod selftest;
+mod template;
 mod tile;
 
 use clap::{CommandFactory, Parser, Subcommand};
@@ -31,8 +32,13 @@ pub(crate) use failure::Failure;
 pub(crate) use out::Out;
 
 const EXIT_CODES: &str = "\
-Exit codes: 0 done, 2 wrong usage, 3 an input file or layer cannot be used, 4 no device or a device failed, 5 the output cannot be written,
-6 the self test found something out of bounds, 1 anything else.
+Exit codes: 0 done, 2 wrong usage, 3 an input file or layer cannot be used, 4 no device or a device failed, 5 the output
+cannot be written, 6 the self test found something out of bounds, 1 anything else. Of a shot, 3 means that some frames
+could not be used: they are named, and the others are written.
+
+Paths: one that exists is that file, whatever characters it holds. Of others, `#` or `%04d` in a name stands for the number
+of a frame, and `::` parts a layer from its file; --literal takes every path as it is. A name that begins with a dash is
+written ./-name.
 
 Environment:
   STEIN_CACHE  folder in which compiled shaders are kept from run to run, where the device hands them out; empty: nowhere [default: `stein` among the user's caches]

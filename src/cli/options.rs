@@ -2,8 +2,9 @@
 
 use std::path::{Path, PathBuf};
 
-use stein::buffers::{BufferSet, BufferSetRequest};
+use stein::buffers::{BufferSet, BufferSetRequest, LayerRef};
 use stein::gpu::{DeviceChoice, GpuOptions};
+use stein::text;
 use stein::{Denoiser, Extent, Gpu, Method};
 
 use super::Failure;
@@ -17,17 +18,26 @@ pub(crate) struct Source {
     layer: Option<String>,
     #[command(flatten)]
     others: BufferSetRequest,
+    /// Take every path as it is: `#` and `%04d` are no frame number, and `::` parts no layer from its file
+    #[arg(long)]
+    pub(crate) literal: bool,
 }
 
 impl Source {
     /// An input with everything that was named beside it.
     pub(crate) fn request(&self, input: &Path) -> BufferSetRequest {
-        BufferSetRequest { input: input.to_owned(), layer: self.layer.clone(), ..self.others.clone() }
+        let others = if self.literal { self.others.literal() } else { self.others.clone() };
+        BufferSetRequest { input: input.to_owned(), layer: self.layer.clone(), ..others }
+    }
+
+    /// A layer of another file, as of a reference.
+    pub(crate) fn reference(&self, named: &LayerRef) -> LayerRef {
+        if self.literal { named.clone().literal() } else { named.clone() }
     }
 
     /// Options that the method has no use for are not ignored.
     pub(crate) fn check(&self, method: &Method) -> Result<(), Failure> {
-        let given = self.others.features.first().map(|(feature, _)| format!("--feature {feature}"));
+        let given = self.others.features.first().map(|(feature, _)| format!("--feature {}", text::name(feature)));
         let given = given.or_else(|| self.others.skip_features.first().map(|feature| format!("--skip-feature {feature}")));
         match given.filter(|_| !method.uses_features()) {
             Some(option) => {

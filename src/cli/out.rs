@@ -4,6 +4,7 @@ use std::fmt::Display;
 use std::io::{ErrorKind, Write};
 
 use serde::Serialize;
+use stein::text;
 
 use super::Failure;
 
@@ -26,13 +27,13 @@ impl Out {
     /// A line for people, or several.
     pub(crate) fn say(&mut self, text: impl Display) {
         if !self.quiet {
-            self.write(&text.to_string());
+            self.write(&text::message(&text.to_string()));
         }
     }
 
     /// A line for the program that started this one, whatever people want to see.
     pub(crate) fn line(&mut self, text: impl Display) {
-        self.write(&text.to_string());
+        self.write(&text::message(&text.to_string()));
     }
 
     /// The document for programs.

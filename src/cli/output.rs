@@ -3,6 +3,8 @@
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
+use stein::text;
+
 use super::Failure;
 use super::options::same_file;
 
@@ -21,7 +23,7 @@ pub(crate) fn choose(input: &Path, named: Option<&Path>) -> PathBuf {
 pub(crate) fn check<'a>(output: &Path, others: impl Iterator<Item = &'a Path>, no_clobber: bool, dry_run: bool) -> Result<(), Failure> {
     check_name(output, others.filter(|other| same_file(output, other)))?;
     if no_clobber && output.exists() {
-        let name = output.display();
+        let name = text::path(output);
         return Err(Failure::output(format_args!("{name}: exists already\n  remedy: choose another name with -o, or leave --no-clobber out")));
     }
     check_folder(output, dry_run)
@@ -29,14 +31,14 @@ pub(crate) fn check<'a>(output: &Path, others: impl Iterator<Item = &'a Path>, n
 
 /// That it is an OpenEXR file, and that none of what is read would be replaced: `same_files` are those that are the same file as the output.
 pub(crate) fn check_name<'a>(output: &Path, mut same_files: impl Iterator<Item = &'a Path>) -> Result<(), Failure> {
-    let name = output.display();
+    let name = text::path(output);
     if !output.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("exr")) {
         return Err(Failure::usage(format_args!("{name}: the output is an OpenEXR file\n  remedy: give it a name that ends in .exr")));
     }
     if let Some(other) = same_files.next() {
         return Err(Failure::output(format_args!(
             "{name}: is also read, as {}, and would be replaced\n  remedy: choose another name with -o",
-            other.display()
+            text::path(other)
         )));
     }
     Ok(())
@@ -44,7 +46,7 @@ pub(crate) fn check_name<'a>(output: &Path, mut same_files: impl Iterator<Item =
 
 /// That its folder can be written to.
 pub(crate) fn check_folder(output: &Path, dry_run: bool) -> Result<(), Failure> {
-    let name = output.display();
+    let name = text::path(output);
     let folder = match output.parent() {
         Some(folder) if !folder.as_os_str().is_empty() => folder,
         _ => Path::new("."),

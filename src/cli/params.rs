@@ -5,6 +5,7 @@ use std::path::PathBuf;
 
 use stein::Method;
 use stein::parameters::{Kind, Parameter, Value};
+use stein::text;
 
 use super::filter::{Chosen, Filter};
 use super::out::table;
@@ -51,7 +52,7 @@ pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
         return Ok(());
     };
     stein::aside::write(file, text.as_bytes()).map_err(|error| {
-        let name = file.display();
+        let name = text::path(file);
         Failure::output(format_args!("{name}: cannot be written: {error}\n  remedy: check that the folder exists, may be written to and has space left"))
     })
 }

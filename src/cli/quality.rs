@@ -5,6 +5,7 @@ use std::path::Path;
 use serde::Serialize;
 use stein::buffers::{LayerRef, read_reference};
 use stein::method::Intermediate;
+use stein::text;
 use stein::{Estimate, Frame, Image, metric};
 
 use super::Failure;
@@ -21,9 +22,9 @@ pub(crate) fn read(reference: &LayerRef, frame: &Frame, input: &Path) -> Result<
     }
     Err(Failure::input(format_args!(
         "{}: is of {}, but {} of {}\n  remedy: give a reference with the same resolution and crop",
-        reference.file.display(),
+        text::path(&reference.file),
         image.extent,
-        input.display(),
+        text::path(input),
         frame.extent()
     )))
 }

@@ -9,6 +9,7 @@ use serde::Serialize;
 use stein::buffers::{NamedLayer, write_layers};
 use stein::sampling::stub::{Sequence, StubSampler, scene, scenes};
 use stein::sampling::{MapFile, SampleCounts, Sampler};
+use stein::text;
 use stein::{Extent, Image};
 
 use super::options::size;
@@ -150,7 +151,7 @@ pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
     } else {
         samples.write(&file, &texts).map_err(Failure::output)?;
     }
-    out.say(format_args!("{}: {extent}, {average} samples per pixel, {}", file.display(), seconds(start.elapsed().as_secs_f64())));
+    out.say(format_args!("{}: {extent}, {average} samples per pixel, {}", text::path(&file), seconds(start.elapsed().as_secs_f64())));
     Ok(())
 }
 

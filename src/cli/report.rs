@@ -3,6 +3,7 @@
 use serde::Serialize;
 use stein::gpu::{AdapterSummary, SavedPipelines, StageTime};
 use stein::method::{Intermediate, SpikeReport};
+use stein::text;
 use stein::{Estimate, Method, Written};
 
 use super::Failure;
@@ -89,7 +90,7 @@ impl FrameReport {
             Some(run) => {
                 if let Some(written) = &self.output {
                     lines.extend(written.notes.iter().map(|note| format!("  {note}")));
-                    lines.push(format!("{}: {} on {}{strips}", written.file.display(), seconds(run.seconds), device.name));
+                    lines.push(format!("{}: {} on {}{strips}", text::path(&written.file), seconds(run.seconds), device.name));
                 }
                 // With none there is nothing to say, as of other repairs.
                 lines.extend(run.spikes.filter(|spikes| verbose || spikes.pixels > 0).map(|spikes| format!("  {spikes}")));
@@ -113,8 +114,8 @@ impl FrameReport {
 pub(crate) fn pipelines(saved: stein::Result<SavedPipelines>) -> Option<String> {
     match saved {
         Ok(SavedPipelines::Nowhere) => None,
-        Ok(SavedPipelines::Unchanged { file, bytes: size }) => Some(format!("  compiled shaders: {} in {}, as before", bytes(size), file.display())),
-        Ok(SavedPipelines::Written { file, bytes: size }) => Some(format!("  compiled shaders: {} written to {}", bytes(size), file.display())),
+        Ok(SavedPipelines::Unchanged { file, bytes: size }) => Some(format!("  compiled shaders: {} in {}, as before", bytes(size), text::path(&file))),
+        Ok(SavedPipelines::Written { file, bytes: size }) => Some(format!("  compiled shaders: {} written to {}", bytes(size), text::path(&file))),
         Err(error) => Some(format!("  {}", Failure::from(error).message())),
     }
 }

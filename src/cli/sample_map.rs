@@ -9,6 +9,7 @@ use stein::frame::SamplesPerPixel;
 use stein::gpu::AdapterSummary;
 use stein::method::Intermediate;
 use stein::sampling::{MapFile, SampleCounts, SamplingMap, sampling_density};
+use stein::text;
 
 use super::filter::Filter;
 use super::inspect::{Input, settle};
@@ -62,6 +63,7 @@ pub(crate) struct Args {
 struct Document {
     input: Input,
     device: AdapterSummary,
+    #[serde(serialize_with = "text::serialize_path")]
     output: PathBuf,
     map: Spread,
 }
@@ -134,7 +136,7 @@ pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
     let map = SamplingMap::new(&density, budget, Some(cap)).map_err(Failure::usage)?;
     let spread = Spread::of(&map.counts);
     MapFile { map, drawn: drawn(&set.samples_per_pixel(), frame.extent()) }.write(&file, &[]).map_err(Failure::output)?;
-    out.say(format_args!("{}: {spread}", file.display()));
+    out.say(format_args!("{}: {spread}", text::path(&file)));
     if args.json { out.json(&Document { input: described, device: gpu.summary().clone(), output: file, map: spread }) } else { Ok(()) }
 }
 

@@ -10,6 +10,7 @@ use crate::error::{Error, Result};
 use crate::host_memory::FreeMemory;
 use crate::image::Image;
 use crate::method::{Intermediate, Method};
+use crate::text;
 
 /// Layers of ours stand under this name, where no renderer's do.
 const PREFIX: &str = "stein";
@@ -18,6 +19,7 @@ const PREFIX: &str = "stein";
 #[derive(Clone, Debug, Serialize)]
 pub struct Written {
     /// Where.
+    #[serde(serialize_with = "text::serialize_path")]
     pub file: PathBuf,
     /// Layers that the input does not have.
     pub added_layers: Vec<String>,
@@ -61,7 +63,7 @@ impl Estimate {
             let plain = layer.channels.iter().filter(|channel| !channel.eq_ignore_ascii_case("A")).count();
             match &self.half_spread {
                 Some(half_spread) if plain == 3 || plain == 1 => replacements.push((layer.layer.clone(), half(&self.color, half_spread, sign))),
-                _ => notes.push(format!("layer '{}' is as it was: it holds more than a half of the colour", layer.layer)),
+                _ => notes.push(format!("layer '{}' is as it was: it holds more than a half of the colour", text::name(&layer.layer))),
             }
         }
 
@@ -87,7 +89,7 @@ impl Estimate {
         notes.extend(report.to_string().lines().map(str::to_owned));
         Ok(Written {
             file: output.to_owned(),
-            added_layers: extra.into_iter().map(|layer| layer.name).collect(),
+            added_layers: extra.into_iter().map(|layer| layer.name).filter(|name| !report.left_out.contains(name)).collect(),
             replaced_layers: replacements.into_iter().map(|(name, _)| name).collect(),
             dropped_layers: dropped,
             clamped_values: report.clamped_values,

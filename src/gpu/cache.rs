@@ -59,7 +59,7 @@ impl PipelineCache {
     /// Begins with what the file in `folder` holds. `None` where the driver refuses.
     pub(super) fn open(device: &wgpu::Device, info: &wgpu::AdapterInfo, folder: &Path) -> Option<Self> {
         let file = folder.join(file_name(info));
-        let data = std::fs::metadata(&file).ok().filter(|found| found.len() <= MOST_BYTES).and_then(|_| std::fs::read(&file).ok());
+        let data = std::fs::metadata(&file).ok().filter(|found| found.is_file() && found.len() <= MOST_BYTES).and_then(|_| std::fs::read(&file).ok());
         let data = data.as_deref().and_then(unpacked);
         let description = wgpu::PipelineCacheDescriptor { label: Some("stein"), data, fallback: true };
         let scope = device.push_error_scope(wgpu::ErrorFilter::Validation);

@@ -8,6 +8,10 @@ use toml::de::{DeTable, DeValue};
 use super::{Method, Preset};
 use crate::error::{Error, Result};
 use crate::parameters::{Kind, Parameter, Value};
+use crate::text;
+
+/// Far more than all parameters with their comments take.
+const MOST_BYTES: u64 = 1 << 20;
 
 /// Columns of a comment.
 const WIDTH: usize = 100;
@@ -101,8 +105,9 @@ impl Method {
     /// [`Error::File`] where it cannot be read, or with what [`Method::from_toml`] says of it.
     pub fn read_toml(path: &Path) -> Result<(Self, Preset)> {
         let refused = |problem, remedy| Error::File { path: path.to_owned(), problem, remedy };
-        let text = std::fs::read_to_string(path)
-            .map_err(|error| refused(format!("cannot be read: {error}"), "name a TOML file of parameters, such as `stein params -o FILE` writes".into()))?;
+        let remedy = "name a TOML file of parameters, such as `stein params -o FILE` writes";
+        let text = text::read_file(path, MOST_BYTES);
+        let text = text.map_err(|error| refused(format!("cannot be read: {error}"), remedy.into()))?;
         Self::from_toml(&text).map_err(|error| match error {
             Error::Request { problem, remedy } => refused(problem, remedy),
             error => error,

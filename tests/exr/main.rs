@@ -3,6 +3,7 @@
 
 mod broken;
 mod draft;
+mod names;
 mod reading;
 mod trouble;
 mod writing;

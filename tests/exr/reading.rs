@@ -116,7 +116,35 @@ fn a_layer_of_a_file_is_written_behind_two_colons() {
     #[cfg(unix)]
     {
         let name: std::ffi::OsString = std::os::unix::ffi::OsStringExt::from_vec(b"\xff.exr::a".to_vec());
-        assert_eq!(LayerRef::from(name.clone()), LayerRef::whole(name));
+        let file: std::ffi::OsString = std::os::unix::ffi::OsStringExt::from_vec(b"\xff.exr".to_vec());
+        assert_eq!(LayerRef::from(name.clone()), LayerRef { file: file.into(), layer: Some("a".into()) });
+        assert_eq!(LayerRef::from(name.clone()).literal(), LayerRef::whole(name));
+    }
+}
+
+#[test]
+fn the_disk_decides_where_a_text_is_split() {
+    let folder = folder();
+    let inside = |path: &str| folder.path().join(path).to_str().unwrap().to_owned();
+    std::fs::create_dir(inside("a::b")).unwrap();
+    for file in ["x::y.exr", "a::b/in.exr", "plain", "in.exr"] {
+        std::fs::write(inside(file), "").unwrap();
+    }
+    for (text, file, layer) in [
+        ("x::y.exr", "x::y.exr", None),
+        ("x::y.exr::z", "x::y.exr", Some("z")),
+        ("a::b/in.exr", "a::b/in.exr", None),
+        ("a::b/in.exr::z", "a::b/in.exr", Some("z")),
+        ("a::b/missing.exr", "a::b/missing.exr", None),
+        ("a::b/shot.####.exr::z", "a::b/shot.####.exr", Some("z")),
+        ("plain::z", "plain", Some("z")),
+        ("in.exr::y::z", "in.exr", Some("y::z")),
+        ("missing::z", "missing", Some("z")),
+    ] {
+        let Ok(found) = inside(text).parse::<LayerRef>();
+        let expected = LayerRef { file: inside(file).into(), layer: layer.map(str::to_owned) };
+        assert_eq!(found, expected, "{text}");
+        assert_eq!(found.literal(), LayerRef::whole(inside(text)), "{text}");
     }
 }
 

@@ -86,6 +86,38 @@ fn every_writable_compression_is_kept() {
 }
 
 #[test]
+fn a_sun_near_the_largest_half_float_stays_bright_under_dwa() {
+    let folder = folder();
+    let (input, output) = (folder.path().join("in.exr"), folder.path().join("out.exr"));
+    let size = (32, 32);
+    let is_sun = |pixel: usize| (12..20).contains(&(pixel % 32)) && (12..20).contains(&(pixel / 32));
+    // Not even, so that the waves overshoot.
+    let value = |pixel: usize| if is_sun(pixel) { 60_000.0 + 5504.0 * (pixel * 7919 % 101) as f32 / 100.0 } else { 1.0 };
+    let plane: Vec<f16> = (0..32 * 32).map(|pixel| f16::from_f32(value(pixel))).collect();
+    let mut overshot = 0;
+    for level in [45.0, 90.0, 300.0] {
+        let channels = ["R", "G", "B"].map(|name| (name.to_owned(), FlatSamples::F16(plane.clone()))).to_vec();
+        let part = Part { size, channels, compression: Compression::DWAA(Some(level)), ..Part::new() };
+        let distance = FlatSamples::F32((0..32 * 32).map(|pixel| if pixel == 5 { f32::INFINITY } else { 1.0 }).collect());
+        let part = Part { channels: [part.channels.clone(), vec![("depth.Z".into(), distance)]].concat(), ..part };
+        write(folder.path(), "in.exr", vec![part]);
+        let FlatSamples::F16(decoded) = stored(&input, "R") else { panic!("another type") };
+        overshot += decoded.iter().filter(|value| !value.is_finite()).count();
+        let set = read(&input);
+        let color = set.color().mean;
+        for (pixel, value) in color.planes[0].iter().enumerate() {
+            assert!(if is_sun(pixel) { (3e4..=65_504.0).contains(value) } else { *value < 3.0 }, "level {level}: {value} at {pixel}");
+        }
+        let report = write_denoised(set, &output, &replace_color(&color)).unwrap();
+        assert!(report.to_string().contains("ZIP is used instead"), "{report}");
+        assert_eq!(read(&output).color().mean, color, "what is written reads back as it was meant");
+        let FlatSamples::F32(distances) = stored(&output, "depth.Z") else { panic!("another type") };
+        assert!(distances[5].is_infinite(), "what is stored without loss may be infinite");
+    }
+    assert!(overshot > 0, "the case is none");
+}
+
+#[test]
 fn lines_and_tiles_may_stand_in_any_order() {
     let folder = folder();
     for blocks in [Blocks::ScanLines, Blocks::Tiles(Vec2(2, 2))] {

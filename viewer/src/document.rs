@@ -11,7 +11,7 @@ use stein::buffers::{BufferSetRequest, LayerRef};
 use stein::frame::Repairs;
 use stein::method::Plan;
 use stein::sampling::estimated_relative_mse;
-use stein::{Denoiser, Estimate, Frame, Image, Options, Preset, metric};
+use stein::{Denoiser, Estimate, Frame, Image, Options, Preset, metric, text};
 
 use crate::files::short_name;
 use crate::layer::{Description, Group, Kind, Layer};
@@ -46,7 +46,7 @@ impl Source {
     /// What people call it: the name of the input, and its layer where one is named.
     pub fn name(&self) -> String {
         let BufferSetRequest { input, layer, .. } = &self.request;
-        layer.as_ref().map_or_else(|| short_name(input), |layer| format!("{}::{layer}", short_name(input)))
+        layer.as_ref().map_or_else(|| short_name(input), |layer| format!("{}::{}", short_name(input), text::name(layer)))
     }
 
     /// The same from whichever folder.
@@ -62,8 +62,8 @@ impl Source {
         let input = LayerRef { file: input.clone(), layer: layer.clone() };
         let named = [("half A", half_a), ("half B", half_b), ("variance", variance), ("reference", &self.reference)];
         let named = named.into_iter().filter_map(|(what, layer)| Some(format!("{what}: {}", layer.as_ref()?)));
-        let features = features.iter().map(|(name, layer)| format!("feature {name}: {layer}"));
-        let skipped = skip_features.iter().map(|name| format!("without the feature {name}"));
+        let features = features.iter().map(|(name, layer)| format!("feature {}: {layer}", text::name(name)));
+        let skipped = skip_features.iter().map(|name| format!("without the feature {}", text::name(name)));
         let none = no_features.then(|| "without other features of the input".to_owned());
         std::iter::once(input.to_string()).chain(named).chain(features).chain(skipped).chain(none).collect()
     }

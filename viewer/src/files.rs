@@ -6,7 +6,7 @@ use std::task::Poll;
 use std::time::{Duration, Instant};
 
 use eframe::egui::Context;
-use stein::{Error, Result};
+use stein::{Error, Result, text};
 
 use crate::device::no_thread;
 
@@ -133,7 +133,7 @@ pub fn is_reference(path: &Path) -> bool {
 
 /// A file's name for people, without its folder.
 pub fn short_name(path: &Path) -> String {
-    path.file_name().map_or_else(|| path.display().to_string(), |name| name.to_string_lossy().into_owned())
+    text::path(path.file_name().map_or(path, Path::new))
 }
 
 #[cfg(test)]

@@ -7,7 +7,7 @@ use clap::{Parser, ValueEnum};
 use eframe::egui::{Theme, Vec2, ViewportBuilder};
 use stein::buffers::{BufferSetRequest, LayerRef};
 use stein::gpu::{DeviceChoice, GpuOptions};
-use stein::{Error, Gpu, Method, Preset};
+use stein::{Error, Gpu, Method, Preset, text};
 use stein_viewer::adaptive::Setup;
 use stein_viewer::document::Source;
 use stein_viewer::panel::Panel;
@@ -17,6 +17,9 @@ use stein_viewer::view::Compare;
 use stein_viewer::{Start, Viewer, app, device, sweep, words};
 
 const AFTER_HELP: &str = "\
+Paths: one that exists is that file, whatever characters it holds. Of others, `FILE::LAYER` is a layer of a file; --literal \
+takes every path as it is. A name that begins with a dash is written ./-name.
+
 Exit codes: 0 done, 2 wrong usage, 3 an input file or layer cannot be used, 4 no device, or one that cannot show a window, 5 the picture cannot be written, 1 anything else.
 
 Environment:
@@ -38,6 +41,9 @@ struct Args {
     /// The true image, to compare with
     #[arg(long, value_name = "FILE[::LAYER]", requires = "file")]
     reference: Option<LayerRef>,
+    /// Take every path as it is: `::` parts no layer from its file
+    #[arg(long, requires = "file")]
+    literal: bool,
     /// Samples a built-in scene adaptively in place of opening a file: soft, dof, motion, caustic, texture or spikes
     #[arg(long, value_name = "SCENE", conflicts_with = "file")]
     adapt: Option<String>,
@@ -241,13 +247,13 @@ fn start(args: &Args) -> Result<Start, Failure> {
         return Err(Failure { code: 2, message: "--neighbour is explained by the kernel's panel\n  remedy: add --panel kernel, or leave it out".into() });
     }
     let parameters = parameters(args)?;
-    let request = |named: LayerRef| {
-        // A path may have `::` in it.
-        let whole = PathBuf::from(named.to_string());
-        let LayerRef { file, layer } = if whole.is_file() { LayerRef::whole(whole) } else { named };
-        BufferSetRequest { input: file, layer, ..args.others.clone() }
+    let named = |layer: LayerRef| if args.literal { layer.literal() } else { layer };
+    let request = |input: LayerRef| {
+        let LayerRef { file, layer } = named(input);
+        let others = if args.literal { args.others.literal() } else { args.others.clone() };
+        BufferSetRequest { input: file, layer, ..others }
     };
-    let source = args.file.clone().map(|input| Source { request: request(input), reference: args.reference.clone() });
+    let source = args.file.clone().map(|input| Source { request: request(input), reference: args.reference.clone().map(named) });
     if source.is_none() && args.others != BufferSetRequest::default() {
         let message = "halves, variance and features are those of a file, and none is given\n  remedy: name it: stein-viewer FILE".into();
         return Err(Failure { code: 2, message });
@@ -277,7 +283,7 @@ fn parameters(args: &Args) -> Result<Option<Parameters>, Failure> {
             let own = [("method", parameters.method.name(), method), ("preset", parameters.preset.name(), preset)];
             let contradicts = own.into_iter().find_map(|(key, own, given)| Some((key, own, given.filter(|given| *given != own)?)));
             if let Some((key, own, given)) = contradicts {
-                let path = path.display();
+                let path = text::path(path);
                 return Err(usage(format!(
                     "--{key} {given}: {path} is for {own}\n  remedy: leave the option out, or write `{key} = \"{given}\"` into the file"
                 )));

@@ -1,8 +1,8 @@
 //! What the library says, in the words of this program.
 
-use stein::Error;
 use stein::buffers::BufferSetRequest;
 use stein::gpu::GpuOptions;
+use stein::{Error, text};
 
 /// What the library's remedies say, and what that is here, besides the options of [`BufferSetRequest`].
 const WORDS: [(&str, &str); 8] = [
@@ -19,7 +19,8 @@ const WORDS: [(&str, &str); 8] = [
 
 /// An error for people, with its remedy.
 pub fn told(error: &Error) -> String {
-    Error::in_words(&error.to_string(), BufferSetRequest::OPTIONS.iter().chain(&WORDS))
+    let told = Error::in_words(&error.to_string(), BufferSetRequest::OPTIONS.iter().chain(&WORDS));
+    text::message(&told).into_owned()
 }
 
 #[cfg(test)]

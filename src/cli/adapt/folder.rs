@@ -7,6 +7,7 @@ use serde_json::{Map, Value};
 use stein::buffers::{BufferSet, BufferSetRequest};
 use stein::method::Intermediate;
 use stein::sampling::{MapFile, Resumed, Samples, SamplingMap};
+use stein::text;
 use stein::{Estimate, Method};
 
 use super::super::Failure;
@@ -39,20 +40,20 @@ impl Folder {
     /// Makes the folder; one with an earlier run in it must be meant.
     pub(crate) fn open(path: &Path, setup: &Setup<'_>, resume: bool, overwrite: bool) -> Result<Self, Failure> {
         let unusable = |error: std::io::Error| {
-            let name = path.display();
+            let name = text::path(path);
             Failure::output(format_args!("{name}: {error}\n  remedy: choose another folder with -o, or check that this one may be written to"))
         };
         std::fs::create_dir_all(path).map_err(unusable)?;
         let path = absolute(path).map_err(unusable)?;
         let setup = serde_json::to_string(setup).map_err(|error| Failure::output(format_args!("the parameters: {error}")))?;
-        let folder = Self { path, setup: ascii(&setup) };
+        let folder = Self { path, setup };
         let earlier = folder.earlier().map_err(unusable)?;
         if overwrite {
             earlier.iter().try_for_each(std::fs::remove_file).map_err(unusable)?;
         } else if let (false, Some(file)) = (resume, earlier.first()) {
             return Err(Failure::output(format_args!(
                 "{}: is of an earlier run\n  remedy: go on with that run with --resume, delete its files with --overwrite, or choose another folder",
-                file.display()
+                text::path(file)
             )));
         }
         Ok(folder)
@@ -96,7 +97,7 @@ impl Folder {
         let now = serde_json::from_str(&self.setup).ok();
         let (Some(then), Some(now)) = (then, now) else {
             let remedy = "choose the folder of a run that was interrupted, or start anew with --overwrite";
-            return Err(Failure::input(format_args!("{}: was not written by `stein adapt`\n  remedy: {remedy}", file.display())));
+            return Err(Failure::input(format_args!("{}: was not written by `stein adapt`\n  remedy: {remedy}", text::path(&file))));
         };
         let differences = differences(&then, &now);
         if differences.is_empty() {
@@ -104,7 +105,7 @@ impl Folder {
         }
         Err(Failure::usage(format_args!(
             "{}: the run that is to be resumed had other parameters: {}\n  remedy: give the same, or start anew with --overwrite",
-            file.display(),
+            text::path(&file),
             differences.join(", ")
         )))
     }
@@ -136,18 +137,4 @@ fn differences(then: &Map<String, Value>, now: &Map<String, Value>) -> Vec<Strin
         (then, now) => format!("{name} was {}, now {}", text(then), text(now)),
     };
     differing.map(tell).collect()
-}
-
-/// JSON without the characters that a header cannot hold.
-fn ascii(json: &str) -> String {
-    let mut units = [0; 2];
-    let mut text = String::new();
-    for character in json.chars() {
-        if character.is_ascii() {
-            text.push(character);
-        } else {
-            text.extend(character.encode_utf16(&mut units).iter().map(|unit| format!("\\u{unit:04x}")));
-        }
-    }
-    text
 }

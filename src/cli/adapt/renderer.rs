@@ -1,6 +1,7 @@
 //! A renderer in another process.
 
 use std::collections::VecDeque;
+use std::ffi::{OsStr, OsString};
 use std::io::{BufRead, BufReader, Read, Write};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
@@ -10,10 +11,12 @@ use stein::Extent;
 use stein::buffers::{BufferSet, BufferSetRequest};
 use stein::error::{Error, Result};
 use stein::sampling::{Progress, SampleCounts, Sampler, Samples};
+use stein::text;
 
 use super::super::Failure;
 use super::super::interrupt::Companion;
 use super::super::progress::is_watched;
+use super::super::template::fill;
 
 /// How much of what a command said is kept for an error message.
 const LINES: usize = 10;
@@ -63,11 +66,12 @@ impl<'a> Renderer<'a> {
         })
     }
 
-    fn run(&self, command: &str) -> Result<()> {
+    fn run(&self, command: &OsStr) -> Result<()> {
+        let told = text::path(Path::new(command));
         let failed = |how: String, said: &str| {
             let said = if said.is_empty() { "it said nothing".to_owned() } else { format!("it said:\n{said}") };
             Error::Renderer {
-                problem: format!("the sampler command {how}: {command}\n  {said}"),
+                problem: format!("the sampler command {how}: {told}\n  {said}"),
                 remedy: "run the command by itself, as it stands here; then run `stein adapt` again with --resume".into(),
             }
         };
@@ -87,7 +91,7 @@ impl<'a> Renderer<'a> {
             return Err(failed(format!("failed ({status})"), said));
         }
         let out = self.file("new");
-        if out.exists() { Ok(()) } else { Err(failed(format!("did not write {}", out.display()), said)) }
+        if out.exists() { Ok(()) } else { Err(failed(format!("did not write {}", text::path(&out)), said)) }
     }
 }
 
@@ -107,8 +111,8 @@ impl Sampler for Renderer<'_> {
             _ => {}
         }
         let (Turn::Iteration(iteration) | Turn::Uniform(iteration)) = self.turn;
-        let command = self.command.replace("{map}", &quoted(&map)).replace("{out}", &quoted(&out)).replace("{iteration}", &iteration.to_string());
-        self.run(&command)?;
+        let (iteration, map, quoted_out) = (OsString::from(iteration.to_string()), quoted(&map), quoted(&out));
+        self.run(&fill(self.command, &[("{map}", &map), ("{out}", &quoted_out), ("{iteration}", &iteration)]))?;
         let set = BufferSet::read(&BufferSetRequest { input: out.clone(), ..Default::default() })?;
         let samples = Samples::from_buffer_set(&set).map_err(|error| match error {
             Error::Request { problem, remedy } => unusable(problem, remedy),
@@ -120,7 +124,8 @@ impl Sampler for Renderer<'_> {
         }
         let (asked, drawn) = (counts.total_samples(), samples.counts().total_samples());
         if self.warn && asked != drawn {
-            eprintln!("warning: {}: holds {drawn} samples, but the map asks for {asked}; what was drawn counts", out.display());
+            let out = text::path(&out);
+            eprintln!("warning: {out}: holds {drawn} samples, but the map asks for {asked}; what was drawn counts");
         }
         self.turn = match self.turn {
             Turn::Iteration(iteration) => Turn::Iteration(iteration + 1),
@@ -131,36 +136,55 @@ impl Sampler for Renderer<'_> {
 }
 
 #[cfg(not(windows))]
-fn shell(command: &str) -> Command {
+fn shell(command: &OsStr) -> Command {
     let mut shell = Command::new("sh");
     shell.arg("-c").arg(command);
     shell
 }
 
 #[cfg(windows)]
-fn shell(command: &str) -> Command {
+fn shell(command: &OsStr) -> Command {
     use std::os::windows::process::CommandExt;
     let mut shell = Command::new("cmd");
     // `cmd` takes everything between the first and the last quote as it is.
-    shell.raw_arg(format!("/S /C \"{command}\""));
+    let mut line = OsString::from("/S /C \"");
+    line.push(command);
+    line.push("\"");
+    shell.raw_arg(line);
     shell
 }
 
 /// A path as one word for the shell.
-fn quoted(path: &Path) -> String {
-    let path = path.to_string_lossy();
-    if cfg!(windows) { format!("\"{path}\"") } else { format!("'{}'", path.replace('\'', r"'\''")) }
+#[cfg(unix)]
+fn quoted(path: &Path) -> OsString {
+    use std::os::unix::ffi::{OsStrExt, OsStringExt};
+    let bytes = path.as_os_str().as_bytes();
+    let parts: Vec<&[u8]> = bytes.split(|byte| *byte == b'\'').collect();
+    OsString::from_vec([b"'", parts.join(&br"'\''"[..]).as_slice(), b"'"].concat())
 }
 
-/// Reads to the end.
+/// A path as one word for the shell; it holds no quotes.
+#[cfg(not(unix))]
+fn quoted(path: &Path) -> OsString {
+    let mut quoted = OsString::from("\"");
+    quoted.push(path);
+    quoted.push("\"");
+    quoted
+}
+
+/// Bytes of a line that are looked at as one: a command may write without end and never end a line.
+const LINE_BYTES: u64 = 4096;
+
+/// Reads to the end and keeps the last lines.
 fn last_lines(stream: Option<impl Read>, talk: bool) -> String {
     let mut lines = VecDeque::new();
     let Some(mut stream) = stream.map(BufReader::new) else {
         return String::new();
     };
     let mut line = Vec::new();
-    while matches!(stream.read_until(b'\n', &mut line), Ok(bytes) if bytes > 0) {
+    while matches!(stream.by_ref().take(LINE_BYTES).read_until(b'\n', &mut line), Ok(bytes) if bytes > 0) {
         if talk {
+            // As the command wrote it, progress bars and colours among it: it has the terminal of whoever named it.
             // Where nobody listens any more, the work goes on.
             let _ = std::io::stderr().write_all(&line);
         }

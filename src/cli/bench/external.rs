@@ -1,16 +1,20 @@
 //! Other denoisers, run as programs.
 
+use std::ffi::OsString;
 use std::fs::File;
+use std::io::{Read, Seek, SeekFrom};
 use std::path::Path;
 use std::process::{Command, Stdio};
 use std::str::FromStr;
 use std::time::Instant;
 
 use stein::buffers::read_reference;
+use stein::text;
 use stein::{Extent, Image};
 
 use super::super::Failure;
 use super::super::interrupt::Companion;
+use super::super::template::fill;
 use super::results;
 
 /// How much of what a program said is kept for an error message.
@@ -50,21 +54,23 @@ impl External {
 
     /// Runs it on a file. Gives the seconds that it took on the clock; its result is then in `output`. No shell is asked, so that a path is always one word.
     pub(super) fn run(&self, input: &Path, output: &Path) -> Result<f64, Failure> {
-        let (input_text, output_text) = (input.to_string_lossy(), output.to_string_lossy());
-        let words: Vec<String> = self.words.iter().map(|word| word.replace("{in}", &input_text).replace("{out}", &output_text)).collect();
+        let paths = [("{in}", input.as_os_str()), ("{out}", output.as_os_str())];
+        let words: Vec<OsString> = self.words.iter().map(|word| fill(word, &paths)).collect();
         let failed = |how: String, said: &str| {
             let said = if said.is_empty() { "it said nothing".to_owned() } else { format!("it said:\n{said}") };
-            let command = shell_words::join(&words);
+            let command = shell_words::join(words.iter().map(|word| text::path(Path::new(word))));
             Failure::input(format_args!("--external {}: {how}: {command}\n  {said}\n  remedy: run the command by itself, as it stands here", self.name))
         };
         // What an earlier run wrote must not be taken for an answer.
         match std::fs::remove_file(output) {
-            Err(error) if error.kind() != std::io::ErrorKind::NotFound => return Err(failed(format!("{} cannot be replaced ({error})", output_text), "")),
+            Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
+                return Err(failed(format!("{} cannot be replaced ({error})", text::path(output)), ""));
+            }
             _ => {}
         }
         // Into files, which never make a program wait.
         let log = output.with_extension("log");
-        let unusable = |error: std::io::Error| Failure::output(format_args!("{}: {error}\n  remedy: check the folder for temporary files", log.display()));
+        let unusable = |error: std::io::Error| Failure::output(format_args!("{}: {error}\n  remedy: check the folder for temporary files", text::path(&log)));
         let stderr = File::create(&log).map_err(unusable)?;
         let start = Instant::now();
         let child = Command::new(&words[0]).args(&words[1..]).stdin(Stdio::null()).stdout(Stdio::null()).stderr(stderr).spawn();
@@ -74,7 +80,7 @@ impl External {
         });
         let seconds = start.elapsed().as_secs_f64();
         let status = ended.map_err(|error| failed(format!("cannot be run ({error})"), ""))?;
-        let said = last_lines(&String::from_utf8_lossy(&std::fs::read(&log).map_err(unusable)?));
+        let said = last_lines(&end_of(&log).map_err(unusable)?);
         if !status.success() {
             let code = status.code().map_or_else(|| status.to_string(), |code| format!("exit code {code}"));
             return Err(failed(format!("failed ({code})"), &said));
@@ -91,6 +97,17 @@ impl External {
         }
         Err(failed(format!("its output is of {}, but the input of {extent}\n  remedy: let it keep the size of its input", image.extent)))
     }
+}
+
+/// The end of a file, be it as large as it may.
+fn end_of(path: &Path) -> std::io::Result<String> {
+    const BYTES: u64 = 1 << 16;
+    let mut file = File::open(path)?;
+    let bytes = file.metadata()?.len();
+    file.seek(SeekFrom::Start(bytes.saturating_sub(BYTES)))?;
+    let mut end = Vec::new();
+    file.take(BYTES).read_to_end(&mut end)?;
+    Ok(String::from_utf8_lossy(&end).into_owned())
 }
 
 fn last_lines(text: &str) -> String {
@@ -127,6 +144,21 @@ mod tests {
         assert!(external.run(&input, &output).unwrap() > 0.0);
         assert_eq!(std::fs::read(&output).unwrap(), b"content");
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 3, "the input, the output and its log");
+    }
+
+    #[test]
+    #[cfg(unix)]
+    fn a_placeholder_in_a_path_is_a_part_of_the_path() {
+        let folder = tempfile::tempdir().unwrap();
+        let (input, output) = (folder.path().join("a{out}.exr"), folder.path().join("b{in}.exr"));
+        std::fs::write(&input, "content").unwrap();
+        let external: External = "copy=cp {in} {out}".parse().unwrap();
+        external.run(&input, &output).unwrap();
+        assert_eq!(std::fs::read(&output).unwrap(), b"content");
+        // Megabytes of complaints are not read.
+        let external: External = "noise=sh -c 'head -c 9000000 /dev/zero >&2; echo the end >&2; exit 3' {in} {out}".parse().unwrap();
+        let failure = external.run(&input, &output).unwrap_err();
+        assert!(failure.message().contains("the end") && failure.message().len() < 1 << 17, "{}", failure.message().len());
     }
 
     #[test]

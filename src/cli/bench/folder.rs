@@ -1,8 +1,10 @@
 //! The folder of a report.
 
+use std::fs::File;
 use std::path::{Path, PathBuf};
 
-use stein::aside::Aside;
+use stein::aside::{self, Aside};
+use stein::text;
 
 use super::super::Failure;
 use super::compare;
@@ -18,7 +20,7 @@ pub(super) struct Folder {
 impl Folder {
     /// Only a report, an empty folder or nothing may be there. Told before anything is measured.
     pub(super) fn check(path: &Path) -> Result<Self, Failure> {
-        let name = path.display();
+        let name = text::path(path);
         let unusable = |error: std::io::Error| {
             Failure::output(format_args!("{name}: {error}\n  remedy: choose another folder with -o, or check that this one may be written to"))
         };
@@ -49,9 +51,24 @@ impl Folder {
         Aside::make(|| builder.tempdir_in(self.path.parent().unwrap_or(Path::new("/"))))
     }
 
+    /// Gives a new report the access rights of the one that it replaces, and its files theirs.
+    fn hand_down_rights(&self, new: &Path) -> std::io::Result<()> {
+        for file in FILES {
+            // An empty folder has none.
+            if let Ok(replaced) = self.path.join(file).metadata() {
+                aside::inherit(&File::open(new.join(file))?, &replaced);
+            }
+        }
+        // A folder can be opened where it has rights of its own.
+        if cfg!(unix) {
+            aside::inherit(&File::open(new)?, &self.path.metadata()?);
+        }
+        Ok(())
+    }
+
     /// Writes the files, in the order of [`FILES`], and puts them in the place of what was there.
     pub(super) fn write(&self, contents: [&[u8]; 3]) -> Result<(), Failure> {
-        let name = self.path.display();
+        let name = text::path(&self.path);
         let failed = |error: std::io::Error| {
             Failure::output(format_args!("{name}: cannot be written: {error}\n  remedy: check that there is space, and choose a folder with -o"))
         };
@@ -69,6 +86,7 @@ impl Folder {
             let old = self.aside().map_err(failed)?;
             let old_report = old.path().join("old");
             let placed = new.finish(|new| {
+                self.hand_down_rights(new.path())?;
                 std::fs::rename(&self.path, &old_report)?;
                 let placed = std::fs::rename(new.path(), &self.path);
                 match &placed {
@@ -122,6 +140,17 @@ mod tests {
         }
         assert_eq!(std::fs::read_dir(parent.path()).unwrap().count(), 1, "nothing is left beside it");
         Folder::check(&path).unwrap();
+
+        #[cfg(unix)]
+        {
+            use std::os::unix::fs::PermissionsExt;
+            let mode = |path: &Path| std::fs::metadata(path).unwrap().permissions().mode() & 0o777;
+            let page = path.join("index.html");
+            std::fs::set_permissions(&page, PermissionsExt::from_mode(0o600)).unwrap();
+            std::fs::set_permissions(&path, PermissionsExt::from_mode(0o750)).unwrap();
+            folder.write([document("third").as_bytes(), b"csv", b"html"]).unwrap();
+            assert_eq!((mode(&path), mode(&page)), (0o750, 0o600), "a report is not shown to more people than before");
+        }
 
         std::fs::write(path.join("thoughts.txt"), "mine").unwrap();
         assert!(Folder::check(&path).is_err() && folder.write([b"", b"", b""]).is_err());

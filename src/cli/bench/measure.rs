@@ -6,6 +6,7 @@ use std::time::Instant;
 use cpu_time::ProcessTime;
 use indicatif::ProgressBar;
 use stein::gpu::StageTime;
+use stein::text;
 use stein::{Denoiser, Frame, Gpu, Image, Method, Options, metric};
 
 use super::super::{Failure, interrupt, quality};
@@ -85,7 +86,7 @@ pub(super) fn measure(
     let contestants: Vec<_> = contestants.iter().filter(|contestant| contestant.can_run(case)).collect();
     bar.dec_length((all - contestants.len()) as u64 * runs(repeats));
     let output = folder.join("out.exr");
-    let input = std::path::absolute(&case.set.file).map_err(|error| Failure::input(format_args!("{}: {error}", case.set.file.display())))?;
+    let input = std::path::absolute(&case.set.file).map_err(|error| Failure::input(format_args!("{}: {error}", text::path(&case.set.file))))?;
     let mut records = Vec::new();
     for contestant in &contestants {
         interrupt::check()?;

@@ -366,7 +366,7 @@ impl<'a> Page<'a> {
         };
         let mut body = String::new();
         for set in &self.document.sets {
-            let file = escape(&format!("{}, {}×{}", set.file.display(), set.width, set.height));
+            let file = escape(&format!("{}, {}×{}", stein::text::path(&set.file), set.width, set.height));
             body += &format!("<tr class=\"set\"><th colspan=\"12\">{} <small>{file}</small></th></tr>\n", escape(&set.name));
             if set.noisy.is_some() {
                 body += &format!("<tr><td>noisy</td>{}{}{}</tr>\n", cell(None).repeat(6), measures(set.noisy), cell(None));

@@ -107,7 +107,9 @@ pub(super) struct Set {
     pub(super) name: String,
     /// Sets with the same reference are one scene.
     pub(super) scene: String,
+    #[serde(serialize_with = "stein::text::serialize_path")]
     pub(super) file: PathBuf,
+    #[serde(serialize_with = "stein::text::serialize_path_or_none")]
     pub(super) reference: Option<PathBuf>,
     /// The mean, where they differ from pixel to pixel.
     pub(super) samples_per_pixel: Option<f64>,

@@ -4,6 +4,7 @@ use std::cmp::Ordering;
 use std::path::{Path, PathBuf};
 
 use stein::buffers::LayerRef;
+use stein::text;
 
 use super::super::Failure;
 use super::super::options::same_file;
@@ -37,7 +38,7 @@ pub(super) fn find(inputs: &[PathBuf], references: &[LayerRef]) -> Result<Vec<Se
             continue;
         }
         if given.is_some() {
-            let folder = input.display();
+            let folder = text::path(input);
             return Err(Failure::usage(format_args!(
                 "{folder}: --ref belongs to a file, and this is a folder\n  remedy: leave --ref out, the references of a folder are found by their names, or give its files"
             )));
@@ -47,7 +48,7 @@ pub(super) fn find(inputs: &[PathBuf], references: &[LayerRef]) -> Result<Vec<Se
         files.retain(|file| !is_reference(file));
         files.sort_by(|a, b| by_name(&a.to_string_lossy(), &b.to_string_lossy()));
         if files.is_empty() {
-            let folder = input.display();
+            let folder = text::path(input);
             return Err(Failure::input(format_args!("{folder}: holds no OpenEXR file but references\n  remedy: name a folder with renders")));
         }
         sets.extend(files.iter().map(|file| SetFile::new(file, find_reference(file), true)));
@@ -68,15 +69,14 @@ impl SetFile {
 
 /// Before anything is measured.
 fn readable(file: &Path) -> Result<(), Failure> {
-    match std::fs::File::open(file) {
-        Ok(_) => Ok(()),
-        Err(error) => Err(Failure::input(format_args!("{}: cannot be read: {error}\n  remedy: check the path", file.display()))),
-    }
+    // A pipe would be waited for. What else is no file is told when it is read.
+    let opened = file.metadata().and_then(|kind| if kind.is_file() { std::fs::File::open(file).map(drop) } else { Ok(()) });
+    opened.map_err(|error| Failure::input(format_args!("{}: cannot be read: {error}\n  remedy: check the path", text::path(file))))
 }
 
 /// All OpenEXR files below a folder but hidden ones.
 fn collect(folder: &Path, files: &mut Vec<PathBuf>) -> Result<(), Failure> {
-    let failed = |error: std::io::Error| Failure::input(format_args!("{}: {error}\n  remedy: check that the folder may be read", folder.display()));
+    let failed = |error: std::io::Error| Failure::input(format_args!("{}: {error}\n  remedy: check that the folder may be read", text::path(folder)));
     for entry in std::fs::read_dir(folder).map_err(failed)? {
         let entry = entry.map_err(failed)?;
         let path = entry.path();
@@ -164,7 +164,7 @@ fn name_apart(sets: &mut [SetFile]) {
         };
         if before.iter().any(|other| other.scene == set.scene && !same(other)) {
             let file = set.reference.as_ref().map_or(&set.file, |reference| &reference.file);
-            set.scene = format!("{} ({})", set.scene, file.display());
+            set.scene = format!("{} ({})", set.scene, text::path(file));
         }
     }
 }

@@ -1,12 +1,14 @@
 //! The results for people, at a terminal.
 
+use stein::text;
+
 use super::super::out::{bytes, milliseconds, number, table};
 use super::results::{Row, Set, stage_names};
 
 /// A row for each configuration; with `verbose` more measures, and below them the stages.
 pub(super) fn text(set: &Set, rows: &[&Row], verbose: bool) -> String {
     let noisy = set.noisy.and_then(|errors| errors.relative_mse).map_or_else(String::new, |error| format!(", noisy relative MSE {}", number(error)));
-    let mut lines = vec![format!("{}: {}, {}×{}{noisy}", set.name, set.file.display(), set.width, set.height)];
+    let mut lines = vec![format!("{}: {}, {}×{}{noisy}", text::name(&set.name), text::path(&set.file), set.width, set.height)];
     if set.reference.is_none() {
         lines.push("  no reference, so that there are no errors; see `stein bench --help` for where one is looked for".into());
     }

@@ -2,49 +2,63 @@
 
 use std::collections::BTreeSet;
 use std::ops::Range;
-use std::path::{Path, PathBuf, is_separator};
+use std::path::{Path, PathBuf};
+
+use stein::text;
 
 use crate::cli::Failure;
 
-/// `shot.####.exr` or `shot.%04d.exr`: as many digits as `#`, or as the number says, and more where the frame number has more. The last such place in the path counts,
-/// in a file's or a folder's name; others are taken literally.
+/// `shot.####.exr` or `shot.%04d.exr`: as many digits as `#`, or as the number says, and more where the frame number
+/// has more. The last such place counts, in the file's name or else in that of a folder that does not exist; others
+/// are taken literally.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Pattern {
+    /// Folder of the name with the place, as it was written.
+    folder: PathBuf,
+    /// That name, before and behind the place.
     before: String,
     digits: usize,
     after: String,
+    /// What follows in the folder of the number; empty where the place is in the file's name.
+    below: PathBuf,
 }
 
 impl Pattern {
     /// `None` where the path has no place for a number.
     pub(super) fn parse(path: &Path) -> Option<Self> {
-        let text = path.to_str()?;
-        let (place, digits) = hashes(text).into_iter().chain(printf(text)).max_by_key(|(place, _)| place.end)?;
-        Some(Self { before: text[..place.start].to_owned(), digits, after: text[place.end..].to_owned() })
+        path.ancestors().find_map(|named| {
+            let name = named.file_name()?.to_str()?;
+            let (place, digits) = hashes(name).into_iter().chain(printf(name)).max_by_key(|(place, _)| place.end)?;
+            let below = path.strip_prefix(named).ok()?.to_owned();
+            if !below.as_os_str().is_empty() && named.exists() {
+                return None;
+            }
+            let folder = named.parent().unwrap_or(Path::new("")).to_owned();
+            Some(Self { folder, before: name[..place.start].to_owned(), digits, after: name[place.end..].to_owned(), below })
+        })
     }
 
-    /// As [`Self::parse`], but `None` for a file of exactly this name.
+    /// As [`Self::parse`], but `None` for the path of something that exists.
     pub(super) fn of_input(path: &Path) -> Option<Self> {
         if path.exists() { None } else { Self::parse(path) }
     }
 
     /// The path of one frame.
     pub(super) fn path(&self, frame: u32) -> PathBuf {
-        let Self { before, digits, after } = self;
-        format!("{before}{frame:0digits$}{after}").into()
+        let Self { folder, before, digits, after, below } = self;
+        let named = folder.join(format!("{before}{frame:0digits$}{after}"));
+        if below.as_os_str().is_empty() { named } else { named.join(below) }
     }
 
     /// The frames that exist, in ascending order.
     pub(super) fn frames_on_disk(&self) -> Result<BTreeSet<u32>, Failure> {
-        let name = self.before.rfind(is_separator).map_or(0, |separator| separator + 1);
-        let (folder, before) = self.before.split_at(name);
-        let folder = Path::new(if folder.is_empty() { "." } else { folder });
-        let after = self.after.split(is_separator).next().unwrap_or_default();
-        let entries = folder
-            .read_dir()
-            .map_err(|error| Failure::input(format_args!("{}: cannot be listed: {error}\n  remedy: check the path of the pattern", folder.display())))?;
+        let folder = if self.folder.as_os_str().is_empty() { Path::new(".") } else { &self.folder };
+        let entries = folder.read_dir().map_err(|error| {
+            let folder = text::path(folder);
+            Failure::input(format_args!("{folder}: cannot be listed: {error}\n  remedy: check the path of the pattern"))
+        })?;
         let number = |name: &str| {
-            let digits = name.strip_prefix(before)?.strip_suffix(after)?;
+            let digits = name.strip_prefix(self.before.as_str())?.strip_suffix(self.after.as_str())?;
             if digits.bytes().all(|byte| byte.is_ascii_digit()) { digits.parse().ok() } else { None }
         };
         let frames = entries.flatten().filter_map(|entry| number(entry.file_name().to_str()?));
@@ -92,11 +106,34 @@ mod tests {
             ("take#2/shot.%02d.exr", 3, "take#2/shot.03.exr"),
             ("100%/%03d.#.exr", 3, "100%/%03d.3.exr"),
             ("größe.###.exr", 3, "größe.003.exr"),
+            ("my shot v2 #3.%04d.exr", 3, "my shot v2 #3.0003.exr"),
+            ("./a//shot.#.exr", 3, "./a//shot.3.exr"),
+            ("/#/shot.exr", 3, "/3/shot.exr"),
         ] {
             assert_eq!(Pattern::parse(Path::new(pattern)).map(|pattern| pattern.path(frame)), Some(PathBuf::from(path)), "{pattern}");
         }
-        for path in ["shot.0001.exr", "100%.exr", "%4d.exr", "%0d.exr", "%0", "%"] {
+        for path in ["shot.0001.exr", "100%.exr", "%4d.exr", "%0d.exr", "%0", "%", "", "/", ".."] {
             assert_eq!(Pattern::parse(Path::new(path)), None, "{path}");
         }
+    }
+
+    #[test]
+    #[allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
+    fn a_folder_that_exists_is_that_folder() {
+        let folder = tempfile::tempdir().unwrap();
+        let inside = |path: &str| folder.path().join(path);
+        for name in ["show #3", "50%d"] {
+            std::fs::create_dir(inside(name)).unwrap();
+            assert_eq!(Pattern::parse(&inside(&format!("{name}/in.exr"))), None);
+            let shot = Pattern::parse(&inside(&format!("{name}/in.##.exr"))).unwrap();
+            assert_eq!(shot.path(7), inside(&format!("{name}/in.07.exr")));
+            std::fs::write(shot.path(7), "").unwrap();
+            assert_eq!(shot.frames_on_disk().unwrap(), BTreeSet::from([7]));
+        }
+        // The folders of the frames lie in one with such a name.
+        let shot = Pattern::parse(&inside("show #3/##/in.exr")).unwrap();
+        assert_eq!(shot.path(7), inside("show #3/07/in.exr"));
+        std::fs::write(inside("take#.exr"), "").unwrap();
+        assert_eq!(Pattern::of_input(&inside("take#.exr")), None);
     }
 }

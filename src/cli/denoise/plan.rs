@@ -1,10 +1,12 @@
 //! Which files are read and written for which frame: settled before any work starts.
 
-use std::collections::{BTreeSet, HashMap};
+use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
+use serde::Serialize;
 use stein::buffers::{BufferSetRequest, LayerRef};
+use stein::text;
 
 use super::Args;
 use super::pattern::Pattern;
@@ -17,6 +19,8 @@ pub(super) struct Plan {
     /// Every file once, ascending; neighbours that are only looked at are among them.
     pub(super) reads: Vec<Read>,
     pub(super) frames: Vec<PlannedFrame>,
+    /// Numbers between those of the frames that were found, without a file; none where the frames were listed.
+    pub(super) gaps: Vec<Gap>,
     /// Whether the input is a pattern.
     pub(super) is_shot: bool,
 }
@@ -38,47 +42,70 @@ pub(super) struct PlannedFrame {
     pub(super) number: Option<u32>,
     pub(super) input: PathBuf,
     pub(super) output: PathBuf,
-    /// Positions in [`Plan::reads`] of the frames that it is denoised with; none where an output exists that is to be left alone.
+    pub(super) state: State,
+    /// Positions in [`Plan::reads`] of the frames that it is denoised with; none where it is not denoised.
     pub(super) window: Range<usize>,
     /// Its own place among them.
     pub(super) centre: usize,
 }
 
-impl PlannedFrame {
-    pub(super) fn is_left_alone(&self) -> bool {
-        self.window.is_empty()
+/// Consecutive frames that are missing.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+pub(super) struct Gap {
+    first: u32,
+    last: u32,
+}
+
+impl std::fmt::Display for Gap {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let Self { first, last } = self;
+        if first == last { write!(f, "{first}") } else { write!(f, "{first}-{last}") }
     }
+}
+
+/// What is to become of a frame.
+#[derive(Debug)]
+pub(super) enum State {
+    ToDo,
+    /// An output exists that is to be left alone.
+    LeftAlone,
+    /// A file that it needs does not exist.
+    Missing(Failure),
 }
 
 impl Plan {
     /// `source` is what the method reads beside the input.
     pub(super) fn new(args: &Args, source: &Source, input: &Path) -> Result<Self, Failure> {
-        match Pattern::of_input(input) {
+        let pattern = if source.literal { None } else { Pattern::of_input(input) };
+        match pattern {
             Some(pattern) => Self::of_shot(args, source, input, &pattern),
             None => Self::of_image(args, source, input),
         }
     }
 
     fn of_image(args: &Args, source: &Source, input: &Path) -> Result<Self, Failure> {
+        let is_pattern = |output: &Path| !source.literal && Pattern::of_input(output).is_some();
         let trouble = if args.frames.is_some() {
             Some("--frames: the input")
         } else if args.temporal_radius > 0 {
             Some("--temporal-radius: the input")
-        } else if args.output.as_deref().and_then(Pattern::parse).is_some() {
+        } else if args.output.as_deref().is_some_and(is_pattern) {
             Some("the output has a place for a frame number, but the input")
         } else {
             None
         };
         if let Some(trouble) = trouble {
-            let input = input.display();
-            return Err(Failure::usage(format_args!("{trouble}, {input}, is a single image\n  remedy: give a pattern such as 'shot.####.exr' as the input")));
+            let (input, remedy) = (text::path(input), "give a pattern such as 'shot.####.exr' as the input");
+            let literal = if args.output.as_deref().is_some_and(is_pattern) { ", or take the paths as they are with --literal" } else { "" };
+            return Err(Failure::usage(format_args!("{trouble}, {input}, is a single image\n  remedy: {remedy}{literal}")));
         }
         let output = output::choose(input, args.output.as_deref());
-        let read = Read { number: None, request: source.request(input), reference: args.reference.clone(), is_denoised: true };
+        let reference = args.reference.as_ref().map(|reference| source.reference(reference));
+        let read = Read { number: None, request: source.request(input), reference, is_denoised: true };
         // The input the user may replace, and half A may be one layer of it.
         output::check(&output, read.files().filter(|file| *file != input), args.no_clobber, args.dry_run)?;
-        let frame = PlannedFrame { number: None, input: input.to_owned(), output, window: 0..1, centre: 0 };
-        Ok(Self { reads: vec![read], frames: vec![frame], is_shot: false })
+        let frame = PlannedFrame { number: None, input: input.to_owned(), output, state: State::ToDo, window: 0..1, centre: 0 };
+        Ok(Self { reads: vec![read], frames: vec![frame], gaps: Vec::new(), is_shot: false })
     }
 
     fn of_shot(args: &Args, source: &Source, input: &Path, pattern: &Pattern) -> Result<Self, Failure> {
@@ -87,70 +114,85 @@ impl Plan {
             None => pattern.frames_on_disk()?,
         };
         if frames.is_empty() {
-            return Err(Failure::input(format_args!("{}: there is no such frame\n  remedy: check the pattern and its number of digits", input.display())));
+            let input = text::path(input);
+            return Err(Failure::input(format_args!(
+                "{input}: there is no such file; if it is a pattern, there is no such frame\n  remedy: check the path, or the number of digits"
+            )));
         }
         let output_pattern = match &args.output {
             Some(output) if !output.is_dir() => Some(Pattern::parse(output).ok_or_else(|| {
-                let name = output.display();
+                let name = text::path(output);
                 Failure::usage(format_args!(
                     "{name}: has no place for the frame number\n  remedy: give a pattern such as 'clean.####.exr', or a folder that exists"
                 ))
             })?),
             _ => None,
         };
+        let read = |frame: u32, is_denoised: bool| Read {
+            number: Some(frame),
+            request: source.request(input).map_files(|file| at_frame(file, frame)),
+            reference: args.reference.as_ref().filter(|_| is_denoised).map(|reference| reference.map_file(|file| at_frame(file, frame))),
+            is_denoised,
+        };
         // A neighbour is a frame whose number is near, whatever the list says: so a frame is the same in whichever list it stands.
         let neighbours = |frame: u32| frame.saturating_sub(args.temporal_radius)..=frame.saturating_add(args.temporal_radius);
         let mut planned = Vec::new();
-        let mut needed = BTreeSet::new();
+        let mut reads = BTreeMap::new();
+        let mut beside = BTreeSet::new();
         for &frame in &frames {
             let input = pattern.path(frame);
-            if !input.exists() {
-                return Err(missing(frame, &input));
-            }
             let output = match &output_pattern {
                 Some(pattern) => pattern.path(frame),
                 None => output::choose(&input, args.output.as_deref()),
             };
-            let is_left_alone = args.no_clobber && output.exists();
-            if !is_left_alone {
-                needed.extend(neighbours(frame).filter(|&other| other == frame || pattern.path(other).exists()));
+            let mut state = if args.no_clobber && output.exists() { State::LeftAlone } else { State::ToDo };
+            if let State::ToDo = state {
+                let read = read(frame, true);
+                match read.missing() {
+                    Some(file) => state = State::Missing(missing(frame, file)),
+                    None => {
+                        reads.insert(frame, read);
+                        beside.extend(neighbours(frame));
+                    }
+                }
             }
-            planned.push((frame, input, output, is_left_alone));
+            planned.push((frame, input, output, state));
         }
+        // A neighbour that is not there, or not all of it, is left out of the windows.
+        for frame in beside {
+            reads.entry(frame).or_insert_with(|| read(frame, false));
+        }
+        reads.retain(|_, read| read.is_denoised || read.missing().is_none());
 
-        let denoised: BTreeSet<u32> = planned.iter().filter(|(.., is_left_alone)| !is_left_alone).map(|(frame, ..)| *frame).collect();
-        let read = |&frame: &u32| Read {
-            number: Some(frame),
-            request: source.request(input).map_files(|file| at_frame(file, frame)),
-            reference: args.reference.as_ref().filter(|_| denoised.contains(&frame)).map(|reference| reference.map_file(|file| at_frame(file, frame))),
-            is_denoised: denoised.contains(&frame),
-        };
-        let reads: Vec<Read> = needed.iter().map(read).collect();
-        for (read, &frame) in reads.iter().zip(&needed) {
-            if let Some(file) = read.files().find(|file| !file.exists()) {
-                return Err(missing(frame, file));
-            }
-        }
-        let numbers: Vec<u32> = needed.into_iter().collect();
+        let numbers: Vec<u32> = reads.keys().copied().collect();
         let position = |frame: u32| numbers.partition_point(|&other| other < frame);
         let frames: Vec<PlannedFrame> = planned
             .into_iter()
-            .map(|(frame, input, output, is_left_alone)| {
+            .map(|(frame, input, output, state)| {
                 let (first, last) = neighbours(frame).into_inner();
-                let window = if is_left_alone { 0..0 } else { position(first)..numbers.partition_point(|&other| other <= last) };
-                PlannedFrame { number: Some(frame), input, output, centre: position(frame) - window.start.min(position(frame)), window }
+                let is_to_do = matches!(state, State::ToDo);
+                let window = if is_to_do { position(first)..numbers.partition_point(|&other| other <= last) } else { 0..0 };
+                let centre = if is_to_do { position(frame) - window.start } else { 0 };
+                PlannedFrame { number: Some(frame), input, output, state, centre, window }
             })
             .collect();
+        let gaps = if args.frames.is_some() { Vec::new() } else { gaps(frames.iter().filter_map(|frame| frame.number)) };
+        let reads: Vec<Read> = reads.into_values().collect();
         check_outputs(&frames, &reads, args.dry_run)?;
-        Ok(Self { reads, frames, is_shot: true })
+        Ok(Self { reads, frames, gaps, is_shot: true })
     }
 }
 
 impl Read {
     /// All that it reads.
-    fn files(&self) -> impl Iterator<Item = &Path> {
+    pub(super) fn files(&self) -> impl Iterator<Item = &Path> {
         let reference = self.reference.as_ref().map(|reference| reference.file.as_path());
         self.request.files().chain(reference)
+    }
+
+    /// A file that does not exist.
+    fn missing(&self) -> Option<&Path> {
+        self.files().find(|file| !file.exists())
     }
 }
 
@@ -160,8 +202,22 @@ fn at_frame(file: &Path, frame: u32) -> PathBuf {
 }
 
 fn missing(frame: u32, file: &Path) -> Failure {
-    Failure::input(format_args!("{}: does not exist\n  remedy: render it, or leave the frame and its neighbours out of --frames", file.display()))
-        .in_frame(Some(frame))
+    let file = text::path(file);
+    let remedy = "render it, or leave the frame out of --frames";
+    Failure::input(format_args!("{file}: does not exist\n  remedy: {remedy}")).in_frame(Some(frame))
+}
+
+/// Numbers that are missing between ascending ones, which may have a step: every other frame of a preview, say.
+fn gaps(numbers: impl Iterator<Item = u32>) -> Vec<Gap> {
+    let numbers: Vec<u32> = numbers.collect();
+    let pairs = || numbers.windows(2).map(|pair| (pair[0], pair[1]));
+    let step = pairs().map(|(before, after)| after - before).fold(0, greatest_common_divisor);
+    let holes = pairs().filter(|(before, after)| after - before > step);
+    holes.map(|(before, after)| Gap { first: before + step, last: after - step }).collect()
+}
+
+fn greatest_common_divisor(a: u32, b: u32) -> u32 {
+    if b == 0 { a } else { greatest_common_divisor(b, a % b) }
 }
 
 /// A shot replaces nothing that it reads: interrupted, or cut into pieces, it would go on with neighbours that are denoised already.
@@ -179,4 +235,19 @@ fn check_outputs(frames: &[PlannedFrame], reads: &[Read], dry_run: bool) -> Resu
         }
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn gaps_are_what_breaks_the_step() {
+        for (found, missing) in
+            [(&[][..], ""), (&[5], ""), (&[1, 2, 3, 5, 8], "4, 6-7"), (&[1, 3, 5, 11], "7-9"), (&[1, 100], ""), (&[0, 1, u32::MAX], "2-4294967294")]
+        {
+            let told = text::list(gaps(found.iter().copied()).iter().map(Gap::to_string));
+            assert_eq!(told, missing, "{found:?}");
+        }
+    }
 }

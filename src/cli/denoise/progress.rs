@@ -2,6 +2,7 @@
 
 use clap::ValueEnum;
 use indicatif::ProgressBar;
+use stein::text;
 
 use super::plan::PlannedFrame;
 use crate::cli::Out;
@@ -58,7 +59,7 @@ impl Progress {
         if let Told::OpenJd { .. } = self.told {
             match frame.number {
                 Some(number) => out.line(format_args!("openjd_status: frame {number}, {} of {}", self.denoised + 1, self.frames)),
-                None => out.line(format_args!("openjd_status: {}", frame.input.display())),
+                None => out.line(format_args!("openjd_status: {}", text::path(&frame.input))),
             }
         }
     }
@@ -74,6 +75,12 @@ impl Progress {
         self.denoised += 1;
         self.share = 0.0;
         self.tell(out);
+    }
+
+    /// Ends a frame that cannot be denoised.
+    pub(super) fn left_out(&mut self, out: &mut Out) {
+        self.denoised += 1;
+        self.written(out);
     }
 
     /// Ends the frame.

@@ -24,22 +24,17 @@ pub(super) struct ReadFrame {
     pub(super) data_window: Window,
 }
 
-/// Why a frame cannot be used, and what its file holds where that could be read.
+/// A frame that cannot be used: why, and what its file holds where that could be read.
 pub(super) struct Unusable {
+    pub(super) number: Option<u32>,
     pub(super) described: Option<Box<Input>>,
     pub(super) failure: Failure,
-}
-
-impl From<Failure> for Unusable {
-    fn from(failure: Failure) -> Self {
-        Self { described: None, failure }
-    }
 }
 
 /// The frames of a window, which moves forwards. They are all that is in memory, and the one that is being read.
 pub(super) struct Frames {
     incoming: Receiver<Result<ReadFrame, Unusable>>,
-    held: VecDeque<ReadFrame>,
+    held: VecDeque<Result<ReadFrame, Unusable>>,
     /// Position of the first one held among all that are read.
     first: usize,
 }
@@ -51,10 +46,8 @@ impl Frames {
         let (sender, incoming) = sync_channel(0);
         scope.spawn(move || {
             for read in reads {
-                let frame = load(read).map_err(|unusable| Unusable { failure: unusable.failure.in_frame(read.number), ..unusable });
-                let is_last = frame.is_err();
                 // Nobody listens any more once the work has failed.
-                if sender.send(frame).is_err() || is_last {
+                if sender.send(load(read)).is_err() {
                     break;
                 }
             }
@@ -70,10 +63,10 @@ impl Frames {
     }
 
     /// Lets go of what lies before the window and waits until all of it is there.
-    pub(super) fn move_to(&mut self, window: &Range<usize>) -> Result<&mut [ReadFrame], Unusable> {
+    pub(super) fn move_to(&mut self, window: &Range<usize>) -> Result<&mut [Result<ReadFrame, Unusable>], Failure> {
         self.let_go_before(window.start);
         while self.first + self.held.len() < window.end {
-            let frame = self.incoming.recv().map_err(|_| Failure::input("a frame is missing after all have been read"))??;
+            let frame = self.incoming.recv().map_err(|_| Failure::other("a frame is missing after all have been read"))?;
             self.held.push_back(frame);
         }
         Ok(&mut self.held.make_contiguous()[..window.len()])
@@ -81,16 +74,18 @@ impl Frames {
 }
 
 fn load(read: &Read) -> Result<ReadFrame, Unusable> {
-    let mut set = options::read(&read.request)?;
+    let number = read.number;
+    let unusable = |described, failure: Failure| Unusable { number, described, failure: failure.in_frame(number) };
+    let mut set = options::read(&read.request).map_err(|failure| unusable(None, failure))?;
     let (frame, described) = settle(&mut set);
     let described = Box::new(described);
     let frame = match frame {
         Ok(frame) => frame,
-        Err(error) => return Err(Unusable { described: Some(described), failure: Failure::in_file(&read.request.input, error) }),
+        Err(error) => return Err(unusable(Some(described), Failure::in_file(&read.request.input, error))),
     };
     let reference = match read.reference.as_ref().map(|reference| quality::read(reference, &frame, &read.request.input)).transpose() {
         Ok(reference) => reference,
-        Err(failure) => return Err(Unusable { described: Some(described), failure }),
+        Err(failure) => return Err(unusable(Some(described), failure)),
     };
     let data_window = set.data_window();
     let original = read.is_denoised.then(|| (Box::new(set), described));

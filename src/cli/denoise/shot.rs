@@ -1,12 +1,13 @@
 //! What there is to say of a shot as a whole.
 
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 use serde::Serialize;
 use stein::image::Window;
-use stein::{Image, metric};
+use stein::{Image, metric, text};
 
-use super::plan::{Plan, PlannedFrame};
+use super::plan::{Gap, Plan, PlannedFrame, State};
 use crate::cli::Failure;
 use crate::cli::out::{number, table};
 use crate::cli::quality::Errors;
@@ -16,11 +17,14 @@ use crate::cli::report::{FrameReport, Settings};
 #[derive(Debug, Serialize)]
 pub(super) struct ShotReport {
     /// The pattern.
+    #[serde(serialize_with = "text::serialize_path")]
     pub(super) input: PathBuf,
     pub(super) temporal_radius: u32,
     #[serde(flatten)]
     pub(super) settings: Settings,
     pub(super) frames: Vec<ShotFrame>,
+    /// Frames that were not found between others.
+    pub(super) gaps: Vec<Gap>,
     /// Where references were given.
     pub(super) errors: Option<ShotErrors>,
 }
@@ -28,28 +32,112 @@ pub(super) struct ShotReport {
 #[derive(Debug, Serialize)]
 pub(super) struct ShotFrame {
     frame: Option<u32>,
+    #[serde(serialize_with = "text::serialize_path")]
     input_file: PathBuf,
+    #[serde(serialize_with = "text::serialize_path")]
     output_file: PathBuf,
     /// Because its output exists.
     is_left_alone: bool,
-    /// The frames that it is denoised with, itself among them.
-    window: Vec<u32>,
+    /// Why it cannot be denoised.
+    problem: Option<String>,
+    #[serde(flatten)]
+    beside: Beside,
     /// Of a frame that was denoised.
     report: Option<FrameReport>,
 }
 
-/// Every frame of the plan with its report, where it has one.
-pub(super) fn frames(plan: &Plan, reports: Vec<FrameReport>) -> Vec<ShotFrame> {
-    let mut reports = reports.into_iter();
-    let describe = |frame: &PlannedFrame| ShotFrame {
-        frame: frame.number,
-        input_file: frame.input.clone(),
-        output_file: frame.output.clone(),
-        is_left_alone: frame.is_left_alone(),
-        window: plan.reads[frame.window.clone()].iter().filter_map(|read| read.number).collect(),
-        report: if frame.is_left_alone() { None } else { reports.next() },
+/// The frames around one that is denoised.
+#[derive(Clone, Debug, Default, Serialize)]
+pub(super) struct Beside {
+    /// The frames that it is denoised with, itself among them.
+    pub(super) window: Vec<u32>,
+    /// Why others, which exist, are not among these.
+    pub(super) left_out: Vec<String>,
+}
+
+/// A frame that was denoised, or would be.
+pub(super) struct Reported {
+    pub(super) number: Option<u32>,
+    pub(super) beside: Beside,
+    pub(super) report: FrameReport,
+}
+
+/// Every frame of the plan with its report, where it has one, or its problem.
+pub(super) fn frames(plan: &Plan, reports: Vec<Reported>, bad: &BadFrames) -> Vec<ShotFrame> {
+    let mut reports: BTreeMap<Option<u32>, Reported> = reports.into_iter().map(|reported| (reported.number, reported)).collect();
+    let planned = |frame: &PlannedFrame| {
+        let window = plan.reads[frame.window.clone()].iter().filter_map(|read| read.number).collect();
+        Beside { window, left_out: Vec::new() }
+    };
+    let describe = |frame: &PlannedFrame| {
+        let reported = reports.remove(&frame.number);
+        let (beside, report) = reported.map_or_else(|| (planned(frame), None), |reported| (reported.beside, Some(reported.report)));
+        ShotFrame {
+            frame: frame.number,
+            input_file: frame.input.clone(),
+            output_file: frame.output.clone(),
+            is_left_alone: matches!(frame.state, State::LeftAlone),
+            problem: bad.problem(frame.number),
+            beside,
+            report,
+        }
     };
     plan.frames.iter().map(describe).collect()
+}
+
+/// Frames that cannot be denoised, by their numbers. The others are.
+pub(super) struct BadFrames {
+    bad: BTreeMap<u32, Failure>,
+    all: usize,
+}
+
+impl BadFrames {
+    /// Those of which a file is missing.
+    pub(super) fn missing(plan: &Plan) -> Self {
+        let missing = plan.frames.iter().filter_map(|frame| match &frame.state {
+            State::Missing(failure) => Some((frame.number?, failure.clone())),
+            State::ToDo | State::LeftAlone => None,
+        });
+        Self { bad: missing.collect(), all: plan.frames.len() }
+    }
+
+    pub(super) fn add(&mut self, number: u32, failure: Failure) {
+        self.bad.insert(number, failure);
+    }
+
+    pub(super) fn is_empty(&self) -> bool {
+        self.bad.is_empty()
+    }
+
+    fn problem(&self, number: Option<u32>) -> Option<String> {
+        self.bad.get(&number?).map(|failure| failure.message().to_owned())
+    }
+
+    /// A line for each of the first.
+    fn lines(&self) -> String {
+        text::lines(self.bad.values().map(|failure| format!("  {}", failure.cause()))).join("\n")
+    }
+
+    /// How the run ends after all other frames.
+    pub(super) fn verdict(&self, dry_run: bool) -> Result<(), Failure> {
+        let Some(only) = self.bad.values().next() else { return Ok(()) };
+        let count = self.bad.len();
+        let others = if dry_run || count == self.all { "" } else { ", the others are written" };
+        let what = match (count, self.all) {
+            (1, 1) => return Err(only.clone()),
+            (1, all) => format!("1 of {all} frames cannot be denoised{others}\n  {}", only.message()),
+            (count, all) => {
+                let remedy = "put these frames right, then denoise them with --frames, or all that have no output with --no-clobber";
+                format!("{count} of {all} frames cannot be denoised{others}\n{}\n  remedy: {remedy}", self.lines())
+            }
+        };
+        Err(Failure::input(what))
+    }
+
+    /// How the run ends where something else ended it.
+    pub(super) fn before(&self, end: Failure) -> Failure {
+        if self.is_empty() { end } else { end.and(&format!("  before that, frames could not be denoised:\n{}", self.lines())) }
+    }
 }
 
 impl ShotReport {
@@ -62,6 +150,9 @@ impl ShotReport {
         } else if left_alone > 0 {
             lines.push(format!("  {left_alone} of {} frames had an output and are as they were", self.frames.len()));
         }
+        if !self.gaps.is_empty() {
+            lines.push(format!("  missing between the frames that were found: {}", text::list(self.gaps.iter().map(Gap::to_string))));
+        }
         lines.extend(self.errors.as_ref().map(ShotErrors::text));
         (!lines.is_empty()).then(|| lines.join("\n"))
     }
@@ -70,14 +161,15 @@ impl ShotReport {
 impl ShotFrame {
     /// What would be done.
     fn text(&self) -> String {
-        let Self { frame, input_file, output_file, window, .. } = self;
-        let others: Vec<_> = window.iter().filter(|&&other| Some(other) != *frame).map(u32::to_string).collect();
+        let Self { frame, input_file, output_file, problem, .. } = self;
+        let others: Vec<_> = self.beside.window.iter().filter(|&&other| Some(other) != *frame).map(u32::to_string).collect();
         let what = match (self.is_left_alone, others.is_empty()) {
+            _ if problem.is_some() => ": cannot be denoised".to_owned(),
             (true, _) => " exists and is left alone".to_owned(),
             (false, true) => String::new(),
-            (false, false) => format!(", with {}", others.join(", ")),
+            (false, false) => format!(", with {}", text::list(others)),
         };
-        format!("  {} -> {}{what}", input_file.display(), output_file.display())
+        format!("  {} -> {}{what}", text::path(input_file), text::path(output_file))
     }
 }
 

@@ -7,9 +7,9 @@ use std::thread::{Scope, ScopedJoinHandle};
 
 use stein::buffers::BufferSet;
 use stein::method::Intermediate;
-use stein::{Estimate, Frame, Image, Method};
+use stein::{Estimate, Frame, Image, Method, text};
 
-use super::shot::{Compared, Comparison};
+use super::shot::{Beside, Compared, Comparison, Reported};
 use crate::cli::explain::Explained;
 use crate::cli::inspect::Input;
 use crate::cli::report::{FrameReport, Run};
@@ -18,6 +18,7 @@ use crate::cli::{Failure, quality};
 /// A denoised frame, and all that its output and its report are made of.
 pub(super) struct Denoised {
     pub(super) number: Option<u32>,
+    pub(super) beside: Beside,
     pub(super) output: PathBuf,
     pub(super) original: Box<BufferSet>,
     pub(super) described: Box<Input>,
@@ -34,7 +35,7 @@ pub(super) struct Denoised {
 /// A frame whose output lies in its place.
 pub(super) struct Done {
     pub(super) introduction: Option<String>,
-    pub(super) report: FrameReport,
+    pub(super) reported: Reported,
 }
 
 /// What goes into every output.
@@ -98,7 +99,7 @@ impl<'scope> Writer<'scope> {
 impl Contents<'_> {
     /// Writes a frame and compares it with its reference.
     fn finish(self, denoised: Denoised, comparison: &mut Comparison) -> Result<Done, Failure> {
-        let Denoised { number, output, original, described, introduction, frame, reference, mut estimate, run, plan } = denoised;
+        let Denoised { number, beside, output, original, described, introduction, frame, reference, mut estimate, run, plan } = denoised;
         let data_window = original.data_window();
         let left_out: Vec<_> = frame.features().iter().map(|feature| feature.name.clone()).filter(|name| !estimate.features.contains(name)).collect();
         // Writing needs memory, and nothing but a comparison needs the frame any more.
@@ -107,7 +108,7 @@ impl Contents<'_> {
         let mut written = estimate.write(*original, &output, self.keep, self.method).map_err(Failure::output)?;
         let missing = self.keep.iter().filter(|one| !estimate.layers.iter().any(|layer| layer.intermediate == **one));
         written.notes.extend(missing.map(|one| format!("--keep {}: there is nothing of the kind without halves or features", one.name())));
-        let not_used = |name: String| format!("feature {name}: not used, because a frame beside lacks it or has it the same everywhere");
+        let not_used = |name: String| format!("feature {}: not used, because a frame beside lacks it or has it the same everywhere", text::name(&name));
         written.notes.extend(left_out.into_iter().map(not_used));
         let compared = reference.as_ref().zip(frame.as_deref());
         let errors = compared.map(|(reference, frame)| quality::compare(frame, &estimate, reference)).transpose()?;
@@ -116,6 +117,7 @@ impl Contents<'_> {
             let images = [frame.color().mean.clone(), estimate.color];
             comparison.add(Compared { number, data_window, images, reference }, errors)?;
         }
-        Ok(Done { introduction, report: FrameReport { input: *described, strips, plan, run: Some(run), output: Some(written), errors } })
+        let report = FrameReport { input: *described, strips, plan, run: Some(run), output: Some(written), errors };
+        Ok(Done { introduction, reported: Reported { number, beside, report } })
     }
 }

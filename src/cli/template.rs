@@ -1,0 +1,30 @@
+//! Commands with placeholders.
+
+use std::ffi::{OsStr, OsString};
+
+/// Puts values in the places of their names, in one pass: what a value holds is no placeholder.
+pub(crate) fn fill(template: &str, values: &[(&str, &OsStr)]) -> OsString {
+    let mut filled = OsString::new();
+    let mut rest = template;
+    loop {
+        let places = values.iter().filter_map(|(name, value)| Some((rest.find(name)?, name, value)));
+        let Some((at, name, value)) = places.min_by_key(|(at, ..)| *at) else { break };
+        filled.push(&rest[..at]);
+        filled.push(value);
+        rest = &rest[at + name.len()..];
+    }
+    filled.push(rest);
+    filled
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn values_are_not_looked_at_again() {
+        let values = [("{map}", OsStr::new("a {out} b")), ("{out}", OsStr::new("{map}{iteration}")), ("{iteration}", OsStr::new("3"))];
+        assert_eq!(fill("x {map}, {out}{out} {iteration}{", &values), "x a {out} b, {map}{iteration}{map}{iteration} 3{");
+        assert_eq!(fill("", &values), "");
+    }
+}
