@@ -5,8 +5,10 @@
 
 struct VarianceFloorParams {
     extent: vec2<i32>,
-    // The least standard deviation, in parts of the brightness around the pixel …
-    relative: f32,
+    // The least standard deviation, in parts of the pixel's brightness …
+    own: f32,
+    // … in parts of the brightness around it …
+    around: f32,
     // … and in the unit of the values.
     absolute: f32,
 }
@@ -17,6 +19,10 @@ struct VarianceFloorParams {
 // In w the brightness around the pixel: the largest magnitude of any channel in the 3×3 pixels around it. Finite differences take their least step from it.
 @group(0) @binding(3) var<storage, read_write> floored_variance: array<vec4<f32>>;
 
+fn largest(color: vec3<f32>) -> f32 {
+    return max(color.x, max(color.y, color.z));
+}
+
 @compute @workgroup_size(32, 2, 1)
 fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     let extent = params.extent;
@@ -26,14 +32,14 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     }
     let first = max(p - 1, vec2<i32>(0));
     let last = min(p + 1, extent - 1);
-    var around = vec3<f32>(0.0);
+    var most = vec3<f32>(0.0);
     for (var y = first.y; y <= last.y; y++) {
         for (var x = first.x; x <= last.x; x++) {
-            around = max(around, abs(signal[pixel_index(vec2<i32>(x, y), extent)].xyz));
+            most = max(most, abs(signal[pixel_index(vec2<i32>(x, y), extent)].xyz));
         }
     }
-    let brightness = max(around.x, max(around.y, around.z));
-    let least = max(params.relative * brightness, params.absolute);
     let at = pixel_index(p, extent);
-    floored_variance[at] = vec4<f32>(max(variance[at].xyz, vec3<f32>(least * least)), brightness);
+    let around = largest(most);
+    let least = max(max(params.own * largest(abs(signal[at].xyz)), params.around * around), params.absolute);
+    floored_variance[at] = vec4<f32>(max(variance[at].xyz, vec3<f32>(least * least)), around);
 }

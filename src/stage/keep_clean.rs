@@ -31,9 +31,10 @@ pub struct CleanRule {
 }
 
 impl CleanRule {
-    /// Half floats round by 1.4·10⁻⁴ of a value. Measured on `cornell`, `dof_spheres` and `caustic_ring` at 8, 32 and 128 spp, with 10⁻³ in place of 3·10⁻⁴ `dof_spheres` at
-    /// 8 spp has 0.7 % more error, because edges out of focus have pixels that all eight samples missed; with 10⁻² `caustic_ring` at 8 spp has 2.5 % more.
-    pub const DEFAULT: Self = Self { noise: 3e-4, sigmas: 4.0, black_radius: 3 };
+    /// The noise is what [`Floor::Relative`](super::variance::Floor) holds variances above. Measured on `cornell`, `dof_spheres` and `caustic_ring` at 8, 32 and 128 spp:
+    /// `dof_spheres` at 8 spp has 0.7 % more error than without, because edges out of focus have pixels that all eight samples missed; with 10⁻² in place of 10⁻³, `caustic_ring` at
+    /// 8 spp has 2.5 % more.
+    pub const DEFAULT: Self = Self { noise: 1e-3, sigmas: 4.0, black_radius: 3 };
 }
 
 /// The input of a filter: what tells which of its pixels have noise.

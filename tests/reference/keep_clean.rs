@@ -15,7 +15,7 @@ pub struct CleanParams {
 
 impl Default for CleanParams {
     fn default() -> CleanParams {
-        CleanParams { noise: 3e-4, sigmas: 4.0, black_radius: 3 }
+        CleanParams { noise: 1e-3, sigmas: 4.0, black_radius: 3 }
     }
 }
 

@@ -55,16 +55,17 @@ pub fn input_variance(signal: &Signal, weight: BoxWeight) -> Planes {
 /// What a variance is held above, instead of an ε in eq. 7.4.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Floor {
-    /// For radiance: the rounding of values as bright as those around the pixel.
+    /// For radiance.
     Relative,
     /// For features in unit range.
     Absolute,
 }
 
-/// The variance of a mean, held above what half floats round radiance by, or above next to nothing.
+/// The variance of a mean, held above the square of a thousandth of a pixel's brightness or of a ten-thousandth of that around it; of a feature, above next to nothing.
 pub fn floored(mean: &[Grid], variance: &[Grid], floor: Floor) -> Planes {
     let around = brightness_around(mean);
-    let least_deviation = |p: Point| if floor == Floor::Relative { 3e-4 * around.at(p) } else { 1e-5 };
+    let own = |p: Point| mean.iter().map(|plane| plane.at(p).abs()).fold(0.0, f64::max);
+    let least_deviation = |p: Point| if floor == Floor::Relative { (1e-3 * own(p)).max(1e-4 * around.at(p)) } else { 1e-5 };
     variance.iter().map(|variance| variance.like(|p| variance.at(p).max(least_deviation(p).powi(2)))).collect()
 }
 
