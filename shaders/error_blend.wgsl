@@ -6,6 +6,8 @@
 //
 // SURE adds and subtracts terms many times the size of what is left, and claims a negative error for half of an image; none of these is ever negative. What each counts is
 // measured.
+//
+// ADDED: to errors that are there.
 #import stein::planes::{pixel_index}
 
 struct ErrorBlendParams {
@@ -79,5 +81,9 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
 #else
     error += params.own_noise * own_noise(params.candidate, at);
 #endif
+#ifdef ADDED
+    errors[at].x += error;
+#else
     errors[at] = vec4<f32>(error, 0.0, 0.0, 0.0);
+#endif
 }

@@ -18,17 +18,20 @@ use crate::error::Result;
 use crate::gpu::{Buffer, Recorder};
 use crate::stage::candidate::{CANDIDATE_PLANES, CandidateBeside, CandidateFilter, Candidates, CandidatesInTime, Needed, STATE_PLANES, candidates};
 use crate::stage::candidate_set::CandidateSet;
-use crate::stage::error::{ErrorParts, MadeOf, error_blend, error_spikes, error_sure};
+use crate::stage::error::{ErrorParts, MadeOf, error_blend, error_blend_more, error_difference, error_spikes, error_sure};
 use crate::stage::exact::Region;
 use crate::stage::feature::{Features, Packing, feature_pack};
 use crate::stage::nlm::{Beside, Guide, Lanes, Payload, Schedule, nlm_filter};
 use crate::stage::sample::{GpuSamples, sample_density};
-use crate::stage::select::{Evidence, HARM, Noisy, select_blend, select_frames, select_least, select_pass, select_share};
+use crate::stage::select::{
+    Evidence, HARM, Noisy, Significance, WithColorOnly, select_blend, select_color_only, select_frames, select_least, select_pass, select_share,
+};
 use crate::stage::variance::{BoxWeight, Floor, INPUT_SMOOTHING, RESIDUAL_SMOOTHING, variance_floor, variance_smooth};
 
 pub(super) use kernels::kernels;
 pub use params::{DfcParams, SecondPass};
 pub(super) use plan::plan;
+use plan::has_features_without_noise;
 
 /// Algorithm 1 line 7.
 const PREFILTER: Auxiliary = Auxiliary { window_radius: 5, patch_radius: 3, k: 1.0 };
@@ -72,7 +75,7 @@ pub(crate) fn dfc(
     let mut keeper = Keeper::new(&plan.keep);
     let work = Work { params, plan, schedule, wanted: Wanted::default() };
     let mut prepared = Prepared::new(rec, frame, beside, work, &mut keeper)?;
-    let Pass1 { candidates, selection, blend: pass1 } = Pass1::new(rec, &mut prepared, work, &mut keeper, progress)?;
+    let Pass1 { candidates, selection, color_only, blend: pass1 } = Pass1::new(rec, &mut prepared, work, &mut keeper, progress)?;
     let Prepared { extent, color, variance, spikes, samples, .. } = &prepared;
     let extent = *extent;
 
@@ -92,12 +95,15 @@ pub(crate) fn dfc(
         };
         let parts = ErrorParts::measured(color.has_halves, params.several_can_win());
         let mut errors = error_blend(rec, extent, &result, variance, &candidates, made_of, parts)?;
+        if let Some(ColorOnly { candidates, shares }) = &color_only {
+            errors = error_blend_more(rec, extent, &result, variance, candidates, shares, parts, errors)?;
+        }
         if let Some(spikes) = spikes.as_ref().filter(|_| params.spikes == Spikes::Spread) {
             errors = error_spikes(rec, extent, errors, spikes, parts)?;
         }
         error = Some(Arc::new(errors));
     }
-    drop(candidates);
+    drop((candidates, color_only));
 
     // Adaptive sampling (thesis 8.6).
     if plan.begins(rec, Step::Density) {
@@ -224,9 +230,21 @@ impl Prepared {
 /// The candidates averaged by what chose among them.
 struct Pass1 {
     candidates: Candidates,
+    /// The candidates' shares in the blend.
     selection: Shares,
+    /// What else shares in it.
+    color_only: Option<ColorOnly>,
     blend: Arc<Buffer>,
 }
+
+/// The filter that knows the colour only: SECOND without features.
+struct ColorOnly {
+    candidates: Candidates,
+    /// One plane, y: its shares.
+    shares: Arc<Buffer>,
+}
+
+const SECOND_ONLY: CandidateSet = CandidateSet { first: false, second: true, third: false };
 
 impl Pass1 {
     /// Afterwards, `prepared` holds what belongs to the frame itself.
@@ -286,7 +304,7 @@ impl Pass1 {
         let Some((sure, errors)) = judged.as_ref().filter(|_| plan.begins(rec, Step::Selection)) else {
             // Nothing to choose from.
             let Some((only, candidate)) = candidates.first_of_all() else { unreachable!("a plan holds at least one candidate") };
-            return Ok(Self { blend: candidate.clone(), selection: Shares::Only(only), candidates });
+            return Ok(Self { blend: candidate.clone(), selection: Shares::Only(only), color_only: None, candidates });
         };
         // Binary selection maps.
         let selected = Arc::new(select_least(rec, extent, errors, &candidates)?);
@@ -296,10 +314,50 @@ impl Pass1 {
         plan.begins(rec, Step::Blend);
         let evidence = Evidence { selected: &selected, errors, sure, variance_of_mean: variance, candidates: &candidates };
         let selection = Arc::new(select_share(rec, extent, smoothed, evidence, params.guard)?);
-        let blend = Arc::new(select_blend(rec, extent, &selection, &candidates)?);
+        let mut blend = Arc::new(select_blend(rec, extent, &selection, &candidates)?);
+        let mut color_only = None;
+        if plan.begins(rec, Step::ColorOnly) {
+            let (with_color_only, alone) = Self::with_color_only(rec, prepared, &candidates, &selection, &blend, work)?;
+            let WithColorOnly { blended, shares } = with_color_only;
+            let shares = Arc::new(shares);
+            blend = Arc::new(blended);
+            if let Some((_, signal)) = alone.first_of_all() {
+                keeper.keep(Intermediate::Candidates, "color_only", &RGB, Unit::Color, signal, 0);
+            }
+            keeper.keep(Intermediate::Selection, "color_only_share", &["V"], Unit::Number, &shares, 0);
+            color_only = Some(ColorOnly { candidates: alone, shares });
+        }
         keeper.keep(Intermediate::Selection, "selected", &BY_CANDIDATE, Unit::Number, &selected, 0);
         keeper.keep(Intermediate::Selection, "selection", &BY_CANDIDATE, Unit::Number, &selection, 0);
-        Ok(Self { candidates, selection: Shares::Maps(selection), blend })
+        Ok(Self { candidates, selection: Shares::Maps(selection), color_only, blend })
+    }
+
+    /// The blend with the filter that knows the colour only, over the own frame, and that filter. The candidates' shares become what it leaves.
+    fn with_color_only(
+        rec: &mut Recorder,
+        prepared: &Prepared,
+        joint: &Candidates,
+        selection: &Buffer,
+        blend: &Buffer,
+        work: Work,
+    ) -> Result<(WithColorOnly, Candidates)> {
+        let Work { params, plan, schedule, wanted } = work;
+        let Prepared { extent, color, variance, .. } = prepared;
+        let (extent, signal) = (*extent, &color.signal);
+        let needed = Needed {
+            candidates: SECOND_ONLY,
+            derivatives: true,
+            half_spread: plan.runs(&Step::HalfSpread),
+            alone: false,
+            channels: plan.runs(&Step::Channels),
+            exact: plan.exact(&Step::Candidates),
+            wanted: wanted.candidates,
+        };
+        let alone = candidates(rec, extent, signal, variance, None, &[], &candidate_filter(params), needed, schedule, |_, _| Ok(()))?.together;
+        let Some((_, filtered)) = alone.first_of_all() else { unreachable!("SECOND takes part") };
+        let differences = error_difference(rec, extent, signal, variance, blend, selection, joint, &alone, params.covariance)?;
+        let with_color_only = select_color_only(rec, extent, &differences, blend, filtered, selection, Significance::MEASURED)?;
+        Ok((with_color_only, alone))
     }
 }
 
@@ -421,7 +479,9 @@ pub(super) fn footprint(params: &DfcParams, facts: &Facts, kept: bool, schedule:
     let candidates = frames * (color + packed) + if beside > 0 { 2 * CANDIDATE_PLANES } else { CANDIDATE_PLANES };
     // Candidates, SURE, errors and weights 2, selected, smoothed and weights 2, blend 2; variance, second pass and weights 3. Before the error and what is chosen of the
     // passes 3, what belongs to the choice is given back.
-    let later = color + CANDIDATE_PLANES + 12;
+    // The filter by the colour only: 2 and its derivatives 3, differences and their average 3, blend 2, shares 1.
+    let color_only = if params.color_only && has_features_without_noise(facts) { 11 } else { 0 };
+    let later = color + CANDIDATE_PLANES + 12 + color_only;
     // Prefiltered features and residual variances, the sampling density and its weights; of each feature, the values that were taken as they are.
     let kept = if kept { 5 * channels.len() as u64 + 3 } else { 0 };
     // Two scratch buffers for the column sums, and the running sums of the rows they cover: a scratch buffer holds at least one plane per pair of offsets, so with small
@@ -463,7 +523,8 @@ fn reach_of_second_pass(params: &DfcParams) -> u32 {
 
 /// How far the result depends on the candidates, by what a plan makes of them.
 fn reach_of_choice_and_second_pass(params: &DfcParams, plan: &Plan) -> u32 {
-    let choice = if plan.runs(&Step::Selection) { reach_of_choice() } else { 0 };
+    let color_only = if plan.runs(&Step::ColorOnly) { Significance::MEASURED.smoothing.radius } else { 0 };
+    let choice = if plan.runs(&Step::Selection) { reach_of_choice() + color_only } else { 0 };
     let second_pass = if plan.runs(&Step::SecondPass) { reach_of_second_pass(params) } else { 0 };
     choice + second_pass
 }
@@ -474,5 +535,6 @@ pub(super) fn reach_of_kernels(params: &DfcParams, plan: &Plan) -> u32 {
 
 pub(super) fn halo(params: &DfcParams) -> u32 {
     let density = DENSITY_SMOOTHING.window_radius + DENSITY_SMOOTHING.patch_radius;
-    reach_of_candidates(params) + reach_of_choice() + reach_of_second_pass(params).max(density)
+    let color_only = if params.color_only { Significance::MEASURED.smoothing.radius } else { 0 };
+    reach_of_candidates(params) + reach_of_choice() + color_only + reach_of_second_pass(params).max(density)
 }

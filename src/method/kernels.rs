@@ -24,7 +24,7 @@ pub struct Kernels {
     ///
     /// | method | names |
     /// | --- | --- |
-    /// | DFC | `first`, `second`, `third`, without those that are left out; then `second_pass`, where there is one, which averages what the others were blended to |
+    /// | DFC | `first`, `second`, `third`, without those that are left out; `color_only`, where features are without noise; then `second_pass`, where there is one, which averages what the others were blended to |
     /// | NLM | `half_a` and `half_b`, each with the weights of the other half; `filter` where both are filtered as one |
     /// | GEM | `scale`, the scale that the pixel came to |
     ///

@@ -94,6 +94,8 @@ pub enum Step {
     Scales,
     /// Pixels without noise put back.
     KeepClean,
+    /// A filter by the colour only, where features are without noise.
+    ColorOnly,
 }
 
 impl Step {
@@ -124,6 +126,7 @@ impl Step {
             Self::Error => "error",
             Self::Scales => "scales",
             Self::KeepClean => "clean pixels",
+            Self::ColorOnly => "colour only",
         };
         name.to_owned()
     }
@@ -132,7 +135,7 @@ impl Step {
     pub fn makes_kernels(&self) -> bool {
         match self {
             Self::Spikes | Self::Variance | Self::Feature(_) | Self::Prefilter(_) | Self::Features => true,
-            Self::Candidates | Self::Candidate(_) | Self::SecondPass | Self::Halves | Self::Filter | Self::Scales => true,
+            Self::Candidates | Self::Candidate(_) | Self::ColorOnly | Self::SecondPass | Self::Halves | Self::Filter | Self::Scales => true,
             Self::Derivatives | Self::HalfSpread | Self::Channels | Self::Frames | Self::FilterAlone => false,
             Self::Sure | Self::SureSmoothing | Self::Selection | Self::SelectionSmoothing | Self::Blend | Self::Density | Self::Error | Self::KeepClean => false,
         }

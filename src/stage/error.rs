@@ -11,6 +11,7 @@ use crate::gpu::{Buffer, Recorder, bindings, uniforms};
 
 uniforms! {
     struct SureParams { extent: IVec2, covariance: f32 }
+    struct ErrorDifferenceParams { extent: IVec2, covariance: f32, other_candidate: i32 }
     struct ErrorBlendParams { extent: IVec2, spread: f32, disagreement: f32, own_noise: f32, candidate: i32 }
     struct ErrorSpikesParams { extent: IVec2, spikes: f32 }
     struct ErrorHalvesParams { extent: IVec2, relative_floor: f32 }
@@ -18,6 +19,10 @@ uniforms! {
 bindings! {
     struct ErrorSure<'a> {
         uniform params: SureParams, read signal, read variance_of_mean, optional first, optional second, optional third, optional derivatives, write errors,
+    }
+    struct ErrorDifference<'a> {
+        uniform params: ErrorDifferenceParams,
+        read signal, read variance_of_mean, read blended, read shares, read derivatives, read other, read other_derivatives, write differences,
     }
     struct ErrorBlend<'a> {
         uniform params: ErrorBlendParams,
@@ -95,10 +100,47 @@ pub fn error_blend(
     made_of: MadeOf,
     parts: ErrorParts,
 ) -> Result<Buffer> {
+    let errors = rec.take("errors of the blend", plane_bytes(extent, 1))?;
+    error_blend_into(rec, extent, blended, variance_of_mean, candidates, made_of, parts, &errors, false)?;
+    Ok(errors)
+}
+
+/// Adds to the errors of [`error_blend`] what further candidates, that share in the blend too, stand for: their disagreement and own noise.
+///
+/// # Errors
+/// As [`error_blend`].
+#[expect(clippy::too_many_arguments, reason = "they are the operator's definition; a struct would only rename them")]
+pub fn error_blend_more(
+    rec: &mut Recorder,
+    extent: IVec2,
+    blended: &Buffer,
+    variance_of_mean: &Buffer,
+    candidates: &Candidates,
+    shares: &Buffer,
+    parts: ErrorParts,
+    errors: Buffer,
+) -> Result<Buffer> {
+    // The spread of the blend is in the errors already.
+    let parts = ErrorParts { spread: 0.0, ..parts };
+    error_blend_into(rec, extent, blended, variance_of_mean, candidates, MadeOf::Shares(shares), parts, &errors, true)?;
+    Ok(errors)
+}
+
+#[expect(clippy::too_many_arguments, reason = "they are the operator's definition; a struct would only rename them")]
+fn error_blend_into(
+    rec: &mut Recorder,
+    extent: IVec2,
+    blended: &Buffer,
+    variance_of_mean: &Buffer,
+    candidates: &Candidates,
+    made_of: MadeOf,
+    parts: ErrorParts,
+    errors: &Buffer,
+    added: bool,
+) -> Result<()> {
     let Some(derivatives) = candidates.derivatives.as_deref() else {
         return Err(Error::Shader { stage: "error_blend".into(), problem: "the candidates come without derivatives".into() });
     };
-    let errors = rec.take("errors of the blend", plane_bytes(extent, 1))?;
     let (shares, candidate) = match made_of {
         MadeOf::Shares(shares) => (Some(shares), 0),
         MadeOf::Only(candidate) => (None, candidate as i32),
@@ -107,10 +149,40 @@ pub fn error_blend(
     let ErrorParts { spread, disagreement, own_noise, .. } = parts;
     let params = ErrorBlendParams { extent, spread, disagreement, own_noise, candidate };
     let [with_first, with_second, with_third] = candidates.set().definitions();
-    let kernel = rec.gpu().kernel::<ErrorBlend>("error_blend", &[("SHARED", shares.is_some().into()), with_first, with_second, with_third])?;
-    let bound = ErrorBlend { params, blended, variance_of_mean, derivatives, shares, first, second, third, errors: &errors };
+    let definitions = [("SHARED", shares.is_some().into()), ("ADDED", added.into()), with_first, with_second, with_third];
+    let kernel = rec.gpu().kernel::<ErrorBlend>("error_blend", &definitions)?;
+    let bound = ErrorBlend { params, blended, variance_of_mean, derivatives, shares, first, second, third, errors };
+    rec.dispatch(&kernel, &bound, per_pixel(extent))
+}
+
+/// By how much SURE of the only candidate in `other` exceeds SURE of a blend, summed over the channels, in the square of the colour's unit. The blend was made of `candidates` by `shares`
+/// (one plane, x: FIRST, y: SECOND, z: THIRD). The last term of SURE counts `covariance` times. One plane, x: the difference, y: its square.
+///
+/// # Errors
+/// Those of recording; [`Error::Shader`] where candidates come without derivatives, or `other` holds none.
+#[expect(clippy::too_many_arguments, reason = "they are the operator's definition; a struct would only rename them")]
+pub fn error_difference(
+    rec: &mut Recorder,
+    extent: IVec2,
+    signal: &Buffer,
+    variance_of_mean: &Buffer,
+    blended: &Buffer,
+    shares: &Buffer,
+    candidates: &Candidates,
+    other: &Candidates,
+    covariance: f32,
+) -> Result<Buffer> {
+    let found = (candidates.derivatives.as_deref(), other.derivatives.as_deref(), other.first_of_all());
+    let (Some(derivatives), Some(other_derivatives), Some((other_candidate, other))) = found else {
+        return Err(Error::Shader { stage: "error_difference".into(), problem: "the candidates come without derivatives".into() });
+    };
+    let differences = rec.take("differences of SURE", plane_bytes(extent, 1))?;
+    let kernel = rec.gpu().kernel::<ErrorDifference>("error_difference", &[])?;
+    let params = ErrorDifferenceParams { extent, covariance, other_candidate: other_candidate as i32 };
+    let bound =
+        ErrorDifference { params, signal, variance_of_mean, blended, shares, derivatives, other, other_derivatives, differences: &differences };
     rec.dispatch(&kernel, &bound, per_pixel(extent))?;
-    Ok(errors)
+    Ok(differences)
 }
 
 /// Adds to the errors of [`error_blend`] what spikes around a pixel leave in it: the squares of what it got of each, from the buffer that

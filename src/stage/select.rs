@@ -5,6 +5,7 @@ use glam::IVec2;
 use serde::Serialize;
 
 use super::candidate::Candidates;
+use super::gaussian::{Averaging, Gaussian, gaussian};
 use super::nlm::Filtered;
 use super::{per_pixel, plane_bytes};
 use crate::error::{Error, Result};
@@ -17,6 +18,7 @@ uniforms! {
     struct SelectPassParams { extent: IVec2, squared_sigmas: f32 }
     struct SelectShareParams { extent: IVec2, smoothed_error: f32, smoothed_noise: f32, own_sigmas: f32, own_noise: f32 }
     struct SelectBlendParams { extent: IVec2 }
+    struct SelectColorOnlyParams { extent: IVec2, pixels: f32, least: f32, most: f32 }
 }
 
 bindings! {
@@ -28,6 +30,9 @@ bindings! {
     struct SelectShare<'a> {
         uniform params: SelectShareParams,
         read selected, optional errors, optional sure, optional variance_of_mean, optional first, optional second, optional third, write selection,
+    }
+    struct SelectColorOnly<'a> {
+        uniform params: SelectColorOnlyParams, read differences, read candidates, read color_only, write blended, write shares, write color_only_shares,
     }
     struct SelectBlend<'a> { uniform params: SelectBlendParams, read shares, optional first, optional second, optional third, write blended }
 }
@@ -180,4 +185,58 @@ pub fn select_pass(rec: &mut Recorder, extent: IVec2, pass1: &Buffer, pass2: &Bu
     let kernel = rec.gpu().kernel::<SelectPass>("select_pass", &[])?;
     rec.dispatch(&kernel, &SelectPass { params, pass1, pass2, variance_of_mean, result: &result }, per_pixel(extent))?;
     Ok(result)
+}
+
+/// By how much the filter that knows the colour only must be better.
+#[derive(Clone, Copy, Debug)]
+pub struct Significance {
+    /// Averages the differences of SURE over the pixels around.
+    pub smoothing: Gaussian,
+    /// Standard errors of the average difference from which on it gets a share …
+    pub least: f32,
+    /// … and from which on it gets all.
+    pub most: f32,
+}
+
+impl Significance {
+    /// What measured best. On a blurred edge under features without blur, the error falls to a seventh. With the features' own noise withheld, `cornell`, `dof_spheres` and `caustic_ring`
+    /// have between 0.9 % less error and as much; with it, were the filter not left out there, between 0.5 % less and 0.2 % more.
+    pub const MEASURED: Self = Self { smoothing: Gaussian { sigma: 3.0, radius: 9 }, least: 1.5, most: 3.0 };
+}
+
+/// A blend of candidates in which a filter that knows the colour only takes part.
+#[derive(Debug)]
+pub struct WithColorOnly {
+    /// A signal; the blended Σ w in the w of the mean.
+    pub blended: Buffer,
+    /// One plane, x and y: the share of that filter, from 0 to 1.
+    pub shares: Buffer,
+}
+
+/// Gives the signal `color_only` a share where `differences` (those of [`error_difference`](super::error::error_difference)) say that its error is significantly less than that of `candidates`,
+/// a blend. The candidates' `shares` become what is left.
+///
+/// # Errors
+/// As [`Recorder::dispatch`].
+pub fn select_color_only(
+    rec: &mut Recorder,
+    extent: IVec2,
+    differences: &Buffer,
+    candidates: &Buffer,
+    color_only: &Buffer,
+    shares: &Buffer,
+    significance: Significance,
+) -> Result<WithColorOnly> {
+    let Significance { smoothing, least, most } = significance;
+    let differences = &gaussian(rec, extent, differences, 1, smoothing, Averaging::Mean)?;
+    let blended = rec.take("blend with the colour only", plane_bytes(extent, 2))?;
+    let color_only_shares = rec.take("shares of the colour only", plane_bytes(extent, 1))?;
+    let kernel = rec.gpu().kernel::<SelectColorOnly>("select_color_only", &[])?;
+    // Σ w² of the Gaussian is 1/(4πσ²).
+    let pixels = 4.0 * std::f32::consts::PI * smoothing.sigma * smoothing.sigma;
+    let params = SelectColorOnlyParams { extent, pixels, least, most };
+    let bound =
+        SelectColorOnly { params, differences, candidates, color_only, blended: &blended, shares, color_only_shares: &color_only_shares };
+    rec.dispatch(&kernel, &bound, per_pixel(extent))?;
+    Ok(WithColorOnly { blended, shares: color_only_shares })
 }

@@ -5,11 +5,11 @@ use std::sync::Arc;
 use glam::IVec2;
 
 use super::{
-    BY_CANDIDATE, DfcParams, Pass1, Pass2, Prepared, Wanted, Work, candidate_filter, reach_of_choice_and_second_pass, reach_of_kernels, reach_of_prefilter,
+    BY_CANDIDATE, ColorOnly, DfcParams, Pass1, SECOND_ONLY, Pass2, Prepared, Wanted, Work, candidate_filter, reach_of_choice_and_second_pass, reach_of_kernels, reach_of_prefilter,
 };
 use crate::error::Result;
-use crate::gpu::Recorder;
-use crate::method::FrameInput;
+use crate::gpu::{Buffer, Recorder};
+use crate::method::{FrameInput, GpuSignal};
 use crate::method::estimate::{Keeper, Lane, Shares};
 use crate::method::kernels::{Compared, KernelOnGpu, LimitOnGpu, ShareOnGpu, WeightRule, WeightsOnGpu};
 use crate::method::plan::{Plan, Step};
@@ -46,12 +46,16 @@ pub(in crate::method) fn kernels(
     }
 
     let pass1 = Pass1::new(rec, &mut prepared, work, &mut keeper, |_, _| Ok(()))?;
-    let Prepared { variance, .. } = prepared;
+    let Prepared { variance, color: GpuSignal { signal: color_signal, .. }, .. } = prepared;
     for (kernel, candidate) in kernels.iter_mut().zip(candidates_of(plan).map(|(candidate, _)| candidate)) {
         kernel.share = Some(match &pass1.selection {
             Shares::Maps(maps) => ShareOnGpu::Lane(Lane { buffer: maps.clone(), plane: 0, component: candidate }),
             Shares::Only(_) => ShareOnGpu::Whole,
         });
+    }
+    if let Some(ColorOnly { shares, .. }) = &pass1.color_only {
+        let share = ShareOnGpu::Lane(Lane { buffer: shares.clone(), plane: 0, component: 1 });
+        kernels.push(KernelOnGpu { share: Some(share), ..kernel_of_color_only(rec, extent, pixel, &color_signal, &variance, work)? });
     }
     if let Some(pass2) = Pass2::new(rec, extent, &pass1.blend, &variance, work)? {
         let Pass2 { filter, left_variance, filtered, result } = pass2;
@@ -74,6 +78,37 @@ pub(in crate::method) fn kernels(
         kernels.push(KernelOnGpu { name: "second_pass", averaged: pass1.blend, weights, share: None });
     }
     Ok(kernels)
+}
+
+/// The kernel of SECOND without features.
+fn kernel_of_color_only(
+    rec: &mut Recorder,
+    extent: IVec2,
+    pixel: IVec2,
+    signal: &Arc<Buffer>,
+    variance: &Buffer,
+    work: Work,
+) -> Result<KernelOnGpu> {
+    let Work { params, plan, schedule, .. } = work;
+    let window_radius = params.window_radius;
+    let (name, averaged) = ("color_only", signal.clone());
+    if is_exact_at(pixel, plan, &Step::Candidates) {
+        return Ok(KernelOnGpu { name, averaged, weights: WeightsOnGpu::Exact { window_radius }, share: None });
+    }
+    const SECOND: u32 = 1;
+    let filter = candidate_filter(params);
+    let window = candidate_window(rec, extent, pixel, signal, variance, None, &filter, SECOND_ONLY, work.is_grey(), schedule)?;
+    let of_color = Compared::Color { patch_radius: params.second_patch_radius, k: params.color_k };
+    let weights = WeightsOnGpu::Cells {
+        cells: Arc::new(window.cells),
+        window_radius,
+        weight: WindowOfCandidates::weight(SECOND),
+        distances: vec![(of_color, WindowOfCandidates::color(SECOND))],
+        rule: WeightRule::Least,
+        centre: params.weighting.centre,
+        limit: None,
+    };
+    Ok(KernelOnGpu { name, averaged, weights, share: None })
 }
 
 /// The candidates that are computed, numbered from FIRST on.

@@ -54,6 +54,9 @@ parameters! {
         pub spikes: Spikes,
         /// Filters what noise pass 1 left (Algorithm 1 lines 34 to 37); needs halves. Left out, pass 1 is the result.
         pub second_pass: Option<SecondPass>,
+        /// Whether a filter by the colour only takes part where a feature has no noise, or none is told of, and where it is clearly better. Such features have edges of their own, sharp
+        /// where motion or defocus blurs the colour. Not where a single candidate takes part.
+        pub color_only: bool,
         /// Whether pixels whose samples show no noise stay as they are, however noisy their neighbours. Black pixels stay only where everything around them is black: elsewhere
         /// their samples may all have missed the light.
         pub keep_clean: bool,
@@ -101,6 +104,7 @@ impl Default for DfcParams {
             guard: Some(Guard::default()),
             spikes: Spikes::Spread,
             second_pass: Some(SecondPass::default()),
+            color_only: true,
             keep_clean: true,
             ..Self::thesis()
         }
@@ -125,6 +129,7 @@ impl DfcParams {
             guard: None,
             spikes: Spikes::Keep,
             second_pass: Some(SecondPass { half_window: false, patch_radius: 1, color_k: 0.45, clamp_to_input: false, most_sigmas: None }),
+            color_only: false,
             keep_clean: false,
         }
     }

@@ -74,6 +74,12 @@ pub(in crate::method) fn plan(params: &DfcParams, facts: &Facts, wishes: &Wishes
     plan.step(Step::SelectionSmoothing, "decisions are noisy", &nothing_to_choose());
     plan.but_for(exact.as_ref());
     plan.step(Step::Blend, "by shares, under the guard if there is one", &nothing_to_choose());
+    let unless = [
+        impossible(!params.color_only, "the parameters leave it out"),
+        impossible(!has_features_without_noise(facts), "no feature is without noise"),
+        impossible(one, "there is one candidate"),
+    ];
+    plan.step(Step::ColorOnly, "features without noise may have edges that the colour lacks", &unless);
 
     let unless = [
         impossible(params.second_pass.is_none(), "the parameters leave it out"),
@@ -90,4 +96,9 @@ pub(in crate::method) fn plan(params: &DfcParams, facts: &Facts, wishes: &Wishes
         return plan.leave_all_out("no pixel has noise: the frame is copied");
     }
     plan.finish()
+}
+
+/// Whether the edges of some feature are as sharp as its pixels: none of them has noise, or nothing tells.
+pub(super) fn has_features_without_noise(facts: &Facts) -> bool {
+    facts.features.iter().any(|feature| !feature.noise_is_told || feature.is_noise_free())
 }

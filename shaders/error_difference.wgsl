@@ -1,0 +1,52 @@
+// By how much SURE (eq. 8.5) of one more filter exceeds SURE of a blend of candidates, and its square: what a decision between the two is made from, once both are averaged over the
+// pixels around. The derivative of the blend is that of its candidates, by their shares.
+#import stein::planes::{pixel_index}
+#import stein::candidates::{sure}
+
+struct ErrorDifferenceParams {
+    extent: vec2<i32>,
+    // How often the last term of SURE counts.
+    covariance: f32,
+    // Which plane of its derivatives belongs to the other filter.
+    other_candidate: i32,
+}
+
+// Squares of differences are summed.
+const LARGEST: f32 = 1e15;
+
+@group(0) @binding(0) var<uniform> params: ErrorDifferenceParams;
+@group(0) @binding(1) var<storage, read> signal: array<vec4<f32>>;
+@group(0) @binding(2) var<storage, read> variance_of_mean: array<vec4<f32>>;
+@group(0) @binding(3) var<storage, read> blended: array<vec4<f32>>;
+// x: FIRST, y: SECOND, z: THIRD; they sum to 1.
+@group(0) @binding(4) var<storage, read> shares: array<vec4<f32>>;
+// Three planes, one per candidate.
+@group(0) @binding(5) var<storage, read> derivatives: array<vec4<f32>>;
+@group(0) @binding(6) var<storage, read> other: array<vec4<f32>>;
+@group(0) @binding(7) var<storage, read> other_derivatives: array<vec4<f32>>;
+// x: the difference, y: its square.
+@group(0) @binding(8) var<storage, read_write> differences: array<vec4<f32>>;
+
+@compute @workgroup_size(32, 2, 1)
+fn main(@builtin(global_invocation_id) id: vec3<u32>) {
+    let p = vec2<i32>(id.xy);
+    if any(p >= params.extent) {
+        return;
+    }
+    let pixels = params.extent.x * params.extent.y;
+    let at = pixel_index(p, params.extent);
+    var derivative = vec3<f32>(0.0);
+    for (var candidate = 0; candidate < 3; candidate++) {
+        let share = shares[at][candidate];
+        // What takes no part may be anything.
+        if share > 0.0 {
+            derivative += share * derivatives[candidate * pixels + at].xyz;
+        }
+    }
+    let u = signal[at].xyz;
+    let variance = variance_of_mean[at].xyz;
+    let of_blend = sure(u, variance, blended[at].xyz, derivative, params.covariance);
+    let of_other = sure(u, variance, other[at].xyz, other_derivatives[params.other_candidate * pixels + at].xyz, params.covariance);
+    let difference = clamp(of_other - of_blend, -LARGEST, LARGEST);
+    differences[at] = vec4<f32>(difference, difference * difference, 0.0, 0.0);
+}

@@ -1,0 +1,44 @@
+// Gives the filter that knows the colour only a share of each pixel, as far as its error is significantly less than that of the blend of candidates.
+//
+// Features without noise have edges of their own, sharp where motion or defocus has blurred the colour. The candidates keep to them, and none of them knows better. Where this costs more
+// than the features bring, SURE shows it, averaged over enough pixels: the mean difference is held against its own standard error.
+#import stein::planes::{pixel_index}
+
+struct SelectColorOnlyParams {
+    extent: vec2<i32>,
+    // How many pixels the average counts as.
+    pixels: f32,
+    // Standard errors by which the colour must be better for the least share, and for all of it.
+    least: f32,
+    most: f32,
+}
+
+@group(0) @binding(0) var<uniform> params: SelectColorOnlyParams;
+// x: the mean of the differences of SURE, y: the mean of their squares.
+@group(0) @binding(1) var<storage, read> differences: array<vec4<f32>>;
+// Signals, with Σ w in the w of the mean.
+@group(0) @binding(2) var<storage, read> candidates: array<vec4<f32>>;
+@group(0) @binding(3) var<storage, read> color_only: array<vec4<f32>>;
+@group(0) @binding(4) var<storage, read_write> blended: array<vec4<f32>>;
+// In place: the candidates share what the colour leaves.
+@group(0) @binding(5) var<storage, read_write> shares: array<vec4<f32>>;
+// x and y: the share of the colour.
+@group(0) @binding(6) var<storage, read_write> color_only_shares: array<vec4<f32>>;
+
+@compute @workgroup_size(32, 2, 1)
+fn main(@builtin(global_invocation_id) id: vec3<u32>) {
+    let p = vec2<i32>(id.xy);
+    if any(p >= params.extent) {
+        return;
+    }
+    let pixels = params.extent.x * params.extent.y;
+    let at = pixel_index(p, params.extent);
+    let mean = differences[at].x;
+    let standard_error = sqrt(max(differences[at].y - mean * mean, 0.0) / params.pixels);
+    let better_by = -mean / max(standard_error, 1e-30);
+    let share = clamp((better_by - params.least) / (params.most - params.least), 0.0, 1.0);
+    blended[at] = mix(candidates[at], color_only[at], share);
+    blended[pixels + at] = mix(candidates[pixels + at], color_only[pixels + at], share);
+    shares[at] = (1.0 - share) * shares[at];
+    color_only_shares[at] = vec4<f32>(share, share, 0.0, 0.0);
+}
