@@ -28,9 +28,11 @@ struct KeepCleanParams {
 @group(0) @binding(3) var<storage, read> filtered: array<vec4<f32>>;
 @group(0) @binding(4) var<storage, read_write> kept: array<vec4<f32>>;
 #ifdef ERROR
-// In place: what stays has its input's error.
+// In place: what stays has the noise of its input.
 @group(0) @binding(5) var<storage, read_write> errors: array<vec4<f32>>;
 #endif
+
+const ANY: f32 = 3.4e38;
 
 fn spread_squared(at: i32) -> f32 {
     let spread = signal[params.extent.x * params.extent.y + at].xyz;
@@ -69,20 +71,15 @@ fn is_black_around(p: vec2<i32>) -> bool {
     return true;
 }
 
-// How much of the correction a pixel gets, 0 to 1.
-fn share_of(p: vec2<i32>, correction: vec3<f32>) -> f32 {
+// The square of the correction that a pixel may get; ANY where nothing limits it.
+fn allowed_at(p: vec2<i32>) -> f32 {
     let value = signal[pixel_index(p, params.extent)].xyz;
     if all(value == vec3<f32>(0.0)) {
-        return select(1.0, 0.0, is_black_around(p));
+        return select(ANY, 0.0, is_black_around(p));
     }
     let noise = noise_at(p);
     let closeness = noise / max(params.squared_noise * dot(value, value), 1e-37);
-    if closeness >= 1.0 {
-        return 1.0;
-    }
-    let allowed = params.squared_sigmas * noise / (1.0 - closeness);
-    let squared = dot(correction, correction);
-    return select(1.0, sqrt(allowed / squared), squared > allowed);
+    return select(params.squared_sigmas * noise / (1.0 - closeness), ANY, closeness >= 1.0);
 }
 
 @compute @workgroup_size(32, 2, 1)
@@ -98,16 +95,19 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     let spread = filtered[pixels + at];
     let own = signal[at].xyz;
     let own_spread = signal[pixels + at].xyz;
-    let share = share_of(p, mean.xyz - own);
-    if share == 1.0 {
+    let allowed = allowed_at(p);
+    if allowed == ANY {
         kept[at] = mean;
         kept[pixels + at] = spread;
         return;
     }
+    let correction = mean.xyz - own;
+    let squared = dot(correction, correction);
+    let share = select(1.0, sqrt(allowed / squared), squared > allowed);
     kept[at] = vec4<f32>(own + share * (mean.xyz - own), mean.w);
     kept[pixels + at] = vec4<f32>(own_spread + share * (spread.xyz - own_spread), spread.w);
 #ifdef ERROR
-    let rest = 1.0 - share;
-    errors[at][params.error_component] = share * share * errors[at][params.error_component] + rest * rest * noise_at(p);
+    // What moves so little has no more error than its noise and the way that it may go.
+    errors[at][params.error_component] = min(errors[at][params.error_component], noise_at(p) + allowed);
 #endif
 }

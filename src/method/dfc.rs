@@ -30,8 +30,8 @@ use crate::stage::variance::{BoxWeight, Floor, INPUT_SMOOTHING, RESIDUAL_SMOOTHI
 
 pub(super) use kernels::kernels;
 pub use params::{DfcParams, SecondPass};
-pub(super) use plan::plan;
 use plan::has_features_without_noise;
+pub(super) use plan::plan;
 
 /// Algorithm 1 line 7.
 const PREFILTER: Auxiliary = Auxiliary { window_radius: 5, patch_radius: 3, k: 1.0 };

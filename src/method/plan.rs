@@ -137,7 +137,9 @@ impl Step {
             Self::Spikes | Self::Variance | Self::Feature(_) | Self::Prefilter(_) | Self::Features => true,
             Self::Candidates | Self::Candidate(_) | Self::ColorOnly | Self::SecondPass | Self::Halves | Self::Filter | Self::Scales => true,
             Self::Derivatives | Self::HalfSpread | Self::Channels | Self::Frames | Self::FilterAlone => false,
-            Self::Sure | Self::SureSmoothing | Self::Selection | Self::SelectionSmoothing | Self::Blend | Self::Density | Self::Error | Self::KeepClean => false,
+            Self::Sure | Self::SureSmoothing | Self::Selection | Self::SelectionSmoothing | Self::Blend | Self::Density | Self::Error | Self::KeepClean => {
+                false
+            }
         }
     }
 }

@@ -179,8 +179,7 @@ pub fn error_difference(
     let differences = rec.take("differences of SURE", plane_bytes(extent, 1))?;
     let kernel = rec.gpu().kernel::<ErrorDifference>("error_difference", &[])?;
     let params = ErrorDifferenceParams { extent, covariance, other_candidate: other_candidate as i32 };
-    let bound =
-        ErrorDifference { params, signal, variance_of_mean, blended, shares, derivatives, other, other_derivatives, differences: &differences };
+    let bound = ErrorDifference { params, signal, variance_of_mean, blended, shares, derivatives, other, other_derivatives, differences: &differences };
     rec.dispatch(&kernel, &bound, per_pixel(extent))?;
     Ok(differences)
 }

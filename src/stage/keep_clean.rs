@@ -48,18 +48,12 @@ pub struct Input<'a> {
 
 /// A filtered signal in which pixels without noise are as in the input; in between, a pixel moves by as much as its noise allows. A signal.
 ///
-/// `errors`: a plane and the component of it, 0 to 3, that holds squared errors of the filtered signal, summed over the channels; they become those of what is kept.
+/// `errors`: a plane and the component of it, 0 to 3, that holds squared errors of the filtered signal, summed over the channels; those of pixels that may move little are held below their
+/// noise plus the square of how far they may move.
 ///
 /// # Errors
 /// As [`Recorder::dispatch`].
-pub fn keep_clean(
-    rec: &mut Recorder,
-    extent: IVec2,
-    input: Input,
-    filtered: &Buffer,
-    errors: Option<(&Buffer, u32)>,
-    rule: CleanRule,
-) -> Result<Buffer> {
+pub fn keep_clean(rec: &mut Recorder, extent: IVec2, input: Input, filtered: &Buffer, errors: Option<(&Buffer, u32)>, rule: CleanRule) -> Result<Buffer> {
     let Input { signal, sample_variance } = input;
     let kept = rec.take("clean pixels kept", plane_bytes(extent, 2))?;
     let params = KeepCleanParams {

@@ -199,8 +199,8 @@ pub struct Significance {
 }
 
 impl Significance {
-    /// What measured best. On a blurred edge under features without blur, the error falls to a seventh. With the features' own noise withheld, `cornell`, `dof_spheres` and `caustic_ring`
-    /// have between 0.9 % less error and as much; with it, were the filter not left out there, between 0.5 % less and 0.2 % more.
+    /// What measured best. On a blurred edge under features without blur, the error falls to a seventh. Where nothing tells of the noise of their features, `cornell`, `dof_spheres` and
+    /// `caustic_ring` at 8, 32 and 128 spp have between 0.4 % less error and 0.4 % more.
     pub const MEASURED: Self = Self { smoothing: Gaussian { sigma: 3.0, radius: 9 }, least: 1.5, most: 3.0 };
 }
 
@@ -235,8 +235,7 @@ pub fn select_color_only(
     // Σ w² of the Gaussian is 1/(4πσ²).
     let pixels = 4.0 * std::f32::consts::PI * smoothing.sigma * smoothing.sigma;
     let params = SelectColorOnlyParams { extent, pixels, least, most };
-    let bound =
-        SelectColorOnly { params, differences, candidates, color_only, blended: &blended, shares, color_only_shares: &color_only_shares };
+    let bound = SelectColorOnly { params, differences, candidates, color_only, blended: &blended, shares, color_only_shares: &color_only_shares };
     rec.dispatch(&kernel, &bound, per_pixel(extent))?;
     Ok(WithColorOnly { blended, shares: color_only_shares })
 }

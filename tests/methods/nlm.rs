@@ -13,6 +13,7 @@ use crate::behaviour::{calm_frame, image, random_frame};
 use crate::bridge::{self, exposure, grids, nlm_params};
 use crate::common::{assert_near, gpu, open, own_size};
 use crate::frames::{EVERYTHING, Keep, error_of, frame, new_frame, noisy};
+use crate::reference::keep_clean::CleanParams;
 use crate::reference::nlm_method::{self, NlmParams as TwinParams, Variance};
 use crate::reference::random::Random;
 use crate::reference::spike::SpikeParams;
@@ -50,9 +51,8 @@ fn assert_same(what: &str, actual: &Estimate, expected: &Estimate) {
 #[test]
 fn the_presets_are_those_of_the_reference() {
     let twin = TwinParams::thesis();
-    for (preset, twin) in
-        [(NlmParams::thesis(), twin), (NlmParams::default(), TwinParams { variance: Variance::Scaled, spikes: Some(SpikeParams::default()), ..twin })]
-    {
+    let measured = TwinParams { variance: Variance::Scaled, spikes: Some(SpikeParams::default()), keep_clean: Some(CleanParams::default()), ..twin };
+    for (preset, twin) in [(NlmParams::thesis(), twin), (NlmParams::default(), measured)] {
         let mut shown = nlm_params(&preset);
         // 0.45 as a float32 is not 0.45.
         [&mut shown.filter.k, &mut shown.filter.cut].into_iter().for_each(|value| *value = format!("{value:.4e}").parse().unwrap_or(f64::NAN));

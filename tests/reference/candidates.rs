@@ -15,6 +15,7 @@ const NOISE_STEP: f64 = 0.01;
 const STEP_AROUND: f64 = 1e-6;
 const SMALLEST_STEP: f64 = 1e-18;
 
+#[derive(Clone)]
 pub struct Candidate {
     /// F.
     pub mean: Planes,

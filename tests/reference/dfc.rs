@@ -4,7 +4,7 @@ use super::candidates::{Candidate, candidate};
 use super::keep_clean::{CleanParams, Kept, keep_clean};
 use super::nlm::{CentreWeight, Feature, FilterParams, Guide, nlm_filter};
 use super::prefilter::{Prefiltered, prefilter};
-use super::select::{self, Evidence, Guard, select, share, smooth_maps};
+use super::select::{self, Evidence, Guard, Significance, color_only_share, differences, select, share, smooth_maps};
 use super::spike::{self, SpikeParams};
 use super::sure::{self, ErrorParts, Part, error_blend, smooth_errors, sure};
 use super::variance::{BoxWeight, Floor, Signal, buffer_var, floored, input_variance};
@@ -50,6 +50,8 @@ pub struct DfcParams {
     /// None: spikes stay.
     pub spikes: Option<SpikeParams>,
     pub second_pass: SecondPassParams,
+    /// None: no filter by the colour only takes part, whatever the features are.
+    pub color_only: Option<Significance>,
     /// None: pixels without noise are filtered like all others.
     pub keep_clean: Option<CleanParams>,
 }
@@ -69,6 +71,7 @@ impl DfcParams {
             guard: None,
             spikes: None,
             second_pass: SecondPassParams { half_radius: false, patch_radius: 1, k_color: 0.45, clamp_to_input: false, most_sigmas: None },
+            color_only: None,
             keep_clean: None,
         }
     }
@@ -103,6 +106,7 @@ impl Default for DfcParams {
             guard: Some(Guard { smoothed_error: 4.0, smoothed_noise: 0.3, own_sigmas: 8.0, own_noise: 4.0 }),
             spikes: Some(SpikeParams::default()),
             second_pass: SecondPassParams { half_radius: true, patch_radius: 3, k_color: 0.45, clamp_to_input: true, most_sigmas: Some(4.0) },
+            color_only: Some(Significance::default()),
             keep_clean: Some(CleanParams::default()),
             ..thesis
         }
@@ -120,6 +124,13 @@ pub struct Frame {
 pub struct Pass {
     pub mean: Planes,
     pub spread: Option<Planes>,
+}
+
+/// SECOND without features.
+pub struct ColorOnly {
+    pub candidate: Candidate,
+    /// Of pass 1; the candidates' maps sum to the rest.
+    pub share: Grid,
 }
 
 /// Every value that Algorithm 1 passes through.
@@ -141,6 +152,8 @@ pub struct Dfc {
     pub smoothed_maps: Planes,
     /// The maps of the blend: the smoothed ones, guarded if the parameters ask for it.
     pub maps: Planes,
+    /// Where a feature is without noise.
+    pub color_only: Option<ColorOnly>,
     /// Of pass 2, or of pass 1 where there is none.
     pub error: Grid,
     /// The passes' result with clean pixels kept, and its error.
@@ -190,12 +203,31 @@ pub fn dfc(frame: &Frame, params: &DfcParams) -> Dfc {
         }),
     };
 
+    // A filter by the colour only, where features may have edges that the colour lacks. None of Algorithm 1.
+    let several = params.takes_part.iter().filter(|takes_part| **takes_part).count() > 1;
+    let significance = params.color_only.filter(|_| several && frame.features.iter().any(is_without_noise));
+    let color_only = significance.map(|significance| {
+        let second = CandidateParams { k_feature: f64::INFINITY, ..params.candidates[select::SECOND] };
+        let candidate = candidate(&color.mean, color.spread.as_deref(), &color_variance, &[], &params.filter(params.window_radius, &second));
+        let of_each = [0, 1, 2].map(|k| derivatives[k]);
+        let of_blend = sure::sure(&color.mean, &color_variance, &pass1.mean, &blend_channels(&maps, of_each), params.covariance);
+        let of_color_only = sure::sure(&color.mean, &color_variance, &candidate.mean, &candidate.derivative, params.covariance);
+        let share = color_only_share(&differences(&of_color_only, &of_blend), significance);
+        ColorOnly { candidate, share }
+    });
+    let (maps, pass1) = match &color_only {
+        None => (maps, pass1),
+        Some(color_only) => (rest_of(&maps, &color_only.share), with_color_only(&pass1, color_only)),
+    };
+
     // Lines 34–37: second pass.
     let pass2 = second_pass(&pass1, &color_variance, params);
 
     // What is left of the error. A candidate alone is no blend.
     let part = |k: usize| Part { share: &maps[k], mean: means[k], derivative: derivatives[k] };
     let made_of: Vec<Part> = (0..3).filter(|k| params.takes_part[*k]).map(part).collect();
+    let of_color_only = color_only.iter().map(|ColorOnly { candidate, share }| Part { share, mean: &candidate.mean, derivative: &candidate.derivative });
+    let made_of: Vec<Part> = made_of.into_iter().chain(of_color_only).collect();
     let result = pass2.as_ref().unwrap_or(&pass1);
     let parts = ErrorParts::measured(result.spread.is_some(), made_of.len() > 1);
     let error = error_blend(&result.mean, result.spread.as_deref(), &color_variance, &made_of, squares.as_ref(), parts);
@@ -205,7 +237,43 @@ pub fn dfc(frame: &Frame, params: &DfcParams) -> Dfc {
         None => (result.clone(), error.clone()),
     };
 
-    Dfc { color, spikes, squares, color_variance, features: prefiltered, candidates, sure, errors, binary_maps, smoothed_maps, maps, error, result, result_error, pass1, pass2 }
+    Dfc {
+        color,
+        spikes,
+        squares,
+        color_variance,
+        features: prefiltered,
+        candidates,
+        sure,
+        errors,
+        binary_maps,
+        smoothed_maps,
+        maps,
+        color_only,
+        error,
+        result,
+        result_error,
+        pass1,
+        pass2,
+    }
+}
+
+/// Whether nothing tells of noise in a feature.
+fn is_without_noise(feature: &Signal) -> bool {
+    [&feature.spread, &feature.sample_variance].into_iter().flatten().flatten().all(|plane| plane.values.iter().all(|value| *value == 0.0))
+}
+
+/// The candidates' maps, of what the filter by the colour only leaves them.
+pub fn rest_of(maps: &[Grid], share: &Grid) -> Planes {
+    maps.iter().map(|map| map.like(|p| (1.0 - share.at(p)) * map.at(p))).collect()
+}
+
+/// A blend of candidates in which the filter by the colour only takes part.
+pub fn with_color_only(blend: &Pass, ColorOnly { candidate, share }: &ColorOnly) -> Pass {
+    let mixed =
+        |a: &[Grid], b: &[Grid]| -> Planes { a.iter().zip(b).map(|(a, b)| a.like(|p| (1.0 - share.at(p)) * a.at(p) + share.at(p) * b.at(p))).collect() };
+    let spread = blend.spread.as_deref().zip(candidate.spread.as_deref()).map(|(a, b)| mixed(a, b));
+    Pass { mean: mixed(&blend.mean, &candidate.mean), spread }
 }
 
 /// Removes the noise that pass 1 left, which its halves show.
@@ -249,6 +317,8 @@ pub fn limited(pass1: &Pass, pass2: &Pass, input_variance: &[Grid], sigmas: f64)
 /// Where the next samples pay most (section 8.6): the error of the blend relative to its square, times W(p) = Σ w/(1 + n_p), smoothed.
 pub fn sampling_density(result: &Dfc, params: &DfcParams, samples_per_pixel: f64) -> Grid {
     let weight_sum = blend(&result.maps, &result.candidates.each_ref().map(|c| &c.weight_sum));
+    let more = |p| result.color_only.as_ref().map_or(0.0, |ColorOnly { candidate, share }| share.at(p) * candidate.weight_sum.at(p));
+    let weight_sum = weight_sum.like(|p| weight_sum.at(p) + more(p));
     // With halves, what they say of the noise that is left (section 7.1.2); without them, its error.
     let left = result.pass1.spread.as_ref().map(|spread| spread[0].like(|p| spread.iter().map(|plane| plane.at(p) * plane.at(p)).sum()));
     let density = sure::sample_density(&result.pass1.mean, left.as_ref().unwrap_or(&result.error), &weight_sum, samples_per_pixel);

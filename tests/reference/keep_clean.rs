@@ -19,22 +19,26 @@ impl Default for CleanParams {
     }
 }
 
-/// How much of its correction each pixel gets: 0 where it has no noise, 1 where it has enough of it.
-pub fn clean_shares(input: &Signal, filtered: &[Grid], params: CleanParams) -> Grid {
+/// The square of the correction that each pixel may get: 0 where it has no noise, infinite where it has enough of it.
+pub fn allowed(input: &Signal, params: CleanParams) -> Grid {
     let noise = noise(input);
     let value = |p: Point| input.mean.iter().map(|plane| plane.at(p).powi(2)).sum::<f64>();
     noise.like(|p| {
         if value(p) == 0.0 {
             let mut around = square(params.black_radius).map(|o| p + o).filter(|&q| noise.contains(q));
-            return if around.all(|q| value(q) == 0.0 && noise.at(q) == 0.0) { 0.0 } else { 1.0 };
+            return if around.all(|q| value(q) == 0.0 && noise.at(q) == 0.0) { 0.0 } else { f64::INFINITY };
         }
         let closeness = noise.at(p) / (params.noise * params.noise * value(p));
-        if closeness >= 1.0 {
-            return 1.0;
-        }
-        let allowed = params.sigmas * params.sigmas * noise.at(p) / (1.0 - closeness);
+        if closeness >= 1.0 { f64::INFINITY } else { params.sigmas * params.sigmas * noise.at(p) / (1.0 - closeness) }
+    })
+}
+
+/// How much of its correction each pixel gets.
+pub fn clean_shares(input: &Signal, filtered: &[Grid], params: CleanParams) -> Grid {
+    let allowed = allowed(input, params);
+    allowed.like(|p| {
         let correction: f64 = input.mean.iter().zip(filtered).map(|(u, f)| (f.at(p) - u.at(p)).powi(2)).sum();
-        if correction > allowed { (allowed / correction).sqrt() } else { 1.0 }
+        if correction > allowed.at(p) { (allowed.at(p) / correction).sqrt() } else { 1.0 }
     })
 }
 
@@ -50,7 +54,7 @@ pub struct Kept {
 pub fn keep_clean(input: &Signal, mean: &[Grid], spread: Option<&[Grid]>, error: &Grid, params: CleanParams) -> Kept {
     let shares = clean_shares(input, mean, params);
     let of_halves = |spread: &[Grid]| input.spread.as_ref().map_or_else(|| spread.to_vec(), |own| kept(own, spread, &shares));
-    Kept { mean: kept(&input.mean, mean, &shares), spread: spread.map(of_halves), error: kept_error(error, &noise(input), &shares) }
+    Kept { mean: kept(&input.mean, mean, &shares), spread: spread.map(of_halves), error: kept_error(error, input, params) }
 }
 
 /// What the samples of each pixel show of its variance, summed over the channels. Without sample variance two halves may agree by accident: then the pixels beside have a say too.
@@ -73,7 +77,8 @@ pub fn kept(input: &[Grid], filtered: &[Grid], shares: &Grid) -> Planes {
     input.iter().zip(filtered).map(|(u, f)| u.like(|p| if shares.at(p) == 1.0 { f.at(p) } else { u.at(p) + shares.at(p) * (f.at(p) - u.at(p)) })).collect()
 }
 
-/// The squared error of what was kept.
-pub fn kept_error(error: &Grid, noise: &Grid, shares: &Grid) -> Grid {
-    error.like(|p| shares.at(p).powi(2) * error.at(p) + (1.0 - shares.at(p)).powi(2) * noise.at(p))
+/// The squared error of what was kept: no more than its noise and the way that it may go.
+pub fn kept_error(error: &Grid, input: &Signal, params: CleanParams) -> Grid {
+    let (noise, allowed) = (noise(input), allowed(input, params));
+    error.like(|p| error.at(p).min(noise.at(p) + allowed.at(p)))
 }

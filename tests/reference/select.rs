@@ -1,5 +1,6 @@
 //! Which candidate to believe (section 8.4): binary maps of the least error, smoothed, then guarded.
 
+use super::gaussian::gaussian;
 use super::nlm::{FilterParams, Guide, nlm_filter};
 use super::{Grid, Planes, Point, channel_mean, map_pixels};
 
@@ -114,6 +115,40 @@ fn by_chance(f: &[Grid], g: &[Grid], variance: &[Grid], guard: &Guard, p: Point)
     let apart = |i: usize| f[i].at(p) - g[i].at(p);
     let deviation = 2.0 * (0..variance.len()).map(|i| variance[i].at(p) * apart(i) * apart(i)).sum::<f64>().sqrt();
     guard.own_sigmas * deviation + guard.own_noise * variance.iter().map(|v| v.at(p)).sum::<f64>()
+}
+
+/// By how much the filter by the colour only must be better than the candidates' blend.
+#[derive(Clone, Copy, Debug)]
+pub struct Significance {
+    /// σ of the Gaussian that averages the differences of SURE, cut off at 3σ.
+    pub sigma: f64,
+    /// Standard errors from which on it gets a share, and from which on it gets all.
+    pub least: f64,
+    pub most: f64,
+}
+
+impl Default for Significance {
+    fn default() -> Significance {
+        Significance { sigma: 3.0, least: 1.5, most: 3.0 }
+    }
+}
+
+/// By how much SURE of the one filter exceeds that of the other.
+pub fn differences(of_color_only: &Grid, of_blend: &Grid) -> Grid {
+    of_color_only.like(|p| (of_color_only.at(p) - of_blend.at(p)).clamp(-1e15, 1e15))
+}
+
+/// The share of the filter by the colour only: how many standard errors the average difference lies below 0. Σ w² of a Gaussian is 1/(4πσ²).
+pub fn color_only_share(differences: &Grid, params: Significance) -> Grid {
+    let radius = (3.0 * params.sigma).ceil() as usize;
+    let mean = gaussian(differences, params.sigma, radius);
+    let squares = gaussian(&differences.like(|p| differences.at(p).powi(2)), params.sigma, radius);
+    let pixels = 4.0 * std::f64::consts::PI * params.sigma * params.sigma;
+    mean.like(|p| {
+        let standard_error = ((squares.at(p) - mean.at(p).powi(2)).max(0.0) / pixels).sqrt();
+        let better_by = -mean.at(p) / standard_error.max(1e-30);
+        ((better_by - params.least) / (params.most - params.least)).clamp(0.0, 1.0)
+    })
 }
 
 /// A candidate in one window, and its SURE.

@@ -7,7 +7,9 @@ use stein::stage::candidate_set::CandidateSet;
 use stein::stage::exact::Region;
 use stein::stage::nlm::{CentreWeight, Schedule, Weighting};
 
-use crate::common::{Scene, assert_near, bits, calm_scene, checked_gpu, extent_of, gpu, own_size, packed_signal, read, rounded, run, scene, schedules, there, upload};
+use crate::common::{
+    Scene, assert_near, bits, calm_scene, checked_gpu, extent_of, gpu, own_size, packed_signal, read, rounded, run, scene, schedules, there, upload,
+};
 use crate::exact;
 use crate::feature::{features, pack};
 use crate::nlm::{rule_of, twin_of};

@@ -4,7 +4,7 @@ use stein::gpu::Gpu;
 use stein::stage::keep_clean::{CleanRule, Input, keep_clean};
 
 use crate::common::{Scene, assert_near, checked_gpu, extent_of, gpu, own_size, packed_signal, read, rounded, run, scene, upload};
-use crate::reference::keep_clean::{CleanParams, clean_shares, kept, kept_error, noise};
+use crate::reference::keep_clean::{CleanParams, allowed, clean_shares, kept, kept_error};
 use crate::reference::random::Random;
 use crate::reference::variance::Signal;
 use crate::reference::{Grid, Planes, Point};
@@ -53,11 +53,12 @@ fn check(gpu: &Gpu, width: usize, height: usize, with_variance: bool, with_error
         assert_near(&what(part), actual, &kept(own, filtered, &shares), &size, 1e-5, 0.0);
     }
     let errors = read(gpu, &errors, extent).remove(0);
-    let expected = if with_error { kept_error(&error, &noise(&input), &shares) } else { error.clone() };
+    let expected = if with_error { kept_error(&error, &input, CleanParams::default()) } else { error.clone() };
     assert_near(&what("error"), &errors[2..3], std::slice::from_ref(&expected), &own_size(std::slice::from_ref(&expected), 1e-6), 1e-4, 0.0);
     assert_near(&what("other components"), &errors[..2], &[error.clone(), error.clone()], &own_size(&[error.clone(), error], 0.0), 0.0, 0.0);
     let count = |matches: &dyn Fn(f64) -> bool| shares.values.iter().filter(|share| matches(**share)).count();
-    [count(&|share| share == 0.0), count(&|share| share > 0.0 && share < 1.0), count(&|share| share == 1.0)]
+    let free = allowed(&input, CleanParams::default()).values.iter().filter(|allowed| allowed.is_infinite()).count();
+    [count(&|share| share == 0.0), count(&|share| share > 0.0 && share < 1.0), free]
 }
 
 #[test]

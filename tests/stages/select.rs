@@ -5,10 +5,13 @@ use std::sync::Arc;
 use stein::gpu::{Gpu, Recorder};
 use stein::stage::candidate::Candidates;
 use stein::stage::candidate_set::CandidateSet;
-use stein::stage::error::{ErrorParts, MadeOf, error_blend, error_spikes, error_sure};
+use stein::stage::error::{ErrorParts, MadeOf, error_blend, error_blend_more, error_difference, error_spikes, error_sure};
 use stein::stage::nlm::Filtered;
 use stein::stage::sample::{GpuSamples, sample_density};
-use stein::stage::select::{Evidence, Guard, Harm, Noisy, select_blend, select_frames, select_frames_of_filtered, select_least, select_pass, select_share};
+use stein::stage::select::{
+    Evidence, Guard, Harm, Noisy, Significance, WithColorOnly, select_blend, select_color_only, select_frames, select_frames_of_filtered, select_least,
+    select_pass, select_share,
+};
 
 use crate::common::{Scene, assert_near, checked_gpu, extent_of, flat, gpu, own_size, packed, packed_signal, read, rounded, run, scene, there, upload};
 use crate::reference::dfc::{Pass, limited};
@@ -148,6 +151,113 @@ fn the_error_of_a_blend_has_four_parts() {
             assert_near(&what, &read(gpu, &buffer, extent).remove(0), &expected, &own_size(&expected, 0.0), 2e-6, 0.0);
             assert!(expected[0].values.iter().all(|error| *error >= 0.0));
         }
+    }
+}
+
+/// Shares of three candidates that sum to 1, some of which are 0.
+fn shares_of_three(width: usize, height: usize, seed: u64) -> Planes {
+    let mut random = Random(seed);
+    let raw: Planes = (0..3).map(|_| random.uniform_grid(width, height, -0.3, 1.0)).collect();
+    let total = raw[0].like(|p| raw.iter().map(|grid| grid.at(p).max(0.0)).sum::<f64>());
+    (0..3).map(|k| rounded(raw[k].like(|p| if total.at(p) > 0.0 { raw[k].at(p).max(0.0) / total.at(p) } else { f64::from(u8::from(k == 0)) }))).collect()
+}
+
+/// SECOND alone, with other means than the bank's.
+fn color_only_of(bank: &Bank, width: usize, height: usize) -> Bank {
+    let other = seeded_bank(width, height, 61);
+    let closer = |a: &Planes, b: &Planes| -> Planes { a.iter().zip(b).map(|(a, b)| rounded(a.like(|p| 0.7 * a.at(p) + 0.3 * b.at(p)))).collect() };
+    Bank { means: [0, 1, 2].map(|k| closer(&bank.means[k], &other.means[k])), ..other }
+}
+
+#[test]
+fn sure_of_a_blend_is_compared_with_that_of_one_filter_more() {
+    for (gpu, width, height) in [(gpu(), 257, 89), (gpu(), 7, 300), (gpu(), 1, 1), (checked_gpu(), 24, 20)] {
+        let (scene, bank) = (scene(width, height, 62), bank(width, height));
+        let (shares, other) = (shares_of_three(width, height, 63), color_only_of(&bank, width, height));
+        let extent = extent_of(&scene.mean[0]);
+        let buffer = run(gpu, |rec| {
+            let signal = rec.upload("signal", &packed_signal(&scene.mean, &scene.spread))?;
+            let variance = upload(rec, &scene.variance)?;
+            let blended = rec.upload("blend", &packed_signal(&bank.means[0], &bank.spreads[0]))?;
+            let (candidates, other) = (upload_bank(rec, &bank, CandidateSet::ALL)?, upload_bank(rec, &other, SECOND_ALONE)?);
+            let shares = upload(rec, &shares)?;
+            error_difference(rec, extent, &signal, &variance, &blended, &shares, &candidates, &other, 1.5)
+        });
+        let mixed = |i: usize| scene.mean[0].like(|p| (0..3).map(|k| shares[k].at(p) * bank.derivatives[k][i].at(p)).sum());
+        let derivative: Planes = (0..3).map(mixed).collect();
+        let of_blend = reference::sure::sure(&scene.mean, &scene.variance, &bank.means[0], &derivative, 1.5);
+        let of_other = reference::sure::sure(&scene.mean, &scene.variance, &other.means[1], &other.derivatives[1], 1.5);
+        let difference = reference::select::differences(&of_other, &of_blend);
+        let terms = |p: Point| {
+            let term = |i: usize| {
+                let residuals = (bank.means[0][i].at(p) - scene.mean[i].at(p)).powi(2) + (other.means[1][i].at(p) - scene.mean[i].at(p)).powi(2);
+                residuals + scene.variance[i].at(p) * (2.0 + 3.0 * derivative[i].at(p).abs() + 3.0 * other.derivatives[1][i].at(p).abs())
+            };
+            (0..3).map(term).sum::<f64>()
+        };
+        let actual = read(gpu, &buffer, extent).remove(0);
+        let squares = difference.like(|p| difference.at(p).powi(2));
+        let scale = [difference.like(terms), difference.like(|p| terms(p) * (terms(p) + difference.at(p).abs()))];
+        assert_near(&format!("error_difference, {width}×{height}"), &actual, &[difference, squares], &scale, 2e-6, 0.0);
+    }
+}
+
+#[test]
+fn the_colour_only_gets_a_share_where_it_is_significantly_better() {
+    for (gpu, width, height) in [(gpu(), 257, 89), (gpu(), 7, 300), (gpu(), 1, 1), (checked_gpu(), 31, 43)] {
+        let bank = bank(width, height);
+        let (shares, other) = (shares_of_three(width, height, 64), color_only_of(&bank, width, height));
+        let extent = extent_of(&shares[0]);
+        let noise = Random(65).gaussian_grid(width, height, 0.0, 1.0);
+        // From clearly better on the left to clearly worse on the right.
+        let difference = rounded(noise.like(|p| noise.at(p) + 0.8 * (2.0 * (p.x as f64 + 0.5) / width as f64 - 1.0)));
+        let squares = rounded(difference.like(|p| difference.at(p).powi(2)));
+        let (found, left) = run(gpu, |rec| {
+            let differences = upload(rec, &[difference.clone(), squares.clone()])?;
+            let candidates = rec.upload("blend", &packed_signal(&bank.means[0], &bank.spreads[0]))?;
+            let color_only = rec.upload("colour only", &packed_signal(&other.means[1], &other.spreads[1]))?;
+            let shares = upload(rec, &shares)?;
+            Ok((select_color_only(rec, extent, &differences, &candidates, &color_only, &shares, Significance::MEASURED)?, shares))
+        });
+        let WithColorOnly { blended, shares: of_color_only } = found;
+        let share = reference::select::color_only_share(&difference, reference::select::Significance::default());
+        let what = |part: &str| format!("select_color_only, {width}×{height}: {part}");
+        let actual = read(gpu, &of_color_only, extent).remove(0);
+        // A mean of hundreds of values over its standard error.
+        assert_near(&what("share"), &actual[..2], &[share.clone(), share.clone()], &flat(&[share.clone(), share.clone()], 1.0), 1e-3, 0.0);
+        let share = actual[0].clone();
+        let rest = reference::dfc::rest_of(&shares, &share);
+        assert_near(&what("rest"), &read(gpu, &left, extent).remove(0)[..3], &rest, &flat(&rest, 1.0), 1e-6, 0.0);
+        let blended = read(gpu, &blended, extent);
+        for (part, actual, a, b) in [("mean", &blended[0], &bank.means[0], &other.means[1]), ("spread", &blended[1], &bank.spreads[0], &other.spreads[1])] {
+            let expected: Planes = a.iter().zip(b).map(|(a, b)| a.like(|p| (1.0 - share.at(p)) * a.at(p) + share.at(p) * b.at(p))).collect();
+            assert_near(&what(part), &actual[..3], &expected, &flat(&expected, 4.0), 1e-6, 0.0);
+        }
+        let mean = share.values.iter().sum::<f64>() / share.values.len() as f64;
+        assert!(width < 257 || (mean > 0.1 && mean < 0.9), "{mean} of the pixels go to the colour");
+    }
+}
+
+#[test]
+fn what_further_candidates_stand_for_is_added_to_the_error() {
+    let parts = ErrorParts { spread: 0.75, disagreement: 2.0, own_noise: 0.375, spikes: 3.0 };
+    let twin_parts = reference::sure::ErrorParts { spread: 0.0, disagreement: 2.0, own_noise: 0.375, spikes: 3.0 };
+    for (gpu, width, height) in [(gpu(), 31, 43), (gpu(), 1, 1), (checked_gpu(), 24, 20)] {
+        let (scene, bank) = (scene(width, height, 66), bank(width, height));
+        let extent = extent_of(&scene.mean[0]);
+        let mut random = Random(67);
+        let (before, share) = (rounded(random.uniform_grid(width, height, 0.0, 2.0)), rounded(random.uniform_grid(width, height, 0.0, 1.0)));
+        let buffer = run(gpu, |rec| {
+            let blended = rec.upload("blend", &packed_signal(&scene.mean, &scene.spread))?;
+            let variance = upload(rec, &scene.variance)?;
+            let candidates = upload_bank(rec, &bank, SECOND_ALONE)?;
+            let (shares, errors) = (upload(rec, &[share.clone(), share.clone()])?, upload(rec, std::slice::from_ref(&before))?);
+            error_blend_more(rec, extent, &blended, &variance, &candidates, &shares, parts, errors)
+        });
+        let part = reference::sure::Part { share: &share, mean: &bank.means[1], derivative: &bank.derivatives[1] };
+        let added = reference::sure::error_blend(&scene.mean, None, &scene.variance, &[part], None, twin_parts);
+        let expected = [before.like(|p| before.at(p) + added.at(p))];
+        assert_near("error_blend_more", &read(gpu, &buffer, extent).remove(0), &expected, &own_size(&expected, 0.0), 2e-6, 0.0);
     }
 }
 

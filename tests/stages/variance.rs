@@ -1,12 +1,12 @@
-//! `variance_rows` with `variance_scale`, and `variance_smooth`. All their sums are of positive terms, at most 441 in two steps of 21, so f32 keeps five digits.
+//! `variance_rows` with `variance_scale`, `variance_smooth` and `variance_floor`. All their sums are of positive terms, at most 441 in two steps of 21, so f32 keeps five digits.
 
 use stein::frame::half_spread;
 use stein::gpu::Gpu;
 use stein::image::{Extent, Image};
 use stein::stage::gaussian::Gaussian;
-use stein::stage::variance::{BoxWeight, INPUT_SMOOTHING, RESIDUAL_SMOOTHING, variance_scale, variance_smooth};
+use stein::stage::variance::{BoxWeight, Floor, INPUT_SMOOTHING, RESIDUAL_SMOOTHING, variance_floor, variance_scale, variance_smooth};
 
-use crate::common::{assert_near, checked_gpu, extent_of, gpu, own_size, packed, packed_signal, read, run, scene, upload};
+use crate::common::{assert_near, checked_gpu, extent_of, gpu, own_size, packed, packed_signal, read, rounded, run, scene, upload};
 use crate::reference;
 use crate::reference::random::Random;
 use crate::reference::{Grid, Planes};
@@ -107,6 +107,34 @@ fn scaled_variance_is_that_of_the_mean_and_not_of_a_half() {
                 // 9216 squared normals: a relative deviation of √(2/9216) = 0.015.
                 assert!((ratio - 1.0).abs() < 4.0 * 0.015, "halves of {samples_a} and {samples_b} samples: {ratio} times the variance of the mean");
             }
+        }
+    }
+}
+
+#[test]
+fn variance_is_held_above_the_rounding_of_bright_and_dark_values() {
+    for (gpu, width, height) in [(gpu(), 257, 89), (gpu(), 7, 300), (gpu(), 1, 1), (checked_gpu(), 31, 9)] {
+        let scene = scene(width, height, 5);
+        let extent = extent_of(&scene.mean[0]);
+        // From one side to the other six orders of magnitude darker.
+        let darker = |planes: &[Grid], power: i32| -> Planes {
+            planes.iter().map(|grid| rounded(grid.like(|p| grid.at(p) * 10f64.powi(-power * 6 * p.x as i32 / width as i32)))).collect()
+        };
+        let (mean, variance) = (darker(&scene.mean, 1), darker(&scene.variance, 2));
+        for (floor, twin) in [(Floor::Relative, reference::variance::Floor::Relative), (Floor::Absolute, reference::variance::Floor::Absolute)] {
+            let buffer = run(gpu, |rec| {
+                let signal = rec.upload("signal", &packed_signal(&mean, &scene.spread))?;
+                let variance = upload(rec, &variance)?;
+                variance_floor(rec, extent, &signal, &variance, floor)
+            });
+            let actual = read(gpu, &buffer, extent).remove(0);
+            let expected = reference::variance::floored(&mean, &variance, twin);
+            let what = format!("variance_floor, {width}×{height}, {floor:?}");
+            assert_near(&what, &actual[..3], &expected, &own_size(&expected, 0.0), 1e-5, 0.0);
+            let around = [reference::variance::brightness_around(&mean)];
+            assert_near(&what, &actual[3..], &around, &own_size(&around, 0.0), 1e-6, 0.0);
+            let held = expected[0].values.iter().zip(&variance[0].values).filter(|(floored, variance)| floored > variance).count();
+            assert!(width < 257 || held > 1000, "{what}: {held} pixels are held");
         }
     }
 }

@@ -93,6 +93,7 @@ pub(crate) fn dfc_params(params: &DfcParams) -> dfc::DfcParams {
             clamp_to_input: pass.clamp_to_input,
             most_sigmas: pass.most_sigmas.map(f64::from),
         },
+        color_only: params.color_only.then(select::Significance::default),
         keep_clean: params.keep_clean.then(CleanParams::default),
     }
 }

@@ -226,7 +226,7 @@ pub(super) fn cases() -> Vec<Case> {
 const STRIP_BYTES: fn(Subject) -> u64 = |subject| match subject {
     Subject::Dfc => 2_400_000,
     Subject::DfcThesis => 1_400_000,
-    Subject::Nlm => 600_000,
+    Subject::Nlm => 760_000,
     Subject::Gem => 1_110_000,
 };
 
@@ -453,6 +453,21 @@ fn ranges() -> Vec<Case> {
         .but(Subject::Gem, Check::Energy, 0.2, DECADES)
         .but(Subject::Gem, Check::Dark, 0.2, DECADES)
         .but(Subject::Gem, Check::Error, 2.0, DECADES),
+        Case::new("a bright part without noise beside a dark noisy one, 1e6 to 1", RADIUS, |noise| {
+            let surface = room(STANDARD);
+            Picture::sampled(STANDARD, Sampling::new(noise), move |x, y| {
+                let own = surface(x, y);
+                let bright = Surface { deviation: [0.0; 3], radiance: own.radiance.map(|value| 1e6 * value), ..own };
+                if x < 12 { bright } else { own }
+            })
+        }),
+        Case::new("texture without noise, but for one pixel", RADIUS, |noise| {
+            let surface = room(STANDARD);
+            Picture::sampled(STANDARD, Sampling::new(noise), move |x, y| {
+                let own = surface(x, y);
+                if (x, y) == (13, 9) { own } else { Surface { deviation: [0.0; 3], ..own } }
+            })
+        }),
         Case::new("all radiance of the order of 1e-8", RADIUS, scaled(1e-8)),
         Case::new("all radiance of the order of 1e8", RADIUS, scaled(1e8)),
         Case::new("denormal radiance", RADIUS, scaled(1e-40)).without_limit().within(Check::Error, 20.0, BLACK),
@@ -688,6 +703,16 @@ fn outliers() -> Vec<Case> {
         spikes("a spike in both halves that claims a small variance", &[(2, 1)], false, false).within(Check::Error, 1.1, BOTH),
         spikes("spikes of a million times the mean, clustered", &[(2, 1), (3, 1), (2, 2), (3, 2), (4, 1)], true, true),
         spikes("spikes, clustered, that claim a small variance", &[(2, 1), (3, 1), (2, 2), (3, 2), (4, 1)], false, true),
+        Case::new("fireflies beside a shadow a thousand times darker", RADIUS, |noise| {
+            Picture::sampled(STANDARD, Sampling::new(noise), |x, _| Surface::grey(if x < 12 { 1.4e3 } else { 1.4 })).without_features()
+        })
+        .changed(|picture, noise| {
+            for (x, y) in [(9, 5), (7, 14)] {
+                let pixel = picture.pixel(x, y);
+                picture.add_to_half_a(pixel, [2e4 * noise as f32; 3]);
+            }
+        })
+        .within(Check::Energy, 1.0, OUTLIER),
         Case::new("one bright pixel in each corner", RADIUS, standard)
             .changed(|picture, noise| {
                 for (x, y) in [(0, 0), (23, 0), (0, 19), (23, 19)] {

@@ -6,10 +6,10 @@
 
 use stein::{DfcParams, Estimate, Frame, GemParams, Image, Method, NlmParams};
 use stein_reference::candidates::{Candidate, finite_difference_step};
-use stein_reference::dfc::{Pass, dfc, sampling_density, second_pass};
+use stein_reference::dfc::{ColorOnly, Pass, dfc, rest_of, sampling_density, second_pass};
 use stein_reference::gaussian::gaussian_neighbours;
 use stein_reference::gem::{self, choose, decided};
-use stein_reference::keep_clean::{CleanParams, Kept, clean_shares, keep_clean, kept_error, noise};
+use stein_reference::keep_clean::{CleanParams, Kept, allowed, keep_clean, kept_error};
 use stein_reference::nlm::{FilterParams, Guide};
 use stein_reference::select::{self, Evidence};
 use stein_reference::sure::{self, smooth_errors};
@@ -153,6 +153,23 @@ impl Comparison<'_> {
         let evidence = Evidence { errors: &errors, binary_maps: &selected, sure: &sure, candidates: means, takes_part: params.takes_part, variance };
         let maps = self.layer("selection", 1.0);
         let expected = select::share(&select::smooth_maps(&selected, guide, &aside), evidence, params.guard.as_ref());
+        // Of what the filter by the colour only leaves, where it takes part.
+        let of_color_only = self.layer("color_only_share", 1.0);
+        let expected = of_color_only.first().map_or_else(|| expected.clone(), |share| rest_of(&expected, share));
+        let color_only = twin.color_only.as_ref().zip(of_color_only.first());
+        let color_only = color_only.map(|(own, share)| ColorOnly { candidate: own.candidate.clone(), share: share.clone() });
+        assert_eq!(color_only.is_some(), twin.color_only.is_some(), "the filter by the colour only takes part where it does in the reference");
+        if let (Some(own), Some(twin)) = (&color_only, &twin.color_only) {
+            self.add("color_only", &self.color("color_only"), &twin.candidate.mean, &color_size(&twin.candidate.mean), FILTERED, steep);
+            self.add(
+                "color_only_share",
+                std::slice::from_ref(&own.share),
+                std::slice::from_ref(&twin.share),
+                &flat(std::slice::from_ref(&twin.share), 1.0),
+                2e-2,
+                TURNED,
+            );
+        }
         // By what they make of the candidates: where these are the same, it does not matter which is taken.
         let apart = |i: usize, p: Point| {
             (0..3).flat_map(|j| (0..j).map(move |k| (j, k))).map(|(j, k)| (means[j][i].at(p) - means[k][i].at(p)).abs()).fold(0.0, f64::max)
@@ -171,29 +188,53 @@ impl Comparison<'_> {
             _ => None,
         };
         let pass1 = Pass { mean: blended(means), spread };
+        let more = |of: &dyn Fn(&Candidate) -> Planes, planes: Planes| -> Planes {
+            let Some(own) = &color_only else { return planes };
+            planes.iter().zip(of(&own.candidate)).map(|(plane, more)| plane.like(|p| plane.at(p) + own.share.at(p) * more.at(p))).collect()
+        };
+        let pass1 = Pass {
+            mean: more(&|own| own.mean.clone(), pass1.mean),
+            spread: pass1.spread.map(|spread| more(&|own| own.spread.clone().unwrap_or_default(), spread)),
+        };
         let actual = if pass1.spread.is_some() { self.color("pass1") } else { bridge::grids(&self.estimate.color, self.exposure) };
-        self.add("pass 1", &actual, &pass1.mean, &largest(means), AVERAGED, 0.0);
+        // The filter by the colour only is the reference's own.
+        let (relative, size) = if color_only.is_some() { (FILTERED, color_size(&pass1.mean)) } else { (AVERAGED, largest(means)) };
+        self.add("pass 1", &actual, &pass1.mean, &size, relative, if color_only.is_some() { steep } else { 0.0 });
         let weight_sums = twin.candidates.each_ref().map(|candidate| std::slice::from_ref(&candidate.weight_sum));
-        self.add("Σ w", &bridge::grids(&self.estimate.weight_sum, 1.0), &blended(weight_sums), &largest(weight_sums), 1e-3, 0.0);
+        self.add(
+            "Σ w",
+            &bridge::grids(&self.estimate.weight_sum, 1.0),
+            &more(&|own| vec![own.weight_sum.clone()], blended(weight_sums)),
+            &largest(weight_sums),
+            1e-3,
+            steep,
+        );
 
         // The error is that of the result as it is.
         let part = |k: usize| sure::Part { share: &maps[k], mean: means[k], derivative: &derivatives[k] };
         let (mean, spread) = (bridge::grids(&self.estimate.color, self.exposure), self.grids(self.estimate.half_spread.as_ref(), self.exposure));
         let spread = pass1.spread.is_some().then_some(spread.as_slice());
         let parts = sure::ErrorParts::measured(spread.is_some(), true);
-        let error = sure::error_blend(&mean, spread, variance, &[0, 1, 2].map(part), twin.squares.as_ref(), parts);
-        // Where a pixel is moved back to the input, what it was before is not told. One that stays has the input's error.
+        let of_color_only = color_only.iter().map(|own| sure::Part { share: &own.share, mean: &own.candidate.mean, derivative: &own.candidate.derivative });
+        let made_of: Vec<_> = [0, 1, 2].map(part).into_iter().chain(of_color_only).collect();
+        let error = sure::error_blend(&mean, spread, variance, &made_of, twin.squares.as_ref(), parts);
+        // Where a pixel is moved back to the input, what it was before is not told: its error is held below what the pixel may have.
         let unlimited = second_pass(&pass1, variance, &params).unwrap_or_else(|| pass1.clone());
-        let shares = clean_shares(&twin.color, &unlimited.mean, params.keep_clean.unwrap_or(CleanParams { noise: 0.0, ..CleanParams::default() }));
+        let clean = params.keep_clean.unwrap_or(CleanParams { noise: 0.0, ..CleanParams::default() });
+        let limit = allowed(&twin.color, clean);
         let actual = self.grids(self.estimate.error.as_ref(), self.exposure.powi(2));
-        let moved = |p: Point| shares.at(p) > 0.0 && shares.at(p) < 1.0;
-        let of_kept = kept_error(&error, &noise(&twin.color), &shares);
-        let error = error.like(|p| if moved(p) { actual.first().map_or(f64::NAN, |actual| actual.at(p)) } else { of_kept.at(p) });
+        let most = kept_error(&error.like(|_| f64::INFINITY), &twin.color, clean);
+        let error = match actual.first() {
+            Some(actual) if params.keep_clean.is_some() => {
+                error.like(|p| if limit.at(p).is_infinite() { error.at(p) } else { actual.at(p).min(most.at(p) * (1.0 + 1e-5)) })
+            }
+            _ => error,
+        };
         let rounded = |p: Point| (0..3).map(|i| (ROUNDED * (mean[i].at(p).abs() + apart(i, p))).powi(2) / AVERAGED).sum::<f64>();
         let size = [error.like(|p| error.at(p) + rounded(p) + 2.0 * (error.at(p) * rounded(p) / AVERAGED).sqrt() + VANISHING)];
         self.add("error", &actual, std::slice::from_ref(&error), &size, AVERAGED, 0.0);
 
-        let twin = stein_reference::dfc::Dfc { maps: maps.clone(), error: error.clone(), pass1: pass1.clone(), ..twin };
+        let twin = stein_reference::dfc::Dfc { maps: maps.clone(), color_only, error: error.clone(), pass1: pass1.clone(), ..twin };
         let density = [sampling_density(&twin, &params, bridge::samples(frame, 0.0).mean())];
         if !matches!(frame.samples_per_pixel(), stein::frame::SamplesPerPixel::PerPixel(_)) {
             let size = [density[0].like(|p| density[0].at(p) + density[0].mean() + VANISHING)];

@@ -5,14 +5,15 @@ use std::sync::Arc;
 use glam::IVec2;
 
 use super::{
-    BY_CANDIDATE, ColorOnly, DfcParams, Pass1, SECOND_ONLY, Pass2, Prepared, Wanted, Work, candidate_filter, reach_of_choice_and_second_pass, reach_of_kernels, reach_of_prefilter,
+    BY_CANDIDATE, ColorOnly, DfcParams, Pass1, Pass2, Prepared, SECOND_ONLY, Wanted, Work, candidate_filter, reach_of_choice_and_second_pass, reach_of_kernels,
+    reach_of_prefilter,
 };
 use crate::error::Result;
 use crate::gpu::{Buffer, Recorder};
-use crate::method::{FrameInput, GpuSignal};
 use crate::method::estimate::{Keeper, Lane, Shares};
 use crate::method::kernels::{Compared, KernelOnGpu, LimitOnGpu, ShareOnGpu, WeightRule, WeightsOnGpu};
 use crate::method::plan::{Plan, Step};
+use crate::method::{FrameInput, GpuSignal};
 use crate::stage::exact::Region;
 use crate::stage::nlm::{Guide, Schedule};
 use crate::stage::window::{NLM_DISTANCE, NLM_WEIGHT, WindowOfCandidates, candidate_window, nlm_window};
@@ -81,14 +82,7 @@ pub(in crate::method) fn kernels(
 }
 
 /// The kernel of SECOND without features.
-fn kernel_of_color_only(
-    rec: &mut Recorder,
-    extent: IVec2,
-    pixel: IVec2,
-    signal: &Arc<Buffer>,
-    variance: &Buffer,
-    work: Work,
-) -> Result<KernelOnGpu> {
+fn kernel_of_color_only(rec: &mut Recorder, extent: IVec2, pixel: IVec2, signal: &Arc<Buffer>, variance: &Buffer, work: Work) -> Result<KernelOnGpu> {
     let Work { params, plan, schedule, .. } = work;
     let window_radius = params.window_radius;
     let (name, averaged) = ("color_only", signal.clone());
