@@ -50,7 +50,7 @@ fn is_noisy(at: i32) -> bool {
 #else
     let variance = vec3<f32>(0.0);
 #endif
-    return has_noise(signal[params.extent.x * params.extent.y + at].xyz, variance);
+    return has_noise(signal[at].xyz, signal[params.extent.x * params.extent.y + at].xyz, variance);
 }
 
 // Whether the pixel at q is of the same kind.

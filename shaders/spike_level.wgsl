@@ -51,6 +51,6 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
 #else
     let variance = vec3<f32>(0.0);
 #endif
-    let noisy = has_noise(signal[extent.x * extent.y + at].xyz, variance);
+    let noisy = has_noise(signal[at].xyz, signal[extent.x * extent.y + at].xyz, variance);
     levels[at] = vec4<f32>(max(level, 0.0), select(0.0, 1.0, noisy), 0.0, 0.0);
 }

@@ -21,9 +21,14 @@ struct SpikeParams {
     triple_weights: array<vec4<f32>, 8>,
 }
 
-// What has no noise is what it is: it is no spike, and gets nothing of one. A spread counts before it is squared, which may leave nothing of it.
-fn has_noise(spread: vec3<f32>, variance: vec3<f32>) -> bool {
-    return any(abs(spread) + variance > vec3<f32>(0.0));
+// What has next to no noise is what it is: it is no spike, and gets nothing of one. A thousandth of its value is next to none, as for keep_clean. A spread counts before it is
+// squared, which may leave nothing of it.
+fn has_noise(value: vec3<f32>, spread: vec3<f32>, variance: vec3<f32>) -> bool {
+    return largest(max(abs(spread), sqrt(variance))) > 1e-3 * largest(abs(value));
+}
+
+fn largest(color: vec3<f32>) -> f32 {
+    return max(color.x, max(color.y, color.z));
 }
 
 // Of one pixel's prefiltered features, four channels.

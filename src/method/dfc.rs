@@ -202,7 +202,7 @@ impl Prepared {
 
         // Sample variance scaling.
         plan.begins(rec, Step::Variance);
-        let variance_of = |rec: &mut Recorder, color: &GpuSignal| guide_variance(rec, extent, color, params.box_weight, Floor::Relative);
+        let variance_of = |rec: &mut Recorder, color: &GpuSignal| guide_variance(rec, extent, color, params.box_weight, Floor::of_color(params.keep_clean));
         let variance = variance_of(rec, &color)?;
         keeper.keep(Intermediate::Variance, "scaled_variance", &RGB, Unit::ColorSquared, &variance, 0);
         let variances_beside = colors_beside.iter().map(|color| variance_of(rec, color)).collect::<Result<Vec<_>>>()?;
@@ -379,7 +379,7 @@ impl Pass2 {
         let Some(second_pass) = params.second_pass.filter(|_| plan.begins(rec, Step::SecondPass)) else { return Ok(None) };
         let SecondPass { clamp_to_input, most_sigmas, .. } = second_pass;
         let left_variance = variance_smooth(rec, extent, pass1, RESIDUAL_SMOOTHING, clamp_to_input.then_some(variance))?;
-        let left_variance = variance_floor(rec, extent, pass1, &left_variance, Floor::Relative)?;
+        let left_variance = variance_floor(rec, extent, pass1, &left_variance, Floor::of_color(params.keep_clean))?;
         let (filter, grey) = (second_pass_filter(&second_pass, params.window_radius), work.is_grey());
         let guide = Guide { grey, exact: plan.exact(&Step::SecondPass), wanted: wanted.result, ..filter.guide(pass1, &left_variance, 3) };
         let payload = Payload { lanes: if grey { Lanes::Grey } else { Lanes::All }, ..Payload::new(pass1, 2) };
@@ -480,7 +480,8 @@ pub(super) fn footprint(params: &DfcParams, facts: &Facts, kept: bool, schedule:
     // Candidates, SURE, errors and weights 2, selected, smoothed and weights 2, blend 2; variance, second pass and weights 3. Before the error and what is chosen of the
     // passes 3, what belongs to the choice is given back.
     // The filter by the colour only: 2 and its derivatives 3, differences and their average 3, blend 2, shares 1.
-    let color_only = if params.color_only && has_features_without_noise(facts) { 11 } else { 0 };
+    let with_color_only = params.color_only && has_features_without_noise(facts);
+    let color_only = if with_color_only { 11 } else { 0 };
     let later = color + CANDIDATE_PLANES + 12 + color_only;
     // Prefiltered features and residual variances, the sampling density and its weights; of each feature, the values that were taken as they are.
     let kept = if kept { 5 * channels.len() as u64 + 3 } else { 0 };
@@ -489,7 +490,7 @@ pub(super) fn footprint(params: &DfcParams, facts: &Facts, kept: bool, schedule:
     let offsets_in_a_row = u64::from(2 * params.window_radius + 1);
     let running_sums = schedule.scratch_bytes * u64::from(STATE_PLANES) / offsets_in_a_row;
     Footprint {
-        halo: halo(params) as usize,
+        halo: halo_with(params, with_color_only) as usize,
         live_planes: prefilter.max(spikes).max(found + candidates.max(later)) + kept,
         largest_planes: packed.max(3),
         scratch_bytes: 2 * schedule.scratch_bytes + running_sums,
@@ -533,8 +534,13 @@ pub(super) fn reach_of_kernels(params: &DfcParams, plan: &Plan) -> u32 {
     reach_of_candidates(params) + reach_of_choice_and_second_pass(params, plan)
 }
 
+/// Of frames in which the filter by the colour only may take part, where the parameters let it.
 pub(super) fn halo(params: &DfcParams) -> u32 {
+    halo_with(params, params.color_only)
+}
+
+fn halo_with(params: &DfcParams, color_only: bool) -> u32 {
     let density = DENSITY_SMOOTHING.window_radius + DENSITY_SMOOTHING.patch_radius;
-    let color_only = if params.color_only { Significance::MEASURED.smoothing.radius } else { 0 };
+    let color_only = if color_only { Significance::MEASURED.smoothing.radius } else { 0 };
     reach_of_candidates(params) + reach_of_choice() + color_only + reach_of_second_pass(params).max(density)
 }

@@ -223,7 +223,7 @@ impl Prepared {
                 Arc::new(rec.upload("uniform variance", &of_channels.extend(0.0).to_array().repeat((extent.x * extent.y) as usize))?)
             }
         };
-        let variance = Arc::new(variance_floor(rec, extent, &color.signal, &variance, Floor::Relative)?);
+        let variance = Arc::new(variance_floor(rec, extent, &color.signal, &variance, Floor::of_color(params.keep_clean))?);
         let signal = sample_attach(rec, extent, &color.signal, &samples)?;
         let halves = plan.begins(rec, Step::Halves).then(|| half_split(rec, extent, &signal, &variance)).transpose()?;
         Ok(Self { color, signal, variance, halves, spikes })
@@ -247,7 +247,7 @@ fn cross_filtered_variance(rec: &mut Recorder, extent: IVec2, color: &GpuSignal,
         return input_variance(rec, extent, color, BoxWeight::Deviation);
     };
     let VariancePair { two_buffer_variance, uncertainty } = variance_pair(rec, extent, &color.signal, sample_variance)?;
-    let uncertainty = variance_floor(rec, extent, sample_variance, &uncertainty, Floor::Relative)?;
+    let uncertainty = variance_floor(rec, extent, sample_variance, &uncertainty, Floor::Printed)?;
     let guide = Guide { alpha: VARIANCE_ALPHA, ..Guide::new(sample_variance, &uncertainty, 3, VARIANCE_K, VARIANCE_PATCH_RADIUS) };
     let filtered = nlm_filter(rec, extent, &guide, &Payload::new(&two_buffer_variance, 1), VARIANCE_WINDOW_RADIUS, weighting, false, schedule)?;
     Ok(Arc::new(variance_clamp(rec, extent, &filtered.planes, sample_variance)?))

@@ -118,8 +118,17 @@ pub enum Floor {
     /// in the 3×3 pixels around it. For radiance, whose dark parts count as much as its bright ones. Measured at 8 spp against the ε of 10⁻¹⁰: `cornell` has 0.9 % less error,
     /// `caustic_ring` 0.1 % more. With less, few pixels beside the lamp of `cornell` decide, and it has up to 6 % more; with three times as much around, `caustic_ring` has 2 % more.
     Relative,
+    /// The square of 10⁻⁵ times the brightness around the pixel: the ε of eq. 7.4, where the brightness is of the order of 1.
+    Printed,
     /// (10⁻⁵)²: for features in unit range.
     Absolute,
+}
+
+impl Floor {
+    /// That of the colour: where pixels without noise are kept, those with less than a thousandth of it need not be told apart.
+    pub fn of_color(keep_clean: bool) -> Self {
+        if keep_clean { Self::Relative } else { Self::Printed }
+    }
 }
 
 /// The variance of a signal, channel by channel, held above a floor. One plane; in its w the brightness around each pixel as [`Floor::Relative`] has it, from which the candidates take
@@ -130,6 +139,7 @@ pub enum Floor {
 pub fn variance_floor(rec: &mut Recorder, extent: IVec2, signal: &Buffer, variance: &Buffer, floor: Floor) -> Result<Buffer> {
     let (own, around, absolute) = match floor {
         Floor::Relative => (1e-3, 1e-4, 0.0),
+        Floor::Printed => (0.0, 1e-5, 0.0),
         Floor::Absolute => (0.0, 0.0, 1e-5),
     };
     let floored_variance = rec.take("floored variance", plane_bytes(extent, 1))?;

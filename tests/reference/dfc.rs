@@ -7,7 +7,7 @@ use super::prefilter::{Prefiltered, prefilter};
 use super::select::{self, Evidence, Guard, Significance, color_only_share, differences, select, share, smooth_maps};
 use super::spike::{self, SpikeParams};
 use super::sure::{self, ErrorParts, Part, error_blend, smooth_errors, sure};
-use super::variance::{BoxWeight, Floor, Signal, buffer_var, floored, input_variance};
+use super::variance::{BoxWeight, Signal, buffer_var, floored, input_variance, of_color};
 use super::{Grid, Planes};
 
 /// What a candidate has of its own.
@@ -173,7 +173,7 @@ pub fn dfc(frame: &Frame, params: &DfcParams) -> Dfc {
         Some(repaired) => (repaired.signal, Some(repaired.taken), Some(repaired.squares)),
         None => (frame.color.clone(), None, None),
     };
-    let color_variance = floored(&color.mean, &input_variance(&color, params.box_weight), Floor::Relative);
+    let color_variance = floored(&color.mean, &input_variance(&color, params.box_weight), of_color(params.keep_clean.is_some()));
 
     // Lines 11–17: candidate filters.
     let candidates =
@@ -212,7 +212,7 @@ pub fn dfc(frame: &Frame, params: &DfcParams) -> Dfc {
         let of_each = [0, 1, 2].map(|k| derivatives[k]);
         let of_blend = sure::sure(&color.mean, &color_variance, &pass1.mean, &blend_channels(&maps, of_each), params.covariance);
         let of_color_only = sure::sure(&color.mean, &color_variance, &candidate.mean, &candidate.derivative, params.covariance);
-        let share = color_only_share(&differences(&of_color_only, &of_blend), significance);
+        let share = color_only_share(&differences(&of_color_only, &of_blend, &color_variance), significance);
         ColorOnly { candidate, share }
     });
     let (maps, pass1) = match &color_only {
@@ -284,7 +284,7 @@ pub fn second_pass(pass1: &Pass, input_variance: &[Grid], params: &DfcParams) ->
     if own.clamp_to_input {
         variance = variance.iter().zip(input_variance).map(|(residual, input)| residual.like(|p| residual.at(p).min(input.at(p)))).collect();
     }
-    let variance = floored(&pass1.mean, &variance, Floor::Relative);
+    let variance = floored(&pass1.mean, &variance, of_color(params.keep_clean.is_some()));
     let full = params.window_radius;
     let filter = params.filter(
         if own.half_radius { full.div_ceil(2) } else { full },

@@ -4,7 +4,7 @@ use super::gaussian::gaussian;
 use super::keep_clean::{CleanParams, Kept, keep_clean};
 use super::nlm::{CentreWeight, Guide, Pair, WindowWeights, blendable, half_window, weight};
 use super::spike::{self, SpikeParams};
-use super::variance::{BoxWeight, Floor, Signal, floored, input_variance};
+use super::variance::{BoxWeight, Floor, Signal, floored, input_variance, of_color};
 use super::{Grid, Planes, Point, map_pixels, square};
 
 /// ε of eq. 7.4.
@@ -180,7 +180,7 @@ pub fn nlm(color: &Signal, params: &NlmParams, samples: &Grid) -> Nlm {
         }
     };
 
-    let variance = floored(&color.mean, &variance, Floor::Relative);
+    let variance = floored(&color.mean, &variance, of_color(params.keep_clean.is_some()));
 
     // Section 7.1.1, dual-buffer filtering.
     // With it, Σ w·n / Σ w: the samples that contribute to a filtered value, per pixel of its support.
@@ -236,7 +236,7 @@ pub fn cross_filtered(color: &Signal, filter: &Filter) -> Planes {
     let (Some(claimed), Some(spread)) = (&color.sample_variance, &color.spread) else { return input_variance(color, BoxWeight::Deviation) };
     let two_buffer: Planes = spread.iter().map(squared).collect();
     let uncertainty: Planes = claimed.iter().map(local_variance).collect();
-    let uncertainty = floored(claimed, &uncertainty, Floor::Relative);
+    let uncertainty = floored(claimed, &uncertainty, Floor::Printed);
     let own = Filter { window_radius: 1, patch_radius: 3, k: 0.45, alpha: 4.0, patchwise: false, cut: 0.0, ..*filter };
     at_most_claimed(filtered(&two_buffer, &windows(Guide { mean: claimed, variance: &uncertainty }, &own)), color)
 }

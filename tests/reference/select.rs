@@ -133,9 +133,13 @@ impl Default for Significance {
     }
 }
 
-/// By how much SURE of the one filter exceeds that of the other.
-pub fn differences(of_color_only: &Grid, of_blend: &Grid) -> Grid {
-    of_color_only.like(|p| (of_color_only.at(p) - of_blend.at(p)).clamp(-1e15, 1e15))
+/// By how much SURE of the one filter exceeds that of the other; 0 where float32 could not tell them apart.
+pub fn differences(of_color_only: &Grid, of_blend: &Grid, variance: &[Grid]) -> Grid {
+    of_color_only.like(|p| {
+        let (a, b) = (of_color_only.at(p), of_blend.at(p));
+        let terms = a.abs() + b.abs() + variance.iter().map(|plane| plane.at(p)).sum::<f64>();
+        if (a - b).abs() > 1e-5 * terms { (a - b).clamp(-1e15, 1e15) } else { 0.0 }
+    })
 }
 
 /// The share of the filter by the colour only: how many standard errors the average difference lies below 0. Σ w² of a Gaussian is 1/(4πσ²).

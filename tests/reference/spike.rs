@@ -153,9 +153,12 @@ fn falloff(params: &SpikeParams, p: Point, q: Point) -> f64 {
     (1.0 - squared(p.x, q.x) - squared(p.y, q.y)).max(0.0)
 }
 
-/// What has no noise is what it is.
+/// What has next to no noise, a thousandth of its value, is what it is.
 fn is_noisy(color: &Signal, p: Point) -> bool {
-    [&color.spread, &color.sample_variance].into_iter().flatten().flatten().any(|plane| plane.at(p) != 0.0)
+    let largest = |planes: &Planes, size: fn(f64) -> f64| planes.iter().map(|plane| size(plane.at(p))).fold(0.0, f64::max);
+    let spread = color.spread.as_ref().map_or(0.0, |spread| largest(spread, f64::abs));
+    let deviation = color.sample_variance.as_ref().map_or(0.0, |variance| largest(variance, f64::sqrt));
+    spread.max(deviation) > 1e-3 * largest(&color.mean, f64::abs)
 }
 
 /// Pixels of one kind: the distance of no feature (eq. 8.3, scaled by both pixels) is above 1.

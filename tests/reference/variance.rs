@@ -55,17 +55,28 @@ pub fn input_variance(signal: &Signal, weight: BoxWeight) -> Planes {
 /// What a variance is held above, instead of an ε in eq. 7.4.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Floor {
-    /// For radiance.
+    /// For radiance, where pixels without noise are kept.
     Relative,
+    /// For radiance: the ε of eq. 7.4.
+    Printed,
     /// For features in unit range.
     Absolute,
+}
+
+/// The floor of the colour.
+pub fn of_color(keep_clean: bool) -> Floor {
+    if keep_clean { Floor::Relative } else { Floor::Printed }
 }
 
 /// The variance of a mean, held above the square of a thousandth of a pixel's brightness or of a ten-thousandth of that around it; of a feature, above next to nothing.
 pub fn floored(mean: &[Grid], variance: &[Grid], floor: Floor) -> Planes {
     let around = brightness_around(mean);
     let own = |p: Point| mean.iter().map(|plane| plane.at(p).abs()).fold(0.0, f64::max);
-    let least_deviation = |p: Point| if floor == Floor::Relative { (1e-3 * own(p)).max(1e-4 * around.at(p)) } else { 1e-5 };
+    let least_deviation = |p: Point| match floor {
+        Floor::Relative => (1e-3 * own(p)).max(1e-4 * around.at(p)),
+        Floor::Printed => 1e-5 * around.at(p),
+        Floor::Absolute => 1e-5,
+    };
     variance.iter().map(|variance| variance.like(|p| variance.at(p).max(least_deviation(p).powi(2)))).collect()
 }
 

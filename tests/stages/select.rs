@@ -187,7 +187,7 @@ fn sure_of_a_blend_is_compared_with_that_of_one_filter_more() {
         let derivative: Planes = (0..3).map(mixed).collect();
         let of_blend = reference::sure::sure(&scene.mean, &scene.variance, &bank.means[0], &derivative, 1.5);
         let of_other = reference::sure::sure(&scene.mean, &scene.variance, &other.means[1], &other.derivatives[1], 1.5);
-        let difference = reference::select::differences(&of_other, &of_blend);
+        let difference = reference::select::differences(&of_other, &of_blend, &scene.variance);
         let terms = |p: Point| {
             let term = |i: usize| {
                 let residuals = (bank.means[0][i].at(p) - scene.mean[i].at(p)).powi(2) + (other.means[1][i].at(p) - scene.mean[i].at(p)).powi(2);

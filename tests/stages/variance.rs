@@ -121,7 +121,8 @@ fn variance_is_held_above_the_rounding_of_bright_and_dark_values() {
             planes.iter().map(|grid| rounded(grid.like(|p| grid.at(p) * 10f64.powi(-power * 6 * p.x as i32 / width as i32)))).collect()
         };
         let (mean, variance) = (darker(&scene.mean, 1), darker(&scene.variance, 2));
-        for (floor, twin) in [(Floor::Relative, reference::variance::Floor::Relative), (Floor::Absolute, reference::variance::Floor::Absolute)] {
+        use reference::variance::Floor as Twin;
+        for (floor, twin) in [(Floor::Relative, Twin::Relative), (Floor::Printed, Twin::Printed), (Floor::Absolute, Twin::Absolute)] {
             let buffer = run(gpu, |rec| {
                 let signal = rec.upload("signal", &packed_signal(&mean, &scene.spread))?;
                 let variance = upload(rec, &variance)?;

@@ -224,6 +224,8 @@ impl Comparison<'_> {
         let limit = allowed(&twin.color, clean);
         let actual = self.grids(self.estimate.error.as_ref(), self.exposure.powi(2));
         let most = kept_error(&error.like(|_| f64::INFINITY), &twin.color, clean);
+        // The density is made of it as it was before.
+        let of_passes = error.clone();
         let error = match actual.first() {
             Some(actual) if params.keep_clean.is_some() => {
                 error.like(|p| if limit.at(p).is_infinite() { error.at(p) } else { actual.at(p).min(most.at(p) * (1.0 + 1e-5)) })
@@ -234,7 +236,7 @@ impl Comparison<'_> {
         let size = [error.like(|p| error.at(p) + rounded(p) + 2.0 * (error.at(p) * rounded(p) / AVERAGED).sqrt() + VANISHING)];
         self.add("error", &actual, std::slice::from_ref(&error), &size, AVERAGED, 0.0);
 
-        let twin = stein_reference::dfc::Dfc { maps: maps.clone(), color_only, error: error.clone(), pass1: pass1.clone(), ..twin };
+        let twin = stein_reference::dfc::Dfc { maps: maps.clone(), color_only, error: of_passes, pass1: pass1.clone(), ..twin };
         let density = [sampling_density(&twin, &params, bridge::samples(frame, 0.0).mean())];
         if !matches!(frame.samples_per_pixel(), stein::frame::SamplesPerPixel::PerPixel(_)) {
             let size = [density[0].like(|p| density[0].at(p) + density[0].mean() + VANISHING)];
