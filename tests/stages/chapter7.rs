@@ -8,7 +8,7 @@ use stein::stage::sample::{GpuSamples, sample_attach};
 use stein::stage::variance::{variance_clamp, variance_pair};
 
 use crate::FILTERED;
-use crate::common::{Scene, assert_near, bits, calm_scene, checked_gpu, extent_of, gpu, own_size, packed_signal, read, run, scene, schedules, upload};
+use crate::common::{Scene, assert_near, bits, calm_scene, checked_gpu, extent_of, gpu, own_size, packed_signal, read, rounded, run, scene, schedules, upload};
 use crate::nlm::twin_of;
 use crate::reference::nlm::WindowWeights;
 use crate::reference::nlm_method::{self, Filter, local_variance};
