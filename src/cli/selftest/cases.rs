@@ -86,6 +86,7 @@ const OUTLIER: &str = "the energy of a spike is no part of the image, and what i
 const SPREAD: &str = "halves travel as mean and half spread: beside a million, the last digits of the other half are lost";
 const FLOOR: &str = "differences below a thousandth of a pixel's brightness are not told apart, so that a correction of that size stays";
 const KEPT: &str = "what has no noise keeps its light, while its neighbours average over it";
+const HUGE: &str = "errors of filters that differ by next to nothing beside the claim are told apart by rounding";
 const MOVED: &str = "a pixel with next to no noise is moved back by the root of a quotient, whose last digits are lost";
 const RENDER: &str = "its outliers hold that much of the energy, and go";
 
@@ -405,7 +406,12 @@ fn noise_told_wrong() -> Vec<Case> {
         Case::new("a clean colour with a huge variance, without halves", RADIUS, |_| standard(0.0).without_halves()),
     ];
     cases.extend(clean.into_iter().map(|case| {
-        let case = case.changed(huge).but(Subject::Dfc, Check::Error, 3e5, CLAIM).but(Subject::DfcThesis, Check::Error, 4e4, CLAIM);
+        let case = case.changed(huge).but(Subject::Dfc, Check::Error, 3e5, CLAIM).but(Subject::Dfc, Check::Twin, 100.0, HUGE).but(
+            Subject::DfcThesis,
+            Check::Error,
+            4e4,
+            CLAIM,
+        );
         case.but(Subject::Nlm, Check::Error, 1e6, CLAIM).but(Subject::Gem, Check::Error, 1.3e6, CLAIM)
     }));
     cases.push(Case::new("identical halves, with variance", RADIUS, standard).changed(|picture, _| {
@@ -485,7 +491,8 @@ fn ranges() -> Vec<Case> {
         Case::new("radiance at the end of what is taken for finite", RADIUS, scaled(1e17)),
         Case::new("radiance at the limits of half floats", RADIUS, |noise| {
             Picture::sampled(STANDARD, Sampling::new(noise), |x, y| Surface::grey(if (x / 6 + y / 5) % 2 == 0 { 65504.0 } else { 6e-8 }))
-        }),
+        })
+        .but(Subject::DfcThesis, Check::Error, 3e8, THIRD),
         Case::new("written as half floats", RADIUS, |noise| {
             let mut picture = standard(noise);
             let half = |value: &mut f32| {

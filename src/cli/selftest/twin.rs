@@ -166,7 +166,7 @@ impl Comparison<'_> {
                 std::slice::from_ref(&own.share),
                 std::slice::from_ref(&twin.share),
                 &flat(std::slice::from_ref(&twin.share), 1.0),
-                2e-2,
+                0.1,
                 TURNED,
             );
         }
