@@ -234,7 +234,9 @@ impl Comparison<'_> {
         };
         let rounded = |p: Point| (0..3).map(|i| (ROUNDED * (mean[i].at(p).abs() + apart(i, p))).powi(2) / AVERAGED).sum::<f64>();
         let size = [error.like(|p| error.at(p) + rounded(p) + 2.0 * (error.at(p) * rounded(p) / AVERAGED).sqrt() + VANISHING)];
-        self.add("error", &actual, std::slice::from_ref(&error), &size, AVERAGED, 0.0);
+        // The filter by the colour only is the reference's own, with its rounding.
+        let relative = if color_only.is_some() { SQUARED } else { AVERAGED };
+        self.add("error", &actual, std::slice::from_ref(&error), &size, relative, 0.0);
 
         let twin = stein_reference::dfc::Dfc { maps: maps.clone(), color_only, error: of_passes, pass1: pass1.clone(), ..twin };
         let density = [sampling_density(&twin, &params, bridge::samples(frame, 0.0).mean())];
