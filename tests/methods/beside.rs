@@ -105,11 +105,13 @@ fn fireflies_do_not_light_up_the_shadow_beside_them() {
     }
 }
 
+type IsNoisy = fn(Point) -> bool;
+
 #[test]
 fn pixels_without_noise_stay_beside_noise() {
     let truth = colored(texture);
     let noisy = sampled(&truth, 22);
-    let regions: [(&str, fn(Point) -> bool); 3] =
+    let regions: [(&str, IsNoisy); 3] =
         [("one pixel", |p| (p.x, p.y) == (60, 60)), ("the lower part", |p| p.y >= 40), ("every other column", |p| p.x % 2 == 1)];
     for (what, is_noisy) in regions {
         // Rounding to float32 is not noise; neither is a variance of that size.
