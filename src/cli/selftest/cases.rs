@@ -219,8 +219,7 @@ pub(super) fn cases() -> Vec<Case> {
     cases.extend(noise_told_wrong());
     cases.extend(ranges());
     cases.extend(samples());
-    const MORE: &str = "sums of weights of a filter more are those of the reference";
-    cases.extend(features().into_iter().map(|case| case.of_features().but(Subject::Dfc, Check::Twin, 2.0, MORE)));
+    cases.extend(features().into_iter().map(Case::of_features));
     cases.extend(windows().into_iter().map(Case::repeated));
     cases.extend(outliers());
     cases.extend(renders().into_iter().map(Case::repeated));
@@ -445,6 +444,27 @@ fn noise_told_wrong() -> Vec<Case> {
             })
             .refused(&["half B", "empty"]),
     );
+    cases.push(
+        Case::new("half A is empty, and there is no variance", RADIUS, standard)
+            .changed(|picture, _| {
+                picture.color.mean = picture.half_b().clone();
+                picture.half_a().planes.iter_mut().flatten().for_each(|value| *value = 0.0);
+                picture.color.variance_of_mean = None;
+            })
+            .refused(&["half A", "empty"]),
+    );
+    // The only source that tells of the noise tells nothing.
+    const UNKNOWN: &[&str] = &["nothing is known of the colour's noise", "no usable value", "left out", "image viewer"];
+    for (what, value) in [("NaN", f32::NAN), ("infinity", f32::INFINITY)] {
+        let fill = move |image: &mut Image| image.planes.iter_mut().flatten().for_each(|v| *v = value);
+        let variance = Case::new(format!("{what} in all of the variance, without halves"), RADIUS, |noise| standard(noise).without_halves());
+        cases.push(variance.changed(move |picture, _| fill(picture.variance())).refused(UNKNOWN));
+        let half = Case::new(format!("{what} in all of a half, without variance"), RADIUS, standard).changed(move |picture, _| {
+            fill(picture.half_a());
+            picture.color.variance_of_mean = None;
+        });
+        cases.push(half.refused(UNKNOWN));
+    }
     cases.push(Case::new("low-discrepancy samples: the variance is four times too large", RADIUS, standard).changed(|picture, _| {
         picture.variance().planes.iter_mut().flatten().for_each(|value| *value *= 4.0);
     }));

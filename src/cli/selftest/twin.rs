@@ -201,14 +201,9 @@ impl Comparison<'_> {
         let (relative, size) = if color_only.is_some() { (FILTERED, color_size(&pass1.mean)) } else { (AVERAGED, largest(means)) };
         self.add("pass 1", &actual, &pass1.mean, &size, relative, if color_only.is_some() { steep } else { 0.0 });
         let weight_sums = twin.candidates.each_ref().map(|candidate| std::slice::from_ref(&candidate.weight_sum));
-        self.add(
-            "Σ w",
-            &bridge::grids(&self.estimate.weight_sum, 1.0),
-            &more(&|own| vec![own.weight_sum.clone()], blended(weight_sums)),
-            &largest(weight_sums),
-            1e-3,
-            steep,
-        );
+        let with_more = |sums: Planes| more(&|own| vec![own.weight_sum.clone()], sums);
+        let (expected, size) = (with_more(blended(weight_sums)), with_more(largest(weight_sums)));
+        self.add("Σ w", &bridge::grids(&self.estimate.weight_sum, 1.0), &expected, &size, 1e-3, steep);
 
         // The error is that of the result as it is.
         let part = |k: usize| sure::Part { share: &maps[k], mean: means[k], derivative: &derivatives[k] };
