@@ -3,7 +3,7 @@
 // Weights alone do not see to it. A patch that differs in one pixel can be near, and what a neighbour with noise may be by its own variance says nothing of a pixel that has none.
 //
 // A black pixel without noise may be one that all samples missed the light in. It is taken to be black only where nothing but such pixels is around it.
-#import stein::planes::{inside, pixel_index}
+#import stein::planes::{clamped_index, pixel_index}
 
 struct KeepCleanParams {
     extent: vec2<i32>,
@@ -34,26 +34,22 @@ struct KeepCleanParams {
 
 const ANY: f32 = 3.4e38;
 
-fn spread_squared(at: i32) -> f32 {
-    let spread = signal[params.extent.x * params.extent.y + at].xyz;
+// Of the nearest pixel of the image: beyond its border that is one that counts anyway.
+fn spread_squared(p: vec2<i32>) -> f32 {
+    let spread = signal[params.extent.x * params.extent.y + clamped_index(p, params.extent)].xyz;
     return dot(spread, spread);
 }
 
 // Σ over the channels of the variance that the samples of a pixel show. Halves alone may agree by accident, so that those of the pixels beside have a say too.
 fn noise_at(p: vec2<i32>) -> f32 {
-    let at = pixel_index(p, params.extent);
 #ifdef VARIANCE
+    let at = pixel_index(p, params.extent);
     let spread = signal[params.extent.x * params.extent.y + at].xyz;
     return dot(max(sample_variance[at].xyz, spread * spread), vec3<f32>(1.0));
 #else
-    var noise = spread_squared(at);
-    for (var side = 0; side < 4; side++) {
-        let q = p + vec2<i32>(select(0, 1 - (side & 2), (side & 1) == 0), select(0, 1 - (side & 2), (side & 1) == 1));
-        if inside(q, params.extent) {
-            noise = max(noise, spread_squared(pixel_index(q, params.extent)));
-        }
-    }
-    return noise;
+    let along_x = max(spread_squared(p - vec2<i32>(1, 0)), spread_squared(p + vec2<i32>(1, 0)));
+    let along_y = max(spread_squared(p - vec2<i32>(0, 1)), spread_squared(p + vec2<i32>(0, 1)));
+    return max(spread_squared(p), max(along_x, along_y));
 #endif
 }
 
@@ -104,7 +100,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     let correction = mean.xyz - own;
     let squared = dot(correction, correction);
     let share = select(1.0, sqrt(allowed / squared), squared > allowed);
-    kept[at] = vec4<f32>(own + share * (mean.xyz - own), mean.w);
+    kept[at] = vec4<f32>(own + share * correction, mean.w);
     kept[pixels + at] = vec4<f32>(own_spread + share * (spread.xyz - own_spread), spread.w);
 #ifdef ERROR
     // What moves so little has no more error than its noise and the way that it may go.

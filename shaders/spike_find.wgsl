@@ -19,7 +19,7 @@ const FEATURE_GROUPS: i32 = #{FEATURE_GROUPS};
 @group(0) @binding(4) var<storage, read_write> repaired_variance: array<vec4<f32>>;
 #endif
 @group(0) @binding(5) var<storage, read_write> repaired: array<vec4<f32>>;
-// Three planes, of which the first is written here: what is taken from each pixel, 0 where it is no spike.
+// Three planes, of which two are written here: what is taken from each pixel, 0 where it is no spike; behind it, in w, 1 for a pixel with noise, else 0.
 @group(0) @binding(6) var<storage, read_write> spikes: array<vec4<f32>>;
 
 // Of the halves alone, whose squared spread is as likely too small as too large.
@@ -43,15 +43,6 @@ fn features_at(at: i32, group: i32) -> SpikeFeatures {
     return SpikeFeatures(features[plane], features[plane + pixels], features[plane + 2 * pixels]);
 }
 #endif
-
-fn is_noisy(at: i32) -> bool {
-#ifdef VARIANCE
-    let variance = sample_variance[at].xyz;
-#else
-    let variance = vec3<f32>(0.0);
-#endif
-    return has_noise(signal[at].xyz, signal[params.extent.x * params.extent.y + at].xyz, variance);
-}
 
 // Whether the pixel at q is of the same kind.
 fn is_like(at_p: i32, at_q: i32) -> bool {
@@ -77,10 +68,16 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     let last = min(p + params.window_radius, extent - 1);
     let own = signal[at_p].xyz;
     let own_brightness = brightness(own);
+#ifdef VARIANCE
+    let sampled = sample_variance[at_p].xyz;
+#else
+    let sampled = vec3<f32>(0.0);
+#endif
+    let is_noisy = has_noise(own, signal[pixels + at_p].xyz, sampled, params.least_noise);
 
     // Two neighbours may be parts of the same spike: the third brightest is the first that shows how bright pixels of this kind are. Most pixels are no brighter than that, which
     // is found out early.
-    var brighter = select(3, 0, is_noisy(at_p));
+    var brighter = select(3, 0, is_noisy);
     for (var y = first.y; y <= last.y && brighter < 3; y++) {
         for (var x = first.x; x <= last.x && brighter < 3; x++) {
             let at_q = pixel_index(vec2<i32>(x, y), extent);
@@ -145,6 +142,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
         repaired[pixels + at_p] = spread;
     }
     spikes[at_p] = vec4<f32>(excess, 0.0);
+    spikes[pixels + at_p] = vec4<f32>(0.0, 0.0, 0.0, select(0.0, 1.0, is_noisy));
 #ifdef VARIANCE
     repaired_variance[at_p] = select(sample_variance[at_p], vec4<f32>(level_variance, 0.0), is_spike);
 #endif

@@ -1,7 +1,7 @@
 // Holds a variance above the rounding of the values it belongs to, so that distances divide by no zero and depend on nothing but the pixels they compare (eq. 7.4).
 //
 // An ε of one size for the whole image would blur what is dark beside something bright: there every squared difference is smaller than ε.
-#import stein::planes::{pixel_index}
+#import stein::planes::{largest_channel, pixel_index}
 
 struct VarianceFloorParams {
     extent: vec2<i32>,
@@ -19,10 +19,6 @@ struct VarianceFloorParams {
 // In w the brightness around the pixel: the largest magnitude of any channel in the 3×3 pixels around it. Finite differences take their least step from it.
 @group(0) @binding(3) var<storage, read_write> floored_variance: array<vec4<f32>>;
 
-fn largest(color: vec3<f32>) -> f32 {
-    return max(color.x, max(color.y, color.z));
-}
-
 @compute @workgroup_size(32, 2, 1)
 fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     let extent = params.extent;
@@ -39,7 +35,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
         }
     }
     let at = pixel_index(p, extent);
-    let around = largest(most);
-    let least = max(max(params.own * largest(abs(signal[at].xyz)), params.around * around), params.absolute);
+    let around = largest_channel(most);
+    let least = max(max(params.own * largest_channel(abs(signal[at].xyz)), params.around * around), params.absolute);
     floored_variance[at] = vec4<f32>(max(variance[at].xyz, vec3<f32>(least * least)), around);
 }

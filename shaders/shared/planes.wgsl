@@ -13,3 +13,7 @@ fn pixel_index(p: vec2<i32>, extent: vec2<i32>) -> i32 {
 fn clamped_index(p: vec2<i32>, extent: vec2<i32>) -> i32 {
     return pixel_index(clamp(p, vec2<i32>(0), extent - 1), extent);
 }
+
+fn largest_channel(color: vec3<f32>) -> f32 {
+    return max(color.x, max(color.y, color.z));
+}

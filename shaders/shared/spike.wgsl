@@ -1,5 +1,6 @@
 // What the stages that find and spread spikes share: their parameters, and which pixels count as of one kind by their features.
 #define_import_path stein::spike
+#import stein::planes::{largest_channel}
 
 struct SpikeParams {
     extent: vec2<i32>,
@@ -12,6 +13,8 @@ struct SpikeParams {
     prominence: f32,
     // How many samples a spike rests on at the most.
     most_samples: f32,
+    // Noise from which on a pixel takes part: its standard deviation in parts of its value.
+    least_noise: f32,
     // The part of the level that a spike adds to its surroundings at the most.
     share_limit: f32,
     // 1 / k_f² and τ: how large a difference between features counts.
@@ -21,14 +24,10 @@ struct SpikeParams {
     triple_weights: array<vec4<f32>, 8>,
 }
 
-// What has next to no noise is what it is: it is no spike, and gets nothing of one. A thousandth of its value is next to none, as for keep_clean. A spread counts before it is
+// What has next to no noise is what it is: it is no spike, and gets nothing of one. A spread counts before it is
 // squared, which may leave nothing of it.
-fn has_noise(value: vec3<f32>, spread: vec3<f32>, variance: vec3<f32>) -> bool {
-    return largest(max(abs(spread), sqrt(variance))) > 1e-3 * largest(abs(value));
-}
-
-fn largest(color: vec3<f32>) -> f32 {
-    return max(color.x, max(color.y, color.z));
+fn has_noise(value: vec3<f32>, spread: vec3<f32>, variance: vec3<f32>, least_noise: f32) -> bool {
+    return largest_channel(max(abs(spread), sqrt(variance))) > least_noise * largest_channel(abs(value));
 }
 
 // Of one pixel's prefiltered features, four channels.

@@ -317,30 +317,26 @@ impl Pass1 {
         let mut blend = Arc::new(select_blend(rec, extent, &selection, &candidates)?);
         let mut color_only = None;
         if plan.begins(rec, Step::ColorOnly) {
-            let (with_color_only, alone) = Self::with_color_only(rec, prepared, &candidates, &selection, &blend, work)?;
-            let WithColorOnly { blended, shares } = with_color_only;
-            let shares = Arc::new(shares);
-            blend = Arc::new(blended);
-            if let Some((_, signal)) = alone.first_of_all() {
-                keeper.keep(Intermediate::Candidates, "color_only", &RGB, Unit::Color, signal, 0);
-            }
-            keeper.keep(Intermediate::Selection, "color_only_share", &["V"], Unit::Number, &shares, 0);
-            color_only = Some(ColorOnly { candidates: alone, shares });
+            let (found, blended) = ColorOnly::new(rec, prepared, &candidates, &selection, &blend, work, keeper)?;
+            (color_only, blend) = (Some(found), blended);
         }
         keeper.keep(Intermediate::Selection, "selected", &BY_CANDIDATE, Unit::Number, &selected, 0);
         keeper.keep(Intermediate::Selection, "selection", &BY_CANDIDATE, Unit::Number, &selection, 0);
         Ok(Self { candidates, selection: Shares::Maps(selection), color_only, blend })
     }
+}
 
-    /// The blend with the filter that knows the colour only, over the own frame, and that filter. The candidates' shares become what it leaves.
-    fn with_color_only(
+impl ColorOnly {
+    /// The filter over the own frame, and the blend in which it takes part. The shares of the candidates in `joint` become what it leaves.
+    fn new(
         rec: &mut Recorder,
         prepared: &Prepared,
         joint: &Candidates,
         selection: &Buffer,
         blend: &Buffer,
         work: Work,
-    ) -> Result<(WithColorOnly, Candidates)> {
+        keeper: &mut Keeper,
+    ) -> Result<(Self, Arc<Buffer>)> {
         let Work { params, plan, schedule, wanted } = work;
         let Prepared { extent, color, variance, .. } = prepared;
         let (extent, signal) = (*extent, &color.signal);
@@ -356,8 +352,11 @@ impl Pass1 {
         let alone = candidates(rec, extent, signal, variance, None, &[], &candidate_filter(params), needed, schedule, |_, _| Ok(()))?.together;
         let Some((_, filtered)) = alone.first_of_all() else { unreachable!("SECOND takes part") };
         let differences = error_difference(rec, extent, signal, variance, blend, selection, joint, &alone, params.covariance)?;
-        let with_color_only = select_color_only(rec, extent, &differences, blend, filtered, selection, Significance::MEASURED)?;
-        Ok((with_color_only, alone))
+        let WithColorOnly { blended, shares } = select_color_only(rec, extent, &differences, blend, filtered, selection, Significance::MEASURED)?;
+        let shares = Arc::new(shares);
+        keeper.keep(Intermediate::Candidates, "color_only", &RGB, Unit::Color, filtered, 0);
+        keeper.keep(Intermediate::Selection, "color_only_share", &["V"], Unit::Number, &shares, 0);
+        Ok((Self { candidates: alone, shares }, Arc::new(blended)))
     }
 }
 
@@ -516,6 +515,11 @@ fn reach_of_choice() -> u32 {
     [ERROR_SMOOTHING, SELECTION_SMOOTHING].iter().map(|filter| filter.window_radius + filter.patch_radius).sum()
 }
 
+/// How far the share of the filter by the colour only depends on the blend, if it runs.
+fn reach_of_color_only(runs: bool) -> u32 {
+    if runs { Significance::MEASURED.smoothing.radius } else { 0 }
+}
+
 /// How far the result depends on pass 1.
 fn reach_of_second_pass(params: &DfcParams) -> u32 {
     let filter = params.second_pass.map(|pass| second_pass_filter(&pass, params.window_radius));
@@ -524,8 +528,7 @@ fn reach_of_second_pass(params: &DfcParams) -> u32 {
 
 /// How far the result depends on the candidates, by what a plan makes of them.
 fn reach_of_choice_and_second_pass(params: &DfcParams, plan: &Plan) -> u32 {
-    let color_only = if plan.runs(&Step::ColorOnly) { Significance::MEASURED.smoothing.radius } else { 0 };
-    let choice = if plan.runs(&Step::Selection) { reach_of_choice() + color_only } else { 0 };
+    let choice = if plan.runs(&Step::Selection) { reach_of_choice() + reach_of_color_only(plan.runs(&Step::ColorOnly)) } else { 0 };
     let second_pass = if plan.runs(&Step::SecondPass) { reach_of_second_pass(params) } else { 0 };
     choice + second_pass
 }
@@ -541,6 +544,5 @@ pub(super) fn halo(params: &DfcParams) -> u32 {
 
 fn halo_with(params: &DfcParams, color_only: bool) -> u32 {
     let density = DENSITY_SMOOTHING.window_radius + DENSITY_SMOOTHING.patch_radius;
-    let color_only = if color_only { Significance::MEASURED.smoothing.radius } else { 0 };
-    reach_of_candidates(params) + reach_of_choice() + color_only + reach_of_second_pass(params).max(density)
+    reach_of_candidates(params) + reach_of_choice() + reach_of_color_only(color_only) + reach_of_second_pass(params).max(density)
 }

@@ -98,7 +98,7 @@ impl Spikes {
         let rule = SpikeRule::DEFAULT;
         let mut repaired = spike_find(rec, extent, &color.signal, color.variance_of_mean.as_deref(), features, &rule)?;
         if self == Self::Spread {
-            spike_spread(rec, extent, &color.signal, color.variance_of_mean.as_deref(), features, &rule, &mut repaired)?;
+            spike_spread(rec, extent, features, &rule, &mut repaired)?;
         }
         let color = GpuSignal { signal: Arc::new(repaired.signal), variance_of_mean: repaired.variance_of_mean.map(Arc::new), has_halves: color.has_halves };
         Ok((color, Some(Arc::new(repaired.spikes))))

@@ -2,6 +2,7 @@
 
 use glam::IVec2;
 
+use super::variance::LEAST_NOISE;
 use super::{per_pixel, plane_bytes};
 use crate::error::Result;
 use crate::gpu::{Buffer, Recorder, bindings, uniforms};
@@ -31,10 +32,10 @@ pub struct CleanRule {
 }
 
 impl CleanRule {
-    /// The noise is what [`Floor::Relative`](super::variance::Floor) holds variances above. Measured on `cornell`, `dof_spheres` and `caustic_ring` at 8, 32 and 128 spp:
+    /// Measured on `cornell`, `dof_spheres` and `caustic_ring` at 8, 32 and 128 spp:
     /// `dof_spheres` at 8 spp has 0.7 % more error than without, because edges out of focus have pixels that all eight samples missed; with 10⁻² in place of 10⁻³, `caustic_ring` at
     /// 8 spp has 2.5 % more.
-    pub const DEFAULT: Self = Self { noise: 1e-3, sigmas: 4.0, black_radius: 3 };
+    pub const DEFAULT: Self = Self { noise: LEAST_NOISE, sigmas: 4.0, black_radius: 3 };
 }
 
 /// The input of a filter: what tells which of its pixels have noise.

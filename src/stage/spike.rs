@@ -4,6 +4,7 @@ use glam::{IVec2, Vec4};
 use serde::Serialize;
 
 use super::feature::{Features, MAX_GROUPS};
+use super::variance::LEAST_NOISE;
 use super::{per_pixel, plane_bytes};
 use crate::error::Result;
 use crate::gpu::{Buffer, Definition, Recorder, bindings, uniforms};
@@ -16,6 +17,7 @@ uniforms! {
         least_neighbours: f32,
         prominence: f32,
         most_samples: f32,
+        least_noise: f32,
         share_limit: f32,
         inverse_feature_k_squared: f32,
         feature_tau: f32,
@@ -28,7 +30,7 @@ bindings! {
     struct SpikeFindVariance<'a> {
         uniform params: SpikeParams, read signal, optional features, read sample_variance, write repaired_variance, write repaired, write spikes,
     }
-    struct SpikeLevel<'a> { uniform params: SpikeParams, read signal, optional sample_variance, read repaired, write levels }
+    struct SpikeLevel<'a> { uniform params: SpikeParams, read repaired, read spikes, write levels }
     struct SpikeShare<'a> { uniform params: SpikeParams, write spikes, optional features, read levels }
     struct SpikeRows<'a> { uniform params: SpikeParams, write spikes }
     struct SpikeSpread<'a> { uniform params: SpikeParams, write spikes, optional features, read levels, write repaired }
@@ -76,6 +78,7 @@ impl SpikeRule {
             least_neighbours: self.least_neighbours as f32,
             prominence: self.prominence,
             most_samples: self.most_samples,
+            least_noise: LEAST_NOISE,
             share_limit: self.share_limit,
             inverse_feature_k_squared: 1.0 / (self.feature_k * self.feature_k),
             feature_tau: self.feature_tau,
@@ -91,7 +94,7 @@ pub struct Repaired {
     pub signal: Buffer,
     /// Its sample variance, where there is one: of a spike the mean of its neighbours'.
     pub variance_of_mean: Option<Buffer>,
-    /// Three planes. The first has what was taken from each pixel, 0 where it is no spike. The others are written by [`spike_spread`]: the w of the first becomes the part of it
+    /// Three planes. The first has what was taken from each pixel, 0 where it is no spike. The rest is for [`spike_spread`]: the w of the first becomes the part of it
     /// that the pixels around get, the second has what one of them in its place gets, and the third, in x, the squares of what each pixel got, summed over spikes and channels.
     pub spikes: Buffer,
 }
@@ -133,28 +136,20 @@ pub fn spike_find(
     Ok(Repaired { signal: repaired, variance_of_mean: repaired_variance, spikes })
 }
 
-/// Gives the pixels around each spike their parts of it: all pixels of its kind that have noise and are about as bright, less the further they are away. `signal` and
-/// `sample_variance` are those that [`spike_find`] got, `repaired` is its result.
+/// Gives the pixels around each spike their parts of it: all pixels of its kind that have noise and are about as bright, less the further they are away. `repaired` is
+/// the result of [`spike_find`].
 ///
 /// # Errors
 /// As [`Recorder::dispatch`].
-pub fn spike_spread(
-    rec: &mut Recorder,
-    extent: IVec2,
-    signal: &Buffer,
-    sample_variance: Option<&Buffer>,
-    features: Option<&Features>,
-    rule: &SpikeRule,
-    repaired: &mut Repaired,
-) -> Result<()> {
+pub fn spike_spread(rec: &mut Recorder, extent: IVec2, features: Option<&Features>, rule: &SpikeRule, repaired: &mut Repaired) -> Result<()> {
     let params = rule.params(extent, features);
     let Repaired { signal: repaired, spikes, .. } = repaired;
     let groups = [feature_groups(features)];
     let features = features.map(|features| &features.buffer);
     let levels = &rec.take("brightness around each pixel", plane_bytes(extent, 1))?;
 
-    let kernel = rec.gpu().kernel::<SpikeLevel>("spike_level", &[("VARIANCE", sample_variance.is_some().into())])?;
-    rec.dispatch(&kernel, &SpikeLevel { params, signal, sample_variance, repaired, levels }, per_pixel(extent))?;
+    let kernel = rec.gpu().kernel::<SpikeLevel>("spike_level", &[])?;
+    rec.dispatch(&kernel, &SpikeLevel { params, repaired, spikes, levels }, per_pixel(extent))?;
     let kernel = rec.gpu().kernel::<SpikeShare>("spike_share", &groups)?;
     rec.dispatch(&kernel, &SpikeShare { params, spikes, features, levels }, per_pixel(extent))?;
     let kernel = rec.gpu().kernel::<SpikeRows>("spike_rows", &[])?;

@@ -111,10 +111,13 @@ pub fn variance_clamp(rec: &mut Recorder, extent: IVec2, variance: &Buffer, uppe
     Ok(clamped_variance)
 }
 
+/// Noise below which a pixel has next to none: its standard deviation in parts of its value.
+pub const LEAST_NOISE: f32 = 1e-3;
+
 /// What a variance is held above, so that eq. 7.4 divides by no zero: its ε.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Floor {
-    /// The square of a thousandth of the pixel's brightness, or of a ten-thousandth of the brightness around it where that is more: the largest magnitude of any channel in the pixel, and
+    /// The square of [`LEAST_NOISE`] times the pixel's brightness, or of a ten-thousandth of the brightness around it where that is more: the largest magnitude of any channel in the pixel, and
     /// in the 3×3 pixels around it. For radiance, whose dark parts count as much as its bright ones. Measured at 8 spp against the ε of 10⁻¹⁰: `cornell` has 0.9 % less error,
     /// `caustic_ring` 0.1 % more. With less, few pixels beside the lamp of `cornell` decide, and it has up to 6 % more; with three times as much around, `caustic_ring` has 2 % more.
     Relative,
@@ -138,7 +141,7 @@ impl Floor {
 /// As [`Recorder::dispatch`].
 pub fn variance_floor(rec: &mut Recorder, extent: IVec2, signal: &Buffer, variance: &Buffer, floor: Floor) -> Result<Buffer> {
     let (own, around, absolute) = match floor {
-        Floor::Relative => (1e-3, 1e-4, 0.0),
+        Floor::Relative => (LEAST_NOISE, 1e-4, 0.0),
         Floor::Printed => (0.0, 1e-5, 0.0),
         Floor::Absolute => (0.0, 0.0, 1e-5),
     };

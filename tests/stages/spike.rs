@@ -78,7 +78,7 @@ fn check(case: &Case) -> usize {
         let packed = if guides.is_empty() { None } else { Some(pack(rec, &guides)?) };
         let mut found = spike_find(rec, extent, &signal, sample_variance.as_ref(), packed.as_ref(), &rule)?;
         if spread {
-            spike_spread(rec, extent, &signal, sample_variance.as_ref(), packed.as_ref(), &rule, &mut found)?;
+            spike_spread(rec, extent, packed.as_ref(), &rule, &mut found)?;
         }
         Ok(found)
     });

@@ -9,12 +9,14 @@ use super::{
     reach_of_prefilter,
 };
 use crate::error::Result;
-use crate::gpu::{Buffer, Recorder};
+use crate::gpu::Recorder;
+use crate::method::FrameInput;
 use crate::method::estimate::{Keeper, Lane, Shares};
 use crate::method::kernels::{Compared, KernelOnGpu, LimitOnGpu, ShareOnGpu, WeightRule, WeightsOnGpu};
 use crate::method::plan::{Plan, Step};
-use crate::method::{FrameInput, GpuSignal};
+use crate::stage::candidate_set::CandidateSet;
 use crate::stage::exact::Region;
+use crate::stage::feature::Features;
 use crate::stage::nlm::{Guide, Schedule};
 use crate::stage::window::{NLM_DISTANCE, NLM_WEIGHT, WindowOfCandidates, candidate_window, nlm_window};
 
@@ -39,7 +41,8 @@ pub(in crate::method) fn kernels(
     let mut keeper = Keeper::new(&[]);
     let mut prepared = Prepared::new(rec, frame, Vec::new(), work, &mut keeper)?;
     plan.begins(rec, Step::Candidates);
-    let mut kernels = kernels_of_candidates(rec, &prepared, &names, pixel, work)?;
+    let taking_part = plan.candidates();
+    let mut kernels = kernels_of_candidates(rec, &prepared, prepared.features.first(), &names, taking_part, pixel, work)?;
     if !plan.runs(&Step::Selection) && !plan.runs(&Step::SecondPass) {
         // One candidate is the result.
         kernels.iter_mut().for_each(|kernel| kernel.share = Some(ShareOnGpu::Whole));
@@ -47,18 +50,18 @@ pub(in crate::method) fn kernels(
     }
 
     let pass1 = Pass1::new(rec, &mut prepared, work, &mut keeper, |_, _| Ok(()))?;
-    let Prepared { variance, color: GpuSignal { signal: color_signal, .. }, .. } = prepared;
-    for (kernel, candidate) in kernels.iter_mut().zip(candidates_of(plan).map(|(candidate, _)| candidate)) {
+    for (kernel, (candidate, _)) in kernels.iter_mut().zip(numbered(taking_part)) {
         kernel.share = Some(match &pass1.selection {
             Shares::Maps(maps) => ShareOnGpu::Lane(Lane { buffer: maps.clone(), plane: 0, component: candidate }),
             Shares::Only(_) => ShareOnGpu::Whole,
         });
     }
     if let Some(ColorOnly { shares, .. }) = &pass1.color_only {
-        let share = ShareOnGpu::Lane(Lane { buffer: shares.clone(), plane: 0, component: 1 });
-        kernels.push(KernelOnGpu { share: Some(share), ..kernel_of_color_only(rec, extent, pixel, &color_signal, &variance, work)? });
+        let share = || Some(ShareOnGpu::Lane(Lane { buffer: shares.clone(), plane: 0, component: 1 }));
+        let second = kernels_of_candidates(rec, &prepared, None, &[], SECOND_ONLY, pixel, work)?;
+        kernels.extend(second.into_iter().map(|kernel| KernelOnGpu { name: "color_only", share: share(), ..kernel }));
     }
-    if let Some(pass2) = Pass2::new(rec, extent, &pass1.blend, &variance, work)? {
+    if let Some(pass2) = Pass2::new(rec, extent, &pass1.blend, &prepared.variance, work)? {
         let Pass2 { filter, left_variance, filtered, result } = pass2;
         let window_radius = filter.window_radius;
         let weights = if is_exact_at(pixel, plan, &Step::SecondPass) {
@@ -81,34 +84,9 @@ pub(in crate::method) fn kernels(
     Ok(kernels)
 }
 
-/// The kernel of SECOND without features.
-fn kernel_of_color_only(rec: &mut Recorder, extent: IVec2, pixel: IVec2, signal: &Arc<Buffer>, variance: &Buffer, work: Work) -> Result<KernelOnGpu> {
-    let Work { params, plan, schedule, .. } = work;
-    let window_radius = params.window_radius;
-    let (name, averaged) = ("color_only", signal.clone());
-    if is_exact_at(pixel, plan, &Step::Candidates) {
-        return Ok(KernelOnGpu { name, averaged, weights: WeightsOnGpu::Exact { window_radius }, share: None });
-    }
-    const SECOND: u32 = 1;
-    let filter = candidate_filter(params);
-    let window = candidate_window(rec, extent, pixel, signal, variance, None, &filter, SECOND_ONLY, work.is_grey(), schedule)?;
-    let of_color = Compared::Color { patch_radius: params.second_patch_radius, k: params.color_k };
-    let weights = WeightsOnGpu::Cells {
-        cells: Arc::new(window.cells),
-        window_radius,
-        weight: WindowOfCandidates::weight(SECOND),
-        distances: vec![(of_color, WindowOfCandidates::color(SECOND))],
-        rule: WeightRule::Least,
-        centre: params.weighting.centre,
-        limit: None,
-    };
-    Ok(KernelOnGpu { name, averaged, weights, share: None })
-}
-
-/// The candidates that are computed, numbered from FIRST on.
-fn candidates_of(plan: &Plan) -> impl Iterator<Item = (u32, &'static str)> {
-    let taking_part = plan.candidates().flags();
-    (0..).zip(BY_CANDIDATE).zip(taking_part).filter_map(|(candidate, takes_part)| takes_part.then_some(candidate))
+/// The candidates that take part, numbered from FIRST on.
+fn numbered(taking_part: CandidateSet) -> impl Iterator<Item = (u32, &'static str)> {
+    (0..).zip(BY_CANDIDATE).zip(taking_part.flags()).filter_map(|(candidate, takes_part)| takes_part.then_some(candidate))
 }
 
 /// Whether a step leaves this pixel as it is.
@@ -116,16 +94,25 @@ fn is_exact_at(pixel: IVec2, plan: &Plan, step: &Step) -> bool {
     plan.exact(step).is_some_and(|exact| exact.is_exact(&Region { first: pixel, size: IVec2::ONE }))
 }
 
-fn kernels_of_candidates(rec: &mut Recorder, prepared: &Prepared, names: &[String], pixel: IVec2, work: Work) -> Result<Vec<KernelOnGpu>> {
-    let Prepared { extent, color, variance, features, .. } = prepared;
+/// The kernels of the candidates in `taking_part`, whose weights depend on these features, called `names`.
+fn kernels_of_candidates(
+    rec: &mut Recorder,
+    prepared: &Prepared,
+    features: Option<&Features>,
+    names: &[String],
+    taking_part: CandidateSet,
+    pixel: IVec2,
+    work: Work,
+) -> Result<Vec<KernelOnGpu>> {
+    let Prepared { extent, color, variance, .. } = prepared;
     let Work { params, plan, schedule, .. } = work;
     let window_radius = params.window_radius;
     if is_exact_at(pixel, plan, &Step::Candidates) {
         let left = |(_, name)| KernelOnGpu { name, averaged: color.signal.clone(), weights: WeightsOnGpu::Exact { window_radius }, share: None };
-        return Ok(candidates_of(plan).map(left).collect());
+        return Ok(numbered(taking_part).map(left).collect());
     }
-    let (features, filter) = (features.first(), candidate_filter(params));
-    let window = candidate_window(rec, *extent, pixel, &color.signal, variance, features, &filter, plan.candidates(), work.is_grey(), schedule)?;
+    let filter = candidate_filter(params);
+    let window = candidate_window(rec, *extent, pixel, &color.signal, variance, features, &filter, taking_part, work.is_grey(), schedule)?;
     let cells = Arc::new(window.cells);
     let kernel = |(candidate, name): (u32, &'static str)| {
         let patch_radius = [Some(params.first_patch_radius), Some(params.second_patch_radius), None][candidate as usize];
@@ -147,5 +134,5 @@ fn kernels_of_candidates(rec: &mut Recorder, prepared: &Prepared, names: &[Strin
         };
         KernelOnGpu { name, averaged: color.signal.clone(), weights, share: None }
     };
-    Ok(candidates_of(plan).map(kernel).collect())
+    Ok(numbered(taking_part).map(kernel).collect())
 }
