@@ -296,7 +296,7 @@ impl Denoiser {
     /// where it wants a [`GpuFrame::mean_variance`] that is not given.
     pub fn record(&self, rec: &mut Recorder, frame: GpuFrame, beside: Vec<GpuFrame>) -> Result<GpuEstimate> {
         let wishes = Wishes { keep: &[], error: true, everything: self.everything };
-        let plan = self.method.plan(&Facts::of_gpu_frame(&frame, beside.len()), &wishes);
+        let plan = self.method.plan(&Facts::of_gpu_frame(&frame, beside.len(), self.method.uses_features()), &wishes);
         self.method.record(rec, frame.into(), beside.into_iter().map(FrameInput::from).collect(), &plan, self.schedule, |_, _| Ok(()))
     }
 }

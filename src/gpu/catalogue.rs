@@ -14,6 +14,7 @@ pub(super) const SHARED: &[(&str, &str)] = sources!("shaders/shared":
     "nlm",
     "candidates",
     "exact",
+    "noise",
     "spike",
     "window",
 );
@@ -21,6 +22,11 @@ pub(super) const SHARED: &[(&str, &str)] = sources!("shaders/shared":
 /// The stages: each file is one kernel.
 #[rustfmt::skip]
 pub(super) const STAGES: &[(&str, &str)] = sources!("shaders":
+    "noise_magnitude",
+    "noise_guess",
+    "noise_feature",
+    "noise_pool",
+    "noise_unpack",
     "spike_find",
     "spike_level",
     "spike_share",

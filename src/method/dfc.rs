@@ -12,6 +12,7 @@ use super::common::{Auxiliary, SCALE_RADIUS, guide_variance, with_clean_kept};
 use super::estimate::{GpuEstimate, Intermediate, Keeper, Lane, RGB, Shares, Unit};
 use super::frame::FeatureInput;
 use super::memory::{Footprint, UPLOADED_PLANES};
+use super::noise::{estimate_noise, reach_of_noise};
 use super::plan::{Facts, Plan, Step};
 use super::{FrameInput, GpuSignal, Spikes};
 use crate::error::Result;
@@ -181,9 +182,17 @@ struct Prepared {
 impl Prepared {
     fn new(rec: &mut Recorder, frame: FrameInput, beside: Vec<FrameInput>, work: Work, keeper: &mut Keeper) -> Result<Self> {
         let Work { params, plan, .. } = work;
-        let FrameInput { extent, mut color, features, samples, .. } = frame;
+        let FrameInput { extent, mut color, mut features, samples, .. } = frame;
         // Space-time filtering (8.6): the window gains frames. What belongs to a pixel comes from its own frame.
-        let (mut colors_beside, features_beside): (Vec<_>, Vec<_>) = beside.into_iter().map(|frame| (frame.color, frame.features)).unzip();
+        let (mut colors_beside, mut features_beside): (Vec<_>, Vec<_>) = beside.into_iter().map(|frame| (frame.color, frame.features)).unzip();
+
+        // What is known of the noise.
+        if plan.begins(rec, Step::Noise) {
+            estimate_noise(rec, extent, &mut color, &mut features)?;
+            for (color, features) in colors_beside.iter_mut().zip(&mut features_beside) {
+                estimate_noise(rec, extent, color, features)?;
+            }
+        }
 
         // Feature prefiltering.
         let features = prefilter(rec, extent, std::iter::once(features).chain(features_beside).collect(), work, keeper)?;
@@ -408,16 +417,13 @@ fn prefilter(rec: &mut Recorder, extent: IVec2, frames: Vec<Vec<FeatureInput>>, 
         return Ok(Vec::new());
     }
     let packed = frames.iter().map(|_| Features::take(rec, extent, &channels)).collect::<Result<Vec<_>>>()?;
-    // A group's triple clears the group, so it goes first.
     let slots = packed[0].packing.slots.clone();
-    let mut order: Vec<usize> = (0..channels.len()).collect();
-    order.sort_by_key(|index| slots[*index].single);
-    for index in order {
+    for index in packed[0].packing.order() {
         let FeatureInput { name, channels, .. } = &frames[0][index];
         let step = Step::Prefilter(name.clone());
         let exact = plan.exact(&step);
         let has_noise = plan.begins(rec, step.clone());
-        let features = frames.iter().map(|features| features[index].fetch(rec)).collect::<Result<Vec<_>>>()?;
+        let features = frames.iter().map(|features| features[index].fetch(rec, extent)).collect::<Result<Vec<_>>>()?;
         let variances = features.iter().map(|signal| if has_noise { noise(rec, extent, signal, box_weight) } else { Ok(None) }).collect::<Result<Vec<_>>>()?;
         let mut prefiltered = Vec::new();
         for (frame, signal) in features.iter().enumerate() {
@@ -470,8 +476,11 @@ pub(super) fn footprint(params: &DfcParams, facts: &Facts, kept: bool, schedule:
     let (repaired, found) = params.spikes.planes();
     // Of each frame, and the colour's scaled variance.
     let color = UPLOADED_PLANES + 1;
+    let is_noise_estimated = params.pooled_variance && facts.lacks_variance();
     // Of each frame, the packed features and the one whose turn it is: 3, its variance without and with its floor, 2 filtered planes, residual variance; two box sums, or weights.
-    let prefilter = frames * (color + packed + 8) + 2;
+    // What features have in common of estimated variances.
+    let pooled = if is_noise_estimated { 1 + packed / 3 } else { 0 };
+    let prefilter = frames * (color + packed + pooled + 8) + 2;
     // Of the frames beside as well until the next one is repaired.
     let spikes = frames * (color + packed) + repaired + 2 * found;
     // Over all frames, and over the own one.
@@ -489,7 +498,7 @@ pub(super) fn footprint(params: &DfcParams, facts: &Facts, kept: bool, schedule:
     let offsets_in_a_row = u64::from(2 * params.window_radius + 1);
     let running_sums = schedule.scratch_bytes * u64::from(STATE_PLANES) / offsets_in_a_row;
     Footprint {
-        halo: halo_with(params, with_color_only) as usize,
+        halo: halo_with(params, is_noise_estimated, with_color_only) as usize,
         live_planes: prefilter.max(spikes).max(found + candidates.max(later)) + kept,
         largest_planes: packed.max(3),
         scratch_bytes: 2 * schedule.scratch_bytes + running_sums,
@@ -497,17 +506,18 @@ pub(super) fn footprint(params: &DfcParams, facts: &Facts, kept: bool, schedule:
 }
 
 /// How far the candidates depend on a frame.
-fn reach_of_candidates(params: &DfcParams) -> u32 {
-    let scaled_variance = SCALE_RADIUS.max(INPUT_SMOOTHING.radius);
+fn reach_of_candidates(params: &DfcParams, is_noise_estimated: bool) -> u32 {
+    let scaled_variance = SCALE_RADIUS.max(INPUT_SMOOTHING.radius) + reach_of_noise(is_noise_estimated);
     // One more for the gradient, which is less than the smoothing of the residual variance.
-    let features = reach_of_prefilter() + RESIDUAL_SMOOTHING.radius.max(1);
+    let features = reach_of_prefilter(is_noise_estimated) + RESIDUAL_SMOOTHING.radius.max(1);
     let scaled_variance = scaled_variance + params.spikes.reach(features);
     params.window_radius + features.max(params.second_patch_radius + scaled_variance)
 }
 
 /// How far a feature without its noise depends on it.
-fn reach_of_prefilter() -> u32 {
-    PREFILTER.window_radius + PREFILTER.patch_radius + SCALE_RADIUS.max(INPUT_SMOOTHING.radius)
+fn reach_of_prefilter(is_noise_estimated: bool) -> u32 {
+    let scaled_variance = SCALE_RADIUS.max(INPUT_SMOOTHING.radius) + reach_of_noise(is_noise_estimated);
+    PREFILTER.window_radius + PREFILTER.patch_radius + scaled_variance
 }
 
 /// How far the shares of the candidates depend on them.
@@ -534,15 +544,15 @@ fn reach_of_choice_and_second_pass(params: &DfcParams, plan: &Plan) -> u32 {
 }
 
 pub(super) fn reach_of_kernels(params: &DfcParams, plan: &Plan) -> u32 {
-    reach_of_candidates(params) + reach_of_choice_and_second_pass(params, plan)
+    reach_of_candidates(params, plan.runs(&Step::Noise)) + reach_of_choice_and_second_pass(params, plan)
 }
 
 /// Of frames in which the filter by the colour only may take part, where the parameters let it.
 pub(super) fn halo(params: &DfcParams) -> u32 {
-    halo_with(params, params.color_only)
+    halo_with(params, params.pooled_variance, params.color_only)
 }
 
-fn halo_with(params: &DfcParams, color_only: bool) -> u32 {
+fn halo_with(params: &DfcParams, is_noise_estimated: bool, color_only: bool) -> u32 {
     let density = DENSITY_SMOOTHING.window_radius + DENSITY_SMOOTHING.patch_radius;
-    reach_of_candidates(params) + reach_of_choice() + reach_of_color_only(color_only) + reach_of_second_pass(params).max(density)
+    reach_of_candidates(params, is_noise_estimated) + reach_of_choice() + reach_of_color_only(color_only) + reach_of_second_pass(params).max(density)
 }

@@ -9,6 +9,8 @@ use crate::error::Result;
 use crate::frame::{Feature, Frame, SamplesPerPixel, Signal};
 use crate::gpu::{Buffer, Recorder};
 use crate::image::Image;
+use crate::stage::feature::Slot;
+use crate::stage::noise::{Pooled, noise_unpack};
 use crate::stage::sample::GpuSamples;
 
 use super::Strip;
@@ -74,6 +76,8 @@ pub(super) struct FeatureInput<'a> {
     /// 1 to 3.
     pub(super) channels: u32,
     source: Source<'a>,
+    /// Its variance of the mean, where it was estimated, and where it is.
+    pub(super) pooled: Option<(Arc<Pooled>, Slot)>,
 }
 
 enum Source<'a> {
@@ -83,18 +87,23 @@ enum Source<'a> {
 
 impl FeatureInput<'_> {
     /// Brings it to the device if it is not there.
-    pub(super) fn fetch(&self, rec: &mut Recorder) -> Result<GpuSignal> {
-        match &self.source {
-            Source::Device(signal) => Ok(signal.clone()),
-            Source::Host { signal, strip, map, noise } => upload_signal(rec, &self.name, signal, strip, *map, *noise),
+    pub(super) fn fetch(&self, rec: &mut Recorder, extent: IVec2) -> Result<GpuSignal> {
+        let mut signal = match &self.source {
+            Source::Device(signal) => signal.clone(),
+            Source::Host { signal, strip, map, noise } => upload_signal(rec, &self.name, signal, strip, *map, *noise)?,
+        };
+        if let Some((pooled, slot)) = &self.pooled {
+            signal.variance_of_mean = Some(Arc::new(noise_unpack(rec, extent, pooled, Some(*slot))?));
         }
+        Ok(signal)
     }
 }
 
 impl From<GpuFrame> for FrameInput<'_> {
     fn from(frame: GpuFrame) -> Self {
         let GpuFrame { extent, color, features, samples, mean_variance } = frame;
-        let features = features.into_iter().map(|GpuFeature { name, signal, channels }| FeatureInput { name, channels, source: Source::Device(signal) });
+        let features =
+            features.into_iter().map(|GpuFeature { name, signal, channels }| FeatureInput { name, channels, source: Source::Device(signal), pooled: None });
         Self { extent, color, features: features.collect(), samples, mean_variance }
     }
 }
@@ -130,7 +139,8 @@ impl<'a> FrameInput<'a> {
             };
             let noise = if plan.runs(&Step::Prefilter(feature.name.clone())) { Noise::Told } else { Noise::Absent };
             let source = Source::Host { signal: &feature.signal, strip: *strip, map, noise };
-            features.push(FeatureInput { name: feature.name.clone(), channels: feature.signal.mean.channels() as u32, source });
+            let channels = feature.signal.mean.channels() as u32;
+            features.push(FeatureInput { name: feature.name.clone(), channels, source, pooled: None });
         }
         let extent = IVec2::new(frame.extent().width as i32, strip.rows_with_halo() as i32);
         let samples = match frame.samples_per_pixel() {

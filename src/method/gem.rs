@@ -10,6 +10,7 @@ use super::common::{SCALE_RADIUS, input_variance, with_clean_kept};
 use super::estimate::{GpuEstimate, Intermediate, Keeper, Lane, RGB, Unit};
 use super::kernels::{KernelOnGpu, WeightsOnGpu};
 use super::memory::{Footprint, UPLOADED_PLANES};
+use super::noise::{estimate_noise, reach_of_noise};
 use super::plan::{Facts, Plan, Planner, Step, Wishes, impossible};
 use super::{FrameInput, GpuSignal, Method};
 use crate::error::Result;
@@ -83,8 +84,11 @@ struct Repaired {
 
 impl Repaired {
     fn new(rec: &mut Recorder, frame: FrameInput, params: &GemParams, plan: &Plan) -> Result<Self> {
-        let FrameInput { extent, color, features, samples, .. } = frame;
+        let FrameInput { extent, mut color, features, samples, .. } = frame;
         drop(features);
+        if plan.begins(rec, Step::Noise) {
+            estimate_noise(rec, extent, &mut color, &mut [])?;
+        }
         if !plan.begins(rec, Step::Spikes) {
             return Ok(Self { color, samples, spikes: None });
         }
@@ -138,8 +142,9 @@ fn select(
 /// The steps in the order of [`gem`]. Without variance its decisions are no less smoothed over the pixels around, so that a frame without noise is not simply copied.
 pub(super) fn plan(params: &GemParams, facts: &Facts, wishes: &Wishes) -> Plan {
     let mut plan = Planner::new(wishes);
+    plan.noise(params.pooled_variance, facts);
     params.spikes.plan(&mut plan, facts);
-    plan.variance(facts);
+    plan.variance(params.pooled_variance, facts);
     plan.step(Step::Scales, "from fine to coarse", &[]);
     plan.step(Step::Density, "it is asked for", &[impossible(!wishes.keeps(Intermediate::Density), "it is not asked for")]);
     plan.keep_clean(params.keep_clean);
@@ -147,7 +152,7 @@ pub(super) fn plan(params: &GemParams, facts: &Facts, wishes: &Wishes) -> Plan {
 }
 
 /// Counted from [`gem`]: what is dropped is used again.
-pub(super) fn footprint(params: &GemParams, kept: bool) -> Footprint {
+pub(super) fn footprint(params: &GemParams, facts: &Facts, kept: bool) -> Footprint {
     let sigmas = params.phase.sigmas();
     // Signal and variance of the pixel filter, of the fine and of the coarse scale; the selection; two planes and their rows while a Gaussian is at work.
     let scales = 3 * 3 + 3 + 2;
@@ -155,7 +160,7 @@ pub(super) fn footprint(params: &GemParams, kept: bool) -> Footprint {
     let kept = if kept { 2 + 2 * sigmas.len() as u64 } else { 0 };
     let (repaired, found) = params.spikes.planes();
     Footprint {
-        halo: halo(params) as usize,
+        halo: halo_with(params, params.pooled_variance && facts.lacks_variance()) as usize,
         live_planes: UPLOADED_PLANES + found + repaired.max(scales) + kept,
         largest_planes: params.spikes.largest_planes().max(2),
         scratch_bytes: 0,
@@ -165,8 +170,16 @@ pub(super) fn footprint(params: &GemParams, kept: bool) -> Footprint {
 /// A pixel asks for its neighbours' stopping maps, these for the scales there, and their variances were brought to scale. Each scale is made from the pixels themselves, so
 /// that only the coarsest one counts.
 pub(super) fn halo(params: &GemParams) -> u32 {
+    halo_with(params, params.pooled_variance)
+}
+
+fn halo_with(params: &GemParams, is_noise_estimated: bool) -> u32 {
     let coarsest = params.phase.coarsest();
-    params.outlier_filter(coarsest).radius + Gaussian::new(coarsest).radius + SCALE_RADIUS.max(INPUT_SMOOTHING.radius) + params.spikes.reach(0)
+    params.outlier_filter(coarsest).radius
+        + Gaussian::new(coarsest).radius
+        + SCALE_RADIUS.max(INPUT_SMOOTHING.radius)
+        + params.spikes.reach(0)
+        + reach_of_noise(is_noise_estimated)
 }
 
 impl From<GemParams> for Method {

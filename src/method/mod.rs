@@ -10,6 +10,7 @@ pub mod gem;
 pub mod kernels;
 mod memory;
 pub mod nlm;
+mod noise;
 mod parameters;
 pub mod plan;
 mod spikes;
@@ -108,7 +109,7 @@ impl Method {
             Self::Dfc(params) => dfc::reach_of_kernels(params, plan),
             // What a pixel comes to depends on all of it.
             Self::Gem(params) => gem::halo(params),
-            Self::Nlm(params) => nlm::reach_of_filter(params),
+            Self::Nlm(params) => nlm::reach_of_filter(params, plan.runs(&Step::Noise)),
         }
     }
 
@@ -164,8 +165,8 @@ impl Method {
     fn footprint(&self, facts: &Facts, kept: bool, schedule: Schedule) -> Footprint {
         match self {
             Self::Dfc(params) => dfc::footprint(params, facts, kept, schedule),
-            Self::Gem(params) => gem::footprint(params, kept),
-            Self::Nlm(params) => nlm::footprint(params, facts.beside, kept, schedule),
+            Self::Gem(params) => gem::footprint(params, facts, kept),
+            Self::Nlm(params) => nlm::footprint(params, facts, kept, schedule),
         }
     }
 

@@ -10,6 +10,7 @@ use super::common::{SCALE_RADIUS, input_variance, with_clean_kept};
 use super::estimate::{GpuEstimate, Intermediate, Keeper, Lane, RGB, Unit};
 use super::kernels::{Compared, KernelOnGpu, WeightRule, WeightsOnGpu};
 use super::memory::{Footprint, UPLOADED_PLANES};
+use super::noise::{estimate_noise, reach_of_noise};
 use super::plan::{Facts, Plan, Planner, Step, Wishes, impossible, needless};
 use super::{FrameInput, GpuSignal, Method};
 use crate::error::{Error, Result};
@@ -207,6 +208,9 @@ struct Prepared {
 impl Prepared {
     fn new(rec: &mut Recorder, frame: FrameInput, params: &NlmParams, plan: &Plan, schedule: Schedule) -> Result<Self> {
         let FrameInput { extent, mut color, features: _, samples, mean_variance } = frame;
+        if plan.begins(rec, Step::Noise) {
+            estimate_noise(rec, extent, &mut color, &mut [])?;
+        }
         let mut spikes = None;
         if plan.begins(rec, Step::Spikes) {
             (color, spikes) = params.spikes.repair(rec, extent, color, None)?;
@@ -263,6 +267,7 @@ impl From<NlmParams> for Method {
 /// and what is exact moves.
 pub(super) fn plan(params: &NlmParams, facts: &Facts, wishes: &Wishes) -> Plan {
     let mut plan = Planner::new(wishes);
+    plan.noise(params.pooled_variance, facts);
     params.spikes.plan(&mut plan, facts);
     let because = match params.variance {
         NlmVariance::Uniform => "the mean of the image, everywhere",
@@ -289,7 +294,8 @@ pub(super) fn plan(params: &NlmParams, facts: &Facts, wishes: &Wishes) -> Plan {
 }
 
 /// Counted from [`nlm`]: what is dropped is used again.
-pub(super) fn footprint(params: &NlmParams, beside: usize, kept: bool, schedule: Schedule) -> Footprint {
+pub(super) fn footprint(params: &NlmParams, facts: &Facts, kept: bool, schedule: Schedule) -> Footprint {
+    let beside = facts.beside;
     // Variance 1 and with its floor 1, signal with samples 2, halves and their variance 3, filtered halves and weights 4, joined 3; later errors 3 and what is kept clean 2 in
     // place of the filtered halves.
     let later = 15;
@@ -299,7 +305,7 @@ pub(super) fn footprint(params: &NlmParams, beside: usize, kept: bool, schedule:
     // Variance and errors are there anyway; the filtered halves and their variance.
     let kept = if kept { 3 } else { 0 };
     Footprint {
-        halo: halo(params) as usize,
+        halo: halo_with(params, params.pooled_variance && facts.lacks_variance()) as usize,
         // All frames are uploaded before the first is prepared; variance, signal and halves of the others stay until the end.
         // What was found in them is kept as long, and one is repaired after the other.
         live_planes: (UPLOADED_PLANES + found) * (1 + beside as u64) + repaired + later + kept + alone + 6 * beside as u64,
@@ -310,11 +316,15 @@ pub(super) fn footprint(params: &NlmParams, beside: usize, kept: bool, schedule:
 }
 
 pub(super) fn halo(params: &NlmParams) -> u32 {
-    reach_of_filter(params) + Gaussian::new(ERROR_SMOOTHING_SIGMA).radius
+    halo_with(params, params.pooled_variance)
+}
+
+fn halo_with(params: &NlmParams, is_noise_estimated: bool) -> u32 {
+    reach_of_filter(params, is_noise_estimated) + Gaussian::new(ERROR_SMOOTHING_SIGMA).radius
 }
 
 /// How far the filter depends on a frame.
-pub(super) fn reach_of_filter(params: &NlmParams) -> u32 {
+pub(super) fn reach_of_filter(params: &NlmParams, is_noise_estimated: bool) -> u32 {
     let input = SCALE_RADIUS.max(INPUT_SMOOTHING.radius);
     let variance = match params.variance {
         NlmVariance::Uniform => 0,
@@ -324,5 +334,5 @@ pub(super) fn reach_of_filter(params: &NlmParams) -> u32 {
     };
     // A weight is that of patches, and patchwise the mean over a patch of them.
     let patches = if params.patchwise { 2 * params.patch_radius } else { params.patch_radius };
-    params.window_radius + patches + variance + params.spikes.reach(0)
+    params.window_radius + patches + variance + params.spikes.reach(0) + reach_of_noise(is_noise_estimated)
 }

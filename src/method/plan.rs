@@ -6,6 +6,7 @@ use glam::IVec2;
 use serde::{Serialize, Serializer};
 
 use super::frame::Units;
+use super::noise::POOLING_RADIUS;
 use super::{GpuFrame, GpuSignal, Intermediate};
 use crate::frame::{Feature, Frame, NoiseTiles, TILE};
 use crate::gpu::Recorder;
@@ -46,6 +47,8 @@ pub struct PlannedStep {
 /// What a method may do. Times are told under the name of the step ([`Gpu::step_timings`](crate::gpu::Gpu::step_timings)).
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Step {
+    /// Variances that nothing gives, estimated.
+    Noise,
     /// Spikes taken out of the colour.
     Spikes,
     /// The variance of the colour's mean as the filters want it (thesis 8.2).
@@ -105,6 +108,7 @@ impl Step {
             Self::Feature(name) => return format!("feature {name}"),
             Self::Prefilter(name) => return format!("prefilter {name}"),
             Self::Candidate(name) => name,
+            Self::Noise => "noise",
             Self::Spikes => "spikes",
             Self::Variance => "variance",
             Self::Features => "features",
@@ -134,7 +138,7 @@ impl Step {
     /// Whether [`kernels`](super::kernels) are made by it: left out, it tells why a filter is missing, or what neighbours are not told apart by.
     pub fn makes_kernels(&self) -> bool {
         match self {
-            Self::Spikes | Self::Variance | Self::Feature(_) | Self::Prefilter(_) | Self::Features => true,
+            Self::Noise | Self::Spikes | Self::Variance | Self::Feature(_) | Self::Prefilter(_) | Self::Features => true,
             Self::Candidates | Self::Candidate(_) | Self::ColorOnly | Self::SecondPass | Self::Halves | Self::Filter | Self::Scales => true,
             Self::Derivatives | Self::HalfSpread | Self::Channels | Self::Frames | Self::FilterAlone => false,
             Self::Sure | Self::SureSmoothing | Self::Selection | Self::SelectionSmoothing | Self::Blend | Self::Density | Self::Error | Self::KeepClean => {
@@ -249,13 +253,14 @@ impl Facts {
         });
         let constant = frame.constant_features().iter().map(|name| (name.clone(), "it is the same everywhere"));
         let is_used = |feature: &Feature| units.features.iter().any(|used| used.name == feature.name);
+        let all_tell = frames.iter().all(|frame| frame.color().noise_knowledge().is_some());
         let lacking = frame.features().iter().filter(|feature| !is_used(feature));
         let lacking = lacking.map(|feature| (feature.name.clone(), "a frame beside lacks it, or has it the same everywhere"));
         Self {
             has_halves: frame.color().half_spread.is_some(),
             has_sample_variance: frame.color().variance_of_mean.is_some(),
             beside: frames.len() - 1,
-            noise: NoiseTiles::of_all(frames.iter().map(|frame| frame.color())),
+            noise: NoiseTiles::of_all(frames.iter().map(|frame| frame.color())).filter(|_| all_tell),
             grey: frames.iter().all(|frame| frame.color().is_grey()),
             tile_columns: (frame.extent().width as usize).div_ceil(TILE),
             features: features.collect(),
@@ -264,9 +269,9 @@ impl Facts {
     }
 
     /// Of frames that cannot be looked at, because a renderer keeps them on the device: whatever may be there is.
-    pub(crate) fn of_gpu_frame(frame: &GpuFrame, beside: usize) -> Self {
+    pub(crate) fn of_gpu_frame(frame: &GpuFrame, beside: usize, with_features: bool) -> Self {
         let told = |signal: &GpuSignal| signal.has_halves || signal.variance_of_mean.is_some();
-        let features = frame.features.iter().map(|feature| FeatureFacts {
+        let features = frame.features.iter().filter(|_| with_features).map(|feature| FeatureFacts {
             name: feature.name.clone(),
             channels: feature.channels,
             noise_is_told: told(&feature.signal),
@@ -292,6 +297,18 @@ impl Facts {
         self.noise.as_ref().is_some_and(|noise| !noise.any())
     }
 
+    /// Whether the colour's noise is known from nothing but the image.
+    pub(super) fn is_image_only(&self) -> bool {
+        !self.has_halves && !self.has_sample_variance
+    }
+
+    /// Whether the colour, or a feature with noise, has no sample variance. Features are judged beside the colour's
+    /// halves.
+    pub(super) fn lacks_variance(&self) -> bool {
+        let features_lack = || self.features.iter().any(|feature| feature.noise_is_told && !feature.has_sample_variance);
+        !self.has_sample_variance || self.has_halves && features_lack()
+    }
+
     /// Tiles around which the colour has no noise, as far as a filter reaches, in pixels.
     pub(super) fn exact_color(&self, reach: u32) -> Option<ExactTiles> {
         self.exact(self.noise.as_ref(), self.has_sample_variance, reach)
@@ -304,7 +321,7 @@ impl Facts {
 
     /// Without sample variance, the variance that a filter takes is smoothed, and reaches further than the noise. Where few tiles are exact, that is not worth a thing.
     fn exact(&self, noise: Option<&NoiseTiles>, has_sample_variance: bool, reach: u32) -> Option<ExactTiles> {
-        let smoothing = if has_sample_variance { 0 } else { INPUT_SMOOTHING.radius };
+        let smoothing = if has_sample_variance { 0 } else { INPUT_SMOOTHING.radius.max(POOLING_RADIUS) };
         let exact = ExactTiles::new(noise?.exact((reach + smoothing) as usize), self.tile_columns, TILE);
         Some(exact).filter(|exact| exact.share() >= LEAST_SHARE)
     }
@@ -373,10 +390,31 @@ impl Planner {
         }
     }
 
+    /// Variances of the mean that nothing gives, if they are to be estimated.
+    pub(super) fn noise(&mut self, pooled_variance: bool, facts: &Facts) {
+        let because = if facts.is_image_only() {
+            "known from the image itself"
+        } else if facts.has_sample_variance {
+            "of features, known from two seeds"
+        } else {
+            "known from two seeds"
+        };
+        let unless = [
+            impossible(!facts.lacks_variance(), "known from the variance"),
+            impossible(!pooled_variance, "the parameters leave it out"),
+            needless(facts.is_noise_free(), "no pixel has noise"),
+        ];
+        self.step(Step::Noise, because, &unless);
+    }
+
     /// The variance of the colour's mean, from what there is.
-    pub(super) fn variance(&mut self, facts: &Facts) {
-        let because = if facts.has_sample_variance { "the sample variance, scaled by the halves" } else { "the squared half spread, smoothed" };
-        self.step(Step::Variance, because, &[impossible(!facts.has_halves, "without halves the sample variance is taken as it is")]);
+    pub(super) fn variance(&mut self, pooled_variance: bool, facts: &Facts) {
+        let because = match (facts.has_sample_variance, pooled_variance) {
+            (true, _) => "the sample variance, scaled by the halves",
+            (false, true) => "the pooled variance, scaled by the halves",
+            (false, false) => "the squared half spread, smoothed",
+        };
+        self.step(Step::Variance, because, &[impossible(!facts.has_halves, "without halves the variance is taken as it is")]);
     }
 
     /// What has no noise stays.

@@ -56,6 +56,13 @@ impl Packing {
         Self { slots, groups, channels: channels.to_vec() }
     }
 
+    /// The features in an order in which a group's triple, which clears the group, comes before its single.
+    pub fn order(&self) -> Vec<usize> {
+        let mut order: Vec<usize> = (0..self.slots.len()).collect();
+        order.sort_by_key(|index| self.slots[*index].single);
+        order
+    }
+
     /// 1 / number of channels for each channel of each group's triple: the distance of a feature is the mean over its channels.
     pub(super) fn triple_weights(&self) -> [Vec4; MAX_GROUPS] {
         let mut weights = [Vec4::ZERO; MAX_GROUPS];

@@ -10,7 +10,7 @@ uniforms! { struct GaussianParams { extent: IVec2, axis: IVec2, radius: i32, exp
 bindings! { struct GaussianAxis<'a> { uniform params: GaussianParams, read source, write smoothed, optional centres } }
 
 /// A Gaussian over a square of pixels.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Gaussian {
     /// Standard deviation in pixels, above 0.
     pub sigma: f32,

@@ -12,6 +12,7 @@ pub mod gaussian;
 pub mod half;
 pub mod keep_clean;
 pub mod nlm;
+pub mod noise;
 pub mod sample;
 pub mod scale;
 pub mod select;

@@ -15,6 +15,7 @@ use crate::common::{assert_near, gpu, open, own_size};
 use crate::frames::{EVERYTHING, Keep, error_of, frame, new_frame, noisy};
 use crate::reference::keep_clean::CleanParams;
 use crate::reference::nlm_method::{self, NlmParams as TwinParams, Variance};
+use crate::reference::noise::NoiseParams;
 use crate::reference::random::Random;
 use crate::reference::spike::SpikeParams;
 use crate::reference::{Grid, Planes};
@@ -51,7 +52,13 @@ fn assert_same(what: &str, actual: &Estimate, expected: &Estimate) {
 #[test]
 fn the_presets_are_those_of_the_reference() {
     let twin = TwinParams::thesis();
-    let measured = TwinParams { variance: Variance::Scaled, spikes: Some(SpikeParams::default()), keep_clean: Some(CleanParams::default()), ..twin };
+    let measured = TwinParams {
+        variance: Variance::Scaled,
+        spikes: Some(SpikeParams::default()),
+        keep_clean: Some(CleanParams::default()),
+        noise: Some(NoiseParams::default()),
+        ..twin
+    };
     for (preset, twin) in [(NlmParams::thesis(), twin), (NlmParams::default(), measured)] {
         let mut shown = nlm_params(&preset);
         // 0.45 as a float32 is not 0.45.

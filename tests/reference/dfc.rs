@@ -3,6 +3,7 @@
 use super::candidates::{Candidate, candidate};
 use super::keep_clean::{CleanParams, Kept, keep_clean};
 use super::nlm::{CentreWeight, Feature, FilterParams, Guide, nlm_filter};
+use super::noise::{NoiseParams, completed};
 use super::prefilter::{Prefiltered, prefilter};
 use super::select::{self, Evidence, Guard, Significance, color_only_share, differences, select, share, smooth_maps};
 use super::spike::{self, SpikeParams};
@@ -54,6 +55,8 @@ pub struct DfcParams {
     pub color_only: Option<Significance>,
     /// None: pixels without noise are filtered like all others.
     pub keep_clean: Option<CleanParams>,
+    /// None: variances that are not given are smoothed squares.
+    pub noise: Option<NoiseParams>,
 }
 
 impl DfcParams {
@@ -73,6 +76,7 @@ impl DfcParams {
             second_pass: SecondPassParams { half_radius: false, patch_radius: 1, k_color: 0.45, clamp_to_input: false, most_sigmas: None },
             color_only: None,
             keep_clean: None,
+            noise: None,
         }
     }
 
@@ -108,6 +112,7 @@ impl Default for DfcParams {
             second_pass: SecondPassParams { half_radius: true, patch_radius: 3, k_color: 0.45, clamp_to_input: true, most_sigmas: Some(4.0) },
             color_only: Some(Significance::default()),
             keep_clean: Some(CleanParams::default()),
+            noise: Some(NoiseParams::default()),
             ..thesis
         }
     }
@@ -165,6 +170,10 @@ pub struct Dfc {
 }
 
 pub fn dfc(frame: &Frame, params: &DfcParams) -> Dfc {
+    // Variances that nothing gives. None of Algorithm 1.
+    let completed = params.noise.map(|noise| completed(&frame.color, &frame.features, &noise));
+    let completed = completed.map(|(color, features)| Frame { color, features });
+    let frame = completed.as_ref().unwrap_or(frame);
     // Lines 2–5 and 6–10: features and variances. Spikes are none of Algorithm 1.
     let prefiltered: Vec<Prefiltered> = frame.features.iter().map(|signal| prefilter(signal, params.symmetric, params.centre, params.box_weight)).collect();
     let features: Vec<Feature> = prefiltered.iter().map(|prefiltered| prefiltered.feature.clone()).collect();

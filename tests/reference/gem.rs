@@ -2,6 +2,7 @@
 
 use super::gaussian::{gaussian, gaussian_neighbours, gaussian_variance};
 use super::keep_clean::{CleanParams, Kept, keep_clean};
+use super::noise::{NoiseParams, completed};
 use super::spike::{self, SpikeParams};
 use super::variance::{BoxWeight, Signal, input_variance};
 use super::{Grid, Planes, Point};
@@ -19,15 +20,25 @@ pub struct GemParams {
     pub spikes: Option<SpikeParams>,
     /// None: pixels without noise are filtered like all others.
     pub keep_clean: Option<CleanParams>,
+    /// None: variances that are not given are smoothed squares.
+    pub noise: Option<NoiseParams>,
 }
 
 impl GemParams {
     pub fn while_sampling(gamma: f64) -> Self {
-        Self { gamma, sigmas: vec![1.0, 2.0, 4.0, 8.0], outlier_size: 1.0, coarser_only: false, spikes: None, keep_clean: None }
+        Self { gamma, sigmas: vec![1.0, 2.0, 4.0, 8.0], outlier_size: 1.0, coarser_only: false, spikes: None, keep_clean: None, noise: None }
     }
 
     pub fn for_the_final_image(gamma: f64, outlier_size: f64) -> Self {
-        Self { gamma, sigmas: (1..=8).map(|step| 2f64.powf(0.5 * f64::from(step))).collect(), outlier_size, coarser_only: true, spikes: None, keep_clean: None }
+        Self {
+            gamma,
+            sigmas: (1..=8).map(|step| 2f64.powf(0.5 * f64::from(step))).collect(),
+            outlier_size,
+            coarser_only: true,
+            spikes: None,
+            keep_clean: None,
+            noise: None,
+        }
     }
 }
 
@@ -153,6 +164,8 @@ pub struct Gem {
 }
 
 pub fn gem(color: &Signal, samples: &Grid, params: &GemParams) -> Gem {
+    let completed = params.noise.map(|noise| completed(color, &[], &noise).0);
+    let color = completed.as_ref().unwrap_or(color);
     let repaired = params.spikes.map(|params| spike::repaired(color, &[], &params).signal);
     let color = repaired.as_ref().unwrap_or(color);
     let variance = input_variance(color, BoxWeight::Even);

@@ -6,6 +6,7 @@
 //! ```text
 //! exposure    the unit that all of it is done in
 //! variance    what is known of the noise: scaled sample variances, two-buffer variances      8.2, 8.3
+//! noise       variances that no renderer gave, from two halves
 //! spike       what stands out on very few samples, and where it goes
 //! gaussian    averages, their variance, averages of a pixel's neighbours                      6.2, 6.4
 //! nlm         the one NL-means operator: payload, optional guide, optional features          7.1.1, 8.2, 8.3
@@ -33,6 +34,7 @@ pub mod gem;
 pub mod keep_clean;
 pub mod nlm;
 pub mod nlm_method;
+pub mod noise;
 pub mod prefilter;
 pub mod random;
 pub mod select;

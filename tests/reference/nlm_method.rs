@@ -3,6 +3,7 @@
 use super::gaussian::gaussian;
 use super::keep_clean::{CleanParams, Kept, keep_clean};
 use super::nlm::{CentreWeight, Guide, Pair, WindowWeights, blendable, half_window, weight};
+use super::noise::{NoiseParams, completed};
 use super::spike::{self, SpikeParams};
 use super::variance::{BoxWeight, Floor, Signal, floored, input_variance, of_color};
 use super::{Grid, Planes, Point, map_pixels, square};
@@ -134,6 +135,8 @@ pub struct NlmParams {
     pub spikes: Option<SpikeParams>,
     /// None: pixels without noise are filtered like all others.
     pub keep_clean: Option<CleanParams>,
+    /// None: variances that are not given are smoothed squares.
+    pub noise: Option<NoiseParams>,
 }
 
 impl NlmParams {
@@ -149,7 +152,7 @@ impl NlmParams {
             cut: 0.05,
             centre: CentreWeight::One,
         };
-        NlmParams { filter, dual_buffer: true, variance: Variance::CrossFiltered, spikes: None, keep_clean: None }
+        NlmParams { filter, dual_buffer: true, variance: Variance::CrossFiltered, spikes: None, keep_clean: None, noise: None }
     }
 }
 
@@ -166,7 +169,8 @@ pub struct Nlm {
 }
 
 pub fn nlm(color: &Signal, params: &NlmParams, samples: &Grid) -> Nlm {
-    let raw = color;
+    let completed = params.noise.map(|noise| completed(color, &[], &noise).0);
+    let raw = completed.as_ref().unwrap_or(color);
     let repaired = params.spikes.map(|params| spike::repaired(raw, &[], &params).signal);
     let color = repaired.as_ref().unwrap_or(raw);
     let like = &color.mean[0];

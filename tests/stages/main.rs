@@ -15,6 +15,7 @@ mod feature;
 mod gaussian;
 mod keep_clean;
 mod nlm;
+mod noise;
 mod scale;
 mod select;
 mod spike;

@@ -11,6 +11,7 @@ use stein::stage::variance::BoxWeight;
 use stein::{DfcParams, Frame, GemParams, NlmParams};
 use stein_reference::dfc::{self, CandidateParams, SecondPassParams};
 use stein_reference::keep_clean::CleanParams;
+use stein_reference::noise::NoiseParams;
 use stein_reference::{Grid, Planes, exposure, gem, nlm, nlm_method, select, spike, variance};
 
 /// The planes of an image, times a factor.
@@ -95,6 +96,7 @@ pub(crate) fn dfc_params(params: &DfcParams) -> dfc::DfcParams {
         },
         color_only: params.color_only.then(select::Significance::default),
         keep_clean: params.keep_clean.then(CleanParams::default),
+        noise: params.pooled_variance.then(NoiseParams::default),
     }
 }
 
@@ -136,6 +138,7 @@ pub(crate) fn nlm_params(params: &NlmParams) -> nlm_method::NlmParams {
         dual_buffer: params.dual_buffer,
         spikes: spikes(params.spikes),
         keep_clean: params.keep_clean.then(CleanParams::default),
+        noise: params.pooled_variance.then(NoiseParams::default),
         variance: match params.variance {
             NlmVariance::Scaled => nlm_method::Variance::Scaled,
             NlmVariance::CrossFiltered => nlm_method::Variance::CrossFiltered,
@@ -151,5 +154,10 @@ pub(crate) fn gem_params(params: &GemParams) -> gem::GemParams {
         Phase::Sampling => gem::GemParams::while_sampling(gamma),
         Phase::Final => gem::GemParams::for_the_final_image(gamma, params.final_outlier_size.into()),
     };
-    gem::GemParams { spikes: spikes(params.spikes), keep_clean: params.keep_clean.then(CleanParams::default), ..of_phase }
+    gem::GemParams {
+        spikes: spikes(params.spikes),
+        keep_clean: params.keep_clean.then(CleanParams::default),
+        noise: params.pooled_variance.then(NoiseParams::default),
+        ..of_phase
+    }
 }

@@ -50,6 +50,10 @@ parameters! {
         pub covariance: f32 => above(0.0),
         /// Keeps candidates out of the blend that are clearly worse, by the smoothed errors and by the pixel's own. Left out, the smoothed selection maps decide alone.
         pub guard: Option<Guard>,
+        /// Whether a variance of the mean that is not given is estimated: pooled from the halves of pixels that are alike,
+        /// or, where there are no halves either, from the image itself. Otherwise the squared half spread is smoothed,
+        /// and an image alone is refused.
+        pub pooled_variance: bool,
         /// What becomes of spikes: pixels that stand out from those of their kind and rest on very few samples.
         pub spikes: Spikes,
         /// Filters what noise pass 1 left (Algorithm 1 lines 34 to 37); needs halves. Left out, pass 1 is the result.
@@ -106,6 +110,7 @@ impl Default for DfcParams {
             second_pass: Some(SecondPass::default()),
             color_only: true,
             keep_clean: true,
+            pooled_variance: true,
             ..Self::thesis()
         }
     }
@@ -131,6 +136,7 @@ impl DfcParams {
             second_pass: Some(SecondPass { half_window: false, patch_radius: 1, color_k: 0.45, clamp_to_input: false, most_sigmas: None }),
             color_only: false,
             keep_clean: false,
+            pooled_variance: false,
         }
     }
 

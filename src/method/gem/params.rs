@@ -39,6 +39,10 @@ parameters! {
         pub phase: Phase,
         /// Size of the filter that removes outliers from the stopping maps for the final image, in sizes of the pair's coarse scale.
         pub final_outlier_size: f32 => real(0.5..=4.0),
+        /// Whether a variance of the mean that is not given is estimated: pooled from the halves of pixels that are alike,
+        /// or, where there are no halves either, from the image itself. Otherwise the squared half spread is smoothed,
+        /// and an image alone is refused.
+        pub pooled_variance: bool,
         /// What becomes of spikes: pixels that stand out from those of their kind and rest on very few samples.
         pub spikes: Spikes,
         /// Whether pixels whose samples show no noise stay as they are, however noisy their neighbours. Black pixels stay only where everything around them is black: elsewhere
@@ -82,14 +86,14 @@ impl Phase {
 
 impl Default for GemParams {
     fn default() -> Self {
-        Self { gamma: 0.15, final_outlier_size: 1.0, spikes: Spikes::Spread, keep_clean: true, ..Self::thesis() }
+        Self { gamma: 0.15, final_outlier_size: 1.0, spikes: Spikes::Spread, keep_clean: true, pooled_variance: true, ..Self::thesis() }
     }
 }
 
 impl GemParams {
     /// As the published results were made (thesis 6.4, 6.5).
     pub fn thesis() -> Self {
-        Self { gamma: 0.1, phase: Phase::Final, final_outlier_size: 2.0, spikes: Spikes::Keep, keep_clean: false }
+        Self { gamma: 0.1, phase: Phase::Final, final_outlier_size: 2.0, spikes: Spikes::Keep, keep_clean: false, pooled_variance: false }
     }
 
     /// What smooths the stopping map of the step to a scale (thesis 6.2.4).

@@ -33,6 +33,10 @@ parameters! {
         pub dual_buffer: bool,
         /// What is taken for the variance of the pixel means.
         pub variance: NlmVariance,
+        /// Whether a variance of the mean that is not given is estimated: pooled from the halves of pixels that are alike,
+        /// or, where there are no halves either, from the image itself. Otherwise the squared half spread is smoothed,
+        /// and an image alone is refused.
+        pub pooled_variance: bool,
         /// What becomes of spikes: pixels that stand out from those of their kind and rest on very few samples.
         pub spikes: Spikes,
         /// Whether, over several frames, those that harm a pixel, by its SURE, are left out there. Needs two buffers and a centre of weight one.
@@ -61,7 +65,7 @@ choices! {
 
 impl Default for NlmParams {
     fn default() -> Self {
-        Self { variance: NlmVariance::Scaled, spikes: Spikes::Spread, guard_frames: true, keep_clean: true, ..Self::thesis() }
+        Self { variance: NlmVariance::Scaled, spikes: Spikes::Spread, guard_frames: true, keep_clean: true, pooled_variance: true, ..Self::thesis() }
     }
 }
 
@@ -81,6 +85,7 @@ impl NlmParams {
             spikes: Spikes::Keep,
             guard_frames: false,
             keep_clean: false,
+            pooled_variance: false,
         }
     }
 

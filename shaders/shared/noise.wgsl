@@ -1,0 +1,32 @@
+// What the stages share that estimate a variance where none is given.
+#define_import_path stein::noise
+
+struct NoiseParams {
+    extent: vec2<i32>,
+    // How many times brighter than itself a pixel takes its surroundings to be.
+    darker: f32,
+    // The least magnitude.
+    least_magnitude: f32,
+    // −1 / (2σ²) of the Gaussian of the first guess, σ in pixels, and its radius.
+    guess_exponent: f32,
+    guess_radius: i32,
+    // Radius of the box over which the noise of features is averaged.
+    feature_radius: i32,
+    // Radius of the window whose pixels are pooled.
+    window_radius: i32,
+    // Magnitudes that differ by more than this factor are not pooled.
+    gate: f32,
+    // The distance from which on a pixel is not pooled.
+    largest_distance: f32,
+    // k_f² and τ: how large a difference between features counts.
+    squared_feature_k: f32,
+    feature_tau: f32,
+    // How often the pooled variance counts, against once the pixel's own.
+    pooled_share: f32,
+    // 1 / number of channels, per channel of the triple.
+    triple_weights: array<vec4<f32>, 8>,
+}
+
+fn brightness(color: vec3<f32>) -> f32 {
+    return abs(color.x + color.y + color.z) / 3.0;
+}

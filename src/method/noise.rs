@@ -1,0 +1,47 @@
+//! What is known of a frame's noise, made complete before anything else: variances that no renderer gave are estimated.
+
+use std::sync::Arc;
+
+use glam::IVec2;
+
+use super::GpuSignal;
+use super::frame::FeatureInput;
+use crate::error::Result;
+use crate::gpu::Recorder;
+use crate::stage::noise::{NoiseRule, NoisyFeatures, noise_feature, noise_pool, noise_unpack};
+
+/// How far around a pixel its variance depends on a frame where it is estimated, in pixels.
+pub(super) fn reach_of_noise(is_estimated: bool) -> u32 {
+    if is_estimated { NoiseRule::HALVES.reach() } else { 0 }
+}
+
+/// How far around a pixel its estimated variance depends on noise, in pixels: beyond, it only matters how bright pixels
+/// are.
+pub(super) const POOLING_RADIUS: u32 = NoiseRule::HALVES.window_radius;
+
+/// Gives the colour and the features variances of the mean where they have none but have halves.
+pub(super) fn estimate_noise(rec: &mut Recorder, extent: IVec2, color: &mut GpuSignal, features: &mut [FeatureInput]) -> Result<()> {
+    let rule = NoiseRule::HALVES;
+    let channels: Vec<u32> = features.iter().map(|feature| feature.channels).collect();
+    let mut lacking = vec![false; features.len()];
+    let mut noisy = None;
+    if !channels.is_empty() {
+        let packed = NoisyFeatures::take(rec, extent, &channels)?;
+        for index in packed.packing.order() {
+            let signal = features[index].fetch(rec, extent)?;
+            lacking[index] = signal.has_halves && signal.variance_of_mean.is_none();
+            let given = signal.variance_of_mean.as_deref().filter(|_| !signal.has_halves);
+            noise_feature(rec, extent, &packed, packed.packing.slots[index], &signal.signal, given, &rule)?;
+        }
+        noisy = Some(packed);
+    }
+    let pooled = Arc::new(noise_pool(rec, extent, &color.signal, noisy.as_ref(), &rule)?);
+    if color.variance_of_mean.is_none() {
+        color.variance_of_mean = Some(Arc::new(noise_unpack(rec, extent, &pooled, None)?));
+    }
+    let Some(noisy) = noisy else { return Ok(()) };
+    for (index, feature) in features.iter_mut().enumerate().filter(|(index, _)| lacking[*index]) {
+        feature.pooled = Some((pooled.clone(), noisy.packing.slots[index]));
+    }
+    Ok(())
+}

@@ -1,0 +1,123 @@
+//! `noise_magnitude`, `noise_guess`, `noise_feature`, `noise_pool` and `noise_unpack`. Distances divide differences of
+//! values of the order of 1 by the noise, so that weights have four digits; what they average is positive.
+
+use stein::gpu::Gpu;
+use stein::stage::noise::{NoiseRule, NoisyFeatures, noise_feature, noise_pool, noise_unpack};
+
+use crate::common::{Scene, assert_near, checked_gpu, extent_of, gpu, own_size, packed_signal, read, rounded, run, scene, upload};
+use crate::reference::noise::{NoiseParams, pooled};
+use crate::reference::random::Random;
+use crate::reference::variance::Signal;
+use crate::reference::{Grid, Planes, Point};
+
+const WEIGHTED_MEANS: f64 = 2e-4;
+
+/// Stripes of three materials, each with noise of its own size, and a part as dark as a thousandth of the rest.
+fn lit(width: usize, height: usize, seed: u64) -> Signal {
+    let Scene { mean, spread, .. } = scene(width, height, seed);
+    let light = |p: Point| if p.x as usize > 2 * width / 3 { 1e-3 } else { 1.0 };
+    let darkened = |planes: Planes| -> Planes { planes.iter().map(|grid| rounded(grid.like(|p| grid.at(p) * light(p)))).collect() };
+    Signal { mean: darkened(mean), spread: Some(darkened(spread)), sample_variance: None }
+}
+
+/// With halves, with a variance alone, and with neither, in turn.
+fn features(width: usize, height: usize, channels: &[usize], seed: u64) -> Vec<Signal> {
+    let mut random = Random(seed);
+    let mut feature = |index: usize, channels: usize| {
+        let mut planes =
+            |least: f64, greatest: f64| -> Planes { (0..channels).map(|_| rounded(random.uniform_grid(width, height, least, greatest))).collect() };
+        let (noise, spread, variance) = (planes(-0.02, 0.02), planes(-0.02, 0.02), planes(0.0, 0.001));
+        let stripes = |noise: &Grid| rounded(noise.like(|p| ((p.x as usize / (5 + index)) % 3) as f64 / 2.0 + noise.at(p)));
+        Signal { mean: noise.iter().map(stripes).collect(), spread: (index % 3 == 0).then_some(spread), sample_variance: (index % 3 == 1).then_some(variance) }
+    };
+    channels.iter().enumerate().map(|(index, channels)| feature(index, *channels)).collect()
+}
+
+fn check(gpu: &Gpu, width: usize, height: usize, channels: &[usize]) {
+    let color = lit(width, height, 61);
+    let features = features(width, height, channels, 62);
+    let extent = extent_of(&color.mean[0]);
+    let zero = |like: &[Grid]| -> Planes { like.iter().map(|grid| grid.like(|_| 0.0)).collect() };
+    let packed = |signal: &Signal| packed_signal(&signal.mean, &signal.spread.clone().unwrap_or_else(|| zero(&signal.mean)));
+    let (of_color, of_features) = run(gpu, |rec| {
+        let rule = NoiseRule::HALVES;
+        let signal = rec.upload("signal", &packed(&color))?;
+        let mut noisy = None;
+        if !features.is_empty() {
+            let channels: Vec<u32> = channels.iter().map(|channels| *channels as u32).collect();
+            let room = NoisyFeatures::take(rec, extent, &channels)?;
+            for index in room.packing.order() {
+                let feature = rec.upload("feature", &packed(&features[index]))?;
+                let variance = features[index].sample_variance.as_ref().map(|variance| upload(rec, variance)).transpose()?;
+                noise_feature(rec, extent, &room, room.packing.slots[index], &feature, variance.as_ref(), &rule)?;
+            }
+            noisy = Some(room);
+        }
+        let pooled = noise_pool(rec, extent, &signal, noisy.as_ref(), &rule)?;
+        let slots = noisy.iter().flat_map(|noisy| &noisy.packing.slots);
+        let of_features = slots.map(|slot| noise_unpack(rec, extent, &pooled, Some(*slot))).collect::<stein::Result<Vec<_>>>()?;
+        Ok((noise_unpack(rec, extent, &pooled, None)?, of_features))
+    });
+
+    let expected = pooled(&color, &features, &NoiseParams::default());
+    let what = format!("{width}×{height}, features of {channels:?} channels");
+    let near = |what: &str, actual: &[Grid], expected: &[Grid]| assert_near(what, actual, expected, &own_size(expected, 1e-12), WEIGHTED_MEANS, 1e-3);
+    near(&format!("colour, {what}"), &read(gpu, &of_color, extent)[0][..3], &expected.color);
+    for (index, ((actual, expected), signal)) in of_features.iter().zip(&expected.features).zip(&features).enumerate() {
+        if signal.spread.is_some() {
+            near(&format!("feature {index}, {what}"), &read(gpu, actual, extent)[0][..expected.len()], expected);
+        }
+    }
+}
+
+#[test]
+fn noise_is_pooled_from_the_halves_of_pixels_that_are_alike() {
+    check(gpu(), 257, 89, &[3, 1]);
+    check(gpu(), 7, 300, &[]);
+    check(gpu(), 1, 1, &[3]);
+    check(gpu(), 24, 20, &[1, 3, 2, 1, 3, 1, 1, 3]);
+    check(checked_gpu(), 31, 9, &[3, 1, 1]);
+}
+
+/// What the estimate is for: Gaussian noise whose size depends on the material, told from two halves alone.
+#[test]
+fn pooled_variance_is_that_of_the_noise() {
+    let (width, height) = (96, 96);
+    let mut random = Random(63);
+    // Two materials that touch; one is ten times as bright, with a hundred times the variance.
+    let is_bright = |p: Point| p.x >= 48;
+    let deviation = |p: Point| if is_bright(p) { 0.2 } else { 0.02 };
+    let mut half = || -> Planes {
+        let mut plane = || {
+            let noise = random.gaussian_grid(width, height, 0.0, 1.0);
+            noise.like(|p| if is_bright(p) { 1.0 } else { 0.1 } + deviation(p) * f64::sqrt(2.0) * noise.at(p))
+        };
+        vec![plane(), plane(), plane()]
+    };
+    let (a, b) = (half(), half());
+    let combined = |sign: f64| -> Planes { a.iter().zip(&b).map(|(a, b)| rounded(a.like(|p| (a.at(p) + sign * b.at(p)) / 2.0))).collect() };
+    let (mean, spread) = (combined(1.0), combined(-1.0));
+    let gpu = gpu();
+    let extent = extent_of(&mean[0]);
+    let buffer = run(gpu, |rec| {
+        let signal = rec.upload("signal", &packed_signal(&mean, &spread))?;
+        let pooled = noise_pool(rec, extent, &signal, None, &NoiseRule::HALVES)?;
+        noise_unpack(rec, extent, &pooled, None)
+    });
+    let variance = read(gpu, &buffer, extent).remove(0);
+    for bright in [false, true] {
+        let ratio = |plane: &Grid, beside: bool| {
+            let of_kind: Vec<f64> = (0..height * width)
+                .map(|at| Point { x: (at % width) as isize, y: (at / width) as isize })
+                .filter(|&p| is_bright(p) == bright && (!beside || (44..52).contains(&p.x)))
+                .map(|p| plane.at(p) / deviation(p).powi(2))
+                .collect();
+            of_kind.iter().sum::<f64>() / of_kind.len() as f64
+        };
+        for plane in &variance[..3] {
+            // Everywhere, and within four pixels of the border between both.
+            let (all, beside) = (ratio(plane, false), ratio(plane, true));
+            assert!((0.9..1.1).contains(&all) && (0.85..1.2).contains(&beside), "bright {bright}: {all} and {beside} times the variance");
+        }
+    }
+}
