@@ -1,6 +1,8 @@
 //! The frame: a buffer set whose meaning has been settled. Everything finite, one extent, variances of the pixel mean, halves as one spread, features in unit range.
 
+mod albedo;
 mod correlation;
+mod knowledge;
 mod noise;
 mod normals;
 mod range;
@@ -10,11 +12,11 @@ mod sources;
 mod unit_range;
 
 use rayon::prelude::*;
-use serde::Serialize;
 
 use crate::buffers::{BufferSet, MAX_FEATURES, RawSignal, names};
 use crate::error::{Error, Result};
 use crate::image::{self, Extent, Image, Window};
+pub use knowledge::NoiseKnowledge;
 pub(crate) use noise::{NoiseTiles, TILE};
 use repairs::Layer;
 pub use repairs::{Damage, DamagedImage, LayerRepairs, Repairs};
@@ -65,28 +67,7 @@ pub enum SamplesPerPixel {
     PerPixel(Image),
 }
 
-/// What is known of a signal's noise.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-pub enum NoiseKnowledge {
-    /// Halves and sample variance: everything works.
-    HalvesAndVariance,
-    /// Halves only: the squared half spread, smoothed, stands for the variance.
-    HalvesOnly,
-    /// Sample variance only: it is taken as it is, and there is no second pass, which needs halves.
-    VarianceOnly,
-}
-
 impl Signal {
-    /// What is known of the noise; `None` if nothing is, which for a feature means that it is taken as free of noise.
-    pub fn noise_knowledge(&self) -> Option<NoiseKnowledge> {
-        match (&self.half_spread, &self.variance_of_mean) {
-            (Some(_), Some(_)) => Some(NoiseKnowledge::HalvesAndVariance),
-            (Some(_), None) => Some(NoiseKnowledge::HalvesOnly),
-            (None, Some(_)) => Some(NoiseKnowledge::VarianceOnly),
-            (None, None) => None,
-        }
-    }
-
     /// Whether all channels are the same to the bit, in the mean and in all that is known of its noise.
     pub fn is_grey(&self) -> bool {
         let same = |a: &Vec<f32>, b: &Vec<f32>| {
@@ -158,15 +139,8 @@ impl Frame {
 
     fn settle(raw: RawSignal, set: &BufferSet) -> Result<(Self, Repairs)> {
         let mut notes = Vec::new();
-        match empty_half(&raw) {
-            Some(half) if raw.variance_of_mean.is_none() => {
-                return Err(Error::Request {
-                    problem: format!("half {half} of the colour is empty, and there is no variance: nothing is known of the colour's noise"),
-                    remedy: "render both halves with the same number of samples".into(),
-                });
-            }
-            Some(_) => {}
-            None => notes.extend(mean_beside_halves(&raw)),
+        if empty_half(&raw).is_none() {
+            notes.extend(mean_beside_halves(&raw));
         }
         let color = signal("colour", raw, &mut notes);
         // Feature by feature, so that no more than one is in memory both raw and settled.
@@ -181,12 +155,13 @@ impl Frame {
     ///
     /// Everything in the frame is finite: damaged values take their neighbours' average, negative variances become 0.
     /// Of halves and variance, what does not fit the mean, has no usable value, or is silent where the other one tells
-    /// of noise is left out. Features are brought to unit range; constant ones, those that cannot be used, and those
-    /// after the first [`MAX_FEATURES`] are left out. All of it is reported.
+    /// of noise is left out, and so are identical halves of a colour without a variance. A colour of whose noise nothing
+    /// is known is [`NoiseKnowledge::ImageOnly`]. Albedo is clamped to 1. Features are brought to unit range; constant
+    /// ones, those that cannot be used, and those after the first [`MAX_FEATURES`] are left out. All of it is reported.
     ///
     /// # Errors
-    /// Images of different extent, no pixels, a colour that has not three channels, or of whose noise nothing is known,
-    /// or with a channel without a single usable pixel; sample counts of another shape.
+    /// Images of different extent, no pixels, a colour that has not three channels, or with a channel without a single
+    /// usable pixel; sample counts of another shape.
     pub fn new(mut color: Signal, features: Vec<(String, Signal)>, samples_per_pixel: SamplesPerPixel) -> Result<(Self, Repairs)> {
         let extent = color.mean.extent;
         check_shape("colour", &color, extent)?;
@@ -215,6 +190,9 @@ impl Frame {
                 repairs.drop_feature(name, "not one pixel has a usable value");
                 continue;
             };
+            if names::is_albedo_name(&name) {
+                repairs.notes.extend(albedo::clamp_to_one(&name, &mut signal));
+            }
             match unit_range::to_unit_range(&name, &mut signal, &misses) {
                 Some(UnitRange { scale: unit_scale, offset: unit_offset, notes }) => {
                     repairs.notes.extend(notes);
@@ -279,27 +257,6 @@ impl Frame {
     pub fn samples_per_pixel(&self) -> &SamplesPerPixel {
         &self.samples_per_pixel
     }
-
-    /// What is known of the colour's noise.
-    pub fn noise_knowledge(&self) -> NoiseKnowledge {
-        // `new` has refused a colour of whose noise nothing is known.
-        self.color.noise_knowledge().unwrap_or(NoiseKnowledge::VarianceOnly)
-    }
-
-    /// A guess, without a reference, at the [`relative_mse`](crate::metric::relative_mse) of the unfiltered colour: the mean over pixels and channels of
-    /// variance/(mean² + 0.01). Too low where samples are few: a spike raises its own mean along with its variance, and one that no pixel caught is missing.
-    pub fn noise_level(&self) -> f64 {
-        let mut sum = 0.0;
-        for (channel, mean) in self.color.mean.planes.iter().enumerate() {
-            let relative = |variance: f64, mean: f32| variance / (f64::from(mean).powi(2) + crate::metric::RELATIVE_EPSILON);
-            sum += match (&self.color.variance_of_mean, &self.color.half_spread) {
-                (Some(variance), _) => variance.planes[channel].iter().zip(mean).map(|(&v, &m)| relative(v.into(), m)).sum::<f64>(),
-                (None, Some(spread)) => spread.planes[channel].iter().zip(mean).map(|(&s, &m)| relative(f64::from(s).powi(2), m)).sum(),
-                (None, None) => 0.0,
-            };
-        }
-        sum / (self.color.mean.channels() * self.extent.pixels()) as f64
-    }
 }
 
 /// Halves of which one is empty say nothing.
@@ -360,7 +317,6 @@ fn check_shape(name: &str, signal: &Signal, extent: Extent) -> Result<()> {
 fn settle_color(color: &mut Signal, repairs: &mut Repairs) -> Result<()> {
     let layer = Layer::COLOR;
     let mut notes = Vec::new();
-    let had = (color.half_spread.is_some(), color.variance_of_mean.is_some());
     sources::leave_out_unusable(layer, color, &mut notes);
     // Repaired pixels share their neighbours' noise.
     let shared_noise = color.half_spread.as_ref().and_then(correlation::shared_noise);
@@ -372,7 +328,10 @@ fn settle_color(color: &mut Signal, repairs: &mut Repairs) -> Result<()> {
         });
     }
     sources::settle(layer, color, &mut notes);
-    check_noise_is_known(color, had, &notes)?;
+    if color.known_from() == NoiseKnowledge::HalvesOnly && sources::is_silent(color) {
+        notes.push("colour: the two halves are identical (rendered with the same seed?), so that they say nothing about the noise; they are left out".into());
+        color.half_spread = None;
+    }
     if let Some(correlation) = shared_noise.filter(|_| color.half_spread.is_some()) {
         notes.push(format!(
             "colour: neighbouring pixels share their noise (the halves' difference has a correlation of {correlation:.2} from pixel to pixel), so that \
@@ -380,17 +339,15 @@ fn settle_color(color: &mut Signal, repairs: &mut Repairs) -> Result<()> {
              independent pixels"
         ));
     }
-    if color.noise_knowledge() == Some(NoiseKnowledge::VarianceOnly) {
-        notes.push("colour: no halves, so the variance is taken as it is and there is no second pass".into());
+    let knowledge = color.known_from();
+    match knowledge {
+        NoiseKnowledge::VarianceOnly => notes.push("colour: no halves, so the variance is taken as it is and there is no second pass".into()),
+        NoiseKnowledge::ImageOnly => notes.push(knowledge::IMAGE_ONLY.into()),
+        NoiseKnowledge::HalvesAndVariance | NoiseKnowledge::HalvesOnly => {}
     }
-    if sources::is_silent(color) {
-        notes.push(format!(
-            "colour: {} of no noise at all, so that nothing is filtered",
-            match color.noise_knowledge() {
-                Some(NoiseKnowledge::VarianceOnly) => "the variance tells",
-                _ => "neither the halves nor the variance tell",
-            }
-        ));
+    if knowledge != NoiseKnowledge::ImageOnly && sources::is_silent(color) {
+        let silent = if knowledge.has_halves() { "neither the halves nor the variance tell" } else { "the variance tells" };
+        notes.push(format!("colour: {silent} of no noise at all, so that nothing is filtered"));
     }
     repairs.add(found);
     repairs.notes.extend(notes);
@@ -416,24 +373,4 @@ fn settle_feature(name: &str, signal: &mut Signal, repairs: &mut Repairs) -> Opt
         repairs.notes.push(format!("{layer}: neither halves nor variance, taken as free of noise"));
     }
     Some(misses)
-}
-
-/// `had`: whether halves and a variance were given; `notes` say what became of them.
-fn check_noise_is_known(color: &Signal, had: (bool, bool), notes: &[String]) -> Result<()> {
-    let (problem, remedy) = match color.noise_knowledge() {
-        None if had == (false, false) => (
-            "nothing is known of the colour's noise: there are neither two halves nor a variance".into(),
-            "render twice with different seeds and give both as halves (`BufferSetRequest::half_a`, `BufferSetRequest::half_b`), their average as \
-             the input; or let the renderer write the variance of the pixel mean, as layer `variance` or for `BufferSetRequest::variance`",
-        ),
-        None => (
-            format!("nothing is known of the colour's noise: {}", notes.join("; ")),
-            "look at the halves and the variance in an image viewer; render them again",
-        ),
-        Some(NoiseKnowledge::HalvesOnly) if sources::is_silent(color) => {
-            ("the two halves are identical, so that they say nothing about the noise".into(), "render the halves with different seeds")
-        }
-        Some(_) => return Ok(()),
-    };
-    Err(Error::Request { problem, remedy: remedy.into() })
 }

@@ -208,6 +208,62 @@ fn people_see_a_row_for_each_configuration() {
     assert!(!text.stdout.contains("relative MSE"), "{}", text.stdout);
 }
 
+/// The same set as a file of its own with less of what tells of its noise.
+fn write_without(parts: &[&str], from: &str, to: &str) {
+    let set = stein::buffers::BufferSet::read(&stein::buffers::BufferSetRequest { input: from.into(), ..Default::default() }).unwrap();
+    let RawSignal { mean, half_a, half_b, variance_of_mean } = set.color();
+    let rgb = ["R", "G", "B"].map(String::from).to_vec();
+    let layers = [("", Some(mean)), ("halfA", half_a), ("halfB", half_b), ("variance", variance_of_mean)].into_iter();
+    let layers = layers.filter(|(name, _)| !parts.contains(name));
+    let layers: Vec<_> = layers.map(|(name, image)| NamedLayer { name: name.into(), channels: rgb.clone(), image: image.unwrap() }).collect();
+    write_layers(Path::new(to), &layers, &[("samples".into(), "8".into())]).unwrap();
+}
+
+#[test]
+fn what_is_known_of_the_noise_is_measured_side_by_side() {
+    let folder = renders();
+    let (input, report) = (folder.path("renders/box/spp8/input.exr"), folder.path("report"));
+    let arguments = ["--methods=dfc,gem", "--presets=default", "--radius=2", "--repeat=1", "--json"];
+    let bench = |input: &str, more: &[&str]| stein(&[&["bench", input], &arguments[..], more].concat());
+    let document = bench(&input, &["--noise=given,halves,image,halves", "-o", &report]).succeeded().json();
+    let names: Vec<&str> = document["configurations"].as_array().unwrap().iter().map(|of| of["name"].as_str().unwrap()).collect();
+    assert_eq!(names, ["dfc R2", "dfc noise halves R2", "dfc noise image R2", "gem", "gem noise halves", "gem noise image"]);
+    let told: Vec<&str> = document["configurations"].as_array().unwrap().iter().map(|of| of["stein"]["noise"].as_str().unwrap()).collect();
+    assert_eq!(told, ["given", "halves", "image", "given", "halves", "image"]);
+    let error = |document: &Value, name: &str| row(document, "box, 8 spp", name)["errors"]["relative_mse"].as_f64().unwrap();
+    for method in ["dfc{} R2", "gem{}"] {
+        let errors = ["", " noise halves", " noise image"].map(|noise| error(&document, &method.replace("{}", noise)));
+        assert!(errors[0] != errors[1] && errors[1] != errors[2] && errors.iter().all(|error| *error > 0.0), "{method}: {errors:?}");
+    }
+    for of in document["rows"].as_array().unwrap() {
+        assert!(of["wall_ms"].as_f64().unwrap() > 0.0 && of["peak_bytes"].is_u64(), "{of}");
+    }
+    let read = |file: &str| std::fs::read_to_string(Path::new(&report).join(file)).unwrap();
+    let csv = read("results.csv");
+    let column = csv.lines().next().unwrap().split(',').position(|name| name == "noise").unwrap();
+    let mut records = csv::Reader::from_reader(csv.as_bytes());
+    assert_eq!(records.records().map(|record| record.unwrap()[column].to_owned()).collect::<Vec<_>>(), told);
+    assert!(read("index.html").contains("dfc noise image R2"));
+
+    // The same as a file that holds no more. Its feature is that of the set, so that gem, which uses none, tells.
+    let only = |name: &str, parts: &[&str]| {
+        let file = folder.path(&format!("{name}.exr"));
+        write_without(parts, &input, &file);
+        let document = bench(&file, &["--methods=gem", "--ref", &folder.path("renders/box/reference.exr")]).succeeded().json();
+        row(&document, &format!("{name}, 8 spp"), "gem")["errors"]["relative_mse"].as_f64().unwrap()
+    };
+    assert_eq!(only("halves", &["variance"]), error(&document, "gem noise halves"));
+
+    // A set that has no halves.
+    let bare = folder.path("renders/bare.exr");
+    write_without(&["halfA", "halfB"], &input, &bare);
+    bench(&bare, &["--noise=halves"]).failed(3, &["bare.exr: --noise halves", "no halves", "remedy: "]);
+    let document = bench(&folder.path("renders"), &["--noise=halves"]).succeeded().json();
+    assert_eq!(document["sets"].as_array().unwrap().len(), 2);
+    assert!(document["notes"].to_string().contains("left out: ") && document["notes"].to_string().contains("bare.exr"), "{}", document["notes"]);
+    bench(&input, &["--noise=none"]).failed(2, &["--noise", "given, halves, image"]);
+}
+
 #[test]
 fn a_run_is_compared_with_an_earlier_one_and_measured_again() {
     let folder = renders();

@@ -35,7 +35,8 @@ fn a_render_with_everything_is_denoised_compared_and_told_as_json() {
     let (input, reference, output) = (test_image("cornell_8spp.exr"), test_image("cornell_reference.exr"), folder.path("out.exr"));
     let document = stein(&["denoise", &input, "-o", &output, "--ref", &reference, "--keep=all", "--json", RADIUS]).succeeded().json();
 
-    assert_eq!(document["input"]["frame"]["mode"], "full");
+    assert_eq!(document["input"]["frame"]["mode"], "variance and two seeds");
+    assert_eq!(document["input"]["frame"]["noise_knowledge"], "HalvesAndVariance");
     assert_eq!(document["parameters"]["window_radius"], 2);
     assert_eq!(document["strips"], 1);
     assert!(document["run"]["peak_bytes"].as_u64().unwrap() > 0);
@@ -137,7 +138,7 @@ fn a_user_sees_what_was_taken_for_what_and_how_good_it_became() {
         "96×96, 8 samples per pixel",
         "feature albedo",
         "halfA, halfB",
-        "mode: full",
+        "noise: known from variance and two seeds",
         &output,
         "relative MSE",
         "noisy",
@@ -333,30 +334,41 @@ fn info_tells_what_denoise_would_do_with_each_file() {
     both.said(&[
         "data window 96×96 at (0, 0)",
         "visibility (V) float",
-        "noise: relative MSE",
-        "mode: full",
-        "cannot be denoised: nothing is known of the colour's noise",
+        "noise: known from variance and two seeds",
+        "relative MSE of the noise: about 0.0",
+        "noise of feature albedo: known from variance and two seeds",
+        "noise: known from the image itself",
+        "relative MSE of the noise: unknown",
+        "colour: its noise is estimated from the image itself",
     ]);
+    assert!(!both.stdout.contains("cannot be denoised"), "{}", both.stdout);
+    let required = stein(&["info", &render, &reference, "--require-noise"]).succeeded();
+    required.said(&["noise: known from variance and two seeds", "cannot be denoised: nothing is known of the colour's noise", "--half-a"]);
 
     let document = stein(&["info", &render, &reference, "--json"]).succeeded().json();
     let layers = document["files"][0]["layers"].as_array().unwrap();
     assert_eq!(layers.len(), 20);
     assert!(layers.iter().any(|layer| layer["layer"] == "halfA" && layer["role"] == "HalfA"));
     assert!(document["files"][0]["frame"]["noise_level"].as_f64().unwrap() > 0.0);
-    assert!(document["files"][1]["problem"].as_str().unwrap().contains("--half-a"));
+    let alone = &document["files"][1]["frame"];
+    assert_eq!((&alone["mode"], &alone["noise_knowledge"], &alone["noise_level"]), (&"the image itself".into(), &"ImageOnly".into(), &Value::Null));
+    assert!(alone["repairs"]["notes"].to_string().contains("--half-a"), "{alone}");
+    assert_eq!(document["files"][0]["frame"]["feature_noise"][0], serde_json::json!({ "name": "albedo", "noise_knowledge": "HalvesAndVariance" }));
 
     let layer = |name: &str| format!("{render}::{name}");
     let variance_only = stein(&["info", &reference, "--variance", &layer("variance")]).succeeded();
-    variance_only.said(&["mode: variance only", &layer("variance")]);
+    variance_only.said(&["noise: known from variance\n", &layer("variance")]);
     let halves_only = stein(&["info", &reference, "--half-a", &layer("halfA"), "--half-b", &layer("halfB")]).succeeded();
-    halves_only.said(&["mode: halves only", &layer("halfB")]);
+    halves_only.said(&["noise: known from two seeds, pooled from the halves of similar pixels", &layer("halfB")]);
     let feature = stein(&["info", &render, "--no-features", "--feature", &format!("tint={}", layer("albedo"))]).succeeded();
     feature.said(&["feature tint", "albedo_halfA, albedo_halfB"]);
     assert!(!feature.stdout.contains("feature normal"));
+    let bare = stein(&["info", &reference, "--no-features", "--feature", &format!("tint={}", layer("albedo_halfA"))]).succeeded();
+    bare.said(&["noise of feature tint: none"]);
 
     let one_missing = stein(&["info", "missing.exr", &render]);
     one_missing.failed(3, &["missing.exr"]);
-    one_missing.said(&["mode: full"]);
+    one_missing.said(&["noise: known from variance and two seeds"]);
 }
 
 #[test]
@@ -586,7 +598,7 @@ fn files_are_found_whatever_their_names_hold() {
         let others = ["--half-a", &of("halfA"), "--half-b", &of("halfB"), "--variance", &of("variance"), "--ref", &input];
         let feature = format!("tint={}", of("depth"));
         stein(&[&["denoise", &input, "--feature", &feature, "--radius=1"][..], &others].concat()).succeeded().said(&["feature tint", "variance"]);
-        stein(&["denoise", &input, "--literal", "-n"]).succeeded().said(&["mode: full", "nothing is written"]);
+        stein(&["denoise", &input, "--literal", "-n"]).succeeded().said(&["noise: known from variance and two seeds", "nothing is written"]);
         let output = Path::new(&input).with_extension("").to_str().unwrap().to_owned() + ".denoised.exr";
         assert!(Path::new(&output).exists(), "{output}");
         // An output in a folder of such a name, and one that replaces such a file.

@@ -49,9 +49,23 @@ fn every_broken_file_ends_with_code_3() {
         // The words of the command line, not of the library.
         assert!(!ended.stderr.contains("BufferSetRequest"), "{}", ended.stderr);
     }
-    for (name, option) in [("half_alone", "--half-b"), ("no_blue", "--layer"), ("nothing_known_of_noise", "--half-a"), ("parts_elsewhere", "--skip-feature")] {
+    for (name, option) in [("half_alone", "--half-b"), ("no_blue", "--layer"), ("parts_elsewhere", "--skip-feature")] {
         stein(&["denoise", &broken(name), "-o", &output]).failed(3, &[option]);
     }
+    assert_untouched(&folder);
+}
+
+#[test]
+fn an_image_alone_is_refused_where_that_is_asked_for() {
+    let (folder, output) = with_output();
+    let input = test_image("cornell_reference.exr");
+    let said = [&*input, "nothing is known of the colour's noise", "render twice with different seeds", "--half-a", "remedy: "];
+    for more in [&[][..], &["--dry-run"], &["--json"]] {
+        stein(&[&["denoise", &input, "-o", &output, "--require-noise"], more].concat()).failed(3, &said);
+    }
+    stein(&["sample-map", &input, "-o", &output, "--budget=8", "--require-noise"]).failed(3, &said);
+    stein(&["kernel", &input, "--pixel=1,1", "--require-noise"]).failed(3, &said);
+    stein(&["bench", &input, "--require-noise"]).failed(3, &said);
     assert_untouched(&folder);
 }
 

@@ -81,7 +81,8 @@ fn the_two_buffer_variance_of_a_real_render_agrees_with_its_sample_variance() {
     // The guess without a reference is of the size that the reference shows.
     let reference = read_reference(&testdata("dof_spheres_reference.exr"), None).unwrap();
     let error = metric::relative_mse(&color.mean, &reference).unwrap();
-    assert!((0.6..1.6).contains(&(frame.noise_level() / error)), "{} {error}", frame.noise_level());
+    let level = frame.noise_level().unwrap();
+    assert!((0.6..1.6).contains(&(level / error)), "{level} {error}");
     assert_eq!(frame.features().len(), 4);
     assert_eq!(*frame.samples_per_pixel(), SamplesPerPixel::Uniform(32.0));
     assert_finite(&frame);
@@ -185,9 +186,58 @@ fn a_colour_without_one_usable_pixel_is_an_error_that_names_it() {
     let mut blue = color();
     blue.mean.planes[2].fill(f32::INFINITY);
     assert!(failure(blue, vec![]).contains("not one pixel has a usable value in B"));
-    let blind = Signal { half_spread: None, variance_of_mean: Some(flat(f32::INFINITY, 3)), ..color() };
-    let message = failure(blind, vec![]);
-    assert!(message.contains("nothing is known of the colour's noise") && message.contains("the variance has no usable value"), "{message}");
+}
+
+/// A frame whose noise has to be estimated from the image itself, and what is said where that is not enough.
+#[track_caller]
+fn assert_image_only((frame, repairs): (Frame, Repairs), said: &[&str]) {
+    assert_eq!((frame.noise_knowledge(), frame.color().noise_knowledge(), frame.noise_level()), (NoiseKnowledge::ImageOnly, None, None));
+    assert!(frame.color().half_spread.is_none() && frame.color().variance_of_mean.is_none());
+    let remark = repairs.notes.iter().find(|note| note.starts_with("colour: its noise is estimated from the image itself"));
+    assert!(remark.is_some_and(|remark| ["different seeds", "halves", "--half-a"].iter().all(|word| remark.contains(word))), "{repairs}");
+    assert!(!repairs.to_string().contains("no second pass") && !repairs.to_string().contains("nothing is filtered"), "{repairs}");
+    let refused = frame.require_noise(&repairs).unwrap_err().to_string();
+    for word in [&["nothing is known of the colour's noise", "different seeds", "remedy: "], said].concat() {
+        assert!(refused.contains(word), "no '{word}' in {refused}");
+    }
+    assert!(!refused.contains("is estimated from the image itself"), "{refused}");
+}
+
+#[test]
+fn without_halves_and_variance_that_can_be_used_the_noise_is_estimated_from_the_image() {
+    let with = |half_spread: Option<Image>, variance_of_mean: Option<Image>| frame(Signal { half_spread, variance_of_mean, ..color() }, vec![]);
+    let neither = with(None, None);
+    assert_eq!(neither.1.notes.len(), 1, "{}", neither.1);
+    assert_image_only(neither, &["neither two halves nor a variance", "`BufferSetRequest::half_a`", "`BufferSetRequest::variance`"]);
+    let infinite = || Some(flat(f32::INFINITY, 3));
+    assert_image_only(with(None, infinite()), &["the variance has no usable value", "image viewer"]);
+    assert_image_only(with(infinite(), None), &["the halves have no usable value", "image viewer"]);
+    assert_image_only(with(infinite(), infinite()), &["the halves have no usable value", "the variance has no usable value"]);
+    assert_image_only(with(Some(flat(0.5, 1)), None), &["halves of 1 channels do not fit a mean of 3"]);
+    // Nothing that tells of noise gets lost on the way.
+    for known in [with(Some(flat(0.5, 3)), infinite()), with(infinite(), Some(flat(0.25, 3))), with(Some(flat(0.0, 3)), Some(flat(0.25, 3)))] {
+        assert_ne!(known.0.noise_knowledge(), NoiseKnowledge::ImageOnly);
+        assert!(known.0.noise_level().is_some_and(|level| level > 0.0) && known.0.require_noise(&known.1).is_ok());
+    }
+}
+
+#[test]
+fn a_frame_can_be_told_less_of_its_noise() {
+    use NoiseKnowledge::{HalvesAndVariance, HalvesOnly, ImageOnly, VarianceOnly};
+    let (full, _) = frame(color(), vec![depth(ramp())]);
+    for knowledge in [HalvesAndVariance, HalvesOnly, VarianceOnly, ImageOnly] {
+        let less = full.with_noise_known_from(knowledge).unwrap();
+        assert_eq!(less.noise_knowledge(), knowledge);
+        let signals = |frame: &Frame| [frame.color().clone(), frame.features()[0].signal.clone()];
+        for (less, full) in signals(&less).iter().zip(&signals(&full)) {
+            assert_eq!(less.mean, full.mean);
+            assert_eq!(less.half_spread, full.half_spread.clone().filter(|_| knowledge.has_halves()));
+            assert_eq!(less.variance_of_mean, full.variance_of_mean.clone().filter(|_| knowledge.has_variance()));
+        }
+        let again = less.with_noise_known_from(HalvesOnly);
+        assert_eq!(again.is_some(), knowledge.has_halves(), "what is not known cannot be given");
+        assert_eq!(less.with_noise_known_from(VarianceOnly).is_some(), knowledge.has_variance());
+    }
 }
 
 #[test]
@@ -234,6 +284,7 @@ fn what_is_optional_is_left_out_where_it_cannot_be_used() {
 
     let mut albedo = image(ramp(), 3);
     albedo.planes[1].fill(f32::NAN);
+    albedo.planes.iter_mut().flatten().for_each(|value| *value /= 32.0);
     let albedo = Signal { mean: albedo, half_spread: None, variance_of_mean: None };
     let (settled, _) = told(color(), vec![("albedo".into(), albedo)], HalvesAndVariance, "feature albedo: not one pixel has a usable value in channel 2");
     assert_eq!(settled.features().len(), 1);
@@ -253,7 +304,7 @@ fn what_is_known_of_the_noise_decides_what_works() {
     let (variance_only, repairs) = frame(with(false, true), vec![]);
     assert_eq!(variance_only.noise_knowledge(), NoiseKnowledge::VarianceOnly);
     assert!(repairs.to_string().contains("no second pass"));
-    assert!(failure(with(false, false), vec![]).contains("`BufferSetRequest::half_a`"));
+    assert_eq!(frame(with(false, false), vec![]).0.noise_knowledge(), NoiseKnowledge::ImageOnly);
     let levels = [with(true, true), with(true, false)].map(|signal| frame(signal, vec![]).0.noise_level());
     assert_eq!(levels[0], levels[1], "0.5² is 0.25");
 }
@@ -261,8 +312,7 @@ fn what_is_known_of_the_noise_decides_what_works() {
 #[test]
 fn identical_halves_are_not_taken_for_a_noise_free_image() {
     let same = Signal { half_spread: Some(flat(0.0, 3)), variance_of_mean: None, ..color() };
-    let message = failure(same, vec![]);
-    assert!(message.contains("identical") && message.contains("seeds"), "{message}");
+    assert_image_only(frame(same, vec![]), &["the two halves are identical", "seeds"]);
 }
 
 /// A colour and a feature of 64×64 pixels, noisy: truth 0.5 or 0.8 in blocks, halves that differ by a deviation of 0.1,
@@ -294,7 +344,7 @@ fn the_source_that_says_something_is_used() {
     let sound = noisy(3);
     let settled = |signal: &Signal| {
         // The same of a feature.
-        let (as_color, repairs) = frame(signal.clone(), vec![("albedo".into(), signal.clone())]);
+        let (as_color, repairs) = frame(signal.clone(), vec![("caustic".into(), signal.clone())]);
         let feature = as_color.features()[0].signal.clone();
         (as_color.color().clone(), feature, repairs)
     };
@@ -306,7 +356,7 @@ fn the_source_that_says_something_is_used() {
     let (color, feature, repairs) = settled(&silent_variance);
     assert_eq!(color, Signal { variance_of_mean: None, ..sound.clone() });
     assert_eq!(feature.noise_knowledge(), Some(NoiseKnowledge::HalvesOnly));
-    for layer in ["colour", "feature albedo"] {
+    for layer in ["colour", "feature caustic"] {
         assert!(repairs.notes.contains(&format!("{layer}: the variance is 0 everywhere although the halves differ; it is left out")), "{repairs}");
     }
 
@@ -320,7 +370,7 @@ fn the_source_that_says_something_is_used() {
     }
     assert_eq!(color.variance_of_mean.as_ref().unwrap().planes[0], sound.variance_of_mean.as_ref().unwrap().planes[0]);
     assert!(repairs.to_string().contains("colour: the variance is 0 everywhere in G and B although the halves differ"), "{repairs}");
-    assert!(repairs.to_string().contains("feature albedo: the variance is 0 everywhere in channel 2 and channel 3 although"), "{repairs}");
+    assert!(repairs.to_string().contains("feature caustic: the variance is 0 everywhere in channel 2 and channel 3 although"), "{repairs}");
 
     for silent in [vec![0, 1, 2], vec![1]] {
         let identical = Signal { half_spread: without(&sound.half_spread, &silent), ..sound.clone() };
@@ -417,8 +467,7 @@ fn an_empty_half_is_not_taken_for_noise() {
     assert_eq!(frame.features()[0].signal.noise_knowledge(), None);
     assert!(repairs.notes.iter().any(|note| note.contains("albedo: half A is empty")), "{repairs}");
 
-    let refused = settled(&layers[..3]).unwrap_err().to_string();
-    assert!(refused.contains("half B of the colour is empty") && refused.contains("remedy"), "{refused}");
+    assert_image_only(settled(&layers[..3]).unwrap(), &["half B is empty"]);
     // Black is black in both.
     let black = [layer("", flat(0.0, 3)), half("halfA", 0.0), half("halfB", 0.0), half("variance", 0.0)];
     assert_eq!(settled(&black).unwrap().0.noise_knowledge(), NoiseKnowledge::HalvesAndVariance);
@@ -512,7 +561,7 @@ fn what_lies_far_outside_keeps_its_noise_in_proportion() {
     signal.mean.planes[0][5] = 2000.0;
     signal.half_spread.as_mut().unwrap().planes[0][5] = -20.0;
     signal.variance_of_mean.as_mut().unwrap().planes[0][5] = 400.0;
-    let (frame, _) = frame(Signal { ..noisy(3) }, vec![("albedo".into(), signal)]);
+    let (frame, _) = frame(Signal { ..noisy(3) }, vec![("caustic".into(), signal)]);
     let feature = &frame.features()[0].signal;
     let at = |image: &Image| image.planes[0][5];
     let (value, spread, variance) = (at(&feature.mean), at(feature.half_spread.as_ref().unwrap()), at(feature.variance_of_mean.as_ref().unwrap()));
@@ -644,7 +693,7 @@ fn rays_that_hit_nothing_lie_at_the_far_end_and_are_no_damage() {
 
 #[test]
 fn an_infinite_albedo_is_damage_and_no_miss() {
-    let mut mean = ramp();
+    let mut mean = ramp().map(|value| value / 32.0);
     mean[7] = f32::INFINITY;
     let signal = Signal { mean: image(mean, 3), half_spread: None, variance_of_mean: None };
     let (frame, repairs) = frame(color(), vec![("albedo".into(), signal)]);
@@ -652,6 +701,75 @@ fn an_infinite_albedo_is_damage_and_no_miss() {
     let found = repairs.layer("albedo").unwrap();
     assert_eq!((found.misses, found.pixels_replaced), (0, 1));
     assert!(repairs.to_string().contains("free of noise"), "{repairs}");
+}
+
+/// An albedo of three channels with its halves and variance.
+fn albedo(mean: [f32; 12], half_spread: Option<[f32; 12]>, deviation: Option<[f32; 12]>) -> Signal {
+    let variance = deviation.map(|deviation| deviation.map(|deviation| deviation * deviation));
+    Signal { mean: image(mean, 3), half_spread: half_spread.map(|spread| image(spread, 3)), variance_of_mean: variance.map(|variance| image(variance, 3)) }
+}
+
+/// The feature that an albedo becomes, in the units of the file: mean, half spread and deviation of each pixel.
+fn settled_albedo(name: &str, signal: Signal) -> (Vec<[f32; 3]>, Repairs) {
+    let (frame, repairs) = frame(color(), vec![(name.into(), signal)]);
+    let feature = &frame.features()[0];
+    let at = |image: &Option<Image>, pixel: usize| image.as_ref().map_or(0.0, |image| image.planes[1][pixel]);
+    let pixel = |pixel: usize| {
+        let Signal { mean, half_spread, variance_of_mean } = &feature.signal;
+        let in_file_units = [mean.planes[1][pixel], at(half_spread, pixel), at(variance_of_mean, pixel).sqrt()].map(|value| value * feature.unit_scale);
+        [in_file_units[0] + feature.unit_offset, in_file_units[1], in_file_units[2]]
+    };
+    ((0..12).map(pixel).collect(), repairs)
+}
+
+fn close(a: f32, b: f32) -> bool {
+    (a - b).abs() < 1e-5
+}
+
+#[test]
+fn albedo_beyond_1_is_clamped_with_its_noise() {
+    // 0 to 0.9, and one pixel of each kind: a lamp, one whose halves differ, an edge of a lamp, one within 1 of which one half is not.
+    let mut mean = std::array::from_fn(|pixel| pixel as f32 * 0.1);
+    let (mut spread, mut deviation) = ([0.05; 12], [0.05; 12]);
+    for (pixel, m, s, d) in [(3, 844.0, 2.0, 3.0), (5, 2.0, -1.5, 1.5), (7, 1.25, 0.5, 0.25), (9, 0.75, 0.5, 0.5)] {
+        (mean[pixel], spread[pixel], deviation[pixel]) = (m, s, d);
+    }
+    (mean[10], mean[11]) = (0.9, 1.0);
+    (spread[11], deviation[11]) = (0.0, 0.0);
+    let (pixels, repairs) = settled_albedo("Denoising Albedo", albedo(mean, Some(spread), Some(deviation)));
+    // Halves of 846 and 842; 0.5 and 3.5; 1.75 and 0.75; 1.25 and 0.25.
+    let clamped = [(3, [1.0, 0.0, 0.0]), (5, [1.0, -0.25, 0.25]), (7, [1.0, 0.125, 0.0]), (9, [0.75, 0.375, 0.375])];
+    for (pixel, expected) in clamped {
+        assert!(pixels[pixel].iter().zip(expected).all(|(found, expected)| close(*found, expected)), "{pixel}: {:?}, not {expected:?}", pixels[pixel]);
+    }
+    for pixel in (0..12).filter(|pixel| clamped.iter().all(|(other, _)| other != pixel)) {
+        assert!(close(pixels[pixel][0], mean[pixel]) && close(pixels[pixel][1], spread[pixel]) && close(pixels[pixel][2], deviation[pixel]), "{pixel}");
+    }
+    let note = repairs.notes.iter().find(|note| note.starts_with("feature Denoising Albedo: ")).unwrap();
+    assert!(note.contains("9 values are beyond 1, up to 844") && note.contains("3 values are within 1, but a half"), "{repairs}");
+
+    // Without halves the deviation tells how far the samples went; what is no albedo stays.
+    let (pixels, repairs) = settled_albedo("albedo", albedo(mean, None, Some(deviation)));
+    assert!(close(pixels[7][2], 0.0) && close(pixels[9][2], 0.375) && close(pixels[10][2], 0.05), "{pixels:?}");
+    assert!(repairs.to_string().contains("9 values are beyond 1, up to 844"), "{repairs}");
+    let (pixels, repairs) = settled_albedo("caustic", albedo(mean, Some(spread), Some(deviation)));
+    assert!(pixels.iter().any(|[mean, ..]| *mean > 1.5) && !repairs.to_string().contains("beyond 1"), "{repairs}");
+}
+
+#[test]
+fn an_albedo_within_1_stays_the_same_to_the_bit() {
+    // A white wall as half floats store it, and a deviation that claims more than its halves.
+    let half = |value: f32| (value * 1024.0).round() / 1024.0;
+    let mean: [f32; 12] = std::array::from_fn(|pixel| half(0.5 + 0.5 * pixel as f32 / 11.0));
+    let spread = mean.map(|mean| (1.0 - mean) * (1.0 + f32::EPSILON));
+    let signal = albedo(mean, Some(spread), Some([0.25; 12]));
+    let settled = |name: &str| {
+        let (frame, repairs) = frame(color(), vec![(name.into(), signal.clone())]);
+        (frame.features()[0].signal.clone(), repairs)
+    };
+    let ((as_albedo, repairs), (as_other, _)) = (settled("albedo"), settled("caustic"));
+    assert_eq!(as_albedo, as_other);
+    assert!(!repairs.to_string().contains("beyond 1"), "{repairs}");
 }
 
 #[test]

@@ -49,7 +49,7 @@ fn a_shot_in_pieces_is_the_shot_as_a_whole() {
     let windows: Vec<_> = document["frames"].as_array().unwrap().iter().map(|frame| frame["window"].clone()).collect();
     assert_eq!(windows, [json!([0, 1]), json!([0, 1, 2]), json!([1, 2, 3]), json!([2, 3])]);
     assert_eq!(document["temporal_radius"], 1);
-    assert_eq!(document["frames"][3]["report"]["input"]["frame"]["mode"], "full");
+    assert_eq!(document["frames"][3]["report"]["input"]["frame"]["mode"], "variance and two seeds");
     assert!(document["frames"][3]["report"]["run"]["seconds"].is_f64());
 
     for (piece, frames) in [("a", "--frames=0-1"), ("b", "--frames=3"), ("c", "--frames=0-2x2")] {
@@ -123,6 +123,20 @@ fn a_broken_frame_is_named_the_others_are_written_and_no_clobber_goes_on() {
     }
     let again = denoise(&folder, "whole", &["--no-clobber"]).succeeded();
     again.said(&["4 of 4 frames had an output"]);
+}
+
+#[test]
+fn a_frame_of_whose_noise_nothing_is_known_is_left_out_where_noise_is_required() {
+    let folder = shot();
+    let alone = path(&folder, "shot", 2);
+    std::fs::copy(path(&folder, "reference", 2), &alone).unwrap();
+    let told = denoise(&folder, "clean", &["--require-noise", "--temporal-radius=1"]);
+    told.failed(3, &["1 of 4 frames cannot be denoised, the others are written", "frame 2: ", "nothing is known of the colour's noise", "--half-a"]);
+    assert_eq!(told.stdout.matches("not filtered with frame 2: ").count(), 2, "{}", told.stdout);
+    assert_eq!(new_names(&folder), ["clean.0000.exr", "clean.0001.exr", "clean.0003.exr"]);
+    // A neighbour of another kind does not help, and is no failure.
+    let beside = denoise(&folder, "beside", &["--frames=1", "--temporal-radius=1"]).succeeded();
+    beside.said(&["not filtered with frame 2: halves or variance of its colour are not known as they are here"]);
 }
 
 #[test]

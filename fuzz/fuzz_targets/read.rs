@@ -76,7 +76,7 @@ fn read(file: &Path) -> Corpus {
         return Corpus::Reject;
     }
     write_and_read_again(&set, file);
-    // Without noise that is known there is no frame; the error says how to get it.
+    // Without a usable pixel there is no frame.
     if let Ok((frame, _)) = Frame::from_buffer_set(&set) {
         let features = frame.features().iter().map(|feature| &feature.signal);
         for signal in std::iter::once(frame.color()).chain(features) {

@@ -95,6 +95,12 @@ pub(crate) fn is_normal_name(name: &str) -> bool {
     last.contains("normal") || ["n", "nrm", "ns"].contains(&last.as_str())
 }
 
+/// Whether a feature is a reflectance, which no surface has more than 1 of.
+pub(crate) fn is_albedo_name(name: &str) -> bool {
+    let last = last_component(name).to_ascii_lowercase();
+    last.contains("albedo") || last == "alb"
+}
+
 /// The names under which a layer's half or variance is looked for.
 ///
 /// A bare `variance` must be spelt in lower case: pbrt's `Variance` is the variance of one sample.
@@ -173,6 +179,16 @@ mod tests {
         assert!(!is_companion("halfA", "diffuse", SignalPart::HalfA, false));
         assert!(is_companion("halfA", "beauty", SignalPart::HalfA, true));
         assert!(is_companion("ViewLayer.halfb", "ViewLayer.Combined", SignalPart::HalfB, true));
+    }
+
+    #[test]
+    fn albedo_is_told_by_the_last_part_of_a_name() {
+        for name in ["albedo", "Denoising Albedo", "ViewLayer.Denoising Albedo", "denoise_albedo", "diffuse_albedo", "view.ALB"] {
+            assert!(is_albedo_name(name), "{name}");
+        }
+        for name in ["normal", "albedo.normal", "album", "", "Combined"] {
+            assert!(!is_albedo_name(name), "{name}");
+        }
     }
 
     #[test]

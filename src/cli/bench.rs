@@ -14,13 +14,13 @@ mod statistics;
 mod text;
 mod thumbnail;
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
 use clap::Parser;
 use stein::aside::Aside;
 use stein::buffers::{BufferSet, LayerRef};
-use stein::frame::SamplesPerPixel;
+use stein::frame::{NoiseKnowledge, SamplesPerPixel};
 use stein::stage::candidate_set::CandidateSet;
 use stein::{Extent, Frame, Gpu, Image, Method, Preset};
 
@@ -32,7 +32,7 @@ use super::quality;
 use super::tile::{cover, cover_frame};
 use super::{Failure, Out};
 use compare::Comparison;
-use configuration::{Configuration, How, Switch, configurations};
+use configuration::{Configuration, How, NoiseAxis, Switch, configurations, distinct};
 use external::External;
 use folder::Folder;
 use measure::{Case, Contestant, errors, measure, runs};
@@ -55,6 +55,7 @@ Examples:
   stein bench renders --methods dfc,nlm,gem --radii 5,10,20 --second-pass on,off -o report
   stein bench render.exr --size 512x512,1024x1024,2048x2048 --presets default --repeat 9 -v
   stein bench renders --candidates all,first+second,third --everything on,off
+  stein bench renders --noise given,halves,image
   stein bench renders -o report --external 'other=/opt/other/denoise --hdr {in} -o {out}'
   stein bench renders --json > before.json
   stein bench --compare before.json --fail-above 1.1      measures the same again
@@ -118,6 +119,9 @@ struct Axes {
     /// Also running what a scene does not need, without, or both: what leaving it out saves [default: off]
     #[arg(long, value_enum, value_name = "on,off", value_delimiter = ',')]
     everything: Vec<Switch>,
+    /// What the methods are told of the noise: what a set has, its halves alone, or nothing but the image [default: given]
+    #[arg(long, value_enum, value_name = "given,halves,image", value_delimiter = ',')]
+    noise: Vec<NoiseAxis>,
     /// Sizes to measure at: the input is repeated, mirrored at the seams, or cut off [default: its own]
     #[arg(long = "size", value_name = "WxH,…", value_delimiter = ',', value_parser = size)]
     sizes: Vec<Extent>,
@@ -310,7 +314,8 @@ impl Bench<'_> {
             if file.was_found && is_ours(&set) {
                 return Err(Failure::input(format_args!("{name}: was written by stein")));
             }
-            let frame = settle(&mut set).0.map_err(|error| Failure::in_file(&file.file, error))?;
+            let frame = settle(&mut set, source.require_noise).0.map_err(|error| Failure::in_file(&file.file, error))?;
+            self.check_halves(&frame, &file.file)?;
             let reference = file.reference.as_ref().map(|reference| quality::read(reference, &frame, &file.file)).transpose()?;
             Ok(ReadSet { frame, reference })
         });
@@ -325,6 +330,20 @@ impl Bench<'_> {
             }
             Err(failure) => Err(failure),
         }
+    }
+
+    /// What contestants are left with of what is known of the noise, where not all that is given.
+    fn noise_knowledges(&self) -> Vec<NoiseKnowledge> {
+        let all: Vec<_> = self.contestants.iter().filter_map(Contestant::noise_knowledge).collect();
+        distinct(&all, &[])
+    }
+
+    fn check_halves(&self, frame: &Frame, file: &Path) -> Result<(), Failure> {
+        if frame.noise_knowledge().has_halves() || !self.noise_knowledges().into_iter().any(NoiseKnowledge::has_halves) {
+            return Ok(());
+        }
+        let (name, remedy) = (stein::text::path(file), "leave halves out of --noise, or give the set's two halves");
+        Err(Failure::input(format_args!("{name}: --noise halves: it has no halves that can be used\n  remedy: {remedy}")))
     }
 
     /// Measures a set at all sizes.
@@ -365,7 +384,10 @@ impl Bench<'_> {
                 is_resized,
                 noisy: reference.as_ref().map(|reference| errors(&frame.color().mean, reference)).transpose()?,
             };
-            let case = Case { set: &set, frame, reference: reference.as_ref() };
+            self.check_halves(frame, &file.file)?;
+            let less_known = |knowledge| Some((knowledge, frame.with_noise_known_from(knowledge)?));
+            let less_known: Vec<_> = self.noise_knowledges().into_iter().filter_map(less_known).collect();
+            let case = Case { set: &set, frame, less_known: &less_known, reference: reference.as_ref() };
             let outcomes = measure(self.gpu, self.contestants, &case, self.repeats, self.scratch.path(), &self.bar)?;
             if let Some(gallery) = &mut self.gallery {
                 gallery.add(&case, &outcomes)?;

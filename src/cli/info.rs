@@ -38,7 +38,7 @@ pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
     for file in &args.files {
         match options::read(&args.source.request(file)) {
             Ok(mut set) => {
-                let (_, input) = settle(&mut set);
+                let (_, input) = settle(&mut set, args.source.require_noise);
                 if !args.json {
                     out.say(input.text(true));
                     if let Some(problem) = input.problem() {

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use serde::Serialize;
 use stein::buffers::{BufferSet, LayerUse, Role, SignalPart};
-use stein::frame::{NoiseKnowledge, Repairs, SamplesPerPixel};
+use stein::frame::{Feature, NoiseKnowledge, Repairs, SamplesPerPixel};
 use stein::image::Window;
 use stein::text;
 use stein::{Error, Frame};
@@ -34,9 +34,26 @@ pub(crate) struct Input {
 #[serde(rename_all = "snake_case")]
 enum Outcome {
     /// It can be denoised.
-    Frame { mode: &'static str, noise_knowledge: NoiseKnowledge, noise_level: f64, features: Vec<String>, repairs: Repairs },
+    Frame {
+        /// Where the colour's noise is known from.
+        mode: String,
+        noise_knowledge: NoiseKnowledge,
+        /// `None` where nothing is known of the noise.
+        noise_level: Option<f64>,
+        features: Vec<String>,
+        feature_noise: Vec<FeatureNoise>,
+        repairs: Repairs,
+    },
     /// It cannot, and why.
     Problem(String),
+}
+
+/// What is known of a feature's noise.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+struct FeatureNoise {
+    name: String,
+    /// `None` where the feature is taken as free of noise.
+    noise_knowledge: Option<NoiseKnowledge>,
 }
 
 #[derive(Clone, Debug, Serialize)]
@@ -102,10 +119,11 @@ impl Input {
             layers: set.layer_uses().to_vec(),
             outcome: match settled {
                 Ok((frame, repairs)) => Outcome::Frame {
-                    mode: mode(frame.noise_knowledge()).0,
+                    mode: frame.noise_knowledge().to_string(),
                     noise_knowledge: frame.noise_knowledge(),
                     noise_level: frame.noise_level(),
                     features: frame.features().iter().map(|feature| feature.name.clone()).collect(),
+                    feature_noise: feature_noise(frame),
                     repairs,
                 },
                 Err(error) => Outcome::Problem(Failure::input(error).message().to_owned()),
@@ -130,12 +148,13 @@ impl Input {
         if all {
             lines.push(format!("  not finite: {} values", self.non_finite_values));
         }
-        if let Outcome::Frame { noise_knowledge, noise_level, repairs, .. } = &self.outcome {
+        if let Outcome::Frame { noise_knowledge, noise_level, feature_noise, repairs, .. } = &self.outcome {
+            lines.push(format!("  noise: known from {noise_knowledge}{}", meaning(*noise_knowledge)));
             if all {
-                lines.push(format!("  noise: relative MSE of about {}", number(*noise_level)));
+                let level = noise_level.map_or_else(|| "unknown".to_owned(), |level| format!("about {}", number(level)));
+                lines.push(format!("  relative MSE of the noise: {level}"));
+                lines.extend(feature_noise.iter().map(FeatureNoise::text));
             }
-            let (mode, meaning) = mode(*noise_knowledge);
-            lines.push(format!("  mode: {mode}{meaning}"));
             if !repairs.is_empty() {
                 lines.push(indent(&repairs.to_string()));
             }
@@ -149,9 +168,10 @@ impl Input {
             return false;
         }
         match (&self.outcome, &other.outcome) {
-            (Outcome::Frame { mode, features, repairs, .. }, Outcome::Frame { mode: other_mode, features: other_features, repairs: other_repairs, .. }) => {
-                (mode, features, repairs) == (other_mode, other_features, other_repairs)
-            }
+            (
+                Outcome::Frame { noise_knowledge, feature_noise, repairs, .. },
+                Outcome::Frame { noise_knowledge: other_knowledge, feature_noise: other_noise, repairs: other_repairs, .. },
+            ) => (noise_knowledge, feature_noise, repairs) == (other_knowledge, other_noise, other_repairs),
             _ => false,
         }
     }
@@ -245,18 +265,36 @@ fn cell(role: &Role) -> Option<(String, usize)> {
     }
 }
 
-/// What can be done with what is known of the noise. What a lack of halves means is among the repairs.
-fn mode(knowledge: NoiseKnowledge) -> (&'static str, &'static str) {
+/// How the filters come to a variance, where no remark says so.
+fn meaning(knowledge: NoiseKnowledge) -> &'static str {
     match knowledge {
-        NoiseKnowledge::HalvesAndVariance => ("full", ": halves and variance of the colour are known"),
-        NoiseKnowledge::HalvesOnly => ("halves only", ": the halves' difference, smoothed, stands for the variance"),
-        NoiseKnowledge::VarianceOnly => ("variance only", ""),
+        NoiseKnowledge::HalvesOnly => ", pooled from the halves of similar pixels",
+        NoiseKnowledge::HalvesAndVariance | NoiseKnowledge::VarianceOnly | NoiseKnowledge::ImageOnly => "",
     }
 }
 
-/// Settles an input's meaning and describes it. Of the set, what an output is made of is left.
-pub(crate) fn settle(set: &mut BufferSet) -> (Result<Frame, Error>, Input) {
-    match Frame::take_from(set) {
+fn feature_noise(frame: &Frame) -> Vec<FeatureNoise> {
+    let noise = |feature: &Feature| FeatureNoise { name: feature.name.clone(), noise_knowledge: feature.signal.noise_knowledge() };
+    frame.features().iter().map(noise).collect()
+}
+
+impl FeatureNoise {
+    fn text(&self) -> String {
+        let knowledge = self.noise_knowledge.map_or_else(|| "none".to_owned(), |knowledge| format!("known from {knowledge}"));
+        format!("  noise of feature {}: {knowledge}", text::name(&self.name))
+    }
+}
+
+/// Settles an input's meaning and describes it. Of the set, what an output is made of is left. With `require_noise`, a
+/// frame of whose colour's noise nothing is known is refused.
+pub(crate) fn settle(set: &mut BufferSet, require_noise: bool) -> (Result<Frame, Error>, Input) {
+    let settled = Frame::take_from(set).and_then(|(frame, repairs)| {
+        if require_noise {
+            frame.require_noise(&repairs)?;
+        }
+        Ok((frame, repairs))
+    });
+    match settled {
         Ok((frame, repairs)) => {
             let input = Input::new(set, Ok((&frame, repairs)));
             (Ok(frame), input)

@@ -140,7 +140,7 @@ pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
     }
 
     let mut set = options::read(&request)?;
-    let (frame, described) = settle(&mut set);
+    let (frame, described) = settle(&mut set, args.source.require_noise);
     out.say(described.text(false));
     let frame = frame.map_err(|error| Failure::in_file(input, error))?;
     let gpu = args.device.open()?;

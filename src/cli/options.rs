@@ -21,6 +21,9 @@ pub(crate) struct Source {
     /// Take every path as it is: `#` and `%04d` are no frame number, and `::` parts no layer from its file
     #[arg(long)]
     pub(crate) literal: bool,
+    /// Refuse an image without two halves and without a variance of its colour, in place of estimating the noise from the image itself
+    #[arg(long)]
+    pub(crate) require_noise: bool,
 }
 
 impl Source {

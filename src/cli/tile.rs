@@ -1,6 +1,6 @@
 //! An image made to cover another size.
 
-use stein::frame::{SamplesPerPixel, Signal};
+use stein::frame::{Feature, SamplesPerPixel, Signal};
 use stein::{Extent, Frame, Image};
 
 use super::Failure;
@@ -20,14 +20,21 @@ pub(crate) fn cover(image: &Image, extent: Extent) -> Image {
 
 /// A frame of another size with the statistics of this one.
 pub(crate) fn cover_frame(frame: &Frame, extent: Extent) -> Result<Frame, Failure> {
-    let cover_signal = |signal: &Signal| Signal {
-        mean: cover(&signal.mean, extent),
-        half_spread: signal.half_spread.as_ref().map(|image| cover(image, extent)),
-        variance_of_mean: signal.variance_of_mean.as_ref().map(|image| cover(image, extent)),
+    let cover_signal = |signal: &Signal, scale: f32, offset: f32| Signal {
+        mean: cover(&mapped(&signal.mean, scale, offset), extent),
+        half_spread: signal.half_spread.as_ref().map(|image| cover(&mapped(image, scale, 0.0), extent)),
+        variance_of_mean: signal.variance_of_mean.as_ref().map(|image| cover(&mapped(image, scale * scale, 0.0), extent)),
     };
-    let features = frame.features().iter().map(|feature| (feature.name.clone(), cover_signal(&feature.signal))).collect();
-    let (frame, _) = Frame::new(cover_signal(frame.color()), features, SamplesPerPixel::Unknown)?;
+    // In the units of the file, which decide what a feature means.
+    let in_file_units = |feature: &Feature| (feature.name.clone(), cover_signal(&feature.signal, feature.unit_scale, feature.unit_offset));
+    let features = frame.features().iter().map(in_file_units).collect();
+    let (frame, _) = Frame::new(cover_signal(frame.color(), 1.0, 0.0), features, SamplesPerPixel::Unknown)?;
     Ok(frame)
+}
+
+fn mapped(image: &Image, scale: f32, offset: f32) -> Image {
+    let plane = |plane: &Vec<f32>| plane.iter().map(|value| value * scale + offset).collect();
+    Image { extent: image.extent, planes: image.planes.iter().map(plane).collect() }
 }
 
 #[cfg(test)]

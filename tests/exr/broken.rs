@@ -96,7 +96,6 @@ fn corpus() -> Vec<Broken> {
     draft("no_blue", Draft::of(&without_blue), "has no colour");
     draft("half_alone", Draft::of(&["B", "G", "R", "halfA.B", "halfA.G", "halfA.R"]), "half B is missing");
     draft("half_without_blue", Draft::of(&["B", "G", "R", "halfA.G", "halfA.R", "halfB.B", "halfB.G", "halfB.R"]), "do not match");
-    draft("nothing_known_of_noise", Draft::of(&["B", "G", "R"]), "neither");
     let nan = |draft: Draft| {
         let blocks = draft.blocks.iter().map(|block| Block { bytes: [0, 0x7e].repeat(block.bytes.len() / 2), ..block.clone() }).collect();
         Draft { blocks, ..draft }

@@ -1,7 +1,7 @@
 //! Files and requests that cannot be served: the message says which and what to do.
 
 use stein::buffers::{BufferSet, BufferSetRequest, LayerRef};
-use stein::frame::Frame;
+use stein::frame::{Frame, NoiseKnowledge};
 
 use super::*;
 
@@ -119,7 +119,9 @@ fn the_input_given_as_its_own_variance_asks_for_a_layer() {
 fn neither_halves_nor_variance_explains_the_ways_out() {
     let folder = folder();
     let set = read(&write(folder.path(), "in.exr", vec![Part::new().with("", "RGB", 1.0)]));
-    let message = Frame::from_buffer_set(&set).map(|_| ()).unwrap_err().to_string();
+    let (frame, repairs) = Frame::from_buffer_set(&set).unwrap();
+    assert_eq!(frame.noise_knowledge(), NoiseKnowledge::ImageOnly);
+    let message = frame.require_noise(&repairs).unwrap_err().to_string();
     for way in ["`BufferSetRequest::half_a`", "`BufferSetRequest::variance`", "seeds"] {
         assert!(message.contains(way), "{message}");
     }

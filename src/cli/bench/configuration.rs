@@ -1,6 +1,7 @@
 //! How the sets are denoised: every combination of the axes that a method has.
 
 use clap::ValueEnum;
+use stein::frame::NoiseKnowledge;
 use stein::parameters::Value;
 use stein::{Method, Preset};
 
@@ -24,6 +25,7 @@ pub(super) enum How {
         method: Method,
         /// Also what a frame does not need.
         everything: bool,
+        noise: NoiseAxis,
     },
     External(External),
 }
@@ -42,6 +44,7 @@ pub(super) fn configurations(axes: &Axes) -> Result<(Vec<Configuration>, Vec<Str
     let candidates = choices(&axes.candidates);
     let second_passes = choices(&axes.second_pass);
     let everything = distinct(&axes.everything, &[Switch::Off]);
+    let noise = distinct(&axes.noise, &[NoiseAxis::Given]);
     axes.tuning.check(&methods)?;
     let mut notes = Vec::new();
     // An option that only some have makes no further configurations of the others.
@@ -62,15 +65,17 @@ pub(super) fn configurations(axes: &Axes) -> Result<(Vec<Configuration>, Vec<Str
     check("--second-pass", !axes.second_pass.is_empty(), SECOND_PASS)?;
 
     let mut configurations = Vec::new();
+    // What holds for all methods.
+    let frames = || noise.iter().flat_map(|noise| everything.iter().map(|everything| (*noise, *everything)));
     for &method in &methods {
         for &preset in &presets {
-            for &everything in &everything {
+            for (noise, everything) in frames() {
                 for &candidates in of(&candidates, method.has_parameter(CANDIDATES)) {
                     for &second_pass in of(&second_passes, method.has_parameter(SECOND_PASS)) {
                         for &radius in of(&radii, method.has_parameter(WINDOW_RADIUS)) {
                             let base = file.unwrap_or(Chosen::of(method, preset));
                             let method = axes.tuning.applied_to(base.method, Choices { radius, candidates })?;
-                            configurations.push(configuration(Chosen { method, ..base }, second_pass, everything)?);
+                            configurations.push(configuration(Chosen { method, ..base }, second_pass, everything, noise)?);
                         }
                     }
                 }
@@ -94,13 +99,43 @@ pub(super) enum Switch {
     Off,
 }
 
+/// What the methods are told of the noise.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(super) enum NoiseAxis {
+    /// All that the set has
+    Given,
+    /// The halves alone, of colour and features
+    Halves,
+    /// Nothing but the image
+    Image,
+}
+
+impl NoiseAxis {
+    /// What is left of the knowledge of a frame; `None` where all of it is.
+    pub(super) fn knowledge(self) -> Option<NoiseKnowledge> {
+        match self {
+            Self::Given => None,
+            Self::Halves => Some(NoiseKnowledge::HalvesOnly),
+            Self::Image => Some(NoiseKnowledge::ImageOnly),
+        }
+    }
+
+    pub(super) fn name(self) -> &'static str {
+        match self {
+            Self::Given => "given",
+            Self::Halves => "halves",
+            Self::Image => "image",
+        }
+    }
+}
+
 /// What was given, or the preset's own.
 fn choices<T: Copy + PartialEq>(given: &[T]) -> Vec<Option<T>> {
     if given.is_empty() { vec![None] } else { distinct(given, &[]).into_iter().map(Some).collect() }
 }
 
 /// What was given, without repetitions, or the default where nothing was.
-fn distinct<T: Copy + PartialEq>(given: &[T], default: &[T]) -> Vec<T> {
+pub(super) fn distinct<T: Copy + PartialEq>(given: &[T], default: &[T]) -> Vec<T> {
     let mut values = Vec::new();
     for &value in if given.is_empty() { default } else { given } {
         if !values.contains(&value) {
@@ -116,7 +151,7 @@ fn of<T: Copy>(choices: &[Option<T>], has: bool) -> &[Option<T>] {
 }
 
 /// Its name says all that differs from the default, so that it means the same in every report.
-fn configuration(Chosen { mut method, preset }: Chosen, second_pass: Option<Switch>, everything: Switch) -> Result<Configuration, Failure> {
+fn configuration(Chosen { mut method, preset }: Chosen, second_pass: Option<Switch>, everything: Switch, noise: NoiseAxis) -> Result<Configuration, Failure> {
     if let Some(second_pass) = second_pass {
         method = method.with_parameter(SECOND_PASS, second_pass == Switch::On)?;
     }
@@ -155,6 +190,9 @@ fn configuration(Chosen { mut method, preset }: Chosen, second_pass: Option<Swit
     if everything {
         series += " everything";
     }
+    if noise != NoiseAxis::Given {
+        series += &format!(" noise {}", noise.name());
+    }
     let window_radius = method.has_parameter(WINDOW_RADIUS).then(|| method.window_radius());
     let name = window_radius.map_or_else(|| series.clone(), |radius| format!("{series} R{radius}"));
     let stein = Parameters {
@@ -164,8 +202,9 @@ fn configuration(Chosen { mut method, preset }: Chosen, second_pass: Option<Swit
         second_pass: has_second_pass,
         candidates,
         everything,
+        noise: noise.name().into(),
         all: serde_json::to_value(method).map_err(|error| Failure::output(format_args!("the parameters: {error}")))?,
     };
     let described = results::Configuration { name, series, stein: Some(stein), command: None };
-    Ok(Configuration { described, how: How::Stein { method, everything } })
+    Ok(Configuration { described, how: How::Stein { method, everything, noise } })
 }

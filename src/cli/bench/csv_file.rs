@@ -37,6 +37,7 @@ pub(super) fn csv(document: &Document) -> Result<Vec<u8>, Failure> {
             cell(stein.and_then(|stein| stein.second_pass)),
             cell(stein.and_then(|stein| stein.candidates.as_ref())),
             cell(stein.map(|stein| stein.everything)),
+            cell(stein.map(|stein| &stein.noise)),
             cell(configuration.command.as_ref()),
             row.first_ms.to_string(),
             row.wall_ms.to_string(),
@@ -56,7 +57,7 @@ pub(super) fn csv(document: &Document) -> Result<Vec<u8>, Failure> {
 }
 
 /// Before the stages.
-const COLUMNS: [&str; 36] = [
+const COLUMNS: [&str; 37] = [
     "date",
     "stein",
     "adapter",
@@ -75,6 +76,7 @@ const COLUMNS: [&str; 36] = [
     "second_pass",
     "candidates",
     "everything",
+    "noise",
     "command",
     "first_ms",
     "wall_ms",

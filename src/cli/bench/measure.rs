@@ -5,6 +5,7 @@ use std::time::Instant;
 
 use cpu_time::ProcessTime;
 use indicatif::ProgressBar;
+use stein::frame::NoiseKnowledge;
 use stein::gpu::StageTime;
 use stein::text;
 use stein::{Denoiser, Frame, Gpu, Image, Method, Options, metric};
@@ -29,11 +30,19 @@ enum Runner<'a> {
 impl<'a> Contestant<'a> {
     pub(super) fn new(configuration: &'a Configuration, denoiser: impl FnOnce(Method) -> Result<Denoiser, Failure>) -> Result<Self, Failure> {
         let runner = match &configuration.how {
-            How::Stein { method, everything: false } => Runner::Stein(denoiser(*method)?),
-            How::Stein { method, everything: true } => Runner::Stein(denoiser(*method)?.with_everything()),
+            How::Stein { method, everything: false, .. } => Runner::Stein(denoiser(*method)?),
+            How::Stein { method, everything: true, .. } => Runner::Stein(denoiser(*method)?.with_everything()),
             How::External(external) => Runner::External(external),
         };
         Ok(Self { configuration, runner })
+    }
+
+    /// All that is left to it of what is known of the noise; `None` where nothing is taken away.
+    pub(super) fn noise_knowledge(&self) -> Option<NoiseKnowledge> {
+        match &self.configuration.how {
+            How::Stein { noise, .. } => noise.knowledge(),
+            How::External(_) => None,
+        }
     }
 
     /// Another program reads the file, and knows nothing of what was made of it.
@@ -46,7 +55,17 @@ impl<'a> Contestant<'a> {
 pub(super) struct Case<'a> {
     pub(super) set: &'a Set,
     pub(super) frame: &'a Frame,
+    /// The frame with less known of its noise, for all that contestants ask for.
+    pub(super) less_known: &'a [(NoiseKnowledge, Frame)],
     pub(super) reference: Option<&'a Image>,
+}
+
+impl Case<'_> {
+    /// The frame as a contestant gets it.
+    fn frame_for(&self, contestant: &Contestant<'_>) -> &Frame {
+        let knowledge = contestant.noise_knowledge();
+        self.less_known.iter().find(|(known, _)| Some(*known) == knowledge).map_or(self.frame, |(_, frame)| frame)
+    }
 }
 
 /// What a configuration made of a case.
@@ -91,7 +110,7 @@ pub(super) fn measure(
     for contestant in &contestants {
         interrupt::check()?;
         records.push(match &contestant.runner {
-            Runner::Stein(denoiser) => warm_up(gpu, denoiser, case)?,
+            Runner::Stein(denoiser) => warm_up(gpu, denoiser, case.frame_for(contestant))?,
             Runner::External(external) => warm_up_external(external, &input, &output, case)?,
         });
         bar.inc(1);
@@ -102,16 +121,17 @@ pub(super) fn measure(
             interrupt::check()?;
             match &contestant.runner {
                 Runner::Stein(denoiser) => {
+                    let frame = case.frame_for(contestant);
                     gpu.set_timing(false);
                     let (start, cpu_start) = (Instant::now(), ProcessTime::try_now());
-                    let estimate = denoiser.denoise(case.frame)?;
+                    let estimate = denoiser.denoise(frame)?;
                     record.walls_ms.push(start.elapsed().as_secs_f64() * 1e3);
                     let cpu = cpu_start.and_then(|start| start.try_elapsed());
                     record.cpus_ms.extend(cpu.map(|cpu| cpu.as_secs_f64() * 1e3));
                     (record.peak_bytes, record.strips) = (Some(estimate.peak_bytes), Some(estimate.strips));
                     bar.inc(1);
                     gpu.set_timing(true);
-                    record.add_stages(denoiser.denoise(case.frame)?.stage_times.unwrap_or_default());
+                    record.add_stages(denoiser.denoise(frame)?.stage_times.unwrap_or_default());
                     bar.inc(1);
                 }
                 Runner::External(external) => {
@@ -133,10 +153,10 @@ pub(super) fn measure(
 }
 
 /// The first dispatch of a kernel compiles it.
-fn warm_up(gpu: &Gpu, denoiser: &Denoiser, case: &Case<'_>) -> Result<Record, Failure> {
+fn warm_up(gpu: &Gpu, denoiser: &Denoiser, frame: &Frame) -> Result<Record, Failure> {
     gpu.set_timing(false);
     let start = Instant::now();
-    let estimate = denoiser.denoise_with(case.frame, Options::default())?;
+    let estimate = denoiser.denoise_with(frame, Options::default())?;
     let first_ms = start.elapsed().as_secs_f64() * 1e3;
     Ok(Record {
         first_ms,

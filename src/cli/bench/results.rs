@@ -96,8 +96,16 @@ pub(super) struct Parameters {
     /// Whether what a frame does not need ran as well.
     #[serde(default)]
     pub(super) everything: bool,
+    /// What the method was told of the noise: `given`, `halves` or `image`.
+    #[serde(default = "given")]
+    pub(super) noise: String,
     /// All of them.
     pub(super) all: Value,
+}
+
+/// What runs were told of the noise before there was a choice.
+fn given() -> String {
+    "given".into()
 }
 
 /// A buffer set at a size.

@@ -31,6 +31,8 @@ pub(super) struct Read {
     /// `None` of a single image.
     pub(super) number: Option<u32>,
     pub(super) request: BufferSetRequest,
+    /// Whether a colour of whose noise nothing is known is refused.
+    pub(super) require_noise: bool,
     pub(super) reference: Option<LayerRef>,
     /// Whether it is denoised, and not only looked at by its neighbours.
     pub(super) is_denoised: bool,
@@ -101,7 +103,7 @@ impl Plan {
         }
         let output = output::choose(input, args.output.as_deref());
         let reference = args.reference.as_ref().map(|reference| source.reference(reference));
-        let read = Read { number: None, request: source.request(input), reference, is_denoised: true };
+        let read = Read { number: None, request: source.request(input), require_noise: source.require_noise, reference, is_denoised: true };
         // The input the user may replace, and half A may be one layer of it.
         output::check(&output, read.files().filter(|file| *file != input), args.no_clobber, args.dry_run)?;
         let frame = PlannedFrame { number: None, input: input.to_owned(), output, state: State::ToDo, window: 0..1, centre: 0 };
@@ -131,6 +133,7 @@ impl Plan {
         let read = |frame: u32, is_denoised: bool| Read {
             number: Some(frame),
             request: source.request(input).map_files(|file| at_frame(file, frame)),
+            require_noise: source.require_noise,
             reference: args.reference.as_ref().filter(|_| is_denoised).map(|reference| reference.map_file(|file| at_frame(file, frame))),
             is_denoised,
         };

@@ -77,7 +77,7 @@ fn load(read: &Read) -> Result<ReadFrame, Unusable> {
     let number = read.number;
     let unusable = |described, failure: Failure| Unusable { number, described, failure: failure.in_frame(number) };
     let mut set = options::read(&read.request).map_err(|failure| unusable(None, failure))?;
-    let (frame, described) = settle(&mut set);
+    let (frame, described) = settle(&mut set, read.require_noise);
     let described = Box::new(described);
     let frame = match frame {
         Ok(frame) => frame,

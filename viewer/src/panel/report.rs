@@ -1,7 +1,7 @@
 //! What ran for this frame and what was left out, what each step took, and what had to be repaired.
 
 use eframe::egui::{Align, Grid, Layout, RichText, Ui};
-use stein::frame::{NoiseKnowledge, SamplesPerPixel};
+use stein::frame::SamplesPerPixel;
 use stein::method::PlannedStep;
 
 use crate::app::Viewer;
@@ -34,17 +34,12 @@ fn frame(ui: &mut Ui, opened: &Opened) {
             ui.label(&opened.name);
         }
     }
-    let noise = match frame.noise_knowledge() {
-        NoiseKnowledge::HalvesAndVariance => "halves and variance",
-        NoiseKnowledge::HalvesOnly => "halves, no variance",
-        NoiseKnowledge::VarianceOnly => "variance, no halves",
-    };
     let samples = match frame.samples_per_pixel() {
         SamplesPerPixel::Unknown => "samples unknown".to_owned(),
         SamplesPerPixel::Uniform(samples) => format!("{samples} samples per pixel"),
         SamplesPerPixel::PerPixel(_) => "samples by pixel".to_owned(),
     };
-    ui.label(format!("{} pixels, {samples}, {noise}", frame.extent()));
+    ui.label(format!("{} pixels, {samples}, noise known from {}", frame.extent(), frame.noise_knowledge()));
     let features: Vec<_> = frame.features().iter().map(|feature| feature.name.as_str()).collect();
     ui.label(if features.is_empty() { "no features".to_owned() } else { format!("features: {}", features.join(", ")) });
     if !opened.repairs.is_empty() {

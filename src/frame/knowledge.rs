@@ -1,0 +1,145 @@
+//! What is known of a signal's noise.
+
+use std::fmt;
+
+use serde::Serialize;
+
+use super::{Feature, Frame, Repairs, Signal};
+use crate::error::{Error, Result};
+use crate::metric::RELATIVE_EPSILON;
+
+/// The remark on a colour without halves and variance.
+pub(super) const IMAGE_ONLY: &str = "colour: its noise is estimated from the image itself; two renders with different seeds are better: both as halves \
+                                     (layers `halfA` and `halfB`, or options --half-a and --half-b), their average as the input";
+
+/// What is known of a signal's noise. Displays as where it is known from, such as `two seeds`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+pub enum NoiseKnowledge {
+    /// Halves and sample variance: everything works.
+    HalvesAndVariance,
+    /// Halves only: the variance is pooled from the halves of similar pixels.
+    HalvesOnly,
+    /// Sample variance only: it is taken as it is, and there is no second pass, which needs halves.
+    VarianceOnly,
+    /// Neither, of a colour: its noise is estimated from the image itself.
+    ImageOnly,
+}
+
+impl NoiseKnowledge {
+    /// Knowledge from what there is.
+    pub(super) fn from_parts(has_halves: bool, has_variance: bool) -> Self {
+        match (has_halves, has_variance) {
+            (true, true) => Self::HalvesAndVariance,
+            (true, false) => Self::HalvesOnly,
+            (false, true) => Self::VarianceOnly,
+            (false, false) => Self::ImageOnly,
+        }
+    }
+
+    /// Whether there are halves.
+    pub fn has_halves(self) -> bool {
+        matches!(self, Self::HalvesAndVariance | Self::HalvesOnly)
+    }
+
+    /// Whether there is a sample variance.
+    pub fn has_variance(self) -> bool {
+        matches!(self, Self::HalvesAndVariance | Self::VarianceOnly)
+    }
+}
+
+impl fmt::Display for NoiseKnowledge {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::HalvesAndVariance => "variance and two seeds",
+            Self::HalvesOnly => "two seeds",
+            Self::VarianceOnly => "variance",
+            Self::ImageOnly => "the image itself",
+        })
+    }
+}
+
+impl Signal {
+    /// What is known of the noise; `None` if nothing is, which for a feature means that it is taken as free of noise.
+    pub fn noise_knowledge(&self) -> Option<NoiseKnowledge> {
+        Some(self.known_from()).filter(|knowledge| *knowledge != NoiseKnowledge::ImageOnly)
+    }
+
+    /// What is known of the noise, as of a colour.
+    pub(super) fn known_from(&self) -> NoiseKnowledge {
+        NoiseKnowledge::from_parts(self.half_spread.is_some(), self.variance_of_mean.is_some())
+    }
+}
+
+impl Frame {
+    /// What is known of the colour's noise.
+    pub fn noise_knowledge(&self) -> NoiseKnowledge {
+        self.color.known_from()
+    }
+
+    /// Refuses a frame of whose colour's noise nothing is known, for callers to whom an estimate from the image itself
+    /// is not good enough. `repairs` are those of the frame: they tell why halves or a variance that were given are not
+    /// used.
+    ///
+    /// # Errors
+    /// [`Error::Request`] with the ways out, where the knowledge is [`NoiseKnowledge::ImageOnly`].
+    pub fn require_noise(&self, repairs: &Repairs) -> Result<()> {
+        if self.noise_knowledge() != NoiseKnowledge::ImageOnly {
+            return Ok(());
+        }
+        let notes = repairs.notes.iter().filter(|note| *note != IMAGE_ONLY);
+        let reasons: Vec<_> = notes.filter_map(|note| note.strip_prefix("colour: ")).collect();
+        let (reasons, remedy) = if reasons.is_empty() {
+            (
+                "there are neither two halves nor a variance".into(),
+                "render twice with different seeds and give both as halves (`BufferSetRequest::half_a`, `BufferSetRequest::half_b`), their average as \
+                 the input; or let the renderer write the variance of the pixel mean, as layer `variance` or for `BufferSetRequest::variance`",
+            )
+        } else {
+            (
+                reasons.join("; "),
+                "look at the halves and the variance in an image viewer; render them again, the halves with different seeds and the same number of samples",
+            )
+        };
+        Err(Error::Request { problem: format!("nothing is known of the colour's noise: {reasons}"), remedy: remedy.into() })
+    }
+
+    /// The same frame with less known of its noise: halves and variances that `knowledge` does not name are taken from
+    /// the colour and from all features. Serves to measure what they are worth. `None` where the colour lacks what
+    /// `knowledge` names.
+    pub fn with_noise_known_from(&self, knowledge: NoiseKnowledge) -> Option<Self> {
+        let (halves, variance) = (knowledge.has_halves(), knowledge.has_variance());
+        let given = self.noise_knowledge();
+        if halves && !given.has_halves() || variance && !given.has_variance() {
+            return None;
+        }
+        let reduced = |signal: &Signal| Signal {
+            mean: signal.mean.clone(),
+            half_spread: signal.half_spread.as_ref().filter(|_| halves).cloned(),
+            variance_of_mean: signal.variance_of_mean.as_ref().filter(|_| variance).cloned(),
+        };
+        let feature = |feature: &Feature| Feature { signal: reduced(&feature.signal), name: feature.name.clone(), misses: feature.misses.clone(), ..*feature };
+        Some(Self {
+            color: reduced(&self.color),
+            features: self.features.iter().map(feature).collect(),
+            constant_features: self.constant_features.clone(),
+            samples_per_pixel: self.samples_per_pixel.clone(),
+            ..*self
+        })
+    }
+
+    /// A guess, without a reference, at the [`relative_mse`](crate::metric::relative_mse) of the unfiltered colour: the
+    /// mean over pixels and channels of variance/(mean² + 0.01). Too low where samples are few: a spike raises its own
+    /// mean along with its variance, and one that no pixel caught is missing. `None` where nothing is known of the noise.
+    pub fn noise_level(&self) -> Option<f64> {
+        let mut sum = 0.0;
+        for (channel, mean) in self.color.mean.planes.iter().enumerate() {
+            let relative = |variance: f64, mean: f32| variance / (f64::from(mean).powi(2) + RELATIVE_EPSILON);
+            sum += match (&self.color.variance_of_mean, &self.color.half_spread) {
+                (Some(variance), _) => variance.planes[channel].iter().zip(mean).map(|(&v, &m)| relative(v.into(), m)).sum::<f64>(),
+                (None, Some(spread)) => spread.planes[channel].iter().zip(mean).map(|(&s, &m)| relative(f64::from(s).powi(2), m)).sum(),
+                (None, None) => return None,
+            };
+        }
+        Some(sum / (self.color.mean.channels() * self.extent.pixels()) as f64)
+    }
+}
