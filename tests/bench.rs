@@ -250,7 +250,8 @@ fn what_is_known_of_the_noise_is_measured_side_by_side() {
         let file = folder.path(&format!("{name}.exr"));
         write_without(parts, &input, &file);
         let document = bench(&file, &["--methods=gem", "--ref", &folder.path("renders/box/reference.exr")]).succeeded().json();
-        row(&document, &format!("{name}, 8 spp"), "gem")["errors"]["relative_mse"].as_f64().unwrap()
+        let set = document["sets"][0]["name"].as_str().unwrap();
+        row(&document, set, "gem")["errors"]["relative_mse"].as_f64().unwrap()
     };
     assert_eq!(only("halves", &["variance"]), error(&document, "gem noise halves"));
 

@@ -451,7 +451,8 @@ fn an_empty_half_is_not_taken_for_noise() {
     let rgb = || ["R", "G", "B"].map(str::to_owned).to_vec();
     let layer = |name: &str, image: Image| NamedLayer { name: name.into(), channels: rgb(), image };
     let half = |name: &str, value: f32| layer(name, flat(value, 3));
-    let layers = [layer("", color().mean), half("halfA", 3.0), half("halfB", 0.0), half("variance", 0.25), layer("albedo", color().mean)];
+    let layers =
+        [layer("", color().mean), half("halfA", 3.0), half("halfB", 0.0), half("variance", 0.25), layer("albedo", image(ramp().map(|value| value / 32.0), 3))];
     let settled = |layers: &[NamedLayer]| {
         write_layers(&path, layers, &[]).unwrap();
         Frame::from_buffer_set(&BufferSet::read(&BufferSetRequest { input: path.clone(), ..Default::default() }).unwrap())
