@@ -329,7 +329,11 @@ fn settle_color(color: &mut Signal, repairs: &mut Repairs) -> Result<()> {
     }
     sources::settle(layer, color, &mut notes);
     if color.known_from() == NoiseKnowledge::HalvesOnly && sources::is_silent(color) {
-        notes.push("colour: the two halves are identical (rendered with the same seed?), so that they say nothing about the noise; they are left out".into());
+        notes.push(
+            "colour: the two halves are identical (rendered with the same seed?), so that they say nothing about the \
+             noise; they are left out"
+                .into(),
+        );
         color.half_spread = None;
     }
     if let Some(correlation) = shared_noise.filter(|_| color.half_spread.is_some()) {

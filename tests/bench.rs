@@ -13,7 +13,7 @@ use std::path::Path;
 use process::{Folder, stein, test_image};
 use serde_json::{Value, json};
 use stein::Image;
-use stein::buffers::{NamedLayer, RawSignal, write_layers};
+use stein::buffers::{BufferSet, BufferSetRequest, NamedLayer, RawSignal, write_layers};
 
 /// Small, so that a software adapter is done at once.
 const CROP: [usize; 4] = [20, 30, 40, 32];
@@ -210,7 +210,7 @@ fn people_see_a_row_for_each_configuration() {
 
 /// The same set as a file of its own with less of what tells of its noise.
 fn write_without(parts: &[&str], from: &str, to: &str) {
-    let set = stein::buffers::BufferSet::read(&stein::buffers::BufferSetRequest { input: from.into(), ..Default::default() }).unwrap();
+    let set = BufferSet::read(&BufferSetRequest { input: from.into(), ..Default::default() }).unwrap();
     let RawSignal { mean, half_a, half_b, variance_of_mean } = set.color();
     let rgb = ["R", "G", "B"].map(String::from).to_vec();
     let layers = [("", Some(mean)), ("halfA", half_a), ("halfB", half_b), ("variance", variance_of_mean)].into_iter();
@@ -245,7 +245,7 @@ fn what_is_known_of_the_noise_is_measured_side_by_side() {
     assert_eq!(records.records().map(|record| record.unwrap()[column].to_owned()).collect::<Vec<_>>(), told);
     assert!(read("index.html").contains("dfc noise image R2"));
 
-    // The same as a file that holds no more. Its feature is that of the set, so that gem, which uses none, tells.
+    // The same as a file that holds no more; of gem, which uses no features.
     let only = |name: &str, parts: &[&str]| {
         let file = folder.path(&format!("{name}.exr"));
         write_without(parts, &input, &file);

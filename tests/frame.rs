@@ -729,7 +729,8 @@ fn close(a: f32, b: f32) -> bool {
 
 #[test]
 fn albedo_beyond_1_is_clamped_with_its_noise() {
-    // 0 to 0.9, and one pixel of each kind: a lamp, one whose halves differ, an edge of a lamp, one within 1 of which one half is not.
+    // 0 to 0.9, and one pixel of each kind: a lamp, one whose halves differ, an edge of a lamp, one within 1 of which
+    // one half is not.
     let mut mean = std::array::from_fn(|pixel| pixel as f32 * 0.1);
     let (mut spread, mut deviation) = ([0.05; 12], [0.05; 12]);
     for (pixel, m, s, d) in [(3, 844.0, 2.0, 3.0), (5, 2.0, -1.5, 1.5), (7, 1.25, 0.5, 0.25), (9, 0.75, 0.5, 0.5)] {

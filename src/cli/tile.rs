@@ -42,6 +42,29 @@ mod tests {
     use super::*;
 
     #[test]
+    fn a_covered_frame_keeps_what_its_features_are() {
+        let extent = Extent { width: 4, height: 1 };
+        let image = |plane: [f32; 4]| Image { extent, planes: vec![plane.to_vec(); 3] };
+        let signal = |mean: [f32; 4], spread: f32| Signal { mean: image(mean), half_spread: Some(image([spread; 4])), variance_of_mean: None };
+        // In unit range the halves of the brightest albedo are beyond 1.
+        let features = vec![
+            ("albedo".to_owned(), signal([0.0, 0.125, 0.25, 0.5], 0.0625)),
+            ("normal".to_owned(), signal([-0.5, 0.0, 0.25, 0.5], 0.0)),
+            ("depth".to_owned(), signal([3.0, 4.0, 5.0, 7.0], 0.5)),
+        ];
+        let settled = Frame::new(signal([1.0, 2.0, 3.0, 4.0], 0.5), features, SamplesPerPixel::Unknown);
+        let frame = settled.unwrap_or_else(|error| panic!("{error}")).0;
+        let covered = cover_frame(&frame, Extent { width: 8, height: 1 }).unwrap_or_else(|failure| panic!("{failure:?}"));
+        for (feature, covered) in frame.features().iter().zip(covered.features()) {
+            assert_eq!((&feature.name, feature.unit_scale, feature.unit_offset), (&covered.name, covered.unit_scale, covered.unit_offset));
+            let first = |image: &Image| image.planes.iter().map(|plane| plane[..4].to_vec()).collect::<Vec<_>>();
+            assert_eq!(first(&covered.signal.mean), feature.signal.mean.planes);
+            let spreads = [&covered, &feature].map(|feature| feature.signal.half_spread.as_ref().map(first));
+            assert_eq!(spreads[0], spreads[1], "{}", feature.name);
+        }
+    }
+
+    #[test]
     fn an_image_is_mirrored_at_its_seams() {
         let image = Image { extent: Extent { width: 3, height: 1 }, planes: vec![vec![1.0, 2.0, 3.0]] };
         let covered = cover(&image, Extent { width: 8, height: 2 });

@@ -40,8 +40,14 @@ pub(super) fn clamp_to_one(name: &str, signal: &mut Signal) -> Option<String> {
             }
         }
     }
-    let means = format!("{beyond} values are beyond 1, up to {largest}, as of lamps and reflected suns, and are taken as 1, with their noise");
-    let noise = format!("{noise_beyond} values are within 1, but a half or the deviation is not: their noise is that of the clamped values");
+    let means = format!(
+        "{beyond} values are beyond 1, up to {largest}, as of lamps and reflected suns, and are taken as 1, with their \
+         noise"
+    );
+    let noise = format!(
+        "{noise_beyond} values are within 1, but a half or the deviation is not: their noise is that of the clamped \
+         values"
+    );
     match (beyond, noise_beyond) {
         (0, 0) => None,
         (_, 0) => Some(format!("feature {name}: {means}")),

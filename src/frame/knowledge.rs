@@ -9,8 +9,9 @@ use crate::error::{Error, Result};
 use crate::metric::RELATIVE_EPSILON;
 
 /// The remark on a colour without halves and variance.
-pub(super) const IMAGE_ONLY: &str = "colour: its noise is estimated from the image itself; two renders with different seeds are better: both as halves \
-                                     (layers `halfA` and `halfB`, or options --half-a and --half-b), their average as the input";
+pub(super) const IMAGE_ONLY: &str = "colour: its noise is estimated from the image itself; two renders with different \
+                                     seeds are better: both as halves (layers `halfA` and `halfB`, or options \
+                                     --half-a and --half-b), their average as the input";
 
 /// What is known of a signal's noise. Displays as where it is known from, such as `two seeds`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -91,13 +92,15 @@ impl Frame {
         let (reasons, remedy) = if reasons.is_empty() {
             (
                 "there are neither two halves nor a variance".into(),
-                "render twice with different seeds and give both as halves (`BufferSetRequest::half_a`, `BufferSetRequest::half_b`), their average as \
-                 the input; or let the renderer write the variance of the pixel mean, as layer `variance` or for `BufferSetRequest::variance`",
+                "render twice with different seeds and give both as halves (`BufferSetRequest::half_a`, \
+                 `BufferSetRequest::half_b`), their average as the input; or let the renderer write the variance of the \
+                 pixel mean, as layer `variance` or for `BufferSetRequest::variance`",
             )
         } else {
             (
                 reasons.join("; "),
-                "look at the halves and the variance in an image viewer; render them again, the halves with different seeds and the same number of samples",
+                "look at the halves and the variance in an image viewer; render them again, the halves with different \
+                 seeds and the same number of samples",
             )
         };
         Err(Error::Request { problem: format!("nothing is known of the colour's noise: {reasons}"), remedy: remedy.into() })
