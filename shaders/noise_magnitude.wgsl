@@ -8,7 +8,7 @@
 @group(0) @binding(0) var<uniform> params: NoiseParams;
 // Two planes: the mean, then the half spread.
 @group(0) @binding(1) var<storage, read> signal: array<vec4<f32>>;
-// The half spread in parts of the magnitude; in w the magnitude.
+// Two planes: the half spread in parts of the magnitude, in w the magnitude; then in x the median.
 @group(0) @binding(2) var<storage, read_write> relative_spread: array<vec4<f32>>;
 
 // The lower of the two middle ones where their number is even, at the border.
@@ -40,7 +40,10 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     }
     let at = pixel_index(p, params.extent);
     let own = brightness(signal[at].xyz);
-    let magnitude = max(min(median_brightness(p), params.darker * own), params.least_magnitude);
-    let spread = signal[params.extent.x * params.extent.y + at].xyz;
+    let median = median_brightness(p);
+    let magnitude = max(min(median, params.darker * own), params.least_magnitude);
+    let pixels = params.extent.x * params.extent.y;
+    let spread = signal[pixels + at].xyz;
     relative_spread[at] = vec4<f32>(spread / magnitude, magnitude);
+    relative_spread[pixels + at] = vec4<f32>(median, 0.0, 0.0, 0.0);
 }

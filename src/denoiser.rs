@@ -9,7 +9,7 @@ use std::time::Instant;
 use glam::IVec2;
 
 use crate::error::{Error, Result};
-use crate::frame::{Feature, Frame};
+use crate::frame::{Feature, Frame, NoiseKnowledge};
 use crate::gpu::{Buffer, Gpu, Pace, Recorder, StageTime, StepTime};
 use crate::host_memory::{FreeMemory, Shortage};
 use crate::image::Image;
@@ -271,6 +271,9 @@ impl Denoiser {
             return refuse(format!("frame {centre} of a window of {} frames is to be denoised", frames.len()), "count from 0");
         };
         self.method.check_beside(frames.len() - 1)?;
+        for frame in frames {
+            self.method.check_noise_is_known(frame.noise_knowledge() == NoiseKnowledge::ImageOnly)?;
+        }
         let knows = |frame: &Frame| (frame.color().half_spread.is_some(), frame.color().variance_of_mean.is_some());
         for (index, other) in frames.iter().enumerate() {
             if other.extent() != frame.extent() {

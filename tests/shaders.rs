@@ -45,7 +45,8 @@ fn definitions(stage: &str) -> Option<Vec<Definitions>> {
     match stage {
         "variance_rows" => Some(combinations(&[("PIXELS", numbers(&[4])), ("BY_DEVIATION", flags())])),
         "variance_scale" => Some(combinations(&[("PIXELS", numbers(&[4]))])),
-        "noise_magnitude" | "noise_guess" | "noise_unpack" => none,
+        "noise_magnitude" | "noise_guess" | "noise_unpack" | "noise_jump" | "noise_hold" => none,
+        "noise_highpass" | "noise_residual" => Some(combinations(&[("REGRESSORS", numbers(&[0, 1, 2]))])),
         "noise_feature" => Some(combinations(&[("VARIANCE", flags())])),
         "noise_pool" => Some(combinations(&[("FEATURE_GROUPS", numbers(&[0, 1, 2, 8]))])),
         "spike_find" => Some(combinations(&[("FEATURE_GROUPS", numbers(&[0, 1, 2, 8])), ("VARIANCE", flags())])),

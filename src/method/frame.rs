@@ -28,6 +28,13 @@ pub struct GpuSignal {
     pub has_halves: bool,
 }
 
+impl GpuSignal {
+    /// Whether nothing tells of its noise but the image.
+    pub(super) fn is_image_only(&self) -> bool {
+        !self.has_halves && self.variance_of_mean.is_none()
+    }
+}
+
 /// A feature on the GPU, in unit range.
 #[derive(Debug)]
 pub struct GpuFeature {

@@ -197,6 +197,26 @@ impl Method {
         }
     }
 
+    /// Whether variances of the mean that are not given are estimated.
+    pub fn pools_variance(&self) -> bool {
+        match self {
+            Self::Dfc(params) => params.pooled_variance,
+            Self::Gem(params) => params.pooled_variance,
+            Self::Nlm(params) => params.pooled_variance,
+        }
+    }
+
+    /// Refuses a colour of whose noise nothing is known where nothing is to be estimated.
+    pub(crate) fn check_noise_is_known(&self, is_image_only: bool) -> Result<()> {
+        if !is_image_only || self.pools_variance() {
+            return Ok(());
+        }
+        Err(Error::Request {
+            problem: "nothing is known of the colour's noise, and the parameters leave out to estimate it".into(),
+            remedy: "set `pooled_variance`; or give two halves, renders with different seeds, or a variance".into(),
+        })
+    }
+
     /// Refuses frames beside the one to denoise where the method has no use for them.
     pub(crate) fn check_beside(&self, beside: usize) -> Result<()> {
         if beside == 0 || self.filters_in_time() {
@@ -228,6 +248,7 @@ impl Method {
         progress: impl FnMut(&mut Recorder, f32) -> Result<()>,
     ) -> Result<GpuEstimate> {
         self.check_beside(beside.len())?;
+        self.check_noise_is_known(frame.color.is_image_only())?;
         let channels = |frame: &FrameInput| if self.uses_features() { frame.features.iter().map(|feature| feature.channels).collect() } else { Vec::new() };
         let shape = |frame: &FrameInput| (frame.extent, frame.color.has_halves, channels(frame));
         if beside.iter().any(|other| shape(other) != shape(&frame)) {

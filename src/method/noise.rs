@@ -6,20 +6,22 @@ use glam::IVec2;
 
 use super::GpuSignal;
 use super::frame::FeatureInput;
+use crate::buffers::names;
 use crate::error::Result;
 use crate::gpu::Recorder;
-use crate::stage::noise::{NoiseRule, NoisyFeatures, noise_feature, noise_pool, noise_unpack};
+use crate::stage::noise::{ImageRule, NoiseRule, NoisyFeatures, noise_feature, noise_of_image, noise_pool, noise_unpack};
 
 /// How far around a pixel its variance depends on a frame where it is estimated, in pixels.
 pub(super) fn reach_of_noise(is_estimated: bool) -> u32 {
-    if is_estimated { NoiseRule::HALVES.reach() } else { 0 }
+    if is_estimated { ImageRule::DEFAULT.reach().max(NoiseRule::HALVES.reach()) } else { 0 }
 }
 
 /// How far around a pixel its estimated variance depends on noise, in pixels: beyond, it only matters how bright pixels
 /// are.
 pub(super) const POOLING_RADIUS: u32 = NoiseRule::HALVES.window_radius;
 
-/// Gives the colour and the features variances of the mean where they have none but have halves.
+/// Gives the colour and the features variances of the mean where they have none: from their halves, or, of a colour of
+/// whose noise nothing is known, from the image itself.
 pub(super) fn estimate_noise(rec: &mut Recorder, extent: IVec2, color: &mut GpuSignal, features: &mut [FeatureInput]) -> Result<()> {
     let rule = NoiseRule::HALVES;
     let channels: Vec<u32> = features.iter().map(|feature| feature.channels).collect();
@@ -34,6 +36,13 @@ pub(super) fn estimate_noise(rec: &mut Recorder, extent: IVec2, color: &mut GpuS
             noise_feature(rec, extent, &packed, packed.packing.slots[index], &signal.signal, given, &rule)?;
         }
         noisy = Some(packed);
+    }
+    if color.is_image_only() {
+        let may_explain = |name: &str| names::is_albedo_name(name) || names::is_normal_name(name);
+        let explaining: Vec<usize> = (0..features.len()).filter(|&index| channels[index] == 3 && may_explain(&features[index].name)).collect();
+        let variance = noise_of_image(rec, extent, &color.signal, noisy.as_ref(), &explaining, &ImageRule::DEFAULT)?;
+        color.variance_of_mean = Some(Arc::new(variance));
+        return Ok(());
     }
     let pooled = Arc::new(noise_pool(rec, extent, &color.signal, noisy.as_ref(), &rule)?);
     if color.variance_of_mean.is_none() {

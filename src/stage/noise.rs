@@ -30,6 +30,9 @@ uniforms! {
         triple_weights: [Vec4; MAX_GROUPS],
     }
     struct NoiseFeatureParams { extent: IVec2, radius: i32, group: i32, single: i32 }
+    struct NoiseHighpassParams { extent: IVec2, groups: IVec2 }
+    struct NoiseResidualParams { extent: IVec2, fit_radius: i32, ridge: f32, fitted_share: f32, largest: f32, scale: f32 }
+    struct NoiseHoldParams { extent: IVec2, jump_radius: i32, jump: f32, least_magnitude: f32, radius: i32 }
     struct NoiseUnpackParams { extent: IVec2, plane: i32, single: i32 }
 }
 
@@ -38,6 +41,12 @@ bindings! {
     struct NoiseGuess<'a> { uniform params: NoiseParams, read relative_spread, write guess }
     struct NoiseFeature<'a> { uniform params: NoiseFeatureParams, read signal, optional sample_variance, write features }
     struct NoisePool<'a> { uniform params: NoiseParams, read signal, read guess, optional features, write pooled_variance }
+    struct NoiseHighpass<'a> {
+        uniform params: NoiseHighpassParams, read signal, read relative_spread, optional features, write highpass,
+    }
+    struct NoiseResidual<'a> { uniform params: NoiseResidualParams, read signal, read highpass, write residual }
+    struct NoiseJump<'a> { uniform params: NoiseHoldParams, read relative_spread, read pooled_variance, write relative_variance }
+    struct NoiseHold<'a> { uniform params: NoiseHoldParams, read relative_spread, read relative_variance, write variance }
     struct NoiseUnpack<'a> { uniform params: NoiseUnpackParams, read pooled_variance, write variance }
 }
 
@@ -80,6 +89,9 @@ impl NoiseRule {
         feature_tau: 0.01,
         pooled_share: 4.0,
     };
+
+    /// Of what an image alone shows, which is rougher.
+    pub const IMAGE: Self = Self { gate: 4.0, pooled_share: 8.0, ..Self::HALVES };
 
     /// How far a pixel's variance depends on what is around it, in pixels.
     pub const fn reach(&self) -> u32 {
@@ -160,10 +172,8 @@ pub fn noise_pool(rec: &mut Recorder, extent: IVec2, signal: &Buffer, features: 
     let groups = features.map_or(0, |features| features.packing.groups);
     let buffer = rec.take("pooled variance", plane_bytes(extent, 1 + groups))?;
     let guess = &rec.take("first guess of the variance", plane_bytes(extent, 1))?;
-    let relative_spread = &rec.take("relative half spread", plane_bytes(extent, 1))?;
+    let relative_spread = &noise_magnitude(rec, extent, signal, rule)?;
 
-    let kernel = rec.gpu().kernel::<NoiseMagnitude>("noise_magnitude", &[])?;
-    rec.dispatch(&kernel, &NoiseMagnitude { params, signal, relative_spread }, per_pixel(extent))?;
     let kernel = rec.gpu().kernel::<NoiseGuess>("noise_guess", &[])?;
     rec.dispatch(&kernel, &NoiseGuess { params, relative_spread, guess }, per_pixel(extent))?;
     let definitions = [("FEATURE_GROUPS", Definition::Int(groups as i32))];
@@ -171,6 +181,101 @@ pub fn noise_pool(rec: &mut Recorder, extent: IVec2, signal: &Buffer, features: 
     let features = features.map(|features| &features.buffer);
     rec.dispatch(&kernel, &NoisePool { params, signal, guess, features, pooled_variance: &buffer }, per_pixel(extent))?;
     Ok(Pooled { buffer })
+}
+
+/// The half spread of a colour in parts of the brightness around each pixel, that brightness, and in a second plane the
+/// median of the 3×3 pixels.
+fn noise_magnitude(rec: &mut Recorder, extent: IVec2, signal: &Buffer, rule: &NoiseRule) -> Result<Buffer> {
+    let relative_spread = rec.take("relative half spread", plane_bytes(extent, 2))?;
+    let kernel = rec.gpu().kernel::<NoiseMagnitude>("noise_magnitude", &[])?;
+    let bound = NoiseMagnitude { params: rule.params(extent, None), signal, relative_spread: &relative_spread };
+    rec.dispatch(&kernel, &bound, per_pixel(extent))?;
+    Ok(relative_spread)
+}
+
+/// How noise is told from an image alone.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ImageRule {
+    /// Half width of the window over which features are fitted to the colour, in pixels.
+    pub fit_radius: u32,
+    /// What is added to the diagonal of the fit's normal equations, in parts of the sum of its weights.
+    pub ridge: f32,
+    /// The part that what the fit leaves has in the geometric mean with what there is without it. Measured at 32 spp,
+    /// with a half `dof_spheres` has 5 % more error, whose features are noisy; with none `cycles_interior` has 2 % more,
+    /// whose wood they explain.
+    pub fitted_share: f32,
+    /// The largest noise of a pixel that is no brighter than its neighbours, in magnitudes.
+    pub largest: f32,
+    /// Brightness jumps where medians within `jump_radius` pixels differ by this factor.
+    pub jump: f32,
+    /// See `jump`.
+    pub jump_radius: u32,
+    /// Half width of the box by which the variance near a jump is judged, in pixels.
+    pub hold_radius: u32,
+    /// Which pixels are pooled.
+    pub pool: NoiseRule,
+}
+
+impl ImageRule {
+    /// What measured best.
+    pub const DEFAULT: Self =
+        Self { fit_radius: 4, ridge: 1e-3, fitted_share: 0.2, largest: 3.0, jump: 100.0, jump_radius: 2, hold_radius: 4, pool: NoiseRule::IMAGE };
+
+    /// How far a pixel's variance depends on what is around it, in pixels.
+    pub const fn reach(&self) -> u32 {
+        // Medians and neighbours reach one pixel.
+        let pooled = self.pool.reach() + self.fit_radius + 1;
+        let jump = self.jump_radius + 1;
+        self.hold_radius + if pooled > jump { pooled } else { jump }
+    }
+}
+
+/// Brings the lesser of the two residuals of Gaussian noise to the size of a half spread: E|D| = σ·√(2/π).
+///
+/// Each residual has the variance 1.5·σ², and both have the correlation 2/3. Of two normal variables with the variance 1
+/// and the correlation ρ, E min(|a|, |b|) = √(2/π)·(2 − (√(2 + 2ρ) + √(2 − 2ρ))/2).
+const RESIDUAL_SCALE: f32 = 1.202_67;
+
+/// The variance of a colour of which nothing is known but the image: from how far pixels stand out from both their
+/// neighbours, pooled. `explaining` are the features of three channels, two at the most, that may explain it. One plane.
+///
+/// # Errors
+/// As [`Recorder::dispatch`].
+pub fn noise_of_image(
+    rec: &mut Recorder,
+    extent: IVec2,
+    signal: &Buffer,
+    features: Option<&NoisyFeatures>,
+    explaining: &[usize],
+    rule: &ImageRule,
+) -> Result<Buffer> {
+    let slot = |index: &usize| features.map(|features| features.packing.slots[*index]).filter(|slot| !slot.single);
+    let groups: Vec<i32> = explaining.iter().filter_map(slot).map(|slot| slot.group as i32).take(2).collect();
+    let regressors = [("REGRESSORS", Definition::Int(groups.len() as i32))];
+    let of_group = |index: usize| groups.get(index).copied().unwrap_or(0);
+    let bytes = |planes: u32| plane_bytes(extent, planes);
+
+    let relative_spread = &noise_magnitude(rec, extent, signal, &rule.pool)?;
+    let highpass = &rec.take("what pixels stand out by", bytes(2 + 2 * groups.len() as u32))?;
+    let kernel = rec.gpu().kernel::<NoiseHighpass>("noise_highpass", &regressors)?;
+    let params = NoiseHighpassParams { extent, groups: IVec2::new(of_group(0), of_group(1)) };
+    let buffer = features.filter(|_| !groups.is_empty()).map(|features| &features.buffer);
+    rec.dispatch(&kernel, &NoiseHighpass { params, signal, relative_spread, features: buffer, highpass }, per_pixel(extent))?;
+    let residual = &rec.take("colour and its residual", bytes(2))?;
+    let kernel = rec.gpu().kernel::<NoiseResidual>("noise_residual", &regressors)?;
+    let ImageRule { fit_radius, ridge, fitted_share, largest, jump, jump_radius, hold_radius, pool } = *rule;
+    let params = NoiseResidualParams { extent, fit_radius: fit_radius as i32, ridge, fitted_share, largest, scale: RESIDUAL_SCALE };
+    rec.dispatch(&kernel, &NoiseResidual { params, signal, highpass, residual }, per_pixel(extent))?;
+
+    let pooled_variance = &noise_pool(rec, extent, residual, features, &pool)?.buffer;
+    let relative_variance = &rec.take("relative variance", bytes(1))?;
+    let variance = rec.take("variance of an image", bytes(1))?;
+    let params = NoiseHoldParams { extent, jump_radius: jump_radius as i32, jump, least_magnitude: pool.least_magnitude, radius: hold_radius as i32 };
+    let kernel = rec.gpu().kernel::<NoiseJump>("noise_jump", &[])?;
+    rec.dispatch(&kernel, &NoiseJump { params, relative_spread, pooled_variance, relative_variance }, per_pixel(extent))?;
+    let kernel = rec.gpu().kernel::<NoiseHold>("noise_hold", &[])?;
+    rec.dispatch(&kernel, &NoiseHold { params, relative_spread, relative_variance, variance: &variance }, per_pixel(extent))?;
+    Ok(variance)
 }
 
 /// The pooled variance of the feature in this slot, or of the colour, as a plane of its own.

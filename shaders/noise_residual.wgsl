@@ -1,0 +1,142 @@
+// Takes for noise by how much a pixel stands out from its neighbours, along x or along y, whichever is less: an edge
+// stands out along one of them alone.
+//
+// Texture stands out too. What the features stand out by explains it, by a least-squares fit over the pixels around.
+// But features with noise of their own, as out of focus, would explain noise away; so that what a fit leaves counts
+// less than what there is without it.
+#import stein::planes::{pixel_index}
+
+// Features of three channels.
+const REGRESSORS: i32 = #{REGRESSORS};
+
+struct NoiseResidualParams {
+    extent: vec2<i32>,
+    // Radius of the window of a fit.
+    fit_radius: i32,
+    // What is added to the diagonal of a fit, in parts of the sum of its weights.
+    ridge: f32,
+    // The part that what the fit leaves has in the geometric mean.
+    fitted_share: f32,
+    // The largest noise of a pixel that is no brighter than its neighbours, in magnitudes.
+    largest: f32,
+    // Brings the lesser of two residuals to the size of a half spread.
+    scale: f32,
+}
+
+@group(0) @binding(0) var<uniform> params: NoiseResidualParams;
+@group(0) @binding(1) var<storage, read> signal: array<vec4<f32>>;
+// As noise_highpass left it.
+@group(0) @binding(2) var<storage, read> highpass: array<vec4<f32>>;
+// Two planes: the mean, then in place of the half spread what is taken for noise.
+@group(0) @binding(3) var<storage, read_write> residual: array<vec4<f32>>;
+
+// The lesser of what stands out along both axes; where there is one axis, that.
+fn lesser(along_x: vec3<f32>, along_y: vec3<f32>) -> vec3<f32> {
+    let x = select(abs(along_x), vec3<f32>(3.4e38), params.extent.x == 1);
+    let y = select(abs(along_y), vec3<f32>(3.4e38), params.extent.y == 1);
+    return select(min(x, y), vec3<f32>(0.0), all(params.extent == vec2<i32>(1)));
+}
+
+#if REGRESSORS != 0
+const TERMS: i32 = 3 * REGRESSORS;
+
+struct Fit {
+    // Of each term, what it makes of the three channels.
+    coefficients: array<vec3<f32>, TERMS>,
+}
+
+fn term(at: i32, axis: i32, index: i32) -> f32 {
+    let pixels = params.extent.x * params.extent.y;
+    return highpass[(2 + 2 * (index / 3) + axis) * pixels + at][index % 3];
+}
+
+// The normal equations over the window, of both axes in one, solved by Cholesky's decomposition.
+fn fit_around(p: vec2<i32>) -> Fit {
+    let pixels = params.extent.x * params.extent.y;
+    let first = max(p - params.fit_radius, vec2<i32>(0));
+    let last = min(p + params.fit_radius, params.extent - 1);
+    // The lower triangle, row by row.
+    var matrix: array<f32, (TERMS * (TERMS + 1)) / 2>;
+    var fit: Fit;
+    var weight_sum = 0.0;
+    for (var y = first.y; y <= last.y; y++) {
+        for (var x = first.x; x <= last.x; x++) {
+            let at = pixel_index(vec2<i32>(x, y), params.extent);
+            for (var axis = 0; axis < 2; axis++) {
+                let color = highpass[axis * pixels + at];
+                let w = 1.0 / (color.w * color.w);
+                var terms: array<f32, TERMS>;
+                for (var index = 0; index < TERMS; index++) {
+                    terms[index] = term(at, axis, index);
+                }
+                var place = 0;
+                for (var row = 0; row < TERMS; row++) {
+                    let weighted = w * terms[row];
+                    for (var column = 0; column <= row; column++) {
+                        matrix[place] += weighted * terms[column];
+                        place++;
+                    }
+                    fit.coefficients[row] += weighted * color.xyz;
+                }
+                weight_sum += 0.5 * w;
+            }
+        }
+    }
+    for (var row = 0; row < TERMS; row++) {
+        let row_start = (row * (row + 1)) / 2;
+        matrix[row_start + row] += params.ridge * weight_sum;
+        for (var column = 0; column <= row; column++) {
+            let column_start = (column * (column + 1)) / 2;
+            var sum = matrix[row_start + column];
+            for (var before = 0; before < column; before++) {
+                sum -= matrix[row_start + before] * matrix[column_start + before];
+            }
+            // Round-off must not take the ridge away.
+            let diagonal = sqrt(max(sum, 0.5 * params.ridge * weight_sum));
+            matrix[row_start + column] = select(sum / matrix[column_start + column], diagonal, row == column);
+        }
+        var value = fit.coefficients[row];
+        for (var before = 0; before < row; before++) {
+            value -= matrix[row_start + before] * fit.coefficients[before];
+        }
+        fit.coefficients[row] = value / matrix[row_start + row];
+    }
+    for (var row = TERMS - 1; row >= 0; row--) {
+        var value = fit.coefficients[row];
+        for (var after = row + 1; after < TERMS; after++) {
+            value -= matrix[(after * (after + 1)) / 2 + row] * fit.coefficients[after];
+        }
+        fit.coefficients[row] = value / matrix[(row * (row + 1)) / 2 + row];
+    }
+    return fit;
+}
+#endif
+
+@compute @workgroup_size(32, 2, 1)
+fn main(@builtin(global_invocation_id) id: vec3<u32>) {
+    let p = vec2<i32>(id.xy);
+    if any(p >= params.extent) {
+        return;
+    }
+    let pixels = params.extent.x * params.extent.y;
+    let at = pixel_index(p, params.extent);
+    let along_x = highpass[at];
+    let along_y = highpass[pixels + at];
+    var noise = lesser(along_x.xyz, along_y.xyz);
+#if REGRESSORS != 0
+    let fit = fit_around(p);
+    var explained = array<vec3<f32>, 2>(vec3<f32>(0.0), vec3<f32>(0.0));
+    for (var index = 0; index < TERMS; index++) {
+        for (var axis = 0; axis < 2; axis++) {
+            explained[axis] += term(at, axis, index) * fit.coefficients[index];
+        }
+    }
+    let left = lesser(along_x.xyz - explained[0], along_y.xyz - explained[1]);
+    noise = pow(left, vec3<f32>(params.fitted_share)) * pow(noise, vec3<f32>(1.0 - params.fitted_share));
+#endif
+    noise *= params.scale;
+    let stands_out = (along_x.xyz > vec3<f32>(0.0)) & (along_y.xyz > vec3<f32>(0.0));
+    noise = select(min(noise, vec3<f32>(params.largest * along_x.w)), noise, stands_out);
+    residual[at] = signal[at];
+    residual[pixels + at] = vec4<f32>(noise, 0.0);
+}
