@@ -71,7 +71,7 @@ fn noisy_frame(mean: &[Grid], sigma: f64, seed: u64) -> Frame {
         let (mean, spread) = clean.iter().map(|plane| noisy(plane, sigma)).unzip();
         Signal { mean, spread: Some(spread), sample_variance: Some(clean.iter().map(|p| p.like(|_| sigma * sigma)).collect()) }
     };
-    Frame { color: signal(mean, sigma), features: vec![signal(&mean[..1], sigma / 10.0)] }
+    Frame { color: signal(mean, sigma), features: vec![signal(&mean[..1], sigma / 10.0)], explaining: Vec::new() }
 }
 
 // Examples small enough to do by hand.
@@ -586,6 +586,7 @@ fn a_constant_image_stays_constant() {
             sample_variance: Some(planes(3, || random.uniform_grid(width, height, 0.0, 0.02))),
         },
         features: vec![Signal { mean: vec![Grid::filled(width, height, 0.5)], spread: None, sample_variance: None }],
+        explaining: Vec::new(),
     };
     for (preset, params) in presets() {
         let result = dfc(&frame, &params);
@@ -606,7 +607,7 @@ fn an_image_without_noise_is_left_alone() {
     let mut random = Random(9);
     let mean = planes(3, || random.uniform_grid(12, 10, 0.1, 2.0));
     let zero = || Some(planes(3, || Grid::filled(12, 10, 0.0)));
-    let frame = Frame { color: Signal { mean: mean.clone(), spread: zero(), sample_variance: zero() }, features: Vec::new() };
+    let frame = Frame { color: Signal { mean: mean.clone(), spread: zero(), sample_variance: zero() }, features: Vec::new(), explaining: Vec::new() };
     for (preset, params) in presets() {
         let result = dfc(&frame, &params);
         for (name, pass) in every_output(&result) {

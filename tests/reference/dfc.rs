@@ -122,6 +122,8 @@ pub struct Frame {
     pub color: Signal,
     /// In unit range.
     pub features: Vec<Signal>,
+    /// Which of them may explain the texture of an image alone: albedo and normal.
+    pub explaining: Vec<usize>,
 }
 
 /// A filtered mean and, with halves, its spread.
@@ -171,8 +173,8 @@ pub struct Dfc {
 
 pub fn dfc(frame: &Frame, params: &DfcParams) -> Dfc {
     // Variances that nothing gives. None of Algorithm 1.
-    let completed = params.noise.map(|noise| completed(&frame.color, &frame.features, &noise));
-    let completed = completed.map(|(color, features)| Frame { color, features });
+    let completed = params.noise.map(|noise| completed(&frame.color, &frame.features, &frame.explaining, &noise));
+    let completed = completed.map(|(color, features)| Frame { color, features, explaining: Vec::new() });
     let frame = completed.as_ref().unwrap_or(frame);
     // Lines 2–5 and 6–10: features and variances. Spikes are none of Algorithm 1.
     let prefiltered: Vec<Prefiltered> = frame.features.iter().map(|signal| prefilter(signal, params.symmetric, params.centre, params.box_weight)).collect();

@@ -164,7 +164,7 @@ pub struct Gem {
 }
 
 pub fn gem(color: &Signal, samples: &Grid, params: &GemParams) -> Gem {
-    let completed = params.noise.map(|noise| completed(color, &[], &noise).0);
+    let completed = params.noise.map(|noise| completed(color, &[], &[], &noise).0);
     let color = completed.as_ref().unwrap_or(color);
     let repaired = params.spikes.map(|params| spike::repaired(color, &[], &params).signal);
     let color = repaired.as_ref().unwrap_or(color);

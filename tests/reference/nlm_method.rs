@@ -169,7 +169,7 @@ pub struct Nlm {
 }
 
 pub fn nlm(color: &Signal, params: &NlmParams, samples: &Grid) -> Nlm {
-    let completed = params.noise.map(|noise| completed(color, &[], &noise).0);
+    let completed = params.noise.map(|noise| completed(color, &[], &[], &noise).0);
     let raw = completed.as_ref().unwrap_or(color);
     let repaired = params.spikes.map(|params| spike::repaired(raw, &[], &params).signal);
     let color = repaired.as_ref().unwrap_or(raw);

@@ -1,4 +1,5 @@
-//! Variances of the mean that no renderer gave: from two halves, pooled over pixels that are alike.
+//! Variances of the mean that no renderer gave: from two halves, or from the image alone, pooled over pixels that are
+//! alike.
 
 use std::f64::consts::FRAC_PI_2;
 
@@ -51,8 +52,13 @@ pub struct Pooled {
     pub features: Vec<Planes>,
 }
 
-/// A frame in which everything with halves has a sample variance.
-pub fn completed(color: &Signal, features: &[Signal], params: &NoiseParams) -> (Signal, Vec<Signal>) {
+/// A frame in which the colour, and every feature with halves, has a sample variance. The features `explaining` may
+/// explain the texture of an image alone.
+pub fn completed(color: &Signal, features: &[Signal], explaining: &[usize], params: &NoiseParams) -> (Signal, Vec<Signal>) {
+    if color.spread.is_none() && color.sample_variance.is_none() {
+        let variance = of_image(&color.mean, features, explaining, &ImageParams::default());
+        return (Signal { sample_variance: Some(variance), ..color.clone() }, features.to_vec());
+    }
     let lacks = |signal: &Signal| signal.sample_variance.is_none() && signal.spread.is_some();
     if color.spread.is_none() || !(lacks(color) || features.iter().any(lacks)) {
         return (color.clone(), features.to_vec());
@@ -112,12 +118,16 @@ pub fn pooled(color: &Signal, features: &[Signal], params: &NoiseParams) -> Pool
 
 /// The brightness around a pixel, without single bright pixels.
 pub fn magnitude(mean: &[Grid], params: &NoiseParams) -> Grid {
-    let brightness = mean[0].like(|p| channel_mean(mean, p).abs());
-    brightness.like(|p| {
-        let mut around: Vec<f64> = square(1).map(|o| p + o).filter(|&q| brightness.contains(q)).map(|q| brightness.at(q)).collect();
+    let medians = medians(mean);
+    medians.like(|p| medians.at(p).min(params.darker * channel_mean(mean, p).abs()).max(params.least_magnitude))
+}
+
+/// The median brightness of 3×3 pixels; of an even number the lower one of the two in the middle.
+pub fn medians(mean: &[Grid]) -> Grid {
+    mean[0].like(|p| {
+        let mut around: Vec<f64> = square(1).map(|o| p + o).filter(|&q| mean[0].contains(q)).map(|q| channel_mean(mean, q).abs()).collect();
         around.sort_by(f64::total_cmp);
-        let median = around[(around.len() - 1) / 2];
-        median.min(params.darker * brightness.at(p)).max(params.least_magnitude)
+        around[(around.len() - 1) / 2]
     })
 }
 
@@ -152,4 +162,119 @@ fn distance(mean: &[Grid], variance: &[Grid], p: Point, q: Point, scale: impl Fn
         ((mean.at(p) - mean.at(q)).powi(2) - (of_p + of_p.min(of_q))) / scale(of_p + of_q)
     };
     mean.iter().zip(variance).map(of_channel).sum::<f64>() / mean.len() as f64
+}
+
+/// How noise is told from an image alone.
+#[derive(Clone, Copy, Debug)]
+pub struct ImageParams {
+    pub fit_radius: usize,
+    pub ridge: f64,
+    pub fitted_share: f64,
+    pub largest: f64,
+    pub jump: f64,
+    pub jump_radius: usize,
+    pub hold_radius: usize,
+    pub pool: NoiseParams,
+}
+
+/// What renders turned out to want.
+impl Default for ImageParams {
+    fn default() -> ImageParams {
+        let pool = NoiseParams { gate: 4.0, pooled_share: 8.0, ..NoiseParams::default() };
+        ImageParams { fit_radius: 4, ridge: 1e-3, fitted_share: 0.2, largest: 3.0, jump: 100.0, jump_radius: 2, hold_radius: 4, pool }
+    }
+}
+
+/// The variance of a colour of whose noise nothing is known. The features `explaining` may explain what it stands out by.
+pub fn of_image(mean: &[Grid], features: &[Signal], explaining: &[usize], params: &ImageParams) -> Planes {
+    let spread = residual(mean, features, explaining, params);
+    let color = Signal { mean: mean.to_vec(), spread: Some(spread), sample_variance: None };
+    let pooled = pooled(&color, features, &params.pool).color;
+    let magnitude = magnitude(mean, &params.pool);
+    let medians = medians(mean);
+    let around = |p: Point, radius: usize| square(radius).map(move |o| p + o).filter(|&q| mean[0].contains(q));
+    let jumps = |p: Point| {
+        let median = |q: Point| medians.at(q).max(params.pool.least_magnitude);
+        let brightest = around(p, params.jump_radius).map(median).fold(0.0, f64::max);
+        brightest > params.jump * around(p, params.jump_radius).map(median).fold(f64::INFINITY, f64::min)
+    };
+    let relative = |plane: &Grid, q: Point| plane.at(q) / magnitude.at(q).powi(2);
+    let held = |plane: &Grid| {
+        plane.like(|p| {
+            if !jumps(p) {
+                return plane.at(p);
+            }
+            let calm: Vec<Point> = around(p, params.hold_radius).filter(|&q| !jumps(q)).collect();
+            let most = if calm.is_empty() { 1.0 } else { calm.iter().map(|&q| relative(plane, q)).sum::<f64>() / calm.len() as f64 };
+            plane.at(p).min(most * magnitude.at(p).powi(2))
+        })
+    };
+    pooled.iter().map(held).collect()
+}
+
+const AXES: [Point; 2] = [Point { x: 1, y: 0 }, Point { x: 0, y: 1 }];
+
+/// By how much pixels stand out from both their neighbours, along the axis where that is less; in part, from what the
+/// features explain.
+pub fn residual(mean: &[Grid], features: &[Signal], explaining: &[usize], params: &ImageParams) -> Planes {
+    let magnitude = magnitude(mean, &params.pool);
+    let terms: Vec<&Grid> = explaining.iter().flat_map(|&index| &features[index].mean).collect();
+    // Along an axis without neighbours nothing can be told.
+    let axes: Vec<Point> = AXES.into_iter().filter(|axis| mean[0].width as isize * axis.x + mean[0].height as isize * axis.y > 1).collect();
+    let lesser = |left: [f64; 2]| (0..2).filter(|&a| axes.contains(&AXES[a])).map(|a| left[a].abs()).reduce(f64::min).unwrap_or(0.0);
+    // E|D| of the lesser of two residuals is that of a half spread.
+    let scale = 1.0 / (1.5f64.sqrt() * (2.0 - ((10.0f64 / 3.0).sqrt() + (2.0f64 / 3.0).sqrt()) / 2.0));
+    mean.iter()
+        .map(|channel| {
+            channel.like(|p| {
+                let own = AXES.map(|axis| stands_out(channel, p, axis));
+                let mut noise = lesser(own);
+                if !terms.is_empty() {
+                    let coefficients = fit_around(channel, &terms, &magnitude, p, params);
+                    let explained = |axis: Point| -> f64 { terms.iter().zip(&coefficients).map(|(term, c)| c * stands_out(term, p, axis)).sum() };
+                    let left = lesser([own[0] - explained(AXES[0]), own[1] - explained(AXES[1])]);
+                    noise = left.powf(params.fitted_share) * noise.powf(1.0 - params.fitted_share);
+                }
+                noise *= scale;
+                if own.iter().all(|own| *own > 0.0) { noise } else { noise.min(params.largest * magnitude.at(p)) }
+            })
+        })
+        .collect()
+}
+
+/// From the mean of its neighbours along an axis; at the border one stands for both.
+fn stands_out(plane: &Grid, p: Point, axis: Point) -> f64 {
+    let beside: Vec<f64> = [p - axis, p + axis].into_iter().filter(|&q| plane.contains(q)).map(|q| plane.at(q)).collect();
+    if beside.is_empty() { 0.0 } else { plane.at(p) - beside.iter().sum::<f64>() / beside.len() as f64 }
+}
+
+/// Ridge regression of what a channel stands out by on what the terms do, along both axes, over the pixels around.
+fn fit_around(channel: &Grid, terms: &[&Grid], magnitude: &Grid, p: Point, params: &ImageParams) -> Vec<f64> {
+    let n = terms.len();
+    let (mut matrix, mut right, mut weights) = (vec![vec![0.0; n]; n], vec![0.0; n], 0.0);
+    for q in square(params.fit_radius).map(|o| p + o).filter(|&q| channel.contains(q)) {
+        let w = 1.0 / magnitude.at(q).powi(2);
+        weights += w;
+        for axis in AXES {
+            let z: Vec<f64> = terms.iter().map(|term| stands_out(term, q, axis)).collect();
+            for i in 0..n {
+                right[i] += w * z[i] * stands_out(channel, q, axis);
+                (0..n).for_each(|j| matrix[i][j] += w * z[i] * z[j]);
+            }
+        }
+    }
+    (0..n).for_each(|i| matrix[i][i] += params.ridge * weights);
+    // Gauss's elimination: the ridge keeps the pivots away from 0.
+    for i in 0..n {
+        for k in i + 1..n {
+            let factor = matrix[k][i] / matrix[i][i];
+            (i..n).for_each(|j| matrix[k][j] -= factor * matrix[i][j]);
+            right[k] -= factor * right[i];
+        }
+    }
+    for i in (0..n).rev() {
+        let known: f64 = (i + 1..n).map(|j| matrix[i][j] * right[j]).sum();
+        right[i] = (right[i] - known) / matrix[i][i];
+    }
+    right
 }

@@ -1,11 +1,12 @@
-//! `noise_magnitude`, `noise_guess`, `noise_feature`, `noise_pool` and `noise_unpack`. Distances divide differences of
+//! Variances that no renderer gave: `noise_magnitude`, `noise_guess`, `noise_feature`, `noise_pool` and `noise_unpack`;
+//! for an image alone `noise_highpass`, `noise_residual`, `noise_jump` and `noise_hold`. Distances divide differences of
 //! values of the order of 1 by the noise, so that weights have four digits; what they average is positive.
 
-use stein::gpu::Gpu;
-use stein::stage::noise::{NoiseRule, NoisyFeatures, noise_feature, noise_pool, noise_unpack};
+use stein::gpu::{Gpu, Recorder};
+use stein::stage::noise::{ImageRule, NoiseRule, NoisyFeatures, noise_feature, noise_of_image, noise_pool, noise_unpack};
 
 use crate::common::{Scene, assert_near, checked_gpu, extent_of, gpu, own_size, packed_signal, read, rounded, run, scene, upload};
-use crate::reference::noise::{NoiseParams, pooled};
+use crate::reference::noise::{ImageParams, NoiseParams, of_image, pooled};
 use crate::reference::random::Random;
 use crate::reference::variance::Signal;
 use crate::reference::{Grid, Planes, Point};
@@ -33,27 +34,33 @@ fn features(width: usize, height: usize, channels: &[usize], seed: u64) -> Vec<S
     channels.iter().enumerate().map(|(index, channels)| feature(index, *channels)).collect()
 }
 
+/// Both planes of a signal; without halves the second is 0.
+fn packed(signal: &Signal) -> Vec<f32> {
+    let zero = || signal.mean.iter().map(|grid| grid.like(|_| 0.0)).collect();
+    packed_signal(&signal.mean, &signal.spread.clone().unwrap_or_else(zero))
+}
+
+fn packed_features(rec: &mut Recorder, features: &[Signal]) -> stein::Result<Option<NoisyFeatures>> {
+    let Some(first) = features.first() else { return Ok(None) };
+    let extent = extent_of(&first.mean[0]);
+    let channels: Vec<u32> = features.iter().map(|feature| feature.mean.len() as u32).collect();
+    let room = NoisyFeatures::take(rec, extent, &channels)?;
+    for index in room.packing.order() {
+        let feature = rec.upload("feature", &packed(&features[index]))?;
+        let variance = features[index].sample_variance.as_ref().map(|variance| upload(rec, variance)).transpose()?;
+        noise_feature(rec, extent, &room, room.packing.slots[index], &feature, variance.as_ref(), &NoiseRule::HALVES)?;
+    }
+    Ok(Some(room))
+}
+
 fn check(gpu: &Gpu, width: usize, height: usize, channels: &[usize]) {
     let color = lit(width, height, 61);
     let features = features(width, height, channels, 62);
     let extent = extent_of(&color.mean[0]);
-    let zero = |like: &[Grid]| -> Planes { like.iter().map(|grid| grid.like(|_| 0.0)).collect() };
-    let packed = |signal: &Signal| packed_signal(&signal.mean, &signal.spread.clone().unwrap_or_else(|| zero(&signal.mean)));
     let (of_color, of_features) = run(gpu, |rec| {
-        let rule = NoiseRule::HALVES;
         let signal = rec.upload("signal", &packed(&color))?;
-        let mut noisy = None;
-        if !features.is_empty() {
-            let channels: Vec<u32> = channels.iter().map(|channels| *channels as u32).collect();
-            let room = NoisyFeatures::take(rec, extent, &channels)?;
-            for index in room.packing.order() {
-                let feature = rec.upload("feature", &packed(&features[index]))?;
-                let variance = features[index].sample_variance.as_ref().map(|variance| upload(rec, variance)).transpose()?;
-                noise_feature(rec, extent, &room, room.packing.slots[index], &feature, variance.as_ref(), &rule)?;
-            }
-            noisy = Some(room);
-        }
-        let pooled = noise_pool(rec, extent, &signal, noisy.as_ref(), &rule)?;
+        let noisy = packed_features(rec, &features)?;
+        let pooled = noise_pool(rec, extent, &signal, noisy.as_ref(), &NoiseRule::HALVES)?;
         let slots = noisy.iter().flat_map(|noisy| &noisy.packing.slots);
         let of_features = slots.map(|slot| noise_unpack(rec, extent, &pooled, Some(*slot))).collect::<stein::Result<Vec<_>>>()?;
         Ok((noise_unpack(rec, extent, &pooled, None)?, of_features))
@@ -120,4 +127,57 @@ fn pooled_variance_is_that_of_the_noise() {
             assert!((0.9..1.1).contains(&all) && (0.85..1.2).contains(&beside), "bright {bright}: {all} and {beside} times the variance");
         }
     }
+}
+
+fn check_image(gpu: &Gpu, width: usize, height: usize, channels: &[usize], explaining: &[usize]) {
+    let color = Signal { spread: None, ..lit(width, height, 64) };
+    let features: Vec<Signal> =
+        features(width, height, channels, 65).into_iter().map(|feature| Signal { spread: None, sample_variance: None, ..feature }).collect();
+    let extent = extent_of(&color.mean[0]);
+    let buffer = run(gpu, |rec| {
+        let signal = rec.upload("signal", &packed(&color))?;
+        let features = packed_features(rec, &features)?;
+        noise_of_image(rec, extent, &signal, features.as_ref(), explaining, &ImageRule::DEFAULT)
+    });
+    let expected = of_image(&color.mean, &features, explaining, &ImageParams::default());
+    let what = format!("{width}×{height}, features of {channels:?} channels, {explaining:?} explain");
+    // A fit solves for six numbers.
+    assert_near(&what, &read(gpu, &buffer, extent)[0][..3], &expected, &own_size(&expected, 1e-9), 2e-3, 3e-3);
+}
+
+#[test]
+fn noise_is_told_from_an_image_alone() {
+    check_image(gpu(), 257, 89, &[3, 1, 3], &[0, 2]);
+    check_image(gpu(), 7, 300, &[], &[]);
+    check_image(gpu(), 1, 1, &[3], &[0]);
+    check_image(gpu(), 1, 40, &[3], &[0]);
+    check_image(gpu(), 40, 1, &[], &[]);
+    check_image(checked_gpu(), 31, 9, &[1, 3], &[1]);
+}
+
+/// Of Gaussian noise on a texture that a feature explains, the estimate is about right; without the feature it is far
+/// too high.
+#[test]
+fn texture_that_features_explain_is_not_all_noise() {
+    let (width, height, deviation) = (96, 96, 0.02);
+    let mut random = Random(66);
+    let texture = rounded(random.uniform_grid(width, height, 0.0, 1.0));
+    let mut plane = || {
+        let noise = random.gaussian_grid(width, height, 0.0, deviation);
+        rounded(texture.like(|p| 0.5 + 0.3 * texture.at(p) + noise.at(p)))
+    };
+    let color = Signal { mean: vec![plane(), plane(), plane()], spread: None, sample_variance: None };
+    let albedo = Signal { mean: vec![texture.clone(), texture.clone(), texture.clone()], spread: None, sample_variance: None };
+    let gpu = gpu();
+    let extent = extent_of(&texture);
+    let deviations = |explaining: &[usize]| {
+        let buffer = run(gpu, |rec| {
+            let signal = rec.upload("signal", &packed(&color))?;
+            let features = packed_features(rec, std::slice::from_ref(&albedo))?;
+            noise_of_image(rec, extent, &signal, features.as_ref(), explaining, &ImageRule::DEFAULT)
+        });
+        read(gpu, &buffer, extent)[0][0].mean().sqrt() / deviation
+    };
+    let (with, without) = (deviations(&[0]), deviations(&[]));
+    assert!(with > 0.9 && with < 0.75 * without, "{with} times the deviation with the texture, {without} times without");
 }

@@ -1,6 +1,6 @@
 //! From the library's types to those of the float64 reference: frames in the units that a method works in, and parameters.
 
-use stein::frame::{SamplesPerPixel, Signal};
+use stein::frame::{Feature, SamplesPerPixel, Signal};
 use stein::image::Image;
 use stein::method::Spikes;
 use stein::method::gem::Phase;
@@ -38,7 +38,13 @@ pub(crate) fn signal(signal: &Signal, factor: f64) -> variance::Signal {
 
 /// What DFC works on.
 pub(crate) fn frame(frame: &Frame, exposure: f64) -> dfc::Frame {
-    dfc::Frame { color: signal(frame.color(), exposure), features: frame.features().iter().map(|feature| signal(&feature.signal, 1.0)).collect() }
+    let may_explain = |feature: &Feature| feature.signal.mean.channels() == 3 && ["albedo", "normal"].iter().any(|name| feature.name.contains(name));
+    let features = frame.features();
+    dfc::Frame {
+        color: signal(frame.color(), exposure),
+        features: features.iter().map(|feature| signal(&feature.signal, 1.0)).collect(),
+        explaining: (0..features.len()).filter(|&index| may_explain(&features[index])).take(2).collect(),
+    }
 }
 
 /// Samples of each pixel; `unknown` where nobody knows.
