@@ -1,9 +1,10 @@
-// Pools the noise of pixels that are alike: from the half spreads of many a variance of each.
+// Pools the noise of pixels that are alike: from the half spreads of many a variance of each, or a steadier one from
+// the sample variances of many.
 //
 // Single pixels are compared, not patches: what is dark has to be pooled with what is dark. The mean of the absolute
 // spreads is taken and not of their squares, of which one firefly would decide.
 #import stein::noise::{NoiseParams}
-#import stein::planes::{pixel_index}
+#import stein::planes::{clamped_index, largest_channel, pixel_index}
 
 const FEATURE_GROUPS: i32 = #{FEATURE_GROUPS};
 
@@ -16,10 +17,41 @@ const FEATURE_GROUPS: i32 = #{FEATURE_GROUPS};
 // As noise_feature left them.
 @group(0) @binding(3) var<storage, read> features: array<vec4<f32>>;
 #endif
+#ifdef VARIANCE
+@group(0) @binding(5) var<storage, read> sample_variance: array<vec4<f32>>;
+#endif
 // One plane of the colour, then one per group of features.
 @group(0) @binding(4) var<storage, read_write> pooled_variance: array<vec4<f32>>;
 
 const HALF_PI: f32 = 1.57079633;
+
+// What a pixel has to say of its noise: a deviation.
+fn claimed_deviation(at: i32) -> vec3<f32> {
+#ifdef VARIANCE
+    return sqrt(sample_variance[at].xyz);
+#else
+    return abs(signal[params.extent.x * params.extent.y + at].xyz);
+#endif
+}
+
+fn largest_spread(p: vec2<i32>) -> f32 {
+    return largest_channel(abs(signal[params.extent.x * params.extent.y + clamped_index(p, params.extent)].xyz));
+}
+
+// What has next to no noise keeps it, however noisy the pixels are that look like it. Halves alone may agree by
+// accident, so that those of the pixels beside have a say too. All samples of a black pixel may have missed the light.
+fn has_noise(p: vec2<i32>) -> bool {
+    let at = pixel_index(p, params.extent);
+    let value = largest_channel(abs(signal[at].xyz));
+#ifdef VARIANCE
+    let deviation = max(largest_spread(p), largest_channel(claimed_deviation(at)));
+#else
+    let along_x = max(largest_spread(p - vec2<i32>(1, 0)), largest_spread(p + vec2<i32>(1, 0)));
+    let along_y = max(largest_spread(p - vec2<i32>(0, 1)), largest_spread(p + vec2<i32>(0, 1)));
+    let deviation = max(largest_spread(p), max(along_x, along_y));
+#endif
+    return value == 0.0 || deviation > params.least_noise * value;
+}
 
 fn distance_of_color(at_p: i32, at_q: i32, guess_p: vec3<f32>, guess_q: vec3<f32>) -> f32 {
     let difference = signal[at_p].xyz - signal[at_q].xyz;
@@ -58,7 +90,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     let guess_p = guess[at_p];
     let first = max(p - params.window_radius, vec2<i32>(0));
     let last = min(p + params.window_radius, extent - 1);
-    var spread_sum = vec3<f32>(0.0);
+    var deviation_sum = vec3<f32>(0.0);
 #if FEATURE_GROUPS != 0
     var feature_sums: array<vec4<f32>, #{FEATURE_GROUPS}>;
 #endif
@@ -74,7 +106,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
             let is_alike = distance <= params.largest_distance && guess_q.w <= params.gate * guess_p.w && guess_p.w <= params.gate * guess_q.w;
             // The pixel itself counts once, whatever its distance to itself comes to.
             let w = select(select(0.0, exp(-max(distance, 0.0)), is_alike), 1.0, at_p == at_q);
-            spread_sum += w * abs(signal[pixels + at_q].xyz);
+            deviation_sum += w * claimed_deviation(at_q);
 #if FEATURE_GROUPS != 0
             for (var group = 0; group < FEATURE_GROUPS; group++) {
                 feature_sums[group] += w * abs(features[(3 * group + 2) * pixels + at_q]);
@@ -83,19 +115,28 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
             weight_sum += w;
         }
     }
+    let deviation = claimed_deviation(at_p);
+    let own_variance = deviation * deviation;
+    let mean_deviation = deviation_sum / weight_sum;
+#ifdef VARIANCE
+    var variance = 0.5 * (mean_deviation * mean_deviation + own_variance);
+#else
     // Of Gaussian noise, E|D| = σ·√(2/π).
-    let mean_spread = spread_sum / weight_sum;
-    let pooled = HALF_PI * mean_spread * mean_spread;
+    let pooled = HALF_PI * mean_deviation * mean_deviation;
     // What the pixel's own halves say counts a little: a firefly claims a part of its own variance.
-    let spread = signal[pixels + at_p].xyz;
-    let own = dot(spread * spread / max(pooled, vec3<f32>(1e-30)), vec3<f32>(1.0 / 3.0));
-    pooled_variance[at_p] = vec4<f32>(pooled * (params.pooled_share + own) / (params.pooled_share + 1.0), 0.0);
+    let own = dot(own_variance / max(pooled, vec3<f32>(1e-30)), vec3<f32>(1.0 / 3.0));
+    var variance = pooled * (params.pooled_share + own) / (params.pooled_share + 1.0);
+#endif
+    if !has_noise(p) {
+        variance = own_variance;
+    }
+    pooled_variance[at_p] = vec4<f32>(variance, 0.0);
 #if FEATURE_GROUPS != 0
     for (var group = 0; group < FEATURE_GROUPS; group++) {
         let mean = feature_sums[group] / weight_sum;
         let own_spread = features[(3 * group + 2) * pixels + at_p];
-        let variance = (params.pooled_share * HALF_PI * mean * mean + own_spread * own_spread) / (params.pooled_share + 1.0);
-        pooled_variance[(1 + group) * pixels + at_p] = variance;
+        let of_group = (params.pooled_share * HALF_PI * mean * mean + own_spread * own_spread) / (params.pooled_share + 1.0);
+        pooled_variance[(1 + group) * pixels + at_p] = of_group;
     }
 #endif
 }

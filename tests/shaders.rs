@@ -48,7 +48,7 @@ fn definitions(stage: &str) -> Option<Vec<Definitions>> {
         "noise_magnitude" | "noise_guess" | "noise_unpack" | "noise_jump" | "noise_hold" => none,
         "noise_highpass" | "noise_residual" => Some(combinations(&[("REGRESSORS", numbers(&[0, 1, 2]))])),
         "noise_feature" => Some(combinations(&[("VARIANCE", flags())])),
-        "noise_pool" => Some(combinations(&[("FEATURE_GROUPS", numbers(&[0, 1, 2, 8]))])),
+        "noise_pool" => Some(combinations(&[("FEATURE_GROUPS", numbers(&[0, 1, 2, 8])), ("VARIANCE", flags())])),
         "spike_find" => Some(combinations(&[("FEATURE_GROUPS", numbers(&[0, 1, 2, 8])), ("VARIANCE", flags())])),
         "spike_share" => Some(combinations(&[("FEATURE_GROUPS", numbers(&[0, 1, 2, 8]))])),
         "spike_level" | "spike_rows" | "error_spikes" => none,

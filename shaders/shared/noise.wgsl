@@ -21,6 +21,8 @@ struct NoiseParams {
     // k_f² and τ: how large a difference between features counts.
     squared_feature_k: f32,
     feature_tau: f32,
+    // Noise up to which a pixel has none: its standard deviation in parts of its value.
+    least_noise: f32,
     // How often the pooled variance counts, against once the pixel's own.
     pooled_share: f32,
     // 1 / number of channels, per channel of the triple.

@@ -476,7 +476,7 @@ pub(super) fn footprint(params: &DfcParams, facts: &Facts, kept: bool, schedule:
     let (repaired, found) = params.spikes.planes();
     // Of each frame, and the colour's scaled variance.
     let color = UPLOADED_PLANES + 1;
-    let is_noise_estimated = params.pooled_variance && facts.lacks_variance();
+    let is_noise_estimated = params.pooled_variance && facts.can_be_pooled();
     // Of each frame, the packed features and the one whose turn it is: 3, its variance without and with its floor, 2 filtered planes, residual variance; two box sums, or weights.
     // What features have in common of estimated variances.
     let pooled = if is_noise_estimated { 1 + packed / 3 } else { 0 };

@@ -160,7 +160,7 @@ pub(super) fn footprint(params: &GemParams, facts: &Facts, kept: bool) -> Footpr
     let kept = if kept { 2 + 2 * sigmas.len() as u64 } else { 0 };
     let (repaired, found) = params.spikes.planes();
     Footprint {
-        halo: halo_with(params, params.pooled_variance && facts.lacks_variance()) as usize,
+        halo: halo_with(params, params.pooled_variance && facts.can_be_pooled()) as usize,
         live_planes: UPLOADED_PLANES + found + repaired.max(scales) + kept,
         largest_planes: params.spikes.largest_planes().max(2),
         scratch_bytes: 0,

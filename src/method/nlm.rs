@@ -305,7 +305,7 @@ pub(super) fn footprint(params: &NlmParams, facts: &Facts, kept: bool, schedule:
     // Variance and errors are there anyway; the filtered halves and their variance.
     let kept = if kept { 3 } else { 0 };
     Footprint {
-        halo: halo_with(params, params.pooled_variance && facts.lacks_variance()) as usize,
+        halo: halo_with(params, params.pooled_variance && facts.can_be_pooled()) as usize,
         // All frames are uploaded before the first is prepared; variance, signal and halves of the others stay until the end.
         // What was found in them is kept as long, and one is repaired after the other.
         live_planes: (UPLOADED_PLANES + found) * (1 + beside as u64) + repaired + later + kept + alone + 6 * beside as u64,

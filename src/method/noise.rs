@@ -21,9 +21,9 @@ pub(super) fn reach_of_noise(is_estimated: bool) -> u32 {
 pub(super) const POOLING_RADIUS: u32 = NoiseRule::HALVES.window_radius;
 
 /// Gives the colour and the features variances of the mean where they have none: from their halves, or, of a colour of
-/// whose noise nothing is known, from the image itself.
+/// whose noise nothing is known, from the image itself. A sample variance of a colour with halves becomes steadier.
 pub(super) fn estimate_noise(rec: &mut Recorder, extent: IVec2, color: &mut GpuSignal, features: &mut [FeatureInput]) -> Result<()> {
-    let rule = NoiseRule::HALVES;
+    let rule = if color.variance_of_mean.is_some() { NoiseRule::HALVES_AND_VARIANCE } else { NoiseRule::HALVES };
     let channels: Vec<u32> = features.iter().map(|feature| feature.channels).collect();
     let mut lacking = vec![false; features.len()];
     let mut noisy = None;
@@ -44,10 +44,8 @@ pub(super) fn estimate_noise(rec: &mut Recorder, extent: IVec2, color: &mut GpuS
         color.variance_of_mean = Some(Arc::new(variance));
         return Ok(());
     }
-    let pooled = Arc::new(noise_pool(rec, extent, &color.signal, noisy.as_ref(), &rule)?);
-    if color.variance_of_mean.is_none() {
-        color.variance_of_mean = Some(Arc::new(noise_unpack(rec, extent, &pooled, None)?));
-    }
+    let pooled = Arc::new(noise_pool(rec, extent, &color.signal, color.variance_of_mean.as_deref(), noisy.as_ref(), &rule)?);
+    color.variance_of_mean = Some(Arc::new(noise_unpack(rec, extent, &pooled, None)?));
     let Some(noisy) = noisy else { return Ok(()) };
     for (index, feature) in features.iter_mut().enumerate().filter(|(index, _)| lacking[*index]) {
         feature.pooled = Some((pooled.clone(), noisy.packing.slots[index]));

@@ -24,6 +24,8 @@ pub struct NoiseParams {
     pub tau: f64,
     /// How often the pooled variance counts, against once the pixel's own.
     pub pooled_share: f64,
+    /// Noise up to which a pixel has none, in parts of its value.
+    pub least_noise: f64,
 }
 
 /// What renders turned out to want.
@@ -38,9 +40,10 @@ impl Default for NoiseParams {
             window_radius: 7,
             gate: 16.0,
             largest_distance: 12.0,
-            k_feature: 0.6,
+            k_feature: 1.2,
             tau: 0.01,
-            pooled_share: 4.0,
+            pooled_share: 8.0,
+            least_noise: 1e-3,
         }
     }
 }
@@ -52,24 +55,22 @@ pub struct Pooled {
     pub features: Vec<Planes>,
 }
 
-/// A frame in which the colour, and every feature with halves, has a sample variance. The features `explaining` may
-/// explain the texture of an image alone.
+/// A frame in which the colour, and every feature with halves, has a sample variance; that of a colour with halves becomes
+/// steadier. The features `explaining` may explain the texture of an image alone.
 pub fn completed(color: &Signal, features: &[Signal], explaining: &[usize], params: &NoiseParams) -> (Signal, Vec<Signal>) {
     if color.spread.is_none() && color.sample_variance.is_none() {
         let variance = of_image(&color.mean, features, explaining, &ImageParams::default());
         return (Signal { sample_variance: Some(variance), ..color.clone() }, features.to_vec());
     }
     let lacks = |signal: &Signal| signal.sample_variance.is_none() && signal.spread.is_some();
-    if color.spread.is_none() || !(lacks(color) || features.iter().any(lacks)) {
+    if color.spread.is_none() {
         return (color.clone(), features.to_vec());
     }
+    let params = if color.sample_variance.is_some() { &NoiseParams { gate: 4.0, ..*params } } else { params };
     let pooled = pooled(color, features, params);
-    let with = |signal: &Signal, variance: Planes| {
-        let sample_variance = if lacks(signal) { Some(variance) } else { signal.sample_variance.clone() };
-        Signal { sample_variance, ..signal.clone() }
-    };
-    let features = features.iter().zip(pooled.features).map(|(signal, variance)| with(signal, variance)).collect();
-    (with(color, pooled.color), features)
+    let with = |signal: &Signal, variance: Planes| Signal { sample_variance: Some(variance), ..signal.clone() };
+    let completed = features.iter().zip(pooled.features).map(|(signal, variance)| if lacks(signal) { with(signal, variance) } else { signal.clone() });
+    (with(color, pooled.color), completed.collect())
 }
 
 pub fn pooled(color: &Signal, features: &[Signal], params: &NoiseParams) -> Pooled {
@@ -106,14 +107,45 @@ pub fn pooled(color: &Signal, features: &[Signal], params: &NoiseParams) -> Pool
     };
     // What the pixel's own halves say counts a little.
     let share = params.pooled_share;
-    let pooled: Planes = spread.iter().map(pool).collect();
-    let own = like.like(|p| spread.iter().zip(&pooled).map(|(d, v)| d.at(p).powi(2) / v.at(p).max(1e-30)).sum::<f64>() / spread.len() as f64);
-    let color = pooled.iter().map(|v| v.like(|p| v.at(p) * (share + own.at(p)) / (share + 1.0))).collect();
+    let estimate: Planes = match &color.sample_variance {
+        // A mean of deviations is steadier than one of variances.
+        Some(claimed) => {
+            let pool = |claimed: &Grid| pool(&claimed.like(|p| claimed.at(p).sqrt()));
+            claimed
+                .iter()
+                .map(|claimed| (claimed, pool(claimed)))
+                .map(|(claimed, pooled)| pooled.like(|p| (pooled.at(p) / FRAC_PI_2 + claimed.at(p)) / 2.0))
+                .collect()
+        }
+        None => {
+            let pooled: Planes = spread.iter().map(pool).collect();
+            let own = like.like(|p| spread.iter().zip(&pooled).map(|(d, v)| d.at(p).powi(2) / v.at(p).max(1e-30)).sum::<f64>() / spread.len() as f64);
+            pooled.iter().map(|v| v.like(|p| v.at(p) * (share + own.at(p)) / (share + 1.0))).collect()
+        }
+    };
+    // What has next to no noise keeps it.
+    let claim = |i: usize, p: Point| color.sample_variance.as_ref().map_or(spread[i].at(p).powi(2), |claimed| claimed[i].at(p));
+    let color = estimate.iter().enumerate().map(|(i, v)| v.like(|p| if has_noise(color, &spread, p, params) { v.at(p) } else { claim(i, p) })).collect();
     let of_feature = |spread: &Grid| {
         let pooled = pool(spread);
         spread.like(|p| (share * pooled.at(p) + spread.at(p).powi(2)) / (share + 1.0))
     };
     Pooled { color, features: spreads.iter().map(|planes| planes.iter().map(of_feature).collect()).collect() }
+}
+
+/// Halves alone may agree by accident, so that those of the pixels beside have a say too. All samples of a black pixel may
+/// have missed the light.
+fn has_noise(color: &Signal, spread: &[Grid], p: Point, params: &NoiseParams) -> bool {
+    let largest = |planes: &[Grid], q: Point| planes.iter().map(|plane| plane.at(q).abs()).fold(0.0, f64::max);
+    let value = largest(&color.mean, p);
+    let deviation = match &color.sample_variance {
+        Some(claimed) => largest(spread, p).max(largest(claimed, p).sqrt()),
+        None => {
+            let beside = square(1).filter(|o| o.x == 0 || o.y == 0).map(|o| p + o).filter(|&q| spread[0].contains(q));
+            beside.map(|q| largest(spread, q)).fold(0.0, f64::max)
+        }
+    };
+    value == 0.0 || deviation > params.least_noise * value
 }
 
 /// The brightness around a pixel, without single bright pixels.
@@ -180,7 +212,7 @@ pub struct ImageParams {
 /// What renders turned out to want.
 impl Default for ImageParams {
     fn default() -> ImageParams {
-        let pool = NoiseParams { gate: 4.0, pooled_share: 8.0, ..NoiseParams::default() };
+        let pool = NoiseParams { gate: 4.0, k_feature: 0.6, ..NoiseParams::default() };
         ImageParams { fit_radius: 4, ridge: 1e-3, fitted_share: 0.2, largest: 3.0, jump: 100.0, jump_radius: 2, hold_radius: 4, pool }
     }
 }

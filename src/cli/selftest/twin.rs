@@ -9,7 +9,7 @@ use stein_reference::candidates::{Candidate, finite_difference_step};
 use stein_reference::dfc::{ColorOnly, Pass, dfc, rest_of, sampling_density, second_pass};
 use stein_reference::gaussian::gaussian_neighbours;
 use stein_reference::gem::{self, choose, decided};
-use stein_reference::keep_clean::{CleanParams, Kept, allowed, keep_clean, kept_error};
+use stein_reference::keep_clean::{CleanParams, Kept, keep_clean, limits};
 use stein_reference::nlm::{FilterParams, Guide};
 use stein_reference::select::{self, Evidence};
 use stein_reference::sure::{self, smooth_errors};
@@ -215,15 +215,14 @@ impl Comparison<'_> {
         let error = sure::error_blend(&mean, spread, variance, &made_of, twin.squares.as_ref(), parts);
         // Where a pixel is moved back to the input, what it was before is not told: its error is held below what the pixel may have.
         let unlimited = second_pass(&pass1, variance, &params).unwrap_or_else(|| pass1.clone());
-        let clean = params.keep_clean.unwrap_or(CleanParams { noise: 0.0, ..CleanParams::default() });
-        let limit = allowed(&twin.color, clean);
+        let clean = params.keep_clean.unwrap_or(CleanParams { noise: 0.0, least_sigmas_out: f64::INFINITY, ..CleanParams::default() });
+        let most = limits(&twin.color, &unlimited.mean, clean).error;
         let actual = self.grids(self.estimate.error.as_ref(), self.exposure.powi(2));
-        let most = kept_error(&error.like(|_| f64::INFINITY), &twin.color, clean);
         // The density is made of it as it was before.
         let of_passes = error.clone();
         let error = match actual.first() {
             Some(actual) if params.keep_clean.is_some() => {
-                error.like(|p| if limit.at(p).is_infinite() { error.at(p) } else { actual.at(p).min(most.at(p) * (1.0 + 1e-5)) })
+                error.like(|p| if most.at(p).is_infinite() { error.at(p) } else { actual.at(p).min(most.at(p) * (1.0 + 1e-5)) })
             }
             _ => error,
         };
