@@ -2,9 +2,6 @@
 //
 // Weights alone do not see to it. A patch that differs in one pixel can be near, and what a neighbour with noise may be by its own variance says nothing of a pixel that has none.
 //
-// A light of one pixel finds nothing alike, and an average over what is least unlike puts it out. Where a pixel is
-// brighter than what it was filtered to by many standard deviations of its noise, it is moved back as well.
-//
 // A black pixel without noise may be one that all samples missed the light in. It is taken to be black only where nothing but such pixels is around it.
 #import stein::planes::{clamped_index, pixel_index}
 
@@ -14,10 +11,6 @@ struct KeepCleanParams {
     squared_noise: f32,
     // Square of the correction that a pixel with less noise may get, in standard deviations; it grows without limit towards that noise.
     squared_sigmas: f32,
-    // The corrections of a pixel that becomes darker, in standard deviations: up to the first it gets all of it, from the
-    // second on nothing.
-    least_sigmas_out: f32,
-    most_sigmas_out: f32,
     // How far around a black pixel everything has to be black.
     black_radius: i32,
     // Where in a pixel of `errors` its squared error is.
@@ -99,28 +92,18 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     let own = signal[at].xyz;
     let own_spread = signal[pixels + at].xyz;
     let allowed = allowed_at(p);
-    let noise = noise_at(p);
-    let correction = mean.xyz - own;
-    let squared = dot(correction, correction);
-    var share = select(1.0, sqrt(allowed / squared), squared > allowed);
-    var most_error = select(ANY, noise + allowed, allowed < ANY);
-    let is_darkened = correction.x + correction.y + correction.z < 0.0;
-    let least = params.least_sigmas_out * params.least_sigmas_out * noise;
-    if is_darkened && squared > least {
-        let sigmas = sqrt(squared / max(noise, 1e-37));
-        let of_light = clamp((params.most_sigmas_out - sigmas) / (params.most_sigmas_out - params.least_sigmas_out), 0.0, 1.0);
-        share = min(share, of_light);
-        most_error = min(most_error, noise + of_light * of_light * squared);
-    }
-    if share == 1.0 {
+    if allowed == ANY {
         kept[at] = mean;
         kept[pixels + at] = spread;
-    } else {
-        kept[at] = vec4<f32>(own + share * correction, mean.w);
-        kept[pixels + at] = vec4<f32>(own_spread + share * (spread.xyz - own_spread), spread.w);
+        return;
     }
+    let correction = mean.xyz - own;
+    let squared = dot(correction, correction);
+    let share = select(1.0, sqrt(allowed / squared), squared > allowed);
+    kept[at] = vec4<f32>(own + share * correction, mean.w);
+    kept[pixels + at] = vec4<f32>(own_spread + share * (spread.xyz - own_spread), spread.w);
 #ifdef ERROR
     // What moves so little has no more error than its noise and the way that it may go.
-    errors[at][params.error_component] = min(errors[at][params.error_component], most_error);
+    errors[at][params.error_component] = min(errors[at][params.error_component], noise_at(p) + allowed);
 #endif
 }

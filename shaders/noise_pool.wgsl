@@ -1,5 +1,4 @@
-// Pools the noise of pixels that are alike: from the half spreads of many a variance of each, or a steadier one from
-// the sample variances of many.
+// Pools the noise of pixels that are alike: from the half spreads of many a variance of each.
 //
 // Single pixels are compared, not patches: what is dark has to be pooled with what is dark. The mean of the absolute
 // spreads is taken and not of their squares, of which one firefly would decide.
@@ -17,9 +16,6 @@ const FEATURE_GROUPS: i32 = #{FEATURE_GROUPS};
 // As noise_feature left them.
 @group(0) @binding(3) var<storage, read> features: array<vec4<f32>>;
 #endif
-#ifdef VARIANCE
-@group(0) @binding(5) var<storage, read> sample_variance: array<vec4<f32>>;
-#endif
 // One plane of the colour, then one per group of features.
 @group(0) @binding(4) var<storage, read_write> pooled_variance: array<vec4<f32>>;
 
@@ -27,11 +23,7 @@ const HALF_PI: f32 = 1.57079633;
 
 // What a pixel has to say of its noise: a deviation.
 fn claimed_deviation(at: i32) -> vec3<f32> {
-#ifdef VARIANCE
-    return sqrt(sample_variance[at].xyz);
-#else
     return abs(signal[params.extent.x * params.extent.y + at].xyz);
-#endif
 }
 
 fn largest_spread(p: vec2<i32>) -> f32 {
@@ -43,13 +35,9 @@ fn largest_spread(p: vec2<i32>) -> f32 {
 fn has_noise(p: vec2<i32>) -> bool {
     let at = pixel_index(p, params.extent);
     let value = largest_channel(abs(signal[at].xyz));
-#ifdef VARIANCE
-    let deviation = max(largest_spread(p), largest_channel(claimed_deviation(at)));
-#else
     let along_x = max(largest_spread(p - vec2<i32>(1, 0)), largest_spread(p + vec2<i32>(1, 0)));
     let along_y = max(largest_spread(p - vec2<i32>(0, 1)), largest_spread(p + vec2<i32>(0, 1)));
     let deviation = max(largest_spread(p), max(along_x, along_y));
-#endif
     return value == 0.0 || deviation > params.least_noise * value;
 }
 
@@ -118,15 +106,11 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     let deviation = claimed_deviation(at_p);
     let own_variance = deviation * deviation;
     let mean_deviation = deviation_sum / weight_sum;
-#ifdef VARIANCE
-    var variance = 0.5 * (mean_deviation * mean_deviation + own_variance);
-#else
     // Of Gaussian noise, E|D| = σ·√(2/π).
     let pooled = HALF_PI * mean_deviation * mean_deviation;
     // What the pixel's own halves say counts a little: a firefly claims a part of its own variance.
     let own = dot(own_variance / max(pooled, vec3<f32>(1e-30)), vec3<f32>(1.0 / 3.0));
     var variance = pooled * (params.pooled_share + own) / (params.pooled_share + 1.0);
-#endif
     if !has_noise(p) {
         variance = own_variance;
     }

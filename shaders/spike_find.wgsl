@@ -1,8 +1,9 @@
-// Finds spikes and puts the level of their surroundings in their place.
+// Finds spikes, and lights of few pixels, and puts the level of their surroundings in their place.
 //
 // A spike stands out from the pixels of its kind around it, as a small light does, but for what it stands out it rests on very few samples: if k of n samples that a pixel
 // has are the bright ones, its excess over the level is about √k standard deviations of its mean, whatever n is and however bright they are. Both the sample variance and the
-// halves say so, and the one that says more is believed, for either may miss it. A light has many bright samples, and without noise infinitely many.
+// halves say so, and the one that says more is believed, for either may miss it. A light has many bright samples, and without noise infinitely many. It is kept aside, so
+// that no average takes part of it, and comes back at the end.
 #import stein::planes::{pixel_index}
 #import stein::spike::{SpikeParams, SpikeFeatures, are_alike, brightness, has_noise}
 
@@ -21,6 +22,9 @@ const FEATURE_GROUPS: i32 = #{FEATURE_GROUPS};
 @group(0) @binding(5) var<storage, read_write> repaired: array<vec4<f32>>;
 // Three planes, of which two are written here: what is taken from each pixel, 0 where it is no spike; behind it, in w, 1 for a pixel with noise, else 0.
 @group(0) @binding(6) var<storage, read_write> spikes: array<vec4<f32>>;
+// Two planes: the mean of a light, in w its variance, summed over the channels; and its half spread, in w 1 for a light,
+// else 0.
+@group(0) @binding(7) var<storage, read_write> lights: array<vec4<f32>>;
 
 // Of the halves alone, whose squared spread is as likely too small as too large.
 fn two_buffer_variance(at: i32) -> vec3<f32> {
@@ -77,7 +81,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
 
     // Two neighbours may be parts of the same spike: the third brightest is the first that shows how bright pixels of this kind are. Most pixels are no brighter than that, which
     // is found out early.
-    var brighter = select(3, 0, is_noisy);
+    var brighter = 0;
     for (var y = first.y; y <= last.y && brighter < 3; y++) {
         for (var x = first.x; x <= last.x && brighter < 3; x++) {
             let at_q = pixel_index(vec2<i32>(x, y), extent);
@@ -105,6 +109,8 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     let bright = brightest.z;
 
     var is_spike = neighbours >= params.least_neighbours;
+    var is_light = false;
+    var own_variance = vec3<f32>(0.0);
     var level = vec3<f32>(0.0);
     var level_variance = vec3<f32>(0.0);
     if is_spike {
@@ -125,25 +131,38 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
         level_variance /= members;
         let excess = own - level;
         let level_brightness = brightness(level);
-        let variance = max(claimed_variance(at_p), two_buffer_variance(at_p));
-        is_spike = own_brightness - level_brightness > params.prominence * (bright - level_brightness)
-            && dot(excess, excess) <= params.most_samples * dot(variance, vec3<f32>(1.0));
+        own_variance = max(claimed_variance(at_p), two_buffer_variance(at_p));
+        let noise = dot(own_variance, vec3<f32>(1.0));
+        let squared = dot(excess, excess);
+        let stands_out = own_brightness - level_brightness > params.prominence * (bright - level_brightness);
+        is_spike = stands_out && is_noisy && squared <= params.most_samples * noise;
+        is_light = stands_out && squared > params.light_samples * noise;
     }
 
     let spread = signal[pixels + at_p];
     var excess = vec3<f32>(0.0);
-    if is_spike {
+    var aside = vec4<f32>(0.0);
+    var aside_spread = vec4<f32>(0.0);
+    if is_spike || is_light {
         excess = own - level;
         let deviation = sqrt(level_variance);
         repaired[at_p] = vec4<f32>(level, signal[at_p].w);
-        repaired[pixels + at_p] = vec4<f32>(clamp(spread.xyz, -deviation, deviation), spread.w);
+        let level_spread = clamp(spread.xyz, -deviation, deviation);
+        repaired[pixels + at_p] = vec4<f32>(level_spread, spread.w);
+        if is_light {
+            aside = vec4<f32>(own, dot(own_variance, vec3<f32>(1.0)));
+            aside_spread = vec4<f32>(spread.xyz, 1.0);
+            excess = vec3<f32>(0.0);
+        }
     } else {
         repaired[at_p] = signal[at_p];
         repaired[pixels + at_p] = spread;
     }
     spikes[at_p] = vec4<f32>(excess, 0.0);
     spikes[pixels + at_p] = vec4<f32>(0.0, 0.0, 0.0, select(0.0, 1.0, is_noisy));
+    lights[at_p] = aside;
+    lights[pixels + at_p] = aside_spread;
 #ifdef VARIANCE
-    repaired_variance[at_p] = select(sample_variance[at_p], vec4<f32>(level_variance, 0.0), is_spike);
+    repaired_variance[at_p] = select(sample_variance[at_p], vec4<f32>(level_variance, 0.0), is_spike || is_light);
 #endif
 }

@@ -13,6 +13,8 @@ struct SpikeParams {
     prominence: f32,
     // How many samples a spike rests on at the most.
     most_samples: f32,
+    // How many a light of few pixels rests on at the least.
+    light_samples: f32,
     // Noise from which on a pixel takes part: its standard deviation in parts of its value.
     least_noise: f32,
     // The part of the level that a spike adds to its surroundings at the most.

@@ -36,6 +36,7 @@ pub(super) const STAGES: &[(&str, &str)] = sources!("shaders":
     "spike_share",
     "spike_rows",
     "spike_spread",
+    "light_return",
     "variance_rows",
     "variance_scale",
     "variance_smooth",

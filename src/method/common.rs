@@ -7,10 +7,12 @@ use glam::IVec2;
 use super::GpuSignal;
 use super::estimate::Lane;
 use super::plan::{Plan, Step};
+use super::spikes::Found;
 use crate::error::Result;
 use crate::gpu::{Buffer, Recorder};
 use crate::stage::keep_clean::{CleanRule, Input, keep_clean};
 use crate::stage::nlm::Guide;
+use crate::stage::spike::light_return;
 use crate::stage::variance::{BoxWeight, Floor, INPUT_SMOOTHING, variance_floor, variance_scale, variance_smooth};
 
 /// Half width of the box over which variances are brought to scale (thesis 8.2: 21×21), in pixels.
@@ -50,19 +52,24 @@ pub(super) fn guide_variance(rec: &mut Recorder, extent: IVec2, signal: &GpuSign
     Ok(Arc::new(variance_floor(rec, extent, &signal.signal, &variance, floor)?))
 }
 
-/// A result in which pixels of the colour without noise are as they were, if the plan says so; `error` becomes that of what is kept. `color` is without spikes.
-pub(super) fn with_clean_kept(
+/// A result in which pixels of the colour without noise are as they were, if the plan says so, and in which lights of few
+/// pixels are, if anybody looked for any; `error` becomes that of what is kept. `color` is without spikes and lights.
+pub(super) fn with_input_kept(
     rec: &mut Recorder,
     extent: IVec2,
     color: &GpuSignal,
-    result: Arc<Buffer>,
+    found: Option<&Found>,
+    mut result: Arc<Buffer>,
     error: Option<&Lane>,
     plan: &Plan,
 ) -> Result<Arc<Buffer>> {
-    if !plan.begins(rec, Step::KeepClean) {
-        return Ok(result);
-    }
-    let input = Input { signal: &color.signal, sample_variance: color.variance_of_mean.as_deref() };
     let errors = error.map(|lane| (&*lane.buffer, lane.component));
-    Ok(Arc::new(keep_clean(rec, extent, input, &result, errors, CleanRule::DEFAULT)?))
+    if plan.begins(rec, Step::KeepClean) {
+        let input = Input { signal: &color.signal, sample_variance: color.variance_of_mean.as_deref() };
+        result = Arc::new(keep_clean(rec, extent, input, &result, errors, CleanRule::DEFAULT)?);
+    }
+    if let Some(found) = found {
+        result = Arc::new(light_return(rec, extent, &found.lights, &result, errors)?);
+    }
+    Ok(result)
 }

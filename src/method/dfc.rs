@@ -8,12 +8,13 @@ use std::sync::Arc;
 
 use glam::IVec2;
 
-use super::common::{Auxiliary, SCALE_RADIUS, guide_variance, with_clean_kept};
+use super::common::{Auxiliary, SCALE_RADIUS, guide_variance, with_input_kept};
 use super::estimate::{GpuEstimate, Intermediate, Keeper, Lane, RGB, Shares, Unit};
 use super::frame::FeatureInput;
 use super::memory::{Footprint, UPLOADED_PLANES};
-use super::noise::{estimate_noise, reach_of_noise};
+use super::noise::{estimate_noise, largest_noise_reach, noise_reach};
 use super::plan::{Facts, Plan, Step};
+use super::spikes::Found;
 use super::{FrameInput, GpuSignal, Spikes};
 use crate::error::Result;
 use crate::gpu::{Buffer, Recorder};
@@ -100,7 +101,7 @@ pub(crate) fn dfc(
             errors = error_blend_more(rec, extent, &result, variance, candidates, shares, parts, errors)?;
         }
         if let Some(spikes) = spikes.as_ref().filter(|_| params.spikes == Spikes::Spread) {
-            errors = error_spikes(rec, extent, errors, spikes, parts)?;
+            errors = error_spikes(rec, extent, errors, &spikes.spikes, parts)?;
         }
         error = Some(Arc::new(errors));
     }
@@ -115,12 +116,12 @@ pub(crate) fn dfc(
 
     let error = error.map(|buffer| Lane { buffer, plane: 0, component: 0 });
     Ok(GpuEstimate {
-        signal: with_clean_kept(rec, extent, color, result, error.as_ref(), plan)?,
+        signal: with_input_kept(rec, extent, color, spikes.as_ref(), result, error.as_ref(), plan)?,
         error,
         // Σ w is that of pass 1.
         weight_sum: Lane { buffer: pass1, plane: 0, component: 3 },
         selection: Some(selection),
-        spikes: spikes.clone(),
+        spikes: spikes.as_ref().map(|found| found.spikes.clone()),
         kept: keeper.into_kept(),
     })
 }
@@ -173,7 +174,7 @@ struct Prepared {
     /// Of the own frame, then of those beside; empty where there are none.
     features: Vec<Features>,
     /// What was taken from the own frame.
-    spikes: Option<Arc<Buffer>>,
+    spikes: Option<Found>,
     samples: GpuSamples,
     colors_beside: Vec<GpuSignal>,
     variances_beside: Vec<Arc<Buffer>>,
@@ -206,7 +207,7 @@ impl Prepared {
             }
         }
         if let Some(spikes) = &spikes {
-            keeper.keep(Intermediate::Spikes, "spikes", &RGB, Unit::Color, spikes, 0);
+            keeper.keep(Intermediate::Spikes, "spikes", &RGB, Unit::Color, &spikes.spikes, 0);
         }
 
         // Sample variance scaling.
@@ -476,10 +477,10 @@ pub(super) fn footprint(params: &DfcParams, facts: &Facts, kept: bool, schedule:
     let (repaired, found) = params.spikes.planes();
     // Of each frame, and the colour's scaled variance.
     let color = UPLOADED_PLANES + 1;
-    let is_noise_estimated = params.pooled_variance && facts.can_be_pooled();
+    let noise_reach = noise_reach(params.pooled_variance, facts);
     // Of each frame, the packed features and the one whose turn it is: 3, its variance without and with its floor, 2 filtered planes, residual variance; two box sums, or weights.
     // What features have in common of estimated variances.
-    let pooled = if is_noise_estimated { 1 + packed / 3 } else { 0 };
+    let pooled = if noise_reach > 0 { 1 + packed / 3 } else { 0 };
     let prefilter = frames * (color + packed + pooled + 8) + 2;
     // Of the frames beside as well until the next one is repaired.
     let spikes = frames * (color + packed) + repaired + 2 * found;
@@ -498,7 +499,7 @@ pub(super) fn footprint(params: &DfcParams, facts: &Facts, kept: bool, schedule:
     let offsets_in_a_row = u64::from(2 * params.window_radius + 1);
     let running_sums = schedule.scratch_bytes * u64::from(STATE_PLANES) / offsets_in_a_row;
     Footprint {
-        halo: halo_with(params, is_noise_estimated, with_color_only) as usize,
+        halo: halo_with(params, noise_reach, with_color_only) as usize,
         live_planes: prefilter.max(spikes).max(found + candidates.max(later)) + kept,
         largest_planes: packed.max(3),
         scratch_bytes: 2 * schedule.scratch_bytes + running_sums,
@@ -506,17 +507,17 @@ pub(super) fn footprint(params: &DfcParams, facts: &Facts, kept: bool, schedule:
 }
 
 /// How far the candidates depend on a frame.
-fn reach_of_candidates(params: &DfcParams, is_noise_estimated: bool) -> u32 {
-    let scaled_variance = SCALE_RADIUS.max(INPUT_SMOOTHING.radius) + reach_of_noise(is_noise_estimated);
+fn reach_of_candidates(params: &DfcParams, noise_reach: u32) -> u32 {
+    let scaled_variance = SCALE_RADIUS.max(INPUT_SMOOTHING.radius) + noise_reach;
     // One more for the gradient, which is less than the smoothing of the residual variance.
-    let features = reach_of_prefilter(is_noise_estimated) + RESIDUAL_SMOOTHING.radius.max(1);
+    let features = reach_of_prefilter(noise_reach) + RESIDUAL_SMOOTHING.radius.max(1);
     let scaled_variance = scaled_variance + params.spikes.reach(features);
     params.window_radius + features.max(params.second_patch_radius + scaled_variance)
 }
 
 /// How far a feature without its noise depends on it.
-fn reach_of_prefilter(is_noise_estimated: bool) -> u32 {
-    let scaled_variance = SCALE_RADIUS.max(INPUT_SMOOTHING.radius) + reach_of_noise(is_noise_estimated);
+fn reach_of_prefilter(noise_reach: u32) -> u32 {
+    let scaled_variance = SCALE_RADIUS.max(INPUT_SMOOTHING.radius) + noise_reach;
     PREFILTER.window_radius + PREFILTER.patch_radius + scaled_variance
 }
 
@@ -544,15 +545,15 @@ fn reach_of_choice_and_second_pass(params: &DfcParams, plan: &Plan) -> u32 {
 }
 
 pub(super) fn reach_of_kernels(params: &DfcParams, plan: &Plan) -> u32 {
-    reach_of_candidates(params, plan.runs(&Step::Noise)) + reach_of_choice_and_second_pass(params, plan)
+    reach_of_candidates(params, largest_noise_reach(plan.runs(&Step::Noise))) + reach_of_choice_and_second_pass(params, plan)
 }
 
 /// Of frames in which the filter by the colour only may take part, where the parameters let it.
 pub(super) fn halo(params: &DfcParams) -> u32 {
-    halo_with(params, params.pooled_variance, params.color_only)
+    halo_with(params, largest_noise_reach(params.pooled_variance), params.color_only)
 }
 
-fn halo_with(params: &DfcParams, is_noise_estimated: bool, color_only: bool) -> u32 {
+fn halo_with(params: &DfcParams, noise_reach: u32, color_only: bool) -> u32 {
     let density = DENSITY_SMOOTHING.window_radius + DENSITY_SMOOTHING.patch_radius;
-    reach_of_candidates(params, is_noise_estimated) + reach_of_choice() + reach_of_color_only(color_only) + reach_of_second_pass(params).max(density)
+    reach_of_candidates(params, noise_reach) + reach_of_choice() + reach_of_color_only(color_only) + reach_of_second_pass(params).max(density)
 }

@@ -6,15 +6,16 @@ use std::sync::Arc;
 
 use glam::IVec2;
 
-use super::common::{SCALE_RADIUS, input_variance, with_clean_kept};
+use super::common::{SCALE_RADIUS, input_variance, with_input_kept};
 use super::estimate::{GpuEstimate, Intermediate, Keeper, Lane, RGB, Unit};
 use super::kernels::{KernelOnGpu, WeightsOnGpu};
 use super::memory::{Footprint, UPLOADED_PLANES};
-use super::noise::{estimate_noise, reach_of_noise};
+use super::noise::{estimate_noise, largest_noise_reach, noise_reach};
 use super::plan::{Facts, Plan, Planner, Step, Wishes, impossible};
+use super::spikes::Found;
 use super::{FrameInput, GpuSignal, Method};
 use crate::error::Result;
-use crate::gpu::{Buffer, Recorder};
+use crate::gpu::Recorder;
 use crate::stage::gaussian::{Averaging, Gaussian, gaussian};
 use crate::stage::sample::GpuSamples;
 use crate::stage::scale::{Scale, Selected, scale_advance, scale_gaussian, scale_pixel, scale_reduction, scale_stop};
@@ -42,7 +43,7 @@ pub(crate) fn gem(
     let mut keeper = Keeper::new(&plan.keep);
     let Repaired { color, samples, spikes } = Repaired::new(rec, frame, params, plan)?;
     if let Some(spikes) = &spikes {
-        keeper.keep(Intermediate::Spikes, "spikes", &RGB, Unit::Color, spikes, 0);
+        keeper.keep(Intermediate::Spikes, "spikes", &RGB, Unit::Color, &spikes.spikes, 0);
     }
     let selected = select(rec, extent, &color, samples, params, plan, &mut keeper, progress)?;
 
@@ -57,10 +58,10 @@ pub(crate) fn gem(
     let error = Lane { buffer: choice, plane: 0, component: 2 };
     Ok(GpuEstimate {
         weight_sum: Lane { buffer: signal.clone(), plane: 0, component: 3 },
-        signal: with_clean_kept(rec, extent, &color, signal, Some(&error), plan)?,
+        signal: with_input_kept(rec, extent, &color, spikes.as_ref(), signal, Some(&error), plan)?,
         error: Some(error),
         selection: None,
-        spikes,
+        spikes: spikes.map(|found| found.spikes),
         kept: keeper.into_kept(),
     })
 }
@@ -79,7 +80,7 @@ pub(super) fn kernels(rec: &mut Recorder, frame: FrameInput, params: &GemParams,
 struct Repaired {
     color: GpuSignal,
     samples: GpuSamples,
-    spikes: Option<Arc<Buffer>>,
+    spikes: Option<Found>,
 }
 
 impl Repaired {
@@ -160,7 +161,7 @@ pub(super) fn footprint(params: &GemParams, facts: &Facts, kept: bool) -> Footpr
     let kept = if kept { 2 + 2 * sigmas.len() as u64 } else { 0 };
     let (repaired, found) = params.spikes.planes();
     Footprint {
-        halo: halo_with(params, params.pooled_variance && facts.can_be_pooled()) as usize,
+        halo: halo_with(params, noise_reach(params.pooled_variance, facts)) as usize,
         live_planes: UPLOADED_PLANES + found + repaired.max(scales) + kept,
         largest_planes: params.spikes.largest_planes().max(2),
         scratch_bytes: 0,
@@ -170,16 +171,12 @@ pub(super) fn footprint(params: &GemParams, facts: &Facts, kept: bool) -> Footpr
 /// A pixel asks for its neighbours' stopping maps, these for the scales there, and their variances were brought to scale. Each scale is made from the pixels themselves, so
 /// that only the coarsest one counts.
 pub(super) fn halo(params: &GemParams) -> u32 {
-    halo_with(params, params.pooled_variance)
+    halo_with(params, largest_noise_reach(params.pooled_variance))
 }
 
-fn halo_with(params: &GemParams, is_noise_estimated: bool) -> u32 {
+fn halo_with(params: &GemParams, noise_reach: u32) -> u32 {
     let coarsest = params.phase.coarsest();
-    params.outlier_filter(coarsest).radius
-        + Gaussian::new(coarsest).radius
-        + SCALE_RADIUS.max(INPUT_SMOOTHING.radius)
-        + params.spikes.reach(0)
-        + reach_of_noise(is_noise_estimated)
+    params.outlier_filter(coarsest).radius + Gaussian::new(coarsest).radius + SCALE_RADIUS.max(INPUT_SMOOTHING.radius) + params.spikes.reach(0) + noise_reach
 }
 
 impl From<GemParams> for Method {

@@ -6,12 +6,13 @@ use std::sync::Arc;
 
 use glam::IVec2;
 
-use super::common::{SCALE_RADIUS, input_variance, with_clean_kept};
+use super::common::{SCALE_RADIUS, input_variance, with_input_kept};
 use super::estimate::{GpuEstimate, Intermediate, Keeper, Lane, RGB, Unit};
 use super::kernels::{Compared, KernelOnGpu, WeightRule, WeightsOnGpu};
 use super::memory::{Footprint, UPLOADED_PLANES};
-use super::noise::{estimate_noise, reach_of_noise};
+use super::noise::{estimate_noise, largest_noise_reach, noise_reach};
 use super::plan::{Facts, Plan, Planner, Step, Wishes, impossible, needless};
+use super::spikes::Found;
 use super::{FrameInput, GpuSignal, Method};
 use crate::error::{Error, Result};
 use crate::gpu::{Buffer, Recorder};
@@ -60,7 +61,7 @@ pub(crate) fn nlm(
     let Prepared { color, signal, variance, halves, spikes } = &Prepared::new(rec, frame, params, plan, schedule)?;
     let beside = beside.into_iter().map(|frame| Prepared::new(rec, frame, params, plan, schedule)).collect::<Result<Vec<_>>>()?;
     if let Some(spikes) = spikes {
-        keeper.keep(Intermediate::Spikes, "spikes", &RGB, Unit::Color, spikes, 0);
+        keeper.keep(Intermediate::Spikes, "spikes", &RGB, Unit::Color, &spikes.spikes, 0);
     }
     keeper.keep(Intermediate::Variance, "variance_of_mean", &RGB, Unit::ColorSquared, variance, 0);
 
@@ -111,7 +112,7 @@ pub(crate) fn nlm(
     }
 
     let Filtered { planes, weights, .. } = filtered;
-    let signal = with_clean_kept(rec, extent, color, Arc::new(planes), error.as_ref(), plan)?;
+    let signal = with_input_kept(rec, extent, color, spikes.as_ref(), Arc::new(planes), error.as_ref(), plan)?;
     if keeper.wants(Intermediate::Halves) && has_halves {
         plan.begins(rec, Step::Filter);
         let Halves { a, b, .. } = half_split(rec, extent, &signal, variance)?;
@@ -123,7 +124,7 @@ pub(crate) fn nlm(
         error,
         weight_sum: Lane { buffer: Arc::new(weights), plane: 0, component: 0 },
         selection: None,
-        spikes: spikes.clone(),
+        spikes: spikes.as_ref().map(|found| found.spikes.clone()),
         kept: keeper.into_kept(),
     })
 }
@@ -202,7 +203,7 @@ struct Prepared {
     /// Where they are filtered by each other.
     halves: Option<Halves>,
     /// What was taken from them.
-    spikes: Option<Arc<Buffer>>,
+    spikes: Option<Found>,
 }
 
 impl Prepared {
@@ -305,7 +306,7 @@ pub(super) fn footprint(params: &NlmParams, facts: &Facts, kept: bool, schedule:
     // Variance and errors are there anyway; the filtered halves and their variance.
     let kept = if kept { 3 } else { 0 };
     Footprint {
-        halo: halo_with(params, params.pooled_variance && facts.can_be_pooled()) as usize,
+        halo: halo_with(params, noise_reach(params.pooled_variance, facts)) as usize,
         // All frames are uploaded before the first is prepared; variance, signal and halves of the others stay until the end.
         // What was found in them is kept as long, and one is repaired after the other.
         live_planes: (UPLOADED_PLANES + found) * (1 + beside as u64) + repaired + later + kept + alone + 6 * beside as u64,
@@ -316,15 +317,15 @@ pub(super) fn footprint(params: &NlmParams, facts: &Facts, kept: bool, schedule:
 }
 
 pub(super) fn halo(params: &NlmParams) -> u32 {
-    halo_with(params, params.pooled_variance)
+    halo_with(params, largest_noise_reach(params.pooled_variance))
 }
 
-fn halo_with(params: &NlmParams, is_noise_estimated: bool) -> u32 {
-    reach_of_filter(params, is_noise_estimated) + Gaussian::new(ERROR_SMOOTHING_SIGMA).radius
+fn halo_with(params: &NlmParams, noise_reach: u32) -> u32 {
+    reach_of_filter(params, noise_reach) + Gaussian::new(ERROR_SMOOTHING_SIGMA).radius
 }
 
 /// How far the filter depends on a frame.
-pub(super) fn reach_of_filter(params: &NlmParams, is_noise_estimated: bool) -> u32 {
+pub(super) fn reach_of_filter(params: &NlmParams, noise_reach: u32) -> u32 {
     let input = SCALE_RADIUS.max(INPUT_SMOOTHING.radius);
     let variance = match params.variance {
         NlmVariance::Uniform => 0,
@@ -334,5 +335,5 @@ pub(super) fn reach_of_filter(params: &NlmParams, is_noise_estimated: bool) -> u
     };
     // A weight is that of patches, and patchwise the mean over a patch of them.
     let patches = if params.patchwise { 2 * params.patch_radius } else { params.patch_radius };
-    params.window_radius + patches + variance + params.spikes.reach(0) + reach_of_noise(is_noise_estimated)
+    params.window_radius + patches + variance + params.spikes.reach(0) + noise_reach
 }

@@ -6,14 +6,25 @@ use glam::IVec2;
 
 use super::GpuSignal;
 use super::frame::FeatureInput;
+use super::plan::Facts;
 use crate::buffers::names;
 use crate::error::Result;
 use crate::gpu::Recorder;
 use crate::stage::noise::{ImageRule, NoiseRule, NoisyFeatures, noise_feature, noise_of_image, noise_pool, noise_unpack};
 
-/// How far around a pixel its variance depends on a frame where it is estimated, in pixels.
-pub(super) fn reach_of_noise(is_estimated: bool) -> u32 {
-    if is_estimated { ImageRule::DEFAULT.reach().max(NoiseRule::HALVES.reach()) } else { 0 }
+/// How far around a pixel its variance depends on a frame of which this is known, in pixels, before it is smoothed or
+/// brought to scale.
+pub(super) fn noise_reach(pooled_variance: bool, facts: &Facts) -> u32 {
+    match (pooled_variance && facts.lacks_variance(), facts.is_image_only()) {
+        (false, _) => 0,
+        (true, false) => NoiseRule::HALVES.reach(),
+        (true, true) => ImageRule::DEFAULT.reach(),
+    }
+}
+
+/// The same of any frame.
+pub(super) fn largest_noise_reach(pooled_variance: bool) -> u32 {
+    if pooled_variance { ImageRule::DEFAULT.reach() } else { 0 }
 }
 
 /// How far around a pixel its estimated variance depends on noise, in pixels: beyond, it only matters how bright pixels
@@ -21,9 +32,9 @@ pub(super) fn reach_of_noise(is_estimated: bool) -> u32 {
 pub(super) const POOLING_RADIUS: u32 = NoiseRule::HALVES.window_radius;
 
 /// Gives the colour and the features variances of the mean where they have none: from their halves, or, of a colour of
-/// whose noise nothing is known, from the image itself. A sample variance of a colour with halves becomes steadier.
+/// whose noise nothing is known, from the image itself.
 pub(super) fn estimate_noise(rec: &mut Recorder, extent: IVec2, color: &mut GpuSignal, features: &mut [FeatureInput]) -> Result<()> {
-    let rule = if color.variance_of_mean.is_some() { NoiseRule::HALVES_AND_VARIANCE } else { NoiseRule::HALVES };
+    let rule = NoiseRule::HALVES;
     let channels: Vec<u32> = features.iter().map(|feature| feature.channels).collect();
     let mut lacking = vec![false; features.len()];
     let mut noisy = None;
@@ -44,8 +55,10 @@ pub(super) fn estimate_noise(rec: &mut Recorder, extent: IVec2, color: &mut GpuS
         color.variance_of_mean = Some(Arc::new(variance));
         return Ok(());
     }
-    let pooled = Arc::new(noise_pool(rec, extent, &color.signal, color.variance_of_mean.as_deref(), noisy.as_ref(), &rule)?);
-    color.variance_of_mean = Some(Arc::new(noise_unpack(rec, extent, &pooled, None)?));
+    let pooled = Arc::new(noise_pool(rec, extent, &color.signal, noisy.as_ref(), &rule)?);
+    if color.variance_of_mean.is_none() {
+        color.variance_of_mean = Some(Arc::new(noise_unpack(rec, extent, &pooled, None)?));
+    }
     let Some(noisy) = noisy else { return Ok(()) };
     for (index, feature) in features.iter_mut().enumerate().filter(|(index, _)| lacking[*index]) {
         feature.pooled = Some((pooled.clone(), noisy.packing.slots[index]));

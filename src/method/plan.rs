@@ -224,6 +224,8 @@ pub(super) struct FeatureFacts {
     pub(super) channels: u32,
     /// Halves or variance tell of its noise.
     pub(super) noise_is_told: bool,
+    /// Whether sample variance is among it, so that the variance of a pixel without it is 0.
+    has_sample_variance: bool,
     /// Where it is, in any of the frames. `None` where nobody can look.
     noise: Option<NoiseTiles>,
 }
@@ -245,6 +247,7 @@ impl Facts {
                 name: feature.name.clone(),
                 channels: feature.signal.mean.channels() as u32,
                 noise_is_told: in_all_frames().any(|signal| signal.noise_knowledge().is_some()),
+                has_sample_variance: in_all_frames().all(|signal| signal.variance_of_mean.is_some()),
                 noise: NoiseTiles::of_all(in_all_frames()),
             }
         });
@@ -272,6 +275,7 @@ impl Facts {
             name: feature.name.clone(),
             channels: feature.channels,
             noise_is_told: told(&feature.signal),
+            has_sample_variance: feature.signal.variance_of_mean.is_some(),
             noise: None,
         });
         Self {
@@ -298,26 +302,28 @@ impl Facts {
         !self.has_halves && !self.has_sample_variance
     }
 
-    /// Whether its variances can be made from something else than the sample variance alone: from halves, or where there
-    /// is nothing from the image.
-    pub(super) fn can_be_pooled(&self) -> bool {
-        self.has_halves || !self.has_sample_variance
+    /// Whether the colour, or a feature with noise, has no sample variance. Features are judged beside the colour's
+    /// halves.
+    pub(super) fn lacks_variance(&self) -> bool {
+        let features_lack = || self.features.iter().any(|feature| feature.noise_is_told && !feature.has_sample_variance);
+        !self.has_sample_variance || self.has_halves && features_lack()
     }
 
     /// Tiles around which the colour has no noise, as far as a filter reaches, in pixels.
     pub(super) fn exact_color(&self, reach: u32) -> Option<ExactTiles> {
-        self.exact(self.noise.as_ref(), reach)
+        self.exact(self.noise.as_ref(), self.has_sample_variance, reach)
     }
 
     /// The same of a feature.
     pub(super) fn exact_feature(&self, feature: &FeatureFacts, reach: u32) -> Option<ExactTiles> {
-        self.exact(feature.noise.as_ref(), reach)
+        self.exact(feature.noise.as_ref(), feature.has_sample_variance, reach)
     }
 
-    /// The variance that a filter takes may be pooled or smoothed, and reach further than the noise. Where few tiles are
-    /// exact, that is not worth a thing.
-    fn exact(&self, noise: Option<&NoiseTiles>, reach: u32) -> Option<ExactTiles> {
-        let exact = ExactTiles::new(noise?.exact((reach + INPUT_SMOOTHING.radius.max(POOLING_RADIUS)) as usize), self.tile_columns, TILE);
+    /// Without sample variance, the variance that a filter takes is pooled or smoothed, and reaches further than the noise.
+    /// Where few tiles are exact, that is not worth a thing.
+    fn exact(&self, noise: Option<&NoiseTiles>, has_sample_variance: bool, reach: u32) -> Option<ExactTiles> {
+        let smoothing = if has_sample_variance { 0 } else { INPUT_SMOOTHING.radius.max(POOLING_RADIUS) };
+        let exact = ExactTiles::new(noise?.exact((reach + smoothing) as usize), self.tile_columns, TILE);
         Some(exact).filter(|exact| exact.share() >= LEAST_SHARE)
     }
 }
@@ -390,12 +396,12 @@ impl Planner {
         let because = if facts.is_image_only() {
             "known from the image itself"
         } else if facts.has_sample_variance {
-            "known from the variance and two seeds, pooled"
+            "of features, known from two seeds, pooled"
         } else {
             "known from two seeds, pooled"
         };
         let unless = [
-            impossible(!facts.can_be_pooled(), "known from the variance"),
+            impossible(!facts.lacks_variance(), "known from the variance"),
             impossible(!pooled_variance, "the parameters leave it out"),
             needless(facts.is_noise_free(), "no pixel has noise"),
         ];

@@ -7,7 +7,7 @@ use glam::IVec2;
 use serde::Serialize;
 
 use super::GpuSignal;
-use super::plan::{Facts, Planner, Step, impossible, needless};
+use super::plan::{Facts, Planner, Step, impossible};
 use crate::error::Result;
 use crate::gpu::{Buffer, Recorder};
 use crate::parameters::choices;
@@ -57,6 +57,15 @@ impl fmt::Display for SpikeReport {
     }
 }
 
+/// What was found in a colour.
+#[derive(Clone, Debug)]
+pub(super) struct Found {
+    /// What was taken from each pixel: as [`Repaired::spikes`](crate::stage::spike::Repaired::spikes).
+    pub(super) spikes: Arc<Buffer>,
+    /// Lights of few pixels, kept aside.
+    pub(super) lights: Arc<Buffer>,
+}
+
 impl Spikes {
     /// How far around a pixel its repaired value depends on what, given how far the features at a pixel do, in pixels.
     pub(super) fn reach(self, of_features: u32) -> u32 {
@@ -71,12 +80,12 @@ impl Spikes {
 
     /// Planes that they take besides the colour: while it is repaired, and of what was found.
     pub(super) fn planes(self) -> (u64, u64) {
-        if self == Self::Keep { (0, 0) } else { (4, 3) }
+        if self == Self::Keep { (0, 0) } else { (4, 5) }
     }
 
     /// Planes of the largest buffer: of what was found.
     pub(super) fn largest_planes(self) -> u64 {
-        self.planes().1
+        if self == Self::Keep { 0 } else { 3 }
     }
 
     /// Plans the step.
@@ -85,13 +94,13 @@ impl Spikes {
             Self::Clamp => "what rests on few samples is cut off",
             Self::Keep | Self::Spread => "what rests on few samples is spread",
         };
-        let unless = [impossible(self == Self::Keep, "the parameters leave it out"), needless(facts.is_noise_free(), "no pixel has noise")];
+        let unless = [impossible(self == Self::Keep, "the parameters leave it out"), impossible(facts.is_noise_free(), "no pixel has noise")];
         plan.step(Step::Spikes, because, &unless);
     }
 
-    /// A colour without spikes, and what was taken from each pixel: the first plane of a buffer, in w the part of it that the pixels around got. Features tell which pixels are
+    /// A colour without spikes and lights of few pixels, and what was found. Features tell which pixels are
     /// of one kind.
-    pub(super) fn repair(self, rec: &mut Recorder, extent: IVec2, color: GpuSignal, features: Option<&Features>) -> Result<(GpuSignal, Option<Arc<Buffer>>)> {
+    pub(super) fn repair(self, rec: &mut Recorder, extent: IVec2, color: GpuSignal, features: Option<&Features>) -> Result<(GpuSignal, Option<Found>)> {
         if self == Self::Keep {
             return Ok((color, None));
         }
@@ -101,6 +110,6 @@ impl Spikes {
             spike_spread(rec, extent, features, &rule, &mut repaired)?;
         }
         let color = GpuSignal { signal: Arc::new(repaired.signal), variance_of_mean: repaired.variance_of_mean.map(Arc::new), has_halves: color.has_halves };
-        Ok((color, Some(Arc::new(repaired.spikes))))
+        Ok((color, Some(Found { spikes: Arc::new(repaired.spikes), lights: Arc::new(repaired.lights) })))
     }
 }

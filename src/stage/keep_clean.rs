@@ -1,4 +1,4 @@
-//! Pixels without noise stay as they are, and so do lights of one pixel.
+//! Pixels without noise stay as they are.
 
 use glam::IVec2;
 
@@ -8,15 +8,7 @@ use crate::error::Result;
 use crate::gpu::{Buffer, Recorder, bindings, uniforms};
 
 uniforms! {
-    struct KeepCleanParams {
-        extent: IVec2,
-        squared_noise: f32,
-        squared_sigmas: f32,
-        least_sigmas_out: f32,
-        most_sigmas_out: f32,
-        black_radius: i32,
-        error_component: i32,
-    }
+    struct KeepCleanParams { extent: IVec2, squared_noise: f32, squared_sigmas: f32, black_radius: i32, error_component: i32 }
 }
 
 bindings! {
@@ -35,10 +27,6 @@ pub struct CleanRule {
     pub noise: f32,
     /// How far a pixel with next to no noise may be moved, in standard deviations; towards `noise` it grows without limit.
     pub sigmas: f32,
-    /// How far a pixel may become darker, in standard deviations of its noise, before it counts as a light of its own …
-    pub least_sigmas_out: f32,
-    /// … and from where on it stays as it is.
-    pub most_sigmas_out: f32,
     /// A black pixel counts as clean where all pixels this far around it are black and without noise, in pixels.
     pub black_radius: u32,
 }
@@ -47,7 +35,7 @@ impl CleanRule {
     /// Measured on `cornell`, `dof_spheres` and `caustic_ring` at 8, 32 and 128 spp:
     /// `dof_spheres` at 8 spp has 0.7 % more error than without, because edges out of focus have pixels that all eight samples missed; with 10⁻² in place of 10⁻³, `caustic_ring` at
     /// 8 spp has 2.5 % more.
-    pub const DEFAULT: Self = Self { noise: LEAST_NOISE, sigmas: 4.0, least_sigmas_out: 4.0, most_sigmas_out: 5.0, black_radius: 3 };
+    pub const DEFAULT: Self = Self { noise: LEAST_NOISE, sigmas: 4.0, black_radius: 3 };
 }
 
 /// The input of a filter: what tells which of its pixels have noise.
@@ -73,8 +61,6 @@ pub fn keep_clean(rec: &mut Recorder, extent: IVec2, input: Input, filtered: &Bu
         extent,
         squared_noise: rule.noise * rule.noise,
         squared_sigmas: rule.sigmas * rule.sigmas,
-        least_sigmas_out: rule.least_sigmas_out,
-        most_sigmas_out: rule.most_sigmas_out,
         black_radius: rule.black_radius as i32,
         error_component: errors.map_or(0, |(_, component)| component as i32),
     };

@@ -43,7 +43,7 @@ bindings! {
     struct NoiseGuess<'a> { uniform params: NoiseParams, read relative_spread, write guess }
     struct NoiseFeature<'a> { uniform params: NoiseFeatureParams, read signal, optional sample_variance, write features }
     struct NoisePool<'a> {
-        uniform params: NoiseParams, read signal, read guess, optional features, optional sample_variance, write pooled_variance,
+        uniform params: NoiseParams, read signal, read guess, optional features, write pooled_variance,
     }
     struct NoiseHighpass<'a> {
         uniform params: NoiseHighpassParams, read signal, read relative_spread, optional features, write highpass,
@@ -94,10 +94,6 @@ impl NoiseRule {
         feature_tau: 0.01,
         pooled_share: 8.0,
     };
-
-    /// Of two halves beside a sample variance. Measured, it takes 12, 8 and 11 % of the error of `caustic_ring` at 8, 32 and
-    /// 128 spp, 3, 1 and 1 % of that of `dof_spheres`, and adds 1 % at the most to that of `cornell`.
-    pub const HALVES_AND_VARIANCE: Self = Self { gate: 4.0, ..Self::HALVES };
 
     /// Of what an image alone shows, which is rougher.
     pub const IMAGE: Self = Self { gate: 4.0, feature_k: 0.6, ..Self::HALVES };
@@ -173,21 +169,13 @@ pub struct Pooled {
     pub buffer: Buffer,
 }
 
-/// Pools the squared half spread of a colour, or its `sample_variance` where there is one (one plane, s²/n), and the
-/// squared half spreads of the features of the same pixels, over pixels that are alike.
+/// Pools the squared half spread of a colour, and of the features of the same pixels, over pixels that are alike.
 ///
 /// Pixels with less than a thousandth of noise claim what they claimed before.
 ///
 /// # Errors
 /// As [`Recorder::dispatch`].
-pub fn noise_pool(
-    rec: &mut Recorder,
-    extent: IVec2,
-    signal: &Buffer,
-    sample_variance: Option<&Buffer>,
-    features: Option<&NoisyFeatures>,
-    rule: &NoiseRule,
-) -> Result<Pooled> {
+pub fn noise_pool(rec: &mut Recorder, extent: IVec2, signal: &Buffer, features: Option<&NoisyFeatures>, rule: &NoiseRule) -> Result<Pooled> {
     let params = rule.params(extent, features);
     let groups = features.map_or(0, |features| features.packing.groups);
     let buffer = rec.take("pooled variance", plane_bytes(extent, 1 + groups))?;
@@ -196,10 +184,10 @@ pub fn noise_pool(
 
     let kernel = rec.gpu().kernel::<NoiseGuess>("noise_guess", &[])?;
     rec.dispatch(&kernel, &NoiseGuess { params, relative_spread, guess }, per_pixel(extent))?;
-    let definitions = [("FEATURE_GROUPS", Definition::Int(groups as i32)), ("VARIANCE", sample_variance.is_some().into())];
+    let definitions = [("FEATURE_GROUPS", Definition::Int(groups as i32))];
     let kernel = rec.gpu().kernel::<NoisePool>("noise_pool", &definitions)?;
     let features = features.map(|features| &features.buffer);
-    rec.dispatch(&kernel, &NoisePool { params, signal, guess, features, sample_variance, pooled_variance: &buffer }, per_pixel(extent))?;
+    rec.dispatch(&kernel, &NoisePool { params, signal, guess, features, pooled_variance: &buffer }, per_pixel(extent))?;
     Ok(Pooled { buffer })
 }
 
@@ -287,7 +275,7 @@ pub fn noise_of_image(
     let params = NoiseResidualParams { extent, fit_radius: fit_radius as i32, ridge, fitted_share, largest, scale: RESIDUAL_SCALE };
     rec.dispatch(&kernel, &NoiseResidual { params, signal, highpass, residual }, per_pixel(extent))?;
 
-    let pooled_variance = &noise_pool(rec, extent, residual, None, features, &pool)?.buffer;
+    let pooled_variance = &noise_pool(rec, extent, residual, features, &pool)?.buffer;
     let relative_variance = &rec.take("relative variance", bytes(1))?;
     let variance = rec.take("variance of an image", bytes(1))?;
     let params = NoiseHoldParams { extent, jump_radius: jump_radius as i32, jump, least_magnitude: pool.least_magnitude, radius: hold_radius as i32 };

@@ -10,6 +10,7 @@ use crate::error::Result;
 use crate::gpu::{Buffer, Definition, Recorder, bindings, uniforms};
 
 uniforms! {
+    struct LightReturnParams { extent: IVec2, error_component: i32 }
     struct SpikeParams {
         extent: IVec2,
         window_radius: i32,
@@ -17,6 +18,7 @@ uniforms! {
         least_neighbours: f32,
         prominence: f32,
         most_samples: f32,
+        light_samples: f32,
         least_noise: f32,
         share_limit: f32,
         inverse_feature_k_squared: f32,
@@ -26,13 +28,15 @@ uniforms! {
 }
 
 bindings! {
-    struct SpikeFind<'a> { uniform params: SpikeParams, read signal, optional features, write repaired, write spikes }
+    struct SpikeFind<'a> { uniform params: SpikeParams, read signal, optional features, write repaired, write spikes, write lights }
     struct SpikeFindVariance<'a> {
-        uniform params: SpikeParams, read signal, optional features, read sample_variance, write repaired_variance, write repaired, write spikes,
+        uniform params: SpikeParams, read signal, optional features, read sample_variance, write repaired_variance, write repaired, write spikes, write lights,
     }
     struct SpikeLevel<'a> { uniform params: SpikeParams, read repaired, read spikes, write levels }
     struct SpikeShare<'a> { uniform params: SpikeParams, write spikes, optional features, read levels }
     struct SpikeRows<'a> { uniform params: SpikeParams, write spikes }
+    struct LightReturn<'a> { uniform params: LightReturnParams, read lights, read filtered, write lit }
+    struct LightReturnError<'a> { uniform params: LightReturnParams, read lights, read filtered, write lit, write errors }
     struct SpikeSpread<'a> { uniform params: SpikeParams, write spikes, optional features, read levels, write repaired }
 }
 
@@ -49,6 +53,10 @@ pub struct SpikeRule {
     pub prominence: f32,
     /// How many samples its excess rests on at the most: the square of the excess over its variance.
     pub most_samples: f32,
+    /// How many samples the excess of a light of few pixels rests on at the least; between, a pixel is filtered like others.
+    /// Measured with 25, no development scene has more than 0.6 % more error than without lights; with 12, `cornell` at
+    /// 8 spp from two seeds alone has 9 % more.
+    pub light_samples: f32,
     /// What a spike may add to the level of its neighbours, in parts of that level, before half of it is left out.
     pub share_limit: f32,
     /// k_f of the features, as that of the candidates: pixels are of one kind where no feature's distance (eq. 8.3) is above 1.
@@ -65,6 +73,7 @@ impl SpikeRule {
         least_neighbours: 12,
         prominence: 3.0,
         most_samples: 2.0,
+        light_samples: 25.0,
         share_limit: 0.1,
         feature_k: 0.6,
         feature_tau: 0.1,
@@ -78,6 +87,7 @@ impl SpikeRule {
             least_neighbours: self.least_neighbours as f32,
             prominence: self.prominence,
             most_samples: self.most_samples,
+            light_samples: self.light_samples,
             least_noise: LEAST_NOISE,
             share_limit: self.share_limit,
             inverse_feature_k_squared: 1.0 / (self.feature_k * self.feature_k),
@@ -97,6 +107,9 @@ pub struct Repaired {
     /// Three planes. The first has what was taken from each pixel, 0 where it is no spike. The rest is for [`spike_spread`]: the w of the first becomes the part of it
     /// that the pixels around get, the second has what one of them in its place gets, and the third, in x, the squares of what each pixel got, summed over spikes and channels.
     pub spikes: Buffer,
+    /// For [`light_return`], two planes: mean and half spread of lights of few pixels; in the w of the first their variance,
+    /// summed over the channels, in that of the second 1 for a light, else 0.
+    pub lights: Buffer,
 }
 
 fn feature_groups(features: Option<&Features>) -> (&'static str, Definition) {
@@ -120,20 +133,22 @@ pub fn spike_find(
     let repaired = rec.take("signal without spikes", plane_bytes(extent, 2))?;
     let repaired_variance = sample_variance.map(|_| rec.take("its sample variance", plane_bytes(extent, 1))).transpose()?;
     let spikes = rec.take("spikes", plane_bytes(extent, 3))?;
+    let lights = rec.take("lights", plane_bytes(extent, 2))?;
     let definitions = [feature_groups(features), ("VARIANCE", sample_variance.is_some().into())];
     let features = features.map(|features| &features.buffer);
     match (sample_variance, &repaired_variance) {
         (Some(sample_variance), Some(repaired_variance)) => {
             let kernel = rec.gpu().kernel::<SpikeFindVariance>("spike_find", &definitions)?;
-            let bound = SpikeFindVariance { params, signal, features, sample_variance, repaired_variance, repaired: &repaired, spikes: &spikes };
+            let bound =
+                SpikeFindVariance { params, signal, features, sample_variance, repaired_variance, repaired: &repaired, spikes: &spikes, lights: &lights };
             rec.dispatch(&kernel, &bound, per_pixel(extent))?;
         }
         _ => {
             let kernel = rec.gpu().kernel::<SpikeFind>("spike_find", &definitions)?;
-            rec.dispatch(&kernel, &SpikeFind { params, signal, features, repaired: &repaired, spikes: &spikes }, per_pixel(extent))?;
+            rec.dispatch(&kernel, &SpikeFind { params, signal, features, repaired: &repaired, spikes: &spikes, lights: &lights }, per_pixel(extent))?;
         }
     }
-    Ok(Repaired { signal: repaired, variance_of_mean: repaired_variance, spikes })
+    Ok(Repaired { signal: repaired, variance_of_mean: repaired_variance, spikes, lights })
 }
 
 /// Gives the pixels around each spike their parts of it: all pixels of its kind that have noise and are about as bright, less the further they are away. `repaired` is
@@ -156,4 +171,27 @@ pub fn spike_spread(rec: &mut Recorder, extent: IVec2, features: Option<&Feature
     rec.dispatch(&kernel, &SpikeRows { params, spikes }, per_pixel(extent))?;
     let kernel = rec.gpu().kernel::<SpikeSpread>("spike_spread", &groups)?;
     rec.dispatch(&kernel, &SpikeSpread { params, spikes, features, levels, repaired }, per_pixel(extent))
+}
+
+/// A filtered signal with the `lights` that [`spike_find`] kept aside. A signal.
+///
+/// `errors`: a plane and the component of it, 0 to 3, that holds squared errors of the filtered signal, summed over the
+/// channels; that of a light becomes its variance.
+///
+/// # Errors
+/// As [`Recorder::dispatch`].
+pub fn light_return(rec: &mut Recorder, extent: IVec2, lights: &Buffer, filtered: &Buffer, errors: Option<(&Buffer, u32)>) -> Result<Buffer> {
+    let lit = rec.take("result with lights", plane_bytes(extent, 2))?;
+    let params = LightReturnParams { extent, error_component: errors.map_or(0, |(_, component)| component as i32) };
+    match errors {
+        Some((errors, _)) => {
+            let kernel = rec.gpu().kernel::<LightReturnError>("light_return", &[("ERROR", true.into())])?;
+            rec.dispatch(&kernel, &LightReturnError { params, lights, filtered, lit: &lit, errors }, per_pixel(extent))?;
+        }
+        None => {
+            let kernel = rec.gpu().kernel::<LightReturn>("light_return", &[])?;
+            rec.dispatch(&kernel, &LightReturn { params, lights, filtered, lit: &lit }, per_pixel(extent))?;
+        }
+    }
+    Ok(lit)
 }

@@ -77,7 +77,7 @@ fn check(what: &str, frame: &Frame, params: GemParams) {
     // A colour by its noise and a hundredth of the largest value around.
     let largest = input.mean.iter().flat_map(|grid| &grid.values).fold(0.0, |most: f64, value| most.max(value.abs()));
     let color_scale: Planes = twin.variance.iter().map(|grid| grid.like(|p| grid.at(p).sqrt() + 0.01 * largest)).collect();
-    let result = reference::result(&twin.color, chosen, &twin_params);
+    let result = reference::result(&twin, chosen, &twin_params);
     near("result", &grids(&estimate.color, exposure), &result.mean, &color_scale, 1e-4, FLIPPED);
     assert_eq!(estimate.half_spread.is_some(), color.half_spread.is_some());
     if let Some(spread) = &estimate.half_spread {

@@ -6,7 +6,7 @@ use super::nlm::{CentreWeight, Feature, FilterParams, Guide, nlm_filter};
 use super::noise::{NoiseParams, completed};
 use super::prefilter::{Prefiltered, prefilter};
 use super::select::{self, Evidence, Guard, Significance, color_only_share, differences, select, share, smooth_maps};
-use super::spike::{self, SpikeParams};
+use super::spike::{self, Lights, SpikeParams};
 use super::sure::{self, ErrorParts, Part, error_blend, smooth_errors, sure};
 use super::variance::{BoxWeight, Signal, buffer_var, floored, input_variance, of_color};
 use super::{Grid, Planes};
@@ -148,6 +148,8 @@ pub struct Dfc {
     pub spikes: Option<Planes>,
     /// The squares of what pixels got of them.
     pub squares: Option<Grid>,
+    /// Lights of few pixels, which the filters do not see. None where spikes stay.
+    pub lights: Option<Lights>,
     pub color_variance: Planes,
     pub features: Vec<Prefiltered>,
     pub candidates: [Candidate; 3],
@@ -163,7 +165,7 @@ pub struct Dfc {
     pub color_only: Option<ColorOnly>,
     /// Of pass 2, or of pass 1 where there is none.
     pub error: Grid,
-    /// The passes' result with clean pixels kept, and its error.
+    /// The passes' result with clean pixels and lights kept, and its error.
     pub result: Pass,
     pub result_error: Grid,
     pub pass1: Pass,
@@ -180,9 +182,9 @@ pub fn dfc(frame: &Frame, params: &DfcParams) -> Dfc {
     let prefiltered: Vec<Prefiltered> = frame.features.iter().map(|signal| prefilter(signal, params.symmetric, params.centre, params.box_weight)).collect();
     let features: Vec<Feature> = prefiltered.iter().map(|prefiltered| prefiltered.feature.clone()).collect();
     let repaired = params.spikes.map(|params| spike::repaired(&frame.color, &features, &params));
-    let (color, spikes, squares) = match repaired {
-        Some(repaired) => (repaired.signal, Some(repaired.taken), Some(repaired.squares)),
-        None => (frame.color.clone(), None, None),
+    let (color, spikes, squares, lights) = match repaired {
+        Some(repaired) => (repaired.signal, Some(repaired.taken), Some(repaired.squares), Some(repaired.lights)),
+        None => (frame.color.clone(), None, None, None),
     };
     let color_variance = floored(&color.mean, &input_variance(&color, params.box_weight), of_color(params.keep_clean.is_some()));
 
@@ -242,16 +244,21 @@ pub fn dfc(frame: &Frame, params: &DfcParams) -> Dfc {
     let result = pass2.as_ref().unwrap_or(&pass1);
     let parts = ErrorParts::measured(result.spread.is_some(), made_of.len() > 1);
     let error = error_blend(&result.mean, result.spread.as_deref(), &color_variance, &made_of, squares.as_ref(), parts);
-    let kept = params.keep_clean.map(|params| keep_clean(&color, &result.mean, result.spread.as_deref(), &error, params));
-    let (result, result_error) = match kept {
-        Some(Kept { mean, spread, error }) => (Pass { mean, spread }, error),
-        None => (result.clone(), error.clone()),
+    let kept = match params.keep_clean {
+        Some(params) => keep_clean(&color, &result.mean, result.spread.as_deref(), &error, params),
+        None => Kept { mean: result.mean.clone(), spread: result.spread.clone(), error: error.clone() },
     };
+    let kept = match &lights {
+        Some(lights) => lights.added_to(kept),
+        None => kept,
+    };
+    let (result, result_error) = (Pass { mean: kept.mean, spread: kept.spread }, kept.error);
 
     Dfc {
         color,
         spikes,
         squares,
+        lights,
         color_variance,
         features: prefiltered,
         candidates,

@@ -3,7 +3,7 @@
 use super::gaussian::{gaussian, gaussian_neighbours, gaussian_variance};
 use super::keep_clean::{CleanParams, Kept, keep_clean};
 use super::noise::{NoiseParams, completed};
-use super::spike::{self, SpikeParams};
+use super::spike::{self, Lights, SpikeParams};
 use super::variance::{BoxWeight, Signal, input_variance};
 use super::{Grid, Planes, Point};
 
@@ -153,8 +153,10 @@ pub fn choose(scales: &[Scale], steps: &[Step], maps: &[Grid]) -> Chosen {
 
 /// All of it.
 pub struct Gem {
-    /// The input without spikes.
+    /// The input without spikes and lights of few pixels.
     pub color: Signal,
+    /// None where spikes stay.
+    pub lights: Option<Lights>,
     pub variance: Planes,
     /// The pixel filter first.
     pub scales: Vec<Scale>,
@@ -166,8 +168,8 @@ pub struct Gem {
 pub fn gem(color: &Signal, samples: &Grid, params: &GemParams) -> Gem {
     let completed = params.noise.map(|noise| completed(color, &[], &[], &noise).0);
     let color = completed.as_ref().unwrap_or(color);
-    let repaired = params.spikes.map(|params| spike::repaired(color, &[], &params).signal);
-    let color = repaired.as_ref().unwrap_or(color);
+    let repaired = params.spikes.map(|params| spike::repaired(color, &[], &params));
+    let color = repaired.as_ref().map_or(color, |repaired| &repaired.signal);
     let variance = input_variance(color, BoxWeight::Even);
     let zero = || color.mean.iter().map(|grid| grid.like(|_| 0.0)).collect();
     let spread = color.spread.clone().unwrap_or_else(zero);
@@ -179,15 +181,19 @@ pub fn gem(color: &Signal, samples: &Grid, params: &GemParams) -> Gem {
     let smoothed: Vec<Grid> = steps.iter().zip(&params.sigmas).map(smooth).collect();
     let maps: Vec<Grid> = steps.iter().zip(&smoothed).map(|(step, smoothed)| decided(&step.stops(), smoothed, params.coarser_only)).collect();
     let chosen = choose(&scales, &steps, &maps);
-    Gem { color: color.clone(), variance, scales, steps, smoothed, chosen }
+    Gem { color: color.clone(), lights: repaired.as_ref().map(|repaired| repaired.lights.clone()), variance, scales, steps, smoothed, chosen }
 }
 
-/// What is left of a choice where clean pixels are those of the input.
-pub fn result(color: &Signal, chosen: &Chosen, params: &GemParams) -> Kept {
+/// What is left of a choice where clean pixels and lights are those of the input.
+pub fn result(gem: &Gem, chosen: &Chosen, params: &GemParams) -> Kept {
     let Chosen { mean, spread, error, .. } = chosen;
-    match params.keep_clean {
-        Some(clean) => keep_clean(color, mean, Some(spread), error, clean),
+    let kept = match params.keep_clean {
+        Some(clean) => keep_clean(&gem.color, mean, Some(spread), error, clean),
         None => Kept { mean: mean.clone(), spread: Some(spread.clone()), error: error.clone() },
+    };
+    match &gem.lights {
+        Some(lights) => lights.added_to(kept),
+        None => kept,
     }
 }
 

@@ -1,4 +1,4 @@
-//! Pixels without noise stay as they are, and so do lights of one pixel. None of the text's.
+//! Pixels without noise stay as they are. None of the text's.
 
 use super::variance::Signal;
 use super::{Grid, Planes, Point, square};
@@ -10,16 +10,12 @@ pub struct CleanParams {
     pub noise: f64,
     /// The standard deviations that one with next to no noise may move by.
     pub sigmas: f64,
-    /// The standard deviations by which a pixel may become darker, up to which it gets all of its correction …
-    pub least_sigmas_out: f64,
-    /// … and from which on it gets nothing of it.
-    pub most_sigmas_out: f64,
     pub black_radius: usize,
 }
 
 impl Default for CleanParams {
     fn default() -> CleanParams {
-        CleanParams { noise: 1e-3, sigmas: 4.0, least_sigmas_out: 4.0, most_sigmas_out: 5.0, black_radius: 3 }
+        CleanParams { noise: 1e-3, sigmas: 4.0, black_radius: 3 }
     }
 }
 
@@ -37,35 +33,13 @@ pub fn allowed(input: &Signal, params: CleanParams) -> Grid {
     })
 }
 
-/// How much of its correction each pixel gets, and the largest squared error that it has then.
-pub struct Limits {
-    pub shares: Grid,
-    /// Infinite where nothing limits the correction.
-    pub error: Grid,
-}
-
-pub fn limits(input: &Signal, filtered: &[Grid], params: CleanParams) -> Limits {
-    let (allowed, noise) = (allowed(input, params), noise(input));
-    let change = |p: Point| input.mean.iter().zip(filtered).map(move |(u, f)| f.at(p) - u.at(p));
-    let squared = |p: Point| change(p).map(|change| change * change).sum::<f64>();
-    // What becomes darker by more than its noise explains is a light of its own.
-    let of_light = |p: Point| {
-        let sigmas = (squared(p) / noise.at(p)).sqrt();
-        if change(p).sum::<f64>() >= 0.0 || !(sigmas > params.least_sigmas_out) {
-            return 1.0;
-        }
-        ((params.most_sigmas_out - sigmas) / (params.most_sigmas_out - params.least_sigmas_out)).max(0.0)
-    };
-    let shares = noise.like(|p| {
-        let clean = if squared(p) > allowed.at(p) { (allowed.at(p) / squared(p)).sqrt() } else { 1.0 };
-        clean.min(of_light(p))
-    });
-    let error = noise.like(|p| {
-        let light = of_light(p);
-        let of_light = if light < 1.0 { light * light * squared(p) } else { f64::INFINITY };
-        noise.at(p) + allowed.at(p).min(of_light)
-    });
-    Limits { shares, error }
+/// How much of its correction each pixel gets.
+pub fn clean_shares(input: &Signal, filtered: &[Grid], params: CleanParams) -> Grid {
+    let allowed = allowed(input, params);
+    allowed.like(|p| {
+        let correction: f64 = input.mean.iter().zip(filtered).map(|(u, f)| (f.at(p) - u.at(p)).powi(2)).sum();
+        if correction > allowed.at(p) { (allowed.at(p) / correction).sqrt() } else { 1.0 }
+    })
 }
 
 /// A filtered signal in which clean pixels are those of the input.
@@ -78,9 +52,9 @@ pub struct Kept {
 }
 
 pub fn keep_clean(input: &Signal, mean: &[Grid], spread: Option<&[Grid]>, error: &Grid, params: CleanParams) -> Kept {
-    let Limits { shares, error: most } = limits(input, mean, params);
+    let shares = clean_shares(input, mean, params);
     let of_halves = |spread: &[Grid]| input.spread.as_ref().map_or_else(|| spread.to_vec(), |own| kept(own, spread, &shares));
-    Kept { mean: kept(&input.mean, mean, &shares), spread: spread.map(of_halves), error: error.like(|p| error.at(p).min(most.at(p))) }
+    Kept { mean: kept(&input.mean, mean, &shares), spread: spread.map(of_halves), error: kept_error(error, input, params) }
 }
 
 /// What the samples of each pixel show of its variance, summed over the channels. Without sample variance two halves may agree by accident: then the pixels beside have a say too.
@@ -101,4 +75,10 @@ pub fn noise(input: &Signal) -> Grid {
 /// The filtered planes, moved back to the input's by the shares.
 pub fn kept(input: &[Grid], filtered: &[Grid], shares: &Grid) -> Planes {
     input.iter().zip(filtered).map(|(u, f)| u.like(|p| if shares.at(p) == 1.0 { f.at(p) } else { u.at(p) + shares.at(p) * (f.at(p) - u.at(p)) })).collect()
+}
+
+/// The squared error of what was kept: no more than its noise and the way that it may go.
+pub fn kept_error(error: &Grid, input: &Signal, params: CleanParams) -> Grid {
+    let (noise, allowed) = (noise(input), allowed(input, params));
+    error.like(|p| error.at(p).min(noise.at(p) + allowed.at(p)))
 }

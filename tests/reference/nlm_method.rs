@@ -171,8 +171,8 @@ pub struct Nlm {
 pub fn nlm(color: &Signal, params: &NlmParams, samples: &Grid) -> Nlm {
     let completed = params.noise.map(|noise| completed(color, &[], &[], &noise).0);
     let raw = completed.as_ref().unwrap_or(color);
-    let repaired = params.spikes.map(|params| spike::repaired(raw, &[], &params).signal);
-    let color = repaired.as_ref().unwrap_or(raw);
+    let repaired = params.spikes.map(|params| spike::repaired(raw, &[], &params));
+    let color = repaired.as_ref().map_or(raw, |repaired| &repaired.signal);
     let like = &color.mean[0];
     let variance = match params.variance {
         Variance::Scaled => at_most_claimed(input_variance(color, BoxWeight::Deviation), color),
@@ -230,8 +230,14 @@ pub fn nlm(color: &Signal, params: &NlmParams, samples: &Grid) -> Nlm {
     });
     let error = like.like(|p| left.iter().map(|plane| plane.at(p)).sum());
     let (error, density) = (gaussian(&error, 0.8, 3), gaussian(&density, 0.8, 3));
-    let Some(clean) = params.keep_clean else { return Nlm { variance, mean, spread, weight_sum, error, density } };
-    let Kept { mean, spread, error } = keep_clean(color, &mean, spread.as_deref(), &error, clean);
+    let kept = match params.keep_clean {
+        Some(clean) => keep_clean(color, &mean, spread.as_deref(), &error, clean),
+        None => Kept { mean, spread, error },
+    };
+    let Kept { mean, spread, error } = match &repaired {
+        Some(repaired) => repaired.lights.added_to(kept),
+        None => kept,
+    };
     Nlm { variance, mean, spread, weight_sum, error, density }
 }
 

@@ -55,22 +55,23 @@ pub struct Pooled {
     pub features: Vec<Planes>,
 }
 
-/// A frame in which the colour, and every feature with halves, has a sample variance; that of a colour with halves becomes
-/// steadier. The features `explaining` may explain the texture of an image alone.
+/// A frame in which the colour, and every feature with halves, has a sample variance. The features `explaining` may explain the texture of an image alone.
 pub fn completed(color: &Signal, features: &[Signal], explaining: &[usize], params: &NoiseParams) -> (Signal, Vec<Signal>) {
     if color.spread.is_none() && color.sample_variance.is_none() {
         let variance = of_image(&color.mean, features, explaining, &ImageParams::default());
         return (Signal { sample_variance: Some(variance), ..color.clone() }, features.to_vec());
     }
     let lacks = |signal: &Signal| signal.sample_variance.is_none() && signal.spread.is_some();
-    if color.spread.is_none() {
+    if color.spread.is_none() || !(lacks(color) || features.iter().any(lacks)) {
         return (color.clone(), features.to_vec());
     }
-    let params = if color.sample_variance.is_some() { &NoiseParams { gate: 4.0, ..*params } } else { params };
     let pooled = pooled(color, features, params);
-    let with = |signal: &Signal, variance: Planes| Signal { sample_variance: Some(variance), ..signal.clone() };
-    let completed = features.iter().zip(pooled.features).map(|(signal, variance)| if lacks(signal) { with(signal, variance) } else { signal.clone() });
-    (with(color, pooled.color), completed.collect())
+    let with = |signal: &Signal, variance: Planes| {
+        let sample_variance = if lacks(signal) { Some(variance) } else { signal.sample_variance.clone() };
+        Signal { sample_variance, ..signal.clone() }
+    };
+    let features = features.iter().zip(pooled.features).map(|(signal, variance)| with(signal, variance)).collect();
+    (with(color, pooled.color), features)
 }
 
 pub fn pooled(color: &Signal, features: &[Signal], params: &NoiseParams) -> Pooled {
@@ -107,25 +108,12 @@ pub fn pooled(color: &Signal, features: &[Signal], params: &NoiseParams) -> Pool
     };
     // What the pixel's own halves say counts a little.
     let share = params.pooled_share;
-    let estimate: Planes = match &color.sample_variance {
-        // A mean of deviations is steadier than one of variances.
-        Some(claimed) => {
-            let pool = |claimed: &Grid| pool(&claimed.like(|p| claimed.at(p).sqrt()));
-            claimed
-                .iter()
-                .map(|claimed| (claimed, pool(claimed)))
-                .map(|(claimed, pooled)| pooled.like(|p| (pooled.at(p) / FRAC_PI_2 + claimed.at(p)) / 2.0))
-                .collect()
-        }
-        None => {
-            let pooled: Planes = spread.iter().map(pool).collect();
-            let own = like.like(|p| spread.iter().zip(&pooled).map(|(d, v)| d.at(p).powi(2) / v.at(p).max(1e-30)).sum::<f64>() / spread.len() as f64);
-            pooled.iter().map(|v| v.like(|p| v.at(p) * (share + own.at(p)) / (share + 1.0))).collect()
-        }
-    };
+    let pooled: Planes = spread.iter().map(pool).collect();
+    let own = like.like(|p| spread.iter().zip(&pooled).map(|(d, v)| d.at(p).powi(2) / v.at(p).max(1e-30)).sum::<f64>() / spread.len() as f64);
+    let estimate: Planes = pooled.iter().map(|v| v.like(|p| v.at(p) * (share + own.at(p)) / (share + 1.0))).collect();
     // What has next to no noise keeps it.
-    let claim = |i: usize, p: Point| color.sample_variance.as_ref().map_or(spread[i].at(p).powi(2), |claimed| claimed[i].at(p));
-    let color = estimate.iter().enumerate().map(|(i, v)| v.like(|p| if has_noise(color, &spread, p, params) { v.at(p) } else { claim(i, p) })).collect();
+    let color =
+        estimate.iter().enumerate().map(|(i, v)| v.like(|p| if has_noise(color, &spread, p, params) { v.at(p) } else { spread[i].at(p).powi(2) })).collect();
     let of_feature = |spread: &Grid| {
         let pooled = pool(spread);
         spread.like(|p| (share * pooled.at(p) + spread.at(p).powi(2)) / (share + 1.0))
@@ -138,13 +126,8 @@ pub fn pooled(color: &Signal, features: &[Signal], params: &NoiseParams) -> Pool
 fn has_noise(color: &Signal, spread: &[Grid], p: Point, params: &NoiseParams) -> bool {
     let largest = |planes: &[Grid], q: Point| planes.iter().map(|plane| plane.at(q).abs()).fold(0.0, f64::max);
     let value = largest(&color.mean, p);
-    let deviation = match &color.sample_variance {
-        Some(claimed) => largest(spread, p).max(largest(claimed, p).sqrt()),
-        None => {
-            let beside = square(1).filter(|o| o.x == 0 || o.y == 0).map(|o| p + o).filter(|&q| spread[0].contains(q));
-            beside.map(|q| largest(spread, q)).fold(0.0, f64::max)
-        }
-    };
+    let beside = square(1).filter(|o| o.x == 0 || o.y == 0).map(|o| p + o).filter(|&q| spread[0].contains(q));
+    let deviation = beside.map(|q| largest(spread, q)).fold(0.0, f64::max);
     value == 0.0 || deviation > params.least_noise * value
 }
 

@@ -1,5 +1,6 @@
 //! Spikes: pixels that stand out from those of their kind, and rest on very few samples for it.
 
+use super::keep_clean::Kept;
 use super::nlm::Feature;
 use super::variance::Signal;
 use super::{Grid, Planes, Point, channel_mean, square};
@@ -13,6 +14,8 @@ pub struct SpikeParams {
     /// Above the level, in distances from the level to the third brightest neighbour.
     pub prominence: f64,
     pub most_samples: f64,
+    /// How many a light of few pixels rests on at the least.
+    pub light_samples: f64,
     /// None: what stands out is lost.
     pub share_limit: Option<f64>,
     pub k_feature: f64,
@@ -28,6 +31,7 @@ impl Default for SpikeParams {
             least_neighbours: 12,
             prominence: 3.0,
             most_samples: 2.0,
+            light_samples: 25.0,
             share_limit: Some(0.1),
             k_feature: 0.6,
             tau: 0.1,
@@ -43,6 +47,31 @@ pub struct Repaired {
     pub part: Grid,
     /// The squares of what each pixel got, summed over spikes and channels.
     pub squares: Grid,
+    pub lights: Lights,
+}
+
+/// Lights of few pixels, as they were; 0 everywhere else.
+#[derive(Clone)]
+pub struct Lights {
+    /// 1 for a light.
+    pub flags: Grid,
+    pub mean: Planes,
+    pub spread: Planes,
+    /// Summed over the channels.
+    pub variance: Grid,
+}
+
+impl Lights {
+    pub fn is_light(&self, p: Point) -> bool {
+        self.flags.at(p) != 0.0
+    }
+
+    /// A filtered signal and its error, with the lights.
+    pub fn added_to(&self, Kept { mean, spread, error }: Kept) -> Kept {
+        let one = |other: &Grid, light: &Grid| other.like(|p| if self.is_light(p) { light.at(p) } else { other.at(p) });
+        let all = |others: &[Grid], lights: &[Grid]| -> Planes { others.iter().zip(lights).map(|(other, light)| one(other, light)).collect() };
+        Kept { mean: all(&mean, &self.mean), spread: spread.map(|spread| all(&spread, &self.spread)), error: one(&error, &self.variance) }
+    }
 }
 
 struct Spike {
@@ -50,6 +79,8 @@ struct Spike {
     /// By its neighbours' claims.
     variance: Vec<f64>,
     excess: Vec<f64>,
+    /// Of a light of few pixels, what its samples show of its variance: it is kept aside. None for a spike.
+    light: Option<f64>,
 }
 
 /// How much of a spike goes to how many pixels in its place.
@@ -60,8 +91,12 @@ struct Share {
 
 pub fn repaired(color: &Signal, features: &[Feature], params: &SpikeParams) -> Repaired {
     let mean = &color.mean;
-    let spikes: Vec<Option<Spike>> = super::map_pixels(mean[0].width, mean[0].height, |p| spike(color, features, params, p));
+    // A frame without noise is left alone.
+    let any_noise = [&color.spread, &color.sample_variance].into_iter().flatten().flatten().any(|plane| plane.values.iter().any(|value| *value != 0.0));
+    let spikes: Vec<Option<Spike>> = super::map_pixels(mean[0].width, mean[0].height, |p| if any_noise { spike(color, features, params, p) } else { None });
     let at = |p: Point| spikes[mean[0].index(p)].as_ref();
+    let spike_at = |p: Point| at(p).filter(|spike| spike.light.is_none());
+    let light_at = |p: Point| at(p).filter(|spike| spike.light.is_some());
     let without: Planes = (0..mean.len()).map(|i| mean[i].like(|p| at(p).map_or(mean[i].at(p), |spike| spike.level[i]))).collect();
     let levels = mean[0].like(|p| level_around(&without, p));
     // Who gets how much of a spike at p, in parts of what one in its place would get.
@@ -71,8 +106,8 @@ pub fn repaired(color: &Signal, features: &[Feature], params: &SpikeParams) -> R
     };
     let around = |p: Point| square(params.spread_radius).map(move |o| p + o).filter(|&q| mean[0].contains(q));
     let shares: Vec<Share> = super::map_pixels(mean[0].width, mean[0].height, |p| {
-        let members: f64 = around(p).filter(|_| at(p).is_some()).map(|q| gets(p, q)).sum();
-        let Some(spike) = at(p).filter(|_| members > 0.0) else { return Share { part: 0.0, members: 1.0 } };
+        let members: f64 = around(p).filter(|_| spike_at(p).is_some()).map(|q| gets(p, q)).sum();
+        let Some(spike) = spike_at(p).filter(|_| members > 0.0) else { return Share { part: 0.0, members: 1.0 } };
         let level_of_members = around(p).map(|q| gets(p, q) * levels.at(q)).sum::<f64>() / members;
         let limit = params.share_limit.unwrap_or(0.0) * levels.at(p).min(level_of_members);
         let even = spike.excess.iter().map(|excess| excess.max(0.0)).sum::<f64>() / spike.excess.len() as f64 / members;
@@ -81,7 +116,7 @@ pub fn repaired(color: &Signal, features: &[Feature], params: &SpikeParams) -> R
     let received = |i: usize, q: Point, power: i32| {
         let share = |p: Point| {
             let Share { part, members } = shares[mean[0].index(p)];
-            at(p).map_or(0.0, |spike| gets(p, q) * part * spike.excess[i].max(0.0) / members)
+            spike_at(p).map_or(0.0, |spike| gets(p, q) * part * spike.excess[i].max(0.0) / members)
         };
         around(q).map(|p| share(p).powi(power)).sum::<f64>()
     };
@@ -92,6 +127,7 @@ pub fn repaired(color: &Signal, features: &[Feature], params: &SpikeParams) -> R
         planes.iter().enumerate().map(|(i, plane)| plane.like(|p| plane.at(p).clamp(-held(i, p), held(i, p)))).collect()
     };
     let variance = |planes: &Planes| planes.iter().enumerate().map(|(i, plane)| plane.like(|p| at(p).map_or(plane.at(p), |spike| spike.variance[i]))).collect();
+    let own_spread = |i: usize, p: Point| color.spread.as_ref().map_or(0.0, |spread| spread[i].at(p));
     Repaired {
         signal: Signal {
             mean: channels.clone().map(plane).collect(),
@@ -99,7 +135,13 @@ pub fn repaired(color: &Signal, features: &[Feature], params: &SpikeParams) -> R
             sample_variance: color.sample_variance.as_ref().map(variance),
         },
         squares: mean[0].like(|p| channels.clone().map(|i| received(i, p, 2)).sum()),
-        taken: channels.map(|i| mean[i].like(|p| at(p).map_or(0.0, |spike| spike.excess[i]))).collect(),
+        taken: channels.clone().map(|i| mean[i].like(|p| spike_at(p).map_or(0.0, |spike| spike.excess[i]))).collect(),
+        lights: Lights {
+            flags: mean[0].like(|p| light_at(p).map_or(0.0, |_| 1.0)),
+            mean: channels.map(|i| mean[i].like(|p| light_at(p).map_or(0.0, |_| mean[i].at(p)))).collect(),
+            spread: mean.iter().enumerate().map(|(i, plane)| plane.like(|p| light_at(p).map_or(0.0, |_| own_spread(i, p)))).collect(),
+            variance: mean[0].like(|p| light_at(p).and_then(|light| light.light).unwrap_or(0.0)),
+        },
         part: mean[0].like(|p| shares[mean[0].index(p)].part),
     }
 }
@@ -127,10 +169,13 @@ fn spike(color: &Signal, features: &[Feature], params: &SpikeParams, p: Point) -
     // √k standard deviations for k bright samples.
     let noise: f64 = (0..mean.len()).map(|i| claimed(i, p).max(two_buffer(i, p))).sum();
     let stands_out = channel_mean(mean, p) > bright && brightness(&excess) > params.prominence * (bright - brightness(&level));
-    if !stands_out || excess.iter().map(|e| e * e).sum::<f64>() > params.most_samples * noise {
+    let squared: f64 = excess.iter().map(|e| e * e).sum();
+    let is_spike = is_noisy(color, p) && squared <= params.most_samples * noise;
+    let light = (squared > params.light_samples * noise).then_some(noise);
+    if !stands_out || !is_spike && light.is_none() {
         return None;
     }
-    Some(Spike { variance: of_neighbours(&claimed), level, excess })
+    Some(Spike { variance: of_neighbours(&claimed), level, excess, light })
 }
 
 /// How bright the 3×3 pixels around are: their median, of an even number the lower one of the two in the middle, at least 0. It follows an edge of light, which a mean would blur.

@@ -4,7 +4,7 @@ use stein::gpu::Gpu;
 use stein::stage::keep_clean::{CleanRule, Input, keep_clean};
 
 use crate::common::{Scene, assert_near, checked_gpu, extent_of, gpu, own_size, packed_signal, read, rounded, run, scene, upload};
-use crate::reference::keep_clean::{CleanParams, Limits, kept, limits};
+use crate::reference::keep_clean::{CleanParams, allowed, clean_shares, kept, kept_error};
 use crate::reference::random::Random;
 use crate::reference::variance::Signal;
 use crate::reference::{Grid, Planes, Point};
@@ -45,7 +45,7 @@ fn check(gpu: &Gpu, width: usize, height: usize, with_variance: bool, with_error
     });
 
     let input = Signal { mean: mean.clone(), spread: Some(spread.clone()), sample_variance: with_variance.then(|| variance.clone()) };
-    let Limits { shares, error: most } = limits(&input, &filtered_mean, CleanParams::default());
+    let shares = clean_shares(&input, &filtered_mean, CleanParams::default());
     let what = |part: &str| format!("{part}, {width}×{height}, variance {with_variance}, error {with_error}");
     let signal = read(gpu, &found, extent);
     for (part, actual, own, filtered) in [("mean", &signal[0], &mean, &filtered_mean), ("half spread", &signal[1], &spread, &filtered_spread)] {
@@ -53,11 +53,11 @@ fn check(gpu: &Gpu, width: usize, height: usize, with_variance: bool, with_error
         assert_near(&what(part), actual, &kept(own, filtered, &shares), &size, 1e-5, 0.0);
     }
     let errors = read(gpu, &errors, extent).remove(0);
-    let expected = if with_error { error.like(|p| error.at(p).min(most.at(p))) } else { error.clone() };
+    let expected = if with_error { kept_error(&error, &input, CleanParams::default()) } else { error.clone() };
     assert_near(&what("error"), &errors[2..3], std::slice::from_ref(&expected), &own_size(std::slice::from_ref(&expected), 1e-6), 1e-4, 0.0);
     assert_near(&what("other components"), &errors[..2], &[error.clone(), error.clone()], &own_size(&[error.clone(), error], 0.0), 0.0, 0.0);
     let count = |matches: &dyn Fn(f64) -> bool| shares.values.iter().filter(|share| matches(**share)).count();
-    let free = most.values.iter().filter(|most| most.is_infinite()).count();
+    let free = allowed(&input, CleanParams::default()).values.iter().filter(|allowed| allowed.is_infinite()).count();
     [count(&|share| share == 0.0), count(&|share| share > 0.0 && share < 1.0), free]
 }
 
@@ -78,7 +78,7 @@ fn black_stays_black_amid_black_alone() {
     let mean: Planes = nearly_clean_scene(40, 30).mean;
     let no_noise = Signal { spread: None, sample_variance: Some(vec![Grid::filled(40, 30, 0.0); 3]), mean };
     let filtered = vec![Grid::filled(40, 30, 1.0); 3];
-    let shares = limits(&no_noise, &filtered, CleanParams::default()).shares;
+    let shares = clean_shares(&no_noise, &filtered, CleanParams::default());
     let at = |x, y| shares.at(Point { x, y });
     assert_eq!((at(5, 5), at(14, 7), at(13, 7), at(17, 7)), (0.0, 1.0, 0.0, 0.0), "deep in black, near the lit pixel, just beyond, that pixel itself");
 }

@@ -15,10 +15,10 @@ const WEIGHTED_MEANS: f64 = 2e-4;
 
 /// Stripes of three materials, each with noise of its own size, and a part as dark as a thousandth of the rest.
 fn lit(width: usize, height: usize, seed: u64) -> Signal {
-    let Scene { mean, spread, variance } = scene(width, height, seed);
+    let Scene { mean, spread, .. } = scene(width, height, seed);
     let light = |p: Point| if p.x as usize > 2 * width / 3 { 1e-3 } else { 1.0 };
-    let darkened = |planes: Planes, power: i32| -> Planes { planes.iter().map(|grid| rounded(grid.like(|p| grid.at(p) * light(p).powi(power)))).collect() };
-    Signal { mean: darkened(mean, 1), spread: Some(darkened(spread, 1)), sample_variance: Some(darkened(variance, 2)) }
+    let darkened = |planes: Planes| -> Planes { planes.iter().map(|grid| rounded(grid.like(|p| grid.at(p) * light(p)))).collect() };
+    Signal { mean: darkened(mean), spread: Some(darkened(spread)), sample_variance: None }
 }
 
 /// With halves, with a variance alone, and with neither, in turn.
@@ -53,23 +53,21 @@ fn packed_features(rec: &mut Recorder, features: &[Signal]) -> stein::Result<Opt
     Ok(Some(room))
 }
 
-fn check(gpu: &Gpu, width: usize, height: usize, channels: &[usize], with_variance: bool) {
+fn check(gpu: &Gpu, width: usize, height: usize, channels: &[usize]) {
     let color = lit(width, height, 61);
-    let color = Signal { sample_variance: color.sample_variance.filter(|_| with_variance), ..color };
     let features = features(width, height, channels, 62);
     let extent = extent_of(&color.mean[0]);
     let (of_color, of_features) = run(gpu, |rec| {
         let signal = rec.upload("signal", &packed(&color))?;
         let noisy = packed_features(rec, &features)?;
-        let given = color.sample_variance.as_ref().map(|variance| upload(rec, variance)).transpose()?;
-        let pooled = noise_pool(rec, extent, &signal, given.as_ref(), noisy.as_ref(), &NoiseRule::HALVES)?;
+        let pooled = noise_pool(rec, extent, &signal, noisy.as_ref(), &NoiseRule::HALVES)?;
         let slots = noisy.iter().flat_map(|noisy| &noisy.packing.slots);
         let of_features = slots.map(|slot| noise_unpack(rec, extent, &pooled, Some(*slot))).collect::<stein::Result<Vec<_>>>()?;
         Ok((noise_unpack(rec, extent, &pooled, None)?, of_features))
     });
 
     let expected = pooled(&color, &features, &NoiseParams::default());
-    let what = format!("{width}×{height}, features of {channels:?} channels, variance {with_variance}");
+    let what = format!("{width}×{height}, features of {channels:?} channels");
     let near = |what: &str, actual: &[Grid], expected: &[Grid]| assert_near(what, actual, expected, &own_size(expected, 1e-12), WEIGHTED_MEANS, 1e-3);
     near(&format!("colour, {what}"), &read(gpu, &of_color, extent)[0][..3], &expected.color);
     for (index, ((actual, expected), signal)) in of_features.iter().zip(&expected.features).zip(&features).enumerate() {
@@ -81,13 +79,11 @@ fn check(gpu: &Gpu, width: usize, height: usize, channels: &[usize], with_varian
 
 #[test]
 fn noise_is_pooled_from_the_halves_of_pixels_that_are_alike() {
-    for with_variance in [false, true] {
-        check(gpu(), 257, 89, &[3, 1], with_variance);
-        check(gpu(), 7, 300, &[], with_variance);
-        check(gpu(), 1, 1, &[3], with_variance);
-        check(gpu(), 24, 20, &[1, 3, 2, 1, 3, 1, 1, 3], with_variance);
-        check(checked_gpu(), 31, 9, &[3, 1, 1], with_variance);
-    }
+    check(gpu(), 257, 89, &[3, 1]);
+    check(gpu(), 7, 300, &[]);
+    check(gpu(), 1, 1, &[3]);
+    check(gpu(), 24, 20, &[1, 3, 2, 1, 3, 1, 1, 3]);
+    check(checked_gpu(), 31, 9, &[3, 1, 1]);
 }
 
 /// What the estimate is for: Gaussian noise whose size depends on the material, told from two halves alone.
@@ -112,7 +108,7 @@ fn pooled_variance_is_that_of_the_noise() {
     let extent = extent_of(&mean[0]);
     let buffer = run(gpu, |rec| {
         let signal = rec.upload("signal", &packed_signal(&mean, &spread))?;
-        let pooled = noise_pool(rec, extent, &signal, None, None, &NoiseRule::HALVES)?;
+        let pooled = noise_pool(rec, extent, &signal, None, &NoiseRule::HALVES)?;
         noise_unpack(rec, extent, &pooled, None)
     });
     let variance = read(gpu, &buffer, extent).remove(0);
@@ -134,7 +130,7 @@ fn pooled_variance_is_that_of_the_noise() {
 }
 
 fn check_image(gpu: &Gpu, width: usize, height: usize, channels: &[usize], explaining: &[usize]) {
-    let color = Signal { spread: None, sample_variance: None, ..lit(width, height, 64) };
+    let color = Signal { spread: None, ..lit(width, height, 64) };
     let features: Vec<Signal> =
         features(width, height, channels, 65).into_iter().map(|feature| Signal { spread: None, sample_variance: None, ..feature }).collect();
     let extent = extent_of(&color.mean[0]);

@@ -1,10 +1,11 @@
 //! `spike_find`, and `spike_level`, `spike_share` and `spike_rows` with `spike_spread`. Levels are means of at most 48 values of one size, and what pixels get a sum of few shares: f32 keeps five digits.
 
 use stein::gpu::Gpu;
-use stein::stage::spike::{SpikeRule, spike_find, spike_spread};
+use stein::stage::spike::{SpikeRule, light_return, spike_find, spike_spread};
 
 use crate::common::{Scene, assert_near, calm_scene, checked_gpu, extent_of, gpu, packed_signal, read, rounded, run, upload};
 use crate::feature::{features, pack};
+use crate::reference::keep_clean::Kept;
 use crate::reference::nlm::Feature;
 use crate::reference::random::Random;
 use crate::reference::spike::{SpikeParams, repaired};
@@ -65,8 +66,8 @@ struct Case<'a> {
 /// Decisions may fall the other way where a distance is 1 to the last digit, and what hangs on them is a window of pixels.
 const FLIPPED: f64 = 0.002;
 
-/// Returns how many spikes there were.
-fn check(case: &Case) -> usize {
+/// Returns how many spikes and lights there were.
+fn check(case: &Case) -> [usize; 2] {
     let Case { gpu, width, height, features: channels, variance, spread } = *case;
     let scene = spiky_scene(width, height, 31);
     let guides: Vec<Feature> = if channels.is_empty() { Vec::new() } else { features(width, height, channels, 32) };
@@ -103,10 +104,15 @@ fn check(case: &Case) -> usize {
     if spread {
         near("squares", &spikes[2][..1], std::slice::from_ref(&expected.squares), 1e-3);
     }
+    let of_lights = read(gpu, &found.lights, extent);
+    near("light", &of_lights[0][..3], &expected.lights.mean, 1.0);
+    near("variance of the light", &of_lights[0][3..], std::slice::from_ref(&expected.lights.variance), 1e-3);
+    near("half spread of the light", &of_lights[1][..3], &expected.lights.spread, 0.1);
+    let lights = expected.lights.mean[0].values.iter().filter(|light| **light != 0.0).count();
     let spikes = &spikes[0];
     near("taken", spikes, &expected.taken, 1.0);
     near("part", &spikes[3..], std::slice::from_ref(&expected.part), 0.0);
-    expected.taken[0].values.iter().filter(|taken| **taken != 0.0).count()
+    [expected.taken[0].values.iter().filter(|taken| **taken != 0.0).count(), lights]
 }
 
 #[test]
@@ -121,6 +127,40 @@ fn spikes_are_found_and_spread() {
             found.push((width, check(&Case { gpu, width, height, features, variance, spread })));
         }
     }
-    let least = |wanted: usize| found.iter().filter(|(width, _)| *width == wanted).map(|(_, spikes)| *spikes).min();
-    assert!(least(257) > Some(50) && least(7) >= Some(2) && least(1) == Some(0), "{found:?}");
+    for kind in 0..2 {
+        let least = |wanted: usize| found.iter().filter(|(width, _)| *width == wanted).map(|(_, found)| found[kind]).min();
+        assert!(least(257) > Some(30) && least(7) >= Some(2) && least(1) == Some(0), "{found:?}");
+    }
+}
+
+#[test]
+fn lights_come_back_to_their_pixels() {
+    for (gpu, width, height, with_error) in [(gpu(), 257, 89, true), (gpu(), 7, 300, false), (checked_gpu(), 31, 9, true)] {
+        let Scene { mean, spread, .. } = spiky_scene(width, height, 34);
+        let filtered = calm_scene(width, height, 35);
+        let error = rounded(Random(36).uniform_grid(width, height, 0.0, 2.0));
+        let extent = extent_of(&mean[0]);
+        let component = 1;
+        let (lit, errors) = run(gpu, |rec| {
+            let signal = rec.upload("signal", &packed_signal(&mean, &spread))?;
+            let lights = spike_find(rec, extent, &signal, None, None, &SpikeRule::DEFAULT)?.lights;
+            let filtered = rec.upload("filtered", &packed_signal(&filtered.mean, &filtered.spread))?;
+            let errors = upload(rec, &[error.clone(), error.clone(), error.clone()])?;
+            let lit = light_return(rec, extent, &lights, &filtered, with_error.then_some((&errors, component)))?;
+            Ok((lit, errors))
+        });
+        let color = Signal { mean, spread: Some(spread), sample_variance: None };
+        let lights = repaired(&color, &[], &SpikeParams { share_limit: None, ..SpikeParams::default() }).lights;
+        let kept = lights.added_to(Kept { mean: filtered.mean, spread: Some(filtered.spread), error: error.clone() });
+        let near = |part: &str, actual: &[Grid], expected: &[Grid]| {
+            let size: Planes = expected.iter().map(|grid| grid.like(|p| grid.at(p).abs() + 1.0)).collect();
+            assert_near(&format!("{part}, {width}×{height}, error {with_error}"), actual, expected, &size, 1e-5, FLIPPED);
+        };
+        let signal = read(gpu, &lit, extent);
+        near("mean", &signal[0], &kept.mean);
+        near("half spread", &signal[1], &kept.spread.unwrap_or_default());
+        let errors = read(gpu, &errors, extent).remove(0);
+        let of_light = if with_error { &kept.error } else { &error };
+        near("errors", &errors, &[error.clone(), of_light.clone(), error]);
+    }
 }

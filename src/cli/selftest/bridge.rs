@@ -108,16 +108,18 @@ pub(crate) fn dfc_params(params: &DfcParams) -> dfc::DfcParams {
 
 /// What a method does about spikes.
 fn spikes(spikes: Spikes) -> Option<spike::SpikeParams> {
-    let SpikeRule { window_radius, spread_radius, least_neighbours, prominence, most_samples, share_limit, feature_k, feature_tau } = SpikeRule::DEFAULT;
+    let SpikeRule { window_radius, spread_radius, least_neighbours, prominence, most_samples, light_samples, share_limit, feature_k, feature_tau } =
+        SpikeRule::DEFAULT;
     // 0.1 as a float32 is not 0.1.
-    let [prominence, most_samples, share_limit, k_feature, tau] =
-        [prominence, most_samples, share_limit, feature_k, feature_tau].map(|value| format!("{value:.4e}").parse().unwrap_or(f64::NAN));
+    let [prominence, most_samples, light_samples, share_limit, k_feature, tau] =
+        [prominence, most_samples, light_samples, share_limit, feature_k, feature_tau].map(|value| format!("{value:.4e}").parse().unwrap_or(f64::NAN));
     let params = spike::SpikeParams {
         window_radius: window_radius as usize,
         spread_radius: spread_radius as usize,
         least_neighbours: least_neighbours as usize,
         prominence,
         most_samples,
+        light_samples,
         share_limit: (spikes == Spikes::Spread).then_some(share_limit),
         k_feature,
         tau,

@@ -9,7 +9,7 @@ use stein_reference::candidates::{Candidate, finite_difference_step};
 use stein_reference::dfc::{ColorOnly, Pass, dfc, rest_of, sampling_density, second_pass};
 use stein_reference::gaussian::gaussian_neighbours;
 use stein_reference::gem::{self, choose, decided};
-use stein_reference::keep_clean::{CleanParams, Kept, keep_clean, limits};
+use stein_reference::keep_clean::{CleanParams, Kept, allowed, keep_clean, kept_error};
 use stein_reference::nlm::{FilterParams, Guide};
 use stein_reference::select::{self, Evidence};
 use stein_reference::sure::{self, smooth_errors};
@@ -74,7 +74,7 @@ impl Comparison<'_> {
         let twin = dfc(&input, &params);
         // Without its spikes.
         let (u, variance) = (&twin.color.mean.clone(), &twin.color_variance.clone());
-        self.own_size("scaled variance", &self.squared("scaled_variance"), variance, AVERAGED);
+        self.own_size("scaled variance", &self.squared("scaled_variance"), variance, variance_tolerance(frame));
 
         for (feature, expected) in frame.features().iter().zip(&twin.features) {
             let (scale, offset) = (f64::from(feature.unit_scale), f64::from(feature.unit_offset));
@@ -196,7 +196,12 @@ impl Comparison<'_> {
             mean: more(&|own| own.mean.clone(), pass1.mean),
             spread: pass1.spread.map(|spread| more(&|own| own.spread.clone().unwrap_or_default(), spread)),
         };
-        let actual = if pass1.spread.is_some() { self.color("pass1") } else { bridge::grids(&self.estimate.color, self.exposure) };
+        // Lights of few pixels hide what is in their place.
+        let shown = |planes: Planes, instead: &[Grid]| -> Planes {
+            let Some(lights) = &twin.lights else { return planes };
+            planes.iter().zip(instead).map(|(plane, instead)| plane.like(|p| if lights.is_light(p) { instead.at(p) } else { plane.at(p) })).collect()
+        };
+        let actual = if pass1.spread.is_some() { self.color("pass1") } else { shown(bridge::grids(&self.estimate.color, self.exposure), &pass1.mean) };
         // The filter by the colour only is the reference's own.
         let (relative, size) = if color_only.is_some() { (FILTERED, color_size(&pass1.mean)) } else { (AVERAGED, largest(means)) };
         self.add("pass 1", &actual, &pass1.mean, &size, relative, if color_only.is_some() { steep } else { 0.0 });
@@ -208,23 +213,30 @@ impl Comparison<'_> {
         // The error is that of the result as it is.
         let part = |k: usize| sure::Part { share: &maps[k], mean: means[k], derivative: &derivatives[k] };
         let (mean, spread) = (bridge::grids(&self.estimate.color, self.exposure), self.grids(self.estimate.half_spread.as_ref(), self.exposure));
+        let before = second_pass(&pass1, variance, &params).unwrap_or_else(|| pass1.clone());
+        let (mean, spread) = (shown(mean, &before.mean), shown(spread, before.spread.as_deref().unwrap_or_default()));
         let spread = pass1.spread.is_some().then_some(spread.as_slice());
         let parts = sure::ErrorParts::measured(spread.is_some(), true);
         let of_color_only = color_only.iter().map(|own| sure::Part { share: &own.share, mean: &own.candidate.mean, derivative: &own.candidate.derivative });
         let made_of: Vec<_> = [0, 1, 2].map(part).into_iter().chain(of_color_only).collect();
         let error = sure::error_blend(&mean, spread, variance, &made_of, twin.squares.as_ref(), parts);
         // Where a pixel is moved back to the input, what it was before is not told: its error is held below what the pixel may have.
-        let unlimited = second_pass(&pass1, variance, &params).unwrap_or_else(|| pass1.clone());
-        let clean = params.keep_clean.unwrap_or(CleanParams { noise: 0.0, least_sigmas_out: f64::INFINITY, ..CleanParams::default() });
-        let most = limits(&twin.color, &unlimited.mean, clean).error;
+        let unlimited = before;
+        let clean = params.keep_clean.unwrap_or(CleanParams { noise: 0.0, ..CleanParams::default() });
+        let limit = allowed(&twin.color, clean);
         let actual = self.grids(self.estimate.error.as_ref(), self.exposure.powi(2));
+        let most = kept_error(&error.like(|_| f64::INFINITY), &twin.color, clean);
         // The density is made of it as it was before.
         let of_passes = error.clone();
         let error = match actual.first() {
             Some(actual) if params.keep_clean.is_some() => {
-                error.like(|p| if most.at(p).is_infinite() { error.at(p) } else { actual.at(p).min(most.at(p) * (1.0 + 1e-5)) })
+                error.like(|p| if limit.at(p).is_infinite() { error.at(p) } else { actual.at(p).min(most.at(p) * (1.0 + 1e-5)) })
             }
             _ => error,
+        };
+        let error = match &twin.lights {
+            Some(lights) => error.like(|p| if lights.is_light(p) { lights.variance.at(p) } else { error.at(p) }),
+            None => error,
         };
         let rounded = |p: Point| (0..3).map(|i| (ROUNDED * (mean[i].at(p).abs() + apart(i, p))).powi(2) / AVERAGED).sum::<f64>();
         let size = [error.like(|p| error.at(p) + rounded(p) + 2.0 * (error.at(p) * rounded(p) / AVERAGED).sqrt() + VANISHING)];
@@ -240,8 +252,14 @@ impl Comparison<'_> {
         }
 
         let size = color_size(&unlimited.mean);
-        let result = params.keep_clean.map(|clean| keep_clean(&twin.color, &unlimited.mean, unlimited.spread.as_deref(), &error, clean));
-        let result = result.map_or(unlimited, |Kept { mean, spread, .. }| Pass { mean, spread });
+        let kept = match params.keep_clean {
+            Some(clean) => keep_clean(&twin.color, &unlimited.mean, unlimited.spread.as_deref(), &error, clean),
+            None => Kept { mean: unlimited.mean, spread: unlimited.spread, error },
+        };
+        let result = match &twin.lights {
+            Some(lights) => lights.added_to(kept),
+            None => kept,
+        };
         self.add("result", &bridge::grids(&self.estimate.color, self.exposure), &result.mean, &size, FILTERED, TURNED);
         if let Some(spread) = &result.spread {
             self.add("half spread", &self.grids(self.estimate.half_spread.as_ref(), self.exposure), spread, &with_own(spread, &size), FILTERED, TURNED);
@@ -252,7 +270,7 @@ impl Comparison<'_> {
         let color = bridge::signal(frame.color(), self.exposure);
         let twin = nlm_method::nlm(&color, &bridge::nlm_params(params), &bridge::samples(frame, 1.0));
         let (u, variance) = (&color.mean, &twin.variance);
-        self.own_size("variance", &self.squared("variance_of_mean"), variance, AVERAGED);
+        self.own_size("variance", &self.squared("variance_of_mean"), variance, variance_tolerance(frame));
         let channel = |i: usize| u[i].like(|p| (twin.mean[i].at(p) - u[i].at(p)).abs() + variance[i].at(p).sqrt() + 0.01 * u[i].at(p).abs() + VANISHING);
         let size: Planes = (0..3).map(channel).collect();
         self.add("result", &bridge::grids(&self.estimate.color, self.exposure), &twin.mean, &size, FILTERED, TURNED);
@@ -269,7 +287,7 @@ impl Comparison<'_> {
     fn gem(&mut self, frame: &Frame, params: &GemParams) {
         let params = bridge::gem_params(params);
         let twin = gem::gem(&bridge::signal(frame.color(), self.exposure), &bridge::samples(frame, 0.0), &params);
-        self.own_size("scaled variance", &self.squared("scaled_variance"), &twin.variance, AVERAGED);
+        self.own_size("scaled variance", &self.squared("scaled_variance"), &twin.variance, variance_tolerance(frame));
         // What a bias term of nothing but rounding may be: the square of float32's last digits of the largest value that a scale averages.
         let rounding = (4e-6 * twin.scales[0].mean.iter().map(largest).fold(0.0, f64::max)).powi(2);
         let mut maps = Vec::new();
@@ -290,7 +308,7 @@ impl Comparison<'_> {
         let sigma = std::slice::from_ref(&chosen.sigma);
         self.add("scale", &self.layer("scale", 1.0), sigma, &flat(sigma, 1.0), AVERAGED, 0.0);
         let size: Planes = twin.scales[0].mean.iter().map(|plane| Grid::filled(plane.width, plane.height, largest(plane))).collect();
-        let result = gem::result(&twin.color, &chosen, &params);
+        let result = gem::result(&twin, &chosen, &params);
         self.add("result", &bridge::grids(&self.estimate.color, self.exposure), &result.mean, &size, AVERAGED, 0.0);
         if self.estimate.half_spread.is_some() {
             let size: Planes = twin.scales[0].spread.iter().map(|plane| Grid::filled(plane.width, plane.height, largest(plane))).collect();
@@ -386,4 +404,10 @@ fn sizes(planes: &[Grid], floor: f64) -> Planes {
 
 fn largest(plane: &Grid) -> f64 {
     plane.values.iter().fold(VANISHING, |most, value| value.abs().max(most))
+}
+
+/// Where nothing tells of the noise but the image, a fit of features solves for it.
+fn variance_tolerance(frame: &Frame) -> f64 {
+    let color = frame.color();
+    if color.half_spread.is_none() && color.variance_of_mean.is_none() { 1e-3 } else { AVERAGED }
 }
