@@ -391,8 +391,11 @@ impl Planner {
         }
     }
 
-    /// Variances of the mean that nothing gives, if they are to be estimated.
+    /// Variances of the mean that nothing gives, if there are any and they are to be estimated.
     pub(super) fn noise(&mut self, pooled_variance: bool, facts: &Facts) {
+        if !facts.lacks_variance() {
+            return;
+        }
         let because = if facts.is_image_only() {
             "known from the image itself"
         } else if facts.has_sample_variance {
@@ -401,7 +404,6 @@ impl Planner {
             "known from two seeds, pooled"
         };
         let unless = [
-            impossible(!facts.lacks_variance(), "known from the variance"),
             impossible(!pooled_variance, "the parameters leave it out"),
             needless(facts.is_noise_free(), "no pixel has noise"),
         ];
