@@ -403,10 +403,7 @@ impl Planner {
         } else {
             "known from two seeds, pooled"
         };
-        let unless = [
-            impossible(!pooled_variance, "the parameters leave it out"),
-            needless(facts.is_noise_free(), "no pixel has noise"),
-        ];
+        let unless = [impossible(!pooled_variance, "the parameters leave it out"), needless(facts.is_noise_free(), "no pixel has noise")];
         self.step(Step::Noise, because, &unless);
     }
 
