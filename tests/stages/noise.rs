@@ -29,7 +29,11 @@ fn features(width: usize, height: usize, channels: &[usize], seed: u64) -> Vec<S
             |least: f64, greatest: f64| -> Planes { (0..channels).map(|_| rounded(random.uniform_grid(width, height, least, greatest))).collect() };
         let (noise, spread, variance) = (planes(-0.02, 0.02), planes(-0.02, 0.02), planes(0.0, 0.001));
         let stripes = |noise: &Grid| rounded(noise.like(|p| ((p.x as usize / (5 + index)) % 3) as f64 / 2.0 + noise.at(p)));
-        Signal { mean: noise.iter().map(stripes).collect(), spread: (index % 3 == 0).then_some(spread), sample_variance: (index % 3 == 1).then_some(variance) }
+        Signal {
+            mean: noise.iter().map(stripes).collect(),
+            spread: index.is_multiple_of(3).then_some(spread),
+            sample_variance: (index % 3 == 1).then_some(variance),
+        }
     };
     channels.iter().enumerate().map(|(index, channels)| feature(index, *channels)).collect()
 }
