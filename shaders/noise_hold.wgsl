@@ -1,15 +1,7 @@
 // Holds the variance of pixels near a jump of brightness below what their neighbours without jumps have, in parts of
 // the squared magnitude.
+#import stein::noise::{NoiseHoldParams}
 #import stein::planes::{pixel_index}
-
-struct NoiseHoldParams {
-    extent: vec2<i32>,
-    jump_radius: i32,
-    jump: f32,
-    least_magnitude: f32,
-    // Radius of the box that a pixel near a jump is judged by.
-    radius: i32,
-}
 
 @group(0) @binding(0) var<uniform> params: NoiseHoldParams;
 // As noise_magnitude left it.

@@ -1,15 +1,6 @@
 // Finds where light ends sharply, as at the rim of a lamp: there a pixel stands out from its neighbours without noise.
+#import stein::noise::{NoiseHoldParams}
 #import stein::planes::{pixel_index}
-
-struct NoiseHoldParams {
-    extent: vec2<i32>,
-    // Radius of the box within which brightness must not jump, and by how much.
-    jump_radius: i32,
-    jump: f32,
-    least_magnitude: f32,
-    // Radius of the box that a pixel near a jump is judged by.
-    radius: i32,
-}
 
 @group(0) @binding(0) var<uniform> params: NoiseHoldParams;
 // As noise_magnitude left it.

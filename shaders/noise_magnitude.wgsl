@@ -3,7 +3,7 @@
 // The median of the 3×3 pixels passes over single bright pixels. A pixel that is much darker than its neighbours has
 // noise of its own size, not of theirs.
 #import stein::noise::{NoiseParams, brightness}
-#import stein::planes::{pixel_index}
+#import stein::planes::{lower_median, pixel_index}
 
 @group(0) @binding(0) var<uniform> params: NoiseParams;
 // Two planes: the mean, then the half spread.
@@ -11,25 +11,18 @@
 // Two planes: the half spread in parts of the magnitude, in w the magnitude; then in x the median.
 @group(0) @binding(2) var<storage, read_write> relative_spread: array<vec4<f32>>;
 
-// The lower of the two middle ones where their number is even, at the border.
 fn median_brightness(p: vec2<i32>) -> f32 {
     let first = max(p - 1, vec2<i32>(0));
     let last = min(p + 1, params.extent - 1);
-    var sorted: array<f32, 9>;
+    var values: array<f32, 9>;
     var count = 0;
     for (var y = first.y; y <= last.y; y++) {
         for (var x = first.x; x <= last.x; x++) {
-            let value = brightness(signal[pixel_index(vec2<i32>(x, y), params.extent)].xyz);
-            var place = count;
-            while place > 0 && sorted[place - 1] > value {
-                sorted[place] = sorted[place - 1];
-                place--;
-            }
-            sorted[place] = value;
+            values[count] = brightness(signal[pixel_index(vec2<i32>(x, y), params.extent)].xyz);
             count++;
         }
     }
-    return sorted[(count - 1) / 2];
+    return lower_median(values, count);
 }
 
 @compute @workgroup_size(32, 2, 1)

@@ -21,11 +21,6 @@ const FEATURE_GROUPS: i32 = #{FEATURE_GROUPS};
 
 const HALF_PI: f32 = 1.57079633;
 
-// What a pixel has to say of its noise: a deviation.
-fn claimed_deviation(at: i32) -> vec3<f32> {
-    return abs(signal[params.extent.x * params.extent.y + at].xyz);
-}
-
 fn largest_spread(p: vec2<i32>) -> f32 {
     return largest_channel(abs(signal[params.extent.x * params.extent.y + clamped_index(p, params.extent)].xyz));
 }
@@ -78,7 +73,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     let guess_p = guess[at_p];
     let first = max(p - params.window_radius, vec2<i32>(0));
     let last = min(p + params.window_radius, extent - 1);
-    var deviation_sum = vec3<f32>(0.0);
+    var spread_sum = vec3<f32>(0.0);
 #if FEATURE_GROUPS != 0
     var feature_sums: array<vec4<f32>, #{FEATURE_GROUPS}>;
 #endif
@@ -94,7 +89,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
             let is_alike = distance <= params.largest_distance && guess_q.w <= params.gate * guess_p.w && guess_p.w <= params.gate * guess_q.w;
             // The pixel itself counts once, whatever its distance to itself comes to.
             let w = select(select(0.0, exp(-max(distance, 0.0)), is_alike), 1.0, at_p == at_q);
-            deviation_sum += w * claimed_deviation(at_q);
+            spread_sum += w * abs(signal[pixels + at_q].xyz);
 #if FEATURE_GROUPS != 0
             for (var group = 0; group < FEATURE_GROUPS; group++) {
                 feature_sums[group] += w * abs(features[(3 * group + 2) * pixels + at_q]);
@@ -103,18 +98,15 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
             weight_sum += w;
         }
     }
-    let deviation = claimed_deviation(at_p);
-    let own_variance = deviation * deviation;
-    let mean_deviation = deviation_sum / weight_sum;
+    let spread = signal[pixels + at_p].xyz;
+    let own_variance = spread * spread;
+    let mean_spread = spread_sum / weight_sum;
     // Of Gaussian noise, E|D| = σ·√(2/π).
-    let pooled = HALF_PI * mean_deviation * mean_deviation;
+    let pooled = HALF_PI * mean_spread * mean_spread;
     // What the pixel's own halves say counts a little: a firefly claims a part of its own variance.
     let own = dot(own_variance / max(pooled, vec3<f32>(1e-30)), vec3<f32>(1.0 / 3.0));
-    var variance = pooled * (params.pooled_share + own) / (params.pooled_share + 1.0);
-    if !has_noise(p) {
-        variance = own_variance;
-    }
-    pooled_variance[at_p] = vec4<f32>(variance, 0.0);
+    let with_own = pooled * (params.pooled_share + own) / (params.pooled_share + 1.0);
+    pooled_variance[at_p] = vec4<f32>(select(own_variance, with_own, has_noise(p)), 0.0);
 #if FEATURE_GROUPS != 0
     for (var group = 0; group < FEATURE_GROUPS; group++) {
         let mean = feature_sums[group] / weight_sum;

@@ -29,6 +29,8 @@ struct NoiseResidualParams {
 @group(0) @binding(2) var<storage, read> highpass: array<vec4<f32>>;
 // Two planes: the mean, then in place of the half spread what is taken for noise.
 @group(0) @binding(3) var<storage, read_write> residual: array<vec4<f32>>;
+// As noise_magnitude left it. In place: the half spread becomes what is taken for noise.
+@group(0) @binding(4) var<storage, read_write> relative_spread: array<vec4<f32>>;
 
 // The lesser of what stands out along both axes; where there is one axis, that.
 fn lesser(along_x: vec3<f32>, along_y: vec3<f32>) -> vec3<f32> {
@@ -139,4 +141,6 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     noise = select(min(noise, vec3<f32>(params.largest * along_x.w)), noise, stands_out);
     residual[at] = signal[at];
     residual[pixels + at] = vec4<f32>(noise, 0.0);
+    let magnitude = along_x.w;
+    relative_spread[at] = vec4<f32>(noise / magnitude, magnitude);
 }

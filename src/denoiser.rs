@@ -271,9 +271,7 @@ impl Denoiser {
             return refuse(format!("frame {centre} of a window of {} frames is to be denoised", frames.len()), "count from 0");
         };
         self.method.check_beside(frames.len() - 1)?;
-        for frame in frames {
-            self.method.check_noise_is_known(frame.noise_knowledge() == NoiseKnowledge::ImageOnly)?;
-        }
+        self.method.check_noise_is_known(frame.noise_knowledge() == NoiseKnowledge::ImageOnly)?;
         let knows = |frame: &Frame| (frame.color().half_spread.is_some(), frame.color().variance_of_mean.is_some());
         for (index, other) in frames.iter().enumerate() {
             if other.extent() != frame.extent() {

@@ -29,6 +29,17 @@ struct NoiseParams {
     triple_weights: array<vec4<f32>, 8>,
 }
 
+// Of the stages that look for jumps of brightness, and of those that hold the variance beside them.
+struct NoiseHoldParams {
+    extent: vec2<i32>,
+    // Radius of the box within which brightness must not jump, and by how much.
+    jump_radius: i32,
+    jump: f32,
+    least_magnitude: f32,
+    // Radius of the box that a pixel near a jump is judged by.
+    radius: i32,
+}
+
 fn brightness(color: vec3<f32>) -> f32 {
     return abs(color.x + color.y + color.z) / 3.0;
 }

@@ -17,3 +17,18 @@ fn clamped_index(p: vec2<i32>, extent: vec2<i32>) -> i32 {
 fn largest_channel(color: vec3<f32>) -> f32 {
     return max(color.x, max(color.y, color.z));
 }
+
+// The median of the first `count` values, at least one; of an even number the lower one of the two in the middle.
+fn lower_median(values: array<f32, 9>, count: i32) -> f32 {
+    var sorted = values;
+    for (var next = 1; next < count; next++) {
+        let value = sorted[next];
+        var place = next;
+        while place > 0 && sorted[place - 1] > value {
+            sorted[place] = sorted[place - 1];
+            place--;
+        }
+        sorted[place] = value;
+    }
+    return sorted[(count - 1) / 2];
+}

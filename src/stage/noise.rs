@@ -48,7 +48,7 @@ bindings! {
     struct NoiseHighpass<'a> {
         uniform params: NoiseHighpassParams, read signal, read relative_spread, optional features, write highpass,
     }
-    struct NoiseResidual<'a> { uniform params: NoiseResidualParams, read signal, read highpass, write residual }
+    struct NoiseResidual<'a> { uniform params: NoiseResidualParams, read signal, read highpass, write residual, write relative_spread }
     struct NoiseJump<'a> { uniform params: NoiseHoldParams, read relative_spread, read pooled_variance, write relative_variance }
     struct NoiseHold<'a> { uniform params: NoiseHoldParams, read relative_spread, read relative_variance, write variance }
     struct NoiseUnpack<'a> { uniform params: NoiseUnpackParams, read pooled_variance, write variance }
@@ -176,11 +176,16 @@ pub struct Pooled {
 /// # Errors
 /// As [`Recorder::dispatch`].
 pub fn noise_pool(rec: &mut Recorder, extent: IVec2, signal: &Buffer, features: Option<&NoisyFeatures>, rule: &NoiseRule) -> Result<Pooled> {
+    let relative_spread = noise_magnitude(rec, extent, signal, rule)?;
+    pool(rec, extent, signal, &relative_spread, features, rule)
+}
+
+/// As [`noise_pool`], where [`noise_magnitude`] has been at work.
+fn pool(rec: &mut Recorder, extent: IVec2, signal: &Buffer, relative_spread: &Buffer, features: Option<&NoisyFeatures>, rule: &NoiseRule) -> Result<Pooled> {
     let params = rule.params(extent, features);
     let groups = features.map_or(0, |features| features.packing.groups);
     let buffer = rec.take("pooled variance", plane_bytes(extent, 1 + groups))?;
     let guess = &rec.take("first guess of the variance", plane_bytes(extent, 1))?;
-    let relative_spread = &noise_magnitude(rec, extent, signal, rule)?;
 
     let kernel = rec.gpu().kernel::<NoiseGuess>("noise_guess", &[])?;
     rec.dispatch(&kernel, &NoiseGuess { params, relative_spread, guess }, per_pixel(extent))?;
@@ -273,9 +278,9 @@ pub fn noise_of_image(
     let kernel = rec.gpu().kernel::<NoiseResidual>("noise_residual", &regressors)?;
     let ImageRule { fit_radius, ridge, fitted_share, largest, jump, jump_radius, hold_radius, pool } = *rule;
     let params = NoiseResidualParams { extent, fit_radius: fit_radius as i32, ridge, fitted_share, largest, scale: RESIDUAL_SCALE };
-    rec.dispatch(&kernel, &NoiseResidual { params, signal, highpass, residual }, per_pixel(extent))?;
+    rec.dispatch(&kernel, &NoiseResidual { params, signal, highpass, residual, relative_spread }, per_pixel(extent))?;
 
-    let pooled_variance = &noise_pool(rec, extent, residual, features, &pool)?.buffer;
+    let pooled_variance = &self::pool(rec, extent, residual, relative_spread, features, &pool)?.buffer;
     let relative_variance = &rec.take("relative variance", bytes(1))?;
     let variance = rec.take("variance of an image", bytes(1))?;
     let params = NoiseHoldParams { extent, jump_radius: jump_radius as i32, jump, least_magnitude: pool.least_magnitude, radius: hold_radius as i32 };

@@ -119,6 +119,12 @@ pub fn channel_mean(planes: &[Grid], p: Point) -> f64 {
     planes.iter().map(|plane| plane.at(p)).sum::<f64>() / planes.len() as f64
 }
 
+/// The median; of an even number the lower one of the two in the middle.
+pub fn lower_median(mut values: Vec<f64>) -> f64 {
+    values.sort_by(f64::total_cmp);
+    values[(values.len() - 1) / 2]
+}
+
 /// All offsets of a square of side `2·radius + 1`, row by row.
 pub fn square(radius: usize) -> impl Iterator<Item = Point> {
     let reach = -(radius as isize)..=radius as isize;

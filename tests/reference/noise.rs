@@ -5,7 +5,7 @@ use std::f64::consts::FRAC_PI_2;
 
 use super::gaussian::gaussian;
 use super::variance::Signal;
-use super::{Grid, Planes, Point, channel_mean, square};
+use super::{Grid, Planes, Point, channel_mean, lower_median, square};
 
 /// Which pixels are pooled, and how.
 #[derive(Clone, Copy, Debug)]
@@ -139,11 +139,7 @@ pub fn magnitude(mean: &[Grid], params: &NoiseParams) -> Grid {
 
 /// The median brightness of 3×3 pixels; of an even number the lower one of the two in the middle.
 pub fn medians(mean: &[Grid]) -> Grid {
-    mean[0].like(|p| {
-        let mut around: Vec<f64> = square(1).map(|o| p + o).filter(|&q| mean[0].contains(q)).map(|q| channel_mean(mean, q).abs()).collect();
-        around.sort_by(f64::total_cmp);
-        around[(around.len() - 1) / 2]
-    })
+    mean[0].like(|p| lower_median(square(1).map(|o| p + o).filter(|&q| mean[0].contains(q)).map(|q| channel_mean(mean, q).abs()).collect()))
 }
 
 /// The squared half spread, smoothed in parts of the magnitude.

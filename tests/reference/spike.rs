@@ -3,7 +3,7 @@
 use super::keep_clean::Kept;
 use super::nlm::Feature;
 use super::variance::Signal;
-use super::{Grid, Planes, Point, channel_mean, square};
+use super::{Grid, Planes, Point, channel_mean, lower_median, square};
 
 /// What makes a spike, and how it is spread.
 #[derive(Clone, Copy, Debug)]
@@ -181,9 +181,7 @@ fn spike(color: &Signal, features: &[Feature], params: &SpikeParams, p: Point) -
 /// How bright the 3×3 pixels around are: their median, of an even number the lower one of the two in the middle, at least 0. It follows an edge of light, which a mean would blur.
 fn level_around(without_spikes: &[Grid], p: Point) -> f64 {
     let around = square(1).map(|o| p + o).filter(|&q| without_spikes[0].contains(q));
-    let mut values: Vec<f64> = around.map(|q| channel_mean(without_spikes, q)).collect();
-    values.sort_by(f64::total_cmp);
-    values[(values.len() - 1) / 2].max(0.0)
+    lower_median(around.map(|q| channel_mean(without_spikes, q)).collect()).max(0.0)
 }
 
 /// How much pixels of these levels count as equally bright: from eight times on not at all, up to four times wholly.

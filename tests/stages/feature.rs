@@ -43,9 +43,8 @@ pub(crate) fn pack(rec: &mut Recorder, features: &[Feature]) -> stein::Result<Fe
     let extent = extent_of(&features[0].mean[0]);
     let channels: Vec<u32> = features.iter().map(|feature| feature.mean.len() as u32).collect();
     let packed = Features::take(rec, extent, &channels)?;
-    let mut order: Vec<_> = features.iter().zip(packed.packing.slots.clone()).collect();
-    order.sort_by_key(|(_, slot)| slot.single);
-    for (feature, slot) in order {
+    for index in packed.packing.order() {
+        let (feature, slot) = (&features[index], packed.packing.slots[index]);
         let filtered = upload(rec, &feature.mean)?;
         let residual_variance = upload(rec, &feature.residual_variance)?;
         // What is 0 everywhere need not be there.

@@ -4,6 +4,7 @@
 //! two ties does not hide what comes after it, and every step is held to its own tolerance. Tolerances are relative to what a value is made of. Decisions by themselves may differ
 //! in a few pixels.
 
+use stein::frame::NoiseKnowledge;
 use stein::{DfcParams, Estimate, Frame, GemParams, Image, Method, NlmParams};
 use stein_reference::candidates::{Candidate, finite_difference_step};
 use stein_reference::dfc::{ColorOnly, Pass, dfc, rest_of, sampling_density, second_pass};
@@ -408,6 +409,5 @@ fn largest(plane: &Grid) -> f64 {
 
 /// Where nothing tells of the noise but the image, a fit of features solves for it.
 fn variance_tolerance(frame: &Frame) -> f64 {
-    let color = frame.color();
-    if color.half_spread.is_none() && color.variance_of_mean.is_none() { 1e-3 } else { AVERAGED }
+    if frame.noise_knowledge() == NoiseKnowledge::ImageOnly { 1e-3 } else { AVERAGED }
 }
