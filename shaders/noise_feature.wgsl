@@ -23,31 +23,46 @@ struct NoiseFeatureParams {
 // Three planes per group: value, variance, half spread.
 @group(0) @binding(3) var<storage, read_write> features: array<vec4<f32>>;
 
+const PIXELS: i32 = #{PIXELS};
+
+// An invocation makes PIXELS pixels in a row: their boxes share most of their pixels, and loads are what costs.
 @compute @workgroup_size(32, 2, 1)
 fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     let extent = params.extent;
-    let p = vec2<i32>(id.xy);
-    if any(p >= extent) {
+    let first = vec2<i32>(id.xy) * vec2<i32>(PIXELS, 1);
+    if any(first >= extent) {
         return;
     }
     let pixels = extent.x * extent.y;
-    let first = max(p - params.radius, vec2<i32>(0));
-    let last = min(p + params.radius, extent - 1);
-    var sum = vec4<f32>(0.0);
-    for (var y = first.y; y <= last.y; y++) {
-        for (var x = first.x; x <= last.x; x++) {
-            let at_q = pixel_index(vec2<i32>(x, y), extent);
+    let radius = params.radius;
+    let rows = vec2<i32>(max(first.y - radius, 0), min(first.y + radius, extent.y - 1));
+    var sums: array<vec4<f32>, PIXELS>;
+    for (var y = rows.x; y <= rows.y; y++) {
+        for (var x = max(first.x - radius, 0); x <= min(first.x + PIXELS - 1 + radius, extent.x - 1); x++) {
+            let at = pixel_index(vec2<i32>(x, y), extent);
 #ifdef VARIANCE
-            sum += sample_variance[at_q];
+            let noise = sample_variance[at];
 #else
-            let spread = signal[pixels + at_q];
-            sum += spread * spread;
+            let spread = signal[pixels + at];
+            let noise = spread * spread;
 #endif
+            for (var i = 0; i < PIXELS; i++) {
+                sums[i] += select(vec4<f32>(0.0), noise, abs(x - first.x - i) <= radius);
+            }
         }
     }
-    let size = last - first + 1;
-    let variance = sum / f32(size.x * size.y);
-    let at_p = pixel_index(p, extent);
+    for (var i = 0; i < PIXELS; i++) {
+        let p = first + vec2<i32>(i, 0);
+        if p.x < extent.x {
+            let columns = min(p.x + radius, extent.x - 1) - max(p.x - radius, 0) + 1;
+            store(p, sums[i] / f32(columns * (rows.y - rows.x + 1)));
+        }
+    }
+}
+
+fn store(p: vec2<i32>, variance: vec4<f32>) {
+    let pixels = params.extent.x * params.extent.y;
+    let at_p = pixel_index(p, params.extent);
     let value = signal[at_p];
     let spread = signal[pixels + at_p];
     let at = params.group * 3 * pixels + at_p;

@@ -1,11 +1,15 @@
-// Pools the noise of pixels that are alike: from the half spreads of many a variance of each.
+// Pools the noise of pixels that are alike: the half spreads of many give the variance of each, or the sample variances
+// of many a steadier one.
 //
-// Single pixels are compared, not patches: what is dark has to be pooled with what is dark. The mean of the absolute
-// spreads is taken and not of their squares, of which one firefly would decide.
+// Single pixels are compared, not patches: dark pixels have to be pooled with dark ones. Deviations are averaged, not
+// their squares, of which one firefly would decide.
+//
+// An invocation makes PIXELS pixels in a row: their windows share most of their pixels, and loads are what costs.
 #import stein::noise::{NoiseParams}
 #import stein::planes::{clamped_index, largest_channel, pixel_index}
 
 const FEATURE_GROUPS: i32 = #{FEATURE_GROUPS};
+const PIXELS: i32 = #{PIXELS};
 
 @group(0) @binding(0) var<uniform> params: NoiseParams;
 // Two planes: the mean, then the half spread.
@@ -16,103 +20,183 @@ const FEATURE_GROUPS: i32 = #{FEATURE_GROUPS};
 // As noise_feature left them.
 @group(0) @binding(3) var<storage, read> features: array<vec4<f32>>;
 #endif
-// One plane of the colour, then one per group of features.
-@group(0) @binding(4) var<storage, read_write> pooled_variance: array<vec4<f32>>;
+#ifdef VARIANCE
+@group(0) @binding(4) var<storage, read> sample_variance: array<vec4<f32>>;
+#endif
+// One plane of the colour; where the noise of features is pooled as well, then one per group.
+@group(0) @binding(5) var<storage, read_write> pooled_variance: array<vec4<f32>>;
 
 const HALF_PI: f32 = 1.57079633;
 
-fn largest_spread(p: vec2<i32>) -> f32 {
-    return largest_channel(abs(signal[params.extent.x * params.extent.y + clamped_index(p, params.extent)].xyz));
+// Read once: software adapters read a parameter anew wherever it is used.
+var<private> rule: NoiseParams;
+
+// What pixels are compared by.
+struct Pixel {
+    color: vec3<f32>,
+    variance: vec3<f32>,
+    magnitude: f32,
+#if FEATURE_GROUPS != 0
+    features: array<vec4<f32>, FEATURE_GROUPS>,
+    feature_variances: array<vec4<f32>, FEATURE_GROUPS>,
+#endif
 }
 
-// What has next to no noise keeps it, however noisy the pixels are that look like it. Halves alone may agree by
-// accident, so that those of the pixels beside have a say too. All samples of a black pixel may have missed the light.
+struct Sums {
+    weight: f32,
+    deviation: vec3<f32>,
+#ifdef FEATURE_NOISE
+    features: array<vec4<f32>, FEATURE_GROUPS>,
+#endif
+}
+
+fn pixel_at(at: i32) -> Pixel {
+    let noise = guess[at];
+    var pixel: Pixel;
+    pixel.color = signal[at].xyz;
+    pixel.variance = noise.xyz;
+    pixel.magnitude = noise.w;
+#if FEATURE_GROUPS != 0
+    let pixels = rule.extent.x * rule.extent.y;
+    for (var group = 0; group < FEATURE_GROUPS; group++) {
+        let plane = 3 * group * pixels;
+        pixel.features[group] = features[plane + at];
+        pixel.feature_variances[group] = features[plane + pixels + at];
+    }
+#endif
+    return pixel;
+}
+
+// What a pixel tells of its noise: a deviation.
+fn claimed_deviation(at: i32) -> vec3<f32> {
+#ifdef VARIANCE
+    return sqrt(sample_variance[at].xyz);
+#else
+    return abs(signal[rule.extent.x * rule.extent.y + at].xyz);
+#endif
+}
+
+fn feature_spread(group: i32, at: i32) -> vec4<f32> {
+#ifdef FEATURE_NOISE
+    return abs(features[(3 * group + 2) * rule.extent.x * rule.extent.y + at]);
+#else
+    return vec4<f32>(0.0);
+#endif
+}
+
+fn largest_spread(p: vec2<i32>) -> f32 {
+    return largest_channel(abs(signal[rule.extent.x * rule.extent.y + clamped_index(p, rule.extent)].xyz));
+}
+
+// A pixel with next to no noise keeps it, however noisy the pixels are that look like it. Halves alone may agree by
+// accident, so that those of the pixels beside have a say too, and all samples of a black pixel may have missed the
+// light.
 fn has_noise(p: vec2<i32>) -> bool {
-    let at = pixel_index(p, params.extent);
+    let at = pixel_index(p, rule.extent);
     let value = largest_channel(abs(signal[at].xyz));
+#ifdef VARIANCE
+    return max(largest_spread(p), largest_channel(claimed_deviation(at))) > rule.least_noise * value;
+#else
     let along_x = max(largest_spread(p - vec2<i32>(1, 0)), largest_spread(p + vec2<i32>(1, 0)));
     let along_y = max(largest_spread(p - vec2<i32>(0, 1)), largest_spread(p + vec2<i32>(0, 1)));
     let deviation = max(largest_spread(p), max(along_x, along_y));
-    return value == 0.0 || deviation > params.least_noise * value;
+    return value == 0.0 || deviation > rule.least_noise * value;
+#endif
 }
 
-fn distance_of_color(at_p: i32, at_q: i32, guess_p: vec3<f32>, guess_q: vec3<f32>) -> f32 {
-    let difference = signal[at_p].xyz - signal[at_q].xyz;
-    let sum = guess_p + guess_q;
-    let expected = guess_p + min(guess_p, guess_q);
-    return dot((difference * difference - expected) / max(sum, vec3<f32>(1e-30)), vec3<f32>(1.0 / 3.0));
+fn distance_of_color(p: Pixel, q: Pixel) -> f32 {
+    let difference = p.color - q.color;
+    let expected = p.variance + min(p.variance, q.variance);
+    return dot((difference * difference - expected) / max(p.variance + q.variance, vec3<f32>(1e-30)), vec3<f32>(1.0 / 3.0));
 }
 
 #if FEATURE_GROUPS != 0
-fn distance_of_features(at_p: i32, at_q: i32) -> f32 {
-    let pixels = params.extent.x * params.extent.y;
+fn distance_of_features(p: Pixel, q: Pixel) -> f32 {
     var farthest = 0.0;
     for (var group = 0; group < FEATURE_GROUPS; group++) {
-        let plane = 3 * group * pixels;
-        let difference = features[plane + at_p] - features[plane + at_q];
-        let variance_p = features[plane + pixels + at_p];
-        let variance_q = features[plane + pixels + at_q];
+        let difference = p.features[group] - q.features[group];
+        let variance_p = p.feature_variances[group];
+        let variance_q = q.feature_variances[group];
         let expected = variance_p + min(variance_p, variance_q);
-        let scale = params.squared_feature_k * max(vec4<f32>(params.feature_tau), variance_p + variance_q);
+        let scale = rule.squared_feature_k * max(vec4<f32>(rule.feature_tau), variance_p + variance_q);
         let distance = (difference * difference - expected) / scale;
-        farthest = max(farthest, max(dot(distance.xyz, params.triple_weights[group].xyz), distance.w));
+        farthest = max(farthest, max(dot(distance.xyz, rule.triple_weights[group].xyz), distance.w));
     }
     return farthest;
 }
 #endif
 
+fn weight(p: Pixel, q: Pixel) -> f32 {
+    var distance = distance_of_color(p, q);
+#if FEATURE_GROUPS != 0
+    distance = max(distance, distance_of_features(p, q));
+#endif
+    let similarly_bright = q.magnitude <= rule.gate * p.magnitude && p.magnitude <= rule.gate * q.magnitude;
+    return select(0.0, exp(-max(distance, 0.0)), similarly_bright && distance <= rule.largest_distance);
+}
+
 @compute @workgroup_size(32, 2, 1)
 fn main(@builtin(global_invocation_id) id: vec3<u32>) {
-    let extent = params.extent;
-    let p = vec2<i32>(id.xy);
-    if any(p >= extent) {
+    rule = params;
+    let extent = rule.extent;
+    let first = vec2<i32>(id.xy) * vec2<i32>(PIXELS, 1);
+    if any(first >= extent) {
         return;
     }
-    let pixels = extent.x * extent.y;
-    let at_p = pixel_index(p, extent);
-    let guess_p = guess[at_p];
-    let first = max(p - params.window_radius, vec2<i32>(0));
-    let last = min(p + params.window_radius, extent - 1);
-    var spread_sum = vec3<f32>(0.0);
-#if FEATURE_GROUPS != 0
-    var feature_sums: array<vec4<f32>, #{FEATURE_GROUPS}>;
-#endif
-    var weight_sum = 0.0;
-    for (var y = first.y; y <= last.y; y++) {
-        for (var x = first.x; x <= last.x; x++) {
+    let radius = rule.window_radius;
+    let at_first = pixel_index(first, extent);
+    var own: array<Pixel, PIXELS>;
+    for (var i = 0; i < PIXELS; i++) {
+        own[i] = pixel_at(clamped_index(first + vec2<i32>(i, 0), extent));
+    }
+    var sums: array<Sums, PIXELS>;
+    for (var y = max(first.y - radius, 0); y <= min(first.y + radius, extent.y - 1); y++) {
+        for (var x = max(first.x - radius, 0); x <= min(first.x + PIXELS - 1 + radius, extent.x - 1); x++) {
             let at_q = pixel_index(vec2<i32>(x, y), extent);
-            let guess_q = guess[at_q];
-            var distance = distance_of_color(at_p, at_q, guess_p.xyz, guess_q.xyz);
-#if FEATURE_GROUPS != 0
-            distance = max(distance, distance_of_features(at_p, at_q));
+            let q = pixel_at(at_q);
+            let deviation = claimed_deviation(at_q);
+            for (var i = 0; i < PIXELS; i++) {
+                // The pixel itself counts once, whatever its distance to itself comes to.
+                let any_weight = select(weight(own[i], q), 1.0, at_q == at_first + i);
+                let w = select(0.0, any_weight, abs(x - first.x - i) <= radius);
+                sums[i].weight += w;
+                sums[i].deviation += w * deviation;
+#ifdef FEATURE_NOISE
+                for (var group = 0; group < FEATURE_GROUPS; group++) {
+                    sums[i].features[group] += w * feature_spread(group, at_q);
+                }
 #endif
-            let is_alike = distance <= params.largest_distance && guess_q.w <= params.gate * guess_p.w && guess_p.w <= params.gate * guess_q.w;
-            // The pixel itself counts once, whatever its distance to itself comes to.
-            let w = select(select(0.0, exp(-max(distance, 0.0)), is_alike), 1.0, at_p == at_q);
-            spread_sum += w * abs(signal[pixels + at_q].xyz);
-#if FEATURE_GROUPS != 0
-            for (var group = 0; group < FEATURE_GROUPS; group++) {
-                feature_sums[group] += w * abs(features[(3 * group + 2) * pixels + at_q]);
             }
-#endif
-            weight_sum += w;
         }
     }
-    let spread = signal[pixels + at_p].xyz;
-    let own_variance = spread * spread;
-    let mean_spread = spread_sum / weight_sum;
+    for (var i = 0; i < PIXELS; i++) {
+        if first.x + i < extent.x {
+            store(first + vec2<i32>(i, 0), sums[i]);
+        }
+    }
+}
+
+fn store(p: vec2<i32>, sums: Sums) {
+    let at = pixel_index(p, rule.extent);
+    let own_deviation = claimed_deviation(at);
+    let own_variance = own_deviation * own_deviation;
+    let mean_deviation = sums.deviation / sums.weight;
+#ifdef VARIANCE
+    let with_own = 0.5 * (mean_deviation * mean_deviation + own_variance);
+#else
     // Of Gaussian noise, E|D| = σ·√(2/π).
-    let pooled = HALF_PI * mean_spread * mean_spread;
+    let pooled = HALF_PI * mean_deviation * mean_deviation;
     // What the pixel's own halves say counts a little: a firefly claims a part of its own variance.
     let own = dot(own_variance / max(pooled, vec3<f32>(1e-30)), vec3<f32>(1.0 / 3.0));
-    let with_own = pooled * (params.pooled_share + own) / (params.pooled_share + 1.0);
-    pooled_variance[at_p] = vec4<f32>(select(own_variance, with_own, has_noise(p)), 0.0);
-#if FEATURE_GROUPS != 0
+    let with_own = pooled * (rule.pooled_share + own) / (rule.pooled_share + 1.0);
+#endif
+    pooled_variance[at] = vec4<f32>(select(own_variance, with_own, has_noise(p)), 0.0);
+#ifdef FEATURE_NOISE
     for (var group = 0; group < FEATURE_GROUPS; group++) {
-        let mean = feature_sums[group] / weight_sum;
-        let own_spread = features[(3 * group + 2) * pixels + at_p];
-        let of_group = (params.pooled_share * HALF_PI * mean * mean + own_spread * own_spread) / (params.pooled_share + 1.0);
-        pooled_variance[(1 + group) * pixels + at_p] = of_group;
+        let mean = sums.features[group] / sums.weight;
+        let own_spread = feature_spread(group, at);
+        let of_group = (rule.pooled_share * HALF_PI * mean * mean + own_spread * own_spread) / (rule.pooled_share + 1.0);
+        pooled_variance[(1 + group) * rule.extent.x * rule.extent.y + at] = of_group;
     }
 #endif
 }

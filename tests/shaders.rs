@@ -45,10 +45,16 @@ fn definitions(stage: &str) -> Option<Vec<Definitions>> {
     match stage {
         "variance_rows" => Some(combinations(&[("PIXELS", numbers(&[4])), ("BY_DEVIATION", flags())])),
         "variance_scale" => Some(combinations(&[("PIXELS", numbers(&[4]))])),
-        "noise_magnitude" | "noise_guess" | "noise_unpack" | "noise_jump" | "noise_hold" => none,
+        "noise_magnitude" | "noise_unpack" | "noise_jump" | "noise_hold" => none,
         "noise_highpass" | "noise_residual" => Some(combinations(&[("REGRESSORS", numbers(&[0, 1, 2]))])),
-        "noise_feature" => Some(combinations(&[("VARIANCE", flags())])),
-        "noise_pool" => Some(combinations(&[("FEATURE_GROUPS", numbers(&[0, 1, 2, 8]))])),
+        "noise_guess" => Some(combinations(&[("PIXELS", numbers(&[4]))])),
+        "noise_feature" => Some(combinations(&[("PIXELS", numbers(&[4])), ("VARIANCE", flags())])),
+        "noise_pool" => {
+            let featureless = combinations(&[("FEATURE_GROUPS", numbers(&[0])), ("PIXELS", numbers(&[4])), ("VARIANCE", flags())]);
+            let few = combinations(&[("FEATURE_GROUPS", numbers(&[1, 2])), ("PIXELS", numbers(&[4])), ("FEATURE_NOISE", flags()), ("VARIANCE", flags())]);
+            let many = combinations(&[("FEATURE_GROUPS", numbers(&[8])), ("PIXELS", numbers(&[1])), ("FEATURE_NOISE", flags()), ("VARIANCE", flags())]);
+            Some([featureless, few, many].concat())
+        }
         "spike_find" => Some(combinations(&[("FEATURE_GROUPS", numbers(&[0, 1, 2, 8])), ("VARIANCE", flags())])),
         "spike_share" => Some(combinations(&[("FEATURE_GROUPS", numbers(&[0, 1, 2, 8]))])),
         "spike_level" | "spike_rows" | "error_spikes" => none,

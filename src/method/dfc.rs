@@ -12,7 +12,7 @@ use super::common::{Auxiliary, SCALE_RADIUS, guide_variance, with_input_kept};
 use super::estimate::{GpuEstimate, Intermediate, Keeper, Lane, RGB, Shares, Unit};
 use super::frame::FeatureInput;
 use super::memory::{Footprint, UPLOADED_PLANES};
-use super::noise::{estimate_noise, largest_noise_reach, noise_reach};
+use super::noise::{estimate_noise, largest_noise_reach};
 use super::plan::{Facts, Plan, Step};
 use super::spikes::Found;
 use super::{FrameInput, GpuSignal, Spikes};
@@ -189,9 +189,9 @@ impl Prepared {
 
         // What is known of the noise.
         if plan.begins(rec, Step::Noise) {
-            estimate_noise(rec, extent, &mut color, &mut features)?;
+            estimate_noise(rec, extent, &mut color, &mut features, params.pooling())?;
             for (color, features) in colors_beside.iter_mut().zip(&mut features_beside) {
-                estimate_noise(rec, extent, color, features)?;
+                estimate_noise(rec, extent, color, features, params.pooling())?;
             }
         }
 
@@ -477,7 +477,7 @@ pub(super) fn footprint(params: &DfcParams, facts: &Facts, kept: bool, schedule:
     let (repaired, found) = params.spikes.planes();
     // Of each frame, and the colour's scaled variance.
     let color = UPLOADED_PLANES + 1;
-    let noise_reach = noise_reach(params.pooled_variance, facts);
+    let noise_reach = params.pooling().reach(facts);
     // Of each frame, the packed features and the one whose turn it is: 3, its variance without and with its floor, 2 filtered planes, residual variance; two box sums, or weights.
     // What features have in common of estimated variances.
     let pooled = if noise_reach > 0 { 1 + packed / 3 } else { 0 };
@@ -545,12 +545,12 @@ fn reach_of_choice_and_second_pass(params: &DfcParams, plan: &Plan) -> u32 {
 }
 
 pub(super) fn reach_of_kernels(params: &DfcParams, plan: &Plan) -> u32 {
-    reach_of_candidates(params, largest_noise_reach(plan.runs(&Step::Noise))) + reach_of_choice_and_second_pass(params, plan)
+    reach_of_candidates(params, largest_noise_reach(plan)) + reach_of_choice_and_second_pass(params, plan)
 }
 
 /// Of frames in which the filter by the colour only may take part, where the parameters let it.
 pub(super) fn halo(params: &DfcParams) -> u32 {
-    halo_with(params, largest_noise_reach(params.pooled_variance), params.color_only)
+    halo_with(params, params.pooling().largest_reach(), params.color_only)
 }
 
 fn halo_with(params: &DfcParams, noise_reach: u32, color_only: bool) -> u32 {

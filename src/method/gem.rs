@@ -10,7 +10,7 @@ use super::common::{SCALE_RADIUS, input_variance, with_input_kept};
 use super::estimate::{GpuEstimate, Intermediate, Keeper, Lane, RGB, Unit};
 use super::kernels::{KernelOnGpu, WeightsOnGpu};
 use super::memory::{Footprint, UPLOADED_PLANES};
-use super::noise::{estimate_noise, largest_noise_reach, noise_reach};
+use super::noise::estimate_noise;
 use super::plan::{Facts, Plan, Planner, Step, Wishes, impossible};
 use super::spikes::Found;
 use super::{FrameInput, GpuSignal, Method};
@@ -88,7 +88,7 @@ impl Repaired {
         let FrameInput { extent, mut color, features, samples, .. } = frame;
         drop(features);
         if plan.begins(rec, Step::Noise) {
-            estimate_noise(rec, extent, &mut color, &mut [])?;
+            estimate_noise(rec, extent, &mut color, &mut [], params.pooling())?;
         }
         if !plan.begins(rec, Step::Spikes) {
             return Ok(Self { color, samples, spikes: None });
@@ -143,9 +143,9 @@ fn select(
 /// The steps in the order of [`gem`]. Without variance its decisions are no less smoothed over the pixels around, so that a frame without noise is not simply copied.
 pub(super) fn plan(params: &GemParams, facts: &Facts, wishes: &Wishes) -> Plan {
     let mut plan = Planner::new(wishes);
-    plan.noise(params.pooled_variance, facts);
+    plan.noise(params.pooling(), facts);
     params.spikes.plan(&mut plan, facts);
-    plan.variance(params.pooled_variance, facts);
+    plan.variance(params.pooling(), facts);
     plan.step(Step::Scales, "from fine to coarse", &[]);
     plan.step(Step::Density, "it is asked for", &[impossible(!wishes.keeps(Intermediate::Density), "it is not asked for")]);
     plan.keep_clean(params.keep_clean);
@@ -161,7 +161,7 @@ pub(super) fn footprint(params: &GemParams, facts: &Facts, kept: bool) -> Footpr
     let kept = if kept { 2 + 2 * sigmas.len() as u64 } else { 0 };
     let (repaired, found) = params.spikes.planes();
     Footprint {
-        halo: halo_with(params, noise_reach(params.pooled_variance, facts)) as usize,
+        halo: halo_with(params, params.pooling().reach(facts)) as usize,
         live_planes: UPLOADED_PLANES + found + repaired.max(scales) + kept,
         largest_planes: params.spikes.largest_planes().max(2),
         scratch_bytes: 0,
@@ -171,7 +171,7 @@ pub(super) fn footprint(params: &GemParams, facts: &Facts, kept: bool) -> Footpr
 /// A pixel asks for its neighbours' stopping maps, these for the scales there, and their variances were brought to scale. Each scale is made from the pixels themselves, so
 /// that only the coarsest one counts.
 pub(super) fn halo(params: &GemParams) -> u32 {
-    halo_with(params, largest_noise_reach(params.pooled_variance))
+    halo_with(params, params.pooling().largest_reach())
 }
 
 fn halo_with(params: &GemParams, noise_reach: u32) -> u32 {

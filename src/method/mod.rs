@@ -109,7 +109,7 @@ impl Method {
             Self::Dfc(params) => dfc::reach_of_kernels(params, plan),
             // What a pixel comes to depends on all of it.
             Self::Gem(params) => gem::halo(params),
-            Self::Nlm(params) => nlm::reach_of_filter(params, noise::largest_noise_reach(plan.runs(&Step::Noise))),
+            Self::Nlm(params) => nlm::reach_of_filter(params, noise::largest_noise_reach(plan)),
         }
     }
 

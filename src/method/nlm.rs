@@ -10,7 +10,7 @@ use super::common::{SCALE_RADIUS, input_variance, with_input_kept};
 use super::estimate::{GpuEstimate, Intermediate, Keeper, Lane, RGB, Unit};
 use super::kernels::{Compared, KernelOnGpu, WeightRule, WeightsOnGpu};
 use super::memory::{Footprint, UPLOADED_PLANES};
-use super::noise::{estimate_noise, largest_noise_reach, noise_reach};
+use super::noise::estimate_noise;
 use super::plan::{Facts, Plan, Planner, Step, Wishes, impossible, needless};
 use super::spikes::Found;
 use super::{FrameInput, GpuSignal, Method};
@@ -210,7 +210,7 @@ impl Prepared {
     fn new(rec: &mut Recorder, frame: FrameInput, params: &NlmParams, plan: &Plan, schedule: Schedule) -> Result<Self> {
         let FrameInput { extent, mut color, features: _, samples, mean_variance } = frame;
         if plan.begins(rec, Step::Noise) {
-            estimate_noise(rec, extent, &mut color, &mut [])?;
+            estimate_noise(rec, extent, &mut color, &mut [], params.pooling())?;
         }
         let mut spikes = None;
         if plan.begins(rec, Step::Spikes) {
@@ -268,7 +268,7 @@ impl From<NlmParams> for Method {
 /// and what is exact moves.
 pub(super) fn plan(params: &NlmParams, facts: &Facts, wishes: &Wishes) -> Plan {
     let mut plan = Planner::new(wishes);
-    plan.noise(params.pooled_variance, facts);
+    plan.noise(params.pooling(), facts);
     params.spikes.plan(&mut plan, facts);
     let because = match params.variance {
         NlmVariance::Uniform => "the mean of the image, everywhere",
@@ -306,7 +306,7 @@ pub(super) fn footprint(params: &NlmParams, facts: &Facts, kept: bool, schedule:
     // Variance and errors are there anyway; the filtered halves and their variance.
     let kept = if kept { 3 } else { 0 };
     Footprint {
-        halo: halo_with(params, noise_reach(params.pooled_variance, facts)) as usize,
+        halo: halo_with(params, params.pooling().reach(facts)) as usize,
         // All frames are uploaded before the first is prepared; variance, signal and halves of the others stay until the end.
         // What was found in them is kept as long, and one is repaired after the other.
         live_planes: (UPLOADED_PLANES + found) * (1 + beside as u64) + repaired + later + kept + alone + 6 * beside as u64,
@@ -317,7 +317,7 @@ pub(super) fn footprint(params: &NlmParams, facts: &Facts, kept: bool, schedule:
 }
 
 pub(super) fn halo(params: &NlmParams) -> u32 {
-    halo_with(params, largest_noise_reach(params.pooled_variance))
+    halo_with(params, params.pooling().largest_reach())
 }
 
 fn halo_with(params: &NlmParams, noise_reach: u32) -> u32 {

@@ -1,4 +1,5 @@
-//! What is known of a frame's noise, made complete before anything else: variances that no renderer gave are estimated.
+//! What is known of a frame's noise, made complete before anything else: variances that no renderer gave are estimated,
+//! and given ones become steadier.
 
 use std::sync::Arc;
 
@@ -6,25 +7,50 @@ use glam::IVec2;
 
 use super::GpuSignal;
 use super::frame::FeatureInput;
-use super::plan::Facts;
+use super::plan::{Facts, Plan, Step};
 use crate::buffers::names;
 use crate::error::Result;
 use crate::gpu::Recorder;
 use crate::stage::noise::{ImageRule, NoiseRule, NoisyFeatures, noise_feature, noise_of_image, noise_pool, noise_unpack};
 
-/// How far around a pixel its variance depends on a frame of which this is known, in pixels, before it is smoothed or
-/// brought to scale.
-pub(super) fn noise_reach(pooled_variance: bool, facts: &Facts) -> u32 {
-    match (pooled_variance && facts.lacks_variance(), facts.is_image_only()) {
-        (false, _) => 0,
-        (true, false) => NoiseRule::HALVES.reach(),
-        (true, true) => ImageRule::DEFAULT.reach(),
+/// Which variances of the mean a method pools over pixels that are alike.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Pooling {
+    Off,
+    /// Those that nobody gives.
+    Lacking,
+    /// Those, and that of a colour with halves.
+    All,
+}
+
+impl Pooling {
+    /// Whether a frame of which this is known has any.
+    pub(super) fn finds_any(self, facts: &Facts) -> bool {
+        match self {
+            Self::Off => false,
+            Self::Lacking => facts.lacks_variance(),
+            Self::All => facts.lacks_variance() || facts.has_halves,
+        }
+    }
+
+    /// How far around a pixel its variance depends on such a frame, in pixels, before it is smoothed or brought to scale.
+    pub(super) fn reach(self, facts: &Facts) -> u32 {
+        match (self.finds_any(facts), facts.is_image_only()) {
+            (false, _) => 0,
+            (true, false) => NoiseRule::HALVES.reach(),
+            (true, true) => ImageRule::DEFAULT.reach(),
+        }
+    }
+
+    /// The same of any frame.
+    pub(super) fn largest_reach(self) -> u32 {
+        if self == Self::Off { 0 } else { ImageRule::DEFAULT.reach() }
     }
 }
 
-/// The same of any frame.
-pub(super) fn largest_noise_reach(pooled_variance: bool) -> u32 {
-    if pooled_variance { ImageRule::DEFAULT.reach() } else { 0 }
+/// The largest of any frame that may be worked on by this plan.
+pub(super) fn largest_noise_reach(plan: &Plan) -> u32 {
+    if plan.runs(&Step::Noise) { Pooling::All.largest_reach() } else { 0 }
 }
 
 /// How far around a pixel its estimated variance depends on noise, in pixels: beyond, it only matters how bright pixels
@@ -32,20 +58,21 @@ pub(super) fn largest_noise_reach(pooled_variance: bool) -> u32 {
 pub(super) const POOLING_RADIUS: u32 = NoiseRule::HALVES.window_radius;
 
 /// Gives the colour and the features variances of the mean where they have none: from their halves, or, of a colour of
-/// whose noise nothing is known, from the image itself.
-pub(super) fn estimate_noise(rec: &mut Recorder, extent: IVec2, color: &mut GpuSignal, features: &mut [FeatureInput]) -> Result<()> {
-    let rule = NoiseRule::HALVES;
+/// whose noise nothing is known, from the image itself. By [`Pooling::All`], that of a colour with halves is pooled, too.
+pub(super) fn estimate_noise(rec: &mut Recorder, extent: IVec2, color: &mut GpuSignal, features: &mut [FeatureInput], pooling: Pooling) -> Result<()> {
+    let rule = if color.variance_of_mean.is_some() { NoiseRule::VARIANCE } else { NoiseRule::HALVES };
     let channels: Vec<u32> = features.iter().map(|feature| feature.channels).collect();
     let mut lacking = vec![false; features.len()];
     let mut noisy = None;
     if !channels.is_empty() {
-        let packed = NoisyFeatures::take(rec, extent, &channels)?;
+        let mut packed = NoisyFeatures::take(rec, extent, &channels)?;
         for index in packed.packing.order() {
             let signal = features[index].fetch(rec, extent)?;
             lacking[index] = signal.has_halves && signal.variance_of_mean.is_none();
             let given = signal.variance_of_mean.as_deref().filter(|_| !signal.has_halves);
             noise_feature(rec, extent, &packed, packed.packing.slots[index], &signal.signal, given, &rule)?;
         }
+        packed.are_pooled = !color.is_image_only() && lacking.contains(&true);
         noisy = Some(packed);
     }
     if color.is_image_only() {
@@ -55,8 +82,9 @@ pub(super) fn estimate_noise(rec: &mut Recorder, extent: IVec2, color: &mut GpuS
         color.variance_of_mean = Some(Arc::new(variance));
         return Ok(());
     }
-    let pooled = Arc::new(noise_pool(rec, extent, &color.signal, noisy.as_ref(), &rule)?);
-    if color.variance_of_mean.is_none() {
+    let given = color.variance_of_mean.as_deref();
+    let pooled = Arc::new(noise_pool(rec, extent, &color.signal, given, noisy.as_ref(), &rule)?);
+    if given.is_none() || pooling == Pooling::All {
         color.variance_of_mean = Some(Arc::new(noise_unpack(rec, extent, &pooled, None)?));
     }
     let Some(noisy) = noisy else { return Ok(()) };

@@ -6,7 +6,7 @@ use glam::IVec2;
 use serde::{Serialize, Serializer};
 
 use super::frame::Units;
-use super::noise::POOLING_RADIUS;
+use super::noise::{POOLING_RADIUS, Pooling};
 use super::{GpuFrame, GpuSignal, Intermediate};
 use crate::frame::{Feature, Frame, NoiseTiles, TILE};
 use crate::gpu::Recorder;
@@ -391,28 +391,27 @@ impl Planner {
         }
     }
 
-    /// Variances of the mean that nothing gives, if there are any and they are to be estimated.
-    pub(super) fn noise(&mut self, pooled_variance: bool, facts: &Facts) {
-        if !facts.lacks_variance() {
+    /// Variances of the mean that are pooled; those that nobody gives are at least talked of.
+    pub(super) fn noise(&mut self, pooling: Pooling, facts: &Facts) {
+        if !facts.lacks_variance() && !pooling.finds_any(facts) {
             return;
         }
-        let because = if facts.is_image_only() {
-            "known from the image itself"
-        } else if facts.has_sample_variance {
-            "of features, known from two seeds, pooled"
-        } else {
-            "known from two seeds, pooled"
+        let because = match (facts.is_image_only(), facts.has_sample_variance, pooling) {
+            (true, ..) => "known from the image itself",
+            (false, false, _) => "known from two seeds, pooled",
+            (false, true, Pooling::All) => "known from the variance, pooled",
+            (false, true, Pooling::Off | Pooling::Lacking) => "of features, known from two seeds, pooled",
         };
-        let unless = [impossible(!pooled_variance, "the parameters leave it out"), needless(facts.is_noise_free(), "no pixel has noise")];
+        let unless = [impossible(pooling == Pooling::Off, "the parameters leave it out"), needless(facts.is_noise_free(), "no pixel has noise")];
         self.step(Step::Noise, because, &unless);
     }
 
     /// The variance of the colour's mean, from what there is.
-    pub(super) fn variance(&mut self, pooled_variance: bool, facts: &Facts) {
-        let because = match (facts.has_sample_variance, pooled_variance) {
-            (true, _) => "the sample variance, scaled by the halves",
-            (false, true) => "the pooled variance, scaled by the halves",
-            (false, false) => "the squared half spread, smoothed",
+    pub(super) fn variance(&mut self, pooling: Pooling, facts: &Facts) {
+        let because = match (facts.has_sample_variance, pooling) {
+            (true, Pooling::Off | Pooling::Lacking) => "the sample variance, scaled by the halves",
+            (false, Pooling::Lacking) | (_, Pooling::All) => "the pooled variance, scaled by the halves",
+            (false, Pooling::Off) => "the squared half spread, smoothed",
         };
         self.step(Step::Variance, because, &[impossible(!facts.has_halves, "without halves the variance is taken as it is")]);
     }

@@ -34,3 +34,8 @@ pub(crate) fn plane_bytes(extent: IVec2, planes: u32) -> u64 {
 pub(crate) fn per_pixel(extent: IVec2) -> [u32; 3] {
     [extent.x as u32, extent.y as u32, 1]
 }
+
+/// One invocation per this many pixels in a row.
+pub(crate) fn per_run(extent: IVec2, pixels: u32) -> [u32; 3] {
+    [(extent.x as u32).div_ceil(pixels), extent.y as u32, 1]
+}

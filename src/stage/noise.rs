@@ -1,5 +1,5 @@
 //! Variances of the mean, pooled over pixels that are alike: where no renderer gives any, from what the halves of each
-//! differ by.
+//! differ by; otherwise from the sample variances.
 //!
 //! One pixel's halves tell its noise with one degree of freedom. Pixels of one kind, by colour and by features, have
 //! about the same noise, so that some hundred of them make an estimate of it. Measured on twenty renders, denoising
@@ -10,7 +10,7 @@ use glam::{IVec2, Vec4};
 use super::feature::{MAX_GROUPS, Packing, Slot};
 use super::gaussian::Gaussian;
 use super::variance::LEAST_NOISE;
-use super::{per_pixel, plane_bytes};
+use super::{per_pixel, per_run, plane_bytes};
 use crate::error::Result;
 use crate::gpu::{Buffer, Definition, Recorder, bindings, uniforms};
 
@@ -43,7 +43,7 @@ bindings! {
     struct NoiseGuess<'a> { uniform params: NoiseParams, read relative_spread, write guess }
     struct NoiseFeature<'a> { uniform params: NoiseFeatureParams, read signal, optional sample_variance, write features }
     struct NoisePool<'a> {
-        uniform params: NoiseParams, read signal, read guess, optional features, write pooled_variance,
+        uniform params: NoiseParams, read signal, read guess, optional features, optional sample_variance, write pooled_variance,
     }
     struct NoiseHighpass<'a> {
         uniform params: NoiseHighpassParams, read signal, read relative_spread, optional features, write highpass,
@@ -95,6 +95,9 @@ impl NoiseRule {
         pooled_share: 8.0,
     };
 
+    /// Of sample variances beside two halves.
+    pub const VARIANCE: Self = Self { gate: 4.0, ..Self::HALVES };
+
     /// Of what an image alone shows, which is rougher.
     pub const IMAGE: Self = Self { gate: 4.0, feature_k: 0.6, ..Self::HALVES };
 
@@ -131,14 +134,19 @@ pub struct NoisyFeatures {
     pub buffer: Buffer,
     /// Who sits where.
     pub packing: Packing,
+    /// Whether their own noise is pooled as well. It is not at first.
+    pub are_pooled: bool,
 }
 
 impl NoisyFeatures {
     /// Room for features with these numbers of channels, to be filled by [`noise_feature`], in any order except that a
     /// group's triple comes before its single.
+    ///
+    /// # Errors
+    /// As [`Recorder::take`].
     pub fn take(rec: &mut Recorder, extent: IVec2, channels: &[u32]) -> Result<Self> {
         let packing = Packing::new(channels);
-        Ok(Self { buffer: rec.take("noisy features", plane_bytes(extent, 3 * packing.groups))?, packing })
+        Ok(Self { buffer: rec.take("noisy features", plane_bytes(extent, 3 * packing.groups))?, packing, are_pooled: false })
     }
 }
 
@@ -158,43 +166,71 @@ pub fn noise_feature(
 ) -> Result<()> {
     let Slot { group, single } = slot;
     let params = NoiseFeatureParams { extent, radius: rule.feature_radius as i32, group: group as i32, single: single.into() };
-    let kernel = rec.gpu().kernel::<NoiseFeature>("noise_feature", &[("VARIANCE", sample_variance.is_some().into())])?;
-    rec.dispatch(&kernel, &NoiseFeature { params, signal, sample_variance, features: &features.buffer }, per_pixel(extent))
+    let definitions = [("VARIANCE", sample_variance.is_some().into()), ("PIXELS", Definition::Int(PIXELS as i32))];
+    let kernel = rec.gpu().kernel::<NoiseFeature>("noise_feature", &definitions)?;
+    rec.dispatch(&kernel, &NoiseFeature { params, signal, sample_variance, features: &features.buffer }, per_run(extent, PIXELS))
 }
 
 /// Variances that were pooled.
 #[derive(Debug)]
 pub struct Pooled {
-    /// Of the colour's mean in the first plane; behind it one plane per group of features.
+    /// Of the colour's mean in the first plane; behind it one plane per group of features that are pooled.
     pub buffer: Buffer,
 }
 
-/// Pools the squared half spread of a colour, and of the features of the same pixels, over pixels that are alike.
+/// Pools the noise of a colour, and of the features of the same pixels, over pixels that are alike: the squared half
+/// spreads, or of the colour its `sample_variance` (one plane, s²/n), which counts by half beside the pooled one.
 ///
-/// Pixels with less than a thousandth of noise claim what they claimed before.
+/// Pixels with less than a thousandth of noise keep theirs.
 ///
 /// # Errors
 /// As [`Recorder::dispatch`].
-pub fn noise_pool(rec: &mut Recorder, extent: IVec2, signal: &Buffer, features: Option<&NoisyFeatures>, rule: &NoiseRule) -> Result<Pooled> {
+pub fn noise_pool(
+    rec: &mut Recorder,
+    extent: IVec2,
+    signal: &Buffer,
+    sample_variance: Option<&Buffer>,
+    features: Option<&NoisyFeatures>,
+    rule: &NoiseRule,
+) -> Result<Pooled> {
     let relative_spread = noise_magnitude(rec, extent, signal, rule)?;
-    pool(rec, extent, signal, &relative_spread, features, rule)
+    pool(rec, extent, signal, &relative_spread, sample_variance, features, rule)
 }
 
 /// As [`noise_pool`], where [`noise_magnitude`] has been at work.
-fn pool(rec: &mut Recorder, extent: IVec2, signal: &Buffer, relative_spread: &Buffer, features: Option<&NoisyFeatures>, rule: &NoiseRule) -> Result<Pooled> {
+fn pool(
+    rec: &mut Recorder,
+    extent: IVec2,
+    signal: &Buffer,
+    relative_spread: &Buffer,
+    sample_variance: Option<&Buffer>,
+    features: Option<&NoisyFeatures>,
+    rule: &NoiseRule,
+) -> Result<Pooled> {
     let params = rule.params(extent, features);
     let groups = features.map_or(0, |features| features.packing.groups);
-    let buffer = rec.take("pooled variance", plane_bytes(extent, 1 + groups))?;
+    let pools_features = features.is_some_and(|features| features.are_pooled);
+    let buffer = rec.take("pooled variance", plane_bytes(extent, if pools_features { 1 + groups } else { 1 }))?;
     let guess = &rec.take("first guess of the variance", plane_bytes(extent, 1))?;
 
-    let kernel = rec.gpu().kernel::<NoiseGuess>("noise_guess", &[])?;
-    rec.dispatch(&kernel, &NoiseGuess { params, relative_spread, guess }, per_pixel(extent))?;
-    let definitions = [("FEATURE_GROUPS", Definition::Int(groups as i32))];
+    let kernel = rec.gpu().kernel::<NoiseGuess>("noise_guess", &[("PIXELS", Definition::Int(PIXELS as i32))])?;
+    rec.dispatch(&kernel, &NoiseGuess { params, relative_spread, guess }, per_run(extent, PIXELS))?;
+    // What more groups hold would not stay in registers.
+    let pixels = if groups <= 2 { PIXELS } else { 1 };
+    let definitions = [
+        ("FEATURE_GROUPS", Definition::Int(groups as i32)),
+        ("FEATURE_NOISE", pools_features.into()),
+        ("PIXELS", Definition::Int(pixels as i32)),
+        ("VARIANCE", sample_variance.is_some().into()),
+    ];
     let kernel = rec.gpu().kernel::<NoisePool>("noise_pool", &definitions)?;
     let features = features.map(|features| &features.buffer);
-    rec.dispatch(&kernel, &NoisePool { params, signal, guess, features, pooled_variance: &buffer }, per_pixel(extent))?;
+    rec.dispatch(&kernel, &NoisePool { params, signal, guess, features, sample_variance, pooled_variance: &buffer }, per_run(extent, pixels))?;
     Ok(Pooled { buffer })
 }
+
+/// Pixels in a row that one invocation makes, where neighbours share what they load.
+const PIXELS: u32 = 4;
 
 /// The half spread of a colour in parts of the brightness around each pixel, that brightness, and in a second plane the
 /// median of the 3×3 pixels.
@@ -280,7 +316,7 @@ pub fn noise_of_image(
     let params = NoiseResidualParams { extent, fit_radius: fit_radius as i32, ridge, fitted_share, largest, scale: RESIDUAL_SCALE };
     rec.dispatch(&kernel, &NoiseResidual { params, signal, highpass, residual, relative_spread }, per_pixel(extent))?;
 
-    let pooled_variance = &self::pool(rec, extent, residual, relative_spread, features, &pool)?.buffer;
+    let pooled_variance = &self::pool(rec, extent, residual, relative_spread, None, features, &pool)?.buffer;
     let relative_variance = &rec.take("relative variance", bytes(1))?;
     let variance = rec.take("variance of an image", bytes(1))?;
     let params = NoiseHoldParams { extent, jump_radius: jump_radius as i32, jump, least_magnitude: pool.least_magnitude, radius: hold_radius as i32 };

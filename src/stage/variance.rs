@@ -4,7 +4,7 @@ use glam::IVec2;
 use serde::Serialize;
 
 use super::gaussian::Gaussian;
-use super::{per_pixel, plane_bytes};
+use super::{per_pixel, per_run, plane_bytes};
 use crate::error::Result;
 use crate::gpu::{Buffer, Definition, Recorder, bindings, uniforms};
 use crate::parameters::choices;
@@ -54,7 +54,7 @@ pub fn variance_scale(rec: &mut Recorder, extent: IVec2, signal: &Buffer, sample
     let [width, height, _] = per_pixel(extent);
     let pixels = ("PIXELS", Definition::Int(BOX_PIXELS as i32));
     let rows = rec.gpu().kernel::<VarianceRows>("variance_rows", &[pixels, ("BY_DEVIATION", (weight == BoxWeight::Deviation).into())])?;
-    rec.dispatch(&rows, &VarianceRows { params, signal, sample_variance, spread_rows, sample_rows }, [width.div_ceil(BOX_PIXELS), height, 1])?;
+    rec.dispatch(&rows, &VarianceRows { params, signal, sample_variance, spread_rows, sample_rows }, per_run(extent, BOX_PIXELS))?;
     let scale = rec.gpu().kernel::<VarianceScale>("variance_scale", &[pixels])?;
     let bound = VarianceScale { params, spread_rows, sample_rows, sample_variance, scaled_variance: &scaled_variance };
     rec.dispatch(&scale, &bound, [width, height.div_ceil(BOX_PIXELS), 1])?;

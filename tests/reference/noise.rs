@@ -19,6 +19,8 @@ pub struct NoiseParams {
     pub window_radius: usize,
     /// Magnitudes that differ by more than this factor are not pooled.
     pub gate: f64,
+    /// The same where a sample variance is pooled, which is given beside halves. None: it stays as it is.
+    pub given_gate: Option<f64>,
     pub largest_distance: f64,
     pub k_feature: f64,
     pub tau: f64,
@@ -26,6 +28,13 @@ pub struct NoiseParams {
     pub pooled_share: f64,
     /// Noise up to which a pixel has none, in parts of its value.
     pub least_noise: f64,
+}
+
+impl NoiseParams {
+    /// A variance that is given stays as it is.
+    pub fn where_lacking() -> NoiseParams {
+        NoiseParams { given_gate: None, ..NoiseParams::default() }
+    }
 }
 
 /// What renders turned out to want.
@@ -39,6 +48,7 @@ impl Default for NoiseParams {
             feature_radius: 2,
             window_radius: 7,
             gate: 16.0,
+            given_gate: Some(4.0),
             largest_distance: 12.0,
             k_feature: 1.2,
             tau: 0.01,
@@ -55,23 +65,26 @@ pub struct Pooled {
     pub features: Vec<Planes>,
 }
 
-/// A frame in which the colour, and every feature with halves, has a sample variance. The features `explaining` may explain the texture of an image alone.
+/// A frame in which the colour, and every feature with halves, has a sample variance; one of a colour with halves becomes
+/// steadier. The features `explaining` may explain the texture of an image alone.
 pub fn completed(color: &Signal, features: &[Signal], explaining: &[usize], params: &NoiseParams) -> (Signal, Vec<Signal>) {
     if color.spread.is_none() && color.sample_variance.is_none() {
         let variance = of_image(&color.mean, features, explaining, &ImageParams::default());
         return (Signal { sample_variance: Some(variance), ..color.clone() }, features.to_vec());
     }
     let lacks = |signal: &Signal| signal.sample_variance.is_none() && signal.spread.is_some();
-    if color.spread.is_none() || !(lacks(color) || features.iter().any(lacks)) {
+    let pools_color = lacks(color) || params.given_gate.is_some();
+    if color.spread.is_none() || !(pools_color || features.iter().any(lacks)) {
         return (color.clone(), features.to_vec());
     }
-    let pooled = pooled(color, features, params);
-    let with = |signal: &Signal, variance: Planes| {
-        let sample_variance = if lacks(signal) { Some(variance) } else { signal.sample_variance.clone() };
+    let gate = params.given_gate.filter(|_| !lacks(color)).unwrap_or(params.gate);
+    let pooled = pooled(color, features, &NoiseParams { gate, ..*params });
+    let with = |signal: &Signal, replaces: bool, variance: Planes| {
+        let sample_variance = if replaces { Some(variance) } else { signal.sample_variance.clone() };
         Signal { sample_variance, ..signal.clone() }
     };
-    let features = features.iter().zip(pooled.features).map(|(signal, variance)| with(signal, variance)).collect();
-    (with(color, pooled.color), features)
+    let features = features.iter().zip(pooled.features).map(|(signal, variance)| with(signal, lacks(signal), variance)).collect();
+    (with(color, pools_color, pooled.color), features)
 }
 
 pub fn pooled(color: &Signal, features: &[Signal], params: &NoiseParams) -> Pooled {
@@ -98,22 +111,26 @@ pub fn pooled(color: &Signal, features: &[Signal], params: &NoiseParams) -> Pool
     let like = &color.mean[0];
     let window = |p: Point| square(params.window_radius).map(move |o| p + o).filter(|&q| like.contains(q));
     let weights = super::map_pixels(like.width, like.height, |p| window(p).map(|q| (q, weight(p, q))).collect::<Vec<_>>());
-    // Of Gaussian noise, E|D| = σ·√(2/π).
-    let pool = |spread: &Grid| {
-        spread.like(|p| {
-            let weights = &weights[spread.index(p)];
-            let sum: f64 = weights.iter().map(|(q, w)| w * spread.at(*q).abs()).sum();
-            FRAC_PI_2 * (sum / weights.iter().map(|(_, w)| w).sum::<f64>()).powi(2)
-        })
+    let mean_of = |deviation: &Grid, p: Point| {
+        let weights = &weights[deviation.index(p)];
+        weights.iter().map(|(q, w)| w * deviation.at(*q).abs()).sum::<f64>() / weights.iter().map(|(_, w)| w).sum::<f64>()
     };
-    // What the pixel's own halves say counts a little.
+    // Of Gaussian noise, E|D| = σ·√(2/π).
+    let pool = |spread: &Grid| spread.like(|p| FRAC_PI_2 * mean_of(spread, p).powi(2));
     let share = params.pooled_share;
-    let pooled: Planes = spread.iter().map(pool).collect();
-    let own = like.like(|p| spread.iter().zip(&pooled).map(|(d, v)| d.at(p).powi(2) / v.at(p).max(1e-30)).sum::<f64>() / spread.len() as f64);
-    let estimate: Planes = pooled.iter().map(|v| v.like(|p| v.at(p) * (share + own.at(p)) / (share + 1.0))).collect();
+    let own: Planes = color.sample_variance.clone().unwrap_or_else(|| spread.iter().map(|plane| plane.like(|p| plane.at(p).powi(2))).collect());
+    let estimate: Planes = if color.sample_variance.is_some() {
+        let deviations = own.iter().map(|variance| variance.like(|p| variance.at(p).sqrt()));
+        deviations.zip(&own).map(|(deviation, own)| own.like(|p| (mean_of(&deviation, p).powi(2) + own.at(p)) / 2.0)).collect()
+    } else {
+        // What the pixel's own halves say counts a little.
+        let pooled: Planes = spread.iter().map(pool).collect();
+        let ratio = like.like(|p| own.iter().zip(&pooled).map(|(own, v)| own.at(p) / v.at(p).max(1e-30)).sum::<f64>() / own.len() as f64);
+        pooled.iter().map(|v| v.like(|p| v.at(p) * (share + ratio.at(p)) / (share + 1.0))).collect()
+    };
     // What has next to no noise keeps it.
-    let color =
-        estimate.iter().enumerate().map(|(i, v)| v.like(|p| if has_noise(color, &spread, p, params) { v.at(p) } else { spread[i].at(p).powi(2) })).collect();
+    let kept = |(v, own): (&Grid, &Grid)| v.like(|p| if has_noise(color, &spread, p, params) { v.at(p) } else { own.at(p) });
+    let color = estimate.iter().zip(&own).map(kept).collect();
     let of_feature = |spread: &Grid| {
         let pooled = pool(spread);
         spread.like(|p| (share * pooled.at(p) + spread.at(p).powi(2)) / (share + 1.0))
@@ -121,11 +138,14 @@ pub fn pooled(color: &Signal, features: &[Signal], params: &NoiseParams) -> Pool
     Pooled { color, features: spreads.iter().map(|planes| planes.iter().map(of_feature).collect()).collect() }
 }
 
-/// Halves alone may agree by accident, so that those of the pixels beside have a say too. All samples of a black pixel may
-/// have missed the light.
+/// Halves alone may agree by accident, so that those of the pixels beside have a say too, and all samples of a black pixel
+/// may have missed the light.
 fn has_noise(color: &Signal, spread: &[Grid], p: Point, params: &NoiseParams) -> bool {
     let largest = |planes: &[Grid], q: Point| planes.iter().map(|plane| plane.at(q).abs()).fold(0.0, f64::max);
     let value = largest(&color.mean, p);
+    if let Some(variance) = &color.sample_variance {
+        return largest(spread, p).max(largest(variance, p).sqrt()) > params.least_noise * value;
+    }
     let beside = square(1).filter(|o| o.x == 0 || o.y == 0).map(|o| p + o).filter(|&q| spread[0].contains(q));
     let deviation = beside.map(|q| largest(spread, q)).fold(0.0, f64::max);
     value == 0.0 || deviation > params.least_noise * value

@@ -13,12 +13,25 @@ use crate::reference::{Grid, Planes, Point};
 
 const WEIGHTED_MEANS: f64 = 2e-4;
 
-/// Stripes of three materials, each with noise of its own size, and a part as dark as a thousandth of the rest.
+/// Stripes of three materials, each with noise of its own size, and a part as dark as a thousandth of the rest. Some
+/// pixels have no noise, and every second of them is black.
 fn lit(width: usize, height: usize, seed: u64) -> Signal {
-    let Scene { mean, spread, .. } = scene(width, height, seed);
+    let Scene { mean, spread, variance } = scene(width, height, seed);
     let light = |p: Point| if p.x as usize > 2 * width / 3 { 1e-3 } else { 1.0 };
-    let darkened = |planes: Planes| -> Planes { planes.iter().map(|grid| rounded(grid.like(|p| grid.at(p) * light(p)))).collect() };
-    Signal { mean: darkened(mean), spread: Some(darkened(spread)), sample_variance: None }
+    let is_clean = |p: Point| p.x % 9 == 4 && p.y % 7 == 3;
+    let value = |p: Point| if is_clean(p) && p.y % 2 == 0 { 0.0 } else { light(p) };
+    let noise = |p: Point| if is_clean(p) { 0.0 } else { light(p) };
+    let scaled = |planes: &Planes, factor: &(dyn Fn(Point) -> f64 + Sync)| -> Planes {
+        planes.iter().map(|grid| rounded(grid.like(|p| grid.at(p) * factor(p)))).collect()
+    };
+    Signal { mean: scaled(&mean, &value), spread: Some(scaled(&spread, &noise)), sample_variance: Some(scaled(&variance, &|p| noise(p).powi(2))) }
+}
+
+/// What is known of the noise of a colour with halves.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Known {
+    Halves,
+    HalvesAndVariance,
 }
 
 /// With halves, with a variance alone, and with neither, in turn.
@@ -48,30 +61,36 @@ fn packed_features(rec: &mut Recorder, features: &[Signal]) -> stein::Result<Opt
     let Some(first) = features.first() else { return Ok(None) };
     let extent = extent_of(&first.mean[0]);
     let channels: Vec<u32> = features.iter().map(|feature| feature.mean.len() as u32).collect();
-    let room = NoisyFeatures::take(rec, extent, &channels)?;
+    let mut room = NoisyFeatures::take(rec, extent, &channels)?;
     for index in room.packing.order() {
         let feature = rec.upload("feature", &packed(&features[index]))?;
         let variance = features[index].sample_variance.as_ref().map(|variance| upload(rec, variance)).transpose()?;
         noise_feature(rec, extent, &room, room.packing.slots[index], &feature, variance.as_ref(), &NoiseRule::HALVES)?;
     }
+    room.are_pooled = features.iter().any(|feature| feature.spread.is_some());
     Ok(Some(room))
 }
 
-fn check(gpu: &Gpu, width: usize, height: usize, channels: &[usize]) {
-    let color = lit(width, height, 61);
+fn check(gpu: &Gpu, width: usize, height: usize, channels: &[usize], known: Known) {
+    let mut color = lit(width, height, 61);
+    color.sample_variance = color.sample_variance.filter(|_| known == Known::HalvesAndVariance);
     let features = features(width, height, channels, 62);
     let extent = extent_of(&color.mean[0]);
     let (of_color, of_features) = run(gpu, |rec| {
         let signal = rec.upload("signal", &packed(&color))?;
         let noisy = packed_features(rec, &features)?;
-        let pooled = noise_pool(rec, extent, &signal, noisy.as_ref(), &NoiseRule::HALVES)?;
+        let given = color.sample_variance.as_ref().map(|variance| upload(rec, variance)).transpose()?;
+        let rule = if given.is_some() { NoiseRule::VARIANCE } else { NoiseRule::HALVES };
+        let pooled = noise_pool(rec, extent, &signal, given.as_ref(), noisy.as_ref(), &rule)?;
         let slots = noisy.iter().flat_map(|noisy| &noisy.packing.slots);
         let of_features = slots.map(|slot| noise_unpack(rec, extent, &pooled, Some(*slot))).collect::<stein::Result<Vec<_>>>()?;
         Ok((noise_unpack(rec, extent, &pooled, None)?, of_features))
     });
 
-    let expected = pooled(&color, &features, &NoiseParams::default());
-    let what = format!("{width}×{height}, features of {channels:?} channels");
+    let params = NoiseParams::default();
+    let gate = params.given_gate.filter(|_| known == Known::HalvesAndVariance).unwrap_or(params.gate);
+    let expected = pooled(&color, &features, &NoiseParams { gate, ..params });
+    let what = format!("{width}×{height}, features of {channels:?} channels, {known:?}");
     let near = |what: &str, actual: &[Grid], expected: &[Grid]| assert_near(what, actual, expected, &own_size(expected, 1e-12), WEIGHTED_MEANS, 1e-3);
     near(&format!("colour, {what}"), &read(gpu, &of_color, extent)[0][..3], &expected.color);
     for (index, ((actual, expected), signal)) in of_features.iter().zip(&expected.features).zip(&features).enumerate() {
@@ -83,11 +102,41 @@ fn check(gpu: &Gpu, width: usize, height: usize, channels: &[usize]) {
 
 #[test]
 fn noise_is_pooled_from_the_halves_of_pixels_that_are_alike() {
-    check(gpu(), 257, 89, &[3, 1]);
-    check(gpu(), 7, 300, &[]);
-    check(gpu(), 1, 1, &[3]);
-    check(gpu(), 24, 20, &[1, 3, 2, 1, 3, 1, 1, 3]);
-    check(checked_gpu(), 31, 9, &[3, 1, 1]);
+    check(gpu(), 257, 89, &[3, 1], Known::Halves);
+    check(gpu(), 7, 300, &[], Known::Halves);
+    check(gpu(), 1, 1, &[3], Known::Halves);
+    check(gpu(), 24, 20, &[1, 3, 2, 1, 3, 1, 1, 3], Known::Halves);
+    check(checked_gpu(), 31, 9, &[3, 1, 1], Known::Halves);
+}
+
+#[test]
+fn a_sample_variance_is_pooled_with_those_of_pixels_that_are_alike() {
+    check(gpu(), 257, 89, &[3, 1], Known::HalvesAndVariance);
+    check(gpu(), 7, 300, &[], Known::HalvesAndVariance);
+    check(gpu(), 1, 1, &[3], Known::HalvesAndVariance);
+    check(gpu(), 24, 20, &[1, 3, 2, 1, 3, 1, 1, 3], Known::HalvesAndVariance);
+    check(checked_gpu(), 31, 9, &[3, 1, 1], Known::HalvesAndVariance);
+}
+
+/// Beside a sample variance, what has no noise keeps none, black or not: clean tiles stay clean.
+#[test]
+fn pooling_gives_no_noise_to_pixels_whose_variance_is_zero() {
+    let color = lit(64, 40, 66);
+    let extent = extent_of(&color.mean[0]);
+    let buffer = run(gpu(), |rec| {
+        let signal = rec.upload("signal", &packed(&color))?;
+        let given = color.sample_variance.as_ref().map(|variance| upload(rec, variance)).transpose()?;
+        let pooled = noise_pool(rec, extent, &signal, given.as_ref(), None, &NoiseRule::VARIANCE)?;
+        noise_unpack(rec, extent, &pooled, None)
+    });
+    let given = color.sample_variance.unwrap_or_default();
+    for (pooled, given) in read(gpu(), &buffer, extent)[0].iter().zip(&given) {
+        let of = |given: &Grid, is_clean: bool| {
+            given.values.iter().zip(&pooled.values).filter(move |(given, _)| (**given == 0.0) == is_clean).map(|(_, v)| *v).collect::<Vec<_>>()
+        };
+        assert!(of(given, true).iter().all(|v| *v == 0.0) && of(given, true).len() > 30);
+        assert!(of(given, false).iter().all(|v| *v > 0.0));
+    }
 }
 
 /// What the estimate is for: Gaussian noise whose size depends on the material, told from two halves alone.
@@ -112,7 +161,7 @@ fn pooled_variance_is_that_of_the_noise() {
     let extent = extent_of(&mean[0]);
     let buffer = run(gpu, |rec| {
         let signal = rec.upload("signal", &packed_signal(&mean, &spread))?;
-        let pooled = noise_pool(rec, extent, &signal, None, &NoiseRule::HALVES)?;
+        let pooled = noise_pool(rec, extent, &signal, None, None, &NoiseRule::HALVES)?;
         noise_unpack(rec, extent, &pooled, None)
     });
     let variance = read(gpu, &buffer, extent).remove(0);
@@ -134,7 +183,7 @@ fn pooled_variance_is_that_of_the_noise() {
 }
 
 fn check_image(gpu: &Gpu, width: usize, height: usize, channels: &[usize], explaining: &[usize]) {
-    let color = Signal { spread: None, ..lit(width, height, 64) };
+    let color = Signal { spread: None, sample_variance: None, ..lit(width, height, 64) };
     let features: Vec<Signal> =
         features(width, height, channels, 65).into_iter().map(|feature| Signal { spread: None, sample_variance: None, ..feature }).collect();
     let extent = extent_of(&color.mean[0]);

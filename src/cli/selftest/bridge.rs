@@ -146,7 +146,7 @@ pub(crate) fn nlm_params(params: &NlmParams) -> nlm_method::NlmParams {
         dual_buffer: params.dual_buffer,
         spikes: spikes(params.spikes),
         keep_clean: params.keep_clean.then(CleanParams::default),
-        noise: params.pooled_variance.then(NoiseParams::default),
+        noise: params.pooled_variance.then(NoiseParams::where_lacking),
         variance: match params.variance {
             NlmVariance::Scaled => nlm_method::Variance::Scaled,
             NlmVariance::CrossFiltered => nlm_method::Variance::CrossFiltered,
@@ -165,7 +165,7 @@ pub(crate) fn gem_params(params: &GemParams) -> gem::GemParams {
     gem::GemParams {
         spikes: spikes(params.spikes),
         keep_clean: params.keep_clean.then(CleanParams::default),
-        noise: params.pooled_variance.then(NoiseParams::default),
+        noise: params.pooled_variance.then(NoiseParams::where_lacking),
         ..of_phase
     }
 }

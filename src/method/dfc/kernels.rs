@@ -34,7 +34,7 @@ pub(in crate::method) fn kernels(
     let names: Vec<String> = frame.features.iter().map(|feature| feature.name.clone()).collect();
     let around = |reach| Some(Region::around(pixel, reach, extent));
     let wanted = Wanted {
-        features: around(reach_of_kernels(params, plan) - reach_of_prefilter(largest_noise_reach(plan.runs(&Step::Noise)))),
+        features: around(reach_of_kernels(params, plan) - reach_of_prefilter(largest_noise_reach(plan))),
         candidates: around(reach_of_choice_and_second_pass(params, plan)),
         result: around(0),
     };

@@ -5,6 +5,7 @@ use serde::Serialize;
 use crate::error::{Error, Result};
 use crate::method::Spikes;
 use crate::method::common::{LARGEST_PATCH_RADIUS, LARGEST_WINDOW_RADIUS};
+use crate::method::noise::Pooling;
 use crate::parameters::{Group, Parameter, Values, Without, above, check, list, parameters, pixels};
 use crate::stage::candidate_set::CandidateSet;
 use crate::stage::nlm::{CentreWeight, Symmetry, Weighting};
@@ -50,9 +51,9 @@ parameters! {
         pub covariance: f32 => above(0.0),
         /// Keeps candidates out of the blend that are clearly worse, by the smoothed errors and by the pixel's own. Left out, the smoothed selection maps decide alone.
         pub guard: Option<Guard>,
-        /// Whether a variance of the mean that is not given is estimated: pooled from the halves of pixels that are alike,
-        /// or, where there are no halves either, from the image itself. Otherwise the squared half spread is smoothed,
-        /// and an image alone is refused.
+        /// Whether variances of the mean are pooled over pixels that are alike. Where none is given, it is estimated so from
+        /// the halves, or, where there are no halves either, from the image itself; one that is given beside halves becomes
+        /// steadier. Otherwise the squared half spread is smoothed, and an image alone is refused.
         pub pooled_variance: bool,
         /// What becomes of spikes: pixels that stand out from those of their kind and rest on very few samples.
         pub spikes: Spikes,
@@ -147,6 +148,10 @@ impl DfcParams {
 
     pub(super) fn first_cannot_win(&self) -> bool {
         self.candidates.first && self.candidates.second && self.first_patch_radius == self.second_patch_radius
+    }
+
+    pub(in crate::method) fn pooling(&self) -> Pooling {
+        if self.pooled_variance { Pooling::All } else { Pooling::Off }
     }
 
     /// What they are, with their documentation and ranges.

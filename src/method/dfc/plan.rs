@@ -18,7 +18,7 @@ pub(in crate::method) fn plan(params: &DfcParams, facts: &Facts, wishes: &Wishes
     for (name, why) in &facts.unused_features {
         plan.step(Step::Feature(name.clone()), "", &[impossible(true, why)]);
     }
-    plan.noise(params.pooled_variance, facts);
+    plan.noise(params.pooling(), facts);
     for feature in &facts.features {
         let unless = [impossible(!feature.noise_is_told, "nothing tells of noise in it"), needless(feature.is_noise_free(), "no pixel has noise in it")];
         plan.step(Step::Prefilter(feature.name.clone()), "it has noise", &unless);
@@ -27,7 +27,7 @@ pub(in crate::method) fn plan(params: &DfcParams, facts: &Facts, wishes: &Wishes
     plan.step(Step::Features, "gradients and packing", &[impossible(facts.features.is_empty(), "there are none")]);
 
     params.spikes.plan(&mut plan, facts);
-    plan.variance(params.pooled_variance, facts);
+    plan.variance(params.pooling(), facts);
 
     // Beyond the reach of the candidates nothing has noise, and beyond that of the smoothing that follows nothing reads what was not computed. The intermediates are others there.
     let by_colour = params.candidates.first || params.candidates.second;

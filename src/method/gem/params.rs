@@ -6,6 +6,7 @@ use serde::Serialize;
 
 use crate::error::Result;
 use crate::method::Spikes;
+use crate::method::noise::Pooling;
 use crate::parameters::{Parameter, Values, check, choices, list, parameters, real};
 use crate::stage::gaussian::Gaussian;
 
@@ -113,6 +114,10 @@ impl GemParams {
     pub fn bias_weight(&self) -> f32 {
         let wrong = (1.9 * f64::from(self.gamma)).powf(std::f64::consts::FRAC_1_SQRT_2);
         -(1.0 - wrong).ln() as f32
+    }
+
+    pub(in crate::method) fn pooling(&self) -> Pooling {
+        if self.pooled_variance { Pooling::Lacking } else { Pooling::Off }
     }
 
     /// What they are, with their documentation and ranges.

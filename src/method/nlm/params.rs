@@ -5,6 +5,7 @@ use serde::Serialize;
 use crate::error::Result;
 use crate::method::Spikes;
 use crate::method::common::{LARGEST_PATCH_RADIUS, LARGEST_WINDOW_RADIUS};
+use crate::method::noise::Pooling;
 use crate::parameters::{Parameter, Values, above, check, choices, list, parameters, pixels, real};
 use crate::stage::nlm::{CentreWeight, Symmetry, Weighting};
 
@@ -93,6 +94,10 @@ impl NlmParams {
     #[must_use]
     pub fn while_sampling(self) -> Self {
         Self { window_radius: self.window_radius.min(7), alpha: self.alpha.min(0.5), spikes: Spikes::Keep, keep_clean: false, ..self }
+    }
+
+    pub(in crate::method) fn pooling(&self) -> Pooling {
+        if self.pooled_variance { Pooling::Lacking } else { Pooling::Off }
     }
 
     /// What they are, with their documentation and ranges.
