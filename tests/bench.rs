@@ -10,10 +10,10 @@ mod process;
 
 use std::path::Path;
 
-use process::{Folder, stein, test_image};
+use process::{Folder, stein, test_image, write_without};
 use serde_json::{Value, json};
 use stein::Image;
-use stein::buffers::{BufferSet, BufferSetRequest, NamedLayer, RawSignal, write_layers};
+use stein::buffers::{NamedLayer, RawSignal, write_layers};
 
 /// Small, so that a software adapter is done at once.
 const CROP: [usize; 4] = [20, 30, 40, 32];
@@ -206,17 +206,6 @@ fn people_see_a_row_for_each_configuration() {
     let text = stein(&["bench", &lone, "--params", &file, "--repeat=1"]).succeeded();
     text.said(&["lone, 8 spp", "no reference", "wall ms", "predicted MSE", "gem thesis gamma 0.2 spikes clamp"]);
     assert!(!text.stdout.contains("relative MSE"), "{}", text.stdout);
-}
-
-/// The same set as a file of its own with less of what tells of its noise.
-fn write_without(parts: &[&str], from: &str, to: &str) {
-    let set = BufferSet::read(&BufferSetRequest { input: from.into(), ..Default::default() }).unwrap();
-    let RawSignal { mean, half_a, half_b, variance_of_mean } = set.color();
-    let rgb = ["R", "G", "B"].map(String::from).to_vec();
-    let layers = [("", Some(mean)), ("halfA", half_a), ("halfB", half_b), ("variance", variance_of_mean)].into_iter();
-    let layers = layers.filter(|(name, _)| !parts.contains(name));
-    let layers: Vec<_> = layers.map(|(name, image)| NamedLayer { name: name.into(), channels: rgb.clone(), image: image.unwrap() }).collect();
-    write_layers(Path::new(to), &layers, &[("samples".into(), "8".into())]).unwrap();
 }
 
 #[test]

@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use std::process::Stdio;
 
 use exr::prelude::*;
-use process::{Folder, channels, command, stein, test_image};
+use process::{Folder, channels, command, stein, test_image, write_without};
 use serde_json::Value;
 use stein::buffers::{BufferSet, BufferSetRequest};
 
@@ -228,8 +228,8 @@ fn compiled_shaders_are_kept_where_the_user_says() {
 fn little_memory_gives_the_same_pixels() {
     let folder = Folder::new();
     let (input, whole, strips) = (test_image("cornell_32spp.exr"), folder.path("whole.exr"), folder.path("strips.exr"));
-    // Spikes reach further than half of this image.
-    let denoise = |more: &[&str]| stein(&[&["denoise", &input, RADIUS, "--no-features", "--spikes=keep", "--json"], more].concat());
+    // Spikes, and pooled variances, reach further than half of this image.
+    let denoise = |more: &[&str]| stein(&[&["denoise", &input, RADIUS, "--method=nlm", "--spikes=keep", "--json"], more].concat());
     // The least memory that is enough.
     let least = (10..80).map(|step| format!("{}k", 100 * step)).find(|size| denoise(&["--dry-run", "--max-memory", size]).code == 0).unwrap();
     assert_eq!(denoise(&["-o", &whole]).succeeded().json()["strips"], 1);
@@ -252,6 +252,22 @@ fn inputs_that_cannot_be_denoised_say_why_and_what_to_do() {
     std::fs::write(&text, "not an image").unwrap();
     stein(&["denoise", &input, "-o", &output, "--ref", &text]).failed(3, &[&text, "is not an OpenEXR file"]);
     assert_eq!(folder.names(), ["text.exr"]);
+}
+
+/// What most renderers can give: two seeds, or one image.
+#[test]
+fn two_seeds_and_an_image_alone_come_out_better_than_they_were() {
+    let (folder, reference) = (Folder::new(), test_image("cornell_reference.exr"));
+    for (parts, mode, most) in [(&["variance"][..], "two seeds", 0.15), (&["variance", "halfA", "halfB"], "the image itself", 0.25)] {
+        let (input, output) = (folder.path("input.exr"), folder.path("output.exr"));
+        write_without(parts, &test_image("cornell_32spp.exr"), &input);
+        let document = stein(&["denoise", &input, "-o", &output, "--radius=5", "--ref", &reference, "--json"]).succeeded().json();
+        assert_eq!(document["input"]["frame"]["mode"], mode);
+        let [noisy, result] = [0, 1].map(|index| document["errors"][index]["relative_mse"].as_f64().unwrap());
+        assert!(result < most * noisy, "{mode}: the error {noisy} became {result}");
+        let told = stein(&["denoise", &input, "-o", &output, "--radius=2", "--explain"]).succeeded();
+        told.said(&["noise                   runs      known from ", mode]);
+    }
 }
 
 #[test]

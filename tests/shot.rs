@@ -7,7 +7,7 @@ mod process;
 
 use std::path::{Path, PathBuf};
 
-use process::{Folder, Outcome, channels, stein, test_image};
+use process::{Folder, Outcome, channels, stein, test_image, write_without};
 use serde_json::{Value, json};
 use stein::buffers::{BufferSet, BufferSetRequest, NamedLayer, read_reference, write_layers};
 use stein::{Image, metric};
@@ -262,6 +262,26 @@ fn neighbouring_frames_lower_error_and_flicker() {
         let ([error_alone, flicker_alone], [error, flicker]) = (errors("0"), errors("1"));
         assert!(error < error_alone, "{method}: the error {error_alone} became {error}");
         assert!(flicker < 0.8 * flicker_alone, "{method}: the flicker {flicker_alone} became {flicker}");
+    }
+}
+
+/// The same where renderers give two seeds, or one image.
+#[test]
+fn neighbouring_frames_help_without_a_variance() {
+    let folder = shot();
+    let reference = folder.path("reference.####.exr");
+    for parts in [&["variance"][..], &["variance", "halfA", "halfB"]] {
+        for frame in 0..4 {
+            write_without(parts, &test_image(&format!("anim/shot.{frame:04}.exr")), &path(&folder, "shot", frame));
+        }
+        let errors = |window: &str| {
+            let (input, output) = (folder.path("shot.####.exr"), folder.path("clean.####.exr"));
+            let told = stein(&["denoise", &input, "--temporal-radius", window, "--ref", &reference, "-o", &output, "--json"]).succeeded().json();
+            [0, 1].map(|index| ["mean_relative_mse", "flicker"].map(|name| told["errors"]["images"][index][name].as_f64().unwrap()))
+        };
+        let ([[noisy, _], [alone, flicker_alone]], [_, [error, flicker]]) = (errors("0"), errors("1"));
+        assert!(alone < 0.5 * noisy && error < alone, "without {parts:?}: {noisy}, alone {alone}, in a window {error}");
+        assert!(flicker < flicker_alone, "without {parts:?}: the flicker {flicker_alone} became {flicker}");
     }
 }
 

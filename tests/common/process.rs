@@ -6,6 +6,7 @@ use std::process::{Command, Stdio};
 
 use exr::prelude::*;
 use serde_json::Value;
+use stein::buffers::{BufferSet, BufferSetRequest, NamedLayer, RawSignal};
 use tempfile::TempDir;
 
 pub struct Outcome {
@@ -91,6 +92,17 @@ impl Folder {
         names.sort();
         names
     }
+}
+
+/// Writes the colour of a file alone, without some of the layers that tell of its noise: `halfA`, `halfB`, `variance`.
+pub fn write_without(parts: &[&str], from: &str, to: &str) {
+    let set = BufferSet::read(&BufferSetRequest { input: from.into(), ..Default::default() }).unwrap();
+    let RawSignal { mean, half_a, half_b, variance_of_mean } = set.color();
+    let rgb = ["R", "G", "B"].map(String::from).to_vec();
+    let layers = [("", Some(mean)), ("halfA", half_a), ("halfB", half_b), ("variance", variance_of_mean)].into_iter();
+    let layers = layers.filter(|(name, _)| !parts.contains(name));
+    let layers: Vec<_> = layers.map(|(name, image)| NamedLayer { name: name.into(), channels: rgb.clone(), image: image.unwrap() }).collect();
+    stein::buffers::write_layers(Path::new(to), &layers, &[("samples".into(), "8".into())]).unwrap();
 }
 
 pub fn channels(path: &str) -> Vec<(String, FlatSamples)> {

@@ -98,7 +98,10 @@ fn fireflies_do_not_light_up_the_shadow_beside_them() {
             let found = estimate.spikes.unwrap_or_default();
             assert!(found.pixels >= 3 && found.spread > 0.0, "{}: {found:?}", method.name());
             let [before, after] = [&frame.color().mean, &estimate.color].map(|image| relative_error(image, &truth, is_right));
-            assert!(after < 0.5 * before, "{}, {contrast} to 1: the shadow's error went from {before} to {after}", method.name());
+            // Patches that differ in one column alone still weigh up to a hundred thousandth: one column of the shadow takes
+            // as much of the light beside it.
+            let leak = (1e-5 * contrast).powi(2) / (SIZE / 2) as f64;
+            assert!(after < 0.5 * before + leak, "{}, {contrast} to 1: the shadow's error went from {before} to {after}", method.name());
             let least = estimate.color.planes.iter().flatten().fold(f32::MAX, |least, value| least.min(*value));
             assert!(least > 0.0, "{}, {contrast} to 1: radiance of {least}", method.name());
         }

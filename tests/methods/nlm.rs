@@ -56,7 +56,7 @@ fn the_presets_are_those_of_the_reference() {
         variance: Variance::Scaled,
         spikes: Some(SpikeParams::default()),
         keep_clean: Some(CleanParams::default()),
-        noise: Some(NoiseParams::default()),
+        noise: Some(NoiseParams::where_lacking()),
         ..twin
     };
     for (preset, twin) in [(NlmParams::thesis(), twin), (NlmParams::default(), measured)] {
