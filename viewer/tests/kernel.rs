@@ -180,7 +180,7 @@ fn the_second_pass_is_a_filter_among_the_others() {
 /// d of a pair may be large beside a weight of 1: then it is told why.
 #[test]
 fn a_neighbour_whose_opposite_stands_in_is_told() {
-    let mut harness = open("dfc", Some(PIXEL));
+    let mut harness = open("dfc", Some([5, 35]));
     let shown = inspected(&harness);
     let filters = || shown.kernels.filters.iter();
     // How much more it weighs than by itself.
