@@ -193,24 +193,25 @@ fn a_recorded_run_of_mitsuba_is_merged_mapped_and_denoised_again() {
     const PIXELS: u64 = 32 * 32;
     let folder = Folder::new();
     let output = folder.path("loop");
-    let command = "test -s {map} && cp testdata/mitsuba/iteration_{iteration}.exr {out}";
-    stein(&["adapt", "--sampler-command", command, "--size=32x32", "--spp=32", "--iterations=4", "-o", text(&output), "--quiet"]);
+    let recorded = concat!(env!("CARGO_MANIFEST_DIR"), "/../testdata/mitsuba");
+    let command = format!("test -s {{map}} && cp '{recorded}/iteration_{{iteration}}.exr' {{out}}");
+    stein(&["adapt", "--sampler-command", &command, "--size=32x32", "--spp=32", "--iterations=4", "-o", text(&output), "--quiet"]);
 
-    let reference = read_reference(Path::new("testdata/mitsuba/reference.exr"), None).unwrap();
+    let reference = read_reference(&Path::new(recorded).join("reference.exr"), None).unwrap();
     let mut before = vec![0; PIXELS as usize];
     let mut errors = Vec::new();
     for iteration in 1..=4 {
         let name = |kind: &str| output.join(format!("{kind}_{iteration}.exr"));
-        let recorded = samples(&Path::new("testdata/mitsuba").join(format!("iteration_{iteration}.exr"))).counts();
+        let drawn = samples(&Path::new(recorded).join(format!("iteration_{iteration}.exr"))).counts();
         let file = MapFile::read(&name("map")).unwrap();
         assert_eq!(file.drawn.map(|drawn| drawn.pairs().to_vec()), (iteration > 1).then_some(before.clone()));
-        assert_eq!((file.map.counts.total_samples(), recorded.total_samples()), (8 * PIXELS, 8 * PIXELS));
+        assert_eq!((file.map.counts.total_samples(), drawn.total_samples()), (8 * PIXELS, 8 * PIXELS));
         let asked = file.map.counts.pairs();
-        let moved: u64 = asked.iter().zip(recorded.pairs()).map(|(asked, drawn)| 2 * u64::from(asked.abs_diff(*drawn))).sum();
+        let moved: u64 = asked.iter().zip(drawn.pairs()).map(|(asked, drawn)| 2 * u64::from(asked.abs_diff(*drawn))).sum();
         assert!(moved as f64 <= MOVED * (8 * PIXELS) as f64, "iteration {iteration}: {moved} samples are not where they were recorded");
         assert_eq!(asked.iter().any(|&pairs| pairs != 4), iteration > 1, "only the first map is even");
 
-        before.iter_mut().zip(recorded.pairs()).for_each(|(before, pairs)| *before += pairs);
+        before.iter_mut().zip(drawn.pairs()).for_each(|(before, pairs)| *before += pairs);
         let merged = samples(&name("samples"));
         assert_eq!(merged.counts().pairs(), before);
         assert_eq!(merged.features().map(|(name, _)| name).collect::<Vec<_>>(), ["albedo", "depth", "normal"]);

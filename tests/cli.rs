@@ -502,7 +502,7 @@ fn parameters_are_listed() {
 
 #[test]
 fn the_page_about_parameters_is_what_the_program_prints() {
-    let page = std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/parameters.md")).unwrap();
+    let page = std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/parameters.md")).unwrap();
     let printed = stein(&["params", "--markdown"]).succeeded().stdout;
     assert!(page == printed, "docs/parameters.md is out of date: write it again with `stein params --markdown > docs/parameters.md`");
 }

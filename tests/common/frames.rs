@@ -1,6 +1,6 @@
 //! Frames from the test renders.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use stein::buffers::{BufferSet, BufferSetRequest, RawSignal, read_reference};
 use stein::frame::{Signal, half_spread};
@@ -8,7 +8,9 @@ use stein::image::{Extent, Image};
 use stein::{Estimate, Frame, frame::SamplesPerPixel};
 
 fn path(file: &str) -> PathBuf {
-    PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("testdata").join(file)
+    // Tests of the library and of the programs use it, in folders of their own.
+    let mut folders = Path::new(env!("CARGO_MANIFEST_DIR")).ancestors().map(|folder| folder.join("testdata"));
+    folders.find(|folder| folder.is_dir()).unwrap_or_else(|| panic!("no folder testdata")).join(file)
 }
 
 /// The noisy render `testdata/<name>.exr`.

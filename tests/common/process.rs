@@ -57,7 +57,7 @@ pub fn stein(arguments: &[&str]) -> Outcome {
 }
 
 pub fn test_image(name: &str) -> String {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("testdata").join(name);
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../testdata").join(name);
     path.to_str().unwrap().to_owned()
 }
 

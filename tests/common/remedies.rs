@@ -17,9 +17,8 @@ pub(crate) fn name_no_items(told: impl Fn(String) -> String) {
 
 /// Every text in the sources of the library that names one of its items, but for those of callers.
 fn naming_items() -> Vec<String> {
-    // The viewer lies beside them.
-    let own = Path::new(env!("CARGO_MANIFEST_DIR"));
-    let root = if own.join("src/buffers").is_dir() { own.join("src") } else { own.join("../src") };
+    // The programs lie beside it.
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../src");
     let mut texts: Vec<String> = sources(&root).iter().flat_map(|path| in_source(&std::fs::read_to_string(path).unwrap_or_default())).collect();
     texts.sort();
     texts.dedup();
@@ -34,7 +33,6 @@ fn names_item(text: &str) -> bool {
 
 fn sources(folder: &Path) -> Vec<PathBuf> {
     let paths = std::fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.path());
-    let paths = paths.filter(|path| !path.ends_with("src/cli"));
     paths.flat_map(|path| if path.is_dir() { sources(&path) } else { vec![path] }).collect()
 }
 

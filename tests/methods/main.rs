@@ -10,10 +10,8 @@ mod common;
 #[path = "../common/frames.rs"]
 mod frames;
 
-#[path = "../../src/cli/selftest/bridge.rs"]
-mod bridge;
-
 use stein_reference as reference;
+use stein_twin as bridge;
 
 mod behaviour;
 mod beside;

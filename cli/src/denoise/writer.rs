@@ -10,10 +10,10 @@ use stein::method::Intermediate;
 use stein::{Estimate, Frame, Image, Method, text};
 
 use super::shot::{Beside, Compared, Comparison, Reported};
-use crate::cli::explain::Explained;
-use crate::cli::inspect::Input;
-use crate::cli::report::{FrameReport, Run};
-use crate::cli::{Failure, quality};
+use crate::explain::Explained;
+use crate::inspect::Input;
+use crate::report::{FrameReport, Run};
+use crate::{Failure, quality};
 
 /// A denoised frame, and all that its output and its report are made of.
 pub(super) struct Denoised {

@@ -15,20 +15,20 @@ use stein_reference::noise::NoiseParams;
 use stein_reference::{Grid, Planes, exposure, gem, nlm, nlm_method, select, spike, variance};
 
 /// The planes of an image, times a factor.
-pub(crate) fn grids(image: &Image, factor: f64) -> Planes {
+pub fn grids(image: &Image, factor: f64) -> Planes {
     let (width, height) = (image.extent.width as usize, image.extent.height as usize);
     image.planes.iter().map(|plane| Grid { width, height, values: plane.iter().map(|value| f64::from(*value) * factor).collect() }).collect()
 }
 
 /// What the colour is multiplied by on its way to the device.
-pub(crate) fn exposure(frame: &Frame) -> f64 {
+pub fn exposure(frame: &Frame) -> f64 {
     let planes = |image: &Option<Image>| image.as_ref().map_or_else(Planes::new, |image| grids(image, 1.0));
     let color = frame.color();
     exposure::exposure(&grids(&color.mean, 1.0), &planes(&color.half_spread), &planes(&color.variance_of_mean))
 }
 
 /// A signal in other units.
-pub(crate) fn signal(signal: &Signal, factor: f64) -> variance::Signal {
+pub fn signal(signal: &Signal, factor: f64) -> variance::Signal {
     variance::Signal {
         mean: grids(&signal.mean, factor),
         spread: signal.half_spread.as_ref().map(|image| grids(image, factor)),
@@ -37,7 +37,7 @@ pub(crate) fn signal(signal: &Signal, factor: f64) -> variance::Signal {
 }
 
 /// What DFC works on.
-pub(crate) fn frame(frame: &Frame, exposure: f64) -> dfc::Frame {
+pub fn frame(frame: &Frame, exposure: f64) -> dfc::Frame {
     let may_explain = |feature: &Feature| feature.signal.mean.channels() == 3 && ["albedo", "normal"].iter().any(|name| feature.name.contains(name));
     let features = frame.features();
     dfc::Frame {
@@ -48,7 +48,7 @@ pub(crate) fn frame(frame: &Frame, exposure: f64) -> dfc::Frame {
 }
 
 /// Samples of each pixel; `unknown` where nobody knows.
-pub(crate) fn samples(frame: &Frame, unknown: f64) -> Grid {
+pub fn samples(frame: &Frame, unknown: f64) -> Grid {
     let uniform = |count: f64| Grid::filled(frame.extent().width as usize, frame.extent().height as usize, count);
     match frame.samples_per_pixel() {
         SamplesPerPixel::PerPixel(counts) => grids(counts, 1.0).remove(0),
@@ -65,7 +65,7 @@ fn centre(centre: CentreWeight) -> nlm::CentreWeight {
 }
 
 /// Parameters with a second pass, as both presets have.
-pub(crate) fn dfc_params(params: &DfcParams) -> dfc::DfcParams {
+pub fn dfc_params(params: &DfcParams) -> dfc::DfcParams {
     let first = CandidateParams {
         k_color: params.color_k.into(),
         k_feature: params.feature_k.into(),
@@ -127,7 +127,8 @@ fn spikes(spikes: Spikes) -> Option<spike::SpikeParams> {
     (spikes != Spikes::Keep).then_some(params)
 }
 
-pub(crate) fn nlm_params(params: &NlmParams) -> nlm_method::NlmParams {
+/// Parameters of NLM.
+pub fn nlm_params(params: &NlmParams) -> nlm_method::NlmParams {
     nlm_method::NlmParams {
         filter: nlm_method::Filter {
             window_radius: params.window_radius as usize,
@@ -155,7 +156,8 @@ pub(crate) fn nlm_params(params: &NlmParams) -> nlm_method::NlmParams {
     }
 }
 
-pub(crate) fn gem_params(params: &GemParams) -> gem::GemParams {
+/// Parameters of GEM.
+pub fn gem_params(params: &GemParams) -> gem::GemParams {
     // 0.15 as a float32 is not 0.15.
     let gamma = format!("{}", params.gamma).parse().unwrap_or(f64::NAN);
     let of_phase = match params.phase {

@@ -11,8 +11,8 @@ use stein::image::Window;
 use stein::{Frame, Image};
 
 use super::plan::Read;
-use crate::cli::inspect::{Input, settle};
-use crate::cli::{Failure, options, quality};
+use crate::inspect::{Input, settle};
+use crate::{Failure, options, quality};
 
 /// A frame in memory.
 pub(super) struct ReadFrame {

@@ -9,7 +9,7 @@ use stein::gpu::AdapterSummary;
 use super::progress::Progress;
 use super::shot::{self, Reported, ShotErrors};
 use super::writer::{Denoised, Done, Writer};
-use crate::cli::{Failure, Out, quality};
+use crate::{Failure, Out, quality};
 
 pub(super) struct Results<'a> {
     pub(super) progress: Progress,

@@ -16,8 +16,7 @@ use stein_reference::select::{self, Evidence};
 use stein_reference::sure::{self, smooth_errors};
 use stein_reference::variance::brightness_around;
 use stein_reference::{Grid, Planes, Point, channel_mean, nlm_method, square};
-
-use super::bridge;
+use stein_twin as bridge;
 
 /// One thing that was compared.
 pub(super) struct Part {

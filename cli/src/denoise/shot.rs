@@ -8,10 +8,10 @@ use stein::image::Window;
 use stein::{Image, metric, text};
 
 use super::plan::{Gap, Plan, PlannedFrame, State};
-use crate::cli::Failure;
-use crate::cli::out::{number, table};
-use crate::cli::quality::Errors;
-use crate::cli::report::{FrameReport, Settings};
+use crate::Failure;
+use crate::out::{number, table};
+use crate::quality::Errors;
+use crate::report::{FrameReport, Settings};
 
 /// The JSON document.
 #[derive(Debug, Serialize)]

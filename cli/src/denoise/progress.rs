@@ -5,8 +5,8 @@ use indicatif::ProgressBar;
 use stein::text;
 
 use super::plan::PlannedFrame;
-use crate::cli::Out;
-use crate::cli::progress::{bar, is_watched};
+use crate::Out;
+use crate::progress::{bar, is_watched};
 
 /// A value of `--progress`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]

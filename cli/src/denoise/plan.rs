@@ -10,8 +10,8 @@ use stein::text;
 
 use super::Args;
 use super::pattern::Pattern;
-use crate::cli::options::Source;
-use crate::cli::{Failure, output};
+use crate::options::Source;
+use crate::{Failure, output};
 
 /// What a run does, in its order.
 #[derive(Debug)]

@@ -1,6 +1,5 @@
 //! `stein selftest`: stiff and extreme frames on the user's own adapter.
 
-mod bridge;
 mod cases;
 mod checks;
 mod compare;

@@ -5,8 +5,8 @@ use std::path::Path;
 use clap::ValueEnum;
 use serde::{Deserialize, Serialize};
 use stein::{Denoiser, DfcParams, Error, Estimate, Frame, GemParams, Gpu, Image, Method, NlmParams, Options};
+use stein_twin as bridge;
 
-use super::bridge;
 use super::cases::{Case, Expected};
 use super::picture::Picture;
 use super::twin;

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use stein::text;
 
-use crate::cli::Failure;
+use crate::Failure;
 
 /// `shot.####.exr` or `shot.%04d.exr`: as many digits as `#`, or as the number says, and more where the frame number
 /// has more. The last such place counts, in the file's name or else in that of a folder that does not exist; others

@@ -1,35 +1,10 @@
-//! Arguments, text and exit codes; one file for each subcommand.
-
-mod adapt;
-pub(crate) mod arenas;
-mod bench;
-mod denoise;
-mod devices;
-mod document;
-mod explain;
-mod failure;
-mod filter;
-mod info;
-mod inspect;
-pub(crate) mod interrupt;
-mod kernel;
-mod options;
-mod out;
-mod output;
-mod params;
-mod progress;
-mod quality;
-mod render;
-mod report;
-mod sample_map;
-mod selftest;
-mod template;
-mod tile;
+//! The arguments, and which subcommand they ask for.
 
 use clap::{CommandFactory, Parser, Subcommand};
 
-pub(crate) use failure::Failure;
-pub(crate) use out::Out;
+use crate::failure::Failure;
+use crate::out::Out;
+use crate::{adapt, bench, denoise, devices, info, kernel, params, render, sample_map, selftest};
 
 const EXIT_CODES: &str = "\
 Exit codes: 0 done, 2 wrong usage, 3 an input file or layer cannot be used, 4 no device or a device failed, 5 the output
