@@ -23,6 +23,9 @@ pub use repairs::{Damage, DamagedImage, LayerRepairs, Repairs};
 use sanitise::Sanitised;
 use unit_range::UnitRange;
 
+/// ε of the relative measures of error, (x − ref)²/(ref² + ε): keeps dark pixels from counting without bound (thesis 6.5).
+pub const RELATIVE_EPSILON: f64 = 0.01;
+
 /// Values that a thread looks at before it asks whether another one has found what they all look for.
 const VALUES_AT_ONCE: usize = 1 << 16;
 

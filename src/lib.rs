@@ -26,7 +26,6 @@
 //! | [`stage`] | one function per shader, called like its file | `gpu` |
 //! | [`parameters`] | parameters that describe themselves | nothing |
 //! | [`method`] | the methods: parameters and a straight function | `stage`, never the GPU interface |
-//! | [`metric`] | error measures | `image` |
 //! | [`sampling`] | where the next samples go, what a renderer implements, the adaptive loop, a small renderer | the denoiser's public face, `buffers` |
 //!
 //! One word names a stage everywhere: shader file, Rust function, reference function, timing label.
@@ -51,7 +50,6 @@ pub mod gpu;
 mod host_memory;
 pub mod image;
 pub mod method;
-pub mod metric;
 pub mod parameters;
 pub mod sampling;
 pub mod stage;

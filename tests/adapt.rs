@@ -10,10 +10,10 @@ use glam::Vec3;
 use serde_json::Value;
 use stein::buffers::{BufferSet, BufferSetRequest, read_reference};
 use stein::gpu::DeviceChoice;
-use stein::metric::relative_mse;
-use stein::sampling::stub::{Camera, Environment, Material, Scene, Sequence, Shape, StubSampler, Texture};
 use stein::sampling::{Event, MapFile, Plan, SampleCounts, Samples, SamplingMap, adapt};
 use stein::{Denoiser, DfcParams, Error, Extent, GemParams, Gpu, Image, Method};
+use stein_metric::relative_mse;
+use stein_stub::{Camera, Environment, Material, Scene, Sequence, Shape, StubSampler, Texture};
 use tempfile::TempDir;
 
 /// Small, so that a software adapter is done in a second.

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use stein::buffers::{BufferSet, BufferSetRequest, NamedLayer, read_reference, write_layers};
 use stein::frame::{Frame, NoiseKnowledge, Repairs, SamplesPerPixel, Signal, half_spread};
 use stein::image::{Extent, Image};
-use stein::metric;
+use stein_metric as metric;
 
 const EXTENT: Extent = Extent { width: 4, height: 3 };
 

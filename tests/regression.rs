@@ -7,8 +7,8 @@
 mod frames;
 
 use stein::gpu::{DeviceChoice, Gpu};
-use stein::metric::relative_mse;
 use stein::{Denoiser, DfcParams, Estimate, Frame, Image};
+use stein_metric::relative_mse;
 
 /// Means over squares of 16×16 pixels.
 fn blocks(image: &Image, value: impl Fn(usize) -> f64) -> Vec<f64> {

@@ -11,9 +11,9 @@ use glam::Vec3;
 use stein::buffers::{BufferSet, BufferSetRequest, RawSignal};
 use stein::error::Error;
 use stein::frame::SamplesPerPixel;
-use stein::sampling::stub::{Camera, Environment, Material, Scene, Sequence, Shape, StubSampler, Sun, Texture, Transport, scene, scenes};
 use stein::sampling::{PixelAccumulator, SampleCounts, Sampler, Samples};
 use stein::{Extent, Image};
+use stein_stub::{Camera, Environment, Material, Scene, Sequence, Shape, StubSampler, Sun, Texture, Transport, scene, scenes};
 
 const BOTH: [Sequence; 2] = [Sequence::Random, Sequence::LowDiscrepancy];
 

@@ -6,7 +6,8 @@ use serde::Serialize;
 use stein::buffers::{LayerRef, read_reference};
 use stein::method::Intermediate;
 use stein::text;
-use stein::{Estimate, Frame, Image, metric};
+use stein::{Estimate, Frame, Image};
+use stein_metric as metric;
 
 use super::Failure;
 use super::out::{number, table};

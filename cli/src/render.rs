@@ -7,10 +7,10 @@ use std::time::Instant;
 use clap::ValueEnum;
 use serde::Serialize;
 use stein::buffers::{NamedLayer, write_layers};
-use stein::sampling::stub::{Sequence, StubSampler, scene, scenes};
 use stein::sampling::{MapFile, SampleCounts, Sampler};
 use stein::text;
 use stein::{Extent, Image};
+use stein_stub::{Sequence, StubSampler, scene, scenes};
 
 use super::options::size;
 use super::out::{seconds, table};

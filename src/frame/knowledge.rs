@@ -4,9 +4,8 @@ use std::fmt;
 
 use serde::Serialize;
 
-use super::{Feature, Frame, Repairs, Signal};
+use super::{Feature, Frame, RELATIVE_EPSILON, Repairs, Signal};
 use crate::error::{Error, Result};
-use crate::metric::RELATIVE_EPSILON;
 
 /// The remark on a colour without halves and variance.
 pub(super) const IMAGE_ONLY: &str = "colour: its noise is estimated from the image itself; two renders with different \
@@ -130,7 +129,7 @@ impl Frame {
         })
     }
 
-    /// A guess, without a reference, at the [`relative_mse`](crate::metric::relative_mse) of the unfiltered colour: the
+    /// A guess, without a reference, at the relative MSE of the unfiltered colour: the
     /// mean over pixels and channels of variance/(mean² + 0.01). Too low where samples are few: a spike raises its own
     /// mean along with its variance, and one that no pixel caught is missing. `None` where nothing is known of the noise.
     pub fn noise_level(&self) -> Option<f64> {

@@ -4,10 +4,11 @@ use std::ops::ControlFlow;
 
 use super::{SampleCounts, Sampler, Samples, SamplingMap, sampling_density};
 use crate::error::{Error, Result};
+use crate::frame::RELATIVE_EPSILON;
 use crate::gpu::Pace;
 use crate::image::{Extent, Image};
 use crate::method::{Intermediate, Method};
-use crate::{Denoiser, Estimate, Options, metric};
+use crate::{Denoiser, Estimate, Options};
 
 /// How many samples are drawn, and in how many iterations.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -280,11 +281,11 @@ pub fn uniform<S: Sampler, E: From<Error> + Send>(
     adapt(sampler, denoiser, &Plan { iterations: 1, cap: None, ..*plan }, None, observe)
 }
 
-/// What [`metric::relative_mse`] of the denoised image would be, without a reference: the estimated squared error over the denoised colour's square. Of DFC it is that of
+/// The relative MSE that the denoised image would have, without a reference: the estimated squared error over the denoised colour's square. Of DFC it is that of
 /// pass 1, and may be below 0 where little is left to estimate. `None` of an estimate without its error.
 pub fn estimated_relative_mse(estimate: &Estimate) -> Option<f64> {
     let error = &estimate.error.as_ref()?.planes[0];
-    let square = |pixel: usize| estimate.color.planes.iter().map(|plane| f64::from(plane[pixel]).powi(2) + metric::RELATIVE_EPSILON).sum::<f64>();
+    let square = |pixel: usize| estimate.color.planes.iter().map(|plane| f64::from(plane[pixel]).powi(2) + RELATIVE_EPSILON).sum::<f64>();
     Some(error.iter().enumerate().map(|(pixel, &error)| f64::from(error) / square(pixel)).sum::<f64>() / error.len() as f64)
 }
 

@@ -1,11 +1,13 @@
-//! Closing the loop: what a renderer implements so that samples go where the error is, statistics of samples that add up, and a small renderer to try it with.
+//! Closing the loop: what a renderer implements so that samples go where the error is, and statistics of samples that add
+//! up.
 //!
-//! A [`Sampler`] draws whole numbers of samples per pixel, as [`SampleCounts`] say, in equal numbers for both halves. It returns the [`Samples`] of this pass
-//! alone; [`Samples::merge`] adds them to those of earlier passes, and [`Samples::to_frame`] gives what the denoiser works on. [`stub`] is a path tracer over a
-//! few analytic shapes that stands in for a renderer.
+//! A [`Sampler`] draws whole numbers of samples per pixel, as [`SampleCounts`] say, in equal numbers for both halves. It
+//! returns the [`Samples`] of this pass alone; [`Samples::merge`] adds them to those of earlier passes, and
+//! [`Samples::to_frame`] gives what the denoiser works on. The crate `stein-stub` has a small path tracer that stands in
+//! for a renderer.
 //!
-//! [`adapt`] is the loop: draw, denoise, estimate the error, hand out the next samples by it as a [`SamplingMap`] says. A [`MapFile`] carries such a map to a renderer in
-//! another process.
+//! [`adapt`] is the loop: draw, denoise, estimate the error, hand out the next samples by it as a [`SamplingMap`] says. A
+//! [`MapFile`] carries such a map to a renderer in another process.
 
 mod adapt;
 mod density;
@@ -14,7 +16,6 @@ mod map_file;
 mod native;
 mod sampler;
 mod samples;
-pub mod stub;
 
 pub use adapt::{Event, Iterations, Outcome, Plan, Resumed, adapt, estimated_relative_mse, uniform};
 pub use density::sampling_density;

@@ -4,10 +4,11 @@ use glam::IVec2;
 use stein::frame::{SamplesPerPixel, Signal};
 use stein::gpu::{Gpu, GpuOptions, Recorder};
 use stein::method::{GpuFeature, GpuFrame, GpuSignal};
-use stein::sampling::stub::{Sequence, StubSampler, scene};
 use stein::sampling::{SampleCounts, Sampler};
 use stein::stage::sample::GpuSamples;
-use stein::{Denoiser, DfcParams, Error, Estimate, Extent, Frame, GemParams, Image, Method, NlmParams, Options, metric};
+use stein::{Denoiser, DfcParams, Error, Estimate, Extent, Frame, GemParams, Image, Method, NlmParams, Options};
+use stein_metric as metric;
+use stein_stub::{Sequence, StubSampler, scene};
 
 use crate::common::{gpu, open};
 

@@ -4,9 +4,9 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use stein::gpu::Pace;
-use stein::sampling::stub::{Sequence, StubSampler, scene, scenes};
 use stein::sampling::{Event, Iterations, Plan, SampleCounts, Sampler, Samples, SamplingMap};
 use stein::{Denoiser, Error, Extent, Gpu, Image};
+use stein_stub::{Sequence, StubSampler, scene, scenes};
 
 use crate::document::{Denoised, Document, Opened, drawn_layer, input_layers, reference_layer};
 use crate::settings::Parameters;

@@ -11,7 +11,8 @@ use stein::buffers::{BufferSetRequest, LayerRef};
 use stein::frame::Repairs;
 use stein::method::Plan;
 use stein::sampling::estimated_relative_mse;
-use stein::{Denoiser, Estimate, Frame, Image, Options, Preset, metric, text};
+use stein::{Denoiser, Estimate, Frame, Image, Options, Preset, text};
+use stein_metric as metric;
 
 use crate::files::short_name;
 use crate::layer::{Description, Group, Kind, Layer};

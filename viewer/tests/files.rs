@@ -261,7 +261,7 @@ fn parts_of_a_frame_come_from_other_files_and_are_saved_and_remembered_so() {
         let denoised = document.denoised.as_ref().unwrap();
         assert!(denoised.estimate.color == estimate.color && denoised.estimate.error == estimate.error, "other bits than the library's");
         let truth = read_reference(&testdata("cornell_reference.exr"), None).unwrap();
-        assert_eq!(denoised.error.unwrap(), stein::metric::relative_mse(&estimate.color, &truth).unwrap());
+        assert_eq!(denoised.error.unwrap(), stein_metric::relative_mse(&estimate.color, &truth).unwrap());
     };
     is_the_librarys(&harness);
 

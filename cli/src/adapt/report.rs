@@ -4,7 +4,8 @@ use serde::Serialize;
 use serde_json::Value;
 use stein::gpu::AdapterSummary;
 use stein::sampling::{Samples, estimated_relative_mse};
-use stein::{Estimate, Image, metric};
+use stein::{Estimate, Image};
+use stein_metric as metric;
 
 use super::super::Failure;
 use super::super::out::number;

@@ -8,7 +8,8 @@ use indicatif::ProgressBar;
 use stein::frame::NoiseKnowledge;
 use stein::gpu::StageTime;
 use stein::text;
-use stein::{Denoiser, Frame, Gpu, Image, Method, Options, metric};
+use stein::{Denoiser, Frame, Gpu, Image, Method, Options};
+use stein_metric as metric;
 
 use super::super::{Failure, interrupt, quality};
 use super::configuration::{Configuration, How};

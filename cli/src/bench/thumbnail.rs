@@ -2,7 +2,8 @@
 
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
-use stein::{Extent, Image, metric};
+use stein::{Extent, Image};
+use stein_metric as metric;
 
 use super::super::Failure;
 use super::measure::{Case, Outcome};

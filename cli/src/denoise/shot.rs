@@ -5,7 +5,8 @@ use std::path::PathBuf;
 
 use serde::Serialize;
 use stein::image::Window;
-use stein::{Image, metric, text};
+use stein::{Image, text};
+use stein_metric as metric;
 
 use super::plan::{Gap, Plan, PlannedFrame, State};
 use crate::Failure;

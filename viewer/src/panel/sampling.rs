@@ -2,7 +2,7 @@
 
 use eframe::egui::{Color32, ComboBox, DragValue, Grid, RichText, Role, Ui, Vec2, WidgetInfo};
 use egui_plot::{AxisHints, Legend, Line, MarkerShape, Plot, PlotPoints, Points};
-use stein::sampling::stub::scenes;
+use stein_stub::scenes;
 
 use super::plot::{X_SPACING, marks, tick};
 use crate::adaptive::{Adaptive, Iteration, Setup};

@@ -4,7 +4,7 @@ use glam::Vec3;
 
 use super::material::on_circle;
 use super::shape::Ray;
-use crate::image::Extent;
+use stein::image::Extent;
 
 /// Where the picture is taken from. Lengths are in the scene's unit.
 #[derive(Clone, Copy, Debug)]

@@ -1,10 +1,9 @@
 //! How far an image is from a reference. All sums are in f64; a NaN anywhere makes the result NaN, but for FLIP, which sees it as black.
 
-use crate::error::{Error, Result};
-use crate::image::{Extent, Image};
-
-/// The ε of the relative measures: keeps dark pixels from counting without bound (thesis 6.5).
-pub const RELATIVE_EPSILON: f64 = 0.01;
+#[cfg(feature = "flip")]
+use stein::Extent;
+pub use stein::frame::RELATIVE_EPSILON;
+use stein::{Error, Image, Result};
 
 /// Mean over pixels and channels of (x − ref)²/(ref² + 0.01) (thesis 6.5). 0 is perfect.
 ///
@@ -80,11 +79,12 @@ pub fn ssim(image: &Image, reference: &Image) -> Result<f64> {
 }
 
 /// FLIP: how large the differences are that a person sees who flips between the two images, 0 (none) to 1 (black against white comes near). The mean over the pixels of
-/// LDR-FLIP (Andersson and others 2020), at [`nv_flip::DEFAULT_PIXELS_PER_DEGREE`] (67) pixels per degree of visual angle: a display 3840 pixels and 0.7 m wide, seen from
+/// LDR-FLIP (Andersson and others 2020), at 67 pixels per degree of visual angle: a display 3840 pixels and 0.7 m wide, seen from
 /// 0.7 m. The images are compared as [`display_bytes`] shows them, so that what is brighter than 1 in both does not count.
 ///
 /// # Errors
 /// Images of different extent or channel count, without pixels, or with other than one or three channels.
+#[cfg(feature = "flip")]
 pub fn flip(image: &Image, reference: &Image) -> Result<f64> {
     check(image, reference)?;
     let Extent { width, height } = image.extent;

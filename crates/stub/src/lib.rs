@@ -7,12 +7,12 @@
 //!
 //! ```
 //! use stein::Extent;
-//! use stein::sampling::stub::{self, Sequence, StubSampler};
 //! use stein::sampling::{SampleCounts, Sampler};
+//! use stein_stub::{Sequence, StubSampler};
 //!
 //! # fn main() -> stein::error::Result<()> {
 //! let extent = Extent { width: 24, height: 16 };
-//! let scene = stub::scene("dof").expect("one of `stub::scenes()`");
+//! let scene = stein_stub::scene("dof").expect("one of `stein_stub::scenes()`");
 //! let mut sampler = StubSampler::new(scene, extent, 1, Sequence::Random);
 //! let mut samples = sampler.sample(&SampleCounts::uniform(extent, 4)?, None)?;
 //! // A pass that asks for more where it matters: here, in the lower half.
@@ -50,12 +50,12 @@ pub use scenes::{scene, scenes};
 pub use shape::Shape;
 pub use texture::Texture;
 
-use super::{PixelAccumulator, Progress, SampleCounts, Sampler, Samples};
-use crate::error::{Error, Result};
-use crate::image::Extent;
 use camera::View;
 use path::{CHANNELS, FEATURES};
 use random::Numbers;
+use stein::error::{Error, Result};
+use stein::image::Extent;
+use stein::sampling::{PixelAccumulator, Progress, SampleCounts, Sampler, Samples};
 
 /// How paths find light. Both have the same mean.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
