@@ -101,7 +101,7 @@ pub fn write(output: &Path, bytes: &[u8]) -> Result<()> {
 }
 
 /// Temporary files are private by default; an output is as readable as the user's other files.
-pub(crate) fn readable<'a, 'b, 'c>(builder: &'c mut Builder<'a, 'b>) -> &'c mut Builder<'a, 'b> {
+pub fn readable<'a, 'b, 'c>(builder: &'c mut Builder<'a, 'b>) -> &'c mut Builder<'a, 'b> {
     #[cfg(unix)]
     builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
     builder
@@ -109,7 +109,10 @@ pub(crate) fn readable<'a, 'b, 'c>(builder: &'c mut Builder<'a, 'b>) -> &'c mut 
 
 /// Writes a file aside, has the system keep it, and renames it to `output`, where another may be replaced, whose access
 /// rights it takes over. Where anything fails, what was there stays and nothing else is left.
-pub(crate) fn replace(output: &Path, builder: &mut Builder<'_, '_>, write: impl FnOnce(&mut File) -> Result<()>) -> Result<()> {
+///
+/// # Errors
+/// As [`write`].
+pub fn replace(output: &Path, builder: &mut Builder<'_, '_>, write: impl FnOnce(&mut File) -> Result<()>) -> Result<()> {
     let folder = match output.parent() {
         Some(folder) if !folder.as_os_str().is_empty() => folder,
         _ => Path::new("."),

@@ -1,7 +1,6 @@
 //! The denoiser: frames in, estimates out.
 
 mod kernels;
-mod write;
 
 use std::ops::ControlFlow;
 use std::time::Instant;
@@ -20,19 +19,17 @@ use crate::method::{
 use crate::stage::PLANE_PIXEL_BYTES;
 use crate::stage::nlm::Schedule;
 
-pub use write::Written;
-
 /// Denoises frames with one method and one set of parameters. Make one and use it for many frames: kernels and buffers are kept by the [`Gpu`].
 ///
 /// ```no_run
-/// use stein::buffers::{BufferSet, BufferSetRequest};
-/// use stein::{Denoiser, Frame, Gpu, Method, gpu::DeviceChoice};
+/// use stein::{Denoiser, Gpu, Method, gpu::DeviceChoice};
+/// use stein_exr::{BufferSet, BufferSetRequest};
 ///
 /// # fn main() -> stein::error::Result<()> {
 /// let gpu = Gpu::open(&DeviceChoice::Auto)?;
 /// let denoiser = Denoiser::new(&gpu, Method::default())?;
 /// let set = BufferSet::read(&BufferSetRequest { input: "noisy.exr".into(), ..Default::default() })?;
-/// let (frame, repairs) = Frame::from_buffer_set(&set)?;
+/// let (frame, repairs) = set.to_frame()?;
 /// println!("{repairs}");
 /// let estimate = denoiser.denoise(&frame)?;
 /// # Ok(())

@@ -2,6 +2,7 @@
 
 mod albedo;
 mod correlation;
+mod kind;
 mod knowledge;
 mod noise;
 mod normals;
@@ -13,9 +14,9 @@ mod unit_range;
 
 use rayon::prelude::*;
 
-use crate::buffers::{BufferSet, MAX_FEATURES, RawSignal, names};
 use crate::error::{Error, Result};
 use crate::image::{self, Extent, Image, Window};
+pub use kind::FeatureKind;
 pub use knowledge::NoiseKnowledge;
 pub(crate) use noise::{NoiseTiles, TILE};
 use repairs::Layer;
@@ -26,8 +27,24 @@ use unit_range::UnitRange;
 /// ε of the relative measures of error, (x − ref)²/(ref² + ε): keeps dark pixels from counting without bound (thesis 6.5).
 pub const RELATIVE_EPSILON: f64 = 0.01;
 
+/// The most features that a frame takes; the text's scenes use up to five.
+pub const MAX_FEATURES: usize = 8;
+
 /// Values that a thread looks at before it asks whether another one has found what they all look for.
 const VALUES_AT_ONCE: usize = 1 << 16;
+
+/// A mean and what the files hold of its noise, as stored: may contain anything that a float can be. All images have the same extent and channels.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RawSignal {
+    /// The mean of all samples.
+    pub mean: Image,
+    /// The mean of the first half of the samples.
+    pub half_a: Option<Image>,
+    /// The mean of the other half.
+    pub half_b: Option<Image>,
+    /// Sample variance of the mean, s²/n.
+    pub variance_of_mean: Option<Image>,
+}
 
 /// A noisy mean with what is known of its noise. All images have the same extent and number of channels.
 #[derive(Clone, Debug, PartialEq)]
@@ -47,6 +64,8 @@ pub struct Signal {
 pub struct Feature {
     /// The layer's name, such as `albedo`.
     pub name: String,
+    /// What it measures.
+    pub kind: FeatureKind,
     /// 1 to 3 channels in unit range; variances scaled with the square of the map's factor. Outliers and far clusters,
     /// which the range leaves out, lie outside of 0 to 1; beyond −1 and 2 they are pulled towards it by a logarithm,
     /// with their noise, and stay within ±200.
@@ -102,7 +121,7 @@ fn into_half_spread(mut a: Image, b: &Image, n_a: f32, n_b: f32) -> Image {
     a
 }
 
-/// What the denoisers work on. Only `Frame::from_buffer_set` and `Frame::new` make one, so a frame is always finite and consistent.
+/// What the denoisers work on. Only `Frame::from_raw` and `Frame::new` make one, so a frame is always finite and consistent.
 #[derive(Clone, Debug)]
 pub struct Frame {
     extent: Extent,
@@ -113,42 +132,25 @@ pub struct Frame {
 }
 
 impl Frame {
-    /// Settles the meaning of what the files said. The halves are taken to have equal numbers of samples, since no file says otherwise.
+    /// Settles the meaning of means and halves as they were rendered. The halves are taken to have equal numbers of samples. Features are asked for one by one, so that
+    /// no more than one is in memory both raw and settled.
     ///
     /// Halves of which one is 0 everywhere, and the other is not, are left out.
     ///
     /// # Errors
     /// As [`Frame::new`].
-    pub fn from_buffer_set(set: &BufferSet) -> Result<(Self, Repairs)> {
-        set.check_memory_for_frame(false)?;
-        Self::settle(set.color(), set)
-    }
-
-    /// As [`Frame::from_buffer_set`], for large frames: the set lets go of the stored samples of the colour and its
-    /// noise, and of all other files than the input. What is left of the set serves
-    /// [`Estimate::write`](crate::Estimate::write).
-    ///
-    /// # Errors
-    /// As [`Frame::new`]; [`Error::File`] where memory ends, or where the input is gone.
-    pub fn take_from(set: &mut BufferSet) -> Result<(Self, Repairs)> {
-        set.check_memory_for_frame(true)?;
-        let (frame, repairs) = Self::settle(set.take_color()?, set)?;
-        set.forget_other_files();
-        if frame.color.half_spread.is_none() {
-            set.restore_halves()?;
-        }
-        Ok((frame, repairs))
-    }
-
-    fn settle(raw: RawSignal, set: &BufferSet) -> Result<(Self, Repairs)> {
+    pub fn from_raw(color: RawSignal, features: impl IntoIterator<Item = (String, RawSignal)>, samples_per_pixel: SamplesPerPixel) -> Result<(Self, Repairs)> {
         let mut notes = Vec::new();
-        if empty_half(&raw).is_none() {
-            notes.extend(mean_beside_halves(&raw));
+        if empty_half(&color).is_none() {
+            notes.extend(mean_beside_halves(&color));
         }
-        let color = signal("colour", raw, &mut notes);
-        // Feature by feature, so that no more than one is in memory both raw and settled.
-        let features = set.features().map(|(name, raw)| (name.to_owned(), signal(name, raw, &mut notes))).collect();
-        let (frame, mut repairs) = Self::new(color, features, set.samples_per_pixel())?;
+        let color = signal("colour", color, &mut notes);
+        let features = features.into_iter().map(|(name, raw)| {
+            let signal = signal(&name, raw, &mut notes);
+            (name, signal)
+        });
+        let features = features.collect();
+        let (frame, mut repairs) = Self::new(color, features, samples_per_pixel)?;
         repairs.notes.splice(0..0, notes);
         Ok((frame, repairs))
     }
@@ -189,18 +191,19 @@ impl Frame {
                 repairs.drop_feature(name, &format!("at most {MAX_FEATURES} features can be used"));
                 continue;
             }
-            let Some(misses) = settle_feature(&name, &mut signal, &mut repairs) else {
+            let kind = FeatureKind::from_name(&name);
+            let Some(misses) = settle_feature(&name, kind, &mut signal, &mut repairs) else {
                 repairs.drop_feature(name, "not one pixel has a usable value");
                 continue;
             };
-            if names::is_albedo_name(&name) {
+            if kind == FeatureKind::Albedo {
                 repairs.notes.extend(albedo::clamp_to_one(&name, &mut signal));
             }
-            match unit_range::to_unit_range(&name, &mut signal, &misses) {
+            match unit_range::to_unit_range(&name, kind, &mut signal, &misses) {
                 Some(UnitRange { scale: unit_scale, offset: unit_offset, notes }) => {
                     repairs.notes.extend(notes);
                     let misses = if misses.contains(&true) { misses } else { Vec::new() };
-                    kept.push(Feature { name, signal, unit_scale, unit_offset, misses });
+                    kept.push(Feature { name, kind, signal, unit_scale, unit_offset, misses });
                 }
                 None => {
                     constant_features.push(name.clone());
@@ -363,11 +366,11 @@ fn settle_color(color: &mut Signal, repairs: &mut Repairs) -> Result<()> {
 
 /// Makes a feature finite, decides which source tells its noise, and returns its misses. `None` if not one pixel has a
 /// usable value.
-fn settle_feature(name: &str, signal: &mut Signal, repairs: &mut Repairs) -> Option<Vec<bool>> {
+fn settle_feature(name: &str, kind: FeatureKind, signal: &mut Signal, repairs: &mut Repairs) -> Option<Vec<bool>> {
     let layer = Layer::feature(name);
     let channels = signal.mean.channels();
     sources::leave_out_unusable(layer, signal, &mut repairs.notes);
-    let Sanitised { found, misses, unusable } = sanitise::sanitise(layer, signal, names::is_distance_name(name));
+    let Sanitised { found, misses, unusable } = sanitise::sanitise(layer, signal, kind == FeatureKind::Distance);
     if unusable.len() == channels {
         return None;
     }

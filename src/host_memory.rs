@@ -34,14 +34,14 @@ impl fmt::Display for Bound {
 
 /// Bytes that the process may still take.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct FreeMemory {
+pub struct FreeMemory {
     bytes: u64,
     bound: Bound,
 }
 
 impl FreeMemory {
     /// The tightest of all limits that the system tells.
-    pub(crate) fn now() -> Self {
+    pub fn now() -> Self {
         let computer = System::new().ok().map(|mut system| {
             system.refresh_memory_specifics(MemoryRefreshKind::everything());
             Self { bytes: system.available_memory() + system.free_swap(), bound: Bound::Computer }
@@ -59,7 +59,7 @@ impl FreeMemory {
     }
 
     /// What is left of the address space where there is a limit to it.
-    pub(crate) fn of_address_space() -> Option<Self> {
+    pub fn of_address_space() -> Option<Self> {
         let most = most_address_space()?;
         let taken = with_own_process(|process| Some(process.virtual_memory()))?;
         Some(Self { bytes: most.saturating_sub(taken + RESERVE), bound: Bound::AddressSpace })
@@ -70,12 +70,12 @@ impl FreeMemory {
     }
 
     /// Bytes, less what is left to allocations that nobody plans.
-    pub(crate) fn bytes(self) -> u64 {
+    pub fn bytes(self) -> u64 {
         self.bytes
     }
 
     /// Refuses work that needs more.
-    pub(crate) fn check(self, needed: u64) -> Result<(), Shortage> {
+    pub fn check(self, needed: u64) -> Result<(), Shortage> {
         if needed <= self.bytes { Ok(()) } else { Err(Shortage { needed, free: self }) }
     }
 }
@@ -100,27 +100,27 @@ fn most_address_space() -> Option<u64> {
 
 /// More memory is needed than there is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct Shortage {
+pub struct Shortage {
     needed: u64,
     free: FreeMemory,
 }
 
 impl Shortage {
     /// What the user can do.
-    pub(crate) const REMEDY: &str =
-        "crop the image, leave layers out, raise the limit where there is one, close other programs, or use a computer with more memory";
+    pub const REMEDY: &str = "crop the image, leave layers out, raise the limit where there is one, close other programs, or use a computer with more memory";
 
-    pub(crate) fn new(needed: u64, free: FreeMemory) -> Self {
+    /// This many bytes are needed, and so many are free.
+    pub fn new(needed: u64, free: FreeMemory) -> Self {
         Self { needed, free }
     }
 
     /// An allocation of this many bytes failed.
-    pub(crate) fn of_allocation(needed: u64) -> Self {
+    pub fn of_allocation(needed: u64) -> Self {
         Self { needed, free: FreeMemory::now() }
     }
 
     /// The failure of work that is named by `what`.
-    pub(crate) fn error(self, what: &str) -> Error {
+    pub fn error(self, what: &str) -> Error {
         Error::Device { problem: format!("{what} {self}"), remedy: Self::REMEDY.into() }
     }
 }
@@ -134,14 +134,14 @@ impl fmt::Display for Shortage {
 }
 
 /// A vector of `length` times `value`.
-pub(crate) fn try_filled<T: Copy>(length: usize, value: T) -> Result<Vec<T>, Shortage> {
+pub fn try_filled<T: Copy>(length: usize, value: T) -> Result<Vec<T>, Shortage> {
     let mut filled = try_with_capacity(length)?;
     filled.resize(length, value);
     Ok(filled)
 }
 
 /// The values in a vector of exactly their number.
-pub(crate) fn try_collected<T>(values: impl ExactSizeIterator<Item = T>) -> Result<Vec<T>, Shortage> {
+pub fn try_collected<T>(values: impl ExactSizeIterator<Item = T>) -> Result<Vec<T>, Shortage> {
     let mut collected = try_with_capacity(values.len())?;
     collected.extend(values);
     Ok(collected)

@@ -36,7 +36,7 @@ impl Image {
     }
 
     /// As [`Image::filled`], where memory may end.
-    pub(crate) fn try_filled(extent: Extent, channels: usize, value: f32) -> Result<Self, Shortage> {
+    pub fn try_filled(extent: Extent, channels: usize, value: f32) -> Result<Self, Shortage> {
         let planes = (0..channels).map(|_| try_filled(extent.pixels(), value)).collect::<Result<_, _>>()?;
         Ok(Self { extent, planes })
     }

@@ -42,12 +42,11 @@
 //! [`Denoiser`] for frames from files; [`Denoiser::record`] for a renderer that keeps its buffers on the GPU; [`Denoiser::kernels`] for those who wonder about a pixel.
 
 pub mod aside;
-pub mod buffers;
 mod denoiser;
 pub mod error;
 pub mod frame;
 pub mod gpu;
-mod host_memory;
+pub mod host_memory;
 pub mod image;
 pub mod method;
 pub mod parameters;
@@ -55,7 +54,7 @@ pub mod sampling;
 pub mod stage;
 pub mod text;
 
-pub use denoiser::{Denoiser, Estimate, Layer, Options, Written};
+pub use denoiser::{Denoiser, Estimate, Layer, Options};
 pub use error::{Error, Result};
 pub use frame::Frame;
 pub use gpu::Gpu;

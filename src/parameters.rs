@@ -7,8 +7,6 @@
 use std::fmt;
 use std::ops::{Bound, RangeBounds, RangeInclusive};
 
-use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
-
 use crate::error::{Error, Result};
 
 /// One parameter of a method.
@@ -68,13 +66,6 @@ pub struct Choice {
     pub name: &'static str,
     /// What it means, in sentences.
     pub documentation: String,
-}
-
-/// As a command line's help has it.
-impl From<Choice> for PossibleValue {
-    fn from(choice: Choice) -> Self {
-        Self::new(choice.name).help(choice.documentation.trim_end_matches('.').to_owned())
-    }
 }
 
 /// What a parameter is.
@@ -438,13 +429,6 @@ impl<G: Group> Describe for Option<G> {
     }
 }
 
-/// Reads one of several values by its word: that at the same place.
-pub(crate) fn value_parser<T: Copy + Send + Sync + 'static>(values: &[T], choices: &[Choice]) -> impl TypedValueParser<Value = T> + use<T> {
-    let by_name: Vec<(&str, T)> = choices.iter().map(|choice| choice.name).zip(values.iter().copied()).collect();
-    let find = move |name: String| by_name.iter().find(|(other, _)| *other == name).map(|(_, value)| *value).ok_or("it is none of them");
-    PossibleValuesParser::new(choices.iter().cloned()).try_map(find)
-}
-
 /// Several parameters; the default is what they are in the default preset.
 pub(crate) trait Group: Describe<Limits = Option<Without>> + Default {}
 
@@ -527,11 +511,6 @@ macro_rules! choices {
             /// Their names and what they mean, in the same order.
             pub fn choices() -> Vec<$crate::parameters::Choice> {
                 vec![$($crate::parameters::Choice { name: $word, documentation: $crate::parameters::text(&[$($documentation),*]) }),+]
-            }
-
-            /// Reads one by its name, for an option of a program; its help tells what they mean.
-            pub fn value_parser() -> impl clap::builder::TypedValueParser<Value = Self> {
-                $crate::parameters::value_parser(Self::ALL, &Self::choices())
             }
         }
 

@@ -115,7 +115,7 @@ fn first(entries: impl IntoIterator<Item = impl AsRef<str>>) -> (Vec<String>, us
 }
 
 /// The beginning of a name that is longer than it may be, and its length in bytes.
-pub(crate) fn beginning(text: &str, bytes: usize) -> String {
+pub fn beginning(text: &str, bytes: usize) -> String {
     let start: String = text.chars().take(BEGINNING).collect();
     format!("'{}…' ({bytes} bytes)", name(&start))
 }

@@ -4,14 +4,15 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
+use stein_exr::MapFile;
 
 use exr::prelude::{FlatSamples, read_all_flat_layers_from_file};
 use glam::Vec3;
 use serde_json::Value;
-use stein::buffers::{BufferSet, BufferSetRequest, read_reference};
 use stein::gpu::DeviceChoice;
-use stein::sampling::{Event, MapFile, Plan, SampleCounts, Samples, SamplingMap, adapt};
+use stein::sampling::{Event, Plan, SampleCounts, Samples, SamplingMap, adapt};
 use stein::{Denoiser, DfcParams, Error, Extent, GemParams, Gpu, Image, Method};
+use stein_exr::{BufferSet, BufferSetRequest, read_reference};
 use stein_metric::relative_mse;
 use stein_stub::{Camera, Environment, Material, Scene, Sequence, Shape, StubSampler, Texture};
 use tempfile::TempDir;
@@ -71,7 +72,7 @@ impl Folder {
 }
 
 fn samples(path: &Path) -> Samples {
-    Samples::from_buffer_set(&BufferSet::read(&BufferSetRequest { input: path.to_owned(), ..Default::default() }).unwrap()).unwrap()
+    BufferSet::read(&BufferSetRequest { input: path.to_owned(), ..Default::default() }).unwrap().to_samples().unwrap()
 }
 
 fn names(folder: &Path) -> Vec<String> {

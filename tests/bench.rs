@@ -9,11 +9,12 @@ mod frames;
 mod process;
 
 use std::path::Path;
+use stein::frame::RawSignal;
 
 use process::{Folder, stein, test_image, write_without};
 use serde_json::{Value, json};
 use stein::Image;
-use stein::buffers::{NamedLayer, RawSignal, write_layers};
+use stein_exr::{NamedLayer, write_layers};
 
 /// Small, so that a software adapter is done at once.
 const CROP: [usize; 4] = [20, 30, 40, 32];

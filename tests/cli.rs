@@ -11,7 +11,7 @@ use std::process::Stdio;
 use exr::prelude::*;
 use process::{Folder, channels, command, stein, test_image, write_without};
 use serde_json::Value;
-use stein::buffers::{BufferSet, BufferSetRequest};
+use stein_exr::{BufferSet, BufferSetRequest};
 
 /// Small, so that a software adapter is done in a second.
 const RADIUS: &str = "--radius=2";

@@ -3,9 +3,9 @@
 
 use std::path::{Path, PathBuf};
 
-use stein::buffers::{BufferSet, BufferSetRequest, NamedLayer, read_reference, write_layers};
 use stein::frame::{Frame, NoiseKnowledge, Repairs, SamplesPerPixel, Signal, half_spread};
 use stein::image::{Extent, Image};
+use stein_exr::{BufferSet, BufferSetRequest, NamedLayer, read_reference, write_layers};
 use stein_metric as metric;
 
 const EXTENT: Extent = Extent { width: 4, height: 3 };
@@ -71,7 +71,7 @@ fn equal_halves_give_the_variance_of_the_mean_and_not_of_one_half() {
 fn the_two_buffer_variance_of_a_real_render_agrees_with_its_sample_variance() {
     let input = testdata("dof_spheres_32spp.exr");
     let set = BufferSet::read(&BufferSetRequest { input, ..BufferSetRequest::default() }).unwrap();
-    let (frame, repairs) = Frame::from_buffer_set(&set).unwrap();
+    let (frame, repairs) = set.to_frame().unwrap();
     assert!(repairs.is_empty(), "{repairs}");
     let color = frame.color();
     let sum = |image: &Image, power: i32| -> f64 { image.planes.iter().flatten().map(|value| f64::from(*value).powi(power)).sum() };
@@ -455,7 +455,7 @@ fn an_empty_half_is_not_taken_for_noise() {
         [layer("", color().mean), half("halfA", 3.0), half("halfB", 0.0), half("variance", 0.25), layer("albedo", image(ramp().map(|value| value / 32.0), 3))];
     let settled = |layers: &[NamedLayer]| {
         write_layers(&path, layers, &[]).unwrap();
-        Frame::from_buffer_set(&BufferSet::read(&BufferSetRequest { input: path.clone(), ..Default::default() }).unwrap())
+        BufferSet::read(&BufferSetRequest { input: path.clone(), ..Default::default() }).unwrap().to_frame()
     };
     let (frame, repairs) = settled(&layers).unwrap();
     assert_eq!(frame.noise_knowledge(), NoiseKnowledge::VarianceOnly);
@@ -480,10 +480,10 @@ fn halves_of_another_render_than_the_input_are_pointed_out() {
     let other = testdata("cornell_8spp.exr");
     let half = |layer: &str| Some(format!("{}::{layer}", other.display()).parse().unwrap());
     let mut request = BufferSetRequest { input, half_a: half("halfA"), half_b: half("halfB"), ..Default::default() };
-    let (_, repairs) = Frame::from_buffer_set(&BufferSet::read(&request).unwrap()).unwrap();
+    let (_, repairs) = BufferSet::read(&request).unwrap().to_frame().unwrap();
     assert!(repairs.to_string().contains("not the average of the halves"), "{repairs}");
     request.input = other;
-    let (_, repairs) = Frame::from_buffer_set(&BufferSet::read(&request).unwrap()).unwrap();
+    let (_, repairs) = BufferSet::read(&request).unwrap().to_frame().unwrap();
     assert!(repairs.is_empty(), "{repairs}");
 }
 

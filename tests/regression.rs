@@ -7,7 +7,7 @@
 mod frames;
 
 use stein::gpu::{DeviceChoice, Gpu};
-use stein::{Denoiser, DfcParams, Estimate, Frame, Image};
+use stein::{Denoiser, DfcParams, Estimate, Image};
 use stein_metric::relative_mse;
 
 /// Means over squares of 16×16 pixels.
@@ -55,7 +55,7 @@ fn errors_stay_within_their_bounds() {
     let mut failures = Vec::new();
     for bound in BOUNDS {
         let set = frames::noisy(bound.render);
-        let (frame, _) = Frame::from_buffer_set(&set).unwrap_or_else(|error| panic!("{error}"));
+        let (frame, _) = set.to_frame().unwrap_or_else(|error| panic!("{error}"));
         let reference = frames::converged(bound.scene);
         let error_of = |image: &Image| relative_mse(image, &reference).unwrap_or_else(|error| panic!("{error}"));
         let noisy = error_of(&frame.color().mean);

@@ -6,13 +6,14 @@
 
 use std::f32::consts::PI;
 use std::ops::ControlFlow;
+use stein::frame::RawSignal;
 
 use glam::Vec3;
-use stein::buffers::{BufferSet, BufferSetRequest, RawSignal};
 use stein::error::Error;
 use stein::frame::SamplesPerPixel;
 use stein::sampling::{PixelAccumulator, SampleCounts, Sampler, Samples};
 use stein::{Extent, Image};
+use stein_exr::{BufferSet, BufferSetRequest};
 use stein_stub::{Camera, Environment, Material, Scene, Sequence, Shape, StubSampler, Sun, Texture, Transport, scene, scenes};
 
 const BOTH: [Sequence; 2] = [Sequence::Random, Sequence::LowDiscrepancy];
@@ -292,9 +293,9 @@ fn a_set_that_went_through_a_file_can_be_continued() {
     for counts in [SampleCounts::from_samples(extent, &[2, 1000, 4, 16, 0, 8, 2, 6]).unwrap(), SampleCounts::uniform(extent, 4).unwrap()] {
         let mut sampler = StubSampler::new(everything(), extent, 8, Sequence::LowDiscrepancy);
         let mut direct = sampler.sample(&counts, None).unwrap();
-        direct.write(&path, &[("scene".into(), "everything".into())]).unwrap();
+        stein_exr::write_samples(&direct, &path, &[("scene".into(), "everything".into())]).unwrap();
         let set = BufferSet::read(&BufferSetRequest { input: path.clone(), ..Default::default() }).unwrap();
-        let mut read = Samples::from_buffer_set(&set).unwrap();
+        let mut read = set.to_samples().unwrap();
         assert_eq!(read.feature_names().len(), 5);
         assert_eq!(read.counts(), counts);
         let uniform = counts.pairs().iter().all(|pairs| *pairs == counts.pairs()[0]);

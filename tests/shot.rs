@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 use process::{Folder, Outcome, channels, stein, test_image, write_without};
 use serde_json::{Value, json};
 use stein::Image;
-use stein::buffers::{BufferSet, BufferSetRequest, NamedLayer, read_reference, write_layers};
+use stein_exr::{BufferSet, BufferSetRequest, NamedLayer, read_reference, write_layers};
 use stein_metric as metric;
 
 const RADIUS: &str = "--radius=2";

@@ -7,10 +7,10 @@ mod report;
 use std::path::PathBuf;
 
 use indicatif::ProgressFinish;
-use stein::buffers::{LayerRef, read_reference};
 use stein::sampling::{Event, Plan, Resumed, Sampler, adapt, uniform};
 use stein::text;
 use stein::{Denoiser, Extent, Image};
+use stein_exr::{LayerRef, read_reference};
 
 use super::filter::Filter;
 use super::options::Device;

@@ -19,10 +19,11 @@ use std::time::SystemTime;
 
 use clap::Parser;
 use stein::aside::Aside;
-use stein::buffers::{BufferSet, LayerRef};
 use stein::frame::{NoiseKnowledge, SamplesPerPixel};
 use stein::stage::candidate_set::CandidateSet;
 use stein::{Extent, Frame, Gpu, Image, Method, Preset};
+use stein_exr::options::choice;
+use stein_exr::{BufferSet, LayerRef};
 
 use super::filter::{Tuning, candidates};
 use super::inspect::settle;
@@ -102,10 +103,10 @@ struct Axes {
     #[arg(long = "ref", value_name = "FILE[::LAYER]")]
     references: Vec<LayerRef>,
     /// Methods to measure [default: dfc, or that of --params]
-    #[arg(long, alias = "method", value_name = "NAME,…", value_delimiter = ',', value_parser = Method::value_parser())]
+    #[arg(long, alias = "method", value_name = "NAME,…", value_delimiter = ',', value_parser = choice(&Method::all(), &Method::choices()))]
     methods: Vec<Method>,
     /// Presets to measure [default: all, or that of --params]
-    #[arg(long, alias = "preset", value_name = "NAME,…", value_delimiter = ',', value_parser = Preset::value_parser())]
+    #[arg(long, alias = "preset", value_name = "NAME,…", value_delimiter = ',', value_parser = choice(Preset::ALL, &Preset::choices()))]
     presets: Vec<Preset>,
     /// Of dfc and nlm: radii of the window, in pixels [default: 10]
     #[arg(long, alias = "radius", value_name = "PIXELS,…", value_delimiter = ',')]

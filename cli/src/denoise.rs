@@ -15,9 +15,9 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use clap::builder::{PossibleValuesParser, TypedValueParser};
-use stein::buffers::{BufferSet, LayerRef};
 use stein::method::{Intermediate, Spikes};
 use stein::{Denoiser, Frame, Method, Options, Preset};
+use stein_exr::{BufferSet, LayerRef};
 
 use super::explain::Explained;
 use super::filter::{Chosen, Filter};

@@ -6,9 +6,9 @@ use std::path::Path;
 use std::process::ExitCode;
 
 use stein::Error;
-use stein::buffers::BufferSetRequest;
 use stein::gpu::GpuOptions;
 use stein::text;
+use stein_exr::BufferSetRequest;
 
 /// The exit code where an input file or layer cannot be used.
 const INPUT: u8 = 3;

@@ -9,6 +9,7 @@ use stein::stage::candidate_set::CandidateSet;
 use stein::stage::nlm::{Symmetry, Weighting};
 use stein::text;
 use stein::{DfcParams, GemParams, Method, NlmParams, Preset};
+use stein_exr::options::{choice, possible};
 
 use super::Failure;
 
@@ -22,16 +23,16 @@ pub(crate) const CANDIDATES: &str = "candidates";
 #[command(next_help_heading = "Filter")]
 pub(crate) struct Filter {
     /// Parameters [default: default, or that of --params]
-    #[arg(long, value_name = "NAME", value_parser = Preset::value_parser())]
+    #[arg(long, value_name = "NAME", value_parser = choice(Preset::ALL, &Preset::choices()))]
     preset: Option<Preset>,
     /// Method [default: dfc, or that of --params]
-    #[arg(long, value_parser = Method::value_parser())]
+    #[arg(long, value_parser = choice(&Method::all(), &Method::choices()))]
     method: Option<Method>,
     /// Of dfc and nlm: radius of the window that is averaged over, in pixels [default: 10]
     #[arg(long, value_name = "PIXELS")]
     radius: Option<u32>,
     /// Of dfc: which candidates take part; the others are not computed [default: first,second,third]
-    #[arg(long, value_name = "NAME", value_delimiter = ',', value_parser = PossibleValuesParser::new(CandidateSet::choices()))]
+    #[arg(long, value_name = "NAME", value_delimiter = ',', value_parser = PossibleValuesParser::new(CandidateSet::choices().iter().map(possible)))]
     candidates: Vec<String>,
     #[command(flatten)]
     tuning: Tuning,
@@ -52,7 +53,7 @@ pub(crate) struct Tuning {
     #[arg(long, value_name = "FILE")]
     params: Option<PathBuf>,
     /// What becomes of spikes: pixels that stand out from those of their kind and rest on very few samples [default: spread; of the preset thesis: keep]
-    #[arg(long, value_name = "RULE", value_parser = Spikes::value_parser())]
+    #[arg(long, value_name = "RULE", value_parser = choice(Spikes::ALL, &Spikes::choices()))]
     spikes: Option<Spikes>,
     /// Of gem: share of wrong decisions for a sharper filter where the image is constant, above 0 and below 0.4; lower is smoother [default: 0.15]
     #[arg(long, value_name = "SHARE")]
@@ -75,7 +76,7 @@ struct NlmChoice {
     #[arg(long, value_name = "NUMBER")]
     alpha: Option<f32>,
     /// Of nlm: whether the mean of opposite neighbours may stand for both, which keeps gradients [default: hard]
-    #[arg(long, value_name = "RULE", value_parser = Symmetry::value_parser())]
+    #[arg(long, value_name = "RULE", value_parser = choice(Symmetry::ALL, &Symmetry::choices()))]
     symmetric: Option<Symmetry>,
     /// Of nlm: weights below this one become 0 [default: 0.05]
     #[arg(long, value_name = "WEIGHT")]

@@ -3,11 +3,11 @@
 use std::path::PathBuf;
 
 use serde::Serialize;
-use stein::buffers::{BufferSet, LayerUse, Role, SignalPart};
 use stein::frame::{Feature, NoiseKnowledge, Repairs, SamplesPerPixel};
 use stein::image::Window;
 use stein::text;
 use stein::{Error, Frame};
+use stein_exr::{BufferSet, LayerUse, Role, SignalPart};
 
 use super::Failure;
 use super::out::{indent, number, table};
@@ -288,7 +288,7 @@ impl FeatureNoise {
 /// Settles an input's meaning and describes it. Of the set, what an output is made of is left. With `require_noise`, a
 /// frame of whose colour's noise nothing is known is refused.
 pub(crate) fn settle(set: &mut BufferSet, require_noise: bool) -> (Result<Frame, Error>, Input) {
-    let settled = Frame::take_from(set).and_then(|(frame, repairs)| {
+    let settled = set.take_frame().and_then(|(frame, repairs)| {
         if require_noise {
             frame.require_noise(&repairs)?;
         }

@@ -3,12 +3,12 @@
 use std::path::PathBuf;
 
 use serde::Serialize;
-use stein::buffers::{NamedLayer, write_layers};
 use stein::gpu::AdapterSummary;
 use stein::kernels::WeightRule;
 use stein::method::PlannedStep;
 use stein::text;
 use stein::{Error, Extent, FilterKernel, Image, Kernels, Options};
+use stein_exr::{NamedLayer, write_layers};
 
 use super::filter::Filter;
 use super::inspect::{Input, settle};

@@ -2,10 +2,10 @@
 
 use std::path::{Path, PathBuf};
 
-use stein::buffers::{BufferSet, BufferSetRequest, LayerRef};
 use stein::gpu::{DeviceChoice, GpuOptions};
 use stein::text;
 use stein::{Denoiser, Extent, Gpu, Method};
+use stein_exr::{BufferSet, BufferSetRequest, LayerRef};
 
 use super::Failure;
 

@@ -3,10 +3,10 @@
 use std::path::Path;
 
 use serde::Serialize;
-use stein::buffers::{LayerRef, read_reference};
 use stein::method::Intermediate;
 use stein::text;
 use stein::{Estimate, Frame, Image};
+use stein_exr::{LayerRef, read_reference};
 use stein_metric as metric;
 
 use super::Failure;

@@ -3,13 +3,14 @@
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
+use stein_exr::{MapFile, write_samples};
 
 use clap::ValueEnum;
 use serde::Serialize;
-use stein::buffers::{NamedLayer, write_layers};
-use stein::sampling::{MapFile, SampleCounts, Sampler};
+use stein::sampling::{SampleCounts, Sampler};
 use stein::text;
 use stein::{Extent, Image};
+use stein_exr::{NamedLayer, write_layers};
 use stein_stub::{Sequence, StubSampler, scene, scenes};
 
 use super::options::size;
@@ -149,7 +150,7 @@ pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
     if args.reference {
         write_color(&file, samples.color().mean, average, &texts)?;
     } else {
-        samples.write(&file, &texts).map_err(Failure::output)?;
+        write_samples(&samples, &file, &texts).map_err(Failure::output)?;
     }
     out.say(format_args!("{}: {extent}, {average} samples per pixel, {}", text::path(&file), seconds(start.elapsed().as_secs_f64())));
     Ok(())

@@ -4,7 +4,8 @@ use serde::Serialize;
 use stein::gpu::{AdapterSummary, SavedPipelines, StageTime};
 use stein::method::{Intermediate, SpikeReport};
 use stein::text;
-use stein::{Estimate, Method, Written};
+use stein::{Estimate, Method};
+use stein_exr::Written;
 
 use super::Failure;
 use super::explain::Explained;

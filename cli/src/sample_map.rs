@@ -2,13 +2,14 @@
 
 use std::ops::ControlFlow;
 use std::path::PathBuf;
+use stein_exr::MapFile;
 
 use serde::Serialize;
 use stein::Options;
 use stein::frame::SamplesPerPixel;
 use stein::gpu::AdapterSummary;
 use stein::method::Intermediate;
-use stein::sampling::{MapFile, SampleCounts, SamplingMap, sampling_density};
+use stein::sampling::{SampleCounts, SamplingMap, sampling_density};
 use stein::text;
 
 use super::filter::Filter;

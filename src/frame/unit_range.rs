@@ -5,7 +5,7 @@ use std::ops::RangeInclusive;
 use super::Signal;
 use super::normals::{self, Encoding};
 use super::range::{Range, range_of_hits};
-use crate::buffers::names;
+use crate::frame::FeatureKind;
 
 /// Normals may exceed a length of 1 by this much, as noise makes them do.
 const NORMAL_TOLERANCE: f32 = 0.0001;
@@ -27,8 +27,7 @@ pub(super) struct UnitRange {
 /// mapped from its least to its greatest value, outliers and far clusters not counted. `None`, with the signal
 /// unchanged, if there are no misses and no channel varies by more than round-off: such a feature cannot tell pixels
 /// apart.
-pub(super) fn to_unit_range(name: &str, signal: &mut Signal, misses: &[bool]) -> Option<UnitRange> {
-    let is_distance = names::is_distance_name(name);
+pub(super) fn to_unit_range(name: &str, kind: FeatureKind, signal: &mut Signal, misses: &[bool]) -> Option<UnitRange> {
     // Rounding makes a constant depth vary in its last digits.
     let varies = |least: f32, greatest: f32| greatest - least > 1e-6 * least.abs().max(greatest.abs()) && greatest - least > 1e-30;
     let constant = !signal.mean.planes.iter().any(|plane| {
@@ -40,14 +39,14 @@ pub(super) fn to_unit_range(name: &str, signal: &mut Signal, misses: &[bool]) ->
     if constant && !holes {
         return None;
     }
-    let may_be_normals = names::is_normal_name(name) && signal.mean.channels() == 3;
+    let may_be_normals = kind == FeatureKind::Normal && signal.mean.channels() == 3;
     let encoding = if may_be_normals { normals::encoding(&signal.mean) } else { Encoding::Plain };
     let mut notes = Vec::new();
     if encoding == Encoding::Halved {
         normals::decode(signal);
         notes.push(format!("feature {name}: stored as (n + 1)/2, taken as the normals n"));
     }
-    let Range { mut least, mut greatest, outside, all } = range_of_hits(&signal.mean, misses, is_distance);
+    let Range { mut least, mut greatest, outside, all } = range_of_hits(&signal.mean, misses, kind == FeatureKind::Distance);
     if outside > 0 && !varies(least, greatest) {
         (least, greatest) = all;
     } else if outside > 0 {

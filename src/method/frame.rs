@@ -6,7 +6,7 @@ use glam::{IVec2, Vec3};
 use rayon::prelude::*;
 
 use crate::error::Result;
-use crate::frame::{Feature, Frame, SamplesPerPixel, Signal};
+use crate::frame::{Feature, FeatureKind, Frame, SamplesPerPixel, Signal};
 use crate::gpu::{Buffer, Recorder};
 use crate::image::Image;
 use crate::stage::feature::Slot;
@@ -40,6 +40,8 @@ impl GpuSignal {
 pub struct GpuFeature {
     /// Its name in dumps.
     pub name: String,
+    /// What it measures.
+    pub kind: FeatureKind,
     /// Its values and what is known of their noise.
     pub signal: GpuSignal,
     /// 1 to 3.
@@ -80,6 +82,7 @@ pub(crate) struct FrameInput<'a> {
 /// A feature that is on the device or follows.
 pub(super) struct FeatureInput<'a> {
     pub(super) name: String,
+    pub(super) kind: FeatureKind,
     /// 1 to 3.
     pub(super) channels: u32,
     source: Source<'a>,
@@ -109,8 +112,13 @@ impl FeatureInput<'_> {
 impl From<GpuFrame> for FrameInput<'_> {
     fn from(frame: GpuFrame) -> Self {
         let GpuFrame { extent, color, features, samples, mean_variance } = frame;
-        let features =
-            features.into_iter().map(|GpuFeature { name, signal, channels }| FeatureInput { name, channels, source: Source::Device(signal), pooled: None });
+        let features = features.into_iter().map(|GpuFeature { name, kind, signal, channels }| FeatureInput {
+            name,
+            kind,
+            channels,
+            source: Source::Device(signal),
+            pooled: None,
+        });
         Self { extent, color, features: features.collect(), samples, mean_variance }
     }
 }
@@ -147,7 +155,7 @@ impl<'a> FrameInput<'a> {
             let noise = if plan.runs(&Step::Prefilter(feature.name.clone())) { Noise::Told } else { Noise::Absent };
             let source = Source::Host { signal: &feature.signal, strip: *strip, map, noise };
             let channels = feature.signal.mean.channels() as u32;
-            features.push(FeatureInput { name: feature.name.clone(), channels, source, pooled: None });
+            features.push(FeatureInput { name: feature.name.clone(), kind: feature.kind, channels, source, pooled: None });
         }
         let extent = IVec2::new(frame.extent().width as i32, strip.rows_with_halo() as i32);
         let samples = match frame.samples_per_pixel() {

@@ -8,8 +8,8 @@ use glam::IVec2;
 use super::GpuSignal;
 use super::frame::FeatureInput;
 use super::plan::{Facts, Plan, Step};
-use crate::buffers::names;
 use crate::error::Result;
+use crate::frame::FeatureKind;
 use crate::gpu::Recorder;
 use crate::stage::noise::{ImageRule, NoiseRule, NoisyFeatures, noise_feature, noise_of_image, noise_pool, noise_unpack};
 
@@ -76,8 +76,8 @@ pub(super) fn estimate_noise(rec: &mut Recorder, extent: IVec2, color: &mut GpuS
         noisy = Some(packed);
     }
     if color.is_image_only() {
-        let may_explain = |name: &str| names::is_albedo_name(name) || names::is_normal_name(name);
-        let explaining: Vec<usize> = (0..features.len()).filter(|&index| channels[index] == 3 && may_explain(&features[index].name)).collect();
+        let may_explain = |kind| matches!(kind, FeatureKind::Albedo | FeatureKind::Normal);
+        let explaining: Vec<usize> = (0..features.len()).filter(|&index| channels[index] == 3 && may_explain(features[index].kind)).collect();
         let variance = noise_of_image(rec, extent, &color.signal, noisy.as_ref(), &explaining, &ImageRule::DEFAULT)?;
         color.variance_of_mean = Some(Arc::new(variance));
         return Ok(());

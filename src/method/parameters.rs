@@ -1,10 +1,8 @@
 //! The parameters of a method by their names.
 
-use clap::builder::TypedValueParser;
-
 use super::{DfcParams, GemParams, Method, NlmParams, Preset};
 use crate::error::{Error, Result};
-use crate::parameters::{self, Choice, Describe, Kind, Parameter, Value};
+use crate::parameters::{Choice, Describe, Kind, Parameter, Value};
 
 impl Method {
     /// Their names, in the order of [`Method::all`].
@@ -23,11 +21,6 @@ impl Method {
             Self::Nlm(_) => "Non-local means, each half of the samples filtered with the weights of the other; needs no features.",
         };
         Self::all().map(|method| Choice { name: method.name(), documentation: about(&method).into() })
-    }
-
-    /// Reads one by its name, with the parameters of the default preset, for an option of a program; its help tells what they are.
-    pub fn value_parser() -> impl TypedValueParser<Value = Self> {
-        parameters::value_parser(&Self::all(), &Self::choices())
     }
 
     /// The same method with the parameters of a preset.

@@ -6,20 +6,17 @@
 //! [`Samples::to_frame`] gives what the denoiser works on. The crate `stein-stub` has a small path tracer that stands in
 //! for a renderer.
 //!
-//! [`adapt`] is the loop: draw, denoise, estimate the error, hand out the next samples by it as a [`SamplingMap`] says. A
-//! [`MapFile`] carries such a map to a renderer in another process.
+//! [`adapt`] is the loop: draw, denoise, estimate the error, hand out the next samples by it as a [`SamplingMap`] says. The
+//! crate `stein-exr` carries such a map to a renderer in another process, as a file.
 
 mod adapt;
 mod density;
 mod map;
-mod map_file;
-mod native;
 mod sampler;
 mod samples;
 
 pub use adapt::{Event, Iterations, Outcome, Plan, Resumed, adapt, estimated_relative_mse, uniform};
 pub use density::sampling_density;
 pub use map::SamplingMap;
-pub use map_file::MapFile;
 pub use sampler::{Progress, SampleCounts, Sampler};
 pub use samples::{PixelAccumulator, Samples};

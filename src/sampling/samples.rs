@@ -3,9 +3,8 @@
 use std::collections::BTreeSet;
 
 use super::SampleCounts;
-use crate::buffers::RawSignal;
 use crate::error::{Error, Result};
-use crate::frame::{Frame, Repairs, SamplesPerPixel, Signal, half_spread};
+use crate::frame::{Frame, RawSignal, Repairs, SamplesPerPixel, Signal, half_spread};
 use crate::image::{Extent, Image};
 
 /// What some samples per pixel say: the number of samples, and for the colour and every feature the means of both halves and the spread of all samples.

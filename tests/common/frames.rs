@@ -1,11 +1,12 @@
 //! Frames from the test renders.
 
 use std::path::{Path, PathBuf};
+use stein::frame::RawSignal;
 
-use stein::buffers::{BufferSet, BufferSetRequest, RawSignal, read_reference};
 use stein::frame::{Signal, half_spread};
 use stein::image::{Extent, Image};
 use stein::{Estimate, Frame, frame::SamplesPerPixel};
+use stein_exr::{BufferSet, BufferSetRequest, read_reference};
 
 fn path(file: &str) -> PathBuf {
     // Tests of the library and of the programs use it, in folders of their own.

@@ -3,10 +3,11 @@
 
 use std::path::Path;
 use std::process::{Command, Stdio};
+use stein::frame::RawSignal;
 
 use exr::prelude::*;
 use serde_json::Value;
-use stein::buffers::{BufferSet, BufferSetRequest, NamedLayer, RawSignal};
+use stein_exr::{BufferSet, BufferSetRequest, NamedLayer};
 use tempfile::TempDir;
 
 pub struct Outcome {
@@ -102,7 +103,7 @@ pub fn write_without(parts: &[&str], from: &str, to: &str) {
     let layers = [("", Some(mean)), ("halfA", half_a), ("halfB", half_b), ("variance", variance_of_mean)].into_iter();
     let layers = layers.filter(|(name, _)| !parts.contains(name));
     let layers: Vec<_> = layers.map(|(name, image)| NamedLayer { name: name.into(), channels: rgb.clone(), image: image.unwrap() }).collect();
-    stein::buffers::write_layers(Path::new(to), &layers, &[("samples".into(), "8".into())]).unwrap();
+    stein_exr::write_layers(Path::new(to), &layers, &[("samples".into(), "8".into())]).unwrap();
 }
 
 pub fn channels(path: &str) -> Vec<(String, FlatSamples)> {

@@ -18,8 +18,13 @@ pub(crate) fn name_no_items(told: impl Fn(String) -> String) {
 /// Every text in the sources of the library that names one of its items, but for those of callers.
 fn naming_items() -> Vec<String> {
     // The programs lie beside it.
-    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../src");
-    let mut texts: Vec<String> = sources(&root).iter().flat_map(|path| in_source(&std::fs::read_to_string(path).unwrap_or_default())).collect();
+    let roots = ["../src", "../crates"].map(|folder| Path::new(env!("CARGO_MANIFEST_DIR")).join(folder));
+    let mut texts: Vec<String> = roots
+        .iter()
+        .flat_map(|root| sources(root))
+        .filter(|path| path.extension().is_some_and(|extension| extension == "rs"))
+        .flat_map(|path| in_source(&std::fs::read_to_string(path).unwrap_or_default()))
+        .collect();
     texts.sort();
     texts.dedup();
     texts.retain(|text| !OF_CALLERS.iter().any(|item| text.contains(item)));

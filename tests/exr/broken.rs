@@ -2,9 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
-use stein::Frame;
-use stein::buffers::BufferSet;
 use stein::error::Error;
+use stein_exr::BufferSet;
 
 use super::draft::{Block, CHANNELS, Draft, HALF, HEIGHT, channel_list, channels, ints};
 use super::{folder, request};
@@ -177,7 +176,7 @@ fn refusal(path: &Path) -> String {
             assert!(text.starts_with(&path.display().to_string()), "{text}");
             text
         }
-        Ok(set) => Frame::from_buffer_set(&set).map(|_| ()).expect_err("something is broken").to_string(),
+        Ok(set) => set.to_frame().map(|_| ()).expect_err("something is broken").to_string(),
     }
 }
 
@@ -194,7 +193,7 @@ fn what_the_broken_files_are_made_from_is_sound() {
     for draft in [Draft::good(), tiles, Draft::of_two_parts([0, 0, 3, 2])] {
         std::fs::write(&path, draft.bytes().0).expect("a file");
         let set = BufferSet::read(&request(&path)).expect("nothing is broken");
-        assert!(Frame::from_buffer_set(&set).is_ok());
+        assert!(set.to_frame().is_ok());
         pixels.push(set.color().mean);
     }
     assert_eq!(pixels[0], pixels[1]);

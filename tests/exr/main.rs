@@ -11,8 +11,8 @@ mod writing;
 use std::path::{Path, PathBuf};
 
 use exr::prelude::*;
-use stein::buffers::{BufferSet, BufferSetRequest, DenoisedLayers, Role};
 use stein::image::{Extent, Image as Planes};
+use stein_exr::{BufferSet, BufferSetRequest, DenoisedLayers, Role};
 
 const SIZE: (usize, usize) = (5, 3);
 const PIXELS: usize = SIZE.0 * SIZE.1;

@@ -2,7 +2,7 @@
 
 use std::fs;
 
-use stein::buffers::{LayerRef, NamedLayer, write_denoised, write_layers};
+use stein_exr::{LayerRef, NamedLayer, write_denoised, write_layers};
 
 use super::*;
 

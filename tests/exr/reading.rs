@@ -2,9 +2,9 @@
 
 use std::path::{Path, PathBuf};
 
-use stein::buffers::{BufferSet, BufferSetRequest, LayerRef, Role, SampleKind, SignalPart, read_reference, write_denoised};
 use stein::frame::SamplesPerPixel;
 use stein::image::Extent;
+use stein_exr::{BufferSet, BufferSetRequest, LayerRef, Role, SampleKind, SignalPart, read_reference, write_denoised};
 
 use super::*;
 

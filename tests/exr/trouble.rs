@@ -1,7 +1,7 @@
 //! Files and requests that cannot be served: the message says which and what to do.
 
-use stein::buffers::{BufferSet, BufferSetRequest, LayerRef};
-use stein::frame::{Frame, NoiseKnowledge};
+use stein::frame::NoiseKnowledge;
+use stein_exr::{BufferSet, BufferSetRequest, LayerRef};
 
 use super::*;
 
@@ -96,7 +96,7 @@ fn what_is_optional_and_cannot_be_used_is_left_out_and_named() {
             let found = set.layer_uses().iter().find(|found| found.layer == *layer).unwrap();
             assert!(found.role == Role::Untouched && found.note.as_ref().is_some_and(|note| note.contains(problem)), "{found:?}");
         }
-        assert!(Frame::from_buffer_set(&set).is_ok());
+        assert!(set.to_frame().is_ok());
     }
     // A half that was asked for by name needs the other one, whatever else there is.
     let part = Part::new().with("", "RGB", 1.0).with("first", "RGB", 2.0).with("variance", "RGB", 3.0);
@@ -119,7 +119,7 @@ fn the_input_given_as_its_own_variance_asks_for_a_layer() {
 fn neither_halves_nor_variance_explains_the_ways_out() {
     let folder = folder();
     let set = read(&write(folder.path(), "in.exr", vec![Part::new().with("", "RGB", 1.0)]));
-    let (frame, repairs) = Frame::from_buffer_set(&set).unwrap();
+    let (frame, repairs) = set.to_frame().unwrap();
     assert_eq!(frame.noise_knowledge(), NoiseKnowledge::ImageOnly);
     let message = frame.require_noise(&repairs).unwrap_err().to_string();
     for way in ["`BufferSetRequest::half_a`", "`BufferSetRequest::variance`", "seeds"] {

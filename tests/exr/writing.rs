@@ -3,9 +3,9 @@
 use std::path::Path;
 
 use stein::Frame;
-use stein::buffers::{DenoisedLayers, NamedLayer, Role, SampleKind, write_denoised};
 use stein::error::Error;
 use stein::image::{Extent, Image as Planes, Window};
+use stein_exr::{DenoisedLayers, NamedLayer, Role, SampleKind, write_denoised};
 
 use super::draft::{CHANNELS, Draft};
 use super::*;
@@ -305,8 +305,8 @@ fn a_set_that_gave_its_samples_away_makes_the_same_frame_and_output() {
     for (index, part) in [Part::native(), as_halves, with_more_in_a_half].into_iter().enumerate() {
         let input = write(folder.path(), &format!("in_{index}.exr"), vec![part]);
         let (whole, mut taken) = (read(&input), read(&input));
-        let expected = Frame::from_buffer_set(&whole).unwrap().0;
-        assert_alike(&Frame::take_from(&mut taken).unwrap().0, &expected);
+        let expected = whole.to_frame().unwrap().0;
+        assert_alike(&taken.take_frame().unwrap().0, &expected);
 
         let (color, halves) = (rgb(50.0), [("halfA".to_owned(), rgb(51.0)), ("halfB".to_owned(), rgb(52.0))]);
         let replaced = if index == 2 { &halves[1..] } else { &halves[..] };
@@ -339,7 +339,7 @@ fn written_with_an_empty_half(mut part: Part) {
     }
     let input = write(folder.path(), "in.exr", vec![part]);
     let mut set = read(&input);
-    assert!(Frame::take_from(&mut set).unwrap().0.color().half_spread.is_none());
+    assert!(set.take_frame().unwrap().0.color().half_spread.is_none());
     let output = folder.path().join("out.exr");
     write_denoised(set, &output, &replace_color_without_variance(&rgb(50.0))).unwrap();
     for channel in ["halfA.R", "halfA.B", "halfB.G", "normal.X"] {
@@ -351,7 +351,7 @@ fn written_with_an_empty_half(mut part: Part) {
 fn samples_that_are_gone_are_not_written_as_if_they_were_there() {
     let folder = folder();
     let mut set = read(&write(folder.path(), "in.exr", vec![Part::native()]));
-    Frame::take_from(&mut set).unwrap();
+    set.take_frame().unwrap();
     let output = folder.path().join("out.exr");
     let refused = write_denoised(set, &output, &replace_color_without_variance(&rgb(50.0))).unwrap_err().to_string();
     assert!(refused.contains("out.exr") && refused.contains("not in memory any more"), "{refused}");

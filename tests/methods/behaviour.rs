@@ -5,6 +5,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use glam::IVec2;
+use stein::frame::FeatureKind;
 use stein::frame::Signal;
 use stein::gpu::{Gpu, GpuOptions, Pace};
 use stein::image::Extent;
@@ -197,7 +198,7 @@ fn a_renderer_that_keeps_its_buffers_gets_the_same_bits() {
         variance_of_mean: Some(Arc::new(own(&packed(&color.variance)))),
         has_halves: true,
     };
-    let features = vec![GpuFeature { name: "paint".into(), signal: gpu_signal(&paint_mean), channels: 3 }];
+    let features = vec![GpuFeature { name: "paint".into(), kind: FeatureKind::Other, signal: gpu_signal(&paint_mean), channels: 3 }];
     let gpu_frame = GpuFrame { extent: IVec2::new(45, 31), color: gpu_signal(&color_mean), features, samples: GpuSamples::Uniform(1.0), mean_variance: None };
     let mut rec = gpu.record_whole();
     let estimate = denoiser.record(&mut rec, gpu_frame, Vec::new()).unwrap_or_else(|error| panic!("{error}"));

@@ -1,6 +1,7 @@
 //! Windows over several frames of a shot (thesis 7.3 and 8.6).
 
 use glam::IVec2;
+use stein::frame::FeatureKind;
 use stein::frame::{SamplesPerPixel, Signal};
 use stein::gpu::{Gpu, GpuOptions, Recorder};
 use stein::method::{GpuFeature, GpuFrame, GpuSignal};
@@ -169,7 +170,7 @@ fn frames_on_the_gpu_that_do_not_fit_together_are_refused() {
             let signal = rec.upload("signal", &vec![0.5; 8 * width as usize]).unwrap_or_else(|error| panic!("{error}"));
             GpuSignal { signal: signal.into(), variance_of_mean: None, has_halves }
         };
-        let features = (0..features).map(|index| GpuFeature { name: index.to_string(), signal: signal(true), channels: 1 }).collect();
+        let features = (0..features).map(|index| GpuFeature { name: index.to_string(), kind: FeatureKind::Other, signal: signal(true), channels: 1 }).collect();
         GpuFrame { extent: IVec2::new(width, 1), color: signal(has_halves), features, samples: GpuSamples::Uniform(1.0), mean_variance: None }
     };
     for (denoiser, width, has_halves, features, fits) in [

@@ -10,8 +10,8 @@ use eframe::egui::{
     self, Align, CentralPanel, Color32, Context, FontDefinitions, FontFamily, Frame as Margins, Layout, Panel as SidePanel, RichText, Ui, Vec2, ViewportCommand,
 };
 use eframe::wgpu;
-use stein::buffers::LayerRef;
 use stein::{Extent, Gpu};
+use stein_exr::LayerRef;
 
 use crate::adaptive::{Adapted, Adaptive, Setup, Step};
 use crate::device::no_thread;

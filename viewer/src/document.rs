@@ -7,11 +7,11 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
-use stein::buffers::{BufferSetRequest, LayerRef};
 use stein::frame::Repairs;
 use stein::method::Plan;
 use stein::sampling::estimated_relative_mse;
 use stein::{Denoiser, Estimate, Frame, Image, Options, Preset, text};
+use stein_exr::{BufferSetRequest, LayerRef};
 use stein_metric as metric;
 
 use crate::files::short_name;

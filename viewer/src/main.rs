@@ -5,9 +5,10 @@ use std::process::ExitCode;
 
 use clap::{Parser, ValueEnum};
 use eframe::egui::{Theme, Vec2, ViewportBuilder};
-use stein::buffers::{BufferSetRequest, LayerRef};
 use stein::gpu::{DeviceChoice, GpuOptions};
 use stein::{Error, Gpu, Method, Preset, text};
+use stein_exr::options::choice;
+use stein_exr::{BufferSetRequest, LayerRef};
 use stein_viewer::adaptive::Setup;
 use stein_viewer::document::Source;
 use stein_viewer::panel::Panel;
@@ -48,10 +49,10 @@ struct Args {
     #[arg(long, value_name = "SCENE", conflicts_with = "file")]
     adapt: Option<String>,
     /// Method [default: that of --params; where no filter option is given, what was used last; else dfc]
-    #[arg(long, value_parser = Method::value_parser())]
+    #[arg(long, value_parser = choice(&Method::all(), &Method::choices()))]
     method: Option<Method>,
     /// Parameters [default: that of --params; where no filter option is given, what was used last; else default]
-    #[arg(long, value_parser = Preset::value_parser())]
+    #[arg(long, value_parser = choice(Preset::ALL, &Preset::choices()))]
     preset: Option<Preset>,
     /// TOML file with method, preset and parameters, such as `stein params` writes
     #[arg(long, value_name = "FILE")]

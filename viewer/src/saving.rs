@@ -5,10 +5,11 @@ use std::sync::Arc;
 use std::sync::mpsc::{Receiver, TryRecvError, channel};
 use std::task::Poll;
 use std::thread::JoinHandle;
+use stein_exr::write_estimate;
 
 use eframe::egui::{CentralPanel, Context, Frame as Margins, Pos2, Rect, Theme, Vec2};
-use stein::buffers::{BufferSet, BufferSetRequest, NamedLayer, write_layers};
 use stein::{Error, Estimate, Gpu, Image, Method, Result, aside};
+use stein_exr::{BufferSet, BufferSetRequest, NamedLayer, write_layers};
 
 use crate::app;
 use crate::device::no_thread;
@@ -136,7 +137,7 @@ impl Content {
                 write_layers(path, &layers, &[])?;
             }
             Self::Result { request: Some(request), estimate, method } => {
-                notes = estimate.write(BufferSet::read(&request)?, path, &[], &method)?.notes;
+                notes = write_estimate(&estimate, BufferSet::read(&request)?, path, &[], &method)?.notes;
             }
         }
         notes.insert(0, format!("Wrote {}", short_name(path)));

@@ -1,8 +1,8 @@
 //! What the library says, in the words of this program.
 
-use stein::buffers::BufferSetRequest;
 use stein::gpu::GpuOptions;
 use stein::{Error, text};
+use stein_exr::BufferSetRequest;
 
 /// What the library's remedies say, and what that is here, besides the options of [`BufferSetRequest`].
 const WORDS: [(&str, &str); 8] = [

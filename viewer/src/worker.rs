@@ -13,10 +13,10 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use eframe::egui::Context;
-use stein::buffers::{BufferSet, LayerRef, read_reference};
 use stein::gpu::Pace;
 use stein::sampling::estimated_relative_mse;
 use stein::{Denoiser, Error, Frame, Gpu, Image, Options};
+use stein_exr::{BufferSet, LayerRef, read_reference};
 
 use crate::adaptive::{Adapted, Loop};
 use crate::device::no_thread;
@@ -413,7 +413,7 @@ fn open(job: &Job, source: Source) -> stein::Result<Opened> {
     job.check(0.0)?;
     let mut set = BufferSet::read(&source.request).map_err(|error| in_file(&source, error))?;
     job.check(0.4)?;
-    let (frame, repairs) = Frame::take_from(&mut set).map_err(|error| in_file(&source, error))?;
+    let (frame, repairs) = set.take_frame().map_err(|error| in_file(&source, error))?;
     drop(set);
     let most = job.desk.gpu.wgpu_device().limits().max_texture_dimension_2d;
     if frame.extent().width.max(frame.extent().height) > most {

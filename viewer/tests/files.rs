@@ -12,8 +12,8 @@ use eframe::Storage;
 use eframe::egui::Key;
 use egui_kittest::Harness;
 use egui_kittest::kittest::Queryable;
-use stein::buffers::{BufferSet, BufferSetRequest, LayerRef, NamedLayer, read_reference, write_layers};
-use stein::{Denoiser, Frame, Image, Preset};
+use stein::{Denoiser, Image, Preset};
+use stein_exr::{BufferSet, BufferSetRequest, LayerRef, NamedLayer, read_reference, write_layers};
 use stein_viewer::document::Source;
 use stein_viewer::files::{Purpose, is_reference, short_name};
 use stein_viewer::panel::Panel;
@@ -254,7 +254,7 @@ fn parts_of_a_frame_come_from_other_files_and_are_saved_and_remembered_so() {
     let set = BufferSet::read(&source.request).unwrap();
     let whole = read(testdata("cornell_8spp.exr"));
     assert!(set.color() == whole.color(), "the file that it was scattered from");
-    let estimate = Denoiser::new(&gpu, method).unwrap().denoise(&Frame::from_buffer_set(&set).unwrap().0).unwrap();
+    let estimate = Denoiser::new(&gpu, method).unwrap().denoise(&set.to_frame().unwrap().0).unwrap();
     let is_the_librarys = |harness: &Harness<'static, Viewer>| {
         let document = harness.state().document.as_ref().unwrap();
         assert_eq!(document.opened.source.as_ref(), Some(&source));
@@ -267,7 +267,7 @@ fn parts_of_a_frame_come_from_other_files_and_are_saved_and_remembered_so() {
 
     // The result is written into the file of the colour; none that it was made from is replaced.
     let context = harness.ctx.clone();
-    estimate.write(set, &path("library.exr"), &[], &method).unwrap();
+    stein_exr::write_estimate(&estimate, set, &path("library.exr"), &[], &method).unwrap();
     harness.state_mut().take_file(Purpose::SaveResult, path("own.exr"), &context);
     settle(&mut harness);
     assert!(std::fs::read(path("own.exr")).unwrap() == std::fs::read(path("library.exr")).unwrap(), "another file than the library's");

@@ -9,8 +9,8 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
-use stein::buffers::{BufferSet, BufferSetRequest};
-use stein::{Denoiser, Frame, Gpu, Method, Preset, gpu::DeviceChoice};
+use stein::{Denoiser, Gpu, Method, Preset, gpu::DeviceChoice};
+use stein_exr::{BufferSet, BufferSetRequest};
 use tempfile::TempDir;
 use x11rb::connection::Connection;
 use x11rb::protocol::xproto::{
@@ -248,7 +248,7 @@ fn keys_ask_for_files_and_what_is_answered_is_opened_and_written() {
     assert_eq!((method, preset), (nlm.with_parameter("window_radius", 2).unwrap(), Preset::Default));
     window.press_for('s', control, &path("result.exr"));
     let read = |input: PathBuf| BufferSet::read(&BufferSetRequest { input, ..Default::default() }).unwrap();
-    let frame = Frame::from_buffer_set(&read(testdata("anim/shot.0001.exr"))).unwrap().0;
+    let frame = read(testdata("anim/shot.0001.exr")).to_frame().unwrap().0;
     let estimate = Denoiser::new(&Gpu::open(&DeviceChoice::Auto).unwrap(), method).unwrap().denoise(&frame).unwrap();
     assert!(read(path("result.exr")).color().mean == estimate.color, "other bits than the library's");
     window.press_for('e', control, &path("view.png"));

@@ -12,9 +12,9 @@ use eframe::egui::{Id, Key, Modifiers, Pos2};
 use egui_kittest::Harness;
 use egui_kittest::kittest::{NodeT, Queryable};
 use egui_plot::{PlotMemory, PlotPoint};
-use stein::buffers::{BufferSet, BufferSetRequest};
 use stein::parameters::{Kind, Value};
 use stein::{Denoiser, Frame, Image, Method, Preset};
+use stein_exr::{BufferSet, BufferSetRequest};
 use stein_viewer::document::{Run, Source};
 use stein_viewer::files::Purpose;
 use stein_viewer::panel::Panel;
@@ -39,7 +39,7 @@ fn result(harness: &Harness<'static, Viewer>) -> Image {
 
 fn frame() -> Frame {
     let set = BufferSet::read(&BufferSetRequest { input: testdata(FILE), ..Default::default() }).unwrap();
-    Frame::from_buffer_set(&set).unwrap().0
+    set.to_frame().unwrap().0
 }
 
 fn press(harness: &mut Harness<'static, Viewer>, name: &str) {
@@ -238,7 +238,7 @@ fn saved_parameters_and_results_hold_the_bits_of_the_window() {
     settle(&mut harness);
     let written = BufferSet::read(&BufferSetRequest { input: path("own.exr"), ..Default::default() }).unwrap();
     let original = BufferSet::read(&BufferSetRequest { input: testdata(FILE), ..Default::default() }).unwrap();
-    estimate.write(original, &path("library.exr"), &[], &method).unwrap();
+    stein_exr::write_estimate(&estimate, original, &path("library.exr"), &[], &method).unwrap();
     let expected = BufferSet::read(&BufferSetRequest { input: path("library.exr"), ..Default::default() }).unwrap();
     assert_eq!(written.color(), expected.color());
     let layers = |set: &BufferSet| set.layer_uses().iter().map(|layer| layer.layer.clone()).collect::<Vec<_>>();

@@ -1,14 +1,15 @@
 //! The files of a run, from which it can be resumed.
 
 use std::path::{Path, PathBuf, absolute};
+use stein_exr::{MapFile, write_estimate, write_samples};
 
 use serde::Serialize;
 use serde_json::{Map, Value};
-use stein::buffers::{BufferSet, BufferSetRequest};
 use stein::method::Intermediate;
-use stein::sampling::{MapFile, Resumed, Samples, SamplingMap};
+use stein::sampling::{Resumed, Samples, SamplingMap};
 use stein::text;
 use stein::{Estimate, Method};
+use stein_exr::{BufferSet, BufferSetRequest};
 
 use super::super::Failure;
 use super::super::render::SequenceName;
@@ -101,7 +102,7 @@ impl Folder {
         };
         let differences = differences(&then, &now);
         if differences.is_empty() {
-            return Ok(Some(Resumed { iterations, samples: Samples::from_buffer_set(&set)? }));
+            return Ok(Some(Resumed { iterations, samples: set.to_samples()? }));
         }
         Err(Failure::usage(format_args!(
             "{}: the run that is to be resumed had other parameters: {}\n  remedy: give the same, or start anew with --overwrite",
@@ -119,11 +120,11 @@ impl Folder {
     /// All samples so far, and the image from them.
     pub(crate) fn write(&self, label: &str, samples: &Samples, estimate: &Estimate, method: &Method) -> Result<(), Failure> {
         let file = self.samples(label);
-        samples.write(&file, &[(ATTRIBUTE.to_owned(), self.setup.clone())]).map_err(Failure::output)?;
+        write_samples(samples, &file, &[(ATTRIBUTE.to_owned(), self.setup.clone())]).map_err(Failure::output)?;
         // They are among the others now.
         let _ = std::fs::remove_file(self.path.join(format!("new_{label}.exr")));
         let set = BufferSet::read(&BufferSetRequest { input: file, ..Default::default() })?;
-        estimate.write(set, &self.path.join(format!("denoised_{label}.exr")), &[Intermediate::Density], method).map(drop).map_err(Failure::output)
+        write_estimate(estimate, set, &self.path.join(format!("denoised_{label}.exr")), &[Intermediate::Density], method).map(drop).map_err(Failure::output)
     }
 }
 

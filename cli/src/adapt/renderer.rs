@@ -8,10 +8,10 @@ use std::process::{Command, Stdio};
 use std::thread;
 
 use stein::Extent;
-use stein::buffers::{BufferSet, BufferSetRequest};
 use stein::error::{Error, Result};
 use stein::sampling::{Progress, SampleCounts, Sampler, Samples};
 use stein::text;
+use stein_exr::{BufferSet, BufferSetRequest};
 
 use super::super::Failure;
 use super::super::interrupt::Companion;
@@ -114,7 +114,7 @@ impl Sampler for Renderer<'_> {
         let (iteration, map, quoted_out) = (OsString::from(iteration.to_string()), quoted(&map), quoted(&out));
         self.run(&fill(self.command, &[("{map}", &map), ("{out}", &quoted_out), ("{iteration}", &iteration)]))?;
         let set = BufferSet::read(&BufferSetRequest { input: out.clone(), ..Default::default() })?;
-        let samples = Samples::from_buffer_set(&set).map_err(|error| match error {
+        let samples = set.to_samples().map_err(|error| match error {
             Error::Request { problem, remedy } => unusable(problem, remedy),
             error => error,
         })?;

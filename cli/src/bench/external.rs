@@ -8,9 +8,9 @@ use std::process::{Command, Stdio};
 use std::str::FromStr;
 use std::time::Instant;
 
-use stein::buffers::read_reference;
 use stein::text;
 use stein::{Extent, Image};
+use stein_exr::read_reference;
 
 use super::super::Failure;
 use super::super::interrupt::Companion;

@@ -3,8 +3,8 @@
 use std::cmp::Ordering;
 use std::path::{Path, PathBuf};
 
-use stein::buffers::LayerRef;
 use stein::text;
+use stein_exr::LayerRef;
 
 use super::super::Failure;
 use super::super::options::same_file;

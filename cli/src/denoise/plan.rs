@@ -5,8 +5,8 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 use serde::Serialize;
-use stein::buffers::{BufferSetRequest, LayerRef};
 use stein::text;
+use stein_exr::{BufferSetRequest, LayerRef};
 
 use super::Args;
 use super::pattern::Pattern;

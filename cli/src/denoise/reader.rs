@@ -6,9 +6,9 @@ use std::sync::Arc;
 use std::sync::mpsc::{Receiver, sync_channel};
 use std::thread::Scope;
 
-use stein::buffers::BufferSet;
 use stein::image::Window;
 use stein::{Frame, Image};
+use stein_exr::BufferSet;
 
 use super::plan::Read;
 use crate::inspect::{Input, settle};

@@ -4,10 +4,11 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, SyncSender, channel, sync_channel};
 use std::thread::{Scope, ScopedJoinHandle};
+use stein_exr::write_estimate;
 
-use stein::buffers::BufferSet;
 use stein::method::Intermediate;
 use stein::{Estimate, Frame, Image, Method, text};
+use stein_exr::BufferSet;
 
 use super::shot::{Beside, Compared, Comparison, Reported};
 use crate::explain::Explained;
@@ -105,7 +106,7 @@ impl Contents<'_> {
         // Writing needs memory, and nothing but a comparison needs the frame any more.
         let frame = reference.is_some().then_some(frame);
         estimate.selection = None;
-        let mut written = estimate.write(*original, &output, self.keep, self.method).map_err(Failure::output)?;
+        let mut written = write_estimate(&estimate, *original, &output, self.keep, self.method).map_err(Failure::output)?;
         let missing = self.keep.iter().filter(|one| !estimate.layers.iter().any(|layer| layer.intermediate == **one));
         written.notes.extend(missing.map(|one| format!("--keep {}: there is nothing of the kind without halves or features", one.name())));
         let not_used = |name: String| format!("feature {}: not used, because a frame beside lacks it or has it the same everywhere", text::name(&name));

@@ -1,9 +1,10 @@
 //! Generated renders: what a renderer hands over, and the truth beside it.
 
 use std::path::Path;
+use stein::frame::RawSignal;
 
-use stein::buffers::{BufferSet, BufferSetRequest, NamedLayer, RawSignal, read_reference, write_layers};
 use stein::{Extent, Frame, Image};
+use stein_exr::{BufferSet, BufferSetRequest, NamedLayer, read_reference, write_layers};
 use stein_reference::random::Random;
 
 /// What a camera sees in a pixel.
@@ -235,7 +236,7 @@ impl Picture {
 
 fn read(path: &Path) -> stein::Result<(Frame, BufferSet)> {
     let set = BufferSet::read(&BufferSetRequest { input: path.to_owned(), ..BufferSetRequest::default() })?;
-    let (frame, _) = Frame::from_buffer_set(&set)?;
+    let (frame, _) = set.to_frame()?;
     Ok((frame, set))
 }
 

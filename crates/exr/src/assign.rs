@@ -2,15 +2,17 @@
 
 use std::path::{Path, PathBuf};
 
-use super::file::{ExrFile, FileLayer};
-use super::layer_ref::{LayerRef, SignalPart};
-use super::names;
-use super::uses::{Note, layer_uses, used_planes};
-use super::{BufferSet, BufferSetRequest, MAX_FEATURES, Planes, SignalSource};
-use crate::error::{Error, Result};
-use crate::text;
+use crate::buffer_set::{BufferSet, Planes, SignalSource};
+use crate::file::{ExrFile, FileLayer};
+use crate::layer_ref::{LayerRef, SignalPart};
+use crate::names;
+use crate::request::BufferSetRequest;
+use crate::uses::{Note, layer_uses, used_planes};
+use stein::error::{Error, Result};
+use stein::frame::MAX_FEATURES;
+use stein::text;
 
-pub(super) fn read(request: &BufferSetRequest) -> Result<BufferSet> {
+pub(crate) fn read(request: &BufferSetRequest) -> Result<BufferSet> {
     let mut files = Files::default();
     let input = files.open(&request.input)?;
     let mut left_out = Vec::new();
@@ -129,7 +131,7 @@ fn color_source(files: &mut Files, input: usize, request: &BufferSetRequest, lef
 }
 
 /// Finds the layer that holds a file's colour.
-pub(super) fn color_layer(file: &ExrFile, wanted: Option<&str>) -> Result<usize> {
+pub(crate) fn color_layer(file: &ExrFile, wanted: Option<&str>) -> Result<usize> {
     if let Some(wanted) = wanted {
         return named_layer(file, wanted);
     }
@@ -179,7 +181,7 @@ fn named_layer(file: &ExrFile, wanted: &str) -> Result<usize> {
 }
 
 /// The channels R, G, B of a layer; a luminance stands for all three.
-pub(super) fn color_channels(file: &ExrFile, layer: usize) -> Result<Vec<usize>> {
+pub(crate) fn color_channels(file: &ExrFile, layer: usize) -> Result<Vec<usize>> {
     let layer = &file.layers[layer];
     let find = |suffix: &str| layer.channels.iter().find(|channel| channel.suffix.eq_ignore_ascii_case(suffix)).map(|channel| channel.index);
     if let (Some(r), Some(g), Some(b)) = (find("R"), find("G"), find("B")) {

@@ -2,11 +2,12 @@
 
 use std::path::Path;
 
-use super::native::layer;
-use super::{SampleCounts, SamplingMap};
-use crate::buffers::{ExrFile, write_layers};
-use crate::error::{Error, Result};
-use crate::image::Image;
+use stein::sampling::{SampleCounts, SamplingMap};
+use stein::{Error, Image, Result};
+
+use crate::file::ExrFile;
+use crate::samples::layer;
+use crate::write_layers;
 
 /// A sampling map as it stands in a file: layer `density.V`, real samples per pixel; `samples.V`, whole and even numbers of samples to draw; and `drawn.V`, how many samples
 /// of the pixel were drawn before, so that a renderer can go on where it was.

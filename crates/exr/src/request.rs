@@ -2,47 +2,50 @@
 
 use std::path::{Path, PathBuf};
 
+#[cfg(feature = "clap")]
 use clap::builder::{OsStringValueParser, TypedValueParser};
 use serde::{Deserialize, Serialize};
 
-use super::layer_ref::{LayerRef, feature};
+use crate::layer_ref::LayerRef;
+#[cfg(feature = "clap")]
+use crate::layer_ref::feature;
 
 /// Which files and layers to read. All but the input and its layer are options of programs by their names: `--half-a FILE::LAYER`.
 ///
 /// A feature of another file comes with its halves and variance from there: from `LAYER_halfA` and so on, or from plain `halfA`, `halfB`, `variance` where
 /// the feature is the file's main layer.
-#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize, clap::Args)]
-#[command(next_help_heading = "Layers")]
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "clap", derive(clap::Args), command(next_help_heading = "Layers"))]
 #[serde(default)]
 pub struct BufferSetRequest {
     /// The file with the noisy colour; halves, variance and features are looked for in it unless they are named below.
-    #[arg(skip)]
+    #[cfg_attr(feature = "clap", arg(skip))]
     pub input: PathBuf,
     /// The colour's layer; `None` takes `R G B` or a layer with a usual name such as `Combined` or `beauty`.
-    #[arg(skip)]
+    #[cfg_attr(feature = "clap", arg(skip))]
     pub layer: Option<String>,
     /// Colour of the first half of the samples
-    #[arg(long, value_name = "FILE[::LAYER]")]
+    #[cfg_attr(feature = "clap", arg(long, value_name = "FILE[::LAYER]"))]
     pub half_a: Option<LayerRef>,
     /// Colour of the other half of the samples
-    #[arg(long, value_name = "FILE[::LAYER]")]
+    #[cfg_attr(feature = "clap", arg(long, value_name = "FILE[::LAYER]"))]
     pub half_b: Option<LayerRef>,
     /// Variance of the colour's mean (of the pixel, not of one sample)
-    #[arg(long, value_name = "FILE[::LAYER]")]
+    #[cfg_attr(feature = "clap", arg(long, value_name = "FILE[::LAYER]"))]
     pub variance: Option<LayerRef>,
     /// A feature under another name or from another file, with its halves and variance beside it; may be repeated
-    #[arg(long = "feature", value_name = "NAME=FILE[::LAYER]", value_parser = OsStringValueParser::new().try_map(feature))]
+    #[cfg_attr(feature = "clap", arg(long = "feature", value_name = "NAME=FILE[::LAYER]", value_parser = OsStringValueParser::new().try_map(feature)))]
     pub features: Vec<(String, LayerRef)>,
     /// A feature of the input that is not to be used, by its whole name, or in all view layers by the last part of it; may be repeated
-    #[arg(long = "skip-feature", value_name = "NAME")]
+    #[cfg_attr(feature = "clap", arg(long = "skip-feature", value_name = "NAME"))]
     pub skip_features: Vec<String>,
     /// Use no features of the input but those in `features`.
-    #[arg(long, help = "Use no features of the input but those given with --feature")]
+    #[cfg_attr(feature = "clap", arg(long, help = "Use no features of the input but those given with --feature"))]
     pub no_features: bool,
 }
 
 impl BufferSetRequest {
-    /// What the library's remedies name, and the option that it is: for [`Error::in_words`](crate::Error::in_words).
+    /// What the library's remedies name, and the option that it is: for [`Error::in_words`](stein::Error::in_words).
     pub const OPTIONS: [(&str, &str); 4] = [
         ("`BufferSetRequest::half_a`", "--half-a"),
         ("`BufferSetRequest::half_b`", "--half-b"),

@@ -8,7 +8,7 @@ use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
 
-use crate::text;
+use stein::text;
 
 /// A file and, optionally, a layer inside it, written `file.exr` or `file.exr::layer`.
 ///
@@ -113,7 +113,7 @@ impl fmt::Display for LayerRef {
 }
 
 /// A feature's name and where it is, written `NAME=FILE` or `NAME=FILE::LAYER`. The file's name may hold `=` as well.
-pub(super) fn feature(text: OsString) -> Result<(String, LayerRef), String> {
+pub(crate) fn feature(text: OsString) -> Result<(String, LayerRef), String> {
     let first = text.as_encoded_bytes().iter().position(|byte| *byte == b'=');
     let named = first.and_then(|at| {
         let (name, file) = parted(&text, at, 1)?;

@@ -7,14 +7,14 @@ use std::path::Path;
 use exr::meta::attribute::TimeCode;
 use exr::prelude::*;
 
-use super::BufferSet;
-use super::file::{ExrFile, FileLayer, is_lossy};
-use super::header::settle;
-use super::names::{LONGEST_NAME, encoded};
-use crate::aside;
-use crate::error::{Error, Result};
-use crate::image::{Extent, Image};
-use crate::text;
+use crate::BufferSet;
+use crate::file::{ExrFile, FileLayer, is_lossy};
+use crate::header::settle;
+use crate::names::{LONGEST_NAME, encoded};
+use stein::aside;
+use stein::error::{Error, Result};
+use stein::image::{Extent, Image};
+use stein::text;
 
 /// A layer to add to an output.
 #[derive(Clone, Debug)]
@@ -143,7 +143,7 @@ fn may_overshoot(compression: Compression, channel: &AnyChannel<FlatSamples>) ->
 }
 
 /// All channels but the alpha.
-pub(super) fn colored_channels(layer: &FileLayer) -> Vec<usize> {
+pub(crate) fn colored_channels(layer: &FileLayer) -> Vec<usize> {
     let alpha = |suffix: &str| layer.channels.len() > 1 && suffix.eq_ignore_ascii_case("A");
     layer.channels.iter().filter(|channel| !alpha(&channel.suffix)).map(|channel| channel.index).collect()
 }

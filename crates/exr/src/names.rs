@@ -2,20 +2,20 @@
 
 use exr::prelude::Text;
 
-use super::layer_ref::SignalPart;
-use crate::text;
+use crate::layer_ref::SignalPart;
+use stein::text;
 
 /// The longest name of a channel, an attribute or a type, in bytes. Readers refuse longer ones.
-pub(super) const LONGEST_NAME: usize = 255;
+pub(crate) const LONGEST_NAME: usize = 255;
 
 /// A name as text. The format stores bytes: UTF-8 where they are valid UTF-8, else Latin-1, which every byte is part
 /// of.
-pub(super) fn decoded(stored: &[u8]) -> String {
+pub(crate) fn decoded(stored: &[u8]) -> String {
     str::from_utf8(stored).map_or_else(|_| stored.iter().copied().map(char::from).collect(), str::to_owned)
 }
 
 /// The bytes of a new name, in UTF-8; or why it cannot be stored.
-pub(super) fn encoded(name: &str) -> Result<Text, String> {
+pub(crate) fn encoded(name: &str) -> Result<Text, String> {
     if name.is_empty() {
         return Err("a name is empty".into());
     }
@@ -82,23 +82,6 @@ pub(crate) fn is_feature_name(name: &str) -> bool {
 
 pub(crate) fn is_sample_count_name(name: &str) -> bool {
     SAMPLE_COUNT_NAMES.iter().any(|known| last_component(name).eq_ignore_ascii_case(known))
-}
-
-/// Whether a feature measures a distance or place, so that infinity or a huge number in it means that the ray hit nothing.
-pub(crate) fn is_distance_name(name: &str) -> bool {
-    let last = last_component(name).to_ascii_lowercase();
-    last.contains("depth") || last.contains("distance") || last.contains("position") || ["z", "zfiltered", "pos", "p"].contains(&last.as_str())
-}
-
-pub(crate) fn is_normal_name(name: &str) -> bool {
-    let last = last_component(name).to_ascii_lowercase();
-    last.contains("normal") || ["n", "nrm", "ns"].contains(&last.as_str())
-}
-
-/// Whether a feature is a reflectance, which no surface has more than 1 of.
-pub(crate) fn is_albedo_name(name: &str) -> bool {
-    let last = last_component(name).to_ascii_lowercase();
-    last.contains("albedo") || last == "alb"
 }
 
 /// The names under which a layer's half or variance is looked for.
@@ -179,16 +162,6 @@ mod tests {
         assert!(!is_companion("halfA", "diffuse", SignalPart::HalfA, false));
         assert!(is_companion("halfA", "beauty", SignalPart::HalfA, true));
         assert!(is_companion("ViewLayer.halfb", "ViewLayer.Combined", SignalPart::HalfB, true));
-    }
-
-    #[test]
-    fn albedo_is_told_by_the_last_part_of_a_name() {
-        for name in ["albedo", "Denoising Albedo", "ViewLayer.Denoising Albedo", "denoise_albedo", "diffuse_albedo", "view.ALB"] {
-            assert!(is_albedo_name(name), "{name}");
-        }
-        for name in ["normal", "albedo.normal", "album", "", "Combined"] {
-            assert!(!is_albedo_name(name), "{name}");
-        }
     }
 
     #[test]

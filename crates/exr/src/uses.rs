@@ -2,13 +2,13 @@
 
 use exr::prelude::SampleType;
 
-use super::file::{ExrFile, FileLayer};
-use super::layer_ref::{LayerUse, Role, SampleKind, SignalPart};
-use super::names;
-use super::{BufferSet, Planes};
+use crate::buffer_set::{BufferSet, Planes};
+use crate::file::{ExrFile, FileLayer};
+use crate::layer_ref::{LayerUse, Role, SampleKind, SignalPart};
+use crate::names;
 
 /// Every layer in use, with what it is used as.
-pub(super) fn used_planes(set: &BufferSet) -> Vec<(&Planes, Role)> {
+pub(crate) fn used_planes(set: &BufferSet) -> Vec<(&Planes, Role)> {
     let mut used = vec![(&set.color.mean, Role::Color)];
     used.extend(set.color.half_a.as_ref().map(|planes| (planes, Role::HalfA)));
     used.extend(set.color.half_b.as_ref().map(|planes| (planes, Role::HalfB)));
@@ -25,14 +25,14 @@ pub(super) fn used_planes(set: &BufferSet) -> Vec<(&Planes, Role)> {
 }
 
 /// Why a layer is not used.
-pub(super) struct Note {
-    pub(super) file: usize,
-    pub(super) layer: usize,
-    pub(super) text: String,
+pub(crate) struct Note {
+    pub(crate) file: usize,
+    pub(crate) layer: usize,
+    pub(crate) text: String,
 }
 
 /// Every layer of every file with its role, or with why it has none.
-pub(super) fn layer_uses(set: &BufferSet, notes: &[Note]) -> Vec<LayerUse> {
+pub(crate) fn layer_uses(set: &BufferSet, notes: &[Note]) -> Vec<LayerUse> {
     let used = used_planes(set);
     let mut uses = Vec::new();
     for (file_index, file) in set.files.iter().enumerate() {

@@ -6,37 +6,37 @@
 use std::io::{BufRead, BufReader, Read, Seek, SeekFrom, Write};
 use std::ops::Range;
 
-use super::names::{LONGEST_NAME, decoded};
-use crate::text;
+use crate::names::{LONGEST_NAME, decoded};
+use stein::text;
 
 /// Why a file cannot be read, and what to do about it.
 #[derive(Debug)]
-pub(super) struct Trouble {
-    pub(super) problem: String,
-    pub(super) remedy: &'static str,
+pub(crate) struct Trouble {
+    pub(crate) problem: String,
+    pub(crate) remedy: &'static str,
 }
 
 impl Trouble {
-    pub(super) fn new(problem: impl Into<String>, remedy: &'static str) -> Self {
+    pub(crate) fn new(problem: impl Into<String>, remedy: &'static str) -> Self {
         Self { problem: problem.into(), remedy }
     }
 
-    pub(super) fn damaged(problem: impl std::fmt::Display) -> Self {
+    pub(crate) fn damaged(problem: impl std::fmt::Display) -> Self {
         Self::new(format!("is damaged or incomplete: {problem}"), "render or copy it again; check whether the disk was full or the writer was interrupted")
     }
 
-    pub(super) fn unsupported(problem: impl std::fmt::Display) -> Self {
+    pub(crate) fn unsupported(problem: impl std::fmt::Display) -> Self {
         Self::new(format!("uses a part of OpenEXR that cannot be read here: {problem}"), "write it as a flat scan line image with ZIP compression")
     }
 
-    pub(super) fn subsampled() -> Self {
+    pub(crate) fn subsampled() -> Self {
         Self::new(
             "has subsampled channels, probably luminance and chroma (Y, RY, BY), which cannot be read here",
             "write R, G and B at full resolution, or convert the file",
         )
     }
 
-    pub(super) fn deep() -> Self {
+    pub(crate) fn deep() -> Self {
         Self::new(
             "holds deep data, that is many samples per pixel at different depths, which cannot be denoised here",
             "flatten it first, or let the renderer write a flat image as well",
@@ -67,7 +67,7 @@ impl From<std::io::Error> for Trouble {
 }
 
 /// One side of more pixels fits no film and no buffer.
-pub(super) const MOST_PIXELS_PER_SIDE: usize = 1 << 20;
+pub(crate) const MOST_PIXELS_PER_SIDE: usize = 1 << 20;
 
 /// Renderers write hundreds of channels; the names of all are compared with each other.
 const MOST_CHANNELS: usize = 4096;
@@ -86,7 +86,7 @@ const LONGEST_VALUE: u64 = MOST_CHANNELS as u64 * (LONGEST_NAME as u64 + 17);
 
 /// Where an attribute stands in its file.
 #[derive(Clone, Debug)]
-pub(super) struct Attribute {
+pub(crate) struct Attribute {
     name: Vec<u8>,
     kind: Vec<u8>,
     /// All of it, from its name on.
@@ -96,16 +96,16 @@ pub(super) struct Attribute {
 
 /// The head of a file.
 #[derive(Debug)]
-pub(super) struct Head {
+pub(crate) struct Head {
     /// The attributes of each part, in the file's order.
-    pub(super) parts: Vec<Vec<Attribute>>,
+    pub(crate) parts: Vec<Vec<Attribute>>,
     /// Where the offset tables begin.
-    pub(super) end: u64,
+    pub(crate) end: u64,
 }
 
 impl Head {
     /// Walks from one attribute to the next. `file_bytes`: where the file ends.
-    pub(super) fn read(file: &mut (impl BufRead + Seek), file_bytes: u64) -> Result<Self, Trouble> {
+    pub(crate) fn read(file: &mut (impl BufRead + Seek), file_bytes: u64) -> Result<Self, Trouble> {
         let mut start = Vec::new();
         file.by_ref().take(8).read_to_end(&mut start)?;
         if start.is_empty() {
@@ -147,7 +147,7 @@ impl Head {
     }
 
     /// Refuses what the decoder would misread, or stumble over.
-    pub(super) fn check(&self, file: &mut (impl BufRead + Seek)) -> Result<(), Trouble> {
+    pub(crate) fn check(&self, file: &mut (impl BufRead + Seek)) -> Result<(), Trouble> {
         let mut channels = 0;
         for part in &self.parts {
             for (index, attribute) in part.iter().enumerate() {
@@ -199,7 +199,7 @@ impl Head {
 /// Completes the head of a file that was just written. The attributes get the order of their names: the encoder
 /// leaves it to chance, and the same image is to be the same file. The flag for long names is set for channels too,
 /// without which other readers refuse them.
-pub(super) fn settle(file: &mut (impl Read + Write + Seek)) -> std::io::Result<()> {
+pub(crate) fn settle(file: &mut (impl Read + Write + Seek)) -> std::io::Result<()> {
     let bytes = file.seek(SeekFrom::End(0))?;
     file.rewind()?;
     let mut reader = BufReader::new(&mut *file);

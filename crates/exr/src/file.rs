@@ -6,13 +6,13 @@ use std::path::{Path, PathBuf};
 
 use exr::prelude::*;
 
-use super::decode::decode;
-use super::header::Trouble;
-use super::names;
-use crate::error::{Error, Result};
-use crate::host_memory::{Shortage, try_collected};
-use crate::image::{Extent, Image, Window};
-use crate::text;
+use crate::decode::decode;
+use crate::header::Trouble;
+use crate::names;
+use stein::error::{Error, Result};
+use stein::host_memory::{Shortage, try_collected};
+use stein::image::{Extent, Image, Window};
+use stein::text;
 
 /// A file's whole content. Samples stay in the type they were stored in, so that what is not replaced can be written back bit by bit.
 #[derive(Clone, Debug)]
@@ -174,7 +174,7 @@ impl ExrFile {
     }
 
     /// As [`Self::layer_list`], those first whose names are most like one that there is not.
-    pub(super) fn layers_like(&self, wanted: &str) -> String {
+    pub(crate) fn layers_like(&self, wanted: &str) -> String {
         let wanted = wanted.to_lowercase();
         let likeness = |layer: &FileLayer| {
             let name = layer.name.to_lowercase();
@@ -190,7 +190,7 @@ impl ExrFile {
 
 impl FileLayer {
     /// Its name and channels, for messages.
-    pub(super) fn described(&self) -> String {
+    pub(crate) fn described(&self) -> String {
         let channels: Vec<_> = self.channels.iter().map(|channel| text::name(&channel.suffix)).collect();
         let channels = channels.join(" ");
         if self.name.is_empty() { channels } else { format!("'{}' ({channels})", text::name(&self.name)) }
@@ -212,7 +212,7 @@ fn read(path: &Path) -> std::result::Result<FlatImage, Trouble> {
 }
 
 /// Whether a channel is stored as waves, with a loss: under DWA, by its name. All other channels are stored without.
-pub(super) fn is_lossy(compression: Compression, name: &Text) -> bool {
+pub(crate) fn is_lossy(compression: Compression, name: &Text) -> bool {
     let name = name.as_slice();
     let suffix = name.iter().rposition(|byte| *byte == b'.').map_or(name, |dot| &name[dot + 1..]);
     let is_dwa = matches!(compression, Compression::DWAA(_) | Compression::DWAB(_));

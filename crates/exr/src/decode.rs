@@ -10,8 +10,8 @@ use exr::meta::{BlockDescription, compute_block_count};
 use exr::prelude::*;
 use rayon::prelude::*;
 
-use super::header::{Head, MOST_PIXELS_PER_SIDE, Trouble};
-use crate::host_memory::{FreeMemory, Shortage, try_filled};
+use crate::header::{Head, MOST_PIXELS_PER_SIDE, Trouble};
+use stein::host_memory::{FreeMemory, Shortage, try_filled};
 
 /// Decoded blocks that are in memory beside the image, in bytes; more where one block per thread is more.
 const BATCH_BYTES: usize = 16 << 20;
@@ -36,7 +36,7 @@ impl From<exr::error::Error> for Trouble {
 }
 
 /// Decodes the largest level of every part of a file of `file_bytes`.
-pub(super) fn decode(file: &mut (impl BufRead + Seek), file_bytes: u64) -> Decoded<FlatImage> {
+pub(crate) fn decode(file: &mut (impl BufRead + Seek), file_bytes: u64) -> Decoded<FlatImage> {
     let head = Head::read(file, file_bytes)?;
     head.check(file)?;
     file.rewind()?;

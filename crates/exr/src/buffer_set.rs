@@ -1,80 +1,47 @@
-//! OpenEXR files to buffer sets and back.
-//!
-//! A [`BufferSet`] is what the files said: which layer is the colour, which are its halves, its variance and its features. Nothing in it has been
-//! checked for NaN or meaning; [`Frame::from_buffer_set`](crate::frame::Frame::from_buffer_set) does that.
-//!
-//! The native layout: `R G B`, `halfA.*`, `halfB.*`, `variance.*` (sample variance of the mean) and for every feature F `F.*`, `F_halfA.*`,
-//! `F_halfB.*`, `F_variance.*`; the samples per pixel in a header attribute or a channel `samples`. One part or many, channels in any order and of any
-//! type. Each of these layers can also come from a file of its own: see [`BufferSetRequest`].
-
-mod assign;
-mod decode;
-mod file;
-mod header;
-mod layer_ref;
-pub(crate) mod names;
-mod request;
-mod uses;
-mod write;
+//! A set of layers, out of one file or several.
 
 use std::path::Path;
 
-pub use layer_ref::{LayerRef, LayerUse, Role, SampleKind, SignalPart};
-pub use request::BufferSetRequest;
-use write::colored_channels;
-pub use write::{DenoisedLayers, NamedLayer, WriteReport, write_denoised, write_layers};
+use stein::frame::{RawSignal, Repairs, SamplesPerPixel};
+use stein::host_memory::{FreeMemory, Shortage};
+use stein::image::Window;
+use stein::{Error, Extent, Frame, Image, Result};
 
-use crate::error::{Error, Result};
-use crate::frame::SamplesPerPixel;
-use crate::host_memory::{FreeMemory, Shortage};
-use crate::image::{Extent, Image, Window};
-pub(crate) use file::ExrFile;
-
-/// The most features that a frame takes; the text's scenes use up to five.
-pub const MAX_FEATURES: usize = 8;
+use crate::assign;
+use crate::file::ExrFile;
+use crate::layer_ref::LayerUse;
+use crate::request::BufferSetRequest;
+use crate::write::colored_channels;
 
 /// Bytes per pixel that settling a signal takes besides its planes: marks of pixels to repair, of misses, of neighbours
 /// that are usable.
 const STATE_BYTES: u64 = 6;
 
-/// A mean and what the files hold of its noise, as stored: may contain anything that a float can be. All images have the same extent and channels.
-#[derive(Clone, Debug, PartialEq)]
-pub struct RawSignal {
-    /// The mean of all samples.
-    pub mean: Image,
-    /// The mean of the first half of the samples.
-    pub half_a: Option<Image>,
-    /// The mean of the other half.
-    pub half_b: Option<Image>,
-    /// Sample variance of the mean, s²/n.
-    pub variance_of_mean: Option<Image>,
-}
-
 /// Some channels of one part of one of the set's files.
 #[derive(Clone, Debug, PartialEq)]
-struct Planes {
-    file: usize,
-    layer: usize,
+pub(crate) struct Planes {
+    pub(crate) file: usize,
+    pub(crate) layer: usize,
     /// Positions in the part's list of channels, one for each plane; a luminance stands three times.
-    channels: Vec<usize>,
+    pub(crate) channels: Vec<usize>,
 }
 
 #[derive(Clone, Debug, PartialEq)]
-struct SignalSource {
-    mean: Planes,
-    half_a: Option<Planes>,
-    half_b: Option<Planes>,
-    variance: Option<Planes>,
+pub(crate) struct SignalSource {
+    pub(crate) mean: Planes,
+    pub(crate) half_a: Option<Planes>,
+    pub(crate) half_b: Option<Planes>,
+    pub(crate) variance: Option<Planes>,
 }
 
 /// What the files said. Keeps the files' whole content in memory, so that an output can carry over what was not denoised.
 #[derive(Clone, Debug)]
 pub struct BufferSet {
-    files: Vec<ExrFile>,
-    color: SignalSource,
-    features: Vec<(String, SignalSource)>,
-    samples: Option<Planes>,
-    layer_uses: Vec<LayerUse>,
+    pub(crate) files: Vec<ExrFile>,
+    pub(crate) color: SignalSource,
+    pub(crate) features: Vec<(String, SignalSource)>,
+    pub(crate) samples: Option<Planes>,
+    pub(crate) layer_uses: Vec<LayerUse>,
 }
 
 impl BufferSet {
@@ -83,7 +50,7 @@ impl BufferSet {
     /// # Errors
     /// A file that is missing, damaged or of a kind that cannot be read; a requested layer that does not exist; layers
     /// whose data windows differ from the colour's; a half of the colour without the other, or halves and variance of
-    /// other channels, where nothing else tells the colour's noise; more than [`MAX_FEATURES`] requested features; one
+    /// other channels, where nothing else tells the colour's noise; more than [`MAX_FEATURES`](stein::frame::MAX_FEATURES) requested features; one
     /// to skip that the input does not have. Halves and variances that cannot be used are else left out, and
     /// [`BufferSet::layer_uses`] says why.
     pub fn read(request: &BufferSetRequest) -> Result<Self> {
@@ -149,12 +116,41 @@ impl BufferSet {
         &self.layer_uses
     }
 
+    /// Settles the meaning of what the files said. The halves are taken to have equal numbers of samples, since no file says otherwise.
+    ///
+    /// # Errors
+    /// As [`Frame::new`]; [`Error::File`] where memory would end.
+    pub fn to_frame(&self) -> Result<(Frame, Repairs)> {
+        self.check_memory_for_frame(false)?;
+        self.settle(self.color())
+    }
+
+    /// As [`BufferSet::to_frame`], for large frames: the set lets go of the stored samples of the colour and its noise, and of
+    /// all other files than the input. What is left of the set serves [`write_estimate`](crate::write_estimate).
+    ///
+    /// # Errors
+    /// As [`Frame::new`]; [`Error::File`] where memory ends, or where the input is gone.
+    pub fn take_frame(&mut self) -> Result<(Frame, Repairs)> {
+        self.check_memory_for_frame(true)?;
+        let color = self.take_color()?;
+        let (frame, repairs) = self.settle(color)?;
+        self.forget_other_files();
+        if frame.color().half_spread.is_none() {
+            self.restore_halves()?;
+        }
+        Ok((frame, repairs))
+    }
+
+    fn settle(&self, color: RawSignal) -> Result<(Frame, Repairs)> {
+        Frame::from_raw(color, self.features().map(|(name, raw)| (name.to_owned(), raw)), self.samples_per_pixel())
+    }
+
     /// As [`BufferSet::color`]. Samples of the colour and its noise are let go of where nothing but the colour is made
     /// of them: an output replaces them or leaves them out.
     ///
     /// # Errors
     /// [`Error::File`] where memory ends.
-    pub(crate) fn take_color(&mut self) -> Result<RawSignal> {
+    fn take_color(&mut self) -> Result<RawSignal> {
         let source = self.color.clone();
         let mut take = |planes: &Planes| {
             let part = self.part(planes);
@@ -175,7 +171,7 @@ impl BufferSet {
     ///
     /// # Errors
     /// [`Error::File`] where the input cannot be read any more.
-    pub(crate) fn restore_halves(&mut self) -> Result<()> {
+    fn restore_halves(&mut self) -> Result<()> {
         for planes in [self.color.half_a.clone(), self.color.half_b.clone()].into_iter().flatten().filter(|planes| planes.file == 0) {
             let part = self.part(&planes);
             self.files[0].restore(part, &planes.channels)?;
@@ -184,7 +180,7 @@ impl BufferSet {
     }
 
     /// Lets go of what neither an output nor [`BufferSet::samples_per_pixel`] is made of: other files than the input.
-    pub(crate) fn forget_other_files(&mut self) {
+    fn forget_other_files(&mut self) {
         let samples = self.samples.clone();
         for (index, file) in self.files.iter_mut().enumerate().skip(1) {
             let kept = samples.as_ref().filter(|planes| planes.file == index).map(|planes| (file.layers[planes.layer].part, planes.channels.clone()));
@@ -197,7 +193,7 @@ impl BufferSet {
     ///
     /// # Errors
     /// [`Error::File`] with what is needed and what is free.
-    pub(crate) fn check_memory_for_frame(&self, taken: bool) -> Result<()> {
+    fn check_memory_for_frame(&self, taken: bool) -> Result<()> {
         let pixels = self.extent().pixels() as u64;
         let count = |planes: &Option<Planes>| planes.as_ref().map_or(0, |planes| planes.channels.len() as u64);
         // The half spread takes the place of half A, and half B goes.
@@ -223,7 +219,7 @@ impl BufferSet {
         Error::File { path: self.input().to_owned(), problem, remedy: Shortage::REMEDY.into() }
     }
 
-    fn part(&self, planes: &Planes) -> usize {
+    pub(crate) fn part(&self, planes: &Planes) -> usize {
         self.files[planes.file].layers[planes.layer].part
     }
 
@@ -244,7 +240,7 @@ impl BufferSet {
         planes.channels.iter().copied().filter(|channel| users(*channel) > 1).collect()
     }
 
-    fn color_part(&self) -> usize {
+    pub(crate) fn color_part(&self) -> usize {
         self.files[0].layers[self.color.mean.layer].part
     }
 

@@ -1,0 +1,111 @@
+//! An estimate in the clothes of the file that it was made from.
+
+use std::path::{Path, PathBuf};
+
+use serde::Serialize;
+
+use crate::{BufferSet, DenoisedLayers, NamedLayer, Role, write_denoised};
+use stein::host_memory::FreeMemory;
+use stein::method::{Intermediate, Method};
+use stein::{Error, Estimate, Image, Result, text};
+
+/// Layers of ours stand under this name, where no renderer's do.
+const PREFIX: &str = "stein";
+
+/// What [`write_estimate`] has written.
+#[derive(Clone, Debug, Serialize)]
+pub struct Written {
+    /// Where.
+    #[serde(serialize_with = "text::serialize_path")]
+    pub file: PathBuf,
+    /// Layers that the input does not have.
+    pub added_layers: Vec<String>,
+    /// Halves that were replaced by those of the denoised colour.
+    pub replaced_layers: Vec<String>,
+    /// The input's variance, and what an earlier run added: they are not those of the denoised colour.
+    pub dropped_layers: Vec<String>,
+    /// Values beyond the largest half float, written as ±65504.
+    pub clamped_values: usize,
+    /// Values that were not finite, written as 0.
+    pub non_finite_values: usize,
+    /// Other remarks.
+    pub notes: Vec<String>,
+}
+
+/// Writes the input with its colour replaced by the denoised one, and its halves likewise; without its variance, which is not that of the denoised colour. The estimated error,
+/// where there is one, is added as `stein.error`, and those of [`Estimate::layers`] that are part of the intermediates in `keep`, as `stein.*`. `set` is what the frame was
+/// made of, and is used up; `method` is noted in the header.
+///
+/// The file appears under its name only when it is complete; an existing one is replaced, which may be the input.
+///
+/// # Errors
+/// As [`write_denoised`].
+pub fn write_estimate(estimate: &Estimate, set: BufferSet, output: &Path, keep: &[Intermediate], method: &Method) -> Result<Written> {
+    FreeMemory::now().check(bytes_for_writing(estimate, keep)).map_err(|shortage| shortage.error("writing the output"))?;
+    let mut notes = Vec::new();
+    let mut replacements = Vec::new();
+    let mut dropped = Vec::new();
+    let in_input = || set.layer_uses().iter().filter(|layer| layer.file == set.input());
+    for layer in in_input() {
+        let sign = match layer.role {
+            Role::HalfA => 1.0,
+            Role::HalfB => -1.0,
+            Role::Variance => {
+                dropped.push(layer.layer.clone());
+                continue;
+            }
+            _ => continue,
+        };
+        let plain = layer.channels.iter().filter(|channel| !channel.eq_ignore_ascii_case("A")).count();
+        match &estimate.half_spread {
+            Some(half_spread) if plain == 3 || plain == 1 => replacements.push((layer.layer.clone(), half(&estimate.color, half_spread, sign))),
+            _ => notes.push(format!("layer '{}' is as it was: it holds more than a half of the colour", text::name(&layer.layer))),
+        }
+    }
+
+    let error = estimate.error.as_ref().map(|image| NamedLayer { name: format!("{PREFIX}.error"), channels: vec!["V".into()], image: image.clone() });
+    let kept = estimate.layers.iter().filter(|layer| keep.contains(&layer.intermediate));
+    let named = kept.map(|layer| NamedLayer { name: format!("{PREFIX}.{}", layer.name), channels: layer.channels.clone(), image: layer.image.clone() });
+    let extra: Vec<_> = error.into_iter().chain(named).collect();
+    // An earlier run's are not of this colour.
+    let stale: Vec<_> = in_input().map(|layer| &layer.layer).filter(|layer| layer.strip_prefix(PREFIX).is_some_and(|rest| rest.starts_with('.'))).collect();
+    if !stale.is_empty() {
+        notes.push("the input was denoised before".into());
+    }
+    dropped.extend(stale.into_iter().cloned());
+
+    let parameters = serde_json::to_string(method).map_err(|error| Error::File {
+        path: output.to_owned(),
+        problem: format!("the parameters cannot be put into words: {error}"),
+        remedy: "this is a defect of stein: please report it with the parameters".into(),
+    })?;
+    let attributes = [("stein.version".to_owned(), env!("CARGO_PKG_VERSION").to_owned()), ("stein.parameters".to_owned(), parameters)];
+    let layers = DenoisedLayers { color: &estimate.color, replacements: &replacements, dropped: &dropped, extra: &extra, attributes: &attributes };
+    let report = write_denoised(set, output, &layers)?;
+    notes.extend(report.to_string().lines().map(str::to_owned));
+    Ok(Written {
+        file: output.to_owned(),
+        added_layers: extra.into_iter().map(|layer| layer.name).filter(|name| !report.left_out.contains(name)).collect(),
+        replaced_layers: replacements.into_iter().map(|(name, _)| name).collect(),
+        dropped_layers: dropped,
+        clamped_values: report.clamped_values,
+        non_finite_values: report.non_finite_values,
+        notes,
+    })
+}
+
+/// Bytes that are in memory besides the estimate before the file is written, at most: the colour and its halves as
+/// the file stores them, the halves as they are made, and two copies of what is added.
+fn bytes_for_writing(estimate: &Estimate, keep: &[Intermediate]) -> u64 {
+    let halves = estimate.half_spread.as_ref().map_or(0, |_| 2 * estimate.color.channels());
+    let kept = estimate.layers.iter().filter(|layer| keep.contains(&layer.intermediate)).map(|layer| layer.image.channels());
+    let added = kept.sum::<usize>() + estimate.error.as_ref().map_or(0, Image::channels);
+    4 * (estimate.color.extent.pixels() * (estimate.color.channels() + 2 * halves + 2 * added)) as u64
+}
+
+/// Half A or B of the denoised colour.
+fn half(color: &Image, half_spread: &Image, sign: f32) -> Image {
+    let planes = color.planes.iter().zip(&half_spread.planes);
+    let planes = planes.map(|(mean, spread)| mean.iter().zip(spread).map(|(mean, spread)| mean + sign * spread).collect());
+    Image { extent: color.extent, planes: planes.collect() }
+}

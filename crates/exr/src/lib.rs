@@ -1,0 +1,32 @@
+//! OpenEXR files to buffer sets and back.
+//!
+//! A [`BufferSet`] is what the files said: which layer is the colour, which are its halves, its variance and its features. Nothing in it has been
+//! checked for NaN or meaning; [`Frame::from_buffer_set`](stein::frame::Frame::from_buffer_set) does that.
+//!
+//! The native layout: `R G B`, `halfA.*`, `halfB.*`, `variance.*` (sample variance of the mean) and for every feature F `F.*`, `F_halfA.*`,
+//! `F_halfB.*`, `F_variance.*`; the samples per pixel in a header attribute or a channel `samples`. One part or many, channels in any order and of any
+//! type. Each of these layers can also come from a file of its own: see [`BufferSetRequest`].
+
+mod assign;
+mod buffer_set;
+mod decode;
+mod estimate;
+mod file;
+mod header;
+mod layer_ref;
+mod map_file;
+mod names;
+#[cfg(feature = "clap")]
+pub mod options;
+mod request;
+mod samples;
+mod uses;
+mod write;
+
+pub use buffer_set::{BufferSet, read_reference};
+pub use estimate::{Written, write_estimate};
+pub use layer_ref::{LayerRef, LayerUse, Role, SampleKind, SignalPart};
+pub use map_file::MapFile;
+pub use request::BufferSetRequest;
+pub use samples::write_samples;
+pub use write::{DenoisedLayers, NamedLayer, WriteReport, write_denoised, write_layers};
