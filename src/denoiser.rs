@@ -9,12 +9,12 @@ use glam::IVec2;
 
 use crate::error::{Error, Result};
 use crate::frame::{Feature, Frame, NoiseKnowledge};
-use crate::gpu::{Buffer, Gpu, Pace, Recorder, StageTime, StepTime};
+use crate::gpu::{Buffer, Gpu, Pace, Recorder, Run, StageTime, StepTime};
 use crate::host_memory::{FreeMemory, Shortage};
 use crate::image::Image;
 use crate::method::{
     DeviceMemory, Facts, FrameInput, GpuEstimate, GpuFrame, Intermediate, KeptPlane, Lane, Method, Plan, Shares, SpikeReport, Strip, Unit, Units, Wishes,
-    kept_planes, strips,
+    kept_planes, mean_variance, strips,
 };
 use crate::stage::PLANE_PIXEL_BYTES;
 use crate::stage::nlm::Schedule;
@@ -221,14 +221,14 @@ impl Denoiser {
         self.check_window(frames, centre)?;
         let frame = frames[centre];
         let units = Units::of_window(frames, centre, self.method.uses_features(), exposure(frame));
-        let beside = frames.iter().enumerate().filter(|(index, _)| *index != centre).map(|(_, frame)| *frame);
+        let mean_variance = |frame: &Frame| if self.method.wants_mean_variance() { mean_variance(frame, units.exposure) } else { None };
+        let with_mean_variance: Vec<_> = frames.iter().map(|frame| (*frame, mean_variance(frame))).collect();
+        let beside = with_mean_variance.iter().enumerate().filter(|(index, _)| *index != centre).map(|(_, frame)| *frame);
         // What an earlier frame of another size left behind would count against the limit.
         self.gpu.trim();
         let (plan, strips) = self.plan_in(frames, centre, &units, &options)?;
         let Options { error, mut progress, pace, .. } = options;
-        self.gpu.set_memory_limit(self.max_memory);
-        self.gpu.reset_peak();
-        self.gpu.reset_timings()?;
+        let run = Run::new(self.max_memory);
         let out_of_memory = |shortage: Shortage| shortage.error("the result");
         let mut assembly = Assembly::new(frame, &units, error).map_err(out_of_memory)?;
         if plan.copies_the_frame() {
@@ -236,13 +236,14 @@ impl Denoiser {
             return Ok(assembly.finish(plan, Times::default(), 0));
         }
         for (index, strip) in strips.iter().enumerate() {
-            let mut rec = self.gpu.record();
+            let mut rec = self.gpu.record_in(&run);
             if let Some(pace) = &pace {
                 rec.set_pace(pace.clone());
             }
             let plan = plan.starting_at(IVec2::new(0, strip.first_with_halo as i32));
-            let on_gpu = FrameInput::upload(&mut rec, frame, strip, &units, &plan)?;
-            let beside = beside.clone().map(|frame| FrameInput::upload(&mut rec, frame, strip, &units, &plan)).collect::<Result<Vec<_>>>()?;
+            let mut upload = |(frame, mean_variance)| FrameInput::upload(&mut rec, frame, mean_variance, strip, &units, &plan);
+            let on_gpu = upload(with_mean_variance[centre])?;
+            let beside = beside.clone().map(upload).collect::<Result<Vec<_>>>()?;
             let extent = on_gpu.extent;
             let report = |rec: &mut Recorder, share: f32| match &mut progress {
                 None => Ok(()),
@@ -258,8 +259,8 @@ impl Denoiser {
             rec.submit()?;
             assembly.add(&self.gpu, &estimate, extent, strip)?;
         }
-        let times = Times { stages: self.gpu.timings()?, steps: self.gpu.step_timings()? };
-        Ok(assembly.finish(plan, times, self.gpu.memory().peak_bytes))
+        let times = Times { stages: self.gpu.timings(&run)?, steps: self.gpu.step_timings(&run)? };
+        Ok(assembly.finish(plan, times, run.peak_bytes()))
     }
 
     fn check_window(&self, frames: &[&Frame], centre: usize) -> Result<()> {

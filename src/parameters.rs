@@ -113,6 +113,22 @@ impl Parameter {
         }
     }
 
+    /// Reads a value as people write it on a command line: `5`, `0.45`, `false`, `hard`, `first,second`.
+    ///
+    /// # Errors
+    /// [`Error::Request`] naming the parameter and its range.
+    pub fn parse(&self, text: &str) -> Result<Value> {
+        let flag = || text.parse().ok().map(Value::Flag);
+        let value = match &self.kind {
+            Kind::Integer { .. } => text.parse().ok().map(Value::Integer),
+            Kind::Number { .. } => text.parse().ok().map(Value::Number).or_else(flag),
+            Kind::Flag | Kind::Group => flag(),
+            Kind::Choice { .. } => Some(Value::Choice(text.to_owned())),
+            Kind::Set { .. } => Some(Value::Set(text.split(',').map(|word| word.trim().to_owned()).collect())),
+        };
+        value.filter(|value| self.kind.contains(value)).ok_or_else(|| self.refused(text))
+    }
+
     /// Whether it is in the group of this name.
     pub fn is_in(&self, group: &str) -> bool {
         self.name.strip_prefix(group).is_some_and(|rest| rest.starts_with('.'))

@@ -321,7 +321,7 @@ fn options_that_none_of_the_methods_has_are_refused() {
     stein(&["bench", &input, "--methods=nlm,gem", "--second-pass=off"]).failed(2, &["--second-pass is no option of the method nlm or gem", "remedy: "]);
     stein(&["bench", &input, "--methods=nlm", "--candidates=first"]).failed(2, &["--candidates is no option of the method nlm", "remedy: "]);
     stein(&["bench", &input, "--candidates=first+fourth"]).failed(2, &["first+second"]);
-    stein(&["bench", &input, "--methods=dfc,gem", "--k=0.3"]).failed(2, &["--k is no option of the method dfc or gem"]);
+    stein(&["bench", &input, "--methods=dfc,gem", "--set=k=0.3"]).failed(2, &["`k` is no parameter of dfc, but of nlm"]);
     stein(&["bench", &input, "--methods=nlm,gem", "--skip-feature=depth"]).failed(2, &["uses no features"]);
     stein(&["bench", &input, "--radii=5,100"]).failed(2, &["`window_radius` cannot be 100"]);
     stein(&["bench", &input, "--fail-above=2"]).failed(2, &["--compare"]);

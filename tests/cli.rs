@@ -90,7 +90,7 @@ fn gem_is_a_method_with_options_and_intermediates_of_its_own() {
     let output = folder.path("out.exr");
     let arguments = ["denoise", &input, "-o", &output, "--method=gem"];
     let with = |more: &[&str]| stein(&[&arguments[..], more].concat());
-    let document = with(&["--gamma=0.1", "--ref", &reference, "--keep=all", "--json"]).succeeded().json();
+    let document = with(&["--set=gamma=0.1", "--ref", &reference, "--keep=all", "--json"]).succeeded().json();
     assert_eq!(document["parameters"]["method"], "gem");
     assert_eq!((document["parameters"]["gamma"].as_f64().unwrap() * 1e3).round(), 100.0);
     assert_eq!(document["kept"], serde_json::json!(["spikes", "variance", "stopping", "scale", "density"]));
@@ -103,10 +103,10 @@ fn gem_is_a_method_with_options_and_intermediates_of_its_own() {
     assert!(attribute(&output, "stein.parameters").unwrap().contains("gem"));
 
     with(&["--radius=5"]).failed(2, &["--radius is no option of the method gem", "remedy: "]);
-    with(&["--gamma=0.5"]).failed(2, &["`gamma` cannot be 0.5", "below 0.4"]);
+    with(&["--set=gamma=0.5"]).failed(2, &["`gamma` cannot be 0.5", "below 0.4"]);
     with(&["--keep=candidates"]).failed(2, &["gem has no such intermediate", "stopping"]);
     with(&["--feature", "albedo=a.exr"]).failed(2, &["gem uses no features"]);
-    stein(&["denoise", &input, "--gamma=0.2"]).failed(2, &["--gamma is no option of the method dfc"]);
+    stein(&["denoise", &input, "--set=gamma=0.2"]).failed(2, &["`gamma` is no parameter of dfc, but of gem", "remedy: "]);
 }
 
 #[test]
@@ -288,9 +288,13 @@ fn wrong_arguments_are_told_with_the_right_ones() {
     stein(&["denoise", &input, "--keep", "candidates,shure"]).failed(2, &["shure", "sure", "selection", "pass1", "derivatives"]);
     stein(&["denoise", &input, "--max-memory", "lots"]).failed(2, &["512M"]);
     stein(&["denoise", &input, "--radius", "100"]).failed(2, &["`window_radius` cannot be 100", "from 1 to 64"]);
-    stein(&["denoise", &input, "--patch-radius", "1"]).failed(2, &["--patch-radius is no option of the method dfc", "remedy: "]);
-    stein(&["bench", &input, "--single-buffer"]).failed(2, &["--single-buffer is no option of the method dfc", "remedy: "]);
-    stein(&["denoise", &input, "--method", "nlm", "--patch-radius", "9"]).failed(2, &["`patch_radius` cannot be 9", "from 0 to 5"]);
+    stein(&["denoise", &input, "--set", "patch_radius=1"]).failed(2, &["`patch_radius` is no parameter of dfc, but of nlm", "remedy: "]);
+    stein(&["denoise", &input, "--set", "guards=false"]).failed(2, &["`guards` is no parameter of dfc", "guard.own_sigmas"]);
+    stein(&["denoise", &input, "--set", "guard=maybe"]).failed(2, &["`guard` cannot be maybe", "true or false"]);
+    stein(&["denoise", &input, "--set", "guard"]).failed(2, &["NAME=VALUE"]);
+    stein(&["denoise", &input, "--set=guard=false", "--set=guard.own_sigmas=3"]).failed(2, &["`guard.own_sigmas` is none where `guard` is left out"]);
+    stein(&["bench", &input, "--set=dual_buffer=false"]).failed(2, &["`dual_buffer` is no parameter of dfc, but of nlm", "remedy: "]);
+    stein(&["denoise", &input, "--method", "nlm", "--set=patch_radius=9"]).failed(2, &["`patch_radius` cannot be 9", "from 0 to 5"]);
     stein(&["denoise", &input, "--method", "nlm", "--keep", "sure", "--dry-run"]).failed(2, &["--keep sure: nlm has no such intermediate", "halves"]);
     stein(&["denoise", &input, "--feature", "albedo"]).failed(2, &["NAME=FILE"]);
     stein(&["bench", &input, "--size", "big"]).failed(2, &["1024x1024"]);
@@ -306,8 +310,8 @@ fn wrong_arguments_are_told_with_the_right_ones() {
 fn nlm_says_what_it_did() {
     let (folder, input) = Folder::with("cornell_8spp.exr");
     let output = folder.path("out.exr");
-    let options =
-        ["--method=nlm", "--patch-radius=1", "--k=0.5", "--alpha=0.5", "--symmetric=off", "--cut=0.1", "--pixelwise", "--single-buffer", "--uniform-variance"];
+    let options = ["patch_radius=1", "k=0.5", "alpha=0.5", "weighting.symmetric=off", "cut=0.1", "patchwise=false", "dual_buffer=false", "variance=uniform"];
+    let options: Vec<_> = ["--method=nlm"].into_iter().chain(options.into_iter().flat_map(|setting| ["--set", setting])).collect();
     let arguments = ["denoise", &input, "-o", &output, RADIUS, "--ref", &test_image("cornell_reference.exr"), "--json"];
     let document = stein(&[&arguments[..], &options].concat()).succeeded().json();
     let parameters = &document["parameters"];
@@ -449,7 +453,7 @@ fn the_kernel_of_a_pixel_is_told_and_written() {
 fn a_file_of_parameters_stands_for_options() {
     let (folder, input) = Folder::with("cornell_8spp.exr");
     let (file, output) = (folder.path("own.toml"), folder.path("out.exr"));
-    let options = ["--method=nlm", "--preset=thesis", RADIUS, "--patch-radius=1", "--symmetric=off"];
+    let options = ["--method=nlm", "--preset=thesis", RADIUS, "--set=patch_radius=1", "--set=weighting.symmetric=off"];
     stein(&[&["params", "-o", &file][..], &options].concat()).succeeded();
     assert_eq!(stein(&["params", "--params", &file]).succeeded().stdout, std::fs::read_to_string(&file).unwrap());
     let denoise = |more: &[&str]| stein(&[&["denoise", &input, "-o", &output, "--json", "--dry-run"], more].concat());
@@ -464,7 +468,7 @@ fn a_file_of_parameters_stands_for_options() {
     assert_eq!((&parameters["window_radius"], &parameters["spikes"], &parameters["patch_radius"]), (&3.into(), &"clamp".into(), &1.into()));
     denoise(&["--params", &file, "--method=dfc"]).failed(2, &["--method dfc", "own.toml is for nlm", "remedy: ", "method = \"dfc\""]);
     denoise(&["--params", &file, "--preset=default"]).failed(2, &["--preset default", "own.toml is for thesis", "remedy: "]);
-    denoise(&["--params", &file, "--gamma=0.2"]).failed(2, &["--gamma is no option of the method nlm"]);
+    denoise(&["--params", &file, "--set=gamma=0.2"]).failed(2, &["`gamma` is no parameter of nlm, but of gem"]);
     let adapt = ["adapt", "dof", "--spp=8", "-o", &folder.path("loop"), "--params", &file];
     stein(&[&adapt[..], &["--method=gem"]].concat()).failed(2, &["own.toml is for nlm"]);
     stein(&["bench", &input, "--params", &file, "--methods=nlm,dfc"]).failed(2, &["--methods dfc", "own.toml is for nlm"]);

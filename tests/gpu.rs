@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use stein::error::{Error, Result};
-use stein::gpu::{Buffer, DeviceChoice, Gpu, GpuOptions, Kernel, Recorder, SavedPipelines, bindings, uniforms};
+use stein::gpu::{Buffer, DeviceChoice, Gpu, GpuOptions, Kernel, MemoryUse, Recorder, Run, SavedPipelines, bindings, uniforms};
 
 uniforms! {
     struct ScaleParams { extent: glam::UVec2, factor: f32 }
@@ -206,9 +206,10 @@ fn a_dropped_buffer_is_used_again_and_nothing_grows() {
     let gpu = gpu();
     let bytes = (PIXELS * 4) as u64;
     let rounded = bytes.next_multiple_of(256);
+    let run = Run::default();
     let frame = || {
         let kernel = scale_kernel(&gpu);
-        let mut rec = gpu.record();
+        let mut rec = gpu.record_in(&run);
         let source = rec.upload("source", &ramp()).unwrap();
         let mut last = scale(&mut rec, &kernel, &source, 1.0).unwrap();
         // A chain of any length needs the source and two more buffers, although nothing was submitted when they are handed out again.
@@ -220,11 +221,11 @@ fn a_dropped_buffer_is_used_again_and_nothing_grows() {
     };
     let first = frame();
     assert_eq!(first[1], 512.0);
-    assert_eq!((gpu.memory().bytes_in_use, gpu.memory().bytes_idle, gpu.memory().peak_bytes), (0, 3 * rounded, 3 * rounded));
+    assert_eq!((gpu.memory().bytes_in_use, gpu.memory().bytes_idle, run.peak_bytes()), (0, 3 * rounded, 3 * rounded));
     for _ in 0..100 {
         assert!(frame() == first, "the same commands gave another result");
     }
-    assert_eq!(gpu.memory().peak_bytes, 3 * rounded);
+    assert_eq!(run.peak_bytes(), 3 * rounded);
     assert_eq!(gpu.kernel_count(), 1);
 
     let mut rec = gpu.record();
@@ -235,8 +236,7 @@ fn a_dropped_buffer_is_used_again_and_nothing_grows() {
     assert_eq!(slightly_smaller.bytes(), (bytes - bytes / 5).next_multiple_of(4));
     drop((smaller, slightly_smaller));
     gpu.trim();
-    gpu.reset_peak();
-    assert_eq!(gpu.memory().peak_bytes, 0);
+    assert_eq!((gpu.memory(), Run::default().peak_bytes()), (MemoryUse::default(), 0));
 }
 
 #[test]
@@ -264,24 +264,25 @@ fn thousands_of_dispatches_are_cut_into_submissions_and_timed() {
     assert!(gpu.summary().timestamps, "this adapter has no timestamps");
     assert!(gpu.set_timing(true));
     let kernel = scale_kernel(&gpu);
-    let mut rec = gpu.record();
+    let run = Run::default();
+    let mut rec = gpu.record_in(&run);
     let mut last = rec.upload("source", &ramp()).unwrap();
     for _ in 0..2000 {
         last = scale(&mut rec, &kernel, &last, 1.0).unwrap();
     }
     rec.submit().unwrap();
     assert_eq!(gpu.read(&last).unwrap(), ramp());
-    let times = gpu.timings().unwrap().expect("there are timestamps");
+    let times = gpu.timings(&run).unwrap().expect("there are timestamps");
     assert_eq!((times.len(), times[0].stage.as_str(), times[0].dispatches), (1, "scale", 2000));
     assert!(times[0].seconds > 0.0 && times[0].seconds < 60.0, "{times:?}");
 
-    gpu.reset_timings().unwrap();
     gpu.set_timing(false);
-    let mut rec = gpu.record();
+    let later = Run::default();
+    let mut rec = gpu.record_in(&later);
     last = scale(&mut rec, &kernel, &last, 1.0).unwrap();
     rec.submit().unwrap();
     drop(last);
-    assert_eq!(gpu.timings().unwrap().map(|times| times.len()), Some(0));
+    assert_eq!(gpu.timings(&later).unwrap().map(|times| times.len()), Some(0));
 }
 
 #[test]
@@ -296,7 +297,8 @@ fn a_renderer_submits_everything_through_its_own_encoder() {
     let bytes = (PIXELS * 4) as u64;
     let usage = wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_DST | wgpu::BufferUsages::COPY_SRC;
     let rendered = device.create_buffer(&wgpu::BufferDescriptor { label: None, size: bytes, usage, mapped_at_creation: false });
-    let mut rec = gpu.record_whole();
+    let run = Run::default();
+    let mut rec = gpu.record_whole_in(&run);
     let mut last = rec.upload("uploaded", &ramp()).unwrap();
     for _ in 0..100 {
         last = scale(&mut rec, &kernel, &last, 1.0).unwrap();
@@ -307,10 +309,10 @@ fn a_renderer_submits_everything_through_its_own_encoder() {
     rec.dispatch(&kernel, &Scale { params, source: &last, scaled: &target }, [EXTENT.x, EXTENT.y, 1]).unwrap();
     let mut encoder = device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
     rec.encode_into(&mut encoder).unwrap();
-    assert_eq!(gpu.timings().unwrap().expect("there are timestamps")[0].dispatches, 0, "nothing was submitted yet");
+    assert_eq!(gpu.timings(&run).unwrap().expect("there are timestamps")[0].dispatches, 0, "nothing was submitted yet");
     queue.submit([encoder.finish()]);
     assert_eq!(gpu.read(&target).unwrap(), ramp().iter().map(|value| value * 4.0).collect::<Vec<_>>());
-    assert_eq!(gpu.timings().unwrap().expect("there are timestamps")[0].dispatches, 101);
+    assert_eq!(gpu.timings(&run).unwrap().expect("there are timestamps")[0].dispatches, 101);
 
     let usage = wgpu::BufferUsages::COPY_DST;
     let unbindable = device.create_buffer(&wgpu::BufferDescriptor { label: None, size: bytes, usage, mapped_at_creation: false });
@@ -399,7 +401,7 @@ fn a_lost_device_is_an_error_everywhere() {
         problem(again),
         problem(gpu.read(&source)),
         problem(gpu.wait()),
-        problem(gpu.timings()),
+        problem(gpu.timings(&Run::default())),
         problem(rec.upload("more", &[1.0])),
         problem(gpu.kernel_from_source::<Scale>("scale", SCALE, &[])),
         problem(rec.submit()),

@@ -18,10 +18,10 @@ use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
 use clap::Parser;
-use stein::aside::Aside;
 use stein::frame::{NoiseKnowledge, SamplesPerPixel};
 use stein::stage::candidate_set::CandidateSet;
 use stein::{Extent, Frame, Gpu, Image, Method, Preset};
+use stein_exr::atomic_file::Aside;
 use stein_exr::options::choice;
 use stein_exr::{BufferSet, LayerRef};
 

@@ -6,7 +6,6 @@ use std::path::Path;
 use std::process::ExitCode;
 
 use stein::Error;
-use stein::gpu::GpuOptions;
 use stein::text;
 use stein_exr::BufferSetRequest;
 
@@ -102,7 +101,7 @@ const WORDS: [(&str, &str); 8] = [
     ("fewer frames beside", "a smaller --temporal-radius"),
     ("choose another adapter", "choose another adapter with --device"),
     ("`Gpu::adapters`", "`stein devices`"),
-    ("`GpuOptions::pipeline_folder`", GpuOptions::FOLDER_VARIABLE),
+    ("`GpuOptions::pipeline_folder`", stein_exr::options::CACHE_VARIABLE),
 ];
 
 /// With a remedy of the library in the words of the command line.

@@ -4,11 +4,9 @@ use std::path::{Path, PathBuf};
 
 use clap::builder::PossibleValuesParser;
 use stein::method::Spikes;
-use stein::method::nlm::NlmVariance;
 use stein::stage::candidate_set::CandidateSet;
-use stein::stage::nlm::{Symmetry, Weighting};
 use stein::text;
-use stein::{DfcParams, GemParams, Method, NlmParams, Preset};
+use stein::{DfcParams, Method, NlmParams, Preset};
 use stein_exr::options::{choice, possible};
 
 use super::Failure;
@@ -45,7 +43,7 @@ pub(crate) struct Chosen {
     pub(crate) preset: Preset,
 }
 
-/// What may be set of every method, and of one alone.
+/// What may be set of every method.
 #[derive(Clone, Debug, PartialEq, clap::Args)]
 #[command(next_help_heading = "Filter")]
 pub(crate) struct Tuning {
@@ -55,41 +53,16 @@ pub(crate) struct Tuning {
     /// What becomes of spikes: pixels that stand out from those of their kind and rest on very few samples [default: spread; of the preset thesis: keep]
     #[arg(long, value_name = "RULE", value_parser = choice(Spikes::ALL, &Spikes::choices()))]
     spikes: Option<Spikes>,
-    /// Of gem: share of wrong decisions for a sharper filter where the image is constant, above 0 and below 0.4; lower is smoother [default: 0.15]
-    #[arg(long, value_name = "SHARE")]
-    gamma: Option<f32>,
-    #[command(flatten)]
-    nlm: NlmChoice,
+    /// A parameter of the method by its name, such as guard=false or second_pass.color_k=0.4; may be repeated. `stein params --list` tells all
+    #[arg(long = "set", value_name = "NAME=VALUE", value_parser = setting)]
+    settings: Vec<(String, String)>,
 }
 
-/// What may be set of NLM alone.
-#[derive(Clone, Debug, PartialEq, clap::Args)]
-#[command(next_help_heading = "Filter")]
-struct NlmChoice {
-    /// Of nlm: radius of the patches that are compared, in pixels; 0 compares single pixels [default: 3]
-    #[arg(long, value_name = "PIXELS")]
-    patch_radius: Option<u32>,
-    /// Of nlm: how large a difference counts, in standard deviations; more filters more [default: 0.45]
-    #[arg(long, value_name = "NUMBER")]
-    k: Option<f32>,
-    /// Of nlm: how much of the variance is cancelled from differences; more filters more [default: 1]
-    #[arg(long, value_name = "NUMBER")]
-    alpha: Option<f32>,
-    /// Of nlm: whether the mean of opposite neighbours may stand for both, which keeps gradients [default: hard]
-    #[arg(long, value_name = "RULE", value_parser = choice(Symmetry::ALL, &Symmetry::choices()))]
-    symmetric: Option<Symmetry>,
-    /// Of nlm: weights below this one become 0 [default: 0.05]
-    #[arg(long, value_name = "WEIGHT")]
-    cut: Option<f32>,
-    /// Of nlm: weigh pixels by their own patches alone, not by the mean over all patches that they share
-    #[arg(long)]
-    pixelwise: bool,
-    /// Of nlm: filter the whole with its own weights, not each half with those of the other
-    #[arg(long)]
-    single_buffer: bool,
-    /// Of nlm: take the image's mean variance for every pixel
-    #[arg(long)]
-    uniform_variance: bool,
+/// The name and the value of a parameter.
+fn setting(text: &str) -> Result<(String, String), String> {
+    let parts = text.split_once('=').filter(|(name, _)| !name.trim().is_empty());
+    let (name, value) = parts.ok_or("it must look like NAME=VALUE, such as window_radius=20")?;
+    Ok((name.trim().to_owned(), value.trim().to_owned()))
 }
 
 impl Filter {
@@ -138,16 +111,13 @@ impl Tuning {
         self.params.as_deref().map(ParamsFile::read).transpose()
     }
 
-    /// Refuses options that none of the methods has.
+    /// Refuses parameters that none of the methods has.
     pub(crate) fn check(&self, methods: &[Method]) -> Result<(), Failure> {
-        let of_gem = [("--gamma", self.gamma.is_some())];
-        for (owner, options) in [("gem", &of_gem[..]), ("nlm", &self.nlm.given()[..])] {
-            let given = options.iter().find(|(_, is_given)| *is_given);
-            if let (Some((option, _)), false) = (given, methods.iter().any(|method| method.name() == owner)) {
-                return Err(not_theirs(option, methods));
-            }
+        let unknown = self.settings.iter().find(|(name, _)| !methods.iter().any(|method| method.has_parameter(name)));
+        match (unknown, methods.first()) {
+            (Some((name, value)), Some(method)) => method.with_settings([(name.as_str(), value.as_str())]).map(drop).map_err(Failure::usage),
+            _ => Ok(()),
         }
-        Ok(())
     }
 
     /// A method with its parameters, but for those that were set.
@@ -156,42 +126,12 @@ impl Tuning {
             Method::Dfc(params) => {
                 Method::from(DfcParams { window_radius: radius.unwrap_or(params.window_radius), candidates: candidates.unwrap_or(params.candidates), ..params })
             }
-            Method::Gem(params) => Method::from(GemParams { gamma: self.gamma.unwrap_or(params.gamma), ..params }),
-            Method::Nlm(params) => Method::from(self.nlm.applied_to(NlmParams { window_radius: radius.unwrap_or(params.window_radius), ..params })),
+            Method::Gem(params) => Method::from(params),
+            Method::Nlm(params) => Method::from(NlmParams { window_radius: radius.unwrap_or(params.window_radius), ..params }),
         };
         let method = self.spikes.map_or(method, |spikes| method.with_spikes(spikes));
-        method.validate().map_err(Failure::usage)?;
-        Ok(method)
-    }
-}
-
-impl NlmChoice {
-    /// Every option, and whether it is given.
-    fn given(&self) -> [(&'static str, bool); 8] {
-        [
-            ("--patch-radius", self.patch_radius.is_some()),
-            ("--k", self.k.is_some()),
-            ("--alpha", self.alpha.is_some()),
-            ("--symmetric", self.symmetric.is_some()),
-            ("--cut", self.cut.is_some()),
-            ("--pixelwise", self.pixelwise),
-            ("--single-buffer", self.single_buffer),
-            ("--uniform-variance", self.uniform_variance),
-        ]
-    }
-
-    fn applied_to(&self, params: NlmParams) -> NlmParams {
-        NlmParams {
-            patch_radius: self.patch_radius.unwrap_or(params.patch_radius),
-            k: self.k.unwrap_or(params.k),
-            alpha: self.alpha.unwrap_or(params.alpha),
-            weighting: Weighting { symmetric: self.symmetric.unwrap_or(params.weighting.symmetric), ..params.weighting },
-            cut: self.cut.unwrap_or(params.cut),
-            patchwise: params.patchwise && !self.pixelwise,
-            dual_buffer: params.dual_buffer && !self.single_buffer,
-            variance: if self.uniform_variance { NlmVariance::Uniform } else { params.variance },
-            ..params
-        }
+        let own = self.settings.iter().filter(|(name, _)| method.has_parameter(name));
+        method.with_settings(own.map(|(name, value)| (name.as_str(), value.as_str()))).map_err(Failure::usage)
     }
 }
 

@@ -63,7 +63,7 @@ const ABORTED: i32 = 4;
 /// Ends a process in which a library or a driver aborts.
 #[cfg(unix)]
 fn give_up() -> ! {
-    stein::aside::abandon();
+    stein_exr::atomic_file::abandon();
     let problem = "no memory was left, or a library or driver gave up for another reason";
     let remedy = "crop the image, raise the limit on memory (`ulimit -v`, or the container's), or use a computer with more memory; where there is enough memory, report this with \
                   the output of `stein devices`";
@@ -146,7 +146,7 @@ mod system {
     }
 
     pub(super) fn end(signal: i32) -> ! {
-        stein::aside::abandon();
+        stein_exr::atomic_file::abandon();
         terminate_child();
         // Without the drivers' farewells, which do not expect to be called while others of their threads work.
         let _ = signal_hook::low_level::emulate_default_handler(signal);
@@ -178,7 +178,7 @@ mod system {
 
     /// Programs that were started share the console, and are told by it.
     pub(super) fn end(signal: i32) -> ! {
-        stein::aside::abandon();
+        stein_exr::atomic_file::abandon();
         std::process::exit(128 + signal)
     }
 }

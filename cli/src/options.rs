@@ -2,9 +2,10 @@
 
 use std::path::{Path, PathBuf};
 
-use stein::gpu::{DeviceChoice, GpuOptions};
+use stein::gpu::DeviceChoice;
 use stein::text;
 use stein::{Denoiser, Extent, Gpu, Method};
+use stein_exr::options::gpu_options;
 use stein_exr::{BufferSet, BufferSetRequest, LayerRef};
 
 use super::Failure;
@@ -81,7 +82,7 @@ pub(crate) struct Device {
 
 impl Device {
     pub(crate) fn open(&self) -> Result<Gpu, Failure> {
-        Ok(Gpu::open_with(self.device.as_ref().unwrap_or(&DeviceChoice::Auto), GpuOptions::of_user())?)
+        Ok(Gpu::open_with(self.device.as_ref().unwrap_or(&DeviceChoice::Auto), gpu_options())?)
     }
 
     pub(crate) fn denoiser(&self, gpu: &Gpu, method: Method) -> Result<Denoiser, Failure> {

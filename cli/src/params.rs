@@ -51,7 +51,7 @@ pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
         out.say(text);
         return Ok(());
     };
-    stein::aside::write(file, text.as_bytes()).map_err(|error| {
+    stein_exr::atomic_file::write(file, text.as_bytes()).map_err(|error| {
         let name = text::path(file);
         Failure::output(format_args!("{name}: cannot be written: {error}\n  remedy: check that the folder exists, may be written to and has space left"))
     })

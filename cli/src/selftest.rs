@@ -12,7 +12,7 @@ use std::time::Instant;
 
 use clap::ValueEnum;
 use serde::{Deserialize, Serialize};
-use stein::aside::Aside;
+use stein_exr::atomic_file::Aside;
 
 use super::bench::Adapter;
 use super::options::Device;

@@ -7,11 +7,11 @@ use glam::IVec2;
 use super::{Denoiser, Options, exposure};
 use crate::error::{Error, Result};
 use crate::frame::Frame;
-use crate::gpu::{Buffer, Gpu};
+use crate::gpu::{Buffer, Gpu, Run};
 use crate::image::{Extent, Image, Window};
 use crate::kernels::{Compared, Distance, FilterKernel, Kernels, PixelInFrame, WeightRule};
 use crate::method::kernels::{KernelOnGpu, LimitOnGpu, ShareOnGpu, WeightsOnGpu};
-use crate::method::{FrameInput, Lane, Strip, Units};
+use crate::method::{FrameInput, Lane, Strip, Units, mean_variance};
 use crate::stage::PLANE_PIXEL_BYTES;
 use crate::stage::exact::Region;
 use crate::stage::gaussian::Gaussian;
@@ -46,13 +46,14 @@ impl Denoiser {
         let units = Units::of_window(&[&part_of_frame], 0, self.method.uses_features(), exposure(frame));
         let rows = part.extent.height as usize;
         let all_of_it = Strip { first: 0, end: rows, first_with_halo: 0, end_with_halo: rows };
-        self.gpu.set_memory_limit(self.max_memory);
-        let mut rec = self.gpu.record();
+        let mut rec = self.gpu.record_in(&Run::new(self.max_memory));
         if let Some(pace) = &options.pace {
             rec.set_pace(pace.clone());
         }
         let plan_of_part = plan.starting_at(first);
-        let on_gpu = FrameInput::upload(&mut rec, &part_of_frame, &all_of_it, &units, &plan_of_part)?.settled_for(frame, &units);
+        // What is settled for a frame as a whole is settled for the whole frame.
+        let mean_variance = if self.method.wants_mean_variance() { mean_variance(frame, units.exposure) } else { None };
+        let on_gpu = FrameInput::upload(&mut rec, &part_of_frame, mean_variance, &all_of_it, &units, &plan_of_part)?;
         let kernels = self.method.kernels(&mut rec, on_gpu, pixel - first, &plan_of_part, self.schedule)?;
         rec.submit()?;
 

@@ -4,7 +4,6 @@
 //! later one's stays. What does not read back as it was written is taken for no file, and replaced.
 
 use std::hash::{DefaultHasher, Hash, Hasher};
-use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 use std::time::SystemTime;
@@ -94,11 +93,14 @@ impl PipelineCache {
     fn write(&self, data: &[u8], hash: u64) -> std::io::Result<()> {
         let folder = self.file.parent().unwrap_or(Path::new("."));
         std::fs::create_dir_all(folder)?;
-        crate::aside::replace(&self.file, tempfile::Builder::new().prefix(".stein-").suffix(".part"), |aside| {
-            aside.write_all(MAGIC)?;
-            aside.write_all(&hash.to_le_bytes())?;
-            aside.write_all(data)
-        })?;
+        // Under a name of its own until it is complete: others may read the file meanwhile, or write it.
+        let unfinished = folder.join(format!(".stein-{}-{:x}.part", std::process::id(), std::ptr::from_ref(self).addr()));
+        let written = std::fs::write(&unfinished, [MAGIC.as_slice(), &hash.to_le_bytes(), data].concat());
+        if let Err(error) = written.and_then(|()| std::fs::rename(&unfinished, &self.file)) {
+            // Nothing is lost where it cannot be removed either.
+            let _ = std::fs::remove_file(&unfinished);
+            return Err(error);
+        }
         remove_oldest(folder);
         Ok(())
     }

@@ -2,7 +2,6 @@
 
 use std::any::Any;
 use std::collections::HashMap;
-use std::ffi::OsString;
 use std::fmt;
 use std::path::PathBuf;
 use std::str::FromStr;
@@ -153,24 +152,6 @@ pub struct GpuOptions {
     pub checked_shaders: bool,
     /// Fills every buffer that [`Recorder::take`](super::Recorder::take) hands out with [`Gpu::POISON`], so that what a kernel forgets to write shows.
     pub poison: bool,
-}
-
-impl GpuOptions {
-    /// The environment variable by which a user names another folder for compiled pipelines, or, empty, none.
-    pub const FOLDER_VARIABLE: &str = "STEIN_CACHE";
-
-    /// For programs that a user starts: compiled pipelines are kept in the folder that [`GpuOptions::FOLDER_VARIABLE`] names, or else in `stein` among the user's caches.
-    pub fn of_user() -> Self {
-        Self { pipeline_folder: pipeline_folder(std::env::var_os(Self::FOLDER_VARIABLE), dirs::cache_dir()), ..Self::default() }
-    }
-}
-
-/// The folder that is asked for, or one among the user's other caches. None where that is asked for, or where no user has any.
-fn pipeline_folder(asked_for: Option<OsString>, caches: Option<PathBuf>) -> Option<PathBuf> {
-    match asked_for {
-        Some(folder) => (!folder.is_empty()).then(|| folder.into()),
-        None => caches.map(|caches| caches.join("stein")),
-    }
 }
 
 /// An open device. Cheap to clone, shared between threads.
@@ -393,11 +374,6 @@ impl Gpu {
         self.inner.pool.usage()
     }
 
-    /// Starts a new measurement of [`MemoryUse::peak_bytes`].
-    pub fn reset_peak(&self) {
-        self.inner.pool.reset_peak();
-    }
-
     /// Gives idle buffers back to the driver.
     pub fn trim(&self) {
         self.inner.pool.trim();
@@ -523,14 +499,6 @@ fn choose(summaries: &[AdapterSummary], choice: &DeviceChoice) -> Result<Adapter
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn pipelines_are_kept_where_the_user_says() {
-        let caches = || Some(PathBuf::from("/caches"));
-        assert_eq!(pipeline_folder(None, caches()), Some(PathBuf::from("/caches/stein")));
-        assert_eq!(pipeline_folder(Some("/elsewhere".into()), caches()), Some(PathBuf::from("/elsewhere")));
-        assert_eq!((pipeline_folder(Some(OsString::new()), caches()), pipeline_folder(None, None)), (None, None));
-    }
 
     fn summary(index: usize, name: &str, kind: DeviceKind) -> AdapterSummary {
         AdapterSummary {

@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use super::device::Gpu;
 use super::kernel::Kernel;
+use super::run::Run;
 use super::timing::Batch;
 use crate::error::Result;
 
@@ -31,7 +32,7 @@ pub(super) enum Bound {
 }
 
 /// Encodes `ops`. Dispatches share compute passes where nobody wants to know how long each takes.
-pub(super) fn encode(gpu: &Gpu, ops: &[Op], uniforms: &[u8], encoder: &mut wgpu::CommandEncoder) -> Result<()> {
+pub(super) fn encode(gpu: &Gpu, of_run: &Run, ops: &[Op], uniforms: &[u8], encoder: &mut wgpu::CommandEncoder) -> Result<()> {
     let uniforms = match uniforms {
         [] => None,
         bytes => Some(gpu.filled("uniforms", wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::STORAGE, bytes, bytes.len() as u64)?),
@@ -52,7 +53,7 @@ pub(super) fn encode(gpu: &Gpu, ops: &[Op], uniforms: &[u8], encoder: &mut wgpu:
                     if let Some(full) = batch.take_if(|batch| batch.is_full()) {
                         timing.resolve(full, encoder);
                     }
-                    let batch = batch.get_or_insert_with(|| timing.batch(&gpu.inner.device));
+                    let batch = batch.get_or_insert_with(|| timing.batch(&gpu.inner.device, of_run));
                     let timestamps = batch.next(&dispatch.step, dispatch.kernel.stage());
                     let description = wgpu::ComputePassDescriptor { label: Some(dispatch.kernel.stage()), timestamp_writes: Some(timestamps) };
                     run(&mut encoder.begin_compute_pass(&description), dispatch, &group);

@@ -29,6 +29,7 @@ mod kernel;
 mod pool;
 mod read;
 mod record;
+mod run;
 mod shader;
 mod timing;
 
@@ -38,6 +39,7 @@ pub use device::{AdapterSummary, DeviceChoice, DeviceKind, Gpu, GpuOptions};
 pub use kernel::Kernel;
 pub use pool::{Buffer, MemoryUse};
 pub use record::{Pace, Recorder};
+pub use run::Run;
 pub use shader::{Definition, Definitions, compose, compose_source, shared_modules, stages};
 pub use timing::{StageTime, StepTime};
 

@@ -17,6 +17,7 @@ use std::sync::{Arc, Mutex};
 use serde::Serialize;
 
 use super::device::Gpu;
+use super::run::Run;
 use super::{human_bytes, lock};
 use crate::error::{Error, Result};
 
@@ -35,7 +36,13 @@ pub struct Buffer {
     label: String,
     /// The recorder that used it last.
     last_use: AtomicU64,
-    home: Option<Arc<Pool>>,
+    home: Option<Home>,
+}
+
+/// Where a buffer returns to, and the run that it counts for.
+struct Home {
+    pool: Arc<Pool>,
+    run: Run,
 }
 
 impl Buffer {
@@ -71,9 +78,10 @@ impl fmt::Debug for Buffer {
 
 impl Drop for Buffer {
     fn drop(&mut self) {
-        if let Some(pool) = &self.home {
-            let mut state = lock(&pool.0);
+        if let Some(Home { pool, run }) = &self.home {
             let bytes = self.wgpu.size();
+            run.gives_back(bytes);
+            let mut state = lock(&pool.0);
             state.usage.bytes_in_use -= bytes;
             state.usage.bytes_idle += bytes;
             state.idle.push(Idle { wgpu: self.wgpu.clone(), last_use: self.last_use() });
@@ -88,8 +96,6 @@ pub struct MemoryUse {
     pub bytes_in_use: u64,
     /// Waiting to be used again.
     pub bytes_idle: u64,
-    /// The most that both together were since the last [`Gpu::reset_peak`].
-    pub peak_bytes: u64,
 }
 
 #[derive(Default)]
@@ -99,8 +105,6 @@ pub(super) struct Pool(Mutex<State>);
 struct State {
     idle: Vec<Idle>,
     usage: MemoryUse,
-    /// Idle buffers are given up before both kinds together exceed this many bytes.
-    limit: Option<u64>,
     /// Recorders that hold commands which nobody has submitted yet.
     open: HashSet<u64>,
     last_recorder: u64,
@@ -114,11 +118,6 @@ struct Idle {
 impl Pool {
     pub(super) fn usage(&self) -> MemoryUse {
         lock(&self.0).usage
-    }
-
-    pub(super) fn reset_peak(&self) {
-        let usage = &mut lock(&self.0).usage;
-        usage.peak_bytes = usage.bytes_in_use + usage.bytes_idle;
     }
 
     pub(super) fn trim(&self) {
@@ -160,17 +159,8 @@ impl Pool {
         Some(wgpu)
     }
 
-    /// Whether idle buffers must go before another one of `bytes` is made.
-    fn is_crowded(&self, bytes: u64) -> bool {
-        let state = lock(&self.0);
-        let MemoryUse { bytes_in_use, bytes_idle, .. } = state.usage;
-        bytes_idle > 0 && state.limit.is_some_and(|limit| bytes_in_use + bytes_idle + bytes > limit)
-    }
-
     fn count_new(&self, bytes: u64) {
-        let usage = &mut lock(&self.0).usage;
-        usage.bytes_in_use += bytes;
-        usage.peak_bytes = usage.peak_bytes.max(usage.bytes_in_use + usage.bytes_idle);
+        lock(&self.0).usage.bytes_in_use += bytes;
     }
 }
 
@@ -190,18 +180,15 @@ impl Gpu {
         Ok(Buffer { bytes: buffer.size() & !3, wgpu: buffer, label: label.into(), last_use: AtomicU64::new(0), home: None })
     }
 
-    /// Holds the pool to `bytes` as far as giving up idle buffers can: those in use stay. `None`: idle buffers are kept as long as the device has memory.
-    pub fn set_memory_limit(&self, bytes: Option<u64>) {
-        lock(&self.inner.pool.0).limit = bytes;
-    }
-
-    /// A pooled buffer for commands of `recorder`; `relieve` is called at most once, before idle buffers are given up: where the pool would exceed its limit, or the device
-    /// has no memory left for the first attempt.
-    pub(super) fn take_for(&self, recorder: u64, label: &str, bytes: u64, relieve: impl FnOnce() -> Result<()>) -> Result<Buffer> {
+    /// A pooled buffer for commands of `recorder` in a run; `relieve` is called at most once, before idle buffers are given
+    /// up: where the run would exceed its limit, or the device has no memory left for the first attempt.
+    pub(super) fn take_for(&self, recorder: u64, run: &Run, label: &str, bytes: u64, relieve: impl FnOnce() -> Result<()>) -> Result<Buffer> {
         self.check()?;
         self.check_size(label, bytes)?;
         let bytes = bytes.max(SMALLEST).next_multiple_of(4);
         let rounded = bytes.next_multiple_of(GRANULE).min(self.inner.summary.max_buffer_bytes & !3);
+        // Idle buffers that stay beside a new one.
+        let mut idle = 0;
         let wgpu = match self.inner.pool.take_idle(bytes, recorder) {
             Some(wgpu) => wgpu,
             None => {
@@ -214,12 +201,15 @@ impl Gpu {
                         Ok(())
                     }
                 };
-                if self.inner.pool.is_crowded(rounded) {
+                idle = self.inner.pool.usage().bytes_idle;
+                if run.is_crowded(idle, rounded) {
                     make_room()?;
+                    idle = 0;
                 }
                 let made = match self.create(label, rounded) {
                     Err(_) => {
                         make_room()?;
+                        idle = 0;
                         self.create(label, rounded)
                     }
                     made => made,
@@ -229,7 +219,8 @@ impl Gpu {
                 wgpu
             }
         };
-        let home = Some(Arc::clone(&self.inner.pool));
+        run.takes(wgpu.size(), idle);
+        let home = Some(Home { pool: Arc::clone(&self.inner.pool), run: run.clone() });
         Ok(Buffer { wgpu, bytes, label: label.into(), last_use: AtomicU64::new(recorder), home })
     }
 

@@ -8,6 +8,7 @@ use super::device::Gpu;
 use super::encode::{Bound, Dispatch, Op, encode};
 use super::kernel::Kernel;
 use super::pool::Buffer;
+use super::run::Run;
 use super::{human_bytes, lock};
 use crate::error::{Error, Result};
 
@@ -40,6 +41,7 @@ pub struct Pace {
 #[derive(Debug)]
 pub struct Recorder {
     gpu: Gpu,
+    run: Run,
     id: u64,
     ops: Vec<Op>,
     /// The uniform structs of all dispatches in `ops`, at the offsets that their bindings name.
@@ -54,21 +56,28 @@ pub struct Recorder {
 }
 
 impl Gpu {
-    /// Starts recording commands for this device's own queue.
+    /// Starts recording commands for this device's own queue, in a run of their own.
     pub fn record(&self) -> Recorder {
-        self.recorder(false)
+        self.record_in(&Run::default())
     }
 
     /// Starts recording commands that stay together until [`Recorder::encode_into`] or [`Recorder::submit`].
     pub fn record_whole(&self) -> Recorder {
-        self.recorder(true)
+        self.record_whole_in(&Run::default())
     }
 
-    fn recorder(&self, whole: bool) -> Recorder {
-        let id = self.inner.pool.open_recorder();
-        Recorder {
-            gpu: self.clone(),
-            id,
+    /// As [`Gpu::record_whole`], of a run.
+    pub fn record_whole_in(&self, run: &Run) -> Recorder {
+        Recorder::new(self, run, true)
+    }
+}
+
+impl Recorder {
+    pub(super) fn new(gpu: &Gpu, run: &Run, whole: bool) -> Self {
+        Self {
+            gpu: gpu.clone(),
+            run: run.clone(),
+            id: gpu.inner.pool.open_recorder(),
             ops: Vec::new(),
             uniforms: Vec::new(),
             dispatches: 0,
@@ -79,9 +88,7 @@ impl Gpu {
             step: Arc::from(""),
         }
     }
-}
 
-impl Recorder {
     /// Shares the device from here on.
     pub fn set_pace(&mut self, pace: Pace) {
         self.pace = Some(pace);
@@ -112,8 +119,8 @@ impl Recorder {
     }
 
     fn take_plain(&mut self, label: &str, bytes: u64) -> Result<Buffer> {
-        let (gpu, id) = (self.gpu.clone(), self.id);
-        gpu.take_for(id, label, bytes, || {
+        let (gpu, run, id) = (self.gpu.clone(), self.run.clone(), self.id);
+        gpu.take_for(id, &run, label, bytes, || {
             // Idle buffers are given back to the driver only after the commands that use them.
             self.flush()?;
             self.gpu.wait()
@@ -242,7 +249,7 @@ impl Recorder {
         }
         self.gpu.check()?;
         let (ops, uniforms) = (std::mem::take(&mut self.ops), std::mem::take(&mut self.uniforms));
-        let encoded = self.gpu.guarded(|| encode(&self.gpu, &ops, &uniforms, encoder));
+        let encoded = self.gpu.guarded(|| encode(&self.gpu, &self.run, &ops, &uniforms, encoder));
         encoded.map_err(|error| self.gpu.out_of_memory("the commands", &error))?
     }
 
@@ -256,7 +263,7 @@ impl Recorder {
         let inner = &self.gpu.inner;
         let submitted = self.gpu.guarded(|| {
             let mut encoder = inner.device.create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some("stein") });
-            encode(&self.gpu, &ops, &uniforms, &mut encoder)?;
+            encode(&self.gpu, &self.run, &ops, &uniforms, &mut encoder)?;
             inner.queue.submit([encoder.finish()]);
             Ok(())
         });

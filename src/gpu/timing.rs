@@ -8,6 +8,7 @@ use serde::Serialize;
 
 use super::device::Gpu;
 use super::lock;
+use super::run::Run;
 use crate::error::Result;
 
 /// Dispatches whose times are read back together.
@@ -45,8 +46,6 @@ pub(super) struct Timing {
 
 #[derive(Default)]
 struct State {
-    /// In the order of first use.
-    totals: Vec<StepTime>,
     pending: Vec<(Batch, Receiver<bool>)>,
     free: Vec<Arc<Queries>>,
 }
@@ -59,6 +58,7 @@ struct Queries {
 
 /// The timestamps of a few dispatches: two each, before and after.
 pub(super) struct Batch {
+    run: Run,
     queries: Arc<Queries>,
     /// Step and stage of each.
     dispatches: Vec<(Arc<str>, String)>,
@@ -77,12 +77,6 @@ impl Batch {
     }
 }
 
-impl StepTime {
-    fn is_of(&self, step: &str, stage: &str) -> bool {
-        self.step == step && self.time.stage == stage
-    }
-}
-
 impl Timing {
     pub(super) fn new(available: bool, nanoseconds_per_tick: f32) -> Self {
         Self { available, on: AtomicBool::new(false), nanoseconds_per_tick: nanoseconds_per_tick.into(), state: Mutex::default() }
@@ -92,7 +86,7 @@ impl Timing {
         self.on.load(Ordering::Relaxed)
     }
 
-    pub(super) fn batch(&self, device: &wgpu::Device) -> Batch {
+    pub(super) fn batch(&self, device: &wgpu::Device, run: &Run) -> Batch {
         let queries = lock(&self.state).free.pop().unwrap_or_else(|| {
             let count = DISPATCHES_PER_BATCH * 2;
             let set = device.create_query_set(&wgpu::QuerySetDescriptor { label: Some("times"), ty: wgpu::QueryType::Timestamp, count });
@@ -101,7 +95,7 @@ impl Timing {
             let readback = buffer(wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST);
             Arc::new(Queries { set, resolved, readback })
         });
-        Batch { queries, dispatches: Vec::new() }
+        Batch { run: run.clone(), queries, dispatches: Vec::new() }
     }
 
     /// Has the timestamps of `batch` read back once `encoder` is submitted, by whomever.
@@ -115,19 +109,15 @@ impl Timing {
             // Nobody listens where the device is gone already.
             let _ = sender.send(mapped.is_ok());
         });
-        let mut state = lock(&self.state);
         for (step, stage) in &batch.dispatches {
-            if !state.totals.iter().any(|total| total.is_of(step, stage)) {
-                let time = StageTime { stage: stage.clone(), seconds: 0.0, dispatches: 0 };
-                state.totals.push(StepTime { step: step.to_string(), time });
-            }
+            batch.run.time(step, stage, |_| {});
         }
-        state.pending.push((batch, receiver));
+        lock(&self.state).pending.push((batch, receiver));
     }
 
     /// Adds up what has arrived.
     fn collect(&self) {
-        let State { totals, pending, free } = &mut *lock(&self.state);
+        let State { pending, free } = &mut *lock(&self.state);
         pending.retain(|(batch, receiver)| {
             let Ok(mapped) = receiver.try_recv() else { return true };
             let view = if mapped { batch.queries.readback.get_mapped_range(..).ok() } else { None };
@@ -136,10 +126,10 @@ impl Timing {
                 drop(view);
                 batch.queries.readback.unmap();
                 for ((step, stage), pair) in batch.dispatches.iter().zip(ticks.chunks_exact(2)) {
-                    if let Some(total) = totals.iter_mut().find(|total| total.is_of(step, stage)) {
-                        total.time.seconds += pair[1].saturating_sub(pair[0]) as f64 * self.nanoseconds_per_tick * 1e-9;
-                        total.time.dispatches += 1;
-                    }
+                    batch.run.time(step, stage, |time| {
+                        time.seconds += pair[1].saturating_sub(pair[0]) as f64 * self.nanoseconds_per_tick * 1e-9;
+                        time.dispatches += 1;
+                    });
                 }
                 free.push(Arc::clone(&batch.queries));
             }
@@ -156,47 +146,12 @@ impl Gpu {
         timing.is_on()
     }
 
-    /// The time of each stage since [`Gpu::reset_timings`], in the order of first use; `None` where the adapter has no timestamps. Waits for the device.
-    ///
-    /// # Errors
-    /// As [`Gpu::wait`].
-    pub fn timings(&self) -> Result<Option<Vec<StageTime>>> {
-        let steps = self.step_timings()?;
-        Ok(steps.map(|steps| {
-            let mut stages: Vec<StageTime> = Vec::new();
-            for StepTime { time, .. } in steps {
-                match stages.iter_mut().find(|stage| stage.stage == time.stage) {
-                    Some(stage) => {
-                        stage.seconds += time.seconds;
-                        stage.dispatches += time.dispatches;
-                    }
-                    None => stages.push(time),
-                }
-            }
-            stages
-        }))
-    }
-
-    /// The same, with the uses that a stage has in several steps apart.
-    ///
-    /// # Errors
-    /// As [`Gpu::wait`].
-    pub fn step_timings(&self) -> Result<Option<Vec<StepTime>>> {
-        if !self.inner.timing.available {
-            return Ok(None);
+    /// Adds up what has arrived, for all runs. Returns whether the adapter has timestamps. Waits for the device.
+    pub(super) fn collect_timings(&self) -> Result<bool> {
+        if self.inner.timing.available {
+            self.wait()?;
+            self.inner.timing.collect();
         }
-        self.wait()?;
-        self.inner.timing.collect();
-        Ok(Some(lock(&self.inner.timing.state).totals.clone()))
-    }
-
-    /// Forgets all times measured so far.
-    ///
-    /// # Errors
-    /// As [`Gpu::wait`].
-    pub fn reset_timings(&self) -> Result<()> {
-        self.step_timings()?;
-        lock(&self.inner.timing.state).totals.clear();
-        Ok(())
+        Ok(self.inner.timing.available)
     }
 }

@@ -142,8 +142,9 @@ impl<'a> Units<'a> {
 }
 
 impl<'a> FrameInput<'a> {
-    /// Uploads the rows of a strip and its halo: what the plan asks for, the features when their turn comes. `frame` has all features that `units` lists.
-    pub(crate) fn upload(rec: &mut Recorder, frame: &'a Frame, strip: &Strip, units: &Units, plan: &Plan) -> Result<Self> {
+    /// Uploads the rows of a strip and its halo: what the plan asks for, the features when their turn comes. `frame` has
+    /// all features that `units` lists. `mean_variance` is that of the whole frame, so that all strips agree.
+    pub(crate) fn upload(rec: &mut Recorder, frame: &'a Frame, mean_variance: Option<Vec3>, strip: &Strip, units: &Units, plan: &Plan) -> Result<Self> {
         let mut features = Vec::with_capacity(units.features.len());
         for wanted in &units.features {
             let Some(feature) = frame.features().iter().find(|feature| feature.name == wanted.name) else { continue };
@@ -167,12 +168,7 @@ impl<'a> FrameInput<'a> {
             }
         };
         let color = upload_signal(rec, "colour", frame.color(), strip, Affine::scale(units.exposure), Noise::Told)?;
-        Ok(Self { extent, color, features, samples, mean_variance: mean_variance(frame.color(), units) })
-    }
-
-    /// The same as a part of a frame: what is settled for a frame as a whole is settled for that one.
-    pub(crate) fn settled_for(self, whole: &Frame, units: &Units) -> Self {
-        Self { mean_variance: mean_variance(whole.color(), units), ..self }
+        Ok(Self { extent, color, features, samples, mean_variance })
     }
 }
 
@@ -238,8 +234,9 @@ fn upload_planes(rec: &mut Recorder, label: &str, planes: &[Option<(&Image, Affi
     })
 }
 
-/// Of the whole image, so that all strips agree.
-fn mean_variance(signal: &Signal, units: &Units) -> Option<Vec3> {
+/// The mean over a frame of the variance of the colour's mean, as [`GpuFrame::mean_variance`]; `None` where nothing tells.
+pub(crate) fn mean_variance(frame: &Frame, exposure: f32) -> Option<Vec3> {
+    let signal = frame.color();
     let mean = |plane: &Vec<f32>, value: fn(f64) -> f64| (plane.iter().map(|v| value(f64::from(*v))).sum::<f64>() / plane.len() as f64) as f32;
     let means: Vec<f32> = match (&signal.half_spread, &signal.variance_of_mean) {
         (Some(half_spread), _) => half_spread.planes.iter().map(|plane| mean(plane, |spread| spread * spread)).collect(),
@@ -247,7 +244,7 @@ fn mean_variance(signal: &Signal, units: &Units) -> Option<Vec3> {
         (None, None) => return None,
     };
     let in_file_units = means.try_into().ok().map(Vec3::from_array);
-    in_file_units.map(|variance| variance * units.exposure * units.exposure)
+    in_file_units.map(|variance| variance * exposure * exposure)
 }
 
 /// Pixels that are interleaved at one time: they stay in the cache from the first channel to the last.

@@ -14,6 +14,7 @@ mod noise;
 mod parameters;
 pub mod plan;
 mod spikes;
+#[cfg(feature = "toml")]
 mod toml;
 
 use glam::IVec2;
@@ -27,7 +28,7 @@ use kernels::KernelOnGpu;
 
 pub use dfc::DfcParams;
 pub use estimate::{GpuEstimate, Intermediate, KeptPlane, Lane, Shares, Unit};
-pub(crate) use frame::{FrameInput, Units};
+pub(crate) use frame::{FrameInput, Units, mean_variance};
 pub use frame::{GpuFeature, GpuFrame, GpuSignal};
 pub use gem::GemParams;
 use memory::Footprint;
@@ -119,6 +120,11 @@ impl Method {
             Self::Dfc(_) => true,
             Self::Gem(_) | Self::Nlm(_) => false,
         }
+    }
+
+    /// Whether it takes [`GpuFrame::mean_variance`].
+    pub(crate) fn wants_mean_variance(&self) -> bool {
+        matches!(self, Self::Nlm(NlmParams { variance: nlm::NlmVariance::Uniform, .. }))
     }
 
     /// The intermediates that it has.

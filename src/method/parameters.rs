@@ -70,6 +70,22 @@ impl Method {
         Ok(method)
     }
 
+    /// The same with other values of several parameters, by name and value as people write them; see [`Parameter::parse`].
+    /// Later ones build on earlier ones; together they must not contradict each other.
+    ///
+    /// # Errors
+    /// As [`Method::with_parameter`].
+    pub fn with_settings<'a>(self, settings: impl IntoIterator<Item = (&'a str, &'a str)>) -> Result<Self> {
+        let mut method = self;
+        for (name, text) in settings {
+            let listed = method.parameters();
+            let parameter = listed.iter().find(|parameter| parameter.name == name).ok_or_else(|| method.has_no(name))?;
+            method = method.with_unchecked(name, &parameter.parse(text)?)?;
+        }
+        method.validate()?;
+        Ok(method)
+    }
+
     /// The same, which may contradict the other parameters.
     pub(super) fn with_unchecked(mut self, name: &str, value: &Value) -> Result<Self> {
         let listed = self.parameters();

@@ -9,7 +9,7 @@ use stein::frame::FeatureKind;
 use stein::frame::Signal;
 use stein::gpu::{Gpu, GpuOptions, Pace};
 use stein::image::Extent;
-use stein::method::{GpuFeature, GpuFrame, GpuSignal};
+use stein::method::{GpuFeature, GpuFrame, GpuSignal, Spikes};
 use stein::stage::nlm::Schedule;
 use stein::stage::sample::GpuSamples;
 use stein::{Denoiser, DfcParams, Error, Estimate, Frame, Image, Options};
@@ -280,6 +280,34 @@ fn threads_share_a_device() {
                 let one = crate::common::run(gpu, |rec| rec.upload("one", &[1.0]));
                 for _ in 0..2000 {
                     assert_eq!(crate::common::bits(gpu, &one), [1.0f32.to_bits()]);
+                }
+            });
+        }
+    });
+}
+
+/// Two denoisers at once on one device: limits, peaks and times are of each alone.
+#[test]
+fn runs_share_a_device_and_nothing_else() {
+    let gpu = open(GpuOptions::default());
+    gpu.set_timing(true);
+    let (small, large) = (random_frame(24, 400, 1.0), random_frame(96, 80, 1.0));
+    let limit = 4_000_000;
+    let narrow = DfcParams { pooled_variance: false, color_only: false, spikes: Spikes::Keep, window_radius: 3, ..DfcParams::default() };
+    let limited = Denoiser::new(&gpu, narrow).unwrap_or_else(|error| panic!("{error}")).with_max_memory(limit);
+    let free = denoiser(&gpu, params());
+    let alone = [denoised(&limited, &small), denoised(&free, &large)];
+    assert!(alone[0].strips > 1 && alone[1].peak_bytes > limit, "{} strips, {} bytes", alone[0].strips, alone[1].peak_bytes);
+    std::thread::scope(|scope| {
+        for (denoiser, frame, alone) in [(&limited, &small, &alone[0]), (&free, &large, &alone[1])] {
+            scope.spawn(move || {
+                for _ in 0..5 {
+                    let beside = denoised(denoiser, frame);
+                    assert_same("beside another run", &beside, alone, 1.0);
+                    let stages =
+                        |estimate: &Estimate| estimate.stage_times.iter().flatten().map(|time| (time.stage.clone(), time.dispatches)).collect::<Vec<_>>();
+                    assert_eq!((beside.strips, stages(&beside)), (alone.strips, stages(alone)));
+                    assert!(alone.strips == 1 || beside.peak_bytes <= limit, "{} bytes where {limit} are allowed", beside.peak_bytes);
                 }
             });
         }

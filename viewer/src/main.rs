@@ -5,9 +5,9 @@ use std::process::ExitCode;
 
 use clap::{Parser, ValueEnum};
 use eframe::egui::{Theme, Vec2, ViewportBuilder};
-use stein::gpu::{DeviceChoice, GpuOptions};
+use stein::gpu::DeviceChoice;
 use stein::{Error, Gpu, Method, Preset, text};
-use stein_exr::options::choice;
+use stein_exr::options::{choice, gpu_options};
 use stein_exr::{BufferSetRequest, LayerRef};
 use stein_viewer::adaptive::Setup;
 use stein_viewer::document::Source;
@@ -224,7 +224,7 @@ fn main() -> ExitCode {
 
 fn run(args: &Args) -> Result<(), Failure> {
     let start = start(args)?;
-    let gpu = Gpu::open_with(args.device.as_ref().unwrap_or(&DeviceChoice::Auto), GpuOptions::of_user())?;
+    let gpu = Gpu::open_with(args.device.as_ref().unwrap_or(&DeviceChoice::Auto), gpu_options())?;
     let done = match &args.screenshot {
         Some(path) => {
             let theme = match args.theme {

@@ -8,7 +8,8 @@ use std::thread::JoinHandle;
 use stein_exr::write_estimate;
 
 use eframe::egui::{CentralPanel, Context, Frame as Margins, Pos2, Rect, Theme, Vec2};
-use stein::{Error, Estimate, Gpu, Image, Method, Result, aside};
+use stein::{Error, Estimate, Gpu, Image, Method, Result};
+use stein_exr::atomic_file;
 use stein_exr::{BufferSet, BufferSetRequest, NamedLayer, write_layers};
 
 use crate::app;
@@ -121,7 +122,7 @@ impl Content {
         match self {
             Self::View(sight) => sight.picture(gpu)?.write_png(path)?,
             Self::Layer(layer, display) => picture_of(gpu, &layer, display)?.write_png(path)?,
-            Self::Parameters(parameters) => aside::write(path, parameters.to_toml().as_bytes()).map_err(|error| Error::File {
+            Self::Parameters(parameters) => atomic_file::write(path, parameters.to_toml().as_bytes()).map_err(|error| Error::File {
                 path: path.to_owned(),
                 problem: format!("cannot be written: {error}"),
                 remedy: "check that the folder exists, may be written to and has space left".into(),

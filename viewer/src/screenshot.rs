@@ -6,7 +6,8 @@ use std::time::{Duration, Instant};
 use eframe::egui::{Context, Event, Pos2, RawInput, Rect, Theme, Ui, Vec2, ViewportId};
 use eframe::egui_wgpu::{RenderState, RendererOptions, ScreenDescriptor};
 use eframe::wgpu;
-use stein::{Error, Extent, Gpu, Result, aside};
+use stein::{Error, Extent, Gpu, Result};
+use stein_exr::atomic_file;
 
 use crate::app::{Start, Viewer};
 use crate::device;
@@ -47,7 +48,7 @@ impl Picture {
         encoder.set_depth(png::BitDepth::Eight);
         let written = encoder.write_header().and_then(|mut writer| writer.write_image_data(&self.rgba).and_then(|()| writer.finish()));
         written.map_err(|error| failed(format!("cannot be written: {error}")))?;
-        aside::write(path, &bytes).map_err(|error| failed(format!("cannot be written: {error}")))
+        atomic_file::write(path, &bytes).map_err(|error| failed(format!("cannot be written: {error}")))
     }
 }
 

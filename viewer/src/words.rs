@@ -1,6 +1,5 @@
 //! What the library says, in the words of this program.
 
-use stein::gpu::GpuOptions;
 use stein::{Error, text};
 use stein_exr::BufferSetRequest;
 
@@ -14,7 +13,7 @@ const WORDS: [(&str, &str); 8] = [
     (" or fewer frames beside", ""),
     ("choose another adapter", "choose another adapter with --device"),
     ("`Gpu::adapters`", "`stein devices`"),
-    ("`GpuOptions::pipeline_folder`", GpuOptions::FOLDER_VARIABLE),
+    ("`GpuOptions::pipeline_folder`", stein_exr::options::CACHE_VARIABLE),
 ];
 
 /// An error for people, with its remedy.

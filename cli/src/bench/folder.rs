@@ -3,8 +3,8 @@
 use std::fs::File;
 use std::path::{Path, PathBuf};
 
-use stein::aside::{self, Aside};
 use stein::text;
+use stein_exr::atomic_file::{self, Aside};
 
 use super::super::Failure;
 use super::compare;
@@ -56,12 +56,12 @@ impl Folder {
         for file in FILES {
             // An empty folder has none.
             if let Ok(replaced) = self.path.join(file).metadata() {
-                aside::inherit(&File::open(new.join(file))?, &replaced);
+                atomic_file::inherit(&File::open(new.join(file))?, &replaced);
             }
         }
         // A folder can be opened where it has rights of its own.
         if cfg!(unix) {
-            aside::inherit(&File::open(new)?, &self.path.metadata()?);
+            atomic_file::inherit(&File::open(new)?, &self.path.metadata()?);
         }
         Ok(())
     }

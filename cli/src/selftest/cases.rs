@@ -1,7 +1,7 @@
 //! The cases: each a situation that a user's render may be in, and how far a result may go in it.
 
-use stein::aside::Aside;
 use stein::{Extent, Image};
+use stein_exr::atomic_file::Aside;
 
 use super::checks::{Check, Subject};
 use super::picture::{Picture, Samples, Sampling, Surface, corridor, exact, image, room};

@@ -8,6 +8,7 @@
 //! type. Each of these layers can also come from a file of its own: see [`BufferSetRequest`].
 
 mod assign;
+pub mod atomic_file;
 mod buffer_set;
 mod decode;
 mod estimate;
@@ -16,7 +17,7 @@ mod header;
 mod layer_ref;
 mod map_file;
 mod names;
-#[cfg(feature = "clap")]
+#[cfg(feature = "programs")]
 pub mod options;
 mod request;
 mod samples;

@@ -1,7 +1,29 @@
-//! What programs offer as options.
+//! What programs share: options of their command lines, and where they keep compiled pipelines.
+
+use std::ffi::OsString;
+use std::path::PathBuf;
 
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
+use stein::gpu::GpuOptions;
 use stein::parameters::Choice;
+
+/// The environment variable by which a user names another folder for compiled pipelines, or, empty, none.
+pub const CACHE_VARIABLE: &str = "STEIN_CACHE";
+
+/// How programs that a user starts open a device: compiled pipelines are kept in the folder that [`CACHE_VARIABLE`] names,
+/// or else in `stein` among the user's caches.
+pub fn gpu_options() -> GpuOptions {
+    GpuOptions { pipeline_folder: pipeline_folder(std::env::var_os(CACHE_VARIABLE), dirs::cache_dir()), ..GpuOptions::default() }
+}
+
+/// The folder that is asked for, or one among the user's other caches. `None` where that is asked for, or where the user
+/// has no caches.
+fn pipeline_folder(asked_for: Option<OsString>, caches: Option<PathBuf>) -> Option<PathBuf> {
+    match asked_for {
+        Some(folder) => (!folder.is_empty()).then(|| folder.into()),
+        None => caches.map(|caches| caches.join("stein")),
+    }
+}
 
 /// Reads one of several values by the word of the choice at the same place; its help tells what they mean.
 pub fn choice<T: Clone + Send + Sync + 'static>(values: &[T], choices: &[Choice]) -> impl TypedValueParser<Value = T> + use<T> {
@@ -13,4 +35,20 @@ pub fn choice<T: Clone + Send + Sync + 'static>(values: &[T], choices: &[Choice]
 /// A choice as clap lists it.
 pub fn possible(choice: &Choice) -> PossibleValue {
     PossibleValue::new(choice.name).help(choice.documentation.trim_end_matches('.').to_owned())
+}
+
+#[cfg(test)]
+mod tests {
+    use std::ffi::OsString;
+    use std::path::PathBuf;
+
+    use super::pipeline_folder;
+
+    #[test]
+    fn a_user_names_a_folder_for_pipelines_or_has_one() {
+        let caches = || Some(PathBuf::from("/caches"));
+        assert_eq!(pipeline_folder(None, caches()), Some(PathBuf::from("/caches/stein")));
+        assert_eq!(pipeline_folder(Some("/elsewhere".into()), caches()), Some(PathBuf::from("/elsewhere")));
+        assert_eq!((pipeline_folder(Some(OsString::new()), caches()), pipeline_folder(None, None)), (None, None));
+    }
 }

@@ -2,12 +2,12 @@
 
 use std::path::{Path, PathBuf};
 
-#[cfg(feature = "clap")]
+#[cfg(feature = "programs")]
 use clap::builder::{OsStringValueParser, TypedValueParser};
 use serde::{Deserialize, Serialize};
 
 use crate::layer_ref::LayerRef;
-#[cfg(feature = "clap")]
+#[cfg(feature = "programs")]
 use crate::layer_ref::feature;
 
 /// Which files and layers to read. All but the input and its layer are options of programs by their names: `--half-a FILE::LAYER`.
@@ -15,32 +15,32 @@ use crate::layer_ref::feature;
 /// A feature of another file comes with its halves and variance from there: from `LAYER_halfA` and so on, or from plain `halfA`, `halfB`, `variance` where
 /// the feature is the file's main layer.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[cfg_attr(feature = "clap", derive(clap::Args), command(next_help_heading = "Layers"))]
+#[cfg_attr(feature = "programs", derive(clap::Args), command(next_help_heading = "Layers"))]
 #[serde(default)]
 pub struct BufferSetRequest {
     /// The file with the noisy colour; halves, variance and features are looked for in it unless they are named below.
-    #[cfg_attr(feature = "clap", arg(skip))]
+    #[cfg_attr(feature = "programs", arg(skip))]
     pub input: PathBuf,
     /// The colour's layer; `None` takes `R G B` or a layer with a usual name such as `Combined` or `beauty`.
-    #[cfg_attr(feature = "clap", arg(skip))]
+    #[cfg_attr(feature = "programs", arg(skip))]
     pub layer: Option<String>,
     /// Colour of the first half of the samples
-    #[cfg_attr(feature = "clap", arg(long, value_name = "FILE[::LAYER]"))]
+    #[cfg_attr(feature = "programs", arg(long, value_name = "FILE[::LAYER]"))]
     pub half_a: Option<LayerRef>,
     /// Colour of the other half of the samples
-    #[cfg_attr(feature = "clap", arg(long, value_name = "FILE[::LAYER]"))]
+    #[cfg_attr(feature = "programs", arg(long, value_name = "FILE[::LAYER]"))]
     pub half_b: Option<LayerRef>,
     /// Variance of the colour's mean (of the pixel, not of one sample)
-    #[cfg_attr(feature = "clap", arg(long, value_name = "FILE[::LAYER]"))]
+    #[cfg_attr(feature = "programs", arg(long, value_name = "FILE[::LAYER]"))]
     pub variance: Option<LayerRef>,
     /// A feature under another name or from another file, with its halves and variance beside it; may be repeated
-    #[cfg_attr(feature = "clap", arg(long = "feature", value_name = "NAME=FILE[::LAYER]", value_parser = OsStringValueParser::new().try_map(feature)))]
+    #[cfg_attr(feature = "programs", arg(long = "feature", value_name = "NAME=FILE[::LAYER]", value_parser = OsStringValueParser::new().try_map(feature)))]
     pub features: Vec<(String, LayerRef)>,
     /// A feature of the input that is not to be used, by its whole name, or in all view layers by the last part of it; may be repeated
-    #[cfg_attr(feature = "clap", arg(long = "skip-feature", value_name = "NAME"))]
+    #[cfg_attr(feature = "programs", arg(long = "skip-feature", value_name = "NAME"))]
     pub skip_features: Vec<String>,
     /// Use no features of the input but those in `features`.
-    #[cfg_attr(feature = "clap", arg(long, help = "Use no features of the input but those given with --feature"))]
+    #[cfg_attr(feature = "programs", arg(long, help = "Use no features of the input but those given with --feature"))]
     pub no_features: bool,
 }
 

@@ -8,10 +8,10 @@ use exr::meta::attribute::TimeCode;
 use exr::prelude::*;
 
 use crate::BufferSet;
+use crate::atomic_file;
 use crate::file::{ExrFile, FileLayer, is_lossy};
 use crate::header::settle;
 use crate::names::{LONGEST_NAME, encoded};
-use stein::aside;
 use stein::error::{Error, Result};
 use stein::image::{Extent, Image};
 use stein::text;
@@ -325,7 +325,7 @@ fn add_attributes(header: &mut LayerAttributes, attributes: &[(String, String)])
 
 fn write_then_rename(image: &FlatImage, output: &Path) -> Result<()> {
     let mut builder = tempfile::Builder::new();
-    let written = aside::replace(output, aside::readable(builder.prefix(".stein-").suffix(".exr.part")), |file| {
+    let written = atomic_file::replace(output, atomic_file::readable(builder.prefix(".stein-").suffix(".exr.part")), |file| {
         let mut buffered = BufWriter::new(&mut *file);
         // What is odd about the input's header was no reason to refuse it, and is none here.
         image.write().skip_compatibility_checks().to_buffered(&mut buffered).map_err(|error| match error {

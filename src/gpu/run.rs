@@ -1,0 +1,118 @@
+//! What belongs to one run on a device that several runs may share.
+
+use std::fmt;
+use std::sync::{Arc, Mutex};
+
+use super::device::Gpu;
+use super::lock;
+use super::record::Recorder;
+use super::timing::{StageTime, StepTime};
+use crate::error::Result;
+
+/// A limit on memory, the memory that buffers take, and the times of stages, for all recorders of one run. Cheap to clone;
+/// clones are the same run.
+#[derive(Clone, Default)]
+pub struct Run(Arc<Shared>);
+
+#[derive(Default)]
+struct Shared {
+    /// In bytes.
+    limit: Option<u64>,
+    memory: Mutex<Memory>,
+    /// In the order of first use.
+    times: Mutex<Vec<StepTime>>,
+}
+
+/// In bytes.
+#[derive(Default)]
+struct Memory {
+    in_use: u64,
+    peak: u64,
+}
+
+impl Run {
+    /// A run that holds its buffers and the idle ones of the device to `memory_limit` bytes, as far as giving up idle
+    /// buffers can. `None` keeps idle buffers as long as the device has memory.
+    pub fn new(memory_limit: Option<u64>) -> Self {
+        Self(Arc::new(Shared { limit: memory_limit, ..Shared::default() }))
+    }
+
+    /// The most bytes that buffers of this run took, with the idle buffers of the device beside them whenever a new one was
+    /// made.
+    pub fn peak_bytes(&self) -> u64 {
+        lock(&self.0.memory).peak
+    }
+
+    /// Whether idle buffers must go before another one of `bytes` is made.
+    pub(super) fn is_crowded(&self, idle: u64, bytes: u64) -> bool {
+        idle > 0 && self.0.limit.is_some_and(|limit| lock(&self.0.memory).in_use + idle + bytes > limit)
+    }
+
+    /// A buffer of this size is taken, and so many idle bytes stay beside it.
+    pub(super) fn takes(&self, bytes: u64, idle: u64) {
+        let memory = &mut lock(&self.0.memory);
+        memory.in_use += bytes;
+        memory.peak = memory.peak.max(memory.in_use + idle);
+    }
+
+    pub(super) fn gives_back(&self, bytes: u64) {
+        lock(&self.0.memory).in_use -= bytes;
+    }
+
+    /// Lets `change` change the time of a stage in a step.
+    pub(super) fn time(&self, step: &str, stage: &str, change: impl FnOnce(&mut StageTime)) {
+        let times = &mut lock(&self.0.times);
+        let index = times.iter().position(|time| time.step == step && time.time.stage == stage).unwrap_or_else(|| {
+            let time = StageTime { stage: stage.to_owned(), seconds: 0.0, dispatches: 0 };
+            times.push(StepTime { step: step.to_owned(), time });
+            times.len() - 1
+        });
+        change(&mut times[index].time);
+    }
+}
+
+impl fmt::Debug for Run {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Run").field("limit", &self.0.limit).field("peak_bytes", &self.peak_bytes()).finish_non_exhaustive()
+    }
+}
+
+impl Gpu {
+    /// Starts recording commands of a run for this device's own queue.
+    pub fn record_in(&self, run: &Run) -> Recorder {
+        Recorder::new(self, run, false)
+    }
+
+    /// The time of each stage in each step of a run so far, in the order of first use; `None` where the adapter has no
+    /// timestamps. Waits for the device.
+    ///
+    /// # Errors
+    /// As [`Gpu::wait`].
+    pub fn step_timings(&self, run: &Run) -> Result<Option<Vec<StepTime>>> {
+        if !self.collect_timings()? {
+            return Ok(None);
+        }
+        Ok(Some(lock(&run.0.times).clone()))
+    }
+
+    /// As [`Gpu::step_timings`], summed up over the steps.
+    ///
+    /// # Errors
+    /// As [`Gpu::wait`].
+    pub fn timings(&self, run: &Run) -> Result<Option<Vec<StageTime>>> {
+        let steps = self.step_timings(run)?;
+        Ok(steps.map(|steps| {
+            let mut stages: Vec<StageTime> = Vec::new();
+            for StepTime { time, .. } in steps {
+                match stages.iter_mut().find(|stage| stage.stage == time.stage) {
+                    Some(stage) => {
+                        stage.seconds += time.seconds;
+                        stage.dispatches += time.dispatches;
+                    }
+                    None => stages.push(time),
+                }
+            }
+            stages
+        }))
+    }
+}
