@@ -1,16 +1,20 @@
-// The three candidate filters of DFC in one pass over the window (thesis 8.2–8.4, Algorithm 1 lines 11–17): mean and half spread filtered by
-// min(colour weight, feature weight), and the same sums with each channel of the centre pixel perturbed, for the finite differences of SURE.
+// The three candidate filters of DFC in one pass over the window (thesis 8.2–8.4, Algorithm 1 lines 11–17): mean and
+// half spread filtered by min(colour weight, feature weight), and the same sums with each channel of the centre pixel
+// perturbed, for the finite differences of SURE.
 //
-// FIRST and SECOND share the pixel distance and the features and differ in the box; THIRD shares the features' numerators. The perturbed weights need no second
-// pass: a step δ in channel i of p changes the pixel distances that p takes part in, and those alone, so the patch sums change by a few closed terms.
+// FIRST and SECOND share the pixel distance and the features and differ in the box; THIRD shares the features'
+// numerators. The perturbed weights need no second pass: a step δ in channel i of p changes the pixel distances that p
+// takes part in, and those alone, so the patch sums change by a few closed terms.
 //
-// FIRST, SECOND and THIRD say which of them take part, DERIVATIVES whether the perturbed sums are wanted; HALVES, whether the half spread says
-// anything; GREY, that all channels of the colour are the same.
+// FIRST, SECOND and THIRD say which of them take part, DERIVATIVES whether the perturbed sums are wanted; HALVES,
+// whether the half spread says anything; GREY, that all channels of the colour are the same.
 //
-// An invocation filters PIXELS pixels in a row and goes through the offsets row by row: the neighbours of one offset are those of the offset before, but for one. They stay in
-// registers, as do the running sums.
+// An invocation filters PIXELS pixels in a row and goes through the offsets row by row: the neighbours of one offset
+// are those of the offset before, but for one. They stay in registers, as do the running sums.
 #import stein::nlm::{NlmParams, PairWeights, EPSILON, DISTANCE_LIMIT, has_opposite, patch_members, pair_weights}
-#import stein::candidates::{CandidateParams, FeatureGroup, feature_group, feature_distances, WEIGHT_LANES, LARGEST_LANES, MEAN_SUM, PERTURBED_SUM, SPREAD_SUM, PLANES_WITH_COLOR, THIRD_MEAN_SUM, THIRD_SPREAD_SUM, difference_step}
+#import stein::candidates::{CandidateParams, FeatureGroup, feature_group, feature_distances, WEIGHT_LANES,
+    LARGEST_LANES, MEAN_SUM, PERTURBED_SUM, SPREAD_SUM, PLANES_WITH_COLOR, THIRD_MEAN_SUM, THIRD_SPREAD_SUM,
+    difference_step}
 
 #ifdef SECOND
 const SECOND_RADIUS: i32 = #{PATCH_RADIUS};
@@ -67,7 +71,8 @@ struct Sums {
     spread: vec3<f32>,
 }
 
-// Of three channels that are the same, the first stands for all; what the others would be is not used, and so not computed.
+// Of three channels that are the same, the first stands for all; what the others would be is not used, and so not
+// computed.
 fn channels(value: vec3<f32>) -> vec3<f32> {
 #ifdef GREY
     return value.xxx;
@@ -95,7 +100,8 @@ fn centre_at(x: i32, row: i32) -> Pixel {
     for (var group = 0; group < FEATURE_GROUPS; group++) {
         let first = 3 * group * pixels + at;
         let scale = features[first + 2 * pixels];
-        pixel.features[group] = feature_group(features[first], features[first + pixels], scale, filter_params.feature_tau, filter_params.feature_tau_third);
+        pixel.features[group] = feature_group(features[first], features[first + pixels], scale,
+            filter_params.feature_tau, filter_params.feature_tau_third);
     }
 #endif
     return pixel;
@@ -116,7 +122,8 @@ fn neighbour_at(x: i32, row: i32) -> Pixel {
         let first = 3 * group * pixels + at;
         let value = neighbours_features[first];
         let scale = neighbours_features[first + 2 * pixels];
-        pixel.features[group] = feature_group(value, neighbours_features[first + pixels], scale, filter_params.feature_tau, filter_params.feature_tau_third);
+        pixel.features[group] = feature_group(value, neighbours_features[first + pixels], scale,
+            filter_params.feature_tau, filter_params.feature_tau_third);
     }
 #endif
     return pixel;
@@ -132,7 +139,8 @@ fn added(before: Sums, weights: vec4<f32>, mean: vec3<f32>, spread: vec3<f32>) -
 #else
     let spread_sum = before.spread;
 #endif
-    return Sums(before.weight + w, max(before.largest, w), before.mean + w.x * mean, before.perturbed + w.yzw * mean, spread_sum);
+    return Sums(before.weight + w, max(before.largest, w), before.mean + w.x * mean, before.perturbed + w.yzw * mean,
+        spread_sum);
 }
 
 // What a step of the centre value does to a squared difference t², over its denominator.
@@ -147,7 +155,8 @@ struct PatchChanges {
 }
 
 #ifdef NEAR
-// Change of the symmetric distance centred at q, one of whose two neighbours is p: half a step, with the other sign. `beyond` is the other one.
+// Change of the symmetric distance centred at q, one of whose two neighbours is p: half a step, with the other sign.
+// `beyond` is the other one.
 fn symmetric_change_at(q: Pixel, beyond: Pixel, exists: bool, p: Pixel, step: vec3<f32>) -> vec3<f32> {
     let difference = q.mean - 0.5 * (p.mean + beyond.mean);
     let denominator = EPSILON + nlm.k_squared * (q.variance + 0.25 * (p.variance + beyond.variance));
@@ -266,7 +275,8 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
 #if FEATURE_GROUPS != 0
                 for (var group = 0; group < FEATURE_GROUPS; group++) {
                     let triple = filter_params.triple_weights[group].xyz;
-                    let d = feature_distances(p.features[group], q1.features[group], q2.features[group], triple, filter_params.inverse_feature_k_squared);
+                    let d = feature_distances(p.features[group], q1.features[group], q2.features[group], triple,
+                        filter_params.inverse_feature_k_squared);
                     // Lane 0: the triple, lane 1: the single.
                     let w = pair_weights(
                         vec4<f32>(d.ahead, 0.0, 0.0),
@@ -281,15 +291,17 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
                 }
 #endif
 
-                // What a step in each channel of p does to the patch sums: the pair (p, q) itself, and where p lies in its neighbour's patch, the pair that ends in p.
-                // In another frame's patches p lies nowhere.
+                // What a step in each channel of p does to the patch sums: the pair (p, q) itself, and where p lies in
+                // its neighbour's patch, the pair that ends in p. In another frame's patches p lies nowhere.
                 let zero = vec3<f32>(0.0);
                 var first_changes = PatchChanges(zero, zero, zero);
                 var second_changes = first_changes;
 #ifdef DERIVATIVES
                 let step = steps[i];
-                let change_q1 = select(zero, step_change(step, p.mean - q1.mean, EPSILON + nlm.k_squared * (p.variance + q1.variance)), q1_inside);
-                let change_q2 = select(zero, step_change(step, p.mean - q2.mean, EPSILON + nlm.k_squared * (p.variance + q2.variance)), q2_inside);
+                let change_q1 = select(zero, step_change(step, p.mean - q1.mean,
+                    EPSILON + nlm.k_squared * (p.variance + q1.variance)), q1_inside);
+                let change_q2 = select(zero, step_change(step, p.mean - q2.mean,
+                    EPSILON + nlm.k_squared * (p.variance + q2.variance)), q2_inside);
                 first_changes = PatchChanges(change_q1, change_q2, zero);
                 second_changes = first_changes;
 #ifdef SYMMETRIC
@@ -304,16 +316,20 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
                 if reach <= max(FIRST_RADIUS, SECOND_RADIUS) {
                     var near = PatchChanges(change_q2, change_q1, zero);
 #ifdef SYMMETRIC
-                    let beyond_q1_inside = q1_inside && x + 2 * dx >= 0 && x + 2 * dx < extent.x && y + 2 * dy < extent.y;
+                    let beyond_q1_inside = q1_inside && x + 2 * dx >= 0 && x + 2 * dx < extent.x && y + 2
+                        * dy < extent.y;
                     let beyond_q2_inside = q2_inside && x - 2 * dx >= 0 && x - 2 * dx < extent.x && y - 2 * dy >= 0;
-                    near.both = symmetric_change_at(q1, centre_at(x + 2 * dx, min(y + 2 * dy, extent.y - 1)), beyond_q1_inside, p, step)
+                    near.both = symmetric_change_at(q1, centre_at(x + 2 * dx, min(y + 2 * dy, extent.y - 1)),
+                        beyond_q1_inside, p, step)
                         + symmetric_change_at(q2, centre_at(x - 2 * dx, max(y - 2 * dy, 0)), beyond_q2_inside, p, step);
 #endif
                     if reach <= FIRST_RADIUS {
-                        first_changes = PatchChanges(change_q1 + near.q1, change_q2 + near.q2, first_changes.both + near.both);
+                        first_changes = PatchChanges(change_q1 + near.q1, change_q2 + near.q2,
+                            first_changes.both + near.both);
                     }
                     if reach <= SECOND_RADIUS {
-                        second_changes = PatchChanges(change_q1 + near.q1, change_q2 + near.q2, second_changes.both + near.both);
+                        second_changes = PatchChanges(change_q1 + near.q1, change_q2 + near.q2,
+                            second_changes.both + near.both);
                     }
                 }
 #endif
@@ -332,8 +348,10 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
                 }
                 let first_members = first_members_y * patch_members(x, dx, extent.x, FIRST_RADIUS);
                 let first_weights = color_weights(first_patch, first_changes, first_members, both_inside);
-                firsts[i] = added(firsts[i], select(none, min(first_weights.ahead, vec4<f32>(feature_q1)), q1_inside), mean_q1, spread_q1);
-                firsts[i] = added(firsts[i], select(none, min(first_weights.behind, vec4<f32>(feature_q2)), q2_inside), mean_q2, spread_q2);
+                firsts[i] = added(firsts[i], select(none, min(first_weights.ahead, vec4<f32>(feature_q1)), q1_inside),
+                    mean_q1, spread_q1);
+                firsts[i] = added(firsts[i], select(none, min(first_weights.behind, vec4<f32>(feature_q2)), q2_inside),
+                    mean_q2, spread_q2);
 #endif
 #ifdef SECOND
                 var second_patch = zero;
@@ -342,8 +360,10 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
                 }
                 let second_members = second_members_y * patch_members(x, dx, extent.x, SECOND_RADIUS);
                 let second_weights = color_weights(second_patch, second_changes, second_members, both_inside);
-                seconds[i] = added(seconds[i], select(none, min(second_weights.ahead, vec4<f32>(feature_q1)), q1_inside), mean_q1, spread_q1);
-                seconds[i] = added(seconds[i], select(none, min(second_weights.behind, vec4<f32>(feature_q2)), q2_inside), mean_q2, spread_q2);
+                seconds[i] = added(seconds[i], select(none, min(second_weights.ahead, vec4<f32>(feature_q1)),
+                    q1_inside), mean_q1, spread_q1);
+                seconds[i] = added(seconds[i], select(none, min(second_weights.behind, vec4<f32>(feature_q2)),
+                    q2_inside), mean_q2, spread_q2);
 #endif
 #ifdef THIRD
                 let third_q1 = select(0.0, exp(-third_distance_q1), q1_inside);
@@ -372,7 +392,8 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
 #endif
 #ifdef THIRD
             state[THIRD_MEAN_SUM * strip_pixels + at_state] = vec4<f32>(channels(third_means[i].xyz), third_means[i].w);
-            state[THIRD_SPREAD_SUM * strip_pixels + at_state] = vec4<f32>(channels(third_spreads[i].xyz), third_spreads[i].w);
+            state[THIRD_SPREAD_SUM * strip_pixels + at_state] = vec4<f32>(channels(third_spreads[i].xyz),
+                third_spreads[i].w);
 #endif
         }
     }

@@ -1,7 +1,9 @@
-// Turns the sums of candidate_accumulate into one of the candidates: filtered mean and half spread, Σ w, and the derivative of each channel, if it is wanted (thesis 8.4).
+// Turns the sums of candidate_accumulate into one of the candidates: filtered mean and half spread, Σ w, and the
+// derivative of each channel, if it is wanted (thesis 8.4).
 #import stein::planes::{pixel_index}
 #import stein::nlm::{NlmParams, centre_weight}
-#import stein::candidates::{WEIGHT_LANES, LARGEST_LANES, MEAN_SUM, PERTURBED_SUM, SPREAD_SUM, PLANES_WITH_COLOR, THIRD_MEAN_SUM, THIRD_SPREAD_SUM, difference_step}
+#import stein::candidates::{WEIGHT_LANES, LARGEST_LANES, MEAN_SUM, PERTURBED_SUM, SPREAD_SUM, PLANES_WITH_COLOR,
+    THIRD_MEAN_SUM, THIRD_SPREAD_SUM, difference_step}
 
 struct ResolveParams {
     // 0: FIRST, 1: SECOND, 2: THIRD.
@@ -67,7 +69,8 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     let at_p = pixel_index(p, extent);
     let u_p = signal[at_p].xyz;
     let spread_p = signal[pixels + at_p].xyz;
-    let of_candidate = resolved(params.rows * params.width, row * params.width + column, difference_step(u_p, variance_of_mean[at_p]));
+    let of_candidate = resolved(params.rows * params.width, row * params.width + column,
+        difference_step(u_p, variance_of_mean[at_p]));
     filtered[at_p] = vec4<f32>(u_p + of_candidate.mean, of_candidate.weight_sum);
     filtered[pixels + at_p] = vec4<f32>(spread_p + of_candidate.spread, 0.0);
 #ifdef DERIVATIVES

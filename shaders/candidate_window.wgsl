@@ -1,7 +1,9 @@
-// The weights of one pixel's neighbours as candidate_accumulate takes them, each with the distances behind it (thesis 8.2 and 8.3).
+// The weights of one pixel's neighbours as candidate_accumulate takes them, each with the distances behind it (thesis
+// 8.2 and 8.3).
 //
-// FIRST, SECOND and THIRD say which candidates take part. Works on the chunk of offsets whose column sums nlm_distance has left; an invocation does one pair of neighbours. The cell in
-// the middle is not written: what the pixel itself weighs follows from the others.
+// FIRST, SECOND and THIRD say which candidates take part. Works on the chunk of offsets whose column sums nlm_distance
+// has left; an invocation does one pair of neighbours. The cell in the middle is not written: what the pixel itself
+// weighs follows from the others.
 #import stein::planes::{inside, clamped_index}
 #import stein::nlm::{NlmParams, patch_members, pair_weights, weights_from_sums}
 #import stein::candidates::{CandidateParams, FeatureGroup, feature_group, feature_distances}
@@ -26,15 +28,17 @@ const FEATURE_GROUPS: i32 = #{FEATURE_GROUPS};
 #if FEATURE_GROUPS != 0
 @group(0) @binding(4) var<storage, read> features: array<vec4<f32>>;
 #endif
-// Planes: the weights of FIRST, SECOND and THIRD, 0 for a neighbour that does not exist; the colour's distances for FIRST and SECOND, and the weights that these give; then two planes
-// for each group of features, for FIRST and SECOND and for THIRD: distances of the triple and of the single, and the weights that these give.
+// Planes: the weights of FIRST, SECOND and THIRD, 0 for a neighbour that does not exist; the colour's distances for
+// FIRST and SECOND, and the weights that these give; then two planes for each group of features, for FIRST and SECOND
+// and for THIRD: distances of the triple and of the single, and the weights that these give.
 @group(0) @binding(5) var<storage, read_write> cells: array<vec4<f32>>;
 
 #if FEATURE_GROUPS != 0
 fn group_at(group: i32, q: vec2<i32>) -> FeatureGroup {
     let pixels = params.extent.x * params.extent.y;
     let at = 3 * group * pixels + clamped_index(q, params.extent);
-    return feature_group(features[at], features[at + pixels], features[at + 2 * pixels], candidate.feature_tau, candidate.feature_tau_third);
+    return feature_group(features[at], features[at + pixels], features[at + 2 * pixels], candidate.feature_tau,
+        candidate.feature_tau_third);
 }
 #endif
 
@@ -46,15 +50,18 @@ struct ColorTerm {
 
 #ifdef COLOR
 // From the column sums of a patch, of which the first is here.
-fn color_term(first_column: i32, patch_radius: i32, offset: vec2<i32>, ahead_inside: bool, behind_inside: bool) -> ColorTerm {
+fn color_term(first_column: i32, patch_radius: i32, offset: vec2<i32>, ahead_inside: bool,
+    behind_inside: bool) -> ColorTerm {
     var patch_sum = vec3<f32>(0.0);
     for (var n = 0; n <= 2 * patch_radius; n++) {
         patch_sum += columns[first_column + n];
     }
     let p = window.pixel;
-    let members = patch_members(p.x, offset.x, params.extent.x, patch_radius) * patch_members(p.y, offset.y, params.extent.y, patch_radius);
+    let members = patch_members(p.x, offset.x, params.extent.x, patch_radius)
+        * patch_members(p.y, offset.y, params.extent.y, patch_radius);
     let distance = patch_sum.xy * params.inverse_channels / max(members.xy, vec2<f32>(1.0));
-    return ColorTerm(distance, weights_from_sums(patch_sum, members, params.inverse_channels, ahead_inside, behind_inside));
+    return ColorTerm(distance, weights_from_sums(patch_sum, members, params.inverse_channels, ahead_inside,
+        behind_inside));
 }
 #endif
 
@@ -79,12 +86,15 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
 #if FEATURE_GROUPS != 0
     for (var group = 0; group < FEATURE_GROUPS; group++) {
         let d = feature_distances(
-            group_at(group, p), group_at(group, p + offset), group_at(group, p - offset), candidate.triple_weights[group].xyz, candidate.inverse_feature_k_squared,
+            group_at(group, p), group_at(group, p + offset), group_at(group, p - offset),
+                candidate.triple_weights[group].xyz, candidate.inverse_feature_k_squared,
         );
         let both_inside = ahead_inside && behind_inside;
-        let w = pair_weights(vec4<f32>(d.ahead, 0.0, 0.0), vec4<f32>(d.behind, 0.0, 0.0), vec4<f32>(d.both, 0.0, 0.0), both_inside);
+        let w = pair_weights(vec4<f32>(d.ahead, 0.0, 0.0), vec4<f32>(d.behind, 0.0, 0.0), vec4<f32>(d.both, 0.0, 0.0),
+            both_inside);
         feature_weight = min(feature_weight, vec2<f32>(min(w.ahead.x, w.ahead.y), min(w.behind.x, w.behind.y)));
-        third_distance = max(third_distance, vec2<f32>(max(d.third_ahead.x, d.third_ahead.y), max(d.third_behind.x, d.third_behind.y)));
+        third_distance = max(third_distance,
+            vec2<f32>(max(d.third_ahead.x, d.third_ahead.y), max(d.third_behind.x, d.third_behind.y)));
         let at = (2 + 2 * group) * plane;
         cells[at + ahead] = vec4<f32>(d.ahead, exists.x * w.ahead.xy);
         cells[at + behind] = vec4<f32>(d.behind, exists.y * w.behind.xy);

@@ -1,5 +1,6 @@
-// By how much SURE (eq. 8.5) of one more filter exceeds SURE of a blend of candidates, and its square: what a decision between the two is made from, once both are averaged over the
-// pixels around. The derivative of the blend is that of its candidates, by their shares.
+// By how much SURE (eq. 8.5) of one more filter exceeds SURE of a blend of candidates, and its square: what a decision
+// between the two is made from, once both are averaged over the pixels around. The derivative of the blend is that of
+// its candidates, by their shares.
 #import stein::planes::{pixel_index}
 #import stein::candidates::{sure}
 
@@ -47,7 +48,8 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     let u = signal[at].xyz;
     let variance = variance_of_mean[at].xyz;
     let of_blend = sure(u, variance, blended[at].xyz, derivative, params.covariance);
-    let of_other = sure(u, variance, other[at].xyz, other_derivatives[params.other_candidate * pixels + at].xyz, params.covariance);
+    let of_other = sure(u, variance, other[at].xyz, other_derivatives[params.other_candidate * pixels + at].xyz,
+        params.covariance);
     // Two sums that agree but for rounding tell nothing, however large they are.
     let terms = abs(of_other) + abs(of_blend) + dot(variance, vec3<f32>(1.0));
     let apart = of_other - of_blend;

@@ -1,5 +1,6 @@
-// The squared error that is left in a filtered signal, and what a sample drawn in each pixel is expected to gain (thesis 7.1.2 and 7.1.3): E·W, with the squared relative
-// difference E of the filtered halves and W(p) = Σ w / (1 + Σ w·n). One plane, x: the gain, y: the squared error, summed over the channels. Neither is smoothed.
+// The squared error that is left in a filtered signal, and what a sample drawn in each pixel is expected to gain
+// (thesis 7.1.2 and 7.1.3): E·W, with the squared relative difference E of the filtered halves and W(p) = Σ w / (1 + Σ
+// w·n). One plane, x: the gain, y: the squared error, summed over the channels. Neither is smoothed.
 //
 // Knows of noise and not of bias, which the filter is to keep small.
 #import stein::planes::{pixel_index}
@@ -43,5 +44,6 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     let both = 2.0 * relative(4.0 * variance, mean);
 #endif
     let weight_sum = weights[at].x;
-    errors[at] = vec4<f32>(both * weight_sum / (1.0 + weight_sum * signal[at].w), dot(variance, vec3<f32>(1.0)), 0.0, 0.0);
+    errors[at] = vec4<f32>(both * weight_sum / (1.0 + weight_sum * signal[at].w), dot(variance, vec3<f32>(1.0)), 0.0,
+        0.0);
 }

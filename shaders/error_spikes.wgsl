@@ -1,4 +1,5 @@
-// Adds to the squared error of a filtered signal what spikes around a pixel leave in it: the squares of what it got of each.
+// Adds to the squared error of a filtered signal what spikes around a pixel leave in it: the squares of what it got of
+// each.
 #import stein::planes::{pixel_index}
 
 struct ErrorSpikesParams {

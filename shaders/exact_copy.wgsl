@@ -1,4 +1,5 @@
-// In tiles around which nothing has noise, a filter leaves everything as it was: copies one image into another there, and leaves the rest alone.
+// In tiles around which nothing has noise, a filter leaves everything as it was: copies one image into another there,
+// and leaves the rest alone.
 #import stein::planes::{pixel_index}
 #import stein::exact::{ExactParams, tile_index}
 

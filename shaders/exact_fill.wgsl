@@ -1,4 +1,5 @@
-// In tiles around which nothing has noise, a filter has weights and derivatives of 1 (ONES), and no variance is left: writes that there, and leaves the rest alone.
+// In tiles around which nothing has noise, a filter has weights and derivatives of 1 (ONES), and no variance is left:
+// writes that there, and leaves the rest alone.
 #import stein::planes::{pixel_index}
 #import stein::exact::{ExactParams, tile_index}
 

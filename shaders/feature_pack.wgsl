@@ -1,6 +1,8 @@
-// Brings one prefiltered feature into the form that the bilateral weights read: value, residual variance, and the larger of residual variance and squared gradient.
+// Brings one prefiltered feature into the form that the bilateral weights read: value, residual variance, and the
+// larger of residual variance and squared gradient.
 //
-// A group of features is one vec4 per pixel and quantity: a feature of up to three channels in x, y, z (the triple) and a feature of one channel in w (the single).
+// A group of features is one vec4 per pixel and quantity: a feature of up to three channels in x, y, z (the triple) and
+// a feature of one channel in w (the single).
 #import stein::planes::{pixel_index}
 
 struct FeaturePackParams {
@@ -19,7 +21,8 @@ struct FeaturePackParams {
 // Three planes per group: value, residual variance, scale.
 @group(0) @binding(3) var<storage, read_write> features: array<vec4<f32>>;
 
-// The smaller of the two one-sided differences over half a pixel: it keeps the gradient of an edge out of the pixels beside it. At the border one is left.
+// The smaller of the two one-sided differences over half a pixel: it keeps the gradient of an edge out of the pixels
+// beside it. At the border one is left.
 fn half_pixel_difference(p: vec2<i32>, axis: vec2<i32>) -> vec4<f32> {
     let here = filtered[pixel_index(p, params.extent)];
     let has_next = all(p + axis < params.extent);

@@ -1,8 +1,9 @@
-// One axis of a Gaussian average over the existing pixels: a separable filter is two of these, along the rows and along the columns. Weights of a window that is cut off
-// at the border factorise as the window does, so each axis is normalised by itself.
+// One axis of a Gaussian average over the existing pixels: a separable filter is two of these, along the rows and along
+// the columns. Weights of a window that is cut off at the border factorise as the window does, so each axis is
+// normalised by itself.
 //
-// An invocation makes four pixels in a row along the axis: the weight of one tap for a pixel is that of the tap before it for the pixel before, so that a tap costs one
-// load and one exponential for all four.
+// An invocation makes four pixels in a row along the axis: the weight of one tap for a pixel is that of the tap before
+// it for the pixel before, so that a tap costs one load and one exponential for all four.
 #import stein::planes::{pixel_index}
 
 struct GaussianParams {
@@ -68,7 +69,8 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     let from_tap = max(first - params.radius, 0);
     let to_tap = min(first + 3 + params.radius, size - 1);
     // The weights of the tap before the first one.
-    var w = vec4<f32>(weight(from_tap - 1 - first), weight(from_tap - 2 - first), weight(from_tap - 3 - first), weight(from_tap - 4 - first));
+    var w = vec4<f32>(weight(from_tap - 1 - first), weight(from_tap - 2 - first), weight(from_tap - 3 - first),
+        weight(from_tap - 4 - first));
     var weight_sums = vec4<f32>(0.0);
     var sum_a = vec4<f32>(0.0);
     var sum_b = vec4<f32>(0.0);

@@ -1,15 +1,19 @@
-// Keeps pixels without noise as they are: moves a filtered pixel back to its input where the input's noise is below what its values are rounded by.
+// Keeps pixels without noise as they are: moves a filtered pixel back to its input where the input's noise is below
+// what its values are rounded by.
 //
-// Weights alone do not see to it. A patch that differs in one pixel can be near, and what a neighbour with noise may be by its own variance says nothing of a pixel that has none.
+// Weights alone do not see to it. A patch that differs in one pixel can be near, and what a neighbour with noise may be
+// by its own variance says nothing of a pixel that has none.
 //
-// A black pixel without noise may be one that all samples missed the light in. It is taken to be black only where nothing but such pixels is around it.
+// A black pixel without noise may be one that all samples missed the light in. It is taken to be black only where
+// nothing but such pixels is around it.
 #import stein::planes::{clamped_index, pixel_index}
 
 struct KeepCleanParams {
     extent: vec2<i32>,
     // Square of the noise from which on a pixel is filtered freely, in parts of its value.
     squared_noise: f32,
-    // Square of the correction that a pixel with less noise may get, in standard deviations; it grows without limit towards that noise.
+    // Square of the correction that a pixel with less noise may get, in standard deviations; it grows without limit
+    // towards that noise.
     squared_sigmas: f32,
     // How far around a black pixel everything has to be black.
     black_radius: i32,
@@ -40,7 +44,8 @@ fn spread_squared(p: vec2<i32>) -> f32 {
     return dot(spread, spread);
 }
 
-// Σ over the channels of the variance that the samples of a pixel show. Halves alone may agree by accident, so that those of the pixels beside have a say too.
+// Σ over the channels of the variance that the samples of a pixel show. Halves alone may agree by accident, so that
+// those of the pixels beside have a say too.
 fn noise_at(p: vec2<i32>) -> f32 {
 #ifdef VARIANCE
     let at = pixel_index(p, params.extent);

@@ -1,10 +1,12 @@
-// NL-means pixel distances of every pair of neighbours in a chunk, box-filtered vertically (the vertical half of eq. 7.3's patch sum).
+// NL-means pixel distances of every pair of neighbours in a chunk, box-filtered vertically (the vertical half of eq.
+// 7.3's patch sum).
 //
-// One invocation walks down one column for OFFSET_ROWS offsets one below the other, with their last 2f+1 distances in registers: what lies at an offset is what lay at the
-// next one a row before, and the other way round for its opposite, so that a row costs the same loads for several offsets as for one. The horizontal half is summed where the
-// weights are formed.
-// Sums run over channels and rows, unnormalised: x = d(p, q1), y = d(p, q2), z = d(p, mean of q1 and q2); rows and neighbours outside the image add nothing.
-// The scratch rows are padded by f on both sides, so that the horizontal sum needs no border test.
+// One invocation walks down one column for OFFSET_ROWS offsets one below the other, with their last 2f+1 distances in
+// registers: what lies at an offset is what lay at the next one a row before, and the other way round for its opposite,
+// so that a row costs the same loads for several offsets as for one. The horizontal half is summed where the weights
+// are formed. Sums run over channels and rows, unnormalised: x = d(p, q1), y = d(p, q2), z = d(p, mean of q1 and q2);
+// rows and neighbours outside the image add nothing. The scratch rows are padded by f on both sides, so that the
+// horizontal sum needs no border test.
 #import stein::planes::{inside, clamped_index}
 #import stein::nlm::{NlmParams, has_opposite, distance, symmetric_distance}
 
@@ -18,8 +20,8 @@ const OFFSET_ROWS: i32 = #{OFFSET_ROWS};
 // What q is taken from: the same again, or a frame beside.
 @group(0) @binding(3) var<storage, read> neighbours: array<vec4<f32>>;
 @group(0) @binding(4) var<storage, read> neighbours_variance: array<vec4<f32>>;
-// One plane for each offset; behind them those of a second, smaller patch, if there is one: the candidates FIRST and SECOND share their pixel distances and differ in the box
-// alone.
+// One plane for each offset; behind them those of a second, smaller patch, if there is one: the candidates FIRST and
+// SECOND share their pixel distances and differ in the box alone.
 @group(0) @binding(5) var<storage, read_write> columns: array<vec3<f32>>;
 #if SMALL_PATCH_RADIUS != -1
 const SMALL_PATCH_RADIUS: i32 = #{SMALL_PATCH_RADIUS};
@@ -56,10 +58,13 @@ fn pair_distances(p: vec2<i32>, offset: vec2<i32>, centre: Pixel, q1: Pixel, q2:
     let p_inside = inside(p, nlm.extent);
     let q1_inside = p_inside && inside(p + offset, nlm.extent);
     let q2_inside = p_inside && inside(p - offset, nlm.extent) && has_opposite(offset);
-    let d1 = select(0.0, over_channels(distance(centre.u, q1.u, centre.variance, q1.variance, nlm.k_squared, nlm.alpha)), q1_inside);
-    let d2 = select(0.0, over_channels(distance(centre.u, q2.u, centre.variance, q2.variance, nlm.k_squared, nlm.alpha)), q2_inside);
+    let d1 = select(0.0, over_channels(distance(centre.u, q1.u, centre.variance, q1.variance, nlm.k_squared,
+        nlm.alpha)), q1_inside);
+    let d2 = select(0.0, over_channels(distance(centre.u, q2.u, centre.variance, q2.variance, nlm.k_squared,
+        nlm.alpha)), q2_inside);
 #ifdef SYMMETRIC
-    let both = symmetric_distance(centre.u, q1.u, q2.u, centre.variance, q1.variance, q2.variance, nlm.k_squared, nlm.alpha);
+    let both = symmetric_distance(centre.u, q1.u, q2.u, centre.variance, q1.variance, q2.variance, nlm.k_squared,
+        nlm.alpha);
     return vec3<f32>(d1, d2, select(0.0, over_channels(both), q1_inside && q2_inside));
 #else
     return vec3<f32>(d1, d2, 0.0);
@@ -106,7 +111,8 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
             }
             recent[k][SIDE - 1] = pair_distances(p, first_offset + vec2<i32>(0, k), centre, aheads[k], behinds[k]);
             if middle >= first {
-                // Summed anew for each row: a running sum would carry one outlier's rounding error to the end of the column.
+                // Summed anew for each row: a running sum would carry one outlier's rounding error to the end of the
+                // column.
                 let at = (first_plane + k * nlm.offsets.x) * plane_size + middle * nlm.stride + column;
                 var sum = vec3<f32>(0.0);
                 for (var n = 0; n < SIDE; n++) {

@@ -1,10 +1,13 @@
-// The NL-means filter of one guide applied to a payload of one or more planes (eq. 7.1): all of NLM's filters, and those of DFC but for the candidates.
+// The NL-means filter of one guide applied to a payload of one or more planes (eq. 7.1): all of NLM's filters, and
+// those of DFC but for the candidates.
 //
-// Works on the chunk of offsets whose column sums nlm_distance has left, or of which nlm_weight has made column sums of weights (PATCHWISE); `filtered` and `weights` carry
-// the sums from chunk to chunk and hold the result after the last.
-// Sums are taken of the differences to the centre pixel: F = u_p + Σ w·(u_q − u_p) / Σ w loses no digits to a large common offset.
+// Works on the chunk of offsets whose column sums nlm_distance has left, or of which nlm_weight has made column sums of
+// weights (PATCHWISE); `filtered` and `weights` carry the sums from chunk to chunk and hold the result after the last.
+// Sums are taken of the differences to the centre pixel: F = u_p + Σ w·(u_q − u_p) / Σ w loses no digits to a large
+// common offset.
 //
-// An invocation filters PIXELS pixels in a row and goes through the offsets row by row, as candidate_accumulate does: what two pixels or two offsets share is loaded once.
+// An invocation filters PIXELS pixels in a row and goes through the offsets row by row, as candidate_accumulate does:
+// what two pixels or two offsets share is loaded once.
 #import stein::nlm::{NlmParams, has_opposite, patch_members, weights_from_sums, centre_weight}
 
 const PATCH_RADIUS: i32 = #{PATCH_RADIUS};
@@ -20,7 +23,8 @@ const PIXELS: i32 = #{PIXELS};
 // x: Σ w, the centre included after the last chunk; y: largest weight of a neighbour.
 @group(0) @binding(5) var<storage, read_write> weights: array<vec4<f32>>;
 #ifdef RESIDUAL
-// Without halves, the variance left in the filtered value is that of a weighted mean of independent pixels: Σ w²·Var / (Σ w)².
+// Without halves, the variance left in the filtered value is that of a weighted mean of independent pixels: Σ w²·Var /
+// (Σ w)².
 @group(0) @binding(6) var<storage, read> variance_of_mean: array<vec4<f32>>;
 @group(0) @binding(7) var<storage, read> neighbours_variance: array<vec4<f32>>;
 @group(0) @binding(8) var<storage, read_write> residual_variance: array<vec4<f32>>;
@@ -146,7 +150,8 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
             for (var i = 0; i < PIXELS; i++) {
                 let x = first_x + i;
                 let q1_inside = ahead_row_inside && x + dx >= 0 && x + dx < extent.x;
-                let q2_inside = behind_row_inside && x - dx >= 0 && x - dx < extent.x && has_opposite(vec2<i32>(dx, dy));
+                let q2_inside = behind_row_inside && x - dx >= 0 && x - dx < extent.x
+                    && has_opposite(vec2<i32>(dx, dy));
                 var patch_sum = vec3<f32>(0.0);
                 for (var n = 0; n <= 2 * PATCH_RADIUS; n++) {
                     patch_sum += patch_columns[i + n];
@@ -154,7 +159,8 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
                 let members = members_y * patch_members(x, dx, extent.x, PATCH_RADIUS);
 #ifdef PATCHWISE
                 // Thesis 7.1.1: W(p, q), the mean of w(p + n, q + n) over the patch.
-                let pair_weight = select(vec2<f32>(0.0), patch_sum.xy / max(members.xy, vec2<f32>(1.0)), vec2<bool>(q1_inside, q2_inside));
+                let pair_weight = select(vec2<f32>(0.0), patch_sum.xy / max(members.xy, vec2<f32>(1.0)),
+                    vec2<bool>(q1_inside, q2_inside));
 #else
                 let pair_weight = weights_from_sums(patch_sum, members, nlm.inverse_channels, q1_inside, q2_inside);
 #endif
@@ -162,7 +168,8 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
                 let w2 = select(0.0, pair_weight.y, pair_weight.y >= nlm.cut);
                 for (var plane = 0; plane < PAYLOAD_PLANES; plane++) {
                     let centre = centres[i][plane];
-                    sums[i].planes[plane] += w1 * (aheads[i].planes[plane] - centre) + w2 * (behinds[i].planes[plane] - centre);
+                    sums[i].planes[plane] += w1 * (aheads[i].planes[plane] - centre) + w2
+                        * (behinds[i].planes[plane] - centre);
                 }
                 sums[i].weight += w1 + w2;
                 sums[i].largest = max(sums[i].largest, max(w1, w2));
@@ -195,7 +202,8 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
         }
         weights[at_p] = vec4<f32>(total, sums[i].largest, 0.0, 0.0);
 #ifdef RESIDUAL
-        residual_variance[at_p] = stored((sums[i].squared + w_centre * w_centre * value_of(variance_of_mean[at_p])) / (total * total));
+        residual_variance[at_p] = stored((sums[i].squared + w_centre * w_centre
+            * value_of(variance_of_mean[at_p])) / (total * total));
 #endif
     }
 }

@@ -1,8 +1,10 @@
-// NL-means weights of every pair of neighbours in a chunk, box-filtered vertically: the vertical half of the patchwise mean of thesis 7.1.1, where the weight of p and q is the
-// mean of w(p + n, q + n) over the patch. The box over distances comes first, then exp, then the box over weights.
+// NL-means weights of every pair of neighbours in a chunk, box-filtered vertically: the vertical half of the patchwise
+// mean of thesis 7.1.1, where the weight of p and q is the mean of w(p + n, q + n) over the patch. The box over
+// distances comes first, then exp, then the box over weights.
 //
-// One invocation walks down PIXELS columns for one offset, with their last 2f+1 weights in registers, as nlm_distance does with distances; the horizontal half is summed in
-// nlm_filter. Sums are unnormalised: x = w(p, q1), y = w(p, q2); pixels and neighbours outside the image add nothing. The scratch rows are padded by f on both sides.
+// One invocation walks down PIXELS columns for one offset, with their last 2f+1 weights in registers, as nlm_distance
+// does with distances; the horizontal half is summed in nlm_filter. Sums are unnormalised: x = w(p, q1), y = w(p, q2);
+// pixels and neighbours outside the image add nothing. The scratch rows are padded by f on both sides.
 #import stein::planes::{inside}
 #import stein::nlm::{NlmParams, has_opposite, patch_members, weights_from_sums}
 
@@ -56,7 +58,8 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
             for (var n = 0; n < SIDE - 1; n++) {
                 recent[i][n] = recent[i][n + 1];
             }
-            recent[i][SIDE - 1] = weights_from_sums(patch_sum, members_y * members_x[i], nlm.inverse_channels, ahead_inside, behind_inside);
+            recent[i][SIDE - 1] = weights_from_sums(patch_sum, members_y * members_x[i], nlm.inverse_channels,
+                ahead_inside, behind_inside);
             if centre >= first && first_column + i < nlm.stride {
                 var sum = vec2<f32>(0.0);
                 for (var n = 0; n < SIDE; n++) {

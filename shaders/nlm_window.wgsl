@@ -1,7 +1,8 @@
 // The weights of one pixel's neighbours as nlm_filter takes them, each with the distance behind it.
 //
-// Works on the chunk of offsets whose column sums nlm_distance has left, and nlm_weight, if the guide is patchwise (PATCHWISE). An invocation does one pair of neighbours. The cell in
-// the middle is not written: what the pixel itself weighs follows from the others.
+// Works on the chunk of offsets whose column sums nlm_distance has left, and nlm_weight, if the guide is patchwise
+// (PATCHWISE). An invocation does one pair of neighbours. The cell in the middle is not written: what the pixel itself
+// weighs follows from the others.
 #import stein::planes::{inside}
 #import stein::nlm::{NlmParams, patch_members, weights_from_sums}
 #import stein::window::{WindowParams, window_cell}
@@ -28,7 +29,8 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     let p = window.pixel;
     let ahead_inside = inside(p + offset, params.extent);
     let behind_inside = inside(p - offset, params.extent);
-    let members = patch_members(p.x, offset.x, params.extent.x, PATCH_RADIUS) * patch_members(p.y, offset.y, params.extent.y, PATCH_RADIUS);
+    let members = patch_members(p.x, offset.x, params.extent.x, PATCH_RADIUS)
+        * patch_members(p.y, offset.y, params.extent.y, PATCH_RADIUS);
 
     let plane = in_chunk.y * params.offsets.x + in_chunk.x;
     let row = p.y - params.first_row;
@@ -51,7 +53,8 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     for (var n = 0; n <= 2 * PATCH_RADIUS; n++) {
         weight_sum += weight_columns[at_weights + n].xy;
     }
-    let weight = select(vec2<f32>(0.0), weight_sum / max(members.xy, vec2<f32>(1.0)), vec2<bool>(ahead_inside, behind_inside));
+    let weight = select(vec2<f32>(0.0), weight_sum / max(members.xy, vec2<f32>(1.0)),
+        vec2<bool>(ahead_inside, behind_inside));
 #else
     let weight = of_pair;
 #endif

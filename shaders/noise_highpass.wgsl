@@ -46,7 +46,8 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
 #if REGRESSORS != 0
         for (var feature = 0; feature < REGRESSORS; feature++) {
             let plane = 3 * params.groups[feature] * pixels;
-            let difference = features[plane + at].xyz - 0.5 * (features[plane + beside.x].xyz + features[plane + beside.y].xyz);
+            let difference = features[plane + at].xyz - 0.5
+                * (features[plane + beside.x].xyz + features[plane + beside.y].xyz);
             highpass[(2 + 2 * feature + axis) * pixels + at] = vec4<f32>(difference, 0.0);
         }
 #endif

@@ -107,7 +107,8 @@ fn has_noise(p: vec2<i32>) -> bool {
 fn distance_of_color(p: Pixel, q: Pixel) -> f32 {
     let difference = p.color - q.color;
     let expected = p.variance + min(p.variance, q.variance);
-    return dot((difference * difference - expected) / max(p.variance + q.variance, vec3<f32>(1e-30)), vec3<f32>(1.0 / 3.0));
+    return dot((difference * difference - expected) / max(p.variance + q.variance, vec3<f32>(1e-30)),
+        vec3<f32>(1.0 / 3.0));
 }
 
 #if FEATURE_GROUPS != 0
@@ -195,7 +196,8 @@ fn store(p: vec2<i32>, sums: Sums) {
     for (var group = 0; group < FEATURE_GROUPS; group++) {
         let mean = sums.features[group] / sums.weight;
         let own_spread = feature_spread(group, at);
-        let of_group = (rule.pooled_share * HALF_PI * mean * mean + own_spread * own_spread) / (rule.pooled_share + 1.0);
+        let of_group = (rule.pooled_share * HALF_PI * mean * mean + own_spread * own_spread) / (rule.pooled_share
+            + 1.0);
         pooled_variance[(1 + group) * rule.extent.x * rule.extent.y + at] = of_group;
     }
 #endif

@@ -35,7 +35,8 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
         choice[at].y = 0.0;
         return;
     }
-    // A pixel that got here has the fine scale: its error is the variance of that scale and the bias of the steps so far.
+    // A pixel that got here has the fine scale: its error is the variance of that scale and the bias of the steps so
+    // far.
     let ones = vec3<f32>(1.0);
     let bias = max(state.z - dot(ones, fine_variance[at].xyz), 0.0) + stops[at].y;
     let taking_part = 1.0 / coarse_variance[at].w;

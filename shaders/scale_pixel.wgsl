@@ -1,4 +1,5 @@
-// The finest scale, the pixel filter (thesis 6.4), and the selection that starts with it: every pixel is still to go on to coarser scales.
+// The finest scale, the pixel filter (thesis 6.4), and the selection that starts with it: every pixel is still to go on
+// to coarser scales.
 #import stein::planes::{pixel_index}
 
 struct ScalePixelParams {
@@ -20,7 +21,8 @@ struct ScalePixelParams {
 @group(0) @binding(5) var<storage, read_write> variance: array<vec4<f32>>;
 // Two planes, in the w of the first the number of pixels that take part.
 @group(0) @binding(6) var<storage, read_write> selected: array<vec4<f32>>;
-// x: σ in pixels, y: 1 while coarser scales may follow, z: estimated MSE, summed over the channels, w: samples that take part.
+// x: σ in pixels, y: 1 while coarser scales may follow, z: estimated MSE, summed over the channels, w: samples that
+// take part.
 @group(0) @binding(7) var<storage, read_write> choice: array<vec4<f32>>;
 
 @compute @workgroup_size(32, 2, 1)

@@ -1,7 +1,9 @@
-// Gives the filter that knows the colour only a share of each pixel, as far as its error is significantly less than that of the blend of candidates.
+// Gives the filter that knows the colour only a share of each pixel, as far as its error is significantly less than
+// that of the blend of candidates.
 //
-// Features without noise have edges of their own, sharp where motion or defocus has blurred the colour. The candidates keep to them, and none of them knows better. Where this costs more
-// than the features bring, SURE shows it, averaged over enough pixels: the mean difference is held against its own standard error.
+// Features without noise have edges of their own, sharp where motion or defocus has blurred the colour. The candidates
+// keep to them, and none of them knows better. Where this costs more than the features bring, SURE shows it, averaged
+// over enough pixels: the mean difference is held against its own standard error.
 #import stein::planes::{pixel_index}
 
 struct SelectColorOnlyParams {

@@ -1,7 +1,9 @@
-// Chooses, for one filter and each pixel, between the filter over all frames of a window in time and the filter over the pixel's own frame.
+// Chooses, for one filter and each pixel, between the filter over all frames of a window in time and the filter over
+// the pixel's own frame.
 //
-// What moves through a window brings along pixels that only seem to fit: the noisy rim of a lamp, say, may stand for anything. Where the pixel's own SURE says that the other
-// frames have done harm, by more than chance explains, they are left out.
+// What moves through a window brings along pixels that only seem to fit: the noisy rim of a lamp, say, may stand for
+// anything. Where the pixel's own SURE says that the other frames have done harm, by more than chance explains, they
+// are left out.
 #import stein::planes::{pixel_index}
 #import stein::candidates::{sure, error_by_chance}
 
@@ -16,8 +18,8 @@ struct SelectFramesParams {
 @group(0) @binding(0) var<uniform> params: SelectFramesParams;
 @group(0) @binding(1) var<storage, read> signal: array<vec4<f32>>;
 @group(0) @binding(2) var<storage, read> variance_of_mean: array<vec4<f32>>;
-// Over the own frame: a signal, and the derivatives of all candidates. Or, WEIGHT_SUMS, one plane with Σ w in x: where the weights do not depend on the noise of what is
-// averaged, the centre's share 1 / Σ w is the derivative.
+// Over the own frame: a signal, and the derivatives of all candidates. Or, WEIGHT_SUMS, one plane with Σ w in x: where
+// the weights do not depend on the noise of what is averaged, the centre's share 1 / Σ w is the derivative.
 @group(0) @binding(3) var<storage, read> alone: array<vec4<f32>>;
 @group(0) @binding(4) var<storage, read> alone_derivatives: array<vec4<f32>>;
 // The same over all frames; it becomes what is chosen.
@@ -45,7 +47,8 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     let variance = variance_of_mean[at].xyz;
     let error_alone = sure(u, variance, alone[at].xyz, derivative(alone_derivatives[at_derivative]), 1.0);
     let error_together = sure(u, variance, together[at].xyz, derivative(derivatives[at_derivative]), 1.0);
-    if error_together - error_alone > error_by_chance(together[at].xyz - alone[at].xyz, variance, params.own_sigmas, params.own_noise) {
+    if error_together - error_alone > error_by_chance(together[at].xyz - alone[at].xyz, variance, params.own_sigmas,
+        params.own_noise) {
         together[at] = alone[at];
         together[pixels + at] = alone[pixels + at];
         derivatives[at_derivative] = alone_derivatives[at_derivative];

@@ -1,7 +1,9 @@
-// Binary selection maps (Algorithm 1 lines 24–26, the typo of line 26 mended): 1 for the candidate with the least smoothed error, 0 for the others.
+// Binary selection maps (Algorithm 1 lines 24–26, the typo of line 26 mended): 1 for the candidate with the least
+// smoothed error, 0 for the others.
 //
-// On ties the later, more robust candidate wins. FIRST may win only where it filters more than SECOND, told by the smaller mean derivative (thesis 8.4):
-// noise that it keeps goes unnoticed by SURE. Without SECOND it stands for itself. An error that is not finite cannot win; where none is, the last that takes part does.
+// On ties the later, more robust candidate wins. FIRST may win only where it filters more than SECOND, told by the
+// smaller mean derivative (thesis 8.4): noise that it keeps goes unnoticed by SURE. Without SECOND it stands for
+// itself. An error that is not finite cannot win; where none is, the last that takes part does.
 #import stein::planes::{pixel_index}
 
 struct SelectLeastParams {

@@ -1,7 +1,8 @@
 // Chooses between pass 1 and the second pass, pixel by pixel (Algorithm 1 lines 34–37, with a limit).
 //
-// The second pass is there for noise that pass 1 left. A correction far beyond any noise that the pixel had is none: a patch that differs in few of its pixels can be near,
-// and a clean pixel between the edge of a lamp and nothing that is like it takes what is nearest.
+// The second pass is there for noise that pass 1 left. A correction far beyond any noise that the pixel had is none: a
+// patch that differs in few of its pixels can be near, and a clean pixel between the edge of a lamp and nothing that is
+// like it takes what is nearest.
 #import stein::planes::{pixel_index}
 
 struct SelectPassParams {

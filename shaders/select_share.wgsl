@@ -1,17 +1,21 @@
-// Shares of the candidates in each pixel: their smoothed selection maps, normalised to sum 1 (Algorithm 1 lines 27 to 32), with two guards.
+// Shares of the candidates in each pixel: their smoothed selection maps, normalised to sum 1 (Algorithm 1 lines 27 to
+// 32), with two guards.
 //
-// Smoothing hands a rejected candidate some weight near the border of its region. Where it is wildly wrong there, as THIRD is beside a visible lamp that shares all
-// features with the ceiling, that share would ruin the blend. So a candidate takes part in a pixel only where its smoothed error there is comparable to the winner's.
+// Smoothing hands a rejected candidate some weight near the border of its region. Where it is wildly wrong there, as
+// THIRD is beside a visible lamp that shares all features with the ceiling, that share would ruin the blend. So a
+// candidate takes part in a pixel only where its smoothed error there is comparable to the winner's.
 //
-// The smoothed errors themselves are blind to single pixels: a clean pixel beside a caustic has neighbours whose errors are thousands of times its own. There the pixel
-// speaks for itself: its unsmoothed SURE tells two candidates F and G apart with a standard deviation of 2·√Σ σ_i²(F_i − G_i)², which vanishes with its noise. A candidate
-// that is worse than the best one by many of them takes no part.
+// The smoothed errors themselves are blind to single pixels: a clean pixel beside a caustic has neighbours whose errors
+// are thousands of times its own. There the pixel speaks for itself: its unsmoothed SURE tells two candidates F and G
+// apart with a standard deviation of 2·√Σ σ_i²(F_i − G_i)², which vanishes with its noise. A candidate that is worse
+// than the best one by many of them takes no part.
 #import stein::planes::{pixel_index}
 #import stein::candidates::{error_by_chance}
 
 struct SelectShareParams {
     extent: vec2<i32>,
-    // A candidate takes part where its smoothed error exceeds the winner's by at most smoothed_error·|winner's error| + smoothed_noise·Σ_i σ_i².
+    // A candidate takes part where its smoothed error exceeds the winner's by at most smoothed_error·|winner's error| +
+    // smoothed_noise·Σ_i σ_i².
     smoothed_error: f32,
     smoothed_noise: f32,
     // And where its own SURE exceeds the least one by at most own_sigmas standard deviations + own_noise·Σ_i σ_i².
@@ -58,7 +62,8 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
 #ifdef GUARDED
     let variance = variance_of_mean[at].xyz;
     let error = errors[at].xyz;
-    // The squares of a spike overflow: another candidate than the winner may have an error that is not finite, and 0·∞ is no number.
+    // The squares of a spike overflow: another candidate than the winner may have an error that is not finite, and 0·∞
+    // is no number.
     let least = dot(winner, select(vec3<f32>(0.0), error, winner > vec3<f32>(0.0)));
     let allowed = params.smoothed_error * abs(least) + params.smoothed_noise * dot(vec3<f32>(1.0), variance);
     share = select(vec3<f32>(0.0), share, error - least <= vec3<f32>(allowed));
@@ -96,7 +101,8 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
         own_winner = vec3<f32>(1.0, 0.0, 0.0);
     }
 #endif
-    let by_chance = vec3<f32>(chance(f[0] - best, variance), chance(f[1] - best, variance), chance(f[2] - best, variance));
+    let by_chance = vec3<f32>(chance(f[0] - best, variance), chance(f[1] - best, variance),
+        chance(f[2] - best, variance));
     share = select(vec3<f32>(0.0), share, own - own_least <= by_chance);
     share = max(share, 1e-9 * own_winner);
 #endif

@@ -1,9 +1,10 @@
 // Finds spikes, and lights of few pixels, and puts the level of their surroundings in their place.
 //
-// A spike stands out from the pixels of its kind around it, as a small light does, but for what it stands out it rests on very few samples: if k of n samples that a pixel
-// has are the bright ones, its excess over the level is about √k standard deviations of its mean, whatever n is and however bright they are. Both the sample variance and the
-// halves say so, and the one that says more is believed, for either may miss it. A light has many bright samples, and without noise infinitely many. It is kept aside, so
-// that no average takes part of it, and comes back at the end.
+// A spike stands out from the pixels of its kind around it, as a small light does, but for what it stands out it rests
+// on very few samples: if k of n samples that a pixel has are the bright ones, its excess over the level is about √k
+// standard deviations of its mean, whatever n is and however bright they are. Both the sample variance and the halves
+// say so, and the one that says more is believed, for either may miss it. A light has many bright samples, and without
+// noise infinitely many. It is kept aside, so that no average takes part of it, and comes back at the end.
 #import stein::planes::{pixel_index}
 #import stein::spike::{SpikeParams, SpikeFeatures, are_alike, brightness, has_noise}
 
@@ -20,10 +21,11 @@ const FEATURE_GROUPS: i32 = #{FEATURE_GROUPS};
 @group(0) @binding(4) var<storage, read_write> repaired_variance: array<vec4<f32>>;
 #endif
 @group(0) @binding(5) var<storage, read_write> repaired: array<vec4<f32>>;
-// Three planes, of which two are written here: what is taken from each pixel, 0 where it is no spike; behind it, in w, 1 for a pixel with noise, else 0.
+// Three planes, of which two are written here: what is taken from each pixel, 0 where it is no spike; behind it, in w,
+// 1 for a pixel with noise, else 0.
 @group(0) @binding(6) var<storage, read_write> spikes: array<vec4<f32>>;
-// Two planes: the mean of a light, in w its variance, summed over the channels; and its half spread, in w 1 for a light,
-// else 0.
+// Two planes: the mean of a light, in w its variance, summed over the channels; and its half spread, in w 1 for a
+// light, else 0.
 @group(0) @binding(7) var<storage, read_write> lights: array<vec4<f32>>;
 
 // Of the halves alone, whose squared spread is as likely too small as too large.
@@ -79,8 +81,8 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
 #endif
     let is_noisy = has_noise(own, signal[pixels + at_p].xyz, sampled, params.least_noise);
 
-    // Two neighbours may be parts of the same spike: the third brightest is the first that shows how bright pixels of this kind are. Most pixels are no brighter than that, which
-    // is found out early.
+    // Two neighbours may be parts of the same spike: the third brightest is the first that shows how bright pixels of
+    // this kind are. Most pixels are no brighter than that, which is found out early.
     var brighter = 0;
     for (var y = first.y; y <= last.y && brighter < 3; y++) {
         for (var x = first.x; x <= last.x && brighter < 3; x++) {

@@ -1,4 +1,5 @@
-// How bright each pixel's surroundings are without spikes, and whether the pixel has noise: what tells spike_share and spike_spread who gets a part of a spike.
+// How bright each pixel's surroundings are without spikes, and whether the pixel has noise: what tells spike_share and
+// spike_spread who gets a part of a spike.
 //
 // The median of the 3×3 pixels around follows an edge of light, where a mean would mix both of its sides.
 #import stein::planes::{lower_median, pixel_index}

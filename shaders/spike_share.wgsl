@@ -1,15 +1,17 @@
 // Settles what the pixels around a spike get of it.
 //
-// They are all pixels of its kind in a wide window that have noise and are about as bright, each the less the further it is away; those without noise are what they are. One spike
-// says little about how much light there is: it stands for as many pixels as there would have to be until the next one. Where it would raise the level around it by more than a part
-// of it, it is rarer than that, and the more it would, the more of it is left out.
+// They are all pixels of its kind in a wide window that have noise and are about as bright, each the less the further
+// it is away; those without noise are what they are. One spike says little about how much light there is: it stands for
+// as many pixels as there would have to be until the next one. Where it would raise the level around it by more than a
+// part of it, it is rarer than that, and the more it would, the more of it is left out.
 #import stein::planes::{pixel_index}
 #import stein::spike::{SpikeParams, SpikeFeatures, affinity, are_alike, brightness, falloff}
 
 const FEATURE_GROUPS: i32 = #{FEATURE_GROUPS};
 
 @group(0) @binding(0) var<uniform> params: SpikeParams;
-// As spike_find left it: what was taken from each pixel. Here w becomes the part of it that others get; and behind it goes what one of them in its place would get.
+// As spike_find left it: what was taken from each pixel. Here w becomes the part of it that others get; and behind it
+// goes what one of them in its place would get.
 @group(0) @binding(1) var<storage, read_write> spikes: array<vec4<f32>>;
 #if FEATURE_GROUPS != 0
 @group(0) @binding(2) var<storage, read> features: array<vec4<f32>>;

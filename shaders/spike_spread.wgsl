@@ -1,13 +1,15 @@
-// Adds to each pixel that has noise what it gets of the spikes around it that are about as bright as it is, and notes how uncertain that is: of a spike that might as well have fallen elsewhere it gets all or nothing,
-// so that the squares of the parts are summed.
+// Adds to each pixel that has noise what it gets of the spikes around it that are about as bright as it is, and notes
+// how uncertain that is: of a spike that might as well have fallen elsewhere it gets all or nothing, so that the
+// squares of the parts are summed.
 #import stein::planes::{pixel_index}
 #import stein::spike::{SpikeParams, SpikeFeatures, affinity, are_alike, falloff}
 
 const FEATURE_GROUPS: i32 = #{FEATURE_GROUPS};
 
 @group(0) @binding(0) var<uniform> params: SpikeParams;
-// What was taken from each pixel; behind it what one of its kind in its place gets of it, in w 1 where there is a spike in the row of pixels around.
-// The third plane is written: in x the squares of the parts, summed over spikes and channels.
+// What was taken from each pixel; behind it what one of its kind in its place gets of it, in w 1 where there is a spike
+// in the row of pixels around. The third plane is written: in x the squares of the parts, summed over spikes and
+// channels.
 @group(0) @binding(1) var<storage, read_write> spikes: array<vec4<f32>>;
 #if FEATURE_GROUPS != 0
 @group(0) @binding(2) var<storage, read> features: array<vec4<f32>>;
@@ -59,7 +61,8 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
                 let at_p = pixel_index(vec2<i32>(x, y), extent);
                 let share = spikes[pixels + at_p].xyz;
                 if any(share != vec3<f32>(0.0)) && is_like(at_p, at_q) {
-                    let gets = falloff(vec2<i32>(x, y) - q, params.spread_radius) * affinity(levels[at_p].x, own.x) * share;
+                    let gets = falloff(vec2<i32>(x, y) - q, params.spread_radius) * affinity(levels[at_p].x, own.x)
+                        * share;
                     sum += gets;
                     squares += dot(gets, gets);
                 }

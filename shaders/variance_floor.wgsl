@@ -1,6 +1,8 @@
-// Holds a variance above the rounding of the values it belongs to, so that distances divide by no zero and depend on nothing but the pixels they compare (eq. 7.4).
+// Holds a variance above the rounding of the values it belongs to, so that distances divide by no zero and depend on
+// nothing but the pixels they compare (eq. 7.4).
 //
-// An ε of one size for the whole image would blur what is dark beside something bright: there every squared difference is smaller than ε.
+// An ε of one size for the whole image would blur what is dark beside something bright: there every squared difference
+// is smaller than ε.
 #import stein::planes::{largest_channel, pixel_index}
 
 struct VarianceFloorParams {
@@ -16,7 +18,8 @@ struct VarianceFloorParams {
 @group(0) @binding(0) var<uniform> params: VarianceFloorParams;
 @group(0) @binding(1) var<storage, read> signal: array<vec4<f32>>;
 @group(0) @binding(2) var<storage, read> variance: array<vec4<f32>>;
-// In w the brightness around the pixel: the largest magnitude of any channel in the 3×3 pixels around it. Finite differences take their least step from it.
+// In w the brightness around the pixel: the largest magnitude of any channel in the 3×3 pixels around it. Finite
+// differences take their least step from it.
 @group(0) @binding(3) var<storage, read_write> floored_variance: array<vec4<f32>>;
 
 @compute @workgroup_size(32, 2, 1)

@@ -1,8 +1,10 @@
-// Horizontal half of the box sums of variance_scale: per channel Σ spread² and Σ sample variance over a row of 2·radius+1 pixels, existing ones only.
+// Horizontal half of the box sums of variance_scale: per channel Σ spread² and Σ sample variance over a row of
+// 2·radius+1 pixels, existing ones only.
 //
-// BY_DEVIATION: each pixel counts by one over the standard deviation that it claims, so that an outlier is not the whole sum: among a box of others, one that claims a million
-// times their variance counts as a thousand of them. What claims nothing says nothing of how claims are to be scaled; what claims less than a tenth of what its halves differ by
-// counts as if it claimed that.
+// BY_DEVIATION: each pixel counts by one over the standard deviation that it claims, so that an outlier is not the
+// whole sum: among a box of others, one that claims a million times their variance counts as a thousand of them. What
+// claims nothing says nothing of how claims are to be scaled; what claims less than a tenth of what its halves differ
+// by counts as if it claimed that.
 //
 // An invocation makes PIXELS pixels in a row: their boxes share most of what they sum up, and loads are what costs.
 #import stein::planes::{pixel_index}
@@ -38,7 +40,8 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
         var two_buffer_variance = spread * spread;
         var variance = sample_variance[at];
 #ifdef BY_DEVIATION
-        let weight = select(vec4<f32>(0.0), inverseSqrt(max(max(variance, two_buffer_variance / 100.0), vec4<f32>(1e-30))), variance > vec4<f32>(0.0));
+        let weight = select(vec4<f32>(0.0),
+            inverseSqrt(max(max(variance, two_buffer_variance / 100.0), vec4<f32>(1e-30))), variance > vec4<f32>(0.0));
         two_buffer_variance *= weight;
         variance *= weight;
 #endif

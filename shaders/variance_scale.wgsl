@@ -1,5 +1,6 @@
-// Scales the sample variance to the magnitude of the two-buffer variance (thesis 8.2): sample variance has the finer structure, the halves have no bias
-// whatever the sampler. The ratio is that of two box means over the same pixels with the same weights, so the sums of variance_rows serve.
+// Scales the sample variance to the magnitude of the two-buffer variance (thesis 8.2): sample variance has the finer
+// structure, the halves have no bias whatever the sampler. The ratio is that of two box means over the same pixels with
+// the same weights, so the sums of variance_rows serve.
 //
 // An invocation makes PIXELS pixels, one below the other, as variance_rows makes them in a row.
 #import stein::planes::{pixel_index}

@@ -1,4 +1,5 @@
-// Two-buffer variance of a signal, smoothed with a Gaussian over the existing pixels (thesis 8.3, output variance estimation; Algorithm 1's buffer_var).
+// Two-buffer variance of a signal, smoothed with a Gaussian over the existing pixels (thesis 8.3, output variance
+// estimation; Algorithm 1's buffer_var).
 #import stein::planes::{pixel_index}
 
 struct VarianceSmoothParams {

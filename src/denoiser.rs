@@ -13,13 +13,14 @@ use crate::gpu::{Buffer, Gpu, Pace, Recorder, Run, StageTime, StepTime};
 use crate::host_memory::{FreeMemory, Shortage};
 use crate::image::Image;
 use crate::method::{
-    DeviceMemory, Facts, FrameInput, GpuEstimate, GpuFrame, Intermediate, KeptPlane, Lane, Method, Plan, Shares, SpikeReport, Strip, Unit, Units, Wishes,
-    kept_planes, mean_variance, strips,
+    DeviceMemory, Facts, FrameInput, GpuEstimate, GpuFrame, Intermediate, KeptPlane, Lane, Method, Plan, Shares,
+    SpikeReport, Strip, Unit, Units, Wishes, kept_planes, mean_variance, strips,
 };
 use crate::stage::PLANE_PIXEL_BYTES;
 use crate::stage::nlm::Schedule;
 
-/// Denoises frames with one method and one set of parameters. Make one and use it for many frames: kernels and buffers are kept by the [`Gpu`].
+/// Denoises frames with one method and one set of parameters. Make one and use it for many frames: kernels and buffers
+/// are kept by the [`Gpu`].
 ///
 /// ```no_run
 /// use stein::{Denoiser, Gpu, Method, gpu::DeviceChoice};
@@ -48,7 +49,8 @@ pub struct Denoiser {
 pub struct Options<'a> {
     /// Intermediates to read back as [`Estimate::layers`].
     pub keep: &'a [Intermediate],
-    /// Whether the estimated error is wanted, as it is by default. Without it, [`Estimate::error`] is `None`, and what serves the error alone is left out.
+    /// Whether the estimated error is wanted, as it is by default. Without it, [`Estimate::error`] is `None`, and what
+    /// serves the error alone is left out.
     pub error: bool,
     /// Called with the share of the work that is done, 0 to 1; `Break` ends it with [`Error::Cancelled`].
     pub progress: Option<&'a mut dyn FnMut(f32) -> ControlFlow<()>>,
@@ -69,16 +71,20 @@ pub struct Estimate {
     pub color: Image,
     /// Half spread of the denoised colour: its filtered halves are `color ± half_spread`. `None` without halves.
     pub half_spread: Option<Image>,
-    /// One plane: the estimated squared error of each pixel, summed over the channels. Never negative. Of DFC it is made of what the halves of the result differ by, of how far
-    /// its candidates lie apart from it, of the pixel's own noise that is left ([`error_blend`](crate::stage::error::error_blend)) and of what it got of spikes
-    /// ([`error_spikes`](crate::stage::error::error_spikes)): mostly right within a factor of two on regions of 16×16 pixels. Of NLM it is the variance left by the halves (thesis
-    /// 7.1.2), smoothed; it knows nothing of bias. Of GEM it is the variance of the chosen scale and the estimated bias of the steps that led to it (thesis 6.3). `None` where
-    /// [`Options::error`] is off.
+    /// One plane: the estimated squared error of each pixel, summed over the channels. Never negative. Of DFC it is
+    /// made of what the halves of the result differ by, of how far its candidates lie apart from it, of the pixel's own
+    /// noise that is left ([`error_blend`](crate::stage::error::error_blend)) and of what it got of spikes
+    /// ([`error_spikes`](crate::stage::error::error_spikes)): mostly right within a factor of two on regions of 16×16
+    /// pixels. Of NLM it is the variance left by the halves (thesis 7.1.2), smoothed; it knows nothing of bias. Of GEM
+    /// it is the variance of the chosen scale and the estimated bias of the steps that led to it (thesis 6.3). `None`
+    /// where [`Options::error`] is off.
     pub error: Option<Image>,
-    /// One plane: how many pixels took part. Of DFC Σ w over the window, blended like the candidates (thesis 8.6); of NLM Σ w, the mean of both halves; of GEM 1/Σw² of the
-    /// chosen scale's normalised weights. Of a frame that was copied, 1.
+    /// One plane: how many pixels took part. Of DFC Σ w over the window, blended like the candidates (thesis 8.6); of
+    /// NLM Σ w, the mean of both halves; of GEM 1/Σw² of the chosen scale's normalised weights. Of a frame that was
+    /// copied, 1.
     pub weight_sum: Image,
-    /// Shares of FIRST, SECOND and THIRD in each pixel, where the method has them and there was anything to choose; `None` of a frame that was copied.
+    /// Shares of FIRST, SECOND and THIRD in each pixel, where the method has them and there was anything to choose;
+    /// `None` of a frame that was copied.
     pub selection: Option<Image>,
     /// Names of the features that were used: of a window in time, those that all its frames have.
     pub features: Vec<String>,
@@ -122,11 +128,13 @@ impl Denoiser {
         Ok(Self { gpu: gpu.clone(), method, schedule: Schedule::for_gpu(gpu), max_memory: None, everything: false })
     }
 
-    /// Holds the buffers on the device to `bytes`, working in strips of rows where the image would take more. The result is the same to the bit.
+    /// Holds the buffers on the device to `bytes`, working in strips of rows where the image would take more. The
+    /// result is the same to the bit.
     #[must_use]
     pub fn with_max_memory(mut self, bytes: u64) -> Self {
         self.max_memory = Some(bytes);
-        // Two scratch buffers, and running sums of up to four times one of them where the window is smallest: half of the limit at the most.
+        // Two scratch buffers, and running sums of up to four times one of them where the window is smallest: half of
+        // the limit at the most.
         self.schedule.scratch_bytes = self.schedule.scratch_bytes.min(bytes / 12);
         self
     }
@@ -138,7 +146,8 @@ impl Denoiser {
         self
     }
 
-    /// Also runs what a frame does not need, for comparison: the result is the same to the bit, or within the bounds that the plan of the method states.
+    /// Also runs what a frame does not need, for comparison: the result is the same to the bit, or within the bounds
+    /// that the plan of the method states.
     #[must_use]
     pub fn with_everything(mut self) -> Self {
         self.everything = true;
@@ -171,14 +180,28 @@ impl Denoiser {
         self.plan_in(frames, centre, &units, options).map(|(plan, _)| plan)
     }
 
-    fn plan_in(&self, frames: &[&Frame], centre: usize, units: &Units, options: &Options) -> Result<(Plan, Vec<Strip>)> {
+    fn plan_in(
+        &self,
+        frames: &[&Frame],
+        centre: usize,
+        units: &Units,
+        options: &Options,
+    ) -> Result<(Plan, Vec<Strip>)> {
         let start = Instant::now();
         let facts = Facts::of_window(frames, centre, units, self.method.uses_features());
         let wishes = Wishes { keep: options.keep, error: options.error, everything: self.everything };
         let plan = self.method.plan(&facts, &wishes);
         let analysis_seconds = start.elapsed().as_secs_f64();
         let memory = self.memory(frames[centre], &facts, options)?;
-        let strips = strips(&self.gpu, frames[centre].extent(), &self.method, &facts, !options.keep.is_empty(), self.schedule, memory)?;
+        let strips = strips(
+            &self.gpu,
+            frames[centre].extent(),
+            &self.method,
+            &facts,
+            !options.keep.is_empty(),
+            self.schedule,
+            memory,
+        )?;
         Ok((Plan { strips: strips.len(), analysis_seconds, ..plan }, strips))
     }
 
@@ -190,7 +213,8 @@ impl Denoiser {
         let planes_of_result = 3 + planes_of_halves + u64::from(options.error) + 1 + planes_of_shares;
         // Of one to three channels each.
         let kept = if options.keep.is_empty() { 0 } else { 3 * kept_planes(&self.method, facts, self.schedule) };
-        let host = frame.extent().pixels() as u64 * 4 * (planes_of_result + kept) + TRANSFER_BYTES.min(frame.extent().pixels() as u64 * 64);
+        let host = frame.extent().pixels() as u64 * 4 * (planes_of_result + kept)
+            + TRANSFER_BYTES.min(frame.extent().pixels() as u64 * 64);
         let free = FreeMemory::now();
         free.check(host).map_err(|shortage| shortage.error(&format!("the result of {} pixels", frame.extent())))?;
         Ok(DeviceMemory { asked: self.max_memory, shared: self.gpu.is_software().then_some((free, host)) })
@@ -212,18 +236,22 @@ impl Denoiser {
         self.denoise_window(&[frame], 0, options)
     }
 
-    /// Denoises `frames[centre]` with the help of the frames beside it: consecutive frames of a shot, in temporal order, of which each pixel's window sees the same
-    /// region (thesis 7.3, 8.6). Features that one of them lacks are not used.
+    /// Denoises `frames[centre]` with the help of the frames beside it: consecutive frames of a shot, in temporal
+    /// order, of which each pixel's window sees the same region (thesis 7.3, 8.6). Features that one of them lacks are
+    /// not used.
     ///
     /// # Errors
-    /// As [`Denoiser::denoise_with`], and [`Error::Request`] where the method cannot do it or a frame has another extent or kind of noise than the others.
+    /// As [`Denoiser::denoise_with`], and [`Error::Request`] where the method cannot do it or a frame has another
+    /// extent or kind of noise than the others.
     pub fn denoise_window(&self, frames: &[&Frame], centre: usize, options: Options) -> Result<Estimate> {
         self.check_window(frames, centre)?;
         let frame = frames[centre];
         let units = Units::of_window(frames, centre, self.method.uses_features(), exposure(frame));
-        let mean_variance = |frame: &Frame| if self.method.wants_mean_variance() { mean_variance(frame, units.exposure) } else { None };
+        let mean_variance =
+            |frame: &Frame| if self.method.wants_mean_variance() { mean_variance(frame, units.exposure) } else { None };
         let with_mean_variance: Vec<_> = frames.iter().map(|frame| (*frame, mean_variance(frame))).collect();
-        let beside = with_mean_variance.iter().enumerate().filter(|(index, _)| *index != centre).map(|(_, frame)| *frame);
+        let beside =
+            with_mean_variance.iter().enumerate().filter(|(index, _)| *index != centre).map(|(_, frame)| *frame);
         // What an earlier frame of another size left behind would count against the limit.
         self.gpu.trim();
         let (plan, strips) = self.plan_in(frames, centre, &units, &options)?;
@@ -241,7 +269,8 @@ impl Denoiser {
                 rec.set_pace(pace.clone());
             }
             let plan = plan.starting_at(IVec2::new(0, strip.first_with_halo as i32));
-            let mut upload = |(frame, mean_variance)| FrameInput::upload(&mut rec, frame, mean_variance, strip, &units, &plan);
+            let mut upload =
+                |(frame, mean_variance)| FrameInput::upload(&mut rec, frame, mean_variance, strip, &units, &plan);
             let on_gpu = upload(with_mean_variance[centre])?;
             let beside = beside.clone().map(upload).collect::<Result<Vec<_>>>()?;
             let extent = on_gpu.extent;
@@ -266,7 +295,10 @@ impl Denoiser {
     fn check_window(&self, frames: &[&Frame], centre: usize) -> Result<()> {
         let refuse = |problem: String, remedy: &str| Err(Error::Request { problem, remedy: remedy.into() });
         let Some(frame) = frames.get(centre) else {
-            return refuse(format!("frame {centre} of a window of {} frames is to be denoised", frames.len()), "count from 0");
+            return refuse(
+                format!("frame {centre} of a window of {} frames is to be denoised", frames.len()),
+                "count from 0",
+            );
         };
         self.method.check_beside(frames.len() - 1)?;
         self.method.check_noise_is_known(frame.noise_knowledge() == NoiseKnowledge::ImageOnly)?;
@@ -274,29 +306,44 @@ impl Denoiser {
         for (index, other) in frames.iter().enumerate() {
             if other.extent() != frame.extent() {
                 return refuse(
-                    format!("frame {index} of the window is of {}, but the one to denoise of {}", other.extent(), frame.extent()),
+                    format!(
+                        "frame {index} of the window is of {}, but the one to denoise of {}",
+                        other.extent(),
+                        frame.extent()
+                    ),
                     "give frames of one size",
                 );
             }
             if knows(other) != knows(frame) {
-                return refuse(format!("frame {index} of the window does not come with the same halves and variance"), "render all frames alike");
+                return refuse(
+                    format!("frame {index} of the window does not come with the same halves and variance"),
+                    "render all frames alike",
+                );
             }
         }
         Ok(())
     }
 
-    /// Records the work on a frame that is on the GPU already, in a window with the frames `beside`, which are in its units, have its extent and features, and
-    /// halves if it does; nothing is read back.
-    /// For a renderer that embeds the denoiser: record with [`Gpu::record_whole`], then put the commands into an encoder of its own with [`Recorder::encode_into`]. The
-    /// frame must fit the binding limit as a whole.
+    /// Records the work on a frame that is on the GPU already, in a window with the frames `beside`, which are in its
+    /// units, have its extent and features, and halves if it does; nothing is read back. For a renderer that embeds the
+    /// denoiser: record with [`Gpu::record_whole`], then put the commands into an encoder of its own with
+    /// [`Recorder::encode_into`]. The frame must fit the binding limit as a whole.
     ///
     /// # Errors
-    /// [`Error::Device`] where a buffer exceeds the device's limits; [`Error::Request`] where frames are beside that are not alike or the method does not filter over time, or
-    /// where it wants a [`GpuFrame::mean_variance`] that is not given.
+    /// [`Error::Device`] where a buffer exceeds the device's limits; [`Error::Request`] where frames are beside that
+    /// are not alike or the method does not filter over time, or where it wants a [`GpuFrame::mean_variance`] that is
+    /// not given.
     pub fn record(&self, rec: &mut Recorder, frame: GpuFrame, beside: Vec<GpuFrame>) -> Result<GpuEstimate> {
         let wishes = Wishes { keep: &[], error: true, everything: self.everything };
         let plan = self.method.plan(&Facts::of_gpu_frame(&frame, beside.len(), self.method.uses_features()), &wishes);
-        self.method.record(rec, frame.into(), beside.into_iter().map(FrameInput::from).collect(), &plan, self.schedule, |_, _| Ok(()))
+        self.method.record(
+            rec,
+            frame.into(),
+            beside.into_iter().map(FrameInput::from).collect(),
+            &plan,
+            self.schedule,
+            |_, _| Ok(()),
+        )
     }
 }
 
@@ -306,8 +353,8 @@ const TRANSFER_BYTES: u64 = 96 << 20;
 /// Squares of scaled values are summed over channels and patches in f32.
 const LARGEST_SCALED: f32 = 1e17;
 
-/// A power of two that brings the colour to the order of 1, where the method's small constants are meant to be; a power of two changes no digit. From the median
-/// of the pixels' largest channels, over pixels that are not black.
+/// A power of two that brings the colour to the order of 1, where the method's small constants are meant to be; a power
+/// of two changes no digit. From the median of the pixels' largest channels, over pixels that are not black.
 fn exposure(frame: &Frame) -> f32 {
     let planes = &frame.color().mean.planes;
     // The median is needed to the power of two below it, so its exponent is enough: no copy of the pixels is sorted.
@@ -330,7 +377,8 @@ fn exposure(frame: &Frame) -> f32 {
     let log2_of_median = exponent_of_median as f32 - 127.0;
     // Of a scaled value the square must stay finite.
     let color = frame.color();
-    let deviations = color.variance_of_mean.iter().flat_map(|variance| &variance.planes).flatten().map(|variance| variance.sqrt());
+    let deviations =
+        color.variance_of_mean.iter().flat_map(|variance| &variance.planes).flatten().map(|variance| variance.sqrt());
     let spreads = color.half_spread.iter().flat_map(|spread| &spread.planes).flatten().map(|spread| spread.abs());
     let most = deviations.chain(spreads).fold(brightest, f32::max);
     let headroom = (LARGEST_SCALED / most).log2().floor();
@@ -387,7 +435,9 @@ impl<'a> Assembly<'a> {
     /// The frame itself.
     fn copy(&mut self) {
         let color = self.frame.color();
-        let copies = [(&mut self.color, Some(&color.mean))].into_iter().chain(self.half_spread.as_mut().map(|spread| (spread, color.half_spread.as_ref())));
+        let copies = [(&mut self.color, Some(&color.mean))]
+            .into_iter()
+            .chain(self.half_spread.as_mut().map(|spread| (spread, color.half_spread.as_ref())));
         for (copy, image) in copies {
             let planes = copy.planes.iter_mut().zip(image.iter().flat_map(|image| &image.planes));
             planes.for_each(|(copy, plane)| copy.copy_from_slice(plane));
@@ -401,8 +451,11 @@ impl<'a> Assembly<'a> {
         // Reads the rows of a plane that the strip is for, piece by piece: the position of the first pixel among them,
         // and the pixels.
         let read = |buffer: &Buffer, plane: u32, take: &mut dyn FnMut(usize, &[f32])| -> Result<()> {
-            let first = u64::from(plane) * extent.x as u64 * extent.y as u64 + ((strip.first - strip.first_with_halo) * width) as u64;
-            gpu.read_with(buffer, first * PLANE_PIXEL_BYTES, (strip.end - strip.first) * width * 4, |first, values| take(first / 4, values))
+            let first = u64::from(plane) * extent.x as u64 * extent.y as u64
+                + ((strip.first - strip.first_with_halo) * width) as u64;
+            gpu.read_with(buffer, first * PLANE_PIXEL_BYTES, (strip.end - strip.first) * width * 4, |first, values| {
+                take(first / 4, values);
+            })
         };
         if let Some(spikes) = &estimate.spikes {
             let found = self.spikes.get_or_insert_default();
@@ -416,8 +469,15 @@ impl<'a> Assembly<'a> {
             })?;
         }
         // Reads a plane and puts it, from a component on, into an image.
-        let place = |buffer: &Buffer, plane: u32, component: u32, (factor, offset): (f32, f32), image: &mut Image| -> Result<()> {
-            read(buffer, plane, &mut |first, values| place(values, component as usize, factor, offset, strip.first * width + first, image))
+        let place = |buffer: &Buffer,
+                     plane: u32,
+                     component: u32,
+                     (factor, offset): (f32, f32),
+                     image: &mut Image|
+         -> Result<()> {
+            read(buffer, plane, &mut |first, values| {
+                place(values, component as usize, factor, offset, strip.first * width + first, image);
+            })
         };
         let out_of_memory = |shortage: Shortage| shortage.error("the result");
         let number = (1.0, 0.0);
@@ -477,7 +537,21 @@ impl<'a> Assembly<'a> {
             SpikeReport { pixels, taken: share(taken), spread: share(spread) }
         });
         let (strips, Times { stages: stage_times, steps: step_times }) = (plan.strips, times);
-        Estimate { color, half_spread, error, weight_sum, selection, features, spikes, layers, plan, strips, stage_times, step_times, peak_bytes }
+        Estimate {
+            color,
+            half_spread,
+            error,
+            weight_sum,
+            selection,
+            features,
+            spikes,
+            layers,
+            plan,
+            strips,
+            stage_times,
+            step_times,
+            peak_bytes,
+        }
     }
 }
 

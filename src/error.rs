@@ -7,7 +7,8 @@ use crate::text;
 /// The result of everything in this library that can fail.
 pub type Result<T> = std::result::Result<T, Error>;
 
-/// A failure, told so that the person who meets it knows what to do next: each message names the place, the problem and the remedy.
+/// A failure, told so that the person who meets it knows what to do next: each message names the place, the problem and
+/// the remedy.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
@@ -50,7 +51,9 @@ pub enum Error {
         remedy: String,
     },
     /// A shader does not compile or does not fit its host struct: a defect of this program, not of its input.
-    #[error("stage '{stage}': {problem}\n  remedy: this is a defect of stein: please report it with the output of `stein devices`")]
+    #[error(
+        "stage '{stage}': {problem}\n  remedy: this is a defect of stein: please report it with the output of `stein devices`"
+    )]
     Shader {
         /// The stage, named as its file in `shaders/`.
         stage: String,
@@ -71,8 +74,9 @@ pub enum Error {
 }
 
 impl Error {
-    /// A message of this library in the words of a program, which has options where the remedies name fields and functions. Each pair is what a remedy says and what takes its
-    /// place, the first before the second. What is no remedy stays as it is.
+    /// A message of this library in the words of a program, which has options where the remedies name fields and
+    /// functions. Each pair is what a remedy says and what takes its place, the first before the second. What is no
+    /// remedy stays as it is.
     pub fn in_words<'a>(message: &str, words: impl IntoIterator<Item = &'a (&'a str, &'a str)>) -> String {
         let Some((problem, remedy)) = message.split_once("remedy: ") else { return message.to_owned() };
         let remedy = words.into_iter().fold(remedy.to_owned(), |remedy, (said, instead)| remedy.replace(said, instead));

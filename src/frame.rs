@@ -1,4 +1,5 @@
-//! The frame: a buffer set whose meaning has been settled. Everything finite, one extent, variances of the pixel mean, halves as one spread, features in unit range.
+//! The frame: a buffer set whose meaning has been settled. Everything finite, one extent, variances of the pixel mean,
+//! halves as one spread, features in unit range.
 
 mod albedo;
 mod correlation;
@@ -24,7 +25,8 @@ pub use repairs::{Damage, DamagedImage, LayerRepairs, Repairs};
 use sanitise::Sanitised;
 use unit_range::UnitRange;
 
-/// ε of the relative measures of error, (x − ref)²/(ref² + ε): keeps dark pixels from counting without bound (thesis 6.5).
+/// ε of the relative measures of error, (x − ref)²/(ref² + ε): keeps dark pixels from counting without bound (thesis
+/// 6.5).
 pub const RELATIVE_EPSILON: f64 = 0.01;
 
 /// The most features that a frame takes; the text's scenes use up to five.
@@ -33,7 +35,8 @@ pub const MAX_FEATURES: usize = 8;
 /// Values that a thread looks at before it asks whether another one has found what they all look for.
 const VALUES_AT_ONCE: usize = 1 << 16;
 
-/// A mean and what the files hold of its noise, as stored: may contain anything that a float can be. All images have the same extent and channels.
+/// A mean and what the files hold of its noise, as stored: may contain anything that a float can be. All images have
+/// the same extent and channels.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RawSignal {
     /// The mean of all samples.
@@ -51,9 +54,10 @@ pub struct RawSignal {
 pub struct Signal {
     /// The mean of all samples of each pixel.
     pub mean: Image,
-    /// `(A − B)·√(n_A·n_B)/n` of the two half-buffer means A and B: a signal with zero expectation, the variance of the mean's noise, and uncorrelated with it.
-    /// With equal halves it is `(A − B)/2`, and the halves are `mean ± half_spread`. Its square is the two-buffer estimate of the variance of the mean
-    /// (thesis 8.2). `None` without halves.
+    /// `(A − B)·√(n_A·n_B)/n` of the two half-buffer means A and B: a signal with zero expectation, the variance of the
+    /// mean's noise, and uncorrelated with it. With equal halves it is `(A − B)/2`, and the halves are
+    /// `mean ± half_spread`. Its square is the two-buffer estimate of the variance of the mean (thesis 8.2). `None`
+    /// without halves.
     pub half_spread: Option<Image>,
     /// Sample variance of the mean, s²/n. `None` where the renderer gave none.
     pub variance_of_mean: Option<Image>,
@@ -74,7 +78,8 @@ pub struct Feature {
     pub unit_scale: f32,
     /// See `unit_scale`.
     pub unit_offset: f32,
-    /// For each pixel, whether nothing was hit there; misses have the value 1, without noise. Empty where there are none.
+    /// For each pixel, whether nothing was hit there; misses have the value 1, without noise. Empty where there are
+    /// none.
     pub misses: Vec<bool>,
 }
 
@@ -94,7 +99,9 @@ impl Signal {
     pub fn is_grey(&self) -> bool {
         let same = |a: &Vec<f32>, b: &Vec<f32>| {
             let pairs = a.par_chunks(VALUES_AT_ONCE).zip(b.par_chunks(VALUES_AT_ONCE));
-            pairs.into_par_iter().all(|(a, b)| bytemuck::cast_slice::<f32, u32>(a) == bytemuck::cast_slice::<f32, u32>(b))
+            pairs
+                .into_par_iter()
+                .all(|(a, b)| bytemuck::cast_slice::<f32, u32>(a) == bytemuck::cast_slice::<f32, u32>(b))
         };
         self.images().all(|image| image.planes.iter().skip(1).all(|plane| same(&image.planes[0], plane)))
     }
@@ -106,8 +113,9 @@ impl Signal {
 
 /// `(A − B)·√(n_A·n_B)/n` with n = n_A + n_B: see [`Signal::half_spread`].
 ///
-/// Its square estimates the variance of the *mean of both halves* (thesis 8.2), which is half of the variance of one half, (A − B)²/2, that chapter 7 uses.
-/// The images must have the same shape; `n_a` and `n_b` are the halves' sample counts, of which only the ratio matters.
+/// Its square estimates the variance of the *mean of both halves* (thesis 8.2), which is half of the variance of one
+/// half, (A − B)²/2, that chapter 7 uses. The images must have the same shape; `n_a` and `n_b` are the halves' sample
+/// counts, of which only the ratio matters.
 pub fn half_spread(a: &Image, b: &Image, n_a: f32, n_b: f32) -> Image {
     into_half_spread(a.clone(), b, n_a, n_b)
 }
@@ -121,7 +129,8 @@ fn into_half_spread(mut a: Image, b: &Image, n_a: f32, n_b: f32) -> Image {
     a
 }
 
-/// What the denoisers work on. Only `Frame::from_raw` and `Frame::new` make one, so a frame is always finite and consistent.
+/// What the denoisers work on. Only `Frame::from_raw` and `Frame::new` make one, so a frame is always finite and
+/// consistent.
 #[derive(Clone, Debug)]
 pub struct Frame {
     extent: Extent,
@@ -132,14 +141,18 @@ pub struct Frame {
 }
 
 impl Frame {
-    /// Settles the meaning of means and halves as they were rendered. The halves are taken to have equal numbers of samples. Features are asked for one by one, so that
-    /// no more than one is in memory both raw and settled.
+    /// Settles the meaning of means and halves as they were rendered. The halves are taken to have equal numbers of
+    /// samples. Features are asked for one by one, so that no more than one is in memory both raw and settled.
     ///
     /// Halves of which one is 0 everywhere, and the other is not, are left out.
     ///
     /// # Errors
     /// As [`Frame::new`].
-    pub fn from_raw(color: RawSignal, features: impl IntoIterator<Item = (String, RawSignal)>, samples_per_pixel: SamplesPerPixel) -> Result<(Self, Repairs)> {
+    pub fn from_raw(
+        color: RawSignal,
+        features: impl IntoIterator<Item = (String, RawSignal)>,
+        samples_per_pixel: SamplesPerPixel,
+    ) -> Result<(Self, Repairs)> {
         let mut notes = Vec::new();
         if empty_half(&color).is_none() {
             notes.extend(mean_beside_halves(&color));
@@ -155,19 +168,24 @@ impl Frame {
         Ok((frame, repairs))
     }
 
-    /// Makes a frame from raw values: colour in scene-linear radiance (three planes), features in any units (one to three planes each, not yet in unit
-    /// range), variances of the mean.
+    /// Makes a frame from raw values: colour in scene-linear radiance (three planes), features in any units (one to
+    /// three planes each, not yet in unit range), variances of the mean.
     ///
     /// Everything in the frame is finite: damaged values take their neighbours' average, negative variances become 0.
     /// Of halves and variance, what does not fit the mean, has no usable value, or is silent where the other one tells
-    /// of noise is left out, and so are identical halves of a colour without a variance. A colour of whose noise nothing
-    /// is known is [`NoiseKnowledge::ImageOnly`]. Albedo is clamped to 1. Features are brought to unit range; constant
-    /// ones, those that cannot be used, and those after the first [`MAX_FEATURES`] are left out. All of it is reported.
+    /// of noise is left out, and so are identical halves of a colour without a variance. A colour of whose noise
+    /// nothing is known is [`NoiseKnowledge::ImageOnly`]. Albedo is clamped to 1. Features are brought to unit range;
+    /// constant ones, those that cannot be used, and those after the first [`MAX_FEATURES`] are left out. All of it is
+    /// reported.
     ///
     /// # Errors
     /// Images of different extent, no pixels, a colour that has not three channels, or with a channel without a single
     /// usable pixel; sample counts of another shape.
-    pub fn new(mut color: Signal, features: Vec<(String, Signal)>, samples_per_pixel: SamplesPerPixel) -> Result<(Self, Repairs)> {
+    pub fn new(
+        mut color: Signal,
+        features: Vec<(String, Signal)>,
+        samples_per_pixel: SamplesPerPixel,
+    ) -> Result<(Self, Repairs)> {
         let extent = color.mean.extent;
         check_shape("colour", &color, extent)?;
         if color.mean.channels() != 3 {
@@ -218,11 +236,13 @@ impl Frame {
     /// A part of it, in the same units.
     pub(crate) fn cropped(&self, part: Window) -> Self {
         let crop = |signal: &Signal| {
-            let [half_spread, variance_of_mean] = [&signal.half_spread, &signal.variance_of_mean].map(|image| image.as_ref().map(|image| image.cropped(part)));
+            let [half_spread, variance_of_mean] = [&signal.half_spread, &signal.variance_of_mean]
+                .map(|image| image.as_ref().map(|image| image.cropped(part)));
             Signal { mean: signal.mean.cropped(part), half_spread, variance_of_mean }
         };
         let features = self.features.iter().map(|feature| {
-            let misses = if feature.misses.is_empty() { Vec::new() } else { image::cropped(&feature.misses, self.extent, part) };
+            let misses =
+                if feature.misses.is_empty() { Vec::new() } else { image::cropped(&feature.misses, self.extent, part) };
             Feature { signal: crop(&feature.signal), misses, name: feature.name.clone(), ..*feature }
         });
         let samples_per_pixel = match &self.samples_per_pixel {
@@ -254,7 +274,8 @@ impl Frame {
         &self.features
     }
 
-    /// Names of features that were given and are the same everywhere, so that they cannot tell pixels apart; they are not kept.
+    /// Names of features that were given and are the same everywhere, so that they cannot tell pixels apart; they are
+    /// not kept.
     pub fn constant_features(&self) -> &[String] {
         &self.constant_features
     }
@@ -286,7 +307,8 @@ fn empty_half(raw: &RawSignal) -> Option<&'static str> {
     }
 }
 
-/// Says so when the halves are not halves of the mean, as when a render with one seed is given beside two renders with other seeds.
+/// Says so when the halves are not halves of the mean, as when a render with one seed is given beside two renders with
+/// other seeds.
 fn mean_beside_halves(raw: &RawSignal) -> Option<String> {
     let (a, b) = raw.half_a.as_ref().zip(raw.half_b.as_ref())?;
     let mut differing = 0;
@@ -329,7 +351,10 @@ fn settle_color(color: &mut Signal, repairs: &mut Repairs) -> Result<()> {
     let Sanitised { found, unusable, .. } = sanitise::sanitise(layer, color, false);
     if !unusable.is_empty() {
         return Err(Error::Request {
-            problem: format!("layer colour: not one pixel has a usable value{}", layer.in_channels(&unusable, color.mean.channels())),
+            problem: format!(
+                "layer colour: not one pixel has a usable value{}",
+                layer.in_channels(&unusable, color.mean.channels())
+            ),
             remedy: "look at the layer in an image viewer; render it again".into(),
         });
     }
@@ -351,12 +376,15 @@ fn settle_color(color: &mut Signal, repairs: &mut Repairs) -> Result<()> {
     }
     let knowledge = color.known_from();
     match knowledge {
-        NoiseKnowledge::VarianceOnly => notes.push("colour: no halves, so the variance is taken as it is and there is no second pass".into()),
+        NoiseKnowledge::VarianceOnly => {
+            notes.push("colour: no halves, so the variance is taken as it is and there is no second pass".into());
+        }
         NoiseKnowledge::ImageOnly => notes.push(knowledge::IMAGE_ONLY.into()),
         NoiseKnowledge::HalvesAndVariance | NoiseKnowledge::HalvesOnly => {}
     }
     if knowledge != NoiseKnowledge::ImageOnly && sources::is_silent(color) {
-        let silent = if knowledge.has_halves() { "neither the halves nor the variance tell" } else { "the variance tells" };
+        let silent =
+            if knowledge.has_halves() { "neither the halves nor the variance tell" } else { "the variance tells" };
         notes.push(format!("colour: {silent} of no noise at all, so that nothing is filtered"));
     }
     repairs.add(found);
@@ -376,7 +404,10 @@ fn settle_feature(name: &str, kind: FeatureKind, signal: &mut Signal, repairs: &
     }
     repairs.add(found);
     if !unusable.is_empty() {
-        repairs.notes.push(format!("{layer}: not one pixel has a usable value{}, taken as 0", layer.in_channels(&unusable, channels)));
+        repairs.notes.push(format!(
+            "{layer}: not one pixel has a usable value{}, taken as 0",
+            layer.in_channels(&unusable, channels)
+        ));
     }
     sources::settle(layer, signal, &mut repairs.notes);
     if signal.noise_knowledge().is_none() {

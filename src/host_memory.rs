@@ -49,7 +49,10 @@ impl FreeMemory {
         let container = with_own_process(|process| {
             // What the container's files take in memory is given back when it is needed.
             let limits = process.cgroup_limits()?;
-            Some(Self { bytes: limits.total_memory.saturating_sub(limits.rss) + limits.free_swap, bound: Bound::Container })
+            Some(Self {
+                bytes: limits.total_memory.saturating_sub(limits.rss) + limits.free_swap,
+                bound: Bound::Container,
+            })
         });
         // A system that tells nothing is taken at its word when it refuses an allocation.
         let unknown = Self { bytes: u64::MAX, bound: Bound::Computer };
@@ -83,7 +86,11 @@ impl FreeMemory {
 /// What `look` finds in the process that asks.
 fn with_own_process<T>(look: impl FnOnce(&Process) -> Option<T>) -> Option<T> {
     let (mut system, own) = (System::new().ok()?, sysinfo::get_current_pid().ok()?);
-    system.refresh_processes_specifics(ProcessesToUpdate::Some(&[own]), false, ProcessRefreshKind::nothing().with_memory());
+    system.refresh_processes_specifics(
+        ProcessesToUpdate::Some(&[own]),
+        false,
+        ProcessRefreshKind::nothing().with_memory(),
+    );
     look(system.process(own)?)
 }
 

@@ -18,7 +18,8 @@ impl Extent {
     }
 }
 
-/// One or more planes of one extent that belong together: the three channels of a colour, the two of a texture coordinate.
+/// One or more planes of one extent that belong together: the three channels of a colour, the two of a texture
+/// coordinate.
 ///
 /// Planar: `planes[channel][y * width + x]`, rows from the top.
 #[derive(Clone, Debug, PartialEq)]
@@ -43,7 +44,10 @@ impl Image {
 
     /// A part of it.
     pub(crate) fn cropped(&self, part: Window) -> Self {
-        Self { extent: part.extent, planes: self.planes.iter().map(|plane| cropped(plane, self.extent, part)).collect() }
+        Self {
+            extent: part.extent,
+            planes: self.planes.iter().map(|plane| cropped(plane, self.extent, part)).collect(),
+        }
     }
 
     /// Number of planes.

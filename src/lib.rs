@@ -33,18 +33,18 @@
 //! One word names a stage everywhere: shader file, Rust function, reference function, timing label.
 //!
 //! # What is left out
-//! A [`Plan`](method::Plan) is made before anything runs, from the parameters, from the requested results and from a look
-//! at the frame. The methods ask it at every step. [`Denoiser::with_everything`] also runs the steps that the plan leaves
-//! out, to compare: the result is the same to the bit, or within bounds that stand where the plan is made.
+//! A [`Plan`](method::Plan) is made before anything runs, from the parameters, from the requested results and from a
+//! look at the frame. The methods ask it at every step. [`Denoiser::with_everything`] also runs the steps that the plan
+//! leaves out, to compare: the result is the same to the bit, or within bounds that stand where the plan is made.
 //!
 //! # Half buffers
 //! Halves travel as the mean and one *half spread*, `(A − B)·√(n_A·n_B)/n`. Its expectation is zero, its square is the
-//! two-buffer estimate of the variance of the mean, and with fixed weights it is filtered like the mean. So the factor of
-//! two between the variance of a half and that of the mean is settled once, where the spread is made.
+//! two-buffer estimate of the variance of the mean, and with fixed weights it is filtered like the mean. So the factor
+//! of two between the variance of a half and that of the mean is settled once, where the spread is made.
 //!
 //! # Where to start
-//! [`Denoiser::denoise`] for frames in host memory; [`Denoiser::record`] for a renderer that keeps its buffers on the GPU
-//! (`examples/embed` is one); [`Denoiser::kernels`] tells which neighbours made a pixel.
+//! [`Denoiser::denoise`] for frames in host memory; [`Denoiser::record`] for a renderer that keeps its buffers on the
+//! GPU (`examples/embed` is one); [`Denoiser::kernels`] tells which neighbours made a pixel.
 
 mod denoiser;
 pub mod error;

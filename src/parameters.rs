@@ -1,7 +1,9 @@
-//! Parameters that describe themselves: names, documentation, units, ranges and values of a struct's fields, out of the struct's own declaration.
+//! Parameters that describe themselves: names, documentation, units, ranges and values of a struct's fields, out of the
+//! struct's own declaration.
 //!
-//! [`Method::parameters`](crate::Method::parameters) lists those of a method, as a panel or a table wants them, [`Method::with_parameter`](crate::Method::with_parameter) sets
-//! one, and the ranges are those that [`Method::validate`](crate::Method::validate) checks. The table of them all:
+//! [`Method::parameters`](crate::Method::parameters) lists those of a method, as a panel or a table wants them,
+//! [`Method::with_parameter`](crate::Method::with_parameter) sets one, and the ranges are those that
+//! [`Method::validate`](crate::Method::validate) checks. The table of them all:
 #![doc = include_str!("../docs/parameters.md")]
 
 use std::fmt;
@@ -55,7 +57,8 @@ pub enum Kind {
         /// These.
         options: Vec<Choice>,
     },
-    /// Several parameters that are left out together by `false`; their names begin with this one's and a dot. `true` gives a group that is left out the values of the default preset.
+    /// Several parameters that are left out together by `false`; their names begin with this one's and a dot. `true`
+    /// gives a group that is left out the values of the default preset.
     Group,
 }
 
@@ -148,7 +151,10 @@ impl Parameter {
 
     /// That it cannot be this.
     pub(crate) fn refused(&self, value: impl fmt::Display) -> Error {
-        Error::Request { problem: format!("`{}` cannot be {value}", self.name), remedy: format!("choose {}", self.rule()) }
+        Error::Request {
+            problem: format!("`{}` cannot be {value}", self.name),
+            remedy: format!("choose {}", self.rule()),
+        }
     }
 
     /// The value that it gets where it is set to this one.
@@ -156,7 +162,9 @@ impl Parameter {
         self.check(value)?;
         let number = |value: &Option<Value>| value.clone().filter(|value| matches!(value, Value::Number(_)));
         match (&self.kind, value) {
-            (Kind::Number { .. }, Value::Flag(true)) => number(&self.value).or_else(|| number(&self.default)).ok_or_else(|| self.refused(value)),
+            (Kind::Number { .. }, Value::Flag(true)) => {
+                number(&self.value).or_else(|| number(&self.default)).ok_or_else(|| self.refused(value))
+            }
             _ => Ok(value.clone()),
         }
     }
@@ -174,7 +182,11 @@ impl Kind {
             (Self::Flag | Self::Group, Value::Flag(_)) => true,
             (Self::Choice { options }, Value::Choice(name)) => has(options, name),
             (Self::Set { options }, Value::Set(names)) => {
-                !names.is_empty() && names.iter().enumerate().all(|(index, name)| has(options, name) && !names[..index].contains(name))
+                !names.is_empty()
+                    && names
+                        .iter()
+                        .enumerate()
+                        .all(|(index, name)| has(options, name) && !names[..index].contains(name))
             }
             _ => false,
         }
@@ -202,7 +214,9 @@ impl fmt::Display for Kind {
                 }
             },
             Self::Flag | Self::Group => f.write_str("true, false"),
-            Self::Choice { options } | Self::Set { options } => f.write_str(&options.iter().map(|option| option.name).collect::<Vec<_>>().join(", ")),
+            Self::Choice { options } | Self::Set { options } => {
+                f.write_str(&options.iter().map(|option| option.name).collect::<Vec<_>>().join(", "))
+            }
         }
     }
 }
@@ -258,7 +272,8 @@ pub(crate) trait Describe: Copy {
     /// Adds what is at `place` and below.
     fn list(values: Values<Self>, place: Place<'_>, limits: Self::Limits, into: &mut Vec<Parameter>);
 
-    /// Sets what has this name, empty for the whole, to a value of its kind. Nothing is set where there is none of that name or kind, as [`Parameter::check`] tells before.
+    /// Sets what has this name, empty for the whole, to a value of its kind. Nothing is set where there is none of that
+    /// name or kind, as [`Parameter::check`] tells before.
     fn set(&mut self, name: &str, value: &Value);
 }
 
@@ -272,7 +287,11 @@ pub(crate) struct Values<T> {
 
 impl<T> Values<T> {
     pub(crate) fn and_then<P>(self, part: impl Fn(T) -> Option<P>) -> Values<P> {
-        Values { value: self.value.and_then(&part), default: self.default.and_then(&part), thesis: self.thesis.and_then(&part) }
+        Values {
+            value: self.value.and_then(&part),
+            default: self.default.and_then(&part),
+            thesis: self.thesis.and_then(&part),
+        }
     }
 
     pub(crate) fn map<P>(self, part: impl Fn(T) -> P) -> Values<P> {
@@ -292,14 +311,24 @@ pub(crate) struct Place<'a> {
 impl Place<'_> {
     pub(crate) fn parameter(self, values: Values<Value>, unit: Option<&'static str>, kind: Kind) -> Parameter {
         let Values { value, default, thesis } = values;
-        Parameter { name: self.name.into(), documentation: text(self.documentation), unit, kind, value, default, thesis }
+        Parameter {
+            name: self.name.into(),
+            documentation: text(self.documentation),
+            unit,
+            kind,
+            value,
+            default,
+            thesis,
+        }
     }
 }
 
 /// Lines of a documentation comment as paragraphs of running text.
 pub(crate) fn text(lines: &[&str]) -> String {
     let paragraphs = lines.split(|line| line.trim().is_empty());
-    let paragraphs = paragraphs.map(|lines| lines.iter().map(|line| line.trim()).collect::<Vec<_>>().join(" ")).filter(|text| !text.is_empty());
+    let paragraphs = paragraphs
+        .map(|lines| lines.iter().map(|line| line.trim()).collect::<Vec<_>>().join(" "))
+        .filter(|text| !text.is_empty());
     paragraphs.collect::<Vec<_>>().join("\n\n")
 }
 
@@ -350,10 +379,13 @@ pub(crate) struct Without {
 impl Without {
     /// Takes it from a list of a group's parameters.
     pub(crate) fn narrow(self, parameters: &mut [Parameter]) {
-        for parameter in parameters.iter_mut().filter(|parameter| parameter.name.rsplit('.').next() == Some(self.parameter)) {
+        for parameter in
+            parameters.iter_mut().filter(|parameter| parameter.name.rsplit('.').next() == Some(self.parameter))
+        {
             if let Kind::Choice { options } = &mut parameter.kind {
                 options.retain(|option| option.name != self.choice);
-                parameter.documentation = format!("{}\n\nNot {}: {}", parameter.documentation, self.choice, self.because);
+                parameter.documentation =
+                    format!("{}\n\nNot {}: {}", parameter.documentation, self.choice, self.because);
             }
         }
     }
@@ -460,10 +492,14 @@ pub(crate) fn list<P: Describe<Limits = Option<Without>>>(values: Values<P>) -> 
 /// # Errors
 /// [`Error::Request`] naming the parameter and its range.
 pub(crate) fn check(listed: &[Parameter]) -> Result<()> {
-    listed.iter().filter_map(|parameter| Some((parameter, parameter.value.as_ref()?))).try_for_each(|(parameter, value)| parameter.check(value))
+    listed
+        .iter()
+        .filter_map(|parameter| Some((parameter, parameter.value.as_ref()?)))
+        .try_for_each(|(parameter, value)| parameter.check(value))
 }
 
-/// Declares a struct of parameters. A field's documentation is the parameter's; behind `=>` stands its range, as in `pub cut: f32 => real(0.0..=1.0)`, where its type has one.
+/// Declares a struct of parameters. A field's documentation is the parameter's; behind `=>` stands its range, as in
+/// `pub cut: f32 => real(0.0..=1.0)`, where its type has one.
 macro_rules! parameters {
     (
         $(#[$meta:meta])*

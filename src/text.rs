@@ -46,7 +46,8 @@ pub fn read_file(path: &Path, most_bytes: u64) -> Result<String> {
 
 /// Whether a terminal acts on the character, or hides it or the order of its neighbours.
 fn is_hidden(character: char) -> bool {
-    let is_direction = matches!(character, '\u{61c}' | '\u{200e}' | '\u{200f}' | '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}');
+    let is_direction =
+        matches!(character, '\u{61c}' | '\u{200e}' | '\u{200f}' | '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}');
     character.is_control() || is_direction || matches!(character, '\u{2028}' | '\u{2029}')
 }
 
@@ -135,7 +136,10 @@ pub fn serialize_path<S: Serializer>(path: &Path, serializer: S) -> std::result:
 ///
 /// # Errors
 /// Those of the serializer.
-pub fn serialize_path_or_none<S: Serializer>(path: &Option<PathBuf>, serializer: S) -> std::result::Result<S::Ok, S::Error> {
+pub fn serialize_path_or_none<S: Serializer>(
+    path: &Option<PathBuf>,
+    serializer: S,
+) -> std::result::Result<S::Ok, S::Error> {
     match path {
         Some(path) => serialize_path(path, serializer),
         None => serializer.serialize_none(),

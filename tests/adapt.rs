@@ -1,4 +1,5 @@
-//! The adaptive loop, in this process and by the command line: budgets, resuming, renderers in another process, and where the samples go.
+//! The adaptive loop, in this process and by the command line: budgets, resuming, renderers in another process, and
+//! where the samples go.
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 
 use std::collections::BTreeMap;
@@ -32,9 +33,20 @@ fn denoiser(method: Method) -> Denoiser {
 /// Exit code, standard output, standard error.
 fn run(arguments: &[&str]) -> (i32, String, String) {
     let mut command = Command::new(env!("CARGO_BIN_EXE_stein"));
-    // Mesa's device selection layer complains on stderr where there is no desktop. Nothing is left in the home of whoever runs the tests.
-    let output = command.args(arguments).env("NODEVICE_SELECT", "1").env("STEIN_CACHE", "").stdin(Stdio::null()).output().unwrap();
-    (output.status.code().unwrap(), String::from_utf8(output.stdout).unwrap(), String::from_utf8(output.stderr).unwrap())
+    // Mesa's device selection layer complains on stderr where there is no desktop. Nothing is left in the home of
+    // whoever runs the tests.
+    let output = command
+        .args(arguments)
+        .env("NODEVICE_SELECT", "1")
+        .env("STEIN_CACHE", "")
+        .stdin(Stdio::null())
+        .output()
+        .unwrap();
+    (
+        output.status.code().unwrap(),
+        String::from_utf8(output.stdout).unwrap(),
+        String::from_utf8(output.stderr).unwrap(),
+    )
 }
 
 #[track_caller]
@@ -76,7 +88,8 @@ fn samples(path: &Path) -> Samples {
 }
 
 fn names(folder: &Path) -> Vec<String> {
-    let mut names: Vec<_> = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect();
+    let mut names: Vec<_> =
+        std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect();
     names.sort();
     names
 }
@@ -85,7 +98,10 @@ fn names(folder: &Path) -> Vec<String> {
 fn content(file: &Path) -> (Vec<(String, FlatSamples)>, BTreeMap<String, String>) {
     let part = read_all_flat_layers_from_file(file).unwrap().layer_data.remove(0);
     let channels = part.channel_data.list.into_iter().map(|channel| (channel.name.to_string(), channel.sample_data));
-    (channels.collect(), part.attributes.other.iter().map(|(name, value)| (name.to_string(), format!("{value:?}"))).collect())
+    (
+        channels.collect(),
+        part.attributes.other.iter().map(|(name, value)| (name.to_string(), format!("{value:?}"))).collect(),
+    )
 }
 
 #[track_caller]
@@ -104,7 +120,8 @@ fn a_run_keeps_its_budgets_and_can_be_resumed_to_the_same_bits() {
         let fixed = ["adapt", "dof", "--spp=14", "--iterations=3", "--cap=20", "-o", text(output), "--json"];
         fixed.iter().chain(&SMALL).chain(more).map(|&argument| argument.to_owned()).collect()
     };
-    let call = |output: &Path, more: &[&str]| stein(&arguments(output, more).iter().map(String::as_str).collect::<Vec<_>>());
+    let call =
+        |output: &Path, more: &[&str]| stein(&arguments(output, more).iter().map(String::as_str).collect::<Vec<_>>());
     let document: Value = serde_json::from_str(&call(&whole, &[])).unwrap();
 
     // 7 pairs in 3 shares.
@@ -126,9 +143,10 @@ fn a_run_keeps_its_budgets_and_can_be_resumed_to_the_same_bits() {
     }
 
     // As after an interruption while iteration 3 is drawn, and while 2 is denoised.
-    for kept in
-        [&["map_1", "samples_1", "denoised_1", "map_2", "samples_2", "denoised_2", "map_3"][..], &["map_1", "samples_1", "denoised_1", "map_2", "samples_2"]]
-    {
+    for kept in [
+        &["map_1", "samples_1", "denoised_1", "map_2", "samples_2", "denoised_2", "map_3"][..],
+        &["map_1", "samples_1", "denoised_1", "map_2", "samples_2"],
+    ] {
         std::fs::create_dir_all(&parts).unwrap();
         for name in kept {
             let name = format!("{name}.exr");
@@ -145,7 +163,9 @@ fn a_run_keeps_its_budgets_and_can_be_resumed_to_the_same_bits() {
     call(&parts, &["--resume"]);
     assert_same_files(&whole, &parts);
 
-    let refused = |more: &[&str], code: i32, said: &[&str]| fails(&arguments(&whole, more).iter().map(String::as_str).collect::<Vec<_>>(), code, said);
+    let refused = |more: &[&str], code: i32, said: &[&str]| {
+        fails(&arguments(&whole, more).iter().map(String::as_str).collect::<Vec<_>>(), code, said);
+    };
     refused(&[], 5, &["denoised_1.exr", "earlier run", "--resume", "--overwrite"]);
     refused(&["--resume", "--seed=7"], 2, &["samples_3.exr", "seed was 0, now 7", "remedy: "]);
     std::fs::write(whole.join("notes.txt"), "of the user").unwrap();
@@ -170,7 +190,12 @@ fn a_sampler_command_gives_what_the_loop_in_the_process_gives() {
         (document["iterations"].clone(), document["uniform"].clone())
     };
     assert_eq!(rows(&own), rows(&other));
-    let errors = |row: &Value| (row["errors"]["noisy_relative_mse"].as_f64().unwrap(), row["errors"]["denoised_relative_mse"].as_f64().unwrap());
+    let errors = |row: &Value| {
+        (
+            row["errors"]["noisy_relative_mse"].as_f64().unwrap(),
+            row["errors"]["denoised_relative_mse"].as_f64().unwrap(),
+        )
+    };
     let (iterations, uniform) = rows(&own);
     let (noisy, denoised) = errors(&iterations[1]);
     assert!(denoised < noisy && noisy < errors(&iterations[0]).0, "{iterations}");
@@ -182,21 +207,33 @@ fn a_sampler_command_gives_what_the_loop_in_the_process_gives() {
         assert_eq!((a.color(), a.counts()), (b.color(), b.counts()), "{label}");
         assert!(a.features().eq(b.features()), "{label}");
     }
-    let expected = ["denoised", "map", "samples"].map(|kind| ["1", "2", "uniform"].map(|label| format!("{kind}_{label}.exr")));
+    let expected =
+        ["denoised", "map", "samples"].map(|kind| ["1", "2", "uniform"].map(|label| format!("{kind}_{label}.exr")));
     assert_eq!(names(&outside), expected.concat(), "new samples are not kept once they are merged");
 }
 
 #[test]
 #[cfg(unix)]
 fn a_recorded_run_of_mitsuba_is_merged_mapped_and_denoised_again() {
-    // Of the budget. Relative changes of the density by 1e-4 move less than half of this from pixel to pixel; on the adapter that the run was recorded with, none moves.
+    // Of the budget. Relative changes of the density by 1e-4 move less than half of this from pixel to pixel; on the
+    // adapter that the run was recorded with, none moves.
     const MOVED: f64 = 0.02;
     const PIXELS: u64 = 32 * 32;
     let folder = Folder::new();
     let output = folder.path("loop");
     let recorded = concat!(env!("CARGO_MANIFEST_DIR"), "/../testdata/mitsuba");
     let command = format!("test -s {{map}} && cp '{recorded}/iteration_{{iteration}}.exr' {{out}}");
-    stein(&["adapt", "--sampler-command", &command, "--size=32x32", "--spp=32", "--iterations=4", "-o", text(&output), "--quiet"]);
+    stein(&[
+        "adapt",
+        "--sampler-command",
+        &command,
+        "--size=32x32",
+        "--spp=32",
+        "--iterations=4",
+        "-o",
+        text(&output),
+        "--quiet",
+    ]);
 
     let reference = read_reference(&Path::new(recorded).join("reference.exr"), None).unwrap();
     let mut before = vec![0; PIXELS as usize];
@@ -208,8 +245,12 @@ fn a_recorded_run_of_mitsuba_is_merged_mapped_and_denoised_again() {
         assert_eq!(file.drawn.map(|drawn| drawn.pairs().to_vec()), (iteration > 1).then_some(before.clone()));
         assert_eq!((file.map.counts.total_samples(), drawn.total_samples()), (8 * PIXELS, 8 * PIXELS));
         let asked = file.map.counts.pairs();
-        let moved: u64 = asked.iter().zip(drawn.pairs()).map(|(asked, drawn)| 2 * u64::from(asked.abs_diff(*drawn))).sum();
-        assert!(moved as f64 <= MOVED * (8 * PIXELS) as f64, "iteration {iteration}: {moved} samples are not where they were recorded");
+        let moved: u64 =
+            asked.iter().zip(drawn.pairs()).map(|(asked, drawn)| 2 * u64::from(asked.abs_diff(*drawn))).sum();
+        assert!(
+            moved as f64 <= MOVED * (8 * PIXELS) as f64,
+            "iteration {iteration}: {moved} samples are not where they were recorded"
+        );
         assert_eq!(asked.iter().any(|&pairs| pairs != 4), iteration > 1, "only the first map is even");
 
         before.iter_mut().zip(drawn.pairs()).for_each(|(before, pairs)| *before += pairs);
@@ -231,8 +272,24 @@ fn a_renderer_that_draws_other_numbers_is_warned_about_and_believed() {
     let output = folder.path("loop");
     let command = format!("'{}' render dof --spp=6 --size=24x20 -o {{out}}; : {{map}}", env!("CARGO_BIN_EXE_stein"));
     let run = |more: &[&str]| {
-        let arguments = ["adapt", "--sampler-command", &command, "--spp=4", "--iterations=1", SMALL[0], SMALL[1], "--overwrite", "-o", text(&output)];
-        let run = Command::new(env!("CARGO_BIN_EXE_stein")).args(arguments).args(more).env("STEIN_CACHE", "").output().unwrap();
+        let arguments = [
+            "adapt",
+            "--sampler-command",
+            &command,
+            "--spp=4",
+            "--iterations=1",
+            SMALL[0],
+            SMALL[1],
+            "--overwrite",
+            "-o",
+            text(&output),
+        ];
+        let run = Command::new(env!("CARGO_BIN_EXE_stein"))
+            .args(arguments)
+            .args(more)
+            .env("STEIN_CACHE", "")
+            .output()
+            .unwrap();
         assert!(run.status.success());
         assert_eq!(samples(&output.join("samples_1.exr")).counts().total_samples(), 6 * 24 * 20);
         String::from_utf8(run.stderr).unwrap()
@@ -248,7 +305,22 @@ fn a_command_that_fails_is_told_with_what_it_said() {
     let folder = Folder::new();
     let call = |command: &str, code: i32, said: &[&str]| {
         let output = folder.path("run");
-        fails(&["adapt", "--sampler-command", command, "--spp=8", "--iterations=2", SMALL[0], SMALL[1], "--overwrite", "-o", text(&output)], code, said);
+        fails(
+            &[
+                "adapt",
+                "--sampler-command",
+                command,
+                "--spp=8",
+                "--iterations=2",
+                SMALL[0],
+                SMALL[1],
+                "--overwrite",
+                "-o",
+                text(&output),
+            ],
+            code,
+            said,
+        );
     };
     call(
         "echo the lamp is broken >&2; exit 3; cat {map} {out}",
@@ -261,7 +333,11 @@ fn a_command_that_fails_is_told_with_what_it_said() {
     call("render --map {map}", 2, &["{out}", "remedy: "]);
     let render = env!("CARGO_BIN_EXE_stein");
     call(&format!("'{render}' render dof --spp=2 --size=8x8 -o {{out}}; : {{map}}"), 3, &["new_1.exr", "8×8", "24×20"]);
-    call(&format!("'{render}' render dof --spp=2 --size=24x20 --reference -o {{out}}; : {{map}}"), 3, &["new_1.exr", "half A"]);
+    call(
+        &format!("'{render}' render dof --spp=2 --size=24x20 --reference -o {{out}}; : {{map}}"),
+        3,
+        &["new_1.exr", "half A"],
+    );
 }
 
 #[test]
@@ -280,7 +356,10 @@ fn wrong_arguments_are_told_with_the_right_ones() {
     fails(&["render", "dof", "--map=missing.exr", "-o", output], 3, &["missing.exr", "remedy: "]);
     assert!(names(folder.0.path()).is_empty());
     let listed = stein(&["render", "--list"]);
-    assert!(["soft", "dof", "motion", "caustic", "texture", "spikes"].iter().all(|scene| listed.contains(scene)), "{listed}");
+    assert!(
+        ["soft", "dof", "motion", "caustic", "texture", "spikes"].iter().all(|scene| listed.contains(scene)),
+        "{listed}"
+    );
     for subcommand in ["render", "sample-map", "adapt"] {
         assert!(stein(&[subcommand, "--help"]).contains("Example"));
     }
@@ -294,7 +373,9 @@ fn a_map_for_any_renderer_is_written_and_drawn() {
     let folder = Folder::new();
     let (noisy, map, more) = (folder.path("noisy.exr"), folder.path("noisy.map.exr"), folder.path("more.exr"));
     stein(&["render", "motion", "--spp=4", SMALL[1], "--sequence=low-discrepancy", "-o", text(&noisy)]);
-    let document: Value = serde_json::from_str(&stein(&["sample-map", text(&noisy), "--budget=7.5", "--cap=30", SMALL[0], "--json"])).unwrap();
+    let document: Value =
+        serde_json::from_str(&stein(&["sample-map", text(&noisy), "--budget=7.5", "--cap=30", SMALL[0], "--json"]))
+            .unwrap();
     let file = MapFile::read(&map).unwrap();
     let total = (7.5 * PIXELS as f64) as u64;
     assert_eq!(document["map"]["total_samples"], total);
@@ -309,7 +390,11 @@ fn a_map_for_any_renderer_is_written_and_drawn() {
     assert_eq!(samples(&more).counts(), file.map.counts);
     fails(&["render", "motion", "--map", text(&folder.path("reference.exr"))], 3, &["reference.exr"]);
     stein(&["render", "motion", "--reference", "--spp=2", SMALL[1], "-o", text(&folder.path("reference.exr"))]);
-    fails(&["render", "motion", "--map", text(&folder.path("reference.exr")), "-o", text(&more)], 3, &["no layer 'samples'", "sample-map"]);
+    fails(
+        &["render", "motion", "--map", text(&folder.path("reference.exr")), "-o", text(&more)],
+        3,
+        &["no layer 'samples'", "sample-map"],
+    );
 }
 
 #[test]
@@ -327,8 +412,10 @@ fn a_map_survives_its_file() {
 
 /// Two walls under an even light; the right one is striped, and out of focus.
 fn two_walls() -> Scene {
-    let camera = Camera { eye: Vec3::new(0.0, 0.0, 4.0), target: Vec3::ZERO, field_of_view: 0.6, lens_radius: 0.25, focus: 1.0 };
-    let stripes = |place: Vec3| if (place.x * 1.5).floor() as i32 % 2 == 0 { Vec3::splat(0.05) } else { Vec3::splat(0.9) };
+    let camera =
+        Camera { eye: Vec3::new(0.0, 0.0, 4.0), target: Vec3::ZERO, field_of_view: 0.6, lens_radius: 0.25, focus: 1.0 };
+    let stripes =
+        |place: Vec3| if (place.x * 1.5).floor() as i32 % 2 == 0 { Vec3::splat(0.05) } else { Vec3::splat(0.9) };
     let wall = |x: f32| Shape::quad(Vec3::new(x, -5.0, 0.0), Vec3::X * 5.0, Vec3::Y * 10.0);
     Scene::new(camera, Environment::constant(Vec3::ONE))
         .with(wall(-5.0), Material::Diffuse(Texture::Plain(Vec3::splat(0.5))))
@@ -373,14 +460,31 @@ fn gem_works_in_the_loop_and_makes_maps() {
     let folder = Folder::new();
     let (whole, parts) = (folder.path("whole"), folder.path("parts"));
     let call = |output: &Path, more: &[&str]| {
-        stein(&[&["adapt", "dof", "--spp=12", "--iterations=3", "--method=gem", SMALL[1], "-o", text(output), "--json"], more].concat())
+        stein(
+            &[
+                &["adapt", "dof", "--spp=12", "--iterations=3", "--method=gem", SMALL[1], "-o", text(output), "--json"],
+                more,
+            ]
+            .concat(),
+        )
     };
     let document: Value = serde_json::from_str(&call(&whole, &[])).unwrap();
     assert_eq!(document["iterations"][2]["samples"]["total_samples"], 12 * PIXELS);
-    assert!(document["iterations"][2]["samples"]["most"].as_u64() > document["iterations"][2]["samples"]["least"].as_u64());
-    let phase = |iteration: u32| content(&whole.join(format!("denoised_{iteration}.exr"))).1["stein.parameters"].clone();
-    assert!(phase(1).contains("sampling") && phase(2).contains("sampling") && phase(3).contains("final"), "{} {} {}", phase(1), phase(2), phase(3));
-    let budgets: Vec<u64> = (1..=3).map(|iteration| MapFile::read(&whole.join(format!("map_{iteration}.exr"))).unwrap().map.counts.total_samples()).collect();
+    assert!(
+        document["iterations"][2]["samples"]["most"].as_u64() > document["iterations"][2]["samples"]["least"].as_u64()
+    );
+    let phase =
+        |iteration: u32| content(&whole.join(format!("denoised_{iteration}.exr"))).1["stein.parameters"].clone();
+    assert!(
+        phase(1).contains("sampling") && phase(2).contains("sampling") && phase(3).contains("final"),
+        "{} {} {}",
+        phase(1),
+        phase(2),
+        phase(3)
+    );
+    let budgets: Vec<u64> = (1..=3)
+        .map(|iteration| MapFile::read(&whole.join(format!("map_{iteration}.exr"))).unwrap().map.counts.total_samples())
+        .collect();
     assert_eq!(budgets, [4 * PIXELS; 3]);
     // The last iteration is lost.
     call(&parts, &[]);
@@ -417,7 +521,8 @@ fn an_observer_ends_the_loop_by_its_error() {
     ];
     for stop in stops {
         let mut sampler = StubSampler::new(two_walls(), extent, 3, Sequence::LowDiscrepancy);
-        let ended = adapt(&mut sampler, &denoiser, &plan, None, |event| if stop(&event) { Err(Ended::Enough) } else { Ok(()) });
+        let ended =
+            adapt(&mut sampler, &denoiser, &plan, None, |event| if stop(&event) { Err(Ended::Enough) } else { Ok(()) });
         match ended {
             Err(Ended::Enough) => {}
             Err(Ended::Other(error)) => panic!("{error}"),

@@ -30,7 +30,11 @@ fn write_crop(name: &str, samples: u32, file: &str) {
     let mut layers = Vec::new();
     let mut add = |mean: &str, part: &str, raw: RawSignal, names: &[&str]| {
         let mut layer = |name: String, image: Image| {
-            layers.push(NamedLayer { name, channels: names.iter().map(ToString::to_string).collect(), image: crop(&image) });
+            layers.push(NamedLayer {
+                name,
+                channels: names.iter().map(ToString::to_string).collect(),
+                image: crop(&image),
+            });
         };
         layer(mean.into(), raw.mean);
         layer(format!("{part}halfA"), raw.half_a.unwrap());
@@ -46,7 +50,11 @@ fn write_crop(name: &str, samples: u32, file: &str) {
 }
 
 fn write_reference(scene: &str, file: &str) {
-    let layer = NamedLayer { name: String::new(), channels: ["R", "G", "B"].map(String::from).to_vec(), image: crop(&frames::converged(scene)) };
+    let layer = NamedLayer {
+        name: String::new(),
+        channels: ["R", "G", "B"].map(String::from).to_vec(),
+        image: crop(&frames::converged(scene)),
+    };
     write_layers(Path::new(file), &[layer], &[]).unwrap();
 }
 
@@ -54,7 +62,11 @@ fn write_reference(scene: &str, file: &str) {
 fn renders() -> Folder {
     let folder = Folder::new();
     for samples in [8, 32] {
-        write_crop(&format!("cornell_{samples}spp"), samples, &folder.path(&format!("renders/box/spp{samples}/input.exr")));
+        write_crop(
+            &format!("cornell_{samples}spp"),
+            samples,
+            &folder.path(&format!("renders/box/spp{samples}/input.exr")),
+        );
     }
     write_reference("cornell", &folder.path("renders/box/reference.exr"));
     folder
@@ -66,7 +78,9 @@ fn external(name: &str, more: &str) -> String {
 
 fn row<'a>(document: &'a Value, set: &str, configuration: &str) -> &'a Value {
     let rows = document["rows"].as_array().unwrap();
-    rows.iter().find(|row| row["set"] == set && row["configuration"] == configuration).unwrap_or_else(|| panic!("no {set}, {configuration}"))
+    rows.iter()
+        .find(|row| row["set"] == set && row["configuration"] == configuration)
+        .unwrap_or_else(|| panic!("no {set}, {configuration}"))
 }
 
 #[test]
@@ -74,20 +88,46 @@ fn a_report_tells_the_same_to_people_and_to_programs() {
     let folder = renders();
     let (sets, report) = (folder.path("renders"), folder.path("report"));
     // What lies about in a folder of renders.
-    let (input, denoised) = (folder.path("renders/box/spp8/input.exr"), folder.path("renders/box/spp8/input.denoised.exr"));
+    let (input, denoised) =
+        (folder.path("renders/box/spp8/input.exr"), folder.path("renders/box/spp8/input.denoised.exr"));
     stein(&["denoise", &input, "-o", &denoised, "--radius=1"]).succeeded();
     std::fs::write(folder.path("renders/box/broken.exr"), "not an image").unwrap();
 
-    let arguments = ["bench", &sets, "--methods=dfc,gem", "--presets=default", "--radii=1,2", "--second-pass=on,off", "--repeat=1", "-o", &report, "--json"];
-    let document = stein(&[&arguments[..], &[&external("again <&>", "--radius=2 --quiet")]].concat()).succeeded().json();
+    let arguments = [
+        "bench",
+        &sets,
+        "--methods=dfc,gem",
+        "--presets=default",
+        "--radii=1,2",
+        "--second-pass=on,off",
+        "--repeat=1",
+        "-o",
+        &report,
+        "--json",
+    ];
+    let document =
+        stein(&[&arguments[..], &[&external("again <&>", "--radius=2 --quiet")]].concat()).succeeded().json();
 
-    assert_eq!((&document["schema"], &document["version"], &document["repeats"]), (&json!("stein.bench"), &json!(2), &json!(1)));
+    assert_eq!(
+        (&document["schema"], &document["version"], &document["repeats"]),
+        (&json!("stein.bench"), &json!(2), &json!(1))
+    );
     assert!(document["adapter"]["driver"].as_str().is_some_and(|driver| !driver.is_empty()));
-    let names = |list: &str, key: &str| document[list].as_array().unwrap().iter().map(|of| of[key].as_str().unwrap().to_owned()).collect::<Vec<_>>();
+    let names = |list: &str, key: &str| {
+        document[list].as_array().unwrap().iter().map(|of| of[key].as_str().unwrap().to_owned()).collect::<Vec<_>>()
+    };
     assert_eq!(names("sets", "name"), ["box, 8 spp", "box, 32 spp"]);
-    assert_eq!(names("configurations", "name"), ["dfc R1", "dfc R2", "dfc one pass R1", "dfc one pass R2", "gem", "again <&>"]);
+    assert_eq!(
+        names("configurations", "name"),
+        ["dfc R1", "dfc R2", "dfc one pass R1", "dfc one pass R2", "gem", "again <&>"]
+    );
     let notes = document["notes"].to_string();
-    for note in ["--radii is no option of gem", "--second-pass is no option of gem", "broken.exr", "input.denoised.exr: was written by stein"] {
+    for note in [
+        "--radii is no option of gem",
+        "--second-pass is no option of gem",
+        "broken.exr",
+        "input.denoised.exr: was written by stein",
+    ] {
         assert!(notes.contains(note), "no '{note}' in {notes}");
     }
 
@@ -101,7 +141,12 @@ fn a_report_tells_the_same_to_people_and_to_programs() {
         }
         let is_stein = of["configuration"] != "again <&>";
         assert_eq!(
-            (number("predicted_mse").is_some(), number("peak_bytes").is_some(), number("device_ms").is_some(), number("cpu_ms").is_some()),
+            (
+                number("predicted_mse").is_some(),
+                number("peak_bytes").is_some(),
+                number("device_ms").is_some(),
+                number("cpu_ms").is_some()
+            ),
             (is_stein, is_stein, is_stein, is_stein),
             "{of}"
         );
@@ -122,22 +167,35 @@ fn a_report_tells_the_same_to_people_and_to_programs() {
         assert_ne!(error("dfc R2"), error("dfc one pass R2"));
     }
 
-    let mut files: Vec<_> = std::fs::read_dir(&report).unwrap().map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect();
+    let mut files: Vec<_> =
+        std::fs::read_dir(&report).unwrap().map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect();
     files.sort();
     assert_eq!(files, ["index.html", "results.csv", "results.json"]);
     let read = |file: &str| std::fs::read_to_string(Path::new(&report).join(file)).unwrap();
     assert_eq!(serde_json::from_str::<Value>(&read("results.json")).unwrap(), document);
 
     // JSON is read to the last digit but one.
-    let near = |cell: &str, value: &Value| cell.parse::<f64>().is_ok_and(|cell| (cell - value.as_f64().unwrap()).abs() <= 1e-12 * cell.abs());
+    let near = |cell: &str, value: &Value| {
+        cell.parse::<f64>().is_ok_and(|cell| (cell - value.as_f64().unwrap()).abs() <= 1e-12 * cell.abs())
+    };
     let mut csv = csv::Reader::from_reader(read("results.csv").into_bytes().leak() as &[u8]);
     let head: Vec<String> = csv.headers().unwrap().iter().map(str::to_owned).collect();
     let records: Vec<csv::StringRecord> = csv.records().map(Result::unwrap).collect();
     assert_eq!(records.len(), rows.len());
     for (record, row) in records.iter().zip(rows) {
-        let cell = |name: &str| record[head.iter().position(|column| column == name).unwrap_or_else(|| panic!("no {name} in {head:?}"))].to_owned();
-        assert_eq!((cell("set"), cell("configuration")), (row["set"].as_str().unwrap().into(), row["configuration"].as_str().unwrap().into()));
-        for (name, value) in [("wall_ms", &row["wall_ms"]), ("relative_mse", &row["errors"]["relative_mse"]), ("flip", &row["errors"]["flip"])] {
+        let cell = |name: &str| {
+            record[head.iter().position(|column| column == name).unwrap_or_else(|| panic!("no {name} in {head:?}"))]
+                .to_owned()
+        };
+        assert_eq!(
+            (cell("set"), cell("configuration")),
+            (row["set"].as_str().unwrap().into(), row["configuration"].as_str().unwrap().into())
+        );
+        for (name, value) in [
+            ("wall_ms", &row["wall_ms"]),
+            ("relative_mse", &row["errors"]["relative_mse"]),
+            ("flip", &row["errors"]["flip"]),
+        ] {
             assert!(near(&cell(name), value), "{name}: {} {value}", cell(name));
         }
         for stage in row["stages"].as_array().unwrap() {
@@ -157,13 +215,22 @@ fn a_report_tells_the_same_to_people_and_to_programs() {
     assert_eq!(page.matches("<figure>").count(), 2 * 6);
     assert!(page.contains("again &lt;&amp;&gt;") && !page.contains("again <&>"));
     // Over time: all sets and each; over samples; stages; predictions; over the window.
-    assert_eq!((page.matches("<svg class=\"plot\"").count(), page.matches("<svg class=\"bars\"").count()), (3 + 1 + 1 + 1, 1));
-    assert!(page.contains("class=\"ring\"") && page.contains("Fitted exponents") && page.contains("give several with --size"));
+    assert_eq!(
+        (page.matches("<svg class=\"plot\"").count(), page.matches("<svg class=\"bars\"").count()),
+        (3 + 1 + 1 + 1, 1)
+    );
+    assert!(
+        page.contains("class=\"ring\"")
+            && page.contains("Fitted exponents")
+            && page.contains("give several with --size")
+    );
     assert_eq!(page.matches("<svg").count(), page.matches("</svg>").count());
     assert!(!page.contains("NaN"), "something was drawn that is no number");
 
     // A report is replaced by another, and nothing else is.
-    stein(&["bench", &input, "--methods=gem", "--presets=default", "--repeat=1", "-o", &report]).succeeded().said(&["index.html"]);
+    stein(&["bench", &input, "--methods=gem", "--presets=default", "--repeat=1", "-o", &report])
+        .succeeded()
+        .said(&["index.html"]);
     assert_eq!(serde_json::from_str::<Value>(&read("results.json")).unwrap()["rows"].as_array().unwrap().len(), 1);
     std::fs::write(Path::new(&report).join("thoughts.txt"), "mine").unwrap();
     stein(&["bench", &input, "-o", &report]).failed(5, &["is no report", "remedy: "]);
@@ -175,10 +242,20 @@ fn people_see_a_row_for_each_configuration() {
     let (input, reference) = (test_image("dof_spheres_32spp.exr"), test_image("dof_spheres_reference.exr"));
     let arguments = ["bench", &input, "--repeat=1", "--size=64x40,32x20", "--radius=2"];
     let text = stein(&[&arguments[..], &["--preset=default", "--methods=nlm", "-v"]].concat()).succeeded();
-    text.said(&["dof_spheres, 32 spp, 64×40", "32×20", "noisy relative MSE", "ms/megapixel", "memory", "predicted MSE", "nlm R2", "nlm_weight"]);
+    text.said(&[
+        "dof_spheres, 32 spp, 64×40",
+        "32×20",
+        "noisy relative MSE",
+        "ms/megapixel",
+        "memory",
+        "predicted MSE",
+        "nlm R2",
+        "nlm_weight",
+    ]);
     let document = stein(&[&arguments[..], &["--ref", &reference, "--json"]].concat()).succeeded().json();
     assert_eq!((&document["sets"][0]["width"], &document["sets"][0]["height"]), (&64.into(), &40.into()));
-    let names: Vec<&str> = document["configurations"].as_array().unwrap().iter().map(|of| of["name"].as_str().unwrap()).collect();
+    let names: Vec<&str> =
+        document["configurations"].as_array().unwrap().iter().map(|of| of["name"].as_str().unwrap()).collect();
     assert_eq!(names, ["dfc R2", "dfc thesis R2"]);
     for of in document["rows"].as_array().unwrap() {
         let set = document["sets"].as_array().unwrap().iter().find(|set| set["name"] == of["set"]).unwrap();
@@ -187,11 +264,27 @@ fn people_see_a_row_for_each_configuration() {
 
     // What takes part, and whether what the frame does not need runs as well.
     let axes = ["bench", &input, "--repeat=1", "--size=32x20", "--radius=2", "--presets=default", "--methods=dfc,gem"];
-    let document = stein(&[&axes[..], &["--candidates=first+second,all", "--everything=on,off", "--json"]].concat()).succeeded().json();
-    let errors: Vec<(&str, f64)> =
-        document["rows"].as_array().unwrap().iter().map(|of| (of["configuration"].as_str().unwrap(), of["errors"]["mse"].as_f64().unwrap())).collect();
+    let document = stein(&[&axes[..], &["--candidates=first+second,all", "--everything=on,off", "--json"]].concat())
+        .succeeded()
+        .json();
+    let errors: Vec<(&str, f64)> = document["rows"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|of| (of["configuration"].as_str().unwrap(), of["errors"]["mse"].as_f64().unwrap()))
+        .collect();
     let names: Vec<&str> = errors.iter().map(|(name, _)| *name).collect();
-    assert_eq!(names, ["dfc first+second everything R2", "dfc everything R2", "dfc first+second R2", "dfc R2", "gem everything", "gem"]);
+    assert_eq!(
+        names,
+        [
+            "dfc first+second everything R2",
+            "dfc everything R2",
+            "dfc first+second R2",
+            "dfc R2",
+            "gem everything",
+            "gem"
+        ]
+    );
     for (everything, without) in [(0, 2), (1, 3), (4, 5)] {
         assert!((errors[everything].1 / errors[without].1 - 1.0).abs() < 1e-3, "{errors:?}");
     }
@@ -216,14 +309,27 @@ fn what_is_known_of_the_noise_is_measured_side_by_side() {
     let arguments = ["--methods=dfc,gem", "--presets=default", "--radius=2", "--repeat=1", "--json"];
     let bench = |input: &str, more: &[&str]| stein(&[&["bench", input], &arguments[..], more].concat());
     let document = bench(&input, &["--noise=given,halves,image,halves", "-o", &report]).succeeded().json();
-    let names: Vec<&str> = document["configurations"].as_array().unwrap().iter().map(|of| of["name"].as_str().unwrap()).collect();
-    assert_eq!(names, ["dfc R2", "dfc noise halves R2", "dfc noise image R2", "gem", "gem noise halves", "gem noise image"]);
-    let told: Vec<&str> = document["configurations"].as_array().unwrap().iter().map(|of| of["stein"]["noise"].as_str().unwrap()).collect();
+    let names: Vec<&str> =
+        document["configurations"].as_array().unwrap().iter().map(|of| of["name"].as_str().unwrap()).collect();
+    assert_eq!(
+        names,
+        ["dfc R2", "dfc noise halves R2", "dfc noise image R2", "gem", "gem noise halves", "gem noise image"]
+    );
+    let told: Vec<&str> = document["configurations"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|of| of["stein"]["noise"].as_str().unwrap())
+        .collect();
     assert_eq!(told, ["given", "halves", "image", "given", "halves", "image"]);
-    let error = |document: &Value, name: &str| row(document, "box, 8 spp", name)["errors"]["relative_mse"].as_f64().unwrap();
+    let error =
+        |document: &Value, name: &str| row(document, "box, 8 spp", name)["errors"]["relative_mse"].as_f64().unwrap();
     for method in ["dfc{} R2", "gem{}"] {
         let errors = ["", " noise halves", " noise image"].map(|noise| error(&document, &method.replace("{}", noise)));
-        assert!(errors[0] != errors[1] && errors[1] != errors[2] && errors.iter().all(|error| *error > 0.0), "{method}: {errors:?}");
+        assert!(
+            errors[0] != errors[1] && errors[1] != errors[2] && errors.iter().all(|error| *error > 0.0),
+            "{method}: {errors:?}"
+        );
     }
     for of in document["rows"].as_array().unwrap() {
         assert!(of["wall_ms"].as_f64().unwrap() > 0.0 && of["peak_bytes"].is_u64(), "{of}");
@@ -239,7 +345,8 @@ fn what_is_known_of_the_noise_is_measured_side_by_side() {
     let only = |name: &str, parts: &[&str]| {
         let file = folder.path(&format!("{name}.exr"));
         write_without(parts, &input, &file);
-        let document = bench(&file, &["--methods=gem", "--ref", &folder.path("renders/box/reference.exr")]).succeeded().json();
+        let document =
+            bench(&file, &["--methods=gem", "--ref", &folder.path("renders/box/reference.exr")]).succeeded().json();
         let set = document["sets"][0]["name"].as_str().unwrap();
         row(&document, set, "gem")["errors"]["relative_mse"].as_f64().unwrap()
     };
@@ -251,7 +358,11 @@ fn what_is_known_of_the_noise_is_measured_side_by_side() {
     bench(&bare, &["--noise=halves"]).failed(3, &["bare.exr: --noise halves", "no halves", "remedy: "]);
     let document = bench(&folder.path("renders"), &["--noise=halves"]).succeeded().json();
     assert_eq!(document["sets"].as_array().unwrap().len(), 2);
-    assert!(document["notes"].to_string().contains("left out: ") && document["notes"].to_string().contains("bare.exr"), "{}", document["notes"]);
+    assert!(
+        document["notes"].to_string().contains("left out: ") && document["notes"].to_string().contains("bare.exr"),
+        "{}",
+        document["notes"]
+    );
     bench(&input, &["--noise=none"]).failed(2, &["--noise", "given, halves, image"]);
 }
 
@@ -289,11 +400,21 @@ fn a_run_is_compared_with_an_earlier_one_and_measured_again() {
         }
     });
     let again = stein(&["bench", &sets, "--methods=gem", "--repeat=1", "--compare", &before]).succeeded();
-    again.said(&["new / old", "worse", "1 rows have no partner in the old run", "1 rows have no partner in the new run", "the old run was of"]);
+    again.said(&[
+        "new / old",
+        "worse",
+        "1 rows have no partner in the old run",
+        "1 rows have no partner in the new run",
+        "the old run was of",
+    ]);
     stein(&["bench", "--compare", &before, "--fail-above=2"]).failed(1, &["box, 8 spp, gem thesis"]);
 
     write(&|document| document["adapter"]["name"] = json!("Voodoo 2"));
-    stein(&["bench", "--compare", &before, "--repeat=2"]).succeeded().said(&["ANOTHER ADAPTER", "Voodoo 2", "median of 2"]);
+    stein(&["bench", "--compare", &before, "--repeat=2"]).succeeded().said(&[
+        "ANOTHER ADAPTER",
+        "Voodoo 2",
+        "median of 2",
+    ]);
     stein(&["bench", "--compare", &before, "--fail-above=2"]).failed(2, &["Voodoo 2", "remedy: "]);
     stein(&["bench", "--compare", &before, "--methods=nlm"]).failed(2, &["without SETS", "remedy: "]);
     write(&|document| document["version"] = json!(3));
@@ -307,8 +428,10 @@ fn other_programs_that_fail_are_told_with_what_they_said() {
     let folder = renders();
     let input = folder.path("renders/box/spp8/input.exr");
     let bench = |external: &str| stein(&["bench", &input, "--methods=gem", "--repeat=1", external]);
-    bench(&external("picky", "--radius=100")).failed(3, &["--external picky", "exit code 2", "`window_radius` cannot be 100", "remedy: "]);
-    bench("--external=lost=no-such-program {in} {out}").failed(3, &["--external lost", "cannot be run", "no-such-program"]);
+    bench(&external("picky", "--radius=100"))
+        .failed(3, &["--external picky", "exit code 2", "`window_radius` cannot be 100", "remedy: "]);
+    bench("--external=lost=no-such-program {in} {out}")
+        .failed(3, &["--external lost", "cannot be run", "no-such-program"]);
     bench(&external("idle", "--dry-run")).failed(3, &["--external idle", "did not write its output"]);
     bench("--external=half=tool {in}").failed(2, &["{out}"]);
     bench("--external=gem=tool {in} {out}").failed(2, &["two configurations of the name gem"]);
@@ -317,11 +440,15 @@ fn other_programs_that_fail_are_told_with_what_they_said() {
 #[test]
 fn options_that_none_of_the_methods_has_are_refused() {
     let input = test_image("cornell_8spp.exr");
-    stein(&["bench", &input, "--methods=gem", "--radii=5"]).failed(2, &["--radii is no option of the method gem", "remedy: "]);
-    stein(&["bench", &input, "--methods=nlm,gem", "--second-pass=off"]).failed(2, &["--second-pass is no option of the method nlm or gem", "remedy: "]);
-    stein(&["bench", &input, "--methods=nlm", "--candidates=first"]).failed(2, &["--candidates is no option of the method nlm", "remedy: "]);
+    stein(&["bench", &input, "--methods=gem", "--radii=5"])
+        .failed(2, &["--radii is no option of the method gem", "remedy: "]);
+    stein(&["bench", &input, "--methods=nlm,gem", "--second-pass=off"])
+        .failed(2, &["--second-pass is no option of the method nlm or gem", "remedy: "]);
+    stein(&["bench", &input, "--methods=nlm", "--candidates=first"])
+        .failed(2, &["--candidates is no option of the method nlm", "remedy: "]);
     stein(&["bench", &input, "--candidates=first+fourth"]).failed(2, &["first+second"]);
-    stein(&["bench", &input, "--methods=dfc,gem", "--set=k=0.3"]).failed(2, &["`k` is no parameter of dfc, but of nlm"]);
+    stein(&["bench", &input, "--methods=dfc,gem", "--set=k=0.3"])
+        .failed(2, &["`k` is no parameter of dfc, but of nlm"]);
     stein(&["bench", &input, "--methods=nlm,gem", "--skip-feature=depth"]).failed(2, &["uses no features"]);
     stein(&["bench", &input, "--radii=5,100"]).failed(2, &["`window_radius` cannot be 100"]);
     stein(&["bench", &input, "--fail-above=2"]).failed(2, &["--compare"]);

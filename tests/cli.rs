@@ -26,14 +26,22 @@ fn attribute(path: &str, name: &str) -> Option<String> {
 }
 
 fn error_of<'a>(document: &'a Value, image: &str) -> &'a Value {
-    document["errors"].as_array().unwrap().iter().find(|errors| errors["image"] == image).unwrap_or_else(|| panic!("no {image}"))
+    document["errors"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .find(|errors| errors["image"] == image)
+        .unwrap_or_else(|| panic!("no {image}"))
 }
 
 #[test]
 fn a_render_with_everything_is_denoised_compared_and_told_as_json() {
     let folder = Folder::new();
-    let (input, reference, output) = (test_image("cornell_8spp.exr"), test_image("cornell_reference.exr"), folder.path("out.exr"));
-    let document = stein(&["denoise", &input, "-o", &output, "--ref", &reference, "--keep=all", "--json", RADIUS]).succeeded().json();
+    let (input, reference, output) =
+        (test_image("cornell_8spp.exr"), test_image("cornell_reference.exr"), folder.path("out.exr"));
+    let document = stein(&["denoise", &input, "-o", &output, "--ref", &reference, "--keep=all", "--json", RADIUS])
+        .succeeded()
+        .json();
 
     assert_eq!(document["input"]["frame"]["mode"], "variance and two seeds");
     assert_eq!(document["input"]["frame"]["noise_knowledge"], "HalvesAndVariance");
@@ -48,13 +56,24 @@ fn a_render_with_everything_is_denoised_compared_and_told_as_json() {
     }
 
     let (before, after) = (channels(&input), channels(&output));
-    let find = |list: &[(String, FlatSamples)], name: &str| list.iter().find(|(other, _)| other == name).map(|(_, samples)| samples.clone());
+    let find = |list: &[(String, FlatSamples)], name: &str| {
+        list.iter().find(|(other, _)| other == name).map(|(_, samples)| samples.clone())
+    };
     for (name, samples) in &before {
         let own = !name.contains('.') || name.starts_with("half") || name.starts_with("variance.");
         assert_eq!(find(&after, name).as_ref() == Some(samples), !own, "{name}");
     }
     assert!(find(&after, "variance.R").is_none(), "the variance of the noisy colour is not that of the denoised one");
-    for layer in ["error.V", "first.R", "third_derivative.G", "sure.second", "sure_smoothed.first", "selected.third", "selection.first", "pass1.B"] {
+    for layer in [
+        "error.V",
+        "first.R",
+        "third_derivative.G",
+        "sure.second",
+        "sure_smoothed.first",
+        "selected.third",
+        "selection.first",
+        "pass1.B",
+    ] {
         assert!(find(&after, &format!("stein.{layer}")).is_some(), "{layer}");
     }
     for layer in ["scaled_variance.R", "albedo_prefiltered.x", "depth_residual_variance.x"] {
@@ -68,7 +87,8 @@ fn a_render_with_everything_is_denoised_compared_and_told_as_json() {
     let set = BufferSet::read(&BufferSetRequest { input: output.clone().into(), ..Default::default() }).unwrap();
     let raw = set.color();
     let (a, b) = (raw.half_a.unwrap(), raw.half_b.unwrap());
-    for (mean, (a, b)) in raw.mean.planes.iter().flatten().zip(a.planes.iter().flatten().zip(b.planes.iter().flatten())) {
+    for (mean, (a, b)) in raw.mean.planes.iter().flatten().zip(a.planes.iter().flatten().zip(b.planes.iter().flatten()))
+    {
         assert!(((a + b) / 2.0 - mean).abs() <= 1e-5 * mean.abs().max(1.0), "{a} {b} {mean}");
     }
 
@@ -97,7 +117,13 @@ fn gem_is_a_method_with_options_and_intermediates_of_its_own() {
     let error = |image: &str| error_of(&document, image)["relative_mse"].as_f64().unwrap();
     assert!(error("result") < error("noisy") / 3.0, "{}", document["errors"]);
     let names: Vec<String> = channels(&output).into_iter().map(|(name, _)| name).collect();
-    for name in ["stein.error.V", "stein.scale.V", "stein.stopping_1.V", "stein.stopping_8_smoothed.V", "stein.reduction.relative_mse"] {
+    for name in [
+        "stein.error.V",
+        "stein.scale.V",
+        "stein.stopping_1.V",
+        "stein.stopping_8_smoothed.V",
+        "stein.reduction.relative_mse",
+    ] {
         assert!(names.iter().any(|other| other == name), "no {name} in {names:?}");
     }
     assert!(attribute(&output, "stein.parameters").unwrap().contains("gem"));
@@ -106,7 +132,8 @@ fn gem_is_a_method_with_options_and_intermediates_of_its_own() {
     with(&["--set=gamma=0.5"]).failed(2, &["`gamma` cannot be 0.5", "below 0.4"]);
     with(&["--keep=candidates"]).failed(2, &["gem has no such intermediate", "stopping"]);
     with(&["--feature", "albedo=a.exr"]).failed(2, &["gem uses no features"]);
-    stein(&["denoise", &input, "--set=gamma=0.2"]).failed(2, &["`gamma` is no parameter of dfc, but of gem", "remedy: "]);
+    stein(&["denoise", &input, "--set=gamma=0.2"])
+        .failed(2, &["`gamma` is no parameter of dfc, but of gem", "remedy: "]);
 }
 
 #[test]
@@ -115,16 +142,29 @@ fn spikes_are_counted_kept_as_a_layer_and_may_stay() {
     let folder = Folder::new();
     let output = folder.path("out.exr");
     let with = |more: &[&str]| stein(&[&["denoise", &input, "-o", &output, "--method=gem"], more].concat());
-    with(&["--explain"]).succeeded().said(&["spikes taken out with", "% of the energy", "what rests on few samples is spread"]);
+    with(&["--explain"]).succeeded().said(&[
+        "spikes taken out with",
+        "% of the energy",
+        "what rests on few samples is spread",
+    ]);
     let report = |more: &[&str]| with(&[&["--json"], more].concat()).succeeded().json();
     let spread = report(&["--keep=spikes"]);
     let found = |document: &Value, name: &str| document["run"]["spikes"][name].as_f64().unwrap();
-    assert!(found(&spread, "pixels") > 3.0 && found(&spread, "spread") < found(&spread, "taken"), "{}", spread["run"]["spikes"]);
-    assert!(channels(&output).iter().any(|(name, values)| name == "stein.spikes.R" && values.values_as_f32().any(|value| value != 0.0)));
+    assert!(
+        found(&spread, "pixels") > 3.0 && found(&spread, "spread") < found(&spread, "taken"),
+        "{}",
+        spread["run"]["spikes"]
+    );
+    assert!(
+        channels(&output)
+            .iter()
+            .any(|(name, values)| name == "stein.spikes.R" && values.values_as_f32().any(|value| value != 0.0))
+    );
     let clamped = report(&["--spikes=clamp"]);
     assert_eq!((found(&clamped, "pixels"), found(&clamped, "spread")), (found(&spread, "pixels"), 0.0));
     assert!(report(&["--spikes=keep"])["run"]["spikes"].is_null());
-    stein(&["sample-map", &input, "-o", &output, "--budget=8", "--spikes=spread"]).failed(2, &["--spikes", "remedy: leave it out"]);
+    stein(&["sample-map", &input, "-o", &output, "--budget=8", "--spikes=spread"])
+        .failed(2, &["--spikes", "remedy: leave it out"]);
     let thesis = report(&["--preset=thesis"]);
     assert!(thesis["parameters"]["spikes"] == "keep" && thesis["run"]["spikes"].is_null());
 }
@@ -148,10 +188,14 @@ fn a_user_sees_what_was_taken_for_what_and_how_good_it_became() {
     ]);
     assert_eq!(first.stderr, "", "there is no progress where nobody watches");
     assert_eq!(folder.names(), ["render.denoised.exr", "render.exr"]);
-    assert!(!channels(&output).iter().any(|(name, _)| name.starts_with("stein.first")), "candidates are written on request only");
+    assert!(
+        !channels(&output).iter().any(|(name, _)| name.starts_with("stein.first")),
+        "candidates are written on request only"
+    );
 
     let (written, pixels) = (std::fs::read(&output).unwrap(), channels(&output));
-    stein(&["denoise", &input, "--no-clobber", "--radius=1"]).failed(5, &["stein: error:", "render.denoised.exr", "remedy: "]);
+    stein(&["denoise", &input, "--no-clobber", "--radius=1"])
+        .failed(5, &["stein: error:", "render.denoised.exr", "remedy: "]);
     let dry = stein(&["denoise", &input, "--dry-run", "--radius=1"]).succeeded();
     dry.said(&["feature albedo", "nothing is written"]);
     assert_eq!(std::fs::read(&output).unwrap(), written);
@@ -166,9 +210,26 @@ fn a_user_sees_what_was_taken_for_what_and_how_good_it_became() {
 fn a_user_sees_what_runs_what_is_left_out_and_why() {
     let (folder, input) = Folder::with("cornell_8spp.exr");
     let (output, other) = (folder.path("out.exr"), folder.path("other.exr"));
-    let arguments = ["denoise", &input, "-o", &output, RADIUS, "--skip-feature=albedo", "--candidates=second", "--no-error", "--explain"];
+    let arguments = [
+        "denoise",
+        &input,
+        "-o",
+        &output,
+        RADIUS,
+        "--skip-feature=albedo",
+        "--candidates=second",
+        "--no-error",
+        "--explain",
+    ];
     let with = |more: &[&str]| stein(&[&arguments[..], more].concat());
-    let told = ["prefilter depth", "it has noise", "the parameters leave it out", "there is one candidate", "second pass", "in one piece"];
+    let told = [
+        "prefilter depth",
+        "it has noise",
+        "the parameters leave it out",
+        "there is one candidate",
+        "second pass",
+        "in one piece",
+    ];
     with(&[]).succeeded().said(&told);
     let names: Vec<String> = channels(&output).into_iter().map(|(name, _)| name).collect();
     assert!(!names.iter().any(|name| name.starts_with("stein.error")), "{names:?}");
@@ -182,22 +243,45 @@ fn a_user_sees_what_runs_what_is_left_out_and_why() {
         steps.iter().find(|step| step["step"] == name).unwrap_or_else(|| panic!("no {name} in {steps:?}")).clone()
     };
     let (candidates, selection) = (step(&document, "candidates"), step(&document, "selection"));
-    assert!(candidates["seconds"].as_f64() > Some(0.0) && candidates["share"].as_f64() > Some(0.0) && candidates["stages"].as_array().unwrap().len() > 1);
-    assert_eq!((&selection["runs"], &selection["skipped"], &selection["seconds"]), (&false.into(), &1.0.into(), &Value::Null));
+    assert!(
+        candidates["seconds"].as_f64() > Some(0.0)
+            && candidates["share"].as_f64() > Some(0.0)
+            && candidates["stages"].as_array().unwrap().len() > 1
+    );
+    assert_eq!(
+        (&selection["runs"], &selection["skipped"], &selection["seconds"]),
+        (&false.into(), &1.0.into(), &Value::Null)
+    );
     let dry = with(&["--json", "-n"]).succeeded().json();
-    assert_eq!((step(&dry, "candidates")["runs"].clone(), step(&dry, "candidates")["seconds"].clone()), (true.into(), Value::Null));
+    assert_eq!(
+        (step(&dry, "candidates")["runs"].clone(), step(&dry, "candidates")["seconds"].clone()),
+        (true.into(), Value::Null)
+    );
     with(&["-n"]).succeeded().said(&told);
 
     // The same with everything on.
-    let everything = stein(&["denoise", &input, "-o", &other, RADIUS, "--skip-feature=albedo", "--candidates=second", "--everything", "--explain", "--json"]);
+    let everything = stein(&[
+        "denoise",
+        &input,
+        "-o",
+        &other,
+        RADIUS,
+        "--skip-feature=albedo",
+        "--candidates=second",
+        "--everything",
+        "--explain",
+        "--json",
+    ]);
     assert_eq!(step(&everything.succeeded().json(), "selection")["runs"], true);
     let with_everything = channels(&other);
     assert!(planned.iter().all(|channel| with_everything.contains(channel)));
 
     stein(&["denoise", &input, "--candidates=fourth"]).failed(2, &["fourth", "first", "second", "third"]);
     for method in ["nlm", "gem"] {
-        stein(&["denoise", &input, "--method", method, "--candidates=first"]).failed(2, &["--candidates is no option of the method", "remedy: "]);
-        let told = stein(&["denoise", &input, "-o", &output, "--method", method, "--explain", "--no-error"]).succeeded();
+        stein(&["denoise", &input, "--method", method, "--candidates=first"])
+            .failed(2, &["--candidates is no option of the method", "remedy: "]);
+        let told =
+            stein(&["denoise", &input, "-o", &output, "--method", method, "--explain", "--no-error"]).succeeded();
         told.said(&["variance", "sampling density", "left out"]);
     }
     assert_eq!(folder.names(), ["other.exr", "out.exr", "render.exr"]);
@@ -208,7 +292,10 @@ fn compiled_shaders_are_kept_where_the_user_says() {
     let folder = Folder::new();
     let (input, output) = (test_image("cornell_8spp.exr"), folder.path("out.exr"));
     let with_cache = |cache: &str| {
-        let output = command(&["denoise", &input, "-o", &output, "-v", "--method=gem"]).env("STEIN_CACHE", cache).output().unwrap();
+        let output = command(&["denoise", &input, "-o", &output, "-v", "--method=gem"])
+            .env("STEIN_CACHE", cache)
+            .output()
+            .unwrap();
         assert!(output.status.success(), "{output:?}");
         String::from_utf8(output.stdout).unwrap()
     };
@@ -229,9 +316,14 @@ fn little_memory_gives_the_same_pixels() {
     let folder = Folder::new();
     let (input, whole, strips) = (test_image("cornell_32spp.exr"), folder.path("whole.exr"), folder.path("strips.exr"));
     // Spikes, and pooled variances, reach further than half of this image.
-    let denoise = |more: &[&str]| stein(&[&["denoise", &input, RADIUS, "--method=nlm", "--spikes=keep", "--json"], more].concat());
+    let denoise = |more: &[&str]| {
+        stein(&[&["denoise", &input, RADIUS, "--method=nlm", "--spikes=keep", "--json"], more].concat())
+    };
     // The least memory that is enough.
-    let least = (10..80).map(|step| format!("{}k", 100 * step)).find(|size| denoise(&["--dry-run", "--max-memory", size]).code == 0).unwrap();
+    let least = (10..80)
+        .map(|step| format!("{}k", 100 * step))
+        .find(|size| denoise(&["--dry-run", "--max-memory", size]).code == 0)
+        .unwrap();
     assert_eq!(denoise(&["-o", &whole]).succeeded().json()["strips"], 1);
     let document = denoise(&["-o", &strips, "--max-memory", &least]).succeeded().json();
     assert!(document["strips"].as_u64().unwrap() > 1, "{least}");
@@ -245,7 +337,8 @@ fn inputs_that_cannot_be_denoised_say_why_and_what_to_do() {
     let output = folder.path("out.exr");
     stein(&["denoise", "no/such/file.exr", "-o", &output]).failed(3, &["stein: error: no/such/file.exr", "remedy: "]);
     let (reference, input) = (test_image("cornell_reference.exr"), test_image("cornell_8spp.exr"));
-    stein(&["denoise", &reference, "-o", &output, "--require-noise"]).failed(3, &[&reference, "--half-a", "--half-b", "--variance"]);
+    stein(&["denoise", &reference, "-o", &output, "--require-noise"])
+        .failed(3, &[&reference, "--half-a", "--half-b", "--variance"]);
     stein(&["denoise", &input, "-o", &output, "--layer", "beauty"]).failed(3, &[&input, "'beauty'", "halfA"]);
     stein(&["denoise", &input, "-o", &output, "--skip-feature", "albdo"]).failed(3, &["'albdo'"]);
     let text = folder.path("text.exr");
@@ -258,10 +351,13 @@ fn inputs_that_cannot_be_denoised_say_why_and_what_to_do() {
 #[test]
 fn two_seeds_and_an_image_alone_come_out_better_than_they_were() {
     let (folder, reference) = (Folder::new(), test_image("cornell_reference.exr"));
-    for (parts, mode, most) in [(&["variance"][..], "two seeds", 0.15), (&["variance", "halfA", "halfB"], "the image itself", 0.25)] {
+    for (parts, mode, most) in
+        [(&["variance"][..], "two seeds", 0.15), (&["variance", "halfA", "halfB"], "the image itself", 0.25)]
+    {
         let (input, output) = (folder.path("input.exr"), folder.path("output.exr"));
         write_without(parts, &test_image("cornell_32spp.exr"), &input);
-        let document = stein(&["denoise", &input, "-o", &output, "--radius=5", "--ref", &reference, "--json"]).succeeded().json();
+        let document =
+            stein(&["denoise", &input, "-o", &output, "--radius=5", "--ref", &reference, "--json"]).succeeded().json();
         assert_eq!(document["input"]["frame"]["mode"], mode);
         let [noisy, result] = [0, 1].map(|index| document["errors"][index]["relative_mse"].as_f64().unwrap());
         assert!(result < most * noisy, "{mode}: the error {noisy} became {result}");
@@ -274,7 +370,8 @@ fn two_seeds_and_an_image_alone_come_out_better_than_they_were() {
 fn outputs_that_cannot_be_written_are_told_before_the_work() {
     let (folder, input) = Folder::with("cornell_8spp.exr");
     stein(&["denoise", &input, "-o", &folder.path("missing/out.exr")]).failed(5, &["missing/out.exr", "remedy: "]);
-    stein(&["denoise", &input, "-o", &folder.path("render.exr/out.exr")]).failed(5, &["render.exr/out.exr", "remedy: "]);
+    stein(&["denoise", &input, "-o", &folder.path("render.exr/out.exr")])
+        .failed(5, &["render.exr/out.exr", "remedy: "]);
     let reference = folder.path("reference.exr");
     std::fs::copy(test_image("cornell_reference.exr"), &reference).unwrap();
     stein(&["denoise", &input, "-o", &reference, "--ref", &reference]).failed(5, &["is also read", "remedy: "]);
@@ -285,17 +382,24 @@ fn outputs_that_cannot_be_written_are_told_before_the_work() {
 #[test]
 fn wrong_arguments_are_told_with_the_right_ones() {
     let input = test_image("cornell_8spp.exr");
-    stein(&["denoise", &input, "--keep", "candidates,shure"]).failed(2, &["shure", "sure", "selection", "pass1", "derivatives"]);
+    stein(&["denoise", &input, "--keep", "candidates,shure"])
+        .failed(2, &["shure", "sure", "selection", "pass1", "derivatives"]);
     stein(&["denoise", &input, "--max-memory", "lots"]).failed(2, &["512M"]);
     stein(&["denoise", &input, "--radius", "100"]).failed(2, &["`window_radius` cannot be 100", "from 1 to 64"]);
-    stein(&["denoise", &input, "--set", "patch_radius=1"]).failed(2, &["`patch_radius` is no parameter of dfc, but of nlm", "remedy: "]);
-    stein(&["denoise", &input, "--set", "guards=false"]).failed(2, &["`guards` is no parameter of dfc", "guard.own_sigmas"]);
+    stein(&["denoise", &input, "--set", "patch_radius=1"])
+        .failed(2, &["`patch_radius` is no parameter of dfc, but of nlm", "remedy: "]);
+    stein(&["denoise", &input, "--set", "guards=false"])
+        .failed(2, &["`guards` is no parameter of dfc", "guard.own_sigmas"]);
     stein(&["denoise", &input, "--set", "guard=maybe"]).failed(2, &["`guard` cannot be maybe", "true or false"]);
     stein(&["denoise", &input, "--set", "guard"]).failed(2, &["NAME=VALUE"]);
-    stein(&["denoise", &input, "--set=guard=false", "--set=guard.own_sigmas=3"]).failed(2, &["`guard.own_sigmas` is none where `guard` is left out"]);
-    stein(&["bench", &input, "--set=dual_buffer=false"]).failed(2, &["`dual_buffer` is no parameter of dfc, but of nlm", "remedy: "]);
-    stein(&["denoise", &input, "--method", "nlm", "--set=patch_radius=9"]).failed(2, &["`patch_radius` cannot be 9", "from 0 to 5"]);
-    stein(&["denoise", &input, "--method", "nlm", "--keep", "sure", "--dry-run"]).failed(2, &["--keep sure: nlm has no such intermediate", "halves"]);
+    stein(&["denoise", &input, "--set=guard=false", "--set=guard.own_sigmas=3"])
+        .failed(2, &["`guard.own_sigmas` is none where `guard` is left out"]);
+    stein(&["bench", &input, "--set=dual_buffer=false"])
+        .failed(2, &["`dual_buffer` is no parameter of dfc, but of nlm", "remedy: "]);
+    stein(&["denoise", &input, "--method", "nlm", "--set=patch_radius=9"])
+        .failed(2, &["`patch_radius` cannot be 9", "from 0 to 5"]);
+    stein(&["denoise", &input, "--method", "nlm", "--keep", "sure", "--dry-run"])
+        .failed(2, &["--keep sure: nlm has no such intermediate", "halves"]);
     stein(&["denoise", &input, "--feature", "albedo"]).failed(2, &["NAME=FILE"]);
     stein(&["bench", &input, "--size", "big"]).failed(2, &["1024x1024"]);
     stein(&["bench", &input, "--ref", &input, "--ref", &input]).failed(2, &["2 references", "1 inputs"]);
@@ -310,8 +414,18 @@ fn wrong_arguments_are_told_with_the_right_ones() {
 fn nlm_says_what_it_did() {
     let (folder, input) = Folder::with("cornell_8spp.exr");
     let output = folder.path("out.exr");
-    let options = ["patch_radius=1", "k=0.5", "alpha=0.5", "weighting.symmetric=off", "cut=0.1", "patchwise=false", "dual_buffer=false", "variance=uniform"];
-    let options: Vec<_> = ["--method=nlm"].into_iter().chain(options.into_iter().flat_map(|setting| ["--set", setting])).collect();
+    let options = [
+        "patch_radius=1",
+        "k=0.5",
+        "alpha=0.5",
+        "weighting.symmetric=off",
+        "cut=0.1",
+        "patchwise=false",
+        "dual_buffer=false",
+        "variance=uniform",
+    ];
+    let options: Vec<_> =
+        ["--method=nlm"].into_iter().chain(options.into_iter().flat_map(|setting| ["--set", setting])).collect();
     let arguments = ["denoise", &input, "-o", &output, RADIUS, "--ref", &test_image("cornell_reference.exr"), "--json"];
     let document = stein(&[&arguments[..], &options].concat()).succeeded().json();
     let parameters = &document["parameters"];
@@ -325,13 +439,18 @@ fn nlm_says_what_it_did() {
     // Features are not told of as used, and options about them are not ignored.
     let text = stein(&["denoise", &input, "-o", &output, RADIUS, "--method=nlm", "--keep=all"]).succeeded();
     assert!(!text.stdout.contains("feature albedo"), "{}", text.stdout);
-    stein(&["denoise", &input, "-o", &output, "--method=nlm", "--skip-feature=depth"]).failed(2, &["--skip-feature depth", "nlm uses no features", "remedy: "]);
-    stein(&["denoise", &input, "-o", &output, RADIUS, "--no-features", "--keep=features"]).succeeded().said(&["--keep features: there is nothing"]);
+    stein(&["denoise", &input, "-o", &output, "--method=nlm", "--skip-feature=depth"])
+        .failed(2, &["--skip-feature depth", "nlm uses no features", "remedy: "]);
+    stein(&["denoise", &input, "-o", &output, RADIUS, "--no-features", "--keep=features"])
+        .succeeded()
+        .said(&["--keep features: there is nothing"]);
     stein(&["denoise", &input, "-o", &output, RADIUS, "--method=nlm", "--keep=all"]).succeeded();
     let layers = stein(&["info", &output]).succeeded();
     layers.said(&["stein.half_a", "stein.half_b", "stein.density", "stein.variance_of_mean", "stein.error"]);
     let map = folder.path("map.exr");
-    stein(&["sample-map", &input, "-o", &map, RADIUS, "--method=nlm", "--budget=8"]).succeeded().said(&["8.000 per pixel"]);
+    stein(&["sample-map", &input, "-o", &map, RADIUS, "--method=nlm", "--budget=8"])
+        .succeeded()
+        .said(&["8.000 per pixel"]);
 }
 
 #[test]
@@ -363,7 +482,11 @@ fn info_tells_what_denoise_would_do_with_each_file() {
     ]);
     assert!(!both.stdout.contains("cannot be denoised"), "{}", both.stdout);
     let required = stein(&["info", &render, &reference, "--require-noise"]).succeeded();
-    required.said(&["noise: known from variance and two seeds", "cannot be denoised: nothing is known of the colour's noise", "--half-a"]);
+    required.said(&[
+        "noise: known from variance and two seeds",
+        "cannot be denoised: nothing is known of the colour's noise",
+        "--half-a",
+    ]);
 
     let document = stein(&["info", &render, &reference, "--json"]).succeeded().json();
     let layers = document["files"][0]["layers"].as_array().unwrap();
@@ -371,19 +494,28 @@ fn info_tells_what_denoise_would_do_with_each_file() {
     assert!(layers.iter().any(|layer| layer["layer"] == "halfA" && layer["role"] == "HalfA"));
     assert!(document["files"][0]["frame"]["noise_level"].as_f64().unwrap() > 0.0);
     let alone = &document["files"][1]["frame"];
-    assert_eq!((&alone["mode"], &alone["noise_knowledge"], &alone["noise_level"]), (&"the image itself".into(), &"ImageOnly".into(), &Value::Null));
+    assert_eq!(
+        (&alone["mode"], &alone["noise_knowledge"], &alone["noise_level"]),
+        (&"the image itself".into(), &"ImageOnly".into(), &Value::Null)
+    );
     assert!(alone["repairs"]["notes"].to_string().contains("--half-a"), "{alone}");
-    assert_eq!(document["files"][0]["frame"]["feature_noise"][0], serde_json::json!({ "name": "albedo", "noise_knowledge": "HalvesAndVariance" }));
+    assert_eq!(
+        document["files"][0]["frame"]["feature_noise"][0],
+        serde_json::json!({ "name": "albedo", "noise_knowledge": "HalvesAndVariance" })
+    );
 
     let layer = |name: &str| format!("{render}::{name}");
     let variance_only = stein(&["info", &reference, "--variance", &layer("variance")]).succeeded();
     variance_only.said(&["noise: known from variance\n", &layer("variance")]);
-    let halves_only = stein(&["info", &reference, "--half-a", &layer("halfA"), "--half-b", &layer("halfB")]).succeeded();
+    let halves_only =
+        stein(&["info", &reference, "--half-a", &layer("halfA"), "--half-b", &layer("halfB")]).succeeded();
     halves_only.said(&["noise: known from two seeds, pooled from the halves of similar pixels", &layer("halfB")]);
-    let feature = stein(&["info", &render, "--no-features", "--feature", &format!("tint={}", layer("albedo"))]).succeeded();
+    let feature =
+        stein(&["info", &render, "--no-features", "--feature", &format!("tint={}", layer("albedo"))]).succeeded();
     feature.said(&["feature tint", "albedo_halfA, albedo_halfB"]);
     assert!(!feature.stdout.contains("feature normal"));
-    let bare = stein(&["info", &reference, "--no-features", "--feature", &format!("tint={}", layer("albedo_halfA"))]).succeeded();
+    let bare = stein(&["info", &reference, "--no-features", "--feature", &format!("tint={}", layer("albedo_halfA"))])
+        .succeeded();
     bare.said(&["noise of feature tint: none"]);
 
     let one_missing = stein(&["info", "missing.exr", &render]);
@@ -394,7 +526,8 @@ fn info_tells_what_denoise_would_do_with_each_file() {
 #[test]
 fn a_reader_that_goes_away_ends_the_text_but_not_the_work() {
     let (folder, input) = Folder::with("cornell_8spp.exr");
-    let mut child = command(&["denoise", &input, "-v", RADIUS]).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+    let mut child =
+        command(&["denoise", &input, "-v", RADIUS]).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
     drop(child.stdout.take());
     let ended = child.wait_with_output().unwrap();
     let stderr = String::from_utf8(ended.stderr).unwrap();
@@ -414,15 +547,35 @@ fn a_full_disk_behind_standard_output_is_told() {
 fn the_kernel_of_a_pixel_is_told_and_written() {
     let (folder, input) = Folder::with("cornell_8spp.exr");
     let window = folder.path("window.exr");
-    let told = stein(&["kernel", &input, "--pixel=3,50", "-o", &window, "--skip-feature=visibility", RADIUS]).succeeded();
-    told.said(&["pixel 3,50", "first", "second", "third", "normal", "second_pass", "pass 1: ", " % SECOND", "window.exr"]);
+    let told =
+        stein(&["kernel", &input, "--pixel=3,50", "-o", &window, "--skip-feature=visibility", RADIUS]).succeeded();
+    told.said(&[
+        "pixel 3,50",
+        "first",
+        "second",
+        "third",
+        "normal",
+        "second_pass",
+        "pass 1: ",
+        " % SECOND",
+        "window.exr",
+    ]);
     let written = channels(&window);
     assert!(written.iter().all(|(_, samples)| samples.len() == 25));
-    for channel in ["first.weight.V", "second.colour.G", "first.distance.colour.V", "third.alone.albedo.V", "third.distance.normal.V", "second_pass.colour.B"] {
+    for channel in [
+        "first.weight.V",
+        "second.colour.G",
+        "first.distance.colour.V",
+        "third.alone.albedo.V",
+        "third.distance.normal.V",
+        "second_pass.colour.B",
+    ] {
         assert!(written.iter().any(|(name, _)| name == channel), "{channel}");
     }
     // A window of 3×3 within that of 5×5.
-    let of = |channel: &str| -> Vec<f32> { written.iter().find(|(name, _)| name == channel).unwrap().1.values_as_f32().collect() };
+    let of = |channel: &str| -> Vec<f32> {
+        written.iter().find(|(name, _)| name == channel).unwrap().1.values_as_f32().collect()
+    };
     let (weights, distances) = (of("second_pass.weight.V"), of("second_pass.distance.colour.V"));
     for cell in 0..25 {
         let is_inside = (1..4).contains(&(cell % 5)) && (1..4).contains(&(cell / 5));
@@ -435,13 +588,20 @@ fn the_kernel_of_a_pixel_is_told_and_written() {
     assert_eq!((&document["filters"][0]["filter"], &document["output"]), (&Value::from("scale"), &Value::Null));
     assert!(document["filters"][0]["sigma"].as_f64().unwrap() >= 0.0 && document["filters"][0]["share"].is_null());
     assert_eq!(document["filters"][0]["rule"], "gaussian");
-    let document = stein(&["kernel", &input, "--pixel=0,0", "--candidates=first,third", "--json", RADIUS]).succeeded().json();
-    assert_eq!((&document["filters"][1]["filter"], &document["left_out"][0]["step"]), (&Value::from("third"), &Value::from("second")));
+    let document =
+        stein(&["kernel", &input, "--pixel=0,0", "--candidates=first,third", "--json", RADIUS]).succeeded().json();
+    assert_eq!(
+        (&document["filters"][1]["filter"], &document["left_out"][0]["step"]),
+        (&Value::from("third"), &Value::from("second"))
+    );
     let shares = [0, 1].map(|filter| document["filters"][filter]["share"].as_f64().unwrap());
     assert!((shares[0] + shares[1] - 1.0).abs() < 1e-6, "{shares:?}");
     assert_eq!(document["filters"][2]["filter"], "second_pass");
     let of_third = document["filters"][1]["decided"].as_array().unwrap();
-    assert!(of_third.iter().map(|decided| decided["neighbours"].as_u64().unwrap()).sum::<u64>() <= 8, "nine pixels of the window exist");
+    assert!(
+        of_third.iter().map(|decided| decided["neighbours"].as_u64().unwrap()).sum::<u64>() <= 8,
+        "nine pixels of the window exist"
+    );
 
     stein(&["kernel", &input, "--pixel=96,0", RADIUS]).failed(2, &["--pixel", "96×96", "from 0 to 95"]);
     stein(&["kernel", &input, "--pixel=96"]).failed(2, &["120,64"]);
@@ -463,16 +623,25 @@ fn a_file_of_parameters_stands_for_options() {
     assert_eq!(of_file["preset"], "thesis");
 
     // Options go before it, and the method and preset that are its own may be said again.
-    let document = denoise(&["--params", &file, "--radius=3", "--spikes=clamp", "--method=nlm", "--preset=thesis"]).succeeded().json();
+    let document = denoise(&["--params", &file, "--radius=3", "--spikes=clamp", "--method=nlm", "--preset=thesis"])
+        .succeeded()
+        .json();
     let parameters = &document["parameters"];
-    assert_eq!((&parameters["window_radius"], &parameters["spikes"], &parameters["patch_radius"]), (&3.into(), &"clamp".into(), &1.into()));
-    denoise(&["--params", &file, "--method=dfc"]).failed(2, &["--method dfc", "own.toml is for nlm", "remedy: ", "method = \"dfc\""]);
-    denoise(&["--params", &file, "--preset=default"]).failed(2, &["--preset default", "own.toml is for thesis", "remedy: "]);
+    assert_eq!(
+        (&parameters["window_radius"], &parameters["spikes"], &parameters["patch_radius"]),
+        (&3.into(), &"clamp".into(), &1.into())
+    );
+    denoise(&["--params", &file, "--method=dfc"])
+        .failed(2, &["--method dfc", "own.toml is for nlm", "remedy: ", "method = \"dfc\""]);
+    denoise(&["--params", &file, "--preset=default"])
+        .failed(2, &["--preset default", "own.toml is for thesis", "remedy: "]);
     denoise(&["--params", &file, "--set=gamma=0.2"]).failed(2, &["`gamma` is no parameter of nlm, but of gem"]);
     let adapt = ["adapt", "dof", "--spp=8", "-o", &folder.path("loop"), "--params", &file];
     stein(&[&adapt[..], &["--method=gem"]].concat()).failed(2, &["own.toml is for nlm"]);
-    stein(&["bench", &input, "--params", &file, "--methods=nlm,dfc"]).failed(2, &["--methods dfc", "own.toml is for nlm"]);
-    stein(&["bench", &input, "--params", &file, "--candidates=first"]).failed(2, &["--candidates is no option of the method nlm"]);
+    stein(&["bench", &input, "--params", &file, "--methods=nlm,dfc"])
+        .failed(2, &["--methods dfc", "own.toml is for nlm"]);
+    stein(&["bench", &input, "--params", &file, "--candidates=first"])
+        .failed(2, &["--candidates is no option of the method nlm"]);
 }
 
 #[test]
@@ -482,7 +651,10 @@ fn a_file_of_parameters_that_cannot_be_meant_is_told_with_its_line() {
     let denoise = || stein(&["denoise", &input, "--params", &file]);
     denoise().failed(3, &["own.toml: cannot be read", "remedy: ", "stein params"]);
     std::fs::write(&file, "preset = \"thesis\"\nwindow_radius = 100\n").unwrap();
-    denoise().failed(3, &["own.toml: line 2: `window_radius` cannot be 100", "remedy: choose a whole number from 1 to 64 pixels"]);
+    denoise().failed(
+        3,
+        &["own.toml: line 2: `window_radius` cannot be 100", "remedy: choose a whole number from 1 to 64 pixels"],
+    );
     std::fs::write(&file, "gama = 1").unwrap();
     denoise().failed(3, &["own.toml: line 1: `gama` is no parameter of dfc", "remedy: "]);
     std::fs::write(&file, b"\xff\xfe").unwrap();
@@ -493,9 +665,21 @@ fn a_file_of_parameters_that_cannot_be_meant_is_told_with_its_line() {
 #[test]
 fn parameters_are_listed() {
     let listed = stein(&["params", "--list", "--radius=7", "--preset=thesis"]).succeeded();
-    let row =
-        |name: &str| listed.stdout.lines().find(|line| line.split_whitespace().next() == Some(name)).unwrap().split_whitespace().collect::<Vec<_>>().join(" ");
-    assert!(row("window_radius").starts_with("window_radius 7 10 10 from 1 to 64 pixels R, the radius of the window"), "{}", row("window_radius"));
+    let row = |name: &str| {
+        listed
+            .stdout
+            .lines()
+            .find(|line| line.split_whitespace().next() == Some(name))
+            .unwrap()
+            .split_whitespace()
+            .collect::<Vec<_>>()
+            .join(" ")
+    };
+    assert!(
+        row("window_radius").starts_with("window_radius 7 10 10 from 1 to 64 pixels R, the radius of the window"),
+        "{}",
+        row("window_radius")
+    );
     assert!(row("guard").starts_with("guard false true false Keeps"), "{}", row("guard"));
 
     let folder = Folder::new();
@@ -508,7 +692,10 @@ fn parameters_are_listed() {
 fn the_page_about_parameters_is_what_the_program_prints() {
     let page = std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/parameters.md")).unwrap();
     let printed = stein(&["params", "--markdown"]).succeeded().stdout;
-    assert!(page == printed, "docs/parameters.md is out of date: write it again with `stein params --markdown > docs/parameters.md`");
+    assert!(
+        page == printed,
+        "docs/parameters.md is out of date: write it again with `stein params --markdown > docs/parameters.md`"
+    );
 }
 
 /// The pixels of a small image that is denoised in no time.
@@ -522,16 +709,19 @@ const QUICK: [&str; 3] = ["--method=gem", "--no-error", "--quiet"];
 #[cfg(unix)]
 fn only_small_files_are_read_whole() {
     let (folder, input) = Folder::with("cornell_8spp.exr");
-    stein(&["denoise", &input, "--params=/dev/zero"]).failed(3, &["/dev/zero: cannot be read: it is a pipe or a device", "remedy: "]);
+    stein(&["denoise", &input, "--params=/dev/zero"])
+        .failed(3, &["/dev/zero: cannot be read: it is a pipe or a device", "remedy: "]);
     stein(&["denoise", &input, "--params", &folder.path("")]).failed(3, &["it is a folder", "remedy: "]);
-    stein(&["bench", "--compare=/dev/zero"]).failed(3, &["/dev/zero: cannot be read: it is a pipe or a device", "remedy: "]);
+    stein(&["bench", "--compare=/dev/zero"])
+        .failed(3, &["/dev/zero: cannot be read: it is a pipe or a device", "remedy: "]);
     stein(&["selftest", "--compare=/dev/zero"]).failed(3, &["/dev/zero", "it is a pipe or a device", "remedy: "]);
     let pipe = folder.path("pipe.exr");
     assert!(std::process::Command::new("mkfifo").arg(&pipe).status().unwrap().success());
     stein(&["bench", &pipe]).failed(3, &["pipe.exr", "it is a pipe or a device", "remedy: "]);
     let large = folder.path("large.toml");
     std::fs::File::create(&large).unwrap().set_len(1 << 40).unwrap();
-    stein(&["denoise", &input, "--params", &large]).failed(3, &["large.toml", "it is larger than 1048576 bytes", "remedy: "]);
+    stein(&["denoise", &input, "--params", &large])
+        .failed(3, &["large.toml", "it is larger than 1048576 bytes", "remedy: "]);
 }
 
 #[test]
@@ -570,15 +760,23 @@ fn names_out_of_files_are_shown_escaped_and_documents_hold_them_as_they_are() {
     let folder = Folder::new();
     let input = folder.path("in\u{1b}[2J\n.exr");
     std::fs::copy(small(), &input).unwrap();
-    let told = stein(&["denoise", &input, "--feature", &format!("a\u{1b}b={input}::depth"), "--radius=1", "-v"]).succeeded();
+    let told =
+        stein(&["denoise", &input, "--feature", &format!("a\u{1b}b={input}::depth"), "--radius=1", "-v"]).succeeded();
     assert_harmless(&told.stdout);
     told.said(&[r"in\u{1b}[2J\n.exr: 32×32", r"feature a\u{1b}b", r"in\u{1b}[2J\n.denoised.exr: "]);
     let status = stein(&[&["denoise", &input, "--method=gem", "--progress=openjd"][..]].concat()).succeeded();
     status.said(&[r"openjd_status: "]);
     assert_harmless(&status.stdout);
-    let document = stein(&["info", &input, "--json", "--feature", &format!("a\u{1b}b={input}::depth")]).succeeded().json();
+    let document =
+        stein(&["info", &input, "--json", "--feature", &format!("a\u{1b}b={input}::depth")]).succeeded().json();
     assert_eq!(document["files"][0]["file"], input.as_str());
-    assert!(document["files"][0]["layers"].as_array().unwrap().iter().any(|layer| layer["role"]["Feature"][0] == "a\u{1b}b"));
+    assert!(
+        document["files"][0]["layers"]
+            .as_array()
+            .unwrap()
+            .iter()
+            .any(|layer| layer["role"]["Feature"][0] == "a\u{1b}b")
+    );
     let failed = stein(&["denoise", &folder.path("no\u{9b}file\n.exr")]);
     failed.failed(3, &[r"no\u{9b}file\n.exr: "]);
     assert_harmless(&failed.stderr);
@@ -615,10 +813,15 @@ fn files_are_found_whatever_their_names_hold() {
         std::fs::copy(small(), &input).unwrap();
         let of = |layer: &str| format!("{input}::{layer}");
         // Each of these names the same pixels in another way.
-        let others = ["--half-a", &of("halfA"), "--half-b", &of("halfB"), "--variance", &of("variance"), "--ref", &input];
+        let others =
+            ["--half-a", &of("halfA"), "--half-b", &of("halfB"), "--variance", &of("variance"), "--ref", &input];
         let feature = format!("tint={}", of("depth"));
-        stein(&[&["denoise", &input, "--feature", &feature, "--radius=1"][..], &others].concat()).succeeded().said(&["feature tint", "variance"]);
-        stein(&["denoise", &input, "--literal", "-n"]).succeeded().said(&["noise: known from variance and two seeds", "nothing is written"]);
+        stein(&[&["denoise", &input, "--feature", &feature, "--radius=1"][..], &others].concat())
+            .succeeded()
+            .said(&["feature tint", "variance"]);
+        stein(&["denoise", &input, "--literal", "-n"])
+            .succeeded()
+            .said(&["noise: known from variance and two seeds", "nothing is written"]);
         let output = Path::new(&input).with_extension("").to_str().unwrap().to_owned() + ".denoised.exr";
         assert!(Path::new(&output).exists(), "{output}");
         // An output in a folder of such a name, and one that replaces such a file.
@@ -631,7 +834,11 @@ fn files_are_found_whatever_their_names_hold() {
         named.push(layer);
         named
     };
-    let told = command(&["denoise", "--json", "--method=gem", "--variance"]).arg(layer("::variance")).arg(&bad).output().unwrap();
+    let told = command(&["denoise", "--json", "--method=gem", "--variance"])
+        .arg(layer("::variance"))
+        .arg(&bad)
+        .output()
+        .unwrap();
     let document: Value = serde_json::from_slice(&told.stdout).unwrap();
     assert!(document["output"]["file"].as_str().unwrap().ends_with(r"bad\xff\xfe.denoised.exr"), "{document}");
 }
@@ -645,7 +852,8 @@ fn a_path_is_taken_as_it_is_where_that_is_said() {
     // Now it exists.
     stein(&[&["denoise", &input, "-o", &output][..], &QUICK].concat()).succeeded();
     stein(&["denoise", &folder.path("shot.#.exr"), "--literal"]).failed(3, &["shot.#.exr: cannot be read", "remedy: "]);
-    stein(&["denoise", &folder.path("shot.#.exr")]).failed(3, &["shot.#.exr", "there is no such file; if it is a pattern, there is no such frame"]);
+    stein(&["denoise", &folder.path("shot.#.exr")])
+        .failed(3, &["shot.#.exr", "there is no such file; if it is a pattern, there is no such frame"]);
     let layer = format!("{input}::depth");
     stein(&["denoise", &input, "--half-a", &layer, "--literal"]).failed(3, &["render.exr::depth: cannot be read"]);
     stein(&["denoise", &input, "--ref", &layer, "--literal"]).failed(3, &["render.exr::depth: cannot be read"]);

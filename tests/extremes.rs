@@ -1,4 +1,5 @@
-//! `stein selftest` on this machine's adapter: every case of the suite is within its bounds, and the command tells what it should.
+//! `stein selftest` on this machine's adapter: every case of the suite is within its bounds, and the command tells what
+//! it should.
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 
 #[allow(dead_code, unreachable_pub, reason = "every test includes all shared pieces and uses a part of them")]
@@ -38,7 +39,11 @@ fn stiff_and_extreme_frames_stay_within_their_bounds() {
     assert_eq!(names(&document, "method"), BTreeSet::from(["all", "dfc", "dfc-thesis", "gem", "nlm"]));
     assert!(names(&document, "case").len() >= 110, "{} cases", names(&document, "case").len());
     for check in ["door", "finite", "energy", "dark", "error", "reach", "twin", "limit", "bits"] {
-        let looked = rows(&document).iter().flat_map(|row| row["figures"].as_array().unwrap()).filter(|figure| figure["check"] == check).count();
+        let looked = rows(&document)
+            .iter()
+            .flat_map(|row| row["figures"].as_array().unwrap())
+            .filter(|figure| figure["check"] == check)
+            .count();
         assert!(looked >= 9, "{check} was looked at {looked} times");
         assert!(document["worst"].as_array().unwrap().iter().any(|worst| worst["check"] == check), "{check}");
     }
@@ -68,7 +73,13 @@ fn some_cases_are_told_as_a_table_and_compared_with_another_run() {
     changed["rows"][1]["method"] = "nlm".into();
     changed["adapter"]["name"] = "another".into();
     std::fs::write(&other, changed.to_string()).unwrap();
-    with(&["--compare", &other]).succeeded().said(&["Against another", "0 of 1 results are the same to the bit", "Missing: ", "gem (there)", "nlm (here)"]);
+    with(&["--compare", &other]).succeeded().said(&[
+        "Against another",
+        "0 of 1 results are the same to the bit",
+        "Missing: ",
+        "gem (there)",
+        "nlm (here)",
+    ]);
     let comparison = &with(&["--compare", &other, "--json"]).succeeded().json()["comparison"];
     assert!(comparison["different"][0]["mean"].as_f64().unwrap() > 0.1, "{comparison}");
 
@@ -91,12 +102,17 @@ fn what_cannot_be_checked_is_refused() {
     stein(&["selftest", "--methods", "magic"]).failed(2, &["magic", "dfc", "gem"]);
     stein(&["selftest", "--device", "no such adapter"]).failed(4, &["no such adapter"]);
     // A device that fails in a case is no figure.
-    let starved = ["selftest", "--case", "a constant image with noise", "--methods", "gem", "--max-memory", "1KiB", "--json"];
+    let starved =
+        ["selftest", "--case", "a constant image with noise", "--methods", "gem", "--max-memory", "1KiB", "--json"];
     let outcome = stein(&starved);
     outcome.failed(4, &["a constant image with noise, gem: ", "remedy: ", "--max-memory"]);
     assert_eq!(outcome.stdout, "");
     stein(&["selftest", "--compare", &path]).failed(3, &[&path, "cannot be read"]);
     std::fs::write(&path, "{}").unwrap();
     stein(&["selftest", "--compare", &path]).failed(3, &[&path, "was not printed by", "remedy: "]);
-    stein(&["selftest", "--help"]).succeeded().said(&["stein selftest --device 1", "dark    what the mean colour lacks", "Exit codes: 0 all within bounds, 6"]);
+    stein(&["selftest", "--help"]).succeeded().said(&[
+        "stein selftest --device 1",
+        "dark    what the mean colour lacks",
+        "Exit codes: 0 all within bounds, 6",
+    ]);
 }

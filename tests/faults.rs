@@ -1,5 +1,6 @@
-//! What goes wrong around the program: files that are none, disks that are full, signals, pipes that close, devices that are lost. The work ends with a message or a signal, what
-//! was there before is as it was, and nothing half done is left.
+//! What goes wrong around the program: files that are none, disks that are full, signals, pipes that close, devices
+//! that are lost. The work ends with a message or a signal, what was there before is as it was, and nothing half done
+//! is left.
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 
 #[allow(dead_code, unreachable_pub, reason = "every test includes all shared pieces and uses a part of them")]
@@ -39,7 +40,8 @@ fn broken(name: &str) -> String {
 #[test]
 fn every_broken_file_ends_with_code_3() {
     let (folder, output) = with_output();
-    let mut files: Vec<_> = std::fs::read_dir(test_image("broken")).unwrap().map(|entry| entry.unwrap().path()).collect();
+    let mut files: Vec<_> =
+        std::fs::read_dir(test_image("broken")).unwrap().map(|entry| entry.unwrap().path()).collect();
     files.sort();
     assert!(files.len() > 50);
     for file in files {
@@ -59,7 +61,13 @@ fn every_broken_file_ends_with_code_3() {
 fn an_image_alone_is_refused_where_that_is_asked_for() {
     let (folder, output) = with_output();
     let input = test_image("cornell_reference.exr");
-    let said = [&*input, "nothing is known of the colour's noise", "render twice with different seeds", "--half-a", "remedy: "];
+    let said = [
+        &*input,
+        "nothing is known of the colour's noise",
+        "render twice with different seeds",
+        "--half-a",
+        "remedy: ",
+    ];
     for more in [&[][..], &["--dry-run"], &["--json"]] {
         stein(&[&["denoise", &input, "-o", &output, "--require-noise"], more].concat()).failed(3, &said);
     }
@@ -75,18 +83,23 @@ fn a_broken_file_beside_the_input_names_itself() {
     let input = test_image("cornell_8spp.exr");
     let (cut, small) = (broken("cut_in_channels"), broken("parts_of_other_sizes"));
     for option in ["--half-a", "--half-b", "--variance", "--ref"] {
-        stein(&["denoise", &input, "-o", &output, option, &cut]).failed(3, &["cut_in_channels.exr", "ends in its header", "remedy: "]);
+        stein(&["denoise", &input, "-o", &output, option, &cut])
+            .failed(3, &["cut_in_channels.exr", "ends in its header", "remedy: "]);
     }
     let feature = format!("albedo={small}::beauty");
-    stein(&["denoise", &input, "-o", &output, "--feature", &feature]).failed(3, &["parts_of_other_sizes.exr", "beauty", "4×3", "96×96", "remedy: "]);
-    stein(&["denoise", &input, "-o", &output, "--ref", &format!("{small}::beauty")]).failed(3, &["4×3", "96×96", "remedy: "]);
+    stein(&["denoise", &input, "-o", &output, "--feature", &feature])
+        .failed(3, &["parts_of_other_sizes.exr", "beauty", "4×3", "96×96", "remedy: "]);
+    stein(&["denoise", &input, "-o", &output, "--ref", &format!("{small}::beauty")])
+        .failed(3, &["4×3", "96×96", "remedy: "]);
     assert_untouched(&folder);
 }
 
 #[test]
 fn what_is_no_file_is_told_and_not_waited_for() {
     let (folder, output) = with_output();
-    let read = |input: &str, said: &[&str]| stein(&["denoise", input, "-o", &output]).failed(3, &[&[input, "remedy: "], said].concat());
+    let read = |input: &str, said: &[&str]| {
+        stein(&["denoise", input, "-o", &output]).failed(3, &[&[input, "remedy: "], said].concat());
+    };
     read(&folder.path(""), &["it is a folder"]);
     read(&folder.path("missing.exr"), &[]);
     #[cfg(unix)]
@@ -103,9 +116,14 @@ fn what_is_no_file_is_told_and_not_waited_for() {
 /// Of two frames of which none is known to be like the other: half a flat grey, half noise.
 fn frame(side: u32) -> Frame {
     let extent = Extent { width: side, height: side };
-    let plane = |scale: f32| (0..extent.pixels()).map(|i| 0.5 + scale * (((i * 7919) % 101) as f32 / 101.0 - 0.5)).collect();
+    let plane =
+        |scale: f32| (0..extent.pixels()).map(|i| 0.5 + scale * (((i * 7919) % 101) as f32 / 101.0 - 0.5)).collect();
     let image = |scale: f32| Image { extent, planes: vec![plane(scale), plane(0.5 * scale), plane(-scale)] };
-    let color = Signal { mean: image(0.4), half_spread: Some(image(0.2)), variance_of_mean: Some(Image::filled(extent, 3, 0.01)) };
+    let color = Signal {
+        mean: image(0.4),
+        half_spread: Some(image(0.2)),
+        variance_of_mean: Some(Image::filled(extent, 3, 0.01)),
+    };
     Frame::new(color, Vec::new(), SamplesPerPixel::Unknown).unwrap().0
 }
 
@@ -116,7 +134,9 @@ fn gpu() -> Gpu {
 #[track_caller]
 fn assert_lost(denoised: Result<Estimate>) {
     match denoised {
-        Err(Error::Device { problem, remedy }) => assert!(problem.starts_with("the device was lost: ") && remedy.contains("run again"), "{problem} {remedy}"),
+        Err(Error::Device { problem, remedy }) => {
+            assert!(problem.starts_with("the device was lost: ") && remedy.contains("run again"), "{problem} {remedy}");
+        }
         Err(other) => panic!("{other}"),
         Ok(_) => panic!("a lost device has denoised"),
     }
@@ -134,7 +154,8 @@ fn a_device_lost_at_any_step_is_told_and_another_one_goes_on() {
         steps += 1;
         ControlFlow::Continue(())
     };
-    let expected = surviving.denoise_with(&frame, Options { progress: Some(&mut count), ..Options::default() }).unwrap();
+    let expected =
+        surviving.denoise_with(&frame, Options { progress: Some(&mut count), ..Options::default() }).unwrap();
 
     lost_early.wgpu_device().destroy();
     assert_lost(Denoiser::new(&lost_early, method).unwrap().denoise(&frame));
@@ -178,8 +199,10 @@ fn a_device_lost_at_any_step_is_told_and_another_one_goes_on() {
 fn a_device_of_small_limits_says_what_is_too_large() {
     let own = gpu();
     let adapter = own.summary().name.clone();
-    let instance =
-        wgpu::Instance::new(wgpu::InstanceDescriptor { backends: wgpu::Backends::PRIMARY, ..wgpu::InstanceDescriptor::new_without_display_handle() });
+    let instance = wgpu::Instance::new(wgpu::InstanceDescriptor {
+        backends: wgpu::Backends::PRIMARY,
+        ..wgpu::InstanceDescriptor::new_without_display_handle()
+    });
     let adapters = pollster::block_on(instance.enumerate_adapters(wgpu::Backends::PRIMARY));
     let adapter = adapters.into_iter().find(|found| found.get_info().name == adapter).unwrap();
     let denoise = |bytes: u64| {
@@ -196,7 +219,9 @@ fn a_device_of_small_limits_says_what_is_too_large() {
     };
     // Of a frame of 24 by 24 pixels, a plane takes 9 KiB.
     match denoise(2048) {
-        Err(Error::Device { problem, remedy }) => assert!(problem.contains("does not fit") && remedy.contains("binds larger buffers"), "{problem} {remedy}"),
+        Err(Error::Device { problem, remedy }) => {
+            assert!(problem.contains("does not fit") && remedy.contains("binds larger buffers"), "{problem} {remedy}");
+        }
         other => panic!("{:?}", other.map(|_| ())),
     }
     let expected = Denoiser::new(&own, GemParams::default()).unwrap().denoise(&frame(24)).unwrap();
@@ -221,7 +246,9 @@ mod unix {
     use std::process::{Child, Command, ExitStatus, Stdio};
     use std::time::{Duration, Instant};
 
-    use exr::prelude::{AnyChannel, AnyChannels, Encoding, FlatSamples, Image, Layer, LayerAttributes, Text, WritableImage, f16};
+    use exr::prelude::{
+        AnyChannel, AnyChannels, Encoding, FlatSamples, Image, Layer, LayerAttributes, Text, WritableImage, f16,
+    };
 
     use super::process::{Folder, Outcome, command, test_image};
     use super::*;
@@ -262,9 +289,16 @@ mod unix {
             command.env("RAYON_NUM_THREADS", "2");
             outcome(command)
         };
-        for name in
-            ["window_of_2_31", "window_100k", "window_100k_in_one_block", "window_wide", "window_huge_dwab", "block_huge", "dwaa_claims", "attribute_huge"]
-        {
+        for name in [
+            "window_of_2_31",
+            "window_100k",
+            "window_100k_in_one_block",
+            "window_wide",
+            "window_huge_dwab",
+            "block_huge",
+            "dwaa_claims",
+            "attribute_huge",
+        ] {
             let input = broken(name);
             limited(&input).failed(3, &[&input, "remedy: "]);
         }
@@ -280,7 +314,8 @@ mod unix {
         };
         let halves = [("", 0.5), ("halfA.", 0.25), ("halfB.", 0.75)];
         let channels = halves.into_iter().flat_map(|half| ["R", "G", "B"].map(|name| channel(half, name))).collect();
-        let part = Layer::new((side, side), LayerAttributes::default(), Encoding::FAST_LOSSLESS, AnyChannels::sort(channels));
+        let part =
+            Layer::new((side, side), LayerAttributes::default(), Encoding::FAST_LOSSLESS, AnyChannels::sort(channels));
         Image::from_layer(part).write().to_file(path).unwrap();
     }
 
@@ -318,7 +353,10 @@ mod unix {
         let large = folder.path("large.exr");
         write_large(&large, 1024);
         for megabytes in [250, 350, 450, 550] {
-            let mut command = in_shell(&format!("ulimit -v {};", megabytes * 1000), &["denoise", "--method=gem", &large, "-o", &output]);
+            let mut command = in_shell(
+                &format!("ulimit -v {};", megabytes * 1000),
+                &["denoise", "--method=gem", &large, "-o", &output],
+            );
             command.env("RAYON_NUM_THREADS", "2");
             let ended = outcome(command);
             if ended.code != 0 {
@@ -357,13 +395,20 @@ mod unix {
         let (folder, output) = with_output();
         let input = test_image("cornell_8spp.exr");
         // Files up to 64 KiB; the output is ten times that.
-        let full = |arguments: &[&str], code: i32, said: &[&str]| outcome(in_shell("ulimit -f 128;", arguments)).failed(code, said);
-        full(&["denoise", &input, "-o", &output, "--method=gem"], 5, &["out.exr", "cannot be written", "space left", "remedy: "]);
+        let full = |arguments: &[&str], code: i32, said: &[&str]| {
+            outcome(in_shell("ulimit -f 128;", arguments)).failed(code, said);
+        };
+        full(
+            &["denoise", &input, "-o", &output, "--method=gem"],
+            5,
+            &["out.exr", "cannot be written", "space left", "remedy: "],
+        );
         assert_untouched(&folder);
         full(&["render", "dof", "--spp=2", "--size=64x64", "-o", &output], 5, &["out.exr", "space left"]);
         assert_untouched(&folder);
         let report = folder.path("report");
-        let bench = ["bench", &input, "--methods=gem", "--presets=default", "--repeat=1", "--size=32x32", "-o", &report];
+        let bench =
+            ["bench", &input, "--methods=gem", "--presets=default", "--repeat=1", "--size=32x32", "-o", &report];
         outcome(in_shell("ulimit -f 8;", &bench)).failed(5, &["report", "cannot be written", "remedy: "]);
         assert_untouched(&folder);
     }
@@ -407,21 +452,30 @@ mod unix {
     /// Whether whoever runs the tests has a signal ignored, as a shell does for what runs behind its back.
     fn is_ignored(number: u32) -> bool {
         let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
-        let mask = status.lines().find_map(|line| line.strip_prefix("SigIgn:")).and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok());
+        let mask = status
+            .lines()
+            .find_map(|line| line.strip_prefix("SigIgn:"))
+            .and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok());
         mask.is_some_and(|mask| mask & (1 << (number - 1)) != 0)
     }
 
     #[test]
     fn a_signal_ends_the_work_and_leaves_nothing_half_done() {
         // While the shaders are compiled, and while it works.
-        for (name, number, method, until) in [("INT", 2, "dfc", "openjd_progress"), ("TERM", 15, "dfc", "openjd_status"), ("HUP", 1, "nlm", "openjd_progress")]
-        {
+        for (name, number, method, until) in [
+            ("INT", 2, "dfc", "openjd_progress"),
+            ("TERM", 15, "dfc", "openjd_status"),
+            ("HUP", 1, "nlm", "openjd_progress"),
+        ] {
             if is_ignored(number) {
                 continue;
             }
             let (folder, output) = with_output();
             let input = test_image("dof_spheres_32spp.exr");
-            let child = running(&["denoise", &input, "-o", &output, "--method", method, "--radius=20", "--progress=openjd"], until);
+            let child = running(
+                &["denoise", &input, "-o", &output, "--method", method, "--radius=20", "--progress=openjd"],
+                until,
+            );
             send(name, &child);
             let (status, said) = end(child);
             assert_eq!((status.signal(), said.as_str()), (Some(number as i32), ""), "{name}: {status}");
@@ -458,7 +512,17 @@ mod unix {
         let folder = Folder::new();
         let (loops, number) = (folder.path("loop"), folder.path("number"));
         let renderer = format!("echo $$ > '{number}'; exec sleep 600 # {{map}} {{out}}");
-        let arguments = ["adapt", "--sampler-command", &renderer, "--size=16x16", "--spp=4", "--iterations=1", "--method=gem", "-o", &loops];
+        let arguments = [
+            "adapt",
+            "--sampler-command",
+            &renderer,
+            "--size=16x16",
+            "--spp=4",
+            "--iterations=1",
+            "--method=gem",
+            "-o",
+            &loops,
+        ];
         let child = command(&arguments).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
         let start = Instant::now();
         let number = loop {
@@ -498,7 +562,8 @@ mod unix {
     fn what_was_told_to_ignore_a_hangup_goes_on() {
         let (folder, output) = with_output();
         let arguments = ["denoise", &test_image("cornell_8spp.exr"), "-o", &output, "--radius=2", "--progress=openjd"];
-        let mut child = in_shell("trap '' HUP;", &arguments).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+        let mut child =
+            in_shell("trap '' HUP;", &arguments).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
         BufReader::new(child.stdout.as_mut().unwrap()).read_line(&mut String::new()).unwrap();
         send("HUP", &child);
         drop(child.stdout.take());
@@ -514,7 +579,12 @@ mod unix {
         for closed in [">&- 2>&-", "2>/dev/full", "| head -n 1"] {
             let (folder, output) = with_output();
             let script = format!("\"$0\" denoise '{input}' -o '{output}' --method=gem --json {closed}");
-            let status = Command::new("sh").args(["-c", &script, env!("CARGO_BIN_EXE_stein")]).env("STEIN_CACHE", "").stdout(Stdio::null()).status().unwrap();
+            let status = Command::new("sh")
+                .args(["-c", &script, env!("CARGO_BIN_EXE_stein")])
+                .env("STEIN_CACHE", "")
+                .stdout(Stdio::null())
+                .status()
+                .unwrap();
             assert!(status.success(), "{closed}: {status}");
             assert!(std::fs::metadata(&output).unwrap().len() > 10_000, "{closed}");
             assert_eq!(folder.names(), ["out.exr"]);

@@ -74,7 +74,9 @@ fn the_two_buffer_variance_of_a_real_render_agrees_with_its_sample_variance() {
     let (frame, repairs) = set.to_frame().unwrap();
     assert!(repairs.is_empty(), "{repairs}");
     let color = frame.color();
-    let sum = |image: &Image, power: i32| -> f64 { image.planes.iter().flatten().map(|value| f64::from(*value).powi(power)).sum() };
+    let sum = |image: &Image, power: i32| -> f64 {
+        image.planes.iter().flatten().map(|value| f64::from(*value).powi(power)).sum()
+    };
     let two_buffer = sum(color.half_spread.as_ref().unwrap(), 2);
     let ratio = two_buffer / sum(color.variance_of_mean.as_ref().unwrap(), 1);
     assert!((0.8..1.25).contains(&ratio), "a factor of two is lost: {ratio}");
@@ -96,7 +98,10 @@ fn nan_values_take_their_neighbours_value() {
     // Beside pixel 0 lie 1, 4 and 5, each worth its number plus one: 13/3 on average.
     let first = [0, 1, 2].map(|channel| frame.color().mean.planes[channel][0]);
     assert_eq!(first, [1.0, 13.0 / 3.0, 1.0], "the damaged channel alone is replaced");
-    assert!(frame.color().mean.planes.iter().all(|plane| plane[1..] == color().mean.planes[0][1..]), "no other pixel is");
+    assert!(
+        frame.color().mean.planes.iter().all(|plane| plane[1..] == color().mean.planes[0][1..]),
+        "no other pixel is"
+    );
     let found = repairs.layer("colour").unwrap();
     assert_eq!((found.nan_values, found.pixels_replaced, found.variances_replaced), (1, 1, 0));
     assert!(repairs.to_string().contains("1 values NaN") && repairs.to_string().contains("mean G 1"), "{repairs}");
@@ -116,19 +121,33 @@ fn damage_is_counted_and_repaired_by_image_and_channel() {
     assert_finite(&frame);
 
     // Channel and pixel, and the images that are replaced there; neighbours lie inwards, so that their average differs.
-    let replaced = [(0, 0, "mean halves variance"), (1, 11, "mean halves variance"), (2, 3, "mean halves variance"), (0, 8, "variance")];
+    let replaced = [
+        (0, 0, "mean halves variance"),
+        (1, 11, "mean halves variance"),
+        (2, 3, "mean halves variance"),
+        (0, 8, "variance"),
+    ];
     let repaired = frame.color();
-    let images = |signal: &Signal| [signal.mean.clone(), signal.half_spread.clone().unwrap(), signal.variance_of_mean.clone().unwrap()];
-    for (name, (before, after)) in ["mean", "halves", "variance"].into_iter().zip(images(&sound).iter().zip(&images(repaired))) {
+    let images = |signal: &Signal| {
+        [signal.mean.clone(), signal.half_spread.clone().unwrap(), signal.variance_of_mean.clone().unwrap()]
+    };
+    for (name, (before, after)) in
+        ["mean", "halves", "variance"].into_iter().zip(images(&sound).iter().zip(&images(repaired)))
+    {
         for (channel, pixel) in (0..3).flat_map(|channel| (0..12).map(move |pixel| (channel, pixel))) {
-            let is_replaced = replaced.iter().any(|(c, p, images)| (*c, *p) == (channel, pixel) && images.contains(name));
+            let is_replaced =
+                replaced.iter().any(|(c, p, images)| (*c, *p) == (channel, pixel) && images.contains(name));
             let differs = before.planes[channel][pixel] != after.planes[channel][pixel];
             assert_eq!(differs, is_replaced, "{name}, channel {channel}, pixel {pixel}");
         }
     }
     let found = repairs.layer("colour").unwrap();
-    assert_eq!((found.infinite_values, found.nan_values, found.pixels_replaced, found.variances_replaced), (3, 1, 3, 1));
-    let places: Vec<_> = found.damage.iter().map(|damage| format!("{} {} {}", damage.image, damage.channel, damage.values)).collect();
+    assert_eq!(
+        (found.infinite_values, found.nan_values, found.pixels_replaced, found.variances_replaced),
+        (3, 1, 3, 1)
+    );
+    let places: Vec<_> =
+        found.damage.iter().map(|damage| format!("{} {} {}", damage.image, damage.channel, damage.values)).collect();
     assert_eq!(places, ["mean R 1", "variance R 1", "mean G 1", "halves B 1"]);
 }
 
@@ -191,11 +210,21 @@ fn a_colour_without_one_usable_pixel_is_an_error_that_names_it() {
 /// A frame whose noise has to be estimated from the image itself, and what is said where that is not enough.
 #[track_caller]
 fn assert_image_only((frame, repairs): (Frame, Repairs), said: &[&str]) {
-    assert_eq!((frame.noise_knowledge(), frame.color().noise_knowledge(), frame.noise_level()), (NoiseKnowledge::ImageOnly, None, None));
+    assert_eq!(
+        (frame.noise_knowledge(), frame.color().noise_knowledge(), frame.noise_level()),
+        (NoiseKnowledge::ImageOnly, None, None)
+    );
     assert!(frame.color().half_spread.is_none() && frame.color().variance_of_mean.is_none());
-    let remark = repairs.notes.iter().find(|note| note.starts_with("colour: its noise is estimated from the image itself"));
-    assert!(remark.is_some_and(|remark| ["different seeds", "halves", "--half-a"].iter().all(|word| remark.contains(word))), "{repairs}");
-    assert!(!repairs.to_string().contains("no second pass") && !repairs.to_string().contains("nothing is filtered"), "{repairs}");
+    let remark =
+        repairs.notes.iter().find(|note| note.starts_with("colour: its noise is estimated from the image itself"));
+    assert!(
+        remark.is_some_and(|remark| ["different seeds", "halves", "--half-a"].iter().all(|word| remark.contains(word))),
+        "{repairs}"
+    );
+    assert!(
+        !repairs.to_string().contains("no second pass") && !repairs.to_string().contains("nothing is filtered"),
+        "{repairs}"
+    );
     let refused = frame.require_noise(&repairs).unwrap_err().to_string();
     for word in [&["nothing is known of the colour's noise", "different seeds", "remedy: "], said].concat() {
         assert!(refused.contains(word), "no '{word}' in {refused}");
@@ -205,17 +234,29 @@ fn assert_image_only((frame, repairs): (Frame, Repairs), said: &[&str]) {
 
 #[test]
 fn without_halves_and_variance_that_can_be_used_the_noise_is_estimated_from_the_image() {
-    let with = |half_spread: Option<Image>, variance_of_mean: Option<Image>| frame(Signal { half_spread, variance_of_mean, ..color() }, vec![]);
+    let with = |half_spread: Option<Image>, variance_of_mean: Option<Image>| {
+        frame(Signal { half_spread, variance_of_mean, ..color() }, vec![])
+    };
     let neither = with(None, None);
     assert_eq!(neither.1.notes.len(), 1, "{}", neither.1);
-    assert_image_only(neither, &["neither two halves nor a variance", "`BufferSetRequest::half_a`", "`BufferSetRequest::variance`"]);
+    assert_image_only(
+        neither,
+        &["neither two halves nor a variance", "`BufferSetRequest::half_a`", "`BufferSetRequest::variance`"],
+    );
     let infinite = || Some(flat(f32::INFINITY, 3));
     assert_image_only(with(None, infinite()), &["the variance has no usable value", "image viewer"]);
     assert_image_only(with(infinite(), None), &["the halves have no usable value", "image viewer"]);
-    assert_image_only(with(infinite(), infinite()), &["the halves have no usable value", "the variance has no usable value"]);
+    assert_image_only(
+        with(infinite(), infinite()),
+        &["the halves have no usable value", "the variance has no usable value"],
+    );
     assert_image_only(with(Some(flat(0.5, 1)), None), &["halves of 1 channels do not fit a mean of 3"]);
     // Nothing that tells of noise gets lost on the way.
-    for known in [with(Some(flat(0.5, 3)), infinite()), with(infinite(), Some(flat(0.25, 3))), with(Some(flat(0.0, 3)), Some(flat(0.25, 3)))] {
+    for known in [
+        with(Some(flat(0.5, 3)), infinite()),
+        with(infinite(), Some(flat(0.25, 3))),
+        with(Some(flat(0.0, 3)), Some(flat(0.25, 3))),
+    ] {
         assert_ne!(known.0.noise_knowledge(), NoiseKnowledge::ImageOnly);
         assert!(known.0.noise_level().is_some_and(|level| level > 0.0) && known.0.require_noise(&known.1).is_ok());
     }
@@ -267,7 +308,12 @@ fn what_is_optional_is_left_out_where_it_cannot_be_used() {
     let variance = settled.color().variance_of_mean.as_ref().unwrap();
     assert!(variance.planes.iter().flatten().all(|value| (value - 0.25).abs() < 1e-6), "0.5² is 0.25: {variance:?}");
 
-    let (settled, repairs) = told(color(), vec![depth([f32::NAN; 12]), depth(ramp())], HalvesAndVariance, "feature depth: not one pixel has a usable value");
+    let (settled, repairs) = told(
+        color(),
+        vec![depth([f32::NAN; 12]), depth(ramp())],
+        HalvesAndVariance,
+        "feature depth: not one pixel has a usable value",
+    );
     assert_eq!((settled.features().len(), repairs.dropped_features), (1, vec!["depth".to_owned()]));
     assert!(settled.constant_features().is_empty());
     let with_bad_noise = |spread: f32, variance: f32| {
@@ -275,21 +321,42 @@ fn what_is_optional_is_left_out_where_it_cannot_be_used() {
         (name, Signal { half_spread: Some(flat(spread, 1)), variance_of_mean: Some(flat(variance, 1)), ..signal })
     };
     let knowledge = |frame: &Frame| frame.features()[0].signal.noise_knowledge();
-    let (settled, _) = told(color(), vec![with_bad_noise(2.0, f32::NAN)], HalvesAndVariance, "feature depth: the variance has no usable value");
+    let (settled, _) = told(
+        color(),
+        vec![with_bad_noise(2.0, f32::NAN)],
+        HalvesAndVariance,
+        "feature depth: the variance has no usable value",
+    );
     assert_eq!(knowledge(&settled), Some(HalvesOnly));
-    let (settled, _) = told(color(), vec![with_bad_noise(f32::NAN, 8.0)], HalvesAndVariance, "feature depth: the halves have no usable value");
+    let (settled, _) = told(
+        color(),
+        vec![with_bad_noise(f32::NAN, 8.0)],
+        HalvesAndVariance,
+        "feature depth: the halves have no usable value",
+    );
     assert_eq!(knowledge(&settled), Some(VarianceOnly));
-    let (settled, _) = told(color(), vec![with_bad_noise(f32::NAN, f32::NAN)], HalvesAndVariance, "feature depth: neither halves nor variance");
+    let (settled, _) = told(
+        color(),
+        vec![with_bad_noise(f32::NAN, f32::NAN)],
+        HalvesAndVariance,
+        "feature depth: neither halves nor variance",
+    );
     assert_eq!(knowledge(&settled), None);
 
     let mut albedo = image(ramp(), 3);
     albedo.planes[1].fill(f32::NAN);
     albedo.planes.iter_mut().flatten().for_each(|value| *value /= 32.0);
     let albedo = Signal { mean: albedo, half_spread: None, variance_of_mean: None };
-    let (settled, _) = told(color(), vec![("albedo".into(), albedo)], HalvesAndVariance, "feature albedo: not one pixel has a usable value in channel 2");
+    let (settled, _) = told(
+        color(),
+        vec![("albedo".into(), albedo)],
+        HalvesAndVariance,
+        "feature albedo: not one pixel has a usable value in channel 2",
+    );
     assert_eq!(settled.features().len(), 1);
     let nine = (0..9).map(|index| (format!("f{index}"), depth(ramp()).1)).collect();
-    let (settled, repairs) = told(color(), nine, HalvesAndVariance, "feature f8: at most 8 features can be used, left out");
+    let (settled, repairs) =
+        told(color(), nine, HalvesAndVariance, "feature f8: at most 8 features can be used, left out");
     assert_eq!((settled.features().len(), repairs.dropped_features), (8, vec!["f8".to_owned()]));
     let wide = Signal { mean: flat(1.0, 4), half_spread: None, variance_of_mean: None };
     told(color(), vec![("rgba".into(), wide)], HalvesAndVariance, "feature rgba: it has 4 channels");
@@ -297,8 +364,11 @@ fn what_is_optional_is_left_out_where_it_cannot_be_used() {
 
 #[test]
 fn what_is_known_of_the_noise_decides_what_works() {
-    let with =
-        |halves: bool, variance: bool| Signal { half_spread: halves.then(|| flat(0.5, 3)), variance_of_mean: variance.then(|| flat(0.25, 3)), ..color() };
+    let with = |halves: bool, variance: bool| Signal {
+        half_spread: halves.then(|| flat(0.5, 3)),
+        variance_of_mean: variance.then(|| flat(0.25, 3)),
+        ..color()
+    };
     assert_eq!(frame(with(true, true), vec![]).0.noise_knowledge(), NoiseKnowledge::HalvesAndVariance);
     assert_eq!(frame(with(true, false), vec![]).0.noise_knowledge(), NoiseKnowledge::HalvesOnly);
     let (variance_only, repairs) = frame(with(false, true), vec![]);
@@ -328,9 +398,15 @@ fn noisy(channels: usize) -> Signal {
         (0..12).map(|_| uniform()).sum::<f32>() - 6.0
     };
     let truth = |pixel: usize| if (pixel / 8 + pixel / 512).is_multiple_of(2) { 0.5 } else { 0.8 };
-    let mut plane = |level: bool| (0..extent.pixels()).map(|pixel| 0.1 * gaussian() + if level { truth(pixel) } else { 0.0 }).collect();
+    let mut plane = |level: bool| {
+        (0..extent.pixels()).map(|pixel| 0.1 * gaussian() + if level { truth(pixel) } else { 0.0 }).collect()
+    };
     let mut planes = |level: bool| Image { extent, planes: (0..channels).map(|_| plane(level)).collect() };
-    Signal { mean: planes(true), half_spread: Some(planes(false)), variance_of_mean: Some(Image::filled(extent, channels, 0.01)) }
+    Signal {
+        mean: planes(true),
+        half_spread: Some(planes(false)),
+        variance_of_mean: Some(Image::filled(extent, channels, 0.01)),
+    }
 }
 
 fn without(image: &Option<Image>, channels: &[usize]) -> Option<Image> {
@@ -357,7 +433,12 @@ fn the_source_that_says_something_is_used() {
     assert_eq!(color, Signal { variance_of_mean: None, ..sound.clone() });
     assert_eq!(feature.noise_knowledge(), Some(NoiseKnowledge::HalvesOnly));
     for layer in ["colour", "feature caustic"] {
-        assert!(repairs.notes.contains(&format!("{layer}: the variance is 0 everywhere although the halves differ; it is left out")), "{repairs}");
+        assert!(
+            repairs
+                .notes
+                .contains(&format!("{layer}: the variance is 0 everywhere although the halves differ; it is left out")),
+            "{repairs}"
+        );
     }
 
     let silent_channels = Signal { variance_of_mean: without(&sound.variance_of_mean, &[1, 2]), ..sound.clone() };
@@ -365,12 +446,24 @@ fn the_source_that_says_something_is_used() {
     for variance in [color.variance_of_mean.as_ref().unwrap(), feature.variance_of_mean.as_ref().unwrap()] {
         let mean = |channel: usize| variance.planes[channel].iter().sum::<f32>() / 4096.0;
         for channel in [1, 2] {
-            assert!((mean(channel) / mean(0) - 1.0).abs() < 0.1, "the variance of channel {channel} is {} times that of channel 0", mean(channel) / mean(0));
+            assert!(
+                (mean(channel) / mean(0) - 1.0).abs() < 0.1,
+                "the variance of channel {channel} is {} times that of channel 0",
+                mean(channel) / mean(0)
+            );
         }
     }
     assert_eq!(color.variance_of_mean.as_ref().unwrap().planes[0], sound.variance_of_mean.as_ref().unwrap().planes[0]);
-    assert!(repairs.to_string().contains("colour: the variance is 0 everywhere in G and B although the halves differ"), "{repairs}");
-    assert!(repairs.to_string().contains("feature caustic: the variance is 0 everywhere in channel 2 and channel 3 although"), "{repairs}");
+    assert!(
+        repairs.to_string().contains("colour: the variance is 0 everywhere in G and B although the halves differ"),
+        "{repairs}"
+    );
+    assert!(
+        repairs
+            .to_string()
+            .contains("feature caustic: the variance is 0 everywhere in channel 2 and channel 3 although"),
+        "{repairs}"
+    );
 
     for silent in [vec![0, 1, 2], vec![1]] {
         let identical = Signal { half_spread: without(&sound.half_spread, &silent), ..sound.clone() };
@@ -381,7 +474,11 @@ fn the_source_that_says_something_is_used() {
     }
     // A channel of which both say nothing is free of noise.
     let blue = |image: &Option<Image>| without(image, &[2]);
-    let clean_blue = Signal { half_spread: blue(&sound.half_spread), variance_of_mean: blue(&sound.variance_of_mean), ..sound.clone() };
+    let clean_blue = Signal {
+        half_spread: blue(&sound.half_spread),
+        variance_of_mean: blue(&sound.variance_of_mean),
+        ..sound.clone()
+    };
     assert_eq!(settled(&clean_blue).0, clean_blue);
     // Round-off is no noise.
     let mut exact = clean_blue.clone();
@@ -433,14 +530,16 @@ fn noise_that_neighbours_share_is_pointed_out() {
     for plane in &mut blurred.half_spread.as_mut().unwrap().planes {
         let before = plane.clone();
         // A spike in every row, whose signs must not count for more.
-        plane
-            .iter_mut()
-            .enumerate()
-            .skip(1)
-            .for_each(|(pixel, value)| *value = (before[pixel] + before[pixel - 1]) / 2.0 + if pixel % 64 == 9 { 1e5 } else { 0.0 });
+        plane.iter_mut().enumerate().skip(1).for_each(|(pixel, value)| {
+            *value = (before[pixel] + before[pixel - 1]) / 2.0 + if pixel % 64 == 9 { 1e5 } else { 0.0 }
+        });
     }
     let (_, repairs) = frame(blurred, vec![]);
-    assert!(repairs.to_string().contains("neighbouring pixels share their noise") && repairs.to_string().contains("box pixel filter"), "{repairs}");
+    assert!(
+        repairs.to_string().contains("neighbouring pixels share their noise")
+            && repairs.to_string().contains("box pixel filter"),
+        "{repairs}"
+    );
 }
 
 /// As of a render with one sample per pixel.
@@ -451,8 +550,13 @@ fn an_empty_half_is_not_taken_for_noise() {
     let rgb = || ["R", "G", "B"].map(str::to_owned).to_vec();
     let layer = |name: &str, image: Image| NamedLayer { name: name.into(), channels: rgb(), image };
     let half = |name: &str, value: f32| layer(name, flat(value, 3));
-    let layers =
-        [layer("", color().mean), half("halfA", 3.0), half("halfB", 0.0), half("variance", 0.25), layer("albedo", image(ramp().map(|value| value / 32.0), 3))];
+    let layers = [
+        layer("", color().mean),
+        half("halfA", 3.0),
+        half("halfB", 0.0),
+        half("variance", 0.25),
+        layer("albedo", image(ramp().map(|value| value / 32.0), 3)),
+    ];
     let settled = |layers: &[NamedLayer]| {
         write_layers(&path, layers, &[]).unwrap();
         BufferSet::read(&BufferSetRequest { input: path.clone(), ..Default::default() }).unwrap().to_frame()
@@ -507,7 +611,11 @@ fn far_depth(far: impl Fn(usize, usize) -> Option<f32>) -> Signal {
     let extent = Extent { width: 64, height: 64 };
     let value = |pixel: usize| far(pixel % 64, pixel / 64).unwrap_or(1.0 + 4.0 * ((pixel * 29) % 4096) as f32 / 4095.0);
     let mean = Image { extent, planes: vec![(0..extent.pixels()).map(value).collect()] };
-    Signal { half_spread: Some(Image::filled(extent, 1, 0.04)), variance_of_mean: Some(Image::filled(extent, 1, 0.0016)), mean }
+    Signal {
+        half_spread: Some(Image::filled(extent, 1, 0.04)),
+        variance_of_mean: Some(Image::filled(extent, 1, 0.0016)),
+        mean,
+    }
 }
 
 fn with_depth(color: Signal, depth: Signal) -> (Frame, Repairs) {
@@ -538,7 +646,12 @@ fn outliers_do_not_stretch_a_features_range_and_stay_apart() {
         let (frame, repairs) = with_depth(noisy(3), far_depth(far));
         let feature = near(&frame);
         assert_finite(&frame);
-        assert!((feature.unit_scale - 4.0).abs() < 0.01 && (feature.unit_offset - 1.0).abs() < 0.01, "{} {}", feature.unit_scale, feature.unit_offset);
+        assert!(
+            (feature.unit_scale - 4.0).abs() < 0.01 && (feature.unit_offset - 1.0).abs() < 0.01,
+            "{} {}",
+            feature.unit_scale,
+            feature.unit_offset
+        );
         for (pixel, value) in feature.signal.mean.planes[0].iter().enumerate() {
             let is_far = far(pixel % 64, pixel / 64).is_some_and(|value| value > 100.0);
             assert_eq!(!(0.0..=1.0).contains(value), is_far, "{pixel}: {value}");
@@ -565,8 +678,12 @@ fn what_lies_far_outside_keeps_its_noise_in_proportion() {
     let (frame, _) = frame(Signal { ..noisy(3) }, vec![("caustic".into(), signal)]);
     let feature = &frame.features()[0].signal;
     let at = |image: &Image| image.planes[0][5];
-    let (value, spread, variance) = (at(&feature.mean), at(feature.half_spread.as_ref().unwrap()), at(feature.variance_of_mean.as_ref().unwrap()));
-    assert!(value > 2.0 && spread < 0.0 && (spread * spread / variance - 1.0).abs() < 0.1, "{value} {spread} {variance} {extent}");
+    let (value, spread, variance) =
+        (at(&feature.mean), at(feature.half_spread.as_ref().unwrap()), at(feature.variance_of_mean.as_ref().unwrap()));
+    assert!(
+        value > 2.0 && spread < 0.0 && (spread * spread / variance - 1.0).abs() < 0.1,
+        "{value} {spread} {variance} {extent}"
+    );
     assert!((value - 1.0) / variance.sqrt() >= 100.0, "{value} {variance}");
 }
 
@@ -585,7 +702,10 @@ fn a_piece_without_the_outlier_is_as_in_the_whole() {
     for outside in cases {
         let (color, depth) = (noisy(3), far_depth(|x, y| outside(x, y).or(ends(x, y))));
         let rows = |plane: &Vec<f32>| plane[8 * 64..].to_vec();
-        let piece = |image: &Image| Image { extent: Extent { width: 64, height: 56 }, planes: image.planes.iter().map(rows).collect() };
+        let piece = |image: &Image| Image {
+            extent: Extent { width: 64, height: 56 },
+            planes: image.planes.iter().map(rows).collect(),
+        };
         let cut = |signal: &Signal| Signal {
             mean: piece(&signal.mean),
             half_spread: signal.half_spread.as_ref().map(piece),
@@ -612,7 +732,9 @@ fn ball_normals() -> Signal {
     };
     let hit = |pixel: usize| vector(pixel) != [0.0; 3];
     let planes = |value: &dyn Fn(usize, usize) -> f32| {
-        let plane = |channel: usize| (0..extent.pixels()).map(|pixel| if hit(pixel) { value(pixel, channel) } else { 0.0 }).collect();
+        let plane = |channel: usize| {
+            (0..extent.pixels()).map(|pixel| if hit(pixel) { value(pixel, channel) } else { 0.0 }).collect()
+        };
         Image { extent, planes: (0..3).map(plane).collect() }
     };
     let spread = noise.half_spread.unwrap();
@@ -641,7 +763,9 @@ fn encoded_normals_give_the_feature_of_the_normals_themselves() {
     assert!(repairs.to_string().contains("feature normal: stored as (n + 1)/2"), "{repairs}");
     let (a, b) = (&of_plain.features()[0], &of_encoded.features()[0]);
     assert_eq!((a.unit_scale, a.unit_offset, b.unit_scale, b.unit_offset), (2.0, -1.0, 1.0, 0.0));
-    let images = |signal: &Signal| [Some(signal.mean.clone()), signal.half_spread.clone(), signal.variance_of_mean.clone()].map(Option::unwrap);
+    let images = |signal: &Signal| {
+        [Some(signal.mean.clone()), signal.half_spread.clone(), signal.variance_of_mean.clone()].map(Option::unwrap)
+    };
     for (a, b) in images(&a.signal).iter().zip(&images(&b.signal)) {
         assert!(a.planes.iter().flatten().zip(b.planes.iter().flatten()).all(|(a, b)| (a - b).abs() < 1e-6));
     }
@@ -707,7 +831,11 @@ fn an_infinite_albedo_is_damage_and_no_miss() {
 /// An albedo of three channels with its halves and variance.
 fn albedo(mean: [f32; 12], half_spread: Option<[f32; 12]>, deviation: Option<[f32; 12]>) -> Signal {
     let variance = deviation.map(|deviation| deviation.map(|deviation| deviation * deviation));
-    Signal { mean: image(mean, 3), half_spread: half_spread.map(|spread| image(spread, 3)), variance_of_mean: variance.map(|variance| image(variance, 3)) }
+    Signal {
+        mean: image(mean, 3),
+        half_spread: half_spread.map(|spread| image(spread, 3)),
+        variance_of_mean: variance.map(|variance| image(variance, 3)),
+    }
 }
 
 /// The feature that an albedo becomes, in the units of the file: mean, half spread and deviation of each pixel.
@@ -717,7 +845,8 @@ fn settled_albedo(name: &str, signal: Signal) -> (Vec<[f32; 3]>, Repairs) {
     let at = |image: &Option<Image>, pixel: usize| image.as_ref().map_or(0.0, |image| image.planes[1][pixel]);
     let pixel = |pixel: usize| {
         let Signal { mean, half_spread, variance_of_mean } = &feature.signal;
-        let in_file_units = [mean.planes[1][pixel], at(half_spread, pixel), at(variance_of_mean, pixel).sqrt()].map(|value| value * feature.unit_scale);
+        let in_file_units = [mean.planes[1][pixel], at(half_spread, pixel), at(variance_of_mean, pixel).sqrt()]
+            .map(|value| value * feature.unit_scale);
         [in_file_units[0] + feature.unit_offset, in_file_units[1], in_file_units[2]]
     };
     ((0..12).map(pixel).collect(), repairs)
@@ -742,13 +871,25 @@ fn albedo_beyond_1_is_clamped_with_its_noise() {
     // Halves of 846 and 842; 0.5 and 3.5; 1.75 and 0.75; 1.25 and 0.25.
     let clamped = [(3, [1.0, 0.0, 0.0]), (5, [1.0, -0.25, 0.25]), (7, [1.0, 0.125, 0.0]), (9, [0.75, 0.375, 0.375])];
     for (pixel, expected) in clamped {
-        assert!(pixels[pixel].iter().zip(expected).all(|(found, expected)| close(*found, expected)), "{pixel}: {:?}, not {expected:?}", pixels[pixel]);
+        assert!(
+            pixels[pixel].iter().zip(expected).all(|(found, expected)| close(*found, expected)),
+            "{pixel}: {:?}, not {expected:?}",
+            pixels[pixel]
+        );
     }
     for pixel in (0..12).filter(|pixel| clamped.iter().all(|(other, _)| other != pixel)) {
-        assert!(close(pixels[pixel][0], mean[pixel]) && close(pixels[pixel][1], spread[pixel]) && close(pixels[pixel][2], deviation[pixel]), "{pixel}");
+        assert!(
+            close(pixels[pixel][0], mean[pixel])
+                && close(pixels[pixel][1], spread[pixel])
+                && close(pixels[pixel][2], deviation[pixel]),
+            "{pixel}"
+        );
     }
     let note = repairs.notes.iter().find(|note| note.starts_with("feature Denoising Albedo: ")).unwrap();
-    assert!(note.contains("9 values are beyond 1, up to 844") && note.contains("3 values are within 1, but a half"), "{repairs}");
+    assert!(
+        note.contains("9 values are beyond 1, up to 844") && note.contains("3 values are within 1, but a half"),
+        "{repairs}"
+    );
 
     // Without halves the deviation tells how far the samples went; what is no albedo stays.
     let (pixels, repairs) = settled_albedo("albedo", albedo(mean, None, Some(deviation)));

@@ -5,7 +5,9 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use stein::error::{Error, Result};
-use stein::gpu::{Buffer, DeviceChoice, Gpu, GpuOptions, Kernel, MemoryUse, Recorder, Run, SavedPipelines, bindings, uniforms};
+use stein::gpu::{
+    Buffer, DeviceChoice, Gpu, GpuOptions, Kernel, MemoryUse, Recorder, Run, SavedPipelines, bindings, uniforms,
+};
 
 uniforms! {
     struct ScaleParams { extent: glam::UVec2, factor: f32 }
@@ -91,12 +93,18 @@ fn names_kinds_and_types_that_do_not_match_are_refused() {
         assert!(SCALE.contains(from), "{from}");
         problem(gpu.kernel_from_source::<Scale>("scale", &SCALE.replace(from, to), &[]))
     };
-    assert_eq!(build("factor", "faktor"), "scale: the shader's 'params.faktor: f32' is not in the host struct ScaleParams");
+    assert_eq!(
+        build("factor", "faktor"),
+        "scale: the shader's 'params.faktor: f32' is not in the host struct ScaleParams"
+    );
     assert_eq!(
         build("factor: f32, extent: vec2<u32>", "factor: f32, extent: vec2<f32>"),
         "scale: 'params.extent' is vec2<f32> in the shader and vec2<u32> in the host struct ScaleParams"
     );
-    assert_eq!(build("{ factor: f32, ", "{ pad: u32, factor: f32, "), "scale: the shader's 'params.pad: u32' is not in the host struct ScaleParams");
+    assert_eq!(
+        build("{ factor: f32, ", "{ pad: u32, factor: f32, "),
+        "scale: the shader's 'params.pad: u32' is not in the host struct ScaleParams"
+    );
     assert_eq!(
         build("source", "origin"),
         "scale: the shader declares 'var<storage, read> origin', which the host does not bind (it binds 'params', 'source', 'scaled')"
@@ -105,16 +113,26 @@ fn names_kinds_and_types_that_do_not_match_are_refused() {
         build("<storage, read> source", "<storage, read_write> source"),
         "scale: the shader declares 'var<storage, read_write> source', but the host binds it as 'var<storage, read>'"
     );
-    assert_eq!(build("@group(0) @binding(1)", "@group(1) @binding(1)"), "scale: 'source' is in @group(1); all bindings belong to @group(0)");
-    assert_eq!(build("fn main", "fn start"), "scale: its entry point is 'start' (Compute) instead of the compute shader 'main'");
+    assert_eq!(
+        build("@group(0) @binding(1)", "@group(1) @binding(1)"),
+        "scale: 'source' is in @group(1); all bindings belong to @group(0)"
+    );
+    assert_eq!(
+        build("fn main", "fn start"),
+        "scale: its entry point is 'start' (Compute) instead of the compute shader 'main'"
+    );
     assert!(build("source[i] * params.factor", "source[i] * params.extent").contains("shaders/scale.wgsl"));
 
-    let missing = SCALE.replace("@group(0) @binding(1) var<storage, read> source: array<f32>;", "").replace("source[i]", "1.0");
+    let missing =
+        SCALE.replace("@group(0) @binding(1) var<storage, read> source: array<f32>;", "").replace("source[i]", "1.0");
     assert_eq!(
         problem(gpu.kernel_from_source::<Scale>("scale", &missing, &[])),
         "scale: the host binds 'source', but the shader has no 'var<storage, read> source'"
     );
-    assert_eq!(problem(gpu.kernel_from_source::<Scale>("scale", SCALE, &[("FACTR", true.into())])), "scale: no shader mentions the definition 'FACTR'");
+    assert_eq!(
+        problem(gpu.kernel_from_source::<Scale>("scale", SCALE, &[("FACTR", true.into())])),
+        "scale: no shader mentions the definition 'FACTR'"
+    );
     assert_eq!(problem(gpu.kernel::<Scale>("no_such_stage", &[])), "no_such_stage: there is no shader of this name");
     assert_eq!(gpu.kernel_count(), 0);
 }
@@ -154,7 +172,13 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
 #[test]
 fn definitions_specialise_and_members_are_found_by_name() {
     let gpu = gpu();
-    let with_mask = gpu.kernel_from_source::<Specialised>("specialised", SPECIALISED, &[("MASKED", true.into()), ("WIDTH", 64u32.into())]).unwrap();
+    let with_mask = gpu
+        .kernel_from_source::<Specialised>(
+            "specialised",
+            SPECIALISED,
+            &[("MASKED", true.into()), ("WIDTH", 64u32.into())],
+        )
+        .unwrap();
     let plain = gpu.kernel_from_source::<Specialised>("specialised", SPECIALISED, &[("WIDTH", 32u32.into())]).unwrap();
     assert_eq!((with_mask.workgroup_size(), plain.workgroup_size()), ([64, 1, 1], [32, 1, 1]));
 
@@ -172,9 +196,16 @@ fn definitions_specialise_and_members_are_found_by_name() {
     assert_eq!(problem(superfluous), "specialised: 'mask' is bound, but these definitions remove it from the shader");
     let twice = rec.dispatch(&with_mask, &Specialised { params, mask: Some(&a), result: &a }, [1, 1, 1]);
     assert_eq!(problem(twice), "specialised: the same buffer is bound to 'result', which is written, and to 'mask'");
-    let foreign = rec.dispatch(&plain, &Scale { params: ScaleParams { extent: EXTENT, factor: 1.0 }, source: &a, scaled: &b }, [1, 1, 1]);
+    let foreign = rec.dispatch(
+        &plain,
+        &Scale { params: ScaleParams { extent: EXTENT, factor: 1.0 }, source: &a, scaled: &b },
+        [1, 1, 1],
+    );
     assert_eq!(problem(foreign), "specialised: it is dispatched with bindings of another stage");
-    assert!(problem(rec.dispatch(&plain, &Specialised { params, mask: None, result: &a }, [u32::MAX, 1, 1])).contains("workgroups in x"));
+    assert!(
+        problem(rec.dispatch(&plain, &Specialised { params, mask: None, result: &a }, [u32::MAX, 1, 1]))
+            .contains("workgroups in x")
+    );
 
     rec.submit().unwrap();
     assert_eq!(gpu.read(&a).unwrap(), [-2.0, 7.0, 4.5, 9.0]);
@@ -212,7 +243,8 @@ fn a_dropped_buffer_is_used_again_and_nothing_grows() {
         let mut rec = gpu.record_in(&run);
         let source = rec.upload("source", &ramp()).unwrap();
         let mut last = scale(&mut rec, &kernel, &source, 1.0).unwrap();
-        // A chain of any length needs the source and two more buffers, although nothing was submitted when they are handed out again.
+        // A chain of any length needs the source and two more buffers, although nothing was submitted when they are
+        // handed out again.
         for _ in 0..10 {
             last = scale(&mut rec, &kernel, &last, 2.0).unwrap();
         }
@@ -296,7 +328,8 @@ fn a_renderer_submits_everything_through_its_own_encoder() {
 
     let bytes = (PIXELS * 4) as u64;
     let usage = wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_DST | wgpu::BufferUsages::COPY_SRC;
-    let rendered = device.create_buffer(&wgpu::BufferDescriptor { label: None, size: bytes, usage, mapped_at_creation: false });
+    let rendered =
+        device.create_buffer(&wgpu::BufferDescriptor { label: None, size: bytes, usage, mapped_at_creation: false });
     let run = Run::default();
     let mut rec = gpu.record_whole_in(&run);
     let mut last = rec.upload("uploaded", &ramp()).unwrap();
@@ -315,7 +348,8 @@ fn a_renderer_submits_everything_through_its_own_encoder() {
     assert_eq!(gpu.timings(&run).unwrap().expect("there are timestamps")[0].dispatches, 101);
 
     let usage = wgpu::BufferUsages::COPY_DST;
-    let unbindable = device.create_buffer(&wgpu::BufferDescriptor { label: None, size: bytes, usage, mapped_at_creation: false });
+    let unbindable =
+        device.create_buffer(&wgpu::BufferDescriptor { label: None, size: bytes, usage, mapped_at_creation: false });
     assert!(problem(gpu.import("framebuffer", unbindable)).contains("'framebuffer' was created without STORAGE usage"));
     let mut late = gpu.record();
     late.upload("a", &[1.0]).unwrap();
@@ -359,15 +393,22 @@ fn with_little_memory() {
         }
         assert!(held.len() < 1000, "the memory limit has no effect");
     };
-    for part in ["has no memory left for the buffer 'candidates'", &bytes.to_string(), "memory limit", "smaller window"] {
+    for part in ["has no memory left for the buffer 'candidates'", &bytes.to_string(), "memory limit", "smaller window"]
+    {
         assert!(text.contains(part), "{part} is missing in: {text}");
     }
-    // Idle buffers of the wrong size are given back when memory is short, also while commands that use them are still recorded.
+    // Idle buffers of the wrong size are given back when memory is short, also while commands that use them are still
+    // recorded.
     drop(held);
     let sizes = (1..=10).map(|n| n * bytes / 32);
     for size in sizes.clone().chain(sizes.rev()) {
         let odd = rec.take("odd", size).unwrap();
-        rec.dispatch(&kernel, &Scale { params: ScaleParams { extent: EXTENT, factor: 2.0 }, source: &source, scaled: &odd }, [EXTENT.x, EXTENT.y, 1]).unwrap();
+        rec.dispatch(
+            &kernel,
+            &Scale { params: ScaleParams { extent: EXTENT, factor: 2.0 }, source: &source, scaled: &odd },
+            [EXTENT.x, EXTENT.y, 1],
+        )
+        .unwrap();
     }
     let last = scale(&mut rec, &kernel, &source, 2.0).unwrap();
     rec.submit().unwrap();
@@ -381,8 +422,14 @@ fn a_full_device_frees_what_it_can_and_lives_on() {
         return;
     }
     let run = "ulimit -v 12000000 && exec \"$0\" --ignored --exact with_little_memory";
-    let child = std::process::Command::new("sh").args(["-c", run]).arg(std::env::current_exe().unwrap()).output().unwrap();
-    assert!(child.status.success(), "{}{}", String::from_utf8_lossy(&child.stdout), String::from_utf8_lossy(&child.stderr));
+    let child =
+        std::process::Command::new("sh").args(["-c", run]).arg(std::env::current_exe().unwrap()).output().unwrap();
+    assert!(
+        child.status.success(),
+        "{}{}",
+        String::from_utf8_lossy(&child.stdout),
+        String::from_utf8_lossy(&child.stderr)
+    );
     assert!(String::from_utf8_lossy(&child.stdout).contains("1 passed"));
 }
 
@@ -413,7 +460,8 @@ fn a_lost_device_is_an_error_everywhere() {
 #[test]
 fn a_lost_device_of_a_renderer_is_an_error_too() {
     let own = gpu();
-    let gpu = Gpu::from_wgpu(own.wgpu_device().clone(), own.wgpu_queue().clone(), &own.wgpu_device().adapter_info()).unwrap();
+    let gpu =
+        Gpu::from_wgpu(own.wgpu_device().clone(), own.wgpu_queue().clone(), &own.wgpu_device().adapter_info()).unwrap();
     let mut rec = gpu.record();
     let source = rec.upload("source", &ramp()).unwrap();
     rec.submit().unwrap();
@@ -437,11 +485,16 @@ fn pipeline_file(saved: &SavedPipelines) -> Option<&Path> {
 fn compiled_pipelines_are_kept_and_found_again() {
     let home = tempfile::tempdir().unwrap();
     let folder = home.path().join("made/on the way");
-    let files = || std::fs::read_dir(&folder).map_or_else(|_| Vec::new(), |entries| entries.map(|entry| entry.unwrap().path()).collect());
+    let files = || {
+        std::fs::read_dir(&folder)
+            .map_or_else(|_| Vec::new(), |entries| entries.map(|entry| entry.unwrap().path()).collect())
+    };
     let open = || gpu_with(GpuOptions { pipeline_folder: Some(folder.clone()), ..GpuOptions::default() });
     // A kernel that no other test has, so that the driver has it from nowhere else.
     let computed = |gpu: &Gpu| {
-        let kernel = gpu.kernel_from_source::<Scale>("scale", &SCALE.replace("params.factor", "params.factor + 0.03125"), &[]).unwrap();
+        let kernel = gpu
+            .kernel_from_source::<Scale>("scale", &SCALE.replace("params.factor", "params.factor + 0.03125"), &[])
+            .unwrap();
         let mut rec = gpu.record();
         let source = rec.upload("source", &ramp()).unwrap();
         let scaled = scale(&mut rec, &kernel, &source, 2.0).unwrap();
@@ -542,7 +595,9 @@ fn every_adapter_can_be_named() {
 #[test]
 fn every_shader_file_is_listed() {
     let root = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("shaders");
-    for (folder, mut listed) in [(root.clone(), stein::gpu::stages()), (root.join("shared"), stein::gpu::shared_modules())] {
+    for (folder, mut listed) in
+        [(root.clone(), stein::gpu::stages()), (root.join("shared"), stein::gpu::shared_modules())]
+    {
         let entries = folder.read_dir().into_iter().flatten().map(|entry| entry.unwrap().path());
         let mut found: Vec<_> = entries.filter(|path| path.extension().is_some_and(|ext| ext == "wgsl")).collect();
         found.sort();

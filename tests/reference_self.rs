@@ -30,7 +30,16 @@ fn planes(count: usize, mut plane: impl FnMut() -> Grid) -> Planes {
 }
 
 fn filter_params(symmetric: bool, centre: CentreWeight) -> FilterParams {
-    FilterParams { window_radius: 3, patch_radius: 1, k_color: 0.45, k_feature: 0.6, tau: 1e-2, symmetric_features: symmetric, blend_pairs: symmetric, centre }
+    FilterParams {
+        window_radius: 3,
+        patch_radius: 1,
+        k_color: 0.45,
+        k_feature: 0.6,
+        tau: 1e-2,
+        symmetric_features: symmetric,
+        blend_pairs: symmetric,
+        centre,
+    }
 }
 
 fn assert_close(actual: f64, expected: f64, tolerance: f64, what: &str) {
@@ -69,7 +78,11 @@ fn noisy_frame(mean: &[Grid], sigma: f64, seed: u64) -> Frame {
     };
     let mut signal = |clean: &[Grid], sigma: f64| {
         let (mean, spread) = clean.iter().map(|plane| noisy(plane, sigma)).unzip();
-        Signal { mean, spread: Some(spread), sample_variance: Some(clean.iter().map(|p| p.like(|_| sigma * sigma)).collect()) }
+        Signal {
+            mean,
+            spread: Some(spread),
+            sample_variance: Some(clean.iter().map(|p| p.like(|_| sigma * sigma)).collect()),
+        }
     };
     Frame { color: signal(mean, sigma), features: vec![signal(&mean[..1], sigma / 10.0)], explaining: Vec::new() }
 }
@@ -115,7 +128,8 @@ fn a_ramp_is_averaged_across_only_by_symmetric_weights() {
     let guide = Guide { mean: &mean, variance: &variance };
     let p = Point { x: 1, y: 0 };
     let weights_of = |symmetric| {
-        let params = FilterParams { patch_radius: 0, k_color: 1.0, ..filter_params(symmetric, CentreWeight::LargestNeighbour) };
+        let params =
+            FilterParams { patch_radius: 0, k_color: 1.0, ..filter_params(symmetric, CentreWeight::LargestNeighbour) };
         window_weights(&mean[0], p, Some(guide), &[], &params)
     };
     let plain = (-0.8f64 / 0.2).exp();
@@ -166,7 +180,13 @@ fn a_feature_has_the_weight_of_equation_8_3() {
 fn a_pair_has_the_weight_of_equation_7_6_unless_a_neighbour_is_too_far() {
     let (mean, variance) = (vec![row(&[-3.0, 0.4, 3.0])], vec![row(&[0.04, 0.01, 0.005])]);
     let p = Point { x: 1, y: 0 };
-    let params = FilterParams { patch_radius: 0, k_color: 5.0, k_feature: 5.0, tau: 0.008, ..filter_params(true, CentreWeight::One) };
+    let params = FilterParams {
+        patch_radius: 0,
+        k_color: 5.0,
+        k_feature: 5.0,
+        tau: 0.008,
+        ..filter_params(true, CentreWeight::One)
+    };
     let guide = Some(Guide { mean: &mean, variance: &variance });
     let numerator: f64 = 0.16 - (0.01 + (0.005 + 0.01) / 4.0);
 
@@ -179,7 +199,8 @@ fn a_pair_has_the_weight_of_equation_7_6_unless_a_neighbour_is_too_far() {
     let weights = window_weights(&mean[0], p, guide, &[], &stricter).neighbours;
     assert!(weights.iter().all(|(_, weight)| *weight < 1e-5), "{weights:?}");
 
-    let feature = Feature { gradient_squared: vec![row(&[0.0; 3])], residual_variance: variance.clone(), mean: mean.clone() };
+    let feature =
+        Feature { gradient_squared: vec![row(&[0.0; 3])], residual_variance: variance.clone(), mean: mean.clone() };
     // The right neighbour's contrast is τ.
     let expected = (-numerator / (25.0 * (0.01 + (0.04 + 0.008) / 4.0))).exp();
     for (_, weight) in window_weights(&mean[0], p, None, &[feature], &params).neighbours {
@@ -261,10 +282,18 @@ fn candidates_that_take_no_part_do_not_exist() {
 /// One pixel, in which SECOND has won.
 fn guarded(maps: [f64; 3], errors: [f64; 3], sure: [f64; 3], filtered: [f64; 3], rule: Guard) -> [f64; 3] {
     let grids = |values: [f64; 3]| values.map(|value| row(&[value]));
-    let (maps, errors, sure, binary_maps, filtered) = (grids(maps), grids(errors), grids(sure), grids([0.0, 1.0, 0.0]), grids(filtered));
+    let (maps, errors, sure, binary_maps, filtered) =
+        (grids(maps), grids(errors), grids(sure), grids([0.0, 1.0, 0.0]), grids(filtered));
     let candidates = filtered.each_ref().map(std::slice::from_ref);
     let variance = [row(&[4.0])];
-    let evidence = Evidence { errors: &errors, binary_maps: &binary_maps, sure: &sure, candidates, takes_part: ALL, variance: &variance };
+    let evidence = Evidence {
+        errors: &errors,
+        binary_maps: &binary_maps,
+        sure: &sure,
+        candidates,
+        takes_part: ALL,
+        variance: &variance,
+    };
     let maps = share(&maps, evidence, Some(&rule));
     [maps[0].values[0], maps[1].values[0], maps[2].values[0]]
 }
@@ -283,7 +312,8 @@ fn the_guard_removes_what_is_much_worse_than_the_winner() {
 
 #[test]
 fn the_guard_removes_what_the_pixels_own_error_is_sure_about() {
-    // FIRST has the least. SECOND is 3 away from it, a deviation of 2·√(4·9) = 12, and THIRD 1: 4. Two of them and 0.5·4 are allowed: 26 and 10.
+    // FIRST has the least. SECOND is 3 away from it, a deviation of 2·√(4·9) = 12, and THIRD 1: 4. Two of them and
+    // 0.5·4 are allowed: 26 and 10.
     let rule = Guard { smoothed_error: 1e9, smoothed_noise: 0.0, own_sigmas: 2.0, own_noise: 0.5 };
     let guarded = |sure| guarded([0.25, 0.25, 0.5], [1.0; 3], sure, [5.0, 8.0, 4.0], rule);
     assert_eq!(guarded([-1.0, 25.0, 9.0]), [0.25, 0.25, 0.5]);
@@ -334,18 +364,29 @@ fn neighbours_are_averaged_without_the_centre() {
 
 // Greedy error minimisation.
 
-/// Section 6.2.2: where the image is quadratic, the bias term is the difference of the squared biases, although nobody told it the truth. Gaussians that end at 3σ have
-/// biases in a ratio of their scales within 2 %.
+/// Section 6.2.2: where the image is quadratic, the bias term is the difference of the squared biases, although nobody
+/// told it the truth. Gaussians that end at 3σ have biases in a ratio of their scales within 2 %.
 #[test]
 fn the_bias_term_knows_the_biases_of_a_quadratic() {
-    let truth = Grid::from_fn(81, 81, |p| 0.3 + 0.02 * p.x as f64 - 0.01 * (p.x - 40).pow(2) as f64 + 0.03 * (p.y - 38).pow(2) as f64);
+    let truth = Grid::from_fn(81, 81, |p| {
+        0.3 + 0.02 * p.x as f64 - 0.01 * (p.x - 40).pow(2) as f64 + 0.03 * (p.y - 38).pow(2) as f64
+    });
     let zero = truth.like(|_| 0.0);
     let three = |grid: &Grid| vec![grid.clone(); 3];
-    let pixel = Scale { sigma: 0.0, mean: three(&truth), spread: three(&zero), variance: three(&zero), samples: zero.clone(), pixels: zero.like(|_| 1.0) };
+    let pixel = Scale {
+        sigma: 0.0,
+        mean: three(&truth),
+        spread: three(&zero),
+        variance: three(&zero),
+        samples: zero.clone(),
+        pixels: zero.like(|_| 1.0),
+    };
     let centre = Point { x: 40, y: 40 };
-    for (fine, coarse) in
-        [(scaled(&pixel, 2.0), scaled(&pixel, 4.0)), (scaled(&pixel, 4.0), scaled(&pixel, 32f64.sqrt())), (pixel.clone(), scaled(&pixel, 2.0))]
-    {
+    for (fine, coarse) in [
+        (scaled(&pixel, 2.0), scaled(&pixel, 4.0)),
+        (scaled(&pixel, 4.0), scaled(&pixel, 32f64.sqrt())),
+        (pixel.clone(), scaled(&pixel, 2.0)),
+    ] {
         let squared_bias = |scale: &Scale| 3.0 * (scale.mean[0].at(centre) - truth.at(centre)).powi(2);
         let expected = squared_bias(&coarse) - squared_bias(&fine);
         assert!(expected > 0.0);
@@ -388,7 +429,10 @@ fn an_outlier_does_not_decide_how_the_variances_around_it_are_scaled() {
     let is_outlier = |p: Point| p == Point { x: 20, y: 20 };
     let spread = noise.like(|p| if is_outlier(p) { 0.0 } else { noise.at(p) });
     let claimed = noise.like(|p| if is_outlier(p) { 1e6 } else { 1.0 });
-    let beside = |weight: BoxWeight| variance_scale(std::slice::from_ref(&claimed), std::slice::from_ref(&spread), 10, weight)[0].at(Point { x: 22, y: 21 });
+    let beside = |weight: BoxWeight| {
+        variance_scale(std::slice::from_ref(&claimed), std::slice::from_ref(&spread), 10, weight)[0]
+            .at(Point { x: 22, y: 21 })
+    };
     assert!(beside(BoxWeight::Even) < 1e-3, "{}", beside(BoxWeight::Even));
     // It counts as a thousand of the 440 others.
     assert_close(beside(BoxWeight::Deviation), 440.0 / 1440.0, 0.1, "variance beside an outlier");
@@ -600,14 +644,18 @@ fn a_constant_image_stays_constant() {
     }
 }
 
-/// Every pixel differs from every other in colour, so nothing but the pixel itself has weight where the colour matters, and
-/// THIRD, where it does not, shows its error.
+/// Every pixel differs from every other in colour, so nothing but the pixel itself has weight where the colour matters,
+/// and THIRD, where it does not, shows its error.
 #[test]
 fn an_image_without_noise_is_left_alone() {
     let mut random = Random(9);
     let mean = planes(3, || random.uniform_grid(12, 10, 0.1, 2.0));
     let zero = || Some(planes(3, || Grid::filled(12, 10, 0.0)));
-    let frame = Frame { color: Signal { mean: mean.clone(), spread: zero(), sample_variance: zero() }, features: Vec::new(), explaining: Vec::new() };
+    let frame = Frame {
+        color: Signal { mean: mean.clone(), spread: zero(), sample_variance: zero() },
+        features: Vec::new(),
+        explaining: Vec::new(),
+    };
     for (preset, params) in presets() {
         let result = dfc(&frame, &params);
         for (name, pass) in every_output(&result) {
@@ -622,7 +670,8 @@ fn an_image_without_noise_is_left_alone() {
 #[test]
 fn noise_is_reduced_and_maps_sum_to_one() {
     let (width, height, sigma) = (24, 20, 0.1);
-    let clean = [0.4, 0.8, 1.0].map(|level| Grid::from_fn(width, height, |p| if p.x < 11 { level } else { level / 2.0 }));
+    let clean =
+        [0.4, 0.8, 1.0].map(|level| Grid::from_fn(width, height, |p| if p.x < 11 { level } else { level / 2.0 }));
     let frame = noisy_frame(&clean, sigma, 10);
     for (preset, params) in presets() {
         let result = dfc(&frame, &params);
@@ -633,7 +682,8 @@ fn noise_is_reduced_and_maps_sum_to_one() {
             assert_close(sum(&result.maps), 1.0, 1e-12, preset);
         }
         for (name, pass) in every_output(&result) {
-            let error: f64 = pass.mean.iter().zip(&clean).map(|(a, b)| a.like(|p| (a.at(p) - b.at(p)).powi(2)).mean()).sum();
+            let error: f64 =
+                pass.mean.iter().zip(&clean).map(|(a, b)| a.like(|p| (a.at(p) - b.at(p)).powi(2)).mean()).sum();
             let before = 3.0 * sigma * sigma;
             assert!(error < before / 4.0, "{preset}, {name}: {error} of {before}");
         }

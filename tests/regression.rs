@@ -1,6 +1,8 @@
-//! How good the result is, on the test renders: bounds just above what was measured, so that whatever makes it worse is noticed, and by how much.
+//! How good the result is, on the test renders: bounds just above what was measured, so that whatever makes it worse is
+//! noticed, and by how much.
 //!
-//! Bounds hold for any adapter: results differ between adapters by a few units of their last digits, and here and there by a decision that ties.
+//! Bounds hold for any adapter: results differ between adapters by a few units of their last digits, and here and there
+//! by a decision that ties.
 
 #[allow(dead_code, unreachable_pub, reason = "every test includes all shared pieces and uses a part of them")]
 #[path = "common/frames.rs"]
@@ -13,8 +15,13 @@ use stein_metric::relative_mse;
 /// Means over squares of 16×16 pixels.
 fn blocks(image: &Image, value: impl Fn(usize) -> f64) -> Vec<f64> {
     let (width, height) = (image.extent.width as usize, image.extent.height as usize);
-    let block = |left: usize, top: usize| (0..16 * 16).map(|i| value((top + i / 16) * width + left + i % 16)).sum::<f64>() / (16.0 * 16.0);
-    (0..height / 16).flat_map(|y| (0..width / 16).map(move |x| (16 * x, 16 * y))).map(|(left, top)| block(left, top)).collect()
+    let block = |left: usize, top: usize| {
+        (0..16 * 16).map(|i| value((top + i / 16) * width + left + i % 16)).sum::<f64>() / (16.0 * 16.0)
+    };
+    (0..height / 16)
+        .flat_map(|y| (0..width / 16).map(move |x| (16 * x, 16 * y)))
+        .map(|(left, top)| block(left, top))
+        .collect()
 }
 
 /// The share of blocks whose estimated error is between a quarter and four times the true one.
@@ -24,11 +31,16 @@ fn share_within_four(estimate: &Estimate, reference: &Image) -> f64 {
         channels.map(|(plane, reference)| (f64::from(plane[pixel]) - f64::from(reference[pixel])).powi(2)).sum()
     };
     let estimated = |pixel: usize| f64::from(frames::error_of(estimate).planes[0][pixel]);
-    let ratios: Vec<f64> = blocks(reference, estimated).iter().zip(blocks(reference, squared)).map(|(estimated, known)| estimated / known.max(1e-12)).collect();
+    let ratios: Vec<f64> = blocks(reference, estimated)
+        .iter()
+        .zip(blocks(reference, squared))
+        .map(|(estimated, known)| estimated / known.max(1e-12))
+        .collect();
     ratios.iter().filter(|ratio| (0.25..=4.0).contains(*ratio)).count() as f64 / ratios.len() as f64
 }
 
-/// A render and the most that its relative mean squared error may be: as it comes, with the default parameters, with those of the text, both at R = 10.
+/// A render and the most that its relative mean squared error may be: as it comes, with the default parameters, with
+/// those of the text, both at R = 10.
 struct Bound {
     render: &'static str,
     scene: &'static str,
@@ -36,17 +48,39 @@ struct Bound {
     thesis: f64,
     /// The least share of blocks on which the default tells its error within a factor of four.
     told: f64,
-    /// Where the text's own algorithm ends with more error than it began with. In `cornell` lamp and ceiling share all features, so that THIRD smears the one over the
-    /// other; it does not win there, but the smoothing of the maps hands it a share all the same. The default's guard is there for that.
+    /// Where the text's own algorithm ends with more error than it began with. In `cornell` lamp and ceiling share all
+    /// features, so that THIRD smears the one over the other; it does not win there, but the smoothing of the maps
+    /// hands it a share all the same. The default's guard is there for that.
     thesis_fails: bool,
 }
 
 /// Three percent above what was measured.
 const BOUNDS: [Bound; 4] = [
     Bound { render: "cornell_8spp", scene: "cornell", default: 0.0023, thesis: 3.02, told: 0.75, thesis_fails: true },
-    Bound { render: "cornell_32spp", scene: "cornell", default: 0.000785, thesis: 1.904, told: 0.9, thesis_fails: true },
-    Bound { render: "dof_spheres_32spp", scene: "dof_spheres", default: 0.00287, thesis: 0.00438, told: 0.9, thesis_fails: false },
-    Bound { render: "caustic_ring_32spp", scene: "caustic_ring", default: 0.00638, thesis: 0.01987, told: 0.45, thesis_fails: false },
+    Bound {
+        render: "cornell_32spp",
+        scene: "cornell",
+        default: 0.000785,
+        thesis: 1.904,
+        told: 0.9,
+        thesis_fails: true,
+    },
+    Bound {
+        render: "dof_spheres_32spp",
+        scene: "dof_spheres",
+        default: 0.00287,
+        thesis: 0.00438,
+        told: 0.9,
+        thesis_fails: false,
+    },
+    Bound {
+        render: "caustic_ring_32spp",
+        scene: "caustic_ring",
+        default: 0.00638,
+        thesis: 0.01987,
+        told: 0.45,
+        thesis_fails: false,
+    },
 ];
 
 #[test]
@@ -59,20 +93,34 @@ fn errors_stay_within_their_bounds() {
         let reference = frames::converged(bound.scene);
         let error_of = |image: &Image| relative_mse(image, &reference).unwrap_or_else(|error| panic!("{error}"));
         let noisy = error_of(&frame.color().mean);
-        for (preset, params, most) in [("default", DfcParams::default(), bound.default), ("thesis", DfcParams::thesis(), bound.thesis)] {
-            let estimate = Denoiser::new(&gpu, params).and_then(|denoiser| denoiser.denoise(&frame)).unwrap_or_else(|error| panic!("{error}"));
+        for (preset, params, most) in
+            [("default", DfcParams::default(), bound.default), ("thesis", DfcParams::thesis(), bound.thesis)]
+        {
+            let estimate = Denoiser::new(&gpu, params)
+                .and_then(|denoiser| denoiser.denoise(&frame))
+                .unwrap_or_else(|error| panic!("{error}"));
             let error = error_of(&estimate.color);
             let told = share_within_four(&estimate, &reference);
-            println!("{}, {preset}: the error is told within a factor of four on {:.0} % of the blocks", bound.render, 100.0 * told);
+            println!(
+                "{}, {preset}: the error is told within a factor of four on {:.0} % of the blocks",
+                bound.render,
+                100.0 * told
+            );
             if preset == "default" && told < bound.told {
-                failures.push(format!("{}: the error is told within a factor of four on {told:.3} of the blocks, below {}", bound.render, bound.told));
+                failures.push(format!(
+                    "{}: the error is told within a factor of four on {told:.3} of the blocks, below {}",
+                    bound.render, bound.told
+                ));
             }
             println!("{}, {preset}: relative MSE {noisy:.6} before, {error:.6} after", bound.render);
             if error > most {
                 failures.push(format!("{}, {preset}: relative MSE {error:.6}, above {most:.6}", bound.render));
             }
             if error > noisy && !(preset == "thesis" && bound.thesis_fails) {
-                failures.push(format!("{}, {preset}: relative MSE {error:.6}, the noisy input has {noisy:.6}", bound.render));
+                failures.push(format!(
+                    "{}, {preset}: relative MSE {error:.6}, the noisy input has {noisy:.6}",
+                    bound.render
+                ));
             }
         }
     }

@@ -1,4 +1,5 @@
-//! Every stage, with every set of definitions that the product uses, is valid WGSL and can be said in the language of every driver. Needs no adapter.
+//! Every stage, with every set of definitions that the product uses, is valid WGSL and can be said in the language of
+//! every driver. Needs no adapter.
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on says where")]
 
 use naga::ShaderStage;
@@ -14,7 +15,9 @@ const BOTH: [bool; 2] = [false, true];
 /// All combinations of the values of each name.
 fn combinations(axes: &[(&'static str, Vec<Definition>)]) -> Vec<Definitions> {
     axes.iter().fold(vec![Vec::new()], |sets, (name, values)| {
-        let extended = |set: Definitions| values.iter().map(move |value| [set.as_slice(), &[(*name, *value)]].concat()).collect::<Vec<_>>();
+        let extended = |set: Definitions| {
+            values.iter().map(move |value| [set.as_slice(), &[(*name, *value)]].concat()).collect::<Vec<_>>()
+        };
         sets.into_iter().flat_map(extended).collect()
     })
 }
@@ -34,12 +37,14 @@ fn takes_part() -> Vec<(&'static str, Vec<Definition>)> {
 
 /// What opposite neighbours do for each other: nothing, by degrees, at once.
 fn with_rules(sets: &[Definitions]) -> Vec<Definitions> {
-    let rules = [(false, false), (true, false), (true, true)].map(|(symmetric, hard)| [("SYMMETRIC", symmetric.into()), ("SYMMETRIC_HARD", hard.into())]);
+    let rules = [(false, false), (true, false), (true, true)]
+        .map(|(symmetric, hard)| [("SYMMETRIC", symmetric.into()), ("SYMMETRIC_HARD", hard.into())]);
     sets.iter().flat_map(|set| rules.iter().map(|rule| [set.as_slice(), rule].concat())).collect()
 }
 
-/// What the functions of `stein::stage` are called with: patches of 0 to 5 pixels, of which 1 and 3 are the presets', FIRST's beside SECOND's or none, packed
-/// features in up to eight groups. A stage that is missing here is a stage that nobody has thought through.
+/// What the functions of `stein::stage` are called with: patches of 0 to 5 pixels, of which 1 and 3 are the presets',
+/// FIRST's beside SECOND's or none, packed features in up to eight groups. A stage that is missing here is a stage that
+/// nobody has thought through.
 fn definitions(stage: &str) -> Option<Vec<Definitions>> {
     let none = Some(vec![Vec::new()]);
     match stage {
@@ -50,9 +55,20 @@ fn definitions(stage: &str) -> Option<Vec<Definitions>> {
         "noise_guess" => Some(combinations(&[("PIXELS", numbers(&[4]))])),
         "noise_feature" => Some(combinations(&[("PIXELS", numbers(&[4])), ("VARIANCE", flags())])),
         "noise_pool" => {
-            let featureless = combinations(&[("FEATURE_GROUPS", numbers(&[0])), ("PIXELS", numbers(&[4])), ("VARIANCE", flags())]);
-            let few = combinations(&[("FEATURE_GROUPS", numbers(&[1, 2])), ("PIXELS", numbers(&[4])), ("FEATURE_NOISE", flags()), ("VARIANCE", flags())]);
-            let many = combinations(&[("FEATURE_GROUPS", numbers(&[8])), ("PIXELS", numbers(&[1])), ("FEATURE_NOISE", flags()), ("VARIANCE", flags())]);
+            let featureless =
+                combinations(&[("FEATURE_GROUPS", numbers(&[0])), ("PIXELS", numbers(&[4])), ("VARIANCE", flags())]);
+            let few = combinations(&[
+                ("FEATURE_GROUPS", numbers(&[1, 2])),
+                ("PIXELS", numbers(&[4])),
+                ("FEATURE_NOISE", flags()),
+                ("VARIANCE", flags()),
+            ]);
+            let many = combinations(&[
+                ("FEATURE_GROUPS", numbers(&[8])),
+                ("PIXELS", numbers(&[1])),
+                ("FEATURE_NOISE", flags()),
+                ("VARIANCE", flags()),
+            ]);
             Some([featureless, few, many].concat())
         }
         "spike_find" => Some(combinations(&[("FEATURE_GROUPS", numbers(&[0, 1, 2, 8])), ("VARIANCE", flags())])),
@@ -77,7 +93,13 @@ fn definitions(stage: &str) -> Option<Vec<Definitions>> {
         "scale_pixel" => Some(combinations(&[("SAMPLES_VARY", flags())])),
         "scale_advance" => Some(combinations(&[("COARSER_ONLY", flags())])),
         "sample_density" => Some(combinations(&[("SAMPLES_VARY", flags()), ("HALVES", flags())])),
-        "gaussian" => Some(["SQUARED", "KEEP_WEIGHT_SUM", "WITHOUT_CENTRE"].map(|name| vec![(name, true.into())]).into_iter().chain([Vec::new()]).collect()),
+        "gaussian" => Some(
+            ["SQUARED", "KEEP_WEIGHT_SUM", "WITHOUT_CENTRE"]
+                .map(|name| vec![(name, true.into())])
+                .into_iter()
+                .chain([Vec::new()])
+                .collect(),
+        ),
         "variance_smooth" => Some(combinations(&[("CLAMPED", flags())])),
         "nlm_distance" => {
             let shapes = [([0, 1, 3, 5].as_slice(), [-1, 0].as_slice()), (&[1, 3, 5], &[1])];
@@ -89,11 +111,19 @@ fn definitions(stage: &str) -> Option<Vec<Definitions>> {
                     ("SYMMETRIC", flags()),
                 ])
             };
-            let channels = ["ONE_CHANNEL", "GREY"]
-                .map(|name| vec![("PATCH_RADIUS", 3.into()), ("SMALL_PATCH_RADIUS", 1.into()), ("OFFSET_ROWS", 2.into()), (name, true.into())]);
+            let channels = ["ONE_CHANNEL", "GREY"].map(|name| {
+                vec![
+                    ("PATCH_RADIUS", 3.into()),
+                    ("SMALL_PATCH_RADIUS", 1.into()),
+                    ("OFFSET_ROWS", 2.into()),
+                    (name, true.into()),
+                ]
+            });
             Some(shapes.into_iter().flat_map(set).chain(channels).collect())
         }
-        "nlm_weight" => Some(with_rules(&combinations(&[("PATCH_RADIUS", numbers(&[0, 1, 3, 5])), ("PIXELS", numbers(&[1, 4]))]))),
+        "nlm_weight" => {
+            Some(with_rules(&combinations(&[("PATCH_RADIUS", numbers(&[0, 1, 3, 5])), ("PIXELS", numbers(&[1, 4]))])))
+        }
         "nlm_filter" => {
             let shapes = combinations(&[
                 ("PATCH_RADIUS", numbers(&[0, 1, 3, 5])),
@@ -112,9 +142,15 @@ fn definitions(stage: &str) -> Option<Vec<Definitions>> {
             ]);
             Some(with_rules(&[shapes, narrow].concat()))
         }
-        "nlm_window" => Some(with_rules(&combinations(&[("PATCH_RADIUS", numbers(&[0, 1, 3, 5])), ("PATCHWISE", flags())]))),
+        "nlm_window" => {
+            Some(with_rules(&combinations(&[("PATCH_RADIUS", numbers(&[0, 1, 3, 5])), ("PATCHWISE", flags())])))
+        }
         "candidate_window" => {
-            let radii = [("PATCH_RADIUS", numbers(&[1, 3])), ("SMALL_PATCH_RADIUS", numbers(&[0, 1])), ("FEATURE_GROUPS", numbers(&[0, 1, 2, 8]))];
+            let radii = [
+                ("PATCH_RADIUS", numbers(&[1, 3])),
+                ("SMALL_PATCH_RADIUS", numbers(&[0, 1])),
+                ("FEATURE_GROUPS", numbers(&[0, 1, 2, 8])),
+            ];
             let with_color = |set: Definitions| {
                 let is_on = |name: &str| set.iter().any(|definition| *definition == (name, true.into()));
                 let color = is_on("FIRST") || is_on("SECOND");
@@ -135,18 +171,34 @@ fn definitions(stage: &str) -> Option<Vec<Definitions>> {
                 ])
             };
             let whole = |set: Definitions| {
-                let parts = ["FIRST", "SECOND", "THIRD", "COLOR", "DERIVATIVES", "HALVES"].map(|name| (name, true.into()));
+                let parts =
+                    ["FIRST", "SECOND", "THIRD", "COLOR", "DERIVATIVES", "HALVES"].map(|name| (name, true.into()));
                 [set.as_slice(), &parts].concat()
             };
-            let all = [(false, false), (false, true), (true, false)].into_iter().flat_map(|frames| with_rules(&set(frames))).map(whole);
+            let all = [(false, false), (false, true), (true, false)]
+                .into_iter()
+                .flat_map(|frames| with_rules(&set(frames)))
+                .map(whole);
             // What may be left out of them.
-            let shape =
-                [("PATCH_RADIUS", 3.into()), ("SMALL_PATCH_RADIUS", 1.into()), ("FEATURE_GROUPS", 2.into()), ("PIXELS", 4.into()), ("SYMMETRIC", true.into())];
-            let left = combinations(&[&takes_part()[..], &["DERIVATIVES", "HALVES", "GREY", "NEAR", "OTHER_FRAME"].map(|name| (name, flags()))].concat());
+            let shape = [
+                ("PATCH_RADIUS", 3.into()),
+                ("SMALL_PATCH_RADIUS", 1.into()),
+                ("FEATURE_GROUPS", 2.into()),
+                ("PIXELS", 4.into()),
+                ("SYMMETRIC", true.into()),
+            ];
+            let left = combinations(
+                &[
+                    &takes_part()[..],
+                    &["DERIVATIVES", "HALVES", "GREY", "NEAR", "OTHER_FRAME"].map(|name| (name, flags())),
+                ]
+                .concat(),
+            );
             let part = |set: Definitions| {
                 let is_on = |name: &str| set.iter().any(|definition| *definition == (name, true.into()));
                 let color = [("COLOR", (is_on("FIRST") || is_on("SECOND")).into())];
-                let fits = !(is_on("NEAR") && is_on("OTHER_FRAME")) && (is_on("THIRD") || is_on("FIRST") || is_on("SECOND"));
+                let fits =
+                    !(is_on("NEAR") && is_on("OTHER_FRAME")) && (is_on("THIRD") || is_on("FIRST") || is_on("SECOND"));
                 fits.then(|| [&shape[..], &set, &color].concat())
             };
             Some(all.chain(left.into_iter().filter_map(part)).collect())
@@ -159,22 +211,29 @@ fn in_every_language(what: &str, module: &naga::Module, info: &ModuleInfo) {
     let entry = ("main".to_owned(), ShaderStage::Compute);
 
     let pipeline = spv::PipelineOptions { shader_stage: entry.1, entry_point: entry.0.clone() };
-    let words = spv::write_vec(module, info, &spv::Options::default(), Some(&pipeline)).unwrap_or_else(|error| panic!("{what}: SPIR-V: {error}"));
+    let words = spv::write_vec(module, info, &spv::Options::default(), Some(&pipeline))
+        .unwrap_or_else(|error| panic!("{what}: SPIR-V: {error}"));
     assert_eq!(words.first(), Some(&0x0723_0203), "{what}: SPIR-V without its magic number");
 
-    let pipeline = msl::PipelineOptions { entry_point: Some((entry.1, entry.0.clone())), ..msl::PipelineOptions::default() };
+    let pipeline =
+        msl::PipelineOptions { entry_point: Some((entry.1, entry.0.clone())), ..msl::PipelineOptions::default() };
     let options = msl::Options { lang_version: (2, 0), ..msl::Options::default() };
-    let (text, _) = msl::write_string(module, info, &options, &pipeline).unwrap_or_else(|error| panic!("{what}: MSL: {error}"));
+    let (text, _) =
+        msl::write_string(module, info, &options, &pipeline).unwrap_or_else(|error| panic!("{what}: MSL: {error}"));
     assert!(text.contains("kernel void"), "{what}: MSL without a kernel");
 
     let pipeline = hlsl::PipelineOptions { entry_point: Some((entry.1, entry.0.clone())) };
     let (options, mut text) = (hlsl::Options::default(), String::new());
-    hlsl::Writer::new(&mut text, &options, &pipeline).write(module, info, None).unwrap_or_else(|error| panic!("{what}: HLSL: {error}"));
+    hlsl::Writer::new(&mut text, &options, &pipeline)
+        .write(module, info, None)
+        .unwrap_or_else(|error| panic!("{what}: HLSL: {error}"));
     assert!(text.contains("numthreads"), "{what}: HLSL without a kernel");
 
     let pipeline = glsl::PipelineOptions { shader_stage: entry.1, entry_point: entry.0, multiview: None };
-    let (options, mut text) = (glsl::Options { version: glsl::Version::Desktop(430), ..glsl::Options::default() }, String::new());
-    let written = glsl::Writer::new(&mut text, module, info, &options, &pipeline, BoundsCheckPolicies::default()).and_then(|mut writer| writer.write());
+    let (options, mut text) =
+        (glsl::Options { version: glsl::Version::Desktop(430), ..glsl::Options::default() }, String::new());
+    let written = glsl::Writer::new(&mut text, module, info, &options, &pipeline, BoundsCheckPolicies::default())
+        .and_then(|mut writer| writer.write());
     written.unwrap_or_else(|error| panic!("{what}: GLSL: {error}"));
     assert!(text.contains("local_size_x"), "{what}: GLSL without a kernel");
 }
@@ -195,16 +254,25 @@ const WORKGROUPS_EVERYWHERE: u32 = 65_535;
 const WIDEST_IMAGE: u32 = 1 << 20;
 
 fn fits_the_least_of_devices(stage: &str, set: &Definitions, module: &naga::Module) {
-    let buffers = module.global_variables.iter().filter(|(_, variable)| matches!(variable.space, naga::AddressSpace::Storage { .. })).count();
+    let buffers = module
+        .global_variables
+        .iter()
+        .filter(|(_, variable)| matches!(variable.space, naga::AddressSpace::Storage { .. }))
+        .count();
     assert!(buffers <= STORAGE_BUFFERS_EVERYWHERE, "{stage} with {set:?} binds {buffers} storage buffers");
     let [columns, ..] = module.entry_points[0].workgroup_size;
-    assert!(WORKGROUPS_EVERYWHERE * columns >= WIDEST_IMAGE, "{stage} with {set:?} does not reach the last column of the widest image in a file");
+    assert!(
+        WORKGROUPS_EVERYWHERE * columns >= WIDEST_IMAGE,
+        "{stage} with {set:?} does not reach the last column of the widest image in a file"
+    );
 }
 
 #[test]
 fn every_stage_is_valid_translates_and_fits_the_least_of_devices() {
     for stage in stages() {
-        let sets = definitions(stage).unwrap_or_else(|| panic!("stage '{stage}' is not in the table of this test: add the definitions it is used with"));
+        let sets = definitions(stage).unwrap_or_else(|| {
+            panic!("stage '{stage}' is not in the table of this test: add the definitions it is used with")
+        });
         for set in sets {
             let what = format!("{stage} with {set:?}");
             let module = compose(stage, &set).unwrap_or_else(|error| panic!("{what}: {error}"));
@@ -216,10 +284,13 @@ fn every_stage_is_valid_translates_and_fits_the_least_of_devices() {
     }
 }
 
-/// What is compiled once is found again, by us and by the driver: so a stage has to be the same to the byte, whichever were composed before it.
+/// What is compiled once is found again, by us and by the driver: so a stage has to be the same to the byte, whichever
+/// were composed before it.
 #[test]
 fn a_stage_is_the_same_whatever_was_composed_before() {
-    let all = |stages: &[&'static str]| -> Vec<Vec<u32>> { stages.iter().map(|stage| spirv(stage, &definitions(stage).unwrap_or_default()[0])).collect() };
+    let all = |stages: &[&'static str]| -> Vec<Vec<u32>> {
+        stages.iter().map(|stage| spirv(stage, &definitions(stage).unwrap_or_default()[0])).collect()
+    };
     let forwards = stages();
     let backwards: Vec<_> = forwards.iter().rev().copied().collect();
     let mut again = all(&backwards);
@@ -227,12 +298,16 @@ fn a_stage_is_the_same_whatever_was_composed_before() {
     assert_eq!(all(&forwards), again);
 }
 
-/// Every file in `shaders/` is a stage and every file in `shaders/shared/` a piece that stages import: what lies there unused only looks like part of the product.
+/// Every file in `shaders/` is a stage and every file in `shaders/shared/` a piece that stages import: what lies there
+/// unused only looks like part of the product.
 #[test]
 fn every_file_is_used() {
     let names = |folder: &str| {
         let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join(folder);
-        let files = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path()).filter(|path| path.extension().is_some_and(|e| e == "wgsl"));
+        let files = std::fs::read_dir(folder)
+            .unwrap()
+            .map(|entry| entry.unwrap().path())
+            .filter(|path| path.extension().is_some_and(|e| e == "wgsl"));
         let mut names: Vec<String> = files.map(|path| path.file_stem().unwrap().to_str().unwrap().to_owned()).collect();
         names.sort();
         names

@@ -85,7 +85,11 @@ fn a_broken_frame_is_named_the_others_are_written_and_no_clobber_goes_on() {
     told.failed(3, &said);
     let places = ["clean.0001.exr: ", "frame 2: ", "clean.0003.exr: "].map(|text| told.stdout.find(text).unwrap());
     assert!(places.is_sorted() && told.stdout.contains("not denoised"), "{}", told.stdout);
-    assert_eq!(new_names(&folder), ["clean.0000.exr", "clean.0001.exr", "clean.0003.exr"], "all others, and nothing half done");
+    assert_eq!(
+        new_names(&folder),
+        ["clean.0000.exr", "clean.0001.exr", "clean.0003.exr"],
+        "all others, and nothing half done"
+    );
     // A neighbour that cannot be read is left out of the windows of the others.
     let told = denoise(&folder, "window", &["--temporal-radius=1"]);
     told.failed(3, &said);
@@ -95,12 +99,18 @@ fn a_broken_frame_is_named_the_others_are_written_and_no_clobber_goes_on() {
     let frames = document.json()["frames"].clone();
     let windows: Vec<_> = [0, 1, 3].iter().map(|frame| frames[frame]["window"].clone()).collect();
     assert_eq!(windows, [json!([0, 1]), json!([0, 1]), json!([3])]);
-    assert!(frames[2]["problem"].as_str().unwrap().contains("shot.0002.exr") && frames[2]["report"].is_null() && frames[1]["problem"].is_null());
+    assert!(
+        frames[2]["problem"].as_str().unwrap().contains("shot.0002.exr")
+            && frames[2]["report"].is_null()
+            && frames[1]["problem"].is_null()
+    );
     assert!(frames[1]["left_out"][0].as_str().unwrap().contains("frame 2: "));
     // The frames around a broken one are those that they are without it.
     let gone = folder.path("gone");
     std::fs::rename(&broken, &gone).unwrap();
-    denoise(&folder, "without", &["--temporal-radius=1"]).succeeded().said(&["missing between the frames that were found: 2"]);
+    denoise(&folder, "without", &["--temporal-radius=1"])
+        .succeeded()
+        .said(&["missing between the frames that were found: 2"]);
     std::fs::rename(&gone, &broken).unwrap();
     for frame in [0, 1, 3] {
         assert_eq!(channels(&path(&folder, "window", frame)), channels(&path(&folder, "without", frame)), "{frame}");
@@ -112,11 +122,15 @@ fn a_broken_frame_is_named_the_others_are_written_and_no_clobber_goes_on() {
     std::fs::remove_file(path(&folder, "window", 1)).unwrap();
     std::fs::remove_file(path(&folder, "window", 3)).unwrap();
     let document = denoise(&folder, "window", &["--temporal-radius=1", "--no-clobber", "--json"]).succeeded().json();
-    let left_alone: Vec<_> = document["frames"].as_array().unwrap().iter().map(|frame| frame["is_left_alone"] == true).collect();
+    let left_alone: Vec<_> =
+        document["frames"].as_array().unwrap().iter().map(|frame| frame["is_left_alone"] == true).collect();
     assert_eq!(left_alone, [true, false, false, false]);
     assert_eq!(document["frames"][0]["report"], Value::Null);
     assert_eq!(document["frames"][1]["window"], json!([0, 1, 2]), "what is left alone still helps its neighbour");
-    assert_eq!((std::fs::read(&first).unwrap(), std::fs::metadata(&first).unwrap().modified().unwrap()), (before, modified));
+    assert_eq!(
+        (std::fs::read(&first).unwrap(), std::fs::metadata(&first).unwrap().modified().unwrap()),
+        (before, modified)
+    );
 
     denoise(&folder, "whole", &["--temporal-radius=1"]).succeeded();
     for frame in 0..4 {
@@ -132,7 +146,15 @@ fn a_frame_of_whose_noise_nothing_is_known_is_left_out_where_noise_is_required()
     let alone = path(&folder, "shot", 2);
     std::fs::copy(path(&folder, "reference", 2), &alone).unwrap();
     let told = denoise(&folder, "clean", &["--require-noise", "--temporal-radius=1"]);
-    told.failed(3, &["1 of 4 frames cannot be denoised, the others are written", "frame 2: ", "nothing is known of the colour's noise", "--half-a"]);
+    told.failed(
+        3,
+        &[
+            "1 of 4 frames cannot be denoised, the others are written",
+            "frame 2: ",
+            "nothing is known of the colour's noise",
+            "--half-a",
+        ],
+    );
     assert_eq!(told.stdout.matches("not filtered with frame 2: ").count(), 2, "{}", told.stdout);
     assert_eq!(new_names(&folder), ["clean.0000.exr", "clean.0001.exr", "clean.0003.exr"]);
     // A neighbour of another kind does not help, and is no failure.
@@ -147,13 +169,24 @@ fn bad_frames_in_any_place_do_not_hold_up_the_others() {
     cut(&path(&folder, "shot", 0));
     std::fs::write(path(&folder, "shot", 3), "").unwrap();
     let told = denoise(&folder, "clean", &["--frames=0-5", "--temporal-radius=2"]);
-    told.failed(3, &["4 of 6 frames cannot be denoised, the others are written", "  frame 0: ", "  frame 3: ", "  frame 4: ", "does not exist", "  frame 5: "]);
+    told.failed(
+        3,
+        &[
+            "4 of 6 frames cannot be denoised, the others are written",
+            "  frame 0: ",
+            "  frame 3: ",
+            "  frame 4: ",
+            "does not exist",
+            "  frame 5: ",
+        ],
+    );
     assert_eq!(new_names(&folder), ["clean.0001.exr", "clean.0002.exr"]);
     let dry = denoise(&folder, "dry", &["--frames=2-5", "--dry-run"]);
     dry.failed(3, &["2 of 4 frames cannot be denoised\n", "frame 4: ", "frame 5: "]);
     dry.said(&["shot.0004.exr -> ", "dry.0004.exr: cannot be denoised"]);
     // Nothing is left: no device is asked for.
-    denoise(&folder, "none", &["--frames=0,3,7", "--device=no such adapter"]).failed(3, &["3 of 3 frames cannot be denoised\n", "frame 7: "]);
+    denoise(&folder, "none", &["--frames=0,3,7", "--device=no such adapter"])
+        .failed(3, &["3 of 3 frames cannot be denoised\n", "frame 7: "]);
     // A neighbour beyond the list is no failure.
     let beside = denoise(&folder, "beside", &["--frames=2", "--temporal-radius=1"]).succeeded();
     beside.said(&["not filtered with frame 3: ", "is empty"]);
@@ -169,13 +202,20 @@ fn features_that_end_half_way_and_other_sizes_are_told_once_and_are_no_failure()
     let folder = shot();
     let shot = path(&folder, "shot", 0);
     for (frame, size) in [(10, "24x24"), (11, "24x24"), (12, "16x16"), (13, "16x16")] {
-        stein(&["render", "dof", "--spp=4", "--size", size, "-o", &folder.path(&format!("walk.{frame:04}.exr"))]).succeeded();
+        stein(&["render", "dof", "--spp=4", "--size", size, "-o", &folder.path(&format!("walk.{frame:04}.exr"))])
+            .succeeded();
     }
     // Without its features, as of a renderer whose passes were turned off.
-    let set = BufferSet::read(&BufferSetRequest { input: folder.path("walk.0013.exr").into(), ..Default::default() }).unwrap();
+    let set = BufferSet::read(&BufferSetRequest { input: folder.path("walk.0013.exr").into(), ..Default::default() })
+        .unwrap();
     let color = set.color();
-    let layer = |name: &str, image: Image| NamedLayer { name: name.into(), channels: ["R", "G", "B"].map(String::from).to_vec(), image };
-    let layers = [("", Some(color.mean)), ("halfA", color.half_a), ("halfB", color.half_b)].map(|(name, image)| layer(name, image.unwrap()));
+    let layer = |name: &str, image: Image| NamedLayer {
+        name: name.into(),
+        channels: ["R", "G", "B"].map(String::from).to_vec(),
+        image,
+    };
+    let layers = [("", Some(color.mean)), ("halfA", color.half_a), ("halfB", color.half_b)]
+        .map(|(name, image)| layer(name, image.unwrap()));
     write_layers(Path::new(&folder.path("walk.0013.exr")), &layers, &[]).unwrap();
     let arguments = ["denoise", &folder.path("walk.####.exr"), "-o", &folder.path("clean.####.exr"), RADIUS];
     let told = stein(&arguments).succeeded();
@@ -183,7 +223,10 @@ fn features_that_end_half_way_and_other_sizes_are_told_once_and_are_no_failure()
         assert_eq!(told.stdout.matches(line).count(), count, "{line}: {}", told.stdout);
     }
     let told = stein(&[&arguments[..], &["--temporal-radius=1"]].concat()).succeeded();
-    told.said(&["not filtered with frame 12: its pixels are 16×16 at (0, 0), not 24×24 at (0, 0)", "not filtered with frame 11: "]);
+    told.said(&[
+        "not filtered with frame 12: its pixels are 16×16 at (0, 0), not 24×24 at (0, 0)",
+        "not filtered with frame 11: ",
+    ]);
     assert!(Path::new(&shot).exists());
     assert_eq!(new_names(&folder).iter().filter(|name| name.starts_with("clean.")).count(), 4);
 }
@@ -201,7 +244,11 @@ fn a_frame_that_cannot_be_written_ends_the_run_and_those_before_it_stay() {
     // The last one's failure is not lost either, nor hidden by one that comes after it.
     denoise(&folder, "clean", &["--frames=0-1", "--quiet"]).failed(5, &["frame 1: ", "clean.0001.exr"]);
     std::fs::write(path(&folder, "shot", 0), "no picture").unwrap();
-    denoise(&folder, "clean", &["--frames=0-2", "--progress=openjd"]).said(&["openjd_fail: frame 1: ", "before that", "frame 0: "]);
+    denoise(&folder, "clean", &["--frames=0-2", "--progress=openjd"]).said(&[
+        "openjd_fail: frame 1: ",
+        "before that",
+        "frame 0: ",
+    ]);
 }
 
 #[test]
@@ -210,7 +257,8 @@ fn an_interruption_leaves_whole_frames_and_no_others() {
     use std::process::{Command, Stdio};
     let folder = shot();
     let (input, output) = (folder.path("shot.####.exr"), folder.path("clean.####.exr"));
-    let mut run = process::command(&["denoise", &input, "-o", &output, RADIUS, "--quiet"]).stderr(Stdio::null()).spawn().unwrap();
+    let mut run =
+        process::command(&["denoise", &input, "-o", &output, RADIUS, "--quiet"]).stderr(Stdio::null()).spawn().unwrap();
     while run.try_wait().unwrap().is_none() && !Path::new(&path(&folder, "clean", 0)).exists() {
         std::thread::sleep(std::time::Duration::from_millis(1));
     }
@@ -230,18 +278,26 @@ fn an_interruption_leaves_whole_frames_and_no_others() {
 fn a_missing_frame_is_told_where_it_was_asked_for() {
     let folder = shot();
     std::fs::remove_file(path(&folder, "shot", 2)).unwrap();
-    denoise(&folder, "listed", &["--frames=1-3"]).failed(3, &["frame 2: ", "shot.0002.exr", "does not exist", "remedy: "]);
+    denoise(&folder, "listed", &["--frames=1-3"])
+        .failed(3, &["frame 2: ", "shot.0002.exr", "does not exist", "remedy: "]);
     for frame in [1, 3] {
         std::fs::remove_file(path(&folder, "listed", frame)).unwrap();
     }
     let reference = folder.path("shot.####.exr");
-    denoise(&folder, "clean", &["--frames=0", "--temporal-radius=1", "--ref", &folder.path("ref.####.exr")]).failed(3, &["frame 0: ", "ref.0000.exr"]);
-    denoise(&folder, "clean", &["--half-a", &folder.path("a.####.exr"), "--half-b", &reference]).failed(3, &["frame 0: ", "a.0000.exr"]);
+    denoise(&folder, "clean", &["--frames=0", "--temporal-radius=1", "--ref", &folder.path("ref.####.exr")])
+        .failed(3, &["frame 0: ", "ref.0000.exr"]);
+    denoise(&folder, "clean", &["--half-a", &folder.path("a.####.exr"), "--half-b", &reference])
+        .failed(3, &["frame 0: ", "a.0000.exr"]);
     assert_eq!(new_names(&folder), Vec::<String>::new());
 
     // Without a list, those that exist; a gap is not bridged.
     let dry = denoise(&folder, "clean", &["--temporal-radius=1", "--dry-run", "--json"]).succeeded().json();
-    let windows: Vec<_> = dry["frames"].as_array().unwrap().iter().map(|frame| (frame["frame"].clone(), frame["window"].clone())).collect();
+    let windows: Vec<_> = dry["frames"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|frame| (frame["frame"].clone(), frame["window"].clone()))
+        .collect();
     assert_eq!(windows, [(json!(0), json!([0, 1])), (json!(1), json!([0, 1])), (json!(3), json!([3]))]);
     let dry = denoise(&folder, "clean", &["--temporal-radius=1", "--dry-run"]).succeeded();
     dry.said(&["nothing is written", "shot.0001.exr -> ", "clean.0001.exr, with 0\n"]);
@@ -254,9 +310,23 @@ fn neighbouring_frames_lower_error_and_flicker() {
     let folder = shot();
     for method in ["dfc", "nlm"] {
         let errors = |window: &str| {
-            let (input, output, reference) = (folder.path("shot.####.exr"), folder.path("clean.####.exr"), folder.path("reference.####.exr"));
-            let told =
-                stein(&["denoise", &input, "--method", method, "--temporal-radius", window, "--ref", &reference, "-o", &output, "--json"]).succeeded().json();
+            let (input, output, reference) =
+                (folder.path("shot.####.exr"), folder.path("clean.####.exr"), folder.path("reference.####.exr"));
+            let told = stein(&[
+                "denoise",
+                &input,
+                "--method",
+                method,
+                "--temporal-radius",
+                window,
+                "--ref",
+                &reference,
+                "-o",
+                &output,
+                "--json",
+            ])
+            .succeeded()
+            .json();
             let of_result = &told["errors"]["images"][1];
             ["mean_relative_mse", "flicker"].map(|name| of_result[name].as_f64().unwrap())
         };
@@ -277,8 +347,13 @@ fn neighbouring_frames_help_without_a_variance() {
         }
         let errors = |window: &str| {
             let (input, output) = (folder.path("shot.####.exr"), folder.path("clean.####.exr"));
-            let told = stein(&["denoise", &input, "--temporal-radius", window, "--ref", &reference, "-o", &output, "--json"]).succeeded().json();
-            [0, 1].map(|index| ["mean_relative_mse", "flicker"].map(|name| told["errors"]["images"][index][name].as_f64().unwrap()))
+            let told =
+                stein(&["denoise", &input, "--temporal-radius", window, "--ref", &reference, "-o", &output, "--json"])
+                    .succeeded()
+                    .json();
+            [0, 1].map(|index| {
+                ["mean_relative_mse", "flicker"].map(|name| told["errors"]["images"][index][name].as_f64().unwrap())
+            })
         };
         let ([[noisy, _], [alone, flicker_alone]], [_, [error, flicker]]) = (errors("0"), errors("1"));
         assert!(alone < 0.5 * noisy && error < alone, "without {parts:?}: {noisy}, alone {alone}, in a window {error}");
@@ -296,7 +371,12 @@ fn flicker_and_mean_error_of_a_shot_are_told() {
     for (index, (key, file)) in [("noisy", "shot"), ("result", "clean")].into_iter().enumerate() {
         let images = [0, 1, 3].map(|frame| image(file, frame));
         let flicker = metric::flicker([&images[0], &images[1]], [&references[0], &references[1]]).unwrap();
-        let error = images.iter().zip(&references).map(|(image, reference)| metric::relative_mse(image, reference).unwrap()).sum::<f64>() / 3.0;
+        let error = images
+            .iter()
+            .zip(&references)
+            .map(|(image, reference)| metric::relative_mse(image, reference).unwrap())
+            .sum::<f64>()
+            / 3.0;
         let told = &document["errors"]["images"][index];
         assert_eq!(told["image"], key);
         assert!((told["flicker"].as_f64().unwrap() / flicker - 1.0).abs() < 1e-6, "{told} {flicker}");
@@ -309,7 +389,12 @@ fn flicker_and_mean_error_of_a_shot_are_told() {
 
     let text = denoise(&folder, "clean", &["--frames=0,1", "--ref", &reference]).succeeded();
     text.said(&["mean relative MSE", "flicker (1 pair)", "clean.0001.exr: ", ", relative MSE "]);
-    assert_eq!(text.stdout.matches("feature normal").count(), 1, "what holds for all frames is said once: {}", text.stdout);
+    assert_eq!(
+        text.stdout.matches("feature normal").count(),
+        1,
+        "what holds for all frames is said once: {}",
+        text.stdout
+    );
 }
 
 #[test]
@@ -328,10 +413,12 @@ fn other_files_of_a_frame_may_be_patterns_too() {
 fn outputs_need_a_place_and_replace_nothing_that_is_read() {
     let folder = shot();
     let (input, first) = (folder.path("shot.####.exr"), path(&folder, "shot", 0));
-    stein(&["denoise", &input, "-o", &folder.path("clean.exr")]).failed(2, &["clean.exr", "no place for the frame number", "remedy: "]);
+    stein(&["denoise", &input, "-o", &folder.path("clean.exr")])
+        .failed(2, &["clean.exr", "no place for the frame number", "remedy: "]);
     stein(&["denoise", &input, "-o", &input]).failed(5, &["shot.0000.exr", "is also read", "remedy: "]);
     stein(&["denoise", &input, "-o", &input, "--no-clobber"]).failed(5, &["is also read"]);
-    stein(&["denoise", &input, "-o", &folder.path("missing/clean.#.exr")]).failed(5, &["missing/clean.0.exr", "remedy: "]);
+    stein(&["denoise", &input, "-o", &folder.path("missing/clean.#.exr")])
+        .failed(5, &["missing/clean.0.exr", "remedy: "]);
     stein(&["denoise", &input, "-o", &folder.path("clean.#.png")]).failed(2, &[".exr"]);
     stein(&["denoise", &folder.path("shut.####.exr")]).failed(3, &["shut.####.exr", "there is no such frame"]);
     stein(&["denoise", &input, "--frames=5-1"]).failed(2, &["backwards"]);
@@ -353,7 +440,8 @@ fn outputs_need_a_place_and_replace_nothing_that_is_read() {
 fn a_render_farm_is_told_how_far_the_work_is() {
     let folder = shot();
     let done = denoise(&folder, "clean", &["--frames=1,2", "--progress=openjd"]).succeeded();
-    let shares: Vec<f64> = done.stdout.lines().filter_map(|line| line.strip_prefix("openjd_progress: ")?.parse().ok()).collect();
+    let shares: Vec<f64> =
+        done.stdout.lines().filter_map(|line| line.strip_prefix("openjd_progress: ")?.parse().ok()).collect();
     assert!(shares.is_sorted() && shares.len() >= 4 && shares.last() == Some(&100.0), "{shares:?}");
     // A frame is done when it is written, and told of in its turn.
     let place = |text: &str| done.stdout.find(text).unwrap_or_else(|| panic!("no '{text}' in: {}", done.stdout));
@@ -361,7 +449,11 @@ fn a_render_farm_is_told_how_far_the_work_is() {
     assert!(places.is_sorted() && place("frame 2, 2 of 2") < places[2], "{}", done.stdout);
     done.said(&["openjd_status: frame 1, 1 of 2\n", "openjd_status: frame 2, 2 of 2\n"]);
     let failed = denoise(&folder, "clean", &["--frames=3-4", "--progress=openjd"]);
-    failed.said(&["clean.0003.exr: ", "openjd_fail: 1 of 2 frames cannot be denoised, the others are written; frame 4: ", "openjd_progress: 100.0"]);
+    failed.said(&[
+        "clean.0003.exr: ",
+        "openjd_fail: 1 of 2 frames cannot be denoised, the others are written; frame 4: ",
+        "openjd_progress: 100.0",
+    ]);
     failed.failed(3, &["frame 4: "]);
     denoise(&folder, "clean", &["--progress=openjd", "--json"]).failed(2, &["--json"]);
 }

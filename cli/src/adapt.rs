@@ -58,7 +58,8 @@ pub(crate) struct Args {
     /// Iterations, of which the first samples evenly
     #[arg(long, value_name = "N", default_value_t = 4)]
     iterations: u32,
-    /// Most samples for one pixel in one iteration, so that outliers do not take them all [default: 8 times what the first iteration draws]
+    /// Most samples for one pixel in one iteration, so that outliers do not take them all [default: 8 times what the
+    /// first iteration draws]
     #[arg(long, value_name = "N")]
     cap: Option<u32>,
     /// Noise-free reference: print the error of noisy and denoised, also of even sampling
@@ -148,7 +149,13 @@ pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
         (None, Some(command)) => {
             let first = resumed.as_ref().map_or(1, |resumed| resumed.iterations + 1);
             let renderer = |turn| Renderer::new(command, extent, job.folder.path(), turn, args.quiet);
-            job.run(renderer(Turn::Iteration(first)), renderer(Turn::Uniform(args.iterations + 1)), resumed, &mut document, out)?;
+            job.run(
+                renderer(Turn::Iteration(first)),
+                renderer(Turn::Uniform(args.iterations + 1)),
+                resumed,
+                &mut document,
+                out,
+            )?;
         }
         (None, None) => return Err(Failure::usage("neither a scene nor a sampler command is given")),
     }
@@ -161,12 +168,21 @@ fn read(reference: &LayerRef, extent: Extent) -> Result<Image, Failure> {
         return Ok(image);
     }
     let (name, found) = (text::path(&reference.file), image.extent);
-    Err(Failure::input(format_args!("{name}: is of {found}, but the picture is of {extent}\n  remedy: render both with the same --size")))
+    Err(Failure::input(format_args!(
+        "{name}: is of {found}, but the picture is of {extent}\n  remedy: render both with the same --size"
+    )))
 }
 
 impl Job<'_> {
     /// The loop, and what it is compared with; `fresh` has drawn nothing yet.
-    fn run<S: Sampler>(&self, mut sampler: S, mut fresh: S, resumed: Option<Resumed>, document: &mut Document, out: &mut Out) -> Result<(), Failure> {
+    fn run<S: Sampler>(
+        &self,
+        mut sampler: S,
+        mut fresh: S,
+        resumed: Option<Resumed>,
+        document: &mut Document,
+        out: &mut Out,
+    ) -> Result<(), Failure> {
         out.say(Row::head(self.reference.is_some()));
         adapt(&mut sampler, &self.denoiser, &self.plan, resumed, self.observer(None, &mut document.iterations, out))?;
         if self.args.uniform || self.reference.is_some() {
@@ -188,11 +204,14 @@ impl Job<'_> {
     ) -> impl FnMut(Event<'_>) -> Result<(), Failure> + Send + use<'a> {
         let iterations = if name.is_some() { 1 } else { self.plan.iterations() };
         // A renderer from outside tells how far it is in its own way.
-        let bar = bar(!self.args.quiet && !self.args.json && self.args.sampler_command.is_none(), 1000).with_finish(ProgressFinish::AndClear);
+        let bar = bar(!self.args.quiet && !self.args.json && self.args.sampler_command.is_none(), 1000)
+            .with_finish(ProgressFinish::AndClear);
         let label = move |iteration: u32| name.map_or_else(|| iteration.to_string(), str::to_owned);
         move |event| {
             interrupt::check()?;
-            let advance = |iteration: u32, share: f32| bar.set_position((1000.0 * (iteration as f32 - 1.0 + share) / iterations as f32) as u64);
+            let advance = |iteration: u32, share: f32| {
+                bar.set_position((1000.0 * (iteration as f32 - 1.0 + share) / iterations as f32) as u64);
+            };
             match event {
                 // Nobody knows which takes longer; half of the way each is near enough.
                 Event::Drawing { iteration, share } => advance(iteration, share / 2.0),

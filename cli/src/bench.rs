@@ -71,10 +71,12 @@ pub(crate) struct Args {
     /// Measured runs of each configuration [default: 5]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     repeat: Option<u32>,
-    /// Write a report into this folder: index.html to look at, results.json and results.csv for programs; an earlier report there is replaced
+    /// Write a report into this folder: index.html to look at, results.json and results.csv for programs; an earlier
+    /// report there is replaced
     #[arg(short, long, value_name = "DIR")]
     output: Option<PathBuf>,
-    /// Print ratios to an earlier run: the results.json of a report, its folder, or what --json printed. Without SETS the same is measured again
+    /// Print ratios to an earlier run: the results.json of a report, its folder, or what --json printed. Without SETS
+    /// the same is measured again
     #[arg(long, value_name = "OLD.json")]
     compare: Option<PathBuf>,
     /// End with exit code 1 where a row's time or relative MSE is more than this many times that of the earlier run
@@ -120,13 +122,15 @@ struct Axes {
     /// Also running what a scene does not need, without, or both: what leaving it out saves [default: off]
     #[arg(long, value_enum, value_name = "on,off", value_delimiter = ',')]
     everything: Vec<Switch>,
-    /// What the methods are told of the noise: what a set has, its halves alone, or nothing but the image [default: given]
+    /// What the methods are told of the noise: what a set has, its halves alone, or nothing but the image [default:
+    /// given]
     #[arg(long, value_enum, value_name = "given,halves,image", value_delimiter = ',')]
     noise: Vec<NoiseAxis>,
     /// Sizes to measure at: the input is repeated, mirrored at the seams, or cut off [default: its own]
     #[arg(long = "size", value_name = "WxH,…", value_delimiter = ',', value_parser = size)]
     sizes: Vec<Extent>,
-    /// Another denoiser, to run on the set's file, time by the clock and compare: `NAME=command {in} {out}`, split into words as a shell would, but run without one; may be repeated
+    /// Another denoiser, to run on the set's file, time by the clock and compare: `NAME=command {in} {out}`, split into
+    /// words as a shell would, but run without one; may be repeated
     #[arg(long = "external", value_name = "NAME=COMMAND")]
     externals: Vec<External>,
     #[command(flatten)]
@@ -152,7 +156,9 @@ struct Again {
 
 impl Again {
     fn parse(arguments: &[String]) -> Option<Args> {
-        Self::try_parse_from(std::iter::once("stein bench").chain(arguments.iter().map(String::as_str))).ok().map(|again| again.args)
+        Self::try_parse_from(std::iter::once("stein bench").chain(arguments.iter().map(String::as_str)))
+            .ok()
+            .map(|again| again.args)
     }
 }
 
@@ -172,7 +178,9 @@ pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
     if let Some(old) = &old {
         compare::check_adapter(old, &adapter, args.fail_above)?;
     }
-    let contestants = configurations.iter().map(|configuration| Contestant::new(configuration, |method| args.device.denoiser(&gpu, method)));
+    let contestants = configurations
+        .iter()
+        .map(|configuration| Contestant::new(configuration, |method| args.device.denoiser(&gpu, method)));
     let contestants = contestants.collect::<Result<Vec<_>, Failure>>()?;
     out.say(format_args!("{adapter}, median of {repeats}"));
     if !axes.sizes.is_empty() && !axes.externals.is_empty() {
@@ -185,10 +193,15 @@ pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
         contestants: &contestants,
         repeats,
         scratch: Aside::make(tempfile::tempdir).map_err(|error| {
-            Failure::output(format_args!("no folder for temporary files: {error}\n  remedy: let TMPDIR name a folder that may be written to"))
+            Failure::output(format_args!(
+                "no folder for temporary files: {error}\n  remedy: let TMPDIR name a folder that may be written to"
+            ))
         })?,
         gallery: folder.is_some().then(Gallery::default),
-        bar: bar(!args.json, files.len() as u64 * axes.sizes.len().max(1) as u64 * contestants.len() as u64 * runs(repeats)),
+        bar: bar(
+            !args.json,
+            files.len() as u64 * axes.sizes.len().max(1) as u64 * contestants.len() as u64 * runs(repeats),
+        ),
         document: Document {
             schema: SCHEMA.into(),
             version: VERSION,
@@ -212,12 +225,15 @@ pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
     bench.bar.finish_and_clear();
     let Bench { document, gallery, .. } = bench;
     if document.rows.is_empty() {
-        return Err(Failure::input("nothing was measured\n  remedy: name sets that can be denoised; `stein info` tells what is missing"));
+        return Err(Failure::input(
+            "nothing was measured\n  remedy: name sets that can be denoised; `stein info` tells what is missing",
+        ));
     }
 
     let comparison = old.as_ref().map(|old| compare::compare(old, &document, args.fail_above));
     if let (Some(folder), Some(gallery)) = (folder, gallery) {
-        let json = serde_json::to_string_pretty(&document).map_err(|error| Failure::output(format_args!("results.json: {error}")))?;
+        let json = serde_json::to_string_pretty(&document)
+            .map_err(|error| Failure::output(format_args!("results.json: {error}")))?;
         folder.write([json.as_bytes(), &csv_file::csv(&document)?, page::page(&document, &gallery)?.as_bytes()])?;
         out.say(format_args!("{}: the report", stein::text::path(&folder.index())));
     }
@@ -253,16 +269,25 @@ impl Job {
         match old {
             Some(old) if args.axes.inputs.is_empty() => {
                 let Some(then) = Again::parse(&old.arguments) else {
-                    return Err(Failure::input("--compare: the old run's arguments are none of this version\n  remedy: name the sets"));
+                    return Err(Failure::input(
+                        "--compare: the old run's arguments are none of this version\n  remedy: name the sets",
+                    ));
                 };
                 // Nothing that was given may go without effect.
-                let nothing = Axes { inputs: Vec::new(), ..Again::parse(&["-".to_owned()]).map_or_else(|| args.axes.clone(), |args| args.axes) };
+                let nothing = Axes {
+                    inputs: Vec::new(),
+                    ..Again::parse(&["-".to_owned()]).map_or_else(|| args.axes.clone(), |args| args.axes)
+                };
                 if args.axes != nothing {
                     return Err(Failure::usage(
                         "without SETS, --compare measures what the old run did\n  remedy: name the sets, or leave out the options that say what is measured",
                     ));
                 }
-                Ok(Self { axes: then.axes, repeats: args.repeat.or(then.repeat).unwrap_or(Self::REPEATS), arguments: old.arguments.clone() })
+                Ok(Self {
+                    axes: then.axes,
+                    repeats: args.repeat.or(then.repeat).unwrap_or(Self::REPEATS),
+                    arguments: old.arguments.clone(),
+                })
             }
             _ => {
                 let arguments = std::env::args_os().skip_while(|argument| argument != "bench").skip(1);
@@ -309,15 +334,23 @@ struct ReadSet {
 
 impl Bench<'_> {
     /// Reads a set. What was found in a folder and is none is left out, and told.
-    fn read(&mut self, file: &SetFile, source: &Source, sizes: usize, out: &mut Out) -> Result<Option<ReadSet>, Failure> {
+    fn read(
+        &mut self,
+        file: &SetFile,
+        source: &Source,
+        sizes: usize,
+        out: &mut Out,
+    ) -> Result<Option<ReadSet>, Failure> {
         let name = stein::text::path(&file.file);
         let read = options::read(&source.request(&file.file)).and_then(|mut set| {
             if file.was_found && is_ours(&set) {
                 return Err(Failure::input(format_args!("{name}: was written by stein")));
             }
-            let frame = settle(&mut set, source.require_noise).0.map_err(|error| Failure::in_file(&file.file, error))?;
+            let frame =
+                settle(&mut set, source.require_noise).0.map_err(|error| Failure::in_file(&file.file, error))?;
             self.check_halves(&frame, &file.file)?;
-            let reference = file.reference.as_ref().map(|reference| quality::read(reference, &frame, &file.file)).transpose()?;
+            let reference =
+                file.reference.as_ref().map(|reference| quality::read(reference, &frame, &file.file)).transpose()?;
             Ok(ReadSet { frame, reference })
         });
         match read {
@@ -340,11 +373,14 @@ impl Bench<'_> {
     }
 
     fn check_halves(&self, frame: &Frame, file: &Path) -> Result<(), Failure> {
-        if frame.noise_knowledge().has_halves() || !self.noise_knowledges().into_iter().any(NoiseKnowledge::has_halves) {
+        if frame.noise_knowledge().has_halves() || !self.noise_knowledges().into_iter().any(NoiseKnowledge::has_halves)
+        {
             return Ok(());
         }
         let (name, remedy) = (stein::text::path(file), "leave halves out of --noise, or give the set's two halves");
-        Err(Failure::input(format_args!("{name}: --noise halves: it has no halves that can be used\n  remedy: {remedy}")))
+        Err(Failure::input(format_args!(
+            "{name}: --noise halves: it has no halves that can be used\n  remedy: {remedy}"
+        )))
     }
 
     /// Measures a set at all sizes.
@@ -366,7 +402,8 @@ impl Bench<'_> {
             let reference = reference.as_ref().map(|reference| cover(reference, extent));
             let mut name = file.scene.clone();
             if let Some(samples) = samples_per_pixel {
-                name += &if samples.fract() == 0.0 { format!(", {samples} spp") } else { format!(", {samples:.1} spp") };
+                name +=
+                    &if samples.fract() == 0.0 { format!(", {samples} spp") } else { format!(", {samples:.1} spp") };
             }
             if are_given {
                 name += &format!(", {extent}");
@@ -395,7 +432,10 @@ impl Bench<'_> {
             }
             let rows: Vec<Row> = outcomes.into_iter().map(|outcome| outcome.row).collect();
             for row in rows.iter().filter(|row| row.errors.is_some_and(|errors| errors.relative_mse.is_none())) {
-                self.document.notes.push(format!("{}, {}: the result holds values that are not finite, so that it has no errors", row.set, row.configuration));
+                self.document.notes.push(format!(
+                    "{}, {}: the result holds values that are not finite, so that it has no errors",
+                    row.set, row.configuration
+                ));
             }
             self.document.sets.push(set.clone());
             self.document.rows.extend(rows.iter().cloned());

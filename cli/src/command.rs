@@ -55,12 +55,20 @@ pub(crate) fn parse() -> Cli {
 /// Does what was asked for.
 pub(crate) fn run(cli: &Cli, out: &mut Out) -> Result<(), Failure> {
     match &cli.command {
-        Some(Command::Denoise(args)) if args.device.list_devices => devices::run(&devices::Args { json: args.json }, out),
+        Some(Command::Denoise(args)) if args.device.list_devices => {
+            devices::run(&devices::Args { json: args.json }, out)
+        }
         Some(Command::Bench(args)) if args.device.list_devices => devices::run(&devices::Args { json: args.json }, out),
-        Some(Command::Kernel(args)) if args.device.list_devices => devices::run(&devices::Args { json: args.json }, out),
-        Some(Command::SampleMap(args)) if args.device.list_devices => devices::run(&devices::Args { json: args.json }, out),
+        Some(Command::Kernel(args)) if args.device.list_devices => {
+            devices::run(&devices::Args { json: args.json }, out)
+        }
+        Some(Command::SampleMap(args)) if args.device.list_devices => {
+            devices::run(&devices::Args { json: args.json }, out)
+        }
         Some(Command::Adapt(args)) if args.device.list_devices => devices::run(&devices::Args { json: args.json }, out),
-        Some(Command::Selftest(args)) if args.device.list_devices => devices::run(&devices::Args { json: args.json }, out),
+        Some(Command::Selftest(args)) if args.device.list_devices => {
+            devices::run(&devices::Args { json: args.json }, out)
+        }
         Some(Command::Denoise(args)) => denoise::run(args, out),
         Some(Command::Kernel(args)) => kernel::run(args, out),
         Some(Command::SampleMap(args)) => sample_map::run(args, out),

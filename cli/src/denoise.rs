@@ -64,19 +64,23 @@ device or a device failed, 5 the output cannot be written, 1 anything else.";
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLE, override_usage = "stein denoise [OPTIONS] IN\n       stein denoise [OPTIONS] PATTERN -o PATTERN")]
 pub(crate) struct Args {
-    /// OpenEXR file with the noisy colour and, usually, its halves, variance and features; or a pattern of such files, as 'shot.####.exr'
+    /// OpenEXR file with the noisy colour and, usually, its halves, variance and features; or a pattern of such files,
+    /// as 'shot.####.exr'
     #[arg(value_name = "IN", required_unless_present = "list_devices")]
     input: Option<PathBuf>,
-    /// Where to write [default: IN with `.denoised.exr` for its extension]; a folder takes that name, and only this option can replace the input. Of a shot: a pattern or a folder, and no file that is read is replaced
+    /// Where to write [default: IN with `.denoised.exr` for its extension]; a folder takes that name, and only this
+    /// option can replace the input. Of a shot: a pattern or a folder, and no file that is read is replaced
     #[arg(short, long, value_name = "OUT")]
     output: Option<PathBuf>,
     /// Leave an existing output alone; of a shot, denoise the frames that have none
     #[arg(long)]
     no_clobber: bool,
-    /// Tell what would be done, and write nothing; of a shot, only the first frame is read, and those that are filtered with it
+    /// Tell what would be done, and write nothing; of a shot, only the first frame is read, and those that are filtered
+    /// with it
     #[arg(short = 'n', long)]
     dry_run: bool,
-    /// Noise-free reference: print the error before and after; of a shot also the flicker, over the frames that this run denoises
+    /// Noise-free reference: print the error before and after; of a shot also the flicker, over the frames that this
+    /// run denoises
     #[arg(long = "ref", value_name = "FILE[::LAYER]")]
     reference: Option<LayerRef>,
     /// Intermediates to write as layers `stein.*`
@@ -85,10 +89,12 @@ pub(crate) struct Args {
     /// Do without the estimated error: `stein.error` is not written, and what serves it alone is left out
     #[arg(long)]
     no_error: bool,
-    /// Also run what this scene does not need, to compare: the result is the same to the bit, or within bounds that docs/leave-out.md tells
+    /// Also run what this scene does not need, to compare: the result is the same to the bit, or within bounds that
+    /// docs/leave-out.md tells
     #[arg(long)]
     everything: bool,
-    /// Print the plan: what runs for this frame, what is left out and why, and what each step takes; with -n without times
+    /// Print the plan: what runs for this frame, what is left out and why, and what each step takes; with -n without
+    /// times
     #[arg(long, conflicts_with = "quiet")]
     explain: bool,
     /// Print one JSON document in place of text
@@ -126,7 +132,9 @@ enum Keep {
 
 fn keepable() -> impl TypedValueParser<Value = Keep> {
     let names = std::iter::once("all").chain(Intermediate::ALL.map(Intermediate::name));
-    let find = |name: String| Intermediate::ALL.into_iter().find(|intermediate| intermediate.name() == name).map_or(Keep::All, Keep::One);
+    let find = |name: String| {
+        Intermediate::ALL.into_iter().find(|intermediate| intermediate.name() == name).map_or(Keep::All, Keep::One)
+    };
     PossibleValuesParser::new(names).map(find)
 }
 
@@ -139,12 +147,17 @@ impl Args {
                 && !has.contains(one)
             {
                 let (name, all) = (method.name(), report::names(has).join(", "));
-                return Err(Failure::usage(format_args!("--keep {}: {name} has no such intermediate\n  remedy: choose from {all}", one.name())));
+                return Err(Failure::usage(format_args!(
+                    "--keep {}: {name} has no such intermediate\n  remedy: choose from {all}",
+                    one.name()
+                )));
             }
         }
         let are_looked_for = method.spikes() != Spikes::Keep;
         if self.keep.iter().any(|keep| matches!(keep, Keep::One(Intermediate::Spikes))) && !are_looked_for {
-            return Err(Failure::usage("--keep spikes: nothing is taken from spikes\n  remedy: leave it out, or choose --spikes spread or clamp"));
+            return Err(Failure::usage(
+                "--keep spikes: nothing is taken from spikes\n  remedy: leave it out, or choose --spikes spread or clamp",
+            ));
         }
         let wanted = |intermediate: &Intermediate| {
             (are_looked_for || *intermediate != Intermediate::Spikes)
@@ -165,7 +178,10 @@ impl Args {
 pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
     let result = denoise(args, out);
     if let (Err(failure), Some(ProgressKind::Openjd)) = (&result, args.progress) {
-        out.line(format_args!("openjd_fail: {}", failure.message().lines().map(str::trim).collect::<Vec<_>>().join("; ")));
+        out.line(format_args!(
+            "openjd_fail: {}",
+            failure.message().lines().map(str::trim).collect::<Vec<_>>().join("; ")
+        ));
     }
     result
 }
@@ -203,7 +219,8 @@ struct Job<'a> {
 
 impl Job<'_> {
     fn run(&self, mut frames: Frames, writer: Writer, input: &Path, out: &mut Out) -> Result<(), Failure> {
-        let mut to_do: Vec<&PlannedFrame> = self.plan.frames.iter().filter(|frame| matches!(frame.state, State::ToDo)).collect();
+        let mut to_do: Vec<&PlannedFrame> =
+            self.plan.frames.iter().filter(|frame| matches!(frame.state, State::ToDo)).collect();
         if self.args.dry_run {
             // One frame shows how they all would be used.
             to_do.truncate(1);
@@ -321,7 +338,8 @@ impl Job<'_> {
             let Some((original, described)) = frames[centre].original.take() else {
                 unreachable!("frames that are denoised are read with all that is in their files")
             };
-            // Said again where something is other than before, with the frame itself: one may be written meanwhile that was before it.
+            // Said again where something is other than before, with the frame itself: one may be written meanwhile that
+            // was before it.
             let is_said = self.args.verbose || before.as_ref().is_none_or(|before| !before.is_used_like(&described));
             let mut introduction = is_said.then(|| described.text(self.args.verbose));
             if before.is_none()
@@ -331,7 +349,10 @@ impl Job<'_> {
             }
             before = Some((*described).clone());
             let read = Read { original, described, introduction, centre, beside };
-            match self.frame(planned, &mut frames, read, denoiser, results, out).map_err(|failure| failure.in_frame(planned.number)) {
+            match self
+                .frame(planned, &mut frames, read, denoiser, results, out)
+                .map_err(|failure| failure.in_frame(planned.number))
+            {
                 Err(failure) if failure.is_of_input() && self.plan.is_shot => {
                     let unusable = Unusable { number: planned.number, described: None, failure };
                     let failure = self.unusable(&unusable, bad, out)?;
@@ -359,32 +380,68 @@ impl Job<'_> {
         let reference = window[centre].reference.take();
         let mut needed = self.keep.clone();
         if reference.is_some() {
-            needed.extend(quality::NEEDED.iter().filter(|one| self.method.intermediates().contains(one) && !self.keep.contains(one)));
+            needed.extend(
+                quality::NEEDED
+                    .iter()
+                    .filter(|one| self.method.intermediates().contains(one) && !self.keep.contains(one)),
+            );
         }
         let frames: Vec<&Frame> = window.iter().map(|frame| &*frame.frame).collect();
         if self.args.dry_run {
-            let plan = denoiser.plan(&frames, centre, &Options { keep: &needed, error: !self.args.no_error, ..Default::default() })?;
+            let plan = denoiser.plan(
+                &frames,
+                centre,
+                &Options { keep: &needed, error: !self.args.no_error, ..Default::default() },
+            )?;
             let explained = self.args.explain.then(|| Explained::new(&plan, None));
-            let report = FrameReport { input: *described, strips: plan.strips, plan: explained, run: None, output: None, errors: None };
+            let report = FrameReport {
+                input: *described,
+                strips: plan.strips,
+                plan: explained,
+                run: None,
+                output: None,
+                errors: None,
+            };
             results.progress.denoised(out);
             results.add(Ok(Done { introduction, reported: Reported { number: planned.number, beside, report } }), out);
             return Ok(());
         }
 
         let start = Instant::now();
-        // To tell makes the device wait; but where it is this processor, that costs nothing, and a frame takes long enough to be interrupted.
+        // To tell makes the device wait; but where it is this processor, that costs nothing, and a frame takes long
+        // enough to be interrupted.
         let is_wanted = results.progress.is_wanted() || denoiser.gpu().is_software();
         let mut tell = |share: f32| {
             results.progress.share(share, out);
             if interrupt::is_asked() { ControlFlow::Break(()) } else { results.collect(out) }
         };
-        let options = Options { keep: &needed, error: !self.args.no_error, progress: if is_wanted { Some(&mut tell) } else { None }, ..Default::default() };
+        let options = Options {
+            keep: &needed,
+            error: !self.args.no_error,
+            progress: if is_wanted { Some(&mut tell) } else { None },
+            ..Default::default()
+        };
         let estimate = denoiser.denoise_window(&frames, centre, options)?;
         let run = Run::new(&estimate, start.elapsed().as_secs_f64());
         let plan = self.args.explain.then(|| Explained::new(&estimate.plan, estimate.step_times.as_deref()));
         let frame = Arc::clone(&window[centre].frame);
         let output = planned.output.clone();
-        results.hand_over(Denoised { number: planned.number, beside, output, original, described, introduction, frame, reference, estimate, run, plan }, out)
+        results.hand_over(
+            Denoised {
+                number: planned.number,
+                beside,
+                output,
+                original,
+                described,
+                introduction,
+                frame,
+                reference,
+                estimate,
+                run,
+                plan,
+            },
+            out,
+        )
     }
 }
 
@@ -416,7 +473,9 @@ fn neighbours(window: &mut [Result<ReadFrame, Unusable>], centre: usize) -> Neig
             Ok(other) => {
                 let number = other.number.map_or_else(String::new, |number| format!("frame {number}"));
                 match own {
-                    Some((window, _)) if window != other.data_window => Some(format!("{number}: its pixels are {}, not {window}", other.data_window)),
+                    Some((window, _)) if window != other.data_window => {
+                        Some(format!("{number}: its pixels are {}, not {window}", other.data_window))
+                    }
                     Some((_, noise)) if noise != other.frame.noise_knowledge() => {
                         Some(format!("{number}: halves or variance of its colour are not known as they are here"))
                     }

@@ -44,8 +44,11 @@ pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
 }
 
 fn describe(adapter: &AdapterSummary) -> String {
-    let AdapterSummary { index, name, backend, kind, driver, max_buffer_bytes, max_binding_bytes, timestamps, .. } = adapter;
+    let AdapterSummary { index, name, backend, kind, driver, max_buffer_bytes, max_binding_bytes, timestamps, .. } =
+        adapter;
     let timed = if *timestamps { "stages can be timed" } else { "no timestamps: stages cannot be timed" };
     let (buffer, binding) = (bytes(*max_buffer_bytes), bytes(*max_binding_bytes));
-    format!("{index}: {name}\n   {kind}, {backend}, {driver}\n   buffers up to {buffer}, of which a kernel sees up to {binding}; {timed}")
+    format!(
+        "{index}: {name}\n   {kind}, {backend}, {driver}\n   buffers up to {buffer}, of which a kernel sees up to {binding}; {timed}"
+    )
 }

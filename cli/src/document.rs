@@ -27,7 +27,8 @@ pub(crate) fn read<D: DeserializeOwned>(path: &Path, kind: &Kind) -> Result<D, F
     let Kind { schema, version, made, remedy } = kind;
     let failed = |problem: String| Failure::input(format_args!("{}: {problem}\n  remedy: {remedy}", text::path(path)));
     let text = text::read_file(path, MOST_BYTES).map_err(|error| failed(format!("cannot be read: {error}")))?;
-    let value: serde_json::Value = serde_json::from_str(&text).map_err(|error| failed(format!("is not JSON: {error}")))?;
+    let value: serde_json::Value =
+        serde_json::from_str(&text).map_err(|error| failed(format!("is not JSON: {error}")))?;
     if value["schema"] != *schema {
         return Err(failed(format!("was not {made}")));
     }

@@ -19,7 +19,8 @@ pub(crate) struct Explained {
 struct ExplainedStep {
     #[serde(flatten)]
     planned: PlannedStep,
-    /// On the device, over all its stages; `None` in a dry run, where the adapter cannot tell, and of what is a part of other steps.
+    /// On the device, over all its stages; `None` in a dry run, where the adapter cannot tell, and of what is a part of
+    /// other steps.
     seconds: Option<f64>,
     /// Of the time of all steps.
     share: Option<f64>,
@@ -33,11 +34,21 @@ impl Explained {
         let total: f64 = times.iter().map(|time| time.time.seconds).sum();
         let explain = |planned: &PlannedStep| {
             let name = planned.step.name();
-            let stages: Vec<StageTime> = times.iter().filter(|time| time.step == name).map(|time| time.time.clone()).collect();
+            let stages: Vec<StageTime> =
+                times.iter().filter(|time| time.step == name).map(|time| time.time.clone()).collect();
             let seconds = (!stages.is_empty()).then(|| stages.iter().map(|stage| stage.seconds).sum::<f64>());
-            ExplainedStep { planned: planned.clone(), seconds, share: seconds.map(|seconds| seconds / total.max(f64::MIN_POSITIVE)), stages }
+            ExplainedStep {
+                planned: planned.clone(),
+                seconds,
+                share: seconds.map(|seconds| seconds / total.max(f64::MIN_POSITIVE)),
+                stages,
+            }
         };
-        Self { analysis_seconds: plan.analysis_seconds, strips: plan.strips, steps: plan.steps.iter().map(explain).collect() }
+        Self {
+            analysis_seconds: plan.analysis_seconds,
+            strips: plan.strips,
+            steps: plan.steps.iter().map(explain).collect(),
+        }
     }
 
     /// A line for each step, and under it one for each stage where there are several.
@@ -57,10 +68,16 @@ impl Explained {
                 if planned.skipped > 0.0 { percent(planned.skipped) } else { String::new() },
             ]);
             if stages.len() > 1 {
-                rows.extend(stages.iter().map(|stage| vec![format!("  {}", stage.stage), String::new(), String::new(), milliseconds(stage.seconds * 1e3)]));
+                rows.extend(stages.iter().map(|stage| {
+                    vec![format!("  {}", stage.stage), String::new(), String::new(), milliseconds(stage.seconds * 1e3)]
+                }));
             }
         }
-        let strips = if self.strips > 1 { format!("in {} strips", self.strips) } else { "in one piece, because it fits".to_owned() };
+        let strips = if self.strips > 1 {
+            format!("in {} strips", self.strips)
+        } else {
+            "in one piece, because it fits".to_owned()
+        };
         format!("  looked at in {}; {strips}\n{}", seconds(self.analysis_seconds), table(&rows, 3))
     }
 }

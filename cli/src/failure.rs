@@ -94,7 +94,10 @@ impl Failure {
 
 /// What the library's remedies say, and what that is on the command line, besides the options of [`BufferSetRequest`].
 const WORDS: [(&str, &str); 8] = [
-    ("name the layer to take (`BufferSetRequest::layer`, `LayerRef::layer`)", "name the layer to take: --layer NAME for the input, FILE::NAME for other files"),
+    (
+        "name the layer to take (`BufferSetRequest::layer`, `LayerRef::layer`)",
+        "name the layer to take: --layer NAME for the input, FILE::NAME for other files",
+    ),
     ("the memory limit (`Denoiser::with_max_memory`)", "--max-memory"),
     ("the memory limit", "--max-memory"),
     ("a smaller window", "a smaller --radius (dfc, nlm)"),

@@ -50,10 +50,12 @@ pub(crate) struct Tuning {
     /// TOML file with method, preset and parameters, such as `stein params` writes; the other options go before it
     #[arg(long, value_name = "FILE")]
     params: Option<PathBuf>,
-    /// What becomes of spikes: pixels that stand out from those of their kind and rest on very few samples [default: spread; of the preset thesis: keep]
+    /// What becomes of spikes: pixels that stand out from those of their kind and rest on very few samples [default:
+    /// spread; of the preset thesis: keep]
     #[arg(long, value_name = "RULE", value_parser = choice(Spikes::ALL, &Spikes::choices()))]
     spikes: Option<Spikes>,
-    /// A parameter of the method by its name, such as guard=false or second_pass.color_k=0.4; may be repeated. `stein params --list` tells all
+    /// A parameter of the method by its name, such as guard=false or second_pass.color_k=0.4; may be repeated.
+    /// `stein params --list` tells all
     #[arg(long = "set", value_name = "NAME=VALUE", value_parser = setting)]
     settings: Vec<(String, String)>,
 }
@@ -71,7 +73,8 @@ impl Filter {
         self.tuning.spikes.is_some()
     }
 
-    /// The parameters of the file or of the preset, but for those that were set. Options that the method does not have are not ignored.
+    /// The parameters of the file or of the preset, but for those that were set. Options that the method does not have
+    /// are not ignored.
     pub(crate) fn chosen(&self) -> Result<Chosen, Failure> {
         let base = match self.tuning.file()? {
             Some(file) => {
@@ -81,8 +84,13 @@ impl Filter {
             }
             None => Chosen::of(self.method.unwrap_or_default(), self.preset.unwrap_or(Preset::Default)),
         };
-        let given = [("--radius", WINDOW_RADIUS, self.radius.is_some()), ("--candidates", CANDIDATES, !self.candidates.is_empty())];
-        if let Some((option, ..)) = given.iter().find(|(_, parameter, is_given)| *is_given && !base.method.has_parameter(parameter)) {
+        let given = [
+            ("--radius", WINDOW_RADIUS, self.radius.is_some()),
+            ("--candidates", CANDIDATES, !self.candidates.is_empty()),
+        ];
+        if let Some((option, ..)) =
+            given.iter().find(|(_, parameter, is_given)| *is_given && !base.method.has_parameter(parameter))
+        {
             return Err(not_theirs(option, &[base.method]));
         }
         self.tuning.check(&[base.method])?;
@@ -115,19 +123,29 @@ impl Tuning {
     pub(crate) fn check(&self, methods: &[Method]) -> Result<(), Failure> {
         let unknown = self.settings.iter().find(|(name, _)| !methods.iter().any(|method| method.has_parameter(name)));
         match (unknown, methods.first()) {
-            (Some((name, value)), Some(method)) => method.with_settings([(name.as_str(), value.as_str())]).map(drop).map_err(Failure::usage),
+            (Some((name, value)), Some(method)) => {
+                method.with_settings([(name.as_str(), value.as_str())]).map(drop).map_err(Failure::usage)
+            }
             _ => Ok(()),
         }
     }
 
     /// A method with its parameters, but for those that were set.
-    pub(crate) fn applied_to(&self, method: Method, Choices { radius, candidates }: Choices) -> Result<Method, Failure> {
+    pub(crate) fn applied_to(
+        &self,
+        method: Method,
+        Choices { radius, candidates }: Choices,
+    ) -> Result<Method, Failure> {
         let method = match method {
-            Method::Dfc(params) => {
-                Method::from(DfcParams { window_radius: radius.unwrap_or(params.window_radius), candidates: candidates.unwrap_or(params.candidates), ..params })
-            }
+            Method::Dfc(params) => Method::from(DfcParams {
+                window_radius: radius.unwrap_or(params.window_radius),
+                candidates: candidates.unwrap_or(params.candidates),
+                ..params
+            }),
             Method::Gem(params) => Method::from(params),
-            Method::Nlm(params) => Method::from(NlmParams { window_radius: radius.unwrap_or(params.window_radius), ..params }),
+            Method::Nlm(params) => {
+                Method::from(NlmParams { window_radius: radius.unwrap_or(params.window_radius), ..params })
+            }
         };
         let method = self.spikes.map_or(method, |spikes| method.with_spikes(spikes));
         let own = self.settings.iter().filter(|(name, _)| method.has_parameter(name));
@@ -148,7 +166,12 @@ impl<'a> ParamsFile<'a> {
     }
 
     /// Refuses an option that says something else than the file.
-    pub(crate) fn agrees(&self, option: &str, given: impl IntoIterator<Item = &'static str>, own: &str) -> Result<(), Failure> {
+    pub(crate) fn agrees(
+        &self,
+        option: &str,
+        given: impl IntoIterator<Item = &'static str>,
+        own: &str,
+    ) -> Result<(), Failure> {
         match given.into_iter().find(|given| *given != own) {
             None => Ok(()),
             Some(other) => {
@@ -164,7 +187,9 @@ impl<'a> ParamsFile<'a> {
 /// An option that none of the methods has is not ignored.
 pub(crate) fn not_theirs(option: &str, methods: &[Method]) -> Failure {
     let names = methods.iter().map(Method::name).collect::<Vec<_>>().join(" or ");
-    Failure::usage(format_args!("{option} is no option of the method {names}\n  remedy: leave it out, or choose another --method"))
+    Failure::usage(format_args!(
+        "{option} is no option of the method {names}\n  remedy: leave it out, or choose another --method"
+    ))
 }
 
 /// Candidates joined by plus signs, as in first+second, or all.
@@ -174,5 +199,7 @@ pub(crate) fn candidates(text: &str) -> Result<CandidateSet, String> {
     }
     let names: Vec<_> = text.split('+').map(|name| name.trim().to_ascii_lowercase()).collect();
     let are_known = names.iter().all(|name| CandidateSet::NAMES.contains(&name.as_str()));
-    are_known.then(|| CandidateSet::of_names(&names)).ok_or_else(|| "it must be all, or look like first+second, of first, second and third".to_owned())
+    are_known
+        .then(|| CandidateSet::of_names(&names))
+        .ok_or_else(|| "it must be all, or look like first+second, of first, second and third".to_owned())
 }

@@ -85,7 +85,9 @@ impl Samples {
             SamplesPerPixel::PerPixel(image) => {
                 let counts = image.planes.first()?;
                 let mean = counts.iter().map(|&count| f64::from(count)).sum::<f64>() / counts.len() as f64;
-                let (least, most) = counts.iter().fold((f32::INFINITY, 0.0f32), |(least, most), &count| (least.min(count), most.max(count)));
+                let (least, most) = counts
+                    .iter()
+                    .fold((f32::INFINITY, 0.0f32), |(least, most), &count| (least.min(count), most.max(count)));
                 Some(Self::PerPixel { least, mean, most })
             }
         }
@@ -96,7 +98,9 @@ impl std::fmt::Display for Samples {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
             Self::Uniform(count) => write!(f, "{count} samples per pixel"),
-            Self::PerPixel { least, mean, most } => write!(f, "{least} to {most} samples per pixel, {mean:.1} on average"),
+            Self::PerPixel { least, mean, most } => {
+                write!(f, "{least} to {most} samples per pixel, {mean:.1} on average")
+            }
         }
     }
 }
@@ -140,7 +144,8 @@ impl Input {
         let mut lines = vec![head];
         let (data, display) = (&self.data_window, &self.display_window);
         if all || (data.x, data.y, data.width, data.height) != (display.x, display.y, display.width, display.height) {
-            let told = |window: &Rectangle| format!("{}×{} at ({}, {})", window.width, window.height, window.x, window.y);
+            let told =
+                |window: &Rectangle| format!("{}×{} at ({}, {})", window.width, window.height, window.x, window.y);
             lines.push(format!("  data window {}, display window {}", told(data), told(display)));
         }
         lines.push(self.roles());
@@ -151,7 +156,8 @@ impl Input {
         if let Outcome::Frame { noise_knowledge, noise_level, feature_noise, repairs, .. } = &self.outcome {
             lines.push(format!("  noise: known from {noise_knowledge}{}", meaning(*noise_knowledge)));
             if all {
-                let level = noise_level.map_or_else(|| "unknown".to_owned(), |level| format!("about {}", number(level)));
+                let level =
+                    noise_level.map_or_else(|| "unknown".to_owned(), |level| format!("about {}", number(level)));
                 lines.push(format!("  relative MSE of the noise: {level}"));
                 lines.extend(feature_noise.iter().map(FeatureNoise::text));
             }
@@ -170,7 +176,12 @@ impl Input {
         match (&self.outcome, &other.outcome) {
             (
                 Outcome::Frame { noise_knowledge, feature_noise, repairs, .. },
-                Outcome::Frame { noise_knowledge: other_knowledge, feature_noise: other_noise, repairs: other_repairs, .. },
+                Outcome::Frame {
+                    noise_knowledge: other_knowledge,
+                    feature_noise: other_noise,
+                    repairs: other_repairs,
+                    ..
+                },
             ) => (noise_knowledge, feature_noise, repairs) == (other_knowledge, other_noise, other_repairs),
             _ => false,
         }
@@ -199,7 +210,11 @@ impl Input {
         // The file's order is that of its channels' names; people look for the colour first.
         signals.sort_by_key(|(name, _)| (name != "colour", name == "samples"));
         let or_none = |layers: Vec<String>| if layers.is_empty() { "-".to_owned() } else { text::list(layers) };
-        rows.extend(signals.into_iter().map(|(name, [mean, halves, variance])| [name, or_none(mean), or_none(halves), or_none(variance)]));
+        rows.extend(
+            signals
+                .into_iter()
+                .map(|(name, [mean, halves, variance])| [name, or_none(mean), or_none(halves), or_none(variance)]),
+        );
         table(&rows.into_iter().map(Vec::from).collect::<Vec<_>>(), 4)
     }
 
@@ -274,13 +289,17 @@ fn meaning(knowledge: NoiseKnowledge) -> &'static str {
 }
 
 fn feature_noise(frame: &Frame) -> Vec<FeatureNoise> {
-    let noise = |feature: &Feature| FeatureNoise { name: feature.name.clone(), noise_knowledge: feature.signal.noise_knowledge() };
+    let noise = |feature: &Feature| FeatureNoise {
+        name: feature.name.clone(),
+        noise_knowledge: feature.signal.noise_knowledge(),
+    };
     frame.features().iter().map(noise).collect()
 }
 
 impl FeatureNoise {
     fn text(&self) -> String {
-        let knowledge = self.noise_knowledge.map_or_else(|| "none".to_owned(), |knowledge| format!("known from {knowledge}"));
+        let knowledge =
+            self.noise_knowledge.map_or_else(|| "none".to_owned(), |knowledge| format!("known from {knowledge}"));
         format!("  noise of feature {}: {knowledge}", text::name(&self.name))
     }
 }

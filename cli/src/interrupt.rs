@@ -1,8 +1,9 @@
 //! Ctrl-C and its like: the work ends where it stands, and nothing half done is left.
 //!
-//! The first signal asks: what runs looks at [`check`] between its steps and ends as on any failure. Where it has not ended soon after (a step is long, a file is large, a renderer
-//! does not listen), or at a second signal, unfinished files are removed and the process ends then and there. Either way it ends by that signal, as whoever started it expects: a
-//! shell tells 130, 143 or 129, and ends the loop that it was in.
+//! The first signal asks: what runs looks at [`check`] between its steps and ends as on any failure. Where it has not
+//! ended soon after (a step is long, a file is large, a renderer does not listen), or at a second signal, unfinished
+//! files are removed and the process ends then and there. Either way it ends by that signal, as whoever started it
+//! expects: a shell tells 130, 143 or 129, and ends the loop that it was in.
 //!
 //! Where memory ends inside of a library or a driver, the library aborts the process, and nobody can catch that as an
 //! error. The signal of the abort can be caught: unfinished files are removed, a message tells what to do, and the
@@ -101,11 +102,14 @@ mod system {
         let _ = signal_hook::flag::register(SIGXFSZ, Arc::new(AtomicBool::new(false)));
         let (ready, is_ready) = std::sync::mpsc::channel();
         let listening = move || {
-            let signals = Signals::new([SIGABRT, SIGHUP, SIGINT, SIGTERM].into_iter().filter(|signal| !is_ignored(*signal)));
+            let signals =
+                Signals::new([SIGABRT, SIGHUP, SIGINT, SIGTERM].into_iter().filter(|signal| !is_ignored(*signal)));
             // Whoever waits need not know how it went.
             let _ = ready.send(());
             if let Ok(mut signals) = signals {
-                signals.forever().for_each(|signal| if signal == SIGABRT { super::give_up() } else { super::take(signal) });
+                signals
+                    .forever()
+                    .for_each(|signal| if signal == SIGABRT { super::give_up() } else { super::take(signal) });
             }
         };
         // Without the thread the system's own way stays, as nothing else asks for signals: the process ends at once.

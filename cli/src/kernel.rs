@@ -56,7 +56,9 @@ pub(crate) struct Args {
 
 /// A column and a row, as in 120,64.
 fn pixel(text: &str) -> Result<(u32, u32), String> {
-    text.split_once(',').and_then(|(x, y)| Some((x.trim().parse().ok()?, y.trim().parse().ok()?))).ok_or_else(|| "it must look like 120,64".into())
+    text.split_once(',')
+        .and_then(|(x, y)| Some((x.trim().parse().ok()?, y.trim().parse().ok()?)))
+        .ok_or_else(|| "it must look like 120,64".into())
 }
 
 #[derive(Serialize)]
@@ -114,7 +116,8 @@ impl Summary {
     }
 
     fn row(&self) -> Vec<String> {
-        let decided: Vec<_> = self.decided.iter().map(|Decided { by, neighbours }| format!("{by} {neighbours}")).collect();
+        let decided: Vec<_> =
+            self.decided.iter().map(|Decided { by, neighbours }| format!("{by} {neighbours}")).collect();
         let how = match self.rule {
             WeightRule::Gaussian { sigma } => format!("σ {} pixels", number(sigma.into())),
             WeightRule::Exact => "no noise within reach: left as it is".into(),
@@ -151,20 +154,28 @@ pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
     })?;
     if let Some(file) = &args.output {
         if kernels.filters.is_empty() {
-            return Err(Failure::usage("no pixel of this frame is filtered, so that there is no window to write\n  remedy: leave -o out"));
+            return Err(Failure::usage(
+                "no pixel of this frame is filtered, so that there is no window to write\n  remedy: leave -o out",
+            ));
         }
         let texts = [("pixel".to_owned(), format!("{x},{y}")), ("method".to_owned(), method.name().to_owned())];
         write_layers(file, &layers(&kernels), &texts).map_err(Failure::output)?;
     }
 
     let filters: Vec<_> = kernels.filters.iter().map(Summary::new).collect();
-    let left_out: Vec<_> = kernels.plan.steps.iter().filter(|planned| !planned.runs && planned.step.makes_kernels()).cloned().collect();
+    let left_out: Vec<_> =
+        kernels.plan.steps.iter().filter(|planned| !planned.runs && planned.step.makes_kernels()).cloned().collect();
     let head = ["filter", "decided by", "value", "Σ w", "own w"].map(String::from).to_vec();
-    out.say(format_args!("  pixel {x},{y}\n{}", table(&std::iter::once(head).chain(filters.iter().map(Summary::row)).collect::<Vec<_>>(), 3)));
-    let mut shares: Vec<_> = filters.iter().filter_map(|filter| Some((filter.share.filter(|share| *share > 0.0)?, filter.filter))).collect();
+    out.say(format_args!(
+        "  pixel {x},{y}\n{}",
+        table(&std::iter::once(head).chain(filters.iter().map(Summary::row)).collect::<Vec<_>>(), 3)
+    ));
+    let mut shares: Vec<_> =
+        filters.iter().filter_map(|filter| Some((filter.share.filter(|share| *share > 0.0)?, filter.filter))).collect();
     shares.sort_by(|(a, _), (b, _)| b.total_cmp(a));
     if !shares.is_empty() {
-        let shares: Vec<_> = shares.into_iter().map(|(share, name)| format!("{:.1} % {}", 100.0 * share, name.to_uppercase())).collect();
+        let shares: Vec<_> =
+            shares.into_iter().map(|(share, name)| format!("{:.1} % {}", 100.0 * share, name.to_uppercase())).collect();
         out.say(format_args!("  pass 1: {}", shares.join(", ")));
     }
     for planned in &left_out {
@@ -176,7 +187,15 @@ pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
     if !args.json {
         return Ok(());
     }
-    out.json(&Document { input: described, device: gpu.summary().clone(), x, y, filters, left_out, output: args.output.clone() })
+    out.json(&Document {
+        input: described,
+        device: gpu.summary().clone(),
+        x,
+        y,
+        filters,
+        left_out,
+        output: args.output.clone(),
+    })
 }
 
 /// All windows, about one middle: as large as the largest.
@@ -189,7 +208,10 @@ fn layers(kernels: &Kernels) -> Vec<NamedLayer> {
     };
     let of_kernel = |kernel: &FilterKernel| {
         let named = |part: &str| format!("{}.{part}", kernel.name);
-        let mut layers = vec![layer(named("weight"), &["V"], &kernel.weights, 0.0), layer(named("colour"), &["R", "G", "B"], &kernel.colors, 0.0)];
+        let mut layers = vec![
+            layer(named("weight"), &["V"], &kernel.weights, 0.0),
+            layer(named("colour"), &["R", "G", "B"], &kernel.colors, 0.0),
+        ];
         for distance in &kernel.distances {
             let of = distance.of.name();
             layers.push(layer(named(&format!("distance.{of}")), &["V"], &distance.distances, f32::INFINITY));

@@ -22,7 +22,8 @@ pub(crate) struct Source {
     /// Take every path as it is: `#` and `%04d` are no frame number, and `::` parts no layer from its file
     #[arg(long)]
     pub(crate) literal: bool,
-    /// Refuse an image without two halves and without a variance of its colour, in place of estimating the noise from the image itself
+    /// Refuse an image without two halves and without a variance of its colour, in place of estimating the noise from
+    /// the image itself
     #[arg(long)]
     pub(crate) require_noise: bool,
 }
@@ -42,11 +43,14 @@ impl Source {
     /// Options that the method has no use for are not ignored.
     pub(crate) fn check(&self, method: &Method) -> Result<(), Failure> {
         let given = self.others.features.first().map(|(feature, _)| format!("--feature {}", text::name(feature)));
-        let given = given.or_else(|| self.others.skip_features.first().map(|feature| format!("--skip-feature {feature}")));
+        let given =
+            given.or_else(|| self.others.skip_features.first().map(|feature| format!("--skip-feature {feature}")));
         match given.filter(|_| !method.uses_features()) {
             Some(option) => {
                 let name = method.name();
-                Err(Failure::usage(format_args!("{option}: {name} uses no features\n  remedy: leave it out, or choose another --method")))
+                Err(Failure::usage(format_args!(
+                    "{option}: {name} uses no features\n  remedy: leave it out, or choose another --method"
+                )))
             }
             None => Ok(()),
         }
@@ -75,7 +79,8 @@ pub(crate) struct Device {
     /// List the adapters, as `stein devices`, and do nothing else
     #[arg(long)]
     pub(crate) list_devices: bool,
-    /// Most memory to use on the device, such as 2G, 512M or a number of bytes; larger images are worked on in strips, with the same result
+    /// Most memory to use on the device, such as 2G, 512M or a number of bytes; larger images are worked on in strips,
+    /// with the same result
     #[arg(long, value_name = "SIZE", value_parser = memory_size)]
     pub(crate) max_memory: Option<u64>,
 }
@@ -115,7 +120,8 @@ fn memory_size(text: &str) -> Result<u64, String> {
 
 /// A width and a height, as in 1024x768.
 pub(crate) fn size(text: &str) -> Result<Extent, String> {
-    let sides = text.split_once(['x', 'X', '×']).and_then(|(width, height)| Some((width.parse().ok()?, height.parse().ok()?)));
+    let sides =
+        text.split_once(['x', 'X', '×']).and_then(|(width, height)| Some((width.parse().ok()?, height.parse().ok()?)));
     match sides {
         Some((width @ 1..=65_536, height @ 1..=65_536)) => Ok(Extent { width, height }),
         _ => Err("it must look like 1024x1024".into()),
@@ -134,7 +140,8 @@ mod tests {
 
     #[test]
     fn memory_is_counted_in_powers_of_1024() {
-        for (text, bytes) in [("4096", 4096), ("512M", 512 << 20), ("1.5GiB", 3 << 29), ("2 kb", 2048), ("1T", 1 << 40)] {
+        for (text, bytes) in [("4096", 4096), ("512M", 512 << 20), ("1.5GiB", 3 << 29), ("2 kb", 2048), ("1T", 1 << 40)]
+        {
             assert_eq!(memory_size(text), Ok(bytes), "{text}");
         }
         for text in ["", "G", "-1", "0", "5 bananas", "1.2.3M"] {

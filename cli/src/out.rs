@@ -38,7 +38,8 @@ impl Out {
 
     /// The document for programs.
     pub(crate) fn json(&mut self, document: &impl Serialize) -> Result<(), Failure> {
-        let text = serde_json::to_string_pretty(document).map_err(|error| Failure::output(format_args!("the JSON document: {error}")))?;
+        let text = serde_json::to_string_pretty(document)
+            .map_err(|error| Failure::output(format_args!("the JSON document: {error}")))?;
         self.write(&text);
         Ok(())
     }
@@ -55,16 +56,21 @@ impl Out {
     /// Fails where standard output could not take everything, as on a full disk.
     pub(crate) fn finish(self) -> Result<(), Failure> {
         match self.failed {
-            Some(error) if error.kind() != ErrorKind::BrokenPipe => Err(Failure::output(format_args!("standard output: {error}"))),
+            Some(error) if error.kind() != ErrorKind::BrokenPipe => {
+                Err(Failure::output(format_args!("standard output: {error}")))
+            }
             _ => Ok(()),
         }
     }
 }
 
-/// Lines up columns, two spaces apart and two from the margin: the first `left` columns at their left, the others at their right.
+/// Lines up columns, two spaces apart and two from the margin: the first `left` columns at their left, the others at
+/// their right.
 pub(crate) fn table(rows: &[Vec<String>], left: usize) -> String {
     let columns = rows.iter().map(Vec::len).max().unwrap_or(0);
-    let width = |column: usize| rows.iter().filter_map(|row| row.get(column)).map(|cell| cell.chars().count()).max().unwrap_or(0);
+    let width = |column: usize| {
+        rows.iter().filter_map(|row| row.get(column)).map(|cell| cell.chars().count()).max().unwrap_or(0)
+    };
     let widths: Vec<usize> = (0..columns).map(width).collect();
     let line = |row: &Vec<String>| {
         let cells = row.iter().enumerate().map(|(column, cell)| {

@@ -20,20 +20,30 @@ pub(crate) fn choose(input: &Path, named: Option<&Path>) -> PathBuf {
 }
 
 /// Tells before the work what would go wrong after it.
-pub(crate) fn check<'a>(output: &Path, others: impl Iterator<Item = &'a Path>, no_clobber: bool, dry_run: bool) -> Result<(), Failure> {
+pub(crate) fn check<'a>(
+    output: &Path,
+    others: impl Iterator<Item = &'a Path>,
+    no_clobber: bool,
+    dry_run: bool,
+) -> Result<(), Failure> {
     check_name(output, others.filter(|other| same_file(output, other)))?;
     if no_clobber && output.exists() {
         let name = text::path(output);
-        return Err(Failure::output(format_args!("{name}: exists already\n  remedy: choose another name with -o, or leave --no-clobber out")));
+        return Err(Failure::output(format_args!(
+            "{name}: exists already\n  remedy: choose another name with -o, or leave --no-clobber out"
+        )));
     }
     check_folder(output, dry_run)
 }
 
-/// That it is an OpenEXR file, and that none of what is read would be replaced: `same_files` are those that are the same file as the output.
+/// That it is an OpenEXR file, and that none of what is read would be replaced: `same_files` are those that are the
+/// same file as the output.
 pub(crate) fn check_name<'a>(output: &Path, mut same_files: impl Iterator<Item = &'a Path>) -> Result<(), Failure> {
     let name = text::path(output);
     if !output.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("exr")) {
-        return Err(Failure::usage(format_args!("{name}: the output is an OpenEXR file\n  remedy: give it a name that ends in .exr")));
+        return Err(Failure::usage(format_args!(
+            "{name}: the output is an OpenEXR file\n  remedy: give it a name that ends in .exr"
+        )));
     }
     if let Some(other) = same_files.next() {
         return Err(Failure::output(format_args!(

@@ -89,12 +89,17 @@ fn page() -> String {
     );
     for method in Method::all() {
         // Writing to a string cannot fail.
-        let _ = writeln!(page, "\n## {}\n\n| parameter | default | thesis | range | meaning |\n| --- | --- | --- | --- | --- |", method.name());
+        let _ = writeln!(
+            page,
+            "\n## {}\n\n| parameter | default | thesis | range | meaning |\n| --- | --- | --- | --- | --- |",
+            method.name()
+        );
         let parameters = method.parameters();
         for parameter in &parameters {
             let [default, thesis] = [&parameter.default, &parameter.thesis].map(shown);
             let meaning = cell(&parameter.documentation);
-            let _ = writeln!(page, "| `{}` | {default} | {thesis} | {} | {meaning} |", parameter.name, range(parameter));
+            let _ =
+                writeln!(page, "| `{}` | {default} | {thesis} | {} | {meaning} |", parameter.name, range(parameter));
         }
         for parameter in &parameters {
             let (Kind::Choice { options } | Kind::Set { options }) = &parameter.kind else { continue };

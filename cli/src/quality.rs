@@ -13,7 +13,8 @@ use super::Failure;
 use super::out::{number, table};
 
 /// What the comparison needs to have kept.
-pub(crate) const NEEDED: [Intermediate; 4] = [Intermediate::Candidates, Intermediate::Sure, Intermediate::Pass1, Intermediate::Halves];
+pub(crate) const NEEDED: [Intermediate; 4] =
+    [Intermediate::Candidates, Intermediate::Sure, Intermediate::Pass1, Intermediate::Halves];
 
 /// The reference, if it shows the same pixels.
 pub(crate) fn read(reference: &LayerRef, frame: &Frame, input: &Path) -> Result<Image, Failure> {
@@ -88,8 +89,18 @@ pub(crate) fn text(errors: &[Errors]) -> String {
     let head = ["", "relative MSE", "MSE", "SSIM", "squared error", "estimated"].map(String::from).to_vec();
     let row = |errors: &Errors| {
         let estimated = errors.estimated_squared_error.map_or_else(|| "-".to_owned(), number);
-        vec![errors.image.to_owned(), number(errors.relative_mse), number(errors.mse), format!("{:.4}", errors.ssim), number(errors.squared_error), estimated]
+        vec![
+            errors.image.to_owned(),
+            number(errors.relative_mse),
+            number(errors.mse),
+            format!("{:.4}", errors.ssim),
+            number(errors.squared_error),
+            estimated,
+        ]
     };
     let rows: Vec<_> = std::iter::once(head).chain(errors.iter().map(row)).collect();
-    format!("{}\n  (squared error: mean over the pixels, summed over the channels; estimated: without the reference; for candidates by SURE)", table(&rows, 1))
+    format!(
+        "{}\n  (squared error: mean over the pixels, summed over the channels; estimated: without the reference; for candidates by SURE)",
+        table(&rows, 1)
+    )
 }

@@ -46,7 +46,8 @@ pub(crate) struct Args {
     /// Samples per pixel, an even number: half of them for each half
     #[arg(long, value_name = "N", required_unless_present_any = ["list", "map", "reference"], conflicts_with = "map")]
     spp: Option<u32>,
-    /// Draw the numbers in the layer `samples` of a sampling map, as if those in its layer `drawn` had been drawn before; the size is the map's
+    /// Draw the numbers in the layer `samples` of a sampling map, as if those in its layer `drawn` had been drawn
+    /// before; the size is the map's
     #[arg(long, value_name = "MAP.exr", conflicts_with_all = ["reference", "size"])]
     map: Option<PathBuf>,
     /// Write the colour alone, of samples that no other render of that seed draws [default --spp: 4096]
@@ -108,14 +109,19 @@ impl Picture {
 
 pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
     if args.list {
-        out.say(table(&scenes().map(|(name, description)| vec![name.to_owned(), description.to_owned()]).collect::<Vec<_>>(), 2));
+        out.say(table(
+            &scenes().map(|(name, description)| vec![name.to_owned(), description.to_owned()]).collect::<Vec<_>>(),
+            2,
+        ));
         return Ok(());
     }
     if args.quiet {
         out.silence();
     }
     let name = args.scene.as_deref().ok_or_else(|| Failure::usage("no scene is given"))?;
-    let file = args.output.clone().unwrap_or_else(|| PathBuf::from(if args.reference { format!("{name}_reference.exr") } else { format!("{name}.exr") }));
+    let file = args.output.clone().unwrap_or_else(|| {
+        PathBuf::from(if args.reference { format!("{name}_reference.exr") } else { format!("{name}.exr") })
+    });
     output::check(&file, args.map.as_deref().into_iter(), false, false)?;
 
     let map = args.map.as_deref().map(MapFile::read).transpose()?;
@@ -152,7 +158,11 @@ pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
     } else {
         write_samples(&samples, &file, &texts).map_err(Failure::output)?;
     }
-    out.say(format_args!("{}: {extent}, {average} samples per pixel, {}", text::path(&file), seconds(start.elapsed().as_secs_f64())));
+    out.say(format_args!(
+        "{}: {extent}, {average} samples per pixel, {}",
+        text::path(&file),
+        seconds(start.elapsed().as_secs_f64())
+    ));
     Ok(())
 }
 

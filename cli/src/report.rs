@@ -91,18 +91,32 @@ impl FrameReport {
             Some(run) => {
                 if let Some(written) = &self.output {
                     lines.extend(written.notes.iter().map(|note| format!("  {note}")));
-                    lines.push(format!("{}: {} on {}{strips}", text::path(&written.file), seconds(run.seconds), device.name));
+                    lines.push(format!(
+                        "{}: {} on {}{strips}",
+                        text::path(&written.file),
+                        seconds(run.seconds),
+                        device.name
+                    ));
                 }
                 // With none there is nothing to say, as of other repairs.
-                lines.extend(run.spikes.filter(|spikes| verbose || spikes.pixels > 0).map(|spikes| format!("  {spikes}")));
+                lines.extend(
+                    run.spikes.filter(|spikes| verbose || spikes.pixels > 0).map(|spikes| format!("  {spikes}")),
+                );
                 if verbose {
                     lines.push(format!(
                         "  {} on the device, {} pixels averaged per pixel{}",
                         bytes(run.peak_bytes),
                         number(run.mean_weight_sum),
-                        run.mean_estimated_squared_error.map_or_else(String::new, |error| format!(", mean squared error estimated at {}", number(error)))
+                        run.mean_estimated_squared_error.map_or_else(String::new, |error| format!(
+                            ", mean squared error estimated at {}",
+                            number(error)
+                        ))
                     ));
-                    lines.push(run.stage_times.as_deref().map_or_else(|| "  this adapter cannot time stages".into(), stage_table));
+                    lines.push(
+                        run.stage_times
+                            .as_deref()
+                            .map_or_else(|| "  this adapter cannot time stages".into(), stage_table),
+                    );
                 }
             }
         }
@@ -115,8 +129,12 @@ impl FrameReport {
 pub(crate) fn pipelines(saved: stein::Result<SavedPipelines>) -> Option<String> {
     match saved {
         Ok(SavedPipelines::Nowhere) => None,
-        Ok(SavedPipelines::Unchanged { file, bytes: size }) => Some(format!("  compiled shaders: {} in {}, as before", bytes(size), text::path(&file))),
-        Ok(SavedPipelines::Written { file, bytes: size }) => Some(format!("  compiled shaders: {} written to {}", bytes(size), text::path(&file))),
+        Ok(SavedPipelines::Unchanged { file, bytes: size }) => {
+            Some(format!("  compiled shaders: {} in {}, as before", bytes(size), text::path(&file)))
+        }
+        Ok(SavedPipelines::Written { file, bytes: size }) => {
+            Some(format!("  compiled shaders: {} written to {}", bytes(size), text::path(&file)))
+        }
         Err(error) => Some(format!("  {}", Failure::from(error).message())),
     }
 }
@@ -129,7 +147,9 @@ fn stage_table(times: &[StageTime]) -> String {
     };
     let head = ["stage", "ms", "share", "dispatches"].map(String::from).to_vec();
     let sum = row("all", total, times.iter().map(|time| time.dispatches).sum());
-    let rows: Vec<_> =
-        std::iter::once(head).chain(times.iter().map(|time| row(&time.stage, time.seconds, time.dispatches))).chain(std::iter::once(sum)).collect();
+    let rows: Vec<_> = std::iter::once(head)
+        .chain(times.iter().map(|time| row(&time.stage, time.seconds, time.dispatches)))
+        .chain(std::iter::once(sum))
+        .collect();
     table(&rows, 1)
 }

@@ -103,7 +103,11 @@ impl std::fmt::Display for Spread {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let Self { samples_per_pixel, total_samples, least, most, none } = self;
         let average = number(*samples_per_pixel);
-        write!(f, "{total_samples} samples, {average} per pixel, from {least} to {most}; {:.1} % of the pixels get none", 100.0 * none)
+        write!(
+            f,
+            "{total_samples} samples, {average} per pixel, from {least} to {most}; {:.1} % of the pixels get none",
+            100.0 * none
+        )
     }
 }
 
@@ -115,7 +119,9 @@ pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
     }
     let method = args.filter.chosen()?.method;
     if args.filter.sets_spikes() {
-        return Err(Failure::usage("--spikes: where more samples are to be drawn, spikes stay\n  remedy: leave it out"));
+        return Err(Failure::usage(
+            "--spikes: where more samples are to be drawn, spikes stay\n  remedy: leave it out",
+        ));
     }
     args.source.check(&method)?;
     let request = args.source.for_method(&method).request(input);
@@ -129,25 +135,37 @@ pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
     let gpu = args.device.open()?;
     let denoiser = args.device.denoiser(&gpu, method)?.while_sampling();
     let mut progress = |_: f32| if interrupt::is_asked() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) };
-    let estimate =
-        denoiser.denoise_with(&frame, Options { keep: &[Intermediate::Density], error: false, progress: Some(&mut progress), ..Default::default() })?;
+    let estimate = denoiser.denoise_with(
+        &frame,
+        Options { keep: &[Intermediate::Density], error: false, progress: Some(&mut progress), ..Default::default() },
+    )?;
     // Whole pairs, which a small budget has few of.
     let cap = args.cap.unwrap_or_else(|| (budget * f64::from(SamplingMap::DEFAULT_CAP)).max(2.0) as u32);
     let density = sampling_density(&estimate, budget, budget * f64::from(SamplingMap::DEFAULT_CAP))?;
     let map = SamplingMap::new(&density, budget, Some(cap)).map_err(Failure::usage)?;
     let spread = Spread::of(&map.counts);
-    MapFile { map, drawn: drawn(&set.samples_per_pixel(), frame.extent()) }.write(&file, &[]).map_err(Failure::output)?;
+    MapFile { map, drawn: drawn(&set.samples_per_pixel(), frame.extent()) }
+        .write(&file, &[])
+        .map_err(Failure::output)?;
     out.say(format_args!("{}: {spread}", text::path(&file)));
-    if args.json { out.json(&Document { input: described, device: gpu.summary().clone(), output: file, map: spread }) } else { Ok(()) }
+    if args.json {
+        out.json(&Document { input: described, device: gpu.summary().clone(), output: file, map: spread })
+    } else {
+        Ok(())
+    }
 }
 
 /// Samples that the pixels have, where the input says so in whole pairs.
 fn drawn(samples: &SamplesPerPixel, extent: stein::Extent) -> Option<SampleCounts> {
-    let pairs = |samples: f32| (samples >= 0.0 && samples % 2.0 == 0.0 && samples < u32::MAX as f32).then_some((samples / 2.0) as u32);
+    let pairs = |samples: f32| {
+        (samples >= 0.0 && samples % 2.0 == 0.0 && samples < u32::MAX as f32).then_some((samples / 2.0) as u32)
+    };
     let pairs = match samples {
         SamplesPerPixel::Unknown => return None,
         SamplesPerPixel::Uniform(samples) => vec![pairs(*samples)?; extent.pixels()],
-        SamplesPerPixel::PerPixel(image) => image.planes[0].iter().map(|&samples| pairs(samples)).collect::<Option<_>>()?,
+        SamplesPerPixel::PerPixel(image) => {
+            image.planes[0].iter().map(|&samples| pairs(samples)).collect::<Option<_>>()?
+        }
     };
     SampleCounts::from_pairs(extent, pairs).ok()
 }

@@ -101,8 +101,11 @@ pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
     if cases.is_empty() {
         return Err(Failure::usage("there is no such case\n  remedy: leave --case out; the table then shows them all"));
     }
-    let folder = Aside::make(tempfile::tempdir)
-        .map_err(|error| Failure::output(format_args!("no folder for temporary files: {error}\n  remedy: let TMPDIR name a folder that may be written to")))?;
+    let folder = Aside::make(tempfile::tempdir).map_err(|error| {
+        Failure::output(format_args!(
+            "no folder for temporary files: {error}\n  remedy: let TMPDIR name a folder that may be written to"
+        ))
+    })?;
     let gpu = args.device.open()?;
     let adapter = Adapter::from(gpu.summary());
     out.say(format_args!("{adapter}"));
@@ -121,7 +124,16 @@ pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
     let passed = rows.iter().all(|row| row.passed);
     let seconds = start.elapsed().as_secs_f64();
     let worst = table::worst(&rows);
-    let document = Document { schema: SCHEMA.into(), version: VERSION, stein: env!("CARGO_PKG_VERSION").into(), adapter, passed, seconds, rows, worst };
+    let document = Document {
+        schema: SCHEMA.into(),
+        version: VERSION,
+        stein: env!("CARGO_PKG_VERSION").into(),
+        adapter,
+        passed,
+        seconds,
+        rows,
+        worst,
+    };
     let comparison = other.as_ref().map(|other| Comparison::new(other, &document));
     out.say(table::text(&document, &cases, args.verbose));
     if let Some(comparison) = &comparison {

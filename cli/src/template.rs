@@ -23,8 +23,15 @@ mod tests {
 
     #[test]
     fn values_are_not_looked_at_again() {
-        let values = [("{map}", OsStr::new("a {out} b")), ("{out}", OsStr::new("{map}{iteration}")), ("{iteration}", OsStr::new("3"))];
-        assert_eq!(fill("x {map}, {out}{out} {iteration}{", &values), "x a {out} b, {map}{iteration}{map}{iteration} 3{");
+        let values = [
+            ("{map}", OsStr::new("a {out} b")),
+            ("{out}", OsStr::new("{map}{iteration}")),
+            ("{iteration}", OsStr::new("3")),
+        ];
+        assert_eq!(
+            fill("x {map}, {out}{out} {iteration}{", &values),
+            "x a {out} b, {map}{iteration}{map}{iteration} 3{"
+        );
         assert_eq!(fill("", &values), "");
     }
 }

@@ -5,7 +5,8 @@ use stein::{Extent, Frame, Image};
 
 use super::Failure;
 
-/// Covers `extent` with the image, mirrored at each seam, so that there are no edges which the image does not have; cut off where it is larger.
+/// Covers `extent` with the image, mirrored at each seam, so that there are no edges which the image does not have; cut
+/// off where it is larger.
 pub(crate) fn cover(image: &Image, extent: Extent) -> Image {
     let mirrored = |position: usize, size: usize| {
         let within = position % (2 * size);
@@ -14,7 +15,8 @@ pub(crate) fn cover(image: &Image, extent: Extent) -> Image {
     let (width, height) = (image.extent.width as usize, image.extent.height as usize);
     let columns: Vec<usize> = (0..extent.width as usize).map(|x| mirrored(x, width)).collect();
     let rows: Vec<usize> = (0..extent.height as usize).map(|y| mirrored(y, height)).collect();
-    let cover_plane = |plane: &Vec<f32>| rows.iter().flat_map(|&y| columns.iter().map(move |&x| plane[y * width + x])).collect();
+    let cover_plane =
+        |plane: &Vec<f32>| rows.iter().flat_map(|&y| columns.iter().map(move |&x| plane[y * width + x])).collect();
     Image { extent, planes: image.planes.iter().map(cover_plane).collect() }
 }
 
@@ -23,10 +25,15 @@ pub(crate) fn cover_frame(frame: &Frame, extent: Extent) -> Result<Frame, Failur
     let cover_signal = |signal: &Signal, scale: f32, offset: f32| Signal {
         mean: cover(&mapped(&signal.mean, scale, offset), extent),
         half_spread: signal.half_spread.as_ref().map(|image| cover(&mapped(image, scale, 0.0), extent)),
-        variance_of_mean: signal.variance_of_mean.as_ref().map(|image| cover(&mapped(image, scale * scale, 0.0), extent)),
+        variance_of_mean: signal
+            .variance_of_mean
+            .as_ref()
+            .map(|image| cover(&mapped(image, scale * scale, 0.0), extent)),
     };
     // In the units of the file, which decide what a feature means.
-    let in_file_units = |feature: &Feature| (feature.name.clone(), cover_signal(&feature.signal, feature.unit_scale, feature.unit_offset));
+    let in_file_units = |feature: &Feature| {
+        (feature.name.clone(), cover_signal(&feature.signal, feature.unit_scale, feature.unit_offset))
+    };
     let features = frame.features().iter().map(in_file_units).collect();
     let (frame, _) = Frame::new(cover_signal(frame.color(), 1.0, 0.0), features, SamplesPerPixel::Unknown)?;
     Ok(frame)
@@ -45,7 +52,11 @@ mod tests {
     fn a_covered_frame_keeps_what_its_features_are() {
         let extent = Extent { width: 4, height: 1 };
         let image = |plane: [f32; 4]| Image { extent, planes: vec![plane.to_vec(); 3] };
-        let signal = |mean: [f32; 4], spread: f32| Signal { mean: image(mean), half_spread: Some(image([spread; 4])), variance_of_mean: None };
+        let signal = |mean: [f32; 4], spread: f32| Signal {
+            mean: image(mean),
+            half_spread: Some(image([spread; 4])),
+            variance_of_mean: None,
+        };
         // In unit range the halves of the brightest albedo are beyond 1.
         let features = vec![
             ("albedo".to_owned(), signal([0.0, 0.125, 0.25, 0.5], 0.0625)),
@@ -54,9 +65,13 @@ mod tests {
         ];
         let settled = Frame::new(signal([1.0, 2.0, 3.0, 4.0], 0.5), features, SamplesPerPixel::Unknown);
         let frame = settled.unwrap_or_else(|error| panic!("{error}")).0;
-        let covered = cover_frame(&frame, Extent { width: 8, height: 1 }).unwrap_or_else(|failure| panic!("{failure:?}"));
+        let covered =
+            cover_frame(&frame, Extent { width: 8, height: 1 }).unwrap_or_else(|failure| panic!("{failure:?}"));
         for (feature, covered) in frame.features().iter().zip(covered.features()) {
-            assert_eq!((&feature.name, feature.unit_scale, feature.unit_offset), (&covered.name, covered.unit_scale, covered.unit_offset));
+            assert_eq!(
+                (&feature.name, feature.unit_scale, feature.unit_offset),
+                (&covered.name, covered.unit_scale, covered.unit_offset)
+            );
             let first = |image: &Image| image.planes.iter().map(|plane| plane[..4].to_vec()).collect::<Vec<_>>();
             assert_eq!(first(&covered.signal.mean), feature.signal.mean.planes);
             let spreads = [&covered, &feature].map(|feature| feature.signal.half_spread.as_ref().map(first));

@@ -1,7 +1,7 @@
 //! A renderer with a wgpu device of its own that denoises its buffers where they are.
 //!
-//! It renders, denoises and shows within one command encoder, and reads nothing back in between. Here, the picture is then
-//! copied to a file; a renderer with a window would present it. Run with
+//! It renders, denoises and shows within one command encoder, and reads nothing back in between. Here, the picture is
+//! then copied to a file; a renderer with a window would present it. Run with
 //! `cargo run --release --example embed -- picture.ppm`.
 
 use std::error::Error;
@@ -75,7 +75,12 @@ impl Rendered {
         Ok(GpuFrame {
             extent: IVec2::new(WIDTH as i32, HEIGHT as i32),
             color,
-            features: vec![GpuFeature { name: "albedo".into(), kind: FeatureKind::Albedo, signal: albedo, channels: 3 }],
+            features: vec![GpuFeature {
+                name: "albedo".into(),
+                kind: FeatureKind::Albedo,
+                signal: albedo,
+                channels: 3,
+            }],
             samples: GpuSamples::Uniform(2.0 * SAMPLES as f32),
             mean_variance: None,
         })
@@ -88,7 +93,10 @@ impl Renderer {
         let adapter = pollster::block_on(instance.request_adapter(&wgpu::RequestAdapterOptions::default()))?;
         let (device, queue) = pollster::block_on(adapter.request_device(&wgpu::DeviceDescriptor::default()))?;
         let pipeline = |source: &str| {
-            let module = device.create_shader_module(wgpu::ShaderModuleDescriptor { label: None, source: wgpu::ShaderSource::Wgsl(source.into()) });
+            let module = device.create_shader_module(wgpu::ShaderModuleDescriptor {
+                label: None,
+                source: wgpu::ShaderSource::Wgsl(source.into()),
+            });
             device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
                 label: None,
                 layout: None,
@@ -103,7 +111,12 @@ impl Renderer {
     }
 
     fn buffer(&self, bytes: u32, usage: wgpu::BufferUsages) -> wgpu::Buffer {
-        self.device.create_buffer(&wgpu::BufferDescriptor { label: None, size: bytes.into(), usage, mapped_at_creation: false })
+        self.device.create_buffer(&wgpu::BufferDescriptor {
+            label: None,
+            size: bytes.into(),
+            usage,
+            mapped_at_creation: false,
+        })
     }
 
     /// Records the rendering of one frame.
@@ -124,10 +137,22 @@ impl Renderer {
         self.dispatch(encoder, &self.show, &[color.as_entire_binding(), wgpu::BindingResource::TextureView(&view)]);
     }
 
-    fn dispatch(&self, encoder: &mut wgpu::CommandEncoder, pipeline: &wgpu::ComputePipeline, resources: &[wgpu::BindingResource]) {
-        let entries: Vec<_> = (0..).zip(resources).map(|(binding, resource)| wgpu::BindGroupEntry { binding, resource: resource.clone() }).collect();
+    fn dispatch(
+        &self,
+        encoder: &mut wgpu::CommandEncoder,
+        pipeline: &wgpu::ComputePipeline,
+        resources: &[wgpu::BindingResource],
+    ) {
+        let entries: Vec<_> = (0..)
+            .zip(resources)
+            .map(|(binding, resource)| wgpu::BindGroupEntry { binding, resource: resource.clone() })
+            .collect();
         let layout = pipeline.get_bind_group_layout(0);
-        let group = self.device.create_bind_group(&wgpu::BindGroupDescriptor { label: None, layout: &layout, entries: &entries });
+        let group = self.device.create_bind_group(&wgpu::BindGroupDescriptor {
+            label: None,
+            layout: &layout,
+            entries: &entries,
+        });
         let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
         pass.set_pipeline(pipeline);
         pass.set_bind_group(0, &group, &[]);
@@ -152,7 +177,11 @@ impl Renderer {
         let staging = self.buffer(4 * WIDTH * HEIGHT, wgpu::BufferUsages::COPY_DST | wgpu::BufferUsages::MAP_READ);
         let mut encoder = self.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
         let layout = wgpu::TexelCopyBufferLayout { offset: 0, bytes_per_row: Some(4 * WIDTH), rows_per_image: None };
-        encoder.copy_texture_to_buffer(picture.as_image_copy(), wgpu::TexelCopyBufferInfo { buffer: &staging, layout }, picture.size());
+        encoder.copy_texture_to_buffer(
+            picture.as_image_copy(),
+            wgpu::TexelCopyBufferInfo { buffer: &staging, layout },
+            picture.size(),
+        );
         self.queue.submit([encoder.finish()]);
         let (sender, receiver) = std::sync::mpsc::channel();
         staging.map_async(wgpu::MapMode::Read, .., move |result| drop(sender.send(result)));

@@ -1,5 +1,5 @@
-//! Any bytes as an OpenEXR file: read, assigned and settled into a frame. Either an error that names the file, or a frame of finite values; no panic that is not caught, and no
-//! more memory than the fuzzer is told to allow.
+//! Any bytes as an OpenEXR file: read, assigned and settled into a frame. Either an error that names the file, or a
+//! frame of finite values; no panic that is not caught, and no more memory than the fuzzer is told to allow.
 #![no_main]
 
 use std::io::Write;
@@ -26,7 +26,8 @@ const MOST_PIXELS: usize = 1 << 20;
 
 fuzz_target!(
     init: {
-        // The fuzzer's hook would end the process for panics that the reader catches, which the decoder behind it has a few of.
+        // The fuzzer's hook would end the process for panics that the reader catches, which the decoder behind it has a
+        // few of.
         let _ = std::panic::take_hook();
         if std::env::var_os("STEIN_FUZZ_CAUGHT").is_none() {
             std::panic::set_hook(Box::new(|_| {}));

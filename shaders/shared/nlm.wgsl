@@ -1,7 +1,8 @@
 // The NL-means distance and its weights (thesis 7.1.1, 8.2), shared by every stage that filters with them.
 //
-// Neighbours are visited in pairs q1 = p + o, q2 = p − o, with o running over half the window: the symmetric weights need both at once.
-// The distance itself is *not* symmetric: its cancellation term uses the variance of p, so d(p, q) of one pixel cannot be reused as d(q, p) of the other.
+// Neighbours are visited in pairs q1 = p + o, q2 = p − o, with o running over half the window: the symmetric weights
+// need both at once. The distance itself is *not* symmetric: its cancellation term uses the variance of p, so d(p, q)
+// of one pixel cannot be reused as d(q, p) of the other.
 #define_import_path stein::nlm
 
 struct NlmParams {
@@ -11,14 +12,16 @@ struct NlmParams {
     width: i32,
     first_row: i32,
     rows: i32,
-    // The chunk of offsets whose distances are in the scratch buffer at one time: a rectangle in the half window, so many columns and rows of it from this offset on. The
-    // half window is (1..R, 0) and all of the rows 1..R below; in a frame beside it begins at (0, 0), the pixel's own position.
+    // The chunk of offsets whose distances are in the scratch buffer at one time: a rectangle in the half window, so
+    // many columns and rows of it from this offset on. The half window is (1..R, 0) and all of the rows 1..R below; in
+    // a frame beside it begins at (0, 0), the pixel's own position.
     first_offset: vec2<i32>,
     offsets: vec2<i32>,
     // 1: no sums are there yet for this strip; 1: this chunk completes them.
     starts: i32,
     completes: i32,
-    // Pixels from one scratch row to the next: the rectangle's width, rounded up to whole invocations, and f on both sides.
+    // Pixels from one scratch row to the next: the rectangle's width, rounded up to whole invocations, and f on both
+    // sides.
     stride: i32,
     // Rows that one invocation of nlm_distance walks down.
     block_rows: i32,
@@ -34,21 +37,25 @@ struct NlmParams {
     centre_floor: f32,
 }
 
-// Prevents a division by zero between two black pixels (eq. 7.4): all others have a variance, which variance_floor holds above their rounding.
+// Prevents a division by zero between two black pixels (eq. 7.4): all others have a variance, which variance_floor
+// holds above their rounding.
 const EPSILON: f32 = 1e-30;
-// A pixel distance beyond this is total dissimilarity in any patch. The limit keeps sums and perturbed sums finite: inf − inf would become full weight.
+// A pixel distance beyond this is total dissimilarity in any patch. The limit keeps sums and perturbed sums finite: inf
+// − inf would become full weight.
 const DISTANCE_LIMIT: f32 = 1e8;
 // Above this distance weights vanish in f32 and the ratio that judges symmetry says nothing.
 const SYMMETRY_LIMIT: f32 = 25.0;
 
 // eq. 7.4, per channel.
-fn distance(u_p: vec3<f32>, u_q: vec3<f32>, var_p: vec3<f32>, var_q: vec3<f32>, k_squared: f32, alpha: f32) -> vec3<f32> {
+fn distance(u_p: vec3<f32>, u_q: vec3<f32>, var_p: vec3<f32>, var_q: vec3<f32>, k_squared: f32,
+    alpha: f32) -> vec3<f32> {
     let difference = u_p - u_q;
     let cancelled = difference * difference - alpha * (var_p + min(var_p, var_q));
     return min(cancelled / (EPSILON + k_squared * (var_p + var_q)), vec3<f32>(DISTANCE_LIMIT));
 }
 
-// eq. 7.6: the distance to the mean of the two neighbours. It is eq. 7.4 with their mean in the place of q, ε, k² and α included.
+// eq. 7.6: the distance to the mean of the two neighbours. It is eq. 7.4 with their mean in the place of q, ε, k² and α
+// included.
 fn symmetric_distance(
     u_p: vec3<f32>, u_q1: vec3<f32>, u_q2: vec3<f32>,
     var_p: vec3<f32>, var_q1: vec3<f32>, var_q2: vec3<f32>,
@@ -64,8 +71,8 @@ fn has_opposite(offset: vec2<i32>) -> bool {
     return any(offset != vec2<i32>(0));
 }
 
-// Along one axis: how many of the 2f+1 members n of a patch exist at p and at the neighbours compared with it. x: p + n and q1 + n, y: p + n and q2 + n, z: all three. The
-// members of a patch are the product of both axes.
+// Along one axis: how many of the 2f+1 members n of a patch exist at p and at the neighbours compared with it. x: p + n
+// and q1 + n, y: p + n and q2 + n, z: all three. The members of a patch are the product of both axes.
 fn patch_members(p: i32, offset: i32, extent: i32, patch_radius: i32) -> vec3<f32> {
     let before = min(patch_radius, p);
     let after = min(patch_radius, extent - 1 - p);
@@ -82,9 +89,11 @@ struct PairWeights {
     behind: vec4<f32>,
 }
 
-// Weights of a pair of neighbours from their distances (eq. 7.5), four independent ones at a time. Where the mean of the two is a better match than
-// both of them together, its weight replaces theirs: at once, as thesis 7.1.1 has it (SYMMETRIC_HARD), or by degrees, so that finite differences keep their meaning.
-fn pair_weights(distance_q1: vec4<f32>, distance_q2: vec4<f32>, distance_both: vec4<f32>, both_inside: bool) -> PairWeights {
+// Weights of a pair of neighbours from their distances (eq. 7.5), four independent ones at a time. Where the mean of
+// the two is a better match than both of them together, its weight replaces theirs: at once, as thesis 7.1.1 has it
+// (SYMMETRIC_HARD), or by degrees, so that finite differences keep their meaning.
+fn pair_weights(distance_q1: vec4<f32>, distance_q2: vec4<f32>, distance_both: vec4<f32>,
+    both_inside: bool) -> PairWeights {
     let d1 = max(distance_q1, vec4<f32>(0.0));
     let d2 = max(distance_q2, vec4<f32>(0.0));
     let w1 = exp(-d1);
@@ -105,11 +114,14 @@ fn pair_weights(distance_q1: vec4<f32>, distance_q2: vec4<f32>, distance_both: v
 #endif
 }
 
-// Weights of q1 and q2 in the average of p, from the unnormalised sums of their distances over a patch of so many members; 0 for one that does not exist.
-fn weights_from_sums(patch_sum: vec3<f32>, members: vec3<f32>, inverse_channels: f32, ahead_inside: bool, behind_inside: bool) -> vec2<f32> {
+// Weights of q1 and q2 in the average of p, from the unnormalised sums of their distances over a patch of so many
+// members; 0 for one that does not exist.
+fn weights_from_sums(patch_sum: vec3<f32>, members: vec3<f32>, inverse_channels: f32, ahead_inside: bool,
+    behind_inside: bool) -> vec2<f32> {
     let d = patch_sum * inverse_channels / max(members, vec3<f32>(1.0));
     let weights = pair_weights(vec4<f32>(d.x), vec4<f32>(d.y), vec4<f32>(d.z), ahead_inside && behind_inside);
-    return select(vec2<f32>(0.0), vec2<f32>(weights.ahead.x, weights.behind.x), vec2<bool>(ahead_inside, behind_inside));
+    return select(vec2<f32>(0.0), vec2<f32>(weights.ahead.x, weights.behind.x),
+        vec2<bool>(ahead_inside, behind_inside));
 }
 
 fn centre_weight(largest: vec4<f32>, centre_floor: f32) -> vec4<f32> {

@@ -1,4 +1,5 @@
-// What the stages that find and spread spikes share: their parameters, and which pixels count as of one kind by their features.
+// What the stages that find and spread spikes share: their parameters, and which pixels count as of one kind by their
+// features.
 #define_import_path stein::spike
 #import stein::planes::{largest_channel}
 
@@ -49,13 +50,15 @@ fn are_alike(p: SpikeFeatures, q: SpikeFeatures, triple: vec3<f32>, params: Spik
     return dot(distance.xyz, triple) <= 1.0 && distance.w <= 1.0;
 }
 
-// What a pixel gets of a spike at this offset, in parts of what one in its place would get: less towards the rim of the window, so that no border shows.
+// What a pixel gets of a spike at this offset, in parts of what one in its place would get: less towards the rim of the
+// window, so that no border shows.
 fn falloff(offset: vec2<i32>, radius: i32) -> f32 {
     let away = vec2<f32>(offset) / f32(radius + 1);
     return max(1.0 - dot(away, away), 0.0);
 }
 
-// How much two pixels count as equally bright, by the levels of their surroundings: 1 up to four times as bright, 0 from eight times on.
+// How much two pixels count as equally bright, by the levels of their surroundings: 1 up to four times as bright, 0
+// from eight times on.
 fn affinity(level_p: f32, level_q: f32) -> f32 {
     let brighter = max(level_p, level_q);
     return select(1.0, clamp(8.0 * min(level_p, level_q) / brighter - 1.0, 0.0, 1.0), brighter > 0.0);

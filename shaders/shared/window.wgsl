@@ -1,4 +1,5 @@
-// One pixel's window, laid out as an image: a plane holds one vec4 per cell, row by row, and the cell of the neighbour p + o lies at o from the middle.
+// One pixel's window, laid out as an image: a plane holds one vec4 per cell, row by row, and the cell of the neighbour
+// p + o lies at o from the middle.
 #define_import_path stein::window
 
 struct WindowParams {

@@ -19,19 +19,25 @@ use crate::stage::nlm::CentreWeight;
 use crate::stage::window::{CellLane, DistanceLanes};
 
 impl Denoiser {
-    /// Which neighbours make the pixel in column `x` and row `y`, and why: the weights of each filter of the method over its window, and the distances behind them, read back from
-    /// the device. They are those of a run with the same `options`, whose progress is not called; of the frame no more is worked on than they depend on.
+    /// Which neighbours make the pixel in column `x` and row `y`, and why: the weights of each filter of the method
+    /// over its window, and the distances behind them, read back from the device. They are those of a run with the same
+    /// `options`, whose progress is not called; of the frame no more is worked on than they depend on.
     ///
     /// Of a window in time there are none: the frame is taken by itself.
     ///
     /// # Errors
-    /// [`Error::Request`] where the frame has no such pixel; [`Error::Cancelled`] by [`Options::pace`]; else as [`Denoiser::plan`] and [`Denoiser::denoise`].
+    /// [`Error::Request`] where the frame has no such pixel; [`Error::Cancelled`] by [`Options::pace`]; else as
+    /// [`Denoiser::plan`] and [`Denoiser::denoise`].
     pub fn kernels(&self, frame: &Frame, x: u32, y: u32, options: &Options) -> Result<Kernels> {
         let extent = frame.extent();
         if x >= extent.width || y >= extent.height {
             return Err(Error::Request {
                 problem: format!("pixel ({x}, {y}) lies outside of a frame of {extent} pixels"),
-                remedy: format!("choose a column from 0 to {} and a row from 0 to {}", extent.width - 1, extent.height - 1),
+                remedy: format!(
+                    "choose a column from 0 to {} and a row from 0 to {}",
+                    extent.width - 1,
+                    extent.height - 1
+                ),
             });
         }
         let plan = self.plan(&[frame], 0, options)?;
@@ -40,7 +46,11 @@ impl Denoiser {
         }
 
         let pixel = IVec2::new(x as i32, y as i32);
-        let Region { first, size } = Region::around(pixel, self.method.reach_of_kernels(&plan), IVec2::new(extent.width as i32, extent.height as i32));
+        let Region { first, size } = Region::around(
+            pixel,
+            self.method.reach_of_kernels(&plan),
+            IVec2::new(extent.width as i32, extent.height as i32),
+        );
         let part = Window { x: first.x, y: first.y, extent: Extent { width: size.x as u32, height: size.y as u32 } };
         let part_of_frame = frame.cropped(part);
         let units = Units::of_window(&[&part_of_frame], 0, self.method.uses_features(), exposure(frame));
@@ -57,7 +67,13 @@ impl Denoiser {
         let kernels = self.method.kernels(&mut rec, on_gpu, pixel - first, &plan_of_part, self.schedule)?;
         rec.submit()?;
 
-        let mut reader = Reader { gpu: &self.gpu, read: Vec::new(), part, at: PixelInFrame { x, y, extent }, exposure: units.exposure };
+        let mut reader = Reader {
+            gpu: &self.gpu,
+            read: Vec::new(),
+            part,
+            at: PixelInFrame { x, y, extent },
+            exposure: units.exposure,
+        };
         let filters = kernels.iter().map(|kernel| reader.kernel(kernel)).collect::<Result<_>>()?;
         Ok(Kernels { x, y, filters, plan })
     }
@@ -92,7 +108,8 @@ impl Reader<'_> {
 
     /// What an image says at the pixel.
     fn at_pixel(&mut self, Lane { buffer, plane, component }: &Lane) -> Result<f32> {
-        let place = *plane as usize * self.part.extent.pixels() * 4 + self.place((self.at.x, self.at.y)) + *component as usize;
+        let place =
+            *plane as usize * self.part.extent.pixels() * 4 + self.place((self.at.x, self.at.y)) + *component as usize;
         Ok(self.values(buffer)?[place])
     }
 
@@ -119,7 +136,9 @@ impl Reader<'_> {
             WeightsOnGpu::Cells { cells, window_radius, weight, distances, rule, centre, limit } => {
                 let window = WindowOfCells { cells: self.values(cells)?, radius: *window_radius, at: self.at };
                 let (rule, weights) = match limit {
-                    Some(limit) if self.is_refused(limit)? => (WeightRule::Refused { sigmas: limit.sigmas }, self.window(*window_radius, alone)),
+                    Some(limit) if self.is_refused(limit)? => {
+                        (WeightRule::Refused { sigmas: limit.sigmas }, self.window(*window_radius, alone))
+                    }
                     _ => (*rule, window.weights(*weight, *centre)),
                 };
                 (*window_radius, rule, weights, window.distances(distances))
@@ -127,9 +146,16 @@ impl Reader<'_> {
             WeightsOnGpu::Gaussian(lane) => {
                 let sigma = self.at_pixel(lane)?;
                 let gaussian = Gaussian::new(sigma);
-                (gaussian.radius, WeightRule::Gaussian { sigma }, self.window(gaussian.radius, |offset| gaussian.weight(offset)), Vec::new())
+                (
+                    gaussian.radius,
+                    WeightRule::Gaussian { sigma },
+                    self.window(gaussian.radius, |offset| gaussian.weight(offset)),
+                    Vec::new(),
+                )
             }
-            WeightsOnGpu::Exact { window_radius } => (*window_radius, WeightRule::Exact, self.window(*window_radius, alone), Vec::new()),
+            WeightsOnGpu::Exact { window_radius } => {
+                (*window_radius, WeightRule::Exact, self.window(*window_radius, alone), Vec::new())
+            }
         };
 
         let averaged = self.values(averaged)?;
@@ -146,8 +172,21 @@ impl Reader<'_> {
                 *sum += f64::from(*weight) * (f64::from(value) - f64::from(averaged[centre + channel]));
             }
         }
-        let value = std::array::from_fn(|channel| (f64::from(averaged[centre + channel]) + sums[channel] / weight_sum) as f32 / self.exposure);
-        Ok(FilterKernel { name, window_radius, weights, weight_sum: weight_sum as f32, colors, value, share, rule, distances, at: self.at })
+        let value = std::array::from_fn(|channel| {
+            (f64::from(averaged[centre + channel]) + sums[channel] / weight_sum) as f32 / self.exposure
+        });
+        Ok(FilterKernel {
+            name,
+            window_radius,
+            weights,
+            weight_sum: weight_sum as f32,
+            colors,
+            value,
+            share,
+            rule,
+            distances,
+            at: self.at,
+        })
     }
 
     /// Weights that follow from the offset.

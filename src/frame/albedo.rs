@@ -8,8 +8,8 @@ const LARGEST_HALF: f64 = 1.001;
 /// Clamps an albedo to 1 in every channel and returns a remark where that changed something.
 ///
 /// The half spread becomes that of the clamped halves, the variance that of the clamped mean. A value stays the same to
-/// the bit, with its noise, where neither it nor one of its halves is beyond 1; without halves, where neither it nor what
-/// lies a deviation above it is.
+/// the bit, with its noise, where neither it nor one of its halves is beyond 1; without halves, where neither it nor
+/// what lies a deviation above it is.
 pub(super) fn clamp_to_one(name: &str, signal: &mut Signal) -> Option<String> {
     let Signal { mean, half_spread, variance_of_mean } = signal;
     let (mut beyond, mut noise_beyond, mut largest) = (0usize, 0usize, 1.0f32);

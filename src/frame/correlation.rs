@@ -94,7 +94,9 @@ mod tests {
         assert_eq!(shared_noise(&image(extent, plane.clone())), None);
         // One half brighter than the other.
         assert_eq!(shared_noise(&image(extent, plane.iter().map(|value| value + 0.4).collect())), None);
-        let beside = |step: usize| plane.iter().enumerate().map(|(at, value)| value + plane[(at + step) % plane.len()]).collect();
+        let beside = |step: usize| {
+            plane.iter().enumerate().map(|(at, value)| value + plane[(at + step) % plane.len()]).collect()
+        };
         for step in [1, 96] {
             let found = shared_noise(&image(extent, beside(step)));
             assert!(found.is_some_and(|correlation| (0.4..0.6).contains(&correlation)), "{found:?}");

@@ -39,10 +39,18 @@ mod tests {
 
     #[test]
     fn the_last_part_of_a_name_tells_the_kind() {
-        for name in ["albedo", "Denoising Albedo", "ViewLayer.Denoising Albedo", "denoise_albedo", "diffuse_albedo", "view.ALB"] {
+        for name in
+            ["albedo", "Denoising Albedo", "ViewLayer.Denoising Albedo", "denoise_albedo", "diffuse_albedo", "view.ALB"]
+        {
             assert_eq!(FeatureKind::from_name(name), Albedo, "{name}");
         }
-        for (name, kind) in [("sh_normal", Normal), ("albedo.N", Normal), ("Z", Distance), ("view.Denoising Depth", Distance), ("P", Distance)] {
+        for (name, kind) in [
+            ("sh_normal", Normal),
+            ("albedo.N", Normal),
+            ("Z", Distance),
+            ("view.Denoising Depth", Distance),
+            ("P", Distance),
+        ] {
             assert_eq!(FeatureKind::from_name(name), kind, "{name}");
         }
         for name in ["album", "", "Combined", "visibility", "caustic"] {

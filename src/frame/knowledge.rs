@@ -102,7 +102,10 @@ impl Frame {
                  seeds and the same number of samples",
             )
         };
-        Err(Error::Request { problem: format!("nothing is known of the colour's noise: {reasons}"), remedy: remedy.into() })
+        Err(Error::Request {
+            problem: format!("nothing is known of the colour's noise: {reasons}"),
+            remedy: remedy.into(),
+        })
     }
 
     /// The same frame with less known of its noise: halves and variances that `knowledge` does not name are taken from
@@ -119,7 +122,12 @@ impl Frame {
             half_spread: signal.half_spread.as_ref().filter(|_| halves).cloned(),
             variance_of_mean: signal.variance_of_mean.as_ref().filter(|_| variance).cloned(),
         };
-        let feature = |feature: &Feature| Feature { signal: reduced(&feature.signal), name: feature.name.clone(), misses: feature.misses.clone(), ..*feature };
+        let feature = |feature: &Feature| Feature {
+            signal: reduced(&feature.signal),
+            name: feature.name.clone(),
+            misses: feature.misses.clone(),
+            ..*feature
+        };
         Some(Self {
             color: reduced(&self.color),
             features: self.features.iter().map(feature).collect(),
@@ -129,16 +137,20 @@ impl Frame {
         })
     }
 
-    /// A guess, without a reference, at the relative MSE of the unfiltered colour: the
-    /// mean over pixels and channels of variance/(mean² + 0.01). Too low where samples are few: a spike raises its own
-    /// mean along with its variance, and one that no pixel caught is missing. `None` where nothing is known of the noise.
+    /// A guess, without a reference, at the relative MSE of the unfiltered colour: the mean over pixels and channels of
+    /// variance/(mean² + 0.01). Too low where samples are few: a spike raises its own mean along with its variance, and
+    /// one that no pixel caught is missing. `None` where nothing is known of the noise.
     pub fn noise_level(&self) -> Option<f64> {
         let mut sum = 0.0;
         for (channel, mean) in self.color.mean.planes.iter().enumerate() {
             let relative = |variance: f64, mean: f32| variance / (f64::from(mean).powi(2) + RELATIVE_EPSILON);
             sum += match (&self.color.variance_of_mean, &self.color.half_spread) {
-                (Some(variance), _) => variance.planes[channel].iter().zip(mean).map(|(&v, &m)| relative(v.into(), m)).sum::<f64>(),
-                (None, Some(spread)) => spread.planes[channel].iter().zip(mean).map(|(&s, &m)| relative(f64::from(s).powi(2), m)).sum(),
+                (Some(variance), _) => {
+                    variance.planes[channel].iter().zip(mean).map(|(&v, &m)| relative(v.into(), m)).sum::<f64>()
+                }
+                (None, Some(spread)) => {
+                    spread.planes[channel].iter().zip(mean).map(|(&s, &m)| relative(f64::from(s).powi(2), m)).sum()
+                }
                 (None, None) => return None,
             };
         }

@@ -20,8 +20,12 @@ impl NoiseTiles {
     pub(crate) fn of(signal: &Signal) -> Self {
         let width = signal.mean.extent.width as usize;
         let columns = width.div_ceil(TILE);
-        let planes: Vec<&[f32]> =
-            [&signal.half_spread, &signal.variance_of_mean].into_iter().flatten().flat_map(|image| &image.planes).map(Vec::as_slice).collect();
+        let planes: Vec<&[f32]> = [&signal.half_spread, &signal.variance_of_mean]
+            .into_iter()
+            .flatten()
+            .flat_map(|image| &image.planes)
+            .map(Vec::as_slice)
+            .collect();
         let rows_of_a_tile = |rows: std::ops::Range<usize>| {
             let mut any = vec![0u32; columns];
             for row in planes.iter().flat_map(|plane| plane[rows.clone()].chunks_exact(width)) {
@@ -33,14 +37,19 @@ impl NoiseTiles {
             any
         };
         let pixels = signal.mean.extent.pixels();
-        let tiles_of_rows = (0..pixels).into_par_iter().step_by(width * TILE).map(|first| rows_of_a_tile(first..(first + width * TILE).min(pixels)));
+        let tiles_of_rows = (0..pixels)
+            .into_par_iter()
+            .step_by(width * TILE)
+            .map(|first| rows_of_a_tile(first..(first + width * TILE).min(pixels)));
         let noisy = tiles_of_rows.flat_map_iter(|any| any.into_iter().map(|bits| bits != 0)).collect();
         Self { columns, noisy }
     }
 
     /// Of several signals of one extent: noisy where one of them is.
     pub(crate) fn of_all<'a>(signals: impl Iterator<Item = &'a Signal>) -> Option<Self> {
-        signals.map(Self::of).reduce(|all, one| Self { noisy: all.noisy.iter().zip(&one.noisy).map(|(a, b)| a | b).collect(), ..all })
+        signals
+            .map(Self::of)
+            .reduce(|all, one| Self { noisy: all.noisy.iter().zip(&one.noisy).map(|(a, b)| a | b).collect(), ..all })
     }
 
     /// Whether there is noise at all.
@@ -48,16 +57,20 @@ impl NoiseTiles {
         self.noisy.contains(&true)
     }
 
-    /// For each tile, whether there is none within `reach` pixels of any of its pixels. Whole tiles are looked at, so that a tile may be taken for near that is just beyond.
+    /// For each tile, whether there is none within `reach` pixels of any of its pixels. Whole tiles are looked at, so
+    /// that a tile may be taken for near that is just beyond.
     pub(crate) fn exact(&self, reach: usize) -> Vec<bool> {
         let near = reach.div_ceil(TILE);
         let rows = self.noisy.len() / self.columns;
         let widened = |flags: &[bool], count: usize, stride: usize, at: usize, place: usize| {
             (place.saturating_sub(near)..=(place + near).min(count - 1)).any(|other| flags[at + other * stride])
         };
-        let across: Vec<bool> =
-            (0..self.noisy.len()).map(|tile| widened(&self.noisy, self.columns, 1, tile - tile % self.columns, tile % self.columns)).collect();
-        (0..self.noisy.len()).map(|tile| !widened(&across, rows, self.columns, tile % self.columns, tile / self.columns)).collect()
+        let across: Vec<bool> = (0..self.noisy.len())
+            .map(|tile| widened(&self.noisy, self.columns, 1, tile - tile % self.columns, tile % self.columns))
+            .collect();
+        (0..self.noisy.len())
+            .map(|tile| !widened(&across, rows, self.columns, tile % self.columns, tile / self.columns))
+            .collect()
     }
 }
 
@@ -73,7 +86,11 @@ mod tests {
         if let Some(last) = half_spread.planes[2].last_mut() {
             *last = -2.0;
         }
-        Signal { mean: Image::filled(extent, 3, 1.0), half_spread: Some(half_spread), variance_of_mean: Some(Image::filled(extent, 3, 0.0)) }
+        Signal {
+            mean: Image::filled(extent, 3, 1.0),
+            half_spread: Some(half_spread),
+            variance_of_mean: Some(Image::filled(extent, 3, 0.0)),
+        }
     }
 
     #[test]
@@ -97,7 +114,11 @@ mod tests {
     #[test]
     fn without_noise_every_tile_is_exact() {
         let extent = Extent { width: 20, height: 10 };
-        let signal = Signal { mean: Image::filled(extent, 1, 3.0), half_spread: None, variance_of_mean: Some(Image::filled(extent, 1, 0.0)) };
+        let signal = Signal {
+            mean: Image::filled(extent, 1, 3.0),
+            half_spread: None,
+            variance_of_mean: Some(Image::filled(extent, 1, 0.0)),
+        };
         let tiles = NoiseTiles::of(&signal);
         assert!(!tiles.any() && tiles.exact(100).iter().all(|exact| *exact));
         assert_eq!(NoiseTiles::of_all([&signal, &signal].into_iter()), Some(tiles));

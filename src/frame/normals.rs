@@ -41,7 +41,9 @@ pub(super) fn encoding(mean: &Image) -> Encoding {
             continue;
         }
         vectors += 1;
-        out_of_range += usize::from(!vector.iter().all(|component| (-COMPONENT_TOLERANCE..=1.0 + COMPONENT_TOLERANCE).contains(component)));
+        out_of_range += usize::from(
+            !vector.iter().all(|component| (-COMPONENT_TOLERANCE..=1.0 + COMPONENT_TOLERANCE).contains(component)),
+        );
         decoded += usize::from(is_normal(unfolded));
         stored += usize::from(is_normal(vector));
     }
@@ -62,7 +64,8 @@ pub(super) fn decode(signal: &mut Signal) {
             signal.mean.planes.iter_mut().for_each(|plane| plane[pixel] = 2.0 * plane[pixel] - 1.0);
         }
     }
-    let [spread, variance] = [&mut signal.half_spread, &mut signal.variance_of_mean].map(|image| image.iter_mut().flat_map(|image| &mut image.planes));
+    let [spread, variance] = [&mut signal.half_spread, &mut signal.variance_of_mean]
+        .map(|image| image.iter_mut().flat_map(|image| &mut image.planes));
     spread.flatten().for_each(|value| *value *= 2.0);
     variance.flatten().for_each(|value| *value *= 4.0);
 }

@@ -69,7 +69,9 @@ pub(super) fn range_of_hits(mean: &Image, misses: &[bool], is_distance: bool) ->
     let channels: Vec<Vec<Bin>> = mean.planes.iter().map(|plane| bins(plane, misses)).collect();
     let span = |channels: &mut dyn Iterator<Item = &[Bin]>| {
         let ends = channels.filter_map(|bins| Some((bins.first()?.least, bins.last()?.greatest)));
-        ends.fold((f32::INFINITY, f32::NEG_INFINITY), |(least, greatest), ends| (least.min(ends.0), greatest.max(ends.1)))
+        ends.fold((f32::INFINITY, f32::NEG_INFINITY), |(least, greatest), ends| {
+            (least.min(ends.0), greatest.max(ends.1))
+        })
     };
     let all = span(&mut channels.iter().map(Vec::as_slice));
     let inside: Vec<Inside> = channels.iter().map(|bins| Inside::new(bins, is_distance)).collect();
@@ -80,7 +82,8 @@ pub(super) fn range_of_hits(mean: &Image, misses: &[bool], is_distance: bool) ->
         (least, greatest) = all;
     }
     let far = |is_far: fn(&Inside, &Bin) -> bool| {
-        let bins = channels.iter().zip(&inside).flat_map(|(bins, inside)| bins.iter().filter(|bin| is_far(inside, bin)));
+        let bins =
+            channels.iter().zip(&inside).flat_map(|(bins, inside)| bins.iter().filter(|bin| is_far(inside, bin)));
         let mut bins: Vec<Bin> = bins.copied().collect();
         bins.sort_unstable_by(|a, b| a.least.total_cmp(&b.least));
         bins
@@ -96,7 +99,8 @@ pub(super) fn range_of_hits(mean: &Image, misses: &[bool], is_distance: bool) ->
             least = least.min(bin.least);
         }
     }
-    let outside = channels.iter().flatten().filter(|bin| bin.least > greatest || bin.greatest < least).map(|bin| bin.count).sum();
+    let outside =
+        channels.iter().flatten().filter(|bin| bin.least > greatest || bin.greatest < least).map(|bin| bin.count).sum();
     Range { least, greatest, outside, all }
 }
 
@@ -154,7 +158,8 @@ fn bins_below_gap(bins: &[Bin], all: usize, is_distance: bool) -> Option<(usize,
         let is_cut = if is_distance {
             let gap = f64::from(first_outside.least) - end;
             let is_flat = greatest - f64::from(first_outside.least) <= FLAT * gap;
-            (share(below) >= 0.5 || is_flat && share(below) >= LEAST_INSIDE) && is_filled(&bins[..=index], below, end - least)
+            (share(below) >= 0.5 || is_flat && share(below) >= LEAST_INSIDE)
+                && is_filled(&bins[..=index], below, end - least)
         } else {
             share(all - below) <= OTHER_OUTSIDE
         };
@@ -176,7 +181,8 @@ fn bins_below_gap(bins: &[Bin], all: usize, is_distance: bool) -> Option<(usize,
 /// scale for others.
 fn is_filled(bins: &[Bin], count: usize, extent: f64) -> bool {
     let (Some(low), Some(high)) = (quantile(bins, count, 0.1), quantile(bins, count, 0.9)) else { return false };
-    let largest = bins.iter().map(|bin| f64::from(bin.least).abs().max(f64::from(bin.greatest).abs())).fold(0.0, f64::max);
+    let largest =
+        bins.iter().map(|bin| f64::from(bin.least).abs().max(f64::from(bin.greatest).abs())).fold(0.0, f64::max);
     extent > 0.0 && f64::from(high.greatest) - f64::from(low.least) >= 0.1 * extent && extent >= 0.1 * largest
 }
 
@@ -269,7 +275,8 @@ mod tests {
     fn what_is_far_in_one_channel_may_be_near_in_another() {
         let extent = Extent { width: 1000, height: 1 };
         let mut planes = vec![steps(1000, -5.0, 5.0), steps(1000, 0.0, 3.0), steps(1000, 1000.0, 1005.0)];
-        let position = |planes: &Vec<Vec<f32>>| range_of_hits(&Image { extent, planes: planes.clone() }, &[false; 1000], true);
+        let position =
+            |planes: &Vec<Vec<f32>>| range_of_hits(&Image { extent, planes: planes.clone() }, &[false; 1000], true);
         assert_eq!((position(&planes).least, position(&planes).greatest), (-5.0, 1005.0));
         planes[1][3] = 900.0;
         assert_eq!(position(&planes).outside, 0);

@@ -82,9 +82,14 @@ impl fmt::Display for LayerRepairs {
             (self.negative_variances, "negative variances set to 0"),
             (self.misses, "pixels without a hit set to the far end"),
         ];
-        let mut parts: Vec<_> = counted.iter().filter(|(count, _)| *count > 0).map(|(count, what)| format!("{count} {what}")).collect();
+        let mut parts: Vec<_> =
+            counted.iter().filter(|(count, _)| *count > 0).map(|(count, what)| format!("{count} {what}")).collect();
         if !self.damage.is_empty() {
-            let places: Vec<_> = self.damage.iter().map(|Damage { image, channel, values }| format!("{image} {channel} {values}")).collect();
+            let places: Vec<_> = self
+                .damage
+                .iter()
+                .map(|Damage { image, channel, values }| format!("{image} {channel} {values}"))
+                .collect();
             parts.push(format!("damaged values: {}", places.join(", ")));
         }
         write!(f, "{}: {}", self.layer, if parts.is_empty() { "nothing to repair".into() } else { parts.join(", ") })

@@ -47,7 +47,8 @@ pub(super) fn sanitise(layer: Layer, signal: &mut Signal, may_miss: bool) -> San
         let is_nan = |pixel: usize| signal.mean.planes.iter().any(|plane| plane[pixel].is_nan());
         misses.iter_mut().enumerate().for_each(|(pixel, miss)| *miss = is_miss(pixel) && !is_nan(pixel));
         // Where all that is left are misses, a damaged pixel is one too.
-        let has_hit = |plane: &Vec<f32>| plane.iter().zip(&misses).any(|(value, miss)| !miss && !is_damaged(*value, LARGEST));
+        let has_hit =
+            |plane: &Vec<f32>| plane.iter().zip(&misses).any(|(value, miss)| !miss && !is_damaged(*value, LARGEST));
         if misses.contains(&true) && !signal.mean.planes.iter().any(has_hit) {
             misses.fill(true);
         }
@@ -113,7 +114,11 @@ impl Replaced {
 }
 
 /// Positive, finite sample counts; unknown where not one is.
-pub(super) fn sanitise_samples(samples: SamplesPerPixel, extent: Extent, repairs: &mut Repairs) -> Result<SamplesPerPixel> {
+pub(super) fn sanitise_samples(
+    samples: SamplesPerPixel,
+    extent: Extent,
+    repairs: &mut Repairs,
+) -> Result<SamplesPerPixel> {
     match samples {
         SamplesPerPixel::Uniform(count) if count > 0.0 && count <= LARGEST => Ok(SamplesPerPixel::Uniform(count)),
         SamplesPerPixel::Uniform(count) => {
@@ -154,9 +159,18 @@ fn mark(state: &mut [Pixel], plane: &[f32], matches: impl Fn(f32) -> bool) {
 }
 
 /// Counts the damaged values of a plane and marks them as bad. Misses are not damage.
-fn find_damage(found: &mut LayerRepairs, image: DamagedImage, channel: &str, plane: &[f32], state: &mut [Pixel], largest: f32) {
+fn find_damage(
+    found: &mut LayerRepairs,
+    image: DamagedImage,
+    channel: &str,
+    plane: &[f32],
+    state: &mut [Pixel],
+    largest: f32,
+) {
     let mut values = 0;
-    for (value, _) in plane.iter().zip(&*state).filter(|(value, state)| **state != Pixel::Miss && is_damaged(**value, largest)) {
+    for (value, _) in
+        plane.iter().zip(&*state).filter(|(value, state)| **state != Pixel::Miss && is_damaged(**value, largest))
+    {
         values += 1;
         if value.is_nan() {
             found.nan_values += 1;
@@ -185,16 +199,19 @@ fn repair(planes: &mut [&mut Vec<f32>], state: &[Pixel], extent: Extent) -> bool
     state.contains(&Pixel::Good)
 }
 
-/// Replaces every bad pixel by an average of good ones, from the rim of each damaged region inwards: a pixel next to good pixels takes the average of
-/// those among its eight neighbours, the next ring takes the average of what the ring before it took, and so on. Reads only pixels that are good or were
-/// filled in an earlier ring, so that the result does not depend on any order. Time is proportional to the number of bad pixels.
+/// Replaces every bad pixel by an average of good ones, from the rim of each damaged region inwards: a pixel next to
+/// good pixels takes the average of those among its eight neighbours, the next ring takes the average of what the ring
+/// before it took, and so on. Reads only pixels that are good or were filled in an earlier ring, so that the result
+/// does not depend on any order. Time is proportional to the number of bad pixels.
 ///
-/// Returns the bad pixels that no good pixel can reach: all of them if there are no good ones, else those enclosed by misses.
+/// Returns the bad pixels that no good pixel can reach: all of them if there are no good ones, else those enclosed by
+/// misses.
 fn fill_from_neighbours(planes: &mut [&mut Vec<f32>], state: &[Pixel], extent: Extent) -> Vec<usize> {
     let mut usable: Vec<bool> = state.iter().map(|state| *state == Pixel::Good).collect();
     let mut waiting: Vec<bool> = state.iter().map(|state| *state == Pixel::Bad).collect();
     let bad = (0..state.len()).filter(|&pixel| waiting[pixel]);
-    let mut ring: Vec<usize> = bad.clone().filter(|&pixel| neighbours(pixel, extent).any(|neighbour| usable[neighbour])).collect();
+    let mut ring: Vec<usize> =
+        bad.clone().filter(|&pixel| neighbours(pixel, extent).any(|neighbour| usable[neighbour])).collect();
     while !ring.is_empty() {
         for plane in planes.iter_mut() {
             for &pixel in &ring {
@@ -226,7 +243,8 @@ fn neighbours(pixel: usize, extent: Extent) -> impl Iterator<Item = usize> {
     let (width, height) = (extent.width as usize, extent.height as usize);
     let (x, y) = (pixel % width, pixel / width);
     let rows = y.saturating_sub(1)..(y + 2).min(height);
-    rows.flat_map(move |row| (x.saturating_sub(1)..(x + 2).min(width)).map(move |column| row * width + column)).filter(move |&neighbour| neighbour != pixel)
+    rows.flat_map(move |row| (x.saturating_sub(1)..(x + 2).min(width)).map(move |column| row * width + column))
+        .filter(move |&neighbour| neighbour != pixel)
 }
 
 #[cfg(test)]

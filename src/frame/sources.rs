@@ -39,19 +39,27 @@ pub(super) fn leave_out_unusable(layer: Layer, signal: &mut Signal, notes: &mut 
     }
     let lacks = |mean: &Image, image: &Image, largest: f32| -> Vec<usize> {
         let has_value = |plane: &[f32], largest: f32| plane.iter().any(|value| !is_damaged(*value, largest));
-        (0..channels).filter(|&channel| has_value(&mean.planes[channel], LARGEST) && !has_value(&image.planes[channel], largest)).collect()
+        (0..channels)
+            .filter(|&channel| has_value(&mean.planes[channel], LARGEST) && !has_value(&image.planes[channel], largest))
+            .collect()
     };
     if let Some(spread) = &signal.half_spread {
         let lacking = lacks(&signal.mean, spread, LARGEST);
         if !lacking.is_empty() {
-            notes.push(format!("{layer}: the halves have no usable value{} and are left out", layer.in_channels(&lacking, channels)));
+            notes.push(format!(
+                "{layer}: the halves have no usable value{} and are left out",
+                layer.in_channels(&lacking, channels)
+            ));
             signal.half_spread = None;
         }
     }
     if let Some(variance) = &mut signal.variance_of_mean {
         let lacking = lacks(&signal.mean, variance, LARGEST_VARIANCE);
         if lacking.len() == channels || !lacking.is_empty() && signal.half_spread.is_none() {
-            notes.push(format!("{layer}: the variance has no usable value{} and is left out", layer.in_channels(&lacking, channels)));
+            notes.push(format!(
+                "{layer}: the variance has no usable value{} and is left out",
+                layer.in_channels(&lacking, channels)
+            ));
             signal.variance_of_mean = None;
         } else if !lacking.is_empty() {
             notes.push(format!("{layer}: the variance has no usable value{}", layer.in_channels(&lacking, channels)));
@@ -68,8 +76,12 @@ pub(super) fn settle(layer: Layer, signal: &mut Signal, notes: &mut Vec<String>)
     let channels = mean.channels();
     let is_silent = |image: &Image, channel: usize| image.planes[channel].iter().all(|value| *value == 0.0);
     let noise = Noise::new(mean);
-    let only_halves: Vec<_> = (0..channels).filter(|&channel| is_silent(variance, channel) && noise.in_spread(mean, &spread.planes[channel])).collect();
-    let only_variance: Vec<_> = (0..channels).filter(|&channel| is_silent(spread, channel) && noise.in_variance(mean, &variance.planes[channel])).collect();
+    let only_halves: Vec<_> = (0..channels)
+        .filter(|&channel| is_silent(variance, channel) && noise.in_spread(mean, &spread.planes[channel]))
+        .collect();
+    let only_variance: Vec<_> = (0..channels)
+        .filter(|&channel| is_silent(spread, channel) && noise.in_variance(mean, &variance.planes[channel]))
+        .collect();
 
     if !only_halves.is_empty() && (0..channels).all(|channel| is_silent(variance, channel)) {
         notes.push(format!("{layer}: the variance is 0 everywhere although the halves differ; it is left out"));
@@ -78,7 +90,9 @@ pub(super) fn settle(layer: Layer, signal: &mut Signal, notes: &mut Vec<String>)
     }
     if !only_halves.is_empty() {
         let place = layer.in_channels(&only_halves, channels);
-        notes.push(format!("{layer}: the variance is 0 everywhere{place} although the halves differ; theirs, smoothed, takes its place"));
+        notes.push(format!(
+            "{layer}: the variance is 0 everywhere{place} although the halves differ; theirs, smoothed, takes its place"
+        ));
         only_halves.iter().for_each(|&channel| variance.planes[channel] = two_buffer_variance(spread, channel));
     }
     if !only_variance.is_empty() {
@@ -125,11 +139,17 @@ impl Noise {
     }
 
     fn in_spread(&self, mean: &Image, spread: &[f32]) -> bool {
-        spread.iter().enumerate().any(|(pixel, value)| f64::from(*value).powi(2) > self.round_off(mean, pixel, ROUND_OFF_OF_SPREAD))
+        spread
+            .iter()
+            .enumerate()
+            .any(|(pixel, value)| f64::from(*value).powi(2) > self.round_off(mean, pixel, ROUND_OFF_OF_SPREAD))
     }
 
     fn in_variance(&self, mean: &Image, variance: &[f32]) -> bool {
-        let noisy = variance.iter().enumerate().filter(|(pixel, value)| f64::from(**value) > self.round_off(mean, *pixel, ROUND_OFF_OF_VARIANCE));
+        let noisy = variance
+            .iter()
+            .enumerate()
+            .filter(|(pixel, value)| f64::from(**value) > self.round_off(mean, *pixel, ROUND_OFF_OF_VARIANCE));
         let least = (CLAIMED * variance.len() as f64).ceil() as usize;
         noisy.take(least).count() == least
     }
@@ -149,8 +169,12 @@ fn two_buffer_variance(spread: &Image, channel: usize) -> Vec<f32> {
         (sum / weights) as f32
     };
     let plane = &spread.planes[channel];
-    let across: Vec<f32> = (0..plane.len()).map(|pixel| average(pixel % width, width, &|x| f64::from(plane[pixel - pixel % width + x]).powi(2))).collect();
-    (0..plane.len()).map(|pixel| average(pixel / width, height, &|y| f64::from(across[y * width + pixel % width]))).collect()
+    let across: Vec<f32> = (0..plane.len())
+        .map(|pixel| average(pixel % width, width, &|x| f64::from(plane[pixel - pixel % width + x]).powi(2)))
+        .collect();
+    (0..plane.len())
+        .map(|pixel| average(pixel / width, height, &|y| f64::from(across[y * width + pixel % width])))
+        .collect()
 }
 
 /// Median over boxes of the mean squared half spread over the mean variance: 1 if both agree. `None` if no box has
@@ -199,7 +223,8 @@ mod tests {
         for (pixel, smoothed) in smoothed.iter().enumerate() {
             let (mut sum, mut weights) = (0.0, 0.0);
             for other in 0..extent.pixels() {
-                let offset = IVec2::new((other % 9) as i32 - (pixel % 9) as i32, (other / 9) as i32 - (pixel / 9) as i32);
+                let offset =
+                    IVec2::new((other % 9) as i32 - (pixel % 9) as i32, (other / 9) as i32 - (pixel / 9) as i32);
                 let weight = f64::from(INPUT_SMOOTHING.weight(offset));
                 sum += weight * f64::from(value(other)).powi(2);
                 weights += weight;

@@ -29,7 +29,9 @@ pub(super) struct UnitRange {
 /// apart.
 pub(super) fn to_unit_range(name: &str, kind: FeatureKind, signal: &mut Signal, misses: &[bool]) -> Option<UnitRange> {
     // Rounding makes a constant depth vary in its last digits.
-    let varies = |least: f32, greatest: f32| greatest - least > 1e-6 * least.abs().max(greatest.abs()) && greatest - least > 1e-30;
+    let varies = |least: f32, greatest: f32| {
+        greatest - least > 1e-6 * least.abs().max(greatest.abs()) && greatest - least > 1e-30
+    };
     let constant = !signal.mean.planes.iter().any(|plane| {
         let (least, greatest) = extremes(plane, misses);
         varies(least, greatest)
@@ -46,7 +48,8 @@ pub(super) fn to_unit_range(name: &str, kind: FeatureKind, signal: &mut Signal, 
         normals::decode(signal);
         notes.push(format!("feature {name}: stored as (n + 1)/2, taken as the normals n"));
     }
-    let Range { mut least, mut greatest, outside, all } = range_of_hits(&signal.mean, misses, kind == FeatureKind::Distance);
+    let Range { mut least, mut greatest, outside, all } =
+        range_of_hits(&signal.mean, misses, kind == FeatureKind::Distance);
     if outside > 0 && !varies(least, greatest) {
         (least, greatest) = all;
     } else if outside > 0 {
@@ -67,7 +70,8 @@ pub(super) fn to_unit_range(name: &str, kind: FeatureKind, signal: &mut Signal, 
     for plane in &mut signal.mean.planes {
         plane.iter_mut().zip(misses).filter(|(_, miss)| **miss).for_each(|(value, _)| *value = 1.0);
     }
-    let (scale, offset) = if encoding == Encoding::Halved { (scale / 2.0, (offset + 1.0) / 2.0) } else { (scale, offset) };
+    let (scale, offset) =
+        if encoding == Encoding::Halved { (scale / 2.0, (offset + 1.0) / 2.0) } else { (scale, offset) };
     Some(UnitRange { scale, offset, notes })
 }
 

@@ -1,8 +1,9 @@
 //! Host structs that name what a shader binds.
 //!
-//! [`bindings!`](crate::bindings!) declares a struct whose fields are called like the shader's global variables, [`uniforms!`](crate::uniforms!) one whose fields are called like the members of
-//! a uniform struct. Both leave a table of names and types, which is compared with the compiled shader when a kernel is built. Binding numbers, member offsets and
-//! padding are taken from the shader, so they are written once and cannot disagree.
+//! [`bindings!`](crate::bindings!) declares a struct whose fields are called like the shader's global variables,
+//! [`uniforms!`](crate::uniforms!) one whose fields are called like the members of a uniform struct. Both leave a table
+//! of names and types, which is compared with the compiled shader when a kernel is built. Binding numbers, member
+//! offsets and padding are taken from the shader, so they are written once and cannot disagree.
 
 use std::fmt;
 
@@ -37,7 +38,8 @@ pub enum SlotKind {
     },
     /// `var<storage, read>`.
     Read,
-    /// `var<storage, read>` that some definitions remove from the shader: bound where it is declared, absent where it is not.
+    /// `var<storage, read>` that some definitions remove from the shader: bound where it is declared, absent where it
+    /// is not.
     Optional,
     /// `var<storage, read_write>`.
     Write,
@@ -108,12 +110,14 @@ pub struct ValueType {
 
 impl fmt::Display for ValueType {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let element = if self.lanes == 1 { self.scalar.to_owned() } else { format!("vec{}<{}>", self.lanes, self.scalar) };
+        let element =
+            if self.lanes == 1 { self.scalar.to_owned() } else { format!("vec{}<{}>", self.lanes, self.scalar) };
         if self.elements == 0 { f.write_str(&element) } else { write!(f, "array<{element}, {}>", self.elements) }
     }
 }
 
-/// A value that a uniform buffer can hold: a scalar, a vector, an array of four-component vectors, or a struct made by [`uniforms!`](crate::uniforms!).
+/// A value that a uniform buffer can hold: a scalar, a vector, an array of four-component vectors, or a struct made by
+/// [`uniforms!`](crate::uniforms!).
 pub trait Uniform {
     /// Lists the members of this value, which itself is called `path`.
     fn members(path: &str, into: &mut Vec<Member>);
@@ -169,7 +173,8 @@ uniform_array! {
     glam::IVec4: "i32";
 }
 
-/// Declares structs that fill uniform buffers: ordinary Rust structs whose fields are called and typed like the members in WGSL.
+/// Declares structs that fill uniform buffers: ordinary Rust structs whose fields are called and typed like the members
+/// in WGSL.
 ///
 /// ```
 /// stein::gpu::uniforms! {
@@ -204,8 +209,8 @@ macro_rules! uniforms {
 
 /// Declares what a shader stage binds: a struct whose fields are called like the shader's global variables.
 ///
-/// `uniform name: Struct` takes a struct made by [`uniforms!`](crate::uniforms!); `read name` and `write name` take a `&Buffer`; `optional name` takes an `Option<&Buffer>` for a
-/// variable that is read and that some definitions remove.
+/// `uniform name: Struct` takes a struct made by [`uniforms!`](crate::uniforms!); `read name` and `write name` take a
+/// `&Buffer`; `optional name` takes an `Option<&Buffer>` for a variable that is read and that some definitions remove.
 ///
 /// ```
 /// # stein::gpu::uniforms! { pub struct BoxParams { radius: u32 } }

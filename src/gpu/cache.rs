@@ -1,7 +1,8 @@
 //! Compiled pipelines kept on disk, for drivers that leave it to programs.
 //!
-//! One file for each adapter, driver and version of this crate. It is written aside and renamed, so that a reader never sees half of one; where two processes write, the
-//! later one's stays. What does not read back as it was written is taken for no file, and replaced.
+//! One file for each adapter, driver and version of this crate. It is written aside and renamed, so that a reader never
+//! sees half of one; where two processes write, the later one's stays. What does not read back as it was written is
+//! taken for no file, and replaced.
 
 use std::hash::{DefaultHasher, Hash, Hasher};
 use std::path::{Path, PathBuf};
@@ -58,12 +59,16 @@ impl PipelineCache {
     /// Begins with what the file in `folder` holds. `None` where the driver refuses.
     pub(super) fn open(device: &wgpu::Device, info: &wgpu::AdapterInfo, folder: &Path) -> Option<Self> {
         let file = folder.join(file_name(info));
-        let data = std::fs::metadata(&file).ok().filter(|found| found.is_file() && found.len() <= MOST_BYTES).and_then(|_| std::fs::read(&file).ok());
+        let data = std::fs::metadata(&file)
+            .ok()
+            .filter(|found| found.is_file() && found.len() <= MOST_BYTES)
+            .and_then(|_| std::fs::read(&file).ok());
         let data = data.as_deref().and_then(unpacked);
         let description = wgpu::PipelineCacheDescriptor { label: Some("stein"), data, fallback: true };
         let scope = device.push_error_scope(wgpu::ErrorFilter::Validation);
         #[expect(unsafe_code, reason = "drivers trust these bytes")]
-        // SAFETY: the hash beside the bytes says that they are what an earlier `get_data` gave; wgpu and the driver check that it was one of this adapter and driver.
+        // SAFETY: the hash beside the bytes says that they are what an earlier `get_data` gave; wgpu and the driver
+        // check that it was one of this adapter and driver.
         let cache = unsafe { device.create_pipeline_cache(&description) };
         let refused = pollster::block_on(scope.pop()).is_some();
         (!refused).then(|| Self { cache, file, saved: Mutex::new(data.map(hash)) })
@@ -94,7 +99,8 @@ impl PipelineCache {
         let folder = self.file.parent().unwrap_or(Path::new("."));
         std::fs::create_dir_all(folder)?;
         // Under a name of its own until it is complete: others may read the file meanwhile, or write it.
-        let unfinished = folder.join(format!(".stein-{}-{:x}.part", std::process::id(), std::ptr::from_ref(self).addr()));
+        let unfinished =
+            folder.join(format!(".stein-{}-{:x}.part", std::process::id(), std::ptr::from_ref(self).addr()));
         let written = std::fs::write(&unfinished, [MAGIC.as_slice(), &hash.to_le_bytes(), data].concat());
         if let Err(error) = written.and_then(|()| std::fs::rename(&unfinished, &self.file)) {
             // Nothing is lost where it cannot be removed either.
@@ -107,8 +113,10 @@ impl PipelineCache {
 }
 
 impl Gpu {
-    /// Writes the pipelines that were compiled so far into the folder of [`GpuOptions::pipeline_folder`](super::GpuOptions::pipeline_folder), unless its file holds them
-    /// already. It happens by itself when the device is closed; called, it also tells what came of it, and what was compiled survives a process that is killed later.
+    /// Writes the pipelines that were compiled so far into the folder of
+    /// [`GpuOptions::pipeline_folder`](super::GpuOptions::pipeline_folder), unless its file holds them already. It
+    /// happens by itself when the device is closed; called, it also tells what came of it, and what was compiled
+    /// survives a process that is killed later.
     ///
     /// # Errors
     /// [`Error::File`] where the file cannot be written.
@@ -121,7 +129,13 @@ impl Gpu {
 fn file_name(info: &wgpu::AdapterInfo) -> String {
     let mut hasher = DefaultHasher::new();
     (&info.name, &info.driver, &info.driver_info, info.backend).hash(&mut hasher);
-    format!("{PREFIX}{}-{:04x}-{:04x}-{:016x}.{EXTENSION}", env!("CARGO_PKG_VERSION"), info.vendor, info.device, hasher.finish())
+    format!(
+        "{PREFIX}{}-{:04x}-{:04x}-{:016x}.{EXTENSION}",
+        env!("CARGO_PKG_VERSION"),
+        info.vendor,
+        info.device,
+        hasher.finish()
+    )
 }
 
 fn hash(data: &[u8]) -> u64 {
@@ -141,10 +155,12 @@ fn unpacked(file: &[u8]) -> Option<&[u8]> {
 fn remove_oldest(folder: &Path) {
     let is_ours = |path: &PathBuf| {
         let name = path.file_name().and_then(|name| name.to_str());
-        path.extension().is_some_and(|extension| extension == EXTENSION) && name.is_some_and(|name| name.starts_with(PREFIX))
+        path.extension().is_some_and(|extension| extension == EXTENSION)
+            && name.is_some_and(|name| name.starts_with(PREFIX))
     };
     let paths = folder.read_dir().into_iter().flatten().flatten().map(|entry| entry.path()).filter(is_ours);
-    let mut files: Vec<(SystemTime, PathBuf)> = paths.filter_map(|path| Some((path.metadata().ok()?.modified().ok()?, path))).collect();
+    let mut files: Vec<(SystemTime, PathBuf)> =
+        paths.filter_map(|path| Some((path.metadata().ok()?.modified().ok()?, path))).collect();
     files.sort();
     for (_, path) in files.iter().rev().skip(MOST_FILES) {
         // Another process may have been faster.
@@ -176,13 +192,16 @@ mod tests {
         let folder = tempfile::tempdir().expect("a folder");
         std::fs::write(folder.path().join("other.pipelines"), "").expect("a file");
         for age in 0..MOST_FILES as u64 + 3 {
-            let file = std::fs::File::create(folder.path().join(format!("{PREFIX}{age:02}.{EXTENSION}"))).expect("a file");
+            let file =
+                std::fs::File::create(folder.path().join(format!("{PREFIX}{age:02}.{EXTENSION}"))).expect("a file");
             file.set_modified(SystemTime::UNIX_EPOCH + std::time::Duration::from_secs(1000 - age)).expect("a date");
         }
         remove_oldest(folder.path());
-        let mut left: Vec<_> = folder.path().read_dir().expect("a folder").map(|entry| entry.expect("an entry").file_name()).collect();
+        let mut left: Vec<_> =
+            folder.path().read_dir().expect("a folder").map(|entry| entry.expect("an entry").file_name()).collect();
         left.sort();
-        let expected = std::iter::once("other.pipelines".to_owned()).chain((0..MOST_FILES).map(|age| format!("{PREFIX}{age:02}.{EXTENSION}")));
+        let expected = std::iter::once("other.pipelines".to_owned())
+            .chain((0..MOST_FILES).map(|age| format!("{PREFIX}{age:02}.{EXTENSION}")));
         assert_eq!(left, expected.map(Into::into).collect::<Vec<std::ffi::OsString>>());
     }
 }

@@ -1,4 +1,5 @@
-//! Which shader files exist. A file that is listed and missing fails the build; one that lies there unlisted fails a test.
+//! Which shader files exist. A file that is listed and missing fails the build; one that lies there unlisted fails a
+//! test.
 
 /// Embeds `<folder>/<name>.wgsl` for every name: pairs of name and source.
 macro_rules! sources {

@@ -128,7 +128,11 @@ impl AdapterSummary {
             },
             driver: driver.trim().to_owned(),
             max_buffer_bytes: limits.max_buffer_size,
-            max_binding_bytes: limits.max_storage_buffer_binding_size.min(limits.max_buffer_size).min(LARGEST_INDEXED_BYTES) & !3,
+            max_binding_bytes: limits
+                .max_storage_buffer_binding_size
+                .min(limits.max_buffer_size)
+                .min(LARGEST_INDEXED_BYTES)
+                & !3,
             max_storage_buffers: limits.max_storage_buffers_per_shader_stage,
             timestamps: features.contains(wgpu::Features::TIMESTAMP_QUERY),
         }
@@ -138,19 +142,25 @@ impl AdapterSummary {
 impl fmt::Display for AdapterSummary {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { index, name, backend, kind, driver, .. } = self;
-        write!(f, "{index}: {name} ({backend}, {kind}, {driver}; buffers up to {})", human_bytes(self.max_binding_bytes))
+        write!(
+            f,
+            "{index}: {name} ({backend}, {kind}, {driver}; buffers up to {})",
+            human_bytes(self.max_binding_bytes)
+        )
     }
 }
 
 /// How a device is opened. The default suits a program that embeds the library; checks and poison serve the test suite.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct GpuOptions {
-    /// Folder in which compiled pipelines are kept from one process to the next, where the adapter hands them out; made where it does not exist. Drivers believe what they find
-    /// there: nobody else should be able to write to it. `None`, the default, keeps none: a library leaves nothing behind that it was not asked for.
+    /// Folder in which compiled pipelines are kept from one process to the next, where the adapter hands them out; made
+    /// where it does not exist. Drivers believe what they find there: nobody else should be able to write to it.
+    /// `None`, the default, keeps none: a library leaves nothing behind that it was not asked for.
     pub pipeline_folder: Option<PathBuf>,
     /// Builds kernels with bounds checks, loop bounds and zeroed workgroup memory. Off, they are up to a third faster.
     pub checked_shaders: bool,
-    /// Fills every buffer that [`Recorder::take`](super::Recorder::take) hands out with [`Gpu::POISON`], so that what a kernel forgets to write shows.
+    /// Fills every buffer that [`Recorder::take`](super::Recorder::take) hands out with [`Gpu::POISON`], so that what a
+    /// kernel forgets to write shows.
     pub poison: bool,
 }
 
@@ -212,7 +222,11 @@ impl Gpu {
     /// All adapters of this machine, in the driver's order.
     pub fn adapters() -> Vec<AdapterSummary> {
         let summaries = enumerate().1.into_iter().enumerate();
-        summaries.map(|(index, adapter)| AdapterSummary::new(index, &adapter.get_info(), &adapter.limits(), adapter.features())).collect()
+        summaries
+            .map(|(index, adapter)| {
+                AdapterSummary::new(index, &adapter.get_info(), &adapter.limits(), adapter.features())
+            })
+            .collect()
     }
 
     /// Opens an adapter.
@@ -235,7 +249,9 @@ impl Gpu {
         let summaries: Vec<_> = adapters
             .iter()
             .enumerate()
-            .map(|(index, adapter)| AdapterSummary::new(index, &adapter.get_info(), &adapter.limits(), adapter.features()))
+            .map(|(index, adapter)| {
+                AdapterSummary::new(index, &adapter.get_info(), &adapter.limits(), adapter.features())
+            })
             .collect();
         let summary = choose(&summaries, choice)?;
         let adapter = &adapters[summary.index];
@@ -244,7 +260,9 @@ impl Gpu {
         let limits = wgpu::Limits {
             max_buffer_size: offered.max_buffer_size,
             max_storage_buffer_binding_size: offered.max_storage_buffer_binding_size,
-            max_storage_buffers_per_shader_stage: offered.max_storage_buffers_per_shader_stage.min(STORAGE_BUFFERS_WANTED),
+            max_storage_buffers_per_shader_stage: offered
+                .max_storage_buffers_per_shader_stage
+                .min(STORAGE_BUFFERS_WANTED),
             max_compute_workgroup_storage_size: offered.max_compute_workgroup_storage_size,
             max_compute_invocations_per_workgroup: offered.max_compute_invocations_per_workgroup,
             max_compute_workgroup_size_x: offered.max_compute_workgroup_size_x,
@@ -260,7 +278,11 @@ impl Gpu {
             required_limits: limits,
             // Of a device that is a program, buffers are in the memory of the computer: they are made one by one,
             // without large blocks to cut them from.
-            memory_hints: if summary.kind == DeviceKind::Software { wgpu::MemoryHints::MemoryUsage } else { wgpu::MemoryHints::Performance },
+            memory_hints: if summary.kind == DeviceKind::Software {
+                wgpu::MemoryHints::MemoryUsage
+            } else {
+                wgpu::MemoryHints::Performance
+            },
             ..Default::default()
         };
         let (device, queue) = pollster::block_on(adapter.request_device(&description)).map_err(|error| Error::Device {
@@ -280,7 +302,8 @@ impl Gpu {
         device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| {
             lock(&fault.fault).get_or_insert(error.to_string());
         }));
-        let folder = options.pipeline_folder.as_deref().filter(|_| device.features().contains(wgpu::Features::PIPELINE_CACHE));
+        let folder =
+            options.pipeline_folder.as_deref().filter(|_| device.features().contains(wgpu::Features::PIPELINE_CACHE));
         let pipeline_cache = folder.and_then(|folder| PipelineCache::open(&device, &adapter.get_info(), folder));
         let origin = Some(Origin { instance, adapter: adapter.clone() });
         Self::assemble(origin, device, queue, summary, options, pipeline_cache, health)
@@ -359,7 +382,8 @@ impl Gpu {
         &self.inner.queue
     }
 
-    /// The instance that it was opened from, for embedders who present to a window; `None` of a device that was taken over by [`Gpu::from_wgpu`].
+    /// The instance that it was opened from, for embedders who present to a window; `None` of a device that was taken
+    /// over by [`Gpu::from_wgpu`].
     pub fn wgpu_instance(&self) -> Option<&wgpu::Instance> {
         self.inner.origin.as_ref().map(|origin| &origin.instance)
     }
@@ -398,7 +422,8 @@ impl Gpu {
 
     /// Lets the driver's callbacks run; one of them tells that the device is lost.
     fn poll_for_news(&self, poll: wgpu::PollType) -> Option<wgpu::PollError> {
-        // wgpu panics where the driver reports a lost device from inside a poll, the very place where a hang or a reset of the hardware becomes known.
+        // wgpu panics where the driver reports a lost device from inside a poll, the very place where a hang or a reset
+        // of the hardware becomes known.
         let device = &self.inner.device;
         match std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| device.poll(poll))) {
             Ok(polled) => polled.err(),
@@ -443,7 +468,8 @@ impl Gpu {
 
     /// An error that the driver reported for commands which wgpu had accepted, or the other way round.
     pub(super) fn defect(&self, report: &str) -> Error {
-        // Whatever fails on a device that was just lost fails because of that, and may be the first to tell: the news comes after the work that is left.
+        // Whatever fails on a device that was just lost fails because of that, and may be the first to tell: the news
+        // comes after the work that is left.
         self.poll_for_news(wgpu::PollType::Wait { submission_index: None, timeout: Some(NEWS_PATIENCE) });
         if let Some(lost) = self.lost() {
             return lost;
@@ -461,7 +487,8 @@ fn panic_message(panic: &(dyn Any + Send)) -> String {
 }
 
 fn enumerate() -> (wgpu::Instance, Vec<wgpu::Adapter>) {
-    let description = wgpu::InstanceDescriptor { backends: BACKENDS, ..wgpu::InstanceDescriptor::new_without_display_handle() };
+    let description =
+        wgpu::InstanceDescriptor { backends: BACKENDS, ..wgpu::InstanceDescriptor::new_without_display_handle() };
     let instance = wgpu::Instance::new(description);
     let adapters = pollster::block_on(instance.enumerate_adapters(BACKENDS));
     (instance, adapters)
@@ -493,7 +520,10 @@ fn choose(summaries: &[AdapterSummary], choice: &DeviceChoice) -> Result<Adapter
         DeviceChoice::Name(name) => format!("whose name contains '{name}'"),
     };
     let list: Vec<_> = summaries.iter().map(|summary| format!("\n    {summary}")).collect();
-    Err(Error::Device { problem: format!("there is no adapter {wanted}"), remedy: format!("choose one of these:{}", list.concat()) })
+    Err(Error::Device {
+        problem: format!("there is no adapter {wanted}"),
+        remedy: format!("choose one of these:{}", list.concat()),
+    })
 }
 
 #[cfg(test)]
@@ -516,7 +546,11 @@ mod tests {
 
     #[test]
     fn the_best_kind_of_adapter_is_taken() {
-        let found = [summary(0, "llvmpipe", DeviceKind::Software), summary(1, "Arc", DeviceKind::Discrete), summary(2, "RTX", DeviceKind::Discrete)];
+        let found = [
+            summary(0, "llvmpipe", DeviceKind::Software),
+            summary(1, "Arc", DeviceKind::Discrete),
+            summary(2, "RTX", DeviceKind::Discrete),
+        ];
         assert_eq!(choose(&found, &DeviceChoice::Auto).expect("one").index, 1);
         assert_eq!(choose(&found, &DeviceChoice::Index(2)).expect("one").name, "RTX");
         assert_eq!(choose(&found, &DeviceChoice::Name("LLVM".into())).expect("one").index, 0);
@@ -524,7 +558,8 @@ mod tests {
 
     #[test]
     fn a_missing_adapter_is_told_with_those_that_exist() {
-        let error = choose(&[summary(0, "llvmpipe", DeviceKind::Software)], &DeviceChoice::Name("rtx".into())).expect_err("none");
+        let error = choose(&[summary(0, "llvmpipe", DeviceKind::Software)], &DeviceChoice::Name("rtx".into()))
+            .expect_err("none");
         let text = error.to_string();
         assert!(text.contains("whose name contains 'rtx'") && text.contains("0: llvmpipe (Vulkan, software"), "{text}");
         let text = choose(&[], &DeviceChoice::Auto).expect_err("none").to_string();

@@ -32,10 +32,21 @@ pub(super) enum Bound {
 }
 
 /// Encodes `ops`. Dispatches share compute passes where nobody wants to know how long each takes.
-pub(super) fn encode(gpu: &Gpu, of_run: &Run, ops: &[Op], uniforms: &[u8], encoder: &mut wgpu::CommandEncoder) -> Result<()> {
+pub(super) fn encode(
+    gpu: &Gpu,
+    of_run: &Run,
+    ops: &[Op],
+    uniforms: &[u8],
+    encoder: &mut wgpu::CommandEncoder,
+) -> Result<()> {
     let uniforms = match uniforms {
         [] => None,
-        bytes => Some(gpu.filled("uniforms", wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::STORAGE, bytes, bytes.len() as u64)?),
+        bytes => Some(gpu.filled(
+            "uniforms",
+            wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::STORAGE,
+            bytes,
+            bytes.len() as u64,
+        )?),
     };
     let timing = &gpu.inner.timing;
     let mut batch: Option<Batch> = None;
@@ -55,10 +66,20 @@ pub(super) fn encode(gpu: &Gpu, of_run: &Run, ops: &[Op], uniforms: &[u8], encod
                     }
                     let batch = batch.get_or_insert_with(|| timing.batch(&gpu.inner.device, of_run));
                     let timestamps = batch.next(&dispatch.step, dispatch.kernel.stage());
-                    let description = wgpu::ComputePassDescriptor { label: Some(dispatch.kernel.stage()), timestamp_writes: Some(timestamps) };
+                    let description = wgpu::ComputePassDescriptor {
+                        label: Some(dispatch.kernel.stage()),
+                        timestamp_writes: Some(timestamps),
+                    };
                     run(&mut encoder.begin_compute_pass(&description), dispatch, &group);
                 } else {
-                    let begin = || encoder.begin_compute_pass(&wgpu::ComputePassDescriptor { label: Some("stein"), timestamp_writes: None }).forget_lifetime();
+                    let begin = || {
+                        encoder
+                            .begin_compute_pass(&wgpu::ComputePassDescriptor {
+                                label: Some("stein"),
+                                timestamp_writes: None,
+                            })
+                            .forget_lifetime()
+                    };
                     run(pass.get_or_insert_with(begin), dispatch, &group);
                 }
             }
@@ -84,10 +105,15 @@ fn bind_group(gpu: &Gpu, dispatch: &Dispatch, uniforms: Option<&wgpu::Buffer>) -
             &Bound::Uniform { binding, offset, bytes } => (binding, uniforms?, offset, bytes),
             Bound::Storage { binding, buffer, bytes } => (*binding, buffer, 0, *bytes),
         };
-        let resource = wgpu::BindingResource::Buffer(wgpu::BufferBinding { buffer, offset, size: std::num::NonZero::new(bytes) });
+        let resource =
+            wgpu::BindingResource::Buffer(wgpu::BufferBinding { buffer, offset, size: std::num::NonZero::new(bytes) });
         Some(wgpu::BindGroupEntry { binding, resource })
     };
     let entries: Vec<_> = dispatch.bound.iter().filter_map(entry).collect();
-    let description = wgpu::BindGroupDescriptor { label: Some(dispatch.kernel.stage()), layout: &dispatch.kernel.layout, entries: &entries };
+    let description = wgpu::BindGroupDescriptor {
+        label: Some(dispatch.kernel.stage()),
+        layout: &dispatch.kernel.layout,
+        entries: &entries,
+    };
     gpu.inner.device.create_bind_group(&description)
 }

@@ -40,7 +40,8 @@ pub struct Kernel {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Place {
     pub(super) binding: u32,
-    /// Size of a uniform struct and the offsets of its members, in bytes and in the order of the host's table. Nothing for buffers.
+    /// Size of a uniform struct and the offsets of its members, in bytes and in the order of the host's table. Nothing
+    /// for buffers.
     pub(super) uniform_bytes: u32,
     pub(super) offsets: Vec<u32>,
 }
@@ -61,7 +62,8 @@ impl Gpu {
     /// The kernel of a stage in `shaders/`. Built once for each set of definitions, then found again.
     ///
     /// # Errors
-    /// [`Error::Shader`] where the shader does not compile or does not fit `B`; [`Error::Device`] where it needs more than the adapter has.
+    /// [`Error::Shader`] where the shader does not compile or does not fit `B`; [`Error::Device`] where it needs more
+    /// than the adapter has.
     pub fn kernel<B: Bindings>(&self, stage: &str, definitions: Definitions) -> Result<Arc<Kernel>> {
         self.find_or_build(stage, None, definitions, B::SLOTS)
     }
@@ -70,20 +72,36 @@ impl Gpu {
     ///
     /// # Errors
     /// As [`Gpu::kernel`].
-    pub fn kernel_from_source<B: Bindings>(&self, name: &str, source: &str, definitions: Definitions) -> Result<Arc<Kernel>> {
+    pub fn kernel_from_source<B: Bindings>(
+        &self,
+        name: &str,
+        source: &str,
+        definitions: Definitions,
+    ) -> Result<Arc<Kernel>> {
         self.find_or_build(name, Some(source), definitions, B::SLOTS)
     }
 
-    fn find_or_build(&self, stage: &str, source: Option<&str>, definitions: Definitions, slots: &'static [Slot]) -> Result<Arc<Kernel>> {
+    fn find_or_build(
+        &self,
+        stage: &str,
+        source: Option<&str>,
+        definitions: Definitions,
+        slots: &'static [Slot],
+    ) -> Result<Arc<Kernel>> {
         self.check()?;
         let mut sorted: Vec<_> = definitions.iter().map(|(name, value)| ((*name).to_owned(), *value)).collect();
         sorted.sort_by(|a, b| a.0.cmp(&b.0));
         let key = KernelKey { stage: stage.into(), source: source.map(str::to_owned), definitions: sorted };
-        // Held while the kernel is built: a second thread that wants the same kernel waits instead of building it again.
+        // Held while the kernel is built: a second thread that wants the same kernel waits instead of building it
+        // again.
         let mut kernels = lock(&self.inner.kernels);
         if let Some(kernel) = kernels.get(&key) {
             let same = kernel.slots == slots;
-            return if same { Ok(Arc::clone(kernel)) } else { Err(failure(stage, "two different host structs are bound to it".into())) };
+            return if same {
+                Ok(Arc::clone(kernel))
+            } else {
+                Err(failure(stage, "two different host structs are bound to it".into()))
+            };
         }
         let module = match source {
             Some(source) => compose_source(stage, source, definitions)?,
@@ -106,24 +124,39 @@ impl Gpu {
 
         let uniforms = self.uniform_binding();
         if uniforms != wgpu::BufferBindingType::Uniform {
-            for (_, global) in module.global_variables.iter_mut().filter(|(_, global)| global.space == AddressSpace::Uniform) {
+            for (_, global) in
+                module.global_variables.iter_mut().filter(|(_, global)| global.space == AddressSpace::Uniform)
+            {
                 global.space = AddressSpace::Storage { access: StorageAccess::LOAD };
             }
         }
-        let entries: Vec<_> = slots.iter().zip(&places).filter_map(|(slot, place)| Some(layout_entry(slot, place.as_ref()?, uniforms))).collect();
-        let checks = if self.inner.options.checked_shaders { wgpu::ShaderRuntimeChecks::checked() } else { wgpu::ShaderRuntimeChecks::unchecked() };
+        let entries: Vec<_> = slots
+            .iter()
+            .zip(&places)
+            .filter_map(|(slot, place)| Some(layout_entry(slot, place.as_ref()?, uniforms)))
+            .collect();
+        let checks = if self.inner.options.checked_shaders {
+            wgpu::ShaderRuntimeChecks::checked()
+        } else {
+            wgpu::ShaderRuntimeChecks::unchecked()
+        };
         let device = &self.inner.device;
         let build = || {
-            let layout = device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label: Some(stage), entries: &entries });
-            let pipeline_layout =
-                device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor { label: Some(stage), bind_group_layouts: &[Some(&layout)], immediate_size: 0 });
+            let layout = device
+                .create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label: Some(stage), entries: &entries });
+            let pipeline_layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
+                label: Some(stage),
+                bind_group_layouts: &[Some(&layout)],
+                immediate_size: 0,
+            });
             let source = wgpu::ShaderSource::Naga(std::borrow::Cow::Owned(module));
             let description = wgpu::ShaderModuleDescriptor { label: Some(stage), source };
             #[expect(
                 unsafe_code,
                 reason = "our own shaders keep to their bounds: the test suite runs them with checks as well; unchecked they save up to a third"
             )]
-            // SAFETY: shaders come from this crate or its tests, index only what they were given the extent of, and loop a bounded number of times.
+            // SAFETY: shaders come from this crate or its tests, index only what they were given the extent of, and
+            // loop a bounded number of times.
             let shader = unsafe { device.create_shader_module_trusted(description, checks) };
             let pipeline = device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
                 label: Some(stage),
@@ -143,23 +176,43 @@ impl Gpu {
         Ok(Kernel { stage: stage.into(), workgroup_size, slots, places, layout, pipeline })
     }
 
-    /// How uniform structs are bound. Mesa's software driver takes values that loops and branches depend on out of uniform buffers and compiles them into the shader, anew for
-    /// each value that a dispatch brings along: on llvmpipe 4.4 ms for each dispatch of `candidate_accumulate`, and half a second for each new size of an image. It leaves
+    /// How uniform structs are bound. Mesa's software driver takes values that loops and branches depend on out of
+    /// uniform buffers and compiles them into the shader, anew for each value that a dispatch brings along: on llvmpipe
+    /// 4.4 ms for each dispatch of `candidate_accumulate`, and half a second for each new size of an image. It leaves
     /// storage buffers alone.
     pub(super) fn uniform_binding(&self) -> wgpu::BufferBindingType {
-        let has_to_spare = self.inner.limits.max_storage_buffers_per_shader_stage > wgpu::Limits::default().max_storage_buffers_per_shader_stage;
-        if self.is_software() && has_to_spare { wgpu::BufferBindingType::Storage { read_only: true } } else { wgpu::BufferBindingType::Uniform }
+        let has_to_spare = self.inner.limits.max_storage_buffers_per_shader_stage
+            > wgpu::Limits::default().max_storage_buffers_per_shader_stage;
+        if self.is_software() && has_to_spare {
+            wgpu::BufferBindingType::Storage { read_only: true }
+        } else {
+            wgpu::BufferBindingType::Uniform
+        }
     }
 
-    fn check_limits(&self, stage: &str, module: &Module, slots: &[Slot], places: &[Option<Place>], size: [u32; 3]) -> Result<()> {
+    fn check_limits(
+        &self,
+        stage: &str,
+        module: &Module,
+        slots: &[Slot],
+        places: &[Option<Place>],
+        size: [u32; 3],
+    ) -> Result<()> {
         let limits = &self.inner.limits;
         let as_storage = self.uniform_binding() != wgpu::BufferBindingType::Uniform;
-        let is_storage = |(slot, place): &(&Slot, &Option<Place>)| place.is_some() && (as_storage || !matches!(slot.kind, SlotKind::Uniform { .. }));
+        let is_storage = |(slot, place): &(&Slot, &Option<Place>)| {
+            place.is_some() && (as_storage || !matches!(slot.kind, SlotKind::Uniform { .. }))
+        };
         let storage_buffers = slots.iter().zip(places).filter(is_storage).count();
         let invocations = size.iter().map(|n| u64::from(*n)).product::<u64>();
         let shared = module.global_variables.iter().filter(|(_, global)| global.space == AddressSpace::WorkGroup);
-        let shared_bytes = shared.map(|(_, global)| u64::from(module.types[global.ty].inner.size(module.to_ctx()))).sum::<u64>();
-        let widest = [limits.max_compute_workgroup_size_x, limits.max_compute_workgroup_size_y, limits.max_compute_workgroup_size_z];
+        let shared_bytes =
+            shared.map(|(_, global)| u64::from(module.types[global.ty].inner.size(module.to_ctx()))).sum::<u64>();
+        let widest = [
+            limits.max_compute_workgroup_size_x,
+            limits.max_compute_workgroup_size_y,
+            limits.max_compute_workgroup_size_z,
+        ];
         let needs = [
             (storage_buffers as u64, limits.max_storage_buffers_per_shader_stage, "storage buffers"),
             (invocations, limits.max_compute_invocations_per_workgroup, "invocations per workgroup"),
@@ -171,7 +224,10 @@ impl Gpu {
         for (need, limit, what) in needs {
             if need > u64::from(limit) {
                 return Err(Error::Device {
-                    problem: format!("stage '{stage}' needs {need} {what}, but '{}' has {limit}", self.inner.summary.name),
+                    problem: format!(
+                        "stage '{stage}' needs {need} {what}, but '{}' has {limit}",
+                        self.inner.summary.name
+                    ),
                     remedy: "choose another adapter (`Gpu::adapters` lists them)".into(),
                 });
             }
@@ -203,10 +259,16 @@ fn workgroup_size(module: &Module) -> std::result::Result<[u32; 3], String> {
         return Err(format!("it has {} entry points instead of one", module.entry_points.len()));
     };
     if entry.stage != naga::ShaderStage::Compute || entry.name != "main" {
-        return Err(format!("its entry point is '{}' ({:?}) instead of the compute shader 'main'", entry.name, entry.stage));
+        return Err(format!(
+            "its entry point is '{}' ({:?}) instead of the compute shader 'main'",
+            entry.name, entry.stage
+        ));
     }
     if entry.workgroup_size_overrides.is_some() {
-        return Err("its workgroup size depends on an override; use a definition instead, as in @workgroup_size(#{WIDTH})".into());
+        return Err(
+            "its workgroup size depends on an override; use a definition instead, as in @workgroup_size(#{WIDTH})"
+                .into(),
+        );
     }
     Ok(entry.workgroup_size)
 }
@@ -220,13 +282,20 @@ fn place(module: &Module, slots: &[Slot]) -> std::result::Result<Vec<Option<Plac
         if resource.group != 0 {
             return Err(format!("'{name}' is in @group({}); all bindings belong to @group(0)", resource.group));
         }
-        let declared = declaration(global.space).ok_or_else(|| format!("'{name}' is neither a uniform nor a storage buffer"))?;
+        let declared =
+            declaration(global.space).ok_or_else(|| format!("'{name}' is neither a uniform nor a storage buffer"))?;
         let Some(index) = slots.iter().position(|slot| slot.name == name) else {
-            return Err(format!("the shader declares '{declared} {name}', which the host does not bind (it binds {})", names(slots)));
+            return Err(format!(
+                "the shader declares '{declared} {name}', which the host does not bind (it binds {})",
+                names(slots)
+            ));
         };
         let kind = slots[index].kind;
         if kind.declaration() != declared {
-            return Err(format!("the shader declares '{declared} {name}', but the host binds it as '{}'", kind.declaration()));
+            return Err(format!(
+                "the shader declares '{declared} {name}', but the host binds it as '{}'",
+                kind.declaration()
+            ));
         }
         let (uniform_bytes, offsets) = match kind {
             SlotKind::Uniform { host, members } => {
@@ -242,7 +311,12 @@ fn place(module: &Module, slots: &[Slot]) -> std::result::Result<Vec<Option<Plac
     }
     for (slot, place) in slots.iter().zip(&places) {
         if place.is_none() && slot.kind != SlotKind::Optional {
-            return Err(format!("the host binds '{}', but the shader has no '{} {}'", slot.name, slot.kind.declaration(), slot.name));
+            return Err(format!(
+                "the host binds '{}', but the shader has no '{} {}'",
+                slot.name,
+                slot.kind.declaration(),
+                slot.name
+            ));
         }
     }
     Ok(places)
@@ -277,7 +351,13 @@ fn flatten(module: &Module, ty: Handle<Type>, path: &str, offset: u32, into: &mu
     match &module.types[ty].inner {
         TypeInner::Struct { members, .. } => {
             for member in members {
-                flatten(module, member.ty, &format!("{path}.{}", undecorated(member.name.as_deref())), offset + member.offset, into);
+                flatten(
+                    module,
+                    member.ty,
+                    &format!("{path}.{}", undecorated(member.name.as_deref())),
+                    offset + member.offset,
+                    into,
+                );
             }
         }
         inner => into.push(Laid { path: path.into(), value: written(module, inner), offset }),
@@ -298,7 +378,9 @@ fn written(module: &Module, inner: &TypeInner) -> String {
     match inner {
         TypeInner::Scalar(s) => scalar(s),
         TypeInner::Vector { size, scalar: s } => format!("vec{}<{}>", *size as u32, scalar(s)),
-        TypeInner::Matrix { columns, rows, scalar: s } => format!("mat{}x{}<{}>", *columns as u32, *rows as u32, scalar(s)),
+        TypeInner::Matrix { columns, rows, scalar: s } => {
+            format!("mat{}x{}<{}>", *columns as u32, *rows as u32, scalar(s))
+        }
         TypeInner::Array { base, size: naga::ArraySize::Constant(count), .. } => {
             format!("array<{}, {count}>", written(module, &module.types[*base].inner))
         }
@@ -316,7 +398,10 @@ fn match_members(host: &str, wanted: &[Member], found: &[Laid]) -> std::result::
             return Err(format!("'{}: {}' of the host struct {host} is not in the shader", member.path, member.value));
         };
         if laid.value != member.value.to_string() {
-            return Err(format!("'{}' is {} in the shader and {} in the host struct {host}", laid.path, laid.value, member.value));
+            return Err(format!(
+                "'{}' is {} in the shader and {} in the host struct {host}",
+                laid.path, laid.value, member.value
+            ));
         }
         Ok(laid.offset)
     };
@@ -379,7 +464,10 @@ mod tests {
 
     #[test]
     fn a_mistake_in_an_imported_piece_is_told_with_its_file() {
-        const BROKEN: &[(&str, &str)] = &[SHARED[0], ("guard", "#define_import_path stein::guard\nfn at_least_zero(x: i32) -> i32 { return max(x, 0.5); }")];
+        const BROKEN: &[(&str, &str)] = &[
+            SHARED[0],
+            ("guard", "#define_import_path stein::guard\nfn at_least_zero(x: i32) -> i32 { return max(x, 0.5); }"),
+        ];
         let text = composed(BROKEN, &[]).expect_err("a float is no integer");
         assert!(text.contains("shaders/shared/guard.wgsl"), "{text}");
         let text = composed(SHARED.split_at(1).0, &[]).expect_err("a piece is missing");

@@ -16,9 +16,11 @@
 //! # House rules for shaders
 //! * One entry point, called `main`; its `@workgroup_size` is read from the shader and written nowhere else.
 //! * All bindings lie in `@group(0)`; binding numbers appear in the WGSL only.
-//! * Release kernels run unchecked: no index clamping, no forced loop bounds, no guard around integer division, no zeroed workgroup memory.
-//!   A shader must not rely on any of these; tests run with [`GpuOptions::checked_shaders`] as well.
-//! * Buffers come with whatever was in them before ([`Recorder::take`]): each kernel writes every element of its outputs.
+//! * Release kernels run unchecked: no index clamping, no forced loop bounds, no guard around integer division, no
+//!   zeroed workgroup memory. A shader must not rely on any of these; tests run with [`GpuOptions::checked_shaders`] as
+//!   well.
+//! * Buffers come with whatever was in them before ([`Recorder::take`]): each kernel writes every element of its
+//!   outputs.
 
 mod bindings;
 mod cache;
@@ -47,7 +49,8 @@ pub use crate::{bindings, uniforms};
 
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-/// Locks, also after another thread panicked while it held the lock: the data behind these locks is valid between any two statements.
+/// Locks, also after another thread panicked while it held the lock: the data behind these locks is valid between any
+/// two statements.
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }

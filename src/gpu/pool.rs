@@ -1,13 +1,14 @@
 //! Storage buffers that are used again.
 //!
-//! A denoiser takes and drops dozens of image-sized buffers per frame. Dropping a [`Buffer`] puts it back into the pool of its device; taking one prefers an idle
-//! one. Commands execute in the order in which they were recorded, so a buffer that is dropped after its last recorded use may be handed out again *while recording*:
-//! what the new owner records runs later. That aliasing is what keeps the peak low. It holds within one recorder, and between recorders once the earlier one
-//! is submitted; a buffer whose last use lies in a recorder that is still open is handed out to that recorder only. Recorders that use the same buffer must be
-//! submitted in the order in which they did.
+//! A denoiser takes and drops dozens of image-sized buffers per frame. Dropping a [`Buffer`] puts it back into the pool
+//! of its device; taking one prefers an idle one. Commands execute in the order in which they were recorded, so a
+//! buffer that is dropped after its last recorded use may be handed out again *while recording*: what the new owner
+//! records runs later. That aliasing is what keeps the peak low. It holds within one recorder, and between recorders
+//! once the earlier one is submitted; a buffer whose last use lies in a recorder that is still open is handed out to
+//! that recorder only. Recorders that use the same buffer must be submitted in the order in which they did.
 //!
-//! Sizes: a request is rounded up to 256 bytes. The smallest idle buffer that is large enough serves it if at most a quarter of it would lie fallow;
-//! otherwise a buffer of exactly the rounded size is made.
+//! Sizes: a request is rounded up to 256 bytes. The smallest idle buffer that is large enough serves it if at most a
+//! quarter of it would lie fallow; otherwise a buffer of exactly the rounded size is made.
 
 use std::collections::HashSet;
 use std::fmt;
@@ -27,7 +28,8 @@ const GRANULE: u64 = 256;
 /// The smallest thing that can be bound, in bytes.
 const SMALLEST: u64 = 4;
 
-pub(super) const USAGE: wgpu::BufferUsages = wgpu::BufferUsages::STORAGE.union(wgpu::BufferUsages::COPY_SRC).union(wgpu::BufferUsages::COPY_DST);
+pub(super) const USAGE: wgpu::BufferUsages =
+    wgpu::BufferUsages::STORAGE.union(wgpu::BufferUsages::COPY_SRC).union(wgpu::BufferUsages::COPY_DST);
 
 /// A storage buffer on the device. Dropping it returns it to the pool.
 pub struct Buffer {
@@ -150,9 +152,12 @@ impl Pool {
         let mut state = lock(&self.0);
         let fits = |idle: &Idle| {
             let size = idle.wgpu.size();
-            size >= bytes && size - bytes <= size / 4 && (idle.last_use == recorder || !state.open.contains(&idle.last_use))
+            size >= bytes
+                && size - bytes <= size / 4
+                && (idle.last_use == recorder || !state.open.contains(&idle.last_use))
         };
-        let best = state.idle.iter().enumerate().filter(|(_, idle)| fits(idle)).min_by_key(|(_, idle)| idle.wgpu.size())?.0;
+        let best =
+            state.idle.iter().enumerate().filter(|(_, idle)| fits(idle)).min_by_key(|(_, idle)| idle.wgpu.size())?.0;
         let wgpu = state.idle.swap_remove(best).wgpu;
         state.usage.bytes_idle -= wgpu.size();
         state.usage.bytes_in_use += wgpu.size();
@@ -177,12 +182,25 @@ impl Gpu {
             });
         }
         self.check_size(label, buffer.size())?;
-        Ok(Buffer { bytes: buffer.size() & !3, wgpu: buffer, label: label.into(), last_use: AtomicU64::new(0), home: None })
+        Ok(Buffer {
+            bytes: buffer.size() & !3,
+            wgpu: buffer,
+            label: label.into(),
+            last_use: AtomicU64::new(0),
+            home: None,
+        })
     }
 
-    /// A pooled buffer for commands of `recorder` in a run; `relieve` is called at most once, before idle buffers are given
-    /// up: where the run would exceed its limit, or the device has no memory left for the first attempt.
-    pub(super) fn take_for(&self, recorder: u64, run: &Run, label: &str, bytes: u64, relieve: impl FnOnce() -> Result<()>) -> Result<Buffer> {
+    /// A pooled buffer for commands of `recorder` in a run; `relieve` is called at most once, before idle buffers are
+    /// given up: where the run would exceed its limit, or the device has no memory left for the first attempt.
+    pub(super) fn take_for(
+        &self,
+        recorder: u64,
+        run: &Run,
+        label: &str,
+        bytes: u64,
+        relieve: impl FnOnce() -> Result<()>,
+    ) -> Result<Buffer> {
         self.check()?;
         self.check_size(label, bytes)?;
         let bytes = bytes.max(SMALLEST).next_multiple_of(4);
@@ -214,7 +232,12 @@ impl Gpu {
                     }
                     made => made,
                 };
-                let wgpu = made.map_err(|error| self.out_of_memory(&format!("the buffer '{label}' of {} ({bytes} bytes)", human_bytes(bytes)), &error))?;
+                let wgpu = made.map_err(|error| {
+                    self.out_of_memory(
+                        &format!("the buffer '{label}' of {} ({bytes} bytes)", human_bytes(bytes)),
+                        &error,
+                    )
+                })?;
                 self.inner.pool.count_new(rounded);
                 wgpu
             }

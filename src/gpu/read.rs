@@ -10,14 +10,16 @@ use crate::error::{Error, Result};
 /// The most values that are read at once: bounds the staging memory.
 const CHUNK_VALUES: usize = (16 << 20) / 4;
 
-/// How long another thread may take to run a callback that it has taken from the device. It does nothing but send one word.
+/// How long another thread may take to run a callback that it has taken from the device. It does nothing but send one
+/// word.
 const CALLBACK_PATIENCE: Duration = Duration::from_secs(10);
 
 impl Gpu {
     /// The content of a buffer after everything that was submitted. Blocks until that is done.
     ///
     /// # Errors
-    /// [`Error::Request`] where commands that use the buffer are recorded and not submitted; [`Error::Device`] where the device failed.
+    /// [`Error::Request`] where commands that use the buffer are recorded and not submitted; [`Error::Device`] where
+    /// the device failed.
     pub fn read(&self, buffer: &Buffer) -> Result<Vec<f32>> {
         let mut values = vec![0.0; (buffer.bytes() / 4) as usize];
         self.read_into(buffer, 0, &mut values)?;
@@ -27,9 +29,12 @@ impl Gpu {
     /// Part of a buffer: fills `values` from `offset_bytes` on, a multiple of four.
     ///
     /// # Errors
-    /// [`Error::Request`] where the buffer ends before or its commands are not submitted; [`Error::Device`] where the device failed.
+    /// [`Error::Request`] where the buffer ends before or its commands are not submitted; [`Error::Device`] where the
+    /// device failed.
     pub fn read_into(&self, buffer: &Buffer, offset_bytes: u64, values: &mut [f32]) -> Result<()> {
-        self.read_with(buffer, offset_bytes, values.len(), |first, piece| values[first..first + piece.len()].copy_from_slice(piece))
+        self.read_with(buffer, offset_bytes, values.len(), |first, piece| {
+            values[first..first + piece.len()].copy_from_slice(piece);
+        })
     }
 
     /// Part of a buffer, from `offset_bytes` on, a multiple of four: `take` is called with each piece of the `values`
@@ -37,15 +42,27 @@ impl Gpu {
     ///
     /// # Errors
     /// As [`Gpu::read_into`].
-    pub fn read_with(&self, buffer: &Buffer, offset_bytes: u64, values: usize, mut take: impl FnMut(usize, &[f32])) -> Result<()> {
+    pub fn read_with(
+        &self,
+        buffer: &Buffer,
+        offset_bytes: u64,
+        values: usize,
+        mut take: impl FnMut(usize, &[f32]),
+    ) -> Result<()> {
         let refuse = |problem: String, remedy: &str| Err(Error::Request { problem, remedy: remedy.into() });
         let (label, end) = (buffer.label(), offset_bytes + 4 * values as u64);
         if !offset_bytes.is_multiple_of(4) || end > buffer.bytes() {
-            let problem = format!("bytes {offset_bytes} to {end} of the buffer '{label}' cannot be read: it has {} bytes", buffer.bytes());
+            let problem = format!(
+                "bytes {offset_bytes} to {end} of the buffer '{label}' cannot be read: it has {} bytes",
+                buffer.bytes()
+            );
             return refuse(problem, "read whole values within the buffer");
         }
         if self.inner.pool.is_open(buffer.last_use()) {
-            return refuse(format!("commands that use the buffer '{label}' are recorded but not submitted"), "call `Recorder::submit` or `flush` first");
+            return refuse(
+                format!("commands that use the buffer '{label}' are recorded but not submitted"),
+                "call `Recorder::submit` or `flush` first",
+            );
         }
         for first in (0..values).step_by(CHUNK_VALUES) {
             let bytes = 4 * CHUNK_VALUES.min(values - first) as u64;
@@ -60,8 +77,14 @@ impl Gpu {
         let usage = wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST;
         let (sender, receiver) = channel();
         let copied = self.guarded(|| {
-            let staging = device.create_buffer(&wgpu::BufferDescriptor { label: Some("readback"), size: bytes, usage, mapped_at_creation: false });
-            let mut encoder = device.create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some("readback") });
+            let staging = device.create_buffer(&wgpu::BufferDescriptor {
+                label: Some("readback"),
+                size: bytes,
+                usage,
+                mapped_at_creation: false,
+            });
+            let mut encoder =
+                device.create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some("readback") });
             encoder.copy_buffer_to_buffer(buffer.wgpu(), offset, &staging, 0, bytes);
             self.inner.queue.submit([encoder.finish()]);
             staging.map_async(wgpu::MapMode::Read, .., move |mapped| {
@@ -70,10 +93,13 @@ impl Gpu {
             });
             staging
         });
-        let staging = copied.map_err(|error| self.out_of_memory(&format!("reading '{}' back", buffer.label()), &error))?;
+        let staging =
+            copied.map_err(|error| self.out_of_memory(&format!("reading '{}' back", buffer.label()), &error))?;
         self.wait()?;
-        let unreadable = || self.defect(&format!("the buffer '{}' cannot be read; the device is probably lost", buffer.label()));
-        // A thread that waits for the same device may have taken the callback along with its own, and not have come to it yet.
+        let unreadable =
+            || self.defect(&format!("the buffer '{}' cannot be read; the device is probably lost", buffer.label()));
+        // A thread that waits for the same device may have taken the callback along with its own, and not have come to
+        // it yet.
         receiver.recv_timeout(CALLBACK_PATIENCE).ok().and_then(std::result::Result::ok).ok_or_else(unreadable)?;
         let view = staging.get_mapped_range(..).map_err(|_| unreadable())?;
         take(bytemuck::cast_slice(&view));

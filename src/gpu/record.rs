@@ -12,8 +12,8 @@ use super::run::Run;
 use super::{human_bytes, lock};
 use crate::error::{Error, Result};
 
-/// Dispatches in one submission. Drivers kill a submission that runs for seconds, and none of its work can be waited for before all of it is done; submitting
-/// costs tens of microseconds.
+/// Dispatches in one submission. Drivers kill a submission that runs for seconds, and none of its work can be waited
+/// for before all of it is done; submitting costs tens of microseconds.
 const DISPATCHES_PER_SUBMISSION: usize = 32;
 
 /// Bytes of staging memory that uploads may hold before they are submitted and waited for.
@@ -25,10 +25,12 @@ const PIECE_VALUES: usize = (8 << 20) / 4;
 /// Size of the buffer that poison is copied from, in bytes.
 const POISON_BYTES: u64 = 1 << 20;
 
-/// How a recorder shares the device with somebody who waits for it, such as a window. The result is the same to the bit.
+/// How a recorder shares the device with somebody who waits for it, such as a window. The result is the same to the
+/// bit.
 #[derive(Clone, Debug)]
 pub struct Pace {
-    /// Dispatches that are submitted together, at least 1. The recorder waits for them before it goes on, so that what others submit meanwhile comes next.
+    /// Dispatches that are submitted together, at least 1. The recorder waits for them before it goes on, so that what
+    /// others submit meanwhile comes next.
     pub dispatches: usize,
     /// Where this becomes true, the recorder ends with [`Error::Cancelled`] after the dispatches that are on their way.
     pub cancelled: Arc<AtomicBool>,
@@ -36,8 +38,9 @@ pub struct Pace {
 
 /// A list of commands that execute in the order in which they were recorded.
 ///
-/// From [`Gpu::record`], it submits itself every few dozen dispatches and the rest in [`Recorder::submit`]. From [`Gpu::record_whole`], it touches no queue, and
-/// [`Recorder::encode_into`] puts everything into the caller's encoder. Dropped without either, what was not yet submitted is forgotten.
+/// From [`Gpu::record`], it submits itself every few dozen dispatches and the rest in [`Recorder::submit`]. From
+/// [`Gpu::record_whole`], it touches no queue, and [`Recorder::encode_into`] puts everything into the caller's encoder.
+/// Dropped without either, what was not yet submitted is forgotten.
 #[derive(Debug)]
 pub struct Recorder {
     gpu: Gpu,
@@ -99,14 +102,17 @@ impl Recorder {
         &self.gpu
     }
 
-    /// Names what the dispatches from here on are for, so that [`Gpu::step_timings`] can tell the uses of one stage apart.
+    /// Names what the dispatches from here on are for, so that [`Gpu::step_timings`] can tell the uses of one stage
+    /// apart.
     pub fn begin_step(&mut self, name: &str) {
         self.step = Arc::from(name);
     }
 
-    /// A storage buffer of at least `bytes` bytes, from the pool. Its content is whatever was there before: a zero, another stage's image, or poison.
+    /// A storage buffer of at least `bytes` bytes, from the pool. Its content is whatever was there before: a zero,
+    /// another stage's image, or poison.
     ///
-    /// Drop it after recording its last use, not after that use has executed: the next `take` may hand out the same memory.
+    /// Drop it after recording its last use, not after that use has executed: the next `take` may hand out the same
+    /// memory.
     ///
     /// # Errors
     /// [`Error::Device`] where a kernel cannot see that much, or the device has no memory left.
@@ -152,7 +158,12 @@ impl Recorder {
     ///
     /// # Errors
     /// As [`Recorder::take`].
-    pub fn upload_with(&mut self, label: &str, values: usize, mut fill: impl FnMut(usize, &mut [f32])) -> Result<Buffer> {
+    pub fn upload_with(
+        &mut self,
+        label: &str,
+        values: usize,
+        mut fill: impl FnMut(usize, &mut [f32]),
+    ) -> Result<Buffer> {
         let buffer = self.take_plain(label, 4 * values as u64)?;
         let mut piece = vec![0.0; PIECE_VALUES.min(values)];
         for first in (0..values).step_by(PIECE_VALUES) {
@@ -177,11 +188,13 @@ impl Recorder {
         Ok(())
     }
 
-    /// Runs a kernel over `invocations` in x, y and z; each is rounded up to whole workgroups, so the shader must ignore those beyond its extent.
+    /// Runs a kernel over `invocations` in x, y and z; each is rounded up to whole workgroups, so the shader must
+    /// ignore those beyond its extent.
     ///
     /// # Errors
-    /// [`Error::Shader`] where the kernel was built for other bindings or a written buffer is bound twice; [`Error::Device`] where the grid exceeds the
-    /// adapter's limit or, when this dispatch completes a batch, the device fails.
+    /// [`Error::Shader`] where the kernel was built for other bindings or a written buffer is bound twice;
+    /// [`Error::Device`] where the grid exceeds the adapter's limit or, when this dispatch completes a batch, the
+    /// device fails.
     pub fn dispatch<B: Bindings>(&mut self, kernel: &Arc<Kernel>, bindings: &B, invocations: [u32; 3]) -> Result<()> {
         let failure = |problem: String| Error::Shader { stage: kernel.stage().into(), problem };
         if kernel.slots != B::SLOTS {
@@ -200,26 +213,47 @@ impl Recorder {
                 (None, Value::Absent) => {}
                 (Some(place), Value::Uniform(members)) => {
                     let offset = self.append_uniform(place.uniform_bytes, &place.offsets, members);
-                    bound.push(Bound::Uniform { binding: place.binding, offset, bytes: u64::from(place.uniform_bytes) });
+                    bound.push(Bound::Uniform {
+                        binding: place.binding,
+                        offset,
+                        bytes: u64::from(place.uniform_bytes),
+                    });
                 }
                 (Some(place), Value::Buffer(buffer)) => {
                     buffer.mark_used(self.id);
-                    bound.push(Bound::Storage { binding: place.binding, buffer: buffer.wgpu().clone(), bytes: buffer.bytes() });
+                    bound.push(Bound::Storage {
+                        binding: place.binding,
+                        buffer: buffer.wgpu().clone(),
+                        bytes: buffer.bytes(),
+                    });
                 }
-                (Some(_), Value::Absent) => return Err(failure(format!("the shader reads '{}', but nothing is bound to it", slot.name))),
-                (None, _) => return Err(failure(format!("'{}' is bound, but these definitions remove it from the shader", slot.name))),
+                (Some(_), Value::Absent) => {
+                    return Err(failure(format!("the shader reads '{}', but nothing is bound to it", slot.name)));
+                }
+                (None, _) => {
+                    return Err(failure(format!(
+                        "'{}' is bound, but these definitions remove it from the shader",
+                        slot.name
+                    )));
+                }
             }
         }
         if let Some((name, other)) = aliased(kernel, &values) {
             return Err(failure(format!("the same buffer is bound to '{name}', which is written, and to '{other}'")));
         }
-        self.ops.push(Op::Dispatch(Dispatch { kernel: Arc::clone(kernel), step: Arc::clone(&self.step), bound, groups }));
+        self.ops.push(Op::Dispatch(Dispatch {
+            kernel: Arc::clone(kernel),
+            step: Arc::clone(&self.step),
+            bound,
+            groups,
+        }));
         self.dispatches += 1;
         let most = self.pace.as_ref().map_or(DISPATCHES_PER_SUBMISSION, |pace| pace.dispatches);
         if self.dispatches >= most { self.flush() } else { Ok(()) }
     }
 
-    /// Hands what was recorded so far to the device, which starts on it. Does nothing in a recorder from [`Gpu::record_whole`].
+    /// Hands what was recorded so far to the device, which starts on it. Does nothing in a recorder from
+    /// [`Gpu::record_whole`].
     ///
     /// # Errors
     /// [`Error::Device`] where the device failed.
@@ -235,15 +269,17 @@ impl Recorder {
         self.hand_over()
     }
 
-    /// Puts everything into a caller's encoder; the device's queue is not touched. Encoders must be submitted in the order in which they were filled, because
-    /// buffers dropped before one of them may be used again in the next.
+    /// Puts everything into a caller's encoder; the device's queue is not touched. Encoders must be submitted in the
+    /// order in which they were filled, because buffers dropped before one of them may be used again in the next.
     ///
     /// # Errors
-    /// [`Error::Request`] where parts are submitted already because the recorder is not from [`Gpu::record_whole`]; [`Error::Device`] where the device failed.
+    /// [`Error::Request`] where parts are submitted already because the recorder is not from [`Gpu::record_whole`];
+    /// [`Error::Device`] where the device failed.
     pub fn encode_into(mut self, encoder: &mut wgpu::CommandEncoder) -> Result<()> {
         if self.has_submitted {
             return Err(Error::Request {
-                problem: "part of these commands was submitted already, so they cannot go into an encoder as a whole".into(),
+                problem: "part of these commands was submitted already, so they cannot go into an encoder as a whole"
+                    .into(),
                 remedy: "record them with `Gpu::record_whole`".into(),
             });
         }
@@ -262,7 +298,8 @@ impl Recorder {
         (self.dispatches, self.staged_bytes, self.has_submitted) = (0, 0, true);
         let inner = &self.gpu.inner;
         let submitted = self.gpu.guarded(|| {
-            let mut encoder = inner.device.create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some("stein") });
+            let mut encoder =
+                inner.device.create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some("stein") });
             encode(&self.gpu, &self.run, &ops, &uniforms, &mut encoder)?;
             inner.queue.submit([encoder.finish()]);
             Ok(())
@@ -284,7 +321,12 @@ impl Recorder {
         match groups.iter().position(|count| *count > limit) {
             None => Ok(()),
             Some(axis) => Err(Error::Device {
-                problem: format!("stage '{}' needs {} workgroups in {}, the adapter runs at most {limit}", kernel.stage(), groups[axis], ["x", "y", "z"][axis]),
+                problem: format!(
+                    "stage '{}' needs {} workgroups in {}, the adapter runs at most {limit}",
+                    kernel.stage(),
+                    groups[axis],
+                    ["x", "y", "z"][axis]
+                ),
                 remedy: "crop the image, or cut it into pieces and denoise each".into(),
             }),
         }
@@ -293,7 +335,8 @@ impl Recorder {
     /// Writes the members where the shader wants them and returns where the struct begins.
     fn append_uniform(&mut self, bytes: u32, offsets: &[u32], members: &[&[u8]]) -> u64 {
         let limits = &self.gpu.inner.limits;
-        let alignment = limits.min_uniform_buffer_offset_alignment.max(limits.min_storage_buffer_offset_alignment) as usize;
+        let alignment =
+            limits.min_uniform_buffer_offset_alignment.max(limits.min_storage_buffer_offset_alignment) as usize;
         let start = self.uniforms.len().next_multiple_of(alignment);
         self.uniforms.resize(start + bytes as usize, 0);
         for (offset, member) in offsets.iter().zip(members) {
@@ -309,7 +352,12 @@ impl Recorder {
             Some(poison) => poison.clone(),
             None => {
                 let bits = vec![Gpu::POISON; POISON_BYTES as usize / 4];
-                let poison = self.gpu.filled("poison", wgpu::BufferUsages::COPY_SRC, bytemuck::cast_slice(&bits), POISON_BYTES)?;
+                let poison = self.gpu.filled(
+                    "poison",
+                    wgpu::BufferUsages::COPY_SRC,
+                    bytemuck::cast_slice(&bits),
+                    POISON_BYTES,
+                )?;
                 source.insert(poison).clone()
             }
         };
@@ -330,7 +378,13 @@ impl Drop for Recorder {
 
 impl Gpu {
     /// A new buffer of `bytes` bytes that begins with `data`. It is written through a mapping, so no queue is involved.
-    pub(super) fn filled(&self, label: &str, usage: wgpu::BufferUsages, data: &[u8], bytes: u64) -> Result<wgpu::Buffer> {
+    pub(super) fn filled(
+        &self,
+        label: &str,
+        usage: wgpu::BufferUsages,
+        data: &[u8],
+        bytes: u64,
+    ) -> Result<wgpu::Buffer> {
         let size = bytes.next_multiple_of(wgpu::COPY_BUFFER_ALIGNMENT);
         let description = wgpu::BufferDescriptor { label: Some(label), size, usage, mapped_at_creation: true };
         let filled = self.guarded(|| {
@@ -353,14 +407,16 @@ impl Gpu {
     }
 }
 
-/// A written slot whose buffer is bound a second time, with the other slot. The device gives no order between two such accesses.
+/// A written slot whose buffer is bound a second time, with the other slot. The device gives no order between two such
+/// accesses.
 fn aliased(kernel: &Kernel, values: &[Value<'_>]) -> Option<(&'static str, &'static str)> {
     let buffer = |index: usize| match values[index] {
         Value::Buffer(buffer) => Some(buffer.wgpu()),
         _ => None,
     };
     for (written, slot) in kernel.slots.iter().enumerate().filter(|(_, slot)| slot.kind == SlotKind::Write) {
-        let other = (0..values.len()).find(|other| *other != written && buffer(*other).is_some() && buffer(*other) == buffer(written));
+        let other = (0..values.len())
+            .find(|other| *other != written && buffer(*other).is_some() && buffer(*other) == buffer(written));
         if let Some(other) = other {
             return Some((slot.name, kernel.slots[other].name));
         }

@@ -9,8 +9,8 @@ use super::record::Recorder;
 use super::timing::{StageTime, StepTime};
 use crate::error::Result;
 
-/// A limit on memory, the memory that buffers take, and the times of stages, for all recorders of one run. Cheap to clone;
-/// clones are the same run.
+/// A limit on memory, the memory that buffers take, and the times of stages, for all recorders of one run. Cheap to
+/// clone; clones are the same run.
 #[derive(Clone, Default)]
 pub struct Run(Arc<Shared>);
 
@@ -37,8 +37,8 @@ impl Run {
         Self(Arc::new(Shared { limit: memory_limit, ..Shared::default() }))
     }
 
-    /// The most bytes that buffers of this run took, with the idle buffers of the device beside them whenever a new one was
-    /// made.
+    /// The most bytes that buffers of this run took, with the idle buffers of the device beside them whenever a new one
+    /// was made.
     pub fn peak_bytes(&self) -> u64 {
         lock(&self.0.memory).peak
     }
@@ -73,7 +73,10 @@ impl Run {
 
 impl fmt::Debug for Run {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("Run").field("limit", &self.0.limit).field("peak_bytes", &self.peak_bytes()).finish_non_exhaustive()
+        f.debug_struct("Run")
+            .field("limit", &self.0.limit)
+            .field("peak_bytes", &self.peak_bytes())
+            .finish_non_exhaustive()
     }
 }
 

@@ -8,8 +8,10 @@ use super::catalogue::{SHARED, STAGES};
 use super::lock;
 use crate::error::{Error, Result};
 
-/// What all stages may import, or why it cannot be. Reading the pieces takes longer than composing most stages, so it is done once in a process.
-static PIECES: LazyLock<std::result::Result<Mutex<Pieces>, String>> = LazyLock::new(|| Pieces::read(SHARED).map(Mutex::new));
+/// What all stages may import, or why it cannot be. Reading the pieces takes longer than composing most stages, so it
+/// is done once in a process.
+static PIECES: LazyLock<std::result::Result<Mutex<Pieces>, String>> =
+    LazyLock::new(|| Pieces::read(SHARED).map(Mutex::new));
 
 /// The value of a name that shaders test with `#ifdef` and `#if`, or insert with `#{NAME}`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -56,7 +58,8 @@ pub fn shared_modules() -> Vec<&'static str> {
 /// A stage with its imports and definitions resolved, validated by naga.
 ///
 /// # Errors
-/// [`Error::Shader`] where there is no such stage, where it does not compile, or where neither it nor any shared piece mentions one of the definitions.
+/// [`Error::Shader`] where there is no such stage, where it does not compile, or where neither it nor any shared piece
+/// mentions one of the definitions.
 pub fn compose(stage: &str, definitions: Definitions) -> Result<naga::Module> {
     let Some((_, source)) = STAGES.iter().find(|(name, _)| *name == stage) else {
         return Err(Error::Shader { stage: stage.into(), problem: "there is no shader of this name".into() });
@@ -108,7 +111,12 @@ impl Pieces {
         Ok(Self { composer, sources })
     }
 
-    pub(super) fn compose(&mut self, name: &str, source: &str, definitions: Definitions) -> std::result::Result<naga::Module, String> {
+    pub(super) fn compose(
+        &mut self,
+        name: &str,
+        source: &str,
+        definitions: Definitions,
+    ) -> std::result::Result<naga::Module, String> {
         for (definition, _) in definitions {
             // naga_oil ignores names that no shader uses, so a misspelt one would silently build the wrong kernel.
             if !source.contains(definition) && !self.sources.iter().any(|(_, shared)| shared.contains(definition)) {
@@ -122,7 +130,8 @@ impl Pieces {
             Definition::UInt(value) => Some(((*name).to_owned(), ShaderDefValue::UInt(value))),
         });
         let file = format!("shaders/{name}.wgsl");
-        let description = NagaModuleDescriptor { source, file_path: &file, shader_defs: defined.collect(), ..Default::default() };
+        let description =
+            NagaModuleDescriptor { source, file_path: &file, shader_defs: defined.collect(), ..Default::default() };
         self.composer.make_naga_module(description).map_err(|error| told(&error, &self.composer))
     }
 }

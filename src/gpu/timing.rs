@@ -30,7 +30,8 @@ pub struct StageTime {
 /// The time of all dispatches of one stage in one step.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct StepTime {
-    /// What they were for: as told to [`Recorder::begin_step`](super::Recorder::begin_step); empty where nothing was told.
+    /// What they were for: as told to [`Recorder::begin_step`](super::Recorder::begin_step); empty where nothing was
+    /// told.
     pub step: String,
     /// The stage and its time there.
     #[serde(flatten)]
@@ -73,13 +74,22 @@ impl Batch {
     pub(super) fn next(&mut self, step: &Arc<str>, stage: &str) -> wgpu::ComputePassTimestampWrites<'_> {
         let first = self.dispatches.len() as u32 * 2;
         self.dispatches.push((Arc::clone(step), stage.to_owned()));
-        wgpu::ComputePassTimestampWrites { query_set: &self.queries.set, beginning_of_pass_write_index: Some(first), end_of_pass_write_index: Some(first + 1) }
+        wgpu::ComputePassTimestampWrites {
+            query_set: &self.queries.set,
+            beginning_of_pass_write_index: Some(first),
+            end_of_pass_write_index: Some(first + 1),
+        }
     }
 }
 
 impl Timing {
     pub(super) fn new(available: bool, nanoseconds_per_tick: f32) -> Self {
-        Self { available, on: AtomicBool::new(false), nanoseconds_per_tick: nanoseconds_per_tick.into(), state: Mutex::default() }
+        Self {
+            available,
+            on: AtomicBool::new(false),
+            nanoseconds_per_tick: nanoseconds_per_tick.into(),
+            state: Mutex::default(),
+        }
     }
 
     pub(super) fn is_on(&self) -> bool {
@@ -89,8 +99,19 @@ impl Timing {
     pub(super) fn batch(&self, device: &wgpu::Device, run: &Run) -> Batch {
         let queries = lock(&self.state).free.pop().unwrap_or_else(|| {
             let count = DISPATCHES_PER_BATCH * 2;
-            let set = device.create_query_set(&wgpu::QuerySetDescriptor { label: Some("times"), ty: wgpu::QueryType::Timestamp, count });
-            let buffer = |usage| device.create_buffer(&wgpu::BufferDescriptor { label: Some("times"), size: BATCH_BYTES, usage, mapped_at_creation: false });
+            let set = device.create_query_set(&wgpu::QuerySetDescriptor {
+                label: Some("times"),
+                ty: wgpu::QueryType::Timestamp,
+                count,
+            });
+            let buffer = |usage| {
+                device.create_buffer(&wgpu::BufferDescriptor {
+                    label: Some("times"),
+                    size: BATCH_BYTES,
+                    usage,
+                    mapped_at_creation: false,
+                })
+            };
             let resolved = buffer(wgpu::BufferUsages::QUERY_RESOLVE | wgpu::BufferUsages::COPY_SRC);
             let readback = buffer(wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST);
             Arc::new(Queries { set, resolved, readback })
@@ -139,7 +160,8 @@ impl Timing {
 }
 
 impl Gpu {
-    /// Turns the timing of stages on or off for what is encoded from now on. Returns whether it is on: an adapter without timestamps stays off.
+    /// Turns the timing of stages on or off for what is encoded from now on. Returns whether it is on: an adapter
+    /// without timestamps stays off.
     pub fn set_timing(&self, on: bool) -> bool {
         let timing = &self.inner.timing;
         timing.on.store(on && timing.available, Ordering::Relaxed);

@@ -37,9 +37,16 @@ impl Auxiliary {
 }
 
 /// The variance of the mean as the filters want it (thesis 8.2), from what there is.
-pub(super) fn input_variance(rec: &mut Recorder, extent: IVec2, signal: &GpuSignal, weight: BoxWeight) -> Result<Arc<Buffer>> {
+pub(super) fn input_variance(
+    rec: &mut Recorder,
+    extent: IVec2,
+    signal: &GpuSignal,
+    weight: BoxWeight,
+) -> Result<Arc<Buffer>> {
     let variance = match (&signal.variance_of_mean, signal.has_halves) {
-        (Some(sample_variance), true) => variance_scale(rec, extent, &signal.signal, sample_variance, SCALE_RADIUS, weight)?,
+        (Some(sample_variance), true) => {
+            variance_scale(rec, extent, &signal.signal, sample_variance, SCALE_RADIUS, weight)?
+        }
         (None, _) => variance_smooth(rec, extent, &signal.signal, INPUT_SMOOTHING, None)?,
         (Some(sample_variance), false) => return Ok(sample_variance.clone()),
     };
@@ -47,13 +54,20 @@ pub(super) fn input_variance(rec: &mut Recorder, extent: IVec2, signal: &GpuSign
 }
 
 /// The variance of the mean as distances want it: [`input_variance`], held above a floor.
-pub(super) fn guide_variance(rec: &mut Recorder, extent: IVec2, signal: &GpuSignal, weight: BoxWeight, floor: Floor) -> Result<Arc<Buffer>> {
+pub(super) fn guide_variance(
+    rec: &mut Recorder,
+    extent: IVec2,
+    signal: &GpuSignal,
+    weight: BoxWeight,
+    floor: Floor,
+) -> Result<Arc<Buffer>> {
     let variance = input_variance(rec, extent, signal, weight)?;
     Ok(Arc::new(variance_floor(rec, extent, &signal.signal, &variance, floor)?))
 }
 
-/// A result in which pixels of the colour without noise are as they were, if the plan says so, and in which lights of few
-/// pixels are, if anybody looked for any; `error` becomes that of what is kept. `color` is without spikes and lights.
+/// A result in which pixels of the colour without noise are as they were, if the plan says so, and in which lights of
+/// few pixels are, if anybody looked for any; `error` becomes that of what is kept. `color` is without spikes and
+/// lights.
 pub(super) fn with_input_kept(
     rec: &mut Recorder,
     extent: IVec2,

@@ -1,4 +1,5 @@
-//! Denoising by combining colour and feature filters (thesis chapter 8): Algorithm 1 from above to below, what is prepared, pass 1, pass 2, the error of the result.
+//! Denoising by combining colour and feature filters (thesis chapter 8): Algorithm 1 from above to below, what is
+//! prepared, pass 1, pass 2, the error of the result.
 
 mod kernels;
 mod params;
@@ -18,15 +19,20 @@ use super::spikes::Found;
 use super::{FrameInput, GpuSignal, Spikes};
 use crate::error::Result;
 use crate::gpu::{Buffer, Recorder};
-use crate::stage::candidate::{CANDIDATE_PLANES, CandidateBeside, CandidateFilter, Candidates, CandidatesInTime, Needed, STATE_PLANES, candidates};
+use crate::stage::candidate::{
+    CANDIDATE_PLANES, CandidateBeside, CandidateFilter, Candidates, CandidatesInTime, Needed, STATE_PLANES, candidates,
+};
 use crate::stage::candidate_set::CandidateSet;
-use crate::stage::error::{ErrorParts, MadeOf, error_blend, error_blend_more, error_difference, error_spikes, error_sure};
+use crate::stage::error::{
+    ErrorParts, MadeOf, error_blend, error_blend_more, error_difference, error_spikes, error_sure,
+};
 use crate::stage::exact::Region;
 use crate::stage::feature::{Features, Packing, feature_pack};
 use crate::stage::nlm::{Beside, Guide, Lanes, Payload, Schedule, nlm_filter};
 use crate::stage::sample::{GpuSamples, sample_density};
 use crate::stage::select::{
-    Evidence, HARM, Noisy, Significance, WithColorOnly, select_blend, select_color_only, select_frames, select_least, select_pass, select_share,
+    Evidence, HARM, Noisy, Significance, WithColorOnly, select_blend, select_color_only, select_frames, select_least,
+    select_pass, select_share,
 };
 use crate::stage::variance::{BoxWeight, Floor, INPUT_SMOOTHING, RESIDUAL_SMOOTHING, variance_floor, variance_smooth};
 
@@ -58,10 +64,12 @@ pub(super) const INTERMEDIATES: [Intermediate; 9] = [
 
 const BY_CANDIDATE: [&str; 3] = CandidateSet::NAMES;
 
-/// Algorithm 1. Degrades by what the frame knows of its noise: without halves the variances are taken as they are and there is no second pass; without sample variance
-/// the smoothed two-buffer variance takes its place. What the plan leaves out does not happen.
+/// Algorithm 1. Degrades by what the frame knows of its noise: without halves the variances are taken as they are and
+/// there is no second pass; without sample variance the smoothed two-buffer variance takes its place. What the plan
+/// leaves out does not happen.
 ///
-/// The frames `beside` are in the same units and have the same features. `progress` is called with the share of the work that is recorded.
+/// The frames `beside` are in the same units and have the same features. `progress` is called with the share of the
+/// work that is recorded.
 ///
 /// # Errors
 /// Those of recording.
@@ -77,7 +85,8 @@ pub(crate) fn dfc(
     let mut keeper = Keeper::new(&plan.keep);
     let work = Work { params, plan, schedule, wanted: Wanted::default() };
     let mut prepared = Prepared::new(rec, frame, beside, work, &mut keeper)?;
-    let Pass1 { candidates, selection, color_only, blend: pass1 } = Pass1::new(rec, &mut prepared, work, &mut keeper, progress)?;
+    let Pass1 { candidates, selection, color_only, blend: pass1 } =
+        Pass1::new(rec, &mut prepared, work, &mut keeper, progress)?;
     let Prepared { extent, color, variance, spikes, samples, .. } = &prepared;
     let extent = *extent;
 
@@ -181,11 +190,18 @@ struct Prepared {
 }
 
 impl Prepared {
-    fn new(rec: &mut Recorder, frame: FrameInput, beside: Vec<FrameInput>, work: Work, keeper: &mut Keeper) -> Result<Self> {
+    fn new(
+        rec: &mut Recorder,
+        frame: FrameInput,
+        beside: Vec<FrameInput>,
+        work: Work,
+        keeper: &mut Keeper,
+    ) -> Result<Self> {
         let Work { params, plan, .. } = work;
         let FrameInput { extent, mut color, mut features, samples, .. } = frame;
         // Space-time filtering (8.6): the window gains frames. What belongs to a pixel comes from its own frame.
-        let (mut colors_beside, mut features_beside): (Vec<_>, Vec<_>) = beside.into_iter().map(|frame| (frame.color, frame.features)).unzip();
+        let (mut colors_beside, mut features_beside): (Vec<_>, Vec<_>) =
+            beside.into_iter().map(|frame| (frame.color, frame.features)).unzip();
 
         // What is known of the noise.
         if plan.begins(rec, Step::Noise) {
@@ -196,7 +212,8 @@ impl Prepared {
         }
 
         // Feature prefiltering.
-        let features = prefilter(rec, extent, std::iter::once(features).chain(features_beside).collect(), work, keeper)?;
+        let features =
+            prefilter(rec, extent, std::iter::once(features).chain(features_beside).collect(), work, keeper)?;
 
         // Spikes.
         let mut spikes = None;
@@ -212,7 +229,9 @@ impl Prepared {
 
         // Sample variance scaling.
         plan.begins(rec, Step::Variance);
-        let variance_of = |rec: &mut Recorder, color: &GpuSignal| guide_variance(rec, extent, color, params.box_weight, Floor::of_color(params.keep_clean));
+        let variance_of = |rec: &mut Recorder, color: &GpuSignal| {
+            guide_variance(rec, extent, color, params.box_weight, Floor::of_color(params.keep_clean))
+        };
         let variance = variance_of(rec, &color)?;
         keeper.keep(Intermediate::Variance, "scaled_variance", &RGB, Unit::ColorSquared, &variance, 0);
         let variances_beside = colors_beside.iter().map(|color| variance_of(rec, color)).collect::<Result<Vec<_>>>()?;
@@ -227,12 +246,28 @@ impl Prepared {
     }
 
     /// A plane smoothed along the colour.
-    fn smooth(&self, rec: &mut Recorder, step: Step, payload: &Buffer, filter: &Auxiliary, work: Work) -> Result<Buffer> {
+    fn smooth(
+        &self,
+        rec: &mut Recorder,
+        step: Step,
+        payload: &Buffer,
+        filter: &Auxiliary,
+        work: Work,
+    ) -> Result<Buffer> {
         let Work { params, plan, schedule, wanted } = work;
         let guide = filter.guide(&self.color.signal, &self.variance, 3);
         let guide = Guide { grey: work.is_grey(), exact: plan.exact(&step), wanted: wanted.candidates, ..guide };
         plan.begins(rec, step);
-        let filtered = nlm_filter(rec, self.extent, &guide, &Payload::new(payload, 1), filter.window_radius, params.weighting, false, schedule)?;
+        let filtered = nlm_filter(
+            rec,
+            self.extent,
+            &guide,
+            &Payload::new(payload, 1),
+            filter.window_radius,
+            params.weighting,
+            false,
+            schedule,
+        )?;
         Ok(filtered.planes)
     }
 }
@@ -272,8 +307,11 @@ impl Pass1 {
         // Candidate filters.
         plan.begins(rec, Step::Candidates);
         let neighbours = colors_beside.iter().zip(variances_beside).enumerate();
-        let neighbours =
-            neighbours.map(|(index, (color, variance_of_mean))| CandidateBeside { signal: &color.signal, variance_of_mean, features: features.get(1 + index) });
+        let neighbours = neighbours.map(|(index, (color, variance_of_mean))| CandidateBeside {
+            signal: &color.signal,
+            variance_of_mean,
+            features: features.get(1 + index),
+        });
         let neighbours: Vec<_> = neighbours.collect();
         let needed = Needed {
             candidates: plan.candidates(),
@@ -284,8 +322,18 @@ impl Pass1 {
             exact: plan.exact(&Step::Candidates),
             wanted: wanted.candidates,
         };
-        let CandidatesInTime { together: candidates, alone } =
-            candidates(rec, extent, signal, variance, features.first(), &neighbours, &candidate_filter(params), needed, schedule, progress)?;
+        let CandidatesInTime { together: candidates, alone } = candidates(
+            rec,
+            extent,
+            signal,
+            variance,
+            features.first(),
+            &neighbours,
+            &candidate_filter(params),
+            needed,
+            schedule,
+            progress,
+        )?;
         if let Some(alone) = alone.as_ref().filter(|_| plan.begins(rec, Step::Frames)) {
             select_frames(rec, extent, Noisy { signal, variance_of_mean: variance }, alone, &candidates, HARM)?;
         }
@@ -297,7 +345,14 @@ impl Pass1 {
             let Some(candidate) = candidate else { continue };
             keeper.keep(Intermediate::Candidates, name, &RGB, Unit::Color, candidate, 0);
             if let Some(derivatives) = &candidates.derivatives {
-                keeper.keep(Intermediate::Derivatives, format!("{name}_derivative"), &RGB, Unit::Number, derivatives, plane);
+                keeper.keep(
+                    Intermediate::Derivatives,
+                    format!("{name}_derivative"),
+                    &RGB,
+                    Unit::Number,
+                    derivatives,
+                    plane,
+                );
             }
         }
 
@@ -313,7 +368,9 @@ impl Pass1 {
 
         let Some((sure, errors)) = judged.as_ref().filter(|_| plan.begins(rec, Step::Selection)) else {
             // Nothing to choose from.
-            let Some((only, candidate)) = candidates.first_of_all() else { unreachable!("a plan holds at least one candidate") };
+            let Some((only, candidate)) = candidates.first_of_all() else {
+                unreachable!("a plan holds at least one candidate")
+            };
             return Ok(Self { blend: candidate.clone(), selection: Shares::Only(only), color_only: None, candidates });
         };
         // Binary selection maps.
@@ -322,7 +379,8 @@ impl Pass1 {
         let smoothed = prepared.smooth(rec, Step::SelectionSmoothing, &selected, &SELECTION_SMOOTHING, work)?;
         // Candidate filter averaging.
         plan.begins(rec, Step::Blend);
-        let evidence = Evidence { selected: &selected, errors, sure, variance_of_mean: variance, candidates: &candidates };
+        let evidence =
+            Evidence { selected: &selected, errors, sure, variance_of_mean: variance, candidates: &candidates };
         let selection = Arc::new(select_share(rec, extent, smoothed, evidence, params.guard)?);
         let mut blend = Arc::new(select_blend(rec, extent, &selection, &candidates)?);
         let mut color_only = None;
@@ -337,7 +395,8 @@ impl Pass1 {
 }
 
 impl ColorOnly {
-    /// The filter over the own frame, and the blend in which it takes part. The shares of the candidates in `joint` become what it leaves.
+    /// The filter over the own frame, and the blend in which it takes part. The shares of the candidates in `joint`
+    /// become what it leaves.
     fn new(
         rec: &mut Recorder,
         prepared: &Prepared,
@@ -359,10 +418,24 @@ impl ColorOnly {
             exact: plan.exact(&Step::Candidates),
             wanted: wanted.candidates,
         };
-        let alone = candidates(rec, extent, signal, variance, None, &[], &candidate_filter(params), needed, schedule, |_, _| Ok(()))?.together;
+        let alone = candidates(
+            rec,
+            extent,
+            signal,
+            variance,
+            None,
+            &[],
+            &candidate_filter(params),
+            needed,
+            schedule,
+            |_, _| Ok(()),
+        )?
+        .together;
         let Some((_, filtered)) = alone.first_of_all() else { unreachable!("SECOND takes part") };
-        let differences = error_difference(rec, extent, signal, variance, blend, selection, joint, &alone, params.covariance)?;
-        let WithColorOnly { blended, shares } = select_color_only(rec, extent, &differences, blend, filtered, selection, Significance::MEASURED)?;
+        let differences =
+            error_difference(rec, extent, signal, variance, blend, selection, joint, &alone, params.covariance)?;
+        let WithColorOnly { blended, shares } =
+            select_color_only(rec, extent, &differences, blend, filtered, selection, Significance::MEASURED)?;
         let shares = Arc::new(shares);
         keeper.keep(Intermediate::Candidates, "color_only", &RGB, Unit::Color, filtered, 0);
         keeper.keep(Intermediate::Selection, "color_only_share", &["V"], Unit::Number, &shares, 0);
@@ -385,14 +458,24 @@ impl Pass2 {
     /// `None` where the plan has none.
     fn new(rec: &mut Recorder, extent: IVec2, pass1: &Buffer, variance: &Buffer, work: Work) -> Result<Option<Self>> {
         let Work { params, plan, schedule, wanted } = work;
-        let Some(second_pass) = params.second_pass.filter(|_| plan.begins(rec, Step::SecondPass)) else { return Ok(None) };
+        let Some(second_pass) = params.second_pass.filter(|_| plan.begins(rec, Step::SecondPass)) else {
+            return Ok(None);
+        };
         let SecondPass { clamp_to_input, most_sigmas, .. } = second_pass;
-        let left_variance = variance_smooth(rec, extent, pass1, RESIDUAL_SMOOTHING, clamp_to_input.then_some(variance))?;
+        let left_variance =
+            variance_smooth(rec, extent, pass1, RESIDUAL_SMOOTHING, clamp_to_input.then_some(variance))?;
         let left_variance = variance_floor(rec, extent, pass1, &left_variance, Floor::of_color(params.keep_clean))?;
         let (filter, grey) = (second_pass_filter(&second_pass, params.window_radius), work.is_grey());
-        let guide = Guide { grey, exact: plan.exact(&Step::SecondPass), wanted: wanted.result, ..filter.guide(pass1, &left_variance, 3) };
+        let guide = Guide {
+            grey,
+            exact: plan.exact(&Step::SecondPass),
+            wanted: wanted.result,
+            ..filter.guide(pass1, &left_variance, 3)
+        };
         let payload = Payload { lanes: if grey { Lanes::Grey } else { Lanes::All }, ..Payload::new(pass1, 2) };
-        let filtered = Arc::new(nlm_filter(rec, extent, &guide, &payload, filter.window_radius, params.weighting, false, schedule)?.planes);
+        let filtered = Arc::new(
+            nlm_filter(rec, extent, &guide, &payload, filter.window_radius, params.weighting, false, schedule)?.planes,
+        );
         let result = match most_sigmas {
             Some(sigmas) => Arc::new(select_pass(rec, extent, pass1, &filtered, variance, sigmas)?),
             None => filtered.clone(),
@@ -402,16 +485,27 @@ impl Pass2 {
 }
 
 fn second_pass_filter(second_pass: &SecondPass, window_radius: u32) -> Auxiliary {
-    Auxiliary { window_radius: second_pass.window_radius(window_radius), patch_radius: second_pass.patch_radius, k: second_pass.color_k }
+    Auxiliary {
+        window_radius: second_pass.window_radius(window_radius),
+        patch_radius: second_pass.patch_radius,
+        k: second_pass.color_k,
+    }
 }
 
-/// Prefilters each feature by itself (Algorithm 1 lines 4 to 10) and packs them for the candidates; features without noise are taken as they are. Empty where there are
-/// none.
+/// Prefilters each feature by itself (Algorithm 1 lines 4 to 10) and packs them for the candidates; features without
+/// noise are taken as they are. Empty where there are none.
 ///
-/// `frames` holds the features of all frames of the window in time, the one to denoise first, and each is prefiltered with the help of all. Measured on three frames of
-/// the built-in scenes in which nothing moves, 8 and 32 samples per pixel: against one frame alone they leave .46 to .67 of the error, with features that are prefiltered
-/// frame by frame .60 to .77, and .46 to .53 if all the samples were in one frame.
-fn prefilter(rec: &mut Recorder, extent: IVec2, frames: Vec<Vec<FeatureInput>>, work: Work, keeper: &mut Keeper) -> Result<Vec<Features>> {
+/// `frames` holds the features of all frames of the window in time, the one to denoise first, and each is prefiltered
+/// with the help of all. Measured on three frames of the built-in scenes in which nothing moves, 8 and 32 samples per
+/// pixel: against one frame alone they leave .46 to .67 of the error, with features that are prefiltered frame by frame
+/// .60 to .77, and .46 to .53 if all the samples were in one frame.
+fn prefilter(
+    rec: &mut Recorder,
+    extent: IVec2,
+    frames: Vec<Vec<FeatureInput>>,
+    work: Work,
+    keeper: &mut Keeper,
+) -> Result<Vec<Features>> {
     let Work { params: &DfcParams { weighting, box_weight, .. }, plan, schedule, wanted } = work;
     let channels: Vec<u32> = frames[0].iter().map(|feature| feature.channels).collect();
     if channels.is_empty() {
@@ -425,19 +519,44 @@ fn prefilter(rec: &mut Recorder, extent: IVec2, frames: Vec<Vec<FeatureInput>>, 
         let exact = plan.exact(&step);
         let has_noise = plan.begins(rec, step.clone());
         let features = frames.iter().map(|features| features[index].fetch(rec, extent)).collect::<Result<Vec<_>>>()?;
-        let variances = features.iter().map(|signal| if has_noise { noise(rec, extent, signal, box_weight) } else { Ok(None) }).collect::<Result<Vec<_>>>()?;
+        let variances = features
+            .iter()
+            .map(|signal| if has_noise { noise(rec, extent, signal, box_weight) } else { Ok(None) })
+            .collect::<Result<Vec<_>>>()?;
         let mut prefiltered = Vec::new();
         for (frame, signal) in features.iter().enumerate() {
             let others = || features.iter().zip(&variances).enumerate().filter(|(other, _)| *other != frame);
             prefiltered.push(match &variances[frame] {
                 Some(variance) => {
-                    let beside: Vec<_> =
-                        others().filter_map(|(_, (other, variance))| Some(Beside { signal: &other.signal, variance_of_mean: variance.as_ref()? })).collect();
+                    let beside: Vec<_> = others()
+                        .filter_map(|(_, (other, variance))| {
+                            Some(Beside { signal: &other.signal, variance_of_mean: variance.as_ref()? })
+                        })
+                        .collect();
                     let payloads: Vec<_> = beside.iter().map(|beside| beside.signal).collect();
-                    let guide = Guide { beside: &beside, exact, wanted: wanted.features, ..PREFILTER.guide(&signal.signal, variance, *channels) };
+                    let guide = Guide {
+                        beside: &beside,
+                        exact,
+                        wanted: wanted.features,
+                        ..PREFILTER.guide(&signal.signal, variance, *channels)
+                    };
                     let lanes = if *channels == 1 { Lanes::First } else { Lanes::All };
-                    let payload = Payload { planes: &signal.signal, count: if signal.has_halves { 2 } else { 1 }, beside: &payloads, lanes };
-                    let filtered = nlm_filter(rec, extent, &guide, &payload, PREFILTER.window_radius, weighting, !signal.has_halves, schedule)?;
+                    let payload = Payload {
+                        planes: &signal.signal,
+                        count: if signal.has_halves { 2 } else { 1 },
+                        beside: &payloads,
+                        lanes,
+                    };
+                    let filtered = nlm_filter(
+                        rec,
+                        extent,
+                        &guide,
+                        &payload,
+                        PREFILTER.window_radius,
+                        weighting,
+                        !signal.has_halves,
+                        schedule,
+                    )?;
                     let residual = match filtered.residual_variance {
                         Some(residual) => residual,
                         None => variance_smooth(rec, extent, &filtered.planes, RESIDUAL_SMOOTHING, None)?,
@@ -454,9 +573,17 @@ fn prefilter(rec: &mut Recorder, extent: IVec2, frames: Vec<Vec<FeatureInput>>, 
         let (filtered, residual_variance) = &prefiltered[0];
         let names = &["x", "y", "z"][..*channels as usize];
         // Without noise, the half spread is 0 as well.
-        let (residual_variance, plane) = residual_variance.as_ref().map_or((&features[0].signal, 1), |variance| (variance, 0));
+        let (residual_variance, plane) =
+            residual_variance.as_ref().map_or((&features[0].signal, 1), |variance| (variance, 0));
         keeper.keep(Intermediate::Features, format!("{name}_prefiltered"), names, Unit::Feature(index), filtered, 0);
-        keeper.keep(Intermediate::Features, format!("{name}_residual_variance"), names, Unit::FeatureSquared(index), residual_variance, plane);
+        keeper.keep(
+            Intermediate::Features,
+            format!("{name}_residual_variance"),
+            names,
+            Unit::FeatureSquared(index),
+            residual_variance,
+            plane,
+        );
     }
     Ok(packed)
 }
@@ -478,24 +605,26 @@ pub(super) fn footprint(params: &DfcParams, facts: &Facts, kept: bool, schedule:
     // Of each frame, and the colour's scaled variance.
     let color = UPLOADED_PLANES + 1;
     let noise_reach = params.pooling().reach(facts);
-    // Of each frame, the packed features and the one whose turn it is: 3, its variance without and with its floor, 2 filtered planes, residual variance; two box sums, or weights.
-    // What features have in common of estimated variances.
+    // Of each frame, the packed features and the one whose turn it is: 3, its variance without and with its floor, 2
+    // filtered planes, residual variance; two box sums, or weights. What features have in common of estimated
+    // variances.
     let pooled = if noise_reach > 0 { 1 + packed / 3 } else { 0 };
     let prefilter = frames * (color + packed + pooled + 8) + 2;
     // Of the frames beside as well until the next one is repaired.
     let spikes = frames * (color + packed) + repaired + 2 * found;
     // Over all frames, and over the own one.
     let candidates = frames * (color + packed) + if beside > 0 { 2 * CANDIDATE_PLANES } else { CANDIDATE_PLANES };
-    // Candidates, SURE, errors and weights 2, selected, smoothed and weights 2, blend 2; variance, second pass and weights 3. Before the error and what is chosen of the
-    // passes 3, what belongs to the choice is given back.
-    // The filter by the colour only: 2 and its derivatives 3, differences and their average 3, blend 2, shares 1.
+    // Candidates, SURE, errors and weights 2, selected, smoothed and weights 2, blend 2; variance, second pass and
+    // weights 3. Before the error and what is chosen of the passes 3, what belongs to the choice is given back. The
+    // filter by the colour only: 2 and its derivatives 3, differences and their average 3, blend 2, shares 1.
     let with_color_only = params.color_only && has_features_without_noise(facts);
     let color_only = if with_color_only { 11 } else { 0 };
     let later = color + CANDIDATE_PLANES + 12 + color_only;
-    // Prefiltered features and residual variances, the sampling density and its weights; of each feature, the values that were taken as they are.
+    // Prefiltered features and residual variances, the sampling density and its weights; of each feature, the values
+    // that were taken as they are.
     let kept = if kept { 5 * channels.len() as u64 + 3 } else { 0 };
-    // Two scratch buffers for the column sums, and the running sums of the rows they cover: a scratch buffer holds at least one plane per pair of offsets, so with small
-    // windows the running sums are the larger.
+    // Two scratch buffers for the column sums, and the running sums of the rows they cover: a scratch buffer holds at
+    // least one plane per pair of offsets, so with small windows the running sums are the larger.
     let offsets_in_a_row = u64::from(2 * params.window_radius + 1);
     let running_sums = schedule.scratch_bytes * u64::from(STATE_PLANES) / offsets_in_a_row;
     Footprint {
@@ -539,7 +668,11 @@ fn reach_of_second_pass(params: &DfcParams) -> u32 {
 
 /// How far the result depends on the candidates, by what a plan makes of them.
 fn reach_of_choice_and_second_pass(params: &DfcParams, plan: &Plan) -> u32 {
-    let choice = if plan.runs(&Step::Selection) { reach_of_choice() + reach_of_color_only(plan.runs(&Step::ColorOnly)) } else { 0 };
+    let choice = if plan.runs(&Step::Selection) {
+        reach_of_choice() + reach_of_color_only(plan.runs(&Step::ColorOnly))
+    } else {
+        0
+    };
     let second_pass = if plan.runs(&Step::SecondPass) { reach_of_second_pass(params) } else { 0 };
     choice + second_pass
 }
@@ -555,5 +688,8 @@ pub(super) fn halo(params: &DfcParams) -> u32 {
 
 fn halo_with(params: &DfcParams, noise_reach: u32, color_only: bool) -> u32 {
     let density = DENSITY_SMOOTHING.window_radius + DENSITY_SMOOTHING.patch_radius;
-    reach_of_candidates(params, noise_reach) + reach_of_choice() + reach_of_color_only(color_only) + reach_of_second_pass(params).max(density)
+    reach_of_candidates(params, noise_reach)
+        + reach_of_choice()
+        + reach_of_color_only(color_only)
+        + reach_of_second_pass(params).max(density)
 }

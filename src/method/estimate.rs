@@ -4,12 +4,14 @@ use std::sync::Arc;
 
 use crate::gpu::Buffer;
 
-/// Intermediates that can be kept for inspection. Which of them there are depends on the method: [`Method::intermediates`](super::Method::intermediates).
+/// Intermediates that can be kept for inspection. Which of them there are depends on the method:
+/// [`Method::intermediates`](super::Method::intermediates).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Intermediate {
     /// What was taken from spikes; nothing where nobody looks for any.
     Spikes,
-    /// Variance of the colour's mean as the filters take it: scaled (thesis 8.2), of NLM as [`NlmVariance`](super::nlm::NlmVariance) says.
+    /// Variance of the colour's mean as the filters take it: scaled (thesis 8.2), of NLM as
+    /// [`NlmVariance`](super::nlm::NlmVariance) says.
     Variance,
     /// Prefiltered features and their residual variances; nothing where there are no features.
     Features,
@@ -29,7 +31,8 @@ pub enum Intermediate {
     Scale,
     /// The filtered halves; nothing where the frame has none.
     Halves,
-    /// Where the next samples pay most; of GEM what that is made of, for [`sampling_density`](crate::sampling::sampling_density).
+    /// Where the next samples pay most; of GEM what that is made of, for
+    /// [`sampling_density`](crate::sampling::sampling_density).
     Density,
 }
 
@@ -132,7 +135,8 @@ pub struct GpuEstimate {
     pub weight_sum: Lane,
     /// The shares of FIRST, SECOND and THIRD, where the method has them.
     pub selection: Option<Shares>,
-    /// What was taken from spikes, the colour of each in x, y and z, and in w the part of it that the pixels around got. `None` where nobody looked for any.
+    /// What was taken from spikes, the colour of each in x, y and z, and in w the part of it that the pixels around
+    /// got. `None` where nobody looked for any.
     pub spikes: Option<Arc<Buffer>>,
     /// What was asked for.
     pub kept: Vec<KeptPlane>,
@@ -154,10 +158,25 @@ impl<'a> Keeper<'a> {
     }
 
     /// Keeps a plane if it was asked for.
-    pub(super) fn keep(&mut self, intermediate: Intermediate, layer: impl Into<String>, channels: &[&str], unit: Unit, buffer: &Arc<Buffer>, plane: u32) {
+    pub(super) fn keep(
+        &mut self,
+        intermediate: Intermediate,
+        layer: impl Into<String>,
+        channels: &[&str],
+        unit: Unit,
+        buffer: &Arc<Buffer>,
+        plane: u32,
+    ) {
         if self.wants(intermediate) {
             let channels = channels.iter().map(ToString::to_string).collect();
-            self.kept.push(KeptPlane { intermediate, layer: layer.into(), channels, unit, buffer: buffer.clone(), plane });
+            self.kept.push(KeptPlane {
+                intermediate,
+                layer: layer.into(),
+                channels,
+                unit,
+                buffer: buffer.clone(),
+                plane,
+            });
         }
     }
 

@@ -19,8 +19,8 @@ use super::plan::{Plan, Step};
 /// A noisy signal on the GPU.
 #[derive(Clone, Debug)]
 pub struct GpuSignal {
-    /// Two planes of one vec4 per pixel, rows from the top: the mean in x, y, z (unused channels 0), behind it the half spread
-    /// `(A − B)·√(n_A·n_B)/n`, all 0 without halves. Everything finite.
+    /// Two planes of one vec4 per pixel, rows from the top: the mean in x, y, z (unused channels 0), behind it the half
+    /// spread `(A − B)·√(n_A·n_B)/n`, all 0 without halves. Everything finite.
     pub signal: Arc<Buffer>,
     /// One plane: sample variance of the mean, s²/n.
     pub variance_of_mean: Option<Arc<Buffer>>,
@@ -59,13 +59,13 @@ pub struct GpuFrame {
     pub features: Vec<GpuFeature>,
     /// GEM corrects the variances of few samples by it; of DFC and NLM only the sampling density asks for it.
     pub samples: GpuSamples,
-    /// The mean over the whole image of the variance of the colour's mean, per channel; by the halves, where there are any. Only [`NlmVariance::Uniform`](super::nlm::NlmVariance)
-    /// asks for it.
+    /// The mean over the whole image of the variance of the colour's mean, per channel; by the halves, where there are
+    /// any. Only [`NlmVariance::Uniform`](super::nlm::NlmVariance) asks for it.
     pub mean_variance: Option<Vec3>,
 }
 
-/// What a method works on: a frame whose colour is on the device, and whose features are there or follow one by one, so that the raw features of a frame never take memory
-/// all at one time.
+/// What a method works on: a frame whose colour is on the device, and whose features are there or follow one by one, so
+/// that the raw features of a frame never take memory all at one time.
 pub(crate) struct FrameInput<'a> {
     /// As [`GpuFrame::extent`].
     pub(crate) extent: IVec2,
@@ -135,16 +135,24 @@ impl<'a> Units<'a> {
     /// Those of `frames[centre]`, with its features, if they are used at all, as far as all frames have them.
     pub(crate) fn of_window(frames: &[&'a Frame], centre: usize, with_features: bool, exposure: f32) -> Self {
         let alike = |a: &Feature, b: &Feature| a.name == b.name && a.signal.mean.channels() == b.signal.mean.channels();
-        let everywhere = |feature: &&Feature| frames.iter().all(|frame| frame.features().iter().any(|other| alike(feature, other)));
+        let everywhere =
+            |feature: &&Feature| frames.iter().all(|frame| frame.features().iter().any(|other| alike(feature, other)));
         let own = if with_features { frames[centre].features() } else { &[] };
         Self { exposure, features: own.iter().filter(everywhere).collect() }
     }
 }
 
 impl<'a> FrameInput<'a> {
-    /// Uploads the rows of a strip and its halo: what the plan asks for, the features when their turn comes. `frame` has
-    /// all features that `units` lists. `mean_variance` is that of the whole frame, so that all strips agree.
-    pub(crate) fn upload(rec: &mut Recorder, frame: &'a Frame, mean_variance: Option<Vec3>, strip: &Strip, units: &Units, plan: &Plan) -> Result<Self> {
+    /// Uploads the rows of a strip and its halo: what the plan asks for, the features when their turn comes. `frame`
+    /// has all features that `units` lists. `mean_variance` is that of the whole frame, so that all strips agree.
+    pub(crate) fn upload(
+        rec: &mut Recorder,
+        frame: &'a Frame,
+        mean_variance: Option<Vec3>,
+        strip: &Strip,
+        units: &Units,
+        plan: &Plan,
+    ) -> Result<Self> {
         let mut features = Vec::with_capacity(units.features.len());
         for wanted in &units.features {
             let Some(feature) = frame.features().iter().find(|feature| feature.name == wanted.name) else { continue };
@@ -156,7 +164,13 @@ impl<'a> FrameInput<'a> {
             let noise = if plan.runs(&Step::Prefilter(feature.name.clone())) { Noise::Told } else { Noise::Absent };
             let source = Source::Host { signal: &feature.signal, strip: *strip, map, noise };
             let channels = feature.signal.mean.channels() as u32;
-            features.push(FeatureInput { name: feature.name.clone(), kind: feature.kind, channels, source, pooled: None });
+            features.push(FeatureInput {
+                name: feature.name.clone(),
+                kind: feature.kind,
+                channels,
+                source,
+                pooled: None,
+            });
         }
         let extent = IVec2::new(frame.extent().width as i32, strip.rows_with_halo() as i32);
         let samples = match frame.samples_per_pixel() {
@@ -164,7 +178,12 @@ impl<'a> FrameInput<'a> {
             SamplesPerPixel::Uniform(count) => GpuSamples::Uniform(*count),
             SamplesPerPixel::PerPixel(counts) => {
                 let pixels = strip.pixels(counts.extent.width as usize);
-                GpuSamples::PerPixel(upload_planes(rec, "samples per pixel", &[Some((counts, Affine::scale(1.0)))], &pixels)?)
+                GpuSamples::PerPixel(upload_planes(
+                    rec,
+                    "samples per pixel",
+                    &[Some((counts, Affine::scale(1.0)))],
+                    &pixels,
+                )?)
             }
         };
         let color = upload_signal(rec, "colour", frame.color(), strip, Affine::scale(units.exposure), Noise::Told)?;
@@ -199,8 +218,16 @@ enum Noise {
     Absent,
 }
 
-fn upload_signal(rec: &mut Recorder, label: &str, signal: &Signal, strip: &Strip, map: Affine, noise: Noise) -> Result<GpuSignal> {
-    let [half_spread, variance] = [&signal.half_spread, &signal.variance_of_mean].map(|image| image.as_ref().filter(|_| noise == Noise::Told));
+fn upload_signal(
+    rec: &mut Recorder,
+    label: &str,
+    signal: &Signal,
+    strip: &Strip,
+    map: Affine,
+    noise: Noise,
+) -> Result<GpuSignal> {
+    let [half_spread, variance] =
+        [&signal.half_spread, &signal.variance_of_mean].map(|image| image.as_ref().filter(|_| noise == Noise::Told));
     let factor = map.factor;
     let pixels = strip.pixels(signal.mean.extent.width as usize);
     let variance_of_mean = match variance {
@@ -211,11 +238,20 @@ fn upload_signal(rec: &mut Recorder, label: &str, signal: &Signal, strip: &Strip
         }
     };
     let planes = [Some((&signal.mean, map)), half_spread.map(|half_spread| (half_spread, Affine::scale(factor)))];
-    Ok(GpuSignal { signal: Arc::new(upload_planes(rec, label, &planes, &pixels)?), variance_of_mean, has_halves: half_spread.is_some() })
+    Ok(GpuSignal {
+        signal: Arc::new(upload_planes(rec, label, &planes, &pixels)?),
+        variance_of_mean,
+        has_halves: half_spread.is_some(),
+    })
 }
 
 /// Uploads the same pixels of images, each to a plane of its own, mapped. A plane without an image is 0.
-fn upload_planes(rec: &mut Recorder, label: &str, planes: &[Option<(&Image, Affine)>], pixels: &std::ops::Range<usize>) -> Result<Buffer> {
+fn upload_planes(
+    rec: &mut Recorder,
+    label: &str,
+    planes: &[Option<(&Image, Affine)>],
+    pixels: &std::ops::Range<usize>,
+) -> Result<Buffer> {
     let count = pixels.len();
     rec.upload_with(label, planes.len() * count * 4, |first, mut piece| {
         let mut first = first / 4;
@@ -234,12 +270,17 @@ fn upload_planes(rec: &mut Recorder, label: &str, planes: &[Option<(&Image, Affi
     })
 }
 
-/// The mean over a frame of the variance of the colour's mean, as [`GpuFrame::mean_variance`]; `None` where nothing tells.
+/// The mean over a frame of the variance of the colour's mean, as [`GpuFrame::mean_variance`]; `None` where nothing
+/// tells.
 pub(crate) fn mean_variance(frame: &Frame, exposure: f32) -> Option<Vec3> {
     let signal = frame.color();
-    let mean = |plane: &Vec<f32>, value: fn(f64) -> f64| (plane.iter().map(|v| value(f64::from(*v))).sum::<f64>() / plane.len() as f64) as f32;
+    let mean = |plane: &Vec<f32>, value: fn(f64) -> f64| {
+        (plane.iter().map(|v| value(f64::from(*v))).sum::<f64>() / plane.len() as f64) as f32
+    };
     let means: Vec<f32> = match (&signal.half_spread, &signal.variance_of_mean) {
-        (Some(half_spread), _) => half_spread.planes.iter().map(|plane| mean(plane, |spread| spread * spread)).collect(),
+        (Some(half_spread), _) => {
+            half_spread.planes.iter().map(|plane| mean(plane, |spread| spread * spread)).collect()
+        }
         (None, Some(variance)) => variance.planes.iter().map(|plane| mean(plane, |variance| variance)).collect(),
         (None, None) => return None,
     };
@@ -251,11 +292,13 @@ pub(crate) fn mean_variance(frame: &Frame, exposure: f32) -> Option<Vec3> {
 const PIXELS_AT_ONCE: usize = 4096;
 
 fn interleave(planes: &[Vec<f32>], pixels: &std::ops::Range<usize>, map: Affine, packed: &mut [f32]) {
-    packed.par_chunks_mut(4 * PIXELS_AT_ONCE).zip(pixels.clone().into_par_iter().step_by(PIXELS_AT_ONCE)).for_each(|(packed, first)| {
-        for (channel, plane) in planes.iter().enumerate() {
-            for (to, pixel) in packed.chunks_exact_mut(4).zip(first..) {
-                to[channel] = map.of(plane[pixel], pixel);
+    packed.par_chunks_mut(4 * PIXELS_AT_ONCE).zip(pixels.clone().into_par_iter().step_by(PIXELS_AT_ONCE)).for_each(
+        |(packed, first)| {
+            for (channel, plane) in planes.iter().enumerate() {
+                for (to, pixel) in packed.chunks_exact_mut(4).zip(first..) {
+                    to[channel] = map.of(plane[pixel], pixel);
+                }
             }
-        }
-    });
+        },
+    );
 }

@@ -1,4 +1,5 @@
-//! Denoising by greedy error minimisation (thesis chapter 6): for each pixel the Gaussian scale that trades bias for variance best.
+//! Denoising by greedy error minimisation (thesis chapter 6): for each pixel the Gaussian scale that trades bias for
+//! variance best.
 
 mod params;
 
@@ -26,7 +27,8 @@ pub use params::{GemParams, Phase};
 pub(super) const INTERMEDIATES: [Intermediate; 5] =
     [Intermediate::Spikes, Intermediate::Variance, Intermediate::Stopping, Intermediate::Scale, Intermediate::Density];
 
-/// Greedy error minimisation. Uses no features. Every pixel is the mean of its own samples and counts once, whatever its sample count, so that no sub-pixel grid is needed.
+/// Greedy error minimisation. Uses no features. Every pixel is the mean of its own samples and counts once, whatever
+/// its sample count, so that no sub-pixel grid is needed.
 ///
 /// `progress` is called with the share of the work that is recorded.
 ///
@@ -50,7 +52,14 @@ pub(crate) fn gem(
     // Sample distribution (6.3): what the host ranks the pixels by, once it knows how many samples there will be.
     if plan.begins(rec, Step::Density) {
         let reduction = Arc::new(scale_reduction(rec, extent, &selected)?);
-        keeper.keep(Intermediate::Density, "reduction", &["relative_mse", "support", "sigma"], Unit::Number, &reduction, 0);
+        keeper.keep(
+            Intermediate::Density,
+            "reduction",
+            &["relative_mse", "support", "sigma"],
+            Unit::Number,
+            &reduction,
+            0,
+        );
     }
     let Selected { signal, choice } = selected;
     let (signal, choice) = (Arc::new(signal), Arc::new(choice));
@@ -67,11 +76,17 @@ pub(crate) fn gem(
 }
 
 /// The kernel at a pixel: the Gaussian of the scale that it comes to.
-pub(super) fn kernels(rec: &mut Recorder, frame: FrameInput, params: &GemParams, plan: &Plan) -> Result<Vec<KernelOnGpu>> {
+pub(super) fn kernels(
+    rec: &mut Recorder,
+    frame: FrameInput,
+    params: &GemParams,
+    plan: &Plan,
+) -> Result<Vec<KernelOnGpu>> {
     let extent = frame.extent;
     let Repaired { color, samples, .. } = Repaired::new(rec, frame, params, plan)?;
     let averaged = color.signal.clone();
-    let Selected { choice, .. } = select(rec, extent, &color, samples, params, plan, &mut Keeper::new(&[]), |_, _| Ok(()))?;
+    let Selected { choice, .. } =
+        select(rec, extent, &color, samples, params, plan, &mut Keeper::new(&[]), |_, _| Ok(()))?;
     let weights = WeightsOnGpu::Gaussian(Lane { buffer: Arc::new(choice), plane: 0, component: 0 });
     Ok(vec![KernelOnGpu { name: "scale", averaged, weights, share: None }])
 }
@@ -110,7 +125,8 @@ fn select(
     keeper: &mut Keeper,
     mut progress: impl FnMut(&mut Recorder, f32) -> Result<()>,
 ) -> Result<Selected> {
-    // Mean variances of the pixels (eq. 6.3). Scaled by the halves, where there are any, they need no purely random samples.
+    // Mean variances of the pixels (eq. 6.3). Scaled by the halves, where there are any, they need no purely random
+    // samples.
     plan.begins(rec, Step::Variance);
     let variance = input_variance(rec, extent, color, BoxWeight::Even)?;
     keeper.keep(Intermediate::Variance, "scaled_variance", &RGB, Unit::ColorSquared, &variance, 0);
@@ -140,14 +156,19 @@ fn select(
     Ok(selected)
 }
 
-/// The steps in the order of [`gem`]. Without variance its decisions are no less smoothed over the pixels around, so that a frame without noise is not simply copied.
+/// The steps in the order of [`gem`]. Without variance its decisions are no less smoothed over the pixels around, so
+/// that a frame without noise is not simply copied.
 pub(super) fn plan(params: &GemParams, facts: &Facts, wishes: &Wishes) -> Plan {
     let mut plan = Planner::new(wishes);
     plan.noise(params.pooling(), facts);
     params.spikes.plan(&mut plan, facts);
     plan.variance(params.pooling(), facts);
     plan.step(Step::Scales, "from fine to coarse", &[]);
-    plan.step(Step::Density, "it is asked for", &[impossible(!wishes.keeps(Intermediate::Density), "it is not asked for")]);
+    plan.step(
+        Step::Density,
+        "it is asked for",
+        &[impossible(!wishes.keeps(Intermediate::Density), "it is not asked for")],
+    );
     plan.keep_clean(params.keep_clean);
     plan.finish()
 }
@@ -155,7 +176,8 @@ pub(super) fn plan(params: &GemParams, facts: &Facts, wishes: &Wishes) -> Plan {
 /// Counted from [`gem`]: what is dropped is used again.
 pub(super) fn footprint(params: &GemParams, facts: &Facts, kept: bool) -> Footprint {
     let sigmas = params.phase.sigmas();
-    // Signal and variance of the pixel filter, of the fine and of the coarse scale; the selection; two planes and their rows while a Gaussian is at work.
+    // Signal and variance of the pixel filter, of the fine and of the coarse scale; the selection; two planes and their
+    // rows while a Gaussian is at work.
     let scales = 3 * 3 + 3 + 2;
     // Scaled variance, stopping maps raw and smoothed, reduction.
     let kept = if kept { 2 + 2 * sigmas.len() as u64 } else { 0 };
@@ -168,15 +190,19 @@ pub(super) fn footprint(params: &GemParams, facts: &Facts, kept: bool) -> Footpr
     }
 }
 
-/// A pixel asks for its neighbours' stopping maps, these for the scales there, and their variances were brought to scale. Each scale is made from the pixels themselves, so
-/// that only the coarsest one counts.
+/// A pixel asks for its neighbours' stopping maps, these for the scales there, and their variances were brought to
+/// scale. Each scale is made from the pixels themselves, so that only the coarsest one counts.
 pub(super) fn halo(params: &GemParams) -> u32 {
     halo_with(params, params.pooling().largest_reach())
 }
 
 fn halo_with(params: &GemParams, noise_reach: u32) -> u32 {
     let coarsest = params.phase.coarsest();
-    params.outlier_filter(coarsest).radius + Gaussian::new(coarsest).radius + SCALE_RADIUS.max(INPUT_SMOOTHING.radius) + params.spikes.reach(0) + noise_reach
+    params.outlier_filter(coarsest).radius
+        + Gaussian::new(coarsest).radius
+        + SCALE_RADIUS.max(INPUT_SMOOTHING.radius)
+        + params.spikes.reach(0)
+        + noise_reach
 }
 
 impl From<GemParams> for Method {

@@ -1,7 +1,8 @@
 //! Which neighbours made a pixel, and why: the kernels of a method's filters at one pixel.
 //!
-//! A kernel is made of what the filter itself reads: spikes repaired, variances scaled, features prefiltered, patch distances from the same stage. Averaged with its weights, the
-//! neighbours give the value that the filter gives, but for the rounding of float32 sums.
+//! A kernel is made of what the filter itself reads: spikes repaired, variances scaled, features prefiltered, patch
+//! distances from the same stage. Averaged with its weights, the neighbours give the value that the filter gives, but
+//! for the rounding of float32 sums.
 
 use std::sync::Arc;
 
@@ -43,26 +44,29 @@ impl Kernels {
 
 /// The weights of one filter at a pixel p over its window of (2R+1)² cells, with p in the middle.
 ///
-/// Every image is one window: cell (R + dx, R + dy) belongs to the neighbour q = p + (dx, dy), so that `planes[c][(R + dy) · (2R+1) + R + dx]` is its value.
-/// [`FilterKernel::pixel`] tells which pixel that is, or that the frame ends before it.
+/// Every image is one window: cell (R + dx, R + dy) belongs to the neighbour q = p + (dx, dy), so that
+/// `planes[c][(R + dy) · (2R+1) + R + dx]` is its value. [`FilterKernel::pixel`] tells which pixel that is, or that the
+/// frame ends before it.
 #[derive(Clone, Debug)]
 pub struct FilterKernel {
     /// See [`Kernels::filters`].
     pub name: &'static str,
     /// R, in pixels.
     pub window_radius: u32,
-    /// One plane: w(p, q) as it enters the average, from 0 to 1; 0 for cells outside of the frame. Where pairs of opposite neighbours stand in for each
-    /// other ([`Symmetry`](crate::stage::nlm::Symmetry)), each of the two cells has the weight that its own pixel is averaged with, the share in the weight of their mean included.
-    /// In the middle the weight of the pixel itself, by the rule of [`CentreWeight`].
+    /// One plane: w(p, q) as it enters the average, from 0 to 1; 0 for cells outside of the frame. Where pairs of
+    /// opposite neighbours stand in for each other ([`Symmetry`](crate::stage::nlm::Symmetry)), each of the two cells
+    /// has the weight that its own pixel is averaged with, the share in the weight of their mean included. In the
+    /// middle the weight of the pixel itself, by the rule of [`CentreWeight`].
     pub weights: Image,
     /// Σ w over the window.
     pub weight_sum: f32,
-    /// Three planes: the colours u(q) that are averaged, in the units of the frame, spikes repaired; of a half of NLM that half's, of the second pass those of pass 1. 0 for cells
-    /// outside of the frame.
+    /// Three planes: the colours u(q) that are averaged, in the units of the frame, spikes repaired; of a half of NLM
+    /// that half's, of the second pass those of pass 1. 0 for cells outside of the frame.
     pub colors: Image,
     /// Σ w·u / Σ w per channel: what the filter makes of p, in the units of the frame.
     pub value: [f32; 3],
-    /// Of a candidate of DFC the share that it has in pass 1 of the pixel, from 0 to 1 (Algorithm 1 lines 27 to 33); shares sum to 1. `None` of all other filters.
+    /// Of a candidate of DFC the share that it has in pass 1 of the pixel, from 0 to 1 (Algorithm 1 lines 27 to 33);
+    /// shares sum to 1. `None` of all other filters.
     pub share: Option<f32>,
     /// How the weights came about.
     pub rule: WeightRule,
@@ -82,8 +86,8 @@ pub enum WeightRule {
         /// The smallest weight that counts.
         cut: f32,
     },
-    /// A weight is the mean of the weights of all pairs of pixels (p + n, q + n) in the two patches (thesis 7.1.1), and 0 below `cut`: what [`Distance::weights`] shows is that of
-    /// the pair (p, q) alone.
+    /// A weight is the mean of the weights of all pairs of pixels (p + n, q + n) in the two patches (thesis 7.1.1), and
+    /// 0 below `cut`: what [`Distance::weights`] shows is that of the pair (p, q) alone.
     PatchMean {
         /// The smallest weight that counts.
         cut: f32,
@@ -93,13 +97,15 @@ pub enum WeightRule {
         /// σ, in pixels; 0 for the pixel filter, whose window is the pixel.
         sigma: f32,
     },
-    /// The filter would change the pixel by more than `sigmas` standard deviations of its noise, so that pass 1 is the result
-    /// ([`SecondPass::most_sigmas`](super::dfc::SecondPass::most_sigmas)): its weight is 1, the others are 0. The distances tell what the filter saw.
+    /// The filter would change the pixel by more than `sigmas` standard deviations of its noise, so that pass 1 is the
+    /// result ([`SecondPass::most_sigmas`](super::dfc::SecondPass::most_sigmas)): its weight is 1, the others are 0.
+    /// The distances tell what the filter saw.
     Refused {
         /// The largest correction, in standard deviations.
         sigmas: f32,
     },
-    /// The pixel lies in a tile from which no pixel with noise is within reach, and is left as it is: its weight is 1, the others are 0.
+    /// The pixel lies in a tile from which no pixel with noise is within reach, and is left as it is: its weight is 1,
+    /// the others are 0.
     Exact,
 }
 
@@ -108,11 +114,12 @@ pub enum WeightRule {
 pub struct Distance {
     /// In which.
     pub of: Compared,
-    /// One plane: d(p, q), the mean over channels, and of the colour over the patch, before the exponential (eq. 7.3 and 7.4; features: thesis 8.3). Below 0 where the noise explains
-    /// more than there is; infinite for cells outside of the frame; 0 in the middle.
+    /// One plane: d(p, q), the mean over channels, and of the colour over the patch, before the exponential (eq. 7.3
+    /// and 7.4; features: thesis 8.3). Below 0 where the noise explains more than there is; infinite for cells outside
+    /// of the frame; 0 in the middle.
     pub distances: Image,
-    /// One plane: the weights that these distances alone would give, exp(−max(0, d)) with opposite neighbours standing in for each other where the filter lets them. 0 for cells
-    /// outside of the frame, 1 in the middle.
+    /// One plane: the weights that these distances alone would give, exp(−max(0, d)) with opposite neighbours standing
+    /// in for each other where the filter lets them. 0 for cells outside of the frame, 1 in the middle.
     pub weights: Image,
 }
 
@@ -148,8 +155,9 @@ impl Compared {
 }
 
 impl Distance {
-    /// The weight that a neighbour would have by this distance if it stood for itself, exp(−max(0, d)); [`Distance::weights`] has more of it where the mean with its opposite matches
-    /// better ([`Symmetry`](crate::stage::nlm::Symmetry)). 0 for cells outside of the frame.
+    /// The weight that a neighbour would have by this distance if it stood for itself, exp(−max(0, d));
+    /// [`Distance::weights`] has more of it where the mean with its opposite matches better
+    /// ([`Symmetry`](crate::stage::nlm::Symmetry)). 0 for cells outside of the frame.
     pub fn own_weight(&self, cell: usize) -> f32 {
         (-self.distances.planes[0][cell].max(0.0)).exp()
     }
@@ -161,20 +169,23 @@ impl FilterKernel {
         2 * self.window_radius as usize + 1
     }
 
-    /// The column and row of the pixel that a cell of the window belongs to; `None` outside of the frame. Cells count from 0, row by row.
+    /// The column and row of the pixel that a cell of the window belongs to; `None` outside of the frame. Cells count
+    /// from 0, row by row.
     pub fn pixel(&self, cell: usize) -> Option<(u32, u32)> {
         self.at.neighbour(cell, self.window_radius)
     }
 
-    /// The cell of the neighbour on the other side of the pixel, p − (q − p); `None` where it lies outside of the frame.
+    /// The cell of the neighbour on the other side of the pixel, p − (q − p); `None` where it lies outside of the
+    /// frame.
     pub fn opposite(&self, cell: usize) -> Option<usize> {
         let opposite = self.weights.extent.pixels().checked_sub(1 + cell)?;
         self.pixel(opposite).map(|_| opposite)
     }
 
-    /// What decided about a neighbour: of [`FilterKernel::distances`] the one with the least weight, the first of several. `None` where nothing speaks against it, for the pixel
-    /// itself, and outside of the frame. A neighbour whose weight [`WeightRule::PatchMean`] or a cut changed may still weigh less, and where the
-    /// filter was refused all neighbours weigh nothing.
+    /// What decided about a neighbour: of [`FilterKernel::distances`] the one with the least weight, the first of
+    /// several. `None` where nothing speaks against it, for the pixel itself, and outside of the frame. A neighbour
+    /// whose weight [`WeightRule::PatchMean`] or a cut changed may still weigh less, and where the filter was refused
+    /// all neighbours weigh nothing.
     pub fn decided_by(&self, cell: usize) -> Option<&Distance> {
         self.pixel(cell)?;
         let least = self.distances.iter().map(|distance| distance.weights.planes[0][cell]).fold(1.0, f32::min);
@@ -193,7 +204,9 @@ pub(crate) struct PixelInFrame {
 impl PixelInFrame {
     pub(crate) fn neighbour(&self, cell: usize, window_radius: u32) -> Option<(u32, u32)> {
         let side = 2 * window_radius as usize + 1;
-        let along = |at: u32, offset: usize, size: u32| (at + offset as u32).checked_sub(window_radius).filter(|place| *place < size);
+        let along = |at: u32, offset: usize, size: u32| {
+            (at + offset as u32).checked_sub(window_radius).filter(|place| *place < size)
+        };
         (cell < side * side).then_some(())?;
         Some((along(self.x, cell % side, self.extent.width)?, along(self.y, cell / side, self.extent.height)?))
     }

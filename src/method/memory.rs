@@ -1,4 +1,5 @@
-//! How an image is cut into strips of rows that fit: what a strip costs, and how far its result reaches into its neighbours.
+//! How an image is cut into strips of rows that fit: what a strip costs, and how far its result reaches into its
+//! neighbours.
 
 use super::{Facts, Method};
 use crate::error::{Error, Result};
@@ -35,7 +36,8 @@ impl Strip {
 /// What a method takes, and how far its result reaches.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Footprint {
-    /// How many rows above and below a pixel its result depends on: the reach of each stage, added up along the longest chain.
+    /// How many rows above and below a pixel its result depends on: the reach of each stage, added up along the longest
+    /// chain.
     pub(super) halo: usize,
     /// Planes of one pixel that live at the worst moment.
     pub(super) live_planes: u64,
@@ -45,7 +47,8 @@ pub(super) struct Footprint {
     pub(super) scratch_bytes: u64,
 }
 
-/// Planes that a frame without its features is uploaded to: mean, half spread and sample variance of the colour, and the samples of each pixel.
+/// Planes that a frame without its features is uploaded to: mean, half spread and sample variance of the colour, and
+/// the samples of each pixel.
 pub(super) const UPLOADED_PLANES: u64 = 4;
 
 /// What bounds the memory that buffers take on the device, besides the device.
@@ -76,7 +79,9 @@ impl DeviceMemory {
         if let Some((free, host)) = self.shared
             && self.left_by_host().is_some_and(|left| left < least)
         {
-            let what = format!("a strip of one row of this image, with the {halo} rows above and below that it depends on, and the result");
+            let what = format!(
+                "a strip of one row of this image, with the {halo} rows above and below that it depends on, and the result"
+            );
             return Shortage::new(host + Self::DRIVER_BYTES + least, free).error(&what);
         }
         let mib = |bytes: u64| bytes as f64 / f64::from(1 << 20);
@@ -103,12 +108,21 @@ pub(crate) fn kept_planes(method: &Method, facts: &Facts, schedule: Schedule) ->
 ///
 /// # Errors
 /// [`Error::Device`] where not even one row with its halo fits.
-pub(crate) fn strips(gpu: &Gpu, extent: Extent, method: &Method, facts: &Facts, kept: bool, schedule: Schedule, memory: DeviceMemory) -> Result<Vec<Strip>> {
+pub(crate) fn strips(
+    gpu: &Gpu,
+    extent: Extent,
+    method: &Method,
+    facts: &Facts,
+    kept: bool,
+    schedule: Schedule,
+    memory: DeviceMemory,
+) -> Result<Vec<Strip>> {
     let (width, height) = (u64::from(extent.width), extent.height as usize);
     let Footprint { halo, live_planes, largest_planes, scratch_bytes } = method.footprint(facts, kept, schedule);
     let row_bytes = width * PLANE_PIXEL_BYTES;
     let by_binding = gpu.max_binding_bytes() / (largest_planes * row_bytes);
-    let by_memory = memory.bytes().map_or(u64::MAX, |limit| limit.saturating_sub(scratch_bytes) / (live_planes * row_bytes));
+    let by_memory =
+        memory.bytes().map_or(u64::MAX, |limit| limit.saturating_sub(scratch_bytes) / (live_planes * row_bytes));
     // A workgroup is at least one row high.
     let by_dispatch = u64::from(gpu.max_workgroups());
     let most_rows = usize::try_from(by_binding.min(by_memory).min(by_dispatch)).unwrap_or(usize::MAX);

@@ -1,6 +1,8 @@
-//! The methods: a straight function each, that reads like its chapter. They know the stages, never the GPU interface beneath them.
+//! The methods: a straight function each, that reads like its chapter. They know the stages, never the GPU interface
+//! beneath them.
 //!
-//! DFC and GEM are one shape: a bank of candidates, an error for each, a smoothed choice. NLM is one filter whose two halves tell its error.
+//! DFC and GEM are one shape: a bank of candidates, an error for each, a smoothed choice. NLM is one filter whose two
+//! halves tell its error.
 
 mod common;
 pub mod dfc;
@@ -94,8 +96,9 @@ impl Method {
         }
     }
 
-    /// How far a pixel of a frame can have an influence, in pixels along either axis: the reach of each stage, added up along the longest chain. But for what is settled for a frame
-    /// as a whole, its units and what of the method it needs.
+    /// How far a pixel of a frame can have an influence, in pixels along either axis: the reach of each stage, added up
+    /// along the longest chain. But for what is settled for a frame as a whole, its units and what of the method it
+    /// needs.
     pub fn reach(&self) -> u32 {
         match self {
             Self::Dfc(params) => dfc::halo(params),
@@ -136,13 +139,15 @@ impl Method {
         }
     }
 
-    /// With the parameters that serve while samples are still being drawn. Spikes stay: where few samples tell much, more are wanted. Nor is a pixel taken to be without noise
-    /// because its first samples agree.
+    /// With the parameters that serve while samples are still being drawn. Spikes stay: where few samples tell much,
+    /// more are wanted. Nor is a pixel taken to be without noise because its first samples agree.
     #[must_use]
     pub fn while_sampling(self) -> Self {
         match self {
             Self::Dfc(params) => Self::Dfc(DfcParams { spikes: Spikes::Keep, keep_clean: false, ..params }),
-            Self::Gem(params) => Self::Gem(GemParams { phase: gem::Phase::Sampling, spikes: Spikes::Keep, keep_clean: false, ..params }),
+            Self::Gem(params) => {
+                Self::Gem(GemParams { phase: gem::Phase::Sampling, spikes: Spikes::Keep, keep_clean: false, ..params })
+            }
             Self::Nlm(params) => Self::Nlm(params.while_sampling()),
         }
     }
@@ -235,7 +240,14 @@ impl Method {
     }
 
     /// Records what tells the kernels at a pixel, of a frame or as much of it around the pixel as they reach.
-    pub(crate) fn kernels(&self, rec: &mut Recorder, frame: FrameInput, pixel: IVec2, plan: &Plan, schedule: Schedule) -> Result<Vec<KernelOnGpu>> {
+    pub(crate) fn kernels(
+        &self,
+        rec: &mut Recorder,
+        frame: FrameInput,
+        pixel: IVec2,
+        plan: &Plan,
+        schedule: Schedule,
+    ) -> Result<Vec<KernelOnGpu>> {
         match self {
             Self::Dfc(params) => dfc::kernels(rec, frame, pixel, params, plan, schedule),
             Self::Gem(params) => gem::kernels(rec, frame, params, plan),
@@ -243,7 +255,8 @@ impl Method {
         }
     }
 
-    /// Records what the plan holds of the work on a frame, in a window with the frames `beside`, which are in its units. `progress` is called with the share of it that is recorded.
+    /// Records what the plan holds of the work on a frame, in a window with the frames `beside`, which are in its
+    /// units. `progress` is called with the share of it that is recorded.
     pub(crate) fn record(
         &self,
         rec: &mut Recorder,
@@ -255,11 +268,19 @@ impl Method {
     ) -> Result<GpuEstimate> {
         self.check_beside(beside.len())?;
         self.check_noise_is_known(frame.color.is_image_only())?;
-        let channels = |frame: &FrameInput| if self.uses_features() { frame.features.iter().map(|feature| feature.channels).collect() } else { Vec::new() };
+        let channels = |frame: &FrameInput| {
+            if self.uses_features() {
+                frame.features.iter().map(|feature| feature.channels).collect()
+            } else {
+                Vec::new()
+            }
+        };
         let shape = |frame: &FrameInput| (frame.extent, frame.color.has_halves, channels(frame));
         if beside.iter().any(|other| shape(other) != shape(&frame)) {
             return Err(Error::Request {
-                problem: "a frame of the window has another extent, other halves or other features than the one to denoise".into(),
+                problem:
+                    "a frame of the window has another extent, other halves or other features than the one to denoise"
+                        .into(),
                 remedy: "hand over frames that are rendered alike".into(),
             });
         }

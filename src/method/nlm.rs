@@ -1,4 +1,5 @@
-//! Denoising by non-local means (thesis chapter 7): two halves of the samples, each filtered with the weights of the other.
+//! Denoising by non-local means (thesis chapter 7): two halves of the samples, each filtered with the weights of the
+//! other.
 
 mod params;
 
@@ -22,23 +23,28 @@ use crate::stage::half::{Halves, half_join, half_split};
 use crate::stage::nlm::{Beside, CentreWeight, Filtered, Guide, Payload, Schedule, Weighting, nlm_filter};
 use crate::stage::sample::sample_attach;
 use crate::stage::select::{HARM, Noisy, select_frames_of_filtered};
-use crate::stage::variance::{BoxWeight, Floor, INPUT_SMOOTHING, VariancePair, variance_clamp, variance_floor, variance_pair};
+use crate::stage::variance::{
+    BoxWeight, Floor, INPUT_SMOOTHING, VariancePair, variance_clamp, variance_floor, variance_pair,
+};
 use crate::stage::window::{NLM_DISTANCE, NLM_WEIGHT, nlm_window};
 
 pub use params::{NlmParams, NlmVariance};
 
-pub(super) const INTERMEDIATES: [Intermediate; 4] = [Intermediate::Spikes, Intermediate::Variance, Intermediate::Halves, Intermediate::Density];
+pub(super) const INTERMEDIATES: [Intermediate; 4] =
+    [Intermediate::Spikes, Intermediate::Variance, Intermediate::Halves, Intermediate::Density];
 
 /// Thesis 7.1.3: lets pixels that missed a rare event be sampled where their neighbours recorded it.
 const ERROR_SMOOTHING_SIGMA: f32 = 0.8;
 
-/// Thesis 7.1.1: the small window keeps the peaks of the variance where the spikes are; α of 4 disregards differences below two standard deviations.
+/// Thesis 7.1.1: the small window keeps the peaks of the variance where the spikes are; α of 4 disregards differences
+/// below two standard deviations.
 const VARIANCE_WINDOW_RADIUS: u32 = 1;
 const VARIANCE_PATCH_RADIUS: u32 = 3;
 const VARIANCE_K: f32 = 0.45;
 const VARIANCE_ALPHA: f32 = 4.0;
 
-/// Non-local means. Uses no features. With frames `beside`, which are in the same units, its window reaches into them (thesis 7.3).
+/// Non-local means. Uses no features. With frames `beside`, which are in the same units, its window reaches into them
+/// (thesis 7.3).
 ///
 /// `progress` is called with the share of the work that is recorded.
 ///
@@ -59,7 +65,10 @@ pub(crate) fn nlm(
 
     // Variance estimation.
     let Prepared { color, signal, variance, halves, spikes } = &Prepared::new(rec, frame, params, plan, schedule)?;
-    let beside = beside.into_iter().map(|frame| Prepared::new(rec, frame, params, plan, schedule)).collect::<Result<Vec<_>>>()?;
+    let beside = beside
+        .into_iter()
+        .map(|frame| Prepared::new(rec, frame, params, plan, schedule))
+        .collect::<Result<Vec<_>>>()?;
     if let Some(spikes) = spikes {
         keeper.keep(Intermediate::Spikes, "spikes", &RGB, Unit::Color, &spikes.spikes, 0);
     }
@@ -67,11 +76,21 @@ pub(crate) fn nlm(
 
     // Dual-buffer filtering; without halves, and for comparison, the original with one buffer.
     let filter = |rec: &mut Recorder, buffers: &Buffers, others: &[Buffers], with_residual_variance: bool| {
-        let neighbours: Vec<_> = others.iter().map(|other| Beside { signal: other.guide, variance_of_mean: other.variance }).collect();
+        let neighbours: Vec<_> =
+            others.iter().map(|other| Beside { signal: other.guide, variance_of_mean: other.variance }).collect();
         let payloads: Vec<_> = others.iter().map(|other| other.payload).collect();
         let guide = Guide { beside: &neighbours, ..buffers.guide(params) };
         let payload = Payload { beside: &payloads, ..Payload::new(buffers.payload, buffers.payload_planes) };
-        nlm_filter(rec, extent, &guide, &payload, params.window_radius, params.weighting, with_residual_variance, schedule)
+        nlm_filter(
+            rec,
+            extent,
+            &guide,
+            &payload,
+            params.window_radius,
+            params.weighting,
+            with_residual_variance,
+            schedule,
+        )
     };
     let mut filtered_with = |rec: &mut Recorder, beside: &[Prepared], from: f32, to: f32| {
         let filtered = if let Some(halves) = halves {
@@ -84,13 +103,15 @@ pub(crate) fn nlm(
             let filtered_b = half(rec, Buffers::of_half_b)?;
             half_join(rec, extent, [&filtered_a, &filtered_b])?
         } else {
-            let others: Vec<_> = beside.iter().map(|frame| Buffers::of_signal(&frame.signal, &frame.variance)).collect();
+            let others: Vec<_> =
+                beside.iter().map(|frame| Buffers::of_signal(&frame.signal, &frame.variance)).collect();
             filter(rec, &Buffers::of_signal(signal, variance), &others, !has_halves && plan.runs(&Step::Error))?
         };
         progress(rec, to)?;
         Ok::<_, Error>(filtered)
     };
-    // Weights from the other half do not depend on the noise of what they average, so that SURE is had for nothing. Of the whole, the share of the work on the own frame alone.
+    // Weights from the other half do not depend on the noise of what they average, so that SURE is had for nothing. Of
+    // the whole, the share of the work on the own frame alone.
     let guarded = plan.begins(rec, Step::FilterAlone);
     let share = if guarded { 1.0 / (beside.len() as f32 + 2.0) } else { 0.0 };
     let alone = guarded.then(|| filtered_with(rec, &[], 0.0, share)).transpose()?;
@@ -106,7 +127,8 @@ pub(crate) fn nlm(
     let mut error = None;
     if plan.begins(rec, Step::Error) {
         let errors = error_halves(rec, extent, &filtered)?;
-        let errors = Arc::new(gaussian(rec, extent, &errors, 1, Gaussian::new(ERROR_SMOOTHING_SIGMA), Averaging::Mean)?);
+        let errors =
+            Arc::new(gaussian(rec, extent, &errors, 1, Gaussian::new(ERROR_SMOOTHING_SIGMA), Averaging::Mean)?);
         keeper.keep(Intermediate::Density, "density", &["V"], Unit::Number, &errors, 0);
         error = Some(Lane { buffer: errors, plane: 0, component: 1 });
     }
@@ -155,24 +177,41 @@ impl<'a> Buffers<'a> {
     }
 
     fn guide(&self, params: &NlmParams) -> Guide<'a> {
-        Guide { alpha: params.alpha, patchwise: params.patchwise, cut: params.cut, ..Guide::new(self.guide, self.variance, 3, params.k, params.patch_radius) }
+        Guide {
+            alpha: params.alpha,
+            patchwise: params.patchwise,
+            cut: params.cut,
+            ..Guide::new(self.guide, self.variance, 3, params.k, params.patch_radius)
+        }
     }
 }
 
 /// The kernels at a pixel: of both halves where they are filtered by each other.
-pub(super) fn kernels(rec: &mut Recorder, frame: FrameInput, pixel: IVec2, params: &NlmParams, plan: &Plan, schedule: Schedule) -> Result<Vec<KernelOnGpu>> {
+pub(super) fn kernels(
+    rec: &mut Recorder,
+    frame: FrameInput,
+    pixel: IVec2,
+    params: &NlmParams,
+    plan: &Plan,
+    schedule: Schedule,
+) -> Result<Vec<KernelOnGpu>> {
     let extent = frame.extent;
     let Prepared { signal, variance, halves, .. } = Prepared::new(rec, frame, params, plan, schedule)?;
     plan.begins(rec, Step::Filter);
     let mut weights = |buffers: Buffers| {
-        let cells = nlm_window(rec, extent, pixel, &buffers.guide(params), params.window_radius, params.weighting, schedule)?;
+        let cells =
+            nlm_window(rec, extent, pixel, &buffers.guide(params), params.window_radius, params.weighting, schedule)?;
         let color = Compared::Color { patch_radius: params.patch_radius, k: params.k };
         Ok::<_, Error>(WeightsOnGpu::Cells {
             cells: Arc::new(cells),
             window_radius: params.window_radius,
             weight: NLM_WEIGHT,
             distances: vec![(color, NLM_DISTANCE)],
-            rule: if params.patchwise { WeightRule::PatchMean { cut: params.cut } } else { WeightRule::Cut { cut: params.cut } },
+            rule: if params.patchwise {
+                WeightRule::PatchMean { cut: params.cut }
+            } else {
+                WeightRule::Cut { cut: params.cut }
+            },
             centre: params.weighting.centre,
             limit: None,
         })
@@ -225,18 +264,23 @@ impl Prepared {
                     problem: "the variance is to be the same everywhere, but the frame does not say its mean".into(),
                     remedy: "set `GpuFrame::mean_variance`, or choose another `NlmParams::variance`".into(),
                 })?;
-                Arc::new(rec.upload("uniform variance", &of_channels.extend(0.0).to_array().repeat((extent.x * extent.y) as usize))?)
+                Arc::new(rec.upload(
+                    "uniform variance",
+                    &of_channels.extend(0.0).to_array().repeat((extent.x * extent.y) as usize),
+                )?)
             }
         };
-        let variance = Arc::new(variance_floor(rec, extent, &color.signal, &variance, Floor::of_color(params.keep_clean))?);
+        let variance =
+            Arc::new(variance_floor(rec, extent, &color.signal, &variance, Floor::of_color(params.keep_clean))?);
         let signal = sample_attach(rec, extent, &color.signal, &samples)?;
         let halves = plan.begins(rec, Step::Halves).then(|| half_split(rec, extent, &signal, &variance)).transpose()?;
         Ok(Self { color, signal, variance, halves, spikes })
     }
 }
 
-/// Scaled as in thesis 8.2, and held below the sample variance as in 7.1.1. Measured on six renders with 8 and 32 samples per pixel, holding it saves single dark pixels beside
-/// bright noise (relative MSE of `caustic_ring` at 32 spp 0.0199 without, 0.0075 with; `dof_spheres` 0.0050 and 0.0048) and changes no other by more than 2 %.
+/// Scaled as in thesis 8.2, and held below the sample variance as in 7.1.1. Measured on six renders with 8 and 32
+/// samples per pixel, holding it saves single dark pixels beside bright noise (relative MSE of `caustic_ring` at 32 spp
+/// 0.0199 without, 0.0075 with; `dof_spheres` 0.0050 and 0.0048) and changes no other by more than 2 %.
 fn scaled_variance(rec: &mut Recorder, extent: IVec2, color: &GpuSignal) -> Result<Arc<Buffer>> {
     let scaled = input_variance(rec, extent, color, BoxWeight::Deviation)?;
     match color.variance_of_mean.as_ref().filter(|_| color.has_halves) {
@@ -245,16 +289,35 @@ fn scaled_variance(rec: &mut Recorder, extent: IVec2, color: &GpuSignal) -> Resu
     }
 }
 
-/// The two-buffer variance, unbiased and very noisy, filtered with weights from the sample variance, which has its structure, and held below it. Of the mean of both halves;
-/// everything here scales alike, so that the filter is that of the source, which speaks of one half.
-fn cross_filtered_variance(rec: &mut Recorder, extent: IVec2, color: &GpuSignal, weighting: Weighting, schedule: Schedule) -> Result<Arc<Buffer>> {
+/// The two-buffer variance, unbiased and very noisy, filtered with weights from the sample variance, which has its
+/// structure, and held below it. Of the mean of both halves; everything here scales alike, so that the filter is that
+/// of the source, which speaks of one half.
+fn cross_filtered_variance(
+    rec: &mut Recorder,
+    extent: IVec2,
+    color: &GpuSignal,
+    weighting: Weighting,
+    schedule: Schedule,
+) -> Result<Arc<Buffer>> {
     let Some(sample_variance) = color.variance_of_mean.as_ref().filter(|_| color.has_halves) else {
         return input_variance(rec, extent, color, BoxWeight::Deviation);
     };
     let VariancePair { two_buffer_variance, uncertainty } = variance_pair(rec, extent, &color.signal, sample_variance)?;
     let uncertainty = variance_floor(rec, extent, sample_variance, &uncertainty, Floor::Printed)?;
-    let guide = Guide { alpha: VARIANCE_ALPHA, ..Guide::new(sample_variance, &uncertainty, 3, VARIANCE_K, VARIANCE_PATCH_RADIUS) };
-    let filtered = nlm_filter(rec, extent, &guide, &Payload::new(&two_buffer_variance, 1), VARIANCE_WINDOW_RADIUS, weighting, false, schedule)?;
+    let guide = Guide {
+        alpha: VARIANCE_ALPHA,
+        ..Guide::new(sample_variance, &uncertainty, 3, VARIANCE_K, VARIANCE_PATCH_RADIUS)
+    };
+    let filtered = nlm_filter(
+        rec,
+        extent,
+        &guide,
+        &Payload::new(&two_buffer_variance, 1),
+        VARIANCE_WINDOW_RADIUS,
+        weighting,
+        false,
+        schedule,
+    )?;
     Ok(Arc::new(variance_clamp(rec, extent, &filtered.planes, sample_variance)?))
 }
 
@@ -264,8 +327,8 @@ impl From<NlmParams> for Method {
     }
 }
 
-/// The steps in the order of [`nlm`]. A frame without noise is not simply copied: where a patch leaves the image, opposite neighbours that stand for each other get unequal weights,
-/// and what is exact moves.
+/// The steps in the order of [`nlm`]. A frame without noise is not simply copied: where a patch leaves the image,
+/// opposite neighbours that stand for each other get unequal weights, and what is exact moves.
 pub(super) fn plan(params: &NlmParams, facts: &Facts, wishes: &Wishes) -> Plan {
     let mut plan = Planner::new(wishes);
     plan.noise(params.pooling(), facts);
@@ -283,13 +346,20 @@ pub(super) fn plan(params: &NlmParams, facts: &Facts, wishes: &Wishes) -> Plan {
     let guard = [
         impossible(facts.beside == 0, "there are no frames beside"),
         impossible(!params.guard_frames, "there is no guard"),
-        impossible(!by_halves || params.weighting.centre != CentreWeight::One, "the guard needs weights from the other half, and a centre of weight one"),
+        impossible(
+            !by_halves || params.weighting.centre != CentreWeight::One,
+            "the guard needs weights from the other half, and a centre of weight one",
+        ),
     ];
     plan.step(Step::FilterAlone, "to judge the frames beside by", &guard);
     plan.step(Step::Filter, "makes the result", &[]);
     plan.step(Step::Frames, "where they harm, frames beside are left out", &guard);
     let unwanted = !wishes.error && !wishes.keeps(Intermediate::Density);
-    plan.step(Step::Error, "what the filtered halves, or weights, show", &[needless(unwanted, "neither the error nor the sampling density is wanted")]);
+    plan.step(
+        Step::Error,
+        "what the filtered halves, or weights, show",
+        &[needless(unwanted, "neither the error nor the sampling density is wanted")],
+    );
     plan.keep_clean(params.keep_clean);
     plan.finish()
 }
@@ -297,8 +367,8 @@ pub(super) fn plan(params: &NlmParams, facts: &Facts, wishes: &Wishes) -> Plan {
 /// Counted from [`nlm`]: what is dropped is used again.
 pub(super) fn footprint(params: &NlmParams, facts: &Facts, kept: bool, schedule: Schedule) -> Footprint {
     let beside = facts.beside;
-    // Variance 1 and with its floor 1, signal with samples 2, halves and their variance 3, filtered halves and weights 4, joined 3; later errors 3 and what is kept clean 2 in
-    // place of the filtered halves.
+    // Variance 1 and with its floor 1, signal with samples 2, halves and their variance 3, filtered halves and weights
+    // 4, joined 3; later errors 3 and what is kept clean 2 in place of the filtered halves.
     let later = 15;
     let (repaired, found) = params.spikes.planes();
     // Filtered over the own frame.
@@ -307,9 +377,14 @@ pub(super) fn footprint(params: &NlmParams, facts: &Facts, kept: bool, schedule:
     let kept = if kept { 3 } else { 0 };
     Footprint {
         halo: halo_with(params, params.pooling().reach(facts)) as usize,
-        // All frames are uploaded before the first is prepared; variance, signal and halves of the others stay until the end.
-        // What was found in them is kept as long, and one is repaired after the other.
-        live_planes: (UPLOADED_PLANES + found) * (1 + beside as u64) + repaired + later + kept + alone + 6 * beside as u64,
+        // All frames are uploaded before the first is prepared; variance, signal and halves of the others stay until
+        // the end. What was found in them is kept as long, and one is repaired after the other.
+        live_planes: (UPLOADED_PLANES + found) * (1 + beside as u64)
+            + repaired
+            + later
+            + kept
+            + alone
+            + 6 * beside as u64,
         largest_planes: params.spikes.largest_planes().max(2),
         // The column sums of distances and those of weights.
         scratch_bytes: 2 * schedule.scratch_bytes,

@@ -11,7 +11,9 @@ use super::plan::{Facts, Plan, Step};
 use crate::error::Result;
 use crate::frame::FeatureKind;
 use crate::gpu::Recorder;
-use crate::stage::noise::{ImageRule, NoiseRule, NoisyFeatures, noise_feature, noise_of_image, noise_pool, noise_unpack};
+use crate::stage::noise::{
+    ImageRule, NoiseRule, NoisyFeatures, noise_feature, noise_of_image, noise_pool, noise_unpack,
+};
 
 /// Which variances of the mean a method pools over pixels that are alike.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -33,7 +35,8 @@ impl Pooling {
         }
     }
 
-    /// How far around a pixel its variance depends on such a frame, in pixels, before it is smoothed or brought to scale.
+    /// How far around a pixel its variance depends on such a frame, in pixels, before it is smoothed or brought to
+    /// scale.
     pub(super) fn reach(self, facts: &Facts) -> u32 {
         match (self.finds_any(facts), facts.is_image_only()) {
             (false, _) => 0,
@@ -58,8 +61,15 @@ pub(super) fn largest_noise_reach(plan: &Plan) -> u32 {
 pub(super) const POOLING_RADIUS: u32 = NoiseRule::HALVES.window_radius;
 
 /// Gives the colour and the features variances of the mean where they have none: from their halves, or, of a colour of
-/// whose noise nothing is known, from the image itself. By [`Pooling::All`], that of a colour with halves is pooled, too.
-pub(super) fn estimate_noise(rec: &mut Recorder, extent: IVec2, color: &mut GpuSignal, features: &mut [FeatureInput], pooling: Pooling) -> Result<()> {
+/// whose noise nothing is known, from the image itself. By [`Pooling::All`], that of a colour with halves is pooled,
+/// too.
+pub(super) fn estimate_noise(
+    rec: &mut Recorder,
+    extent: IVec2,
+    color: &mut GpuSignal,
+    features: &mut [FeatureInput],
+    pooling: Pooling,
+) -> Result<()> {
     let rule = if color.variance_of_mean.is_some() { NoiseRule::VARIANCE } else { NoiseRule::HALVES };
     let channels: Vec<u32> = features.iter().map(|feature| feature.channels).collect();
     let mut lacking = vec![false; features.len()];
@@ -77,7 +87,8 @@ pub(super) fn estimate_noise(rec: &mut Recorder, extent: IVec2, color: &mut GpuS
     }
     if color.is_image_only() {
         let may_explain = |kind| matches!(kind, FeatureKind::Albedo | FeatureKind::Normal);
-        let explaining: Vec<usize> = (0..features.len()).filter(|&index| channels[index] == 3 && may_explain(features[index].kind)).collect();
+        let explaining: Vec<usize> =
+            (0..features.len()).filter(|&index| channels[index] == 3 && may_explain(features[index].kind)).collect();
         let variance = noise_of_image(rec, extent, &color.signal, noisy.as_ref(), &explaining, &ImageRule::DEFAULT)?;
         color.variance_of_mean = Some(Arc::new(variance));
         return Ok(());

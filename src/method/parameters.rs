@@ -18,7 +18,9 @@ impl Method {
         let about = |method: &Self| match method {
             Self::Dfc(_) => "Combined colour and feature filters.",
             Self::Gem(_) => "Greedy error minimisation over Gaussian scales; needs no features.",
-            Self::Nlm(_) => "Non-local means, each half of the samples filtered with the weights of the other; needs no features.",
+            Self::Nlm(_) => {
+                "Non-local means, each half of the samples filtered with the weights of the other; needs no features."
+            }
         };
         Self::all().map(|method| Choice { name: method.name(), documentation: about(&method).into() })
     }
@@ -62,16 +64,16 @@ impl Method {
     /// ```
     ///
     /// # Errors
-    /// [`Error::Request`] naming the parameter and its range: where there is none of that name, where a group that it is in is left out, where it cannot be `value`, or where
-    /// that contradicts the other parameters.
+    /// [`Error::Request`] naming the parameter and its range: where there is none of that name, where a group that it
+    /// is in is left out, where it cannot be `value`, or where that contradicts the other parameters.
     pub fn with_parameter(self, name: &str, value: impl Into<Value>) -> Result<Self> {
         let method = self.with_unchecked(name, &value.into())?;
         method.validate()?;
         Ok(method)
     }
 
-    /// The same with other values of several parameters, by name and value as people write them; see [`Parameter::parse`].
-    /// Later ones build on earlier ones; together they must not contradict each other.
+    /// The same with other values of several parameters, by name and value as people write them; see
+    /// [`Parameter::parse`]. Later ones build on earlier ones; together they must not contradict each other.
     ///
     /// # Errors
     /// As [`Method::with_parameter`].
@@ -79,7 +81,8 @@ impl Method {
         let mut method = self;
         for (name, text) in settings {
             let listed = method.parameters();
-            let parameter = listed.iter().find(|parameter| parameter.name == name).ok_or_else(|| method.has_no(name))?;
+            let parameter =
+                listed.iter().find(|parameter| parameter.name == name).ok_or_else(|| method.has_no(name))?;
             method = method.with_unchecked(name, &parameter.parse(text)?)?;
         }
         method.validate()?;
@@ -94,9 +97,14 @@ impl Method {
         };
         let value = parameter.settle(value)?;
         if parameter.value.is_none() {
-            let is_out = |group: &&Parameter| group.kind == Kind::Group && group.value == Some(Value::Flag(false)) && parameter.is_in(&group.name);
+            let is_out = |group: &&Parameter| {
+                group.kind == Kind::Group && group.value == Some(Value::Flag(false)) && parameter.is_in(&group.name)
+            };
             let group = listed.iter().find(is_out).map_or("", |group| &group.name);
-            return Err(Error::Request { problem: format!("`{name}` is none where `{group}` is left out"), remedy: format!("make `{group}` true before") });
+            return Err(Error::Request {
+                problem: format!("`{name}` is none where `{group}` is left out"),
+                remedy: format!("make `{group}` true before"),
+            });
         }
         match &mut self {
             Self::Dfc(params) => params.set(name, &value),
@@ -110,7 +118,10 @@ impl Method {
     fn has_no(&self, name: &str) -> Error {
         let listed = self.parameters();
         let names_in = |group: &str| {
-            let names = listed.iter().filter(|parameter| group.is_empty() || parameter.is_in(group)).map(|parameter| parameter.name.as_str());
+            let names = listed
+                .iter()
+                .filter(|parameter| group.is_empty() || parameter.is_in(group))
+                .map(|parameter| parameter.name.as_str());
             names.collect::<Vec<_>>().join(", ")
         };
         let own = self.name();
@@ -118,8 +129,13 @@ impl Method {
         let others = others.map(|other| other.name()).collect::<Vec<_>>().join(" and ");
         let beside = names_in(name.rsplit_once('.').map_or("", |(group, _)| group));
         let (problem, remedy) = match (names_in(name), beside) {
-            (members, _) if !members.is_empty() => (format!("`{name}` is a group of parameters"), format!("set one of {members}")),
-            _ if !others.is_empty() => (format!("`{name}` is no parameter of {own}, but of {others}"), "leave it out, or choose another method".into()),
+            (members, _) if !members.is_empty() => {
+                (format!("`{name}` is a group of parameters"), format!("set one of {members}"))
+            }
+            _ if !others.is_empty() => (
+                format!("`{name}` is no parameter of {own}, but of {others}"),
+                "leave it out, or choose another method".into(),
+            ),
             (_, beside) => {
                 let names = if beside.is_empty() { names_in("") } else { beside };
                 (format!("`{name}` is no parameter of {own}"), format!("leave it out, or choose one of {names}"))

@@ -1,4 +1,5 @@
-//! What of a method a frame needs, settled before anything runs: by the parameters, by what is wanted, and by looking at the frame.
+//! What of a method a frame needs, settled before anything runs: by the parameters, by what is wanted, and by looking
+//! at the frame.
 //!
 //! A method asks its plan at every step, so that the plan is what happens and not a description beside it.
 
@@ -44,7 +45,8 @@ pub struct PlannedStep {
     exact: Option<ExactTiles>,
 }
 
-/// What a method may do. Times are told under the name of the step ([`Gpu::step_timings`](crate::gpu::Gpu::step_timings)).
+/// What a method may do. Times are told under the name of the step
+/// ([`Gpu::step_timings`](crate::gpu::Gpu::step_timings)).
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Step {
     /// Variances that nothing gives, estimated.
@@ -135,15 +137,29 @@ impl Step {
         name.to_owned()
     }
 
-    /// Whether [`kernels`](super::kernels) are made by it: left out, it tells why a filter is missing, or what neighbours are not told apart by.
+    /// Whether [`kernels`](super::kernels) are made by it: left out, it tells why a filter is missing, or what
+    /// neighbours are not told apart by.
     pub fn makes_kernels(&self) -> bool {
         match self {
-            Self::Noise | Self::Spikes | Self::Variance | Self::Feature(_) | Self::Prefilter(_) | Self::Features => true,
-            Self::Candidates | Self::Candidate(_) | Self::ColorOnly | Self::SecondPass | Self::Halves | Self::Filter | Self::Scales => true,
-            Self::Derivatives | Self::HalfSpread | Self::Channels | Self::Frames | Self::FilterAlone => false,
-            Self::Sure | Self::SureSmoothing | Self::Selection | Self::SelectionSmoothing | Self::Blend | Self::Density | Self::Error | Self::KeepClean => {
-                false
+            Self::Noise | Self::Spikes | Self::Variance | Self::Feature(_) | Self::Prefilter(_) | Self::Features => {
+                true
             }
+            Self::Candidates
+            | Self::Candidate(_)
+            | Self::ColorOnly
+            | Self::SecondPass
+            | Self::Halves
+            | Self::Filter
+            | Self::Scales => true,
+            Self::Derivatives | Self::HalfSpread | Self::Channels | Self::Frames | Self::FilterAlone => false,
+            Self::Sure
+            | Self::SureSmoothing
+            | Self::Selection
+            | Self::SelectionSmoothing
+            | Self::Blend
+            | Self::Density
+            | Self::Error
+            | Self::KeepClean => false,
         }
     }
 }
@@ -171,7 +187,10 @@ impl Plan {
 
     /// The same for a part of the frame that begins at this pixel.
     pub(crate) fn starting_at(&self, first: IVec2) -> Self {
-        let moved = |planned: &PlannedStep| PlannedStep { exact: planned.exact.as_ref().map(|exact| exact.starting_at(first)), ..planned.clone() };
+        let moved = |planned: &PlannedStep| PlannedStep {
+            exact: planned.exact.as_ref().map(|exact| exact.starting_at(first)),
+            ..planned.clone()
+        };
         Self { steps: self.steps.iter().map(moved).collect(), ..self.clone() }
     }
 
@@ -242,7 +261,13 @@ impl Facts {
     pub(crate) fn of_window(frames: &[&Frame], centre: usize, units: &Units, with_features: bool) -> Self {
         let frame = frames[centre];
         let features = units.features.iter().map(|feature| {
-            let in_all_frames = || frames.iter().flat_map(|frame| frame.features()).filter(|other| other.name == feature.name).map(|other| &other.signal);
+            let in_all_frames = || {
+                frames
+                    .iter()
+                    .flat_map(|frame| frame.features())
+                    .filter(|other| other.name == feature.name)
+                    .map(|other| &other.signal)
+            };
             FeatureFacts {
                 name: feature.name.clone(),
                 channels: feature.signal.mean.channels() as u32,
@@ -255,7 +280,8 @@ impl Facts {
         let is_used = |feature: &Feature| units.features.iter().any(|used| used.name == feature.name);
         let all_tell = frames.iter().all(|frame| frame.color().noise_knowledge().is_some());
         let lacking = frame.features().iter().filter(|feature| !is_used(feature));
-        let lacking = lacking.map(|feature| (feature.name.clone(), "a frame beside lacks it, or has it the same everywhere"));
+        let lacking =
+            lacking.map(|feature| (feature.name.clone(), "a frame beside lacks it, or has it the same everywhere"));
         Self {
             has_halves: frame.color().half_spread.is_some(),
             has_sample_variance: frame.color().variance_of_mean.is_some(),
@@ -305,7 +331,8 @@ impl Facts {
     /// Whether the colour, or a feature with noise, has no sample variance. Features are judged beside the colour's
     /// halves.
     pub(super) fn lacks_variance(&self) -> bool {
-        let features_lack = || self.features.iter().any(|feature| feature.noise_is_told && !feature.has_sample_variance);
+        let features_lack =
+            || self.features.iter().any(|feature| feature.noise_is_told && !feature.has_sample_variance);
         !self.has_sample_variance || self.has_halves && features_lack()
     }
 
@@ -319,8 +346,8 @@ impl Facts {
         self.exact(feature.noise.as_ref(), feature.has_sample_variance, reach)
     }
 
-    /// Without sample variance, the variance that a filter takes is pooled or smoothed, and reaches further than the noise.
-    /// Where few tiles are exact, that is not worth a thing.
+    /// Without sample variance, the variance that a filter takes is pooled or smoothed, and reaches further than the
+    /// noise. Where few tiles are exact, that is not worth a thing.
     fn exact(&self, noise: Option<&NoiseTiles>, has_sample_variance: bool, reach: u32) -> Option<ExactTiles> {
         let smoothing = if has_sample_variance { 0 } else { INPUT_SMOOTHING.radius.max(POOLING_RADIUS) };
         let exact = ExactTiles::new(noise?.exact((reach + smoothing) as usize), self.tile_columns, TILE);
@@ -379,13 +406,21 @@ impl Planner {
     pub(super) fn step(&mut self, step: Step, because: &str, unless: &[Unless]) -> bool {
         let reason = unless.iter().find(|unless| unless.holds && !(unless.could_run && self.everything));
         let (runs, why) = reason.map_or((true, because), |reason| (false, reason.why));
-        self.steps.push(PlannedStep { step, runs, why: why.to_owned(), skipped: if runs { 0.0 } else { 1.0 }, exact: None });
+        self.steps.push(PlannedStep {
+            step,
+            runs,
+            why: why.to_owned(),
+            skipped: if runs { 0.0 } else { 1.0 },
+            exact: None,
+        });
         runs
     }
 
     /// Leaves the last step out in these tiles, if it runs.
     pub(super) fn but_for(&mut self, exact: Option<&ExactTiles>) {
-        if let (Some(planned), Some(exact)) = (self.steps.last_mut().filter(|planned| planned.runs && !self.everything), exact) {
+        if let (Some(planned), Some(exact)) =
+            (self.steps.last_mut().filter(|planned| planned.runs && !self.everything), exact)
+        {
             planned.skipped = exact.share();
             planned.exact = Some(exact.clone());
         }
@@ -402,7 +437,10 @@ impl Planner {
             (false, true, Pooling::All) => "known from the variance, pooled",
             (false, true, Pooling::Off | Pooling::Lacking) => "of features, known from two seeds, pooled",
         };
-        let unless = [impossible(pooling == Pooling::Off, "the parameters leave it out"), needless(facts.is_noise_free(), "no pixel has noise")];
+        let unless = [
+            impossible(pooling == Pooling::Off, "the parameters leave it out"),
+            needless(facts.is_noise_free(), "no pixel has noise"),
+        ];
         self.step(Step::Noise, because, &unless);
     }
 
@@ -413,12 +451,20 @@ impl Planner {
             (false, Pooling::Lacking) | (_, Pooling::All) => "the pooled variance, scaled by the halves",
             (false, Pooling::Off) => "the squared half spread, smoothed",
         };
-        self.step(Step::Variance, because, &[impossible(!facts.has_halves, "without halves the variance is taken as it is")]);
+        self.step(
+            Step::Variance,
+            because,
+            &[impossible(!facts.has_halves, "without halves the variance is taken as it is")],
+        );
     }
 
     /// What has no noise stays.
     pub(super) fn keep_clean(&mut self, keep_clean: bool) {
-        self.step(Step::KeepClean, "pixels without noise stay as they are", &[impossible(!keep_clean, "the parameters leave it out")]);
+        self.step(
+            Step::KeepClean,
+            "pixels without noise stay as they are",
+            &[impossible(!keep_clean, "the parameters leave it out")],
+        );
     }
 
     pub(super) fn finish(self) -> Plan {
@@ -429,7 +475,13 @@ impl Planner {
     pub(super) fn leave_all_out(mut self, why: &str) -> Plan {
         for planned in &mut self.steps {
             if planned.runs {
-                *planned = PlannedStep { step: planned.step.clone(), runs: false, why: why.to_owned(), skipped: 1.0, exact: None };
+                *planned = PlannedStep {
+                    step: planned.step.clone(),
+                    runs: false,
+                    why: why.to_owned(),
+                    skipped: 1.0,
+                    exact: None,
+                };
             }
         }
         self.finish()

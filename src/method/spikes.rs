@@ -15,8 +15,8 @@ use crate::stage::feature::Features;
 use crate::stage::spike::{SpikeRule, spike_find, spike_spread};
 
 choices! {
-    /// What becomes of spikes: pixels far above those of their kind around them, that rest on very few samples for it. The more samples there are, the fewer pixels are spikes, and
-    /// where a pixel has no noise it is none.
+    /// What becomes of spikes: pixels far above those of their kind around them, that rest on very few samples for it.
+    /// The more samples there are, the fewer pixels are spikes, and where a pixel has no noise it is none.
     ///
     /// | on the command line | a spike | its energy |
     /// | --- | --- | --- |
@@ -40,7 +40,8 @@ choices! {
 pub struct SpikeReport {
     /// Number of spikes.
     pub pixels: usize,
-    /// What was taken from them, as a share of the whole image's energy: the sum of the colour over pixels and channels.
+    /// What was taken from them, as a share of the whole image's energy: the sum of the colour over pixels and
+    /// channels.
     pub taken: f64,
     /// What the pixels around got of it, as the same share.
     pub spread: f64,
@@ -52,7 +53,12 @@ impl fmt::Display for SpikeReport {
         let percent = |share: f64| format!("{:.2} %", 100.0 * share);
         match pixels {
             0 => f.write_str("colour: no spikes"),
-            _ => write!(f, "colour: {pixels} spikes taken out with {} of the energy, of which the pixels around got {}", percent(*taken), percent(*spread)),
+            _ => write!(
+                f,
+                "colour: {pixels} spikes taken out with {} of the energy, of which the pixels around got {}",
+                percent(*taken),
+                percent(*spread)
+            ),
         }
     }
 }
@@ -73,7 +79,8 @@ impl Spikes {
         match self {
             Self::Keep => 0,
             Self::Clamp => window_radius + of_features,
-            // How many pixels a spike is spread over is counted around the spike; their levels are those of repaired pixels around them.
+            // How many pixels a spike is spread over is counted around the spike; their levels are those of repaired
+            // pixels around them.
             Self::Spread => 2 * spread_radius + 1 + window_radius + of_features,
         }
     }
@@ -94,13 +101,22 @@ impl Spikes {
             Self::Clamp => "what rests on few samples is cut off",
             Self::Keep | Self::Spread => "what rests on few samples is spread",
         };
-        let unless = [impossible(self == Self::Keep, "the parameters leave it out"), impossible(facts.is_noise_free(), "no pixel has noise")];
+        let unless = [
+            impossible(self == Self::Keep, "the parameters leave it out"),
+            impossible(facts.is_noise_free(), "no pixel has noise"),
+        ];
         plan.step(Step::Spikes, because, &unless);
     }
 
     /// A colour without spikes and lights of few pixels, and what was found. Features tell which pixels are
     /// of one kind.
-    pub(super) fn repair(self, rec: &mut Recorder, extent: IVec2, color: GpuSignal, features: Option<&Features>) -> Result<(GpuSignal, Option<Found>)> {
+    pub(super) fn repair(
+        self,
+        rec: &mut Recorder,
+        extent: IVec2,
+        color: GpuSignal,
+        features: Option<&Features>,
+    ) -> Result<(GpuSignal, Option<Found>)> {
         if self == Self::Keep {
             return Ok((color, None));
         }
@@ -109,7 +125,11 @@ impl Spikes {
         if self == Self::Spread {
             spike_spread(rec, extent, features, &rule, &mut repaired)?;
         }
-        let color = GpuSignal { signal: Arc::new(repaired.signal), variance_of_mean: repaired.variance_of_mean.map(Arc::new), has_halves: color.has_halves };
+        let color = GpuSignal {
+            signal: Arc::new(repaired.signal),
+            variance_of_mean: repaired.variance_of_mean.map(Arc::new),
+            has_halves: color.has_halves,
+        };
         Ok((color, Some(Found { spikes: Arc::new(repaired.spikes), lights: Arc::new(repaired.lights) })))
     }
 }

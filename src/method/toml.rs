@@ -17,24 +17,32 @@ const MOST_BYTES: u64 = 1 << 20;
 const WIDTH: usize = 100;
 
 impl Method {
-    /// All parameters as a TOML document, each with the first sentence of its documentation and its range, that names `preset` as what it set out from. What is left out, a
-    /// group or a number, is `false` there.
+    /// All parameters as a TOML document, each with the first sentence of its documentation and its range, that names
+    /// `preset` as what it set out from. What is left out, a group or a number, is `false` there.
     pub fn to_toml(&self, preset: Preset) -> String {
         let mut document = String::new();
-        comment(&mut document, "Parameters for `stein denoise --params FILE`. What is not said here is as in the preset.");
+        comment(
+            &mut document,
+            "Parameters for `stein denoise --params FILE`. What is not said here is as in the preset.",
+        );
         let (method, preset) = (self.name(), preset.name());
         // Writing to a string cannot fail.
         let _ = writeln!(document, "method = \"{method}\"\npreset = \"{preset}\"");
         let parameters = self.parameters();
         let there = || parameters.iter().filter_map(|parameter| Some((parameter, parameter.value.as_ref()?)));
-        let is_table = |parameter: &Parameter, value: &Value| parameter.kind == Kind::Group && *value == Value::Flag(true);
+        let is_table =
+            |parameter: &Parameter, value: &Value| parameter.kind == Kind::Group && *value == Value::Flag(true);
         // A key behind the head of a table is one of the table.
-        for (parameter, value) in there().filter(|(parameter, value)| !parameter.name.contains('.') && !is_table(parameter, value)) {
+        for (parameter, value) in
+            there().filter(|(parameter, value)| !parameter.name.contains('.') && !is_table(parameter, value))
+        {
             document.push('\n');
             pair(&mut document, parameter, &parameter.name, value);
         }
         let mut last_table = "";
-        for (parameter, value) in there().filter(|(parameter, value)| parameter.name.contains('.') || is_table(parameter, value)) {
+        for (parameter, value) in
+            there().filter(|(parameter, value)| parameter.name.contains('.') || is_table(parameter, value))
+        {
             let (table, key) = match parameter.name.rsplit_once('.') {
                 _ if is_table(parameter, value) => (parameter.name.as_str(), None),
                 Some((table, key)) => (table, Some(key)),
@@ -43,7 +51,13 @@ impl Method {
             document.push('\n');
             if table != last_table {
                 if key.is_none() {
-                    comment(&mut document, &format!("{} In place of this table, `{table} = false` above leaves it out.", parameter.summary()));
+                    comment(
+                        &mut document,
+                        &format!(
+                            "{} In place of this table, `{table} = false` above leaves it out.",
+                            parameter.summary()
+                        ),
+                    );
                 }
                 let _ = writeln!(document, "[{table}]");
                 last_table = table;
@@ -55,8 +69,9 @@ impl Method {
         document
     }
 
-    /// The method and parameters that a TOML document describes, and the preset that it sets out from. `method` and `preset` are `"dfc"` and `"default"` where it does not say;
-    /// every other key is the name of a parameter, which has the value of the preset where it is not said. A table of a group that can be left out puts it in.
+    /// The method and parameters that a TOML document describes, and the preset that it sets out from. `method` and
+    /// `preset` are `"dfc"` and `"default"` where it does not say; every other key is the name of a parameter, which
+    /// has the value of the preset where it is not said. A table of a group that can be left out puts it in.
     ///
     /// ```
     /// use stein::{Method, Preset};
@@ -68,12 +83,15 @@ impl Method {
     /// ```
     ///
     /// # Errors
-    /// [`Error::Request`] with the line, the key and what to do: text that is not TOML, keys that are no parameters of the method, values of a wrong type or out of range, and
-    /// parameters that contradict each other.
+    /// [`Error::Request`] with the line, the key and what to do: text that is not TOML, keys that are no parameters of
+    /// the method, values of a wrong type or out of range, and parameters that contradict each other.
     pub fn from_toml(document: &str) -> Result<(Self, Preset)> {
         let parsed = DeTable::parse(document).map_err(|error| {
             let at = error.span().map_or(document.len(), |span| span.start);
-            in_line(document, at)(refused(format!("this is not TOML: {}", error.message()), "write it like `window_radius = 10`"))
+            in_line(document, at)(refused(
+                format!("this is not TOML: {}", error.message()),
+                "write it like `window_radius = 10`",
+            ))
         })?;
         let mut entries = Vec::new();
         flatten("", parsed.get_ref(), &mut entries);
@@ -84,12 +102,16 @@ impl Method {
             let Some(index) = entries.iter().position(|entry| entry.name == key) else { return Ok(None) };
             let Entry { at, value, .. } = entries.remove(index);
             let found = value.as_str().and_then(|word| names.iter().position(|name| *name == word));
-            let wrong = || refused(format!("`{key}` cannot be {}", shown(value)), format!("choose one of {}", names.join(", ")));
+            let wrong = || {
+                refused(format!("`{key}` cannot be {}", shown(value)), format!("choose one of {}", names.join(", ")))
+            };
             found.map(Some).ok_or_else(|| in_line(document, at)(wrong()))
         };
         let methods = Self::all();
-        let base = word("method", &methods.map(|method| method.name()))?.map_or_else(Self::default, |index| methods[index]);
-        let preset = word("preset", &Preset::ALL.iter().map(|preset| preset.name()).collect::<Vec<_>>())?.map_or(Preset::Default, |index| Preset::ALL[index]);
+        let base =
+            word("method", &methods.map(|method| method.name()))?.map_or_else(Self::default, |index| methods[index]);
+        let preset = word("preset", &Preset::ALL.iter().map(|preset| preset.name()).collect::<Vec<_>>())?
+            .map_or(Preset::Default, |index| Preset::ALL[index]);
 
         let mut method = base.of_preset(preset);
         for Entry { at, name, value } in entries {
@@ -123,7 +145,9 @@ impl Method {
             (Some(Parameter { kind: Kind::Group, .. }), DeValue::Table(_)) => Value::Flag(true),
             // The method tells what is wrong with the name.
             (None, _) => Value::Flag(true),
-            (Some(parameter), value) => read(value).filter(|read| parameter.kind.contains(read)).ok_or_else(|| parameter.refused(shown(value)))?,
+            (Some(parameter), value) => read(value)
+                .filter(|read| parameter.kind.contains(read))
+                .ok_or_else(|| parameter.refused(shown(value)))?,
         };
         self.with_unchecked(name, &value)
     }
@@ -161,7 +185,9 @@ fn read(value: &DeValue<'_>) -> Option<Value> {
         // Its digits, not a number of another precision between.
         DeValue::Float(number) => number.as_str().parse().ok().map(Value::Number),
         DeValue::String(word) => Some(Value::Choice(word.to_string())),
-        DeValue::Array(words) => words.iter().map(|word| word.get_ref().as_str().map(str::to_owned)).collect::<Option<_>>().map(Value::Set),
+        DeValue::Array(words) => {
+            words.iter().map(|word| word.get_ref().as_str().map(str::to_owned)).collect::<Option<_>>().map(Value::Set)
+        }
         DeValue::Datetime(_) | DeValue::Table(_) => None,
     }
 }
@@ -174,7 +200,9 @@ fn shown(value: &DeValue<'_>) -> String {
         DeValue::Float(number) => number.to_string(),
         DeValue::String(word) => format!("{word:?}"),
         DeValue::Datetime(time) => time.to_string(),
-        DeValue::Array(values) => format!("[{}]", values.iter().map(|value| shown(value.get_ref())).collect::<Vec<_>>().join(", ")),
+        DeValue::Array(values) => {
+            format!("[{}]", values.iter().map(|value| shown(value.get_ref())).collect::<Vec<_>>().join(", "))
+        }
         DeValue::Table(_) => "a table".into(),
     }
 }
@@ -205,7 +233,9 @@ fn pair(document: &mut String, parameter: &Parameter, key: &str, value: &Value) 
         Value::Number(number) => format!("{number:?}"),
         Value::Flag(flag) => flag.to_string(),
         Value::Choice(word) => format!("\"{word}\""),
-        Value::Set(words) => format!("[{}]", words.iter().map(|word| format!("\"{word}\"")).collect::<Vec<_>>().join(", ")),
+        Value::Set(words) => {
+            format!("[{}]", words.iter().map(|word| format!("\"{word}\"")).collect::<Vec<_>>().join(", "))
+        }
     };
     let _ = writeln!(document, "{key} = {value}");
 }

@@ -22,7 +22,8 @@ impl Plan {
     /// `samples_per_pixel` on average, over all `iterations`; an iteration gives no pixel more than `cap`.
     ///
     /// # Errors
-    /// [`Error::Request`] where there is not at least one whole pair of samples per pixel for each iteration, or the cap does not hold what an iteration draws.
+    /// [`Error::Request`] where there is not at least one whole pair of samples per pixel for each iteration, or the
+    /// cap does not hold what an iteration draws.
     pub fn new(samples_per_pixel: u32, iterations: u32, cap: Option<u32>) -> Result<Self> {
         let refuse = |problem: String, remedy: String| Err(Error::Request { problem, remedy });
         if iterations == 0 {
@@ -30,7 +31,9 @@ impl Plan {
         }
         if !samples_per_pixel.is_multiple_of(2) || samples_per_pixel / 2 < iterations {
             return refuse(
-                format!("{samples_per_pixel} samples per pixel cannot be shared out to {iterations} iterations in whole pairs"),
+                format!(
+                    "{samples_per_pixel} samples per pixel cannot be shared out to {iterations} iterations in whole pairs"
+                ),
                 format!("choose an even number of at least {}, or fewer iterations", u64::from(iterations) * 2),
             );
         }
@@ -65,7 +68,8 @@ impl Plan {
         self.iterations
     }
 
-    /// Samples per pixel, on average, that an iteration (the first is 1) draws: equal shares of whole pairs; what is left over goes to the first ones.
+    /// Samples per pixel, on average, that an iteration (the first is 1) draws: equal shares of whole pairs; what is
+    /// left over goes to the first ones.
     pub fn budget(&self, iteration: u32) -> u32 {
         let pairs = self.samples_per_pixel / 2;
         2 * (pairs / self.iterations + u32::from(iteration <= pairs % self.iterations))
@@ -131,10 +135,11 @@ pub struct Outcome {
     pub estimate: Estimate,
 }
 
-/// Draws the samples of a plan: evenly in the first iteration, then where the estimated relative error of the denoised image, seen through the filters' weights, is largest.
-/// `observe` is told what happens, and ends the loop by an error.
+/// Draws the samples of a plan: evenly in the first iteration, then where the estimated relative error of the denoised
+/// image, seen through the filters' weights, is largest. `observe` is told what happens, and ends the loop by an error.
 ///
-/// Until the last iteration, the method works with the parameters that it wants while sampling ([`Denoiser::while_sampling`]).
+/// Until the last iteration, the method works with the parameters that it wants while sampling
+/// ([`Denoiser::while_sampling`]).
 ///
 /// Same sampler, plan and device, same result, also where the loop was interrupted and resumed.
 ///
@@ -156,7 +161,8 @@ pub fn adapt<S: Sampler, E: From<Error> + Send>(
     iterations.state.ok_or_else(|| Error::Cancelled.into())
 }
 
-/// The loop of [`adapt`], one iteration at a time: for a program that does other work between them, or looks at more than the result.
+/// The loop of [`adapt`], one iteration at a time: for a program that does other work between them, or looks at more
+/// than the result.
 #[derive(Clone, Debug)]
 pub struct Iterations {
     denoiser: Denoiser,
@@ -172,10 +178,19 @@ impl Iterations {
     /// A loop that has drawn nothing yet.
     pub fn new(denoiser: &Denoiser, plan: &Plan) -> Self {
         let while_sampling = denoiser.while_sampling();
-        Self { denoiser: denoiser.clone(), while_sampling, plan: *plan, keep: vec![Intermediate::Density], pace: None, done: 0, state: None }
+        Self {
+            denoiser: denoiser.clone(),
+            while_sampling,
+            plan: *plan,
+            keep: vec![Intermediate::Density],
+            pace: None,
+            done: 0,
+            state: None,
+        }
     }
 
-    /// Also keeps these intermediates of each iteration, in [`Estimate::layers`]; those that the method does not have are not there.
+    /// Also keeps these intermediates of each iteration, in [`Estimate::layers`]; those that the method does not have
+    /// are not there.
     #[must_use]
     pub fn with_kept(mut self, keep: &[Intermediate]) -> Self {
         self.keep.extend(keep.iter().filter(|kept| **kept != Intermediate::Density));
@@ -212,13 +227,19 @@ impl Iterations {
     ) -> std::result::Result<(), E> {
         let Resumed { iterations: iteration, samples } = resumed;
         let estimate = self.denoise(iteration, &samples, observe)?;
-        observe(Event::Finished { iteration, map: None, samples: &samples, estimate: &estimate, method: self.denoiser(iteration).method() })?;
+        observe(Event::Finished {
+            iteration,
+            map: None,
+            samples: &samples,
+            estimate: &estimate,
+            method: self.denoiser(iteration).method(),
+        })?;
         (self.done, self.state) = (iteration, Some(Outcome { samples, estimate }));
         Ok(())
     }
 
-    /// Draws and denoises the next iteration, and says whether there is one more; draws nothing where there is none. After an error, the loop stands where it stood before, but
-    /// the sampler may have drawn.
+    /// Draws and denoises the next iteration, and says whether there is one more; draws nothing where there is none.
+    /// After an error, the loop stands where it stood before, but the sampler may have drawn.
     ///
     /// # Errors
     /// As [`adapt`].
@@ -246,7 +267,13 @@ impl Iterations {
             samples.merge(&new)?;
         }
         let estimate = self.denoise(iteration, &samples, observe)?;
-        observe(Event::Finished { iteration, map: Some(&map), samples: &samples, estimate: &estimate, method: self.denoiser(iteration).method() })?;
+        observe(Event::Finished {
+            iteration,
+            map: Some(&map),
+            samples: &samples,
+            estimate: &estimate,
+            method: self.denoiser(iteration).method(),
+        })?;
         (self.done, self.state) = (iteration, Some(Outcome { samples, estimate }));
         Ok(iteration < self.plan.iterations)
     }
@@ -262,7 +289,12 @@ impl Iterations {
         let mut tell = |share| observe(Event::Denoising { iteration, share });
         let estimate = self.denoiser(iteration).denoise_with(
             &frame,
-            Options { keep: &self.keep, progress: Some(&mut progress(&mut failed, &mut tell)), pace: self.pace.clone(), ..Options::default() },
+            Options {
+                keep: &self.keep,
+                progress: Some(&mut progress(&mut failed, &mut tell)),
+                pace: self.pace.clone(),
+                ..Options::default()
+            },
         );
         estimate.map_err(|error| failed.unwrap_or_else(|| error.into()))
     }
@@ -281,12 +313,18 @@ pub fn uniform<S: Sampler, E: From<Error> + Send>(
     adapt(sampler, denoiser, &Plan { iterations: 1, cap: None, ..*plan }, None, observe)
 }
 
-/// The relative MSE that the denoised image would have, without a reference: the estimated squared error over the denoised colour's square. Of DFC it is that of
-/// pass 1, and may be below 0 where little is left to estimate. `None` of an estimate without its error.
+/// The relative MSE that the denoised image would have, without a reference: the estimated squared error over the
+/// denoised colour's square. Of DFC it is that of pass 1, and may be below 0 where little is left to estimate. `None`
+/// of an estimate without its error.
 pub fn estimated_relative_mse(estimate: &Estimate) -> Option<f64> {
     let error = &estimate.error.as_ref()?.planes[0];
-    let square = |pixel: usize| estimate.color.planes.iter().map(|plane| f64::from(plane[pixel]).powi(2) + RELATIVE_EPSILON).sum::<f64>();
-    Some(error.iter().enumerate().map(|(pixel, &error)| f64::from(error) / square(pixel)).sum::<f64>() / error.len() as f64)
+    let square = |pixel: usize| {
+        estimate.color.planes.iter().map(|plane| f64::from(plane[pixel]).powi(2) + RELATIVE_EPSILON).sum::<f64>()
+    };
+    Some(
+        error.iter().enumerate().map(|(pixel, &error)| f64::from(error) / square(pixel)).sum::<f64>()
+            / error.len() as f64,
+    )
 }
 
 impl SamplingMap {
@@ -300,7 +338,10 @@ impl SamplingMap {
 }
 
 /// Makes of a function that may fail one that may break off, and keeps why.
-fn progress<E>(failed: &mut Option<E>, mut tell: impl FnMut(f32) -> std::result::Result<(), E>) -> impl FnMut(f32) -> ControlFlow<()> {
+fn progress<E>(
+    failed: &mut Option<E>,
+    mut tell: impl FnMut(f32) -> std::result::Result<(), E>,
+) -> impl FnMut(f32) -> ControlFlow<()> {
     move |share| match tell(share) {
         Ok(()) => ControlFlow::Continue(()),
         Err(error) => {
@@ -338,7 +379,10 @@ mod tests {
     #[test]
     fn plans_that_cannot_be_met_are_refused() {
         for (samples, iterations, cap) in [(6, 4, None), (9, 4, None), (8, 0, None), (0, 1, None), (32, 4, Some(6))] {
-            assert!(matches!(Plan::new(samples, iterations, cap), Err(Error::Request { .. })), "{samples} {iterations} {cap:?}");
+            assert!(
+                matches!(Plan::new(samples, iterations, cap), Err(Error::Request { .. })),
+                "{samples} {iterations} {cap:?}"
+            );
         }
     }
 }

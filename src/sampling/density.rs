@@ -8,20 +8,36 @@ use crate::image::{Extent, Image};
 use crate::method::Intermediate;
 use crate::stage::gaussian::Gaussian;
 
-/// Where the next samples pay most, of an estimate that was made with [`Intermediate::Density`] kept: one plane, at least 0, in any unit, for a
-/// [`SamplingMap`](super::SamplingMap) of `samples_per_pixel` samples on average.
+/// Where the next samples pay most, of an estimate that was made with [`Intermediate::Density`] kept: one plane, at
+/// least 0, in any unit, for a [`SamplingMap`](super::SamplingMap) of `samples_per_pixel` samples on average.
 ///
-/// Of DFC and NLM it is the layer `density` (thesis 8.6, 7.1.2), whatever the numbers. Of GEM (thesis 6.3), the `samples_per_pixel` are enough for `samples_per_filter`
-/// samples in each of the pixels that gain most, ties going to the upper and left ones; a pixel's samples are spread over the support of its filter by its weights. Where the frame did not
-/// know its samples, each pixel is taken to have `samples_per_filter`.
+/// Of DFC and NLM it is the layer `density` (thesis 8.6, 7.1.2), whatever the numbers. Of GEM (thesis 6.3), the
+/// `samples_per_pixel` are enough for `samples_per_filter` samples in each of the pixels that gain most, ties going to
+/// the upper and left ones; a pixel's samples are spread over the support of its filter by its weights. Where the frame
+/// did not know its samples, each pixel is taken to have `samples_per_filter`.
 ///
 /// # Errors
 /// [`Error::Request`] where it was not kept.
-pub fn sampling_density(estimate: &Estimate, samples_per_pixel: f64, samples_per_filter: f64) -> Result<Cow<'_, Image>> {
-    let layer = |name: &str| estimate.layers.iter().find(|layer| layer.intermediate == Intermediate::Density && layer.name == name).map(|layer| &layer.image);
+pub fn sampling_density(
+    estimate: &Estimate,
+    samples_per_pixel: f64,
+    samples_per_filter: f64,
+) -> Result<Cow<'_, Image>> {
+    let layer = |name: &str| {
+        estimate
+            .layers
+            .iter()
+            .find(|layer| layer.intermediate == Intermediate::Density && layer.name == name)
+            .map(|layer| &layer.image)
+    };
     match (layer("density"), layer("reduction")) {
         (Some(density), _) => Ok(Cow::Borrowed(density)),
-        (None, Some(reduction)) => Ok(Cow::Owned(filters_that_gain_most(reduction, &estimate.weight_sum, samples_per_pixel, samples_per_filter))),
+        (None, Some(reduction)) => Ok(Cow::Owned(filters_that_gain_most(
+            reduction,
+            &estimate.weight_sum,
+            samples_per_pixel,
+            samples_per_filter,
+        ))),
         (None, None) => Err(Error::Request {
             problem: "the estimate does not say where samples pay".into(),
             remedy: "denoise with `Intermediate::Density` in `Options::keep`".into(),
@@ -29,8 +45,14 @@ pub fn sampling_density(estimate: &Estimate, samples_per_pixel: f64, samples_per
     }
 }
 
-/// Expected samples per pixel. `reduction` has the planes relative MSE, samples in the support and σ of each pixel's filter, `pixels_taking_part` is the size of its support.
-fn filters_that_gain_most(reduction: &Image, pixels_taking_part: &Image, samples_per_pixel: f64, samples_per_filter: f64) -> Image {
+/// Expected samples per pixel. `reduction` has the planes relative MSE, samples in the support and σ of each pixel's
+/// filter, `pixels_taking_part` is the size of its support.
+fn filters_that_gain_most(
+    reduction: &Image,
+    pixels_taking_part: &Image,
+    samples_per_pixel: f64,
+    samples_per_filter: f64,
+) -> Image {
     let extent = reduction.extent;
     let [relative_mse, support, sigma] = [0, 1, 2].map(|plane| reduction.planes[plane].as_slice());
     let gain = |pixel: usize| {
@@ -40,7 +62,8 @@ fn filters_that_gain_most(reduction: &Image, pixels_taking_part: &Image, samples
         };
         f64::from(relative_mse[pixel]) * samples_per_filter / (samples_per_filter + there)
     };
-    let mut ranked: Vec<(f64, usize)> = (0..extent.pixels()).map(|pixel| (gain(pixel), pixel)).filter(|(gain, _)| *gain > 0.0).collect();
+    let mut ranked: Vec<(f64, usize)> =
+        (0..extent.pixels()).map(|pixel| (gain(pixel), pixel)).filter(|(gain, _)| *gain > 0.0).collect();
     ranked.sort_unstable_by(|(a, p), (b, q)| b.total_cmp(a).then(p.cmp(q)));
     ranked.truncate((extent.pixels() as f64 * samples_per_pixel / samples_per_filter).round() as usize);
 
@@ -61,11 +84,14 @@ fn spread(extent: Extent, pixels: impl Iterator<Item = usize>, sigma: f32, sampl
         return;
     }
     let Gaussian { sigma, radius } = Gaussian::new(sigma);
-    let weights: Vec<f64> = (0..=radius).map(|distance| (-0.5 * (f64::from(distance) / f64::from(sigma)).powi(2)).exp()).collect();
+    let weights: Vec<f64> =
+        (0..=radius).map(|distance| (-0.5 * (f64::from(distance) / f64::from(sigma)).powi(2)).exp()).collect();
     let (width, height) = (extent.width as usize, extent.height as usize);
     let window = |at: usize, size: usize| at.saturating_sub(radius as usize)..(at + radius as usize + 1).min(size);
     // Sums of the weights around each column and around each row.
-    let sums = |size: usize| -> Vec<f64> { (0..size).map(|at| window(at, size).map(|other| weights[at.abs_diff(other)]).sum()).collect() };
+    let sums = |size: usize| -> Vec<f64> {
+        (0..size).map(|at| window(at, size).map(|other| weights[at.abs_diff(other)]).sum()).collect()
+    };
     let (in_row, in_column) = (sums(width), sums(height));
 
     let mut along_rows = vec![0.0; density.len()];
@@ -93,7 +119,9 @@ mod tests {
     const EXTENT: Extent = Extent { width: 40, height: 30 };
 
     fn image(planes: &[&dyn Fn(usize, usize) -> f32]) -> Image {
-        let plane = |value: &&dyn Fn(usize, usize) -> f32| (0..EXTENT.pixels()).map(|pixel| value(pixel % 40, pixel / 40)).collect();
+        let plane = |value: &&dyn Fn(usize, usize) -> f32| {
+            (0..EXTENT.pixels()).map(|pixel| value(pixel % 40, pixel / 40)).collect()
+        };
         Image { extent: EXTENT, planes: planes.iter().map(plane).collect() }
     }
 
@@ -118,7 +146,8 @@ mod tests {
 
     #[test]
     fn pixels_with_few_samples_gain_more() {
-        // The same error everywhere, half of the image with four times the samples in its support; room for a quarter of the pixels.
+        // The same error everywhere, half of the image with four times the samples in its support; room for a quarter
+        // of the pixels.
         let reduction = image(&[&|_, _| 0.5, &|x, _| if x < 20 { 8.0 } else { 32.0 }, &|_, _| 0.0]);
         let density = filters_that_gain_most(&reduction, &image(&[&|_, _| 1.0]), 4.0, 16.0);
         let chosen: Vec<usize> = (0..EXTENT.pixels()).filter(|pixel| density.planes[0][*pixel] > 0.0).collect();
@@ -131,6 +160,10 @@ mod tests {
     #[test]
     fn without_error_nobody_gains() {
         let reduction = image(&[&|_, _| 0.0, &|_, _| 8.0, &|_, _| 4.0]);
-        assert!(filters_that_gain_most(&reduction, &image(&[&|_, _| 1.0]), 4.0, 16.0).planes[0].iter().all(|samples| *samples == 0.0));
+        assert!(
+            filters_that_gain_most(&reduction, &image(&[&|_, _| 1.0]), 4.0, 16.0).planes[0]
+                .iter()
+                .all(|samples| *samples == 0.0)
+        );
     }
 }

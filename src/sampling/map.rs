@@ -14,33 +14,48 @@ pub struct SamplingMap {
 }
 
 impl SamplingMap {
-    /// The cap, in multiples of the average, where nothing else is asked for. Without one, a pixel whose estimate an outlier spoils can take all samples (thesis 8.6).
+    /// The cap, in multiples of the average, where nothing else is asked for. Without one, a pixel whose estimate an
+    /// outlier spoils can take all samples (thesis 8.6).
     pub const DEFAULT_CAP: u32 = 8;
 
-    /// Hands out `samples_per_pixel` samples on average, in proportion to `density` (one plane, in any unit, at least 0) and at most `cap` in one pixel. What a cap cuts off
-    /// goes to the others in proportion; where the density is 0 everywhere, or all of it is at the cap, the rest is spread evenly. Rounding errors are carried from pixel to
+    /// Hands out `samples_per_pixel` samples on average, in proportion to `density` (one plane, in any unit, at least
+    /// 0) and at most `cap` in one pixel. What a cap cuts off goes to the others in proportion; where the density is 0
+    /// everywhere, or all of it is at the cap, the rest is spread evenly. Rounding errors are carried from pixel to
     /// pixel. Same input, same map.
     ///
     /// # Errors
-    /// [`Error::Request`] where the budget is no number of at least 0, the cap cannot hold it, or a density is negative or not finite.
+    /// [`Error::Request`] where the budget is no number of at least 0, the cap cannot hold it, or a density is negative
+    /// or not finite.
     pub fn new(density: &Image, samples_per_pixel: f64, cap: Option<u32>) -> Result<Self> {
         let refuse = |problem: String, remedy: &str| Err(Error::Request { problem, remedy: remedy.into() });
         if density.channels() != 1 {
-            return refuse(format!("a sampling density has one plane, not {}", density.channels()), "give the density alone");
+            return refuse(
+                format!("a sampling density has one plane, not {}", density.channels()),
+                "give the density alone",
+            );
         }
         let weights = &density.planes[0];
         if let Some(bad) = weights.iter().find(|weight| !(weight.is_finite() && **weight >= 0.0)) {
-            return refuse(format!("the sampling density holds the value {bad}"), "densities are finite and at least 0");
+            return refuse(
+                format!("the sampling density holds the value {bad}"),
+                "densities are finite and at least 0",
+            );
         }
         let pixels = weights.len();
         let most = cap.map_or(f64::from(u32::MAX / 2), |cap| f64::from(cap / 2));
         let pairs = (samples_per_pixel * pixels as f64 / 2.0).round();
         if !(pairs.is_finite() && pairs >= 0.0) {
-            return refuse(format!("a budget of {samples_per_pixel} samples per pixel cannot be handed out"), "choose it finite and at least 0");
+            return refuse(
+                format!("a budget of {samples_per_pixel} samples per pixel cannot be handed out"),
+                "choose it finite and at least 0",
+            );
         }
         if pairs > most * pixels as f64 {
             return refuse(
-                format!("a budget of {samples_per_pixel} samples per pixel does not fit under a cap of {} per pixel", 2.0 * most),
+                format!(
+                    "a budget of {samples_per_pixel} samples per pixel does not fit under a cap of {} per pixel",
+                    2.0 * most
+                ),
                 "raise the cap or lower the budget",
             );
         }
@@ -174,7 +189,9 @@ mod tests {
         for _ in 0..1000 {
             let pixels = 1 + (random() * 400.0) as usize;
             // Densities over many orders of magnitude, a third of them 0.
-            let values: Vec<f32> = (0..pixels).map(|_| if random() < 0.33 { 0.0 } else { 10f64.powf(12.0 * random() - 6.0) as f32 }).collect();
+            let values: Vec<f32> = (0..pixels)
+                .map(|_| if random() < 0.33 { 0.0 } else { 10f64.powf(12.0 * random() - 6.0) as f32 })
+                .collect();
             let budget = random() * 64.0;
             let cap = (random() < 0.7).then(|| (budget * (1.0 + 4.0 * random())) as u32 + 4);
             let map = SamplingMap::new(&density(values.clone()), budget, cap).expect("a valid density");

@@ -6,7 +6,8 @@ use super::Samples;
 use crate::error::{Error, Result};
 use crate::image::Extent;
 
-/// Called with the share of the work that is done, 0 to 1, from whichever thread gets there; `Break` ends the work with [`Error::Cancelled`].
+/// Called with the share of the work that is done, 0 to 1, from whichever thread gets there; `Break` ends the work with
+/// [`Error::Cancelled`].
 pub type Progress<'a> = Option<&'a mut (dyn FnMut(f32) -> ControlFlow<()> + Send)>;
 
 /// A renderer that can be told where to draw its samples.
@@ -14,16 +15,20 @@ pub trait Sampler {
     /// Width and height of the image.
     fn extent(&self) -> Extent;
 
-    /// Draws this many new samples in each pixel, half of them for each half buffer, and returns the statistics of these samples alone.
+    /// Draws this many new samples in each pixel, half of them for each half buffer, and returns the statistics of
+    /// these samples alone.
     ///
-    /// New means independent of all samples drawn before (or, for low-discrepancy sampling, the continuation of the pixel's sequence).
+    /// New means independent of all samples drawn before (or, for low-discrepancy sampling, the continuation of the
+    /// pixel's sequence).
     ///
     /// # Errors
-    /// Counts of another extent than the sampler's; [`Error::Cancelled`], after which the sampler is as if it had not been asked.
+    /// Counts of another extent than the sampler's; [`Error::Cancelled`], after which the sampler is as if it had not
+    /// been asked.
     fn sample(&mut self, counts: &SampleCounts, progress: Progress<'_>) -> Result<Samples>;
 }
 
-/// How many samples each pixel gets in one pass: whole pairs, one sample of each for either half buffer, so that the halves always have equal numbers.
+/// How many samples each pixel gets in one pass: whole pairs, one sample of each for either half buffer, so that the
+/// halves always have equal numbers.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct SampleCounts {
     extent: Extent,
@@ -52,7 +57,10 @@ impl SampleCounts {
     pub fn from_samples(extent: Extent, samples: &[u32]) -> Result<Self> {
         if let Some(pixel) = samples.iter().position(|count| count % 2 != 0) {
             return Err(Error::Request {
-                problem: format!("{} samples in pixel {pixel} cannot be drawn in equal numbers for both halves", samples[pixel]),
+                problem: format!(
+                    "{} samples in pixel {pixel} cannot be drawn in equal numbers for both halves",
+                    samples[pixel]
+                ),
                 remedy: "give even sample counts".into(),
             });
         }

@@ -7,13 +7,14 @@ use crate::error::{Error, Result};
 use crate::frame::{Frame, RawSignal, Repairs, SamplesPerPixel, Signal, half_spread};
 use crate::image::{Extent, Image};
 
-/// What some samples per pixel say: the number of samples, and for the colour and every feature the means of both halves and the spread of all samples.
+/// What some samples per pixel say: the number of samples, and for the colour and every feature the means of both
+/// halves and the spread of all samples.
 ///
-/// Both halves of a pixel hold the same number of samples; the number differs from pixel to pixel. Two such sets merge into what one pass over all their samples
-/// would have given, so that a set can be stored, read back and continued.
+/// Both halves of a pixel hold the same number of samples; the number differs from pixel to pixel. Two such sets merge
+/// into what one pass over all their samples would have given, so that a set can be stored, read back and continued.
 ///
-/// Adaptive sampling makes the number of samples depend on the samples of earlier passes. The merged mean is then no longer exactly unbiased (few samples by luck
-/// dark, hence few more samples); each pass on its own is.
+/// Adaptive sampling makes the number of samples depend on the samples of earlier passes. The merged mean is then no
+/// longer exactly unbiased (few samples by luck dark, hence few more samples); each pass on its own is.
 #[derive(Clone, Debug)]
 pub struct Samples {
     extent: Extent,
@@ -28,7 +29,8 @@ pub struct Samples {
 struct Statistics {
     half_a: Image,
     half_b: Image,
-    /// Sample variance of the mean, s²/n, as files have it: a set that was written and read back is the same to the bit.
+    /// Sample variance of the mean, s²/n, as files have it: a set that was written and read back is the same to the
+    /// bit.
     variance: Image,
 }
 
@@ -62,7 +64,8 @@ impl Statistics {
                 let own_squares = if own[pixel] == 0 { 0.0 } else { f64::from(variance[pixel]) * divisor(own[pixel]) };
                 let added_squares = f64::from(other.variance.planes[channel][pixel]) * divisor(added[pixel]);
                 let (a1, b1) = (f64::from(a[pixel]), f64::from(b[pixel]));
-                let (a2, b2) = (f64::from(other.half_a.planes[channel][pixel]), f64::from(other.half_b.planes[channel][pixel]));
+                let (a2, b2) =
+                    (f64::from(other.half_a.planes[channel][pixel]), f64::from(other.half_b.planes[channel][pixel]));
                 let step = (a2 - a1 + b2 - b1) / 2.0;
                 a[pixel] = (a1 + (a2 - a1) * share) as f32;
                 b[pixel] = (b1 + (b2 - b1) * share) as f32;
@@ -94,10 +97,15 @@ impl Statistics {
         let half_b = raw.half_b.ok_or_else(|| missing("half B"))?;
         let variance = raw.variance_of_mean.ok_or_else(|| missing("variance"))?;
         for image in [&raw.mean, &half_a, &half_b, &variance] {
-            let complete = image.extent.pixels() == pairs.len() && image.planes.iter().all(|plane| plane.len() == pairs.len());
+            let complete =
+                image.extent.pixels() == pairs.len() && image.planes.iter().all(|plane| plane.len() == pairs.len());
             if !complete || image.channels() != raw.mean.channels() {
                 return Err(Error::Request {
-                    problem: format!("the images of {name} do not all have {} channels of {} values", raw.mean.channels(), pairs.len()),
+                    problem: format!(
+                        "the images of {name} do not all have {} channels of {} values",
+                        raw.mean.channels(),
+                        pairs.len()
+                    ),
                     remedy: "give all images of a set the same extent, and a layer's images the same channels".into(),
                 });
             }
@@ -105,14 +113,20 @@ impl Statistics {
         check_halves(name, &raw.mean, &half_a, &half_b)?;
         let known = |image: &Image| map(image, |value, pixel| if pairs[pixel] == 0 { 0.0 } else { value });
         // Some renderers' variances are negative by round-off.
-        let variance = map(&variance, |variance, pixel| if pairs[pixel] == 0 || variance < 0.0 { 0.0 } else { variance });
+        let variance =
+            map(&variance, |variance, pixel| if pairs[pixel] == 0 || variance < 0.0 { 0.0 } else { variance });
         Ok(Self { half_a: known(&half_a), half_b: known(&half_b), variance })
     }
 }
 
 /// The halves are all that is kept of the mean, so they must be its halves.
 fn check_halves(name: &str, mean: &Image, half_a: &Image, half_b: &Image) -> Result<()> {
-    let values = || mean.planes.iter().zip(half_a.planes.iter().zip(&half_b.planes)).flat_map(|(mean, (a, b))| mean.iter().zip(a.iter().zip(b)));
+    let values = || {
+        mean.planes
+            .iter()
+            .zip(half_a.planes.iter().zip(&half_b.planes))
+            .flat_map(|(mean, (a, b))| mean.iter().zip(a.iter().zip(b)))
+    };
     let differs = |(mean, (a, b)): &(&f32, (&f32, &f32))| {
         let average = (**a + **b) / 2.0;
         // Half floats round by 2^-11; denormals by more.
@@ -121,7 +135,9 @@ fn check_halves(name: &str, mean: &Image, half_a: &Image, half_b: &Image) -> Res
     let differing = values().filter(differs).count();
     if differing * 10 > values().count() {
         return Err(Error::Request {
-            problem: format!("{name}: the mean is not the average of the halves in {differing} values, so that they are not halves of the same samples"),
+            problem: format!(
+                "{name}: the mean is not the average of the halves in {differing} values, so that they are not halves of the same samples"
+            ),
             remedy: "give the halves that the mean was made of".into(),
         });
     }
@@ -136,19 +152,23 @@ fn map(image: &Image, value: impl Fn(f32, usize) -> f32) -> Image {
 impl Samples {
     /// No samples yet: a colour of three channels and these features, each a name and 1 to 3 channels.
     pub fn none(extent: Extent, features: &[(&str, usize)]) -> Self {
-        let features = features.iter().map(|(name, channels)| ((*name).to_owned(), Statistics::none(extent, *channels))).collect();
+        let features =
+            features.iter().map(|(name, channels)| ((*name).to_owned(), Statistics::none(extent, *channels))).collect();
         Self { extent, pairs: vec![0; extent.pixels()], color: Statistics::none(extent, 3), features }
     }
 
-    /// From what a file or a renderer says: means, halves and variances of the mean, with the samples that they were made of. Values of pixels without samples
-    /// are ignored; other values that are not finite are taken as they are, for [`Frame::new`] to repair.
+    /// From what a file or a renderer says: means, halves and variances of the mean, with the samples that they were
+    /// made of. Values of pixels without samples are ignored; other values that are not finite are taken as they are,
+    /// for [`Frame::new`] to repair.
     ///
     /// # Errors
     /// Missing halves or variance, images of different shapes, a mean that is not the average of its halves.
     pub fn from_signals(color: RawSignal, features: Vec<(String, RawSignal)>, counts: &SampleCounts) -> Result<Self> {
         let pairs = counts.pairs();
         let color = Statistics::from_raw("colour", color, pairs)?;
-        let features = features.into_iter().map(|(name, raw)| Ok((name.clone(), Statistics::from_raw(&format!("feature {name}"), raw, pairs)?)));
+        let features = features
+            .into_iter()
+            .map(|(name, raw)| Ok((name.clone(), Statistics::from_raw(&format!("feature {name}"), raw, pairs)?)));
         Ok(Self { extent: counts.extent(), pairs: pairs.to_vec(), color, features: features.collect::<Result<_>>()? })
     }
 
@@ -160,7 +180,8 @@ impl Samples {
     /// The samples drawn so far.
     pub fn counts(&self) -> SampleCounts {
         // A set always has one count for each pixel.
-        SampleCounts::from_pairs(self.extent, self.pairs.clone()).unwrap_or_else(|_| unreachable!("one count for each pixel"))
+        SampleCounts::from_pairs(self.extent, self.pairs.clone())
+            .unwrap_or_else(|_| unreachable!("one count for each pixel"))
     }
 
     /// The features' names, in their order.
@@ -170,7 +191,8 @@ impl Samples {
 
     /// Mean, halves and variance of the mean of the colour; NaN in pixels without samples.
     ///
-    /// The variance is s²/n with Bessel's correction, from all samples as if they were independent: low-discrepancy samples vary less than that.
+    /// The variance is s²/n with Bessel's correction, from all samples as if they were independent: low-discrepancy
+    /// samples vary less than that.
     pub fn color(&self) -> RawSignal {
         self.color.raw(&self.pairs)
     }
@@ -183,13 +205,19 @@ impl Samples {
     /// Samples in each pixel.
     pub fn samples_per_pixel(&self) -> SamplesPerPixel {
         match self.pairs.first() {
-            Some(&first) if self.pairs.iter().all(|&pairs| pairs == first) => SamplesPerPixel::Uniform(2.0 * first as f32),
-            _ => SamplesPerPixel::PerPixel(Image { extent: self.extent, planes: vec![self.pairs.iter().map(|&pairs| 2.0 * pairs as f32).collect()] }),
+            Some(&first) if self.pairs.iter().all(|&pairs| pairs == first) => {
+                SamplesPerPixel::Uniform(2.0 * first as f32)
+            }
+            _ => SamplesPerPixel::PerPixel(Image {
+                extent: self.extent,
+                planes: vec![self.pairs.iter().map(|&pairs| 2.0 * pairs as f32).collect()],
+            }),
         }
     }
 
-    /// What the denoiser works on, and what had to be repaired: pixels without samples take their neighbours' average. The features are in the order of their names, whatever
-    /// their order here, so that a set that was written and read back gives the same.
+    /// What the denoiser works on, and what had to be repaired: pixels without samples take their neighbours' average.
+    /// The features are in the order of their names, whatever their order here, so that a set that was written and read
+    /// back gives the same.
     ///
     /// # Errors
     /// As [`Frame::new`]; also a set without a single sample.
@@ -204,16 +232,25 @@ impl Samples {
     /// # Errors
     /// Another extent or other features; this set is then as it was.
     pub fn merge(&mut self, other: &Self) -> Result<()> {
-        let shape = |set: &Self| set.features.iter().map(|(name, statistics)| (name.clone(), statistics.channels())).collect::<BTreeSet<_>>();
-        if self.extent != other.extent || shape(self) != shape(other) || self.color.channels() != other.color.channels() {
+        let shape = |set: &Self| {
+            set.features.iter().map(|(name, statistics)| (name.clone(), statistics.channels())).collect::<BTreeSet<_>>()
+        };
+        if self.extent != other.extent || shape(self) != shape(other) || self.color.channels() != other.color.channels()
+        {
             return Err(Error::Request {
-                problem: format!("samples of {} cannot be added to samples of {}, or their features differ", other.extent, self.extent),
+                problem: format!(
+                    "samples of {} cannot be added to samples of {}, or their features differ",
+                    other.extent, self.extent
+                ),
                 remedy: "merge passes over the same image with the same features".into(),
             });
         }
         let overflowing = self.pairs.iter().zip(&other.pairs).any(|(own, added)| own.checked_add(*added).is_none());
         if overflowing {
-            return Err(Error::Request { problem: "a pixel has more than 2^33 samples".into(), remedy: "stop here".into() });
+            return Err(Error::Request {
+                problem: "a pixel has more than 2^33 samples".into(),
+                remedy: "stop here".into(),
+            });
         }
         self.color.merge(&self.pairs, &other.color, &other.pairs);
         for (name, own) in &mut self.features {
@@ -225,20 +262,23 @@ impl Samples {
         Ok(())
     }
 
-    /// Sets one pixel, which is `y * width + x`, to what was accumulated. Channels run through the colour and then the features in their order.
+    /// Sets one pixel, which is `y * width + x`, to what was accumulated. Channels run through the colour and then the
+    /// features in their order.
     ///
     /// # Panics
     /// A pixel outside of the image, or another number of channels than the set has.
     pub fn set<const CHANNELS: usize>(&mut self, pixel: usize, accumulated: &PixelAccumulator<CHANNELS>) {
         self.pairs[pixel] = accumulated.pairs;
-        let statistics = std::iter::once(&mut self.color).chain(self.features.iter_mut().map(|(_, statistics)| statistics));
+        let statistics =
+            std::iter::once(&mut self.color).chain(self.features.iter_mut().map(|(_, statistics)| statistics));
         let mut from = 0;
         for statistics in statistics {
             for channel in 0..statistics.channels() {
                 let (a, b, squares) = accumulated.channel(from);
                 statistics.half_a.planes[channel][pixel] = a as f32;
                 statistics.half_b.planes[channel][pixel] = b as f32;
-                statistics.variance.planes[channel][pixel] = if accumulated.pairs == 0 { 0.0 } else { (squares / divisor(accumulated.pairs)) as f32 };
+                statistics.variance.planes[channel][pixel] =
+                    if accumulated.pairs == 0 { 0.0 } else { (squares / divisor(accumulated.pairs)) as f32 };
                 from += 1;
             }
         }

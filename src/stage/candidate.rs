@@ -1,4 +1,5 @@
-//! The candidate filters FIRST, SECOND and THIRD with their derivatives, in one pass over the window (thesis 8.2 to 8.4).
+//! The candidate filters FIRST, SECOND and THIRD with their derivatives, in one pass over the window (thesis 8.2 to
+//! 8.4).
 
 use std::sync::Arc;
 
@@ -29,10 +30,12 @@ bindings! {
         optional neighbours_signal, optional neighbours_variance, optional neighbours_features,
     }
     struct CandidateResolve<'a> {
-        uniform params: NlmParams, uniform resolve: ResolveParams, read signal, read variance_of_mean, read state, write filtered, write derivatives,
+        uniform params: NlmParams, uniform resolve: ResolveParams, read signal, read variance_of_mean, read state,
+        write filtered, write derivatives,
     }
     struct CandidateResolveValue<'a> {
-        uniform params: NlmParams, uniform resolve: ResolveParams, read signal, read variance_of_mean, read state, write filtered,
+        uniform params: NlmParams, uniform resolve: ResolveParams, read signal, read variance_of_mean, read state,
+        write filtered,
     }
 }
 
@@ -56,14 +59,20 @@ pub struct CandidateFilter {
     pub feature_tau: f32,
     /// τ of THIRD.
     pub feature_tau_third: f32,
-    /// For FIRST and SECOND. THIRD takes the symmetric distances where the others do, but never blends pairs: it is the widest filter as it is, and without a colour
-    /// term nothing would hold the blend back.
+    /// For FIRST and SECOND. THIRD takes the symmetric distances where the others do, but never blends pairs: it is the
+    /// widest filter as it is, and without a colour term nothing would hold the blend back.
     pub weighting: Weighting,
 }
 
 impl CandidateFilter {
     /// What the colour is compared by, for those that know colours.
-    pub(super) fn guide<'a>(&self, signal: &'a Buffer, variance_of_mean: &'a Buffer, candidates: CandidateSet, grey: bool) -> Guide<'a> {
+    pub(super) fn guide<'a>(
+        &self,
+        signal: &'a Buffer,
+        variance_of_mean: &'a Buffer,
+        candidates: CandidateSet,
+        grey: bool,
+    ) -> Guide<'a> {
         let CandidateSet { first: with_first, second: with_second, .. } = candidates;
         let patch_radius = if with_second { self.second_patch_radius } else { self.first_patch_radius };
         Guide {
@@ -108,7 +117,8 @@ pub struct Needed<'a> {
     pub alone: bool,
     /// The three channels of the colour are not all the same, in any frame.
     pub channels: bool,
-    /// Tiles in which no pixel within reach has noise: there every candidate is the signal itself, with derivatives of 1.
+    /// Tiles in which no pixel within reach has noise: there every candidate is the signal itself, with derivatives of
+    /// 1.
     pub exact: Option<&'a ExactTiles>,
     /// The pixels that are wanted: what comes out at others is arbitrary. `None`: all.
     pub wanted: Option<Region>,
@@ -116,8 +126,15 @@ pub struct Needed<'a> {
 
 impl Needed<'_> {
     /// All there is.
-    pub const EVERYTHING: Self =
-        Self { candidates: CandidateSet::ALL, derivatives: true, half_spread: true, alone: true, channels: true, exact: None, wanted: None };
+    pub const EVERYTHING: Self = Self {
+        candidates: CandidateSet::ALL,
+        derivatives: true,
+        half_spread: true,
+        alone: true,
+        channels: true,
+        exact: None,
+        wanted: None,
+    };
 }
 
 /// The filtered candidates.
@@ -132,10 +149,13 @@ pub struct Candidates {
 impl Candidates {
     fn take(rec: &mut Recorder, extent: IVec2, needed: &Needed) -> Result<Self> {
         let mut signals = [None, None, None];
-        for (signal, (name, takes_part)) in signals.iter_mut().zip(["FIRST", "SECOND", "THIRD"].into_iter().zip(needed.candidates.flags())) {
+        for (signal, (name, takes_part)) in
+            signals.iter_mut().zip(["FIRST", "SECOND", "THIRD"].into_iter().zip(needed.candidates.flags()))
+        {
             *signal = if takes_part { Some(Arc::new(rec.take(name, plane_bytes(extent, 2))?)) } else { None };
         }
-        let derivatives = if needed.derivatives { Some(Arc::new(rec.take("derivatives", plane_bytes(extent, 3))?)) } else { None };
+        let derivatives =
+            if needed.derivatives { Some(Arc::new(rec.take("derivatives", plane_bytes(extent, 3))?)) } else { None };
         Ok(Self { signals, derivatives })
     }
 
@@ -168,8 +188,8 @@ pub struct CandidatesInTime {
     pub alone: Option<Candidates>,
 }
 
-/// Filters a colour signal with the three candidates, over a window in its frame and in the frames `beside`. `variance_of_mean` is its scaled variance; without features
-/// the feature weights are 1.
+/// Filters a colour signal with the three candidates, over a window in its frame and in the frames `beside`.
+/// `variance_of_mean` is its scaled variance; without features the feature weights are 1.
 ///
 /// `progress` is called with the share of rows whose commands are recorded.
 #[expect(clippy::too_many_arguments, reason = "they are the operator's definition; a struct would only rename them")]
@@ -187,17 +207,26 @@ pub fn candidates(
 ) -> Result<CandidatesInTime> {
     let together = Candidates::take(rec, extent, &needed)?;
     let alone = (!beside.is_empty() && needed.alone).then(|| Candidates::take(rec, extent, &needed)).transpose()?;
-    let neighbours: Vec<_> = beside.iter().map(|frame| Beside { signal: frame.signal, variance_of_mean: frame.variance_of_mean }).collect();
+    let neighbours: Vec<_> =
+        beside.iter().map(|frame| Beside { signal: frame.signal, variance_of_mean: frame.variance_of_mean }).collect();
     let Needed { exact, wanted, .. } = needed;
-    let guide = Guide { beside: &neighbours, exact, wanted, ..filter.guide(signal, variance_of_mean, needed.candidates, !needed.channels) };
+    let guide = Guide {
+        beside: &neighbours,
+        exact,
+        wanted,
+        ..filter.guide(signal, variance_of_mean, needed.candidates, !needed.channels)
+    };
     let patch_radius = guide.patch_radius;
     let by_color = needed.candidates.by_color();
     let groups = features.map_or(0, |features| features.packing.groups);
     let [symmetric, hard] = filter.weighting.symmetric.definitions();
     let [takes_part_first, takes_part_second, takes_part_third] = needed.candidates.definitions();
-    // The kernel for the nearest rows is the larger one: with as many pixels as the other it takes a driver 3.6 s to compile it, with half of them 1.2 s, and is 16 % slower
-    // for a third of the offsets.
-    let blocking = |near: bool| Schedule { pixels: if near && schedule.pixels.is_multiple_of(2) { schedule.pixels / 2 } else { schedule.pixels }, ..schedule };
+    // The kernel for the nearest rows is the larger one: with as many pixels as the other it takes a driver 3.6 s to
+    // compile it, with half of them 1.2 s, and is 16 % slower for a third of the offsets.
+    let blocking = |near: bool| Schedule {
+        pixels: if near && schedule.pixels.is_multiple_of(2) { schedule.pixels / 2 } else { schedule.pixels },
+        ..schedule
+    };
     let definitions = |other_frame: bool, near: bool| {
         [
             ("OTHER_FRAME", Definition::from(other_frame)),
@@ -228,12 +257,14 @@ pub fn candidates(
         }
         let state = match &mut state {
             Some(state) => state,
-            None => state.insert(rec.take("candidate sums", plane_bytes(IVec2::new(params.width, params.rows), STATE_PLANES))?),
+            None => state
+                .insert(rec.take("candidate sums", plane_bytes(IVec2::new(params.width, params.rows), STATE_PLANES))?),
         };
         let beside = chunk.beside.map(|index| beside[index]);
         // Only in the nearest rows do patches hold pixels of their own pair; in a frame beside none does.
         let near = beside.is_none() && params.first_offset.y <= patch_radius as i32;
-        let accumulate = rec.gpu().kernel::<CandidateAccumulate>("candidate_accumulate", &definitions(beside.is_some(), near))?;
+        let accumulate =
+            rec.gpu().kernel::<CandidateAccumulate>("candidate_accumulate", &definitions(beside.is_some(), near))?;
         let bound = CandidateAccumulate {
             params,
             candidate,
@@ -248,7 +279,8 @@ pub fn candidates(
         };
         rec.dispatch(&accumulate, &bound, blocking(near).per_row_of_pixels(&params))?;
         // The sums over the own frame are whole before those over the others begin.
-        let complete = if chunk.last { Some(&together) } else { alone.as_ref().filter(|_| beside.is_none() && chunk.ends_frame) };
+        let complete =
+            if chunk.last { Some(&together) } else { alone.as_ref().filter(|_| beside.is_none() && chunk.ends_frame) };
         for (candidate, filtered) in (0..).zip(complete.iter().flat_map(|complete| complete.buffers())) {
             let Some(filtered) = filtered else { continue };
             let definitions = [("THIRD", (candidate == 2).into()), ("DERIVATIVES", needed.derivatives.into())];
@@ -256,11 +288,19 @@ pub fn candidates(
             match complete.and_then(|complete| complete.derivatives.as_deref()) {
                 Some(derivatives) => {
                     let kernel = rec.gpu().kernel::<CandidateResolve>("candidate_resolve", &definitions)?;
-                    rec.dispatch(&kernel, &CandidateResolve { params, resolve, signal, variance_of_mean, state, filtered, derivatives }, invocations)?;
+                    rec.dispatch(
+                        &kernel,
+                        &CandidateResolve { params, resolve, signal, variance_of_mean, state, filtered, derivatives },
+                        invocations,
+                    )?;
                 }
                 None => {
                     let kernel = rec.gpu().kernel::<CandidateResolveValue>("candidate_resolve", &definitions)?;
-                    rec.dispatch(&kernel, &CandidateResolveValue { params, resolve, signal, variance_of_mean, state, filtered }, invocations)?;
+                    rec.dispatch(
+                        &kernel,
+                        &CandidateResolveValue { params, resolve, signal, variance_of_mean, state, filtered },
+                        invocations,
+                    )?;
                 }
             }
         }

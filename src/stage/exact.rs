@@ -1,7 +1,7 @@
 //! Tiles without noise as far as a filter reaches: what would be filtered there stays what it was.
 //!
-//! Two things are kept apart. Which pixels take the value that they had is a matter of the frame alone. Which pixels the filter is run for is a matter of cost: rectangles that
-//! cover all others, and some of them.
+//! Two things are kept apart. Which pixels take the value that they had is a matter of the frame alone. Which pixels
+//! the filter is run for is a matter of cost: rectangles that cover all others, and some of them.
 
 use glam::IVec2;
 
@@ -74,14 +74,22 @@ impl ExactTiles {
     pub(super) fn upload(&self, rec: &mut Recorder, extent: IVec2) -> Result<UploadedTiles> {
         let words: Vec<u32> = self.flags.iter().map(|exact| u32::from(*exact)).collect();
         let tiles = rec.upload_bytes("exact tiles", bytemuck::cast_slice(&words))?;
-        let params = ExactParams { extent, tile: self.side as i32, tile_columns: self.columns as i32, first: self.first, planes: 0 };
+        let params = ExactParams {
+            extent,
+            tile: self.side as i32,
+            tile_columns: self.columns as i32,
+            first: self.first,
+            planes: 0,
+        };
         Ok(UploadedTiles { tiles, params })
     }
 
-    /// Rectangles that do not overlap and cover all pixels of an image that are in no exact tile. They are made of cells of this size, but at the right and lower border; two that
-    /// cost no less than one around both are made one: a rectangle costs its area, with `margin` pixels around it, and `overhead` pixels.
+    /// Rectangles that do not overlap and cover all pixels of an image that are in no exact tile. They are made of
+    /// cells of this size, but at the right and lower border; two that cost no less than one around both are made one:
+    /// a rectangle costs its area, with `margin` pixels around it, and `overhead` pixels.
     pub(crate) fn regions(&self, extent: IVec2, cell: IVec2, margin: i32, overhead: i64) -> Vec<Region> {
-        let cost = |region: &Region| i64::from(region.size.x + 2 * margin) * i64::from(region.size.y + 2 * margin) + overhead;
+        let cost =
+            |region: &Region| i64::from(region.size.x + 2 * margin) * i64::from(region.size.y + 2 * margin) + overhead;
         let pays = |a: &Region, b: &Region| cost(&covering(a, b)) <= cost(a) + cost(b);
         let mut done: Vec<Region> = Vec::new();
         // Those that end at the row of cells that is looked at.
@@ -100,7 +108,8 @@ impl ExactTiles {
                     None => runs.push(run),
                 }
             }
-            // A rectangle grows down where it is as wide as what lies below, or where one as wide as the wider of the two pays.
+            // A rectangle grows down where it is as wide as what lies below, or where one as wide as the wider of the
+            // two pays.
             let mut grown: Vec<Region> = Vec::new();
             for above in open.drain(..) {
                 let below: Vec<Region> = runs.iter().copied().filter(|run| share_columns(&above, run)).collect();
@@ -149,15 +158,30 @@ impl UploadedTiles {
         self.copy_as(rec, before, result, 2, true)
     }
 
-    fn copy_as(&self, rec: &mut Recorder, before: &Buffer, result: &Buffer, planes: u32, weight_sum: bool) -> Result<()> {
+    fn copy_as(
+        &self,
+        rec: &mut Recorder,
+        before: &Buffer,
+        result: &Buffer,
+        planes: u32,
+        weight_sum: bool,
+    ) -> Result<()> {
         let kernel = rec.gpu().kernel::<ExactCopy>("exact_copy", &[("WEIGHT_SUM", weight_sum.into())])?;
-        rec.dispatch(&kernel, &ExactCopy { params: self.of_planes(planes), tiles: &self.tiles, before, result }, per_pixel(self.params.extent))
+        rec.dispatch(
+            &kernel,
+            &ExactCopy { params: self.of_planes(planes), tiles: &self.tiles, before, result },
+            per_pixel(self.params.extent),
+        )
     }
 
     /// Puts 1 into the channels of so many planes in exact tiles, or 0.
     pub(super) fn fill(&self, rec: &mut Recorder, result: &Buffer, planes: u32, ones: bool) -> Result<()> {
         let kernel = rec.gpu().kernel::<ExactFill>("exact_fill", &[("ONES", ones.into())])?;
-        rec.dispatch(&kernel, &ExactFill { params: self.of_planes(planes), tiles: &self.tiles, result }, per_pixel(self.params.extent))
+        rec.dispatch(
+            &kernel,
+            &ExactFill { params: self.of_planes(planes), tiles: &self.tiles, result },
+            per_pixel(self.params.extent),
+        )
     }
 
     fn of_planes(&self, planes: u32) -> ExactParams {
@@ -183,7 +207,9 @@ mod tests {
 
     /// A map in which every third tile or so is exact, in blocks.
     fn map(columns: usize, rows: usize, seed: usize) -> ExactTiles {
-        let flags = (0..columns * rows).map(|tile| (tile % columns / 3 * 7 + tile / columns / 2 * 5 + seed).is_multiple_of(3)).collect();
+        let flags = (0..columns * rows)
+            .map(|tile| (tile % columns / 3 * 7 + tile / columns / 2 * 5 + seed).is_multiple_of(3))
+            .collect();
         ExactTiles::new(flags, columns, SIDE)
     }
 
@@ -192,7 +218,8 @@ mod tests {
         for (width, height) in [(1, 1), (70, 51), (257, 89), (16, 8)] {
             for (seed, first_column, first_row) in [(0, 0, 0), (1, 0, 3), (2, 0, 8), (1, 5, 3), (2, 16, 0)] {
                 let tiles_along = |size: i32, first: i32| ((size + first) as usize).div_ceil(SIDE);
-                let tiles = map(tiles_along(width, first_column), tiles_along(height, first_row), seed).starting_at(IVec2::new(first_column, first_row));
+                let tiles = map(tiles_along(width, first_column), tiles_along(height, first_row), seed)
+                    .starting_at(IVec2::new(first_column, first_row));
                 for cell in [IVec2::new(8, 8), IVec2::new(32, 2), IVec2::new(24, 16)] {
                     for overhead in [0, 100, 1 << 30] {
                         let extent = IVec2::new(width, height);
@@ -200,9 +227,18 @@ mod tests {
                         for y in 0..height {
                             for x in 0..width {
                                 let p = IVec2::new(x, y);
-                                let covered = regions.iter().filter(|region| p.cmpge(region.first).all() && p.cmplt(region.first + region.size).all()).count();
-                                let is_exact = tiles.flags[(y + first_row) as usize / SIDE * tiles.columns + (x + first_column) as usize / SIDE];
-                                assert!(covered <= 1 && (is_exact || covered == 1), "{width}×{height}, {cell}, {overhead}: {p} is covered {covered} times");
+                                let covered = regions
+                                    .iter()
+                                    .filter(|region| {
+                                        p.cmpge(region.first).all() && p.cmplt(region.first + region.size).all()
+                                    })
+                                    .count();
+                                let is_exact = tiles.flags[(y + first_row) as usize / SIDE * tiles.columns
+                                    + (x + first_column) as usize / SIDE];
+                                assert!(
+                                    covered <= 1 && (is_exact || covered == 1),
+                                    "{width}×{height}, {cell}, {overhead}: {p} is covered {covered} times"
+                                );
                             }
                         }
                     }

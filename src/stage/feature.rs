@@ -7,7 +7,11 @@ use crate::error::Result;
 use crate::gpu::{Buffer, Recorder, bindings, uniforms};
 
 uniforms! { struct FeaturePackParams { extent: IVec2, group: i32, single: i32 } }
-bindings! { struct FeaturePack<'a> { uniform params: FeaturePackParams, read filtered, optional residual_variance, write features } }
+bindings! {
+    struct FeaturePack<'a> {
+        uniform params: FeaturePackParams, read filtered, optional residual_variance, write features,
+    }
+}
 
 /// Groups that the shaders hold parameters for; as many features of three channels fit.
 pub const MAX_GROUPS: usize = 8;
@@ -21,8 +25,8 @@ pub struct Slot {
     pub single: bool,
 }
 
-/// The places of features, by their numbers of channels: features of two or three channels take x, y, z of a group each; those of one channel fill the w of these
-/// groups, then pairs of them share further groups.
+/// The places of features, by their numbers of channels: features of two or three channels take x, y, z of a group
+/// each; those of one channel fill the w of these groups, then pairs of them share further groups.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Packing {
     /// One slot per feature.
@@ -63,7 +67,8 @@ impl Packing {
         order
     }
 
-    /// 1 / number of channels for each channel of each group's triple: the distance of a feature is the mean over its channels.
+    /// 1 / number of channels for each channel of each group's triple: the distance of a feature is the mean over its
+    /// channels.
     pub(super) fn triple_weights(&self) -> [Vec4; MAX_GROUPS] {
         let mut weights = [Vec4::ZERO; MAX_GROUPS];
         for (slot, &count) in self.slots.iter().zip(&self.channels).filter(|(slot, _)| !slot.single) {
@@ -84,19 +89,31 @@ pub struct Features {
 }
 
 impl Features {
-    /// Room for features with these numbers of channels, to be filled by [`feature_pack`], in any order except that a group's triple comes before its single.
+    /// Room for features with these numbers of channels, to be filled by [`feature_pack`], in any order except that a
+    /// group's triple comes before its single.
     pub fn take(rec: &mut Recorder, extent: IVec2, channels: &[u32]) -> Result<Self> {
         let packing = Packing::new(channels);
         Ok(Self { buffer: rec.take("features", plane_bytes(extent, 3 * packing.groups))?, packing })
     }
 }
 
-/// Writes one prefiltered feature (unit range, first plane of `filtered`) and its residual variance, if it has noise, to its slot, with its squared gradient: per axis the
-/// smaller of the two one-sided differences over half a pixel.
-pub fn feature_pack(rec: &mut Recorder, extent: IVec2, features: &Features, slot: Slot, filtered: &Buffer, residual_variance: Option<&Buffer>) -> Result<()> {
+/// Writes one prefiltered feature (unit range, first plane of `filtered`) and its residual variance, if it has noise,
+/// to its slot, with its squared gradient: per axis the smaller of the two one-sided differences over half a pixel.
+pub fn feature_pack(
+    rec: &mut Recorder,
+    extent: IVec2,
+    features: &Features,
+    slot: Slot,
+    filtered: &Buffer,
+    residual_variance: Option<&Buffer>,
+) -> Result<()> {
     let params = FeaturePackParams { extent, group: slot.group as i32, single: i32::from(slot.single) };
     let kernel = rec.gpu().kernel::<FeaturePack>("feature_pack", &[("NOISY", residual_variance.is_some().into())])?;
-    rec.dispatch(&kernel, &FeaturePack { params, filtered, residual_variance, features: &features.buffer }, per_pixel(extent))
+    rec.dispatch(
+        &kernel,
+        &FeaturePack { params, filtered, residual_variance, features: &features.buffer },
+        per_pixel(extent),
+    )
 }
 
 #[cfg(test)]
@@ -105,8 +122,10 @@ mod tests {
 
     /// All lists of up to [`MAX_GROUPS`] features of one to three channels.
     fn channel_lists() -> impl Iterator<Item = Vec<u32>> {
-        (0..=MAX_GROUPS as u32)
-            .flat_map(|features| (0..3u32.pow(features)).map(move |list| (0..features).map(|feature| list / 3u32.pow(feature) % 3 + 1).collect()))
+        (0..=MAX_GROUPS as u32).flat_map(|features| {
+            (0..3u32.pow(features))
+                .map(move |list| (0..features).map(|feature| list / 3u32.pow(feature) % 3 + 1).collect())
+        })
     }
 
     #[test]
@@ -135,7 +154,10 @@ mod tests {
         for channels in channel_lists() {
             let packing = Packing::new(&channels);
             for group in 0..packing.groups {
-                assert!(packing.slots.contains(&Slot { group, single: false }), "{channels:?}: group {group} has no triple");
+                assert!(
+                    packing.slots.contains(&Slot { group, single: false }),
+                    "{channels:?}: group {group} has no triple"
+                );
             }
         }
     }

@@ -52,20 +52,36 @@ pub enum Averaging {
 }
 
 /// Smooths `planes` planes with a Gaussian.
-pub fn gaussian(rec: &mut Recorder, extent: IVec2, source: &Buffer, planes: u32, gaussian: Gaussian, averaging: Averaging) -> Result<Buffer> {
-    let along = |axis: IVec2| GaussianParams { extent, axis, radius: gaussian.radius as i32, exponent: gaussian.exponent() };
+pub fn gaussian(
+    rec: &mut Recorder,
+    extent: IVec2,
+    source: &Buffer,
+    planes: u32,
+    gaussian: Gaussian,
+    averaging: Averaging,
+) -> Result<Buffer> {
+    let along =
+        |axis: IVec2| GaussianParams { extent, axis, radius: gaussian.radius as i32, exponent: gaussian.exponent() };
     // An invocation makes four pixels along the axis.
-    let invocations = |axis: IVec2| [(extent.x as u32).div_ceil(1 + 3 * axis.x as u32), (extent.y as u32).div_ceil(1 + 3 * axis.y as u32), planes];
+    let invocations = |axis: IVec2| {
+        [(extent.x as u32).div_ceil(1 + 3 * axis.x as u32), (extent.y as u32).div_ceil(1 + 3 * axis.y as u32), planes]
+    };
     let squared = ("SQUARED", (averaging == Averaging::Variance).into());
     let without_centre = averaging == Averaging::Neighbours;
     let smoothed = rec.take("Gaussian average", plane_bytes(extent, planes))?;
     let rows = &rec.take("Gaussian average of the rows", plane_bytes(extent, planes))?;
 
-    let kernel = rec.gpu().kernel::<GaussianAxis>("gaussian", &[squared, ("KEEP_WEIGHT_SUM", without_centre.into())])?;
+    let kernel =
+        rec.gpu().kernel::<GaussianAxis>("gaussian", &[squared, ("KEEP_WEIGHT_SUM", without_centre.into())])?;
     let bound = GaussianAxis { params: along(IVec2::X), source, smoothed: rows, centres: None };
     rec.dispatch(&kernel, &bound, invocations(IVec2::X))?;
     let kernel = rec.gpu().kernel::<GaussianAxis>("gaussian", &[squared, ("WITHOUT_CENTRE", without_centre.into())])?;
-    let bound = GaussianAxis { params: along(IVec2::Y), source: rows, smoothed: &smoothed, centres: without_centre.then_some(source) };
+    let bound = GaussianAxis {
+        params: along(IVec2::Y),
+        source: rows,
+        smoothed: &smoothed,
+        centres: without_centre.then_some(source),
+    };
     rec.dispatch(&kernel, &bound, invocations(IVec2::Y))?;
     Ok(smoothed)
 }

@@ -10,8 +10,14 @@ use crate::gpu::{Buffer, Recorder, bindings, uniforms};
 uniforms! { struct HalfParams { extent: IVec2 } }
 
 bindings! {
-    struct HalfSplit<'a> { uniform params: HalfParams, read signal, read variance_of_mean, write half_a, write half_b, write variance_of_half }
-    struct HalfJoin<'a> { uniform params: HalfParams, read half_a, read half_b, read weights_a, read weights_b, write signal, write weights }
+    struct HalfSplit<'a> {
+        uniform params: HalfParams, read signal, read variance_of_mean, write half_a, write half_b,
+        write variance_of_half,
+    }
+    struct HalfJoin<'a> {
+        uniform params: HalfParams, read half_a, read half_b, read weights_a, read weights_b, write signal,
+        write weights,
+    }
 }
 
 /// A signal as its halves, one plane each.
@@ -25,24 +31,41 @@ pub struct Halves {
     pub variance: Buffer,
 }
 
-/// The halves of a signal whose halves have equal numbers of samples; both have what the mean has in w. `variance_of_mean` is that of the mean of both, one plane.
+/// The halves of a signal whose halves have equal numbers of samples; both have what the mean has in w.
+/// `variance_of_mean` is that of the mean of both, one plane.
 pub fn half_split(rec: &mut Recorder, extent: IVec2, signal: &Buffer, variance_of_mean: &Buffer) -> Result<Halves> {
     let a = rec.take("half A", plane_bytes(extent, 1))?;
     let b = rec.take("half B", plane_bytes(extent, 1))?;
     let variance = rec.take("variance of a half", plane_bytes(extent, 1))?;
     let kernel = rec.gpu().kernel::<HalfSplit>("half_split", &[])?;
-    let bound = HalfSplit { params: HalfParams { extent }, signal, variance_of_mean, half_a: &a, half_b: &b, variance_of_half: &variance };
+    let bound = HalfSplit {
+        params: HalfParams { extent },
+        signal,
+        variance_of_mean,
+        half_a: &a,
+        half_b: &b,
+        variance_of_half: &variance,
+    };
     rec.dispatch(&kernel, &bound, per_pixel(extent))?;
     Ok(Halves { a, b, variance })
 }
 
-/// The signal whose halves these are, what they have in w averaged as their colour, and the mean of their Σ w in one plane, x. The halves have one plane each.
+/// The signal whose halves these are, what they have in w averaged as their colour, and the mean of their Σ w in one
+/// plane, x. The halves have one plane each.
 pub fn half_join(rec: &mut Recorder, extent: IVec2, [a, b]: [&Filtered; 2]) -> Result<Filtered> {
     let signal = rec.take("joined halves", plane_bytes(extent, 2))?;
     let weights = rec.take("weight sums of both halves", plane_bytes(extent, 1))?;
     let kernel = rec.gpu().kernel::<HalfJoin>("half_join", &[])?;
     let params = HalfParams { extent };
-    let bound = HalfJoin { params, half_a: &a.planes, half_b: &b.planes, weights_a: &a.weights, weights_b: &b.weights, signal: &signal, weights: &weights };
+    let bound = HalfJoin {
+        params,
+        half_a: &a.planes,
+        half_b: &b.planes,
+        weights_a: &a.weights,
+        weights_b: &b.weights,
+        signal: &signal,
+        weights: &weights,
+    };
     rec.dispatch(&kernel, &bound, per_pixel(extent))?;
     Ok(Filtered { planes: signal, weights, residual_variance: None })
 }

@@ -8,7 +8,9 @@ use crate::error::Result;
 use crate::gpu::{Buffer, Recorder, bindings, uniforms};
 
 uniforms! {
-    struct KeepCleanParams { extent: IVec2, squared_noise: f32, squared_sigmas: f32, black_radius: i32, error_component: i32 }
+    struct KeepCleanParams {
+        extent: IVec2, squared_noise: f32, squared_sigmas: f32, black_radius: i32, error_component: i32,
+    }
 }
 
 bindings! {
@@ -25,16 +27,17 @@ bindings! {
 pub struct CleanRule {
     /// Noise from which on a pixel is filtered freely: its standard deviation in parts of its value.
     pub noise: f32,
-    /// How far a pixel with next to no noise may be moved, in standard deviations; towards `noise` it grows without limit.
+    /// How far a pixel with next to no noise may be moved, in standard deviations; towards `noise` it grows without
+    /// limit.
     pub sigmas: f32,
     /// A black pixel counts as clean where all pixels this far around it are black and without noise, in pixels.
     pub black_radius: u32,
 }
 
 impl CleanRule {
-    /// Measured on `cornell`, `dof_spheres` and `caustic_ring` at 8, 32 and 128 spp:
-    /// `dof_spheres` at 8 spp has 0.7 % more error than without, because edges out of focus have pixels that all eight samples missed; with 10⁻² in place of 10⁻³, `caustic_ring` at
-    /// 8 spp has 2.5 % more.
+    /// Measured on `cornell`, `dof_spheres` and `caustic_ring` at 8, 32 and 128 spp: `dof_spheres` at 8 spp has 0.7 %
+    /// more error than without, because edges out of focus have pixels that all eight samples missed; with 10⁻² in
+    /// place of 10⁻³, `caustic_ring` at 8 spp has 2.5 % more.
     pub const DEFAULT: Self = Self { noise: LEAST_NOISE, sigmas: 4.0, black_radius: 3 };
 }
 
@@ -43,18 +46,27 @@ impl CleanRule {
 pub struct Input<'a> {
     /// A signal, without spikes; its half spread is 0 where there are no halves.
     pub signal: &'a Buffer,
-    /// One plane, s²/n, where there is one. Without it the halves tell of the noise, and those of the four pixels beside with them, for two halves may agree by accident.
+    /// One plane, s²/n, where there is one. Without it the halves tell of the noise, and those of the four pixels
+    /// beside with them, for two halves may agree by accident.
     pub sample_variance: Option<&'a Buffer>,
 }
 
-/// A filtered signal in which pixels without noise are as in the input; in between, a pixel moves by as much as its noise allows. A signal.
+/// A filtered signal in which pixels without noise are as in the input; in between, a pixel moves by as much as its
+/// noise allows. A signal.
 ///
-/// `errors`: a plane and the component of it, 0 to 3, that holds squared errors of the filtered signal, summed over the channels; those of pixels that may move little are held below their
-/// noise plus the square of how far they may move.
+/// `errors`: a plane and the component of it, 0 to 3, that holds squared errors of the filtered signal, summed over the
+/// channels; those of pixels that may move little are held below their noise plus the square of how far they may move.
 ///
 /// # Errors
 /// As [`Recorder::dispatch`].
-pub fn keep_clean(rec: &mut Recorder, extent: IVec2, input: Input, filtered: &Buffer, errors: Option<(&Buffer, u32)>, rule: CleanRule) -> Result<Buffer> {
+pub fn keep_clean(
+    rec: &mut Recorder,
+    extent: IVec2,
+    input: Input,
+    filtered: &Buffer,
+    errors: Option<(&Buffer, u32)>,
+    rule: CleanRule,
+) -> Result<Buffer> {
     let Input { signal, sample_variance } = input;
     let kept = rec.take("clean pixels kept", plane_bytes(extent, 2))?;
     let params = KeepCleanParams {
@@ -68,11 +80,19 @@ pub fn keep_clean(rec: &mut Recorder, extent: IVec2, input: Input, filtered: &Bu
     match errors {
         Some((errors, _)) => {
             let kernel = rec.gpu().kernel::<KeepCleanError>("keep_clean", &definitions)?;
-            rec.dispatch(&kernel, &KeepCleanError { params, signal, sample_variance, filtered, kept: &kept, errors }, per_pixel(extent))?;
+            rec.dispatch(
+                &kernel,
+                &KeepCleanError { params, signal, sample_variance, filtered, kept: &kept, errors },
+                per_pixel(extent),
+            )?;
         }
         None => {
             let kernel = rec.gpu().kernel::<KeepClean>("keep_clean", &definitions)?;
-            rec.dispatch(&kernel, &KeepClean { params, signal, sample_variance, filtered, kept: &kept }, per_pixel(extent))?;
+            rec.dispatch(
+                &kernel,
+                &KeepClean { params, signal, sample_variance, filtered, kept: &kept },
+                per_pixel(extent),
+            )?;
         }
     }
     Ok(kept)

@@ -1,7 +1,7 @@
 //! The stages: one function per shader, called like its file. They know the GPU layer and nothing of methods.
 //!
-//! Everything lives in *planes*: one vec4 per pixel, channels in x, y, z. A *signal* is two planes in one buffer, the mean and behind it the half spread
-//! ([`Signal::half_spread`](crate::frame::Signal::half_spread)).
+//! Everything lives in *planes*: one vec4 per pixel, channels in x, y, z. A *signal* is two planes in one buffer, the
+//! mean and behind it the half spread ([`Signal::half_spread`](crate::frame::Signal::half_spread)).
 
 pub mod candidate;
 pub mod candidate_set;

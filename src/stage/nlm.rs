@@ -1,4 +1,5 @@
-//! The NL-means operator: pixel distances of pairs of neighbours, and a payload filtered by the weights they give (thesis 7.1.1, 8.2).
+//! The NL-means operator: pixel distances of pairs of neighbours, and a payload filtered by the weights they give
+//! (thesis 7.1.1, 8.2).
 
 use glam::IVec2;
 use serde::Serialize;
@@ -31,9 +32,14 @@ uniforms! {
 }
 
 bindings! {
-    struct NlmDistance<'a> { uniform params: NlmParams, read guide, read variance_of_mean, read neighbours, read neighbours_variance, write columns }
+    struct NlmDistance<'a> {
+        uniform params: NlmParams, read guide, read variance_of_mean, read neighbours, read neighbours_variance,
+        write columns,
+    }
     struct NlmWeight<'a> { uniform params: NlmParams, read columns, write weight_columns }
-    struct NlmFilter<'a> { uniform params: NlmParams, read columns, read payload, read neighbours, write filtered, write weights }
+    struct NlmFilter<'a> {
+        uniform params: NlmParams, read columns, read payload, read neighbours, write filtered, write weights,
+    }
     struct NlmFilterResidual<'a> {
         uniform params: NlmParams, read columns, read payload, read neighbours, write filtered, write weights,
         read variance_of_mean, read neighbours_variance, write residual_variance,
@@ -47,7 +53,8 @@ choices! {
     pub enum CentreWeight {
         /// 1: the distance of a pixel to itself is 0.
         One => "one",
-        /// The largest weight among its neighbours, at least 10⁻³: a spike, which is like no neighbour, does not hold on to itself.
+        /// The largest weight among its neighbours, at least 10⁻³: a spike, which is like no neighbour, does not hold
+        /// on to itself.
         LargestNeighbour => "largest-neighbour",
     }
 }
@@ -71,13 +78,15 @@ impl CentreWeight {
 }
 
 choices! {
-    /// Whether pairs of opposite neighbours stand in for each other where their mean matches better than both (eq. 7.6).
+    /// Whether pairs of opposite neighbours stand in for each other where their mean matches better than both (eq.
+    /// 7.6).
     #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
     #[serde(rename_all = "lowercase")]
     pub enum Symmetry {
         /// Each neighbour stands for itself.
         Off => "off",
-        /// By degrees, from where the weight of their mean exceeds the sum of theirs to where it is twice that: weights are continuous, as finite differences want them.
+        /// By degrees, from where the weight of their mean exceeds the sum of theirs to where it is twice that: weights
+        /// are continuous, as finite differences want them.
         Blended => "blended",
         /// Both weights become that of their mean wherever it exceeds their sum (thesis 7.1.1).
         Hard => "hard",
@@ -95,7 +104,8 @@ parameters! {
     /// How distances become weights, the same in every filter of a method.
     #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
     pub struct Weighting {
-        /// Whether the mean of opposite neighbours may stand for both where it matches better (eq. 7.6). It keeps gradients.
+        /// Whether the mean of opposite neighbours may stand for both where it matches better (eq. 7.6). It keeps
+        /// gradients.
         pub symmetric: Symmetry,
         /// Weight of a pixel in its own average.
         pub centre: CentreWeight,
@@ -104,8 +114,8 @@ parameters! {
 
 /// How the work on the window is cut up: what is computed does not depend on it, to the bit.
 ///
-/// Measured on llvmpipe (Mesa 22.3, LLVM 15, vectors of 256 bits), in nanoseconds of processor time per pixel and pair of offsets, R = 10, and in seconds that the driver
-/// compiles:
+/// Measured on llvmpipe (Mesa 22.3, LLVM 15, vectors of 256 bits), in nanoseconds of processor time per pixel and pair
+/// of offsets, R = 10, and in seconds that the driver compiles:
 ///
 /// | kernel | 1 pixel | 2 | **4** | 8 |
 /// | --- | --- | --- | --- | --- |
@@ -118,21 +128,26 @@ parameters! {
 /// | `nlm_distance`, one size of patches | 30 | 25 | 27 |
 /// | `nlm_distance`, two sizes | 37 | 43 | 37 |
 ///
-/// The whole of DFC on 256×256 pixels, in seconds of processor time: 4.9 with 8 MiB of scratch and blocks of 32 rows, 4.6 with 8 or 4 MiB and a block for all of the rows
-/// that fit, 5.1 with 32 MiB, 5.3 with 1 MiB, 5.7 with half a MiB.
+/// The whole of DFC on 256×256 pixels, in seconds of processor time: 4.9 with 8 MiB of scratch and blocks of 32 rows,
+/// 4.6 with 8 or 4 MiB and a block for all of the rows that fit, 5.1 with 32 MiB, 5.3 with 1 MiB, 5.7 with half a MiB.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Schedule {
-    /// Bytes of the scratch buffer that holds the column sums of one strip of rows and one chunk of offsets; where two sizes of patches are summed up, twice as many.
+    /// Bytes of the scratch buffer that holds the column sums of one strip of rows and one chunk of offsets; where two
+    /// sizes of patches are summed up, twice as many.
     pub scratch_bytes: u64,
-    /// Rows that one invocation of `nlm_distance` and `nlm_weight` walks down; the 2f rows at its ends are computed twice.
+    /// Rows that one invocation of `nlm_distance` and `nlm_weight` walks down; the 2f rows at its ends are computed
+    /// twice.
     pub block_rows: u32,
-    /// Offsets, one below the other, that one invocation of `nlm_distance` does at a time where there is one size of patches.
+    /// Offsets, one below the other, that one invocation of `nlm_distance` does at a time where there is one size of
+    /// patches.
     pub offset_rows: u32,
     /// Pixels in a row that one invocation of the filters does at a time.
     pub pixels: u32,
-    /// Columns of an image that are worked on at a time, so that the scratch holds as many rows of a wide image as of a narrow one.
+    /// Columns of an image that are worked on at a time, so that the scratch holds as many rows of a wide image as of a
+    /// narrow one.
     pub band_columns: u32,
-    /// Pixels whose work costs as much as the dispatches for a rectangle of its own, where parts of an image are left out.
+    /// Pixels whose work costs as much as the dispatches for a rectangle of its own, where parts of an image are left
+    /// out.
     pub region_pixels: u32,
 }
 
@@ -143,10 +158,24 @@ impl Schedule {
     }
 
     /// For a processor: blocks in registers, for loads are what costs.
-    pub const SOFTWARE: Self = Self { scratch_bytes: 4 << 20, block_rows: 64, offset_rows: 2, pixels: 4, band_columns: 256, region_pixels: 512 };
+    pub const SOFTWARE: Self = Self {
+        scratch_bytes: 4 << 20,
+        block_rows: 64,
+        offset_rows: 2,
+        pixels: 4,
+        band_columns: 256,
+        region_pixels: 512,
+    };
 
     /// For a graphics card: enough pixels at a time to fill it, and few registers for each. Not measured.
-    pub const HARDWARE: Self = Self { scratch_bytes: 256 << 20, block_rows: 16, offset_rows: 1, pixels: 1, band_columns: 1 << 20, region_pixels: 1 << 16 };
+    pub const HARDWARE: Self = Self {
+        scratch_bytes: 256 << 20,
+        block_rows: 16,
+        offset_rows: 1,
+        pixels: 1,
+        band_columns: 1 << 20,
+        region_pixels: 1 << 16,
+    };
 
     /// Invocations of a filter over the pixels of a dispatch.
     pub(super) fn per_row_of_pixels(&self, params: &NlmParams) -> [u32; 3] {
@@ -159,21 +188,35 @@ impl Schedule {
     }
 
     /// The parts of an image that the work is done for, and how it is cut there.
-    fn regions(&self, gpu: &Gpu, extent: IVec2, window_radius: i32, guide: &Guide, sum_planes: u32) -> Vec<(Region, Cut)> {
+    fn regions(
+        &self,
+        gpu: &Gpu,
+        extent: IVec2,
+        window_radius: i32,
+        guide: &Guide,
+        sum_planes: u32,
+    ) -> Vec<(Region, Cut)> {
         let regions = match guide.exact {
             Some(exact) => exact.regions(extent, REGION_CELL, guide.patch_radius as i32, self.region_pixels.into()),
             None => vec![Region { first: IVec2::ZERO, size: extent }],
         };
         let wanted = |region: Region| guide.wanted.map_or(Some(region), |wanted| region.overlap(&wanted));
-        // The weights of f columns more on both sides enter those of a patchwise guide, and the scratch has no distances for them.
+        // The weights of f columns more on both sides enter those of a patchwise guide, and the scratch has no
+        // distances for them.
         let most_columns = if guide.patchwise { i32::MAX } else { self.most_columns(gpu, guide, sum_planes) };
         let bands = |region: Region| {
             let width = region.size.x.min(most_columns);
-            (0..region.size.x)
-                .step_by(width as usize)
-                .map(move |x| Region { first: region.first + IVec2::new(x, 0), size: IVec2::new(width.min(region.size.x - x), region.size.y) })
+            (0..region.size.x).step_by(width as usize).map(move |x| Region {
+                first: region.first + IVec2::new(x, 0),
+                size: IVec2::new(width.min(region.size.x - x), region.size.y),
+            })
         };
-        regions.into_iter().filter_map(wanted).flat_map(bands).map(|region| (region, self.cut(gpu, region.size, window_radius, guide, sum_planes))).collect()
+        regions
+            .into_iter()
+            .filter_map(wanted)
+            .flat_map(bands)
+            .map(|region| (region, self.cut(gpu, region.size, window_radius, guide, sum_planes)))
+            .collect()
     }
 
     /// The widest band of which one row fits every buffer that is as wide as the band: the column sums of one offset
@@ -197,7 +240,8 @@ impl Schedule {
         let patch_sizes = guide.patch_sizes();
         let row_bytes = plane_bytes(IVec2::new(stride, 1), 1);
         let budget = (self.scratch_bytes.min(gpu.max_binding_bytes() / patch_sizes) / row_bytes).max(1) as i32;
-        // A row of offsets at a time, unless the image is so small that more fit: for each chunk the running sums are loaded and stored once.
+        // A row of offsets at a time, unless the image is so small that more fit: for each chunk the running sums are
+        // loaded and stored once.
         let side = 2 * window_radius + 1;
         let rows = (budget / side - 2 * margin).clamp(1, extent.y);
         // With a small window, rows whose column sums fit have more running sums than fit.
@@ -210,7 +254,13 @@ impl Schedule {
         let offset_rows = (planes / side).clamp(1, window_radius);
         let whole = self.offset_rows as i32;
         let offset_rows = if offset_rows > whole { offset_rows - offset_rows % whole } else { offset_rows };
-        Cut { stride, margin, rows, offsets: IVec2::new(planes.min(side), offset_rows), patch_sizes: patch_sizes as u32 }
+        Cut {
+            stride,
+            margin,
+            rows,
+            offsets: IVec2::new(planes.min(side), offset_rows),
+            patch_sizes: patch_sizes as u32,
+        }
     }
 }
 
@@ -235,8 +285,8 @@ impl Cut {
         plane_bytes(IVec2::new(self.stride, self.rows + 2 * margin), (self.offsets.x * self.offsets.y) as u32)
     }
 
-    /// The half window in rectangles, in reading order: first offset, and number of columns and rows. The pixel's own row is one by itself, for it is half as long; a frame beside
-    /// has one neighbour more there, at the same position.
+    /// The half window in rectangles, in reading order: first offset, and number of columns and rows. The pixel's own
+    /// row is one by itself, for it is half as long; a frame beside has one neighbour more there, at the same position.
     fn rectangles(&self, window_radius: i32, in_other_frame: bool) -> Vec<(IVec2, IVec2)> {
         let mut rectangles = Vec::new();
         let mut add_rows = |first_x: i32, y: i32, rows: i32| {
@@ -263,13 +313,15 @@ pub struct Guide<'a> {
     pub channels: u32,
     /// k_c: how large a difference counts, in standard deviations.
     pub k: f32,
-    /// α: how much of the variance is cancelled from squared differences; 1 takes out what noise adds to them, more disregards larger differences too.
+    /// α: how much of the variance is cancelled from squared differences; 1 takes out what noise adds to them, more
+    /// disregards larger differences too.
     pub alpha: f32,
     /// f: patches are 2f+1 pixels wide.
     pub patch_radius: u32,
     /// A second, smaller patch whose sums are wanted too.
     pub small_patch_radius: Option<u32>,
-    /// The weight of a neighbour is the mean of the weights of all pairs of pixels in the two patches (thesis 7.1.1), and not that of their centres alone.
+    /// The weight of a neighbour is the mean of the weights of all pairs of pixels in the two patches (thesis 7.1.1),
+    /// and not that of their centres alone.
     pub patchwise: bool,
     /// Weights below this one become 0, so that many faint neighbours do not outweigh few good ones; 0 to keep all.
     pub cut: f32,
@@ -319,8 +371,8 @@ pub(super) struct ChunkNeeds {
     pub(super) sum_planes: u32,
 }
 
-/// A frame beside the one that is filtered, whose pixels take part as neighbours (thesis 7.3, 8.6): the same window around the same position, patches inside that frame. Pairs
-/// of opposite neighbours are formed within a frame.
+/// A frame beside the one that is filtered, whose pixels take part as neighbours (thesis 7.3, 8.6): the same window
+/// around the same position, patches inside that frame. Pairs of opposite neighbours are formed within a frame.
 #[derive(Clone, Copy, Debug)]
 pub struct Beside<'a> {
     /// As [`Guide::signal`].
@@ -329,7 +381,8 @@ pub struct Beside<'a> {
     pub variance_of_mean: &'a Buffer,
 }
 
-/// One chunk of offsets over one strip of rows: what follows `nlm_distance` gets the column sums (of a patchwise guide, those of weights) and these parameters.
+/// One chunk of offsets over one strip of rows: what follows `nlm_distance` gets the column sums (of a patchwise guide,
+/// those of weights) and these parameters.
 pub(super) struct Chunk<'a> {
     pub(super) params: NlmParams,
     /// Of the patches, and behind them of the smaller ones, if they are wanted too; without distances it holds nothing.
@@ -346,8 +399,9 @@ pub(super) struct Chunk<'a> {
     pub(super) done: f32,
 }
 
-/// Runs `nlm_distance`, and for a patchwise guide `nlm_weight`, chunk by chunk and hands each to `consume`, strips from top to bottom, all chunks of a strip before the next,
-/// those of the frame itself first. A filter that knows no distances goes through the same chunks.
+/// Runs `nlm_distance`, and for a patchwise guide `nlm_weight`, chunk by chunk and hands each to `consume`, strips from
+/// top to bottom, all chunks of a strip before the next, those of the frame itself first. A filter that knows no
+/// distances goes through the same chunks.
 #[expect(clippy::too_many_arguments, reason = "they are the operator's definition; a struct would only rename them")]
 pub(super) fn for_each_chunk(
     rec: &mut Recorder,
@@ -363,7 +417,8 @@ pub(super) fn for_each_chunk(
     for_each_chunk_of(rec, extent, regions, guide, needs.distances, window_radius, weighting, schedule, consume)
 }
 
-/// The same for the window of one pixel: the chunks are no larger than its weights ask for, so that they hold nothing of use for any other.
+/// The same for the window of one pixel: the chunks are no larger than its weights ask for, so that they hold nothing
+/// of use for any other.
 #[expect(clippy::too_many_arguments, reason = "they are the operator's definition; a struct would only rename them")]
 pub(super) fn for_each_chunk_around(
     rec: &mut Recorder,
@@ -381,7 +436,17 @@ pub(super) fn for_each_chunk_around(
     let first = IVec2::new((pixel.x - columns).max(0), pixel.y);
     let region = Region { first, size: IVec2::new((pixel.x + columns + 1).min(extent.x) - first.x, 1) };
     let cut = schedule.cut(rec.gpu(), region.size, window_radius as i32, guide, 0);
-    for_each_chunk_of(rec, extent, vec![(region, cut)], guide, with_distances, window_radius, weighting, schedule, consume)
+    for_each_chunk_of(
+        rec,
+        extent,
+        vec![(region, cut)],
+        guide,
+        with_distances,
+        window_radius,
+        weighting,
+        schedule,
+        consume,
+    )
 }
 
 #[expect(clippy::too_many_arguments, reason = "they are the operator's definition; a struct would only rename them")]
@@ -399,12 +464,20 @@ fn for_each_chunk_of(
     let radius = window_radius as i32;
     let patch_radius = guide.patch_radius as i32;
     let largest = |bytes: &dyn Fn(&Cut) -> u64| regions.iter().map(|(_, cut)| bytes(cut)).max().unwrap_or(0);
-    let column_bytes = if with_distances { largest(&|cut| cut.scratch_bytes(cut.margin) * u64::from(cut.patch_sizes)) } else { 0 };
+    let column_bytes =
+        if with_distances { largest(&|cut| cut.scratch_bytes(cut.margin) * u64::from(cut.patch_sizes)) } else { 0 };
     let columns = rec.take("column sums of distances", column_bytes)?;
-    let weight_columns = guide.patchwise.then(|| rec.take("column sums of weights", largest(&|cut| cut.scratch_bytes(0)))).transpose()?;
+    let weight_columns = guide
+        .patchwise
+        .then(|| rec.take("column sums of weights", largest(&|cut| cut.scratch_bytes(0))))
+        .transpose()?;
     let itself = Beside { signal: guide.signal, variance_of_mean: guide.variance_of_mean };
-    let frames: Vec<_> = std::iter::once((None, itself)).chain(guide.beside.iter().enumerate().map(|(index, frame)| (Some(index), *frame))).collect();
-    let strips = regions.iter().flat_map(|(region, cut)| (0..region.size.y).step_by(cut.rows as usize).map(move |row| (region, cut, row)));
+    let frames: Vec<_> = std::iter::once((None, itself))
+        .chain(guide.beside.iter().enumerate().map(|(index, frame)| (Some(index), *frame)))
+        .collect();
+    let strips = regions
+        .iter()
+        .flat_map(|(region, cut)| (0..region.size.y).step_by(cut.rows as usize).map(move |row| (region, cut, row)));
     let all_pixels = regions.iter().map(|(region, _)| region.size.element_product()).sum::<i32>() as f32;
     let mut pixels_done = 0;
     for (region, cut, row) in strips {
@@ -453,12 +526,24 @@ fn for_each_chunk_of(
                     let kernel = rec.gpu().kernel::<NlmDistance>("nlm_distance", &definitions)?;
                     let Beside { signal: neighbours, variance_of_mean: neighbours_variance } = *neighbours;
                     let (guide, variance_of_mean) = (guide.signal, guide.variance_of_mean);
-                    let bound = NlmDistance { params: with_margin, guide, variance_of_mean, neighbours, neighbours_variance, columns: &columns };
+                    let bound = NlmDistance {
+                        params: with_margin,
+                        guide,
+                        variance_of_mean,
+                        neighbours,
+                        neighbours_variance,
+                        columns: &columns,
+                    };
                     rec.dispatch(&kernel, &bound, [cut.stride as u32, blocks(with_margin.rows), planes / offset_rows])?;
                 }
                 if let Some(weight_columns) = &weight_columns {
                     let [symmetric, hard] = weighting.symmetric.definitions();
-                    let definitions = [("PATCH_RADIUS", Definition::Int(patch_radius)), schedule.pixels_definition(), symmetric, hard];
+                    let definitions = [
+                        ("PATCH_RADIUS", Definition::Int(patch_radius)),
+                        schedule.pixels_definition(),
+                        symmetric,
+                        hard,
+                    ];
                     let kernel = rec.gpu().kernel::<NlmWeight>("nlm_weight", &definitions)?;
                     let invocations = [(cut.stride as u32).div_ceil(schedule.pixels), blocks(rows), planes];
                     rec.dispatch(&kernel, &NlmWeight { params, columns: &columns, weight_columns }, invocations)?;
@@ -519,11 +604,13 @@ pub struct Filtered {
     pub planes: Buffer,
     /// One plane, x: Σ w with the centre's weight.
     pub weights: Buffer,
-    /// Σ w²·Var / (Σ w)² in one plane, if asked for: the variance left in the filtered guide, were its pixels independent and the weights fixed.
+    /// Σ w²·Var / (Σ w)² in one plane, if asked for: the variance left in the filtered guide, were its pixels
+    /// independent and the weights fixed.
     pub residual_variance: Option<Buffer>,
 }
 
-/// Filters the payload over a window of 2·`window_radius`+1 pixels with NL-means weights from `guide` (eq. 7.1 to 7.6), in its frame and in the frames beside it.
+/// Filters the payload over a window of 2·`window_radius`+1 pixels with NL-means weights from `guide` (eq. 7.1 to 7.6),
+/// in its frame and in the frames beside it.
 #[expect(clippy::too_many_arguments, reason = "they are the operator's definition; a struct would only rename them")]
 pub fn nlm_filter(
     rec: &mut Recorder,
@@ -537,7 +624,8 @@ pub fn nlm_filter(
 ) -> Result<Filtered> {
     let planes = rec.take("filtered planes", plane_bytes(extent, payload.count))?;
     let weights = rec.take("weight sums", plane_bytes(extent, 1))?;
-    let residual_variance = with_residual_variance.then(|| rec.take("residual variance", plane_bytes(extent, 1))).transpose()?;
+    let residual_variance =
+        with_residual_variance.then(|| rec.take("residual variance", plane_bytes(extent, 1))).transpose()?;
     let [symmetric, hard] = weighting.symmetric.definitions();
     let definitions = [
         ("PATCH_RADIUS", Definition::Int(guide.patch_radius as i32)),
@@ -561,12 +649,25 @@ pub fn nlm_filter(
         match &residual_variance {
             None => {
                 let kernel = rec.gpu().kernel::<NlmFilter>("nlm_filter", &definitions)?;
-                rec.dispatch(&kernel, &NlmFilter { params, columns, payload, neighbours, filtered, weights }, invocations)
+                rec.dispatch(
+                    &kernel,
+                    &NlmFilter { params, columns, payload, neighbours, filtered, weights },
+                    invocations,
+                )
             }
             Some(residual_variance) => {
                 let kernel = rec.gpu().kernel::<NlmFilterResidual>("nlm_filter", &definitions)?;
-                let bound =
-                    NlmFilterResidual { params, columns, payload, neighbours, filtered, weights, variance_of_mean, neighbours_variance, residual_variance };
+                let bound = NlmFilterResidual {
+                    params,
+                    columns,
+                    payload,
+                    neighbours,
+                    filtered,
+                    weights,
+                    variance_of_mean,
+                    neighbours_variance,
+                    residual_variance,
+                };
                 rec.dispatch(&kernel, &bound, invocations)
             }
         }

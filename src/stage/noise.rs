@@ -33,7 +33,9 @@ uniforms! {
     }
     struct NoiseFeatureParams { extent: IVec2, radius: i32, group: i32, single: i32 }
     struct NoiseHighpassParams { extent: IVec2, groups: IVec2 }
-    struct NoiseResidualParams { extent: IVec2, fit_radius: i32, ridge: f32, fitted_share: f32, largest: f32, scale: f32 }
+    struct NoiseResidualParams {
+        extent: IVec2, fit_radius: i32, ridge: f32, fitted_share: f32, largest: f32, scale: f32,
+    }
     struct NoiseHoldParams { extent: IVec2, jump_radius: i32, jump: f32, least_magnitude: f32, radius: i32 }
     struct NoiseUnpackParams { extent: IVec2, plane: i32, single: i32 }
 }
@@ -41,16 +43,25 @@ uniforms! {
 bindings! {
     struct NoiseMagnitude<'a> { uniform params: NoiseParams, read signal, write relative_spread }
     struct NoiseGuess<'a> { uniform params: NoiseParams, read relative_spread, write guess }
-    struct NoiseFeature<'a> { uniform params: NoiseFeatureParams, read signal, optional sample_variance, write features }
+    struct NoiseFeature<'a> {
+        uniform params: NoiseFeatureParams, read signal, optional sample_variance, write features,
+    }
     struct NoisePool<'a> {
-        uniform params: NoiseParams, read signal, read guess, optional features, optional sample_variance, write pooled_variance,
+        uniform params: NoiseParams, read signal, read guess, optional features, optional sample_variance,
+        write pooled_variance,
     }
     struct NoiseHighpass<'a> {
         uniform params: NoiseHighpassParams, read signal, read relative_spread, optional features, write highpass,
     }
-    struct NoiseResidual<'a> { uniform params: NoiseResidualParams, read signal, read highpass, write residual, write relative_spread }
-    struct NoiseJump<'a> { uniform params: NoiseHoldParams, read relative_spread, read pooled_variance, write relative_variance }
-    struct NoiseHold<'a> { uniform params: NoiseHoldParams, read relative_spread, read relative_variance, write variance }
+    struct NoiseResidual<'a> {
+        uniform params: NoiseResidualParams, read signal, read highpass, write residual, write relative_spread,
+    }
+    struct NoiseJump<'a> {
+        uniform params: NoiseHoldParams, read relative_spread, read pooled_variance, write relative_variance,
+    }
+    struct NoiseHold<'a> {
+        uniform params: NoiseHoldParams, read relative_spread, read relative_variance, write variance,
+    }
     struct NoiseUnpack<'a> { uniform params: NoiseUnpackParams, read pooled_variance, write variance }
 }
 
@@ -80,8 +91,8 @@ pub struct NoiseRule {
 }
 
 impl NoiseRule {
-    /// Of two halves. Measured: with half of the share, or of k_f, `cornell` at 32 spp has 3 % more error, `dof_spheres` at
-    /// 128 spp 4 %, `cycles_interior` 2 %.
+    /// Of two halves. Measured: with half of the share, or of k_f, `cornell` at 32 spp has 3 % more error,
+    /// `dof_spheres` at 128 spp 4 %, `cycles_interior` 2 %.
     pub const HALVES: Self = Self {
         darker: 4.0,
         least_magnitude: 1e-3,
@@ -95,8 +106,8 @@ impl NoiseRule {
         pooled_share: 8.0,
     };
 
-    /// Of sample variances beside two halves. Measured at 8, 32 and 128 spp, pooling them leaves .96, 1.00 and .99 of the
-    /// error of `cornell`, .98, .99 and 1.00 of `dof_spheres`, .86, .92 and .89 of `caustic_ring`.
+    /// Of sample variances beside two halves. Measured at 8, 32 and 128 spp, pooling them leaves .96, 1.00 and .99 of
+    /// the error of `cornell`, .98, .99 and 1.00 of `dof_spheres`, .86, .92 and .89 of `caustic_ring`.
     pub const VARIANCE: Self = Self { gate: 4.0, ..Self::HALVES };
 
     /// Of what an image alone shows, which is rougher.
@@ -147,7 +158,11 @@ impl NoisyFeatures {
     /// As [`Recorder::take`].
     pub fn take(rec: &mut Recorder, extent: IVec2, channels: &[u32]) -> Result<Self> {
         let packing = Packing::new(channels);
-        Ok(Self { buffer: rec.take("noisy features", plane_bytes(extent, 3 * packing.groups))?, packing, are_pooled: false })
+        Ok(Self {
+            buffer: rec.take("noisy features", plane_bytes(extent, 3 * packing.groups))?,
+            packing,
+            are_pooled: false,
+        })
     }
 }
 
@@ -166,10 +181,15 @@ pub fn noise_feature(
     rule: &NoiseRule,
 ) -> Result<()> {
     let Slot { group, single } = slot;
-    let params = NoiseFeatureParams { extent, radius: rule.feature_radius as i32, group: group as i32, single: single.into() };
+    let params =
+        NoiseFeatureParams { extent, radius: rule.feature_radius as i32, group: group as i32, single: single.into() };
     let definitions = [("VARIANCE", sample_variance.is_some().into()), ("PIXELS", Definition::Int(PIXELS as i32))];
     let kernel = rec.gpu().kernel::<NoiseFeature>("noise_feature", &definitions)?;
-    rec.dispatch(&kernel, &NoiseFeature { params, signal, sample_variance, features: &features.buffer }, per_run(extent, PIXELS))
+    rec.dispatch(
+        &kernel,
+        &NoiseFeature { params, signal, sample_variance, features: &features.buffer },
+        per_run(extent, PIXELS),
+    )
 }
 
 /// Variances that were pooled.
@@ -226,7 +246,11 @@ fn pool(
     ];
     let kernel = rec.gpu().kernel::<NoisePool>("noise_pool", &definitions)?;
     let features = features.map(|features| &features.buffer);
-    rec.dispatch(&kernel, &NoisePool { params, signal, guess, features, sample_variance, pooled_variance: &buffer }, per_run(extent, pixels))?;
+    rec.dispatch(
+        &kernel,
+        &NoisePool { params, signal, guess, features, sample_variance, pooled_variance: &buffer },
+        per_run(extent, pixels),
+    )?;
     Ok(Pooled { buffer })
 }
 
@@ -251,8 +275,8 @@ pub struct ImageRule {
     /// What is added to the diagonal of the fit's normal equations, in parts of the sum of its weights.
     pub ridge: f32,
     /// The part that what the fit leaves has in the geometric mean with what there is without it. Measured at 32 spp,
-    /// with a half `dof_spheres` has 5 % more error, whose features are noisy; with none `cycles_interior` has 2 % more,
-    /// whose wood they explain.
+    /// with a half `dof_spheres` has 5 % more error, whose features are noisy; with none `cycles_interior` has 2 %
+    /// more, whose wood they explain.
     pub fitted_share: f32,
     /// The largest noise of a pixel that is no brighter than its neighbours, in magnitudes.
     pub largest: f32,
@@ -268,8 +292,16 @@ pub struct ImageRule {
 
 impl ImageRule {
     /// What measured best.
-    pub const DEFAULT: Self =
-        Self { fit_radius: 4, ridge: 1e-3, fitted_share: 0.2, largest: 3.0, jump: 100.0, jump_radius: 2, hold_radius: 4, pool: NoiseRule::IMAGE };
+    pub const DEFAULT: Self = Self {
+        fit_radius: 4,
+        ridge: 1e-3,
+        fitted_share: 0.2,
+        largest: 3.0,
+        jump: 100.0,
+        jump_radius: 2,
+        hold_radius: 4,
+        pool: NoiseRule::IMAGE,
+    };
 
     /// How far a pixel's variance depends on what is around it, in pixels.
     pub const fn reach(&self) -> u32 {
@@ -282,12 +314,13 @@ impl ImageRule {
 
 /// Brings the lesser of the two residuals of Gaussian noise to the size of a half spread: E|D| = σ·√(2/π).
 ///
-/// Each residual has the variance 1.5·σ², and both have the correlation 2/3. Of two normal variables with the variance 1
-/// and the correlation ρ, E min(|a|, |b|) = √(2/π)·(2 − (√(2 + 2ρ) + √(2 − 2ρ))/2).
+/// Each residual has the variance 1.5·σ², and both have the correlation 2/3. Of two normal variables with the variance
+/// 1 and the correlation ρ, E min(|a|, |b|) = √(2/π)·(2 − (√(2 + 2ρ) + √(2 − 2ρ))/2).
 const RESIDUAL_SCALE: f32 = 1.202_67;
 
 /// The variance of a colour of which nothing is known but the image: from how far pixels stand out from both their
-/// neighbours, pooled. `explaining` are the features of three channels, two at the most, that may explain it. One plane.
+/// neighbours, pooled. `explaining` are the features of three channels, two at the most, that may explain it. One
+/// plane.
 ///
 /// # Errors
 /// As [`Recorder::dispatch`].
@@ -310,21 +343,46 @@ pub fn noise_of_image(
     let kernel = rec.gpu().kernel::<NoiseHighpass>("noise_highpass", &regressors)?;
     let params = NoiseHighpassParams { extent, groups: IVec2::new(of_group(0), of_group(1)) };
     let buffer = features.filter(|_| !groups.is_empty()).map(|features| &features.buffer);
-    rec.dispatch(&kernel, &NoiseHighpass { params, signal, relative_spread, features: buffer, highpass }, per_pixel(extent))?;
+    rec.dispatch(
+        &kernel,
+        &NoiseHighpass { params, signal, relative_spread, features: buffer, highpass },
+        per_pixel(extent),
+    )?;
     let residual = &rec.take("colour and its residual", bytes(2))?;
     let kernel = rec.gpu().kernel::<NoiseResidual>("noise_residual", &regressors)?;
     let ImageRule { fit_radius, ridge, fitted_share, largest, jump, jump_radius, hold_radius, pool } = *rule;
-    let params = NoiseResidualParams { extent, fit_radius: fit_radius as i32, ridge, fitted_share, largest, scale: RESIDUAL_SCALE };
+    let params = NoiseResidualParams {
+        extent,
+        fit_radius: fit_radius as i32,
+        ridge,
+        fitted_share,
+        largest,
+        scale: RESIDUAL_SCALE,
+    };
     rec.dispatch(&kernel, &NoiseResidual { params, signal, highpass, residual, relative_spread }, per_pixel(extent))?;
 
     let pooled_variance = &self::pool(rec, extent, residual, relative_spread, None, features, &pool)?.buffer;
     let relative_variance = &rec.take("relative variance", bytes(1))?;
     let variance = rec.take("variance of an image", bytes(1))?;
-    let params = NoiseHoldParams { extent, jump_radius: jump_radius as i32, jump, least_magnitude: pool.least_magnitude, radius: hold_radius as i32 };
+    let params = NoiseHoldParams {
+        extent,
+        jump_radius: jump_radius as i32,
+        jump,
+        least_magnitude: pool.least_magnitude,
+        radius: hold_radius as i32,
+    };
     let kernel = rec.gpu().kernel::<NoiseJump>("noise_jump", &[])?;
-    rec.dispatch(&kernel, &NoiseJump { params, relative_spread, pooled_variance, relative_variance }, per_pixel(extent))?;
+    rec.dispatch(
+        &kernel,
+        &NoiseJump { params, relative_spread, pooled_variance, relative_variance },
+        per_pixel(extent),
+    )?;
     let kernel = rec.gpu().kernel::<NoiseHold>("noise_hold", &[])?;
-    rec.dispatch(&kernel, &NoiseHold { params, relative_spread, relative_variance, variance: &variance }, per_pixel(extent))?;
+    rec.dispatch(
+        &kernel,
+        &NoiseHold { params, relative_spread, relative_variance, variance: &variance },
+        per_pixel(extent),
+    )?;
     Ok(variance)
 }
 
@@ -337,6 +395,10 @@ pub fn noise_unpack(rec: &mut Recorder, extent: IVec2, pooled: &Pooled, slot: Op
     let kernel = rec.gpu().kernel::<NoiseUnpack>("noise_unpack", &[])?;
     let (plane, single) = slot.map_or((0, false), |Slot { group, single }| (1 + group, single));
     let params = NoiseUnpackParams { extent, plane: plane as i32, single: single.into() };
-    rec.dispatch(&kernel, &NoiseUnpack { params, pooled_variance: &pooled.buffer, variance: &variance }, per_pixel(extent))?;
+    rec.dispatch(
+        &kernel,
+        &NoiseUnpack { params, pooled_variance: &pooled.buffer, variance: &variance },
+        per_pixel(extent),
+    )?;
     Ok(variance)
 }

@@ -13,7 +13,9 @@ uniforms! {
 
 bindings! {
     struct SampleAttach<'a> { uniform params: SampleAttachParams, read signal, write with_samples, optional samples }
-    struct SampleDensity<'a> { uniform params: SampleDensityParams, read blended, write density, optional errors, optional samples }
+    struct SampleDensity<'a> {
+        uniform params: SampleDensityParams, read blended, write density, optional errors, optional samples,
+    }
 }
 
 /// Added to the squared value in relative errors (thesis 7.1.2: 10⁻³), for colour at the order of 1.
@@ -38,7 +40,8 @@ impl GpuSamples {
     }
 }
 
-/// A signal with the samples of each pixel, at least 1, in the w of the mean: filtered along with the colour, they are the samples that contribute to the filtered value.
+/// A signal with the samples of each pixel, at least 1, in the w of the mean: filtered along with the colour, they are
+/// the samples that contribute to the filtered value.
 pub fn sample_attach(rec: &mut Recorder, extent: IVec2, signal: &Buffer, samples: &GpuSamples) -> Result<Buffer> {
     let with_samples = rec.take("signal with samples", plane_bytes(extent, 2))?;
     let (samples_per_pixel, samples) = samples.parts();
@@ -48,16 +51,25 @@ pub fn sample_attach(rec: &mut Recorder, extent: IVec2, signal: &Buffer, samples
     Ok(with_samples)
 }
 
-/// The gain to be expected from a sample in each pixel: the estimated squared error of the blend relative to its squared value, times W(p) = Σ w / (1 + n_p), n_p the
-/// samples of the pixel. Not smoothed, in no unit. One plane, x.
+/// The gain to be expected from a sample in each pixel: the estimated squared error of the blend relative to its
+/// squared value, times W(p) = Σ w / (1 + n_p), n_p the samples of the pixel. Not smoothed, in no unit. One plane, x.
 ///
-/// `blended` is the signal of pass 1 with Σ w in its w. Its error is what its half spread says (thesis 7.1.2); without halves, give its `errors`
-/// ([`error_blend`](super::error::error_blend)).
-pub fn sample_density(rec: &mut Recorder, extent: IVec2, blended: &Buffer, errors: Option<&Buffer>, samples: &GpuSamples) -> Result<Buffer> {
+/// `blended` is the signal of pass 1 with Σ w in its w. Its error is what its half spread says (thesis 7.1.2); without
+/// halves, give its `errors` ([`error_blend`](super::error::error_blend)).
+pub fn sample_density(
+    rec: &mut Recorder,
+    extent: IVec2,
+    blended: &Buffer,
+    errors: Option<&Buffer>,
+    samples: &GpuSamples,
+) -> Result<Buffer> {
     let density = rec.take("sample density", plane_bytes(extent, 1))?;
     let (samples_per_pixel, samples) = samples.parts();
     let params = SampleDensityParams { extent, samples_per_pixel, relative_floor: RELATIVE_FLOOR };
-    let kernel = rec.gpu().kernel::<SampleDensity>("sample_density", &[("SAMPLES_VARY", samples.is_some().into()), ("HALVES", errors.is_none().into())])?;
+    let kernel = rec.gpu().kernel::<SampleDensity>(
+        "sample_density",
+        &[("SAMPLES_VARY", samples.is_some().into()), ("HALVES", errors.is_none().into())],
+    )?;
     rec.dispatch(&kernel, &SampleDensity { params, blended, errors, density: &density, samples }, per_pixel(extent))?;
     Ok(density)
 }

@@ -20,7 +20,9 @@ bindings! {
         uniform params: ScalePixelParams,
         read input, read variance_of_mean, optional samples, write signal, write variance, write selected, write choice,
     }
-    struct ScaleStop<'a> { uniform params: ScaleStopParams, read fine, read fine_variance, read coarse, read coarse_variance, write stops }
+    struct ScaleStop<'a> {
+        uniform params: ScaleStopParams, read fine, read fine_variance, read coarse, read coarse_variance, write stops,
+    }
     struct ScaleAdvance<'a> {
         uniform params: ScaleAdvanceParams,
         read stops, read smoothed, read fine_variance, read coarse, read coarse_variance, write selected, write choice,
@@ -42,16 +44,32 @@ pub struct Scale {
 /// The scale that each pixel has come to.
 #[derive(Debug)]
 pub struct Selected {
-    /// A signal; in the w of the mean the number of pixels that take part, Σ w where the largest possible number counts: 1/Σw² of normalised weights.
+    /// A signal; in the w of the mean the number of pixels that take part, Σ w where the largest possible number
+    /// counts: 1/Σw² of normalised weights.
     pub signal: Buffer,
-    /// One plane. x: σ of its scale in pixels, y: 1 while coarser scales may follow, z: estimated squared error, summed over the channels, w: samples that take part.
+    /// One plane. x: σ of its scale in pixels, y: 1 while coarser scales may follow, z: estimated squared error, summed
+    /// over the channels, w: samples that take part.
     pub choice: Buffer,
 }
 
-/// The finest scale, the pixel filter, and the selection that starts with it (thesis 6.4). Counts of 0 in `samples` are ones that nobody knows.
-pub fn scale_pixel(rec: &mut Recorder, extent: IVec2, signal: &Buffer, variance_of_mean: &Buffer, samples: &GpuSamples) -> Result<(Scale, Selected)> {
-    let pixel = Scale { sigma: 0.0, signal: rec.take("pixel filter", plane_bytes(extent, 2))?, variance: rec.take("its variance", plane_bytes(extent, 1))? };
-    let selected = Selected { signal: rec.take("selected scale", plane_bytes(extent, 2))?, choice: rec.take("choice of scale", plane_bytes(extent, 1))? };
+/// The finest scale, the pixel filter, and the selection that starts with it (thesis 6.4). Counts of 0 in `samples` are
+/// ones that nobody knows.
+pub fn scale_pixel(
+    rec: &mut Recorder,
+    extent: IVec2,
+    signal: &Buffer,
+    variance_of_mean: &Buffer,
+    samples: &GpuSamples,
+) -> Result<(Scale, Selected)> {
+    let pixel = Scale {
+        sigma: 0.0,
+        signal: rec.take("pixel filter", plane_bytes(extent, 2))?,
+        variance: rec.take("its variance", plane_bytes(extent, 1))?,
+    };
+    let selected = Selected {
+        signal: rec.take("selected scale", plane_bytes(extent, 2))?,
+        choice: rec.take("choice of scale", plane_bytes(extent, 1))?,
+    };
     let (samples_per_pixel, samples) = samples.parts();
     let kernel = rec.gpu().kernel::<ScalePixel>("scale_pixel", &[("SAMPLES_VARY", samples.is_some().into())])?;
     let bound = ScalePixel {
@@ -68,15 +86,17 @@ pub fn scale_pixel(rec: &mut Recorder, extent: IVec2, signal: &Buffer, variance_
     Ok((pixel, selected))
 }
 
-/// The image at a coarser scale: means and half spreads filtered by a Gaussian, variances by its square (eq. 6.2), which holds where pixels are independent.
+/// The image at a coarser scale: means and half spreads filtered by a Gaussian, variances by its square (eq. 6.2),
+/// which holds where pixels are independent.
 pub fn scale_gaussian(rec: &mut Recorder, extent: IVec2, pixel: &Scale, sigma: f32) -> Result<Scale> {
     let signal = gaussian(rec, extent, &pixel.signal, 2, Gaussian::new(sigma), Averaging::Mean)?;
     let variance = gaussian(rec, extent, &pixel.variance, 1, Gaussian::new(sigma), Averaging::Variance)?;
     Ok(Scale { sigma, signal, variance })
 }
 
-/// The binary stopping map of a pair of scales, 1 where the selector (eq. 6.1) is positive: the fine scale has less error. Its bias term is weighted by `bias_weight` and by
-/// 1 − 1/n for n samples per pixel (thesis 6.2.3), 1 where nobody knows n; the step from the pixel filter has (c − f)² for it. One plane, x: the map, y: the weighted bias
+/// The binary stopping map of a pair of scales, 1 where the selector (eq. 6.1) is positive: the fine scale has less
+/// error. Its bias term is weighted by `bias_weight` and by 1 − 1/n for n samples per pixel (thesis 6.2.3), 1 where
+/// nobody knows n; the step from the pixel filter has (c − f)² for it. One plane, x: the map, y: the weighted bias
 /// term, summed over the channels.
 pub fn scale_stop(rec: &mut Recorder, extent: IVec2, fine: &Scale, coarse: &Scale, bias_weight: f32) -> Result<Buffer> {
     let [fine_squared, coarse_squared] = [fine.sigma * fine.sigma, coarse.sigma * coarse.sigma];
@@ -96,8 +116,9 @@ pub fn scale_stop(rec: &mut Recorder, extent: IVec2, fine: &Scale, coarse: &Scal
     Ok(stops)
 }
 
-/// Takes the pixels of `selected` that have come to the fine scale on to the coarse one, but for those whose map `stops`, smoothed and rounded, says 1 (thesis 6.2.4): they stay
-/// for good. With `coarser_only`, what smoothing turned from 0 to 1 counts as 0 (thesis 6.4).
+/// Takes the pixels of `selected` that have come to the fine scale on to the coarse one, but for those whose map
+/// `stops`, smoothed and rounded, says 1 (thesis 6.2.4): they stay for good. With `coarser_only`, what smoothing turned
+/// from 0 to 1 counts as 0 (thesis 6.4).
 #[expect(clippy::too_many_arguments, reason = "they are the operator's definition; a struct would only rename them")]
 pub fn scale_advance(
     rec: &mut Recorder,
@@ -123,8 +144,8 @@ pub fn scale_advance(
     rec.dispatch(&kernel, &bound, per_pixel(extent))
 }
 
-/// What the reduction of relative MSE by new samples is made of (thesis 6.3). One plane, x: relative MSE, y: samples in the filter's support, 0 where nobody
-/// knows, z: σ of the filter in pixels.
+/// What the reduction of relative MSE by new samples is made of (thesis 6.3). One plane, x: relative MSE, y: samples in
+/// the filter's support, 0 where nobody knows, z: σ of the filter in pixels.
 pub fn scale_reduction(rec: &mut Recorder, extent: IVec2, selected: &Selected) -> Result<Buffer> {
     let reduction = rec.take("reduction of relative MSE", plane_bytes(extent, 1))?;
     let params = ScaleReductionParams { extent, relative_floor: RELATIVE_FLOOR };

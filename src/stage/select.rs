@@ -1,5 +1,5 @@
-//! Choosing among the candidates and averaging them (thesis 8.4, Algorithm 1 lines 23 to 33), between windows of one frame and of several (8.6), and between the passes (lines
-//! 34 to 37).
+//! Choosing among the candidates and averaging them (thesis 8.4, Algorithm 1 lines 23 to 33), between windows of one
+//! frame and of several (8.6), and between the passes (lines 34 to 37).
 
 use glam::IVec2;
 use serde::Serialize;
@@ -16,7 +16,9 @@ uniforms! {
     struct SelectLeastParams { extent: IVec2 }
     struct SelectFramesParams { extent: IVec2, candidate: i32, own_sigmas: f32, own_noise: f32 }
     struct SelectPassParams { extent: IVec2, squared_sigmas: f32 }
-    struct SelectShareParams { extent: IVec2, smoothed_error: f32, smoothed_noise: f32, own_sigmas: f32, own_noise: f32 }
+    struct SelectShareParams {
+        extent: IVec2, smoothed_error: f32, smoothed_noise: f32, own_sigmas: f32, own_noise: f32,
+    }
     struct SelectBlendParams { extent: IVec2 }
     struct SelectColorOnlyParams { extent: IVec2, pixels: f32, least: f32, most: f32 }
 }
@@ -24,21 +26,29 @@ uniforms! {
 bindings! {
     struct SelectLeast<'a> { uniform params: SelectLeastParams, read errors, optional derivatives, write selected }
     struct SelectFrames<'a> {
-        uniform params: SelectFramesParams, read signal, read variance_of_mean, read alone, read alone_derivatives, write together, write derivatives,
+        uniform params: SelectFramesParams, read signal, read variance_of_mean, read alone, read alone_derivatives,
+        write together, write derivatives,
     }
-    struct SelectPass<'a> { uniform params: SelectPassParams, read pass1, read pass2, read variance_of_mean, write result }
+    struct SelectPass<'a> {
+        uniform params: SelectPassParams, read pass1, read pass2, read variance_of_mean, write result,
+    }
     struct SelectShare<'a> {
         uniform params: SelectShareParams,
-        read selected, optional errors, optional sure, optional variance_of_mean, optional first, optional second, optional third, write selection,
+        read selected, optional errors, optional sure, optional variance_of_mean, optional first, optional second,
+        optional third, write selection,
     }
     struct SelectColorOnly<'a> {
-        uniform params: SelectColorOnlyParams, read differences, read candidates, read color_only, write blended, write shares, write color_only_shares,
+        uniform params: SelectColorOnlyParams, read differences, read candidates, read color_only, write blended,
+        write shares, write color_only_shares,
     }
-    struct SelectBlend<'a> { uniform params: SelectBlendParams, read shares, optional first, optional second, optional third, write blended }
+    struct SelectBlend<'a> {
+        uniform params: SelectBlendParams, read shares, optional first, optional second, optional third, write blended,
+    }
 }
 
-/// Binary selection maps: 1 for the candidate with the least smoothed error, 0 for the others. On ties the later, more robust one wins; FIRST may win only where its
-/// mean derivative is below SECOND's, if both take part; an error that is not finite cannot win. One plane, x: FIRST, y: SECOND, z: THIRD.
+/// Binary selection maps: 1 for the candidate with the least smoothed error, 0 for the others. On ties the later, more
+/// robust one wins; FIRST may win only where its mean derivative is below SECOND's, if both take part; an error that is
+/// not finite cannot win. One plane, x: FIRST, y: SECOND, z: THIRD.
 pub fn select_least(rec: &mut Recorder, extent: IVec2, errors: &Buffer, candidates: &Candidates) -> Result<Buffer> {
     let selected = rec.take("binary selection maps", plane_bytes(extent, 1))?;
     let takes_part = candidates.set();
@@ -50,17 +60,21 @@ pub fn select_least(rec: &mut Recorder, extent: IVec2, errors: &Buffer, candidat
 }
 
 parameters! {
-    /// Which candidates may take part in the blend of a pixel: those that are not clearly worse than another one there, by the smoothed errors and by the pixel's own.
+    /// Which candidates may take part in the blend of a pixel: those that are not clearly worse than another one there,
+    /// by the smoothed errors and by the pixel's own.
     ///
-    /// Measured on three renders at 8, 32 and 128 spp. The first pair saves scenes with a visible lamp (relative MSE of `cornell` at 32 spp 0.038 without, 0.0005 with), the
-    /// second single clean pixels beside bright noise (`caustic_ring` at 32 spp 0.018 without, 0.0053 with; `dof_spheres` 0.0033 without, 0.0031 with).
+    /// Measured on three renders at 8, 32 and 128 spp. The first pair saves scenes with a visible lamp (relative MSE of
+    /// `cornell` at 32 spp 0.038 without, 0.0005 with), the second single clean pixels beside bright noise
+    /// (`caustic_ring` at 32 spp 0.018 without, 0.0053 with; `dof_spheres` 0.0033 without, 0.0031 with).
     #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
     pub struct Guard {
-        /// A candidate's smoothed error may exceed the winner's by this many times the winner's magnitude, plus `guard.smoothed_noise`.
+        /// A candidate's smoothed error may exceed the winner's by this many times the winner's magnitude, plus
+        /// `guard.smoothed_noise`.
         pub smoothed_error: f32 => real(0.0..),
         /// How many times the pixel's variance is added to what `guard.smoothed_error` allows.
         pub smoothed_noise: f32 => real(0.0..),
-        /// A candidate's own SURE at the pixel may exceed the least one by this many standard deviations of their difference, plus `guard.own_noise`.
+        /// A candidate's own SURE at the pixel may exceed the least one by this many standard deviations of their
+        /// difference, plus `guard.own_noise`.
         pub own_sigmas: f32 => real(0.0..).of("σ"),
         /// How many times the pixel's variance is added to what `guard.own_sigmas` allows.
         pub own_noise: f32 => real(0.0..),
@@ -75,8 +89,9 @@ impl Default for Guard {
 
 impl Group for Guard {}
 
-/// By how much more than chance explains the frames beside must have done harm before they are left out of a pixel. Measured on a shot with a moving lamp, relative MSE
-/// of its middle frames: .00129 and .00103 with 8 standard deviations and 4 times the noise, .00123 and .00095 with these and with half of these, .0013 and .033 without.
+/// By how much more than chance explains the frames beside must have done harm before they are left out of a pixel.
+/// Measured on a shot with a moving lamp, relative MSE of its middle frames: .00129 and .00103 with 8 standard
+/// deviations and 4 times the noise, .00123 and .00095 with these and with half of these, .0013 and .033 without.
 #[derive(Clone, Copy, Debug)]
 pub struct Harm {
     /// Standard deviations of the difference in SURE …
@@ -97,13 +112,29 @@ pub struct Noisy<'a> {
     pub variance_of_mean: &'a Buffer,
 }
 
-/// Of candidates that were filtered over several frames, replaces in `together` what the pixel's own SURE says is worse than over its frame alone.
-pub fn select_frames(rec: &mut Recorder, extent: IVec2, noisy: Noisy, alone: &Candidates, together: &Candidates, harm: Harm) -> Result<()> {
+/// Of candidates that were filtered over several frames, replaces in `together` what the pixel's own SURE says is worse
+/// than over its frame alone.
+pub fn select_frames(
+    rec: &mut Recorder,
+    extent: IVec2,
+    noisy: Noisy,
+    alone: &Candidates,
+    together: &Candidates,
+    harm: Harm,
+) -> Result<()> {
     let derivatives = [alone, together].map(|candidates| candidates.derivatives.as_deref());
     let [Some(of_alone), Some(of_together)] = derivatives else { return Err(without_derivatives()) };
     for (candidate, signals) in (0..).zip(alone.buffers().into_iter().zip(together.buffers())) {
         if let (Some(alone), Some(together)) = signals {
-            select_frames_of_one(rec, extent, noisy, [alone, of_alone], [together, of_together], Some(candidate), harm)?;
+            select_frames_of_one(
+                rec,
+                extent,
+                noisy,
+                [alone, of_alone],
+                [together, of_together],
+                Some(candidate),
+                harm,
+            )?;
         }
     }
     Ok(())
@@ -114,8 +145,23 @@ fn without_derivatives() -> Error {
 }
 
 /// The same of one filter whose weights do not depend on the noise of what they average, and whose centre weighs 1.
-pub fn select_frames_of_filtered(rec: &mut Recorder, extent: IVec2, noisy: Noisy, alone: &Filtered, together: &Filtered, harm: Harm) -> Result<()> {
-    select_frames_of_one(rec, extent, noisy, [&alone.planes, &alone.weights], [&together.planes, &together.weights], None, harm)
+pub fn select_frames_of_filtered(
+    rec: &mut Recorder,
+    extent: IVec2,
+    noisy: Noisy,
+    alone: &Filtered,
+    together: &Filtered,
+    harm: Harm,
+) -> Result<()> {
+    select_frames_of_one(
+        rec,
+        extent,
+        noisy,
+        [&alone.planes, &alone.weights],
+        [&together.planes, &together.weights],
+        None,
+        harm,
+    )
 }
 
 /// `alone` and `together`: a filtered signal, and the derivatives of which those of the candidate count, or Σ w.
@@ -128,7 +174,12 @@ fn select_frames_of_one(
     candidate: Option<i32>,
     harm: Harm,
 ) -> Result<()> {
-    let params = SelectFramesParams { extent, candidate: candidate.unwrap_or(0), own_sigmas: harm.sigmas, own_noise: harm.noise };
+    let params = SelectFramesParams {
+        extent,
+        candidate: candidate.unwrap_or(0),
+        own_sigmas: harm.sigmas,
+        own_noise: harm.noise,
+    };
     let Noisy { signal, variance_of_mean } = noisy;
     let kernel = rec.gpu().kernel::<SelectFrames>("select_frames", &[("WEIGHT_SUMS", candidate.is_none().into())])?;
     let bound = SelectFrames { params, signal, variance_of_mean, alone, alone_derivatives, together, derivatives };
@@ -150,9 +201,15 @@ pub struct Evidence<'a> {
     pub candidates: &'a Candidates,
 }
 
-/// Shares of the candidates, from `smoothed`, their smoothed selection maps, which they take the place of. Normalised to sum 1, under a guard if there is one. One plane, x:
-/// FIRST, y: SECOND, z: THIRD.
-pub fn select_share(rec: &mut Recorder, extent: IVec2, smoothed: Buffer, evidence: Evidence, guard: Option<Guard>) -> Result<Buffer> {
+/// Shares of the candidates, from `smoothed`, their smoothed selection maps, which they take the place of. Normalised
+/// to sum 1, under a guard if there is one. One plane, x: FIRST, y: SECOND, z: THIRD.
+pub fn select_share(
+    rec: &mut Recorder,
+    extent: IVec2,
+    smoothed: Buffer,
+    evidence: Evidence,
+    guard: Option<Guard>,
+) -> Result<Buffer> {
     let Evidence { selected, errors, sure, variance_of_mean, candidates } = evidence;
     let guarded = |buffer| guard.map(|_| buffer);
     let [first, second, third] = candidates.buffers().map(|signal| signal.and_then(guarded));
@@ -161,8 +218,12 @@ pub fn select_share(rec: &mut Recorder, extent: IVec2, smoothed: Buffer, evidenc
     let [smoothed_error, smoothed_noise, own_sigmas, own_noise] = rule.unwrap_or_default();
     let params = SelectShareParams { extent, smoothed_error, smoothed_noise, own_sigmas, own_noise };
     let [with_first, with_second, with_third] = candidates.set().definitions();
-    let kernel = rec.gpu().kernel::<SelectShare>("select_share", &[("GUARDED", guard.is_some().into()), with_first, with_second, with_third])?;
-    let bound = SelectShare { params, selected, errors, sure, variance_of_mean, first, second, third, selection: &smoothed };
+    let kernel = rec.gpu().kernel::<SelectShare>(
+        "select_share",
+        &[("GUARDED", guard.is_some().into()), with_first, with_second, with_third],
+    )?;
+    let bound =
+        SelectShare { params, selected, errors, sure, variance_of_mean, first, second, third, selection: &smoothed };
     rec.dispatch(&kernel, &bound, per_pixel(extent))?;
     Ok(smoothed)
 }
@@ -177,9 +238,17 @@ pub fn select_blend(rec: &mut Recorder, extent: IVec2, shares: &Buffer, candidat
     Ok(blended)
 }
 
-/// Of two signals the second, except where its mean differs from the first one's by more than `sigmas` standard deviations of all the noise that the pixel may have: the
-/// input's, with its `variance_of_mean`, and what the spread of `pass1` shows. Distances and variances are summed over the channels. A signal.
-pub fn select_pass(rec: &mut Recorder, extent: IVec2, pass1: &Buffer, pass2: &Buffer, variance_of_mean: &Buffer, sigmas: f32) -> Result<Buffer> {
+/// Of two signals the second, except where its mean differs from the first one's by more than `sigmas` standard
+/// deviations of all the noise that the pixel may have: the input's, with its `variance_of_mean`, and what the spread
+/// of `pass1` shows. Distances and variances are summed over the channels. A signal.
+pub fn select_pass(
+    rec: &mut Recorder,
+    extent: IVec2,
+    pass1: &Buffer,
+    pass2: &Buffer,
+    variance_of_mean: &Buffer,
+    sigmas: f32,
+) -> Result<Buffer> {
     let result = rec.take("selected pass", plane_bytes(extent, 2))?;
     let params = SelectPassParams { extent, squared_sigmas: sigmas * sigmas };
     let kernel = rec.gpu().kernel::<SelectPass>("select_pass", &[])?;
@@ -199,8 +268,9 @@ pub struct Significance {
 }
 
 impl Significance {
-    /// What measured best. On a blurred edge under features without blur, the error falls to a seventh. Where nothing tells of the noise of their features, `cornell`, `dof_spheres` and
-    /// `caustic_ring` at 8, 32 and 128 spp have between 0.4 % less error and 0.4 % more.
+    /// What measured best. On a blurred edge under features without blur, the error falls to a seventh. Where nothing
+    /// tells of the noise of their features, `cornell`, `dof_spheres` and `caustic_ring` at 8, 32 and 128 spp have
+    /// between 0.4 % less error and 0.4 % more.
     pub const MEASURED: Self = Self { smoothing: Gaussian { sigma: 3.0, radius: 9 }, least: 1.5, most: 3.0 };
 }
 
@@ -213,8 +283,9 @@ pub struct WithColorOnly {
     pub shares: Buffer,
 }
 
-/// Gives the signal `color_only` a share where `differences` (those of [`error_difference`](super::error::error_difference)) say that its error is significantly less than that of `candidates`,
-/// a blend. The candidates' `shares` become what is left.
+/// Gives the signal `color_only` a share where `differences` (those of
+/// [`error_difference`](super::error::error_difference)) say that its error is significantly less than that of
+/// `candidates`, a blend. The candidates' `shares` become what is left.
 ///
 /// # Errors
 /// As [`Recorder::dispatch`].
@@ -235,7 +306,15 @@ pub fn select_color_only(
     // Σ w² of the Gaussian is 1/(4πσ²).
     let pixels = 4.0 * std::f32::consts::PI * smoothing.sigma * smoothing.sigma;
     let params = SelectColorOnlyParams { extent, pixels, least, most };
-    let bound = SelectColorOnly { params, differences, candidates, color_only, blended: &blended, shares, color_only_shares: &color_only_shares };
+    let bound = SelectColorOnly {
+        params,
+        differences,
+        candidates,
+        color_only,
+        blended: &blended,
+        shares,
+        color_only_shares: &color_only_shares,
+    };
     rec.dispatch(&kernel, &bound, per_pixel(extent))?;
     Ok(WithColorOnly { blended, shares: color_only_shares })
 }

@@ -28,19 +28,25 @@ uniforms! {
 }
 
 bindings! {
-    struct SpikeFind<'a> { uniform params: SpikeParams, read signal, optional features, write repaired, write spikes, write lights }
+    struct SpikeFind<'a> {
+        uniform params: SpikeParams, read signal, optional features, write repaired, write spikes, write lights,
+    }
     struct SpikeFindVariance<'a> {
-        uniform params: SpikeParams, read signal, optional features, read sample_variance, write repaired_variance, write repaired, write spikes, write lights,
+        uniform params: SpikeParams, read signal, optional features, read sample_variance, write repaired_variance,
+        write repaired, write spikes, write lights,
     }
     struct SpikeLevel<'a> { uniform params: SpikeParams, read repaired, read spikes, write levels }
     struct SpikeShare<'a> { uniform params: SpikeParams, write spikes, optional features, read levels }
     struct SpikeRows<'a> { uniform params: SpikeParams, write spikes }
     struct LightReturn<'a> { uniform params: LightReturnParams, read lights, read filtered, write lit }
-    struct LightReturnError<'a> { uniform params: LightReturnParams, read lights, read filtered, write lit, write errors }
+    struct LightReturnError<'a> {
+        uniform params: LightReturnParams, read lights, read filtered, write lit, write errors,
+    }
     struct SpikeSpread<'a> { uniform params: SpikeParams, write spikes, optional features, read levels, write repaired }
 }
 
-/// What makes a spike, and what becomes of it. [`SpikeRule::DEFAULT`] is what measured best: `docs/robustness.md` has the table.
+/// What makes a spike, and what becomes of it. [`SpikeRule::DEFAULT`] is what measured best: `docs/robustness.md` has
+/// the table.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct SpikeRule {
     /// Half width of the window that a pixel is judged in, in pixels.
@@ -49,17 +55,19 @@ pub struct SpikeRule {
     pub spread_radius: u32,
     /// Neighbours of its kind that it takes to judge a pixel.
     pub least_neighbours: u32,
-    /// How far above the level of its neighbours it is at least, in distances from the level to the third brightest of them.
+    /// How far above the level of its neighbours it is at least, in distances from the level to the third brightest of
+    /// them.
     pub prominence: f32,
     /// How many samples its excess rests on at the most: the square of the excess over its variance.
     pub most_samples: f32,
-    /// How many samples the excess of a light of few pixels rests on at the least; between, a pixel is filtered like others.
-    /// Measured with 25, no development scene has more than 0.6 % more error than without lights; with 12, `cornell` at
-    /// 8 spp from two seeds alone has 9 % more.
+    /// How many samples the excess of a light of few pixels rests on at the least; between, a pixel is filtered like
+    /// others. Measured with 25, no development scene has more than 0.6 % more error than without lights; with 12,
+    /// `cornell` at 8 spp from two seeds alone has 9 % more.
     pub light_samples: f32,
     /// What a spike may add to the level of its neighbours, in parts of that level, before half of it is left out.
     pub share_limit: f32,
-    /// k_f of the features, as that of the candidates: pixels are of one kind where no feature's distance (eq. 8.3) is above 1.
+    /// k_f of the features, as that of the candidates: pixels are of one kind where no feature's distance (eq. 8.3) is
+    /// above 1.
     pub feature_k: f32,
     /// τ of the features, in squares of the unit range.
     pub feature_tau: f32,
@@ -104,11 +112,13 @@ pub struct Repaired {
     pub signal: Buffer,
     /// Its sample variance, where there is one: of a spike the mean of its neighbours'.
     pub variance_of_mean: Option<Buffer>,
-    /// Three planes. The first has what was taken from each pixel, 0 where it is no spike. The rest is for [`spike_spread`]: the w of the first becomes the part of it
-    /// that the pixels around get, the second has what one of them in its place gets, and the third, in x, the squares of what each pixel got, summed over spikes and channels.
+    /// Three planes. The first has what was taken from each pixel, 0 where it is no spike. The rest is for
+    /// [`spike_spread`]: the w of the first becomes the part of it that the pixels around get, the second has what one
+    /// of them in its place gets, and the third, in x, the squares of what each pixel got, summed over spikes and
+    /// channels.
     pub spikes: Buffer,
-    /// For [`light_return`], two planes: mean and half spread of lights of few pixels; in the w of the first their variance,
-    /// summed over the channels, in that of the second 1 for a light, else 0.
+    /// For [`light_return`], two planes: mean and half spread of lights of few pixels; in the w of the first their
+    /// variance, summed over the channels, in that of the second 1 for a light, else 0.
     pub lights: Buffer,
 }
 
@@ -116,8 +126,8 @@ fn feature_groups(features: Option<&Features>) -> (&'static str, Definition) {
     ("FEATURE_GROUPS", Definition::Int(features.map_or(0, |features| features.packing.groups as i32)))
 }
 
-/// Finds spikes in a signal, with its sample variance (one plane, s²/n) where there is one, and puts the level of their neighbours in their place.
-/// Neighbours are compared by `features`, if there are any.
+/// Finds spikes in a signal, with its sample variance (one plane, s²/n) where there is one, and puts the level of their
+/// neighbours in their place. Neighbours are compared by `features`, if there are any.
 ///
 /// # Errors
 /// As [`Recorder::dispatch`].
@@ -131,7 +141,8 @@ pub fn spike_find(
 ) -> Result<Repaired> {
     let params = rule.params(extent, features);
     let repaired = rec.take("signal without spikes", plane_bytes(extent, 2))?;
-    let repaired_variance = sample_variance.map(|_| rec.take("its sample variance", plane_bytes(extent, 1))).transpose()?;
+    let repaired_variance =
+        sample_variance.map(|_| rec.take("its sample variance", plane_bytes(extent, 1))).transpose()?;
     let spikes = rec.take("spikes", plane_bytes(extent, 3))?;
     let lights = rec.take("lights", plane_bytes(extent, 2))?;
     let definitions = [feature_groups(features), ("VARIANCE", sample_variance.is_some().into())];
@@ -139,24 +150,42 @@ pub fn spike_find(
     match (sample_variance, &repaired_variance) {
         (Some(sample_variance), Some(repaired_variance)) => {
             let kernel = rec.gpu().kernel::<SpikeFindVariance>("spike_find", &definitions)?;
-            let bound =
-                SpikeFindVariance { params, signal, features, sample_variance, repaired_variance, repaired: &repaired, spikes: &spikes, lights: &lights };
+            let bound = SpikeFindVariance {
+                params,
+                signal,
+                features,
+                sample_variance,
+                repaired_variance,
+                repaired: &repaired,
+                spikes: &spikes,
+                lights: &lights,
+            };
             rec.dispatch(&kernel, &bound, per_pixel(extent))?;
         }
         _ => {
             let kernel = rec.gpu().kernel::<SpikeFind>("spike_find", &definitions)?;
-            rec.dispatch(&kernel, &SpikeFind { params, signal, features, repaired: &repaired, spikes: &spikes, lights: &lights }, per_pixel(extent))?;
+            rec.dispatch(
+                &kernel,
+                &SpikeFind { params, signal, features, repaired: &repaired, spikes: &spikes, lights: &lights },
+                per_pixel(extent),
+            )?;
         }
     }
     Ok(Repaired { signal: repaired, variance_of_mean: repaired_variance, spikes, lights })
 }
 
-/// Gives the pixels around each spike their parts of it: all pixels of its kind that have noise and are about as bright, less the further they are away. `repaired` is
-/// the result of [`spike_find`].
+/// Gives the pixels around each spike their parts of it: all pixels of its kind that have noise and are about as
+/// bright, less the further they are away. `repaired` is the result of [`spike_find`].
 ///
 /// # Errors
 /// As [`Recorder::dispatch`].
-pub fn spike_spread(rec: &mut Recorder, extent: IVec2, features: Option<&Features>, rule: &SpikeRule, repaired: &mut Repaired) -> Result<()> {
+pub fn spike_spread(
+    rec: &mut Recorder,
+    extent: IVec2,
+    features: Option<&Features>,
+    rule: &SpikeRule,
+    repaired: &mut Repaired,
+) -> Result<()> {
     let params = rule.params(extent, features);
     let Repaired { signal: repaired, spikes, .. } = repaired;
     let groups = [feature_groups(features)];
@@ -180,13 +209,23 @@ pub fn spike_spread(rec: &mut Recorder, extent: IVec2, features: Option<&Feature
 ///
 /// # Errors
 /// As [`Recorder::dispatch`].
-pub fn light_return(rec: &mut Recorder, extent: IVec2, lights: &Buffer, filtered: &Buffer, errors: Option<(&Buffer, u32)>) -> Result<Buffer> {
+pub fn light_return(
+    rec: &mut Recorder,
+    extent: IVec2,
+    lights: &Buffer,
+    filtered: &Buffer,
+    errors: Option<(&Buffer, u32)>,
+) -> Result<Buffer> {
     let lit = rec.take("result with lights", plane_bytes(extent, 2))?;
     let params = LightReturnParams { extent, error_component: errors.map_or(0, |(_, component)| component as i32) };
     match errors {
         Some((errors, _)) => {
             let kernel = rec.gpu().kernel::<LightReturnError>("light_return", &[("ERROR", true.into())])?;
-            rec.dispatch(&kernel, &LightReturnError { params, lights, filtered, lit: &lit, errors }, per_pixel(extent))?;
+            rec.dispatch(
+                &kernel,
+                &LightReturnError { params, lights, filtered, lit: &lit, errors },
+                per_pixel(extent),
+            )?;
         }
         None => {
             let kernel = rec.gpu().kernel::<LightReturn>("light_return", &[])?;

@@ -18,12 +18,24 @@ uniforms! {
 }
 
 bindings! {
-    struct VarianceRows<'a> { uniform params: VarianceScaleParams, read signal, read sample_variance, write spread_rows, write sample_rows }
-    struct VarianceScale<'a> { uniform params: VarianceScaleParams, read spread_rows, read sample_rows, read sample_variance, write scaled_variance }
-    struct VariancePairStage<'a> { uniform params: VariancePairParams, read signal, read sample_variance, write two_buffer_variance, write uncertainty }
-    struct VarianceClamp<'a> { uniform params: VarianceClampParams, read variance, read upper_bound, write clamped_variance }
+    struct VarianceRows<'a> {
+        uniform params: VarianceScaleParams, read signal, read sample_variance, write spread_rows, write sample_rows,
+    }
+    struct VarianceScale<'a> {
+        uniform params: VarianceScaleParams, read spread_rows, read sample_rows, read sample_variance,
+        write scaled_variance,
+    }
+    struct VariancePairStage<'a> {
+        uniform params: VariancePairParams, read signal, read sample_variance, write two_buffer_variance,
+        write uncertainty,
+    }
+    struct VarianceClamp<'a> {
+        uniform params: VarianceClampParams, read variance, read upper_bound, write clamped_variance,
+    }
     struct VarianceFloor<'a> { uniform params: VarianceFloorParams, read signal, read variance, write floored_variance }
-    struct VarianceSmooth<'a> { uniform params: VarianceSmoothParams, read signal, write smoothed_variance, optional upper_bound }
+    struct VarianceSmooth<'a> {
+        uniform params: VarianceSmoothParams, read signal, write smoothed_variance, optional upper_bound,
+    }
 }
 
 /// Neighbouring pixels that one invocation of the box sums makes: most of what they sum up is the same.
@@ -34,18 +46,29 @@ choices! {
     #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
     #[serde(rename_all = "lowercase")]
     pub enum BoxWeight {
-        /// All the same (thesis 8.2). One outlier whose halves agree by accident takes the variance of all others in its box away, one whose halves do not lends them its own.
+        /// All the same (thesis 8.2). One outlier whose halves agree by accident takes the variance of all others in
+        /// its box away, one whose halves do not lends them its own.
         Even => "even",
-        /// By one over the standard deviation that they claim. Measured on 46 images, `dfc` has 1.6 % less error on average (15 % less to 9 % more), on 18 `nlm` 1.9 % (11 % less to
-        /// 3 % more). `gem` would have 1 % less too, but loses on extreme frames, and stays with the other. A pixel that came out with little variance counts more than it should: of
-        /// Gaussian noise, by the moments of χ², the ratio reads some 15 % high at 8 samples per pixel and 3 % at 32.
+        /// By one over the standard deviation that they claim. Measured on 46 images, `dfc` has 1.6 % less error on
+        /// average (15 % less to 9 % more), on 18 `nlm` 1.9 % (11 % less to 3 % more). `gem` would have 1 % less too,
+        /// but loses on extreme frames, and stays with the other. A pixel that came out with little variance counts
+        /// more than it should: of Gaussian noise, by the moments of χ², the ratio reads some 15 % high at 8 samples
+        /// per pixel and 3 % at 32.
         Deviation => "deviation",
     }
 }
 
-/// Scales `sample_variance` (one plane, s²/n) to the magnitude of the two-buffer variance: times the ratio of the means of spread² and of sample variance over
-/// a box of 2·`radius`+1 pixels; 0 where the box holds no sample variance (thesis 8.2). One plane.
-pub fn variance_scale(rec: &mut Recorder, extent: IVec2, signal: &Buffer, sample_variance: &Buffer, radius: u32, weight: BoxWeight) -> Result<Buffer> {
+/// Scales `sample_variance` (one plane, s²/n) to the magnitude of the two-buffer variance: times the ratio of the means
+/// of spread² and of sample variance over a box of 2·`radius`+1 pixels; 0 where the box holds no sample variance
+/// (thesis 8.2). One plane.
+pub fn variance_scale(
+    rec: &mut Recorder,
+    extent: IVec2,
+    signal: &Buffer,
+    sample_variance: &Buffer,
+    radius: u32,
+    weight: BoxWeight,
+) -> Result<Buffer> {
     let params = VarianceScaleParams { extent, radius: radius as i32 };
     let bytes = plane_bytes(extent, 1);
     let scaled_variance = rec.take("scaled variance", bytes)?;
@@ -53,8 +76,15 @@ pub fn variance_scale(rec: &mut Recorder, extent: IVec2, signal: &Buffer, sample
     let sample_rows = &rec.take("box sums of sample variance", bytes)?;
     let [width, height, _] = per_pixel(extent);
     let pixels = ("PIXELS", Definition::Int(BOX_PIXELS as i32));
-    let rows = rec.gpu().kernel::<VarianceRows>("variance_rows", &[pixels, ("BY_DEVIATION", (weight == BoxWeight::Deviation).into())])?;
-    rec.dispatch(&rows, &VarianceRows { params, signal, sample_variance, spread_rows, sample_rows }, per_run(extent, BOX_PIXELS))?;
+    let rows = rec.gpu().kernel::<VarianceRows>(
+        "variance_rows",
+        &[pixels, ("BY_DEVIATION", (weight == BoxWeight::Deviation).into())],
+    )?;
+    rec.dispatch(
+        &rows,
+        &VarianceRows { params, signal, sample_variance, spread_rows, sample_rows },
+        per_run(extent, BOX_PIXELS),
+    )?;
     let scale = rec.gpu().kernel::<VarianceScale>("variance_scale", &[pixels])?;
     let bound = VarianceScale { params, spread_rows, sample_rows, sample_variance, scaled_variance: &scaled_variance };
     rec.dispatch(&scale, &bound, [width, height.div_ceil(BOX_PIXELS), 1])?;
@@ -64,13 +94,19 @@ pub fn variance_scale(rec: &mut Recorder, extent: IVec2, signal: &Buffer, sample
 /// Smooths the residual two-buffer variance of a filtered signal (thesis 8.3: σ = 0.5 pixels).
 pub const RESIDUAL_SMOOTHING: Gaussian = Gaussian { sigma: 0.5, radius: 2 };
 
-/// Smooths the two-buffer variance of an input that has no sample variance. Measured on `cornell`, `dof_spheres` and `caustic_ring` with σ = 1, 2, 3: 1 leaves
-/// spikes that claim no variance, 3 blurs it over edges.
+/// Smooths the two-buffer variance of an input that has no sample variance. Measured on `cornell`, `dof_spheres` and
+/// `caustic_ring` with σ = 1, 2, 3: 1 leaves spikes that claim no variance, 3 blurs it over edges.
 pub const INPUT_SMOOTHING: Gaussian = Gaussian { sigma: 2.0, radius: 5 };
 
-/// The two-buffer variance of a signal, spread², smoothed with a normalised Gaussian over the existing pixels, and held below `upper_bound` where one is given.
-/// One plane.
-pub fn variance_smooth(rec: &mut Recorder, extent: IVec2, signal: &Buffer, gaussian: Gaussian, upper_bound: Option<&Buffer>) -> Result<Buffer> {
+/// The two-buffer variance of a signal, spread², smoothed with a normalised Gaussian over the existing pixels, and held
+/// below `upper_bound` where one is given. One plane.
+pub fn variance_smooth(
+    rec: &mut Recorder,
+    extent: IVec2,
+    signal: &Buffer,
+    gaussian: Gaussian,
+    upper_bound: Option<&Buffer>,
+) -> Result<Buffer> {
     let params = VarianceSmoothParams { extent, radius: gaussian.radius as i32, exponent: gaussian.exponent() };
     let smoothed_variance = rec.take("two-buffer variance", plane_bytes(extent, 1))?;
     let kernel = rec.gpu().kernel::<VarianceSmooth>("variance_smooth", &[("CLAMPED", upper_bound.is_some().into())])?;
@@ -90,14 +126,26 @@ pub struct VariancePair {
 
 /// The two-buffer variance and the uncertainty of `sample_variance` (one plane, s²/n).
 ///
-/// The source takes the squared difference of the halves' own sample variances for the uncertainty, which files do not have. Measured on six renders, the variance over 3×3
-/// pixels is as good as that of Gaussian samples, 2Σ²/(n−1), times four or sixteen, the kurtosis of rendered samples, and better than it times one.
-pub fn variance_pair(rec: &mut Recorder, extent: IVec2, signal: &Buffer, sample_variance: &Buffer) -> Result<VariancePair> {
+/// The source takes the squared difference of the halves' own sample variances for the uncertainty, which files do not
+/// have. Measured on six renders, the variance over 3×3 pixels is as good as that of Gaussian samples, 2Σ²/(n−1), times
+/// four or sixteen, the kurtosis of rendered samples, and better than it times one.
+pub fn variance_pair(
+    rec: &mut Recorder,
+    extent: IVec2,
+    signal: &Buffer,
+    sample_variance: &Buffer,
+) -> Result<VariancePair> {
     let two_buffer_variance = rec.take("two-buffer variance", plane_bytes(extent, 1))?;
     let uncertainty = rec.take("variance of the sample variance", plane_bytes(extent, 1))?;
     let kernel = rec.gpu().kernel::<VariancePairStage>("variance_pair", &[])?;
     let params = VariancePairParams { extent };
-    let bound = VariancePairStage { params, signal, sample_variance, two_buffer_variance: &two_buffer_variance, uncertainty: &uncertainty };
+    let bound = VariancePairStage {
+        params,
+        signal,
+        sample_variance,
+        two_buffer_variance: &two_buffer_variance,
+        uncertainty: &uncertainty,
+    };
     rec.dispatch(&kernel, &bound, per_pixel(extent))?;
     Ok(VariancePair { two_buffer_variance, uncertainty })
 }
@@ -106,7 +154,12 @@ pub fn variance_pair(rec: &mut Recorder, extent: IVec2, signal: &Buffer, sample_
 pub fn variance_clamp(rec: &mut Recorder, extent: IVec2, variance: &Buffer, upper_bound: &Buffer) -> Result<Buffer> {
     let clamped_variance = rec.take("clamped variance", plane_bytes(extent, 1))?;
     let kernel = rec.gpu().kernel::<VarianceClamp>("variance_clamp", &[])?;
-    let bound = VarianceClamp { params: VarianceClampParams { extent }, variance, upper_bound, clamped_variance: &clamped_variance };
+    let bound = VarianceClamp {
+        params: VarianceClampParams { extent },
+        variance,
+        upper_bound,
+        clamped_variance: &clamped_variance,
+    };
     rec.dispatch(&kernel, &bound, per_pixel(extent))?;
     Ok(clamped_variance)
 }
@@ -117,29 +170,39 @@ pub const LEAST_NOISE: f32 = 1e-3;
 /// What a variance is held above, so that eq. 7.4 divides by no zero: its ε.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Floor {
-    /// The square of [`LEAST_NOISE`] times the pixel's brightness, or of a ten-thousandth of the brightness around it where that is more: the largest magnitude of any channel in the pixel, and
-    /// in the 3×3 pixels around it. For radiance, whose dark parts count as much as its bright ones. Measured at 8 spp against the ε of 10⁻¹⁰: `cornell` has 0.9 % less error,
-    /// `caustic_ring` 0.1 % more. With less, few pixels beside the lamp of `cornell` decide, and it has up to 6 % more; with three times as much around, `caustic_ring` has 2 % more.
+    /// The square of [`LEAST_NOISE`] times the pixel's brightness, or of a ten-thousandth of the brightness around it
+    /// where that is more: the largest magnitude of any channel in the pixel, and in the 3×3 pixels around it. For
+    /// radiance, whose dark parts count as much as its bright ones. Measured at 8 spp against the ε of 10⁻¹⁰: `cornell`
+    /// has 0.9 % less error, `caustic_ring` 0.1 % more. With less, few pixels beside the lamp of `cornell` decide, and
+    /// it has up to 6 % more; with three times as much around, `caustic_ring` has 2 % more.
     Relative,
-    /// The square of 10⁻⁵ times the brightness around the pixel: the ε of eq. 7.4, where the brightness is of the order of 1.
+    /// The square of 10⁻⁵ times the brightness around the pixel: the ε of eq. 7.4, where the brightness is of the order
+    /// of 1.
     Printed,
     /// (10⁻⁵)²: for features in unit range.
     Absolute,
 }
 
 impl Floor {
-    /// That of the colour: where pixels without noise are kept, those with less than a thousandth of it need not be told apart.
+    /// That of the colour: where pixels without noise are kept, those with less than a thousandth of it need not be
+    /// told apart.
     pub fn of_color(keep_clean: bool) -> Self {
         if keep_clean { Self::Relative } else { Self::Printed }
     }
 }
 
-/// The variance of a signal, channel by channel, held above a floor. One plane; in its w the brightness around each pixel as [`Floor::Relative`] has it, from which the candidates take
-/// the least step of their finite differences.
+/// The variance of a signal, channel by channel, held above a floor. One plane; in its w the brightness around each
+/// pixel as [`Floor::Relative`] has it, from which the candidates take the least step of their finite differences.
 ///
 /// # Errors
 /// As [`Recorder::dispatch`].
-pub fn variance_floor(rec: &mut Recorder, extent: IVec2, signal: &Buffer, variance: &Buffer, floor: Floor) -> Result<Buffer> {
+pub fn variance_floor(
+    rec: &mut Recorder,
+    extent: IVec2,
+    signal: &Buffer,
+    variance: &Buffer,
+    floor: Floor,
+) -> Result<Buffer> {
     let (own, around, absolute) = match floor {
         Floor::Relative => (LEAST_NOISE, 1e-4, 0.0),
         Floor::Printed => (0.0, 1e-5, 0.0),
@@ -148,6 +211,10 @@ pub fn variance_floor(rec: &mut Recorder, extent: IVec2, signal: &Buffer, varian
     let floored_variance = rec.take("floored variance", plane_bytes(extent, 1))?;
     let kernel = rec.gpu().kernel::<VarianceFloor>("variance_floor", &[])?;
     let params = VarianceFloorParams { extent, own, around, absolute };
-    rec.dispatch(&kernel, &VarianceFloor { params, signal, variance, floored_variance: &floored_variance }, per_pixel(extent))?;
+    rec.dispatch(
+        &kernel,
+        &VarianceFloor { params, signal, variance, floored_variance: &floored_variance },
+        per_pixel(extent),
+    )?;
     Ok(floored_variance)
 }

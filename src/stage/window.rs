@@ -1,7 +1,7 @@
 //! The weights of one pixel's window, each with the distances behind it: what the filters see, seen from one pixel.
 //!
-//! A window of radius R is laid out as an image of (2R+1)² cells: that of the neighbour p + (dx, dy) lies in column R + dx of row R + dy. The cell in the middle is left as it was: what
-//! a pixel itself weighs follows from its neighbours.
+//! A window of radius R is laid out as an image of (2R+1)² cells: that of the neighbour p + (dx, dy) lies in column R +
+//! dx of row R + dy. The cell in the middle is left as it was: what a pixel itself weighs follows from its neighbours.
 
 use glam::IVec2;
 
@@ -16,9 +16,12 @@ use crate::gpu::{Buffer, Definition, Recorder, bindings, uniforms};
 uniforms! { struct WindowParams { pixel: IVec2, radius: i32 } }
 
 bindings! {
-    struct NlmWindow<'a> { uniform params: NlmParams, uniform window: WindowParams, read columns, optional weight_columns, write cells }
+    struct NlmWindow<'a> {
+        uniform params: NlmParams, uniform window: WindowParams, read columns, optional weight_columns, write cells,
+    }
     struct CandidateWindow<'a> {
-        uniform params: NlmParams, uniform candidate: CandidateParams, uniform window: WindowParams, optional columns, optional features, write cells,
+        uniform params: NlmParams, uniform candidate: CandidateParams, uniform window: WindowParams, optional columns,
+        optional features, write cells,
     }
 }
 
@@ -52,8 +55,8 @@ fn cells(rec: &mut Recorder, window_radius: u32, planes: u32) -> Result<Buffer> 
     rec.take("window", plane_bytes(IVec2::new(side, side), planes))
 }
 
-/// The weights that [`nlm_filter`](super::nlm::nlm_filter) gives the neighbours of a pixel in its own frame, and their distances: one plane of cells, laid out as [`NLM_WEIGHT`] and
-/// [`NLM_DISTANCE`] say.
+/// The weights that [`nlm_filter`](super::nlm::nlm_filter) gives the neighbours of a pixel in its own frame, and their
+/// distances: one plane of cells, laid out as [`NLM_WEIGHT`] and [`NLM_DISTANCE`] say.
 pub fn nlm_window(
     rec: &mut Recorder,
     extent: IVec2,
@@ -66,7 +69,12 @@ pub fn nlm_window(
     let cells = cells(rec, window_radius, 1)?;
     let window = WindowParams { pixel, radius: window_radius as i32 };
     let [symmetric, hard] = weighting.symmetric.definitions();
-    let definitions = [("PATCH_RADIUS", Definition::Int(guide.patch_radius as i32)), ("PATCHWISE", guide.patchwise.into()), symmetric, hard];
+    let definitions = [
+        ("PATCH_RADIUS", Definition::Int(guide.patch_radius as i32)),
+        ("PATCHWISE", guide.patchwise.into()),
+        symmetric,
+        hard,
+    ];
     for_each_chunk_around(rec, extent, pixel, guide, true, window_radius, weighting, schedule, |rec, chunk| {
         let kernel = rec.gpu().kernel::<NlmWindow>("nlm_window", &definitions)?;
         let weight_columns = guide.patchwise.then_some(chunk.columns);
@@ -80,7 +88,8 @@ pub fn nlm_window(
 pub const NLM_WEIGHT: CellLane = CellLane { plane: 0, component: 0 };
 
 /// Where [`nlm_window`] writes the distances between patches.
-pub const NLM_DISTANCE: DistanceLanes = DistanceLanes { distance: CellLane { plane: 0, component: 1 }, weight: CellLane { plane: 0, component: 2 } };
+pub const NLM_DISTANCE: DistanceLanes =
+    DistanceLanes { distance: CellLane { plane: 0, component: 1 }, weight: CellLane { plane: 0, component: 2 } };
 
 /// The weights that [`candidates`](super::candidate::candidates) gives the neighbours of a pixel in its own frame.
 #[derive(Debug)]
@@ -90,7 +99,8 @@ pub struct WindowOfCandidates {
 }
 
 impl WindowOfCandidates {
-    /// The weights of FIRST, SECOND or THIRD, counted from 0, as they enter the average; 0 where a neighbour does not exist.
+    /// The weights of FIRST, SECOND or THIRD, counted from 0, as they enter the average; 0 where a neighbour does not
+    /// exist.
     pub fn weight(candidate: u32) -> CellLane {
         CellLane { plane: 0, component: candidate }
     }
@@ -107,7 +117,8 @@ impl WindowOfCandidates {
     }
 }
 
-/// The weights of the candidates that take part at a pixel, and their distances. `grey`: all channels of the colour are the same.
+/// The weights of the candidates that take part at a pixel, and their distances. `grey`: all channels of the colour are
+/// the same.
 #[expect(clippy::too_many_arguments, reason = "they are the operator's definition; a struct would only rename them")]
 pub fn candidate_window(
     rec: &mut Recorder,
@@ -140,11 +151,21 @@ pub fn candidate_window(
         hard,
     ];
     let candidate = filter.params(features);
-    for_each_chunk_around(rec, extent, pixel, &guide, by_color, filter.window_radius, filter.weighting, schedule, |rec, chunk| {
-        let kernel = rec.gpu().kernel::<CandidateWindow>("candidate_window", &definitions)?;
-        let (columns, features) = (by_color.then_some(chunk.columns), features.map(|features| &features.buffer));
-        let bound = CandidateWindow { params: chunk.params, candidate, window, columns, features, cells: &cells };
-        rec.dispatch(&kernel, &bound, [chunk.params.offsets.x as u32, chunk.params.offsets.y as u32, 1])
-    })?;
+    for_each_chunk_around(
+        rec,
+        extent,
+        pixel,
+        &guide,
+        by_color,
+        filter.window_radius,
+        filter.weighting,
+        schedule,
+        |rec, chunk| {
+            let kernel = rec.gpu().kernel::<CandidateWindow>("candidate_window", &definitions)?;
+            let (columns, features) = (by_color.then_some(chunk.columns), features.map(|features| &features.buffer));
+            let bound = CandidateWindow { params: chunk.params, candidate, window, columns, features, cells: &cells };
+            rec.dispatch(&kernel, &bound, [chunk.params.offsets.x as u32, chunk.params.offsets.y as u32, 1])
+        },
+    )?;
     Ok(WindowOfCandidates { cells })
 }

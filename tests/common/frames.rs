@@ -16,7 +16,8 @@ fn path(file: &str) -> PathBuf {
 
 /// The noisy render `testdata/<name>.exr`.
 pub fn noisy(name: &str) -> BufferSet {
-    BufferSet::read(&BufferSetRequest { input: path(&format!("{name}.exr")), ..Default::default() }).unwrap_or_else(|error| panic!("{error}"))
+    BufferSet::read(&BufferSetRequest { input: path(&format!("{name}.exr")), ..Default::default() })
+        .unwrap_or_else(|error| panic!("{error}"))
 }
 
 /// The converged render of a scene.
@@ -27,8 +28,12 @@ pub fn converged(scene: &str) -> Image {
 /// A rectangle of an image.
 pub fn cropped(image: &Image, left: usize, top: usize, width: usize, height: usize) -> Image {
     let stride = image.extent.width as usize;
-    let rows = |plane: &Vec<f32>| (top..top + height).flat_map(|y| plane[y * stride + left..][..width].to_vec()).collect();
-    Image { extent: Extent { width: width as u32, height: height as u32 }, planes: image.planes.iter().map(rows).collect() }
+    let rows =
+        |plane: &Vec<f32>| (top..top + height).flat_map(|y| plane[y * stride + left..][..width].to_vec()).collect();
+    Image {
+        extent: Extent { width: width as u32, height: height as u32 },
+        planes: image.planes.iter().map(rows).collect(),
+    }
 }
 
 /// What a frame keeps of a render.
@@ -40,17 +45,25 @@ pub struct Keep {
     pub features: &'static [&'static str],
 }
 
-pub const EVERYTHING: Keep = Keep { halves: true, variance: true, features: &["albedo", "depth", "normal", "visibility"] };
+pub const EVERYTHING: Keep =
+    Keep { halves: true, variance: true, features: &["albedo", "depth", "normal", "visibility"] };
 
 /// A rectangle of a render as a frame.
 pub fn frame(set: &BufferSet, [left, top, width, height]: [usize; 4], keep: Keep) -> Frame {
     let crop = |image: &Image| cropped(image, left, top, width, height);
     let signal = |raw: RawSignal| Signal {
         mean: crop(&raw.mean),
-        half_spread: raw.half_a.zip(raw.half_b).filter(|_| keep.halves).map(|(a, b)| half_spread(&crop(&a), &crop(&b), 1.0, 1.0)),
+        half_spread: raw
+            .half_a
+            .zip(raw.half_b)
+            .filter(|_| keep.halves)
+            .map(|(a, b)| half_spread(&crop(&a), &crop(&b), 1.0, 1.0)),
         variance_of_mean: raw.variance_of_mean.as_ref().filter(|_| keep.variance).map(crop),
     };
-    let features = set.features().filter(|(name, _)| keep.features.contains(name)).map(|(name, raw)| (name.to_owned(), signal(raw)));
+    let features = set
+        .features()
+        .filter(|(name, _)| keep.features.contains(name))
+        .map(|(name, raw)| (name.to_owned(), signal(raw)));
     new_frame(signal(set.color()), features.collect())
 }
 

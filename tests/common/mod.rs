@@ -10,13 +10,15 @@ use stein::stage::nlm::Schedule;
 use crate::reference::random::Random;
 use crate::reference::{Grid, Planes, Point};
 
-/// The device of all tests that do not count what it holds. What a kernel forgets to write shows, because every buffer is poisoned.
+/// The device of all tests that do not count what it holds. What a kernel forgets to write shows, because every buffer
+/// is poisoned.
 pub fn gpu() -> &'static Gpu {
     static GPU: OnceLock<Gpu> = OnceLock::new();
     GPU.get_or_init(|| open(GpuOptions { poison: true, ..GpuOptions::default() }))
 }
 
-/// The same with bounds checks in the kernels: what reads outside of a buffer then reads something else than an unchecked kernel does.
+/// The same with bounds checks in the kernels: what reads outside of a buffer then reads something else than an
+/// unchecked kernel does.
 pub fn checked_gpu() -> &'static Gpu {
     static GPU: OnceLock<Gpu> = OnceLock::new();
     GPU.get_or_init(|| open(GpuOptions { poison: true, checked_shaders: true, ..GpuOptions::default() }))
@@ -29,17 +31,22 @@ pub fn open(options: GpuOptions) -> Gpu {
 
 /// The same adapter with other limits than WebGPU's defaults.
 pub fn limited_gpu(change: impl FnOnce(&mut wgpu::Limits)) -> Gpu {
-    let description = wgpu::InstanceDescriptor { backends: wgpu::Backends::PRIMARY, ..wgpu::InstanceDescriptor::new_without_display_handle() };
+    let description = wgpu::InstanceDescriptor {
+        backends: wgpu::Backends::PRIMARY,
+        ..wgpu::InstanceDescriptor::new_without_display_handle()
+    };
     let adapters = pollster::block_on(wgpu::Instance::new(description).enumerate_adapters(wgpu::Backends::PRIMARY));
     let adapter = &adapters[gpu().summary().index];
     let mut required_limits = wgpu::Limits::default();
     change(&mut required_limits);
     let description = wgpu::DeviceDescriptor { required_limits, ..Default::default() };
-    let (device, queue) = pollster::block_on(adapter.request_device(&description)).unwrap_or_else(|error| panic!("{error}"));
+    let (device, queue) =
+        pollster::block_on(adapter.request_device(&description)).unwrap_or_else(|error| panic!("{error}"));
     Gpu::from_wgpu(device, queue, &adapter.get_info()).unwrap_or_else(|error| panic!("{error}"))
 }
 
-/// Ways of cutting up the work: from one row and one offset at a time to everything at once, for processors and for graphics cards. What is computed must not depend on it.
+/// Ways of cutting up the work: from one row and one offset at a time to everything at once, for processors and for
+/// graphics cards. What is computed must not depend on it.
 pub fn schedules() -> impl Iterator<Item = Schedule> {
     let blocks = [(1, 1, 1, 1 << 20, 0), (5, 2, 4, 9, 1 << 16), (16, 1, 1, 16, 200), (32, 3, 4, 1 << 20, 512)];
     let schedule = move |scratch_bytes| {
@@ -92,7 +99,11 @@ pub fn there(buffer: &Option<Arc<Buffer>>) -> &Buffer {
 pub fn read(gpu: &Gpu, buffer: &Buffer, extent: IVec2) -> Vec<Planes> {
     let values = gpu.read(buffer).unwrap_or_else(|error| panic!("{error}"));
     let (width, height) = (extent.x as usize, extent.y as usize);
-    let channel = |plane: &[f32], c: usize| Grid { width, height, values: plane.iter().skip(c).step_by(4).map(|&v| f64::from(v)).collect() };
+    let channel = |plane: &[f32], c: usize| Grid {
+        width,
+        height,
+        values: plane.iter().skip(c).step_by(4).map(|&v| f64::from(v)).collect(),
+    };
     values.chunks_exact(4 * width * height).map(|plane| (0..4).map(|c| channel(plane, c)).collect()).collect()
 }
 
@@ -113,8 +124,8 @@ pub struct Scene {
     pub variance: Planes,
 }
 
-/// Blocks, ramps and noise in three channels; here and there a spike of 10⁴ that may or may not admit to its variance, negative radiance, and a band without
-/// variance, half of it constant.
+/// Blocks, ramps and noise in three channels; here and there a spike of 10⁴ that may or may not admit to its variance,
+/// negative radiance, and a band without variance, half of it constant.
 pub fn scene(width: usize, height: usize, seed: u64) -> Scene {
     let mut random = Random(seed);
     let spikes = random.uniform_grid(width, height, 0.0, 150.0);
@@ -126,7 +137,8 @@ pub fn scene(width: usize, height: usize, seed: u64) -> Scene {
         let level = |p: Point| gain * ([0.8, -0.1, 0.3, 1.6][((p.x / 5 + p.y / 4) % 4) as usize] + 0.02 * p.y as f64);
         let deviation = random.uniform_grid(width, height, 0.05, 0.3);
         let sigma = Grid::from_fn(width, height, |p| if is_exact(p) { 0.0 } else { gain * deviation.at(p) });
-        let (noise, half_noise) = (random.gaussian_grid(width, height, 0.0, 1.0), random.gaussian_grid(width, height, 0.0, 1.0));
+        let (noise, half_noise) =
+            (random.gaussian_grid(width, height, 0.0, 1.0), random.gaussian_grid(width, height, 0.0, 1.0));
         mean.push(Grid::from_fn(width, height, |p| match (is_spike(p), is_exact(p)) {
             (true, _) => 1e4 * gain,
             (_, true) if p.y < height as isize / 2 => gain,
@@ -134,16 +146,21 @@ pub fn scene(width: usize, height: usize, seed: u64) -> Scene {
         }));
         let admits = |p: Point| is_spike(p) && spikes.at(p) < 0.5;
         spread.push(Grid::from_fn(width, height, |p| if admits(p) { 3e3 } else { sigma.at(p) } * half_noise.at(p)));
-        variance.push(Grid::from_fn(width, height, |p| if admits(p) { 3e7 } else { sigma.at(p).powi(2) * (0.5 + deviation.at(p)) }));
+        variance.push(Grid::from_fn(width, height, |p| {
+            if admits(p) { 3e7 } else { sigma.at(p).powi(2) * (0.5 + deviation.at(p)) }
+        }));
     }
     let round = |planes: Planes| planes.into_iter().map(rounded).collect();
     Scene { mean: round(mean), spread: round(spread), variance: round(variance) }
 }
 
-/// Noise on a ramp, with noisy variances: patches of any size find their like, no spikes, nothing exact, so that weights are smooth functions of every pixel.
+/// Noise on a ramp, with noisy variances: patches of any size find their like, no spikes, nothing exact, so that
+/// weights are smooth functions of every pixel.
 pub fn calm_scene(width: usize, height: usize, seed: u64) -> Scene {
     let mut random = Random(seed);
-    let mut planes = |low: f64, high: f64| -> Planes { (0..3).map(|_| rounded(random.uniform_grid(width, height, low, high))).collect() };
+    let mut planes = |low: f64, high: f64| -> Planes {
+        (0..3).map(|_| rounded(random.uniform_grid(width, height, low, high))).collect()
+    };
     let (noise, spread, variance) = (planes(-0.3, 0.3), planes(-0.2, 0.2), planes(0.02, 0.06));
     let mean = noise.iter().map(|grid| rounded(grid.like(|p| 1.0 + 0.05 * (p.x % 24) as f64 + grid.at(p)))).collect();
     Scene { mean, spread, variance }
@@ -151,8 +168,8 @@ pub fn calm_scene(width: usize, height: usize, seed: u64) -> Scene {
 
 /// Compares value by value, and tells where the worst one is.
 ///
-/// `scale` says for each value what a relative error of 1 would be. Up to `allowed_share` of the values may be further off, for decisions that rounding may
-/// turn over.
+/// `scale` says for each value what a relative error of 1 would be. Up to `allowed_share` of the values may be further
+/// off, for decisions that rounding may turn over.
 pub fn assert_near(what: &str, actual: &[Grid], expected: &[Grid], scale: &[Grid], relative: f64, allowed_share: f64) {
     assert!(actual.len() >= expected.len() && expected.len() == scale.len(), "{what}: {} channels", actual.len());
     let (mut worst, mut worst_at, mut outside, mut values) = (0.0, None, 0usize, 0usize);
@@ -170,7 +187,9 @@ pub fn assert_near(what: &str, actual: &[Grid], expected: &[Grid], scale: &[Grid
     if outside as f64 > allowed_share * values as f64
         && let Some((x, y, channel, expected, actual)) = worst_at
     {
-        panic!("{what}: x {x}, y {y}, channel {channel}: {actual} instead of {expected}, {worst:.1} tolerances off; {outside} of {values} values are");
+        panic!(
+            "{what}: x {x}, y {y}, channel {channel}: {actual} instead of {expected}, {worst:.1} tolerances off; {outside} of {values} values are"
+        );
     }
 }
 

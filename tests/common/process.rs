@@ -47,14 +47,19 @@ impl Outcome {
 
 pub fn command(arguments: &[&str]) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_stein"));
-    // Mesa's device selection layer complains on stderr where there is no desktop. Nothing is left in the home of whoever runs the tests.
+    // Mesa's device selection layer complains on stderr where there is no desktop. Nothing is left in the home of
+    // whoever runs the tests.
     command.args(arguments).env("NODEVICE_SELECT", "1").env("STEIN_CACHE", "").stdin(Stdio::null());
     command
 }
 
 pub fn stein(arguments: &[&str]) -> Outcome {
     let output = command(arguments).output().unwrap();
-    Outcome { code: output.status.code().unwrap(), stdout: String::from_utf8(output.stdout).unwrap(), stderr: String::from_utf8(output.stderr).unwrap() }
+    Outcome {
+        code: output.status.code().unwrap(),
+        stdout: String::from_utf8(output.stdout).unwrap(),
+        stderr: String::from_utf8(output.stderr).unwrap(),
+    }
 }
 
 pub fn test_image(name: &str) -> String {
@@ -102,7 +107,9 @@ pub fn write_without(parts: &[&str], from: &str, to: &str) {
     let rgb = ["R", "G", "B"].map(String::from).to_vec();
     let layers = [("", Some(mean)), ("halfA", half_a), ("halfB", half_b), ("variance", variance_of_mean)].into_iter();
     let layers = layers.filter(|(name, _)| !parts.contains(name));
-    let layers: Vec<_> = layers.map(|(name, image)| NamedLayer { name: name.into(), channels: rgb.clone(), image: image.unwrap() }).collect();
+    let layers: Vec<_> = layers
+        .map(|(name, image)| NamedLayer { name: name.into(), channels: rgb.clone(), image: image.unwrap() })
+        .collect();
     stein_exr::write_layers(Path::new(to), &layers, &[("samples".into(), "8".into())]).unwrap();
 }
 

@@ -1,10 +1,18 @@
-//! What the library tells its users to do, where it names its own fields and functions: programs put it into their words.
+//! What the library tells its users to do, where it names its own fields and functions: programs put it into their
+//! words.
 
 use std::path::{Path, PathBuf};
 
 /// Of these only callers of the library are told: no program can come to it.
-const OF_CALLERS: [&str; 7] =
-    ["`GpuFrame::", "`Recorder::", "`Gpu::record_whole`", "`Intermediate::", "`wgpu::BufferUsages::", "`wgpu::Limits::", "`Options::"];
+const OF_CALLERS: [&str; 7] = [
+    "`GpuFrame::",
+    "`Recorder::",
+    "`Gpu::record_whole`",
+    "`Intermediate::",
+    "`wgpu::BufferUsages::",
+    "`wgpu::Limits::",
+    "`Options::",
+];
 
 /// Holds that a program's words for remedies name no item, and say no option twice.
 pub(crate) fn name_no_items(told: impl Fn(String) -> String) {
@@ -45,11 +53,19 @@ fn sources(folder: &Path) -> Vec<PathBuf> {
 fn in_source(source: &str) -> Vec<String> {
     let code: Vec<_> = source.lines().filter(|line| !line.trim_start().starts_with("//")).collect();
     let code = code.join("\n");
-    let is_named = |at: &usize| code[..*at].trim_end_matches(|letter: char| letter.is_alphanumeric() || letter == '_' || letter == ':').ends_with('`');
+    let is_named = |at: &usize| {
+        code[..*at]
+            .trim_end_matches(|letter: char| letter.is_alphanumeric() || letter == '_' || letter == ':')
+            .ends_with('`')
+    };
     let text = |at: usize| {
         let (first, end) = (code[..at].rfind('"')? + 1, at + code[at..].find('"')?);
         // A line that ends in a backslash goes on with what is not blank.
-        let lines: Vec<_> = code[first..end].split("\\\n").enumerate().map(|(place, line)| if place == 0 { line } else { line.trim_start() }).collect();
+        let lines: Vec<_> = code[first..end]
+            .split("\\\n")
+            .enumerate()
+            .map(|(place, line)| if place == 0 { line } else { line.trim_start() })
+            .collect();
         Some(lines.concat())
     };
     code.match_indices("::").map(|(at, _)| at).filter(is_named).filter_map(text).collect()

@@ -1,4 +1,5 @@
-//! The corpus of broken files: each is made here, lies in `testdata/broken`, and is refused with its name, what is wrong and what to do.
+//! The corpus of broken files: each is made here, lies in `testdata/broken`, and is refused with its name, what is
+//! wrong and what to do.
 
 use std::path::{Path, PathBuf};
 
@@ -40,10 +41,15 @@ fn corpus() -> Vec<Broken> {
         }
     }
 
-    let mut add = |name: &str, bytes: Vec<u8>, said: &'static str| corpus.push(Broken { name: name.to_owned(), bytes, said });
+    let mut add =
+        |name: &str, bytes: Vec<u8>, said: &'static str| corpus.push(Broken { name: name.to_owned(), bytes, said });
     add("empty", Vec::new(), "is empty");
     add("cut_in_magic", whole[..3].to_vec(), "is not an OpenEXR file");
-    add("png", b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR\0\0\0\x01\0\0\0\x01\x08\0\0\0\0:~\x9bU".to_vec(), "is not an OpenEXR file");
+    add(
+        "png",
+        b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR\0\0\0\x01\0\0\0\x01\x08\0\0\0\0:~\x9bU".to_vec(),
+        "is not an OpenEXR file",
+    );
     add("text", b"openexr\n".to_vec(), "is not an OpenEXR file");
 
     let mut draft = |name: &str, draft: Draft, said: &'static str| add(name, draft.bytes().0, said);
@@ -61,15 +67,22 @@ fn corpus() -> Vec<Broken> {
     draft("compression_unknown", Draft::good().with("compression", vec![99]), "number 99");
     draft("compression_htj2k", Draft::good().with("compression", vec![10]), "HTJ2K");
     draft("compression_wide", Draft::good().with("compression", vec![0, 0]), "compression");
-    draft("name_without_end", Draft::good().and(Box::leak("n".repeat(400).into_boxed_str()), "int", vec![0; 4]), "a name that does not end");
-    for (name, size, said) in [("attribute_negative", -1, "negative size"), ("attribute_huge", i32::MAX, "which takes 2147483647 bytes")] {
+    draft(
+        "name_without_end",
+        Draft::good().and(Box::leak("n".repeat(400).into_boxed_str()), "int", vec![0; 4]),
+        "a name that does not end",
+    );
+    for (name, size, said) in
+        [("attribute_negative", -1, "negative size"), ("attribute_huge", i32::MAX, "which takes 2147483647 bytes")]
+    {
         let (mut bytes, marks) = Draft::good().and("comments", "string", vec![b'x'; 4]).bytes();
         let at = marks.iter().find(|(name, _)| name == "comments").map(|(_, at)| at + "comments string ".len());
         let at = at.expect("it was added");
         bytes[at..at + 4].copy_from_slice(&i32::to_le_bytes(size));
         corpus.push(Broken { name: name.into(), bytes, said });
     }
-    let mut add = |name: &str, bytes: Vec<u8>, said: &'static str| corpus.push(Broken { name: name.to_owned(), bytes, said });
+    let mut add =
+        |name: &str, bytes: Vec<u8>, said: &'static str| corpus.push(Broken { name: name.to_owned(), bytes, said });
     let mut draft = |name: &str, draft: Draft, said: &'static str| add(name, draft.bytes().0, said);
 
     // Windows: what they claim is never allocated.
@@ -78,7 +91,11 @@ fn corpus() -> Vec<Broken> {
     draft("window_100k", Draft::good().window([0, 0, 99_999, 99_999]), "larger than the file can hold");
     draft("window_100k_in_one_block", tiled(100_000).window([0, 0, 99_999, 99_999]), "larger than the file can hold");
     draft("window_wide", Draft::good().window([0, 0, (1 << 20) - 1, 2]), "larger than the file can hold");
-    draft("window_huge_dwab", Draft::good().with("compression", vec![9]).window([0, 0, (1 << 20) - 1, 255]), "larger than the file can hold");
+    draft(
+        "window_huge_dwab",
+        Draft::good().with("compression", vec![9]).window([0, 0, (1 << 20) - 1, 255]),
+        "larger than the file can hold",
+    );
     draft("window_inverted", Draft::good().window([3, 2, 0, 0]), "which is no pixel");
     draft("window_empty", Draft::good().window([0, 0, -1, 2]), "which is no pixel");
     draft("window_short", Draft::good().with("dataWindow", vec![0; 12]), "no window");
@@ -87,16 +104,28 @@ fn corpus() -> Vec<Broken> {
     // Channels.
     draft("channels_none", Draft::good().with("channels", vec![0]), "at least one channel");
     draft("channels_endless", Draft::good().with("channels", channels(&CHANNELS)[..40].to_vec()), "does not end");
-    draft("channels_twice", Draft::good().with("channels", channels(&["B", "G", "G", "R", "variance.G", "variance.R"])), "'G' twice");
+    draft(
+        "channels_twice",
+        Draft::good().with("channels", channels(&["B", "G", "G", "R", "variance.G", "variance.R"])),
+        "'G' twice",
+    );
     draft("channels_subsampled", Draft::good().with("channels", sampled([2, 2])), "subsampled");
     draft("channels_never_sampled", Draft::good().with("channels", sampled([0, 1])), "subsampled");
     draft("channels_of_unknown_type", Draft::good().with("channels", channel_list(&[("B", 7, [1, 1])])), "type");
     let without_blue = ["G", "R", "halfA.B", "halfA.G", "halfA.R", "halfB.B", "halfB.G", "halfB.R"];
     draft("no_blue", Draft::of(&without_blue), "has no colour");
     draft("half_alone", Draft::of(&["B", "G", "R", "halfA.B", "halfA.G", "halfA.R"]), "half B is missing");
-    draft("half_without_blue", Draft::of(&["B", "G", "R", "halfA.G", "halfA.R", "halfB.B", "halfB.G", "halfB.R"]), "do not match");
+    draft(
+        "half_without_blue",
+        Draft::of(&["B", "G", "R", "halfA.G", "halfA.R", "halfB.B", "halfB.G", "halfB.R"]),
+        "do not match",
+    );
     let nan = |draft: Draft| {
-        let blocks = draft.blocks.iter().map(|block| Block { bytes: [0, 0x7e].repeat(block.bytes.len() / 2), ..block.clone() }).collect();
+        let blocks = draft
+            .blocks
+            .iter()
+            .map(|block| Block { bytes: [0, 0x7e].repeat(block.bytes.len() / 2), ..block.clone() })
+            .collect();
         Draft { blocks, ..draft }
     };
     draft("all_nan", nan(Draft::good()), "not one pixel");
@@ -121,12 +150,27 @@ fn corpus() -> Vec<Broken> {
     draft("block_empty", block(&|block| block.bytes.clear()), "damaged");
     draft("block_small", block(&|block| block.bytes.truncate(5)), "damaged");
     draft("count_wrong", Draft::good().and("chunkCount", "int", ints(&[99])), "chunk count");
-    for (name, method) in [("rle", 1), ("zips", 2), ("zip", 3), ("piz", 4), ("pxr24", 5), ("b44", 6), ("b44a", 7), ("dwaa", 8), ("dwab", 9)] {
+    for (name, method) in [
+        ("rle", 1),
+        ("zips", 2),
+        ("zip", 3),
+        ("piz", 4),
+        ("pxr24", 5),
+        ("b44", 6),
+        ("b44a", 7),
+        ("dwaa", 8),
+        ("dwab", 9),
+    ] {
         // Of B44, too few for the blocks.
-        let noise = (0..if name.starts_with('b') { 10 } else { 100u32 }).map(|at| (at.wrapping_mul(2_654_435_761) >> 24) as u8).collect();
+        let noise = (0..if name.starts_with('b') { 10 } else { 100u32 })
+            .map(|at| (at.wrapping_mul(2_654_435_761) >> 24) as u8)
+            .collect();
         // Of one row, and therefore of three blocks.
         let one = Draft::compressed(method, noise);
-        let several = Draft { blocks: (0..HEIGHT).map(|y| Block { numbers: vec![y], ..one.blocks[0].clone() }).collect(), ..one.clone() };
+        let several = Draft {
+            blocks: (0..HEIGHT).map(|y| Block { numbers: vec![y], ..one.blocks[0].clone() }).collect(),
+            ..one.clone()
+        };
         draft(&format!("garbage_{name}"), if method < 3 { several } else { one }, "damaged");
     }
     let mut counters = 2u64.to_le_bytes().to_vec();
@@ -186,7 +230,10 @@ fn what_the_broken_files_are_made_from_is_sound() {
     let path = folder.path().join("good.exr");
     let tiles = Draft { blocks: vec![Block { numbers: vec![0; 4], ..Draft::good().blocks[0].clone() }], ..tiled(4) };
     let tiles = Draft {
-        blocks: vec![Block { bytes: Draft::good().blocks.iter().flat_map(|block| block.bytes.clone()).collect(), ..tiles.blocks[0].clone() }],
+        blocks: vec![Block {
+            bytes: Draft::good().blocks.iter().flat_map(|block| block.bytes.clone()).collect(),
+            ..tiles.blocks[0].clone()
+        }],
         ..tiles
     };
     let mut pixels = Vec::new();
@@ -213,7 +260,10 @@ fn each_broken_file_is_refused_with_what_is_wrong_and_what_to_do() {
         if remakes {
             std::fs::write(&path, bytes).expect("a file");
         }
-        assert!(std::fs::read(&path).is_ok_and(|found| found == *bytes), "{name} is not what is made here: {REMAKE}=1 writes all of them anew");
+        assert!(
+            std::fs::read(&path).is_ok_and(|found| found == *bytes),
+            "{name} is not what is made here: {REMAKE}=1 writes all of them anew"
+        );
         let text = refusal(&path);
         if !text.contains(said) || !text.contains("remedy: ") {
             wrong.push(format!("{name}: no '{said}' in {text}"));

@@ -75,7 +75,11 @@ impl Draft {
             attribute("screenWindowWidth", "float", 1.0f32.to_le_bytes().to_vec()),
         ];
         // Half floats from 0.25 to 1, row by row and channel by channel.
-        let row = |y: i32| (0..names.len() as i32 * WIDTH).flat_map(|x| (0x3400 + 32 * ((x * 7 + y * 5) % 64)).to_le_bytes()[..2].to_vec()).collect();
+        let row = |y: i32| {
+            (0..names.len() as i32 * WIDTH)
+                .flat_map(|x| (0x3400 + 32 * ((x * 7 + y * 5) % 64)).to_le_bytes()[..2].to_vec())
+                .collect()
+        };
         let blocks = (0..HEIGHT).map(|y| Block { numbers: vec![y], claimed: None, bytes: row(y) }).collect();
         Self { version: [2, 0, 0, 0], parts: vec![attributes], blocks, offsets: None }
     }
@@ -99,10 +103,15 @@ impl Draft {
             part.push(attribute("chunkCount", "int", ints(&[HEIGHT])));
             part
         };
-        let parts = vec![named("beauty", ints(&[0, 0, WIDTH - 1, HEIGHT - 1])), named("variance", ints(&second_window))];
+        let parts =
+            vec![named("beauty", ints(&[0, 0, WIDTH - 1, HEIGHT - 1])), named("variance", ints(&second_window))];
         let width = (second_window[2] - second_window[0] + 1) as usize;
         let blocks = |part: i32, width: usize| {
-            draft.blocks.iter().map(move |block| Block { numbers: vec![part, block.numbers[0]], claimed: None, bytes: block.bytes[..6 * width].to_vec() })
+            draft.blocks.iter().map(move |block| Block {
+                numbers: vec![part, block.numbers[0]],
+                claimed: None,
+                bytes: block.bytes[..6 * width].to_vec(),
+            })
         };
         let blocks = blocks(0, WIDTH as usize).chain(blocks(1, width)).collect();
         Self { parts, blocks, ..draft }

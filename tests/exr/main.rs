@@ -30,7 +30,14 @@ struct Part {
 
 impl Part {
     fn new() -> Self {
-        Self { name: None, position: (0, 0), size: SIZE, channels: Vec::new(), attributes: Vec::new(), compression: Compression::ZIP16 }
+        Self {
+            name: None,
+            position: (0, 0),
+            size: SIZE,
+            channels: Vec::new(),
+            attributes: Vec::new(),
+            compression: Compression::ZIP16,
+        }
     }
 
     fn named(name: &'static str) -> Self {
@@ -73,14 +80,21 @@ fn ramp(start: f32, pixels: usize) -> Vec<f32> {
 fn image_of(parts: Vec<Part>, display: IntegerBounds) -> FlatImage {
     let layer_of = |part: Part| {
         let channels = part.channels.into_iter().map(|(name, samples)| AnyChannel::new(name.as_str(), samples));
-        let mut attributes =
-            LayerAttributes { layer_name: part.name.map(Text::from), layer_position: Vec2(part.position.0, part.position.1), ..LayerAttributes::default() };
+        let mut attributes = LayerAttributes {
+            layer_name: part.name.map(Text::from),
+            layer_position: Vec2(part.position.0, part.position.1),
+            ..LayerAttributes::default()
+        };
         attributes.other.extend(part.attributes.into_iter().map(|(name, value)| (Text::from(name), value)));
         Layer {
             channel_data: AnyChannels::sort(channels.collect()),
             attributes,
             size: Vec2(part.size.0, part.size.1),
-            encoding: Encoding { compression: part.compression, blocks: Blocks::ScanLines, line_order: LineOrder::Increasing },
+            encoding: Encoding {
+                compression: part.compression,
+                blocks: Blocks::ScanLines,
+                line_order: LineOrder::Increasing,
+            },
         }
     };
     FlatImage { attributes: ImageAttributes::new(display), layer_data: parts.into_iter().map(layer_of).collect() }

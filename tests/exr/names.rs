@@ -115,7 +115,11 @@ fn longer_names_are_refused_by_name_and_never_written() {
 
     // A layer that gets too long by what is put before and behind its name.
     let set = read(&write(folder.path(), "in.exr", vec![Part::native()]));
-    let long = NamedLayer { name: format!("stein.{}_prefiltered", "x".repeat(240)), channels: vec!["x".into()], image: single(0.5) };
+    let long = NamedLayer {
+        name: format!("stein.{}_prefiltered", "x".repeat(240)),
+        channels: vec!["x".into()],
+        image: single(0.5),
+    };
     let short = NamedLayer { name: "stein.error".into(), channels: vec!["V".into()], image: single(0.5) };
     let report = write_denoised(set, &output, &with_extra(&color, &[long.clone(), short])).unwrap();
     assert_eq!(report.left_out, std::slice::from_ref(&long.name));
@@ -148,7 +152,10 @@ fn thousands_of_layers_make_a_short_message() {
     }
     let input = write(folder.path(), "in.exr", vec![part]);
     let message = failure(&BufferSetRequest { layer: Some("pass1777x".into()), ..request(&input) });
-    assert!(message.contains("'pass1777' (V)") && message.contains(" and 1998 more"), "those first that are most like it: {message}");
+    assert!(
+        message.contains("'pass1777' (V)") && message.contains(" and 1998 more"),
+        "those first that are most like it: {message}"
+    );
     assert!(message.len() < 1000, "{}", message.len());
     let message = failure(&BufferSetRequest { skip_features: vec!["pass".into()], ..request(&input) });
     assert!(message.contains(" more") && message.len() < 1000, "{}", message.len());
@@ -157,7 +164,9 @@ fn thousands_of_layers_make_a_short_message() {
 #[test]
 fn what_is_not_replaced_keeps_every_bit() {
     let folder = folder();
-    let bits: Vec<u32> = [0x7f80_0001, 0x7fc0_0123, 0xffff_ffff, 0x0000_02ca, 0x8000_0000, 0x0000_0001, 0x7f80_0000].repeat(3)[..PIXELS].to_vec();
+    let bits: Vec<u32> = [0x7f80_0001, 0x7fc0_0123, 0xffff_ffff, 0x0000_02ca, 0x8000_0000, 0x0000_0001, 0x7f80_0000]
+        .repeat(3)[..PIXELS]
+        .to_vec();
     let mut part = Part::native();
     part.channels.push(("id.R".into(), FlatSamples::F32(bits.iter().map(|bits| f32::from_bits(*bits)).collect())));
     let halves: Vec<u16> = [0x7c01_u16, 0x7e55, 0xffff, 0x0001, 0x8000].repeat(3)[..PIXELS].to_vec();

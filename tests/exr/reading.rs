@@ -108,7 +108,9 @@ fn a_chosen_layer_does_not_take_the_beautys_halves() {
 #[test]
 fn a_layer_of_a_file_is_written_behind_two_colons() {
     let of = |file: &str, layer: Option<&str>| LayerRef { file: file.into(), layer: layer.map(str::to_owned) };
-    for (text, expected) in [("a.exr", of("a.exr", None)), ("b::c.exr::d.e", of("b::c.exr", Some("d.e"))), ("a.exr::", of("a.exr::", None))] {
+    for (text, expected) in
+        [("a.exr", of("a.exr", None)), ("b::c.exr::d.e", of("b::c.exr", Some("d.e"))), ("a.exr::", of("a.exr::", None))]
+    {
         let Ok(read) = text.parse::<LayerRef>();
         assert_eq!((read.to_string().as_str(), &read), (text, &expected));
         assert_eq!(LayerRef::from(std::ffi::OsString::from(text)), expected);
@@ -268,7 +270,8 @@ fn a_layer_reference_is_split_at_its_last_double_colon() {
 #[test]
 fn the_test_renders_are_native_layout() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("testdata");
-    let renders = [("cornell_8spp", 8.0), ("cornell_32spp", 32.0), ("dof_spheres_32spp", 32.0), ("caustic_ring_32spp", 32.0)];
+    let renders =
+        [("cornell_8spp", 8.0), ("cornell_32spp", 32.0), ("dof_spheres_32spp", 32.0), ("caustic_ring_32spp", 32.0)];
     for (name, samples) in renders {
         let set = read(&folder.join(format!("{name}.exr")));
         assert_eq!(set.feature_names().collect::<Vec<_>>(), ["albedo", "depth", "normal", "visibility"], "{name}");

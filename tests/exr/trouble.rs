@@ -21,7 +21,11 @@ fn a_feature_of_another_size_names_its_file_and_both_windows() {
 #[test]
 fn a_feature_to_skip_that_the_input_lacks_is_named_with_those_that_it_has() {
     let folder = folder();
-    let input = write(folder.path(), "in.exr", vec![Part::new().with("", "RGB", 1.0).with("albedo", "RGB", 2.0).with("ViewLayer.depth", "Z", 3.0)]);
+    let input = write(
+        folder.path(),
+        "in.exr",
+        vec![Part::new().with("", "RGB", 1.0).with("albedo", "RGB", 2.0).with("ViewLayer.depth", "Z", 3.0)],
+    );
     let skipping = |name: &str| BufferSetRequest { skip_features: vec![name.to_owned()], ..request(&input) };
     for (skipped, left) in [("albedo", "ViewLayer.depth"), ("depth", "albedo"), ("ViewLayer.depth", "albedo")] {
         let set = BufferSet::read(&skipping(skipped)).unwrap();
@@ -32,7 +36,10 @@ fn a_feature_to_skip_that_the_input_lacks_is_named_with_those_that_it_has() {
         assert!(message.contains(part), "{message}");
     }
     // Where none is used, a name that is none is an error all the same.
-    assert_eq!(BufferSet::read(&BufferSetRequest { no_features: true, ..skipping("depth") }).unwrap().feature_names().len(), 0);
+    assert_eq!(
+        BufferSet::read(&BufferSetRequest { no_features: true, ..skipping("depth") }).unwrap().feature_names().len(),
+        0
+    );
     assert!(failure(&BufferSetRequest { no_features: true, ..skipping("albdo") }).contains("'albdo'"));
 }
 
@@ -40,11 +47,19 @@ fn a_feature_to_skip_that_the_input_lacks_is_named_with_those_that_it_has() {
 fn a_feature_of_two_view_layers_is_skipped_in_both_or_by_its_whole_name() {
     let folder = folder();
     let view = |part: Part, name: &str| {
-        part.with(&format!("{name}.Combined"), "RGB", 1.0).with(&format!("{name}.albedo"), "RGB", 2.0).with(&format!("{name}.depth"), "Z", 3.0)
+        part.with(&format!("{name}.Combined"), "RGB", 1.0).with(&format!("{name}.albedo"), "RGB", 2.0).with(
+            &format!("{name}.depth"),
+            "Z",
+            3.0,
+        )
     };
     let input = write(folder.path(), "in.exr", vec![view(view(Part::new(), "near"), "far")]);
     let left = |skipped: &str| {
-        let request = BufferSetRequest { layer: Some("near.Combined".to_owned()), skip_features: vec![skipped.to_owned()], ..request(&input) };
+        let request = BufferSetRequest {
+            layer: Some("near.Combined".to_owned()),
+            skip_features: vec![skipped.to_owned()],
+            ..request(&input)
+        };
         let set = BufferSet::read(&request).unwrap();
         let mut names: Vec<String> = set.feature_names().map(str::to_owned).collect();
         names.sort_unstable();
@@ -58,11 +73,11 @@ fn a_feature_of_two_view_layers_is_skipped_in_both_or_by_its_whole_name() {
 #[test]
 fn what_is_there_but_no_feature_cannot_be_skipped() {
     let folder = folder();
-    let part = Part::new().with("view.Combined", "RGB", 1.0).with("view.albedo", "RGB", 2.0).with("view.albedo_halfA", "RGB", 2.0).with(
-        "view.albedo_halfB",
-        "RGB",
-        2.0,
-    );
+    let part = Part::new()
+        .with("view.Combined", "RGB", 1.0)
+        .with("view.albedo", "RGB", 2.0)
+        .with("view.albedo_halfA", "RGB", 2.0)
+        .with("view.albedo_halfB", "RGB", 2.0);
     let input = write(folder.path(), "in.exr", vec![part]);
     for name in ["albedo_halfA", "view.albedo_halfB", "Combined", "view.Combined", "lbedo", ""] {
         let message = failure(&BufferSetRequest { skip_features: vec![name.to_owned()], ..request(&input) });
@@ -82,7 +97,11 @@ fn one_half_alone_is_an_error() {
 fn what_is_optional_and_cannot_be_used_is_left_out_and_named() {
     let folder = folder();
     let colour = || Part::new().with("", "RGB", 1.0).with("halfA", "RGB", 2.0).with("halfB", "RGB", 3.0);
-    let features = colour().with("albedo", "RGB", 4.0).with("albedo_halfA", "RGB", 5.0).with("normal", "XYZ", 6.0).with("normal_variance", "Q", 7.0);
+    let features = colour()
+        .with("albedo", "RGB", 4.0)
+        .with("albedo_halfA", "RGB", 5.0)
+        .with("normal", "XYZ", 6.0)
+        .with("normal_variance", "Q", 7.0);
     let with_variance = Part::new().with("", "RGB", 1.0).with("halfB", "RGB", 2.0).with("variance", "RGB", 3.0);
     let odd_variance = colour().with("variance", "PQ", 4.0);
     let cases: [(Part, &[(&str, &str)]); 3] = [
@@ -94,7 +113,10 @@ fn what_is_optional_and_cannot_be_used_is_left_out_and_named() {
         let set = read(&write(folder.path(), "in.exr", vec![part]));
         for (layer, problem) in left_out {
             let found = set.layer_uses().iter().find(|found| found.layer == *layer).unwrap();
-            assert!(found.role == Role::Untouched && found.note.as_ref().is_some_and(|note| note.contains(problem)), "{found:?}");
+            assert!(
+                found.role == Role::Untouched && found.note.as_ref().is_some_and(|note| note.contains(problem)),
+                "{found:?}"
+            );
         }
         assert!(set.to_frame().is_ok());
     }
@@ -176,7 +198,8 @@ fn unreadable_kinds_of_exr_are_named_with_a_way_out() {
     let folder = folder();
     let input = write(folder.path(), "in.exr", vec![Part::native()]);
     let whole = std::fs::read(&input).unwrap();
-    let behind = |marker: &[u8]| whole.windows(marker.len()).position(|window| window == marker).unwrap() + marker.len();
+    let behind =
+        |marker: &[u8]| whole.windows(marker.len()).position(|window| window == marker).unwrap() + marker.len();
     let spoilt = |changes: &[(usize, u8)]| {
         let mut bytes = whole.clone();
         changes.iter().for_each(|(at, value)| bytes[*at] = *value);

@@ -92,13 +92,15 @@ fn a_sun_near_the_largest_half_float_stays_bright_under_dwa() {
     let size = (32, 32);
     let is_sun = |pixel: usize| (12..20).contains(&(pixel % 32)) && (12..20).contains(&(pixel / 32));
     // Not even, so that the waves overshoot.
-    let value = |pixel: usize| if is_sun(pixel) { 60_000.0 + 5504.0 * (pixel * 7919 % 101) as f32 / 100.0 } else { 1.0 };
+    let value =
+        |pixel: usize| if is_sun(pixel) { 60_000.0 + 5504.0 * (pixel * 7919 % 101) as f32 / 100.0 } else { 1.0 };
     let plane: Vec<f16> = (0..32 * 32).map(|pixel| f16::from_f32(value(pixel))).collect();
     let mut overshot = 0;
     for level in [45.0, 90.0, 300.0] {
         let channels = ["R", "G", "B"].map(|name| (name.to_owned(), FlatSamples::F16(plane.clone()))).to_vec();
         let part = Part { size, channels, compression: Compression::DWAA(Some(level)), ..Part::new() };
-        let distance = FlatSamples::F32((0..32 * 32).map(|pixel| if pixel == 5 { f32::INFINITY } else { 1.0 }).collect());
+        let distance =
+            FlatSamples::F32((0..32 * 32).map(|pixel| if pixel == 5 { f32::INFINITY } else { 1.0 }).collect());
         let part = Part { channels: [part.channels.clone(), vec![("depth.Z".into(), distance)]].concat(), ..part };
         write(folder.path(), "in.exr", vec![part]);
         let FlatSamples::F16(decoded) = stored(&input, "R") else { panic!("another type") };
@@ -106,7 +108,10 @@ fn a_sun_near_the_largest_half_float_stays_bright_under_dwa() {
         let set = read(&input);
         let color = set.color().mean;
         for (pixel, value) in color.planes[0].iter().enumerate() {
-            assert!(if is_sun(pixel) { (3e4..=65_504.0).contains(value) } else { *value < 3.0 }, "level {level}: {value} at {pixel}");
+            assert!(
+                if is_sun(pixel) { (3e4..=65_504.0).contains(value) } else { *value < 3.0 },
+                "level {level}: {value} at {pixel}"
+            );
         }
         let report = write_denoised(set, &output, &replace_color(&color)).unwrap();
         assert!(report.to_string().contains("ZIP is used instead"), "{report}");
@@ -122,7 +127,10 @@ fn lines_and_tiles_may_stand_in_any_order() {
     let folder = folder();
     for blocks in [Blocks::ScanLines, Blocks::Tiles(Vec2(2, 2))] {
         for line_order in [LineOrder::Increasing, LineOrder::Decreasing, LineOrder::Unspecified] {
-            let mut image = image_of(vec![Part { compression: Compression::ZIP1, ..Part::native() }], IntegerBounds::from_dimensions(SIZE));
+            let mut image = image_of(
+                vec![Part { compression: Compression::ZIP1, ..Part::native() }],
+                IntegerBounds::from_dimensions(SIZE),
+            );
             image.layer_data[0].encoding.blocks = blocks;
             image.layer_data[0].encoding.line_order = line_order;
             let (path, output) = (folder.path().join("in.exr"), folder.path().join("out.exr"));
@@ -139,10 +147,16 @@ fn lines_and_tiles_may_stand_in_any_order() {
 fn a_compression_whose_encoder_is_not_sound_becomes_zip() {
     let folder = folder();
     let (input, output) = (folder.path().join("in.exr"), folder.path().join("out.exr"));
-    // B44 and B44A, stored as they are because they did not shrink. Its encoder has too little room for an image of one row.
+    // B44 and B44A, stored as they are because they did not shrink. Its encoder has too little room for an image of one
+    // row.
     for (method, width) in [(6, 4), (7, 3000)] {
-        let values = (0..CHANNELS.len() * width).flat_map(|at| f16::from_f32(if at % 2 == 0 { -6e4 } else { 6e4 }).to_le_bytes());
-        std::fs::write(&input, Draft::compressed(method, values.collect()).window([0, 0, width as i32 - 1, 0]).bytes().0).unwrap();
+        let values = (0..CHANNELS.len() * width)
+            .flat_map(|at| f16::from_f32(if at % 2 == 0 { -6e4 } else { 6e4 }).to_le_bytes());
+        std::fs::write(
+            &input,
+            Draft::compressed(method, values.collect()).window([0, 0, width as i32 - 1, 0]).bytes().0,
+        )
+        .unwrap();
         let set = read(&input);
         let color = set.color().mean;
         assert_eq!(color.extent, Extent { width: width as u32, height: 1 });
@@ -176,7 +190,13 @@ fn results_replace_stale_halves_and_extra_layers_are_added() {
     let replacements = [("halfA".to_owned(), rgb(60.0)), ("variance".to_owned(), rgb(70.0))];
     let attributes = [("denoiser".to_owned(), "stein".to_owned())];
     let output = folder.path().join("out.exr");
-    let layers = DenoisedLayers { color: &color, replacements: &replacements, dropped: &[], extra: &extra, attributes: &attributes };
+    let layers = DenoisedLayers {
+        color: &color,
+        replacements: &replacements,
+        dropped: &[],
+        extra: &extra,
+        attributes: &attributes,
+    };
     let report = write_denoised(set.clone(), &output, &layers).unwrap();
     assert_eq!(report, Default::default());
     let again = read(&output).color();
@@ -237,8 +257,15 @@ fn a_failed_write_leaves_nothing_behind_and_the_old_file_alone() {
 #[test]
 fn the_same_image_is_the_same_file() {
     let folder = folder();
-    let attributes = |part: Part| ["one", "two", "three", "four", "five"].into_iter().fold(part, |part, name| part.attribute(name, AttributeValue::I32(1)));
-    let parts = vec![attributes(Part::named("beauty").with("", "RGB", 1.0)), attributes(Part::named("variance").with("", "RGB", 2.0))];
+    let attributes = |part: Part| {
+        ["one", "two", "three", "four", "five"]
+            .into_iter()
+            .fold(part, |part, name| part.attribute(name, AttributeValue::I32(1)))
+    };
+    let parts = vec![
+        attributes(Part::named("beauty").with("", "RGB", 1.0)),
+        attributes(Part::named("variance").with("", "RGB", 2.0)),
+    ];
     let set = read(&write(folder.path(), "in.exr", parts));
     let more = ["six", "seven", "eight"].map(|name| (name.to_owned(), name.to_owned()));
     let (color, output) = (rgb(50.0), folder.path().join("out.exr"));
@@ -283,7 +310,10 @@ fn the_input_can_be_overwritten() {
 fn assert_alike(a: &Frame, b: &Frame) {
     let signals = |frame: &Frame| {
         let features = frame.features().iter().map(|feature| feature.signal.clone());
-        std::iter::once(frame.color().clone()).chain(features).map(|signal| (signal.mean, signal.half_spread, signal.variance_of_mean)).collect::<Vec<_>>()
+        std::iter::once(frame.color().clone())
+            .chain(features)
+            .map(|signal| (signal.mean, signal.half_spread, signal.variance_of_mean))
+            .collect::<Vec<_>>()
     };
     assert_eq!(signals(a), signals(b));
     assert_eq!(a.samples_per_pixel(), b.samples_per_pixel());
@@ -310,7 +340,8 @@ fn a_set_that_gave_its_samples_away_makes_the_same_frame_and_output() {
 
         let (color, halves) = (rgb(50.0), [("halfA".to_owned(), rgb(51.0)), ("halfB".to_owned(), rgb(52.0))]);
         let replaced = if index == 2 { &halves[1..] } else { &halves[..] };
-        let layers = DenoisedLayers { replacements: replaced, dropped: &["variance".to_owned()], ..replace_color(&color) };
+        let layers =
+            DenoisedLayers { replacements: replaced, dropped: &["variance".to_owned()], ..replace_color(&color) };
         let outputs = ["whole", "taken"].map(|name| folder.path().join(format!("{name}_{index}.exr")));
         for (set, output) in [whole, taken].into_iter().zip(&outputs) {
             write_denoised(set, output, &layers).unwrap();

@@ -1,4 +1,5 @@
-//! DFC as its callers use it: in strips, twice, on frames of several sizes, inside of a renderer, and ended before its time.
+//! DFC as its callers use it: in strips, twice, on frames of several sizes, inside of a renderer, and ended before its
+//! time.
 
 use std::ops::ControlFlow;
 use std::sync::Arc;
@@ -59,8 +60,13 @@ fn frame_of([color, feature]: [Scene; 2], factor: f32) -> Frame {
         variance_of_mean: Some(scaled(&variance, factor * factor)),
     };
     // Noise within the unit range.
-    let calm = |planes: &[Grid]| -> Planes { planes.iter().map(|grid| grid.like(|p| grid.at(p).clamp(-1.0, 2.0))).collect() };
-    let feature = Signal { mean: image(&calm(&feature.mean)), half_spread: Some(scaled(&calm(&feature.spread), 0.1)), variance_of_mean: None };
+    let calm =
+        |planes: &[Grid]| -> Planes { planes.iter().map(|grid| grid.like(|p| grid.at(p).clamp(-1.0, 2.0))).collect() };
+    let feature = Signal {
+        mean: image(&calm(&feature.mean)),
+        half_spread: Some(scaled(&calm(&feature.spread), 0.1)),
+        variance_of_mean: None,
+    };
     new_frame(color, vec![("paint".into(), feature)])
 }
 
@@ -71,7 +77,12 @@ fn selection(estimate: &Estimate) -> &Image {
 /// Everything that a method says of a frame with halves, and the power of the colour's unit that it is in.
 fn images(estimate: &Estimate) -> Vec<(&str, i32, &Image)> {
     let Some(half_spread) = &estimate.half_spread else { panic!("the frame has halves") };
-    let mut images = vec![("colour", 1, &estimate.color), ("half spread", 1, half_spread), ("error", 2, error_of(estimate)), ("Σ w", 0, &estimate.weight_sum)];
+    let mut images = vec![
+        ("colour", 1, &estimate.color),
+        ("half spread", 1, half_spread),
+        ("error", 2, error_of(estimate)),
+        ("Σ w", 0, &estimate.weight_sum),
+    ];
     images.extend(estimate.selection.as_ref().map(|selection| ("selection", 0, selection)));
     images
 }
@@ -119,7 +130,11 @@ fn the_least_of_devices_gives_the_same_bits() {
     let (least, params) = (least_gpu(), DfcParams { window_radius: 1, ..DfcParams::default() });
     assert_eq!(least.wgpu_device().limits().max_storage_buffers_per_shader_stage, 8);
     let frames = [random_frame(16, 12, 1.0), calm_frame(16, 12)];
-    let window = |gpu: &Gpu| denoiser(gpu, params).denoise_window(&frames.each_ref(), 0, Options::default()).unwrap_or_else(|error| panic!("{error}"));
+    let window = |gpu: &Gpu| {
+        denoiser(gpu, params)
+            .denoise_window(&frames.each_ref(), 0, Options::default())
+            .unwrap_or_else(|error| panic!("{error}"))
+    };
     assert_same("the least of devices", &window(&least), &window(gpu()), 1.0);
 }
 
@@ -174,21 +189,38 @@ fn a_renderer_that_keeps_its_buffers_gets_the_same_bits() {
     let denoiser = denoiser(&gpu, params());
     // Median brightness between 1 and 2, and so no exposure that the renderer would have to know of.
     let (color, paint) = (scene(45, 31, 53), scene(45, 31, 54));
-    let brighter = |planes: &[Grid]| -> Planes { planes.iter().map(|grid| grid.like(|p| 0.5 * grid.at(p) + 0.5)).collect() };
+    let brighter =
+        |planes: &[Grid]| -> Planes { planes.iter().map(|grid| grid.like(|p| 0.5 * grid.at(p) + 0.5)).collect() };
     let color_mean = brighter(&color.mean);
-    let mut brightest: Vec<f64> = (0..45 * 31).map(|pixel| color_mean.iter().map(|grid| grid.values[pixel].abs()).fold(0.0, f64::max)).collect();
+    let mut brightest: Vec<f64> =
+        (0..45 * 31).map(|pixel| color_mean.iter().map(|grid| grid.values[pixel].abs()).fold(0.0, f64::max)).collect();
     brightest.sort_by(f64::total_cmp);
     assert!((1.0..2.0).contains(&brightest[45 * 31 / 2]), "{}", brightest[45 * 31 / 2]);
-    let unit = |planes: &[Grid]| -> Planes { planes.iter().map(|grid| grid.like(|p| f64::from(grid.at(p).clamp(0.0, 1.0) as f32))).collect() };
+    let unit = |planes: &[Grid]| -> Planes {
+        planes.iter().map(|grid| grid.like(|p| f64::from(grid.at(p).clamp(0.0, 1.0) as f32))).collect()
+    };
     let paint_mean = unit(&paint.mean);
-    let signal = |mean: &[Grid]| Signal { mean: image(mean), half_spread: Some(image(&color.spread)), variance_of_mean: Some(image(&color.variance)) };
+    let signal = |mean: &[Grid]| Signal {
+        mean: image(mean),
+        half_spread: Some(image(&color.spread)),
+        variance_of_mean: Some(image(&color.variance)),
+    };
     let frame = new_frame(signal(&color_mean), vec![("paint".into(), signal(&paint_mean))]);
-    assert_eq!((frame.features()[0].unit_scale, frame.features()[0].unit_offset), (1.0, 0.0), "the feature is in unit range as it is");
+    assert_eq!(
+        (frame.features()[0].unit_scale, frame.features()[0].unit_offset),
+        (1.0, 0.0),
+        "the feature is in unit range as it is"
+    );
     let expected = denoised(&denoiser, &frame);
 
     let own = |data: &[f32]| {
         let usage = wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_DST;
-        let buffer = gpu.wgpu_device().create_buffer(&wgpu::BufferDescriptor { label: None, size: 4 * data.len() as u64, usage, mapped_at_creation: false });
+        let buffer = gpu.wgpu_device().create_buffer(&wgpu::BufferDescriptor {
+            label: None,
+            size: 4 * data.len() as u64,
+            usage,
+            mapped_at_creation: false,
+        });
         let bytes: Vec<u8> = data.iter().flat_map(|value| value.to_le_bytes()).collect();
         gpu.wgpu_queue().write_buffer(&buffer, 0, &bytes);
         gpu.import("a renderer's", buffer).unwrap_or_else(|error| panic!("{error}"))
@@ -198,8 +230,19 @@ fn a_renderer_that_keeps_its_buffers_gets_the_same_bits() {
         variance_of_mean: Some(Arc::new(own(&packed(&color.variance)))),
         has_halves: true,
     };
-    let features = vec![GpuFeature { name: "paint".into(), kind: FeatureKind::Other, signal: gpu_signal(&paint_mean), channels: 3 }];
-    let gpu_frame = GpuFrame { extent: IVec2::new(45, 31), color: gpu_signal(&color_mean), features, samples: GpuSamples::Uniform(1.0), mean_variance: None };
+    let features = vec![GpuFeature {
+        name: "paint".into(),
+        kind: FeatureKind::Other,
+        signal: gpu_signal(&paint_mean),
+        channels: 3,
+    }];
+    let gpu_frame = GpuFrame {
+        extent: IVec2::new(45, 31),
+        color: gpu_signal(&color_mean),
+        features,
+        samples: GpuSamples::Uniform(1.0),
+        mean_variance: None,
+    };
     let mut rec = gpu.record_whole();
     let estimate = denoiser.record(&mut rec, gpu_frame, Vec::new()).unwrap_or_else(|error| panic!("{error}"));
     let mut encoder = gpu.wgpu_device().create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
@@ -214,7 +257,13 @@ fn a_renderer_that_keeps_its_buffers_gets_the_same_bits() {
         for (pixel, (actual, expected)) in actual.zip(plane).enumerate() {
             // A frame has no −0 on the device.
             let actual = actual + 0.0;
-            assert_eq!(actual.to_bits(), expected.to_bits(), "x {}, y {}, channel {channel}: {actual} instead of {expected}", pixel % 45, pixel / 45);
+            assert_eq!(
+                actual.to_bits(),
+                expected.to_bits(),
+                "x {}, y {}, channel {channel}: {actual} instead of {expected}",
+                pixel % 45,
+                pixel / 45
+            );
         }
     }
 }
@@ -228,11 +277,17 @@ fn sharing_the_device_changes_nothing_and_can_be_ended() {
     let cancelled = Arc::<AtomicBool>::default();
     for dispatches in [1, 7] {
         let pace = Some(Pace { dispatches, cancelled: cancelled.clone() });
-        let estimate = denoiser.denoise_with(&frame, Options { pace, ..Options::default() }).unwrap_or_else(|error| panic!("{error}"));
-        assert!(estimate.color == expected.color && estimate.error == expected.error, "{dispatches} dispatches at once");
+        let estimate = denoiser
+            .denoise_with(&frame, Options { pace, ..Options::default() })
+            .unwrap_or_else(|error| panic!("{error}"));
+        assert!(
+            estimate.color == expected.color && estimate.error == expected.error,
+            "{dispatches} dispatches at once"
+        );
     }
     cancelled.store(true, Ordering::Relaxed);
-    let result = denoiser.denoise_with(&frame, Options { pace: Some(Pace { dispatches: 1, cancelled }), ..Options::default() });
+    let result =
+        denoiser.denoise_with(&frame, Options { pace: Some(Pace { dispatches: 1, cancelled }), ..Options::default() });
     assert!(matches!(result, Err(Error::Cancelled)), "{result:?}");
     assert!(denoised(&denoiser, &frame).color == expected.color);
 }
@@ -240,7 +295,11 @@ fn sharing_the_device_changes_nothing_and_can_be_ended() {
 #[test]
 fn cancelling_ends_the_work_and_not_the_denoiser() {
     let frame = random_frame(37, 41, 1.0);
-    let denoiser = denoiser(gpu(), params()).with_schedule(Schedule { scratch_bytes: 60_000, block_rows: 4, ..Schedule::SOFTWARE });
+    let denoiser = denoiser(gpu(), params()).with_schedule(Schedule {
+        scratch_bytes: 60_000,
+        block_rows: 4,
+        ..Schedule::SOFTWARE
+    });
     let expected = denoised(&denoiser, &frame);
     for ended_at in [1, 3] {
         let mut calls = 0;
@@ -259,7 +318,10 @@ fn cancelling_ends_the_work_and_not_the_denoiser() {
     };
     let result = denoiser.denoise_with(&frame, Options { progress: Some(&mut progress), ..Options::default() });
     assert_same("after a cancelled run", &result.unwrap_or_else(|error| panic!("{error}")), &expected, 1.0);
-    assert!(shares.is_sorted() && shares.len() > 3 && shares.iter().all(|share| (0.0..=1.0).contains(share)), "{shares:?}");
+    assert!(
+        shares.is_sorted() && shares.len() > 3 && shares.iter().all(|share| (0.0..=1.0).contains(share)),
+        "{shares:?}"
+    );
 }
 
 /// One device may serve several threads; each gets its own results.
@@ -293,21 +355,42 @@ fn runs_share_a_device_and_nothing_else() {
     gpu.set_timing(true);
     let (small, large) = (random_frame(24, 400, 1.0), random_frame(96, 80, 1.0));
     let limit = 4_000_000;
-    let narrow = DfcParams { pooled_variance: false, color_only: false, spikes: Spikes::Keep, window_radius: 3, ..DfcParams::default() };
+    let narrow = DfcParams {
+        pooled_variance: false,
+        color_only: false,
+        spikes: Spikes::Keep,
+        window_radius: 3,
+        ..DfcParams::default()
+    };
     let limited = Denoiser::new(&gpu, narrow).unwrap_or_else(|error| panic!("{error}")).with_max_memory(limit);
     let free = denoiser(&gpu, params());
     let alone = [denoised(&limited, &small), denoised(&free, &large)];
-    assert!(alone[0].strips > 1 && alone[1].peak_bytes > limit, "{} strips, {} bytes", alone[0].strips, alone[1].peak_bytes);
+    assert!(
+        alone[0].strips > 1 && alone[1].peak_bytes > limit,
+        "{} strips, {} bytes",
+        alone[0].strips,
+        alone[1].peak_bytes
+    );
     std::thread::scope(|scope| {
         for (denoiser, frame, alone) in [(&limited, &small, &alone[0]), (&free, &large, &alone[1])] {
             scope.spawn(move || {
                 for _ in 0..5 {
                     let beside = denoised(denoiser, frame);
                     assert_same("beside another run", &beside, alone, 1.0);
-                    let stages =
-                        |estimate: &Estimate| estimate.stage_times.iter().flatten().map(|time| (time.stage.clone(), time.dispatches)).collect::<Vec<_>>();
+                    let stages = |estimate: &Estimate| {
+                        estimate
+                            .stage_times
+                            .iter()
+                            .flatten()
+                            .map(|time| (time.stage.clone(), time.dispatches))
+                            .collect::<Vec<_>>()
+                    };
                     assert_eq!((beside.strips, stages(&beside)), (alone.strips, stages(alone)));
-                    assert!(alone.strips == 1 || beside.peak_bytes <= limit, "{} bytes where {limit} are allowed", beside.peak_bytes);
+                    assert!(
+                        alone.strips == 1 || beside.peak_bytes <= limit,
+                        "{} bytes where {limit} are allowed",
+                        beside.peak_bytes
+                    );
                 }
             });
         }
@@ -319,7 +402,14 @@ fn a_constant_image_stays_constant() {
     let noise = scene(40, 30, 55);
     let values = [0.0, 0.3, 7.0];
     let mean = image(&values.map(|value| Grid::filled(40, 30, value)));
-    let frame = new_frame(Signal { mean: mean.clone(), half_spread: Some(image(&noise.spread)), variance_of_mean: Some(image(&noise.variance)) }, Vec::new());
+    let frame = new_frame(
+        Signal {
+            mean: mean.clone(),
+            half_spread: Some(image(&noise.spread)),
+            variance_of_mean: Some(image(&noise.variance)),
+        },
+        Vec::new(),
+    );
     for preset in [params(), DfcParams { window_radius: 4, ..DfcParams::thesis() }] {
         let estimate = denoised(&denoiser(gpu(), preset), &frame);
         for (plane, expected) in estimate.color.planes.iter().zip([0.0, 0.3f32, 7.0]) {
@@ -332,7 +422,8 @@ fn a_constant_image_stays_constant() {
 #[test]
 fn a_black_image_stays_black() {
     let zero = || Image::filled(Extent { width: 31, height: 17 }, 3, 0.0);
-    let frame = new_frame(Signal { mean: zero(), half_spread: Some(zero()), variance_of_mean: Some(zero()) }, Vec::new());
+    let frame =
+        new_frame(Signal { mean: zero(), half_spread: Some(zero()), variance_of_mean: Some(zero()) }, Vec::new());
     for preset in [params(), DfcParams { window_radius: 4, ..DfcParams::thesis() }] {
         let estimate = denoised(&denoiser(gpu(), preset), &frame);
         for (name, _, image) in images(&estimate).into_iter().take(3) {
@@ -342,7 +433,8 @@ fn a_black_image_stays_black() {
     }
 }
 
-/// Powers of two change no digit, so the result must not either: the method's small constants are not in the caller's unit.
+/// Powers of two change no digit, so the result must not either: the method's small constants are not in the caller's
+/// unit.
 #[test]
 fn the_unit_of_radiance_does_not_matter() {
     let expected = denoised(&denoiser(gpu(), params()), &random_frame(37, 41, 1.0));
@@ -362,7 +454,10 @@ fn every_kind_of_frame_has_a_result() {
             let estimate = denoised(&denoiser(gpu(), params()), &frame);
             assert_eq!(estimate.half_spread.is_some(), halves);
             let all = [&estimate.color, error_of(&estimate), &estimate.weight_sum, selection(&estimate)];
-            assert!(all.iter().flat_map(|image| &image.planes).flatten().all(|value| value.is_finite()), "{halves} {variance} {features:?}");
+            assert!(
+                all.iter().flat_map(|image| &image.planes).flatten().all(|value| value.is_finite()),
+                "{halves} {variance} {features:?}"
+            );
             for pixel in 0..33 * 18 {
                 let sum: f32 = selection(&estimate).planes.iter().map(|plane| plane[pixel]).sum();
                 assert!((sum - 1.0).abs() < 1e-6, "the shares of pixel {pixel} sum to {sum}");

@@ -15,7 +15,11 @@ const SIZE: usize = 64;
 const SAMPLES: usize = 16;
 
 fn methods() -> [Method; 3] {
-    [DfcParams { window_radius: 7, ..DfcParams::default() }.into(), NlmParams { window_radius: 7, ..NlmParams::default() }.into(), GemParams::default().into()]
+    [
+        DfcParams { window_radius: 7, ..DfcParams::default() }.into(),
+        NlmParams { window_radius: 7, ..NlmParams::default() }.into(),
+        GemParams::default().into(),
+    ]
 }
 
 fn denoised(method: Method, frame: &Frame) -> Estimate {
@@ -97,11 +101,16 @@ fn fireflies_do_not_light_up_the_shadow_beside_them() {
             let estimate = denoised(method, &frame);
             let found = estimate.spikes.unwrap_or_default();
             assert!(found.pixels >= 3 && found.spread > 0.0, "{}: {found:?}", method.name());
-            let [before, after] = [&frame.color().mean, &estimate.color].map(|image| relative_error(image, &truth, is_right));
-            // Patches that differ in one column alone still weigh up to a hundred thousandth: one column of the shadow takes
-            // as much of the light beside it.
+            let [before, after] =
+                [&frame.color().mean, &estimate.color].map(|image| relative_error(image, &truth, is_right));
+            // Patches that differ in one column alone still weigh up to a hundred thousandth: one column of the shadow
+            // takes as much of the light beside it.
             let leak = (1e-5 * contrast).powi(2) / (SIZE / 2) as f64;
-            assert!(after < 0.5 * before + leak, "{}, {contrast} to 1: the shadow's error went from {before} to {after}", method.name());
+            assert!(
+                after < 0.5 * before + leak,
+                "{}, {contrast} to 1: the shadow's error went from {before} to {after}",
+                method.name()
+            );
             let least = estimate.color.planes.iter().flatten().fold(f32::MAX, |least, value| least.min(*value));
             assert!(least > 0.0, "{}, {contrast} to 1: radiance of {least}", method.name());
         }
@@ -114,8 +123,11 @@ type IsNoisy = fn(Point) -> bool;
 fn pixels_without_noise_stay_beside_noise() {
     let truth = colored(texture);
     let noisy = sampled(&truth, 22);
-    let regions: [(&str, IsNoisy); 3] =
-        [("one pixel", |p| (p.x, p.y) == (60, 60)), ("the lower part", |p| p.y >= 40), ("every other column", |p| p.x % 2 == 1)];
+    let regions: [(&str, IsNoisy); 3] = [
+        ("one pixel", |p| (p.x, p.y) == (60, 60)),
+        ("the lower part", |p| p.y >= 40),
+        ("every other column", |p| p.x % 2 == 1),
+    ];
     for (what, is_noisy) in regions {
         // Rounding to float32 is not noise; neither is a variance of that size.
         for rest in [0.0, 1e-14] {
@@ -129,19 +141,32 @@ fn pixels_without_noise_stay_beside_noise() {
                 };
                 (0..3).map(channel).collect()
             };
-            let draws = [mixed(&noisy[0], &|c, p| truth[c].at(p)), mixed(&noisy[1], &|_, _| 0.0), mixed(&noisy[2], &|_, _| rest)];
-            let sources = [("halves and variance", signal(&draws)), ("variance", Signal { half_spread: None, ..signal(&draws) })];
+            let draws = [
+                mixed(&noisy[0], &|c, p| truth[c].at(p)),
+                mixed(&noisy[1], &|_, _| 0.0),
+                mixed(&noisy[2], &|_, _| rest),
+            ];
+            let sources =
+                [("halves and variance", signal(&draws)), ("variance", Signal { half_spread: None, ..signal(&draws) })];
             for (knows, color) in sources {
                 let frame = new_frame(color, Vec::new());
                 for method in methods() {
                     let estimate = denoised(method, &frame);
                     let moved = |image: &Image| -> f64 {
-                        let clean = (0..SIZE * SIZE).filter(|pixel| !is_noisy(Point { x: (pixel % SIZE) as isize, y: (pixel / SIZE) as isize }));
-                        let change = |c: usize, pixel: usize| (f64::from(image.planes[c][pixel]) / truth[c].values[pixel] - 1.0).abs();
+                        let clean = (0..SIZE * SIZE).filter(|pixel| {
+                            !is_noisy(Point { x: (pixel % SIZE) as isize, y: (pixel / SIZE) as isize })
+                        });
+                        let change = |c: usize, pixel: usize| {
+                            (f64::from(image.planes[c][pixel]) / truth[c].values[pixel] - 1.0).abs()
+                        };
                         clean.flat_map(|pixel| [0, 1, 2].map(|c| change(c, pixel))).fold(0.0, f64::max)
                     };
                     let most = moved(&estimate.color);
-                    assert!(most < 1e-5, "{} by {knows}, {what} is noisy, the rest claims {rest}: a pixel moved by {most}", method.name());
+                    assert!(
+                        most < 1e-5,
+                        "{} by {knows}, {what} is noisy, the rest claims {rest}: a pixel moved by {most}",
+                        method.name()
+                    );
                 }
             }
         }
@@ -156,18 +181,29 @@ fn a_dark_part_does_not_depend_on_how_bright_the_other_part_is() {
         let dark_part = |factor: f64| {
             let bright = |planes: &Planes, value: &dyn Fn(usize, Point) -> f64| -> Planes {
                 (0..3)
-                    .map(|c| rounded(Grid { values: pixels().map(|p| if is_right(p) { value(c, p) } else { planes[c].at(p) }).collect(), ..planes[c] }))
+                    .map(|c| {
+                        rounded(Grid {
+                            values: pixels().map(|p| if is_right(p) { value(c, p) } else { planes[c].at(p) }).collect(),
+                            ..planes[c]
+                        })
+                    })
                     .collect()
             };
-            let draws = [bright(&noisy[0], &|c, p| factor * truth[c].at(p)), bright(&noisy[1], &|_, _| 0.0), bright(&noisy[2], &|_, _| 0.0)];
+            let draws = [
+                bright(&noisy[0], &|c, p| factor * truth[c].at(p)),
+                bright(&noisy[1], &|_, _| 0.0),
+                bright(&noisy[2], &|_, _| 0.0),
+            ];
             let frame = new_frame(signal(&draws), Vec::new());
             let estimate = denoised(*method, &frame);
-            let [before, after] = [&frame.color().mean, &estimate.color].map(|image| relative_error(image, &truth, |p| !is_right(p)));
+            let [before, after] =
+                [&frame.color().mean, &estimate.color].map(|image| relative_error(image, &truth, |p| !is_right(p)));
             assert!(after < 0.5 * before, "{}, {factor} times brighter: {before} became {after}", method.name());
             after
         };
         let errors = [1e3, 1e5, 1e6, 1e8].map(dark_part);
-        let [least, most] = [f64::min as fn(f64, f64) -> f64, f64::max].map(|of| errors.into_iter().reduce(of).unwrap_or(f64::NAN));
+        let [least, most] =
+            [f64::min as fn(f64, f64) -> f64, f64::max].map(|of| errors.into_iter().reduce(of).unwrap_or(f64::NAN));
         assert!(most < 1.05 * least, "{}: {errors:?}", method.name());
     }
 }
@@ -187,7 +223,9 @@ fn features_that_are_sharper_than_the_colour_force_no_edge() {
     };
     let same_halves = Signal { half_spread: Some(Image::filled(color.mean.extent, 3, 0.0)), ..sharp(0.1, 0.9) };
     let method = methods()[0];
-    let error = |features: Vec<(String, Signal)>| relative_error(&denoised(method, &new_frame(color.clone(), features)).color, &truth, |_| true);
+    let error = |features: Vec<(String, Signal)>| {
+        relative_error(&denoised(method, &new_frame(color.clone(), features)).color, &truth, |_| true)
+    };
     let without = error(Vec::new());
     for (what, features) in [
         ("two without noise", vec![("albedo".to_owned(), sharp(0.2, 0.8)), ("paint".to_owned(), sharp(0.0, 1.0))]),

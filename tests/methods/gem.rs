@@ -1,4 +1,5 @@
-//! GEM on the GPU: against its float64 twin on parts of real renders, as its callers use it, and against what chapter 6 says of it.
+//! GEM on the GPU: against its float64 twin on parts of real renders, as its callers use it, and against what chapter 6
+//! says of it.
 
 use stein::frame::{SamplesPerPixel, Signal};
 use stein::gpu::GpuOptions;
@@ -25,7 +26,9 @@ fn with_everything_kept(params: GemParams, frame: &Frame) -> Estimate {
 
 fn all_of(denoiser: &Denoiser, frame: &Frame) -> Estimate {
     let keep = [Intermediate::Variance, Intermediate::Stopping, Intermediate::Scale, Intermediate::Density];
-    denoiser.denoise_with(frame, Options { keep: &keep, ..Options::default() }).unwrap_or_else(|error| panic!("{error}"))
+    denoiser
+        .denoise_with(frame, Options { keep: &keep, ..Options::default() })
+        .unwrap_or_else(|error| panic!("{error}"))
 }
 
 /// The frame with these sample counts.
@@ -42,21 +45,35 @@ fn check(what: &str, frame: &Frame, params: GemParams) {
     let color = frame.color();
     let (input, samples) = (bridge::signal(color, exposure), bridge::samples(frame, 0.0));
     let twin_params = gem_params(&params);
-    assert!(params.phase.sigmas().iter().zip(&twin_params.sigmas).all(|(a, b)| (f64::from(*a) - b).abs() < 1e-6), "{what}: scales");
+    assert!(
+        params.phase.sigmas().iter().zip(&twin_params.sigmas).all(|(a, b)| (f64::from(*a) - b).abs() < 1e-6),
+        "{what}: scales"
+    );
     let twin = reference::gem(&input, &samples, &twin_params);
 
     let near = |part: &str, actual: &[Grid], expected: &[Grid], scale: &[Grid], relative: f64, allowed: f64| {
         assert_near(&format!("{what}: {part}"), actual, expected, scale, relative, allowed);
     };
-    near("variance", &layer(&estimate, "scaled_variance", exposure * exposure), &twin.variance, &own_size(&twin.variance, 0.0), 1e-5, 0.0);
+    near(
+        "variance",
+        &layer(&estimate, "scaled_variance", exposure * exposure),
+        &twin.variance,
+        &own_size(&twin.variance, 0.0),
+        1e-5,
+        0.0,
+    );
     for (index, (step, smoothed)) in twin.steps.iter().zip(&twin.smoothed).enumerate() {
         let name = format!("stopping_{}", index + 1);
         let actual = layer(&estimate, &name, 1.0).remove(0);
         let expected = step.stops();
         let flipped = |p: Point| actual.at(p) != expected.at(p);
         let ties = |p: Point| step.selector(p).abs() < 1e-4 * (step.bias_term.at(p) + step.variance_term.at(p).abs());
-        let pixels = (0..expected.height as isize).flat_map(|y| (0..expected.width as isize).map(move |x| Point { x, y }));
-        assert!(pixels.clone().all(|p| !flipped(p) || ties(p)), "{what}: {name} differs where the selector is not near 0");
+        let pixels =
+            (0..expected.height as isize).flat_map(|y| (0..expected.width as isize).map(move |x| Point { x, y }));
+        assert!(
+            pixels.clone().all(|p| !flipped(p) || ties(p)),
+            "{what}: {name} differs where the selector is not near 0"
+        );
         let share = pixels.filter(|p| flipped(*p)).count() as f64 / expected.values.len() as f64;
         assert!(share <= FLIPPED, "{what}: {name}: {share} of the decisions differ");
         // Any neighbour may have been decided otherwise.
@@ -76,7 +93,8 @@ fn check(what: &str, frame: &Frame, params: GemParams) {
     near("scale", &layer(&estimate, "scale", 1.0), sigma, &flat(sigma, 1.0), 1e-5, FLIPPED);
     // A colour by its noise and a hundredth of the largest value around.
     let largest = input.mean.iter().flat_map(|grid| &grid.values).fold(0.0, |most: f64, value| most.max(value.abs()));
-    let color_scale: Planes = twin.variance.iter().map(|grid| grid.like(|p| grid.at(p).sqrt() + 0.01 * largest)).collect();
+    let color_scale: Planes =
+        twin.variance.iter().map(|grid| grid.like(|p| grid.at(p).sqrt() + 0.01 * largest)).collect();
     let result = reference::result(&twin, chosen, &twin_params);
     near("result", &grids(&estimate.color, exposure), &result.mean, &color_scale, 1e-4, FLIPPED);
     assert_eq!(estimate.half_spread.is_some(), color.half_spread.is_some());
@@ -84,10 +102,19 @@ fn check(what: &str, frame: &Frame, params: GemParams) {
         near("half spread", &grids(spread, exposure), &result.spread.unwrap_or_default(), &color_scale, 1e-4, FLIPPED);
     }
     let size = |grid: &Grid, floor: f64| [grid.like(|p| grid.at(p).abs() + floor)];
-    near("pixels", &grids(&estimate.weight_sum, 1.0), std::slice::from_ref(&chosen.pixels), &size(&chosen.pixels, 0.0), 1e-5, FLIPPED);
+    near(
+        "pixels",
+        &grids(&estimate.weight_sum, 1.0),
+        std::slice::from_ref(&chosen.pixels),
+        &size(&chosen.pixels, 0.0),
+        1e-5,
+        FLIPPED,
+    );
     let error = std::slice::from_ref(&result.error);
     // What is left of the finest scale's variance when the coarser ones have taken their part of it.
-    let terms = chosen.error.like(|p| twin.variance.iter().map(|grid| grid.at(p)).sum::<f64>() + chosen.error.at(p).abs() + 1e-9);
+    let terms = chosen
+        .error
+        .like(|p| twin.variance.iter().map(|grid| grid.at(p)).sum::<f64>() + chosen.error.at(p).abs() + 1e-9);
     near("error", &grids(error_of(&estimate), exposure * exposure), error, std::slice::from_ref(&terms), 1e-5, FLIPPED);
     assert!(error_of(&estimate).planes[0].iter().all(|error| *error >= 0.0), "{what}: negative errors");
     let reduction = layer(&estimate, "reduction", 1.0);
@@ -122,9 +149,10 @@ fn while_sampling_it_is_that_of_the_reference() {
 #[test]
 fn one_kind_of_noise_knowledge_is_enough() {
     let set = noisy("dof_spheres_32spp");
-    for (what, keep) in
-        [("halves only", Keep { variance: false, features: &[], ..EVERYTHING }), ("variance only", Keep { halves: false, features: &[], ..EVERYTHING })]
-    {
+    for (what, keep) in [
+        ("halves only", Keep { variance: false, features: &[], ..EVERYTHING }),
+        ("variance only", Keep { halves: false, features: &[], ..EVERYTHING }),
+    ] {
         check(what, &frame(&set, [30, 20, 40, 33], keep), GemParams { phase: Phase::Sampling, ..GemParams::default() });
     }
 }
@@ -156,7 +184,12 @@ fn repetition_and_the_unit_of_radiance_do_not_change_a_bit() {
     let denoiser = denoiser(GemParams::default());
     let expected = denoised(&denoiser, &random_frame(37, 41, 1.0));
     for factor in [1.0, 2f32.powi(-20), 2f32.powi(20)] {
-        assert_same(&format!("radiance times {factor:e}"), &denoised(&denoiser, &random_frame(37, 41, factor)), &expected, factor);
+        assert_same(
+            &format!("radiance times {factor:e}"),
+            &denoised(&denoiser, &random_frame(37, 41, factor)),
+            &expected,
+            factor,
+        );
     }
 }
 
@@ -190,22 +223,35 @@ fn a_constant_image_stays_constant() {
     assert!(layer(&estimate, "scale", 1.0)[0].values.iter().all(|sigma| *sigma == 16.0));
     let black = gray(&noise.like(|_| 0.0), &noise.like(|_| 0.0), SamplesPerPixel::Uniform(8.0));
     let estimate = denoised(&denoiser(GemParams::default()), &black);
-    assert!([&estimate.color, error_of(&estimate)].iter().flat_map(|image| &image.planes).flatten().all(|value| *value == 0.0));
+    assert!(
+        [&estimate.color, error_of(&estimate)]
+            .iter()
+            .flat_map(|image| &image.planes)
+            .flatten()
+            .all(|value| *value == 0.0)
+    );
 }
 
 /// The mean of `samples` values around `level` in each pixel, and its sample variance.
-fn sampled(random: &mut Random, level: &Grid, samples: usize, mut noise: impl FnMut(&mut Random) -> f64) -> (Grid, Grid) {
+fn sampled(
+    random: &mut Random,
+    level: &Grid,
+    samples: usize,
+    mut noise: impl FnMut(&mut Random) -> f64,
+) -> (Grid, Grid) {
     let (mut mean, mut variance) = (level.clone(), level.clone());
     for pixel in 0..level.values.len() {
         let values: Vec<f64> = (0..samples).map(|_| level.values[pixel] + noise(random)).collect();
         let average = values.iter().sum::<f64>() / samples as f64;
         mean.values[pixel] = average;
-        variance.values[pixel] = values.iter().map(|value| (value - average).powi(2)).sum::<f64>() / (samples - 1) as f64 / samples as f64;
+        variance.values[pixel] =
+            values.iter().map(|value| (value - average).powi(2)).sum::<f64>() / (samples - 1) as f64 / samples as f64;
     }
     (mean, variance)
 }
 
-/// How often each selector errs: on an image of nothing but noise, every stop is wrong. Of the scales up to σ = 4; coarser ones see too few independent pixels here.
+/// How often each selector errs: on an image of nothing but noise, every stop is wrong. Of the scales up to σ = 4;
+/// coarser ones see too few independent pixels here.
 fn error_rates(samples: usize, params: GemParams) -> Vec<f64> {
     const SIZE: usize = 128;
     let (mean, variance) = sampled(&mut Random(83), &Grid::filled(SIZE, SIZE, 1.0), samples, Random::gaussian);
@@ -214,17 +260,23 @@ fn error_rates(samples: usize, params: GemParams) -> Vec<f64> {
     steps.map(|(step, _)| layer(&estimate, &format!("stopping_{step}"), 1.0)[0].mean()).collect()
 }
 
-/// Section 6.2.3: γ is the rate at which the selector errs in a constant region, whatever the number of samples and the scale. It is so within 0.06: z(γ) was found by hand
-/// for a line of pixels, in the plane the rate is some 0.03 higher for γ = 0.2 and 0.3; ρ, one factor for all scales, does too little for the step from the pixel filter
-/// at 4 samples (0.09 for γ = 0.05) and too much for the coarser ones.
+/// Section 6.2.3: γ is the rate at which the selector errs in a constant region, whatever the number of samples and the
+/// scale. It is so within 0.06: z(γ) was found by hand for a line of pixels, in the plane the rate is some 0.03 higher
+/// for γ = 0.2 and 0.3; ρ, one factor for all scales, does too little for the step from the pixel filter at 4 samples
+/// (0.09 for γ = 0.05) and too much for the coarser ones.
 #[test]
 fn the_selector_errs_at_the_rate_that_gamma_says() {
     for phase in [Phase::Sampling, Phase::Final] {
-        for (samples, gammas) in [(4, &[0.05, 0.1, 0.2, 0.3][..]), (8, &[0.1, 0.2]), (16, &[0.1, 0.2]), (32, &[0.05, 0.1, 0.2, 0.3])] {
+        for (samples, gammas) in
+            [(4, &[0.05, 0.1, 0.2, 0.3][..]), (8, &[0.1, 0.2]), (16, &[0.1, 0.2]), (32, &[0.05, 0.1, 0.2, 0.3])]
+        {
             for &gamma in gammas {
                 let rates = error_rates(samples, GemParams { gamma, phase, ..GemParams::default() });
                 let gamma = f64::from(gamma);
-                assert!(rates.iter().all(|rate| (rate - gamma).abs() < 0.06), "{phase:?}, {samples} samples, γ {gamma}: {rates:.3?}");
+                assert!(
+                    rates.iter().all(|rate| (rate - gamma).abs() < 0.06),
+                    "{phase:?}, {samples} samples, γ {gamma}: {rates:.3?}"
+                );
             }
         }
     }
@@ -242,7 +294,8 @@ fn the_error_rate_does_not_depend_on_the_noise() {
     assert_eq!(map(1.0), map(8.0));
 }
 
-/// Figure 6.6: two boxes under uniform noise, 32 samples per pixel. On a line a filter has few pixels to average; in the plane the gain is larger.
+/// Figure 6.6: two boxes under uniform noise, 32 samples per pixel. On a line a filter has few pixels to average; in
+/// the plane the gain is larger.
 #[test]
 fn boxes_are_kept_and_outliers_removed() {
     const EDGES: [isize; 4] = [40, 90, 140, 210];
@@ -260,7 +313,8 @@ fn boxes_are_kept_and_outliers_removed() {
             assert!(gain > least_gain, "{what}: the MSE is {gain} times less");
 
             // Far from the edges, stops are outliers.
-            let (stops, sigma) = (layer(&estimate, "stopping_1", 1.0).remove(0), layer(&estimate, "scale", 1.0).remove(0));
+            let (stops, sigma) =
+                (layer(&estimate, "stopping_1", 1.0).remove(0), layer(&estimate, "scale", 1.0).remove(0));
             let far = |p: Point| EDGES.iter().all(|edge| (p.x - edge).abs() > 8);
             let share = |map: &Grid, value: f64| {
                 let hits = map.like(|p| f64::from(far(p) && map.at(p) == value));
@@ -272,8 +326,10 @@ fn boxes_are_kept_and_outliers_removed() {
                 "{what}: of the pixels far from edges, {before} stop by themselves and {after} are left at the pixel filter"
             );
 
-            // Both sides of each edge are where they were; on a line, the noise of the few pixels there is too large to tell.
-            let column = |x: isize| (0..height as isize).map(|y| result.at(Point { x, y })).sum::<f64>() / height as f64;
+            // Both sides of each edge are where they were; on a line, the noise of the few pixels there is too large to
+            // tell.
+            let column =
+                |x: isize| (0..height as isize).map(|y| result.at(Point { x, y })).sum::<f64>() / height as f64;
             for (edge, sign) in EDGES.into_iter().zip([1.0, -1.0, 1.0, -1.0]) {
                 let step = sign * (column(edge) - column(edge - 1));
                 assert!(height == 1 || step > 0.9, "{what}: the step at {edge} is {step}");

@@ -47,14 +47,23 @@ fn layer<'a>(estimate: &'a Estimate, name: &str) -> &'a Image {
 /// Corners, edges and what lies between.
 fn places(extent: Extent) -> Vec<(u32, u32)> {
     let (right, bottom) = (extent.width - 1, extent.height - 1);
-    let mut places =
-        vec![(0, 0), (right, 0), (0, bottom), (right, bottom), (right / 2, 0), (right, bottom / 3), (right / 2, bottom / 2), (right / 3, 2 * bottom / 3)];
+    let mut places = vec![
+        (0, 0),
+        (right, 0),
+        (0, bottom),
+        (right, bottom),
+        (right / 2, 0),
+        (right, bottom / 3),
+        (right / 2, bottom / 2),
+        (right / 3, 2 * bottom / 3),
+    ];
     places.sort_unstable();
     places.dedup();
     places
 }
 
-/// Of a weighted average in float32 against one in float64, in units of what is averaged: some hundred terms that are each rounded.
+/// Of a weighted average in float32 against one in float64, in units of what is averaged: some hundred terms that are
+/// each rounded.
 const ROUNDING: f64 = 3e-6;
 
 /// The weights make the value, the value is that of the method, and the images agree with each other.
@@ -67,19 +76,31 @@ fn check(what: &str, kernel: &FilterKernel, expected: &[f32], place: (u32, u32),
     assert_eq!(kernel.pixel(middle), Some(place), "{what}");
     assert!(weights[middle] > 0.0, "{what}: the pixel weighs {}", weights[middle]);
     for (cell, &weight) in weights.iter().enumerate() {
-        let (dx, dy) = ((cell % side) as i64 - i64::from(kernel.window_radius), (cell / side) as i64 - i64::from(kernel.window_radius));
+        let (dx, dy) = (
+            (cell % side) as i64 - i64::from(kernel.window_radius),
+            (cell / side) as i64 - i64::from(kernel.window_radius),
+        );
         let (x, y) = (i64::from(place.0) + dx, i64::from(place.1) + dy);
         let is_inside = (0..i64::from(extent.width)).contains(&x) && (0..i64::from(extent.height)).contains(&y);
         assert_eq!(kernel.pixel(cell), is_inside.then_some((x as u32, y as u32)), "{what}: {dx}, {dy}");
-        let distances = kernel.distances.iter().map(|distance| (distance.distances.planes[0][cell], distance.weights.planes[0][cell]));
+        let distances = kernel
+            .distances
+            .iter()
+            .map(|distance| (distance.distances.planes[0][cell], distance.weights.planes[0][cell]));
         if !is_inside {
             assert_eq!(weight, 0.0, "{what}: {dx}, {dy}");
-            assert!(distances.into_iter().all(|(distance, weight)| distance == f32::INFINITY && weight == 0.0), "{what}: {dx}, {dy}");
+            assert!(
+                distances.into_iter().all(|(distance, weight)| distance == f32::INFINITY && weight == 0.0),
+                "{what}: {dx}, {dy}"
+            );
         } else if cell == middle {
             assert!(distances.into_iter().all(|(distance, weight)| distance == 0.0 && weight == 1.0), "{what}");
             assert!(kernel.decided_by(cell).is_none(), "{what}");
         } else {
-            assert!(distances.clone().all(|(distance, weight)| distance.is_finite() && (0.0..=1.0).contains(&weight)), "{what}: {dx}, {dy}");
+            assert!(
+                distances.clone().all(|(distance, weight)| distance.is_finite() && (0.0..=1.0).contains(&weight)),
+                "{what}: {dx}, {dy}"
+            );
             if kernel.rule == WeightRule::Least {
                 assert_eq!(weight, distances.map(|(_, weight)| weight).fold(1.0, f32::min), "{what}: {dx}, {dy}");
             }
@@ -89,10 +110,16 @@ fn check(what: &str, kernel: &FilterKernel, expected: &[f32], place: (u32, u32),
     }
 
     let sum: f64 = weights.iter().map(|weight| f64::from(*weight)).sum();
-    assert!((f64::from(kernel.weight_sum) - sum).abs() <= 1e-6 * sum, "{what}: Σ w is {} and not {sum}", kernel.weight_sum);
+    assert!(
+        (f64::from(kernel.weight_sum) - sum).abs() <= 1e-6 * sum,
+        "{what}: Σ w is {} and not {sum}",
+        kernel.weight_sum
+    );
     for (channel, (colors, expected)) in kernel.colors.planes.iter().zip(expected).enumerate() {
         let centre = f64::from(colors[middle]);
-        let average = |value: &dyn Fn(f64) -> f64| colors.iter().zip(weights).map(|(u, w)| f64::from(*w) * value(f64::from(*u) - centre)).sum::<f64>() / sum;
+        let average = |value: &dyn Fn(f64) -> f64| {
+            colors.iter().zip(weights).map(|(u, w)| f64::from(*w) * value(f64::from(*u) - centre)).sum::<f64>() / sum
+        };
         let (mean, span) = (centre + average(&|off| off), average(&f64::abs) + 0.01 * centre.abs());
         for (of, value) in [("itself", kernel.value[channel]), ("the method", *expected)] {
             let off = (f64::from(value) - mean).abs();
@@ -130,12 +157,20 @@ fn check_dfc_of(what: &str, frame: &Frame, denoiser: &Denoiser, expected: Candid
         for filter in candidates {
             let compared: Vec<_> = filter.distances.iter().map(|distance| distance.of.name().to_owned()).collect();
             let color = (filter.name != "third").then_some("colour".to_owned());
-            assert_eq!(compared, color.into_iter().chain(estimate.features.iter().cloned()).collect::<Vec<_>>(), "{what}: {}", filter.name);
+            assert_eq!(
+                compared,
+                color.into_iter().chain(estimate.features.iter().cloned()).collect::<Vec<_>>(),
+                "{what}: {}",
+                filter.name
+            );
             check(what, filter, &at(layer(&estimate, filter.name), place), place, frame.extent());
             for (cell, color) in (0..filter.weights.extent.pixels()).map(|cell| (cell, at_cell(&filter.colors, cell))) {
                 // Spikes may lie anywhere, where they are looked for.
                 let as_given = filter.pixel(cell).map_or(vec![0.0; 3], |pixel| at(&frame.color().mean, pixel));
-                assert!(denoiser.method().spikes() != Spikes::Keep || color == as_given, "{what}: the colour of cell {cell} is {color:?} and not {as_given:?}");
+                assert!(
+                    denoiser.method().spikes() != Spikes::Keep || color == as_given,
+                    "{what}: the colour of cell {cell} is {color:?} and not {as_given:?}"
+                );
             }
         }
     }
@@ -152,33 +187,51 @@ fn check_blend(what: &str, estimate: &Estimate, candidates: &[FilterKernel], pla
     let selection = at(estimate.selection.as_ref().unwrap_or_else(|| panic!("{what}: there is a selection")), place);
     let share = |filter: &FilterKernel| filter.share.unwrap_or_else(|| panic!("{what}: {} has a share", filter.name));
     for filter in candidates {
-        let candidate = CandidateSet::NAMES.iter().position(|name| *name == filter.name).unwrap_or_else(|| panic!("{what}: {}", filter.name));
+        let candidate = CandidateSet::NAMES
+            .iter()
+            .position(|name| *name == filter.name)
+            .unwrap_or_else(|| panic!("{what}: {}", filter.name));
         assert_eq!(share(filter), selection[candidate], "{what}: the share of {} at {place:?}", filter.name);
     }
     for (channel, expected) in at(pass1, place).iter().map(|value| f64::from(*value)).enumerate() {
         let terms = candidates.iter().map(|filter| f64::from(share(filter)) * f64::from(filter.value[channel]));
         let (blend, span) = terms.fold((0.0, 0.0), |(sum, span), term| (sum + term, span + term.abs()));
-        assert!((blend - expected).abs() <= 1e-5 * span + f64::from(f32::MIN_POSITIVE), "{what} at {place:?}, channel {channel}: {blend} and not {expected}");
+        assert!(
+            (blend - expected).abs() <= 1e-5 * span + f64::from(f32::MIN_POSITIVE),
+            "{what} at {place:?}, channel {channel}: {blend} and not {expected}"
+        );
     }
 }
 
 /// It averages pass 1, and makes the result of it.
 #[track_caller]
 fn check_second_pass(what: &str, method: &Method, estimate: &Estimate, filter: &FilterKernel, place: (u32, u32)) {
-    let Method::Dfc(DfcParams { window_radius, second_pass: Some(second_pass), .. }) = method else { panic!("{what}: there is a second pass") };
+    let Method::Dfc(DfcParams { window_radius, second_pass: Some(second_pass), .. }) = method else {
+        panic!("{what}: there is a second pass")
+    };
     let pass1 = layer(estimate, "pass1");
     let radius = if second_pass.half_window { window_radius.div_ceil(2) } else { *window_radius };
     assert_eq!((filter.window_radius, filter.share), (radius, None), "{what}");
     if filter.rule != WeightRule::Exact {
-        let [of_color] = filter.distances.as_slice() else { panic!("{what}: the colour tells neighbours apart, and nothing else") };
-        assert_eq!(of_color.of, Compared::Color { patch_radius: second_pass.patch_radius, k: second_pass.color_k }, "{what}");
+        let [of_color] = filter.distances.as_slice() else {
+            panic!("{what}: the colour tells neighbours apart, and nothing else")
+        };
+        assert_eq!(
+            of_color.of,
+            Compared::Color { patch_radius: second_pass.patch_radius, k: second_pass.color_k },
+            "{what}"
+        );
     }
     for cell in 0..filter.weights.extent.pixels() {
         let expected = filter.pixel(cell).map_or(vec![0.0; 3], |pixel| at(pass1, pixel));
         assert_eq!(at_cell(&filter.colors, cell), expected, "{what}: pass 1 in cell {cell} at {place:?}");
     }
     if let WeightRule::Refused { sigmas } = filter.rule {
-        assert_eq!((Some(sigmas), at(&estimate.color, place)), (second_pass.most_sigmas, at(pass1, place)), "{what}: refused at {place:?}");
+        assert_eq!(
+            (Some(sigmas), at(&estimate.color, place)),
+            (second_pass.most_sigmas, at(pass1, place)),
+            "{what}: refused at {place:?}"
+        );
     }
     check(what, filter, &at(&estimate.color, place), place, pass1.extent);
 }
@@ -198,10 +251,16 @@ fn of_the_candidates_with_less() {
     check_dfc("halves only", &crop("caustic_ring_32spp", Keep { variance: false, ..EVERYTHING }), params);
     check_dfc("variance only", &crop("dof_spheres_32spp", Keep { halves: false, ..EVERYTHING }), params);
     let frame = crop("cornell_8spp", Keep { features: &["normal"], ..EVERYTHING });
-    for candidates in [CandidateSet { first: false, ..CandidateSet::ALL }, CandidateSet { first: false, second: false, third: true }] {
+    for candidates in
+        [CandidateSet { first: false, ..CandidateSet::ALL }, CandidateSet { first: false, second: false, third: true }]
+    {
         check_dfc("some candidates", &frame, DfcParams { candidates, ..params });
     }
-    check_dfc("FIRST alone", &frame, DfcParams { candidates: CandidateSet { first: true, second: false, third: false }, ..params });
+    check_dfc(
+        "FIRST alone",
+        &frame,
+        DfcParams { candidates: CandidateSet { first: true, second: false, third: false }, ..params },
+    );
 }
 
 /// The window of a grey frame, of a tiny one, of one pixel.
@@ -214,13 +273,18 @@ fn of_the_candidates_of_unusual_frames() {
     let frame = crop("cornell_8spp", Keep { features: &["normal"], ..EVERYTHING });
     let grey = |image: &Image| Image { extent: image.extent, planes: vec![image.planes[0].clone(); 3] };
     let Signal { mean, half_spread, variance_of_mean } = frame.color();
-    let color = Signal { mean: grey(mean), half_spread: half_spread.as_ref().map(grey), variance_of_mean: variance_of_mean.as_ref().map(grey) };
+    let color = Signal {
+        mean: grey(mean),
+        half_spread: half_spread.as_ref().map(grey),
+        variance_of_mean: variance_of_mean.as_ref().map(grey),
+    };
     let frame = new_frame(color, Vec::new());
     assert!(!denoised(&denoiser(params), &frame, &[]).plan.runs(&Step::Channels));
     check_dfc("grey", &frame, params);
 }
 
-/// The frame is larger than what the kernels depend on, so that a part of it is worked on; with spikes everywhere in its surroundings.
+/// The frame is larger than what the kernels depend on, so that a part of it is worked on; with spikes everywhere in
+/// its surroundings.
 #[test]
 fn a_part_of_the_frame_tells_what_all_of_it_does() {
     let params = DfcParams { window_radius: 2, ..DfcParams::default() };
@@ -231,13 +295,17 @@ fn a_part_of_the_frame_tells_what_all_of_it_does() {
     }
 }
 
-/// Where the second pass would change a pixel by more than its noise explains, the kernel says so, and that pass 1 is the result.
+/// Where the second pass would change a pixel by more than its noise explains, the kernel says so, and that pass 1 is
+/// the result.
 #[test]
 fn a_second_pass_that_goes_too_far_is_refused() {
     let frame = crop("cornell_8spp", Keep { features: &["normal"], ..EVERYTHING });
     let (mut refused, mut told) = (Vec::new(), 0);
     for most_sigmas in [Some(1e-6), Some(0.05), None] {
-        let params = small(DfcParams { second_pass: Some(SecondPass { most_sigmas, ..SecondPass::default() }), ..DfcParams::default() });
+        let params = small(DfcParams {
+            second_pass: Some(SecondPass { most_sigmas, ..SecondPass::default() }),
+            ..DfcParams::default()
+        });
         check_dfc("limited", &frame, params);
         let denoiser = denoiser(params);
         let is_refused = |place: &&(u32, u32)| {
@@ -247,7 +315,10 @@ fn a_second_pass_that_goes_too_far_is_refused() {
             if is_refused {
                 // What the filter saw is told all the same, of neighbours that weigh nothing.
                 let weights = &filter.weights.planes[0];
-                assert!(filter.weight_sum == 1.0 && weights.iter().filter(|weight| **weight != 0.0).count() == 1, "{place:?}");
+                assert!(
+                    filter.weight_sum == 1.0 && weights.iter().filter(|weight| **weight != 0.0).count() == 1,
+                    "{place:?}"
+                );
                 told += (0..weights.len()).filter(|cell| filter.decided_by(*cell).is_some()).count();
             }
             is_refused
@@ -280,17 +351,29 @@ fn opposite_neighbours_are_told() {
                 let opposite = filter.opposite(cell);
                 let (side, radius) = (filter.side(), filter.window_radius);
                 let mirrored = |pixel: (u32, u32)| {
-                    let along = |at: u32, middle: u32, size: u32| (2 * i64::from(middle) - i64::from(at)).try_into().ok().filter(|at: &u32| *at < size);
-                    Some((along(pixel.0, place.0, frame.extent().width)?, along(pixel.1, place.1, frame.extent().height)?))
+                    let along = |at: u32, middle: u32, size: u32| {
+                        (2 * i64::from(middle) - i64::from(at)).try_into().ok().filter(|at: &u32| *at < size)
+                    };
+                    Some((
+                        along(pixel.0, place.0, frame.extent().width)?,
+                        along(pixel.1, place.1, frame.extent().height)?,
+                    ))
                 };
                 if let Some(pixel) = filter.pixel(cell) {
-                    assert_eq!(opposite.and_then(|cell| filter.pixel(cell)), mirrored(pixel), "{place:?}, cell {cell} of {side}² with radius {radius}");
+                    assert_eq!(
+                        opposite.and_then(|cell| filter.pixel(cell)),
+                        mirrored(pixel),
+                        "{place:?}, cell {cell} of {side}² with radius {radius}"
+                    );
                 }
                 for distance in &filter.distances {
                     let (own, shown) = (distance.own_weight(cell), distance.weights.planes[0][cell]);
                     let rounding = 1e-4 * own + 1e-9;
                     assert!(shown >= own - rounding, "{place:?}: {own} by itself, {shown} with its opposite");
-                    assert!(opposite.is_some() || shown <= own + rounding, "{place:?}: {own} by itself, and {shown} without an opposite");
+                    assert!(
+                        opposite.is_some() || shown <= own + rounding,
+                        "{place:?}: {own} by itself, and {shown} without an opposite"
+                    );
                     stand_in += usize::from(shown > 1.01 * own + 1e-6);
                 }
             }
@@ -306,24 +389,40 @@ fn what_is_left_as_it_is_weighs_itself_alone() {
     let (width, dark) = (150, 64);
     let without_noise_on_the_left = |image: &Image| {
         let value = |(i, v): (usize, &f32)| if i % width < dark { 0.0 } else { *v };
-        Image { extent: image.extent, planes: image.planes.iter().map(|plane| plane.iter().enumerate().map(value).collect()).collect() }
+        Image {
+            extent: image.extent,
+            planes: image.planes.iter().map(|plane| plane.iter().enumerate().map(value).collect()).collect(),
+        }
     };
     let color = noisy.color();
-    let [half_spread, variance_of_mean] = [&color.half_spread, &color.variance_of_mean].map(|image| image.as_ref().map(without_noise_on_the_left));
+    let [half_spread, variance_of_mean] =
+        [&color.half_spread, &color.variance_of_mean].map(|image| image.as_ref().map(without_noise_on_the_left));
     let frame = new_frame(Signal { mean: color.mean.clone(), half_spread, variance_of_mean }, Vec::new());
     let denoiser = denoiser(DfcParams { window_radius: 2, ..DfcParams::default() });
     // Pass 1 is the same where tiles are left as they are.
     let keep = [Intermediate::Pass1];
     let estimate = denoised(&denoiser, &frame, &keep);
     // Tiles are left as they are up to column 48, and windows beside them hold both.
-    for (place, is_exact) in [((3, 7), true), ((30, 39), true), ((47, 0), true), ((48, 11), false), ((50, 39), false), ((60, 20), false), ((149, 0), false)] {
+    for (place, is_exact) in [
+        ((3, 7), true),
+        ((30, 39), true),
+        ((47, 0), true),
+        ((48, 11), false),
+        ((50, 39), false),
+        ((60, 20), false),
+        ((149, 0), false),
+    ] {
         let kernels = kernels(&denoiser, &frame, place, &keep);
         check_blend("exact", &estimate, &kernels.filters[..3], place);
         check_second_pass("exact", denoiser.method(), &estimate, &kernels.filters[3], place);
         for filter in &kernels.filters {
             assert_eq!(filter.rule == WeightRule::Exact, is_exact, "{place:?}");
             if is_exact {
-                assert_eq!((filter.weight_sum, filter.value.as_slice()), (1.0, at(&color.mean, place).as_slice()), "{place:?}");
+                assert_eq!(
+                    (filter.weight_sum, filter.value.as_slice()),
+                    (1.0, at(&color.mean, place).as_slice()),
+                    "{place:?}"
+                );
                 check("exact", filter, &at(&estimate.color, place), place, frame.extent());
             }
         }
@@ -335,9 +434,14 @@ fn what_is_left_as_it_is_weighs_itself_alone() {
     check_dfc_of("exact where asked for", &frame, &denoiser, CandidateSet::ALL);
 
     let zero = || Some(Image::filled(color.mean.extent, 3, 0.0));
-    let clean = new_frame(Signal { mean: color.mean.clone(), half_spread: zero(), variance_of_mean: zero() }, Vec::new());
+    let clean =
+        new_frame(Signal { mean: color.mean.clone(), half_spread: zero(), variance_of_mean: zero() }, Vec::new());
     let kernels = kernels(&denoiser, &clean, (3, 7), &[]);
-    assert!(kernels.filters.is_empty() && kernels.filter("first").is_none() && kernels.plan.steps.iter().all(|step| !step.runs));
+    assert!(
+        kernels.filters.is_empty()
+            && kernels.filter("first").is_none()
+            && kernels.plan.steps.iter().all(|step| !step.runs)
+    );
 }
 
 #[track_caller]
@@ -347,12 +451,27 @@ fn check_nlm(what: &str, frame: &Frame, params: NlmParams) {
     for place in places(frame.extent()) {
         let kernels = kernels(&denoiser, frame, place, &[]);
         let has_halves = frame.color().half_spread.is_some() && params.dual_buffer;
-        let expected: Vec<_> =
-            if has_halves { vec![("half_a", layer(&estimate, "half_a")), ("half_b", layer(&estimate, "half_b"))] } else { vec![("filter", &estimate.color)] };
-        assert_eq!(kernels.filters.iter().map(|filter| filter.name).collect::<Vec<_>>(), expected.iter().map(|(name, _)| *name).collect::<Vec<_>>(), "{what}");
+        let expected: Vec<_> = if has_halves {
+            vec![("half_a", layer(&estimate, "half_a")), ("half_b", layer(&estimate, "half_b"))]
+        } else {
+            vec![("filter", &estimate.color)]
+        };
+        assert_eq!(
+            kernels.filters.iter().map(|filter| filter.name).collect::<Vec<_>>(),
+            expected.iter().map(|(name, _)| *name).collect::<Vec<_>>(),
+            "{what}"
+        );
         for (filter, (_, image)) in kernels.filters.iter().zip(&expected) {
-            let rule = if params.patchwise { WeightRule::PatchMean { cut: params.cut } } else { WeightRule::Cut { cut: params.cut } };
-            assert_eq!((filter.rule, &filter.distances[0].of), (rule, &Compared::Color { patch_radius: params.patch_radius, k: params.k }), "{what}");
+            let rule = if params.patchwise {
+                WeightRule::PatchMean { cut: params.cut }
+            } else {
+                WeightRule::Cut { cut: params.cut }
+            };
+            assert_eq!(
+                (filter.rule, &filter.distances[0].of),
+                (rule, &Compared::Color { patch_radius: params.patch_radius, k: params.k }),
+                "{what}"
+            );
             check(what, filter, &at(image, place), place, frame.extent());
         }
         // Both halves together.
@@ -369,9 +488,17 @@ fn of_nlm() {
     check_nlm("default", &frame, small(NlmParams::default()));
     check_nlm("thesis", &frame, small(NlmParams::thesis()));
     let weighting = Weighting { symmetric: Symmetry::Blended, centre: CentreWeight::LargestNeighbour };
-    check_nlm("one buffer", &frame, NlmParams { dual_buffer: false, patchwise: false, cut: 0.0, weighting, ..small(NlmParams::default()) });
+    check_nlm(
+        "one buffer",
+        &frame,
+        NlmParams { dual_buffer: false, patchwise: false, cut: 0.0, weighting, ..small(NlmParams::default()) },
+    );
     check_nlm("no halves", &crop("cornell_8spp", Keep { halves: false, ..EVERYTHING }), small(NlmParams::default()));
-    check_nlm("spikes, uniform variance", &random_frame(110, 40, 1.0), NlmParams { variance: NlmVariance::Uniform, ..small(NlmParams::default()) });
+    check_nlm(
+        "spikes, uniform variance",
+        &random_frame(110, 40, 1.0),
+        NlmParams { variance: NlmVariance::Uniform, ..small(NlmParams::default()) },
+    );
     for (width, height) in [(1, 1), (1, 7), (5, 2)] {
         check_nlm("tiny", &calm_frame(width, height), NlmParams::default());
     }
@@ -390,7 +517,10 @@ fn of_gem() {
         for place in places(frame.extent()) {
             let kernels = kernels(&denoiser, &frame, place, &[]);
             let [filter] = kernels.filters.as_slice() else { panic!("one filter") };
-            assert_eq!((filter.name, filter.rule), ("scale", WeightRule::Gaussian { sigma: at(layer(&estimate, "scale"), place)[0] }));
+            assert_eq!(
+                (filter.name, filter.rule),
+                ("scale", WeightRule::Gaussian { sigma: at(layer(&estimate, "scale"), place)[0] })
+            );
             check("GEM", filter, &at(&estimate.color, place), place, frame.extent());
         }
     }
@@ -400,7 +530,11 @@ fn of_gem() {
 fn a_pixel_outside_of_the_frame_is_refused() {
     let frame = calm_frame(9, 5);
     for (x, y) in [(9, 0), (0, 5), (u32::MAX, u32::MAX)] {
-        let Err(Error::Request { problem, remedy }) = denoiser(DfcParams::default()).kernels(&frame, x, y, &Options::default()) else { panic!("({x}, {y})") };
+        let Err(Error::Request { problem, remedy }) =
+            denoiser(DfcParams::default()).kernels(&frame, x, y, &Options::default())
+        else {
+            panic!("({x}, {y})")
+        };
         assert_eq!(problem, format!("pixel ({x}, {y}) lies outside of a frame of 9×5 pixels"));
         assert_eq!(remedy, "choose a column from 0 to 8 and a row from 0 to 4");
     }

@@ -1,4 +1,5 @@
-//! What a plan leaves out does not change the result: against the same with everything on, and what runs is what the plan says.
+//! What a plan leaves out does not change the result: against the same with everything on, and what runs is what the
+//! plan says.
 
 use stein::frame::Signal;
 use stein::gpu::{Gpu, GpuOptions};
@@ -30,7 +31,8 @@ fn run(denoiser: &Denoiser, frame: &Frame, options: Options) -> Estimate {
 /// As planned, and with everything on.
 fn both(method: impl Into<Method>, frame: &Frame, keep: &[Intermediate], error: bool) -> [Estimate; 2] {
     let planned = denoiser(gpu(), method);
-    [&planned, &planned.clone().with_everything()].map(|denoiser| run(denoiser, frame, Options { keep, error, ..Options::default() }))
+    [&planned, &planned.clone().with_everything()]
+        .map(|denoiser| run(denoiser, frame, Options { keep, error, ..Options::default() }))
 }
 
 fn left_out(estimate: &Estimate) -> Vec<String> {
@@ -50,7 +52,8 @@ fn exact(signal: &Signal) -> Signal {
 /// With these features' noise gone; what is left of it in their values is the hardest case.
 fn with_exact_features(frame: &Frame, names: &[&str]) -> Frame {
     let features = frame.features().iter().map(|feature| {
-        let signal = if names.contains(&feature.name.as_str()) { exact(&feature.signal) } else { feature.signal.clone() };
+        let signal =
+            if names.contains(&feature.name.as_str()) { exact(&feature.signal) } else { feature.signal.clone() };
         (feature.name.clone(), signal)
     });
     new_frame(frame.color().clone(), features.collect())
@@ -66,32 +69,47 @@ fn root_mean_square(a: &Image, b: &Image) -> f64 {
     (squares.sum::<f64>() / (a.channels() * a.extent.pixels()) as f64).sqrt()
 }
 
-/// Two pixels without variance whose patches differ by more than a distance of 25 have no weight that counts: e⁻²⁵ each, even hundreds of them against a centre of 10⁻³.
-/// The distance is the mean over the channels and the (2f+1)² pixels of δ²/10⁻¹⁰, to which the pixel itself contributes its part.
+/// Two pixels without variance whose patches differ by more than a distance of 25 have no weight that counts: e⁻²⁵
+/// each, even hundreds of them against a centre of 10⁻³. The distance is the mean over the channels and the (2f+1)²
+/// pixels of δ²/10⁻¹⁰, to which the pixel itself contributes its part.
 fn resolution(channels: usize, patch_radius: u32) -> f64 {
     1.01 * (25.0 * channels as f64 * f64::from(2 * patch_radius + 1).powi(2) * 1e-10).sqrt()
 }
 
-/// A feature filtered by its own values, to which nothing is known to have noise, is an average of values that differ by no more than the filter resolves. That changes the
-/// distances of features, in squares of the unit range and over k_f²·2τ = 3.6·10⁻⁴ at the least, by a seventh where weights are worth anything, as two values 0.02
-/// apart; single pixels on an edge may take other neighbours, but of all pixels the change is a hundredth of what the filter does.
+/// A feature filtered by its own values, to which nothing is known to have noise, is an average of values that differ
+/// by no more than the filter resolves. That changes the distances of features, in squares of the unit range and over
+/// k_f²·2τ = 3.6·10⁻⁴ at the least, by a seventh where weights are worth anything, as two values 0.02 apart; single
+/// pixels on an edge may take other neighbours, but of all pixels the change is a hundredth of what the filter does.
 #[test]
 fn features_without_noise_are_not_prefiltered() {
     let names: [&str; 2] = ["albedo", "depth"];
     let frame = with_exact_features(&crop(&["albedo", "depth", "normal"]), &names);
     for params in [small(DfcParams::default()), small(DfcParams::thesis())] {
         let [planned, everything] = both(params, &frame, &[Intermediate::Features], true);
-        assert!(names.iter().all(|name| !planned.plan.runs(&Step::Prefilter((*name).to_owned()))), "{:?}", left_out(&planned));
+        assert!(
+            names.iter().all(|name| !planned.plan.runs(&Step::Prefilter((*name).to_owned()))),
+            "{:?}",
+            left_out(&planned)
+        );
         assert!(planned.plan.runs(&Step::Prefilter("normal".into())), "{:?}", planned.plan);
         assert!(everything.plan.runs(&Step::Prefilter("albedo".into())), "{:?}", everything.plan);
         for (layer, of_everything) in planned.layers.iter().zip(&everything.layers) {
-            let Some(feature) = frame.features().iter().find(|feature| layer.name.starts_with(&feature.name)) else { panic!("{}", layer.name) };
+            let Some(feature) = frame.features().iter().find(|feature| layer.name.starts_with(&feature.name)) else {
+                panic!("{}", layer.name)
+            };
             let is_exact = names.contains(&feature.name.as_str());
-            let most = if is_exact && layer.name.ends_with("prefiltered") { resolution(feature.signal.mean.channels(), 3) } else { 0.0 };
+            let most = if is_exact && layer.name.ends_with("prefiltered") {
+                resolution(feature.signal.mean.channels(), 3)
+            } else {
+                0.0
+            };
             let off = f64::from(farthest(&layer.image, &of_everything.image)) / f64::from(feature.unit_scale.abs());
             assert!(off <= most, "{}: {off} where {most} is the most", layer.name);
         }
-        let (changed, filtered) = (root_mean_square(&planned.color, &everything.color), root_mean_square(&planned.color, &frame.color().mean));
+        let (changed, filtered) = (
+            root_mean_square(&planned.color, &everything.color),
+            root_mean_square(&planned.color, &frame.color().mean),
+        );
         assert!(changed <= 0.01 * filtered, "{changed} of {filtered}");
     }
 }
@@ -101,24 +119,35 @@ fn features_without_noise_are_not_prefiltered() {
 fn a_feature_without_known_noise_is_as_one_without_noise() {
     let frame = crop(&["depth", "normal"]);
     let known = with_exact_features(&frame, &["depth", "normal"]);
-    let features =
-        frame.features().iter().map(|feature| (feature.name.clone(), Signal { half_spread: None, variance_of_mean: None, ..feature.signal.clone() }));
+    let features = frame.features().iter().map(|feature| {
+        (feature.name.clone(), Signal { half_spread: None, variance_of_mean: None, ..feature.signal.clone() })
+    });
     let unknown = new_frame(frame.color().clone(), features.collect());
-    let [known, unknown] = [known, unknown].map(|frame| run(&denoiser(gpu(), small(DfcParams::default())), &frame, Options::default()));
+    let [known, unknown] =
+        [known, unknown].map(|frame| run(&denoiser(gpu(), small(DfcParams::default())), &frame, Options::default()));
     assert_same("noise that is 0 or unknown", &known, &unknown, 1.0);
 }
 
 #[test]
 fn features_that_are_not_used_are_explained() {
     let frame = crop(&["albedo", "normal"]);
-    let mut features: Vec<_> = frame.features().iter().map(|feature| (feature.name.clone(), feature.signal.clone())).collect();
+    let mut features: Vec<_> =
+        frame.features().iter().map(|feature| (feature.name.clone(), feature.signal.clone())).collect();
     let without = new_frame(frame.color().clone(), features.clone());
-    features.push(("paint".into(), exact(&Signal { mean: Image::filled(frame.extent(), 1, 0.5), half_spread: None, variance_of_mean: None })));
+    features.push((
+        "paint".into(),
+        exact(&Signal { mean: Image::filled(frame.extent(), 1, 0.5), half_spread: None, variance_of_mean: None }),
+    ));
     let with_constant = new_frame(frame.color().clone(), features);
-    let [with_constant, without] = [&with_constant, &without].map(|frame| run(&denoiser(gpu(), small(DfcParams::default())), frame, Options::default()));
+    let [with_constant, without] = [&with_constant, &without]
+        .map(|frame| run(&denoiser(gpu(), small(DfcParams::default())), frame, Options::default()));
     assert_same("a constant feature", &with_constant, &without, 1.0);
     let step = with_constant.plan.steps.iter().find(|planned| planned.step == Step::Feature("paint".into()));
-    assert!(step.is_some_and(|planned| !planned.runs && planned.why.contains("same everywhere")), "{:?}", with_constant.plan);
+    assert!(
+        step.is_some_and(|planned| !planned.runs && planned.why.contains("same everywhere")),
+        "{:?}",
+        with_constant.plan
+    );
     let none = run(&denoiser(gpu(), small(DfcParams::default())), &crop(&[]), Options::default());
     assert!(left_out(&none).contains(&"features".to_owned()), "{:?}", none.plan);
 }
@@ -129,7 +158,9 @@ fn first_with_the_patches_of_second_is_left_out() {
     let frame = crop(&["albedo", "normal"]);
     for params in [small(DfcParams::default()), small(DfcParams::thesis())] {
         let [planned, everything] = both(DfcParams { first_patch_radius: 3, ..params }, &frame, &[], true);
-        assert!(left_out(&planned).contains(&"first".to_owned()) && !left_out(&everything).contains(&"first".to_owned()));
+        assert!(
+            left_out(&planned).contains(&"first".to_owned()) && !left_out(&everything).contains(&"first".to_owned())
+        );
         assert_same("without FIRST", &planned, &everything, 1.0);
     }
 }
@@ -138,18 +169,37 @@ fn first_with_the_patches_of_second_is_left_out() {
 fn one_candidate_is_not_chosen() {
     let frame = crop(&["albedo", "normal"]);
     let none = CandidateSet { first: false, second: false, third: false };
-    for candidates in [CandidateSet { first: true, ..none }, CandidateSet { second: true, ..none }, CandidateSet { third: true, ..none }] {
+    for candidates in [
+        CandidateSet { first: true, ..none },
+        CandidateSet { second: true, ..none },
+        CandidateSet { third: true, ..none },
+    ] {
         for params in [small(DfcParams::default()), small(DfcParams::thesis())] {
             let params = DfcParams { candidates, ..params };
             let [planned, everything] = both(params, &frame, &[], true);
-            assert!(["selection", "selection smoothing", "blend"].iter().all(|step| left_out(&planned).contains(&(*step).to_owned())));
+            assert!(
+                ["selection", "selection smoothing", "blend"]
+                    .iter()
+                    .all(|step| left_out(&planned).contains(&(*step).to_owned()))
+            );
             assert_same(&format!("{candidates} alone"), &planned, &everything, 1.0);
-            let shares: Vec<f32> = planned.selection.iter().flat_map(|maps| &maps.planes).map(|plane| plane.iter().sum::<f32>() / plane.len() as f32).collect();
+            let shares: Vec<f32> = planned
+                .selection
+                .iter()
+                .flat_map(|maps| &maps.planes)
+                .map(|plane| plane.iter().sum::<f32>() / plane.len() as f32)
+                .collect();
             assert_eq!(shares, candidates.flags().map(|takes_part| f32::from(u8::from(takes_part))));
 
             let [without_error, _] = both(params, &frame, &[], false);
-            assert!(["SURE", "SURE smoothing"].iter().all(|step| left_out(&without_error).contains(&(*step).to_owned())));
-            assert!(without_error.error.is_none() && without_error.color == planned.color && without_error.weight_sum == planned.weight_sum);
+            assert!(
+                ["SURE", "SURE smoothing"].iter().all(|step| left_out(&without_error).contains(&(*step).to_owned()))
+            );
+            assert!(
+                without_error.error.is_none()
+                    && without_error.color == planned.color
+                    && without_error.weight_sum == planned.weight_sum
+            );
         }
     }
 }
@@ -158,30 +208,57 @@ fn one_candidate_is_not_chosen() {
 fn without_its_error_the_result_is_the_same() {
     let frame = crop(&["albedo"]);
     let without_halves = new_frame(Signal { half_spread: None, ..frame.color().clone() }, Vec::new());
-    for method in [small(DfcParams::default()).into(), NlmParams { window_radius: 4, ..NlmParams::default() }.into(), GemParams::default().into()] {
+    for method in [
+        small(DfcParams::default()).into(),
+        NlmParams { window_radius: 4, ..NlmParams::default() }.into(),
+        GemParams::default().into(),
+    ] {
         let method: Method = method;
         let denoiser = denoiser(gpu(), method);
-        let [with, without] = [true, false].map(|error| run(&denoiser, &frame, Options { error, ..Options::default() }));
+        let [with, without] =
+            [true, false].map(|error| run(&denoiser, &frame, Options { error, ..Options::default() }));
         assert!(without.error.is_none() && with.error.is_some());
-        assert!(with.color == without.color && with.half_spread == without.half_spread && with.weight_sum == without.weight_sum, "{}", method.name());
+        assert!(
+            with.color == without.color
+                && with.half_spread == without.half_spread
+                && with.weight_sum == without.weight_sum,
+            "{}",
+            method.name()
+        );
         // Without halves, what is left of the variance serves the error alone.
-        let [with, without] = [true, false].map(|error| run(&denoiser, &without_halves, Options { error, ..Options::default() }));
-        assert!(with.color == without.color && with.weight_sum == without.weight_sum, "{} without halves", method.name());
+        let [with, without] =
+            [true, false].map(|error| run(&denoiser, &without_halves, Options { error, ..Options::default() }));
+        assert!(
+            with.color == without.color && with.weight_sum == without.weight_sum,
+            "{} without halves",
+            method.name()
+        );
         // The sampling density is made of it.
-        let [with, without] = [true, false].map(|error| run(&denoiser, &frame, Options { error, keep: &[Intermediate::Density], ..Options::default() }));
+        let [with, without] = [true, false].map(|error| {
+            run(&denoiser, &frame, Options { error, keep: &[Intermediate::Density], ..Options::default() })
+        });
         assert_eq!(with.layers[0].image, without.layers[0].image, "{}", method.name());
     }
 }
 
-/// Ramps that differ by less and by more than the filter resolves, with features that would tempt THIRD to average over all of them.
+/// Ramps that differ by less and by more than the filter resolves, with features that would tempt THIRD to average over
+/// all of them.
 fn noise_free_frame() -> Frame {
     let color = (0..3).map(|channel| {
         let step = [1e-5, 1e-3, 0.2][channel];
-        Grid::from_fn(48, 40, |p: Point| 0.5 + step * (p.x as f64 + 0.3 * p.y as f64) + if p.x / 12 % 2 == 1 { 0.7 } else { 0.0 })
+        Grid::from_fn(48, 40, |p: Point| {
+            0.5 + step * (p.x as f64 + 0.3 * p.y as f64) + if p.x / 12 % 2 == 1 { 0.7 } else { 0.0 }
+        })
     });
     let feature = calm_scene(48, 40, 71);
     let color = exact(&Signal { mean: image(&color.collect::<Vec<_>>()), half_spread: None, variance_of_mean: None });
-    new_frame(color, vec![("paint".into(), Signal { mean: image(&feature.mean), half_spread: Some(image(&feature.spread)), variance_of_mean: None })])
+    new_frame(
+        color,
+        vec![(
+            "paint".into(),
+            Signal { mean: image(&feature.mean), half_spread: Some(image(&feature.spread)), variance_of_mean: None },
+        )],
+    )
 }
 
 #[test]
@@ -191,9 +268,13 @@ fn a_frame_without_noise_is_copied() {
     assert!(planned.plan.steps.iter().all(|planned| !planned.runs), "{:?}", planned.plan);
     assert!(planned.color == frame.color().mean && planned.half_spread == frame.color().half_spread);
     assert!(
-        error_of(&planned).planes[0].iter().chain(&planned.half_spread.iter().flat_map(|image| image.planes.concat()).collect::<Vec<_>>()).all(|v| *v == 0.0)
+        error_of(&planned).planes[0]
+            .iter()
+            .chain(&planned.half_spread.iter().flat_map(|image| image.planes.concat()).collect::<Vec<_>>())
+            .all(|v| *v == 0.0)
     );
-    // The brightest channel of the median pixel is between 2 and 4, so that the frame is halved on the device; the second pass resolves by larger patches.
+    // The brightest channel of the median pixel is between 2 and 4, so that the frame is halved on the device; the
+    // second pass resolves by larger patches.
     let most = 4.0 * (resolution(3, 1) + resolution(3, 3));
     let off = f64::from(farthest(&planned.color, &everything.color));
     assert!(off <= most, "{off} where {most} is the most");
@@ -206,13 +287,18 @@ fn a_frame_without_noise_is_copied() {
     for params in other {
         assert!(run(&denoiser(gpu(), params), &frame, Options::default()).plan.runs(&Step::Candidates));
     }
-    let kept = run(&denoiser(gpu(), small(DfcParams::default())), &frame, Options { keep: &[Intermediate::Pass1], ..Options::default() });
+    let kept = run(
+        &denoiser(gpu(), small(DfcParams::default())),
+        &frame,
+        Options { keep: &[Intermediate::Pass1], ..Options::default() },
+    );
     assert_eq!(kept.layers.len(), 1);
 }
 
 /// A render whose left part is empty, seen by all features as what it is beside; its noise is left out as well.
 fn half_empty_frame() -> Frame {
-    let render = frame(&noisy("cornell_8spp"), [0, 32, 96, 64], Keep { features: &["albedo", "depth", "normal"], ..EVERYTHING });
+    let render =
+        frame(&noisy("cornell_8spp"), [0, 32, 96, 64], Keep { features: &["albedo", "depth", "normal"], ..EVERYTHING });
     let emptied = |signal: &Signal| {
         let cleared = |image: &Image| {
             let mut image = image.clone();
@@ -233,20 +319,35 @@ fn skipped(estimate: &Estimate, step: &Step) -> f64 {
     estimate.plan.steps.iter().find(|planned| planned.step == *step).map_or(f64::NAN, |planned| planned.skipped)
 }
 
-/// Tiles that no noise reaches are copied. Nothing else changes but for what the prefilter did to exact features, and what is copied moves by no more than the filters resolve.
+/// Tiles that no noise reaches are copied. Nothing else changes but for what the prefilter did to exact features, and
+/// what is copied moves by no more than the filters resolve.
 #[test]
 fn tiles_without_noise_are_copied() {
     let frame = half_empty_frame();
     let [planned, everything] = both(small(DfcParams::default()), &frame, &[], true);
-    for step in [Step::Candidates, Step::SureSmoothing, Step::SelectionSmoothing, Step::SecondPass, Step::Prefilter("depth".into())] {
+    for step in [
+        Step::Candidates,
+        Step::SureSmoothing,
+        Step::SelectionSmoothing,
+        Step::SecondPass,
+        Step::Prefilter("depth".into()),
+    ] {
         let share = skipped(&planned, &step);
         assert!((0.2..0.6).contains(&share) && skipped(&everything, &step) == 0.0, "{}: {share}", step.name());
     }
     // The window, the patch and the smoothing reach 15 pixels, and so two tiles.
-    let copied = |image: &Image| image.planes.iter().flat_map(|plane| plane.chunks_exact(96)).flat_map(|row| row[..40].to_vec()).collect::<Vec<_>>();
+    let copied = |image: &Image| {
+        image
+            .planes
+            .iter()
+            .flat_map(|plane| plane.chunks_exact(96))
+            .flat_map(|row| row[..40].to_vec())
+            .collect::<Vec<_>>()
+    };
     assert_eq!(copied(&planned.color), copied(&frame.color().mean));
     assert!(copied(&planned.weight_sum).iter().all(|sum| *sum == 1.0));
-    let (changed, filtered) = (root_mean_square(&planned.color, &everything.color), root_mean_square(&planned.color, &frame.color().mean));
+    let (changed, filtered) =
+        (root_mean_square(&planned.color, &everything.color), root_mean_square(&planned.color, &frame.color().mean));
     assert!(changed <= 0.002 * filtered, "{changed} of {filtered}");
     // Where everything is judged by colour alone, nothing but the copies differs.
     let plain = new_frame(frame.color().clone(), Vec::new());
@@ -256,11 +357,21 @@ fn tiles_without_noise_are_copied() {
     assert!(off <= 1e-6 * most, "{off} of {most}");
 
     // The image before the second pass is copied as well, so that asking for it changes nothing.
-    let keeping = run(&denoiser(gpu(), small(DfcParams::default())), &plain, Options { keep: &[Intermediate::Pass1], ..Options::default() });
+    let keeping = run(
+        &denoiser(gpu(), small(DfcParams::default())),
+        &plain,
+        Options { keep: &[Intermediate::Pass1], ..Options::default() },
+    );
     assert_same("keeping pass 1", &keeping, &planned, 1.0);
-    assert!(keeping.plan.steps == planned.plan.steps && copied(&keeping.layers[0].image) == copied(&plain.color().mean));
+    assert!(
+        keeping.plan.steps == planned.plan.steps && copied(&keeping.layers[0].image) == copied(&plain.color().mean)
+    );
     // Intermediates that are other there are computed.
-    let kept = run(&denoiser(gpu(), small(DfcParams::default())), &frame, Options { keep: &[Intermediate::Candidates], ..Options::default() });
+    let kept = run(
+        &denoiser(gpu(), small(DfcParams::default())),
+        &frame,
+        Options { keep: &[Intermediate::Candidates], ..Options::default() },
+    );
     assert_eq!(skipped(&kept, &Step::Candidates), 0.0);
 }
 
@@ -273,7 +384,12 @@ fn tiles_are_those_of_the_frame_in_every_strip() {
     let gpu = open(GpuOptions::default());
     let limit = 15_500_000;
     let in_strips = run(&denoiser(&gpu, small(DfcParams::default())).with_max_memory(limit), &tall, Options::default());
-    assert!(in_strips.strips >= 2 && in_strips.peak_bytes <= limit, "{} strips, {} bytes", in_strips.strips, in_strips.peak_bytes);
+    assert!(
+        in_strips.strips >= 2 && in_strips.peak_bytes <= limit,
+        "{} strips, {} bytes",
+        in_strips.strips,
+        in_strips.peak_bytes
+    );
     assert_same("in strips", &in_strips, &whole, 1.0);
 }
 
@@ -284,21 +400,36 @@ fn tiles_of_a_window_have_no_noise_in_any_of_its_frames() {
     let plain = |frame: &Frame, columns: usize| {
         let noise = |image: &Image| {
             let mut image = image.clone();
-            image.planes.iter_mut().flat_map(|plane| plane.chunks_exact_mut(96)).for_each(|row| row[columns..56].fill(0.01));
+            image
+                .planes
+                .iter_mut()
+                .flat_map(|plane| plane.chunks_exact_mut(96))
+                .for_each(|row| row[columns..56].fill(0.01));
             image
         };
         let color = frame.color();
-        let [half_spread, variance_of_mean] = [&color.half_spread, &color.variance_of_mean].map(|image| image.as_ref().map(noise));
+        let [half_spread, variance_of_mean] =
+            [&color.half_spread, &color.variance_of_mean].map(|image| image.as_ref().map(noise));
         new_frame(Signal { mean: color.mean.clone(), half_spread, variance_of_mean }, Vec::new())
     };
     let (own, beside) = (plain(&tall, 56), plain(&tall, 40));
-    let params = DfcParams { candidates: CandidateSet { first: false, ..CandidateSet::ALL }, ..small(DfcParams::default()) };
-    let window = |denoiser: &Denoiser| denoiser.denoise_window(&[&own, &beside], 0, Options::default()).unwrap_or_else(|error| panic!("{error}"));
+    let params =
+        DfcParams { candidates: CandidateSet { first: false, ..CandidateSet::ALL }, ..small(DfcParams::default()) };
+    let window = |denoiser: &Denoiser| {
+        denoiser.denoise_window(&[&own, &beside], 0, Options::default()).unwrap_or_else(|error| panic!("{error}"))
+    };
     let planned = denoiser(gpu(), params);
     let (whole, everything) = (window(&planned), window(&planned.clone().with_everything()));
     let alone = planned.plan(&[&own], 0, &Options::default()).unwrap_or_else(|error| panic!("{error}"));
-    let share = |plan: &Plan| plan.steps.iter().find(|planned| planned.step == Step::Candidates).map_or(f64::NAN, |planned| planned.skipped);
-    assert!(0.2 < share(&whole.plan) && share(&whole.plan) < share(&alone) - 0.1, "{} {}", share(&whole.plan), share(&alone));
+    let share = |plan: &Plan| {
+        plan.steps.iter().find(|planned| planned.step == Step::Candidates).map_or(f64::NAN, |planned| planned.skipped)
+    };
+    assert!(
+        0.2 < share(&whole.plan) && share(&whole.plan) < share(&alone) - 0.1,
+        "{} {}",
+        share(&whole.plan),
+        share(&alone)
+    );
     let most = f64::from(own.color().mean.planes.iter().flatten().fold(0.0f32, |most, value| most.max(value.abs())));
     let off = f64::from(farthest(&whole.color, &everything.color));
     assert!(off <= 1e-6 * most, "{off} of {most}");
@@ -315,11 +446,25 @@ fn a_grey_frame_is_filtered_by_one_channel() {
     let grey = |image: &Image| Image { planes: vec![image.planes[1].clone(); 3], ..image.clone() };
     let crop = crop(&["depth"]);
     let color = crop.color();
-    let color =
-        Signal { mean: grey(&color.mean), half_spread: color.half_spread.as_ref().map(grey), variance_of_mean: color.variance_of_mean.as_ref().map(grey) };
-    let frame = new_frame(color, crop.features().iter().map(|feature| (feature.name.clone(), feature.signal.clone())).collect());
-    let [planned, everything] = both(small(DfcParams::default()), &frame, &[Intermediate::Candidates, Intermediate::Derivatives, Intermediate::Density], true);
-    assert!(left_out(&planned).contains(&"three channels".to_owned()) && !left_out(&everything).contains(&"three channels".to_owned()));
+    let color = Signal {
+        mean: grey(&color.mean),
+        half_spread: color.half_spread.as_ref().map(grey),
+        variance_of_mean: color.variance_of_mean.as_ref().map(grey),
+    };
+    let frame = new_frame(
+        color,
+        crop.features().iter().map(|feature| (feature.name.clone(), feature.signal.clone())).collect(),
+    );
+    let [planned, everything] = both(
+        small(DfcParams::default()),
+        &frame,
+        &[Intermediate::Candidates, Intermediate::Derivatives, Intermediate::Density],
+        true,
+    );
+    assert!(
+        left_out(&planned).contains(&"three channels".to_owned())
+            && !left_out(&everything).contains(&"three channels".to_owned())
+    );
     assert_same("a grey frame", &planned, &everything, 1.0);
     for (layer, of_everything) in planned.layers.iter().zip(&everything.layers) {
         assert_eq!(layer.image, of_everything.image, "{}", layer.name);
@@ -335,9 +480,13 @@ fn a_grey_frame_is_filtered_by_one_channel() {
 #[test]
 fn in_strips_less_is_left_out_of_the_same_bits() {
     let (extent, names) = ([16, 0, 24, 96], ["albedo", "depth"]);
-    let frame = with_exact_features(&frame(&noisy("cornell_8spp"), extent, Keep { features: &["albedo", "depth", "normal"], ..EVERYTHING }), &names);
+    let frame = with_exact_features(
+        &frame(&noisy("cornell_8spp"), extent, Keep { features: &["albedo", "depth", "normal"], ..EVERYTHING }),
+        &names,
+    );
     let tall = stacked(&frame);
-    let params = DfcParams { candidates: CandidateSet { first: false, ..CandidateSet::ALL }, ..small(DfcParams::default()) };
+    let params =
+        DfcParams { candidates: CandidateSet { first: false, ..CandidateSet::ALL }, ..small(DfcParams::default()) };
     let whole = run(&denoiser(gpu(), params), &tall, Options::default());
     // Of its own: what other tests hold would count.
     let gpu = open(GpuOptions::default());
@@ -359,10 +508,14 @@ fn stacked(frame: &Frame) -> Frame {
         half_spread: signal.half_spread.as_ref().map(stack),
         variance_of_mean: signal.variance_of_mean.as_ref().map(stack),
     };
-    new_frame(signal(frame.color()), frame.features().iter().map(|feature| (feature.name.clone(), signal(&feature.signal))).collect())
+    new_frame(
+        signal(frame.color()),
+        frame.features().iter().map(|feature| (feature.name.clone(), signal(&feature.signal))).collect(),
+    )
 }
 
-/// The plan is what happens: every step that runs takes time, but for candidates, which are parts of one; and no time goes to a step that does not.
+/// The plan is what happens: every step that runs takes time, but for candidates, which are parts of one; and no time
+/// goes to a step that does not.
 #[test]
 fn times_are_those_of_the_plan() {
     let gpu = open(GpuOptions::default());
@@ -370,12 +523,22 @@ fn times_are_those_of_the_plan() {
         return;
     }
     let full = crop(&["albedo", "normal"]);
-    let with = |halves, variance| frame(&noisy("cornell_8spp"), [16, 20, 24, 20], Keep { halves, variance, features: &["depth"] });
+    let with = |halves, variance| {
+        frame(&noisy("cornell_8spp"), [16, 20, 24, 20], Keep { halves, variance, features: &["depth"] })
+    };
     let frames = [with_exact_features(&full, &["albedo"]), with(false, true), with(true, false), crop(&[])];
-    let first = DfcParams { candidates: CandidateSet { second: false, third: false, ..CandidateSet::ALL }, ..small(DfcParams::default()) };
+    let first = DfcParams {
+        candidates: CandidateSet { second: false, third: false, ..CandidateSet::ALL },
+        ..small(DfcParams::default())
+    };
     let nlm = NlmParams { window_radius: 3, ..NlmParams::default() };
-    let methods: [Method; 5] =
-        [small(DfcParams::default()).into(), first.into(), nlm.into(), NlmParams { dual_buffer: false, ..nlm }.into(), GemParams::default().into()];
+    let methods: [Method; 5] = [
+        small(DfcParams::default()).into(),
+        first.into(),
+        nlm.into(),
+        NlmParams { dual_buffer: false, ..nlm }.into(),
+        GemParams::default().into(),
+    ];
     for method in methods {
         let denoiser = denoiser(&gpu, method);
         for frame in &frames {
@@ -384,7 +547,9 @@ fn times_are_those_of_the_plan() {
             }
         }
         if method.filters_in_time() {
-            let window = denoiser.denoise_window(&[&full, &full], 0, Options::default()).unwrap_or_else(|error| panic!("{error}"));
+            let window = denoiser
+                .denoise_window(&[&full, &full], 0, Options::default())
+                .unwrap_or_else(|error| panic!("{error}"));
             times_are_of(&window, method.name());
         }
     }
@@ -396,9 +561,15 @@ fn times_are_of(estimate: &Estimate, what: &str) {
     timed.dedup();
     timed.sort_unstable();
     timed.dedup();
-    let is_timed = |step: &Step| !matches!(step, Step::Candidate(_) | Step::Derivatives | Step::HalfSpread | Step::Channels);
-    let mut planned: Vec<String> =
-        estimate.plan.steps.iter().filter(|planned| planned.runs && is_timed(&planned.step)).map(|planned| planned.step.name()).collect();
+    let is_timed =
+        |step: &Step| !matches!(step, Step::Candidate(_) | Step::Derivatives | Step::HalfSpread | Step::Channels);
+    let mut planned: Vec<String> = estimate
+        .plan
+        .steps
+        .iter()
+        .filter(|planned| planned.runs && is_timed(&planned.step))
+        .map(|planned| planned.step.name())
+        .collect();
     planned.sort_unstable();
     assert_eq!(timed, planned, "{what}: {:?}", estimate.plan);
     let sum = |seconds: &mut dyn Iterator<Item = f64>| seconds.sum::<f64>();

@@ -31,7 +31,8 @@ fn running_sums_of_small_windows_fit_the_binding_limit() {
     for method in small_windows() {
         let expected = denoised(&Denoiser::new(gpu(), method).expect("it is in range"), &frame);
         for schedule in [Schedule::HARDWARE, Schedule::SOFTWARE] {
-            let actual = denoised(&Denoiser::new(&limited, method).expect("it is in range").with_schedule(schedule), &frame);
+            let actual =
+                denoised(&Denoiser::new(&limited, method).expect("it is in range").with_schedule(schedule), &frame);
             assert_eq!(actual.strips, 1);
             assert_same(&format!("{schedule:?}"), &actual, &expected, 1.0);
         }
@@ -44,13 +45,20 @@ fn a_row_whose_running_sums_do_not_fit_is_cut_into_bands() {
     let limited = binding(4 * plane(1000, 1));
     for method in small_windows() {
         let expected = denoised(&Denoiser::new(gpu(), method).expect("it is in range"), &frame);
-        let actual = denoised(&Denoiser::new(&limited, method).expect("it is in range").with_schedule(Schedule::HARDWARE), &frame);
+        let actual = denoised(
+            &Denoiser::new(&limited, method).expect("it is in range").with_schedule(Schedule::HARDWARE),
+            &frame,
+        );
         assert_same("bands", &actual, &expected, 1.0);
     }
 }
 
 fn methods() -> [Method; 3] {
-    [DfcParams { window_radius: 1, ..DfcParams::default() }.into(), NlmParams { window_radius: 2, ..NlmParams::default() }.into(), GemParams::default().into()]
+    [
+        DfcParams { window_radius: 1, ..DfcParams::default() }.into(),
+        NlmParams { window_radius: 2, ..NlmParams::default() }.into(),
+        GemParams::default().into(),
+    ]
 }
 
 #[test]
@@ -72,8 +80,14 @@ fn an_image_that_no_strip_makes_fit_names_the_limit_that_it_exceeds() {
     let limited = binding(5 * plane(24, 40) / 2);
     match Denoiser::new(&limited, GemParams::default()).expect("it is in range").denoise(&random_frame(24, 40, 1.0)) {
         Err(Error::Device { problem, remedy }) => {
-            assert!(problem.contains("does not fit the limits of") && problem.contains("the adapter binds"), "{problem}");
-            assert!(remedy.contains("another adapter, which binds larger buffers") && !remedy.contains("memory limit"), "{remedy}");
+            assert!(
+                problem.contains("does not fit the limits of") && problem.contains("the adapter binds"),
+                "{problem}"
+            );
+            assert!(
+                remedy.contains("another adapter, which binds larger buffers") && !remedy.contains("memory limit"),
+                "{remedy}"
+            );
         }
         other => panic!("{:?}", other.map(|_| ())),
     }

@@ -1,4 +1,5 @@
-//! NLM on the GPU: against the same in float64 on parts of real renders, as its callers use it, and what chapter 7 says of it.
+//! NLM on the GPU: against the same in float64 on parts of real renders, as its callers use it, and what chapter 7 says
+//! of it.
 
 use stein::frame::{Frame, SamplesPerPixel, Signal};
 use stein::gpu::GpuOptions;
@@ -30,7 +31,9 @@ fn denoised(params: NlmParams, frame: &Frame) -> Estimate {
 }
 
 fn denoised_by(denoiser: &Denoiser, frame: &Frame) -> Estimate {
-    denoiser.denoise_with(frame, Options { keep: denoiser.method().intermediates(), ..Options::default() }).unwrap_or_else(|error| panic!("{error}"))
+    denoiser
+        .denoise_with(frame, Options { keep: denoiser.method().intermediates(), ..Options::default() })
+        .unwrap_or_else(|error| panic!("{error}"))
 }
 
 /// All that an estimate holds, with names.
@@ -62,7 +65,9 @@ fn the_presets_are_those_of_the_reference() {
     for (preset, twin) in [(NlmParams::thesis(), twin), (NlmParams::default(), measured)] {
         let mut shown = nlm_params(&preset);
         // 0.45 as a float32 is not 0.45.
-        [&mut shown.filter.k, &mut shown.filter.cut].into_iter().for_each(|value| *value = format!("{value:.4e}").parse().unwrap_or(f64::NAN));
+        [&mut shown.filter.k, &mut shown.filter.cut]
+            .into_iter()
+            .for_each(|value| *value = format!("{value:.4e}").parse().unwrap_or(f64::NAN));
         assert_eq!(format!("{shown:?}"), format!("{twin:?}"));
     }
     let sampling = NlmParams::thesis().while_sampling();
@@ -85,7 +90,14 @@ fn check(what: &str, frame: &Frame, params: NlmParams) {
     let near = |part: &str, actual: &[Grid], expected: &[Grid], size: &[Grid], relative: f64, share: f64| {
         assert_near(&format!("{what}: {part}"), actual, expected, size, relative, share);
     };
-    near("variance", &layer(&estimate, "variance_of_mean", exposure * exposure), &twin.variance, &own_size(&twin.variance, 1e-9), FILTERED, FLIPPED);
+    near(
+        "variance",
+        &layer(&estimate, "variance_of_mean", exposure * exposure),
+        &twin.variance,
+        &own_size(&twin.variance, 1e-9),
+        FILTERED,
+        FLIPPED,
+    );
     // How far a pixel was moved, its noise, a hundredth of itself.
     let size = |i: usize| {
         let (u, f, v) = (&input.mean[i], &twin.mean[i], &twin.variance[i]);
@@ -94,9 +106,17 @@ fn check(what: &str, frame: &Frame, params: NlmParams) {
     let size: Planes = (0..3).map(size).collect();
     near("colour", &grids(&estimate.color, exposure), &twin.mean, &size, FILTERED, FLIPPED);
     assert_eq!(estimate.half_spread.is_some(), twin.spread.is_some(), "{what}");
-    if let (Some(spread), Some(expected)) = (estimate.half_spread.as_ref().map(|image| grids(image, exposure)), &twin.spread) {
+    if let (Some(spread), Some(expected)) =
+        (estimate.half_spread.as_ref().map(|image| grids(image, exposure)), &twin.spread)
+    {
         near("half spread", &spread, expected, &size, FILTERED, FLIPPED);
-        let half = |sign: f64| -> Planes { twin.mean.iter().zip(expected).map(|(mean, spread)| mean.like(|p| mean.at(p) + sign * spread.at(p))).collect() };
+        let half = |sign: f64| -> Planes {
+            twin.mean
+                .iter()
+                .zip(expected)
+                .map(|(mean, spread)| mean.like(|p| mean.at(p) + sign * spread.at(p)))
+                .collect()
+        };
         near("half A", &layer(&estimate, "half_a", exposure), &half(1.0), &size, FILTERED, FLIPPED);
         near("half B", &layer(&estimate, "half_b", exposure), &half(-1.0), &size, FILTERED, FLIPPED);
     }
@@ -118,7 +138,11 @@ fn everything_with_the_default_preset() {
 
 #[test]
 fn everything_with_the_thesis_preset() {
-    check("depth of field, thesis", &frame(&noisy("dof_spheres_32spp"), [40, 30, 40, 33], EVERYTHING), small(NlmParams::thesis()));
+    check(
+        "depth of field, thesis",
+        &frame(&noisy("dof_spheres_32spp"), [40, 30, 40, 33], EVERYTHING),
+        small(NlmParams::thesis()),
+    );
 }
 
 #[test]
@@ -135,7 +159,14 @@ fn the_original_filter() {
     let frame = frame(&noisy("cornell_32spp"), [16, 20, 33, 30], NO_FEATURES);
     check("single buffer", &frame, small(NlmParams { dual_buffer: false, ..NlmParams::default() }));
     let plain = Weighting { symmetric: Symmetry::Off, centre: CentreWeight::LargestNeighbour };
-    let original = NlmParams { dual_buffer: false, variance: NlmVariance::Uniform, patchwise: false, cut: 0.0, weighting: plain, ..NlmParams::default() };
+    let original = NlmParams {
+        dual_buffer: false,
+        variance: NlmVariance::Uniform,
+        patchwise: false,
+        cut: 0.0,
+        weighting: plain,
+        ..NlmParams::default()
+    };
     check("uniform variance", &frame, small(original));
     check("bilateral", &frame, small(NlmParams { patch_radius: 0, ..NlmParams::default() }));
 }
@@ -144,8 +175,10 @@ fn the_original_filter() {
 fn pixels_with_their_own_number_of_samples() {
     let set = noisy("cornell_32spp");
     let cropped = frame(&set, [16, 20, 33, 30], NO_FEATURES);
-    let counts = Image { extent: cropped.extent(), planes: vec![(0..33 * 30).map(|pixel| (2 + pixel % 61) as f32).collect()] };
-    let (frame, _) = Frame::new(cropped.color().clone(), Vec::new(), SamplesPerPixel::PerPixel(counts)).unwrap_or_else(|error| panic!("{error}"));
+    let counts =
+        Image { extent: cropped.extent(), planes: vec![(0..33 * 30).map(|pixel| (2 + pixel % 61) as f32).collect()] };
+    let (frame, _) = Frame::new(cropped.color().clone(), Vec::new(), SamplesPerPixel::PerPixel(counts))
+        .unwrap_or_else(|error| panic!("{error}"));
     for dual_buffer in [true, false] {
         check("samples per pixel", &frame, small(NlmParams { dual_buffer, ..NlmParams::default() }));
     }
@@ -158,7 +191,8 @@ fn strips_and_schedules_give_the_bits_of_the_whole() {
     let frame = calm_frame(24, 300);
     for variance in OPTIONS {
         for dual_buffer in [true, false] {
-            let denoiser = Denoiser::new(gpu(), small(NlmParams { variance, dual_buffer, ..NlmParams::default() })).unwrap_or_else(|error| panic!("{error}"));
+            let denoiser = Denoiser::new(gpu(), small(NlmParams { variance, dual_buffer, ..NlmParams::default() }))
+                .unwrap_or_else(|error| panic!("{error}"));
             let whole = denoised_by(&denoiser, &frame);
             assert_eq!(whole.strips, 1);
             let strips = denoised_by(&denoiser.clone().with_max_memory(STRIP_LIMIT), &frame);
@@ -180,7 +214,8 @@ fn strips_keep_to_the_memory_allowed() {
     let frame = random_frame(24, 300, 1.0);
     for variance in OPTIONS {
         for dual_buffer in [true, false] {
-            let denoiser = Denoiser::new(&gpu, small(NlmParams { variance, dual_buffer, ..NlmParams::default() })).unwrap_or_else(|error| panic!("{error}"));
+            let denoiser = Denoiser::new(&gpu, small(NlmParams { variance, dual_buffer, ..NlmParams::default() }))
+                .unwrap_or_else(|error| panic!("{error}"));
             let peak = denoised_by(&denoiser.with_max_memory(STRIP_LIMIT), &frame).peak_bytes;
             assert!(peak <= STRIP_LIMIT, "{variance:?}: {peak} bytes where {STRIP_LIMIT} were allowed");
         }
@@ -194,15 +229,22 @@ fn whatever_the_frame_the_result_is_finite() {
         for variance in OPTIONS {
             let estimate = denoised(small(NlmParams { variance, ..NlmParams::default() }), &frame);
             for (name, image) in images(&estimate) {
-                assert!(image.planes.iter().flatten().all(|value| value.is_finite()), "{width}×{height}, {variance:?}: {name}");
+                assert!(
+                    image.planes.iter().flatten().all(|value| value.is_finite()),
+                    "{width}×{height}, {variance:?}: {name}"
+                );
             }
         }
     }
     let zero = || Image::filled(Extent { width: 31, height: 17 }, 3, 0.0);
-    let black = new_frame(Signal { mean: zero(), half_spread: Some(zero()), variance_of_mean: Some(zero()) }, Vec::new());
+    let black =
+        new_frame(Signal { mean: zero(), half_spread: Some(zero()), variance_of_mean: Some(zero()) }, Vec::new());
     for variance in OPTIONS {
         let estimate = denoised(small(NlmParams { variance, ..NlmParams::default() }), &black);
-        assert!(estimate.color.planes.iter().chain(&error_of(&estimate).planes).flatten().all(|value| *value == 0.0), "{variance:?}");
+        assert!(
+            estimate.color.planes.iter().chain(&error_of(&estimate).planes).flatten().all(|value| *value == 0.0),
+            "{variance:?}"
+        );
         assert!(estimate.weight_sum.planes[0].iter().all(|sum| *sum >= 1.0), "{variance:?}");
     }
 }
@@ -221,7 +263,8 @@ impl Noisy {
         let (of_mean, spread) = (noise(), noise());
         let mean: Planes = of_mean.iter().map(|noise| noise.like(|p| truth.at(p) + noise.at(p))).collect();
         let variance = vec![Grid::filled(width, height, sigma * sigma); 3];
-        let color = Signal { mean: image(&mean), half_spread: Some(image(&spread)), variance_of_mean: Some(image(&variance)) };
+        let color =
+            Signal { mean: image(&mean), half_spread: Some(image(&spread)), variance_of_mean: Some(image(&variance)) };
         Self { truth, frame: new_frame(color, Vec::new()) }
     }
 
@@ -229,10 +272,18 @@ impl Noisy {
     fn filtered(&self, params: NlmParams) -> (f64, f64) {
         let estimate = denoised(params, &self.frame);
         let (width, height) = (self.truth.width, self.truth.height);
-        let inner: Vec<usize> =
-            (0..width * height).filter(|pixel| (16..width - 16).contains(&(pixel % width)) && (16..height - 16).contains(&(pixel / width))).collect();
-        let squared =
-            |pixel: &usize| estimate.color.planes.iter().map(|plane| (f64::from(plane[*pixel]) - self.truth.values[*pixel]).powi(2)).sum::<f64>() / 3.0;
+        let inner: Vec<usize> = (0..width * height)
+            .filter(|pixel| (16..width - 16).contains(&(pixel % width)) && (16..height - 16).contains(&(pixel / width)))
+            .collect();
+        let squared = |pixel: &usize| {
+            estimate
+                .color
+                .planes
+                .iter()
+                .map(|plane| (f64::from(plane[*pixel]) - self.truth.values[*pixel]).powi(2))
+                .sum::<f64>()
+                / 3.0
+        };
         let mean = |value: &dyn Fn(&usize) -> f64| inner.iter().map(value).sum::<f64>() / inner.len() as f64;
         (mean(&squared), mean(&|pixel| estimate.weight_sum.planes[0][*pixel].into()))
     }
@@ -242,8 +293,12 @@ impl Noisy {
 #[test]
 fn symmetric_distances_widen_the_filter_on_a_ramp() {
     let ramp = Noisy::new(Grid::from_fn(64, 64, |p| 1.0 + 0.05 * p.x as f64), 0.1);
-    let [(plain_error, plain_support), (error, support)] = [Symmetry::Off, Symmetry::Hard]
-        .map(|symmetric| ramp.filtered(NlmParams { weighting: Weighting { symmetric, centre: CentreWeight::One }, ..NlmParams::thesis() }));
+    let [(plain_error, plain_support), (error, support)] = [Symmetry::Off, Symmetry::Hard].map(|symmetric| {
+        ramp.filtered(NlmParams {
+            weighting: Weighting { symmetric, centre: CentreWeight::One },
+            ..NlmParams::thesis()
+        })
+    });
     println!("Σ w {plain_support:.1} and {support:.1}, MSE {plain_error:.2e} and {error:.2e}");
     assert!(support > 1.5 * plain_support, "Σ w {support} with pairs, {plain_support} without");
     assert!(error < 0.8 * plain_error, "MSE {error} with pairs, {plain_error} without");
@@ -253,7 +308,8 @@ fn symmetric_distances_widen_the_filter_on_a_ramp() {
 #[test]
 fn two_buffers_leave_less_noise_than_one() {
     let uniform = Noisy::new(Grid::filled(64, 64, 1.0), 0.2);
-    let [(one, _), (two, _)] = [false, true].map(|dual_buffer| uniform.filtered(NlmParams { dual_buffer, ..NlmParams::thesis() }));
+    let [(one, _), (two, _)] =
+        [false, true].map(|dual_buffer| uniform.filtered(NlmParams { dual_buffer, ..NlmParams::thesis() }));
     println!("MSE {one:.2e} with one buffer, {two:.2e} with two");
     assert!(two < 0.9 * one, "MSE {two} with two buffers, {one} with one");
 }
@@ -281,21 +337,35 @@ fn parameters_out_of_range_are_refused() {
         (NlmParams { cut: 1.5, ..NlmParams::default() }, "`cut` cannot be 1.5"),
     ];
     for (params, said) in wrong {
-        let Err(Error::Request { problem, remedy }) = Denoiser::new(gpu(), params) else { panic!("{params:?} is accepted") };
+        let Err(Error::Request { problem, remedy }) = Denoiser::new(gpu(), params) else {
+            panic!("{params:?} is accepted")
+        };
         assert!(problem.contains(said) && remedy.starts_with("choose a"), "{problem}\n{remedy}");
     }
     let hard = Weighting { symmetric: Symmetry::Hard, centre: CentreWeight::One };
-    assert!(matches!(Denoiser::new(gpu(), DfcParams { weighting: hard, ..DfcParams::default() }), Err(Error::Request { .. })));
+    assert!(matches!(
+        Denoiser::new(gpu(), DfcParams { weighting: hard, ..DfcParams::default() }),
+        Err(Error::Request { .. })
+    ));
 }
 
 /// A renderer's own frame says the mean variance of its image, or there is none to be had.
 #[test]
 fn a_uniform_variance_that_nobody_knows_is_refused() {
-    let denoiser = Denoiser::new(gpu(), NlmParams { variance: NlmVariance::Uniform, ..NlmParams::default() }).unwrap_or_else(|error| panic!("{error}"));
+    let denoiser = Denoiser::new(gpu(), NlmParams { variance: NlmVariance::Uniform, ..NlmParams::default() })
+        .unwrap_or_else(|error| panic!("{error}"));
     let mut rec = gpu().record_whole();
     let signal = rec.upload("signal", &[0.5; 8]).unwrap_or_else(|error| panic!("{error}"));
     let color = GpuSignal { signal: signal.into(), variance_of_mean: None, has_halves: true };
-    let frame = GpuFrame { extent: glam::IVec2::ONE, color, features: Vec::new(), samples: GpuSamples::Uniform(1.0), mean_variance: None };
-    let Err(Error::Request { remedy, .. }) = denoiser.record(&mut rec, frame, Vec::new()) else { panic!("a variance out of nowhere") };
+    let frame = GpuFrame {
+        extent: glam::IVec2::ONE,
+        color,
+        features: Vec::new(),
+        samples: GpuSamples::Uniform(1.0),
+        mean_variance: None,
+    };
+    let Err(Error::Request { remedy, .. }) = denoiser.record(&mut rec, frame, Vec::new()) else {
+        panic!("a variance out of nowhere")
+    };
     assert!(remedy.contains("mean_variance"), "{remedy}");
 }

@@ -10,7 +10,9 @@ use stein::stage::select::Guard;
 use stein::{DfcParams, Error, Method, Preset};
 
 fn presets() -> impl Iterator<Item = (Method, Preset)> {
-    Method::all().into_iter().flat_map(|method| Preset::ALL.iter().map(move |preset| (method.of_preset(*preset), *preset)))
+    Method::all()
+        .into_iter()
+        .flat_map(|method| Preset::ALL.iter().map(move |preset| (method.of_preset(*preset), *preset)))
 }
 
 fn find(method: &Method, name: &str) -> Parameter {
@@ -66,10 +68,17 @@ fn every_parameter_is_documented() {
                 // A panel shows it as it is.
                 assert!(text.ends_with('.') && !text.contains("](") && !text.contains("  "), "{name}: {text}");
             }
-            assert!(documentation.starts_with(parameter.summary()) && parameter.summary().ends_with('.'), "{name}: {}", parameter.summary());
+            assert!(
+                documentation.starts_with(parameter.summary()) && parameter.summary().ends_with('.'),
+                "{name}: {}",
+                parameter.summary()
+            );
         }
     }
-    assert_eq!(find(&Method::default(), "covariance").summary(), "How often the last term of SURE counts, 2σ²·dF/du (eq. 8.5).");
+    assert_eq!(
+        find(&Method::default(), "covariance").summary(),
+        "How often the last term of SURE counts, 2σ²·dF/du (eq. 8.5)."
+    );
 }
 
 #[test]
@@ -108,7 +117,8 @@ fn names_and_values_are_those_of_the_struct() {
         for Parameter { name, value, default, thesis, .. } in &listed {
             assert_eq!(value, if preset == Preset::Default { default } else { thesis }, "{name}");
         }
-        let mut listed: Vec<_> = listed.into_iter().filter_map(|parameter| Some((parameter.name, shown(parameter.value?)))).collect();
+        let mut listed: Vec<_> =
+            listed.into_iter().filter_map(|parameter| Some((parameter.name, shown(parameter.value?)))).collect();
         listed.sort_by(|a, b| a.0.cmp(&b.0));
         assert_eq!(listed, of_struct);
     }
@@ -122,7 +132,10 @@ fn parameters_outside_their_range_are_refused() {
             let wrong: Vec<Value> = match &parameter.kind {
                 Kind::Integer { range } => {
                     let below = range.start().checked_sub(1).map(Value::Integer);
-                    below.into_iter().chain([(range.end() + 1).into(), 1.5.into(), true.into(), "many".into()]).collect()
+                    below
+                        .into_iter()
+                        .chain([(range.end() + 1).into(), 1.5.into(), true.into(), "many".into()])
+                        .collect()
                 }
                 Kind::Number { range, .. } => {
                     let outside = |bound: Bound<f32>, outwards: fn(f32) -> f32| match bound {
@@ -135,7 +148,9 @@ fn parameters_outside_their_range_are_refused() {
                 }
                 Kind::Flag | Kind::Group => vec![1.into(), "true".into()],
                 Kind::Choice { .. } => vec!["nonsense".into(), ["spread"].into(), 1.into()],
-                Kind::Set { .. } => vec!["first".into(), [].into(), ["first", "nonsense"].into(), ["first", "first"].into()],
+                Kind::Set { .. } => {
+                    vec!["first".into(), [].into(), ["first", "nonsense"].into(), ["first", "first"].into()]
+                }
             };
             for value in wrong {
                 assert!(!parameter.kind.contains(&value), "{name}: {value}");
@@ -146,7 +161,10 @@ fn parameters_outside_their_range_are_refused() {
     let radius = |window_radius| Method::from(DfcParams { window_radius, ..DfcParams::default() }).validate();
     assert_refused(radius(0), &["`window_radius` cannot be 0", "a whole number from 1 to 64 pixels"]);
     assert!(radius(1).is_ok() && radius(64).is_ok());
-    let guard = |own_noise| Method::from(DfcParams { guard: Some(Guard { own_noise, ..Guard::default() }), ..DfcParams::default() }).validate();
+    let guard = |own_noise| {
+        Method::from(DfcParams { guard: Some(Guard { own_noise, ..Guard::default() }), ..DfcParams::default() })
+            .validate()
+    };
     assert_refused(guard(-1.0), &["`guard.own_noise` cannot be -1", "at least 0"]);
     let limit = |most_sigmas| {
         let second_pass = Some(SecondPass { most_sigmas, ..SecondPass::default() });
@@ -155,8 +173,14 @@ fn parameters_outside_their_range_are_refused() {
     assert_refused(limit(Some(0.0)), &["`second_pass.most_sigmas` cannot be 0", "or false to leave it out"]);
     assert!(limit(None).is_ok());
     // Together.
-    assert_refused(Method::default().with_parameter("first_patch_radius", 4), &["`first_patch_radius` is 4", "`second_patch_radius` 3"]);
-    assert_refused(Method::default().with_parameter("weighting.symmetric", "hard"), &["cannot be hard", "one of off, blended"]);
+    assert_refused(
+        Method::default().with_parameter("first_patch_radius", 4),
+        &["`first_patch_radius` is 4", "`second_patch_radius` 3"],
+    );
+    assert_refused(
+        Method::default().with_parameter("weighting.symmetric", "hard"),
+        &["cannot be hard", "one of off, blended"],
+    );
     assert!(set(Method::all()[2], "weighting.symmetric", "hard") == Method::all()[2]);
 }
 
@@ -165,7 +189,10 @@ fn names_that_are_none_are_told_with_what_there_is() {
     let [dfc, gem, nlm] = Method::all();
     assert_refused(dfc.with_parameter("windw_radius", 3), &["`windw_radius` is no parameter of dfc", "window_radius"]);
     assert_refused(dfc.with_parameter("guard.nonsense", 3), &["guard.own_noise"]);
-    assert_refused(gem.with_parameter("window_radius", 3), &["`window_radius` is no parameter of gem, but of dfc and nlm"]);
+    assert_refused(
+        gem.with_parameter("window_radius", 3),
+        &["`window_radius` is no parameter of gem, but of dfc and nlm"],
+    );
     assert_refused(nlm.with_parameter("weighting", false), &["`weighting` is a group", "weighting.symmetric"]);
 }
 
@@ -196,18 +223,28 @@ fn toml_holds_every_parameter() {
             };
             let Parameter { name, value: Some(_), .. } = &method.parameters()[index] else { continue };
             let changes = others(&method.parameters()[index]);
-            let changes: Vec<_> = changes.into_iter().filter_map(|value| method.with_parameter(name, value).ok()).collect();
+            let changes: Vec<_> =
+                changes.into_iter().filter_map(|value| method.with_parameter(name, value).ok()).collect();
             assert!(!changes.is_empty() && !changes.contains(&method), "{name} has no other value");
             changes.into_iter().for_each(there_and_back);
             // And all of them together, but for groups, which take theirs along.
             let parameter = find(&changed, name);
             if parameter.kind != Kind::Group {
-                changed = others(&parameter).into_iter().find_map(|value| changed.with_parameter(name, value).ok()).unwrap_or(changed);
+                changed = others(&parameter)
+                    .into_iter()
+                    .find_map(|value| changed.with_parameter(name, value).ok())
+                    .unwrap_or(changed);
                 there_and_back(changed);
             }
         }
-        let differing = |other: &Method| method.parameters().into_iter().zip(other.parameters()).filter(|(a, b)| a.value != b.value).count();
-        let groups = method.parameters().iter().filter(|parameter| parameter.kind == Kind::Group || parameter.value.is_none()).count();
+        let differing = |other: &Method| {
+            method.parameters().into_iter().zip(other.parameters()).filter(|(a, b)| a.value != b.value).count()
+        };
+        let groups = method
+            .parameters()
+            .iter()
+            .filter(|parameter| parameter.kind == Kind::Group || parameter.value.is_none())
+            .count();
         assert_eq!(differing(&changed), method.parameters().len() - groups, "{}", changed.to_toml(preset));
     }
 }
@@ -231,8 +268,12 @@ fn what_toml_does_not_say_is_as_in_its_preset() {
     // A whole number too large for an integer is a number all the same.
     assert_eq!(read("color_k = 5000000000").0, set(dfc, "color_k", 5e9));
     // What contradicts the rest half way does not at the end.
-    assert_eq!(read("first_patch_radius = 5\nsecond_patch_radius = 5").0, set(set(dfc, "second_patch_radius", 5), "first_patch_radius", 5));
-    // Digits are read as they are, not by way of another precision: this is above the middle of two numbers by less than a float64 can tell.
+    assert_eq!(
+        read("first_patch_radius = 5\nsecond_patch_radius = 5").0,
+        set(set(dfc, "second_patch_radius", 5), "first_patch_radius", 5)
+    );
+    // Digits are read as they are, not by way of another precision: this is above the middle of two numbers by less
+    // than a float64 can tell.
     let k = read("color_k = 1.00000005960464477540").0;
     assert_eq!(find(&k, "color_k").value, Some(Value::Number(1.0f32.next_up())));
 }

@@ -1,4 +1,5 @@
-//! What the methods do about pixels that stand out: those that rest on few samples go, with their energy kept as far as it is likely, and lights stay.
+//! What the methods do about pixels that stand out: those that rest on few samples go, with their energy kept as far as
+//! it is likely, and lights stay.
 
 use stein::frame::Signal;
 use stein::method::{Intermediate, Method, SpikeReport, Spikes};
@@ -16,7 +17,11 @@ const LEVEL: f64 = 1.0;
 const SIGMA: f64 = 0.05;
 
 fn methods() -> [Method; 3] {
-    [DfcParams { window_radius: 4, ..DfcParams::default() }.into(), NlmParams { window_radius: 4, ..NlmParams::default() }.into(), GemParams::default().into()]
+    [
+        DfcParams { window_radius: 4, ..DfcParams::default() }.into(),
+        NlmParams { window_radius: 4, ..NlmParams::default() }.into(),
+        GemParams::default().into(),
+    ]
 }
 
 /// What a pixel is to have.
@@ -39,12 +44,18 @@ fn wall(planted: &[Planted], seed: u64) -> Signal {
         (mean.values[i], spread.values[i], variance.values[i]) = (pixel.mean, pixel.half_spread, pixel.variance);
     }
     let grey = |grid: Grid| -> Planes { vec![rounded(grid); 3] };
-    Signal { mean: image(&grey(mean)), half_spread: Some(image(&grey(spread))), variance_of_mean: Some(image(&grey(variance))) }
+    Signal {
+        mean: image(&grey(mean)),
+        half_spread: Some(image(&grey(spread))),
+        variance_of_mean: Some(image(&grey(variance))),
+    }
 }
 
 fn denoised(method: Method, frames: &[&Frame], keep: &[Intermediate]) -> Estimate {
     let denoiser = Denoiser::new(gpu(), method).unwrap_or_else(|error| panic!("{error}"));
-    denoiser.denoise_window(frames, frames.len() / 2, Options { keep, ..Options::default() }).unwrap_or_else(|error| panic!("{error}"))
+    denoiser
+        .denoise_window(frames, frames.len() / 2, Options { keep, ..Options::default() })
+        .unwrap_or_else(|error| panic!("{error}"))
 }
 
 fn found(estimate: &Estimate) -> SpikeReport {
@@ -66,20 +77,31 @@ fn unadmitted(at: (usize, usize), height: f64) -> Planted {
 
 #[test]
 fn spikes_that_claim_a_small_variance_do_not_survive() {
-    let clusters = [vec![(20, 20)], vec![(20, 20), (21, 20)], vec![(20, 20), (21, 20), (20, 21)], vec![(0, 0)], vec![(47, 39), (46, 38)]];
+    let clusters = [
+        vec![(20, 20)],
+        vec![(20, 20), (21, 20)],
+        vec![(20, 20), (21, 20), (20, 21)],
+        vec![(0, 0)],
+        vec![(47, 39), (46, 38)],
+    ];
     for method in methods() {
         for cluster in &clusters {
             let planted: Vec<_> = cluster.iter().map(|&at| unadmitted(at, 1e6)).collect();
             let frame = frame(wall(&planted, 5));
             let estimate = denoised(method, &[&frame], &[]);
             assert_eq!(found(&estimate).pixels, cluster.len(), "{}: {cluster:?}", method.name());
-            // Nothing is left of it, and the wall is as bright as it was: each of the spikes has given a tenth of the level at the most to the pixels around.
+            // Nothing is left of it, and the wall is as bright as it was: each of the spikes has given a tenth of the
+            // level at the most to the pixels around.
             let plane = &estimate.color.planes[0];
             let farthest = plane.iter().fold(0.0f64, |most, value| most.max((f64::from(*value) - LEVEL).abs()));
             let bound = 0.1 * cluster.len() as f64 + 4.0 * SIGMA;
             assert!(farthest < bound, "{}: {cluster:?}: {farthest} off", method.name());
             let energy = mean(plane) / LEVEL;
-            assert!((0.99..1.0 + 0.1 * cluster.len() as f64).contains(&energy), "{}: {cluster:?}: energy {energy}", method.name());
+            assert!(
+                (0.99..1.0 + 0.1 * cluster.len() as f64).contains(&energy),
+                "{}: {cluster:?}: energy {energy}",
+                method.name()
+            );
         }
     }
 }
@@ -101,7 +123,9 @@ fn spikes_that_admit_to_it_do_not_survive_either() {
             let estimate = denoised(method, &[&frame(signal.clone())], &[]);
             assert_eq!(found(&estimate).pixels, spikes, "{}: {what}", method.name());
             if spikes == 2 {
-                let farthest = estimate.color.planes[0].iter().fold(0.0f64, |most, value| most.max((f64::from(*value) - LEVEL).abs()));
+                let farthest = estimate.color.planes[0]
+                    .iter()
+                    .fold(0.0f64, |most, value| most.max((f64::from(*value) - LEVEL).abs()));
                 assert!(farthest < 0.2 + 4.0 * SIGMA, "{}: {what}: {farthest} off", method.name());
             }
         }
@@ -112,15 +136,24 @@ fn spikes_that_admit_to_it_do_not_survive_either() {
 #[test]
 fn likely_energy_is_kept() {
     let heights = [1.5, 2.0, 3.0, 5.0];
-    let planted: Vec<_> = heights.iter().zip([(12, 12), (36, 12), (12, 28), (36, 28)]).map(|(height, at)| unadmitted(at, LEVEL + height)).collect();
+    let planted: Vec<_> = heights
+        .iter()
+        .zip([(12, 12), (36, 12), (12, 28), (36, 28)])
+        .map(|(height, at)| unadmitted(at, LEVEL + height))
+        .collect();
     let frame = frame(wall(&planted, 7));
     let energy = mean(&frame.color().mean.planes[0]);
     for method in methods() {
-        let [kept, spread, clamped] = [Spikes::Keep, Spikes::Spread, Spikes::Clamp].map(|spikes| denoised(method.with_spikes(spikes), &[&frame], &[]));
+        let [kept, spread, clamped] = [Spikes::Keep, Spikes::Spread, Spikes::Clamp]
+            .map(|spikes| denoised(method.with_spikes(spikes), &[&frame], &[]));
         assert_eq!(kept.spikes, None);
         for estimate in [&spread, &clamped] {
             let taken = heights.iter().sum::<f64>() / (WIDTH * HEIGHT) as f64 / energy;
-            assert!(found(estimate).pixels == 4 && (found(estimate).taken / taken - 1.0).abs() < 0.05, "{}", found(estimate));
+            assert!(
+                found(estimate).pixels == 4 && (found(estimate).taken / taken - 1.0).abs() < 0.05,
+                "{}",
+                found(estimate)
+            );
         }
         assert_eq!(found(&clamped).spread, 0.0);
         // 5 spread over 441 pixels is a ninth of what half of it would be left out of.
@@ -142,9 +175,15 @@ fn lights_stay() {
         Planted { at: (40, 10), mean: 20.0, half_spread: 3.0, variance: 9.0 },
     ];
     let signal = wall(&lights, 8);
-    let clean = |image: &stein::Image| stein::Image { planes: image.planes.iter().map(|plane| vec![0.0; plane.len()]).collect(), ..image.clone() };
-    let noise_free =
-        Signal { half_spread: signal.half_spread.as_ref().map(clean), variance_of_mean: signal.variance_of_mean.as_ref().map(clean), ..signal.clone() };
+    let clean = |image: &stein::Image| stein::Image {
+        planes: image.planes.iter().map(|plane| vec![0.0; plane.len()]).collect(),
+        ..image.clone()
+    };
+    let noise_free = Signal {
+        half_spread: signal.half_spread.as_ref().map(clean),
+        variance_of_mean: signal.variance_of_mean.as_ref().map(clean),
+        ..signal.clone()
+    };
     let two_seeds = Signal { variance_of_mean: None, ..signal.clone() };
     for (what, signal) in [("noisy", &signal), ("two seeds", &two_seeds), ("without noise", &noise_free)] {
         let frame = frame(signal.clone());
@@ -158,7 +197,13 @@ fn lights_stay() {
                         assert_eq!(value, input, "{}, {what}: a light", method.name());
                     } else {
                         let off = (f64::from(*value) - LEVEL).abs();
-                        assert!(off < 5.0 * SIGMA, "{}, {what}: {off} off at x {}, y {}", method.name(), at % WIDTH, at / WIDTH);
+                        assert!(
+                            off < 5.0 * SIGMA,
+                            "{}, {what}: {off} off at x {}, y {}",
+                            method.name(),
+                            at % WIDTH,
+                            at / WIDTH
+                        );
                     }
                 }
             }
@@ -171,7 +216,12 @@ fn lights_stay() {
 fn with_more_samples_spikes_are_lights() {
     let of_samples = |samples: f64| {
         let (height, hits) = (40.0, samples / 8.0);
-        Planted { at: (24, 20), mean: LEVEL + height, half_spread: height / f64::sqrt(hits), variance: height * height / hits }
+        Planted {
+            at: (24, 20),
+            mean: LEVEL + height,
+            half_spread: height / f64::sqrt(hits),
+            variance: height * height / hits,
+        }
     };
     for method in methods() {
         let taken = [8.0, 8000.0].map(|samples| {
@@ -205,7 +255,10 @@ fn spikes_of_frames_beside_do_no_harm() {
     for method in methods().into_iter().filter(Method::filters_in_time) {
         let [with, without] = [&spiky, &plain].map(|beside| denoised(method, &[beside, &own, &plain], &[]));
         assert_eq!(found(&with).pixels, 0, "they are those of the frame itself");
-        let difference = with.color.planes[0].iter().zip(&without.color.planes[0]).fold(0.0f32, |most, (a, b)| most.max((a - b).abs()));
+        let difference = with.color.planes[0]
+            .iter()
+            .zip(&without.color.planes[0])
+            .fold(0.0f32, |most, (a, b)| most.max((a - b).abs()));
         assert!(difference < 0.1, "{}: {difference}", method.name());
     }
 }
@@ -215,18 +268,32 @@ fn spikes_of_frames_beside_do_no_harm() {
 fn strips_repair_like_the_whole() {
     let (width, height) = (24, 300);
     let mut random = Random(13);
-    let (noise, halves, chosen) =
-        (random.gaussian_grid(width, height, LEVEL, SIGMA), random.gaussian_grid(width, height, 0.0, SIGMA), random.uniform_grid(width, height, 0.0, 60.0));
+    let (noise, halves, chosen) = (
+        random.gaussian_grid(width, height, LEVEL, SIGMA),
+        random.gaussian_grid(width, height, 0.0, SIGMA),
+        random.uniform_grid(width, height, 0.0, 60.0),
+    );
     let is_spike = |i: usize| chosen.values[i] < 1.0;
     let of = |grid: &Grid, other: &dyn Fn(usize) -> f64| -> Planes {
-        let values = grid.values.iter().enumerate().map(|(i, value)| if is_spike(i) { other(i) } else { *value }).collect();
+        let values =
+            grid.values.iter().enumerate().map(|(i, value)| if is_spike(i) { other(i) } else { *value }).collect();
         vec![rounded(Grid { width, height, values }); 3]
     };
     let size = |i: usize| 3.0 + 1000.0 * chosen.values[i];
     let mean = image(&of(&noise, &|i| LEVEL + size(i)));
-    let signal = Signal { mean, half_spread: Some(image(&of(&halves, &size))), variance_of_mean: Some(image(&of(&noise.like(|_| SIGMA * SIGMA), &|_| 1e-4))) };
-    let features =
-        vec![("depth".to_owned(), Signal { mean: image(&[halves.like(|p| (p.y / 40) as f64)]), half_spread: Some(image(&[halves])), variance_of_mean: None })];
+    let signal = Signal {
+        mean,
+        half_spread: Some(image(&of(&halves, &size))),
+        variance_of_mean: Some(image(&of(&noise.like(|_| SIGMA * SIGMA), &|_| 1e-4))),
+    };
+    let features = vec![(
+        "depth".to_owned(),
+        Signal {
+            mean: image(&[halves.like(|p| (p.y / 40) as f64)]),
+            half_spread: Some(image(&[halves])),
+            variance_of_mean: None,
+        },
+    )];
     let frame = new_frame(signal, features);
     // As many rows as fit with their halo, which GEM has most of.
     for (method, bytes) in methods().into_iter().zip([4_200_000, 1_800_000, 2_530_000]) {
@@ -236,6 +303,9 @@ fn strips_repair_like_the_whole() {
         assert!(whole.strips == 1 && cut.strips > 1, "{}: {} strips", method.name(), cut.strips);
         assert_same(&format!("{} in {} strips", method.name(), cut.strips), &cut, &whole, 1.0);
         let (cut, whole) = (found(&cut), found(&whole));
-        assert!(whole.pixels > 30 && cut.pixels == whole.pixels && (cut.spread / whole.spread - 1.0).abs() < 1e-9, "{cut:?} instead of {whole:?}");
+        assert!(
+            whole.pixels > 30 && cut.pixels == whole.pixels && (cut.spread / whole.spread - 1.0).abs() < 1e-9,
+            "{cut:?} instead of {whole:?}"
+        );
     }
 }

@@ -19,7 +19,9 @@ const EXTENT: Extent = Extent { width: 40, height: 40 };
 fn still(samples: u32, seed: u64) -> Frame {
     let scene = scene("dof").unwrap_or_else(|| panic!("no such scene"));
     let counts = SampleCounts::uniform(EXTENT, samples).unwrap_or_else(|error| panic!("{error}"));
-    let samples = StubSampler::new(scene, EXTENT, seed, Sequence::Random).sample(&counts, None).unwrap_or_else(|error| panic!("{error}"));
+    let samples = StubSampler::new(scene, EXTENT, seed, Sequence::Random)
+        .sample(&counts, None)
+        .unwrap_or_else(|error| panic!("{error}"));
     samples.to_frame().unwrap_or_else(|error| panic!("{error}")).0
 }
 
@@ -46,7 +48,8 @@ fn error(image: &Image, reference: &Frame) -> f64 {
 #[test]
 fn a_static_shot_of_n_frames_is_as_good_as_n_times_the_samples() {
     let reference = still(2048, 1000);
-    // Differences are judged by the noise of single frames, and by that of their halves in NLM: hence not quite as good.
+    // Differences are judged by the noise of single frames, and by that of their halves in NLM: hence not quite as
+    // good.
     as_good_as_n_times_the_samples(&denoiser(gpu()), &reference, 1.3);
     as_good_as_n_times_the_samples(&nlm(gpu()), &reference, 1.6);
 }
@@ -74,7 +77,9 @@ fn copies_of_a_frame_change_nothing() {
         let (alone, together) = (window(&denoiser, &[&frame], 0), window(&denoiser, &[&frame, &frame, &frame], 1));
         let near = |actual: &Image, expected: &Image, factor: f32, what: &str| {
             let values = actual.planes.iter().flatten().zip(expected.planes.iter().flatten());
-            let worst = values.map(|(actual, expected)| (actual - factor * expected).abs() / (factor * expected).abs().max(1e-3)).fold(0.0, f32::max);
+            let worst = values
+                .map(|(actual, expected)| (actual - factor * expected).abs() / (factor * expected).abs().max(1e-3))
+                .fold(0.0, f32::max);
             assert!(worst < 1e-4, "{what} is off by {worst} with {params:?}");
         };
         near(&together.color, &alone.color, 1.0, "the colour");
@@ -106,8 +111,12 @@ fn strips_are_the_whole(method: fn(&Gpu) -> Denoiser, frames: &[&Frame], limit: 
 fn tall(frame: &Frame) -> Frame {
     let stack = |image: &Image| {
         let (width, height) = (image.extent.width as usize, image.extent.height as usize);
-        let mirrored = |row: usize| if (row / height).is_multiple_of(2) { row % height } else { height - 1 - row % height };
-        let planes = image.planes.iter().map(|plane| (0..7 * height).flat_map(|row| plane[mirrored(row) * width..][..width].to_vec()).collect());
+        let mirrored =
+            |row: usize| if (row / height).is_multiple_of(2) { row % height } else { height - 1 - row % height };
+        let planes = image
+            .planes
+            .iter()
+            .map(|plane| (0..7 * height).flat_map(|row| plane[mirrored(row) * width..][..width].to_vec()).collect());
         Image { extent: Extent { height: 7 * image.extent.height, ..image.extent }, planes: planes.collect() }
     };
     changed(frame, |_, signal| Signal {
@@ -120,11 +129,16 @@ fn tall(frame: &Frame) -> Frame {
 /// Each signal, the colour's under the name of "colour", made into another.
 fn changed(frame: &Frame, mut change: impl FnMut(&str, Signal) -> Signal) -> Frame {
     let color = change("colour", frame.color().clone());
-    let features = frame.features().iter().map(|feature| (feature.name.clone(), change(&feature.name, feature.signal.clone()))).collect();
+    let features = frame
+        .features()
+        .iter()
+        .map(|feature| (feature.name.clone(), change(&feature.name, feature.signal.clone())))
+        .collect();
     Frame::new(color, features, SamplesPerPixel::Unknown).unwrap_or_else(|error| panic!("{error}")).0
 }
 
-/// One far pixel shrinks all other depths of its frame within the unit range; those of the window must be compared as they were.
+/// One far pixel shrinks all other depths of its frame within the unit range; those of the window must be compared as
+/// they were.
 #[test]
 fn features_of_a_window_are_compared_in_the_units_of_one_frame() {
     let [centre, beside] = [1, 2].map(|seed| still(8, seed));
@@ -153,7 +167,11 @@ fn a_feature_that_one_frame_lacks_is_left_out_of_the_window() {
     let same = |_: &str, signal: Signal| signal;
     let without_depth = |name: &str, signal: Signal| {
         // The same everywhere: such a feature is dropped.
-        if name == "depth" { Signal { mean: Image::filled(EXTENT, 1, 0.5), half_spread: None, variance_of_mean: None } } else { signal }
+        if name == "depth" {
+            Signal { mean: Image::filled(EXTENT, 1, 0.5), half_spread: None, variance_of_mean: None }
+        } else {
+            signal
+        }
     };
     let without = changed(&beside, without_depth);
     assert!(without.features().len() + 1 == beside.features().len());
@@ -170,8 +188,21 @@ fn frames_on_the_gpu_that_do_not_fit_together_are_refused() {
             let signal = rec.upload("signal", &vec![0.5; 8 * width as usize]).unwrap_or_else(|error| panic!("{error}"));
             GpuSignal { signal: signal.into(), variance_of_mean: None, has_halves }
         };
-        let features = (0..features).map(|index| GpuFeature { name: index.to_string(), kind: FeatureKind::Other, signal: signal(true), channels: 1 }).collect();
-        GpuFrame { extent: IVec2::new(width, 1), color: signal(has_halves), features, samples: GpuSamples::Uniform(1.0), mean_variance: None }
+        let features = (0..features)
+            .map(|index| GpuFeature {
+                name: index.to_string(),
+                kind: FeatureKind::Other,
+                signal: signal(true),
+                channels: 1,
+            })
+            .collect();
+        GpuFrame {
+            extent: IVec2::new(width, 1),
+            color: signal(has_halves),
+            features,
+            samples: GpuSamples::Uniform(1.0),
+            mean_variance: None,
+        }
     };
     for (denoiser, width, has_halves, features, fits) in [
         (denoiser(gpu()), 2, true, 1, true),
@@ -185,7 +216,9 @@ fn frames_on_the_gpu_that_do_not_fit_together_are_refused() {
         let (own, other) = (frame(&mut rec, 2, true, 1), frame(&mut rec, width, has_halves, features));
         match denoiser.record(&mut rec, own, vec![other]) {
             Ok(_) => assert!(fits, "{width} {has_halves} {features}"),
-            Err(error) => assert!(!fits && matches!(error, Error::Request { .. }), "{width} {has_halves} {features}: {error}"),
+            Err(error) => {
+                assert!(!fits && matches!(error, Error::Request { .. }), "{width} {has_halves} {features}: {error}");
+            }
         }
     }
 }

@@ -1,8 +1,9 @@
 //! Algorithm 1 on the GPU against the same in float64, on parts of real renders.
 //!
-//! Every stage is held to its twin by the tests of the stages; here errors travel through all of them. Rounding can turn a binary decision over where two errors tie
-//! (which of them is the least, whether the guard lets a candidate in), and with it the maps of all pixels within the smoothing's radius. So the
-//! decisions are looked at by themselves: where one differs, the errors must tie.
+//! Every stage is held to its twin by the tests of the stages; here errors travel through all of them. Rounding can
+//! turn a binary decision over where two errors tie (which of them is the least, whether the guard lets a candidate
+//! in), and with it the maps of all pixels within the smoothing's radius. So the decisions are looked at by themselves:
+//! where one differs, the errors must tie.
 
 use stein::method::Intermediate;
 use stein::stage::candidate_set::CandidateSet;
@@ -22,12 +23,16 @@ fn the_presets_are_those_of_the_reference() {
         // 0.45 as a float32 is not 0.45.
         let round = |value: &mut f64| *value = format!("{:.4e}", value).parse().unwrap_or(f64::NAN);
         for candidate in &mut shown.candidates {
-            [&mut candidate.k_color, &mut candidate.k_feature, &mut candidate.tau].into_iter().filter(|v| v.is_finite()).for_each(round);
+            [&mut candidate.k_color, &mut candidate.k_feature, &mut candidate.tau]
+                .into_iter()
+                .filter(|v| v.is_finite())
+                .for_each(round);
         }
-        shown
-            .guard
-            .iter_mut()
-            .for_each(|guard| [&mut guard.smoothed_error, &mut guard.smoothed_noise, &mut guard.own_sigmas, &mut guard.own_noise].into_iter().for_each(round));
+        shown.guard.iter_mut().for_each(|guard| {
+            [&mut guard.smoothed_error, &mut guard.smoothed_noise, &mut guard.own_sigmas, &mut guard.own_noise]
+                .into_iter()
+                .for_each(round);
+        });
         round(&mut shown.second_pass.k_color);
         // A filter without a colour term has no patches.
         shown.candidates[2].patch_radius = twin.candidates[2].patch_radius;
@@ -82,12 +87,20 @@ impl Compared {
         let layer = |name: &str, factor: f64| layer(&self.estimate, name, factor);
         let input = &twin.color.mean;
 
-        self.near("scaled variance", &layer("scaled_variance", exposure * exposure), &twin.color_variance, &own_size(&twin.color_variance, 0.0), 1e-5, 0.0);
+        self.near(
+            "scaled variance",
+            &layer("scaled_variance", exposure * exposure),
+            &twin.color_variance,
+            &own_size(&twin.color_variance, 0.0),
+            1e-5,
+            0.0,
+        );
 
         for (feature, expected) in frame.features().iter().zip(&twin.features) {
             let (scale, offset) = (f64::from(feature.unit_scale), f64::from(feature.unit_offset));
             let name = format!("{}_prefiltered", feature.name);
-            let actual: Planes = layer(&name, 1.0).iter().map(|grid| grid.like(|p| (grid.at(p) - offset) / scale)).collect();
+            let actual: Planes =
+                layer(&name, 1.0).iter().map(|grid| grid.like(|p| (grid.at(p) - offset) / scale)).collect();
             // In unit range; layers are in the file's range, whose offset costs digits.
             let size = 1.0 + (offset / scale).abs();
             self.near(&name, &actual, &expected.feature.mean, &flat(&actual, size), 1e-5, 0.0);
@@ -98,9 +111,23 @@ impl Compared {
 
         let taking_part = (0..3).filter(|k| self.takes_part[*k]);
         for (candidate, name) in taking_part.clone().map(|k| (&twin.candidates[k], CANDIDATES[k])) {
-            self.near(name, &layer(name, exposure), &candidate.mean, &self.color_scale(input, &candidate.mean), FILTERED, OF_ONE_KIND);
+            self.near(
+                name,
+                &layer(name, exposure),
+                &candidate.mean,
+                &self.color_scale(input, &candidate.mean),
+                FILTERED,
+                OF_ONE_KIND,
+            );
             let derivative = format!("{name}_derivative");
-            self.near(&derivative, &layer(&derivative, 1.0), &candidate.derivative, &own_size(&candidate.derivative, 1.0), 1e-3, OF_ONE_KIND);
+            self.near(
+                &derivative,
+                &layer(&derivative, 1.0),
+                &candidate.derivative,
+                &own_size(&candidate.derivative, 1.0),
+                1e-3,
+                OF_ONE_KIND,
+            );
         }
 
         let terms = |k: usize| {
@@ -120,10 +147,24 @@ impl Compared {
 
         self.near("maps", &layer("selection", 1.0), &twin.maps, &flat(&twin.maps, 1.0), FILTERED, FLIPPED);
         if frame.color().half_spread.is_some() {
-            self.near("pass 1", &layer("pass1", exposure), &twin.pass1.mean, &self.color_scale(input, &twin.pass1.mean), FILTERED, FLIPPED);
+            self.near(
+                "pass 1",
+                &layer("pass1", exposure),
+                &twin.pass1.mean,
+                &self.color_scale(input, &twin.pass1.mean),
+                FILTERED,
+                FLIPPED,
+            );
         }
         let result = &twin.result;
-        self.near("result", &grids(&self.estimate.color, exposure), &result.mean, &self.color_scale(input, &result.mean), FILTERED, FLIPPED);
+        self.near(
+            "result",
+            &grids(&self.estimate.color, exposure),
+            &result.mean,
+            &self.color_scale(input, &result.mean),
+            FILTERED,
+            FLIPPED,
+        );
         let spread = self.estimate.half_spread.as_ref().map(|image| grids(image, exposure));
         assert_eq!(spread.is_some(), result.spread.is_some(), "{}: half spread", self.what);
         if let (Some(spread), Some(expected)) = (&spread, &result.spread) {
@@ -131,14 +172,22 @@ impl Compared {
         }
         // Where shares differ by rounding, another one of the candidates' distances counts.
         let size: Planes = vec![terms[0].like(|p| twin.result_error.at(p) + terms[0].at(p))];
-        self.near("error", &grids(error_of(&self.estimate), exposure * exposure), std::slice::from_ref(&twin.result_error), &size, 2e-3, FLIPPED);
+        self.near(
+            "error",
+            &grids(error_of(&self.estimate), exposure * exposure),
+            std::slice::from_ref(&twin.result_error),
+            &size,
+            2e-3,
+            FLIPPED,
+        );
         // An average of what may be decided otherwise anywhere in a wide window.
         let density = std::slice::from_ref(&self.density);
         let size = [self.density.like(|p| self.density.at(p) + self.density.mean())];
         self.near("density", &layer("density", 1.0), density, &size, 2e-3, FLIPPED);
     }
 
-    /// Another winner than the reference's is one whose error ties with that of the reference's, or FIRST where its derivative ties with SECOND's.
+    /// Another winner than the reference's is one whose error ties with that of the reference's, or FIRST where its
+    /// derivative ties with SECOND's.
     fn check_decisions(&self, selected: &[Grid], terms: &[Grid]) {
         let twin = &self.twin;
         let mut flipped = 0usize;
@@ -151,25 +200,37 @@ impl Compared {
                     continue;
                 }
                 flipped += 1;
-                let Some((actual, expected)) = actual.zip(expected) else { panic!("{}: no winner at {x}, {y}", self.what) };
+                let Some((actual, expected)) = actual.zip(expected) else {
+                    panic!("{}: no winner at {x}, {y}", self.what)
+                };
                 let difference = (twin.errors[actual].at(p) - twin.errors[expected].at(p)).abs();
                 // Smoothed errors are averages of nine.
                 let nearby = reference::square(1).map(|o| p + o).filter(|q| terms[0].contains(*q));
                 let size = nearby.map(|q| terms[actual].at(q).max(terms[expected].at(q))).fold(0.0, f64::max);
                 let derivative = |k: usize| reference::channel_mean(&twin.candidates[k].derivative, p);
                 let derivatives_tie = (derivative(0) - derivative(1)).abs() < 1e-3;
-                assert!(difference < 4e-3 * size || derivatives_tie, "{}: at {x}, {y} {actual} wins in place of {expected}", self.what);
+                assert!(
+                    difference < 4e-3 * size || derivatives_tie,
+                    "{}: at {x}, {y} {actual} wins in place of {expected}",
+                    self.what
+                );
             }
         }
-        assert!(flipped as f64 <= FLIPPED * selected[0].values.len() as f64, "{}: {flipped} decisions differ", self.what);
+        assert!(
+            flipped as f64 <= FLIPPED * selected[0].values.len() as f64,
+            "{}: {flipped} decisions differ",
+            self.what
+        );
     }
 }
 
-/// Filtered values, by how far they are from the input. Features agree to some 10⁻⁶ with their twins. Where a weight is worth anything their difference is below 0.1,
-/// so that its square over k_f²·2τ, at the least 4·10⁻⁴, agrees to 10⁻⁴ or so; the errors of hundreds of weights average out.
+/// Filtered values, by how far they are from the input. Features agree to some 10⁻⁶ with their twins. Where a weight is
+/// worth anything their difference is below 0.1, so that its square over k_f²·2τ, at the least 4·10⁻⁴, agrees to 10⁻⁴
+/// or so; the errors of hundreds of weights average out.
 const FILTERED: f64 = 2e-4;
 
-/// The share of values in which it may be decided otherwise whether a pixel is of a spike's kind, and gets its part of it.
+/// The share of values in which it may be decided otherwise whether a pixel is of a spike's kind, and gets its part of
+/// it.
 const OF_ONE_KIND: f64 = 0.001;
 
 /// The share of pixels in which a decision may fall the other way, or that the smoothing of such a decision reaches.
@@ -200,17 +261,35 @@ fn everything_with_the_thesis_preset() {
 
 #[test]
 fn halves_without_variance() {
-    check("halves only", "caustic_ring_32spp", [20, 30, 40, 33], Keep { variance: false, ..EVERYTHING }, small(DfcParams::default()));
+    check(
+        "halves only",
+        "caustic_ring_32spp",
+        [20, 30, 40, 33],
+        Keep { variance: false, ..EVERYTHING },
+        small(DfcParams::default()),
+    );
 }
 
 #[test]
 fn variance_without_halves() {
-    check("variance only", "dof_spheres_32spp", [30, 20, 40, 33], Keep { halves: false, ..EVERYTHING }, small(DfcParams::default()));
+    check(
+        "variance only",
+        "dof_spheres_32spp",
+        [30, 20, 40, 33],
+        Keep { halves: false, ..EVERYTHING },
+        small(DfcParams::default()),
+    );
 }
 
 #[test]
 fn no_features() {
-    check("no features", "cornell_8spp", [20, 0, 33, 40], Keep { features: &[], ..EVERYTHING }, small(DfcParams::default()));
+    check(
+        "no features",
+        "cornell_8spp",
+        [20, 0, 33, 40],
+        Keep { features: &[], ..EVERYTHING },
+        small(DfcParams::default()),
+    );
 }
 
 #[test]

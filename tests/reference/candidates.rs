@@ -1,8 +1,8 @@
 //! One candidate filter and the derivative of its output by its input (section 8.4).
 
 use super::nlm::{
-    CentreWeight, Feature, FilterParams, Guide, Pair, blendable, distance_to_mean_scale, feature_weights, half_window, nlm_filter, patch_distance,
-    patch_distance_to_mean, pixel_distance_scale, weight, window_weights,
+    CentreWeight, Feature, FilterParams, Guide, Pair, blendable, distance_to_mean_scale, feature_weights, half_window,
+    nlm_filter, patch_distance, patch_distance_to_mean, pixel_distance_scale, weight, window_weights,
 };
 use super::variance::brightness_around;
 use super::{Grid, Planes, Point, square};
@@ -11,7 +11,8 @@ use super::{Grid, Planes, Point, square};
 const RELATIVE_STEP: f64 = 0.01;
 /// Where u is close to 0 that step vanishes: then this share of the standard deviation …
 const NOISE_STEP: f64 = 0.01;
-/// … and where that vanishes too, a step that float32 can still tell from the brightness around the pixel, or from nothing.
+/// … and where that vanishes too, a step that float32 can still tell from the brightness around the pixel, or from
+/// nothing.
 const STEP_AROUND: f64 = 1e-6;
 const SMALLEST_STEP: f64 = 1e-18;
 
@@ -28,7 +29,13 @@ pub struct Candidate {
 }
 
 /// One of FIRST, SECOND and THIRD: the colour filtered with weights from itself and from the features.
-pub fn candidate(mean: &[Grid], spread: Option<&[Grid]>, variance: &[Grid], features: &[Feature], params: &FilterParams) -> Candidate {
+pub fn candidate(
+    mean: &[Grid],
+    spread: Option<&[Grid]>,
+    variance: &[Grid],
+    features: &[Feature],
+    params: &FilterParams,
+) -> Candidate {
     let guide = Some(Guide { mean, variance });
     let payload = [mean, spread.unwrap_or_default()].concat();
     let filtered = nlm_filter(&payload, guide, features, params);
@@ -51,12 +58,23 @@ pub fn candidate(mean: &[Grid], spread: Option<&[Grid]>, variance: &[Grid], feat
 
 /// δ of section 8.4, with the sign of u and never 0.
 pub fn finite_difference_step(u: f64, variance: f64, brightness_around: f64) -> f64 {
-    let size = (RELATIVE_STEP * u.abs()).max(NOISE_STEP * variance.max(0.0).sqrt()).max(STEP_AROUND * brightness_around).max(SMALLEST_STEP);
+    let size = (RELATIVE_STEP * u.abs())
+        .max(NOISE_STEP * variance.max(0.0).sqrt())
+        .max(STEP_AROUND * brightness_around)
+        .max(SMALLEST_STEP);
     if u < 0.0 { -size } else { size }
 }
 
 /// dF_i(p)/du_i(p) of section 8.4. Weights that do not depend on the colour leave w(p, p)/C, which is exact.
-pub fn finite_difference(mean: &[Grid], variance: &[Grid], features: &[Feature], params: &FilterParams, p: Point, i: usize, step: f64) -> f64 {
+pub fn finite_difference(
+    mean: &[Grid],
+    variance: &[Grid],
+    features: &[Feature],
+    params: &FilterParams,
+    p: Point,
+    i: usize,
+    step: f64,
+) -> f64 {
     if params.k_color.is_infinite() {
         let weights = window_weights(&mean[0], p, None, features, params);
         return weights.centre.1 / weights.sum();
@@ -66,7 +84,15 @@ pub fn finite_difference(mean: &[Grid], variance: &[Grid], features: &[Feature],
 }
 
 /// F_i(p) in an image where only u_i(p) has changed.
-fn perturbed(mean: &[Grid], variance: &[Grid], features: &[Feature], params: &FilterParams, p: Point, i: usize, step: f64) -> f64 {
+fn perturbed(
+    mean: &[Grid],
+    variance: &[Grid],
+    features: &[Feature],
+    params: &FilterParams,
+    p: Point,
+    i: usize,
+    step: f64,
+) -> f64 {
     let mut perturbed = mean.to_vec();
     let at = perturbed[i].index(p);
     perturbed[i].values[at] += step;
@@ -74,9 +100,16 @@ fn perturbed(mean: &[Grid], variance: &[Grid], features: &[Feature], params: &Fi
     window_weights(&mean[0], p, guide, features, params).average(&perturbed[i])
 }
 
-/// dF_i(p)/du_i(p) where it exists: (Σ w'(p, q)·(u_i(q) − F_i(p)) + w(p, p))/C(p), the sum including q = p. This is not part
-/// of the pipeline, it judges the finite difference.
-pub fn analytic_derivative(mean: &[Grid], variance: &[Grid], features: &[Feature], params: &FilterParams, p: Point, i: usize) -> f64 {
+/// dF_i(p)/du_i(p) where it exists: (Σ w'(p, q)·(u_i(q) − F_i(p)) + w(p, p))/C(p), the sum including q = p. This is not
+/// part of the pipeline, it judges the finite difference.
+pub fn analytic_derivative(
+    mean: &[Grid],
+    variance: &[Grid],
+    features: &[Feature],
+    params: &FilterParams,
+    p: Point,
+    i: usize,
+) -> f64 {
     let guide = Guide { mean, variance };
     let weights = window_weights(&mean[0], p, Some(guide), features, params);
     let filtered = weights.average(&mean[i]);
@@ -95,7 +128,9 @@ pub fn analytic_derivative(mean: &[Grid], variance: &[Grid], features: &[Feature
     }
     let centre_slope = match params.centre {
         CentreWeight::One => 0.0,
-        CentreWeight::LargestNeighbour => neighbours.iter().find(|&&(_, w, _)| w == weights.centre.1).map_or(0.0, |&(_, _, slope)| slope),
+        CentreWeight::LargestNeighbour => {
+            neighbours.iter().find(|&&(_, w, _)| w == weights.centre.1).map_or(0.0, |&(_, _, slope)| slope)
+        }
     };
     let through_weights: f64 = neighbours.iter().map(|&(q, _, slope)| slope * (mean[i].at(q) - filtered)).sum();
     let through_centre = centre_slope * (mean[i].at(p) - filtered);
@@ -112,8 +147,8 @@ fn color_weight_slopes(guide: Guide, pair: &Pair, params: &FilterParams, i: usiz
     let weight_slope = |d: f64, slope: f64| (weight(d), if d > 0.0 { -weight(d) * slope } else { 0.0 });
 
     let [d1, d2] = [pair.q1, pair.q2].map(|q| q.map_or(f64::INFINITY, |q| patch_distance((guide, guide), k, f, p, q)));
-    let [(w1, slope1), (w2, slope2)] =
-        [(pair.q1, d1), (pair.q2, d2)].map(|(q, d)| q.map_or((0.0, 0.0), |q| weight_slope(d, patch_distance_slope(guide, k, f, p, q, i))));
+    let [(w1, slope1), (w2, slope2)] = [(pair.q1, d1), (pair.q2, d2)]
+        .map(|(q, d)| q.map_or((0.0, 0.0), |q| weight_slope(d, patch_distance_slope(guide, k, f, p, q, i))));
     let (Some(q1), Some(q2)) = (pair.q1, pair.q2) else {
         return [(w1, slope1), (w2, slope2)];
     };
@@ -121,14 +156,24 @@ fn color_weight_slopes(guide: Guide, pair: &Pair, params: &FilterParams, i: usiz
         return [(w1, slope1), (w2, slope2)];
     }
 
-    let (w_mean, mean_slope) = weight_slope(patch_distance_to_mean((guide, guide), k, f, p, q1, q2), patch_distance_to_mean_slope(guide, k, f, p, q1, q2, i));
+    let (w_mean, mean_slope) = weight_slope(
+        patch_distance_to_mean((guide, guide), k, f, p, q1, q2),
+        patch_distance_to_mean_slope(guide, k, f, p, q1, q2, i),
+    );
     let unclamped = w_mean / (w1 + w2) - 1.0;
     let share = unclamped.clamp(0.0, 1.0);
-    let share_slope = if share == unclamped { (mean_slope * (w1 + w2) - w_mean * (slope1 + slope2)) / ((w1 + w2) * (w1 + w2)) } else { 0.0 };
-    [(w1, slope1), (w2, slope2)].map(|(w, slope)| (share * w_mean + (1.0 - share) * w, share_slope * (w_mean - w) + share * mean_slope + (1.0 - share) * slope))
+    let share_slope = if share == unclamped {
+        (mean_slope * (w1 + w2) - w_mean * (slope1 + slope2)) / ((w1 + w2) * (w1 + w2))
+    } else {
+        0.0
+    };
+    [(w1, slope1), (w2, slope2)].map(|(w, slope)| {
+        (share * w_mean + (1.0 - share) * w, share_slope * (w_mean - w) + share * mean_slope + (1.0 - share) * slope)
+    })
 }
 
-/// The slope of `patch_distance` in u_i(p): p takes part in the patch around itself, and, if q is near, in that around q.
+/// The slope of `patch_distance` in u_i(p): p takes part in the patch around itself, and, if q is near, in that around
+/// q.
 fn patch_distance_slope(guide: Guide, k: f64, f: usize, p: Point, q: Point, i: usize) -> f64 {
     let (u, v) = (&guide.mean[i], &guide.variance[i]);
     let (mut slope, mut count) = (0.0, 0.0);

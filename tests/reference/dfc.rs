@@ -39,8 +39,8 @@ pub struct DfcParams {
     /// FIRST, SECOND, THIRD.
     pub candidates: [CandidateParams; 3],
     pub takes_part: [bool; 3],
-    /// Pairs of opposite neighbours and two-sided feature distances. THIRD has the distances alone: it is the widest filter as it is, and without a colour
-    /// term nothing would hold the blend of a pair back.
+    /// Pairs of opposite neighbours and two-sided feature distances. THIRD has the distances alone: it is the widest
+    /// filter as it is, and without a colour term nothing would hold the blend of a pair back.
     pub symmetric: bool,
     pub centre: CentreWeight,
     /// How pixels count where sample variances are scaled by the halves.
@@ -65,7 +65,11 @@ impl DfcParams {
         let first = CandidateParams { k_color: 0.45, k_feature: 0.6, patch_radius: 1, tau: 1e-2 };
         DfcParams {
             window_radius: 10,
-            candidates: [first, CandidateParams { patch_radius: 3, ..first }, CandidateParams { k_color: f64::INFINITY, tau: 1e-3, ..first }],
+            candidates: [
+                first,
+                CandidateParams { patch_radius: 3, ..first },
+                CandidateParams { k_color: f64::INFINITY, tau: 1e-3, ..first },
+            ],
             takes_part: select::ALL,
             symmetric: false,
             centre: CentreWeight::One,
@@ -73,7 +77,13 @@ impl DfcParams {
             covariance: 1.0,
             guard: None,
             spikes: None,
-            second_pass: SecondPassParams { half_radius: false, patch_radius: 1, k_color: 0.45, clamp_to_input: false, most_sigmas: None },
+            second_pass: SecondPassParams {
+                half_radius: false,
+                patch_radius: 1,
+                k_color: 0.45,
+                clamp_to_input: false,
+                most_sigmas: None,
+            },
             color_only: None,
             keep_clean: None,
             noise: None,
@@ -109,7 +119,13 @@ impl Default for DfcParams {
             covariance: 1.5,
             guard: Some(Guard { smoothed_error: 4.0, smoothed_noise: 0.3, own_sigmas: 8.0, own_noise: 4.0 }),
             spikes: Some(SpikeParams::default()),
-            second_pass: SecondPassParams { half_radius: true, patch_radius: 3, k_color: 0.45, clamp_to_input: true, most_sigmas: Some(4.0) },
+            second_pass: SecondPassParams {
+                half_radius: true,
+                patch_radius: 3,
+                k_color: 0.45,
+                clamp_to_input: true,
+                most_sigmas: Some(4.0),
+            },
             color_only: Some(Significance::default()),
             keep_clean: Some(CleanParams::default()),
             noise: Some(NoiseParams::default()),
@@ -179,23 +195,38 @@ pub fn dfc(frame: &Frame, params: &DfcParams) -> Dfc {
     let completed = completed.map(|(color, features)| Frame { color, features, explaining: Vec::new() });
     let frame = completed.as_ref().unwrap_or(frame);
     // Lines 2–5 and 6–10: features and variances. Spikes are none of Algorithm 1.
-    let prefiltered: Vec<Prefiltered> = frame.features.iter().map(|signal| prefilter(signal, params.symmetric, params.centre, params.box_weight)).collect();
+    let prefiltered: Vec<Prefiltered> = frame
+        .features
+        .iter()
+        .map(|signal| prefilter(signal, params.symmetric, params.centre, params.box_weight))
+        .collect();
     let features: Vec<Feature> = prefiltered.iter().map(|prefiltered| prefiltered.feature.clone()).collect();
     let repaired = params.spikes.map(|params| spike::repaired(&frame.color, &features, &params));
     let (color, spikes, squares, lights) = match repaired {
         Some(repaired) => (repaired.signal, Some(repaired.taken), Some(repaired.squares), Some(repaired.lights)),
         None => (frame.color.clone(), None, None, None),
     };
-    let color_variance = floored(&color.mean, &input_variance(&color, params.box_weight), of_color(params.keep_clean.is_some()));
+    let color_variance =
+        floored(&color.mean, &input_variance(&color, params.box_weight), of_color(params.keep_clean.is_some()));
 
     // Lines 11–17: candidate filters.
-    let candidates =
-        params.candidates.map(|own| candidate(&color.mean, color.spread.as_deref(), &color_variance, &features, &params.filter(params.window_radius, &own)));
+    let candidates = params.candidates.map(|own| {
+        candidate(
+            &color.mean,
+            color.spread.as_deref(),
+            &color_variance,
+            &features,
+            &params.filter(params.window_radius, &own),
+        )
+    });
 
     // Lines 18–22: errors.
     let guide = Guide { mean: &color.mean, variance: &color_variance };
     let aside = params.filter(0, &params.candidates[select::FIRST]);
-    let sure: Planes = candidates.iter().map(|c| sure(&color.mean, &color_variance, &c.mean, &c.derivative, params.covariance)).collect();
+    let sure: Planes = candidates
+        .iter()
+        .map(|c| sure(&color.mean, &color_variance, &c.mean, &c.derivative, params.covariance))
+        .collect();
     let errors = smooth_errors(&sure, guide, &aside);
 
     // Lines 23–31: selection maps.
@@ -203,8 +234,14 @@ pub fn dfc(frame: &Frame, params: &DfcParams) -> Dfc {
     let binary_maps = select(&errors, derivatives, params.takes_part);
     let smoothed_maps = smooth_maps(&binary_maps, guide, &aside);
     let means = candidates.each_ref().map(|c| c.mean.as_slice());
-    let evidence =
-        Evidence { errors: &errors, binary_maps: &binary_maps, sure: &sure, candidates: means, takes_part: params.takes_part, variance: &color_variance };
+    let evidence = Evidence {
+        errors: &errors,
+        binary_maps: &binary_maps,
+        sure: &sure,
+        candidates: means,
+        takes_part: params.takes_part,
+        variance: &color_variance,
+    };
     let maps = share(&smoothed_maps, evidence, params.guard.as_ref());
 
     // Lines 32 and 33: candidate averaging.
@@ -221,10 +258,18 @@ pub fn dfc(frame: &Frame, params: &DfcParams) -> Dfc {
     let significance = params.color_only.filter(|_| several && frame.features.iter().any(is_without_noise));
     let color_only = significance.map(|significance| {
         let second = CandidateParams { k_feature: f64::INFINITY, ..params.candidates[select::SECOND] };
-        let candidate = candidate(&color.mean, color.spread.as_deref(), &color_variance, &[], &params.filter(params.window_radius, &second));
+        let candidate = candidate(
+            &color.mean,
+            color.spread.as_deref(),
+            &color_variance,
+            &[],
+            &params.filter(params.window_radius, &second),
+        );
         let of_each = [0, 1, 2].map(|k| derivatives[k]);
-        let of_blend = sure::sure(&color.mean, &color_variance, &pass1.mean, &blend_channels(&maps, of_each), params.covariance);
-        let of_color_only = sure::sure(&color.mean, &color_variance, &candidate.mean, &candidate.derivative, params.covariance);
+        let of_blend =
+            sure::sure(&color.mean, &color_variance, &pass1.mean, &blend_channels(&maps, of_each), params.covariance);
+        let of_color_only =
+            sure::sure(&color.mean, &color_variance, &candidate.mean, &candidate.derivative, params.covariance);
         let share = color_only_share(&differences(&of_color_only, &of_blend, &color_variance), significance);
         ColorOnly { candidate, share }
     });
@@ -239,7 +284,11 @@ pub fn dfc(frame: &Frame, params: &DfcParams) -> Dfc {
     // What is left of the error. A candidate alone is no blend.
     let part = |k: usize| Part { share: &maps[k], mean: means[k], derivative: derivatives[k] };
     let made_of: Vec<Part> = (0..3).filter(|k| params.takes_part[*k]).map(part).collect();
-    let of_color_only = color_only.iter().map(|ColorOnly { candidate, share }| Part { share, mean: &candidate.mean, derivative: &candidate.derivative });
+    let of_color_only = color_only.iter().map(|ColorOnly { candidate, share }| Part {
+        share,
+        mean: &candidate.mean,
+        derivative: &candidate.derivative,
+    });
     let made_of: Vec<Part> = made_of.into_iter().chain(of_color_only).collect();
     let result = pass2.as_ref().unwrap_or(&pass1);
     let parts = ErrorParts::measured(result.spread.is_some(), made_of.len() > 1);
@@ -278,7 +327,11 @@ pub fn dfc(frame: &Frame, params: &DfcParams) -> Dfc {
 
 /// Whether nothing tells of noise in a feature.
 fn is_without_noise(feature: &Signal) -> bool {
-    [&feature.spread, &feature.sample_variance].into_iter().flatten().flatten().all(|plane| plane.values.iter().all(|value| *value == 0.0))
+    [&feature.spread, &feature.sample_variance]
+        .into_iter()
+        .flatten()
+        .flatten()
+        .all(|plane| plane.values.iter().all(|value| *value == 0.0))
 }
 
 /// The candidates' maps, of what the filter by the colour only leaves them.
@@ -288,8 +341,9 @@ pub fn rest_of(maps: &[Grid], share: &Grid) -> Planes {
 
 /// A blend of candidates in which the filter by the colour only takes part.
 pub fn with_color_only(blend: &Pass, ColorOnly { candidate, share }: &ColorOnly) -> Pass {
-    let mixed =
-        |a: &[Grid], b: &[Grid]| -> Planes { a.iter().zip(b).map(|(a, b)| a.like(|p| (1.0 - share.at(p)) * a.at(p) + share.at(p) * b.at(p))).collect() };
+    let mixed = |a: &[Grid], b: &[Grid]| -> Planes {
+        a.iter().zip(b).map(|(a, b)| a.like(|p| (1.0 - share.at(p)) * a.at(p) + share.at(p) * b.at(p))).collect()
+    };
     let spread = blend.spread.as_deref().zip(candidate.spread.as_deref()).map(|(a, b)| mixed(a, b));
     Pass { mean: mixed(&blend.mean, &candidate.mean), spread }
 }
@@ -300,7 +354,11 @@ pub fn second_pass(pass1: &Pass, input_variance: &[Grid], params: &DfcParams) ->
     let own = params.second_pass;
     let mut variance = buffer_var(spread);
     if own.clamp_to_input {
-        variance = variance.iter().zip(input_variance).map(|(residual, input)| residual.like(|p| residual.at(p).min(input.at(p)))).collect();
+        variance = variance
+            .iter()
+            .zip(input_variance)
+            .map(|(residual, input)| residual.like(|p| residual.at(p).min(input.at(p))))
+            .collect();
     }
     let variance = floored(&pass1.mean, &variance, of_color(params.keep_clean.is_some()));
     let full = params.window_radius;
@@ -325,21 +383,39 @@ pub fn limited(pass1: &Pass, pass2: &Pass, input_variance: &[Grid], sigmas: f64)
     let (spread1, spread2) = (spread(pass1), spread(pass2));
     let plausible = |p| {
         let correction: f64 = pass1.mean.iter().zip(&pass2.mean).map(|(a, b)| (b.at(p) - a.at(p)).powi(2)).sum();
-        let noise: f64 = input_variance.iter().zip(&spread1).map(|(variance, spread)| variance.at(p) + spread.at(p).powi(2)).sum();
+        let noise: f64 =
+            input_variance.iter().zip(&spread1).map(|(variance, spread)| variance.at(p) + spread.at(p).powi(2)).sum();
         correction <= sigmas * sigmas * noise
     };
-    let choose = |a: &[Grid], b: &[Grid]| a.iter().zip(b).map(|(a, b)| a.like(|p| if plausible(p) { b.at(p) } else { a.at(p) })).collect();
+    let choose = |a: &[Grid], b: &[Grid]| {
+        a.iter().zip(b).map(|(a, b)| a.like(|p| if plausible(p) { b.at(p) } else { a.at(p) })).collect()
+    };
     Pass { mean: choose(&pass1.mean, &pass2.mean), spread: Some(choose(&spread1, &spread2)) }
 }
 
-/// Where the next samples pay most (section 8.6): the error of the blend relative to its square, times W(p) = Σ w/(1 + n_p), smoothed.
+/// Where the next samples pay most (section 8.6): the error of the blend relative to its square, times W(p) = Σ w/(1 +
+/// n_p), smoothed.
 pub fn sampling_density(result: &Dfc, params: &DfcParams, samples_per_pixel: f64) -> Grid {
     let weight_sum = blend(&result.maps, &result.candidates.each_ref().map(|c| &c.weight_sum));
-    let more = |p| result.color_only.as_ref().map_or(0.0, |ColorOnly { candidate, share }| share.at(p) * candidate.weight_sum.at(p));
+    let more = |p| {
+        result
+            .color_only
+            .as_ref()
+            .map_or(0.0, |ColorOnly { candidate, share }| share.at(p) * candidate.weight_sum.at(p))
+    };
     let weight_sum = weight_sum.like(|p| weight_sum.at(p) + more(p));
     // With halves, what they say of the noise that is left (section 7.1.2); without them, its error.
-    let left = result.pass1.spread.as_ref().map(|spread| spread[0].like(|p| spread.iter().map(|plane| plane.at(p) * plane.at(p)).sum()));
-    let density = sure::sample_density(&result.pass1.mean, left.as_ref().unwrap_or(&result.error), &weight_sum, samples_per_pixel);
+    let left = result
+        .pass1
+        .spread
+        .as_ref()
+        .map(|spread| spread[0].like(|p| spread.iter().map(|plane| plane.at(p) * plane.at(p)).sum()));
+    let density = sure::sample_density(
+        &result.pass1.mean,
+        left.as_ref().unwrap_or(&result.error),
+        &weight_sum,
+        samples_per_pixel,
+    );
     let own = CandidateParams { k_color: 1.0, k_feature: f64::INFINITY, patch_radius: 1, tau: 0.0 };
     let guide = Guide { mean: &result.color.mean, variance: &result.color_variance };
     nlm_filter(&[density], Some(guide), &[], &params.filter(10, &own)).planes.remove(0)
@@ -351,5 +427,7 @@ fn blend_channels(maps: &[Grid], candidates: [&[Grid]; 3]) -> Planes {
 
 /// Σ_k maps_k · planes_k, without what has no weight: it may not be finite.
 fn blend(maps: &[Grid], planes: &[&Grid]) -> Grid {
-    maps[0].like(|p| maps.iter().zip(planes).filter(|(map, _)| map.at(p) > 0.0).map(|(map, plane)| map.at(p) * plane.at(p)).sum())
+    maps[0].like(|p| {
+        maps.iter().zip(planes).filter(|(map, _)| map.at(p) > 0.0).map(|(map, plane)| map.at(p) * plane.at(p)).sum()
+    })
 }

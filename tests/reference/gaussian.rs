@@ -11,7 +11,8 @@ struct Window {
 
 impl Window {
     fn new(sigma: f64, radius: usize) -> Window {
-        let of_distance = (0..=radius).map(|distance| (-((distance * distance) as f64) / (2.0 * sigma * sigma)).exp()).collect();
+        let of_distance =
+            (0..=radius).map(|distance| (-((distance * distance) as f64) / (2.0 * sigma * sigma)).exp()).collect();
         Window { radius: radius as isize, of_distance }
     }
 
@@ -19,7 +20,10 @@ impl Window {
     fn around(&self, plane: &Grid, p: Point) -> Vec<(Point, f64)> {
         let axis = |at: isize, length: usize| (at - self.radius).max(0)..=(at + self.radius).min(length as isize - 1);
         let weight = |q: Point| self.of_distance[q.x.abs_diff(p.x)] * self.of_distance[q.y.abs_diff(p.y)];
-        axis(p.y, plane.height).flat_map(|y| axis(p.x, plane.width).map(move |x| Point { x, y })).map(|q| (q, weight(q))).collect()
+        axis(p.y, plane.height)
+            .flat_map(|y| axis(p.x, plane.width).map(move |x| Point { x, y }))
+            .map(|q| (q, weight(q)))
+            .collect()
     }
 }
 
@@ -37,7 +41,8 @@ pub fn gaussian_variance(variance: &Grid, sigma: f64, radius: usize) -> Grid {
     let window = Window::new(sigma, radius);
     variance.like(|p| {
         let window = window.around(variance, p);
-        window.iter().map(|(q, w)| w * w * variance.at(*q)).sum::<f64>() / window.iter().map(|(_, w)| w).sum::<f64>().powi(2)
+        window.iter().map(|(q, w)| w * w * variance.at(*q)).sum::<f64>()
+            / window.iter().map(|(_, w)| w).sum::<f64>().powi(2)
     })
 }
 

@@ -1,4 +1,5 @@
-//! Greedy error minimisation (chapter 6): all scales, all stopping maps, then for each pixel the finest scale whose map says stop.
+//! Greedy error minimisation (chapter 6): all scales, all stopping maps, then for each pixel the finest scale whose map
+//! says stop.
 
 use super::gaussian::{gaussian, gaussian_neighbours, gaussian_variance};
 use super::keep_clean::{CleanParams, Kept, keep_clean};
@@ -26,7 +27,15 @@ pub struct GemParams {
 
 impl GemParams {
     pub fn while_sampling(gamma: f64) -> Self {
-        Self { gamma, sigmas: vec![1.0, 2.0, 4.0, 8.0], outlier_size: 1.0, coarser_only: false, spikes: None, keep_clean: None, noise: None }
+        Self {
+            gamma,
+            sigmas: vec![1.0, 2.0, 4.0, 8.0],
+            outlier_size: 1.0,
+            coarser_only: false,
+            spikes: None,
+            keep_clean: None,
+            noise: None,
+        }
     }
 
     pub fn for_the_final_image(gamma: f64, outlier_size: f64) -> Self {
@@ -109,7 +118,10 @@ pub fn step(fine: &Scale, coarse: &Scale, bias_weight: f64) -> Step {
     };
     let squared_change = |p: Point| (0..3).map(|i| (coarse.mean[i].at(p) - fine.mean[i].at(p)).powi(2)).sum::<f64>();
     let change_of_variance = |p: Point| (0..3).map(|i| coarse.variance[i].at(p) - fine.variance[i].at(p)).sum::<f64>();
-    Step { bias_term: fine.samples.like(|p| rho(p) * bias_weight * factor * squared_change(p)), variance_term: fine.samples.like(change_of_variance) }
+    Step {
+        bias_term: fine.samples.like(|p| rho(p) * bias_weight * factor * squared_change(p)),
+        variance_term: fine.samples.like(change_of_variance),
+    }
 }
 
 /// The map with its outliers removed: rounded, and in the final reconstruction only from 1 to 0.
@@ -126,14 +138,16 @@ pub struct Chosen {
     pub sigma: Grid,
     pub mean: Planes,
     pub spread: Planes,
-    /// Variance of the finest scale and the estimated changes of the MSE up to the chosen one, summed over the channels.
+    /// Variance of the finest scale and the estimated changes of the MSE up to the chosen one, summed over the
+    /// channels.
     pub error: Grid,
     pub pixels: Grid,
     /// Samples in the support.
     pub support: Grid,
 }
 
-/// The finest scale with value 1; the coarsest where there is none. `steps[k]` and `maps[k]` compare `scales[k]` with `scales[k + 1]`.
+/// The finest scale with value 1; the coarsest where there is none. `steps[k]` and `maps[k]` compare `scales[k]` with
+/// `scales[k + 1]`.
 pub fn choose(scales: &[Scale], steps: &[Step], maps: &[Grid]) -> Chosen {
     let like = &scales[0].samples;
     let level = |p: Point| maps.iter().position(|map| map.at(p) == 1.0).unwrap_or(maps.len());
@@ -173,15 +187,36 @@ pub fn gem(color: &Signal, samples: &Grid, params: &GemParams) -> Gem {
     let variance = input_variance(color, BoxWeight::Even);
     let zero = || color.mean.iter().map(|grid| grid.like(|_| 0.0)).collect();
     let spread = color.spread.clone().unwrap_or_else(zero);
-    let pixel = Scale { sigma: 0.0, mean: color.mean.clone(), spread, variance: variance.clone(), samples: samples.clone(), pixels: samples.like(|_| 1.0) };
+    let pixel = Scale {
+        sigma: 0.0,
+        mean: color.mean.clone(),
+        spread,
+        variance: variance.clone(),
+        samples: samples.clone(),
+        pixels: samples.like(|_| 1.0),
+    };
     let mut scales = vec![pixel];
     scales.extend(params.sigmas.iter().map(|&sigma| scaled(&scales[0], sigma)).collect::<Vec<_>>());
     let steps: Vec<Step> = scales.windows(2).map(|pair| step(&pair[0], &pair[1], bias_weight(params.gamma))).collect();
-    let smooth = |(step, sigma): (&Step, &f64)| gaussian_neighbours(&step.stops(), params.outlier_size * sigma, radius(params.outlier_size * sigma));
+    let smooth = |(step, sigma): (&Step, &f64)| {
+        gaussian_neighbours(&step.stops(), params.outlier_size * sigma, radius(params.outlier_size * sigma))
+    };
     let smoothed: Vec<Grid> = steps.iter().zip(&params.sigmas).map(smooth).collect();
-    let maps: Vec<Grid> = steps.iter().zip(&smoothed).map(|(step, smoothed)| decided(&step.stops(), smoothed, params.coarser_only)).collect();
+    let maps: Vec<Grid> = steps
+        .iter()
+        .zip(&smoothed)
+        .map(|(step, smoothed)| decided(&step.stops(), smoothed, params.coarser_only))
+        .collect();
     let chosen = choose(&scales, &steps, &maps);
-    Gem { color: color.clone(), lights: repaired.as_ref().map(|repaired| repaired.lights.clone()), variance, scales, steps, smoothed, chosen }
+    Gem {
+        color: color.clone(),
+        lights: repaired.as_ref().map(|repaired| repaired.lights.clone()),
+        variance,
+        scales,
+        steps,
+        smoothed,
+        chosen,
+    }
 }
 
 /// What is left of a choice where clean pixels and lights are those of the input.

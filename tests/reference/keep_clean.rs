@@ -53,11 +53,17 @@ pub struct Kept {
 
 pub fn keep_clean(input: &Signal, mean: &[Grid], spread: Option<&[Grid]>, error: &Grid, params: CleanParams) -> Kept {
     let shares = clean_shares(input, mean, params);
-    let of_halves = |spread: &[Grid]| input.spread.as_ref().map_or_else(|| spread.to_vec(), |own| kept(own, spread, &shares));
-    Kept { mean: kept(&input.mean, mean, &shares), spread: spread.map(of_halves), error: kept_error(error, input, params) }
+    let of_halves =
+        |spread: &[Grid]| input.spread.as_ref().map_or_else(|| spread.to_vec(), |own| kept(own, spread, &shares));
+    Kept {
+        mean: kept(&input.mean, mean, &shares),
+        spread: spread.map(of_halves),
+        error: kept_error(error, input, params),
+    }
 }
 
-/// What the samples of each pixel show of its variance, summed over the channels. Without sample variance two halves may agree by accident: then the pixels beside have a say too.
+/// What the samples of each pixel show of its variance, summed over the channels. Without sample variance two halves
+/// may agree by accident: then the pixels beside have a say too.
 pub fn noise(input: &Signal) -> Grid {
     let spread = |i: usize, p: Point| input.spread.as_ref().map_or(0.0, |spread| spread[i].at(p).powi(2));
     let channels = 0..input.mean.len();
@@ -67,14 +73,22 @@ pub fn noise(input: &Signal) -> Grid {
         None => {
             let own = like.like(|p| channels.clone().map(|i| spread(i, p)).sum());
             let beside = [(0, 0), (1, 0), (-1, 0), (0, 1), (0, -1)].map(|(x, y)| Point { x, y });
-            own.like(|p| beside.iter().map(|o| p + *o).filter(|&q| own.contains(q)).map(|q| own.at(q)).fold(0.0, f64::max))
+            own.like(|p| {
+                beside.iter().map(|o| p + *o).filter(|&q| own.contains(q)).map(|q| own.at(q)).fold(0.0, f64::max)
+            })
         }
     }
 }
 
 /// The filtered planes, moved back to the input's by the shares.
 pub fn kept(input: &[Grid], filtered: &[Grid], shares: &Grid) -> Planes {
-    input.iter().zip(filtered).map(|(u, f)| u.like(|p| if shares.at(p) == 1.0 { f.at(p) } else { u.at(p) + shares.at(p) * (f.at(p) - u.at(p)) })).collect()
+    input
+        .iter()
+        .zip(filtered)
+        .map(|(u, f)| {
+            u.like(|p| if shares.at(p) == 1.0 { f.at(p) } else { u.at(p) + shares.at(p) * (f.at(p) - u.at(p)) })
+        })
+        .collect()
 }
 
 /// The squared error of what was kept: no more than its noise and the way that it may go.

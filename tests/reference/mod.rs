@@ -1,7 +1,9 @@
-//! The naive float64 twin of every stage and of the whole of Algorithm 1 and of GEM, written from chapters 6 to 8 of the thesis.
+//! The naive float64 twin of every stage and of the whole of Algorithm 1 and of GEM, written from chapters 6 to 8 of
+//! the thesis.
 //!
-//! The shaders are tested against this, so it owes nothing to them: one loop per sum, patch distances by brute force, no
-//! separable filter, no value kept from one pixel to the next. The speed of a test is not worth a doubt about its reference.
+//! The shaders are tested against this, so it owes nothing to them: one loop per sum, patch distances by brute force,
+//! no separable filter, no value kept from one pixel to the next. The speed of a test is not worth a doubt about its
+//! reference.
 //!
 //! ```text
 //! exposure    the unit that all of it is done in
@@ -24,7 +26,10 @@
 //! Neighbours outside the image do not exist: windows, patches, boxes and Gaussians all shrink at the border and are
 //! normalised by what is left.
 
-#![allow(missing_docs, reason = "fields and parameters bear the names of the text; each stage says which section it is")]
+#![allow(
+    missing_docs,
+    reason = "fields and parameters bear the names of the text; each stage says which section it is"
+)]
 
 pub mod candidates;
 pub mod dfc;
@@ -134,11 +139,14 @@ pub fn square(radius: usize) -> impl Iterator<Item = Point> {
 /// Calls `pixel` for every pixel, rows from the top. The only place that knows of threads: bands of rows, one per core.
 pub fn map_pixels<T: Send>(width: usize, height: usize, pixel: impl Fn(Point) -> T + Sync) -> Vec<T> {
     let pixel = &pixel;
-    let band = move |rows: Range<usize>| -> Vec<T> { rows.flat_map(|y| (0..width).map(move |x| pixel(Point { x: x as isize, y: y as isize }))).collect() };
+    let band = move |rows: Range<usize>| -> Vec<T> {
+        rows.flat_map(|y| (0..width).map(move |x| pixel(Point { x: x as isize, y: y as isize }))).collect()
+    };
     let cores = thread::available_parallelism().map_or(1, NonZero::get);
     let rows = height.div_ceil(cores).max(1);
     thread::scope(|scope| {
-        let bands: Vec<_> = (0..height).step_by(rows).map(|top| scope.spawn(move || band(top..height.min(top + rows)))).collect();
+        let bands: Vec<_> =
+            (0..height).step_by(rows).map(|top| scope.spawn(move || band(top..height.min(top + rows)))).collect();
         bands.into_iter().flat_map(|band| band.join().expect("a reference pixel panicked")).collect()
     })
 }

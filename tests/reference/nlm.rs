@@ -1,9 +1,10 @@
-//! The one NL-means operator: *payload* planes averaged with weights from a *guide* colour and from *features*, both optional
-//! (`flt` of Algorithm 1; sections 7.1.1, 8.2 and 8.3).
+//! The one NL-means operator: *payload* planes averaged with weights from a *guide* colour and from *features*, both
+//! optional (`flt` of Algorithm 1; sections 7.1.1, 8.2 and 8.3).
 
 use super::{Grid, Planes, Point, map_pixels, square};
 
-/// ε of eq. 7.4, "very small in order to preserve features in dark areas": between two black pixels without variance. All others have one, see `variance::floored`.
+/// ε of eq. 7.4, "very small in order to preserve features in dark areas": between two black pixels without variance.
+/// All others have one, see `variance::floored`.
 const EPSILON: f64 = 1e-30;
 
 /// Beyond this distance a weight is e⁻²⁵ or less, and the ratio of the weights of a pair says nothing any more.
@@ -17,7 +18,8 @@ const SMALLEST_CENTRE_WEIGHT: f64 = 1e-3;
 pub enum CentreWeight {
     /// 1: the distance of a pixel to itself is 0.
     One,
-    /// The largest final weight among the neighbours, so that a spike, which is like no neighbour, does not hold on to itself.
+    /// The largest final weight among the neighbours, so that a spike, which is like no neighbour, does not hold on to
+    /// itself.
     LargestNeighbour,
 }
 
@@ -79,7 +81,10 @@ pub fn nlm_filter(payload: &[Grid], guide: Option<Guide>, features: &[Feature], 
 
 /// The variance of the filtered mean if the weights were fixed and the pixels independent: Σw²V/C².
 pub fn nlm_variance(variance: &[Grid], guide: Option<Guide>, features: &[Feature], params: &FilterParams) -> Planes {
-    variance.iter().map(|plane| plane.like(|p| window_weights(plane, p, guide, features, params).variance_of_average(plane))).collect()
+    variance
+        .iter()
+        .map(|plane| plane.like(|p| window_weights(plane, p, guide, features, params).variance_of_average(plane)))
+        .collect()
 }
 
 /// w(p, q) for one p and all q of its window that exist.
@@ -108,14 +113,16 @@ impl WindowWeights {
     }
 }
 
-/// A frame beside the one that is filtered (sections 7.3 and 8.6): its pixels take part as neighbours, compared by patches inside their own frame.
+/// A frame beside the one that is filtered (sections 7.3 and 8.6): its pixels take part as neighbours, compared by
+/// patches inside their own frame.
 #[derive(Clone, Copy)]
 pub struct Beside<'a> {
     pub guide: Option<Guide<'a>>,
     pub features: &'a [Feature],
 }
 
-/// The weights of a window that reaches into other frames: those of the neighbours in its own frame, then those of each frame beside.
+/// The weights of a window that reaches into other frames: those of the neighbours in its own frame, then those of each
+/// frame beside.
 pub fn window_weights_in_time(
     like: &Grid,
     p: Point,
@@ -130,10 +137,15 @@ pub fn window_weights_in_time(
         .map(|other| {
             // The same position is a neighbour too, without an opposite.
             let here = Pair { p, q1: Some(p), q2: None };
-            let pairs = std::iter::once(here).chain(half_window(params.window_radius).map(|offset| Pair::new(like, p, offset)));
+            let pairs =
+                std::iter::once(here).chain(half_window(params.window_radius).map(|offset| Pair::new(like, p, offset)));
             let weights = |pair: Pair| {
-                let color = guide.zip(other.guide).filter(|_| params.k_color.is_finite()).map(|guides| color_weights(guides, &pair, params));
-                let weights = smaller(color.unwrap_or([1.0; 2]), feature_weights([features, other.features], &pair, params));
+                let color = guide
+                    .zip(other.guide)
+                    .filter(|_| params.k_color.is_finite())
+                    .map(|guides| color_weights(guides, &pair, params));
+                let weights =
+                    smaller(color.unwrap_or([1.0; 2]), feature_weights([features, other.features], &pair, params));
                 pair.neighbours().zip(weights).filter_map(|(q, w)| Some((q?, w))).collect::<Vec<_>>()
             };
             pairs.flat_map(weights).collect()
@@ -146,11 +158,18 @@ pub fn window_weights_in_time(
 }
 
 /// The weights of one window; `like` tells the extent.
-pub fn window_weights(like: &Grid, p: Point, guide: Option<Guide>, features: &[Feature], params: &FilterParams) -> WindowWeights {
+pub fn window_weights(
+    like: &Grid,
+    p: Point,
+    guide: Option<Guide>,
+    features: &[Feature],
+    params: &FilterParams,
+) -> WindowWeights {
     let mut neighbours = Vec::new();
     for offset in half_window(params.window_radius) {
         let pair = Pair::new(like, p, offset);
-        let color = guide.filter(|_| params.k_color.is_finite()).map(|guide| color_weights((guide, guide), &pair, params));
+        let color =
+            guide.filter(|_| params.k_color.is_finite()).map(|guide| color_weights((guide, guide), &pair, params));
         let features = feature_weights([features; 2], &pair, params);
         let weights = smaller(color.unwrap_or([1.0; 2]), features);
         neighbours.extend(pair.neighbours().zip(weights).filter_map(|(q, w)| Some((q?, w))));
@@ -178,7 +197,11 @@ pub struct Pair {
 
 impl Pair {
     pub fn new(like: &Grid, p: Point, offset: Point) -> Pair {
-        Pair { p, q1: Some(p + offset).filter(|&q| like.contains(q)), q2: Some(p - offset).filter(|&q| like.contains(q)) }
+        Pair {
+            p,
+            q1: Some(p + offset).filter(|&q| like.contains(q)),
+            q2: Some(p - offset).filter(|&q| like.contains(q)),
+        }
     }
 
     pub fn neighbours(&self) -> impl Iterator<Item = Option<Point>> {
@@ -189,10 +212,16 @@ impl Pair {
 /// w_c of eq. 8.2 for both neighbours; the guides are those of the frame of p and of the frame of the neighbours.
 pub(super) fn color_weights(guides: (Guide, Guide), pair: &Pair, params: &FilterParams) -> [f64; 2] {
     let (f, k, p) = (params.patch_radius, params.k_color, pair.p);
-    pair_weights(pair, params.blend_pairs, |q| patch_distance(guides, k, f, p, q), |q1, q2| patch_distance_to_mean(guides, k, f, p, q1, q2))
+    pair_weights(
+        pair,
+        params.blend_pairs,
+        |q| patch_distance(guides, k, f, p, q),
+        |q1, q2| patch_distance_to_mean(guides, k, f, p, q1, q2),
+    )
 }
 
-/// The least weight of all features (eq. 8.3) for both neighbours; 1 without features. The features are those of the frame of p and of the frame of the neighbours.
+/// The least weight of all features (eq. 8.3) for both neighbours; 1 without features. The features are those of the
+/// frame of p and of the frame of the neighbours.
 pub fn feature_weights(features: [&[Feature]; 2], pair: &Pair, params: &FilterParams) -> [f64; 2] {
     if params.k_feature.is_infinite() {
         return [1.0; 2];
@@ -210,10 +239,15 @@ pub fn feature_weights(features: [&[Feature]; 2], pair: &Pair, params: &FilterPa
 }
 
 /// Weights of two opposite neighbours from their distances. In a smooth gradient each is far from p while their mean is
-/// close: where the mean's weight exceeds the sum of both, section 7.1.1 puts it in place of both. Doing so by degrees keeps
-/// the weights continuous, so that their finite differences mean something. The weight of a neighbour that does not exist
-/// is 0.
-fn pair_weights(pair: &Pair, blend: bool, distance: impl Fn(Point) -> f64, distance_to_mean: impl Fn(Point, Point) -> f64) -> [f64; 2] {
+/// close: where the mean's weight exceeds the sum of both, section 7.1.1 puts it in place of both. Doing so by degrees
+/// keeps the weights continuous, so that their finite differences mean something. The weight of a neighbour that does
+/// not exist is 0.
+fn pair_weights(
+    pair: &Pair,
+    blend: bool,
+    distance: impl Fn(Point) -> f64,
+    distance_to_mean: impl Fn(Point, Point) -> f64,
+) -> [f64; 2] {
     let d1 = pair.q1.map_or(f64::INFINITY, &distance);
     let d2 = pair.q2.map_or(f64::INFINITY, &distance);
     let (w1, w2) = (weight(d1), weight(d2));
@@ -294,21 +328,30 @@ pub fn distance_to_mean_scale(v_p: f64, v_1: f64, v_2: f64, k: f64) -> f64 {
     EPSILON + k * k * (v_p + (v_1 + v_2) / 4.0)
 }
 
-/// Φ² of section 8.3, the mean over the feature's channels. As printed it is normalised by p alone and cancels all of q's
-/// variance; the symmetric filter treats the features as section 8.2 treats the colour, and scales by both pixels.
+/// Φ² of section 8.3, the mean over the feature's channels. As printed it is normalised by p alone and cancels all of
+/// q's variance; the symmetric filter treats the features as section 8.2 treats the colour, and scales by both pixels.
 pub(super) fn feature_distance(features: (&Feature, &Feature), params: &FilterParams, p: Point, q: Point) -> f64 {
     let k_squared = params.k_feature * params.k_feature;
     mean_over_channels(features, params.tau, |at_p, at_q| {
         let difference = at_p.mean(p) - at_q.mean(q);
         let (v_p, v_q) = (at_p.variance(p), at_q.variance(q));
-        let (cancellation, scale) =
-            if params.symmetric_features { (v_p + v_q.min(v_p), at_p.contrast(p) + at_q.contrast(q)) } else { (v_p + v_q, at_p.contrast(p)) };
+        let (cancellation, scale) = if params.symmetric_features {
+            (v_p + v_q.min(v_p), at_p.contrast(p) + at_q.contrast(q))
+        } else {
+            (v_p + v_q, at_p.contrast(p))
+        };
         (difference * difference - cancellation) / (k_squared * scale)
     })
 }
 
 /// Φ² between p and the mean of q1 and q2, after the manner of eq. 7.6.
-fn feature_distance_to_mean(features: (&Feature, &Feature), params: &FilterParams, p: Point, q1: Point, q2: Point) -> f64 {
+fn feature_distance_to_mean(
+    features: (&Feature, &Feature),
+    params: &FilterParams,
+    p: Point,
+    q1: Point,
+    q2: Point,
+) -> f64 {
     let k_squared = params.k_feature * params.k_feature;
     mean_over_channels(features, params.tau, |at_p, at_q| {
         let difference = at_p.mean(p) - (at_q.mean(q1) + at_q.mean(q2)) / 2.0;

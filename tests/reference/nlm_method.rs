@@ -41,14 +41,16 @@ pub struct Filter {
 pub fn windows(guide: Guide, filter: &Filter) -> Vec<WindowWeights> {
     let like = &guide.mean[0];
     let pixel = |i: usize| Point { x: (i % like.width) as isize, y: (i / like.width) as isize };
-    let mut windows: Vec<_> = (0..like.values.len()).map(|i| WindowWeights { centre: (pixel(i), 1.0), neighbours: Vec::new() }).collect();
+    let mut windows: Vec<_> =
+        (0..like.values.len()).map(|i| WindowWeights { centre: (pixel(i), 1.0), neighbours: Vec::new() }).collect();
     let is_inside = |o: &Point| o.x.unsigned_abs() < like.width && o.y.unsigned_abs() < like.height;
     for offset in half_window(filter.window_radius).filter(is_inside) {
         let weights = map_pixels(like.width, like.height, |p| pair_weights(guide, p, offset, filter));
         let weights = if filter.patchwise { patch_means(like, &weights, offset, filter.patch_radius) } else { weights };
         for (window, weights) in windows.iter_mut().zip(weights) {
             let pair = Pair::new(like, window.centre.0, offset);
-            let kept = pair.neighbours().zip(weights).filter_map(|(q, w)| Some((q?, if w < filter.cut { 0.0 } else { w })));
+            let kept =
+                pair.neighbours().zip(weights).filter_map(|(q, w)| Some((q?, if w < filter.cut { 0.0 } else { w })));
             window.neighbours.extend(kept);
         }
     }
@@ -91,7 +93,8 @@ pub(super) fn patch_distance(guide: Guide, p: Point, q: &[Point], filter: &Filte
             let u_q = mean(&|q| u.at(q));
             let v_q = mean(&|q| v.at(q)) / members;
             let v_qp = mean(&|q| v.at(q).min(v_p)) / members;
-            sum += ((u.at(p + n) - u_q).powi(2) - filter.alpha * (v_p + v_qp)) / (EPSILON + filter.k * filter.k * (v_p + v_q));
+            sum += ((u.at(p + n) - u_q).powi(2) - filter.alpha * (v_p + v_qp))
+                / (EPSILON + filter.k * filter.k * (v_p + v_q));
             count += 1;
         }
     }
@@ -103,15 +106,20 @@ fn patch_means(like: &Grid, weights: &[[f64; 2]], offset: Point, patch_radius: u
     let minus = Point { x: -offset.x, y: -offset.y };
     map_pixels(like.width, like.height, |p| {
         [(0, offset), (1, minus)].map(|(side, offset)| {
-            let pairs: Vec<f64> =
-                square(patch_radius).filter(|&n| like.contains(p + n) && like.contains(p + n + offset)).map(|n| weights[like.index(p + n)][side]).collect();
+            let pairs: Vec<f64> = square(patch_radius)
+                .filter(|&n| like.contains(p + n) && like.contains(p + n + offset))
+                .map(|n| weights[like.index(p + n)][side])
+                .collect();
             pairs.iter().sum::<f64>() / pairs.len().max(1) as f64
         })
     })
 }
 
 pub fn filtered(payload: &[Grid], windows: &[WindowWeights]) -> Planes {
-    payload.iter().map(|plane| Grid { values: windows.iter().map(|window| window.average(plane)).collect(), ..*plane }).collect()
+    payload
+        .iter()
+        .map(|plane| Grid { values: windows.iter().map(|window| window.average(plane)).collect(), ..*plane })
+        .collect()
 }
 
 fn weight_sums(like: &Grid, windows: &[WindowWeights]) -> Grid {
@@ -152,7 +160,14 @@ impl NlmParams {
             cut: 0.05,
             centre: CentreWeight::One,
         };
-        NlmParams { filter, dual_buffer: true, variance: Variance::CrossFiltered, spikes: None, keep_clean: None, noise: None }
+        NlmParams {
+            filter,
+            dual_buffer: true,
+            variance: Variance::CrossFiltered,
+            spikes: None,
+            keep_clean: None,
+            noise: None,
+        }
     }
 }
 
@@ -178,8 +193,12 @@ pub fn nlm(color: &Signal, params: &NlmParams, samples: &Grid) -> Nlm {
         Variance::Scaled => at_most_claimed(input_variance(color, BoxWeight::Deviation), color),
         Variance::CrossFiltered => cross_filtered(color, &params.filter),
         Variance::Uniform => {
-            let of_channel =
-                |i: usize| raw.spread.as_ref().map_or_else(|| raw.sample_variance.as_ref().map_or(0.0, |v| v[i].mean()), |s| squared(&s[i]).mean());
+            let of_channel = |i: usize| {
+                raw.spread.as_ref().map_or_else(
+                    || raw.sample_variance.as_ref().map_or(0.0, |v| v[i].mean()),
+                    |s| squared(&s[i]).mean(),
+                )
+            };
             (0..3).map(|i| Grid::filled(like.width, like.height, of_channel(i))).collect()
         }
     };
@@ -191,13 +210,24 @@ pub fn nlm(color: &Signal, params: &NlmParams, samples: &Grid) -> Nlm {
     let samples_of = |windows: &[WindowWeights]| filtered(std::slice::from_ref(samples), windows).remove(0);
     let (mean, spread, weight_sum, samples, left) = match &color.spread {
         Some(spread) if params.dual_buffer => {
-            let half = |sign: f64| -> Planes { color.mean.iter().zip(spread).map(|(mean, spread)| mean.like(|p| mean.at(p) + sign * spread.at(p))).collect() };
+            let half = |sign: f64| -> Planes {
+                color
+                    .mean
+                    .iter()
+                    .zip(spread)
+                    .map(|(mean, spread)| mean.like(|p| mean.at(p) + sign * spread.at(p)))
+                    .collect()
+            };
             let (a, b) = (half(1.0), half(-1.0));
             let of_half: Planes = variance.iter().map(|plane| plane.like(|p| 2.0 * plane.at(p))).collect();
-            let (from_a, from_b) =
-                (windows(Guide { mean: &a, variance: &of_half }, &params.filter), windows(Guide { mean: &b, variance: &of_half }, &params.filter));
+            let (from_a, from_b) = (
+                windows(Guide { mean: &a, variance: &of_half }, &params.filter),
+                windows(Guide { mean: &b, variance: &of_half }, &params.filter),
+            );
             let (a, b) = (filtered(&a, &from_b), filtered(&b, &from_a));
-            let both = |combine: fn(f64, f64) -> f64| -> Planes { a.iter().zip(&b).map(|(a, b)| a.like(|p| combine(a.at(p), b.at(p)) / 2.0)).collect() };
+            let both = |combine: fn(f64, f64) -> f64| -> Planes {
+                a.iter().zip(&b).map(|(a, b)| a.like(|p| combine(a.at(p), b.at(p)) / 2.0)).collect()
+            };
             let (sum_a, sum_b) = (weight_sums(like, &from_a), weight_sums(like, &from_b));
             let [counts_a, counts_b] = [&from_a, &from_b].map(|windows| samples_of(windows));
             let contributing = like.like(|p| (counts_a.at(p) + counts_b.at(p)) / 2.0);
@@ -210,7 +240,13 @@ pub fn nlm(color: &Signal, params: &NlmParams, samples: &Grid) -> Nlm {
             let spread = color.spread.as_ref().map(|spread| filtered(spread, &windows));
             let left = match &spread {
                 Some(spread) => spread.iter().map(squared).collect(),
-                None => variance.iter().map(|v| Grid { values: windows.iter().map(|window| window.variance_of_average(v)).collect(), ..*v }).collect(),
+                None => variance
+                    .iter()
+                    .map(|v| Grid {
+                        values: windows.iter().map(|window| window.variance_of_average(v)).collect(),
+                        ..*v
+                    })
+                    .collect(),
             };
             (filtered(&color.mean, &windows), spread, weight_sums(like, &windows), samples_of(&windows), left)
         }
@@ -241,9 +277,12 @@ pub fn nlm(color: &Signal, params: &NlmParams, samples: &Grid) -> Nlm {
     Nlm { variance, mean, spread, weight_sum, error, density }
 }
 
-/// Section 7.1.1, variance estimation. The uncertainty of Σ, of which the source has one from each half, is its variance over 3×3 pixels.
+/// Section 7.1.1, variance estimation. The uncertainty of Σ, of which the source has one from each half, is its
+/// variance over 3×3 pixels.
 pub fn cross_filtered(color: &Signal, filter: &Filter) -> Planes {
-    let (Some(claimed), Some(spread)) = (&color.sample_variance, &color.spread) else { return input_variance(color, BoxWeight::Deviation) };
+    let (Some(claimed), Some(spread)) = (&color.sample_variance, &color.spread) else {
+        return input_variance(color, BoxWeight::Deviation);
+    };
     let two_buffer: Planes = spread.iter().map(squared).collect();
     let uncertainty: Planes = claimed.iter().map(local_variance).collect();
     let uncertainty = floored(claimed, &uncertainty, Floor::Printed);
@@ -263,7 +302,11 @@ pub fn local_variance(plane: &Grid) -> Grid {
 /// Held below the sample variance, where there is one beside the halves.
 fn at_most_claimed(variance: Planes, color: &Signal) -> Planes {
     match (&color.sample_variance, &color.spread) {
-        (Some(claimed), Some(_)) => variance.iter().zip(claimed).map(|(variance, claimed)| variance.like(|p| variance.at(p).min(claimed.at(p)))).collect(),
+        (Some(claimed), Some(_)) => variance
+            .iter()
+            .zip(claimed)
+            .map(|(variance, claimed)| variance.like(|p| variance.at(p).min(claimed.at(p))))
+            .collect(),
         _ => variance,
     }
 }

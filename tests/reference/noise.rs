@@ -65,9 +65,14 @@ pub struct Pooled {
     pub features: Vec<Planes>,
 }
 
-/// A frame in which the colour, and every feature with halves, has a sample variance; one of a colour with halves becomes
-/// steadier. The features `explaining` may explain the texture of an image alone.
-pub fn completed(color: &Signal, features: &[Signal], explaining: &[usize], params: &NoiseParams) -> (Signal, Vec<Signal>) {
+/// A frame in which the colour, and every feature with halves, has a sample variance; one of a colour with halves
+/// becomes steadier. The features `explaining` may explain the texture of an image alone.
+pub fn completed(
+    color: &Signal,
+    features: &[Signal],
+    explaining: &[usize],
+    params: &NoiseParams,
+) -> (Signal, Vec<Signal>) {
     if color.spread.is_none() && color.sample_variance.is_none() {
         let variance = of_image(&color.mean, features, explaining, &ImageParams::default());
         return (Signal { sample_variance: Some(variance), ..color.clone() }, features.to_vec());
@@ -83,7 +88,8 @@ pub fn completed(color: &Signal, features: &[Signal], explaining: &[usize], para
         let sample_variance = if replaces { Some(variance) } else { signal.sample_variance.clone() };
         Signal { sample_variance, ..signal.clone() }
     };
-    let features = features.iter().zip(pooled.features).map(|(signal, variance)| with(signal, lacks(signal), variance)).collect();
+    let features =
+        features.iter().zip(pooled.features).map(|(signal, variance)| with(signal, lacks(signal), variance)).collect();
     (with(color, pools_color, pooled.color), features)
 }
 
@@ -92,7 +98,8 @@ pub fn pooled(color: &Signal, features: &[Signal], params: &NoiseParams) -> Pool
     let spread = color.spread.clone().unwrap_or_else(|| zero(color));
     let magnitude = magnitude(&color.mean, params);
     let guess = first_guess(&spread, &magnitude, params);
-    let spreads: Vec<Planes> = features.iter().map(|signal| signal.spread.clone().unwrap_or_else(|| zero(signal))).collect();
+    let spreads: Vec<Planes> =
+        features.iter().map(|signal| signal.spread.clone().unwrap_or_else(|| zero(signal))).collect();
     let noise: Vec<Planes> = features.iter().map(|signal| noise_around(signal, params)).collect();
 
     let weight = |p: Point, q: Point| {
@@ -110,26 +117,37 @@ pub fn pooled(color: &Signal, features: &[Signal], params: &NoiseParams) -> Pool
     };
     let like = &color.mean[0];
     let window = |p: Point| square(params.window_radius).map(move |o| p + o).filter(|&q| like.contains(q));
-    let weights = super::map_pixels(like.width, like.height, |p| window(p).map(|q| (q, weight(p, q))).collect::<Vec<_>>());
+    let weights =
+        super::map_pixels(like.width, like.height, |p| window(p).map(|q| (q, weight(p, q))).collect::<Vec<_>>());
     let mean_of = |deviation: &Grid, p: Point| {
         let weights = &weights[deviation.index(p)];
-        weights.iter().map(|(q, w)| w * deviation.at(*q).abs()).sum::<f64>() / weights.iter().map(|(_, w)| w).sum::<f64>()
+        weights.iter().map(|(q, w)| w * deviation.at(*q).abs()).sum::<f64>()
+            / weights.iter().map(|(_, w)| w).sum::<f64>()
     };
     // Of Gaussian noise, E|D| = σ·√(2/π).
     let pool = |spread: &Grid| spread.like(|p| FRAC_PI_2 * mean_of(spread, p).powi(2));
     let share = params.pooled_share;
-    let own: Planes = color.sample_variance.clone().unwrap_or_else(|| spread.iter().map(|plane| plane.like(|p| plane.at(p).powi(2))).collect());
+    let own: Planes = color
+        .sample_variance
+        .clone()
+        .unwrap_or_else(|| spread.iter().map(|plane| plane.like(|p| plane.at(p).powi(2))).collect());
     let estimate: Planes = if color.sample_variance.is_some() {
         let deviations = own.iter().map(|variance| variance.like(|p| variance.at(p).sqrt()));
-        deviations.zip(&own).map(|(deviation, own)| own.like(|p| (mean_of(&deviation, p).powi(2) + own.at(p)) / 2.0)).collect()
+        deviations
+            .zip(&own)
+            .map(|(deviation, own)| own.like(|p| (mean_of(&deviation, p).powi(2) + own.at(p)) / 2.0))
+            .collect()
     } else {
         // What the pixel's own halves say counts a little.
         let pooled: Planes = spread.iter().map(pool).collect();
-        let ratio = like.like(|p| own.iter().zip(&pooled).map(|(own, v)| own.at(p) / v.at(p).max(1e-30)).sum::<f64>() / own.len() as f64);
+        let ratio = like.like(|p| {
+            own.iter().zip(&pooled).map(|(own, v)| own.at(p) / v.at(p).max(1e-30)).sum::<f64>() / own.len() as f64
+        });
         pooled.iter().map(|v| v.like(|p| v.at(p) * (share + ratio.at(p)) / (share + 1.0))).collect()
     };
     // What has next to no noise keeps it.
-    let kept = |(v, own): (&Grid, &Grid)| v.like(|p| if has_noise(color, &spread, p, params) { v.at(p) } else { own.at(p) });
+    let kept =
+        |(v, own): (&Grid, &Grid)| v.like(|p| if has_noise(color, &spread, p, params) { v.at(p) } else { own.at(p) });
     let color = estimate.iter().zip(&own).map(kept).collect();
     let of_feature = |spread: &Grid| {
         let pooled = pool(spread);
@@ -138,8 +156,8 @@ pub fn pooled(color: &Signal, features: &[Signal], params: &NoiseParams) -> Pool
     Pooled { color, features: spreads.iter().map(|planes| planes.iter().map(of_feature).collect()).collect() }
 }
 
-/// Halves alone may agree by accident, so that those of the pixels beside have a say too, and all samples of a black pixel
-/// may have missed the light.
+/// Halves alone may agree by accident, so that those of the pixels beside have a say too, and all samples of a black
+/// pixel may have missed the light.
 fn has_noise(color: &Signal, spread: &[Grid], p: Point, params: &NoiseParams) -> bool {
     let largest = |planes: &[Grid], q: Point| planes.iter().map(|plane| plane.at(q).abs()).fold(0.0, f64::max);
     let value = largest(&color.mean, p);
@@ -159,7 +177,11 @@ pub fn magnitude(mean: &[Grid], params: &NoiseParams) -> Grid {
 
 /// The median brightness of 3×3 pixels; of an even number the lower one of the two in the middle.
 pub fn medians(mean: &[Grid]) -> Grid {
-    mean[0].like(|p| lower_median(square(1).map(|o| p + o).filter(|&q| mean[0].contains(q)).map(|q| channel_mean(mean, q).abs()).collect()))
+    mean[0].like(|p| {
+        lower_median(
+            square(1).map(|o| p + o).filter(|&q| mean[0].contains(q)).map(|q| channel_mean(mean, q).abs()).collect(),
+        )
+    })
 }
 
 /// The squared half spread, smoothed in parts of the magnitude.
@@ -179,7 +201,11 @@ pub fn noise_around(signal: &Signal, params: &NoiseParams) -> Planes {
     };
     let average = |plane: &Grid| {
         plane.like(|p| {
-            let around: Vec<f64> = square(params.feature_radius).map(|o| p + o).filter(|&q| plane.contains(q)).map(|q| plane.at(q)).collect();
+            let around: Vec<f64> = square(params.feature_radius)
+                .map(|o| p + o)
+                .filter(|&q| plane.contains(q))
+                .map(|q| plane.at(q))
+                .collect();
             around.iter().sum::<f64>() / around.len() as f64
         })
     };
@@ -212,11 +238,21 @@ pub struct ImageParams {
 impl Default for ImageParams {
     fn default() -> ImageParams {
         let pool = NoiseParams { gate: 4.0, k_feature: 0.6, ..NoiseParams::default() };
-        ImageParams { fit_radius: 4, ridge: 1e-3, fitted_share: 0.2, largest: 3.0, jump: 100.0, jump_radius: 2, hold_radius: 4, pool }
+        ImageParams {
+            fit_radius: 4,
+            ridge: 1e-3,
+            fitted_share: 0.2,
+            largest: 3.0,
+            jump: 100.0,
+            jump_radius: 2,
+            hold_radius: 4,
+            pool,
+        }
     }
 }
 
-/// The variance of a colour of whose noise nothing is known. The features `explaining` may explain what it stands out by.
+/// The variance of a colour of whose noise nothing is known. The features `explaining` may explain what it stands out
+/// by.
 pub fn of_image(mean: &[Grid], features: &[Signal], explaining: &[usize], params: &ImageParams) -> Planes {
     let spread = residual(mean, features, explaining, params);
     let color = Signal { mean: mean.to_vec(), spread: Some(spread), sample_variance: None };
@@ -236,7 +272,11 @@ pub fn of_image(mean: &[Grid], features: &[Signal], explaining: &[usize], params
                 return plane.at(p);
             }
             let calm: Vec<Point> = around(p, params.hold_radius).filter(|&q| !jumps(q)).collect();
-            let most = if calm.is_empty() { 1.0 } else { calm.iter().map(|&q| relative(plane, q)).sum::<f64>() / calm.len() as f64 };
+            let most = if calm.is_empty() {
+                1.0
+            } else {
+                calm.iter().map(|&q| relative(plane, q)).sum::<f64>() / calm.len() as f64
+            };
             plane.at(p).min(most * magnitude.at(p).powi(2))
         })
     };
@@ -251,8 +291,13 @@ pub fn residual(mean: &[Grid], features: &[Signal], explaining: &[usize], params
     let magnitude = magnitude(mean, &params.pool);
     let terms: Vec<&Grid> = explaining.iter().flat_map(|&index| &features[index].mean).collect();
     // Along an axis without neighbours nothing can be told.
-    let axes: Vec<Point> = AXES.into_iter().filter(|axis| mean[0].width as isize * axis.x + mean[0].height as isize * axis.y > 1).collect();
-    let lesser = |left: [f64; 2]| (0..2).filter(|&a| axes.contains(&AXES[a])).map(|a| left[a].abs()).reduce(f64::min).unwrap_or(0.0);
+    let axes: Vec<Point> = AXES
+        .into_iter()
+        .filter(|axis| mean[0].width as isize * axis.x + mean[0].height as isize * axis.y > 1)
+        .collect();
+    let lesser = |left: [f64; 2]| {
+        (0..2).filter(|&a| axes.contains(&AXES[a])).map(|a| left[a].abs()).reduce(f64::min).unwrap_or(0.0)
+    };
     // E|D| of the lesser of two residuals is that of a half spread.
     let scale = 1.0 / (1.5f64.sqrt() * (2.0 - ((10.0f64 / 3.0).sqrt() + (2.0f64 / 3.0).sqrt()) / 2.0));
     mean.iter()
@@ -262,7 +307,9 @@ pub fn residual(mean: &[Grid], features: &[Signal], explaining: &[usize], params
                 let mut noise = lesser(own);
                 if !terms.is_empty() {
                     let coefficients = fit_around(channel, &terms, &magnitude, p, params);
-                    let explained = |axis: Point| -> f64 { terms.iter().zip(&coefficients).map(|(term, c)| c * stands_out(term, p, axis)).sum() };
+                    let explained = |axis: Point| -> f64 {
+                        terms.iter().zip(&coefficients).map(|(term, c)| c * stands_out(term, p, axis)).sum()
+                    };
                     let left = lesser([own[0] - explained(AXES[0]), own[1] - explained(AXES[1])]);
                     noise = left.powf(params.fitted_share) * noise.powf(1.0 - params.fitted_share);
                 }
@@ -275,7 +322,8 @@ pub fn residual(mean: &[Grid], features: &[Signal], explaining: &[usize], params
 
 /// From the mean of its neighbours along an axis; at the border one stands for both.
 fn stands_out(plane: &Grid, p: Point, axis: Point) -> f64 {
-    let beside: Vec<f64> = [p - axis, p + axis].into_iter().filter(|&q| plane.contains(q)).map(|q| plane.at(q)).collect();
+    let beside: Vec<f64> =
+        [p - axis, p + axis].into_iter().filter(|&q| plane.contains(q)).map(|q| plane.at(q)).collect();
     if beside.is_empty() { 0.0 } else { plane.at(p) - beside.iter().sum::<f64>() / beside.len() as f64 }
 }
 

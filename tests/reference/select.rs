@@ -15,23 +15,27 @@ pub const ALL: [bool; 3] = [true; 3];
 /// When a candidate may take part in the blend of a pixel.
 #[derive(Clone, Copy, Debug)]
 pub struct Guard {
-    /// Where its smoothed error exceeds the winner's by no more than `smoothed_error · |winner's error| + smoothed_noise · Σ_i V_i` …
+    /// Where its smoothed error exceeds the winner's by no more than
+    /// `smoothed_error · |winner's error| + smoothed_noise · Σ_i V_i` …
     pub smoothed_error: f64,
     /// … the second of which is how far two errors may differ for no other reason than the noise of the estimate.
     pub smoothed_noise: f64,
-    /// And where its SURE as it is exceeds the least one, that of G, by no more than `own_sigmas` standard deviations `2·√Σ_i V_i·(F_i − G_i)²` of their difference …
+    /// And where its SURE as it is exceeds the least one, that of G, by no more than `own_sigmas` standard deviations
+    /// `2·√Σ_i V_i·(F_i − G_i)²` of their difference …
     pub own_sigmas: f64,
     /// … and `own_noise · Σ_i V_i`.
     pub own_noise: f64,
 }
 
-/// The candidate with the least error; ties go to the more robust one. FIRST must also filter more than SECOND (line 24):
-/// where it keeps noise, its error estimate may not notice. An error that is not finite cannot win, and where none can,
-/// the last one does. Those that do not take part do not exist: FIRST need not filter more than a SECOND that is not there.
+/// The candidate with the least error; ties go to the more robust one. FIRST must also filter more than SECOND (line
+/// 24): where it keeps noise, its error estimate may not notice. An error that is not finite cannot win, and where none
+/// can, the last one does. Those that do not take part do not exist: FIRST need not filter more than a SECOND that is
+/// not there.
 pub fn select(errors: &[Grid], derivatives: [&[Grid]; 3], takes_part: [bool; 3]) -> Planes {
     let (width, height) = (errors[0].width, errors[0].height);
     let winners = map_pixels(width, height, |p| {
-        let first_filters_more = !takes_part[SECOND] || channel_mean(derivatives[FIRST], p) < channel_mean(derivatives[SECOND], p);
+        let first_filters_more =
+            !takes_part[SECOND] || channel_mean(derivatives[FIRST], p) < channel_mean(derivatives[SECOND], p);
         let mut winner = None;
         for k in [FIRST, SECOND, THIRD].into_iter().filter(|k| takes_part[*k]) {
             let error = errors[k].at(p);
@@ -42,7 +46,13 @@ pub fn select(errors: &[Grid], derivatives: [&[Grid]; 3], takes_part: [bool; 3])
         }
         winner.unwrap_or_else(|| last(takes_part))
     });
-    [FIRST, SECOND, THIRD].map(|k| Grid { width, height, values: winners.iter().map(|&winner| if winner == k { 1.0 } else { 0.0 }).collect() }).to_vec()
+    [FIRST, SECOND, THIRD]
+        .map(|k| Grid {
+            width,
+            height,
+            values: winners.iter().map(|&winner| if winner == k { 1.0 } else { 0.0 }).collect(),
+        })
+        .to_vec()
 }
 
 /// The most robust one that takes part.
@@ -57,7 +67,8 @@ pub fn smooth_maps(binary: &[Grid], guide: Guide, aside: &FilterParams) -> Plane
     normalise(&smoothed, |_| THIRD)
 }
 
-/// The winner by the smoothed errors takes part with at least this share, so that something is left where it alone survives the guard …
+/// The winner by the smoothed errors takes part with at least this share, so that something is left where it alone
+/// survives the guard …
 const SMALLEST_SHARE_OF_WINNER: f64 = 1e-6;
 /// … and the winner by the pixel's own with this one, which matters where the first has failed by the second rule.
 const SMALLEST_SHARE_OF_OWN_WINNER: f64 = 1e-9;
@@ -76,9 +87,10 @@ pub struct Evidence<'a> {
     pub variance: &'a [Grid],
 }
 
-/// Smoothing hands a rejected candidate some weight near the border of its region, and one that is wildly wrong there ruins the
-/// blend with any weight at all: the guard takes such candidates out again. And smoothed errors know nothing of a single clean pixel
-/// among noisy ones, so that the pixel's own error has its say as well. Without a guard the maps are only normalised.
+/// Smoothing hands a rejected candidate some weight near the border of its region, and one that is wildly wrong there
+/// ruins the blend with any weight at all: the guard takes such candidates out again. And smoothed errors know nothing
+/// of a single clean pixel among noisy ones, so that the pixel's own error has its say as well. Without a guard the
+/// maps are only normalised.
 pub fn share(maps: &[Grid], evidence: Evidence, guard: Option<&Guard>) -> Planes {
     let Evidence { errors, binary_maps, sure, candidates, takes_part, variance } = evidence;
     let noise = |p: Point| variance.iter().map(|v| v.at(p)).sum::<f64>();
@@ -110,7 +122,8 @@ pub fn share(maps: &[Grid], evidence: Evidence, guard: Option<&Guard>) -> Planes
     normalise(&guarded, winner)
 }
 
-/// How far SURE may tell two filtered values of one pixel apart by chance: its difference has the standard deviation 2·√Σ σ_i²(F_i − G_i)².
+/// How far SURE may tell two filtered values of one pixel apart by chance: its difference has the standard deviation
+/// 2·√Σ σ_i²(F_i − G_i)².
 fn by_chance(f: &[Grid], g: &[Grid], variance: &[Grid], guard: &Guard, p: Point) -> f64 {
     let apart = |i: usize| f[i].at(p) - g[i].at(p);
     let deviation = 2.0 * (0..variance.len()).map(|i| variance[i].at(p) * apart(i) * apart(i)).sum::<f64>().sqrt();
@@ -142,7 +155,8 @@ pub fn differences(of_color_only: &Grid, of_blend: &Grid, variance: &[Grid]) -> 
     })
 }
 
-/// The share of the filter by the colour only: how many standard errors the average difference lies below 0. Σ w² of a Gaussian is 1/(4πσ²).
+/// The share of the filter by the colour only: how many standard errors the average difference lies below 0. Σ w² of a
+/// Gaussian is 1/(4πσ²).
 pub fn color_only_share(differences: &Grid, params: Significance) -> Grid {
     let radius = (3.0 * params.sigma).ceil() as usize;
     let mean = gaussian(differences, params.sigma, radius);

@@ -69,8 +69,14 @@ impl Lights {
     /// A filtered signal and its error, with the lights.
     pub fn added_to(&self, Kept { mean, spread, error }: Kept) -> Kept {
         let one = |other: &Grid, light: &Grid| other.like(|p| if self.is_light(p) { light.at(p) } else { other.at(p) });
-        let all = |others: &[Grid], lights: &[Grid]| -> Planes { others.iter().zip(lights).map(|(other, light)| one(other, light)).collect() };
-        Kept { mean: all(&mean, &self.mean), spread: spread.map(|spread| all(&spread, &self.spread)), error: one(&error, &self.variance) }
+        let all = |others: &[Grid], lights: &[Grid]| -> Planes {
+            others.iter().zip(lights).map(|(other, light)| one(other, light)).collect()
+        };
+        Kept {
+            mean: all(&mean, &self.mean),
+            spread: spread.map(|spread| all(&spread, &self.spread)),
+            error: one(&error, &self.variance),
+        }
     }
 }
 
@@ -92,12 +98,19 @@ struct Share {
 pub fn repaired(color: &Signal, features: &[Feature], params: &SpikeParams) -> Repaired {
     let mean = &color.mean;
     // A frame without noise is left alone.
-    let any_noise = [&color.spread, &color.sample_variance].into_iter().flatten().flatten().any(|plane| plane.values.iter().any(|value| *value != 0.0));
-    let spikes: Vec<Option<Spike>> = super::map_pixels(mean[0].width, mean[0].height, |p| if any_noise { spike(color, features, params, p) } else { None });
+    let any_noise = [&color.spread, &color.sample_variance]
+        .into_iter()
+        .flatten()
+        .flatten()
+        .any(|plane| plane.values.iter().any(|value| *value != 0.0));
+    let spikes: Vec<Option<Spike>> = super::map_pixels(mean[0].width, mean[0].height, |p| {
+        if any_noise { spike(color, features, params, p) } else { None }
+    });
     let at = |p: Point| spikes[mean[0].index(p)].as_ref();
     let spike_at = |p: Point| at(p).filter(|spike| spike.light.is_none());
     let light_at = |p: Point| at(p).filter(|spike| spike.light.is_some());
-    let without: Planes = (0..mean.len()).map(|i| mean[i].like(|p| at(p).map_or(mean[i].at(p), |spike| spike.level[i]))).collect();
+    let without: Planes =
+        (0..mean.len()).map(|i| mean[i].like(|p| at(p).map_or(mean[i].at(p), |spike| spike.level[i]))).collect();
     let levels = mean[0].like(|p| level_around(&without, p));
     // Who gets how much of a spike at p, in parts of what one in its place would get.
     let gets = |p: Point, q: Point| {
@@ -126,7 +139,13 @@ pub fn repaired(color: &Signal, features: &[Feature], params: &SpikeParams) -> R
         let held = |i: usize, p: Point| at(p).map_or(f64::INFINITY, |spike| spike.variance[i].sqrt());
         planes.iter().enumerate().map(|(i, plane)| plane.like(|p| plane.at(p).clamp(-held(i, p), held(i, p)))).collect()
     };
-    let variance = |planes: &Planes| planes.iter().enumerate().map(|(i, plane)| plane.like(|p| at(p).map_or(plane.at(p), |spike| spike.variance[i]))).collect();
+    let variance = |planes: &Planes| {
+        planes
+            .iter()
+            .enumerate()
+            .map(|(i, plane)| plane.like(|p| at(p).map_or(plane.at(p), |spike| spike.variance[i])))
+            .collect()
+    };
     let own_spread = |i: usize, p: Point| color.spread.as_ref().map_or(0.0, |spread| spread[i].at(p));
     Repaired {
         signal: Signal {
@@ -139,7 +158,11 @@ pub fn repaired(color: &Signal, features: &[Feature], params: &SpikeParams) -> R
         lights: Lights {
             flags: mean[0].like(|p| light_at(p).map_or(0.0, |_| 1.0)),
             mean: channels.map(|i| mean[i].like(|p| light_at(p).map_or(0.0, |_| mean[i].at(p)))).collect(),
-            spread: mean.iter().enumerate().map(|(i, plane)| plane.like(|p| light_at(p).map_or(0.0, |_| own_spread(i, p)))).collect(),
+            spread: mean
+                .iter()
+                .enumerate()
+                .map(|(i, plane)| plane.like(|p| light_at(p).map_or(0.0, |_| own_spread(i, p))))
+                .collect(),
             variance: mean[0].like(|p| light_at(p).and_then(|light| light.light).unwrap_or(0.0)),
         },
         part: mean[0].like(|p| shares[mean[0].index(p)].part),
@@ -148,7 +171,9 @@ pub fn repaired(color: &Signal, features: &[Feature], params: &SpikeParams) -> R
 
 fn spike(color: &Signal, features: &[Feature], params: &SpikeParams, p: Point) -> Option<Spike> {
     let mean = &color.mean;
-    let window = |radius: usize| square(radius).map(move |o| p + o).filter(|&q| mean[0].contains(q) && alike(features, params, p, q));
+    let window = |radius: usize| {
+        square(radius).map(move |o| p + o).filter(|&q| mean[0].contains(q) && alike(features, params, p, q))
+    };
     let mut neighbours: Vec<Point> = window(params.window_radius).filter(|&q| q != p).collect();
     if neighbours.len() < params.least_neighbours.max(3) {
         return None;
@@ -158,17 +183,22 @@ fn spike(color: &Signal, features: &[Feature], params: &SpikeParams, p: Point) -
     let bright = channel_mean(mean, neighbours[2]);
     neighbours.retain(|&q| channel_mean(mean, q) <= bright);
     let of_neighbours = |value: &dyn Fn(usize, Point) -> f64| -> Vec<f64> {
-        (0..mean.len()).map(|i| neighbours.iter().map(|&q| value(i, q)).sum::<f64>() / neighbours.len() as f64).collect()
+        (0..mean.len())
+            .map(|i| neighbours.iter().map(|&q| value(i, q)).sum::<f64>() / neighbours.len() as f64)
+            .collect()
     };
     let two_buffer = |i: usize, q: Point| color.spread.as_ref().map_or(0.0, |spread| spread[i].at(q).powi(2));
-    let claimed = |i: usize, q: Point| color.sample_variance.as_ref().map_or_else(|| two_buffer(i, q), |variance| variance[i].at(q));
+    let claimed = |i: usize, q: Point| {
+        color.sample_variance.as_ref().map_or_else(|| two_buffer(i, q), |variance| variance[i].at(q))
+    };
     let level = of_neighbours(&|i, q| mean[i].at(q));
     let excess: Vec<f64> = level.iter().enumerate().map(|(i, level)| mean[i].at(p) - level).collect();
     let brightness = |color: &[f64]| color.iter().sum::<f64>() / color.len() as f64;
 
     // √k standard deviations for k bright samples.
     let noise: f64 = (0..mean.len()).map(|i| claimed(i, p).max(two_buffer(i, p))).sum();
-    let stands_out = channel_mean(mean, p) > bright && brightness(&excess) > params.prominence * (bright - brightness(&level));
+    let stands_out =
+        channel_mean(mean, p) > bright && brightness(&excess) > params.prominence * (bright - brightness(&level));
     let squared: f64 = excess.iter().map(|e| e * e).sum();
     let is_spike = is_noisy(color, p) && squared <= params.most_samples * noise;
     let light = (squared > params.light_samples * noise).then_some(noise);
@@ -178,7 +208,8 @@ fn spike(color: &Signal, features: &[Feature], params: &SpikeParams, p: Point) -
     Some(Spike { variance: of_neighbours(&claimed), level, excess, light })
 }
 
-/// How bright the 3×3 pixels around are: their median, of an even number the lower one of the two in the middle, at least 0. It follows an edge of light, which a mean would blur.
+/// How bright the 3×3 pixels around are: their median, of an even number the lower one of the two in the middle, at
+/// least 0. It follows an edge of light, which a mean would blur.
 fn level_around(without_spikes: &[Grid], p: Point) -> f64 {
     let around = square(1).map(|o| p + o).filter(|&q| without_spikes[0].contains(q));
     lower_median(around.map(|q| channel_mean(without_spikes, q)).collect()).max(0.0)
@@ -198,7 +229,8 @@ fn falloff(params: &SpikeParams, p: Point, q: Point) -> f64 {
 
 /// What has next to no noise, a thousandth of its value, is what it is.
 fn is_noisy(color: &Signal, p: Point) -> bool {
-    let largest = |planes: &Planes, size: fn(f64) -> f64| planes.iter().map(|plane| size(plane.at(p))).fold(0.0, f64::max);
+    let largest =
+        |planes: &Planes, size: fn(f64) -> f64| planes.iter().map(|plane| size(plane.at(p))).fold(0.0, f64::max);
     let spread = color.spread.as_ref().map_or(0.0, |spread| largest(spread, f64::abs));
     let deviation = color.sample_variance.as_ref().map_or(0.0, |variance| largest(variance, f64::sqrt));
     spread.max(deviation) > 1e-3 * largest(&color.mean, f64::abs)

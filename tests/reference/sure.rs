@@ -17,8 +17,8 @@ pub fn sure(u: &[Grid], variance: &[Grid], filtered: &[Grid], derivative: &[Grid
     })
 }
 
-/// Lines 19 to 22 of Algorithm 1: just enough smoothing to tell the candidates apart. `aside` gives what is the same in all
-/// filters, the treatment of pairs and of the centre.
+/// Lines 19 to 22 of Algorithm 1: just enough smoothing to tell the candidates apart. `aside` gives what is the same in
+/// all filters, the treatment of pairs and of the centre.
 pub fn smooth_errors(sure: &[Grid], guide: Guide, aside: &FilterParams) -> Planes {
     let params = FilterParams { window_radius: 1, patch_radius: 1, k_color: 1.0, k_feature: f64::INFINITY, ..*aside };
     nlm_filter(sure, Some(guide), &[], &params).planes
@@ -54,14 +54,26 @@ pub struct Part<'a> {
     pub derivative: &'a [Grid],
 }
 
-/// The squared error of a blend: the noise that its halves show, how far its candidates lie apart from it, what their own weight leaves of each pixel's noise, and the
-/// squares of what it got of spikes.
-pub fn error_blend(mean: &[Grid], spread: Option<&[Grid]>, variance: &[Grid], made_of: &[Part], squares: Option<&Grid>, parts: ErrorParts) -> Grid {
+/// The squared error of a blend: the noise that its halves show, how far its candidates lie apart from it, what their
+/// own weight leaves of each pixel's noise, and the squares of what it got of spikes.
+pub fn error_blend(
+    mean: &[Grid],
+    spread: Option<&[Grid]>,
+    variance: &[Grid],
+    made_of: &[Part],
+    squares: Option<&Grid>,
+    parts: ErrorParts,
+) -> Grid {
     mean[0].like(|p| {
         let left: f64 = spread.iter().flat_map(|spread| spread.iter()).map(|plane| plane.at(p).powi(2)).sum();
         let of_each = made_of.iter().filter(|part| part.share.at(p) > 0.0).map(|part| {
             let apart: f64 = part.mean.iter().zip(mean).map(|(own, blend)| (own.at(p) - blend.at(p)).powi(2)).sum();
-            let noise: f64 = part.derivative.iter().zip(variance).map(|(derivative, variance)| variance.at(p) * derivative.at(p).clamp(0.0, 1.0)).sum();
+            let noise: f64 = part
+                .derivative
+                .iter()
+                .zip(variance)
+                .map(|(derivative, variance)| variance.at(p) * derivative.at(p).clamp(0.0, 1.0))
+                .sum();
             part.share.at(p) * (parts.disagreement * apart + parts.own_noise * noise)
         });
         parts.spread * left + of_each.sum::<f64>() + parts.spikes * squares.map_or(0.0, |squares| squares.at(p))
@@ -71,7 +83,8 @@ pub fn error_blend(mean: &[Grid], spread: Option<&[Grid]>, variance: &[Grid], ma
 /// What keeps dark pixels from taking all samples (section 7.1.2).
 const RELATIVE_FLOOR: f64 = 1e-3;
 
-/// Section 8.6: an error, summed over the channels, relative to the squared value, times the weight that one more sample has.
+/// Section 8.6: an error, summed over the channels, relative to the squared value, times the weight that one more
+/// sample has.
 pub fn sample_density(mean: &[Grid], error: &Grid, weight_sum: &Grid, samples_per_pixel: f64) -> Grid {
     error.like(|p| {
         let squared: f64 = mean.iter().map(|plane| plane.at(p) * plane.at(p) + RELATIVE_FLOOR).sum();

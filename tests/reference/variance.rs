@@ -6,8 +6,8 @@ use super::{Grid, Planes, Point, square};
 /// Radius of the 21×21 box of section 8.2.
 pub const SCALE_RADIUS: usize = 10;
 
-/// Where there are halves but no sample variance, the two-buffer variance is all there is, and it is made of one squared
-/// normal variable per pixel: it takes about fifty pixels to make a usable estimate of it.
+/// Where there are halves but no sample variance, the two-buffer variance is all there is, and it is made of one
+/// squared normal variable per pixel: it takes about fifty pixels to make a usable estimate of it.
 const HALVES_ONLY_SIGMA: f64 = 2.0;
 const HALVES_ONLY_RADIUS: usize = 5;
 
@@ -29,25 +29,28 @@ pub struct Signal {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum BoxWeight {
     Even,
-    /// By one over the standard deviation that they claim, or over a tenth of what their halves differ by where that is more.
+    /// By one over the standard deviation that they claim, or over a tenth of what their halves differ by where that is
+    /// more.
     Deviation,
 }
 
-/// Carries two half-buffer means as one plane, `(A − B)·√(n_A·n_B)/n`: its square is the two-buffer estimate of the variance
-/// of the mean of all samples. For equal halves it is (A − B)/2, and the square (A − B)²/4; chapter 7's Δ = (A − B)²/2 is
-/// the variance of *one half*.
+/// Carries two half-buffer means as one plane, `(A − B)·√(n_A·n_B)/n`: its square is the two-buffer estimate of the
+/// variance of the mean of all samples. For equal halves it is (A − B)/2, and the square (A − B)²/4; chapter 7's Δ = (A
+/// − B)²/2 is the variance of *one half*.
 pub fn spread_of_halves(a: &Grid, b: &Grid, samples_a: f64, samples_b: f64) -> Grid {
     let scale = (samples_a * samples_b).sqrt() / (samples_a + samples_b);
     a.like(|p| (a.at(p) - b.at(p)) * scale)
 }
 
-/// The best variance that a signal allows: scaled if it can be, taken at its word without halves, two-buffer alone without
-/// sample variance. With neither, the signal claims to be free of noise.
+/// The best variance that a signal allows: scaled if it can be, taken at its word without halves, two-buffer alone
+/// without sample variance. With neither, the signal claims to be free of noise.
 pub fn input_variance(signal: &Signal, weight: BoxWeight) -> Planes {
     match (&signal.sample_variance, &signal.spread) {
         (Some(variance), Some(spread)) => variance_scale(variance, spread, SCALE_RADIUS, weight),
         (Some(variance), None) => variance.clone(),
-        (None, Some(spread)) => spread.iter().map(|spread| gaussian(&squared(spread), HALVES_ONLY_SIGMA, HALVES_ONLY_RADIUS)).collect(),
+        (None, Some(spread)) => {
+            spread.iter().map(|spread| gaussian(&squared(spread), HALVES_ONLY_SIGMA, HALVES_ONLY_RADIUS)).collect()
+        }
         (None, None) => signal.mean.iter().map(|mean| mean.like(|_| 0.0)).collect(),
     }
 }
@@ -68,7 +71,8 @@ pub fn of_color(keep_clean: bool) -> Floor {
     if keep_clean { Floor::Relative } else { Floor::Printed }
 }
 
-/// The variance of a mean, held above the square of a thousandth of a pixel's brightness or of a ten-thousandth of that around it; of a feature, above next to nothing.
+/// The variance of a mean, held above the square of a thousandth of a pixel's brightness or of a ten-thousandth of that
+/// around it; of a feature, above next to nothing.
 pub fn floored(mean: &[Grid], variance: &[Grid], floor: Floor) -> Planes {
     let around = brightness_around(mean);
     let own = |p: Point| mean.iter().map(|plane| plane.at(p).abs()).fold(0.0, f64::max);

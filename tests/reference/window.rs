@@ -1,7 +1,9 @@
 //! What the operator sees from one pixel: the weight of each neighbour that exists, and the distances behind it.
 
 use super::Point;
-use super::nlm::{self, Feature, FilterParams, Guide, Pair, color_weights, feature_distance, feature_weights, window_weights};
+use super::nlm::{
+    self, Feature, FilterParams, Guide, Pair, color_weights, feature_distance, feature_weights, window_weights,
+};
 use super::nlm_method::{self, Filter, pair_weights, windows};
 
 pub struct Neighbour {
@@ -40,7 +42,10 @@ pub fn candidate_window(guide: Guide, features: &[Feature], params: &FilterParam
 pub fn nlm_window(guide: Guide, filter: &Filter, p: Point) -> Vec<Neighbour> {
     let window = windows(guide, filter).swap_remove(guide.mean[0].index(p));
     let neighbour = |(q, weight): (Point, f64)| {
-        let alone = Distance { distance: nlm_method::patch_distance(guide, p, &[q], filter), weight: pair_weights(guide, p, q - p, filter)[0] };
+        let alone = Distance {
+            distance: nlm_method::patch_distance(guide, p, &[q], filter),
+            weight: pair_weights(guide, p, q - p, filter)[0],
+        };
         Neighbour { at: q, weight, distances: vec![alone] }
     };
     window.neighbours.into_iter().map(neighbour).collect()

@@ -8,7 +8,8 @@ use stein::stage::exact::Region;
 use stein::stage::nlm::{CentreWeight, Schedule, Weighting};
 
 use crate::common::{
-    Scene, assert_near, bits, calm_scene, checked_gpu, extent_of, gpu, own_size, packed_signal, read, rounded, run, scene, schedules, there, upload,
+    Scene, assert_near, bits, calm_scene, checked_gpu, extent_of, gpu, own_size, packed_signal, read, rounded, run,
+    scene, schedules, there, upload,
 };
 use crate::exact;
 use crate::feature::{features, pack};
@@ -19,8 +20,9 @@ use crate::reference::variance::brightness_around;
 use crate::reference::{Grid, Planes, Point, map_pixels};
 use crate::{FILTERED, filtered_twin};
 
-/// A derivative is a difference of two filtered values over the step between them: errors of a millionth of a span, divided by the step. Rounding errors of the
-/// distances are the same in both values and cancel, so that this is less than [`FILTERED`].
+/// A derivative is a difference of two filtered values over the step between them: errors of a millionth of a span,
+/// divided by the step. Rounding errors of the distances are the same in both values and cancel, so that this is less
+/// than [`FILTERED`].
 const DERIVATIVE: f64 = 2e-5;
 
 #[derive(Clone, Copy, Debug)]
@@ -64,7 +66,11 @@ pub(crate) fn twin_params(case: Case) -> [FilterParams; 3] {
         centre: twin_of(case.centre),
     };
     let second = FilterParams { patch_radius: case.patch_radii[1] as usize, ..first };
-    [first, second, FilterParams { k_color: f64::INFINITY, tau: f64::from(filter.feature_tau_third), blend_pairs: false, ..first }]
+    [
+        first,
+        second,
+        FilterParams { k_color: f64::INFINITY, tau: f64::from(filter.feature_tau_third), blend_pairs: false, ..first },
+    ]
 }
 
 /// A variance as `variance_floor` leaves it, with the brightness around each pixel in w.
@@ -77,13 +83,22 @@ fn filtered(gpu: &Gpu, case: Case, scene: &Scene, features: &[Feature], schedule
     filtered_as_needed(gpu, case, scene, features, Needed::EVERYTHING, schedule)
 }
 
-fn filtered_as_needed(gpu: &Gpu, case: Case, scene: &Scene, features: &[Feature], needed: Needed, schedule: Schedule) -> Candidates {
+fn filtered_as_needed(
+    gpu: &Gpu,
+    case: Case,
+    scene: &Scene,
+    features: &[Feature],
+    needed: Needed,
+    schedule: Schedule,
+) -> Candidates {
     let extent = extent_of(&scene.mean[0]);
     let filtered = run(gpu, |rec| {
         let signal = rec.upload("signal", &packed_signal(&scene.mean, &scene.spread))?;
         let variance = upload_variance(rec, scene)?;
         let features = if features.is_empty() { None } else { Some(pack(rec, features)?) };
-        candidates(rec, extent, &signal, &variance, features.as_ref(), &[], &filter(case), needed, schedule, |_, _| Ok(()))
+        candidates(rec, extent, &signal, &variance, features.as_ref(), &[], &filter(case), needed, schedule, |_, _| {
+            Ok(())
+        })
     });
     assert!(filtered.alone.is_none(), "there is one frame only");
     filtered.together
@@ -126,7 +141,10 @@ struct InTime {
 
 impl InTime {
     fn new(case: Case, seed: u64) -> Self {
-        Self { scene: calm_scene(case.width, case.height, seed), features: features(case.width, case.height, case.features, seed + 100) }
+        Self {
+            scene: calm_scene(case.width, case.height, seed),
+            features: features(case.width, case.height, case.features, seed + 100),
+        }
     }
 
     fn guide(&self) -> Guide<'_> {
@@ -144,14 +162,29 @@ fn filtered_in_time(gpu: &Gpu, case: Case, frames: &[InTime], schedule: Schedule
         let mut uploaded = Vec::new();
         for InTime { scene, features } in frames {
             let features = if features.is_empty() { None } else { Some(pack(rec, features)?) };
-            uploaded.push((rec.upload("signal", &packed_signal(&scene.mean, &scene.spread))?, upload_variance(rec, scene)?, features));
+            uploaded.push((
+                rec.upload("signal", &packed_signal(&scene.mean, &scene.spread))?,
+                upload_variance(rec, scene)?,
+                features,
+            ));
         }
         let mut beside = Vec::new();
         for (signal, variance_of_mean, features) in &uploaded[1..] {
             beside.push(CandidateBeside { signal, variance_of_mean, features: features.as_ref() });
         }
         let (signal, variance, features) = &uploaded[0];
-        candidates(rec, extent, signal, variance, features.as_ref(), &beside, &filter(case), Needed::EVERYTHING, schedule, |_, _| Ok(()))
+        candidates(
+            rec,
+            extent,
+            signal,
+            variance,
+            features.as_ref(),
+            &beside,
+            &filter(case),
+            Needed::EVERYTHING,
+            schedule,
+            |_, _| Ok(()),
+        )
     })
 }
 
@@ -168,12 +201,16 @@ struct Average {
 /// The average around p over the first frame, its payload replaced by `own`, and the frames beside it.
 fn average(frames: &[InTime], own: &[Grid], p: Point, params: &FilterParams) -> Average {
     let guide = Guide { mean: &own[..3], ..frames[0].guide() };
-    let beside: Vec<_> = frames[1..].iter().map(|frame| Beside { guide: Some(frame.guide()), features: &frame.features }).collect();
+    let beside: Vec<_> =
+        frames[1..].iter().map(|frame| Beside { guide: Some(frame.guide()), features: &frame.features }).collect();
     let (weights, others) = window_weights_in_time(&own[0], p, Some(guide), &frames[0].features, &beside, params);
     let payloads: Vec<_> = frames[1..].iter().map(InTime::payload).collect();
     let terms = |plane: usize| {
         let of_own = weights.iter().map(move |(q, w)| (own[plane].at(q), w));
-        let of_others = others.iter().zip(&payloads).flat_map(move |(weights, payload)| weights.iter().map(move |(q, w)| (payload[plane].at(*q), *w)));
+        let of_others = others
+            .iter()
+            .zip(&payloads)
+            .flat_map(move |(weights, payload)| weights.iter().map(move |(q, w)| (payload[plane].at(*q), *w)));
         of_own.chain(of_others)
     };
     let weight_sum: f64 = terms(0).map(|(_, w)| w).sum();
@@ -183,7 +220,12 @@ fn average(frames: &[InTime], own: &[Grid], p: Point, params: &FilterParams) -> 
         terms(plane).map(|(u, w)| w * (u - centre).abs()).sum::<f64>() / weight_sum + 0.01 * centre.abs()
     };
     let planes = 0..own.len();
-    Average { mean: planes.clone().map(mean).collect(), span: planes.map(span).collect(), weight_sum, centre_weight: weights.centre.1 }
+    Average {
+        mean: planes.clone().map(mean).collect(),
+        span: planes.map(span).collect(),
+        weight_sum,
+        centre_weight: weights.centre.1,
+    }
 }
 
 /// A window over three frames.
@@ -191,8 +233,13 @@ fn check_in_time(gpu: &Gpu, case: Case) {
     let frames: Vec<_> = (0..3).map(|seed| InTime::new(case, 40 + seed)).collect();
     let CandidatesInTime { together: actual, alone } = filtered_in_time(gpu, case, &frames, SCHEDULE);
     let one_frame = filtered(gpu, case, &frames[0].scene, &frames[0].features, SCHEDULE);
-    let all_bits = |of: &Candidates| of.signals.iter().chain([&of.derivatives]).flatten().map(|buffer| bits(gpu, buffer)).collect::<Vec<_>>();
-    assert!(alone.is_some_and(|alone| all_bits(&alone) == all_bits(&one_frame)), "{case:?}: the own frame is filtered as if there were no other");
+    let all_bits = |of: &Candidates| {
+        of.signals.iter().chain([&of.derivatives]).flatten().map(|buffer| bits(gpu, buffer)).collect::<Vec<_>>()
+    };
+    assert!(
+        alone.is_some_and(|alone| all_bits(&alone) == all_bits(&one_frame)),
+        "{case:?}: the own frame is filtered as if there were no other"
+    );
     let own = frames[0].payload();
     let like = &own[0];
     let extent = extent_of(like);
@@ -211,7 +258,8 @@ fn check_in_time(gpu: &Gpu, case: Case) {
         assert_near(&what("Σ w"), &signal[0][3..], &weight_sum, &own_size(&weight_sum, 0.0), FILTERED, 0.0);
 
         let around = brightness_around(&own[..3]);
-        let step = |p: Point, i: usize| finite_difference_step(own[i].at(p), frames[0].scene.variance[i].at(p), around.at(p));
+        let step =
+            |p: Point, i: usize| finite_difference_step(own[i].at(p), frames[0].scene.variance[i].at(p), around.at(p));
         let derivative = |i: usize| {
             like.like(|p| {
                 let of = &expected[like.index(p)];
@@ -224,7 +272,8 @@ fn check_in_time(gpu: &Gpu, case: Case) {
             })
         };
         let derivative: Planes = (0..3).map(derivative).collect();
-        let scale: Planes = (0..3).map(|i| like.like(|p| 1.0 + derivative[i].at(p).abs() + span[i].at(p) / step(p, i).abs())).collect();
+        let scale: Planes =
+            (0..3).map(|i| like.like(|p| 1.0 + derivative[i].at(p).abs() + span[i].at(p) / step(p, i).abs())).collect();
         assert_near(&what("derivative"), &derivatives[k][..3], &derivative, &scale, DERIVATIVE, 0.0);
     }
 }
@@ -236,7 +285,15 @@ fn check(gpu: &Gpu, case: Case) {
     }
 }
 
-const LITERAL: Case = Case { width: 257, height: 89, window_radius: 2, patch_radii: [0, 1], features: &[], symmetric: false, centre: CentreWeight::One };
+const LITERAL: Case = Case {
+    width: 257,
+    height: 89,
+    window_radius: 2,
+    patch_radii: [0, 1],
+    features: &[],
+    symmetric: false,
+    centre: CentreWeight::One,
+};
 const BEST: Case = Case { symmetric: true, centre: CentreWeight::LargestNeighbour, ..LITERAL };
 /// The method's own radii, and windows that reach beyond the image on both sides.
 const WIDE: Case = Case { width: 24, height: 20, window_radius: 10, patch_radii: [1, 3], ..BEST };
@@ -268,7 +325,10 @@ fn with_eight_features() {
 #[test]
 fn with_patches_of_one_size_and_of_one_pixel() {
     check(gpu(), Case { width: 31, height: 22, window_radius: 3, patch_radii: [2, 2], features: &[1], ..WIDE });
-    check(gpu(), Case { width: 31, height: 22, window_radius: 3, patch_radii: [0, 0], centre: CentreWeight::One, ..WIDE });
+    check(
+        gpu(),
+        Case { width: 31, height: 22, window_radius: 3, patch_radii: [0, 0], centre: CentreWeight::One, ..WIDE },
+    );
 }
 
 #[test]
@@ -299,19 +359,30 @@ fn from_checked_kernels() {
 
 #[test]
 fn every_schedule_gives_the_same_bits() {
-    for case in [Case { window_radius: 4, height: 37, features: &[3, 1, 1], ..WIDE }, Case { window_radius: 4, height: 37, symmetric: false, ..WIDE }] {
+    for case in [
+        Case { window_radius: 4, height: 37, features: &[3, 1, 1], ..WIDE },
+        Case { window_radius: 4, height: 37, symmetric: false, ..WIDE },
+    ] {
         let scene = scene(case.width, case.height, 33);
         let features = features(case.width, case.height, case.features, 34);
         let result = |schedule| {
             let candidates = filtered(gpu(), case, &scene, &features, schedule);
-            candidates.signals.iter().chain([&candidates.derivatives]).flatten().map(|buffer| bits(gpu(), buffer)).collect::<Vec<_>>()
+            candidates
+                .signals
+                .iter()
+                .chain([&candidates.derivatives])
+                .flatten()
+                .map(|buffer| bits(gpu(), buffer))
+                .collect::<Vec<_>>()
         };
         let whole = result(Schedule { scratch_bytes: 64 << 20, block_rows: 16, ..Schedule::SOFTWARE });
         for schedule in schedules() {
             assert!(result(schedule) == whole, "{case:?} with {schedule:?}");
         }
         let frames: Vec<_> = (0..2).map(|seed| InTime::new(case, 50 + seed)).collect();
-        let in_time = |schedule| filtered_in_time(gpu(), case, &frames, schedule).together.signals.map(|buffer| bits(gpu(), there(&buffer)));
+        let in_time = |schedule| {
+            filtered_in_time(gpu(), case, &frames, schedule).together.signals.map(|buffer| bits(gpu(), there(&buffer)))
+        };
         let whole = in_time(Schedule { scratch_bytes: 64 << 20, block_rows: 16, ..Schedule::SOFTWARE });
         for schedule in schedules().filter(|schedule| schedule.scratch_bytes <= 30_000) {
             assert!(in_time(schedule) == whole, "{case:?} in time with {schedule:?}");
@@ -319,9 +390,10 @@ fn every_schedule_gives_the_same_bits() {
     }
 }
 
-/// The finite difference with the step that the text prescribes against the derivative itself. A step of 1 % of the value sees the curvature of F and may cross
-/// one of its kinks (a weight that reaches 1, a blend that begins); the step backwards sees the other side of it. So the two may differ by twice what the steps in both
-/// directions differ by, and by f32's part; kinks on both sides within 1 % are left for the half percent.
+/// The finite difference with the step that the text prescribes against the derivative itself. A step of 1 % of the
+/// value sees the curvature of F and may cross one of its kinks (a weight that reaches 1, a blend that begins); the
+/// step backwards sees the other side of it. So the two may differ by twice what the steps in both directions differ
+/// by, and by f32's part; kinks on both sides within 1 % are left for the half percent.
 #[test]
 fn finite_differences_approach_the_analytic_derivative() {
     let (width, height) = (24, 18);
@@ -330,21 +402,36 @@ fn finite_differences_approach_the_analytic_derivative() {
     let around = brightness_around(&scene.mean);
     for symmetric in [false, true] {
         for centre in [CentreWeight::One, CentreWeight::LargestNeighbour] {
-            let case = Case { width, height, window_radius: 3, patch_radii: [1, 3], features: &[3, 1], symmetric, centre };
+            let case =
+                Case { width, height, window_radius: 3, patch_radii: [1, 3], features: &[3, 1], symmetric, centre };
             let features = features(width, height, case.features, 36);
             let derivatives = filtered(gpu(), case, &scene, &features, SCHEDULE).derivatives;
-            for (k, (actual, params)) in read(gpu(), there(&derivatives), extent).into_iter().zip(twin_params(case)).enumerate() {
+            for (k, (actual, params)) in
+                read(gpu(), there(&derivatives), extent).into_iter().zip(twin_params(case)).enumerate()
+            {
                 let plane = |i: usize| {
                     scene.mean[i].like(|p| {
                         let step = finite_difference_step(scene.mean[i].at(p), scene.variance[i].at(p), around.at(p));
-                        let difference = |step| finite_difference(&scene.mean, &scene.variance, &features, &params, p, i, step);
+                        let difference =
+                            |step| finite_difference(&scene.mean, &scene.variance, &features, &params, p, i, step);
                         2.0 * (difference(step) - difference(-step)).abs() + 1e-3
                     })
                 };
                 let scale: Planes = (0..3).map(plane).collect();
-                let expected: Planes =
-                    (0..3).map(|i| scene.mean[i].like(|p| analytic_derivative(&scene.mean, &scene.variance, &features, &params, p, i))).collect();
-                assert_near(&format!("{case:?}: {} against the analytic derivative", NAMES[k]), &actual[..3], &expected, &scale, 1.0, 0.005);
+                let expected: Planes = (0..3)
+                    .map(|i| {
+                        scene.mean[i]
+                            .like(|p| analytic_derivative(&scene.mean, &scene.variance, &features, &params, p, i))
+                    })
+                    .collect();
+                assert_near(
+                    &format!("{case:?}: {} against the analytic derivative", NAMES[k]),
+                    &actual[..3],
+                    &expected,
+                    &scale,
+                    1.0,
+                    0.005,
+                );
                 let mean = |planes: &[Grid]| planes.iter().map(Grid::mean).sum::<f64>() / 3.0;
                 assert!(mean(&scale) < 0.05, "a tolerance of {} proves nothing", mean(&scale));
                 assert!(mean(&expected) > 0.02, "a derivative of {} proves nothing", mean(&expected));
@@ -375,13 +462,33 @@ fn parts_have_the_bits_of_the_whole() {
     let features = features(PART.width, PART.height, PART.features, 38);
     let whole = filtered(gpu(), PART, &scene, &features, FEW_REGISTERS);
     for (candidates, derivatives) in parts {
-        let part = filtered_as_needed(gpu(), PART, &scene, &features, Needed { candidates, derivatives, ..Needed::EVERYTHING }, FEW_REGISTERS);
+        let part = filtered_as_needed(
+            gpu(),
+            PART,
+            &scene,
+            &features,
+            Needed { candidates, derivatives, ..Needed::EVERYTHING },
+            FEW_REGISTERS,
+        );
         assert_eq!((part.set(), part.derivatives.is_some()), (candidates, derivatives));
         for k in (0..3).filter(|k| candidates.flags()[*k]) {
             let of_candidate = |of: &Candidates| bits(gpu(), there(&of.signals[k]));
-            assert!(of_candidate(&part) == of_candidate(&whole), "{} of {candidates}, derivatives {derivatives}", NAMES[k]);
-            let derivative = |of: &Candidates| bits(gpu(), there(&of.derivatives)).chunks_exact(4 * PART.width * PART.height).nth(k).map(<[u32]>::to_vec);
-            assert!(!derivatives || derivative(&part) == derivative(&whole), "derivative of {} of {candidates}", NAMES[k]);
+            assert!(
+                of_candidate(&part) == of_candidate(&whole),
+                "{} of {candidates}, derivatives {derivatives}",
+                NAMES[k]
+            );
+            let derivative = |of: &Candidates| {
+                bits(gpu(), there(&of.derivatives))
+                    .chunks_exact(4 * PART.width * PART.height)
+                    .nth(k)
+                    .map(<[u32]>::to_vec)
+            };
+            assert!(
+                !derivatives || derivative(&part) == derivative(&whole),
+                "derivative of {} of {candidates}",
+                NAMES[k]
+            );
         }
     }
 }
@@ -395,7 +502,12 @@ fn a_grey_image_needs_one_channel() {
     let features = features(case.width, case.height, case.features, 38);
     let all = |needed| {
         let candidates = filtered_as_needed(gpu(), case, &scene, &features, needed, FEW_REGISTERS);
-        candidates.signals.iter().chain([&candidates.derivatives]).map(|buffer| bits(gpu(), there(buffer))).collect::<Vec<_>>()
+        candidates
+            .signals
+            .iter()
+            .chain([&candidates.derivatives])
+            .map(|buffer| bits(gpu(), there(buffer)))
+            .collect::<Vec<_>>()
     };
     assert!(all(Needed::EVERYTHING) == all(Needed { channels: false, ..Needed::EVERYTHING }));
 }
@@ -410,15 +522,29 @@ fn some_pixels_have_the_bits_of_all() {
     let (width, pixels) = (case.width as i32, case.width * case.height);
     for exact in [None, Some(&tiles.exact)] {
         let of = |wanted: Option<Region>| {
-            let candidates = filtered_as_needed(gpu(), case, &scene, &features, Needed { exact, wanted, ..Needed::EVERYTHING }, FEW_REGISTERS);
-            candidates.signals.iter().chain([&candidates.derivatives]).map(|buffer| bits(gpu(), there(buffer))).collect::<Vec<_>>()
+            let candidates = filtered_as_needed(
+                gpu(),
+                case,
+                &scene,
+                &features,
+                Needed { exact, wanted, ..Needed::EVERYTHING },
+                FEW_REGISTERS,
+            );
+            candidates
+                .signals
+                .iter()
+                .chain([&candidates.derivatives])
+                .map(|buffer| bits(gpu(), there(buffer)))
+                .collect::<Vec<_>>()
         };
         let all = of(None);
         for region in exact::parts(width, case.height as i32) {
             for (buffer, (some, all)) in of(Some(region)).iter().zip(&all).enumerate() {
                 for pixel in exact::pixels_of(region, width) {
                     // w has no meaning in the half spread and the derivatives.
-                    let of = |bits: &[u32]| bits.chunks_exact(4 * pixels).map(|plane| plane[4 * pixel..][..3].to_vec()).collect::<Vec<_>>();
+                    let of = |bits: &[u32]| {
+                        bits.chunks_exact(4 * pixels).map(|plane| plane[4 * pixel..][..3].to_vec()).collect::<Vec<_>>()
+                    };
                     assert_eq!(of(some), of(all), "{region:?}, buffer {buffer}, pixel {pixel}");
                 }
             }
@@ -434,7 +560,12 @@ fn a_half_spread_that_says_nothing_is_not_filtered() {
     let features = features(case.width, case.height, case.features, 38);
     let all = |needed| {
         let candidates = filtered_as_needed(gpu(), case, &scene, &features, needed, FEW_REGISTERS);
-        candidates.signals.iter().chain([&candidates.derivatives]).map(|buffer| bits(gpu(), there(buffer))).collect::<Vec<_>>()
+        candidates
+            .signals
+            .iter()
+            .chain([&candidates.derivatives])
+            .map(|buffer| bits(gpu(), there(buffer)))
+            .collect::<Vec<_>>()
     };
     assert!(all(Needed::EVERYTHING) == all(Needed { half_spread: false, ..Needed::EVERYTHING }));
 }
@@ -449,7 +580,14 @@ fn exact_tiles_keep_the_signal() {
     let whole = filtered(gpu(), case, &scene, &features, SCHEDULE);
     let extent = extent_of(&scene.mean[0]);
     for schedule in schedules().filter(|schedule| schedule.scratch_bytes >= 30_000) {
-        let part = filtered_as_needed(gpu(), case, &scene, &features, Needed { exact: Some(&tiles.exact), ..Needed::EVERYTHING }, schedule);
+        let part = filtered_as_needed(
+            gpu(),
+            case,
+            &scene,
+            &features,
+            Needed { exact: Some(&tiles.exact), ..Needed::EVERYTHING },
+            schedule,
+        );
         for (k, (part, whole)) in part.signals.iter().zip(&whole.signals).enumerate() {
             let (part, whole) = (read(gpu(), there(part), extent), read(gpu(), there(whole), extent));
             let one = scene.mean[0].like(|_| 1.0);
@@ -459,7 +597,8 @@ fn exact_tiles_keep_the_signal() {
                 assert!(part[plane][..expected.len()] == expected[..], "{schedule:?}: {} plane {plane}", NAMES[k]);
             }
         }
-        let (part, whole) = (read(gpu(), there(&part.derivatives), extent), read(gpu(), there(&whole.derivatives), extent));
+        let (part, whole) =
+            (read(gpu(), there(&part.derivatives), extent), read(gpu(), there(&whole.derivatives), extent));
         let ones = vec![scene.mean[0].like(|_| 1.0); 3];
         for (part, whole) in part.iter().zip(&whole) {
             assert!(part[..3] == tiles.keep(&ones, whole)[..], "{schedule:?}: derivatives");
@@ -473,5 +612,8 @@ fn exact_tiles_keep_the_signal() {
         Needed { candidates: CandidateSet { third: true, ..NONE }, exact: Some(&tiles.all), ..Needed::EVERYTHING },
         SCHEDULE,
     );
-    assert!(read(gpu(), there(&none.signals[2]), extent)[0][..3] == scene.mean[..], "nothing is filtered where all is exact");
+    assert!(
+        read(gpu(), there(&none.signals[2]), extent)[0][..3] == scene.mean[..],
+        "nothing is filtered where all is exact"
+    );
 }

@@ -1,4 +1,5 @@
-//! What chapter 7 asks of the NL-means filter beyond chapter 8 (its cancellation, its rule for pairs, patchwise weights, their cut), and its stages around the filter.
+//! What chapter 7 asks of the NL-means filter beyond chapter 8 (its cancellation, its rule for pairs, patchwise
+//! weights, their cut), and its stages around the filter.
 
 use stein::gpu::Gpu;
 use stein::stage::error::error_halves;
@@ -8,7 +9,10 @@ use stein::stage::sample::{GpuSamples, sample_attach};
 use stein::stage::variance::{variance_clamp, variance_pair};
 
 use crate::FILTERED;
-use crate::common::{Scene, assert_near, bits, calm_scene, checked_gpu, extent_of, gpu, own_size, packed_signal, read, rounded, run, scene, schedules, upload};
+use crate::common::{
+    Scene, assert_near, bits, calm_scene, checked_gpu, extent_of, gpu, own_size, packed_signal, read, rounded, run,
+    scene, schedules, upload,
+};
 use crate::nlm::twin_of;
 use crate::reference::nlm::WindowWeights;
 use crate::reference::nlm_method::{self, Filter, local_variance};
@@ -45,14 +49,15 @@ const THESIS: Case = Case {
 const SCHEDULE: Schedule = Schedule { scratch_bytes: 1 << 20, block_rows: 16, ..Schedule::SOFTWARE };
 const K: f32 = 0.45;
 
-/// Whether the weight of a pair is replaced, and whether it is cut, are decisions that rounding may turn over, in one of millions of weights. Patchwise, a replaced weight
-/// enters those of all pixels whose patches hold it.
+/// Whether the weight of a pair is replaced, and whether it is cut, are decisions that rounding may turn over, in one
+/// of millions of weights. Patchwise, a replaced weight enters those of all pixels whose patches hold it.
 const FLIPPED: f64 = 0.01;
 
 fn filtered(gpu: &Gpu, case: Case, guide: &Scene, payload: &[Grid], schedule: Schedule) -> Filtered {
     let extent = extent_of(&guide.mean[0]);
     run(gpu, |rec| {
-        let (signal, variance_of_mean, payload) = (upload(rec, &guide.mean)?, upload(rec, &guide.variance)?, upload(rec, payload)?);
+        let (signal, variance_of_mean, payload) =
+            (upload(rec, &guide.mean)?, upload(rec, &guide.variance)?, upload(rec, payload)?);
         let guide = Guide {
             signal: &signal,
             variance_of_mean: &variance_of_mean,
@@ -69,7 +74,16 @@ fn filtered(gpu: &Gpu, case: Case, guide: &Scene, payload: &[Grid], schedule: Sc
             wanted: None,
         };
         let weighting = Weighting { symmetric: case.symmetric, centre: case.centre };
-        nlm_filter(rec, extent, &guide, &Payload::new(&payload, 1), case.window_radius, weighting, case.residual, schedule)
+        nlm_filter(
+            rec,
+            extent,
+            &guide,
+            &Payload::new(&payload, 1),
+            case.window_radius,
+            weighting,
+            case.residual,
+            schedule,
+        )
     })
 }
 
@@ -91,7 +105,9 @@ fn twin_filter(case: Case) -> Filter {
 }
 
 fn check(gpu: &Gpu, case: Case) {
-    for Scene { mean, spread, variance } in [scene(case.width, case.height, 71), calm_scene(case.width, case.height, 72)] {
+    for Scene { mean, spread, variance } in
+        [scene(case.width, case.height, 71), calm_scene(case.width, case.height, 72)]
+    {
         // As distances get it: between pixels without variance, float32 and float64 differ by their rounding.
         let variance = floored(&mean, &variance, Floor::Printed).into_iter().map(rounded).collect();
         check_guide(gpu, case, &Scene { mean, spread, variance });
@@ -102,25 +118,51 @@ fn check_guide(gpu: &Gpu, case: Case, guide: &Scene) {
     let payload = scene(case.width, case.height, 73).mean;
     let actual = filtered(gpu, case, guide, &payload, SCHEDULE);
     let extent = extent_of(&guide.mean[0]);
-    let windows = nlm_method::windows(reference::nlm::Guide { mean: &guide.mean, variance: &guide.variance }, &twin_filter(case));
-    let plane = |value: &dyn Fn(&WindowWeights) -> f64| Grid { values: windows.iter().map(value).collect(), ..guide.mean[0] };
+    let windows =
+        nlm_method::windows(reference::nlm::Guide { mean: &guide.mean, variance: &guide.variance }, &twin_filter(case));
+    let plane =
+        |value: &dyn Fn(&WindowWeights) -> f64| Grid { values: windows.iter().map(value).collect(), ..guide.mean[0] };
     let expected: Planes = payload.iter().map(|of| plane(&|window| window.average(of))).collect();
     // The mean distance of a pixel's neighbours to it, as for chapter 8's weights.
     let span = |of: &Grid| {
         plane(&|window| {
             let centre = of.at(window.centre.0);
-            window.iter().map(|(q, w)| w * (of.at(q) - centre).abs()).sum::<f64>() / window.sum() + 0.01 * centre.abs() + 1e-28
+            window.iter().map(|(q, w)| w * (of.at(q) - centre).abs()).sum::<f64>() / window.sum()
+                + 0.01 * centre.abs()
+                + 1e-28
         })
     };
     let spans: Planes = payload.iter().map(span).collect();
-    assert_near(&format!("{case:?}"), &read(gpu, &actual.planes, extent).remove(0), &expected, &spans, FILTERED, FLIPPED);
+    assert_near(
+        &format!("{case:?}"),
+        &read(gpu, &actual.planes, extent).remove(0),
+        &expected,
+        &spans,
+        FILTERED,
+        FLIPPED,
+    );
     let weight_sum = [plane(&WindowWeights::sum)];
     let what = format!("{case:?}: Σ w");
-    assert_near(&what, &read(gpu, &actual.weights, extent).remove(0), &weight_sum, &own_size(&weight_sum, 0.0), FILTERED, FLIPPED);
+    assert_near(
+        &what,
+        &read(gpu, &actual.weights, extent).remove(0),
+        &weight_sum,
+        &own_size(&weight_sum, 0.0),
+        FILTERED,
+        FLIPPED,
+    );
     if let Some(residual) = &actual.residual_variance {
-        let expected: Planes = guide.variance.iter().map(|of| plane(&|window| window.variance_of_average(of))).collect();
+        let expected: Planes =
+            guide.variance.iter().map(|of| plane(&|window| window.variance_of_average(of))).collect();
         let what = format!("{case:?}: residual variance");
-        assert_near(&what, &read(gpu, residual, extent).remove(0), &expected, &own_size(&expected, 1e-26), 4.0 * FILTERED, FLIPPED);
+        assert_near(
+            &what,
+            &read(gpu, residual, extent).remove(0),
+            &expected,
+            &own_size(&expected, 1e-26),
+            4.0 * FILTERED,
+            FLIPPED,
+        );
     }
 }
 
@@ -157,7 +199,8 @@ fn single_pixels_have_no_patch() {
     let case = Case { width: 33, height: 21, patch_radius: 0, ..THESIS };
     check(gpu(), case);
     let guide = calm_scene(33, 21, 74);
-    let planes = |patchwise| bits(gpu(), &filtered(gpu(), Case { patchwise, ..case }, &guide, &guide.mean, SCHEDULE).planes);
+    let planes =
+        |patchwise| bits(gpu(), &filtered(gpu(), Case { patchwise, ..case }, &guide, &guide.mean, SCHEDULE).planes);
     assert!(planes(true) == planes(false));
 }
 
@@ -180,15 +223,18 @@ fn every_schedule_gives_the_same_bits() {
     }
 }
 
-/// p between two neighbours of which only the mean is like it: the weight of the mean, e⁰, exceeds the sum of theirs, and both get it. Where one of them is like p by itself,
-/// nothing is replaced: no weight exceeds 1 + w.
+/// p between two neighbours of which only the mean is like it: the weight of the mean, e⁰, exceeds the sum of theirs,
+/// and both get it. Where one of them is like p by itself, nothing is replaced: no weight exceeds 1 + w.
 #[test]
 fn pairs_are_replaced_only_where_their_mean_is_better_than_both() {
     let case = Case { width: 3, height: 1, window_radius: 1, patch_radius: 0, patchwise: false, cut: 0.0, ..THESIS };
     let row = |values: [f64; 3]| vec![Grid { width: 3, height: 1, values: values.to_vec() }; 3];
     let weight_sum = |mean: [f64; 3]| {
         let guide = Scene { mean: row(mean), spread: row([0.0; 3]), variance: row([1e-2; 3]) };
-        read(gpu(), &filtered(gpu(), case, &guide, &guide.mean, SCHEDULE).weights, extent_of(&guide.mean[0])).remove(0).remove(0).values[1]
+        read(gpu(), &filtered(gpu(), case, &guide, &guide.mean, SCHEDULE).weights, extent_of(&guide.mean[0]))
+            .remove(0)
+            .remove(0)
+            .values[1]
     };
     assert_eq!(weight_sum([0.0, 1.0, 2.0]), 3.0);
     // The distance of 1 is (1 − 0.02)/(0.45²·0.02): nothing is left of its weight.
@@ -203,8 +249,15 @@ fn weights_below_the_cut_do_not_count() {
     let case = Case { width: 3, height: 1, window_radius: 1, patch_radius: 0, symmetric: Symmetry::Off, ..THESIS };
     let row = |values: [f64; 3]| vec![Grid { width: 3, height: 1, values: values.to_vec() }; 3];
     let guide = Scene { mean: row([-more, 0.0, less]), spread: row([0.0; 3]), variance: row([1e-2; 3]) };
-    let weights =
-        |cut| read(gpu(), &filtered(gpu(), Case { cut, ..case }, &guide, &guide.mean, SCHEDULE).weights, extent_of(&guide.mean[0])).remove(0).remove(0);
+    let weights = |cut| {
+        read(
+            gpu(),
+            &filtered(gpu(), Case { cut, ..case }, &guide, &guide.mean, SCHEDULE).weights,
+            extent_of(&guide.mean[0]),
+        )
+        .remove(0)
+        .remove(0)
+    };
     for (cut, expected) in [(0.0, 1.10), (0.05, 1.06), (0.07, 1.0)] {
         let found = weights(cut).values[1];
         assert!((found - expected).abs() < 1e-5, "cut {cut}: {found} instead of {expected}");
@@ -216,23 +269,38 @@ fn halves_are_split_and_joined() {
     for (gpu, width, height) in [(gpu(), 257, 89), (gpu(), 7, 300), (gpu(), 1, 1), (checked_gpu(), 31, 9)] {
         let scene = scene(width, height, 76);
         let extent = extent_of(&scene.mean[0]);
-        let sums = [Random(77).uniform_grid(width, height, 1.0, 400.0), Random(78).uniform_grid(width, height, 1.0, 400.0)];
+        let sums =
+            [Random(77).uniform_grid(width, height, 1.0, 400.0), Random(78).uniform_grid(width, height, 1.0, 400.0)];
         let (halves, joined) = run(gpu, |rec| {
             let signal = rec.upload("signal", &packed_signal(&scene.mean, &scene.spread))?;
             let variance = upload(rec, &scene.variance)?;
             let halves = half_split(rec, extent, &signal, &variance)?;
             let filtered = |rec: &mut stein::gpu::Recorder, planes: &[Grid], sum: &Grid| {
-                Ok::<_, stein::Error>(Filtered { planes: upload(rec, planes)?, weights: upload(rec, std::slice::from_ref(sum))?, residual_variance: None })
+                Ok::<_, stein::Error>(Filtered {
+                    planes: upload(rec, planes)?,
+                    weights: upload(rec, std::slice::from_ref(sum))?,
+                    residual_variance: None,
+                })
             };
             let (a, b) = (filtered(rec, &scene.mean, &sums[0])?, filtered(rec, &scene.spread, &sums[1])?);
             let joined = half_join(rec, extent, [&a, &b])?;
             Ok((halves, joined))
         });
         let combined = |a: f64, b: f64| -> Planes {
-            scene.mean.iter().zip(&scene.spread).map(|(mean, spread)| mean.like(|p| a * mean.at(p) + b * spread.at(p))).collect()
+            scene
+                .mean
+                .iter()
+                .zip(&scene.spread)
+                .map(|(mean, spread)| mean.like(|p| a * mean.at(p) + b * spread.at(p)))
+                .collect()
         };
         // Differences of what may be 10⁴.
-        let size: Planes = scene.mean.iter().zip(&scene.spread).map(|(mean, spread)| mean.like(|p| mean.at(p).abs() + spread.at(p).abs())).collect();
+        let size: Planes = scene
+            .mean
+            .iter()
+            .zip(&scene.spread)
+            .map(|(mean, spread)| mean.like(|p| mean.at(p).abs() + spread.at(p).abs()))
+            .collect();
         let near = |what: &str, actual: &[Grid], expected: &[Grid], size: &[Grid]| {
             assert_near(&format!("{what}, {width}×{height}"), actual, expected, size, 3e-7, 0.0);
         };
@@ -266,8 +334,16 @@ fn variance_of_the_sample_variance_and_its_bound() {
         };
         let squared: Planes = scene.spread.iter().map(|grid| grid.like(|p| grid.at(p).powi(2))).collect();
         near("two-buffer variance", &read(gpu, &pair.two_buffer_variance, extent)[0], &squared);
-        near("uncertainty", &read(gpu, &pair.uncertainty, extent)[0], &scene.variance.iter().map(local_variance).collect::<Vec<_>>());
-        let least: Planes = squared.iter().zip(&scene.variance).map(|(squared, bound)| squared.like(|p| squared.at(p).min(bound.at(p)))).collect();
+        near(
+            "uncertainty",
+            &read(gpu, &pair.uncertainty, extent)[0],
+            &scene.variance.iter().map(local_variance).collect::<Vec<_>>(),
+        );
+        let least: Planes = squared
+            .iter()
+            .zip(&scene.variance)
+            .map(|(squared, bound)| squared.like(|p| squared.at(p).min(bound.at(p))))
+            .collect();
         near("clamped", &read(gpu, &clamped, extent)[0], &least);
     }
 }
@@ -297,7 +373,9 @@ fn errors_of_the_halves() {
                 };
                 (0..3).map(channel).sum::<f64>() / 3.0 * sum.at(p) / (1.0 + sum.at(p) * counts.at(p))
             });
-            let left = scene.mean[0].like(|p| (0..3).map(|i| if halves { scene.spread[i].at(p).powi(2) } else { scene.variance[i].at(p) }).sum());
+            let left = scene.mean[0].like(|p| {
+                (0..3).map(|i| if halves { scene.spread[i].at(p).powi(2) } else { scene.variance[i].at(p) }).sum()
+            });
             let expected = [expected, left];
             // A half may be the small difference of mean and spread.
             let what = format!("halves {halves}, {width}×{height}");
@@ -315,7 +393,11 @@ fn samples_go_along_with_the_colour() {
         for vary in [false, true] {
             let attached = run(gpu, |rec| {
                 let signal = rec.upload("signal", &packed_signal(&scene.mean, &scene.spread))?;
-                let samples = if vary { GpuSamples::PerPixel(upload(rec, std::slice::from_ref(&counts))?) } else { GpuSamples::Uniform(16.0) };
+                let samples = if vary {
+                    GpuSamples::PerPixel(upload(rec, std::slice::from_ref(&counts))?)
+                } else {
+                    GpuSamples::Uniform(16.0)
+                };
                 sample_attach(rec, extent, &signal, &samples)
             });
             let planes = read(gpu, &attached, extent);

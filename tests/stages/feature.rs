@@ -1,4 +1,5 @@
-//! `feature_pack`: features in the form that the bilateral weights read. Nothing but products and a choice, so six digits are left.
+//! `feature_pack`: features in the form that the bilateral weights read. Nothing but products and a choice, so six
+//! digits are left.
 
 use stein::gpu::{Gpu, Recorder};
 use stein::stage::feature::{Features, feature_pack};
@@ -28,7 +29,8 @@ pub(crate) fn features(width: usize, height: usize, channels: &[usize], seed: u6
         let mean: Planes = (0..channels).map(|_| mean()).collect();
         // The second has no noise.
         let most = if index == 1 { 0.0 } else { 1e-3 };
-        let residual_variance = (0..channels).map(|_| positive(rounded(random.uniform_grid(width, height, -0.5 * most, most)))).collect();
+        let residual_variance =
+            (0..channels).map(|_| positive(rounded(random.uniform_grid(width, height, -0.5 * most, most)))).collect();
         Feature { gradient_squared: mean.iter().map(gradient_squared).collect(), mean, residual_variance }
     };
     channels.iter().enumerate().map(|(index, channels)| feature(index, *channels)).collect()
@@ -65,7 +67,12 @@ fn check(gpu: &Gpu, width: usize, height: usize, channels: &[usize]) {
         let first = if slot.single { 3 } else { 0 };
         let components = first..first + feature.mean.len();
         used[group][components.clone()].fill(true);
-        let scale: Planes = feature.residual_variance.iter().zip(&feature.gradient_squared).map(|(v, g)| v.like(|p| v.at(p).max(g.at(p)))).collect();
+        let scale: Planes = feature
+            .residual_variance
+            .iter()
+            .zip(&feature.gradient_squared)
+            .map(|(v, g)| v.like(|p| v.at(p).max(g.at(p))))
+            .collect();
         for (quantity, expected) in [&feature.mean, &feature.residual_variance, &scale].into_iter().enumerate() {
             let actual = &planes[3 * group + quantity][components.clone()];
             // Differences of values up to 1 lose what f32 rounds; their squares twice that.
@@ -83,7 +90,10 @@ fn check(gpu: &Gpu, width: usize, height: usize, channels: &[usize]) {
     for (group, used) in used.iter().enumerate() {
         for component in (0..4).filter(|component| !used[*component]) {
             for quantity in 0..3 {
-                assert!(planes[3 * group + quantity][component].values.iter().all(|v| *v == 0.0), "group {group}, component {component}, plane {quantity}");
+                assert!(
+                    planes[3 * group + quantity][component].values.iter().all(|v| *v == 0.0),
+                    "group {group}, component {component}, plane {quantity}"
+                );
             }
         }
     }

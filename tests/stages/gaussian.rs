@@ -40,9 +40,20 @@ fn check(what: &str, averaging: Averaging, twin: impl Fn(&Grid, f64, usize) -> G
                     let expected: Planes = source.iter().map(run).collect();
                     let magnitudes: Planes = source.iter().map(|grid| run(&grid.like(|p| grid.at(p).abs()))).collect();
                     // What is left of a spike when the centre is left out is rounding of the spike.
-                    let scale: Planes = magnitudes.iter().zip(*source).map(|(sum, own)| sum.like(|p| sum.at(p) + own.at(p).abs())).collect();
+                    let scale: Planes = magnitudes
+                        .iter()
+                        .zip(*source)
+                        .map(|(sum, own)| sum.like(|p| sum.at(p) + own.at(p).abs()))
+                        .collect();
                     let scale = if averaging == Averaging::Neighbours { scale } else { own_size(&magnitudes, 0.0) };
-                    assert_near(&format!("{what}, {width}×{height}, σ {sigma}, plane {plane}"), actual, &expected, &scale, 1e-5, 0.0);
+                    assert_near(
+                        &format!("{what}, {width}×{height}, σ {sigma}, plane {plane}"),
+                        actual,
+                        &expected,
+                        &scale,
+                        1e-5,
+                        0.0,
+                    );
                 }
             }
         }

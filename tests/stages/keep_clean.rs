@@ -3,13 +3,16 @@
 use stein::gpu::Gpu;
 use stein::stage::keep_clean::{CleanRule, Input, keep_clean};
 
-use crate::common::{Scene, assert_near, checked_gpu, extent_of, gpu, own_size, packed_signal, read, rounded, run, scene, upload};
+use crate::common::{
+    Scene, assert_near, checked_gpu, extent_of, gpu, own_size, packed_signal, read, rounded, run, scene, upload,
+};
 use crate::reference::keep_clean::{CleanParams, allowed, clean_shares, kept, kept_error};
 use crate::reference::random::Random;
 use crate::reference::variance::Signal;
 use crate::reference::{Grid, Planes, Point};
 
-/// A scene in which the noise of each pixel is anything from none to a hundredth of its value and more, and a part of which is black: one block of it wholly, another but for one pixel.
+/// A scene in which the noise of each pixel is anything from none to a hundredth of its value and more, and a part of
+/// which is black: one block of it wholly, another but for one pixel.
 fn nearly_clean_scene(width: usize, height: usize) -> Scene {
     let Scene { mean, spread, variance } = scene(width, height, 51);
     let mut random = Random(52);
@@ -18,7 +21,10 @@ fn nearly_clean_scene(width: usize, height: usize) -> Scene {
     let is_black = |p: Point| p.y < 14 && p.x < 22;
     let is_lit = |p: Point| p.x == 17 && p.y == 7;
     let changed = |planes: &Planes, value: &(dyn Fn(f64, Point) -> f64 + Sync)| -> Planes {
-        planes.iter().map(|grid| rounded(grid.like(|p| if is_black(p) && !is_lit(p) { 0.0 } else { value(grid.at(p), p) }))).collect()
+        planes
+            .iter()
+            .map(|grid| rounded(grid.like(|p| if is_black(p) && !is_lit(p) { 0.0 } else { value(grid.at(p), p) })))
+            .collect()
     };
     Scene {
         mean: changed(&mean, &|value, _| value),
@@ -40,22 +46,44 @@ fn check(gpu: &Gpu, width: usize, height: usize, with_variance: bool, with_error
         let filtered = rec.upload("filtered", &packed_signal(&filtered_mean, &filtered_spread))?;
         let errors = upload(rec, &[error.clone(), error.clone(), error.clone()])?;
         let input = Input { signal: &signal, sample_variance: sample_variance.as_ref() };
-        let found = keep_clean(rec, extent, input, &filtered, with_error.then_some((&errors, component)), CleanRule::DEFAULT)?;
+        let found =
+            keep_clean(rec, extent, input, &filtered, with_error.then_some((&errors, component)), CleanRule::DEFAULT)?;
         Ok((found, errors))
     });
 
-    let input = Signal { mean: mean.clone(), spread: Some(spread.clone()), sample_variance: with_variance.then(|| variance.clone()) };
+    let input = Signal {
+        mean: mean.clone(),
+        spread: Some(spread.clone()),
+        sample_variance: with_variance.then(|| variance.clone()),
+    };
     let shares = clean_shares(&input, &filtered_mean, CleanParams::default());
     let what = |part: &str| format!("{part}, {width}×{height}, variance {with_variance}, error {with_error}");
     let signal = read(gpu, &found, extent);
-    for (part, actual, own, filtered) in [("mean", &signal[0], &mean, &filtered_mean), ("half spread", &signal[1], &spread, &filtered_spread)] {
-        let size: Planes = own.iter().zip(filtered).map(|(a, b)| a.like(|p| a.at(p).abs() + b.at(p).abs() + 1e-9)).collect();
+    for (part, actual, own, filtered) in
+        [("mean", &signal[0], &mean, &filtered_mean), ("half spread", &signal[1], &spread, &filtered_spread)]
+    {
+        let size: Planes =
+            own.iter().zip(filtered).map(|(a, b)| a.like(|p| a.at(p).abs() + b.at(p).abs() + 1e-9)).collect();
         assert_near(&what(part), actual, &kept(own, filtered, &shares), &size, 1e-5, 0.0);
     }
     let errors = read(gpu, &errors, extent).remove(0);
     let expected = if with_error { kept_error(&error, &input, CleanParams::default()) } else { error.clone() };
-    assert_near(&what("error"), &errors[2..3], std::slice::from_ref(&expected), &own_size(std::slice::from_ref(&expected), 1e-6), 1e-4, 0.0);
-    assert_near(&what("other components"), &errors[..2], &[error.clone(), error.clone()], &own_size(&[error.clone(), error], 0.0), 0.0, 0.0);
+    assert_near(
+        &what("error"),
+        &errors[2..3],
+        std::slice::from_ref(&expected),
+        &own_size(std::slice::from_ref(&expected), 1e-6),
+        1e-4,
+        0.0,
+    );
+    assert_near(
+        &what("other components"),
+        &errors[..2],
+        &[error.clone(), error.clone()],
+        &own_size(&[error.clone(), error], 0.0),
+        0.0,
+        0.0,
+    );
     let count = |matches: &dyn Fn(f64) -> bool| shares.values.iter().filter(|share| matches(**share)).count();
     let free = allowed(&input, CleanParams::default()).values.iter().filter(|allowed| allowed.is_infinite()).count();
     [count(&|share| share == 0.0), count(&|share| share > 0.0 && share < 1.0), free]
@@ -80,5 +108,9 @@ fn black_stays_black_amid_black_alone() {
     let filtered = vec![Grid::filled(40, 30, 1.0); 3];
     let shares = clean_shares(&no_noise, &filtered, CleanParams::default());
     let at = |x, y| shares.at(Point { x, y });
-    assert_eq!((at(5, 5), at(14, 7), at(13, 7), at(17, 7)), (0.0, 1.0, 0.0, 0.0), "deep in black, near the lit pixel, just beyond, that pixel itself");
+    assert_eq!(
+        (at(5, 5), at(14, 7), at(13, 7), at(17, 7)),
+        (0.0, 1.0, 0.0, 0.0),
+        "deep in black, near the lit pixel, just beyond, that pixel itself"
+    );
 }

@@ -1,8 +1,10 @@
-//! Every stage on the GPU against its float64 twin, on whatever adapter this machine has; without one these tests fail and say how to get one.
+//! Every stage on the GPU against its float64 twin, on whatever adapter this machine has; without one these tests fail
+//! and say how to get one.
 //!
-//! Both sides get the same float32 numbers, and every buffer that a kernel is to fill is poisoned before. Tolerances are relative to what a value is made of:
-//! for a filtered value the weighted mean distance of its neighbours, [`FilteredTwin::span`]. A weight exp(−d) has the relative error that d has absolutely. Where it
-//! is worth anything, d < 20 is a mean of at most 147 pixel distances that f32 sums to some 10⁻⁵; so filtered values are held to 10⁻⁴ spans.
+//! Both sides get the same float32 numbers, and every buffer that a kernel is to fill is poisoned before. Tolerances
+//! are relative to what a value is made of: for a filtered value the weighted mean distance of its neighbours,
+//! [`FilteredTwin::span`]. A weight exp(−d) has the relative error that d has absolutely. Where it is worth anything, d
+//! < 20 is a mean of at most 147 pixel distances that f32 sums to some 10⁻⁵; so filtered values are held to 10⁻⁴ spans.
 
 #[allow(dead_code, unreachable_pub, reason = "every test includes all shared pieces and uses a part of them")]
 #[path = "../common/mod.rs"]
@@ -37,24 +39,38 @@ const VANISHING: f64 = 1e-28;
 pub(crate) struct FilteredTwin {
     pub(crate) planes: Planes,
     pub(crate) weight_sum: Grid,
-    /// The mean distance of a pixel's neighbours to it, by their weights: what relative errors of the weights act on. A hundredth of the pixel's own value is added,
-    /// so that 10⁻⁴ of it is still eight times the unit of f32's last digit, and [`VANISHING`].
+    /// The mean distance of a pixel's neighbours to it, by their weights: what relative errors of the weights act on. A
+    /// hundredth of the pixel's own value is added, so that 10⁻⁴ of it is still eight times the unit of f32's last
+    /// digit, and [`VANISHING`].
     pub(crate) span: Planes,
 }
 
-pub(crate) fn filtered_twin(payload: &[Grid], guide: Option<Guide>, features: &[Feature], params: &FilterParams) -> FilteredTwin {
+pub(crate) fn filtered_twin(
+    payload: &[Grid],
+    guide: Option<Guide>,
+    features: &[Feature],
+    params: &FilterParams,
+) -> FilteredTwin {
     let like = &payload[0];
     let windows = map_pixels(like.width, like.height, |p| {
         let weights = window_weights(like, p, guide, features, params);
         let sum = weights.sum();
         let span = |plane: &Grid| {
             let centre = plane.at(p);
-            weights.iter().map(|(q, w)| w * (plane.at(q) - centre).abs()).sum::<f64>() / sum + 0.01 * centre.abs() + VANISHING
+            weights.iter().map(|(q, w)| w * (plane.at(q) - centre).abs()).sum::<f64>() / sum
+                + 0.01 * centre.abs()
+                + VANISHING
         };
         let of_planes: Vec<(f64, f64)> = payload.iter().map(|plane| (weights.average(plane), span(plane))).collect();
         (of_planes, sum)
     });
     let plane = |values: Vec<f64>| Grid { values, ..*like };
-    let planes = |value: fn(&(f64, f64)) -> f64| (0..payload.len()).map(|i| plane(windows.iter().map(|(of, _)| value(&of[i])).collect())).collect();
-    FilteredTwin { planes: planes(|of| of.0), span: planes(|of| of.1), weight_sum: plane(windows.iter().map(|of| of.1).collect()) }
+    let planes = |value: fn(&(f64, f64)) -> f64| {
+        (0..payload.len()).map(|i| plane(windows.iter().map(|(of, _)| value(&of[i])).collect())).collect()
+    };
+    FilteredTwin {
+        planes: planes(|of| of.0),
+        span: planes(|of| of.1),
+        weight_sum: plane(windows.iter().map(|of| of.1).collect()),
+    }
 }

@@ -3,7 +3,10 @@
 use stein::gpu::Gpu;
 use stein::stage::nlm::{Beside, CentreWeight, Filtered, Guide, Payload, Schedule, Symmetry, Weighting, nlm_filter};
 
-use crate::common::{Scene, assert_near, bits, calm_scene, checked_gpu, extent_of, gpu, own_size, packed, read, run, scene, schedules, upload};
+use crate::common::{
+    Scene, assert_near, bits, calm_scene, checked_gpu, extent_of, gpu, own_size, packed, read, run, scene, schedules,
+    upload,
+};
 use crate::reference::random::Random;
 use crate::reference::{self, Grid, Planes, Point};
 use crate::{FILTERED, filtered_twin};
@@ -28,7 +31,11 @@ const K: f32 = 0.45;
 fn payload(case: Case, of: &Scene) -> Vec<Planes> {
     let mut random = Random(11);
     let noise = |random: &mut Random| crate::common::rounded(random.gaussian_grid(case.width, case.height, -2.0, 1.0));
-    [&of.mean, &of.spread].into_iter().take(case.payload_planes).map(|planes| [planes.as_slice(), &[noise(&mut random)]].concat()).collect()
+    [&of.mean, &of.spread]
+        .into_iter()
+        .take(case.payload_planes)
+        .map(|planes| [planes.as_slice(), &[noise(&mut random)]].concat())
+        .collect()
 }
 
 fn filtered(gpu: &Gpu, case: Case, guide: &Scene, payload: &[Planes], schedule: Schedule) -> Filtered {
@@ -53,7 +60,16 @@ fn filtered(gpu: &Gpu, case: Case, guide: &Scene, payload: &[Planes], schedule: 
             wanted: None,
         };
         let weighting = Weighting { symmetric: rule_of(case.symmetric), centre: case.centre };
-        nlm_filter(rec, extent, &guide, &Payload::new(&payload, case.payload_planes as u32), case.window_radius, weighting, case.residual, schedule)
+        nlm_filter(
+            rec,
+            extent,
+            &guide,
+            &Payload::new(&payload, case.payload_planes as u32),
+            case.window_radius,
+            weighting,
+            case.residual,
+            schedule,
+        )
     })
 }
 
@@ -92,19 +108,41 @@ fn check_guide(gpu: &Gpu, case: Case, guide: &Scene) {
     let payload = payload(case, &scene(case.width, case.height, 6));
     let actual = filtered(gpu, case, guide, &payload, SCHEDULE);
     let extent = extent_of(&guide.mean[0]);
-    let twin_guide = reference::nlm::Guide { mean: &guide.mean[..case.channels], variance: &guide.variance[..case.channels] };
+    let twin_guide =
+        reference::nlm::Guide { mean: &guide.mean[..case.channels], variance: &guide.variance[..case.channels] };
     let params = twin_params(case);
     let expected = filtered_twin(&payload.concat(), Some(twin_guide), &[], &params);
-    assert_near(&format!("{case:?}"), &read(gpu, &actual.planes, extent).concat(), &expected.planes, &expected.span, FILTERED, 0.0);
+    assert_near(
+        &format!("{case:?}"),
+        &read(gpu, &actual.planes, extent).concat(),
+        &expected.planes,
+        &expected.span,
+        FILTERED,
+        0.0,
+    );
     let weight_sum = [expected.weight_sum];
     let what = format!("{case:?}: Σ w");
-    assert_near(&what, &read(gpu, &actual.weights, extent).remove(0), &weight_sum, &own_size(&weight_sum, 0.0), FILTERED, 0.0);
+    assert_near(
+        &what,
+        &read(gpu, &actual.weights, extent).remove(0),
+        &weight_sum,
+        &own_size(&weight_sum, 0.0),
+        FILTERED,
+        0.0,
+    );
     assert_eq!(actual.residual_variance.is_some(), case.residual);
     if let Some(residual) = &actual.residual_variance {
         let expected = reference::nlm::nlm_variance(twin_guide.variance, Some(twin_guide), &[], &params);
         // Weights are squared, and divided by their squared sum; squares below 10⁻³⁸ vanish.
         let what = format!("{case:?}: residual variance");
-        assert_near(&what, &read(gpu, residual, extent).remove(0), &expected, &own_size(&expected, 1e-26), 4.0 * FILTERED, 0.0);
+        assert_near(
+            &what,
+            &read(gpu, residual, extent).remove(0),
+            &expected,
+            &own_size(&expected, 1e-26),
+            4.0 * FILTERED,
+            0.0,
+        );
     }
 }
 
@@ -116,9 +154,11 @@ fn check_in_time(gpu: &Gpu, case: Case) {
     let extent = extent_of(like);
     let actual = run(gpu, |rec| {
         let signals = [upload(rec, &guides[0].mean[..case.channels])?, upload(rec, &guides[1].mean[..case.channels])?];
-        let variances = [upload(rec, &guides[0].variance[..case.channels])?, upload(rec, &guides[1].variance[..case.channels])?];
+        let variances =
+            [upload(rec, &guides[0].variance[..case.channels])?, upload(rec, &guides[1].variance[..case.channels])?];
         let packed = |payload: &[Planes]| payload.iter().map(|plane| packed(plane)).collect::<Vec<_>>().concat();
-        let payloads = [rec.upload("payload", &packed(&payloads[0]))?, rec.upload("payload beside", &packed(&payloads[1]))?];
+        let payloads =
+            [rec.upload("payload", &packed(&payloads[0]))?, rec.upload("payload beside", &packed(&payloads[1]))?];
         let guide = Guide {
             signal: &signals[0],
             variance_of_mean: &variances[0],
@@ -140,7 +180,10 @@ fn check_in_time(gpu: &Gpu, case: Case) {
     });
 
     let params = twin_params(case);
-    let twin = |frame: usize| reference::nlm::Guide { mean: &guides[frame].mean[..case.channels], variance: &guides[frame].variance[..case.channels] };
+    let twin = |frame: usize| reference::nlm::Guide {
+        mean: &guides[frame].mean[..case.channels],
+        variance: &guides[frame].variance[..case.channels],
+    };
     let beside = [reference::nlm::Beside { guide: Some(twin(1)), features: &[] }];
     let windows = reference::map_pixels(case.width, case.height, |p| {
         let (own, others) = reference::nlm::window_weights_in_time(like, p, Some(twin(0)), &[], &beside, &params);
@@ -148,7 +191,9 @@ fn check_in_time(gpu: &Gpu, case: Case) {
     });
     // Σ over both frames of a function of frame, position and weight.
     let sum = |term: &dyn Fn(usize, Point, f64) -> f64| {
-        let of = |window: &[Vec<(Point, f64)>; 2]| (0..2).flat_map(|frame| window[frame].iter().map(move |(q, w)| term(frame, *q, *w))).sum();
+        let of = |window: &[Vec<(Point, f64)>; 2]| {
+            (0..2).flat_map(|frame| window[frame].iter().map(move |(q, w)| term(frame, *q, *w))).sum()
+        };
         Grid { values: windows.iter().map(of).collect(), ..*like }
     };
     let weight_sum = sum(&|_, _, w| w);
@@ -161,13 +206,21 @@ fn check_in_time(gpu: &Gpu, case: Case) {
         let at = |p: Point, window: &[Vec<(Point, f64)>; 2]| {
             let centre = planes[0][plane].at(p);
             let terms = (0..2).flat_map(|frame| window[frame].iter().map(move |(q, w)| (frame, *q, *w)));
-            terms.map(|(frame, q, w)| w * (planes[frame][plane].at(q) - centre).abs()).sum::<f64>() / weight_sum.at(p) + 0.01 * centre.abs()
+            terms.map(|(frame, q, w)| w * (planes[frame][plane].at(q) - centre).abs()).sum::<f64>() / weight_sum.at(p)
+                + 0.01 * centre.abs()
         };
         like.like(|p| at(p, &windows[like.index(p)]))
     };
     let count = 0..planes[0].len();
     let (means, spans): (Planes, Planes) = (count.clone().map(mean).collect(), count.map(span).collect());
-    assert_near(&format!("{case:?} in time"), &read(gpu, &actual.planes, extent).concat(), &means, &spans, FILTERED, 0.0);
+    assert_near(
+        &format!("{case:?} in time"),
+        &read(gpu, &actual.planes, extent).concat(),
+        &means,
+        &spans,
+        FILTERED,
+        0.0,
+    );
     let (what, sums) = (format!("{case:?} in time: Σ w"), std::slice::from_ref(&weight_sum));
     assert_near(&what, &read(gpu, &actual.weights, extent).remove(0), sums, &own_size(sums, 0.0), FILTERED, 0.0);
     if let Some(residual) = &actual.residual_variance {
@@ -177,7 +230,14 @@ fn check_in_time(gpu: &Gpu, case: Case) {
         };
         let expected: Planes = (0..case.channels).map(of_channel).collect();
         let what = format!("{case:?} in time: residual variance");
-        assert_near(&what, &read(gpu, residual, extent).remove(0), &expected, &own_size(&expected, 1e-26), 4.0 * FILTERED, 0.0);
+        assert_near(
+            &what,
+            &read(gpu, residual, extent).remove(0),
+            &expected,
+            &own_size(&expected, 1e-26),
+            4.0 * FILTERED,
+            0.0,
+        );
     }
 }
 
@@ -249,13 +309,20 @@ fn checked_kernels_agree() {
 
 #[test]
 fn every_schedule_gives_the_same_bits() {
-    for case in [Case { width: 29, height: 37, window_radius: 4, residual: true, ..WIDE }, Case { width: 29, height: 37, window_radius: 4, ..PLAIN }] {
+    for case in [
+        Case { width: 29, height: 37, window_radius: 4, residual: true, ..WIDE },
+        Case { width: 29, height: 37, window_radius: 4, ..PLAIN },
+    ] {
         let guide = scene(case.width, case.height, 7);
         let payload = payload(case, &scene(case.width, case.height, 8));
         let result = |schedule| {
             let filtered = filtered(gpu(), case, &guide, &payload, schedule);
             let residual = filtered.residual_variance.iter().flat_map(|residual| bits(gpu(), residual));
-            [bits(gpu(), &filtered.planes), bits(gpu(), &filtered.weights)].concat().into_iter().chain(residual).collect::<Vec<_>>()
+            [bits(gpu(), &filtered.planes), bits(gpu(), &filtered.weights)]
+                .concat()
+                .into_iter()
+                .chain(residual)
+                .collect::<Vec<_>>()
         };
         let whole = result(Schedule { scratch_bytes: 64 << 20, block_rows: 16, ..Schedule::SOFTWARE });
         for schedule in schedules() {

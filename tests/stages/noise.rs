@@ -1,11 +1,15 @@
 //! Variances that no renderer gave: `noise_magnitude`, `noise_guess`, `noise_feature`, `noise_pool` and `noise_unpack`;
-//! for an image alone `noise_highpass`, `noise_residual`, `noise_jump` and `noise_hold`. Distances divide differences of
-//! values of the order of 1 by the noise, so that weights have four digits; what they average is positive.
+//! for an image alone `noise_highpass`, `noise_residual`, `noise_jump` and `noise_hold`. Distances divide differences
+//! of values of the order of 1 by the noise, so that weights have four digits; what they average is positive.
 
 use stein::gpu::{Gpu, Recorder};
-use stein::stage::noise::{ImageRule, NoiseRule, NoisyFeatures, noise_feature, noise_of_image, noise_pool, noise_unpack};
+use stein::stage::noise::{
+    ImageRule, NoiseRule, NoisyFeatures, noise_feature, noise_of_image, noise_pool, noise_unpack,
+};
 
-use crate::common::{Scene, assert_near, checked_gpu, extent_of, gpu, own_size, packed_signal, read, rounded, run, scene, upload};
+use crate::common::{
+    Scene, assert_near, checked_gpu, extent_of, gpu, own_size, packed_signal, read, rounded, run, scene, upload,
+};
 use crate::reference::noise::{ImageParams, NoiseParams, of_image, pooled};
 use crate::reference::random::Random;
 use crate::reference::variance::Signal;
@@ -24,7 +28,11 @@ fn lit(width: usize, height: usize, seed: u64) -> Signal {
     let scaled = |planes: &Planes, factor: &(dyn Fn(Point) -> f64 + Sync)| -> Planes {
         planes.iter().map(|grid| rounded(grid.like(|p| grid.at(p) * factor(p)))).collect()
     };
-    Signal { mean: scaled(&mean, &value), spread: Some(scaled(&spread, &noise)), sample_variance: Some(scaled(&variance, &|p| noise(p).powi(2))) }
+    Signal {
+        mean: scaled(&mean, &value),
+        spread: Some(scaled(&spread, &noise)),
+        sample_variance: Some(scaled(&variance, &|p| noise(p).powi(2))),
+    }
 }
 
 /// What is known of the noise of a colour with halves.
@@ -38,10 +46,12 @@ enum Known {
 fn features(width: usize, height: usize, channels: &[usize], seed: u64) -> Vec<Signal> {
     let mut random = Random(seed);
     let mut feature = |index: usize, channels: usize| {
-        let mut planes =
-            |least: f64, greatest: f64| -> Planes { (0..channels).map(|_| rounded(random.uniform_grid(width, height, least, greatest))).collect() };
+        let mut planes = |least: f64, greatest: f64| -> Planes {
+            (0..channels).map(|_| rounded(random.uniform_grid(width, height, least, greatest))).collect()
+        };
         let (noise, spread, variance) = (planes(-0.02, 0.02), planes(-0.02, 0.02), planes(0.0, 0.001));
-        let stripes = |noise: &Grid| rounded(noise.like(|p| ((p.x as usize / (5 + index)) % 3) as f64 / 2.0 + noise.at(p)));
+        let stripes =
+            |noise: &Grid| rounded(noise.like(|p| ((p.x as usize / (5 + index)) % 3) as f64 / 2.0 + noise.at(p)));
         Signal {
             mean: noise.iter().map(stripes).collect(),
             spread: index.is_multiple_of(3).then_some(spread),
@@ -83,7 +93,8 @@ fn check(gpu: &Gpu, width: usize, height: usize, channels: &[usize], known: Know
         let rule = if given.is_some() { NoiseRule::VARIANCE } else { NoiseRule::HALVES };
         let pooled = noise_pool(rec, extent, &signal, given.as_ref(), noisy.as_ref(), &rule)?;
         let slots = noisy.iter().flat_map(|noisy| &noisy.packing.slots);
-        let of_features = slots.map(|slot| noise_unpack(rec, extent, &pooled, Some(*slot))).collect::<stein::Result<Vec<_>>>()?;
+        let of_features =
+            slots.map(|slot| noise_unpack(rec, extent, &pooled, Some(*slot))).collect::<stein::Result<Vec<_>>>()?;
         Ok((noise_unpack(rec, extent, &pooled, None)?, of_features))
     });
 
@@ -91,7 +102,9 @@ fn check(gpu: &Gpu, width: usize, height: usize, channels: &[usize], known: Know
     let gate = params.given_gate.filter(|_| known == Known::HalvesAndVariance).unwrap_or(params.gate);
     let expected = pooled(&color, &features, &NoiseParams { gate, ..params });
     let what = format!("{width}×{height}, features of {channels:?} channels, {known:?}");
-    let near = |what: &str, actual: &[Grid], expected: &[Grid]| assert_near(what, actual, expected, &own_size(expected, 1e-12), WEIGHTED_MEANS, 1e-3);
+    let near = |what: &str, actual: &[Grid], expected: &[Grid]| {
+        assert_near(what, actual, expected, &own_size(expected, 1e-12), WEIGHTED_MEANS, 1e-3);
+    };
     near(&format!("colour, {what}"), &read(gpu, &of_color, extent)[0][..3], &expected.color);
     for (index, ((actual, expected), signal)) in of_features.iter().zip(&expected.features).zip(&features).enumerate() {
         if signal.spread.is_some() {
@@ -132,7 +145,13 @@ fn pooling_gives_no_noise_to_pixels_whose_variance_is_zero() {
     let given = color.sample_variance.unwrap_or_default();
     for (pooled, given) in read(gpu(), &buffer, extent)[0].iter().zip(&given) {
         let of = |given: &Grid, is_clean: bool| {
-            given.values.iter().zip(&pooled.values).filter(move |(given, _)| (**given == 0.0) == is_clean).map(|(_, v)| *v).collect::<Vec<_>>()
+            given
+                .values
+                .iter()
+                .zip(&pooled.values)
+                .filter(move |(given, _)| (**given == 0.0) == is_clean)
+                .map(|(_, v)| *v)
+                .collect::<Vec<_>>()
         };
         assert!(of(given, true).iter().all(|v| *v == 0.0) && of(given, true).len() > 30);
         assert!(of(given, false).iter().all(|v| *v > 0.0));
@@ -155,7 +174,9 @@ fn pooled_variance_is_that_of_the_noise() {
         vec![plane(), plane(), plane()]
     };
     let (a, b) = (half(), half());
-    let combined = |sign: f64| -> Planes { a.iter().zip(&b).map(|(a, b)| rounded(a.like(|p| (a.at(p) + sign * b.at(p)) / 2.0))).collect() };
+    let combined = |sign: f64| -> Planes {
+        a.iter().zip(&b).map(|(a, b)| rounded(a.like(|p| (a.at(p) + sign * b.at(p)) / 2.0))).collect()
+    };
     let (mean, spread) = (combined(1.0), combined(-1.0));
     let gpu = gpu();
     let extent = extent_of(&mean[0]);
@@ -177,15 +198,20 @@ fn pooled_variance_is_that_of_the_noise() {
         for plane in &variance[..3] {
             // Everywhere, and within four pixels of the border between both.
             let (all, beside) = (ratio(plane, false), ratio(plane, true));
-            assert!((0.9..1.1).contains(&all) && (0.85..1.2).contains(&beside), "bright {bright}: {all} and {beside} times the variance");
+            assert!(
+                (0.9..1.1).contains(&all) && (0.85..1.2).contains(&beside),
+                "bright {bright}: {all} and {beside} times the variance"
+            );
         }
     }
 }
 
 fn check_image(gpu: &Gpu, width: usize, height: usize, channels: &[usize], explaining: &[usize]) {
     let color = Signal { spread: None, sample_variance: None, ..lit(width, height, 64) };
-    let features: Vec<Signal> =
-        features(width, height, channels, 65).into_iter().map(|feature| Signal { spread: None, sample_variance: None, ..feature }).collect();
+    let features: Vec<Signal> = features(width, height, channels, 65)
+        .into_iter()
+        .map(|feature| Signal { spread: None, sample_variance: None, ..feature })
+        .collect();
     let extent = extent_of(&color.mean[0]);
     let buffer = run(gpu, |rec| {
         let signal = rec.upload("signal", &packed(&color))?;
@@ -220,7 +246,8 @@ fn texture_that_features_explain_is_not_all_noise() {
         rounded(texture.like(|p| 0.5 + 0.3 * texture.at(p) + noise.at(p)))
     };
     let color = Signal { mean: vec![plane(), plane(), plane()], spread: None, sample_variance: None };
-    let albedo = Signal { mean: vec![texture.clone(), texture.clone(), texture.clone()], spread: None, sample_variance: None };
+    let albedo =
+        Signal { mean: vec![texture.clone(), texture.clone(), texture.clone()], spread: None, sample_variance: None };
     let gpu = gpu();
     let extent = extent_of(&texture);
     let deviations = |explaining: &[usize]| {
@@ -232,5 +259,8 @@ fn texture_that_features_explain_is_not_all_noise() {
         read(gpu, &buffer, extent)[0][0].mean().sqrt() / deviation
     };
     let (with, without) = (deviations(&[0]), deviations(&[]));
-    assert!(with > 0.9 && with < 0.75 * without, "{with} times the deviation with the texture, {without} times without");
+    assert!(
+        with > 0.9 && with < 0.75 * without,
+        "{with} times the deviation with the texture, {without} times without"
+    );
 }

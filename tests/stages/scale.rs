@@ -1,10 +1,13 @@
-//! `scale_pixel`, `scale_stop`, `scale_advance` and `scale_reduction`: from the scales of an image to the one that each pixel takes.
+//! `scale_pixel`, `scale_stop`, `scale_advance` and `scale_reduction`: from the scales of an image to the one that each
+//! pixel takes.
 
 use stein::gpu::{Gpu, Recorder};
 use stein::stage::sample::GpuSamples;
 use stein::stage::scale::{Scale, scale_advance, scale_gaussian, scale_pixel, scale_reduction, scale_stop};
 
-use crate::common::{assert_near, checked_gpu, extent_of, flat, gpu, own_size, packed, packed_signal, read, rounded, run, scene, upload};
+use crate::common::{
+    assert_near, checked_gpu, extent_of, flat, gpu, own_size, packed, packed_signal, read, rounded, run, scene, upload,
+};
 use crate::reference::gem::{self as twin, Chosen, Step, choose, decided, relative_mse, step};
 use crate::reference::random::Random;
 use crate::reference::{Grid, Planes};
@@ -37,7 +40,11 @@ fn upload_scale(rec: &mut Recorder, scale: &twin::Scale) -> stein::Result<Scale>
 }
 
 fn upload_samples(rec: &mut Recorder, samples: &Grid) -> stein::Result<GpuSamples> {
-    Ok(if samples.values[0] == 0.0 { GpuSamples::Uniform(0.0) } else { GpuSamples::PerPixel(upload(rec, std::slice::from_ref(samples))?) })
+    Ok(if samples.values[0] == 0.0 {
+        GpuSamples::Uniform(0.0)
+    } else {
+        GpuSamples::PerPixel(upload(rec, std::slice::from_ref(samples))?)
+    })
 }
 
 #[test]
@@ -54,13 +61,30 @@ fn the_selector_is_equation_6_1() {
                     });
                     let actual = read(gpu, &buffer, extent).remove(0);
                     let Step { bias_term, variance_term } = step(&pair[0], &pair[1], f64::from(0.7f32));
-                    let what = |part: &str| format!("scale_stop, {width}×{height}, σ {}, samples {known}: {part}", pair[0].sigma);
+                    let what = |part: &str| {
+                        format!("scale_stop, {width}×{height}, σ {}, samples {known}: {part}", pair[0].sigma)
+                    };
                     // Differences of values that float32 rounds.
-                    let size = |p| (0..3).map(|i| pair[0].mean[i].at(p).powi(2) + pair[1].mean[i].at(p).powi(2)).sum::<f64>();
+                    let size =
+                        |p| (0..3).map(|i| pair[0].mean[i].at(p).powi(2) + pair[1].mean[i].at(p).powi(2)).sum::<f64>();
                     let scale = bias_term.like(|p| bias_term.at(p) + 0.1 * size(p));
-                    assert_near(&what("bias term"), &actual[1..], std::slice::from_ref(&bias_term), &[scale], 2e-6, 0.0);
+                    assert_near(
+                        &what("bias term"),
+                        &actual[1..],
+                        std::slice::from_ref(&bias_term),
+                        &[scale],
+                        2e-6,
+                        0.0,
+                    );
                     let stops = Step { bias_term, variance_term }.stops();
-                    assert_near(&what("map"), &actual, std::slice::from_ref(&stops), &flat(std::slice::from_ref(&stops), 1.0), 1e-9, 1e-4);
+                    assert_near(
+                        &what("map"),
+                        &actual,
+                        std::slice::from_ref(&stops),
+                        &flat(std::slice::from_ref(&stops), 1.0),
+                        1e-9,
+                        1e-4,
+                    );
                     assert!(width * height < 100 || (0.1..0.9).contains(&stops.mean()), "{}", stops.mean());
                 }
             }
@@ -74,7 +98,8 @@ fn chosen(gpu: &Gpu, width: usize, height: usize, known: bool, coarser_only: boo
     let scales = unrelated_scales(width, height, known);
     let extent = extent_of(&scales[0].samples);
     let mut maps = || -> (Grid, Grid) {
-        let (stops, smoothed) = (random.uniform_grid(width, height, 0.0, 1.0), random.uniform_grid(width, height, 0.0, 1.0));
+        let (stops, smoothed) =
+            (random.uniform_grid(width, height, 0.0, 1.0), random.uniform_grid(width, height, 0.0, 1.0));
         (stops.like(|p| stops.at(p).round()), rounded(smoothed))
     };
     let maps: Vec<(Grid, Grid)> = (0..3).map(|_| maps()).collect();
@@ -86,7 +111,8 @@ fn chosen(gpu: &Gpu, width: usize, height: usize, known: bool, coarser_only: boo
         let (mut fine, mut selected) = scale_pixel(rec, extent, &signal, &variance, &samples)?;
         for (coarse, ((stops, smoothed), step)) in scales[1..].iter().zip(maps.iter().zip(&steps)) {
             let coarse = upload_scale(rec, coarse)?;
-            let (stops, smoothed) = (upload(rec, &[stops.clone(), step.bias_term.clone()])?, upload(rec, std::slice::from_ref(smoothed))?);
+            let (stops, smoothed) =
+                (upload(rec, &[stops.clone(), step.bias_term.clone()])?, upload(rec, std::slice::from_ref(smoothed))?);
             scale_advance(rec, extent, &mut selected, &fine, &coarse, &stops, &smoothed, coarser_only)?;
             fine = coarse;
         }
@@ -98,8 +124,11 @@ fn chosen(gpu: &Gpu, width: usize, height: usize, known: bool, coarser_only: boo
     let relative_mse = relative_mse(&expected);
     let Chosen { sigma, mean, spread, error, pixels, support } = expected;
     let (selected, reduction) = selected;
-    let what = |part: &str| format!("scale_advance, {width}×{height}, samples {known}, coarser only {coarser_only}: {part}");
-    let check = |part: &str, actual: &[Grid], expected: &[Grid]| assert_near(&what(part), actual, expected, &own_size(expected, 0.0), 1e-6, 0.0);
+    let what =
+        |part: &str| format!("scale_advance, {width}×{height}, samples {known}, coarser only {coarser_only}: {part}");
+    let check = |part: &str, actual: &[Grid], expected: &[Grid]| {
+        assert_near(&what(part), actual, expected, &own_size(expected, 0.0), 1e-6, 0.0);
+    };
     let signal = read(gpu, &selected.signal, extent);
     check("mean and pixels", &signal[0], &[mean.as_slice(), std::slice::from_ref(&pixels)].concat());
     check("half spread", &signal[1], &spread);
@@ -107,8 +136,10 @@ fn chosen(gpu: &Gpu, width: usize, height: usize, known: bool, coarser_only: boo
     check("σ", &choice, std::slice::from_ref(&sigma));
     check("support", &choice[3..], std::slice::from_ref(&support));
     // Sums of what cancels.
-    let terms =
-        error.like(|p| steps.iter().map(|step| step.bias_term.at(p)).sum::<f64>() + scales.iter().flat_map(|s| &s.variance).map(|v| v.at(p)).sum::<f64>());
+    let terms = error.like(|p| {
+        steps.iter().map(|step| step.bias_term.at(p)).sum::<f64>()
+            + scales.iter().flat_map(|s| &s.variance).map(|v| v.at(p)).sum::<f64>()
+    });
     assert_near(&what("error"), &choice[2..], std::slice::from_ref(&error), std::slice::from_ref(&terms), 1e-6, 0.0);
     let reduction = read(gpu, &reduction, extent).remove(0);
     let scale = relative_mse.like(|p| (relative_mse.at(p) / error.at(p).max(1e-30) * terms.at(p)).abs() + 1e-6);
@@ -148,7 +179,14 @@ fn scales_carry_means_variances_and_counts() {
     };
     let signal = read(gpu, &coarse.signal, extent);
     assert_near("mean", &signal[0], &expected.mean, &size(&pixel.mean), 1e-5, 0.0);
-    assert_near("samples", &signal[0][3..], std::slice::from_ref(&expected.samples), std::slice::from_ref(&expected.samples), 1e-5, 0.0);
+    assert_near(
+        "samples",
+        &signal[0][3..],
+        std::slice::from_ref(&expected.samples),
+        std::slice::from_ref(&expected.samples),
+        1e-5,
+        0.0,
+    );
     assert_near("half spread", &signal[1], &expected.spread, &size(&pixel.spread), 1e-5, 0.0);
     let variance = read(gpu, &coarse.variance, extent).remove(0);
     assert_near("variance", &variance, &expected.variance, &own_size(&expected.variance, 0.0), 1e-5, 0.0);

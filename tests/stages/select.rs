@@ -1,19 +1,25 @@
-//! `error_sure`, the `select_` stages and `sample_density`: from the candidates to their average, and to where samples are missing.
+//! `error_sure`, the `select_` stages and `sample_density`: from the candidates to their average, and to where samples
+//! are missing.
 
 use std::sync::Arc;
 
 use stein::gpu::{Gpu, Recorder};
 use stein::stage::candidate::Candidates;
 use stein::stage::candidate_set::CandidateSet;
-use stein::stage::error::{ErrorParts, MadeOf, error_blend, error_blend_more, error_difference, error_spikes, error_sure};
+use stein::stage::error::{
+    ErrorParts, MadeOf, error_blend, error_blend_more, error_difference, error_spikes, error_sure,
+};
 use stein::stage::nlm::Filtered;
 use stein::stage::sample::{GpuSamples, sample_density};
 use stein::stage::select::{
-    Evidence, Guard, Harm, Noisy, Significance, WithColorOnly, select_blend, select_color_only, select_frames, select_frames_of_filtered, select_least,
-    select_pass, select_share,
+    Evidence, Guard, Harm, Noisy, Significance, WithColorOnly, select_blend, select_color_only, select_frames,
+    select_frames_of_filtered, select_least, select_pass, select_share,
 };
 
-use crate::common::{Scene, assert_near, checked_gpu, extent_of, flat, gpu, own_size, packed, packed_signal, read, rounded, run, scene, there, upload};
+use crate::common::{
+    Scene, assert_near, checked_gpu, extent_of, flat, gpu, own_size, packed, packed_signal, read, rounded, run, scene,
+    there, upload,
+};
 use crate::reference::dfc::{Pass, limited};
 use crate::reference::random::Random;
 use crate::reference::{self, Grid, Planes, Point};
@@ -53,7 +59,9 @@ fn bank(width: usize, height: usize) -> Bank {
 
 fn seeded_bank(width: usize, height: usize, seed: u64) -> Bank {
     let mut random = Random(seed);
-    let mut planes = |low: f64, high: f64| -> Planes { (0..3).map(|_| rounded(random.uniform_grid(width, height, low, high))).collect() };
+    let mut planes = |low: f64, high: f64| -> Planes {
+        (0..3).map(|_| rounded(random.uniform_grid(width, height, low, high))).collect()
+    };
     Bank {
         means: [(); 3].map(|()| planes(-1.0, 3.0)),
         spreads: [(); 3].map(|()| planes(-0.2, 0.2)),
@@ -65,7 +73,11 @@ fn seeded_bank(width: usize, height: usize, seed: u64) -> Bank {
 fn upload_bank(rec: &mut Recorder, bank: &Bank, takes_part: CandidateSet) -> stein::Result<Candidates> {
     let mut signal = |k: usize| {
         let mean = [bank.means[k].as_slice(), &[bank.weight_sums[k].clone()]].concat();
-        if takes_part.flags()[k] { rec.upload("candidate", &packed_signal(&mean, &bank.spreads[k])).map(|buffer| Some(Arc::new(buffer))) } else { Ok(None) }
+        if takes_part.flags()[k] {
+            rec.upload("candidate", &packed_signal(&mean, &bank.spreads[k])).map(|buffer| Some(Arc::new(buffer)))
+        } else {
+            Ok(None)
+        }
     };
     let signals = [signal(0)?, signal(1)?, signal(2)?];
     let derivatives = bank.derivatives.iter().map(|planes| packed(planes)).collect::<Vec<_>>().concat();
@@ -85,8 +97,14 @@ fn sure_is_equation_8_5() {
             error_sure(rec, extent, &signal, &variance, &candidates, 1.5)
         });
         let zero = scene.mean[0].like(|_| 0.0);
-        let sure = |k: usize| reference::sure::sure(&scene.mean, &scene.variance, &bank.means[k], &bank.derivatives[k], 1.5);
-        let expected: Planes = takes_part.flags().iter().enumerate().map(|(k, takes_part)| if *takes_part { sure(k) } else { zero.clone() }).collect();
+        let sure =
+            |k: usize| reference::sure::sure(&scene.mean, &scene.variance, &bank.means[k], &bank.derivatives[k], 1.5);
+        let expected: Planes = takes_part
+            .flags()
+            .iter()
+            .enumerate()
+            .map(|(k, takes_part)| if *takes_part { sure(k) } else { zero.clone() })
+            .collect();
         // The terms cancel; each is rounded by itself.
         let terms = |k: usize| {
             let (means, derivatives) = (&bank.means[k], &bank.derivatives[k]);
@@ -99,7 +117,14 @@ fn sure_is_equation_8_5() {
             })
         };
         let scale: Planes = (0..3).map(terms).collect();
-        assert_near(&format!("error_sure, {width}×{height}"), &read(gpu, &buffer, extent).remove(0), &expected, &scale, 1e-6, 0.0);
+        assert_near(
+            &format!("error_sure, {width}×{height}"),
+            &read(gpu, &buffer, extent).remove(0),
+            &expected,
+            &scale,
+            1e-6,
+            0.0,
+        );
     }
 }
 
@@ -113,7 +138,10 @@ fn the_error_of_a_blend_has_four_parts() {
         let (scene, mut bank) = (scene(width, height, 48), bank(width, height));
         let extent = extent_of(&scene.mean[0]);
         let mut random = Random(49);
-        bank.derivatives.iter_mut().flatten().for_each(|plane| *plane = rounded(random.uniform_grid(width, height, -1.0, 2.0)));
+        bank.derivatives
+            .iter_mut()
+            .flatten()
+            .for_each(|plane| *plane = rounded(random.uniform_grid(width, height, -1.0, 2.0)));
         let shares: Planes = takes_part
             .flags()
             .map(|takes_part| {
@@ -131,7 +159,9 @@ fn the_error_of_a_blend_has_four_parts() {
                 let (variance, shares) = (upload(rec, &scene.variance)?, upload(rec, &shares)?);
                 let candidates = upload_bank(rec, &bank, takes_part)?;
                 let made_of = if shared { MadeOf::Shares(&shares) } else { MadeOf::Only(only) };
-                let planes = [vec![f32::NAN; 8 * width * height], packed(&[squares.clone(), squares.clone(), squares.clone()])].concat();
+                let planes =
+                    [vec![f32::NAN; 8 * width * height], packed(&[squares.clone(), squares.clone(), squares.clone()])]
+                        .concat();
                 let spikes = if with_spikes { Some(rec.upload("spikes", &planes)?) } else { None };
                 let errors = error_blend(rec, extent, &blended, &variance, &candidates, made_of, parts)?;
                 match &spikes {
@@ -143,10 +173,18 @@ fn the_error_of_a_blend_has_four_parts() {
             let share = |k: usize| if shared { &shares[k] } else { &all };
             // A candidate alone is the blend.
             let mean = |k: usize| if shared { bank.means[k].as_slice() } else { scene.mean.as_slice() };
-            let part = |k: usize| reference::sure::Part { share: share(k), mean: mean(k), derivative: &bank.derivatives[k] };
-            let made_of: Vec<_> = (0..3).filter(|k| if shared { takes_part.flags()[*k] } else { *k == only }).map(part).collect();
-            let expected =
-                [reference::sure::error_blend(&scene.mean, Some(&scene.spread), &scene.variance, &made_of, with_spikes.then_some(&squares), twin_parts)];
+            let part =
+                |k: usize| reference::sure::Part { share: share(k), mean: mean(k), derivative: &bank.derivatives[k] };
+            let made_of: Vec<_> =
+                (0..3).filter(|k| if shared { takes_part.flags()[*k] } else { *k == only }).map(part).collect();
+            let expected = [reference::sure::error_blend(
+                &scene.mean,
+                Some(&scene.spread),
+                &scene.variance,
+                &made_of,
+                with_spikes.then_some(&squares),
+                twin_parts,
+            )];
             let what = format!("error_blend, {width}×{height}, {takes_part}, shared {shared}, spikes {with_spikes}");
             assert_near(&what, &read(gpu, &buffer, extent).remove(0), &expected, &own_size(&expected, 0.0), 2e-6, 0.0);
             assert!(expected[0].values.iter().all(|error| *error >= 0.0));
@@ -159,13 +197,21 @@ fn shares_of_three(width: usize, height: usize, seed: u64) -> Planes {
     let mut random = Random(seed);
     let raw: Planes = (0..3).map(|_| random.uniform_grid(width, height, -0.3, 1.0)).collect();
     let total = raw[0].like(|p| raw.iter().map(|grid| grid.at(p).max(0.0)).sum::<f64>());
-    (0..3).map(|k| rounded(raw[k].like(|p| if total.at(p) > 0.0 { raw[k].at(p).max(0.0) / total.at(p) } else { f64::from(u8::from(k == 0)) }))).collect()
+    (0..3)
+        .map(|k| {
+            rounded(raw[k].like(|p| {
+                if total.at(p) > 0.0 { raw[k].at(p).max(0.0) / total.at(p) } else { f64::from(u8::from(k == 0)) }
+            }))
+        })
+        .collect()
 }
 
 /// SECOND alone, with other means than the bank's.
 fn color_only_of(bank: &Bank, width: usize, height: usize) -> Bank {
     let other = seeded_bank(width, height, 61);
-    let closer = |a: &Planes, b: &Planes| -> Planes { a.iter().zip(b).map(|(a, b)| rounded(a.like(|p| 0.7 * a.at(p) + 0.3 * b.at(p)))).collect() };
+    let closer = |a: &Planes, b: &Planes| -> Planes {
+        a.iter().zip(b).map(|(a, b)| rounded(a.like(|p| 0.7 * a.at(p) + 0.3 * b.at(p)))).collect()
+    };
     Bank { means: [0, 1, 2].map(|k| closer(&bank.means[k], &other.means[k])), ..other }
 }
 
@@ -179,19 +225,24 @@ fn sure_of_a_blend_is_compared_with_that_of_one_filter_more() {
             let signal = rec.upload("signal", &packed_signal(&scene.mean, &scene.spread))?;
             let variance = upload(rec, &scene.variance)?;
             let blended = rec.upload("blend", &packed_signal(&bank.means[0], &bank.spreads[0]))?;
-            let (candidates, other) = (upload_bank(rec, &bank, CandidateSet::ALL)?, upload_bank(rec, &other, SECOND_ALONE)?);
+            let (candidates, other) =
+                (upload_bank(rec, &bank, CandidateSet::ALL)?, upload_bank(rec, &other, SECOND_ALONE)?);
             let shares = upload(rec, &shares)?;
             error_difference(rec, extent, &signal, &variance, &blended, &shares, &candidates, &other, 1.5)
         });
-        let mixed = |i: usize| scene.mean[0].like(|p| (0..3).map(|k| shares[k].at(p) * bank.derivatives[k][i].at(p)).sum());
+        let mixed =
+            |i: usize| scene.mean[0].like(|p| (0..3).map(|k| shares[k].at(p) * bank.derivatives[k][i].at(p)).sum());
         let derivative: Planes = (0..3).map(mixed).collect();
         let of_blend = reference::sure::sure(&scene.mean, &scene.variance, &bank.means[0], &derivative, 1.5);
         let of_other = reference::sure::sure(&scene.mean, &scene.variance, &other.means[1], &other.derivatives[1], 1.5);
         let difference = reference::select::differences(&of_other, &of_blend, &scene.variance);
         let terms = |p: Point| {
             let term = |i: usize| {
-                let residuals = (bank.means[0][i].at(p) - scene.mean[i].at(p)).powi(2) + (other.means[1][i].at(p) - scene.mean[i].at(p)).powi(2);
-                residuals + scene.variance[i].at(p) * (2.0 + 3.0 * derivative[i].at(p).abs() + 3.0 * other.derivatives[1][i].at(p).abs())
+                let residuals = (bank.means[0][i].at(p) - scene.mean[i].at(p)).powi(2)
+                    + (other.means[1][i].at(p) - scene.mean[i].at(p)).powi(2);
+                residuals
+                    + scene.variance[i].at(p)
+                        * (2.0 + 3.0 * derivative[i].at(p).abs() + 3.0 * other.derivatives[1][i].at(p).abs())
             };
             (0..3).map(term).sum::<f64>()
         };
@@ -217,20 +268,45 @@ fn the_colour_only_gets_a_share_where_it_is_significantly_better() {
             let candidates = rec.upload("blend", &packed_signal(&bank.means[0], &bank.spreads[0]))?;
             let color_only = rec.upload("colour only", &packed_signal(&other.means[1], &other.spreads[1]))?;
             let shares = upload(rec, &shares)?;
-            Ok((select_color_only(rec, extent, &differences, &candidates, &color_only, &shares, Significance::MEASURED)?, shares))
+            Ok((
+                select_color_only(
+                    rec,
+                    extent,
+                    &differences,
+                    &candidates,
+                    &color_only,
+                    &shares,
+                    Significance::MEASURED,
+                )?,
+                shares,
+            ))
         });
         let WithColorOnly { blended, shares: of_color_only } = found;
         let share = reference::select::color_only_share(&difference, reference::select::Significance::default());
         let what = |part: &str| format!("select_color_only, {width}×{height}: {part}");
         let actual = read(gpu, &of_color_only, extent).remove(0);
         // A mean of hundreds of values over its standard error.
-        assert_near(&what("share"), &actual[..2], &[share.clone(), share.clone()], &flat(&[share.clone(), share.clone()], 1.0), 1e-3, 0.0);
+        assert_near(
+            &what("share"),
+            &actual[..2],
+            &[share.clone(), share.clone()],
+            &flat(&[share.clone(), share.clone()], 1.0),
+            1e-3,
+            0.0,
+        );
         let share = actual[0].clone();
         let rest = reference::dfc::rest_of(&shares, &share);
         assert_near(&what("rest"), &read(gpu, &left, extent).remove(0)[..3], &rest, &flat(&rest, 1.0), 1e-6, 0.0);
         let blended = read(gpu, &blended, extent);
-        for (part, actual, a, b) in [("mean", &blended[0], &bank.means[0], &other.means[1]), ("spread", &blended[1], &bank.spreads[0], &other.spreads[1])] {
-            let expected: Planes = a.iter().zip(b).map(|(a, b)| a.like(|p| (1.0 - share.at(p)) * a.at(p) + share.at(p) * b.at(p))).collect();
+        for (part, actual, a, b) in [
+            ("mean", &blended[0], &bank.means[0], &other.means[1]),
+            ("spread", &blended[1], &bank.spreads[0], &other.spreads[1]),
+        ] {
+            let expected: Planes = a
+                .iter()
+                .zip(b)
+                .map(|(a, b)| a.like(|p| (1.0 - share.at(p)) * a.at(p) + share.at(p) * b.at(p)))
+                .collect();
             assert_near(&what(part), &actual[..3], &expected, &flat(&expected, 4.0), 1e-6, 0.0);
         }
         let mean = share.values.iter().sum::<f64>() / share.values.len() as f64;
@@ -246,18 +322,29 @@ fn what_further_candidates_stand_for_is_added_to_the_error() {
         let (scene, bank) = (scene(width, height, 66), bank(width, height));
         let extent = extent_of(&scene.mean[0]);
         let mut random = Random(67);
-        let (before, share) = (rounded(random.uniform_grid(width, height, 0.0, 2.0)), rounded(random.uniform_grid(width, height, 0.0, 1.0)));
+        let (before, share) = (
+            rounded(random.uniform_grid(width, height, 0.0, 2.0)),
+            rounded(random.uniform_grid(width, height, 0.0, 1.0)),
+        );
         let buffer = run(gpu, |rec| {
             let blended = rec.upload("blend", &packed_signal(&scene.mean, &scene.spread))?;
             let variance = upload(rec, &scene.variance)?;
             let candidates = upload_bank(rec, &bank, SECOND_ALONE)?;
-            let (shares, errors) = (upload(rec, &[share.clone(), share.clone()])?, upload(rec, std::slice::from_ref(&before))?);
+            let (shares, errors) =
+                (upload(rec, &[share.clone(), share.clone()])?, upload(rec, std::slice::from_ref(&before))?);
             error_blend_more(rec, extent, &blended, &variance, &candidates, &shares, parts, errors)
         });
         let part = reference::sure::Part { share: &share, mean: &bank.means[1], derivative: &bank.derivatives[1] };
         let added = reference::sure::error_blend(&scene.mean, None, &scene.variance, &[part], None, twin_parts);
         let expected = [before.like(|p| before.at(p) + added.at(p))];
-        assert_near("error_blend_more", &read(gpu, &buffer, extent).remove(0), &expected, &own_size(&expected, 0.0), 2e-6, 0.0);
+        assert_near(
+            "error_blend_more",
+            &read(gpu, &buffer, extent).remove(0),
+            &expected,
+            &own_size(&expected, 0.0),
+            2e-6,
+            0.0,
+        );
     }
 }
 
@@ -294,10 +381,15 @@ fn the_least_error_wins() {
     for (gpu, width, height, takes_part) in SIZES_AND_SETS {
         let (errors, bank) = (errors(width, height), bank(width, height));
         let actual = selected(gpu(), &errors, &bank, takes_part);
-        let expected = reference::select::select(&errors, bank.derivatives.each_ref().map(Vec::as_slice), takes_part.flags());
+        let expected =
+            reference::select::select(&errors, bank.derivatives.each_ref().map(Vec::as_slice), takes_part.flags());
         assert_near(&format!("select_least, {width}×{height}"), &actual, &expected, &flat(&expected, 1.0), 1e-9, 0.0);
         let wins: Vec<f64> = actual.iter().map(Grid::mean).collect();
-        assert!(width * height < 100 || wins.iter().zip(takes_part.flags()).all(|(share, takes_part)| takes_part == (*share > 0.1)), "{wins:?}");
+        assert!(
+            width * height < 100
+                || wins.iter().zip(takes_part.flags()).all(|(share, takes_part)| takes_part == (*share > 0.1)),
+            "{wins:?}"
+        );
     }
 }
 
@@ -307,8 +399,10 @@ fn check_shares_and_blend(gpu: &Gpu, width: usize, height: usize, rule: Option<G
     let extent = extent_of(&scene.mean[0]);
     let mut error = |spoiled: f64| {
         let (level, chance) = (random.gaussian_grid(width, height, 0.02, 0.3), random.uniform());
-        // The guard keeps out what is not finite, in favour of THIRD; without them there is nothing to expect of such an error.
-        let is_spoiled = |p: Point| rule.is_some() && takes_part.third && ((p.x + 7 * p.y) as f64 * (0.1 + chance)).fract() < 0.1;
+        // The guard keeps out what is not finite, in favour of THIRD; without them there is nothing to expect of such
+        // an error.
+        let is_spoiled =
+            |p: Point| rule.is_some() && takes_part.third && ((p.x + 7 * p.y) as f64 * (0.1 + chance)).fract() < 0.1;
         rounded(level.like(|p| if is_spoiled(p) { spoiled } else { level.at(p) }))
     };
     // THIRD wins where none is finite, so its errors are.
@@ -330,7 +424,13 @@ fn check_shares_and_blend(gpu: &Gpu, width: usize, height: usize, rule: Option<G
         let (smoothed, winners, errors) = (upload(rec, &smoothed)?, upload(rec, &winners)?, upload(rec, &errors)?);
         let (sure, variance) = (upload(rec, &sure)?, upload(rec, &scene.variance)?);
         let candidates = upload_bank(rec, &bank, takes_part)?;
-        let evidence = Evidence { selected: &winners, errors: &errors, sure: &sure, variance_of_mean: &variance, candidates: &candidates };
+        let evidence = Evidence {
+            selected: &winners,
+            errors: &errors,
+            sure: &sure,
+            variance_of_mean: &variance,
+            candidates: &candidates,
+        };
         let shares = select_share(rec, extent, smoothed, evidence, rule)?;
         let blended = select_blend(rec, extent, &shares, &candidates)?;
         Ok((shares, blended))
@@ -354,7 +454,8 @@ fn check_shares_and_blend(gpu: &Gpu, width: usize, height: usize, rule: Option<G
     };
     let maps = reference::select::share(&positive, evidence, rule_twin.as_ref());
     let what = |part: &str| format!("select_share and select_blend, {width}×{height}, {takes_part}, {rule:?}: {part}");
-    // Shares are quotients of a few products. A candidate whose error is within rounding of the guard's limit may go either way; there is none in these images.
+    // Shares are quotients of a few products. A candidate whose error is within rounding of the guard's limit may go
+    // either way; there is none in these images.
     assert_near(&what("maps"), &selection[..3], &maps, &flat(&maps, 1.0), 1e-6, 0.0);
     let average = |planes: [&Grid; 3]| maps[0].like(|p| (0..3).map(|k| maps[k].at(p) * planes[k].at(p)).sum());
     let size = |planes: [&Grid; 3]| maps[0].like(|p| planes.iter().map(|grid| grid.at(p).abs()).sum());
@@ -365,14 +466,22 @@ fn check_shares_and_blend(gpu: &Gpu, width: usize, height: usize, rule: Option<G
     let scale: Planes = (0..7).map(|i| size(channel(i))).collect();
     assert_near(&what("signal"), &signal.concat()[..7], &expected, &scale, 1e-6, 0.0);
     let rejected = maps.iter().flat_map(|grid| &grid.values).filter(|share| **share == 0.0).count();
-    assert!(width * height < 100 || takes_part.count() == 1 || rejected > width * height / 10, "{rejected} shares of 0");
+    assert!(
+        width * height < 100 || takes_part.count() == 1 || rejected > width * height / 10,
+        "{rejected} shares of 0"
+    );
 }
 
 #[test]
 fn candidates_are_averaged_by_their_maps() {
     let best = Guard { smoothed_error: 4.0, smoothed_noise: 0.3, own_sigmas: 8.0, own_noise: 4.0 };
     let strict = Guard { smoothed_error: 0.0, smoothed_noise: 0.0, own_sigmas: 0.0, own_noise: 0.0 };
-    let rules = [best, strict, Guard { own_noise: 1e6, ..best }, Guard { smoothed_noise: 1e6, own_sigmas: 0.5, own_noise: 0.1, ..best }];
+    let rules = [
+        best,
+        strict,
+        Guard { own_noise: 1e6, ..best },
+        Guard { smoothed_noise: 1e6, own_sigmas: 0.5, own_noise: 0.1, ..best },
+    ];
     for rule in rules.map(Some).into_iter().chain([None]) {
         for (gpu, width, height, takes_part) in SIZES_AND_SETS {
             check_shares_and_blend(gpu(), width, height, rule, takes_part);
@@ -383,7 +492,8 @@ fn candidates_are_averaged_by_their_maps() {
 #[test]
 fn other_frames_are_left_out_where_they_do_harm() {
     let rule = Harm { sigmas: 0.5, noise: 0.25 };
-    let twin_rule = reference::select::Guard { smoothed_error: 4.0, smoothed_noise: 0.3, own_sigmas: 0.5, own_noise: 0.25 };
+    let twin_rule =
+        reference::select::Guard { smoothed_error: 4.0, smoothed_noise: 0.3, own_sigmas: 0.5, own_noise: 0.25 };
     for (gpu, width, height) in [(gpu(), 257, 89), (gpu(), 7, 300), (gpu(), 1, 1), (checked_gpu(), 24, 20)] {
         let scene = scene(width, height, 50);
         let [alone, together] = [51, 52].map(|seed| seeded_bank(width, height, seed));
@@ -391,13 +501,23 @@ fn other_frames_are_left_out_where_they_do_harm() {
         let chosen = run(gpu, |rec| {
             let signal = rec.upload("signal", &packed_signal(&scene.mean, &scene.spread))?;
             let variance = upload(rec, &scene.variance)?;
-            let (alone, together) = (upload_bank(rec, &alone, CandidateSet::ALL)?, upload_bank(rec, &together, CandidateSet::ALL)?);
-            select_frames(rec, extent, Noisy { signal: &signal, variance_of_mean: &variance }, &alone, &together, rule)?;
+            let (alone, together) =
+                (upload_bank(rec, &alone, CandidateSet::ALL)?, upload_bank(rec, &together, CandidateSet::ALL)?);
+            select_frames(
+                rec,
+                extent,
+                Noisy { signal: &signal, variance_of_mean: &variance },
+                &alone,
+                &together,
+                rule,
+            )?;
             Ok(together)
         });
         let derivatives = read(gpu, there(&chosen.derivatives), extent);
         for (k, derivatives) in derivatives.iter().enumerate() {
-            let sure = |bank: &Bank| reference::sure::sure(&scene.mean, &scene.variance, &bank.means[k], &bank.derivatives[k], 1.0);
+            let sure = |bank: &Bank| {
+                reference::sure::sure(&scene.mean, &scene.variance, &bank.means[k], &bank.derivatives[k], 1.0)
+            };
             let (sure_alone, sure_together) = (sure(&alone), sure(&together));
             let of_alone = reference::select::Filtered { mean: &alone.means[k], sure: &sure_alone };
             let of_together = reference::select::Filtered { mean: &together.means[k], sure: &sure_together };
@@ -416,8 +536,16 @@ fn other_frames_are_left_out_where_they_do_harm() {
                 let expected = choose(alone, together);
                 assert_near(&what(part), actual, &expected, &own_size(&expected, 0.0), 1e-12, 0.0);
             }
-            let left_out = choose(&alone.means[k], &together.means[k])[0].values.iter().zip(&alone.means[k][0].values).filter(|(a, b)| a == b).count();
-            assert!(width * height < 100 || (width * height / 20..width * height * 19 / 20).contains(&left_out), "{left_out} pixels");
+            let left_out = choose(&alone.means[k], &together.means[k])[0]
+                .values
+                .iter()
+                .zip(&alone.means[k][0].values)
+                .filter(|(a, b)| a == b)
+                .count();
+            assert!(
+                width * height < 100 || (width * height / 20..width * height * 19 / 20).contains(&left_out),
+                "{left_out} pixels"
+            );
         }
     }
 }
@@ -425,8 +553,10 @@ fn other_frames_are_left_out_where_they_do_harm() {
 /// Weights that do not depend on the noise of what they average: the derivative is the centre's share.
 #[test]
 fn other_frames_are_left_out_of_one_filter_where_they_do_harm() {
-    let (rule, twin_rule) =
-        (Harm { sigmas: 0.5, noise: 0.25 }, reference::select::Guard { smoothed_error: 0.0, smoothed_noise: 0.0, own_sigmas: 0.5, own_noise: 0.25 });
+    let (rule, twin_rule) = (
+        Harm { sigmas: 0.5, noise: 0.25 },
+        reference::select::Guard { smoothed_error: 0.0, smoothed_noise: 0.0, own_sigmas: 0.5, own_noise: 0.25 },
+    );
     let (width, height) = (57, 31);
     let scene = scene(width, height, 53);
     let [alone, together] = [54, 55].map(|seed| seeded_bank(width, height, seed));
@@ -435,11 +565,21 @@ fn other_frames_are_left_out_of_one_filter_where_they_do_harm() {
         let signal = rec.upload("signal", &packed_signal(&scene.mean, &scene.spread))?;
         let variance = upload(rec, &scene.variance)?;
         let mut filtered = |of: &Bank| {
-            let (planes, weights) = (rec.upload("filtered", &packed_signal(&of.means[0], &of.spreads[0]))?, upload(rec, &of.weight_sums[..1])?);
+            let (planes, weights) = (
+                rec.upload("filtered", &packed_signal(&of.means[0], &of.spreads[0]))?,
+                upload(rec, &of.weight_sums[..1])?,
+            );
             Ok::<_, stein::Error>(Filtered { planes, weights, residual_variance: None })
         };
         let (alone, together) = (filtered(&alone)?, filtered(&together)?);
-        select_frames_of_filtered(rec, extent, Noisy { signal: &signal, variance_of_mean: &variance }, &alone, &together, rule)?;
+        select_frames_of_filtered(
+            rec,
+            extent,
+            Noisy { signal: &signal, variance_of_mean: &variance },
+            &alone,
+            &together,
+            rule,
+        )?;
         Ok(together)
     });
     let sure = |bank: &Bank| {
@@ -449,10 +589,24 @@ fn other_frames_are_left_out_of_one_filter_where_they_do_harm() {
     let (sure_alone, sure_together) = (sure(&alone), sure(&together));
     let of_alone = reference::select::Filtered { mean: &alone.means[0], sure: &sure_alone };
     let of_together = reference::select::Filtered { mean: &together.means[0], sure: &sure_together };
-    let choose =
-        |a: &Grid, b: &Grid| a.like(|p| if reference::select::harmed(of_together, of_alone, &scene.variance, &twin_rule, p) { a.at(p) } else { b.at(p) });
+    let choose = |a: &Grid, b: &Grid| {
+        a.like(|p| {
+            if reference::select::harmed(of_together, of_alone, &scene.variance, &twin_rule, p) {
+                a.at(p)
+            } else {
+                b.at(p)
+            }
+        })
+    };
     let expected: Planes = (0..3).map(|i| choose(&alone.means[0][i], &together.means[0][i])).collect();
-    assert_near("the filtered colour", &read(gpu(), &chosen.planes, extent)[0][..3], &expected, &own_size(&expected, 0.0), 1e-12, 0.0);
+    assert_near(
+        "the filtered colour",
+        &read(gpu(), &chosen.planes, extent)[0][..3],
+        &expected,
+        &own_size(&expected, 0.0),
+        1e-12,
+        0.0,
+    );
     let expected = [choose(&alone.weight_sums[0], &together.weight_sums[0])];
     assert_near("Σ w", &read(gpu(), &chosen.weights, extent)[0][..1], &expected, &own_size(&expected, 0.0), 1e-12, 0.0);
     assert!(expected[0].values != alone.weight_sums[0].values && expected[0].values != together.weight_sums[0].values);
@@ -477,7 +631,10 @@ fn a_second_pass_is_taken_where_noise_explains_it() {
         let spread = expected.spread.unwrap_or_default();
         assert_near(&what, &result[1][..3], &spread, &own_size(&spread, 0.0), 1e-12, 0.0);
         let kept = expected.mean[0].values.iter().zip(&before.mean[0].values).filter(|(a, b)| a == b).count();
-        assert!(width * height < 100 || (width * height / 20..width * height * 19 / 20).contains(&kept), "{kept} pixels stay");
+        assert!(
+            width * height < 100 || (width * height / 20..width * height * 19 / 20).contains(&kept),
+            "{kept} pixels stay"
+        );
     }
 }
 
@@ -487,17 +644,32 @@ fn samples_are_wanted_where_they_pay() {
         let (scene, bank) = (scene(width, height, 46), bank(width, height));
         let extent = extent_of(&scene.mean[0]);
         let mut random = Random(47);
-        let (error, counts) = (rounded(random.uniform_grid(width, height, 0.0, 2.0)), rounded(random.uniform_grid(width, height, 1.0, 99.0)));
+        let (error, counts) = (
+            rounded(random.uniform_grid(width, height, 0.0, 2.0)),
+            rounded(random.uniform_grid(width, height, 1.0, 99.0)),
+        );
         // With halves the spread tells the error, without them what is given.
         let left = error.like(|p| scene.spread.iter().map(|plane| plane.at(p) * plane.at(p)).sum());
         for (vary, halves) in [(false, false), (true, false), (false, true), (true, true)] {
             let buffer = run(gpu, |rec| {
-                let blended = rec.upload("blend", &packed_signal(&[scene.mean.as_slice(), &bank.weight_sums[..1]].concat(), &scene.spread))?;
+                let blended = rec.upload(
+                    "blend",
+                    &packed_signal(&[scene.mean.as_slice(), &bank.weight_sums[..1]].concat(), &scene.spread),
+                )?;
                 let errors = upload(rec, std::slice::from_ref(&error))?;
-                let samples = if vary { GpuSamples::PerPixel(upload(rec, std::slice::from_ref(&counts))?) } else { GpuSamples::Uniform(31.0) };
+                let samples = if vary {
+                    GpuSamples::PerPixel(upload(rec, std::slice::from_ref(&counts))?)
+                } else {
+                    GpuSamples::Uniform(31.0)
+                };
                 sample_density(rec, extent, &blended, (!halves).then_some(&errors), &samples)
             });
-            let expected = reference::sure::sample_density(&scene.mean, if halves { &left } else { &error }, &bank.weight_sums[0], 0.0);
+            let expected = reference::sure::sample_density(
+                &scene.mean,
+                if halves { &left } else { &error },
+                &bank.weight_sums[0],
+                0.0,
+            );
             let expected = [expected.like(|p| expected.at(p) / (1.0 + if vary { counts.at(p) } else { 31.0 }))];
             let what = format!("sample_density, {width}×{height}, counts {vary}, halves {halves}");
             assert_near(&what, &read(gpu, &buffer, extent).remove(0), &expected, &own_size(&expected, 0.0), 2e-6, 0.0);

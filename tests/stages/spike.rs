@@ -1,9 +1,12 @@
-//! `spike_find`, and `spike_level`, `spike_share` and `spike_rows` with `spike_spread`. Levels are means of at most 48 values of one size, and what pixels get a sum of few shares: f32 keeps five digits.
+//! `spike_find`, and `spike_level`, `spike_share` and `spike_rows` with `spike_spread`. Levels are means of at most 48
+//! values of one size, and what pixels get a sum of few shares: f32 keeps five digits.
 
 use stein::gpu::Gpu;
 use stein::stage::spike::{SpikeRule, light_return, spike_find, spike_spread};
 
-use crate::common::{Scene, assert_near, calm_scene, checked_gpu, extent_of, gpu, packed_signal, read, rounded, run, upload};
+use crate::common::{
+    Scene, assert_near, calm_scene, checked_gpu, extent_of, gpu, packed_signal, read, rounded, run, upload,
+};
 use crate::feature::{features, pack};
 use crate::reference::keep_clean::Kept;
 use crate::reference::nlm::Feature;
@@ -12,7 +15,8 @@ use crate::reference::spike::{SpikeParams, repaired};
 use crate::reference::variance::Signal;
 use crate::reference::{Grid, Planes};
 
-/// A calm scene in which one pixel of 7 has no noise and one of 40 stands out, by anything from a tenth to a million; of the noise that goes with it, halves and variance tell everything or next to nothing.
+/// A calm scene in which one pixel of 7 has no noise and one of 40 stands out, by anything from a tenth to a million;
+/// of the noise that goes with it, halves and variance tell everything or next to nothing.
 fn spiky_scene(width: usize, height: usize, seed: u64) -> Scene {
     let calm = calm_scene(width, height, seed);
     let mut random = Random(seed + 100);
@@ -23,7 +27,11 @@ fn spiky_scene(width: usize, height: usize, seed: u64) -> Scene {
     let height_of = |channel: usize, i: usize| [1.0, 0.3, 2.0][channel] * 10f64.powf(size.values[i] - 1.0);
     let changed = |planes: &Planes, value: &dyn Fn(usize, usize, f64) -> f64| -> Planes {
         let grid = |(channel, grid): (usize, &Grid)| {
-            let values = grid.values.iter().enumerate().map(|(i, old)| if is_spike(i) || is_exact(i) { value(channel, i, *old) } else { *old });
+            let values = grid
+                .values
+                .iter()
+                .enumerate()
+                .map(|(i, old)| if is_spike(i) || is_exact(i) { value(channel, i, *old) } else { *old });
             rounded(Grid { values: values.collect(), ..*grid })
         };
         planes.iter().enumerate().map(grid).collect()
@@ -63,7 +71,8 @@ struct Case<'a> {
     spread: bool,
 }
 
-/// Decisions may fall the other way where a distance is 1 to the last digit, and what hangs on them is a window of pixels.
+/// Decisions may fall the other way where a distance is 1 to the last digit, and what hangs on them is a window of
+/// pixels.
 const FLIPPED: f64 = 0.002;
 
 /// Returns how many spikes and lights there were.
@@ -85,10 +94,14 @@ fn check(case: &Case) -> [usize; 2] {
     });
 
     let sample_variance = variance.then(|| scene.variance.clone());
-    let twin = SpikeParams { share_limit: if spread { SpikeParams::default().share_limit } else { None }, ..SpikeParams::default() };
+    let twin = SpikeParams {
+        share_limit: if spread { SpikeParams::default().share_limit } else { None },
+        ..SpikeParams::default()
+    };
     let color = Signal { mean: scene.mean.clone(), spread: Some(scene.spread.clone()), sample_variance };
     let expected = repaired(&color, &guides, &twin);
-    let what = |part: &str| format!("{part}, {width}×{height}, features {channels:?}, variance {variance}, spread {spread}");
+    let what =
+        |part: &str| format!("{part}, {width}×{height}, features {channels:?}, variance {variance}, spread {spread}");
     let near = |part: &str, actual: &[Grid], expected: &[Grid], floor: f64| {
         let size: Planes = expected.iter().map(|grid| grid.like(|p| grid.at(p).abs() + floor)).collect();
         assert_near(&what(part), actual, expected, &size, 1e-5, FLIPPED);
@@ -119,7 +132,9 @@ fn check(case: &Case) -> [usize; 2] {
 fn spikes_are_found_and_spread() {
     let mut found = Vec::new();
     for (gpu, width, height) in [(gpu(), 257, 89), (gpu(), 7, 300), (gpu(), 1, 1), (checked_gpu(), 31, 9)] {
-        for (features, variance, spread) in [(&[][..], true, true), (&[3, 1, 3, 1], true, true), (&[1, 2], false, true), (&[3], true, false)] {
+        for (features, variance, spread) in
+            [(&[][..], true, true), (&[3, 1, 3, 1], true, true), (&[1, 2], false, true), (&[3], true, false)]
+        {
             // All combinations on the odd sizes, the dearest one once.
             if width == 257 && features.len() < 4 {
                 continue;
@@ -128,14 +143,17 @@ fn spikes_are_found_and_spread() {
         }
     }
     for kind in 0..2 {
-        let least = |wanted: usize| found.iter().filter(|(width, _)| *width == wanted).map(|(_, found)| found[kind]).min();
+        let least =
+            |wanted: usize| found.iter().filter(|(width, _)| *width == wanted).map(|(_, found)| found[kind]).min();
         assert!(least(257) > Some(30) && least(7) >= Some(2) && least(1) == Some(0), "{found:?}");
     }
 }
 
 #[test]
 fn lights_come_back_to_their_pixels() {
-    for (gpu, width, height, with_error) in [(gpu(), 257, 89, true), (gpu(), 7, 300, false), (checked_gpu(), 31, 9, true)] {
+    for (gpu, width, height, with_error) in
+        [(gpu(), 257, 89, true), (gpu(), 7, 300, false), (checked_gpu(), 31, 9, true)]
+    {
         let Scene { mean, spread, .. } = spiky_scene(width, height, 34);
         let filtered = calm_scene(width, height, 35);
         let error = rounded(Random(36).uniform_grid(width, height, 0.0, 2.0));
@@ -154,7 +172,14 @@ fn lights_come_back_to_their_pixels() {
         let kept = lights.added_to(Kept { mean: filtered.mean, spread: Some(filtered.spread), error: error.clone() });
         let near = |part: &str, actual: &[Grid], expected: &[Grid]| {
             let size: Planes = expected.iter().map(|grid| grid.like(|p| grid.at(p).abs() + 1.0)).collect();
-            assert_near(&format!("{part}, {width}×{height}, error {with_error}"), actual, expected, &size, 1e-5, FLIPPED);
+            assert_near(
+                &format!("{part}, {width}×{height}, error {with_error}"),
+                actual,
+                expected,
+                &size,
+                1e-5,
+                FLIPPED,
+            );
         };
         let signal = read(gpu, &lit, extent);
         near("mean", &signal[0], &kept.mean);

@@ -7,7 +7,9 @@ use stein::stage::nlm::{CentreWeight, Guide, Schedule, Symmetry, Weighting};
 use stein::stage::window::{CellLane, NLM_DISTANCE, NLM_WEIGHT, WindowOfCandidates, candidate_window, nlm_window};
 
 use crate::candidate::{Case, filter, twin_params};
-use crate::common::{Scene, assert_near, calm_scene, checked_gpu, extent_of, gpu, packed_signal, run, scene, schedules, upload};
+use crate::common::{
+    Scene, assert_near, calm_scene, checked_gpu, extent_of, gpu, packed_signal, run, scene, schedules, upload,
+};
 use crate::feature::{features, pack};
 use crate::nlm::twin_of;
 use crate::reference::nlm;
@@ -15,7 +17,8 @@ use crate::reference::nlm_method::{self, Filter};
 use crate::reference::window::{self, Neighbour};
 use crate::reference::{Grid, Point};
 
-/// A distance is a mean of terms, of which those below 0 are at least −2/k²: f32 sums them to some millionths of their size.
+/// A distance is a mean of terms, of which those below 0 are at least −2/k²: f32 sums them to some millionths of their
+/// size.
 const DISTANCE: f64 = 2e-5;
 /// exp(−d) has the relative error that d has absolutely.
 const WEIGHT: f64 = 1e-4;
@@ -55,7 +58,9 @@ impl Cells {
     fn at(&self, lane: CellLane, q: Point) -> f64 {
         let side = 2 * self.radius + 1;
         let cell = (q.y - self.p.y + self.radius) * side + q.x - self.p.x + self.radius;
-        f64::from(self.values[(lane.plane as usize * (side * side) as usize + cell as usize) * 4 + lane.component as usize])
+        f64::from(
+            self.values[(lane.plane as usize * (side * side) as usize + cell as usize) * 4 + lane.component as usize],
+        )
     }
 
     /// A value of each neighbour, as an image of one row.
@@ -80,7 +85,12 @@ fn row(values: Vec<f64>) -> Grid {
 
 fn check_weights(what: &str, actual: &Grid, expected: Vec<f64>, distances: &[f64], allowed: f64) {
     let expected = row(expected);
-    let scale = row(expected.values.iter().zip(distances).map(|(weight, distance)| weight * (1.0 + distance.abs().min(30.0)) + 1e-9).collect());
+    let scale = row(expected
+        .values
+        .iter()
+        .zip(distances)
+        .map(|(weight, distance)| weight * (1.0 + distance.abs().min(30.0)) + 1e-9)
+        .collect());
     assert_near(what, std::slice::from_ref(actual), &[expected], &[scale], WEIGHT, allowed);
 }
 
@@ -91,7 +101,15 @@ fn check_distances(what: &str, actual: &Grid, expected: Vec<f64>) {
     assert_near(what, &[limited(&actual.values)], &[expected], &[scale], DISTANCE, 0.0);
 }
 
-const BEST: Case = Case { width: 257, height: 89, window_radius: 4, patch_radii: [1, 3], features: &[3, 1, 3, 1], symmetric: true, centre: CentreWeight::One };
+const BEST: Case = Case {
+    width: 257,
+    height: 89,
+    window_radius: 4,
+    patch_radii: [1, 3],
+    features: &[3, 1, 3, 1],
+    symmetric: true,
+    centre: CentreWeight::One,
+};
 
 fn check(gpu: &Gpu, case: Case, candidates: CandidateSet, scene: &Scene, grey: bool) {
     let extent = extent_of(&scene.mean[0]);
@@ -102,23 +120,62 @@ fn check(gpu: &Gpu, case: Case, candidates: CandidateSet, scene: &Scene, grey: b
             let variance = upload(rec, &scene.variance)?;
             let packed = if features.is_empty() { None } else { Some(pack(rec, &features)?) };
             let slots = packed.as_ref().map_or_else(Vec::new, |packed| packed.packing.slots.clone());
-            let of = candidate_window(rec, extent, pixel(p), &signal, &variance, packed.as_ref(), &filter(case), candidates, grey, SCHEDULE)?;
+            let of = candidate_window(
+                rec,
+                extent,
+                pixel(p),
+                &signal,
+                &variance,
+                packed.as_ref(),
+                &filter(case),
+                candidates,
+                grey,
+                SCHEDULE,
+            )?;
             Ok((of.cells, slots))
         });
-        let cells = Cells { values: gpu.read(&cells).unwrap_or_else(|error| panic!("{error}")), radius: case.window_radius as isize, p };
+        let cells = Cells {
+            values: gpu.read(&cells).unwrap_or_else(|error| panic!("{error}")),
+            radius: case.window_radius as isize,
+            p,
+        };
         let guide = nlm::Guide { mean: &scene.mean, variance: &scene.variance };
-        for (candidate, params) in (0..).zip(twin_params(case)).filter(|(candidate, _)| candidates.flags()[*candidate as usize]) {
-            let what = |part: &str| format!("{case:?}, {candidates} at {p:?}: {} {part}", CandidateSet::NAMES[candidate as usize]);
+        for (candidate, params) in
+            (0..).zip(twin_params(case)).filter(|(candidate, _)| candidates.flags()[*candidate as usize])
+        {
+            let what = |part: &str| {
+                format!("{case:?}, {candidates} at {p:?}: {} {part}", CandidateSet::NAMES[candidate as usize])
+            };
             let expected = window::candidate_window(guide, &features, &params, p);
             let color = (candidate < 2).then(|| WindowOfCandidates::color(candidate));
-            let lanes: Vec<_> = color.into_iter().chain(slots.iter().map(|slot| WindowOfCandidates::feature(candidate, *slot))).collect();
-            let farthest: Vec<f64> = expected.iter().map(|neighbour| neighbour.distances.iter().map(|d| d.distance).fold(0.0, f64::max)).collect();
+            let lanes: Vec<_> = color
+                .into_iter()
+                .chain(slots.iter().map(|slot| WindowOfCandidates::feature(candidate, *slot)))
+                .collect();
+            let farthest: Vec<f64> = expected
+                .iter()
+                .map(|neighbour| neighbour.distances.iter().map(|d| d.distance).fold(0.0, f64::max))
+                .collect();
             let weight = WindowOfCandidates::weight(candidate);
-            check_weights(&what("weight"), &cells.lane(weight, &expected), expected.iter().map(|neighbour| neighbour.weight).collect(), &farthest, 0.0);
+            check_weights(
+                &what("weight"),
+                &cells.lane(weight, &expected),
+                expected.iter().map(|neighbour| neighbour.weight).collect(),
+                &farthest,
+                0.0,
+            );
             for (index, lanes) in lanes.iter().enumerate() {
-                let of = |value: fn(&window::Distance) -> f64| expected.iter().map(|neighbour| value(&neighbour.distances[index])).collect::<Vec<_>>();
+                let of = |value: fn(&window::Distance) -> f64| {
+                    expected.iter().map(|neighbour| value(&neighbour.distances[index])).collect::<Vec<_>>()
+                };
                 let distances = of(|distance| distance.distance);
-                check_weights(&what("weight alone"), &cells.lane(lanes.weight, &expected), of(|distance| distance.weight), &distances, 0.0);
+                check_weights(
+                    &what("weight alone"),
+                    &cells.lane(lanes.weight, &expected),
+                    of(|distance| distance.weight),
+                    &distances,
+                    0.0,
+                );
                 check_distances(&what("distance"), &cells.lane(lanes.distance, &expected), distances);
             }
             let weights: Vec<_> = lanes.iter().map(|lanes| lanes.weight).chain([weight]).collect();
@@ -170,7 +227,15 @@ struct Chapter7 {
     cut: f32,
 }
 
-const THESIS: Chapter7 = Chapter7 { width: 24, height: 20, window_radius: 10, patch_radius: 3, symmetric: Symmetry::Hard, patchwise: true, cut: 0.05 };
+const THESIS: Chapter7 = Chapter7 {
+    width: 24,
+    height: 20,
+    window_radius: 10,
+    patch_radius: 3,
+    symmetric: Symmetry::Hard,
+    patchwise: true,
+    cut: 0.05,
+};
 
 /// Whether a pair is replaced, whether a weight is cut: decisions that rounding may turn over.
 const FLIPPED: f64 = 0.01;
@@ -178,7 +243,12 @@ const FLIPPED: f64 = 0.01;
 fn cells_of(gpu: &Gpu, case: Chapter7, scene: &Scene, p: Point, schedule: Schedule) -> Cells {
     let cells = run(gpu, |rec| {
         let (signal, variance) = (upload(rec, &scene.mean)?, upload(rec, &scene.variance)?);
-        let guide = Guide { alpha: 0.5, patchwise: case.patchwise, cut: case.cut, ..Guide::new(&signal, &variance, 3, 0.45, case.patch_radius) };
+        let guide = Guide {
+            alpha: 0.5,
+            patchwise: case.patchwise,
+            cut: case.cut,
+            ..Guide::new(&signal, &variance, 3, 0.45, case.patch_radius)
+        };
         let weighting = Weighting { symmetric: case.symmetric, centre: CentreWeight::One };
         nlm_window(rec, extent_of(&scene.mean[0]), pixel(p), &guide, case.window_radius, weighting, schedule)
     });
@@ -207,7 +277,13 @@ fn check_chapter7(gpu: &Gpu, case: Chapter7) {
         let expected = window::nlm_window(nlm::Guide { mean: &scene.mean, variance: &scene.variance }, &filter, p);
         let of = |value: fn(&Neighbour) -> f64| expected.iter().map(value).collect::<Vec<_>>();
         let distances = of(|neighbour| neighbour.distances[0].distance);
-        check_weights(&what("weight"), &cells.lane(NLM_WEIGHT, &expected), of(|neighbour| neighbour.weight), &distances, FLIPPED);
+        check_weights(
+            &what("weight"),
+            &cells.lane(NLM_WEIGHT, &expected),
+            of(|neighbour| neighbour.weight),
+            &distances,
+            FLIPPED,
+        );
         let alone = of(|neighbour| neighbour.distances[0].weight);
         check_weights(&what("weight alone"), &cells.lane(NLM_DISTANCE.weight, &expected), alone, &distances, FLIPPED);
         check_distances(&what("distance"), &cells.lane(NLM_DISTANCE.distance, &expected), distances);

@@ -1,4 +1,5 @@
-//! From the library's types to those of the float64 reference: frames in the units that a method works in, and parameters.
+//! From the library's types to those of the float64 reference: frames in the units that a method works in, and
+//! parameters.
 
 use stein::frame::{Feature, SamplesPerPixel, Signal};
 use stein::image::Image;
@@ -17,7 +18,11 @@ use stein_reference::{Grid, Planes, exposure, gem, nlm, nlm_method, select, spik
 /// The planes of an image, times a factor.
 pub fn grids(image: &Image, factor: f64) -> Planes {
     let (width, height) = (image.extent.width as usize, image.extent.height as usize);
-    image.planes.iter().map(|plane| Grid { width, height, values: plane.iter().map(|value| f64::from(*value) * factor).collect() }).collect()
+    image
+        .planes
+        .iter()
+        .map(|plane| Grid { width, height, values: plane.iter().map(|value| f64::from(*value) * factor).collect() })
+        .collect()
 }
 
 /// What the colour is multiplied by on its way to the device.
@@ -38,7 +43,9 @@ pub fn signal(signal: &Signal, factor: f64) -> variance::Signal {
 
 /// What DFC works on.
 pub fn frame(frame: &Frame, exposure: f64) -> dfc::Frame {
-    let may_explain = |feature: &Feature| feature.signal.mean.channels() == 3 && ["albedo", "normal"].iter().any(|name| feature.name.contains(name));
+    let may_explain = |feature: &Feature| {
+        feature.signal.mean.channels() == 3 && ["albedo", "normal"].iter().any(|name| feature.name.contains(name))
+    };
     let features = frame.features();
     dfc::Frame {
         color: signal(frame.color(), exposure),
@@ -108,11 +115,21 @@ pub fn dfc_params(params: &DfcParams) -> dfc::DfcParams {
 
 /// What a method does about spikes.
 fn spikes(spikes: Spikes) -> Option<spike::SpikeParams> {
-    let SpikeRule { window_radius, spread_radius, least_neighbours, prominence, most_samples, light_samples, share_limit, feature_k, feature_tau } =
-        SpikeRule::DEFAULT;
+    let SpikeRule {
+        window_radius,
+        spread_radius,
+        least_neighbours,
+        prominence,
+        most_samples,
+        light_samples,
+        share_limit,
+        feature_k,
+        feature_tau,
+    } = SpikeRule::DEFAULT;
     // 0.1 as a float32 is not 0.1.
     let [prominence, most_samples, light_samples, share_limit, k_feature, tau] =
-        [prominence, most_samples, light_samples, share_limit, feature_k, feature_tau].map(|value| format!("{value:.4e}").parse().unwrap_or(f64::NAN));
+        [prominence, most_samples, light_samples, share_limit, feature_k, feature_tau]
+            .map(|value| format!("{value:.4e}").parse().unwrap_or(f64::NAN));
     let params = spike::SpikeParams {
         window_radius: window_radius as usize,
         spread_radius: spread_radius as usize,

@@ -43,7 +43,10 @@ impl Setup {
     fn sampler(&self, seed: u64, sequence: Sequence) -> stein::Result<StubSampler> {
         let scene = scene(&self.scene).ok_or_else(|| {
             let known: Vec<_> = scenes().map(|(name, _)| name).collect();
-            Error::Request { problem: format!("there is no scene '{}'", self.scene), remedy: format!("choose one of {}", known.join(", ")) }
+            Error::Request {
+                problem: format!("there is no scene '{}'", self.scene),
+                remedy: format!("choose one of {}", known.join(", ")),
+            }
         })?;
         Ok(StubSampler::new(scene, self.extent, seed, sequence))
     }
@@ -99,18 +102,27 @@ impl Loop {
         Self { setup, parameters, state: None, complete: Vec::new() }
     }
 
-    /// Draws and denoises the next iteration, or draws the reference and compares all of them with it. `check` is told how much of the whole loop is done, and ends it by an error.
+    /// Draws and denoises the next iteration, or draws the reference and compares all of them with it. `check` is told
+    /// how much of the whole loop is done, and ends it by an error.
     ///
     /// # Errors
     /// A setup that cannot be met, and as [`Iterations::step`].
-    pub fn step(&mut self, gpu: &Gpu, pace: Pace, check: &(impl Fn(f32) -> stein::Result<()> + Sync)) -> stein::Result<Adapted> {
+    pub fn step(
+        &mut self,
+        gpu: &Gpu,
+        pace: Pace,
+        check: &(impl Fn(f32) -> stein::Result<()> + Sync),
+    ) -> stein::Result<Adapted> {
         if self.state.is_none() {
             gpu.set_timing(true);
             let method = self.parameters.method;
-            let iterations = Iterations::new(&Denoiser::new(gpu, method)?, &self.setup.plan()?).with_kept(method.intermediates());
+            let iterations =
+                Iterations::new(&Denoiser::new(gpu, method)?, &self.setup.plan()?).with_kept(method.intermediates());
             self.state = Some((self.setup.sampler(self.setup.seed.into(), Sequence::Random)?, iterations));
         }
-        let Self { setup, parameters, state: Some((sampler, iterations)), complete } = self else { return Err(Error::Cancelled) };
+        let Self { setup, parameters, state: Some((sampler, iterations)), complete } = self else {
+            return Err(Error::Cancelled);
+        };
         let has_reference = setup.reference_samples > 0;
         let parts = (iterations.plan().iterations() + u32::from(has_reference)) as f32;
         if iterations.done() == iterations.plan().iterations() {
@@ -135,7 +147,8 @@ impl Loop {
             Event::Finished { iteration, map, samples, estimate, method } => {
                 let seconds = drawn_at.elapsed().as_secs_f64();
                 let (denoiser, opened) = (Denoiser::new(gpu, *method)?, opened_of(setup, iteration, map, samples)?);
-                let denoised = Denoised::new(&denoiser, parameters.preset, &opened.frame, estimate.clone(), None, seconds)?;
+                let denoised =
+                    Denoised::new(&denoiser, parameters.preset, &opened.frame, estimate.clone(), None, seconds)?;
                 finished = Some(iteration_of(iteration, &samples.counts(), opened, denoised));
                 Ok(())
             }
@@ -170,7 +183,9 @@ fn iteration_of(number: u32, counts: &SampleCounts, opened: Opened, denoised: De
 fn draw_reference(setup: &Setup, check: impl Fn(f32) -> stein::Result<()> + Sync) -> stein::Result<Image> {
     let mut sampler = setup.sampler(!u64::from(setup.seed), Sequence::LowDiscrepancy)?;
     let counts = SampleCounts::uniform(setup.extent, setup.reference_samples)?;
-    let mut progress = |share: f32| if check(share).is_ok() { std::ops::ControlFlow::Continue(()) } else { std::ops::ControlFlow::Break(()) };
+    let mut progress = |share: f32| {
+        if check(share).is_ok() { std::ops::ControlFlow::Continue(()) } else { std::ops::ControlFlow::Break(()) }
+    };
     let samples = sampler.sample(&counts, Some(&mut progress))?;
     Ok(samples.color().mean)
 }

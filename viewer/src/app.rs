@@ -7,7 +7,8 @@ use std::task::Poll;
 use std::time::Instant;
 
 use eframe::egui::{
-    self, Align, CentralPanel, Color32, Context, FontDefinitions, FontFamily, Frame as Margins, Layout, Panel as SidePanel, RichText, Ui, Vec2, ViewportCommand,
+    self, Align, CentralPanel, Color32, Context, FontDefinitions, FontFamily, Frame as Margins, Layout,
+    Panel as SidePanel, RichText, Ui, Vec2, ViewportCommand,
 };
 use eframe::wgpu;
 use stein::{Extent, Gpu};
@@ -105,7 +106,8 @@ pub struct Viewer {
     frames_left: Option<u32>,
     /// Whether a sweep follows when the frame is open.
     sweeps: bool,
-    /// Whether it is still to be checked that what the program starts with is there: that cannot be told before the first run is done.
+    /// Whether it is still to be checked that what the program starts with is there: that cannot be told before the
+    /// first run is done.
     checks_names: bool,
     /// When the newest frame was handed over to be drawn.
     drawn: Instant,
@@ -123,7 +125,13 @@ impl Viewer {
     ///
     /// # Errors
     /// As [`Worker::start`].
-    pub fn new(context: &Context, gpu: &Gpu, format: wgpu::TextureFormat, settings: Settings, start: Start) -> stein::Result<Self> {
+    pub fn new(
+        context: &Context,
+        gpu: &Gpu,
+        format: wgpu::TextureFormat,
+        settings: Settings,
+        start: Start,
+    ) -> stein::Result<Self> {
         set_style(context);
         let remembered = settings.parameters.as_deref().and_then(|text| Parameters::from_toml(text).ok());
         let mut earlier = Earlier::from_toml(&settings.earlier);
@@ -178,8 +186,10 @@ impl Viewer {
     /// # Errors
     /// As [`Viewer::new`].
     pub fn in_window(creation: &eframe::CreationContext, gpu: &Gpu, start: Start) -> stein::Result<Self> {
-        let format = creation.wgpu_render_state.as_ref().map_or(wgpu::TextureFormat::Rgba8Unorm, |state| state.target_format);
-        let settings = creation.storage.and_then(|storage| eframe::get_value(storage, Settings::KEY)).unwrap_or_default();
+        let format =
+            creation.wgpu_render_state.as_ref().map_or(wgpu::TextureFormat::Rgba8Unorm, |state| state.target_format);
+        let settings =
+            creation.storage.and_then(|storage| eframe::get_value(storage, Settings::KEY)).unwrap_or_default();
         Self::new(&creation.egui_ctx, gpu, format, settings, start)
     }
 
@@ -227,7 +237,8 @@ impl Viewer {
         self.worker.cancel(Task::Adapt);
     }
 
-    /// Opens an iteration of the adaptive loop. Where it is not the newest one, those that come are no longer shown by themselves.
+    /// Opens an iteration of the adaptive loop. Where it is not the newest one, those that come are no longer shown by
+    /// themselves.
     pub fn show_iteration(&mut self, number: u32, context: &Context) {
         let Some(document) = self.adaptive.document(number) else { return };
         // What is at work on the frame that was open would come out as this one's.
@@ -305,7 +316,10 @@ impl Viewer {
 
     /// Whether nothing is at work and nothing waits to be told.
     pub fn is_idle(&self) -> bool {
-        let nothing_to_come = self.progress.is_none() && !self.sweep.is_running && !self.inspector.waits() && self.worker.busy().is_none();
+        let nothing_to_come = self.progress.is_none()
+            && !self.sweep.is_running
+            && !self.inspector.waits()
+            && self.worker.busy().is_none();
         nothing_to_come && self.savings.is_empty() && self.reading.is_none()
     }
 
@@ -325,7 +339,8 @@ impl Viewer {
         self.view.compare = compare;
         let is_there = |name: &str| self.document.as_ref().is_some_and(|document| document.layer(name).is_some());
         if compare != Compare::Single && self.other().is_none() {
-            let likeliest = ["reference", "noisy", "result"].into_iter().find(|name| *name != self.view.layer && is_there(name));
+            let likeliest =
+                ["reference", "noisy", "result"].into_iter().find(|name| *name != self.view.layer && is_there(name));
             self.view.other = likeliest.map(ToOwned::to_owned);
         }
     }
@@ -380,7 +395,11 @@ impl Viewer {
             Action::ToggleFollow => self.inspector.follows = !self.inspector.follows,
             Action::MovePixel(by) => self.move_pixel(by),
             Action::ToggleSharedScale => self.view.display.shares_scale = !self.view.display.shares_scale,
-            Action::ToggleTheme => context.set_theme(if context.theme() == egui::Theme::Dark { egui::Theme::Light } else { egui::Theme::Dark }),
+            Action::ToggleTheme => context.set_theme(if context.theme() == egui::Theme::Dark {
+                egui::Theme::Light
+            } else {
+                egui::Theme::Dark
+            }),
             Action::Help => self.shows_help = !self.shows_help,
         }
     }
@@ -421,7 +440,8 @@ impl Viewer {
         let Some(document) = &self.document else { return };
         let Extent { width, height } = document.opened.frame.extent();
         let [x, y] = self.view.chosen().unwrap_or([width / 2, height / 2]);
-        self.view.pinned = Some([x.saturating_add_signed(by[0]).min(width - 1), y.saturating_add_signed(by[1]).min(height - 1)]);
+        self.view.pinned =
+            Some([x.saturating_add_signed(by[0]).min(width - 1), y.saturating_add_signed(by[1]).min(height - 1)]);
         self.view.reveals_pinned = true;
     }
 
@@ -455,15 +475,22 @@ impl Viewer {
         match (purpose, &self.document) {
             (Purpose::Input, _) => self.open(Source::whole(path, None)),
             // Where another file is being read, it is the reference of that one.
-            (Purpose::Reference, _) if matches!(self.progress, Some((Task::Open, _))) => self.waiting_reference = Some(path),
+            (Purpose::Reference, _) if matches!(self.progress, Some((Task::Open, _))) => {
+                self.waiting_reference = Some(path);
+            }
             (Purpose::Reference, document) => match document.as_ref().map(|document| &document.opened.source) {
                 Some(Some(source)) => self.open(Source { reference: Some(LayerRef::whole(path)), ..source.clone() }),
-                Some(None) => self.refuse("a frame that was rendered here is compared with a reference of the same scene", "let one be drawn (panel Sampling)"),
+                Some(None) => self.refuse(
+                    "a frame that was rendered here is compared with a reference of the same scene",
+                    "let one be drawn (panel Sampling)",
+                ),
                 None => self.waiting_reference = Some(path),
             },
             (Purpose::Parameters, _) => self.read_parameters(path, context),
             (Purpose::SaveView | Purpose::SaveLayer | Purpose::SaveResult | Purpose::SaveParameters, _) => {
-                let saving = self.content(purpose, &path, context).and_then(|content| Saving::start(&self.gpu, content, path, context));
+                let saving = self
+                    .content(purpose, &path, context)
+                    .and_then(|content| Saving::start(&self.gpu, content, path, context));
                 match saving {
                     Ok(saving) => self.savings.push(saving),
                     Err(error) => self.tell(Err(error), context),
@@ -504,10 +531,14 @@ impl Viewer {
 
     /// What is to be saved.
     fn content(&self, purpose: Purpose, path: &Path, context: &Context) -> stein::Result<Content> {
-        let missing = |what: &str| stein::Error::Request { problem: format!("there is no {what} to save"), remedy: "open a file and wait for the run".into() };
+        let missing = |what: &str| stein::Error::Request {
+            problem: format!("there is no {what} to save"),
+            remedy: "open a file and wait for the run".into(),
+        };
         let layer = || self.layer().cloned().ok_or_else(|| missing("image"));
         let source = self.document.as_ref().and_then(|document| document.opened.source.as_ref());
-        let same = |other: &Path| path.canonicalize().is_ok_and(|path| other.canonicalize().is_ok_and(|other| path == other));
+        let same =
+            |other: &Path| path.canonicalize().is_ok_and(|path| other.canonicalize().is_ok_and(|other| path == other));
         if source.is_some_and(|source| source.files().any(same)) {
             return Err(stein::Error::File {
                 path: path.to_owned(),
@@ -568,11 +599,14 @@ impl Viewer {
         self.notice.take_if(|(notice, told)| notice.is_ok() && now > *told + NOTICE_SECONDS);
     }
 
-    /// Files that were dropped on the window: one whose name says so is the reference of the other, or of what is open, or else of what is opened next.
+    /// Files that were dropped on the window: one whose name says so is the reference of the other, or of what is open,
+    /// or else of what is opened next.
     fn take_dropped(&mut self, context: &Context) {
-        let dropped: Vec<PathBuf> = context.input(|input| input.raw.dropped_files.iter().map(|file| file.path().to_owned()).collect());
+        let dropped: Vec<PathBuf> =
+            context.input(|input| input.raw.dropped_files.iter().map(|file| file.path().to_owned()).collect());
         let (references, inputs): (Vec<_>, Vec<_>) = dropped.into_iter().partition(|path| is_reference(path));
-        let left_out: Vec<_> = inputs.iter().skip(1).chain(references.iter().skip(1)).map(|path| short_name(path)).collect();
+        let left_out: Vec<_> =
+            inputs.iter().skip(1).chain(references.iter().skip(1)).map(|path| short_name(path)).collect();
         if !left_out.is_empty() {
             self.tell(Ok(format!("One file is open at a time, left out: {}", left_out.join(", "))), context);
         }
@@ -624,7 +658,11 @@ impl Viewer {
                     self.trouble = Some((Task::Inspect, error));
                 }
                 // It was sent before there was a reference.
-                Reply::Denoised(denoised) if self.document.as_ref().is_some_and(|document| document.has_more_to_compare(&denoised)) => self.run(),
+                Reply::Denoised(denoised)
+                    if self.document.as_ref().is_some_and(|document| document.has_more_to_compare(&denoised)) =>
+                {
+                    self.run();
+                }
                 Reply::Denoised(denoised) => {
                     self.progress = None;
                     self.adaptive.follows = false;
@@ -672,7 +710,8 @@ impl Viewer {
         self.check_names();
     }
 
-    /// Tells, once the first run is done, what the program was started with and is not there. The usual is shown in its place.
+    /// Tells, once the first run is done, what the program was started with and is not there. The usual is shown in its
+    /// place.
     fn check_names(&mut self) {
         let Some(document) = self.document.as_ref().filter(|document| document.denoised.is_some()) else { return };
         // The last iteration brings layers as well, and what is told already is not to be replaced.
@@ -682,20 +721,34 @@ impl Viewer {
         self.checks_names = false;
         let mut missing: Vec<(String, String)> = Vec::new();
         let is_unknown = |name: &&String| document.layer(name).is_none();
-        let mut unknown: Vec<_> = [Some(&self.view.layer), self.view.other.as_ref()].into_iter().flatten().filter(is_unknown).cloned().collect();
+        let mut unknown: Vec<_> = [Some(&self.view.layer), self.view.other.as_ref()]
+            .into_iter()
+            .flatten()
+            .filter(is_unknown)
+            .cloned()
+            .collect();
         unknown.dedup();
         if !unknown.is_empty() {
             let names: Vec<_> = document.layers().iter().map(|layer| layer.name()).collect();
-            missing.push((format!("there is no layer '{}'", unknown.join("' or '")), format!("choose one of {}", names.join(", "))));
+            missing.push((
+                format!("there is no layer '{}'", unknown.join("' or '")),
+                format!("choose one of {}", names.join(", ")),
+            ));
         }
         let extent = document.opened.frame.extent();
         let outside = self.view.pinned.filter(|[x, y]| *x >= extent.width || *y >= extent.height);
         if let Some([x, y]) = outside {
-            missing.push((format!("there is no pixel ({x}, {y})"), format!("the image has {extent} pixels, counted from 0")));
+            missing.push((
+                format!("there is no pixel ({x}, {y})"),
+                format!("the image has {extent} pixels, counted from 0"),
+            ));
         }
         let lost = self.inspector.kept.filter(|offset| self.inspector.lacks(*offset));
         if let Some([dx, dy]) = lost {
-            missing.push((format!("the window has no neighbour ({dx}, {dy}) in the image"), "choose an offset within the radius of the window".into()));
+            missing.push((
+                format!("the window has no neighbour ({dx}, {dy}) in the image"),
+                "choose an offset within the radius of the window".into(),
+            ));
         }
         if missing.is_empty() {
             return;
@@ -740,14 +793,25 @@ impl Viewer {
         }
         SidePanel::top("toolbar").show(ui, |ui| panel::toolbar::show(ui, self));
         SidePanel::bottom("status").show(ui, |ui| panel::status::show(ui, self));
-        SidePanel::left("layers").resizable(true).default_size(216.0).size_range(150.0..=420.0).show(ui, |ui| panel::layers::show(ui, self));
-        SidePanel::right("panel").resizable(true).default_size(336.0).size_range(240.0..=620.0).show(ui, |ui| panel::show(ui, self));
+        SidePanel::left("layers")
+            .resizable(true)
+            .default_size(216.0)
+            .size_range(150.0..=420.0)
+            .show(ui, |ui| panel::layers::show(ui, self));
+        SidePanel::right("panel")
+            .resizable(true)
+            .default_size(336.0)
+            .size_range(240.0..=620.0)
+            .show(ui, |ui| panel::show(ui, self));
         CentralPanel::default().frame(Margins::NONE.fill(ui.visuals().panel_fill)).show(ui, |ui| self.show_canvas(ui));
         panel::help::show(&context, self);
     }
 
     fn show_canvas(&mut self, ui: &mut Ui) {
-        let failures = [self.trouble.as_ref().map(|(_, error)| error), self.notice.as_ref().and_then(|(notice, _)| notice.as_ref().err())];
+        let failures = [
+            self.trouble.as_ref().map(|(_, error)| error),
+            self.notice.as_ref().and_then(|(notice, _)| notice.as_ref().err()),
+        ];
         let failures: Vec<_> = failures.into_iter().flatten().map(words::told).collect();
         failures.iter().for_each(|failure| self.show_trouble(ui, failure));
         self.view.marked = if self.panel == Panel::Kernel { self.inspector.marked() } else { None };
@@ -788,7 +852,9 @@ impl Viewer {
                 return;
             }
             ui.heading("Drop an OpenEXR buffer set here");
-            ui.label("the noisy image with its halves or variance, and features; with it, if there is one, the reference");
+            ui.label(
+                "the noisy image with its halves or variance, and features; with it, if there is one, the reference",
+            );
             ui.add_space(10.0);
             if ui.button("Open…").clicked() {
                 self.perform(Action::Open, &context);
@@ -841,14 +907,17 @@ impl eframe::App for Viewer {
 pub fn set_style(context: &Context) {
     let mut fonts = FontDefinitions::default();
     // It has the mathematical signs that the other font lacks.
-    let [proportional, monospace] = [FontFamily::Proportional, FontFamily::Monospace].map(|family| fonts.families.get(&family).cloned().unwrap_or_default());
+    let [proportional, monospace] = [FontFamily::Proportional, FontFamily::Monospace]
+        .map(|family| fonts.families.get(&family).cloned().unwrap_or_default());
     fonts.families.insert(FontFamily::Proportional, proportional.into_iter().chain(monospace).collect());
     context.set_fonts(fonts);
     context.all_styles_mut(|style| {
         // Text on panels is read, not only glanced at.
         let visuals = &mut style.visuals;
-        visuals.widgets.noninteractive.fg_stroke.color = if visuals.dark_mode { Color32::from_gray(205) } else { Color32::from_gray(50) };
-        visuals.error_fg_color = if visuals.dark_mode { Color32::from_rgb(255, 120, 110) } else { Color32::from_rgb(170, 0, 0) };
+        visuals.widgets.noninteractive.fg_stroke.color =
+            if visuals.dark_mode { Color32::from_gray(205) } else { Color32::from_gray(50) };
+        visuals.error_fg_color =
+            if visuals.dark_mode { Color32::from_rgb(255, 120, 110) } else { Color32::from_rgb(170, 0, 0) };
         visuals.weak_text_alpha = 0.75;
     });
 }

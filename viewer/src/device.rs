@@ -32,5 +32,8 @@ pub fn configuration(gpu: &Gpu) -> Result<WgpuConfiguration> {
 
 /// That the system starts no thread.
 pub(crate) fn no_thread(error: std::io::Error) -> Error {
-    Error::Device { problem: format!("no thread can be started: {error}"), remedy: "end other programs, or raise the limit on processes (ulimit -u)".into() }
+    Error::Device {
+        problem: format!("no thread can be started: {error}"),
+        remedy: "end other programs, or raise the limit on processes (ulimit -u)".into(),
+    }
 }

@@ -47,19 +47,25 @@ impl Source {
     /// What people call it: the name of the input, and its layer where one is named.
     pub fn name(&self) -> String {
         let BufferSetRequest { input, layer, .. } = &self.request;
-        layer.as_ref().map_or_else(|| short_name(input), |layer| format!("{}::{}", short_name(input), text::name(layer)))
+        layer
+            .as_ref()
+            .map_or_else(|| short_name(input), |layer| format!("{}::{}", short_name(input), text::name(layer)))
     }
 
     /// The same from whichever folder.
     #[must_use]
     pub fn absolute(&self) -> Self {
         let absolute = |path: &Path| std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
-        Self { request: self.request.map_files(absolute), reference: self.reference.as_ref().map(|reference| reference.map_file(absolute)) }
+        Self {
+            request: self.request.map_files(absolute),
+            reference: self.reference.as_ref().map(|reference| reference.map_file(absolute)),
+        }
     }
 
     /// What is read, and what is not, for people: the input first.
     pub fn lines(&self) -> Vec<String> {
-        let BufferSetRequest { input, layer, half_a, half_b, variance, features, skip_features, no_features } = &self.request;
+        let BufferSetRequest { input, layer, half_a, half_b, variance, features, skip_features, no_features } =
+            &self.request;
         let input = LayerRef { file: input.clone(), layer: layer.clone() };
         let named = [("half A", half_a), ("half B", half_b), ("variance", variance), ("reference", &self.reference)];
         let named = named.into_iter().filter_map(|(what, layer)| Some(format!("{what}: {}", layer.as_ref()?)));
@@ -187,7 +193,8 @@ impl Document {
         self.history.push(Run { parameters, seconds, error, estimated_error });
         self.before = self.layer("result").map(|before| {
             let about = "The result of the run before, to see what a change of the parameters does.".into();
-            let description = Description { name: "before".into(), title: "run before".into(), about, ..before.description.clone() };
+            let description =
+                Description { name: "before".into(), title: "run before".into(), about, ..before.description.clone() };
             Arc::new(before.renamed(description))
         });
         self.denoised = Some(denoised);
@@ -205,15 +212,17 @@ impl Document {
         self.arrange();
     }
 
-    /// Puts the layers in order, by group. In it the result goes before what it is compared with, what belongs to one feature stays together, and all else keeps the order in
-    /// which it was made.
+    /// Puts the layers in order, by group. In it the result goes before what it is compared with, what belongs to one
+    /// feature stays together, and all else keeps the order in which it was made.
     fn arrange(&mut self) {
         let made = self.denoised.iter().flat_map(|denoised| &denoised.layers);
         self.layers = self.opened.layers.iter().chain(made).chain(&self.before).cloned().collect();
         let features = self.opened.frame.features();
         let place = |layer: &Layer| match layer.description.group {
             Group::Result => ["result", "pass1", "before", "reference"].iter().position(|name| *name == layer.name()),
-            Group::Features => features.iter().position(|feature| layer.name() == feature.name || layer.name().starts_with(&format!("{}_", feature.name))),
+            Group::Features => features.iter().position(|feature| {
+                layer.name() == feature.name || layer.name().starts_with(&format!("{}_", feature.name))
+            }),
             _ => None,
         };
         self.layers.sort_by_key(|layer| (layer.description.group, place(layer)));
@@ -236,7 +245,14 @@ pub fn relative_mse(image: &Image, reference: Option<&Arc<Image>>) -> Option<f64
 }
 
 /// A description, for the tables of layers.
-fn describe(name: impl Into<String>, title: impl Into<String>, about: impl Into<String>, group: Group, kind: Kind, unit: &'static str) -> Description {
+fn describe(
+    name: impl Into<String>,
+    title: impl Into<String>,
+    about: impl Into<String>,
+    group: Group,
+    kind: Kind,
+    unit: &'static str,
+) -> Description {
     Description { name: name.into(), title: title.into(), about: about.into(), group, kind, unit }
 }
 

@@ -1,4 +1,5 @@
-//! Changes of parameters by hand. One that contradicts the other parameters is told, and waits until it does not; meanwhile the last ones that go together stay in use.
+//! Changes of parameters by hand. One that contradicts the other parameters is told, and waits until it does not;
+//! meanwhile the last ones that go together stay in use.
 
 use stein::Error;
 use stein::parameters::{Parameter, Value};

@@ -60,7 +60,8 @@ impl Purpose {
         matches!(self, Self::SaveView | Self::SaveLayer | Self::SaveResult | Self::SaveParameters)
     }
 
-    /// A path with the ending of the format, where it has none or another, such as the number of a frame; but not one that exists, which nobody was asked about.
+    /// A path with the ending of the format, where it has none or another, such as the number of a frame; but not one
+    /// that exists, which nobody was asked about.
     #[must_use]
     pub fn with_ending(self, path: PathBuf) -> PathBuf {
         let ending = self.format().1;
@@ -94,7 +95,11 @@ impl Dialog {
         let context = context.clone();
         let ask = move || {
             let asked = Instant::now();
-            let path = if purpose.saves() { dialog.save_file().map(|path| purpose.with_ending(path)) } else { dialog.pick_file() };
+            let path = if purpose.saves() {
+                dialog.save_file().map(|path| purpose.with_ending(path))
+            } else {
+                dialog.pick_file()
+            };
             // Where nobody waits for the answer any more, the window is closed.
             let _ = sender.send(answered(path, asked.elapsed()));
             context.request_repaint();
@@ -146,7 +151,13 @@ mod tests {
         let taken = folder.path().join("taken.exr");
         std::fs::write(&taken, "").expect("a file");
         let named = |name: &str| Purpose::SaveResult.with_ending(folder.path().join(name));
-        for (name, file) in [("a", "a.exr"), ("a.EXR", "a.EXR"), ("shot.0001", "shot.0001.exr"), ("taken", "taken"), ("taken.exr", "taken.exr")] {
+        for (name, file) in [
+            ("a", "a.exr"),
+            ("a.EXR", "a.EXR"),
+            ("shot.0001", "shot.0001.exr"),
+            ("taken", "taken"),
+            ("taken.exr", "taken.exr"),
+        ] {
             assert_eq!(named(name), folder.path().join(file), "{name}");
         }
     }
@@ -155,6 +166,8 @@ mod tests {
     fn a_dialog_that_was_never_shown_is_told_from_one_that_was_closed() {
         let (at_once, later) = (Duration::from_millis(3), Duration::from_secs(2));
         assert_eq!(answered(Some("a.exr".into()), at_once).ok(), Some(Some("a.exr".into())));
-        assert!(matches!(answered(None, later), Ok(None)) && matches!(answered(None, at_once), Err(Error::Request { .. })));
+        assert!(
+            matches!(answered(None, later), Ok(None)) && matches!(answered(None, at_once), Err(Error::Request { .. }))
+        );
     }
 }

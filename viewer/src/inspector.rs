@@ -69,7 +69,8 @@ impl Inspected {
 impl Window {
     fn new(filter: &FilterKernel) -> Self {
         let shown = |image: &Image| Shown::new(Arc::new(image.clone()));
-        let value = Image { extent: Extent { width: 1, height: 1 }, planes: filter.value.map(|channel| vec![channel]).into() };
+        let value =
+            Image { extent: Extent { width: 1, height: 1 }, planes: filter.value.map(|channel| vec![channel]).into() };
         let cells = || 0..filter.weights.extent.pixels();
         let mut decided = vec![0; filter.distances.len()];
         for by in cells().filter_map(|cell| filter.decided_by(cell)) {
@@ -125,7 +126,17 @@ pub struct Inspector {
 impl Default for Inspector {
     fn default() -> Self {
         let (inspected, waiting, settled, kept, pointed) = Default::default();
-        Self { inspected, filter: 0, quantity: Quantity::Weight, scale: Scale::Log, follows: false, kept, pointed, waiting, settled }
+        Self {
+            inspected,
+            filter: 0,
+            quantity: Quantity::Weight,
+            scale: Scale::Log,
+            follows: false,
+            kept,
+            pointed,
+            waiting,
+            settled,
+        }
     }
 }
 
@@ -182,7 +193,8 @@ impl Inspector {
 
     /// Whether what is there has no neighbour at this offset.
     pub fn lacks(&self, offset: [i32; 2]) -> bool {
-        let is_there = |inspected: &Inspected| self.shown(inspected).is_some_and(|(filter, _)| cell_at(filter, offset).is_some());
+        let is_there =
+            |inspected: &Inspected| self.shown(inspected).is_some_and(|(filter, _)| cell_at(filter, offset).is_some());
         self.inspected.as_ref().is_some_and(|inspected| !is_there(inspected))
     }
 
@@ -203,7 +215,8 @@ impl Inspector {
 /// The cell of a neighbour by its offset from the pixel; `None` outside of the window or the frame.
 pub fn cell_at(filter: &FilterKernel, offset: [i32; 2]) -> Option<usize> {
     let (side, radius) = (filter.side(), filter.window_radius as i32);
-    let [column, row] = offset.map(|offset| usize::try_from(offset.saturating_add(radius)).ok().filter(|place| *place < side));
+    let [column, row] =
+        offset.map(|offset| usize::try_from(offset.saturating_add(radius)).ok().filter(|place| *place < side));
     let cell = row? * side + column?;
     filter.pixel(cell).map(|_| cell)
 }

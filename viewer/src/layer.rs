@@ -31,7 +31,8 @@ pub enum Group {
 
 impl Group {
     /// All, in the order of the strip.
-    pub const ALL: [Self; 6] = [Self::Result, Self::Input, Self::Features, Self::Candidates, Self::Selection, Self::Error];
+    pub const ALL: [Self; 6] =
+        [Self::Result, Self::Input, Self::Features, Self::Candidates, Self::Selection, Self::Error];
 
     /// What users read.
     pub fn title(self) -> &'static str {
@@ -139,7 +140,13 @@ impl Layer {
 
     /// The same image under another description.
     pub fn renamed(&self, description: Description) -> Self {
-        Self { description, shown: self.shown.clone(), thumbnail: self.thumbnail.clone(), range: self.range, histogram: self.histogram.clone() }
+        Self {
+            description,
+            shown: self.shown.clone(),
+            thumbnail: self.thumbnail.clone(),
+            range: self.range,
+            histogram: self.histogram.clone(),
+        }
     }
 
     /// Its values.
@@ -156,7 +163,9 @@ impl Layer {
     pub fn values(&self, x: u32, y: u32) -> Option<Vec<f32>> {
         let extent = self.image().extent;
         let inside = x < extent.width && y < extent.height;
-        inside.then(|| self.image().planes.iter().map(|plane| plane[y as usize * extent.width as usize + x as usize]).collect())
+        inside.then(|| {
+            self.image().planes.iter().map(|plane| plane[y as usize * extent.width as usize + x as usize]).collect()
+        })
     }
 
     /// Names of the planes, one letter or word each.
@@ -179,7 +188,8 @@ pub struct Histogram {
     pub first: f32,
     /// Upper edge of the last bin.
     pub last: f32,
-    /// Numbers of finite values, one vector per plane; of a large image those of an even sample of 65536 pixels at the most. All else is told of all values.
+    /// Numbers of finite values, one vector per plane; of a large image those of an even sample of 65536 pixels at the
+    /// most. All else is told of all values.
     pub counts: Vec<Vec<u32>>,
     /// Smallest finite value.
     pub least: f32,
@@ -216,7 +226,10 @@ impl Histogram {
         };
         let counts = image.planes.iter().map(|plane| {
             let mut counts = vec![0; Self::BINS];
-            sample(image).map(|pixel| plane[pixel]).filter(|value| value.is_finite()).for_each(|value| counts[bin(value)] += 1);
+            sample(image)
+                .map(|pixel| plane[pixel])
+                .filter(|value| value.is_finite())
+                .for_each(|value| counts[bin(value)] += 1);
             counts
         });
         let counts = counts.collect();
@@ -300,7 +313,8 @@ mod tests {
         // Stripes, as wide as a pixel.
         let mut plane: Vec<f32> = (0..extent.pixels()).map(|pixel| (pixel % 2) as f32).collect();
         (plane[1234], plane[5678], plane[4321]) = (-2.0, 6.0, f32::NAN);
-        let Histogram { counts, least, most, not_finite, mean, .. } = Histogram::of(&Image { extent, planes: vec![plane] }, false);
+        let Histogram { counts, least, most, not_finite, mean, .. } =
+            Histogram::of(&Image { extent, planes: vec![plane] }, false);
         assert_eq!((least, most, not_finite), (-2.0, 6.0, 1));
         assert!((mean - 0.5).abs() < 1e-3, "{mean}");
         // From −2 to 6, 0 and 1 are a quarter and three eighths of the way.

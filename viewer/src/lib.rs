@@ -1,4 +1,5 @@
-//! The viewer: looks inside a frame that Stein has denoised. What each candidate did, which won where, what the estimated error says, where samples should go.
+//! The viewer: looks inside a frame that Stein has denoised. What each candidate did, which won where, what the
+//! estimated error says, where samples should go.
 //!
 //! | room | holds |
 //! | --- | --- |
@@ -18,8 +19,9 @@
 //! | [`settings`] | what is remembered from one start to the next |
 //! | [`words`] | what the library says, in the words of this program |
 //!
-//! The window never waits: whatever takes time is a [`Request`](worker::Request) to the worker, whose [`Reply`](worker::Reply) wakes the window. Only where
-//! the processor plays the graphics card, it rests between frames while the worker is at it.
+//! The window never waits: whatever takes time is a [`Request`](worker::Request) to the worker, whose
+//! [`Reply`](worker::Reply) wakes the window. Only where the processor plays the graphics card, it rests between frames
+//! while the worker is at it.
 
 pub mod adaptive;
 pub mod app;

@@ -36,7 +36,8 @@ Examples:
 #[command(name = "stein-viewer", version, after_help = AFTER_HELP)]
 #[command(group = clap::ArgGroup::new("shown").args(["file", "adapt"]).multiple(false))]
 struct Args {
-    /// OpenEXR file with the noisy image and, usually, its halves or variance, and features; the image's layer where it is not the usual one
+    /// OpenEXR file with the noisy image and, usually, its halves or variance, and features; the image's layer where it
+    /// is not the usual one
     #[arg(value_name = "FILE[::LAYER]")]
     file: Option<LayerRef>,
     /// The true image, to compare with
@@ -173,7 +174,9 @@ enum ThemeName {
 }
 
 fn size(text: &str) -> Result<[f32; 2], String> {
-    let sides = text.split_once(['x', '×']).and_then(|(width, height)| Some((width.parse::<u16>().ok()?, height.parse::<u16>().ok()?)));
+    let sides = text
+        .split_once(['x', '×'])
+        .and_then(|(width, height)| Some((width.parse::<u16>().ok()?, height.parse::<u16>().ok()?)));
     match sides {
         Some((width @ 320..=8192, height @ 240..=8192)) => Ok([width.into(), height.into()]),
         _ => Err("it must look like 1280x720, from 320x240 to 8192x8192".into()),
@@ -191,7 +194,10 @@ fn offset(text: &str) -> Result<[i32; 2], String> {
 }
 
 fn scale(text: &str) -> Result<f32, String> {
-    text.parse().ok().filter(|scale| (0.5..=4.0).contains(scale)).ok_or_else(|| "it must be a number from 0.5 to 4".into())
+    text.parse()
+        .ok()
+        .filter(|scale| (0.5..=4.0).contains(scale))
+        .ok_or_else(|| "it must be a number from 0.5 to 4".into())
 }
 
 /// What ends the program, and its exit code.
@@ -245,7 +251,11 @@ fn run(args: &Args) -> Result<(), Failure> {
 
 fn start(args: &Args) -> Result<Start, Failure> {
     if args.neighbour.is_some() && args.panel.panel() != Panel::Kernel {
-        return Err(Failure { code: 2, message: "--neighbour is explained by the kernel's panel\n  remedy: add --panel kernel, or leave it out".into() });
+        return Err(Failure {
+            code: 2,
+            message: "--neighbour is explained by the kernel's panel\n  remedy: add --panel kernel, or leave it out"
+                .into(),
+        });
     }
     let parameters = parameters(args)?;
     let named = |layer: LayerRef| if args.literal { layer.literal() } else { layer };
@@ -254,7 +264,8 @@ fn start(args: &Args) -> Result<Start, Failure> {
         let others = if args.literal { args.others.literal() } else { args.others.clone() };
         BufferSetRequest { input: file, layer, ..others }
     };
-    let source = args.file.clone().map(|input| Source { request: request(input), reference: args.reference.clone().map(named) });
+    let source =
+        args.file.clone().map(|input| Source { request: request(input), reference: args.reference.clone().map(named) });
     if source.is_none() && args.others != BufferSetRequest::default() {
         let message = "halves, variance and features are those of a file, and none is given\n  remedy: name it: stein-viewer FILE".into();
         return Err(Failure { code: 2, message });
@@ -282,7 +293,8 @@ fn parameters(args: &Args) -> Result<Option<Parameters>, Failure> {
         Some((path, parameters)) => {
             let (method, preset) = (args.method.as_ref().map(Method::name), args.preset.map(Preset::name));
             let own = [("method", parameters.method.name(), method), ("preset", parameters.preset.name(), preset)];
-            let contradicts = own.into_iter().find_map(|(key, own, given)| Some((key, own, given.filter(|given| *given != own)?)));
+            let contradicts =
+                own.into_iter().find_map(|(key, own, given)| Some((key, own, given.filter(|given| *given != own)?)));
             if let Some((key, own, given)) = contradicts {
                 let path = text::path(path);
                 return Err(usage(format!(
@@ -292,12 +304,15 @@ fn parameters(args: &Args) -> Result<Option<Parameters>, Failure> {
             parameters
         }
         None if args.method.is_none() && args.preset.is_none() && args.radius.is_none() => return Ok(None),
-        None => Parameters { preset: args.preset.unwrap_or(Preset::Default), method: args.method.unwrap_or_default() }.reset(),
+        None => Parameters { preset: args.preset.unwrap_or(Preset::Default), method: args.method.unwrap_or_default() }
+            .reset(),
     };
     if let Some(radius) = args.radius {
         if sweep::radius(&parameters.method).is_none() {
             let name = parameters.method.name();
-            return Err(usage(format!("--radius is no option of the method {name}\n  remedy: leave it out, or choose another --method")));
+            return Err(usage(format!(
+                "--radius is no option of the method {name}\n  remedy: leave it out, or choose another --method"
+            )));
         }
         parameters.method = parameters.method.with_parameter("window_radius", radius)?;
     }
@@ -306,9 +321,14 @@ fn parameters(args: &Args) -> Result<Option<Parameters>, Failure> {
 
 fn window(args: &Args, gpu: &Gpu, start: Start) -> Result<(), Failure> {
     let title = app::title(start.source.as_ref().map(Source::name).as_deref());
-    let viewport = ViewportBuilder::default().with_title(&title).with_inner_size(Vec2::from(args.size)).with_min_inner_size([640.0, 400.0]);
+    let viewport = ViewportBuilder::default()
+        .with_title(&title)
+        .with_inner_size(Vec2::from(args.size))
+        .with_min_inner_size([640.0, 400.0]);
     let options = eframe::NativeOptions { viewport, wgpu_options: device::configuration(gpu)?, ..Default::default() };
-    let in_window = |creation: &eframe::CreationContext| Viewer::in_window(creation, gpu, start).map(|viewer| Box::new(viewer) as Box<dyn eframe::App>);
+    let in_window = |creation: &eframe::CreationContext| {
+        Viewer::in_window(creation, gpu, start).map(|viewer| Box::new(viewer) as Box<dyn eframe::App>)
+    };
     eframe::run_native("stein-viewer", options, Box::new(|creation| Ok(in_window(creation)?))).map_err(|error| Failure {
         code: 4,
         message: format!(

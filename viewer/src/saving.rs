@@ -1,4 +1,5 @@
-//! Files that the window writes, each in a thread of its own: none is held up by a run, and none replaces another that waits.
+//! Files that the window writes, each in a thread of its own: none is held up by a run, and none replaces another that
+//! waits.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -122,11 +123,13 @@ impl Content {
         match self {
             Self::View(sight) => sight.picture(gpu)?.write_png(path)?,
             Self::Layer(layer, display) => picture_of(gpu, &layer, display)?.write_png(path)?,
-            Self::Parameters(parameters) => atomic_file::write(path, parameters.to_toml().as_bytes()).map_err(|error| Error::File {
-                path: path.to_owned(),
-                problem: format!("cannot be written: {error}"),
-                remedy: "check that the folder exists, may be written to and has space left".into(),
-            })?,
+            Self::Parameters(parameters) => {
+                atomic_file::write(path, parameters.to_toml().as_bytes()).map_err(|error| Error::File {
+                    path: path.to_owned(),
+                    problem: format!("cannot be written: {error}"),
+                    remedy: "check that the folder exists, may be written to and has space left".into(),
+                })?;
+            }
             Self::Result { request: None, estimate, .. } => {
                 let layer = |name: &str, channels: &[&str], image: &Image| NamedLayer {
                     name: name.into(),
@@ -159,7 +162,9 @@ impl Sight {
             window.frame(|ui| {
                 view.begin_frame(format);
                 let margins = Margins::NONE.fill(ui.visuals().panel_fill);
-                CentralPanel::default().frame(margins).show(ui, |ui| canvas::show(ui, &mut view, &self.layer, self.other.as_deref()));
+                CentralPanel::default()
+                    .frame(margins)
+                    .show(ui, |ui| canvas::show(ui, &mut view, &self.layer, self.other.as_deref()));
             })
         };
         // Fonts are there from the second frame on.
@@ -174,7 +179,10 @@ fn picture_of(gpu: &Gpu, layer: &Layer, display: Display) -> Result<Picture> {
     let most = gpu.wgpu_device().limits().max_texture_dimension_2d;
     if extent.width.max(extent.height) > most {
         return Err(Error::Device {
-            problem: format!("a picture of {extent} pixels is too large for '{}', which draws {most} along each side", gpu.summary().name),
+            problem: format!(
+                "a picture of {extent} pixels is too large for '{}', which draws {most} along each side",
+                gpu.summary().name
+            ),
             remedy: "save the view, or the result as OpenEXR".into(),
         });
     }

@@ -41,12 +41,18 @@ impl Picture {
     /// # Errors
     /// [`Error::File`] where it cannot be written.
     pub fn write_png(&self, path: &Path) -> Result<()> {
-        let failed = |problem: String| Error::File { path: path.to_owned(), problem, remedy: "choose a folder that exists and can be written to".into() };
+        let failed = |problem: String| Error::File {
+            path: path.to_owned(),
+            problem,
+            remedy: "choose a folder that exists and can be written to".into(),
+        };
         let mut bytes = Vec::new();
         let mut encoder = png::Encoder::new(&mut bytes, self.extent.width, self.extent.height);
         encoder.set_color(png::ColorType::Rgba);
         encoder.set_depth(png::BitDepth::Eight);
-        let written = encoder.write_header().and_then(|mut writer| writer.write_image_data(&self.rgba).and_then(|()| writer.finish()));
+        let written = encoder
+            .write_header()
+            .and_then(|mut writer| writer.write_image_data(&self.rgba).and_then(|()| writer.finish()));
         written.map_err(|error| failed(format!("cannot be written: {error}")))?;
         atomic_file::write(path, &bytes).map_err(|error| failed(format!("cannot be written: {error}")))
     }
@@ -70,7 +76,8 @@ impl Offscreen {
     pub fn new(gpu: &Gpu, width: f32, height: f32, scale: f32) -> Result<Self> {
         let configuration = device::configuration(gpu)?;
         let Some(instance) = gpu.wgpu_instance() else { unreachable!("the configuration has one") };
-        let state = pollster::block_on(RenderState::create(&configuration, instance, None, RendererOptions::PREDICTABLE));
+        let state =
+            pollster::block_on(RenderState::create(&configuration, instance, None, RendererOptions::PREDICTABLE));
         let state = state.map_err(|error| Error::Device {
             problem: format!("nothing can be drawn on '{}': {error}", gpu.summary().name),
             remedy: "choose another adapter".into(),
@@ -113,7 +120,8 @@ impl Offscreen {
         };
         input.viewports.entry(ViewportId::ROOT).or_default().native_pixels_per_point = Some(self.scale);
         let mut output = self.context.run_ui(input, show);
-        let screen = ScreenDescriptor { size_in_pixels: [self.extent.width, self.extent.height], pixels_per_point: self.scale };
+        let screen =
+            ScreenDescriptor { size_in_pixels: [self.extent.width, self.extent.height], pixels_per_point: self.scale };
         let shapes = self.context.tessellate(output.shapes, output.pixels_per_point);
         let (device, queue) = (&self.state.device, &self.state.queue);
         let mut renderer = self.state.renderer.write();
@@ -164,18 +172,28 @@ impl Offscreen {
         });
         let mut encoder = device.create_command_encoder(&Default::default());
         let layout = wgpu::TexelCopyBufferLayout { offset: 0, bytes_per_row: Some(row), rows_per_image: None };
-        encoder.copy_texture_to_buffer(target.as_image_copy(), wgpu::TexelCopyBufferInfo { buffer: &buffer, layout }, target.size());
+        encoder.copy_texture_to_buffer(
+            target.as_image_copy(),
+            wgpu::TexelCopyBufferInfo { buffer: &buffer, layout },
+            target.size(),
+        );
         queue.submit([encoder.finish()]);
-        let lost = |problem: String| Error::Device { problem, remedy: "run again; if it happens again, choose another adapter".into() };
+        let lost = |problem: String| Error::Device {
+            problem,
+            remedy: "run again; if it happens again, choose another adapter".into(),
+        };
         let (sender, mapped) = std::sync::mpsc::channel();
         buffer.map_async(wgpu::MapMode::Read, .., move |result| {
             // The receiver lives until it has got this.
             let _ = sender.send(result);
         });
-        device.poll(wgpu::PollType::wait_indefinitely()).map_err(|error| lost(format!("the picture cannot be read back: {error}")))?;
+        device
+            .poll(wgpu::PollType::wait_indefinitely())
+            .map_err(|error| lost(format!("the picture cannot be read back: {error}")))?;
         let outcome = mapped.recv().map_err(|_| lost("the picture cannot be read back".into()))?;
         outcome.map_err(|error| lost(format!("the picture cannot be read back: {error}")))?;
-        let bytes = buffer.get_mapped_range(..).map_err(|error| lost(format!("the picture cannot be read back: {error}")))?;
+        let bytes =
+            buffer.get_mapped_range(..).map_err(|error| lost(format!("the picture cannot be read back: {error}")))?;
         let rows = bytes.chunks_exact(row as usize).flat_map(|bytes| &bytes[..self.extent.width as usize * 4]);
         let mut rgba: Vec<u8> = rows.copied().collect();
         rgba.chunks_exact_mut(4).for_each(|pixel| pixel[3] = 255);
@@ -196,10 +214,12 @@ pub struct Shot {
     pub theme: Theme,
 }
 
-/// Opens a file, waits for the run, and draws the window. `arrange` is called once everything is there, to set what is shown.
+/// Opens a file, waits for the run, and draws the window. `arrange` is called once everything is there, to set what is
+/// shown.
 ///
 /// # Errors
-/// What went wrong in the window; [`Error::Request`] where a layer, a pixel or a neighbour does not exist, of which another would be taken for it.
+/// What went wrong in the window; [`Error::Request`] where a layer, a pixel or a neighbour does not exist, of which
+/// another would be taken for it.
 pub fn take(gpu: &Gpu, shot: &Shot, arrange: impl FnOnce(&mut Viewer)) -> Result<Picture> {
     let mut window = Offscreen::new(gpu, shot.size[0], shot.size[1], shot.scale)?;
     window.context().set_theme(shot.theme);

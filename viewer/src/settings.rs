@@ -31,7 +31,8 @@ impl Settings {
     /// Under which key they are kept.
     pub const KEY: &str = "stein-viewer";
 
-    /// Puts what is open in front of the others, in place of the same with another reference. Names of files that are not Unicode cannot be kept.
+    /// Puts what is open in front of the others, in place of the same with another reference. Names of files that are
+    /// not Unicode cannot be kept.
     pub fn remember(&mut self, source: &Source) {
         let source = source.absolute();
         if source.files().any(|file| file.to_str().is_none()) {
@@ -106,7 +107,8 @@ impl Parameters {
         Self { method: self.method.of_preset(self.preset), ..self }
     }
 
-    /// What a parameter is in the preset; of one in a group that the preset leaves out, what it is where the group is put in.
+    /// What a parameter is in the preset; of one in a group that the preset leaves out, what it is where the group is
+    /// put in.
     pub fn preset_value(self, parameter: &Parameter) -> Option<Value> {
         let own = match self.preset {
             Preset::Default => &parameter.default,

@@ -202,7 +202,14 @@ pub fn pressed(context: &Context) -> Vec<Action> {
         return Vec::new();
     }
     let mut all: Vec<&Shortcut> = SECTIONS.iter().flat_map(|section| section.shortcuts).collect();
-    let modifiers = |Modifiers { alt, ctrl, shift, command, .. }: Modifiers| [alt, ctrl || command, shift].into_iter().filter(|held| *held).count();
+    let modifiers = |Modifiers { alt, ctrl, shift, command, .. }: Modifiers| {
+        [alt, ctrl || command, shift].into_iter().filter(|held| *held).count()
+    };
     all.sort_by_key(|shortcut| std::cmp::Reverse(modifiers(shortcut.keys.modifiers)));
-    context.input_mut(|input| all.into_iter().filter(|shortcut| input.consume_shortcut(&shortcut.keys)).map(|shortcut| shortcut.action).collect())
+    context.input_mut(|input| {
+        all.into_iter()
+            .filter(|shortcut| input.consume_shortcut(&shortcut.keys))
+            .map(|shortcut| shortcut.action)
+            .collect()
+    })
 }

@@ -1,4 +1,5 @@
-//! Error against run time: the open frame denoised with one set of parameters after the other, whenever there is nothing else to do.
+//! Error against run time: the open frame denoised with one set of parameters after the other, whenever there is
+//! nothing else to do.
 
 use std::sync::Arc;
 
@@ -30,8 +31,13 @@ impl Extent {
 
     /// All parameters to measure, each once: those in use first, then from the least work to the most.
     pub fn parameters(&self, in_use: Parameters) -> Vec<Parameters> {
-        let presets = || self.presets.iter().flat_map(|preset| self.methods.iter().filter_map(|method| Parameters::of(method, *preset)));
-        let (with_radius, without): (Vec<_>, Vec<_>) = presets().partition(|parameters| radius(&parameters.method).is_some());
+        let presets = || {
+            self.presets
+                .iter()
+                .flat_map(|preset| self.methods.iter().filter_map(|method| Parameters::of(method, *preset)))
+        };
+        let (with_radius, without): (Vec<_>, Vec<_>) =
+            presets().partition(|parameters| radius(&parameters.method).is_some());
         let mut radii = self.radii.clone();
         radii.sort_unstable();
         let swept = radii.into_iter().flat_map(|radius| {
@@ -61,8 +67,8 @@ pub fn radius(method: &Method) -> Option<u32> {
 pub struct Sweep {
     /// Over what the next one goes.
     pub extent: Extent,
-    /// What was measured on the open frame, in the order of measuring: the result and its estimated error alone, by the shorter of two runs, so that compiling shaders does not
-    /// count.
+    /// What was measured on the open frame, in the order of measuring: the result and its estimated error alone, by the
+    /// shorter of two runs, so that compiling shaders does not count.
     pub points: Vec<Run>,
     /// All that is measured; empty before the first sweep.
     pub planned: Arc<[Parameters]>,

@@ -5,7 +5,10 @@ use stein_exr::BufferSetRequest;
 
 /// What the library's remedies say, and what that is here, besides the options of [`BufferSetRequest`].
 const WORDS: [(&str, &str); 8] = [
-    ("name the layer to take (`BufferSetRequest::layer`, `LayerRef::layer`)", "name the layer to take behind its file, on the command line: FILE::NAME"),
+    (
+        "name the layer to take (`BufferSetRequest::layer`, `LayerRef::layer`)",
+        "name the layer to take behind its file, on the command line: FILE::NAME",
+    ),
     // There is none here.
     ("raise the memory limit (`Denoiser::with_max_memory`), ", ""),
     ("the memory limit", "the memory limit of `stein denoise` (--max-memory)"),

@@ -1,7 +1,8 @@
 //! The worker: one thread that reads files and denoises, so that the window never waits.
 //!
-//! The window sends [`Request`]s and gets [`Reply`]s. Of each [`Task`] only the newest request counts: it replaces one that waits, and cancels one that is at work. Tasks that wait
-//! are taken in the order of [`Task::ALL`]; long work of low rank splits itself into requests that it sends to itself, so that it makes way between them.
+//! The window sends [`Request`]s and gets [`Reply`]s. Of each [`Task`] only the newest request counts: it replaces one
+//! that waits, and cancels one that is at work. Tasks that wait are taken in the order of [`Task::ALL`]; long work of
+//! low rank splits itself into requests that it sends to itself, so that it makes way between them.
 
 use std::any::Any;
 use std::ops::ControlFlow;
@@ -36,8 +37,9 @@ const MEASURED_TWICE: Duration = Duration::from_secs(10);
 /// The longest that the window rests after a frame.
 const LONGEST_REST: Duration = Duration::from_millis(80);
 
-/// How long a window that draws on the processor's own cores leaves them to the worker, where it is so long since it handed over the frame before: where frames follow each
-/// other without pause a half of the time is for each. No longer than input may wait.
+/// How long a window that draws on the processor's own cores leaves them to the worker, where it is so long since it
+/// handed over the frame before: where frames follow each other without pause a half of the time is for each. No longer
+/// than input may wait.
 pub fn rest_after(frame: Duration) -> Duration {
     frame.min(LONGEST_REST)
 }
@@ -119,9 +121,12 @@ impl Request {
     /// A sweep without its next runs, as long as any are left.
     fn after(&self, done: usize) -> Option<Self> {
         match self {
-            Self::Sweep { frame, reference, runs, next } if next + done < runs.len() => {
-                Some(Self::Sweep { frame: frame.clone(), reference: reference.clone(), runs: runs.clone(), next: next + done })
-            }
+            Self::Sweep { frame, reference, runs, next } if next + done < runs.len() => Some(Self::Sweep {
+                frame: frame.clone(),
+                reference: reference.clone(),
+                runs: runs.clone(),
+                next: next + done,
+            }),
             _ => None,
         }
     }
@@ -206,12 +211,16 @@ impl State {
     /// Ends what is at work; what is left of it waits, unless it was cancelled.
     fn end(&mut self, number: u64, goes_on: Option<Request>) {
         self.at_work = None;
-        self.waiting.extend(goes_on.filter(|request| self.newest[request.task() as usize] == number).map(|request| (number, request)));
+        self.waiting.extend(
+            goes_on.filter(|request| self.newest[request.task() as usize] == number).map(|request| (number, request)),
+        );
     }
 
     /// Breaks off what is at work for a request of higher rank, where it goes on afterwards.
     fn make_way(&self, task: Task) {
-        if let Some(at_work) = self.at_work.as_ref().filter(|at_work| at_work.task == Task::Sweep && task != Task::Sweep) {
+        if let Some(at_work) =
+            self.at_work.as_ref().filter(|at_work| at_work.task == Task::Sweep && task != Task::Sweep)
+        {
             at_work.cancelled.store(true, Ordering::Relaxed);
         }
     }
@@ -226,11 +235,13 @@ impl Worker {
         let mailbox = Arc::<Mailbox>::default();
         let (sender, replies) = channel();
         let desk = Desk { gpu: gpu.clone(), mailbox: mailbox.clone(), replies: sender, context: context.clone() };
-        let thread = std::thread::Builder::new().name("stein-worker".into()).spawn(move || desk.work()).map_err(no_thread)?;
+        let thread =
+            std::thread::Builder::new().name("stein-worker".into()).spawn(move || desk.work()).map_err(no_thread)?;
         Ok(Self { mailbox, replies, thread: Some(thread) })
     }
 
-    /// Asks for something. What was asked for before of the same task is cancelled; what replaces the open frame makes all other work pointless.
+    /// Asks for something. What was asked for before of the same task is cancelled; what replaces the open frame makes
+    /// all other work pointless.
     pub fn send(&self, request: Request) {
         let mut state = self.mailbox.lock();
         let task = request.task();
@@ -250,7 +261,8 @@ impl Worker {
         self.mailbox.lock().cancel(task);
     }
 
-    /// The next thing that was told and still counts, if anything was. One at a time: what is done about one may cancel what another belongs to.
+    /// The next thing that was told and still counts, if anything was. One at a time: what is done about one may cancel
+    /// what another belongs to.
     pub fn next_reply(&self) -> Option<Reply> {
         let counts = |(number, reply): &(u64, Reply)| *number == self.mailbox.lock().newest[reply.task() as usize];
         self.replies.try_iter().find(counts).map(|(_, reply)| reply)
@@ -264,7 +276,8 @@ impl Worker {
     /// Whether this task is at work or waits to be.
     pub fn has(&self, task: Task) -> bool {
         let state = self.mailbox.lock();
-        state.at_work.as_ref().is_some_and(|at_work| at_work.task == task) || state.waiting.iter().any(|(_, request)| request.task() == task)
+        state.at_work.as_ref().is_some_and(|at_work| at_work.task == task)
+            || state.waiting.iter().any(|(_, request)| request.task() == task)
     }
 
     /// Blocks for this long, or until everything is done.
@@ -355,7 +368,8 @@ impl Desk {
             let job = Job { desk: &self, number, task, cancelled, told: Mutex::default() };
             // It made way; where it was cancelled for good, nothing follows either.
             let whole = request.after(0);
-            let done = catch_unwind(AssertUnwindSafe(|| self.fulfil(&job, request))).unwrap_or_else(|panic| Err(defect(panic.as_ref())));
+            let done = catch_unwind(AssertUnwindSafe(|| self.fulfil(&job, request)))
+                .unwrap_or_else(|panic| Err(defect(panic.as_ref())));
             let (told, goes_on) = match done {
                 Ok((reply, rest)) => (Ok(reply), rest),
                 Err(Error::Cancelled) => (Err(Error::Cancelled), whole),
@@ -394,7 +408,9 @@ impl Desk {
         let reply = match request {
             Request::Open(source) => Reply::Opened(Box::new(open(job, source)?)),
             Request::Inspect(question) => Reply::Inspected(Box::new(inspect(&self.gpu, job, question)?)),
-            Request::Denoise { frame, reference, parameters } => Reply::Denoised(Box::new(denoise(&self.gpu, job, &frame, reference.as_ref(), parameters)?)),
+            Request::Denoise { frame, reference, parameters } => {
+                Reply::Denoised(Box::new(denoise(&self.gpu, job, &frame, reference.as_ref(), parameters)?))
+            }
             Request::Adapt(mut adaptive) => {
                 let adapted = adaptive.step(&self.gpu, job.pace(), &|share| job.check(share))?;
                 rest = (!adapted.is_last).then_some(Request::Adapt(adaptive));
@@ -419,12 +435,21 @@ fn open(job: &Job, source: Source) -> stein::Result<Opened> {
     if frame.extent().width.max(frame.extent().height) > most {
         return Err(Error::File {
             path: source.request.input.clone(),
-            problem: format!("it has {} pixels, and '{}' shows {most} along each side", frame.extent(), job.desk.gpu.summary().name),
+            problem: format!(
+                "it has {} pixels, and '{}' shows {most} along each side",
+                frame.extent(),
+                job.desk.gpu.summary().name
+            ),
             remedy: "crop it, or choose another adapter; `stein denoise` takes it as it is".into(),
         });
     }
     job.check(0.6)?;
-    let reference = source.reference.as_ref().map(|reference| read_reference(&reference.file, reference.layer.as_deref())).transpose()?.map(Arc::new);
+    let reference = source
+        .reference
+        .as_ref()
+        .map(|reference| read_reference(&reference.file, reference.layer.as_deref()))
+        .transpose()?
+        .map(Arc::new);
     if let (Some(LayerRef { file, .. }), Some(image)) = (&source.reference, &reference)
         && image.extent != frame.extent()
     {
@@ -458,13 +483,24 @@ fn inspect(gpu: &Gpu, job: &Job, question: Question) -> stein::Result<Inspected>
     Ok(Inspected::new(question, kernels))
 }
 
-fn denoise(gpu: &Gpu, job: &Job, frame: &Frame, reference: Option<&Arc<Image>>, parameters: Parameters) -> stein::Result<Denoised> {
+fn denoise(
+    gpu: &Gpu,
+    job: &Job,
+    frame: &Frame,
+    reference: Option<&Arc<Image>>,
+    parameters: Parameters,
+) -> stein::Result<Denoised> {
     let start = Instant::now();
     job.check(0.0)?;
     gpu.set_timing(true);
     let denoiser = Denoiser::new(gpu, parameters.method)?;
     let mut progress = |share| job.progress(share);
-    let options = Options { keep: parameters.method.intermediates(), progress: Some(&mut progress), pace: Some(job.pace()), ..Default::default() };
+    let options = Options {
+        keep: parameters.method.intermediates(),
+        progress: Some(&mut progress),
+        pace: Some(job.pace()),
+        ..Default::default()
+    };
     let estimate = denoiser.denoise_with(frame, options)?;
     let seconds = start.elapsed().as_secs_f64();
     job.check(1.0)?;
@@ -472,14 +508,24 @@ fn denoise(gpu: &Gpu, job: &Job, frame: &Frame, reference: Option<&Arc<Image>>, 
 }
 
 /// Time and error of the result and its estimated error, with nothing kept to look at.
-fn measure(gpu: &Gpu, job: &Job, frame: &Frame, reference: Option<&Arc<Image>>, parameters: Parameters, share: impl Fn(f32) -> f32) -> stein::Result<Run> {
+fn measure(
+    gpu: &Gpu,
+    job: &Job,
+    frame: &Frame,
+    reference: Option<&Arc<Image>>,
+    parameters: Parameters,
+    share: impl Fn(f32) -> f32,
+) -> stein::Result<Run> {
     job.check(share(0.0))?;
     gpu.set_timing(false);
     let denoiser = Denoiser::new(gpu, parameters.method)?;
     let run = |first: f32| {
         let start = Instant::now();
         let mut progress = |done: f32| job.progress(share(first + done / 2.0));
-        let estimate = denoiser.denoise_with(frame, Options { progress: Some(&mut progress), pace: Some(job.pace()), ..Default::default() })?;
+        let estimate = denoiser.denoise_with(
+            frame,
+            Options { progress: Some(&mut progress), pace: Some(job.pace()), ..Default::default() },
+        )?;
         Ok::<_, Error>((estimate, start.elapsed()))
     };
     let (estimate, mut time) = run(0.0)?;

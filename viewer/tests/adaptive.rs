@@ -19,7 +19,14 @@ use stein_viewer::panel::Panel;
 use stein_viewer::settings::Parameters;
 
 fn small() -> (Setup, Parameters) {
-    let setup = Setup { scene: "dof".into(), extent: Extent { width: 40, height: 24 }, samples_per_pixel: 12, iterations: 3, seed: 5, reference_samples: 64 };
+    let setup = Setup {
+        scene: "dof".into(),
+        extent: Extent { width: 40, height: 24 },
+        samples_per_pixel: 12,
+        iterations: 3,
+        seed: 5,
+        reference_samples: 64,
+    };
     let Parameters { preset, method } = Parameters::default();
     (setup, Parameters { preset, method: method.with_parameter("window_radius", 3).unwrap() })
 }
@@ -27,12 +34,20 @@ fn small() -> (Setup, Parameters) {
 #[test]
 fn iterations_are_those_of_the_library_and_can_be_chosen() {
     let (setup, parameters) = small();
-    let start = Start { adapt: Some(setup.clone()), parameters: Some(parameters), panel: Panel::Sampling, ..Default::default() };
+    let start = Start {
+        adapt: Some(setup.clone()),
+        parameters: Some(parameters),
+        panel: Panel::Sampling,
+        ..Default::default()
+    };
     let mut harness = window(start);
     let viewer = harness.state();
     assert!(viewer.trouble.is_none(), "{:?}", viewer.trouble);
     assert!(!viewer.adaptive.is_running);
-    assert_eq!(viewer.adaptive.iterations.iter().map(|iteration| iteration.samples_per_pixel).collect::<Vec<_>>(), [4.0, 8.0, 12.0]);
+    assert_eq!(
+        viewer.adaptive.iterations.iter().map(|iteration| iteration.samples_per_pixel).collect::<Vec<_>>(),
+        [4.0, 8.0, 12.0]
+    );
 
     let mut sampler = StubSampler::new(scene("dof").unwrap(), setup.extent, 5, Sequence::Random);
     let plan = Plan::new(12, 3, None).unwrap().with_default_cap();
@@ -92,7 +107,11 @@ fn runs_of_an_iteration_are_compared_with_a_reference_that_comes_later() {
         assert!(!viewer.adaptive.is_running && viewer.adaptive.shown == number, "after {complete} iterations");
         assert!(viewer.adaptive.iterations.iter().all(|iteration| iteration.denoised.error.is_some()));
         let document = viewer.document.as_ref().unwrap();
-        assert!(document.history.len() > 1 && document.history.last().unwrap().error.is_some(), "{:?}", document.history);
+        assert!(
+            document.history.len() > 1 && document.history.last().unwrap().error.is_some(),
+            "{:?}",
+            document.history
+        );
         assert_eq!(document.denoised.as_ref().unwrap().parameters, parameters);
         for name in ["before", "reference", "true_error"] {
             assert_eq!(document.layers().iter().filter(|layer| layer.name() == name).count(), 1, "{name}");
@@ -117,7 +136,10 @@ fn a_loop_ends_when_it_is_stopped_started_again_or_a_file_is_opened() {
     harness.state_mut().adaptive.setup = Setup { samples_per_pixel: 6, reference_samples: 0, ..setup };
     harness.state_mut().adapt();
     settle(&mut harness);
-    assert_eq!(harness.state().adaptive.iterations.iter().map(|iteration| iteration.samples_per_pixel).collect::<Vec<_>>(), [2.0, 4.0, 6.0]);
+    assert_eq!(
+        harness.state().adaptive.iterations.iter().map(|iteration| iteration.samples_per_pixel).collect::<Vec<_>>(),
+        [2.0, 4.0, 6.0]
+    );
     assert!(harness.state().document.as_ref().unwrap().opened.reference.is_none());
 
     harness.state_mut().adaptive.setup.reference_samples = 1 << 14;

@@ -1,4 +1,5 @@
-//! The display shader against the same formulas in float64, pixel by pixel: every kind of layer, tone, channel, scale and comparison.
+//! The display shader against the same formulas in float64, pixel by pixel: every kind of layer, tone, channel, scale
+//! and comparison.
 
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 
@@ -92,7 +93,10 @@ fn false_color(draw: &Draw, value: f64, diverges: bool) -> [f64; 3] {
 fn number(draw: &Draw, values: &[f64]) -> f64 {
     match draw.channel {
         Channel::All => values.iter().sum::<f64>() / values.len() as f64,
-        channel => values.get(channel as usize - 1).copied().unwrap_or_else(|| values.iter().sum::<f64>() / values.len() as f64),
+        channel => values
+            .get(channel as usize - 1)
+            .copied()
+            .unwrap_or_else(|| values.iter().sum::<f64>() / values.len() as f64),
     }
 }
 
@@ -105,7 +109,9 @@ fn fetch(draw: &Draw, image: &Image, x: f64, y: f64) -> Vec<f64> {
         let mut sum = 0.0;
         for row in 0..taps {
             for column in 0..taps {
-                sum += f64::from(plane[at(y + tap(row), EXTENT.height) * EXTENT.width as usize + at(x + tap(column), EXTENT.width)]);
+                sum += f64::from(
+                    plane[at(y + tap(row), EXTENT.height) * EXTENT.width as usize + at(x + tap(column), EXTENT.width)],
+                );
             }
         }
         sum / (taps * taps) as f64
@@ -127,7 +133,11 @@ fn expected(draw: &Draw, x: u32, y: u32) -> Option<[f64; 3]> {
     }
     if let Some(b) = b {
         let (a, b) = (number(draw, &a), number(draw, &b));
-        let difference = if draw.operation == Operation::Relative { (a - b) / (b.abs() + f64::from(RELATIVE_EPSILON)) } else { a - b };
+        let difference = if draw.operation == Operation::Relative {
+            (a - b) / (b.abs() + f64::from(RELATIVE_EPSILON))
+        } else {
+            a - b
+        };
         return Some(false_color(draw, difference, true));
     }
     let single = draw.channel != Channel::All;
@@ -147,10 +157,21 @@ fn check(picture: &Picture, draw: &Draw, what: &str) {
             let found = picture.pixel(x, y);
             match expected(draw, x, y) {
                 Some(expected) => {
-                    let off = found.iter().zip(expected).map(|(found, expected)| (f64::from(*found) - 255.0 * expected).abs()).fold(0.0, f64::max);
-                    assert!(off <= TOLERANCE, "{what}: ({x}, {y}) is {found:?}, expected {:?}", expected.map(|channel| 255.0 * channel));
+                    let off = found
+                        .iter()
+                        .zip(expected)
+                        .map(|(found, expected)| (f64::from(*found) - 255.0 * expected).abs())
+                        .fold(0.0, f64::max);
+                    assert!(
+                        off <= TOLERANCE,
+                        "{what}: ({x}, {y}) is {found:?}, expected {:?}",
+                        expected.map(|channel| 255.0 * channel)
+                    );
                 }
-                None => assert!([[0, 0, 0], [255, 0, 255]].contains(&found), "{what}: ({x}, {y}) is {found:?}, but not finite"),
+                None => assert!(
+                    [[0, 0, 0], [255, 0, 255]].contains(&found),
+                    "{what}: ({x}, {y}) is {found:?}, but not finite"
+                ),
             }
         }
     }
@@ -194,7 +215,9 @@ fn what_is_not_finite_is_marked() {
     let mut slots = Slots::default();
     for (channels, kind) in [(3, Kind::Color), (1, Kind::Scalar(Scale::Log)), (3, Kind::Direction)] {
         let mut damaged = Image::clone(&image(channels, 7));
-        for (pixel, value) in [(0, f32::NAN), (20, f32::INFINITY), (40, f32::NEG_INFINITY), (41, -f32::NAN), (116, f32::NAN)] {
+        for (pixel, value) in
+            [(0, f32::NAN), (20, f32::INFINITY), (40, f32::NEG_INFINITY), (41, -f32::NAN), (116, f32::NAN)]
+        {
             damaged.planes[channels - 1][pixel] = value;
         }
         let draw = draw(Arc::new(damaged), kind);

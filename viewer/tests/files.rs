@@ -40,7 +40,8 @@ fn files(folder: &Path) -> Vec<PathBuf> {
 #[test]
 fn every_buffer_set_is_opened_and_denoised() {
     let folders = ["", "anim", "mitsuba"].map(testdata);
-    let (references, inputs): (Vec<_>, Vec<_>) = folders.iter().flat_map(|folder| files(folder)).partition(|path| is_reference(path));
+    let (references, inputs): (Vec<_>, Vec<_>) =
+        folders.iter().flat_map(|folder| files(folder)).partition(|path| is_reference(path));
     assert!(inputs.len() >= 12 && references.len() >= 8, "{inputs:?} {references:?}");
     let mut harness = window(Start { parameters: quick("dfc"), ..Default::default() });
     for input in inputs {
@@ -49,7 +50,8 @@ fn every_buffer_set_is_opened_and_denoised() {
         let stem = name.rsplit_once('_').map_or(name.as_str(), |(stem, _)| stem);
         let belongs = |path: &&PathBuf| {
             let other = short_name(path);
-            path.parent() == folder && (other == format!("{stem}_reference.exr") || other == name.replace("shot", "reference"))
+            path.parent() == folder
+                && (other == format!("{stem}_reference.exr") || other == name.replace("shot", "reference"))
         };
         let reference = references.iter().find(belongs).cloned();
         harness.state_mut().open(Source::whole(input.clone(), reference.clone()));
@@ -68,9 +70,16 @@ fn every_buffer_set_is_opened_and_denoised() {
 fn every_layer_of_each_method_is_shown_and_its_pixel_told() {
     let input = Some(Source::whole(testdata("anim/shot.0001.exr"), Some(testdata("anim/reference.0001.exr"))));
     for method in Parameters::METHODS {
-        let start = Start { source: input.clone(), parameters: quick(method), panel: Panel::Pixel, layer: Some("result".into()), ..Default::default() };
+        let start = Start {
+            source: input.clone(),
+            parameters: quick(method),
+            panel: Panel::Pixel,
+            layer: Some("result".into()),
+            ..Default::default()
+        };
         let mut harness = window(start);
-        let names: Vec<_> = harness.state().document.as_ref().unwrap().layers().iter().map(|layer| layer.name().to_owned()).collect();
+        let names: Vec<_> =
+            harness.state().document.as_ref().unwrap().layers().iter().map(|layer| layer.name().to_owned()).collect();
         assert!(names.len() > 15, "{method}: {names:?}");
         for (place, name) in names.iter().enumerate() {
             if place > 0 {
@@ -91,7 +100,11 @@ fn every_layer_of_each_method_is_shown_and_its_pixel_told() {
 
 #[test]
 fn broken_files_are_told_and_the_window_goes_on() {
-    let start = Start { source: Some(Source::whole(testdata("anim/shot.0000.exr"), None)), parameters: quick("gem"), ..Default::default() };
+    let start = Start {
+        source: Some(Source::whole(testdata("anim/shot.0000.exr"), None)),
+        parameters: quick("gem"),
+        ..Default::default()
+    };
     let mut harness = window(start);
     let mut refused = 0;
     let broken = files(&testdata("broken"));
@@ -125,7 +138,8 @@ fn broken_files_are_told_and_the_window_goes_on() {
 #[test]
 fn files_that_are_dropped_are_opened_and_a_reference_is_told_by_its_name() {
     let mut harness = window(Start { parameters: quick("gem"), ..Default::default() });
-    let [first, second, reference] = ["anim/shot.0000.exr", "anim/shot.0001.exr", "anim/reference.0001.exr"].map(testdata);
+    let [first, second, reference] =
+        ["anim/shot.0000.exr", "anim/shot.0001.exr", "anim/reference.0001.exr"].map(testdata);
     let is_open = |harness: &Harness<'static, Viewer>, input: &PathBuf, reference: Option<&PathBuf>| {
         let document = harness.state().document.as_ref().unwrap();
         let source = document.opened.source.as_ref().unwrap();
@@ -187,7 +201,11 @@ fn scattered(folder: &Path) -> Source {
     let set = BufferSet::read(&BufferSetRequest { input: testdata("cornell_8spp.exr"), ..Default::default() }).unwrap();
     let color = set.color();
     let (_, albedo) = set.features().find(|(name, _)| *name == "albedo").unwrap();
-    let layer = |name: &str, image: &Image| NamedLayer { name: name.into(), channels: ["R", "G", "B"].map(String::from).into(), image: image.clone() };
+    let layer = |name: &str, image: &Image| NamedLayer {
+        name: name.into(),
+        channels: ["R", "G", "B"].map(String::from).into(),
+        image: image.clone(),
+    };
     let other = Image::filled(set.extent(), 3, 0.25);
     let write = |name: &str, layers: &[NamedLayer]| {
         write_layers(&folder.join(name), layers, &[]).unwrap();
@@ -208,12 +226,17 @@ fn scattered(folder: &Path) -> Source {
             layer: Some("left".into()),
             half_a: Some(LayerRef::whole(write("a.exr", &[layer("", color.half_a.as_ref().unwrap())]))),
             half_b: Some(of(half_b, "seed2")),
-            variance: color.variance_of_mean.map(|variance| LayerRef::whole(write("variance.exr", &[layer("", &variance)]))),
+            variance: color
+                .variance_of_mean
+                .map(|variance| LayerRef::whole(write("variance.exr", &[layer("", &variance)]))),
             features: vec![("albedo".into(), of(write("aux.exr", &features), "tint"))],
             skip_features: vec!["normal".into()],
             no_features: false,
         },
-        reference: Some(of(write("truth.exr", &[layer("noisy", &color.mean), layer("converged", &truth)]), "converged")),
+        reference: Some(of(
+            write("truth.exr", &[layer("noisy", &color.mean), layer("converged", &truth)]),
+            "converged",
+        )),
     }
 }
 
@@ -243,7 +266,14 @@ fn parts_of_a_frame_come_from_other_files_and_are_saved_and_remembered_so() {
     let start = Start { source: Some(source.clone()), parameters, panel: Panel::Report, ..Default::default() };
     let mut harness = window(start.clone());
     assert!(harness.state().trouble.is_none(), "{:?}", harness.state().trouble);
-    for told in ["both.exr::left", "a.exr", "b.exr::seed2", "aux.exr::tint", "truth.exr::converged", "without the feature normal"] {
+    for told in [
+        "both.exr::left",
+        "a.exr",
+        "b.exr::seed2",
+        "aux.exr::tint",
+        "truth.exr::converged",
+        "without the feature normal",
+    ] {
         harness.get_by_label_contains(told);
     }
 
@@ -259,7 +289,10 @@ fn parts_of_a_frame_come_from_other_files_and_are_saved_and_remembered_so() {
         let document = harness.state().document.as_ref().unwrap();
         assert_eq!(document.opened.source.as_ref(), Some(&source));
         let denoised = document.denoised.as_ref().unwrap();
-        assert!(denoised.estimate.color == estimate.color && denoised.estimate.error == estimate.error, "other bits than the library's");
+        assert!(
+            denoised.estimate.color == estimate.color && denoised.estimate.error == estimate.error,
+            "other bits than the library's"
+        );
         let truth = read_reference(&testdata("cornell_reference.exr"), None).unwrap();
         assert_eq!(denoised.error.unwrap(), stein_metric::relative_mse(&estimate.color, &truth).unwrap());
     };
@@ -270,7 +303,10 @@ fn parts_of_a_frame_come_from_other_files_and_are_saved_and_remembered_so() {
     stein_exr::write_estimate(&estimate, set, &path("library.exr"), &[], &method).unwrap();
     harness.state_mut().take_file(Purpose::SaveResult, path("own.exr"), &context);
     settle(&mut harness);
-    assert!(std::fs::read(path("own.exr")).unwrap() == std::fs::read(path("library.exr")).unwrap(), "another file than the library's");
+    assert!(
+        std::fs::read(path("own.exr")).unwrap() == std::fs::read(path("library.exr")).unwrap(),
+        "another file than the library's"
+    );
     for read in source.files() {
         let before = std::fs::read(read).unwrap();
         harness.state_mut().take_file(Purpose::SaveResult, read.to_owned(), &context);
@@ -295,18 +331,36 @@ fn parts_of_a_frame_come_from_other_files_and_are_saved_and_remembered_so() {
     let missing = Some(LayerRef::whole(path("missing.exr")));
     let cases: [(BufferSetRequest, &[&str]); 5] = [
         (BufferSetRequest { half_b: missing, ..request() }, &["missing.exr"]),
-        (BufferSetRequest { half_a: None, ..request() }, &["b.exr, layer 'seed2'", "add half A (for the colour: --half-a)"]),
-        (BufferSetRequest { skip_features: vec!["nonsense".into()], ..request() }, &["both.exr: there is no feature 'nonsense' to skip", "--skip-feature"]),
-        (BufferSetRequest { layer: None, ..request() }, &["both.exr: has several layers", "behind its file, on the command line: FILE::NAME"]),
+        (
+            BufferSetRequest { half_a: None, ..request() },
+            &["b.exr, layer 'seed2'", "add half A (for the colour: --half-a)"],
+        ),
+        (
+            BufferSetRequest { skip_features: vec!["nonsense".into()], ..request() },
+            &["both.exr: there is no feature 'nonsense' to skip", "--skip-feature"],
+        ),
+        (
+            BufferSetRequest { layer: None, ..request() },
+            &["both.exr: has several layers", "behind its file, on the command line: FILE::NAME"],
+        ),
         (BufferSetRequest { features, ..request() }, &["aux.exr, layer 'tnt'"]),
     ];
     for (request, told) in cases {
         harness.state_mut().open(Source { request, ..source.clone() });
         settle(&mut harness);
-        told.iter().for_each(|told| assert!(harness.query_all_by_label_contains(told).next().is_some(), "{told}: {:?}", harness.state().trouble));
+        told.iter().for_each(|told| {
+            assert!(
+                harness.query_all_by_label_contains(told).next().is_some(),
+                "{told}: {:?}",
+                harness.state().trouble
+            );
+        });
         is_the_librarys(&harness);
     }
-    harness.state_mut().open(Source { reference: Some(LayerRef { file: path("truth.exr"), layer: Some("true".into()) }), ..source.clone() });
+    harness.state_mut().open(Source {
+        reference: Some(LayerRef { file: path("truth.exr"), layer: Some("true".into()) }),
+        ..source.clone()
+    });
     settle(&mut harness);
     harness.get_by_label_contains("truth.exr, layer 'true': there is no such layer");
 }
@@ -318,16 +372,32 @@ fn the_command_line_takes_parts_of_a_frame_from_other_files() {
     let picture = folder.path().join("picture.png");
     let program = |options: &[&str]| {
         let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_stein-viewer"));
-        let output = command.env("STEIN_CACHE", "").current_dir(&folder).args(["--method=gem", "--screenshot=picture.png"]).args(options).output().unwrap();
+        let output = command
+            .env("STEIN_CACHE", "")
+            .current_dir(&folder)
+            .args(["--method=gem", "--screenshot=picture.png"])
+            .args(options)
+            .output()
+            .unwrap();
         (output.status.code(), String::from_utf8_lossy(&output.stderr).into_owned())
     };
-    let set = ["both.exr::left", "--half-a=a.exr", "--half-b=b.exr::seed2", "--feature=albedo=aux.exr::tint", "--no-features"];
+    let set = [
+        "both.exr::left",
+        "--half-a=a.exr",
+        "--half-b=b.exr::seed2",
+        "--feature=albedo=aux.exr::tint",
+        "--no-features",
+    ];
     let (code, said) = program(&[&set[..], &["--reference=truth.exr::converged", "--layer=true_error"]].concat());
     assert!(code == Some(0) && picture.exists(), "{said}");
     let cases: [(&[&str], i32, &[&str]); 6] = [
         (&["--reference=truth.exr::true"], 3, &["truth.exr, layer 'true'", "'converged'"]),
         (&["--reference=truth.exr"], 3, &["truth.exr: has several layers", "FILE::NAME"]),
-        (&["--skip-feature=nonsense"], 3, &["both.exr: there is no feature 'nonsense' to skip", "'normal'", "--skip-feature"]),
+        (
+            &["--skip-feature=nonsense"],
+            3,
+            &["both.exr: there is no feature 'nonsense' to skip", "'normal'", "--skip-feature"],
+        ),
         (&["--variance=missing.exr"], 3, &["missing.exr"]),
         (&["--feature=depth=aux.exr::depth"], 3, &["aux.exr, layer 'depth'"]),
         (&["--feature=aux.exr"], 2, &["NAME=FILE::LAYER"]),

@@ -30,7 +30,14 @@ fn open(method: &str, pixel: Option<[u32; 2]>) -> Harness<'static, Viewer> {
         parameters.method = parameters.method.with_parameter("window_radius", 6).unwrap();
     }
     let source = Some(Source::whole(testdata("dof_spheres_32spp.exr"), None));
-    window(Start { source, parameters: Some(parameters), panel: Panel::Kernel, pixel, neighbour: Some(NEIGHBOUR), ..Default::default() })
+    window(Start {
+        source,
+        parameters: Some(parameters),
+        panel: Panel::Kernel,
+        pixel,
+        neighbour: Some(NEIGHBOUR),
+        ..Default::default()
+    })
 }
 
 fn inspected(harness: &Harness<'static, Viewer>) -> Arc<Inspected> {
@@ -81,7 +88,13 @@ fn colour_of(weight: f32, scale: Scale) -> [f32; 3] {
 }
 
 /// The middle of each cell, but for those that are outlined and their neighbours.
-fn check_cells(harness: &mut Harness<'static, Viewer>, filter: &FilterKernel, image: &Image, scale: Scale, neighbour: [i32; 2]) {
+fn check_cells(
+    harness: &mut Harness<'static, Viewer>,
+    filter: &FilterKernel,
+    image: &Image,
+    scale: Scale,
+    neighbour: [i32; 2],
+) {
     let rect: Rect = harness.get_by_label("window of weights").rect();
     let picture = harness.render().unwrap();
     let side = filter.side();
@@ -89,7 +102,8 @@ fn check_cells(harness: &mut Harness<'static, Viewer>, filter: &FilterKernel, im
     let mut inside = 0;
     for cell in (0..side * side).filter(|cell| !outlined.contains(cell)) {
         let size = rect.width() / side as f32;
-        let place: Pos2 = rect.min + size * eframe::egui::Vec2::new((cell % side) as f32 + 0.5, (cell / side) as f32 + 0.5);
+        let place: Pos2 =
+            rect.min + size * eframe::egui::Vec2::new((cell % side) as f32 + 0.5, (cell / side) as f32 + 0.5);
         let found = picture.get_pixel(place.x as u32, place.y as u32).0;
         if filter.pixel(cell).is_none() {
             assert!(found[0] == found[1] && found[1] == found[2], "a cell outside of the frame is {found:?}");
@@ -97,7 +111,11 @@ fn check_cells(harness: &mut Harness<'static, Viewer>, filter: &FilterKernel, im
         }
         inside += 1;
         let expected = colour_of(image.planes[0][cell], scale);
-        let off = found.iter().zip(expected).map(|(found, expected)| (f32::from(*found) - expected).abs()).fold(0.0, f32::max);
+        let off = found
+            .iter()
+            .zip(expected)
+            .map(|(found, expected)| (f32::from(*found) - expected).abs())
+            .fold(0.0, f32::max);
         assert!(off <= 2.5, "cell {cell} is {found:?}, its weight {} should be {expected:?}", image.planes[0][cell]);
     }
     assert!(inside > side);
@@ -136,7 +154,11 @@ fn the_chosen_neighbour_s_distances_are_the_library_s() {
     for distance in &filter.distances {
         assert!(harness.query_all_by_label(distance.of.name()).next().is_some(), "{}", distance.of.name());
         for image in [&distance.distances, &distance.weights] {
-            assert!(harness.query_all_by_label(&number(image.planes[0][cell])).next().is_some(), "{}", distance.of.name());
+            assert!(
+                harness.query_all_by_label(&number(image.planes[0][cell])).next().is_some(),
+                "{}",
+                distance.of.name()
+            );
         }
     }
     assert_eq!(harness.query_by_label("decides").is_some(), filter.decided_by(cell).is_some());
@@ -184,14 +206,22 @@ fn a_neighbour_whose_opposite_stands_in_is_told() {
     let shown = inspected(&harness);
     let filters = || shown.kernels.filters.iter();
     // How much more it weighs than by itself.
-    let gain = |filter: &FilterKernel, cell: usize| filter.distances[0].weights.planes[0][cell] - filter.distances[0].own_weight(cell);
+    let gain = |filter: &FilterKernel, cell: usize| {
+        filter.distances[0].weights.planes[0][cell] - filter.distances[0].own_weight(cell)
+    };
     let cells = filters().flat_map(|filter| (0..filter.weights.extent.pixels()).map(move |cell| (filter, cell)));
-    let (filter, cell) = cells.filter(|(filter, _)| filter.name != "third").max_by(|(a, i), (b, j)| gain(a, *i).total_cmp(&gain(b, *j))).unwrap();
+    let (filter, cell) = cells
+        .filter(|(filter, _)| filter.name != "third")
+        .max_by(|(a, i), (b, j)| gain(a, *i).total_cmp(&gain(b, *j)))
+        .unwrap();
     assert!(gain(filter, cell) > 0.1);
     let told = |harness: &Harness<'static, Viewer>| harness.query_all_by_label_contains("its opposite (").count();
     choose(&mut harness, filter.name, offset_of(filter, cell));
     let [dx, dy] = offset_of(filter, filter.opposite(cell).unwrap());
-    harness.get_by_label_contains(&format!("By colour it would weigh {}, its opposite ({dx:+}, {dy:+})", short(filter.distances[0].own_weight(cell))));
+    harness.get_by_label_contains(&format!(
+        "By colour it would weigh {}, its opposite ({dx:+}, {dy:+})",
+        short(filter.distances[0].own_weight(cell))
+    ));
 
     // Nobody stands in for one whose opposite lies outside of the frame.
     let filter = shown.kernels.filter("first").unwrap();
@@ -201,7 +231,8 @@ fn a_neighbour_whose_opposite_stands_in_is_told() {
     assert_eq!(told(&harness), 0);
 }
 
-/// A second pass that goes too far: neighbours weigh nothing, so that no distance decides about them and no pair stands in.
+/// A second pass that goes too far: neighbours weigh nothing, so that no distance decides about them and no pair stands
+/// in.
 #[test]
 fn of_a_refused_filter_no_distance_decides() {
     let mut harness = open("dfc", Some([20, 30]));
@@ -276,7 +307,10 @@ fn a_change_of_parameters_asks_again() {
     viewer.take_parameters(Parameters { method, ..viewer.parameters });
     settle(&mut harness);
     assert_eq!(inspected(&harness).kernels.filters[0].window_radius, 3);
-    assert_eq!(inspected(&harness).question.method, harness.state().document.as_ref().unwrap().denoised.as_ref().unwrap().parameters.method);
+    assert_eq!(
+        inspected(&harness).question.method,
+        harness.state().document.as_ref().unwrap().denoised.as_ref().unwrap().parameters.method
+    );
 }
 
 /// Three candidates as three colours, on the result of a run and not only on made-up numbers.
@@ -301,8 +335,13 @@ fn the_selection_is_drawn_in_the_library_s_shares() {
                 continue;
             }
             let found = picture.get_pixel(place.x as u32, place.y as u32).0;
-            let expected = [0, 1, 2].map(|plane| shares.planes[plane][(y * width + x) as usize].clamp(0.0, 1.0) * 255.0);
-            let off = found.iter().zip(expected).map(|(found, expected)| (f32::from(*found) - expected).abs()).fold(0.0, f32::max);
+            let expected =
+                [0, 1, 2].map(|plane| shares.planes[plane][(y * width + x) as usize].clamp(0.0, 1.0) * 255.0);
+            let off = found
+                .iter()
+                .zip(expected)
+                .map(|(found, expected)| (f32::from(*found) - expected).abs())
+                .fold(0.0, f32::max);
             assert!(off <= 1.5, "({x}, {y}) is {found:?}, its shares are {expected:?}");
             checked += 1;
         }

@@ -14,8 +14,8 @@ use stein_exr::{BufferSet, BufferSetRequest};
 use tempfile::TempDir;
 use x11rb::connection::Connection;
 use x11rb::protocol::xproto::{
-    Atom, AtomEnum, ClientMessageEvent, ConnectionExt, EventMask, InputFocus, KEY_PRESS_EVENT, KEY_RELEASE_EVENT, KeyButMask, KeyPressEvent, Keysym, MapState,
-    Window,
+    Atom, AtomEnum, ClientMessageEvent, ConnectionExt, EventMask, InputFocus, KEY_PRESS_EVENT, KEY_RELEASE_EVENT,
+    KeyButMask, KeyPressEvent, Keysym, MapState, Window,
 };
 use x11rb::rust_connection::RustConnection;
 
@@ -71,7 +71,12 @@ fn viewer(screen: &Screen) -> Command {
 fn viewer_of(screen: &Screen, home: &Path) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_stein-viewer"));
     command.env("DISPLAY", &screen.display).env_remove("WAYLAND_DISPLAY").env_remove("WAYLAND_SOCKET");
-    command.env("XDG_DATA_HOME", home).env("STEIN_CACHE", "").stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::piped());
+    command
+        .env("XDG_DATA_HOME", home)
+        .env("STEIN_CACHE", "")
+        .stdin(Stdio::null())
+        .stdout(Stdio::null())
+        .stderr(Stdio::piped());
     command
 }
 
@@ -91,14 +96,22 @@ fn ended(mut child: Child) -> (Option<i32>, String) {
 #[test]
 fn a_window_opens_shows_a_frame_and_closes() {
     let screen = Screen::start();
-    let child = viewer(&screen).arg(testdata("anim/shot.0000.exr")).args(["--method=gem", "--exit-after-frames=5"]).spawn().unwrap();
+    let child = viewer(&screen)
+        .arg(testdata("anim/shot.0000.exr"))
+        .args(["--method=gem", "--exit-after-frames=5"])
+        .spawn()
+        .unwrap();
     let (code, said) = ended(child);
     assert_eq!(code, Some(0), "{said}");
 }
 
 #[test]
 fn without_a_screen_it_says_what_to_do() {
-    let screen = Screen { server: Command::new("true").spawn().unwrap(), display: String::new(), home: tempfile::tempdir().unwrap() };
+    let screen = Screen {
+        server: Command::new("true").spawn().unwrap(),
+        display: String::new(),
+        home: tempfile::tempdir().unwrap(),
+    };
     let child = viewer(&screen).env_remove("DISPLAY").spawn().unwrap();
     let (code, said) = ended(child);
     assert_eq!(code, Some(4), "{said}");
@@ -119,9 +132,12 @@ impl Seen {
         let is_visible = |window: &Window| {
             // It may have gone meanwhile.
             let attributes = connection.get_window_attributes(*window).unwrap().reply();
-            attributes.is_ok_and(|attributes| attributes.map_state == MapState::VIEWABLE) && !title_of(&connection, *window).is_empty()
+            attributes.is_ok_and(|attributes| attributes.map_state == MapState::VIEWABLE)
+                && !title_of(&connection, *window).is_empty()
         };
-        let window = until("a window", || connection.query_tree(root).unwrap().reply().unwrap().children.into_iter().find(is_visible));
+        let window = until("a window", || {
+            connection.query_tree(root).unwrap().reply().unwrap().children.into_iter().find(is_visible)
+        });
         connection.set_input_focus(InputFocus::PARENT, window, x11rb::CURRENT_TIME).unwrap().check().unwrap();
         Self { connection, window }
     }
@@ -171,7 +187,8 @@ impl Seen {
 
     /// Asks the window to close, as its button would.
     fn close(&self) {
-        let [protocols, delete] = [b"WM_PROTOCOLS".as_slice(), b"WM_DELETE_WINDOW"].map(|name| atom(&self.connection, name));
+        let [protocols, delete] =
+            [b"WM_PROTOCOLS".as_slice(), b"WM_DELETE_WINDOW"].map(|name| atom(&self.connection, name));
         let message = ClientMessageEvent::new(32, self.window, protocols, [delete, x11rb::CURRENT_TIME, 0, 0, 0]);
         self.connection.send_event(false, self.window, EventMask::NO_EVENT, message).unwrap().check().unwrap();
     }
@@ -183,7 +200,10 @@ fn atom(connection: &RustConnection, name: &[u8]) -> Atom {
 
 /// Empty where it has none.
 fn title_of(connection: &RustConnection, window: Window) -> String {
-    let name = connection.get_property(false, window, atom(connection, b"_NET_WM_NAME"), AtomEnum::ANY, 0, 1024).unwrap().reply();
+    let name = connection
+        .get_property(false, window, atom(connection, b"_NET_WM_NAME"), AtomEnum::ANY, 0, 1024)
+        .unwrap()
+        .reply();
     name.map_or_else(|_| String::new(), |name| String::from_utf8_lossy(&name.value).into_owned())
 }
 
@@ -199,7 +219,8 @@ fn until<T>(what: &str, mut look: impl FnMut() -> Option<T>) -> T {
     }
 }
 
-/// Where no desktop has dialogs of its own, a program of this name shows them; this one answers at once: a frame, or a file in `folder`, some without their endings.
+/// Where no desktop has dialogs of its own, a program of this name shows them; this one answers at once: a frame, or a
+/// file in `folder`, some without their endings.
 fn answer_dialogs(folder: &Path) {
     let script = format!(
         "#!/bin/sh\n\
@@ -225,11 +246,15 @@ fn keys_ask_for_files_and_what_is_answered_is_opened_and_written() {
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str| folder.path().join(name);
     answer_dialogs(folder.path());
-    let nlm = Method::all().into_iter().find(|method| method.name() == "nlm").unwrap().with_parameter("cut", 0.1).unwrap();
+    let nlm =
+        Method::all().into_iter().find(|method| method.name() == "nlm").unwrap().with_parameter("cut", 0.1).unwrap();
     std::fs::write(path("own.params"), nlm.to_toml(Preset::Default)).unwrap();
     let screen = Screen::start();
     let mut command = viewer_of(&screen, folder.path());
-    let programs = std::env::join_paths([folder.path().to_owned()].into_iter().chain(std::env::split_paths(&std::env::var_os("PATH").unwrap()))).unwrap();
+    let programs = std::env::join_paths(
+        [folder.path().to_owned()].into_iter().chain(std::env::split_paths(&std::env::var_os("PATH").unwrap())),
+    )
+    .unwrap();
     // No desktop answers.
     command.env("PATH", programs).env("DBUS_SESSION_BUS_ADDRESS", format!("unix:path={}", path("no-bus").display()));
     let child = command.arg("--params").arg(path("own.params")).arg("--radius=2").spawn().unwrap();

@@ -1,6 +1,7 @@
 //! Pictures of the window's main states, against those in `snapshots/`.
 //!
-//! Renew them with `UPDATE_SNAPSHOTS=1 cargo test --test snapshots`, and look at what has changed before it is committed.
+//! Renew them with `UPDATE_SNAPSHOTS=1 cargo test --test snapshots`, and look at what has changed before it is
+//! committed.
 
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 
@@ -24,7 +25,11 @@ fn the_main_states_look_as_they_did() {
     let Parameters { preset, method } = Parameters::default();
     let parameters = Some(Parameters { preset, method: method.with_parameter("window_radius", 3).unwrap() });
     let source = Source::whole(testdata("dof_spheres_32spp.exr"), Some(testdata("dof_spheres_reference.exr")));
-    let mut harness = window_of([1280.0, 720.0], 0.5, Start { source: Some(source), parameters, layer: Some("result".into()), ..Default::default() });
+    let mut harness = window_of(
+        [1280.0, 720.0],
+        0.5,
+        Start { source: Some(source), parameters, layer: Some("result".into()), ..Default::default() },
+    );
     settle(&mut harness);
     let options = SnapshotOptions::new()
         .threshold(TOLERANCE)

@@ -28,7 +28,8 @@ const FILE: &str = "cornell_8spp.exr";
 
 /// The file with a small window, so that runs are short, and its parameters in sight.
 fn tuning() -> Harness<'static, Viewer> {
-    let parameters = Parameters { method: Method::default().with_parameter("window_radius", 3).unwrap(), ..Parameters::default() };
+    let parameters =
+        Parameters { method: Method::default().with_parameter("window_radius", 3).unwrap(), ..Parameters::default() };
     let source = Source::whole(testdata(FILE), None);
     window(Start { source: Some(source), parameters: Some(parameters), panel: Panel::Parameters, ..Default::default() })
 }
@@ -61,7 +62,8 @@ fn every_parameter_has_a_widget_under_its_name() {
         harness.state_mut().take_parameters(Parameters::of(method, Preset::Default).unwrap());
         harness.run_steps(2);
         for parameter in harness.state().parameters.method.parameters() {
-            let roles: Vec<_> = harness.get_all_by_label(&parameter.name).map(|node| node.accesskit_node().role()).collect();
+            let roles: Vec<_> =
+                harness.get_all_by_label(&parameter.name).map(|node| node.accesskit_node().role()).collect();
             let role = match parameter.kind {
                 Kind::Integer { .. } => Role::Slider,
                 Kind::Number { .. } => Role::SpinButton,
@@ -81,7 +83,10 @@ fn a_changed_parameter_runs_again_changes_the_result_and_can_be_put_back() {
     let before = result(&harness);
     press_value(&mut harness, "second_pass");
     let viewer = harness.state();
-    assert_eq!(viewer.document.as_ref().unwrap().denoised.as_ref().unwrap().parameters.method, viewer.parameters.method);
+    assert_eq!(
+        viewer.document.as_ref().unwrap().denoised.as_ref().unwrap().parameters.method,
+        viewer.parameters.method
+    );
     assert_ne!(result(&harness), before);
     harness.get_by_label("2 not as in default");
     assert!(harness.query_by_label("second_pass.color_k").is_none(), "its group is left out");
@@ -138,8 +143,13 @@ fn a_contradiction_is_told_and_waits_while_the_last_parameters_stay_in_use() {
     // With larger patches of SECOND there is no contradiction any more.
     let viewer = harness.state_mut();
     assert!(viewer.edits.set(&mut viewer.parameters, "second_patch_radius", Value::Integer(5)));
-    let value = |name: &str| viewer.parameters.method.parameters().into_iter().find(|parameter| parameter.name == name).unwrap().value;
-    assert_eq!((value("first_patch_radius"), value("second_patch_radius")), (Some(Value::Integer(4)), Some(Value::Integer(5))));
+    let value = |name: &str| {
+        viewer.parameters.method.parameters().into_iter().find(|parameter| parameter.name == name).unwrap().value
+    };
+    assert_eq!(
+        (value("first_patch_radius"), value("second_patch_radius")),
+        (Some(Value::Integer(4)), Some(Value::Integer(5)))
+    );
     assert!(!viewer.edits.any_wait());
 }
 
@@ -150,13 +160,18 @@ fn parameters_are_remembered_and_read_from_files() {
     let settings = Settings { parameters: Some(own.to_toml()), ..Default::default() };
     let context = eframe::egui::Context::default();
     let gpu = stein::Gpu::open(&stein::gpu::DeviceChoice::Auto).unwrap();
-    let viewer = |settings: &Settings, start| Viewer::new(&context, &gpu, eframe::wgpu::TextureFormat::Rgba8Unorm, settings.clone(), start).unwrap();
+    let viewer = |settings: &Settings, start| {
+        Viewer::new(&context, &gpu, eframe::wgpu::TextureFormat::Rgba8Unorm, settings.clone(), start).unwrap()
+    };
     assert_eq!(viewer(&settings, Start::default()).parameters, own);
     let said = Start { parameters: Some(Parameters::default()), ..Default::default() };
     let started = viewer(&settings, said);
     assert_eq!(started.parameters, Parameters::default());
     // What is remembered comes back when it is chosen, and so do others from before.
-    let nlm = Parameters { method: Parameters::of("nlm", Preset::Default).unwrap().method.with_parameter("cut", 0.1).unwrap(), ..Parameters::default() };
+    let nlm = Parameters {
+        method: Parameters::of("nlm", Preset::Default).unwrap().method.with_parameter("cut", 0.1).unwrap(),
+        ..Parameters::default()
+    };
     let settings = Settings { earlier: vec![nlm.to_toml(), "nonsense".into()], ..settings };
     let earlier = viewer(&settings, Start::default()).earlier;
     for left in [own, nlm] {
@@ -193,7 +208,12 @@ fn the_command_line_takes_a_file_of_parameters_and_says_what_is_wrong_with_it() 
     let picture = folder.path().join("picture.png");
     let program = |options: &[&str]| {
         let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_stein-viewer"));
-        command.env("STEIN_CACHE", "").arg(testdata("anim/shot.0000.exr")).arg("--screenshot").arg(&picture).args(options);
+        command
+            .env("STEIN_CACHE", "")
+            .arg(testdata("anim/shot.0000.exr"))
+            .arg("--screenshot")
+            .arg(&picture)
+            .args(options);
         let output = command.output().unwrap();
         (output.status.code(), String::from_utf8_lossy(&output.stderr).into_owned())
     };
@@ -205,7 +225,11 @@ fn the_command_line_takes_a_file_of_parameters_and_says_what_is_wrong_with_it() 
     let cases: [(&[&str], i32, &[&str]); 7] = [
         // It is what denoises: GEM has no FIRST.
         (&["--params", &gem, "--layer", "first"], 2, &["there is no layer 'first'", "stopping"]),
-        (&["--params", &gem, "--method", "nlm"], 2, &["--method nlm: ", "gem.toml is for gem", "remedy: leave the option out, or write `method = \"nlm\"`"]),
+        (
+            &["--params", &gem, "--method", "nlm"],
+            2,
+            &["--method nlm: ", "gem.toml is for gem", "remedy: leave the option out, or write `method = \"nlm\"`"],
+        ),
         (&["--params", &nlm, "--preset", "thesis"], 2, &["--preset thesis: ", "nlm.toml is for default"]),
         (&["--params", &gem, "--radius", "3"], 2, &["--radius is no option of the method gem"]),
         (&["--params", &nlm, "--radius", "100"], 2, &["`window_radius` cannot be 100", "from 1 to 64 pixels"]),
@@ -214,7 +238,10 @@ fn the_command_line_takes_a_file_of_parameters_and_says_what_is_wrong_with_it() 
     ];
     for (options, expected, parts) in cases {
         let (code, said) = program(options);
-        assert!(code == Some(expected) && parts.iter().all(|part| said.contains(part)), "{options:?}: {code:?}, {said}");
+        assert!(
+            code == Some(expected) && parts.iter().all(|part| said.contains(part)),
+            "{options:?}: {code:?}, {said}"
+        );
     }
 }
 
@@ -267,7 +294,8 @@ fn saved_pictures_show_the_view_and_the_layer() {
     harness.get_by_label_contains("Wrote ");
     let extent = result(&harness).extent;
     let read = |name: &str| {
-        let mut reader = png::Decoder::new(std::io::BufReader::new(std::fs::File::open(path(name)).unwrap())).read_info().unwrap();
+        let mut reader =
+            png::Decoder::new(std::io::BufReader::new(std::fs::File::open(path(name)).unwrap())).read_info().unwrap();
         let mut bytes = vec![0; reader.output_buffer_size().unwrap()];
         let info = reader.next_frame(&mut bytes).unwrap();
         (info.width, info.height, bytes)
@@ -276,11 +304,15 @@ fn saved_pictures_show_the_view_and_the_layer() {
     assert_eq!((width, height), (extent.width, extent.height));
     // The layer in sRGB, to a step of eight bits.
     let image = result(&harness);
-    let encoded = |value: f32| 255.0 * if value <= 0.003_130_8 { 12.92 * value } else { 1.055 * value.powf(1.0 / 2.4) - 0.055 };
+    let encoded =
+        |value: f32| 255.0 * if value <= 0.003_130_8 { 12.92 * value } else { 1.055 * value.powf(1.0 / 2.4) - 0.055 };
     for pixel in (0..extent.pixels()).step_by(97) {
         for channel in 0..3 {
             let expected = encoded(image.planes[channel][pixel].clamp(0.0, 1.0));
-            assert!((f32::from(layer[4 * pixel + channel]) - expected).abs() <= 1.0, "pixel {pixel}, channel {channel}");
+            assert!(
+                (f32::from(layer[4 * pixel + channel]) - expected).abs() <= 1.0,
+                "pixel {pixel}, channel {channel}"
+            );
         }
     }
     let (width, height, view) = read("view.png");
@@ -311,7 +343,10 @@ fn a_run_keeps_the_preset_that_it_was_made_with() {
     harness.state_mut().panel = Panel::Plot;
     settle(&mut harness);
     let history = harness.state().document.as_ref().unwrap().history.clone();
-    assert_eq!(history.iter().map(|run| run.parameters.preset).collect::<Vec<_>>(), [Preset::Default, Preset::Thesis, Preset::Default]);
+    assert_eq!(
+        history.iter().map(|run| run.parameters.preset).collect::<Vec<_>>(),
+        [Preset::Default, Preset::Thesis, Preset::Default]
+    );
     let transform = PlotMemory::load(&harness.ctx, Id::unique(PLOT)).unwrap().transform();
     let thesis = PlotPoint::new(history[1].seconds.log10(), history[1].estimated_error.unwrap().log10());
     harness.hover_at(transform.position_from_point(&thesis));
@@ -358,7 +393,13 @@ fn a_sweep_measures_makes_way_and_hands_over_its_parameters() {
     assert_eq!(viewer.document.as_ref().unwrap().history.len(), 2);
     // Two radii of two presets, two of GEM, and what is in use.
     assert_eq!(viewer.sweep.points.len(), 7);
-    assert!(viewer.sweep.points.iter().all(|point| point.seconds > 0.0 && point.error.unwrap() > 0.0 && point.estimated_error.unwrap() > 0.0));
+    assert!(
+        viewer
+            .sweep
+            .points
+            .iter()
+            .all(|point| point.seconds > 0.0 && point.error.unwrap() > 0.0 && point.estimated_error.unwrap() > 0.0)
+    );
     let in_use = viewer.sweep.points.iter().find(|point| point.parameters == viewer.parameters).unwrap();
     let denoised = viewer.document.as_ref().unwrap().denoised.as_ref().unwrap();
     assert_eq!(in_use.error, denoised.error, "the result does not depend on what is kept");
@@ -371,10 +412,14 @@ fn a_sweep_measures_makes_way_and_hands_over_its_parameters() {
 
     // Of the points, the one that lies most by itself is clicked.
     let transform = PlotMemory::load(&harness.ctx, Id::unique(PLOT)).unwrap().transform();
-    let place = |point: &Run| transform.position_from_point(&PlotPoint::new(point.seconds.log10(), point.error.unwrap().log10()));
+    let place = |point: &Run| {
+        transform.position_from_point(&PlotPoint::new(point.seconds.log10(), point.error.unwrap().log10()))
+    };
     let points = harness.state().sweep.points.clone();
-    let others = |point: &Run| points.iter().filter(|other| other.parameters != point.parameters).map(place).collect::<Vec<_>>();
-    let alone = |point: &Run| others(point).into_iter().map(|other| other.distance(place(point))).fold(f32::INFINITY, f32::min);
+    let others =
+        |point: &Run| points.iter().filter(|other| other.parameters != point.parameters).map(place).collect::<Vec<_>>();
+    let alone =
+        |point: &Run| others(point).into_iter().map(|other| other.distance(place(point))).fold(f32::INFINITY, f32::min);
     let clickable = points.iter().filter(|point| point.parameters.method != expected);
     let point = clickable.max_by(|a, b| alone(a).total_cmp(&alone(b))).unwrap();
     assert!(alone(point) > 1.0, "{points:?}");
@@ -386,7 +431,10 @@ fn a_sweep_measures_makes_way_and_hands_over_its_parameters() {
     harness.drop_at(place);
     settle(&mut harness);
     assert_eq!(harness.state().parameters, point.parameters);
-    assert_eq!(harness.state().document.as_ref().unwrap().denoised.as_ref().unwrap().parameters.method, point.parameters.method);
+    assert_eq!(
+        harness.state().document.as_ref().unwrap().denoised.as_ref().unwrap().parameters.method,
+        point.parameters.method
+    );
 
     // Stopped, it leaves what was measured.
     harness.key_press(Key::F9);

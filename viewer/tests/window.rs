@@ -63,7 +63,11 @@ fn a_broken_file_is_told_and_what_is_open_stays() {
 
 #[test]
 fn a_change_of_parameters_runs_again_and_keeps_the_run_before() {
-    let mut harness = window(Start { source: Some(Source::whole(testdata("cornell_8spp.exr"), None)), panel: Panel::Parameters, ..Default::default() });
+    let mut harness = window(Start {
+        source: Some(Source::whole(testdata("cornell_8spp.exr"), None)),
+        panel: Panel::Parameters,
+        ..Default::default()
+    });
     for radius in [3, 4, 5] {
         let viewer = harness.state_mut();
         assert!(viewer.edits.set(&mut viewer.parameters, "window_radius", Value::Integer(radius)));
@@ -120,7 +124,11 @@ fn check_sides(harness: &mut Harness<'static, Viewer>, scales: [(Range, Scale); 
             }
             let found = picture.get_pixel(place.x as u32, place.y as u32).0;
             let expected = false_colour(image.planes[0][pixel], scale);
-            let off = found.iter().zip(expected).map(|(found, expected)| (f32::from(*found) - expected).abs()).fold(0.0, f32::max);
+            let off = found
+                .iter()
+                .zip(expected)
+                .map(|(found, expected)| (f32::from(*found) - expected).abs())
+                .fold(0.0, f32::max);
             assert!(off <= 2.0, "{} at ({x}, {y}) is {found:?}, not {expected:?}", layer.name());
             checked += 1;
         }
@@ -183,13 +191,25 @@ fn what_is_named_at_the_start_and_not_there_is_told_once_and_the_window_goes_on(
     };
     let error = refused(start.clone());
     assert!(
-        matches!(error, stein::Error::Request { .. }) && error.to_string().contains("there is no layer 'first' or 'nonsense'; there is no pixel"),
+        matches!(error, stein::Error::Request { .. })
+            && error.to_string().contains("there is no layer 'first' or 'nonsense'; there is no pixel"),
         "{error}"
     );
 
     // A neighbour, of a pixel that is there, in both ways.
-    let parameters = Some(Parameters { method: Method::default().with_parameter("window_radius", 2).unwrap(), ..Parameters::default() });
-    let start = Start { parameters, layer: Some("first".into()), other: None, panel: Panel::Kernel, pixel: Some([3, 4]), neighbour: Some([-3, 0]), ..start };
+    let parameters = Some(Parameters {
+        method: Method::default().with_parameter("window_radius", 2).unwrap(),
+        ..Parameters::default()
+    });
+    let start = Start {
+        parameters,
+        layer: Some("first".into()),
+        other: None,
+        panel: Panel::Kernel,
+        pixel: Some([3, 4]),
+        neighbour: Some([-3, 0]),
+        ..start
+    };
     let told = "the window has no neighbour (-3, 0) in the image";
     let error = refused(start.clone());
     assert!(error.to_string().starts_with(told), "{error}");

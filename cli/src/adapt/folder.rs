@@ -42,11 +42,14 @@ impl Folder {
     pub(crate) fn open(path: &Path, setup: &Setup<'_>, resume: bool, overwrite: bool) -> Result<Self, Failure> {
         let unusable = |error: std::io::Error| {
             let name = text::path(path);
-            Failure::output(format_args!("{name}: {error}\n  remedy: choose another folder with -o, or check that this one may be written to"))
+            Failure::output(format_args!(
+                "{name}: {error}\n  remedy: choose another folder with -o, or check that this one may be written to"
+            ))
         };
         std::fs::create_dir_all(path).map_err(unusable)?;
         let path = absolute(path).map_err(unusable)?;
-        let setup = serde_json::to_string(setup).map_err(|error| Failure::output(format_args!("the parameters: {error}")))?;
+        let setup =
+            serde_json::to_string(setup).map_err(|error| Failure::output(format_args!("the parameters: {error}")))?;
         let folder = Self { path, setup };
         let earlier = folder.earlier().map_err(unusable)?;
         if overwrite {
@@ -73,7 +76,8 @@ impl Folder {
             let stem = name.to_str().and_then(|name| name.strip_suffix(".exr"));
             let parts = stem.and_then(|stem| stem.split_once('_'));
             let ours = |kind: &str, label: &str| {
-                ["map", "new", "samples", "denoised"].contains(&kind) && (label == "uniform" || label.bytes().all(|byte| byte.is_ascii_digit()))
+                ["map", "new", "samples", "denoised"].contains(&kind)
+                    && (label == "uniform" || label.bytes().all(|byte| byte.is_ascii_digit()))
             };
             if parts.is_some_and(|(kind, label)| ours(kind, label)) {
                 files.push(self.path.join(name));
@@ -87,9 +91,13 @@ impl Folder {
         self.path.join(format!("samples_{label}.exr"))
     }
 
-    /// The last iteration that is complete: its samples were written after all others of its files but the denoised image, which is made of them.
+    /// The last iteration that is complete: its samples were written after all others of its files but the denoised
+    /// image, which is made of them.
     pub(crate) fn resume(&self, iterations: u32) -> Result<Option<Resumed>, Failure> {
-        let found = (1..=iterations).rev().map(|iteration| (iteration, self.samples(&iteration.to_string()))).find(|(_, file)| file.exists());
+        let found = (1..=iterations)
+            .rev()
+            .map(|iteration| (iteration, self.samples(&iteration.to_string())))
+            .find(|(_, file)| file.exists());
         let Some((iterations, file)) = found else {
             return Ok(None);
         };
@@ -98,7 +106,10 @@ impl Folder {
         let now = serde_json::from_str(&self.setup).ok();
         let (Some(then), Some(now)) = (then, now) else {
             let remedy = "choose the folder of a run that was interrupted, or start anew with --overwrite";
-            return Err(Failure::input(format_args!("{}: was not written by `stein adapt`\n  remedy: {remedy}", text::path(&file))));
+            return Err(Failure::input(format_args!(
+                "{}: was not written by `stein adapt`\n  remedy: {remedy}",
+                text::path(&file)
+            )));
         };
         let differences = differences(&then, &now);
         if differences.is_empty() {
@@ -118,13 +129,27 @@ impl Folder {
     }
 
     /// All samples so far, and the image from them.
-    pub(crate) fn write(&self, label: &str, samples: &Samples, estimate: &Estimate, method: &Method) -> Result<(), Failure> {
+    pub(crate) fn write(
+        &self,
+        label: &str,
+        samples: &Samples,
+        estimate: &Estimate,
+        method: &Method,
+    ) -> Result<(), Failure> {
         let file = self.samples(label);
         write_samples(samples, &file, &[(ATTRIBUTE.to_owned(), self.setup.clone())]).map_err(Failure::output)?;
         // They are among the others now.
         let _ = std::fs::remove_file(self.path.join(format!("new_{label}.exr")));
         let set = BufferSet::read(&BufferSetRequest { input: file, ..Default::default() })?;
-        write_estimate(estimate, set, &self.path.join(format!("denoised_{label}.exr")), &[Intermediate::Density], method).map(drop).map_err(Failure::output)
+        write_estimate(
+            estimate,
+            set,
+            &self.path.join(format!("denoised_{label}.exr")),
+            &[Intermediate::Density],
+            method,
+        )
+        .map(drop)
+        .map_err(Failure::output)
     }
 }
 

@@ -72,7 +72,8 @@ impl<'a> Renderer<'a> {
             let said = if said.is_empty() { "it said nothing".to_owned() } else { format!("it said:\n{said}") };
             Error::Renderer {
                 problem: format!("the sampler command {how}: {told}\n  {said}"),
-                remedy: "run the command by itself, as it stands here; then run `stein adapt` again with --resume".into(),
+                remedy: "run the command by itself, as it stands here; then run `stein adapt` again with --resume"
+                    .into(),
             }
         };
         let child = shell(command).stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn();
@@ -106,7 +107,10 @@ impl Sampler for Renderer<'_> {
         // What an interrupted run left must not be taken for an answer.
         match std::fs::remove_file(&out) {
             Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
-                return Err(unusable(format!("cannot be replaced: {error}"), "check that the folder may be written to".into()));
+                return Err(unusable(
+                    format!("cannot be replaced: {error}"),
+                    "check that the folder may be written to".into(),
+                ));
             }
             _ => {}
         }

@@ -44,21 +44,32 @@ struct Errors {
 
 impl Document {
     pub(crate) fn new(setup: &Setup<'_>, device: &AdapterSummary, resumed_after: Option<u32>) -> Result<Self, Failure> {
-        let setup = serde_json::to_value(setup).map_err(|error| Failure::output(format_args!("the JSON document: {error}")))?;
+        let setup =
+            serde_json::to_value(setup).map_err(|error| Failure::output(format_args!("the JSON document: {error}")))?;
         Ok(Self { setup, device: device.clone(), resumed_after, iterations: Vec::new(), uniform: None })
     }
 
     /// The last iteration against even sampling, where both are known.
     pub(crate) fn comparison(&self) -> String {
-        let errors = self.iterations.last().zip(self.uniform.as_ref()).and_then(|(adaptive, uniform)| adaptive.errors.as_ref().zip(uniform.errors.as_ref()));
+        let errors = self
+            .iterations
+            .last()
+            .zip(self.uniform.as_ref())
+            .and_then(|(adaptive, uniform)| adaptive.errors.as_ref().zip(uniform.errors.as_ref()));
         let ratio = errors.map(|(adaptive, uniform)| adaptive.denoised_relative_mse / uniform.denoised_relative_mse);
-        let ratio = ratio.map(|ratio| format!("; adaptive sampling leaves {} times the error of even sampling", number(ratio)));
+        let ratio =
+            ratio.map(|ratio| format!("; adaptive sampling leaves {} times the error of even sampling", number(ratio)));
         format!("(relative MSE; estimated: without the reference{})", ratio.unwrap_or_default())
     }
 }
 
 impl Row {
-    pub(crate) fn new(iteration: String, samples: &Samples, estimate: &Estimate, reference: Option<&Image>) -> Result<Self, Failure> {
+    pub(crate) fn new(
+        iteration: String,
+        samples: &Samples,
+        estimate: &Estimate,
+        reference: Option<&Image>,
+    ) -> Result<Self, Failure> {
         let compare = |reference| {
             Ok::<_, Failure>(Errors {
                 noisy_relative_mse: metric::relative_mse(&samples.color().mean, reference)?,
@@ -74,16 +85,23 @@ impl Row {
     }
 
     pub(crate) fn head(reference: bool) -> String {
-        let errors = if reference { ["noisy", "denoised"].map(|name| format!("{name:>12}")).concat() } else { String::new() };
+        let errors =
+            if reference { ["noisy", "denoised"].map(|name| format!("{name:>12}")).concat() } else { String::new() };
         format!("  {:<9}{:>9}{:>16}{:>12}{errors}", "iteration", "spp", "per pixel", "estimated")
     }
 
     /// A line under that head.
     pub(crate) fn text(&self) -> String {
-        let errors =
-            self.errors.as_ref().map(|errors| [errors.noisy_relative_mse, errors.denoised_relative_mse].map(|error| format!("{:>12}", number(error))).concat());
+        let errors = self.errors.as_ref().map(|errors| {
+            [errors.noisy_relative_mse, errors.denoised_relative_mse]
+                .map(|error| format!("{:>12}", number(error)))
+                .concat()
+        });
         let range = self.samples.range();
-        let (spp, estimated) = (number(self.samples.samples_per_pixel), self.estimated_relative_mse.map_or_else(|| "-".to_owned(), number));
+        let (spp, estimated) = (
+            number(self.samples.samples_per_pixel),
+            self.estimated_relative_mse.map_or_else(|| "-".to_owned(), number),
+        );
         format!("  {:<9}{spp:>9}{range:>16}{estimated:>12}{}", self.iteration, errors.unwrap_or_default())
     }
 }

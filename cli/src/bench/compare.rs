@@ -28,7 +28,8 @@ pub(super) struct Comparison {
     /// What makes the runs hard to compare.
     notes: Vec<String>,
     rows: Vec<Ratios>,
-    /// Rows whose time or error grew more than allowed, or that have no error any more, or are gone though the same was to be measured.
+    /// Rows whose time or error grew more than allowed, or that have no error any more, or are gone though the same was
+    /// to be measured.
     failed: Vec<String>,
 }
 
@@ -53,7 +54,15 @@ struct Ratios {
 /// The `results.json` of an earlier run; a report's folder will do.
 pub(super) fn read(path: &Path) -> Result<Document, Failure> {
     let file = if path.is_dir() { path.join("results.json") } else { path.to_owned() };
-    document::read(&file, &Kind { schema: SCHEMA, version: VERSION, made: "written by `stein bench`", remedy: "give the results.json of a report" })
+    document::read(
+        &file,
+        &Kind {
+            schema: SCHEMA,
+            version: VERSION,
+            made: "written by `stein bench`",
+            remedy: "give the results.json of a report",
+        },
+    )
 }
 
 /// Times of different adapters say nothing of a program's progress: they are not allowed to decide over an exit code.
@@ -73,7 +82,8 @@ pub(super) fn compare(old: &Document, new: &Document, fail_above: Option<f64>) -
         notes.push(format!("the old run was of: stein bench {}", shell_words::join(&old.arguments)));
     }
     let find = |row: &Row| {
-        let before = old.rows.iter().find(|other| (&other.set, &other.configuration) == (&row.set, &row.configuration))?;
+        let before =
+            old.rows.iter().find(|other| (&other.set, &other.configuration) == (&row.set, &row.configuration))?;
         let size = |document: &Document, row: &Row| document.set(row).map(|set| (set.width, set.height));
         (size(old, before) == size(new, row)).then_some(before)
     };
@@ -81,7 +91,8 @@ pub(super) fn compare(old: &Document, new: &Document, fail_above: Option<f64>) -
     if new.rows.len() > pairs.len() {
         notes.push(format!("{} rows have no partner in the old run", new.rows.len() - pairs.len()));
     }
-    let vanished: Vec<&Row> = old.rows.iter().filter(|row| !pairs.iter().any(|(before, _)| std::ptr::eq(*before, *row))).collect();
+    let vanished: Vec<&Row> =
+        old.rows.iter().filter(|row| !pairs.iter().any(|(before, _)| std::ptr::eq(*before, *row))).collect();
     if !vanished.is_empty() {
         notes.push(format!("{} rows have no partner in the new run", vanished.len()));
     }
@@ -93,31 +104,52 @@ pub(super) fn compare(old: &Document, new: &Document, fail_above: Option<f64>) -
         parameters(old) != parameters(new)
     };
     for configuration in &new.configurations {
-        if pairs.iter().any(|(_, row)| row.configuration == configuration.name) && changed_parameters(&configuration.name) {
+        if pairs.iter().any(|(_, row)| row.configuration == configuration.name)
+            && changed_parameters(&configuration.name)
+        {
             notes.push(format!("{} had other parameters then", configuration.name));
         }
     }
-    let rows: Vec<Ratios> = pairs.iter().map(|(old, new)| Ratios::new(old, new, fail_above.unwrap_or(MARK_ABOVE))).collect();
+    let rows: Vec<Ratios> =
+        pairs.iter().map(|(old, new)| Ratios::new(old, new, fail_above.unwrap_or(MARK_ABOVE))).collect();
     let mut failed = Vec::new();
     if let Some(limit) = fail_above {
-        let beyond = |row: &&Ratios| row.lost_its_errors || row.was_exact || row.wall > limit || row.relative_mse.is_some_and(|ratio| ratio > limit);
+        let beyond = |row: &&Ratios| {
+            row.lost_its_errors
+                || row.was_exact
+                || row.wall > limit
+                || row.relative_mse.is_some_and(|ratio| ratio > limit)
+        };
         failed.extend(rows.iter().filter(beyond).map(|row| {
             let why = if row.lost_its_errors { ": not finite any more" } else { "" };
             format!("{}, {}{why}", row.set, row.configuration)
         }));
         // Who asks for something else does without them.
         let are_missed = old.arguments == new.arguments;
-        failed.extend(vanished.iter().filter(|_| are_missed).map(|row| format!("{}, {}: not measured any more", row.set, row.configuration)));
+        failed.extend(
+            vanished
+                .iter()
+                .filter(|_| are_missed)
+                .map(|row| format!("{}, {}: not measured any more", row.set, row.configuration)),
+        );
     }
-    Comparison { date: old.date.clone(), other_adapter: (old.adapter != new.adapter).then(|| old.adapter.clone()), notes, failed, rows }
+    Comparison {
+        date: old.date.clone(),
+        other_adapter: (old.adapter != new.adapter).then(|| old.adapter.clone()),
+        notes,
+        failed,
+        rows,
+    }
 }
 
 impl Ratios {
     fn new(old: &Row, new: &Row, mark_above: f64) -> Self {
-        let ratio = |old: Option<f64>, new: Option<f64>| old.zip(new).filter(|(old, _)| *old > 0.0).map(|(old, new)| new / old);
+        let ratio =
+            |old: Option<f64>, new: Option<f64>| old.zip(new).filter(|(old, _)| *old > 0.0).map(|(old, new)| new / old);
         let time = |row: &Row, name: &str| row.stages.iter().find(|stage| stage.stage == name).map(|stage| stage.ms);
         let stage = |name: &str| ratio(time(old, name), time(new, name)).map(|ratio| (name.to_owned(), ratio));
-        let stages = new.stages.iter().filter_map(|of| stage(&of.stage)).filter(|(_, ratio)| (ratio - 1.0).abs() > STAGE_CHANGE);
+        let stages =
+            new.stages.iter().filter_map(|of| stage(&of.stage)).filter(|(_, ratio)| (ratio - 1.0).abs() > STAGE_CHANGE);
         let (wall, relative_mse) = (new.wall_ms / old.wall_ms, ratio(old.relative_mse(), new.relative_mse()));
         // Where there is a reference still.
         let lost_its_errors = old.relative_mse().is_some() && new.errors.is_some() && new.relative_mse().is_none();
@@ -143,14 +175,22 @@ impl Comparison {
     pub(super) fn text(&self) -> String {
         let mut lines = vec![format!("new / old, the old run being of {}", self.date)];
         if let Some(adapter) = &self.other_adapter {
-            lines.push(format!("  ANOTHER ADAPTER: the old run was on {adapter}; the ratios of times compare the adapters"));
+            lines.push(format!(
+                "  ANOTHER ADAPTER: the old run was on {adapter}; the ratios of times compare the adapters"
+            ));
         }
         lines.extend(self.notes.iter().map(|note| format!("  {note}")));
-        let mut rows = vec![["", "", "wall", "CPU", "device", "relative MSE", "", "  stages that changed"].map(String::from).to_vec()];
+        let mut rows = vec![
+            ["", "", "wall", "CPU", "device", "relative MSE", "", "  stages that changed"].map(String::from).to_vec(),
+        ];
         let ratio = |value: Option<f64>| value.map_or_else(|| "-".to_owned(), |value| format!("{value:.3}"));
         for row in &self.rows {
-            let marks = [(row.is_slower, "slower"), (row.is_worse, "worse")].into_iter().filter(|(is_so, _)| *is_so).map(|(_, mark)| mark);
-            let stages = row.stages.iter().map(|(stage, ratio)| format!("{stage} {ratio:.2}")).collect::<Vec<_>>().join(", ");
+            let marks = [(row.is_slower, "slower"), (row.is_worse, "worse")]
+                .into_iter()
+                .filter(|(is_so, _)| *is_so)
+                .map(|(_, mark)| mark);
+            let stages =
+                row.stages.iter().map(|(stage, ratio)| format!("{stage} {ratio:.2}")).collect::<Vec<_>>().join(", ");
             rows.push(vec![
                 row.set.clone(),
                 row.configuration.clone(),
@@ -174,7 +214,9 @@ impl Comparison {
     pub(super) fn verdict(&self, fail_above: Option<f64>) -> Result<(), Failure> {
         let Some(limit) = fail_above else { return Ok(()) };
         if self.rows.is_empty() && self.failed.is_empty() {
-            return Err(Failure::input("--fail-above: no row is in both runs\n  remedy: measure the same sets and configurations"));
+            return Err(Failure::input(
+                "--fail-above: no row is in both runs\n  remedy: measure the same sets and configurations",
+            ));
         }
         if self.failed.is_empty() {
             return Ok(());
@@ -213,8 +255,7 @@ mod tests {
     /// One row, of 100 ms and this relative MSE.
     fn document(relative_mse: Value) -> Document {
         let errors = json!({ "relative_mse": relative_mse, "mse": null, "ssim": null, "flip": null });
-        let row =
-            json!({ "set": "box", "configuration": "gem", "first_ms": 1.0, "wall_ms": 100.0, "wall_ms_per_megapixel": 1.0, "stages": [], "errors": errors });
+        let row = json!({ "set": "box", "configuration": "gem", "first_ms": 1.0, "wall_ms": 100.0, "wall_ms_per_megapixel": 1.0, "stages": [], "errors": errors });
         let adapter = json!({ "name": "", "backend": "", "kind": "", "driver": "", "timestamps": true });
         let document = json!({
             "schema": SCHEMA, "version": VERSION, "stein": "0", "date": "then", "arguments": [], "adapter": adapter, "repeats": 1,
@@ -230,7 +271,9 @@ mod tests {
         assert!(lost.rows[0].is_worse && !lost.rows[0].is_slower && lost.verdict(Some(1e9)).is_err(), "{lost:?}");
         let inexact = compared(json!(0.0), json!(1e-9));
         assert!(inexact.rows[0].is_worse && inexact.verdict(Some(1e9)).is_err(), "{inexact:?}");
-        for (old, new) in [(json!(0.5), json!(0.5)), (json!(0.0), json!(0.0)), (Value::Null, Value::Null), (Value::Null, json!(0.5))] {
+        for (old, new) in
+            [(json!(0.5), json!(0.5)), (json!(0.0), json!(0.0)), (Value::Null, Value::Null), (Value::Null, json!(0.5))]
+        {
             let same = compared(old, new);
             assert!(!same.rows[0].is_worse && same.verdict(Some(1e9)).is_ok(), "{same:?}");
         }

@@ -49,7 +49,8 @@ pub(super) fn configurations(axes: &Axes) -> Result<(Vec<Configuration>, Vec<Str
     let mut notes = Vec::new();
     // An option that only some have makes no further configurations of the others.
     let mut check = |option: &str, is_given: bool, parameter: &str| {
-        let without: Vec<_> = methods.iter().filter(|method| !method.has_parameter(parameter)).map(Method::name).collect();
+        let without: Vec<_> =
+            methods.iter().filter(|method| !method.has_parameter(parameter)).map(Method::name).collect();
         match without.len() {
             0 => Ok(()),
             _ if !is_given => Ok(()),
@@ -75,7 +76,12 @@ pub(super) fn configurations(axes: &Axes) -> Result<(Vec<Configuration>, Vec<Str
                         for &radius in of(&radii, method.has_parameter(WINDOW_RADIUS)) {
                             let base = file.unwrap_or(Chosen::of(method, preset));
                             let method = axes.tuning.applied_to(base.method, Choices { radius, candidates })?;
-                            configurations.push(configuration(Chosen { method, ..base }, second_pass, everything, noise)?);
+                            configurations.push(configuration(
+                                Chosen { method, ..base },
+                                second_pass,
+                                everything,
+                                noise,
+                            )?);
                         }
                     }
                 }
@@ -85,7 +91,9 @@ pub(super) fn configurations(axes: &Axes) -> Result<(Vec<Configuration>, Vec<Str
     for external in &axes.externals {
         if configurations.iter().any(|other| other.described.name == external.name) {
             let name = &external.name;
-            return Err(Failure::usage(format_args!("--external: there are two configurations of the name {name}\n  remedy: choose another name")));
+            return Err(Failure::usage(format_args!(
+                "--external: there are two configurations of the name {name}\n  remedy: choose another name"
+            )));
         }
         configurations.push(Configuration { described: external.described(), how: How::External(external.clone()) });
     }
@@ -151,7 +159,12 @@ fn of<T: Copy>(choices: &[Option<T>], has: bool) -> &[Option<T>] {
 }
 
 /// Its name says all that differs from the default, so that it means the same in every report.
-fn configuration(Chosen { mut method, preset }: Chosen, second_pass: Option<Switch>, everything: Switch, noise: NoiseAxis) -> Result<Configuration, Failure> {
+fn configuration(
+    Chosen { mut method, preset }: Chosen,
+    second_pass: Option<Switch>,
+    everything: Switch,
+    noise: NoiseAxis,
+) -> Result<Configuration, Failure> {
     if let Some(second_pass) = second_pass {
         method = method.with_parameter(SECOND_PASS, second_pass == Switch::On)?;
     }

@@ -15,8 +15,15 @@ pub(super) fn csv(document: &Document) -> Result<Vec<u8>, Failure> {
         let (Some(set), Some(configuration)) = (document.set(row), document.configuration(row)) else { continue };
         let stein = configuration.stein.as_ref();
         let errors = |errors: Option<Errors>| {
-            let get = |value: fn(&Errors) -> Option<f64>| errors.as_ref().and_then(value).map_or_else(String::new, |value| value.to_string());
-            [get(|errors| errors.relative_mse), get(|errors| errors.mse), get(|errors| errors.ssim), get(|errors| errors.flip)]
+            let get = |value: fn(&Errors) -> Option<f64>| {
+                errors.as_ref().and_then(value).map_or_else(String::new, |value| value.to_string())
+            };
+            [
+                get(|errors| errors.relative_mse),
+                get(|errors| errors.mse),
+                get(|errors| errors.ssim),
+                get(|errors| errors.flip),
+            ]
         };
         let mut record = vec![
             document.date.clone(),
@@ -50,7 +57,9 @@ pub(super) fn csv(document: &Document) -> Result<Vec<u8>, Failure> {
         record.extend(errors(row.errors));
         record.extend([cell(row.predicted_mse), cell(row.on_front)]);
         record.extend(errors(set.noisy));
-        record.extend(stages.iter().map(|name| cell(row.stages.iter().find(|stage| stage.stage == *name).map(|stage| stage.ms))));
+        record.extend(
+            stages.iter().map(|name| cell(row.stages.iter().find(|stage| stage.stage == *name).map(|stage| stage.ms))),
+        );
         writer.write_record(&record).map_err(failed)?;
     }
     writer.into_inner().map_err(|error| Failure::output(format_args!("results.csv: {error}")))

@@ -40,7 +40,10 @@ impl FromStr for External {
             return Err(shape.into());
         }
         // The program itself is no file of ours.
-        match ["{in}", "{out}"].into_iter().find(|placeholder| !words[1..].iter().any(|word| word.contains(placeholder))) {
+        match ["{in}", "{out}"]
+            .into_iter()
+            .find(|placeholder| !words[1..].iter().any(|word| word.contains(placeholder)))
+        {
             None => Ok(Self { name: name.to_owned(), command: command.to_owned(), words }),
             Some(missing) => Err(format!("the command does not say {missing}; {shape}")),
         }
@@ -49,17 +52,26 @@ impl FromStr for External {
 
 impl External {
     pub(super) fn described(&self) -> results::Configuration {
-        results::Configuration { name: self.name.clone(), series: self.name.clone(), stein: None, command: Some(self.command.clone()) }
+        results::Configuration {
+            name: self.name.clone(),
+            series: self.name.clone(),
+            stein: None,
+            command: Some(self.command.clone()),
+        }
     }
 
-    /// Runs it on a file. Gives the seconds that it took on the clock; its result is then in `output`. No shell is asked, so that a path is always one word.
+    /// Runs it on a file. Gives the seconds that it took on the clock; its result is then in `output`. No shell is
+    /// asked, so that a path is always one word.
     pub(super) fn run(&self, input: &Path, output: &Path) -> Result<f64, Failure> {
         let paths = [("{in}", input.as_os_str()), ("{out}", output.as_os_str())];
         let words: Vec<OsString> = self.words.iter().map(|word| fill(word, &paths)).collect();
         let failed = |how: String, said: &str| {
             let said = if said.is_empty() { "it said nothing".to_owned() } else { format!("it said:\n{said}") };
             let command = shell_words::join(words.iter().map(|word| text::path(Path::new(word))));
-            Failure::input(format_args!("--external {}: {how}: {command}\n  {said}\n  remedy: run the command by itself, as it stands here", self.name))
+            Failure::input(format_args!(
+                "--external {}: {how}: {command}\n  {said}\n  remedy: run the command by itself, as it stands here",
+                self.name
+            ))
         };
         // What an earlier run wrote must not be taken for an answer.
         match std::fs::remove_file(output) {
@@ -70,10 +82,16 @@ impl External {
         }
         // Into files, which never make a program wait.
         let log = output.with_extension("log");
-        let unusable = |error: std::io::Error| Failure::output(format_args!("{}: {error}\n  remedy: check the folder for temporary files", text::path(&log)));
+        let unusable = |error: std::io::Error| {
+            Failure::output(format_args!(
+                "{}: {error}\n  remedy: check the folder for temporary files",
+                text::path(&log)
+            ))
+        };
         let stderr = File::create(&log).map_err(unusable)?;
         let start = Instant::now();
-        let child = Command::new(&words[0]).args(&words[1..]).stdin(Stdio::null()).stdout(Stdio::null()).stderr(stderr).spawn();
+        let child =
+            Command::new(&words[0]).args(&words[1..]).stdin(Stdio::null()).stdout(Stdio::null()).stderr(stderr).spawn();
         let ended = child.and_then(|mut child| {
             let _ends_with_this = Companion::of(&child);
             child.wait()
@@ -95,7 +113,10 @@ impl External {
         if image.extent == extent {
             return Ok(image);
         }
-        Err(failed(format!("its output is of {}, but the input of {extent}\n  remedy: let it keep the size of its input", image.extent)))
+        Err(failed(format!(
+            "its output is of {}, but the input of {extent}\n  remedy: let it keep the size of its input",
+            image.extent
+        )))
     }
 }
 
@@ -124,10 +145,17 @@ mod tests {
     #[test]
     fn a_command_is_split_into_words_as_a_shell_would() {
         let external: External = "my tool=tool --in={in} 'two words' \"{out}\"".parse().unwrap();
-        assert_eq!((external.name.as_str(), external.words), ("my tool", ["tool", "--in={in}", "two words", "{out}"].map(String::from).to_vec()));
-        for (text, missing) in
-            [("tool {in} {out}", "NAME="), ("a=tool {in}", "{out}"), ("a=tool {out}", "{in}"), ("a='tool {in} {out}", "quote"), ("=x {in} {out}", "NAME")]
-        {
+        assert_eq!(
+            (external.name.as_str(), external.words),
+            ("my tool", ["tool", "--in={in}", "two words", "{out}"].map(String::from).to_vec())
+        );
+        for (text, missing) in [
+            ("tool {in} {out}", "NAME="),
+            ("a=tool {in}", "{out}"),
+            ("a=tool {out}", "{in}"),
+            ("a='tool {in} {out}", "quote"),
+            ("=x {in} {out}", "NAME"),
+        ] {
             let problem = text.parse::<External>().unwrap_err();
             assert!(problem.contains(missing), "{text}: {problem}");
         }
@@ -156,9 +184,14 @@ mod tests {
         external.run(&input, &output).unwrap();
         assert_eq!(std::fs::read(&output).unwrap(), b"content");
         // Megabytes of complaints are not read.
-        let external: External = "noise=sh -c 'head -c 9000000 /dev/zero >&2; echo the end >&2; exit 3' {in} {out}".parse().unwrap();
+        let external: External =
+            "noise=sh -c 'head -c 9000000 /dev/zero >&2; echo the end >&2; exit 3' {in} {out}".parse().unwrap();
         let failure = external.run(&input, &output).unwrap_err();
-        assert!(failure.message().contains("the end") && failure.message().len() < 1 << 17, "{}", failure.message().len());
+        assert!(
+            failure.message().contains("the end") && failure.message().len() < 1 << 17,
+            "{}",
+            failure.message().len()
+        );
     }
 
     #[test]

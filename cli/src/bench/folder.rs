@@ -22,7 +22,9 @@ impl Folder {
     pub(super) fn check(path: &Path) -> Result<Self, Failure> {
         let name = text::path(path);
         let unusable = |error: std::io::Error| {
-            Failure::output(format_args!("{name}: {error}\n  remedy: choose another folder with -o, or check that this one may be written to"))
+            Failure::output(format_args!(
+                "{name}: {error}\n  remedy: choose another folder with -o, or check that this one may be written to"
+            ))
         };
         let absolute = std::path::absolute(path).map_err(unusable)?;
         if path.exists() && !may_be_replaced(path).map_err(unusable)? {
@@ -70,7 +72,9 @@ impl Folder {
     pub(super) fn write(&self, contents: [&[u8]; 3]) -> Result<(), Failure> {
         let name = text::path(&self.path);
         let failed = |error: std::io::Error| {
-            Failure::output(format_args!("{name}: cannot be written: {error}\n  remedy: check that there is space, and choose a folder with -o"))
+            Failure::output(format_args!(
+                "{name}: cannot be written: {error}\n  remedy: check that there is space, and choose a folder with -o"
+            ))
         };
         let new = self.aside().map_err(failed)?;
         for (file, content) in FILES.iter().zip(contents) {
@@ -111,7 +115,8 @@ fn may_be_replaced(path: &Path) -> std::io::Result<bool> {
     for entry in std::fs::read_dir(path)? {
         names.push(entry?.file_name());
     }
-    Ok(names.is_empty() || (names.iter().all(|name| FILES.iter().any(|file| name == file)) && compare::read(path).is_ok()))
+    Ok(names.is_empty()
+        || (names.iter().all(|name| FILES.iter().any(|file| name == file)) && compare::read(path).is_ok()))
 }
 
 #[cfg(test)]
@@ -126,7 +131,8 @@ mod tests {
         let path = parent.path().join("report");
         let folder = Folder::check(&path).unwrap();
         let document = |date: &str| {
-            let adapter = serde_json::json!({ "name": "", "backend": "", "kind": "", "driver": "", "timestamps": true });
+            let adapter =
+                serde_json::json!({ "name": "", "backend": "", "kind": "", "driver": "", "timestamps": true });
             let document = serde_json::json!({
                 "schema": "stein.bench", "version": VERSION, "stein": "0", "date": date, "arguments": [], "adapter": adapter, "repeats": 1,
                 "configurations": [], "sets": [], "rows": [], "notes": [],

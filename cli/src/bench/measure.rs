@@ -29,7 +29,10 @@ enum Runner<'a> {
 }
 
 impl<'a> Contestant<'a> {
-    pub(super) fn new(configuration: &'a Configuration, denoiser: impl FnOnce(Method) -> Result<Denoiser, Failure>) -> Result<Self, Failure> {
+    pub(super) fn new(
+        configuration: &'a Configuration,
+        denoiser: impl FnOnce(Method) -> Result<Denoiser, Failure>,
+    ) -> Result<Self, Failure> {
         let runner = match &configuration.how {
             How::Stein { method, everything: false, .. } => Runner::Stein(denoiser(*method)?),
             How::Stein { method, everything: true, .. } => Runner::Stein(denoiser(*method)?.with_everything()),
@@ -106,7 +109,8 @@ pub(super) fn measure(
     let contestants: Vec<_> = contestants.iter().filter(|contestant| contestant.can_run(case)).collect();
     bar.dec_length((all - contestants.len()) as u64 * runs(repeats));
     let output = folder.join("out.exr");
-    let input = std::path::absolute(&case.set.file).map_err(|error| Failure::input(format_args!("{}: {error}", text::path(&case.set.file))))?;
+    let input = std::path::absolute(&case.set.file)
+        .map_err(|error| Failure::input(format_args!("{}: {error}", text::path(&case.set.file))))?;
     let mut records = Vec::new();
     for contestant in &contestants {
         interrupt::check()?;
@@ -161,7 +165,11 @@ fn warm_up(gpu: &Gpu, denoiser: &Denoiser, frame: &Frame) -> Result<Record, Fail
     let first_ms = start.elapsed().as_secs_f64() * 1e3;
     Ok(Record {
         first_ms,
-        predicted_mse: estimate.error.as_ref().and_then(|error| error.planes.first()).map(|plane| quality::mean(plane) / estimate.color.channels() as f64),
+        predicted_mse: estimate
+            .error
+            .as_ref()
+            .and_then(|error| error.planes.first())
+            .map(|plane| quality::mean(plane) / estimate.color.channels() as f64),
         image: estimate.color,
         walls_ms: Vec::new(),
         cpus_ms: Vec::new(),
@@ -174,7 +182,16 @@ fn warm_up(gpu: &Gpu, denoiser: &Denoiser, frame: &Frame) -> Result<Record, Fail
 fn warm_up_external(external: &External, input: &Path, output: &Path, case: &Case<'_>) -> Result<Record, Failure> {
     let first_ms = external.run(input, output)? * 1e3;
     let image = external.read(output, case.frame.extent())?;
-    Ok(Record { first_ms, image, predicted_mse: None, walls_ms: Vec::new(), cpus_ms: Vec::new(), stages: Vec::new(), peak_bytes: None, strips: None })
+    Ok(Record {
+        first_ms,
+        image,
+        predicted_mse: None,
+        walls_ms: Vec::new(),
+        cpus_ms: Vec::new(),
+        stages: Vec::new(),
+        peak_bytes: None,
+        strips: None,
+    })
 }
 
 impl Record {
@@ -190,7 +207,11 @@ impl Record {
 
     fn finish(self, configuration: &str, case: &Case<'_>) -> Result<Outcome, Failure> {
         let wall_ms = median(self.walls_ms);
-        let stages: Vec<_> = self.stages.into_iter().map(|(stage, dispatches, times)| Stage { stage, ms: median(times), dispatches }).collect();
+        let stages: Vec<_> = self
+            .stages
+            .into_iter()
+            .map(|(stage, dispatches, times)| Stage { stage, ms: median(times), dispatches })
+            .collect();
         let row = Row {
             set: case.set.name.clone(),
             configuration: configuration.to_owned(),

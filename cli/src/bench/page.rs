@@ -24,7 +24,8 @@ pub(super) fn page(document: &Document, gallery: &Gallery) -> Result<String, Fai
         ("figures", "All figures", page.table()),
     ];
     let links: String = sections.iter().map(|(id, title, _)| format!("<a href=\"#{id}\">{title}</a>")).collect();
-    let body: String = sections.iter().map(|(id, title, content)| format!("<h2 id=\"{id}\">{title}</h2>\n{content}\n")).collect();
+    let body: String =
+        sections.iter().map(|(id, title, content)| format!("<h2 id=\"{id}\">{title}</h2>\n{content}\n")).collect();
     Ok(format!(
         "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n<meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n\
          <title>stein bench, {}</title>\n<style>\n{STYLE}</style>\n</head>\n<body>\n{}<nav>{links}</nav>\n{body}</body>\n</html>\n",
@@ -67,23 +68,35 @@ impl<'a> Page<'a> {
             ("stein", format!("{stein}, {date}")),
             (
                 "measured",
-                format!("{} sets of {scenes} scenes, {} configurations, median of {repeats} after a warm-up, in turn", sets.len(), configurations.len()),
+                format!(
+                    "{} sets of {scenes} scenes, {} configurations, median of {repeats} after a warm-up, in turn",
+                    sets.len(),
+                    configurations.len()
+                ),
             ),
         ];
-        let facts: String = facts.iter().map(|(name, value)| format!("<dt>{name}</dt><dd>{}</dd>\n", escape(value))).collect();
+        let facts: String =
+            facts.iter().map(|(name, value)| format!("<dt>{name}</dt><dd>{}</dd>\n", escape(value))).collect();
         let notes: String = notes.iter().map(|note| format!("<dt>note</dt><dd>{}</dd>\n", escape(note))).collect();
         let command = escape(&format!("stein bench {}", shell_words::join(arguments)));
-        format!("<h1>Error against run time</h1>\n<dl>\n{facts}<dt>command</dt><dd><code>{command}</code></dd>\n{notes}</dl>\n")
+        format!(
+            "<h1>Error against run time</h1>\n<dl>\n{facts}<dt>command</dt><dd><code>{command}</code></dd>\n{notes}</dl>\n"
+        )
     }
 
     /// Colours and shapes, for all plots but that of the stages.
     fn legend(&self) -> String {
-        let colors = self.series.iter().enumerate().map(|(index, series)| format!("<span>{}{}</span>", key(Some(index), 0), escape(series)));
+        let colors = self
+            .series
+            .iter()
+            .enumerate()
+            .map(|(index, series)| format!("<span>{}{}</span>", key(Some(index), 0), escape(series)));
         let shapes = self.radii.iter().enumerate().map(|(index, radius)| {
             let text = radius.map_or_else(|| "no radius".to_owned(), |radius| format!("R = {radius}"));
             format!("<span>{}{text}</span>", key(None, index))
         });
-        let (colors, shapes): (String, String) = (colors.collect(), if self.radii.len() > 1 { shapes.collect() } else { String::new() });
+        let (colors, shapes): (String, String) =
+            (colors.collect(), if self.radii.len() > 1 { shapes.collect() } else { String::new() });
         format!("<div class=\"legend\">{colors}{shapes}</div>\n")
     }
 
@@ -123,39 +136,71 @@ impl<'a> Page<'a> {
     }
 
     fn mark(&self, configuration: &Configuration, (x, y): (f64, f64), is_ringed: bool, tip: String) -> Mark {
-        Mark { x, y, color: self.color(&configuration.series), shape: self.shape(configuration.window_radius()), is_ringed, tip }
+        Mark {
+            x,
+            y,
+            color: self.color(&configuration.series),
+            shape: self.shape(configuration.window_radius()),
+            is_ringed,
+            tip,
+        }
     }
 
     /// A point for each of these configurations, those of a series joined by a line, and the front.
     fn contest(&self, title: String, x_title: &str, points: &[(&Configuration, (f64, f64), String)]) -> Plot {
         let on_front = front(&points.iter().map(|(_, point, _)| *point).collect::<Vec<_>>());
-        let mut best: Vec<(f64, f64)> = points.iter().zip(&on_front).filter(|(_, is_on)| **is_on).map(|((_, point, _), _)| *point).collect();
+        let mut best: Vec<(f64, f64)> =
+            points.iter().zip(&on_front).filter(|(_, is_on)| **is_on).map(|((_, point, _), _)| *point).collect();
         best.sort_by(|a, b| a.0.total_cmp(&b.0));
         let mut plot = Plot { title, x_title: x_title.into(), y_title: RELATIVE_MSE.into(), ..Plot::default() };
-        plot.lines.push(Line { points: best, class: "front".into(), is_stepped: true, tip: "Pareto front: nothing is both faster and better".into() });
+        plot.lines.push(Line {
+            points: best,
+            class: "front".into(),
+            is_stepped: true,
+            tip: "Pareto front: nothing is both faster and better".into(),
+        });
         for series in &self.series {
-            let mut joined: Vec<_> = points.iter().filter(|(configuration, ..)| configuration.series == *series).collect();
+            let mut joined: Vec<_> =
+                points.iter().filter(|(configuration, ..)| configuration.series == *series).collect();
             joined.sort_by_key(|(configuration, ..)| configuration.window_radius());
             plot.lines.push(self.line(series, joined.iter().map(|(_, point, _)| *point).collect()));
         }
-        plot.marks = points.iter().zip(on_front).map(|((configuration, point, tip), is_on)| self.mark(configuration, *point, is_on, tip.clone())).collect();
+        plot.marks = points
+            .iter()
+            .zip(on_front)
+            .map(|((configuration, point, tip), is_on)| self.mark(configuration, *point, is_on, tip.clone()))
+            .collect();
         plot
     }
 
     fn line(&self, series: &str, points: Vec<(f64, f64)>) -> Line {
-        Line { points, class: format!("s{}", self.color(series) % super::plot::COLORS), is_stepped: false, tip: series.to_owned() }
+        Line {
+            points,
+            class: format!("s{}", self.color(series) % super::plot::COLORS),
+            is_stepped: false,
+            tip: series.to_owned(),
+        }
     }
 
     fn error_over_time(&self) -> String {
         let mut plots = Vec::new();
         let with_reference: Vec<&Set> = self.document.sets.iter().filter(|set| set.noisy.is_some()).collect();
         if with_reference.len() > 1 {
-            plots.push(self.contest("all sets, geometric mean".into(), "wall time, ms per megapixel", &self.overall(&with_reference)));
+            plots.push(self.contest(
+                "all sets, geometric mean".into(),
+                "wall time, ms per megapixel",
+                &self.overall(&with_reference),
+            ));
         }
         for set in with_reference {
             let rows = self.document.rows_of(set);
-            let points = rows.filter_map(|row| Some((self.document.configuration(row)?, (row.wall_ms, row.relative_mse()?), tip(row))));
-            let noisy = set.noisy.and_then(|noisy| noisy.relative_mse).map_or_else(String::new, |noisy| format!(" (noisy: {})", label(noisy)));
+            let points = rows.filter_map(|row| {
+                Some((self.document.configuration(row)?, (row.wall_ms, row.relative_mse()?), tip(row)))
+            });
+            let noisy = set
+                .noisy
+                .and_then(|noisy| noisy.relative_mse)
+                .map_or_else(String::new, |noisy| format!(" (noisy: {})", label(noisy)));
             plots.push(self.contest(format!("{}{noisy}", set.name), RUN_TIME, &points.collect::<Vec<_>>()));
         }
         let text = "<p>Down and to the left is better. Rings mark the Pareto front, where nothing else is both faster and better; lines join the radii of a method. \
@@ -166,12 +211,18 @@ impl<'a> Page<'a> {
     /// Configurations that ran on all of these sets, over all of them.
     fn overall(&self, sets: &[&Set]) -> Vec<(&'a Configuration, (f64, f64), String)> {
         let over = |configuration: &'a Configuration| {
-            let rows: Vec<&Row> = sets.iter().filter_map(|set| self.document.rows_of(set).find(|row| row.configuration == configuration.name)).collect();
+            let rows: Vec<&Row> = sets
+                .iter()
+                .filter_map(|set| self.document.rows_of(set).find(|row| row.configuration == configuration.name))
+                .collect();
             let errors: Vec<f64> = rows.iter().filter_map(|row| row.relative_mse()).collect();
             if errors.len() < sets.len() {
                 return None;
             }
-            let (time, error) = (geometric_mean(&rows.iter().map(|row| row.wall_ms_per_megapixel).collect::<Vec<_>>())?, geometric_mean(&errors)?);
+            let (time, error) = (
+                geometric_mean(&rows.iter().map(|row| row.wall_ms_per_megapixel).collect::<Vec<_>>())?,
+                geometric_mean(&errors)?,
+            );
             let tip = format!(
                 "{}, geometric mean over {} sets\n{} ms per megapixel\nrelative MSE {}",
                 configuration.name,
@@ -188,23 +239,36 @@ impl<'a> Page<'a> {
         let mut plots = Vec::new();
         for scene in self.scenes() {
             // At their own sizes, where there are several: a resized set is another picture.
-            let sets: Vec<(&Set, f64)> =
-                self.sets_of(scene).filter(|set| set.noisy.is_some() && !set.is_resized).filter_map(|set| Some((set, set.samples_per_pixel?))).collect();
+            let sets: Vec<(&Set, f64)> = self
+                .sets_of(scene)
+                .filter(|set| set.noisy.is_some() && !set.is_resized)
+                .filter_map(|set| Some((set, set.samples_per_pixel?)))
+                .collect();
             let mut ticks: Vec<f64> = sets.iter().map(|(_, samples)| *samples).collect();
             ticks.sort_by(f64::total_cmp);
             ticks.dedup();
             if ticks.len() < 2 {
                 continue;
             }
-            let mut plot =
-                Plot { title: scene.into(), x_title: "samples per pixel".into(), y_title: RELATIVE_MSE.into(), x_ticks: Some(ticks), ..Plot::default() };
-            let mut noisy: Vec<(f64, f64)> = sets.iter().filter_map(|(set, samples)| Some((*samples, set.noisy?.relative_mse?))).collect();
+            let mut plot = Plot {
+                title: scene.into(),
+                x_title: "samples per pixel".into(),
+                y_title: RELATIVE_MSE.into(),
+                x_ticks: Some(ticks),
+                ..Plot::default()
+            };
+            let mut noisy: Vec<(f64, f64)> =
+                sets.iter().filter_map(|(set, samples)| Some((*samples, set.noisy?.relative_mse?))).collect();
             noisy.sort_by(|a, b| a.0.total_cmp(&b.0));
             plot.lines.push(Line { points: noisy, class: "noisy".into(), is_stepped: false, tip: "noisy".into() });
             for configuration in &self.document.configurations {
                 let row = |set: &'a Set| self.document.rows_of(set).find(|row| row.configuration == configuration.name);
-                let mut found: Vec<(f64, f64, String)> =
-                    sets.iter().filter_map(|(set, samples)| row(set).and_then(|row| Some((*samples, row.relative_mse()?, tip(row))))).collect();
+                let mut found: Vec<(f64, f64, String)> = sets
+                    .iter()
+                    .filter_map(|(set, samples)| {
+                        row(set).and_then(|row| Some((*samples, row.relative_mse()?, tip(row))))
+                    })
+                    .collect();
                 found.sort_by(|a, b| a.0.total_cmp(&b.0));
                 plot.lines.push(self.line(&configuration.series, found.iter().map(|(x, y, _)| (*x, *y)).collect()));
                 plot.marks.extend(found.into_iter().map(|(x, y, tip)| self.mark(configuration, (x, y), false, tip)));
@@ -222,14 +286,24 @@ impl<'a> Page<'a> {
         }
         // The largest have colours, in the order in which they run.
         let total = |name: &str| -> f64 {
-            self.document.rows.iter().flat_map(|row| row.stages.iter().filter(|stage| stage.stage == name).map(move |stage| stage.ms / row.wall_ms)).sum()
+            self.document
+                .rows
+                .iter()
+                .flat_map(|row| {
+                    row.stages.iter().filter(|stage| stage.stage == name).map(move |stage| stage.ms / row.wall_ms)
+                })
+                .sum()
         };
         let mut by_time: Vec<(&str, f64)> = names.iter().map(|name| (*name, total(name))).collect();
         by_time.sort_by(|a, b| b.1.total_cmp(&a.1));
         let colored: Vec<&str> = by_time.iter().take(super::plot::COLORS).map(|(name, _)| *name).collect();
         let color = |name: &str| colored.iter().position(|other| *other == name);
 
-        let mut legend: String = colored.iter().enumerate().map(|(index, name)| format!("<span>{}{}</span>", key(Some(index), 1), escape(name))).collect();
+        let mut legend: String = colored
+            .iter()
+            .enumerate()
+            .map(|(index, name)| format!("<span>{}{}</span>", key(Some(index), 1), escape(name)))
+            .collect();
         if names.len() > colored.len() {
             legend += &format!("<span>{}others</span>", key(None, 1));
         }
@@ -239,22 +313,43 @@ impl<'a> Page<'a> {
         for scene in self.scenes() {
             let timed = |set: &&Set| self.document.rows_of(set).any(|row| !row.stages.is_empty());
             let sets: Vec<&Set> = self.sets_of(scene).filter(timed).collect();
-            let most = sets.iter().flat_map(|set| self.document.rows_of(set).filter_map(|row| Some(row.device_ms? / set.megapixels()))).fold(0.0, f64::max);
+            let most = sets
+                .iter()
+                .flat_map(|set| self.document.rows_of(set).filter_map(|row| Some(row.device_ms? / set.megapixels())))
+                .fold(0.0, f64::max);
             let (unit, unit_ms) = if most < 1e4 { ("ms", 1.0) } else { ("s", 1e3) };
-            let mut bars = Bars { title: scene.to_owned(), x_title: format!("device time, {unit} per megapixel"), bars: Vec::new() };
+            let mut bars = Bars {
+                title: scene.to_owned(),
+                x_title: format!("device time, {unit} per megapixel"),
+                bars: Vec::new(),
+            };
             for (index, set) in sets.into_iter().enumerate() {
                 let mut begins_group = index > 0;
                 for row in self.document.rows_of(set).filter(|row| !row.stages.is_empty()) {
                     let mut parts: Vec<Part> = Vec::new();
-                    for name in names.iter().filter(|name| color(name).is_some()).chain(names.iter().filter(|name| color(name).is_none())) {
+                    for name in names
+                        .iter()
+                        .filter(|name| color(name).is_some())
+                        .chain(names.iter().filter(|name| color(name).is_none()))
+                    {
                         let Some(stage) = row.stages.iter().find(|stage| stage.stage == **name) else { continue };
                         let share = 100.0 * stage.ms / row.device_ms.unwrap_or(f64::NAN);
-                        let tip =
-                            format!("{}, {}\n{name}: {} ms, {share:.1} %, {} dispatches", row.set, row.configuration, milliseconds(stage.ms), stage.dispatches);
+                        let tip = format!(
+                            "{}, {}\n{name}: {} ms, {share:.1} %, {} dispatches",
+                            row.set,
+                            row.configuration,
+                            milliseconds(stage.ms),
+                            stage.dispatches
+                        );
                         parts.push(Part { value: stage.ms / set.megapixels() / unit_ms, color: color(name), tip });
                     }
-                    let of_scene = set.name.strip_prefix(scene).map_or(set.name.as_str(), |rest| rest.trim_start_matches(", "));
-                    let name = if of_scene.is_empty() { row.configuration.clone() } else { format!("{of_scene}, {}", row.configuration) };
+                    let of_scene =
+                        set.name.strip_prefix(scene).map_or(set.name.as_str(), |rest| rest.trim_start_matches(", "));
+                    let name = if of_scene.is_empty() {
+                        row.configuration.clone()
+                    } else {
+                        format!("{of_scene}, {}", row.configuration)
+                    };
                     bars.bars.push(Bar { name, begins_group, parts });
                     begins_group = false;
                 }
@@ -267,7 +362,13 @@ impl<'a> Page<'a> {
     fn predictions(&self) -> String {
         let mut plots = Vec::new();
         for scene in self.scenes() {
-            let mut plot = Plot { title: scene.into(), x_title: "true MSE".into(), y_title: "predicted MSE".into(), has_diagonal: true, ..Plot::default() };
+            let mut plot = Plot {
+                title: scene.into(),
+                x_title: "true MSE".into(),
+                y_title: "predicted MSE".into(),
+                has_diagonal: true,
+                ..Plot::default()
+            };
             for row in self.sets_of(scene).flat_map(|set| self.document.rows_of(set)) {
                 if let (Some(predicted), Some(known), Some(configuration)) =
                     (row.predicted_mse, row.errors.and_then(|errors| errors.mse), self.document.configuration(row))
@@ -287,10 +388,17 @@ impl<'a> Page<'a> {
         // Whether they lie far enough apart to say anything.
         let mut tell = |name: &str, points: &[(f64, f64)], of: &str| {
             let found = exponent(points);
-            exponents.extend(found.map(|exponent| format!("<tr><td>{}</td><td>{of}</td><td>{exponent:.2}</td></tr>", escape(name))));
+            exponents.extend(
+                found.map(|exponent| format!("<tr><td>{}</td><td>{of}</td><td>{exponent:.2}</td></tr>", escape(name))),
+            );
             found.is_some()
         };
-        let mut pixels = Plot { title: "time over pixels".into(), x_title: "pixels".into(), y_title: RUN_TIME.into(), ..Plot::default() };
+        let mut pixels = Plot {
+            title: "time over pixels".into(),
+            x_title: "pixels".into(),
+            y_title: RUN_TIME.into(),
+            ..Plot::default()
+        };
         for configuration in &self.document.configurations {
             let mut rows: Vec<(u64, f64)> = Vec::new();
             for row in self.document.rows.iter().filter(|row| row.configuration == configuration.name) {
@@ -319,8 +427,13 @@ impl<'a> Page<'a> {
             for configuration in self.configurations_of(series) {
                 let Some(radius) = configuration.window_radius() else { continue };
                 let x = f64::from((2 * radius + 1).pow(2));
-                let times: Vec<f64> =
-                    self.document.rows.iter().filter(|row| row.configuration == configuration.name).map(|row| row.wall_ms_per_megapixel).collect();
+                let times: Vec<f64> = self
+                    .document
+                    .rows
+                    .iter()
+                    .filter(|row| row.configuration == configuration.name)
+                    .map(|row| row.wall_ms_per_megapixel)
+                    .collect();
                 let Some(y) = geometric_mean(&times) else { continue };
                 let tip = format!("{}\n{x} pixels, {} ms per megapixel", configuration.name, milliseconds(y));
                 points.push((x, y, self.mark(configuration, (x, y), false, tip)));
@@ -340,13 +453,20 @@ impl<'a> Page<'a> {
         let mut content = String::new();
         for (plot, otherwise) in [
             (&pixels, "No sizes of which one has twice the pixels of another were measured: give several with --size."),
-            (&window, "No radii of which one has twice the window of another were measured: give several with --radii."),
+            (
+                &window,
+                "No radii of which one has twice the window of another were measured: give several with --radii.",
+            ),
         ] {
             if plot.marks.is_empty() {
                 content += &format!("<p>{otherwise}</p>\n");
             }
         }
-        content += &self.panels("<p>Where several sets have a size or a radius, their geometric mean.</p>", &[pixels, window], "");
+        content += &self.panels(
+            "<p>Where several sets have a size or a radius, their geometric mean.</p>",
+            &[pixels, window],
+            "",
+        );
         if !exponents.is_empty() {
             content += &format!(
                 "<h3>Fitted exponents</h3>\n<p>Time grows with this power; 1 is linear.</p>\n<table><thead><tr><th></th><th>with</th><th>exponent</th></tr></thead><tbody>{}</tbody></table>",
@@ -357,19 +477,42 @@ impl<'a> Page<'a> {
     }
 
     fn table(&self) -> String {
-        let head = ["", "wall ms", "ms per megapixel", "CPU ms", "device ms", "first ms", "memory", RELATIVE_MSE, "MSE", "SSIM", "FLIP", "predicted MSE"];
+        let head = [
+            "",
+            "wall ms",
+            "ms per megapixel",
+            "CPU ms",
+            "device ms",
+            "first ms",
+            "memory",
+            RELATIVE_MSE,
+            "MSE",
+            "SSIM",
+            "FLIP",
+            "predicted MSE",
+        ];
         let head: String = head.iter().map(|name| format!("<th>{name}</th>")).collect();
         let cell = |text: Option<String>| format!("<td>{}</td>", text.unwrap_or_else(|| "–".into()));
         let measures = |errors: Option<Errors>| {
             let get = |value: fn(&Errors) -> Option<f64>| errors.as_ref().and_then(value).map(number);
-            [cell(get(|errors| errors.relative_mse)), cell(get(|errors| errors.mse)), cell(get(|errors| errors.ssim)), cell(get(|errors| errors.flip))].concat()
+            [
+                cell(get(|errors| errors.relative_mse)),
+                cell(get(|errors| errors.mse)),
+                cell(get(|errors| errors.ssim)),
+                cell(get(|errors| errors.flip)),
+            ]
+            .concat()
         };
         let mut body = String::new();
         for set in &self.document.sets {
             let file = escape(&format!("{}, {}×{}", stein::text::path(&set.file), set.width, set.height));
-            body += &format!("<tr class=\"set\"><th colspan=\"12\">{} <small>{file}</small></th></tr>\n", escape(&set.name));
+            body += &format!(
+                "<tr class=\"set\"><th colspan=\"12\">{} <small>{file}</small></th></tr>\n",
+                escape(&set.name)
+            );
             if set.noisy.is_some() {
-                body += &format!("<tr><td>noisy</td>{}{}{}</tr>\n", cell(None).repeat(6), measures(set.noisy), cell(None));
+                body +=
+                    &format!("<tr><td>noisy</td>{}{}{}</tr>\n", cell(None).repeat(6), measures(set.noisy), cell(None));
             }
             for row in self.document.rows_of(set) {
                 let class = if row.on_front == Some(true) { " class=\"front\"" } else { "" };
@@ -399,7 +542,11 @@ impl<'a> Page<'a> {
 fn means(mut rows: Vec<(u64, f64)>) -> Vec<(f64, f64)> {
     rows.sort_by_key(|(pixels, _)| *pixels);
     let groups = rows.chunk_by(|a, b| a.0 == b.0);
-    groups.filter_map(|group| Some((group[0].0 as f64, geometric_mean(&group.iter().map(|(_, ms)| *ms).collect::<Vec<_>>())?))).collect()
+    groups
+        .filter_map(|group| {
+            Some((group[0].0 as f64, geometric_mean(&group.iter().map(|(_, ms)| *ms).collect::<Vec<_>>())?))
+        })
+        .collect()
 }
 
 fn tip(row: &Row) -> String {
@@ -421,7 +568,11 @@ fn pictures(sets: &[(&str, Vec<Thumbnail>)]) -> String {
         )
     };
     let set = |(name, thumbnails): &(&str, Vec<Thumbnail>)| {
-        format!("<h3>{}</h3>\n<div class=\"pictures\">\n{}</div>\n", escape(name), thumbnails.iter().map(figure).collect::<String>())
+        format!(
+            "<h3>{}</h3>\n<div class=\"pictures\">\n{}</div>\n",
+            escape(name),
+            thumbnails.iter().map(figure).collect::<String>()
+        )
     };
     let text = "<p>The input, the results with the least relative MSE, best first, and the reference; clamped to [0, 1] and shown with the curve of sRGB. Large pictures are made \
                 smaller, and of many sets some may be left out to keep the page small.</p>\n";

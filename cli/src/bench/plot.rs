@@ -1,5 +1,6 @@
-//! Plots as SVG: written here, and not with a plotting library, because tooltips, colours that follow the reader's light or dark theme, and open marks at the edge for what a
-//! logarithmic axis cannot hold are most of what the page needs. Colours are classes of the page's style sheet: `s0`, `s1` … fill and stroke.
+//! Plots as SVG: written here, and not with a plotting library, because tooltips, colours that follow the reader's
+//! light or dark theme, and open marks at the edge for what a logarithmic axis cannot hold are most of what the page
+//! needs. Colours are classes of the page's style sheet: `s0`, `s1` … fill and stroke.
 
 /// Colours there are, after which they repeat.
 pub(super) const COLORS: usize = 10;
@@ -67,7 +68,8 @@ impl Axis {
     /// Around positive values, with some space at both ends; over a factor of 2 at the least.
     fn around(values: impl Iterator<Item = f64>, ends: (f64, f64)) -> Option<Self> {
         let positive = values.filter(|value| *value > 0.0 && value.is_finite());
-        let (least, most) = positive.fold((f64::INFINITY, 0.0_f64), |(least, most), value| (least.min(value), most.max(value)));
+        let (least, most) =
+            positive.fold((f64::INFINITY, 0.0_f64), |(least, most), value| (least.min(value), most.max(value)));
         if least > most {
             return None;
         }
@@ -85,12 +87,20 @@ impl Axis {
     fn ticks(&self) -> Vec<f64> {
         let decades = self.least.log10().floor() as i32..=self.most.log10().ceil() as i32;
         let with = |mantissas: &[f64]| -> Vec<f64> {
-            let all = decades.clone().flat_map(|decade| mantissas.iter().map(move |mantissa| mantissa * 10.0_f64.powi(decade)));
+            let all = decades
+                .clone()
+                .flat_map(|decade| mantissas.iter().map(move |mantissa| mantissa * 10.0_f64.powi(decade)));
             all.filter(|tick| (self.least..=self.most).contains(tick)).collect()
         };
-        let choices: [&[f64]; 4] = [&[1.0], &[1.0, 3.0], &[1.0, 2.0, 5.0], &[1.0, 1.25, 1.5, 1.75, 2.0, 2.5, 3.0, 3.5, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0]];
+        let choices: [&[f64]; 4] = [
+            &[1.0],
+            &[1.0, 3.0],
+            &[1.0, 2.0, 5.0],
+            &[1.0, 1.25, 1.5, 1.75, 2.0, 2.5, 3.0, 3.5, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0],
+        ];
         let found = choices.into_iter().map(with).find(|ticks| ticks.len() >= 3);
-        let mut ticks = found.unwrap_or_else(|| with(&[1.0, 1.25, 1.5, 1.75, 2.0, 2.5, 3.0, 3.5, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0]));
+        let mut ticks =
+            found.unwrap_or_else(|| with(&[1.0, 1.25, 1.5, 1.75, 2.0, 2.5, 3.0, 3.5, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0]));
         while ticks.len() > 8 {
             let mut index = 0..;
             ticks.retain(|_| index.next().is_some_and(|index| index % 2 == 0));
@@ -103,7 +113,12 @@ impl Plot {
     /// Nothing where nothing can be drawn.
     pub(super) fn svg(&self) -> Option<String> {
         let points = || self.lines.iter().flat_map(|line| &line.points);
-        let xs = || points().map(|(x, _)| *x).chain(self.marks.iter().map(|mark| mark.x)).chain(self.x_ticks.iter().flatten().copied());
+        let xs = || {
+            points()
+                .map(|(x, _)| *x)
+                .chain(self.marks.iter().map(|mark| mark.x))
+                .chain(self.x_ticks.iter().flatten().copied())
+        };
         let ys = || points().map(|(_, y)| *y).chain(self.marks.iter().map(|mark| mark.y));
         let (across, up) = ((FIELD.left, FIELD.right), (FIELD.bottom, FIELD.top));
         let (x_axis, y_axis) = if self.has_diagonal {
@@ -122,7 +137,10 @@ impl Plot {
         );
         svg += &self.grid(&x_axis, &y_axis);
         if self.has_diagonal {
-            svg += &format!("<line class=\"diagonal\" x1=\"{}\" y1=\"{}\" x2=\"{}\" y2=\"{}\"/>\n", FIELD.left, FIELD.bottom, FIELD.right, FIELD.top);
+            svg += &format!(
+                "<line class=\"diagonal\" x1=\"{}\" y1=\"{}\" x2=\"{}\" y2=\"{}\"/>\n",
+                FIELD.left, FIELD.bottom, FIELD.right, FIELD.top
+            );
         }
         for line in &self.lines {
             svg += &line.svg(&x_axis, &y_axis);
@@ -139,17 +157,37 @@ impl Plot {
         for tick in self.x_ticks.clone().unwrap_or_else(|| x_axis.ticks()) {
             let x = x_axis.place(tick);
             svg += &format!("<line class=\"grid\" x1=\"{x:.1}\" y1=\"{top}\" x2=\"{x:.1}\" y2=\"{bottom}\"/>");
-            svg += &format!("<text class=\"tick\" text-anchor=\"middle\" x=\"{x:.1}\" y=\"{}\">{}</text>\n", bottom + 16.0, label(tick));
+            svg += &format!(
+                "<text class=\"tick\" text-anchor=\"middle\" x=\"{x:.1}\" y=\"{}\">{}</text>\n",
+                bottom + 16.0,
+                label(tick)
+            );
         }
         for tick in y_axis.ticks() {
             let y = y_axis.place(tick);
             svg += &format!("<line class=\"grid\" x1=\"{left}\" y1=\"{y:.1}\" x2=\"{right}\" y2=\"{y:.1}\"/>");
-            svg += &format!("<text class=\"tick\" text-anchor=\"end\" x=\"{}\" y=\"{:.1}\">{}</text>\n", left - 6.0, y + 4.0, label(tick));
+            svg += &format!(
+                "<text class=\"tick\" text-anchor=\"end\" x=\"{}\" y=\"{:.1}\">{}</text>\n",
+                left - 6.0,
+                y + 4.0,
+                label(tick)
+            );
         }
-        svg += &format!("<rect class=\"field\" x=\"{left}\" y=\"{top}\" width=\"{}\" height=\"{}\"/>\n", right - left, bottom - top);
+        svg += &format!(
+            "<rect class=\"field\" x=\"{left}\" y=\"{top}\" width=\"{}\" height=\"{}\"/>\n",
+            right - left,
+            bottom - top
+        );
         let (x_middle, y_middle) = ((left + right) / 2.0, (top + bottom) / 2.0);
-        svg += &format!("<text class=\"axis\" text-anchor=\"middle\" x=\"{x_middle}\" y=\"{}\">{}</text>\n", bottom + 38.0, escape(&self.x_title));
-        svg + &format!("<text class=\"axis\" text-anchor=\"middle\" transform=\"translate(14 {y_middle}) rotate(-90)\">{}</text>\n", escape(&self.y_title))
+        svg += &format!(
+            "<text class=\"axis\" text-anchor=\"middle\" x=\"{x_middle}\" y=\"{}\">{}</text>\n",
+            bottom + 38.0,
+            escape(&self.x_title)
+        );
+        svg + &format!(
+            "<text class=\"axis\" text-anchor=\"middle\" transform=\"translate(14 {y_middle}) rotate(-90)\">{}</text>\n",
+            escape(&self.y_title)
+        )
     }
 }
 
@@ -173,21 +211,34 @@ impl Mark {
         let is_off = self.x <= 0.0 || self.y <= 0.0;
         let x = if self.x > 0.0 { x_axis.place(self.x) } else { FIELD.left };
         let y = if self.y > 0.0 { y_axis.place(self.y) } else { FIELD.bottom };
-        let ring = if self.is_ringed { format!("<circle class=\"ring\" cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"9\"/>") } else { String::new() };
+        let ring = if self.is_ringed {
+            format!("<circle class=\"ring\" cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"9\"/>")
+        } else {
+            String::new()
+        };
         let class = if is_off { "open" } else { "mark" };
-        format!("<g class=\"{class} s{}\">{ring}{}<title>{}</title></g>\n", self.color % COLORS, shape(self.shape, x, y), escape(&self.tip))
+        format!(
+            "<g class=\"{class} s{}\">{ring}{}<title>{}</title></g>\n",
+            self.color % COLORS,
+            shape(self.shape, x, y),
+            escape(&self.tip)
+        )
     }
 }
 
 /// A mark of the legend.
 pub(super) fn key(color: Option<usize>, shape_index: usize) -> String {
     let class = color.map_or_else(|| "plain".to_owned(), |color| format!("s{}", color % COLORS));
-    format!("<svg class=\"key\" viewBox=\"0 0 14 14\"><g class=\"mark {class}\">{}</g></svg>", shape(shape_index, 7.0, 7.0))
+    format!(
+        "<svg class=\"key\" viewBox=\"0 0 14 14\"><g class=\"mark {class}\">{}</g></svg>",
+        shape(shape_index, 7.0, 7.0)
+    )
 }
 
 fn shape(index: usize, x: f64, y: f64) -> String {
     let polygon = |corners: &[(f64, f64)]| {
-        let corners = corners.iter().map(|(dx, dy)| format!("{:.1},{:.1}", x + dx, y + dy)).collect::<Vec<_>>().join(" ");
+        let corners =
+            corners.iter().map(|(dx, dy)| format!("{:.1},{:.1}", x + dx, y + dy)).collect::<Vec<_>>().join(" ");
         format!("<polygon points=\"{corners}\"/>")
     };
     match index % SHAPES {
@@ -262,12 +313,21 @@ impl Bars {
         for tick in linear_ticks(most) {
             let x = place(tick);
             svg += &format!("<line class=\"grid\" x1=\"{x:.1}\" y1=\"{TOP}\" x2=\"{x:.1}\" y2=\"{bottom}\"/>");
-            svg += &format!("<text class=\"tick\" text-anchor=\"middle\" x=\"{x:.1}\" y=\"{}\">{}</text>\n", bottom + 16.0, label(tick));
+            svg += &format!(
+                "<text class=\"tick\" text-anchor=\"middle\" x=\"{x:.1}\" y=\"{}\">{}</text>\n",
+                bottom + 16.0,
+                label(tick)
+            );
         }
         let mut y = TOP;
         for bar in &self.bars {
             y += if bar.begins_group { GAP } else { 0.0 };
-            svg += &format!("<text class=\"name\" text-anchor=\"end\" x=\"{:.1}\" y=\"{:.1}\">{}</text>\n", left - 8.0, y + 15.0, escape(&bar.name));
+            svg += &format!(
+                "<text class=\"name\" text-anchor=\"end\" x=\"{:.1}\" y=\"{:.1}\">{}</text>\n",
+                left - 8.0,
+                y + 15.0,
+                escape(&bar.name)
+            );
             let mut from = 0.0;
             for part in &bar.parts {
                 let class = part.color.map_or_else(|| "plain".to_owned(), |color| format!("s{}", color % COLORS));
@@ -280,7 +340,12 @@ impl Bars {
                 );
                 from += part.value;
             }
-            svg += &format!("<text class=\"tick\" x=\"{:.1}\" y=\"{:.1}\">{}</text>\n", place(from) + 6.0, y + 15.0, label(from));
+            svg += &format!(
+                "<text class=\"tick\" x=\"{:.1}\" y=\"{:.1}\">{}</text>\n",
+                place(from) + 6.0,
+                y + 15.0,
+                label(from)
+            );
             y += ROW;
         }
         svg += &format!("<line class=\"base\" x1=\"{left:.1}\" y1=\"{TOP}\" x2=\"{left:.1}\" y2=\"{bottom}\"/>");
@@ -298,7 +363,8 @@ impl Bars {
 fn linear_ticks(most: f64) -> Vec<f64> {
     let rough = most / 6.0;
     let power = 10.0_f64.powf(rough.log10().floor());
-    let step = [1.0, 2.0, 5.0, 10.0].into_iter().map(|factor| factor * power).find(|step| *step >= rough).unwrap_or(rough);
+    let step =
+        [1.0, 2.0, 5.0, 10.0].into_iter().map(|factor| factor * power).find(|step| *step >= rough).unwrap_or(rough);
     (0..).map(|index| f64::from(index) * step).take_while(|tick| *tick <= most * 1.0001).collect()
 }
 
@@ -317,7 +383,11 @@ pub(super) fn label(value: f64) -> String {
         let text = format!("{rounded:.*}", usize::try_from(2 - power).unwrap_or(0));
         let text = if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.') } else { &text };
         // Groups of three, from five digits on.
-        return if power < 4 { text.to_owned() } else { format!("{}\u{2009}{}", &text[..text.len() - 3], &text[text.len() - 3..]) };
+        return if power < 4 {
+            text.to_owned()
+        } else {
+            format!("{}\u{2009}{}", &text[..text.len() - 3], &text[text.len() - 3..])
+        };
     }
     let mantissa = format!("{:.2}", digits as f64 / 100.0);
     let mantissa = mantissa.trim_end_matches('0').trim_end_matches('.');
@@ -382,12 +452,18 @@ mod tests {
     #[test]
     fn marks_at_zero_and_below_stand_open_at_the_edge() {
         let mark = |x, y| Mark { x, y, color: 1, shape: 0, is_ringed: true, tip: "a < b".into() };
-        let plot = Plot { title: "t".into(), marks: vec![mark(2.0, 1.0), mark(2.0, -3.0), mark(0.0, 1.0)], ..Plot::default() };
+        let plot =
+            Plot { title: "t".into(), marks: vec![mark(2.0, 1.0), mark(2.0, -3.0), mark(0.0, 1.0)], ..Plot::default() };
         let svg = plot.svg().unwrap_or_default();
         assert!(svg.contains("class=\"open s1\"") && svg.contains("class=\"mark s1\""), "{svg}");
         let at = |x, y| format!("cx=\"{x:.1}\" cy=\"{y:.1}\"");
         let middle = ((FIELD.left + FIELD.right) / 2.0, (FIELD.top + FIELD.bottom) / 2.0);
-        assert!(svg.contains("a &lt; b") && svg.contains(&at(middle.0, FIELD.bottom)) && svg.contains(&at(FIELD.left, middle.1)), "{svg}");
+        assert!(
+            svg.contains("a &lt; b")
+                && svg.contains(&at(middle.0, FIELD.bottom))
+                && svg.contains(&at(FIELD.left, middle.1)),
+            "{svg}"
+        );
         assert_eq!(Plot::default().svg(), None);
     }
 }

@@ -54,7 +54,13 @@ pub(crate) struct Adapter {
 impl From<&AdapterSummary> for Adapter {
     fn from(summary: &AdapterSummary) -> Self {
         let AdapterSummary { name, backend, kind, driver, timestamps, .. } = summary;
-        Self { name: name.clone(), backend: backend.clone(), kind: kind.to_string(), driver: driver.clone(), timestamps: *timestamps }
+        Self {
+            name: name.clone(),
+            backend: backend.clone(),
+            kind: kind.to_string(),
+            driver: driver.clone(),
+            timestamps: *timestamps,
+        }
     }
 }
 
@@ -157,7 +163,8 @@ pub(super) struct Row {
     /// From the frame in memory to the result in memory; of another program from its start to its end.
     pub(super) wall_ms: f64,
     pub(super) wall_ms_per_megapixel: f64,
-    /// Of all cores together, in the same runs. On a software adapter it is the measure that other work on the machine disturbs least; of another program it is not known.
+    /// Of all cores together, in the same runs. On a software adapter it is the measure that other work on the machine
+    /// disturbs least; of another program it is not known.
     pub(super) cpu_ms: Option<f64>,
     /// Sum of the stages, where the adapter can time them.
     pub(super) device_ms: Option<f64>,

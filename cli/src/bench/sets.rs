@@ -20,8 +20,8 @@ pub(super) struct SetFile {
     pub(super) was_found: bool,
 }
 
-/// The sets that files and folders stand for, in their order; those of a folder in the order of their names. `references` belong to the inputs, one each, or there are none,
-/// and each is looked for.
+/// The sets that files and folders stand for, in their order; those of a folder in the order of their names.
+/// `references` belong to the inputs, one each, or there are none, and each is looked for.
 pub(super) fn find(inputs: &[PathBuf], references: &[LayerRef]) -> Result<Vec<SetFile>, Failure> {
     if !references.is_empty() && references.len() != inputs.len() {
         let (references, inputs) = (references.len(), inputs.len());
@@ -49,7 +49,9 @@ pub(super) fn find(inputs: &[PathBuf], references: &[LayerRef]) -> Result<Vec<Se
         files.sort_by(|a, b| by_name(&a.to_string_lossy(), &b.to_string_lossy()));
         if files.is_empty() {
             let folder = text::path(input);
-            return Err(Failure::input(format_args!("{folder}: holds no OpenEXR file but references\n  remedy: name a folder with renders")));
+            return Err(Failure::input(format_args!(
+                "{folder}: holds no OpenEXR file but references\n  remedy: name a folder with renders"
+            )));
         }
         sets.extend(files.iter().map(|file| SetFile::new(file, find_reference(file), true)));
     }
@@ -62,7 +64,8 @@ pub(super) fn find(inputs: &[PathBuf], references: &[LayerRef]) -> Result<Vec<Se
 
 impl SetFile {
     fn new(file: &Path, reference: Option<LayerRef>, was_found: bool) -> Self {
-        let scene = reference.as_ref().map_or_else(|| scene_of_file(file), |reference| scene_of_reference(&reference.file));
+        let scene =
+            reference.as_ref().map_or_else(|| scene_of_file(file), |reference| scene_of_reference(&reference.file));
         Self { file: file.to_owned(), reference, scene, was_found }
     }
 }
@@ -70,13 +73,18 @@ impl SetFile {
 /// Before anything is measured.
 fn readable(file: &Path) -> Result<(), Failure> {
     // A pipe would be waited for. What else is no file is told when it is read.
-    let opened = file.metadata().and_then(|kind| if kind.is_file() { std::fs::File::open(file).map(drop) } else { Ok(()) });
-    opened.map_err(|error| Failure::input(format_args!("{}: cannot be read: {error}\n  remedy: check the path", text::path(file))))
+    let opened =
+        file.metadata().and_then(|kind| if kind.is_file() { std::fs::File::open(file).map(drop) } else { Ok(()) });
+    opened.map_err(|error| {
+        Failure::input(format_args!("{}: cannot be read: {error}\n  remedy: check the path", text::path(file)))
+    })
 }
 
 /// All OpenEXR files below a folder but hidden ones.
 fn collect(folder: &Path, files: &mut Vec<PathBuf>) -> Result<(), Failure> {
-    let failed = |error: std::io::Error| Failure::input(format_args!("{}: {error}\n  remedy: check that the folder may be read", text::path(folder)));
+    let failed = |error: std::io::Error| {
+        Failure::input(format_args!("{}: {error}\n  remedy: check that the folder may be read", text::path(folder)))
+    };
     for entry in std::fs::read_dir(folder).map_err(failed)? {
         let entry = entry.map_err(failed)?;
         let path = entry.path();
@@ -112,14 +120,20 @@ fn without_samples(stem: &str) -> Option<&str> {
 
 fn is_reference(file: &Path) -> bool {
     let stem = stem(file);
-    stem == "reference" || stem.ends_with("_reference") || (stem.starts_with("reference.") && frame_number(&stem).is_some())
+    stem == "reference"
+        || stem.ends_with("_reference")
+        || (stem.starts_with("reference.") && frame_number(&stem).is_some())
 }
 
-/// Beside `NAME_<n>spp.exr` or `NAME.exr` the file `NAME_reference.exr`, beside `shot.0007.exr` the file `reference.0007.exr`, and `reference.exr` in its folder or the one above.
+/// Beside `NAME_<n>spp.exr` or `NAME.exr` the file `NAME_reference.exr`, beside `shot.0007.exr` the file
+/// `reference.0007.exr`, and `reference.exr` in its folder or the one above.
 fn find_reference(file: &Path) -> Option<LayerRef> {
     let stem = stem(file);
     let beside = |name: String| file.with_file_name(name);
-    let names = [without_samples(&stem), Some(stem.as_str())].into_iter().flatten().map(|name| beside(format!("{name}_reference.exr")));
+    let names = [without_samples(&stem), Some(stem.as_str())]
+        .into_iter()
+        .flatten()
+        .map(|name| beside(format!("{name}_reference.exr")));
     let of_frame = frame_number(&stem).map(|number| beside(format!("reference.{number}.exr")));
     let folder = beside(String::new());
     let above = if folder.as_os_str().is_empty() { PathBuf::from("..") } else { folder.join("..") };
@@ -142,7 +156,9 @@ fn scene_of_reference(file: &Path) -> String {
     }
     match (stem.strip_suffix("_reference"), frame_number(&stem)) {
         (Some(name), _) if !name.is_empty() => name.to_owned(),
-        (_, Some(number)) if is_reference(file) => folder_name(file).map_or_else(|| stem.clone(), |folder| format!("{folder}.{number}")),
+        (_, Some(number)) if is_reference(file) => {
+            folder_name(file).map_or_else(|| stem.clone(), |folder| format!("{folder}.{number}"))
+        }
         _ => stem,
     }
 }
@@ -213,9 +229,17 @@ mod tests {
 
     /// File, reference, scene, relative to the folder.
     fn found(folder: &tempfile::TempDir) -> Vec<[String; 3]> {
-        let relative = |path: &Path| path.canonicalize().unwrap().strip_prefix(folder.path().canonicalize().unwrap()).unwrap().display().to_string();
+        let relative = |path: &Path| {
+            path.canonicalize()
+                .unwrap()
+                .strip_prefix(folder.path().canonicalize().unwrap())
+                .unwrap()
+                .display()
+                .to_string()
+        };
         let sets = find(&[folder.path().to_owned()], &[]).unwrap();
-        let reference = |set: &SetFile| set.reference.as_ref().map_or_else(String::new, |reference| relative(&reference.file));
+        let reference =
+            |set: &SetFile| set.reference.as_ref().map_or_else(String::new, |reference| relative(&reference.file));
         sets.iter().map(|set| [relative(&set.file), reference(set), set.scene.clone()]).collect()
     }
 

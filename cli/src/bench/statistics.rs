@@ -10,22 +10,28 @@ pub(super) fn median(mut values: Vec<f64>) -> f64 {
     }
 }
 
-/// The Pareto front of (cost, error): which points no other point beats, that is one at least as good in both and better in one.
+/// The Pareto front of (cost, error): which points no other point beats, that is one at least as good in both and
+/// better in one.
 pub(super) fn front(points: &[(f64, f64)]) -> Vec<bool> {
     let beats = |a: &(f64, f64), b: &(f64, f64)| a.0 <= b.0 && a.1 <= b.1 && (a.0 < b.0 || a.1 < b.1);
     points.iter().map(|point| !points.iter().any(|other| beats(other, point))).collect()
 }
 
-/// The exponent e of y = c·xᵉ that fits best: least squares of the logarithms. `None` where x does not differ by a factor of 2 at least, so that noise would decide.
+/// The exponent e of y = c·xᵉ that fits best: least squares of the logarithms. `None` where x does not differ by a
+/// factor of 2 at least, so that noise would decide.
 pub(super) fn exponent(points: &[(f64, f64)]) -> Option<f64> {
     let logs: Vec<_> = points.iter().filter(|(x, y)| *x > 0.0 && *y > 0.0).map(|(x, y)| (x.ln(), y.ln())).collect();
-    let (least, most) = logs.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(least, most), (x, _)| (least.min(*x), most.max(*x)));
+    let (least, most) =
+        logs.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(least, most), (x, _)| (least.min(*x), most.max(*x)));
     if most - least < 2.0_f64.ln() || logs.is_empty() {
         return None;
     }
     let count = logs.len() as f64;
-    let (mean_x, mean_y) = (logs.iter().map(|(x, _)| x).sum::<f64>() / count, logs.iter().map(|(_, y)| y).sum::<f64>() / count);
-    let (cross, square) = logs.iter().fold((0.0, 0.0), |(cross, square), (x, y)| (cross + (x - mean_x) * (y - mean_y), square + (x - mean_x).powi(2)));
+    let (mean_x, mean_y) =
+        (logs.iter().map(|(x, _)| x).sum::<f64>() / count, logs.iter().map(|(_, y)| y).sum::<f64>() / count);
+    let (cross, square) = logs.iter().fold((0.0, 0.0), |(cross, square), (x, y)| {
+        (cross + (x - mean_x) * (y - mean_y), square + (x - mean_x).powi(2))
+    });
     Some(cross / square)
 }
 

@@ -7,14 +7,24 @@ use super::results::{Row, Set, stage_names};
 
 /// A row for each configuration; with `verbose` more measures, and below them the stages.
 pub(super) fn text(set: &Set, rows: &[&Row], verbose: bool) -> String {
-    let noisy = set.noisy.and_then(|errors| errors.relative_mse).map_or_else(String::new, |error| format!(", noisy relative MSE {}", number(error)));
-    let mut lines = vec![format!("{}: {}, {}×{}{noisy}", text::name(&set.name), text::path(&set.file), set.width, set.height)];
+    let noisy = set
+        .noisy
+        .and_then(|errors| errors.relative_mse)
+        .map_or_else(String::new, |error| format!(", noisy relative MSE {}", number(error)));
+    let mut lines =
+        vec![format!("{}: {}, {}×{}{noisy}", text::name(&set.name), text::path(&set.file), set.width, set.height)];
     if set.reference.is_none() {
-        lines.push("  no reference, so that there are no errors; see `stein bench --help` for where one is looked for".into());
+        lines.push(
+            "  no reference, so that there are no errors; see `stein bench --help` for where one is looked for".into(),
+        );
     }
     lines.push(table(&summary(set, rows, verbose), 1));
     if verbose {
-        lines.push(if rows.iter().any(|row| !row.stages.is_empty()) { table(&stages(rows), 1) } else { "  this adapter cannot time stages".into() });
+        lines.push(if rows.iter().any(|row| !row.stages.is_empty()) {
+            table(&stages(rows), 1)
+        } else {
+            "  this adapter cannot time stages".into()
+        });
     }
     lines.join("\n")
 }
@@ -56,9 +66,15 @@ fn summary(set: &Set, rows: &[&Row], verbose: bool) -> Vec<Vec<String>> {
 /// A row for each stage, a column for each configuration.
 fn stages(rows: &[&Row]) -> Vec<Vec<String>> {
     let timed: Vec<&Row> = rows.iter().copied().filter(|row| !row.stages.is_empty()).collect();
-    let head = std::iter::once("stage, ms".to_owned()).chain(timed.iter().map(|row| row.configuration.clone())).collect();
+    let head =
+        std::iter::once("stage, ms".to_owned()).chain(timed.iter().map(|row| row.configuration.clone())).collect();
     let line = |name: &str| {
-        let of = |row: &&Row| row.stages.iter().find(|stage| stage.stage == name).map_or_else(|| "-".to_owned(), |stage| milliseconds(stage.ms));
+        let of = |row: &&Row| {
+            row.stages
+                .iter()
+                .find(|stage| stage.stage == name)
+                .map_or_else(|| "-".to_owned(), |stage| milliseconds(stage.ms))
+        };
         std::iter::once(name.to_owned()).chain(timed.iter().map(of)).collect()
     };
     std::iter::once(head).chain(stage_names(timed.iter().copied()).into_iter().map(line)).collect()

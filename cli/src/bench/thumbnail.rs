@@ -56,7 +56,9 @@ struct Shown {
 impl Gallery {
     /// Adds what a set was, what became of it, and what it should be.
     pub(super) fn add(&mut self, case: &Case<'_>, outcomes: &[Outcome]) -> Result<(), Failure> {
-        let picture = |caption: String, image: &Image| Ok::<_, Failure>(Picture { caption, shown: Shown::of(image)?.within(LARGEST_SIDE) });
+        let picture = |caption: String, image: &Image| {
+            Ok::<_, Failure>(Picture { caption, shown: Shown::of(image)?.within(LARGEST_SIDE) })
+        };
         let mut best: Vec<&Outcome> = outcomes.iter().collect();
         best.sort_by(|a, b| {
             let error = |outcome: &Outcome| outcome.row.relative_mse().unwrap_or(f64::INFINITY);
@@ -73,12 +75,14 @@ impl Gallery {
         Ok(())
     }
 
-    /// The name of each set with its pictures, all of one size that lets the page stay small; sets that do not fit even so have none.
+    /// The name of each set with its pictures, all of one size that lets the page stay small; sets that do not fit even
+    /// so have none.
     pub(super) fn thumbnails(&self) -> Result<Vec<(&str, Vec<Thumbnail>)>, Failure> {
         let mut made = Vec::new();
         for side in SIDES {
             made = self.of_side(side)?;
-            let bytes: usize = made.iter().flat_map(|(_, thumbnails)| thumbnails).map(|thumbnail| thumbnail.source.len()).sum();
+            let bytes: usize =
+                made.iter().flat_map(|(_, thumbnails)| thumbnails).map(|thumbnail| thumbnail.source.len()).sum();
             if bytes <= BUDGET {
                 return Ok(made);
             }
@@ -98,7 +102,10 @@ impl Gallery {
             let shown = picture.shown.within(side);
             Ok(Thumbnail { caption: picture.caption.clone(), source: shown.png()?, extent: shown.extent })
         };
-        self.sets.iter().map(|set| Ok((set.set.as_str(), set.pictures.iter().map(thumbnail).collect::<Result<_, Failure>>()?))).collect()
+        self.sets
+            .iter()
+            .map(|set| Ok((set.set.as_str(), set.pictures.iter().map(thumbnail).collect::<Result<_, Failure>>()?)))
+            .collect()
     }
 }
 
@@ -107,7 +114,8 @@ impl Shown {
         Ok(Self { extent: image.extent, bytes: metric::display_bytes(image)? })
     }
 
-    /// Made smaller where it is larger, by averaging what a pixel covers as it is shown: so noise looks like noise seen from afar, and one bright pixel stays a bright pixel.
+    /// Made smaller where it is larger, by averaging what a pixel covers as it is shown: so noise looks like noise seen
+    /// from afar, and one bright pixel stays a bright pixel.
     fn within(&self, side: u32) -> Self {
         let Extent { width, height } = self.extent;
         let longest = width.max(height);
@@ -128,7 +136,9 @@ impl Shown {
                 let count = (rows.len() * columns.len()) as u32;
                 let mut sums = [0u32; 3];
                 for row in rows {
-                    for pixel in self.bytes[(row * width as usize + columns.start) * 3..][..columns.len() * 3].chunks_exact(3) {
+                    for pixel in
+                        self.bytes[(row * width as usize + columns.start) * 3..][..columns.len() * 3].chunks_exact(3)
+                    {
                         sums.iter_mut().zip(pixel).for_each(|(sum, byte)| *sum += u32::from(*byte));
                     }
                 }
@@ -158,7 +168,8 @@ mod tests {
 
     #[test]
     fn a_large_picture_is_averaged_and_a_small_one_stays() {
-        let shown = Shown { extent: Extent { width: 4, height: 2 }, bytes: (0..8).flat_map(|i| [i * 10, 0, 255]).collect() };
+        let shown =
+            Shown { extent: Extent { width: 4, height: 2 }, bytes: (0..8).flat_map(|i| [i * 10, 0, 255]).collect() };
         assert_eq!(shown.within(4), shown);
         let half = shown.within(2);
         assert_eq!(half.extent, Extent { width: 2, height: 1 });

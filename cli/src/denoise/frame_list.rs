@@ -6,7 +6,8 @@ use std::str::FromStr;
 /// Far more than a shot has; a slip of the keyboard must not fill the memory.
 const MOST_FRAMES: usize = 1_000_000;
 
-/// Numbers of frames, each once and in ascending order, from a list such as `1-10,20-40x5,55`. A step may also follow a colon, as in Open Job Description.
+/// Numbers of frames, each once and in ascending order, from a list such as `1-10,20-40x5,55`. A step may also follow a
+/// colon, as in Open Job Description.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct FrameList(pub(super) BTreeSet<u32>);
 

@@ -34,7 +34,13 @@ impl Pattern {
                 return None;
             }
             let folder = named.parent().unwrap_or(Path::new("")).to_owned();
-            Some(Self { folder, before: name[..place.start].to_owned(), digits, after: name[place.end..].to_owned(), below })
+            Some(Self {
+                folder,
+                before: name[..place.start].to_owned(),
+                digits,
+                after: name[place.end..].to_owned(),
+                below,
+            })
         })
     }
 
@@ -110,7 +116,11 @@ mod tests {
             ("./a//shot.#.exr", 3, "./a//shot.3.exr"),
             ("/#/shot.exr", 3, "/3/shot.exr"),
         ] {
-            assert_eq!(Pattern::parse(Path::new(pattern)).map(|pattern| pattern.path(frame)), Some(PathBuf::from(path)), "{pattern}");
+            assert_eq!(
+                Pattern::parse(Path::new(pattern)).map(|pattern| pattern.path(frame)),
+                Some(PathBuf::from(path)),
+                "{pattern}"
+            );
         }
         for path in ["shot.0001.exr", "100%.exr", "%4d.exr", "%0d.exr", "%0", "%", "", "/", ".."] {
             assert_eq!(Pattern::parse(Path::new(path)), None, "{path}");

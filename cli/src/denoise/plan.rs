@@ -98,15 +98,28 @@ impl Plan {
         };
         if let Some(trouble) = trouble {
             let (input, remedy) = (text::path(input), "give a pattern such as 'shot.####.exr' as the input");
-            let literal = if args.output.as_deref().is_some_and(is_pattern) { ", or take the paths as they are with --literal" } else { "" };
-            return Err(Failure::usage(format_args!("{trouble}, {input}, is a single image\n  remedy: {remedy}{literal}")));
+            let literal = if args.output.as_deref().is_some_and(is_pattern) {
+                ", or take the paths as they are with --literal"
+            } else {
+                ""
+            };
+            return Err(Failure::usage(format_args!(
+                "{trouble}, {input}, is a single image\n  remedy: {remedy}{literal}"
+            )));
         }
         let output = output::choose(input, args.output.as_deref());
         let reference = args.reference.as_ref().map(|reference| source.reference(reference));
-        let read = Read { number: None, request: source.request(input), require_noise: source.require_noise, reference, is_denoised: true };
+        let read = Read {
+            number: None,
+            request: source.request(input),
+            require_noise: source.require_noise,
+            reference,
+            is_denoised: true,
+        };
         // The input the user may replace, and half A may be one layer of it.
         output::check(&output, read.files().filter(|file| *file != input), args.no_clobber, args.dry_run)?;
-        let frame = PlannedFrame { number: None, input: input.to_owned(), output, state: State::ToDo, window: 0..1, centre: 0 };
+        let frame =
+            PlannedFrame { number: None, input: input.to_owned(), output, state: State::ToDo, window: 0..1, centre: 0 };
         Ok(Self { reads: vec![read], frames: vec![frame], gaps: Vec::new(), is_shot: false })
     }
 
@@ -134,11 +147,17 @@ impl Plan {
             number: Some(frame),
             request: source.request(input).map_files(|file| at_frame(file, frame)),
             require_noise: source.require_noise,
-            reference: args.reference.as_ref().filter(|_| is_denoised).map(|reference| reference.map_file(|file| at_frame(file, frame))),
+            reference: args
+                .reference
+                .as_ref()
+                .filter(|_| is_denoised)
+                .map(|reference| reference.map_file(|file| at_frame(file, frame))),
             is_denoised,
         };
-        // A neighbour is a frame whose number is near, whatever the list says: so a frame is the same in whichever list it stands.
-        let neighbours = |frame: u32| frame.saturating_sub(args.temporal_radius)..=frame.saturating_add(args.temporal_radius);
+        // A neighbour is a frame whose number is near, whatever the list says: so a frame is the same in whichever list
+        // it stands.
+        let neighbours =
+            |frame: u32| frame.saturating_sub(args.temporal_radius)..=frame.saturating_add(args.temporal_radius);
         let mut planned = Vec::new();
         let mut reads = BTreeMap::new();
         let mut beside = BTreeSet::new();
@@ -174,12 +193,14 @@ impl Plan {
             .map(|(frame, input, output, state)| {
                 let (first, last) = neighbours(frame).into_inner();
                 let is_to_do = matches!(state, State::ToDo);
-                let window = if is_to_do { position(first)..numbers.partition_point(|&other| other <= last) } else { 0..0 };
+                let window =
+                    if is_to_do { position(first)..numbers.partition_point(|&other| other <= last) } else { 0..0 };
                 let centre = if is_to_do { position(frame) - window.start } else { 0 };
                 PlannedFrame { number: Some(frame), input, output, state, centre, window }
             })
             .collect();
-        let gaps = if args.frames.is_some() { Vec::new() } else { gaps(frames.iter().filter_map(|frame| frame.number)) };
+        let gaps =
+            if args.frames.is_some() { Vec::new() } else { gaps(frames.iter().filter_map(|frame| frame.number)) };
         let reads: Vec<Read> = reads.into_values().collect();
         check_outputs(&frames, &reads, args.dry_run)?;
         Ok(Self { reads, frames, gaps, is_shot: true })
@@ -223,7 +244,8 @@ fn greatest_common_divisor(a: u32, b: u32) -> u32 {
     if b == 0 { a } else { greatest_common_divisor(b, a % b) }
 }
 
-/// A shot replaces nothing that it reads: interrupted, or cut into pieces, it would go on with neighbours that are denoised already.
+/// A shot replaces nothing that it reads: interrupted, or cut into pieces, it would go on with neighbours that are
+/// denoised already.
 fn check_outputs(frames: &[PlannedFrame], reads: &[Read], dry_run: bool) -> Result<(), Failure> {
     let read = reads.iter().flat_map(Read::files).chain(frames.iter().map(|frame| frame.input.as_path()));
     let read: HashMap<PathBuf, &Path> = read.filter_map(|file| Some((file.canonicalize().ok()?, file))).collect();
@@ -246,9 +268,14 @@ mod tests {
 
     #[test]
     fn gaps_are_what_breaks_the_step() {
-        for (found, missing) in
-            [(&[][..], ""), (&[5], ""), (&[1, 2, 3, 5, 8], "4, 6-7"), (&[1, 3, 5, 11], "7-9"), (&[1, 100], ""), (&[0, 1, u32::MAX], "2-4294967294")]
-        {
+        for (found, missing) in [
+            (&[][..], ""),
+            (&[5], ""),
+            (&[1, 2, 3, 5, 8], "4, 6-7"),
+            (&[1, 3, 5, 11], "7-9"),
+            (&[1, 100], ""),
+            (&[0, 1, u32::MAX], "2-4294967294"),
+        ] {
             let told = text::list(gaps(found.iter().copied()).iter().map(Gap::to_string));
             assert_eq!(told, missing, "{found:?}");
         }

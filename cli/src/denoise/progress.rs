@@ -13,7 +13,8 @@ use crate::progress::{bar, is_watched};
 pub(super) enum ProgressKind {
     /// A bar on standard error where that is a terminal
     Bar,
-    /// Lines for Open Job Description on standard output, among the others: `openjd_progress: 42.0`, `openjd_status: …`, `openjd_fail: …`
+    /// Lines for Open Job Description on standard output, among the others: `openjd_progress: 42.0`,
+    /// `openjd_status: …`, `openjd_fail: …`
     Openjd,
 }
 
@@ -58,7 +59,9 @@ impl Progress {
     pub(super) fn begin(&self, frame: &PlannedFrame, out: &mut Out) {
         if let Told::OpenJd { .. } = self.told {
             match frame.number {
-                Some(number) => out.line(format_args!("openjd_status: frame {number}, {} of {}", self.denoised + 1, self.frames)),
+                Some(number) => {
+                    out.line(format_args!("openjd_status: frame {number}, {} of {}", self.denoised + 1, self.frames));
+                }
                 None => out.line(format_args!("openjd_status: {}", text::path(&frame.input))),
             }
         }

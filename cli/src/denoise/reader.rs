@@ -66,7 +66,8 @@ impl Frames {
     pub(super) fn move_to(&mut self, window: &Range<usize>) -> Result<&mut [Result<ReadFrame, Unusable>], Failure> {
         self.let_go_before(window.start);
         while self.first + self.held.len() < window.end {
-            let frame = self.incoming.recv().map_err(|_| Failure::other("a frame is missing after all have been read"))?;
+            let frame =
+                self.incoming.recv().map_err(|_| Failure::other("a frame is missing after all have been read"))?;
             self.held.push_back(frame);
         }
         Ok(&mut self.held.make_contiguous()[..window.len()])
@@ -83,7 +84,12 @@ fn load(read: &Read) -> Result<ReadFrame, Unusable> {
         Ok(frame) => frame,
         Err(error) => return Err(unusable(Some(described), Failure::in_file(&read.request.input, error))),
     };
-    let reference = match read.reference.as_ref().map(|reference| quality::read(reference, &frame, &read.request.input)).transpose() {
+    let reference = match read
+        .reference
+        .as_ref()
+        .map(|reference| quality::read(reference, &frame, &read.request.input))
+        .transpose()
+    {
         Ok(reference) => reference,
         Err(failure) => return Err(unusable(Some(described), failure)),
     };

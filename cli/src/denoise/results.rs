@@ -27,7 +27,13 @@ pub(super) struct Results<'a> {
 }
 
 impl<'a> Results<'a> {
-    pub(super) fn new(writer: Writer<'a>, progress: Progress, device: &'a AdapterSummary, verbose: bool, is_shot: bool) -> Self {
+    pub(super) fn new(
+        writer: Writer<'a>,
+        progress: Progress,
+        device: &'a AdapterSummary,
+        verbose: bool,
+        is_shot: bool,
+    ) -> Self {
         let (reports, left_out) = (Vec::new(), VecDeque::new());
         Self { progress, writer, reports, handed_over: 0, left_out, failure: None, device, verbose, is_shot }
     }
@@ -90,7 +96,11 @@ impl<'a> Results<'a> {
     }
 
     /// Waits for the writer. What it failed in came before what `ended` the work on the device.
-    pub(super) fn finish(mut self, ended: Result<(), Failure>, out: &mut Out) -> Result<(Vec<Reported>, Option<ShotErrors>), Failure> {
+    pub(super) fn finish(
+        mut self,
+        ended: Result<(), Failure>,
+        out: &mut Out,
+    ) -> Result<(Vec<Reported>, Option<ShotErrors>), Failure> {
         while let Some(done) = self.writer.rest() {
             self.add(done, out);
         }

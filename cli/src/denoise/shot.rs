@@ -65,14 +65,16 @@ pub(super) struct Reported {
 
 /// Every frame of the plan with its report, where it has one, or its problem.
 pub(super) fn frames(plan: &Plan, reports: Vec<Reported>, bad: &BadFrames) -> Vec<ShotFrame> {
-    let mut reports: BTreeMap<Option<u32>, Reported> = reports.into_iter().map(|reported| (reported.number, reported)).collect();
+    let mut reports: BTreeMap<Option<u32>, Reported> =
+        reports.into_iter().map(|reported| (reported.number, reported)).collect();
     let planned = |frame: &PlannedFrame| {
         let window = plan.reads[frame.window.clone()].iter().filter_map(|read| read.number).collect();
         Beside { window, left_out: Vec::new() }
     };
     let describe = |frame: &PlannedFrame| {
         let reported = reports.remove(&frame.number);
-        let (beside, report) = reported.map_or_else(|| (planned(frame), None), |reported| (reported.beside, Some(reported.report)));
+        let (beside, report) =
+            reported.map_or_else(|| (planned(frame), None), |reported| (reported.beside, Some(reported.report)));
         ShotFrame {
             frame: frame.number,
             input_file: frame.input.clone(),
@@ -137,7 +139,11 @@ impl BadFrames {
 
     /// How the run ends where something else ended it.
     pub(super) fn before(&self, end: Failure) -> Failure {
-        if self.is_empty() { end } else { end.and(&format!("  before that, frames could not be denoised:\n{}", self.lines())) }
+        if self.is_empty() {
+            end
+        } else {
+            end.and(&format!("  before that, frames could not be denoised:\n{}", self.lines()))
+        }
     }
 }
 
@@ -152,7 +158,10 @@ impl ShotReport {
             lines.push(format!("  {left_alone} of {} frames had an output and are as they were", self.frames.len()));
         }
         if !self.gaps.is_empty() {
-            lines.push(format!("  missing between the frames that were found: {}", text::list(self.gaps.iter().map(Gap::to_string))));
+            lines.push(format!(
+                "  missing between the frames that were found: {}",
+                text::list(self.gaps.iter().map(Gap::to_string))
+            ));
         }
         lines.extend(self.errors.as_ref().map(ShotErrors::text));
         (!lines.is_empty()).then(|| lines.join("\n"))
@@ -163,7 +172,8 @@ impl ShotFrame {
     /// What would be done.
     fn text(&self) -> String {
         let Self { frame, input_file, output_file, problem, .. } = self;
-        let others: Vec<_> = self.beside.window.iter().filter(|&&other| Some(other) != *frame).map(u32::to_string).collect();
+        let others: Vec<_> =
+            self.beside.window.iter().filter(|&&other| Some(other) != *frame).map(u32::to_string).collect();
         let what = match (self.is_left_alone, others.is_empty()) {
             _ if problem.is_some() => ": cannot be denoised".to_owned(),
             (true, _) => " exists and is left alone".to_owned(),
@@ -219,7 +229,9 @@ impl Comparison {
             *sum += errors.iter().filter(|errors| errors.image == name).map(|errors| errors.relative_mse).sum::<f64>();
         }
         // Frames that show different pixels cannot be subtracted.
-        let is_pair = |previous: &&Compared| previous.number + 1 == compared.number && previous.data_window == compared.data_window;
+        let is_pair = |previous: &&Compared| {
+            previous.number + 1 == compared.number && previous.data_window == compared.data_window
+        };
         if let Some(previous) = self.previous.as_ref().filter(is_pair) {
             self.pairs += 1;
             for (sum, (before, image)) in self.flickers.iter_mut().zip(previous.images.iter().zip(&compared.images)) {
@@ -244,8 +256,18 @@ impl Comparison {
 impl ShotErrors {
     pub(super) fn text(&self) -> String {
         let frames = |count: usize, what: &str| format!("{count} {what}{}", if count == 1 { "" } else { "s" });
-        let head = vec![frames(self.frames, "frame"), "mean relative MSE".into(), format!("flicker ({})", frames(self.pairs, "pair"))];
-        let row = |means: &Means| vec![means.image.to_owned(), number(means.mean_relative_mse), means.flicker.map_or_else(|| "-".to_owned(), number)];
+        let head = vec![
+            frames(self.frames, "frame"),
+            "mean relative MSE".into(),
+            format!("flicker ({})", frames(self.pairs, "pair")),
+        ];
+        let row = |means: &Means| {
+            vec![
+                means.image.to_owned(),
+                number(means.mean_relative_mse),
+                means.flicker.map_or_else(|| "-".to_owned(), number),
+            ]
+        };
         let rows: Vec<_> = std::iter::once(head).chain(self.images.iter().map(row)).collect();
         format!(
             "{}\n  (flicker: mean over consecutive frames of (error − error of the frame before)²/(mean reference² of both + {}))",
@@ -257,6 +279,11 @@ impl ShotErrors {
 
 /// A frame's errors in few words.
 pub(super) fn brief(errors: &[Errors]) -> String {
-    let of = |name: &str| errors.iter().find(|errors| errors.image == name).map_or_else(|| "-".to_owned(), |errors| number(errors.relative_mse));
+    let of = |name: &str| {
+        errors
+            .iter()
+            .find(|errors| errors.image == name)
+            .map_or_else(|| "-".to_owned(), |errors| number(errors.relative_mse))
+    };
     format!("relative MSE {} -> {}", of(IMAGES[0]), of(IMAGES[1]))
 }

@@ -1,4 +1,5 @@
-//! Frames on their way from the device to the files: written, and compared with their references, while the device works on the next one.
+//! Frames on their way from the device to the files: written, and compared with their references, while the device
+//! works on the next one.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -46,7 +47,8 @@ pub(super) struct Contents<'a> {
     pub(super) keep: &'a [Intermediate],
 }
 
-/// The thread that writes, one frame after the other in the order in which they come. After the first that cannot be written it writes no more.
+/// The thread that writes, one frame after the other in the order in which they come. After the first that cannot be
+/// written it writes no more.
 pub(super) struct Writer<'scope> {
     /// `None` once there is nothing more to come.
     to_write: Option<SyncSender<Denoised>>,
@@ -75,7 +77,8 @@ impl<'scope> Writer<'scope> {
         Self { to_write: Some(to_write), done, thread }
     }
 
-    /// Waits until the frame before is written. Whether the frame was taken: none is after a failure, which comes with [`Self::done`].
+    /// Waits until the frame before is written. Whether the frame was taken: none is after a failure, which comes with
+    /// [`Self::done`].
     pub(super) fn hand_over(&self, frame: Denoised) -> bool {
         self.to_write.as_ref().is_some_and(|to_write| to_write.send(frame).is_ok())
     }
@@ -100,16 +103,42 @@ impl<'scope> Writer<'scope> {
 impl Contents<'_> {
     /// Writes a frame and compares it with its reference.
     fn finish(self, denoised: Denoised, comparison: &mut Comparison) -> Result<Done, Failure> {
-        let Denoised { number, beside, output, original, described, introduction, frame, reference, mut estimate, run, plan } = denoised;
+        let Denoised {
+            number,
+            beside,
+            output,
+            original,
+            described,
+            introduction,
+            frame,
+            reference,
+            mut estimate,
+            run,
+            plan,
+        } = denoised;
         let data_window = original.data_window();
-        let left_out: Vec<_> = frame.features().iter().map(|feature| feature.name.clone()).filter(|name| !estimate.features.contains(name)).collect();
+        let left_out: Vec<_> = frame
+            .features()
+            .iter()
+            .map(|feature| feature.name.clone())
+            .filter(|name| !estimate.features.contains(name))
+            .collect();
         // Writing needs memory, and nothing but a comparison needs the frame any more.
         let frame = reference.is_some().then_some(frame);
         estimate.selection = None;
-        let mut written = write_estimate(&estimate, *original, &output, self.keep, self.method).map_err(Failure::output)?;
+        let mut written =
+            write_estimate(&estimate, *original, &output, self.keep, self.method).map_err(Failure::output)?;
         let missing = self.keep.iter().filter(|one| !estimate.layers.iter().any(|layer| layer.intermediate == **one));
-        written.notes.extend(missing.map(|one| format!("--keep {}: there is nothing of the kind without halves or features", one.name())));
-        let not_used = |name: String| format!("feature {}: not used, because a frame beside lacks it or has it the same everywhere", text::name(&name));
+        written.notes.extend(
+            missing
+                .map(|one| format!("--keep {}: there is nothing of the kind without halves or features", one.name())),
+        );
+        let not_used = |name: String| {
+            format!(
+                "feature {}: not used, because a frame beside lacks it or has it the same everywhere",
+                text::name(&name)
+            )
+        };
         written.notes.extend(left_out.into_iter().map(not_used));
         let compared = reference.as_ref().zip(frame.as_deref());
         let errors = compared.map(|(reference, frame)| quality::compare(frame, &estimate, reference)).transpose()?;

@@ -66,8 +66,9 @@ fn usual(check: Check, subject: Subject) -> f64 {
         (Check::Door | Check::Finite | Check::Reach | Check::Bits, _) => 0.0,
         (Check::Energy | Check::Dark, _) => 0.05,
         (Check::Error | Check::Twin, _) => 1.0,
-        // The smoothing of the selection maps hands THIRD a share beside the borders of its regions, whatever the noise, and the published algorithm has no guard: it does not
-        // become the identity, and may even correct more where there is less noise.
+        // The smoothing of the selection maps hands THIRD a share beside the borders of its regions, whatever the
+        // noise, and the published algorithm has no guard: it does not become the identity, and may even correct more
+        // where there is less noise.
         (Check::Limit, Subject::DfcThesis) => 3.0,
         // A sixteenth is what is left of the noise.
         (Check::Limit, _) => 0.25,
@@ -79,16 +80,20 @@ const FITTED: &str = "the noise is what a fit of six numbers leaves, which float
 
 /// Without features, an image tells little of its noise: texture and edges look like it.
 const IMAGE_ALONE: &str = "texture and edges look like noise where no feature explains them";
-const THIRD: &str = "the smoothed selection maps hand THIRD a share where it is wrong, and the published algorithm has no guard";
+const THIRD: &str =
+    "the smoothed selection maps hand THIRD a share where it is wrong, and the published algorithm has no guard";
 const DECADES: &str = "a Gaussian mixes pixels of which each is twice as bright as its neighbour";
-const BLACK: &str = "below some 10⁻²³, ε of eq. 7.4 tells no pixels apart, so that all are averaged as if they were black";
+const BLACK: &str =
+    "below some 10⁻²³, ε of eq. 7.4 tells no pixels apart, so that all are averaged as if they were black";
 const BORDER: &str = "where the image's border cuts patches, opposite neighbours on a gradient get unequal weights, however little noise there is";
 const CHEQUER: &str = "the choice of scale is smoothed over the pixels around, which blurs a chequer of 5×4 pixels by more than the noise";
 const FEW_PIXELS: &str = "averages over a few pixels differ by chance";
 const NO_SCALES: &str = "scales are told apart by averages over more pixels than there are";
 const CLAIM: &str = "the claim is wrong and nothing contradicts it: it is filtered as the claim asks for";
-const OUTLIER: &str = "the energy of a spike is no part of the image, and what is not spread with it goes; `dark` holds the rest";
-const SPREAD: &str = "halves travel as mean and half spread: beside a million, the last digits of the other half are lost";
+const OUTLIER: &str =
+    "the energy of a spike is no part of the image, and what is not spread with it goes; `dark` holds the rest";
+const SPREAD: &str =
+    "halves travel as mean and half spread: beside a million, the last digits of the other half are lost";
 const FLOOR: &str = "differences below a thousandth of a pixel's brightness are not told apart, so that a correction of that size stays";
 const KEPT: &str = "what has no noise keeps its light, while its neighbours average over it";
 const HUGE: &str = "errors of filters that differ by next to nothing beside the claim are told apart by rounding";
@@ -156,12 +161,10 @@ impl Case {
     /// A colour of whose noise nothing is known, which the published algorithm does not take.
     fn image_only(self) -> Self {
         let case = Self { methods: vec![Subject::Dfc, Subject::Nlm, Subject::Gem], ..self };
-        case.within(Check::Twin, 20.0, FITTED).but(Subject::Nlm, Check::Limit, 2.0, IMAGE_ALONE).but(Subject::Gem, Check::Limit, 2.0, IMAGE_ALONE).but(
-            Subject::Gem,
-            Check::Error,
-            4.0,
-            IMAGE_ALONE,
-        )
+        case.within(Check::Twin, 20.0, FITTED)
+            .but(Subject::Nlm, Check::Limit, 2.0, IMAGE_ALONE)
+            .but(Subject::Gem, Check::Limit, 2.0, IMAGE_ALONE)
+            .but(Subject::Gem, Check::Error, 4.0, IMAGE_ALONE)
     }
 
     fn within(mut self, check: Check, bound: f64, reason: &'static str) -> Self {
@@ -254,15 +257,27 @@ fn plain() -> Vec<Case> {
     vec![
         Case::new("an ordinary room", RADIUS, standard),
         Case::new("all of it is black, without noise", RADIUS, |noise| flat(noise, Surface::grey(0.0))),
-        Case::new("all of it is black, and noise is claimed", RADIUS, |noise| flat(noise, Surface::grey(0.0)))
-            .changed(|picture, noise| picture.variance().planes.iter_mut().flatten().for_each(|value| *value = (noise * noise) as f32)),
+        Case::new("all of it is black, and noise is claimed", RADIUS, |noise| flat(noise, Surface::grey(0.0))).changed(
+            |picture, noise| {
+                picture.variance().planes.iter_mut().flatten().for_each(|value| *value = (noise * noise) as f32);
+            },
+        ),
         Case::new("a constant image without noise", RADIUS, |_| flat(0.0, Surface::grey(0.7))),
         Case::new("a constant image with noise", RADIUS, |noise| flat(noise, Surface::grey(0.7))),
-        Case::new("a room without noise", RADIUS, |_| standard(0.0)).but(Subject::DfcThesis, Check::Error, 2500.0, THIRD),
+        Case::new("a room without noise", RADIUS, |_| standard(0.0)).but(
+            Subject::DfcThesis,
+            Check::Error,
+            2500.0,
+            THIRD,
+        ),
         Case::new("grey: all channels are the same", RADIUS, |noise| {
             let mut picture = standard(noise);
-            let channels =
-                [Some(&mut picture.color.mean), picture.color.half_a.as_mut(), picture.color.half_b.as_mut(), picture.color.variance_of_mean.as_mut()];
+            let channels = [
+                Some(&mut picture.color.mean),
+                picture.color.half_a.as_mut(),
+                picture.color.half_b.as_mut(),
+                picture.color.variance_of_mean.as_mut(),
+            ];
             for image in channels.into_iter().flatten().chain(picture.truth.as_mut()) {
                 image.planes = vec![image.planes[0].clone(); 3];
             }
@@ -280,20 +295,36 @@ fn plain() -> Vec<Case> {
                 if (x + y) % 2 == 0 { surface } else { Surface { deviation: [0.0; 3], ..surface } }
             })
         }),
-        Case { strips: Some(STRIP_BYTES), ..Case::new("little memory: worked on in strips", SMALL, long(extent(12, 340))) },
+        Case {
+            strips: Some(STRIP_BYTES),
+            ..Case::new("little memory: worked on in strips", SMALL, long(extent(12, 340)))
+        },
     ]
 }
 
 fn sizes() -> Vec<Case> {
     let named = |name: &str, width: u32, height: u32, radius: u32| {
         let case = Case::new(format!("{name}, {width}×{height}"), radius, of(extent(width, height)));
-        case.within(Check::Energy, 0.15, FEW_PIXELS).within(Check::Dark, 0.15, FEW_PIXELS).but(Subject::Gem, Check::Error, 1.5, NO_SCALES)
+        case.within(Check::Energy, 0.15, FEW_PIXELS).within(Check::Dark, 0.15, FEW_PIXELS).but(
+            Subject::Gem,
+            Check::Error,
+            1.5,
+            NO_SCALES,
+        )
     };
-    let mut cases =
-        vec![named("one pixel", 1, 1, RADIUS), named("one row", 37, 1, RADIUS), named("one column", 1, 37, RADIUS), named("two by two", 2, 2, RADIUS)];
+    let mut cases = vec![
+        named("one pixel", 1, 1, RADIUS),
+        named("one row", 37, 1, RADIUS),
+        named("one column", 1, 37, RADIUS),
+        named("two by two", 2, 2, RADIUS),
+    ];
     // Tiles of 8 pixels, workgroups of 32 by 2, four pixels at a time.
     for (width, height) in [(7, 9), (8, 8), (9, 7), (31, 3), (32, 2), (33, 5), (16, 17)] {
-        cases.push(Case::new(format!("at the border of a tile, {width}×{height}"), RADIUS, long(extent(width, height))));
+        cases.push(Case::new(
+            format!("at the border of a tile, {width}×{height}"),
+            RADIUS,
+            long(extent(width, height)),
+        ));
     }
     // A window of seven.
     for side in [6, 7, 8] {
@@ -306,39 +337,60 @@ fn sizes() -> Vec<Case> {
 
 /// Whatever a float can be, in one pixel, in a row, in all of a layer.
 fn broken() -> Vec<Case> {
-    const VALUES: [(&str, f32); 5] = [("NaN", f32::NAN), ("+Inf", f32::INFINITY), ("−Inf", f32::NEG_INFINITY), ("a negative value", -3.0), ("1e30", 1e30)];
+    const VALUES: [(&str, f32); 5] = [
+        ("NaN", f32::NAN),
+        ("+Inf", f32::INFINITY),
+        ("−Inf", f32::NEG_INFINITY),
+        ("a negative value", -3.0),
+        ("1e30", 1e30),
+    ];
     type Layer = (&'static str, fn(&mut Picture) -> &mut Image);
     const LAYERS: [Layer; 5] = [
         ("the colour", |picture| &mut picture.color.mean),
         ("half A", Picture::half_a),
         ("the variance", Picture::variance),
         ("a feature", |picture| &mut picture.feature("albedo").mean),
-        ("a feature's half", |picture| picture.feature("albedo").half_b.as_mut().unwrap_or_else(|| unreachable!("it has halves"))),
+        ("a feature's half", |picture| {
+            picture.feature("albedo").half_b.as_mut().unwrap_or_else(|| unreachable!("it has halves"))
+        }),
     ];
     let mut cases = Vec::new();
     // To the repair all that is not finite is one.
-    let is_new = |value: f32, layer: &str| value.is_nan() || value == -3.0 || ["the colour", "the variance"].contains(&layer);
+    let is_new =
+        |value: f32, layer: &str| value.is_nan() || value == -3.0 || ["the colour", "the variance"].contains(&layer);
     for (what, value) in VALUES {
         for (layer, image) in LAYERS.into_iter().filter(|(layer, _)| is_new(value, layer)) {
             let fill = move |picture: &mut Picture, pixels: &[(usize, usize)]| {
                 let pixels: Vec<usize> = pixels.iter().map(|(x, y)| picture.pixel(*x, *y)).collect();
-                image(picture).planes.iter_mut().for_each(|plane| pixels.iter().for_each(|pixel| plane[*pixel] = value));
+                image(picture)
+                    .planes
+                    .iter_mut()
+                    .for_each(|plane| pixels.iter().for_each(|pixel| plane[*pixel] = value));
             };
             let in_pixels = |name: String, extent: Extent, pixels: Vec<(usize, usize)>| {
                 let case = Case::new(name, SMALL, long(extent));
                 let damaged = pixels.clone();
                 let apply = move |picture: &mut Picture, _: f64| fill(picture, &damaged);
                 // Albedo from −3 on has another range.
-                let case = if value == -3.0 && layer == "a feature" { case.changed(apply) } else { case.damaged(pixels, apply) };
+                let case = if value == -3.0 && layer == "a feature" {
+                    case.changed(apply)
+                } else {
+                    case.damaged(pixels, apply)
+                };
                 if layer.contains("feature") { case.of_features() } else { case }
             };
             cases.push(in_pixels(format!("{what} in one pixel of {layer}"), WIDE, vec![PIXEL]));
             if value.is_nan() || value == -3.0 {
-                cases.push(in_pixels(format!("{what} in a row of {layer}"), TALL, (0..TALL.width as usize).map(|x| (x, ROW)).collect()));
+                cases.push(in_pixels(
+                    format!("{what} in a row of {layer}"),
+                    TALL,
+                    (0..TALL.width as usize).map(|x| (x, ROW)).collect(),
+                ));
             }
             if value.is_nan() || value == f32::INFINITY {
                 let case = Case::new(format!("{what} in all of {layer}"), RADIUS, standard);
-                let case = case.changed(move |picture, _| image(picture).planes.iter_mut().flatten().for_each(|v| *v = value));
+                let case =
+                    case.changed(move |picture, _| image(picture).planes.iter_mut().flatten().for_each(|v| *v = value));
                 cases.push(match layer {
                     "the colour" => case.refused(&["not one pixel has a usable", "render it again"]),
                     // The halves are left then.
@@ -357,7 +409,8 @@ fn broken() -> Vec<Case> {
         }
     }
     let negative = Case::new("all variances are negative", RADIUS, standard);
-    let negative = negative.changed(|picture, _| picture.variance().planes.iter_mut().flatten().for_each(|value| *value = -*value));
+    let negative = negative
+        .changed(|picture, _| picture.variance().planes.iter_mut().flatten().for_each(|value| *value = -*value));
     // They become 0, and the halves are left.
     cases.push(negative.but(Subject::Gem, Check::Error, 2.0, CHEQUER));
     cases.push(Case::new("NaN in a block wider than the window", SMALL, of(extent(40, 24))).changed(|picture, _| {
@@ -380,21 +433,26 @@ fn noise_told_wrong() -> Vec<Case> {
         }
     };
     let mut cases = vec![
-        Case::new("no variance, halves alone", RADIUS, standard).changed(|picture, _| picture.color.variance_of_mean = None).but(
-            Subject::Gem,
-            Check::Error,
-            2.0,
-            CHEQUER,
-        ),
+        Case::new("no variance, halves alone", RADIUS, standard)
+            .changed(|picture, _| picture.color.variance_of_mean = None)
+            .but(Subject::Gem, Check::Error, 2.0, CHEQUER),
         Case::new("no halves, variance alone", RADIUS, |noise| standard(noise).without_halves()),
         Case::new("neither halves nor variance", RADIUS, |noise| standard(noise).without_halves())
             .changed(|picture, _| picture.color.variance_of_mean = None)
             .image_only(),
     ];
     for (what, value) in [("no variance", 0.0), ("an enormous variance", 1e12)] {
-        cases.push(Case::new(format!("{what} is claimed for one pixel"), SMALL, long(WIDE)).damaged(vec![PIXEL], move |p, _| variance_of(p, &[PIXEL], value)));
-        cases.push(Case::new(format!("{what} is claimed for a row"), SMALL, long(TALL)).damaged(row(ROW), move |p, _| variance_of(p, &row(ROW), value)));
-        let everywhere = move |picture: &mut Picture, _: f64| picture.variance().planes.iter_mut().flatten().for_each(|v| *v = value);
+        cases.push(
+            Case::new(format!("{what} is claimed for one pixel"), SMALL, long(WIDE))
+                .damaged(vec![PIXEL], move |p, _| variance_of(p, &[PIXEL], value)),
+        );
+        cases.push(
+            Case::new(format!("{what} is claimed for a row"), SMALL, long(TALL))
+                .damaged(row(ROW), move |p, _| variance_of(p, &row(ROW), value)),
+        );
+        let everywhere = move |picture: &mut Picture, _: f64| {
+            picture.variance().planes.iter_mut().flatten().for_each(|v| *v = value);
+        };
         let case = Case::new(format!("{what} is claimed for every pixel"), RADIUS, standard).changed(everywhere);
         cases.push(if value > 0.0 {
             case.but(Subject::Nlm, Check::Error, 1.5, CLAIM).but(Subject::Gem, Check::Error, 3.0, CLAIM)
@@ -402,16 +460,24 @@ fn noise_told_wrong() -> Vec<Case> {
             // The halves are left then.
             case.but(Subject::Gem, Check::Error, 2.0, CHEQUER)
         });
-        let case =
-            Case::new(format!("{what} is claimed for every pixel, without halves"), RADIUS, |noise| standard(noise).without_halves()).changed(everywhere);
+        let case = Case::new(format!("{what} is claimed for every pixel, without halves"), RADIUS, |noise| {
+            standard(noise).without_halves()
+        })
+        .changed(everywhere);
         cases.push(if value > 0.0 {
-            case.without_limit().but(Subject::Nlm, Check::Error, 10.0, CLAIM).but(Subject::Gem, Check::Error, 20.0, CLAIM)
+            case.without_limit().but(Subject::Nlm, Check::Error, 10.0, CLAIM).but(
+                Subject::Gem,
+                Check::Error,
+                20.0,
+                CLAIM,
+            )
         } else {
             case
         });
     }
     let two_channels = Case::new("no variance is claimed in two channels", RADIUS, standard);
-    let two_channels = two_channels.changed(|picture, _| picture.variance().planes[1..].iter_mut().flatten().for_each(|value| *value = 0.0));
+    let two_channels = two_channels
+        .changed(|picture, _| picture.variance().planes[1..].iter_mut().flatten().for_each(|value| *value = 0.0));
     cases.push(two_channels.but(Subject::Gem, Check::Error, 2.0, CHEQUER));
     cases.push(
         Case::new("the renderer reports 0 variance for the background", RADIUS, standard)
@@ -419,9 +485,14 @@ fn noise_told_wrong() -> Vec<Case> {
             .but(Subject::Nlm, Check::Limit, 1.5, FLOOR)
             .but(Subject::Gem, Check::Error, 2.0, CHEQUER),
     );
-    let without_halves = Case::new("the renderer reports 0 variance for the background, without halves", RADIUS, |noise| standard(noise).without_halves());
+    let without_halves =
+        Case::new("the renderer reports 0 variance for the background, without halves", RADIUS, |noise| {
+            standard(noise).without_halves()
+        });
     cases.push(without_halves.changed(clean_background).but(Subject::Gem, Check::Error, 2.0, CHEQUER));
-    let huge = |picture: &mut Picture, noise: f64| picture.variance().planes.iter_mut().flatten().for_each(|value| *value = (noise * noise) as f32);
+    let huge = |picture: &mut Picture, noise: f64| {
+        picture.variance().planes.iter_mut().flatten().for_each(|value| *value = (noise * noise) as f32);
+    };
     // In squares of what cannot be told apart: a relative MSE of .015 for DFC, of .4 and .5 for the others. Halves that
     // are identical are not believed.
     let clean = [
@@ -429,12 +500,11 @@ fn noise_told_wrong() -> Vec<Case> {
         Case::new("a clean colour with a huge variance, without halves", RADIUS, |_| standard(0.0).without_halves()),
     ];
     cases.extend(clean.into_iter().map(|case| {
-        let case = case.changed(huge).but(Subject::Dfc, Check::Error, 3e5, CLAIM).but(Subject::Dfc, Check::Twin, 100.0, HUGE).but(
-            Subject::DfcThesis,
-            Check::Error,
-            4e4,
-            CLAIM,
-        );
+        let case = case
+            .changed(huge)
+            .but(Subject::Dfc, Check::Error, 3e5, CLAIM)
+            .but(Subject::Dfc, Check::Twin, 100.0, HUGE)
+            .but(Subject::DfcThesis, Check::Error, 4e4, CLAIM);
         case.but(Subject::Nlm, Check::Error, 1e6, CLAIM).but(Subject::Gem, Check::Error, 1.3e6, CLAIM)
     }));
     cases.push(Case::new("identical halves, with variance", RADIUS, standard).changed(|picture, _| {
@@ -479,17 +549,23 @@ fn noise_told_wrong() -> Vec<Case> {
     // The only source that tells of the noise tells nothing.
     for (what, value) in [("NaN", f32::NAN), ("infinity", f32::INFINITY)] {
         let fill = move |image: &mut Image| image.planes.iter_mut().flatten().for_each(|v| *v = value);
-        let variance = Case::new(format!("{what} in all of the variance, without halves"), RADIUS, |noise| standard(noise).without_halves());
-        cases.push(variance.changed(move |picture, _| fill(picture.variance())).image_only());
-        let half = Case::new(format!("{what} in all of a half, without variance"), RADIUS, standard).changed(move |picture, _| {
-            fill(picture.half_a());
-            picture.color.variance_of_mean = None;
+        let variance = Case::new(format!("{what} in all of the variance, without halves"), RADIUS, |noise| {
+            standard(noise).without_halves()
         });
+        cases.push(variance.changed(move |picture, _| fill(picture.variance())).image_only());
+        let half = Case::new(format!("{what} in all of a half, without variance"), RADIUS, standard).changed(
+            move |picture, _| {
+                fill(picture.half_a());
+                picture.color.variance_of_mean = None;
+            },
+        );
         cases.push(half.image_only());
     }
-    cases.push(Case::new("low-discrepancy samples: the variance is four times too large", RADIUS, standard).changed(|picture, _| {
-        picture.variance().planes.iter_mut().flatten().for_each(|value| *value *= 4.0);
-    }));
+    cases.push(Case::new("low-discrepancy samples: the variance is four times too large", RADIUS, standard).changed(
+        |picture, _| {
+            picture.variance().planes.iter_mut().flatten().for_each(|value| *value *= 4.0);
+        },
+    ));
     cases
 }
 
@@ -533,7 +609,9 @@ fn ranges() -> Vec<Case> {
         Case::new("squares of radiance are denormal", RADIUS, scaled(1e-20)),
         Case::new("radiance at the end of what is taken for finite", RADIUS, scaled(1e17)),
         Case::new("radiance at the limits of half floats", RADIUS, |noise| {
-            Picture::sampled(STANDARD, Sampling::new(noise), |x, y| Surface::grey(if (x / 6 + y / 5) % 2 == 0 { 65504.0 } else { 6e-8 }))
+            Picture::sampled(STANDARD, Sampling::new(noise), |x, y| {
+                Surface::grey(if (x / 6 + y / 5) % 2 == 0 { 65504.0 } else { 6e-8 })
+            })
         })
         .but(Subject::DfcThesis, Check::Error, 3e8, THIRD),
         Case::new("written as half floats", RADIUS, |noise| {
@@ -543,16 +621,19 @@ fn ranges() -> Vec<Case> {
                 let unit = (value.abs().max(6.2e-5).log2().floor() - 10.0).exp2();
                 *value = (*value / unit).round() * unit;
             };
-            let images = [Some(&mut picture.color.mean), picture.color.half_a.as_mut(), picture.color.half_b.as_mut(), picture.color.variance_of_mean.as_mut()];
+            let images = [
+                Some(&mut picture.color.mean),
+                picture.color.half_a.as_mut(),
+                picture.color.half_b.as_mut(),
+                picture.color.variance_of_mean.as_mut(),
+            ];
             images.into_iter().flatten().flat_map(|image| &mut image.planes).flatten().for_each(half);
             picture
         }),
         Case::new("black beside light: u = 0 under the step of SURE", RADIUS, |noise| {
-            Picture::sampled(
-                STANDARD,
-                Sampling::new(noise),
-                |x, _| if x < 12 { Surface { deviation: [0.3; 3], ..Surface::grey(0.0) } } else { Surface::grey(1.4) },
-            )
+            Picture::sampled(STANDARD, Sampling::new(noise), |x, _| {
+                if x < 12 { Surface { deviation: [0.3; 3], ..Surface::grey(0.0) } } else { Surface::grey(1.4) }
+            })
         })
         .changed(|picture, _| {
             for pixel in (0..480).filter(|pixel| pixel % 24 < 12 && pixel % 3 == 0) {
@@ -563,7 +644,9 @@ fn ranges() -> Vec<Case> {
             Picture::sampled(STANDARD, Sampling::new(noise), |x, _| Surface::grey(if x < 12 { -1.4 } else { 1.4 }))
         }),
         Case::new("dark areas where differences come near ε", RADIUS, |noise| {
-            Picture::sampled(STANDARD, Sampling::new(noise), |x, y| Surface::grey(if x < 12 { 1.4 } else { 1e-5 * (1.0 + (y % 3) as f64) }))
+            Picture::sampled(STANDARD, Sampling::new(noise), |x, y| {
+                Surface::grey(if x < 12 { 1.4 } else { 1e-5 * (1.0 + (y % 3) as f64) })
+            })
         }),
         Case::new("a stiff ramp: exponents of weights from 0 to 10⁶", RADIUS, |noise| {
             Picture::sampled(STANDARD, Sampling::new(noise), |x, _| {
@@ -574,7 +657,9 @@ fn ranges() -> Vec<Case> {
         })
         .but(Subject::Gem, Check::Twin, 3.0, MOVED),
         Case::new("a gradient that runs into the border of the image", RADIUS, |noise| {
-            Picture::sampled(STANDARD, Sampling::new(noise), |x, y| Surface::grey(1.2 + 0.02 * x as f64 + 0.01 * y as f64))
+            Picture::sampled(STANDARD, Sampling::new(noise), |x, y| {
+                Surface::grey(1.2 + 0.02 * x as f64 + 0.01 * y as f64)
+            })
         })
         .but(Subject::Nlm, Check::Limit, 1.1, BORDER),
         Case::new("halves of 1e17 that cancel, in some pixels", RADIUS, standard)
@@ -592,13 +677,18 @@ fn ranges() -> Vec<Case> {
             .but(Subject::Gem, Check::Error, 16.0, CLAIM)
             .but(Subject::Nlm, Check::Twin, 20.0, SPREAD),
         Case::new("black and white by turns", RADIUS, |noise| {
-            Picture::sampled(STANDARD, Sampling::new(noise), |x, y| Surface { deviation: [0.2; 3], ..Surface::grey(if (x + y) % 2 == 0 { 1.4 } else { 0.0 }) })
+            Picture::sampled(STANDARD, Sampling::new(noise), |x, y| Surface {
+                deviation: [0.2; 3],
+                ..Surface::grey(if (x + y) % 2 == 0 { 1.4 } else { 0.0 })
+            })
         }),
     ]
 }
 
 fn samples() -> Vec<Case> {
-    let drawn = |samples: usize| move |noise: f64| Picture::sampled(STANDARD, Sampling { samples, ..Sampling::new(noise) }, room(STANDARD));
+    let drawn = |samples: usize| {
+        move |noise: f64| Picture::sampled(STANDARD, Sampling { samples, ..Sampling::new(noise) }, room(STANDARD))
+    };
     vec![
         Case::new("one sample per pixel, which has no variance and no second half", RADIUS, drawn(1)),
         Case::new("two samples per pixel", RADIUS, drawn(2)).but(Subject::Nlm, Check::Limit, 1.0, FLOOR),
@@ -606,11 +696,12 @@ fn samples() -> Vec<Case> {
         Case::new("sample counts that differ a thousandfold between neighbours", RADIUS, |noise| {
             let counts = |pixel: usize| if (pixel % 24 + pixel / 24).is_multiple_of(2) { 4 } else { 4096 };
             let surface = room(STANDARD);
-            let mut picture = Picture::sampled(STANDARD, Sampling { samples: 4, ..Sampling::new(noise) }, move |x, y| {
-                let surface = surface(x, y);
-                let calmer = (4.0 / f64::from(counts(24 * y + x))).sqrt();
-                Surface { deviation: surface.deviation.map(|deviation| calmer * deviation), ..surface }
-            });
+            let mut picture =
+                Picture::sampled(STANDARD, Sampling { samples: 4, ..Sampling::new(noise) }, move |x, y| {
+                    let surface = surface(x, y);
+                    let calmer = (4.0 / f64::from(counts(24 * y + x))).sqrt();
+                    Surface { deviation: surface.deviation.map(|deviation| calmer * deviation), ..surface }
+                });
             picture.samples = Samples::PerPixel((0..480).map(|pixel| counts(pixel) as f32).collect());
             picture
         }),
@@ -620,13 +711,17 @@ fn samples() -> Vec<Case> {
             picture.samples = Samples::PerPixel((0..480).map(count).collect());
             picture
         }),
-        Case::new("nobody knows the sample counts", RADIUS, |noise| Picture { samples: Samples::Unknown, ..standard(noise) }),
+        Case::new("nobody knows the sample counts", RADIUS, |noise| Picture {
+            samples: Samples::Unknown,
+            ..standard(noise)
+        }),
     ]
 }
 
 fn features() -> Vec<Case> {
     let without_noise = |mean: Image| exact(mean);
-    let plane = |value: &dyn Fn(usize) -> f64| image(STANDARD, &(0..480).map(|pixel| [value(pixel)]).collect::<Vec<_>>());
+    let plane =
+        |value: &dyn Fn(usize) -> f64| image(STANDARD, &(0..480).map(|pixel| [value(pixel)]).collect::<Vec<_>>());
     vec![
         Case::new("no features", RADIUS, |noise| standard(noise).without_features()),
         Case::new("eight features", RADIUS, move |noise| {
@@ -660,18 +755,30 @@ fn features() -> Vec<Case> {
             let images = [Some(&mut depth.mean), depth.half_a.as_mut(), depth.half_b.as_mut()];
             images.into_iter().flatten().for_each(|image| image.planes[0][..96].fill(1e4));
         }),
-        Case::new("normals stored as (n + 1)/2", RADIUS, |noise| standard(noise).with_normals(room(STANDARD)))
-            .changed(|picture, _| picture.feature("normal").mean.planes.iter_mut().flatten().for_each(|value| *value = (*value + 1.0) / 2.0)),
+        Case::new("normals stored as (n + 1)/2", RADIUS, |noise| standard(noise).with_normals(room(STANDARD))).changed(
+            |picture, _| {
+                picture
+                    .feature("normal")
+                    .mean
+                    .planes
+                    .iter_mut()
+                    .flatten()
+                    .for_each(|value| *value = (*value + 1.0) / 2.0);
+            },
+        ),
         Case::new("depth from 1e-3 to 1e9", RADIUS, standard).changed(|picture, _| {
             for (pixel, value) in picture.feature("depth").mean.planes[0].iter_mut().enumerate() {
                 *value = 10f64.powf(-3.0 + 12.0 * (pixel / 24) as f64 / 19.5) as f32;
             }
         }),
-        Case::new("normals that are not normalised", RADIUS, |noise| standard(noise).with_normals(room(STANDARD))).changed(|picture, _| {
-            for (pixel, value) in picture.feature("normal").mean.planes.iter_mut().flat_map(|plane| plane.iter_mut().enumerate()) {
-                *value *= 1.0 + 9.0 * (pixel % 24) as f32;
-            }
-        }),
+        Case::new("normals that are not normalised", RADIUS, |noise| standard(noise).with_normals(room(STANDARD)))
+            .changed(|picture, _| {
+                for (pixel, value) in
+                    picture.feature("normal").mean.planes.iter_mut().flat_map(|plane| plane.iter_mut().enumerate())
+                {
+                    *value *= 1.0 + 9.0 * (pixel % 24) as f32;
+                }
+            }),
         Case::new("features that are the same everywhere", RADIUS, standard).changed(|picture, _| {
             for (_, feature) in &mut picture.features {
                 *feature = exact(Image::filled(feature.mean.extent, feature.mean.channels(), 0.5));
@@ -681,18 +788,28 @@ fn features() -> Vec<Case> {
             let mut random = stein_reference::random::Random(5);
             let feature = picture.feature("albedo");
             let images = [Some(&mut feature.mean), feature.half_a.as_mut(), feature.half_b.as_mut()];
-            images.into_iter().flatten().flat_map(|image| &mut image.planes).flatten().for_each(|value| *value = random.uniform() as f32);
+            images
+                .into_iter()
+                .flatten()
+                .flat_map(|image| &mut image.planes)
+                .flatten()
+                .for_each(|value| *value = random.uniform() as f32);
             feature.variance_of_mean = Some(Image::filled(feature.mean.extent, 3, 1.0 / 12.0));
         }),
-        Case::new("a feature that is nothing but noise, and does not say so", RADIUS, standard).changed(|picture, _| {
-            let mut random = stein_reference::random::Random(6);
-            let mut mean = picture.feature("albedo").mean.clone();
-            mean.planes.iter_mut().flatten().for_each(|value| *value = random.uniform() as f32);
-            *picture.feature("albedo") = exact(mean);
-        }),
+        Case::new("a feature that is nothing but noise, and does not say so", RADIUS, standard).changed(
+            |picture, _| {
+                let mut random = stein_reference::random::Random(6);
+                let mut mean = picture.feature("albedo").mean.clone();
+                mean.planes.iter_mut().flatten().for_each(|value| *value = random.uniform() as f32);
+                *picture.feature("albedo") = exact(mean);
+            },
+        ),
         Case::new("a feature that contradicts the colour", RADIUS, move |noise| {
             let mut picture = standard(noise);
-            picture.features = vec![("albedo".into(), without_noise(plane(&|pixel| f64::from(u8::from((pixel % 24 + 2 * (pixel / 24)) % 7 < 3)))))];
+            picture.features = vec![(
+                "albedo".into(),
+                without_noise(plane(&|pixel| f64::from(u8::from((pixel % 24 + 2 * (pixel / 24)) % 7 < 3)))),
+            )];
             picture
         }),
         Case::new("a feature of a tiny range far from 0", RADIUS, move |noise| {
@@ -702,13 +819,13 @@ fn features() -> Vec<Case> {
         }),
         Case::new("features without variance, halves alone", RADIUS, standard)
             .changed(|picture, _| picture.features.iter_mut().for_each(|(_, feature)| feature.variance_of_mean = None)),
-        Case::new("features without halves, variance alone", RADIUS, standard)
-            .changed(|picture, _| picture.features.iter_mut().for_each(|(_, feature)| (feature.half_a, feature.half_b) = (None, None))),
+        Case::new("features without halves, variance alone", RADIUS, standard).changed(|picture, _| {
+            picture.features.iter_mut().for_each(|(_, feature)| (feature.half_a, feature.half_b) = (None, None));
+        }),
         Case::new("features with an enormous variance", RADIUS, standard).changed(|picture, _| {
-            picture
-                .features
-                .iter_mut()
-                .for_each(|(_, feature)| feature.variance_of_mean = Some(Image::filled(feature.mean.extent, feature.mean.channels(), 1e12)));
+            picture.features.iter_mut().for_each(|(_, feature)| {
+                feature.variance_of_mean = Some(Image::filled(feature.mean.extent, feature.mean.channels(), 1e12));
+            });
         }),
     ]
 }
@@ -761,11 +878,21 @@ fn outliers() -> Vec<Case> {
     vec![
         spikes("a spike of a million times the mean", &[(2, 1)], true, true),
         spikes("a spike of a million times the mean that claims a small variance", &[(2, 1)], false, true),
-        spikes("a spike in both halves that claims a small variance", &[(2, 1)], false, false).within(Check::Error, 1.1, BOTH),
+        spikes("a spike in both halves that claims a small variance", &[(2, 1)], false, false).within(
+            Check::Error,
+            1.1,
+            BOTH,
+        ),
         spikes("spikes of a million times the mean, clustered", &[(2, 1), (3, 1), (2, 2), (3, 2), (4, 1)], true, true),
-        spikes("spikes, clustered, that claim a small variance", &[(2, 1), (3, 1), (2, 2), (3, 2), (4, 1)], false, true),
+        spikes(
+            "spikes, clustered, that claim a small variance",
+            &[(2, 1), (3, 1), (2, 2), (3, 2), (4, 1)],
+            false,
+            true,
+        ),
         Case::new("fireflies beside a shadow a thousand times darker", RADIUS, |noise| {
-            Picture::sampled(STANDARD, Sampling::new(noise), |x, _| Surface::grey(if x < 12 { 1.4e3 } else { 1.4 })).without_features()
+            Picture::sampled(STANDARD, Sampling::new(noise), |x, _| Surface::grey(if x < 12 { 1.4e3 } else { 1.4 }))
+                .without_features()
         })
         .changed(|picture, noise| {
             for (x, y) in [(9, 5), (7, 14)] {
@@ -780,7 +907,11 @@ fn outliers() -> Vec<Case> {
                 for (x, y) in [(0, 0), (23, 0), (0, 19), (23, 19)] {
                     let pixel = picture.pixel(x, y);
                     picture.add_to_half_a(pixel, [200.0 * noise as f32; 3]);
-                    picture.variance().planes.iter_mut().for_each(|plane| plane[pixel] = (100.0 * noise).powi(2) as f32);
+                    picture
+                        .variance()
+                        .planes
+                        .iter_mut()
+                        .for_each(|plane| plane[pixel] = (100.0 * noise).powi(2) as f32);
                 }
             })
             .within(Check::Energy, 1.0, OUTLIER),
@@ -803,7 +934,12 @@ fn outliers() -> Vec<Case> {
         .but(Subject::DfcThesis, Check::Error, 60.0, THIRD)
         .but(Subject::Gem, Check::Energy, 0.25, KEPT)
         .but(Subject::Gem, Check::Dark, 0.25, KEPT)
-        .but(Subject::Gem, Check::Error, 2e4, "a pixel that is unlike all around it is an outlier of the choice of scales (6.2.4)"),
+        .but(
+            Subject::Gem,
+            Check::Error,
+            2e4,
+            "a pixel that is unlike all around it is an outlier of the choice of scales (6.2.4)",
+        ),
     ]
 }
 
@@ -827,11 +963,9 @@ fn renders() -> Vec<Case> {
             800.0,
             THIRD,
         ),
-        render("a render: caustics and spikes, 32 samples per pixel", include_bytes!("crops/caustic.exr")).within(Check::Energy, 0.25, RENDER).within(
-            Check::Dark,
-            0.15,
-            RENDER,
-        ),
+        render("a render: caustics and spikes, 32 samples per pixel", include_bytes!("crops/caustic.exr"))
+            .within(Check::Energy, 0.25, RENDER)
+            .within(Check::Dark, 0.15, RENDER),
         render("a render: texture out of focus, 32 samples per pixel", include_bytes!("crops/focus.exr")),
     ]
 }

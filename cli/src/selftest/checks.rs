@@ -55,7 +55,8 @@ pub(super) enum Check {
     Finite,
     /// Change of the mean colour, relative to the mean magnitude of the input; the largest of the channels.
     Energy,
-    /// What the mean colour lacks to that of the truth or of the input, whichever is darker; relative to that of the truth.
+    /// What the mean colour lacks to that of the truth or of the input, whichever is darker; relative to that of the
+    /// truth.
     Dark,
     /// Error over that of the noisy input.
     Error,
@@ -63,14 +64,25 @@ pub(super) enum Check {
     Reach,
     /// Distance to the float64 reference, in tolerances.
     Twin,
-    /// Correction of the input by noise of a sixteenth, over that by the whole: as the noise vanishes, the output becomes the input.
+    /// Correction of the input by noise of a sixteenth, over that by the whole: as the noise vanishes, the output
+    /// becomes the input.
     Limit,
     /// Values that differ from run to run, or when the image is worked on in strips.
     Bits,
 }
 
 impl Check {
-    pub(super) const ALL: [Self; 9] = [Self::Door, Self::Finite, Self::Energy, Self::Dark, Self::Error, Self::Reach, Self::Twin, Self::Limit, Self::Bits];
+    pub(super) const ALL: [Self; 9] = [
+        Self::Door,
+        Self::Finite,
+        Self::Energy,
+        Self::Dark,
+        Self::Error,
+        Self::Reach,
+        Self::Twin,
+        Self::Limit,
+        Self::Bits,
+    ];
 
     pub(super) fn name(self) -> &'static str {
         match self {
@@ -127,7 +139,13 @@ pub(super) struct Row {
 
 impl Row {
     fn new(case: &Case, method: &str, figures: Vec<Figure>, result: Option<Summary>) -> Self {
-        Self { case: case.name.clone(), method: method.to_owned(), passed: figures.iter().all(|figure| figure.passed), figures, result }
+        Self {
+            case: case.name.clone(),
+            method: method.to_owned(),
+            passed: figures.iter().all(|figure| figure.passed),
+            figures,
+            result,
+        }
     }
 
     /// Of several the worst.
@@ -158,12 +176,16 @@ impl Summary {
         let values = || estimate.color.planes.iter().flatten();
         let count = values().count() as f64;
         // FNV-1a.
-        let checksum = values().fold(0xcbf2_9ce4_8422_2325u64, |hash, value| (hash ^ u64::from(value.to_bits())).wrapping_mul(0x0000_0100_0000_01b3));
+        let checksum = values().fold(0xcbf2_9ce4_8422_2325u64, |hash, value| {
+            (hash ^ u64::from(value.to_bits())).wrapping_mul(0x0000_0100_0000_01b3)
+        });
         let mean_of = |image: Option<&Image>| finite_or_none(image.map_or(0.0, |image| mean(&image.planes[0])));
         Self {
             checksum: format!("{checksum:016x}"),
             mean: finite_or_none(values().map(|value| f64::from(*value)).sum::<f64>() / count),
-            root_mean_square: finite_or_none((values().map(|value| f64::from(*value).powi(2)).sum::<f64>() / count).sqrt()),
+            root_mean_square: finite_or_none(
+                (values().map(|value| f64::from(*value).powi(2)).sum::<f64>() / count).sqrt(),
+            ),
             least: finite_or_none(values().fold(f32::INFINITY, |least, value| least.min(*value)).into()),
             most: finite_or_none(values().fold(f32::NEG_INFINITY, |most, value| most.max(*value)).into()),
             error: mean_of(estimate.error.as_ref()),
@@ -195,7 +217,8 @@ struct Prepared {
 /// What a sixteenth of the noise is, and a sixteenth of that.
 const CALMER: [f64; 2] = [1.0 / 16.0, 1.0 / 256.0];
 
-/// The distance up to which two pixels without noise are taken for one, at the order of 1: √(25·3·7²·10⁻¹⁰). Corrections below it are none.
+/// The distance up to which two pixels without noise are taken for one, at the order of 1: √(25·3·7²·10⁻¹⁰).
+/// Corrections below it are none.
 const INDISTINCT: f64 = 6.1e-4;
 
 impl Bench<'_> {
@@ -230,7 +253,11 @@ impl Bench<'_> {
         Ok(Prepared {
             frame: frame(&picture)?,
             beside: case.beside.iter().map(|beside| frame(&beside(1.0))).collect::<stein::Result<_>>()?,
-            calmer: if case.has_limit { CALMER.into_iter().map(|noise| frame(&case.picture(noise)?)).collect::<stein::Result<_>>()? } else { Vec::new() },
+            calmer: if case.has_limit {
+                CALMER.into_iter().map(|noise| frame(&case.picture(noise)?)).collect::<stein::Result<_>>()?
+            } else {
+                Vec::new()
+            },
             sound: case.damage.as_ref().map(|_| frame(&case.sound(1.0)?)).transpose()?,
             picture,
         })
@@ -239,9 +266,13 @@ impl Bench<'_> {
     fn look_at(&self, case: &Case, prepared: &Prepared, subject: Subject) -> stein::Result<Row> {
         match self.figures(case, prepared, subject) {
             Ok((figures, estimate)) => Ok(Row::new(case, subject.name(), figures, Some(Summary::new(&estimate)))),
-            Err(Error::Device { problem, remedy }) => Err(Error::Device { problem: format!("{}, {}: {problem}", case.name, subject.name()), remedy }),
+            Err(Error::Device { problem, remedy }) => {
+                Err(Error::Device { problem: format!("{}, {}: {problem}", case.name, subject.name()), remedy })
+            }
             // A shader's, as an input that is no use would not have become a frame.
-            Err(error) => Ok(Row::new(case, subject.name(), vec![Figure::count(Check::Finite, 1, error.to_string())], None)),
+            Err(error) => {
+                Ok(Row::new(case, subject.name(), vec![Figure::count(Check::Finite, 1, error.to_string())], None))
+            }
         }
     }
 
@@ -255,7 +286,8 @@ impl Bench<'_> {
         let bound = |check| case.bound(subject, check);
 
         let estimate = window(&denoiser)?;
-        let with_everything = denoiser.denoise_window(&frames, 0, Options { keep: method.intermediates(), ..Options::default() })?;
+        let with_everything =
+            denoiser.denoise_window(&frames, 0, Options { keep: method.intermediates(), ..Options::default() })?;
         let mut figures = vec![finite(&estimate, &with_everything), energy(frame, &estimate, bound(Check::Energy))];
         if let Some(truth) = &picture.truth {
             figures.push(dark(frame, &estimate, truth, bound(Check::Dark)));
@@ -265,14 +297,25 @@ impl Bench<'_> {
             figures.extend(if same_units(frame, sound) {
                 reach(&estimate, &denoiser.denoise(sound)?, &damage.pixels, method.reach() as usize)
             } else {
-                (!damage.moves_units).then(|| Figure::count(Check::Reach, 1, "the damage changes the unit of the colour or the range of a feature".into()))
+                (!damage.moves_units).then(|| {
+                    Figure::count(
+                        Check::Reach,
+                        1,
+                        "the damage changes the unit of the colour or the range of a feature".into(),
+                    )
+                })
             });
         }
         if beside.is_empty() {
             let parts = twin::compare(frame, &method, &with_everything);
             // Not a number is worst of all.
             if let Some(worst) = parts.into_iter().max_by(|a, b| a.off.total_cmp(&b.off)) {
-                figures.push(Figure::new(Check::Twin, worst.off, bound(Check::Twin), format!("{}, {}", worst.name, worst.detail)));
+                figures.push(Figure::new(
+                    Check::Twin,
+                    worst.off,
+                    bound(Check::Twin),
+                    format!("{}, {}", worst.name, worst.detail),
+                ));
             }
         }
         if !calmer.is_empty() {
@@ -283,10 +326,19 @@ impl Bench<'_> {
             }
             let ratio = |pair: &[f64]| pair[1] / pair[0].max(INDISTINCT);
             let worst = corrections.windows(2).map(ratio).fold(0.0, f64::max);
-            figures.push(Figure::new(Check::Limit, worst, bound(Check::Limit), format!("corrections of {corrections:.5?}")));
+            figures.push(Figure::new(
+                Check::Limit,
+                worst,
+                bound(Check::Limit),
+                format!("corrections of {corrections:.5?}"),
+            ));
         }
         if case.is_repeated {
-            figures.push(Figure::count(Check::Bits, differing(&window(&denoiser)?, &estimate, |_| true), "in another run".into()));
+            figures.push(Figure::count(
+                Check::Bits,
+                differing(&window(&denoiser)?, &estimate, |_| true),
+                "in another run".into(),
+            ));
         }
         if let Some(bytes) = case.strips.map(|bytes| bytes(subject)) {
             let in_strips = window(&denoiser.clone().with_max_memory(bytes))?;
@@ -299,16 +351,27 @@ impl Bench<'_> {
 
 /// Everything that a caller gets.
 fn images(estimate: &Estimate) -> Vec<(&'static str, &Image)> {
-    let optional = [("half spread", &estimate.half_spread), ("error", &estimate.error), ("selection", &estimate.selection)];
+    let optional =
+        [("half spread", &estimate.half_spread), ("error", &estimate.error), ("selection", &estimate.selection)];
     let optional = optional.into_iter().filter_map(|(name, image)| Some((name, image.as_ref()?)));
     [("colour", &estimate.color), ("Σ w", &estimate.weight_sum)].into_iter().chain(optional).collect()
 }
 
 fn finite(estimate: &Estimate, with_everything: &Estimate) -> Figure {
-    // Squares of spikes may overflow in the errors of candidates that do not take part, so that the intermediates but one are left out.
-    let density = with_everything.layers.iter().filter(|layer| ["density", "reduction"].contains(&layer.name.as_str())).map(|layer| ("density", &layer.image));
+    // Squares of spikes may overflow in the errors of candidates that do not take part, so that the intermediates but
+    // one are left out.
+    let density = with_everything
+        .layers
+        .iter()
+        .filter(|layer| ["density", "reduction"].contains(&layer.name.as_str()))
+        .map(|layer| ("density", &layer.image));
     let bad = |image: &Image| image.planes.iter().flatten().filter(|value| !value.is_finite()).count();
-    let found: Vec<_> = images(estimate).into_iter().chain(density).map(|(name, image)| (name, bad(image))).filter(|(_, bad)| *bad > 0).collect();
+    let found: Vec<_> = images(estimate)
+        .into_iter()
+        .chain(density)
+        .map(|(name, image)| (name, bad(image)))
+        .filter(|(_, bad)| *bad > 0)
+        .collect();
     let names = found.iter().map(|(name, bad)| format!("{bad} of {name}")).collect::<Vec<_>>().join(", ");
     Figure::count(Check::Finite, found.iter().map(|(_, bad)| bad).sum(), names)
 }
@@ -316,7 +379,12 @@ fn finite(estimate: &Estimate, with_everything: &Estimate) -> Figure {
 fn energy(frame: &Frame, estimate: &Estimate, bound: f64) -> Figure {
     let before = &frame.color().mean;
     let size = magnitude(before);
-    let change = before.planes.iter().zip(&estimate.color.planes).map(|(before, after)| (mean(after) - mean(before)).abs()).fold(0.0, f64::max);
+    let change = before
+        .planes
+        .iter()
+        .zip(&estimate.color.planes)
+        .map(|(before, after)| (mean(after) - mean(before)).abs())
+        .fold(0.0, f64::max);
     Figure::new(Check::Energy, if change == 0.0 { 0.0 } else { change / size }, bound, String::new())
 }
 
@@ -330,9 +398,15 @@ fn dark(frame: &Frame, estimate: &Estimate, truth: &Image, bound: f64) -> Figure
 }
 
 fn error(frame: &Frame, estimate: &Estimate, truth: &Image, unit: f64, bound: f64) -> Figure {
-    let (noisy, denoised) = (relative_square(&frame.color().mean, truth, unit), relative_square(&estimate.color, truth, unit));
+    let (noisy, denoised) =
+        (relative_square(&frame.color().mean, truth, unit), relative_square(&estimate.color, truth, unit));
     // An input without error may be changed by what cannot be told apart.
-    Figure::new(Check::Error, denoised / (noisy + INDISTINCT * INDISTINCT), bound, format!("relative MSE {denoised:.3e}, of the input {noisy:.3e}"))
+    Figure::new(
+        Check::Error,
+        denoised / (noisy + INDISTINCT * INDISTINCT),
+        bound,
+        format!("relative MSE {denoised:.3e}, of the input {noisy:.3e}"),
+    )
 }
 
 /// By how much an input was changed, relative to the truth.
@@ -347,9 +421,14 @@ fn relative_square(image: &Image, reference: &Image, unit: f64) -> f64 {
 }
 
 fn relative_square_by(image: &Image, reference: &Image, size: &Image, unit: f64) -> f64 {
-    let in_unit = |image: &Image| image.planes.iter().flatten().map(|value| f64::from(*value) / unit).collect::<Vec<_>>();
+    let in_unit =
+        |image: &Image| image.planes.iter().flatten().map(|value| f64::from(*value) / unit).collect::<Vec<_>>();
     let (image, reference, size) = (in_unit(image), in_unit(reference), in_unit(size));
-    let relative = image.iter().zip(&reference).zip(&size).map(|((x, reference), size)| (x - reference).powi(2) / (size.powi(2) + 0.01));
+    let relative = image
+        .iter()
+        .zip(&reference)
+        .zip(&size)
+        .map(|((x, reference), size)| (x - reference).powi(2) / (size.powi(2) + 0.01));
     relative.sum::<f64>() / image.len() as f64
 }
 
@@ -360,9 +439,17 @@ fn reach(damaged: &Estimate, sound: &Estimate, pixels: &[(usize, usize)], reach:
     if pixels.is_empty() {
         return None;
     }
-    let far = |pixel: usize| pixels.iter().all(|(x, y)| (pixel % width).abs_diff(*x).max((pixel / width).abs_diff(*y)) > reach);
+    let far = |pixel: usize| {
+        pixels.iter().all(|(x, y)| (pixel % width).abs_diff(*x).max((pixel / width).abs_diff(*y)) > reach)
+    };
     let count = (0..extent.pixels()).filter(|pixel| far(*pixel)).count();
-    (count > 0).then(|| Figure::count(Check::Reach, differing(damaged, sound, far), format!("in {count} pixels that are more than {reach} away")))
+    (count > 0).then(|| {
+        Figure::count(
+            Check::Reach,
+            differing(damaged, sound, far),
+            format!("in {count} pixels that are more than {reach} away"),
+        )
+    })
 }
 
 /// Values that are not the same to the bit.
@@ -370,7 +457,11 @@ fn differing(a: &Estimate, b: &Estimate, of: impl Fn(usize) -> bool) -> usize {
     let (a, b) = (images(a), images(b));
     let differing = |(a, b): (&Image, &Image)| {
         let planes = a.planes.iter().zip(&b.planes);
-        planes.map(|(a, b)| a.iter().zip(b).enumerate().filter(|(pixel, (a, b))| of(*pixel) && a.to_bits() != b.to_bits()).count()).sum::<usize>()
+        planes
+            .map(|(a, b)| {
+                a.iter().zip(b).enumerate().filter(|(pixel, (a, b))| of(*pixel) && a.to_bits() != b.to_bits()).count()
+            })
+            .sum::<usize>()
     };
     let images = a.iter().zip(&b).map(|((_, a), (_, b))| differing((a, b)));
     images.sum::<usize>() + a.len().abs_diff(b.len())
@@ -378,7 +469,11 @@ fn differing(a: &Estimate, b: &Estimate, of: impl Fn(usize) -> bool) -> usize {
 
 /// The mean magnitude of the brightest channel, so that one without light may have some.
 fn magnitude(image: &Image) -> f64 {
-    image.planes.iter().map(|plane| plane.iter().map(|value| f64::from(value.abs())).sum::<f64>() / plane.len() as f64).fold(0.0, f64::max)
+    image
+        .planes
+        .iter()
+        .map(|plane| plane.iter().map(|value| f64::from(value.abs())).sum::<f64>() / plane.len() as f64)
+        .fold(0.0, f64::max)
 }
 
 fn mean(plane: &[f32]) -> f64 {
@@ -387,6 +482,8 @@ fn mean(plane: &[f32]) -> f64 {
 
 /// Whether both are brought to the device in the same units: a pixel that changes these has an influence on all others.
 fn same_units(a: &Frame, b: &Frame) -> bool {
-    let ranges = |frame: &Frame| frame.features().iter().map(|feature| (feature.unit_scale, feature.unit_offset)).collect::<Vec<_>>();
+    let ranges = |frame: &Frame| {
+        frame.features().iter().map(|feature| (feature.unit_scale, feature.unit_offset)).collect::<Vec<_>>()
+    };
     bridge::exposure(a) == bridge::exposure(b) && ranges(a) == ranges(b)
 }

@@ -70,7 +70,12 @@ impl Difference {
 pub(super) fn read(path: &Path) -> Result<Document, Failure> {
     document::read(
         path,
-        &Kind { schema: SCHEMA, version: VERSION, made: "printed by `stein selftest --json`", remedy: "give what `stein selftest --json` printed" },
+        &Kind {
+            schema: SCHEMA,
+            version: VERSION,
+            made: "printed by `stein selftest --json`",
+            remedy: "give what `stein selftest --json` printed",
+        },
     )
 }
 
@@ -78,20 +83,36 @@ impl Comparison {
     pub(super) fn new(other: &Document, own: &Document) -> Self {
         // Beside the same colour there may be values that are finite here alone.
         let is_told = |result: &Summary| [result.error, result.weight_sum].map(|value| value.is_some());
-        let mut comparison = Self { other_adapter: other.adapter.clone(), compared: 0, same: 0, different: Vec::new(), missing: Vec::new() };
+        let mut comparison = Self {
+            other_adapter: other.adapter.clone(),
+            compared: 0,
+            same: 0,
+            different: Vec::new(),
+            missing: Vec::new(),
+        };
         for row in &own.rows {
             let name = || format!("{}, {}", row.case, row.method);
-            let Some(there) = other.rows.iter().find(|there| there.case == row.case && there.method == row.method) else {
+            let Some(there) = other.rows.iter().find(|there| there.case == row.case && there.method == row.method)
+            else {
                 comparison.missing.push(format!("{} (there)", name()));
                 continue;
             };
             match (&row.result, &there.result) {
                 (Some(here), Some(of_other)) => {
                     comparison.compared += 1;
-                    if here.checksum == of_other.checksum && is_told(here) == is_told(of_other) && row.passed == there.passed {
+                    if here.checksum == of_other.checksum
+                        && is_told(here) == is_told(of_other)
+                        && row.passed == there.passed
+                    {
                         comparison.same += 1;
                     } else {
-                        comparison.different.push(Difference::new(&row.case, &row.method, here, of_other, row.passed != there.passed));
+                        comparison.different.push(Difference::new(
+                            &row.case,
+                            &row.method,
+                            here,
+                            of_other,
+                            row.passed != there.passed,
+                        ));
                     }
                 }
                 (Some(_), None) => comparison.missing.push(format!("{} (there)", name())),
@@ -100,18 +121,30 @@ impl Comparison {
             }
         }
         let lacks = |case: &str, method: &str| !own.rows.iter().any(|row| row.case == case && row.method == method);
-        comparison.missing.extend(other.rows.iter().filter(|row| lacks(&row.case, &row.method)).map(|row| format!("{}, {} (here)", row.case, row.method)));
+        comparison.missing.extend(
+            other
+                .rows
+                .iter()
+                .filter(|row| lacks(&row.case, &row.method))
+                .map(|row| format!("{}, {} (here)", row.case, row.method)),
+        );
         comparison
     }
 
     pub(super) fn text(&self) -> String {
-        let mut text = format!("Against {}: {} of {} results are the same to the bit", self.other_adapter, self.same, self.compared);
+        let mut text = format!(
+            "Against {}: {} of {} results are the same to the bit",
+            self.other_adapter, self.same, self.compared
+        );
         if !self.different.is_empty() {
             let head = ["case", "method", "", "mean", "RMS", "extremes", "error", "Σ w"].map(String::from).to_vec();
             let line = |row: &Difference| {
                 let verdict = if row.verdicts_differ { "another verdict" } else { "" };
                 let figures = [row.mean, row.root_mean_square, row.extremes, row.error, row.weight_sum].map(number);
-                [row.case.clone(), row.method.clone(), verdict.to_owned()].into_iter().chain(figures).collect::<Vec<_>>()
+                [row.case.clone(), row.method.clone(), verdict.to_owned()]
+                    .into_iter()
+                    .chain(figures)
+                    .collect::<Vec<_>>()
             };
             let rows: Vec<_> = std::iter::once(head).chain(self.different.iter().map(line)).collect();
             text += &format!("; relative differences of the others:\n{}", table(&rows, 3));

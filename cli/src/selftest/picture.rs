@@ -21,7 +21,13 @@ pub(super) struct Surface {
 impl Surface {
     /// One of this radiance, with half of it for a sample's deviation, and the same features everywhere.
     pub(super) fn of(radiance: [f64; 3]) -> Self {
-        Self { radiance, deviation: radiance.map(|value| 0.5 * value.abs()), albedo: [0.5; 3], normal: [0.0, 0.0, 1.0], depth: 4.0 }
+        Self {
+            radiance,
+            deviation: radiance.map(|value| 0.5 * value.abs()),
+            albedo: [0.5; 3],
+            normal: [0.0, 0.0, 1.0],
+            depth: 4.0,
+        }
     }
 
     pub(super) fn grey(radiance: f64) -> Self {
@@ -29,7 +35,8 @@ impl Surface {
     }
 }
 
-/// A wall above a chequered floor that goes into the distance, and on both a shadow that no feature shows. Median brightness well between two powers of two.
+/// A wall above a chequered floor that goes into the distance, and on both a shadow that no feature shows. Median
+/// brightness well between two powers of two.
 pub(super) fn room(extent: Extent) -> impl Fn(usize, usize) -> Surface {
     let (width, height) = (extent.width as usize, extent.height as usize);
     move |x, y| {
@@ -46,7 +53,8 @@ pub(super) fn room(extent: Extent) -> impl Fn(usize, usize) -> Surface {
     }
 }
 
-/// A corridor along the longer side: sections of twenty pixels, each of another colour and distance, every other one in a shadow that no feature shows.
+/// A corridor along the longer side: sections of twenty pixels, each of another colour and distance, every other one in
+/// a shadow that no feature shows.
 pub(super) fn corridor(extent: Extent) -> impl Fn(usize, usize) -> Surface {
     move |x, y| {
         let section = if extent.width >= extent.height { x } else { y } / 20;
@@ -64,7 +72,8 @@ pub(super) struct Picture {
     pub(super) samples: Samples,
     /// `None` where nobody knows it.
     pub(super) truth: Option<Image>,
-    /// What is of the order of 1 in it: errors are relative to squares, and to a hundredth of its square where they vanish.
+    /// What is of the order of 1 in it: errors are relative to squares, and to a hundredth of its square where they
+    /// vanish.
     pub(super) unit: f64,
 }
 
@@ -92,7 +101,8 @@ impl Sampling {
 }
 
 impl Picture {
-    /// The mean, the halves and the sample variance of noisy samples: of the colour exponentially distributed, as light that is found by chance, of albedo and depth Gaussian.
+    /// The mean, the halves and the sample variance of noisy samples: of the colour exponentially distributed, as light
+    /// that is found by chance, of albedo and depth Gaussian.
     pub(super) fn sampled(extent: Extent, sampling: Sampling, surface: impl Fn(usize, usize) -> Surface) -> Self {
         let mut random = Random(sampling.seed);
         let (width, pixels) = (extent.width as usize, extent.pixels());
@@ -120,7 +130,8 @@ impl Picture {
 
     /// With the normals of the surfaces, without noise.
     pub(super) fn with_normals(mut self, surface: impl Fn(usize, usize) -> Surface) -> Self {
-        let normals: Vec<[f64; 3]> = (0..self.extent().pixels()).map(|pixel| surface(self.column(pixel), self.row(pixel)).normal).collect();
+        let normals: Vec<[f64; 3]> =
+            (0..self.extent().pixels()).map(|pixel| surface(self.column(pixel), self.row(pixel)).normal).collect();
         self.features.push(("normal".into(), exact(image(self.extent(), &normals))));
         self
     }
@@ -152,7 +163,9 @@ impl Picture {
     }
 
     pub(super) fn feature(&mut self, name: &str) -> &mut RawSignal {
-        let Some((_, feature)) = self.features.iter_mut().find(|(other, _)| other == name) else { unreachable!("generated pictures have the feature {name}") };
+        let Some((_, feature)) = self.features.iter_mut().find(|(other, _)| other == name) else {
+            unreachable!("generated pictures have the feature {name}")
+        };
         feature
     }
 
@@ -193,7 +206,11 @@ impl Picture {
         let RawSignal { mean, half_a, half_b, variance_of_mean } = &mut self.color;
         let images = [Some(mean), half_a.as_mut(), half_b.as_mut(), self.truth.as_mut()];
         images.into_iter().flatten().flat_map(|image| &mut image.planes).flatten().for_each(|value| *value *= factor);
-        variance_of_mean.iter_mut().flat_map(|image| &mut image.planes).flatten().for_each(|value| *value *= factor * factor);
+        variance_of_mean
+            .iter_mut()
+            .flat_map(|image| &mut image.planes)
+            .flatten()
+            .for_each(|value| *value *= factor * factor);
         self.unit *= f64::from(factor);
     }
 
@@ -204,7 +221,12 @@ impl Picture {
         push(&mut layers, &["R", "G", "B"], &self.color, ["", "halfA", "halfB", "variance"].map(str::to_owned));
         for (name, signal) in &self.features {
             let channels: &[&str] = if signal.mean.channels() == 1 { &["Z"] } else { &["X", "Y", "Z"] };
-            push(&mut layers, channels, signal, ["", "_halfA", "_halfB", "_variance"].map(|part| format!("{name}{part}")));
+            push(
+                &mut layers,
+                channels,
+                signal,
+                ["", "_halfA", "_halfB", "_variance"].map(|part| format!("{name}{part}")),
+            );
         }
         let mut attributes = Vec::new();
         match &self.samples {
@@ -243,8 +265,11 @@ fn read(path: &Path) -> stein::Result<(Frame, BufferSet)> {
 fn push(layers: &mut Vec<NamedLayer>, channels: &[&str], signal: &RawSignal, names: [String; 4]) {
     let RawSignal { mean, half_a, half_b, variance_of_mean } = signal;
     let images = [Some(mean), half_a.as_ref(), half_b.as_ref(), variance_of_mean.as_ref()];
-    let layer =
-        |(name, image): (String, &Image)| NamedLayer { name, channels: channels.iter().map(|&channel| channel.to_owned()).collect(), image: image.clone() };
+    let layer = |(name, image): (String, &Image)| NamedLayer {
+        name,
+        channels: channels.iter().map(|&channel| channel.to_owned()).collect(),
+        image: image.clone(),
+    };
     layers.extend(names.into_iter().zip(images).filter_map(|(name, image)| Some((name, image?))).map(layer));
 }
 
@@ -259,7 +284,12 @@ pub(super) fn image<const N: usize>(extent: Extent, pixels: &[[f64; N]]) -> Imag
 }
 
 /// Means of all samples and of both halves, and s²/n, from deviations that are drawn one after another.
-fn sampled<const N: usize>(extent: Extent, sampling: Sampling, truth: &[[f64; N]], mut draw: impl FnMut(usize) -> [f64; N]) -> RawSignal {
+fn sampled<const N: usize>(
+    extent: Extent,
+    sampling: Sampling,
+    truth: &[[f64; N]],
+    mut draw: impl FnMut(usize) -> [f64; N],
+) -> RawSignal {
     let (count, of_a) = (sampling.samples, sampling.samples.div_ceil(2));
     let mut sums = [vec![[0.0; N]; truth.len()], vec![[0.0; N]; truth.len()]];
     let mut squares = vec![[0.0; N]; truth.len()];
@@ -272,14 +302,23 @@ fn sampled<const N: usize>(extent: Extent, sampling: Sampling, truth: &[[f64; N]
             }
         }
     }
-    let per_pixel =
-        |value: &dyn Fn(usize, usize) -> f64| -> Vec<[f64; N]> { (0..truth.len()).map(|pixel| std::array::from_fn(|channel| value(pixel, channel))).collect() };
+    let per_pixel = |value: &dyn Fn(usize, usize) -> f64| -> Vec<[f64; N]> {
+        (0..truth.len()).map(|pixel| std::array::from_fn(|channel| value(pixel, channel))).collect()
+    };
     let mean = per_pixel(&|pixel, channel| (sums[0][pixel][channel] + sums[1][pixel][channel]) / count as f64);
-    let half = |half: usize, count: usize| image(extent, &per_pixel(&|pixel, channel| sums[half][pixel][channel] / count.max(1) as f64));
+    let half = |half: usize, count: usize| {
+        image(extent, &per_pixel(&|pixel, channel| sums[half][pixel][channel] / count.max(1) as f64))
+    };
     let variance = per_pixel(&|pixel, channel| {
         let of_mean = mean[pixel][channel] - truth[pixel][channel];
-        let of_sample = (squares[pixel][channel] - count as f64 * of_mean * of_mean) / count.saturating_sub(1).max(1) as f64;
+        let of_sample =
+            (squares[pixel][channel] - count as f64 * of_mean * of_mean) / count.saturating_sub(1).max(1) as f64;
         of_sample.max(0.0) / count as f64
     });
-    RawSignal { mean: image(extent, &mean), half_a: Some(half(0, of_a)), half_b: Some(half(1, count - of_a)), variance_of_mean: Some(image(extent, &variance)) }
+    RawSignal {
+        mean: image(extent, &mean),
+        half_a: Some(half(0, of_a)),
+        half_b: Some(half(1, count - of_a)),
+        variance_of_mean: Some(image(extent, &variance)),
+    }
 }

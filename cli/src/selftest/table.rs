@@ -28,17 +28,29 @@ pub(super) fn worst(rows: &[Row]) -> Vec<Worst> {
             None => f64::INFINITY,
         };
         let worst = figures.max_by(|(_, a), (_, b)| share(a.value, a.bound).total_cmp(&share(b.value, b.bound)));
-        worst.map(|(row, figure)| Worst { check, case: row.case.clone(), method: row.method.clone(), value: figure.value, bound: figure.bound })
+        worst.map(|(row, figure)| Worst {
+            check,
+            case: row.case.clone(),
+            method: row.method.clone(),
+            value: figure.value,
+            bound: figure.bound,
+        })
     };
     Check::ALL.into_iter().filter_map(of).collect()
 }
 
 /// A line for each result, what is wrong with those that are out of bounds, and the worst of each check.
 pub(super) fn text(document: &Document, cases: &[Case], verbose: bool) -> String {
-    let head: Vec<String> = ["case", "method", ""].into_iter().chain(Check::ALL.iter().skip(1).map(|check| check.name())).map(String::from).collect();
+    let head: Vec<String> = ["case", "method", ""]
+        .into_iter()
+        .chain(Check::ALL.iter().skip(1).map(|check| check.name()))
+        .map(String::from)
+        .collect();
     let cell = |row: &Row, check: Check| match row.figure(check) {
         None => "-".to_owned(),
-        Some(figure) => format!("{}{}", figure.value.map_or_else(|| "∞".to_owned(), number), if figure.passed { "" } else { "!" }),
+        Some(figure) => {
+            format!("{}{}", figure.value.map_or_else(|| "∞".to_owned(), number), if figure.passed { "" } else { "!" })
+        }
     };
     let line = |row: &Row| {
         let status = match (row.passed, row.figure(Check::Door)) {
@@ -57,7 +69,8 @@ pub(super) fn text(document: &Document, cases: &[Case], verbose: bool) -> String
         parts.push(format!("Out of bounds:\n{}", failed.join("\n")));
     }
     if verbose {
-        let reasons = cases.iter().flat_map(|case| case.reasons().into_iter().map(|reason| format!("  {}: {reason}", case.name)));
+        let reasons =
+            cases.iter().flat_map(|case| case.reasons().into_iter().map(|reason| format!("  {}: {reason}", case.name)));
         let reasons: Vec<String> = reasons.collect();
         if !reasons.is_empty() {
             parts.push(format!("Bounds other than usual:\n{}", reasons.join("\n")));
@@ -76,7 +89,13 @@ pub(super) fn text(document: &Document, cases: &[Case], verbose: bool) -> String
     });
     parts.push(table(&std::iter::once(head).chain(worst).collect::<Vec<_>>(), 5));
     let passed = document.rows.iter().filter(|row| row.passed).count();
-    parts.push(format!("{passed} of {} within bounds, {} cases, {} on {}", document.rows.len(), cases.len(), seconds(document.seconds), document.adapter));
+    parts.push(format!(
+        "{passed} of {} within bounds, {} cases, {} on {}",
+        document.rows.len(),
+        cases.len(),
+        seconds(document.seconds),
+        document.adapter
+    ));
     parts.join("\n\n")
 }
 
@@ -86,7 +105,14 @@ fn wrong(row: &Row) -> Vec<String> {
     figures
         .map(|figure| {
             let value = figure.value.map_or_else(|| "∞".to_owned(), number);
-            format!("  {}, {}: {} is {value}, at most {} is allowed; {}", row.case, row.method, figure.check.name(), number(figure.bound), figure.detail)
+            format!(
+                "  {}, {}: {} is {value}, at most {} is allowed; {}",
+                row.case,
+                row.method,
+                figure.check.name(),
+                number(figure.bound),
+                figure.detail
+            )
         })
         .collect()
 }

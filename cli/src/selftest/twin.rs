@@ -1,8 +1,9 @@
 //! A result against the float64 reference, which gets the same frame.
 //!
-//! Step by step: where a method decides (which candidate, which scale), the reference goes on with what the device has decided, so that a decision that falls the other way between
-//! two ties does not hide what comes after it, and every step is held to its own tolerance. Tolerances are relative to what a value is made of. Decisions by themselves may differ
-//! in a few pixels.
+//! Step by step: where a method decides (which candidate, which scale), the reference goes on with what the device has
+//! decided, so that a decision that falls the other way between two ties does not hide what comes after it, and every
+//! step is held to its own tolerance. Tolerances are relative to what a value is made of. Decisions by themselves may
+//! differ in a few pixels.
 
 use stein::frame::NoiseKnowledge;
 use stein::{DfcParams, Estimate, Frame, GemParams, Image, Method, NlmParams};
@@ -27,8 +28,9 @@ pub(super) struct Part {
     pub(super) detail: String,
 }
 
-/// Filtered values, by how far they are from the input. Features agree to some 10⁻⁶ with their twins; where a weight is worth anything their difference is below 0.1, so that its
-/// square over k_f²·2τ, at the least 4·10⁻⁴, agrees to 10⁻⁴ or so.
+/// Filtered values, by how far they are from the input. Features agree to some 10⁻⁶ with their twins; where a weight is
+/// worth anything their difference is below 0.1, so that its square over k_f²·2τ, at the least 4·10⁻⁴, agrees to 10⁻⁴
+/// or so.
 const FILTERED: f64 = 2e-4;
 /// Derivatives, which are finite differences.
 const DERIVED: f64 = 1e-3;
@@ -38,7 +40,8 @@ const SQUARED: f64 = 4e-4;
 const AVERAGED: f64 = 1e-5;
 /// The share of values that a decision may turn over: by a guard, by a limit, by a cut.
 const TURNED: f64 = 0.01;
-/// The share of values in which it may be decided otherwise whether a pixel is of a spike's kind, and gets its part of it.
+/// The share of values in which it may be decided otherwise whether a pixel is of a spike's kind, and gets its part of
+/// it.
 const OF_ONE_KIND: f64 = 0.001;
 /// A few units of float32's last digit.
 const ROUNDED: f64 = 2.5e-7;
@@ -79,7 +82,8 @@ impl Comparison<'_> {
         for (feature, expected) in frame.features().iter().zip(&twin.features) {
             let (scale, offset) = (f64::from(feature.unit_scale), f64::from(feature.unit_offset));
             let name = format!("{}_prefiltered", feature.name);
-            let actual: Planes = self.layer(&name, 1.0).iter().map(|grid| grid.like(|p| (grid.at(p) - offset) / scale)).collect();
+            let actual: Planes =
+                self.layer(&name, 1.0).iter().map(|grid| grid.like(|p| (grid.at(p) - offset) / scale)).collect();
             // In unit range; layers are in the file's, whose offset costs digits.
             let size = flat(&actual, 1.0 + (offset / scale).abs());
             self.add(&name, &actual, &expected.feature.mean, &size, AVERAGED, 0.0);
@@ -88,20 +92,32 @@ impl Comparison<'_> {
             self.add(&name, &self.layer(&name, scale.powi(-2)), residual, &sizes(residual, 1e-7), 5e-4, 0.0);
         }
 
-        // What a pixel gets of spikes is a sum, so that its last digits are not the twin's: where a pixel with next to no noise has steep weights, they show. Where spikes stay, as
-        // with the preset of the thesis, every value counts.
+        // What a pixel gets of spikes is a sum, so that its last digits are not the twin's: where a pixel with next to
+        // no noise has steep weights, they show. Where spikes stay, as with the preset of the thesis, every value
+        // counts.
         let steep = if params.spikes.is_some() { TURNED } else { 0.0 };
         if let Some(taken) = &twin.spikes {
-            let size: Planes =
-                taken.iter().zip(&input.color.mean).map(|(taken, mean)| taken.like(|p| taken.at(p).abs() + mean.at(p).abs() + VANISHING)).collect();
+            let size: Planes = taken
+                .iter()
+                .zip(&input.color.mean)
+                .map(|(taken, mean)| taken.like(|p| taken.at(p).abs() + mean.at(p).abs() + VANISHING))
+                .collect();
             // In a frame without noise nobody looks for any.
-            let found = Some(self.color("spikes")).filter(|found| !found.is_empty()).unwrap_or_else(|| flat(taken, 0.0));
+            let found =
+                Some(self.color("spikes")).filter(|found| !found.is_empty()).unwrap_or_else(|| flat(taken, 0.0));
             self.add("spikes", &found, taken, &size, AVERAGED, OF_ONE_KIND);
         }
 
         // What a pixel of a filtered colour may be measured by: how far it was moved, its noise, a hundredth of itself.
         let color_size = |filtered: &[Grid]| -> Planes {
-            let channel = |i: usize| u[i].like(|p| (filtered[i].at(p) - u[i].at(p)).abs() + variance[i].at(p).sqrt() + 0.01 * u[i].at(p).abs() + VANISHING);
+            let channel = |i: usize| {
+                u[i].like(|p| {
+                    (filtered[i].at(p) - u[i].at(p)).abs()
+                        + variance[i].at(p).sqrt()
+                        + 0.01 * u[i].at(p).abs()
+                        + VANISHING
+                })
+            };
             (0..3).map(channel).collect()
         };
         const NAMES: [&str; 3] = ["first", "second", "third"];
@@ -111,31 +127,45 @@ impl Comparison<'_> {
             let derivative = format!("{name}_derivative");
             // Finite differences of what is rounded, by weights whose exponents are rounded.
             let rounded = |i: usize, p: Point| {
-                40.0 * ROUNDED * (candidate.mean[i].at(p) - u[i].at(p)).abs() / finite_difference_step(u[i].at(p), variance[i].at(p), around.at(p)).abs()
+                40.0 * ROUNDED * (candidate.mean[i].at(p) - u[i].at(p)).abs()
+                    / finite_difference_step(u[i].at(p), variance[i].at(p), around.at(p)).abs()
             };
-            let size: Planes = (0..3).map(|i| u[i].like(|p| 1.0 + candidate.derivative[i].at(p).abs() + rounded(i, p) / DERIVED)).collect();
+            let size: Planes = (0..3)
+                .map(|i| u[i].like(|p| 1.0 + candidate.derivative[i].at(p).abs() + rounded(i, p) / DERIVED))
+                .collect();
             self.add(&derivative, &self.layer(&derivative, 1.0), &candidate.derivative, &size, DERIVED, steep);
         }
         let terms = |candidate: &Candidate, i: usize, p: Point| {
-            let (residual, variance, rounded) = (candidate.mean[i].at(p) - u[i].at(p), variance[i].at(p), ROUNDED * u[i].at(p).abs());
+            let (residual, variance, rounded) =
+                (candidate.mean[i].at(p) - u[i].at(p), variance[i].at(p), ROUNDED * u[i].at(p).abs());
             residual * residual
                 + variance * (1.0 + 2.0 * params.covariance * candidate.derivative[i].at(p).abs())
                 + (2.0 * residual.abs() + rounded) * rounded / SQUARED
         };
-        let terms = |candidate: &Candidate| u[0].like(|p| (0..3).map(|i| terms(candidate, i, p)).sum::<f64>() + VANISHING);
+        let terms =
+            |candidate: &Candidate| u[0].like(|p| (0..3).map(|i| terms(candidate, i, p)).sum::<f64>() + VANISHING);
         let terms: Planes = twin.candidates.iter().map(terms).collect();
         let sure = self.squared("sure");
         self.add("SURE", &sure, &twin.sure, &terms, SQUARED, steep);
 
         // From here on by what the device has decided.
-        let aside = FilterParams { symmetric_features: params.symmetric, blend_pairs: params.symmetric, ..aside(&params) };
+        let aside =
+            FilterParams { symmetric_features: params.symmetric, blend_pairs: params.symmetric, ..aside(&params) };
         let guide = Guide { mean: u, variance };
         let errors = self.squared("sure_smoothed");
         // An average of nine.
         let around = |grids: &[Grid]| -> Planes {
             grids
                 .iter()
-                .map(|grid| grid.like(|p| square(1).map(|o| p + o).filter(|q| grid.contains(*q)).map(|q| grid.at(q).abs()).fold(VANISHING, f64::max)))
+                .map(|grid| {
+                    grid.like(|p| {
+                        square(1)
+                            .map(|o| p + o)
+                            .filter(|q| grid.contains(*q))
+                            .map(|q| grid.at(q).abs())
+                            .fold(VANISHING, f64::max)
+                    })
+                })
                 .collect()
         };
         self.add("SURE smoothed", &errors, &smooth_errors(&sure, guide, &aside), &around(&sure), FILTERED, 0.0);
@@ -143,24 +173,47 @@ impl Comparison<'_> {
         let selected = self.layer("selected", 1.0);
         // Whether FIRST may win is turned over by the last digit of a derivative.
         let mean_derivative = |k: usize, p: Point| channel_mean(&derivatives[k], p);
-        let ties = |p: Point| (mean_derivative(0, p) - mean_derivative(1, p)).abs() <= 1e-6 * mean_derivative(1, p).abs();
+        let ties =
+            |p: Point| (mean_derivative(0, p) - mean_derivative(1, p)).abs() <= 1e-6 * mean_derivative(1, p).abs();
         let expected = select::select(&errors, derivatives.each_ref().map(Vec::as_slice), params.takes_part);
-        let expected: Planes =
-            expected.iter().zip(&selected).map(|(expected, selected)| expected.like(|p| if ties(p) { selected.at(p) } else { expected.at(p) })).collect();
+        let expected: Planes = expected
+            .iter()
+            .zip(&selected)
+            .map(|(expected, selected)| expected.like(|p| if ties(p) { selected.at(p) } else { expected.at(p) }))
+            .collect();
         self.add("selected", &selected, &expected, &flat(&selected, 1.0), AVERAGED, 0.0);
         let candidates = NAMES.map(|name| self.color(name));
         let means = candidates.each_ref().map(Vec::as_slice);
-        let evidence = Evidence { errors: &errors, binary_maps: &selected, sure: &sure, candidates: means, takes_part: params.takes_part, variance };
+        let evidence = Evidence {
+            errors: &errors,
+            binary_maps: &selected,
+            sure: &sure,
+            candidates: means,
+            takes_part: params.takes_part,
+            variance,
+        };
         let maps = self.layer("selection", 1.0);
         let expected = select::share(&select::smooth_maps(&selected, guide, &aside), evidence, params.guard.as_ref());
         // Of what the filter by the colour only leaves, where it takes part.
         let of_color_only = self.layer("color_only_share", 1.0);
         let expected = of_color_only.first().map_or_else(|| expected.clone(), |share| rest_of(&expected, share));
         let color_only = twin.color_only.as_ref().zip(of_color_only.first());
-        let color_only = color_only.map(|(own, share)| ColorOnly { candidate: own.candidate.clone(), share: share.clone() });
-        assert_eq!(color_only.is_some(), twin.color_only.is_some(), "the filter by the colour only takes part where it does in the reference");
+        let color_only =
+            color_only.map(|(own, share)| ColorOnly { candidate: own.candidate.clone(), share: share.clone() });
+        assert_eq!(
+            color_only.is_some(),
+            twin.color_only.is_some(),
+            "the filter by the colour only takes part where it does in the reference"
+        );
         if let (Some(own), Some(twin)) = (&color_only, &twin.color_only) {
-            self.add("color_only", &self.color("color_only"), &twin.candidate.mean, &color_size(&twin.candidate.mean), FILTERED, steep);
+            self.add(
+                "color_only",
+                &self.color("color_only"),
+                &twin.candidate.mean,
+                &color_size(&twin.candidate.mean),
+                FILTERED,
+                steep,
+            );
             self.add(
                 "color_only_share",
                 std::slice::from_ref(&own.share),
@@ -172,15 +225,24 @@ impl Comparison<'_> {
         }
         // By what they make of the candidates: where these are the same, it does not matter which is taken.
         let apart = |i: usize, p: Point| {
-            (0..3).flat_map(|j| (0..j).map(move |k| (j, k))).map(|(j, k)| (means[j][i].at(p) - means[k][i].at(p)).abs()).fold(0.0, f64::max)
+            (0..3)
+                .flat_map(|j| (0..j).map(move |k| (j, k)))
+                .map(|(j, k)| (means[j][i].at(p) - means[k][i].at(p)).abs())
+                .fold(0.0, f64::max)
         };
         let by = |maps: &[Grid]| -> Planes { (0..3).map(|i| blend(maps, means.map(|mean| &mean[i]))).collect() };
-        let size: Planes = (0..3).map(|i| u[0].like(|p| apart(i, p) + ROUNDED * means[0][i].at(p).abs() / FILTERED + VANISHING)).collect();
+        let size: Planes = (0..3)
+            .map(|i| u[0].like(|p| apart(i, p) + ROUNDED * means[0][i].at(p).abs() / FILTERED + VANISHING))
+            .collect();
         self.add("selection", &by(&maps), &by(&expected), &size, FILTERED, TURNED);
 
-        let blended = |planes: [&[Grid]; 3]| -> Planes { (0..planes[0].len()).map(|i| blend(&maps, planes.map(|planes| &planes[i]))).collect() };
+        let blended = |planes: [&[Grid]; 3]| -> Planes {
+            (0..planes[0].len()).map(|i| blend(&maps, planes.map(|planes| &planes[i]))).collect()
+        };
         let largest = |planes: [&[Grid]; 3]| -> Planes {
-            (0..planes[0].len()).map(|i| u[0].like(|p| planes.iter().map(|planes| planes[i].at(p).abs()).fold(VANISHING, f64::max))).collect()
+            (0..planes[0].len())
+                .map(|i| u[0].like(|p| planes.iter().map(|planes| planes[i].at(p).abs()).fold(VANISHING, f64::max)))
+                .collect()
         };
         let spreads = twin.candidates.each_ref().map(|candidate| candidate.spread.as_deref());
         let spread = match spreads {
@@ -190,7 +252,11 @@ impl Comparison<'_> {
         let pass1 = Pass { mean: blended(means), spread };
         let more = |of: &dyn Fn(&Candidate) -> Planes, planes: Planes| -> Planes {
             let Some(own) = &color_only else { return planes };
-            planes.iter().zip(of(&own.candidate)).map(|(plane, more)| plane.like(|p| plane.at(p) + own.share.at(p) * more.at(p))).collect()
+            planes
+                .iter()
+                .zip(of(&own.candidate))
+                .map(|(plane, more)| plane.like(|p| plane.at(p) + own.share.at(p) * more.at(p)))
+                .collect()
         };
         let pass1 = Pass {
             mean: more(&|own| own.mean.clone(), pass1.mean),
@@ -199,11 +265,20 @@ impl Comparison<'_> {
         // Lights of few pixels hide what is in their place.
         let shown = |planes: Planes, instead: &[Grid]| -> Planes {
             let Some(lights) = &twin.lights else { return planes };
-            planes.iter().zip(instead).map(|(plane, instead)| plane.like(|p| if lights.is_light(p) { instead.at(p) } else { plane.at(p) })).collect()
+            planes
+                .iter()
+                .zip(instead)
+                .map(|(plane, instead)| plane.like(|p| if lights.is_light(p) { instead.at(p) } else { plane.at(p) }))
+                .collect()
         };
-        let actual = if pass1.spread.is_some() { self.color("pass1") } else { shown(bridge::grids(&self.estimate.color, self.exposure), &pass1.mean) };
+        let actual = if pass1.spread.is_some() {
+            self.color("pass1")
+        } else {
+            shown(bridge::grids(&self.estimate.color, self.exposure), &pass1.mean)
+        };
         // The filter by the colour only is the reference's own.
-        let (relative, size) = if color_only.is_some() { (FILTERED, color_size(&pass1.mean)) } else { (AVERAGED, largest(means)) };
+        let (relative, size) =
+            if color_only.is_some() { (FILTERED, color_size(&pass1.mean)) } else { (AVERAGED, largest(means)) };
         self.add("pass 1", &actual, &pass1.mean, &size, relative, if color_only.is_some() { steep } else { 0.0 });
         let weight_sums = twin.candidates.each_ref().map(|candidate| std::slice::from_ref(&candidate.weight_sum));
         let with_more = |sums: Planes| more(&|own| vec![own.weight_sum.clone()], sums);
@@ -212,15 +287,23 @@ impl Comparison<'_> {
 
         // The error is that of the result as it is.
         let part = |k: usize| sure::Part { share: &maps[k], mean: means[k], derivative: &derivatives[k] };
-        let (mean, spread) = (bridge::grids(&self.estimate.color, self.exposure), self.grids(self.estimate.half_spread.as_ref(), self.exposure));
+        let (mean, spread) = (
+            bridge::grids(&self.estimate.color, self.exposure),
+            self.grids(self.estimate.half_spread.as_ref(), self.exposure),
+        );
         let before = second_pass(&pass1, variance, &params).unwrap_or_else(|| pass1.clone());
         let (mean, spread) = (shown(mean, &before.mean), shown(spread, before.spread.as_deref().unwrap_or_default()));
         let spread = pass1.spread.is_some().then_some(spread.as_slice());
         let parts = sure::ErrorParts::measured(spread.is_some(), true);
-        let of_color_only = color_only.iter().map(|own| sure::Part { share: &own.share, mean: &own.candidate.mean, derivative: &own.candidate.derivative });
+        let of_color_only = color_only.iter().map(|own| sure::Part {
+            share: &own.share,
+            mean: &own.candidate.mean,
+            derivative: &own.candidate.derivative,
+        });
         let made_of: Vec<_> = [0, 1, 2].map(part).into_iter().chain(of_color_only).collect();
         let error = sure::error_blend(&mean, spread, variance, &made_of, twin.squares.as_ref(), parts);
-        // Where a pixel is moved back to the input, what it was before is not told: its error is held below what the pixel may have.
+        // Where a pixel is moved back to the input, what it was before is not told: its error is held below what the
+        // pixel may have.
         let unlimited = before;
         let clean = params.keep_clean.unwrap_or(CleanParams { noise: 0.0, ..CleanParams::default() });
         let limit = allowed(&twin.color, clean);
@@ -229,22 +312,30 @@ impl Comparison<'_> {
         // The density is made of it as it was before.
         let of_passes = error.clone();
         let error = match actual.first() {
-            Some(actual) if params.keep_clean.is_some() => {
-                error.like(|p| if limit.at(p).is_infinite() { error.at(p) } else { actual.at(p).min(most.at(p) * (1.0 + 1e-5)) })
-            }
+            Some(actual) if params.keep_clean.is_some() => error.like(|p| {
+                if limit.at(p).is_infinite() { error.at(p) } else { actual.at(p).min(most.at(p) * (1.0 + 1e-5)) }
+            }),
             _ => error,
         };
         let error = match &twin.lights {
             Some(lights) => error.like(|p| if lights.is_light(p) { lights.variance.at(p) } else { error.at(p) }),
             None => error,
         };
-        let rounded = |p: Point| (0..3).map(|i| (ROUNDED * (mean[i].at(p).abs() + apart(i, p))).powi(2) / AVERAGED).sum::<f64>();
-        let size = [error.like(|p| error.at(p) + rounded(p) + 2.0 * (error.at(p) * rounded(p) / AVERAGED).sqrt() + VANISHING)];
+        let rounded =
+            |p: Point| (0..3).map(|i| (ROUNDED * (mean[i].at(p).abs() + apart(i, p))).powi(2) / AVERAGED).sum::<f64>();
+        let size =
+            [error.like(|p| error.at(p) + rounded(p) + 2.0 * (error.at(p) * rounded(p) / AVERAGED).sqrt() + VANISHING)];
         // The filter by the colour only is the reference's own, with its rounding.
         let relative = if color_only.is_some() { SQUARED } else { AVERAGED };
         self.add("error", &actual, std::slice::from_ref(&error), &size, relative, 0.0);
 
-        let twin = stein_reference::dfc::Dfc { maps: maps.clone(), color_only, error: of_passes, pass1: pass1.clone(), ..twin };
+        let twin = stein_reference::dfc::Dfc {
+            maps: maps.clone(),
+            color_only,
+            error: of_passes,
+            pass1: pass1.clone(),
+            ..twin
+        };
         let density = [sampling_density(&twin, &params, bridge::samples(frame, 0.0).mean())];
         if !matches!(frame.samples_per_pixel(), stein::frame::SamplesPerPixel::PerPixel(_)) {
             let size = [density[0].like(|p| density[0].at(p) + density[0].mean() + VANISHING)];
@@ -262,7 +353,14 @@ impl Comparison<'_> {
         };
         self.add("result", &bridge::grids(&self.estimate.color, self.exposure), &result.mean, &size, FILTERED, TURNED);
         if let Some(spread) = &result.spread {
-            self.add("half spread", &self.grids(self.estimate.half_spread.as_ref(), self.exposure), spread, &with_own(spread, &size), FILTERED, TURNED);
+            self.add(
+                "half spread",
+                &self.grids(self.estimate.half_spread.as_ref(), self.exposure),
+                spread,
+                &with_own(spread, &size),
+                FILTERED,
+                TURNED,
+            );
         }
     }
 
@@ -271,16 +369,41 @@ impl Comparison<'_> {
         let twin = nlm_method::nlm(&color, &bridge::nlm_params(params), &bridge::samples(frame, 1.0));
         let (u, variance) = (&color.mean, &twin.variance);
         self.own_size("variance", &self.squared("variance_of_mean"), variance, variance_tolerance(frame));
-        let channel = |i: usize| u[i].like(|p| (twin.mean[i].at(p) - u[i].at(p)).abs() + variance[i].at(p).sqrt() + 0.01 * u[i].at(p).abs() + VANISHING);
+        let channel = |i: usize| {
+            u[i].like(|p| {
+                (twin.mean[i].at(p) - u[i].at(p)).abs() + variance[i].at(p).sqrt() + 0.01 * u[i].at(p).abs() + VANISHING
+            })
+        };
         let size: Planes = (0..3).map(channel).collect();
         self.add("result", &bridge::grids(&self.estimate.color, self.exposure), &twin.mean, &size, FILTERED, TURNED);
         if let Some(spread) = &twin.spread {
-            self.add("half spread", &self.grids(self.estimate.half_spread.as_ref(), self.exposure), spread, &with_own(spread, &size), FILTERED, TURNED);
+            self.add(
+                "half spread",
+                &self.grids(self.estimate.half_spread.as_ref(), self.exposure),
+                spread,
+                &with_own(spread, &size),
+                FILTERED,
+                TURNED,
+            );
         }
         let one = |grid: &Grid| [grid.like(|p| grid.at(p).abs() + 0.01 * grid.mean() + VANISHING)];
         let of = std::slice::from_ref;
-        self.add("Σ w", &bridge::grids(&self.estimate.weight_sum, 1.0), of(&twin.weight_sum), &one(&twin.weight_sum), 2e-3, TURNED);
-        self.add("error", &self.grids(self.estimate.error.as_ref(), self.exposure.powi(2)), of(&twin.error), &one(&twin.error), 2e-3, TURNED);
+        self.add(
+            "Σ w",
+            &bridge::grids(&self.estimate.weight_sum, 1.0),
+            of(&twin.weight_sum),
+            &one(&twin.weight_sum),
+            2e-3,
+            TURNED,
+        );
+        self.add(
+            "error",
+            &self.grids(self.estimate.error.as_ref(), self.exposure.powi(2)),
+            of(&twin.error),
+            &one(&twin.error),
+            2e-3,
+            TURNED,
+        );
         self.add("density", &self.layer("density", 1.0), of(&twin.density), &one(&twin.density), 2e-3, TURNED);
     }
 
@@ -288,14 +411,17 @@ impl Comparison<'_> {
         let params = bridge::gem_params(params);
         let twin = gem::gem(&bridge::signal(frame.color(), self.exposure), &bridge::samples(frame, 0.0), &params);
         self.own_size("scaled variance", &self.squared("scaled_variance"), &twin.variance, variance_tolerance(frame));
-        // What a bias term of nothing but rounding may be: the square of float32's last digits of the largest value that a scale averages.
+        // What a bias term of nothing but rounding may be: the square of float32's last digits of the largest value
+        // that a scale averages.
         let rounding = (4e-6 * twin.scales[0].mean.iter().map(largest).fold(0.0, f64::max)).powi(2);
         let mut maps = Vec::new();
         for (index, (step, sigma)) in twin.steps.iter().zip(&params.sigmas).enumerate() {
             let name = format!("stopping_{}", index + 1);
             let (stops, smoothed) = (self.layer(&name, 1.0), self.layer(&format!("{name}_smoothed"), 1.0));
             // Where the selector is within rounding of 0, both are right.
-            let ties = |p: Point| step.selector(p).abs() <= 1e-4 * (step.bias_term.at(p) + step.variance_term.at(p).abs()) + rounding;
+            let ties = |p: Point| {
+                step.selector(p).abs() <= 1e-4 * (step.bias_term.at(p) + step.variance_term.at(p).abs()) + rounding
+            };
             let expected = step.stops();
             let expected = [expected.like(|p| if ties(p) { stops[0].at(p) } else { expected.at(p) })];
             self.add(&name, &stops, &expected, &flat(&expected, 1.0), AVERAGED, 0.0);
@@ -307,15 +433,34 @@ impl Comparison<'_> {
         let chosen = choose(&twin.scales, &twin.steps, &maps);
         let sigma = std::slice::from_ref(&chosen.sigma);
         self.add("scale", &self.layer("scale", 1.0), sigma, &flat(sigma, 1.0), AVERAGED, 0.0);
-        let size: Planes = twin.scales[0].mean.iter().map(|plane| Grid::filled(plane.width, plane.height, largest(plane))).collect();
+        let size: Planes =
+            twin.scales[0].mean.iter().map(|plane| Grid::filled(plane.width, plane.height, largest(plane))).collect();
         let result = gem::result(&twin, &chosen, &params);
         self.add("result", &bridge::grids(&self.estimate.color, self.exposure), &result.mean, &size, AVERAGED, 0.0);
         if self.estimate.half_spread.is_some() {
-            let size: Planes = twin.scales[0].spread.iter().map(|plane| Grid::filled(plane.width, plane.height, largest(plane))).collect();
-            self.add("half spread", &self.grids(self.estimate.half_spread.as_ref(), self.exposure), &result.spread.unwrap_or_default(), &size, AVERAGED, 0.0);
+            let size: Planes = twin.scales[0]
+                .spread
+                .iter()
+                .map(|plane| Grid::filled(plane.width, plane.height, largest(plane)))
+                .collect();
+            self.add(
+                "half spread",
+                &self.grids(self.estimate.half_spread.as_ref(), self.exposure),
+                &result.spread.unwrap_or_default(),
+                &size,
+                AVERAGED,
+                0.0,
+            );
         }
         let pixels = std::slice::from_ref(&chosen.pixels);
-        self.add("pixels", &bridge::grids(&self.estimate.weight_sum, 1.0), pixels, &sizes(pixels, VANISHING), AVERAGED, 0.0);
+        self.add(
+            "pixels",
+            &bridge::grids(&self.estimate.weight_sum, 1.0),
+            pixels,
+            &sizes(pixels, VANISHING),
+            AVERAGED,
+            0.0,
+        );
         let terms = |p: Point| {
             let steps: f64 = twin.steps.iter().map(|step| step.bias_term.at(p) + step.variance_term.at(p).abs()).sum();
             steps + twin.scales[0].variance.iter().map(|plane| plane.at(p)).sum::<f64>() + rounding
@@ -358,7 +503,8 @@ impl Comparison<'_> {
         for (channel, (actual, (expected, scale))) in actual.iter().zip(expected.iter().zip(scale)).enumerate() {
             for (pixel, ((a, e), s)) in actual.values.iter().zip(&expected.values).zip(&scale.values).enumerate() {
                 // Both may have overflowed.
-                let error = if a == e || (a.is_nan() && e.is_nan()) { 0.0 } else { (a - e).abs() / (relative * s + least) };
+                let error =
+                    if a == e || (a.is_nan() && e.is_nan()) { 0.0 } else { (a - e).abs() / (relative * s + least) };
                 errors.push((if error.is_nan() { f64::INFINITY } else { error }, channel, pixel));
             }
         }
@@ -369,7 +515,11 @@ impl Comparison<'_> {
         self.parts.push(Part {
             name: name.to_owned(),
             off,
-            detail: format!("x {}, y {}, channel {channel}: {actual:e} in place of {expected:e}", pixel % width, pixel / width),
+            detail: format!(
+                "x {}, y {}, channel {channel}: {actual:e} in place of {expected:e}",
+                pixel % width,
+                pixel / width
+            ),
         });
     }
 }
@@ -390,7 +540,9 @@ fn aside(params: &stein_reference::dfc::DfcParams) -> FilterParams {
 
 /// Σ_k maps_k · planes_k, without what has no weight: it may not be finite.
 fn blend(maps: &[Grid], planes: [&Grid; 3]) -> Grid {
-    maps[0].like(|p| maps.iter().zip(planes).filter(|(map, _)| map.at(p) > 0.0).map(|(map, plane)| map.at(p) * plane.at(p)).sum())
+    maps[0].like(|p| {
+        maps.iter().zip(planes).filter(|(map, _)| map.at(p) > 0.0).map(|(map, plane)| map.at(p) * plane.at(p)).sum()
+    })
 }
 
 fn flat(like: &[Grid], scale: f64) -> Planes {

@@ -74,7 +74,14 @@ struct LeftOut {
 
 impl LeftOut {
     fn new(files: &[ExrFile], file: usize, layer: usize, problem: String, remedy: String) -> Self {
-        Self { file, layer, path: files[file].path.clone(), name: files[file].layers[layer].name.clone(), problem, remedy }
+        Self {
+            file,
+            layer,
+            path: files[file].path.clone(),
+            name: files[file].layers[layer].name.clone(),
+            problem,
+            remedy,
+        }
     }
 
     fn into_note(self) -> Note {
@@ -89,18 +96,23 @@ impl LeftOut {
 
 /// The colour with its halves and variance. Of those, what is wrong is left out as long as the other source tells the
 /// noise.
-fn color_source(files: &mut Files, input: usize, request: &BufferSetRequest, left_out: &mut Vec<LeftOut>) -> Result<SignalSource> {
+fn color_source(
+    files: &mut Files,
+    input: usize,
+    request: &BufferSetRequest,
+    left_out: &mut Vec<LeftOut>,
+) -> Result<SignalSource> {
     let file = &files.list[input];
     let layer = color_layer(file, request.layer.as_deref())?;
     let mean = Planes { file: input, layer, channels: color_channels(file, layer)? };
     // Plain `halfA` belongs to plain `R G B` if the file has both that and the chosen layer.
     let name = &file.layers[layer].name;
     let bare_too = names::group(name) == name.as_str()
-        || !file
-            .layers
-            .iter()
-            .enumerate()
-            .any(|(other, candidate)| other != layer && candidate.name == names::group(name).trim_end_matches('.') && color_channels(file, other).is_ok());
+        || !file.layers.iter().enumerate().any(|(other, candidate)| {
+            other != layer
+                && candidate.name == names::group(name).trim_end_matches('.')
+                && color_channels(file, other).is_ok()
+        });
     let mut found = Companions::find(&files.list, &mean, bare_too);
     let mut named = |reference: &Option<LayerRef>, found: Option<Planes>| match reference {
         None => Ok(found),
@@ -136,7 +148,10 @@ pub(crate) fn color_layer(file: &ExrFile, wanted: Option<&str>) -> Result<usize>
         return named_layer(file, wanted);
     }
     let colorful = |layer: &usize| color_channels(file, *layer).is_ok();
-    let usual = (0..file.layers.len()).filter(colorful).filter_map(|layer| names::color_rank(&file.layers[layer].name).map(|rank| (rank, layer))).min();
+    let usual = (0..file.layers.len())
+        .filter(colorful)
+        .filter_map(|layer| names::color_rank(&file.layers[layer].name).map(|rank| (rank, layer)))
+        .min();
     if let Some((_, layer)) = usual {
         return Ok(layer);
     }
@@ -144,7 +159,10 @@ pub(crate) fn color_layer(file: &ExrFile, wanted: Option<&str>) -> Result<usize>
         .filter(colorful)
         .filter(|&layer| {
             let name = &file.layers[layer].name;
-            names::companion_base(name).is_none() && !names::is_bare_half(name) && !names::is_feature_name(name) && names::why_not_a_variance(name).is_none()
+            names::companion_base(name).is_none()
+                && !names::is_bare_half(name)
+                && !names::is_feature_name(name)
+                && names::why_not_a_variance(name).is_none()
         })
         .collect();
     match other.as_slice() {
@@ -157,7 +175,10 @@ pub(crate) fn color_layer(file: &ExrFile, wanted: Option<&str>) -> Result<usize>
         }),
         several => Err(Error::File {
             path: file.path.clone(),
-            problem: format!("has several layers that could be the colour: {}", text::list(several.iter().map(|&layer| file.layers[layer].described()))),
+            problem: format!(
+                "has several layers that could be the colour: {}",
+                text::list(several.iter().map(|&layer| file.layers[layer].described()))
+            ),
             remedy: "name the layer to take (`BufferSetRequest::layer`, `LayerRef::layer`)".into(),
         }),
     }
@@ -183,7 +204,9 @@ fn named_layer(file: &ExrFile, wanted: &str) -> Result<usize> {
 /// The channels R, G, B of a layer; a luminance stands for all three.
 pub(crate) fn color_channels(file: &ExrFile, layer: usize) -> Result<Vec<usize>> {
     let layer = &file.layers[layer];
-    let find = |suffix: &str| layer.channels.iter().find(|channel| channel.suffix.eq_ignore_ascii_case(suffix)).map(|channel| channel.index);
+    let find = |suffix: &str| {
+        layer.channels.iter().find(|channel| channel.suffix.eq_ignore_ascii_case(suffix)).map(|channel| channel.index)
+    };
     if let (Some(r), Some(g), Some(b)) = (find("R"), find("G"), find("B")) {
         return Ok(vec![r, g, b]);
     }
@@ -200,8 +223,11 @@ pub(crate) fn color_channels(file: &ExrFile, layer: usize) -> Result<Vec<usize>>
 
 /// The channels of a feature: all but the alpha, if that leaves one to three.
 fn feature_channels(layer: &FileLayer) -> Option<Vec<usize>> {
-    let alpha = |suffix: &str| layer.channels.len() > 1 && (suffix.eq_ignore_ascii_case("A") || suffix.eq_ignore_ascii_case("alpha"));
-    let channels: Vec<usize> = layer.channels.iter().filter(|channel| !alpha(&channel.suffix)).map(|channel| channel.index).collect();
+    let alpha = |suffix: &str| {
+        layer.channels.len() > 1 && (suffix.eq_ignore_ascii_case("A") || suffix.eq_ignore_ascii_case("alpha"))
+    };
+    let channels: Vec<usize> =
+        layer.channels.iter().filter(|channel| !alpha(&channel.suffix)).map(|channel| channel.index).collect();
     (1..=3).contains(&channels.len()).then_some(channels)
 }
 
@@ -225,14 +251,23 @@ impl Companions {
     /// Adds those that are named after `base`, as far as they are missing.
     fn add(&mut self, files: &[ExrFile], mean: &Planes, base: &str, bare_too: bool) {
         let file = &files[mean.file];
-        let parts = [(&mut self.half_a, SignalPart::HalfA), (&mut self.half_b, SignalPart::HalfB), (&mut self.variance, SignalPart::Variance)];
+        let parts = [
+            (&mut self.half_a, SignalPart::HalfA),
+            (&mut self.half_b, SignalPart::HalfB),
+            (&mut self.variance, SignalPart::Variance),
+        ];
         for (slot, part) in parts.into_iter().filter(|(slot, _)| slot.is_none()) {
-            let named = |layer: &usize| *layer != mean.layer && names::is_companion(&file.layers[*layer].name, base, part, bare_too);
+            let named = |layer: &usize| {
+                *layer != mean.layer && names::is_companion(&file.layers[*layer].name, base, part, bare_too)
+            };
             let Some(layer) = (0..file.layers.len()).find(named) else { continue };
             match matching_channels(file, mean, layer) {
                 Some(channels) => *slot = Some(Planes { file: mean.file, layer, channels }),
                 None => {
-                    let problem = format!("its channels do not match those of the layer that it belongs to, '{}'", file.layers[mean.layer].name);
+                    let problem = format!(
+                        "its channels do not match those of the layer that it belongs to, '{}'",
+                        file.layers[mean.layer].name
+                    );
                     let remedy = "write both with the same channels, or rename it if it is something else".into();
                     self.left_out.push(LeftOut::new(files, mean.file, layer, problem, remedy));
                 }
@@ -259,21 +294,32 @@ impl Companions {
     }
 }
 
-/// The channels of `layer` that correspond to those of the mean, by name; by position where the names differ throughout (`Z` and `Y` of single channels).
-/// `None` if they do not match.
+/// The channels of `layer` that correspond to those of the mean, by name; by position where the names differ throughout
+/// (`Z` and `Y` of single channels). `None` if they do not match.
 fn matching_channels(file: &ExrFile, mean: &Planes, layer: usize) -> Option<Vec<usize>> {
     let mean_layer = &file.layers[mean.layer];
-    let suffix_of = |index: &usize| mean_layer.channels.iter().find(|channel| channel.index == *index).map(|channel| channel.suffix.as_str());
+    let suffix_of = |index: &usize| {
+        mean_layer.channels.iter().find(|channel| channel.index == *index).map(|channel| channel.suffix.as_str())
+    };
     let candidate = &file.layers[layer];
     let by_name = |index: &usize| {
         let suffix = suffix_of(index)?;
-        candidate.channels.iter().find(|channel| channel.suffix.eq_ignore_ascii_case(suffix)).map(|channel| channel.index)
+        candidate
+            .channels
+            .iter()
+            .find(|channel| channel.suffix.eq_ignore_ascii_case(suffix))
+            .map(|channel| channel.index)
     };
     let by_name: Option<Vec<usize>> = mean.channels.iter().map(by_name).collect();
     by_name.or_else(|| feature_channels(candidate).filter(|channels| channels.len() == mean.channels.len()))
 }
 
-fn requested_feature(files: &mut Files, name: &str, reference: &LayerRef, left_out: &mut Vec<LeftOut>) -> Result<SignalSource> {
+fn requested_feature(
+    files: &mut Files,
+    name: &str,
+    reference: &LayerRef,
+    left_out: &mut Vec<LeftOut>,
+) -> Result<SignalSource> {
     let index = files.open(&reference.file)?;
     let file = &files.list[index];
     let (layer, bare_too) = match &reference.layer {
@@ -313,8 +359,8 @@ fn main_layer(file: &ExrFile) -> Result<usize> {
     }
 }
 
-/// Adds the input's own features to those that were requested, as far as they are wanted. What is to be skipped must be one of them, by its whole name or what stands behind one of
-/// its dots.
+/// Adds the input's own features to those that were requested, as far as they are wanted. What is to be skipped must be
+/// one of them, by its whole name or what stands behind one of its dots.
 fn find_features(
     files: &[ExrFile],
     color: &SignalSource,
@@ -351,7 +397,9 @@ fn find_features(
         if !has_companions && !names::is_feature_name(name) {
             continue;
         }
-        let is_named = |skip: &str| candidate.name.strip_suffix(skip).is_some_and(|before| before.is_empty() || before.ends_with('.'));
+        let is_named = |skip: &str| {
+            candidate.name.strip_suffix(skip).is_some_and(|before| before.is_empty() || before.ends_with('.'))
+        };
         let skipped = request.skip_features.iter().any(|skip| is_named(skip));
         not_there.retain(|skip| !is_named(skip));
         if request.no_features {
@@ -386,7 +434,8 @@ fn find_features(
 }
 
 fn sample_count(file: &ExrFile) -> Option<Planes> {
-    let layer = file.layers.iter().position(|layer| layer.channels.len() == 1 && names::is_sample_count_name(&layer.name))?;
+    let layer =
+        file.layers.iter().position(|layer| layer.channels.len() == 1 && names::is_sample_count_name(&layer.name))?;
     Some(Planes { file: 0, layer, channels: vec![file.layers[layer].channels[0].index] })
 }
 

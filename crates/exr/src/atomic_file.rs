@@ -1,6 +1,7 @@
 //! Files that appear under their names only when they are complete: written beside their place, and renamed into it.
 //!
-//! What is on its way is known to the process, so that a program that a signal ends can take it away first: see [`abandon`].
+//! What is on its way is known to the process, so that a program that a signal ends can take it away first: see
+//! [`abandon`].
 
 use std::collections::BTreeSet;
 use std::fs::{File, Metadata};
@@ -18,8 +19,9 @@ fn unfinished() -> MutexGuard<'static, Option<BTreeSet<PathBuf>>> {
     UNFINISHED.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Removes everything that is on its way to its place; from now on nothing sets out or arrives. For a program that ends at once, without going back through what it was doing: on
-/// a second Ctrl-C, or where the first was not heeded in time. What has arrived stays, and nothing is ever seen half.
+/// Removes everything that is on its way to its place; from now on nothing sets out or arrives. For a program that ends
+/// at once, without going back through what it was doing: on a second Ctrl-C, or where the first was not heeded in
+/// time. What has arrived stays, and nothing is ever seen half.
 pub fn abandon() {
     for path in unfinished().take().into_iter().flatten() {
         // Nobody is left to be told.
@@ -112,7 +114,11 @@ pub fn readable<'a, 'b, 'c>(builder: &'c mut Builder<'a, 'b>) -> &'c mut Builder
 ///
 /// # Errors
 /// As [`write`].
-pub fn replace(output: &Path, builder: &mut Builder<'_, '_>, write: impl FnOnce(&mut File) -> Result<()>) -> Result<()> {
+pub fn replace(
+    output: &Path,
+    builder: &mut Builder<'_, '_>,
+    write: impl FnOnce(&mut File) -> Result<()>,
+) -> Result<()> {
     let folder = match output.parent() {
         Some(folder) if !folder.as_os_str().is_empty() => folder,
         _ => Path::new("."),
@@ -122,7 +128,8 @@ pub fn replace(output: &Path, builder: &mut Builder<'_, '_>, write: impl FnOnce(
     if let Some(replaced) = output.metadata().ok().filter(Metadata::is_file) {
         inherit(aside.as_file(), &replaced);
     }
-    // A disk far away tells only now that it is full; and a name must not outlive a power failure that its content did not.
+    // A disk far away tells only now that it is full; and a name must not outlive a power failure that its content did
+    // not.
     match aside.as_file().sync_all() {
         // Some file systems have no such thing.
         Err(error) if matches!(error.kind(), ErrorKind::Unsupported | ErrorKind::InvalidInput) => {}

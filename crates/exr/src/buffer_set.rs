@@ -34,7 +34,8 @@ pub(crate) struct SignalSource {
     pub(crate) variance: Option<Planes>,
 }
 
-/// What the files said. Keeps the files' whole content in memory, so that an output can carry over what was not denoised.
+/// What the files said. Keeps the files' whole content in memory, so that an output can carry over what was not
+/// denoised.
 #[derive(Clone, Debug)]
 pub struct BufferSet {
     pub(crate) files: Vec<ExrFile>,
@@ -50,9 +51,9 @@ impl BufferSet {
     /// # Errors
     /// A file that is missing, damaged or of a kind that cannot be read; a requested layer that does not exist; layers
     /// whose data windows differ from the colour's; a half of the colour without the other, or halves and variance of
-    /// other channels, where nothing else tells the colour's noise; more than [`MAX_FEATURES`](stein::frame::MAX_FEATURES) requested features; one
-    /// to skip that the input does not have. Halves and variances that cannot be used are else left out, and
-    /// [`BufferSet::layer_uses`] says why.
+    /// other channels, where nothing else tells the colour's noise; more than
+    /// [`MAX_FEATURES`](stein::frame::MAX_FEATURES) requested features; one to skip that the input does not have.
+    /// Halves and variances that cannot be used are else left out, and [`BufferSet::layer_uses`] says why.
     pub fn read(request: &BufferSetRequest) -> Result<Self> {
         assign::read(request)
     }
@@ -97,7 +98,8 @@ impl BufferSet {
         self.features.iter().map(|(name, source)| (name.as_str(), self.raw(source)))
     }
 
-    /// Samples per pixel: from a channel if there is one, else from the header (attribute `samples` or `samplesPerPixel`), else unknown.
+    /// Samples per pixel: from a channel if there is one, else from the header (attribute `samples` or
+    /// `samplesPerPixel`), else unknown.
     pub fn samples_per_pixel(&self) -> SamplesPerPixel {
         if let Some(planes) = &self.samples {
             return SamplesPerPixel::PerPixel(self.planes(planes));
@@ -116,7 +118,8 @@ impl BufferSet {
         &self.layer_uses
     }
 
-    /// Settles the meaning of what the files said. The halves are taken to have equal numbers of samples, since no file says otherwise.
+    /// Settles the meaning of what the files said. The halves are taken to have equal numbers of samples, since no file
+    /// says otherwise.
     ///
     /// # Errors
     /// As [`Frame::new`]; [`Error::File`] where memory would end.
@@ -125,8 +128,8 @@ impl BufferSet {
         self.settle(self.color())
     }
 
-    /// As [`BufferSet::to_frame`], for large frames: the set lets go of the stored samples of the colour and its noise, and of
-    /// all other files than the input. What is left of the set serves [`write_estimate`](crate::write_estimate).
+    /// As [`BufferSet::to_frame`], for large frames: the set lets go of the stored samples of the colour and its noise,
+    /// and of all other files than the input. What is left of the set serves [`write_estimate`](crate::write_estimate).
     ///
     /// # Errors
     /// As [`Frame::new`]; [`Error::File`] where memory ends, or where the input is gone.
@@ -155,7 +158,8 @@ impl BufferSet {
         let mut take = |planes: &Planes| {
             let part = self.part(planes);
             let needed_again = self.channels_needed_again(planes);
-            let taken = self.files[planes.file].take_planes(part, &planes.channels, |channel| needed_again.contains(&channel));
+            let taken =
+                self.files[planes.file].take_planes(part, &planes.channels, |channel| needed_again.contains(&channel));
             taken.map_err(|shortage| self.no_memory(shortage))
         };
         Ok(RawSignal {
@@ -172,7 +176,11 @@ impl BufferSet {
     /// # Errors
     /// [`Error::File`] where the input cannot be read any more.
     fn restore_halves(&mut self) -> Result<()> {
-        for planes in [self.color.half_a.clone(), self.color.half_b.clone()].into_iter().flatten().filter(|planes| planes.file == 0) {
+        for planes in [self.color.half_a.clone(), self.color.half_b.clone()]
+            .into_iter()
+            .flatten()
+            .filter(|planes| planes.file == 0)
+        {
             let part = self.part(&planes);
             self.files[0].restore(part, &planes.channels)?;
         }
@@ -183,8 +191,13 @@ impl BufferSet {
     fn forget_other_files(&mut self) {
         let samples = self.samples.clone();
         for (index, file) in self.files.iter_mut().enumerate().skip(1) {
-            let kept = samples.as_ref().filter(|planes| planes.file == index).map(|planes| (file.layers[planes.layer].part, planes.channels.clone()));
-            file.forget_samples(|part, channel| kept.as_ref().is_some_and(|(kept_part, channels)| *kept_part == part && channels.contains(&channel)));
+            let kept = samples
+                .as_ref()
+                .filter(|planes| planes.file == index)
+                .map(|planes| (file.layers[planes.layer].part, planes.channels.clone()));
+            file.forget_samples(|part, channel| {
+                kept.as_ref().is_some_and(|(kept_part, channels)| *kept_part == part && channels.contains(&channel))
+            });
         }
     }
 
@@ -197,18 +210,29 @@ impl BufferSet {
         let pixels = self.extent().pixels() as u64;
         let count = |planes: &Option<Planes>| planes.as_ref().map_or(0, |planes| planes.channels.len() as u64);
         // The half spread takes the place of half A, and half B goes.
-        let kept = |source: &SignalSource| source.mean.channels.len() as u64 + count(&source.half_a) + count(&source.variance);
+        let kept =
+            |source: &SignalSource| source.mean.channels.len() as u64 + count(&source.half_a) + count(&source.variance);
         let let_go = |source: &SignalSource| count(&source.half_b);
         let stored = |planes: &Planes| {
             let file = &self.files[planes.file];
-            planes.channels.iter().map(|channel| file.bytes_per_sample(file.layers[planes.layer].part, *channel)).sum::<u64>()
+            planes
+                .channels
+                .iter()
+                .map(|channel| file.bytes_per_sample(file.layers[planes.layer].part, *channel))
+                .sum::<u64>()
         };
-        let color = [Some(&self.color.mean), self.color.half_a.as_ref(), self.color.half_b.as_ref(), self.color.variance.as_ref()];
+        let color = [
+            Some(&self.color.mean),
+            self.color.half_a.as_ref(),
+            self.color.half_b.as_ref(),
+            self.color.variance.as_ref(),
+        ];
         let stored = if taken { color.into_iter().flatten().map(stored).sum() } else { 0 };
         let while_color = (4 * (kept(&self.color) + let_go(&self.color))).saturating_sub(stored);
         let features = self.features.iter().map(|(_, source)| kept(source)).sum::<u64>();
         let one_feature = self.features.iter().map(|(_, source)| let_go(source)).max().unwrap_or(0);
-        let with_features = (4 * (kept(&self.color) + features + one_feature + count(&self.samples))).saturating_sub(stored);
+        let with_features =
+            (4 * (kept(&self.color) + features + one_feature + count(&self.samples))).saturating_sub(stored);
         // What a pixel is to the repair of others.
         let needed = pixels * (while_color.max(with_features) + STATE_BYTES);
         FreeMemory::now().check(needed).map_err(|shortage| self.no_memory(shortage))
@@ -227,14 +251,20 @@ impl BufferSet {
     /// they share a layer of the input with others, so that an output shows the layer as it was.
     fn channels_needed_again(&self, planes: &Planes) -> Vec<usize> {
         let layer = &self.files[planes.file].layers[planes.layer];
-        if planes != &self.color.mean && colored_channels(layer).iter().any(|channel| !planes.channels.contains(channel)) {
+        if planes != &self.color.mean
+            && colored_channels(layer).iter().any(|channel| !planes.channels.contains(channel))
+        {
             return planes.channels.clone();
         }
-        let of_signal = |source: &SignalSource| [Some(source.mean.clone()), source.half_a.clone(), source.half_b.clone(), source.variance.clone()];
+        let of_signal = |source: &SignalSource| {
+            [Some(source.mean.clone()), source.half_a.clone(), source.half_b.clone(), source.variance.clone()]
+        };
         let signals = std::iter::once(&self.color).chain(self.features.iter().map(|(_, source)| source));
         let all: Vec<Planes> = signals.flat_map(of_signal).chain([self.samples.clone()]).flatten().collect();
         let users = |channel: usize| {
-            let uses = |other: &&Planes| other.file == planes.file && self.part(other) == self.part(planes) && other.channels.contains(&channel);
+            let uses = |other: &&Planes| {
+                other.file == planes.file && self.part(other) == self.part(planes) && other.channels.contains(&channel)
+            };
             all.iter().filter(uses).count()
         };
         planes.channels.iter().copied().filter(|channel| users(*channel) > 1).collect()

@@ -50,8 +50,10 @@ pub(crate) fn decode(file: &mut (impl BufRead + Seek), file_bytes: u64) -> Decod
     let bytes = check_size(&meta.headers, file_bytes)?;
     let places = places(file, &meta, head.end, file_bytes)?;
     // A header may claim blocks that are larger than the image.
-    let largest_block = meta.headers.iter().map(|header| header.max_block_byte_size().min(part_bytes(header))).max().unwrap_or(0);
-    // Enough at once to keep every thread busy, little enough that the compressed and the decoded file are never in memory together.
+    let largest_block =
+        meta.headers.iter().map(|header| header.max_block_byte_size().min(part_bytes(header))).max().unwrap_or(0);
+    // Enough at once to keep every thread busy, little enough that the compressed and the decoded file are never in
+    // memory together.
     let blocks_at_once = (BATCH_BYTES / largest_block.max(1)).max(rayon::current_num_threads()).min(places.len());
     // The blocks of a batch are in memory compressed and decoded.
     FreeMemory::now().check((bytes + 2 * blocks_at_once * largest_block) as u64)?;
@@ -145,7 +147,11 @@ fn places(file: &mut (impl BufRead + Seek), meta: &MetaData, start: u64, file_by
         for block in 0..header.chunk_count {
             file.read_exact(&mut entry).map_err(|_| ended())?;
             if block < blocks {
-                places.push(Place { offset: u64::from_le_bytes(entry), part, block: Vec2(block % columns, block / columns) });
+                places.push(Place {
+                    offset: u64::from_le_bytes(entry),
+                    part,
+                    block: Vec2(block % columns, block / columns),
+                });
             }
         }
     }
@@ -157,7 +163,9 @@ fn places(file: &mut (impl BufRead + Seek), meta: &MetaData, start: u64, file_by
             return Err(Trouble::damaged(format_args!("block ({x}, {y}) is missing")));
         }
         if *offset < tables_end || *offset >= file_bytes {
-            return Err(Trouble::damaged(format_args!("block ({x}, {y}) is said to stand at byte {offset}, but none can: the file has {file_bytes}")));
+            return Err(Trouble::damaged(format_args!(
+                "block ({x}, {y}) is said to stand at byte {offset}, but none can: the file has {file_bytes}"
+            )));
         }
         if index > 0 && places[index - 1].offset == *offset {
             return Err(Trouble::damaged(format_args!("two blocks are said to stand at byte {offset}")));
@@ -167,7 +175,8 @@ fn places(file: &mut (impl BufRead + Seek), meta: &MetaData, start: u64, file_by
 }
 
 impl Place {
-    /// The compressed block that stands here; one that is none of this place, or does not end with the file, is refused before it is allocated.
+    /// The compressed block that stands here; one that is none of this place, or does not end with the file, is refused
+    /// before it is allocated.
     fn read(&self, file: &mut (impl BufRead + Seek), meta: &MetaData, file_bytes: u64) -> Decoded<Chunk> {
         let Self { offset, part, block: Vec2(x, y) } = *self;
         let header = &meta.headers[part];
@@ -208,7 +217,9 @@ impl Place {
         let mut compressed_pixels_le = vec![0; size];
         file.read_exact(&mut compressed_pixels_le)?;
         let compressed_block = match header.blocks {
-            BlockDescription::ScanLines => CompressedBlock::ScanLine(CompressedScanLineBlock { y_coordinate: top, compressed_pixels_le }),
+            BlockDescription::ScanLines => {
+                CompressedBlock::ScanLine(CompressedScanLineBlock { y_coordinate: top, compressed_pixels_le })
+            }
             BlockDescription::Tiles(_) => {
                 let coordinates = TileCoordinates { tile_index: self.block, level_index: Vec2(0, 0) };
                 CompressedBlock::Tile(CompressedTileBlock { coordinates, compressed_pixels_le })
@@ -225,7 +236,8 @@ fn decompress(chunk: Chunk, meta: &MetaData) -> Decoded<UncompressedBlock> {
     Ok(block.map_err(|_| Trouble::damaged("a block cannot be decompressed"))??)
 }
 
-/// A DWA block begins with eleven 64-bit sizes, and the decoder allocates what they say: a failed allocation ends the process and cannot be caught.
+/// A DWA block begins with eleven 64-bit sizes, and the decoder allocates what they say: a failed allocation ends the
+/// process and cannot be caught.
 fn check_dwa_counters(chunk: &Chunk, header: &Header) -> Decoded<()> {
     let bytes = match (&chunk.compressed_block, header.compression) {
         (CompressedBlock::ScanLine(block), Compression::DWAA(_) | Compression::DWAB(_)) => &block.compressed_pixels_le,

@@ -32,16 +32,25 @@ pub struct Written {
     pub notes: Vec<String>,
 }
 
-/// Writes the input with its colour replaced by the denoised one, and its halves likewise; without its variance, which is not that of the denoised colour. The estimated error,
-/// where there is one, is added as `stein.error`, and those of [`Estimate::layers`] that are part of the intermediates in `keep`, as `stein.*`. `set` is what the frame was
-/// made of, and is used up; `method` is noted in the header.
+/// Writes the input with its colour replaced by the denoised one, and its halves likewise; without its variance, which
+/// is not that of the denoised colour. The estimated error, where there is one, is added as `stein.error`, and those of
+/// [`Estimate::layers`] that are part of the intermediates in `keep`, as `stein.*`. `set` is what the frame was made
+/// of, and is used up; `method` is noted in the header.
 ///
 /// The file appears under its name only when it is complete; an existing one is replaced, which may be the input.
 ///
 /// # Errors
 /// As [`write_denoised`].
-pub fn write_estimate(estimate: &Estimate, set: BufferSet, output: &Path, keep: &[Intermediate], method: &Method) -> Result<Written> {
-    FreeMemory::now().check(bytes_for_writing(estimate, keep)).map_err(|shortage| shortage.error("writing the output"))?;
+pub fn write_estimate(
+    estimate: &Estimate,
+    set: BufferSet,
+    output: &Path,
+    keep: &[Intermediate],
+    method: &Method,
+) -> Result<Written> {
+    FreeMemory::now()
+        .check(bytes_for_writing(estimate, keep))
+        .map_err(|shortage| shortage.error("writing the output"))?;
     let mut notes = Vec::new();
     let mut replacements = Vec::new();
     let mut dropped = Vec::new();
@@ -58,17 +67,33 @@ pub fn write_estimate(estimate: &Estimate, set: BufferSet, output: &Path, keep: 
         };
         let plain = layer.channels.iter().filter(|channel| !channel.eq_ignore_ascii_case("A")).count();
         match &estimate.half_spread {
-            Some(half_spread) if plain == 3 || plain == 1 => replacements.push((layer.layer.clone(), half(&estimate.color, half_spread, sign))),
-            _ => notes.push(format!("layer '{}' is as it was: it holds more than a half of the colour", text::name(&layer.layer))),
+            Some(half_spread) if plain == 3 || plain == 1 => {
+                replacements.push((layer.layer.clone(), half(&estimate.color, half_spread, sign)));
+            }
+            _ => notes.push(format!(
+                "layer '{}' is as it was: it holds more than a half of the colour",
+                text::name(&layer.layer)
+            )),
         }
     }
 
-    let error = estimate.error.as_ref().map(|image| NamedLayer { name: format!("{PREFIX}.error"), channels: vec!["V".into()], image: image.clone() });
+    let error = estimate.error.as_ref().map(|image| NamedLayer {
+        name: format!("{PREFIX}.error"),
+        channels: vec!["V".into()],
+        image: image.clone(),
+    });
     let kept = estimate.layers.iter().filter(|layer| keep.contains(&layer.intermediate));
-    let named = kept.map(|layer| NamedLayer { name: format!("{PREFIX}.{}", layer.name), channels: layer.channels.clone(), image: layer.image.clone() });
+    let named = kept.map(|layer| NamedLayer {
+        name: format!("{PREFIX}.{}", layer.name),
+        channels: layer.channels.clone(),
+        image: layer.image.clone(),
+    });
     let extra: Vec<_> = error.into_iter().chain(named).collect();
     // An earlier run's are not of this colour.
-    let stale: Vec<_> = in_input().map(|layer| &layer.layer).filter(|layer| layer.strip_prefix(PREFIX).is_some_and(|rest| rest.starts_with('.'))).collect();
+    let stale: Vec<_> = in_input()
+        .map(|layer| &layer.layer)
+        .filter(|layer| layer.strip_prefix(PREFIX).is_some_and(|rest| rest.starts_with('.')))
+        .collect();
     if !stale.is_empty() {
         notes.push("the input was denoised before".into());
     }
@@ -79,13 +104,26 @@ pub fn write_estimate(estimate: &Estimate, set: BufferSet, output: &Path, keep: 
         problem: format!("the parameters cannot be put into words: {error}"),
         remedy: "this is a defect of stein: please report it with the parameters".into(),
     })?;
-    let attributes = [("stein.version".to_owned(), env!("CARGO_PKG_VERSION").to_owned()), ("stein.parameters".to_owned(), parameters)];
-    let layers = DenoisedLayers { color: &estimate.color, replacements: &replacements, dropped: &dropped, extra: &extra, attributes: &attributes };
+    let attributes = [
+        ("stein.version".to_owned(), env!("CARGO_PKG_VERSION").to_owned()),
+        ("stein.parameters".to_owned(), parameters),
+    ];
+    let layers = DenoisedLayers {
+        color: &estimate.color,
+        replacements: &replacements,
+        dropped: &dropped,
+        extra: &extra,
+        attributes: &attributes,
+    };
     let report = write_denoised(set, output, &layers)?;
     notes.extend(report.to_string().lines().map(str::to_owned));
     Ok(Written {
         file: output.to_owned(),
-        added_layers: extra.into_iter().map(|layer| layer.name).filter(|name| !report.left_out.contains(name)).collect(),
+        added_layers: extra
+            .into_iter()
+            .map(|layer| layer.name)
+            .filter(|name| !report.left_out.contains(name))
+            .collect(),
         replaced_layers: replacements.into_iter().map(|(name, _)| name).collect(),
         dropped_layers: dropped,
         clamped_values: report.clamped_values,
@@ -98,7 +136,8 @@ pub fn write_estimate(estimate: &Estimate, set: BufferSet, output: &Path, keep: 
 /// the file stores them, the halves as they are made, and two copies of what is added.
 fn bytes_for_writing(estimate: &Estimate, keep: &[Intermediate]) -> u64 {
     let halves = estimate.half_spread.as_ref().map_or(0, |_| 2 * estimate.color.channels());
-    let kept = estimate.layers.iter().filter(|layer| keep.contains(&layer.intermediate)).map(|layer| layer.image.channels());
+    let kept =
+        estimate.layers.iter().filter(|layer| keep.contains(&layer.intermediate)).map(|layer| layer.image.channels());
     let added = kept.sum::<usize>() + estimate.error.as_ref().map_or(0, Image::channels);
     4 * (estimate.color.extent.pixels() * (estimate.color.channels() + 2 * halves + 2 * added)) as u64
 }
@@ -106,6 +145,7 @@ fn bytes_for_writing(estimate: &Estimate, keep: &[Intermediate]) -> u64 {
 /// Half A or B of the denoised colour.
 fn half(color: &Image, half_spread: &Image, sign: f32) -> Image {
     let planes = color.planes.iter().zip(&half_spread.planes);
-    let planes = planes.map(|(mean, spread)| mean.iter().zip(spread).map(|(mean, spread)| mean + sign * spread).collect());
+    let planes =
+        planes.map(|(mean, spread)| mean.iter().zip(spread).map(|(mean, spread)| mean + sign * spread).collect());
     Image { extent: color.extent, planes: planes.collect() }
 }

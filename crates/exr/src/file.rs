@@ -14,7 +14,8 @@ use stein::host_memory::{Shortage, try_collected};
 use stein::image::{Extent, Image, Window};
 use stein::text;
 
-/// A file's whole content. Samples stay in the type they were stored in, so that what is not replaced can be written back bit by bit.
+/// A file's whole content. Samples stay in the type they were stored in, so that what is not replaced can be written
+/// back bit by bit.
 #[derive(Clone, Debug)]
 pub(crate) struct ExrFile {
     pub(crate) path: PathBuf,
@@ -41,9 +42,14 @@ pub(crate) struct FileChannel {
 }
 
 impl ExrFile {
-    /// Reads everything in the file. Whatever the bytes are, it never panics, and takes no more memory than they can be decoded to.
+    /// Reads everything in the file. Whatever the bytes are, it never panics, and takes no more memory than they can be
+    /// decoded to.
     pub(crate) fn read(path: &Path) -> Result<Self> {
-        let mut image = read(path).map_err(|Trouble { problem, remedy }| Error::File { path: path.to_owned(), problem, remedy: remedy.into() })?;
+        let mut image = read(path).map_err(|Trouble { problem, remedy }| Error::File {
+            path: path.to_owned(),
+            problem,
+            remedy: remedy.into(),
+        })?;
         image.layer_data.iter_mut().for_each(mend_overshoots);
         let layers = layers_of(&image);
         Ok(Self { path: path.to_owned(), image, layers })
@@ -69,7 +75,12 @@ impl ExrFile {
 
     /// The planes of some of a part's channels, as f32. Where `is_kept` denies it of a channel, the stored samples are
     /// let go of, and an empty vector of their type is left.
-    pub(crate) fn take_planes(&mut self, part: usize, channels: &[usize], is_kept: impl Fn(usize) -> bool) -> std::result::Result<Image, Shortage> {
+    pub(crate) fn take_planes(
+        &mut self,
+        part: usize,
+        channels: &[usize],
+        is_kept: impl Fn(usize) -> bool,
+    ) -> std::result::Result<Image, Shortage> {
         let layer = &mut self.image.layer_data[part];
         let mut planes = Vec::with_capacity(channels.len());
         for (position, &channel) in channels.iter().enumerate() {
@@ -93,7 +104,9 @@ impl ExrFile {
     pub(crate) fn forget_samples(&mut self, is_kept: impl Fn(usize, usize) -> bool) {
         for (part, layer) in self.image.layer_data.iter_mut().enumerate() {
             let channels = layer.channel_data.list.iter_mut().enumerate();
-            channels.filter(|(channel, _)| !is_kept(part, *channel)).for_each(|(_, channel)| forget(&mut channel.sample_data));
+            channels
+                .filter(|(channel, _)| !is_kept(part, *channel))
+                .for_each(|(_, channel)| forget(&mut channel.sample_data));
         }
     }
 
@@ -111,7 +124,9 @@ impl ExrFile {
         for &channel in channels {
             let layer = &self.image.layer_data[part];
             let found = again.image.layer_data.get_mut(part).filter(|found| found.size == layer.size);
-            let found = found.and_then(|found| found.channel_data.list.get_mut(channel)).filter(|found| found.name == layer.channel_data.list[channel].name);
+            let found = found
+                .and_then(|found| found.channel_data.list.get_mut(channel))
+                .filter(|found| found.name == layer.channel_data.list[channel].name);
             let samples = std::mem::replace(&mut found.ok_or_else(changed)?.sample_data, FlatSamples::F16(Vec::new()));
             self.image.layer_data[part].channel_data.list[channel].sample_data = samples;
         }
@@ -157,7 +172,8 @@ impl ExrFile {
         }
     }
 
-    /// A number stored in the header under `name`, as text, whole number or float; in the given part or for the whole file.
+    /// A number stored in the header under `name`, as text, whole number or float; in the given part or for the whole
+    /// file.
     pub(crate) fn number_attribute(&self, part: usize, name: &str) -> Option<f32> {
         match self.attribute(part, name)? {
             AttributeValue::Text(text) => text.to_string().trim().parse().ok(),
@@ -204,7 +220,10 @@ fn read(path: &Path) -> std::result::Result<FlatImage, Trouble> {
         return Err(Trouble::new("cannot be read: it is a folder", "name a file in it"));
     }
     if !kind.is_file() {
-        return Err(Trouble::new("cannot be read: it is a pipe or a device, in which one cannot go back and forth", "write it to a file first"));
+        return Err(Trouble::new(
+            "cannot be read: it is a pipe or a device, in which one cannot go back and forth",
+            "write it to a file first",
+        ));
     }
     let file = File::open(path)?;
     let bytes = file.metadata()?.len();
@@ -270,8 +289,9 @@ fn to_f32(samples: &FlatSamples) -> Vec<f32> {
 
 /// Groups a file's channels into layers: names are split at their last dot.
 ///
-/// Channels without a dot belong to the part. In a part with R, G and B (or a luminance Y) those and the alpha are the part's own layer and every other
-/// channel, such as `Z` or `samples`, is a layer of its own. The part's own layer has no name in a file of one part, else the part's.
+/// Channels without a dot belong to the part. In a part with R, G and B (or a luminance Y) those and the alpha are the
+/// part's own layer and every other channel, such as `Z` or `samples`, is a layer of its own. The part's own layer has
+/// no name in a file of one part, else the part's.
 ///
 /// Layers are told apart by the bytes of their names: two encodings may spell the same text.
 fn layers_of(image: &FlatImage) -> Vec<FileLayer> {
@@ -293,7 +313,9 @@ fn layers_of(image: &FlatImage) -> Vec<FileLayer> {
                 }
             };
             let channel = FileChannel { index, suffix: names::decoded(suffix) };
-            if let Some((_, found)) = layers.iter_mut().find(|(other, found)| found.part == part && *other == layer_name) {
+            if let Some((_, found)) =
+                layers.iter_mut().find(|(other, found)| found.part == part && *other == layer_name)
+            {
                 found.channels.push(channel);
                 continue;
             }

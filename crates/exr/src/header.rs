@@ -1,7 +1,8 @@
 //! The head of an OpenEXR file, attribute by attribute, before a decoder believes it.
 //!
-//! The decoder takes sizes for granted, repairs what it should refuse (a window whose right edge lies left of its left one) and tells little of where a file ends. So the head
-//! is walked here first: nothing is allocated for what it claims, only for what is there.
+//! The decoder takes sizes for granted, repairs what it should refuse (a window whose right edge lies left of its left
+//! one) and tells little of where a file ends. So the head is walked here first: nothing is allocated for what it
+//! claims, only for what is there.
 
 use std::io::{BufRead, BufReader, Read, Seek, SeekFrom, Write};
 use std::ops::Range;
@@ -22,11 +23,17 @@ impl Trouble {
     }
 
     pub(crate) fn damaged(problem: impl std::fmt::Display) -> Self {
-        Self::new(format!("is damaged or incomplete: {problem}"), "render or copy it again; check whether the disk was full or the writer was interrupted")
+        Self::new(
+            format!("is damaged or incomplete: {problem}"),
+            "render or copy it again; check whether the disk was full or the writer was interrupted",
+        )
     }
 
     pub(crate) fn unsupported(problem: impl std::fmt::Display) -> Self {
-        Self::new(format!("uses a part of OpenEXR that cannot be read here: {problem}"), "write it as a flat scan line image with ZIP compression")
+        Self::new(
+            format!("uses a part of OpenEXR that cannot be read here: {problem}"),
+            "write it as a flat scan line image with ZIP compression",
+        )
     }
 
     pub(crate) fn subsampled() -> Self {
@@ -46,7 +53,10 @@ impl Trouble {
     /// A name that no reader opens, so that it cannot be written either.
     fn long_name(what: &str, name: &[u8]) -> Self {
         let start = text::beginning(&decoded(name), name.len());
-        Self::new(format!("has a {what} whose name {start} is longer than the {LONGEST_NAME} bytes that OpenEXR stores"), "write it under a shorter name")
+        Self::new(
+            format!("has a {what} whose name {start} is longer than the {LONGEST_NAME} bytes that OpenEXR stores"),
+            "write it under a shorter name",
+        )
     }
 
     fn compressed(method: impl std::fmt::Display) -> Self {
@@ -112,9 +122,14 @@ impl Head {
             return Err(Trouble::new("is empty", "render or copy it again: the writer was probably interrupted"));
         }
         if !start.starts_with(&[0x76, 0x2f, 0x31, 0x01]) {
-            return Err(Trouble::new("is not an OpenEXR file", "give an .exr file, or convert the image to OpenEXR first"));
+            return Err(Trouble::new(
+                "is not an OpenEXR file",
+                "give an .exr file, or convert the image to OpenEXR first",
+            ));
         }
-        let Ok(start) = <[u8; 8]>::try_from(start) else { return Err(Trouble::damaged("it ends in its first eight bytes")) };
+        let Ok(start) = <[u8; 8]>::try_from(start) else {
+            return Err(Trouble::damaged("it ends in its first eight bytes"));
+        };
         let [.., version, flags, flags_above, flags_unused] = start;
         if version != 2 {
             return Err(Trouble::unsupported(format_args!("version {version} of the format")));
@@ -272,7 +287,9 @@ impl<F: BufRead + Seek> Walk<'_, F> {
             };
             let value = self.at..self.at + size;
             if value.end > self.end {
-                return Err(Trouble::damaged(format_args!("it ends in its header, in '{shown}', which takes {size} bytes")));
+                return Err(Trouble::damaged(format_args!(
+                    "it ends in its header, in '{shown}', which takes {size} bytes"
+                )));
             }
             // Small steps stay within what is buffered.
             self.file.seek_relative(size as i64)?;
@@ -290,7 +307,8 @@ impl<F: BufRead + Seek> Walk<'_, F> {
             Some(_) if name.len() == LONGEST_NAME => {
                 let start: String = decoded(&name).chars().take(40).collect();
                 let start = text::name(&start);
-                let problem = format_args!("its header has a name that does not end within {LONGEST_NAME} bytes, '{start}…'");
+                let problem =
+                    format_args!("its header has a name that does not end within {LONGEST_NAME} bytes, '{start}…'");
                 Err(Trouble::damaged(problem))
             }
             _ => Err(self.ended(std::io::ErrorKind::UnexpectedEof.into())),
@@ -312,12 +330,18 @@ fn shown(stored: &[u8]) -> String {
 
 /// Both corners belong to the window, so that none of no pixels can be stored.
 fn check_window(name: &str, value: &[u8]) -> Result<(), Trouble> {
-    let (corners, []) = value.as_chunks::<4>() else { return Err(Trouble::damaged(format_args!("'{name}' is no window"))) };
+    let (corners, []) = value.as_chunks::<4>() else {
+        return Err(Trouble::damaged(format_args!("'{name}' is no window")));
+    };
     let corners: Vec<i64> = corners.iter().map(|corner| i32::from_le_bytes(*corner).into()).collect();
-    let &[left, top, right, bottom] = corners.as_slice() else { return Err(Trouble::damaged(format_args!("'{name}' is no window"))) };
+    let &[left, top, right, bottom] = corners.as_slice() else {
+        return Err(Trouble::damaged(format_args!("'{name}' is no window")));
+    };
     let (width, height) = (right - left + 1, bottom - top + 1);
     if width < 1 || height < 1 {
-        return Err(Trouble::damaged(format_args!("'{name}' goes from ({left}, {top}) to ({right}, {bottom}), which is no pixel")));
+        return Err(Trouble::damaged(format_args!(
+            "'{name}' goes from ({left}, {top}) to ({right}, {bottom}), which is no pixel"
+        )));
     }
     let most = MOST_PIXELS_PER_SIDE as i64;
     if name == "dataWindow" && (width > most || height > most) {

@@ -83,7 +83,11 @@ impl From<OsString> for LayerRef {
 
 /// A file and a layer for each `::` with something on both sides, from the last one on. The file need not be Unicode.
 fn splits(text: &OsStr) -> Vec<(PathBuf, String)> {
-    let places = text.as_encoded_bytes().windows(SEPARATOR.len()).enumerate().filter(|(_, found)| *found == SEPARATOR.as_bytes());
+    let places = text
+        .as_encoded_bytes()
+        .windows(SEPARATOR.len())
+        .enumerate()
+        .filter(|(_, found)| *found == SEPARATOR.as_bytes());
     let mut splits: Vec<_> = places.filter_map(|(at, _)| parted(text, at, SEPARATOR.len())).collect();
     splits.retain(|(file, layer)| !file.is_empty() && !layer.is_empty());
     let named = |(file, layer): (OsString, OsString)| Some((file.into(), layer.into_string().ok()?));

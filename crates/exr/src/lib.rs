@@ -1,11 +1,13 @@
 //! OpenEXR files to buffer sets and back.
 //!
-//! A [`BufferSet`] is what the files said: which layer is the colour, which are its halves, its variance and its features. Nothing in it has been
-//! checked for NaN or meaning; [`Frame::from_buffer_set`](stein::frame::Frame::from_buffer_set) does that.
+//! A [`BufferSet`] is what the files said: which layer is the colour, which are its halves, its variance and its
+//! features. Nothing in it has been checked for NaN or meaning;
+//! [`Frame::from_buffer_set`](stein::frame::Frame::from_buffer_set) does that.
 //!
-//! The native layout: `R G B`, `halfA.*`, `halfB.*`, `variance.*` (sample variance of the mean) and for every feature F `F.*`, `F_halfA.*`,
-//! `F_halfB.*`, `F_variance.*`; the samples per pixel in a header attribute or a channel `samples`. One part or many, channels in any order and of any
-//! type. Each of these layers can also come from a file of its own: see [`BufferSetRequest`].
+//! The native layout: `R G B`, `halfA.*`, `halfB.*`, `variance.*` (sample variance of the mean) and for every feature F
+//! `F.*`, `F_halfA.*`, `F_halfB.*`, `F_variance.*`; the samples per pixel in a header attribute or a channel `samples`.
+//! One part or many, channels in any order and of any type. Each of these layers can also come from a file of its own:
+//! see [`BufferSetRequest`].
 
 mod assign;
 pub mod atomic_file;

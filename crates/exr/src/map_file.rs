@@ -9,8 +9,9 @@ use crate::file::ExrFile;
 use crate::samples::layer;
 use crate::write_layers;
 
-/// A sampling map as it stands in a file: layer `density.V`, real samples per pixel; `samples.V`, whole and even numbers of samples to draw; and `drawn.V`, how many samples
-/// of the pixel were drawn before, so that a renderer can go on where it was.
+/// A sampling map as it stands in a file: layer `density.V`, real samples per pixel; `samples.V`, whole and even
+/// numbers of samples to draw; and `drawn.V`, how many samples of the pixel were drawn before, so that a renderer can
+/// go on where it was.
 #[derive(Clone, Debug)]
 pub struct MapFile {
     /// What is to be drawn.
@@ -20,13 +21,18 @@ pub struct MapFile {
 }
 
 impl MapFile {
-    /// Writes it, with texts for the header. The file appears under its name only when it is complete; an existing one is replaced.
+    /// Writes it, with texts for the header. The file appears under its name only when it is complete; an existing one
+    /// is replaced.
     ///
     /// # Errors
     /// Whatever the file system reports.
     pub fn write(&self, path: &Path, attributes: &[(String, String)]) -> Result<()> {
-        let whole = |counts: &SampleCounts| Image { extent: counts.extent(), planes: vec![counts.pairs().iter().map(|pairs| 2.0 * *pairs as f32).collect()] };
-        let mut layers = vec![layer("density", &["V"], self.map.density.clone()), layer("samples", &["V"], whole(&self.map.counts))];
+        let whole = |counts: &SampleCounts| Image {
+            extent: counts.extent(),
+            planes: vec![counts.pairs().iter().map(|pairs| 2.0 * *pairs as f32).collect()],
+        };
+        let mut layers =
+            vec![layer("density", &["V"], self.map.density.clone()), layer("samples", &["V"], whole(&self.map.counts))];
         layers.extend(self.drawn.as_ref().map(|drawn| layer("drawn", &["V"], whole(drawn))));
         write_layers(path, &layers, attributes)
     }
@@ -45,12 +51,18 @@ impl MapFile {
         let Some(samples) = find("samples") else {
             return Err(Error::File {
                 path: path.to_owned(),
-                problem: format!("has no layer 'samples' that says how many samples to draw; its layers are {}", file.layer_list()),
+                problem: format!(
+                    "has no layer 'samples' that says how many samples to draw; its layers are {}",
+                    file.layer_list()
+                ),
                 remedy: "give a sampling map, as `stein sample-map` writes it".into(),
             });
         };
         let counts = |name: &str, image: &Image| {
-            let whole = |samples: &f32| (*samples >= 0.0 && *samples % 2.0 == 0.0 && *samples < 2.0 * u32::MAX as f32).then_some((samples / 2.0) as u32);
+            let whole = |samples: &f32| {
+                (*samples >= 0.0 && *samples % 2.0 == 0.0 && *samples < 2.0 * u32::MAX as f32)
+                    .then_some((samples / 2.0) as u32)
+            };
             let pairs: Option<Vec<u32>> = image.planes[0].iter().map(whole).collect();
             let pairs = pairs.ok_or_else(|| Error::Layer {
                 path: path.to_owned(),

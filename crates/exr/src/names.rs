@@ -29,9 +29,24 @@ pub(crate) fn encoded(name: &str) -> Result<Text, String> {
     Ok(Text::from_slice_unchecked(name.as_bytes()))
 }
 
-/// Layers that are a picture's colour wherever they occur, most wanted first; compared without case, by their last dotted component.
-/// `noisy image` comes before `combined`: Cycles stores the denoised picture in the latter when it has denoised already.
-const COLOR_NAMES: &[&str] = &["", "noisy image", "combined", "rgba", "rgb", "beauty", "color", "colour", "c", "ci", "main", "image", "composite"];
+/// Layers that are a picture's colour wherever they occur, most wanted first; compared without case, by their last
+/// dotted component. `noisy image` comes before `combined`: Cycles stores the denoised picture in the latter when it
+/// has denoised already.
+const COLOR_NAMES: &[&str] = &[
+    "",
+    "noisy image",
+    "combined",
+    "rgba",
+    "rgb",
+    "beauty",
+    "color",
+    "colour",
+    "c",
+    "ci",
+    "main",
+    "image",
+    "composite",
+];
 
 /// Layers that are features even without halves and variance.
 const FEATURE_NAMES: &[&str] = &[
@@ -97,7 +112,10 @@ pub(crate) fn is_companion(candidate: &str, base: &str, part: SignalPart, bare_t
     suffixes.iter().any(|suffix| {
         let joined = !base.is_empty() && candidate.eq_ignore_ascii_case(&format!("{base}_{suffix}"));
         let bare_name = candidate.strip_prefix(group(base));
-        let bare = bare_too && bare_name.is_some_and(|name| if part == SignalPart::Variance { name == *suffix } else { name.eq_ignore_ascii_case(suffix) });
+        let bare = bare_too
+            && bare_name.is_some_and(|name| {
+                if part == SignalPart::Variance { name == *suffix } else { name.eq_ignore_ascii_case(suffix) }
+            });
         joined || bare
     })
 }
@@ -144,12 +162,16 @@ mod tests {
 
     #[test]
     fn names_are_bytes() {
-        for (stored, name) in [(&b"plain.R"[..], "plain.R"), ("Größe".as_bytes(), "Größe"), (b"Gr\xf6\xdfe", "Größe"), (b"\xff", "ÿ")] {
+        for (stored, name) in
+            [(&b"plain.R"[..], "plain.R"), ("Größe".as_bytes(), "Größe"), (b"Gr\xf6\xdfe", "Größe"), (b"\xff", "ÿ")]
+        {
             assert_eq!(decoded(stored), name);
         }
         assert_eq!(encoded("Größe").map(|stored| stored.as_slice().to_vec()), Ok("Größe".as_bytes().to_vec()));
         assert!(encoded(&"x".repeat(255)).is_ok());
-        for (name, why) in [("", "empty"), ("a\0b", "a zero"), (&"ö".repeat(128), "(256 bytes) is longer than the 255 bytes")] {
+        for (name, why) in
+            [("", "empty"), ("a\0b", "a zero"), (&"ö".repeat(128), "(256 bytes) is longer than the 255 bytes")]
+        {
             assert!(encoded(name).is_err_and(|problem| problem.contains(why)), "{name}");
         }
     }

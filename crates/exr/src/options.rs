@@ -10,14 +10,17 @@ use stein::parameters::Choice;
 /// The environment variable by which a user names another folder for compiled pipelines, or, empty, none.
 pub const CACHE_VARIABLE: &str = "STEIN_CACHE";
 
-/// How programs that a user starts open a device: compiled pipelines are kept in the folder that [`CACHE_VARIABLE`] names,
-/// or else in `stein` among the user's caches.
+/// How programs that a user starts open a device: compiled pipelines are kept in the folder that [`CACHE_VARIABLE`]
+/// names, or else in `stein` among the user's caches.
 pub fn gpu_options() -> GpuOptions {
-    GpuOptions { pipeline_folder: pipeline_folder(std::env::var_os(CACHE_VARIABLE), dirs::cache_dir()), ..GpuOptions::default() }
+    GpuOptions {
+        pipeline_folder: pipeline_folder(std::env::var_os(CACHE_VARIABLE), dirs::cache_dir()),
+        ..GpuOptions::default()
+    }
 }
 
-/// The folder that is asked for, or one among the user's other caches. `None` where that is asked for, or where the user
-/// has no caches.
+/// The folder that is asked for, or one among the user's other caches. `None` where that is asked for, or where the
+/// user has no caches.
 fn pipeline_folder(asked_for: Option<OsString>, caches: Option<PathBuf>) -> Option<PathBuf> {
     match asked_for {
         Some(folder) => (!folder.is_empty()).then(|| folder.into()),
@@ -26,9 +29,14 @@ fn pipeline_folder(asked_for: Option<OsString>, caches: Option<PathBuf>) -> Opti
 }
 
 /// Reads one of several values by the word of the choice at the same place; its help tells what they mean.
-pub fn choice<T: Clone + Send + Sync + 'static>(values: &[T], choices: &[Choice]) -> impl TypedValueParser<Value = T> + use<T> {
+pub fn choice<T: Clone + Send + Sync + 'static>(
+    values: &[T],
+    choices: &[Choice],
+) -> impl TypedValueParser<Value = T> + use<T> {
     let by_name: Vec<(&str, T)> = choices.iter().map(|choice| choice.name).zip(values.iter().cloned()).collect();
-    let find = move |name: String| by_name.iter().find(|(other, _)| *other == name).map(|(_, value)| value.clone()).ok_or("it is none of them");
+    let find = move |name: String| {
+        by_name.iter().find(|(other, _)| *other == name).map(|(_, value)| value.clone()).ok_or("it is none of them")
+    };
     PossibleValuesParser::new(choices.iter().map(possible)).try_map(find)
 }
 

@@ -10,10 +10,11 @@ use crate::layer_ref::LayerRef;
 #[cfg(feature = "programs")]
 use crate::layer_ref::feature;
 
-/// Which files and layers to read. All but the input and its layer are options of programs by their names: `--half-a FILE::LAYER`.
+/// Which files and layers to read. All but the input and its layer are options of programs by their names:
+/// `--half-a FILE::LAYER`.
 ///
-/// A feature of another file comes with its halves and variance from there: from `LAYER_halfA` and so on, or from plain `halfA`, `halfB`, `variance` where
-/// the feature is the file's main layer.
+/// A feature of another file comes with its halves and variance from there: from `LAYER_halfA` and so on, or from plain
+/// `halfA`, `halfB`, `variance` where the feature is the file's main layer.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "programs", derive(clap::Args), command(next_help_heading = "Layers"))]
 #[serde(default)]
@@ -36,7 +37,8 @@ pub struct BufferSetRequest {
     /// A feature under another name or from another file, with its halves and variance beside it; may be repeated
     #[cfg_attr(feature = "programs", arg(long = "feature", value_name = "NAME=FILE[::LAYER]", value_parser = OsStringValueParser::new().try_map(feature)))]
     pub features: Vec<(String, LayerRef)>,
-    /// A feature of the input that is not to be used, by its whole name, or in all view layers by the last part of it; may be repeated
+    /// A feature of the input that is not to be used, by its whole name, or in all view layers by the last part of it;
+    /// may be repeated
     #[cfg_attr(feature = "programs", arg(long = "skip-feature", value_name = "NAME"))]
     pub skip_features: Vec<String>,
     /// Use no features of the input but those in `features`.
@@ -55,7 +57,10 @@ impl BufferSetRequest {
 
     /// All files that are read, the input first; one that is named twice is there twice.
     pub fn files(&self) -> impl Iterator<Item = &Path> {
-        let named = [&self.half_a, &self.half_b, &self.variance].into_iter().flatten().chain(self.features.iter().map(|(_, layer)| layer));
+        let named = [&self.half_a, &self.half_b, &self.variance]
+            .into_iter()
+            .flatten()
+            .chain(self.features.iter().map(|(_, layer)| layer));
         std::iter::once(self.input.as_path()).chain(named.map(|layer| layer.file.as_path()))
     }
 
@@ -74,7 +79,8 @@ impl BufferSetRequest {
     /// With something else for each of the files beside the input.
     fn map_others(&self, other: impl Fn(&LayerRef) -> LayerRef) -> Self {
         let features = self.features.iter().map(|(name, layer)| (name.clone(), other(layer))).collect();
-        let [half_a, half_b, variance] = [&self.half_a, &self.half_b, &self.variance].map(|layer| layer.as_ref().map(&other));
+        let [half_a, half_b, variance] =
+            [&self.half_a, &self.half_b, &self.variance].map(|layer| layer.as_ref().map(&other));
         Self { half_a, half_b, variance, features, ..self.clone() }
     }
 }

@@ -9,8 +9,8 @@ use stein::{Error, Image, Result};
 use crate::{BufferSet, NamedLayer, write_layers};
 
 impl BufferSet {
-    /// Takes up a render where its file left off, so that more samples can be merged into it. Needs the samples per pixel, halves and variances; the features
-    /// are those that the set uses.
+    /// Takes up a render where its file left off, so that more samples can be merged into it. Needs the samples per
+    /// pixel, halves and variances; the features are those that the set uses.
     ///
     /// # Errors
     /// Unknown, odd or fractional sample counts, and as [`Samples::from_signals`].
@@ -26,11 +26,14 @@ impl BufferSet {
         let extent = self.extent();
         let pairs = match self.samples_per_pixel() {
             SamplesPerPixel::Uniform(samples) => vec![count(samples)?; extent.pixels()],
-            SamplesPerPixel::PerPixel(samples) => samples.planes[0].iter().map(|&samples| count(samples)).collect::<Result<_>>()?,
+            SamplesPerPixel::PerPixel(samples) => {
+                samples.planes[0].iter().map(|&samples| count(samples)).collect::<Result<_>>()?
+            }
             SamplesPerPixel::Unknown => {
                 return Err(Error::File {
                     path: self.input().to_owned(),
-                    problem: "does not say how many samples its pixels have, so that further samples cannot be added".into(),
+                    problem: "does not say how many samples its pixels have, so that further samples cannot be added"
+                        .into(),
                     remedy: "let the renderer write a header attribute or a channel `samples`".into(),
                 });
             }
@@ -41,8 +44,9 @@ impl BufferSet {
     }
 }
 
-/// Writes everything in the native layout: 32-bit floats, ZIP. The samples per pixel go into the header where they are the same everywhere, else into a
-/// channel `samples`; pixels without samples hold NaN. `attributes` are further texts for the header.
+/// Writes everything in the native layout: 32-bit floats, ZIP. The samples per pixel go into the header where they are
+/// the same everywhere, else into a channel `samples`; pixels without samples hold NaN. `attributes` are further texts
+/// for the header.
 ///
 /// The file appears under its name only when it is complete; an existing one is replaced.
 ///
@@ -53,7 +57,12 @@ pub fn write_samples(samples: &Samples, path: &Path, attributes: &[(String, Stri
     push_signal(&mut layers, &["R", "G", "B"], samples.color(), ["", "halfA", "halfB", "variance"].map(str::to_owned));
     for (name, raw) in samples.features() {
         let suffixes = suffixes(name, raw.mean.channels());
-        push_signal(&mut layers, suffixes, raw, ["", "_halfA", "_halfB", "_variance"].map(|part| format!("{name}{part}")));
+        push_signal(
+            &mut layers,
+            suffixes,
+            raw,
+            ["", "_halfA", "_halfB", "_variance"].map(|part| format!("{name}{part}")),
+        );
     }
     let mut texts = attributes.to_vec();
     match samples.samples_per_pixel() {

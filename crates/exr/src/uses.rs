@@ -37,8 +37,14 @@ pub(crate) fn layer_uses(set: &BufferSet, notes: &[Note]) -> Vec<LayerUse> {
     let mut uses = Vec::new();
     for (file_index, file) in set.files.iter().enumerate() {
         for (layer_index, layer) in file.layers.iter().enumerate() {
-            let role = used.iter().find(|(planes, _)| planes.file == file_index && planes.layer == layer_index).map(|(_, role)| role.clone());
-            let noted = notes.iter().find(|note| (note.file, note.layer) == (file_index, layer_index)).map(|note| note.text.clone());
+            let role = used
+                .iter()
+                .find(|(planes, _)| planes.file == file_index && planes.layer == layer_index)
+                .map(|(_, role)| role.clone());
+            let noted = notes
+                .iter()
+                .find(|note| (note.file, note.layer) == (file_index, layer_index))
+                .map(|note| note.text.clone());
             let note = match &role {
                 None => noted.or_else(|| names::why_not_a_variance(&layer.name).map(str::to_owned)),
                 Some(_) => None,

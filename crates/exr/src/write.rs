@@ -32,12 +32,13 @@ pub struct NamedLayer {
 pub struct DenoisedLayers<'a> {
     /// Three planes R, G, B that replace the colour; their mean where the input has only a luminance.
     pub color: &'a Image,
-    /// Layers of the input that are replaced, by their names as in [`LayerUse::layer`](super::LayerUse::layer): as many planes as the layer has channels
-    /// without its alpha, in the order of [`LayerUse::channels`](super::LayerUse::channels). Useful for halves and variance, which do not belong to the
+    /// Layers of the input that are replaced, by their names as in [`LayerUse::layer`](super::LayerUse::layer): as many
+    /// planes as the layer has channels without its alpha, in the order of
+    /// [`LayerUse::channels`](super::LayerUse::channels). Useful for halves and variance, which do not belong to the
     /// denoised colour.
     pub replacements: &'a [(String, Image)],
-    /// Layers of the input that are left out, by their names as in [`LayerUse::layer`](super::LayerUse::layer): what would be wrong beside the denoised
-    /// colour.
+    /// Layers of the input that are left out, by their names as in [`LayerUse::layer`](super::LayerUse::layer): what
+    /// would be wrong beside the denoised colour.
     pub dropped: &'a [String],
     /// Layers that the input does not have; written as 32-bit floats into the colour's part.
     pub extra: &'a [NamedLayer],
@@ -64,10 +65,16 @@ impl std::fmt::Display for WriteReport {
         if !self.left_out.is_empty() {
             let names = self.left_out.iter().map(|name| text::beginning(name, name.len()));
             let remedy = "give the feature a shorter name to keep them";
-            lines.push(format!("layers whose names are too long for OpenEXR are left out: {}; {remedy}", text::list(names)));
+            lines.push(format!(
+                "layers whose names are too long for OpenEXR are left out: {}; {remedy}",
+                text::list(names)
+            ));
         }
         if self.clamped_values > 0 {
-            lines.push(format!("{} values are too large for half floats and were written as ±65504", self.clamped_values));
+            lines.push(format!(
+                "{} values are too large for half floats and were written as ±65504",
+                self.clamped_values
+            ));
         }
         if self.non_finite_values > 0 {
             lines.push(format!("{} values were not finite and were written as 0", self.non_finite_values));
@@ -76,19 +83,22 @@ impl std::fmt::Display for WriteReport {
     }
 }
 
-/// Writes the input of `set` with its colour replaced. Header, parts, windows, alpha and all layers that are not replaced stay as they were; replaced
-/// channels keep their sample type. Mip levels are not kept. The set is used up: its layers are handed on, not copied.
+/// Writes the input of `set` with its colour replaced. Header, parts, windows, alpha and all layers that are not
+/// replaced stay as they were; replaced channels keep their sample type. Mip levels are not kept. The set is used up:
+/// its layers are handed on, not copied.
 ///
 /// The file appears under its name only when it is complete; an existing one is replaced, which may be the input. An
 /// extra layer whose name is too long to be stored is left out, see [`WriteReport::left_out`].
 ///
 /// # Errors
-/// Images of another extent or number of channels than the layers that they replace, replacements for layers that do not exist, extra layers that do
-/// exist, and whatever the file system reports.
+/// Images of another extent or number of channels than the layers that they replace, replacements for layers that do
+/// not exist, extra layers that do exist, and whatever the file system reports.
 pub fn write_denoised(set: BufferSet, output: &Path, denoised: &DenoisedLayers<'_>) -> Result<WriteReport> {
     let (part, extent) = (set.color_part(), set.extent());
     let BufferSet { files, color, .. } = set;
-    let Some(ExrFile { path, mut image, layers }) = files.into_iter().next() else { unreachable!("a set has an input") };
+    let Some(ExrFile { path, mut image, layers }) = files.into_iter().next() else {
+        unreachable!("a set has an input")
+    };
     let mut writer = Writer { report: WriteReport::default(), extent, output };
 
     let channels = &color.mean.channels;
@@ -99,17 +109,27 @@ pub fn write_denoised(set: BufferSet, output: &Path, denoised: &DenoisedLayers<'
     }
     for (name, replacement) in denoised.replacements {
         let layer = layers.iter().find(|layer| layer.name == *name).ok_or_else(|| Error::Request {
-            problem: format!("layer '{}' cannot be replaced: {} has no such layer", text::name(name), text::path(&path)),
+            problem: format!(
+                "layer '{}' cannot be replaced: {} has no such layer",
+                text::name(name),
+                text::path(&path)
+            ),
             remedy: "add it as an extra layer instead".into(),
         })?;
         let channels = colored_channels(layer);
         let luminance = (channels.len() == 1 && replacement.channels() == 3).then(|| mean_plane(replacement));
-        writer.replace(&mut image.layer_data[layer.part], &channels, luminance.as_ref().unwrap_or(replacement), name)?;
+        writer.replace(
+            &mut image.layer_data[layer.part],
+            &channels,
+            luminance.as_ref().unwrap_or(replacement),
+            name,
+        )?;
     }
     // Before anything is added: layers know their channels by their positions in the input.
     for (index, part) in image.layer_data.iter_mut().enumerate() {
         let dropped = layers.iter().filter(|layer| layer.part == index && denoised.dropped.contains(&layer.name));
-        let channels: Vec<usize> = dropped.flat_map(|layer| layer.channels.iter().map(|channel| channel.index)).collect();
+        let channels: Vec<usize> =
+            dropped.flat_map(|layer| layer.channels.iter().map(|channel| channel.index)).collect();
         let mut position = 0..;
         part.channel_data.list.retain(|_| position.next().is_some_and(|position| !channels.contains(&position)));
     }
@@ -123,7 +143,9 @@ pub fn write_denoised(set: BufferSet, output: &Path, denoised: &DenoisedLayers<'
         writer.settle_attributes(&mut None, &mut layer.attributes.other);
         writer.settle_encoding(layer);
     }
-    let is_complete = |layer: &Layer<AnyChannels<FlatSamples>>| layer.channel_data.list.iter().all(|channel| channel.sample_data.len() == layer.size.area());
+    let is_complete = |layer: &Layer<AnyChannels<FlatSamples>>| {
+        layer.channel_data.list.iter().all(|channel| channel.sample_data.len() == layer.size.area())
+    };
     if !image.layer_data.iter().all(is_complete) {
         return Err(Error::File {
             path: output.to_owned(),
@@ -172,19 +194,32 @@ impl Writer<'_> {
         Err(Error::Layer {
             path: self.output.to_owned(),
             layer: name.to_owned(),
-            problem: format!("{} planes of {} do not fit {channels} channels of {}", image.channels(), image.extent, self.extent),
+            problem: format!(
+                "{} planes of {} do not fit {channels} channels of {}",
+                image.channels(),
+                image.extent,
+                self.extent
+            ),
             remedy: "give planes of the input's extent, one for each channel".into(),
         })
     }
 
-    fn replace(&mut self, layer: &mut Layer<AnyChannels<FlatSamples>>, channels: &[usize], image: &Image, name: &str) -> Result<()> {
+    fn replace(
+        &mut self,
+        layer: &mut Layer<AnyChannels<FlatSamples>>,
+        channels: &[usize],
+        image: &Image,
+        name: &str,
+    ) -> Result<()> {
         self.check(image, channels.len(), name)?;
         for (&channel, plane) in channels.iter().zip(&image.planes) {
             let samples = &mut layer.channel_data.list[channel].sample_data;
             *samples = match samples {
                 FlatSamples::F16(_) => FlatSamples::F16(plane.iter().map(|&value| self.half(value)).collect()),
                 FlatSamples::F32(_) => FlatSamples::F32(plane.iter().map(|&value| self.finite(value)).collect()),
-                FlatSamples::U32(_) => FlatSamples::U32(plane.iter().map(|&value| self.finite(value).round() as u32).collect()),
+                FlatSamples::U32(_) => {
+                    FlatSamples::U32(plane.iter().map(|&value| self.finite(value).round() as u32).collect())
+                }
             };
         }
         Ok(())
@@ -241,7 +276,10 @@ impl Writer<'_> {
         *time_code = time_code.filter(is_writable);
         others.retain(|_, value| !matches!(value, AttributeValue::TimeCode(code) if !is_writable(code)));
         if others.len() + usize::from(time_code.is_some()) < before {
-            self.report.notes.push("a time code beyond 29 frames, 59 seconds, 59 minutes or 23 hours cannot be written: it is left out".into());
+            self.report.notes.push(
+                "a time code beyond 29 frames, 59 seconds, 59 minutes or 23 hours cannot be written: it is left out"
+                    .into(),
+            );
         }
     }
 
@@ -264,7 +302,9 @@ impl Writer<'_> {
         }
         if layer.channel_data.list.iter().any(|channel| may_overshoot(layer.encoding.compression, channel)) {
             let compression = layer.encoding.compression;
-            self.report.notes.push(format!("{compression} would make infinities of the largest values: ZIP is used instead"));
+            self.report
+                .notes
+                .push(format!("{compression} would make infinities of the largest values: ZIP is used instead"));
             layer.encoding.compression = Compression::ZIP16;
         }
         // The input may have had them in any order, but the format wants them sorted.
@@ -272,12 +312,15 @@ impl Writer<'_> {
     }
 }
 
-/// Writes a file of these layers alone: one part, 32-bit floats, ZIP. A layer without a name gives its channels as they are; `attributes` are texts for the header.
+/// Writes a file of these layers alone: one part, 32-bit floats, ZIP. A layer without a name gives its channels as they
+/// are; `attributes` are texts for the header.
 ///
-/// The file appears under its name only when it is complete; an existing one is replaced. Values that are not finite stay as they are.
+/// The file appears under its name only when it is complete; an existing one is replaced. Values that are not finite
+/// stay as they are.
 ///
 /// # Errors
-/// No layers, or layers of different extents; names or attributes that OpenEXR cannot store; whatever the file system reports.
+/// No layers, or layers of different extents; names or attributes that OpenEXR cannot store; whatever the file system
+/// reports.
 pub fn write_layers(output: &Path, layers: &[NamedLayer], attributes: &[(String, String)]) -> Result<()> {
     let refuse = |problem: String, remedy: &str| Err(Error::Request { problem, remedy: remedy.into() });
     let Some(extent) = layers.first().map(|layer| layer.image.extent) else {
@@ -285,19 +328,28 @@ pub fn write_layers(output: &Path, layers: &[NamedLayer], attributes: &[(String,
     };
     let mut channels: SmallVec<[AnyChannel<FlatSamples>; 4]> = SmallVec::new();
     for layer in layers {
-        let complete = layer.image.extent == extent && layer.image.planes.iter().all(|plane| plane.len() == extent.pixels());
+        let complete =
+            layer.image.extent == extent && layer.image.planes.iter().all(|plane| plane.len() == extent.pixels());
         if !complete || layer.channels.len() != layer.image.channels() {
             let name = text::name(&layer.name);
-            return refuse(format!("layer '{name}' does not have a full plane of {extent} for each of its channels"), "give layers of one extent");
+            return refuse(
+                format!("layer '{name}' does not have a full plane of {extent} for each of its channels"),
+                "give layers of one extent",
+            );
         }
         for (suffix, plane) in layer.channels.iter().zip(&layer.image.planes) {
             let full = full_name(layer, suffix);
             let name = match encoded(&full) {
                 Ok(name) => name,
-                Err(problem) => return refuse(format!("a channel cannot be written: {problem}"), "choose another name"),
+                Err(problem) => {
+                    return refuse(format!("a channel cannot be written: {problem}"), "choose another name");
+                }
             };
             if channels.iter().any(|other| other.name == name) {
-                return refuse(format!("a channel '{}' cannot be written: it exists twice", text::name(&full)), "choose another name");
+                return refuse(
+                    format!("a channel '{}' cannot be written: it exists twice", text::name(&full)),
+                    "choose another name",
+                );
             }
             channels.push(AnyChannel::new(name, FlatSamples::F32(plane.clone())));
         }
@@ -315,8 +367,10 @@ fn full_name(layer: &NamedLayer, suffix: &str) -> String {
 
 fn add_attributes(header: &mut LayerAttributes, attributes: &[(String, String)]) -> Result<()> {
     for (name, value) in attributes {
-        let name = encoded(name)
-            .map_err(|problem| Error::Request { problem: format!("an attribute cannot be written: {problem}"), remedy: "choose another name".into() })?;
+        let name = encoded(name).map_err(|problem| Error::Request {
+            problem: format!("an attribute cannot be written: {problem}"),
+            remedy: "choose another name".into(),
+        })?;
         // Of values the length is stored, so that they may hold anything.
         header.other.insert(name, AttributeValue::Text(Text::from_slice_unchecked(value.as_bytes())));
     }
@@ -325,18 +379,19 @@ fn add_attributes(header: &mut LayerAttributes, attributes: &[(String, String)])
 
 fn write_then_rename(image: &FlatImage, output: &Path) -> Result<()> {
     let mut builder = tempfile::Builder::new();
-    let written = atomic_file::replace(output, atomic_file::readable(builder.prefix(".stein-").suffix(".exr.part")), |file| {
-        let mut buffered = BufWriter::new(&mut *file);
-        // What is odd about the input's header was no reason to refuse it, and is none here.
-        image.write().skip_compatibility_checks().to_buffered(&mut buffered).map_err(|error| match error {
-            exr::error::Error::Io(error) => error,
-            error => std::io::Error::other(error.to_string()),
-        })?;
-        // The last of it would be lost in silence where the disk is full.
-        buffered.flush()?;
-        drop(buffered);
-        settle(file)
-    });
+    let written =
+        atomic_file::replace(output, atomic_file::readable(builder.prefix(".stein-").suffix(".exr.part")), |file| {
+            let mut buffered = BufWriter::new(&mut *file);
+            // What is odd about the input's header was no reason to refuse it, and is none here.
+            image.write().skip_compatibility_checks().to_buffered(&mut buffered).map_err(|error| match error {
+                exr::error::Error::Io(error) => error,
+                error => std::io::Error::other(error.to_string()),
+            })?;
+            // The last of it would be lost in silence where the disk is full.
+            buffered.flush()?;
+            drop(buffered);
+            settle(file)
+        });
     written.map_err(|error| Error::File {
         path: output.to_owned(),
         problem: format!("cannot be written: {error}"),

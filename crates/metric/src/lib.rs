@@ -1,4 +1,5 @@
-//! How far an image is from a reference. All sums are in f64; a NaN anywhere makes the result NaN, but for FLIP, which sees it as black.
+//! How far an image is from a reference. All sums are in f64; a NaN anywhere makes the result NaN, but for FLIP, which
+//! sees it as black.
 
 #[cfg(feature = "flip")]
 use stein::Extent;
@@ -25,9 +26,10 @@ pub fn mse(image: &Image, reference: &Image) -> Result<f64> {
 ///
 /// ((x_t − ref_t) − (x_{t−1} − ref_{t−1}))² / ((ref_t² + ref_{t−1}²)/2 + 0.01)
 ///
-/// for `images` x_{t−1}, x_t and `references` ref_{t−1}, ref_t. 0 where the error stands still, be it large; of errors that are independent from frame to frame it is
-/// about the sum of both frames' [`relative_mse`]. Measured by both frames: where something bright enters or leaves a pixel, its error would outweigh the rest of the picture
-/// if it counted by the dark one. Of a shot: the mean over all pairs of consecutive frames.
+/// for `images` x_{t−1}, x_t and `references` ref_{t−1}, ref_t. 0 where the error stands still, be it large; of errors
+/// that are independent from frame to frame it is about the sum of both frames' [`relative_mse`]. Measured by both
+/// frames: where something bright enters or leaves a pixel, its error would outweigh the rest of the picture if it
+/// counted by the dark one. Of a shot: the mean over all pairs of consecutive frames.
 ///
 /// # Errors
 /// Images of different extent or channel count, or without pixels.
@@ -38,10 +40,11 @@ pub fn flicker(images: [&Image; 2], references: [&Image; 2]) -> Result<f64> {
     check(before, image)?;
     let mut sum = 0.0;
     for channel in 0..image.channels() {
-        let [before, image, reference_before, reference] =
-            [before, image, reference_before, reference].map(|image| image.planes[channel].iter().map(|&x| f64::from(x)));
+        let [before, image, reference_before, reference] = [before, image, reference_before, reference]
+            .map(|image| image.planes[channel].iter().map(|&x| f64::from(x)));
         for ((x, reference), (x_before, reference_before)) in image.zip(reference).zip(before.zip(reference_before)) {
-            sum += ((x - reference) - (x_before - reference_before)).powi(2) / ((reference.powi(2) + reference_before.powi(2)) / 2.0 + RELATIVE_EPSILON);
+            sum += ((x - reference) - (x_before - reference_before)).powi(2)
+                / ((reference.powi(2) + reference_before.powi(2)) / 2.0 + RELATIVE_EPSILON);
         }
     }
     Ok(sum / (image.extent.pixels() * image.channels()) as f64)
@@ -49,8 +52,9 @@ pub fn flicker(images: [&Image; 2], references: [&Image; 2]) -> Result<f64> {
 
 /// Mean structural similarity of what a viewer would see; 1 is perfect, and values near 0 or below share no structure.
 ///
-/// Both images are clamped to [0, 1], raised to 1/2.2 and averaged over their channels. Then, with means μ, variances σ² and covariance σ_xy under a
-/// Gaussian window of 11×11 pixels and standard deviation 1.5, cut off and normalised anew at the image border,
+/// Both images are clamped to [0, 1], raised to 1/2.2 and averaged over their channels. Then, with means μ, variances
+/// σ² and covariance σ_xy under a Gaussian window of 11×11 pixels and standard deviation 1.5, cut off and normalised
+/// anew at the image border,
 ///
 /// SSIM = (2 μ_x μ_y + C₁)(2 σ_xy + C₂) / ((μ_x² + μ_y² + C₁)(σ_x² + σ_y² + C₂)), C₁ = 0.01², C₂ = 0.03²,
 ///
@@ -73,14 +77,16 @@ pub fn ssim(image: &Image, reference: &Image) -> Result<f64> {
         let variance_x = square_x[pixel] - mx * mx;
         let variance_y = square_y[pixel] - my * my;
         let covariance = cross[pixel] - mx * my;
-        sum += (2.0 * mx * my + c1) * (2.0 * covariance + c2) / ((mx * mx + my * my + c1) * (variance_x + variance_y + c2));
+        sum += (2.0 * mx * my + c1) * (2.0 * covariance + c2)
+            / ((mx * mx + my * my + c1) * (variance_x + variance_y + c2));
     }
     Ok(sum / x.len() as f64)
 }
 
-/// FLIP: how large the differences are that a person sees who flips between the two images, 0 (none) to 1 (black against white comes near). The mean over the pixels of
-/// LDR-FLIP (Andersson and others 2020), at 67 pixels per degree of visual angle: a display 3840 pixels and 0.7 m wide, seen from
-/// 0.7 m. The images are compared as [`display_bytes`] shows them, so that what is brighter than 1 in both does not count.
+/// FLIP: how large the differences are that a person sees who flips between the two images, 0 (none) to 1 (black
+/// against white comes near). The mean over the pixels of LDR-FLIP (Andersson and others 2020), at 67 pixels per degree
+/// of visual angle: a display 3840 pixels and 0.7 m wide, seen from 0.7 m. The images are compared as [`display_bytes`]
+/// shows them, so that what is brighter than 1 in both does not count.
 ///
 /// # Errors
 /// Images of different extent or channel count, without pixels, or with other than one or three channels.
@@ -93,8 +99,9 @@ pub fn flip(image: &Image, reference: &Image) -> Result<f64> {
     Ok(map.iter().map(|&value| f64::from(value)).sum::<f64>() / map.len() as f64)
 }
 
-/// What a display shows of scene-linear values: clamped to [0, 1], with the transfer curve of sRGB, 8 bits for each of R, G and B, row by row. No exposure and no curve besides,
-/// so that pictures and their figures compare. A single channel is shown in grey; NaN is black.
+/// What a display shows of scene-linear values: clamped to [0, 1], with the transfer curve of sRGB, 8 bits for each of
+/// R, G and B, row by row. No exposure and no curve besides, so that pictures and their figures compare. A single
+/// channel is shown in grey; NaN is black.
 ///
 /// # Errors
 /// Other than one or three channels.
@@ -118,7 +125,11 @@ pub fn display_bytes(image: &Image) -> Result<Vec<u8>> {
 }
 
 fn check(image: &Image, reference: &Image) -> Result<()> {
-    if image.extent == reference.extent && image.channels() == reference.channels() && image.extent.pixels() > 0 && image.channels() > 0 {
+    if image.extent == reference.extent
+        && image.channels() == reference.channels()
+        && image.extent.pixels() > 0
+        && image.channels() > 0
+    {
         return Ok(());
     }
     Err(Error::Request {
@@ -188,7 +199,11 @@ mod tests {
 
     #[test]
     fn mse_is_the_mean_over_pixels_and_channels() {
-        let error = mse(&image(2, 1, vec![vec![1.0, 0.0], vec![0.0, 3.0]]), &Image::filled(Extent { width: 2, height: 1 }, 2, 0.0)).unwrap();
+        let error = mse(
+            &image(2, 1, vec![vec![1.0, 0.0], vec![0.0, 3.0]]),
+            &Image::filled(Extent { width: 2, height: 1 }, 2, 0.0),
+        )
+        .unwrap();
         assert!((error - 10.0 / 4.0).abs() < 1e-12, "{error}");
     }
 
@@ -244,10 +259,13 @@ mod tests {
         assert!(display_bytes(&image(1, 1, vec![vec![1.0], vec![0.5]])).is_err());
     }
 
-    /// FLIP of two flat greys of linear values a and b, by the formulas of the paper: filters leave flat images as they are and find neither edges nor points in them, so that
-    /// what is left is the difference in lightness, to the power 0.7, mapped to [0, 1] so that 0.4 of the greatest difference (that of green and blue) is at 0.95.
+    /// FLIP of two flat greys of linear values a and b, by the formulas of the paper: filters leave flat images as they
+    /// are and find neither edges nor points in them, so that what is left is the difference in lightness, to the power
+    /// 0.7, mapped to [0, 1] so that 0.4 of the greatest difference (that of green and blue) is at 0.95.
     fn flip_of_greys(a: f64, b: f64) -> f64 {
-        let f = |t: f64| if t > (6.0_f64 / 29.0).powi(3) { t.cbrt() } else { t / (3.0 * (6.0_f64 / 29.0).powi(2)) + 4.0 / 29.0 };
+        let f = |t: f64| {
+            if t > (6.0_f64 / 29.0).powi(3) { t.cbrt() } else { t / (3.0 * (6.0_f64 / 29.0).powi(2)) + 4.0 / 29.0 }
+        };
         // Hunt-adjusted L*a*b* of a primary: its column of the sRGB matrix, against the white.
         let hunt = |[x, y, z]: [f64; 3]| {
             let [x, y, z] = [f(x / 0.950_428_545), f(y), f(z / 1.088_900_371)];
@@ -280,7 +298,9 @@ mod tests {
 
     #[test]
     fn flip_sees_noise_and_nothing_where_there_is_nothing() {
-        let pattern = |contrast: f32| image(40, 30, vec![(0..1200).map(|i| 0.5 + contrast * ((i * 7919 % 13) as f32 / 13.0 - 0.5)).collect(); 3]);
+        let pattern = |contrast: f32| {
+            image(40, 30, vec![(0..1200).map(|i| 0.5 + contrast * ((i * 7919 % 13) as f32 / 13.0 - 0.5)).collect(); 3])
+        };
         let (clean, little, much) = (pattern(0.0), pattern(0.1), pattern(0.8));
         assert_eq!(flip(&much, &much).unwrap(), 0.0);
         let (little, much) = (flip(&little, &clean).unwrap(), flip(&much, &clean).unwrap());
@@ -292,6 +312,10 @@ mod tests {
     fn images_of_different_size_are_not_compared() {
         let (a, b) = (image(1, 2, vec![vec![0.0; 2]]), image(2, 1, vec![vec![0.0; 2]]));
         assert!(mse(&a, &b).is_err() && relative_mse(&a, &b).is_err() && ssim(&a, &b).is_err());
-        assert!(flicker([&a, &b], [&a, &b]).is_err() && flicker([&a, &a], [&b, &a]).is_err() && flicker([&a, &a], [&a, &b]).is_err());
+        assert!(
+            flicker([&a, &b], [&a, &b]).is_err()
+                && flicker([&a, &a], [&b, &a]).is_err()
+                && flicker([&a, &a], [&a, &b]).is_err()
+        );
     }
 }

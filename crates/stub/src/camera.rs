@@ -39,8 +39,17 @@ impl View {
         let right = forward.cross(Vec3::Y).try_normalize().unwrap_or(Vec3::X);
         let down = forward.cross(right);
         let pixel = 2.0 * (camera.field_of_view / 2.0).tan() * camera.focus / extent.height as f32;
-        let corner = forward * camera.focus - (right * extent.width as f32 + down * extent.height as f32) * (pixel / 2.0);
-        Self { eye: camera.eye, lens_radius: camera.lens_radius, corner, per_column: right * pixel, per_row: down * pixel, right, down }
+        let corner =
+            forward * camera.focus - (right * extent.width as f32 + down * extent.height as f32) * (pixel / 2.0);
+        Self {
+            eye: camera.eye,
+            lens_radius: camera.lens_radius,
+            corner,
+            per_column: right * pixel,
+            per_row: down * pixel,
+            right,
+            down,
+        }
     }
 
     /// The ray through a point of the picture, in pixels from its top left corner, and a point of the lens.

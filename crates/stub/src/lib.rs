@@ -1,9 +1,11 @@
-//! A stand-in for a renderer: a path tracer over a few analytic shapes, small enough to read, honest enough to test a denoiser and its sampling loop with.
+//! A stand-in for a renderer: a path tracer over a few analytic shapes, small enough to read, honest enough to test a
+//! denoiser and its sampling loop with.
 //!
-//! It has area lights, a sky and a sun, diffuse and rough glossy surfaces, mirrors, glass, depth of field and motion blur, and a box pixel filter. Its features
-//! are noisy as a renderer's are: albedo, normal (world, towards the viewer) and depth (along the ray) of the first hit, all 0 where a ray hits nothing;
-//! visibility, the fraction of unblocked shadow rays from the first surface that scatters light, 1 where there is none; caustic, the radiance that reached such
-//! a surface through mirrors or glass (thesis 8.4).
+//! It has area lights, a sky and a sun, diffuse and rough glossy surfaces, mirrors, glass, depth of field and motion
+//! blur, and a box pixel filter. Its features are noisy as a renderer's are: albedo, normal (world, towards the viewer)
+//! and depth (along the ray) of the first hit, all 0 where a ray hits nothing; visibility, the fraction of unblocked
+//! shadow rays from the first surface that scatters light, 1 where there is none; caustic, the radiance that reached
+//! such a surface through mirrors or glass (thesis 8.4).
 //!
 //! ```
 //! use stein::Extent;
@@ -25,7 +27,8 @@
 //! # }
 //! ```
 //!
-//! The same seed gives the same picture whatever the number of threads and however the samples are split into passes, up to the order of summation.
+//! The same seed gives the same picture whatever the number of threads and however the samples are split into passes,
+//! up to the order of summation.
 
 mod camera;
 mod light;
@@ -147,10 +150,12 @@ impl Sampler for StubSampler {
         let total = counts.total_samples().max(1);
         let view = View::new(&self.scene.camera, self.extent);
         let width = self.extent.width as usize;
-        let finished = Mutex::new(Finished { samples: Samples::none(self.extent, &FEATURES), drawn: 0, progress: &mut progress });
+        let finished =
+            Mutex::new(Finished { samples: Samples::none(self.extent, &FEATURES), drawn: 0, progress: &mut progress });
         (0..self.extent.height as usize).into_par_iter().try_for_each(|row| {
             let pixels = row * width..(row + 1) * width;
-            let statistics: Vec<_> = pixels.clone().map(|pixel| self.pixel(&view, pixel, counts.pairs()[pixel])).collect();
+            let statistics: Vec<_> =
+                pixels.clone().map(|pixel| self.pixel(&view, pixel, counts.pairs()[pixel])).collect();
             // A callback that panicked in another thread has left nothing half done here.
             let mut finished = finished.lock().unwrap_or_else(PoisonError::into_inner);
             for (pixel, statistics) in pixels.clone().zip(&statistics) {

@@ -48,7 +48,9 @@ impl Environment {
     pub(super) fn sun(&self, direction: Vec3) -> Vec3 {
         match &self.sun {
             // Squared chords keep the digits that cosines of small angles lose.
-            Some(sun) if direction.distance_squared(sun.direction.normalize()) <= 2.0 * sun.cap_height() => sun.radiance,
+            Some(sun) if direction.distance_squared(sun.direction.normalize()) <= 2.0 * sun.cap_height() => {
+                sun.radiance
+            }
             _ => Vec3::ZERO,
         }
     }
@@ -105,21 +107,28 @@ pub(super) fn towards_shape(shape: &Shape, origin: Vec3, time: f32, [u, v]: [f32
 pub(super) fn shape_density(shape: &Shape, ray: &Ray, distance: f32) -> f32 {
     match &shape.form {
         Form::Quad(quad) => distance * distance / (ray.direction.dot(quad.normal).abs() * quad.area),
-        Form::Sphere { center, radius } => cap_height(*center - shape.at_rest(ray.origin, ray.time), *radius).map_or(0.0, cap_density),
+        Form::Sphere { center, radius } => {
+            cap_height(*center - shape.at_rest(ray.origin, ray.time), *radius).map_or(0.0, cap_density)
+        }
         Form::Block { .. } => 0.0,
     }
 }
 
 pub(super) fn towards_sun(sun: &Sun, numbers: [f32; 2]) -> Towards {
     let height = sun.cap_height();
-    Towards { direction: in_cap(sun.direction.normalize(), height, numbers), distance: f32::INFINITY, density: cap_density(height) }
+    Towards {
+        direction: in_cap(sun.direction.normalize(), height, numbers),
+        distance: f32::INFINITY,
+        density: cap_density(height),
+    }
 }
 
 pub(super) fn sun_density(sun: &Sun) -> f32 {
     cap_density(sun.cap_height())
 }
 
-/// Towards the sky, with a density of cosine/π about the normal: a smooth sky's light on a diffuse surface is nearly that.
+/// Towards the sky, with a density of cosine/π about the normal: a smooth sky's light on a diffuse surface is nearly
+/// that.
 pub(super) fn towards_sky(normal: Vec3, [u, v]: [f32; 2]) -> Towards {
     let local = cosine_hemisphere(u, v);
     let (tangent, bitangent) = normal.any_orthonormal_pair();
@@ -131,8 +140,8 @@ pub(super) fn sky_density(normal: Vec3, direction: Vec3) -> f32 {
     normal.dot(direction).max(0.0) / PI
 }
 
-/// The height of the cap of directions in which a sphere is seen from outside: one minus the cosine of half the angle that it spans, but with all its digits
-/// where the sphere is small.
+/// The height of the cap of directions in which a sphere is seen from outside: one minus the cosine of half the angle
+/// that it spans, but with all its digits where the sphere is small.
 fn cap_height(to_center: Vec3, radius: f32) -> Option<f32> {
     let sine_squared = radius * radius / to_center.length_squared();
     (sine_squared < 1.0).then(|| sine_squared / (1.0 + (1.0 - sine_squared).sqrt()))

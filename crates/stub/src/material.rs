@@ -11,8 +11,9 @@ use super::texture::Texture;
 pub enum Material {
     /// Lambertian reflection.
     Diffuse(Texture),
-    /// A rough reflecting layer over a diffuse base: plastic, or metal where the base is black. GGX microfacets with Smith's height-correlated masking and
-    /// Schlick's Fresnel term; light scattered more than once between facets is lost.
+    /// A rough reflecting layer over a diffuse base: plastic, or metal where the base is black. GGX microfacets with
+    /// Smith's height-correlated masking and Schlick's Fresnel term; light scattered more than once between facets is
+    /// lost.
     Glossy {
         /// Albedo of the base.
         base: Texture,
@@ -23,7 +24,8 @@ pub enum Material {
     },
     /// A perfect mirror of this reflectance.
     Mirror(Vec3),
-    /// A smooth dielectric in vacuum, with this index of refraction (above 1). Light that passes through it is not absorbed.
+    /// A smooth dielectric in vacuum, with this index of refraction (above 1). Light that passes through it is not
+    /// absorbed.
     Glass(f32),
     /// Emits this radiance on its outer side, reflects nothing.
     Light(Vec3),
@@ -59,10 +61,14 @@ pub(super) struct Bounce {
 impl Material {
     pub(super) fn at(&self, place: Vec3) -> Scattering {
         match self {
-            Self::Diffuse(albedo) => Scattering::Spread(Lobes { base: albedo.at(place), reflectance: Vec3::ZERO, roughness: 0.0 }),
-            Self::Glossy { base, reflectance, roughness } => {
-                Scattering::Spread(Lobes { base: base.at(place), reflectance: *reflectance, roughness: roughness.clamp(0.01, 1.0) })
+            Self::Diffuse(albedo) => {
+                Scattering::Spread(Lobes { base: albedo.at(place), reflectance: Vec3::ZERO, roughness: 0.0 })
             }
+            Self::Glossy { base, reflectance, roughness } => Scattering::Spread(Lobes {
+                base: base.at(place),
+                reflectance: *reflectance,
+                roughness: roughness.clamp(0.01, 1.0),
+            }),
             Self::Mirror(reflectance) => Scattering::Mirror(*reflectance),
             Self::Glass(index) => Scattering::Glass(*index),
             Self::Light(radiance) => Scattering::Light(*radiance),
@@ -83,7 +89,8 @@ impl Scattering {
 }
 
 impl Lobes {
-    /// BSDF × cosine, and the density with which [`Self::sample`] finds `to`. Both directions lead away from the surface, in the local frame.
+    /// BSDF × cosine, and the density with which [`Self::sample`] finds `to`. Both directions lead away from the
+    /// surface, in the local frame.
     pub(super) fn evaluate(&self, from: Vec3, to: Vec3) -> (Vec3, f32) {
         if from.z <= 0.0 || to.z <= 0.0 {
             return (Vec3::ZERO, 0.0);
@@ -96,7 +103,8 @@ impl Lobes {
         let squared = self.roughness * self.roughness;
         let facets = squared / (PI * (1.0 + half.z * half.z * (squared - 1.0)).powi(2));
         let (shadow_from, shadow_to) = (smith(from.z, squared), smith(to.z, squared));
-        let glossy = schlick(self.reflectance, from.dot(half)) * (facets / (4.0 * from.z * (1.0 + shadow_from + shadow_to)));
+        let glossy =
+            schlick(self.reflectance, from.dot(half)) * (facets / (4.0 * from.z * (1.0 + shadow_from + shadow_to)));
         // What the layer reflects does not reach the base, in either direction.
         let through = (Vec3::ONE - schlick(self.reflectance, from.z)) * (Vec3::ONE - schlick(self.reflectance, to.z));
         let share = self.glossy_share(from);
@@ -106,7 +114,8 @@ impl Lobes {
 
     /// A direction with a density near BSDF × cosine; `None` if it would go below the surface.
     pub(super) fn sample(&self, from: Vec3, [u, v, choice]: [f32; 3]) -> Option<Bounce> {
-        let direction = if choice < self.glossy_share(from) { self.sample_facet(from, u, v) } else { cosine_hemisphere(u, v) };
+        let direction =
+            if choice < self.glossy_share(from) { self.sample_facet(from, u, v) } else { cosine_hemisphere(u, v) };
         let (value, density) = self.evaluate(from, direction);
         (density > 0.0).then(|| Bounce { direction, weight: value / density, density })
     }
@@ -146,8 +155,9 @@ fn schlick(reflectance: Vec3, cosine: f32) -> Vec3 {
     reflectance + (Vec3::ONE - reflectance) * (1.0 - cosine.clamp(0.0, 1.0)).powi(5)
 }
 
-/// What light does at a smooth boundary of a dielectric: reflection with the probability of Fresnel's formulas, else refraction. `from` leads away from the
-/// surface, in a frame whose normal points outwards. The scaling of radiance inside is left out: it cancels for a camera and lights outside.
+/// What light does at a smooth boundary of a dielectric: reflection with the probability of Fresnel's formulas, else
+/// refraction. `from` leads away from the surface, in a frame whose normal points outwards. The scaling of radiance
+/// inside is left out: it cancels for a camera and lights outside.
 pub(super) fn glass(index: f32, from: Vec3, choice: f32) -> Vec3 {
     let mirrored = Vec3::new(-from.x, -from.y, from.z);
     let relative = if from.z > 0.0 { 1.0 / index } else { index };

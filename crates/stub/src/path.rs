@@ -1,4 +1,5 @@
-//! The path tracer: unidirectional, with next-event estimation, multiple importance sampling by the power heuristic, and Russian roulette (Veach 1997).
+//! The path tracer: unidirectional, with next-event estimation, multiple importance sampling by the power heuristic,
+//! and Russian roulette (Veach 1997).
 
 use glam::Vec3;
 
@@ -10,7 +11,8 @@ use super::scene::Scene;
 use super::shape::Ray;
 
 /// The features, in their order, with the numbers of their channels.
-pub(super) const FEATURES: [(&str, usize); 5] = [("albedo", 3), ("normal", 3), ("depth", 1), ("visibility", 1), ("caustic", 3)];
+pub(super) const FEATURES: [(&str, usize); 5] =
+    [("albedo", 3), ("normal", 3), ("depth", 1), ("visibility", 1), ("caustic", 3)];
 /// Colour and features.
 pub(super) const CHANNELS: usize = 14;
 
@@ -28,7 +30,8 @@ pub(super) struct Sample {
     depth: f32,
     /// 1 if the shadow ray of the first vertex that scatters light met nothing, or if there was none.
     visibility: f32,
-    /// The part of the colour that came from a light by way of mirrors or glass to a surface that scatters it, and from there without further scattering.
+    /// The part of the colour that came from a light by way of mirrors or glass to a surface that scatters it, and from
+    /// there without further scattering.
     caustic: Vec3,
 }
 
@@ -66,7 +69,14 @@ struct Vertex<'a> {
 }
 
 pub(super) fn trace(scene: &Scene, transport: Transport, mut ray: Ray, numbers: &mut Numbers) -> Sample {
-    let mut sample = Sample { color: Vec3::ZERO, albedo: Vec3::ZERO, normal: Vec3::ZERO, depth: 0.0, visibility: 1.0, caustic: Vec3::ZERO };
+    let mut sample = Sample {
+        color: Vec3::ZERO,
+        albedo: Vec3::ZERO,
+        normal: Vec3::ZERO,
+        depth: 0.0,
+        visibility: 1.0,
+        caustic: Vec3::ZERO,
+    };
     let mut throughput = Vec3::ONE;
     let mut last = Last::Sharp;
     let mut spread_bounces = 0;
@@ -108,7 +118,9 @@ pub(super) fn trace(scene: &Scene, transport: Transport, mut ray: Ray, numbers: 
         let from = to_local(-ray.direction, normal, tangents);
         let bounced = match &scattering {
             Scattering::Light(_) => None,
-            Scattering::Mirror(reflectance) => Some(Bounce { direction: Vec3::new(-from.x, -from.y, from.z), weight: *reflectance, density: 0.0 }),
+            Scattering::Mirror(reflectance) => {
+                Some(Bounce { direction: Vec3::new(-from.x, -from.y, from.z), weight: *reflectance, density: 0.0 })
+            }
             Scattering::Glass(index) => {
                 // From inside, `normal` points inwards.
                 let relative = if is_outside { *index } else { 1.0 / index };
@@ -143,7 +155,11 @@ pub(super) fn trace(scene: &Scene, transport: Transport, mut ray: Ray, numbers: 
             throughput /= survival;
         }
         let side = normal * direction.z.signum();
-        ray = Ray { origin: leave(point, side), direction: to_world(direction, normal, tangents).normalize(), time: ray.time };
+        ray = Ray {
+            origin: leave(point, side),
+            direction: to_world(direction, normal, tangents).normalize(),
+            time: ray.time,
+        };
     }
     sample
 }
@@ -157,14 +173,18 @@ fn from_afar(scene: &Scene, transport: Transport, ray: &Ray, last: Last) -> Vec3
     let sky = scene.environment.sky(ray.direction) * chance_weight(scene, transport, last, sky_density);
     match &scene.environment.sun {
         None => sky,
-        Some(sun) => sky + scene.environment.sun(ray.direction) * chance_weight(scene, transport, last, light::sun_density(sun)),
+        Some(sun) => {
+            sky + scene.environment.sun(ray.direction) * chance_weight(scene, transport, last, light::sun_density(sun))
+        }
     }
 }
 
 /// The weight of light that a bounce met by chance, where light sampling finds the same direction with `light_density`.
 fn chance_weight(scene: &Scene, transport: Transport, last: Last, light_density: f32) -> f32 {
     match (transport, last) {
-        (Transport::LightSampling, Last::Spread { density, .. }) => power_heuristic(density, light_density / scene.lights.len() as f32),
+        (Transport::LightSampling, Last::Spread { density, .. }) => {
+            power_heuristic(density, light_density / scene.lights.len() as f32)
+        }
         _ => 1.0,
     }
 }
@@ -197,7 +217,8 @@ fn next_event(scene: &Scene, vertex: &Vertex<'_>, [choice, u, v, _]: [f32; 4]) -
     Some(value * radiance * (power_heuristic(density, bounce_density) / density))
 }
 
-/// Of a direction found with density `own` that another technique finds with density `other`. Densities may be infinite: of a direction along the edge of a light.
+/// Of a direction found with density `own` that another technique finds with density `other`. Densities may be
+/// infinite: of a direction along the edge of a light.
 fn power_heuristic(own: f32, other: f32) -> f32 {
     if own.is_infinite() {
         return 1.0;

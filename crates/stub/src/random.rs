@@ -1,4 +1,5 @@
-//! Where a sample's numbers come from. Every sample of a pixel has its own, found from its place alone, so that neither threads nor passes change them.
+//! Where a sample's numbers come from. Every sample of a pixel has its own, found from its place alone, so that neither
+//! threads nor passes change them.
 
 use rand_xoshiro::Xoshiro128PlusPlus;
 use rand_xoshiro::rand_core::{Rng, SeedableRng};
@@ -8,8 +9,8 @@ use rand_xoshiro::rand_core::{Rng, SeedableRng};
 pub enum Sequence {
     /// Independent random numbers.
     Random,
-    /// Owen-scrambled Sobol points (Burley 2020), padded in sets of four dimensions, with independent scrambles for each pixel and half. Less noise; the sample
-    /// variance then overstates the variance of the mean.
+    /// Owen-scrambled Sobol points (Burley 2020), padded in sets of four dimensions, with independent scrambles for
+    /// each pixel and half. Less noise; the sample variance then overstates the variance of the mean.
     LowDiscrepancy,
 }
 
@@ -27,11 +28,15 @@ impl Numbers {
         let place = mix(mix(seed).wrapping_add(2 * pixel as u64 + half as u64));
         match sequence {
             Sequence::Random => Self::Random(Xoshiro128PlusPlus::seed_from_u64(place ^ u64::from(index))),
-            Sequence::LowDiscrepancy => Self::Sobol { index: index % SOBOL_POINTS, key: mix(place.wrapping_add(u64::from(index / SOBOL_POINTS))) },
+            Sequence::LowDiscrepancy => Self::Sobol {
+                index: index % SOBOL_POINTS,
+                key: mix(place.wrapping_add(u64::from(index / SOBOL_POINTS))),
+            },
         }
     }
 
-    /// The next four, in [0, 1). Callers take whole sets, so that a number's dimension does not depend on what was left over.
+    /// The next four, in [0, 1). Callers take whole sets, so that a number's dimension does not depend on what was left
+    /// over.
     pub(super) fn next_four(&mut self) -> [f32; 4] {
         match self {
             Self::Random(generator) => std::array::from_fn(|_| (generator.next_u32() >> 8) as f32 / (1 << 24) as f32),

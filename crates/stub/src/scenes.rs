@@ -55,8 +55,13 @@ fn floor(size: f32, material: Material) -> (Shape, Material) {
 
 /// A room of 4 × 3 × 6, seen from its back wall; sun and sky come in by a window in the left wall, out of the picture.
 fn soft() -> Scene {
-    let sun = Sun { direction: Vec3::new(-0.8, 0.62, 0.15), radius: 0.03, radiance: Vec3::new(1.0, 0.86, 0.66) * 7000.0 };
-    let environment = Environment { zenith: Vec3::new(0.5, 0.7, 1.0) * 12.0, horizon: Vec3::new(0.9, 0.95, 1.0) * 8.0, sun: Some(sun) };
+    let sun =
+        Sun { direction: Vec3::new(-0.8, 0.62, 0.15), radius: 0.03, radiance: Vec3::new(1.0, 0.86, 0.66) * 7000.0 };
+    let environment = Environment {
+        zenith: Vec3::new(0.5, 0.7, 1.0) * 12.0,
+        horizon: Vec3::new(0.9, 0.95, 1.0) * 8.0,
+        sun: Some(sun),
+    };
     let camera = pinhole(Vec3::new(0.3, 1.5, 2.8), Vec3::new(-0.1, 1.15, -3.0), 0.95);
     let wall = diffuse(0.75, 0.72, 0.68);
     let boards = |place: Vec3| {
@@ -65,7 +70,9 @@ fn soft() -> Scene {
         Vec3::new(0.46, 0.3, 0.18) * (0.7 + 0.5 * grain)
     };
     let (x, y, z) = (Vec3::X, Vec3::Y, Vec3::Z);
-    let left = |from_y: f32, to_y: f32, from_z: f32, to_z: f32| Shape::quad(Vec3::new(-2.0, from_y, from_z), y * (to_y - from_y), z * (to_z - from_z));
+    let left = |from_y: f32, to_y: f32, from_z: f32, to_z: f32| {
+        Shape::quad(Vec3::new(-2.0, from_y, from_z), y * (to_y - from_y), z * (to_z - from_z))
+    };
     Scene::new(camera, environment)
         .with(Shape::quad(Vec3::new(-2.0, 0.0, -3.0), z * 6.0, x * 4.0), Material::Diffuse(Texture::Pattern(boards)))
         .with(Shape::quad(Vec3::new(-2.0, 3.0, -3.0), x * 4.0, z * 6.0), wall)
@@ -93,7 +100,8 @@ fn dof() -> Scene {
         if inside.length() < 0.36 { Vec3::new(0.85, 0.75, 0.2) } else { Vec3::new(0.6, 0.08, 0.06) }
     };
     let sun = Sun { direction: Vec3::new(0.5, 0.8, 0.45), radius: 0.05, radiance: Vec3::new(1.0, 0.93, 0.8) * 250.0 };
-    let environment = Environment { zenith: Vec3::new(0.35, 0.55, 0.95), horizon: Vec3::new(0.85, 0.9, 1.0), sun: Some(sun) };
+    let environment =
+        Environment { zenith: Vec3::new(0.35, 0.55, 0.95), horizon: Vec3::new(0.85, 0.9, 1.0), sun: Some(sun) };
     let eye = Vec3::new(0.0, 1.3, 4.5);
     let camera = Camera { eye, target: Vec3::new(0.0, 0.45, 0.0), field_of_view: 0.62, lens_radius: 0.13, focus: 4.6 };
     let (ground, tiles) = floor(60.0, Material::Diffuse(Texture::Pattern(tiles)));
@@ -112,7 +120,13 @@ fn motion() -> Scene {
         let stripe = ((place.x + 0.35 * place.z) * 3.0).rem_euclid(1.0);
         if stripe < 0.5 { Vec3::new(0.8, 0.78, 0.72) } else { Vec3::new(0.28, 0.33, 0.4) }
     };
-    let panels = |place: Vec3| if checker(place.x * 5.0, place.y * 5.0 - 0.5) > 0.5 { Vec3::new(0.9, 0.85, 0.8) } else { Vec3::new(0.75, 0.12, 0.08) };
+    let panels = |place: Vec3| {
+        if checker(place.x * 5.0, place.y * 5.0 - 0.5) > 0.5 {
+            Vec3::new(0.9, 0.85, 0.8)
+        } else {
+            Vec3::new(0.75, 0.12, 0.08)
+        }
+    };
     let environment = Environment { zenith: Vec3::new(0.2, 0.3, 0.5), horizon: Vec3::new(0.55, 0.5, 0.45), sun: None };
     let camera = pinhole(Vec3::new(0.0, 2.2, 5.0), Vec3::new(0.0, 0.6, 0.0), 0.66);
     let (ground, stripes) = floor(40.0, Material::Diffuse(Texture::Pattern(stripes)));
@@ -120,9 +134,18 @@ fn motion() -> Scene {
     Scene::new(camera, environment)
         .with(ground, stripes)
         .with(lamp, Material::Light(Vec3::new(1.0, 0.9, 0.75) * 9.0))
-        .with(Shape::sphere(Vec3::new(-1.25, 0.5, 0.8), 0.5).moving(Vec3::new(0.45, 0.0, 0.0)), Material::Diffuse(Texture::Pattern(panels)))
-        .with(Shape::sphere(Vec3::new(1.15, 0.5, 0.1), 0.42).moving(Vec3::new(0.0, 0.5, 0.0)), plastic(Texture::Plain(Vec3::new(0.1, 0.3, 0.7)), 0.12))
-        .with(Shape::block(Vec3::new(0.0, 1.35, -1.2), Vec3::new(0.7, 0.7, 0.7), 0.6).moving(Vec3::new(0.3, -0.35, 0.0)), diffuse(0.2, 0.6, 0.3))
+        .with(
+            Shape::sphere(Vec3::new(-1.25, 0.5, 0.8), 0.5).moving(Vec3::new(0.45, 0.0, 0.0)),
+            Material::Diffuse(Texture::Pattern(panels)),
+        )
+        .with(
+            Shape::sphere(Vec3::new(1.15, 0.5, 0.1), 0.42).moving(Vec3::new(0.0, 0.5, 0.0)),
+            plastic(Texture::Plain(Vec3::new(0.1, 0.3, 0.7)), 0.12),
+        )
+        .with(
+            Shape::block(Vec3::new(0.0, 1.35, -1.2), Vec3::new(0.7, 0.7, 0.7), 0.6).moving(Vec3::new(0.3, -0.35, 0.0)),
+            diffuse(0.2, 0.6, 0.3),
+        )
         .with(Shape::sphere(Vec3::new(0.35, 0.35, 1.6), 0.35), diffuse(0.8, 0.65, 0.3))
         .with(Shape::block(Vec3::new(-1.7, 0.6, -1.6), Vec3::new(0.8, 1.2, 0.8), 0.3), diffuse(0.65, 0.65, 0.65))
 }
@@ -137,7 +160,10 @@ fn caustic() -> Scene {
         .with(lamp, Material::Light(Vec3::new(1.0, 0.92, 0.8) * 55.0))
         .with(Shape::sphere(Vec3::new(-0.55, 0.75, 0.3), 0.6), Material::Glass(1.5))
         .with(Shape::sphere(Vec3::new(0.3, 0.3, 1.5), 0.3), Material::Glass(1.5))
-        .with(Shape::block(Vec3::new(1.35, 0.6, -0.5), Vec3::new(0.08, 1.2, 1.4), 0.5), Material::Mirror(Vec3::new(0.95, 0.88, 0.8)))
+        .with(
+            Shape::block(Vec3::new(1.35, 0.6, -0.5), Vec3::new(0.08, 1.2, 1.4), 0.5),
+            Material::Mirror(Vec3::new(0.95, 0.88, 0.8)),
+        )
         .with(Shape::sphere(Vec3::new(-1.6, 0.35, -1.2), 0.35), diffuse(0.25, 0.4, 0.65))
         .with(Shape::quad(Vec3::new(-7.0, 0.0, -2.5), Vec3::X * 14.0, Vec3::Y * 8.0), diffuse(0.5, 0.5, 0.52))
 }
@@ -158,7 +184,11 @@ fn texture() -> Scene {
         let (u, v) = (place.x * 30.0, place.y * 30.0);
         let over = if checker(u, v) > 0.5 { u } else { v };
         let thread = 0.6 + 0.4 * (over * std::f32::consts::PI).sin().abs();
-        let color = if checker(place.x * 3.0, place.y * 3.0) > 0.5 { Vec3::new(0.6, 0.15, 0.12) } else { Vec3::new(0.75, 0.68, 0.5) };
+        let color = if checker(place.x * 3.0, place.y * 3.0) > 0.5 {
+            Vec3::new(0.6, 0.15, 0.12)
+        } else {
+            Vec3::new(0.75, 0.68, 0.5)
+        };
         color * thread
     };
     let rings = |place: Vec3| {
@@ -186,6 +216,9 @@ fn spikes() -> Scene {
         .with(Shape::sphere(Vec3::new(-0.35, 1.9, 0.2), 0.04), Material::Light(Vec3::new(1.0, 0.85, 0.6) * 700.0))
         .with(Shape::sphere(Vec3::new(-0.9, 0.5, 0.2), 0.5), metal(Vec3::new(0.95, 0.64, 0.54), 0.08))
         .with(Shape::sphere(Vec3::new(0.35, 0.38, 0.9), 0.38), metal(Vec3::splat(0.9), 0.03))
-        .with(Shape::block(Vec3::new(1.2, 0.6, -0.5), Vec3::new(0.7, 1.2, 0.7), 0.5), metal(Vec3::new(0.95, 0.8, 0.45), 0.15))
+        .with(
+            Shape::block(Vec3::new(1.2, 0.6, -0.5), Vec3::new(0.7, 1.2, 0.7), 0.5),
+            metal(Vec3::new(0.95, 0.8, 0.45), 0.15),
+        )
         .with(Shape::sphere(Vec3::new(0.1, 0.2, 1.7), 0.2), plastic(Texture::Plain(Vec3::new(0.1, 0.35, 0.6)), 0.1))
 }

@@ -1,4 +1,5 @@
-//! What rays hit: spheres, parallelograms and boxes, each of which may move in a straight line while the shutter is open.
+//! What rays hit: spheres, parallelograms and boxes, each of which may move in a straight line while the shutter is
+//! open.
 
 use glam::Vec3;
 
@@ -72,7 +73,9 @@ impl Shape {
         match &self.form {
             Form::Sphere { center, radius } => sphere_distance(*center - origin, ray.direction, *radius),
             Form::Quad(quad) => quad.distance(origin, ray.direction),
-            Form::Block { center, half_size, yaw } => block_distance(turn(origin - *center, *yaw), turn(ray.direction, *yaw), *half_size),
+            Form::Block { center, half_size, yaw } => {
+                block_distance(turn(origin - *center, *yaw), turn(ray.direction, *yaw), *half_size)
+            }
         }
     }
 
@@ -113,8 +116,8 @@ impl Quad {
     }
 }
 
-/// Shortest root of |to_center − t·direction| = radius. The discriminant is taken from the distance between centre and ray, which keeps its digits for large
-/// spheres and far origins where b² − c does not.
+/// Shortest root of |to_center − t·direction| = radius. The discriminant is taken from the distance between centre and
+/// ray, which keeps its digits for large spheres and far origins where b² − c does not.
 fn sphere_distance(to_center: Vec3, direction: Vec3, radius: f32) -> f32 {
     let along = to_center.dot(direction);
     let across = to_center - direction * along;

@@ -5,8 +5,8 @@ use std::sync::Arc;
 use glam::IVec2;
 
 use super::{
-    BY_CANDIDATE, ColorOnly, DfcParams, Pass1, Pass2, Prepared, SECOND_ONLY, Wanted, Work, candidate_filter, reach_of_choice_and_second_pass, reach_of_kernels,
-    reach_of_prefilter,
+    BY_CANDIDATE, ColorOnly, DfcParams, Pass1, Pass2, Prepared, SECOND_ONLY, Wanted, Work, candidate_filter,
+    reach_of_choice_and_second_pass, reach_of_kernels, reach_of_prefilter,
 };
 use crate::error::Result;
 use crate::gpu::Recorder;
@@ -43,7 +43,8 @@ pub(in crate::method) fn kernels(
     let mut prepared = Prepared::new(rec, frame, Vec::new(), work, &mut keeper)?;
     plan.begins(rec, Step::Candidates);
     let taking_part = plan.candidates();
-    let mut kernels = kernels_of_candidates(rec, &prepared, prepared.features.first(), &names, taking_part, pixel, work)?;
+    let mut kernels =
+        kernels_of_candidates(rec, &prepared, prepared.features.first(), &names, taking_part, pixel, work)?;
     if !plan.runs(&Step::Selection) && !plan.runs(&Step::SecondPass) {
         // One candidate is the result.
         kernels.iter_mut().for_each(|kernel| kernel.share = Some(ShareOnGpu::Whole));
@@ -77,7 +78,11 @@ pub(in crate::method) fn kernels(
                 distances: vec![(Compared::Color { patch_radius: filter.patch_radius, k: filter.k }, NLM_DISTANCE)],
                 rule: WeightRule::Least,
                 centre: params.weighting.centre,
-                limit: params.second_pass.and_then(|pass| pass.most_sigmas).map(|sigmas| LimitOnGpu { filtered, result, sigmas }),
+                limit: params.second_pass.and_then(|pass| pass.most_sigmas).map(|sigmas| LimitOnGpu {
+                    filtered,
+                    result,
+                    sigmas,
+                }),
             }
         };
         kernels.push(KernelOnGpu { name: "second_pass", averaged: pass1.blend, weights, share: None });
@@ -87,7 +92,10 @@ pub(in crate::method) fn kernels(
 
 /// The candidates that take part, numbered from FIRST on.
 fn numbered(taking_part: CandidateSet) -> impl Iterator<Item = (u32, &'static str)> {
-    (0..).zip(BY_CANDIDATE).zip(taking_part.flags()).filter_map(|(candidate, takes_part)| takes_part.then_some(candidate))
+    (0..)
+        .zip(BY_CANDIDATE)
+        .zip(taking_part.flags())
+        .filter_map(|(candidate, takes_part)| takes_part.then_some(candidate))
 }
 
 /// Whether a step leaves this pixel as it is.
@@ -109,21 +117,42 @@ fn kernels_of_candidates(
     let Work { params, plan, schedule, .. } = work;
     let window_radius = params.window_radius;
     if is_exact_at(pixel, plan, &Step::Candidates) {
-        let left = |(_, name)| KernelOnGpu { name, averaged: color.signal.clone(), weights: WeightsOnGpu::Exact { window_radius }, share: None };
+        let left = |(_, name)| KernelOnGpu {
+            name,
+            averaged: color.signal.clone(),
+            weights: WeightsOnGpu::Exact { window_radius },
+            share: None,
+        };
         return Ok(numbered(taking_part).map(left).collect());
     }
     let filter = candidate_filter(params);
-    let window = candidate_window(rec, *extent, pixel, &color.signal, variance, features, &filter, taking_part, work.is_grey(), schedule)?;
+    let window = candidate_window(
+        rec,
+        *extent,
+        pixel,
+        &color.signal,
+        variance,
+        features,
+        &filter,
+        taking_part,
+        work.is_grey(),
+        schedule,
+    )?;
     let cells = Arc::new(window.cells);
     let kernel = |(candidate, name): (u32, &'static str)| {
-        let patch_radius = [Some(params.first_patch_radius), Some(params.second_patch_radius), None][candidate as usize];
-        let of_color = patch_radius.map(|patch_radius| (Compared::Color { patch_radius, k: params.color_k }, WindowOfCandidates::color(candidate)));
+        let patch_radius =
+            [Some(params.first_patch_radius), Some(params.second_patch_radius), None][candidate as usize];
+        let of_color = patch_radius.map(|patch_radius| {
+            (Compared::Color { patch_radius, k: params.color_k }, WindowOfCandidates::color(candidate))
+        });
         let tau = if candidate == 2 { params.feature_tau_third } else { params.feature_tau };
         let slots = features.iter().flat_map(|features| &features.packing.slots);
-        let of_features = names
-            .iter()
-            .zip(slots)
-            .map(|(name, slot)| (Compared::Feature { name: name.clone(), k: params.feature_k, tau }, WindowOfCandidates::feature(candidate, *slot)));
+        let of_features = names.iter().zip(slots).map(|(name, slot)| {
+            (
+                Compared::Feature { name: name.clone(), k: params.feature_k, tau },
+                WindowOfCandidates::feature(candidate, *slot),
+            )
+        });
         let weights = WeightsOnGpu::Cells {
             cells: cells.clone(),
             window_radius,

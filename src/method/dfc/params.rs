@@ -13,12 +13,14 @@ use crate::stage::select::Guard;
 use crate::stage::variance::BoxWeight;
 
 parameters! {
-    /// Parameters of DFC (thesis chapter 8), in [a table](crate::parameters#dfc). [`DfcParams::default`] is what measured best, [`DfcParams::thesis`] is Algorithm 1 to the letter.
+    /// Parameters of DFC (thesis chapter 8), in [a table](crate::parameters#dfc). [`DfcParams::default`] is what
+    /// measured best, [`DfcParams::thesis`] is Algorithm 1 to the letter.
     #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
     pub struct DfcParams {
         /// R, the radius of the window: candidates average over (2R+1)² pixels. Work grows with its square.
         pub window_radius: u32 => pixels(1..=LARGEST_WINDOW_RADIUS),
-        /// Which candidates take part: the others have no share in the result, and are not computed. FIRST has to filter more than SECOND where both do.
+        /// Which candidates take part: the others have no share in the result, and are not computed. FIRST has to
+        /// filter more than SECOND where both do.
         pub candidates: CandidateSet,
         /// k_c of FIRST and SECOND: how large a difference of colour counts, in standard deviations. More filters more.
         pub color_k: f32 => above(0.0).of("σ"),
@@ -28,12 +30,13 @@ parameters! {
         pub second_patch_radius: u32 => pixels(0..=LARGEST_PATCH_RADIUS),
         /// k_f of all candidates: how large a difference of features counts, in standard deviations. More filters more.
         pub feature_k: f32 => above(0.0).of("σ"),
-        /// τ of FIRST and SECOND: what squared differences of features are divided by at the least, besides k_f², in squares of the unit range that features are brought to.
-        /// More filters more.
+        /// τ of FIRST and SECOND: what squared differences of features are divided by at the least, besides k_f², in
+        /// squares of the unit range that features are brought to. More filters more.
         pub feature_tau: f32 => above(0.0),
         /// τ of THIRD, as `feature_tau`.
         ///
-        /// Where distances are symmetric they are scaled by p and q together, so that half of the printed value means the same.
+        /// Where distances are symmetric they are scaled by p and q together, so that half of the printed value means
+        /// the same.
         pub feature_tau_third: f32 => above(0.0),
         /// How distances become weights, in every filter.
         pub weighting: Weighting => Some(Without {
@@ -45,25 +48,28 @@ parameters! {
         pub box_weight: BoxWeight,
         /// How often the last term of SURE counts, 2σ²·dF/du (eq. 8.5).
         ///
-        /// It stands for the covariance of noise and filtered value, and reads low: a pixel that came out low claims little variance, so that the filter follows it. Measured on
-        /// nine scenes at 8 and 32 samples per pixel, pass 1 has 2 % less error with 1.5 than with 1 on average (6 % on `cornell` and on the spiky one, none more than 1 % more);
-        /// with 2 some lose 5 %.
+        /// It stands for the covariance of noise and filtered value, and reads low: a pixel that came out low claims
+        /// little variance, so that the filter follows it. Measured on nine scenes at 8 and 32 samples per pixel, pass
+        /// 1 has 2 % less error with 1.5 than with 1 on average (6 % on `cornell` and on the spiky one, none more than
+        /// 1 % more); with 2 some lose 5 %.
         pub covariance: f32 => above(0.0),
-        /// Keeps candidates out of the blend that are clearly worse, by the smoothed errors and by the pixel's own. Left out, the smoothed selection maps decide alone.
+        /// Keeps candidates out of the blend that are clearly worse, by the smoothed errors and by the pixel's own.
+        /// Left out, the smoothed selection maps decide alone.
         pub guard: Option<Guard>,
-        /// Whether variances of the mean are pooled over pixels that are alike. Where none is given, it is estimated so from
-        /// the halves, or, where there are no halves either, from the image itself; one that is given beside halves becomes
-        /// steadier. Otherwise the squared half spread is smoothed, and an image alone is refused.
+        /// Whether variances of the mean are pooled over pixels that are alike. Where none is given, it is estimated so
+        /// from the halves, or, where there are no halves either, from the image itself; one that is given beside
+        /// halves becomes steadier. Otherwise the squared half spread is smoothed, and an image alone is refused.
         pub pooled_variance: bool,
         /// What becomes of spikes: pixels that stand out from those of their kind and rest on very few samples.
         pub spikes: Spikes,
         /// Filters what noise pass 1 left (Algorithm 1 lines 34 to 37); needs halves. Left out, pass 1 is the result.
         pub second_pass: Option<SecondPass>,
-        /// Whether a filter by the colour only takes part where a feature has no noise, or none is told of, and where it is clearly better. Such features have edges of their own, sharp
-        /// where motion or defocus blurs the colour. Not where a single candidate takes part.
+        /// Whether a filter by the colour only takes part where a feature has no noise, or none is told of, and where
+        /// it is clearly better. Such features have edges of their own, sharp where motion or defocus blurs the colour.
+        /// Not where a single candidate takes part.
         pub color_only: bool,
-        /// Whether pixels whose samples show no noise stay as they are, however noisy their neighbours. Black pixels stay only where everything around them is black: elsewhere
-        /// their samples may all have missed the light.
+        /// Whether pixels whose samples show no noise stay as they are, however noisy their neighbours. Black pixels
+        /// stay only where everything around them is black: elsewhere their samples may all have missed the light.
         pub keep_clean: bool,
     }
 }
@@ -78,9 +84,11 @@ parameters! {
         pub patch_radius: u32 => pixels(0..=LARGEST_PATCH_RADIUS),
         /// k_c: how large a difference of colour counts, in standard deviations. More filters more.
         pub color_k: f32 => above(0.0).of("σ"),
-        /// Whether the two-buffer variance of pass 1 is held below the input's variance: what was filtered cannot be noisier than what it was made from.
+        /// Whether the two-buffer variance of pass 1 is held below the input's variance: what was filtered cannot be
+        /// noisier than what it was made from.
         pub clamp_to_input: bool,
-        /// Pixels that it would change by more than this many standard deviations of their noise stay as pass 1 left them. Left out, all take it.
+        /// Pixels that it would change by more than this many standard deviations of their noise stay as pass 1 left
+        /// them. Left out, all take it.
         pub most_sigmas: Option<f32> => above(0.0).of("σ"),
     }
 }
@@ -134,14 +142,21 @@ impl DfcParams {
             covariance: 1.0,
             guard: None,
             spikes: Spikes::Keep,
-            second_pass: Some(SecondPass { half_window: false, patch_radius: 1, color_k: 0.45, clamp_to_input: false, most_sigmas: None }),
+            second_pass: Some(SecondPass {
+                half_window: false,
+                patch_radius: 1,
+                color_k: 0.45,
+                clamp_to_input: false,
+                most_sigmas: None,
+            }),
             color_only: false,
             keep_clean: false,
             pooled_variance: false,
         }
     }
 
-    /// Whether more than one candidate can have a share: with the patches of SECOND, FIRST has the derivative of SECOND, below which its own must be.
+    /// Whether more than one candidate can have a share: with the patches of SECOND, FIRST has the derivative of
+    /// SECOND, below which its own must be.
     pub(super) fn several_can_win(&self) -> bool {
         self.candidates.count() > 1 + usize::from(self.first_cannot_win())
     }

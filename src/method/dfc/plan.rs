@@ -8,11 +8,14 @@ use crate::method::plan::{Facts, Plan, Planner, Step, Wishes, impossible, needle
 ///
 /// What is left out because the frame does not need it changes no bit of the result, but for what has no noise:
 ///
-/// * A feature without noise is taken as it is, and so are tiles of a feature from which no pixel with noise is within reach. Filtered, a value would become an average of
-///   values that differ by less than the distance that two pixels without variance are told apart by, √(25·3·7²·10⁻¹⁰) = 6·10⁻⁴ of the unit range.
-/// * A frame without noise is copied, and so are tiles from which no pixel with noise is within reach. FIRST and SECOND would move their colours by no more than that
-///   distance, √(25·3·(2f+1)²·10⁻¹⁰) at the order of 1, and the guard keeps THIRD out wherever it would move them further: without variance nothing happens by chance,
-///   so that only the candidates with the least SURE, (F − u)², have a share. A second pass with a limit changes nothing where there is no noise.
+/// * A feature without noise is taken as it is, and so are tiles of a feature from which no pixel with noise is within
+///   reach. Filtered, a value would become an average of values that differ by less than the distance that two pixels
+///   without variance are told apart by, √(25·3·7²·10⁻¹⁰) = 6·10⁻⁴ of the unit range.
+/// * A frame without noise is copied, and so are tiles from which no pixel with noise is within reach. FIRST and SECOND
+///   would move their colours by no more than that distance, √(25·3·(2f+1)²·10⁻¹⁰) at the order of 1, and the guard
+///   keeps THIRD out wherever it would move them further: without variance nothing happens by chance, so that only the
+///   candidates with the least SURE, (F − u)², have a share. A second pass with a limit changes nothing where there is
+///   no noise.
 pub(in crate::method) fn plan(params: &DfcParams, facts: &Facts, wishes: &Wishes) -> Plan {
     let mut plan = Planner::new(wishes);
     for (name, why) in &facts.unused_features {
@@ -20,7 +23,10 @@ pub(in crate::method) fn plan(params: &DfcParams, facts: &Facts, wishes: &Wishes
     }
     plan.noise(params.pooling(), facts);
     for feature in &facts.features {
-        let unless = [impossible(!feature.noise_is_told, "nothing tells of noise in it"), needless(feature.is_noise_free(), "no pixel has noise in it")];
+        let unless = [
+            impossible(!feature.noise_is_told, "nothing tells of noise in it"),
+            needless(feature.is_noise_free(), "no pixel has noise in it"),
+        ];
         plan.step(Step::Prefilter(feature.name.clone()), "it has noise", &unless);
         plan.but_for(facts.exact_feature(feature, PREFILTER.window_radius + PREFILTER.patch_radius).as_ref());
     }
@@ -29,14 +35,22 @@ pub(in crate::method) fn plan(params: &DfcParams, facts: &Facts, wishes: &Wishes
     params.spikes.plan(&mut plan, facts);
     plan.variance(params.pooling(), facts);
 
-    // Beyond the reach of the candidates nothing has noise, and beyond that of the smoothing that follows nothing reads what was not computed. The intermediates are others there.
+    // Beyond the reach of the candidates nothing has noise, and beyond that of the smoothing that follows nothing reads
+    // what was not computed. The intermediates are others there.
     let by_colour = params.candidates.first || params.candidates.second;
     let keeps_only = |allowed: &[Intermediate]| wishes.keep.iter().all(|kept| allowed.contains(kept));
-    let may_copy =
-        by_colour && params.guard.is_some() && keeps_only(&[Intermediate::Spikes, Intermediate::Variance, Intermediate::Features, Intermediate::Pass1]);
-    let exact = if may_copy { facts.exact_color(params.window_radius + params.second_patch_radius + reach_of_choice()) } else { None };
+    let may_copy = by_colour
+        && params.guard.is_some()
+        && keeps_only(&[Intermediate::Spikes, Intermediate::Variance, Intermediate::Features, Intermediate::Pass1]);
+    let exact = if may_copy {
+        facts.exact_color(params.window_radius + params.second_patch_radius + reach_of_choice())
+    } else {
+        None
+    };
 
-    let kept = [Intermediate::Candidates, Intermediate::Derivatives, Intermediate::Sure].into_iter().any(|kept| wishes.keeps(kept));
+    let kept = [Intermediate::Candidates, Intermediate::Derivatives, Intermediate::Sure]
+        .into_iter()
+        .any(|kept| wishes.keeps(kept));
     let second_beats_first = params.first_cannot_win() && !kept;
     let mut candidates = 0;
     for (place, (name, takes_part)) in BY_CANDIDATE.into_iter().zip(params.candidates.flags()).enumerate() {
@@ -63,9 +77,21 @@ pub(in crate::method) fn plan(params: &DfcParams, facts: &Facts, wishes: &Wishes
         (wishes.keeps(Intermediate::Derivatives), "they are asked for"),
     ];
     let because = reasons.iter().find_map(|(holds, because)| holds.then_some(*because));
-    plan.step(Step::Derivatives, because.unwrap_or_default(), &[needless(because.is_none(), "neither SURE nor the error is wanted")]);
-    plan.step(Step::HalfSpread, "the halves are filtered along", &[impossible(!facts.has_halves, "there are no halves")]);
-    plan.step(Step::Channels, "they differ", &[needless(facts.grey, "all are the same: the work of one stands for all")]);
+    plan.step(
+        Step::Derivatives,
+        because.unwrap_or_default(),
+        &[needless(because.is_none(), "neither SURE nor the error is wanted")],
+    );
+    plan.step(
+        Step::HalfSpread,
+        "the halves are filtered along",
+        &[impossible(!facts.has_halves, "there are no halves")],
+    );
+    plan.step(
+        Step::Channels,
+        "they differ",
+        &[needless(facts.grey, "all are the same: the work of one stands for all")],
+    );
     let nothing_to_judge = || [needless(unwanted, "there is one candidate")];
     plan.step(Step::Sure, "errors of the candidates", &nothing_to_judge());
     plan.step(Step::SureSmoothing, "the estimates are noisy", &nothing_to_judge());
@@ -88,8 +114,16 @@ pub(in crate::method) fn plan(params: &DfcParams, facts: &Facts, wishes: &Wishes
     ];
     plan.step(Step::SecondPass, "the halves tell what noise is left", &unless);
     plan.but_for(exact.as_ref().filter(|_| params.second_pass.is_some_and(|pass| pass.most_sigmas.is_some())));
-    plan.step(Step::Error, "what the halves, the candidates and the pixel's own weight show", &[needless(!needs_error, "it is not wanted")]);
-    plan.step(Step::Density, "it is asked for", &[impossible(!wishes.keeps(Intermediate::Density), "it is not asked for")]);
+    plan.step(
+        Step::Error,
+        "what the halves, the candidates and the pixel's own weight show",
+        &[needless(!needs_error, "it is not wanted")],
+    );
+    plan.step(
+        Step::Density,
+        "it is asked for",
+        &[impossible(!wishes.keeps(Intermediate::Density), "it is not asked for")],
+    );
 
     plan.keep_clean(params.keep_clean);
 

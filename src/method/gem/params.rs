@@ -11,15 +11,16 @@ use crate::parameters::{Parameter, Values, check, choices, list, parameters, rea
 use crate::stage::gaussian::Gaussian;
 
 parameters! {
-    /// Parameters of GEM (thesis chapter 6), in [a table](crate::parameters#gem). [`GemParams::default`] is what measured best, [`GemParams::thesis`] what the results of the chapter
-    /// were made with.
+    /// Parameters of GEM (thesis chapter 6), in [a table](crate::parameters#gem). [`GemParams::default`] is what
+    /// measured best, [`GemParams::thesis`] what the results of the chapter were made with.
     ///
     /// | phase | σ of the scales, in pixels | maps smoothed by | outliers |
     /// | --- | --- | --- | --- |
     /// | sampling | 1, 2, 4, 8 | the coarse scale of the pair | removed both ways |
     /// | final | √2, 2, √8, 4 … 16 | `final_outlier_size` times the coarse scale | only changes towards the coarser scale |
     ///
-    /// Measured, as geometric means of the relative MSE, on ten renders (four scenes at 8 to 128 samples per pixel) and six of the built-in scenes at 32:
+    /// Measured, as geometric means of the relative MSE, on ten renders (four scenes at 8 to 128 samples per pixel) and
+    /// six of the built-in scenes at 32:
     ///
     /// | γ | size 1 | size 2 |
     /// | --- | --- | --- |
@@ -27,27 +28,30 @@ parameters! {
     /// | 0.15 | 0.0060 | 0.0066 |
     /// | 0.2 | 0.0069 | 0.0070 |
     ///
-    /// The larger filter takes the stopping maps along edges for outliers; without the rule that only changes towards the coarser scale count, spikes stay (0.1 in place of
-    /// 0.009 on `caustic_ring` at 32).
+    /// The larger filter takes the stopping maps along edges for outliers; without the rule that only changes towards
+    /// the coarser scale count, spikes stay (0.1 in place of 0.009 on `caustic_ring` at 32).
     ///
-    /// The pixel filter is the finest scale of both. Gaussians end at 3σ, rounded up. The samples per pixel of the frame correct for the variance of few samples
-    /// (ρ = 1 − 1/n); where the frame does not know them, nothing is corrected.
+    /// The pixel filter is the finest scale of both. Gaussians end at 3σ, rounded up. The samples per pixel of the
+    /// frame correct for the variance of few samples (ρ = 1 − 1/n); where the frame does not know them, nothing is
+    /// corrected.
     #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
     pub struct GemParams {
-        /// γ: the share of wrong decisions for the finer scale in a constant region. Lower is smoother, higher is sharper and more spotted.
+        /// γ: the share of wrong decisions for the finer scale in a constant region. Lower is smoother, higher is
+        /// sharper and more spotted.
         pub gamma: f32 => real((Bound::Excluded(0.0), Bound::Excluded(0.4))),
         /// What the result is for: which scales there are, and how outliers are removed from the stopping maps.
         pub phase: Phase,
-        /// Size of the filter that removes outliers from the stopping maps for the final image, in sizes of the pair's coarse scale.
+        /// Size of the filter that removes outliers from the stopping maps for the final image, in sizes of the pair's
+        /// coarse scale.
         pub final_outlier_size: f32 => real(0.5..=4.0),
-        /// Whether a variance of the mean that is not given is estimated: pooled from the halves of pixels that are alike,
-        /// or, where there are no halves either, from the image itself. Otherwise the squared half spread is smoothed,
-        /// and an image alone is refused.
+        /// Whether a variance of the mean that is not given is estimated: pooled from the halves of pixels that are
+        /// alike, or, where there are no halves either, from the image itself. Otherwise the squared half spread is
+        /// smoothed, and an image alone is refused.
         pub pooled_variance: bool,
         /// What becomes of spikes: pixels that stand out from those of their kind and rest on very few samples.
         pub spikes: Spikes,
-        /// Whether pixels whose samples show no noise stay as they are, however noisy their neighbours. Black pixels stay only where everything around them is black: elsewhere
-        /// their samples may all have missed the light.
+        /// Whether pixels whose samples show no noise stay as they are, however noisy their neighbours. Black pixels
+        /// stay only where everything around them is black: elsewhere their samples may all have missed the light.
         pub keep_clean: bool,
     }
 }
@@ -87,14 +91,28 @@ impl Phase {
 
 impl Default for GemParams {
     fn default() -> Self {
-        Self { gamma: 0.15, final_outlier_size: 1.0, spikes: Spikes::Spread, keep_clean: true, pooled_variance: true, ..Self::thesis() }
+        Self {
+            gamma: 0.15,
+            final_outlier_size: 1.0,
+            spikes: Spikes::Spread,
+            keep_clean: true,
+            pooled_variance: true,
+            ..Self::thesis()
+        }
     }
 }
 
 impl GemParams {
     /// As the published results were made (thesis 6.4, 6.5).
     pub fn thesis() -> Self {
-        Self { gamma: 0.1, phase: Phase::Final, final_outlier_size: 2.0, spikes: Spikes::Keep, keep_clean: false, pooled_variance: false }
+        Self {
+            gamma: 0.1,
+            phase: Phase::Final,
+            final_outlier_size: 2.0,
+            spikes: Spikes::Keep,
+            keep_clean: false,
+            pooled_variance: false,
+        }
     }
 
     /// What smooths the stopping map of the step to a scale (thesis 6.2.4).
@@ -110,7 +128,8 @@ impl GemParams {
         Gaussian::new(self.phase.coarsest()).radius
     }
 
-    /// z(γ), the weight of the selector's bias term (thesis 6.2.3): found by experiment, so that the selector errs at the rate γ in constant regions.
+    /// z(γ), the weight of the selector's bias term (thesis 6.2.3): found by experiment, so that the selector errs at
+    /// the rate γ in constant regions.
     pub fn bias_weight(&self) -> f32 {
         let wrong = (1.9 * f64::from(self.gamma)).powf(std::f64::consts::FRAC_1_SQRT_2);
         -(1.0 - wrong).ln() as f32

@@ -10,14 +10,16 @@ use crate::parameters::{Parameter, Values, above, check, choices, list, paramete
 use crate::stage::nlm::{CentreWeight, Symmetry, Weighting};
 
 parameters! {
-    /// Parameters of NLM (thesis chapter 7), in [a table](crate::parameters#nlm). [`NlmParams::default`] is what measured best, [`NlmParams::thesis`] is the chapter to the letter.
+    /// Parameters of NLM (thesis chapter 7), in [a table](crate::parameters#nlm). [`NlmParams::default`] is what
+    /// measured best, [`NlmParams::thesis`] is the chapter to the letter.
     ///
     /// A frame without halves is filtered with its own weights, whatever `dual_buffer` says.
     #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
     pub struct NlmParams {
         /// r, the radius of the window: a pixel is averaged over (2r+1)² pixels. Work grows with its square.
         pub window_radius: u32 => pixels(1..=LARGEST_WINDOW_RADIUS),
-        /// f, the radius of the patches: those of (2f+1)² pixels are compared. Radius 0 compares single pixels, as the bilateral filter does.
+        /// f, the radius of the patches: those of (2f+1)² pixels are compared. Radius 0 compares single pixels, as the
+        /// bilateral filter does.
         pub patch_radius: u32 => pixels(0..=LARGEST_PATCH_RADIUS),
         /// How large a difference counts, in standard deviations. More filters more.
         pub k: f32 => above(0.0).of("σ"),
@@ -25,39 +27,43 @@ parameters! {
         pub alpha: f32 => real(0.0..),
         /// How distances become weights.
         pub weighting: Weighting,
-        /// Whether a weight is the mean of the weights of all pairs of pixels in the two patches. Otherwise pixels are weighed by their own patches alone.
+        /// Whether a weight is the mean of the weights of all pairs of pixels in the two patches. Otherwise pixels are
+        /// weighed by their own patches alone.
         pub patchwise: bool,
         /// Weights below it become 0.
         pub cut: f32 => real(0.0..=1.0),
-        /// Whether each half is filtered with the weights of the other; needs halves. Otherwise it is the original NL-means, where a pixel's noise helps to choose what it is
-        /// averaged with.
+        /// Whether each half is filtered with the weights of the other; needs halves. Otherwise it is the original
+        /// NL-means, where a pixel's noise helps to choose what it is averaged with.
         pub dual_buffer: bool,
         /// What is taken for the variance of the pixel means.
         pub variance: NlmVariance,
-        /// Whether a variance of the mean that is not given is estimated: pooled from the halves of pixels that are alike,
-        /// or, where there are no halves either, from the image itself. Otherwise the squared half spread is smoothed,
-        /// and an image alone is refused.
+        /// Whether a variance of the mean that is not given is estimated: pooled from the halves of pixels that are
+        /// alike, or, where there are no halves either, from the image itself. Otherwise the squared half spread is
+        /// smoothed, and an image alone is refused.
         pub pooled_variance: bool,
         /// What becomes of spikes: pixels that stand out from those of their kind and rest on very few samples.
         pub spikes: Spikes,
-        /// Whether, over several frames, those that harm a pixel, by its SURE, are left out there. Needs two buffers and a centre of weight one.
+        /// Whether, over several frames, those that harm a pixel, by its SURE, are left out there. Needs two buffers
+        /// and a centre of weight one.
         pub guard_frames: bool,
-        /// Whether pixels whose samples show no noise stay as they are, however noisy their neighbours. Black pixels stay only where everything around them is black: elsewhere
-        /// their samples may all have missed the light.
+        /// Whether pixels whose samples show no noise stay as they are, however noisy their neighbours. Black pixels
+        /// stay only where everything around them is black: elsewhere their samples may all have missed the light.
         pub keep_clean: bool,
     }
 }
 
 choices! {
-    /// What is taken for the variance of the pixel means. Without halves the sample variance stands for all but the uniform one, without sample variance the smoothed
-    /// two-buffer variance does.
+    /// What is taken for the variance of the pixel means. Without halves the sample variance stands for all but the
+    /// uniform one, without sample variance the smoothed two-buffer variance does.
     #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
     #[serde(rename_all = "kebab-case")]
     pub enum NlmVariance {
-        /// The sample variance, brought to the magnitude of the two-buffer variance where that is lower (thesis 8.2). Low-discrepancy samples are never noisier than random ones, so
-        /// that a ratio above 1 is an accident of few pixels.
+        /// The sample variance, brought to the magnitude of the two-buffer variance where that is lower (thesis 8.2).
+        /// Low-discrepancy samples are never noisier than random ones, so that a ratio above 1 is an accident of few
+        /// pixels.
         Scaled => "scaled",
-        /// The two-buffer variance, filtered with NL-means weights from the sample variance and held below it (thesis 7.1.1).
+        /// The two-buffer variance, filtered with NL-means weights from the sample variance and held below it (thesis
+        /// 7.1.1).
         CrossFiltered => "cross-filtered",
         /// The same everywhere, as in the original NL-means: the mean over the image, per channel (figure 7.11).
         Uniform => "uniform",
@@ -66,7 +72,14 @@ choices! {
 
 impl Default for NlmParams {
     fn default() -> Self {
-        Self { variance: NlmVariance::Scaled, spikes: Spikes::Spread, guard_frames: true, keep_clean: true, pooled_variance: true, ..Self::thesis() }
+        Self {
+            variance: NlmVariance::Scaled,
+            spikes: Spikes::Spread,
+            guard_frames: true,
+            keep_clean: true,
+            pooled_variance: true,
+            ..Self::thesis()
+        }
     }
 }
 
@@ -90,10 +103,17 @@ impl NlmParams {
         }
     }
 
-    /// Spikes stay. Filters less, so that the error that is left is noise and not bias (thesis 7.2): r and α are 7 and 0.5 at the most.
+    /// Spikes stay. Filters less, so that the error that is left is noise and not bias (thesis 7.2): r and α are 7 and
+    /// 0.5 at the most.
     #[must_use]
     pub fn while_sampling(self) -> Self {
-        Self { window_radius: self.window_radius.min(7), alpha: self.alpha.min(0.5), spikes: Spikes::Keep, keep_clean: false, ..self }
+        Self {
+            window_radius: self.window_radius.min(7),
+            alpha: self.alpha.min(0.5),
+            spikes: Spikes::Keep,
+            keep_clean: false,
+            ..self
+        }
     }
 
     pub(in crate::method) fn pooling(&self) -> Pooling {

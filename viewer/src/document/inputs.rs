@@ -12,25 +12,44 @@ use crate::layer::{Description, Group, Kind, Layer, Scale};
 /// Layers of a frame and its reference.
 pub fn input_layers(frame: &Frame, reference: Option<&Arc<Image>>) -> Vec<Arc<Layer>> {
     let mut layers = Vec::new();
-    let mut add = |description: Description, image: Arc<Image>| layers.push(Arc::new(Layer::new(description, image, None)));
+    let mut add =
+        |description: Description, image: Arc<Image>| layers.push(Arc::new(Layer::new(description, image, None)));
     let color = frame.color();
     let input = |name, title, about, kind, unit| describe(name, title, about, Group::Input, kind, unit);
-    add(input("noisy", "noisy", "The mean of each pixel's samples: what is denoised.", Kind::Color, RADIANCE), Arc::new(color.mean.clone()));
+    add(
+        input("noisy", "noisy", "The mean of each pixel's samples: what is denoised.", Kind::Color, RADIANCE),
+        Arc::new(color.mean.clone()),
+    );
     if let Some([a, b]) = halves(color) {
-        add(input("noisy_half_a", "half A", "The mean of one half of the samples.", Kind::Color, RADIANCE), Arc::new(a));
-        add(input("noisy_half_b", "half B", "The mean of the other half of the samples.", Kind::Color, RADIANCE), Arc::new(b));
+        add(
+            input("noisy_half_a", "half A", "The mean of one half of the samples.", Kind::Color, RADIANCE),
+            Arc::new(a),
+        );
+        add(
+            input("noisy_half_b", "half B", "The mean of the other half of the samples.", Kind::Color, RADIANCE),
+            Arc::new(b),
+        );
     }
     if let Some(spread) = &color.half_spread {
         let about = "(A − B)/2 of the halves: 0 on average, and its square the two-buffer estimate of the variance of the mean.";
-        add(input("half_spread", "half spread", about, Kind::Scalar(Scale::Diverging), RADIANCE), Arc::new(spread.clone()));
+        add(
+            input("half_spread", "half spread", about, Kind::Scalar(Scale::Diverging), RADIANCE),
+            Arc::new(spread.clone()),
+        );
     }
     if let Some(variance) = &color.variance_of_mean {
         let about = "Sample variance of the mean, as the renderer wrote it.";
-        add(input("sample_variance", "sample variance", about, Kind::Scalar(Scale::Log), RADIANCE_SQUARED), Arc::new(variance.clone()));
+        add(
+            input("sample_variance", "sample variance", about, Kind::Scalar(Scale::Log), RADIANCE_SQUARED),
+            Arc::new(variance.clone()),
+        );
     }
     if let SamplesPerPixel::PerPixel(samples) = frame.samples_per_pixel() {
         let about = "How many samples each pixel's mean was made of.";
-        add(input("samples", "samples per pixel", about, Kind::Scalar(Scale::Linear), "samples"), Arc::new(samples.clone()));
+        add(
+            input("samples", "samples per pixel", about, Kind::Scalar(Scale::Linear), "samples"),
+            Arc::new(samples.clone()),
+        );
     }
     for feature in frame.features() {
         let image = |image: &Image, factor: f32, offset: f32| {
@@ -43,7 +62,10 @@ pub fn input_layers(frame: &Frame, reference: Option<&Arc<Image>>) -> Vec<Arc<La
         if let Some((variance, about)) = variance(feature) {
             let about = format!("{about} of the feature {}.", feature.name);
             let (name, title) = (format!("{}_variance", feature.name), format!("{}: variance", feature.name));
-            add(describe(name, title, about, Group::Features, Kind::Scalar(Scale::Log), ""), image(&variance, feature.unit_scale.powi(2), 0.0));
+            add(
+                describe(name, title, about, Group::Features, Kind::Scalar(Scale::Log), ""),
+                image(&variance, feature.unit_scale.powi(2), 0.0),
+            );
         }
     }
     layers.extend(reference.map(reference_layer));
@@ -53,13 +75,18 @@ pub fn input_layers(frame: &Frame, reference: Option<&Arc<Image>>) -> Vec<Arc<La
 /// The layer of a reference.
 pub fn reference_layer(reference: &Arc<Image>) -> Arc<Layer> {
     let about = "The true image, as far as it was rendered.";
-    Arc::new(Layer::new(describe("reference", "reference", about, Group::Result, Kind::Color, RADIANCE), reference.clone(), None))
+    Arc::new(Layer::new(
+        describe("reference", "reference", about, Group::Result, Kind::Color, RADIANCE),
+        reference.clone(),
+        None,
+    ))
 }
 
 /// The layer of what an iteration of the adaptive loop drew.
 pub fn drawn_layer(counts: &SampleCounts) -> Arc<Layer> {
     let samples = counts.pairs().iter().map(|pairs| (2 * pairs) as f32).collect();
-    let about = "How many samples this iteration drew in each pixel: the density of the iteration before, in whole pairs.";
+    let about =
+        "How many samples this iteration drew in each pixel: the density of the iteration before, in whole pairs.";
     let description = describe("drawn", "sampling map", about, Group::Error, Kind::Scalar(Scale::Linear), "samples");
     Arc::new(Layer::new(description, Arc::new(Image { extent: counts.extent(), planes: vec![samples] }), None))
 }
@@ -71,7 +98,10 @@ fn variance(feature: &Feature) -> Option<(Image, &'static str)> {
         (Some(variance), _) => Some((variance.clone(), "Sample variance of the mean")),
         (None, Some(spread)) => {
             let squared = |plane: &Vec<f32>| plane.iter().map(|value| value * value).collect();
-            Some((Image { extent: spread.extent, planes: spread.planes.iter().map(squared).collect() }, "Two-buffer variance of the mean"))
+            Some((
+                Image { extent: spread.extent, planes: spread.planes.iter().map(squared).collect() },
+                "Two-buffer variance of the mean",
+            ))
         }
         (None, None) => None,
     }
@@ -82,7 +112,10 @@ fn halves(signal: &Signal) -> Option<[Image; 2]> {
     let spread = signal.half_spread.as_ref()?;
     let half = |sign: f32| {
         let planes = signal.mean.planes.iter().zip(&spread.planes);
-        Image { extent: spread.extent, planes: planes.map(|(mean, spread)| mean.iter().zip(spread).map(|(m, s)| m + sign * s).collect()).collect() }
+        Image {
+            extent: spread.extent,
+            planes: planes.map(|(mean, spread)| mean.iter().zip(spread).map(|(m, s)| m + sign * s).collect()).collect(),
+        }
     };
     Some([half(1.0), half(-1.0)])
 }

@@ -31,20 +31,28 @@ pub fn output_layers(estimate: &mut Estimate, reference: Option<&Arc<Image>>) ->
         layers.add_shares("selection", "selection", "Shares that entered the blend", Arc::new(selection.clone()));
     }
     let about = "How many pixels took part in a pixel's average: the sum of the weights.";
-    layers.add(describe("weight_sum", "pixels averaged", about, Group::Error, Kind::Scalar(Scale::Log), "pixels"), Arc::new(estimate.weight_sum.clone()), None);
+    layers.add(
+        describe("weight_sum", "pixels averaged", about, Group::Error, Kind::Scalar(Scale::Log), "pixels"),
+        Arc::new(estimate.weight_sum.clone()),
+        None,
+    );
     let estimated = estimate.error.as_ref().map(|error| {
         let about = "Estimated squared error of the result, summed over the channels, without a reference.";
-        let description = describe("error", "estimated error", about, Group::Error, Kind::Scalar(Scale::Log), RADIANCE_SQUARED);
+        let description =
+            describe("error", "estimated error", about, Group::Error, Kind::Scalar(Scale::Log), RADIANCE_SQUARED);
         layers.add(description, Arc::new(error.clone()), None)
     });
-    layers.0.extend(reference.map(|reference| true_error_layer(estimate, reference, estimated.map(|estimated| estimated.range))));
+    layers.0.extend(
+        reference.map(|reference| true_error_layer(estimate, reference, estimated.map(|estimated| estimated.range))),
+    );
     layers.0
 }
 
 /// The layer of the true error, on the scale of the estimated one.
 pub(super) fn true_error_layer(estimate: &Estimate, reference: &Image, scale: Option<Range>) -> Arc<Layer> {
     let about = "Squared error of the result against the reference, summed over the channels. On the scale of the estimated error.";
-    let description = describe("true_error", "true error", about, Group::Error, Kind::Scalar(Scale::Log), RADIANCE_SQUARED);
+    let description =
+        describe("true_error", "true error", about, Group::Error, Kind::Scalar(Scale::Log), RADIANCE_SQUARED);
     Arc::new(Layer::new(description, Arc::new(squared_error(&estimate.color, reference)), scale))
 }
 
@@ -79,7 +87,9 @@ impl Layers {
     fn add_sure(&mut self, name: &str, title: &str, about: &str, image: &Image) {
         let mut range = None;
         for (plane, (candidate, candidate_title, _)) in CANDIDATES.into_iter().enumerate() {
-            let explained = format!("{about} of {candidate_title}: the less, the better. Negative values are noise of the estimate.");
+            let explained = format!(
+                "{about} of {candidate_title}: the less, the better. Negative values are noise of the estimate."
+            );
             let description = describe(
                 format!("{name}.{candidate}"),
                 format!("{title}: {candidate_title}"),
@@ -100,24 +110,46 @@ impl Layers {
         let log = Kind::Scalar(Scale::Log);
         let linear = Kind::Scalar(Scale::Linear);
         let description = match intermediate {
-            Intermediate::Spikes => describe(name, "spikes", "What was taken from spikes before filtering.", Group::Input, Kind::Color, RADIANCE),
+            Intermediate::Spikes => describe(
+                name,
+                "spikes",
+                "What was taken from spikes before filtering.",
+                Group::Input,
+                Kind::Color,
+                RADIANCE,
+            ),
             Intermediate::Variance => {
-                let about = "Variance of the mean as the filters take it: brought to the magnitude that the halves tell.";
+                let about =
+                    "Variance of the mean as the filters take it: brought to the magnitude that the halves tell.";
                 describe(name, "scaled variance", about, Group::Input, log, RADIANCE_SQUARED)
             }
             Intermediate::Features => {
-                let (kind, title, about) = match (name.strip_suffix("_prefiltered"), name.strip_suffix("_residual_variance")) {
-                    (Some(feature), _) => (feature_kind(&image), format!("{feature}, prefiltered"), format!("The feature {feature} as the candidates see it.")),
-                    (_, Some(feature)) => {
-                        (log, format!("{feature}: residual variance"), format!("What noise prefiltering has left in the feature {feature}, as a variance."))
-                    }
-                    (None, None) => (feature_kind(&image), name.clone(), format!("The feature {name}.")),
-                };
+                let (kind, title, about) =
+                    match (name.strip_suffix("_prefiltered"), name.strip_suffix("_residual_variance")) {
+                        (Some(feature), _) => (
+                            feature_kind(&image),
+                            format!("{feature}, prefiltered"),
+                            format!("The feature {feature} as the candidates see it."),
+                        ),
+                        (_, Some(feature)) => (
+                            log,
+                            format!("{feature}: residual variance"),
+                            format!("What noise prefiltering has left in the feature {feature}, as a variance."),
+                        ),
+                        (None, None) => (feature_kind(&image), name.clone(), format!("The feature {name}.")),
+                    };
                 describe(name, title, about, Group::Features, kind, "")
             }
             Intermediate::Candidates => {
                 let (_, title, character) = candidate.unwrap_or(("", "candidate", "a filter"));
-                describe(name, title, format!("The candidate {title}, weighted by {character}."), Group::Candidates, Kind::Color, RADIANCE)
+                describe(
+                    name,
+                    title,
+                    format!("The candidate {title}, weighted by {character}."),
+                    Group::Candidates,
+                    Kind::Color,
+                    RADIANCE,
+                )
             }
             Intermediate::Derivatives => {
                 let (_, title, _) = candidate.unwrap_or(("", "the candidate", ""));
@@ -140,26 +172,49 @@ impl Layers {
                 };
                 return self.add_shares(&name, title, about, image);
             }
-            Intermediate::Pass1 => {
-                describe(name, "pass 1", "The candidates blended by their shares, before the second pass.", Group::Result, Kind::Color, RADIANCE)
-            }
+            Intermediate::Pass1 => describe(
+                name,
+                "pass 1",
+                "The candidates blended by their shares, before the second pass.",
+                Group::Result,
+                Kind::Color,
+                RADIANCE,
+            ),
             Intermediate::Stopping => {
                 let title = name.replace('_', " ");
                 describe(name, title, "Whether a pixel stops at the finer of two scales.", Group::Selection, linear, "")
             }
-            Intermediate::Scale => {
-                describe(name, "chosen scale", "σ of the scale that was chosen; 0 for the pixel filter.", Group::Selection, linear, "pixels")
-            }
+            Intermediate::Scale => describe(
+                name,
+                "chosen scale",
+                "σ of the scale that was chosen; 0 for the pixel filter.",
+                Group::Selection,
+                linear,
+                "pixels",
+            ),
             Intermediate::Halves => {
                 let title = if name.ends_with('a') { "half A, filtered" } else { "half B, filtered" };
-                describe(name, title, "One half of the samples, filtered with the weights of the other.", Group::Candidates, Kind::Color, RADIANCE)
+                describe(
+                    name,
+                    title,
+                    "One half of the samples, filtered with the weights of the other.",
+                    Group::Candidates,
+                    Kind::Color,
+                    RADIANCE,
+                )
             }
-            Intermediate::Density if image.channels() == 1 => describe(name, "sampling density", "Where the next samples pay most.", Group::Error, log, ""),
+            Intermediate::Density if image.channels() == 1 => {
+                describe(name, "sampling density", "Where the next samples pay most.", Group::Error, log, "")
+            }
             Intermediate::Density => {
                 for (plane, channel) in channels.iter().enumerate() {
                     let title = channel.replace('_', " ");
                     let about = "What tells where the next samples pay most: relative error, samples in the support of the filter, its σ.";
-                    self.add(describe(format!("{name}.{channel}"), title, about, Group::Error, log, ""), Arc::new(single_plane(&image, plane)), None);
+                    self.add(
+                        describe(format!("{name}.{channel}"), title, about, Group::Error, log, ""),
+                        Arc::new(single_plane(&image, plane)),
+                        None,
+                    );
                 }
                 return;
             }

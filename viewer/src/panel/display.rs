@@ -1,6 +1,8 @@
 //! How values become colours: exposure, tone, false colours, histogram.
 
-use eframe::egui::{Align2, Color32, ComboBox, DragValue, FontId, Grid, Rect, RichText, Role, Sense, Slider, Ui, Vec2, WidgetInfo};
+use eframe::egui::{
+    Align2, Color32, ComboBox, DragValue, FontId, Grid, Rect, RichText, Role, Sense, Slider, Ui, Vec2, WidgetInfo,
+};
 
 use crate::app::Viewer;
 use crate::layer::{Histogram, Kind, Layer, Scale};
@@ -23,7 +25,14 @@ pub fn show(ui: &mut Ui, viewer: &mut Viewer) {
 
     ui.label(RichText::new("Colour").strong());
     let display = &mut viewer.view.display;
-    slider(ui, "exposure", "Stops: colours are multiplied by 2 to the power of this (E, Shift+E)", &mut display.exposure, -12.0, 12.0);
+    slider(
+        ui,
+        "exposure",
+        "Stops: colours are multiplied by 2 to the power of this (E, Shift+E)",
+        &mut display.exposure,
+        -12.0,
+        12.0,
+    );
     slider(ui, "offset", "Added after the exposure (O, Shift+O)", &mut display.offset, -1.0, 1.0);
     choice(ui, "tone", &mut display.tone, &Tone::ALL, Tone::title);
     if display.tone == Tone::Gamma {
@@ -35,7 +44,8 @@ pub fn show(ui: &mut Ui, viewer: &mut Viewer) {
     if let Kind::Scalar(_) = description.kind {
         ui.label(RichText::new("False colour").strong());
         false_color(ui, display, &layer);
-        ui.checkbox(&mut display.shares_scale, "one scale for A and B").on_hover_text("Layer B is shown on the scale of A, where both are numbers (L)");
+        ui.checkbox(&mut display.shares_scale, "one scale for A and B")
+            .on_hover_text("Layer B is shown on the scale of A, where both are numbers (L)");
         ui.separator();
     }
 
@@ -103,7 +113,9 @@ fn false_color(ui: &mut Ui, display: &mut Display, layer: &Layer) {
     if (range, scale) != before {
         display.scales.insert(layer.name().to_owned(), (range, scale));
     }
-    if display.scales.contains_key(layer.name()) && ui.button("Automatic").on_hover_text("The range that shows most of the values").clicked() {
+    if display.scales.contains_key(layer.name())
+        && ui.button("Automatic").on_hover_text("The range that shows most of the values").clicked()
+    {
         display.scales.remove(layer.name());
     }
 }
@@ -139,9 +151,20 @@ fn histogram(ui: &mut Ui, histogram: &Histogram, kind: Kind) {
         let color = ui.visuals().text_color();
         ui.painter().text(row.left_center(), Align2::LEFT_CENTER, edge(histogram.first), font.clone(), color);
         let middle = if histogram.logarithmic { "logarithmic" } else { "linear" };
-        ui.painter().text(row.center(), Align2::CENTER_CENTER, middle, FontId::proportional(11.0), ui.visuals().weak_text_color());
+        ui.painter().text(
+            row.center(),
+            Align2::CENTER_CENTER,
+            middle,
+            FontId::proportional(11.0),
+            ui.visuals().weak_text_color(),
+        );
         ui.painter().text(row.right_center(), Align2::RIGHT_CENTER, edge(histogram.last), font, color);
     });
     let bad = if histogram.not_finite > 0 { format!(", {} not finite", histogram.not_finite) } else { String::new() };
-    ui.label(format!("least {}, mean {}, most {}{bad}", number(histogram.least), number(histogram.mean as f32), number(histogram.most)));
+    ui.label(format!(
+        "least {}, mean {}, most {}{bad}",
+        number(histogram.least),
+        number(histogram.mean as f32),
+        number(histogram.most)
+    ));
 }

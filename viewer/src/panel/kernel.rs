@@ -2,7 +2,10 @@
 
 use std::ops::RangeInclusive;
 
-use eframe::egui::{Color32, ComboBox, Grid, Painter, Pos2, Rect, Response, RichText, Role, Sense, Stroke, StrokeKind, Ui, Vec2, WidgetInfo};
+use eframe::egui::{
+    Color32, ComboBox, Grid, Painter, Pos2, Rect, Response, RichText, Role, Sense, Stroke, StrokeKind, Ui, Vec2,
+    WidgetInfo,
+};
 use stein::FilterKernel;
 use stein::kernels::{Compared, Distance, WeightRule};
 use stein::method::{PlannedStep, Step};
@@ -22,7 +25,8 @@ const LARGE: RangeInclusive<f32> = 200.0..=460.0;
 /// Points that the small windows and the lines take, and each distance of the table.
 const OTHERS: f32 = 336.0;
 const LINE: f32 = 16.0;
-/// What a neighbour weighs beyond what it would by itself before that is explained: this factor, and more than what does not show.
+/// What a neighbour weighs beyond what it would by itself before that is explained: this factor, and more than what
+/// does not show.
 const TOLD_APART: f32 = 1.01;
 const LEAST_TOLD: f32 = 5e-4;
 /// Between two small windows.
@@ -72,7 +76,13 @@ pub fn show(ui: &mut Ui, viewer: &mut Viewer) {
 
 /// How the weights came about, and what does not take part.
 fn explanations(ui: &mut Ui, inspected: &Inspected, shown: Option<(&FilterKernel, &Window)>) {
-    let left_out = inspected.kernels.plan.steps.iter().filter(|planned| !planned.runs && planned.step.makes_kernels()).map(left_out);
+    let left_out = inspected
+        .kernels
+        .plan
+        .steps
+        .iter()
+        .filter(|planned| !planned.runs && planned.step.makes_kernels())
+        .map(left_out);
     let of_filter = shown.into_iter().flat_map(|(filter, window)| [rule(filter), decisions(filter, window)]);
     for text in of_filter.chain(left_out).filter(|text| !text.is_empty()) {
         ui.label(RichText::new(text).size(11.5));
@@ -137,7 +147,13 @@ fn small(ui: &mut Ui, text: String, about: &str) {
 }
 
 /// A pixel of an image as the canvas shows colours, with its values under it.
-fn swatch(ui: &mut Ui, viewer: &mut Viewer, (image, place, width): (&Shown, [usize; 2], f32), color: [f32; 3], about: &str) {
+fn swatch(
+    ui: &mut Ui,
+    viewer: &mut Viewer,
+    (image, place, width): (&Shown, [usize; 2], f32),
+    color: [f32; 3],
+    about: &str,
+) {
     let (rect, response) = ui.allocate_exact_size(Vec2::new(width, 10.0), Sense::hover());
     viewer.view.paint_pixel(ui.painter(), rect, image.clone(), place);
     response.on_hover_text(about);
@@ -154,7 +170,8 @@ fn head(ui: &mut Ui, inspector: &mut Inspector, filter: &FilterKernel) {
     };
     // The filters differ in patch radius and τ, but a distance is looked for in all of them by its name.
     inspector.quantity = match &inspector.quantity {
-        Quantity::Alone(of) => same_distance(filter, of).map_or(Quantity::Weight, |place| Quantity::Alone(filter.distances[place].of.clone())),
+        Quantity::Alone(of) => same_distance(filter, of)
+            .map_or(Quantity::Weight, |place| Quantity::Alone(filter.distances[place].of.clone())),
         other => other.clone(),
     };
     ui.horizontal(|ui| {
@@ -186,7 +203,9 @@ fn large(ui: &mut Ui, viewer: &mut Viewer, filter: &FilterKernel, window: &Windo
     let (shown, kind) = match &viewer.inspector.quantity {
         Quantity::Weight => (&window.weights, Kind::Scalar(scale.1)),
         Quantity::Colors => (&window.colors, Kind::Color),
-        Quantity::Alone(of) => (same_distance(filter, of).map_or(&window.weights, |place| &window.alone[place]), Kind::Scalar(scale.1)),
+        Quantity::Alone(of) => {
+            (same_distance(filter, of).map_or(&window.weights, |place| &window.alone[place]), Kind::Scalar(scale.1))
+        }
     };
     paint(ui.painter(), viewer, rect, filter, shown, kind);
 
@@ -230,7 +249,10 @@ fn hatch(painter: &Painter, outside: Rect, whole: Rect) {
     for line in 0..=lines {
         let x = whole.left() + line as f32 * HATCH;
         let from = Pos2::new(x, whole.top());
-        painter.line_segment([from, from + Vec2::new(-whole.height(), whole.height())], Stroke::new(1.0, Color32::from_gray(150)));
+        painter.line_segment(
+            [from, from + Vec2::new(-whole.height(), whole.height())],
+            Stroke::new(1.0, Color32::from_gray(150)),
+        );
     }
 }
 
@@ -269,16 +291,30 @@ fn rule(filter: &FilterKernel) -> String {
     let side = filter.side();
     let of = if filter.name == "second_pass" { " of pass 1" } else { "" };
     match filter.rule {
-        WeightRule::Least if filter.distances.is_empty() => format!("A box of {side}×{side}: nothing tells the neighbours apart."),
-        WeightRule::Least => format!("{side}×{side} cells{of}. A neighbour weighs as its largest distance says: the least of exp(−d)."),
-        WeightRule::Cut { cut } => format!("{side}×{side} cells, exp(−d) of the patches; weights below {} count as 0.", number(cut)),
+        WeightRule::Least if filter.distances.is_empty() => {
+            format!("A box of {side}×{side}: nothing tells the neighbours apart.")
+        }
+        WeightRule::Least => {
+            format!("{side}×{side} cells{of}. A neighbour weighs as its largest distance says: the least of exp(−d).")
+        }
+        WeightRule::Cut { cut } => {
+            format!("{side}×{side} cells, exp(−d) of the patches; weights below {} count as 0.", number(cut))
+        }
         WeightRule::PatchMean { cut } => {
-            format!("{side}×{side} cells. The mean of the weights of all pairs of pixels in the two patches; below {} it counts as 0.", number(cut))
+            format!(
+                "{side}×{side} cells. The mean of the weights of all pairs of pixels in the two patches; below {} it counts as 0.",
+                number(cut)
+            )
         }
         WeightRule::Gaussian { sigma: 0.0 } => "The pixel filter: no neighbour takes part.".into(),
-        WeightRule::Gaussian { sigma } => format!("A Gaussian of σ = {} pixels, by distance on the image alone.", number(sigma)),
+        WeightRule::Gaussian { sigma } => {
+            format!("A Gaussian of σ = {} pixels, by distance on the image alone.", number(sigma))
+        }
         WeightRule::Refused { sigmas } => {
-            format!("{side}×{side} cells{of}. It would change the pixel by more than {} σ of its noise, and is refused: pass 1 is the result.", number(sigmas))
+            format!(
+                "{side}×{side} cells{of}. It would change the pixel by more than {} σ of its noise, and is refused: pass 1 is the result.",
+                number(sigmas)
+            )
         }
         WeightRule::Exact => "No pixel with noise is within reach: the pixel is left as it is.".into(),
     }
@@ -294,7 +330,12 @@ fn decisions(filter: &FilterKernel, window: &Window) -> String {
     if filter.distances.is_empty() || is_refused(filter) {
         return String::new();
     }
-    let decided: Vec<_> = filter.distances.iter().zip(&window.decided).map(|(distance, count)| format!("{} {count}", distance.of.name())).collect();
+    let decided: Vec<_> = filter
+        .distances
+        .iter()
+        .zip(&window.decided)
+        .map(|(distance, count)| format!("{} {count}", distance.of.name()))
+        .collect();
     let free = window.neighbours - window.decided.iter().sum::<usize>();
     format!("Of {} neighbours decided: {}; {free} are like the pixel in all.", window.neighbours, decided.join(", "))
 }
@@ -376,7 +417,11 @@ fn compared(of: &Compared) -> String {
             format!("patches of {side}×{side} pixels; differences count in {} standard deviations", number(*k))
         }
         Compared::Feature { k, tau, .. } => {
-            format!("pixel by pixel; k_f = {}, squared differences from τ = {} on count, in squares of the unit range", number(*k), number(*tau))
+            format!(
+                "pixel by pixel; k_f = {}, squared differences from τ = {} on count, in squares of the unit range",
+                number(*k),
+                number(*tau)
+            )
         }
     }
 }

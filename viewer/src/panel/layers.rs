@@ -2,7 +2,9 @@
 
 use std::sync::Arc;
 
-use eframe::egui::{Align, Align2, Color32, FontId, Rect, RichText, Role, ScrollArea, Sense, Stroke, StrokeKind, Ui, Vec2, WidgetInfo};
+use eframe::egui::{
+    Align, Align2, Color32, FontId, Rect, RichText, Role, ScrollArea, Sense, Stroke, StrokeKind, Ui, Vec2, WidgetInfo,
+};
 
 use super::status::explained;
 use crate::app::Viewer;
@@ -65,7 +67,9 @@ fn row(ui: &mut Ui, viewer: &mut Viewer, layer: &Layer) {
     let text = ui.painter().layout(title.clone(), FontId::proportional(13.0), visuals.text_color(), width);
     let place = thumbnail.right_center() + Vec2::new(8.0, -text.size().y / 2.0);
     ui.painter().galley(place, text, visuals.text_color());
-    for (is_marked, label, color, offset) in [(is_a, "A", Color32::from_rgb(60, 130, 230), -8.0), (is_b, "B", Color32::from_rgb(220, 120, 30), 8.0)] {
+    for (is_marked, label, color, offset) in
+        [(is_a, "A", Color32::from_rgb(60, 130, 230), -8.0), (is_b, "B", Color32::from_rgb(220, 120, 30), 8.0)]
+    {
         if is_marked {
             let mark = Rect::from_center_size(rect.right_center() + Vec2::new(-12.0, offset), Vec2::splat(14.0));
             ui.painter().rect_filled(mark, 3.0, color);
@@ -73,7 +77,12 @@ fn row(ui: &mut Ui, viewer: &mut Viewer, layer: &Layer) {
         }
     }
     if is_a {
-        ui.painter().rect_stroke(thumbnail, 0.0, Stroke::new(1.0, Color32::from_rgb(60, 130, 230)), StrokeKind::Outside);
+        ui.painter().rect_stroke(
+            thumbnail,
+            0.0,
+            Stroke::new(1.0, Color32::from_rgb(60, 130, 230)),
+            StrokeKind::Outside,
+        );
     }
     response.on_hover_text(explained(layer));
 }

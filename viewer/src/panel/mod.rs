@@ -41,7 +41,8 @@ pub enum Panel {
 
 impl Panel {
     /// In the order of their tabs.
-    pub const ALL: [Self; 7] = [Self::Display, Self::Parameters, Self::Pixel, Self::Kernel, Self::Report, Self::Plot, Self::Sampling];
+    pub const ALL: [Self; 7] =
+        [Self::Display, Self::Parameters, Self::Pixel, Self::Kernel, Self::Report, Self::Plot, Self::Sampling];
 
     /// What users read.
     pub fn title(self) -> &'static str {

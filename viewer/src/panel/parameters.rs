@@ -1,11 +1,12 @@
-//! How is denoised: the method, the preset, and every parameter as the method describes it. A change starts a run, and ends the one in flight.
+//! How is denoised: the method, the preset, and every parameter as the method describes it. A change starts a run, and
+//! ends the one in flight.
 
 use std::ops::Bound;
 
 use eframe::egui::text::LayoutJob;
 use eframe::egui::{
-    Align, Button, Checkbox, Color32, ComboBox, DragValue, FontId, Id, Label, Layout, Response, RichText, Role, Slider, TextFormat, TextStyle, Ui, Vec2,
-    WidgetInfo,
+    Align, Button, Checkbox, Color32, ComboBox, DragValue, FontId, Id, Label, Layout, Response, RichText, Role, Slider,
+    TextFormat, TextStyle, Ui, Vec2, WidgetInfo,
 };
 use stein::Preset;
 use stein::parameters::{Choice, Kind, Parameter, Value};
@@ -32,11 +33,19 @@ pub fn show(ui: &mut Ui, viewer: &mut Viewer) {
     let changed = listed.iter().filter(|parameter| viewer.parameters.differs(parameter)).count();
     ui.horizontal(|ui| {
         let button = Button::new("Reset all");
-        if ui.add_enabled(changed > 0 || viewer.edits.any_wait(), button).on_hover_text("All parameters as the preset has them").clicked() {
+        if ui
+            .add_enabled(changed > 0 || viewer.edits.any_wait(), button)
+            .on_hover_text("All parameters as the preset has them")
+            .clicked()
+        {
             viewer.take_parameters(viewer.parameters.reset());
         }
         let context = ui.ctx().clone();
-        if ui.button("Save…").on_hover_text("Writes the parameters as TOML, for `stein denoise --params FILE`").clicked() {
+        if ui
+            .button("Save…")
+            .on_hover_text("Writes the parameters as TOML, for `stein denoise --params FILE`")
+            .clicked()
+        {
             viewer.perform(Action::SaveParameters, &context);
         }
         if ui.button("Load…").on_hover_text("Reads parameters from TOML, such as `stein params` writes").clicked() {
@@ -105,8 +114,16 @@ fn row(ui: &mut Ui, viewer: &Viewer, parameter: &Parameter) -> Option<Change> {
         let label = name(ui, parameter, differs).on_hover_text(&about);
         ui.with_layout(Layout::right_to_left(Align::Center), |ui| {
             if differs {
-                let before = viewer.parameters.preset_value(parameter).map_or_else(String::new, |value| format!("Back to {value}, as in the preset"));
-                let button = ui.add_sized(Vec2::new(RESET_WIDTH, ROW_HEIGHT), Button::new(RichText::new("↺").size(16.0)).frame(false)).on_hover_text(before);
+                let before = viewer
+                    .parameters
+                    .preset_value(parameter)
+                    .map_or_else(String::new, |value| format!("Back to {value}, as in the preset"));
+                let button = ui
+                    .add_sized(
+                        Vec2::new(RESET_WIDTH, ROW_HEIGHT),
+                        Button::new(RichText::new("↺").size(16.0)).frame(false),
+                    )
+                    .on_hover_text(before);
                 button.widget_info(|| WidgetInfo::labeled(Role::Button, true, format!("reset {}", parameter.name)));
                 if button.clicked() {
                     change = Some(Change::Reset);
@@ -143,8 +160,13 @@ fn name(ui: &mut Ui, parameter: &Parameter, differs: bool) -> Response {
     let marked = if ui.visuals().dark_mode { Color32::from_rgb(110, 185, 255) } else { Color32::from_rgb(0, 75, 165) };
     let strong = if differs { marked } else { ui.visuals().text_color() };
     let mut job = LayoutJob::default();
-    let (group, own) = parameter.name.rfind('.').map_or(("", parameter.name.as_str()), |dot| parameter.name.split_at(dot + 1));
-    job.append(group, 0.0, TextFormat::simple(font.clone(), if differs { strong } else { ui.visuals().weak_text_color() }));
+    let (group, own) =
+        parameter.name.rfind('.').map_or(("", parameter.name.as_str()), |dot| parameter.name.split_at(dot + 1));
+    job.append(
+        group,
+        0.0,
+        TextFormat::simple(font.clone(), if differs { strong } else { ui.visuals().weak_text_color() }),
+    );
     job.append(own, 0.0, TextFormat::simple(font, strong));
     in_column(ui, Label::new(job))
 }
@@ -167,7 +189,12 @@ fn about(parameter: &Parameter) -> String {
         Some(value) => value.to_string(),
     };
     let Parameter { name, documentation, default, thesis, .. } = parameter;
-    format!("{name}\n\n{documentation}\n\nCan be {}. Default: {}. Thesis: {}.", parameter.rule(), in_words(default), in_words(thesis))
+    format!(
+        "{name}\n\n{documentation}\n\nCan be {}. Default: {}. Thesis: {}.",
+        parameter.rule(),
+        in_words(default),
+        in_words(thesis)
+    )
 }
 
 /// The widget for what a parameter can be. What it is set to, where it is.
@@ -183,7 +210,9 @@ fn widget(ui: &mut Ui, parameter: &Parameter, value: &Value, label: Id, about: &
             slide(ui, Slider::new(&mut new, range.clone()).suffix(suffix), label, about);
             (new != *value).then_some(Value::Integer(new))
         }
-        (Kind::Number { range, can_be_off: false }, Value::Number(value)) => number(ui, *value, *range, &suffix, label, about).map(Value::Number),
+        (Kind::Number { range, can_be_off: false }, Value::Number(value)) => {
+            number(ui, *value, *range, &suffix, label, about).map(Value::Number)
+        }
         (Kind::Number { range, can_be_off: true }, value) => {
             let is_on = *value != Value::Flag(false);
             let mut new = is_on;
@@ -212,7 +241,14 @@ fn slide(ui: &mut Ui, slider: Slider<'_>, label: Id, about: &str) -> Response {
 }
 
 /// A number: on a slider between two bounds, else one that is dragged in steps of its own magnitude.
-fn number(ui: &mut Ui, value: f32, range: (Bound<f32>, Bound<f32>), suffix: &str, label: Id, about: &str) -> Option<f32> {
+fn number(
+    ui: &mut Ui,
+    value: f32,
+    range: (Bound<f32>, Bound<f32>),
+    suffix: &str,
+    label: Id,
+    about: &str,
+) -> Option<f32> {
     let bound = |bound: Bound<f32>| match bound {
         // The library tells that it is excluded.
         Bound::Included(bound) | Bound::Excluded(bound) => Some(bound),
@@ -221,11 +257,19 @@ fn number(ui: &mut Ui, value: f32, range: (Bound<f32>, Bound<f32>), suffix: &str
     let shown = |value: f64, _: std::ops::RangeInclusive<usize>| Value::Number(value as f32).to_string();
     let mut new = value;
     let response = match (bound(range.0), bound(range.1)) {
-        (Some(from), Some(to)) => slide(ui, Slider::new(&mut new, from..=to).suffix(suffix).custom_formatter(shown), label, about),
+        (Some(from), Some(to)) => {
+            slide(ui, Slider::new(&mut new, from..=to).suffix(suffix).custom_formatter(shown), label, about)
+        }
         (from, to) => {
             let range = from.unwrap_or(f32::MIN)..=to.unwrap_or(f32::MAX);
-            let drag = DragValue::new(&mut new).range(range).speed(f64::from(value.abs().max(1e-6)) * 0.01).suffix(suffix).custom_formatter(shown);
-            ui.add(drag.update_while_editing(false)).labelled_by(label).on_hover_text(format!("{about}\n\nDrag, or click to type."))
+            let drag = DragValue::new(&mut new)
+                .range(range)
+                .speed(f64::from(value.abs().max(1e-6)) * 0.01)
+                .suffix(suffix)
+                .custom_formatter(shown);
+            ui.add(drag.update_while_editing(false))
+                .labelled_by(label)
+                .on_hover_text(format!("{about}\n\nDrag, or click to type."))
         }
     };
     if response.dragged() {
@@ -239,9 +283,19 @@ fn rounded(value: f32) -> f32 {
     format!("{value:.2e}").parse().unwrap_or(value)
 }
 
-fn choice(ui: &mut Ui, parameter: &Parameter, options: &[Choice], value: &str, label: Id, about: &str) -> Option<Value> {
+fn choice(
+    ui: &mut Ui,
+    parameter: &Parameter,
+    options: &[Choice],
+    value: &str,
+    label: Id,
+    about: &str,
+) -> Option<Value> {
     let mut new = value;
-    let menu = ComboBox::from_id_salt(&parameter.name).width(ui.available_width() - ui.spacing().item_spacing.x).truncate().selected_text(value);
+    let menu = ComboBox::from_id_salt(&parameter.name)
+        .width(ui.available_width() - ui.spacing().item_spacing.x)
+        .truncate()
+        .selected_text(value);
     let menu = menu.show_ui(ui, |ui| {
         for option in options {
             ui.selectable_value(&mut new, option.name, option.name).on_hover_text(&option.documentation);

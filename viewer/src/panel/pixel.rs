@@ -13,7 +13,11 @@ pub fn show(ui: &mut Ui, viewer: &mut Viewer) {
         ui.label("Point at a pixel to see its values in every layer. Click to keep it.");
         return;
     };
-    let how = if viewer.view.pinned.is_some() { "kept; click it again to let it go" } else { "under the pointer; click to keep it" };
+    let how = if viewer.view.pinned.is_some() {
+        "kept; click it again to let it go"
+    } else {
+        "under the pointer; click to keep it"
+    };
     ui.label(RichText::new(format!("Pixel ({x}, {y})")).strong());
     ui.label(RichText::new(how).weak());
     let mut chosen = None;
@@ -28,7 +32,11 @@ pub fn show(ui: &mut Ui, viewer: &mut Viewer) {
             for layer in members {
                 let Some(values) = layer.values(x, y) else { continue };
                 let is_shown = layer.name() == viewer.view.layer;
-                if ui.selectable_label(is_shown, RichText::new(&layer.description.title).size(11.5)).on_hover_text(explained(layer)).clicked() {
+                if ui
+                    .selectable_label(is_shown, RichText::new(&layer.description.title).size(11.5))
+                    .on_hover_text(explained(layer))
+                    .clicked()
+                {
                     chosen = Some(layer.name().to_owned());
                 }
                 for value in values {

@@ -3,7 +3,9 @@
 use std::ops::RangeInclusive;
 
 use eframe::egui::{Button, Color32, Grid, Id, Rangef, Response, RichText, Role, Ui, Vec2, WidgetInfo};
-use egui_plot::{AxisHints, GridInput, GridMark, Line, LineStyle, MarkerShape, Plot, PlotPoint, PlotPoints, PlotTransform, Points};
+use egui_plot::{
+    AxisHints, GridInput, GridMark, Line, LineStyle, MarkerShape, Plot, PlotPoint, PlotPoints, PlotTransform, Points,
+};
 use stein::Preset;
 
 use crate::app::Viewer;
@@ -19,7 +21,8 @@ pub const PLOT: &str = "error against time";
 const REACH: f32 = 12.0;
 /// Marks that an axis has at least, if it is not very short.
 const LEAST_MARKS: usize = 3;
-/// Between the numbers of an axis along which they stand, in points: where there is less, and from where on they are clear.
+/// Between the numbers of an axis along which they stand, in points: where there is less, and from where on they are
+/// clear.
 pub(super) const X_SPACING: Rangef = Rangef { min: 24.0, max: 40.0 };
 /// Room around the points, in decades.
 const MARGIN: f64 = 0.12;
@@ -61,7 +64,8 @@ pub fn show(ui: &mut Ui, viewer: &mut Viewer) {
         Some(Spot { parameters: run.parameters, seconds: run.seconds, error, keeps_layers })
     };
     let (swept, runs) = (&viewer.sweep.points, &document.history);
-    let spots: Vec<Spot> = swept.iter().filter_map(|run| spot(run, false)).chain(runs.iter().filter_map(|run| spot(run, true))).collect();
+    let spots: Vec<Spot> =
+        swept.iter().filter_map(|run| spot(run, false)).chain(runs.iter().filter_map(|run| spot(run, true))).collect();
     let missing = swept.len() + runs.len() - spots.len();
 
     choose(ui, viewer);
@@ -85,14 +89,24 @@ fn choose(ui: &mut Ui, viewer: &mut Viewer) {
     Grid::new("sweep").num_columns(2).spacing([8.0, 3.0]).show(ui, |ui| {
         ui.label("radii");
         ui.horizontal_wrapped(|ui| {
-            Extent::RADII.iter().for_each(|radius| toggle(ui, &mut extent.radii, *radius, &radius.to_string(), &format!("radius {radius}")));
+            Extent::RADII.iter().for_each(|radius| {
+                toggle(ui, &mut extent.radii, *radius, &radius.to_string(), &format!("radius {radius}"));
+            });
         });
         ui.end_row();
         ui.label("presets");
-        ui.horizontal(|ui| Preset::ALL.iter().for_each(|preset| toggle(ui, &mut extent.presets, *preset, preset.name(), &format!("preset {}", preset.name()))));
+        ui.horizontal(|ui| {
+            Preset::ALL.iter().for_each(|preset| {
+                toggle(ui, &mut extent.presets, *preset, preset.name(), &format!("preset {}", preset.name()));
+            });
+        });
         ui.end_row();
         ui.label("methods");
-        ui.horizontal(|ui| Parameters::METHODS.iter().for_each(|method| toggle(ui, &mut extent.methods, *method, method, &format!("method {method}"))));
+        ui.horizontal(|ui| {
+            Parameters::METHODS
+                .iter()
+                .for_each(|method| toggle(ui, &mut extent.methods, *method, method, &format!("method {method}")));
+        });
         ui.end_row();
     });
     ui.horizontal(|ui| {
@@ -156,21 +170,49 @@ fn plot(ui: &mut Ui, viewer: &Viewer, spots: &[Spot], axis: &str) -> Option<Para
         .label_formatter(|_| None);
     let shown = plot.show(ui, |ui| {
         for Series { method, preset, color, style } in &series {
-            let own = spots.iter().filter(|spot| !spot.keeps_layers && spot.parameters.method.name() == *method && spot.parameters.preset == *preset);
+            let own = spots.iter().filter(|spot| {
+                !spot.keeps_layers && spot.parameters.method.name() == *method && spot.parameters.preset == *preset
+            });
             let mut places: Vec<[f64; 2]> = own.map(Spot::place).collect();
             places.sort_by(|a, b| a[0].total_cmp(&b[0]));
             let name = format!("{method} {}", preset.name());
             if is_a_line(*preset, method) {
-                ui.line(Line::new(&name, PlotPoints::from(places.clone())).color(*color).style(*style).width(1.5).allow_hover(false));
+                ui.line(
+                    Line::new(&name, PlotPoints::from(places.clone()))
+                        .color(*color)
+                        .style(*style)
+                        .width(1.5)
+                        .allow_hover(false),
+                );
             }
-            ui.points(Points::new(&name, PlotPoints::from(places)).color(*color).radius(4.0).shape(marker(*preset)).allow_hover(false));
+            ui.points(
+                Points::new(&name, PlotPoints::from(places))
+                    .color(*color)
+                    .radius(4.0)
+                    .shape(marker(*preset))
+                    .allow_hover(false),
+            );
         }
         let runs: Vec<_> = spots.iter().filter(|spot| spot.keeps_layers).map(Spot::place).collect();
-        ui.points(Points::new("runs of this window", PlotPoints::from(runs)).color(weak).radius(4.0).shape(MarkerShape::Cross).allow_hover(false));
+        ui.points(
+            Points::new("runs of this window", PlotPoints::from(runs))
+                .color(weak)
+                .radius(4.0)
+                .shape(MarkerShape::Cross)
+                .allow_hover(false),
+        );
         let own = |spot: &&Spot| spot.parameters.method == in_use;
-        let current = spots.iter().find(|spot| own(spot) && !spot.keeps_layers).or_else(|| spots.iter().rev().find(own));
+        let current =
+            spots.iter().find(|spot| own(spot) && !spot.keeps_layers).or_else(|| spots.iter().rev().find(own));
         let ring = PlotPoints::from(current.map(Spot::place).into_iter().collect::<Vec<_>>());
-        ui.points(Points::new("in use", ring).color(strong).radius(8.0).filled(false).shape(MarkerShape::Circle).allow_hover(false));
+        ui.points(
+            Points::new("in use", ring)
+                .color(strong)
+                .radius(8.0)
+                .filled(false)
+                .shape(MarkerShape::Circle)
+                .allow_hover(false),
+        );
     });
     let response = shown.response;
     response.widget_info(|| WidgetInfo::labeled(Role::Image, true, format!("plot: {axis} against seconds")));
@@ -210,8 +252,13 @@ fn series(viewer: &Viewer, is_dark: bool) -> Vec<Series> {
     } else {
         [Color32::from_rgb(20, 90, 190), Color32::from_rgb(20, 125, 55), Color32::from_rgb(190, 95, 0)]
     };
-    let is_there =
-        |method: &str, preset: Preset| viewer.sweep.points.iter().any(|point| point.parameters.method.name() == method && point.parameters.preset == preset);
+    let is_there = |method: &str, preset: Preset| {
+        viewer
+            .sweep
+            .points
+            .iter()
+            .any(|point| point.parameters.method.name() == method && point.parameters.preset == preset)
+    };
     let of_method = |(method, color): (&'static str, Color32)| {
         let presets = Preset::ALL.iter().copied().filter(move |preset| is_there(method, *preset));
         presets.map(move |preset| {
@@ -260,7 +307,11 @@ fn table(ui: &mut Ui, viewer: &Viewer, spots: &[Spot]) -> Option<Parameters> {
         ui.end_row();
         for spot in swept {
             let is_in_use = spot.parameters.method == viewer.parameters.method;
-            if ui.selectable_label(is_in_use, title(&spot.parameters)).on_hover_text("Click to take these parameters").clicked() {
+            if ui
+                .selectable_label(is_in_use, title(&spot.parameters))
+                .on_hover_text("Click to take these parameters")
+                .clicked()
+            {
                 taken = Some(spot.parameters);
             }
             ui.label(RichText::new(number(spot.seconds as f32)).monospace());
@@ -275,14 +326,18 @@ fn table(ui: &mut Ui, viewer: &Viewer, spots: &[Spot]) -> Option<Parameters> {
 fn title(parameters: &Parameters) -> String {
     let Parameters { preset, method } = parameters;
     let radius = radius(method);
-    let others = method.parameters().iter().filter(|parameter| parameter.name != "window_radius" && parameters.differs(parameter)).count();
+    let others = method
+        .parameters()
+        .iter()
+        .filter(|parameter| parameter.name != "window_radius" && parameters.differs(parameter))
+        .count();
     let radius = radius.map_or_else(String::new, |radius| format!(", radius {radius}"));
     let changed = if others > 0 { format!(", {others} changed") } else { String::new() };
     format!("{} {}{radius}{changed}", method.name(), preset.name())
 }
 
-/// Marks of a logarithmic axis: whole decades, or, where those are too few, parts of them. What is a mark of a coarser division has the room of that, so that its number stays
-/// where there is no room for all.
+/// Marks of a logarithmic axis: whole decades, or, where those are too few, parts of them. What is a mark of a coarser
+/// division has the room of that, so that its number stays where there is no room for all.
 pub(super) fn marks(input: GridInput) -> Vec<GridMark> {
     let (low, high) = input.bounds;
     let tenths = |step: usize| (10..100).step_by(step).collect::<Vec<u32>>();
@@ -291,7 +346,10 @@ pub(super) fn marks(input: GridInput) -> Vec<GridMark> {
         let mark = |decade: i32, tenth: u32| {
             let coarsest = divisions.iter().find(|division| division.contains(&tenth)).unwrap_or(&divisions[index]);
             let next = coarsest.iter().copied().find(|other| *other > tenth).unwrap_or(100);
-            GridMark { value: f64::from(decade) + (f64::from(tenth) / 10.0).log10(), step_size: (f64::from(next) / f64::from(tenth)).log10() }
+            GridMark {
+                value: f64::from(decade) + (f64::from(tenth) / 10.0).log10(),
+                step_size: (f64::from(next) / f64::from(tenth)).log10(),
+            }
         };
         let decades = low.floor() as i32..=high.ceil() as i32;
         let all = decades.flat_map(|decade| divisions[index].iter().map(move |tenth| mark(decade, *tenth)));

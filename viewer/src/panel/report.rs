@@ -61,7 +61,10 @@ fn run(ui: &mut Ui, denoised: &Denoised, noisy_error: Option<f64>) {
     ui.label(format!("{:.0} MiB on the device at most, in {strips}", estimate.peak_bytes as f64 / f64::from(1 << 20)));
     ui.add_space(4.0);
     ui.label(RichText::new("Steps").strong());
-    ui.label(RichText::new("Times of the device. A step counts as left out where the result and its error do without it.").weak());
+    ui.label(
+        RichText::new("Times of the device. A step counts as left out where the result and its error do without it.")
+            .weak(),
+    );
     ui.add_space(2.0);
     let times = estimate.step_times.as_deref().unwrap_or_default();
     for planned in &estimate.plan.steps {
@@ -80,7 +83,14 @@ fn run(ui: &mut Ui, denoised: &Denoised, noisy_error: Option<f64>) {
         for stage in stages {
             ui.label(&stage.stage);
             ui.label(RichText::new(format!("{:.1} ms", stage.seconds * 1e3)).monospace());
-            ui.label(RichText::new(if stage.dispatches == 1 { "1 dispatch".to_owned() } else { format!("{} dispatches", stage.dispatches) }).weak());
+            ui.label(
+                RichText::new(if stage.dispatches == 1 {
+                    "1 dispatch".to_owned()
+                } else {
+                    format!("{} dispatches", stage.dispatches)
+                })
+                .weak(),
+            );
             ui.end_row();
         }
     });
@@ -97,8 +107,11 @@ fn step(ui: &mut Ui, planned: &PlannedStep, name: &str, seconds: f64) {
             }
         });
     });
-    let not_for =
-        if planned.skipped > 0.0 && planned.skipped < 1.0 { format!(", but for {:.0} % of the pixels", 100.0 * planned.skipped) } else { String::new() };
+    let not_for = if planned.skipped > 0.0 && planned.skipped < 1.0 {
+        format!(", but for {:.0} % of the pixels", 100.0 * planned.skipped)
+    } else {
+        String::new()
+    };
     let why = if planned.runs { format!("{}{not_for}", planned.why) } else { format!("left out: {}", planned.why) };
     ui.indent(name, |ui| ui.label(RichText::new(why).weak().size(11.5)));
 }

@@ -24,10 +24,15 @@ pub fn show(ui: &mut Ui, viewer: &mut Viewer) {
     ui.add_space(4.0);
     ui.horizontal(|ui| {
         let text = if viewer.adaptive.started.is_some() { "Start again" } else { "Start" };
-        if ui.button(text).on_hover_text("Ends what is at work, and closes what is open once the first iteration is there").clicked() {
+        if ui
+            .button(text)
+            .on_hover_text("Ends what is at work, and closes what is open once the first iteration is there")
+            .clicked()
+        {
             viewer.adapt();
         }
-        if viewer.adaptive.is_running && ui.button("Stop").on_hover_text("Ends the loop; its iterations stay").clicked() {
+        if viewer.adaptive.is_running && ui.button("Stop").on_hover_text("Ends the loop; its iterations stay").clicked()
+        {
             viewer.stop_adapting();
         }
     });
@@ -36,7 +41,10 @@ pub fn show(ui: &mut Ui, viewer: &mut Viewer) {
     }
     ui.separator();
     if let Some(Setup { scene, samples_per_pixel, iterations, .. }) = &viewer.adaptive.started {
-        ui.label(RichText::new(format!("{scene}: {samples_per_pixel} samples per pixel in {iterations} iterations")).strong());
+        ui.label(
+            RichText::new(format!("{scene}: {samples_per_pixel} samples per pixel in {iterations} iterations"))
+                .strong(),
+        );
     }
     let chosen = table(ui, &viewer.adaptive);
     plot(ui, &viewer.adaptive.iterations);
@@ -91,37 +99,49 @@ fn number_of(ui: &mut Ui, name: &str, about: &str, value: &mut u32, least: u32, 
 fn table(ui: &mut Ui, adaptive: &Adaptive) -> Option<u32> {
     let mut chosen = None;
     let has_reference = adaptive.iterations.iter().any(|iteration| iteration.denoised.error.is_some());
-    let text = |value: Option<f64>| RichText::new(value.map_or_else(|| "–".to_owned(), |value| number(value as f32))).monospace().size(10.5);
-    Grid::new("iterations").num_columns(if has_reference { 6 } else { 4 }).striped(true).spacing([5.0, 1.0]).show(ui, |ui| {
-        let headings = [
-            ("", "Iteration: click to show it (Page up, Page down)"),
-            ("spp", "Samples per pixel so far, on average"),
-            ("range", "Fewest and most samples of a pixel so far"),
-            ("estim.", "Relative MSE as it is estimated, without a reference"),
-            ("error", "Relative MSE of the result against the reference"),
-            ("noisy", "Relative MSE of the noisy image against the reference"),
-        ];
-        for (heading, about) in headings.iter().take(if has_reference { 6 } else { 4 }) {
-            ui.label(RichText::new(*heading).strong()).on_hover_text(*about);
-        }
-        ui.end_row();
-        for iteration in &adaptive.iterations {
-            let Iteration { number: place, samples_per_pixel, spread: [least, most], opened, denoised } = iteration;
-            let response = ui.selectable_label(adaptive.shown == Some(*place), format!(" {place} "));
-            response.widget_info(|| WidgetInfo::selected(Role::Button, true, adaptive.shown == Some(*place), format!("iteration {place}")));
-            if response.clicked() {
-                chosen = Some(*place);
-            }
-            ui.label(text(Some(*samples_per_pixel)));
-            ui.label(RichText::new(format!("{least}–{most}")).monospace().size(10.5));
-            ui.label(text(denoised.estimated_error));
-            if has_reference {
-                ui.label(text(denoised.error));
-                ui.label(text(opened.noisy_error));
+    let text = |value: Option<f64>| {
+        RichText::new(value.map_or_else(|| "–".to_owned(), |value| number(value as f32))).monospace().size(10.5)
+    };
+    Grid::new("iterations").num_columns(if has_reference { 6 } else { 4 }).striped(true).spacing([5.0, 1.0]).show(
+        ui,
+        |ui| {
+            let headings = [
+                ("", "Iteration: click to show it (Page up, Page down)"),
+                ("spp", "Samples per pixel so far, on average"),
+                ("range", "Fewest and most samples of a pixel so far"),
+                ("estim.", "Relative MSE as it is estimated, without a reference"),
+                ("error", "Relative MSE of the result against the reference"),
+                ("noisy", "Relative MSE of the noisy image against the reference"),
+            ];
+            for (heading, about) in headings.iter().take(if has_reference { 6 } else { 4 }) {
+                ui.label(RichText::new(*heading).strong()).on_hover_text(*about);
             }
             ui.end_row();
-        }
-    });
+            for iteration in &adaptive.iterations {
+                let Iteration { number: place, samples_per_pixel, spread: [least, most], opened, denoised } = iteration;
+                let response = ui.selectable_label(adaptive.shown == Some(*place), format!(" {place} "));
+                response.widget_info(|| {
+                    WidgetInfo::selected(
+                        Role::Button,
+                        true,
+                        adaptive.shown == Some(*place),
+                        format!("iteration {place}"),
+                    )
+                });
+                if response.clicked() {
+                    chosen = Some(*place);
+                }
+                ui.label(text(Some(*samples_per_pixel)));
+                ui.label(RichText::new(format!("{least}–{most}")).monospace().size(10.5));
+                ui.label(text(denoised.estimated_error));
+                if has_reference {
+                    ui.label(text(denoised.error));
+                    ui.label(text(opened.noisy_error));
+                }
+                ui.end_row();
+            }
+        },
+    );
     chosen
 }
 
@@ -153,12 +173,15 @@ fn plot(ui: &mut Ui, iterations: &[Iteration]) {
     let shown = plot.show(ui, |ui| {
         for ((name, of), color) in series.into_iter().zip(colors) {
             // What is not above 0 has no place on a logarithmic axis.
-            let places =
-                iterations.iter().filter_map(|iteration| Some([iteration.samples_per_pixel.log10(), of(iteration).filter(|error| *error > 0.0)?.log10()]));
+            let places = iterations.iter().filter_map(|iteration| {
+                Some([iteration.samples_per_pixel.log10(), of(iteration).filter(|error| *error > 0.0)?.log10()])
+            });
             let places: Vec<_> = places.collect();
             if !places.is_empty() {
                 ui.line(Line::new(name, PlotPoints::from(places.clone())).color(color));
-                ui.points(Points::new(name, PlotPoints::from(places)).color(color).radius(3.5).shape(MarkerShape::Circle));
+                ui.points(
+                    Points::new(name, PlotPoints::from(places)).color(color).radius(3.5).shape(MarkerShape::Circle),
+                );
             }
         }
     });

@@ -37,7 +37,8 @@ pub fn show(ui: &mut Ui, viewer: &Viewer) {
             if let Some(denoised) = &document.denoised {
                 ui.separator();
                 let error = denoised.error.zip(document.opened.noisy_error);
-                let error = error.map_or_else(String::new, |(error, noisy)| format!(", relative MSE {error:.5} (noisy {noisy:.5})"));
+                let error = error
+                    .map_or_else(String::new, |(error, noisy)| format!(", relative MSE {error:.5} (noisy {noisy:.5})"));
                 ui.label(format!("{} in {:.2} s{error}", denoised.parameters.method.name(), denoised.seconds));
             }
         });

@@ -39,7 +39,11 @@ pub fn show(ui: &mut Ui, viewer: &mut Viewer) {
         }
         ui.separator();
         for compare in Compare::ALL {
-            if ui.selectable_label(viewer.view.compare == compare, compare.title()).on_hover_text(compare.about()).clicked() {
+            if ui
+                .selectable_label(viewer.view.compare == compare, compare.title())
+                .on_hover_text(compare.about())
+                .clicked()
+            {
                 viewer.compare(compare);
             }
         }
@@ -61,7 +65,11 @@ pub fn show(ui: &mut Ui, viewer: &mut Viewer) {
                     ui.add(ProgressBar::new(share).desired_width(150.0).text(text));
                 }
                 None => {
-                    if ui.add_enabled(viewer.document.is_some(), eframe::egui::Button::new("Denoise")).on_hover_text("Denoises again (F5)").clicked() {
+                    if ui
+                        .add_enabled(viewer.document.is_some(), eframe::egui::Button::new("Denoise"))
+                        .on_hover_text("Denoises again (F5)")
+                        .clicked()
+                    {
                         viewer.run();
                     }
                 }

@@ -1,6 +1,9 @@
 //! The canvas: one or two layers with pan and zoom, and what is drawn over them.
 
-use eframe::egui::{Align2, Color32, CursorIcon, FontId, Id, Painter, Pos2, Rect, Response, Role, Sense, Stroke, StrokeKind, Ui, Vec2, WidgetInfo};
+use eframe::egui::{
+    Align2, Color32, CursorIcon, FontId, Id, Painter, Pos2, Rect, Response, Role, Sense, Stroke, StrokeKind, Ui, Vec2,
+    WidgetInfo,
+};
 
 use super::display::{Draw, Operation};
 use super::{Camera, Compare, Marked, View, legend, numbers};
@@ -68,10 +71,19 @@ pub fn show(ui: &mut Ui, view: &mut View, a: &Layer, b: Option<&Layer>) -> Respo
 }
 
 fn parts<'a>(ui: &Ui, rect: Rect, view: &View, compare: Compare, a: &'a Layer, b: Option<&'a Layer>) -> Vec<Part<'a>> {
-    let Some(b) = b else { return vec![Part { view: rect, clip: rect, layer: a, scaled_as: a, minus: None, label: "" }] };
+    let Some(b) = b else {
+        return vec![Part { view: rect, clip: rect, layer: a, scaled_as: a, minus: None, label: "" }];
+    };
     let is_number = |layer: &Layer| matches!(layer.description.kind, Kind::Scalar(_));
     let shares_scale = view.display.shares_scale && is_number(a) && is_number(b);
-    let whole = |layer, label| Part { view: rect, clip: rect, layer, scaled_as: if shares_scale { a } else { layer }, minus: None, label };
+    let whole = |layer, label| Part {
+        view: rect,
+        clip: rect,
+        layer,
+        scaled_as: if shares_scale { a } else { layer },
+        minus: None,
+        label,
+    };
     match compare {
         Compare::Single => vec![whole(a, "")],
         Compare::SideBySide => {
@@ -125,7 +137,8 @@ fn navigate(ui: &Ui, response: &Response, view: &mut View, parts: &[Part]) {
 fn drag_line(ui: &Ui, rect: Rect, view: &mut View) {
     let x = rect.left() + rect.width() * view.wipe;
     let grip = Rect::from_min_max(Pos2::new(x - GRIP, rect.top()), Pos2::new(x + GRIP, rect.bottom()));
-    let response = ui.interact(grip, Id::unique("wipe line"), Sense::drag()).on_hover_cursor(CursorIcon::ResizeHorizontal);
+    let response =
+        ui.interact(grip, Id::unique("wipe line"), Sense::drag()).on_hover_cursor(CursorIcon::ResizeHorizontal);
     response.widget_info(|| WidgetInfo::slider(true, f64::from(view.wipe), "wipe line"));
     if response.dragged() {
         view.wipe = ((x + response.drag_delta().x - rect.left()) / rect.width()).clamp(0.0, 1.0);

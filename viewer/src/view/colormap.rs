@@ -2,7 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
-/// A scale of colours. The first three grow evenly in lightness, and can be told apart by people who see colours differently.
+/// A scale of colours. The first three grow evenly in lightness, and can be told apart by people who see colours
+/// differently.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Colormap {
     /// Blue, green, yellow (S. van der Walt and N. Smith).
@@ -92,12 +93,13 @@ const MAGMA: [[f32; 3]; 7] = [
 ];
 
 fn polynomial(coefficients: &[[f32; 3]; 7], value: f32) -> [f32; 3] {
-    let channel = |index: usize| coefficients.iter().rev().fold(0.0, |sum, coefficient| sum * value + coefficient[index]);
+    let channel =
+        |index: usize| coefficients.iter().rev().fold(0.0, |sum, coefficient| sum * value + coefficient[index]);
     [0, 1, 2].map(|index| channel(index).clamp(0.0, 1.0))
 }
 
-/// Moreland, "Diverging color maps for scientific visualization" (2009): even steps in polar CIELAB (M, s, h) from (80, 1.08, −1.1) over white, M = 88, to (80, 1.08, 0.5), hues
-/// being bent where saturation fades.
+/// Moreland, "Diverging color maps for scientific visualization" (2009): even steps in polar CIELAB (M, s, h) from (80,
+/// 1.08, −1.1) over white, M = 88, to (80, 1.08, 0.5), hues being bent where saturation fades.
 fn diverging(value: f32) -> [f32; 3] {
     const MAGNITUDE: f32 = 80.0;
     const WHITE: f32 = 88.0;
@@ -146,7 +148,10 @@ mod tests {
         for (map, colors) in published {
             for (value, color) in [0.0, 0.5, 1.0].into_iter().zip(colors) {
                 let found = map.color(value).map(|channel| channel * 255.0);
-                let close = found.iter().zip(color).all(|(found, published): (&f32, i32)| (found - published as f32).abs() < 6.0);
+                let close = found
+                    .iter()
+                    .zip(color)
+                    .all(|(found, published): (&f32, i32)| (found - published as f32).abs() < 6.0);
                 assert!(close, "{map:?} at {value}: {found:?}, published {color:?}");
             }
         }

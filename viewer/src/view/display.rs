@@ -276,8 +276,9 @@ impl Resources {
             },
             count: None,
         };
-        let layout =
-            |label, entries: &[wgpu::BindGroupLayoutEntry]| device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label: Some(label), entries });
+        let layout = |label, entries: &[wgpu::BindGroupLayoutEntry]| {
+            device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label: Some(label), entries })
+        };
         let draw_layout = layout("draw", &[uniforms, texture(1)]);
         let layers_layout = layout("layers", &[texture(0), texture(1)]);
         let pipeline_layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
@@ -308,11 +309,19 @@ impl Resources {
             device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
                 label: Some("display"),
                 layout: Some(&self.pipeline_layout),
-                vertex: wgpu::VertexState { module: &self.module, entry_point: Some("cover"), compilation_options: Default::default(), buffers: &[] },
+                vertex: wgpu::VertexState {
+                    module: &self.module,
+                    entry_point: Some("cover"),
+                    compilation_options: Default::default(),
+                    buffers: &[],
+                },
                 fragment: Some(wgpu::FragmentState {
                     module: &self.module,
                     entry_point: Some("paint"),
-                    compilation_options: wgpu::PipelineCompilationOptions { constants: &variant.constants(self.format.is_srgb()), ..Default::default() },
+                    compilation_options: wgpu::PipelineCompilationOptions {
+                        constants: &variant.constants(self.format.is_srgb()),
+                        ..Default::default()
+                    },
                     targets: &[Some(self.format.into())],
                 }),
                 primitive: Default::default(),
@@ -384,8 +393,14 @@ fn uniform_buffer(device: &wgpu::Device, slots: u32) -> wgpu::Buffer {
     })
 }
 
-fn bind_draw(device: &wgpu::Device, layout: &wgpu::BindGroupLayout, uniforms: &wgpu::Buffer, colors: &wgpu::TextureView) -> wgpu::BindGroup {
-    let uniforms = wgpu::BufferBinding { buffer: uniforms, offset: 0, size: wgpu::BufferSize::new(size_of::<Uniforms>() as u64) };
+fn bind_draw(
+    device: &wgpu::Device,
+    layout: &wgpu::BindGroupLayout,
+    uniforms: &wgpu::Buffer,
+    colors: &wgpu::TextureView,
+) -> wgpu::BindGroup {
+    let uniforms =
+        wgpu::BufferBinding { buffer: uniforms, offset: 0, size: wgpu::BufferSize::new(size_of::<Uniforms>() as u64) };
     device.create_bind_group(&wgpu::BindGroupDescriptor {
         label: Some("draw"),
         layout,
@@ -396,7 +411,13 @@ fn bind_draw(device: &wgpu::Device, layout: &wgpu::BindGroupLayout, uniforms: &w
     })
 }
 
-fn upload(device: &wgpu::Device, queue: &wgpu::Queue, width: u32, height: u32, pixels: &[[f32; 4]]) -> wgpu::TextureView {
+fn upload(
+    device: &wgpu::Device,
+    queue: &wgpu::Queue,
+    width: u32,
+    height: u32,
+    pixels: &[[f32; 4]],
+) -> wgpu::TextureView {
     let size = wgpu::Extent3d { width, height, depth_or_array_layers: 1 };
     let texture = device.create_texture(&wgpu::TextureDescriptor {
         label: Some("layer"),
@@ -408,7 +429,8 @@ fn upload(device: &wgpu::Device, queue: &wgpu::Queue, width: u32, height: u32, p
         usage: wgpu::TextureUsages::TEXTURE_BINDING | wgpu::TextureUsages::COPY_DST,
         view_formats: &[],
     });
-    let layout = wgpu::TexelCopyBufferLayout { offset: 0, bytes_per_row: Some(width * 16), rows_per_image: Some(height) };
+    let layout =
+        wgpu::TexelCopyBufferLayout { offset: 0, bytes_per_row: Some(width * 16), rows_per_image: Some(height) };
     queue.write_texture(texture.as_image_copy(), bytemuck::cast_slice(pixels), layout, size);
     texture.create_view(&Default::default())
 }

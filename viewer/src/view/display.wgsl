@@ -1,7 +1,8 @@
-// How the values of one layer, or of two that are compared, become colours. A triangle that covers the view; each invocation looks up the pixels of the image that its pixel of
-// the screen shows.
+// How the values of one layer, or of two that are compared, become colours. A triangle that covers the view; each
+// invocation looks up the pixels of the image that its pixel of the screen shows.
 
-// What a draw does is settled when its pipeline is built: on a processor, a branch that is not taken costs as much as one that is.
+// What a draw does is settled when its pipeline is built: on a processor, a branch that is not taken costs as much as
+// one that is.
 
 // What layer A holds: 0 colour, 1 direction, 2 numbers, 3 shares.
 override KIND: u32;
@@ -121,7 +122,8 @@ fn false_color(value: f32) -> vec3f {
     let step = clamp(place, 0.0, 1.0) * f32(textureDimensions(colors).x - 1u);
     let before = u32(floor(step));
     let after = min(before + 1u, textureDimensions(colors).x - 1u);
-    return mix(textureLoad(colors, vec2u(before, draw.colormap), 0).xyz, textureLoad(colors, vec2u(after, draw.colormap), 0).xyz, fract(step));
+    return mix(textureLoad(colors, vec2u(before, draw.colormap), 0).xyz,
+        textureLoad(colors, vec2u(after, draw.colormap), 0).xyz, fract(step));
 }
 
 // What is no number, or infinite, is chequered, so that no colour of a layer looks like it.

@@ -25,8 +25,18 @@ pub fn value_at(range: Range, scale: Scale, share: f32) -> f32 {
 /// The colours of a scale with values at its ends and in the middle.
 pub fn scale(painter: &Painter, view: Rect, title: &str, range: Range, scale: Scale, colormap: Colormap) {
     let inner = Rect::from_min_size(view.max - SIZE - Vec2::new(2.0 * MARGIN, MARGIN + 22.0), SIZE);
-    painter.rect_filled(Rect::from_min_max(inner.min - Vec2::new(MARGIN, 22.0), inner.max + Vec2::new(MARGIN, 18.0)), 4.0, BACKDROP);
-    painter.text(inner.left_top() - Vec2::new(0.0, 4.0), Align2::LEFT_BOTTOM, title, FontId::proportional(FONT + 1.0), Color32::WHITE);
+    painter.rect_filled(
+        Rect::from_min_max(inner.min - Vec2::new(MARGIN, 22.0), inner.max + Vec2::new(MARGIN, 18.0)),
+        4.0,
+        BACKDROP,
+    );
+    painter.text(
+        inner.left_top() - Vec2::new(0.0, 4.0),
+        Align2::LEFT_BOTTOM,
+        title,
+        FontId::proportional(FONT + 1.0),
+        Color32::WHITE,
+    );
     bar(painter, inner, (range, scale), colormap, Color32::WHITE);
 }
 
@@ -56,11 +66,18 @@ pub fn bar(painter: &Painter, inner: Rect, (range, scale): (Range, Scale), color
 /// Which colour is which candidate's.
 pub fn shares(painter: &Painter, view: Rect) {
     let names = [("FIRST", 0.0, Color32::RED), ("SECOND", 58.0, Color32::GREEN), ("THIRD", 130.0, Color32::BLUE)];
-    let inner = Rect::from_min_size(view.max - Vec2::new(SIZE.x + 2.0 * MARGIN, 20.0 + MARGIN), Vec2::new(SIZE.x, 14.0));
+    let inner =
+        Rect::from_min_size(view.max - Vec2::new(SIZE.x + 2.0 * MARGIN, 20.0 + MARGIN), Vec2::new(SIZE.x, 14.0));
     painter.rect_filled(inner.expand2(Vec2::new(MARGIN, 4.0)), 4.0, BACKDROP);
     for (name, place, color) in names {
         let left = inner.left_center() + Vec2::new(place, 0.0);
         painter.rect_filled(Rect::from_center_size(left + Vec2::new(4.0, 0.0), Vec2::splat(8.0)), 1.0, color);
-        painter.text(left + Vec2::new(11.0, 0.0), Align2::LEFT_CENTER, name, FontId::proportional(FONT), Color32::WHITE);
+        painter.text(
+            left + Vec2::new(11.0, 0.0),
+            Align2::LEFT_CENTER,
+            name,
+            FontId::proportional(FONT),
+            Color32::WHITE,
+        );
     }
 }

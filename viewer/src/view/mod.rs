@@ -38,7 +38,8 @@ pub enum Compare {
 
 impl Compare {
     /// In the order of the toolbar.
-    pub const ALL: [Self; 6] = [Self::Single, Self::SideBySide, Self::Wipe, Self::Blink, Self::Difference, Self::Relative];
+    pub const ALL: [Self; 6] =
+        [Self::Single, Self::SideBySide, Self::Wipe, Self::Blink, Self::Difference, Self::Relative];
 
     /// What users read.
     pub fn title(self) -> &'static str {
@@ -251,7 +252,14 @@ impl View {
     }
 
     /// Shows any image, stretched to the width of a rectangle; numbers on the scale that is given.
-    pub fn paint_image(&mut self, painter: &Painter, rect: Rect, shown: Shown, kind: Kind, (range, scale): (Range, Scale)) {
+    pub fn paint_image(
+        &mut self,
+        painter: &Painter,
+        rect: Rect,
+        shown: Shown,
+        kind: Kind,
+        (range, scale): (Range, Scale),
+    ) {
         let (first, step) = placed(painter, rect, rect.width() / shown.image.extent.width as f32);
         let draw = Draw { channel: Channel::All, ..self.draw_on(shown, kind, (range, scale), first, step) };
         painter.add(self.slots.paint(rect, draw));
@@ -261,7 +269,10 @@ impl View {
     pub fn paint_pixel(&mut self, painter: &Painter, rect: Rect, shown: Shown, [x, y]: [usize; 2]) {
         const STEP: f32 = 1e-6;
         let scale = (Range { low: 0.0, high: 1.0 }, Scale::Linear);
-        let draw = Draw { channel: Channel::All, ..self.draw_on(shown, Kind::Color, scale, [x as f32 + 0.5, y as f32 + 0.5], STEP) };
+        let draw = Draw {
+            channel: Channel::All,
+            ..self.draw_on(shown, Kind::Color, scale, [x as f32 + 0.5, y as f32 + 0.5], STEP)
+        };
         painter.add(self.slots.paint(rect, draw));
     }
 
@@ -305,20 +316,24 @@ impl View {
             return range;
         }
         let pixels = a.image().extent.pixels();
-        let mean = |layer: &Layer, pixel: usize| layer.image().planes.iter().map(|plane| plane[pixel]).sum::<f32>() / layer.image().channels() as f32;
+        let mean = |layer: &Layer, pixel: usize| {
+            layer.image().planes.iter().map(|plane| plane[pixel]).sum::<f32>() / layer.image().channels() as f32
+        };
         let difference = |pixel: usize| {
             let (a, b) = (mean(a, pixel), mean(b, pixel));
             if self.compare == Compare::Relative { (a - b) / (b.abs() + display::RELATIVE_EPSILON) } else { a - b }
         };
         let step = pixels.div_ceil(1 << 16).max(1);
-        let mut values: Vec<f32> = (0..pixels).step_by(step).map(difference).filter(|value| value.is_finite()).collect();
+        let mut values: Vec<f32> =
+            (0..pixels).step_by(step).map(difference).filter(|value| value.is_finite()).collect();
         let range = range_of(&mut values, Kind::Scalar(Scale::Diverging));
         self.difference = Some((key.0, key.1, range));
         range
     }
 }
 
-/// Of an image that begins at the corner of a rectangle and has so many points per pixel: where the target's first pixel is in it, and how far the next.
+/// Of an image that begins at the corner of a rectangle and has so many points per pixel: where the target's first
+/// pixel is in it, and how far the next.
 fn placed(painter: &Painter, rect: Rect, points_per_pixel: f32) -> ([f32; 2], f32) {
     let pixels_per_point = painter.pixels_per_point();
     let step = 1.0 / (points_per_pixel * pixels_per_point);

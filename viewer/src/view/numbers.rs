@@ -54,7 +54,13 @@ pub fn paint(painter: &Painter, view: Rect, camera: &Camera, layer: &Layer) {
                 let place = middle + Vec2::new(0.0, (line as f32 - (lines - 1.0) / 2.0) * LINE);
                 let text = number(*value);
                 // A shadow keeps it legible on every colour.
-                painter.text(place + Vec2::splat(1.0), Align2::CENTER_CENTER, &text, FontId::monospace(11.0), Color32::BLACK);
+                painter.text(
+                    place + Vec2::splat(1.0),
+                    Align2::CENTER_CENTER,
+                    &text,
+                    FontId::monospace(11.0),
+                    Color32::BLACK,
+                );
                 painter.text(place, Align2::CENTER_CENTER, &text, FontId::monospace(11.0), Color32::WHITE);
             }
         }
@@ -67,9 +73,15 @@ mod tests {
 
     #[test]
     fn numbers_have_four_digits() {
-        for (value, text) in
-            [(0.0, "0"), (1.0, "1.000"), (-12.345_678, "-12.35"), (0.012_343, "0.01234"), (1234.5, "1234"), (1e-7, "1.00e-7"), (f32::NAN, "NaN")]
-        {
+        for (value, text) in [
+            (0.0, "0"),
+            (1.0, "1.000"),
+            (-12.345_678, "-12.35"),
+            (0.012_343, "0.01234"),
+            (1234.5, "1234"),
+            (1e-7, "1.00e-7"),
+            (f32::NAN, "NaN"),
+        ] {
             assert_eq!(number(value), text);
         }
     }
