@@ -7,6 +7,8 @@ use stein::error::Result;
 use stein::gpu::{Buffer, DeviceChoice, Gpu, GpuOptions, Recorder};
 use stein::stage::nlm::Schedule;
 
+use crate::reference::compare::{self, Tolerance};
+pub use crate::reference::compare::{flat, own_size};
 use crate::reference::random::Random;
 use crate::reference::{Grid, Planes, Point};
 
@@ -172,33 +174,10 @@ pub fn calm_scene(width: usize, height: usize, seed: u64) -> Scene {
 /// off, for decisions that rounding may turn over.
 pub fn assert_near(what: &str, actual: &[Grid], expected: &[Grid], scale: &[Grid], relative: f64, allowed_share: f64) {
     assert!(actual.len() >= expected.len() && expected.len() == scale.len(), "{what}: {} channels", actual.len());
-    let (mut worst, mut worst_at, mut outside, mut values) = (0.0, None, 0usize, 0usize);
-    for (channel, (actual, (expected, scale))) in actual.iter().zip(expected.iter().zip(scale)).enumerate() {
-        for (i, ((a, e), s)) in actual.values.iter().zip(&expected.values).zip(&scale.values).enumerate() {
-            let error = if a == e { 0.0 } else { (a - e).abs() / (relative * s) };
-            let error = if error.is_nan() { f64::INFINITY } else { error };
-            values += 1;
-            outside += usize::from(error > 1.0);
-            if error > worst {
-                (worst, worst_at) = (error, Some((i % expected.width, i / expected.width, channel, *e, *a)));
-            }
-        }
+    let is_number = |grid: &Grid| !grid.values.iter().any(|value| value.is_nan());
+    assert!(expected.iter().all(is_number), "{what}: the reference is not a number");
+    let worst = compare::worst(actual, expected, scale, Tolerance { relative, least: 0.0, share: allowed_share });
+    if let Some(worst) = worst.filter(|worst| worst.off > 1.0) {
+        panic!("{what}: {worst}, {:.1} tolerances off", worst.off);
     }
-    if outside as f64 > allowed_share * values as f64
-        && let Some((x, y, channel, expected, actual)) = worst_at
-    {
-        panic!(
-            "{what}: x {x}, y {y}, channel {channel}: {actual} instead of {expected}, {worst:.1} tolerances off; {outside} of {values} values are"
-        );
-    }
-}
-
-/// A scale that is the same everywhere.
-pub fn flat(like: &[Grid], scale: f64) -> Planes {
-    like.iter().map(|grid| grid.like(|_| scale)).collect()
-}
-
-/// Each value's own size, as a scale; `floor` where it vanishes.
-pub fn own_size(planes: &[Grid], floor: f64) -> Planes {
-    planes.iter().map(|grid| grid.like(|p| grid.at(p).abs() + floor)).collect()
 }

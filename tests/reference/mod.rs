@@ -21,6 +21,7 @@
 //! keep_clean  what has no noise stays as it is
 //! gem         scales, stopping maps and what they choose                                      6
 //! random      noise that is the same on every machine
+//! compare     how far something is from it
 //! ```
 //!
 //! Neighbours outside the image do not exist: windows, patches, boxes and Gaussians all shrink at the border and are
@@ -32,6 +33,7 @@
 )]
 
 pub mod candidates;
+pub mod compare;
 pub mod dfc;
 pub mod exposure;
 pub mod gaussian;

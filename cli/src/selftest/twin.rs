@@ -8,6 +8,7 @@
 use stein::frame::NoiseKnowledge;
 use stein::{DfcParams, Estimate, Frame, GemParams, Image, Method, NlmParams};
 use stein_reference::candidates::{Candidate, finite_difference_step};
+use stein_reference::compare::{self, Tolerance, flat, own_size};
 use stein_reference::dfc::{ColorOnly, Pass, dfc, rest_of, sampling_density, second_pass};
 use stein_reference::gaussian::gaussian_neighbours;
 use stein_reference::gem::{self, choose, decided};
@@ -89,7 +90,7 @@ impl Comparison<'_> {
             self.add(&name, &actual, &expected.feature.mean, &size, AVERAGED, 0.0);
             let residual = &expected.feature.residual_variance;
             let name = format!("{}_residual_variance", feature.name);
-            self.add(&name, &self.layer(&name, scale.powi(-2)), residual, &sizes(residual, 1e-7), 5e-4, 0.0);
+            self.add(&name, &self.layer(&name, scale.powi(-2)), residual, &own_size(residual, 1e-7), 5e-4, 0.0);
         }
 
         // What a pixel gets of spikes is a sum, so that its last digits are not the twin's: where a pixel with next to
@@ -457,7 +458,7 @@ impl Comparison<'_> {
             "pixels",
             &bridge::grids(&self.estimate.weight_sum, 1.0),
             pixels,
-            &sizes(pixels, VANISHING),
+            &own_size(pixels, VANISHING),
             AVERAGED,
             0.0,
         );
@@ -488,7 +489,7 @@ impl Comparison<'_> {
     }
 
     fn own_size(&mut self, name: &str, actual: &[Grid], expected: &[Grid], relative: f64) {
-        self.add(name, actual, expected, &sizes(expected, VANISHING), relative, 0.0);
+        self.add(name, actual, expected, &own_size(expected, VANISHING), relative, 0.0);
     }
 
     /// `scale` says for each value what a relative error of 1 would be.
@@ -499,28 +500,9 @@ impl Comparison<'_> {
         }
         // The smallest number of float32 in the file's units, in which layers are told.
         let least = f64::from(f32::from_bits(1)) * self.exposure.max(1.0).powi(2);
-        let mut errors = Vec::new();
-        for (channel, (actual, (expected, scale))) in actual.iter().zip(expected.iter().zip(scale)).enumerate() {
-            for (pixel, ((a, e), s)) in actual.values.iter().zip(&expected.values).zip(&scale.values).enumerate() {
-                // Both may have overflowed.
-                let error =
-                    if a == e || (a.is_nan() && e.is_nan()) { 0.0 } else { (a - e).abs() / (relative * s + least) };
-                errors.push((if error.is_nan() { f64::INFINITY } else { error }, channel, pixel));
-            }
-        }
-        errors.sort_by(|a, b| b.0.total_cmp(&a.0));
-        let Some(&(off, channel, pixel)) = errors.get((share * errors.len() as f64) as usize) else { return };
-        let width = expected[channel].width;
-        let (actual, expected) = (actual[channel].values[pixel], expected[channel].values[pixel]);
-        self.parts.push(Part {
-            name: name.to_owned(),
-            off,
-            detail: format!(
-                "x {}, y {}, channel {channel}: {actual:e} in place of {expected:e}",
-                pixel % width,
-                pixel / width
-            ),
-        });
+        let worst = compare::worst(actual, expected, scale, Tolerance { relative, least, share });
+        let part = worst.map(|worst| Part { name: name.to_owned(), off: worst.off, detail: worst.to_string() });
+        self.parts.extend(part);
     }
 }
 
@@ -543,15 +525,6 @@ fn blend(maps: &[Grid], planes: [&Grid; 3]) -> Grid {
     maps[0].like(|p| {
         maps.iter().zip(planes).filter(|(map, _)| map.at(p) > 0.0).map(|(map, plane)| map.at(p) * plane.at(p)).sum()
     })
-}
-
-fn flat(like: &[Grid], scale: f64) -> Planes {
-    like.iter().map(|grid| grid.like(|_| scale)).collect()
-}
-
-/// Each value's own size, as a scale, and a floor where it vanishes.
-fn sizes(planes: &[Grid], floor: f64) -> Planes {
-    planes.iter().map(|grid| grid.like(|p| grid.at(p).abs() + floor)).collect()
 }
 
 fn largest(plane: &Grid) -> f64 {
