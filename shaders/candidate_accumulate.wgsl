@@ -6,11 +6,11 @@
 // numerators. The perturbed weights need no second pass: a step δ in channel i of p changes the pixel distances that p
 // takes part in, and those alone, so the patch sums change by a few closed terms.
 //
-// FIRST, SECOND and THIRD say which of them take part, DERIVATIVES whether the perturbed sums are wanted; HALVES,
-// whether the half spread says anything; GREY, that all channels of the colour are the same.
+// FIRST, SECOND and THIRD say which of them take part; DERIVATIVES, that the perturbed sums are computed; HALVES, that
+// the half spread is filtered; GREY, that all channels of the colour are equal.
 //
-// An invocation filters PIXELS pixels in a row and goes through the offsets row by row: the neighbours of one offset
-// are those of the offset before, but for one. They stay in registers, as do the running sums.
+// An invocation filters PIXELS pixels in a row and goes through the offsets row by row: each offset has the same
+// neighbours as the offset before, except for one. Neighbours and running sums stay in registers.
 #import stein::nlm::{NlmParams, PairWeights, EPSILON, DISTANCE_LIMIT, has_opposite, patch_members, pair_weights}
 #import stein::candidates::{CandidateParams, FeatureGroup, feature_group, feature_distances, WEIGHT_LANES,
     LARGEST_LANES, MEAN_SUM, PERTURBED_SUM, SPREAD_SUM, PLANES_WITH_COLOR, THIRD_MEAN_SUM, THIRD_SPREAD_SUM,
@@ -29,7 +29,7 @@ const FEATURE_GROUPS: i32 = #{FEATURE_GROUPS};
 @group(0) @binding(0) var<uniform> params: NlmParams;
 @group(0) @binding(1) var<uniform> candidate: CandidateParams;
 #ifdef COLOR
-// Of SECOND's patch, behind them those of FIRST's; or of the one's that takes part.
+// Column sums of SECOND's patch, and behind them of FIRST's patch; if only one of the two takes part, of its patch.
 @group(0) @binding(2) var<storage, read> columns: array<vec3<f32>>;
 #endif
 // Two planes: the mean, then the half spread.
@@ -40,7 +40,7 @@ const FEATURE_GROUPS: i32 = #{FEATURE_GROUPS};
 @group(0) @binding(6) var<storage, read> features: array<vec4<f32>>;
 #endif
 #ifdef OTHER_FRAME
-// Of the frame beside that q is taken from. Bindings of their own only there: a single image needs none of them.
+// Frame beside that q is taken from. Only this case has these bindings: a single image needs none of them.
 @group(0) @binding(7) var<storage, read> neighbours_signal: array<vec4<f32>>;
 @group(0) @binding(8) var<storage, read> neighbours_variance: array<vec4<f32>>;
 #if FEATURE_GROUPS != 0
@@ -52,7 +52,7 @@ const FEATURE_GROUPS: i32 = #{FEATURE_GROUPS};
 var<private> nlm: NlmParams;
 var<private> filter_params: CandidateParams;
 
-// What there is at a pixel.
+// Values at a pixel.
 struct Pixel {
     mean: vec3<f32>,
     spread: vec3<f32>,
@@ -71,8 +71,7 @@ struct Sums {
     spread: vec3<f32>,
 }
 
-// Of three channels that are the same, the first stands for all; what the others would be is not used, and so not
-// computed.
+// If all three channels are equal, the first stands for all; the others are not used, and so not computed.
 fn channels(value: vec3<f32>) -> vec3<f32> {
 #ifdef GREY
     return value.xxx;
@@ -81,12 +80,12 @@ fn channels(value: vec3<f32>) -> vec3<f32> {
 #endif
 }
 
-// The same of the filter itself and the filters with one channel perturbed.
+// As `channels`, for the lanes of the filter itself and of the filters with one channel perturbed.
 fn lanes(value: vec4<f32>) -> vec4<f32> {
     return vec4<f32>(value.x, channels(value.yzw));
 }
 
-// Of the pixel in this row nearest to column x.
+// Loads the pixel in this row nearest to column x.
 fn centre_at(x: i32, row: i32) -> Pixel {
     let pixels = nlm.extent.x * nlm.extent.y;
     let at = row * nlm.extent.x + clamp(x, 0, nlm.extent.x - 1);
@@ -143,7 +142,7 @@ fn added(before: Sums, weights: vec4<f32>, mean: vec3<f32>, spread: vec3<f32>) -
         spread_sum);
 }
 
-// What a step of the centre value does to a squared difference t², over its denominator.
+// Change of a squared difference t², over its denominator, by a step of the centre value.
 fn step_change(step: vec3<f32>, difference: vec3<f32>, denominator: vec3<f32>) -> vec3<f32> {
     return clamp(step * (2.0 * difference + step) / denominator, vec3<f32>(-DISTANCE_LIMIT), vec3<f32>(DISTANCE_LIMIT));
 }
@@ -155,8 +154,8 @@ struct PatchChanges {
 }
 
 #ifdef NEAR
-// Change of the symmetric distance centred at q, one of whose two neighbours is p: half a step, with the other sign.
-// `beyond` is the other one.
+// Change of the symmetric distance centred at q, one of whose two neighbours is p: the step counts half, with the
+// opposite sign. `beyond` is the other neighbour.
 fn symmetric_change_at(q: Pixel, beyond: Pixel, exists: bool, p: Pixel, step: vec3<f32>) -> vec3<f32> {
     let difference = q.mean - 0.5 * (p.mean + beyond.mean);
     let denominator = EPSILON + nlm.k_squared * (q.variance + 0.25 * (p.variance + beyond.variance));
@@ -191,7 +190,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     var steps: array<vec3<f32>, PIXELS>;
     var firsts: array<Sums, PIXELS>;
     var seconds: array<Sums, PIXELS>;
-    // xyz: Σ w·(u_q − u_p), w: Σ w; and for the spread, with the largest weight in w.
+    // Of THIRD. Means: xyz: Σ w·(u_q − u_p), w: Σ w. Spreads: xyz: the sum for the spread, w: the largest weight.
     var third_means: array<vec4<f32>, PIXELS>;
     var third_spreads: array<vec4<f32>, PIXELS>;
     for (var i = 0; i < PIXELS; i++) {
@@ -226,7 +225,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
         let first_members_y = patch_members(y, dy, extent.y, FIRST_RADIUS);
         let second_members_y = patch_members(y, dy, extent.y, SECOND_RADIUS);
 
-        // The neighbours of the offset before the first one, as far as they are those of the first one too.
+        // The neighbours that the first offset shares with the offset before it.
         var aheads: array<Pixel, PIXELS>;
         var behinds: array<Pixel, PIXELS>;
         for (var i = 0; i < PIXELS - 1; i++) {
@@ -243,7 +242,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
             aheads[PIXELS - 1] = neighbour_at(first_x + PIXELS - 1 + dx, ahead_row);
             behinds[0] = neighbour_at(first_x - dx, behind_row);
 
-            // Colour distances: what the patches of these pixels sum up horizontally.
+            // Colour distances: the column sums that the patches of these pixels add up horizontally.
             let column = ((j * nlm.offsets.x + o) * nlm.rows + row) * nlm.stride + first_column;
 #ifdef SECOND
             var second_columns: array<vec3<f32>, PIXELS + 2 * SECOND_RADIUS>;
@@ -291,8 +290,8 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
                 }
 #endif
 
-                // What a step in each channel of p does to the patch sums: the pair (p, q) itself, and where p lies in
-                // its neighbour's patch, the pair that ends in p. In another frame's patches p lies nowhere.
+                // Changes of the patch sums by a step in each channel of p: of the pair (p, q) itself and, if p lies in
+                // its neighbour's patch, of the pair that ends in p. Patches of another frame do not contain p.
                 let zero = vec3<f32>(0.0);
                 var first_changes = PatchChanges(zero, zero, zero);
                 var second_changes = first_changes;
@@ -420,7 +419,7 @@ fn store_sums(sums: Sums, base: i32, strip_pixels: i32, at: i32) {
     state[(base + LARGEST_LANES) * strip_pixels + at] = lanes(sums.largest);
     state[(base + PERTURBED_SUM) * strip_pixels + at] = vec4<f32>(channels(sums.perturbed), 0.0);
 #else
-    // What is not stored is not computed.
+    // Values that are not stored are not computed.
     state[(base + WEIGHT_LANES) * strip_pixels + at] = vec4<f32>(sums.weight.x, 0.0, 0.0, 0.0);
     state[(base + LARGEST_LANES) * strip_pixels + at] = vec4<f32>(sums.largest.x, 0.0, 0.0, 0.0);
 #endif

@@ -1,5 +1,5 @@
 // Turns the sums of candidate_accumulate into one of the candidates: filtered mean and half spread, Σ w, and the
-// derivative of each channel, if it is wanted (thesis 8.4).
+// derivative of each channel, if DERIVATIVES is defined (thesis 8.4).
 #import stein::planes::{pixel_index}
 #import stein::nlm::{NlmParams, centre_weight}
 #import stein::candidates::{WEIGHT_LANES, LARGEST_LANES, MEAN_SUM, PERTURBED_SUM, SPREAD_SUM, PLANES_WITH_COLOR,

@@ -1,9 +1,9 @@
-// The weights of one pixel's neighbours as candidate_accumulate takes them, each with the distances behind it (thesis
-// 8.2 and 8.3).
+// The weights of one pixel's neighbours as candidate_accumulate uses them, each with the distances that it comes from
+// (thesis 8.2 and 8.3).
 //
 // FIRST, SECOND and THIRD say which candidates take part. Works on the chunk of offsets whose column sums nlm_distance
-// has left; an invocation does one pair of neighbours. The cell in the middle is not written: what the pixel itself
-// weighs follows from the others.
+// has left; an invocation computes one pair of neighbours. The cell in the middle is not written: the weight of the
+// pixel itself follows from the others.
 #import stein::planes::{inside, clamped_index}
 #import stein::nlm::{NlmParams, patch_members, pair_weights, weights_from_sums}
 #import stein::candidates::{CandidateParams, FeatureGroup, feature_group, feature_distances}
@@ -22,7 +22,7 @@ const FEATURE_GROUPS: i32 = #{FEATURE_GROUPS};
 @group(0) @binding(1) var<uniform> candidate: CandidateParams;
 @group(0) @binding(2) var<uniform> window: WindowParams;
 #ifdef COLOR
-// Of SECOND's patch, behind them those of FIRST's; or of the one's that takes part.
+// Column sums of SECOND's patch, and behind them of FIRST's patch; if only one of the two takes part, of its patch.
 @group(0) @binding(3) var<storage, read> columns: array<vec3<f32>>;
 #endif
 #if FEATURE_GROUPS != 0
@@ -42,14 +42,14 @@ fn group_at(group: i32, q: vec2<i32>) -> FeatureGroup {
 }
 #endif
 
-// What the colour says of a pair. x: of the neighbour ahead, y: of the one behind.
+// Distances and weights of a pair by the colour. x: the neighbour ahead, y: the neighbour behind.
 struct ColorTerm {
     distance: vec2<f32>,
     weight: vec2<f32>,
 }
 
 #ifdef COLOR
-// From the column sums of a patch, of which the first is here.
+// Computes the term from the column sums of a patch, of which the first is `first_column`.
 fn color_term(first_column: i32, patch_radius: i32, offset: vec2<i32>, ahead_inside: bool,
     behind_inside: bool) -> ColorTerm {
     var patch_sum = vec3<f32>(0.0);

@@ -1,20 +1,21 @@
-// The squared error of a blend of candidates, summed over the channels: x, at least 0. A sum of three parts, each of
-// which tells what the others cannot:
+// The squared error of a blend of candidates, summed over the channels: x, at least 0. It is the sum of three parts,
+// each of which shows what the others cannot:
 //
-//   spread what the halves differ by: noise that the filter left. It misses what both have in common, as they were
-//   filtered by the same weights. disagreement how far the candidates that share in the blend lie apart from it: where
-//   filters differ, they differ by their bias. own noise σ²·dF/du: the noise of the pixel itself that its own weight
-//   lets through.
+//   * spread: the difference of the halves, which is noise that the filter left. It misses noise that both halves have
+//     in common, because they were filtered by the same weights.
+//   * disagreement: how far the candidates that share in the blend lie apart from it. Where filters differ, they differ
+//     by their bias.
+//   * own noise: σ²·dF/du, the noise of the pixel itself that its own weight lets through.
 //
-// SURE adds and subtracts terms many times the size of what is left, and claims a negative error for half of an image;
-// none of these is ever negative. What each counts is measured.
+// SURE adds and subtracts terms many times larger than the remaining sum, and claims a negative error for half of an
+// image; none of these parts is ever negative. Their weights are measured.
 //
-// ADDED: to errors that are there.
+// ADDED: the sum is added to the errors that exist already.
 #import stein::planes::{pixel_index}
 
 struct ErrorBlendParams {
     extent: vec2<i32>,
-    // What the parts count.
+    // Weights of the parts.
     spread: f32,
     disagreement: f32,
     own_noise: f32,
@@ -25,7 +26,7 @@ struct ErrorBlendParams {
 @group(0) @binding(0) var<uniform> params: ErrorBlendParams;
 // Two planes: mean, half spread.
 @group(0) @binding(1) var<storage, read> blended: array<vec4<f32>>;
-// Of the input.
+// Variance of the mean of the input.
 @group(0) @binding(2) var<storage, read> variance_of_mean: array<vec4<f32>>;
 // Three planes, one per candidate: dF_i/du_i per channel.
 @group(0) @binding(3) var<storage, read> derivatives: array<vec4<f32>>;
@@ -44,8 +45,8 @@ struct ErrorBlendParams {
 #endif
 @group(0) @binding(8) var<storage, read_write> errors: array<vec4<f32>>;
 
-// Σ_i σ_i²·dF_i/du_i of a candidate. A derivative beyond 0 to 1 is one of the weights, not the share of the pixel's own
-// noise that is left in it.
+// Σ_i σ_i²·dF_i/du_i of a candidate. A derivative outside 0 to 1 comes from the weights; it is not the share of the
+// pixel's own noise that is left in the pixel.
 fn own_noise(candidate: i32, at: i32) -> f32 {
     let derivative = derivatives[candidate * params.extent.x * params.extent.y + at].xyz;
     return dot(variance_of_mean[at].xyz, clamp(derivative, vec3<f32>(0.0), vec3<f32>(1.0)));
@@ -55,9 +56,9 @@ fn squared(difference: vec3<f32>) -> f32 {
     return dot(difference, difference);
 }
 
-// What a candidate adds with its share of the blend.
+// Error that a candidate adds by its share of the blend.
 fn of_candidate(share: f32, candidate: i32, filtered: vec3<f32>, mean: vec3<f32>, at: i32) -> f32 {
-    // One that has no share may be anything.
+    // A candidate that has no share may hold anything.
     return select(0.0, share * (params.disagreement * squared(filtered - mean) + params.own_noise
         * own_noise(candidate, at)), share > 0.0);
 }

@@ -1,12 +1,12 @@
-// By how much SURE (eq. 8.5) of one more filter exceeds SURE of a blend of candidates, and its square: what a decision
-// between the two is made from, once both are averaged over the pixels around. The derivative of the blend is that of
-// its candidates, by their shares.
+// Difference by which SURE (eq. 8.5) of one more filter exceeds SURE of a blend of candidates, and its square. Averaged
+// over the pixels around, both serve to decide between the filter and the blend. The derivative of the blend is the sum
+// of its candidates' derivatives, weighted by their shares.
 #import stein::planes::{pixel_index}
 #import stein::candidates::{sure}
 
 struct ErrorDifferenceParams {
     extent: vec2<i32>,
-    // How often the last term of SURE counts.
+    // Factor of the last term of SURE.
     covariance: f32,
     // Which plane of its derivatives belongs to the other filter.
     other_candidate: i32,
@@ -40,7 +40,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     var derivative = vec3<f32>(0.0);
     for (var candidate = 0; candidate < 3; candidate++) {
         let share = shares[at][candidate];
-        // What takes no part may be anything.
+        // A candidate that takes no part may hold anything.
         if share > 0.0 {
             derivative += share * derivatives[candidate * pixels + at].xyz;
         }
@@ -50,7 +50,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     let of_blend = sure(u, variance, blended[at].xyz, derivative, params.covariance);
     let of_other = sure(u, variance, other[at].xyz, other_derivatives[params.other_candidate * pixels + at].xyz,
         params.covariance);
-    // Two sums that agree but for rounding tell nothing, however large they are.
+    // Two sums that differ only by rounding say nothing, however large they are.
     let terms = abs(of_other) + abs(of_blend) + dot(variance, vec3<f32>(1.0));
     let apart = of_other - of_blend;
     let difference = select(0.0, clamp(apart, -LARGEST, LARGEST), abs(apart) > ROUNDING * terms);

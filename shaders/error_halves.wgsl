@@ -1,8 +1,8 @@
-// The squared error that is left in a filtered signal, and what a sample drawn in each pixel is expected to gain
+// The squared error that is left in a filtered signal, and the gain to be expected from a sample drawn in each pixel
 // (thesis 7.1.2 and 7.1.3): E·W, with the squared relative difference E of the filtered halves and W(p) = Σ w / (1 + Σ
 // w·n). One plane, x: the gain, y: the squared error, summed over the channels. Neither is smoothed.
 //
-// Knows of noise and not of bias, which the filter is to keep small.
+// The error covers noise but not bias, which the filter has to keep small.
 #import stein::planes::{pixel_index}
 
 struct ErrorHalvesParams {

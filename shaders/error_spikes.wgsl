@@ -1,15 +1,15 @@
-// Adds to the squared error of a filtered signal what spikes around a pixel leave in it: the squares of what it got of
-// each.
+// Adds to the squared error of a filtered signal the error that spikes around a pixel leave in it: the squares of the
+// amounts that the pixel got from each.
 #import stein::planes::{pixel_index}
 
 struct ErrorSpikesParams {
     extent: vec2<i32>,
-    // How often they count.
+    // Weight of the squares.
     spikes: f32,
 }
 
 @group(0) @binding(0) var<uniform> params: ErrorSpikesParams;
-// As spike_spread leaves it: three planes, the last of which has in x the squares, summed over spikes and channels.
+// Output of spike_spread, three planes: the last holds in x the squares, summed over spikes and channels.
 @group(0) @binding(1) var<storage, read> spikes: array<vec4<f32>>;
 @group(0) @binding(2) var<storage, read_write> errors: array<vec4<f32>>;
 

@@ -22,7 +22,7 @@ struct FeaturePackParams {
 @group(0) @binding(3) var<storage, read_write> features: array<vec4<f32>>;
 
 // The smaller of the two one-sided differences over half a pixel: it keeps the gradient of an edge out of the pixels
-// beside it. At the border one is left.
+// beside it. At the border only one of them exists.
 fn half_pixel_difference(p: vec2<i32>, axis: vec2<i32>) -> vec4<f32> {
     let here = filtered[pixel_index(p, params.extent)];
     let has_next = all(p + axis < params.extent);
@@ -32,7 +32,7 @@ fn half_pixel_difference(p: vec2<i32>, axis: vec2<i32>) -> vec4<f32> {
     if has_next && has_previous {
         return 0.5 * select(previous, next, abs(next) < abs(previous));
     }
-    // The missing one is zero.
+    // The missing difference is zero.
     return 0.5 * (next + previous);
 }
 

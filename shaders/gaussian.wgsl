@@ -2,8 +2,8 @@
 // the columns. Weights of a window that is cut off at the border factorise as the window does, so each axis is
 // normalised by itself.
 //
-// An invocation makes four pixels in a row along the axis: the weight of one tap for a pixel is that of the tap before
-// it for the pixel before, so that a tap costs one load and one exponential for all four.
+// An invocation computes four pixels in a row along the axis: the weight of a tap for a pixel equals the weight of the
+// tap before it for the pixel before, so that a tap costs one load and one exponential for all four.
 #import stein::planes::{pixel_index}
 
 struct GaussianParams {
@@ -19,7 +19,7 @@ struct GaussianParams {
 @group(0) @binding(1) var<storage, read> source: array<vec4<f32>>;
 @group(0) @binding(2) var<storage, read_write> smoothed: array<vec4<f32>>;
 #ifdef WITHOUT_CENTRE
-// What `source` was before the first axis.
+// The image that was the `source` of the first axis.
 @group(0) @binding(3) var<storage, read> centres: array<vec4<f32>>;
 #endif
 
@@ -27,7 +27,7 @@ fn weight(offset: i32) -> f32 {
     return select(0.0, exp(params.exponent * f32(offset * offset)), abs(offset) <= params.radius);
 }
 
-// What a tap of this weight adds.
+// Factor by which a tap of this weight counts.
 fn factor(w: f32) -> f32 {
 #ifdef SQUARED
     return w * w;

@@ -1,5 +1,5 @@
 // The halves A and B of a signal, one plane each (thesis 7.1.1): mean ± half spread, for halves of equal numbers of
-// samples, and the variance of one half. What the mean has in w, both halves have.
+// samples, and the variance of one half. Both halves get the w of the mean.
 #import stein::planes::{pixel_index}
 
 struct HalfParams {

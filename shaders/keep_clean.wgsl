@@ -1,51 +1,51 @@
 // Keeps pixels without noise as they are: moves a filtered pixel back to its input where the input's noise is below
 // what its values are rounded by.
 //
-// Weights alone do not see to it. A patch that differs in one pixel can be near, and what a neighbour with noise may be
-// by its own variance says nothing of a pixel that has none.
+// Weights alone do not ensure this. A patch that differs in one pixel can be near, and the variance of a neighbour with
+// noise says nothing about a pixel that has none.
 //
-// A black pixel without noise may be one that all samples missed the light in. It is taken to be black only where
-// nothing but such pixels is around it.
+// A black pixel without noise may be a pixel whose samples all missed the light. It counts as black only if all pixels
+// around it are black and without noise, too.
 #import stein::planes::{clamped_index, pixel_index}
 
 struct KeepCleanParams {
     extent: vec2<i32>,
-    // Square of the noise from which on a pixel is filtered freely, in parts of its value.
+    // Square of the noise above which a pixel is filtered freely, in parts of its value.
     squared_noise: f32,
     // Square of the correction that a pixel with less noise may get, in standard deviations; it grows without limit
     // towards that noise.
     squared_sigmas: f32,
-    // How far around a black pixel everything has to be black.
+    // Half width of the window around a black pixel in which every pixel has to be black.
     black_radius: i32,
-    // Where in a pixel of `errors` its squared error is.
+    // Component of `errors` that holds the squared error.
     error_component: i32,
 }
 
 @group(0) @binding(0) var<uniform> params: KeepCleanParams;
-// Of the input, without spikes: the mean, then the half spread.
+// Input without spikes, two planes: the mean, then the half spread.
 @group(0) @binding(1) var<storage, read> signal: array<vec4<f32>>;
 #ifdef VARIANCE
-// Of its mean.
+// Variance of the mean of the input.
 @group(0) @binding(2) var<storage, read> sample_variance: array<vec4<f32>>;
 #endif
 // A signal.
 @group(0) @binding(3) var<storage, read> filtered: array<vec4<f32>>;
 @group(0) @binding(4) var<storage, read_write> kept: array<vec4<f32>>;
 #ifdef ERROR
-// In place: what stays has the noise of its input.
+// Changed in place: a pixel that stays has the noise of its input.
 @group(0) @binding(5) var<storage, read_write> errors: array<vec4<f32>>;
 #endif
 
 const ANY: f32 = 3.4e38;
 
-// Of the nearest pixel of the image: beyond its border that is one that counts anyway.
+// Squared spread of the nearest pixel of the image: beyond the border that is a pixel that counts anyway.
 fn spread_squared(p: vec2<i32>) -> f32 {
     let spread = signal[params.extent.x * params.extent.y + clamped_index(p, params.extent)].xyz;
     return dot(spread, spread);
 }
 
-// Σ over the channels of the variance that the samples of a pixel show. Halves alone may agree by accident, so that
-// those of the pixels beside have a say too.
+// Σ over the channels of the variance that the samples of a pixel show. Halves alone may agree by accident, so the
+// halves of the pixels beside count too.
 fn noise_at(p: vec2<i32>) -> f32 {
 #ifdef VARIANCE
     let at = pixel_index(p, params.extent);
@@ -108,7 +108,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     kept[at] = vec4<f32>(own + share * correction, mean.w);
     kept[pixels + at] = vec4<f32>(own_spread + share * (spread.xyz - own_spread), spread.w);
 #ifdef ERROR
-    // What moves so little has no more error than its noise and the way that it may go.
+    // A pixel that moves so little has no more error than its noise and the largest correction that it may get.
     errors[at][params.error_component] = min(errors[at][params.error_component], noise_at(p) + allowed);
 #endif
 }

@@ -1,20 +1,20 @@
-// Gives a filtered signal the lights back that were kept aside, to the pixels that they were in.
+// Puts the lights that were set aside back into a filtered signal, at their own pixels.
 #import stein::planes::{pixel_index}
 
 struct LightReturnParams {
     extent: vec2<i32>,
-    // Where in a pixel of `errors` its squared error is.
+    // Component of `errors` that holds the squared error.
     error_component: i32,
 }
 
 @group(0) @binding(0) var<uniform> params: LightReturnParams;
-// As spike_find left them.
+// Output of spike_find.
 @group(0) @binding(1) var<storage, read> lights: array<vec4<f32>>;
 // Signals.
 @group(0) @binding(2) var<storage, read> filtered: array<vec4<f32>>;
 @group(0) @binding(3) var<storage, read_write> lit: array<vec4<f32>>;
 #ifdef ERROR
-// In place: a light has the noise of its input.
+// Changed in place: a light has the noise of its input.
 @group(0) @binding(4) var<storage, read_write> errors: array<vec4<f32>>;
 #endif
 

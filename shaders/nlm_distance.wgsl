@@ -2,11 +2,11 @@
 // 7.3's patch sum).
 //
 // One invocation walks down one column for OFFSET_ROWS offsets one below the other, with their last 2f+1 distances in
-// registers: what lies at an offset is what lay at the next one a row before, and the other way round for its opposite,
-// so that a row costs the same loads for several offsets as for one. The horizontal half is summed where the weights
-// are formed. Sums run over channels and rows, unnormalised: x = d(p, q1), y = d(p, q2), z = d(p, mean of q1 and q2);
-// rows and neighbours outside the image add nothing. The scratch rows are padded by f on both sides, so that the
-// horizontal sum needs no border test.
+// registers. The neighbour at an offset is the neighbour that was at the next offset a row before, and the other way
+// round for the opposite neighbour, so that a row costs the same loads for several offsets as for one. The horizontal
+// half is summed where the weights are formed. Sums run over channels and rows, unnormalised: x = d(p, q1), y = d(p,
+// q2), z = d(p, mean of q1 and q2); rows and neighbours outside the image add nothing. The scratch rows are padded by f
+// on both sides, so that the horizontal sum needs no border test.
 #import stein::planes::{inside, clamped_index}
 #import stein::nlm::{NlmParams, has_opposite, distance, symmetric_distance}
 
@@ -17,11 +17,11 @@ const OFFSET_ROWS: i32 = #{OFFSET_ROWS};
 @group(0) @binding(0) var<uniform> params: NlmParams;
 @group(0) @binding(1) var<storage, read> guide: array<vec4<f32>>;
 @group(0) @binding(2) var<storage, read> variance_of_mean: array<vec4<f32>>;
-// What q is taken from: the same again, or a frame beside.
+// Image that q is taken from: the guide again, or a frame beside.
 @group(0) @binding(3) var<storage, read> neighbours: array<vec4<f32>>;
 @group(0) @binding(4) var<storage, read> neighbours_variance: array<vec4<f32>>;
-// One plane for each offset; behind them those of a second, smaller patch, if there is one: the candidates FIRST and
-// SECOND share their pixel distances and differ in the box alone.
+// Column sums, one plane for each offset; behind them the planes of a second, smaller patch, if there is one: the
+// candidates FIRST and SECOND share their pixel distances and differ in the box alone.
 @group(0) @binding(5) var<storage, read_write> columns: array<vec3<f32>>;
 #if SMALL_PATCH_RADIUS != -1
 const SMALL_PATCH_RADIUS: i32 = #{SMALL_PATCH_RADIUS};
@@ -30,7 +30,8 @@ const SMALL_PATCH_RADIUS: i32 = #{SMALL_PATCH_RADIUS};
 // Read once: software adapters read a parameter anew wherever it is used.
 var<private> nlm: NlmParams;
 
-// Of a guide of one channel, or of three that are the same, what the others would be is not used, and so not computed.
+// Sum over the channels. For a guide of one channel, or of three that are equal, the other channels are not used, and
+// so not computed.
 fn over_channels(distances: vec3<f32>) -> f32 {
 #ifdef ONE_CHANNEL
     return distances.x;
@@ -43,7 +44,7 @@ fn over_channels(distances: vec3<f32>) -> f32 {
 #endif
 }
 
-// What there is at a pixel.
+// Values at a pixel.
 struct Pixel {
     u: vec3<f32>,
     variance: vec3<f32>,
@@ -85,7 +86,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     let plane_size = nlm.rows * nlm.stride;
     let first = i32(id.y) * nlm.block_rows;
     let end = min(first + nlm.block_rows, nlm.rows);
-    // The neighbours of the row above the first one, as far as they are those of the first one too.
+    // The neighbours that the first row shares with the row above it.
     let top = vec2<i32>(x, nlm.first_row + first - PATCH_RADIUS);
     var aheads: array<Pixel, OFFSET_ROWS>;
     var behinds: array<Pixel, OFFSET_ROWS>;

@@ -1,13 +1,13 @@
-// The NL-means filter of one guide applied to a payload of one or more planes (eq. 7.1): all of NLM's filters, and
-// those of DFC but for the candidates.
+// The NL-means filter of one guide applied to a payload of one or more planes (eq. 7.1): all filters of NLM, and all
+// filters of DFC except the candidates.
 //
-// Works on the chunk of offsets whose column sums nlm_distance has left, or of which nlm_weight has made column sums of
-// weights (PATCHWISE); `filtered` and `weights` carry the sums from chunk to chunk and hold the result after the last.
-// Sums are taken of the differences to the centre pixel: F = u_p + Σ w·(u_q − u_p) / Σ w loses no digits to a large
-// common offset.
+// Works on the chunk of offsets whose column sums of distances nlm_distance has written, or whose column sums of
+// weights nlm_weight has written (PATCHWISE); `filtered` and `weights` carry the sums from chunk to chunk and hold the
+// result after the last. Sums are taken of the differences to the centre pixel: F = u_p + Σ w·(u_q − u_p) / Σ w loses
+// no digits to a large common offset.
 //
 // An invocation filters PIXELS pixels in a row and goes through the offsets row by row, as candidate_accumulate does:
-// what two pixels or two offsets share is loaded once.
+// values that two pixels or two offsets share are loaded once.
 #import stein::nlm::{NlmParams, has_opposite, patch_members, weights_from_sums, centre_weight}
 
 const PATCH_RADIUS: i32 = #{PATCH_RADIUS};
@@ -17,7 +17,7 @@ const PIXELS: i32 = #{PIXELS};
 @group(0) @binding(0) var<uniform> params: NlmParams;
 @group(0) @binding(1) var<storage, read> columns: array<vec3<f32>>;
 @group(0) @binding(2) var<storage, read> payload: array<vec4<f32>>;
-// What q is taken from: the same again, or a frame beside.
+// Image that q is taken from: the payload again, or a frame beside.
 @group(0) @binding(3) var<storage, read> neighbours: array<vec4<f32>>;
 @group(0) @binding(4) var<storage, read_write> filtered: array<vec4<f32>>;
 // x: Σ w, the centre included after the last chunk; y: largest weight of a neighbour.
@@ -33,7 +33,7 @@ const PIXELS: i32 = #{PIXELS};
 // Read once: software adapters read a parameter anew wherever it is used.
 var<private> nlm: NlmParams;
 
-// What is averaged of each plane: all of it, or one number that stands in x alone (ONE_LANE), or in x, y and z (GREY).
+// Part of each plane that is averaged: all of it, or one number that is in x alone (ONE_LANE), or in x, y and z (GREY).
 #ifdef ONE_LANE
 alias Value = f32;
 fn value_of(stored: vec4<f32>) -> Value {
@@ -56,7 +56,7 @@ fn stored(value: Value) -> vec4<f32> {
 }
 #endif
 
-// What there is at a pixel.
+// Values at a pixel.
 struct Pixel {
     planes: array<Value, PAYLOAD_PLANES>,
 #ifdef RESIDUAL
@@ -74,7 +74,7 @@ struct Sums {
 #endif
 }
 
-// Of the pixel in this row nearest to column x.
+// Loads the pixel in this row nearest to column x.
 fn neighbour_at(x: i32, row: i32) -> Pixel {
     let at = row * nlm.extent.x + clamp(x, 0, nlm.extent.x - 1);
     var pixel: Pixel;
@@ -126,7 +126,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
         let behind_row = max(y - dy, 0);
         let members_y = patch_members(y, dy, extent.y, PATCH_RADIUS);
 
-        // The neighbours of the offset before the first one, as far as they are those of the first one too.
+        // The neighbours that the first offset shares with the offset before it.
         var aheads: array<Pixel, PIXELS>;
         var behinds: array<Pixel, PIXELS>;
         for (var i = 0; i < PIXELS - 1; i++) {

@@ -13,7 +13,7 @@ const SIDE: i32 = 2 * PATCH_RADIUS + 1;
 const PIXELS: i32 = #{PIXELS};
 
 @group(0) @binding(0) var<uniform> params: NlmParams;
-// Of the rows of the strip and f more above and below.
+// Column sums of distances, for the rows of the strip and f more rows above and below.
 @group(0) @binding(1) var<storage, read> columns: array<vec3<f32>>;
 @group(0) @binding(2) var<storage, read_write> weight_columns: array<vec3<f32>>;
 

@@ -1,8 +1,8 @@
-// The weights of one pixel's neighbours as nlm_filter takes them, each with the distance behind it.
+// The weights of one pixel's neighbours as nlm_filter uses them, each with the distance that it comes from.
 //
-// Works on the chunk of offsets whose column sums nlm_distance has left, and nlm_weight, if the guide is patchwise
-// (PATCHWISE). An invocation does one pair of neighbours. The cell in the middle is not written: what the pixel itself
-// weighs follows from the others.
+// Works on the chunk of offsets whose column sums nlm_distance has written, and nlm_weight, if the guide is patchwise
+// (PATCHWISE). An invocation computes one pair of neighbours. The cell in the middle is not written: the weight of the
+// pixel itself follows from the others.
 #import stein::planes::{inside}
 #import stein::nlm::{NlmParams, patch_members, weights_from_sums}
 #import stein::window::{WindowParams, window_cell}
@@ -11,7 +11,7 @@ const PATCH_RADIUS: i32 = #{PATCH_RADIUS};
 
 @group(0) @binding(0) var<uniform> params: NlmParams;
 @group(0) @binding(1) var<uniform> window: WindowParams;
-// Of distances; patchwise, of f rows more above and below.
+// Column sums of distances; for a patchwise guide with f more rows above and below.
 @group(0) @binding(2) var<storage, read> columns: array<vec3<f32>>;
 #ifdef PATCHWISE
 @group(0) @binding(3) var<storage, read> weight_columns: array<vec3<f32>>;

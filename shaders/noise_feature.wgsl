@@ -16,7 +16,7 @@ struct NoiseFeatureParams {
 @group(0) @binding(0) var<uniform> params: NoiseFeatureParams;
 // Two planes: the mean, then the half spread.
 @group(0) @binding(1) var<storage, read> signal: array<vec4<f32>>;
-// Where there is one and no halves.
+// Sample variance, if the feature has one and no halves.
 #ifdef VARIANCE
 @group(0) @binding(2) var<storage, read> sample_variance: array<vec4<f32>>;
 #endif
@@ -25,7 +25,7 @@ struct NoiseFeatureParams {
 
 const PIXELS: i32 = #{PIXELS};
 
-// An invocation makes PIXELS pixels in a row: their boxes share most of their pixels, and loads are what costs.
+// An invocation computes PIXELS pixels in a row: their boxes share most of their pixels, and loads are the main cost.
 @compute @workgroup_size(32, 2, 1)
 fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     let extent = params.extent;

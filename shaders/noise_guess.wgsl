@@ -1,17 +1,18 @@
-// A first guess at the variance: the squared half spread, smoothed in parts of the magnitude. Smoothed as it is, it
-// would carry the noise of a light into the dark beside it.
+// A first guess at the variance: the squared half spread, smoothed in parts of the magnitude. Smoothing the square
+// itself would carry the noise of a light into the dark beside it.
 #import stein::noise::{NoiseParams}
 #import stein::planes::{pixel_index}
 
 @group(0) @binding(0) var<uniform> params: NoiseParams;
-// As noise_magnitude left it.
+// Output of noise_magnitude.
 @group(0) @binding(1) var<storage, read> relative_spread: array<vec4<f32>>;
-// In w the magnitude.
+// xyz: the guess, w: the magnitude.
 @group(0) @binding(2) var<storage, read_write> guess: array<vec4<f32>>;
 
 const PIXELS: i32 = #{PIXELS};
 
-// An invocation makes PIXELS pixels in a row: their surroundings share most of their pixels, and loads are what costs.
+// An invocation computes PIXELS pixels in a row: their surroundings share most of their pixels, and loads are the main
+// cost.
 @compute @workgroup_size(32, 2, 1)
 fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     let extent = params.extent;

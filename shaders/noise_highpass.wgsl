@@ -1,8 +1,8 @@
-// By how much a pixel stands out from the mean of its two neighbours, along x and along y: of the colour, and of the
-// features that may explain it.
+// Difference by which a pixel stands out from the mean of its two neighbours, along x and along y: in the colour, and
+// in the features that may explain it.
 #import stein::planes::{pixel_index}
 
-// Features of three channels.
+// Number of features, of three channels each.
 const REGRESSORS: i32 = #{REGRESSORS};
 
 struct NoiseHighpassParams {
@@ -13,16 +13,16 @@ struct NoiseHighpassParams {
 
 @group(0) @binding(0) var<uniform> params: NoiseHighpassParams;
 @group(0) @binding(1) var<storage, read> signal: array<vec4<f32>>;
-// As noise_magnitude left it.
+// Output of noise_magnitude.
 @group(0) @binding(2) var<storage, read> relative_spread: array<vec4<f32>>;
 #if REGRESSORS != 0
-// As noise_feature left them.
+// Output of noise_feature.
 @group(0) @binding(3) var<storage, read> features: array<vec4<f32>>;
 #endif
-// Two planes, along x and along y, of the colour, with the magnitude in w; then of each feature.
+// Two planes for the colour, along x and along y, with the magnitude in w; then two planes for each feature.
 @group(0) @binding(4) var<storage, read_write> highpass: array<vec4<f32>>;
 
-// The neighbours of p along an axis. At the border one stands for both; where there is none, p itself does.
+// The neighbours of p along an axis. At the border one neighbour stands for both; without neighbours, p itself does.
 fn neighbours(p: vec2<i32>, axis: vec2<i32>) -> vec2<i32> {
     let has_previous = all(p - axis >= vec2<i32>(0));
     let has_next = all(p + axis < params.extent);

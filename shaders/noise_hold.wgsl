@@ -1,12 +1,12 @@
-// Holds the variance of pixels near a jump of brightness below what their neighbours without jumps have, in parts of
-// the squared magnitude.
+// Holds the variance of pixels near a jump of brightness below the variance of their neighbours without jumps, in parts
+// of the squared magnitude.
 #import stein::noise::{NoiseHoldParams}
 #import stein::planes::{pixel_index}
 
 @group(0) @binding(0) var<uniform> params: NoiseHoldParams;
-// As noise_magnitude left it.
+// Output of noise_magnitude.
 @group(0) @binding(1) var<storage, read> relative_spread: array<vec4<f32>>;
-// As noise_jump left it.
+// Output of noise_jump.
 @group(0) @binding(2) var<storage, read> relative_variance: array<vec4<f32>>;
 @group(0) @binding(3) var<storage, read_write> variance: array<vec4<f32>>;
 

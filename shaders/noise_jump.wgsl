@@ -3,7 +3,7 @@
 #import stein::planes::{pixel_index}
 
 @group(0) @binding(0) var<uniform> params: NoiseHoldParams;
-// As noise_magnitude left it.
+// Output of noise_magnitude.
 @group(0) @binding(1) var<storage, read> relative_spread: array<vec4<f32>>;
 @group(0) @binding(2) var<storage, read> pooled_variance: array<vec4<f32>>;
 // The variance in parts of the squared magnitude; in w 1 where brightness jumps.

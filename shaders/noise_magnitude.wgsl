@@ -1,7 +1,7 @@
-// How bright the light around a pixel is, and how far its halves differ in parts of it.
+// Brightness of the light around a pixel (the magnitude), and half spread of the pixel in parts of it.
 //
 // The median of the 3×3 pixels passes over single bright pixels. A pixel that is much darker than its neighbours has
-// noise of its own size, not of theirs.
+// noise of the size of its own brightness, not of theirs.
 #import stein::noise::{NoiseParams, brightness}
 #import stein::planes::{lower_median, pixel_index}
 

@@ -1,10 +1,10 @@
-// Pools the noise of pixels that are alike: the half spreads of many give the variance of each, or the sample variances
-// of many a steadier one.
+// Pools the noise of pixels that are alike: the half spreads of many pixels give the variance of each, and the sample
+// variances of many pixels give a steadier one.
 //
-// Single pixels are compared, not patches: dark pixels have to be pooled with dark ones. Deviations are averaged, not
-// their squares, of which one firefly would decide.
+// Single pixels are compared, not patches: dark pixels have to be pooled with dark ones. Deviations are averaged
+// instead of their squares, because one firefly would decide the sum of the squares.
 //
-// An invocation makes PIXELS pixels in a row: their windows share most of their pixels, and loads are what costs.
+// An invocation computes PIXELS pixels in a row: their windows share most of their pixels, and loads are the main cost.
 #import stein::noise::{NoiseParams}
 #import stein::planes::{clamped_index, largest_channel, pixel_index}
 
@@ -14,16 +14,16 @@ const PIXELS: i32 = #{PIXELS};
 @group(0) @binding(0) var<uniform> params: NoiseParams;
 // Two planes: the mean, then the half spread.
 @group(0) @binding(1) var<storage, read> signal: array<vec4<f32>>;
-// As noise_guess left it.
+// Output of noise_guess.
 @group(0) @binding(2) var<storage, read> guess: array<vec4<f32>>;
 #if FEATURE_GROUPS != 0
-// As noise_feature left them.
+// Output of noise_feature.
 @group(0) @binding(3) var<storage, read> features: array<vec4<f32>>;
 #endif
 #ifdef VARIANCE
 @group(0) @binding(4) var<storage, read> sample_variance: array<vec4<f32>>;
 #endif
-// One plane of the colour; where the noise of features is pooled as well, then one per group.
+// One plane for the colour; then one plane per group, if the noise of features is pooled as well.
 @group(0) @binding(5) var<storage, read_write> pooled_variance: array<vec4<f32>>;
 
 const HALF_PI: f32 = 1.57079633;
@@ -31,7 +31,7 @@ const HALF_PI: f32 = 1.57079633;
 // Read once: software adapters read a parameter anew wherever it is used.
 var<private> rule: NoiseParams;
 
-// What pixels are compared by.
+// Values by which pixels are compared.
 struct Pixel {
     color: vec3<f32>,
     variance: vec3<f32>,
@@ -67,7 +67,7 @@ fn pixel_at(at: i32) -> Pixel {
     return pixel;
 }
 
-// What a pixel tells of its noise: a deviation.
+// Standard deviation of the noise that a pixel claims.
 fn claimed_deviation(at: i32) -> vec3<f32> {
 #ifdef VARIANCE
     return sqrt(sample_variance[at].xyz);
@@ -88,9 +88,9 @@ fn largest_spread(p: vec2<i32>) -> f32 {
     return largest_channel(abs(signal[rule.extent.x * rule.extent.y + clamped_index(p, rule.extent)].xyz));
 }
 
-// A pixel with next to no noise keeps it, however noisy the pixels are that look like it. Halves alone may agree by
-// accident, so that those of the pixels beside have a say too, and all samples of a black pixel may have missed the
-// light.
+// Whether a pixel has noise. A pixel with almost no noise keeps its own variance, however noisy similar pixels are.
+// Halves alone may agree by accident, so the halves of the pixels beside count too; and all samples of a black pixel
+// may have missed the light.
 fn has_noise(p: vec2<i32>) -> bool {
     let at = pixel_index(p, rule.extent);
     let value = largest_channel(abs(signal[at].xyz));
@@ -157,7 +157,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
             let q = pixel_at(at_q);
             let deviation = claimed_deviation(at_q);
             for (var i = 0; i < PIXELS; i++) {
-                // The pixel itself counts once, whatever its distance to itself comes to.
+                // The pixel itself counts once, whatever its distance to itself is.
                 let any_weight = select(weight(own[i], q), 1.0, at_q == at_first + i);
                 let w = select(0.0, any_weight, abs(x - first.x - i) <= radius);
                 sums[i].weight += w;
@@ -187,7 +187,7 @@ fn store(p: vec2<i32>, sums: Sums) {
 #else
     // Of Gaussian noise, E|D| = σ·√(2/π).
     let pooled = HALF_PI * mean_deviation * mean_deviation;
-    // What the pixel's own halves say counts a little: a firefly claims a part of its own variance.
+    // The pixel's own halves count a little: a firefly claims a part of its own variance.
     let own = dot(own_variance / max(pooled, vec3<f32>(1e-30)), vec3<f32>(1.0 / 3.0));
     let with_own = pooled * (rule.pooled_share + own) / (rule.pooled_share + 1.0);
 #endif

@@ -1,21 +1,21 @@
-// Takes for noise by how much a pixel stands out from its neighbours, along x or along y, whichever is less: an edge
-// stands out along one of them alone.
+// Takes as noise the difference by which a pixel stands out from its neighbours, along x or along y, whichever is less:
+// an edge stands out along only one of them.
 //
-// Texture stands out too. What the features stand out by explains it, by a least-squares fit over the pixels around.
-// But features with noise of their own, as out of focus, would explain noise away; so that what a fit leaves counts
-// less than what there is without it.
+// Texture stands out too. The differences of the features explain it, by a least-squares fit over the pixels around.
+// But features with noise of their own, as out of focus, would explain noise away; so the residual of a fit counts less
+// than the difference without a fit.
 #import stein::planes::{pixel_index}
 
-// Features of three channels.
+// Number of features, of three channels each.
 const REGRESSORS: i32 = #{REGRESSORS};
 
 struct NoiseResidualParams {
     extent: vec2<i32>,
     // Radius of the window of a fit.
     fit_radius: i32,
-    // What is added to the diagonal of a fit, in parts of the sum of its weights.
+    // Ridge: added to the diagonal of a fit, in parts of the sum of its weights.
     ridge: f32,
-    // The part that what the fit leaves has in the geometric mean.
+    // Weight of the residual of the fit in the geometric mean.
     fitted_share: f32,
     // The largest noise of a pixel that is no brighter than its neighbours, in magnitudes.
     largest: f32,
@@ -25,14 +25,14 @@ struct NoiseResidualParams {
 
 @group(0) @binding(0) var<uniform> params: NoiseResidualParams;
 @group(0) @binding(1) var<storage, read> signal: array<vec4<f32>>;
-// As noise_highpass left it.
+// Output of noise_highpass.
 @group(0) @binding(2) var<storage, read> highpass: array<vec4<f32>>;
-// Two planes: the mean, then in place of the half spread what is taken for noise.
+// Two planes: the mean, then the estimated noise instead of the half spread.
 @group(0) @binding(3) var<storage, read_write> residual: array<vec4<f32>>;
-// As noise_magnitude left it. In place: the half spread becomes what is taken for noise.
+// Output of noise_magnitude, changed in place: the half spread becomes the estimated noise.
 @group(0) @binding(4) var<storage, read_write> relative_spread: array<vec4<f32>>;
 
-// The lesser of what stands out along both axes; where there is one axis, that.
+// The lesser of the differences along both axes; in an image of one row or column, the difference along its one axis.
 fn lesser(along_x: vec3<f32>, along_y: vec3<f32>) -> vec3<f32> {
     let x = select(abs(along_x), vec3<f32>(3.4e38), params.extent.x == 1);
     let y = select(abs(along_y), vec3<f32>(3.4e38), params.extent.y == 1);
@@ -43,7 +43,7 @@ fn lesser(along_x: vec3<f32>, along_y: vec3<f32>) -> vec3<f32> {
 const TERMS: i32 = 3 * REGRESSORS;
 
 struct Fit {
-    // Of each term, what it makes of the three channels.
+    // Coefficients of each term, one for each of the three channels.
     coefficients: array<vec3<f32>, TERMS>,
 }
 

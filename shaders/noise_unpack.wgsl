@@ -1,16 +1,16 @@
-// Takes the pooled variance of the colour, or of one feature, out of those of all.
+// Extracts the pooled variance of the colour, or of one feature.
 #import stein::planes::{pixel_index}
 
 struct NoiseUnpackParams {
     extent: vec2<i32>,
-    // Where it is,
+    // Plane that holds the variance.
     plane: i32,
-    // and whether in w (1) or in x, y, z (0).
+    // 1: the variance is in w; 0: it is in x, y, z.
     single: i32,
 }
 
 @group(0) @binding(0) var<uniform> params: NoiseUnpackParams;
-// As noise_pool left it: one plane of the colour, then one per group of features.
+// Output of noise_pool: one plane for the colour, then one per group of features.
 @group(0) @binding(1) var<storage, read> pooled_variance: array<vec4<f32>>;
 @group(0) @binding(2) var<storage, read_write> variance: array<vec4<f32>>;
 

@@ -4,7 +4,7 @@
 
 struct SampleAttachParams {
     extent: vec2<i32>,
-    // Used where there is no map of them.
+    // Samples per pixel, used where there is no map of them.
     samples_per_pixel: f32,
 }
 
@@ -29,7 +29,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
 #else
     let count = params.samples_per_pixel;
 #endif
-    // What was rendered has a sample, whoever counted.
+    // A rendered pixel has at least one sample, whatever the count says.
     with_samples[at] = vec4<f32>(signal[at].xyz, max(count, 1.0));
     with_samples[at_spread] = vec4<f32>(signal[at_spread].xyz, 0.0);
 }

@@ -1,5 +1,5 @@
-// How much a sample drawn in each pixel is expected to gain (thesis 8.6): the relative error estimate of the blend,
-// times W(p) = Σ w / (1 + n_p).
+// Gain to be expected from a sample drawn in each pixel (thesis 8.6): the relative error estimate of the blend, times
+// W(p) = Σ w / (1 + n_p).
 //
 // With halves, the error is the two-buffer variance that is left in the blend, as in thesis 7.1.2. A sample lowers the
 // variance of its pixel by a factor n_p / (1 + n_p), and serves all pixels that the filter lets it contribute to. One

@@ -1,4 +1,5 @@
-// Goes on to the coarse scale where neither this stopping map nor a finer one says 1, outliers removed (thesis 6.2.4).
+// Moves pixels on to the coarse scale where neither this stopping map nor a finer one is 1, after outliers are removed
+// (thesis 6.2.4).
 #import stein::planes::{pixel_index}
 
 struct ScaleAdvanceParams {

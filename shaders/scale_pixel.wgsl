@@ -1,10 +1,10 @@
-// The finest scale, the pixel filter (thesis 6.4), and the selection that starts with it: every pixel is still to go on
+// The finest scale, the pixel filter (thesis 6.4), and the selection that starts with it: every pixel may still move on
 // to coarser scales.
 #import stein::planes::{pixel_index}
 
 struct ScalePixelParams {
     extent: vec2<i32>,
-    // Samples per pixel, used where there is no map of them; 0 where nobody knows.
+    // Samples per pixel, used where there is no map of them; 0 if unknown.
     samples_per_pixel: f32,
 }
 
@@ -17,7 +17,7 @@ struct ScalePixelParams {
 #endif
 // Two planes, in the w of the first the mean number of samples per pixel.
 @group(0) @binding(4) var<storage, read_write> signal: array<vec4<f32>>;
-// In w what filtering makes of a variance of 1: 1 / number of pixels that take part.
+// In w the variance that filtering leaves of a variance of 1: 1 / number of pixels that take part.
 @group(0) @binding(5) var<storage, read_write> variance: array<vec4<f32>>;
 // Two planes, in the w of the first the number of pixels that take part.
 @group(0) @binding(6) var<storage, read_write> selected: array<vec4<f32>>;

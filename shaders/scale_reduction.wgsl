@@ -1,5 +1,5 @@
-// What the reduction of relative MSE by new samples is made of (thesis 6.3): x: the relative MSE, y: the samples in the
-// filter's support, 0 where nobody knows, z: σ of the filter in pixels.
+// Parts of the reduction of relative MSE by new samples (thesis 6.3): x: the relative MSE, y: the samples in the
+// filter's support, 0 if unknown, z: σ of the filter in pixels.
 #import stein::planes::{pixel_index}
 
 struct ScaleReductionParams {

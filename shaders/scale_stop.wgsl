@@ -27,7 +27,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     }
     let at = pixel_index(p, params.extent);
     // ρ = 1 − 1/n makes up for the variances that few samples estimate too low; one sample has none, and is no reason
-    // to blur. A count of 0 is one that nobody knows.
+    // to blur. A count of 0 is unknown.
     let count = coarse[at].w;
     let rho = select(1.0, 1.0 - 1.0 / max(count, 2.0), count > 0.0);
     let change = coarse[at].xyz - fine[at].xyz;

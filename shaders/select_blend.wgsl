@@ -20,7 +20,7 @@ struct SelectBlendParams {
 // Two planes: mean with the blended Σ w in w, half spread.
 @group(0) @binding(5) var<storage, read_write> blended: array<vec4<f32>>;
 
-// At this place of a signal.
+// Average of the candidates at the index `at` of a signal.
 fn average(share: vec4<f32>, at: i32) -> vec4<f32> {
     var sum = vec4<f32>(0.0);
 #ifdef FIRST

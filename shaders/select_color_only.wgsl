@@ -1,4 +1,4 @@
-// Gives the filter that knows the colour only a share of each pixel, as far as its error is significantly less than
+// Gives the filter that knows only the colour a share of each pixel, as far as its error is significantly less than
 // that of the blend of candidates.
 //
 // Features without noise have edges of their own, sharp where motion or defocus has blurred the colour. The candidates
@@ -8,7 +8,7 @@
 
 struct SelectColorOnlyParams {
     extent: vec2<i32>,
-    // How many pixels the average counts as.
+    // Number of independent pixels that the average counts as.
     pixels: f32,
     // Standard errors by which the colour must be better for the least share, and for all of it.
     least: f32,
@@ -22,7 +22,7 @@ struct SelectColorOnlyParams {
 @group(0) @binding(2) var<storage, read> candidates: array<vec4<f32>>;
 @group(0) @binding(3) var<storage, read> color_only: array<vec4<f32>>;
 @group(0) @binding(4) var<storage, read_write> blended: array<vec4<f32>>;
-// In place: the candidates share what the colour leaves.
+// Changed in place: the candidates share the rest that the colour leaves.
 @group(0) @binding(5) var<storage, read_write> shares: array<vec4<f32>>;
 // x and y: the share of the colour.
 @group(0) @binding(6) var<storage, read_write> color_only_shares: array<vec4<f32>>;

@@ -1,9 +1,9 @@
 // Chooses, for one filter and each pixel, between the filter over all frames of a window in time and the filter over
 // the pixel's own frame.
 //
-// What moves through a window brings along pixels that only seem to fit: the noisy rim of a lamp, say, may stand for
-// anything. Where the pixel's own SURE says that the other frames have done harm, by more than chance explains, they
-// are left out.
+// An object that moves through the window brings along pixels that only seem to fit: the noisy rim of a lamp, say, may
+// stand for anything. Where the pixel's own SURE says that the other frames have done harm, by more than chance
+// explains, they are left out.
 #import stein::planes::{pixel_index}
 #import stein::candidates::{sure, error_by_chance}
 
@@ -22,7 +22,7 @@ struct SelectFramesParams {
 // the weights do not depend on the noise of what is averaged, the centre's share 1 / Σ w is the derivative.
 @group(0) @binding(3) var<storage, read> alone: array<vec4<f32>>;
 @group(0) @binding(4) var<storage, read> alone_derivatives: array<vec4<f32>>;
-// The same over all frames; it becomes what is chosen.
+// The same two over all frames; they become the chosen ones.
 @group(0) @binding(5) var<storage, read_write> together: array<vec4<f32>>;
 @group(0) @binding(6) var<storage, read_write> derivatives: array<vec4<f32>>;
 

@@ -1,9 +1,9 @@
 // Binary selection maps (Algorithm 1 lines 24–26, the typo of line 26 mended): 1 for the candidate with the least
 // smoothed error, 0 for the others.
 //
-// On ties the later, more robust candidate wins. FIRST may win only where it filters more than SECOND, told by the
-// smaller mean derivative (thesis 8.4): noise that it keeps goes unnoticed by SURE. Without SECOND it stands for
-// itself. An error that is not finite cannot win; where none is, the last that takes part does.
+// On ties the later, more robust candidate wins. FIRST may win only where it filters more than SECOND, shown by the
+// smaller mean derivative (thesis 8.4): SURE does not notice noise that FIRST keeps. Without SECOND this condition does
+// not apply. An error that is not finite cannot win; if no error is finite, the last candidate that takes part wins.
 #import stein::planes::{pixel_index}
 
 struct SelectLeastParams {
@@ -20,7 +20,7 @@ struct SelectLeastParams {
 #endif
 @group(0) @binding(3) var<storage, read_write> selected: array<vec4<f32>>;
 
-// By its bits: a comparison may be assumed not to meet NaN.
+// Tests the bits: a compiler may assume that a comparison never meets NaN.
 fn is_finite(value: f32) -> bool {
     return (bitcast<u32>(value) & 0x7f800000u) != 0x7f800000u;
 }

@@ -1,8 +1,8 @@
 // Chooses between pass 1 and the second pass, pixel by pixel (Algorithm 1 lines 34–37, with a limit).
 //
-// The second pass is there for noise that pass 1 left. A correction far beyond any noise that the pixel had is none: a
-// patch that differs in few of its pixels can be near, and a clean pixel between the edge of a lamp and nothing that is
-// like it takes what is nearest.
+// The second pass is there for noise that pass 1 left. A correction far beyond any noise that the pixel had does not
+// remove noise: a patch that differs in few of its pixels can be near, and a clean pixel at the edge of a lamp, without
+// any similar pixel, takes the value of the nearest ones.
 #import stein::planes::{pixel_index}
 
 struct SelectPassParams {
@@ -15,7 +15,7 @@ struct SelectPassParams {
 // Signals: mean and half spread.
 @group(0) @binding(1) var<storage, read> pass1: array<vec4<f32>>;
 @group(0) @binding(2) var<storage, read> pass2: array<vec4<f32>>;
-// Of the input.
+// Variance of the mean of the input.
 @group(0) @binding(3) var<storage, read> variance_of_mean: array<vec4<f32>>;
 @group(0) @binding(4) var<storage, read_write> result: array<vec4<f32>>;
 
@@ -30,7 +30,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     let mean = pass1[at];
     let spread = pass1[pixels + at];
     let correction = pass2[at].xyz - mean.xyz;
-    // What a neighbour brought in shows in the spread of pass 1, not in the pixel's own variance.
+    // Noise that a neighbour brought in shows in the spread of pass 1, not in the pixel's own variance.
     let noise = dot(variance_of_mean[at].xyz, vec3<f32>(1.0)) + dot(spread.xyz, spread.xyz);
     if dot(correction, correction) > params.squared_sigmas * noise {
         result[at] = mean;

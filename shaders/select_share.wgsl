@@ -6,9 +6,9 @@
 // candidate takes part in a pixel only where its smoothed error there is comparable to the winner's.
 //
 // The smoothed errors themselves are blind to single pixels: a clean pixel beside a caustic has neighbours whose errors
-// are thousands of times its own. There the pixel speaks for itself: its unsmoothed SURE tells two candidates F and G
+// are thousands of times its own. There the pixel's own error decides: its unsmoothed SURE tells two candidates F and G
 // apart with a standard deviation of 2·√Σ σ_i²(F_i − G_i)², which vanishes with its noise. A candidate that is worse
-// than the best one by many of them takes no part.
+// than the best one by many such deviations takes no part.
 #import stein::planes::{pixel_index}
 #import stein::candidates::{error_by_chance}
 
@@ -41,7 +41,7 @@ struct SelectShareParams {
 @group(0) @binding(7) var<storage, read> third: array<vec4<f32>>;
 #endif
 #endif
-// In place: the smoothed maps become the shares.
+// Changed in place: the smoothed maps become the shares.
 @group(0) @binding(8) var<storage, read_write> selection: array<vec4<f32>>;
 
 #ifdef GUARDED
@@ -67,11 +67,11 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     let least = dot(winner, select(vec3<f32>(0.0), error, winner > vec3<f32>(0.0)));
     let allowed = params.smoothed_error * abs(least) + params.smoothed_noise * dot(vec3<f32>(1.0), variance);
     share = select(vec3<f32>(0.0), share, error - least <= vec3<f32>(allowed));
-    // The winner always takes part, with a little at the least, so that something is left to normalise.
+    // The winner always takes part, at least a little, so that something is left to normalise.
     share = max(share, 1e-6 * winner);
 
     let own = sure[at].xyz;
-    // Those that take no part have no share, and what stands for them here does not matter.
+    // Candidates that take no part have no share, and their values here do not matter.
     var f = array<vec3<f32>, 3>(vec3<f32>(0.0), vec3<f32>(0.0), vec3<f32>(0.0));
     var best = vec3<f32>(0.0);
     var own_least = 3.4e38;

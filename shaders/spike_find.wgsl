@@ -1,10 +1,10 @@
 // Finds spikes, and lights of few pixels, and puts the level of their surroundings in their place.
 //
-// A spike stands out from the pixels of its kind around it, as a small light does, but for what it stands out it rests
-// on very few samples: if k of n samples that a pixel has are the bright ones, its excess over the level is about √k
-// standard deviations of its mean, whatever n is and however bright they are. Both the sample variance and the halves
-// say so, and the one that says more is believed, for either may miss it. A light has many bright samples, and without
-// noise infinitely many. It is kept aside, so that no average takes part of it, and comes back at the end.
+// A spike stands out from the pixels of its kind around it, as a small light does, but its excess rests on very few
+// samples: if k of the n samples of a pixel are the bright ones, its excess over the level is about √k standard
+// deviations of its mean, whatever n is and however bright they are. Both the sample variance and the halves show this,
+// and the larger of them is used, because either may miss it. A light has many bright samples, and without noise
+// infinitely many. It is set aside, so that no average includes it, and comes back at the end.
 #import stein::planes::{pixel_index}
 #import stein::spike::{SpikeParams, SpikeFeatures, are_alike, brightness, has_noise}
 
@@ -21,14 +21,14 @@ const FEATURE_GROUPS: i32 = #{FEATURE_GROUPS};
 @group(0) @binding(4) var<storage, read_write> repaired_variance: array<vec4<f32>>;
 #endif
 @group(0) @binding(5) var<storage, read_write> repaired: array<vec4<f32>>;
-// Three planes, of which two are written here: what is taken from each pixel, 0 where it is no spike; behind it, in w,
-// 1 for a pixel with noise, else 0.
+// Three planes, of which two are written here: the amount taken from each pixel, 0 for a pixel that is no spike; then,
+// in w, 1 for a pixel with noise, else 0.
 @group(0) @binding(6) var<storage, read_write> spikes: array<vec4<f32>>;
 // Two planes: the mean of a light, in w its variance, summed over the channels; and its half spread, in w 1 for a
 // light, else 0.
 @group(0) @binding(7) var<storage, read_write> lights: array<vec4<f32>>;
 
-// Of the halves alone, whose squared spread is as likely too small as too large.
+// Variance by the halves alone, whose squared spread is as likely too small as too large.
 fn two_buffer_variance(at: i32) -> vec3<f32> {
     let spread = signal[params.extent.x * params.extent.y + at].xyz;
     return spread * spread;
@@ -116,7 +116,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     var level = vec3<f32>(0.0);
     var level_variance = vec3<f32>(0.0);
     if is_spike {
-        // The mean of all that are not brighter.
+        // The level is the mean of all neighbours of its kind that are no brighter than the third brightest.
         var members = 0.0;
         for (var y = first.y; y <= last.y; y++) {
             for (var x = first.x; x <= last.x; x++) {

@@ -1,12 +1,12 @@
-// How bright each pixel's surroundings are without spikes, and whether the pixel has noise: what tells spike_share and
-// spike_spread who gets a part of a spike.
+// Brightness around each pixel without spikes, and whether the pixel has noise. From these, spike_share and
+// spike_spread decide which pixels get a part of a spike.
 //
 // The median of the 3×3 pixels around follows an edge of light, where a mean would mix both of its sides.
 #import stein::planes::{lower_median, pixel_index}
 #import stein::spike::{SpikeParams, brightness}
 
 @group(0) @binding(0) var<uniform> params: SpikeParams;
-// As spike_find left them: the signal without spikes, and in the w of the second plane whether a pixel has noise.
+// Output of spike_find: the signal without spikes, and in the w of the second plane whether a pixel has noise.
 @group(0) @binding(1) var<storage, read> repaired: array<vec4<f32>>;
 @group(0) @binding(2) var<storage, read> spikes: array<vec4<f32>>;
 // x: the level, a brightness, at least 0; y: 1 for a pixel with noise, else 0.

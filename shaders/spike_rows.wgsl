@@ -4,7 +4,7 @@
 #import stein::spike::{SpikeParams}
 
 @group(0) @binding(0) var<uniform> params: SpikeParams;
-// As spike_share leaves it, and spike_spread takes it.
+// Output of spike_share and input of spike_spread.
 @group(0) @binding(1) var<storage, read_write> spikes: array<vec4<f32>>;
 
 @compute @workgroup_size(32, 2, 1)

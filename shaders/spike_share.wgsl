@@ -1,22 +1,22 @@
-// Settles what the pixels around a spike get of it.
+// Decides how much of a spike the pixels around it get.
 //
-// They are all pixels of its kind in a wide window that have noise and are about as bright, each the less the further
-// it is away; those without noise are what they are. One spike says little about how much light there is: it stands for
-// as many pixels as there would have to be until the next one. Where it would raise the level around it by more than a
-// part of it, it is rarer than that, and the more it would, the more of it is left out.
+// These are all pixels of its kind in a wide window that have noise and are about as bright; a pixel gets less the
+// further it is away, and a pixel without noise gets nothing. One spike says little about how much light there is: it
+// stands for as many pixels as there would have to be until the next one. A spike that would raise the level around it
+// by more than a certain part is rarer than that: the more it would raise the level, the more of the spike is left out.
 #import stein::planes::{pixel_index}
 #import stein::spike::{SpikeParams, SpikeFeatures, affinity, are_alike, brightness, falloff}
 
 const FEATURE_GROUPS: i32 = #{FEATURE_GROUPS};
 
 @group(0) @binding(0) var<uniform> params: SpikeParams;
-// As spike_find left it: what was taken from each pixel. Here w becomes the part of it that others get; and behind it
-// goes what one of them in its place would get.
+// Output of spike_find: the amount taken from each pixel. Here w becomes the part of this amount that other pixels get;
+// the second plane becomes the amount that one of them would get at the position of the spike.
 @group(0) @binding(1) var<storage, read_write> spikes: array<vec4<f32>>;
 #if FEATURE_GROUPS != 0
 @group(0) @binding(2) var<storage, read> features: array<vec4<f32>>;
 #endif
-// As spike_level left them.
+// Output of spike_level.
 @group(0) @binding(3) var<storage, read> levels: array<vec4<f32>>;
 
 #if FEATURE_GROUPS != 0
@@ -47,7 +47,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     let pixels = extent.x * extent.y;
     let at_p = pixel_index(p, extent);
     let taken = spikes[at_p].xyz;
-    // What a channel lacks is made up for by the level; nobody has to give it back.
+    // The level replaces the amount that a channel lacks; no pixel has to give it back.
     let excess = max(taken, vec3<f32>(0.0));
     var part = 0.0;
     var share = vec3<f32>(0.0);

@@ -1,20 +1,20 @@
-// Adds to each pixel that has noise what it gets of the spikes around it that are about as bright as it is, and notes
-// how uncertain that is: of a spike that might as well have fallen elsewhere it gets all or nothing, so that the
-// squares of the parts are summed.
+// Adds to each pixel that has noise its parts of the spikes around it that are about as bright as it is, and records
+// how uncertain they are: a spike might as well have fallen elsewhere, so that the pixel gets its part or nothing;
+// therefore the squares of the parts are summed.
 #import stein::planes::{pixel_index}
 #import stein::spike::{SpikeParams, SpikeFeatures, affinity, are_alike, falloff}
 
 const FEATURE_GROUPS: i32 = #{FEATURE_GROUPS};
 
 @group(0) @binding(0) var<uniform> params: SpikeParams;
-// What was taken from each pixel; behind it what one of its kind in its place gets of it, in w 1 where there is a spike
-// in the row of pixels around. The third plane is written: in x the squares of the parts, summed over spikes and
-// channels.
+// The first plane holds the amount taken from each pixel. The second holds the amount that a pixel of its kind at its
+// position gets, and in w 1 if a spike lies in the row of pixels around. The third is written: in x the squares of the
+// parts, summed over spikes and channels.
 @group(0) @binding(1) var<storage, read_write> spikes: array<vec4<f32>>;
 #if FEATURE_GROUPS != 0
 @group(0) @binding(2) var<storage, read> features: array<vec4<f32>>;
 #endif
-// As spike_level left them.
+// Output of spike_level.
 @group(0) @binding(3) var<storage, read> levels: array<vec4<f32>>;
 @group(0) @binding(4) var<storage, read_write> repaired: array<vec4<f32>>;
 

@@ -1,8 +1,8 @@
 // Holds a variance above the rounding of the values it belongs to, so that distances divide by no zero and depend on
 // nothing but the pixels they compare (eq. 7.4).
 //
-// An ε of one size for the whole image would blur what is dark beside something bright: there every squared difference
-// is smaller than ε.
+// An ε of one size for the whole image would blur dark parts beside bright ones: every squared difference in them is
+// smaller than ε.
 #import stein::planes::{largest_channel, pixel_index}
 
 struct VarianceFloorParams {

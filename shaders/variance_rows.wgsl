@@ -2,11 +2,11 @@
 // 2·radius+1 pixels, existing ones only.
 //
 // BY_DEVIATION: each pixel counts by one over the standard deviation that it claims, so that an outlier is not the
-// whole sum: among a box of others, one that claims a million times their variance counts as a thousand of them. What
-// claims nothing says nothing of how claims are to be scaled; what claims less than a tenth of what its halves differ
-// by counts as if it claimed that.
+// whole sum: a pixel that claims a million times the variance of the others in its box counts as a thousand of them. A
+// pixel that claims no variance says nothing about how to scale claims. A pixel that claims a deviation of less than a
+// tenth of its half spread is weighted as if it claimed that tenth.
 //
-// An invocation makes PIXELS pixels in a row: their boxes share most of what they sum up, and loads are what costs.
+// An invocation computes PIXELS pixels in a row: their boxes share most of their pixels, and loads are the main cost.
 #import stein::planes::{pixel_index}
 
 struct VarianceScaleParams {

@@ -2,7 +2,7 @@
 // structure, the halves have no bias whatever the sampler. The ratio is that of two box means over the same pixels with
 // the same weights, so the sums of variance_rows serve.
 //
-// An invocation makes PIXELS pixels, one below the other, as variance_rows makes them in a row.
+// An invocation computes PIXELS pixels, one below the other, as variance_rows computes them in a row.
 #import stein::planes::{pixel_index}
 
 struct VarianceScaleParams {

@@ -14,7 +14,7 @@ struct VarianceSmoothParams {
 @group(0) @binding(1) var<storage, read> signal: array<vec4<f32>>;
 @group(0) @binding(2) var<storage, read_write> smoothed_variance: array<vec4<f32>>;
 #ifdef CLAMPED
-// What has been filtered cannot be noisier than what it was made from.
+// A filtered signal cannot be noisier than the signal that it was made from.
 @group(0) @binding(3) var<storage, read> upper_bound: array<vec4<f32>>;
 #endif
 

@@ -45,16 +45,16 @@ pub struct Denoiser {
     everything: bool,
 }
 
-/// What is wanted besides the result, and who wants to know how far it is.
+/// Results to compute besides the colour, and reports of progress.
 pub struct Options<'a> {
     /// Intermediates to read back as [`Estimate::layers`].
     pub keep: &'a [Intermediate],
-    /// Whether the estimated error is wanted, as it is by default. Without it, [`Estimate::error`] is `None`, and what
-    /// serves the error alone is left out.
+    /// Whether to estimate the error; the default is `true`. Without it, [`Estimate::error`] is `None`, and the steps
+    /// that serve the error alone are left out.
     pub error: bool,
     /// Called with the share of the work that is done, 0 to 1; `Break` ends it with [`Error::Cancelled`].
     pub progress: Option<&'a mut dyn FnMut(f32) -> ControlFlow<()>>,
-    /// For a device that a window is shown with as well. `None` keeps it as busy as can be.
+    /// Pace of the work on a device that also shows a window. `None` keeps the device as busy as possible.
     pub pace: Option<Pace>,
 }
 
@@ -64,7 +64,7 @@ impl Default for Options<'_> {
     }
 }
 
-/// What is known of the true image.
+/// An estimate of the true image.
 #[derive(Clone, Debug)]
 pub struct Estimate {
     /// The denoised colour, in the units of the frame.
@@ -90,15 +90,15 @@ pub struct Estimate {
     pub features: Vec<String>,
     /// What was done about spikes; `None` where nobody looked for any.
     pub spikes: Option<SpikeReport>,
-    /// What [`Options::keep`] asked for.
+    /// The intermediates that [`Options::keep`] lists.
     pub layers: Vec<Layer>,
-    /// What ran, and what was left out.
+    /// The steps that ran, and those that were left out.
     pub plan: Plan,
     /// Number of strips that the image was cut into.
     pub strips: usize,
     /// GPU time per stage, where [`Gpu::set_timing`] is on and the adapter can tell.
     pub stage_times: Option<Vec<StageTime>>,
-    /// The same, apart by the step of the plan that the stage served.
+    /// GPU time per stage and step of the plan.
     pub step_times: Option<Vec<StepTime>>,
     /// The most memory that buffers took on the device, in bytes.
     pub peak_bytes: u64,
@@ -164,13 +164,13 @@ impl Denoiser {
         &self.method
     }
 
-    /// The same with the parameters that the method wants while samples are still being drawn.
+    /// The denoiser with the parameters for frames whose samples are still being drawn.
     #[must_use]
     pub fn while_sampling(&self) -> Self {
         Self { method: self.method.while_sampling(), ..self.clone() }
     }
 
-    /// What would be done for `frames[centre]` in its window, what would be left out, and why.
+    /// The plan for `frames[centre]` in its window: steps that would run, steps that would be left out, and why.
     ///
     /// # Errors
     /// As [`Denoiser::denoise_window`]; [`Error::Device`] where not even one row fits into the memory.

@@ -1,4 +1,4 @@
-//! What went wrong, in which file and layer, and what to do about it.
+//! Errors: the cause, the file and layer, and a remedy.
 
 use std::path::PathBuf;
 
@@ -7,8 +7,7 @@ use crate::text;
 /// The result of everything in this library that can fail.
 pub type Result<T> = std::result::Result<T, Error>;
 
-/// A failure, told so that the person who meets it knows what to do next: each message names the place, the problem and
-/// the remedy.
+/// A failure. Each message names the place, the problem and a remedy, so that the user knows what to do next.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
@@ -17,9 +16,9 @@ pub enum Error {
     File {
         /// The file.
         path: PathBuf,
-        /// What is wrong with it.
+        /// Cause of the failure.
         problem: String,
-        /// What the user can do.
+        /// Action that helps the user.
         remedy: String,
     },
     /// A layer inside a file is missing or cannot be used.
@@ -29,25 +28,25 @@ pub enum Error {
         path: PathBuf,
         /// The layer, named as in the file.
         layer: String,
-        /// What is wrong with it.
+        /// Cause of the failure.
         problem: String,
-        /// What the user can do.
+        /// Action that helps the user.
         remedy: String,
     },
-    /// What was asked for cannot be done: parameters that contradict each other or the input.
+    /// A request is impossible: parameters contradict each other or the input.
     #[error("{problem}\n  remedy: {remedy}")]
     Request {
-        /// What cannot be done, and why.
+        /// Impossible request, and the reason.
         problem: String,
-        /// What the user can do.
+        /// Action that helps the user.
         remedy: String,
     },
     /// No adapter, a lost device, not enough memory.
     #[error("{problem}\n  remedy: {remedy}")]
     Device {
-        /// What the device or its driver reported.
+        /// Report of the device or its driver.
         problem: String,
-        /// What the user can do.
+        /// Action that helps the user.
         remedy: String,
     },
     /// A shader does not compile or does not fit its host struct: a defect of this program, not of its input.
@@ -57,15 +56,15 @@ pub enum Error {
     Shader {
         /// The stage, named as its file in `shaders/`.
         stage: String,
-        /// What naga or the driver said.
+        /// Message of naga or of the driver.
         problem: String,
     },
     /// A renderer from outside failed.
     #[error("{problem}\n  remedy: {remedy}")]
     Renderer {
-        /// What was run and how it ended.
+        /// Command that ran, and how it ended.
         problem: String,
-        /// What the user can do.
+        /// Action that helps the user.
         remedy: String,
     },
     /// The caller ended the work.

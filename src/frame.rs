@@ -88,7 +88,7 @@ pub struct Feature {
 pub enum SamplesPerPixel {
     /// Nothing in the file tells.
     Unknown,
-    /// The same number everywhere.
+    /// One number for all pixels.
     Uniform(f32),
     /// One number per pixel (one plane).
     PerPixel(Image),

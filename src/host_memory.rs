@@ -61,7 +61,7 @@ impl FreeMemory {
         Self::of_address_space().into_iter().fold(free, Self::tighter)
     }
 
-    /// What is left of the address space where there is a limit to it.
+    /// Free address space of the process. `None` without a limit.
     pub fn of_address_space() -> Option<Self> {
         let most = most_address_space()?;
         let taken = with_own_process(|process| Some(process.virtual_memory()))?;
@@ -113,10 +113,10 @@ pub struct Shortage {
 }
 
 impl Shortage {
-    /// What the user can do.
+    /// Remedy for the user.
     pub const REMEDY: &str = "crop the image, leave layers out, raise the limit where there is one, close other programs, or use a computer with more memory";
 
-    /// This many bytes are needed, and so many are free.
+    /// A shortage where work needs `needed` bytes.
     pub fn new(needed: u64, free: FreeMemory) -> Self {
         Self { needed, free }
     }

@@ -49,12 +49,12 @@ pub enum Kind {
     Flag,
     /// One of several words.
     Choice {
-        /// These.
+        /// The words.
         options: Vec<Choice>,
     },
     /// At least one of several words.
     Set {
-        /// These.
+        /// The words.
         options: Vec<Choice>,
     },
     /// Several parameters that are left out together by `false`; their names begin with this one's and a dot. `true`
@@ -103,7 +103,7 @@ impl Parameter {
         }
     }
 
-    /// The same as part of a sentence: `a whole number from 1 to 64 pixels`, `one of off, blended, hard`.
+    /// The range as part of a sentence: `a whole number from 1 to 64 pixels`, `one of off, blended, hard`.
     pub fn rule(&self) -> String {
         let range = self.range();
         match &self.kind {
@@ -149,7 +149,7 @@ impl Parameter {
         }
     }
 
-    /// That it cannot be this.
+    /// Error: the parameter cannot have this value.
     pub(crate) fn refused(&self, value: impl fmt::Display) -> Error {
         Error::Request {
             problem: format!("`{}` cannot be {value}", self.name),
@@ -157,7 +157,7 @@ impl Parameter {
         }
     }
 
-    /// The value that it gets where it is set to this one.
+    /// Value that the parameter gets when it is set to `value`.
     pub(crate) fn settle(&self, value: &Value) -> Result<Value> {
         self.check(value)?;
         let number = |value: &Option<Value>| value.clone().filter(|value| matches!(value, Value::Number(_)));
@@ -332,7 +332,7 @@ pub(crate) fn text(lines: &[&str]) -> String {
     paragraphs.collect::<Vec<_>>().join("\n\n")
 }
 
-/// That of a whole number.
+/// Limits of an integer parameter.
 pub(crate) struct Whole {
     range: RangeInclusive<u32>,
     unit: Option<&'static str>,
@@ -343,7 +343,7 @@ pub(crate) fn pixels(range: RangeInclusive<u32>) -> Whole {
     Whole { range, unit: Some("pixels") }
 }
 
-/// That of a number.
+/// Limits of a number parameter.
 pub(crate) struct Real {
     range: (Bound<f32>, Bound<f32>),
     unit: Option<&'static str>,

@@ -21,7 +21,7 @@ const BEGINNING: usize = 40;
 /// others would be waited for.
 ///
 /// # Errors
-/// Those of the file system; [`ErrorKind::InvalidInput`] for what is no file, [`ErrorKind::FileTooLarge`] for one
+/// Errors of the file system; [`ErrorKind::InvalidInput`] for what is no file, [`ErrorKind::FileTooLarge`] for one
 /// that is too large, [`ErrorKind::InvalidData`] for one that is not UTF-8. All of them say so in words.
 pub fn read_file(path: &Path, most_bytes: u64) -> Result<String> {
     let kind = path.metadata()?;
@@ -124,7 +124,7 @@ pub fn beginning(text: &str, bytes: usize) -> String {
 /// A path in a document: itself where it is Unicode, else as [`path`] shows it.
 ///
 /// # Errors
-/// Those of the serializer.
+/// Errors of the serializer.
 pub fn serialize_path<S: Serializer>(path: &Path, serializer: S) -> std::result::Result<S::Ok, S::Error> {
     match path.to_str() {
         Some(text) => serializer.serialize_str(text),
@@ -135,7 +135,7 @@ pub fn serialize_path<S: Serializer>(path: &Path, serializer: S) -> std::result:
 /// As [`serialize_path`], where there may be none.
 ///
 /// # Errors
-/// Those of the serializer.
+/// Errors of the serializer.
 pub fn serialize_path_or_none<S: Serializer>(
     path: &Option<PathBuf>,
     serializer: S,

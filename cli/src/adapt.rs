@@ -94,7 +94,7 @@ pub(crate) struct Args {
     pub(crate) device: Device,
 }
 
-/// What the loop needs besides a sampler.
+/// Inputs of the sampling loop besides the sampler.
 struct Job<'a> {
     args: &'a Args,
     plan: Plan,
@@ -124,7 +124,7 @@ pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
         sequence: args.picture.sequence,
         parameters: method,
     };
-    // Wrong names are told before anything is written.
+    // Reports wrong names before anything is written.
     let scene = args.scene.as_deref().map(|name| args.picture.sampler(name, extent, args.picture.seed)).transpose()?;
     if let Some(command) = &args.sampler_command {
         Renderer::check(command)?;
@@ -174,7 +174,8 @@ fn read(reference: &LayerRef, extent: Extent) -> Result<Image, Failure> {
 }
 
 impl Job<'_> {
-    /// The loop, and what it is compared with; `fresh` has drawn nothing yet.
+    /// Runs the adaptive loop with `sampler`. Then runs even sampling with `fresh`, a sampler that has drawn nothing
+    /// yet, if `--uniform` or a reference asks for the comparison.
     fn run<S: Sampler>(
         &self,
         mut sampler: S,
@@ -195,7 +196,8 @@ impl Job<'_> {
         Ok(())
     }
 
-    /// Writes, compares and tells what happens; under `name`, or under the number of the iteration.
+    /// Returns the callback of a run. The callback writes the files, compares with the reference and prints a row; the
+    /// label of files and rows is `name`, or the number of the iteration if `name` is `None`.
     fn observer<'a>(
         &'a self,
         name: Option<&'a str>,
@@ -203,7 +205,7 @@ impl Job<'_> {
         out: &'a mut Out,
     ) -> impl FnMut(Event<'_>) -> Result<(), Failure> + Send + use<'a> {
         let iterations = if name.is_some() { 1 } else { self.plan.iterations() };
-        // A renderer from outside tells how far it is in its own way.
+        // An external renderer shows its own progress.
         let bar = bar(!self.args.quiet && !self.args.json && self.args.sampler_command.is_none(), 1000)
             .with_finish(ProgressFinish::AndClear);
         let label = move |iteration: u32| name.map_or_else(|| iteration.to_string(), str::to_owned);
@@ -213,7 +215,7 @@ impl Job<'_> {
                 bar.set_position((1000.0 * (iteration as f32 - 1.0 + share) / iterations as f32) as u64);
             };
             match event {
-                // Nobody knows which takes longer; half of the way each is near enough.
+                // Nobody knows whether drawing or denoising takes longer, so each counts as half of the iteration.
                 Event::Drawing { iteration, share } => advance(iteration, share / 2.0),
                 Event::Denoising { iteration, share } => advance(iteration, (1.0 + share) / 2.0),
                 Event::Planned { iteration, map, drawn } => self.folder.write_map(&label(iteration), map, drawn)?,

@@ -1,7 +1,7 @@
 //! The address space that the allocator reserves.
 
-/// Where the address space is limited (`ulimit -v`), keeps the allocator from reserving 64 MB of it and more for each
-/// thread, which leaves nothing to the images. To be called before a thread starts.
+/// Keeps the allocator from reserving 64 MB and more of address space for each thread if the address space is limited
+/// (`ulimit -v`): the reservations would leave nothing for the images. Must be called before a thread starts.
 #[cfg(all(target_os = "linux", target_env = "gnu"))]
 pub(crate) fn limit() {
     if rustix::process::getrlimit(rustix::process::Resource::As).current.is_some() {

@@ -246,7 +246,7 @@ pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
     comparison.map_or(Ok(()), |comparison| comparison.verdict(args.fail_above))
 }
 
-/// What `--json` prints.
+/// JSON document that `--json` prints.
 #[derive(serde::Serialize)]
 struct Printed<'a> {
     #[serde(flatten)]
@@ -255,7 +255,7 @@ struct Printed<'a> {
     comparison: Option<&'a Comparison>,
 }
 
-/// What is to be measured: what the arguments say, or what an earlier run's did.
+/// Measurements to make, from the arguments or from those of an earlier run.
 struct Job {
     axes: Axes,
     repeats: u32,
@@ -273,7 +273,7 @@ impl Job {
                         "--compare: the old run's arguments are none of this version\n  remedy: name the sets",
                     ));
                 };
-                // Nothing that was given may go without effect.
+                // Refuses options that would have no effect.
                 let nothing = Axes {
                     inputs: Vec::new(),
                     ..Again::parse(&["-".to_owned()]).map_or_else(|| args.axes.clone(), |args| args.axes)
@@ -298,13 +298,13 @@ impl Job {
     }
 }
 
-/// Options about layers must be of use to a method, and what none of them uses is not read.
+/// Returns the source without the layers that no method uses. Refuses options about layers that no method can use.
 fn source(source: &Source, configurations: &[Configuration]) -> Result<Source, Failure> {
     let methods = configurations.iter().filter_map(|configuration| match &configuration.how {
         How::Stein { method, .. } => Some(method),
         How::External(_) => None,
     });
-    // One that uses features decides, where there is one.
+    // A method that uses features decides, if there is one.
     match methods.max_by_key(|method| method.uses_features()) {
         Some(method) => {
             source.check(method)?;
@@ -318,9 +318,9 @@ struct Bench<'a> {
     gpu: &'a Gpu,
     contestants: &'a [Contestant<'a>],
     repeats: u32,
-    /// For the files of other programs.
+    /// Folder for the files of other programs.
     scratch: Aside<tempfile::TempDir>,
-    /// Where there is to be a page.
+    /// Pictures for the page; `None` without a page.
     gallery: Option<Gallery>,
     bar: indicatif::ProgressBar,
     document: Document,
@@ -333,7 +333,7 @@ struct ReadSet {
 }
 
 impl Bench<'_> {
-    /// Reads a set. What was found in a folder and is none is left out, and told.
+    /// Reads a set. Returns `None`, with a note, for a file that was found in a folder and cannot be used as a set.
     fn read(
         &mut self,
         file: &SetFile,
@@ -366,7 +366,7 @@ impl Bench<'_> {
         }
     }
 
-    /// What contestants are left with of what is known of the noise, where not all that is given.
+    /// Lists the reduced noise knowledge of the contestants. Contestants that keep all knowledge are not in the list.
     fn noise_knowledges(&self) -> Vec<NoiseKnowledge> {
         let all: Vec<_> = self.contestants.iter().filter_map(Contestant::noise_knowledge).collect();
         distinct(&all, &[])
@@ -445,7 +445,7 @@ impl Bench<'_> {
     }
 }
 
-/// A result, which lies where its input does.
+/// Whether the file is an output of stein, which may lie beside its input.
 fn is_ours(set: &BufferSet) -> bool {
     set.text_attribute("stein.version").is_some()
 }

@@ -1,4 +1,4 @@
-//! The arguments, and which subcommand they ask for.
+//! The arguments, and the subcommand that they choose.
 
 use clap::{CommandFactory, Parser, Subcommand};
 
@@ -47,12 +47,12 @@ enum Command {
     Selftest(selftest::Args),
 }
 
-/// Parses the arguments; ends the process where they are wrong or ask for help.
+/// Parses the arguments. Ends the process if they are wrong or ask for help.
 pub(crate) fn parse() -> Cli {
     Cli::parse()
 }
 
-/// Does what was asked for.
+/// Runs the chosen subcommand.
 pub(crate) fn run(cli: &Cli, out: &mut Out) -> Result<(), Failure> {
     match &cli.command {
         Some(Command::Denoise(args)) if args.device.list_devices => {

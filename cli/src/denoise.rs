@@ -139,7 +139,7 @@ fn keepable() -> impl TypedValueParser<Value = Keep> {
 }
 
 impl Args {
-    /// Intermediates that go into the output.
+    /// Returns the intermediates that go into the output.
     fn keep(&self, method: &Method) -> Result<Vec<Intermediate>, Failure> {
         let has = method.intermediates();
         for keep in &self.keep {
@@ -222,11 +222,11 @@ impl Job<'_> {
         let mut to_do: Vec<&PlannedFrame> =
             self.plan.frames.iter().filter(|frame| matches!(frame.state, State::ToDo)).collect();
         if self.args.dry_run {
-            // One frame shows how they all would be used.
+            // One frame is enough to show how all would be used.
             to_do.truncate(1);
         }
         let mut bad = BadFrames::missing(self.plan);
-        // Files that cannot be used are told before a device that cannot.
+        // Reports files that cannot be used before a device that cannot.
         let usable = self.first_usable(&to_do, &mut frames, &mut bad, out)?;
         if usable.is_empty() && !bad.is_empty() {
             return bad.verdict(self.args.dry_run);
@@ -278,7 +278,7 @@ impl Job<'_> {
         }
     }
 
-    /// The frames from the first on that can be used. Those before it are bad.
+    /// Returns the frames from the first usable one on. Notes the frames before it as bad.
     fn first_usable<'p, 'f>(
         &self,
         to_do: &'f [&'p PlannedFrame],
@@ -296,7 +296,8 @@ impl Job<'_> {
         Ok(&[])
     }
 
-    /// Notes a frame of a shot as bad. Fails for a single image, and where it is not the fault of one file.
+    /// Notes a frame of a shot as bad and returns the failure. Fails for a single image, and if the failure is not
+    /// about an input file.
     fn unusable(&self, unusable: &Unusable, bad: &mut BadFrames, out: &mut Out) -> Result<Failure, Failure> {
         let Unusable { number, described, failure } = unusable;
         match number {
@@ -305,7 +306,7 @@ impl Job<'_> {
                 Ok(failure.clone())
             }
             _ => {
-                // What a file holds that cannot be used shows why.
+                // The contents of an unusable file show why it cannot be used.
                 if let Some(described) = described {
                     out.say(described.text(self.args.verbose));
                 }
@@ -338,8 +339,8 @@ impl Job<'_> {
             let Some((original, described)) = frames[centre].original.take() else {
                 unreachable!("frames that are denoised are read with all that is in their files")
             };
-            // Said again where something is other than before, with the frame itself: one may be written meanwhile that
-            // was before it.
+            // Describes the input again if it is used differently from the frame before. The text is printed with the
+            // result of this frame, because an earlier frame may still be being written.
             let is_said = self.args.verbose || before.as_ref().is_none_or(|before| !before.is_used_like(&described));
             let mut introduction = is_said.then(|| described.text(self.args.verbose));
             if before.is_none()
@@ -360,7 +361,8 @@ impl Job<'_> {
                 }
                 done => done?,
             }
-            // Frames that no later one is denoised with are not in memory while this one is written.
+            // Frees the frames that no later frame is denoised with, so that they take no memory while this one is
+            // written.
             held.let_go_before(to_do.get(position + 1).map_or(usize::MAX, |next| next.window.start));
         }
         Ok(())
@@ -408,7 +410,7 @@ impl Job<'_> {
         }
 
         let start = Instant::now();
-        // To tell makes the device wait; but where it is this processor, that costs nothing, and a frame takes long
+        // Reporting progress makes the device wait. On a software device that costs nothing, and a frame takes long
         // enough to be interrupted.
         let is_wanted = results.progress.is_wanted() || denoiser.gpu().is_software();
         let mut tell = |share: f32| {
@@ -445,25 +447,26 @@ impl Job<'_> {
     }
 }
 
-/// What a frame's output and report are made of, besides the result.
+/// Data for a frame's output and report, besides the result.
 struct Read {
     original: Box<BufferSet>,
     described: Box<Input>,
     introduction: Option<String>,
-    /// Its place among the frames that it is denoised with.
+    /// Position of the frame among the frames that it is denoised with.
     centre: usize,
     beside: Beside,
 }
 
-/// The frames that one is denoised with.
+/// The frames that a frame is denoised with, itself among them.
 struct Neighbours<'f> {
     frames: Vec<&'f mut ReadFrame>,
-    /// Its own place among them.
+    /// Position of the frame itself in `frames`.
     centre: usize,
     beside: Beside,
 }
 
-/// Leaves those out that cannot be used, or not together with the one at `centre`, which can.
+/// Returns the usable frames of a window. Leaves out frames that cannot be used, at all or together with the frame at
+/// `centre`, which is usable.
 fn neighbours(window: &mut [Result<ReadFrame, Unusable>], centre: usize) -> Neighbours<'_> {
     let own = window[centre].as_ref().ok().map(|own| (own.data_window, own.frame.noise_knowledge()));
     let mut found = Neighbours { frames: Vec::new(), centre: 0, beside: Beside::default() };

@@ -32,7 +32,7 @@ pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
         out.json(&Document { devices: &adapters })?;
     }
     if adapters.is_empty() {
-        // Opening one tells what to do about it.
+        // Without adapters, opening one returns the error with its remedy.
         return Gpu::open(&DeviceChoice::Auto).map(drop).map_err(Failure::from);
     }
     if !args.json {

@@ -1,4 +1,4 @@
-//! JSON documents of ours, read again by a later run.
+//! JSON documents that this program wrote, read by a later run.
 
 use std::path::Path;
 
@@ -7,18 +7,18 @@ use stein::text;
 
 use super::Failure;
 
-/// Far more than any report of ours takes.
+/// Largest size of a document in bytes: far more than any of our reports takes.
 const MOST_BYTES: u64 = 256 << 20;
 
-/// What tells a kind of document from others.
+/// Marks that identify a kind of document.
 pub(crate) struct Kind {
-    /// In its field `schema`.
+    /// Value of the field `schema`.
     pub(crate) schema: &'static str,
-    /// In its field `version`.
+    /// Value of the field `version`.
     pub(crate) version: u32,
-    /// Such as "written by `stein bench`".
+    /// Origin of the document, such as "written by `stein bench`".
     pub(crate) made: &'static str,
-    /// What to give in place of a file that is none.
+    /// Advice for a file that is no such document.
     pub(crate) remedy: &'static str,
 }
 

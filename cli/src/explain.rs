@@ -1,4 +1,5 @@
-//! `--explain`: what of a method runs for a frame, what is left out and why, and what each step takes.
+//! `--explain`: the steps of a method that run for a frame, the steps that are left out, with reasons, and the time of
+//! each.
 
 use serde::Serialize;
 use stein::gpu::{StageTime, StepTime};
@@ -9,7 +10,7 @@ use super::out::{milliseconds, seconds, table};
 /// A plan with the times of its steps.
 #[derive(Debug, Serialize)]
 pub(crate) struct Explained {
-    /// What looking at the frames took on the host, in seconds.
+    /// Time that the host took to analyse the frames, in seconds.
     analysis_seconds: f64,
     strips: usize,
     steps: Vec<ExplainedStep>,
@@ -19,16 +20,16 @@ pub(crate) struct Explained {
 struct ExplainedStep {
     #[serde(flatten)]
     planned: PlannedStep,
-    /// On the device, over all its stages; `None` in a dry run, where the adapter cannot tell, and of what is a part of
-    /// other steps.
+    /// Time on the device over all stages of the step, in seconds. `None` in a dry run, if the adapter cannot time
+    /// stages, and for a step that is a part of other steps.
     seconds: Option<f64>,
-    /// Of the time of all steps.
+    /// Share of the time of all steps, 0 to 1.
     share: Option<f64>,
     stages: Vec<StageTime>,
 }
 
 impl Explained {
-    /// Without times, as before the work.
+    /// Explains a plan. `times` is `None` before the work.
     pub(crate) fn new(plan: &Plan, times: Option<&[StepTime]>) -> Self {
         let times = times.unwrap_or_default();
         let total: f64 = times.iter().map(|time| time.time.seconds).sum();
@@ -51,7 +52,7 @@ impl Explained {
         }
     }
 
-    /// A line for each step, and under it one for each stage where there are several.
+    /// Formats a line for each step and, below it, a line for each stage if there are several.
     pub(crate) fn text(&self) -> String {
         let head = ["step", "", "why", "ms", "share", "skipped"].map(String::from).to_vec();
         let percent = |share: f64| format!("{:.0} %", 100.0 * share);

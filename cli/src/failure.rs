@@ -9,7 +9,7 @@ use stein::Error;
 use stein::text;
 use stein_exr::BufferSetRequest;
 
-/// The exit code where an input file or layer cannot be used.
+/// Exit code if an input file or layer cannot be used.
 const INPUT: u8 = 3;
 
 /// A message for stderr and the exit code that goes with it.
@@ -35,17 +35,17 @@ impl Failure {
         Self { code: 5, message: with_options(message) }
     }
 
-    /// The self test found results that are not what they should be.
+    /// The self test found results out of their bounds.
     pub(crate) fn out_of_bounds(message: impl Display) -> Self {
         Self { code: 6, message: message.to_string() }
     }
 
-    /// What is none of these.
+    /// Any other failure.
     pub(crate) fn other(message: impl Display) -> Self {
         Self { code: 1, message: with_options(message) }
     }
 
-    /// What the library says about a file without knowing which one it was.
+    /// Converts a library error about a file whose path the library does not know.
     pub(crate) fn in_file(path: &Path, error: Error) -> Self {
         match error {
             Error::Request { .. } => Self::input(format_args!("{}: {error}", text::path(path))),
@@ -53,7 +53,7 @@ impl Failure {
         }
     }
 
-    /// With the number of the frame in front, where there is one.
+    /// Puts the number of the frame in front of the message, if there is one.
     pub(crate) fn in_frame(self, number: Option<u32>) -> Self {
         match number {
             Some(number) => Self { message: format!("frame {number}: {}", self.message), ..self },
@@ -65,25 +65,25 @@ impl Failure {
         &self.message
     }
 
-    /// Whether an input file or layer cannot be used: of a shot, that is one frame's trouble alone.
+    /// Whether an input file or layer cannot be used. In a shot, such a failure concerns one frame alone.
     pub(crate) fn is_of_input(&self) -> bool {
         self.code == INPUT
     }
 
-    /// What is wrong, in one line: the message without its remedy.
+    /// Returns the cause in one line: the message without its remedy.
     pub(crate) fn cause(&self) -> &str {
         self.message.lines().next().unwrap_or_default()
     }
 
-    /// With more lines below.
+    /// Appends lines to the message.
     pub(crate) fn and(mut self, lines: &str) -> Self {
         self.message = format!("{}\n{lines}", self.message);
         self
     }
 
-    /// Prints it.
+    /// Prints the message to standard error.
     pub(crate) fn tell(&self) {
-        // Where stderr is closed there is nobody to tell.
+        // Ignores errors: nobody reads a closed standard error.
         let _ = writeln!(std::io::stderr(), "stein: error: {}", text::message(&self.message));
     }
 
@@ -92,7 +92,8 @@ impl Failure {
     }
 }
 
-/// What the library's remedies say, and what that is on the command line, besides the options of [`BufferSetRequest`].
+/// Terms in the library's remedies, each with its replacement on the command line, besides the options of
+/// [`BufferSetRequest`].
 const WORDS: [(&str, &str); 8] = [
     (
         "name the layer to take (`BufferSetRequest::layer`, `LayerRef::layer`)",
@@ -107,7 +108,7 @@ const WORDS: [(&str, &str); 8] = [
     ("`GpuOptions::pipeline_folder`", stein_exr::options::CACHE_VARIABLE),
 ];
 
-/// With a remedy of the library in the words of the command line.
+/// Replaces the library's terms in a remedy by those of the command line.
 fn with_options(text: impl Display) -> String {
     Error::in_words(&text.to_string(), BufferSetRequest::OPTIONS.iter().chain(&WORDS))
 }

@@ -1,4 +1,4 @@
-//! How to filter: the options of all methods, and files of parameters.
+//! Filter options of all methods, and files of parameters.
 
 use std::path::{Path, PathBuf};
 
@@ -11,9 +11,9 @@ use stein_exr::options::{choice, possible};
 
 use super::Failure;
 
-/// The parameter of `--radius`.
+/// Name of the parameter of `--radius`.
 pub(crate) const WINDOW_RADIUS: &str = "window_radius";
-/// The parameter of `--candidates`.
+/// Name of the parameter of `--candidates`.
 pub(crate) const CANDIDATES: &str = "candidates";
 
 /// How to filter.
@@ -36,7 +36,7 @@ pub(crate) struct Filter {
     tuning: Tuning,
 }
 
-/// A method with the parameters that were asked for, and the preset that they set out from.
+/// A method with the requested parameters, and the preset that they are based on.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Chosen {
     pub(crate) method: Method,
@@ -60,7 +60,7 @@ pub(crate) struct Tuning {
     settings: Vec<(String, String)>,
 }
 
-/// The name and the value of a parameter.
+/// Parses the name and the value of a parameter.
 fn setting(text: &str) -> Result<(String, String), String> {
     let parts = text.split_once('=').filter(|(name, _)| !name.trim().is_empty());
     let (name, value) = parts.ok_or("it must look like NAME=VALUE, such as window_radius=20")?;
@@ -68,13 +68,13 @@ fn setting(text: &str) -> Result<(String, String), String> {
 }
 
 impl Filter {
-    /// Whether it is said what becomes of spikes.
+    /// Whether `--spikes` is given.
     pub(crate) fn sets_spikes(&self) -> bool {
         self.tuning.spikes.is_some()
     }
 
-    /// The parameters of the file or of the preset, but for those that were set. Options that the method does not have
-    /// are not ignored.
+    /// Returns the method with the parameters of the file or of the preset, changed by the given options. Refuses
+    /// options that the method does not have.
     pub(crate) fn chosen(&self) -> Result<Chosen, Failure> {
         let base = match self.tuning.file()? {
             Some(file) => {
@@ -106,7 +106,7 @@ impl Chosen {
     }
 }
 
-/// What may be set of several methods, or of which `stein bench` measures several; `None` is the preset's own.
+/// Values of options that several methods share, or that `stein bench` varies; `None` keeps the preset's own value.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Choices {
     pub(crate) radius: Option<u32>,
@@ -114,7 +114,7 @@ pub(crate) struct Choices {
 }
 
 impl Tuning {
-    /// What the file says, where there is one.
+    /// Reads the file of parameters; `None` without `--params`.
     pub(crate) fn file(&self) -> Result<Option<ParamsFile<'_>>, Failure> {
         self.params.as_deref().map(ParamsFile::read).transpose()
     }
@@ -130,7 +130,7 @@ impl Tuning {
         }
     }
 
-    /// A method with its parameters, but for those that were set.
+    /// Returns the method with the given parameters changed.
     pub(crate) fn applied_to(
         &self,
         method: Method,
@@ -165,7 +165,7 @@ impl<'a> ParamsFile<'a> {
         Ok(Self { path, chosen: Chosen { method, preset } })
     }
 
-    /// Refuses an option that says something else than the file.
+    /// Refuses an option that contradicts the file.
     pub(crate) fn agrees(
         &self,
         option: &str,
@@ -184,7 +184,7 @@ impl<'a> ParamsFile<'a> {
     }
 }
 
-/// An option that none of the methods has is not ignored.
+/// Returns the failure for an option that none of the methods has.
 pub(crate) fn not_theirs(option: &str, methods: &[Method]) -> Failure {
     let names = methods.iter().map(Method::name).collect::<Vec<_>>().join(" or ");
     Failure::usage(format_args!(
@@ -192,7 +192,7 @@ pub(crate) fn not_theirs(option: &str, methods: &[Method]) -> Failure {
     ))
 }
 
-/// Candidates joined by plus signs, as in first+second, or all.
+/// Parses candidates joined by plus signs, as in first+second, or all.
 pub(crate) fn candidates(text: &str) -> Result<CandidateSet, String> {
     if text == "all" {
         return Ok(CandidateSet::ALL);

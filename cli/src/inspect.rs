@@ -1,4 +1,4 @@
-//! What an input holds and what it is taken for: printed by `denoise` and `info`.
+//! Description of an input: its layers and their use. Printed by `denoise` and `info`.
 
 use std::path::PathBuf;
 
@@ -12,7 +12,7 @@ use stein_exr::{BufferSet, LayerUse, Role, SignalPart};
 use super::Failure;
 use super::out::{indent, number, table};
 
-/// An input, for programs and people.
+/// Description of an input, for programs and people.
 #[derive(Clone, Debug, Serialize)]
 pub(crate) struct Input {
     #[serde(serialize_with = "text::serialize_path")]
@@ -21,11 +21,11 @@ pub(crate) struct Input {
     height: u32,
     data_window: Rectangle,
     display_window: Rectangle,
-    /// `None` where nothing tells.
+    /// Samples per pixel; `None` if unknown.
     samples_per_pixel: Option<Samples>,
     non_finite_values: usize,
     layers: Vec<LayerUse>,
-    /// What became of it as a frame.
+    /// The frame made of the input, or the problem.
     #[serde(flatten)]
     outcome: Outcome,
 }
@@ -33,26 +33,26 @@ pub(crate) struct Input {
 #[derive(Clone, Debug, Serialize)]
 #[serde(rename_all = "snake_case")]
 enum Outcome {
-    /// It can be denoised.
+    /// The input can be denoised.
     Frame {
-        /// Where the colour's noise is known from.
+        /// Source of the noise knowledge of the colour.
         mode: String,
         noise_knowledge: NoiseKnowledge,
-        /// `None` where nothing is known of the noise.
+        /// Relative MSE of the noise; `None` if nothing is known of the noise.
         noise_level: Option<f64>,
         features: Vec<String>,
         feature_noise: Vec<FeatureNoise>,
         repairs: Repairs,
     },
-    /// It cannot, and why.
+    /// The input cannot be denoised, for this reason.
     Problem(String),
 }
 
-/// What is known of a feature's noise.
+/// Noise knowledge of a feature.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 struct FeatureNoise {
     name: String,
-    /// `None` where the feature is taken as free of noise.
+    /// Noise knowledge; `None` if the feature is taken as free of noise.
     noise_knowledge: Option<NoiseKnowledge>,
 }
 
@@ -135,7 +135,8 @@ impl Input {
         }
     }
 
-    /// Everything, for people. `all` tells the windows and layers that nobody would miss, too.
+    /// Formats the description for people. `all` adds the windows and layers that are left out as unimportant
+    /// otherwise.
     pub(crate) fn text(&self, all: bool) -> String {
         let mut head = format!("{}: {}×{}", text::path(&self.file), self.width, self.height);
         if let Some(samples) = &self.samples_per_pixel {
@@ -168,7 +169,7 @@ impl Input {
         lines.join("\n")
     }
 
-    /// Whether another frame of a shot has as many pixels, is used in the same way and nothing else was to repair.
+    /// Whether another frame of a shot has the same size, the same use of its layers and the same repairs.
     pub(crate) fn is_used_like(&self, other: &Self) -> bool {
         if (self.width, self.height) != (other.width, other.height) {
             return false;
@@ -187,7 +188,7 @@ impl Input {
         }
     }
 
-    /// Why it cannot be denoised.
+    /// Returns the reason why the input cannot be denoised.
     pub(crate) fn problem(&self) -> Option<&str> {
         match &self.outcome {
             Outcome::Frame { .. } => None,
@@ -195,7 +196,7 @@ impl Input {
         }
     }
 
-    /// A line for each signal: which layers it was made of.
+    /// Formats a line for each signal, with the layers that it was made of.
     fn roles(&self) -> String {
         let mut rows: Vec<[String; 4]> = vec![["used as", "mean", "halves", "variance"].map(String::from)];
         let mut signals: Vec<(String, [Vec<String>; 3])> = Vec::new();
@@ -207,7 +208,7 @@ impl Input {
             });
             signals[index].1[column].push(self.layer_name(layer, column == 0));
         }
-        // The file's order is that of its channels' names; people look for the colour first.
+        // The file sorts layers by the names of their channels; people look for the colour first.
         signals.sort_by_key(|(name, _)| (name != "colour", name == "samples"));
         let or_none = |layers: Vec<String>| if layers.is_empty() { "-".to_owned() } else { text::list(layers) };
         rows.extend(
@@ -218,12 +219,12 @@ impl Input {
         table(&rows.into_iter().map(Vec::from).collect::<Vec<_>>(), 4)
     }
 
-    /// Layers that nothing was done with: those that look useful with the reason, the others by name.
+    /// Formats the layers that are not used: useful-looking layers with the reason, the others by name.
     fn unused(&self, all: bool) -> Vec<String> {
         let mut groups: Vec<(Option<&str>, Vec<String>)> = Vec::new();
         for layer in self.layers.iter().filter(|layer| layer.role == Role::Untouched) {
             let (note, name) = (layer.note.as_deref(), self.layer_name(layer, all));
-            // A file that was named for one layer may hold many that nobody meant.
+            // A file that was named for one layer may hold many layers that the user did not mean.
             if note.is_none() && layer.file != self.file && !all {
                 continue;
             }
@@ -233,7 +234,7 @@ impl Input {
             }
         }
         groups.sort_by_key(|(note, _)| note.is_none());
-        // What a file holds is told in full where that is what was asked.
+        // All names are listed only if `all` asks for them.
         let list = |names: Vec<String>| if all { names.join(", ") } else { text::list(names) };
         let line = |(note, names): (Option<&str>, Vec<String>)| match note {
             Some(note) => format!("  not used: {}: {note}", list(names)),
@@ -243,7 +244,7 @@ impl Input {
         if all { lines } else { text::lines(lines) }
     }
 
-    /// Its name, with the file's where that is another than the input.
+    /// Formats the name of a layer, with the name of its file if that is not the input.
     fn layer_name(&self, layer: &LayerUse, with_channels: bool) -> String {
         let mut name = if layer.file == self.file { String::new() } else { format!("{}::", text::path(&layer.file)) };
         let channels = layer.channels.join(" ");
@@ -260,7 +261,7 @@ impl Input {
     }
 }
 
-/// The signal that a layer belongs to, and its column: mean, halves, variance.
+/// Returns the signal that a layer belongs to, and its column: mean, halves or variance.
 fn cell(role: &Role) -> Option<(String, usize)> {
     let colour = |column| Some(("colour".to_owned(), column));
     match role {
@@ -280,7 +281,7 @@ fn cell(role: &Role) -> Option<(String, usize)> {
     }
 }
 
-/// How the filters come to a variance, where no remark says so.
+/// Explains how the filters get a variance, if no other remark says so.
 fn meaning(knowledge: NoiseKnowledge) -> &'static str {
     match knowledge {
         NoiseKnowledge::HalvesOnly => ", pooled from the halves of similar pixels",
@@ -304,8 +305,8 @@ impl FeatureNoise {
     }
 }
 
-/// Settles an input's meaning and describes it. Of the set, what an output is made of is left. With `require_noise`, a
-/// frame of whose colour's noise nothing is known is refused.
+/// Makes the frame of a set and describes the input. The set keeps the data for an output. Refuses a colour without
+/// noise knowledge if `require_noise` is set.
 pub(crate) fn settle(set: &mut BufferSet, require_noise: bool) -> (Result<Frame, Error>, Input) {
     let settled = set.take_frame().and_then(|(frame, repairs)| {
         if require_noise {

@@ -1,12 +1,13 @@
-//! Ctrl-C and its like: the work ends where it stands, and nothing half done is left.
+//! Ctrl-C and similar signals: the work ends where it stands, and no unfinished file is left.
 //!
-//! The first signal asks: what runs looks at [`check`] between its steps and ends as on any failure. Where it has not
-//! ended soon after (a step is long, a file is large, a renderer does not listen), or at a second signal, unfinished
-//! files are removed and the process ends then and there. Either way it ends by that signal, as whoever started it
-//! expects: a shell tells 130, 143 or 129, and ends the loop that it was in.
+//! The first signal is a request: running work calls [`check`] between its steps and ends as on any failure. If the
+//! work has not ended soon after (a step is long, a file is large, a renderer does not listen), or at a second signal,
+//! unfinished files are removed and the process ends at once. In both cases the process ends by that signal, as its
+//! parent expects: a shell reports 130, 143 or 129, and ends the loop that it was in.
 //!
-//! Where memory ends inside of a library or a driver, the library aborts the process, and nobody can catch that as an
+//! If memory runs out inside a library or a driver, the library aborts the process, and nobody can catch that as an
 //! error. The signal of the abort can be caught: unfinished files are removed, a message tells what to do, and the
+//! process ends with the exit code of a device that failed.
 //! process ends with the exit code of a device that failed.
 
 use std::process::Child;
@@ -15,26 +16,26 @@ use std::time::Duration;
 
 use super::Failure;
 
-/// The signal that came first; 0: none has.
+/// The first signal that came; 0 before any.
 static SIGNAL: AtomicI32 = AtomicI32::new(0);
 
-/// The program that is run, by its number; 0: none is. There is one at a time.
+/// Process number of the program that is running; 0 without one. At most one program runs at a time.
 static CHILD: AtomicU32 = AtomicU32::new(0);
 
-/// How long the work may take to end by itself.
+/// Time that the work may take to end by itself.
 const PATIENCE: Duration = Duration::from_millis(1500);
 
-/// Whether the work is to end.
+/// Whether a signal asked the work to end.
 pub(crate) fn is_asked() -> bool {
     SIGNAL.load(Ordering::Relaxed) != 0
 }
 
-/// Fails where the work is to end.
+/// Fails if a signal asked the work to end.
 pub(crate) fn check() -> Result<(), Failure> {
     if is_asked() { Err(Failure::other("interrupted")) } else { Ok(()) }
 }
 
-/// A program that ends with this one, until it is dropped.
+/// Registration of a program that ends with this one. Dropping it ends the registration.
 pub(crate) struct Companion;
 
 impl Companion {
@@ -50,14 +51,14 @@ impl Drop for Companion {
     }
 }
 
-/// Ends the process the way it was asked to, where it was.
+/// Ends the process by the signal that asked for its end, if one did.
 pub(crate) fn end_if_asked() {
     if is_asked() {
         end(SIGNAL.load(Ordering::Relaxed));
     }
 }
 
-/// Exit code where a library or a driver aborts: that of a device that failed.
+/// Exit code if a library or a driver aborts: the code of a device that failed.
 #[cfg(unix)]
 const ABORTED: i32 = 4;
 
@@ -72,7 +73,7 @@ fn give_up() -> ! {
     signal_hook::low_level::exit(ABORTED)
 }
 
-/// Takes note of a signal. A first one is given time.
+/// Records a signal. Gives the work time to end after the first signal, and ends the process at the second.
 fn take(signal: i32) {
     if SIGNAL.compare_exchange(0, signal, Ordering::Relaxed, Ordering::Relaxed).is_err() {
         end(signal);
@@ -96,15 +97,15 @@ mod system {
     use signal_hook::consts::{SIGABRT, SIGHUP, SIGINT, SIGTERM, SIGXFSZ};
     use signal_hook::iterator::Signals;
 
-    /// Listens, from now on. What whoever started the process had it ignore stays ignored: `nohup`.
+    /// Starts to listen. Signals that the parent set to be ignored stay ignored, as under `nohup`.
     pub(crate) fn listen() {
-        // A limit to the size of files is told like a full disk, by the write that meets it.
+        // A write beyond the limit on file sizes then fails, and is reported like a full disk.
         let _ = signal_hook::flag::register(SIGXFSZ, Arc::new(AtomicBool::new(false)));
         let (ready, is_ready) = std::sync::mpsc::channel();
         let listening = move || {
             let signals =
                 Signals::new([SIGABRT, SIGHUP, SIGINT, SIGTERM].into_iter().filter(|signal| !is_ignored(*signal)));
-            // Whoever waits need not know how it went.
+            // The waiting thread need not know whether this succeeded.
             let _ = ready.send(());
             if let Ok(mut signals) = signals {
                 signals
@@ -112,24 +113,24 @@ mod system {
                     .for_each(|signal| if signal == SIGABRT { super::give_up() } else { super::take(signal) });
             }
         };
-        // Without the thread the system's own way stays, as nothing else asks for signals: the process ends at once.
+        // Without the thread, the system's default applies, as nothing else handles signals: the process ends at once.
         if std::thread::Builder::new().name("signals".into()).spawn(listening).is_ok() {
             let _ = is_ready.recv();
             hold_aborts();
         }
     }
 
-    /// Keeps a thread that aborts from ending the process before the listening thread has.
+    /// Keeps a thread that aborts from ending the process before the listening thread ends it.
     #[expect(unsafe_code, reason = "few functions may be called in a handler of signals")]
     fn hold_aborts() {
-        // SAFETY: sleeping and ending the process at once are among them.
+        // SAFETY: a signal handler may sleep, and may end the process at once.
         let held = unsafe {
             signal_hook::low_level::register(SIGABRT, || {
                 std::thread::sleep(super::PATIENCE);
                 signal_hook::low_level::exit(super::ABORTED);
             })
         };
-        // Without the handler, the process aborts as any other.
+        // Without the handler, the process aborts as any other does.
         let _ = held;
     }
 
@@ -142,7 +143,7 @@ mod system {
         }
     }
 
-    /// To the program that is run; of Ctrl-C the terminal tells all its programs by itself.
+    /// Passes a signal on to the program that is running. The terminal itself sends Ctrl-C to all its programs.
     pub(super) fn pass_on(signal: i32) {
         if signal != SIGINT {
             terminate_child();
@@ -152,7 +153,7 @@ mod system {
     pub(super) fn end(signal: i32) -> ! {
         stein_exr::atomic_file::abandon();
         terminate_child();
-        // Without the drivers' farewells, which do not expect to be called while others of their threads work.
+        // Skips the exit handlers of drivers, which do not expect to run while other threads of theirs work.
         let _ = signal_hook::low_level::emulate_default_handler(signal);
         signal_hook::low_level::exit(128 + signal)
     }
@@ -171,16 +172,16 @@ mod system {
 
 #[cfg(windows)]
 mod system {
-    /// As on Unix, where this is the signal of Ctrl-C.
+    /// Number of the signal of Ctrl-C, as on Unix.
     const INTERRUPT: i32 = 2;
 
-    /// Listens, from now on.
+    /// Starts to listen.
     pub(crate) fn listen() {
-        // Without a handler the system's own way stays: the process ends at once.
+        // Without a handler, the system's default applies: the process ends at once.
         let _ = ctrlc::set_handler(|| super::take(INTERRUPT));
     }
 
-    /// Programs that were started share the console, and are told by it.
+    /// Ends the process. Programs that it started share the console, which sends them the signal.
     pub(super) fn end(signal: i32) -> ! {
         stein_exr::atomic_file::abandon();
         std::process::exit(128 + signal)

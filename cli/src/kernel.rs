@@ -54,7 +54,7 @@ pub(crate) struct Args {
     pub(crate) device: Device,
 }
 
-/// A column and a row, as in 120,64.
+/// Parses a column and a row, as in 120,64.
 fn pixel(text: &str) -> Result<(u32, u32), String> {
     text.split_once(',')
         .and_then(|(x, y)| Some((x.trim().parse().ok()?, y.trim().parse().ok()?)))
@@ -79,14 +79,14 @@ struct Summary {
     filter: &'static str,
     window_radius: u32,
     value: [f32; 3],
-    /// Of a candidate, in pass 1.
+    /// Share of a candidate in pass 1.
     share: Option<f32>,
     weight_sum: f32,
-    /// Of the pixel itself.
+    /// Weight of the pixel itself.
     own_weight: f32,
     #[serde(flatten)]
     rule: WeightRule,
-    /// How many neighbours each distance decided about, in the order of the distances.
+    /// Number of neighbours that each distance decided about, in the order of the distances.
     decided: Vec<Decided>,
 }
 
@@ -198,7 +198,7 @@ pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
     })
 }
 
-/// All windows, about one middle: as large as the largest.
+/// Returns all windows as layers, each centred and as large as the largest.
 fn layers(kernels: &Kernels) -> Vec<NamedLayer> {
     let side = kernels.filters.iter().map(FilterKernel::side).max().unwrap_or(1);
     let layer = |name: String, channels: &[&str], image: &Image, outside: f32| NamedLayer {
@@ -222,7 +222,7 @@ fn layers(kernels: &Kernels) -> Vec<NamedLayer> {
     kernels.filters.iter().flat_map(of_kernel).collect()
 }
 
-/// A square window within a larger one, both of an odd side.
+/// Puts a square window into the middle of a larger one; both have an odd side.
 fn in_the_middle(window: &Image, side: usize, outside: f32) -> Image {
     let (width, extent) = (window.extent.width as usize, Extent { width: side as u32, height: side as u32 });
     let first = (side - width) / 2;

@@ -29,18 +29,18 @@ pub(crate) struct Source {
 }
 
 impl Source {
-    /// An input with everything that was named beside it.
+    /// Returns the request for an input with everything that was named beside it.
     pub(crate) fn request(&self, input: &Path) -> BufferSetRequest {
         let others = if self.literal { self.others.literal() } else { self.others.clone() };
         BufferSetRequest { input: input.to_owned(), layer: self.layer.clone(), ..others }
     }
 
-    /// A layer of another file, as of a reference.
+    /// Returns a layer of another file, such as a reference, and takes its path literally if `--literal` says so.
     pub(crate) fn reference(&self, named: &LayerRef) -> LayerRef {
         if self.literal { named.clone().literal() } else { named.clone() }
     }
 
-    /// Options that the method has no use for are not ignored.
+    /// Refuses options that the method has no use for.
     pub(crate) fn check(&self, method: &Method) -> Result<(), Failure> {
         let given = self.others.features.first().map(|(feature, _)| format!("--feature {}", text::name(feature)));
         let given =
@@ -56,7 +56,8 @@ impl Source {
         }
     }
 
-    /// What the method reads: features that it does not use are not told of as used.
+    /// Returns the source as the method reads it: without features if the method uses none, so that they are not listed
+    /// as used.
     pub(crate) fn for_method(&self, method: &Method) -> Self {
         let mut source = self.clone();
         source.others.no_features |= !method.uses_features();
@@ -99,7 +100,7 @@ impl Device {
     }
 }
 
-/// A number of bytes with K, M, G or T (of 1024), which B or iB may follow.
+/// Parses a number of bytes, or one with K, M, G or T (of 1024), which B or iB may follow.
 fn memory_size(text: &str) -> Result<u64, String> {
     let wrong = || "it must be a positive number of bytes, or one with K, M, G or T, as in 512M or 1.5GiB".to_owned();
     let text = text.trim();
@@ -118,7 +119,7 @@ fn memory_size(text: &str) -> Result<u64, String> {
     if bytes >= 1.0 { Ok(bytes as u64) } else { Err(wrong()) }
 }
 
-/// A width and a height, as in 1024x768.
+/// Parses a width and a height, as in 1024x768.
 pub(crate) fn size(text: &str) -> Result<Extent, String> {
     let sides =
         text.split_once(['x', 'X', '×']).and_then(|(width, height)| Some((width.parse().ok()?, height.parse().ok()?)));
@@ -128,7 +129,7 @@ pub(crate) fn size(text: &str) -> Result<Extent, String> {
     }
 }
 
-/// The same file, whichever way the paths are spelt.
+/// Whether both paths lead to the same file, however they are spelt.
 pub(crate) fn same_file(a: &Path, b: &Path) -> bool {
     let canonical = |path: &Path| -> Option<PathBuf> { path.canonicalize().ok() };
     a == b || canonical(a).is_some_and(|a| canonical(b) == Some(a))

@@ -8,7 +8,7 @@ use stein::text;
 
 use super::Failure;
 
-/// Standard output. A reader that has had enough (`stein info … | head -1`) ends the text, not the work.
+/// Standard output. If its reader stops reading (`stein info … | head -1`), the text ends, but not the work.
 pub(crate) struct Out {
     quiet: bool,
     failed: Option<std::io::Error>,
@@ -19,24 +19,24 @@ impl Out {
         Self { quiet: false, failed: None }
     }
 
-    /// Lets all text for people go nowhere.
+    /// Suppresses all text for people.
     pub(crate) fn silence(&mut self) {
         self.quiet = true;
     }
 
-    /// A line for people, or several.
+    /// Prints a line for people, or several.
     pub(crate) fn say(&mut self, text: impl Display) {
         if !self.quiet {
             self.write(&text::message(&text.to_string()));
         }
     }
 
-    /// A line for the program that started this one, whatever people want to see.
+    /// Prints a line for the program that started this one, even if text for people is suppressed.
     pub(crate) fn line(&mut self, text: impl Display) {
         self.write(&text::message(&text.to_string()));
     }
 
-    /// The document for programs.
+    /// Prints the document for programs.
     pub(crate) fn json(&mut self, document: &impl Serialize) -> Result<(), Failure> {
         let text = serde_json::to_string_pretty(document)
             .map_err(|error| Failure::output(format_args!("the JSON document: {error}")))?;
@@ -53,7 +53,7 @@ impl Out {
         self.failed = write!(stdout, "{text}{newline}").and_then(|()| stdout.flush()).err();
     }
 
-    /// Fails where standard output could not take everything, as on a full disk.
+    /// Fails if standard output could not take everything, as on a full disk.
     pub(crate) fn finish(self) -> Result<(), Failure> {
         match self.failed {
             Some(error) if error.kind() != ErrorKind::BrokenPipe => {
@@ -64,8 +64,7 @@ impl Out {
     }
 }
 
-/// Lines up columns, two spaces apart and two from the margin: the first `left` columns at their left, the others at
-/// their right.
+/// Formats columns, two spaces apart and indented by two: the first `left` columns are aligned left, the others right.
 pub(crate) fn table(rows: &[Vec<String>], left: usize) -> String {
     let columns = rows.iter().map(Vec::len).max().unwrap_or(0);
     let width = |column: usize| {
@@ -87,7 +86,7 @@ pub(crate) fn indent(text: &str) -> String {
     text.lines().map(|line| format!("  {line}")).collect::<Vec<_>>().join("\n")
 }
 
-/// A number of bytes: `1.5 GiB`.
+/// Formats a number of bytes: `1.5 GiB`.
 pub(crate) fn bytes(bytes: u64) -> String {
     let units = ["B", "KiB", "MiB", "GiB", "TiB"];
     let mut value = bytes as f64;
@@ -100,7 +99,7 @@ pub(crate) fn bytes(bytes: u64) -> String {
     format!("{value:.digits$} {}", units[unit])
 }
 
-/// A duration in the unit that suits it.
+/// Formats a duration in the unit that suits it.
 pub(crate) fn seconds(seconds: f64) -> String {
     match seconds {
         seconds if seconds < 0.1 => format!("{:.1} ms", seconds * 1e3),
@@ -109,7 +108,7 @@ pub(crate) fn seconds(seconds: f64) -> String {
     }
 }
 
-/// A number that may be anything from 10⁻⁶ to 10⁶, with four digits that count.
+/// Formats a number that may be anything from 10⁻⁶ to 10⁶, with four significant digits.
 pub(crate) fn number(value: f64) -> String {
     match value.abs() {
         magnitude if magnitude == 0.0 || (1e-3..1e4).contains(&magnitude) => {
@@ -120,7 +119,7 @@ pub(crate) fn number(value: f64) -> String {
     }
 }
 
-/// Milliseconds, in a column of their own.
+/// Formats milliseconds for a column of their own, without the unit.
 pub(crate) fn milliseconds(milliseconds: f64) -> String {
     let digits = if milliseconds < 10.0 { 3 } else { usize::from(milliseconds < 1000.0) };
     format!("{milliseconds:.digits$}")

@@ -1,4 +1,4 @@
-//! Where an output goes.
+//! The path of an output, and its checks.
 
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
@@ -8,7 +8,8 @@ use stein::text;
 use super::Failure;
 use super::options::same_file;
 
-/// The path that was asked for, or `IN` with `.denoised` before its extension.
+/// Returns the requested path, or `IN` with `.denoised` before its extension. If the requested path is a folder, the
+/// file in it gets that name.
 pub(crate) fn choose(input: &Path, named: Option<&Path>) -> PathBuf {
     let mut name = input.file_stem().map_or_else(|| OsString::from("image"), OsString::from);
     name.push(".denoised.exr");
@@ -19,7 +20,7 @@ pub(crate) fn choose(input: &Path, named: Option<&Path>) -> PathBuf {
     }
 }
 
-/// Tells before the work what would go wrong after it.
+/// Reports before the work what would fail after it.
 pub(crate) fn check<'a>(
     output: &Path,
     others: impl Iterator<Item = &'a Path>,
@@ -36,8 +37,8 @@ pub(crate) fn check<'a>(
     check_folder(output, dry_run)
 }
 
-/// That it is an OpenEXR file, and that none of what is read would be replaced: `same_files` are those that are the
-/// same file as the output.
+/// Checks that the output is an OpenEXR file and replaces no file that is read. `same_files` are the files to read that
+/// are the same file as the output.
 pub(crate) fn check_name<'a>(output: &Path, mut same_files: impl Iterator<Item = &'a Path>) -> Result<(), Failure> {
     let name = text::path(output);
     if !output.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("exr")) {
@@ -54,7 +55,7 @@ pub(crate) fn check_name<'a>(output: &Path, mut same_files: impl Iterator<Item =
     Ok(())
 }
 
-/// That its folder can be written to.
+/// Checks that the folder of the output can be written to.
 pub(crate) fn check_folder(output: &Path, dry_run: bool) -> Result<(), Failure> {
     let name = text::path(output);
     let folder = match output.parent() {
@@ -63,7 +64,7 @@ pub(crate) fn check_folder(output: &Path, dry_run: bool) -> Result<(), Failure> 
     };
     let trouble = match folder.metadata() {
         Err(error) => Some(error),
-        // It is gone again at once.
+        // The temporary file is removed at once.
         Ok(_) if !dry_run => tempfile::tempfile_in(folder).err(),
         Ok(_) => None,
     };

@@ -57,7 +57,7 @@ pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
     })
 }
 
-/// A row for each parameter.
+/// Formats a row for each parameter.
 fn list(method: &Method) -> String {
     let mut rows = vec![["parameter", "value", "default", "thesis", "range", "meaning"].map(str::to_owned).to_vec()];
     for parameter in method.parameters() {
@@ -68,12 +68,12 @@ fn list(method: &Method) -> String {
     table(&rows, 6)
 }
 
-/// Nothing where the group is left out.
+/// Formats a value; empty if the group is left out.
 fn shown(value: &Option<Value>) -> String {
     value.as_ref().map_or_else(String::new, Value::to_string)
 }
 
-/// That of a flag goes without saying.
+/// Formats the range of a parameter; empty for a flag or a group, whose range is obvious.
 fn range(parameter: &Parameter) -> String {
     match parameter.kind {
         Kind::Flag | Kind::Group => String::new(),
@@ -81,7 +81,7 @@ fn range(parameter: &Parameter) -> String {
     }
 }
 
-/// All parameters of all methods.
+/// Formats all parameters of all methods.
 fn page() -> String {
     let mut page = String::from(
         "# Parameters\n\n`stein params` writes those of a method into a TOML file, with `--list` it lists them, and with `--markdown` it has written this page. Where a cell is empty, the preset leaves \
@@ -112,7 +112,7 @@ fn page() -> String {
     page
 }
 
-/// Text in a cell of a table.
+/// Formats text as a cell of a table.
 fn cell(text: &str) -> String {
     text.replace("\n\n", "<br>").replace('|', "\\|")
 }

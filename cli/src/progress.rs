@@ -4,12 +4,12 @@ use std::io::IsTerminal;
 
 use indicatif::{ProgressBar, ProgressStyle};
 
-/// Whether somebody watches standard error.
+/// Whether standard error is a terminal, which somebody may watch.
 pub(crate) fn is_watched() -> bool {
     std::io::stderr().is_terminal()
 }
 
-/// A bar on standard error, hidden where it is not wanted or nobody watches.
+/// Returns a bar on standard error. The bar is hidden if `wanted` is false or nobody watches.
 pub(crate) fn bar(wanted: bool, length: u64) -> ProgressBar {
     if !wanted || !is_watched() {
         return ProgressBar::hidden();

@@ -1,4 +1,4 @@
-//! How far the denoised image and what it was made of are from a reference.
+//! Errors of the denoised image, and of the images that it was made from, against a reference.
 
 use std::path::Path;
 
@@ -12,11 +12,11 @@ use stein_metric as metric;
 use super::Failure;
 use super::out::{number, table};
 
-/// What the comparison needs to have kept.
+/// Intermediates that the comparison needs.
 pub(crate) const NEEDED: [Intermediate; 4] =
     [Intermediate::Candidates, Intermediate::Sure, Intermediate::Pass1, Intermediate::Halves];
 
-/// The reference, if it shows the same pixels.
+/// Reads the reference; refuses one of another extent than the frame.
 pub(crate) fn read(reference: &LayerRef, frame: &Frame, input: &Path) -> Result<Image, Failure> {
     let image = read_reference(&reference.file, reference.layer.as_deref())?;
     if image.extent == frame.extent() {
@@ -31,7 +31,7 @@ pub(crate) fn read(reference: &LayerRef, frame: &Frame, input: &Path) -> Result<
     )))
 }
 
-/// One image against the reference.
+/// Errors of one image against the reference.
 #[derive(Debug, Serialize)]
 pub(crate) struct Errors {
     pub(crate) image: &'static str,
@@ -40,7 +40,7 @@ pub(crate) struct Errors {
     ssim: f64,
     /// Mean over the pixels of the squared error summed over the channels.
     squared_error: f64,
-    /// The same, estimated without the reference.
+    /// Estimate of `squared_error` without the reference.
     estimated_squared_error: Option<f64>,
 }
 
@@ -58,12 +58,12 @@ impl Errors {
     }
 }
 
-/// The mean of a plane.
+/// Returns the mean of a plane.
 pub(crate) fn mean(plane: &[f32]) -> f64 {
     plane.iter().map(|&value| f64::from(value)).sum::<f64>() / plane.len() as f64
 }
 
-/// From the noisy colour to the result, in the order in which they are made.
+/// Compares the images with the reference, from the noisy colour to the result, in the order in which they are made.
 pub(crate) fn compare(frame: &Frame, estimate: &Estimate, reference: &Image) -> Result<Vec<Errors>, Failure> {
     let kept = |name: &str| estimate.layers.iter().find(|layer| layer.name == name).map(|layer| &layer.image);
     let mut errors = vec![Errors::new("noisy", &frame.color().mean, reference, None)?];
@@ -76,7 +76,7 @@ pub(crate) fn compare(frame: &Frame, estimate: &Estimate, reference: &Image) -> 
     let estimated = estimate.error.as_ref().and_then(|error| error.planes.first()).map(|plane| mean(plane));
     for name in ["pass1", "half_a", "half_b"] {
         if let Some(image) = kept(name) {
-            // The estimated error is that of the result.
+            // The estimated error belongs to the result.
             errors.push(Errors::new(name, image, reference, None)?);
         }
     }
@@ -84,7 +84,7 @@ pub(crate) fn compare(frame: &Frame, estimate: &Estimate, reference: &Image) -> 
     Ok(errors)
 }
 
-/// As a table.
+/// Formats the errors as a table.
 pub(crate) fn text(errors: &[Errors]) -> String {
     let head = ["", "relative MSE", "MSE", "SSIM", "squared error", "estimated"].map(String::from).to_vec();
     let row = |errors: &Errors| {

@@ -30,7 +30,7 @@ Examples:
 
 Exit codes: 0 done, 2 wrong usage, 3 an input file or layer cannot be used, 5 the output cannot be written, 1 anything else.";
 
-/// Samples of a reference where none are asked for.
+/// Number of samples per pixel of a reference, if `--spp` is not given.
 const REFERENCE_SAMPLES: u32 = 4096;
 
 /// Render one of a few small scenes, to try the denoiser and adaptive sampling with
@@ -93,7 +93,7 @@ impl Picture {
         self.size.unwrap_or(Extent { width: 256, height: 256 })
     }
 
-    /// A sampler of a scene that has drawn nothing yet.
+    /// Returns a sampler of a scene; the sampler has drawn nothing yet.
     pub(crate) fn sampler(&self, name: &str, extent: Extent, seed: u64) -> Result<StubSampler, Failure> {
         let sequence = match self.sequence {
             SequenceName::Random => Sequence::Random,
@@ -126,7 +126,7 @@ pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
 
     let map = args.map.as_deref().map(MapFile::read).transpose()?;
     let extent = map.as_ref().map_or(args.picture.extent(), |map| map.map.counts.extent());
-    // No other seed is likely to be this one.
+    // Nobody is likely to choose this seed for another render.
     let seed = if args.reference { !args.picture.seed } else { args.picture.seed };
     let mut sampler = args.picture.sampler(name, extent, seed)?;
     let counts = match (map, args.spp) {

@@ -1,4 +1,4 @@
-//! What `stein denoise` has to say.
+//! The report of `stein denoise`, as text and JSON.
 
 use serde::Serialize;
 use stein::gpu::{AdapterSummary, SavedPipelines, StageTime};
@@ -22,7 +22,7 @@ pub(crate) struct Report<'a> {
     pub(crate) frame: &'a FrameReport,
 }
 
-/// What is the same for all frames.
+/// Settings that all frames share.
 #[derive(Debug, Serialize)]
 pub(crate) struct Settings {
     pub(crate) preset: stein::Preset,
@@ -32,34 +32,33 @@ pub(crate) struct Settings {
     pub(crate) kept: Vec<&'static str>,
 }
 
-/// What is to say of an image.
+/// Report of one image.
 #[derive(Debug, Serialize)]
 pub(crate) struct FrameReport {
     pub(crate) input: Input,
-    /// Parts that the image was (or, in a dry run, would be) worked on in.
+    /// Number of strips in which the image was (or, in a dry run, would be) processed.
     pub(crate) strips: usize,
-    /// Where it was asked for.
+    /// Plan, if `--explain` asks for it.
     pub(crate) plan: Option<Explained>,
-    /// `None` in a dry run.
+    /// Figures of the run; `None` in a dry run.
     pub(crate) run: Option<Run>,
     pub(crate) output: Option<Written>,
-    /// Where a reference was given.
+    /// Errors; `None` without a reference.
     pub(crate) errors: Option<Vec<Errors>>,
 }
 
-/// What the denoising took.
+/// Time, memory and other figures of the denoising.
 #[derive(Debug, Serialize)]
 pub(crate) struct Run {
-    /// On the clock, with the compilation of the shaders.
+    /// Wall-clock time in seconds, with the compilation of the shaders.
     pub(crate) seconds: f64,
-    /// What was done about spikes; `None` where nobody looked for any.
+    /// Report on spikes; `None` if the method did not look for any.
     pub(crate) spikes: Option<SpikeReport>,
     pub(crate) stage_times: Option<Vec<StageTime>>,
     pub(crate) peak_bytes: u64,
-    /// Mean over the pixels of the squared error summed over the channels.
-    /// `None` where nobody wanted it.
+    /// Mean over the pixels of the estimated squared error, summed over the channels; `None` if it was not computed.
     pub(crate) mean_estimated_squared_error: Option<f64>,
-    /// How many pixels took part in the average of one, on average.
+    /// Mean over the pixels of the number of pixels that took part in the average.
     pub(crate) mean_weight_sum: f64,
 }
 
@@ -82,7 +81,7 @@ pub(crate) fn names(keep: &[Intermediate]) -> Vec<&'static str> {
 }
 
 impl FrameReport {
-    /// What follows the description of the input, but for the errors.
+    /// Formats the text after the description of the input, without the errors.
     pub(crate) fn text(&self, device: &AdapterSummary, verbose: bool) -> String {
         let mut lines = Vec::new();
         let strips = if self.strips > 1 { format!(", in {} strips", self.strips) } else { String::new() };
@@ -98,7 +97,7 @@ impl FrameReport {
                         device.name
                     ));
                 }
-                // With none there is nothing to say, as of other repairs.
+                // Without spikes there is no line, as for other repairs.
                 lines.extend(
                     run.spikes.filter(|spikes| verbose || spikes.pixels > 0).map(|spikes| format!("  {spikes}")),
                 );
@@ -125,7 +124,7 @@ impl FrameReport {
     }
 }
 
-/// Where compiled shaders are kept.
+/// Formats the location of the compiled shaders; `None` if they are not kept.
 pub(crate) fn pipelines(saved: stein::Result<SavedPipelines>) -> Option<String> {
     match saved {
         Ok(SavedPipelines::Nowhere) => None,

@@ -69,14 +69,14 @@ struct Document {
     map: Spread,
 }
 
-/// How samples are spread over the pixels.
+/// Distribution of samples over the pixels.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub(crate) struct Spread {
     pub(crate) samples_per_pixel: f64,
     total_samples: u64,
     least: u64,
     most: u64,
-    /// Share of the pixels without samples.
+    /// Share of the pixels without samples, 0 to 1.
     none: f64,
 }
 
@@ -93,7 +93,7 @@ impl Spread {
         }
     }
 
-    /// From the least to the most.
+    /// Formats the range from the smallest to the largest number of samples of a pixel.
     pub(crate) fn range(&self) -> String {
         if self.least == self.most { self.least.to_string() } else { format!("{}–{}", self.least, self.most) }
     }
@@ -139,7 +139,7 @@ pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
         &frame,
         Options { keep: &[Intermediate::Density], error: false, progress: Some(&mut progress), ..Default::default() },
     )?;
-    // Whole pairs, which a small budget has few of.
+    // At least one pair of samples, even for a small budget.
     let cap = args.cap.unwrap_or_else(|| (budget * f64::from(SamplingMap::DEFAULT_CAP)).max(2.0) as u32);
     let density = sampling_density(&estimate, budget, budget * f64::from(SamplingMap::DEFAULT_CAP))?;
     let map = SamplingMap::new(&density, budget, Some(cap)).map_err(Failure::usage)?;
@@ -155,7 +155,7 @@ pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
     }
 }
 
-/// Samples that the pixels have, where the input says so in whole pairs.
+/// Returns the samples that the pixels have, if the input states them in whole pairs.
 fn drawn(samples: &SamplesPerPixel, extent: stein::Extent) -> Option<SampleCounts> {
     let pairs = |samples: f32| {
         (samples >= 0.0 && samples % 2.0 == 0.0 && samples < u32::MAX as f32).then_some((samples / 2.0) as u32)

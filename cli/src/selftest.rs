@@ -68,24 +68,24 @@ pub(crate) struct Args {
     pub(crate) device: Device,
 }
 
-/// What tells a document of ours from others.
+/// Schema name that identifies our documents.
 const SCHEMA: &str = "stein.selftest";
 
 /// Raised when a field changes its meaning or goes away; new fields alone do not raise it.
 const VERSION: u32 = 1;
 
-/// What `--json` prints.
+/// JSON document of a run.
 #[derive(Serialize, Deserialize)]
 struct Document {
     schema: String,
     version: u32,
-    /// The version of stein that ran.
+    /// Version of stein that ran.
     stein: String,
     adapter: Adapter,
     passed: bool,
     seconds: f64,
     rows: Vec<Row>,
-    /// Of each check the figure that is nearest to its bound, or farthest beyond.
+    /// Figure of each check that is nearest to its bound, or farthest beyond it.
     worst: Vec<Worst>,
 }
 

@@ -2,7 +2,7 @@
 
 use std::ffi::{OsStr, OsString};
 
-/// Puts values in the places of their names, in one pass: what a value holds is no placeholder.
+/// Replaces the names by their values in one pass: a name inside a value is not replaced.
 pub(crate) fn fill(template: &str, values: &[(&str, &OsStr)]) -> OsString {
     let mut filled = OsString::new();
     let mut rest = template;

@@ -5,8 +5,8 @@ use stein::{Extent, Frame, Image};
 
 use super::Failure;
 
-/// Covers `extent` with the image, mirrored at each seam, so that there are no edges which the image does not have; cut
-/// off where it is larger.
+/// Covers `extent` with the image, mirrored at each seam so that the seams add no edges. Cuts off an image that is
+/// larger.
 pub(crate) fn cover(image: &Image, extent: Extent) -> Image {
     let mirrored = |position: usize, size: usize| {
         let within = position % (2 * size);
@@ -20,7 +20,7 @@ pub(crate) fn cover(image: &Image, extent: Extent) -> Image {
     Image { extent, planes: image.planes.iter().map(cover_plane).collect() }
 }
 
-/// A frame of another size with the statistics of this one.
+/// Returns a frame of another size with the statistics of this one.
 pub(crate) fn cover_frame(frame: &Frame, extent: Extent) -> Result<Frame, Failure> {
     let cover_signal = |signal: &Signal, scale: f32, offset: f32| Signal {
         mean: cover(&mapped(&signal.mean, scale, offset), extent),
@@ -30,7 +30,7 @@ pub(crate) fn cover_frame(frame: &Frame, extent: Extent) -> Result<Frame, Failur
             .as_ref()
             .map(|image| cover(&mapped(image, scale * scale, 0.0), extent)),
     };
-    // In the units of the file, which decide what a feature means.
+    // Signals are in the units of the file, which decide what a feature means.
     let in_file_units = |feature: &Feature| {
         (feature.name.clone(), cover_signal(&feature.signal, feature.unit_scale, feature.unit_offset))
     };
@@ -57,7 +57,7 @@ mod tests {
             half_spread: Some(image([spread; 4])),
             variance_of_mean: None,
         };
-        // In unit range the halves of the brightest albedo are beyond 1.
+        // In unit range, the halves of the brightest albedo exceed 1.
         let features = vec![
             ("albedo".to_owned(), signal([0.0, 0.125, 0.25, 0.5], 0.0625)),
             ("normal".to_owned(), signal([-0.5, 0.0, 0.25, 0.5], 0.0)),

@@ -1,27 +1,27 @@
-// What the stages around the candidate filters share: their parameters, the layout of the sums, the finite-difference
-// step, the errors of one pixel.
+// Code shared by the stages around the candidate filters: their parameters, the layout of the sums, the
+// finite-difference step, the errors of one pixel.
 #define_import_path stein::candidates
 
 struct CandidateParams {
     // 1 / k_f².
     inverse_feature_k_squared: f32,
-    // τ of FIRST and SECOND, and of THIRD: the least scale of a feature difference.
+    // τ of FIRST and SECOND, then τ of THIRD: the least scale of a feature difference.
     feature_tau: f32,
     feature_tau_third: f32,
     // 1 / number of channels, per channel of the triple: turns a sum over channels into their mean.
     triple_weights: array<vec4<f32>, 8>,
 }
 
-// What there is of one group of features at a pixel. x, y, z: the triple, w: the single.
+// Values of one group of features at a pixel. x, y, z: the triple, w: the single.
 struct FeatureGroup {
     value: vec4<f32>,
     residual: vec4<f32>,
-    // max(τ, scale), of FIRST and SECOND and of THIRD.
+    // max(τ, scale), with the τ of FIRST and SECOND, then with the τ of THIRD.
     reach: vec4<f32>,
     third_reach: vec4<f32>,
 }
 
-// From the three planes of a group.
+// Makes a group from its three planes.
 fn feature_group(value: vec4<f32>, residual: vec4<f32>, scale: vec4<f32>, tau: f32, tau_third: f32) -> FeatureGroup {
     return FeatureGroup(value, residual, max(vec4<f32>(tau), scale), max(vec4<f32>(tau_third), scale));
 }
@@ -36,7 +36,7 @@ struct FeatureDistances {
     third_behind: vec2<f32>,
 }
 
-// Of the triple the mean over its channels.
+// x: the mean over the channels of the triple, y: the single.
 fn over_triple(distances: vec4<f32>, triple_weights: vec3<f32>) -> vec2<f32> {
     return vec2<f32>(dot(distances.xyz, triple_weights), distances.w);
 }

@@ -1,4 +1,4 @@
-// Tiles of a frame around which nothing has noise, seen from an image that is a part of it.
+// Tiles of a frame around which nothing has noise, seen from an image that is a part of the frame.
 #define_import_path stein::exact
 
 struct ExactParams {

@@ -12,12 +12,12 @@ struct NlmParams {
     width: i32,
     first_row: i32,
     rows: i32,
-    // The chunk of offsets whose distances are in the scratch buffer at one time: a rectangle in the half window, so
-    // many columns and rows of it from this offset on. The half window is (1..R, 0) and all of the rows 1..R below; in
-    // a frame beside it begins at (0, 0), the pixel's own position.
+    // The chunk of offsets whose distances are in the scratch buffer at one time: a rectangle in the half window that
+    // begins at `first_offset` and has as many columns and rows as `offsets` says. The half window is (1..R, 0) and all
+    // of the rows 1..R below; in a frame beside it begins at (0, 0), the pixel's own position.
     first_offset: vec2<i32>,
     offsets: vec2<i32>,
-    // 1: no sums are there yet for this strip; 1: this chunk completes them.
+    // `starts` is 1 if no sums exist yet for this strip, `completes` is 1 if this chunk completes the sums.
     starts: i32,
     completes: i32,
     // Pixels from one scratch row to the next: the rectangle's width, rounded up to whole invocations, and f on both
@@ -33,7 +33,8 @@ struct NlmParams {
     inverse_channels: f32,
     // Weights below this one count as 0.
     cut: f32,
-    // The centre takes the largest weight among its neighbours, at least this one; above 1 means: it takes 1.
+    // Least weight of the centre, which takes the largest weight among its neighbours. A value above 1 gives the centre
+    // the weight 1.
     centre_floor: f32,
 }
 
@@ -71,8 +72,8 @@ fn has_opposite(offset: vec2<i32>) -> bool {
     return any(offset != vec2<i32>(0));
 }
 
-// Along one axis: how many of the 2f+1 members n of a patch exist at p and at the neighbours compared with it. x: p + n
-// and q1 + n, y: p + n and q2 + n, z: all three. The members of a patch are the product of both axes.
+// Counts, along one axis, how many of the 2f+1 members n of a patch exist at p and at the neighbours compared with p.
+// x: p + n and q1 + n, y: p + n and q2 + n, z: all three. The members of a patch are the product of both axes.
 fn patch_members(p: i32, offset: i32, extent: i32, patch_radius: i32) -> vec3<f32> {
     let before = min(patch_radius, p);
     let after = min(patch_radius, extent - 1 - p);
@@ -84,7 +85,7 @@ fn patch_members(p: i32, offset: i32, extent: i32, patch_radius: i32) -> vec3<f3
 }
 
 struct PairWeights {
-    // Of q1 = p + o and of q2 = p − o.
+    // Weights of q1 = p + o, then of q2 = p − o.
     ahead: vec4<f32>,
     behind: vec4<f32>,
 }
@@ -114,8 +115,8 @@ fn pair_weights(distance_q1: vec4<f32>, distance_q2: vec4<f32>, distance_both: v
 #endif
 }
 
-// Weights of q1 and q2 in the average of p, from the unnormalised sums of their distances over a patch of so many
-// members; 0 for one that does not exist.
+// Weights of q1 and q2 in the average of p, from the unnormalised sums of their distances over a patch of `members`
+// members; 0 for a neighbour that does not exist.
 fn weights_from_sums(patch_sum: vec3<f32>, members: vec3<f32>, inverse_channels: f32, ahead_inside: bool,
     behind_inside: bool) -> vec2<f32> {
     let d = patch_sum * inverse_channels / max(members, vec3<f32>(1.0));

@@ -1,9 +1,9 @@
-// What the stages share that estimate a variance where none is given.
+// Code shared by the stages that estimate a variance where none is given.
 #define_import_path stein::noise
 
 struct NoiseParams {
     extent: vec2<i32>,
-    // How many times brighter than itself a pixel takes its surroundings to be.
+    // Largest ratio of the brightness around a pixel to its own brightness; a larger ratio is cut to this one.
     darker: f32,
     // The least magnitude.
     least_magnitude: f32,
@@ -16,27 +16,27 @@ struct NoiseParams {
     window_radius: i32,
     // Magnitudes that differ by more than this factor are not pooled.
     gate: f32,
-    // The distance from which on a pixel is not pooled.
+    // The distance above which a pixel is not pooled.
     largest_distance: f32,
     // k_f² and τ: how large a difference between features counts.
     squared_feature_k: f32,
     feature_tau: f32,
-    // Noise up to which a pixel has none: its standard deviation in parts of its value.
+    // Noise up to which a pixel counts as without noise: its standard deviation in parts of its value.
     least_noise: f32,
-    // How often the pooled variance counts, against once the pixel's own.
+    // Weight of the pooled variance, relative to a weight of 1 for the pixel's own variance.
     pooled_share: f32,
     // 1 / number of channels, per channel of the triple.
     triple_weights: array<vec4<f32>, 8>,
 }
 
-// Of the stages that look for jumps of brightness, and of those that hold the variance beside them.
+// Parameters of the stage that looks for jumps of brightness, and of the stage that holds the variance beside them.
 struct NoiseHoldParams {
     extent: vec2<i32>,
-    // Radius of the box within which brightness must not jump, and by how much.
+    // Radius of the box within which brightness must not jump, and the factor from which on it jumps.
     jump_radius: i32,
     jump: f32,
     least_magnitude: f32,
-    // Radius of the box that a pixel near a jump is judged by.
+    // Radius of the box by which a pixel near a jump is judged.
     radius: i32,
 }
 

@@ -1,5 +1,5 @@
-// What the stages that find and spread spikes share: their parameters, and which pixels count as of one kind by their
-// features.
+// Code shared by the stages that find and spread spikes: their parameters, and the test whether pixels are of one kind
+// by their features.
 #define_import_path stein::spike
 #import stein::planes::{largest_channel}
 
@@ -8,17 +8,18 @@ struct SpikeParams {
     // Half widths of the windows that spikes are judged in, and spread over.
     window_radius: i32,
     spread_radius: i32,
-    // Neighbours of its kind that it takes to judge a pixel.
+    // Least number of neighbours of its kind that are needed to judge a pixel.
     least_neighbours: f32,
-    // How far above the level a spike is, in distances from the level to the third brightest neighbour.
+    // Least height of a spike above the level, in multiples of the distance from the level to the third brightest
+    // neighbour.
     prominence: f32,
-    // How many samples a spike rests on at the most.
+    // Largest number of samples that a spike rests on.
     most_samples: f32,
-    // How many a light of few pixels rests on at the least.
+    // Least number of samples that a light of few pixels rests on.
     light_samples: f32,
-    // Noise from which on a pixel takes part: its standard deviation in parts of its value.
+    // Noise above which a pixel takes part: its standard deviation in parts of its value.
     least_noise: f32,
-    // The part of the level that a spike adds to its surroundings at the most.
+    // Largest part of the level that a spike adds to its surroundings.
     share_limit: f32,
     // 1 / k_f² and τ: how large a difference between features counts.
     inverse_feature_k_squared: f32,
@@ -27,13 +28,13 @@ struct SpikeParams {
     triple_weights: array<vec4<f32>, 8>,
 }
 
-// What has next to no noise is what it is: it is no spike, and gets nothing of one. A spread counts before it is
-// squared, which may leave nothing of it.
+// Whether a pixel has noise. A pixel with almost no noise is no spike, and gets nothing from a spike. The spread is
+// compared before it is squared, because its square may round to 0.
 fn has_noise(value: vec3<f32>, spread: vec3<f32>, variance: vec3<f32>, least_noise: f32) -> bool {
     return largest_channel(max(abs(spread), sqrt(variance))) > least_noise * largest_channel(abs(value));
 }
 
-// Of one pixel's prefiltered features, four channels.
+// Four channels of one pixel's prefiltered features.
 struct SpikeFeatures {
     value: vec4<f32>,
     residual_variance: vec4<f32>,
@@ -50,8 +51,8 @@ fn are_alike(p: SpikeFeatures, q: SpikeFeatures, triple: vec3<f32>, params: Spik
     return dot(distance.xyz, triple) <= 1.0 && distance.w <= 1.0;
 }
 
-// What a pixel gets of a spike at this offset, in parts of what one in its place would get: less towards the rim of the
-// window, so that no border shows.
+// Amount that a pixel gets from a spike at this offset, relative to a pixel at the position of the spike: less towards
+// the rim of the window, so that no border shows.
 fn falloff(offset: vec2<i32>, radius: i32) -> f32 {
     let away = vec2<f32>(offset) / f32(radius + 1);
     return max(1.0 - dot(away, away), 0.0);

@@ -1,4 +1,4 @@
-//! What is known of a signal's noise.
+//! Sources from which the noise of a signal is known.
 
 use std::fmt;
 
@@ -12,7 +12,7 @@ pub(super) const IMAGE_ONLY: &str = "colour: its noise is estimated from the ima
                                      seeds are better: both as halves (layers `halfA` and `halfB`, or options \
                                      --half-a and --half-b), their average as the input";
 
-/// What is known of a signal's noise. Displays as where it is known from, such as `two seeds`.
+/// Sources from which the noise of a signal is known. Displays as a phrase such as `two seeds`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub enum NoiseKnowledge {
     /// Halves and sample variance: everything works.
@@ -59,19 +59,19 @@ impl fmt::Display for NoiseKnowledge {
 }
 
 impl Signal {
-    /// What is known of the noise; `None` if nothing is, which for a feature means that it is taken as free of noise.
+    /// The sources of the noise; `None` without any, which means for a feature that it counts as free of noise.
     pub fn noise_knowledge(&self) -> Option<NoiseKnowledge> {
         Some(self.known_from()).filter(|knowledge| *knowledge != NoiseKnowledge::ImageOnly)
     }
 
-    /// What is known of the noise, as of a colour.
+    /// The sources of the noise of a colour.
     pub(super) fn known_from(&self) -> NoiseKnowledge {
         NoiseKnowledge::from_parts(self.half_spread.is_some(), self.variance_of_mean.is_some())
     }
 }
 
 impl Frame {
-    /// What is known of the colour's noise.
+    /// The sources of the colour's noise.
     pub fn noise_knowledge(&self) -> NoiseKnowledge {
         self.color.known_from()
     }
@@ -108,7 +108,7 @@ impl Frame {
         })
     }
 
-    /// The same frame with less known of its noise: halves and variances that `knowledge` does not name are taken from
+    /// The frame with fewer sources of its noise: halves and variances that `knowledge` does not name are taken from
     /// the colour and from all features. Serves to measure what they are worth. `None` where the colour lacks what
     /// `knowledge` names.
     pub fn with_noise_known_from(&self, knowledge: NoiseKnowledge) -> Option<Self> {

@@ -13,7 +13,7 @@ use crate::stage::variance::INPUT_SMOOTHING;
 const ROUND_OFF_OF_SPREAD: f64 = 1e-12;
 /// A variance below this share is round-off: renderers compute it as the difference of two squares.
 const ROUND_OFF_OF_VARIANCE: f64 = 1e-7;
-/// The same of the squared mean level of the layer: dark pixels have round-off of their own.
+/// The same limits for dark pixels, which have round-off of their own: a share of the squared mean of the layer.
 const DARK: f64 = 1e-4;
 /// Share of the pixels that a variance must give noise to before it is believed more than halves that are identical.
 const CLAIMED: f64 = 0.001;
@@ -23,7 +23,8 @@ const BOX: usize = 16;
 const LEAST_IN_BOX: usize = 64;
 /// Factor between both sources from which it is worth a remark.
 const CONTRADICTION: f64 = 4.0;
-/// The same where the variance of a feature is too large: low-discrepancy samples find features that much more evenly.
+/// This factor where the variance of a feature is too large: low-discrepancy samples find features that much more
+/// evenly.
 const FEATURE_OVERSTATED: f64 = 100.0;
 
 /// Leaves out halves and variance of another shape than the mean, and those without a usable value.

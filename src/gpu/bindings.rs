@@ -9,11 +9,11 @@ use std::fmt;
 
 use super::pool::Buffer;
 
-/// What the host gives to one shader stage. Implemented by [`bindings!`](crate::bindings!).
+/// Values that the host binds to one shader stage. Implemented by [`bindings!`](crate::bindings!).
 pub trait Bindings {
     /// The shader's global variables in the order of [`Bindings::values`].
     const SLOTS: &'static [Slot];
-    /// What to bind, in the order of [`Bindings::SLOTS`].
+    /// Returns the values to bind, in the order of [`Bindings::SLOTS`].
     fn values(&self) -> Vec<Value<'_>>;
 }
 
@@ -22,18 +22,18 @@ pub trait Bindings {
 pub struct Slot {
     /// The name of the variable.
     pub name: &'static str,
-    /// What the host binds to it.
+    /// Kind of value that the host binds to the variable.
     pub kind: SlotKind,
 }
 
-/// What the host binds to a variable, and what the shader may do with it.
+/// Kind of value that the host binds to a variable, and the access that the shader has to it.
 #[derive(Clone, Copy)]
 pub enum SlotKind {
     /// `var<uniform>`, filled from a struct made by [`uniforms!`](crate::uniforms!).
     Uniform {
         /// The name of the host struct.
         host: &'static str,
-        /// Lists its members.
+        /// Function that lists the members of the struct.
         members: fn(&str, &mut Vec<Member>),
     },
     /// `var<storage, read>`.
@@ -46,7 +46,7 @@ pub enum SlotKind {
 }
 
 impl SlotKind {
-    /// The declaration in WGSL that this kind stands for.
+    /// Returns the WGSL declaration that this kind stands for.
     pub(super) fn declaration(self) -> &'static str {
         match self {
             Self::Uniform { .. } => "var<uniform>",
@@ -77,7 +77,7 @@ impl fmt::Debug for SlotKind {
     }
 }
 
-/// What is bound to a slot in one dispatch.
+/// Value that one dispatch binds to a slot.
 #[derive(Clone, Debug)]
 pub enum Value<'a> {
     /// The members of a uniform struct as bytes, in the order of its table.
@@ -88,12 +88,12 @@ pub enum Value<'a> {
     Absent,
 }
 
-/// One member of a uniform struct; those of nested structs are listed as `outer.inner`.
+/// One member of a uniform struct; members of nested structs are listed as `outer.inner`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Member {
     /// Dotted path from the uniform variable.
     pub path: String,
-    /// Its type, which the shader's must equal.
+    /// Type of the member; the type in the shader must be equal.
     pub value: ValueType,
 }
 
@@ -104,7 +104,7 @@ pub struct ValueType {
     pub scalar: &'static str,
     /// 1 for a scalar, 2 to 4 for a vector.
     pub lanes: u32,
-    /// Elements of an array; 0 where it is none.
+    /// Number of elements of an array; 0 for a value that is no array.
     pub elements: u32,
 }
 
@@ -119,9 +119,9 @@ impl fmt::Display for ValueType {
 /// A value that a uniform buffer can hold: a scalar, a vector, an array of four-component vectors, or a struct made by
 /// [`uniforms!`](crate::uniforms!).
 pub trait Uniform {
-    /// Lists the members of this value, which itself is called `path`.
+    /// Appends the members of this value to `into`; the value itself is called `path`.
     fn members(path: &str, into: &mut Vec<Member>);
-    /// The bytes of the members, in the same order.
+    /// Appends the bytes of each member to `into`, in the order of [`Uniform::members`].
     fn bytes<'a>(&'a self, into: &mut Vec<&'a [u8]>);
 }
 
@@ -153,7 +153,7 @@ uniform_value! {
     glam::IVec4: "i32" x 4;
 }
 
-// Only of vectors with four components: the elements of a uniform array lie 16 bytes apart.
+// Only arrays of vectors with four components: the elements of a uniform array lie 16 bytes apart.
 macro_rules! uniform_array {
     ($($type:ty: $scalar:literal;)+) => {$(
         impl<const N: usize> Uniform for [$type; N] {
@@ -178,7 +178,7 @@ uniform_array! {
 ///
 /// ```
 /// stein::gpu::uniforms! {
-///     /// What the stage needs to know.
+///     /// Parameters of the stage.
 ///     pub struct BoxParams {
 ///         /// Width and height in pixels.
 ///         pub extent: glam::UVec2,
@@ -188,7 +188,7 @@ uniform_array! {
 /// }
 /// ```
 ///
-/// Order and padding need not match: values are written where the shader wants them.
+/// Order and padding need not match: each value is written at the offset that the shader declares.
 #[macro_export]
 macro_rules! uniforms {
     ($($(#[$meta:meta])* $vis:vis struct $name:ident { $($(#[$field_meta:meta])* $field_vis:vis $field:ident: $type:ty),+ $(,)? })+) => {$(

@@ -1,8 +1,8 @@
-//! Compiled pipelines kept on disk, for drivers that leave it to programs.
+//! Compiled pipelines kept on disk, for drivers that leave this to programs.
 //!
-//! One file for each adapter, driver and version of this crate. It is written aside and renamed, so that a reader never
-//! sees half of one; where two processes write, the later one's stays. What does not read back as it was written is
-//! taken for no file, and replaced.
+//! There is one file for each adapter, driver and version of this crate. A file is written under another name and then
+//! renamed, so that a reader never sees half a file. If two processes write, the file of the later one remains. A file
+//! that does not read back as it was written counts as missing, and is replaced.
 
 use std::hash::{DefaultHasher, Hash, Hasher};
 use std::path::{Path, PathBuf};
@@ -14,35 +14,36 @@ use super::lock;
 use crate::error::{Error, Result};
 
 const MAGIC: &[u8; 16] = b"stein pipelines\n";
-/// The magic and a hash of what follows.
+/// Size of the magic and of a hash of the data behind them, in bytes.
 const HEADER_BYTES: usize = MAGIC.len() + size_of::<u64>();
 
-/// A file that has grown beyond this many bytes is begun anew: drivers only ever add to what they are given.
+/// Largest size of a file, in bytes. A larger file is started anew: drivers only ever add to the data that they are
+/// given.
 const MOST_BYTES: u64 = 32 << 20;
 
-/// Files that are kept in the folder, of the adapters, drivers and versions that were written last.
+/// Number of files kept in the folder: those of the adapters, drivers and versions that were written last.
 const MOST_FILES: usize = 8;
 
 const PREFIX: &str = "stein-";
 const EXTENSION: &str = "pipelines";
 
-/// What became of the compiled pipelines.
+/// Outcome of saving the compiled pipelines.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum SavedPipelines {
-    /// No folder was given, or the adapter hands none out.
+    /// No file: no folder was given, or the adapter hands no pipelines out.
     Nowhere,
     /// The file holds them already.
     Unchanged {
-        /// Where.
+        /// Path of the file.
         file: PathBuf,
-        /// Its size.
+        /// Size of the file, in bytes.
         bytes: u64,
     },
     /// The file was written.
     Written {
-        /// Where.
+        /// Path of the file.
         file: PathBuf,
-        /// Its size.
+        /// Size of the file, in bytes.
         bytes: u64,
     },
 }
@@ -51,12 +52,12 @@ pub enum SavedPipelines {
 pub(super) struct PipelineCache {
     cache: wgpu::PipelineCache,
     file: PathBuf,
-    /// Hash of what the file holds, as far as this process knows.
+    /// Hash of the data in the file, as far as this process knows.
     saved: Mutex<Option<u64>>,
 }
 
 impl PipelineCache {
-    /// Begins with what the file in `folder` holds. `None` where the driver refuses.
+    /// Opens a cache that begins with the data of the file in `folder`. Returns `None` if the driver refuses.
     pub(super) fn open(device: &wgpu::Device, info: &wgpu::AdapterInfo, folder: &Path) -> Option<Self> {
         let file = folder.join(file_name(info));
         let data = std::fs::metadata(&file)
@@ -67,8 +68,8 @@ impl PipelineCache {
         let description = wgpu::PipelineCacheDescriptor { label: Some("stein"), data, fallback: true };
         let scope = device.push_error_scope(wgpu::ErrorFilter::Validation);
         #[expect(unsafe_code, reason = "drivers trust these bytes")]
-        // SAFETY: the hash beside the bytes says that they are what an earlier `get_data` gave; wgpu and the driver
-        // check that it was one of this adapter and driver.
+        // SAFETY: the hash beside the bytes shows that an earlier `get_data` returned them; wgpu and the driver check
+        // that they come from this adapter and driver.
         let cache = unsafe { device.create_pipeline_cache(&description) };
         let refused = pollster::block_on(scope.pop()).is_some();
         (!refused).then(|| Self { cache, file, saved: Mutex::new(data.map(hash)) })
@@ -98,12 +99,13 @@ impl PipelineCache {
     fn write(&self, data: &[u8], hash: u64) -> std::io::Result<()> {
         let folder = self.file.parent().unwrap_or(Path::new("."));
         std::fs::create_dir_all(folder)?;
-        // Under a name of its own until it is complete: others may read the file meanwhile, or write it.
+        // The data has a file of its own until it is complete: other processes may read or write the final file
+        // meanwhile.
         let unfinished =
             folder.join(format!(".stein-{}-{:x}.part", std::process::id(), std::ptr::from_ref(self).addr()));
         let written = std::fs::write(&unfinished, [MAGIC.as_slice(), &hash.to_le_bytes(), data].concat());
         if let Err(error) = written.and_then(|()| std::fs::rename(&unfinished, &self.file)) {
-            // Nothing is lost where it cannot be removed either.
+            // Nothing is lost if the unfinished file cannot be removed either.
             let _ = std::fs::remove_file(&unfinished);
             return Err(error);
         }
@@ -113,10 +115,10 @@ impl PipelineCache {
 }
 
 impl Gpu {
-    /// Writes the pipelines that were compiled so far into the folder of
-    /// [`GpuOptions::pipeline_folder`](super::GpuOptions::pipeline_folder), unless its file holds them already. It
-    /// happens by itself when the device is closed; called, it also tells what came of it, and what was compiled
-    /// survives a process that is killed later.
+    /// Writes the pipelines compiled so far into the folder of
+    /// [`GpuOptions::pipeline_folder`](super::GpuOptions::pipeline_folder), unless the file there holds them already.
+    /// This happens by itself when the device is closed. A call also returns the outcome, and the pipelines survive if
+    /// the process is killed later.
     ///
     /// # Errors
     /// [`Error::File`] where the file cannot be written.
@@ -125,7 +127,8 @@ impl Gpu {
     }
 }
 
-/// A driver refuses what another version of it has compiled, and each version of this crate compiles other shaders.
+/// Returns the name of the file for an adapter. A driver refuses pipelines that another version of the driver compiled,
+/// and each version of this crate compiles other shaders.
 fn file_name(info: &wgpu::AdapterInfo) -> String {
     let mut hasher = DefaultHasher::new();
     (&info.name, &info.driver, &info.driver_info, info.backend).hash(&mut hasher);
@@ -144,14 +147,14 @@ fn hash(data: &[u8]) -> u64 {
     hasher.finish()
 }
 
-/// What follows the header; `None` where it is not what was written.
+/// Returns the data behind the header; `None` if the file does not read back as it was written.
 fn unpacked(file: &[u8]) -> Option<&[u8]> {
     let (magic, rest) = file.split_first_chunk()?;
     let (expected, data) = rest.split_first_chunk()?;
     (magic == MAGIC && u64::from_le_bytes(*expected) == hash(data)).then_some(data)
 }
 
-/// Lets go of files that nobody has written for the longest time. A folder that cannot be read keeps what it has.
+/// Removes all files but the `MOST_FILES` that were written last. A folder that cannot be read keeps its files.
 fn remove_oldest(folder: &Path) {
     let is_ours = |path: &PathBuf| {
         let name = path.file_name().and_then(|name| name.to_str());
@@ -163,7 +166,7 @@ fn remove_oldest(folder: &Path) {
         paths.filter_map(|path| Some((path.metadata().ok()?.modified().ok()?, path))).collect();
     files.sort();
     for (_, path) in files.iter().rev().skip(MOST_FILES) {
-        // Another process may have been faster.
+        // Another process may have removed the file already.
         let _ = std::fs::remove_file(path);
     }
 }

@@ -1,5 +1,4 @@
-//! Which shader files exist. A file that is listed and missing fails the build; one that lies there unlisted fails a
-//! test.
+//! List of the shader files. A listed file that is missing fails the build; a file that is not listed fails a test.
 
 /// Embeds `<folder>/<name>.wgsl` for every name: pairs of name and source.
 macro_rules! sources {

@@ -18,24 +18,24 @@ use super::{human_bytes, lock};
 use crate::error::{Error, Result};
 use crate::host_memory::FreeMemory;
 
-/// The interfaces that are good for compute. OpenGL lists the same hardware a second time, with fewer abilities.
+/// Backends that are good for compute. OpenGL would list the same hardware a second time, with fewer features.
 const BACKENDS: wgpu::Backends = wgpu::Backends::VULKAN.union(wgpu::Backends::METAL).union(wgpu::Backends::DX12);
 
-/// How long a failure may wait for the news that the device is lost.
+/// Time to wait, after a failure, for the report that the device is lost.
 const NEWS_PATIENCE: Duration = Duration::from_secs(2);
 
-/// Storage buffers that one kernel may bind: as many as are asked of an adapter that has more.
+/// Number of storage buffers per kernel to request from an adapter; fewer if the adapter has fewer.
 const STORAGE_BUFFERS_WANTED: u32 = 16;
 
 /// Kernels count the elements of a buffer in i32, and no element is smaller than four bytes: in a larger buffer an
 /// index could wrap around.
 const LARGEST_INDEXED_BYTES: u64 = 4 * i32::MAX as u64;
 
-/// Address space that a driver takes when it is loaded and opened; a software one brings a compiler along. With less,
-/// drivers end the process or are not found.
+/// Address space that a driver needs to be loaded and opened, in bytes; a software driver includes a compiler. With
+/// less, drivers end the process or are not found.
 const DRIVER_BYTES: u64 = 320 << 20;
 
-/// Which adapter to open.
+/// Choice of the adapter to open.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub enum DeviceChoice {
     /// The first of the best kind: discrete, integrated, virtual, software.
@@ -43,7 +43,7 @@ pub enum DeviceChoice {
     Auto,
     /// The index in [`Gpu::adapters`].
     Index(usize),
-    /// The first adapter whose name contains this, upper and lower case being equal.
+    /// The first adapter whose name contains this text, ignoring case.
     Name(String),
 }
 
@@ -58,7 +58,7 @@ impl FromStr for DeviceChoice {
     }
 }
 
-/// What an adapter is made of, best first.
+/// Kind of an adapter, best first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum DeviceKind {
@@ -70,7 +70,7 @@ pub enum DeviceKind {
     Virtual,
     /// Unknown to the driver.
     Other,
-    /// A program that plays the graphics card on the processor's cores.
+    /// A program that emulates a graphics card on the processor's cores.
     Software,
 }
 
@@ -91,11 +91,11 @@ impl fmt::Display for DeviceKind {
 pub struct AdapterSummary {
     /// Position in [`Gpu::adapters`]; 0 for a device that a renderer brought along.
     pub index: usize,
-    /// As the driver calls it.
+    /// Name that the driver reports.
     pub name: String,
     /// Vulkan, Metal or DX12.
     pub backend: String,
-    /// What it is made of.
+    /// Kind of the adapter.
     pub kind: DeviceKind,
     /// Driver and its version.
     pub driver: String,
@@ -103,7 +103,7 @@ pub struct AdapterSummary {
     pub max_buffer_bytes: u64,
     /// The largest part of a buffer that a kernel can see, in bytes.
     pub max_binding_bytes: u64,
-    /// Storage buffers that one kernel can see.
+    /// Number of storage buffers that one kernel can see.
     pub max_storage_buffers: u32,
     /// Whether kernels can be timed on the device.
     pub timestamps: bool,
@@ -150,17 +150,19 @@ impl fmt::Display for AdapterSummary {
     }
 }
 
-/// How a device is opened. The default suits a program that embeds the library; checks and poison serve the test suite.
+/// Options for opening a device. The default suits a program that embeds the library; checks and poison serve the test
+/// suite.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct GpuOptions {
-    /// Folder in which compiled pipelines are kept from one process to the next, where the adapter hands them out; made
-    /// where it does not exist. Drivers believe what they find there: nobody else should be able to write to it.
-    /// `None`, the default, keeps none: a library leaves nothing behind that it was not asked for.
+    /// Folder that keeps compiled pipelines from one process to the next, if the adapter hands them out; created if it
+    /// does not exist. Drivers trust the files there: nobody else should be able to write to the folder. `None`, the
+    /// default, keeps none: a library writes no files that its user did not request.
     pub pipeline_folder: Option<PathBuf>,
-    /// Builds kernels with bounds checks, loop bounds and zeroed workgroup memory. Off, they are up to a third faster.
+    /// Whether to build kernels with bounds checks, loop bounds and zeroed workgroup memory. Kernels without them are
+    /// up to a third faster.
     pub checked_shaders: bool,
-    /// Fills every buffer that [`Recorder::take`](super::Recorder::take) hands out with [`Gpu::POISON`], so that what a
-    /// kernel forgets to write shows.
+    /// Whether to fill every buffer that [`Recorder::take`](super::Recorder::take) hands out with [`Gpu::POISON`], so
+    /// that a value that a kernel forgets to write becomes visible.
     pub poison: bool,
 }
 
@@ -191,13 +193,13 @@ pub(super) struct Inner {
     health: Arc<Health>,
 }
 
-/// What a device was opened from, where it was opened here.
+/// Instance and adapter of a device that was opened here.
 struct Origin {
     instance: wgpu::Instance,
     adapter: wgpu::Adapter,
 }
 
-/// What went wrong outside of any call that could have returned it.
+/// Errors that came up outside of any call that could have returned them.
 #[derive(Default)]
 struct Health {
     lost: Mutex<Option<String>>,
@@ -209,7 +211,7 @@ impl Drop for Inner {
         if lock(&self.health.lost).is_none()
             && let Some(cache) = &self.pipeline_cache
         {
-            // Nobody is left to be told, and the next process only compiles again.
+            // Nobody can handle an error any more, and the next process only compiles again.
             let _ = cache.save();
         }
     }
@@ -237,7 +239,7 @@ impl Gpu {
         Self::open_with(choice, GpuOptions::default())
     }
 
-    /// Opens an adapter in other ways than the usual one.
+    /// Opens an adapter with other options than the default ones.
     ///
     /// # Errors
     /// As [`Gpu::open`].
@@ -268,7 +270,7 @@ impl Gpu {
             max_compute_workgroup_size_x: offered.max_compute_workgroup_size_x,
             max_compute_workgroup_size_y: offered.max_compute_workgroup_size_y,
             max_compute_workgroup_size_z: offered.max_compute_workgroup_size_z,
-            // For those who show images on the same device.
+            // For programs that show images on the same device.
             max_texture_dimension_2d: offered.max_texture_dimension_2d,
             ..wgpu::Limits::default().or_worse_values_from(&offered)
         };
@@ -276,8 +278,8 @@ impl Gpu {
             label: Some("stein"),
             required_features: adapter.features() & (wgpu::Features::TIMESTAMP_QUERY | wgpu::Features::PIPELINE_CACHE),
             required_limits: limits,
-            // Of a device that is a program, buffers are in the memory of the computer: they are made one by one,
-            // without large blocks to cut them from.
+            // A software device keeps its buffers in main memory: they are made one by one, without large blocks to cut
+            // them from.
             memory_hints: if summary.kind == DeviceKind::Software {
                 wgpu::MemoryHints::MemoryUsage
             } else {
@@ -298,7 +300,7 @@ impl Gpu {
             let message = if message.is_empty() { format!("{reason:?}").to_lowercase() } else { message };
             lock(&lost.lost).get_or_insert(message);
         });
-        // Every call below catches its own errors; this keeps what slips through from ending the process.
+        // Every call below catches its own errors; this handler keeps any other error from ending the process.
         device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| {
             lock(&fault.fault).get_or_insert(error.to_string());
         }));
@@ -352,48 +354,49 @@ impl Gpu {
         Ok(Self { inner: Arc::new(inner) })
     }
 
-    /// What was opened.
+    /// Returns the summary of the adapter.
     pub fn summary(&self) -> &AdapterSummary {
         &self.inner.summary
     }
 
-    /// Whether kernels run on the processor's cores.
+    /// Returns whether kernels run on the processor's cores.
     pub fn is_software(&self) -> bool {
         self.inner.summary.kind == DeviceKind::Software
     }
 
-    /// The largest buffer that a kernel can see whole, in bytes.
+    /// Returns the size of the largest buffer that a kernel can see whole, in bytes.
     pub fn max_binding_bytes(&self) -> u64 {
         self.inner.summary.max_binding_bytes
     }
 
-    /// The most workgroups that one dispatch runs along each of its three axes.
+    /// Returns the largest number of workgroups that one dispatch can run along each of its three axes.
     pub fn max_workgroups(&self) -> u32 {
         self.inner.limits.max_compute_workgroups_per_dimension
     }
 
-    /// The device itself, for embedders.
+    /// Returns the wgpu device, for embedders.
     pub fn wgpu_device(&self) -> &wgpu::Device {
         &self.inner.device
     }
 
-    /// Its queue, for embedders.
+    /// Returns the wgpu queue, for embedders.
     pub fn wgpu_queue(&self) -> &wgpu::Queue {
         &self.inner.queue
     }
 
-    /// The instance that it was opened from, for embedders who present to a window; `None` of a device that was taken
-    /// over by [`Gpu::from_wgpu`].
+    /// Returns the instance that the device was opened from, for embedders that present to a window; `None` for a
+    /// device that was taken over by [`Gpu::from_wgpu`].
     pub fn wgpu_instance(&self) -> Option<&wgpu::Instance> {
         self.inner.origin.as_ref().map(|origin| &origin.instance)
     }
 
-    /// The adapter that it was opened on; `None` of a device that was taken over by [`Gpu::from_wgpu`].
+    /// Returns the adapter that the device was opened on; `None` for a device that was taken over by
+    /// [`Gpu::from_wgpu`].
     pub fn wgpu_adapter(&self) -> Option<&wgpu::Adapter> {
         self.inner.origin.as_ref().map(|origin| &origin.adapter)
     }
 
-    /// Memory held by pooled buffers.
+    /// Returns the memory held by pooled buffers.
     pub fn memory(&self) -> MemoryUse {
         self.inner.pool.usage()
     }
@@ -420,10 +423,10 @@ impl Gpu {
         self.check()
     }
 
-    /// Lets the driver's callbacks run; one of them tells that the device is lost.
+    /// Lets the driver's callbacks run; one of them reports that the device is lost.
     fn poll_for_news(&self, poll: wgpu::PollType) -> Option<wgpu::PollError> {
-        // wgpu panics where the driver reports a lost device from inside a poll, the very place where a hang or a reset
-        // of the hardware becomes known.
+        // wgpu panics if the driver reports a lost device during a poll, and a hang or a reset of the hardware becomes
+        // known just there.
         let device = &self.inner.device;
         match std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| device.poll(poll))) {
             Ok(polled) => polled.err(),
@@ -434,7 +437,7 @@ impl Gpu {
         }
     }
 
-    /// Runs `work` and returns what wgpu or the driver reported meanwhile.
+    /// Runs `work`, and returns its result or an error that wgpu or the driver reported meanwhile.
     pub(super) fn guarded<T>(&self, work: impl FnOnce() -> T) -> std::result::Result<T, wgpu::Error> {
         let filters = [wgpu::ErrorFilter::Validation, wgpu::ErrorFilter::Internal, wgpu::ErrorFilter::OutOfMemory];
         let scopes = filters.map(|filter| self.inner.device.push_error_scope(filter));
@@ -466,10 +469,11 @@ impl Gpu {
         })
     }
 
-    /// An error that the driver reported for commands which wgpu had accepted, or the other way round.
+    /// Makes an error from a report of the driver about commands that wgpu had accepted, or the other way round.
+    /// Returns the loss of the device instead if the device was lost.
     pub(super) fn defect(&self, report: &str) -> Error {
-        // Whatever fails on a device that was just lost fails because of that, and may be the first to tell: the news
-        // comes after the work that is left.
+        // On a device that was just lost, every failure has that reason, and may come before the report of the loss,
+        // which comes only after the remaining work.
         self.poll_for_news(wgpu::PollType::Wait { submission_index: None, timeout: Some(NEWS_PATIENCE) });
         if let Some(lost) = self.lost() {
             return lost;

@@ -1,4 +1,4 @@
-//! From the list of recorded commands to wgpu's command encoder.
+//! Encodes the list of recorded commands into wgpu's command encoder.
 
 use std::sync::Arc;
 
@@ -18,20 +18,20 @@ pub(super) enum Op {
 #[derive(Debug)]
 pub(super) struct Dispatch {
     pub(super) kernel: Arc<Kernel>,
-    /// What it is for.
+    /// Name of the step that the dispatch belongs to.
     pub(super) step: Arc<str>,
     pub(super) bound: Vec<Bound>,
     pub(super) groups: [u32; 3],
 }
 
-/// Offsets and sizes are in bytes.
+/// Buffer that is bound in one dispatch; offsets and sizes are in bytes.
 #[derive(Debug)]
 pub(super) enum Bound {
     Uniform { binding: u32, offset: u64, bytes: u64 },
     Storage { binding: u32, buffer: wgpu::Buffer, bytes: u64 },
 }
 
-/// Encodes `ops`. Dispatches share compute passes where nobody wants to know how long each takes.
+/// Encodes `ops`. Dispatches share compute passes unless timing is on; then each has a pass of its own.
 pub(super) fn encode(
     gpu: &Gpu,
     of_run: &Run,

@@ -1,4 +1,4 @@
-//! Kernels: a shader that was held against its host struct, and the pipeline made of it.
+//! Kernels: shaders that were compared with their host structs, and the pipelines made from them.
 
 use std::sync::Arc;
 
@@ -11,16 +11,16 @@ use super::lock;
 use super::shader::{Definition, Definitions, compose, compose_source};
 use crate::error::{Error, Result};
 
-/// What naga_oil puts between the name of an imported item and the name of its module.
+/// Text that naga_oil puts between the name of an imported item and the name of its module.
 const IMPORT_DECORATION: &str = "X_naga_oil_mod_X";
 
-/// What makes two kernels the same.
+/// Identity of a kernel: kernels with equal keys are the same.
 #[derive(Debug, PartialEq, Eq, Hash)]
 pub(super) struct KernelKey {
     stage: String,
     /// The source of a shader that is not in `shaders/`.
     source: Option<String>,
-    /// Sorted by name.
+    /// Definitions of the kernel, sorted by name.
     definitions: Vec<(String, Definition)>,
 }
 
@@ -30,18 +30,18 @@ pub struct Kernel {
     stage: String,
     workgroup_size: [u32; 3],
     pub(super) slots: &'static [Slot],
-    /// Where each slot is bound; `None` where the shader does not declare an optional one.
+    /// Binding of each slot; `None` for an optional slot that the shader does not declare.
     pub(super) places: Vec<Option<Place>>,
     pub(super) layout: wgpu::BindGroupLayout,
     pub(super) pipeline: wgpu::ComputePipeline,
 }
 
-/// Where the shader wants a slot.
+/// Binding of a slot in the shader.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Place {
     pub(super) binding: u32,
-    /// Size of a uniform struct and the offsets of its members, in bytes and in the order of the host's table. Nothing
-    /// for buffers.
+    /// Size of a uniform struct, and in `offsets` the offset of each member in the order of the host's table, both in
+    /// bytes. 0 and empty for buffers.
     pub(super) uniform_bytes: u32,
     pub(super) offsets: Vec<u32>,
 }
@@ -59,7 +59,7 @@ impl Kernel {
 }
 
 impl Gpu {
-    /// The kernel of a stage in `shaders/`. Built once for each set of definitions, then found again.
+    /// Returns the kernel of a stage in `shaders/`. It is built once for each set of definitions, and kept.
     ///
     /// # Errors
     /// [`Error::Shader`] where the shader does not compile or does not fit `B`; [`Error::Device`] where it needs more
@@ -68,7 +68,7 @@ impl Gpu {
         self.find_or_build(stage, None, definitions, B::SLOTS)
     }
 
-    /// The kernel of a shader that is not in `shaders/`, for tests and embedders.
+    /// Returns the kernel of a shader that is not in `shaders/`, for tests and embedders.
     ///
     /// # Errors
     /// As [`Gpu::kernel`].
@@ -92,8 +92,8 @@ impl Gpu {
         let mut sorted: Vec<_> = definitions.iter().map(|(name, value)| ((*name).to_owned(), *value)).collect();
         sorted.sort_by(|a, b| a.0.cmp(&b.0));
         let key = KernelKey { stage: stage.into(), source: source.map(str::to_owned), definitions: sorted };
-        // Held while the kernel is built: a second thread that wants the same kernel waits instead of building it
-        // again.
+        // The lock is held while the kernel is built: a second thread that needs the same kernel waits instead of
+        // building it again.
         let mut kernels = lock(&self.inner.kernels);
         if let Some(kernel) = kernels.get(&key) {
             let same = kernel.slots == slots;
@@ -112,7 +112,7 @@ impl Gpu {
         Ok(kernel)
     }
 
-    /// How many kernels are kept.
+    /// Returns the number of kernels that are kept.
     pub fn kernel_count(&self) -> usize {
         lock(&self.inner.kernels).len()
     }
@@ -155,7 +155,7 @@ impl Gpu {
                 unsafe_code,
                 reason = "our own shaders keep to their bounds: the test suite runs them with checks as well; unchecked they save up to a third"
             )]
-            // SAFETY: shaders come from this crate or its tests, index only what they were given the extent of, and
+            // SAFETY: shaders come from this crate or its tests, index only within the extents that they are given, and
             // loop a bounded number of times.
             let shader = unsafe { device.create_shader_module_trusted(description, checks) };
             let pipeline = device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
@@ -176,10 +176,11 @@ impl Gpu {
         Ok(Kernel { stage: stage.into(), workgroup_size, slots, places, layout, pipeline })
     }
 
-    /// How uniform structs are bound. Mesa's software driver takes values that loops and branches depend on out of
-    /// uniform buffers and compiles them into the shader, anew for each value that a dispatch brings along: on llvmpipe
-    /// 4.4 ms for each dispatch of `candidate_accumulate`, and half a second for each new size of an image. It leaves
-    /// storage buffers alone.
+    /// Returns the type of buffer that uniform structs are bound as: storage buffers on a software adapter that has
+    /// enough of them. Mesa's software driver reads values that loops and branches depend on from uniform buffers and
+    /// compiles them into the shader, again for each value that a dispatch brings. On llvmpipe this costs 4.4 ms for
+    /// each dispatch of `candidate_accumulate`, and half a second for each new size of an image. The driver does not do
+    /// this with storage buffers.
     pub(super) fn uniform_binding(&self) -> wgpu::BufferBindingType {
         let has_to_spare = self.inner.limits.max_storage_buffers_per_shader_stage
             > wgpu::Limits::default().max_storage_buffers_per_shader_stage;
@@ -273,7 +274,8 @@ fn workgroup_size(module: &Module) -> std::result::Result<[u32; 3], String> {
     Ok(entry.workgroup_size)
 }
 
-/// Finds every slot in the shader and every binding of the shader among the slots.
+/// Finds the binding of every slot in the shader. Fails if the shader has a binding without a slot, or lacks a slot
+/// that is not optional.
 fn place(module: &Module, slots: &[Slot]) -> std::result::Result<Vec<Option<Place>>, String> {
     let mut places = vec![None; slots.len()];
     for (_, global) in module.global_variables.iter() {
@@ -340,7 +342,7 @@ fn declaration(space: AddressSpace) -> Option<&'static str> {
     }
 }
 
-/// A member as the shader lays it out.
+/// Member of a uniform struct with its offset in the shader, in bytes.
 struct Laid {
     path: String,
     value: String,
@@ -364,7 +366,7 @@ fn flatten(module: &Module, ty: Handle<Type>, path: &str, offset: u32, into: &mu
     }
 }
 
-/// A type as WGSL writes it, as far as uniforms go.
+/// Formats a type as WGSL writes it, for the types that uniforms can have.
 fn written(module: &Module, inner: &TypeInner) -> String {
     let scalar = |scalar: &naga::Scalar| {
         let kind = match scalar.kind {
@@ -388,7 +390,7 @@ fn written(module: &Module, inner: &TypeInner) -> String {
     }
 }
 
-/// The offsets of the host's members in the shader's struct.
+/// Returns the offsets of the host's members in the shader's struct, in bytes.
 fn match_members(host: &str, wanted: &[Member], found: &[Laid]) -> std::result::Result<Vec<u32>, String> {
     if let Some(extra) = found.iter().find(|laid| !wanted.iter().any(|member| member.path == laid.path)) {
         return Err(format!("the shader's '{}: {}' is not in the host struct {host}", extra.path, extra.value));
@@ -414,7 +416,7 @@ mod tests {
     use super::*;
     use crate::{bindings, uniforms};
 
-    /// In an order in which the first needs the second.
+    /// Pieces in an order in which the first needs the second.
     const SHARED: &[(&str, &str)] = &[
         (
             "planes",

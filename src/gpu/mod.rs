@@ -1,6 +1,6 @@
 //! The graphics processor: opening a device, building kernels from WGSL, recording dispatches, reading results back.
 //!
-//! Nothing here knows of denoising. A consumer writes, for each shader file, one function of the form
+//! Nothing here knows of denoising. For each shader file, a consumer writes one function of this form:
 //!
 //! ```text
 //! uniforms! { struct BoxParams { extent: UVec2, radius: u32 } }
@@ -11,7 +11,7 @@
 //! rec.dispatch(&kernel, &BoxBlur { params, source: &source, blurred: &blurred }, [width, height, 1])?;
 //! ```
 //!
-//! and is held to it: every name, kind and type is compared with the shader when the kernel is built ([`bindings`]).
+//! Every name, kind and type in these structs is compared with the shader when the kernel is built ([`bindings`]).
 //!
 //! # House rules for shaders
 //! * One entry point, called `main`; its `@workgroup_size` is read from the shader and written nowhere else.
@@ -49,13 +49,13 @@ pub use crate::{bindings, uniforms};
 
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-/// Locks, also after another thread panicked while it held the lock: the data behind these locks is valid between any
-/// two statements.
+/// Locks `mutex`, even if another thread panicked while it held the lock: the data behind these locks is valid between
+/// any two statements.
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// A number of bytes for people: `1.5 GiB`.
+/// Formats a number of bytes for people, such as `1.5 GiB`.
 fn human_bytes(bytes: u64) -> String {
     let units = ["B", "KiB", "MiB", "GiB", "TiB", "PiB", "EiB"];
     let mut value = bytes as f64;

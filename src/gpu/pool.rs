@@ -1,14 +1,14 @@
-//! Storage buffers that are used again.
+//! Pool of storage buffers, which are used again.
 //!
 //! A denoiser takes and drops dozens of image-sized buffers per frame. Dropping a [`Buffer`] puts it back into the pool
 //! of its device; taking one prefers an idle one. Commands execute in the order in which they were recorded, so a
 //! buffer that is dropped after its last recorded use may be handed out again *while recording*: what the new owner
-//! records runs later. That aliasing is what keeps the peak low. It holds within one recorder, and between recorders
+//! records runs later. This aliasing keeps the memory peak low. It is valid within one recorder, and between recorders
 //! once the earlier one is submitted; a buffer whose last use lies in a recorder that is still open is handed out to
-//! that recorder only. Recorders that use the same buffer must be submitted in the order in which they did.
+//! that recorder only. Recorders that use the same buffer must be submitted in the order in which they used it.
 //!
 //! Sizes: a request is rounded up to 256 bytes. The smallest idle buffer that is large enough serves it if at most a
-//! quarter of it would lie fallow; otherwise a buffer of exactly the rounded size is made.
+//! quarter of it would stay unused; otherwise a buffer of exactly the rounded size is made.
 
 use std::collections::HashSet;
 use std::fmt;
@@ -25,7 +25,7 @@ use crate::error::{Error, Result};
 /// Sizes of pooled buffers are multiples of this many bytes.
 const GRANULE: u64 = 256;
 
-/// The smallest thing that can be bound, in bytes.
+/// Size of the smallest buffer that can be bound, in bytes.
 const SMALLEST: u64 = 4;
 
 pub(super) const USAGE: wgpu::BufferUsages =
@@ -36,29 +36,29 @@ pub struct Buffer {
     wgpu: wgpu::Buffer,
     bytes: u64,
     label: String,
-    /// The recorder that used it last.
+    /// Number of the recorder that used the buffer last.
     last_use: AtomicU64,
     home: Option<Home>,
 }
 
-/// Where a buffer returns to, and the run that it counts for.
+/// Pool that a buffer returns to, and run that its memory counts for.
 struct Home {
     pool: Arc<Pool>,
     run: Run,
 }
 
 impl Buffer {
-    /// The size that was asked for, in bytes, rounded up to a multiple of four. A kernel sees exactly this much.
+    /// Returns the requested size in bytes, rounded up to a multiple of four. A kernel sees exactly this many bytes.
     pub fn bytes(&self) -> u64 {
         self.bytes
     }
 
-    /// What it was taken for.
+    /// Returns the label under which the buffer was taken.
     pub fn label(&self) -> &str {
         &self.label
     }
 
-    /// The buffer itself, for embedders; it may be larger than [`Buffer::bytes`].
+    /// Returns the wgpu buffer, for embedders; it may be larger than [`Buffer::bytes`].
     pub fn wgpu(&self) -> &wgpu::Buffer {
         &self.wgpu
     }
@@ -94,9 +94,9 @@ impl Drop for Buffer {
 /// Memory of a device that is held in pooled buffers, in bytes. Staging for uploads and readbacks is not counted.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct MemoryUse {
-    /// Handed out.
+    /// Bytes in buffers that are handed out.
     pub bytes_in_use: u64,
-    /// Waiting to be used again.
+    /// Bytes in idle buffers, which wait to be used again.
     pub bytes_idle: u64,
 }
 
@@ -107,7 +107,7 @@ pub(super) struct Pool(Mutex<State>);
 struct State {
     idle: Vec<Idle>,
     usage: MemoryUse,
-    /// Recorders that hold commands which nobody has submitted yet.
+    /// Numbers of the recorders whose commands are not submitted yet.
     open: HashSet<u64>,
     last_recorder: u64,
 }
@@ -130,7 +130,7 @@ impl Pool {
         drop(idle);
     }
 
-    /// A number for a new batch of commands.
+    /// Returns a number for a new batch of commands, and counts it as open.
     pub(super) fn open_recorder(&self) -> u64 {
         let mut state = lock(&self.0);
         state.last_recorder += 1;
@@ -139,7 +139,7 @@ impl Pool {
         id
     }
 
-    /// The commands of `recorder` are submitted or discarded.
+    /// Records that the commands of `recorder` are submitted or discarded.
     pub(super) fn close_recorder(&self, recorder: u64) {
         lock(&self.0).open.remove(&recorder);
     }
@@ -173,7 +173,8 @@ impl Gpu {
     /// Makes a caller's buffer bindable. It is not pooled: dropping the result only drops this reference.
     ///
     /// # Errors
-    /// [`Error::Request`] where the buffer lacks `STORAGE` usage.
+    /// [`Error::Request`] where the buffer lacks `STORAGE` usage; [`Error::Device`] where it is larger than a kernel
+    /// can see.
     pub fn import(&self, label: &str, buffer: wgpu::Buffer) -> Result<Buffer> {
         if !buffer.usage().contains(wgpu::BufferUsages::STORAGE) {
             return Err(Error::Request {
@@ -191,8 +192,8 @@ impl Gpu {
         })
     }
 
-    /// A pooled buffer for commands of `recorder` in a run; `relieve` is called at most once, before idle buffers are
-    /// given up: where the run would exceed its limit, or the device has no memory left for the first attempt.
+    /// Takes a pooled buffer for commands of `recorder` in a run. Calls `relieve` at most once, before idle buffers are
+    /// given back to the driver: if the run would exceed its limit, or if the first attempt to make a buffer fails.
     pub(super) fn take_for(
         &self,
         recorder: u64,
@@ -205,7 +206,7 @@ impl Gpu {
         self.check_size(label, bytes)?;
         let bytes = bytes.max(SMALLEST).next_multiple_of(4);
         let rounded = bytes.next_multiple_of(GRANULE).min(self.inner.summary.max_buffer_bytes & !3);
-        // Idle buffers that stay beside a new one.
+        // Bytes of the idle buffers that remain beside a new buffer.
         let mut idle = 0;
         let wgpu = match self.inner.pool.take_idle(bytes, recorder) {
             Some(wgpu) => wgpu,
@@ -270,7 +271,7 @@ impl Gpu {
         })
     }
 
-    /// `error` for people, where it may be a lack of memory for `what`.
+    /// Describes `error` for people; it may be a lack of memory for `what`.
     pub(super) fn out_of_memory(&self, what: &str, error: &wgpu::Error) -> Error {
         let wgpu::Error::OutOfMemory { .. } = error else { return self.defect(&error.to_string()) };
         let in_use = human_bytes(self.memory().bytes_in_use);

@@ -7,15 +7,15 @@ use super::device::Gpu;
 use super::pool::Buffer;
 use crate::error::{Error, Result};
 
-/// The most values that are read at once: bounds the staging memory.
+/// Largest number of values that are read at once; it bounds the staging memory.
 const CHUNK_VALUES: usize = (16 << 20) / 4;
 
-/// How long another thread may take to run a callback that it has taken from the device. It does nothing but send one
-/// word.
+/// Time that another thread may take to run a callback that it has taken from the device. The callback only sends one
+/// message.
 const CALLBACK_PATIENCE: Duration = Duration::from_secs(10);
 
 impl Gpu {
-    /// The content of a buffer after everything that was submitted. Blocks until that is done.
+    /// Returns the content of a buffer after all submitted commands. Blocks until they are done.
     ///
     /// # Errors
     /// [`Error::Request`] where commands that use the buffer are recorded and not submitted; [`Error::Device`] where
@@ -26,19 +26,19 @@ impl Gpu {
         Ok(values)
     }
 
-    /// Part of a buffer: fills `values` from `offset_bytes` on, a multiple of four.
+    /// Fills `values` with the part of a buffer that begins at `offset_bytes`, a multiple of four.
     ///
     /// # Errors
-    /// [`Error::Request`] where the buffer ends before or its commands are not submitted; [`Error::Device`] where the
-    /// device failed.
+    /// [`Error::Request`] where the part reaches beyond the end of the buffer, where `offset_bytes` is no multiple of
+    /// four, or where commands that use the buffer are not submitted; [`Error::Device`] where the device failed.
     pub fn read_into(&self, buffer: &Buffer, offset_bytes: u64, values: &mut [f32]) -> Result<()> {
         self.read_with(buffer, offset_bytes, values.len(), |first, piece| {
             values[first..first + piece.len()].copy_from_slice(piece);
         })
     }
 
-    /// Part of a buffer, from `offset_bytes` on, a multiple of four: `take` is called with each piece of the `values`
-    /// values and with the position of the piece, which is a multiple of four.
+    /// Reads `values` values of a buffer from `offset_bytes` on, a multiple of four, piece by piece: calls `take` with
+    /// the position of each piece, counted in values and a multiple of four, and with the piece.
     ///
     /// # Errors
     /// As [`Gpu::read_into`].
@@ -88,7 +88,7 @@ impl Gpu {
             encoder.copy_buffer_to_buffer(buffer.wgpu(), offset, &staging, 0, bytes);
             self.inner.queue.submit([encoder.finish()]);
             staging.map_async(wgpu::MapMode::Read, .., move |mapped| {
-                // Nobody listens where the read failed already.
+                // The receiver is gone if the read failed already.
                 let _ = sender.send(mapped);
             });
             staging
@@ -98,8 +98,8 @@ impl Gpu {
         self.wait()?;
         let unreadable =
             || self.defect(&format!("the buffer '{}' cannot be read; the device is probably lost", buffer.label()));
-        // A thread that waits for the same device may have taken the callback along with its own, and not have come to
-        // it yet.
+        // Another thread that waits for the same device may have taken this callback together with its own callbacks,
+        // and may not have run it yet.
         receiver.recv_timeout(CALLBACK_PATIENCE).ok().and_then(std::result::Result::ok).ok_or_else(unreadable)?;
         let view = staging.get_mapped_range(..).map_err(|_| unreadable())?;
         take(bytemuck::cast_slice(&view));

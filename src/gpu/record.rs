@@ -12,35 +12,36 @@ use super::run::Run;
 use super::{human_bytes, lock};
 use crate::error::{Error, Result};
 
-/// Dispatches in one submission. Drivers kill a submission that runs for seconds, and none of its work can be waited
-/// for before all of it is done; submitting costs tens of microseconds.
+/// Number of dispatches in one submission. Drivers kill a submission that runs for seconds, and a program can only wait
+/// for a submission as a whole. Submitting costs tens of microseconds.
 const DISPATCHES_PER_SUBMISSION: usize = 32;
 
 /// Bytes of staging memory that uploads may hold before they are submitted and waited for.
 const STAGED_BYTES: u64 = 64 << 20;
 
-/// Values that are made ready on the host at one time, where an upload is made piece by piece.
+/// Largest number of values in one piece of an upload that the host makes piece by piece.
 const PIECE_VALUES: usize = (8 << 20) / 4;
 
 /// Size of the buffer that poison is copied from, in bytes.
 const POISON_BYTES: u64 = 1 << 20;
 
-/// How a recorder shares the device with somebody who waits for it, such as a window. The result is the same to the
-/// bit.
+/// Pace of a recorder that shares the device with somebody who waits for it, such as a window. The result does not
+/// depend on it, to the bit.
 #[derive(Clone, Debug)]
 pub struct Pace {
-    /// Dispatches that are submitted together, at least 1. The recorder waits for them before it goes on, so that what
-    /// others submit meanwhile comes next.
+    /// Number of dispatches that are submitted together, at least 1. The recorder waits for them before it goes on, so
+    /// that commands that others submit meanwhile come next.
     pub dispatches: usize,
-    /// Where this becomes true, the recorder ends with [`Error::Cancelled`] after the dispatches that are on their way.
+    /// Flag that cancels: once it is true, the recorder ends with [`Error::Cancelled`] after the dispatches that are
+    /// submitted already.
     pub cancelled: Arc<AtomicBool>,
 }
 
 /// A list of commands that execute in the order in which they were recorded.
 ///
-/// From [`Gpu::record`], it submits itself every few dozen dispatches and the rest in [`Recorder::submit`]. From
-/// [`Gpu::record_whole`], it touches no queue, and [`Recorder::encode_into`] puts everything into the caller's encoder.
-/// Dropped without either, what was not yet submitted is forgotten.
+/// A recorder from [`Gpu::record`] submits itself every few dozen dispatches, and the rest in [`Recorder::submit`]. A
+/// recorder from [`Gpu::record_whole`] touches no queue, and [`Recorder::encode_into`] puts all commands into the
+/// caller's encoder. If a recorder is dropped without either call, the commands not yet submitted are lost.
 #[derive(Debug)]
 pub struct Recorder {
     gpu: Gpu,
@@ -54,7 +55,7 @@ pub struct Recorder {
     whole: bool,
     has_submitted: bool,
     pace: Option<Pace>,
-    /// What the dispatches are for; their times are summed under it.
+    /// Name of the step that the next dispatches belong to; times are summed under this name.
     step: Arc<str>,
 }
 
@@ -69,7 +70,7 @@ impl Gpu {
         self.record_whole_in(&Run::default())
     }
 
-    /// As [`Gpu::record_whole`], of a run.
+    /// As [`Gpu::record_whole`], as part of `run`.
     pub fn record_whole_in(&self, run: &Run) -> Recorder {
         Recorder::new(self, run, true)
     }
@@ -92,30 +93,30 @@ impl Recorder {
         }
     }
 
-    /// Shares the device from here on.
+    /// Shares the device at this pace from here on.
     pub fn set_pace(&mut self, pace: Pace) {
         self.pace = Some(pace);
     }
 
-    /// The device it records for.
+    /// Returns the device that the commands are recorded for.
     pub fn gpu(&self) -> &Gpu {
         &self.gpu
     }
 
-    /// Names what the dispatches from here on are for, so that [`Gpu::step_timings`] can tell the uses of one stage
-    /// apart.
+    /// Names the step that the dispatches from here on belong to, so that [`Gpu::step_timings`] can tell the uses of
+    /// one stage apart.
     pub fn begin_step(&mut self, name: &str) {
         self.step = Arc::from(name);
     }
 
-    /// A storage buffer of at least `bytes` bytes, from the pool. Its content is whatever was there before: a zero,
-    /// another stage's image, or poison.
+    /// Takes a storage buffer of at least `bytes` bytes from the pool. Its content is arbitrary: zeros, another stage's
+    /// image, or poison.
     ///
     /// Drop it after recording its last use, not after that use has executed: the next `take` may hand out the same
     /// memory.
     ///
     /// # Errors
-    /// [`Error::Device`] where a kernel cannot see that much, or the device has no memory left.
+    /// [`Error::Device`] where a kernel cannot see that many bytes, or the device has no memory left.
     pub fn take(&mut self, label: &str, bytes: u64) -> Result<Buffer> {
         let buffer = self.take_plain(label, bytes)?;
         if self.gpu.inner.options.poison {
@@ -134,7 +135,7 @@ impl Recorder {
         .inspect(|buffer| buffer.mark_used(self.id))
     }
 
-    /// A storage buffer that holds `data`.
+    /// Takes a storage buffer that holds `data`.
     ///
     /// # Errors
     /// As [`Recorder::take`].
@@ -142,7 +143,7 @@ impl Recorder {
         self.upload_bytes(label, bytemuck::cast_slice(data))
     }
 
-    /// A storage buffer that holds `data`, padded to a multiple of four bytes.
+    /// Takes a storage buffer that holds `data`, padded to a multiple of four bytes.
     ///
     /// # Errors
     /// As [`Recorder::take`].
@@ -152,9 +153,9 @@ impl Recorder {
         Ok(buffer)
     }
 
-    /// A storage buffer of `values` values that are made piece by piece, so that they are never in memory a second time
-    /// as a whole: `fill` is called with the position of each piece and with the piece, which is a multiple of four
-    /// values long but for the last one and holds zeros.
+    /// Takes a storage buffer of `values` values and fills it piece by piece, so that the host never holds a second
+    /// copy of all values: calls `fill` with the position of each piece, counted in values, and with the piece, which
+    /// holds zeros. Each piece but the last is a multiple of four values long.
     ///
     /// # Errors
     /// As [`Recorder::take`].
@@ -175,7 +176,7 @@ impl Recorder {
         Ok(buffer)
     }
 
-    /// Copies `data`, padded to so many bytes, to an offset of a buffer.
+    /// Copies `data`, padded to `bytes` bytes, to a buffer, from the byte `to_offset` on.
     fn stage(&mut self, data: &[u8], buffer: &Buffer, to_offset: u64, bytes: u64) -> Result<()> {
         let staging = self.gpu.filled(buffer.label(), wgpu::BufferUsages::COPY_SRC, data, bytes)?;
         buffer.mark_used(self.id);
@@ -188,8 +189,8 @@ impl Recorder {
         Ok(())
     }
 
-    /// Runs a kernel over `invocations` in x, y and z; each is rounded up to whole workgroups, so the shader must
-    /// ignore those beyond its extent.
+    /// Records a kernel over `invocations` in x, y and z. Each number is rounded up to whole workgroups, so the shader
+    /// must ignore invocations beyond its extent.
     ///
     /// # Errors
     /// [`Error::Shader`] where the kernel was built for other bindings or a written buffer is bound twice;
@@ -252,28 +253,29 @@ impl Recorder {
         if self.dispatches >= most { self.flush() } else { Ok(()) }
     }
 
-    /// Hands what was recorded so far to the device, which starts on it. Does nothing in a recorder from
+    /// Hands the commands recorded so far to the device, which starts on them. Does nothing in a recorder from
     /// [`Gpu::record_whole`].
     ///
     /// # Errors
-    /// [`Error::Device`] where the device failed.
+    /// [`Error::Device`] where the device failed; [`Error::Cancelled`] where the [`Pace`] was cancelled.
     pub fn flush(&mut self) -> Result<()> {
         if self.whole { Ok(()) } else { self.hand_over() }
     }
 
-    /// Hands everything to the device. Does not wait for it: [`Gpu::wait`] and [`Gpu::read`] do.
+    /// Hands all commands to the device. Does not wait for them, except under a [`Pace`]; [`Gpu::wait`] and
+    /// [`Gpu::read`] wait.
     ///
     /// # Errors
-    /// [`Error::Device`] where the device failed.
+    /// [`Error::Device`] where the device failed; [`Error::Cancelled`] where the [`Pace`] was cancelled.
     pub fn submit(mut self) -> Result<()> {
         self.hand_over()
     }
 
-    /// Puts everything into a caller's encoder; the device's queue is not touched. Encoders must be submitted in the
+    /// Puts all commands into a caller's encoder; the device's queue is not touched. Encoders must be submitted in the
     /// order in which they were filled, because buffers dropped before one of them may be used again in the next.
     ///
     /// # Errors
-    /// [`Error::Request`] where parts are submitted already because the recorder is not from [`Gpu::record_whole`];
+    /// [`Error::Request`] where commands are submitted already because the recorder is not from [`Gpu::record_whole`];
     /// [`Error::Device`] where the device failed.
     pub fn encode_into(mut self, encoder: &mut wgpu::CommandEncoder) -> Result<()> {
         if self.has_submitted {
@@ -309,7 +311,7 @@ impl Recorder {
         self.id = inner.pool.open_recorder();
         submitted.map_err(|error| self.gpu.out_of_memory("the commands", &error))??;
         let Some(pace) = &self.pace else {
-            // Without waiting: frees what finished, and lets a lost device become known.
+            // Polls without waiting: frees the resources of finished commands, and lets a lost device become known.
             return self.gpu.poll(wgpu::PollType::Poll);
         };
         self.gpu.wait()?;
@@ -332,7 +334,7 @@ impl Recorder {
         }
     }
 
-    /// Writes the members where the shader wants them and returns where the struct begins.
+    /// Writes the members at the offsets that the shader declares, and returns the offset of the struct, in bytes.
     fn append_uniform(&mut self, bytes: u32, offsets: &[u32], members: &[&[u8]]) -> u64 {
         let limits = &self.gpu.inner.limits;
         let alignment =
@@ -377,7 +379,8 @@ impl Drop for Recorder {
 }
 
 impl Gpu {
-    /// A new buffer of `bytes` bytes that begins with `data`. It is written through a mapping, so no queue is involved.
+    /// Makes a buffer of `bytes` bytes that begins with `data`. The data is written through a mapping, so no queue is
+    /// involved.
     pub(super) fn filled(
         &self,
         label: &str,
@@ -399,7 +402,7 @@ impl Gpu {
             Ok(Ok(buffer)) => Ok(buffer),
             Err(error) => Err(self.out_of_memory(&format!("staging {} for '{label}'", human_bytes(bytes)), &error)),
             Ok(Err(error)) => {
-                // A lost device makes buffers that cannot be mapped, and says why only when polled.
+                // A lost device makes buffers that cannot be mapped, and gives the reason only when polled.
                 self.poll(wgpu::PollType::Poll)?;
                 Err(self.defect(&format!("{} of staging for '{label}' cannot be written: {error}", human_bytes(bytes))))
             }
@@ -407,8 +410,8 @@ impl Gpu {
     }
 }
 
-/// A written slot whose buffer is bound a second time, with the other slot. The device gives no order between two such
-/// accesses.
+/// Finds a written slot whose buffer is bound a second time, and returns the names of both slots. The device gives no
+/// order between two such accesses.
 fn aliased(kernel: &Kernel, values: &[Value<'_>]) -> Option<(&'static str, &'static str)> {
     let buffer = |index: usize| match values[index] {
         Value::Buffer(buffer) => Some(buffer.wgpu()),

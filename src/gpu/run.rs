@@ -1,4 +1,4 @@
-//! What belongs to one run on a device that several runs may share.
+//! State of one run on a device that several runs may share.
 
 use std::fmt;
 use std::sync::{Arc, Mutex};
@@ -9,21 +9,20 @@ use super::record::Recorder;
 use super::timing::{StageTime, StepTime};
 use crate::error::Result;
 
-/// A limit on memory, the memory that buffers take, and the times of stages, for all recorders of one run. Cheap to
-/// clone; clones are the same run.
+/// Memory limit, memory use and times of stages, for all recorders of one run. Cheap to clone; clones are the same run.
 #[derive(Clone, Default)]
 pub struct Run(Arc<Shared>);
 
 #[derive(Default)]
 struct Shared {
-    /// In bytes.
+    /// Limit on memory, in bytes.
     limit: Option<u64>,
     memory: Mutex<Memory>,
-    /// In the order of first use.
+    /// Times of stages in steps, in the order of first use.
     times: Mutex<Vec<StepTime>>,
 }
 
-/// In bytes.
+/// Memory that the buffers of a run take, in bytes.
 #[derive(Default)]
 struct Memory {
     in_use: u64,
@@ -31,24 +30,24 @@ struct Memory {
 }
 
 impl Run {
-    /// A run that holds its buffers and the idle ones of the device to `memory_limit` bytes, as far as giving up idle
-    /// buffers can. `None` keeps idle buffers as long as the device has memory.
+    /// Makes a run whose buffers, together with the idle buffers of the device, stay within `memory_limit` bytes, as
+    /// far as giving up idle buffers can achieve this. `None` keeps idle buffers as long as the device has memory.
     pub fn new(memory_limit: Option<u64>) -> Self {
         Self(Arc::new(Shared { limit: memory_limit, ..Shared::default() }))
     }
 
-    /// The most bytes that buffers of this run took, with the idle buffers of the device beside them whenever a new one
-    /// was made.
+    /// Returns the largest number of bytes that buffers of this run took. Whenever a new buffer was made, the idle
+    /// buffers of the device count as well.
     pub fn peak_bytes(&self) -> u64 {
         lock(&self.0.memory).peak
     }
 
-    /// Whether idle buffers must go before another one of `bytes` is made.
+    /// Returns whether idle buffers must be given up before a buffer of `bytes` bytes is made.
     pub(super) fn is_crowded(&self, idle: u64, bytes: u64) -> bool {
         idle > 0 && self.0.limit.is_some_and(|limit| lock(&self.0.memory).in_use + idle + bytes > limit)
     }
 
-    /// A buffer of this size is taken, and so many idle bytes stay beside it.
+    /// Records that a buffer of `bytes` bytes is taken, while `idle` bytes of idle buffers remain beside it.
     pub(super) fn takes(&self, bytes: u64, idle: u64) {
         let memory = &mut lock(&self.0.memory);
         memory.in_use += bytes;
@@ -59,7 +58,7 @@ impl Run {
         lock(&self.0.memory).in_use -= bytes;
     }
 
-    /// Lets `change` change the time of a stage in a step.
+    /// Applies `change` to the time of a stage in a step.
     pub(super) fn time(&self, step: &str, stage: &str, change: impl FnOnce(&mut StageTime)) {
         let times = &mut lock(&self.0.times);
         let index = times.iter().position(|time| time.step == step && time.time.stage == stage).unwrap_or_else(|| {
@@ -86,8 +85,8 @@ impl Gpu {
         Recorder::new(self, run, false)
     }
 
-    /// The time of each stage in each step of a run so far, in the order of first use; `None` where the adapter has no
-    /// timestamps. Waits for the device.
+    /// Returns the time of each stage in each step of a run so far, in the order of first use; `None` if the adapter
+    /// has no timestamps. Waits for the device.
     ///
     /// # Errors
     /// As [`Gpu::wait`].

@@ -1,4 +1,4 @@
-//! From WGSL files to a validated naga module.
+//! Turns WGSL files into validated naga modules.
 
 use std::sync::{LazyLock, Mutex};
 
@@ -8,8 +8,8 @@ use super::catalogue::{SHARED, STAGES};
 use super::lock;
 use crate::error::{Error, Result};
 
-/// What all stages may import, or why it cannot be. Reading the pieces takes longer than composing most stages, so it
-/// is done once in a process.
+/// Shared pieces that all stages may import, or the reason why they cannot be read. Reading them takes longer than
+/// composing most stages, so it is done once in a process.
 static PIECES: LazyLock<std::result::Result<Mutex<Pieces>, String>> =
     LazyLock::new(|| Pieces::read(SHARED).map(Mutex::new));
 
@@ -42,7 +42,8 @@ impl From<u32> for Definition {
     }
 }
 
-/// What specialises a stage. Part of a kernel's identity: two sets of definitions are two kernels.
+/// Names and values that specialise a stage. They are part of a kernel's identity: two sets of definitions are two
+/// kernels.
 pub type Definitions<'a> = &'a [(&'a str, Definition)];
 
 /// The names of all stages.
@@ -55,7 +56,7 @@ pub fn shared_modules() -> Vec<&'static str> {
     SHARED.iter().map(|(name, _)| *name).collect()
 }
 
-/// A stage with its imports and definitions resolved, validated by naga.
+/// Composes a stage: resolves its imports and definitions, and validates it with naga.
 ///
 /// # Errors
 /// [`Error::Shader`] where there is no such stage, where it does not compile, or where neither it nor any shared piece
@@ -67,7 +68,7 @@ pub fn compose(stage: &str, definitions: Definitions) -> Result<naga::Module> {
     compose_source(stage, source, definitions)
 }
 
-/// The same for a source that is not in `shaders/`; it may import the shared pieces.
+/// Composes a source that is not in `shaders/`; it may import the shared pieces.
 ///
 /// # Errors
 /// As [`compose`].
@@ -86,7 +87,7 @@ pub(super) struct Pieces {
 }
 
 impl Pieces {
-    /// Adds every piece after those it imports, which is the order that naga_oil demands.
+    /// Adds every piece after the pieces that it imports, which is the order that naga_oil demands.
     pub(super) fn read(sources: &'static [(&str, &str)]) -> std::result::Result<Self, String> {
         let mut composer = Composer::default();
         let mut waiting = sources.to_vec();
@@ -136,7 +137,7 @@ impl Pieces {
     }
 }
 
-/// The compiler's message with the lines it speaks of.
+/// Formats the compiler's message with the source lines that it is about.
 fn told(error: &ComposerError, composer: &Composer) -> String {
     error.emit_to_string(composer).trim_end().to_owned()
 }

@@ -11,7 +11,7 @@ use super::lock;
 use super::run::Run;
 use crate::error::Result;
 
-/// Dispatches whose times are read back together.
+/// Number of dispatches whose times are read back together.
 const DISPATCHES_PER_BATCH: u32 = 64;
 
 const BATCH_BYTES: u64 = DISPATCHES_PER_BATCH as u64 * 2 * wgpu::QUERY_SIZE as u64;
@@ -23,17 +23,16 @@ pub struct StageTime {
     pub stage: String,
     /// Sum over its dispatches, in seconds on the device.
     pub seconds: f64,
-    /// How many there were.
+    /// Number of its dispatches.
     pub dispatches: usize,
 }
 
 /// The time of all dispatches of one stage in one step.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct StepTime {
-    /// What they were for: as told to [`Recorder::begin_step`](super::Recorder::begin_step); empty where nothing was
-    /// told.
+    /// Name of the step, as given to [`Recorder::begin_step`](super::Recorder::begin_step); empty if none was given.
     pub step: String,
-    /// The stage and its time there.
+    /// Stage and its time in this step.
     #[serde(flatten)]
     pub time: StageTime,
 }
@@ -61,7 +60,7 @@ struct Queries {
 pub(super) struct Batch {
     run: Run,
     queries: Arc<Queries>,
-    /// Step and stage of each.
+    /// Step and stage of each dispatch.
     dispatches: Vec<(Arc<str>, String)>,
 }
 
@@ -70,7 +69,7 @@ impl Batch {
         self.dispatches.len() == DISPATCHES_PER_BATCH as usize
     }
 
-    /// Where the next dispatch writes its timestamps.
+    /// Adds a dispatch, and returns where it writes its timestamps.
     pub(super) fn next(&mut self, step: &Arc<str>, stage: &str) -> wgpu::ComputePassTimestampWrites<'_> {
         let first = self.dispatches.len() as u32 * 2;
         self.dispatches.push((Arc::clone(step), stage.to_owned()));
@@ -119,7 +118,7 @@ impl Timing {
         Batch { run: run.clone(), queries, dispatches: Vec::new() }
     }
 
-    /// Has the timestamps of `batch` read back once `encoder` is submitted, by whomever.
+    /// Encodes the readback of the timestamps of `batch`; it runs once somebody submits `encoder`.
     pub(super) fn resolve(&self, batch: Batch, encoder: &mut wgpu::CommandEncoder) {
         let Queries { set, resolved, readback } = &*batch.queries;
         let count = batch.dispatches.len() as u32 * 2;
@@ -127,7 +126,7 @@ impl Timing {
         encoder.copy_buffer_to_buffer(resolved, 0, readback, 0, BATCH_BYTES);
         let (sender, receiver) = channel();
         encoder.map_buffer_on_submit(readback, wgpu::MapMode::Read, .., move |mapped| {
-            // Nobody listens where the device is gone already.
+            // The receiver is gone if the device is gone.
             let _ = sender.send(mapped.is_ok());
         });
         for (step, stage) in &batch.dispatches {
@@ -136,7 +135,7 @@ impl Timing {
         lock(&self.state).pending.push((batch, receiver));
     }
 
-    /// Adds up what has arrived.
+    /// Adds up the timestamps that have arrived.
     fn collect(&self) {
         let State { pending, free } = &mut *lock(&self.state);
         pending.retain(|(batch, receiver)| {
@@ -160,15 +159,16 @@ impl Timing {
 }
 
 impl Gpu {
-    /// Turns the timing of stages on or off for what is encoded from now on. Returns whether it is on: an adapter
-    /// without timestamps stays off.
+    /// Turns the timing of stages on or off for dispatches that are encoded from now on. Returns whether it is on: an
+    /// adapter without timestamps stays off.
     pub fn set_timing(&self, on: bool) -> bool {
         let timing = &self.inner.timing;
         timing.on.store(on && timing.available, Ordering::Relaxed);
         timing.is_on()
     }
 
-    /// Adds up what has arrived, for all runs. Returns whether the adapter has timestamps. Waits for the device.
+    /// Adds up the timestamps that have arrived, for all runs. Returns whether the adapter has timestamps. Waits for
+    /// the device.
     pub(super) fn collect_timings(&self) -> Result<bool> {
         if self.inner.timing.available {
             self.wait()?;

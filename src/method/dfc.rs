@@ -64,15 +64,14 @@ pub(super) const INTERMEDIATES: [Intermediate; 9] = [
 
 const BY_CANDIDATE: [&str; 3] = CandidateSet::NAMES;
 
-/// Algorithm 1. Degrades by what the frame knows of its noise: without halves the variances are taken as they are and
-/// there is no second pass; without sample variance the smoothed two-buffer variance takes its place. What the plan
-/// leaves out does not happen.
+/// Runs Algorithm 1. Without halves, it takes the variances as they are and has no second pass. Without a sample
+/// variance, the pooled or smoothed two-buffer variance takes its place. Steps that the plan leaves out do not run.
 ///
-/// The frames `beside` are in the same units and have the same features. `progress` is called with the share of the
-/// work that is recorded.
+/// The frames `beside` must have the units and features of `frame`. `progress` receives the share of the work that is
+/// recorded, 0 to 1.
 ///
 /// # Errors
-/// Those of recording.
+/// Errors of the recorder.
 pub(crate) fn dfc(
     rec: &mut Recorder,
     frame: FrameInput,
@@ -135,7 +134,7 @@ pub(crate) fn dfc(
     })
 }
 
-/// How a frame is worked on.
+/// Parameters and plan of the work on a frame.
 #[derive(Clone, Copy)]
 struct Work<'a> {
     params: &'a DfcParams,
@@ -150,14 +149,14 @@ impl Work<'_> {
     }
 }
 
-/// Which pixels of what are wanted; `None`: all.
+/// Region to compute for each output; `None` computes the whole frame.
 #[derive(Clone, Copy, Default)]
 struct Wanted {
-    /// Of the prefiltered features.
+    /// Region of the prefiltered features.
     features: Option<Region>,
-    /// Of the candidates, and of what chooses among them.
+    /// Region of the candidates and of the selection among them.
     candidates: Option<Region>,
-    /// Of the second pass.
+    /// Region of the second pass.
     result: Option<Region>,
 }
 
@@ -174,15 +173,15 @@ fn candidate_filter(params: &DfcParams) -> CandidateFilter {
     }
 }
 
-/// What the candidates are made from.
+/// Input of the candidates.
 struct Prepared {
     extent: IVec2,
-    /// Without spikes.
+    /// Colour of the own frame, without spikes.
     color: GpuSignal,
     variance: Arc<Buffer>,
-    /// Of the own frame, then of those beside; empty where there are none.
+    /// Prefiltered features of the own frame, then of the frames beside; empty without features.
     features: Vec<Features>,
-    /// What was taken from the own frame.
+    /// Spikes and lights that were taken out of the own frame.
     spikes: Option<Found>,
     samples: GpuSamples,
     colors_beside: Vec<GpuSignal>,
@@ -238,14 +237,14 @@ impl Prepared {
         Ok(Self { extent, color, variance, features, spikes, samples, colors_beside, variances_beside })
     }
 
-    /// Gives back what the candidates alone are made from.
+    /// Drops the buffers that only the candidates need.
     fn forget_neighbours(&mut self) {
         self.features.clear();
         self.colors_beside.clear();
         self.variances_beside.clear();
     }
 
-    /// A plane smoothed along the colour.
+    /// Smooths a plane with weights from the colour.
     fn smooth(
         &self,
         rec: &mut Recorder,
@@ -272,27 +271,27 @@ impl Prepared {
     }
 }
 
-/// The candidates averaged by what chose among them.
+/// The candidates, and their average by the selection maps.
 struct Pass1 {
     candidates: Candidates,
     /// The candidates' shares in the blend.
     selection: Shares,
-    /// What else shares in it.
+    /// Filter by the colour only, if it takes part in the blend.
     color_only: Option<ColorOnly>,
     blend: Arc<Buffer>,
 }
 
-/// The filter that knows the colour only: SECOND without features.
+/// The filter by the colour only: SECOND without features.
 struct ColorOnly {
     candidates: Candidates,
-    /// One plane, y: its shares.
+    /// Its share in the blend, in y of one plane.
     shares: Arc<Buffer>,
 }
 
 const SECOND_ONLY: CandidateSet = CandidateSet { first: false, second: true, third: false };
 
 impl Pass1 {
-    /// Afterwards, `prepared` holds what belongs to the frame itself.
+    /// Makes the candidates and blends them. Drops the neighbours' buffers from `prepared`.
     fn new(
         rec: &mut Recorder,
         prepared: &mut Prepared,
@@ -395,8 +394,8 @@ impl Pass1 {
 }
 
 impl ColorOnly {
-    /// The filter over the own frame, and the blend in which it takes part. The shares of the candidates in `joint`
-    /// become what it leaves.
+    /// Filters the own frame by its colour, and returns the filter with the new blend. Lowers the shares of the
+    /// candidates in `joint` by the share of this filter.
     fn new(
         rec: &mut Recorder,
         prepared: &Prepared,
@@ -443,19 +442,19 @@ impl ColorOnly {
     }
 }
 
-/// What the second pass made of pass 1.
+/// Result of the second pass.
 struct Pass2 {
     filter: Auxiliary,
-    /// Of the noise in pass 1.
+    /// Variance of the noise that pass 1 left.
     left_variance: Buffer,
     /// Pass 1 filtered by itself.
     filtered: Arc<Buffer>,
-    /// The same, and pass 1 where that would go too far.
+    /// `filtered`, but pass 1 where the change would exceed the limit.
     result: Arc<Buffer>,
 }
 
 impl Pass2 {
-    /// `None` where the plan has none.
+    /// Filters pass 1. Returns `None` if the plan has no second pass.
     fn new(rec: &mut Recorder, extent: IVec2, pass1: &Buffer, variance: &Buffer, work: Work) -> Result<Option<Self>> {
         let Work { params, plan, schedule, wanted } = work;
         let Some(second_pass) = params.second_pass.filter(|_| plan.begins(rec, Step::SecondPass)) else {
@@ -492,8 +491,8 @@ fn second_pass_filter(second_pass: &SecondPass, window_radius: u32) -> Auxiliary
     }
 }
 
-/// Prefilters each feature by itself (Algorithm 1 lines 4 to 10) and packs them for the candidates; features without
-/// noise are taken as they are. Empty where there are none.
+/// Prefilters each feature by itself (Algorithm 1 lines 4 to 10) and packs them for the candidates. Packs features
+/// without noise as they are. Returns an empty list without features.
 ///
 /// `frames` holds the features of all frames of the window in time, the one to denoise first, and each is prefiltered
 /// with the help of all. Measured on three frames of the built-in scenes in which nothing moves, 8 and 32 samples per
@@ -588,13 +587,13 @@ fn prefilter(
     Ok(packed)
 }
 
-/// The variance of a signal of whose noise anything is known.
+/// Variance of a signal's mean. `None` if the noise of the signal is unknown.
 fn noise(rec: &mut Recorder, extent: IVec2, signal: &GpuSignal, box_weight: BoxWeight) -> Result<Option<Arc<Buffer>>> {
     let noisy = signal.has_halves || signal.variance_of_mean.is_some();
     noisy.then(|| guide_variance(rec, extent, signal, box_weight, Floor::Absolute)).transpose()
 }
 
-/// Counted from [`dfc`]: what is dropped is used again.
+/// Counts the planes that [`dfc`] holds at the same time; dropped buffers are used again.
 pub(super) fn footprint(params: &DfcParams, facts: &Facts, kept: bool, schedule: Schedule) -> Footprint {
     let beside = facts.beside;
     let channels: Vec<u32> = facts.features.iter().map(|feature| feature.channels).collect();
@@ -635,7 +634,7 @@ pub(super) fn footprint(params: &DfcParams, facts: &Facts, kept: bool, schedule:
     }
 }
 
-/// How far the candidates depend on a frame.
+/// How far the candidates depend on a frame, in pixels.
 fn reach_of_candidates(params: &DfcParams, noise_reach: u32) -> u32 {
     let scaled_variance = SCALE_RADIUS.max(INPUT_SMOOTHING.radius) + noise_reach;
     // One more for the gradient, which is less than the smoothing of the residual variance.
@@ -644,29 +643,29 @@ fn reach_of_candidates(params: &DfcParams, noise_reach: u32) -> u32 {
     params.window_radius + features.max(params.second_patch_radius + scaled_variance)
 }
 
-/// How far a feature without its noise depends on it.
+/// How far a prefiltered feature depends on the raw feature, in pixels.
 fn reach_of_prefilter(noise_reach: u32) -> u32 {
     let scaled_variance = SCALE_RADIUS.max(INPUT_SMOOTHING.radius) + noise_reach;
     PREFILTER.window_radius + PREFILTER.patch_radius + scaled_variance
 }
 
-/// How far the shares of the candidates depend on them.
+/// How far the shares of the candidates depend on the candidates, in pixels.
 fn reach_of_choice() -> u32 {
     [ERROR_SMOOTHING, SELECTION_SMOOTHING].iter().map(|filter| filter.window_radius + filter.patch_radius).sum()
 }
 
-/// How far the share of the filter by the colour only depends on the blend, if it runs.
+/// How far the share of the filter by the colour only depends on the blend, in pixels; 0 if this filter does not run.
 fn reach_of_color_only(runs: bool) -> u32 {
     if runs { Significance::MEASURED.smoothing.radius } else { 0 }
 }
 
-/// How far the result depends on pass 1.
+/// How far the result depends on pass 1, in pixels.
 fn reach_of_second_pass(params: &DfcParams) -> u32 {
     let filter = params.second_pass.map(|pass| second_pass_filter(&pass, params.window_radius));
     filter.map_or(0, |filter| filter.window_radius + filter.patch_radius + RESIDUAL_SMOOTHING.radius)
 }
 
-/// How far the result depends on the candidates, by what a plan makes of them.
+/// How far the result depends on the candidates with this plan, in pixels.
 fn reach_of_choice_and_second_pass(params: &DfcParams, plan: &Plan) -> u32 {
     let choice = if plan.runs(&Step::Selection) {
         reach_of_choice() + reach_of_color_only(plan.runs(&Step::ColorOnly))
@@ -681,7 +680,8 @@ pub(super) fn reach_of_kernels(params: &DfcParams, plan: &Plan) -> u32 {
     reach_of_candidates(params, largest_noise_reach(plan)) + reach_of_choice_and_second_pass(params, plan)
 }
 
-/// Of frames in which the filter by the colour only may take part, where the parameters let it.
+/// Largest halo for any frame, in pixels: as if the filter by the colour only took part wherever the parameters allow
+/// it.
 pub(super) fn halo(params: &DfcParams) -> u32 {
     halo_with(params, params.pooling().largest_reach(), params.color_only)
 }

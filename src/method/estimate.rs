@@ -1,19 +1,19 @@
-//! What a method hands back, and the intermediates that can be kept of it.
+//! Results of a method, and its intermediates.
 
 use std::sync::Arc;
 
 use crate::gpu::Buffer;
 
-/// Intermediates that can be kept for inspection. Which of them there are depends on the method:
+/// Intermediates to keep for inspection. Each method has some of them:
 /// [`Method::intermediates`](super::Method::intermediates).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Intermediate {
-    /// What was taken from spikes; nothing where nobody looks for any.
+    /// Radiance that was taken from spikes; none if spikes stay.
     Spikes,
-    /// Variance of the colour's mean as the filters take it: scaled (thesis 8.2), of NLM as
+    /// Variance of the colour's mean as the filters use it: scaled (thesis 8.2); for NLM as
     /// [`NlmVariance`](super::nlm::NlmVariance) says.
     Variance,
-    /// Prefiltered features and their residual variances; nothing where there are no features.
+    /// Prefiltered features and their residual variances; none without features.
     Features,
     /// FIRST, SECOND and THIRD.
     Candidates,
@@ -23,15 +23,15 @@ pub enum Intermediate {
     Sure,
     /// Selection maps: binary, and as they entered the blend.
     Selection,
-    /// The blend before the second pass; nothing where there is none, as without halves.
+    /// The blend before the second pass; none without a second pass.
     Pass1,
     /// Stopping maps of each pair of scales: binary, and smoothed.
     Stopping,
     /// σ of the scale that was chosen, in pixels; 0 for the pixel filter.
     Scale,
-    /// The filtered halves; nothing where the frame has none.
+    /// The filtered halves; none without halves.
     Halves,
-    /// Where the next samples pay most; of GEM what that is made of, for
+    /// Sampling density: where the next samples reduce the error most. For GEM the quantities it is made of, for
     /// [`sampling_density`](crate::sampling::sampling_density).
     Density,
 }
@@ -72,7 +72,7 @@ impl Intermediate {
     }
 }
 
-/// What the values of a kept plane mean, so that they can be brought back to the units of the file.
+/// Unit of the values of a kept plane, to convert them back to the units of the file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Unit {
     /// As the colour.
@@ -90,7 +90,7 @@ pub enum Unit {
 /// One plane that was kept.
 #[derive(Debug)]
 pub struct KeptPlane {
-    /// What it is part of.
+    /// The intermediate that it is part of.
     pub intermediate: Intermediate,
     /// Layer name.
     pub layer: String,
@@ -98,7 +98,7 @@ pub struct KeptPlane {
     pub channels: Vec<String>,
     /// What the values mean.
     pub unit: Unit,
-    /// Where it is.
+    /// The buffer that holds it.
     pub buffer: Arc<Buffer>,
     /// Which plane of the buffer.
     pub plane: u32,
@@ -107,7 +107,7 @@ pub struct KeptPlane {
 /// One number per pixel: a component of a plane.
 #[derive(Clone, Debug)]
 pub struct Lane {
-    /// Where it is.
+    /// The buffer that holds it.
     pub buffer: Arc<Buffer>,
     /// Which plane of the buffer.
     pub plane: u32,

@@ -125,14 +125,14 @@ impl From<GpuFrame> for FrameInput<'_> {
 
 /// In which units frames are uploaded: those of one window of time are in the units of the frame that is denoised.
 pub(crate) struct Units<'a> {
-    /// The colour is multiplied by this.
+    /// Factor of the colour.
     pub(crate) exposure: f32,
     /// The features to upload, mapped to these features' unit range.
     pub(crate) features: Vec<&'a Feature>,
 }
 
 impl<'a> Units<'a> {
-    /// Those of `frames[centre]`, with its features, if they are used at all, as far as all frames have them.
+    /// Units of `frames[centre]`; its features are used if the method uses any and all frames have them.
     pub(crate) fn of_window(frames: &[&'a Frame], centre: usize, with_features: bool, exposure: f32) -> Self {
         let alike = |a: &Feature, b: &Feature| a.name == b.name && a.signal.mean.channels() == b.signal.mean.channels();
         let everywhere =

@@ -33,7 +33,7 @@ pub(super) const INTERMEDIATES: [Intermediate; 5] =
 /// `progress` is called with the share of the work that is recorded.
 ///
 /// # Errors
-/// Those of recording.
+/// Errors of the recorder.
 pub(crate) fn gem(
     rec: &mut Recorder,
     frame: FrameInput,

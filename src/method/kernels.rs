@@ -17,9 +17,9 @@ use crate::stage::window::{CellLane, DistanceLanes};
 /// The kernels at one pixel, as [`Denoiser::kernels`](crate::Denoiser::kernels) tells them.
 #[derive(Clone, Debug)]
 pub struct Kernels {
-    /// The column of the pixel p, from 0 at the left.
+    /// Column of the pixel p; 0 is the left column.
     pub x: u32,
-    /// Its row, from 0 at the top.
+    /// Row of the pixel; 0 is the top row.
     pub y: u32,
     /// One for each filter that runs, in the order of the method:
     ///
@@ -216,7 +216,7 @@ impl PixelInFrame {
 pub(crate) struct KernelOnGpu {
     pub(crate) name: &'static str,
     pub(crate) share: Option<ShareOnGpu>,
-    /// What is averaged: the first plane of an image.
+    /// Image whose first plane is averaged.
     pub(crate) averaged: Arc<Buffer>,
     pub(crate) weights: WeightsOnGpu,
 }

@@ -33,17 +33,17 @@ impl Strip {
     }
 }
 
-/// What a method takes, and how far its result reaches.
+/// Memory that a method takes, and how far its result reaches.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Footprint {
-    /// How many rows above and below a pixel its result depends on: the reach of each stage, added up along the longest
+    /// Rows above and below a pixel that its result depends on: the reach of each stage, added up along the longest
     /// chain.
     pub(super) halo: usize,
-    /// Planes of one pixel that live at the worst moment.
+    /// Planes that are alive at the same time, at most.
     pub(super) live_planes: u64,
     /// Planes of the largest buffer.
     pub(super) largest_planes: u64,
-    /// What is taken besides, whatever the number of rows.
+    /// Bytes of scratch buffers, whose size does not depend on the number of rows.
     pub(super) scratch_bytes: u64,
 }
 

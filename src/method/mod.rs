@@ -1,5 +1,5 @@
-//! The methods: a straight function each, that reads like its chapter. They know the stages, never the GPU interface
-//! beneath them.
+//! The methods. Each is one straight function that reads like its chapter. Methods know the stages, but not the GPU
+//! interface beneath them.
 //!
 //! DFC and GEM are one shape: a bank of candidates, an error for each, a smoothed choice. NLM is one filter whose two
 //! halves tell its error.
@@ -40,7 +40,7 @@ pub(crate) use plan::{Facts, Wishes};
 pub use plan::{Plan, PlannedStep, Step};
 pub use spikes::{SpikeReport, Spikes};
 
-/// Which method, with its parameters.
+/// A method with its parameters.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 #[serde(tag = "method", rename_all = "lowercase")]
 pub enum Method {
@@ -96,9 +96,8 @@ impl Method {
         }
     }
 
-    /// How far a pixel of a frame can have an influence, in pixels along either axis: the reach of each stage, added up
-    /// along the longest chain. But for what is settled for a frame as a whole, its units and what of the method it
-    /// needs.
+    /// How far the influence of a pixel reaches, in pixels along either axis: the reach of each stage, added up along
+    /// the longest chain. Ignores what is fixed for the whole frame: exposure and plan.
     pub fn reach(&self) -> u32 {
         match self {
             Self::Dfc(params) => dfc::halo(params),
@@ -107,17 +106,17 @@ impl Method {
         }
     }
 
-    /// The same of its kernels ([`kernels`]), as far as a plan has any.
+    /// How far the kernels ([`kernels`]) of a pixel depend on the frame, in pixels, by what a plan runs.
     pub(crate) fn reach_of_kernels(&self, plan: &Plan) -> u32 {
         match self {
             Self::Dfc(params) => dfc::reach_of_kernels(params, plan),
-            // What a pixel comes to depends on all of it.
+            // A result depends on all scales and maps.
             Self::Gem(params) => gem::halo(params),
             Self::Nlm(params) => nlm::reach_of_filter(params, noise::largest_noise_reach(plan)),
         }
     }
 
-    /// Whether features help it. Those of a frame stay off the device where they do not.
+    /// Whether it uses features. If not, they are not uploaded.
     pub fn uses_features(&self) -> bool {
         match self {
             Self::Dfc(_) => true,
@@ -139,8 +138,8 @@ impl Method {
         }
     }
 
-    /// With the parameters that serve while samples are still being drawn. Spikes stay: where few samples tell much,
-    /// more are wanted. Nor is a pixel taken to be without noise because its first samples agree.
+    /// The method with its parameters for frames whose samples are still being drawn. Spikes stay, because a spike
+    /// calls for more samples. A pixel whose first samples agree is not taken to be without noise.
     #[must_use]
     pub fn while_sampling(self) -> Self {
         match self {
@@ -164,7 +163,7 @@ impl Method {
         }
     }
 
-    /// What it does for frames of which this is known.
+    /// The plan for frames with these facts.
     pub(crate) fn plan(&self, facts: &Facts, wishes: &Wishes) -> Plan {
         match self {
             Self::Dfc(params) => dfc::plan(params, facts, wishes),
@@ -189,7 +188,7 @@ impl Method {
         }
     }
 
-    /// What it does about spikes.
+    /// Treatment of spikes.
     pub fn spikes(&self) -> Spikes {
         match self {
             Self::Dfc(params) => params.spikes,
@@ -198,7 +197,7 @@ impl Method {
         }
     }
 
-    /// The same that does this about spikes.
+    /// The method with another treatment of spikes.
     #[must_use]
     pub fn with_spikes(self, spikes: Spikes) -> Self {
         match self {
@@ -208,7 +207,7 @@ impl Method {
         }
     }
 
-    /// Whether variances of the mean that are not given are estimated.
+    /// Whether it estimates variances of the mean that a frame lacks.
     pub fn pools_variance(&self) -> bool {
         match self {
             Self::Dfc(params) => params.pooled_variance,
@@ -217,7 +216,7 @@ impl Method {
         }
     }
 
-    /// Refuses a colour of whose noise nothing is known where nothing is to be estimated.
+    /// Refuses a colour of unknown noise if the method does not estimate the noise.
     pub(crate) fn check_noise_is_known(&self, is_image_only: bool) -> Result<()> {
         if !is_image_only || self.pools_variance() {
             return Ok(());
@@ -228,7 +227,7 @@ impl Method {
         })
     }
 
-    /// Refuses frames beside the one to denoise where the method has no use for them.
+    /// Refuses frames beside the one to denoise if the method cannot use them.
     pub(crate) fn check_beside(&self, beside: usize) -> Result<()> {
         if beside == 0 || self.filters_in_time() {
             return Ok(());
@@ -239,7 +238,7 @@ impl Method {
         })
     }
 
-    /// Records what tells the kernels at a pixel, of a frame or as much of it around the pixel as they reach.
+    /// Records the work that yields the kernels at a pixel. `frame` may be the part of the frame that they reach.
     pub(crate) fn kernels(
         &self,
         rec: &mut Recorder,
@@ -255,8 +254,8 @@ impl Method {
         }
     }
 
-    /// Records what the plan holds of the work on a frame, in a window with the frames `beside`, which are in its
-    /// units. `progress` is called with the share of it that is recorded.
+    /// Records the planned steps for a frame, in a window with the frames `beside`, which must have its units.
+    /// `progress` receives the share of the work that is recorded, 0 to 1.
     pub(crate) fn record(
         &self,
         rec: &mut Recorder,

@@ -49,7 +49,7 @@ const VARIANCE_ALPHA: f32 = 4.0;
 /// `progress` is called with the share of the work that is recorded.
 ///
 /// # Errors
-/// Those of recording; [`Error::Request`] where the variance is to be uniform and a frame does not say which.
+/// Errors of the recorder; [`Error::Request`] where the variance is to be uniform and a frame does not say which.
 pub(crate) fn nlm(
     rec: &mut Recorder,
     frame: FrameInput,

@@ -1,5 +1,4 @@
-//! What is known of a frame's noise, made complete before anything else: variances that no renderer gave are estimated,
-//! and given ones become steadier.
+//! Estimates the variances of the mean that a frame lacks, before anything else runs, and steadies those that it has.
 
 use std::sync::Arc;
 
@@ -19,14 +18,14 @@ use crate::stage::noise::{
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Pooling {
     Off,
-    /// Those that nobody gives.
+    /// Variances that the frame lacks.
     Lacking,
-    /// Those, and that of a colour with halves.
+    /// Variances that the frame lacks, and the variance of a colour with halves.
     All,
 }
 
 impl Pooling {
-    /// Whether a frame of which this is known has any.
+    /// Whether a frame has variances to pool.
     pub(super) fn finds_any(self, facts: &Facts) -> bool {
         match self {
             Self::Off => false,
@@ -35,8 +34,7 @@ impl Pooling {
         }
     }
 
-    /// How far around a pixel its variance depends on such a frame, in pixels, before it is smoothed or brought to
-    /// scale.
+    /// How far around a pixel its variance depends on a frame, in pixels, before it is smoothed or brought to scale.
     pub(super) fn reach(self, facts: &Facts) -> u32 {
         match (self.finds_any(facts), facts.is_image_only()) {
             (false, _) => 0,
@@ -45,13 +43,13 @@ impl Pooling {
         }
     }
 
-    /// The same of any frame.
+    /// The largest reach for any frame, in pixels.
     pub(super) fn largest_reach(self) -> u32 {
         if self == Self::Off { 0 } else { ImageRule::DEFAULT.reach() }
     }
 }
 
-/// The largest of any frame that may be worked on by this plan.
+/// The largest reach for any frame with this plan, in pixels.
 pub(super) fn largest_noise_reach(plan: &Plan) -> u32 {
     if plan.runs(&Step::Noise) { Pooling::All.largest_reach() } else { 0 }
 }

@@ -25,7 +25,7 @@ impl Method {
         Self::all().map(|method| Choice { name: method.name(), documentation: about(&method).into() })
     }
 
-    /// The same method with the parameters of a preset.
+    /// The method with the parameters of a preset.
     #[must_use]
     pub fn of_preset(&self, preset: Preset) -> Self {
         match (self, preset) {
@@ -52,7 +52,7 @@ impl Method {
         self.parameters().iter().any(|parameter| parameter.name == name)
     }
 
-    /// The same with another value of one parameter, named as in [`Method::parameters`].
+    /// The method with another value of one parameter, named as in [`Method::parameters`].
     ///
     /// ```
     /// use stein::Method;
@@ -72,7 +72,7 @@ impl Method {
         Ok(method)
     }
 
-    /// The same with other values of several parameters, by name and value as people write them; see
+    /// The method with other values of several parameters, by name and value as people write them; see
     /// [`Parameter::parse`]. Later ones build on earlier ones; together they must not contradict each other.
     ///
     /// # Errors
@@ -89,7 +89,7 @@ impl Method {
         Ok(method)
     }
 
-    /// The same, which may contradict the other parameters.
+    /// Sets a parameter without checking that it fits the others.
     pub(super) fn with_unchecked(mut self, name: &str, value: &Value) -> Result<Self> {
         let listed = self.parameters();
         let Some(parameter) = listed.iter().find(|parameter| parameter.name == name) else {

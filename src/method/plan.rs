@@ -1,5 +1,5 @@
-//! What of a method a frame needs, settled before anything runs: by the parameters, by what is wanted, and by looking
-//! at the frame.
+//! The steps of a method that a frame needs. They are decided before anything runs, from the parameters, the requested
+//! results and a look at the frame.
 //!
 //! A method asks its plan at every step, so that the plan is what happens and not a description beside it.
 
@@ -20,42 +20,42 @@ use crate::stage::variance::INPUT_SMOOTHING;
 pub struct Plan {
     /// In the order of the method.
     pub steps: Vec<PlannedStep>,
-    /// Intermediates to be kept.
+    /// Intermediates to keep.
     #[serde(skip)]
     pub keep: Vec<Intermediate>,
     /// Strips that the image is cut into; 1 where it fits as a whole.
     pub strips: usize,
-    /// What looking at the frames took, in seconds on the host.
+    /// Time to look at the frames, in seconds on the host.
     pub analysis_seconds: f64,
 }
 
 /// One step of a plan.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct PlannedStep {
-    /// Which one.
+    /// The step.
     pub step: Step,
     /// Whether it runs.
     pub runs: bool,
-    /// What makes it run, or why it is left out.
+    /// Reason to run it, or to leave it out.
     pub why: String,
-    /// The share of the pixels that it is left out for: 1 where it does not run.
+    /// Share of the pixels that skip it, 0 to 1; 1 if it does not run.
     pub skipped: f64,
-    /// Tiles in which it is left out.
+    /// Tiles that skip it.
     #[serde(skip)]
     exact: Option<ExactTiles>,
 }
 
-/// What a method may do. Times are told under the name of the step
+/// A step of a method. Times are listed under the name of the step
 /// ([`Gpu::step_timings`](crate::gpu::Gpu::step_timings)).
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Step {
-    /// Variances that nothing gives, estimated.
+    /// Variances that the frame lacks, estimated; given ones, pooled.
     Noise,
     /// Spikes taken out of the colour.
     Spikes,
     /// The variance of the colour's mean as the filters want it (thesis 8.2).
     Variance,
-    /// Use of a feature. Listed where it is left out.
+    /// Use of a feature. Listed if the feature is not used.
     Feature(String),
     /// Prefiltering of a feature (Algorithm 1 lines 4 to 10).
     Prefilter(String),
@@ -69,9 +69,9 @@ pub enum Step {
     Derivatives,
     /// Half spreads of the candidates.
     HalfSpread,
-    /// All three channels of the colour, not one in place of all.
+    /// All three channels of the colour; without it one channel stands for all.
     Channels,
-    /// The candidates over the own frame too, and leaving out frames beside where they harm.
+    /// The candidates over the own frame alone as well; frames beside are left out of pixels that they harm.
     Frames,
     /// SURE of the candidates (eq. 8.5).
     Sure,
@@ -83,15 +83,15 @@ pub enum Step {
     SelectionSmoothing,
     /// Averaging of the candidates (lines 32 and 33).
     Blend,
-    /// Where the next samples pay (thesis 8.6).
+    /// Sampling density: where the next samples reduce the error most (thesis 8.6).
     Density,
-    /// The filter of what noise pass 1 has left (lines 34 to 37).
+    /// The filter of the noise that pass 1 leaves (lines 34 to 37).
     SecondPass,
     /// Halves to be filtered by each other (thesis 7.1.1).
     Halves,
     /// The filter of NLM.
     Filter,
-    /// The same over the own frame, to judge the frames beside by.
+    /// The filter of NLM over the own frame alone, to judge the frames beside by.
     FilterAlone,
     /// The estimated error of the result.
     Error,
@@ -104,7 +104,7 @@ pub enum Step {
 }
 
 impl Step {
-    /// What users read.
+    /// Name that users read.
     pub fn name(&self) -> String {
         let name = match self {
             Self::Feature(name) => return format!("feature {name}"),
@@ -137,8 +137,8 @@ impl Step {
         name.to_owned()
     }
 
-    /// Whether [`kernels`](super::kernels) are made by it: left out, it tells why a filter is missing, or what
-    /// neighbours are not told apart by.
+    /// Whether [`kernels`](super::kernels) depend on it. If it is left out, that explains why a filter is missing, or
+    /// why a feature does not separate neighbours.
     pub fn makes_kernels(&self) -> bool {
         match self {
             Self::Noise | Self::Spikes | Self::Variance | Self::Feature(_) | Self::Prefilter(_) | Self::Features => {
@@ -180,12 +180,12 @@ impl Plan {
         self.find(step).is_some_and(|planned| planned.runs)
     }
 
-    /// Tiles in which a step that runs is left out.
+    /// Tiles that skip a step that runs.
     pub(super) fn exact(&self, step: &Step) -> Option<&ExactTiles> {
         self.find(step)?.exact.as_ref()
     }
 
-    /// The same for a part of the frame that begins at this pixel.
+    /// The plan for a part of the frame that begins at pixel `first`.
     pub(crate) fn starting_at(&self, first: IVec2) -> Self {
         let moved = |planned: &PlannedStep| PlannedStep {
             exact: planned.exact.as_ref().map(|exact| exact.starting_at(first)),
@@ -194,7 +194,7 @@ impl Plan {
         Self { steps: self.steps.iter().map(moved).collect(), ..self.clone() }
     }
 
-    /// Begins a step if it runs: what is dispatched from here on belongs to it.
+    /// Begins a step if it runs. Later dispatches belong to this step.
     pub(super) fn begins(&self, rec: &mut Recorder, step: Step) -> bool {
         let runs = self.runs(&step);
         if runs {
@@ -209,31 +209,31 @@ impl Plan {
         CandidateSet { first, second, third }
     }
 
-    /// Whether nothing has to be computed: the frame is the result.
+    /// Whether no step runs, so that the frame is the result.
     pub(crate) fn copies_the_frame(&self) -> bool {
         self.steps.iter().all(|planned| !planned.runs)
     }
 }
 
-/// The least share of exact tiles that a filter looks for them for.
+/// Least share of exact tiles for which a filter skips them.
 const LEAST_SHARE: f64 = 0.05;
 
-/// What is known of a window of frames before anything runs.
+/// Facts about a window of frames, found before anything runs.
 #[derive(Clone, Debug)]
 pub(crate) struct Facts {
     pub(super) has_halves: bool,
     pub(super) has_sample_variance: bool,
     /// Frames beside the one to denoise.
     pub(super) beside: usize,
-    /// Where the colour has noise, in any of the frames. `None` where nobody can look.
+    /// Tiles in which the colour of any frame has noise. `None` for frames that stay on the device.
     pub(super) noise: Option<NoiseTiles>,
-    /// All channels of the colour are the same, in all frames.
+    /// Whether all channels of the colour are equal, in all frames.
     pub(super) grey: bool,
     /// Tiles in a row.
     tile_columns: usize,
-    /// Those that are used, in their order.
+    /// The features that are used, in their order.
     pub(super) features: Vec<FeatureFacts>,
-    /// Those that were given and are not used, and why.
+    /// Names of the features that are not used, and the reasons.
     pub(super) unused_features: Vec<(String, &'static str)>,
 }
 
@@ -241,11 +241,11 @@ pub(crate) struct Facts {
 pub(super) struct FeatureFacts {
     pub(super) name: String,
     pub(super) channels: u32,
-    /// Halves or variance tell of its noise.
+    /// Whether halves or a variance tell of its noise.
     pub(super) noise_is_told: bool,
-    /// Whether sample variance is among it, so that the variance of a pixel without it is 0.
+    /// Whether it has a sample variance, so that a pixel without noise has the variance 0.
     has_sample_variance: bool,
-    /// Where it is, in any of the frames. `None` where nobody can look.
+    /// Tiles in which it has noise in any frame. `None` for frames that stay on the device.
     noise: Option<NoiseTiles>,
 }
 
@@ -257,7 +257,7 @@ impl FeatureFacts {
 }
 
 impl Facts {
-    /// Looks at the frames of a window, of which `frames[centre]` is to be denoised.
+    /// Analyses a window of frames; `frames[centre]` is the frame to denoise.
     pub(crate) fn of_window(frames: &[&Frame], centre: usize, units: &Units, with_features: bool) -> Self {
         let frame = frames[centre];
         let features = units.features.iter().map(|feature| {
@@ -294,7 +294,8 @@ impl Facts {
         }
     }
 
-    /// Of frames that cannot be looked at, because a renderer keeps them on the device: whatever may be there is.
+    /// Facts about frames that a renderer keeps on the device. Their pixels are unknown, so every step that might be
+    /// needed counts as needed.
     pub(crate) fn of_gpu_frame(frame: &GpuFrame, beside: usize, with_features: bool) -> Self {
         let told = |signal: &GpuSignal| signal.has_halves || signal.variance_of_mean.is_some();
         let features = frame.features.iter().filter(|_| with_features).map(|feature| FeatureFacts {
@@ -341,13 +342,13 @@ impl Facts {
         self.exact(self.noise.as_ref(), self.has_sample_variance, reach)
     }
 
-    /// The same of a feature.
+    /// Tiles around which a feature has no noise, as far as a filter reaches, in pixels.
     pub(super) fn exact_feature(&self, feature: &FeatureFacts, reach: u32) -> Option<ExactTiles> {
         self.exact(feature.noise.as_ref(), feature.has_sample_variance, reach)
     }
 
-    /// Without sample variance, the variance that a filter takes is pooled or smoothed, and reaches further than the
-    /// noise. Where few tiles are exact, that is not worth a thing.
+    /// Without a sample variance, the variance is pooled or smoothed, and reaches further than the noise. Returns
+    /// `None` where so few tiles are exact that skipping them saves nothing.
     fn exact(&self, noise: Option<&NoiseTiles>, has_sample_variance: bool, reach: u32) -> Option<ExactTiles> {
         let smoothing = if has_sample_variance { 0 } else { INPUT_SMOOTHING.radius.max(POOLING_RADIUS) };
         let exact = ExactTiles::new(noise?.exact((reach + smoothing) as usize), self.tile_columns, TILE);
@@ -355,14 +356,14 @@ impl Facts {
     }
 }
 
-/// What is wanted of a method.
+/// Results that a caller asks a method for.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Wishes<'a> {
-    /// Intermediates to be kept.
+    /// Intermediates to keep.
     pub(crate) keep: &'a [Intermediate],
-    /// The estimated error.
+    /// Whether to estimate the error.
     pub(crate) error: bool,
-    /// What the frame does not need, too.
+    /// Whether to run the steps that the frame does not need.
     pub(crate) everything: bool,
 }
 
@@ -372,20 +373,20 @@ impl Wishes<'_> {
     }
 }
 
-/// A reason to leave a step out, where it holds.
+/// A reason to leave a step out, if it holds.
 pub(super) struct Unless {
     holds: bool,
     why: &'static str,
-    /// It could run, so that it does where everything is to.
+    /// Runs under `with_everything`.
     could_run: bool,
 }
 
-/// There is nothing to work on, or nobody asked for it.
+/// The step has no input, or its result is not requested.
 pub(super) fn impossible(holds: bool, why: &'static str) -> Unless {
     Unless { holds, why, could_run: false }
 }
 
-/// It would change nothing.
+/// The step would change nothing.
 pub(super) fn needless(holds: bool, why: &'static str) -> Unless {
     Unless { holds, why, could_run: true }
 }
@@ -402,7 +403,7 @@ impl Planner {
         Self { everything: wishes.everything, keep: wishes.keep.to_vec(), steps: Vec::new() }
     }
 
-    /// A step that runs, for a reason, unless one of others holds. Returns whether it does.
+    /// Adds a step that runs because of a reason, unless one of the other reasons holds. Returns whether it runs.
     pub(super) fn step(&mut self, step: Step, because: &str, unless: &[Unless]) -> bool {
         let reason = unless.iter().find(|unless| unless.holds && !(unless.could_run && self.everything));
         let (runs, why) = reason.map_or((true, because), |reason| (false, reason.why));
@@ -416,7 +417,7 @@ impl Planner {
         runs
     }
 
-    /// Leaves the last step out in these tiles, if it runs.
+    /// Lets these tiles skip the last step, if it runs.
     pub(super) fn but_for(&mut self, exact: Option<&ExactTiles>) {
         if let (Some(planned), Some(exact)) =
             (self.steps.last_mut().filter(|planned| planned.runs && !self.everything), exact)
@@ -426,7 +427,8 @@ impl Planner {
         }
     }
 
-    /// Variances of the mean that are pooled; those that nobody gives are at least talked of.
+    /// Plans the pooling of variances. Lists the step also if the frame lacks variances and the method does not pool
+    /// them.
     pub(super) fn noise(&mut self, pooling: Pooling, facts: &Facts) {
         if !facts.lacks_variance() && !pooling.finds_any(facts) {
             return;
@@ -444,7 +446,7 @@ impl Planner {
         self.step(Step::Noise, because, &unless);
     }
 
-    /// The variance of the colour's mean, from what there is.
+    /// Plans the variance of the colour's mean.
     pub(super) fn variance(&mut self, pooling: Pooling, facts: &Facts) {
         let because = match (facts.has_sample_variance, pooling) {
             (true, Pooling::Off | Pooling::Lacking) => "the sample variance, scaled by the halves",
@@ -458,7 +460,7 @@ impl Planner {
         );
     }
 
-    /// What has no noise stays.
+    /// Plans that pixels without noise keep their values.
     pub(super) fn keep_clean(&mut self, keep_clean: bool) {
         self.step(
             Step::KeepClean,
@@ -471,7 +473,7 @@ impl Planner {
         Plan { steps: self.steps, keep: self.keep, strips: 1, analysis_seconds: 0.0 }
     }
 
-    /// The frame itself is the result.
+    /// Leaves out all steps: the frame is the result.
     pub(super) fn leave_all_out(mut self, why: &str) -> Plan {
         for planned in &mut self.steps {
             if planned.runs {

@@ -121,7 +121,7 @@ impl Method {
         Ok((method, preset))
     }
 
-    /// The same out of a file.
+    /// Reads method and preset from a file.
     ///
     /// # Errors
     /// [`Error::File`] where it cannot be read, or with what [`Method::from_toml`] says of it.
@@ -192,7 +192,7 @@ fn read(value: &DeValue<'_>) -> Option<Value> {
     }
 }
 
-/// As in the document.
+/// A value as the document writes it.
 fn shown(value: &DeValue<'_>) -> String {
     match value {
         DeValue::Boolean(flag) => flag.to_string(),

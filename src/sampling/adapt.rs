@@ -119,7 +119,7 @@ pub enum Event<'a> {
         map: Option<&'a SamplingMap>,
         /// All samples so far.
         samples: &'a Samples,
-        /// What is known of the image from them.
+        /// Estimate of the image from all samples so far.
         estimate: &'a Estimate,
         /// What it was denoised with.
         method: &'a Method,
@@ -328,7 +328,7 @@ pub fn estimated_relative_mse(estimate: &Estimate) -> Option<f64> {
 }
 
 impl SamplingMap {
-    /// The same even number of samples everywhere.
+    /// One even number of samples for all pixels.
     ///
     /// # Errors
     /// [`Error::Request`] for an odd number.

@@ -67,7 +67,7 @@ impl SampleCounts {
         Self::from_pairs(extent, samples.iter().map(|count| count / 2).collect())
     }
 
-    /// The same even number of samples in each pixel.
+    /// One even number of samples for all pixels.
     ///
     /// # Errors
     /// An odd number.

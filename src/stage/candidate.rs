@@ -42,7 +42,7 @@ bindings! {
 /// Planes of running sums that `candidate_accumulate` keeps per pixel of a strip.
 pub(crate) const STATE_PLANES: u32 = 12;
 
-/// What tells the candidates apart from any other filter.
+/// Parameters of the candidate filters.
 #[derive(Clone, Copy, Debug)]
 pub struct CandidateFilter {
     /// R: the window is 2R+1 pixels wide.
@@ -59,13 +59,13 @@ pub struct CandidateFilter {
     pub feature_tau: f32,
     /// τ of THIRD.
     pub feature_tau_third: f32,
-    /// For FIRST and SECOND. THIRD takes the symmetric distances where the others do, but never blends pairs: it is the
-    /// widest filter as it is, and without a colour term nothing would hold the blend back.
+    /// Weighting of FIRST and SECOND. THIRD takes the symmetric distances where the others do, but never blends pairs:
+    /// it is the widest filter already, and without a colour term nothing would limit the blend.
     pub weighting: Weighting,
 }
 
 impl CandidateFilter {
-    /// What the colour is compared by, for those that know colours.
+    /// Returns the guide by which the candidates that look at the colour compare it.
     pub(super) fn guide<'a>(
         &self,
         signal: &'a Buffer,
@@ -82,7 +82,7 @@ impl CandidateFilter {
         }
     }
 
-    /// What the features are compared by.
+    /// Returns the parameters by which the features are compared.
     pub(super) fn params(&self, features: Option<&Features>) -> CandidateParams {
         CandidateParams {
             inverse_feature_k_squared: 1.0 / (self.feature_k * self.feature_k),
@@ -96,36 +96,36 @@ impl CandidateFilter {
 /// A frame beside the one that is filtered, whose pixels take part as neighbours (thesis 8.6).
 #[derive(Clone, Copy, Debug)]
 pub struct CandidateBeside<'a> {
-    /// Its colour signal.
+    /// Colour signal of the frame.
     pub signal: &'a Buffer,
-    /// The scaled variance of its colour.
+    /// Scaled variance of the frame's colour, one plane.
     pub variance_of_mean: &'a Buffer,
-    /// Its prefiltered features, the same ones in the same units.
+    /// Prefiltered features of the frame: the same features as in the filtered frame, in the same units.
     pub features: Option<&'a Features>,
 }
 
-/// What is needed of the candidates, and what may be left out.
+/// Outputs of the candidates to compute.
 #[derive(Clone, Copy, Debug)]
 pub struct Needed<'a> {
-    /// Those that are computed.
+    /// Candidates to compute.
     pub candidates: CandidateSet,
-    /// Their derivatives.
+    /// Whether to compute their derivatives.
     pub derivatives: bool,
-    /// Their half spreads, which are 0 otherwise.
+    /// Whether to compute their half spreads, which are 0 otherwise.
     pub half_spread: bool,
-    /// Where there are frames beside, the same over the own frame alone.
+    /// Whether to compute them over the own frame alone as well, where there are frames beside.
     pub alone: bool,
-    /// The three channels of the colour are not all the same, in any frame.
+    /// Whether the three channels of the colour differ in at least one frame.
     pub channels: bool,
     /// Tiles in which no pixel within reach has noise: there every candidate is the signal itself, with derivatives of
     /// 1.
     pub exact: Option<&'a ExactTiles>,
-    /// The pixels that are wanted: what comes out at others is arbitrary. `None`: all.
+    /// Pixels to compute; the values of other pixels are arbitrary. `None` computes all pixels.
     pub wanted: Option<Region>,
 }
 
 impl Needed<'_> {
-    /// All there is.
+    /// All outputs, for all pixels.
     pub const EVERYTHING: Self = Self {
         candidates: CandidateSet::ALL,
         derivatives: true,
@@ -159,24 +159,24 @@ impl Candidates {
         Ok(Self { signals, derivatives })
     }
 
-    /// Those that take part.
+    /// Returns which candidates take part.
     pub fn set(&self) -> CandidateSet {
         let [first, second, third] = self.signals.each_ref().map(Option::is_some);
         CandidateSet { first, second, third }
     }
 
-    /// The place of the first one that takes part, from 0, and its signal.
+    /// Returns the index of the first candidate that takes part, from 0, and its signal.
     pub(crate) fn first_of_all(&self) -> Option<(usize, &Arc<Buffer>)> {
         self.signals.iter().enumerate().find_map(|(place, signal)| Some((place, signal.as_ref()?)))
     }
 
-    /// The buffers of those that take part.
+    /// Returns the signals of the candidates that take part.
     pub(super) fn buffers(&self) -> [Option<&Buffer>; 3] {
         self.signals.each_ref().map(Option::as_deref)
     }
 }
 
-/// Planes that candidates take.
+/// Number of planes that all three candidates take: two for each signal, and three for the derivatives.
 pub(crate) const CANDIDATE_PLANES: u64 = 9;
 
 /// The candidates of a window in time.
@@ -184,7 +184,7 @@ pub(crate) const CANDIDATE_PLANES: u64 = 9;
 pub struct CandidatesInTime {
     /// Over all frames.
     pub together: Candidates,
-    /// Over the own frame, where there are others and it is wanted.
+    /// Over the own frame alone, if there are frames beside and it was requested.
     pub alone: Option<Candidates>,
 }
 
@@ -192,6 +192,9 @@ pub struct CandidatesInTime {
 /// `variance_of_mean` is its scaled variance; without features the feature weights are 1.
 ///
 /// `progress` is called with the share of rows whose commands are recorded.
+///
+/// # Errors
+/// As [`Recorder::take`] and [`Recorder::dispatch`], and the errors that `progress` returns.
 #[expect(clippy::too_many_arguments, reason = "they are the operator's definition; a struct would only rename them")]
 pub fn candidates(
     rec: &mut Recorder,
@@ -221,8 +224,8 @@ pub fn candidates(
     let groups = features.map_or(0, |features| features.packing.groups);
     let [symmetric, hard] = filter.weighting.symmetric.definitions();
     let [takes_part_first, takes_part_second, takes_part_third] = needed.candidates.definitions();
-    // The kernel for the nearest rows is the larger one: with as many pixels as the other it takes a driver 3.6 s to
-    // compile it, with half of them 1.2 s, and is 16 % slower for a third of the offsets.
+    // The kernel for the nearest rows is the larger one. With as many pixels as the other kernel, a driver takes 3.6 s
+    // to compile it; with half of them, 1.2 s, and the kernel is 16 % slower for a third of the offsets.
     let blocking = |near: bool| Schedule {
         pixels: if near && schedule.pixels.is_multiple_of(2) { schedule.pixels / 2 } else { schedule.pixels },
         ..schedule
@@ -252,7 +255,7 @@ pub fn candidates(
     for_each_chunk(rec, extent, &guide, needs, filter.window_radius, filter.weighting, schedule, |rec, chunk| {
         let params = chunk.params;
         if params.starts != 0 {
-            // Before the next is taken, this one is given back.
+            // Gives this buffer back before the next one is taken.
             state = None;
         }
         let state = match &mut state {
@@ -261,7 +264,7 @@ pub fn candidates(
                 .insert(rec.take("candidate sums", plane_bytes(IVec2::new(params.width, params.rows), STATE_PLANES))?),
         };
         let beside = chunk.beside.map(|index| beside[index]);
-        // Only in the nearest rows do patches hold pixels of their own pair; in a frame beside none does.
+        // Patches hold pixels of their own pair only in the nearest rows, and never in a frame beside.
         let near = beside.is_none() && params.first_offset.y <= patch_radius as i32;
         let accumulate =
             rec.gpu().kernel::<CandidateAccumulate>("candidate_accumulate", &definitions(beside.is_some(), near))?;
@@ -278,7 +281,7 @@ pub fn candidates(
             neighbours_features: beside.and_then(|frame| frame.features).map(|features| &features.buffer),
         };
         rec.dispatch(&accumulate, &bound, blocking(near).per_row_of_pixels(&params))?;
-        // The sums over the own frame are whole before those over the others begin.
+        // The sums over the own frame are complete before the sums over the other frames begin.
         let complete =
             if chunk.last { Some(&together) } else { alone.as_ref().filter(|_| beside.is_none() && chunk.ends_frame) };
         for (candidate, filtered) in (0..).zip(complete.iter().flat_map(|complete| complete.buffers())) {

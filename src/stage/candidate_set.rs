@@ -1,4 +1,4 @@
-//! Which of the candidates of DFC take part.
+//! Set of the DFC candidates that take part.
 
 use std::fmt;
 
@@ -24,30 +24,30 @@ impl CandidateSet {
     /// All three.
     pub const ALL: Self = Self { first: true, second: true, third: true };
 
-    /// Their names, in their order.
+    /// Names of the candidates, in their order.
     pub const NAMES: [&str; 3] = ["first", "second", "third"];
 
-    /// Whether each of them takes part, in their order.
+    /// Returns whether each candidate takes part, in their order.
     pub fn flags(self) -> [bool; 3] {
         [self.first, self.second, self.third]
     }
 
-    /// The names of those that take part.
+    /// Returns the names of the candidates that take part.
     pub fn names(self) -> Vec<&'static str> {
         Self::NAMES.into_iter().zip(self.flags()).filter_map(|(name, takes_part)| takes_part.then_some(name)).collect()
     }
 
-    /// How many take part.
+    /// Returns the number of candidates that take part.
     pub fn count(self) -> usize {
         self.flags().into_iter().filter(|takes_part| *takes_part).count()
     }
 
-    /// Whether any of them looks at the colour: THIRD knows none.
+    /// Returns whether any candidate that takes part looks at the colour: THIRD does not.
     pub(super) fn by_color(self) -> bool {
         self.first || self.second
     }
 
-    /// What tells the shaders.
+    /// Returns the definitions of this set for the shaders.
     pub(super) fn definitions(self) -> [(&'static str, Definition); 3] {
         [("FIRST", self.first.into()), ("SECOND", self.second.into()), ("THIRD", self.third.into())]
     }

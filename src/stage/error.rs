@@ -37,12 +37,12 @@ bindings! {
     }
 }
 
-/// Stein's unbiased risk estimate of the three candidates (eq. 8.5), summed over the channels, in the square of the
-/// colour's unit; may be negative. One plane, x: FIRST, y: SECOND, z: THIRD; 0 for those that take no part. The term of
-/// the derivative, 2σ²·dF/du, counts `covariance` times; eq. 8.5 has 1.
+/// Returns Stein's unbiased risk estimate of the three candidates (eq. 8.5), summed over the channels, in the square of
+/// the colour's unit; may be negative. One plane, x: FIRST, y: SECOND, z: THIRD; 0 for candidates that take no part.
+/// The term of the derivative, 2σ²·dF/du, counts `covariance` times; eq. 8.5 has 1.
 ///
 /// # Errors
-/// Those of recording; [`Error::Shader`] where the candidates come without derivatives.
+/// Errors of the recorder; [`Error::Shader`] where the candidates come without derivatives.
 pub fn error_sure(
     rec: &mut Recorder,
     extent: IVec2,
@@ -69,7 +69,7 @@ pub fn error_sure(
     Ok(errors)
 }
 
-/// What the parts of [`error_blend`] and [`error_spikes`] count, as numbers of at least 0.
+/// Weights of the parts of [`error_blend`] and [`error_spikes`], each at least 0.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ErrorParts {
     /// The squared half spread of the blend.
@@ -78,19 +78,20 @@ pub struct ErrorParts {
     pub disagreement: f32,
     /// σ²·dF/du of the candidates, by their shares.
     pub own_noise: f32,
-    /// The squares of what the pixel got of spikes around.
+    /// The squares of the amounts that the pixel got from the spikes around it.
     pub spikes: f32,
 }
 
 impl ErrorParts {
-    /// What was measured: the squared error of the final image is regressed on the parts, as means of 16×16 pixels of
-    /// nine scenes at 8, 32 and 128 samples per pixel, by least squares of the logarithm.
+    /// Returns the measured weights: the squared error of the final image is regressed on the parts, as means of 16×16
+    /// pixels of nine scenes at 8, 32 and 128 samples per pixel, by least squares of the logarithm.
     ///
     /// Root mean square of the base-2 logarithm of estimated over true, averaged over the images: .98 with all parts,
-    /// 1.02 without disagreement, .99 without halves, 1.12 without spikes; of SURE 4.6, what is not positive counting
-    /// as 2⁻⁶. Each scene with what was fitted to the others: 1.01. On 19 images of low-discrepancy samples, to which
-    /// nothing was fitted: .92. Those without halves and of one candidate alone are older: fitted where spikes stayed,
-    /// the latter as what the blend needs without disagreement.
+    /// 1.02 without disagreement, .99 without halves, 1.12 without spikes; 4.6 for SURE, where values that are not
+    /// positive count as 2⁻⁶. With each scene estimated by weights fitted to the others: 1.01. On 19 images of
+    /// low-discrepancy samples, to which nothing was fitted: .92. The weights without halves and the weights for one
+    /// candidate alone are older: they were fitted while spikes stayed in the image, the latter as the blend needs them
+    /// without disagreement.
     pub const fn measured(has_halves: bool, shared: bool) -> Self {
         let (spread, disagreement, own_noise) = match (has_halves, shared) {
             (true, true) => (1.0, 1.5, 0.5),
@@ -102,20 +103,20 @@ impl ErrorParts {
     }
 }
 
-/// Of what, and by which shares, a filtered signal was made.
+/// Candidates that a filtered signal was made from, and their shares.
 #[derive(Clone, Copy, Debug)]
 pub enum MadeOf<'a> {
-    /// Of several candidates by these shares. One plane, x: FIRST, y: SECOND, z: THIRD.
+    /// Several candidates, by these shares. One plane, x: FIRST, y: SECOND, z: THIRD.
     Shares(&'a Buffer),
-    /// It is one of the candidates, counted from 0.
+    /// One of the candidates alone, counted from 0.
     Only(usize),
 }
 
-/// The estimated squared error of a blend of candidates, summed over the channels, in the square of the colour's unit;
-/// at least 0. Not smoothed. One plane, x.
+/// Returns the estimated squared error of a blend of candidates, summed over the channels, in the square of the
+/// colour's unit; at least 0. Not smoothed. One plane, x.
 ///
 /// # Errors
-/// Those of recording; [`Error::Shader`] where the candidates come without derivatives.
+/// Errors of the recorder; [`Error::Shader`] where the candidates come without derivatives.
 pub fn error_blend(
     rec: &mut Recorder,
     extent: IVec2,
@@ -130,7 +131,7 @@ pub fn error_blend(
     Ok(errors)
 }
 
-/// Adds to the errors of [`error_blend`] what further candidates, that share in the blend too, stand for: their
+/// Adds to the errors of [`error_blend`] the parts of further candidates that also share in the blend: their
 /// disagreement and own noise.
 ///
 /// # Errors
@@ -185,12 +186,12 @@ fn error_blend_into(
     rec.dispatch(&kernel, &bound, per_pixel(extent))
 }
 
-/// By how much SURE of the only candidate in `other` exceeds SURE of a blend, summed over the channels, in the square
-/// of the colour's unit. The blend was made of `candidates` by `shares` (one plane, x: FIRST, y: SECOND, z: THIRD). The
-/// last term of SURE counts `covariance` times. One plane, x: the difference, y: its square.
+/// Returns by how much SURE of the only candidate in `other` exceeds SURE of a blend, summed over the channels, in the
+/// square of the colour's unit. The blend was made of `candidates` by `shares` (one plane, x: FIRST, y: SECOND, z:
+/// THIRD). The last term of SURE counts `covariance` times. One plane, x: the difference, y: its square.
 ///
 /// # Errors
-/// Those of recording; [`Error::Shader`] where candidates come without derivatives, or `other` holds none.
+/// Errors of the recorder; [`Error::Shader`] where candidates come without derivatives, or `other` holds none.
 #[expect(clippy::too_many_arguments, reason = "they are the operator's definition; a struct would only rename them")]
 pub fn error_difference(
     rec: &mut Recorder,
@@ -228,9 +229,12 @@ pub fn error_difference(
     Ok(differences)
 }
 
-/// Adds to the errors of [`error_blend`] what spikes around a pixel leave in it: the squares of what it got of each,
-/// from the buffer that [`spike_spread`](super::spike::spike_spread) has filled, times what [`ErrorParts::spikes`]
-/// says. One that fell elsewhere would have left nothing there.
+/// Adds to the errors of [`error_blend`] the error that spikes around a pixel leave in it: the squares of the amounts
+/// that the pixel got from each, from the buffer that [`spike_spread`](super::spike::spike_spread) has filled, times
+/// [`ErrorParts::spikes`]. A spike that had fallen elsewhere would have left nothing in the pixel.
+///
+/// # Errors
+/// As [`Recorder::dispatch`].
 pub fn error_spikes(
     rec: &mut Recorder,
     extent: IVec2,
@@ -244,16 +248,19 @@ pub fn error_spikes(
     Ok(errors)
 }
 
-/// The noise left in a filtered signal, and what a sample drawn in each pixel is expected to gain (thesis 7.1.2): the
-/// squared relative difference of the two halves times W(p) = Σ w / (1 + n_p), where n_p = Σ w·n are the samples that
-/// contribute to the filtered value; the filtered signal has n_p / Σ w in the w of its mean
-/// ([`sample_attach`](super::sample::sample_attach)). Where there is a residual variance, it stands for the halves. Not
-/// smoothed. One plane, x: the gain, in no unit, y: the squared error summed over the channels, in the square of the
-/// colour's unit.
+/// Returns the gain to be expected from a sample drawn in each pixel (thesis 7.1.2), and the noise left in a filtered
+/// signal. The gain is the squared relative difference of the two halves times W(p) = Σ w / (1 + n_p), where n_p = Σ
+/// w·n is the number of samples that contribute to the filtered value; the filtered signal holds n_p / Σ w in the w of
+/// its mean ([`sample_attach`](super::sample::sample_attach)). A residual variance, if there is one, replaces the
+/// halves. Not smoothed. One plane, x: the gain, in no unit, y: the squared error summed over the channels, in the
+/// square of the colour's unit.
 ///
-/// Measured in the adaptive loop at 32 samples per pixel, three seeds each, against the pixel's own count for n_p: 4 %
-/// less error on `dof`, 8 % more on `caustic`, the same within 2 % on `motion`, `soft` and `texture`; on `spikes` the
-/// seed decides. So the text decides.
+/// Measured in the adaptive loop at 32 samples per pixel, three seeds each, compared with the pixel's own count as n_p:
+/// 4 % less error on `dof`, 8 % more on `caustic`, the same within 2 % on `motion`, `soft` and `texture`; on `spikes`
+/// the result depends on the seed. So the code keeps to the text of the thesis.
+///
+/// # Errors
+/// As [`Recorder::take`] and [`Recorder::dispatch`].
 pub fn error_halves(rec: &mut Recorder, extent: IVec2, filtered: &Filtered) -> Result<Buffer> {
     let errors = rec.take("errors of the halves", plane_bytes(extent, 1))?;
     let params = ErrorHalvesParams { extent, relative_floor: RELATIVE_FLOOR };

@@ -1,7 +1,7 @@
-//! Tiles without noise as far as a filter reaches: what would be filtered there stays what it was.
+//! Tiles without noise within the reach of a filter: their pixels keep the values that they had.
 //!
-//! Two things are kept apart. Which pixels take the value that they had is a matter of the frame alone. Which pixels
-//! the filter is run for is a matter of cost: rectangles that cover all others, and some of them.
+//! Two questions are kept apart. Which pixels keep their value depends on the frame alone. Which pixels the filter runs
+//! for is a question of cost: rectangles cover all pixels that do not keep their value, and some that do.
 
 use glam::IVec2;
 
@@ -16,37 +16,37 @@ bindings! {
     struct ExactFill<'a> { uniform params: ExactParams, read tiles, write result }
 }
 
-/// Which tiles of a frame are exact, and where in the frame an image begins that is a part of it.
+/// Exact tiles of a frame, and the position in the frame at which an image begins that is a part of the frame.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ExactTiles {
-    /// Row by row, of the whole frame.
+    /// Whether each tile of the whole frame is exact, row by row.
     flags: Vec<bool>,
-    /// In a row.
+    /// Number of tiles in a row.
     columns: usize,
-    /// Of a tile, in pixels.
+    /// Width and height of a tile, in pixels.
     side: usize,
-    /// Pixel of the frame.
+    /// Pixel of the frame at which the image begins.
     first: IVec2,
 }
 
 /// A rectangle of pixels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Region {
-    /// Its first column and row.
+    /// First column and row.
     pub first: IVec2,
-    /// Its width and height.
+    /// Width and height, in pixels.
     pub size: IVec2,
 }
 
 impl Region {
-    /// The pixels of an image that are this far from one at the most, along either axis.
+    /// Returns the pixels of an image that are at most `reach` pixels away from `pixel`, along either axis.
     pub(crate) fn around(pixel: IVec2, reach: u32, extent: IVec2) -> Self {
         let reach = IVec2::splat(reach as i32);
         let first = (pixel - reach).max(IVec2::ZERO);
         Self { first, size: (pixel + reach + 1).min(extent) - first }
     }
 
-    /// What two have in common, if there is anything.
+    /// Returns the pixels that both regions have in common; `None` if there are none.
     pub(super) fn overlap(&self, other: &Self) -> Option<Self> {
         let first = self.first.max(other.first);
         let size = (self.first + self.size).min(other.first + other.size) - first;
@@ -55,17 +55,18 @@ impl Region {
 }
 
 impl ExactTiles {
-    /// From a flag for each tile of a frame, row by row, so many in a row, of so many pixels each way.
+    /// Makes the tiles of a frame from a flag for each tile, row by row: `columns` tiles in a row, each `side` pixels
+    /// wide and high.
     pub fn new(flags: Vec<bool>, columns: usize, side: usize) -> Self {
         Self { flags, columns, side, first: IVec2::ZERO }
     }
 
-    /// The same seen from an image that begins at this pixel of the frame.
+    /// Returns the tiles as seen from an image that begins at pixel `first` of the frame.
     pub fn starting_at(&self, first: IVec2) -> Self {
         Self { first, ..self.clone() }
     }
 
-    /// The share of the tiles that are exact.
+    /// Returns the share of the tiles that are exact, from 0 to 1.
     pub fn share(&self) -> f64 {
         self.flags.iter().filter(|exact| **exact).count() as f64 / self.flags.len() as f64
     }
@@ -84,15 +85,15 @@ impl ExactTiles {
         Ok(UploadedTiles { tiles, params })
     }
 
-    /// Rectangles that do not overlap and cover all pixels of an image that are in no exact tile. They are made of
-    /// cells of this size, but at the right and lower border; two that cost no less than one around both are made one:
-    /// a rectangle costs its area, with `margin` pixels around it, and `overhead` pixels.
+    /// Returns rectangles that do not overlap and cover all pixels of an image that are in no exact tile. They are made
+    /// of cells of size `cell`, except at the right and lower border. Two rectangles become one if one around both
+    /// costs no more: a rectangle costs its area, including `margin` pixels around it, plus `overhead` pixels.
     pub(crate) fn regions(&self, extent: IVec2, cell: IVec2, margin: i32, overhead: i64) -> Vec<Region> {
         let cost =
             |region: &Region| i64::from(region.size.x + 2 * margin) * i64::from(region.size.y + 2 * margin) + overhead;
         let pays = |a: &Region, b: &Region| cost(&covering(a, b)) <= cost(a) + cost(b);
         let mut done: Vec<Region> = Vec::new();
-        // Those that end at the row of cells that is looked at.
+        // Rectangles that end at the current row of cells.
         let mut open: Vec<Region> = Vec::new();
         for y in (0..extent.y).step_by(cell.y as usize) {
             let mut runs: Vec<Region> = Vec::new();
@@ -108,13 +109,13 @@ impl ExactTiles {
                     None => runs.push(run),
                 }
             }
-            // A rectangle grows down where it is as wide as what lies below, or where one as wide as the wider of the
-            // two pays.
+            // A rectangle grows down over the runs below it if they are no wider and if the merged rectangle costs no
+            // more.
             let mut grown: Vec<Region> = Vec::new();
             for above in open.drain(..) {
                 let below: Vec<Region> = runs.iter().copied().filter(|run| share_columns(&above, run)).collect();
                 let merged = below.iter().fold(above, |all, run| covering(&all, run));
-                // No wider than it was: nothing else above it may be covered twice.
+                // The rectangle may not become wider: pixels of other rectangles would be covered twice.
                 let fits = !below.is_empty() && merged.size.x == above.size.x;
                 if fits && cost(&merged) <= cost(&above) + below.iter().map(cost).sum::<i64>() {
                     runs.retain(|run| !share_columns(&above, run));
@@ -130,7 +131,7 @@ impl ExactTiles {
         done
     }
 
-    /// Whether all tiles that a part of the image lies in are exact.
+    /// Returns whether all tiles that a part of the image lies in are exact.
     pub(crate) fn is_exact(&self, region: &Region) -> bool {
         let tiles = |first: i32, count: i32| first as usize / self.side..((first + count) as usize).div_ceil(self.side);
         let first = region.first + self.first;
@@ -139,21 +140,21 @@ impl ExactTiles {
     }
 }
 
-/// Exact tiles on the device, once for all that is written to them.
+/// Exact tiles on the device, uploaded once for all images that are written there.
 #[derive(Debug)]
 pub(super) struct UploadedTiles {
     tiles: Buffer,
-    /// But for the number of planes.
+    /// Parameters, complete except for the number of planes.
     params: ExactParams,
 }
 
 impl UploadedTiles {
-    /// Puts `before`, so many planes, in the place of `result` in exact tiles.
+    /// Copies `planes` planes of `before` to `result`, in exact tiles.
     pub(super) fn copy(&self, rec: &mut Recorder, before: &Buffer, result: &Buffer, planes: u32) -> Result<()> {
         self.copy_as(rec, before, result, planes, false)
     }
 
-    /// The same with a signal whose w becomes 1: the pixel is an average of itself alone.
+    /// Copies a signal in exact tiles, and sets its w to 1: each pixel is the average of itself alone.
     pub(super) fn copy_signal(&self, rec: &mut Recorder, before: &Buffer, result: &Buffer) -> Result<()> {
         self.copy_as(rec, before, result, 2, true)
     }
@@ -174,7 +175,7 @@ impl UploadedTiles {
         )
     }
 
-    /// Puts 1 into the channels of so many planes in exact tiles, or 0.
+    /// Writes 1 (`ones`) or 0 to the channels of `planes` planes, in exact tiles.
     pub(super) fn fill(&self, rec: &mut Recorder, result: &Buffer, planes: u32, ones: bool) -> Result<()> {
         let kernel = rec.gpu().kernel::<ExactFill>("exact_fill", &[("ONES", ones.into())])?;
         rec.dispatch(
@@ -189,7 +190,7 @@ impl UploadedTiles {
     }
 }
 
-/// The smallest rectangle around two.
+/// Returns the smallest rectangle around two.
 fn covering(a: &Region, b: &Region) -> Region {
     let first = a.first.min(b.first);
     Region { first, size: (a.first + a.size).max(b.first + b.size) - first }
@@ -205,7 +206,7 @@ mod tests {
 
     const SIDE: usize = 8;
 
-    /// A map in which every third tile or so is exact, in blocks.
+    /// Makes a map in which about every third tile is exact, in blocks.
     fn map(columns: usize, rows: usize, seed: usize) -> ExactTiles {
         let flags = (0..columns * rows)
             .map(|tile| (tile % columns / 3 * 7 + tile / columns / 2 * 5 + seed).is_multiple_of(3))

@@ -13,20 +13,20 @@ bindings! {
     }
 }
 
-/// Groups that the shaders hold parameters for; as many features of three channels fit.
+/// Number of groups that the shaders hold parameters for; this many features of three channels fit.
 pub const MAX_GROUPS: usize = 8;
 
-/// Where a feature sits: which group of four channels, and there in x, y, z or alone in w.
+/// Position of a feature: a group of four channels, and in the group x, y, z or w alone.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Slot {
     /// Group, from 0.
     pub group: u32,
-    /// In w.
+    /// Whether the feature is alone in w.
     pub single: bool,
 }
 
-/// The places of features, by their numbers of channels: features of two or three channels take x, y, z of a group
-/// each; those of one channel fill the w of these groups, then pairs of them share further groups.
+/// Slots of features, chosen by their numbers of channels: each feature of two or three channels takes x, y, z of a
+/// group; features of one channel fill the w of these groups, then pairs of them share further groups.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Packing {
     /// One slot per feature.
@@ -37,12 +37,12 @@ pub struct Packing {
 }
 
 impl Packing {
-    /// Finds a place for each feature.
+    /// Finds a slot for each feature.
     pub fn new(channels: &[u32]) -> Self {
         let mut slots = vec![Slot { group: 0, single: false }; channels.len()];
         let mut groups = 0;
         let mut free_singles = std::collections::VecDeque::new();
-        // Wide features first, so that the narrow ones find their gaps.
+        // Wide features first, so that the narrow ones fill the gaps.
         for wide in [true, false] {
             for (slot, _) in slots.iter_mut().zip(channels).filter(|(_, count)| (**count > 1) == wide) {
                 // A wide feature does not fit into a w, so it must not take one out of the queue.
@@ -60,15 +60,16 @@ impl Packing {
         Self { slots, groups, channels: channels.to_vec() }
     }
 
-    /// The features in an order in which a group's triple, which clears the group, comes before its single.
+    /// Returns the features in an order in which the triple of a group comes before its single: the triple clears the
+    /// group.
     pub fn order(&self) -> Vec<usize> {
         let mut order: Vec<usize> = (0..self.slots.len()).collect();
         order.sort_by_key(|index| self.slots[*index].single);
         order
     }
 
-    /// 1 / number of channels for each channel of each group's triple: the distance of a feature is the mean over its
-    /// channels.
+    /// Returns 1 / number of channels for each channel of each group's triple: the distance of a feature is the mean
+    /// over its channels.
     pub(super) fn triple_weights(&self) -> [Vec4; MAX_GROUPS] {
         let mut weights = [Vec4::ZERO; MAX_GROUPS];
         for (slot, &count) in self.slots.iter().zip(&self.channels).filter(|(slot, _)| !slot.single) {
@@ -84,21 +85,28 @@ impl Packing {
 pub struct Features {
     /// Three planes per group: value, residual variance, the larger of residual variance and squared gradient.
     pub buffer: Buffer,
-    /// Who sits where.
+    /// Group and component of each feature.
     pub packing: Packing,
 }
 
 impl Features {
-    /// Room for features with these numbers of channels, to be filled by [`feature_pack`], in any order except that a
-    /// group's triple comes before its single.
+    /// Takes a buffer for features with these numbers of channels. [`feature_pack`] fills it, in any order in which the
+    /// triple of a group comes before its single.
+    ///
+    /// # Errors
+    /// As [`Recorder::take`].
     pub fn take(rec: &mut Recorder, extent: IVec2, channels: &[u32]) -> Result<Self> {
         let packing = Packing::new(channels);
         Ok(Self { buffer: rec.take("features", plane_bytes(extent, 3 * packing.groups))?, packing })
     }
 }
 
-/// Writes one prefiltered feature (unit range, first plane of `filtered`) and its residual variance, if it has noise,
-/// to its slot, with its squared gradient: per axis the smaller of the two one-sided differences over half a pixel.
+/// Writes one prefiltered feature (unit range, first plane of `filtered`) to its slot, with its residual variance, if
+/// it has noise, and its squared gradient. The gradient along each axis is the smaller of the two one-sided differences
+/// over half a pixel.
+///
+/// # Errors
+/// As [`Recorder::dispatch`].
 pub fn feature_pack(
     rec: &mut Recorder,
     extent: IVec2,

@@ -19,28 +19,28 @@ pub struct Gaussian {
 }
 
 impl Gaussian {
-    /// Cut off at 3σ, rounded up.
+    /// Makes a Gaussian that is cut off at 3σ, rounded up.
     pub fn new(sigma: f32) -> Self {
         Self { sigma, radius: (3.0 * sigma).ceil() as u32 }
     }
 
-    /// The weight of a pixel so far away along both axes; 1 for the pixel itself, 0 beyond the square.
+    /// Returns the weight of a pixel at this offset along both axes: 1 for the pixel itself, 0 beyond the square.
     pub(crate) fn weight(&self, offset: IVec2) -> f32 {
         match offset.abs().max_element() {
-            // Of σ = 0, the only one.
+            // With σ = 0, this is the only weight.
             0 => 1.0,
             reach if reach > self.radius as i32 => 0.0,
             _ => (self.exponent() * offset.length_squared() as f32).exp(),
         }
     }
 
-    /// −1/(2σ²): the weight of a pixel at distance d is exp(d² times this).
+    /// Returns −1/(2σ²): the weight of a pixel at distance d is exp(d² times this).
     pub(super) fn exponent(&self) -> f32 {
         -0.5 / (self.sigma * self.sigma)
     }
 }
 
-/// What is summed. The sums run over the existing pixels of the window.
+/// Quantities to sum. The sums run over the existing pixels of the window.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Averaging {
     /// Σ w·v / Σ w.
@@ -52,6 +52,9 @@ pub enum Averaging {
 }
 
 /// Smooths `planes` planes with a Gaussian.
+///
+/// # Errors
+/// As [`Recorder::take`] and [`Recorder::dispatch`].
 pub fn gaussian(
     rec: &mut Recorder,
     extent: IVec2,

@@ -27,12 +27,15 @@ pub struct Halves {
     pub a: Buffer,
     /// Mean − half spread.
     pub b: Buffer,
-    /// The variance of one half's mean: twice that of the mean of both.
+    /// Variance of the mean of one half: twice the variance of the mean of both.
     pub variance: Buffer,
 }
 
-/// The halves of a signal whose halves have equal numbers of samples; both have what the mean has in w.
-/// `variance_of_mean` is that of the mean of both, one plane.
+/// Splits a signal into its halves, which have equal numbers of samples; both halves get the w of the mean.
+/// `variance_of_mean` is the variance of the mean of both, one plane.
+///
+/// # Errors
+/// As [`Recorder::take`] and [`Recorder::dispatch`].
 pub fn half_split(rec: &mut Recorder, extent: IVec2, signal: &Buffer, variance_of_mean: &Buffer) -> Result<Halves> {
     let a = rec.take("half A", plane_bytes(extent, 1))?;
     let b = rec.take("half B", plane_bytes(extent, 1))?;
@@ -50,8 +53,11 @@ pub fn half_split(rec: &mut Recorder, extent: IVec2, signal: &Buffer, variance_o
     Ok(Halves { a, b, variance })
 }
 
-/// The signal whose halves these are, what they have in w averaged as their colour, and the mean of their Σ w in one
-/// plane, x. The halves have one plane each.
+/// Joins two halves, of one plane each, into a signal. Their w is averaged like their colour; the weights are the mean
+/// of their Σ w in one plane, x.
+///
+/// # Errors
+/// As [`Recorder::take`] and [`Recorder::dispatch`].
 pub fn half_join(rec: &mut Recorder, extent: IVec2, [a, b]: [&Filtered; 2]) -> Result<Filtered> {
     let signal = rec.take("joined halves", plane_bytes(extent, 2))?;
     let weights = rec.take("weight sums of both halves", plane_bytes(extent, 1))?;

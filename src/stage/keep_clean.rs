@@ -22,15 +22,16 @@ bindings! {
     }
 }
 
-/// Which pixels count as clean. [`CleanRule::DEFAULT`] is what measured best.
+/// Rule for which pixels count as clean. [`CleanRule::DEFAULT`] measured best.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CleanRule {
-    /// Noise from which on a pixel is filtered freely: its standard deviation in parts of its value.
+    /// Noise above which a pixel is filtered freely: its standard deviation in parts of its value.
     pub noise: f32,
-    /// How far a pixel with next to no noise may be moved, in standard deviations; towards `noise` it grows without
-    /// limit.
+    /// Largest change of a pixel with almost no noise, in standard deviations; the limit grows to infinity as the noise
+    /// of the pixel approaches `noise`.
     pub sigmas: f32,
-    /// A black pixel counts as clean where all pixels this far around it are black and without noise, in pixels.
+    /// Half width of the window around a black pixel, in pixels: the pixel counts as clean if all pixels in the window
+    /// are black and without noise.
     pub black_radius: u32,
 }
 
@@ -41,21 +42,21 @@ impl CleanRule {
     pub const DEFAULT: Self = Self { noise: LEAST_NOISE, sigmas: 4.0, black_radius: 3 };
 }
 
-/// The input of a filter: what tells which of its pixels have noise.
+/// Input of a filter, which shows which of its pixels have noise.
 #[derive(Clone, Copy, Debug)]
 pub struct Input<'a> {
     /// A signal, without spikes; its half spread is 0 where there are no halves.
     pub signal: &'a Buffer,
-    /// One plane, s²/n, where there is one. Without it the halves tell of the noise, and those of the four pixels
-    /// beside with them, for two halves may agree by accident.
+    /// Sample variance, one plane, s²/n, if there is one. Otherwise the halves show the noise, together with the halves
+    /// of the four pixels beside, because two halves may agree by accident.
     pub sample_variance: Option<&'a Buffer>,
 }
 
-/// A filtered signal in which pixels without noise are as in the input; in between, a pixel moves by as much as its
-/// noise allows. A signal.
+/// Returns the filtered signal with pixels without noise as in the input; a pixel with little noise moves by as much as
+/// its noise allows.
 ///
 /// `errors`: a plane and the component of it, 0 to 3, that holds squared errors of the filtered signal, summed over the
-/// channels; those of pixels that may move little are held below their noise plus the square of how far they may move.
+/// channels; the errors of pixels that may move little are held below their noise plus the square of the largest move.
 ///
 /// # Errors
 /// As [`Recorder::dispatch`].

@@ -68,7 +68,8 @@ impl CentreWeight {
         }
     }
 
-    /// What a pixel weighs whose neighbours weigh at most this much.
+    /// Returns the weight of a pixel in its own average, where `largest_neighbour` is the largest weight of its
+    /// neighbours.
     pub(crate) fn weight(self, largest_neighbour: f32) -> f32 {
         match self {
             Self::One => 1.0,
@@ -94,7 +95,7 @@ choices! {
 }
 
 impl Symmetry {
-    /// What tells the shaders.
+    /// Returns the definitions of this choice for the shaders.
     pub(super) fn definitions(self) -> [(&'static str, Definition); 2] {
         [("SYMMETRIC", (self != Self::Off).into()), ("SYMMETRIC_HARD", (self == Self::Hard).into())]
     }
@@ -112,7 +113,7 @@ parameters! {
     }
 }
 
-/// How the work on the window is cut up: what is computed does not depend on it, to the bit.
+/// Division of the work on the window. The result does not depend on it, to the bit.
 ///
 /// Measured on llvmpipe (Mesa 22.3, LLVM 15, vectors of 256 bits), in nanoseconds of processor time per pixel and pair
 /// of offsets, R = 10, and in seconds that the driver compiles:
@@ -132,32 +133,32 @@ parameters! {
 /// 4.6 with 8 or 4 MiB and a block for all of the rows that fit, 5.1 with 32 MiB, 5.3 with 1 MiB, 5.7 with half a MiB.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Schedule {
-    /// Bytes of the scratch buffer that holds the column sums of one strip of rows and one chunk of offsets; where two
-    /// sizes of patches are summed up, twice as many.
+    /// Bytes of the scratch buffer that holds the column sums of one strip of rows and one chunk of offsets; twice as
+    /// many bytes where two sizes of patches are summed.
     pub scratch_bytes: u64,
     /// Rows that one invocation of `nlm_distance` and `nlm_weight` walks down; the 2f rows at its ends are computed
     /// twice.
     pub block_rows: u32,
-    /// Offsets, one below the other, that one invocation of `nlm_distance` does at a time where there is one size of
-    /// patches.
+    /// Number of offsets, one below the other, that one invocation of `nlm_distance` computes at a time if there is one
+    /// size of patches.
     pub offset_rows: u32,
-    /// Pixels in a row that one invocation of the filters does at a time.
+    /// Number of adjacent pixels in a row that one invocation of the filters computes at a time.
     pub pixels: u32,
-    /// Columns of an image that are worked on at a time, so that the scratch holds as many rows of a wide image as of a
-    /// narrow one.
+    /// Number of columns of an image that are processed at a time, so that the scratch holds as many rows of a wide
+    /// image as of a narrow one.
     pub band_columns: u32,
-    /// Pixels whose work costs as much as the dispatches for a rectangle of its own, where parts of an image are left
-    /// out.
+    /// Cost of the dispatches for one more rectangle, as a number of pixels whose work costs as much. It counts where
+    /// parts of an image are left out.
     pub region_pixels: u32,
 }
 
 impl Schedule {
-    /// What suits the kind of adapter.
+    /// Returns the schedule that suits the kind of adapter.
     pub fn for_gpu(gpu: &Gpu) -> Self {
         if gpu.is_software() { Self::SOFTWARE } else { Self::HARDWARE }
     }
 
-    /// For a processor: blocks in registers, for loads are what costs.
+    /// Schedule for a processor: blocks stay in registers, because loads are the main cost.
     pub const SOFTWARE: Self = Self {
         scratch_bytes: 4 << 20,
         block_rows: 64,
@@ -167,7 +168,7 @@ impl Schedule {
         region_pixels: 512,
     };
 
-    /// For a graphics card: enough pixels at a time to fill it, and few registers for each. Not measured.
+    /// Schedule for a graphics card: enough pixels at a time to fill it, and few registers for each. Not measured.
     pub const HARDWARE: Self = Self {
         scratch_bytes: 256 << 20,
         block_rows: 16,
@@ -177,17 +178,17 @@ impl Schedule {
         region_pixels: 1 << 16,
     };
 
-    /// Invocations of a filter over the pixels of a dispatch.
+    /// Returns the invocations of a filter over the pixels of a dispatch.
     pub(super) fn per_row_of_pixels(&self, params: &NlmParams) -> [u32; 3] {
         [(params.width as u32).div_ceil(self.pixels), params.rows as u32, 1]
     }
 
-    /// What tells the filters how many pixels they do at a time.
+    /// Returns the definition of how many pixels an invocation of the filters computes at a time.
     pub(super) fn pixels_definition(&self) -> (&'static str, Definition) {
         ("PIXELS", Definition::Int(self.pixels as i32))
     }
 
-    /// The parts of an image that the work is done for, and how it is cut there.
+    /// Returns the parts of an image to compute, and how the work on each part is cut.
     fn regions(
         &self,
         gpu: &Gpu,
@@ -201,8 +202,8 @@ impl Schedule {
             None => vec![Region { first: IVec2::ZERO, size: extent }],
         };
         let wanted = |region: Region| guide.wanted.map_or(Some(region), |wanted| region.overlap(&wanted));
-        // The weights of f columns more on both sides enter those of a patchwise guide, and the scratch has no
-        // distances for them.
+        // The weights of a patchwise guide need the weights of f more columns on both sides, and the scratch of a band
+        // has no distances for these columns.
         let most_columns = if guide.patchwise { i32::MAX } else { self.most_columns(gpu, guide, sum_planes) };
         let bands = |region: Region| {
             let width = region.size.x.min(most_columns);
@@ -219,8 +220,8 @@ impl Schedule {
             .collect()
     }
 
-    /// The widest band of which one row fits every buffer that is as wide as the band: the column sums of one offset
-    /// and the running sums.
+    /// Returns the width of the widest band, in columns, of which one row fits every buffer that is as wide as the
+    /// band: the column sums of one offset and the running sums.
     fn most_columns(&self, gpu: &Gpu, guide: &Guide, sum_planes: u32) -> i32 {
         let planes = u64::from(sum_planes).max(guide.patch_sizes());
         let columns = gpu.max_binding_bytes() / (planes * PLANE_PIXEL_BYTES);
@@ -229,13 +230,13 @@ impl Schedule {
         i32::try_from(columns).unwrap_or(i32::MAX).min(self.band_columns as i32)
     }
 
-    /// How work on images of this width is cut, so that each buffer whose size follows from the cut fits the adapter's
+    /// Cuts the work on an image of this extent, so that each buffer whose size follows from the cut fits the adapter's
     /// binding limit. `sum_planes`: planes of running sums that the filter keeps for the pixels of a strip.
     fn cut(&self, gpu: &Gpu, extent: IVec2, window_radius: i32, guide: &Guide, sum_planes: u32) -> Cut {
         let patch_radius = guide.patch_radius as i32;
-        // The weights of f more rows above and below enter those of a strip.
+        // The patchwise weights of a strip need the weights of f more rows above and below it.
         let margin = if guide.patchwise { patch_radius } else { 0 };
-        // The last invocation of a row may reach beyond it.
+        // The last invocation of a row may reach beyond the row.
         let stride = (extent.x as u32).next_multiple_of(self.pixels) as i32 + 2 * patch_radius;
         let patch_sizes = guide.patch_sizes();
         let row_bytes = plane_bytes(IVec2::new(stride, 1), 1);
@@ -244,11 +245,11 @@ impl Schedule {
         // loaded and stored once.
         let side = 2 * window_radius + 1;
         let rows = (budget / side - 2 * margin).clamp(1, extent.y);
-        // With a small window, rows whose column sums fit have more running sums than fit.
+        // With a small window, the column sums of a strip may fit where its running sums do not.
         let rows_of_sums = gpu.max_binding_bytes().checked_div(plane_bytes(IVec2::new(extent.x, 1), sum_planes));
         let rows = rows_of_sums.map_or(rows, |most| rows.min(i32::try_from(most).unwrap_or(i32::MAX)).max(1));
         let block = self.block_rows as i32;
-        // Whole blocks, as far as there is one: a block cut short computes its 2f extra rows all the same.
+        // Whole blocks, if at least one fits: a block that is cut short still computes its 2f extra rows.
         let rows = if rows < extent.y && rows > block { rows - rows % block } else { rows };
         let planes = (budget / (rows + 2 * margin)).max(1);
         let offset_rows = (planes / side).clamp(1, window_radius);
@@ -264,10 +265,10 @@ impl Schedule {
     }
 }
 
-/// What rectangles are made of, in pixels: as wide as a vector of invocations of some pixels each.
+/// Size of the cells that rectangles are made of, in pixels: as wide as a vector of invocations of some pixels each.
 const REGION_CELL: IVec2 = IVec2::new(32, 16);
 
-/// What one dispatch works on.
+/// Sizes of the work of one dispatch.
 struct Cut {
     /// Pixels of a scratch row.
     stride: i32,
@@ -285,8 +286,9 @@ impl Cut {
         plane_bytes(IVec2::new(self.stride, self.rows + 2 * margin), (self.offsets.x * self.offsets.y) as u32)
     }
 
-    /// The half window in rectangles, in reading order: first offset, and number of columns and rows. The pixel's own
-    /// row is one by itself, for it is half as long; a frame beside has one neighbour more there, at the same position.
+    /// Returns the half window as rectangles, in reading order: first offset, and number of columns and rows. The
+    /// pixel's own row is separate, because it is half as long; in a frame beside it has one more neighbour, at the
+    /// same position.
     fn rectangles(&self, window_radius: i32, in_other_frame: bool) -> Vec<(IVec2, IVec2)> {
         let mut rectangles = Vec::new();
         let mut add_rows = |first_x: i32, y: i32, rows: i32| {
@@ -302,41 +304,43 @@ impl Cut {
     }
 }
 
-/// Neighbours are compared by the patches of a guide.
+/// Image whose patches are compared to weigh neighbours.
 #[derive(Clone, Copy, Debug)]
 pub struct Guide<'a> {
-    /// Its first plane is compared; a signal serves.
+    /// Image of one or more planes, of which the first is compared; a signal serves.
     pub signal: &'a Buffer,
     /// Variance of the mean, one plane.
     pub variance_of_mean: &'a Buffer,
-    /// 1 to 3.
+    /// Number of channels, 1 to 3.
     pub channels: u32,
-    /// k_c: how large a difference counts, in standard deviations.
+    /// k_c: scale of differences in the distance (eq. 7.4), in standard deviations.
     pub k: f32,
-    /// α: how much of the variance is cancelled from squared differences; 1 takes out what noise adds to them, more
-    /// disregards larger differences too.
+    /// α: how much of the variance is cancelled from squared differences; 1 removes the amount that noise adds to them,
+    /// a larger value also disregards larger differences.
     pub alpha: f32,
     /// f: patches are 2f+1 pixels wide.
     pub patch_radius: u32,
-    /// A second, smaller patch whose sums are wanted too.
+    /// Radius of a second, smaller patch whose sums are computed too.
     pub small_patch_radius: Option<u32>,
-    /// The weight of a neighbour is the mean of the weights of all pairs of pixels in the two patches (thesis 7.1.1),
-    /// and not that of their centres alone.
+    /// Whether the weight of a neighbour is the mean of the weights of all pairs of pixels in the two patches (thesis
+    /// 7.1.1), instead of the weight of their centres alone.
     pub patchwise: bool,
-    /// Weights below this one become 0, so that many faint neighbours do not outweigh few good ones; 0 to keep all.
+    /// Least weight: smaller weights become 0, so that many faint neighbours do not outweigh a few good ones. 0 keeps
+    /// all.
     pub cut: f32,
-    /// Frames beside this one that neighbours are taken from too.
+    /// Frames beside this one that also supply neighbours.
     pub beside: &'a [Beside<'a>],
-    /// All of its channels are the same, in the values and in the variance, in any frame.
+    /// Whether all channels are equal, in the values and in the variance, in every frame.
     pub grey: bool,
-    /// Tiles in which no pixel within the reach of the filter has noise, in any frame: there everything stays as it is.
+    /// Tiles in which no pixel within the reach of the filter has noise, in any frame: pixels in them keep their
+    /// values.
     pub exact: Option<&'a ExactTiles>,
-    /// The pixels that are wanted: what comes out at others is arbitrary. `None`: all.
+    /// Pixels to compute; the values of other pixels are arbitrary. `None` computes all pixels.
     pub wanted: Option<Region>,
 }
 
 impl<'a> Guide<'a> {
-    /// Plain patches of one size in one frame: α is 1, every weight counts.
+    /// Makes a guide with plain patches of one size, in one frame: α is 1, every weight counts.
     pub fn new(signal: &'a Buffer, variance_of_mean: &'a Buffer, channels: u32, k: f32, patch_radius: u32) -> Self {
         Self {
             signal,
@@ -355,16 +359,16 @@ impl<'a> Guide<'a> {
         }
     }
 
-    /// Sizes of patches whose sums are computed.
+    /// Returns the number of patch sizes whose sums are computed.
     fn patch_sizes(&self) -> u64 {
         if self.small_patch_radius.is_some() { 2 } else { 1 }
     }
 }
 
-/// What a filter needs of the chunks that it goes through.
+/// Requirements of a filter on the chunks that it goes through.
 #[derive(Clone, Copy)]
 pub(super) struct ChunkNeeds {
-    /// The column sums of the distances are computed.
+    /// Whether to compute the column sums of the distances.
     pub(super) distances: bool,
     /// Planes of running sums that the filter keeps for the pixels of a strip; 0 where it keeps them for the whole
     /// image.
@@ -381,27 +385,28 @@ pub struct Beside<'a> {
     pub variance_of_mean: &'a Buffer,
 }
 
-/// One chunk of offsets over one strip of rows: what follows `nlm_distance` gets the column sums (of a patchwise guide,
-/// those of weights) and these parameters.
+/// One chunk of offsets over one strip of rows. The stage after `nlm_distance` gets the column sums of distances (of
+/// weights, if the guide is patchwise) and these parameters.
 pub(super) struct Chunk<'a> {
     pub(super) params: NlmParams,
-    /// Of the patches, and behind them of the smaller ones, if they are wanted too; without distances it holds nothing.
+    /// Column sums of the patches, and behind them of the smaller patches, if there are any; without distances the
+    /// buffer holds nothing.
     pub(super) columns: &'a Buffer,
-    /// Of distances always: of a patchwise guide, those of f rows more above and below.
+    /// Column sums of distances, also for a patchwise guide; then with f more rows above and below.
     pub(super) distances: &'a Buffer,
-    /// Which of the frames beside the neighbours are in; `None`: in the frame itself.
+    /// Index of the frame beside that holds the neighbours; `None` for the frame itself.
     pub(super) beside: Option<usize>,
-    /// No offsets are left for these rows in this frame.
+    /// Whether no offsets are left for these rows in this frame.
     pub(super) ends_frame: bool,
-    /// Nor in the frames after it.
+    /// Whether no offsets are left for these rows in this frame and in the frames after it.
     pub(super) last: bool,
-    /// Which share of all pixels is done with it.
+    /// Share of all pixels that are done once this strip is complete, from 0 to 1.
     pub(super) done: f32,
 }
 
-/// Runs `nlm_distance`, and for a patchwise guide `nlm_weight`, chunk by chunk and hands each to `consume`, strips from
-/// top to bottom, all chunks of a strip before the next, those of the frame itself first. A filter that knows no
-/// distances goes through the same chunks.
+/// Runs `nlm_distance`, and for a patchwise guide `nlm_weight`, chunk by chunk, and hands each chunk to `consume`:
+/// strips from top to bottom, all chunks of a strip before the next strip, the chunks of the frame itself first. A
+/// filter without distances goes through the same chunks.
 #[expect(clippy::too_many_arguments, reason = "they are the operator's definition; a struct would only rename them")]
 pub(super) fn for_each_chunk(
     rec: &mut Recorder,
@@ -417,8 +422,8 @@ pub(super) fn for_each_chunk(
     for_each_chunk_of(rec, extent, regions, guide, needs.distances, window_radius, weighting, schedule, consume)
 }
 
-/// The same for the window of one pixel: the chunks are no larger than its weights ask for, so that they hold nothing
-/// of use for any other.
+/// Goes through the window of one pixel. The chunks are no larger than the weights of this pixel need, so that other
+/// pixels cannot use them.
 #[expect(clippy::too_many_arguments, reason = "they are the operator's definition; a struct would only rename them")]
 pub(super) fn for_each_chunk_around(
     rec: &mut Recorder,
@@ -431,7 +436,8 @@ pub(super) fn for_each_chunk_around(
     schedule: Schedule,
     consume: impl FnMut(&mut Recorder, &Chunk) -> Result<()>,
 ) -> Result<()> {
-    // A patchwise weight is made of those of the pixels in its patch; the rows of it are the chunk's margin.
+    // A patchwise weight is made of the weights of all pixels in its patch; the margin of the chunk supplies the rows
+    // of the patch.
     let columns = if guide.patchwise { guide.patch_radius as i32 } else { 0 };
     let first = IVec2::new((pixel.x - columns).max(0), pixel.y);
     let region = Region { first, size: IVec2::new((pixel.x + columns + 1).min(extent.x) - first.x, 1) };
@@ -509,7 +515,7 @@ fn for_each_chunk_of(
                 };
                 let blocks = |rows: i32| (rows as u32).div_ceil(schedule.block_rows);
                 let with_margin = NlmParams { first_row: first_row - margin, rows: rows + 2 * margin, ..params };
-                // As many offsets in an invocation as fill all of them.
+                // An invocation computes several rows of offsets only if they divide the rows of the chunk evenly.
                 let in_whole_rows = guide.small_patch_radius.is_none() && offsets.y % schedule.offset_rows as i32 == 0;
                 let offset_rows = if in_whole_rows { schedule.offset_rows } else { 1 };
                 let definitions = [
@@ -518,7 +524,7 @@ fn for_each_chunk_of(
                     ("OFFSET_ROWS", Definition::Int(offset_rows as i32)),
                     ("ONE_CHANNEL", (guide.channels == 1).into()),
                     ("GREY", guide.grey.into()),
-                    // How the distances to both are used does not matter here.
+                    // How the distance to the mean of both neighbours is used does not matter here.
                     ("SYMMETRIC", (weighting.symmetric != Symmetry::Off).into()),
                 ];
                 let planes = (offsets.x * offsets.y) as u32;
@@ -566,32 +572,32 @@ fn for_each_chunk_of(
     Ok(())
 }
 
-/// What is averaged.
+/// Images to average.
 #[derive(Clone, Copy, Debug)]
 pub struct Payload<'a> {
-    /// As many planes as `count`.
+    /// Buffer of `count` planes.
     pub planes: &'a Buffer,
     /// Number of planes.
     pub count: u32,
-    /// The same of each frame beside the guide.
+    /// One such buffer for each frame beside the guide.
     pub beside: &'a [&'a Buffer],
-    /// What of each plane there is to average.
+    /// Components of each plane to average.
     pub lanes: Lanes,
 }
 
-/// What a plane holds.
+/// Components that a plane holds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Lanes {
     /// Four numbers per pixel.
     All,
-    /// One, in x; the others are 0.
+    /// One number, in x; the others are 0.
     First,
-    /// The same in x, y and z; w does not matter, and becomes 0.
+    /// Equal numbers in x, y and z; w becomes 0.
     Grey,
 }
 
 impl<'a> Payload<'a> {
-    /// Of one frame alone.
+    /// Makes a payload of one frame alone, with all components of its planes.
     pub fn new(planes: &'a Buffer, count: u32) -> Self {
         Self { planes, count, beside: &[], lanes: Lanes::All }
     }
@@ -600,17 +606,20 @@ impl<'a> Payload<'a> {
 /// A payload filtered with the weights of a guide.
 #[derive(Debug)]
 pub struct Filtered {
-    /// As many planes as the payload has.
+    /// Filtered planes, as many as the payload has.
     pub planes: Buffer,
-    /// One plane, x: Σ w with the centre's weight.
+    /// One plane, x: Σ w, including the weight of the centre.
     pub weights: Buffer,
-    /// Σ w²·Var / (Σ w)² in one plane, if asked for: the variance left in the filtered guide, were its pixels
+    /// One plane, if requested: Σ w²·Var / (Σ w)², the variance left in the filtered guide if its pixels were
     /// independent and the weights fixed.
     pub residual_variance: Option<Buffer>,
 }
 
 /// Filters the payload over a window of 2·`window_radius`+1 pixels with NL-means weights from `guide` (eq. 7.1 to 7.6),
 /// in its frame and in the frames beside it.
+///
+/// # Errors
+/// As [`Recorder::take`] and [`Recorder::dispatch`].
 #[expect(clippy::too_many_arguments, reason = "they are the operator's definition; a struct would only rename them")]
 pub fn nlm_filter(
     rec: &mut Recorder,

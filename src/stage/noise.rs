@@ -1,9 +1,10 @@
-//! Variances of the mean, pooled over pixels that are alike: where no renderer gives any, from what the halves of each
-//! differ by; otherwise from the sample variances.
+//! Variances of the mean, pooled over pixels that are alike: from the sample variances if the renderer gives them,
+//! otherwise from the difference between the halves of each pixel.
 //!
-//! One pixel's halves tell its noise with one degree of freedom. Pixels of one kind, by colour and by features, have
-//! about the same noise, so that some hundred of them make an estimate of it. Measured on twenty renders, denoising
-//! with this estimate leaves 1.02 times the error that it leaves with the renderer's own sample variance.
+//! The halves of one pixel measure its noise with one degree of freedom. Pixels of one kind, by colour and by features,
+//! have about the same noise, so that about a hundred of them give an estimate of it. Measured on twenty renders,
+//! denoising with this estimate leaves 1.02 times the error that denoising leaves with the renderer's own sample
+//! variance.
 
 use glam::{IVec2, Vec4};
 
@@ -65,34 +66,34 @@ bindings! {
     struct NoiseUnpack<'a> { uniform params: NoiseUnpackParams, read pooled_variance, write variance }
 }
 
-/// Which pixels are pooled, and how.
+/// Rule for which pixels are pooled, and how.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct NoiseRule {
-    /// How many times brighter than itself a pixel takes its surroundings to be at the most.
+    /// Largest ratio of the brightness around a pixel to its own brightness; a larger ratio is cut to this one.
     pub darker: f32,
-    /// The least brightness that noise is compared by. The frame's median is of the order of 1.
+    /// Least brightness that noise is compared by. The frame's median is of the order of 1.
     pub least_magnitude: f32,
-    /// Smooths the squared half spreads, in parts of the brightness around, to a first guess.
+    /// Gaussian that smooths the squared half spreads, in parts of the brightness around, to a first guess.
     pub guess: Gaussian,
     /// Half width of the box over which the noise of features is averaged, in pixels.
     pub feature_radius: u32,
     /// Half width of the window, in pixels.
     pub window_radius: u32,
-    /// Pixels whose surroundings are that much brighter or darker are of another kind.
+    /// Ratio of the brightness around two pixels above which they are of different kinds.
     pub gate: f32,
-    /// The distance from which on pixels are of another kind.
+    /// Distance above which pixels are of different kinds.
     pub largest_distance: f32,
     /// k_f of the features.
     pub feature_k: f32,
     /// τ of the features, in squares of the unit range.
     pub feature_tau: f32,
-    /// How often what was pooled counts, against once what the pixel's own halves say.
+    /// Weight of the pooled variance, relative to a weight of 1 for the variance of the pixel's own halves.
     pub pooled_share: f32,
 }
 
 impl NoiseRule {
-    /// Of two halves. Measured: with half of the share, or of k_f, `cornell` at 32 spp has 3 % more error,
-    /// `dof_spheres` at 128 spp 4 %, `cycles_interior` 2 %.
+    /// Rule for two halves. Measured: with half of `pooled_share`, or of `feature_k`, `cornell` at 32 spp has 3 % more
+    /// error, `dof_spheres` at 128 spp 4 %, `cycles_interior` 2 %.
     pub const HALVES: Self = Self {
         darker: 4.0,
         least_magnitude: 1e-3,
@@ -106,14 +107,14 @@ impl NoiseRule {
         pooled_share: 8.0,
     };
 
-    /// Of sample variances beside two halves. Measured at 8, 32 and 128 spp, pooling them leaves .96, 1.00 and .99 of
-    /// the error of `cornell`, .98, .99 and 1.00 of `dof_spheres`, .86, .92 and .89 of `caustic_ring`.
+    /// Rule for sample variances beside two halves. Measured at 8, 32 and 128 spp, pooling them leaves .96, 1.00 and
+    /// .99 of the error of `cornell`, .98, .99 and 1.00 of `dof_spheres`, .86, .92 and .89 of `caustic_ring`.
     pub const VARIANCE: Self = Self { gate: 4.0, ..Self::HALVES };
 
-    /// Of what an image alone shows, which is rougher.
+    /// Rule for noise that is estimated from an image alone, which is rougher.
     pub const IMAGE: Self = Self { gate: 4.0, feature_k: 0.6, ..Self::HALVES };
 
-    /// How far a pixel's variance depends on what is around it, in pixels.
+    /// Returns the distance up to which the variance of a pixel depends on other pixels, in pixels.
     pub const fn reach(&self) -> u32 {
         let guess = self.guess.radius + 1;
         self.window_radius + if guess > self.feature_radius { guess } else { self.feature_radius }
@@ -139,20 +140,20 @@ impl NoiseRule {
     }
 }
 
-/// Features as they were rendered, on the GPU, to compare pixels by.
+/// Features as they were rendered, on the GPU, by which pixels are compared.
 #[derive(Debug)]
 pub struct NoisyFeatures {
     /// Three planes per group: value, variance, half spread.
     pub buffer: Buffer,
-    /// Who sits where.
+    /// Group and component of each feature.
     pub packing: Packing,
-    /// Whether their own noise is pooled as well. It is not at first.
+    /// Whether the noise of the features is pooled as well; `false` at first.
     pub are_pooled: bool,
 }
 
 impl NoisyFeatures {
-    /// Room for features with these numbers of channels, to be filled by [`noise_feature`], in any order except that a
-    /// group's triple comes before its single.
+    /// Takes a buffer for features with these numbers of channels. [`noise_feature`] fills it, in any order in which
+    /// the triple of a group comes before its single.
     ///
     /// # Errors
     /// As [`Recorder::take`].
@@ -167,7 +168,7 @@ impl NoisyFeatures {
 }
 
 /// Writes one feature (unit range, two planes) to its slot, with the variance that its halves show in a small box, or
-/// the `sample_variance` where it has no halves.
+/// with the `sample_variance` if it has no halves.
 ///
 /// # Errors
 /// As [`Recorder::dispatch`].
@@ -192,17 +193,19 @@ pub fn noise_feature(
     )
 }
 
-/// Variances that were pooled.
+/// Pooled variances.
 #[derive(Debug)]
 pub struct Pooled {
-    /// Of the colour's mean in the first plane; behind it one plane per group of features that are pooled.
+    /// Variance of the colour's mean in the first plane; behind it one plane per group of features, if their noise is
+    /// pooled.
     pub buffer: Buffer,
 }
 
-/// Pools the noise of a colour, and of the features of the same pixels, over pixels that are alike: the squared half
-/// spreads, or of the colour its `sample_variance` (one plane, s²/n), which counts by half beside the pooled one.
+/// Pools the noise of a colour, and of the features of the same pixels, over pixels that are alike. The noise is the
+/// squared half spread; for the colour it is the `sample_variance` (one plane, s²/n), if there is one, which then
+/// counts by half beside the pooled one.
 ///
-/// Pixels with less than a thousandth of noise keep theirs.
+/// Pixels with less than a thousandth of noise keep their own variance.
 ///
 /// # Errors
 /// As [`Recorder::dispatch`].
@@ -218,7 +221,7 @@ pub fn noise_pool(
     pool(rec, extent, signal, &relative_spread, sample_variance, features, rule)
 }
 
-/// As [`noise_pool`], where [`noise_magnitude`] has been at work.
+/// As [`noise_pool`], with the `relative_spread` that [`noise_magnitude`] returned.
 fn pool(
     rec: &mut Recorder,
     extent: IVec2,
@@ -236,7 +239,7 @@ fn pool(
 
     let kernel = rec.gpu().kernel::<NoiseGuess>("noise_guess", &[("PIXELS", Definition::Int(PIXELS as i32))])?;
     rec.dispatch(&kernel, &NoiseGuess { params, relative_spread, guess }, per_run(extent, PIXELS))?;
-    // What more groups hold would not stay in registers.
+    // The values of more groups would not stay in registers.
     let pixels = if groups <= 2 { PIXELS } else { 1 };
     let definitions = [
         ("FEATURE_GROUPS", Definition::Int(groups as i32)),
@@ -254,11 +257,11 @@ fn pool(
     Ok(Pooled { buffer })
 }
 
-/// Pixels in a row that one invocation makes, where neighbours share what they load.
+/// Number of adjacent pixels in a row that one invocation computes, where neighbours share loads.
 const PIXELS: u32 = 4;
 
-/// The half spread of a colour in parts of the brightness around each pixel, that brightness, and in a second plane the
-/// median of the 3×3 pixels.
+/// Returns two planes. The first holds the half spread of a colour in parts of the brightness around each pixel, and in
+/// w that brightness; the second holds in x the median brightness of the 3×3 pixels.
 fn noise_magnitude(rec: &mut Recorder, extent: IVec2, signal: &Buffer, rule: &NoiseRule) -> Result<Buffer> {
     let relative_spread = rec.take("relative half spread", plane_bytes(extent, 2))?;
     let kernel = rec.gpu().kernel::<NoiseMagnitude>("noise_magnitude", &[])?;
@@ -267,31 +270,31 @@ fn noise_magnitude(rec: &mut Recorder, extent: IVec2, signal: &Buffer, rule: &No
     Ok(relative_spread)
 }
 
-/// How noise is told from an image alone.
+/// Rule for estimating noise from an image alone.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ImageRule {
     /// Half width of the window over which features are fitted to the colour, in pixels.
     pub fit_radius: u32,
-    /// What is added to the diagonal of the fit's normal equations, in parts of the sum of its weights.
+    /// Ridge of the fit: added to the diagonal of its normal equations, in parts of the sum of its weights.
     pub ridge: f32,
-    /// The part that what the fit leaves has in the geometric mean with what there is without it. Measured at 32 spp,
-    /// with a half `dof_spheres` has 5 % more error, whose features are noisy; with none `cycles_interior` has 2 %
-    /// more, whose wood they explain.
+    /// Weight of the residual of the fit in its geometric mean with the difference without a fit. Measured at 32 spp:
+    /// with one half, `dof_spheres`, whose features are noisy, has 5 % more error; with 0, `cycles_interior`, whose
+    /// wood the features explain, has 2 % more.
     pub fitted_share: f32,
     /// The largest noise of a pixel that is no brighter than its neighbours, in magnitudes.
     pub largest: f32,
     /// Brightness jumps where medians within `jump_radius` pixels differ by this factor.
     pub jump: f32,
-    /// See `jump`.
+    /// Half width of the box in which `jump` compares medians, in pixels.
     pub jump_radius: u32,
     /// Half width of the box by which the variance near a jump is judged, in pixels.
     pub hold_radius: u32,
-    /// Which pixels are pooled.
+    /// Rule for which pixels are pooled.
     pub pool: NoiseRule,
 }
 
 impl ImageRule {
-    /// What measured best.
+    /// Values that measured best.
     pub const DEFAULT: Self = Self {
         fit_radius: 4,
         ridge: 1e-3,
@@ -303,7 +306,7 @@ impl ImageRule {
         pool: NoiseRule::IMAGE,
     };
 
-    /// How far a pixel's variance depends on what is around it, in pixels.
+    /// Returns the distance up to which the variance of a pixel depends on other pixels, in pixels.
     pub const fn reach(&self) -> u32 {
         // Medians and neighbours reach one pixel.
         let pooled = self.pool.reach() + self.fit_radius + 1;
@@ -312,14 +315,14 @@ impl ImageRule {
     }
 }
 
-/// Brings the lesser of the two residuals of Gaussian noise to the size of a half spread: E|D| = σ·√(2/π).
+/// Factor that brings the lesser of the two residuals of Gaussian noise to the size of a half spread: E|D| = σ·√(2/π).
 ///
 /// Each residual has the variance 1.5·σ², and both have the correlation 2/3. Of two normal variables with the variance
 /// 1 and the correlation ρ, E min(|a|, |b|) = √(2/π)·(2 − (√(2 + 2ρ) + √(2 − 2ρ))/2).
 const RESIDUAL_SCALE: f32 = 1.202_67;
 
-/// The variance of a colour of which nothing is known but the image: from how far pixels stand out from both their
-/// neighbours, pooled. `explaining` are the features of three channels, two at the most, that may explain it. One
+/// Estimates the variance of a colour from the image alone: from how far pixels stand out from both their neighbours,
+/// pooled. `explaining` holds the indices of the features of three channels that may explain this, at most two. One
 /// plane.
 ///
 /// # Errors
@@ -386,7 +389,7 @@ pub fn noise_of_image(
     Ok(variance)
 }
 
-/// The pooled variance of the feature in this slot, or of the colour, as a plane of its own.
+/// Returns the pooled variance of the feature in this slot, or of the colour, as a plane of its own.
 ///
 /// # Errors
 /// As [`Recorder::dispatch`].

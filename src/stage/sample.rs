@@ -24,14 +24,14 @@ pub(super) const RELATIVE_FLOOR: f32 = 1e-3;
 /// Samples that each pixel's mean was computed from, on the GPU.
 #[derive(Debug)]
 pub enum GpuSamples {
-    /// The same number everywhere; 0 where nobody knows it.
+    /// One number for all pixels; 0 if it is unknown.
     Uniform(f32),
     /// One plane, x: the number of samples.
     PerPixel(Buffer),
 }
 
 impl GpuSamples {
-    /// The number that holds everywhere, and the plane of numbers where there is one.
+    /// Returns the number that holds for all pixels, and the plane of numbers if there is one.
     pub(super) fn parts(&self) -> (f32, Option<&Buffer>) {
         match self {
             Self::Uniform(count) => (*count, None),
@@ -40,8 +40,11 @@ impl GpuSamples {
     }
 }
 
-/// A signal with the samples of each pixel, at least 1, in the w of the mean: filtered along with the colour, they are
-/// the samples that contribute to the filtered value.
+/// Returns the signal with the number of samples of each pixel, at least 1, in the w of the mean. Filtered along with
+/// the colour, this number becomes the samples that contribute to the filtered value.
+///
+/// # Errors
+/// As [`Recorder::take`] and [`Recorder::dispatch`].
 pub fn sample_attach(rec: &mut Recorder, extent: IVec2, signal: &Buffer, samples: &GpuSamples) -> Result<Buffer> {
     let with_samples = rec.take("signal with samples", plane_bytes(extent, 2))?;
     let (samples_per_pixel, samples) = samples.parts();
@@ -51,11 +54,15 @@ pub fn sample_attach(rec: &mut Recorder, extent: IVec2, signal: &Buffer, samples
     Ok(with_samples)
 }
 
-/// The gain to be expected from a sample in each pixel: the estimated squared error of the blend relative to its
-/// squared value, times W(p) = Σ w / (1 + n_p), n_p the samples of the pixel. Not smoothed, in no unit. One plane, x.
+/// Returns the gain to be expected from a sample in each pixel: the estimated squared error of the blend relative to
+/// its squared value, times W(p) = Σ w / (1 + n_p), n_p the samples of the pixel. Not smoothed, in no unit. One plane,
+/// x.
 ///
-/// `blended` is the signal of pass 1 with Σ w in its w. Its error is what its half spread says (thesis 7.1.2); without
-/// halves, give its `errors` ([`error_blend`](super::error::error_blend)).
+/// `blended` is the signal of pass 1 with Σ w in its w. Its error is taken from its half spread (thesis 7.1.2); without
+/// halves, pass its `errors` ([`error_blend`](super::error::error_blend)).
+///
+/// # Errors
+/// As [`Recorder::take`] and [`Recorder::dispatch`].
 pub fn sample_density(
     rec: &mut Recorder,
     extent: IVec2,

@@ -35,13 +35,13 @@ bindings! {
 pub struct Scale {
     /// Standard deviation of its Gaussian in pixels; 0 for the pixel filter.
     pub sigma: f32,
-    /// A signal; in the w of the mean the mean number of samples per pixel, 0 where nobody knows it.
+    /// A signal; the w of the mean holds the mean number of samples per pixel, 0 if it is unknown.
     pub signal: Buffer,
-    /// One plane: the variance of the mean, in w 1 over the number of pixels that take part.
+    /// One plane: the variance of the mean; w holds 1 / number of pixels that take part.
     pub variance: Buffer,
 }
 
-/// The scale that each pixel has come to.
+/// Scale that each pixel has reached.
 #[derive(Debug)]
 pub struct Selected {
     /// A signal; in the w of the mean the number of pixels that take part, Σ w where the largest possible number
@@ -52,8 +52,11 @@ pub struct Selected {
     pub choice: Buffer,
 }
 
-/// The finest scale, the pixel filter, and the selection that starts with it (thesis 6.4). Counts of 0 in `samples` are
-/// ones that nobody knows.
+/// Returns the finest scale, the pixel filter, and the selection that starts with it (thesis 6.4). A count of 0 in
+/// `samples` is unknown.
+///
+/// # Errors
+/// As [`Recorder::take`] and [`Recorder::dispatch`].
 pub fn scale_pixel(
     rec: &mut Recorder,
     extent: IVec2,
@@ -86,21 +89,27 @@ pub fn scale_pixel(
     Ok((pixel, selected))
 }
 
-/// The image at a coarser scale: means and half spreads filtered by a Gaussian, variances by its square (eq. 6.2),
-/// which holds where pixels are independent.
+/// Returns the image at a coarser scale: means and half spreads are filtered by a Gaussian, variances by its square
+/// (eq. 6.2), which holds where pixels are independent.
+///
+/// # Errors
+/// As [`gaussian`].
 pub fn scale_gaussian(rec: &mut Recorder, extent: IVec2, pixel: &Scale, sigma: f32) -> Result<Scale> {
     let signal = gaussian(rec, extent, &pixel.signal, 2, Gaussian::new(sigma), Averaging::Mean)?;
     let variance = gaussian(rec, extent, &pixel.variance, 1, Gaussian::new(sigma), Averaging::Variance)?;
     Ok(Scale { sigma, signal, variance })
 }
 
-/// The binary stopping map of a pair of scales, 1 where the selector (eq. 6.1) is positive: the fine scale has less
-/// error. Its bias term is weighted by `bias_weight` and by 1 − 1/n for n samples per pixel (thesis 6.2.3), 1 where
-/// nobody knows n; the step from the pixel filter has (c − f)² for it. One plane, x: the map, y: the weighted bias
-/// term, summed over the channels.
+/// Returns the binary stopping map of a pair of scales: 1 where the selector (eq. 6.1) is positive, so that the fine
+/// scale has less error. The bias term is weighted by `bias_weight` and by 1 − 1/n for n samples per pixel (thesis
+/// 6.2.3), or by 1 if n is unknown. For the step from the pixel filter, the bias term is (c − f)². One plane, x: the
+/// map, y: the weighted bias term, summed over the channels.
+///
+/// # Errors
+/// As [`Recorder::take`] and [`Recorder::dispatch`].
 pub fn scale_stop(rec: &mut Recorder, extent: IVec2, fine: &Scale, coarse: &Scale, bias_weight: f32) -> Result<Buffer> {
     let [fine_squared, coarse_squared] = [fine.sigma * fine.sigma, coarse.sigma * coarse.sigma];
-    // The pixel filter is unbiased (thesis 6.4): with σ = 0, its quotient is 1 by itself.
+    // The pixel filter is unbiased (thesis 6.4): with σ = 0, the quotient is 1 by itself.
     let bias_factor = (coarse_squared + fine_squared) / (coarse_squared - fine_squared);
     let stops = rec.take("stopping map", plane_bytes(extent, 1))?;
     let bound = ScaleStop {
@@ -116,9 +125,12 @@ pub fn scale_stop(rec: &mut Recorder, extent: IVec2, fine: &Scale, coarse: &Scal
     Ok(stops)
 }
 
-/// Takes the pixels of `selected` that have come to the fine scale on to the coarse one, but for those whose map
-/// `stops`, smoothed and rounded, says 1 (thesis 6.2.4): they stay for good. With `coarser_only`, what smoothing turned
-/// from 0 to 1 counts as 0 (thesis 6.4).
+/// Moves the pixels of `selected` that have reached the fine scale on to the coarse one. Pixels whose map `stops` is 1
+/// after smoothing and rounding (thesis 6.2.4) stay at their scale for good. With `coarser_only`, a map value that
+/// smoothing turned from 0 to 1 counts as 0 (thesis 6.4).
+///
+/// # Errors
+/// As [`Recorder::dispatch`].
 #[expect(clippy::too_many_arguments, reason = "they are the operator's definition; a struct would only rename them")]
 pub fn scale_advance(
     rec: &mut Recorder,
@@ -144,8 +156,11 @@ pub fn scale_advance(
     rec.dispatch(&kernel, &bound, per_pixel(extent))
 }
 
-/// What the reduction of relative MSE by new samples is made of (thesis 6.3). One plane, x: relative MSE, y: samples in
-/// the filter's support, 0 where nobody knows, z: σ of the filter in pixels.
+/// Returns the parts of the reduction of relative MSE by new samples (thesis 6.3). One plane, x: relative MSE, y:
+/// samples in the filter's support, 0 if unknown, z: σ of the filter in pixels.
+///
+/// # Errors
+/// As [`Recorder::take`] and [`Recorder::dispatch`].
 pub fn scale_reduction(rec: &mut Recorder, extent: IVec2, selected: &Selected) -> Result<Buffer> {
     let reduction = rec.take("reduction of relative MSE", plane_bytes(extent, 1))?;
     let params = ScaleReductionParams { extent, relative_floor: RELATIVE_FLOOR };

@@ -46,9 +46,12 @@ bindings! {
     }
 }
 
-/// Binary selection maps: 1 for the candidate with the least smoothed error, 0 for the others. On ties the later, more
-/// robust one wins; FIRST may win only where its mean derivative is below SECOND's, if both take part; an error that is
-/// not finite cannot win. One plane, x: FIRST, y: SECOND, z: THIRD.
+/// Returns the binary selection maps: 1 for the candidate with the least smoothed error, 0 for the others. On ties the
+/// later, more robust candidate wins; FIRST may win only where its mean derivative is below SECOND's, if both take
+/// part; an error that is not finite cannot win. One plane, x: FIRST, y: SECOND, z: THIRD.
+///
+/// # Errors
+/// As [`Recorder::take`] and [`Recorder::dispatch`].
 pub fn select_least(rec: &mut Recorder, extent: IVec2, errors: &Buffer, candidates: &Candidates) -> Result<Buffer> {
     let selected = rec.take("binary selection maps", plane_bytes(extent, 1))?;
     let takes_part = candidates.set();
@@ -89,9 +92,9 @@ impl Default for Guard {
 
 impl Group for Guard {}
 
-/// By how much more than chance explains the frames beside must have done harm before they are left out of a pixel.
-/// Measured on a shot with a moving lamp, relative MSE of its middle frames: .00129 and .00103 with 8 standard
-/// deviations and 4 times the noise, .00123 and .00095 with these and with half of these, .0013 and .033 without.
+/// Amount of harm, beyond the amount that chance explains, from which on a pixel leaves out the frames beside. Measured
+/// on a shot with a moving lamp, relative MSE of its middle frames: .00129 and .00103 with 8 standard deviations and 4
+/// times the noise, .00123 and .00095 with these and with half of these, .0013 and .033 without.
 #[derive(Clone, Copy, Debug)]
 pub struct Harm {
     /// Standard deviations of the difference in SURE …
@@ -100,20 +103,23 @@ pub struct Harm {
     pub noise: f32,
 }
 
-/// What measured best.
+/// Limits that measured best.
 pub const HARM: Harm = Harm { sigmas: 4.0, noise: 1.0 };
 
-/// Of a pixel's own frame, what SURE needs.
+/// Inputs of SURE from a pixel's own frame.
 #[derive(Clone, Copy, Debug)]
 pub struct Noisy<'a> {
-    /// Its signal.
+    /// Signal of the frame.
     pub signal: &'a Buffer,
-    /// The variance of its mean, one plane.
+    /// Variance of the mean of the signal, one plane.
     pub variance_of_mean: &'a Buffer,
 }
 
-/// Of candidates that were filtered over several frames, replaces in `together` what the pixel's own SURE says is worse
-/// than over its frame alone.
+/// Replaces pixels of `together`, the candidates filtered over several frames, by pixels of `alone`, the candidates
+/// filtered over the own frame, where the pixel's own SURE says that `together` is worse by more than `harm` allows.
+///
+/// # Errors
+/// [`Error::Shader`] where the candidates come without derivatives; otherwise as [`Recorder::dispatch`].
 pub fn select_frames(
     rec: &mut Recorder,
     extent: IVec2,
@@ -144,7 +150,11 @@ fn without_derivatives() -> Error {
     Error::Shader { stage: "select_frames".into(), problem: "the candidates come without derivatives".into() }
 }
 
-/// The same of one filter whose weights do not depend on the noise of what they average, and whose centre weighs 1.
+/// Selects frames for one filter whose weights do not depend on the noise of the averaged image and whose centre
+/// weighs 1.
+///
+/// # Errors
+/// As [`Recorder::dispatch`].
 pub fn select_frames_of_filtered(
     rec: &mut Recorder,
     extent: IVec2,
@@ -164,7 +174,8 @@ pub fn select_frames_of_filtered(
     )
 }
 
-/// `alone` and `together`: a filtered signal, and the derivatives of which those of the candidate count, or Σ w.
+/// `alone` and `together` each hold a filtered signal and the derivatives of all candidates, of which only those of
+/// `candidate` count; without a candidate they hold Σ w instead of derivatives.
 fn select_frames_of_one(
     rec: &mut Recorder,
     extent: IVec2,
@@ -186,7 +197,7 @@ fn select_frames_of_one(
     rec.dispatch(&kernel, &bound, per_pixel(extent))
 }
 
-/// What the shares of the candidates are judged by.
+/// Images that decide about the shares of the candidates.
 #[derive(Clone, Copy, Debug)]
 pub struct Evidence<'a> {
     /// The binary selection maps.
@@ -195,14 +206,17 @@ pub struct Evidence<'a> {
     pub errors: &'a Buffer,
     /// SURE as computed.
     pub sure: &'a Buffer,
-    /// The pixel's, one plane.
+    /// Variance of the pixel mean, one plane.
     pub variance_of_mean: &'a Buffer,
-    /// What is to be averaged.
+    /// Candidates to average.
     pub candidates: &'a Candidates,
 }
 
-/// Shares of the candidates, from `smoothed`, their smoothed selection maps, which they take the place of. Normalised
-/// to sum 1, under a guard if there is one. One plane, x: FIRST, y: SECOND, z: THIRD.
+/// Turns `smoothed`, the smoothed selection maps of the candidates, into their shares, in place. The shares sum to 1; a
+/// guard, if there is one, excludes candidates. One plane, x: FIRST, y: SECOND, z: THIRD.
+///
+/// # Errors
+/// As [`Recorder::dispatch`].
 pub fn select_share(
     rec: &mut Recorder,
     extent: IVec2,
@@ -229,6 +243,9 @@ pub fn select_share(
 }
 
 /// Averages the candidates by their shares. A signal; the blended Σ w in the w of the mean.
+///
+/// # Errors
+/// As [`Recorder::take`] and [`Recorder::dispatch`].
 pub fn select_blend(rec: &mut Recorder, extent: IVec2, shares: &Buffer, candidates: &Candidates) -> Result<Buffer> {
     let blended = rec.take("blend", plane_bytes(extent, 2))?;
     let [first, second, third] = candidates.buffers();
@@ -238,9 +255,13 @@ pub fn select_blend(rec: &mut Recorder, extent: IVec2, shares: &Buffer, candidat
     Ok(blended)
 }
 
-/// Of two signals the second, except where its mean differs from the first one's by more than `sigmas` standard
-/// deviations of all the noise that the pixel may have: the input's, with its `variance_of_mean`, and what the spread
-/// of `pass1` shows. Distances and variances are summed over the channels. A signal.
+/// Returns the signal `pass2`, except for pixels whose mean differs from the mean of `pass1` by more than `sigmas`
+/// standard deviations of all the noise that the pixel may have; these pixels are taken from `pass1`. The noise is the
+/// `variance_of_mean` of the input plus the squared spread of `pass1`. Distances and variances are summed over the
+/// channels. A signal.
+///
+/// # Errors
+/// As [`Recorder::take`] and [`Recorder::dispatch`].
 pub fn select_pass(
     rec: &mut Recorder,
     extent: IVec2,
@@ -256,21 +277,21 @@ pub fn select_pass(
     Ok(result)
 }
 
-/// By how much the filter that knows the colour only must be better.
+/// Significance with which the filter that knows only the colour must be better.
 #[derive(Clone, Copy, Debug)]
 pub struct Significance {
-    /// Averages the differences of SURE over the pixels around.
+    /// Gaussian that averages the differences of SURE over the pixels around.
     pub smoothing: Gaussian,
-    /// Standard errors of the average difference from which on it gets a share …
+    /// Number of standard errors of the average difference from which on the filter gets a share …
     pub least: f32,
-    /// … and from which on it gets all.
+    /// … and from which on the filter gets the whole pixel.
     pub most: f32,
 }
 
 impl Significance {
-    /// What measured best. On a blurred edge under features without blur, the error falls to a seventh. Where nothing
-    /// tells of the noise of their features, `cornell`, `dof_spheres` and `caustic_ring` at 8, 32 and 128 spp have
-    /// between 0.4 % less error and 0.4 % more.
+    /// Values that measured best. On a blurred edge under features without blur, the error falls to a seventh. Without
+    /// information about the noise of their features, `cornell`, `dof_spheres` and `caustic_ring` at 8, 32 and 128 spp
+    /// have between 0.4 % less error and 0.4 % more.
     pub const MEASURED: Self = Self { smoothing: Gaussian { sigma: 3.0, radius: 9 }, least: 1.5, most: 3.0 };
 }
 
@@ -285,7 +306,7 @@ pub struct WithColorOnly {
 
 /// Gives the signal `color_only` a share where `differences` (those of
 /// [`error_difference`](super::error::error_difference)) say that its error is significantly less than that of
-/// `candidates`, a blend. The candidates' `shares` become what is left.
+/// `candidates`, a blend. The candidates' `shares` are scaled to the rest.
 ///
 /// # Errors
 /// As [`Recorder::dispatch`].

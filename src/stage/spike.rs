@@ -1,4 +1,4 @@
-//! Spikes: pixels that stand out from those of their kind and rest on very few samples for it.
+//! Spikes: pixels that stand out from pixels of their kind by an excess that rests on very few samples.
 
 use glam::{IVec2, Vec4};
 use serde::Serialize;
@@ -45,28 +45,29 @@ bindings! {
     struct SpikeSpread<'a> { uniform params: SpikeParams, write spikes, optional features, read levels, write repaired }
 }
 
-/// What makes a spike, and what becomes of it. [`SpikeRule::DEFAULT`] is what measured best: `docs/robustness.md` has
-/// the table.
+/// Rule for finding spikes and for spreading them. [`SpikeRule::DEFAULT`] measured best: `docs/robustness.md` has the
+/// table.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct SpikeRule {
     /// Half width of the window that a pixel is judged in, in pixels.
     pub window_radius: u32,
     /// Half width of the window that a spike is spread over, in pixels.
     pub spread_radius: u32,
-    /// Neighbours of its kind that it takes to judge a pixel.
+    /// Least number of neighbours of its kind that are needed to judge a pixel.
     pub least_neighbours: u32,
-    /// How far above the level of its neighbours it is at least, in distances from the level to the third brightest of
-    /// them.
+    /// Least height of a spike above the level of its neighbours, in multiples of the distance from that level to the
+    /// third brightest neighbour.
     pub prominence: f32,
-    /// How many samples its excess rests on at the most: the square of the excess over its variance.
+    /// Largest number of samples that the excess of a spike rests on: the square of the excess over its variance.
     pub most_samples: f32,
-    /// How many samples the excess of a light of few pixels rests on at the least; between, a pixel is filtered like
-    /// others. Measured with 25, no development scene has more than 0.6 % more error than without lights; with 12,
-    /// `cornell` at 8 spp from two seeds alone has 9 % more.
+    /// Least number of samples that the excess of a light of few pixels rests on; a pixel between both limits is
+    /// filtered like others. Measured with 25, no development scene has more than 0.6 % more error than without lights;
+    /// with 12, `cornell` at 8 spp from two seeds alone has 9 % more.
     pub light_samples: f32,
-    /// What a spike may add to the level of its neighbours, in parts of that level, before half of it is left out.
+    /// Amount that a spike may add to the level of its neighbours, in parts of that level, before half of the spike is
+    /// left out.
     pub share_limit: f32,
-    /// k_f of the features, as that of the candidates: pixels are of one kind where no feature's distance (eq. 8.3) is
+    /// k_f of the features, as for the candidates: pixels are of one kind where no feature's distance (eq. 8.3) is
     /// above 1.
     pub feature_k: f32,
     /// τ of the features, in squares of the unit range.
@@ -74,7 +75,7 @@ pub struct SpikeRule {
 }
 
 impl SpikeRule {
-    /// What measured best.
+    /// Values that measured best.
     pub const DEFAULT: Self = Self {
         window_radius: 3,
         spread_radius: 13,
@@ -108,17 +109,17 @@ impl SpikeRule {
 /// A signal without its spikes.
 #[derive(Debug)]
 pub struct Repaired {
-    /// The signal; in the place of a spike the mean of its neighbours.
+    /// The signal; a spike is replaced by the mean of its neighbours.
     pub signal: Buffer,
-    /// Its sample variance, where there is one: of a spike the mean of its neighbours'.
+    /// Sample variance of the signal, if there is one; a spike gets the mean of its neighbours' variances.
     pub variance_of_mean: Option<Buffer>,
-    /// Three planes. The first has what was taken from each pixel, 0 where it is no spike. The rest is for
-    /// [`spike_spread`]: the w of the first becomes the part of it that the pixels around get, the second has what one
-    /// of them in its place gets, and the third, in x, the squares of what each pixel got, summed over spikes and
-    /// channels.
+    /// Three planes. The first holds the amount taken from each pixel, 0 for a pixel that is no spike. The rest is for
+    /// [`spike_spread`]: the w of the first becomes the part of this amount that the pixels around get; the second
+    /// holds the amount that one of them would get at the position of the spike; the third holds, in x, the squares of
+    /// the amounts that each pixel got, summed over spikes and channels.
     pub spikes: Buffer,
-    /// For [`light_return`], two planes: mean and half spread of lights of few pixels; in the w of the first their
-    /// variance, summed over the channels, in that of the second 1 for a light, else 0.
+    /// Two planes for [`light_return`]: mean and half spread of lights of few pixels. The w of the first holds their
+    /// variance, summed over the channels; the w of the second is 1 for a light, else 0.
     pub lights: Buffer,
 }
 
@@ -126,8 +127,8 @@ fn feature_groups(features: Option<&Features>) -> (&'static str, Definition) {
     ("FEATURE_GROUPS", Definition::Int(features.map_or(0, |features| features.packing.groups as i32)))
 }
 
-/// Finds spikes in a signal, with its sample variance (one plane, s²/n) where there is one, and puts the level of their
-/// neighbours in their place. Neighbours are compared by `features`, if there are any.
+/// Finds spikes in a signal, using its sample variance (one plane, s²/n) if there is one, and replaces them, and lights
+/// of few pixels, by the level of their neighbours. Neighbours are compared by `features`, if there are any.
 ///
 /// # Errors
 /// As [`Recorder::dispatch`].
@@ -174,8 +175,8 @@ pub fn spike_find(
     Ok(Repaired { signal: repaired, variance_of_mean: repaired_variance, spikes, lights })
 }
 
-/// Gives the pixels around each spike their parts of it: all pixels of its kind that have noise and are about as
-/// bright, less the further they are away. `repaired` is the result of [`spike_find`].
+/// Gives parts of each spike to the pixels around it: to all pixels of its kind that have noise and are about as
+/// bright, less to pixels further away. `repaired` is the result of [`spike_find`].
 ///
 /// # Errors
 /// As [`Recorder::dispatch`].
@@ -202,10 +203,10 @@ pub fn spike_spread(
     rec.dispatch(&kernel, &SpikeSpread { params, spikes, features, levels, repaired }, per_pixel(extent))
 }
 
-/// A filtered signal with the `lights` that [`spike_find`] kept aside. A signal.
+/// Returns a filtered signal with the `lights` that [`spike_find`] set aside.
 ///
 /// `errors`: a plane and the component of it, 0 to 3, that holds squared errors of the filtered signal, summed over the
-/// channels; that of a light becomes its variance.
+/// channels; the error of a light becomes the variance of the light.
 ///
 /// # Errors
 /// As [`Recorder::dispatch`].

@@ -38,7 +38,7 @@ bindings! {
     }
 }
 
-/// Neighbouring pixels that one invocation of the box sums makes: most of what they sum up is the same.
+/// Number of neighbouring pixels that one invocation of the box sums computes: their boxes share most of their pixels.
 const BOX_PIXELS: u32 = 4;
 
 choices! {
@@ -58,9 +58,12 @@ choices! {
     }
 }
 
-/// Scales `sample_variance` (one plane, s²/n) to the magnitude of the two-buffer variance: times the ratio of the means
-/// of spread² and of sample variance over a box of 2·`radius`+1 pixels; 0 where the box holds no sample variance
-/// (thesis 8.2). One plane.
+/// Scales `sample_variance` (one plane, s²/n) to the magnitude of the two-buffer variance: multiplies it by the ratio
+/// of the means of spread² and of sample variance over a box of 2·`radius`+1 pixels; 0 where the box holds no sample
+/// variance (thesis 8.2). One plane.
+///
+/// # Errors
+/// As [`Recorder::take`] and [`Recorder::dispatch`].
 pub fn variance_scale(
     rec: &mut Recorder,
     extent: IVec2,
@@ -98,8 +101,11 @@ pub const RESIDUAL_SMOOTHING: Gaussian = Gaussian { sigma: 0.5, radius: 2 };
 /// `caustic_ring` with σ = 1, 2, 3: 1 leaves spikes that claim no variance, 3 blurs it over edges.
 pub const INPUT_SMOOTHING: Gaussian = Gaussian { sigma: 2.0, radius: 5 };
 
-/// The two-buffer variance of a signal, spread², smoothed with a normalised Gaussian over the existing pixels, and held
-/// below `upper_bound` where one is given. One plane.
+/// Returns the two-buffer variance of a signal, spread², smoothed with a normalised Gaussian over the existing pixels,
+/// and held below `upper_bound` if one is given. One plane.
+///
+/// # Errors
+/// As [`Recorder::take`] and [`Recorder::dispatch`].
 pub fn variance_smooth(
     rec: &mut Recorder,
     extent: IVec2,
@@ -115,20 +121,23 @@ pub fn variance_smooth(
     Ok(smoothed_variance)
 }
 
-/// What filtering the two-buffer variance of a signal by its sample variance takes (thesis 7.1.1).
+/// Inputs for filtering the two-buffer variance of a signal by its sample variance (thesis 7.1.1).
 #[derive(Debug)]
 pub struct VariancePair {
-    /// spread², of the mean of both halves. One plane.
+    /// Two-buffer variance of the mean of both halves, spread². One plane.
     pub two_buffer_variance: Buffer,
-    /// The variance of the sample variance, by its variance over the 3×3 pixels around. One plane.
+    /// Variance of the sample variance, estimated over the 3×3 pixels around. One plane.
     pub uncertainty: Buffer,
 }
 
-/// The two-buffer variance and the uncertainty of `sample_variance` (one plane, s²/n).
+/// Returns the two-buffer variance and the uncertainty of `sample_variance` (one plane, s²/n).
 ///
-/// The source takes the squared difference of the halves' own sample variances for the uncertainty, which files do not
-/// have. Measured on six renders, the variance over 3×3 pixels is as good as that of Gaussian samples, 2Σ²/(n−1), times
-/// four or sixteen, the kurtosis of rendered samples, and better than it times one.
+/// The source takes the squared difference of the halves' own sample variances as the uncertainty; files do not have
+/// these. Measured on six renders, the variance over 3×3 pixels is as good as the variance for Gaussian samples,
+/// 2Σ²/(n−1), multiplied by four or sixteen for the kurtosis of rendered samples, and better than that variance itself.
+///
+/// # Errors
+/// As [`Recorder::take`] and [`Recorder::dispatch`].
 pub fn variance_pair(
     rec: &mut Recorder,
     extent: IVec2,
@@ -150,7 +159,10 @@ pub fn variance_pair(
     Ok(VariancePair { two_buffer_variance, uncertainty })
 }
 
-/// A variance held below an upper bound, channel by channel. One plane each.
+/// Holds a variance below an upper bound, channel by channel. One plane each.
+///
+/// # Errors
+/// As [`Recorder::take`] and [`Recorder::dispatch`].
 pub fn variance_clamp(rec: &mut Recorder, extent: IVec2, variance: &Buffer, upper_bound: &Buffer) -> Result<Buffer> {
     let clamped_variance = rec.take("clamped variance", plane_bytes(extent, 1))?;
     let kernel = rec.gpu().kernel::<VarianceClamp>("variance_clamp", &[])?;
@@ -164,10 +176,10 @@ pub fn variance_clamp(rec: &mut Recorder, extent: IVec2, variance: &Buffer, uppe
     Ok(clamped_variance)
 }
 
-/// Noise below which a pixel has next to none: its standard deviation in parts of its value.
+/// Noise below which a pixel counts as almost without noise: its standard deviation in parts of its value.
 pub const LEAST_NOISE: f32 = 1e-3;
 
-/// What a variance is held above, so that eq. 7.4 divides by no zero: its ε.
+/// Lower bound of a variance, so that eq. 7.4 does not divide by zero: its ε.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Floor {
     /// The square of [`LEAST_NOISE`] times the pixel's brightness, or of a ten-thousandth of the brightness around it
@@ -184,15 +196,15 @@ pub enum Floor {
 }
 
 impl Floor {
-    /// That of the colour: where pixels without noise are kept, those with less than a thousandth of it need not be
-    /// told apart.
+    /// Floor of the colour's variance. Where pixels without noise are kept, pixels with less than a thousandth of noise
+    /// need not be distinguished.
     pub fn of_color(keep_clean: bool) -> Self {
         if keep_clean { Self::Relative } else { Self::Printed }
     }
 }
 
-/// The variance of a signal, channel by channel, held above a floor. One plane; in its w the brightness around each
-/// pixel as [`Floor::Relative`] has it, from which the candidates take the least step of their finite differences.
+/// Holds the variance of a signal above a floor, channel by channel. One plane; its w is the brightness around each
+/// pixel, as defined in [`Floor::Relative`], from which the candidates take the least step of their finite differences.
 ///
 /// # Errors
 /// As [`Recorder::dispatch`].

@@ -1,7 +1,9 @@
-//! The weights of one pixel's window, each with the distances behind it: what the filters see, seen from one pixel.
+//! The weights in one pixel's window, each with the distances that it comes from: the view of the filters from one
+//! pixel.
 //!
-//! A window of radius R is laid out as an image of (2R+1)² cells: that of the neighbour p + (dx, dy) lies in column R +
-//! dx of row R + dy. The cell in the middle is left as it was: what a pixel itself weighs follows from its neighbours.
+//! A window of radius R is laid out as an image of (2R+1)² cells: the cell of the neighbour p + (dx, dy) lies in column
+//! R + dx of row R + dy. The cell in the middle is not written: the weight of a pixel itself follows from its
+//! neighbours.
 
 use glam::IVec2;
 
@@ -25,21 +27,21 @@ bindings! {
     }
 }
 
-/// Of an image with one vec4 per cell, behind each other: which plane, and in it 0 to 3, x to w.
+/// Position of a value in the planes of a window, which have one vec4 per cell: a plane, and a component of its vec4.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct CellLane {
-    /// From 0.
+    /// Plane, counted from 0.
     pub plane: u32,
-    /// 0 to 3.
+    /// Component, 0 to 3 for x to w.
     pub component: u32,
 }
 
 /// A distance, and the weight that it would give alone.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct DistanceLanes {
-    /// Arbitrary where a neighbour does not exist.
+    /// Position of the distance, which is arbitrary where a neighbour does not exist.
     pub distance: CellLane,
-    /// 0 where a neighbour does not exist.
+    /// Position of the weight, which is 0 where a neighbour does not exist.
     pub weight: CellLane,
 }
 
@@ -55,8 +57,11 @@ fn cells(rec: &mut Recorder, window_radius: u32, planes: u32) -> Result<Buffer> 
     rec.take("window", plane_bytes(IVec2::new(side, side), planes))
 }
 
-/// The weights that [`nlm_filter`](super::nlm::nlm_filter) gives the neighbours of a pixel in its own frame, and their
-/// distances: one plane of cells, laid out as [`NLM_WEIGHT`] and [`NLM_DISTANCE`] say.
+/// Returns the weights that [`nlm_filter`](super::nlm::nlm_filter) gives the neighbours of a pixel in its own frame,
+/// and their distances: one plane of cells, laid out as [`NLM_WEIGHT`] and [`NLM_DISTANCE`] say.
+///
+/// # Errors
+/// As [`Recorder::take`] and [`Recorder::dispatch`].
 pub fn nlm_window(
     rec: &mut Recorder,
     extent: IVec2,
@@ -84,41 +89,44 @@ pub fn nlm_window(
     Ok(cells)
 }
 
-/// Where [`nlm_window`] writes the weights as they enter the average; 0 where a neighbour does not exist.
+/// Position of the weights that [`nlm_window`] writes, as they enter the average; 0 where a neighbour does not exist.
 pub const NLM_WEIGHT: CellLane = CellLane { plane: 0, component: 0 };
 
-/// Where [`nlm_window`] writes the distances between patches.
+/// Position of the distances between patches that [`nlm_window`] writes.
 pub const NLM_DISTANCE: DistanceLanes =
     DistanceLanes { distance: CellLane { plane: 0, component: 1 }, weight: CellLane { plane: 0, component: 2 } };
 
 /// The weights that [`candidates`](super::candidate::candidates) gives the neighbours of a pixel in its own frame.
 #[derive(Debug)]
 pub struct WindowOfCandidates {
-    /// As many planes as there are lanes for.
+    /// Cells of the window: two planes, and two more for each group of features.
     pub cells: Buffer,
 }
 
 impl WindowOfCandidates {
-    /// The weights of FIRST, SECOND or THIRD, counted from 0, as they enter the average; 0 where a neighbour does not
-    /// exist.
+    /// Returns the position of the weights of FIRST, SECOND or THIRD, counted from 0, as they enter the average; 0
+    /// where a neighbour does not exist.
     pub fn weight(candidate: u32) -> CellLane {
         CellLane { plane: 0, component: candidate }
     }
 
-    /// What FIRST or SECOND, counted from 0, find between patches of the colour.
+    /// Returns the position of the distances that FIRST or SECOND, counted from 0, find between patches of the colour.
     pub fn color(candidate: u32) -> DistanceLanes {
         DistanceLanes::new(1, candidate, 2 + candidate)
     }
 
-    /// What a candidate finds between the values of a feature.
+    /// Returns the position of the distances that a candidate finds between the values of a feature.
     pub fn feature(candidate: u32, slot: Slot) -> DistanceLanes {
         let single = u32::from(slot.single);
         DistanceLanes::new(2 + 2 * slot.group + u32::from(candidate == 2), single, 2 + single)
     }
 }
 
-/// The weights of the candidates that take part at a pixel, and their distances. `grey`: all channels of the colour are
-/// the same.
+/// Returns the weights of the candidates that take part at a pixel, and their distances. `grey`: all channels of the
+/// colour are equal.
+///
+/// # Errors
+/// As [`Recorder::take`] and [`Recorder::dispatch`].
 #[expect(clippy::too_many_arguments, reason = "they are the operator's definition; a struct would only rename them")]
 pub fn candidate_window(
     rec: &mut Recorder,

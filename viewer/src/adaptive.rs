@@ -1,4 +1,4 @@
-//! The adaptive loop on a built-in scene: what is asked for, its steps in the worker, and what the window has of it.
+//! The adaptive loop on a built-in scene: its setup, its steps in the worker, and its state in the window.
 
 use std::sync::Arc;
 use std::time::Instant;
@@ -11,20 +11,20 @@ use stein_stub::{Sequence, StubSampler, scene, scenes};
 use crate::document::{Denoised, Document, Opened, drawn_layer, input_layers, reference_layer};
 use crate::settings::Parameters;
 
-/// What is sampled, and how.
+/// Settings of an adaptive loop.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Setup {
-    /// One of [`scenes`].
+    /// Name of the scene, one of [`scenes`].
     pub scene: String,
     /// Width and height, in pixels.
     pub extent: Extent,
-    /// On average, of all iterations together; an even number.
+    /// Mean number of samples per pixel, over all iterations together; an even number.
     pub samples_per_pixel: u32,
-    /// Of which the first samples evenly.
+    /// Number of iterations; the first one spreads its samples evenly over the image.
     pub iterations: u32,
-    /// Same seed, same samples.
+    /// Seed of the random numbers: the same seed draws the same samples.
     pub seed: u32,
-    /// Samples per pixel of a reference that is drawn after the last iteration; an even number, 0 for none.
+    /// Samples per pixel of a reference that is drawn after the last iteration: an even number, or 0 for no reference.
     pub reference_samples: u32,
 }
 
@@ -52,61 +52,61 @@ impl Setup {
     }
 }
 
-/// A loop on its way, which the worker hands on from one step to the next.
+/// State of a running loop, which the worker hands from one step to the next.
 #[derive(Clone, Debug)]
 pub struct Loop {
     setup: Setup,
     parameters: Parameters,
-    /// `None` before the first step.
+    /// Sampler and iterations; `None` before the first step.
     state: Option<(StubSampler, Iterations)>,
-    /// Those that are complete.
+    /// Complete iterations, oldest first.
     complete: Vec<Iteration>,
 }
 
-/// What a step has come to.
+/// Outcome of one step of the loop.
 #[derive(Debug)]
 pub struct Adapted {
-    /// What there is now.
+    /// Result of the step.
     pub step: Step,
-    /// Whether the loop is at its end.
+    /// Whether this was the last step of the loop.
     pub is_last: bool,
 }
 
-/// See [`Adapted`].
+/// Result of a step; see [`Adapted`].
 #[derive(Debug)]
 pub enum Step {
-    /// One more iteration.
+    /// One more iteration is complete.
     Iteration(Box<Iteration>),
-    /// All iterations, compared with a reference.
+    /// All iterations were compared with a reference.
     Compared(Vec<Iteration>),
 }
 
-/// An iteration that is complete.
+/// A complete iteration.
 #[derive(Clone, Debug)]
 pub struct Iteration {
-    /// From 1.
+    /// Number of the iteration, from 1.
     pub number: u32,
-    /// On average, of all iterations so far.
+    /// Mean number of samples per pixel, over all iterations so far.
     pub samples_per_pixel: f64,
-    /// Fewest and most samples of a pixel so far.
+    /// Fewest and most samples that any pixel has so far.
     pub spread: [u64; 2],
-    /// The samples so far, as a frame.
+    /// Frame that was made of all samples so far.
     pub opened: Opened,
-    /// What they were denoised to.
+    /// Result of denoising that frame.
     pub denoised: Denoised,
 }
 
 impl Loop {
-    /// A loop that has drawn nothing yet.
+    /// Creates a loop that has drawn nothing yet.
     pub fn new(setup: Setup, parameters: Parameters) -> Self {
         Self { setup, parameters, state: None, complete: Vec::new() }
     }
 
-    /// Draws and denoises the next iteration, or draws the reference and compares all of them with it. `check` is told
-    /// how much of the whole loop is done, and ends it by an error.
+    /// Draws and denoises the next iteration; after the last iteration, draws the reference and compares all iterations
+    /// with it. Passes the share of the whole loop that is done, 0 to 1, to `check`; an error of `check` ends the loop.
     ///
     /// # Errors
-    /// A setup that cannot be met, and as [`Iterations::step`].
+    /// Fails for a setup that is not valid, and in the same cases as [`Iterations::step`].
     pub fn step(
         &mut self,
         gpu: &Gpu,
@@ -138,7 +138,7 @@ impl Loop {
         let (mut drawn_at, mut finished) = (Instant::now(), None);
         let goes_on = iterations.step(sampler, &mut |event: Event<'_>| match event {
             Event::Planned { iteration, .. } => check((iteration - 1) as f32 / parts),
-            // Nobody knows which takes longer; half of the way each is near enough.
+            // Drawing and denoising count as half of an iteration each: nobody knows which takes longer.
             Event::Drawing { iteration, share } => {
                 drawn_at = Instant::now();
                 check(((iteration - 1) as f32 + 0.5 * share) / parts)
@@ -159,7 +159,7 @@ impl Loop {
     }
 }
 
-/// The samples so far as something that is open.
+/// Makes a frame of the samples so far, with its layers.
 fn opened_of(setup: &Setup, number: u32, map: Option<&SamplingMap>, samples: &Samples) -> stein::Result<Opened> {
     let (frame, repairs) = samples.to_frame()?;
     let mut layers = input_layers(&frame, None);
@@ -179,7 +179,8 @@ fn iteration_of(number: u32, counts: &SampleCounts, opened: Opened, denoised: De
     }
 }
 
-/// Many samples, spread better than at random. No other seed is likely to be this one.
+/// Draws the reference with many samples, which are spread better than random ones. Its seed, inverted in 64 bits,
+/// differs from every seed of a loop, which has 32 bits.
 fn draw_reference(setup: &Setup, check: impl Fn(f32) -> stein::Result<()> + Sync) -> stein::Result<Image> {
     let mut sampler = setup.sampler(!u64::from(setup.seed), Sequence::LowDiscrepancy)?;
     let counts = SampleCounts::uniform(setup.extent, setup.reference_samples)?;
@@ -190,37 +191,37 @@ fn draw_reference(setup: &Setup, check: impl Fn(f32) -> stein::Result<()> + Sync
     Ok(samples.color().mean)
 }
 
-/// What the window has of a loop.
+/// State of the adaptive loop in the window.
 #[derive(Debug, Default)]
 pub struct Adaptive {
-    /// What the next loop does.
+    /// Setup of the next loop.
     pub setup: Setup,
-    /// What the loop in flight, or the last one, does.
+    /// Setup of the loop that is running, or of the last one.
     pub started: Option<Setup>,
-    /// Those that are complete.
+    /// Complete iterations, oldest first.
     pub iterations: Vec<Iteration>,
-    /// The one that is shown, by its number; `None` where what is open is not of the loop.
+    /// Number of the iteration that is shown; `None` if the open document is not an iteration.
     pub shown: Option<u32>,
-    /// Whether the newest one is shown as it comes.
+    /// Whether each new iteration is shown as it arrives.
     pub follows: bool,
-    /// Whether it goes on.
+    /// Whether the loop is running.
     pub is_running: bool,
 }
 
 impl Adaptive {
-    /// Starts anew.
+    /// Starts a new loop, and forgets the iterations of the previous one.
     pub fn start(&mut self, parameters: Parameters) -> Loop {
         self.iterations.clear();
         (self.started, self.shown, self.follows, self.is_running) = (Some(self.setup.clone()), None, true, true);
         Loop::new(self.setup.clone(), parameters)
     }
 
-    /// Forgets the iterations: something else is open.
+    /// Forgets everything except the setup, because something else is open.
     pub fn clear(&mut self) {
         *self = Self { setup: std::mem::take(&mut self.setup), ..Self::default() };
     }
 
-    /// An iteration as what is open, with the result of the one before to compare with.
+    /// Returns an iteration as a document, with the result of the previous iteration as a layer to compare with.
     pub fn document(&self, number: u32) -> Option<Document> {
         let place = self.iterations.iter().position(|iteration| iteration.number == number)?;
         let mut document = Document::new(self.iterations[place].opened.clone());

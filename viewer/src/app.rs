@@ -1,4 +1,4 @@
-//! The window: where the panels are, and what keys, messages and files do.
+//! The window: the layout of the panels, and the effects of keys, messages and files.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -30,57 +30,57 @@ use crate::view::{Compare, Display, View, canvas};
 use crate::words;
 use crate::worker::{Reply, Request, Task, Worker, rest_after};
 
-/// How long it is told that a file was written.
+/// Time for which the notice of a written file is shown, in seconds.
 const NOTICE_SECONDS: f64 = 8.0;
 
-/// What the program starts with.
+/// State with which the window starts.
 #[derive(Clone, Debug, Default)]
 pub struct Start {
-    /// What to open.
+    /// Files and layers to open.
     pub source: Option<Source>,
-    /// How to denoise; `None` as remembered.
+    /// Method and parameters; `None` takes the remembered ones.
     pub parameters: Option<Parameters>,
     /// Layer A, by its name.
     pub layer: Option<String>,
     /// Layer B, by its name.
     pub other: Option<String>,
-    /// How the two are shown.
+    /// Comparison of the two layers.
     pub compare: Compare,
     /// The panel at the right.
     pub panel: Panel,
-    /// The pixel that is kept.
+    /// Pixel to keep chosen, [column, row].
     pub pixel: Option<[u32; 2]>,
-    /// Closes the window after so many frames, counted from when nothing is at work any more.
+    /// Number of frames after which the window closes, counted from when all work is done.
     pub exit_after_frames: Option<u32>,
     /// An adaptive loop to start, in place of a file to open.
     pub adapt: Option<Setup>,
-    /// Whether error is measured against run time once the frame is open.
+    /// Whether to measure error against run time once the frame is open.
     pub sweeps: bool,
-    /// Of its neighbours the one that the kernel's panel explains, as an offset.
+    /// Neighbour that the kernel panel explains, as an offset from the pixel.
     pub neighbour: Option<[i32; 2]>,
 }
 
-/// The window's state. Panels read and change it; what takes time goes to the worker.
+/// State of the window. Panels read and change it; slow work goes to the worker.
 pub struct Viewer {
-    /// The device, for the denoiser and the window.
+    /// Device of the denoiser and the window.
     pub gpu: Gpu,
-    /// What takes time.
+    /// Thread that does the slow work.
     pub worker: Worker,
-    /// What is open.
+    /// The open frame with its runs and layers.
     pub document: Option<Document>,
-    /// What is shown of it, and how.
+    /// Layers that are shown, and how they are shown.
     pub view: View,
-    /// How is denoised.
+    /// Method and parameters.
     pub parameters: Parameters,
     /// The adaptive loop.
     pub adaptive: Adaptive,
-    /// How was denoised before, for when that is chosen again.
+    /// Earlier parameters of each method and preset, which return when these are chosen again.
     pub earlier: Earlier,
-    /// Changes of the parameters that contradict them.
+    /// Changes that wait because they contradict other parameters.
     pub edits: Edits,
     /// Error against run time.
     pub sweep: Sweep,
-    /// What is remembered.
+    /// Settings that are kept from one start to the next.
     pub settings: Settings,
     /// The panel at the right.
     pub panel: Panel,
@@ -88,32 +88,33 @@ pub struct Viewer {
     pub inspector: Inspector,
     /// Whether the help is shown.
     pub shows_help: bool,
-    /// What went wrong, until it is dismissed.
+    /// Task that failed and its error, until the user dismisses it.
     pub trouble: Option<(Task, stein::Error)>,
-    /// What the worker is at, and how much of it is done.
+    /// Task of the worker, and the share of it that is done, 0 to 1.
     pub progress: Option<(Task, f32)>,
-    /// Where a panel that was shown by its own key goes back to.
+    /// Panel to return to from a panel that was shown by its own key.
     pub panel_before: Panel,
-    /// Whether the strip is to be moved to layer A.
+    /// Whether the strip has to scroll to layer A.
     pub scrolls_to_layer: bool,
-    /// What the last file that was written has to tell, or why it was not, and when that was, in seconds.
+    /// Newest message about files, or the reason why a file could not be read or written, and the time of it, in
+    /// seconds.
     pub notice: Option<(stein::Result<String>, f64)>,
-    /// Whether a run was given up for a file that is being read.
+    /// Whether opening a file cancelled a run; the run starts again if opening fails or is cancelled.
     interrupted: bool,
-    /// The reference of what is opened next.
+    /// Reference for the file that is opened next.
     waiting_reference: Option<PathBuf>,
     /// Frames until the window closes by itself.
     frames_left: Option<u32>,
-    /// Whether a sweep follows when the frame is open.
+    /// Whether a sweep starts once the frame is open.
     sweeps: bool,
-    /// Whether it is still to be checked that what the program starts with is there: that cannot be told before the
-    /// first run is done.
+    /// Whether the layers, pixel and neighbour of the start still have to be checked, which is only possible after the
+    /// first run.
     checks_names: bool,
-    /// When the newest frame was handed over to be drawn.
+    /// Time at which the newest frame was handed over to be drawn.
     drawn: Instant,
     dialog: Option<Dialog>,
     savings: Vec<Saving>,
-    /// Parameters that are read from a file.
+    /// Parameters that a thread reads from a file.
     reading: Option<Receiver<stein::Result<Parameters>>>,
     /// Size of the canvas, in points.
     canvas: Vec2,
@@ -121,7 +122,7 @@ pub struct Viewer {
 }
 
 impl Viewer {
-    /// The window on a device, whose target has this format.
+    /// Creates the window on a device; `format` is the format of its render target.
     ///
     /// # Errors
     /// As [`Worker::start`].
@@ -181,7 +182,7 @@ impl Viewer {
         Ok(viewer)
     }
 
-    /// The same for eframe, with what it remembers.
+    /// Creates the window for eframe, with the settings that eframe has stored.
     ///
     /// # Errors
     /// As [`Viewer::new`].
@@ -203,17 +204,17 @@ impl Viewer {
         self.worker.send(Request::Open(source));
     }
 
-    /// Denoises what is open with the parameters as they are.
+    /// Denoises the open frame with the current parameters.
     pub fn run(&mut self) {
         let Some(document) = &self.document else { return };
-        // The next iteration would take the run away.
+        // Showing the next iteration would replace this run.
         self.adaptive.follows &= self.adaptive.shown.is_none();
         self.progress = Some((Task::Denoise, 0.0));
         let (frame, reference) = (document.opened.frame.clone(), document.opened.reference.clone());
         self.worker.send(Request::Denoise { frame, reference, parameters: self.parameters });
     }
 
-    /// Ends the sweep and forgets it, for another frame.
+    /// Ends the sweep and forgets its results, for another frame.
     fn forget_sweep(&mut self) {
         self.worker.cancel(Task::Sweep);
         self.progress.take_if(|(task, _)| *task == Task::Sweep);
@@ -237,11 +238,10 @@ impl Viewer {
         self.worker.cancel(Task::Adapt);
     }
 
-    /// Opens an iteration of the adaptive loop. Where it is not the newest one, those that come are no longer shown by
-    /// themselves.
+    /// Opens an iteration of the adaptive loop. New iterations are shown by themselves only if this one is the newest.
     pub fn show_iteration(&mut self, number: u32, context: &Context) {
         let Some(document) = self.adaptive.document(number) else { return };
-        // What is at work on the frame that was open would come out as this one's.
+        // A run that is still at work on the previous frame would be taken for a run on this one.
         self.worker.cancel(Task::Denoise);
         self.progress.take_if(|(task, _)| *task == Task::Denoise);
         self.forget_sweep();
@@ -273,7 +273,7 @@ impl Viewer {
                 self.adaptive.iterations = iterations;
                 let shown = self.adaptive.shown.and_then(|number| self.adaptive.document(number));
                 if let (Some(document), Some(compared)) = (&mut self.document, shown) {
-                    // Its points know of no reference, and neither do runs of one's own.
+                    // The points of the sweep, and runs that the user started, were not compared with the reference.
                     let is_own = document.history.len() > 1 || self.worker.has(Task::Denoise);
                     if is_own {
                         document.reopen(compared.opened);
@@ -292,7 +292,7 @@ impl Viewer {
         }
     }
 
-    /// Denoises with other parameters from now on.
+    /// Replaces the parameters, and denoises again if they differ.
     pub fn take_parameters(&mut self, parameters: Parameters) {
         self.edits.clear();
         if self.parameters != parameters {
@@ -301,7 +301,7 @@ impl Viewer {
         }
     }
 
-    /// Starts to measure error against run time, or ends that.
+    /// Starts a sweep, or ends the one that is running.
     fn toggle_sweep(&mut self) {
         let Some(document) = &self.document else { return };
         if self.sweep.is_running {
@@ -314,7 +314,7 @@ impl Viewer {
         self.worker.send(Request::Sweep { frame, reference, runs: self.sweep.start(self.parameters), next: 0 });
     }
 
-    /// Whether nothing is at work and nothing waits to be told.
+    /// Returns whether nothing is at work, and no answer, file or reply is still to come.
     pub fn is_idle(&self) -> bool {
         let nothing_to_come = self.progress.is_none()
             && !self.sweep.is_running
@@ -323,18 +323,18 @@ impl Viewer {
         nothing_to_come && self.savings.is_empty() && self.reading.is_none()
     }
 
-    /// The layer A; the noisy image where there is none of that name.
+    /// Returns layer A; the noisy image if no layer has that name.
     pub fn layer(&self) -> Option<&Arc<Layer>> {
         let document = self.document.as_ref()?;
         document.layer(&self.view.layer).or_else(|| document.layer("noisy"))
     }
 
-    /// The layer B, where there is one.
+    /// Returns layer B, if there is one.
     pub fn other(&self) -> Option<&Arc<Layer>> {
         self.document.as_ref()?.layer(self.view.other.as_deref()?)
     }
 
-    /// Compares in this way, with the likeliest layer where none was marked.
+    /// Compares in this way. Chooses the likeliest layer B if none is marked.
     pub fn compare(&mut self, compare: Compare) {
         self.view.compare = compare;
         let is_there = |name: &str| self.document.as_ref().is_some_and(|document| document.layer(name).is_some());
@@ -345,7 +345,7 @@ impl Viewer {
         }
     }
 
-    /// Does what a key or a menu asks for.
+    /// Performs the action of a key or of a menu.
     pub fn perform(&mut self, action: Action, context: &Context) {
         match action {
             Action::Open => self.ask(Purpose::Input, context),
@@ -435,7 +435,7 @@ impl Viewer {
         }
     }
 
-    /// From the middle of the image where none is chosen.
+    /// Pins the pixel at the offset `by` from the chosen one, or from the middle of the image if no pixel is chosen.
     fn move_pixel(&mut self, by: [i32; 2]) {
         let Some(document) = &self.document else { return };
         let Extent { width, height } = document.opened.frame.extent();
@@ -456,10 +456,10 @@ impl Viewer {
         }
     }
 
-    /// What a file to write is called, unless it is called otherwise; without an ending.
+    /// Returns the suggested name of a file to write, without an ending.
     fn name_for(&self, purpose: Purpose) -> String {
         let input = self.document.as_ref().map_or("stein", |document| &document.opened.name);
-        // A layer stands behind its file.
+        // The name of a layer follows the name of its file.
         let input = input.replacen(".exr::", ".", 1);
         let input = input.strip_suffix(".exr").unwrap_or(&input);
         match purpose {
@@ -470,11 +470,11 @@ impl Viewer {
         }
     }
 
-    /// Does with a file what it was asked for.
+    /// Opens, reads or writes a file, as `purpose` says.
     pub fn take_file(&mut self, purpose: Purpose, path: PathBuf, context: &Context) {
         match (purpose, &self.document) {
             (Purpose::Input, _) => self.open(Source::whole(path, None)),
-            // Where another file is being read, it is the reference of that one.
+            // While another file is being read, the reference belongs to that file.
             (Purpose::Reference, _) if matches!(self.progress, Some((Task::Open, _))) => {
                 self.waiting_reference = Some(path);
             }
@@ -499,12 +499,12 @@ impl Viewer {
         }
     }
 
-    /// In a thread of its own: a run that is at work does not put it off.
+    /// Reads parameters in a thread of their own, so that a run does not delay them.
     fn read_parameters(&mut self, path: PathBuf, context: &Context) {
         let (sender, answer) = channel();
         let window = context.clone();
         let read = move || {
-            // Where nobody waits for the answer any more, another file was chosen, or the window is closed.
+            // Nobody waits for the answer if another file was chosen meanwhile, or if the window is closed.
             let _ = sender.send(Parameters::read(&path));
             window.request_repaint();
         };
@@ -520,7 +520,7 @@ impl Viewer {
             Ok(Ok(parameters)) => self.take_parameters(parameters),
             Ok(Err(error)) => self.tell(Err(error), context),
             Err(TryRecvError::Empty) => self.reading = Some(answer),
-            // It ended with a panic, which was told where it happened.
+            // The thread ended with a panic, which was already reported.
             Err(TryRecvError::Disconnected) => {}
         }
     }
@@ -529,7 +529,7 @@ impl Viewer {
         self.trouble = Some((Task::Open, stein::Error::Request { problem: problem.into(), remedy: remedy.into() }));
     }
 
-    /// What is to be saved.
+    /// Returns the content of the file to save.
     fn content(&self, purpose: Purpose, path: &Path, context: &Context) -> stein::Result<Content> {
         let missing = |what: &str| stein::Error::Request {
             problem: format!("there is no {what} to save"),
@@ -582,7 +582,7 @@ impl Viewer {
         context.request_repaint_after_secs(NOTICE_SECONDS as f32);
     }
 
-    /// Tells of files that were written, and no longer of what was told long ago.
+    /// Shows notices of files that were written, and removes old notices.
     fn take_savings(&mut self, context: &Context) {
         let answers: Vec<_> = self.savings.iter().map(Saving::answer).collect();
         let mut answers = answers.into_iter();
@@ -599,8 +599,8 @@ impl Viewer {
         self.notice.take_if(|(notice, told)| notice.is_ok() && now > *told + NOTICE_SECONDS);
     }
 
-    /// Files that were dropped on the window: one whose name says so is the reference of the other, or of what is open,
-    /// or else of what is opened next.
+    /// Opens files that were dropped on the window. A file with the name of a reference belongs to the other dropped
+    /// file, or else to the open frame, or else to the file that is opened next.
     fn take_dropped(&mut self, context: &Context) {
         let dropped: Vec<PathBuf> =
             context.input(|input| input.raw.dropped_files.iter().map(|file| file.path().to_owned()).collect());
@@ -657,7 +657,7 @@ impl Viewer {
                     self.inspector.give_up();
                     self.trouble = Some((Task::Inspect, error));
                 }
-                // It was sent before there was a reference.
+                // The run was requested before there was a reference.
                 Reply::Denoised(denoised)
                     if self.document.as_ref().is_some_and(|document| document.has_more_to_compare(&denoised)) =>
                 {
@@ -679,7 +679,7 @@ impl Viewer {
                     self.sweep.is_running &= task != Task::Sweep;
                     if task == Task::Open && std::mem::take(&mut self.interrupted) {
                         self.run();
-                        // The frame is open, and its reference cannot be.
+                        // The frame stays open, although its reference cannot be read.
                         if std::mem::take(&mut self.sweeps) {
                             self.toggle_sweep();
                         }
@@ -699,7 +699,7 @@ impl Viewer {
         }
     }
 
-    /// Takes in what the worker told, and files that were chosen or dropped.
+    /// Processes replies of the worker, and files that were chosen, read, written or dropped.
     pub fn poll(&mut self, context: &Context) {
         self.take_replies(context);
         self.take_dialog(context);
@@ -710,11 +710,11 @@ impl Viewer {
         self.check_names();
     }
 
-    /// Tells, once the first run is done, what the program was started with and is not there. The usual is shown in its
-    /// place.
+    /// Reports, once the first run is done, which layers, pixel or neighbour of the start do not exist. Shows the
+    /// defaults in their stead.
     fn check_names(&mut self) {
         let Some(document) = self.document.as_ref().filter(|document| document.denoised.is_some()) else { return };
-        // The last iteration brings layers as well, and what is told already is not to be replaced.
+        // The last iteration still adds layers, and an earlier failure must stay visible.
         if !self.checks_names || self.adaptive.is_running || self.inspector.waits() || self.trouble.is_some() {
             return;
         }
@@ -766,7 +766,7 @@ impl Viewer {
         self.refuse(&problems.join("; "), &remedies.join("; "));
     }
 
-    /// Asks for the kernels of the pixel that is to be explained, where they are not there yet.
+    /// Requests the kernels of the pixel to explain, unless they are there already.
     fn inspect(&mut self, context: &Context) {
         let run = self.document.as_ref().and_then(|document| Some((document, document.denoised.as_ref()?)));
         let Some((document, denoised)) = run.filter(|_| self.panel == Panel::Kernel) else { return };
@@ -776,14 +776,14 @@ impl Viewer {
         let Extent { width, height } = document.opened.frame.extent();
         let Some(pixel) = pixel.filter(|[x, y]| *x < width && *y < height) else { return };
         let question = Question { frame: document.opened.frame.clone(), method: denoised.parameters.method, pixel };
-        // Of a pointer that moves on and on, each pixel would cancel the one before.
+        // While the pointer moves, each pixel would cancel the request for the previous one.
         if self.inspector.asks(&question) && (pinned == Some(pixel) || !self.inspector.waits()) {
             self.inspector.asked(question.clone());
             self.worker.send(Request::Inspect(question));
         }
     }
 
-    /// The whole window.
+    /// Shows the whole window.
     pub fn show(&mut self, ui: &mut Ui) {
         let context = ui.ctx().clone();
         self.view.begin_frame(self.format);
@@ -877,13 +877,13 @@ impl eframe::App for Viewer {
         let begun = Instant::now();
         self.show(ui);
         if self.gpu.is_software() {
-            // What was clicked is on its way, and what is clicked meanwhile is in the next frame.
+            // Requests of this frame are already sent, and clicks that happen meanwhile are handled in the next frame.
             self.worker.make_room(rest_after(begun.saturating_duration_since(self.drawn)));
             self.drawn = Instant::now();
         }
         let is_idle = self.is_idle();
         if let Some(frames_left) = &mut self.frames_left {
-            // Frames that nothing asks for would only hold up the work.
+            // Frames that nothing needs would only delay the work.
             if is_idle {
                 *frames_left = frames_left.saturating_sub(1);
                 ui.ctx().request_repaint();
@@ -903,10 +903,10 @@ impl eframe::App for Viewer {
     }
 }
 
-/// How the window looks, dark and light.
+/// Sets fonts and colours of the window, for the dark and the light theme.
 pub fn set_style(context: &Context) {
     let mut fonts = FontDefinitions::default();
-    // It has the mathematical signs that the other font lacks.
+    // The monospace font has mathematical signs that the proportional font lacks.
     let [proportional, monospace] = [FontFamily::Proportional, FontFamily::Monospace]
         .map(|family| fonts.families.get(&family).cloned().unwrap_or_default());
     fonts.families.insert(FontFamily::Proportional, proportional.into_iter().chain(monospace).collect());
@@ -922,7 +922,7 @@ pub fn set_style(context: &Context) {
     });
 }
 
-/// What a window is called.
+/// Returns the title of the window.
 pub fn title(name: Option<&str>) -> String {
     name.map_or_else(|| "Stein".into(), |name| format!("{name} - Stein"))
 }

@@ -3,10 +3,11 @@
 use eframe::egui_wgpu::{WgpuConfiguration, WgpuSetup, WgpuSetupExisting};
 use stein::{Error, Gpu, Result};
 
-/// What lets the window draw on the denoiser's device.
+/// Returns the setup with which the window draws on the denoiser's device.
 ///
 /// # Errors
-/// [`Error::Device`] where the device was taken over from elsewhere, so that nothing can be presented with it.
+/// [`Error::Device`] if neither [`Gpu::open`] nor [`Gpu::open_with`] opened the device, so that its adapter is not
+/// known and nothing can be presented.
 pub fn setup(gpu: &Gpu) -> Result<WgpuSetup> {
     let (Some(instance), Some(adapter)) = (gpu.wgpu_instance(), gpu.wgpu_adapter()) else {
         return Err(Error::Device {
@@ -22,7 +23,7 @@ pub fn setup(gpu: &Gpu) -> Result<WgpuSetup> {
     }))
 }
 
-/// The same as a configuration.
+/// Returns the setup as a configuration.
 ///
 /// # Errors
 /// As [`setup`].
@@ -30,7 +31,7 @@ pub fn configuration(gpu: &Gpu) -> Result<WgpuConfiguration> {
     Ok(WgpuConfiguration { wgpu_setup: setup(gpu)?, ..Default::default() })
 }
 
-/// That the system starts no thread.
+/// Makes the error of a thread that the system cannot start.
 pub(crate) fn no_thread(error: std::io::Error) -> Error {
     Error::Device {
         problem: format!("no thread can be started: {error}"),

@@ -1,4 +1,4 @@
-//! What is open: a frame, perhaps its reference, and what the newest run made of them.
+//! The open document: a frame, perhaps its reference, and the results of the newest run.
 
 mod inputs;
 mod outputs;
@@ -23,28 +23,28 @@ pub use outputs::output_layers;
 
 use outputs::true_error_layer;
 
-/// What to open.
+/// Files and layers to open.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Source {
-    /// The buffer set.
+    /// Buffer set to read.
     pub request: BufferSetRequest,
-    /// The true image, where one is known.
+    /// File and layer of the true image; `None` if no true image is known.
     pub reference: Option<LayerRef>,
 }
 
 impl Source {
-    /// A file with what is in it, and perhaps a reference.
+    /// Creates a source from an input file and perhaps the file of a reference, without names of layers.
     pub fn whole(input: PathBuf, reference: Option<PathBuf>) -> Self {
         Self { request: BufferSetRequest { input, ..Default::default() }, reference: reference.map(LayerRef::whole) }
     }
 
-    /// All files that are read.
+    /// Returns all files that are read.
     pub fn files(&self) -> impl Iterator<Item = &Path> {
         self.request.files().chain(self.reference.as_ref().map(|reference| reference.file.as_path()))
     }
 
-    /// What people call it: the name of the input, and its layer where one is named.
+    /// Returns the title for people: the name of the input file, with its layer if one is named.
     pub fn name(&self) -> String {
         let BufferSetRequest { input, layer, .. } = &self.request;
         layer
@@ -52,7 +52,7 @@ impl Source {
             .map_or_else(|| short_name(input), |layer| format!("{}::{}", short_name(input), text::name(layer)))
     }
 
-    /// The same from whichever folder.
+    /// Returns the source with absolute paths, which do not depend on the working folder.
     #[must_use]
     pub fn absolute(&self) -> Self {
         let absolute = |path: &Path| std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
@@ -62,7 +62,7 @@ impl Source {
         }
     }
 
-    /// What is read, and what is not, for people: the input first.
+    /// Describes for people what is read and what is left out, one line each; the input comes first.
     pub fn lines(&self) -> Vec<String> {
         let BufferSetRequest { input, layer, half_a, half_b, variance, features, skip_features, no_features } =
             &self.request;
@@ -76,18 +76,18 @@ impl Source {
     }
 }
 
-/// What was read or rendered, before any run.
+/// A frame that was read or rendered, before any run.
 #[derive(Clone, Debug)]
 pub struct Opened {
-    /// The file that it comes from; `None` of what was rendered here.
+    /// Source of the frame; `None` for a frame that was rendered here.
     pub source: Option<Source>,
-    /// What people call it.
+    /// Title of the frame for people.
     pub name: String,
-    /// What is denoised.
+    /// Frame to denoise.
     pub frame: Arc<Frame>,
-    /// What had to be changed to make the frame.
+    /// Repairs without which the frame could not be made.
     pub repairs: Repairs,
-    /// The true image.
+    /// True image; `None` if it is not known.
     pub reference: Option<Arc<Image>>,
     /// Relative MSE of the noisy colour against the reference.
     pub noisy_error: Option<f64>,
@@ -95,54 +95,54 @@ pub struct Opened {
     pub layers: Vec<Arc<Layer>>,
 }
 
-/// What a run has made.
+/// Results of a run.
 #[derive(Clone, Debug)]
 pub struct Denoised {
-    /// With which parameters.
+    /// Parameters of the run.
     pub parameters: Parameters,
-    /// What is known of the true image. Its layers have become [`Denoised::layers`].
+    /// Estimate of the true image. Its layers were moved to [`Denoised::layers`].
     pub estimate: Arc<Estimate>,
-    /// What would be done where only the result and its error are wanted.
+    /// Plan of a run with these parameters that makes only the result and its error.
     pub lean_plan: Plan,
-    /// What denoising took, on the clock, while the window drew as well.
+    /// Time of denoising on the clock, in seconds; the window drew meanwhile.
     pub seconds: f64,
-    /// Relative MSE against the reference.
+    /// Relative MSE of the result against the reference.
     pub error: Option<f64>,
-    /// The same as the error estimate has it.
+    /// Relative MSE of the result according to the error estimate.
     pub estimated_error: Option<f64>,
-    /// What it made, to be looked at.
+    /// Layers that the run made.
     pub layers: Vec<Arc<Layer>>,
 }
 
-/// One run, to be listed and plotted.
+/// Parameters, time and errors of a run, for lists and plots.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Run {
-    /// With which parameters.
+    /// Parameters of the run.
     pub parameters: Parameters,
-    /// On the clock.
+    /// Time on the clock, in seconds.
     pub seconds: f64,
-    /// Relative MSE against the reference.
+    /// Relative MSE of the result against the reference.
     pub error: Option<f64>,
-    /// The same as the error estimate has it.
+    /// Relative MSE of the result according to the error estimate.
     pub estimated_error: Option<f64>,
 }
 
-/// What is open.
+/// The open frame, its runs and all layers.
 #[derive(Debug)]
 pub struct Document {
-    /// What was read.
+    /// Frame and reference, before any run.
     pub opened: Opened,
-    /// The newest run that came to its end.
+    /// Newest run that was completed.
     pub denoised: Option<Denoised>,
-    /// All runs that came to their ends, oldest first.
+    /// All completed runs, oldest first.
     pub history: Vec<Run>,
-    /// The result of the run before.
+    /// Result of the previous run.
     before: Option<Arc<Layer>>,
     layers: Vec<Arc<Layer>>,
 }
 
 impl Opened {
-    /// Takes over the layer of a reference that was not there before.
+    /// Takes over the layer of a reference that was not known before.
     pub fn compare(&mut self, reference: &Arc<Layer>) {
         let image = &reference.shown.image;
         self.noisy_error = relative_mse(&self.frame.color().mean, Some(image));
@@ -152,7 +152,7 @@ impl Opened {
 }
 
 impl Denoised {
-    /// What `denoiser` has made of a frame in `seconds`, with all its layers.
+    /// Collects the results of a run: `denoiser` made `estimate` of `frame` in `seconds`.
     ///
     /// # Errors
     /// As [`Denoiser::plan`].
@@ -171,7 +171,7 @@ impl Denoised {
         Ok(Self { parameters, estimate: Arc::new(estimate), lean_plan, seconds, error, estimated_error, layers })
     }
 
-    /// Takes over a reference that was not there before.
+    /// Takes over a reference that was not known before.
     pub fn compare(&mut self, reference: &Arc<Image>) {
         self.error = relative_mse(&self.estimate.color, Some(reference));
         let scale = self.layers.iter().find(|layer| layer.name() == "error").map(|layer| layer.range);
@@ -180,14 +180,14 @@ impl Denoised {
 }
 
 impl Document {
-    /// What was read, without a run.
+    /// Creates a document without a run.
     pub fn new(opened: Opened) -> Self {
         let mut document = Self { opened, denoised: None, history: Vec::new(), before: None, layers: Vec::new() };
         document.arrange();
         document
     }
 
-    /// Takes over what a run has made. The result before stays as a layer to compare with.
+    /// Takes over the results of a run. Keeps the previous result as a layer to compare with.
     pub fn add(&mut self, denoised: Denoised) {
         let Denoised { parameters, seconds, error, estimated_error, .. } = denoised;
         self.history.push(Run { parameters, seconds, error, estimated_error });
@@ -201,19 +201,20 @@ impl Document {
         self.arrange();
     }
 
-    /// Whether there is a reference by now that a run knew nothing of.
+    /// Returns whether the document has a reference by now, but `denoised` was not compared with it.
     pub fn has_more_to_compare(&self, denoised: &Denoised) -> bool {
         self.opened.reference.is_some() && !denoised.layers.iter().any(|layer| layer.name() == "true_error")
     }
 
-    /// Takes over the same frame with its reference. What was made before stays as it is.
+    /// Replaces the frame by the same frame with a reference. Keeps the runs as they are.
     pub fn reopen(&mut self, opened: Opened) {
         self.opened = opened;
         self.arrange();
     }
 
-    /// Puts the layers in order, by group. In it the result goes before what it is compared with, what belongs to one
-    /// feature stays together, and all else keeps the order in which it was made.
+    /// Sorts the layers by group. Within the results, the result comes before the layers that it is compared with;
+    /// within the features, the layers of one feature stay together. All other layers keep the order in which they were
+    /// made.
     fn arrange(&mut self) {
         let made = self.denoised.iter().flat_map(|denoised| &denoised.layers);
         self.layers = self.opened.layers.iter().chain(made).chain(&self.before).cloned().collect();
@@ -228,23 +229,23 @@ impl Document {
         self.layers.sort_by_key(|layer| (layer.description.group, place(layer)));
     }
 
-    /// Everything that can be looked at, in the order of the strip.
+    /// Returns all layers, in the order of the strip.
     pub fn layers(&self) -> &[Arc<Layer>] {
         &self.layers
     }
 
-    /// The layer of this name.
+    /// Returns the layer with this name.
     pub fn layer(&self, name: &str) -> Option<&Arc<Layer>> {
         self.layers.iter().find(|layer| layer.name() == name)
     }
 }
 
-/// Relative MSE; `None` without a reference, or where it cannot be told.
+/// Returns the relative MSE; `None` without a reference, or if it cannot be computed.
 pub fn relative_mse(image: &Image, reference: Option<&Arc<Image>>) -> Option<f64> {
     reference.and_then(|reference| metric::relative_mse(image, reference).ok())
 }
 
-/// A description, for the tables of layers.
+/// Creates the description of a layer, for the tables of layers.
 fn describe(
     name: impl Into<String>,
     title: impl Into<String>,
@@ -256,7 +257,7 @@ fn describe(
     Description { name: name.into(), title: title.into(), about: about.into(), group, kind, unit }
 }
 
-/// The unit of the colour, for the legend.
+/// Unit of the colour, for the legend.
 const RADIANCE: &str = "radiance";
-/// The unit of its variance and squared errors.
+/// Unit of the variance of the colour and of squared errors.
 const RADIANCE_SQUARED: &str = "radiance²";

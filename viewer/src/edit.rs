@@ -1,30 +1,30 @@
-//! Changes of parameters by hand. One that contradicts the other parameters is told, and waits until it does not;
-//! meanwhile the last ones that go together stay in use.
+//! Changes of parameters by hand. A change that contradicts the other parameters is reported, and waits until it agrees
+//! with them; meanwhile the last consistent parameters stay in use.
 
 use stein::Error;
 use stein::parameters::{Parameter, Value};
 
 use crate::settings::Parameters;
 
-/// A change that cannot be made as yet.
+/// A change that waits, because it contradicts other parameters.
 #[derive(Debug)]
 pub struct Refused {
-    /// Of which parameter.
+    /// Name of the parameter.
     pub name: String,
-    /// To what.
+    /// New value of the parameter.
     pub value: Value,
-    /// Why, and what to do.
+    /// Reason and remedy.
     pub error: Error,
 }
 
-/// The changes that wait.
+/// All changes that wait.
 #[derive(Debug, Default)]
 pub struct Edits {
     waiting: Vec<Refused>,
 }
 
 impl Edits {
-    /// Sets a parameter, and with it those that waited for this. Whether anything was set.
+    /// Sets a parameter, and tries the waiting changes again. Returns whether anything was set.
     pub fn set(&mut self, parameters: &mut Parameters, name: &str, value: Value) -> bool {
         self.waiting.retain(|refused| refused.name != name);
         let before = parameters.method;
@@ -38,7 +38,7 @@ impl Edits {
         parameters.method != before
     }
 
-    /// Puts a parameter back to what it is in the preset. Whether anything was set.
+    /// Sets a parameter to its value in the preset. Returns whether anything was set.
     pub fn reset(&mut self, parameters: &mut Parameters, parameter: &Parameter) -> bool {
         parameters.preset_value(parameter).is_some_and(|value| self.set(parameters, &parameter.name, value))
     }
@@ -47,7 +47,7 @@ impl Edits {
         let listed = parameters.method.parameters();
         for Refused { name, value, .. } in std::mem::take(&mut self.waiting) {
             if !listed.iter().any(|parameter| parameter.name == name && parameter.value.is_some()) {
-                // Its group was left out.
+                // The group of this parameter was left out.
                 continue;
             }
             match parameters.method.with_parameter(&name, value.clone()) {
@@ -57,17 +57,17 @@ impl Edits {
         }
     }
 
-    /// What a parameter was to be, where that cannot be as yet.
+    /// Returns the change of a parameter that waits, if there is one.
     pub fn refused(&self, name: &str) -> Option<&Refused> {
         self.waiting.iter().find(|refused| refused.name == name)
     }
 
-    /// Whether any wait.
+    /// Returns whether any change waits.
     pub fn any_wait(&self) -> bool {
         !self.waiting.is_empty()
     }
 
-    /// Gives up what waits.
+    /// Drops all changes that wait.
     pub fn clear(&mut self) {
         self.waiting.clear();
     }

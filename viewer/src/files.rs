@@ -1,4 +1,4 @@
-//! File dialogs, each in a thread of its own so that the window goes on.
+//! File dialogs, each in a thread of its own so that the window continues.
 
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::{Receiver, TryRecvError, channel};
@@ -10,30 +10,30 @@ use stein::{Error, Result, text};
 
 use crate::device::no_thread;
 
-/// Nobody closes a dialog sooner: where one ends before without an answer, it was not shown.
+/// A dialog that ends within this time without an answer never appeared: nobody closes one that fast.
 const SOONEST: Duration = Duration::from_millis(400);
 
-/// What a file is asked for.
+/// Purpose of a file that the user is to choose.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Purpose {
-    /// To be denoised.
+    /// Buffer set to denoise.
     Input,
-    /// To compare with.
+    /// Reference to compare with.
     Reference,
     /// Parameters to denoise with.
     Parameters,
-    /// For what the canvas shows.
+    /// File for the view of the canvas.
     SaveView,
-    /// For the layer A at its own size.
+    /// File for layer A at its own size.
     SaveLayer,
-    /// For the denoised frame.
+    /// File for the denoised frame.
     SaveResult,
-    /// For the parameters in use.
+    /// File for the parameters in use.
     SaveParameters,
 }
 
 impl Purpose {
-    /// What the dialog is called.
+    /// Returns the title of the dialog.
     fn title(self) -> &'static str {
         match self {
             Self::Input => "Open a buffer set",
@@ -46,7 +46,7 @@ impl Purpose {
         }
     }
 
-    /// The format, and the ending of its files.
+    /// Returns the name of the format, and the ending of its files.
     fn format(self) -> (&'static str, &'static str) {
         match self {
             Self::Input | Self::Reference | Self::SaveResult => ("OpenEXR", "exr"),
@@ -55,13 +55,13 @@ impl Purpose {
         }
     }
 
-    /// Whether a file is written.
+    /// Returns whether a file is written.
     fn saves(self) -> bool {
         matches!(self, Self::SaveView | Self::SaveLayer | Self::SaveResult | Self::SaveParameters)
     }
 
-    /// A path with the ending of the format, where it has none or another, such as the number of a frame; but not one
-    /// that exists, which nobody was asked about.
+    /// Returns the path with the ending of the format, if the path has no ending or another one, such as the number of
+    /// a frame. Keeps the path if the complete path exists, because the user was not asked about replacing that file.
     #[must_use]
     pub fn with_ending(self, path: PathBuf) -> PathBuf {
         let ending = self.format().1;
@@ -79,10 +79,10 @@ pub struct Dialog {
 }
 
 impl Dialog {
-    /// Opens a dialog in the folder of `beside`, where a file to write is to be called `name`.
+    /// Opens a dialog in the folder of `beside`. A file to write is called `name` unless the user changes that.
     ///
     /// # Errors
-    /// [`Error::Device`] where the system gives no thread.
+    /// [`Error::Device`] if the system cannot start a thread.
     pub fn open(purpose: Purpose, beside: Option<&Path>, name: &str, context: &Context) -> Result<Self> {
         let (sender, answer) = channel();
         let (format, ending) = purpose.format();
@@ -100,7 +100,7 @@ impl Dialog {
             } else {
                 dialog.pick_file()
             };
-            // Where nobody waits for the answer any more, the window is closed.
+            // Nobody waits for the answer once the window is closed.
             let _ = sender.send(answered(path, asked.elapsed()));
             context.request_repaint();
         };
@@ -108,7 +108,7 @@ impl Dialog {
         Ok(Self { purpose, answer })
     }
 
-    /// What was chosen, if anything was; pending while the dialog is open.
+    /// Returns the chosen file, if the user chose one; pending while the dialog is open.
     pub fn answer(&self) -> Poll<Result<Option<(Purpose, PathBuf)>>> {
         match self.answer.try_recv() {
             Ok(answer) => Poll::Ready(answer.map(|path| path.map(|path| (self.purpose, path)))),
@@ -118,7 +118,8 @@ impl Dialog {
     }
 }
 
-/// A dialog that the system cannot show tells nothing else than one that was closed, but at once.
+/// Returns the answer of a dialog, or an error if the system cannot show dialogs: such a dialog ends without an answer
+/// as if the user had closed it, but at once.
 fn answered(path: Option<PathBuf>, after: Duration) -> Result<Option<PathBuf>> {
     if path.is_some() || after >= SOONEST {
         return Ok(path);
@@ -130,13 +131,13 @@ fn answered(path: Option<PathBuf>, after: Duration) -> Result<Option<PathBuf>> {
     })
 }
 
-/// Whether a dropped file is meant as a reference, by its name.
+/// Returns whether the name of a dropped file marks it as a reference.
 pub fn is_reference(path: &Path) -> bool {
     let name = path.file_stem().unwrap_or_default().to_string_lossy().to_lowercase();
     name.contains("reference") || name.contains("ground_truth") || name.ends_with("_ref")
 }
 
-/// A file's name for people, without its folder.
+/// Returns the name of a file for people, without its folder.
 pub fn short_name(path: &Path) -> String {
     text::path(path.file_name().map_or(path, Path::new))
 }

@@ -1,4 +1,4 @@
-//! Which neighbours made a pixel: what was asked of the worker, what came back, and which neighbour is looked at.
+//! Which neighbours made a pixel: the question to the worker, its answer, and the selected neighbour.
 
 use std::sync::Arc;
 
@@ -8,17 +8,17 @@ use stein::{Extent, FilterKernel, Frame, Image, Kernels, Method};
 use crate::layer::{Range, Scale, Shown};
 use crate::view::Marked;
 
-/// The least weight that a logarithmic scale tells from 0.
+/// Smallest weight that a logarithmic scale distinguishes from 0.
 const LEAST_SHOWN: f32 = 1e-3;
 
-/// Which kernels are wanted.
+/// A request for the kernels of a pixel.
 #[derive(Clone, Debug)]
 pub struct Question {
-    /// Of what.
+    /// Frame with the pixel.
     pub frame: Arc<Frame>,
-    /// How it is denoised.
+    /// Method that denoises the frame.
     pub method: Method,
-    /// Column and row.
+    /// Pixel, [column, row].
     pub pixel: [u32; 2],
 }
 
@@ -31,35 +31,35 @@ impl PartialEq for Question {
 /// The kernels of a pixel, ready to be drawn.
 #[derive(Debug)]
 pub struct Inspected {
-    /// What was asked.
+    /// Question that is answered.
     pub question: Question,
-    /// The library's answer.
+    /// Kernels from the library.
     pub kernels: Kernels,
-    /// One for each of [`Kernels::filters`].
+    /// Windows of the filters, one for each of [`Kernels::filters`].
     pub windows: Vec<Window>,
 }
 
-/// What is drawn and told of a filter's window.
+/// Images and numbers of a filter's window.
 #[derive(Debug)]
 pub struct Window {
-    /// [`FilterKernel::weights`].
+    /// Image of [`FilterKernel::weights`].
     pub weights: Shown,
-    /// [`FilterKernel::colors`].
+    /// Image of [`FilterKernel::colors`].
     pub colors: Shown,
     /// [`FilterKernel::value`] as an image of one pixel.
     pub value: Shown,
-    /// The weights of each of [`FilterKernel::distances`] alone.
+    /// Images of the weights that each of [`FilterKernel::distances`] would give by itself.
     pub alone: Vec<Shown>,
-    /// (Σ w)²/Σ w²: as many pixels of equal weight would leave as much noise.
+    /// Effective number of pixels, (Σ w)²/Σ w²: this number of pixels of equal weight would leave as much noise.
     pub effective_pixels: f32,
-    /// Neighbours inside of the frame.
+    /// Number of neighbours inside of the frame.
     pub neighbours: usize,
-    /// How many of them each distance decided about, in the order of [`FilterKernel::distances`].
+    /// Numbers of neighbours that each distance decided about, in the order of [`FilterKernel::distances`].
     pub decided: Vec<usize>,
 }
 
 impl Inspected {
-    /// Makes images of an answer.
+    /// Makes the images of an answer.
     pub fn new(question: Question, kernels: Kernels) -> Self {
         let windows = kernels.filters.iter().map(Window::new).collect();
         Self { question, kernels, windows }
@@ -89,37 +89,37 @@ impl Window {
     }
 }
 
-/// What the window shows.
+/// Quantity that the window shows.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub enum Quantity {
     /// The weights.
     #[default]
     Weight,
-    /// What is averaged.
+    /// The colours that are averaged.
     Colors,
     /// The weights that one distance alone would give.
     Alone(Compared),
 }
 
-/// The kernel's panel: what is there, and what of it is looked at.
+/// State of the kernel panel: the newest answer and the selection of the user.
 #[derive(Debug)]
 pub struct Inspector {
     /// The newest answer.
     pub inspected: Option<Arc<Inspected>>,
-    /// Which filter, by its place.
+    /// Index of the selected filter.
     pub filter: usize,
-    /// What its window shows.
+    /// Quantity that the window of the filter shows.
     pub quantity: Quantity,
-    /// How the steps of the scale lie.
+    /// Scale of the weights.
     pub scale: Scale,
-    /// Whether the pixel under the pointer is the one.
+    /// Whether the kernels of the pixel under the pointer are shown.
     pub follows: bool,
-    /// The neighbour that was clicked, as an offset from the pixel.
+    /// Neighbour that was clicked, as an offset from the pixel.
     pub kept: Option<[i32; 2]>,
-    /// The neighbour under the pointer, in the panel or on the canvas.
+    /// Neighbour under the pointer, in the panel or on the canvas, as an offset from the pixel.
     pub pointed: Option<[i32; 2]>,
     waiting: Option<Question>,
-    /// The question that there is, or can be, no further answer to.
+    /// Question that was answered or that failed, and is not sent again.
     settled: Option<Question>,
 }
 
@@ -141,22 +141,22 @@ impl Default for Inspector {
 }
 
 impl Inspector {
-    /// Whether this is neither answered nor asked.
+    /// Returns whether this question is neither answered nor pending.
     pub fn asks(&self, question: &Question) -> bool {
         self.waiting.as_ref().or(self.settled.as_ref()) != Some(question)
     }
 
-    /// Remembers what the worker was asked.
+    /// Records the pending request so that its reply can be matched.
     pub fn asked(&mut self, question: Question) {
         self.waiting = Some(question);
     }
 
-    /// Whether an answer is still to come.
+    /// Returns whether an answer is still to come.
     pub fn waits(&self) -> bool {
         self.waiting.is_some()
     }
 
-    /// Takes an answer, if it is still wanted.
+    /// Takes an answer, if its question is the pending one.
     pub fn take(&mut self, inspected: Inspected) {
         if self.waiting.take_if(|waiting| *waiting == inspected.question).is_some() {
             self.settled = Some(inspected.question.clone());
@@ -164,41 +164,41 @@ impl Inspector {
         }
     }
 
-    /// There is no answer.
+    /// Records that the pending question has no answer.
     pub fn give_up(&mut self) {
         self.settled = self.waiting.take();
         self.inspected = None;
     }
 
-    /// The worker will not answer any more, and can be asked again.
+    /// Forgets the pending question, which the worker will not answer any more, so that it can be sent again.
     pub fn forget_question(&mut self) {
         self.waiting = None;
     }
 
-    /// Forgets what belongs to a frame.
+    /// Forgets everything that belongs to a frame.
     pub fn clear(&mut self) {
         (self.inspected, self.waiting, self.settled, self.pointed) = (None, None, None, None);
     }
 
-    /// The filter that is looked at, and its images. `None` where no answer is there, or nothing is filtered.
+    /// Returns the selected filter and its images; `None` if the answer has no filters.
     pub fn shown<'a>(&self, inspected: &'a Inspected) -> Option<(&'a FilterKernel, &'a Window)> {
         let place = self.filter.min(inspected.windows.len().checked_sub(1)?);
         Some((&inspected.kernels.filters[place], &inspected.windows[place]))
     }
 
-    /// The cell of the neighbour that is explained.
+    /// Returns the cell of the neighbour to explain: the one under the pointer, or else the one that was clicked.
     pub fn cell(&self, filter: &FilterKernel) -> Option<usize> {
         [self.pointed, self.kept].into_iter().flatten().find_map(|offset| cell_at(filter, offset))
     }
 
-    /// Whether what is there has no neighbour at this offset.
+    /// Returns whether the answer has no neighbour at this offset; `false` without an answer.
     pub fn lacks(&self, offset: [i32; 2]) -> bool {
         let is_there =
             |inspected: &Inspected| self.shown(inspected).is_some_and(|(filter, _)| cell_at(filter, offset).is_some());
         self.inspected.as_ref().is_some_and(|inspected| !is_there(inspected))
     }
 
-    /// What is drawn on the canvas.
+    /// Returns the pixels to mark on the canvas.
     pub fn marked(&self) -> Option<Marked> {
         let inspected = self.inspected.as_ref()?;
         let (filter, _) = self.shown(inspected)?;
@@ -206,13 +206,13 @@ impl Inspector {
         Some(Marked { pixel: inspected.question.pixel, radius: filter.window_radius, neighbour })
     }
 
-    /// Ends and steps of the scale of weights: the same for all filters, that they can be compared.
+    /// Returns the ends and the steps of the scale of weights. All filters share them, so that they can be compared.
     pub fn scale_of_weights(&self) -> (Range, Scale) {
         (Range { low: if self.scale == Scale::Log { LEAST_SHOWN } else { 0.0 }, high: 1.0 }, self.scale)
     }
 }
 
-/// The cell of a neighbour by its offset from the pixel; `None` outside of the window or the frame.
+/// Returns the cell of a neighbour by its offset from the pixel; `None` outside of the window or the frame.
 pub fn cell_at(filter: &FilterKernel, offset: [i32; 2]) -> Option<usize> {
     let (side, radius) = (filter.side(), filter.window_radius as i32);
     let [column, row] =
@@ -221,7 +221,7 @@ pub fn cell_at(filter: &FilterKernel, offset: [i32; 2]) -> Option<usize> {
     filter.pixel(cell).map(|_| cell)
 }
 
-/// The offset of a cell's neighbour from the pixel.
+/// Returns the offset of a cell's neighbour from the pixel.
 pub fn offset_of(filter: &FilterKernel, cell: usize) -> [i32; 2] {
     let along = |place: usize| place as i32 - filter.window_radius as i32;
     [along(cell % filter.side()), along(cell / filter.side())]

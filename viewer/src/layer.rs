@@ -1,4 +1,4 @@
-//! Layers: every image that can be looked at, with what is needed to show and to explain it.
+//! Layers: every image that can be looked at, with the data that is needed to show and to explain it.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -7,34 +7,34 @@ use stein::Image;
 
 /// Longest side of a thumbnail, in pixels.
 const THUMBNAIL_SIDE: usize = 96;
-/// Pixels that a range and a histogram are made of, at the most.
+/// Largest number of pixels that a range and a histogram are made of.
 const SAMPLED_PIXELS: usize = 1 << 16;
-/// Decades that a logarithmic range shows, at the most.
+/// Largest number of decades that a logarithmic range shows.
 const DECADES: f32 = 6.0;
 
-/// Where in the strip a layer stands.
+/// Group of a layer in the strip.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Group {
-    /// What comes out, and what it is compared with.
+    /// Results, and the images that they are compared with.
     Result,
-    /// The noisy colour and what is known of its noise.
+    /// The noisy colour and the knowledge about its noise.
     Input,
     /// Features before and after prefiltering.
     Features,
-    /// FIRST, SECOND, THIRD and what judges them; the scales of GEM.
+    /// FIRST, SECOND and THIRD with the estimates that judge them; the scales of GEM.
     Candidates,
-    /// Which candidate has which share.
+    /// Shares of the candidates.
     Selection,
-    /// How far off the result is, and where samples should go.
+    /// Errors of the result, and where samples should go.
     Error,
 }
 
 impl Group {
-    /// All, in the order of the strip.
+    /// All groups, in the order of the strip.
     pub const ALL: [Self; 6] =
         [Self::Result, Self::Input, Self::Features, Self::Candidates, Self::Selection, Self::Error];
 
-    /// What users read.
+    /// Returns the title that users read.
     pub fn title(self) -> &'static str {
         match self {
             Self::Result => "Result",
@@ -47,7 +47,7 @@ impl Group {
     }
 }
 
-/// How the steps of a false-colour scale lie.
+/// How values are spread over a false-colour scale.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 pub enum Scale {
     /// Evenly from the low to the high end.
@@ -58,14 +58,14 @@ pub enum Scale {
     Diverging,
 }
 
-/// What the values of a layer are.
+/// Meaning of the values of a layer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
     /// Scene-linear colour.
     Color,
     /// A vector with components from −1 to 1, such as a normal.
     Direction,
-    /// Numbers, shown in false colour; of several channels their mean or one.
+    /// Numbers, shown in false colour; several channels are reduced to their mean or to one of them.
     Scalar(Scale),
     /// Shares of FIRST, SECOND and THIRD, shown in red, green and blue.
     Shares,
@@ -80,34 +80,34 @@ pub struct Range {
     pub high: f32,
 }
 
-/// What a layer is, without its values.
+/// Everything about a layer except for its values.
 #[derive(Clone, Debug)]
 pub struct Description {
-    /// As in files and on the command line, such as `albedo_prefiltered`; unique among the layers of a document.
+    /// Name in files and on the command line, such as `albedo_prefiltered`; unique among the layers of a document.
     pub name: String,
-    /// For people.
+    /// Title for people.
     pub title: String,
-    /// What it shows, in a sentence.
+    /// Explanation of the layer, in a sentence.
     pub about: String,
-    /// Where it stands.
+    /// Group in the strip.
     pub group: Group,
-    /// What its values are.
+    /// Meaning of the values.
     pub kind: Kind,
     /// Unit of the values; empty for pure numbers.
     pub unit: &'static str,
 }
 
-/// An image with an identity, under which its texture is kept.
+/// An image with an identifier, under which its texture is kept.
 #[derive(Clone, Debug)]
 pub struct Shown {
-    /// Different for any two images of this process.
+    /// Identifier, different for any two images of this process.
     pub id: u64,
-    /// One to three planes.
+    /// Image with one to three planes.
     pub image: Arc<Image>,
 }
 
 impl Shown {
-    /// Gives an image an identity.
+    /// Gives an image a new identifier.
     pub fn new(image: Arc<Image>) -> Self {
         static NEXT: AtomicU64 = AtomicU64::new(1);
         Self { id: NEXT.fetch_add(1, Ordering::Relaxed), image }
@@ -117,20 +117,20 @@ impl Shown {
 /// An image that can be looked at.
 #[derive(Debug)]
 pub struct Layer {
-    /// What it is.
+    /// Everything about the layer except for its values.
     pub description: Description,
-    /// One to three planes.
+    /// Image with one to three planes.
     pub shown: Shown,
-    /// The same with at most 96 pixels along the longer side.
+    /// The image, reduced to at most 96 pixels along its longer side.
     pub thumbnail: Shown,
-    /// Ends of the scale that show most of its values.
+    /// Range of a false-colour scale that shows most of the values.
     pub range: Range,
-    /// How often which values occur.
+    /// Histogram of the values.
     pub histogram: Histogram,
 }
 
 impl Layer {
-    /// A layer. `range` is worked out from the values where it is `None`.
+    /// Creates a layer. Computes the range from the values if `range` is `None`.
     pub fn new(description: Description, image: Arc<Image>, range: Option<Range>) -> Self {
         let range = range.unwrap_or_else(|| automatic_range(&image, description.kind));
         let thumbnail = Shown::new(Arc::new(thumbnail(&image)));
@@ -138,7 +138,7 @@ impl Layer {
         Self { description, shown: Shown::new(image), thumbnail, range, histogram }
     }
 
-    /// The same image under another description.
+    /// Returns the same image under another description.
     pub fn renamed(&self, description: Description) -> Self {
         Self {
             description,
@@ -149,17 +149,17 @@ impl Layer {
         }
     }
 
-    /// Its values.
+    /// Returns the image with the values.
     pub fn image(&self) -> &Image {
         &self.shown.image
     }
 
-    /// Its name.
+    /// Returns the name.
     pub fn name(&self) -> &str {
         &self.description.name
     }
 
-    /// The values of a pixel, one per plane. `None` outside of the image.
+    /// Returns the values of a pixel, one per plane; `None` outside of the image.
     pub fn values(&self, x: u32, y: u32) -> Option<Vec<f32>> {
         let extent = self.image().extent;
         let inside = x < extent.width && y < extent.height;
@@ -168,7 +168,7 @@ impl Layer {
         })
     }
 
-    /// Names of the planes, one letter or word each.
+    /// Returns the names of the planes, one letter or word each.
     pub fn channel_names(&self) -> &'static [&'static str] {
         match (self.description.kind, self.image().channels()) {
             (Kind::Shares, _) => &["FIRST", "SECOND", "THIRD"],
@@ -179,17 +179,17 @@ impl Layer {
     }
 }
 
-/// How often which values occur, per plane.
+/// Frequencies of the values, per plane.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Histogram {
-    /// Whether the bins lie evenly in log₂.
+    /// Whether the bins are even in log₂ of the value.
     pub logarithmic: bool,
     /// Lower edge of the first bin: a value, or its log₂.
     pub first: f32,
     /// Upper edge of the last bin.
     pub last: f32,
-    /// Numbers of finite values, one vector per plane; of a large image those of an even sample of 65536 pixels at the
-    /// most. All else is told of all values.
+    /// Numbers of finite values in each bin, one vector per plane. A large image is counted by an even sample of at
+    /// most 65536 pixels; all other fields cover all values.
     pub counts: Vec<Vec<u32>>,
     /// Smallest finite value.
     pub least: f32,
@@ -197,7 +197,7 @@ pub struct Histogram {
     pub most: f32,
     /// Mean of the finite values.
     pub mean: f64,
-    /// Values that are no numbers or infinite.
+    /// Number of values that are NaN or infinite.
     pub not_finite: usize,
 }
 
@@ -238,21 +238,22 @@ impl Histogram {
     }
 }
 
-/// Pixels that stand for all.
+/// Returns an even sample of the pixels, which stands for all.
 fn sample(image: &Image) -> impl Iterator<Item = usize> {
     let pixels = image.extent.pixels();
-    // Odd, so that an even width does not make it a sample of a few columns.
+    // An odd step, so that an even width does not reduce the sample to a few columns.
     (0..pixels).step_by(pixels.div_ceil(SAMPLED_PIXELS) | 1)
 }
 
-/// Ends between which lie all values of a sample but half a percent on each side.
+/// Computes the range of a false-colour scale that shows most of an image, from a sample of its pixels.
 fn automatic_range(image: &Image, kind: Kind) -> Range {
     let mean = |pixel: usize| image.planes.iter().map(|plane| plane[pixel]).sum::<f32>() / image.channels() as f32;
     let mut values: Vec<f32> = sample(image).map(mean).filter(|value| value.is_finite()).collect();
     range_of(&mut values, kind)
 }
 
-/// The same of these values.
+/// Computes the range that shows most of the values: half a percent is left out at each end. On a logarithmic scale, 2
+/// % of the positive values are left out at the lower end.
 pub(crate) fn range_of(values: &mut [f32], kind: Kind) -> Range {
     if values.is_empty() {
         return Range { low: 0.0, high: 1.0 };
@@ -277,7 +278,7 @@ pub(crate) fn range_of(values: &mut [f32], kind: Kind) -> Range {
     }
 }
 
-/// Averages boxes of pixels, so that no side is longer than a thumbnail's.
+/// Averages boxes of pixels, so that no side is longer than [`THUMBNAIL_SIDE`].
 fn thumbnail(image: &Image) -> Image {
     let (width, height) = (image.extent.width as usize, image.extent.height as usize);
     let factor = width.max(height).div_ceil(THUMBNAIL_SIDE).max(1);
@@ -298,7 +299,7 @@ fn thumbnail(image: &Image) -> Image {
     Image { extent, planes: image.planes.iter().map(shrunk).collect() }
 }
 
-/// One plane of an image by itself.
+/// Returns one plane of an image as an image.
 pub fn single_plane(image: &Image, plane: usize) -> Image {
     Image { extent: image.extent, planes: vec![image.planes[plane].clone()] }
 }
@@ -310,14 +311,14 @@ mod tests {
     #[test]
     fn a_histogram_of_a_large_image_is_that_of_a_sample_and_its_ends_are_those_of_all() {
         let extent = stein::Extent { width: 512, height: 512 };
-        // Stripes, as wide as a pixel.
+        // Stripes that are one pixel wide.
         let mut plane: Vec<f32> = (0..extent.pixels()).map(|pixel| (pixel % 2) as f32).collect();
         (plane[1234], plane[5678], plane[4321]) = (-2.0, 6.0, f32::NAN);
         let Histogram { counts, least, most, not_finite, mean, .. } =
             Histogram::of(&Image { extent, planes: vec![plane] }, false);
         assert_eq!((least, most, not_finite), (-2.0, 6.0, 1));
         assert!((mean - 0.5).abs() < 1e-3, "{mean}");
-        // From −2 to 6, 0 and 1 are a quarter and three eighths of the way.
+        // On a scale from −2 to 6, 0 lies at one quarter and 1 at three eighths.
         let [zeros, ones] = [Histogram::BINS / 4, Histogram::BINS * 3 / 8].map(|bin| counts[0][bin]);
         assert!(zeros + ones > 40_000 && zeros + ones <= 1 << 16 && zeros.abs_diff(ones) < 100, "{zeros} and {ones}");
     }

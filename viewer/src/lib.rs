@@ -1,27 +1,27 @@
-//! The viewer: looks inside a frame that Stein has denoised. What each candidate did, which won where, what the
-//! estimated error says, where samples should go.
+//! The viewer, which looks inside a frame that Stein has denoised: what each candidate did, which candidate won where,
+//! what the estimated error says, and where samples should go.
 //!
 //! | room | holds |
 //! | --- | --- |
-//! | [`app`] | the window: layout, what keys and messages do |
+//! | [`app`] | the window: layout, effects of keys and messages |
 //! | [`worker`] | one thread that reads and denoises, and the messages to and from it |
-//! | [`document`] | what is open: the frame, its reference, the newest run, and the layers that they make |
+//! | [`document`] | the open document: the frame, its reference, the newest run, and all their layers |
 //! | [`adaptive`] | the adaptive loop on a built-in scene, whose iterations are opened as they come |
-//! | [`layer`] | an image that can be looked at, with what explains it |
+//! | [`layer`] | an image that can be looked at, with its explanation |
 //! | [`view`] | the canvas: pan, zoom, comparison; values to colours on the GPU |
-//! | [`inspector`] | which neighbours made a pixel: what was asked, what came back, what is looked at |
+//! | [`inspector`] | which neighbours made a pixel: the question, the answer, and the selected neighbour |
 //! | [`panel`] | one file per panel beside the canvas |
 //! | [`shortcut`] | the table of keys, which the help reads as well |
-//! | [`screenshot`] | the same window without a screen |
-//! | [`edit`] | changes of parameters that contradict the others wait here |
+//! | [`screenshot`] | the window without a screen |
+//! | [`edit`] | changes of parameters that wait because they contradict other parameters |
 //! | [`sweep`] | error against run time |
 //! | [`saving`] | files that the window writes |
-//! | [`settings`] | what is remembered from one start to the next |
-//! | [`words`] | what the library says, in the words of this program |
+//! | [`settings`] | settings that are kept from one start to the next |
+//! | [`words`] | errors of the library, in the words of this program |
 //!
-//! The window never waits: whatever takes time is a [`Request`](worker::Request) to the worker, whose
-//! [`Reply`](worker::Reply) wakes the window. Only where the processor plays the graphics card, it rests between frames
-//! while the worker is at it.
+//! The window never waits: it sends slow work to the worker as a [`Request`](worker::Request), and the
+//! [`Reply`](worker::Reply) wakes the window. The window rests between frames only if the processor plays the graphics
+//! card and the worker is busy.
 
 pub mod adaptive;
 pub mod app;

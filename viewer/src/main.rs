@@ -200,7 +200,7 @@ fn scale(text: &str) -> Result<f32, String> {
         .ok_or_else(|| "it must be a number from 0.5 to 4".into())
 }
 
-/// What ends the program, and its exit code.
+/// Error message with which the program ends, and its exit code.
 struct Failure {
     code: u8,
     message: String,
@@ -242,7 +242,7 @@ fn run(args: &Args) -> Result<(), Failure> {
         }
         None => window(args, &gpu, start),
     };
-    // What was done stays done: the next start takes longer.
+    // The result stays valid even if the compiled shaders cannot be stored: only the next start takes longer.
     if let Err(error) = gpu.save_pipelines() {
         eprintln!("stein-viewer: {}", words::told(&error));
     }
@@ -285,7 +285,7 @@ fn start(args: &Args) -> Result<Start, Failure> {
     })
 }
 
-/// What the command line says of the parameters; `None` where it says nothing.
+/// Returns the parameters that the command line gives; `None` if it gives none.
 fn parameters(args: &Args) -> Result<Option<Parameters>, Failure> {
     let usage = |message: String| Failure { code: 2, message };
     let file = args.params.as_deref().map(|path| Ok::<_, Failure>((path, Parameters::read(path)?))).transpose()?;

@@ -1,5 +1,5 @@
-//! Files that the window writes, each in a thread of its own: none is held up by a run, and none replaces another that
-//! waits.
+//! Files that the window writes, each in a thread of its own: a run does not delay them, and a new one does not replace
+//! one that waits.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -21,46 +21,46 @@ use crate::screenshot::{Offscreen, Picture};
 use crate::settings::Parameters;
 use crate::view::{Camera, Compare, Display, Marked, View, canvas};
 
-/// What is written.
+/// Content of a file to write.
 #[derive(Debug)]
 pub enum Content {
-    /// What the canvas shows, as PNG.
+    /// View of the canvas, as PNG.
     View(Box<Sight>),
-    /// A layer by itself, a pixel of the picture for each of its own, as PNG.
+    /// One layer, with one pixel of the picture for each pixel of the layer, as PNG.
     Layer(Arc<Layer>, Display),
-    /// The denoised frame in the clothes of its file, as OpenEXR.
+    /// Denoised frame as OpenEXR: the contents of its file, with the colour replaced by the denoised one.
     Result {
-        /// What the frame was read from; `None` of one that was rendered here.
+        /// Buffer set that the frame was read from; `None` for a frame that was rendered here.
         request: Option<Box<BufferSetRequest>>,
-        /// What to write.
+        /// Estimate to write.
         estimate: Arc<Estimate>,
-        /// With which parameters it was made.
+        /// Method that made the estimate.
         method: Method,
     },
     /// Parameters for `--params`, as TOML.
     Parameters(Parameters),
 }
 
-/// All that decides what the canvas shows.
+/// Everything that determines what the canvas shows.
 #[derive(Debug)]
 pub struct Sight {
     /// Layer A.
     pub layer: Arc<Layer>,
     /// Layer B.
     pub other: Option<Arc<Layer>>,
-    /// How the two are shown; of [`Compare::Blink`] A.
+    /// Comparison of the two layers; [`Compare::Blink`] shows A.
     pub compare: Compare,
-    /// Where the line of a wipe is.
+    /// Position of the line of a wipe, as a share of the width of the canvas.
     pub wipe: f32,
-    /// From where.
+    /// Pan and zoom.
     pub camera: Camera,
-    /// How values become colours.
+    /// Settings that turn values into colours.
     pub display: Display,
-    /// The pixel that is framed.
+    /// Pinned pixel, [column, row], which is framed.
     pub pinned: Option<[u32; 2]>,
-    /// The pixels that the kernel's panel is about.
+    /// Window of pixels that the kernel panel explains.
     pub marked: Option<Marked>,
-    /// Of the canvas, in points.
+    /// Size of the canvas, in points.
     pub size: Vec2,
     /// Pixels per point.
     pub scale: f32,
@@ -68,7 +68,7 @@ pub struct Sight {
     pub theme: Theme,
 }
 
-/// A file on its way. Dropping it waits for its end.
+/// A file that is being written. Dropping this value waits until the file is complete.
 #[derive(Debug)]
 pub struct Saving {
     path: PathBuf,
@@ -77,15 +77,15 @@ pub struct Saving {
 }
 
 impl Saving {
-    /// Writes a file, which replaces another.
+    /// Starts to write a file; an existing file is replaced.
     ///
     /// # Errors
-    /// [`Error::Device`] where the system gives no thread.
+    /// [`Error::Device`] if the system cannot start a thread.
     pub fn start(gpu: &Gpu, content: Content, path: PathBuf, context: &Context) -> Result<Self> {
         let (sender, answer) = channel();
         let (gpu, context, to) = (gpu.clone(), context.clone(), path.clone());
         let write = move || {
-            // Where nobody waits for the answer any more, the window is closed.
+            // Nobody waits for the answer once the window is closed.
             let _ = sender.send(content.write(&gpu, &to));
             context.request_repaint();
         };
@@ -93,7 +93,7 @@ impl Saving {
         Ok(Self { path, answer, thread: Some(thread) })
     }
 
-    /// What to tell of it; pending while it is written.
+    /// Returns the message for the user; pending while the file is being written.
     pub fn answer(&self) -> Poll<Result<String>> {
         match self.answer.try_recv() {
             Ok(answer) => Poll::Ready(answer),
@@ -110,14 +110,14 @@ impl Saving {
 impl Drop for Saving {
     fn drop(&mut self) {
         if let Some(thread) = self.thread.take() {
-            // A panic in the thread has been told where it happened.
+            // A panic in the thread was already reported.
             let _ = thread.join();
         }
     }
 }
 
 impl Content {
-    /// Writes it. What there is to tell.
+    /// Writes the file. Returns the message for the user.
     fn write(self, gpu: &Gpu, path: &Path) -> Result<String> {
         let mut notes = Vec::new();
         match self {
@@ -167,13 +167,13 @@ impl Sight {
                     .show(ui, |ui| canvas::show(ui, &mut view, &self.layer, self.other.as_deref()));
             })
         };
-        // Fonts are there from the second frame on.
+        // The fonts are ready from the second frame on.
         draw()?;
         draw()
     }
 }
 
-/// A layer at its own size, with nothing over it.
+/// Draws a layer at its own size, with nothing over it.
 fn picture_of(gpu: &Gpu, layer: &Layer, display: Display) -> Result<Picture> {
     let extent = layer.image().extent;
     let most = gpu.wgpu_device().limits().max_texture_dimension_2d;

@@ -13,14 +13,14 @@ use crate::app::{Start, Viewer};
 use crate::device;
 use crate::settings::Settings;
 
-/// Longest that a run may take before a picture is given up.
+/// Longest time that a run may take before the picture is given up.
 const PATIENCE: Duration = Duration::from_secs(600);
-/// Frames that the layout may need to come to rest.
+/// Number of frames that the layout may need to come to rest.
 const SETTLING_FRAMES: usize = 4;
-/// Between two looks at the worker.
+/// Time between two looks at the worker.
 const PAUSE: Duration = Duration::from_millis(15);
 
-/// Eight bits per channel, rows from the top.
+/// A picture with eight bits per channel and rows from top to bottom.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Picture {
     /// Width and height in pixels.
@@ -30,16 +30,16 @@ pub struct Picture {
 }
 
 impl Picture {
-    /// R, G and B of a pixel.
+    /// Returns R, G and B of a pixel.
     pub fn pixel(&self, x: u32, y: u32) -> [u8; 3] {
         let first = 4 * (y as usize * self.extent.width as usize + x as usize);
         [self.rgba[first], self.rgba[first + 1], self.rgba[first + 2]]
     }
 
-    /// Writes it as PNG. The file appears under its name when it is complete.
+    /// Writes the picture as PNG. The file appears under its name only when it is complete.
     ///
     /// # Errors
-    /// [`Error::File`] where it cannot be written.
+    /// [`Error::File`] if the file cannot be written.
     pub fn write_png(&self, path: &Path) -> Result<()> {
         let failed = |problem: String| Error::File {
             path: path.to_owned(),
@@ -69,10 +69,10 @@ pub struct Offscreen {
 }
 
 impl Offscreen {
-    /// A window of this many points, each of `scale` pixels.
+    /// Creates a window of `width` × `height` points, each of `scale` pixels.
     ///
     /// # Errors
-    /// As [`device::setup`]; [`Error::Device`] where nothing can be drawn on the device.
+    /// As [`device::setup`]; [`Error::Device`] if the device cannot draw.
     pub fn new(gpu: &Gpu, width: f32, height: f32, scale: f32) -> Result<Self> {
         let configuration = device::configuration(gpu)?;
         let Some(instance) = gpu.wgpu_instance() else { unreachable!("the configuration has one") };
@@ -84,23 +84,23 @@ impl Offscreen {
         })?;
         let context = Context::default();
         context.set_theme(Theme::Dark);
-        // What fades or slides in would depend on when the picture is taken.
+        // With animations, a picture would depend on the time at which it is taken.
         context.all_styles_mut(|style| style.animation_time = 0.0);
         let extent = Extent { width: (width * scale).round() as u32, height: (height * scale).round() as u32 };
         Ok(Self { context, state, extent, scale, events: Vec::new(), start: Instant::now() })
     }
 
-    /// Its context.
+    /// Returns the context of the window.
     pub fn context(&self) -> &Context {
         &self.context
     }
 
-    /// The format of what is drawn to.
+    /// Returns the format of the render target.
     pub fn format(&self) -> wgpu::TextureFormat {
         self.state.target_format
     }
 
-    /// Something that happens before the next frame.
+    /// Adds an event that happens before the next frame.
     pub fn send(&mut self, event: Event) {
         self.events.push(event);
     }
@@ -108,7 +108,7 @@ impl Offscreen {
     /// Draws a frame.
     ///
     /// # Errors
-    /// [`Error::Device`] where the device is lost.
+    /// [`Error::Device`] if the device is lost.
     pub fn frame(&mut self, show: impl FnMut(&mut Ui)) -> Result<Picture> {
         let size = Vec2::new(self.extent.width as f32, self.extent.height as f32) / self.scale;
         let mut input = RawInput {
@@ -184,7 +184,7 @@ impl Offscreen {
         };
         let (sender, mapped) = std::sync::mpsc::channel();
         buffer.map_async(wgpu::MapMode::Read, .., move |result| {
-            // The receiver lives until it has got this.
+            // The receiver lives until this result has arrived.
             let _ = sender.send(result);
         });
         device
@@ -201,10 +201,10 @@ impl Offscreen {
     }
 }
 
-/// What a picture shows.
+/// Contents and size of a picture of the window.
 #[derive(Clone, Debug)]
 pub struct Shot {
-    /// What is opened and how.
+    /// State with which the window starts.
     pub start: Start,
     /// Width and height in points.
     pub size: [f32; 2],
@@ -214,12 +214,12 @@ pub struct Shot {
     pub theme: Theme,
 }
 
-/// Opens a file, waits for the run, and draws the window. `arrange` is called once everything is there, to set what is
-/// shown.
+/// Opens the files of the shot, waits for the run, and draws the window. Calls `arrange` once everything is ready, to
+/// set what is shown.
 ///
 /// # Errors
-/// What went wrong in the window; [`Error::Request`] where a layer, a pixel or a neighbour does not exist, of which
-/// another would be taken for it.
+/// The failure that the window would report; [`Error::Request`] if a layer, a pixel or a neighbour does not exist, in
+/// whose stead the window would show another, or if the run takes too long.
 pub fn take(gpu: &Gpu, shot: &Shot, arrange: impl FnOnce(&mut Viewer)) -> Result<Picture> {
     let mut window = Offscreen::new(gpu, shot.size[0], shot.size[1], shot.scale)?;
     window.context().set_theme(shot.theme);

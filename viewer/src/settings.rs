@@ -1,4 +1,4 @@
-//! What is remembered from one start to the next.
+//! Settings that are kept from one start to the next.
 
 use std::path::Path;
 
@@ -9,30 +9,31 @@ use stein::{Method, Preset, Result};
 use crate::document::Source;
 use crate::view::Display;
 
-/// Recent files that are kept.
+/// Number of recent files that are kept.
 const RECENT: usize = 10;
 
-/// What is remembered.
+/// Settings that are kept from one start to the next.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Settings {
-    /// What was open, newest first. What stood under the field's own name was of another type.
+    /// Sources that were open, newest first. They are stored under another name, because the field's own name once held
+    /// another type.
     #[serde(rename = "sources")]
     pub recent: Vec<Source>,
-    /// Exposure and the like; not the scales of layers, which belong to a file.
+    /// Exposure and other settings of the display; not the scales of layers, which belong to a file.
     pub display: Display,
-    /// How was denoised, as [`Parameters::to_toml`] has it.
+    /// Parameters in use, in the format of [`Parameters::to_toml`].
     pub parameters: Option<String>,
-    /// [`Earlier`], in the same way.
+    /// Parameters of [`Earlier`], in the same format.
     pub earlier: Vec<String>,
 }
 
 impl Settings {
-    /// Under which key they are kept.
+    /// Key under which the settings are stored.
     pub const KEY: &str = "stein-viewer";
 
-    /// Puts what is open in front of the others, in place of the same with another reference. Names of files that are
-    /// not Unicode cannot be kept.
+    /// Puts a source in front of the others, in place of the same source with another reference. Ignores sources whose
+    /// file names are not Unicode, because they cannot be stored.
     pub fn remember(&mut self, source: &Source) {
         let source = source.absolute();
         if source.files().any(|file| file.to_str().is_none()) {
@@ -44,37 +45,37 @@ impl Settings {
     }
 }
 
-/// Parameters that were left for those of another method or preset: of each method and preset the last.
+/// Parameters that were replaced by those of another method or preset: the last ones of each method and preset.
 #[derive(Clone, Debug, Default)]
 pub struct Earlier(Vec<Parameters>);
 
 impl Earlier {
-    /// Out of what is remembered.
+    /// Reads parameters from stored texts; ignores texts that are not valid.
     pub fn from_toml(texts: &[String]) -> Self {
         Self(texts.iter().filter_map(|text| Parameters::from_toml(text).ok()).collect())
     }
 
-    /// To be remembered.
+    /// Returns the parameters as texts to store.
     pub fn to_toml(&self) -> Vec<String> {
         self.0.iter().map(|left| left.to_toml()).collect()
     }
 
-    /// Keeps parameters that are left.
+    /// Keeps parameters, in place of earlier ones with the same method and preset.
     pub fn keep(&mut self, left: Parameters) {
         self.0.retain(|other| !other.is_like(left));
         self.0.push(left);
     }
 
-    /// A method and preset with the parameters that were left, or else with those of the preset.
+    /// Returns the parameters that were kept for the method and preset of `fresh`, or else `fresh`.
     pub fn take_up(&self, fresh: Parameters) -> Parameters {
         self.0.iter().find(|left| left.is_like(fresh)).copied().unwrap_or(fresh)
     }
 }
 
-/// How is denoised: a method with its parameters, and the preset that they started from.
+/// A method with its parameters, and the preset that they started from.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Parameters {
-    /// What a reset goes back to.
+    /// Preset that a reset returns to.
     pub preset: Preset,
     /// The method and its parameters.
     pub method: Method,
@@ -90,25 +91,25 @@ impl Parameters {
     /// Names of the methods.
     pub const METHODS: [&str; 3] = Method::NAMES;
 
-    /// A method with the parameters of a preset. `None` where there is no method of that name.
+    /// Returns a method with the parameters of a preset; `None` if no method has this name.
     pub fn of(method: &str, preset: Preset) -> Option<Self> {
         let method = Method::all().into_iter().find(|known| known.name() == method)?;
         Some(Self { preset, method: method.of_preset(preset) })
     }
 
-    /// Whether method and preset are the same.
+    /// Returns whether method and preset are the same.
     fn is_like(self, other: Self) -> bool {
         (self.method.name(), self.preset) == (other.method.name(), other.preset)
     }
 
-    /// The method's parameters as its preset has them.
+    /// Returns method and preset, with all parameters as the preset has them.
     #[must_use]
     pub fn reset(self) -> Self {
         Self { method: self.method.of_preset(self.preset), ..self }
     }
 
-    /// What a parameter is in the preset; of one in a group that the preset leaves out, what it is where the group is
-    /// put in.
+    /// Returns the value of a parameter in the preset. If the preset leaves out the parameter's group, returns the
+    /// value that the parameter has when the group is added.
     pub fn preset_value(self, parameter: &Parameter) -> Option<Value> {
         let own = match self.preset {
             Preset::Default => &parameter.default,
@@ -117,17 +118,17 @@ impl Parameters {
         own.as_ref().or(parameter.default.as_ref()).cloned()
     }
 
-    /// Whether a parameter is something else than in the preset.
+    /// Returns whether a parameter differs from the preset.
     pub fn differs(self, parameter: &Parameter) -> bool {
         parameter.value.is_some() && parameter.value != self.preset_value(parameter)
     }
 
-    /// As a file that `stein denoise --params` accepts.
+    /// Returns the text of a file that `stein denoise --params` accepts.
     pub fn to_toml(self) -> String {
         self.method.to_toml(self.preset)
     }
 
-    /// Out of such a file's text.
+    /// Reads parameters from the text of such a file.
     ///
     /// # Errors
     /// As [`Method::from_toml`].
@@ -135,7 +136,7 @@ impl Parameters {
         Method::from_toml(text).map(|(method, preset)| Self { preset, method })
     }
 
-    /// Out of such a file.
+    /// Reads parameters from such a file.
     ///
     /// # Errors
     /// As [`Method::read_toml`].

@@ -5,7 +5,7 @@ use eframe::egui::{Context, Key, KeyboardShortcut, Modifiers};
 use crate::panel::Panel;
 use crate::view::Compare;
 
-/// What a key does.
+/// Effect of a key.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Action {
     /// Asks for a buffer set.
@@ -22,71 +22,71 @@ pub enum Action {
     SaveResult,
     /// Asks where to save the parameters.
     SaveParameters,
-    /// Puts all parameters back to those of the preset.
+    /// Resets all parameters to those of the preset.
     ResetParameters,
-    /// Measures error against run time, or ends that.
+    /// Starts to measure error against run time, or stops.
     Sweep,
     /// Denoises again.
     Run,
-    /// Ends the work in flight, closes the help, or lets a pinned pixel go.
+    /// Cancels the work in flight, closes the help, or unpins the pixel.
     Cancel,
-    /// To the next layer of the strip, or with −1 to the one before.
+    /// Shows the next layer of the strip, or the previous one for −1.
     StepLayer(isize),
-    /// The layer of this name.
+    /// Shows the layer with this name.
     ShowLayer(&'static str),
-    /// The shown layer becomes the one to compare with.
+    /// Makes the shown layer the one to compare with, layer B.
     MarkOther,
-    /// Swaps the two layers.
+    /// Swaps the layers A and B.
     Swap,
-    /// How two layers are compared.
+    /// Compares two layers in this way.
     Compare(Compare),
-    /// Brightens by stops.
+    /// Brightens the image by this number of stops.
     Expose(f32),
-    /// Adds an offset.
+    /// Adds this value to the offset of the colours.
     Offset(f32),
-    /// Exposure, offset and ranges as at the start.
+    /// Resets exposure, offset and ranges.
     ResetDisplay,
-    /// The image fits into the view.
+    /// Fits the image into the view.
     Fit,
-    /// One pixel of the image is one of the screen.
+    /// Shows one pixel of the image as one pixel of the screen.
     ActualSize,
     /// Magnifies by this factor.
     Zoom(f32),
-    /// To the next iteration of the adaptive loop, or with −1 to the one before.
+    /// Shows the next iteration of the adaptive loop, or the previous one for −1.
     StepIteration(i32),
     /// Shows a side panel.
     Panel(Panel),
-    /// Shows a side panel, or if it is shown the one before.
+    /// Shows a side panel, or the previous panel if this one is shown already.
     TogglePanel(Panel),
-    /// Whether the kernel is that of the pixel under the pointer.
+    /// Switches whether the kernel panel follows the pointer.
     ToggleFollow,
-    /// Keeps the pixel that lies this far from the chosen one.
+    /// Pins the pixel at this offset from the chosen pixel.
     MovePixel([i32; 2]),
-    /// Layer B on the false-colour scale of layer A.
+    /// Switches whether layer B is shown on the false-colour scale of layer A.
     ToggleSharedScale,
-    /// Dark or light.
+    /// Switches between the dark and the light theme.
     ToggleTheme,
     /// Shows or hides the help.
     Help,
 }
 
-/// A key, what it does, and how the help calls that.
+/// A key, its effect, and the description of the effect in the help.
 #[derive(Clone, Copy, Debug)]
 pub struct Shortcut {
     /// The key with its modifiers.
     pub keys: KeyboardShortcut,
-    /// What it does.
+    /// Effect of the key.
     pub action: Action,
-    /// What the help says; empty where the line before says it for several keys.
+    /// Description in the help; empty if an earlier line of the help lists this key as well.
     pub about: &'static str,
 }
 
-/// A heading of the help with its keys.
+/// A section of the help.
 #[derive(Clone, Copy, Debug)]
 pub struct Section {
-    /// What users read.
+    /// Heading of the section.
     pub title: &'static str,
-    /// In the order of the help.
+    /// Keys of the section, in the order of the help.
     pub shortcuts: &'static [Shortcut],
 }
 
@@ -100,7 +100,7 @@ const fn with(modifiers: Modifiers, key: Key, action: Action, about: &'static st
     Shortcut { keys: KeyboardShortcut::new(modifiers, key), action, about }
 }
 
-/// All keys. Those with the most modifiers are looked at first, so that `Shift+E` is not taken for `E`.
+/// All keys. Those with the most modifiers are tried first, so that `Shift+E` is not taken for `E`.
 pub const SECTIONS: &[Section] = &[
     Section {
         title: "File and run",
@@ -196,7 +196,7 @@ pub const SECTIONS: &[Section] = &[
     },
 ];
 
-/// What the keys of this frame ask for; nothing while a text is edited.
+/// Returns the actions of the keys that were pressed in this frame; nothing while a text is edited.
 pub fn pressed(context: &Context) -> Vec<Action> {
     if context.egui_wants_keyboard_input() {
         return Vec::new();

@@ -1,4 +1,4 @@
-//! Error against run time: the open frame denoised with one set of parameters after the other, whenever there is
+//! Error against run time: denoises the open frame with one set of parameters after the other, whenever the worker has
 //! nothing else to do.
 
 use std::sync::Arc;
@@ -8,14 +8,14 @@ use stein::{Method, Preset};
 use crate::document::Run;
 use crate::settings::Parameters;
 
-/// Over what is swept: all radii and presets of all methods, and besides them the parameters in use.
+/// Range of a sweep: all combinations of these radii, presets and methods, besides the parameters in use.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Extent {
-    /// Radii of the window, of methods that have one, in pixels.
+    /// Radii of the window in pixels, for methods that have a window radius.
     pub radii: Vec<u32>,
-    /// The presets from which the other parameters are.
+    /// Presets that supply the other parameters.
     pub presets: Vec<Preset>,
-    /// The methods, by their names.
+    /// Names of the methods.
     pub methods: Vec<&'static str>,
 }
 
@@ -26,10 +26,11 @@ impl Default for Extent {
 }
 
 impl Extent {
-    /// Radii that can be chosen, in pixels.
+    /// Radii that the panel offers, in pixels.
     pub const RADII: [u32; 7] = [2, 3, 5, 7, 10, 15, 20];
 
-    /// All parameters to measure, each once: those in use first, then from the least work to the most.
+    /// Lists the parameters to measure, each once: `in_use` first, then methods without a window radius, then the
+    /// others in the order of their radii, so that the work grows.
     pub fn parameters(&self, in_use: Parameters) -> Vec<Parameters> {
         let presets = || {
             self.presets
@@ -57,34 +58,34 @@ impl Extent {
     }
 }
 
-/// The radius of the window, in pixels, where it is a parameter.
+/// Returns the radius of the window in pixels; `None` if the method has no such parameter.
 pub fn radius(method: &Method) -> Option<u32> {
     method.has_parameter("window_radius").then(|| method.window_radius())
 }
 
-/// What is swept, and what has come of it.
+/// Range, progress and results of a sweep.
 #[derive(Clone, Debug, Default)]
 pub struct Sweep {
-    /// Over what the next one goes.
+    /// Range of the next sweep.
     pub extent: Extent,
-    /// What was measured on the open frame, in the order of measuring: the result and its estimated error alone, by the
-    /// shorter of two runs, so that compiling shaders does not count.
+    /// Runs that were measured on the open frame, in the order of measuring. They made only the result and its
+    /// estimated error, and their time is the shorter of two runs, so that compiling shaders does not count.
     pub points: Vec<Run>,
-    /// All that is measured; empty before the first sweep.
+    /// Parameters of all runs of the sweep; empty before the first sweep.
     pub planned: Arc<[Parameters]>,
-    /// Whether it goes on.
+    /// Whether a sweep is running.
     pub is_running: bool,
 }
 
 impl Sweep {
-    /// Takes in what was measured; the last point ends it.
+    /// Adds a measured run, in place of an earlier one with the same parameters; the last planned run ends the sweep.
     pub fn add(&mut self, point: Run) {
         self.points.retain(|other| other.parameters.method != point.parameters.method);
         self.points.push(point);
         self.is_running &= self.planned.last().is_some_and(|last| last.method != point.parameters.method);
     }
 
-    /// Starts one, which forgets what an earlier one measured. What is to be measured.
+    /// Starts a sweep and forgets the results of an earlier one. Returns the parameters to measure.
     pub fn start(&mut self, in_use: Parameters) -> Arc<[Parameters]> {
         self.points.clear();
         self.planned = self.extent.parameters(in_use).into();
@@ -92,7 +93,7 @@ impl Sweep {
         self.planned.clone()
     }
 
-    /// Forgets everything but over what it goes: for another frame.
+    /// Forgets everything except the range, for another frame.
     pub fn clear(&mut self) {
         *self = Self { extent: std::mem::take(&mut self.extent), ..Self::default() };
     }

@@ -1,15 +1,15 @@
-//! What the library says, in the words of this program.
+//! Errors of the library, in the words of this program.
 
 use stein::{Error, text};
 use stein_exr::BufferSetRequest;
 
-/// What the library's remedies say, and what that is here, besides the options of [`BufferSetRequest`].
+/// Phrases of the library's remedies with their replacements here, besides the options of [`BufferSetRequest`].
 const WORDS: [(&str, &str); 8] = [
     (
         "name the layer to take (`BufferSetRequest::layer`, `LayerRef::layer`)",
         "name the layer to take behind its file, on the command line: FILE::NAME",
     ),
-    // There is none here.
+    // The viewer has no memory limit.
     ("raise the memory limit (`Denoiser::with_max_memory`), ", ""),
     ("the memory limit", "the memory limit of `stein denoise` (--max-memory)"),
     ("a smaller window", "a smaller `window_radius` (dfc, nlm)"),
@@ -19,7 +19,7 @@ const WORDS: [(&str, &str); 8] = [
     ("`GpuOptions::pipeline_folder`", stein_exr::options::CACHE_VARIABLE),
 ];
 
-/// An error for people, with its remedy.
+/// Returns the text of an error for people, with its remedy.
 pub fn told(error: &Error) -> String {
     let told = Error::in_words(&error.to_string(), BufferSetRequest::OPTIONS.iter().chain(&WORDS));
     text::message(&told).into_owned()

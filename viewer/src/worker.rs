@@ -1,8 +1,9 @@
 //! The worker: one thread that reads files and denoises, so that the window never waits.
 //!
-//! The window sends [`Request`]s and gets [`Reply`]s. Of each [`Task`] only the newest request counts: it replaces one
-//! that waits, and cancels one that is at work. Tasks that wait are taken in the order of [`Task::ALL`]; long work of
-//! low rank splits itself into requests that it sends to itself, so that it makes way between them.
+//! The window sends [`Request`]s and gets [`Reply`]s. Of each [`Task`] only the newest request counts: it replaces a
+//! request that waits, and cancels a request that is at work. Tasks that wait are taken in the order of [`Task::ALL`].
+//! Long work of low rank is split into several requests, which the worker sends to itself, so that other tasks can run
+//! between them.
 
 use std::any::Any;
 use std::ops::ControlFlow;
@@ -25,52 +26,52 @@ use crate::document::{Denoised, Opened, Run, Source, input_layers, relative_mse}
 use crate::inspector::{Inspected, Question};
 use crate::settings::Parameters;
 
-/// Dispatches between which the window can draw, on a graphics card; a processor takes long for one.
+/// Number of dispatches between which the window can draw, on a graphics card. A processor takes long for a single one.
 const DISPATCHES_AT_ONCE: usize = 8;
 
-/// How often progress is told at the most.
+/// Shortest time between two replies about progress.
 const BETWEEN_REPLIES: Duration = Duration::from_millis(200);
 
-/// A run that takes longer than this is not measured again: what compiling shaders takes is little beside it.
+/// A run that takes longer than this is measured only once: the time for compiling shaders is small beside it.
 const MEASURED_TWICE: Duration = Duration::from_secs(10);
 
-/// The longest that the window rests after a frame.
+/// Longest time that the window rests after a frame.
 const LONGEST_REST: Duration = Duration::from_millis(80);
 
-/// How long a window that draws on the processor's own cores leaves them to the worker, where it is so long since it
-/// handed over the frame before: where frames follow each other without pause a half of the time is for each. No longer
-/// than input may wait.
+/// Returns the time for which a window that draws on the processor's own cores leaves them to the worker. `frame` is
+/// the time since the previous frame was handed over. If frames follow each other without pause, window and worker thus
+/// get half of the time each. The limit keeps input from waiting long.
 pub fn rest_after(frame: Duration) -> Duration {
     frame.min(LONGEST_REST)
 }
 
-/// What the worker is asked for.
+/// A request to the worker.
 #[derive(Debug)]
 pub enum Request {
     /// Reads a frame, and a reference if one is named.
     Open(Source),
-    /// Works out which neighbours made a pixel.
+    /// Computes which neighbours made a pixel.
     Inspect(Question),
-    /// Denoises a frame, keeping all that can be looked at.
+    /// Denoises a frame, and keeps all layers that can be looked at.
     Denoise {
-        /// What is denoised.
+        /// Frame to denoise.
         frame: Arc<Frame>,
-        /// What it is compared with.
+        /// Reference to compare with.
         reference: Option<Arc<Image>>,
-        /// How.
+        /// Method and parameters.
         parameters: Parameters,
     },
-    /// Does the next step of an adaptive loop; the worker asks itself for those after it.
+    /// Does the next step of an adaptive loop; the worker itself requests the steps after it.
     Adapt(Box<Loop>),
     /// Measures time and error of one run after the other.
     Sweep {
-        /// What is denoised.
+        /// Frame to denoise.
         frame: Arc<Frame>,
-        /// What it is compared with.
+        /// Reference to compare with.
         reference: Option<Arc<Image>>,
-        /// How, each time.
+        /// Method and parameters of each run.
         runs: Arc<[Parameters]>,
-        /// The first of them that is not yet done.
+        /// Index of the first run that is not yet done.
         next: usize,
     },
 }
@@ -86,15 +87,15 @@ pub enum Task {
     Denoise,
     /// [`Request::Adapt`].
     Adapt,
-    /// [`Request::Sweep`], which makes way for all else and goes on after it.
+    /// [`Request::Sweep`], which makes way for all other tasks and continues after them.
     Sweep,
 }
 
 impl Task {
-    /// In the order in which they are taken.
+    /// All tasks, in the order in which they are taken.
     pub const ALL: [Self; 5] = [Self::Open, Self::Inspect, Self::Denoise, Self::Adapt, Self::Sweep];
 
-    /// What users read while it is at work.
+    /// Returns the text that users read while the task is at work.
     pub fn title(self) -> &'static str {
         match self {
             Self::Open => "reading",
@@ -107,7 +108,7 @@ impl Task {
 }
 
 impl Request {
-    /// Its kind.
+    /// Returns the kind of the request.
     pub fn task(&self) -> Task {
         match self {
             Self::Open(_) => Task::Open,
@@ -118,7 +119,7 @@ impl Request {
         }
     }
 
-    /// A sweep without its next runs, as long as any are left.
+    /// Returns a sweep without its next `done` runs; `None` if no runs are left, and for other requests.
     fn after(&self, done: usize) -> Option<Self> {
         match self {
             Self::Sweep { frame, reference, runs, next } if next + done < runs.len() => Some(Self::Sweep {
@@ -132,14 +133,14 @@ impl Request {
     }
 }
 
-/// What the worker tells.
+/// A message from the worker.
 #[derive(Debug)]
 pub enum Reply {
-    /// How much of a task is done, 0 to 1.
+    /// Share of a task that is done, 0 to 1.
     Progress(Task, f32),
     /// A frame was read.
     Opened(Box<Opened>),
-    /// The kernels of a pixel are there.
+    /// The kernels of a pixel are ready.
     Inspected(Box<Inspected>),
     /// A frame was denoised.
     Denoised(Box<Denoised>),
@@ -147,11 +148,11 @@ pub enum Reply {
     Adapted(Box<Adapted>),
     /// A run was measured.
     Swept(Box<Run>),
-    /// A task came to no end because of this. Nothing is told of tasks that were cancelled.
+    /// A task failed because of this error. Cancelled tasks send no such reply.
     Failed(Task, Error),
 }
 
-/// The window's end.
+/// The worker, as the window uses it.
 #[derive(Debug)]
 pub struct Worker {
     mailbox: Arc<Mailbox>,
@@ -162,18 +163,18 @@ pub struct Worker {
 #[derive(Debug, Default)]
 struct Mailbox {
     state: Mutex<State>,
-    /// For the thread: there is something to do.
+    /// Tells the thread that there is something to do.
     news: Condvar,
-    /// For the window: something was done.
+    /// Tells the window that something was done.
     done: Condvar,
 }
 
 #[derive(Debug, Default)]
 struct State {
-    /// At most one of each task.
+    /// Requests that wait, with their numbers: at most one of each task.
     waiting: Vec<(u64, Request)>,
     at_work: Option<AtWork>,
-    /// Number of the newest request of each task: what is told of older ones does not count.
+    /// Number of the newest request of each task: replies to older requests do not count.
     newest: [u64; Task::ALL.len()],
     sent: u64,
     ends: bool,
@@ -192,13 +193,13 @@ impl Mailbox {
 }
 
 impl State {
-    /// The task that is at work or waits to be.
+    /// Returns a task that is at work or waits.
     fn busy(&self) -> Option<Task> {
         let at_work = self.at_work.as_ref().map(|at_work| at_work.task);
         at_work.or_else(|| self.waiting.first().map(|(_, request)| request.task()))
     }
 
-    /// Ends what is asked for and what is done of a task.
+    /// Cancels a task, whether it waits or is at work.
     fn cancel(&mut self, task: Task) {
         self.waiting.retain(|(_, waiting)| waiting.task() != task);
         if let Some(at_work) = self.at_work.as_ref().filter(|at_work| at_work.task == task) {
@@ -208,7 +209,7 @@ impl State {
         self.newest[task as usize] = self.sent;
     }
 
-    /// Ends what is at work; what is left of it waits, unless it was cancelled.
+    /// Ends the request that is at work. The rest of it waits, unless the request was cancelled.
     fn end(&mut self, number: u64, goes_on: Option<Request>) {
         self.at_work = None;
         self.waiting.extend(
@@ -216,7 +217,7 @@ impl State {
         );
     }
 
-    /// Breaks off what is at work for a request of higher rank, where it goes on afterwards.
+    /// Interrupts a sweep for a task of higher rank; the sweep continues afterwards.
     fn make_way(&self, task: Task) {
         if let Some(at_work) =
             self.at_work.as_ref().filter(|at_work| at_work.task == Task::Sweep && task != Task::Sweep)
@@ -227,10 +228,10 @@ impl State {
 }
 
 impl Worker {
-    /// Starts the thread. It wakes the window of `context` with each reply.
+    /// Starts the thread, which wakes the window of `context` with each reply.
     ///
     /// # Errors
-    /// [`Error::Device`] where the system gives no thread.
+    /// [`Error::Device`] if the system cannot start a thread.
     pub fn start(gpu: &Gpu, context: &Context) -> stein::Result<Self> {
         let mailbox = Arc::<Mailbox>::default();
         let (sender, replies) = channel();
@@ -240,8 +241,8 @@ impl Worker {
         Ok(Self { mailbox, replies, thread: Some(thread) })
     }
 
-    /// Asks for something. What was asked for before of the same task is cancelled; what replaces the open frame makes
-    /// all other work pointless.
+    /// Sends a request. Cancels the previous request of the same task; a request that replaces the open frame cancels
+    /// all other work as well.
     pub fn send(&self, request: Request) {
         let mut state = self.mailbox.lock();
         let task = request.task();
@@ -256,34 +257,34 @@ impl Worker {
         self.mailbox.news.notify_one();
     }
 
-    /// Ends a task, whether it waits or is at work.
+    /// Cancels a task, whether it waits or is at work.
     pub fn cancel(&self, task: Task) {
         self.mailbox.lock().cancel(task);
     }
 
-    /// The next thing that was told and still counts, if anything was. One at a time: what is done about one may cancel
-    /// what another belongs to.
+    /// Returns the next reply that still counts, if there is one. Replies are taken one at a time, because the reaction
+    /// to one reply may cancel the task of another.
     pub fn next_reply(&self) -> Option<Reply> {
         let counts = |(number, reply): &(u64, Reply)| *number == self.mailbox.lock().newest[reply.task() as usize];
         self.replies.try_iter().find(counts).map(|(_, reply)| reply)
     }
 
-    /// The task that is at work or waits to be.
+    /// Returns a task that is at work or waits.
     pub fn busy(&self) -> Option<Task> {
         self.mailbox.lock().busy()
     }
 
-    /// Whether this task is at work or waits to be.
+    /// Returns whether this task is at work or waits.
     pub fn has(&self, task: Task) -> bool {
         let state = self.mailbox.lock();
         state.at_work.as_ref().is_some_and(|at_work| at_work.task == task)
             || state.waiting.iter().any(|(_, request)| request.task() == task)
     }
 
-    /// Blocks for this long, or until everything is done.
+    /// Blocks until all work is done, but no longer than `time`.
     pub fn make_room(&self, time: Duration) {
         let state = self.mailbox.lock();
-        // However that ends, the window goes on.
+        // The window continues, however the wait ended.
         drop(self.mailbox.done.wait_timeout_while(state, time, |state| state.busy().is_some()));
     }
 }
@@ -297,7 +298,7 @@ impl Drop for Worker {
         }
         self.mailbox.news.notify_one();
         if let Some(thread) = self.thread.take() {
-            // A panic in the thread has been told where it happened.
+            // A panic in the thread was already reported.
             let _ = thread.join();
         }
     }
@@ -316,7 +317,7 @@ impl Reply {
     }
 }
 
-/// The thread's end.
+/// The worker, as its thread uses it.
 struct Desk {
     gpu: Gpu,
     mailbox: Arc<Mailbox>,
@@ -335,13 +336,13 @@ struct Job<'a> {
 
 impl Job<'_> {
     fn tell(&self, reply: Reply) {
-        // Where nobody listens any more, the window is closed.
+        // Nobody listens once the window is closed.
         let _ = self.desk.replies.send((self.number, reply));
         self.desk.context.request_repaint();
     }
 
     fn progress(&self, share: f32) -> ControlFlow<()> {
-        // Each reply has the window drawn again, on the same device.
+        // Each reply makes the window draw again, on the same device.
         let mut told = self.told.lock().unwrap_or_else(PoisonError::into_inner);
         if told.is_none_or(|told| told.elapsed() >= BETWEEN_REPLIES) {
             *told = Some(Instant::now());
@@ -350,7 +351,7 @@ impl Job<'_> {
         if self.cancelled.load(Ordering::Relaxed) { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     }
 
-    /// Lets the window draw between the dispatches, and ends soon after a cancellation.
+    /// Returns a pace that lets the window draw between the dispatches, and that ends soon after a cancellation.
     fn pace(&self) -> Pace {
         let dispatches = if self.desk.gpu.is_software() { 1 } else { DISPATCHES_AT_ONCE };
         Pace { dispatches, cancelled: self.cancelled.clone() }
@@ -366,7 +367,8 @@ impl Desk {
         while let Some((number, request, cancelled)) = self.next() {
             let task = request.task();
             let job = Job { desk: &self, number, task, cancelled, told: Mutex::default() };
-            // It made way; where it was cancelled for good, nothing follows either.
+            // The whole request, to be done again if it only made way; `State::end` drops it if it was cancelled for
+            // good.
             let whole = request.after(0);
             let done = catch_unwind(AssertUnwindSafe(|| self.fulfil(&job, request)))
                 .unwrap_or_else(|panic| Err(defect(panic.as_ref())));
@@ -385,7 +387,7 @@ impl Desk {
         }
     }
 
-    /// Waits for the next request. `None` where there will be none.
+    /// Waits for the next request; `None` if the worker ends.
     fn next(&self) -> Option<(u64, Request, Arc<AtomicBool>)> {
         let mut state = self.mailbox.lock();
         loop {
@@ -402,7 +404,7 @@ impl Desk {
         }
     }
 
-    /// What is told, and what is left to do.
+    /// Does the work of a request. Returns the reply, and the rest of the work.
     fn fulfil(&self, job: &Job, request: Request) -> stein::Result<(Reply, Option<Request>)> {
         let mut rest = request.after(1);
         let reply = match request {
@@ -466,7 +468,7 @@ fn open(job: &Job, source: Source) -> stein::Result<Opened> {
     Ok(Opened { source: Some(source), name, frame: Arc::new(frame), repairs, reference, noisy_error, layers })
 }
 
-/// What the library says about a file without knowing which one it was.
+/// Adds the name of the input to an error that the library reports without knowing the file.
 fn in_file(source: &Source, error: Error) -> Error {
     match error {
         Error::Request { problem, remedy } => Error::File { path: source.request.input.clone(), problem, remedy },
@@ -477,7 +479,7 @@ fn in_file(source: &Source, error: Error) -> Error {
 fn inspect(gpu: &Gpu, job: &Job, question: Question) -> stein::Result<Inspected> {
     let denoiser = Denoiser::new(gpu, question.method)?;
     let [x, y] = question.pixel;
-    // As the run that is looked at.
+    // Keeps the same intermediates as the run that is looked at.
     let options = Options { keep: question.method.intermediates(), pace: Some(job.pace()), ..Default::default() };
     let kernels = denoiser.kernels(&question.frame, x, y, &options)?;
     Ok(Inspected::new(question, kernels))
@@ -507,7 +509,7 @@ fn denoise(
     Denoised::new(&denoiser, parameters.preset, frame, estimate, reference, seconds)
 }
 
-/// Time and error of the result and its estimated error, with nothing kept to look at.
+/// Measures time and error of a run that makes the result and its estimated error, and keeps nothing else.
 fn measure(
     gpu: &Gpu,
     job: &Job,
@@ -536,7 +538,7 @@ fn measure(
     Ok(Run { parameters, seconds: time.as_secs_f64(), error, estimated_error })
 }
 
-/// A panic is a defect of this program: the window stays, and says so.
+/// Makes an error of a panic, which is a defect of this program: the window stays open and reports it.
 fn defect(panic: &(dyn Any + Send)) -> Error {
     let text = panic.downcast_ref::<String>().map(String::as_str).or(panic.downcast_ref::<&str>().copied());
     Error::Request {

@@ -17,7 +17,7 @@ use super::super::render::SequenceName;
 /// Header attribute of the samples, with the setup as JSON.
 const ATTRIBUTE: &str = "stein.adapt";
 
-/// Everything that decides what a run draws. A run is only resumed with the same.
+/// Settings that decide which samples a run draws. A run is resumed only with identical settings.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub(crate) struct Setup<'a> {
     pub(crate) scene: Option<&'a str>,
@@ -31,14 +31,15 @@ pub(crate) struct Setup<'a> {
     pub(crate) parameters: Method,
 }
 
-/// Where a run's files are.
+/// Folder with the files of a run.
 pub(crate) struct Folder {
     path: PathBuf,
     setup: String,
 }
 
 impl Folder {
-    /// Makes the folder; one with an earlier run in it must be meant.
+    /// Creates the folder. Refuses a folder with files of an earlier run, unless `resume` is set, or `overwrite`, which
+    /// deletes these files.
     pub(crate) fn open(path: &Path, setup: &Setup<'_>, resume: bool, overwrite: bool) -> Result<Self, Failure> {
         let unusable = |error: std::io::Error| {
             let name = text::path(path);
@@ -63,12 +64,12 @@ impl Folder {
         Ok(folder)
     }
 
-    /// Absolute.
+    /// Returns the absolute path of the folder.
     pub(crate) fn path(&self) -> &Path {
         &self.path
     }
 
-    /// All files that are named like those of a run.
+    /// Returns all files that are named like the files of a run.
     fn earlier(&self) -> std::io::Result<Vec<PathBuf>> {
         let mut files = Vec::new();
         for entry in std::fs::read_dir(&self.path)? {
@@ -91,8 +92,8 @@ impl Folder {
         self.path.join(format!("samples_{label}.exr"))
     }
 
-    /// The last iteration that is complete: its samples were written after all others of its files but the denoised
-    /// image, which is made of them.
+    /// Returns the last complete iteration; `None` without one. The samples show that an iteration is complete: they
+    /// are written after all its other files except the denoised image, which is made from them.
     pub(crate) fn resume(&self, iterations: u32) -> Result<Option<Resumed>, Failure> {
         let found = (1..=iterations)
             .rev()
@@ -122,13 +123,13 @@ impl Folder {
         )))
     }
 
-    /// What is about to be drawn.
+    /// Writes the map of the samples that are drawn next.
     pub(crate) fn write_map(&self, label: &str, map: &SamplingMap, drawn: Option<&Samples>) -> Result<(), Failure> {
         let file = MapFile { map: map.clone(), drawn: drawn.map(Samples::counts) };
         file.write(&self.path.join(format!("map_{label}.exr")), &[]).map_err(Failure::output)
     }
 
-    /// All samples so far, and the image from them.
+    /// Writes all samples so far and the image that was denoised from them.
     pub(crate) fn write(
         &self,
         label: &str,
@@ -138,7 +139,7 @@ impl Folder {
     ) -> Result<(), Failure> {
         let file = self.samples(label);
         write_samples(samples, &file, &[(ATTRIBUTE.to_owned(), self.setup.clone())]).map_err(Failure::output)?;
-        // They are among the others now.
+        // The new samples are among `samples` now.
         let _ = std::fs::remove_file(self.path.join(format!("new_{label}.exr")));
         let set = BufferSet::read(&BufferSetRequest { input: file, ..Default::default() })?;
         write_estimate(
@@ -153,7 +154,7 @@ impl Folder {
     }
 }
 
-/// Parameters of which one says something else than the other.
+/// Lists the parameters that differ between the earlier run and this one.
 fn differences(then: &Map<String, Value>, now: &Map<String, Value>) -> Vec<String> {
     let names = then.keys().chain(now.keys().filter(|name| !then.contains_key(*name)));
     let text = |value: Option<&Value>| value.map_or_else(|| "nothing".to_owned(), Value::to_string);

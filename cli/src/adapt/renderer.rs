@@ -18,33 +18,33 @@ use super::super::interrupt::Companion;
 use super::super::progress::is_watched;
 use super::super::template::fill;
 
-/// How much of what a command said is kept for an error message.
+/// Number of lines of a command's output that are kept for an error message.
 const LINES: usize = 10;
 
-/// What a command is run for.
+/// Purpose of a run of the command.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum Turn {
-    /// The next call is for this iteration, and so on.
+    /// Iteration of the next call; each call adds 1.
     Iteration(u32),
-    /// Even sampling, with this for the number of the iteration.
+    /// Even sampling; the number is passed to the command as its iteration.
     Uniform(u32),
 }
 
-/// Draws samples by a command.
+/// Sampler that draws by running a command.
 #[derive(Debug)]
 pub(crate) struct Renderer<'a> {
     command: &'a str,
     extent: Extent,
     folder: &'a Path,
     turn: Turn,
-    /// Passes on what the command says.
+    /// Whether the command's output is copied to standard error.
     talk: bool,
-    /// Tells what looks wrong and is not.
+    /// Whether a warning is printed if the command draws another number of samples than the map asks for.
     warn: bool,
 }
 
 impl<'a> Renderer<'a> {
-    /// Whether a command can do its work.
+    /// Refuses a command without the placeholders `{map}` and `{out}`.
     pub(crate) fn check(command: &str) -> std::result::Result<(), Failure> {
         match ["{map}", "{out}"].into_iter().find(|placeholder| !command.contains(placeholder)) {
             None => Ok(()),
@@ -54,7 +54,7 @@ impl<'a> Renderer<'a> {
         }
     }
 
-    /// Finds the maps in `folder`, where they must be before they are drawn.
+    /// Creates a renderer. The map of each iteration must be in `folder` before its samples are drawn.
     pub(crate) fn new(command: &'a str, extent: Extent, folder: &'a Path, turn: Turn, quiet: bool) -> Self {
         Self { command, extent, folder, turn, talk: !quiet && is_watched(), warn: !quiet }
     }
@@ -80,7 +80,7 @@ impl<'a> Renderer<'a> {
         let mut child = child.map_err(|error| failed(format!("cannot be run ({error})"), ""))?;
         let _ends_with_this = Companion::of(&child);
         let (stdout, stderr) = (child.stdout.take(), child.stderr.take());
-        // Both at once: a full pipe would make the command wait.
+        // Reads both pipes at the same time: a full pipe would block the command.
         let (stdout, stderr) = thread::scope(|scope| {
             let stdout = scope.spawn(|| last_lines(stdout, self.talk));
             let stderr = last_lines(stderr, self.talk);
@@ -104,7 +104,7 @@ impl Sampler for Renderer<'_> {
     fn sample(&mut self, counts: &SampleCounts, _progress: Progress<'_>) -> Result<Samples> {
         let (map, out) = (self.file("map"), self.file("new"));
         let unusable = |problem: String, remedy: String| Error::File { path: out.clone(), problem, remedy };
-        // What an interrupted run left must not be taken for an answer.
+        // Removes the output of an interrupted run, which must not be taken for the output of this one.
         match std::fs::remove_file(&out) {
             Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
                 return Err(unusable(
@@ -158,7 +158,7 @@ fn shell(command: &OsStr) -> Command {
     shell
 }
 
-/// A path as one word for the shell.
+/// Quotes a path as one word for the shell.
 #[cfg(unix)]
 fn quoted(path: &Path) -> OsString {
     use std::os::unix::ffi::{OsStrExt, OsStringExt};
@@ -167,7 +167,7 @@ fn quoted(path: &Path) -> OsString {
     OsString::from_vec([b"'", parts.join(&br"'\''"[..]).as_slice(), b"'"].concat())
 }
 
-/// A path as one word for the shell; it holds no quotes.
+/// Quotes a path as one word for the shell. The path itself contains no quotes.
 #[cfg(not(unix))]
 fn quoted(path: &Path) -> OsString {
     let mut quoted = OsString::from("\"");
@@ -176,10 +176,10 @@ fn quoted(path: &Path) -> OsString {
     quoted
 }
 
-/// Bytes of a line that are looked at as one: a command may write without end and never end a line.
+/// Largest number of bytes of a line that are handled at once: a command may write endlessly without a line break.
 const LINE_BYTES: u64 = 4096;
 
-/// Reads to the end and keeps the last lines.
+/// Reads the stream to its end and returns the last lines. Copies everything to standard error if `talk` is set.
 fn last_lines(stream: Option<impl Read>, talk: bool) -> String {
     let mut lines = VecDeque::new();
     let Some(mut stream) = stream.map(BufReader::new) else {
@@ -188,8 +188,8 @@ fn last_lines(stream: Option<impl Read>, talk: bool) -> String {
     let mut line = Vec::new();
     while matches!(stream.by_ref().take(LINE_BYTES).read_until(b'\n', &mut line), Ok(bytes) if bytes > 0) {
         if talk {
-            // As the command wrote it, progress bars and colours among it: it has the terminal of whoever named it.
-            // Where nobody listens any more, the work goes on.
+            // Copies the bytes unchanged, with the command's progress bars and colours, to the user's terminal. Ignores
+            // errors: the work goes on if nobody reads standard error any more.
             let _ = std::io::stderr().write_all(&line);
         }
         if lines.len() == LINES {

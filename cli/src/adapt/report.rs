@@ -1,4 +1,4 @@
-//! What `stein adapt` has to say.
+//! The report of `stein adapt`, as text and JSON.
 
 use serde::Serialize;
 use serde_json::Value;
@@ -17,22 +17,22 @@ use super::folder::Setup;
 pub(crate) struct Document {
     setup: Value,
     device: AdapterSummary,
-    /// The last iteration that was complete before; it is the first of `iterations`.
+    /// Number of the last iteration that was complete before this run; that iteration is the first of `iterations`.
     resumed_after: Option<u32>,
     pub(crate) iterations: Vec<Row>,
-    /// All samples drawn evenly.
+    /// Result of drawing all samples evenly.
     pub(crate) uniform: Option<Row>,
 }
 
-/// After an iteration.
+/// Result after an iteration.
 #[derive(Debug, Serialize)]
 pub(crate) struct Row {
     iteration: String,
-    /// Of all samples so far.
+    /// Distribution of all samples so far.
     samples: Spread,
-    /// Without a reference.
+    /// Relative MSE, estimated without a reference.
     estimated_relative_mse: Option<f64>,
-    /// Against the reference.
+    /// Errors against the reference; `None` without one.
     errors: Option<Errors>,
 }
 
@@ -49,7 +49,7 @@ impl Document {
         Ok(Self { setup, device: device.clone(), resumed_after, iterations: Vec::new(), uniform: None })
     }
 
-    /// The last iteration against even sampling, where both are known.
+    /// Formats a note on the errors, with the ratio of the last iteration to even sampling if both errors are known.
     pub(crate) fn comparison(&self) -> String {
         let errors = self
             .iterations
@@ -90,7 +90,7 @@ impl Row {
         format!("  {:<9}{:>9}{:>16}{:>12}{errors}", "iteration", "spp", "per pixel", "estimated")
     }
 
-    /// A line under that head.
+    /// Formats the row under the columns of [`Self::head`].
     pub(crate) fn text(&self) -> String {
         let errors = self.errors.as_ref().map(|errors| {
             [errors.noisy_relative_mse, errors.denoised_relative_mse]

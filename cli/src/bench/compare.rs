@@ -9,27 +9,27 @@ use super::super::document::{self, Kind};
 use super::super::out::{number, table};
 use super::results::{Adapter, Document, Row, SCHEMA, VERSION};
 
-/// Stages whose time changed by less are not told.
+/// Smallest relative change of a stage's time that is reported.
 const STAGE_CHANGE: f64 = 0.05;
 
-/// From where on a row is marked, where no --fail-above says otherwise.
+/// Ratio above which a row is marked without `--fail-above`.
 const MARK_ABOVE: f64 = 1.1;
 
-/// From where on an error is worse: results are the same to the bit where nothing was changed.
+/// Ratio above which an error is worse. Results are the same to the bit if nothing was changed.
 const ERROR_ABOVE: f64 = 1.001;
 
-/// New to old.
+/// Ratios of a run to an earlier one.
 #[derive(Debug, Serialize)]
 pub(super) struct Comparison {
-    /// When the old run was.
+    /// Date of the old run.
     date: String,
-    /// The old run's, where it was another.
+    /// Adapter of the old run, if it differs.
     other_adapter: Option<Adapter>,
-    /// What makes the runs hard to compare.
+    /// Remarks on what makes the runs hard to compare.
     notes: Vec<String>,
     rows: Vec<Ratios>,
-    /// Rows whose time or error grew more than allowed, or that have no error any more, or are gone though the same was
-    /// to be measured.
+    /// Rows whose time or error grew more than allowed, that have no error any more, or that are missing although both
+    /// runs have the same arguments.
     failed: Vec<String>,
 }
 
@@ -40,18 +40,18 @@ struct Ratios {
     wall: f64,
     cpu: Option<f64>,
     device: Option<f64>,
-    /// Those that changed.
+    /// Name and time ratio of each stage that changed.
     stages: Vec<(String, f64)>,
     relative_mse: Option<f64>,
-    /// The result had errors, and holds values that are not finite now.
+    /// Whether the old result had an error and the new one holds values that are not finite.
     lost_its_errors: bool,
-    /// The result was the reference to the bit, and is not any more.
+    /// Whether the old result was the reference to the bit and the new one is not.
     was_exact: bool,
     is_slower: bool,
     is_worse: bool,
 }
 
-/// The `results.json` of an earlier run; a report's folder will do.
+/// Reads the `results.json` of an earlier run. `path` is that file or the folder of the report.
 pub(super) fn read(path: &Path) -> Result<Document, Failure> {
     let file = if path.is_dir() { path.join("results.json") } else { path.to_owned() };
     document::read(
@@ -65,7 +65,8 @@ pub(super) fn read(path: &Path) -> Result<Document, Failure> {
     )
 }
 
-/// Times of different adapters say nothing of a program's progress: they are not allowed to decide over an exit code.
+/// Refuses `--fail-above` if the adapters differ: times of different adapters do not show whether the program became
+/// slower, so they must not decide the exit code.
 pub(super) fn check_adapter(old: &Document, adapter: &Adapter, fail_above: Option<f64>) -> Result<(), Failure> {
     if fail_above.is_none() || old.adapter == *adapter {
         return Ok(());
@@ -124,7 +125,7 @@ pub(super) fn compare(old: &Document, new: &Document, fail_above: Option<f64>) -
             let why = if row.lost_its_errors { ": not finite any more" } else { "" };
             format!("{}, {}{why}", row.set, row.configuration)
         }));
-        // Who asks for something else does without them.
+        // Missing rows count only if the arguments are the same: other arguments may measure other rows.
         let are_missed = old.arguments == new.arguments;
         failed.extend(
             vanished
@@ -151,9 +152,9 @@ impl Ratios {
         let stages =
             new.stages.iter().filter_map(|of| stage(&of.stage)).filter(|(_, ratio)| (ratio - 1.0).abs() > STAGE_CHANGE);
         let (wall, relative_mse) = (new.wall_ms / old.wall_ms, ratio(old.relative_mse(), new.relative_mse()));
-        // Where there is a reference still.
+        // Only if the new run has a reference as well.
         let lost_its_errors = old.relative_mse().is_some() && new.errors.is_some() && new.relative_mse().is_none();
-        // No ratio tells of it.
+        // An old error of 0 has no ratio.
         let was_exact = old.relative_mse() == Some(0.0) && new.relative_mse().is_some_and(|error| error > 0.0);
         Self {
             set: new.set.clone(),
@@ -210,7 +211,7 @@ impl Comparison {
         lines.join("\n")
     }
 
-    /// Fails where --fail-above says so.
+    /// Fails if rows exceed the limit of `--fail-above`.
     pub(super) fn verdict(&self, fail_above: Option<f64>) -> Result<(), Failure> {
         let Some(limit) = fail_above else { return Ok(()) };
         if self.rows.is_empty() && self.failed.is_empty() {
@@ -229,7 +230,7 @@ impl Comparison {
     }
 }
 
-/// A table whose last column is text.
+/// Formats a table whose last column is text.
 fn left_last(rows: &[Vec<String>]) -> String {
     let width = rows.iter().filter_map(|row| row.last()).map(|cell| cell.chars().count()).max().unwrap_or(0);
     let padded: Vec<Vec<String>> = rows
@@ -252,7 +253,7 @@ mod tests {
 
     use super::*;
 
-    /// One row, of 100 ms and this relative MSE.
+    /// Returns a document with one row of 100 ms and the given relative MSE.
     fn document(relative_mse: Value) -> Document {
         let errors = json!({ "relative_mse": relative_mse, "mse": null, "ssim": null, "flip": null });
         let row = json!({ "set": "box", "configuration": "gem", "first_ms": 1.0, "wall_ms": 100.0, "wall_ms_per_megapixel": 1.0, "stages": [], "errors": errors });

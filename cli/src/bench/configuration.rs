@@ -11,7 +11,7 @@ use super::Axes;
 use super::external::External;
 use super::results::{self, Parameters};
 
-/// The parameter of `--second-pass`.
+/// Name of the parameter of `--second-pass`.
 const SECOND_PASS: &str = "second_pass";
 
 /// A way to denoise a set.
@@ -23,14 +23,14 @@ pub(super) struct Configuration {
 pub(super) enum How {
     Stein {
         method: Method,
-        /// Also what a frame does not need.
+        /// Whether steps that a frame does not need run as well.
         everything: bool,
         noise: NoiseAxis,
     },
     External(External),
 }
 
-/// All of them, and what is to say of options that some of the methods do not have.
+/// Returns all configurations, and notes on options that some of the methods do not have.
 pub(super) fn configurations(axes: &Axes) -> Result<(Vec<Configuration>, Vec<String>), Failure> {
     let file = axes.tuning.file()?;
     if let Some(file) = &file {
@@ -47,7 +47,7 @@ pub(super) fn configurations(axes: &Axes) -> Result<(Vec<Configuration>, Vec<Str
     let noise = distinct(&axes.noise, &[NoiseAxis::Given]);
     axes.tuning.check(&methods)?;
     let mut notes = Vec::new();
-    // An option that only some have makes no further configurations of the others.
+    // A method without the option is measured once, whatever the values of the option.
     let mut check = |option: &str, is_given: bool, parameter: &str| {
         let without: Vec<_> =
             methods.iter().filter(|method| !method.has_parameter(parameter)).map(Method::name).collect();
@@ -66,7 +66,7 @@ pub(super) fn configurations(axes: &Axes) -> Result<(Vec<Configuration>, Vec<Str
     check("--second-pass", !axes.second_pass.is_empty(), SECOND_PASS)?;
 
     let mut configurations = Vec::new();
-    // What holds for all methods.
+    // Axes that all methods have.
     let frames = || noise.iter().flat_map(|noise| everything.iter().map(|everything| (*noise, *everything)));
     for &method in &methods {
         for &preset in &presets {
@@ -119,7 +119,7 @@ pub(super) enum NoiseAxis {
 }
 
 impl NoiseAxis {
-    /// What is left of the knowledge of a frame; `None` where all of it is.
+    /// Returns the noise knowledge that is left of a frame; `None` if all of it is left.
     pub(super) fn knowledge(self) -> Option<NoiseKnowledge> {
         match self {
             Self::Given => None,
@@ -137,12 +137,12 @@ impl NoiseAxis {
     }
 }
 
-/// What was given, or the preset's own.
+/// Returns the given values without repetitions, or a single `None`, which stands for the preset's own value.
 fn choices<T: Copy + PartialEq>(given: &[T]) -> Vec<Option<T>> {
     if given.is_empty() { vec![None] } else { distinct(given, &[]).into_iter().map(Some).collect() }
 }
 
-/// What was given, without repetitions, or the default where nothing was.
+/// Returns the given values without repetitions, or the default values if none are given.
 pub(super) fn distinct<T: Copy + PartialEq>(given: &[T], default: &[T]) -> Vec<T> {
     let mut values = Vec::new();
     for &value in if given.is_empty() { default } else { given } {
@@ -153,12 +153,13 @@ pub(super) fn distinct<T: Copy + PartialEq>(given: &[T], default: &[T]) -> Vec<T
     values
 }
 
-/// The choices of a method that has any, or the only one.
+/// Returns `choices` if the method has the parameter, else a single `None`.
 fn of<T: Copy>(choices: &[Option<T>], has: bool) -> &[Option<T>] {
     if has { choices } else { &[None] }
 }
 
-/// Its name says all that differs from the default, so that it means the same in every report.
+/// Builds a configuration. Its name states everything that differs from the default, so that the name means the same in
+/// every report.
 fn configuration(
     Chosen { mut method, preset }: Chosen,
     second_pass: Option<Switch>,
@@ -175,7 +176,7 @@ fn configuration(
     let mut candidates = None;
     let mut has_second_pass = None;
     for (parameter, of_preset) in method.parameters().into_iter().zip(method.of_preset(preset).parameters()) {
-        // One of a group that is left out.
+        // The parameter belongs to a group that is left out.
         let Some(value) = parameter.value else { continue };
         let differs = Some(&value) != of_preset.value.as_ref();
         match (parameter.name.as_str(), value) {
@@ -193,7 +194,7 @@ fn configuration(
                 has_second_pass = Some(is_there);
             }
             ("spikes", value) if differs => series += &format!(" spikes {value}"),
-            // It stands at the end.
+            // The radius comes at the end of the name.
             (WINDOW_RADIUS, _) => {}
             (name, value) if differs => series += &format!(" {name} {value}"),
             _ => {}

@@ -1,9 +1,10 @@
-//! `results.csv`: a line for each row of the document, with what is known of its set and configuration.
+//! `results.csv`: a line for each row of the document, with the data of its set and configuration.
 
 use super::super::Failure;
 use super::results::{Document, Errors, stage_names};
 
-/// Numbers as they are, in the units of the document; empty where there is none. A column for each stage, `<stage>_ms`.
+/// Formats the document as CSV. Numbers are in the units of the document; a missing number is an empty cell. Each stage
+/// has a column `<stage>_ms`.
 pub(super) fn csv(document: &Document) -> Result<Vec<u8>, Failure> {
     let failed = |error: csv::Error| Failure::output(format_args!("results.csv: {error}"));
     let stages = stage_names(document.rows.iter());
@@ -65,7 +66,7 @@ pub(super) fn csv(document: &Document) -> Result<Vec<u8>, Failure> {
     writer.into_inner().map_err(|error| Failure::output(format_args!("results.csv: {error}")))
 }
 
-/// Before the stages.
+/// Columns before the stages.
 const COLUMNS: [&str; 37] = [
     "date",
     "stein",

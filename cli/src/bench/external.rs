@@ -17,10 +17,10 @@ use super::super::interrupt::Companion;
 use super::super::template::fill;
 use super::results;
 
-/// How much of what a program said is kept for an error message.
+/// Number of lines of a program's output that are kept for an error message.
 const LINES: usize = 10;
 
-/// `NAME=command {in} {out}`.
+/// Another denoiser, written `NAME=command {in} {out}`.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct External {
     pub(super) name: String,
@@ -39,7 +39,7 @@ impl FromStr for External {
         if name.is_empty() || words.is_empty() {
             return Err(shape.into());
         }
-        // The program itself is no file of ours.
+        // The first word is the program, so that only the other words can name files.
         match ["{in}", "{out}"]
             .into_iter()
             .find(|placeholder| !words[1..].iter().any(|word| word.contains(placeholder)))
@@ -60,8 +60,8 @@ impl External {
         }
     }
 
-    /// Runs it on a file. Gives the seconds that it took on the clock; its result is then in `output`. No shell is
-    /// asked, so that a path is always one word.
+    /// Runs the program on a file and returns the wall-clock time in seconds. The result is in `output` afterwards. No
+    /// shell is used, so that a path is always one word.
     pub(super) fn run(&self, input: &Path, output: &Path) -> Result<f64, Failure> {
         let paths = [("{in}", input.as_os_str()), ("{out}", output.as_os_str())];
         let words: Vec<OsString> = self.words.iter().map(|word| fill(word, &paths)).collect();
@@ -73,14 +73,14 @@ impl External {
                 self.name
             ))
         };
-        // What an earlier run wrote must not be taken for an answer.
+        // Removes the output of an earlier run, which must not be taken for the output of this one.
         match std::fs::remove_file(output) {
             Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
                 return Err(failed(format!("{} cannot be replaced ({error})", text::path(output)), ""));
             }
             _ => {}
         }
-        // Into files, which never make a program wait.
+        // Standard error goes into a file, which never makes a program wait.
         let log = output.with_extension("log");
         let unusable = |error: std::io::Error| {
             Failure::output(format_args!(
@@ -106,7 +106,7 @@ impl External {
         if output.is_file() { Ok(seconds) } else { Err(failed("did not write its output".into(), &said)) }
     }
 
-    /// What it wrote.
+    /// Reads the image that the program wrote.
     pub(super) fn read(&self, output: &Path, extent: Extent) -> Result<Image, Failure> {
         let failed = |problem: String| Failure::input(format_args!("--external {}: {problem}", self.name));
         let image = read_reference(output, None).map_err(|error| failed(error.to_string()))?;
@@ -120,7 +120,7 @@ impl External {
     }
 }
 
-/// The end of a file, be it as large as it may.
+/// Reads the end of a file, however large the file is.
 fn end_of(path: &Path) -> std::io::Result<String> {
     const BYTES: u64 = 1 << 16;
     let mut file = File::open(path)?;
@@ -183,7 +183,7 @@ mod tests {
         let external: External = "copy=cp {in} {out}".parse().unwrap();
         external.run(&input, &output).unwrap();
         assert_eq!(std::fs::read(&output).unwrap(), b"content");
-        // Megabytes of complaints are not read.
+        // Only the end of megabytes of messages is read.
         let external: External =
             "noise=sh -c 'head -c 9000000 /dev/zero >&2; echo the end >&2; exit 3' {in} {out}".parse().unwrap();
         let failure = external.run(&input, &output).unwrap_err();

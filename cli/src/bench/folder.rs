@@ -9,16 +9,16 @@ use stein_exr::atomic_file::{self, Aside};
 use super::super::Failure;
 use super::compare;
 
-/// What a report consists of.
+/// Files of a report.
 const FILES: [&str; 3] = ["results.json", "results.csv", "index.html"];
 
-/// Where a report goes.
+/// Folder of a report.
 pub(super) struct Folder {
     path: PathBuf,
 }
 
 impl Folder {
-    /// Only a report, an empty folder or nothing may be there. Told before anything is measured.
+    /// Checks before anything is measured that `path` is a report, an empty folder, or does not exist.
     pub(super) fn check(path: &Path) -> Result<Self, Failure> {
         let name = text::path(path);
         let unusable = |error: std::io::Error| {
@@ -33,17 +33,17 @@ impl Folder {
             )));
         }
         let folder = Self { path: absolute };
-        // It is gone again at once.
+        // Tests that a temporary folder can be created; that folder is removed at once.
         folder.aside().map_err(unusable)?;
         Ok(folder)
     }
 
-    /// The page.
+    /// Returns the path of the page.
     pub(super) fn index(&self) -> PathBuf {
         self.path.join("index.html")
     }
 
-    /// A new folder beside it, so that renaming is all that is left to do.
+    /// Creates a temporary folder beside the report's folder, so that a finished report only has to be renamed.
     fn aside(&self) -> std::io::Result<Aside<tempfile::TempDir>> {
         let mut builder = tempfile::Builder::new();
         builder.prefix(".stein-report-");
@@ -53,22 +53,22 @@ impl Folder {
         Aside::make(|| builder.tempdir_in(self.path.parent().unwrap_or(Path::new("/"))))
     }
 
-    /// Gives a new report the access rights of the one that it replaces, and its files theirs.
+    /// Gives a new report and its files the access rights of the report and the files that they replace.
     fn hand_down_rights(&self, new: &Path) -> std::io::Result<()> {
         for file in FILES {
-            // An empty folder has none.
+            // An empty folder has no files to replace.
             if let Ok(replaced) = self.path.join(file).metadata() {
                 atomic_file::inherit(&File::open(new.join(file))?, &replaced);
             }
         }
-        // A folder can be opened where it has rights of its own.
+        // A folder can be opened on systems where it has access rights of its own.
         if cfg!(unix) {
             atomic_file::inherit(&File::open(new)?, &self.path.metadata()?);
         }
         Ok(())
     }
 
-    /// Writes the files, in the order of [`FILES`], and puts them in the place of what was there.
+    /// Writes the files, in the order of [`FILES`], and replaces the earlier report or the empty folder.
     pub(super) fn write(&self, contents: [&[u8]; 3]) -> Result<(), Failure> {
         let name = text::path(&self.path);
         let failed = |error: std::io::Error| {
@@ -80,7 +80,7 @@ impl Folder {
         for (file, content) in FILES.iter().zip(contents) {
             std::fs::write(new.path().join(file), content).map_err(failed)?;
         }
-        // What is there may have changed meanwhile.
+        // The folder may have changed since [`Self::check`].
         if self.path.exists() {
             if !may_be_replaced(&self.path).map_err(failed)? {
                 return Err(Failure::output(format_args!(
@@ -94,7 +94,7 @@ impl Folder {
                 std::fs::rename(&self.path, &old_report)?;
                 let placed = std::fs::rename(new.path(), &self.path);
                 match &placed {
-                    // It is not temporary any more, and is not there under its first name.
+                    // The folder has its final name now and must not be removed as a temporary one.
                     Ok(()) => drop(new.keep()),
                     Err(_) => std::fs::rename(&old_report, &self.path)?,
                 }
@@ -106,7 +106,7 @@ impl Folder {
     }
 }
 
-/// An empty folder, or a report and nothing else.
+/// Whether the path is an empty folder, or a report and nothing else.
 fn may_be_replaced(path: &Path) -> std::io::Result<bool> {
     if !path.is_dir() {
         return Ok(false);

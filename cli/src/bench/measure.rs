@@ -41,7 +41,7 @@ impl<'a> Contestant<'a> {
         Ok(Self { configuration, runner })
     }
 
-    /// All that is left to it of what is known of the noise; `None` where nothing is taken away.
+    /// Returns the noise knowledge that is left to the contestant; `None` if nothing is taken away.
     pub(super) fn noise_knowledge(&self) -> Option<NoiseKnowledge> {
         match &self.configuration.how {
             How::Stein { noise, .. } => noise.knowledge(),
@@ -49,7 +49,8 @@ impl<'a> Contestant<'a> {
         }
     }
 
-    /// Another program reads the file, and knows nothing of what was made of it.
+    /// Whether the contestant can run on the case. Another program reads the set's file, so it cannot run on a resized
+    /// set.
     fn can_run(&self, case: &Case<'_>) -> bool {
         matches!(self.runner, Runner::Stein(_)) || !case.set.is_resized
     }
@@ -59,39 +60,39 @@ impl<'a> Contestant<'a> {
 pub(super) struct Case<'a> {
     pub(super) set: &'a Set,
     pub(super) frame: &'a Frame,
-    /// The frame with less known of its noise, for all that contestants ask for.
+    /// Frames with less noise knowledge, one for each knowledge that contestants ask for.
     pub(super) less_known: &'a [(NoiseKnowledge, Frame)],
     pub(super) reference: Option<&'a Image>,
 }
 
 impl Case<'_> {
-    /// The frame as a contestant gets it.
+    /// Returns the frame as the contestant gets it.
     fn frame_for(&self, contestant: &Contestant<'_>) -> &Frame {
         let knowledge = contestant.noise_knowledge();
         self.less_known.iter().find(|(known, _)| Some(*known) == knowledge).map_or(self.frame, |(_, frame)| frame)
     }
 }
 
-/// What a configuration made of a case.
+/// Result of a configuration on a case.
 pub(super) struct Outcome {
     pub(super) row: Row,
     pub(super) image: Image,
 }
 
-/// What is known of a configuration while it is being measured.
+/// Measurements of a configuration so far.
 struct Record {
     first_ms: f64,
     image: Image,
     predicted_mse: Option<f64>,
     walls_ms: Vec<f64>,
     cpus_ms: Vec<f64>,
-    /// Stage, dispatches, milliseconds of each run.
+    /// Name, number of dispatches, and milliseconds of each run, for every stage.
     stages: Vec<(String, usize, Vec<f64>)>,
     peak_bytes: Option<u64>,
     strips: Option<usize>,
 }
 
-/// How many runs [`measure`] makes of each contestant.
+/// Returns the number of runs that [`measure`] makes for each contestant.
 pub(super) fn runs(repeats: u32) -> u64 {
     1 + 2 * u64::from(repeats)
 }
@@ -121,7 +122,7 @@ pub(super) fn measure(
         bar.inc(1);
     }
     for _ in 0..repeats {
-        // In turn, so that a machine that slows down meanwhile slows down for all.
+        // Contestants take turns, so that a machine that slows down affects all of them alike.
         for (contestant, record) in contestants.iter().zip(&mut records) {
             interrupt::check()?;
             match &contestant.runner {
@@ -157,7 +158,7 @@ pub(super) fn measure(
     Ok(outcomes)
 }
 
-/// The first dispatch of a kernel compiles it.
+/// Makes the first run of a contestant: the first dispatch of a kernel compiles it.
 fn warm_up(gpu: &Gpu, denoiser: &Denoiser, frame: &Frame) -> Result<Record, Failure> {
     gpu.set_timing(false);
     let start = Instant::now();
@@ -231,7 +232,7 @@ impl Record {
     }
 }
 
-/// An image against its reference, by all measures.
+/// Computes all error measures of an image against its reference.
 pub(super) fn errors(image: &Image, reference: &Image) -> Result<Errors, Failure> {
     let finite = |value: f64| value.is_finite().then_some(value);
     let relative_mse = finite(metric::relative_mse(image, reference)?);
@@ -239,7 +240,7 @@ pub(super) fn errors(image: &Image, reference: &Image) -> Result<Errors, Failure
         relative_mse,
         mse: finite(metric::mse(image, reference)?),
         ssim: finite(metric::ssim(image, reference)?),
-        // Takes what is not finite for black.
+        // FLIP takes values that are not finite for black, so it is computed only for finite images.
         flip: relative_mse.map(|_| metric::flip(image, reference)).transpose()?,
     })
 }

@@ -34,12 +34,12 @@ pub(super) fn page(document: &Document, gallery: &Gallery) -> Result<String, Fai
     ))
 }
 
-/// What the sections share: which colour and which shape stands for what.
+/// Data that the sections share: the colour of each series and the shape of each radius.
 struct Page<'a> {
     document: &'a Document,
-    /// Each has a colour.
+    /// Names of the series; each has a colour.
     series: Vec<&'a str>,
-    /// Each has a shape; `None` is last.
+    /// Window radii in pixels; each has a shape. `None` is last.
     radii: Vec<Option<u32>>,
 }
 
@@ -84,7 +84,7 @@ impl<'a> Page<'a> {
         )
     }
 
-    /// Colours and shapes, for all plots but that of the stages.
+    /// Formats the legend of colours and shapes, for all plots except the plot of the stages.
     fn legend(&self) -> String {
         let colors = self
             .series
@@ -100,7 +100,7 @@ impl<'a> Page<'a> {
         format!("<div class=\"legend\">{colors}{shapes}</div>\n")
     }
 
-    /// Plots side by side, or what to do to have some.
+    /// Formats `text` and the plots side by side, or only the hint `otherwise` if no plot can be drawn.
     fn panels(&self, text: &str, plots: &[Plot], otherwise: &str) -> String {
         let drawn: Vec<String> = plots.iter().filter_map(Plot::svg).collect();
         if drawn.is_empty() {
@@ -146,7 +146,8 @@ impl<'a> Page<'a> {
         }
     }
 
-    /// A point for each of these configurations, those of a series joined by a line, and the front.
+    /// Makes a plot with a point for each configuration, a line through the points of each series, and the Pareto
+    /// front.
     fn contest(&self, title: String, x_title: &str, points: &[(&Configuration, (f64, f64), String)]) -> Plot {
         let on_front = front(&points.iter().map(|(_, point, _)| *point).collect::<Vec<_>>());
         let mut best: Vec<(f64, f64)> =
@@ -208,7 +209,7 @@ impl<'a> Page<'a> {
         self.panels(text, &plots, "No set has a reference: give one with --ref.")
     }
 
-    /// Configurations that ran on all of these sets, over all of them.
+    /// Returns time and error of each configuration that has an error on every set, as geometric means over the sets.
     fn overall(&self, sets: &[&Set]) -> Vec<(&'a Configuration, (f64, f64), String)> {
         let over = |configuration: &'a Configuration| {
             let rows: Vec<&Row> = sets
@@ -238,7 +239,7 @@ impl<'a> Page<'a> {
     fn error_over_samples(&self) -> String {
         let mut plots = Vec::new();
         for scene in self.scenes() {
-            // At their own sizes, where there are several: a resized set is another picture.
+            // Uses sets at their own sizes only: a resized set is another picture.
             let sets: Vec<(&Set, f64)> = self
                 .sets_of(scene)
                 .filter(|set| set.noisy.is_some() && !set.is_resized)
@@ -284,7 +285,7 @@ impl<'a> Page<'a> {
         if names.is_empty() {
             return "<p>This adapter cannot time stages.</p>".into();
         }
-        // The largest have colours, in the order in which they run.
+        // The stages that take most of the time have colours.
         let total = |name: &str| -> f64 {
             self.document
                 .rows
@@ -385,7 +386,7 @@ impl<'a> Page<'a> {
 
     fn cost(&self) -> String {
         let mut exponents: Vec<String> = Vec::new();
-        // Whether they lie far enough apart to say anything.
+        // Adds a row for the exponent. Returns whether the points lie far enough apart for an exponent.
         let mut tell = |name: &str, points: &[(f64, f64)], of: &str| {
             let found = exponent(points);
             exponents.extend(
@@ -538,7 +539,7 @@ impl<'a> Page<'a> {
     }
 }
 
-/// The geometric mean for each number of pixels, ascending.
+/// Returns the geometric mean for each number of pixels, ascending.
 fn means(mut rows: Vec<(u64, f64)>) -> Vec<(f64, f64)> {
     rows.sort_by_key(|(pixels, _)| *pixels);
     let groups = rows.chunk_by(|a, b| a.0 == b.0);

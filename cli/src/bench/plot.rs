@@ -1,41 +1,41 @@
-//! Plots as SVG: written here, and not with a plotting library, because tooltips, colours that follow the reader's
-//! light or dark theme, and open marks at the edge for what a logarithmic axis cannot hold are most of what the page
-//! needs. Colours are classes of the page's style sheet: `s0`, `s1` … fill and stroke.
+//! Plots as SVG, written without a plotting library. Most of what the page needs is tooltips, colours that follow the
+//! reader's light or dark theme, and open marks at the edge for values that a logarithmic axis cannot hold. Colours are
+//! classes of the page's style sheet: `s0`, `s1` … fill and stroke.
 
-/// Colours there are, after which they repeat.
+/// Number of colours, after which they repeat.
 pub(super) const COLORS: usize = 10;
 
-/// Shapes there are, after which they repeat.
+/// Number of shapes, after which they repeat.
 pub(super) const SHAPES: usize = 6;
 
 /// Points and lines over two logarithmic axes.
 #[derive(Debug, Default)]
 pub(super) struct Plot {
     pub(super) title: String,
-    /// With units.
+    /// Title of the axis, with its unit.
     pub(super) x_title: String,
     pub(super) y_title: String,
-    /// Where x is marked, in place of round numbers.
+    /// Marked values of x, in place of round numbers.
     pub(super) x_ticks: Option<Vec<f64>>,
     pub(super) lines: Vec<Line>,
     pub(super) marks: Vec<Mark>,
-    /// Both axes have one range, and their diagonal is drawn.
+    /// Whether both axes have one range and their diagonal is drawn.
     pub(super) has_diagonal: bool,
 }
 
 #[derive(Debug)]
 pub(super) struct Line {
     pub(super) points: Vec<(f64, f64)>,
-    /// Class for its colour and dashes.
+    /// Class of the style sheet for the colour and the dashes.
     pub(super) class: String,
-    /// Goes along the axes: first to the right, then down.
+    /// Whether the line goes along the axes: first to the right, then down.
     pub(super) is_stepped: bool,
     pub(super) tip: String,
 }
 
 #[derive(Debug)]
 pub(super) struct Mark {
-    /// At most 0 here or below: drawn open at the edge.
+    /// Horizontal value. If this value or `y` is at most 0, the mark is drawn open at the edge.
     pub(super) x: f64,
     pub(super) y: f64,
     pub(super) color: usize,
@@ -60,12 +60,13 @@ struct Field {
 struct Axis {
     least: f64,
     most: f64,
-    /// Where the ends are drawn.
+    /// Positions of `least` and `most` in the drawing, in pixels.
     ends: (f64, f64),
 }
 
 impl Axis {
-    /// Around positive values, with some space at both ends; over a factor of 2 at the least.
+    /// Returns an axis around the positive values, with some space at both ends and over a factor of 2 at least.
+    /// Returns `None` without positive values.
     fn around(values: impl Iterator<Item = f64>, ends: (f64, f64)) -> Option<Self> {
         let positive = values.filter(|value| *value > 0.0 && value.is_finite());
         let (least, most) =
@@ -83,7 +84,7 @@ impl Axis {
         self.ends.0 + share * (self.ends.1 - self.ends.0)
     }
 
-    /// Round values, three to ten of them.
+    /// Returns round values to mark: at most eight, and at least three if the range has as many.
     fn ticks(&self) -> Vec<f64> {
         let decades = self.least.log10().floor() as i32..=self.most.log10().ceil() as i32;
         let with = |mantissas: &[f64]| -> Vec<f64> {
@@ -110,7 +111,7 @@ impl Axis {
 }
 
 impl Plot {
-    /// Nothing where nothing can be drawn.
+    /// Formats the plot as SVG; `None` if nothing can be drawn.
     pub(super) fn svg(&self) -> Option<String> {
         let points = || self.lines.iter().flat_map(|line| &line.points);
         let xs = || {
@@ -226,7 +227,7 @@ impl Mark {
     }
 }
 
-/// A mark of the legend.
+/// Formats a mark of the legend.
 pub(super) fn key(color: Option<usize>, shape_index: usize) -> String {
     let class = color.map_or_else(|| "plain".to_owned(), |color| format!("s{}", color % COLORS));
     format!(
@@ -275,7 +276,7 @@ pub(super) struct Bars {
 #[derive(Debug)]
 pub(super) struct Bar {
     pub(super) name: String,
-    /// Some space sets it apart from the one above.
+    /// Whether space separates the bar from the one above.
     pub(super) begins_group: bool,
     pub(super) parts: Vec<Part>,
 }
@@ -283,13 +284,13 @@ pub(super) struct Bar {
 #[derive(Debug)]
 pub(super) struct Part {
     pub(super) value: f64,
-    /// `None`: all that have no colour of their own.
+    /// Index of the colour; `None` for all parts that have no colour of their own.
     pub(super) color: Option<usize>,
     pub(super) tip: String,
 }
 
 impl Bars {
-    /// Nothing where nothing can be drawn.
+    /// Formats the bars as SVG; `None` if nothing can be drawn.
     pub(super) fn svg(&self) -> Option<String> {
         const ROW: f64 = 22.0;
         const GAP: f64 = 10.0;
@@ -301,7 +302,7 @@ impl Bars {
         }
         let letters = self.bars.iter().map(|bar| bar.name.chars().count()).max().unwrap_or(0);
         let (left, right) = (16.0 + 6.7 * letters as f64, 940.0);
-        // The sum stands behind its bar.
+        // The sum stands behind its bar, which leaves room for it.
         let place = |value: f64| left + value / most * (right - 60.0 - left);
         let bottom = TOP + self.bars.iter().map(|bar| if bar.begins_group { ROW + GAP } else { ROW }).sum::<f64>();
         let mut svg = format!(
@@ -359,7 +360,7 @@ impl Bars {
     }
 }
 
-/// 0 and up to six round values.
+/// Returns 0 and up to six round values.
 fn linear_ticks(most: f64) -> Vec<f64> {
     let rough = most / 6.0;
     let power = 10.0_f64.powf(rough.log10().floor());
@@ -368,7 +369,7 @@ fn linear_ticks(most: f64) -> Vec<f64> {
     (0..).map(|index| f64::from(index) * step).take_while(|tick| *tick <= most * 1.0001).collect()
 }
 
-/// A number of three digits at most that count: `0.005`, `20`, `12 500`, `3·10⁻⁵`.
+/// Formats a number with at most three significant digits: `0.005`, `20`, `12 500`, `3·10⁻⁵`.
 pub(super) fn label(value: f64) -> String {
     if value == 0.0 {
         return "0".into();
@@ -382,7 +383,7 @@ pub(super) fn label(value: f64) -> String {
         let rounded = digits as f64 * 10.0_f64.powi(power - 2);
         let text = format!("{rounded:.*}", usize::try_from(2 - power).unwrap_or(0));
         let text = if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.') } else { &text };
-        // Groups of three, from five digits on.
+        // Separates groups of three digits in numbers of five digits and more.
         return if power < 4 {
             text.to_owned()
         } else {
@@ -405,7 +406,7 @@ fn raise(character: char) -> char {
     }
 }
 
-/// Text as it stands in HTML and SVG.
+/// Escapes text for HTML and SVG.
 pub(super) fn escape(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }

@@ -1,4 +1,4 @@
-//! What was measured: the document of a report.
+//! The document of a report: everything that was measured.
 
 use std::path::PathBuf;
 
@@ -8,36 +8,37 @@ use stein::gpu::AdapterSummary;
 
 use super::statistics::front;
 
-/// What tells a document of ours from others.
+/// Schema name that identifies our documents.
 pub(super) const SCHEMA: &str = "stein.bench";
 
 /// Raised when a field changes its meaning or goes away; new fields alone do not raise it.
 pub(super) const VERSION: u32 = 2;
 
-/// `results.json`. Times are in milliseconds, memory in bytes, errors without a unit or in squares of the file's.
+/// `results.json`. Times are in milliseconds, memory in bytes, errors without a unit or in the squared unit of the
+/// file.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) struct Document {
     /// [`SCHEMA`]
     pub(super) schema: String,
     /// [`VERSION`]
     pub(super) version: u32,
-    /// The version of stein that measured.
+    /// Version of stein that measured.
     pub(super) stein: String,
-    /// When it began, in UTC.
+    /// Start of the run, in UTC.
     pub(super) date: String,
     /// The arguments after `stein bench`.
     pub(super) arguments: Vec<String>,
     pub(super) adapter: Adapter,
-    /// Measured runs of each row, of which times are the median.
+    /// Number of measured runs of each row; times are the median of these runs.
     pub(super) repeats: u32,
     pub(super) configurations: Vec<Configuration>,
     pub(super) sets: Vec<Set>,
     pub(super) rows: Vec<Row>,
-    /// What was left out, and why.
+    /// Notes on what was left out, and why.
     pub(super) notes: Vec<String>,
 }
 
-/// What it was measured on.
+/// Adapter of the measurements.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(crate) struct Adapter {
     pub(super) name: String,
@@ -73,13 +74,13 @@ impl std::fmt::Display for Adapter {
 /// A way to denoise.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) struct Configuration {
-    /// What rows refer to.
+    /// Name that rows refer to.
     pub(super) name: String,
-    /// The name without the radius: what is one line in a plot.
+    /// Name without the radius; configurations of a series share a line in plots.
     pub(super) series: String,
-    /// Of this program.
+    /// Parameters; `None` for another program.
     pub(super) stein: Option<Parameters>,
-    /// Of another one: what was run.
+    /// Command that was run; `None` for this program.
     pub(super) command: Option<String>,
 }
 
@@ -93,23 +94,23 @@ impl Configuration {
 pub(super) struct Parameters {
     pub(super) method: String,
     pub(super) preset: String,
-    /// In pixels, where the method has one window.
+    /// Radius of the window in pixels; `None` if the method has no single window.
     pub(super) window_radius: Option<u32>,
-    /// Where the method has one.
+    /// Whether the second pass runs; `None` if the method has none.
     pub(super) second_pass: Option<bool>,
-    /// Names joined by plus signs, where the method has them.
+    /// Names of the candidates, joined by plus signs; `None` if the method has none.
     pub(super) candidates: Option<String>,
-    /// Whether what a frame does not need ran as well.
+    /// Whether steps that a frame does not need ran as well.
     #[serde(default)]
     pub(super) everything: bool,
-    /// What the method was told of the noise: `given`, `halves` or `image`.
+    /// Noise knowledge of the method: `given`, `halves` or `image`.
     #[serde(default = "given")]
     pub(super) noise: String,
-    /// All of them.
+    /// All parameters of the method.
     pub(super) all: Value,
 }
 
-/// What runs were told of the noise before there was a choice.
+/// Returns the noise knowledge of runs from before the option existed.
 fn given() -> String {
     "given".into()
 }
@@ -117,21 +118,21 @@ fn given() -> String {
 /// A buffer set at a size.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) struct Set {
-    /// What rows refer to.
+    /// Name that rows refer to.
     pub(super) name: String,
-    /// Sets with the same reference are one scene.
+    /// Name of the scene. Sets with the same reference are one scene.
     pub(super) scene: String,
     #[serde(serialize_with = "stein::text::serialize_path")]
     pub(super) file: PathBuf,
     #[serde(serialize_with = "stein::text::serialize_path_or_none")]
     pub(super) reference: Option<PathBuf>,
-    /// The mean, where they differ from pixel to pixel.
+    /// Samples per pixel; their mean if pixels differ.
     pub(super) samples_per_pixel: Option<f64>,
     pub(super) width: u32,
     pub(super) height: u32,
-    /// Mirrored to this size, or cut off.
+    /// Whether the input was mirrored to this size, or cut off.
     pub(super) is_resized: bool,
-    /// Of the input as it is.
+    /// Errors of the input as it is.
     pub(super) noisy: Option<Errors>,
 }
 
@@ -141,10 +142,10 @@ impl Set {
     }
 }
 
-/// Against the reference.
+/// Errors of an image against the reference.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 pub(super) struct Errors {
-    /// `None` here and below where the image is not finite.
+    /// Relative MSE; `None` here and below if the image is not finite.
     pub(super) relative_mse: Option<f64>,
     pub(super) mse: Option<f64>,
     pub(super) ssim: Option<f64>,
@@ -154,29 +155,29 @@ pub(super) struct Errors {
 /// A set denoised in one way.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) struct Row {
-    /// A set's name.
+    /// Name of the set.
     pub(super) set: String,
-    /// A configuration's name.
+    /// Name of the configuration.
     pub(super) configuration: String,
-    /// Of the warm-up run, which compiles what no row before it has compiled and no cache holds.
+    /// Time of the warm-up run, which compiles everything that no row before it has compiled and no cache holds.
     pub(super) first_ms: f64,
-    /// From the frame in memory to the result in memory; of another program from its start to its end.
+    /// Time from the frame in memory to the result in memory; of another program, the time from its start to its end.
     pub(super) wall_ms: f64,
     pub(super) wall_ms_per_megapixel: f64,
-    /// Of all cores together, in the same runs. On a software adapter it is the measure that other work on the machine
-    /// disturbs least; of another program it is not known.
+    /// CPU time of all cores together, in the same runs. On a software adapter, other work on the machine disturbs this
+    /// measure least. Unknown for another program.
     pub(super) cpu_ms: Option<f64>,
-    /// Sum of the stages, where the adapter can time them.
+    /// Sum of the stages' times; `None` if the adapter cannot time them.
     pub(super) device_ms: Option<f64>,
     pub(super) stages: Vec<Stage>,
-    /// The most that buffers took on the device.
+    /// Largest size of all buffers together on the device.
     pub(super) peak_bytes: Option<u64>,
-    /// Parts that the image was worked on in.
+    /// Number of strips in which the image was processed.
     pub(super) strips: Option<usize>,
     pub(super) errors: Option<Errors>,
-    /// The mean squared error as estimated without the reference; of nlm the variance alone.
+    /// Mean squared error, estimated without the reference; for nlm, the variance alone.
     pub(super) predicted_mse: Option<f64>,
-    /// No other row of the set is both as fast and as good.
+    /// Whether no other row of the set is both as fast and as good.
     pub(super) on_front: Option<bool>,
 }
 
@@ -211,7 +212,7 @@ impl Document {
     }
 }
 
-/// Marks the rows of a set of which no other is both as fast and as good.
+/// Marks the rows of a set for which no other row is both as fast and as good.
 pub(super) fn mark_front(rows: &mut [Row]) {
     let points: Vec<_> = rows.iter().map(|row| row.relative_mse().map(|error| (row.wall_ms, error))).collect();
     let known: Vec<_> = points.iter().flatten().copied().collect();
@@ -221,7 +222,7 @@ pub(super) fn mark_front(rows: &mut [Row]) {
     }
 }
 
-/// The names of all stages of these rows, in the order of first use.
+/// Returns the names of all stages of these rows, in the order of first use.
 pub(super) fn stage_names<'a>(rows: impl Iterator<Item = &'a Row>) -> Vec<&'a str> {
     let mut names: Vec<&str> = Vec::new();
     for stage in rows.flat_map(|row| &row.stages) {

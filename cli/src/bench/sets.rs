@@ -1,4 +1,4 @@
-//! What is measured: buffer sets, and the reference of each.
+//! The buffer sets to measure, and the reference of each.
 
 use std::cmp::Ordering;
 use std::path::{Path, PathBuf};
@@ -14,14 +14,14 @@ use super::super::options::same_file;
 pub(super) struct SetFile {
     pub(super) file: PathBuf,
     pub(super) reference: Option<LayerRef>,
-    /// What it shows: sets with the same reference are one scene.
+    /// Name of the scene that the set shows. Sets with the same reference are one scene.
     pub(super) scene: String,
-    /// Found in a folder, where not everything need be a set.
+    /// Whether the file was found in a folder, in which not every file need be a set.
     pub(super) was_found: bool,
 }
 
-/// The sets that files and folders stand for, in their order; those of a folder in the order of their names.
-/// `references` belong to the inputs, one each, or there are none, and each is looked for.
+/// Returns the sets of the given files and folders, in their order; sets of a folder are in the order of their names.
+/// `references` holds one reference for each input, or none; in that case each set's reference is looked for.
 pub(super) fn find(inputs: &[PathBuf], references: &[LayerRef]) -> Result<Vec<SetFile>, Failure> {
     if !references.is_empty() && references.len() != inputs.len() {
         let (references, inputs) = (references.len(), inputs.len());
@@ -70,9 +70,9 @@ impl SetFile {
     }
 }
 
-/// Before anything is measured.
+/// Checks before anything is measured that a file can be opened.
 fn readable(file: &Path) -> Result<(), Failure> {
-    // A pipe would be waited for. What else is no file is told when it is read.
+    // Does not open a pipe, which would block. Anything else that is no file is refused when it is read.
     let opened =
         file.metadata().and_then(|kind| if kind.is_file() { std::fs::File::open(file).map(drop) } else { Ok(()) });
     opened.map_err(|error| {
@@ -80,7 +80,7 @@ fn readable(file: &Path) -> Result<(), Failure> {
     })
 }
 
-/// All OpenEXR files below a folder but hidden ones.
+/// Collects all OpenEXR files below a folder, except hidden ones.
 fn collect(folder: &Path, files: &mut Vec<PathBuf>) -> Result<(), Failure> {
     let failed = |error: std::io::Error| {
         Failure::input(format_args!("{}: {error}\n  remedy: check that the folder may be read", text::path(folder)))
@@ -91,7 +91,7 @@ fn collect(folder: &Path, files: &mut Vec<PathBuf>) -> Result<(), Failure> {
         if entry.file_name().to_string_lossy().starts_with('.') {
             continue;
         }
-        // A link to a folder may lead around in circles.
+        // Does not follow a link to a folder: it may lead around in circles.
         if entry.file_type().map_err(failed)?.is_dir() {
             collect(&path, files)?;
         } else if path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("exr")) && path.is_file() {
@@ -105,13 +105,13 @@ fn stem(file: &Path) -> String {
     file.file_stem().map_or_else(String::new, |stem| stem.to_string_lossy().into_owned())
 }
 
-/// `shot.0007` is frame `0007`.
+/// Returns the frame number: `0007` of `shot.0007`.
 fn frame_number(stem: &str) -> Option<&str> {
     let (_, number) = stem.rsplit_once('.')?;
     (!number.is_empty() && number.bytes().all(|byte| byte.is_ascii_digit())).then_some(number)
 }
 
-/// `NAME` of `NAME_32spp`.
+/// Returns `NAME` of `NAME_32spp`.
 fn without_samples(stem: &str) -> Option<&str> {
     let (name, samples) = stem.rsplit_once('_')?;
     let count = samples.strip_suffix("spp")?;
@@ -125,8 +125,8 @@ fn is_reference(file: &Path) -> bool {
         || (stem.starts_with("reference.") && frame_number(&stem).is_some())
 }
 
-/// Beside `NAME_<n>spp.exr` or `NAME.exr` the file `NAME_reference.exr`, beside `shot.0007.exr` the file
-/// `reference.0007.exr`, and `reference.exr` in its folder or the one above.
+/// Finds the reference of a file: `NAME_reference.exr` beside `NAME_<n>spp.exr` or `NAME.exr`, `reference.0007.exr`
+/// beside `shot.0007.exr`, or `reference.exr` in the same folder or the one above.
 fn find_reference(file: &Path) -> Option<LayerRef> {
     let stem = stem(file);
     let beside = |name: String| file.with_file_name(name);
@@ -143,7 +143,7 @@ fn find_reference(file: &Path) -> Option<LayerRef> {
     Some(LayerRef { file: found, layer: None })
 }
 
-/// The folder's name, wherever the path starts.
+/// Returns the name of the file's folder, wherever the path starts.
 fn folder_name(file: &Path) -> Option<String> {
     let file = file.canonicalize().ok()?;
     Some(file.parent()?.file_name()?.to_string_lossy().into_owned())
@@ -168,7 +168,7 @@ fn scene_of_file(file: &Path) -> String {
     without_samples(&stem).map_or(stem.clone(), str::to_owned)
 }
 
-/// Scenes with other references are other scenes, be their names the same.
+/// Gives scenes with different references different names.
 fn name_apart(sets: &mut [SetFile]) {
     for index in 1..sets.len() {
         let (before, rest) = sets.split_at_mut(index);
@@ -185,7 +185,7 @@ fn name_apart(sets: &mut [SetFile]) {
     }
 }
 
-/// `spp8` comes before `spp32`.
+/// Compares names with their numbers as numbers: `spp8` comes before `spp32`.
 fn by_name(a: &str, b: &str) -> Ordering {
     let split = |text: &str| -> Vec<(String, u64)> {
         let mut parts: Vec<(String, u64)> = vec![(String::new(), 0)];
@@ -216,7 +216,7 @@ fn by_name(a: &str, b: &str) -> Ordering {
 mod tests {
     use super::*;
 
-    /// A folder with these empty files.
+    /// Creates a folder with these empty files.
     fn folder(files: &[&str]) -> tempfile::TempDir {
         let folder = tempfile::tempdir().unwrap();
         for file in files {
@@ -227,7 +227,7 @@ mod tests {
         folder
     }
 
-    /// File, reference, scene, relative to the folder.
+    /// Returns file, reference and scene of each set, relative to the folder.
     fn found(folder: &tempfile::TempDir) -> Vec<[String; 3]> {
         let relative = |path: &Path| {
             path.canonicalize()

@@ -1,6 +1,6 @@
-//! Figures made of figures.
+//! Statistics of measured values.
 
-/// The middle value, or the mean of the two in the middle.
+/// Returns the middle value, or the mean of the two in the middle.
 pub(super) fn median(mut values: Vec<f64>) -> f64 {
     values.sort_unstable_by(f64::total_cmp);
     match values.as_slice() {
@@ -10,15 +10,15 @@ pub(super) fn median(mut values: Vec<f64>) -> f64 {
     }
 }
 
-/// The Pareto front of (cost, error): which points no other point beats, that is one at least as good in both and
-/// better in one.
+/// Returns for each point (cost, error) whether it is on the Pareto front, that is, whether no other point beats it. A
+/// point beats another if it is at least as good in both values and better in one.
 pub(super) fn front(points: &[(f64, f64)]) -> Vec<bool> {
     let beats = |a: &(f64, f64), b: &(f64, f64)| a.0 <= b.0 && a.1 <= b.1 && (a.0 < b.0 || a.1 < b.1);
     points.iter().map(|point| !points.iter().any(|other| beats(other, point))).collect()
 }
 
-/// The exponent e of y = c·xᵉ that fits best: least squares of the logarithms. `None` where x does not differ by a
-/// factor of 2 at least, so that noise would decide.
+/// Returns the exponent e of the best fit y = c·xᵉ: least squares of the logarithms. Returns `None` if x varies by less
+/// than a factor of 2, because noise would decide.
 pub(super) fn exponent(points: &[(f64, f64)]) -> Option<f64> {
     let logs: Vec<_> = points.iter().filter(|(x, y)| *x > 0.0 && *y > 0.0).map(|(x, y)| (x.ln(), y.ln())).collect();
     let (least, most) =
@@ -35,7 +35,7 @@ pub(super) fn exponent(points: &[(f64, f64)]) -> Option<f64> {
     Some(cross / square)
 }
 
-/// The geometric mean of positive values.
+/// Returns the geometric mean of the positive values; `None` without any.
 pub(super) fn geometric_mean(values: &[f64]) -> Option<f64> {
     let logs: Vec<f64> = values.iter().filter(|value| **value > 0.0).map(|value| value.ln()).collect();
     (!logs.is_empty()).then(|| (logs.iter().sum::<f64>() / logs.len() as f64).exp())

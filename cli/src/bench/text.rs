@@ -5,7 +5,7 @@ use stein::text;
 use super::super::out::{bytes, milliseconds, number, table};
 use super::results::{Row, Set, stage_names};
 
-/// A row for each configuration; with `verbose` more measures, and below them the stages.
+/// Formats a row for each configuration; with `verbose`, also more measures and, below, the stages.
 pub(super) fn text(set: &Set, rows: &[&Row], verbose: bool) -> String {
     let noisy = set
         .noisy
@@ -63,7 +63,7 @@ fn summary(set: &Set, rows: &[&Row], verbose: bool) -> Vec<Vec<String>> {
     std::iter::once(head).chain(rows.iter().map(cells)).collect()
 }
 
-/// A row for each stage, a column for each configuration.
+/// Returns a row for each stage, with a column for each configuration.
 fn stages(rows: &[&Row]) -> Vec<Vec<String>> {
     let timed: Vec<&Row> = rows.iter().copied().filter(|row| !row.stages.is_empty()).collect();
     let head =

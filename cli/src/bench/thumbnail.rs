@@ -8,16 +8,16 @@ use stein_metric as metric;
 use super::super::Failure;
 use super::measure::{Case, Outcome};
 
-/// Pixels of the longer side, at most.
+/// Largest length of the longer side, in pixels.
 const LARGEST_SIDE: u32 = 384;
 
-/// Sides to try until all pictures together are small enough.
+/// Lengths of the longer side, in pixels, to try until all pictures together are small enough.
 const SIDES: [u32; 6] = [LARGEST_SIDE, 320, 256, 192, 128, 96];
 
-/// Bytes that all pictures together may take.
+/// Largest size of all pictures together, in bytes.
 const BUDGET: usize = 6 << 20;
 
-/// Results that are shown of each set: the best, by relative MSE.
+/// Number of results that are shown for each set: the best, by relative MSE.
 const SHOWN: usize = 4;
 
 /// Pictures of all sets.
@@ -40,12 +40,12 @@ struct Picture {
 /// A picture for the page.
 pub(super) struct Thumbnail {
     pub(super) caption: String,
-    /// A PNG, as `data:` address.
+    /// PNG, as a `data:` address.
     pub(super) source: String,
     pub(super) extent: Extent,
 }
 
-/// What a display shows of an image.
+/// An image as a display shows it.
 #[derive(Clone, Debug, PartialEq)]
 struct Shown {
     extent: Extent,
@@ -54,7 +54,7 @@ struct Shown {
 }
 
 impl Gallery {
-    /// Adds what a set was, what became of it, and what it should be.
+    /// Adds the input, the results and the reference of a set.
     pub(super) fn add(&mut self, case: &Case<'_>, outcomes: &[Outcome]) -> Result<(), Failure> {
         let picture = |caption: String, image: &Image| {
             Ok::<_, Failure>(Picture { caption, shown: Shown::of(image)?.within(LARGEST_SIDE) })
@@ -75,8 +75,8 @@ impl Gallery {
         Ok(())
     }
 
-    /// The name of each set with its pictures, all of one size that lets the page stay small; sets that do not fit even
-    /// so have none.
+    /// Returns the name of each set with its pictures. All pictures have the largest size that keeps the page small;
+    /// sets that do not fit even at the smallest size are left out.
     pub(super) fn thumbnails(&self) -> Result<Vec<(&str, Vec<Thumbnail>)>, Failure> {
         let mut made = Vec::new();
         for side in SIDES {
@@ -114,8 +114,8 @@ impl Shown {
         Ok(Self { extent: image.extent, bytes: metric::display_bytes(image)? })
     }
 
-    /// Made smaller where it is larger, by averaging what a pixel covers as it is shown: so noise looks like noise seen
-    /// from afar, and one bright pixel stays a bright pixel.
+    /// Returns a copy whose longer side is at most `side`. Each pixel is the mean of the displayed values that it
+    /// covers, so noise looks like noise seen from afar, and one bright pixel stays a bright pixel.
     fn within(&self, side: u32) -> Self {
         let Extent { width, height } = self.extent;
         let longest = width.max(height);

@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 use std::str::FromStr;
 
-/// Far more than a shot has; a slip of the keyboard must not fill the memory.
+/// Largest number of frames: far more than a shot has, so that a typing error cannot fill the memory.
 const MOST_FRAMES: usize = 1_000_000;
 
 /// Numbers of frames, each once and in ascending order, from a list such as `1-10,20-40x5,55`. A step may also follow a
@@ -32,7 +32,7 @@ impl FromStr for FrameList {
     }
 }
 
-/// First, last and step of `7`, `1-10`, `1-9x2` or `1-9:2`.
+/// Parses first, last and step of `7`, `1-10`, `1-9x2` or `1-9:2`.
 fn parts(item: &str) -> Result<(u32, u32, usize), String> {
     if item.starts_with('-') {
         return Err(format!("'{item}' is negative: frames are numbered from 0 up"));

@@ -1,4 +1,4 @@
-//! Paths with a place for the frame number.
+//! Paths with a placeholder for the frame number.
 
 use std::collections::BTreeSet;
 use std::ops::Range;
@@ -8,23 +8,23 @@ use stein::text;
 
 use crate::Failure;
 
-/// `shot.####.exr` or `shot.%04d.exr`: as many digits as `#`, or as the number says, and more where the frame number
-/// has more. The last such place counts, in the file's name or else in that of a folder that does not exist; others
-/// are taken literally.
+/// A path with a placeholder, such as `shot.####.exr` or `shot.%04d.exr`. The frame number gets as many digits as there
+/// are `#`, or as `%04d` says, and more if it needs them. Only the last placeholder counts: in the file's name, or else
+/// in the name of a folder that does not exist. Others are taken literally.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Pattern {
-    /// Folder of the name with the place, as it was written.
+    /// Folder of the name with the placeholder, as it was written.
     folder: PathBuf,
-    /// That name, before and behind the place.
+    /// Part of that name before the placeholder; `after` is the part behind it.
     before: String,
     digits: usize,
     after: String,
-    /// What follows in the folder of the number; empty where the place is in the file's name.
+    /// Rest of the path inside the numbered folder; empty if the placeholder is in the file's name.
     below: PathBuf,
 }
 
 impl Pattern {
-    /// `None` where the path has no place for a number.
+    /// Parses a path; `None` without a placeholder.
     pub(super) fn parse(path: &Path) -> Option<Self> {
         path.ancestors().find_map(|named| {
             let name = named.file_name()?.to_str()?;
@@ -44,19 +44,19 @@ impl Pattern {
         })
     }
 
-    /// As [`Self::parse`], but `None` for the path of something that exists.
+    /// Parses a path as [`Self::parse`] does, but returns `None` for a path that exists.
     pub(super) fn of_input(path: &Path) -> Option<Self> {
         if path.exists() { None } else { Self::parse(path) }
     }
 
-    /// The path of one frame.
+    /// Returns the path of one frame.
     pub(super) fn path(&self, frame: u32) -> PathBuf {
         let Self { folder, before, digits, after, below } = self;
         let named = folder.join(format!("{before}{frame:0digits$}{after}"));
         if below.as_os_str().is_empty() { named } else { named.join(below) }
     }
 
-    /// The frames that exist, in ascending order.
+    /// Returns the frames that exist, in ascending order.
     pub(super) fn frames_on_disk(&self) -> Result<BTreeSet<u32>, Failure> {
         let folder = if self.folder.as_os_str().is_empty() { Path::new(".") } else { &self.folder };
         let entries = folder.read_dir().map_err(|error| {
@@ -68,19 +68,19 @@ impl Pattern {
             if digits.bytes().all(|byte| byte.is_ascii_digit()) { digits.parse().ok() } else { None }
         };
         let frames = entries.flatten().filter_map(|entry| number(entry.file_name().to_str()?));
-        // Other numbers of digits are other files.
+        // A file with another number of digits is not the file of that frame.
         Ok(frames.filter(|&frame| self.path(frame).exists()).collect())
     }
 }
 
-/// The last run of `#`.
+/// Finds the last run of `#`: its range and its length.
 fn hashes(text: &str) -> Option<(Range<usize>, usize)> {
     let end = text.rfind('#')? + 1;
     let start = text[..end].trim_end_matches('#').len();
     Some((start..end, end - start))
 }
 
-/// The last `%d` or `%0Nd`.
+/// Finds the last `%d` or `%0Nd`: its range and the number of digits.
 fn printf(text: &str) -> Option<(Range<usize>, usize)> {
     let place = |(start, _)| {
         let rest: &str = &text[start + 1..];
@@ -88,7 +88,7 @@ fn printf(text: &str) -> Option<(Range<usize>, usize)> {
         let digits = match &rest[..width] {
             "" => 1,
             width if width.starts_with('0') => width.parse().ok().filter(|digits| (1..=20).contains(digits))?,
-            // Padded with spaces.
+            // `%4d` would pad with spaces.
             _ => return None,
         };
         rest[width..].starts_with('d').then_some((start..start + width + 2, digits))
@@ -140,7 +140,7 @@ mod tests {
             std::fs::write(shot.path(7), "").unwrap();
             assert_eq!(shot.frames_on_disk().unwrap(), BTreeSet::from([7]));
         }
-        // The folders of the frames lie in one with such a name.
+        // The folders of the frames are inside a folder whose name looks like a pattern.
         let shot = Pattern::parse(&inside("show #3/##/in.exr")).unwrap();
         assert_eq!(shot.path(7), inside("show #3/07/in.exr"));
         std::fs::write(inside("take#.exr"), "").unwrap();

@@ -1,4 +1,4 @@
-//! Which files are read and written for which frame: settled before any work starts.
+//! The plan of a run: which files are read and written for which frame. Made before any work starts.
 
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::ops::Range;
@@ -13,13 +13,13 @@ use super::pattern::Pattern;
 use crate::options::Source;
 use crate::{Failure, output};
 
-/// What a run does, in its order.
+/// All steps of a run, in order.
 #[derive(Debug)]
 pub(super) struct Plan {
-    /// Every file once, ascending; neighbours that are only looked at are among them.
+    /// Frames to read, each once, in ascending order. Frames that only serve as neighbours are among them.
     pub(super) reads: Vec<Read>,
     pub(super) frames: Vec<PlannedFrame>,
-    /// Numbers between those of the frames that were found, without a file; none where the frames were listed.
+    /// Missing numbers between the frames that were found; empty if the frames were listed.
     pub(super) gaps: Vec<Gap>,
     /// Whether the input is a pattern.
     pub(super) is_shot: bool,
@@ -28,13 +28,13 @@ pub(super) struct Plan {
 /// A frame to read.
 #[derive(Debug)]
 pub(super) struct Read {
-    /// `None` of a single image.
+    /// Number of the frame; `None` for a single image.
     pub(super) number: Option<u32>,
     pub(super) request: BufferSetRequest,
-    /// Whether a colour of whose noise nothing is known is refused.
+    /// Whether a colour without noise knowledge is refused.
     pub(super) require_noise: bool,
     pub(super) reference: Option<LayerRef>,
-    /// Whether it is denoised, and not only looked at by its neighbours.
+    /// Whether the frame is denoised; if not, it only serves as a neighbour.
     pub(super) is_denoised: bool,
 }
 
@@ -45,9 +45,9 @@ pub(super) struct PlannedFrame {
     pub(super) input: PathBuf,
     pub(super) output: PathBuf,
     pub(super) state: State,
-    /// Positions in [`Plan::reads`] of the frames that it is denoised with; none where it is not denoised.
+    /// Positions in [`Plan::reads`] of the frames that this frame is denoised with; empty if it is not denoised.
     pub(super) window: Range<usize>,
-    /// Its own place among them.
+    /// Position of the frame itself in `window`.
     pub(super) centre: usize,
 }
 
@@ -65,18 +65,18 @@ impl std::fmt::Display for Gap {
     }
 }
 
-/// What is to become of a frame.
+/// Decision about a frame.
 #[derive(Debug)]
 pub(super) enum State {
     ToDo,
-    /// An output exists that is to be left alone.
+    /// The output exists and is left alone.
     LeftAlone,
-    /// A file that it needs does not exist.
+    /// A file that the frame needs does not exist.
     Missing(Failure),
 }
 
 impl Plan {
-    /// `source` is what the method reads beside the input.
+    /// Makes the plan of a run. `source` names the layers that the method reads beside the input.
     pub(super) fn new(args: &Args, source: &Source, input: &Path) -> Result<Self, Failure> {
         let pattern = if source.literal { None } else { Pattern::of_input(input) };
         match pattern {
@@ -116,7 +116,7 @@ impl Plan {
             reference,
             is_denoised: true,
         };
-        // The input the user may replace, and half A may be one layer of it.
+        // The user may replace the input, and a half may be a layer of the input.
         output::check(&output, read.files().filter(|file| *file != input), args.no_clobber, args.dry_run)?;
         let frame =
             PlannedFrame { number: None, input: input.to_owned(), output, state: State::ToDo, window: 0..1, centre: 0 };
@@ -154,8 +154,8 @@ impl Plan {
                 .map(|reference| reference.map_file(|file| at_frame(file, frame))),
             is_denoised,
         };
-        // A neighbour is a frame whose number is near, whatever the list says: so a frame is the same in whichever list
-        // it stands.
+        // Neighbours are all frames with near numbers, whether the list has them or not: the result of a frame does not
+        // depend on the list.
         let neighbours =
             |frame: u32| frame.saturating_sub(args.temporal_radius)..=frame.saturating_add(args.temporal_radius);
         let mut planned = Vec::new();
@@ -180,7 +180,7 @@ impl Plan {
             }
             planned.push((frame, input, output, state));
         }
-        // A neighbour that is not there, or not all of it, is left out of the windows.
+        // Neighbours of which a file is missing are left out of the windows.
         for frame in beside {
             reads.entry(frame).or_insert_with(|| read(frame, false));
         }
@@ -208,19 +208,19 @@ impl Plan {
 }
 
 impl Read {
-    /// All that it reads.
+    /// Returns all files that are read for the frame.
     pub(super) fn files(&self) -> impl Iterator<Item = &Path> {
         let reference = self.reference.as_ref().map(|reference| reference.file.as_path());
         self.request.files().chain(reference)
     }
 
-    /// A file that does not exist.
+    /// Returns a file of the frame that does not exist.
     fn missing(&self) -> Option<&Path> {
         self.files().find(|file| !file.exists())
     }
 }
 
-/// One frame's file, where the path is a pattern; else the same file for all of them.
+/// Returns the frame's file if the path is a pattern, else the path itself, which all frames share.
 fn at_frame(file: &Path, frame: u32) -> PathBuf {
     Pattern::of_input(file).map_or_else(|| file.to_owned(), |pattern| pattern.path(frame))
 }
@@ -231,7 +231,8 @@ fn missing(frame: u32, file: &Path) -> Failure {
     Failure::input(format_args!("{file}: does not exist\n  remedy: {remedy}")).in_frame(Some(frame))
 }
 
-/// Numbers that are missing between ascending ones, which may have a step: every other frame of a preview, say.
+/// Finds the numbers that are missing between ascending ones. The numbers may have a step, as in a preview of every
+/// other frame.
 fn gaps(numbers: impl Iterator<Item = u32>) -> Vec<Gap> {
     let numbers: Vec<u32> = numbers.collect();
     let pairs = || numbers.windows(2).map(|pair| (pair[0], pair[1]));
@@ -244,8 +245,8 @@ fn greatest_common_divisor(a: u32, b: u32) -> u32 {
     if b == 0 { a } else { greatest_common_divisor(b, a % b) }
 }
 
-/// A shot replaces nothing that it reads: interrupted, or cut into pieces, it would go on with neighbours that are
-/// denoised already.
+/// Refuses an output that would replace a file that the shot reads. If the run were interrupted or divided, it would go
+/// on with neighbours that are denoised already.
 fn check_outputs(frames: &[PlannedFrame], reads: &[Read], dry_run: bool) -> Result<(), Failure> {
     let read = reads.iter().flat_map(Read::files).chain(frames.iter().map(|frame| frame.input.as_path()));
     let read: HashMap<PathBuf, &Path> = read.filter_map(|file| Some((file.canonicalize().ok()?, file))).collect();
@@ -253,7 +254,7 @@ fn check_outputs(frames: &[PlannedFrame], reads: &[Read], dry_run: bool) -> Resu
     for frame in frames {
         let also_read = frame.output.canonicalize().ok().and_then(|output| read.get(&output).copied());
         output::check_name(&frame.output, also_read.into_iter())?;
-        // Most shots have one folder.
+        // Checks the folder again only if it changes: most shots have one folder.
         if folder != frame.output.parent() {
             output::check_folder(&frame.output, dry_run)?;
             folder = frame.output.parent();

@@ -1,4 +1,4 @@
-//! How far a run is, for people or for a render farm.
+//! Progress of a run, for people or for a render farm.
 
 use clap::ValueEnum;
 use indicatif::ProgressBar;
@@ -18,23 +18,23 @@ pub(super) enum ProgressKind {
     Openjd,
 }
 
-/// How much of a frame's work it is to write it, as far as it is told of: a frame that is denoised is not done.
+/// Share of a frame's progress that is reported for writing its output: a frame that is denoised is not done yet.
 const WRITING: f64 = 0.1;
 
-/// Over all frames that are denoised.
+/// Progress over all frames that are denoised.
 pub(super) struct Progress {
     told: Told,
     frames: usize,
-    /// Frames that the device is done with.
+    /// Number of frames that the device is done with.
     denoised: usize,
-    /// Of the frame on the device.
+    /// Finished share of the frame on the device, 0 to 1.
     share: f32,
-    /// Frames whose outputs lie in their places.
+    /// Number of frames whose outputs are complete.
     written: usize,
 }
 
 enum Told {
-    /// Nobody wants to know. Telling makes the device wait, so it is not asked for.
+    /// Nobody watches. Reporting makes the device wait, so no progress is requested.
     Silent,
     Bar(ProgressBar),
     OpenJd {
@@ -67,26 +67,26 @@ impl Progress {
         }
     }
 
-    /// Of the frame that has begun.
+    /// Reports the finished share of the frame on the device.
     pub(super) fn share(&mut self, share: f32, out: &mut Out) {
         self.share = share;
         self.tell(out);
     }
 
-    /// Ends the frame on the device.
+    /// Counts the frame on the device as denoised.
     pub(super) fn denoised(&mut self, out: &mut Out) {
         self.denoised += 1;
         self.share = 0.0;
         self.tell(out);
     }
 
-    /// Ends a frame that cannot be denoised.
+    /// Counts a frame that cannot be denoised as done.
     pub(super) fn left_out(&mut self, out: &mut Out) {
         self.denoised += 1;
         self.written(out);
     }
 
-    /// Ends the frame.
+    /// Counts a frame as written.
     pub(super) fn written(&mut self, out: &mut Out) {
         self.written += 1;
         self.tell(out);
@@ -107,7 +107,7 @@ impl Progress {
         }
     }
 
-    /// Text for people, without the bar in its way.
+    /// Prints text for people, with the bar out of its way.
     pub(super) fn say(&self, out: &mut Out, text: impl std::fmt::Display) {
         match &self.told {
             Told::Bar(bar) => bar.suspend(|| out.say(text)),

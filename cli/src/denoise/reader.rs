@@ -1,4 +1,4 @@
-//! Frames on their way from the files to the device: each is read once, and the next one while the device works.
+//! Reads frames from their files for the device: each frame once, and the next one while the device works.
 
 use std::collections::VecDeque;
 use std::ops::Range;
@@ -19,34 +19,34 @@ pub(super) struct ReadFrame {
     pub(super) number: Option<u32>,
     pub(super) frame: Arc<Frame>,
     pub(super) reference: Option<Image>,
-    /// What its output is made from, until it is denoised; of a frame that is only looked at, nothing.
+    /// Data for the frame's output, until the frame is denoised; `None` for a frame that only serves as a neighbour.
     pub(super) original: Option<(Box<BufferSet>, Box<Input>)>,
     pub(super) data_window: Window,
 }
 
-/// A frame that cannot be used: why, and what its file holds where that could be read.
+/// A frame that cannot be used: the reason, and a description of its file if the file could be read.
 pub(super) struct Unusable {
     pub(super) number: Option<u32>,
     pub(super) described: Option<Box<Input>>,
     pub(super) failure: Failure,
 }
 
-/// The frames of a window, which moves forwards. They are all that is in memory, and the one that is being read.
+/// The frames of a window that moves forwards. Only these frames are in memory, and the frame that is being read.
 pub(super) struct Frames {
     incoming: Receiver<Result<ReadFrame, Unusable>>,
     held: VecDeque<Result<ReadFrame, Unusable>>,
-    /// Position of the first one held among all that are read.
+    /// Position of the first held frame among all frames that are read.
     first: usize,
 }
 
 impl Frames {
-    /// Starts to read.
+    /// Starts a thread that reads the frames.
     pub(super) fn start<'scope>(scope: &'scope Scope<'scope, '_>, reads: &'scope [Read]) -> Self {
-        // No buffer: the reader waits with one frame in its hands.
+        // No buffer: the reader waits while it holds one frame.
         let (sender, incoming) = sync_channel(0);
         scope.spawn(move || {
             for read in reads {
-                // Nobody listens any more once the work has failed.
+                // The receiver is gone once the work has failed.
                 if sender.send(load(read)).is_err() {
                     break;
                 }
@@ -55,14 +55,14 @@ impl Frames {
         Self { incoming, held: VecDeque::new(), first: 0 }
     }
 
-    /// Lets go of the frames before this one.
+    /// Frees the frames before the frame at `start`.
     pub(super) fn let_go_before(&mut self, start: usize) {
         while self.first < start && self.held.pop_front().is_some() {
             self.first += 1;
         }
     }
 
-    /// Lets go of what lies before the window and waits until all of it is there.
+    /// Frees the frames before the window and waits until all frames of the window are read.
     pub(super) fn move_to(&mut self, window: &Range<usize>) -> Result<&mut [Result<ReadFrame, Unusable>], Failure> {
         self.let_go_before(window.start);
         while self.first + self.held.len() < window.end {

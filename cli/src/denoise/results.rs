@@ -1,4 +1,4 @@
-//! What becomes of the frames, told in their order as the writer is done with them.
+//! Results of the frames, reported in their order as the writer finishes them.
 
 use std::collections::VecDeque;
 use std::ops::ControlFlow;
@@ -15,11 +15,11 @@ pub(super) struct Results<'a> {
     pub(super) progress: Progress,
     writer: Writer<'a>,
     reports: Vec<Reported>,
-    /// Frames that the writer was given.
+    /// Number of frames that the writer was given.
     handed_over: usize,
-    /// What to say of frames that cannot be denoised, each after so many of those that the writer was given.
+    /// Messages about frames that cannot be denoised, each with the number of frames that the writer was given before.
     left_out: VecDeque<(usize, String)>,
-    /// Why a frame could not be written.
+    /// The first failure to write a frame.
     failure: Option<Failure>,
     device: &'a AdapterSummary,
     verbose: bool,
@@ -38,7 +38,8 @@ impl<'a> Results<'a> {
         Self { progress, writer, reports, handed_over: 0, left_out, failure: None, device, verbose, is_shot }
     }
 
-    /// Waits until the frame before is written. Fails where that could not be, of which [`Self::finish`] tells.
+    /// Hands a frame to the writer, which takes it once the frame before is written. Fails if a frame could not be
+    /// written; [`Self::finish`] returns the reason.
     pub(super) fn hand_over(&mut self, denoised: Denoised, out: &mut Out) -> Result<(), Failure> {
         self.handed_over += 1;
         let is_taken = self.writer.hand_over(denoised);
@@ -46,7 +47,7 @@ impl<'a> Results<'a> {
         if self.collect(out).is_break() || !is_taken { Err(Error::Cancelled.into()) } else { Ok(()) }
     }
 
-    /// Tells of what was written meanwhile. Nothing is worth going on with after a failure.
+    /// Reports the frames that were written meanwhile. Breaks after a failure, because further work would be useless.
     pub(super) fn collect(&mut self, out: &mut Out) -> ControlFlow<()> {
         while let Some(done) = self.writer.done() {
             self.add(done, out);
@@ -81,21 +82,22 @@ impl<'a> Results<'a> {
         self.tell_left_out(self.reports.len(), out);
     }
 
-    /// Tells of a frame that cannot be denoised, after those before it.
+    /// Reports a frame that cannot be denoised, after the frames before it.
     pub(super) fn leave_out(&mut self, failure: &Failure, out: &mut Out) {
         self.left_out.push_back((self.handed_over, format!("{}: not denoised", failure.cause())));
         self.tell_left_out(self.reports.len(), out);
         self.progress.left_out(out);
     }
 
-    /// Tells of the frames that come next after so many that are written.
+    /// Prints the messages about frames that cannot be denoised and that come after at most `written` written frames.
     fn tell_left_out(&mut self, written: usize, out: &mut Out) {
         while let Some((_, text)) = self.left_out.pop_front_if(|(after, _)| *after <= written) {
             self.progress.say(out, text);
         }
     }
 
-    /// Waits for the writer. What it failed in came before what `ended` the work on the device.
+    /// Waits for the writer and returns all reports. A failure of the writer takes precedence over `ended`, the result
+    /// of the work on the device, because the writer failed first.
     pub(super) fn finish(
         mut self,
         ended: Result<(), Failure>,

@@ -1,4 +1,4 @@
-//! What there is to say of a shot as a whole.
+//! The report of a shot as a whole.
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -17,16 +17,16 @@ use crate::report::{FrameReport, Settings};
 /// The JSON document.
 #[derive(Debug, Serialize)]
 pub(super) struct ShotReport {
-    /// The pattern.
+    /// Pattern of the input.
     #[serde(serialize_with = "text::serialize_path")]
     pub(super) input: PathBuf,
     pub(super) temporal_radius: u32,
     #[serde(flatten)]
     pub(super) settings: Settings,
     pub(super) frames: Vec<ShotFrame>,
-    /// Frames that were not found between others.
+    /// Missing frames between the frames that were found.
     pub(super) gaps: Vec<Gap>,
-    /// Where references were given.
+    /// Errors over the shot; `None` without references.
     pub(super) errors: Option<ShotErrors>,
 }
 
@@ -37,22 +37,22 @@ pub(super) struct ShotFrame {
     input_file: PathBuf,
     #[serde(serialize_with = "text::serialize_path")]
     output_file: PathBuf,
-    /// Because its output exists.
+    /// Whether the frame is left alone because its output exists.
     is_left_alone: bool,
-    /// Why it cannot be denoised.
+    /// Reason why the frame cannot be denoised.
     problem: Option<String>,
     #[serde(flatten)]
     beside: Beside,
-    /// Of a frame that was denoised.
+    /// Report of a frame that was denoised, or would be.
     report: Option<FrameReport>,
 }
 
 /// The frames around one that is denoised.
 #[derive(Clone, Debug, Default, Serialize)]
 pub(super) struct Beside {
-    /// The frames that it is denoised with, itself among them.
+    /// Numbers of the frames that it is denoised with, its own number among them.
     pub(super) window: Vec<u32>,
-    /// Why others, which exist, are not among these.
+    /// Reasons why other frames, which exist, are not in `window`.
     pub(super) left_out: Vec<String>,
 }
 
@@ -63,7 +63,7 @@ pub(super) struct Reported {
     pub(super) report: FrameReport,
 }
 
-/// Every frame of the plan with its report, where it has one, or its problem.
+/// Describes every frame of the plan, with its report or its problem if it has one.
 pub(super) fn frames(plan: &Plan, reports: Vec<Reported>, bad: &BadFrames) -> Vec<ShotFrame> {
     let mut reports: BTreeMap<Option<u32>, Reported> =
         reports.into_iter().map(|reported| (reported.number, reported)).collect();
@@ -88,14 +88,14 @@ pub(super) fn frames(plan: &Plan, reports: Vec<Reported>, bad: &BadFrames) -> Ve
     plan.frames.iter().map(describe).collect()
 }
 
-/// Frames that cannot be denoised, by their numbers. The others are.
+/// Frames that cannot be denoised, by number.
 pub(super) struct BadFrames {
     bad: BTreeMap<u32, Failure>,
     all: usize,
 }
 
 impl BadFrames {
-    /// Those of which a file is missing.
+    /// Returns the frames of which a file is missing.
     pub(super) fn missing(plan: &Plan) -> Self {
         let missing = plan.frames.iter().filter_map(|frame| match &frame.state {
             State::Missing(failure) => Some((frame.number?, failure.clone())),
@@ -116,12 +116,12 @@ impl BadFrames {
         self.bad.get(&number?).map(|failure| failure.message().to_owned())
     }
 
-    /// A line for each of the first.
+    /// Formats a line for each of the first bad frames.
     fn lines(&self) -> String {
         text::lines(self.bad.values().map(|failure| format!("  {}", failure.cause()))).join("\n")
     }
 
-    /// How the run ends after all other frames.
+    /// Returns how the run ends after all other frames.
     pub(super) fn verdict(&self, dry_run: bool) -> Result<(), Failure> {
         let Some(only) = self.bad.values().next() else { return Ok(()) };
         let count = self.bad.len();
@@ -137,7 +137,7 @@ impl BadFrames {
         Err(Failure::input(what))
     }
 
-    /// How the run ends where something else ended it.
+    /// Returns the failure that ended the run, followed by the bad frames before it.
     pub(super) fn before(&self, end: Failure) -> Failure {
         if self.is_empty() {
             end
@@ -148,7 +148,7 @@ impl BadFrames {
 }
 
 impl ShotReport {
-    /// What follows the single frames.
+    /// Formats the text after the single frames; `None` if there is none.
     pub(super) fn text(&self, dry_run: bool) -> Option<String> {
         let left_alone = self.frames.iter().filter(|frame| frame.is_left_alone).count();
         let mut lines = Vec::new();
@@ -169,7 +169,7 @@ impl ShotReport {
 }
 
 impl ShotFrame {
-    /// What would be done.
+    /// Formats what would be done with the frame.
     fn text(&self) -> String {
         let Self { frame, input_file, output_file, problem, .. } = self;
         let others: Vec<_> =
@@ -184,11 +184,11 @@ impl ShotFrame {
     }
 }
 
-/// Of all frames that were denoised and have a reference.
+/// Errors over all frames that were denoised and have a reference.
 #[derive(Debug, Serialize)]
 pub(super) struct ShotErrors {
     frames: usize,
-    /// Pairs of frames with consecutive numbers, of which the flicker is the mean.
+    /// Number of pairs of frames with consecutive numbers. The flicker is the mean over these pairs.
     pairs: usize,
     images: [Means; 2],
 }
@@ -197,7 +197,7 @@ pub(super) struct ShotErrors {
 struct Means {
     image: &'static str,
     mean_relative_mse: f64,
-    /// `None` without pairs.
+    /// Mean flicker; `None` without pairs.
     flicker: Option<f64>,
 }
 
@@ -217,7 +217,7 @@ pub(super) struct Comparison {
 pub(super) struct Compared {
     pub(super) number: u32,
     pub(super) data_window: Window,
-    /// Noisy and result.
+    /// The noisy image and the result.
     pub(super) images: [Image; 2],
     pub(super) reference: Image,
 }
@@ -277,7 +277,7 @@ impl ShotErrors {
     }
 }
 
-/// A frame's errors in few words.
+/// Formats a frame's errors in few words.
 pub(super) fn brief(errors: &[Errors]) -> String {
     let of = |name: &str| {
         errors

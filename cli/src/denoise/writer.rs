@@ -1,5 +1,4 @@
-//! Frames on their way from the device to the files: written, and compared with their references, while the device
-//! works on the next one.
+//! Writes frames, and compares them with their references, while the device works on the next one.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -17,40 +16,40 @@ use crate::inspect::Input;
 use crate::report::{FrameReport, Run};
 use crate::{Failure, quality};
 
-/// A denoised frame, and all that its output and its report are made of.
+/// A denoised frame, with all data for its output and its report.
 pub(super) struct Denoised {
     pub(super) number: Option<u32>,
     pub(super) beside: Beside,
     pub(super) output: PathBuf,
     pub(super) original: Box<BufferSet>,
     pub(super) described: Box<Input>,
-    /// What is to be said of the input before anything else.
+    /// Description of the input, which is printed before everything else.
     pub(super) introduction: Option<String>,
     pub(super) frame: Arc<Frame>,
     pub(super) reference: Option<Image>,
     pub(super) estimate: Estimate,
     pub(super) run: Run,
-    /// Where it was asked for.
+    /// Plan of the frame, if `--explain` asks for it.
     pub(super) plan: Option<Explained>,
 }
 
-/// A frame whose output lies in its place.
+/// A frame whose output is complete.
 pub(super) struct Done {
     pub(super) introduction: Option<String>,
     pub(super) reported: Reported,
 }
 
-/// What goes into every output.
+/// Settings of all outputs.
 #[derive(Clone, Copy)]
 pub(super) struct Contents<'a> {
     pub(super) method: &'a Method,
     pub(super) keep: &'a [Intermediate],
 }
 
-/// The thread that writes, one frame after the other in the order in which they come. After the first that cannot be
-/// written it writes no more.
+/// The thread that writes one frame after the other, in the order in which they come. Stops after the first frame that
+/// cannot be written.
 pub(super) struct Writer<'scope> {
-    /// `None` once there is nothing more to come.
+    /// Channel to the thread; `None` once no more frames come.
     to_write: Option<SyncSender<Denoised>>,
     done: Receiver<Result<Done, Failure>>,
     thread: ScopedJoinHandle<'scope, Comparison>,
@@ -58,7 +57,7 @@ pub(super) struct Writer<'scope> {
 
 impl<'scope> Writer<'scope> {
     pub(super) fn start(scope: &'scope Scope<'scope, '_>, contents: Contents<'scope>) -> Self {
-        // No buffer: beside the frame that is being written and the one on the device, none takes memory.
+        // No buffer: only the frame that is being written and the frame on the device take memory.
         let (to_write, incoming) = sync_channel::<Denoised>(0);
         let (sender, done) = channel();
         let thread = scope.spawn(move || {
@@ -67,7 +66,7 @@ impl<'scope> Writer<'scope> {
                 let number = frame.number;
                 let written = contents.finish(frame, &mut comparison).map_err(|failure| failure.in_frame(number));
                 let is_last = written.is_err();
-                // Nobody listens any more once the work has ended early.
+                // The receiver is gone once the work has ended early.
                 if sender.send(written).is_err() || is_last {
                     break;
                 }
@@ -77,24 +76,25 @@ impl<'scope> Writer<'scope> {
         Self { to_write: Some(to_write), done, thread }
     }
 
-    /// Waits until the frame before is written. Whether the frame was taken: none is after a failure, which comes with
-    /// [`Self::done`].
+    /// Hands a frame to the thread, which takes it once the frame before is written. Returns whether the frame was
+    /// taken: after a failure, which [`Self::done`] returns, none is.
     pub(super) fn hand_over(&self, frame: Denoised) -> bool {
         self.to_write.as_ref().is_some_and(|to_write| to_write.send(frame).is_ok())
     }
 
-    /// A frame that was written since the last call, or why one was not.
+    /// Returns a frame that was written since the last call, or the reason why one was not.
     pub(super) fn done(&self) -> Option<Result<Done, Failure>> {
         self.done.try_recv().ok()
     }
 
-    /// Waits for the next frame of those that were handed over; there will be no others. `None` after the last.
+    /// Waits for the next of the frames that were handed over. No frame can be handed over afterwards. Returns `None`
+    /// after the last.
     pub(super) fn rest(&mut self) -> Option<Result<Done, Failure>> {
         self.to_write = None;
         self.done.recv().ok()
     }
 
-    /// All frames against their references, after the rest.
+    /// Returns the comparison of all frames with their references. Called after [`Self::rest`].
     pub(super) fn comparison(self) -> Comparison {
         self.thread.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
     }
@@ -123,7 +123,7 @@ impl Contents<'_> {
             .map(|feature| feature.name.clone())
             .filter(|name| !estimate.features.contains(name))
             .collect();
-        // Writing needs memory, and nothing but a comparison needs the frame any more.
+        // Frees the frame unless a comparison needs it: writing needs memory.
         let frame = reference.is_some().then_some(frame);
         estimate.selection = None;
         let mut written =

@@ -1,4 +1,4 @@
-//! The cases: each a situation that a user's render may be in, and how far a result may go in it.
+//! The cases: situations that a user's render may be in, and the bounds of a result in each.
 
 use stein::{Extent, Image};
 use stein_exr::atomic_file::Aside;
@@ -6,79 +6,79 @@ use stein_exr::atomic_file::Aside;
 use super::checks::{Check, Subject};
 use super::picture::{Picture, Samples, Sampling, Surface, corridor, exact, image, room};
 
-/// A situation, and what holds in it.
+/// A situation, and what is expected in it.
 pub(super) struct Case {
-    /// In a user's words.
+    /// Name, in a user's words.
     pub(super) name: String,
-    /// Of the methods that have a window, in pixels.
+    /// Radius of the window in pixels, for the methods that have one.
     pub(super) window_radius: u32,
     pub(super) methods: Vec<Subject>,
-    /// The render, with its noise multiplied by this.
+    /// Makes the render with its noise multiplied by the argument.
     base: Make,
     pub(super) damage: Option<Damage>,
-    /// Other frames of a shot.
+    /// Makes another frame of the shot.
     pub(super) beside: Option<Box<dyn Fn(f64) -> Picture>>,
     pub(super) expected: Expected,
-    /// Whether less noise is to bring the output to the input.
+    /// Whether the output must become the input as the noise vanishes.
     pub(super) has_limit: bool,
-    /// Whether a second run is to give the same bits.
+    /// Whether a second run must give the same bits.
     pub(super) is_repeated: bool,
-    /// Memory in which the same bits are to come out of several strips.
+    /// Memory limit in bytes, under which several strips must give the same bits.
     pub(super) strips: Option<fn(Subject) -> u64>,
     bounds: Vec<Bound>,
 }
 
 type Make = Box<dyn Fn(f64) -> stein::Result<Picture>>;
 
-/// Does damage to a render whose noise was multiplied by this.
+/// Damages a render whose noise was multiplied by the number.
 type Apply = Box<dyn Fn(&mut Picture, f64)>;
 
-/// What is wrong with a render, and where.
+/// Damage to a render, and its location.
 pub(super) struct Damage {
     /// Column and row of each damaged pixel.
     pub(super) pixels: Vec<(usize, usize)>,
-    /// It has a share in what is settled for the frame as a whole, and so in all pixels.
+    /// Whether the damage changes what is fixed for the frame as a whole, and so all pixels.
     pub(super) moves_units: bool,
     apply: Apply,
 }
 
-/// What is to become of the render.
+/// Expected outcome of the render.
 pub(super) enum Expected {
     Result,
-    /// A refusal that says all of this.
+    /// A refusal that contains all of these texts.
     Refusal(&'static [&'static str]),
 }
 
-/// Another bound than [`usual`].
+/// A bound other than [`usual`].
 struct Bound {
     check: Check,
-    /// `None` for all.
+    /// Method of the bound; `None` for all methods.
     subject: Option<Subject>,
     bound: f64,
-    /// Why it is another.
+    /// Reason why the bound differs.
     reason: &'static str,
 }
 
-/// What holds where no case says otherwise.
+/// Returns the bound of a check if the case has no other.
 fn usual(check: Check, subject: Subject) -> f64 {
     match (check, subject) {
-        // Counts.
+        // These figures are counts.
         (Check::Door | Check::Finite | Check::Reach | Check::Bits, _) => 0.0,
         (Check::Energy | Check::Dark, _) => 0.05,
         (Check::Error | Check::Twin, _) => 1.0,
-        // The smoothing of the selection maps hands THIRD a share beside the borders of its regions, whatever the
-        // noise, and the published algorithm has no guard: it does not become the identity, and may even correct more
-        // where there is less noise.
+        // The smoothing of the selection maps gives THIRD a share beside the borders of its regions, whatever the
+        // noise, and the published algorithm has no guard. So the method does not become the identity, and may even
+        // correct more if there is less noise.
         (Check::Limit, Subject::DfcThesis) => 3.0,
-        // A sixteenth is what is left of the noise.
+        // A sixteenth of the noise is left.
         (Check::Limit, _) => 0.25,
     }
 }
 
-/// The error is made of a variance that a fit of features was solved for.
+/// Reason for errors that are made of a variance from a fit of features.
 const FITTED: &str = "the noise is what a fit of six numbers leaves, which float32 has four digits of";
 
-/// Without features, an image tells little of its noise: texture and edges look like it.
+/// Reason for images without features, which tell little of their noise: texture and edges look like noise.
 const IMAGE_ALONE: &str = "texture and edges look like noise where no feature explains them";
 const THIRD: &str =
     "the smoothed selection maps hand THIRD a share where it is wrong, and the published algorithm has no guard";
@@ -117,7 +117,7 @@ impl Case {
         }
     }
 
-    /// The render with its noise multiplied.
+    /// Makes the render with its noise multiplied by `noise`, and damages it.
     pub(super) fn picture(&self, noise: f64) -> stein::Result<Picture> {
         let mut picture = self.sound(noise)?;
         if let Some(damage) = &self.damage {
@@ -126,7 +126,7 @@ impl Case {
         Ok(picture)
     }
 
-    /// The same before it was damaged.
+    /// Makes the render without the damage.
     pub(super) fn sound(&self, noise: f64) -> stein::Result<Picture> {
         (self.base)(noise)
     }
@@ -136,7 +136,7 @@ impl Case {
         own.map_or_else(|| usual(check, subject), |bound| bound.bound)
     }
 
-    /// Why bounds are other than usual, one line for each.
+    /// Formats the reasons of the bounds that are not usual, one line for each.
     pub(super) fn reasons(&self) -> Vec<String> {
         let line = |bound: &Bound| {
             let of = bound.subject.map_or_else(String::new, |subject| format!(" of {}", subject.name()));
@@ -149,7 +149,7 @@ impl Case {
         Self { damage: Some(Damage { pixels, moves_units: false, apply: Box::new(apply) }), ..self }
     }
 
-    /// A damage that is everywhere, or has a share in the units of the frame.
+    /// Adds a damage that is everywhere, or that changes the units of the frame.
     fn changed(self, apply: impl Fn(&mut Picture, f64) + 'static) -> Self {
         Self { damage: Some(Damage { pixels: Vec::new(), moves_units: true, apply: Box::new(apply) }), ..self }
     }
@@ -158,7 +158,7 @@ impl Case {
         Self { expected: Expected::Refusal(words), ..self }
     }
 
-    /// A colour of whose noise nothing is known, which the published algorithm does not take.
+    /// Prepares a case of a colour without noise knowledge, which the published algorithm does not take.
     fn image_only(self) -> Self {
         let case = Self { methods: vec![Subject::Dfc, Subject::Nlm, Subject::Gem], ..self };
         case.within(Check::Twin, 20.0, FITTED)
@@ -173,7 +173,7 @@ impl Case {
     }
 
     fn but(mut self, subject: Subject, check: Check, bound: f64, reason: &'static str) -> Self {
-        // The particular before the general.
+        // The bound of one method comes before the bounds of all methods.
         self.bounds.insert(0, Bound { check, subject: Some(subject), bound, reason });
         self
     }
@@ -182,7 +182,7 @@ impl Case {
         Self { is_repeated: true, ..self }
     }
 
-    /// For the methods that use features; to the others it is a case that there is already.
+    /// Limits the case to the methods that use features; for the others it would repeat another case.
     fn of_features(self) -> Self {
         Self { methods: vec![Subject::Dfc, Subject::DfcThesis], ..self }
     }
@@ -198,13 +198,13 @@ const fn extent(width: u32, height: u32) -> Extent {
     Extent { width, height }
 }
 
-/// Most cases.
+/// Extent of most cases.
 const STANDARD: Extent = extent(24, 20);
-/// So wide, and so high, that parts are out of reach of a pixel near one end.
+/// Extent so wide (for [`TALL`], so high) that parts of the image are out of reach of a pixel near one end.
 const WIDE: Extent = extent(128, 4);
 const TALL: Extent = extent(4, 128);
 const RADIUS: u32 = 3;
-/// Of wide images.
+/// Radius of the window in wide images.
 const SMALL: u32 = 2;
 
 fn standard(noise: f64) -> Picture {
@@ -219,20 +219,21 @@ fn long(extent: Extent) -> impl Fn(f64) -> Picture {
     move |noise| Picture::sampled(extent, Sampling::new(noise), corridor(extent))
 }
 
-/// One surface everywhere.
+/// Makes a picture of one surface everywhere.
 fn flat(noise: f64, surface: Surface) -> Picture {
     Picture::sampled(STANDARD, Sampling::new(noise), move |_, _| surface)
 }
 
-/// The pixel of the wide image, and the row of the tall one, that are damaged.
+/// The damaged pixel of the wide image; `ROW` is the damaged row of the tall one.
 const PIXEL: (usize, usize) = (2, 1);
 const ROW: usize = 2;
 
-/// Every case, in the order in which it is told of them.
+/// Returns every case, in the order in which the cases are reported.
 pub(super) fn cases() -> Vec<Case> {
     let mut cases = Vec::new();
     cases.extend(plain().into_iter().map(Case::repeated));
-    // Less noise is looked at where something else is: these differ in size alone, or in what is repaired at the door.
+    // The limit is checked in the other cases: these differ only in size, or in what is repaired before a frame is
+    // made.
     cases.extend(sizes().into_iter().map(|case| case.repeated().without_limit()));
     cases.extend(broken().into_iter().map(Case::without_limit));
     cases.extend(noise_told_wrong());
@@ -245,7 +246,7 @@ pub(super) fn cases() -> Vec<Case> {
     cases
 }
 
-/// Little, but enough for a few rows and what they depend on.
+/// Memory limit in bytes: small, but enough for a few rows and the rows that they depend on.
 const STRIP_BYTES: fn(Subject) -> u64 = |subject| match subject {
     Subject::Dfc => 2_400_000,
     Subject::DfcThesis => 1_400_000,
@@ -326,7 +327,7 @@ fn sizes() -> Vec<Case> {
             long(extent(width, height)),
         ));
     }
-    // A window of seven.
+    // The window of this radius has a side of 7.
     for side in [6, 7, 8] {
         cases.push(named("at the border of a window", side, side, RADIUS));
     }
@@ -335,7 +336,7 @@ fn sizes() -> Vec<Case> {
     cases
 }
 
-/// Whatever a float can be, in one pixel, in a row, in all of a layer.
+/// Makes cases with every kind of float, in one pixel, in a row and in a whole layer.
 fn broken() -> Vec<Case> {
     const VALUES: [(&str, f32); 5] = [
         ("NaN", f32::NAN),
@@ -355,7 +356,7 @@ fn broken() -> Vec<Case> {
         }),
     ];
     let mut cases = Vec::new();
-    // To the repair all that is not finite is one.
+    // The repair treats all values that are not finite alike, so most layers need only one of them.
     let is_new =
         |value: f32, layer: &str| value.is_nan() || value == -3.0 || ["the colour", "the variance"].contains(&layer);
     for (what, value) in VALUES {
@@ -371,7 +372,7 @@ fn broken() -> Vec<Case> {
                 let case = Case::new(name, SMALL, long(extent));
                 let damaged = pixels.clone();
                 let apply = move |picture: &mut Picture, _: f64| fill(picture, &damaged);
-                // Albedo from −3 on has another range.
+                // An albedo of −3 changes the range of the feature.
                 let case = if value == -3.0 && layer == "a feature" {
                     case.changed(apply)
                 } else {
@@ -393,7 +394,7 @@ fn broken() -> Vec<Case> {
                     case.changed(move |picture, _| image(picture).planes.iter_mut().flatten().for_each(|v| *v = value));
                 cases.push(match layer {
                     "the colour" => case.refused(&["not one pixel has a usable", "render it again"]),
-                    // The halves are left then.
+                    // Only the halves are left then.
                     "the variance" => case.but(Subject::Gem, Check::Error, 2.0, CHEQUER),
                     layer if layer.contains("feature") => case.of_features(),
                     _ => case,
@@ -411,7 +412,7 @@ fn broken() -> Vec<Case> {
     let negative = Case::new("all variances are negative", RADIUS, standard);
     let negative = negative
         .changed(|picture, _| picture.variance().planes.iter_mut().flatten().for_each(|value| *value = -*value));
-    // They become 0, and the halves are left.
+    // The variances become 0, and only the halves are left.
     cases.push(negative.but(Subject::Gem, Check::Error, 2.0, CHEQUER));
     cases.push(Case::new("NaN in a block wider than the window", SMALL, of(extent(40, 24))).changed(|picture, _| {
         for pixel in (6..18).flat_map(|y| (8..24).map(move |x| 40 * y + x)) {
@@ -457,7 +458,7 @@ fn noise_told_wrong() -> Vec<Case> {
         cases.push(if value > 0.0 {
             case.but(Subject::Nlm, Check::Error, 1.5, CLAIM).but(Subject::Gem, Check::Error, 3.0, CLAIM)
         } else {
-            // The halves are left then.
+            // Only the halves are left then.
             case.but(Subject::Gem, Check::Error, 2.0, CHEQUER)
         });
         let case = Case::new(format!("{what} is claimed for every pixel, without halves"), RADIUS, |noise| {
@@ -493,8 +494,8 @@ fn noise_told_wrong() -> Vec<Case> {
     let huge = |picture: &mut Picture, noise: f64| {
         picture.variance().planes.iter_mut().flatten().for_each(|value| *value = (noise * noise) as f32);
     };
-    // In squares of what cannot be told apart: a relative MSE of .015 for DFC, of .4 and .5 for the others. Halves that
-    // are identical are not believed.
+    // The figures are in squares of the distance that cannot be told apart. They stand for a relative MSE of .015 for
+    // DFC, and of .4 and .5 for the others. Identical halves are not believed.
     let clean = [
         Case::new("a clean colour with a huge variance", RADIUS, |_| standard(0.0)),
         Case::new("a clean colour with a huge variance, without halves", RADIUS, |_| standard(0.0).without_halves()),
@@ -546,7 +547,7 @@ fn noise_told_wrong() -> Vec<Case> {
             })
             .image_only(),
     );
-    // The only source that tells of the noise tells nothing.
+    // The only source of noise knowledge holds none.
     for (what, value) in [("NaN", f32::NAN), ("infinity", f32::INFINITY)] {
         let fill = move |image: &mut Image| image.planes.iter_mut().flatten().for_each(|v| *v = value);
         let variance = Case::new(format!("{what} in all of the variance, without halves"), RADIUS, |noise| {
@@ -617,7 +618,7 @@ fn ranges() -> Vec<Case> {
         Case::new("written as half floats", RADIUS, |noise| {
             let mut picture = standard(noise);
             let half = |value: &mut f32| {
-                // Ten bits after the first, and none below 2⁻²⁴.
+                // A half float has ten bits after the first, and none below 2⁻²⁴.
                 let unit = (value.abs().max(6.2e-5).log2().floor() - 10.0).exp2();
                 *value = (*value / unit).round() * unit;
             };
@@ -650,7 +651,7 @@ fn ranges() -> Vec<Case> {
         }),
         Case::new("a stiff ramp: exponents of weights from 0 to 10⁶", RADIUS, |noise| {
             Picture::sampled(STANDARD, Sampling::new(noise), |x, _| {
-                // Steps that grow by a half: of one deviation, of a thousand in the end.
+                // Steps grow by a half each: from one deviation to a thousand in the end.
                 let level = 1.0 + 1e-3 * 1.5f64.powi(x as i32);
                 Surface { deviation: [2e-3; 3], ..Surface::grey(level) }
             })
@@ -918,7 +919,7 @@ fn outliers() -> Vec<Case> {
         Case::new("a lamp beside a wall that shares all its features", RADIUS, |noise| {
             Picture::sampled(STANDARD, Sampling::new(noise), |x, y| {
                 let is_lamp = (8..13).contains(&x) && (6..10).contains(&y);
-                // What is seen of a lamp directly has no noise.
+                // A lamp that is seen directly has no noise.
                 if is_lamp { Surface { deviation: [0.0; 3], ..Surface::grey(400.0) } } else { Surface::grey(1.4) }
             })
         })
@@ -947,7 +948,7 @@ fn renders() -> Vec<Case> {
     let render = |name: &str, file: &'static [u8]| {
         let mut case = Case::new(name, RADIUS, standard).without_limit();
         case.base = Box::new(move |_| {
-            // Its own folder: it is read again beside the file of the frame.
+            // The render gets a folder of its own: it is read again beside the file of the frame.
             let folder = Aside::make(tempfile::tempdir).map_err(|error| stein::Error::Request {
                 problem: format!("no folder for temporary files: {error}"),
                 remedy: "let TMPDIR name a folder that may be written to".into(),

@@ -1,4 +1,4 @@
-//! What is looked at in every result, and how far it may go.
+//! The checks of every result, and their figures.
 
 use std::path::Path;
 
@@ -34,7 +34,7 @@ impl Subject {
         }
     }
 
-    /// GEM has scales in place of a window.
+    /// Returns the method. GEM has scales in place of a window, and ignores the radius.
     fn method(self, window_radius: u32) -> Method {
         match self {
             Self::Dfc => DfcParams { window_radius, ..DfcParams::default() }.into(),
@@ -45,29 +45,29 @@ impl Subject {
     }
 }
 
-/// One property of a result. Each has a figure that is 0 or small where all is well, and a bound.
+/// One property of a result. Its figure is 0 or small if all is well, and has a bound.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub(super) enum Check {
-    /// The frame is made, or refused where it has to be.
+    /// Whether the frame is made, or refused if it must be.
     Door,
-    /// Values that are not finite, in everything that a caller gets.
+    /// Number of values that are not finite, in everything that a caller gets.
     Finite,
-    /// Change of the mean colour, relative to the mean magnitude of the input; the largest of the channels.
+    /// Change of the mean colour, relative to the mean magnitude of the input; the largest over the channels.
     Energy,
-    /// What the mean colour lacks to that of the truth or of the input, whichever is darker; relative to that of the
-    /// truth.
+    /// Loss of the mean colour against the truth or the input, whichever is darker, relative to the mean magnitude of
+    /// the truth.
     Dark,
-    /// Error over that of the noisy input.
+    /// Error, divided by the error of the noisy input.
     Error,
-    /// Values that a damaged pixel changes though it is out of reach.
+    /// Number of values out of reach of a damaged pixel that change nevertheless.
     Reach,
     /// Distance to the float64 reference, in tolerances.
     Twin,
-    /// Correction of the input by noise of a sixteenth, over that by the whole: as the noise vanishes, the output
-    /// becomes the input.
+    /// Correction of the input at a sixteenth of the noise, divided by the correction at the full noise: the output
+    /// must become the input as the noise vanishes.
     Limit,
-    /// Values that differ from run to run, or when the image is worked on in strips.
+    /// Number of values that differ from run to run, or if the image is processed in strips.
     Bits,
 }
 
@@ -99,15 +99,15 @@ impl Check {
     }
 }
 
-/// What was found.
+/// Figure that a check found.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) struct Figure {
     pub(super) check: Check,
-    /// `None` where it is not finite.
+    /// Value of the figure; `None` if it is not finite.
     pub(super) value: Option<f64>,
     pub(super) bound: f64,
     pub(super) passed: bool,
-    /// Where the worst of it is.
+    /// Location of the worst value.
     #[serde(skip_serializing_if = "String::is_empty", default)]
     pub(super) detail: String,
 }
@@ -126,14 +126,14 @@ fn finite_or_none(value: f64) -> Option<f64> {
     Some(value).filter(|value| value.is_finite())
 }
 
-/// One case with one method.
+/// Figures of one case with one method.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) struct Row {
     pub(super) case: String,
     pub(super) method: String,
     pub(super) passed: bool,
     pub(super) figures: Vec<Figure>,
-    /// `None` where there is no result.
+    /// Summary of the result; `None` without a result.
     pub(super) result: Option<Summary>,
 }
 
@@ -148,26 +148,27 @@ impl Row {
         }
     }
 
-    /// Of several the worst.
+    /// Returns the figure of a check; the worst one of several.
     pub(super) fn figure(&self, check: Check) -> Option<&Figure> {
         let figures = self.figures.iter().filter(|figure| figure.check == check);
         figures.max_by(|a, b| a.value.unwrap_or(f64::INFINITY).total_cmp(&b.value.unwrap_or(f64::INFINITY)))
     }
 }
 
-/// What runs on two adapters are compared by. Values are `None` where they are not finite, which JSON cannot tell.
+/// Figures by which runs on two adapters are compared. Values are `None` if they are not finite, which JSON cannot
+/// express.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct Summary {
-    /// Of the bits of the denoised colour.
+    /// Checksum of the bits of the denoised colour.
     pub(super) checksum: String,
-    /// Of the denoised colour.
+    /// Mean of the denoised colour; the next three fields belong to the denoised colour as well.
     pub(super) mean: Option<f64>,
     pub(super) root_mean_square: Option<f64>,
     pub(super) least: Option<f64>,
     pub(super) most: Option<f64>,
     /// Mean of the estimated error.
     pub(super) error: Option<f64>,
-    /// Mean number of pixels that took part.
+    /// Mean number of pixels that took part in an average.
     pub(super) weight_sum: Option<f64>,
 }
 
@@ -194,38 +195,38 @@ impl Summary {
     }
 }
 
-/// The device that is looked at.
+/// The device under test.
 pub(super) struct Bench<'a> {
     pub(super) gpu: &'a Gpu,
-    /// Of the user's choice.
+    /// Memory limit in bytes that the user chose.
     pub(super) max_memory: Option<u64>,
-    /// For files.
+    /// Folder for files.
     pub(super) folder: &'a Path,
 }
 
-/// A case as frames, which all methods share.
+/// Frames of a case, which all methods share.
 struct Prepared {
     picture: Picture,
     frame: Frame,
     beside: Vec<Frame>,
-    /// The frame with less and less noise, each a sixteenth of that before.
+    /// The frame with less and less noise, each time a sixteenth of the noise before.
     calmer: Vec<Frame>,
     /// The frame before it was damaged.
     sound: Option<Frame>,
 }
 
-/// What a sixteenth of the noise is, and a sixteenth of that.
+/// Factors of the noise: a sixteenth, and a sixteenth of a sixteenth.
 const CALMER: [f64; 2] = [1.0 / 16.0, 1.0 / 256.0];
 
-/// The distance up to which two pixels without noise are taken for one, at the order of 1: √(25·3·7²·10⁻¹⁰).
-/// Corrections below it are none.
+/// Distance up to which two pixels without noise are taken for one, for values of the order of 1: √(25·3·7²·10⁻¹⁰).
+/// Smaller corrections do not count.
 const INDISTINCT: f64 = 6.1e-4;
 
 impl Bench<'_> {
-    /// Looks at a case with each of the methods.
+    /// Runs all checks of a case with each of the methods.
     ///
     /// # Errors
-    /// Where the device fails: what it would be found to do from then on says nothing about it.
+    /// A failure of the device: what it does from then on says nothing about it.
     pub(super) fn run(&self, case: &Case, subjects: &[Subject]) -> stein::Result<Vec<Row>> {
         let subjects = subjects.iter().filter(|subject| case.methods.contains(subject));
         let prepared = self.prepare(case);
@@ -269,7 +270,7 @@ impl Bench<'_> {
             Err(Error::Device { problem, remedy }) => {
                 Err(Error::Device { problem: format!("{}, {}: {problem}", case.name, subject.name()), remedy })
             }
-            // A shader's, as an input that is no use would not have become a frame.
+            // The error is a shader's: an unusable input would not have become a frame.
             Err(error) => {
                 Ok(Row::new(case, subject.name(), vec![Figure::count(Check::Finite, 1, error.to_string())], None))
             }
@@ -308,7 +309,7 @@ impl Bench<'_> {
         }
         if beside.is_empty() {
             let parts = twin::compare(frame, &method, &with_everything);
-            // Not a number is worst of all.
+            // NaN is the worst of all.
             if let Some(worst) = parts.into_iter().max_by(|a, b| a.off.total_cmp(&b.off)) {
                 figures.push(Figure::new(
                     Check::Twin,
@@ -349,7 +350,7 @@ impl Bench<'_> {
     }
 }
 
-/// Everything that a caller gets.
+/// Lists all images that a caller gets.
 fn images(estimate: &Estimate) -> Vec<(&'static str, &Image)> {
     let optional =
         [("half spread", &estimate.half_spread), ("error", &estimate.error), ("selection", &estimate.selection)];
@@ -358,8 +359,8 @@ fn images(estimate: &Estimate) -> Vec<(&'static str, &Image)> {
 }
 
 fn finite(estimate: &Estimate, with_everything: &Estimate) -> Figure {
-    // Squares of spikes may overflow in the errors of candidates that do not take part, so that the intermediates but
-    // one are left out.
+    // Leaves out all intermediates but one, because squares of spikes may overflow in the errors of candidates that do
+    // not take part.
     let density = with_everything
         .layers
         .iter()
@@ -390,7 +391,7 @@ fn energy(frame: &Frame, estimate: &Estimate, bound: f64) -> Figure {
 
 fn dark(frame: &Frame, estimate: &Estimate, truth: &Image, bound: f64) -> Figure {
     let size = magnitude(truth);
-    // Noise may have darkened the input.
+    // Noise may have darkened the input below the truth.
     let least = |truth: &Vec<f32>, input: &Vec<f32>| mean(truth).min(mean(input));
     let planes = truth.planes.iter().zip(&frame.color().mean.planes).zip(&estimate.color.planes);
     let lost = planes.map(|((truth, input), after)| least(truth, input) - mean(after)).fold(0.0, f64::max);
@@ -400,7 +401,7 @@ fn dark(frame: &Frame, estimate: &Estimate, truth: &Image, bound: f64) -> Figure
 fn error(frame: &Frame, estimate: &Estimate, truth: &Image, unit: f64, bound: f64) -> Figure {
     let (noisy, denoised) =
         (relative_square(&frame.color().mean, truth, unit), relative_square(&estimate.color, truth, unit));
-    // An input without error may be changed by what cannot be told apart.
+    // An input without error may change by differences that cannot be told apart.
     Figure::new(
         Check::Error,
         denoised / (noisy + INDISTINCT * INDISTINCT),
@@ -409,13 +410,13 @@ fn error(frame: &Frame, estimate: &Estimate, truth: &Image, unit: f64, bound: f6
     )
 }
 
-/// By how much an input was changed, relative to the truth.
+/// Returns by how much the input was changed, relative to the truth.
 fn correction(frame: &Frame, estimate: &Estimate, picture: &Picture) -> f64 {
     let input = &frame.color().mean;
     relative_square_by(&estimate.color, input, picture.truth.as_ref().unwrap_or(input), picture.unit).sqrt()
 }
 
-/// Mean over pixels and channels of (x − ref)²/(ref² + 0.01·unit²).
+/// Returns the mean over pixels and channels of (x − ref)²/(ref² + 0.01·unit²).
 fn relative_square(image: &Image, reference: &Image, unit: f64) -> f64 {
     relative_square_by(image, reference, reference, unit)
 }
@@ -432,7 +433,8 @@ fn relative_square_by(image: &Image, reference: &Image, size: &Image, unit: f64)
     relative.sum::<f64>() / image.len() as f64
 }
 
-/// `None` where everything is within reach, or damaged.
+/// Counts the values out of reach that the damage changed; `None` if no pixel is out of reach, or the damage is
+/// everywhere.
 fn reach(damaged: &Estimate, sound: &Estimate, pixels: &[(usize, usize)], reach: usize) -> Option<Figure> {
     let extent = damaged.color.extent;
     let width = extent.width as usize;
@@ -452,7 +454,7 @@ fn reach(damaged: &Estimate, sound: &Estimate, pixels: &[(usize, usize)], reach:
     })
 }
 
-/// Values that are not the same to the bit.
+/// Counts the values that are not the same to the bit.
 fn differing(a: &Estimate, b: &Estimate, of: impl Fn(usize) -> bool) -> usize {
     let (a, b) = (images(a), images(b));
     let differing = |(a, b): (&Image, &Image)| {
@@ -467,7 +469,7 @@ fn differing(a: &Estimate, b: &Estimate, of: impl Fn(usize) -> bool) -> usize {
     images.sum::<usize>() + a.len().abs_diff(b.len())
 }
 
-/// The mean magnitude of the brightest channel, so that one without light may have some.
+/// Returns the mean magnitude of the brightest channel, so that a channel without light may get some.
 fn magnitude(image: &Image) -> f64 {
     image
         .planes
@@ -480,7 +482,8 @@ fn mean(plane: &[f32]) -> f64 {
     plane.iter().map(|value| f64::from(*value)).sum::<f64>() / plane.len() as f64
 }
 
-/// Whether both are brought to the device in the same units: a pixel that changes these has an influence on all others.
+/// Whether both frames have the same units on the device: a pixel that changes the units has an influence on all
+/// others.
 fn same_units(a: &Frame, b: &Frame) -> bool {
     let ranges = |frame: &Frame| {
         frame.features().iter().map(|feature| (feature.unit_scale, feature.unit_offset)).collect::<Vec<_>>()

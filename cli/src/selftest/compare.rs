@@ -1,4 +1,4 @@
-//! Two runs, result by result: where adapters differ.
+//! Compares two runs, result by result, to find where adapters differ.
 
 use std::path::Path;
 
@@ -11,35 +11,35 @@ use super::super::out::{number, table};
 use super::checks::Summary;
 use super::{Document, SCHEMA, VERSION};
 
-/// This run against another one.
+/// Comparison of this run with another one.
 #[derive(Debug, Serialize)]
 pub(super) struct Comparison {
     other_adapter: Adapter,
-    /// Results that both have, and how many of them are the same to the bit.
+    /// Number of results that both runs have; `same` of them are the same to the bit.
     compared: usize,
     same: usize,
-    /// Those that are not.
+    /// Results that differ.
     different: Vec<Difference>,
     /// Results that one of the two lacks.
     missing: Vec<String>,
 }
 
-/// Relative differences; infinite, which JSON tells as null, where one of the two has no finite value.
+/// Relative differences; infinite, which JSON shows as null, if one of the two has no finite value.
 #[derive(Debug, Serialize)]
 struct Difference {
     case: String,
     method: String,
-    /// Of the colour's mean, relative to its root mean square.
+    /// Difference of the colour's mean, relative to its root mean square.
     mean: f64,
-    /// Of the root mean square.
+    /// Difference of the root mean square.
     root_mean_square: f64,
-    /// Of the least and of the largest value, the greater difference, relative to the largest magnitude.
+    /// Difference of the least or of the largest value, whichever is greater, relative to the largest magnitude.
     extremes: f64,
-    /// Of the mean estimated error.
+    /// Difference of the mean estimated error.
     error: f64,
-    /// Of the mean number of pixels that took part.
+    /// Difference of the mean number of pixels that took part.
     weight_sum: f64,
-    /// Whether one is within bounds and the other is not.
+    /// Whether only one of the two is within bounds.
     verdicts_differ: bool,
 }
 
@@ -66,7 +66,7 @@ impl Difference {
     }
 }
 
-/// What `--json` printed in another run.
+/// Reads the document that `--json` printed in another run.
 pub(super) fn read(path: &Path) -> Result<Document, Failure> {
     document::read(
         path,
@@ -81,7 +81,7 @@ pub(super) fn read(path: &Path) -> Result<Document, Failure> {
 
 impl Comparison {
     pub(super) fn new(other: &Document, own: &Document) -> Self {
-        // Beside the same colour there may be values that are finite here alone.
+        // Beside equal colours, other values may be finite in only one of the runs.
         let is_told = |result: &Summary| [result.error, result.weight_sum].map(|value| value.is_some());
         let mut comparison = Self {
             other_adapter: other.adapter.clone(),

@@ -1,4 +1,4 @@
-//! Generated renders: what a renderer hands over, and the truth beside it.
+//! Generated renders, with the truth beside them.
 
 use std::path::Path;
 use stein::frame::RawSignal;
@@ -7,7 +7,7 @@ use stein::{Extent, Frame, Image};
 use stein_exr::{BufferSet, BufferSetRequest, NamedLayer, read_reference, write_layers};
 use stein_reference::random::Random;
 
-/// What a camera sees in a pixel.
+/// Properties of the surface that a camera sees in a pixel.
 #[derive(Clone, Copy)]
 pub(super) struct Surface {
     pub(super) radiance: [f64; 3],
@@ -19,7 +19,8 @@ pub(super) struct Surface {
 }
 
 impl Surface {
-    /// One of this radiance, with half of it for a sample's deviation, and the same features everywhere.
+    /// Returns a surface of this radiance, with half of it as a sample's standard deviation, and with the same features
+    /// everywhere.
     pub(super) fn of(radiance: [f64; 3]) -> Self {
         Self {
             radiance,
@@ -35,8 +36,8 @@ impl Surface {
     }
 }
 
-/// A wall above a chequered floor that goes into the distance, and on both a shadow that no feature shows. Median
-/// brightness well between two powers of two.
+/// Returns a wall above a chequered floor that goes into the distance, and on both a shadow that no feature shows. The
+/// median brightness is well between two powers of two.
 pub(super) fn room(extent: Extent) -> impl Fn(usize, usize) -> Surface {
     let (width, height) = (extent.width as usize, extent.height as usize);
     move |x, y| {
@@ -53,8 +54,8 @@ pub(super) fn room(extent: Extent) -> impl Fn(usize, usize) -> Surface {
     }
 }
 
-/// A corridor along the longer side: sections of twenty pixels, each of another colour and distance, every other one in
-/// a shadow that no feature shows.
+/// Returns a corridor along the longer side: sections of twenty pixels, each of another colour and distance, every
+/// other one in a shadow that no feature shows.
 pub(super) fn corridor(extent: Extent) -> impl Fn(usize, usize) -> Surface {
     move |x, y| {
         let section = if extent.width >= extent.height { x } else { y } / 20;
@@ -70,10 +71,9 @@ pub(super) struct Picture {
     pub(super) color: RawSignal,
     pub(super) features: Vec<(String, RawSignal)>,
     pub(super) samples: Samples,
-    /// `None` where nobody knows it.
+    /// Image without noise; `None` if nobody knows it.
     pub(super) truth: Option<Image>,
-    /// What is of the order of 1 in it: errors are relative to squares, and to a hundredth of its square where they
-    /// vanish.
+    /// Brightness that counts as 1. Errors are relative to ref² + 0.01·unit².
     pub(super) unit: f64,
 }
 
@@ -89,7 +89,7 @@ pub(super) enum Samples {
 pub(super) struct Sampling {
     /// Samples of each pixel, the first half of them for half A.
     pub(super) samples: usize,
-    /// All deviations are multiplied by this.
+    /// Factor of all deviations.
     pub(super) noise: f64,
     pub(super) seed: u64,
 }
@@ -101,8 +101,8 @@ impl Sampling {
 }
 
 impl Picture {
-    /// The mean, the halves and the sample variance of noisy samples: of the colour exponentially distributed, as light
-    /// that is found by chance, of albedo and depth Gaussian.
+    /// Makes a picture from noisy samples: their mean, their halves and their sample variance. The colour is
+    /// distributed exponentially, as light that is found by chance; albedo and depth are Gaussian.
     pub(super) fn sampled(extent: Extent, sampling: Sampling, surface: impl Fn(usize, usize) -> Surface) -> Self {
         let mut random = Random(sampling.seed);
         let (width, pixels) = (extent.width as usize, extent.pixels());
@@ -110,7 +110,7 @@ impl Picture {
         let exponential = |random: &mut Random| -(1.0 - random.uniform()).ln() - 1.0;
         let truth: Vec<[f64; 3]> = surfaces.iter().map(|surface| surface.radiance).collect();
         let color = sampled(extent, sampling, &truth, |pixel| {
-            // A path brings all channels light, more of one or the other.
+            // A path brings light to all channels, and more to one or the other.
             let (of_path, deviation) = (exponential(&mut random), surfaces[pixel].deviation);
             [0, 1, 2].map(|channel| deviation[channel] * (0.8 * of_path + 0.6 * exponential(&mut random)))
         });
@@ -128,7 +128,7 @@ impl Picture {
         }
     }
 
-    /// With the normals of the surfaces, without noise.
+    /// Adds the normals of the surfaces, without noise.
     pub(super) fn with_normals(mut self, surface: impl Fn(usize, usize) -> Surface) -> Self {
         let normals: Vec<[f64; 3]> =
             (0..self.extent().pixels()).map(|pixel| surface(self.column(pixel), self.row(pixel)).normal).collect();
@@ -184,7 +184,7 @@ impl Picture {
         self.color.half_b.get_or_insert_with(|| mean.clone())
     }
 
-    /// A value that half A has seen and half B has not, in the mean and in the halves.
+    /// Adds a value that half A has seen and half B has not, to the mean and to half A.
     pub(super) fn add_to_half_a(&mut self, pixel: usize, value: [f32; 3]) {
         for (channel, value) in value.into_iter().enumerate() {
             self.color.mean.planes[channel][pixel] += value / 2.0;
@@ -192,7 +192,7 @@ impl Picture {
         }
     }
 
-    /// The same for both halves alike, as if the sampler knew no better.
+    /// Adds a value to the mean and to both halves alike, as if the sampler knew no better.
     pub(super) fn add_to_both(&mut self, pixel: usize, value: [f32; 3]) {
         for (channel, value) in value.into_iter().enumerate() {
             self.color.mean.planes[channel][pixel] += value;
@@ -201,7 +201,7 @@ impl Picture {
         }
     }
 
-    /// Every image of the colour, and the truth.
+    /// Scales all images of the colour, the truth and the unit.
     pub(super) fn scale_radiance(&mut self, factor: f32) {
         let RawSignal { mean, half_a, half_b, variance_of_mean } = &mut self.color;
         let images = [Some(mean), half_a.as_mut(), half_b.as_mut(), self.truth.as_mut()];
@@ -214,7 +214,7 @@ impl Picture {
         self.unit *= f64::from(factor);
     }
 
-    /// Written to a file and read back, so that whatever is damaged in it comes the way that a user's damage does.
+    /// Makes a frame by way of a file, so that any damage arrives in the way that a user's damage does.
     pub(super) fn frame(&self, folder: &Path) -> stein::Result<Frame> {
         let path = folder.join("picture.exr");
         let mut layers = Vec::new();
@@ -241,7 +241,7 @@ impl Picture {
         read(&path).map(|(frame, _)| frame)
     }
 
-    /// A render from a file, with the truth in its layer `reference`.
+    /// Reads a render from a file, with the truth in its layer `reference`.
     pub(super) fn rendered(file: &[u8], folder: &Path) -> stein::Result<Self> {
         let path = folder.join("render.exr");
         std::fs::write(&path, file).map_err(|error| stein::Error::File {
@@ -273,7 +273,7 @@ fn push(layers: &mut Vec<NamedLayer>, channels: &[&str], signal: &RawSignal, nam
     layers.extend(names.into_iter().zip(images).filter_map(|(name, image)| Some((name, image?))).map(layer));
 }
 
-/// A feature of which nothing but the mean is known.
+/// Returns a feature of which only the mean is known.
 pub(super) fn exact(mean: Image) -> RawSignal {
     RawSignal { mean, half_a: None, half_b: None, variance_of_mean: None }
 }
@@ -283,7 +283,7 @@ pub(super) fn image<const N: usize>(extent: Extent, pixels: &[[f64; N]]) -> Imag
     Image { extent, planes: (0..N).map(plane).collect() }
 }
 
-/// Means of all samples and of both halves, and s²/n, from deviations that are drawn one after another.
+/// Returns the means of all samples and of both halves, and s²/n, from deviations that are drawn one after another.
 fn sampled<const N: usize>(
     extent: Extent,
     sampling: Sampling,

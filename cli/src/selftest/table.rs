@@ -13,7 +13,7 @@ pub(super) struct Worst {
     check: Check,
     case: String,
     method: String,
-    /// `None` where it is not finite.
+    /// Value of the figure; `None` if it is not finite.
     value: Option<f64>,
     bound: f64,
 }
@@ -39,7 +39,7 @@ pub(super) fn worst(rows: &[Row]) -> Vec<Worst> {
     Check::ALL.into_iter().filter_map(of).collect()
 }
 
-/// A line for each result, what is wrong with those that are out of bounds, and the worst of each check.
+/// Formats a line for each result, the faults of results that are out of bounds, and the worst figure of each check.
 pub(super) fn text(document: &Document, cases: &[Case], verbose: bool) -> String {
     let head: Vec<String> = ["case", "method", ""]
         .into_iter()
@@ -99,7 +99,7 @@ pub(super) fn text(document: &Document, cases: &[Case], verbose: bool) -> String
     parts.join("\n\n")
 }
 
-/// A line for each figure that is out of bounds.
+/// Formats a line for each figure that is out of bounds.
 fn wrong(row: &Row) -> Vec<String> {
     let figures = row.figures.iter().filter(|figure| !figure.passed);
     figures

@@ -1,9 +1,9 @@
-//! A result against the float64 reference, which gets the same frame.
+//! Compares a result with the float64 reference, which gets the same frame.
 //!
-//! Step by step: where a method decides (which candidate, which scale), the reference goes on with what the device has
-//! decided, so that a decision that falls the other way between two ties does not hide what comes after it, and every
-//! step is held to its own tolerance. Tolerances are relative to what a value is made of. Decisions by themselves may
-//! differ in a few pixels.
+//! The comparison goes step by step. After a decision of the method (which candidate, which scale), the reference goes
+//! on with the device's decision. So a decision that falls the other way in a tie does not hide the steps after it, and
+//! every step has its own tolerance. Tolerances are relative to the terms that a value is made of. The decisions
+//! themselves may differ in a few pixels.
 
 use stein::frame::NoiseKnowledge;
 use stein::{DfcParams, Estimate, Frame, GemParams, Image, Method, NlmParams};
@@ -20,36 +20,36 @@ use stein_reference::variance::brightness_around;
 use stein_reference::{Grid, Planes, Point, channel_mean, nlm_method, square};
 use stein_twin as bridge;
 
-/// One thing that was compared.
+/// One compared quantity.
 pub(super) struct Part {
     pub(super) name: String,
-    /// How far off its worst value is, in tolerances, but for the share of values that decisions may turn over.
+    /// Distance of the worst value, in tolerances, without the share of values that decisions may change.
     pub(super) off: f64,
-    /// Where that is, and what is there in place of what.
+    /// Location of the worst value, with the found and the expected value.
     pub(super) detail: String,
 }
 
-/// Filtered values, by how far they are from the input. Features agree to some 10⁻⁶ with their twins; where a weight is
-/// worth anything their difference is below 0.1, so that its square over k_f²·2τ, at the least 4·10⁻⁴, agrees to 10⁻⁴
-/// or so.
+/// Tolerance of filtered values, relative to their distance from the input. Features agree with their twins to some
+/// 10⁻⁶. Where a weight matters, their difference is below 0.1, so that its square over k_f²·2τ (4·10⁻⁴ at least)
+/// agrees to 10⁻⁴ or so.
 const FILTERED: f64 = 2e-4;
-/// Derivatives, which are finite differences.
+/// Tolerance of derivatives, which are finite differences.
 const DERIVED: f64 = 1e-3;
-/// Sums of squares of filtered values and such.
+/// Tolerance of sums of squares of filtered values, and of similar terms.
 const SQUARED: f64 = 4e-4;
-/// What was averaged over few values without weights of their own.
+/// Tolerance of averages over few values without weights of their own.
 const AVERAGED: f64 = 1e-5;
-/// The share of values that a decision may turn over: by a guard, by a limit, by a cut.
+/// Share of values that a decision may change: by a guard, by a limit, by a cut.
 const TURNED: f64 = 0.01;
-/// The share of values in which it may be decided otherwise whether a pixel is of a spike's kind, and gets its part of
-/// it.
+/// Share of values for which device and reference may disagree whether a pixel is of a spike's kind and gets its part
+/// of the spike.
 const OF_ONE_KIND: f64 = 0.001;
-/// A few units of float32's last digit.
+/// A few units of the last digit of float32.
 const ROUNDED: f64 = 2.5e-7;
-/// What float32 takes for 0 when it is multiplied, in the units that the methods work in.
+/// Value that vanishes in products of float32, in the units that the methods work in.
 const VANISHING: f64 = 1e-30;
 
-/// Compares what an estimate with all its intermediates holds.
+/// Compares everything that an estimate with all its intermediates holds.
 pub(super) fn compare(frame: &Frame, method: &Method, estimate: &Estimate) -> Vec<Part> {
     let exposure = bridge::exposure(frame);
     let mut comparison = Comparison { estimate, exposure, parts: Vec::new() };
@@ -61,7 +61,7 @@ pub(super) fn compare(frame: &Frame, method: &Method, estimate: &Estimate) -> Ve
     comparison.parts
 }
 
-/// A half spread may be far larger than the colour that it belongs to.
+/// Adds a hundredth of the half spread to the size: a half spread may be far larger than its colour.
 fn with_own(spread: &[Grid], size: &[Grid]) -> Planes {
     spread.iter().zip(size).map(|(spread, size)| size.like(|p| size.at(p) + 0.01 * spread.at(p).abs())).collect()
 }
@@ -76,7 +76,7 @@ impl Comparison<'_> {
     fn dfc(&mut self, frame: &Frame, params: &DfcParams) {
         let (input, params) = (bridge::frame(frame, self.exposure), bridge::dfc_params(params));
         let twin = dfc(&input, &params);
-        // Without its spikes.
+        // The colour without its spikes.
         let (u, variance) = (&twin.color.mean.clone(), &twin.color_variance.clone());
         self.own_size("scaled variance", &self.squared("scaled_variance"), variance, variance_tolerance(frame));
 
@@ -85,7 +85,7 @@ impl Comparison<'_> {
             let name = format!("{}_prefiltered", feature.name);
             let actual: Planes =
                 self.layer(&name, 1.0).iter().map(|grid| grid.like(|p| (grid.at(p) - offset) / scale)).collect();
-            // In unit range; layers are in the file's, whose offset costs digits.
+            // Values are compared in unit range. Layers are in the file's range, whose offset costs digits.
             let size = flat(&actual, 1.0 + (offset / scale).abs());
             self.add(&name, &actual, &expected.feature.mean, &size, AVERAGED, 0.0);
             let residual = &expected.feature.residual_variance;
@@ -93,8 +93,8 @@ impl Comparison<'_> {
             self.add(&name, &self.layer(&name, scale.powi(-2)), residual, &own_size(residual, 1e-7), 5e-4, 0.0);
         }
 
-        // What a pixel gets of spikes is a sum, so that its last digits are not the twin's: where a pixel with next to
-        // no noise has steep weights, they show. Where spikes stay, as with the preset of the thesis, every value
+        // A pixel's share of spikes is a sum, so its last digits differ from the twin's. They show in a pixel with
+        // almost no noise, whose weights are steep. If spikes stay, as with the preset of the thesis, every value
         // counts.
         let steep = if params.spikes.is_some() { TURNED } else { 0.0 };
         if let Some(taken) = &twin.spikes {
@@ -103,13 +103,13 @@ impl Comparison<'_> {
                 .zip(&input.color.mean)
                 .map(|(taken, mean)| taken.like(|p| taken.at(p).abs() + mean.at(p).abs() + VANISHING))
                 .collect();
-            // In a frame without noise nobody looks for any.
+            // In a frame without noise the method does not look for spikes.
             let found =
                 Some(self.color("spikes")).filter(|found| !found.is_empty()).unwrap_or_else(|| flat(taken, 0.0));
             self.add("spikes", &found, taken, &size, AVERAGED, OF_ONE_KIND);
         }
 
-        // What a pixel of a filtered colour may be measured by: how far it was moved, its noise, a hundredth of itself.
+        // Size of a pixel of a filtered colour: its distance from the input, its noise, and a hundredth of its value.
         let color_size = |filtered: &[Grid]| -> Planes {
             let channel = |i: usize| {
                 u[i].like(|p| {
@@ -126,7 +126,8 @@ impl Comparison<'_> {
         for (name, candidate) in NAMES.into_iter().zip(&twin.candidates) {
             self.add(name, &self.color(name), &candidate.mean, &color_size(&candidate.mean), FILTERED, steep);
             let derivative = format!("{name}_derivative");
-            // Finite differences of what is rounded, by weights whose exponents are rounded.
+            // Rounding error of the finite differences: the values are rounded, and so are the exponents of the
+            // weights.
             let rounded = |i: usize, p: Point| {
                 40.0 * ROUNDED * (candidate.mean[i].at(p) - u[i].at(p)).abs()
                     / finite_difference_step(u[i].at(p), variance[i].at(p), around.at(p)).abs()
@@ -149,12 +150,12 @@ impl Comparison<'_> {
         let sure = self.squared("sure");
         self.add("SURE", &sure, &twin.sure, &terms, SQUARED, steep);
 
-        // From here on by what the device has decided.
+        // From here on, the reference follows the decisions of the device.
         let aside =
             FilterParams { symmetric_features: params.symmetric, blend_pairs: params.symmetric, ..aside(&params) };
         let guide = Guide { mean: u, variance };
         let errors = self.squared("sure_smoothed");
-        // An average of nine.
+        // The largest of nine values, for an average of them.
         let around = |grids: &[Grid]| -> Planes {
             grids
                 .iter()
@@ -172,7 +173,7 @@ impl Comparison<'_> {
         self.add("SURE smoothed", &errors, &smooth_errors(&sure, guide, &aside), &around(&sure), FILTERED, 0.0);
         let derivatives = NAMES.map(|name| self.layer(&format!("{name}_derivative"), 1.0));
         let selected = self.layer("selected", 1.0);
-        // Whether FIRST may win is turned over by the last digit of a derivative.
+        // The last digit of a derivative can decide whether FIRST may win.
         let mean_derivative = |k: usize, p: Point| channel_mean(&derivatives[k], p);
         let ties =
             |p: Point| (mean_derivative(0, p) - mean_derivative(1, p)).abs() <= 1e-6 * mean_derivative(1, p).abs();
@@ -195,7 +196,7 @@ impl Comparison<'_> {
         };
         let maps = self.layer("selection", 1.0);
         let expected = select::share(&select::smooth_maps(&selected, guide, &aside), evidence, params.guard.as_ref());
-        // Of what the filter by the colour only leaves, where it takes part.
+        // The candidates share what the filter by the colour only leaves, if that filter takes part.
         let of_color_only = self.layer("color_only_share", 1.0);
         let expected = of_color_only.first().map_or_else(|| expected.clone(), |share| rest_of(&expected, share));
         let color_only = twin.color_only.as_ref().zip(of_color_only.first());
@@ -224,7 +225,8 @@ impl Comparison<'_> {
                 TURNED,
             );
         }
-        // By what they make of the candidates: where these are the same, it does not matter which is taken.
+        // Compares the selections by the blends that they make: where the candidates are equal, the choice does not
+        // matter.
         let apart = |i: usize, p: Point| {
             (0..3)
                 .flat_map(|j| (0..j).map(move |k| (j, k)))
@@ -263,7 +265,7 @@ impl Comparison<'_> {
             mean: more(&|own| own.mean.clone(), pass1.mean),
             spread: pass1.spread.map(|spread| more(&|own| own.spread.clone().unwrap_or_default(), spread)),
         };
-        // Lights of few pixels hide what is in their place.
+        // Lights of few pixels hide the filtered values below them.
         let shown = |planes: Planes, instead: &[Grid]| -> Planes {
             let Some(lights) = &twin.lights else { return planes };
             planes
@@ -277,7 +279,7 @@ impl Comparison<'_> {
         } else {
             shown(bridge::grids(&self.estimate.color, self.exposure), &pass1.mean)
         };
-        // The filter by the colour only is the reference's own.
+        // The reference uses its own result of the filter by the colour only.
         let (relative, size) =
             if color_only.is_some() { (FILTERED, color_size(&pass1.mean)) } else { (AVERAGED, largest(means)) };
         self.add("pass 1", &actual, &pass1.mean, &size, relative, if color_only.is_some() { steep } else { 0.0 });
@@ -286,7 +288,7 @@ impl Comparison<'_> {
         let (expected, size) = (with_more(blended(weight_sums)), with_more(largest(weight_sums)));
         self.add("Σ w", &bridge::grids(&self.estimate.weight_sum, 1.0), &expected, &size, 1e-3, steep);
 
-        // The error is that of the result as it is.
+        // The error belongs to the device's result.
         let part = |k: usize| sure::Part { share: &maps[k], mean: means[k], derivative: &derivatives[k] };
         let (mean, spread) = (
             bridge::grids(&self.estimate.color, self.exposure),
@@ -303,14 +305,14 @@ impl Comparison<'_> {
         });
         let made_of: Vec<_> = [0, 1, 2].map(part).into_iter().chain(of_color_only).collect();
         let error = sure::error_blend(&mean, spread, variance, &made_of, twin.squares.as_ref(), parts);
-        // Where a pixel is moved back to the input, what it was before is not told: its error is held below what the
-        // pixel may have.
+        // If a pixel is moved back to the input, its value before is not known: its error is only compared with the
+        // largest error that such a pixel may have.
         let unlimited = before;
         let clean = params.keep_clean.unwrap_or(CleanParams { noise: 0.0, ..CleanParams::default() });
         let limit = allowed(&twin.color, clean);
         let actual = self.grids(self.estimate.error.as_ref(), self.exposure.powi(2));
         let most = kept_error(&error.like(|_| f64::INFINITY), &twin.color, clean);
-        // The density is made of it as it was before.
+        // The density is made from the error as it was before.
         let of_passes = error.clone();
         let error = match actual.first() {
             Some(actual) if params.keep_clean.is_some() => error.like(|p| {
@@ -326,7 +328,7 @@ impl Comparison<'_> {
             |p: Point| (0..3).map(|i| (ROUNDED * (mean[i].at(p).abs() + apart(i, p))).powi(2) / AVERAGED).sum::<f64>();
         let size =
             [error.like(|p| error.at(p) + rounded(p) + 2.0 * (error.at(p) * rounded(p) / AVERAGED).sqrt() + VANISHING)];
-        // The filter by the colour only is the reference's own, with its rounding.
+        // The reference uses its own result of the filter by the colour only, with its own rounding.
         let relative = if color_only.is_some() { SQUARED } else { AVERAGED };
         self.add("error", &actual, std::slice::from_ref(&error), &size, relative, 0.0);
 
@@ -412,14 +414,14 @@ impl Comparison<'_> {
         let params = bridge::gem_params(params);
         let twin = gem::gem(&bridge::signal(frame.color(), self.exposure), &bridge::samples(frame, 0.0), &params);
         self.own_size("scaled variance", &self.squared("scaled_variance"), &twin.variance, variance_tolerance(frame));
-        // What a bias term of nothing but rounding may be: the square of float32's last digits of the largest value
-        // that a scale averages.
+        // Bias term that rounding alone may cause: the square of float32's last digits of the largest value that a
+        // scale averages.
         let rounding = (4e-6 * twin.scales[0].mean.iter().map(largest).fold(0.0, f64::max)).powi(2);
         let mut maps = Vec::new();
         for (index, (step, sigma)) in twin.steps.iter().zip(&params.sigmas).enumerate() {
             let name = format!("stopping_{}", index + 1);
             let (stops, smoothed) = (self.layer(&name, 1.0), self.layer(&format!("{name}_smoothed"), 1.0));
-            // Where the selector is within rounding of 0, both are right.
+            // If the selector is within rounding of 0, both decisions are right.
             let ties = |p: Point| {
                 step.selector(p).abs() <= 1e-4 * (step.bias_term.at(p) + step.variance_term.at(p).abs()) + rounding
             };
@@ -478,7 +480,7 @@ impl Comparison<'_> {
         self.layer(layer, self.exposure * self.exposure)
     }
 
-    /// A kept layer, in the units of the reference; nothing where there is none.
+    /// Returns a kept layer in the units of the reference; empty if there is none.
     fn layer(&self, name: &str, factor: f64) -> Planes {
         let layer = self.estimate.layers.iter().find(|layer| layer.name == name);
         self.grids(layer.map(|layer| &layer.image), factor)
@@ -492,13 +494,13 @@ impl Comparison<'_> {
         self.add(name, actual, expected, &own_size(expected, VANISHING), relative, 0.0);
     }
 
-    /// `scale` says for each value what a relative error of 1 would be.
+    /// Compares a quantity. `scale` holds, for each value, the size of a relative error of 1.
     fn add(&mut self, name: &str, actual: &[Grid], expected: &[Grid], scale: &[Grid], relative: f64, share: f64) {
         if actual.len() < expected.len() {
             self.parts.push(Part { name: name.to_owned(), off: f64::INFINITY, detail: "it is missing".into() });
             return;
         }
-        // The smallest number of float32 in the file's units, in which layers are told.
+        // The smallest number of float32 in the file's units, which layers are in.
         let least = f64::from(f32::from_bits(1)) * self.exposure.max(1.0).powi(2);
         let worst = compare::worst(actual, expected, scale, Tolerance { relative, least, share });
         let part = worst.map(|worst| Part { name: name.to_owned(), off: worst.off, detail: worst.to_string() });
@@ -506,7 +508,7 @@ impl Comparison<'_> {
     }
 }
 
-/// What the smoothing of errors and maps has in common with the candidates.
+/// Returns the parameters that the smoothing of errors and maps shares with the candidates.
 fn aside(params: &stein_reference::dfc::DfcParams) -> FilterParams {
     FilterParams {
         window_radius: 0,
@@ -520,7 +522,7 @@ fn aside(params: &stein_reference::dfc::DfcParams) -> FilterParams {
     }
 }
 
-/// Σ_k maps_k · planes_k, without what has no weight: it may not be finite.
+/// Returns Σ_k maps_k · planes_k, without values of weight 0, which may not be finite.
 fn blend(maps: &[Grid], planes: [&Grid; 3]) -> Grid {
     maps[0].like(|p| {
         maps.iter().zip(planes).filter(|(map, _)| map.at(p) > 0.0).map(|(map, plane)| map.at(p) * plane.at(p)).sum()
@@ -531,7 +533,7 @@ fn largest(plane: &Grid) -> f64 {
     plane.values.iter().fold(VANISHING, |most, value| value.abs().max(most))
 }
 
-/// Where nothing tells of the noise but the image, a fit of features solves for it.
+/// Returns the tolerance of the variance. If only the image tells of the noise, a fit of features is solved for it.
 fn variance_tolerance(frame: &Frame) -> f64 {
     if frame.noise_knowledge() == NoiseKnowledge::ImageOnly { 1e-3 } else { AVERAGED }
 }

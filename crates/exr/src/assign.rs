@@ -1,4 +1,4 @@
-//! Which layer is taken for what.
+//! Decides which layer is used as what.
 
 use std::path::{Path, PathBuf};
 
@@ -62,7 +62,7 @@ impl Files {
     }
 }
 
-/// A layer that is left out because of what is wrong with it.
+/// A layer that is left out because of a problem.
 struct LeftOut {
     file: usize,
     layer: usize,
@@ -88,14 +88,13 @@ impl LeftOut {
         Note { file: self.file, layer: self.layer, text: self.problem }
     }
 
-    /// For a layer that cannot be done without.
+    /// Converts to the error for a layer that is required.
     fn into_error(self) -> Error {
         Error::Layer { path: self.path, layer: self.name, problem: self.problem, remedy: self.remedy }
     }
 }
 
-/// The colour with its halves and variance. Of those, what is wrong is left out as long as the other source tells the
-/// noise.
+/// Finds the colour with its halves and variance. Leaves out faulty ones as long as another source tells of the noise.
 fn color_source(
     files: &mut Files,
     input: usize,
@@ -133,7 +132,7 @@ fn color_source(
     found.variance = named(&request.variance, found.variance)?;
     found.leave_out_single_half(&files.list);
     let is_told = found.half_a.is_some() || found.variance.is_some();
-    // A half that was asked for by name is not left out without its other half.
+    // A half that was requested by name is not left out if the other half is missing.
     let is_named = found.half_a.is_none() && (request.half_a.is_some() || request.half_b.is_some());
     if found.left_out.is_empty() || is_told && !is_named {
         left_out.append(&mut found.left_out);
@@ -187,7 +186,7 @@ pub(crate) fn color_layer(file: &ExrFile, wanted: Option<&str>) -> Result<usize>
 fn named_layer(file: &ExrFile, wanted: &str) -> Result<usize> {
     let position = |matches: &dyn Fn(&FileLayer) -> bool| {
         let mut found = file.layers.iter().enumerate().filter(|(_, layer)| matches(layer)).map(|(index, _)| index);
-        // A name that fits two layers fits none.
+        // A name that fits two layers counts as no match.
         found.next().filter(|_| found.next().is_none())
     };
     position(&|layer| layer.name == wanted)
@@ -201,7 +200,7 @@ fn named_layer(file: &ExrFile, wanted: &str) -> Result<usize> {
         })
 }
 
-/// The channels R, G, B of a layer; a luminance stands for all three.
+/// Returns the channels R, G, B of a layer; a luminance stands for all three.
 pub(crate) fn color_channels(file: &ExrFile, layer: usize) -> Result<Vec<usize>> {
     let layer = &file.layers[layer];
     let find = |suffix: &str| {
@@ -221,7 +220,7 @@ pub(crate) fn color_channels(file: &ExrFile, layer: usize) -> Result<Vec<usize>>
     }
 }
 
-/// The channels of a feature: all but the alpha, if that leaves one to three.
+/// Returns the channels of a feature: all but the alpha. Returns `None` unless one to three are left.
 fn feature_channels(layer: &FileLayer) -> Option<Vec<usize>> {
     let alpha = |suffix: &str| {
         layer.channels.len() > 1 && (suffix.eq_ignore_ascii_case("A") || suffix.eq_ignore_ascii_case("alpha"))
@@ -237,7 +236,7 @@ struct Companions {
     half_a: Option<Planes>,
     half_b: Option<Planes>,
     variance: Option<Planes>,
-    /// Those that cannot be used.
+    /// Companions that cannot be used.
     left_out: Vec<LeftOut>,
 }
 
@@ -248,7 +247,7 @@ impl Companions {
         found
     }
 
-    /// Adds those that are named after `base`, as far as they are missing.
+    /// Adds the companions that are named after `base` and still missing.
     fn add(&mut self, files: &[ExrFile], mean: &Planes, base: &str, bare_too: bool) {
         let file = &files[mean.file];
         let parts = [
@@ -275,7 +274,7 @@ impl Companions {
         }
     }
 
-    /// One half says nothing without the other.
+    /// Leaves out a half without the other one, because it says nothing alone.
     fn leave_out_single_half(&mut self, files: &[ExrFile]) {
         let (single, missing, named) = match (&mut self.half_a, &mut self.half_b) {
             (single @ Some(_), None) => (single, "B", "`BufferSetRequest::half_b`"),
@@ -294,8 +293,8 @@ impl Companions {
     }
 }
 
-/// The channels of `layer` that correspond to those of the mean, by name; by position where the names differ throughout
-/// (`Z` and `Y` of single channels). `None` if they do not match.
+/// Returns the channels of `layer` that correspond to those of the mean: by name, or by position if the names differ
+/// throughout (`Z` and `Y` of single channels). Returns `None` if they do not match.
 fn matching_channels(file: &ExrFile, mean: &Planes, layer: usize) -> Option<Vec<usize>> {
     let mean_layer = &file.layers[mean.layer];
     let suffix_of = |index: &usize| {
@@ -339,7 +338,7 @@ fn requested_feature(
     };
     let mean = Planes { file: index, layer, channels };
     let mut found = Companions::find(&files.list, &mean, bare_too);
-    // A file of its own may also name them after the feature: `R G B` with `albedo_halfA.R` ...
+    // A separate file may also name them after the feature: `R G B` with `albedo_halfA.R` ...
     if bare_too {
         found.add(&files.list, &mean, name, false);
     }
@@ -348,7 +347,8 @@ fn requested_feature(
     Ok(found.beside(mean))
 }
 
-/// The layer meant by a file that is named without one: the colour, or the only layer, or the one without a name.
+/// Returns the layer meant by a file that is named without a layer: the only layer, the layer without a name, or the
+/// colour.
 fn main_layer(file: &ExrFile) -> Result<usize> {
     if file.layers.len() == 1 {
         return Ok(0);
@@ -359,8 +359,8 @@ fn main_layer(file: &ExrFile) -> Result<usize> {
     }
 }
 
-/// Adds the input's own features to those that were requested, as far as they are wanted. What is to be skipped must be
-/// one of them, by its whole name or what stands behind one of its dots.
+/// Adds the input's own features to the requested ones, unless the request excludes them. Each name to skip must match
+/// one of these features: its whole name, or the part behind one of its dots.
 fn find_features(
     files: &[ExrFile],
     color: &SignalSource,
@@ -383,7 +383,7 @@ fn find_features(
         if taken(layer) || names::why_not_a_variance(&candidate.name).is_some() || names::is_sample_count_name(name) {
             continue;
         }
-        // A companion of some layer is that layer's business; without its layer it is nobody's.
+        // A companion is used with its layer only. If that layer is not in the file, a note says so.
         if let Some((base, _)) = names::companion_base(&candidate.name) {
             if !file.layers.iter().any(|other| other.name == base) {
                 notes.push((layer, format!("its layer '{}' is not in the file", text::name(base))));
@@ -439,14 +439,14 @@ fn sample_count(file: &ExrFile) -> Option<Planes> {
     Some(Planes { file: 0, layer, channels: vec![file.layers[layer].channels[0].index] })
 }
 
-/// All images of a set must show the same pixels.
+/// Checks that all images of a set show the same pixels.
 fn check_windows(set: &BufferSet) -> Result<()> {
     let expected = set.data_window();
     for (planes, _) in used_planes(set) {
         let file = &set.files[planes.file];
         let layer = &file.layers[planes.layer];
         let found = file.data_window(layer.part);
-        // A file of its own may have been cropped to its data window: its pixels are the same ones if the extent is.
+        // A separate file may be cropped to its data window: its pixels are the same if the extent is.
         let same = if planes.file == 0 { found == expected } else { found.extent == expected.extent };
         if !same {
             return Err(Error::Layer {

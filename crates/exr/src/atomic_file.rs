@@ -1,7 +1,7 @@
-//! Files that appear under their names only when they are complete: written beside their place, and renamed into it.
+//! Files that appear under their names only when they are complete: they are written beside their destination and then
+//! renamed.
 //!
-//! What is on its way is known to the process, so that a program that a signal ends can take it away first: see
-//! [`abandon`].
+//! The process knows its unfinished files, so that a program that a signal ends can remove them first: see [`abandon`].
 
 use std::collections::BTreeSet;
 use std::fs::{File, Metadata};
@@ -12,35 +12,35 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use tempfile::{Builder, NamedTempFile};
 
-/// The files and folders of this process that are on their way; `None` once they were abandoned.
+/// The unfinished files and folders of this process; `None` once they were abandoned.
 static UNFINISHED: Mutex<Option<BTreeSet<PathBuf>>> = Mutex::new(Some(BTreeSet::new()));
 
 fn unfinished() -> MutexGuard<'static, Option<BTreeSet<PathBuf>>> {
     UNFINISHED.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Removes everything that is on its way to its place; from now on nothing sets out or arrives. For a program that ends
-/// at once, without going back through what it was doing: on a second Ctrl-C, or where the first was not heeded in
-/// time. What has arrived stays, and nothing is ever seen half.
+/// Removes all unfinished files and folders; from now on none can be started or finished. For a program that ends at
+/// once, without going back through its work: on a second Ctrl-C, or if the first was not heeded in time. Finished
+/// files stay, and nobody ever sees a half-written file.
 pub fn abandon() {
     for path in unfinished().take().into_iter().flatten() {
-        // Nobody is left to be told.
+        // Ignores errors: nobody is left to hear of them.
         let _ = if path.is_dir() { std::fs::remove_dir_all(&path) } else { std::fs::remove_file(&path) };
     }
 }
 
-/// A temporary file or folder that [`abandon`] removes, as dropping it does.
+/// A temporary file or folder, which is removed when it is dropped or when [`abandon`] is called.
 pub struct Aside<T: AsRef<Path>> {
-    /// `None` once it has arrived.
+    /// The file or folder; `None` once it is finished.
     made: Option<T>,
     path: PathBuf,
 }
 
 impl<T: AsRef<Path>> Aside<T> {
-    /// Has one made.
+    /// Creates one with `make`.
     ///
     /// # Errors
-    /// What `make` fails with, and [`ErrorKind::Interrupted`] once everything was abandoned.
+    /// Errors of `make`, and [`ErrorKind::Interrupted`] once everything was abandoned.
     pub fn make(make: impl FnOnce() -> Result<T>) -> Result<Self> {
         let mut unfinished = unfinished();
         let paths = unfinished.as_mut().ok_or_else(abandoned)?;
@@ -50,10 +50,10 @@ impl<T: AsRef<Path>> Aside<T> {
         Ok(Self { made: Some(made), path })
     }
 
-    /// Lets `place` put it where it belongs. It is not abandoned meanwhile.
+    /// Lets `place` move it to its destination. [`abandon`] waits meanwhile.
     ///
     /// # Errors
-    /// What `place` fails with, and [`ErrorKind::Interrupted`] once everything was abandoned.
+    /// Errors of `place`, and [`ErrorKind::Interrupted`] once everything was abandoned.
     pub fn finish<R>(mut self, place: impl FnOnce(T) -> Result<R>) -> Result<R> {
         let unfinished = unfinished();
         if unfinished.is_none() {
@@ -92,28 +92,28 @@ impl<T: AsRef<Path>> Drop for Aside<T> {
     }
 }
 
-/// Writes a file of these bytes, as readable as the user's other files, or as the file that it replaces. Where anything
-/// fails, what was there stays and nothing else is left.
+/// Writes a file of these bytes. The file is as readable as the user's other files, or as the file that it replaces. On
+/// an error, the earlier file stays and nothing else is left.
 ///
 /// # Errors
-/// Those of the file system, and [`ErrorKind::Interrupted`] once everything was abandoned.
+/// Errors of the file system, and [`ErrorKind::Interrupted`] once everything was abandoned.
 pub fn write(output: &Path, bytes: &[u8]) -> Result<()> {
     let mut builder = Builder::new();
     replace(output, readable(builder.prefix(".stein-").suffix(".part")), |file| file.write_all(bytes))
 }
 
-/// Temporary files are private by default; an output is as readable as the user's other files.
+/// Makes the temporary file as readable as the user's other files; temporary files are private by default.
 pub fn readable<'a, 'b, 'c>(builder: &'c mut Builder<'a, 'b>) -> &'c mut Builder<'a, 'b> {
     #[cfg(unix)]
     builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
     builder
 }
 
-/// Writes a file aside, has the system keep it, and renames it to `output`, where another may be replaced, whose access
-/// rights it takes over. Where anything fails, what was there stays and nothing else is left.
+/// Writes a file beside `output`, has the system store it, and renames it to `output`. The file takes over the access
+/// rights of a file that it replaces. On an error, the earlier file stays and nothing else is left.
 ///
 /// # Errors
-/// As [`write`].
+/// As [`write()`].
 pub fn replace(
     output: &Path,
     builder: &mut Builder<'_, '_>,
@@ -128,10 +128,10 @@ pub fn replace(
     if let Some(replaced) = output.metadata().ok().filter(Metadata::is_file) {
         inherit(aside.as_file(), &replaced);
     }
-    // A disk far away tells only now that it is full; and a name must not outlive a power failure that its content did
-    // not.
+    // A remote disk may report only now that it is full. And after a power failure, the name must not exist without the
+    // content.
     match aside.as_file().sync_all() {
-        // Some file systems have no such thing.
+        // Some file systems do not support this.
         Err(error) if matches!(error.kind(), ErrorKind::Unsupported | ErrorKind::InvalidInput) => {}
         synced => synced?,
     }
@@ -139,14 +139,14 @@ pub fn replace(
 }
 
 /// Gives a file or folder the access rights of the one that it replaces: owner and group as far as this process may,
-/// and the mode. Where the group cannot be kept, its members get no more than everybody has.
+/// and the mode. If the group cannot be kept, its members get no more rights than everybody.
 ///
-/// Best effort: file systems without such rights refuse, and there is nothing to keep on them.
+/// Ignores errors: file systems without such rights refuse, and have no rights to keep.
 pub fn inherit(new: &File, replaced: &Metadata) {
     #[cfg(unix)]
     {
         use std::os::unix::fs::{MetadataExt, PermissionsExt, fchown};
-        // Only the superuser gives files away. Of the owner's rights the new owner needs all.
+        // Only the superuser may give files away. The new owner needs all rights of the old one.
         let _ = fchown(new, Some(replaced.uid()), None);
         let keeps_group = fchown(new, None, Some(replaced.gid())).is_ok();
         let mode = replaced.mode() & 0o777;
@@ -154,7 +154,7 @@ pub fn inherit(new: &File, replaced: &Metadata) {
         let mode = if keeps_group { mode } else { (mode & 0o707) | (mode & of_others) };
         let _ = new.set_permissions(PermissionsExt::from_mode(mode));
     }
-    // Elsewhere rights are the folder's.
+    // On other systems, the folder decides the access rights.
     #[cfg(not(unix))]
     let _ = (new, replaced);
 }

@@ -13,8 +13,8 @@ use crate::layer_ref::LayerUse;
 use crate::request::BufferSetRequest;
 use crate::write::colored_channels;
 
-/// Bytes per pixel that settling a signal takes besides its planes: marks of pixels to repair, of misses, of neighbours
-/// that are usable.
+/// Bytes per pixel that settling a signal takes besides its planes: marks of pixels to repair, of misses, and of usable
+/// neighbours.
 const STATE_BYTES: u64 = 6;
 
 /// Some channels of one part of one of the set's files.
@@ -22,7 +22,7 @@ const STATE_BYTES: u64 = 6;
 pub(crate) struct Planes {
     pub(crate) file: usize,
     pub(crate) layer: usize,
-    /// Positions in the part's list of channels, one for each plane; a luminance stands three times.
+    /// Positions in the part's list of channels, one for each plane; a luminance is listed three times.
     pub(crate) channels: Vec<usize>,
 }
 
@@ -34,8 +34,8 @@ pub(crate) struct SignalSource {
     pub(crate) variance: Option<Planes>,
 }
 
-/// What the files said. Keeps the files' whole content in memory, so that an output can carry over what was not
-/// denoised.
+/// The layers of the input files and their use. Keeps the whole content of the files in memory, so that an output can
+/// carry over everything that was not denoised.
 #[derive(Clone, Debug)]
 pub struct BufferSet {
     pub(crate) files: Vec<ExrFile>,
@@ -46,59 +46,59 @@ pub struct BufferSet {
 }
 
 impl BufferSet {
-    /// Reads the files and decides which layer is what.
+    /// Reads the files and decides which layer is used as what.
     ///
     /// # Errors
     /// A file that is missing, damaged or of a kind that cannot be read; a requested layer that does not exist; layers
     /// whose data windows differ from the colour's; a half of the colour without the other, or halves and variance of
-    /// other channels, where nothing else tells the colour's noise; more than
-    /// [`MAX_FEATURES`](stein::frame::MAX_FEATURES) requested features; one to skip that the input does not have.
-    /// Halves and variances that cannot be used are else left out, and [`BufferSet::layer_uses`] says why.
+    /// other channels, if nothing else tells the colour's noise; more than
+    /// [`MAX_FEATURES`](stein::frame::MAX_FEATURES) requested features; a feature to skip that the input does not have.
+    /// All other halves and variances that cannot be used are left out, and [`BufferSet::layer_uses`] says why.
     pub fn read(request: &BufferSetRequest) -> Result<Self> {
         assign::read(request)
     }
 
-    /// The input's path.
+    /// Returns the input's path.
     pub fn input(&self) -> &Path {
         &self.files[0].path
     }
 
-    /// Width and height of the data window: of all images of the set.
+    /// Returns width and height of the data window, which all images of the set share.
     pub fn extent(&self) -> Extent {
         self.data_window().extent
     }
 
-    /// Where the pixels lie in the input's coordinates.
+    /// Returns the data window: the position of the pixels in the input's coordinates.
     pub fn data_window(&self) -> Window {
         self.files[0].data_window(self.color_part())
     }
 
-    /// The whole picture, of which the data window may be a part, or which it may exceed.
+    /// Returns the display window: the whole picture. The data window may be a part of it, or exceed it.
     pub fn display_window(&self) -> Window {
         self.files[0].display_window()
     }
 
-    /// The noisy colour: always three planes, equal ones for a luminance-only image.
+    /// Returns the noisy colour: always three planes, equal ones for a luminance-only image.
     pub fn color(&self) -> RawSignal {
         self.raw(&self.color)
     }
 
-    /// The name of the colour's layer; empty for plain `R G B`.
+    /// Returns the name of the colour's layer; empty for plain `R G B`.
     pub fn color_layer(&self) -> &str {
         &self.files[0].layers[self.color.mean.layer].name
     }
 
-    /// The names of the features, in the order of their indices.
+    /// Returns the names of the features, in the order of their indices.
     pub fn feature_names(&self) -> impl ExactSizeIterator<Item = &str> {
         self.features.iter().map(|(name, _)| name.as_str())
     }
 
-    /// All features with their names, decoded one at a time.
+    /// Returns all features with their names, decoded one at a time.
     pub fn features(&self) -> impl ExactSizeIterator<Item = (&str, RawSignal)> {
         self.features.iter().map(|(name, source)| (name.as_str(), self.raw(source)))
     }
 
-    /// Samples per pixel: from a channel if there is one, else from the header (attribute `samples` or
+    /// Returns the samples per pixel: from a channel if there is one, else from the header (attribute `samples` or
     /// `samplesPerPixel`), else unknown.
     pub fn samples_per_pixel(&self) -> SamplesPerPixel {
         if let Some(planes) = &self.samples {
@@ -108,31 +108,32 @@ impl BufferSet {
         named("samples").or_else(|| named("samplesPerPixel")).map_or(SamplesPerPixel::Unknown, SamplesPerPixel::Uniform)
     }
 
-    /// A text in the input's header, of the colour's part or of the whole file.
+    /// Returns a text in the input's header, of the colour's part or of the whole file.
     pub fn text_attribute(&self, name: &str) -> Option<String> {
         self.files[0].text_attribute(self.color_part(), name)
     }
 
-    /// Every layer of every file, and what it is used as.
+    /// Returns every layer of every file, and its use.
     pub fn layer_uses(&self) -> &[LayerUse] {
         &self.layer_uses
     }
 
-    /// Settles the meaning of what the files said. The halves are taken to have equal numbers of samples, since no file
-    /// says otherwise.
+    /// Makes a frame: settles the meaning of the layers. The halves are taken to have equal numbers of samples, since
+    /// no file says otherwise.
     ///
     /// # Errors
-    /// As [`Frame::new`]; [`Error::File`] where memory would end.
+    /// As [`Frame::new`]; [`Error::File`] if there is not enough memory.
     pub fn to_frame(&self) -> Result<(Frame, Repairs)> {
         self.check_memory_for_frame(false)?;
         self.settle(self.color())
     }
 
-    /// As [`BufferSet::to_frame`], for large frames: the set lets go of the stored samples of the colour and its noise,
-    /// and of all other files than the input. What is left of the set serves [`write_estimate`](crate::write_estimate).
+    /// Makes a frame as [`BufferSet::to_frame`] does, with less memory: the set frees the stored samples of the colour
+    /// and its noise, and of all files other than the input. The rest of the set serves
+    /// [`write_estimate`](crate::write_estimate).
     ///
     /// # Errors
-    /// As [`Frame::new`]; [`Error::File`] where memory ends, or where the input is gone.
+    /// As [`Frame::new`]; [`Error::File`] if there is not enough memory, or if the input is gone.
     pub fn take_frame(&mut self) -> Result<(Frame, Repairs)> {
         self.check_memory_for_frame(true)?;
         let color = self.take_color()?;
@@ -148,11 +149,11 @@ impl BufferSet {
         Frame::from_raw(color, self.features().map(|(name, raw)| (name.to_owned(), raw)), self.samples_per_pixel())
     }
 
-    /// As [`BufferSet::color`]. Samples of the colour and its noise are let go of where nothing but the colour is made
-    /// of them: an output replaces them or leaves them out.
+    /// Returns the colour as [`BufferSet::color`] does. Frees the samples of the colour and its noise if nothing but
+    /// the colour is made of them: an output replaces them or leaves them out.
     ///
     /// # Errors
-    /// [`Error::File`] where memory ends.
+    /// [`Error::File`] if there is not enough memory.
     fn take_color(&mut self) -> Result<RawSignal> {
         let source = self.color.clone();
         let mut take = |planes: &Planes| {
@@ -170,11 +171,11 @@ impl BufferSet {
         })
     }
 
-    /// Reads the halves of the colour again where [`BufferSet::take_color`] let go of them: an output shows them as
-    /// they were where the frame has no use for them.
+    /// Reads the halves of the colour again if [`BufferSet::take_color`] freed them: an output shows them as they were
+    /// if the frame has no use for them.
     ///
     /// # Errors
-    /// [`Error::File`] where the input cannot be read any more.
+    /// [`Error::File`] if the input cannot be read any more.
     fn restore_halves(&mut self) -> Result<()> {
         for planes in [self.color.half_a.clone(), self.color.half_b.clone()]
             .into_iter()
@@ -187,7 +188,7 @@ impl BufferSet {
         Ok(())
     }
 
-    /// Lets go of what neither an output nor [`BufferSet::samples_per_pixel`] is made of: other files than the input.
+    /// Frees the samples of files other than the input, except the samples that [`BufferSet::samples_per_pixel`] needs.
     fn forget_other_files(&mut self) {
         let samples = self.samples.clone();
         for (index, file) in self.files.iter_mut().enumerate().skip(1) {
@@ -201,15 +202,15 @@ impl BufferSet {
         }
     }
 
-    /// Refuses to make a frame of the set where memory would end: planes of f32 beside the stored samples, of which
-    /// those of the colour go where they are `taken`.
+    /// Refuses to make a frame of the set if there is not enough memory for planes of f32 beside the stored samples. If
+    /// the samples of the colour are `taken`, their memory is free again.
     ///
     /// # Errors
-    /// [`Error::File`] with what is needed and what is free.
+    /// [`Error::File`] with the needed and the free memory.
     fn check_memory_for_frame(&self, taken: bool) -> Result<()> {
         let pixels = self.extent().pixels() as u64;
         let count = |planes: &Option<Planes>| planes.as_ref().map_or(0, |planes| planes.channels.len() as u64);
-        // The half spread takes the place of half A, and half B goes.
+        // The half spread replaces half A, and half B is freed.
         let kept =
             |source: &SignalSource| source.mean.channels.len() as u64 + count(&source.half_a) + count(&source.variance);
         let let_go = |source: &SignalSource| count(&source.half_b);
@@ -233,7 +234,7 @@ impl BufferSet {
         let one_feature = self.features.iter().map(|(_, source)| let_go(source)).max().unwrap_or(0);
         let with_features =
             (4 * (kept(&self.color) + features + one_feature + count(&self.samples))).saturating_sub(stored);
-        // What a pixel is to the repair of others.
+        // Adds the marks for the repair of pixels.
         let needed = pixels * (while_color.max(with_features) + STATE_BYTES);
         FreeMemory::now().check(needed).map_err(|shortage| self.no_memory(shortage))
     }
@@ -247,7 +248,7 @@ impl BufferSet {
         self.files[planes.file].layers[planes.layer].part
     }
 
-    /// Channels among those of `planes` whose stored samples are needed again: something else is made of them, too, or
+    /// Returns the channels of `planes` whose stored samples are needed again: something else is made of them, too, or
     /// they share a layer of the input with others, so that an output shows the layer as it was.
     fn channels_needed_again(&self, planes: &Planes) -> Vec<usize> {
         let layer = &self.files[planes.file].layers[planes.layer];
@@ -290,7 +291,7 @@ impl BufferSet {
     }
 }
 
-/// The colour of a reference image: three planes, R, G, B (equal ones for a luminance-only image).
+/// Reads the colour of a reference image: three planes, R, G, B (equal ones for a luminance-only image).
 ///
 /// # Errors
 /// As [`BufferSet::read`] for a file or layer that cannot be read.

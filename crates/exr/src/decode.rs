@@ -1,4 +1,4 @@
-//! An OpenEXR file's blocks, found by its offset tables and decompressed.
+//! Finds an OpenEXR file's blocks by its offset tables, and decompresses them.
 
 use std::io::{BufRead, Seek, SeekFrom};
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -13,7 +13,7 @@ use rayon::prelude::*;
 use crate::header::{Head, MOST_PIXELS_PER_SIDE, Trouble};
 use stein::host_memory::{FreeMemory, Shortage, try_filled};
 
-/// Decoded blocks that are in memory beside the image, in bytes; more where one block per thread is more.
+/// Size of the decoded blocks that are in memory beside the image, in bytes; more if one block per thread is more.
 const BATCH_BYTES: usize = 16 << 20;
 
 type Decoded<T> = std::result::Result<T, Trouble>;
@@ -35,12 +35,12 @@ impl From<exr::error::Error> for Trouble {
     }
 }
 
-/// Decodes the largest level of every part of a file of `file_bytes`.
+/// Decodes the largest level of every part of a file of `file_bytes` bytes.
 pub(crate) fn decode(file: &mut (impl BufRead + Seek), file_bytes: u64) -> Decoded<FlatImage> {
     let head = Head::read(file, file_bytes)?;
     head.check(file)?;
     file.rewind()?;
-    // The decoder asserts here and there, and computes with sizes before it looks at them.
+    // The decoder has assertions, and computes with sizes before it checks them, so that it may panic.
     let meta = catch_unwind(AssertUnwindSafe(|| {
         let meta = MetaData::read_from_buffered(&mut *file, true)?;
         MetaData::validate(&meta.headers, false)?;
@@ -52,10 +52,10 @@ pub(crate) fn decode(file: &mut (impl BufRead + Seek), file_bytes: u64) -> Decod
     // A header may claim blocks that are larger than the image.
     let largest_block =
         meta.headers.iter().map(|header| header.max_block_byte_size().min(part_bytes(header))).max().unwrap_or(0);
-    // Enough at once to keep every thread busy, little enough that the compressed and the decoded file are never in
-    // memory together.
+    // Enough blocks at once to keep every thread busy, and so few that the whole compressed and the whole decoded file
+    // are never in memory together.
     let blocks_at_once = (BATCH_BYTES / largest_block.max(1)).max(rayon::current_num_threads()).min(places.len());
-    // The blocks of a batch are in memory compressed and decoded.
+    // The blocks of a batch are in memory twice: compressed and decoded.
     FreeMemory::now().check((bytes + 2 * blocks_at_once * largest_block) as u64)?;
 
     let mut layers = meta.headers.iter().map(empty_layer).collect::<Decoded<Parts>>()?;
@@ -92,28 +92,29 @@ fn check_size(headers: &[Header], file_bytes: u64) -> Decoded<usize> {
     Ok(bytes)
 }
 
-/// Bytes of the samples of a part. Sides of 2²⁰ and a few thousand channels of four bytes: the product fits.
+/// Returns the bytes of all samples of a part. The product cannot overflow: sides are at most 2²⁰, with a few thousand
+/// channels of four bytes.
 fn part_bytes(header: &Header) -> usize {
     header.layer_size.area() * header.channels.bytes_per_pixel
 }
 
-/// How many bytes of pixels one byte of a file can become at most.
+/// Returns the largest number of bytes of pixels that one byte of a file can become.
 fn most_bytes_from_one(compression: Compression) -> usize {
-    /// Two bits for each of the longest repetitions, of 258 bytes.
+    /// The longest repetition, of 258 bytes, takes two bits.
     const DEFLATE: usize = 1032;
     match compression {
         Compression::Uncompressed => 1,
-        // Two bytes for up to 128 equal ones.
+        // Up to 128 equal bytes take two bytes.
         Compression::RLE => 64,
         Compression::ZIP1 | Compression::ZIP16 => DEFLATE,
-        // Of floats, three bytes of four.
+        // Three of a float's four bytes are deflated.
         Compression::PXR24 => DEFLATE * 4 / 3,
-        // Ten bits for up to 256 equal pairs of bytes.
+        // Up to 256 equal pairs of bytes take ten bits.
         Compression::PIZ => 512,
-        // 14, or of a flat block 3, for 32 bytes.
+        // 32 bytes take 14 bytes, or 3 for a flat block.
         Compression::B44 => 3,
         Compression::B44A => 11,
-        // Two bytes, deflated, for an even block of 8×8 pixels.
+        // An even block of 8×8 pixels takes two bytes, which are deflated.
         _ => 64 * 4 / 2 * DEFLATE * 2,
     }
 }
@@ -125,15 +126,15 @@ fn block_size(header: &Header) -> Vec2<usize> {
     }
 }
 
-/// Where a block of the largest level stands, and which one must stand there.
+/// Position of a block of the largest level in the file, and the block that must be there.
 struct Place {
     offset: u64,
     part: usize,
-    /// Blocks to its left and above it.
+    /// Numbers of blocks to its left and above it.
     block: Vec2<usize>,
 }
 
-/// Reads the offset tables, which begin at `start`. In the order of the file.
+/// Reads the offset tables, which begin at `start`. Returns the blocks in the order of the file.
 fn places(file: &mut (impl BufRead + Seek), meta: &MetaData, start: u64, file_bytes: u64) -> Decoded<Vec<Place>> {
     file.seek(SeekFrom::Start(start))?;
     let mut places = Vec::new();
@@ -175,8 +176,8 @@ fn places(file: &mut (impl BufRead + Seek), meta: &MetaData, start: u64, file_by
 }
 
 impl Place {
-    /// The compressed block that stands here; one that is none of this place, or does not end with the file, is refused
-    /// before it is allocated.
+    /// Reads the compressed block at this position. Refuses a block of another position, and one that goes beyond the
+    /// end of the file, before memory is allocated for it.
     fn read(&self, file: &mut (impl BufRead + Seek), meta: &MetaData, file_bytes: u64) -> Decoded<Chunk> {
         let Self { offset, part, block: Vec2(x, y) } = *self;
         let header = &meta.headers[part];
@@ -229,15 +230,16 @@ impl Place {
     }
 }
 
-/// Guarded block by block: a panic in a thread of the decoder's own pool would end the process.
+/// Decompresses a block. Catches panics for each block: a panic in a thread of the decoder's own pool would end the
+/// process.
 fn decompress(chunk: Chunk, meta: &MetaData) -> Decoded<UncompressedBlock> {
     check_dwa_counters(&chunk, &meta.headers[chunk.layer_index])?;
     let block = catch_unwind(AssertUnwindSafe(|| UncompressedBlock::decompress_chunk(chunk, meta, false)));
     Ok(block.map_err(|_| Trouble::damaged("a block cannot be decompressed"))??)
 }
 
-/// A DWA block begins with eleven 64-bit sizes, and the decoder allocates what they say: a failed allocation ends the
-/// process and cannot be caught.
+/// Refuses a DWA block that claims too much data. The block begins with eleven 64-bit sizes, and the decoder allocates
+/// what they say: a failed allocation ends the process and cannot be caught.
 fn check_dwa_counters(chunk: &Chunk, header: &Header) -> Decoded<()> {
     let bytes = match (&chunk.compressed_block, header.compression) {
         (CompressedBlock::ScanLine(block), Compression::DWAA(_) | Compression::DWAB(_)) => &block.compressed_pixels_le,
@@ -252,7 +254,7 @@ fn check_dwa_counters(chunk: &Chunk, header: &Header) -> Decoded<()> {
     }
     // No section is larger than the pixels that it holds; the rest is room for padding to blocks of 8×8.
     let limit = (pixels.0 + 8) * (pixels.1 + 8) * header.channels.bytes_per_pixel * 2 + (1 << 16);
-    // The first counter is the version, the eleventh a choice of method.
+    // The first counter is the version, the eleventh one chooses a method.
     let sizes = bytes.chunks_exact(8).skip(1).take(9);
     let mut sizes = sizes.map(|size| size.iter().rev().fold(0_u64, |value, byte| value << 8 | u64::from(*byte)));
     if sizes.any(|size| size > limit as u64) {

@@ -1,4 +1,4 @@
-//! An estimate in the clothes of the file that it was made from.
+//! Writes an estimate into a copy of the file that it was made from.
 
 use std::path::{Path, PathBuf};
 
@@ -9,35 +9,36 @@ use stein::host_memory::FreeMemory;
 use stein::method::{Intermediate, Method};
 use stein::{Error, Estimate, Image, Result, text};
 
-/// Layers of ours stand under this name, where no renderer's do.
+/// Prefix of the names of our layers, which no renderer uses.
 const PREFIX: &str = "stein";
 
-/// What [`write_estimate`] has written.
+/// Report of [`write_estimate`].
 #[derive(Clone, Debug, Serialize)]
 pub struct Written {
-    /// Where.
+    /// Path of the file.
     #[serde(serialize_with = "text::serialize_path")]
     pub file: PathBuf,
-    /// Layers that the input does not have.
+    /// Names of the layers that the input does not have.
     pub added_layers: Vec<String>,
-    /// Halves that were replaced by those of the denoised colour.
+    /// Names of the halves that were replaced by halves of the denoised colour.
     pub replaced_layers: Vec<String>,
-    /// The input's variance, and what an earlier run added: they are not those of the denoised colour.
+    /// Names of the layers that were left out: the input's variance and the layers of an earlier run, which do not
+    /// belong to the denoised colour.
     pub dropped_layers: Vec<String>,
-    /// Values beyond the largest half float, written as ±65504.
+    /// Number of values beyond the largest half float, written as ±65504.
     pub clamped_values: usize,
-    /// Values that were not finite, written as 0.
+    /// Number of values that were not finite, written as 0.
     pub non_finite_values: usize,
     /// Other remarks.
     pub notes: Vec<String>,
 }
 
-/// Writes the input with its colour replaced by the denoised one, and its halves likewise; without its variance, which
-/// is not that of the denoised colour. The estimated error, where there is one, is added as `stein.error`, and those of
-/// [`Estimate::layers`] that are part of the intermediates in `keep`, as `stein.*`. `set` is what the frame was made
-/// of, and is used up; `method` is noted in the header.
+/// Writes the input with its colour and halves replaced by those of the estimate, and without its variance, which does
+/// not belong to the denoised colour. Adds the estimated error, if there is one, as `stein.error`, and the
+/// [`Estimate::layers`] of the intermediates in `keep` as `stein.*`. `set` is the set that the frame was made of, and
+/// is used up; `method` is noted in the header.
 ///
-/// The file appears under its name only when it is complete; an existing one is replaced, which may be the input.
+/// The file appears under its name only when it is complete; an existing file is replaced, even if it is the input.
 ///
 /// # Errors
 /// As [`write_denoised`].
@@ -89,7 +90,7 @@ pub fn write_estimate(
         image: layer.image.clone(),
     });
     let extra: Vec<_> = error.into_iter().chain(named).collect();
-    // An earlier run's are not of this colour.
+    // Layers of an earlier run do not belong to this colour.
     let stale: Vec<_> = in_input()
         .map(|layer| &layer.layer)
         .filter(|layer| layer.strip_prefix(PREFIX).is_some_and(|rest| rest.starts_with('.')))
@@ -132,8 +133,8 @@ pub fn write_estimate(
     })
 }
 
-/// Bytes that are in memory besides the estimate before the file is written, at most: the colour and its halves as
-/// the file stores them, the halves as they are made, and two copies of what is added.
+/// Returns the largest number of bytes in memory, besides the estimate, before the file is written: the colour and its
+/// halves as the file stores them, the halves as they are computed, and two copies of the added layers.
 fn bytes_for_writing(estimate: &Estimate, keep: &[Intermediate]) -> u64 {
     let halves = estimate.half_spread.as_ref().map_or(0, |_| 2 * estimate.color.channels());
     let kept =
@@ -142,7 +143,7 @@ fn bytes_for_writing(estimate: &Estimate, keep: &[Intermediate]) -> u64 {
     4 * (estimate.color.extent.pixels() * (estimate.color.channels() + 2 * halves + 2 * added)) as u64
 }
 
-/// Half A or B of the denoised colour.
+/// Returns half A (`sign` 1) or half B (`sign` −1) of the denoised colour.
 fn half(color: &Image, half_spread: &Image, sign: f32) -> Image {
     let planes = color.planes.iter().zip(&half_spread.planes);
     let planes =

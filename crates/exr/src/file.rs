@@ -1,4 +1,4 @@
-//! One OpenEXR file in memory: every part and channel as it was stored, and the layers that the channel names spell.
+//! One OpenEXR file in memory: every part and channel as it was stored, and the layers that the channel names form.
 
 use std::fs::File;
 use std::io::BufReader;
@@ -14,8 +14,8 @@ use stein::host_memory::{Shortage, try_collected};
 use stein::image::{Extent, Image, Window};
 use stein::text;
 
-/// A file's whole content. Samples stay in the type they were stored in, so that what is not replaced can be written
-/// back bit by bit.
+/// The whole content of a file. Samples keep the type in which they were stored, so that everything that is not
+/// replaced can be written back bit by bit.
 #[derive(Clone, Debug)]
 pub(crate) struct ExrFile {
     pub(crate) path: PathBuf,
@@ -26,10 +26,10 @@ pub(crate) struct ExrFile {
 /// Channels of one part whose names share everything before the last dot.
 #[derive(Clone, Debug)]
 pub(crate) struct FileLayer {
-    /// Empty for the channels of a single-part file that have no dot.
+    /// Name of the layer; empty for the channels of a single-part file that have no dot.
     pub(crate) name: String,
     pub(crate) part: usize,
-    /// In the order red, green, blue or x, y, z; alphabetical where the names say neither.
+    /// Channels in the order red, green, blue or x, y, z; alphabetical if the names say neither.
     pub(crate) channels: Vec<FileChannel>,
 }
 
@@ -42,8 +42,8 @@ pub(crate) struct FileChannel {
 }
 
 impl ExrFile {
-    /// Reads everything in the file. Whatever the bytes are, it never panics, and takes no more memory than they can be
-    /// decoded to.
+    /// Reads everything in the file. Never panics, whatever the bytes are, and takes no more memory than the bytes can
+    /// be decoded to.
     pub(crate) fn read(path: &Path) -> Result<Self> {
         let mut image = read(path).map_err(|Trouble { problem, remedy }| Error::File {
             path: path.to_owned(),
@@ -66,15 +66,15 @@ impl ExrFile {
         Window { x: bounds.position.0, y: bounds.position.1, extent: extent(bounds.size) }
     }
 
-    /// The planes of some of a part's channels, as f32.
+    /// Returns the planes of some channels of a part, as f32.
     pub(crate) fn planes(&self, part: usize, channels: &[usize]) -> Image {
         let layer = &self.image.layer_data[part];
         let planes = channels.iter().map(|&channel| to_f32(&layer.channel_data.list[channel].sample_data)).collect();
         Image { extent: extent(layer.size), planes }
     }
 
-    /// The planes of some of a part's channels, as f32. Where `is_kept` denies it of a channel, the stored samples are
-    /// let go of, and an empty vector of their type is left.
+    /// Returns the planes of some channels of a part, as f32. Frees the stored samples of each channel for which
+    /// `is_kept` is false, and leaves an empty vector of their type.
     pub(crate) fn take_planes(
         &mut self,
         part: usize,
@@ -100,7 +100,8 @@ impl ExrFile {
         Ok(Image { extent: extent(layer.size), planes })
     }
 
-    /// Lets go of the stored samples of all channels but those that `is_kept` names by part and channel.
+    /// Frees the stored samples of all channels, except those for which `is_kept`, called with part and channel, is
+    /// true.
     pub(crate) fn forget_samples(&mut self, is_kept: impl Fn(usize, usize) -> bool) {
         for (part, layer) in self.image.layer_data.iter_mut().enumerate() {
             let channels = layer.channel_data.list.iter_mut().enumerate();
@@ -110,10 +111,10 @@ impl ExrFile {
         }
     }
 
-    /// Reads the samples of some of a part's channels again that were let go of.
+    /// Reads the freed samples of some channels of a part again.
     ///
     /// # Errors
-    /// As [`ExrFile::read`], and where the file has changed since.
+    /// As [`ExrFile::read`], and if the file has changed since.
     pub(crate) fn restore(&mut self, part: usize, channels: &[usize]) -> Result<()> {
         let changed = || Error::File {
             path: self.path.clone(),
@@ -164,7 +165,7 @@ impl ExrFile {
         part.get(&key).or_else(|| self.image.attributes.other.get(&key))
     }
 
-    /// A text stored in the header under `name`, in the given part or for the whole file.
+    /// Returns a text that the header stores under `name`, for the given part or for the whole file.
     pub(crate) fn text_attribute(&self, part: usize, name: &str) -> Option<String> {
         match self.attribute(part, name)? {
             AttributeValue::Text(text) => Some(names::decoded(text.as_slice())),
@@ -172,8 +173,8 @@ impl ExrFile {
         }
     }
 
-    /// A number stored in the header under `name`, as text, whole number or float; in the given part or for the whole
-    /// file.
+    /// Returns a number that the header stores under `name`, as text, whole number or float, for the given part or for
+    /// the whole file.
     pub(crate) fn number_attribute(&self, part: usize, name: &str) -> Option<f32> {
         match self.attribute(part, name)? {
             AttributeValue::Text(text) => text.to_string().trim().parse().ok(),
@@ -184,12 +185,13 @@ impl ExrFile {
         }
     }
 
-    /// The names of the first layers, for messages.
+    /// Formats the names of the first layers, for messages.
     pub(crate) fn layer_list(&self) -> String {
         text::list(self.layers.iter().map(FileLayer::described))
     }
 
-    /// As [`Self::layer_list`], those first whose names are most like one that there is not.
+    /// Formats the layers as [`Self::layer_list`] does, but first the layers whose names are most like `wanted`, which
+    /// is missing.
     pub(crate) fn layers_like(&self, wanted: &str) -> String {
         let wanted = wanted.to_lowercase();
         let likeness = |layer: &FileLayer| {
@@ -198,14 +200,14 @@ impl ExrFile {
             strsim::jaro_winkler(&name, &wanted).max(strsim::jaro_winkler(last, &wanted))
         };
         let mut layers: Vec<(f64, &FileLayer)> = self.layers.iter().map(|layer| (likeness(layer), layer)).collect();
-        // The file's order decides between equals.
+        // Among equals, the order of the file stays.
         layers.sort_by(|(a, _), (b, _)| b.total_cmp(a));
         text::list(layers.into_iter().map(|(_, layer)| layer.described()))
     }
 }
 
 impl FileLayer {
-    /// Its name and channels, for messages.
+    /// Formats the layer's name and channels, for messages.
     pub(crate) fn described(&self) -> String {
         let channels: Vec<_> = self.channels.iter().map(|channel| text::name(&channel.suffix)).collect();
         let channels = channels.join(" ");
@@ -214,7 +216,7 @@ impl FileLayer {
 }
 
 fn read(path: &Path) -> std::result::Result<FlatImage, Trouble> {
-    // Before it is opened: a pipe would be waited for.
+    // Checks the kind before the file is opened: opening a pipe would block.
     let kind = path.metadata()?;
     if kind.is_dir() {
         return Err(Trouble::new("cannot be read: it is a folder", "name a file in it"));
@@ -230,7 +232,8 @@ fn read(path: &Path) -> std::result::Result<FlatImage, Trouble> {
     decode(&mut BufReader::new(file), bytes)
 }
 
-/// Whether a channel is stored as waves, with a loss: under DWA, by its name. All other channels are stored without.
+/// Whether a channel is stored as waves, with a loss: under DWA, by its name. All other channels are stored without a
+/// loss.
 pub(crate) fn is_lossy(compression: Compression, name: &Text) -> bool {
     let name = name.as_slice();
     let suffix = name.iter().rposition(|byte| *byte == b'.').map_or(name, |dot| &name[dot + 1..]);
@@ -238,8 +241,9 @@ pub(crate) fn is_lossy(compression: Compression, name: &Text) -> bool {
     is_dwa && [&b"R"[..], b"G", b"B", b"Y", b"RY", b"BY"].iter().any(|known| suffix.eq_ignore_ascii_case(known))
 }
 
-/// DWA stores no infinity, but waves whose sum may overshoot the largest half float where the values were near it.
-/// Such a value becomes the largest half float again, which is nearer to what was stored than anything around it.
+/// Replaces infinite values of lossy channels. DWA stores no infinity, but waves, whose sum may overshoot the largest
+/// half float if the values were near it. Such a value becomes the largest half float again, which is nearest to the
+/// stored value.
 fn mend_overshoots(layer: &mut Layer<AnyChannels<FlatSamples>>) {
     let compression = layer.encoding.compression;
     let lossy = layer.channel_data.list.iter_mut().filter(|channel| is_lossy(compression, &channel.name));
@@ -259,7 +263,7 @@ fn mend_overshoots(layer: &mut Layer<AnyChannels<FlatSamples>>) {
 }
 
 fn extent(size: Vec2<usize>) -> Extent {
-    // Larger ones were refused when the file was decoded.
+    // Larger sizes were refused when the file was decoded.
     Extent { width: size.0 as u32, height: size.1 as u32 }
 }
 

@@ -1,8 +1,8 @@
-//! The head of an OpenEXR file, attribute by attribute, before a decoder believes it.
+//! Checks the head of an OpenEXR file, attribute by attribute, before a decoder reads it.
 //!
-//! The decoder takes sizes for granted, repairs what it should refuse (a window whose right edge lies left of its left
-//! one) and tells little of where a file ends. So the head is walked here first: nothing is allocated for what it
-//! claims, only for what is there.
+//! The decoder trusts sizes, repairs what it should refuse (a window whose right edge lies left of its left one) and
+//! says little about where a file ends. So the head is walked here first: memory is allocated only for bytes that
+//! exist, never for what the head claims.
 
 use std::io::{BufRead, BufReader, Read, Seek, SeekFrom, Write};
 use std::ops::Range;
@@ -10,7 +10,7 @@ use std::ops::Range;
 use crate::names::{LONGEST_NAME, decoded};
 use stein::text;
 
-/// Why a file cannot be read, and what to do about it.
+/// The reason why a file cannot be read, and a remedy.
 #[derive(Debug)]
 pub(crate) struct Trouble {
     pub(crate) problem: String,
@@ -50,7 +50,7 @@ impl Trouble {
         )
     }
 
-    /// A name that no reader opens, so that it cannot be written either.
+    /// Returns the refusal of a name that no reader opens, so that it cannot be written either.
     fn long_name(what: &str, name: &[u8]) -> Self {
         let start = text::beginning(&decoded(name), name.len());
         Self::new(
@@ -76,30 +76,31 @@ impl From<std::io::Error> for Trouble {
     }
 }
 
-/// One side of more pixels fits no film and no buffer.
+/// Largest side of an image in pixels: no film and no buffer is larger.
 pub(crate) const MOST_PIXELS_PER_SIDE: usize = 1 << 20;
 
-/// Renderers write hundreds of channels; the names of all are compared with each other.
+/// Largest number of channels. Renderers write hundreds; the names of all are compared with each other.
 const MOST_CHANNELS: usize = 4096;
 
-/// Far more than any file has, and little enough to be kept.
+/// Largest number of attributes: far more than any file has, and few enough to be kept.
 const MOST_ATTRIBUTES: usize = 1 << 16;
 
 /// The longest name of an attribute, a type or a channel in a file without the flag for long names, in bytes.
 const LONGEST_SHORT_NAME: usize = 31;
 
-/// That flag is this bit of the byte behind the version.
+/// Bit of the flag for long names, in the byte behind the version.
 const LONG_NAMES: u8 = 0x04;
 
-/// Attributes with a meaning for the decoder are smaller, but for the list of channels.
+/// Largest size in bytes of an attribute that means something to the decoder: a full list of channels. Others are
+/// smaller.
 const LONGEST_VALUE: u64 = MOST_CHANNELS as u64 * (LONGEST_NAME as u64 + 17);
 
-/// Where an attribute stands in its file.
+/// Position of an attribute in its file.
 #[derive(Clone, Debug)]
 pub(crate) struct Attribute {
     name: Vec<u8>,
     kind: Vec<u8>,
-    /// All of it, from its name on.
+    /// Bytes of the whole attribute, from its name on.
     whole: Range<u64>,
     value: Range<u64>,
 }
@@ -109,12 +110,12 @@ pub(crate) struct Attribute {
 pub(crate) struct Head {
     /// The attributes of each part, in the file's order.
     pub(crate) parts: Vec<Vec<Attribute>>,
-    /// Where the offset tables begin.
+    /// Position at which the offset tables begin.
     pub(crate) end: u64,
 }
 
 impl Head {
-    /// Walks from one attribute to the next. `file_bytes`: where the file ends.
+    /// Reads the head from one attribute to the next. `file_bytes` is the size of the file.
     pub(crate) fn read(file: &mut (impl BufRead + Seek), file_bytes: u64) -> Result<Self, Trouble> {
         let mut start = Vec::new();
         file.by_ref().take(8).read_to_end(&mut start)?;
@@ -161,7 +162,7 @@ impl Head {
         Ok(Self { parts, end })
     }
 
-    /// Refuses what the decoder would misread, or stumble over.
+    /// Refuses a head that the decoder would misread, or stumble over.
     pub(crate) fn check(&self, file: &mut (impl BufRead + Seek)) -> Result<(), Trouble> {
         let mut channels = 0;
         for part in &self.parts {
@@ -195,7 +196,7 @@ impl Head {
         Ok(())
     }
 
-    /// Whether an attribute, a type or a channel has a name for which the file needs a flag.
+    /// Whether the name of an attribute, a type or a channel is so long that the file needs a flag.
     fn has_long_names(&self, file: &mut (impl BufRead + Seek)) -> Result<bool, Trouble> {
         for attribute in self.parts.iter().flatten() {
             let mut is_long = [&attribute.name, &attribute.kind].iter().any(|name| name.len() > LONGEST_SHORT_NAME);
@@ -211,9 +212,9 @@ impl Head {
     }
 }
 
-/// Completes the head of a file that was just written. The attributes get the order of their names: the encoder
-/// leaves it to chance, and the same image is to be the same file. The flag for long names is set for channels too,
-/// without which other readers refuse them.
+/// Completes the head of a file that was just written. Sorts the attributes by name, so that the same image gives the
+/// same file: the encoder leaves their order to chance. Sets the flag for long names also if only channels have them:
+/// other readers refuse such names without the flag.
 pub(crate) fn settle(file: &mut (impl Read + Write + Seek)) -> std::io::Result<()> {
     let bytes = file.seek(SeekFrom::End(0))?;
     file.rewind()?;
@@ -264,7 +265,7 @@ struct Walk<'a, F> {
 }
 
 impl<F: BufRead + Seek> Walk<'_, F> {
-    /// The attributes up to the empty name that ends them.
+    /// Reads the attributes up to the empty name that ends them.
     fn part(&mut self) -> Result<Vec<Attribute>, Trouble> {
         let mut attributes = Vec::new();
         loop {
@@ -291,7 +292,7 @@ impl<F: BufRead + Seek> Walk<'_, F> {
                     "it ends in its header, in '{shown}', which takes {size} bytes"
                 )));
             }
-            // Small steps stay within what is buffered.
+            // A small step stays within the buffer.
             self.file.seek_relative(size as i64)?;
             self.at = value.end;
             attributes.push(Attribute { name, kind, whole: start..self.at, value });
@@ -323,12 +324,12 @@ impl<F: BufRead + Seek> Walk<'_, F> {
     }
 }
 
-/// A name out of a file, in a message.
+/// Formats a name from a file for a message.
 fn shown(stored: &[u8]) -> String {
     text::name(&decoded(stored)).into_owned()
 }
 
-/// Both corners belong to the window, so that none of no pixels can be stored.
+/// Checks a window. Both corners belong to the window, so that a valid window has at least one pixel.
 fn check_window(name: &str, value: &[u8]) -> Result<(), Trouble> {
     let (corners, []) = value.as_chunks::<4>() else {
         return Err(Trouble::damaged(format_args!("'{name}' is no window")));
@@ -350,7 +351,8 @@ fn check_window(name: &str, value: &[u8]) -> Result<(), Trouble> {
     Ok(())
 }
 
-/// The names of all channels: each is a name, a type, four bytes, and the steps in x and y at which there are samples.
+/// Returns the names of all channels. The list holds, for each channel, a name, a type, four bytes, and the steps in x
+/// and y at which there are samples.
 fn check_channels(value: &[u8]) -> Result<Vec<&[u8]>, Trouble> {
     let mut rest = value;
     let mut names: Vec<&[u8]> = Vec::new();
@@ -362,7 +364,7 @@ fn check_channels(value: &[u8]) -> Result<Vec<&[u8]>, Trouble> {
         if name.len() > LONGEST_NAME {
             return Err(Trouble::long_name("channel", name));
         }
-        // They are sorted: the decoder sees to it.
+        // The decoder makes sure that the names are sorted.
         if names.last() == Some(&name) {
             return Err(Trouble::damaged(format_args!("its list of channels has '{}' twice", shown(name))));
         }

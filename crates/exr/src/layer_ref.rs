@@ -1,4 +1,4 @@
-//! How a user points at a layer, and how the program says what it took a layer for.
+//! How a user names a layer, and how the program reports the use of a layer.
 
 use std::convert::Infallible;
 use std::ffi::{OsStr, OsString};
@@ -12,25 +12,27 @@ use stein::text;
 
 /// A file and, optionally, a layer inside it, written `file.exr` or `file.exr::layer`.
 ///
-/// Names of files and layers may hold `::` too. So the disk is asked where a text is split: see [`LayerRef::from`].
+/// Names of files and layers may hold `::` too. So the existing files decide where a text is split: see
+/// [`LayerRef::from`].
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct LayerRef {
-    /// The file.
+    /// Path of the file.
     pub file: PathBuf,
-    /// The layer, named as in the file; `None` leaves the choice to the reader.
+    /// Name of the layer, as in the file; `None` leaves the choice to the reader.
     pub layer: Option<String>,
 }
 
-/// What stands between a file and its layer.
+/// Separator between a file and its layer.
 const SEPARATOR: &str = "::";
 
 impl LayerRef {
-    /// A file of which the reader chooses the layer.
+    /// Returns a reference to a file whose layer the reader chooses.
     pub fn whole(file: impl Into<PathBuf>) -> Self {
         Self { file: file.into(), layer: None }
     }
 
-    /// The file whose path is the whole text: what was taken for a layer is a part of the file's name.
+    /// Returns a reference whose whole text is the path of the file: the part that was taken for a layer belongs to the
+    /// name.
     #[must_use]
     pub fn literal(self) -> Self {
         let Some(layer) = self.layer else { return self };
@@ -40,7 +42,7 @@ impl LayerRef {
         Self::whole(file)
     }
 
-    /// The same layer of another file.
+    /// Returns a reference to the same layer of another file.
     #[must_use]
     pub fn map_file(&self, file: impl FnOnce(&Path) -> PathBuf) -> Self {
         Self { file: file(&self.file), layer: self.layer.clone() }
@@ -50,23 +52,24 @@ impl LayerRef {
 impl FromStr for LayerRef {
     type Err = Infallible;
 
-    /// As [`LayerRef::from`] the same text.
+    /// Converts a text as [`LayerRef::from`] does.
     fn from_str(text: &str) -> Result<Self, Infallible> {
         Ok(OsString::from(text).into())
     }
 }
 
 impl From<OsString> for LayerRef {
-    /// A text that is the path of something that exists is that file. Else it is split at a `::`: at the last one
-    /// behind a file that exists, or behind a name that ends in `.exr`, such as that of a pattern, or at the last one
-    /// of all. Any text is a reference; whether there is such a file shows when it is read.
+    /// Converts a text. If the text is the path of something that exists, it names that file. Otherwise it is split at
+    /// a `::`: at the last one behind a file that exists, else at the last one behind a name that ends in `.exr`, such
+    /// as the name of a pattern, else at the last one of all. Any text is a reference; whether the file exists shows
+    /// when it is read.
     fn from(text: OsString) -> Self {
         if Path::new(&text).exists() {
             return Self::whole(text);
         }
         let is_exr = |file: &Path| file.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("exr"));
         let mut splits = splits(&text);
-        // A folder with `::` in its name and no such file in it.
+        // A layer with a path separator comes from a folder with `::` in its name that does not hold the file.
         let is_path = |layer: &str| layer.contains(std::path::is_separator);
         let chosen = splits.iter().position(|(file, _)| file.is_file());
         let chosen = chosen.or_else(|| splits.iter().position(|(file, _)| is_exr(file)));
@@ -81,7 +84,8 @@ impl From<OsString> for LayerRef {
     }
 }
 
-/// A file and a layer for each `::` with something on both sides, from the last one on. The file need not be Unicode.
+/// Returns a file and a layer for each `::` with text on both sides, from the last one on. The file need not be
+/// Unicode.
 fn splits(text: &OsStr) -> Vec<(PathBuf, String)> {
     let places = text
         .as_encoded_bytes()
@@ -94,7 +98,7 @@ fn splits(text: &OsStr) -> Vec<(PathBuf, String)> {
     splits.into_iter().rev().filter_map(named).collect()
 }
 
-/// What stands before and behind a separator.
+/// Returns the texts before and behind a separator.
 fn parted(text: &OsStr, at: usize, length: usize) -> Option<(OsString, OsString)> {
     #[cfg(unix)]
     {
@@ -116,7 +120,8 @@ impl fmt::Display for LayerRef {
     }
 }
 
-/// A feature's name and where it is, written `NAME=FILE` or `NAME=FILE::LAYER`. The file's name may hold `=` as well.
+/// Parses a feature's name and location, written `NAME=FILE` or `NAME=FILE::LAYER`. The file's name may hold `=` as
+/// well.
 pub(crate) fn feature(text: OsString) -> Result<(String, LayerRef), String> {
     let first = text.as_encoded_bytes().iter().position(|byte| *byte == b'=');
     let named = first.and_then(|at| {
@@ -129,7 +134,7 @@ pub(crate) fn feature(text: OsString) -> Result<(String, LayerRef), String> {
     }
 }
 
-/// Which of a signal's images a layer holds.
+/// Kind of a signal's image that a layer holds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub enum SignalPart {
     /// The mean of all samples.
@@ -142,10 +147,10 @@ pub enum SignalPart {
     Variance,
 }
 
-/// What a layer is used as.
+/// Use of a layer.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub enum Role {
-    /// The noisy colour: what will be denoised.
+    /// The noisy colour, which will be denoised.
     Color,
     /// The colour of the first half of the samples.
     HalfA,
@@ -192,7 +197,7 @@ pub enum SampleKind {
     Float,
     /// 32-bit unsigned integer.
     Uint,
-    /// Not the same for all channels of the layer.
+    /// Different kinds among the channels of the layer.
     Mixed,
 }
 
@@ -207,23 +212,23 @@ impl fmt::Display for SampleKind {
     }
 }
 
-/// One layer of one file, and what it is used as.
+/// One layer of one file, and its use.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct LayerUse {
-    /// The file that holds the layer.
+    /// Path of the file that holds the layer.
     #[serde(serialize_with = "text::serialize_path")]
     pub file: PathBuf,
-    /// The layer, named as in the file; empty for channels without a layer name, such as plain `R G B`.
+    /// Name of the layer, as in the file; empty for channels without a layer name, such as plain `R G B`.
     pub layer: String,
-    /// The channels' names without the layer's, in the order red, green, blue or x, y, z.
+    /// Names of the channels without the layer's name, in the order red, green, blue or x, y, z.
     pub channels: Vec<String>,
-    /// How the samples are stored.
+    /// Kind of the stored samples.
     pub sample_kind: SampleKind,
-    /// What the layer is used as.
+    /// Use of the layer.
     pub role: Role,
-    /// NaN and infinite values in the file.
+    /// Number of NaN and infinite values in the file's layer.
     pub non_finite_values: usize,
-    /// Why a layer that looks useful is not used, or what is remarkable about its use.
+    /// Reason why a layer that looks useful is not used, or a remark on its use.
     pub note: Option<String>,
 }
 

@@ -1,8 +1,8 @@
 //! OpenEXR files to buffer sets and back.
 //!
-//! A [`BufferSet`] is what the files said: which layer is the colour, which are its halves, its variance and its
-//! features. Nothing in it has been checked for NaN or meaning;
-//! [`Frame::from_buffer_set`](stein::frame::Frame::from_buffer_set) does that.
+//! A [`BufferSet`] holds the layers of the files and their use: the colour, its halves, its variance and its features.
+//! Nothing in it has been checked for NaN or meaning; [`BufferSet::to_frame`]
+//! does that.
 //!
 //! The native layout: `R G B`, `halfA.*`, `halfB.*`, `variance.*` (sample variance of the mean) and for every feature F
 //! `F.*`, `F_halfA.*`, `F_halfB.*`, `F_variance.*`; the samples per pixel in a header attribute or a channel `samples`.

@@ -9,23 +9,23 @@ use crate::file::ExrFile;
 use crate::samples::layer;
 use crate::write_layers;
 
-/// A sampling map as it stands in a file: layer `density.V`, real samples per pixel; `samples.V`, whole and even
+/// A sampling map as a file stores it: layer `density.V`, real samples per pixel; `samples.V`, whole and even
 /// numbers of samples to draw; and `drawn.V`, how many samples of the pixel were drawn before, so that a renderer can
 /// go on where it was.
 #[derive(Clone, Debug)]
 pub struct MapFile {
-    /// What is to be drawn.
+    /// Samples to draw.
     pub map: SamplingMap,
-    /// What was drawn before, where that is known.
+    /// Samples that were drawn before; `None` if unknown.
     pub drawn: Option<SampleCounts>,
 }
 
 impl MapFile {
-    /// Writes it, with texts for the header. The file appears under its name only when it is complete; an existing one
-    /// is replaced.
+    /// Writes the map, with texts for the header. The file appears under its name only when it is complete; an existing
+    /// file is replaced.
     ///
     /// # Errors
-    /// Whatever the file system reports.
+    /// Errors of the file system.
     pub fn write(&self, path: &Path, attributes: &[(String, String)]) -> Result<()> {
         let whole = |counts: &SampleCounts| Image {
             extent: counts.extent(),
@@ -37,7 +37,7 @@ impl MapFile {
         write_layers(path, &layers, attributes)
     }
 
-    /// Reads it. A file without `density` is taken to want `samples` as it is.
+    /// Reads a map. In a file without `density`, `samples` is taken for the density.
     ///
     /// # Errors
     /// A file that cannot be read or has no layer `samples`; numbers that are not whole and even.

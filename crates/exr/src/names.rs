@@ -1,4 +1,4 @@
-//! How names are stored, and what names of layers mean. Nothing here looks at pixels.
+//! How names are stored, and the meaning of layers' names. Nothing here looks at pixels.
 
 use exr::prelude::Text;
 
@@ -8,13 +8,13 @@ use stein::text;
 /// The longest name of a channel, an attribute or a type, in bytes. Readers refuse longer ones.
 pub(crate) const LONGEST_NAME: usize = 255;
 
-/// A name as text. The format stores bytes: UTF-8 where they are valid UTF-8, else Latin-1, which every byte is part
-/// of.
+/// Decodes a stored name. The format stores bytes: they are UTF-8 if they are valid UTF-8, else Latin-1, in which every
+/// byte is valid.
 pub(crate) fn decoded(stored: &[u8]) -> String {
     str::from_utf8(stored).map_or_else(|_| stored.iter().copied().map(char::from).collect(), str::to_owned)
 }
 
-/// The bytes of a new name, in UTF-8; or why it cannot be stored.
+/// Encodes a new name in UTF-8, or returns the reason why it cannot be stored.
 pub(crate) fn encoded(name: &str) -> Result<Text, String> {
     if name.is_empty() {
         return Err("a name is empty".into());
@@ -29,9 +29,9 @@ pub(crate) fn encoded(name: &str) -> Result<Text, String> {
     Ok(Text::from_slice_unchecked(name.as_bytes()))
 }
 
-/// Layers that are a picture's colour wherever they occur, most wanted first; compared without case, by their last
-/// dotted component. `noisy image` comes before `combined`: Cycles stores the denoised picture in the latter when it
-/// has denoised already.
+/// Names of layers that are a picture's colour wherever they occur, the best one first; compared without case, by their
+/// last dotted component. `noisy image` comes before `combined`: Cycles stores the denoised picture in the latter when
+/// it has denoised already.
 const COLOR_NAMES: &[&str] = &[
     "",
     "noisy image",
@@ -48,7 +48,7 @@ const COLOR_NAMES: &[&str] = &[
     "composite",
 ];
 
-/// Layers that are features even without halves and variance.
+/// Names of layers that are features even without halves and variance.
 const FEATURE_NAMES: &[&str] = &[
     "albedo",
     "alb",
@@ -76,17 +76,17 @@ const FEATURE_NAMES: &[&str] = &[
 
 const SAMPLE_COUNT_NAMES: &[&str] = &["samples", "samplecount"];
 
-/// The part of a layer's name after its last dot.
+/// Returns the part of a layer's name after its last dot.
 pub(crate) fn last_component(name: &str) -> &str {
     name.rsplit_once('.').map_or(name, |(_, last)| last)
 }
 
-/// Everything up to and with the last dot: layers of one render share it.
+/// Returns everything up to the last dot, with the dot: layers of one render share it.
 pub(crate) fn group(name: &str) -> &str {
     name.rfind('.').map_or("", |dot| &name[..=dot])
 }
 
-/// How eagerly a layer is taken for the colour: smaller is better, `None` if its name does not say so.
+/// Returns the rank of a layer as the colour: a smaller rank is better; `None` if the name does not suggest the colour.
 pub(crate) fn color_rank(name: &str) -> Option<usize> {
     COLOR_NAMES.iter().position(|known| last_component(name).eq_ignore_ascii_case(known))
 }
@@ -99,7 +99,7 @@ pub(crate) fn is_sample_count_name(name: &str) -> bool {
     SAMPLE_COUNT_NAMES.iter().any(|known| last_component(name).eq_ignore_ascii_case(known))
 }
 
-/// The names under which a layer's half or variance is looked for.
+/// Whether `candidate` is a name under which the half or variance of the layer `base` is looked for.
 ///
 /// A bare `variance` must be spelt in lower case: pbrt's `Variance` is the variance of one sample.
 pub(crate) fn is_companion(candidate: &str, base: &str, part: SignalPart, bare_too: bool) -> bool {
@@ -120,7 +120,7 @@ pub(crate) fn is_companion(candidate: &str, base: &str, part: SignalPart, bare_t
     })
 }
 
-/// The layer that a name such as `albedo_halfA` belongs to.
+/// Returns the layer that a name such as `albedo_halfA` belongs to, and which part of it the name means.
 pub(crate) fn companion_base(name: &str) -> Option<(&str, SignalPart)> {
     let (base, suffix) = name.rsplit_once('_')?;
     let part = match suffix.to_ascii_lowercase().as_str() {
@@ -132,12 +132,13 @@ pub(crate) fn companion_base(name: &str) -> Option<(&str, SignalPart)> {
     Some((base, part))
 }
 
-/// Whether a layer is half of whatever the file's colour is.
+/// Whether a layer is a half of the file's colour, whichever layer that is.
 pub(crate) fn is_bare_half(name: &str) -> bool {
     ["halfA", "halfB"].iter().any(|half| last_component(name).eq_ignore_ascii_case(half))
 }
 
-/// Why a layer that speaks of noise is not taken for a variance of the mean. `None` for all others.
+/// Returns the reason why a layer whose name mentions noise is not taken for a variance of the mean; `None` for all
+/// others.
 pub(crate) fn why_not_a_variance(name: &str) -> Option<&'static str> {
     let last = last_component(name);
     let is = |known: &str| last.eq_ignore_ascii_case(known);

@@ -1,4 +1,4 @@
-//! What programs share: options of their command lines, and where they keep compiled pipelines.
+//! Settings that programs share: options of their command lines, and the folder of compiled pipelines.
 
 use std::ffi::OsString;
 use std::path::PathBuf;
@@ -7,11 +7,11 @@ use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use stein::gpu::GpuOptions;
 use stein::parameters::Choice;
 
-/// The environment variable by which a user names another folder for compiled pipelines, or, empty, none.
+/// Environment variable that names another folder for compiled pipelines; if it is empty, none are kept.
 pub const CACHE_VARIABLE: &str = "STEIN_CACHE";
 
-/// How programs that a user starts open a device: compiled pipelines are kept in the folder that [`CACHE_VARIABLE`]
-/// names, or else in `stein` among the user's caches.
+/// Returns the options with which programs open a device. Compiled pipelines are kept in the folder that
+/// [`CACHE_VARIABLE`] names, or else in `stein` among the user's caches.
 pub fn gpu_options() -> GpuOptions {
     GpuOptions {
         pipeline_folder: pipeline_folder(std::env::var_os(CACHE_VARIABLE), dirs::cache_dir()),
@@ -19,8 +19,8 @@ pub fn gpu_options() -> GpuOptions {
     }
 }
 
-/// The folder that is asked for, or one among the user's other caches. `None` where that is asked for, or where the
-/// user has no caches.
+/// Returns the requested folder, or one among the user's other caches. Returns `None` if the request is empty, or if
+/// there is no request and the user has no caches.
 fn pipeline_folder(asked_for: Option<OsString>, caches: Option<PathBuf>) -> Option<PathBuf> {
     match asked_for {
         Some(folder) => (!folder.is_empty()).then(|| folder.into()),
@@ -28,7 +28,8 @@ fn pipeline_folder(asked_for: Option<OsString>, caches: Option<PathBuf>) -> Opti
     }
 }
 
-/// Reads one of several values by the word of the choice at the same place; its help tells what they mean.
+/// Returns a parser of one of several values. The word of each choice stands for the value at the same index, and the
+/// help explains the choices.
 pub fn choice<T: Clone + Send + Sync + 'static>(
     values: &[T],
     choices: &[Choice],
@@ -40,7 +41,7 @@ pub fn choice<T: Clone + Send + Sync + 'static>(
     PossibleValuesParser::new(choices.iter().map(possible)).try_map(find)
 }
 
-/// A choice as clap lists it.
+/// Returns a choice as clap lists it.
 pub fn possible(choice: &Choice) -> PossibleValue {
     PossibleValue::new(choice.name).help(choice.documentation.trim_end_matches('.').to_owned())
 }

@@ -47,7 +47,7 @@ pub struct BufferSetRequest {
 }
 
 impl BufferSetRequest {
-    /// What the library's remedies name, and the option that it is: for [`Error::in_words`](stein::Error::in_words).
+    /// Names in the library's remedies, and the option for each: for [`Error::in_words`](stein::Error::in_words).
     pub const OPTIONS: [(&str, &str); 4] = [
         ("`BufferSetRequest::half_a`", "--half-a"),
         ("`BufferSetRequest::half_b`", "--half-b"),
@@ -55,7 +55,7 @@ impl BufferSetRequest {
         ("`BufferSetRequest::skip_features`", "--skip-feature"),
     ];
 
-    /// All files that are read, the input first; one that is named twice is there twice.
+    /// Returns all files that are read, the input first; a file that is named twice is listed twice.
     pub fn files(&self) -> impl Iterator<Item = &Path> {
         let named = [&self.half_a, &self.half_b, &self.variance]
             .into_iter()
@@ -64,19 +64,19 @@ impl BufferSetRequest {
         std::iter::once(self.input.as_path()).chain(named.map(|layer| layer.file.as_path()))
     }
 
-    /// The same layers of other files, as of another frame of a shot.
+    /// Returns the same layers of other files, such as the files of another frame of a shot.
     #[must_use]
     pub fn map_files(&self, file: impl Fn(&Path) -> PathBuf) -> Self {
         Self { input: file(&self.input), ..self.map_others(|layer| layer.map_file(&file)) }
     }
 
-    /// The files whose paths are the whole texts, see [`LayerRef::literal`]. The input and its layer stay.
+    /// Takes the whole texts as the paths of the files, see [`LayerRef::literal`]. The input and its layer stay.
     #[must_use]
     pub fn literal(&self) -> Self {
         self.map_others(|layer| layer.clone().literal())
     }
 
-    /// With something else for each of the files beside the input.
+    /// Replaces each reference to a file beside the input.
     fn map_others(&self, other: impl Fn(&LayerRef) -> LayerRef) -> Self {
         let features = self.features.iter().map(|(name, layer)| (name.clone(), other(layer))).collect();
         let [half_a, half_b, variance] =

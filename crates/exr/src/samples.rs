@@ -9,8 +9,8 @@ use stein::{Error, Image, Result};
 use crate::{BufferSet, NamedLayer, write_layers};
 
 impl BufferSet {
-    /// Takes up a render where its file left off, so that more samples can be merged into it. Needs the samples per
-    /// pixel, halves and variances; the features are those that the set uses.
+    /// Continues a render from its file, so that more samples can be merged into it. Needs the samples per pixel,
+    /// halves and variances; the features are those that the set uses.
     ///
     /// # Errors
     /// Unknown, odd or fractional sample counts, and as [`Samples::from_signals`].
@@ -44,14 +44,14 @@ impl BufferSet {
     }
 }
 
-/// Writes everything in the native layout: 32-bit floats, ZIP. The samples per pixel go into the header where they are
-/// the same everywhere, else into a channel `samples`; pixels without samples hold NaN. `attributes` are further texts
+/// Writes everything in the native layout: 32-bit floats, ZIP. The samples per pixel go into the header if all pixels
+/// have the same number, else into a channel `samples`; pixels without samples hold NaN. `attributes` are further texts
 /// for the header.
 ///
 /// The file appears under its name only when it is complete; an existing one is replaced.
 ///
 /// # Errors
-/// Attributes that OpenEXR cannot store, and whatever the file system reports.
+/// Attributes that OpenEXR cannot store, and errors of the file system.
 pub fn write_samples(samples: &Samples, path: &Path, attributes: &[(String, String)]) -> Result<()> {
     let mut layers = Vec::new();
     push_signal(&mut layers, &["R", "G", "B"], samples.color(), ["", "halfA", "halfB", "variance"].map(str::to_owned));
@@ -73,7 +73,7 @@ pub fn write_samples(samples: &Samples, path: &Path, attributes: &[(String, Stri
     write_layers(path, &layers, &texts)
 }
 
-/// Channel names by custom: directions have x, y, z, a distance z.
+/// Returns the usual names of channels: x, y, z for directions, z for a distance.
 fn suffixes(name: &str, channels: usize) -> &'static [&'static str] {
     match (name, channels) {
         ("depth", 1) => &["Z"],

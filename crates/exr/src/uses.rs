@@ -1,4 +1,4 @@
-//! The list of all layers and what became of them.
+//! The list of all layers and their use.
 
 use exr::prelude::SampleType;
 
@@ -7,7 +7,7 @@ use crate::file::{ExrFile, FileLayer};
 use crate::layer_ref::{LayerUse, Role, SampleKind, SignalPart};
 use crate::names;
 
-/// Every layer in use, with what it is used as.
+/// Returns every layer in use, with its role.
 pub(crate) fn used_planes(set: &BufferSet) -> Vec<(&Planes, Role)> {
     let mut used = vec![(&set.color.mean, Role::Color)];
     used.extend(set.color.half_a.as_ref().map(|planes| (planes, Role::HalfA)));
@@ -24,14 +24,14 @@ pub(crate) fn used_planes(set: &BufferSet) -> Vec<(&Planes, Role)> {
     used
 }
 
-/// Why a layer is not used.
+/// The reason why a layer is not used.
 pub(crate) struct Note {
     pub(crate) file: usize,
     pub(crate) layer: usize,
     pub(crate) text: String,
 }
 
-/// Every layer of every file with its role, or with why it has none.
+/// Returns every layer of every file with its role, or with the reason why it has none.
 pub(crate) fn layer_uses(set: &BufferSet, notes: &[Note]) -> Vec<LayerUse> {
     let used = used_planes(set);
     let mut uses = Vec::new();

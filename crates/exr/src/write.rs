@@ -1,4 +1,5 @@
-//! The denoised picture in the clothes of its input: same header, parts, windows and layers, other pixels.
+//! Writes the denoised picture in the layout of its input: the same header, parts, windows and layers, but other
+//! pixels.
 
 use std::collections::HashMap;
 use std::io::{BufWriter, Write};
@@ -19,25 +20,25 @@ use stein::text;
 /// A layer to add to an output.
 #[derive(Clone, Debug)]
 pub struct NamedLayer {
-    /// The layer's name; it and the channels' names are joined with a dot.
+    /// Name of the layer, which a dot joins with the names of the channels.
     pub name: String,
-    /// One name for each plane, such as `R`, `G`, `B`.
+    /// Names of the channels, one for each plane, such as `R`, `G`, `B`.
     pub channels: Vec<String>,
-    /// The pixels, of the input's extent.
+    /// Pixels, of the input's extent.
     pub image: Image,
 }
 
-/// What an output shows in place of, and besides, what its input held.
+/// Layers that an output replaces, leaves out or adds, compared with its input.
 #[derive(Clone, Debug)]
 pub struct DenoisedLayers<'a> {
-    /// Three planes R, G, B that replace the colour; their mean where the input has only a luminance.
+    /// Three planes R, G, B for the colour. If the input has only a luminance, their mean replaces it.
     pub color: &'a Image,
-    /// Layers of the input that are replaced, by their names as in [`LayerUse::layer`](super::LayerUse::layer): as many
-    /// planes as the layer has channels without its alpha, in the order of
-    /// [`LayerUse::channels`](super::LayerUse::channels). Useful for halves and variance, which do not belong to the
-    /// denoised colour.
+    /// Names and images of the input's layers that are replaced; the names are as in
+    /// [`LayerUse::layer`](super::LayerUse::layer). An image has as many planes as the layer has channels without its
+    /// alpha, in the order of [`LayerUse::channels`](super::LayerUse::channels). Useful for halves and variance, which
+    /// do not belong to the denoised colour.
     pub replacements: &'a [(String, Image)],
-    /// Layers of the input that are left out, by their names as in [`LayerUse::layer`](super::LayerUse::layer): what
+    /// Names of the input's layers that are left out, as in [`LayerUse::layer`](super::LayerUse::layer): layers that
     /// would be wrong beside the denoised colour.
     pub dropped: &'a [String],
     /// Layers that the input does not have; written as 32-bit floats into the colour's part.
@@ -46,12 +47,12 @@ pub struct DenoisedLayers<'a> {
     pub attributes: &'a [(String, String)],
 }
 
-/// What could not be written as it was.
+/// Values and layers that could not be written as they were.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct WriteReport {
-    /// Values beyond the largest half float, written as ±65504.
+    /// Number of values beyond the largest half float, written as ±65504.
     pub clamped_values: usize,
-    /// Values that were not finite, written as 0.
+    /// Number of values that were not finite, written as 0.
     pub non_finite_values: usize,
     /// Names of extra layers that were left out, because no reader opens a file with names as long as theirs.
     pub left_out: Vec<String>,
@@ -87,12 +88,12 @@ impl std::fmt::Display for WriteReport {
 /// replaced stay as they were; replaced channels keep their sample type. Mip levels are not kept. The set is used up:
 /// its layers are handed on, not copied.
 ///
-/// The file appears under its name only when it is complete; an existing one is replaced, which may be the input. An
+/// The file appears under its name only when it is complete; an existing file is replaced, even if it is the input. An
 /// extra layer whose name is too long to be stored is left out, see [`WriteReport::left_out`].
 ///
 /// # Errors
 /// Images of another extent or number of channels than the layers that they replace, replacements for layers that do
-/// not exist, extra layers that do exist, and whatever the file system reports.
+/// not exist, extra layers that do exist, and errors of the file system.
 pub fn write_denoised(set: BufferSet, output: &Path, denoised: &DenoisedLayers<'_>) -> Result<WriteReport> {
     let (part, extent) = (set.color_part(), set.extent());
     let BufferSet { files, color, .. } = set;
@@ -125,7 +126,7 @@ pub fn write_denoised(set: BufferSet, output: &Path, denoised: &DenoisedLayers<'
             name,
         )?;
     }
-    // Before anything is added: layers know their channels by their positions in the input.
+    // Removes layers before others are added: layers know their channels by their positions in the input.
     for (index, part) in image.layer_data.iter_mut().enumerate() {
         let dropped = layers.iter().filter(|layer| layer.part == index && denoised.dropped.contains(&layer.name));
         let channels: Vec<usize> =
@@ -157,14 +158,14 @@ pub fn write_denoised(set: BufferSet, output: &Path, denoised: &DenoisedLayers<'
     Ok(writer.report)
 }
 
-/// Whether a lossy compression may bring a value beyond the largest half float: its errors are relative ones, of a
-/// factor of two at the highest levels, and the reader gets infinity.
+/// Whether a lossy compression may bring a value beyond the largest half float, which the reader gets as infinity. The
+/// errors of the compression are relative, of a factor of two at the highest levels.
 fn may_overshoot(compression: Compression, channel: &AnyChannel<FlatSamples>) -> bool {
     const MOST: f32 = 16_376.0;
     is_lossy(compression, &channel.name) && channel.sample_data.values_as_f32().any(|value| value.abs() > MOST)
 }
 
-/// All channels but the alpha.
+/// Returns all channels but the alpha.
 pub(crate) fn colored_channels(layer: &FileLayer) -> Vec<usize> {
     let alpha = |suffix: &str| layer.channels.len() > 1 && suffix.eq_ignore_ascii_case("A");
     layer.channels.iter().filter(|channel| !alpha(&channel.suffix)).map(|channel| channel.index).collect()
@@ -230,7 +231,7 @@ impl Writer<'_> {
         let list = &mut layer.channel_data.list;
         let names: Vec<String> = extra.channels.iter().map(|suffix| full_name(extra, suffix)).collect();
         if names.iter().any(|name| name.len() > LONGEST_NAME) {
-            // A feature's name is part of them. The picture is not given up for one of its intermediates.
+            // A feature's name may make them too long. The picture is not given up for one of its intermediates.
             self.report.left_out.push(extra.name.clone());
             return Ok(());
         }
@@ -269,7 +270,7 @@ impl Writer<'_> {
         if value > 0.0 { f16::MAX } else { f16::MIN }
     }
 
-    /// Leaves out time codes that the encoder refuses: those of more than 30 frames in a second, for one.
+    /// Leaves out time codes that the encoder refuses, such as those of more than 30 frames in a second.
     fn settle_attributes(&mut self, time_code: &mut Option<TimeCode>, others: &mut HashMap<Text, AttributeValue>) {
         let is_writable = |code: &TimeCode| code.pack_time_as_tv60_u32().is_ok();
         let before = others.len() + usize::from(time_code.is_some());
@@ -283,7 +284,7 @@ impl Writer<'_> {
         }
     }
 
-    /// Keeps the input's encoding where it can be written.
+    /// Keeps the input's encoding if it can be written.
     fn settle_encoding(&mut self, layer: &mut Layer<AnyChannels<FlatSamples>>) {
         if layer.encoding.blocks == Blocks::ScanLines && layer.encoding.line_order == LineOrder::Unspecified {
             layer.encoding.line_order = LineOrder::Increasing;
@@ -307,20 +308,20 @@ impl Writer<'_> {
                 .push(format!("{compression} would make infinities of the largest values: ZIP is used instead"));
             layer.encoding.compression = Compression::ZIP16;
         }
-        // The input may have had them in any order, but the format wants them sorted.
+        // The input may have had its channels in any order, but the format requires them sorted.
         layer.channel_data.list.sort_by(|a, b| a.name.cmp(&b.name));
     }
 }
 
-/// Writes a file of these layers alone: one part, 32-bit floats, ZIP. A layer without a name gives its channels as they
-/// are; `attributes` are texts for the header.
+/// Writes a file of these layers alone: one part, 32-bit floats, ZIP. The channels of a layer without a name keep their
+/// own names; `attributes` are texts for the header.
 ///
 /// The file appears under its name only when it is complete; an existing one is replaced. Values that are not finite
 /// stay as they are.
 ///
 /// # Errors
-/// No layers, or layers of different extents; names or attributes that OpenEXR cannot store; whatever the file system
-/// reports.
+/// No layers, or layers of different extents; names or attributes that OpenEXR cannot store; errors of the file
+/// system.
 pub fn write_layers(output: &Path, layers: &[NamedLayer], attributes: &[(String, String)]) -> Result<()> {
     let refuse = |problem: String, remedy: &str| Err(Error::Request { problem, remedy: remedy.into() });
     let Some(extent) = layers.first().map(|layer| layer.image.extent) else {
@@ -371,7 +372,7 @@ fn add_attributes(header: &mut LayerAttributes, attributes: &[(String, String)])
             problem: format!("an attribute cannot be written: {problem}"),
             remedy: "choose another name".into(),
         })?;
-        // Of values the length is stored, so that they may hold anything.
+        // The format stores the length of a value, so that a value may hold anything.
         header.other.insert(name, AttributeValue::Text(Text::from_slice_unchecked(value.as_bytes())));
     }
     Ok(())
@@ -382,12 +383,12 @@ fn write_then_rename(image: &FlatImage, output: &Path) -> Result<()> {
     let written =
         atomic_file::replace(output, atomic_file::readable(builder.prefix(".stein-").suffix(".exr.part")), |file| {
             let mut buffered = BufWriter::new(&mut *file);
-            // What is odd about the input's header was no reason to refuse it, and is none here.
+            // Oddities of the input's header were no reason to refuse it, and are none here.
             image.write().skip_compatibility_checks().to_buffered(&mut buffered).map_err(|error| match error {
                 exr::error::Error::Io(error) => error,
                 error => std::io::Error::other(error.to_string()),
             })?;
-            // The last of it would be lost in silence where the disk is full.
+            // Without this, a full disk would lose the last bytes in silence.
             buffered.flush()?;
             drop(buffered);
             settle(file)

@@ -1,12 +1,12 @@
-//! How far an image is from a reference. All sums are in f64; a NaN anywhere makes the result NaN, but for FLIP, which
-//! sees it as black.
+//! Errors of an image against a reference. All sums are in f64; a NaN anywhere makes the result NaN, except in FLIP,
+//! which sees it as black.
 
 #[cfg(feature = "flip")]
 use stein::Extent;
 pub use stein::frame::RELATIVE_EPSILON;
 use stein::{Error, Image, Result};
 
-/// Mean over pixels and channels of (x − ref)²/(ref² + 0.01) (thesis 6.5). 0 is perfect.
+/// Returns the mean over pixels and channels of (x − ref)²/(ref² + 0.01) (thesis 6.5). 0 is perfect.
 ///
 /// # Errors
 /// Images of different extent or channel count, or without pixels.
@@ -14,7 +14,7 @@ pub fn relative_mse(image: &Image, reference: &Image) -> Result<f64> {
     mean_over_values(image, reference, |x, reference| (x - reference).powi(2) / (reference.powi(2) + RELATIVE_EPSILON))
 }
 
-/// Mean over pixels and channels of (x − ref)². 0 is perfect.
+/// Returns the mean over pixels and channels of (x − ref)². 0 is perfect.
 ///
 /// # Errors
 /// Images of different extent or channel count, or without pixels.
@@ -22,14 +22,15 @@ pub fn mse(image: &Image, reference: &Image) -> Result<f64> {
     mean_over_values(image, reference, |x, reference| (x - reference).powi(2))
 }
 
-/// How much the error of two consecutive frames differs: the mean over pixels and channels of
+/// Returns how much the error of two consecutive frames differs: the mean over pixels and channels of
 ///
 /// ((x_t − ref_t) − (x_{t−1} − ref_{t−1}))² / ((ref_t² + ref_{t−1}²)/2 + 0.01)
 ///
-/// for `images` x_{t−1}, x_t and `references` ref_{t−1}, ref_t. 0 where the error stands still, be it large; of errors
-/// that are independent from frame to frame it is about the sum of both frames' [`relative_mse`]. Measured by both
-/// frames: where something bright enters or leaves a pixel, its error would outweigh the rest of the picture if it
-/// counted by the dark one. Of a shot: the mean over all pairs of consecutive frames.
+/// for `images` x_{t−1}, x_t and `references` ref_{t−1}, ref_t. The result is 0 if the error does not change, however
+/// large it is. For errors that are independent from frame to frame, the result is about the sum of both frames'
+/// [`relative_mse`]. The divisor is made of both frames: where something bright enters or leaves a pixel, the error
+/// would outweigh the rest of the picture if it were relative to the dark frame alone. For a shot, take the mean over
+/// all pairs of consecutive frames.
 ///
 /// # Errors
 /// Images of different extent or channel count, or without pixels.
@@ -83,10 +84,10 @@ pub fn ssim(image: &Image, reference: &Image) -> Result<f64> {
     Ok(sum / x.len() as f64)
 }
 
-/// FLIP: how large the differences are that a person sees who flips between the two images, 0 (none) to 1 (black
-/// against white comes near). The mean over the pixels of LDR-FLIP (Andersson and others 2020), at 67 pixels per degree
-/// of visual angle: a display 3840 pixels and 0.7 m wide, seen from 0.7 m. The images are compared as [`display_bytes`]
-/// shows them, so that what is brighter than 1 in both does not count.
+/// Returns FLIP: how large the differences are that a person sees who flips between the two images, from 0 (none) to
+/// nearly 1 (black against white). FLIP is the mean over the pixels of LDR-FLIP (Andersson and others 2020), at 67
+/// pixels per degree of visual angle: a display 3840 pixels and 0.7 m wide, seen from 0.7 m. The images are compared as
+/// [`display_bytes`] shows them, so that differences between values above 1 do not count.
 ///
 /// # Errors
 /// Images of different extent or channel count, without pixels, or with other than one or three channels.
@@ -99,9 +100,9 @@ pub fn flip(image: &Image, reference: &Image) -> Result<f64> {
     Ok(map.iter().map(|&value| f64::from(value)).sum::<f64>() / map.len() as f64)
 }
 
-/// What a display shows of scene-linear values: clamped to [0, 1], with the transfer curve of sRGB, 8 bits for each of
-/// R, G and B, row by row. No exposure and no curve besides, so that pictures and their figures compare. A single
-/// channel is shown in grey; NaN is black.
+/// Returns what a display shows of scene-linear values: clamped to [0, 1], with the transfer curve of sRGB, 8 bits for
+/// each of R, G and B, row by row. There is no exposure and no other curve, so that pictures and their figures can be
+/// compared. A single channel is shown in grey; NaN is black.
 ///
 /// # Errors
 /// Other than one or three channels.
@@ -164,7 +165,7 @@ fn display_values(image: &Image) -> Vec<f64> {
     values
 }
 
-/// Weighted means under the window of [`ssim`], rows first, then columns.
+/// Returns the weighted means under the window of [`ssim`], rows first, then columns.
 fn gaussian_window(plane: &[f64], width: usize) -> Vec<f64> {
     let height = plane.len() / width;
     let weights: [f64; 6] = std::array::from_fn(|offset| (-(offset as f64).powi(2) / (2.0 * 1.5 * 1.5)).exp());

@@ -6,7 +6,7 @@ use super::material::on_circle;
 use super::shape::Ray;
 use stein::image::Extent;
 
-/// Where the picture is taken from. Lengths are in the scene's unit.
+/// Position and lens of the camera. Lengths are in the scene's unit.
 #[derive(Clone, Copy, Debug)]
 pub struct Camera {
     /// Centre of the lens.
@@ -25,7 +25,7 @@ pub struct Camera {
 pub(super) struct View {
     eye: Vec3,
     lens_radius: f32,
-    /// To the picture's top left corner in the plane of focus, and from pixel to pixel.
+    /// Top left corner of the picture in the plane of focus; `per_column` and `per_row` lead from pixel to pixel.
     corner: Vec3,
     per_column: Vec3,
     per_row: Vec3,
@@ -52,7 +52,8 @@ impl View {
         }
     }
 
-    /// The ray through a point of the picture, in pixels from its top left corner, and a point of the lens.
+    /// Returns the ray through a point of the picture, in pixels from its top left corner, and through a point of the
+    /// lens.
     pub(super) fn ray(&self, x: f32, y: f32, [u, v]: [f32; 2], time: f32) -> Ray {
         let on_lens = on_circle(u, self.lens_radius * v.sqrt());
         let lens = self.right * on_lens.x + self.down * on_lens.y;

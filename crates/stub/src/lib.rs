@@ -1,5 +1,5 @@
-//! A stand-in for a renderer: a path tracer over a few analytic shapes, small enough to read, honest enough to test a
-//! denoiser and its sampling loop with.
+//! A stand-in for a renderer: a path tracer over a few analytic shapes, small enough to read, and realistic enough to
+//! test a denoiser and its sampling loop.
 //!
 //! It has area lights, a sky and a sun, diffuse and rough glossy surfaces, mirrors, glass, depth of field and motion
 //! blur, and a box pixel filter. Its features are noisy as a renderer's are: albedo, normal (world, towards the viewer)
@@ -77,24 +77,24 @@ pub struct StubSampler {
     seed: u64,
     sequence: Sequence,
     transport: Transport,
-    /// Per pixel: samples drawn so far in each half.
+    /// Number of samples drawn so far in each half, for each pixel.
     drawn: Vec<u32>,
 }
 
 impl StubSampler {
-    /// A sampler that has not drawn anything yet. Two with the same seed draw the same samples.
+    /// Creates a sampler that has not drawn anything yet. Two samplers with the same seed draw the same samples.
     pub fn new(scene: Scene, extent: Extent, seed: u64, sequence: Sequence) -> Self {
         Self { scene, extent, seed, sequence, transport: Transport::LightSampling, drawn: vec![0; extent.pixels()] }
     }
 
-    /// Finds light in another way.
+    /// Sets how paths find light.
     #[must_use]
     pub fn with_transport(mut self, transport: Transport) -> Self {
         self.transport = transport;
         self
     }
 
-    /// Goes on after these samples, as if they had been drawn already: to continue a render that was stored.
+    /// Continues after these samples, as if this sampler had drawn them, for example to continue a stored render.
     ///
     /// # Errors
     /// Counts of another extent.
@@ -133,7 +133,7 @@ impl StubSampler {
     }
 }
 
-/// What the threads share: rows go in as they are finished.
+/// State that the threads share: rows are added as they are finished.
 struct Finished<'a, 'b> {
     samples: Samples,
     drawn: u64,
@@ -156,7 +156,7 @@ impl Sampler for StubSampler {
             let pixels = row * width..(row + 1) * width;
             let statistics: Vec<_> =
                 pixels.clone().map(|pixel| self.pixel(&view, pixel, counts.pairs()[pixel])).collect();
-            // A callback that panicked in another thread has left nothing half done here.
+            // If a callback panicked in another thread, nothing here is left half done.
             let mut finished = finished.lock().unwrap_or_else(PoisonError::into_inner);
             for (pixel, statistics) in pixels.clone().zip(&statistics) {
                 finished.samples.set(pixel, statistics);

@@ -44,7 +44,7 @@ impl Environment {
         self.horizon.lerp(self.zenith, direction.y.max(0.0))
     }
 
-    /// The sun's radiance from this direction, which is 0 beside it.
+    /// Returns the sun's radiance from this direction; 0 beside the sun.
     pub(super) fn sun(&self, direction: Vec3) -> Vec3 {
         match &self.sun {
             // Squared chords keep the digits that cosines of small angles lose.
@@ -62,7 +62,7 @@ impl Sun {
     }
 }
 
-/// Something to send shadow rays to.
+/// A light that shadow rays are sent to.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Light {
     /// A shape, by its position in the scene's list.
@@ -74,12 +74,13 @@ pub(super) enum Light {
 /// A direction towards a light, and its density per solid angle.
 pub(super) struct Towards {
     pub(super) direction: Vec3,
-    /// Beyond this distance nothing is in the way: infinite for sun and sky.
+    /// Distance within which nothing may be in the way; infinite for sun and sky.
     pub(super) distance: f32,
     pub(super) density: f32,
 }
 
-/// Draws a direction from `origin` to the shape's outside; `None` where that cannot be seen whatever is in the way.
+/// Draws a direction from `origin` to the shape's outside; `None` if the outside cannot be seen even with nothing in
+/// the way.
 pub(super) fn towards_shape(shape: &Shape, origin: Vec3, time: f32, [u, v]: [f32; 2]) -> Option<Towards> {
     let at_rest = shape.at_rest(origin, time);
     match &shape.form {
@@ -94,7 +95,7 @@ pub(super) fn towards_shape(shape: &Shape, origin: Vec3, time: f32, [u, v]: [f32
             let height = cap_height(*center - at_rest, *radius)?;
             let direction = in_cap((*center - at_rest).normalize(), height, [u, v]);
             let distance = shape.distance(&Ray { origin, direction, time });
-            // At the rim, rounding may miss the sphere; the centre is as far away there, nearly.
+            // At the rim, rounding may miss the sphere; the centre is nearly as far away there.
             let distance = distance.min((*center - at_rest).length());
             Some(Towards { direction, distance, density: cap_density(height) })
         }
@@ -103,7 +104,7 @@ pub(super) fn towards_shape(shape: &Shape, origin: Vec3, time: f32, [u, v]: [f32
     }
 }
 
-/// The density of [`towards_shape`] for the direction from `origin` to a point of the shape at `distance`.
+/// Returns the density of [`towards_shape`] for the direction from `origin` to a point of the shape at `distance`.
 pub(super) fn shape_density(shape: &Shape, ray: &Ray, distance: f32) -> f32 {
     match &shape.form {
         Form::Quad(quad) => distance * distance / (ray.direction.dot(quad.normal).abs() * quad.area),
@@ -127,8 +128,8 @@ pub(super) fn sun_density(sun: &Sun) -> f32 {
     cap_density(sun.cap_height())
 }
 
-/// Towards the sky, with a density of cosine/π about the normal: a smooth sky's light on a diffuse surface is nearly
-/// that.
+/// Draws a direction towards the sky, with a density of cosine/π about the normal: the light of a smooth sky on a
+/// diffuse surface has nearly that distribution.
 pub(super) fn towards_sky(normal: Vec3, [u, v]: [f32; 2]) -> Towards {
     let local = cosine_hemisphere(u, v);
     let (tangent, bitangent) = normal.any_orthonormal_pair();
@@ -140,14 +141,14 @@ pub(super) fn sky_density(normal: Vec3, direction: Vec3) -> f32 {
     normal.dot(direction).max(0.0) / PI
 }
 
-/// The height of the cap of directions in which a sphere is seen from outside: one minus the cosine of half the angle
-/// that it spans, but with all its digits where the sphere is small.
+/// Returns the height of the cap of directions in which a sphere is seen from outside: one minus the cosine of half the
+/// angle that it spans, with all digits even if the sphere is small. Returns `None` from inside.
 fn cap_height(to_center: Vec3, radius: f32) -> Option<f32> {
     let sine_squared = radius * radius / to_center.length_squared();
     (sine_squared < 1.0).then(|| sine_squared / (1.0 + (1.0 - sine_squared).sqrt()))
 }
 
-/// Of uniform directions in a cap.
+/// Returns the density of uniform directions in a cap.
 fn cap_density(height: f32) -> f32 {
     1.0 / (2.0 * PI * height)
 }

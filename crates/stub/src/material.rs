@@ -6,7 +6,7 @@ use glam::Vec3;
 
 use super::texture::Texture;
 
-/// What a surface does with light.
+/// The way in which a surface scatters or emits light.
 #[derive(Clone, Copy, Debug)]
 pub enum Material {
     /// Lambertian reflection.
@@ -31,7 +31,7 @@ pub enum Material {
     Light(Vec3),
 }
 
-/// A material at one point, with its textures looked up: what to do about the light there.
+/// A material at one point, with its textures looked up: how it treats the light there.
 pub(super) enum Scattering {
     /// Spread over directions: the only kind that light sampling can work on.
     Spread(Lobes),
@@ -44,17 +44,17 @@ pub(super) enum Scattering {
 pub(super) struct Lobes {
     base: Vec3,
     reflectance: Vec3,
-    /// 0 without a glossy lobe.
+    /// Roughness as GGX α; 0 without a glossy lobe.
     roughness: f32,
 }
 
-/// A direction to go on in.
+/// A direction in which the path goes on.
 pub(super) struct Bounce {
-    /// In the local frame, whose z is the normal.
+    /// Direction in the local frame, whose z is the normal.
     pub(super) direction: Vec3,
-    /// BSDF × cosine / density.
+    /// Weight of the direction: BSDF × cosine / density.
     pub(super) weight: Vec3,
-    /// Per solid angle; meaningless for mirrors and glass.
+    /// Density per solid angle; meaningless for mirrors and glass.
     pub(super) density: f32,
 }
 
@@ -77,7 +77,7 @@ impl Material {
 }
 
 impl Scattering {
-    /// The share of white light that is thrown back, roughly: the feature.
+    /// Returns roughly the share of white light that is thrown back, as the albedo feature.
     pub(super) fn albedo(&self) -> Vec3 {
         match self {
             Self::Spread(lobes) => (lobes.base + lobes.reflectance).min(Vec3::ONE),
@@ -89,8 +89,8 @@ impl Scattering {
 }
 
 impl Lobes {
-    /// BSDF × cosine, and the density with which [`Self::sample`] finds `to`. Both directions lead away from the
-    /// surface, in the local frame.
+    /// Returns BSDF × cosine, and the density with which [`Self::sample`] finds `to`. Both directions lead away from
+    /// the surface, in the local frame.
     pub(super) fn evaluate(&self, from: Vec3, to: Vec3) -> (Vec3, f32) {
         if from.z <= 0.0 || to.z <= 0.0 {
             return (Vec3::ZERO, 0.0);
@@ -105,14 +105,14 @@ impl Lobes {
         let (shadow_from, shadow_to) = (smith(from.z, squared), smith(to.z, squared));
         let glossy =
             schlick(self.reflectance, from.dot(half)) * (facets / (4.0 * from.z * (1.0 + shadow_from + shadow_to)));
-        // What the layer reflects does not reach the base, in either direction.
+        // Light that the layer reflects does not reach the base, in either direction.
         let through = (Vec3::ONE - schlick(self.reflectance, from.z)) * (Vec3::ONE - schlick(self.reflectance, to.z));
         let share = self.glossy_share(from);
         let density = share * facets / (4.0 * from.z * (1.0 + shadow_from)) + (1.0 - share) * to.z / PI;
         (glossy + diffuse * through, density)
     }
 
-    /// A direction with a density near BSDF × cosine; `None` if it would go below the surface.
+    /// Draws a direction with a density near BSDF × cosine; `None` if the direction would go below the surface.
     pub(super) fn sample(&self, from: Vec3, [u, v, choice]: [f32; 3]) -> Option<Bounce> {
         let direction =
             if choice < self.glossy_share(from) { self.sample_facet(from, u, v) } else { cosine_hemisphere(u, v) };
@@ -120,7 +120,7 @@ impl Lobes {
         (density > 0.0).then(|| Bounce { direction, weight: value / density, density })
     }
 
-    /// The probability of sampling the glossy lobe.
+    /// Returns the probability of sampling the glossy lobe.
     fn glossy_share(&self, from: Vec3) -> f32 {
         if self.roughness == 0.0 {
             return 0.0;
@@ -141,23 +141,23 @@ impl Lobes {
     }
 }
 
-/// Smith's Λ for GGX, of the cosine to the normal.
+/// Returns Smith's Λ for GGX, from the cosine to the normal.
 fn smith(cosine: f32, squared_roughness: f32) -> f32 {
     let squared = cosine * cosine;
     ((1.0 + squared_roughness * (1.0 - squared).max(0.0) / squared).sqrt() - 1.0) / 2.0
 }
 
 fn schlick(reflectance: Vec3, cosine: f32) -> Vec3 {
-    // Without a layer there is none at grazing angles either.
+    // Without a layer there is no reflection at grazing angles either.
     if reflectance == Vec3::ZERO {
         return Vec3::ZERO;
     }
     reflectance + (Vec3::ONE - reflectance) * (1.0 - cosine.clamp(0.0, 1.0)).powi(5)
 }
 
-/// What light does at a smooth boundary of a dielectric: reflection with the probability of Fresnel's formulas, else
-/// refraction. `from` leads away from the surface, in a frame whose normal points outwards. The scaling of radiance
-/// inside is left out: it cancels for a camera and lights outside.
+/// Chooses what light does at a smooth boundary of a dielectric: reflection with the probability of Fresnel's formulas,
+/// else refraction. `from` leads away from the surface, in a frame whose normal points outwards. The scaling of
+/// radiance inside is left out: it cancels for a camera and lights outside.
 pub(super) fn glass(index: f32, from: Vec3, choice: f32) -> Vec3 {
     let mirrored = Vec3::new(-from.x, -from.y, from.z);
     let relative = if from.z > 0.0 { 1.0 / index } else { index };
@@ -175,12 +175,12 @@ pub(super) fn glass(index: f32, from: Vec3, choice: f32) -> Vec3 {
     }
 }
 
-/// A direction with density cosine/π.
+/// Returns a direction with density cosine/π.
 pub(super) fn cosine_hemisphere(u: f32, v: f32) -> Vec3 {
     on_circle(u, v.sqrt()).extend((1.0 - v).sqrt())
 }
 
-/// The point of a circle about the origin at `turn` revolutions.
+/// Returns the point of a circle about the origin at `turn` revolutions.
 pub(super) fn on_circle(turn: f32, radius: f32) -> glam::Vec2 {
     let (sine, cosine) = (2.0 * PI * turn).sin_cos();
     glam::Vec2::new(radius * cosine, radius * sine)

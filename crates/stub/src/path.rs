@@ -10,27 +10,28 @@ use super::random::Numbers;
 use super::scene::Scene;
 use super::shape::Ray;
 
-/// The features, in their order, with the numbers of their channels.
+/// Names of the features, in their order, with the numbers of their channels.
 pub(super) const FEATURES: [(&str, usize); 5] =
     [("albedo", 3), ("normal", 3), ("depth", 1), ("visibility", 1), ("caustic", 3)];
-/// Colour and features.
+/// Number of channels of the colour and all features.
 pub(super) const CHANNELS: usize = 14;
 
-/// Long enough that light caught in glass gets out.
+/// Largest number of bounces: enough that light caught in glass gets out.
 const LONGEST_PATH: usize = 64;
-/// Bounces before roulette begins.
+/// Number of bounces before roulette begins.
 const SAFE_BOUNCES: usize = 3;
 
-/// What one sample says about its pixel.
+/// Contribution of one sample to its pixel.
 pub(super) struct Sample {
     color: Vec3,
-    /// Of the first hit, like the normal and the depth; 0 on a miss.
+    /// Albedo of the first hit, as the normal and the depth are; 0 on a miss.
     albedo: Vec3,
     normal: Vec3,
     depth: f32,
-    /// 1 if the shadow ray of the first vertex that scatters light met nothing, or if there was none.
+    /// Visibility: 1 if the shadow ray of the first vertex that scatters light met nothing, or if there was no such
+    /// vertex.
     visibility: f32,
-    /// The part of the colour that came from a light by way of mirrors or glass to a surface that scatters it, and from
+    /// Part of the colour that came from a light by way of mirrors or glass to a surface that scatters it, and from
     /// there without further scattering.
     caustic: Vec3,
 }
@@ -47,22 +48,22 @@ impl Sample {
     }
 }
 
-/// The bounce that led to where the path is now.
+/// The last bounce of the path.
 #[derive(Clone, Copy)]
 enum Last {
-    /// None, or one that light sampling cannot imitate.
+    /// No bounce, or one that light sampling cannot imitate.
     Sharp,
-    /// With this density, at a surface of this normal.
+    /// A bounce with this density, at a surface of this normal.
     Spread { density: f32, normal: Vec3 },
 }
 
 /// A point of a surface, seen from the path.
 struct Vertex<'a> {
     point: Vec3,
-    /// Towards the side that the path came from.
+    /// Normal on the side that the path came from.
     normal: Vec3,
     tangents: (Vec3, Vec3),
-    /// Back along the path, in the local frame.
+    /// Direction back along the path, in the local frame.
     from: Vec3,
     lobes: &'a Lobes,
     time: f32,
@@ -164,7 +165,7 @@ pub(super) fn trace(scene: &Scene, transport: Transport, mut ray: Ray, numbers: 
     sample
 }
 
-/// Light from sky and sun along a ray that hits nothing.
+/// Returns the light from sky and sun along a ray that hits nothing.
 fn from_afar(scene: &Scene, transport: Transport, ray: &Ray, last: Last) -> Vec3 {
     let sky_density = match last {
         Last::Sharp => 0.0,
@@ -179,7 +180,8 @@ fn from_afar(scene: &Scene, transport: Transport, ray: &Ray, last: Last) -> Vec3
     }
 }
 
-/// The weight of light that a bounce met by chance, where light sampling finds the same direction with `light_density`.
+/// Returns the weight of light that a bounce met by chance, if light sampling finds the same direction with
+/// `light_density`.
 fn chance_weight(scene: &Scene, transport: Transport, last: Last, light_density: f32) -> f32 {
     match (transport, last) {
         (Transport::LightSampling, Last::Spread { density, .. }) => {
@@ -189,7 +191,7 @@ fn chance_weight(scene: &Scene, transport: Transport, last: Last, light_density:
     }
 }
 
-/// Direct light at a vertex from one light, chosen at random; `None` if the light cannot be seen from there.
+/// Returns direct light at a vertex from one light, chosen at random; `None` if the light cannot be seen from there.
 fn next_event(scene: &Scene, vertex: &Vertex<'_>, [choice, u, v, _]: [f32; 4]) -> Option<Vec3> {
     let count = scene.lights.len();
     let light = &scene.lights[((choice * count as f32) as usize).min(count - 1)];
@@ -200,7 +202,7 @@ fn next_event(scene: &Scene, vertex: &Vertex<'_>, [choice, u, v, _]: [f32; 4]) -
         Light::Sky => light::towards_sky(vertex.normal, [u, v]),
     };
     let to = to_local(direction, vertex.normal, vertex.tangents);
-    // A little less, so that the light does not stand in its own way.
+    // The distance is a little shorter, so that the light does not block itself.
     if to.z <= 0.0 || scene.blocks(&Ray { origin, direction, time: vertex.time }, distance * 0.9995) {
         return None;
     }
@@ -217,8 +219,8 @@ fn next_event(scene: &Scene, vertex: &Vertex<'_>, [choice, u, v, _]: [f32; 4]) -
     Some(value * radiance * (power_heuristic(density, bounce_density) / density))
 }
 
-/// Of a direction found with density `own` that another technique finds with density `other`. Densities may be
-/// infinite: of a direction along the edge of a light.
+/// Returns the weight of a direction found with density `own` that another technique finds with density `other`.
+/// Densities may be infinite, as for a direction along the edge of a light.
 fn power_heuristic(own: f32, other: f32) -> f32 {
     if own.is_infinite() {
         return 1.0;
@@ -227,7 +229,7 @@ fn power_heuristic(own: f32, other: f32) -> f32 {
     1.0 / (1.0 + ratio * ratio)
 }
 
-/// A point so far off the surface that rounding does not put it back on or behind it.
+/// Returns a point so far off the surface that rounding does not put it back on or behind the surface.
 fn leave(point: Vec3, side: Vec3) -> Vec3 {
     point + side * (1e-4 * point.abs().max_element().max(1.0))
 }

@@ -1,5 +1,5 @@
-//! Where a sample's numbers come from. Every sample of a pixel has its own, found from its place alone, so that neither
-//! threads nor passes change them.
+//! The random numbers of samples. Every sample of a pixel has its own numbers, found from the seed, its pixel, its
+//! half and its index alone, so that neither threads nor passes change them.
 
 use rand_xoshiro::Xoshiro128PlusPlus;
 use rand_xoshiro::rand_core::{Rng, SeedableRng};
@@ -20,7 +20,7 @@ pub(super) enum Numbers {
     Sobol { index: u32, key: u64 },
 }
 
-/// The crate's sequence has so many points; later ones start another scramble.
+/// Number of points in the crate's sequence; later points start another scramble.
 const SOBOL_POINTS: u32 = 1 << 16;
 
 impl Numbers {
@@ -35,8 +35,8 @@ impl Numbers {
         }
     }
 
-    /// The next four, in [0, 1). Callers take whole sets, so that a number's dimension does not depend on what was left
-    /// over.
+    /// Returns the next four numbers, in [0, 1). Callers take whole sets, so that the dimension of a number does not
+    /// depend on numbers that were left over.
     pub(super) fn next_four(&mut self) -> [f32; 4] {
         match self {
             Self::Random(generator) => std::array::from_fn(|_| (generator.next_u32() >> 8) as f32 / (1 << 24) as f32),

@@ -1,4 +1,4 @@
-//! What there is to see: shapes with materials, light from far away, a camera.
+//! The scene: shapes with materials, light from far away, a camera.
 
 use glam::Vec3;
 
@@ -17,7 +17,7 @@ pub struct Scene {
     pub(super) lights: Vec<Light>,
 }
 
-/// Where a ray meets a shape.
+/// The point where a ray meets a shape.
 pub(super) struct Hit {
     pub(super) shape: usize,
     pub(super) distance: f32,

@@ -11,7 +11,7 @@ pub(super) struct Ray {
     pub(super) time: f32,
 }
 
-/// A shape at time 0, and how it moves.
+/// A shape at time 0, and its motion.
 #[derive(Clone, Copy, Debug)]
 pub struct Shape {
     pub(super) form: Form,
@@ -26,24 +26,24 @@ pub(super) enum Form {
     Block { center: Vec3, half_size: Vec3, yaw: (f32, f32) },
 }
 
-/// A parallelogram, with what its intersection needs at hand.
+/// A parallelogram, with values prepared for its intersection.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Quad {
     pub(super) corner: Vec3,
     pub(super) edges: [Vec3; 2],
     pub(super) normal: Vec3,
     pub(super) area: f32,
-    /// Dotted with a vector from the corner, they give its coordinates along the edges.
+    /// Dual vectors of the edges: dotted with a vector from the corner, they give its coordinates along the edges.
     duals: [Vec3; 2],
 }
 
 impl Shape {
-    /// A sphere. Its light goes outwards.
+    /// Creates a sphere. Its light goes outwards.
     pub fn sphere(center: Vec3, radius: f32) -> Self {
         Self::still(Form::Sphere { center, radius })
     }
 
-    /// A parallelogram. Its normal is that of `edge_u × edge_v`, and its light goes to that side.
+    /// Creates a parallelogram. Its normal has the direction of `edge_u × edge_v`, and its light goes to that side.
     pub fn quad(corner: Vec3, edge_u: Vec3, edge_v: Vec3) -> Self {
         let cross = edge_u.cross(edge_v);
         let area = cross.length();
@@ -51,12 +51,12 @@ impl Shape {
         Self::still(Form::Quad(Quad { corner, edges: [edge_u, edge_v], normal: cross / area, area, duals }))
     }
 
-    /// A box, turned about the vertical (y) through its centre by `yaw` in radians.
+    /// Creates a box, turned about the vertical (y) through its centre by `yaw` in radians.
     pub fn block(center: Vec3, size: Vec3, yaw: f32) -> Self {
         Self::still(Form::Block { center, half_size: size / 2.0, yaw: yaw.sin_cos() })
     }
 
-    /// The same, moving by `displacement` while the shutter is open.
+    /// Returns the shape, moving by `displacement` while the shutter is open.
     #[must_use]
     pub fn moving(mut self, displacement: Vec3) -> Self {
         self.velocity = displacement;
@@ -67,7 +67,7 @@ impl Shape {
         Self { form, velocity: Vec3::ZERO }
     }
 
-    /// Distance to the nearest point that the ray hits, not counting its origin; infinite if there is none.
+    /// Returns the distance to the nearest point that the ray hits, not counting its origin; infinite if there is none.
     pub(super) fn distance(&self, ray: &Ray) -> f32 {
         let origin = ray.origin - self.velocity * ray.time;
         match &self.form {
@@ -79,12 +79,12 @@ impl Shape {
         }
     }
 
-    /// Where a point of the shape was at time 0.
+    /// Returns where a point of the shape was at time 0.
     pub(super) fn at_rest(&self, point: Vec3, time: f32) -> Vec3 {
         point - self.velocity * time
     }
 
-    /// The outward normal at a point of the surface, in coordinates of time 0.
+    /// Returns the outward normal at a point of the surface, in coordinates of time 0.
     pub(super) fn normal(&self, point: Vec3) -> Vec3 {
         match &self.form {
             Form::Sphere { center, radius } => (point - *center) / *radius,
@@ -110,14 +110,14 @@ impl Quad {
         let distance = (self.corner - origin).dot(self.normal) / direction.dot(self.normal);
         let inside = origin + direction * distance - self.corner;
         let [u, v] = self.duals.map(|dual| dual.dot(inside));
-        // A ray in the quad's plane gives NaN, which no comparison holds for.
+        // A ray in the quad's plane gives NaN, for which every comparison is false.
         let hit = distance > 0.0 && (0.0..=1.0).contains(&u) && (0.0..=1.0).contains(&v);
         if hit { distance } else { f32::INFINITY }
     }
 }
 
-/// Shortest root of |to_center − t·direction| = radius. The discriminant is taken from the distance between centre and
-/// ray, which keeps its digits for large spheres and far origins where b² − c does not.
+/// Returns the shortest root of |to_center − t·direction| = radius. The discriminant is taken from the distance between
+/// centre and ray, which keeps its digits for large spheres and far origins, unlike b² − c.
 fn sphere_distance(to_center: Vec3, direction: Vec3, radius: f32) -> f32 {
     let along = to_center.dot(direction);
     let across = to_center - direction * along;
@@ -135,7 +135,7 @@ fn sphere_distance(to_center: Vec3, direction: Vec3, radius: f32) -> f32 {
     }
 }
 
-/// The slabs test, in the box's own coordinates.
+/// Returns the distance by the slabs test, in the box's own coordinates.
 fn block_distance(origin: Vec3, direction: Vec3, half_size: Vec3) -> f32 {
     let inverse = direction.recip();
     let middle = -origin * inverse;

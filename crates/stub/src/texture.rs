@@ -1,13 +1,13 @@
-//! Colours that depend on the place: patterns in space, attached to their shape.
+//! Colours that depend on the position: patterns in space, attached to their shape.
 
 use glam::Vec3;
 
 /// A surface's colour, each channel in [0, 1].
 #[derive(Clone, Copy, Debug)]
 pub enum Texture {
-    /// The same everywhere.
+    /// The same colour everywhere.
     Plain(Vec3),
-    /// A function of the place, in the scene's coordinates at time 0.
+    /// A function of the position, in the scene's coordinates at time 0.
     Pattern(fn(Vec3) -> Vec3),
 }
 
@@ -20,7 +20,7 @@ impl Texture {
     }
 }
 
-/// 0 or 1 on the fields of a board whose unit is 1.
+/// Returns 0 or 1 on the fields of a board whose unit is 1.
 pub(super) fn checker(u: f32, v: f32) -> f32 {
     (u.floor() + v.floor()).rem_euclid(2.0)
 }

@@ -21,7 +21,7 @@ use crate::stage::feature::Features;
 use crate::stage::nlm::{Guide, Schedule};
 use crate::stage::window::{NLM_DISTANCE, NLM_WEIGHT, WindowOfCandidates, candidate_window, nlm_window};
 
-/// Those of the candidates that are computed, and of the second pass where there is one.
+/// Kernels of the computed candidates, and of the second pass if it runs.
 pub(in crate::method) fn kernels(
     rec: &mut Recorder,
     frame: FrameInput,

@@ -6,7 +6,8 @@ use crate::method::plan::{Facts, Plan, Planner, Step, Wishes, impossible, needle
 
 /// The steps in the order of [`dfc`](super::dfc).
 ///
-/// What is left out because the frame does not need it changes no bit of the result, but for what has no noise:
+/// Steps that are left out because the frame does not need them change no bit of the result, except for input without
+/// noise:
 ///
 /// * A feature without noise is taken as it is, and so are tiles of a feature from which no pixel with noise is within
 ///   reach. Filtered, a value would become an average of values that differ by less than the distance that two pixels

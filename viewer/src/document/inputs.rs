@@ -1,4 +1,4 @@
-//! Layers of what was read.
+//! Layers of the input: of the frame and of its reference.
 
 use std::sync::Arc;
 
@@ -9,7 +9,7 @@ use stein::{Frame, Image};
 use super::{RADIANCE, RADIANCE_SQUARED, describe};
 use crate::layer::{Description, Group, Kind, Layer, Scale};
 
-/// Layers of a frame and its reference.
+/// Makes the layers of a frame and its reference.
 pub fn input_layers(frame: &Frame, reference: Option<&Arc<Image>>) -> Vec<Arc<Layer>> {
     let mut layers = Vec::new();
     let mut add =
@@ -72,7 +72,7 @@ pub fn input_layers(frame: &Frame, reference: Option<&Arc<Image>>) -> Vec<Arc<La
     layers
 }
 
-/// The layer of a reference.
+/// Makes the layer of a reference.
 pub fn reference_layer(reference: &Arc<Image>) -> Arc<Layer> {
     let about = "The true image, as far as it was rendered.";
     Arc::new(Layer::new(
@@ -82,7 +82,7 @@ pub fn reference_layer(reference: &Arc<Image>) -> Arc<Layer> {
     ))
 }
 
-/// The layer of what an iteration of the adaptive loop drew.
+/// Makes the layer of the samples that an iteration of the adaptive loop drew.
 pub fn drawn_layer(counts: &SampleCounts) -> Arc<Layer> {
     let samples = counts.pairs().iter().map(|pairs| (2 * pairs) as f32).collect();
     let about =
@@ -91,7 +91,7 @@ pub fn drawn_layer(counts: &SampleCounts) -> Arc<Layer> {
     Arc::new(Layer::new(description, Arc::new(Image { extent: counts.extent(), planes: vec![samples] }), None))
 }
 
-/// What is known of a feature's noise, in unit range.
+/// Returns the variance of a feature's mean, in unit range, and the words that describe it; `None` if it is unknown.
 fn variance(feature: &Feature) -> Option<(Image, &'static str)> {
     let Signal { half_spread, variance_of_mean, .. } = &feature.signal;
     match (variance_of_mean, half_spread) {
@@ -107,7 +107,7 @@ fn variance(feature: &Feature) -> Option<(Image, &'static str)> {
     }
 }
 
-/// The means of equal halves.
+/// Returns the means of the two equal halves of the samples; `None` without a half spread.
 fn halves(signal: &Signal) -> Option<[Image; 2]> {
     let spread = signal.half_spread.as_ref()?;
     let half = |sign: f32| {
@@ -120,7 +120,8 @@ fn halves(signal: &Signal) -> Option<[Image; 2]> {
     Some([half(1.0), half(-1.0)])
 }
 
-/// One channel is a number, three with negative values a direction, all else is shown as a colour.
+/// Returns the kind of a feature: one channel is a number, three channels with negative values are a direction, and
+/// everything else is shown as a colour.
 pub(super) fn feature_kind(image: &Image) -> Kind {
     match image.channels() {
         1 => Kind::Scalar(Scale::Linear),

@@ -1,4 +1,4 @@
-//! Layers of what a run has made.
+//! Layers of the results of a run.
 
 use std::sync::Arc;
 
@@ -16,7 +16,7 @@ const CANDIDATES: [(&str, &str, &str); 3] = [
 ];
 const SHARE: Range = Range { low: 0.0, high: 1.0 };
 
-/// Layers of an estimate, whose own layers are taken out.
+/// Makes the layers of an estimate; `estimate.layers` is empty afterwards.
 pub fn output_layers(estimate: &mut Estimate, reference: Option<&Arc<Image>>) -> Vec<Arc<Layer>> {
     let mut layers = Layers(Vec::new());
     let result = Arc::new(estimate.color.clone());
@@ -48,7 +48,7 @@ pub fn output_layers(estimate: &mut Estimate, reference: Option<&Arc<Image>>) ->
     layers.0
 }
 
-/// The layer of the true error, on the scale of the estimated one.
+/// Makes the layer of the true error, on the scale of the estimated error.
 pub(super) fn true_error_layer(estimate: &Estimate, reference: &Image, scale: Option<Range>) -> Arc<Layer> {
     let about = "Squared error of the result against the reference, summed over the channels. On the scale of the estimated error.";
     let description =
@@ -65,7 +65,7 @@ impl Layers {
         layer
     }
 
-    /// A map of shares in three colours, and each share by itself.
+    /// Adds a map of shares in three colours, and each share as a layer of its own.
     fn add_shares(&mut self, name: &str, title: &str, about: &str, image: Arc<Image>) {
         let explained = format!("{about}: red FIRST, green SECOND, blue THIRD.");
         self.add(describe(name, title, explained, Group::Selection, Kind::Shares, ""), image.clone(), Some(SHARE));
@@ -83,7 +83,7 @@ impl Layers {
         }
     }
 
-    /// SURE of each candidate on one scale, so that they can be compared.
+    /// Adds SURE of each candidate, all on one scale so that they can be compared.
     fn add_sure(&mut self, name: &str, title: &str, about: &str, image: &Image) {
         let mut range = None;
         for (plane, (candidate, candidate_title, _)) in CANDIDATES.into_iter().enumerate() {
@@ -223,7 +223,7 @@ impl Layers {
     }
 }
 
-/// Summed over the channels.
+/// Returns the squared error of each pixel, summed over the channels.
 fn squared_error(image: &Image, reference: &Image) -> Image {
     let mut sum = vec![0.0; image.extent.pixels()];
     for (plane, reference) in image.planes.iter().zip(&reference.planes) {

@@ -12,7 +12,7 @@ use crate::view::colormap::Colormap;
 use crate::view::numbers::number;
 use crate::view::{Channel, Display, Tone};
 
-/// Shows it.
+/// Shows the panel.
 pub fn show(ui: &mut Ui, viewer: &mut Viewer) {
     let Some(layer) = viewer.layer().cloned() else {
         ui.label("Open a file to see its layers.");
@@ -57,7 +57,7 @@ pub fn show(ui: &mut Ui, viewer: &mut Viewer) {
     }
 }
 
-/// A labelled slider.
+/// Shows a labelled slider.
 fn slider(ui: &mut Ui, name: &str, about: &str, value: &mut f32, least: f32, most: f32) {
     ui.horizontal(|ui| {
         let label = ui.add_sized([72.0, 18.0], eframe::egui::Label::new(name)).on_hover_text(about);
@@ -66,7 +66,7 @@ fn slider(ui: &mut Ui, name: &str, about: &str, value: &mut f32, least: f32, mos
     });
 }
 
-/// A labelled menu of a few values.
+/// Shows a labelled menu of a few values.
 fn choice<T: Copy + PartialEq>(ui: &mut Ui, name: &str, value: &mut T, all: &[T], title: fn(T) -> &'static str) {
     ui.horizontal(|ui| {
         let label = ui.add_sized([72.0, 18.0], eframe::egui::Label::new(name));
@@ -120,7 +120,7 @@ fn false_color(ui: &mut Ui, display: &mut Display, layer: &Layer) {
     }
 }
 
-/// Bars of all planes over one another, on a square-root scale so that rare values show.
+/// Draws the bars of all planes over one another, on a square-root scale so that rare values are visible.
 fn histogram(ui: &mut Ui, histogram: &Histogram, kind: Kind) {
     let size = Vec2::new(ui.available_width(), 96.0);
     let (rect, response) = ui.allocate_exact_size(size, Sense::hover());
@@ -131,7 +131,7 @@ fn histogram(ui: &mut Ui, histogram: &Histogram, kind: Kind) {
         (1, _) => vec![Color32::from_gray(200)],
         _ => vec![Color32::from_rgb(170, 45, 45), Color32::from_rgb(40, 140, 40), Color32::from_rgb(60, 80, 200)],
     };
-    // A single value that fills the image, such as a black background, would leave nothing to see of the others.
+    // If one value fills the image, such as a black background, its bar would make the others too small to see.
     let mut counts: Vec<u32> = histogram.counts.iter().flatten().copied().collect();
     counts.sort_unstable();
     let most = counts[counts.len().saturating_sub(4)].max(1) as f32;

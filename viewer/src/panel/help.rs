@@ -5,10 +5,10 @@ use eframe::egui::{Context, Grid, Id, Modal, RichText, ScrollArea, Ui};
 use crate::app::Viewer;
 use crate::shortcut::{SECTIONS, Section};
 
-/// Columns of keys.
+/// Number of columns.
 const COLUMNS: usize = 3;
 
-/// Shows it, if it is wanted.
+/// Shows the help, if it is open.
 pub fn show(context: &Context, viewer: &mut Viewer) {
     if !viewer.shows_help {
         return;

@@ -1,4 +1,5 @@
-//! The kernel: which neighbours made the chosen pixel, with which weights, and what told them apart.
+//! The kernel panel: which neighbours made the chosen pixel, with which weights, and which distances led to the
+//! weights.
 
 use std::ops::RangeInclusive;
 
@@ -18,23 +19,23 @@ use crate::view::canvas::{NEIGHBOUR, outline};
 use crate::view::legend;
 use crate::view::numbers::{number, short};
 
-/// Side of a filter's small window, in points, at the most.
+/// Largest side of a filter's small window, in points.
 const SMALL: f32 = 72.0;
-/// Side of the large window, in points.
+/// Smallest and largest side of the large window, in points.
 const LARGE: RangeInclusive<f32> = 200.0..=460.0;
-/// Points that the small windows and the lines take, and each distance of the table.
+/// Height of all other parts of the panel except for the table, and of a line of the table, in points.
 const OTHERS: f32 = 336.0;
 const LINE: f32 = 16.0;
-/// What a neighbour weighs beyond what it would by itself before that is explained: this factor, and more than what
-/// does not show.
+/// The weight of a neighbour is explained if it is larger than `TOLD_APART` times the weight that the neighbour would
+/// have by itself, plus `LEAST_TOLD`, a difference that is too small to be seen.
 const TOLD_APART: f32 = 1.01;
 const LEAST_TOLD: f32 = 5e-4;
-/// Between two small windows.
+/// Space between two small windows, in points.
 const GAP: f32 = 4.0;
-/// Between the lines where the frame has ended.
+/// Distance between the lines that mark the outside of the frame, in points.
 const HATCH: f32 = 5.0;
 
-/// Shows it.
+/// Shows the panel.
 pub fn show(ui: &mut Ui, viewer: &mut Viewer) {
     ui.spacing_mut().item_spacing.y = 2.0;
     ui.horizontal(|ui| {
@@ -74,7 +75,7 @@ pub fn show(ui: &mut Ui, viewer: &mut Viewer) {
     explanations(ui, &inspected, Some((filter, window)));
 }
 
-/// How the weights came about, and what does not take part.
+/// Shows how the weights came about, and which steps are left out.
 fn explanations(ui: &mut Ui, inspected: &Inspected, shown: Option<(&FilterKernel, &Window)>) {
     let left_out = inspected
         .kernels
@@ -97,7 +98,7 @@ fn left_out(planned: &PlannedStep) -> String {
     format!("{name} is left out: {}", planned.why)
 }
 
-/// As the layers are called.
+/// Returns the title of a filter, as its layer is called.
 fn title(filter: &str) -> String {
     match filter {
         "first" | "second" | "third" => filter.to_uppercase(),
@@ -105,7 +106,7 @@ fn title(filter: &str) -> String {
     }
 }
 
-/// All windows side by side, with what came out.
+/// Shows the windows of all filters side by side, with their results.
 fn filters(ui: &mut Ui, viewer: &mut Viewer, inspected: &Inspected) {
     let count = inspected.windows.len().max(1) as f32;
     let width = (ui.available_width() - GAP * (count - 1.0)) / count;
@@ -114,7 +115,7 @@ fn filters(ui: &mut Ui, viewer: &mut Viewer, inspected: &Inspected) {
         ui.spacing_mut().item_spacing.x = GAP;
         for (place, (filter, window)) in inspected.kernels.filters.iter().zip(&inspected.windows).enumerate() {
             ui.vertical(|ui| {
-                // What is too long is wrapped: the panel keeps its width.
+                // Long lines are wrapped, so that the panel keeps its width.
                 ui.set_width(width);
                 ui.spacing_mut().item_spacing.y = 1.0;
                 let is_shown = viewer.inspector.filter.min(inspected.windows.len() - 1) == place;
@@ -146,7 +147,7 @@ fn small(ui: &mut Ui, text: String, about: &str) {
     ui.label(RichText::new(text).size(10.5)).on_hover_text(about);
 }
 
-/// A pixel of an image as the canvas shows colours, with its values under it.
+/// Shows a pixel of an image in the colours of the canvas, with its values under it.
 fn swatch(
     ui: &mut Ui,
     viewer: &mut Viewer,
@@ -161,14 +162,14 @@ fn swatch(
     ui.label(text).on_hover_text(format!("{about}: {}", joined(&color)));
 }
 
-/// What is shown large, and on which scale.
+/// Shows the choice of the large window's quantity and scale.
 fn head(ui: &mut Ui, inspector: &mut Inspector, filter: &FilterKernel) {
     let name = |quantity: &Quantity| match quantity {
         Quantity::Weight => "weights".to_owned(),
         Quantity::Colors => "what is averaged".to_owned(),
         Quantity::Alone(of) => format!("weights by {} alone", of.name()),
     };
-    // The filters differ in patch radius and τ, but a distance is looked for in all of them by its name.
+    // The filters differ in patch radius and τ. The same distance is therefore found in each filter by its name.
     inspector.quantity = match &inspector.quantity {
         Quantity::Alone(of) => same_distance(filter, of)
             .map_or(Quantity::Weight, |place| Quantity::Alone(filter.distances[place].of.clone())),
@@ -192,9 +193,9 @@ fn same_distance(filter: &FilterKernel, of: &Compared) -> Option<usize> {
     filter.distances.iter().position(|distance| distance.of.name() == of.name())
 }
 
-/// The window as large as there is room for, its legend, and the cell under the pointer.
+/// Shows the window as large as the space permits, its legend, and the cell under the pointer.
 fn large(ui: &mut Ui, viewer: &mut Viewer, filter: &FilterKernel, window: &Window) {
-    // So that the table can be seen as well.
+    // Leaves space for the table.
     let room = ui.clip_rect().height() - OTHERS - LINE * filter.distances.len() as f32;
     let side = ui.available_width().min(room.clamp(*LARGE.start(), *LARGE.end()));
     let (rect, response) = ui.allocate_exact_size(Vec2::splat(side), Sense::click());
@@ -226,7 +227,7 @@ fn large(ui: &mut Ui, viewer: &mut Viewer, filter: &FilterKernel, window: &Windo
     }
 }
 
-/// An image of a window's size, hatched where the frame has ended.
+/// Draws an image of a window's size, hatched outside of the frame.
 fn paint(painter: &Painter, viewer: &mut Viewer, rect: Rect, filter: &FilterKernel, shown: &Shown, kind: Kind) {
     let scale = viewer.inspector.scale_of_weights();
     viewer.view.paint_image(painter, rect, shown.clone(), kind, scale);
@@ -242,7 +243,7 @@ fn paint(painter: &Painter, viewer: &mut Viewer, rect: Rect, filter: &FilterKern
     }
 }
 
-/// Lines that run through all parts alike.
+/// Draws lines that continue from one part of the outside to the next.
 fn hatch(painter: &Painter, outside: Rect, whole: Rect) {
     painter.rect_filled(outside, 0.0, Color32::from_gray(70));
     let lines = (2.0 * whole.width() / HATCH) as usize;
@@ -256,7 +257,7 @@ fn hatch(painter: &Painter, outside: Rect, whole: Rect) {
     }
 }
 
-/// Where the cells of the frame are.
+/// Returns the rectangle of the cells that are inside of the frame.
 fn inside(rect: Rect, filter: &FilterKernel) -> Rect {
     let mut cells = (0..filter.weights.extent.pixels()).filter(|cell| filter.pixel(*cell).is_some());
     match (cells.next(), cells.next_back()) {
@@ -278,7 +279,8 @@ fn cell_under_pointer(response: &Response, rect: Rect, filter: &FilterKernel) ->
     cell_at(filter, offset).map(|_| offset)
 }
 
-/// The neighbour that the pointer is at on the canvas; the pixel that the window follows is none.
+/// Returns the neighbour under the pointer on the canvas, as an offset from the pixel; `None` unless the pixel is
+/// pinned, because otherwise the window follows the pointer.
 fn on_canvas(viewer: &Viewer, filter: &FilterKernel) -> Option<[i32; 2]> {
     let pixel = viewer.inspector.inspected.as_ref()?.question.pixel;
     let hovered = viewer.view.hovered.filter(|_| viewer.view.pinned == Some(pixel))?;
@@ -286,7 +288,7 @@ fn on_canvas(viewer: &Viewer, filter: &FilterKernel) -> Option<[i32; 2]> {
     cell_at(filter, offset).map(|_| offset)
 }
 
-/// How the weights came about.
+/// Describes how the weights came about.
 fn rule(filter: &FilterKernel) -> String {
     let side = filter.side();
     let of = if filter.name == "second_pass" { " of pass 1" } else { "" };
@@ -320,12 +322,12 @@ fn rule(filter: &FilterKernel) -> String {
     }
 }
 
-/// Whether neighbours weigh nothing, whatever their distances are.
+/// Returns whether the neighbours weigh nothing, whatever their distances are.
 fn is_refused(filter: &FilterKernel) -> bool {
     matches!(filter.rule, WeightRule::Refused { .. })
 }
 
-/// How many neighbours each distance decided about.
+/// Describes how many neighbours each distance decided about.
 fn decisions(filter: &FilterKernel, window: &Window) -> String {
     if filter.distances.is_empty() || is_refused(filter) {
         return String::new();
@@ -340,7 +342,7 @@ fn decisions(filter: &FilterKernel, window: &Window) -> String {
     format!("Of {} neighbours decided: {}; {free} are like the pixel in all.", window.neighbours, decided.join(", "))
 }
 
-/// All that is known of a neighbour.
+/// Shows position, weight, colour and distances of a neighbour.
 fn neighbour(ui: &mut Ui, viewer: &mut Viewer, (filter, window): (&FilterKernel, &Window), cell: usize) {
     let Some((x, y)) = filter.pixel(cell) else { return };
     let [dx, dy] = offset_of(filter, cell);
@@ -397,7 +399,8 @@ fn neighbour(ui: &mut Ui, viewer: &mut Viewer, (filter, window): (&FilterKernel,
     }
 }
 
-/// Where a neighbour weighs more than its distance says: what it and its opposite would weigh by themselves.
+/// Explains a weight that is larger than its distance gives: returns the weights that the neighbour and its opposite
+/// would have by themselves. `None` for other neighbours.
 fn stands_in(filter: &FilterKernel, distance: &Distance, cell: usize) -> Option<String> {
     let opposite = filter.opposite(cell).filter(|_| !is_refused(filter))?;
     let [own, of_opposite] = [cell, opposite].map(|cell| distance.own_weight(cell));
@@ -409,7 +412,7 @@ fn stands_in(filter: &FilterKernel, distance: &Distance, cell: usize) -> Option<
     })
 }
 
-/// What is compared, and how strictly.
+/// Describes what is compared, and how strictly.
 fn compared(of: &Compared) -> String {
     match of {
         Compared::Color { patch_radius, k } => {

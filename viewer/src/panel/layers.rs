@@ -13,7 +13,7 @@ use crate::layer::{Group, Layer};
 const THUMBNAIL: Vec2 = Vec2::new(56.0, 38.0);
 const ROW: f32 = 42.0;
 
-/// Shows it.
+/// Shows the strip.
 pub fn show(ui: &mut Ui, viewer: &mut Viewer) {
     // Short contents would let the panel shrink.
     ui.set_min_width(ui.available_width());

@@ -1,4 +1,4 @@
-//! What is beside the canvas: a file for each panel.
+//! The panels beside the canvas, one file each.
 
 pub mod display;
 pub mod help;
@@ -31,7 +31,7 @@ pub enum Panel {
     Pixel,
     /// Which neighbours made a pixel, and why.
     Kernel,
-    /// What ran and what was left out, and what the frame is.
+    /// Steps that ran or were left out, and the properties of the frame.
     Report,
     /// Error against run time.
     Plot,
@@ -40,11 +40,11 @@ pub enum Panel {
 }
 
 impl Panel {
-    /// In the order of their tabs.
+    /// All panels, in the order of their tabs.
     pub const ALL: [Self; 7] =
         [Self::Display, Self::Parameters, Self::Pixel, Self::Kernel, Self::Report, Self::Plot, Self::Sampling];
 
-    /// What users read.
+    /// Returns the title that users read.
     pub fn title(self) -> &'static str {
         match self {
             Self::Display => "Display",
@@ -58,20 +58,20 @@ impl Panel {
     }
 }
 
-/// The tabs, and the panel that is chosen.
+/// Shows the tabs, and the panel that is chosen.
 pub fn show(ui: &mut Ui, viewer: &mut Viewer) {
     // Short contents would let the panel shrink.
     ui.set_min_width(ui.available_width());
     ui.add_space(2.0);
     ui.horizontal_wrapped(|ui| {
-        // In one line of the panel as it is at first.
+        // The tabs fit into one line while the panel has its initial width.
         (ui.spacing_mut().item_spacing.x, ui.spacing_mut().button_padding.x) = (1.0, 3.0);
         for panel in Panel::ALL {
             ui.selectable_value(&mut viewer.panel, panel, RichText::new(panel.title()).size(TAB_SIZE));
         }
     });
     ui.separator();
-    // In both directions: what is too wide for it would widen the panel, and move the image.
+    // Scrolls in both directions: contents that are too wide would widen the panel and move the image.
     ScrollArea::both().id_salt(viewer.panel.title()).auto_shrink(false).show(ui, |ui| match viewer.panel {
         Panel::Display => display::show(ui, viewer),
         Panel::Parameters => parameters::show(ui, viewer),

@@ -1,5 +1,5 @@
-//! How is denoised: the method, the preset, and every parameter as the method describes it. A change starts a run, and
-//! ends the one in flight.
+//! The parameters panel: the method, the preset, and every parameter as the method describes it. A change starts a run,
+//! and cancels the run in flight.
 
 use std::ops::Bound;
 
@@ -22,10 +22,10 @@ const NAME_WIDTH: f32 = 152.0;
 const NUMBER_WIDTH: f32 = 52.0;
 /// Height of a row, in points.
 const ROW_HEIGHT: f32 = 18.0;
-/// Width of what puts a parameter back, in points.
+/// Width of the button that resets a parameter, in points.
 const RESET_WIDTH: f32 = 18.0;
 
-/// Shows it.
+/// Shows the panel.
 pub fn show(ui: &mut Ui, viewer: &mut Viewer) {
     choose(ui, viewer);
     ui.add_space(2.0);
@@ -69,7 +69,7 @@ pub fn show(ui: &mut Ui, viewer: &mut Viewer) {
     }
 }
 
-/// Method and preset.
+/// Shows the choice of method and preset.
 fn choose(ui: &mut Ui, viewer: &mut Viewer) {
     let Parameters { mut preset, method } = viewer.parameters;
     let mut name = method.name();
@@ -94,13 +94,13 @@ fn choose(ui: &mut Ui, viewer: &mut Viewer) {
     }
 }
 
-/// What is done with a row.
+/// A change that the user made in a row.
 enum Change {
     Set(Value),
     Reset,
 }
 
-/// A parameter, unless it is in a group that is left out.
+/// Shows a parameter, unless its group is left out. Returns the change that the user made.
 fn row(ui: &mut Ui, viewer: &Viewer, parameter: &Parameter) -> Option<Change> {
     let refused = viewer.edits.refused(&parameter.name);
     let value = refused.map(|refused| &refused.value).or(parameter.value.as_ref())?;
@@ -149,12 +149,13 @@ fn row(ui: &mut Ui, viewer: &Viewer, parameter: &Parameter) -> Option<Change> {
     change
 }
 
-/// The name of a row, of full width.
+/// Shows the name of a row, with the full width of the column.
 fn named(ui: &mut Ui, name: &str) -> Response {
     in_column(ui, Label::new(name))
 }
 
-/// The name of a parameter: what groups it is weak, what differs from the preset is strong.
+/// Shows the name of a parameter. The name of its group is weak; if the parameter differs from the preset, all of it
+/// has a marked colour.
 fn name(ui: &mut Ui, parameter: &Parameter, differs: bool) -> Response {
     let font = FontId::proportional(TextStyle::Body.resolve(ui.style()).size - 1.0);
     let marked = if ui.visuals().dark_mode { Color32::from_rgb(110, 185, 255) } else { Color32::from_rgb(0, 75, 165) };
@@ -180,7 +181,7 @@ fn in_column(ui: &mut Ui, label: Label) -> Response {
     ui.allocate_ui_with_layout(size, Layout::left_to_right(Align::Center), in_column).inner
 }
 
-/// All that the method says of a parameter.
+/// Returns the explanation of a parameter: its documentation, its rule, and its values in the presets.
 fn about(parameter: &Parameter) -> String {
     let in_words = |value: &Option<Value>| match value {
         None | Some(Value::Flag(false)) if parameter.kind == Kind::Group => "left out".to_owned(),
@@ -197,7 +198,7 @@ fn about(parameter: &Parameter) -> String {
     )
 }
 
-/// The widget for what a parameter can be. What it is set to, where it is.
+/// Shows the widget for the kind of a parameter. Returns the new value, if the user changed it.
 fn widget(ui: &mut Ui, parameter: &Parameter, value: &Value, label: Id, about: &str) -> Option<Value> {
     let suffix = match parameter.unit {
         Some("pixels") => " px".to_owned(),
@@ -230,7 +231,7 @@ fn widget(ui: &mut Ui, parameter: &Parameter, value: &Value, label: Id, about: &
         }
         (Kind::Choice { options }, Value::Choice(value)) => choice(ui, parameter, options, value, label, about),
         (Kind::Set { options }, Value::Set(names)) => set(ui, options, names),
-        // The library keeps values to their kinds.
+        // The library ensures that values match their kinds.
         _ => None,
     }
 }
@@ -240,7 +241,8 @@ fn slide(ui: &mut Ui, slider: Slider<'_>, label: Id, about: &str) -> Response {
     ui.add(slider.update_while_editing(false)).labelled_by(label).on_hover_text(about)
 }
 
-/// A number: on a slider between two bounds, else one that is dragged in steps of its own magnitude.
+/// Shows a number: as a slider if its range has two bounds, or else as a field to drag, in steps that grow with the
+/// number.
 fn number(
     ui: &mut Ui,
     value: f32,
@@ -250,7 +252,7 @@ fn number(
     about: &str,
 ) -> Option<f32> {
     let bound = |bound: Bound<f32>| match bound {
-        // The library tells that it is excluded.
+        // The library reports a value that is at an excluded bound.
         Bound::Included(bound) | Bound::Excluded(bound) => Some(bound),
         Bound::Unbounded => None,
     };
@@ -278,7 +280,7 @@ fn number(
     (new != value).then_some(new)
 }
 
-/// To three digits: what is dragged has no more.
+/// Rounds a dragged number to three digits.
 fn rounded(value: f32) -> f32 {
     format!("{value:.2e}").parse().unwrap_or(value)
 }

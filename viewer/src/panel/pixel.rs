@@ -1,4 +1,4 @@
-//! All values of the chosen pixel: the one that was clicked, or else the one under the pointer.
+//! All values of the chosen pixel: the pixel that was clicked, or else the pixel under the pointer.
 
 use eframe::egui::{Grid, RichText, Ui};
 
@@ -7,7 +7,7 @@ use crate::app::Viewer;
 use crate::layer::Group;
 use crate::view::numbers::number;
 
-/// Shows it.
+/// Shows the panel.
 pub fn show(ui: &mut Ui, viewer: &mut Viewer) {
     let (Some(document), Some([x, y])) = (&viewer.document, viewer.view.chosen()) else {
         ui.label("Point at a pixel to see its values in every layer. Click to keep it.");

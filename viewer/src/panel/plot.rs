@@ -1,4 +1,4 @@
-//! Error against run time of the open frame, over radius, preset and method: how much time buys how much.
+//! Error against run time of the open frame, over radius, preset and method: how much error the time saves.
 
 use std::ops::RangeInclusive;
 
@@ -15,30 +15,30 @@ use crate::shortcut::Action;
 use crate::sweep::{Extent, radius};
 use crate::view::numbers::number;
 
-/// The plot, for who looks for its place.
+/// Name of the plot, by which its transform can be looked up.
 pub const PLOT: &str = "error against time";
-/// How near the pointer must be to a point, in points of the screen.
+/// Largest distance at which the pointer is at a point, in points of the screen.
 const REACH: f32 = 12.0;
-/// Marks that an axis has at least, if it is not very short.
+/// Smallest number of marks on an axis, unless the axis is very short.
 const LEAST_MARKS: usize = 3;
-/// Between the numbers of an axis along which they stand, in points: where there is less, and from where on they are
-/// clear.
+/// Space between the numbers along the x axis, in points: below `min` a number is hidden, and from `max` on it is fully
+/// visible.
 pub(super) const X_SPACING: Rangef = Rangef { min: 24.0, max: 40.0 };
-/// Room around the points, in decades.
+/// Margin around the points, in decades.
 const MARGIN: f64 = 0.12;
 
-/// A run in the plot.
+/// A run as a point of the plot.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Spot {
     parameters: Parameters,
     seconds: f64,
     error: f64,
-    /// Whether every layer was kept, as for the window itself.
+    /// Whether the run kept every layer, as the runs of the window do.
     keeps_layers: bool,
 }
 
 impl Spot {
-    /// Where it is in the plot.
+    /// Returns the position in the plot: log₁₀ of the seconds and of the error.
     fn place(&self) -> [f64; 2] {
         [self.seconds.log10(), self.error.log10()]
     }
@@ -49,7 +49,7 @@ impl Spot {
     }
 }
 
-/// Shows it.
+/// Shows the panel.
 pub fn show(ui: &mut Ui, viewer: &mut Viewer) {
     let Some(document) = &viewer.document else {
         ui.label("Open a file to measure error against run time.");
@@ -57,7 +57,7 @@ pub fn show(ui: &mut Ui, viewer: &mut Viewer) {
     };
     let has_reference = document.opened.reference.is_some();
     let axis = if has_reference { "relative MSE against the reference" } else { "relative MSE, estimated" };
-    // What is not above 0 has no place on a logarithmic axis.
+    // A value that is not above 0 has no position on a logarithmic axis.
     let spot = |run: &Run, keeps_layers: bool| {
         let error = if has_reference { run.error } else { run.estimated_error };
         let error = error.filter(|error| *error > 0.0 && run.seconds > 0.0)?;
@@ -82,7 +82,7 @@ pub fn show(ui: &mut Ui, viewer: &mut Viewer) {
     }
 }
 
-/// Over what is swept, and how far it is.
+/// Shows the range of the sweep, and how far the sweep is.
 fn choose(ui: &mut Ui, viewer: &mut Viewer) {
     let context = ui.ctx().clone();
     let extent = &mut viewer.sweep.extent;
@@ -126,7 +126,7 @@ fn choose(ui: &mut Ui, viewer: &mut Viewer) {
     ui.add_space(2.0);
 }
 
-/// A word that is in a list or not.
+/// Shows a word that a click adds to a list or removes from it.
 fn toggle<T: Copy + PartialEq>(ui: &mut Ui, all: &mut Vec<T>, one: T, text: &str, name: &str) {
     let is_in = all.contains(&one);
     let response = ui.selectable_label(is_in, text);
@@ -136,14 +136,14 @@ fn toggle<T: Copy + PartialEq>(ui: &mut Ui, all: &mut Vec<T>, one: T, text: &str
     }
 }
 
-/// The plot. The parameters of a point that was clicked.
+/// Shows the plot. Returns the parameters of a point that was clicked.
 fn plot(ui: &mut Ui, viewer: &Viewer, spots: &[Spot], axis: &str) -> Option<Parameters> {
     let width = ui.available_width();
     let series = series(viewer, ui.visuals().dark_mode);
     let in_use = viewer.parameters.method;
     let strong = ui.visuals().strong_text_color();
     let weak = ui.visuals().weak_text_color();
-    // A point in the middle of nothing would fill the axes.
+    // The margin keeps the axes from being filled by a single point.
     let bounds = |axis: usize| {
         let places = || spots.iter().map(|spot| spot.place()[axis]);
         let (least, most) = (places().fold(f64::INFINITY, f64::min), places().fold(f64::NEG_INFINITY, f64::max));
@@ -228,7 +228,7 @@ fn tell(response: &Response, hovered: Option<&Spot>) {
     }
 }
 
-/// The spot under the pointer.
+/// Returns the spot under the pointer.
 fn nearest<'a>(transform: &PlotTransform, spots: &'a [Spot], pointer: eframe::egui::Pos2) -> Option<&'a Spot> {
     let distance = |spot: &Spot| {
         let [x, y] = spot.place();
@@ -238,7 +238,7 @@ fn nearest<'a>(transform: &PlotTransform, spots: &'a [Spot], pointer: eframe::eg
     nearest.filter(|(_, distance)| *distance <= REACH).map(|(spot, _)| spot)
 }
 
-/// Points of one method and preset.
+/// A series of points: one method with one preset.
 struct Series {
     method: &'static str,
     preset: Preset,
@@ -269,7 +269,7 @@ fn series(viewer: &Viewer, is_dark: bool) -> Vec<Series> {
     Parameters::METHODS.into_iter().zip(colors).flat_map(of_method).collect()
 }
 
-/// Whether its points differ in the radius.
+/// Returns whether the points of a series differ in the radius.
 fn is_a_line(preset: Preset, method: &str) -> bool {
     Parameters::of(method, preset).is_some_and(|parameters| radius(&parameters.method).is_some())
 }
@@ -291,7 +291,7 @@ fn legend(ui: &mut Ui, series: &[Series], spots: &[Spot]) {
     });
 }
 
-/// What was measured, as text. The parameters of a line that was clicked.
+/// Shows the measured runs as text. Returns the parameters of a line that was clicked.
 fn table(ui: &mut Ui, viewer: &Viewer, spots: &[Spot]) -> Option<Parameters> {
     let mut taken = None;
     let mut swept: Vec<&Spot> = spots.iter().filter(|spot| !spot.keeps_layers).collect();
@@ -322,7 +322,7 @@ fn table(ui: &mut Ui, viewer: &Viewer, spots: &[Spot]) -> Option<Parameters> {
     taken
 }
 
-/// Method, preset, radius, and whether anything else differs from the preset.
+/// Describes parameters: method, preset, radius, and how many other parameters differ from the preset.
 fn title(parameters: &Parameters) -> String {
     let Parameters { preset, method } = parameters;
     let radius = radius(method);
@@ -336,8 +336,9 @@ fn title(parameters: &Parameters) -> String {
     format!("{} {}{radius}{changed}", method.name(), preset.name())
 }
 
-/// Marks of a logarithmic axis: whole decades, or, where those are too few, parts of them. What is a mark of a coarser
-/// division has the room of that, so that its number stays where there is no room for all.
+/// Returns the marks of a logarithmic axis: whole decades, or parts of decades if those are too few. A mark that also
+/// belongs to a coarser division gets the step size of that division, so that its number stays if there is no room for
+/// all numbers.
 pub(super) fn marks(input: GridInput) -> Vec<GridMark> {
     let (low, high) = input.bounds;
     let tenths = |step: usize| (10..100).step_by(step).collect::<Vec<u32>>();
@@ -359,7 +360,7 @@ pub(super) fn marks(input: GridInput) -> Vec<GridMark> {
     (0..finest).map(marks).find(|marks| marks.len() >= LEAST_MARKS).unwrap_or_else(|| marks(finest))
 }
 
-/// The number at a mark, to two digits.
+/// Formats the number at a mark, with two digits.
 pub(super) fn tick(mark: GridMark, _: &RangeInclusive<f64>) -> String {
     let text = format!("{:.1e}", 10.0_f64.powf(mark.value));
     match text.parse::<f64>() {

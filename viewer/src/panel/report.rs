@@ -1,4 +1,4 @@
-//! What ran for this frame and what was left out, what each step took, and what had to be repaired.
+//! The report: the steps that ran or were left out for this frame, their times, and the repairs.
 
 use eframe::egui::{Align, Grid, Layout, RichText, Ui};
 use stein::frame::SamplesPerPixel;
@@ -7,7 +7,7 @@ use stein::method::PlannedStep;
 use crate::app::Viewer;
 use crate::document::{Denoised, Opened};
 
-/// Shows it.
+/// Shows the report.
 pub fn show(ui: &mut Ui, viewer: &Viewer) {
     let Some(document) = &viewer.document else {
         ui.label("Nothing is open.");
@@ -96,7 +96,7 @@ fn run(ui: &mut Ui, denoised: &Denoised, noisy_error: Option<f64>) {
     });
 }
 
-/// A step with its time, and under it why it runs or does not.
+/// Shows a step with its time, and under it the reason why it runs or does not.
 fn step(ui: &mut Ui, planned: &PlannedStep, name: &str, seconds: f64) {
     ui.horizontal(|ui| {
         let name = RichText::new(name);

@@ -1,4 +1,4 @@
-//! The adaptive loop on a built-in scene: what is asked for, and the iterations as they come.
+//! The adaptive loop on a built-in scene: its setup, and the iterations as they arrive.
 
 use eframe::egui::{Color32, ComboBox, DragValue, Grid, RichText, Role, Ui, Vec2, WidgetInfo};
 use egui_plot::{AxisHints, Legend, Line, MarkerShape, Plot, PlotPoints, Points};
@@ -9,12 +9,12 @@ use crate::adaptive::{Adaptive, Iteration, Setup};
 use crate::app::Viewer;
 use crate::view::numbers::number;
 
-/// Longest side that is offered, in pixels: every iteration keeps all its layers.
+/// Largest width and height that can be chosen, in pixels: every iteration keeps all its layers.
 const LARGEST_SIDE: u32 = 512;
-/// Most iterations that are offered.
+/// Largest number of iterations that can be chosen.
 const MOST_ITERATIONS: u32 = 12;
 
-/// Shows it.
+/// Shows the panel.
 pub fn show(ui: &mut Ui, viewer: &mut Viewer) {
     ui.label(RichText::new("Adaptive sampling of a built-in scene").strong());
     let about = "Draws samples, denoises, and draws the next where the estimated error is largest. The method is that of the panel Parameters.";
@@ -95,7 +95,7 @@ fn number_of(ui: &mut Ui, name: &str, about: &str, value: &mut u32, least: u32, 
     *value -= if is_even { *value % 2 } else { 0 };
 }
 
-/// The iterations. The one that was clicked.
+/// Shows the iterations. Returns the number of the one that was clicked.
 fn table(ui: &mut Ui, adaptive: &Adaptive) -> Option<u32> {
     let mut chosen = None;
     let has_reference = adaptive.iterations.iter().any(|iteration| iteration.denoised.error.is_some());
@@ -145,7 +145,7 @@ fn table(ui: &mut Ui, adaptive: &Adaptive) -> Option<u32> {
     chosen
 }
 
-/// Errors over samples, on logarithmic axes.
+/// Plots the errors over the samples, on logarithmic axes.
 fn plot(ui: &mut Ui, iterations: &[Iteration]) {
     type Series = (&'static str, fn(&Iteration) -> Option<f64>);
     let colors = if ui.visuals().dark_mode {
@@ -172,7 +172,7 @@ fn plot(ui: &mut Ui, iterations: &[Iteration]) {
         .allow_scroll(false);
     let shown = plot.show(ui, |ui| {
         for ((name, of), color) in series.into_iter().zip(colors) {
-            // What is not above 0 has no place on a logarithmic axis.
+            // A value that is not above 0 has no position on a logarithmic axis.
             let places = iterations.iter().filter_map(|iteration| {
                 Some([iteration.samples_per_pixel.log10(), of(iteration).filter(|error| *error > 0.0)?.log10()])
             });

@@ -1,4 +1,4 @@
-//! The line at the bottom: the pixel under the pointer, magnification, and how the newest run went.
+//! The line at the bottom: the pixel under the pointer, the magnification, and time and error of the newest run.
 
 use eframe::egui::{Align, Layout, RichText, Ui};
 
@@ -6,7 +6,7 @@ use crate::app::Viewer;
 use crate::layer::Layer;
 use crate::view::numbers::number;
 
-/// Shows it.
+/// Shows the line.
 pub fn show(ui: &mut Ui, viewer: &Viewer) {
     ui.horizontal(|ui| {
         if let Some((Ok(notice), _)) = &viewer.notice {
@@ -45,12 +45,12 @@ pub fn show(ui: &mut Ui, viewer: &Viewer) {
     });
 }
 
-/// Values with blanks between them.
+/// Formats values with blanks between them.
 pub fn joined(values: &[f32]) -> String {
     values.iter().map(|value| number(*value)).collect::<Vec<_>>().join(" ")
 }
 
-/// The name and title of a layer in one line, for tooltips.
+/// Returns the explanation and the name of a layer in two lines, for tooltips.
 pub fn explained(layer: &Layer) -> String {
     format!("{}\n{}", layer.description.about, layer.name())
 }

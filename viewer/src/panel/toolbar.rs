@@ -1,4 +1,4 @@
-//! The bar at the top: files, comparison, and what the worker is at.
+//! The bar at the top: files, comparison, and the progress of the worker.
 
 use eframe::egui::{Align, Layout, ProgressBar, Ui};
 
@@ -7,7 +7,7 @@ use crate::files::short_name;
 use crate::shortcut::Action;
 use crate::view::Compare;
 
-/// Shows it.
+/// Shows the bar.
 pub fn show(ui: &mut Ui, viewer: &mut Viewer) {
     ui.add_space(3.0);
     ui.horizontal(|ui| {
@@ -79,7 +79,7 @@ pub fn show(ui: &mut Ui, viewer: &mut Viewer) {
     ui.add_space(1.0);
 }
 
-/// The recent files, as buttons.
+/// Shows the recent files, as buttons.
 pub fn recent(ui: &mut Ui, viewer: &mut Viewer) {
     let mut chosen = None;
     for source in &viewer.settings.recent {

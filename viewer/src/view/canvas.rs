@@ -1,4 +1,4 @@
-//! The canvas: one or two layers with pan and zoom, and what is drawn over them.
+//! The canvas: one or two layers with pan and zoom, and the marks that are drawn over them.
 
 use eframe::egui::{
     Align2, Color32, CursorIcon, FontId, Id, Painter, Pos2, Rect, Response, Role, Sense, Stroke, StrokeKind, Ui, Vec2,
@@ -10,34 +10,34 @@ use super::{Camera, Compare, Marked, View, legend, numbers};
 use crate::layer::{Kind, Layer, Range, Scale};
 use crate::view::colormap::Colormap;
 
-/// Between two views that lie side by side.
+/// Space between two views that are side by side, in points.
 const GAP: f32 = 2.0;
-/// How far from the line of a wipe a drag takes hold of it, in points.
+/// Distance from the line of a wipe within which a drag moves the line, in points.
 const GRIP: f32 = 6.0;
-/// Seconds that a layer shows while blinking.
+/// Time for which a layer shows while blinking, in seconds.
 const BLINK_SECONDS: f64 = 0.6;
-/// Magnification from which on the pixel under the pointer is framed.
+/// Smallest magnification at which the pixel under the pointer is framed, in points per pixel.
 const FRAMED_ZOOM: f32 = 4.0;
 
-/// Of the neighbour whose distances are shown.
+/// Colour of the frame around the neighbour whose distances are shown.
 pub const NEIGHBOUR: Color32 = Color32::from_rgb(80, 230, 255);
 
 /// One part of the canvas.
 #[derive(Clone, Copy)]
 struct Part<'a> {
-    /// What the camera looks through.
+    /// Rectangle to which the camera maps the image.
     view: Rect,
-    /// What is seen of it.
+    /// Part of the rectangle that is visible.
     clip: Rect,
     layer: &'a Layer,
-    /// Whose false-colour scale it is shown on.
+    /// Layer whose false-colour scale is used.
     scaled_as: &'a Layer,
-    /// The layer that is subtracted.
+    /// Layer that is subtracted.
     minus: Option<&'a Layer>,
     label: &'static str,
 }
 
-/// Shows the layers in all of the space that is left.
+/// Shows the layers in the space that is left.
 pub fn show(ui: &mut Ui, view: &mut View, a: &Layer, b: Option<&Layer>) -> Response {
     let (rect, response) = ui.allocate_exact_size(ui.available_size().max(Vec2::splat(1.0)), Sense::click_and_drag());
     response.widget_info(|| WidgetInfo::labeled(Role::Image, true, format!("image: {}", a.description.title)));
@@ -107,7 +107,7 @@ fn parts<'a>(ui: &Ui, rect: Rect, view: &View, compare: Compare, a: &'a Layer, b
     }
 }
 
-/// Moves the camera to the kept pixel, if a key has moved that out of sight.
+/// Moves the camera to the pinned pixel, if a key has moved that pixel out of sight.
 fn reveal(view: &mut View, rect: Rect) {
     let Some([x, y]) = view.pinned.filter(|_| std::mem::take(&mut view.reveals_pinned)) else { return };
     let place = Vec2::new(x as f32 + 0.5, y as f32 + 0.5);
@@ -173,7 +173,7 @@ fn paint_part(ui: &Ui, painter: &Painter, view: &mut View, part: &Part) {
     }
 }
 
-/// A title with the unit in brackets, where there is one.
+/// Returns a title with the unit in brackets, if there is a unit.
 pub fn titled(title: &str, unit: &str) -> String {
     if unit.is_empty() { title.to_owned() } else { format!("{title} [{unit}]") }
 }
@@ -208,7 +208,7 @@ fn frame_pixels(painter: &Painter, rect: Rect, view: &View) {
     }
 }
 
-/// Outlines the window around a pixel and the neighbour in it that is explained.
+/// Outlines the window around a pixel, and in it the neighbour that is explained.
 fn mark_window(painter: &Painter, rect: Rect, view: &View) {
     let Some(Marked { pixel: [x, y], radius, neighbour }) = view.marked else { return };
     let place = |x: f32, y: f32| view.camera.to_screen(rect, Vec2::new(x, y));
@@ -221,7 +221,7 @@ fn mark_window(painter: &Painter, rect: Rect, view: &View) {
     }
 }
 
-/// A line of two colours, to be seen on every image.
+/// Draws an outline in two colours, so that it is visible on every image.
 pub fn outline(painter: &Painter, rect: Rect, color: Color32) {
     painter.rect_stroke(rect.expand(1.0), 0.0, Stroke::new(1.0, Color32::BLACK), StrokeKind::Outside);
     painter.rect_stroke(rect, 0.0, Stroke::new(1.0, color), StrokeKind::Outside);

@@ -1,9 +1,9 @@
-//! False colours. Values from 0 to 1, colours as a screen shows them (sRGB-encoded, 0 to 1).
+//! False colours. Values are from 0 to 1, and colours are sRGB-encoded, from 0 to 1.
 
 use serde::{Deserialize, Serialize};
 
-/// A scale of colours. The first three grow evenly in lightness, and can be told apart by people who see colours
-/// differently.
+/// A scale of colours. The lightness of the first three changes evenly, and people who see colours differently can tell
+/// their colours apart.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Colormap {
     /// Blue, green, yellow (S. van der Walt and N. Smith).
@@ -20,12 +20,12 @@ pub enum Colormap {
 }
 
 impl Colormap {
-    /// All, in the order of the rows of [`table`].
+    /// All colormaps, in the order of the rows of [`table`].
     pub const ALL: [Self; 5] = [Self::Viridis, Self::Inferno, Self::Magma, Self::Grey, Self::Diverging];
-    /// Those for values without a sign.
+    /// Colormaps for values without a sign.
     pub const SEQUENTIAL: [Self; 4] = [Self::Viridis, Self::Inferno, Self::Magma, Self::Grey];
 
-    /// What users read.
+    /// Returns the title that users read.
     pub fn title(self) -> &'static str {
         match self {
             Self::Viridis => "viridis",
@@ -36,7 +36,7 @@ impl Colormap {
         }
     }
 
-    /// The colour of a value from 0 to 1.
+    /// Returns the colour of a value from 0 to 1.
     pub fn color(self, value: f32) -> [f32; 3] {
         let value = value.clamp(0.0, 1.0);
         match self {
@@ -49,10 +49,10 @@ impl Colormap {
     }
 }
 
-/// Colours in a row of [`table`].
+/// Number of colours in a row of [`table`].
 pub const STEPS: usize = 256;
 
-/// A row for each of [`Colormap::ALL`], from the colour of 0 to that of 1.
+/// Returns a row of colours for each of [`Colormap::ALL`], from the colour of 0 to the colour of 1.
 pub fn table() -> Vec<[f32; 4]> {
     let row = |map: Colormap| {
         (0..STEPS).map(move |step| {
@@ -63,7 +63,7 @@ pub fn table() -> Vec<[f32; 4]> {
     Colormap::ALL.into_iter().flat_map(row).collect()
 }
 
-/// Polynomials of degree 6 fitted by M. Zucker to the maps of matplotlib, which are in the public domain as well.
+/// Polynomials of degree 6 that M. Zucker fitted to the maps of matplotlib; both are in the public domain.
 const VIRIDIS: [[f32; 3]; 7] = [
     [0.277_727_33, 0.005_407_344_5, 0.334_099_8],
     [0.105_093_04, 1.404_613_5, 1.384_590_1],
@@ -99,7 +99,7 @@ fn polynomial(coefficients: &[[f32; 3]; 7], value: f32) -> [f32; 3] {
 }
 
 /// Moreland, "Diverging color maps for scientific visualization" (2009): even steps in polar CIELAB (M, s, h) from (80,
-/// 1.08, −1.1) over white, M = 88, to (80, 1.08, 0.5), hues being bent where saturation fades.
+/// 1.08, −1.1) over white, M = 88, to (80, 1.08, 0.5). The hue is bent as the saturation fades.
 fn diverging(value: f32) -> [f32; 3] {
     const MAGNITUDE: f32 = 80.0;
     const WHITE: f32 = 88.0;
@@ -115,7 +115,7 @@ fn lab_of_msh(magnitude: f32, saturation: f32, hue: f32) -> [f32; 3] {
     srgb_of_lab(magnitude * saturation.cos(), chroma * hue.cos(), chroma * hue.sin())
 }
 
-/// CIELAB under D65 to sRGB.
+/// Converts CIELAB under D65 to sRGB.
 fn srgb_of_lab(lightness: f32, a: f32, b: f32) -> [f32; 3] {
     const WHITE: [f32; 3] = [0.950_47, 1.0, 1.088_83];
     let y = (lightness + 16.0) / 116.0;

@@ -11,16 +11,16 @@ use super::colormap::{self, Colormap};
 use super::{Channel, Tone};
 use crate::layer::{Kind, Range, Scale, Shown};
 
-/// Keeps relative differences of dark pixels finite.
+/// Constant ε that keeps the relative differences of dark pixels finite.
 pub const RELATIVE_EPSILON: f32 = 0.01;
-/// Bytes from one draw's uniforms to those of the next: no device asks for more.
+/// Number of bytes from the uniforms of one draw to those of the next: no device needs a larger distance.
 const SLOT_BYTES: u64 = 256;
-/// Frames that a texture stays after it was last drawn.
+/// Number of frames for which a texture is kept after it was last drawn.
 const FRAMES_KEPT: u64 = 120;
-/// Taps along each axis where an image is reduced, at the most.
+/// Largest number of taps along each axis, for images that are reduced.
 const MOST_TAPS: f32 = 8.0;
 
-/// What is done with the two layers.
+/// Operation on the two layers.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub enum Operation {
     /// A alone.
@@ -39,21 +39,21 @@ pub struct Draw {
     pub a: Shown,
     /// Layer B, of the same extent; `None` shows A alone.
     pub b: Option<Shown>,
-    /// What the values of A are.
+    /// Meaning of the values of A.
     pub kind: Kind,
-    /// What is done with the two.
+    /// Operation on the two layers.
     pub operation: Operation,
-    /// The image's place of the target's pixel (0, 0), in pixels of the image.
+    /// Position in the image of the target's pixel (0, 0), in pixels of the image.
     pub first: [f32; 2],
     /// Pixels of the image per pixel of the target.
     pub step: f32,
-    /// Which channels.
+    /// Channels that are shown.
     pub channel: Channel,
-    /// The curve of colours.
+    /// Curve from scene-linear colour to the screen.
     pub tone: Tone,
-    /// Stops.
+    /// Exposure, in stops.
     pub exposure: f32,
-    /// Added after the exposure.
+    /// Offset that is added to colours after the exposure.
     pub offset: f32,
     /// γ of [`Tone::Gamma`].
     pub gamma: f32,
@@ -61,13 +61,13 @@ pub struct Draw {
     pub range: Range,
     /// Steps of the false-colour scale.
     pub scale: Scale,
-    /// Its colours.
+    /// Colours of the false-colour scale.
     pub colormap: Colormap,
-    /// Around the image, as a screen shows it.
+    /// Background colour around the image, sRGB.
     pub background: [f32; 3],
 }
 
-/// As in the shader.
+/// Uniforms of a draw, in the order of `Draw` in the shader.
 #[repr(C)]
 #[derive(Clone, Copy, Pod, Zeroable)]
 struct Uniforms {
@@ -89,7 +89,7 @@ struct Uniforms {
     background: [f32; 4],
 }
 
-/// What a pipeline is built for.
+/// Settings that a pipeline is built for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 struct Variant {
     kind: u32,
@@ -100,7 +100,7 @@ struct Variant {
 }
 
 impl Variant {
-    /// The shader's overrides.
+    /// Returns the values of the shader's overrides.
     fn constants(self, encodes: bool) -> [(&'static str, f64); 6] {
         [
             ("KIND", self.kind.into()),
@@ -118,7 +118,8 @@ impl Draw {
         self.scale == Scale::Diverging || self.operation != Operation::Single
     }
 
-    /// Pixels that differ in nothing that matters share a pipeline.
+    /// Returns the settings of the pipeline. Those without effect are set to fixed values, so that draws can share a
+    /// pipeline.
     fn variant(&self) -> Variant {
         let kind = match self.kind {
             _ if self.operation != Operation::Single => 2,
@@ -160,7 +161,7 @@ impl Draw {
     }
 }
 
-/// Numbers the draws of a frame, each of which has its own place for uniforms.
+/// Numbers the draws of a frame; each of them has its own slot for uniforms.
 #[derive(Debug)]
 pub struct Slots {
     frame: u64,
@@ -180,7 +181,7 @@ impl Slots {
         *self = Self { frame: self.frame + 1, next: 0, format };
     }
 
-    /// A shape that shows this in a rectangle of the window.
+    /// Returns a shape that shows `draw` in a rectangle of the window.
     pub fn paint(&mut self, rect: Rect, draw: Draw) -> PaintCallback {
         let slot = self.next;
         self.next += 1;
@@ -238,7 +239,7 @@ struct Texture {
     last_drawn: u64,
 }
 
-/// What the draws of a window share.
+/// Resources that the draws of a window share.
 struct Resources {
     format: wgpu::TextureFormat,
     module: wgpu::ShaderModule,
@@ -333,7 +334,7 @@ impl Resources {
         });
     }
 
-    /// Keeps a layer's values as a texture.
+    /// Uploads the values of a layer as a texture, unless it is there already.
     fn upload(&mut self, device: &wgpu::Device, queue: &wgpu::Queue, shown: &Shown, frame: u64) {
         let texture = self.textures.entry(shown.id).or_insert_with(|| {
             let image = &shown.image;
@@ -361,7 +362,7 @@ impl Resources {
         });
     }
 
-    /// Writes what a draw needs to its slot, making room where there are more draws than ever before.
+    /// Writes the uniforms of a draw to its slot. The buffer grows if it has too few slots.
     fn write(&mut self, device: &wgpu::Device, queue: &wgpu::Queue, slot: u32, uniforms: &Uniforms) {
         let offset = u64::from(slot) * SLOT_BYTES;
         if offset + SLOT_BYTES > self.uniforms.size() {

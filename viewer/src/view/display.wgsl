@@ -1,10 +1,10 @@
-// How the values of one layer, or of two that are compared, become colours. A triangle that covers the view; each
+// Turns the values of one layer, or of two that are compared, into colours. A triangle covers the view, and each
 // invocation looks up the pixels of the image that its pixel of the screen shows.
 
-// What a draw does is settled when its pipeline is built: on a processor, a branch that is not taken costs as much as
-// one that is.
+// The overrides fix what a draw does when its pipeline is built: on a processor, a branch that is not taken costs as
+// much as a branch that is taken.
 
-// What layer A holds: 0 colour, 1 direction, 2 numbers, 3 shares.
+// Values of layer A: 0 colour, 1 direction, 2 numbers, 3 shares.
 override KIND: u32;
 // 0 layer A alone, 1 A − B, 2 (A − B)/(|B| + epsilon).
 override OPERATION: u32;
@@ -12,13 +12,13 @@ override OPERATION: u32;
 override TONE: u32;
 // Whether the false-colour scale is logarithmic.
 override IS_LOG: bool;
-// Whether a pixel of the screen covers several of the image.
+// Whether a pixel of the screen covers several pixels of the image.
 override REDUCES: bool;
 // Whether the target encodes sRGB by itself.
 override ENCODES: bool;
 
 struct Draw {
-    // The image's place of the fragment at (x, y): first + (x, y) · step, in pixels of the image.
+    // Position in the image of the fragment at (x, y): first + (x, y) · step, in pixels of the image.
     first: vec2f,
     step: vec2f,
     // Width and height of the image in pixels.
@@ -26,11 +26,11 @@ struct Draw {
     // Number of planes of layer A and B.
     planes_a: u32,
     planes_b: u32,
-    // 0 all channels, 1 to 3 one of them.
+    // 0 all channels, 1 to 3 a single channel.
     channel: u32,
     // Row of the colour table.
     colormap: u32,
-    // Taps along each axis where the image is reduced.
+    // Number of taps along each axis if the image is reduced.
     taps: u32,
     epsilon: f32,
     factor: f32,
@@ -53,7 +53,7 @@ fn cover(@builtin(vertex_index) index: u32) -> @builtin(position) vec4f {
     return vec4f(corner * 4.0 - 1.0, 0.0, 1.0);
 }
 
-// By its bits: compilers take x != x for false.
+// Tests the bits, because compilers take x != x for false.
 fn is_finite(value: f32) -> bool {
     return (bitcast<u32>(value) & 0x7f800000u) != 0x7f800000u;
 }
@@ -62,7 +62,7 @@ fn all_finite(value: vec3f) -> bool {
     return is_finite(value.x) && is_finite(value.y) && is_finite(value.z);
 }
 
-// The mean over the pixels that a pixel of the screen covers.
+// Returns the mean over the pixels of the image that a pixel of the screen covers.
 fn fetch(layer: texture_2d<f32>, place: vec2f) -> vec3f {
     let last = vec2i(draw.size) - 1;
     if !REDUCES {
@@ -78,7 +78,7 @@ fn fetch(layer: texture_2d<f32>, place: vec2f) -> vec3f {
     return sum / f32(draw.taps * draw.taps);
 }
 
-// One number of the channels: their mean, or one of them.
+// Returns one number for all channels: their mean, or the chosen channel.
 fn number(value: vec3f, planes: u32) -> f32 {
     if draw.channel > 0u && draw.channel <= planes {
         return value[draw.channel - 1u];
@@ -103,7 +103,7 @@ fn tone_mapped(value: vec3f) -> vec3f {
         case 1u: { return pow(min(positive, vec3f(1.0)), vec3f(draw.inverse_gamma)); }
         case 2u: { return srgb(positive / (1.0 + positive)); }
         case 3u: {
-            // Large values would overflow, and are white long before.
+            // Large values would overflow. They are white long before that.
             let x = min(positive, vec3f(1e4));
             return srgb(x * (2.51 * x + 0.03) / (x * (2.43 * x + 0.59) + 0.14));
         }
@@ -126,7 +126,7 @@ fn false_color(value: f32) -> vec3f {
         textureLoad(colors, vec2u(after, draw.colormap), 0).xyz, fract(step));
 }
 
-// What is no number, or infinite, is chequered, so that no colour of a layer looks like it.
+// Returns a chequered pattern for values that are NaN or infinite, which no colour of a layer looks like.
 fn chequered(position: vec2f) -> vec3f {
     let cell = vec2u(position) / 4u;
     return select(vec3f(0.0), vec3f(1.0, 0.0, 1.0), ((cell.x + cell.y) & 1u) == 0u);

@@ -1,4 +1,4 @@
-//! What the colours mean, in a corner of the canvas.
+//! The legend in a corner of the canvas, which shows what the colours mean.
 
 use eframe::egui::{Align2, Color32, FontId, Painter, Pos2, Rect, Shape, Stroke, StrokeKind, Vec2, epaint::Mesh};
 
@@ -9,12 +9,12 @@ use crate::layer::{Range, Scale};
 const SIZE: Vec2 = Vec2::new(180.0, 12.0);
 const MARGIN: f32 = 8.0;
 const FONT: f32 = 11.0;
-/// Rectangles that a scale is drawn of.
+/// Number of rectangles that make up a scale.
 const STEPS: usize = 64;
-/// Behind the text, whatever the image is.
+/// Colour behind the text, which keeps it legible on every image.
 const BACKDROP: Color32 = Color32::from_black_alpha(190);
 
-/// The value that is this far, 0 to 1, along a scale.
+/// Returns the value at `share`, 0 to 1, of the way along a scale.
 pub fn value_at(range: Range, scale: Scale, share: f32) -> f32 {
     match scale {
         Scale::Log => range.low * (range.high / range.low).powf(share),
@@ -22,7 +22,7 @@ pub fn value_at(range: Range, scale: Scale, share: f32) -> f32 {
     }
 }
 
-/// The colours of a scale with values at its ends and in the middle.
+/// Draws the title and the colours of a scale, with values at its ends and in its middle.
 pub fn scale(painter: &Painter, view: Rect, title: &str, range: Range, scale: Scale, colormap: Colormap) {
     let inner = Rect::from_min_size(view.max - SIZE - Vec2::new(2.0 * MARGIN, MARGIN + 22.0), SIZE);
     painter.rect_filled(
@@ -40,7 +40,7 @@ pub fn scale(painter: &Painter, view: Rect, title: &str, range: Range, scale: Sc
     bar(painter, inner, (range, scale), colormap, Color32::WHITE);
 }
 
-/// The colours of a scale in a rectangle, and under it values, in text of this colour.
+/// Draws the colours of a scale in a rectangle, and values under it in the colour `text`.
 pub fn bar(painter: &Painter, inner: Rect, (range, scale): (Range, Scale), colormap: Colormap, text: Color32) {
     let mut mesh = Mesh::default();
     for step in 0..=STEPS {
@@ -63,7 +63,7 @@ pub fn bar(painter: &Painter, inner: Rect, (range, scale): (Range, Scale), color
     }
 }
 
-/// Which colour is which candidate's.
+/// Draws which colour belongs to which candidate.
 pub fn shares(painter: &Painter, view: Rect) {
     let names = [("FIRST", 0.0, Color32::RED), ("SECOND", 58.0, Color32::GREEN), ("THIRD", 130.0, Color32::BLUE)];
     let inner =

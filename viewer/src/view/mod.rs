@@ -1,4 +1,4 @@
-//! The view: which layers are shown, from where, and how their values become colours.
+//! The view: the layers that are shown, the camera, and how values become colours.
 
 mod camera;
 pub mod canvas;
@@ -24,11 +24,11 @@ pub enum Compare {
     /// A alone.
     #[default]
     Single,
-    /// A at the left, B at the right, from the same place.
+    /// A at the left and B at the right, both with the same pan and zoom.
     SideBySide,
     /// A at the left and B at the right of a line that can be dragged.
     Wipe,
-    /// One after the other.
+    /// A and B, one after the other.
     Blink,
     /// A − B, averaged over the channels.
     Difference,
@@ -37,11 +37,11 @@ pub enum Compare {
 }
 
 impl Compare {
-    /// In the order of the toolbar.
+    /// All ways, in the order of the toolbar.
     pub const ALL: [Self; 6] =
         [Self::Single, Self::SideBySide, Self::Wipe, Self::Blink, Self::Difference, Self::Relative];
 
-    /// What users read.
+    /// Returns the title that users read.
     pub fn title(self) -> &'static str {
         match self {
             Self::Single => "single",
@@ -53,7 +53,7 @@ impl Compare {
         }
     }
 
-    /// What it does.
+    /// Returns the explanation that users read.
     pub fn about(self) -> &'static str {
         match self {
             Self::Single => "Shows layer A alone",
@@ -66,10 +66,10 @@ impl Compare {
     }
 }
 
-/// How scene-linear colour becomes what a screen shows.
+/// How scene-linear colour becomes the colour on a screen.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum Tone {
-    /// The sRGB curve; what is above 1 is white.
+    /// The sRGB curve; values above 1 are white.
     #[default]
     Srgb,
     /// x^(1/γ).
@@ -81,10 +81,10 @@ pub enum Tone {
 }
 
 impl Tone {
-    /// In the order of the menu.
+    /// All curves, in the order of the menu.
     pub const ALL: [Self; 4] = [Self::Srgb, Self::Gamma, Self::Reinhard, Self::Filmic];
 
-    /// What users read.
+    /// Returns the title that users read.
     pub fn title(self) -> &'static str {
         match self {
             Self::Srgb => "sRGB",
@@ -95,25 +95,25 @@ impl Tone {
     }
 }
 
-/// Which channels are shown.
+/// The channels that are shown.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Channel {
-    /// All; of numbers their mean.
+    /// All channels; numbers in false colour are their mean.
     #[default]
     All,
-    /// The first.
+    /// The first channel.
     Red,
-    /// The second.
+    /// The second channel.
     Green,
-    /// The third.
+    /// The third channel.
     Blue,
 }
 
 impl Channel {
-    /// In the order of the menu.
+    /// All choices, in the order of the menu.
     pub const ALL: [Self; 4] = [Self::All, Self::Red, Self::Green, Self::Blue];
 
-    /// What users read.
+    /// Returns the title that users read.
     pub fn title(self) -> &'static str {
         match self {
             Self::All => "all",
@@ -124,25 +124,25 @@ impl Channel {
     }
 }
 
-/// How values become colours, the same for all layers but for the ranges.
+/// How values become colours. All layers share these settings, except for the ranges.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Display {
-    /// Stops: colours are multiplied by 2 to the power of this.
+    /// Exposure in stops: colours are multiplied by 2 to this power.
     pub exposure: f32,
-    /// Added to colours after the exposure.
+    /// Offset that is added to colours after the exposure.
     pub offset: f32,
     /// γ of [`Tone::Gamma`].
     pub gamma: f32,
     /// The curve from scene-linear to the screen.
     pub tone: Tone,
-    /// Which channels.
+    /// Channels that are shown.
     pub channel: Channel,
-    /// Whether layer B has the false-colour scale of layer A.
+    /// Whether layer B is shown on the false-colour scale of layer A.
     pub shares_scale: bool,
     /// False colours of numbers that have no sign.
     pub colormap: Colormap,
-    /// False-colour scales that were set by hand, by the layer's name.
+    /// False-colour scales that the user has set, by the names of the layers.
     pub scales: HashMap<String, (Range, Scale)>,
 }
 
@@ -162,7 +162,7 @@ impl Default for Display {
 }
 
 impl Display {
-    /// Ends and steps of a layer's false-colour scale.
+    /// Returns the ends and the steps of a layer's false-colour scale.
     pub fn scale_of(&self, layer: &Layer) -> (Range, Scale) {
         let scale = match layer.description.kind {
             Kind::Scalar(scale) => scale,
@@ -175,44 +175,45 @@ impl Display {
 /// A window of neighbours that is drawn over the image.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Marked {
-    /// The pixel in its middle.
+    /// Pixel in the middle of the window, [column, row].
     pub pixel: [u32; 2],
-    /// R, in pixels.
+    /// Radius R of the window, in pixels.
     pub radius: u32,
-    /// The neighbour that is explained.
+    /// Neighbour that is explained, [column, row].
     pub neighbour: Option<[u32; 2]>,
 }
 
-/// What is shown.
+/// The layers that are shown, and how they are shown.
 #[derive(Debug)]
 pub struct View {
     /// Layer A, by its name.
     pub layer: String,
     /// Layer B, by its name.
     pub other: Option<String>,
-    /// How the two are shown.
+    /// Comparison of the two layers.
     pub compare: Compare,
-    /// Where the line of [`Compare::Wipe`] is, as a share of the canvas's width.
+    /// Position of the line of [`Compare::Wipe`], as a share of the width of the canvas, 0 to 1.
     pub wipe: f32,
-    /// From where.
+    /// Pan and zoom.
     pub camera: Camera,
-    /// How values become colours.
+    /// Settings that turn values into colours.
     pub display: Display,
-    /// The pixel under the pointer.
+    /// Pixel under the pointer, [column, row].
     pub hovered: Option<[u32; 2]>,
-    /// The pixel that was clicked: it stays the chosen one while the pointer moves on.
+    /// Pixel that was clicked, [column, row]: it stays the chosen one while the pointer moves on.
     pub pinned: Option<[u32; 2]>,
-    /// Whether the camera is to move to that pixel, should it be out of sight.
+    /// Whether the camera moves to the pinned pixel if that is out of sight.
     pub reveals_pinned: bool,
-    /// The window that the kernel's panel explains.
+    /// Window that the kernel panel explains.
     pub marked: Option<Marked>,
-    /// Ends of the scale of a difference, worked out for these two layers.
+    /// Ends of the scale of a difference, with the identifiers of the two layers and the comparison that they belong
+    /// to.
     difference: Option<([u64; 2], Compare, Range)>,
     slots: display::Slots,
 }
 
 impl View {
-    /// The result, fitted into the canvas.
+    /// Creates a view of the result, fitted into the canvas.
     pub fn new(display: Display) -> Self {
         Self {
             layer: "result".into(),
@@ -230,17 +231,17 @@ impl View {
         }
     }
 
-    /// Begins a frame of a window whose target has this format.
+    /// Begins a frame of a window whose render target has this format.
     pub fn begin_frame(&mut self, format: eframe::wgpu::TextureFormat) {
         self.slots.begin(format);
     }
 
-    /// Shows a layer's thumbnail, as the canvas would show the layer.
+    /// Draws the thumbnail of a layer, as the canvas would show the layer.
     pub fn paint_thumbnail(&mut self, painter: &Painter, rect: Rect, layer: &Layer) {
         self.paint_whole(painter, rect, layer, layer.thumbnail.clone());
     }
 
-    /// Shows an image of a layer, fitted into a rectangle, in the colours of the layer.
+    /// Draws an image of a layer, fitted into a rectangle, in the colours of the layer.
     pub fn paint_whole(&mut self, painter: &Painter, rect: Rect, layer: &Layer, image: Shown) {
         let extent = image.image.extent;
         let scale = (rect.width() / extent.width as f32).min(rect.height() / extent.height as f32);
@@ -251,7 +252,7 @@ impl View {
         painter.add(self.slots.paint(inner, draw));
     }
 
-    /// Shows any image, stretched to the width of a rectangle; numbers on the scale that is given.
+    /// Draws any image, stretched to the width of a rectangle; numbers are on the given scale.
     pub fn paint_image(
         &mut self,
         painter: &Painter,
@@ -276,7 +277,7 @@ impl View {
         painter.add(self.slots.paint(rect, draw));
     }
 
-    /// A draw of a layer's values by the settings.
+    /// Returns the draw of an image with the settings of its layer.
     fn draw(&self, layer: &Layer, shown: Shown, first: [f32; 2], step: f32) -> Draw {
         self.draw_on(shown, layer.description.kind, self.display.scale_of(layer), first, step)
     }
@@ -302,12 +303,12 @@ impl View {
         }
     }
 
-    /// The pixel whose values are shown.
+    /// Returns the pixel whose values are shown: the pinned one, or else the one under the pointer.
     pub fn chosen(&self) -> Option<[u32; 2]> {
         self.pinned.or(self.hovered)
     }
 
-    /// Ends of the scale that shows most of a difference.
+    /// Returns the ends of the scale that shows most of a difference.
     fn difference_range(&mut self, a: &Layer, b: &Layer) -> Range {
         let key = ([a.shown.id, b.shown.id], self.compare);
         if let Some((ids, compare, range)) = self.difference
@@ -332,8 +333,8 @@ impl View {
     }
 }
 
-/// Of an image that begins at the corner of a rectangle and has so many points per pixel: where the target's first
-/// pixel is in it, and how far the next.
+/// Returns [`Draw::first`] and [`Draw::step`] of an image that begins at the corner of `rect` and has this number of
+/// points per pixel.
 fn placed(painter: &Painter, rect: Rect, points_per_pixel: f32) -> ([f32; 2], f32) {
     let pixels_per_point = painter.pixels_per_point();
     let step = 1.0 / (points_per_pixel * pixels_per_point);

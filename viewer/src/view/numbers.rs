@@ -1,16 +1,17 @@
-//! Numbers as people read them, and the numbers in magnified pixels.
+//! Numbers as people read them, and numbers that are drawn into magnified pixels.
 
 use eframe::egui::{Align2, Color32, FontId, Painter, Rect, Vec2};
 
 use super::Camera;
 use crate::layer::Layer;
 
-/// Points that a pixel of the image takes at least, for its numbers to be drawn in it.
+/// Smallest side of an image pixel into which its values are drawn, in points.
 const LEAST_SIDE: f32 = 52.0;
-/// Points per line.
+/// Height of a line, in points.
 const LINE: f32 = 13.0;
 
-/// Four digits, or as many as are needed to tell the size.
+/// Formats a number with four digits, or with all digits before the point; very small and very large numbers have an
+/// exponent.
 pub fn number(value: f32) -> String {
     let size = value.abs();
     if value == 0.0 {
@@ -25,7 +26,7 @@ pub fn number(value: f32) -> String {
     }
 }
 
-/// Three digits, for where there is little room.
+/// Formats a number with three digits, for narrow spaces.
 pub fn short(value: f32) -> String {
     let size = value.abs();
     if (0.001..1000.0).contains(&size) {
@@ -36,7 +37,7 @@ pub fn short(value: f32) -> String {
     }
 }
 
-/// Draws the values into pixels that are magnified far enough.
+/// Draws the values into pixels that are magnified enough.
 pub fn paint(painter: &Painter, view: Rect, camera: &Camera, layer: &Layer) {
     let lines = layer.image().channels() as f32;
     if camera.zoom < LEAST_SIDE.max(lines * LINE + 6.0) {
@@ -53,7 +54,7 @@ pub fn paint(painter: &Painter, view: Rect, camera: &Camera, layer: &Layer) {
             for (line, value) in values.iter().enumerate() {
                 let place = middle + Vec2::new(0.0, (line as f32 - (lines - 1.0) / 2.0) * LINE);
                 let text = number(*value);
-                // A shadow keeps it legible on every colour.
+                // A shadow keeps the text legible on every colour.
                 painter.text(
                     place + Vec2::splat(1.0),
                     Align2::CENTER_CENTER,
