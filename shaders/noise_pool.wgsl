@@ -76,13 +76,11 @@ fn claimed_deviation(at: i32) -> vec3<f32> {
 #endif
 }
 
-fn feature_spread(group: i32, at: i32) -> vec4<f32> {
 #ifdef FEATURE_NOISE
+fn feature_spread(group: i32, at: i32) -> vec4<f32> {
     return abs(features[(3 * group + 2) * rule.extent.x * rule.extent.y + at]);
-#else
-    return vec4<f32>(0.0);
-#endif
 }
+#endif
 
 fn largest_spread(p: vec2<i32>) -> f32 {
     return largest_channel(abs(signal[rule.extent.x * rule.extent.y + clamped_index(p, rule.extent)].xyz));

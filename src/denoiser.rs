@@ -14,7 +14,7 @@ use crate::host_memory::{FreeMemory, Shortage};
 use crate::image::Image;
 use crate::method::{
     DeviceMemory, Facts, FrameInput, GpuEstimate, GpuFrame, Intermediate, KeptPlane, Lane, Method, Plan, Shares,
-    SpikeReport, Strip, Unit, Units, Wishes, kept_planes, mean_variance, strips,
+    SpikeReport, Strip, Unit, Units, Wishes, kept_planes, strips,
 };
 use crate::stage::PLANE_PIXEL_BYTES;
 use crate::stage::nlm::Schedule;
@@ -247,9 +247,8 @@ impl Denoiser {
         self.check_window(frames, centre)?;
         let frame = frames[centre];
         let units = Units::of_window(frames, centre, self.method.uses_features(), exposure(frame));
-        let mean_variance =
-            |frame: &Frame| if self.method.wants_mean_variance() { mean_variance(frame, units.exposure) } else { None };
-        let with_mean_variance: Vec<_> = frames.iter().map(|frame| (*frame, mean_variance(frame))).collect();
+        let with_mean_variance: Vec<_> =
+            frames.iter().map(|frame| (*frame, self.method.mean_variance(frame, units.exposure))).collect();
         let beside =
             with_mean_variance.iter().enumerate().filter(|(index, _)| *index != centre).map(|(_, frame)| *frame);
         // What an earlier frame of another size left behind would count against the limit.

@@ -158,11 +158,11 @@ impl Frame {
             notes.extend(mean_beside_halves(&color));
         }
         let color = signal("colour", color, &mut notes);
-        let features = features.into_iter().map(|(name, raw)| {
+        let settled = |(name, raw): (String, RawSignal)| {
             let signal = signal(&name, raw, &mut notes);
             (name, signal)
-        });
-        let features = features.collect();
+        };
+        let features = features.into_iter().map(settled).collect();
         let (frame, mut repairs) = Self::new(color, features, samples_per_pixel)?;
         repairs.notes.splice(0..0, notes);
         Ok((frame, repairs))

@@ -142,7 +142,7 @@ impl Tuning {
                 candidates: candidates.unwrap_or(params.candidates),
                 ..params
             }),
-            Method::Gem(params) => Method::from(params),
+            Method::Gem(_) => method,
             Method::Nlm(params) => {
                 Method::from(NlmParams { window_radius: radius.unwrap_or(params.window_radius), ..params })
             }

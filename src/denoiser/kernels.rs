@@ -11,7 +11,7 @@ use crate::gpu::{Buffer, Gpu, Run};
 use crate::image::{Extent, Image, Window};
 use crate::kernels::{Compared, Distance, FilterKernel, Kernels, PixelInFrame, WeightRule};
 use crate::method::kernels::{KernelOnGpu, LimitOnGpu, ShareOnGpu, WeightsOnGpu};
-use crate::method::{FrameInput, Lane, Strip, Units, mean_variance};
+use crate::method::{FrameInput, Lane, Strip, Units};
 use crate::stage::PLANE_PIXEL_BYTES;
 use crate::stage::exact::Region;
 use crate::stage::gaussian::Gaussian;
@@ -62,7 +62,7 @@ impl Denoiser {
         }
         let plan_of_part = plan.starting_at(first);
         // What is settled for a frame as a whole is settled for the whole frame.
-        let mean_variance = if self.method.wants_mean_variance() { mean_variance(frame, units.exposure) } else { None };
+        let mean_variance = self.method.mean_variance(frame, units.exposure);
         let on_gpu = FrameInput::upload(&mut rec, &part_of_frame, mean_variance, &all_of_it, &units, &plan_of_part)?;
         let kernels = self.method.kernels(&mut rec, on_gpu, pixel - first, &plan_of_part, self.schedule)?;
         rec.submit()?;

@@ -19,10 +19,11 @@ mod spikes;
 #[cfg(feature = "toml")]
 mod toml;
 
-use glam::IVec2;
+use glam::{IVec2, Vec3};
 use serde::Serialize;
 
 use crate::error::{Error, Result};
+use crate::frame::Frame;
 use crate::gpu::Recorder;
 use crate::parameters::choices;
 use crate::stage::nlm::Schedule;
@@ -30,7 +31,7 @@ use kernels::KernelOnGpu;
 
 pub use dfc::DfcParams;
 pub use estimate::{GpuEstimate, Intermediate, KeptPlane, Lane, Shares, Unit};
-pub(crate) use frame::{FrameInput, Units, mean_variance};
+pub(crate) use frame::{FrameInput, Units};
 pub use frame::{GpuFeature, GpuFrame, GpuSignal};
 pub use gem::GemParams;
 use memory::Footprint;
@@ -124,9 +125,12 @@ impl Method {
         }
     }
 
-    /// Whether it takes [`GpuFrame::mean_variance`].
-    pub(crate) fn wants_mean_variance(&self) -> bool {
-        matches!(self, Self::Nlm(NlmParams { variance: nlm::NlmVariance::Uniform, .. }))
+    /// [`GpuFrame::mean_variance`] of a frame, if the method uses it.
+    pub(crate) fn mean_variance(&self, frame: &Frame, exposure: f32) -> Option<Vec3> {
+        match self {
+            Self::Nlm(NlmParams { variance: nlm::NlmVariance::Uniform, .. }) => frame::mean_variance(frame, exposure),
+            _ => None,
+        }
     }
 
     /// The intermediates that it has.

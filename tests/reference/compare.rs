@@ -36,8 +36,11 @@ pub fn worst(actual: &[Grid], expected: &[Grid], scale: &[Grid], tolerance: Tole
             errors.push((if off.is_nan() { f64::INFINITY } else { off }, channel, pixel));
         }
     }
-    errors.sort_by(|a, b| b.0.total_cmp(&a.0));
-    let &(off, channel, pixel) = errors.get((tolerance.share * errors.len() as f64) as usize)?;
+    let skipped = (tolerance.share * errors.len() as f64) as usize;
+    if skipped >= errors.len() {
+        return None;
+    }
+    let &mut (off, channel, pixel) = errors.select_nth_unstable_by(skipped, |a, b| b.0.total_cmp(&a.0)).1;
     let width = expected[channel].width;
     let (actual, expected) = (actual[channel].values[pixel], expected[channel].values[pixel]);
     Some(Worst { off, x: pixel % width, y: pixel / width, channel, actual, expected })

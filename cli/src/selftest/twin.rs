@@ -354,17 +354,7 @@ impl Comparison<'_> {
             Some(lights) => lights.added_to(kept),
             None => kept,
         };
-        self.add("result", &bridge::grids(&self.estimate.color, self.exposure), &result.mean, &size, FILTERED, TURNED);
-        if let Some(spread) = &result.spread {
-            self.add(
-                "half spread",
-                &self.grids(self.estimate.half_spread.as_ref(), self.exposure),
-                spread,
-                &with_own(spread, &size),
-                FILTERED,
-                TURNED,
-            );
-        }
+        self.result(&result.mean, result.spread.as_deref(), &size);
     }
 
     fn nlm(&mut self, frame: &Frame, params: &NlmParams) {
@@ -378,17 +368,7 @@ impl Comparison<'_> {
             })
         };
         let size: Planes = (0..3).map(channel).collect();
-        self.add("result", &bridge::grids(&self.estimate.color, self.exposure), &twin.mean, &size, FILTERED, TURNED);
-        if let Some(spread) = &twin.spread {
-            self.add(
-                "half spread",
-                &self.grids(self.estimate.half_spread.as_ref(), self.exposure),
-                spread,
-                &with_own(spread, &size),
-                FILTERED,
-                TURNED,
-            );
-        }
+        self.result(&twin.mean, twin.spread.as_deref(), &size);
         let one = |grid: &Grid| [grid.like(|p| grid.at(p).abs() + 0.01 * grid.mean() + VANISHING)];
         let of = std::slice::from_ref;
         self.add(
@@ -492,6 +472,15 @@ impl Comparison<'_> {
 
     fn own_size(&mut self, name: &str, actual: &[Grid], expected: &[Grid], relative: f64) {
         self.add(name, actual, expected, &own_size(expected, VANISHING), relative, 0.0);
+    }
+
+    /// Compares the denoised colour, and its half spread if there is one. `size` is a scale of the colour.
+    fn result(&mut self, mean: &[Grid], spread: Option<&[Grid]>, size: &[Grid]) {
+        self.add("result", &bridge::grids(&self.estimate.color, self.exposure), mean, size, FILTERED, TURNED);
+        if let Some(spread) = spread {
+            let actual = self.grids(self.estimate.half_spread.as_ref(), self.exposure);
+            self.add("half spread", &actual, spread, &with_own(spread, size), FILTERED, TURNED);
+        }
     }
 
     /// Compares a quantity. `scale` holds, for each value, the size of a relative error of 1.
