@@ -51,7 +51,7 @@ fn scale_kernel(gpu: &Gpu) -> Arc<Kernel> {
 fn scale(rec: &mut Recorder, kernel: &Arc<Kernel>, source: &Buffer, factor: f32) -> Result<Buffer> {
     let scaled = rec.take("scaled", source.bytes())?;
     let params = ScaleParams { extent: EXTENT, factor };
-    rec.dispatch(kernel, &Scale { params, source, scaled: &scaled }, [EXTENT.x, EXTENT.y, 1])?;
+    rec.dispatch_kernel(kernel, &Scale { params, source, scaled: &scaled }, [EXTENT.x, EXTENT.y, 1])?;
     Ok(scaled)
 }
 
@@ -187,23 +187,23 @@ fn definitions_specialise_and_members_are_found_by_name() {
     let mut rec = gpu.record();
     let mask = rec.upload("mask", &[9.0]).unwrap();
     let (a, b) = (rec.take("a", 16).unwrap(), rec.take("b", 16).unwrap());
-    rec.dispatch(&with_mask, &Specialised { params, mask: Some(&mask), result: &a }, [1, 1, 1]).unwrap();
-    rec.dispatch(&plain, &Specialised { params, mask: None, result: &b }, [1, 1, 1]).unwrap();
+    rec.dispatch_kernel(&with_mask, &Specialised { params, mask: Some(&mask), result: &a }, [1, 1, 1]).unwrap();
+    rec.dispatch_kernel(&plain, &Specialised { params, mask: None, result: &b }, [1, 1, 1]).unwrap();
 
-    let unbound = rec.dispatch(&with_mask, &Specialised { params, mask: None, result: &a }, [1, 1, 1]);
+    let unbound = rec.dispatch_kernel(&with_mask, &Specialised { params, mask: None, result: &a }, [1, 1, 1]);
     assert_eq!(problem(unbound), "specialised: the shader reads 'mask', but nothing is bound to it");
-    let superfluous = rec.dispatch(&plain, &Specialised { params, mask: Some(&mask), result: &a }, [1, 1, 1]);
+    let superfluous = rec.dispatch_kernel(&plain, &Specialised { params, mask: Some(&mask), result: &a }, [1, 1, 1]);
     assert_eq!(problem(superfluous), "specialised: 'mask' is bound, but these definitions remove it from the shader");
-    let twice = rec.dispatch(&with_mask, &Specialised { params, mask: Some(&a), result: &a }, [1, 1, 1]);
+    let twice = rec.dispatch_kernel(&with_mask, &Specialised { params, mask: Some(&a), result: &a }, [1, 1, 1]);
     assert_eq!(problem(twice), "specialised: the same buffer is bound to 'result', which is written, and to 'mask'");
-    let foreign = rec.dispatch(
+    let foreign = rec.dispatch_kernel(
         &plain,
         &Scale { params: ScaleParams { extent: EXTENT, factor: 1.0 }, source: &a, scaled: &b },
         [1, 1, 1],
     );
     assert_eq!(problem(foreign), "specialised: it is dispatched with bindings of another stage");
     assert!(
-        problem(rec.dispatch(&plain, &Specialised { params, mask: None, result: &a }, [u32::MAX, 1, 1]))
+        problem(rec.dispatch_kernel(&plain, &Specialised { params, mask: None, result: &a }, [u32::MAX, 1, 1]))
             .contains("workgroups in x")
     );
 
@@ -223,7 +223,7 @@ fn poison_shows_what_was_not_written_also_in_reused_memory() {
     drop(scale(&mut rec, &kernel, &source, 2.0).unwrap());
     let reused = rec.take("reused", source.bytes()).unwrap();
     let params = ScaleParams { extent: glam::uvec2(EXTENT.x, 1), factor: 2.0 };
-    rec.dispatch(&kernel, &Scale { params, source: &source, scaled: &reused }, [EXTENT.x, 1, 1]).unwrap();
+    rec.dispatch_kernel(&kernel, &Scale { params, source: &source, scaled: &reused }, [EXTENT.x, 1, 1]).unwrap();
     rec.submit().unwrap();
     let values = gpu.read(&reused).unwrap();
     let (written, rest) = values.split_at(EXTENT.x as usize);
@@ -339,7 +339,7 @@ fn a_renderer_submits_everything_through_its_own_encoder() {
     }
     let target = gpu.import("rendered", rendered.clone()).unwrap();
     let params = ScaleParams { extent: EXTENT, factor: 4.0 };
-    rec.dispatch(&kernel, &Scale { params, source: &last, scaled: &target }, [EXTENT.x, EXTENT.y, 1]).unwrap();
+    rec.dispatch_kernel(&kernel, &Scale { params, source: &last, scaled: &target }, [EXTENT.x, EXTENT.y, 1]).unwrap();
     let mut encoder = device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
     rec.encode_into(&mut encoder).unwrap();
     assert_eq!(gpu.timings(&run).unwrap().expect("there are timestamps")[0].dispatches, 0, "nothing was submitted yet");
@@ -403,7 +403,7 @@ fn with_little_memory() {
     let sizes = (1..=10).map(|n| n * bytes / 32);
     for size in sizes.clone().chain(sizes.rev()) {
         let odd = rec.take("odd", size).unwrap();
-        rec.dispatch(
+        rec.dispatch_kernel(
             &kernel,
             &Scale { params: ScaleParams { extent: EXTENT, factor: 2.0 }, source: &source, scaled: &odd },
             [EXTENT.x, EXTENT.y, 1],

@@ -6,9 +6,8 @@
 //! uniforms! { struct BoxParams { extent: UVec2, radius: u32 } }
 //! bindings! { struct BoxBlur<'a> { uniform params: BoxParams, read source, write blurred } }
 //!
-//! let kernel = gpu.kernel::<BoxBlur>("box_blur", &[])?;
 //! let blurred = rec.take("blurred", source.bytes())?;
-//! rec.dispatch(&kernel, &BoxBlur { params, source: &source, blurred: &blurred }, [width, height, 1])?;
+//! rec.dispatch("box_blur", &[], &BoxBlur { params, source: &source, blurred: &blurred }, [width, height, 1])?;
 //! ```
 //!
 //! Every name, kind and type in these structs is compared with the shader when the kernel is built ([`bindings`]).

@@ -9,6 +9,7 @@ use super::encode::{Bound, Dispatch, Op, encode};
 use super::kernel::Kernel;
 use super::pool::Buffer;
 use super::run::Run;
+use super::shader::Definitions;
 use super::{human_bytes, lock};
 use crate::error::{Error, Result};
 
@@ -189,14 +190,34 @@ impl Recorder {
         Ok(())
     }
 
-    /// Records a kernel over `invocations` in x, y and z. Each number is rounded up to whole workgroups, so the shader
-    /// must ignore invocations beyond its extent.
+    /// Records a stage in `shaders/` with these definitions over `invocations` in x, y and z. Each number is rounded up
+    /// to whole workgroups, so the shader must ignore invocations beyond its extent.
+    ///
+    /// # Errors
+    /// As [`Gpu::kernel`] and [`Recorder::dispatch_kernel`].
+    pub fn dispatch<B: Bindings>(
+        &mut self,
+        stage: &str,
+        definitions: Definitions,
+        bindings: &B,
+        invocations: [u32; 3],
+    ) -> Result<()> {
+        let kernel = self.gpu.kernel::<B>(stage, definitions)?;
+        self.dispatch_kernel(&kernel, bindings, invocations)
+    }
+
+    /// As [`Recorder::dispatch`], of a kernel that is built already.
     ///
     /// # Errors
     /// [`Error::Shader`] where the kernel was built for other bindings or a written buffer is bound twice;
     /// [`Error::Device`] where the grid exceeds the adapter's limit or, when this dispatch completes a batch, the
     /// device fails.
-    pub fn dispatch<B: Bindings>(&mut self, kernel: &Arc<Kernel>, bindings: &B, invocations: [u32; 3]) -> Result<()> {
+    pub fn dispatch_kernel<B: Bindings>(
+        &mut self,
+        kernel: &Arc<Kernel>,
+        bindings: &B,
+        invocations: [u32; 3],
+    ) -> Result<()> {
         let failure = |problem: String| Error::Shader { stage: kernel.stage().into(), problem };
         if kernel.slots != B::SLOTS {
             return Err(failure("it is dispatched with bindings of another stage".into()));

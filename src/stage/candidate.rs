@@ -266,8 +266,6 @@ pub fn candidates(
         let beside = chunk.beside.map(|index| beside[index]);
         // Patches hold pixels of their own pair only in the nearest rows, and never in a frame beside.
         let near = beside.is_none() && params.first_offset.y <= patch_radius as i32;
-        let accumulate =
-            rec.gpu().kernel::<CandidateAccumulate>("candidate_accumulate", &definitions(beside.is_some(), near))?;
         let bound = CandidateAccumulate {
             params,
             candidate,
@@ -280,7 +278,12 @@ pub fn candidates(
             neighbours_variance: beside.map(|frame| frame.variance_of_mean),
             neighbours_features: beside.and_then(|frame| frame.features).map(|features| &features.buffer),
         };
-        rec.dispatch(&accumulate, &bound, blocking(near).per_row_of_pixels(&params))?;
+        rec.dispatch(
+            "candidate_accumulate",
+            &definitions(beside.is_some(), near),
+            &bound,
+            blocking(near).per_row_of_pixels(&params),
+        )?;
         // The sums over the own frame are complete before the sums over the other frames begin.
         let complete =
             if chunk.last { Some(&together) } else { alone.as_ref().filter(|_| beside.is_none() && chunk.ends_frame) };
@@ -290,17 +293,17 @@ pub fn candidates(
             let (resolve, invocations) = (ResolveParams { candidate }, [params.width as u32, params.rows as u32, 1]);
             match complete.and_then(|complete| complete.derivatives.as_deref()) {
                 Some(derivatives) => {
-                    let kernel = rec.gpu().kernel::<CandidateResolve>("candidate_resolve", &definitions)?;
                     rec.dispatch(
-                        &kernel,
+                        "candidate_resolve",
+                        &definitions,
                         &CandidateResolve { params, resolve, signal, variance_of_mean, state, filtered, derivatives },
                         invocations,
                     )?;
                 }
                 None => {
-                    let kernel = rec.gpu().kernel::<CandidateResolveValue>("candidate_resolve", &definitions)?;
                     rec.dispatch(
-                        &kernel,
+                        "candidate_resolve",
+                        &definitions,
                         &CandidateResolveValue { params, resolve, signal, variance_of_mean, state, filtered },
                         invocations,
                     )?;

@@ -53,7 +53,6 @@ pub fn error_sure(
 ) -> Result<Buffer> {
     let errors = rec.take("SURE", plane_bytes(extent, 1))?;
     let [first, second, third] = candidates.buffers();
-    let kernel = rec.gpu().kernel::<ErrorSure>("error_sure", &candidates.set().definitions())?;
     let params = SureParams { extent, covariance };
     let bound = ErrorSure {
         params,
@@ -65,7 +64,7 @@ pub fn error_sure(
         derivatives: candidates.derivatives.as_deref(),
         errors: &errors,
     };
-    rec.dispatch(&kernel, &bound, per_pixel(extent))?;
+    rec.dispatch("error_sure", &candidates.set().definitions(), &bound, per_pixel(extent))?;
     Ok(errors)
 }
 
@@ -181,9 +180,8 @@ fn error_blend_into(
     let [with_first, with_second, with_third] = candidates.set().definitions();
     let definitions =
         [("SHARED", shares.is_some().into()), ("ADDED", added.into()), with_first, with_second, with_third];
-    let kernel = rec.gpu().kernel::<ErrorBlend>("error_blend", &definitions)?;
     let bound = ErrorBlend { params, blended, variance_of_mean, derivatives, shares, first, second, third, errors };
-    rec.dispatch(&kernel, &bound, per_pixel(extent))
+    rec.dispatch("error_blend", &definitions, &bound, per_pixel(extent))
 }
 
 /// Returns by how much SURE of the only candidate in `other` exceeds SURE of a blend, summed over the channels, in the
@@ -212,7 +210,6 @@ pub fn error_difference(
         });
     };
     let differences = rec.take("differences of SURE", plane_bytes(extent, 1))?;
-    let kernel = rec.gpu().kernel::<ErrorDifference>("error_difference", &[])?;
     let params = ErrorDifferenceParams { extent, covariance, other_candidate: other_candidate as i32 };
     let bound = ErrorDifference {
         params,
@@ -225,7 +222,7 @@ pub fn error_difference(
         other_derivatives,
         differences: &differences,
     };
-    rec.dispatch(&kernel, &bound, per_pixel(extent))?;
+    rec.dispatch("error_difference", &[], &bound, per_pixel(extent))?;
     Ok(differences)
 }
 
@@ -242,9 +239,8 @@ pub fn error_spikes(
     spikes: &Buffer,
     parts: ErrorParts,
 ) -> Result<Buffer> {
-    let kernel = rec.gpu().kernel::<ErrorSpikes>("error_spikes", &[])?;
     let params = ErrorSpikesParams { extent, spikes: parts.spikes };
-    rec.dispatch(&kernel, &ErrorSpikes { params, spikes, errors: &errors }, per_pixel(extent))?;
+    rec.dispatch("error_spikes", &[], &ErrorSpikes { params, spikes, errors: &errors }, per_pixel(extent))?;
     Ok(errors)
 }
 
@@ -265,7 +261,6 @@ pub fn error_halves(rec: &mut Recorder, extent: IVec2, filtered: &Filtered) -> R
     let errors = rec.take("errors of the halves", plane_bytes(extent, 1))?;
     let params = ErrorHalvesParams { extent, relative_floor: RELATIVE_FLOOR };
     let residual_variance = filtered.residual_variance.as_ref();
-    let kernel = rec.gpu().kernel::<ErrorHalves>("error_halves", &[("HALVES", residual_variance.is_none().into())])?;
     let bound = ErrorHalves {
         params,
         signal: &filtered.planes,
@@ -273,6 +268,6 @@ pub fn error_halves(rec: &mut Recorder, extent: IVec2, filtered: &Filtered) -> R
         errors: &errors,
         residual_variance,
     };
-    rec.dispatch(&kernel, &bound, per_pixel(extent))?;
+    rec.dispatch("error_halves", &[("HALVES", residual_variance.is_none().into())], &bound, per_pixel(extent))?;
     Ok(errors)
 }

@@ -167,9 +167,9 @@ impl UploadedTiles {
         planes: u32,
         weight_sum: bool,
     ) -> Result<()> {
-        let kernel = rec.gpu().kernel::<ExactCopy>("exact_copy", &[("WEIGHT_SUM", weight_sum.into())])?;
         rec.dispatch(
-            &kernel,
+            "exact_copy",
+            &[("WEIGHT_SUM", weight_sum.into())],
             &ExactCopy { params: self.of_planes(planes), tiles: &self.tiles, before, result },
             per_pixel(self.params.extent),
         )
@@ -177,9 +177,9 @@ impl UploadedTiles {
 
     /// Writes 1 (`ones`) or 0 to the channels of `planes` planes, in exact tiles.
     pub(super) fn fill(&self, rec: &mut Recorder, result: &Buffer, planes: u32, ones: bool) -> Result<()> {
-        let kernel = rec.gpu().kernel::<ExactFill>("exact_fill", &[("ONES", ones.into())])?;
         rec.dispatch(
-            &kernel,
+            "exact_fill",
+            &[("ONES", ones.into())],
             &ExactFill { params: self.of_planes(planes), tiles: &self.tiles, result },
             per_pixel(self.params.extent),
         )

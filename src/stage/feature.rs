@@ -116,9 +116,9 @@ pub fn feature_pack(
     residual_variance: Option<&Buffer>,
 ) -> Result<()> {
     let params = FeaturePackParams { extent, group: slot.group as i32, single: i32::from(slot.single) };
-    let kernel = rec.gpu().kernel::<FeaturePack>("feature_pack", &[("NOISY", residual_variance.is_some().into())])?;
     rec.dispatch(
-        &kernel,
+        "feature_pack",
+        &[("NOISY", residual_variance.is_some().into())],
         &FeaturePack { params, filtered, residual_variance, features: &features.buffer },
         per_pixel(extent),
     )

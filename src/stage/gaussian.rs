@@ -74,17 +74,14 @@ pub fn gaussian(
     let smoothed = rec.take("Gaussian average", plane_bytes(extent, planes))?;
     let rows = &rec.take("Gaussian average of the rows", plane_bytes(extent, planes))?;
 
-    let kernel =
-        rec.gpu().kernel::<GaussianAxis>("gaussian", &[squared, ("KEEP_WEIGHT_SUM", without_centre.into())])?;
     let bound = GaussianAxis { params: along(IVec2::X), source, smoothed: rows, centres: None };
-    rec.dispatch(&kernel, &bound, invocations(IVec2::X))?;
-    let kernel = rec.gpu().kernel::<GaussianAxis>("gaussian", &[squared, ("WITHOUT_CENTRE", without_centre.into())])?;
+    rec.dispatch("gaussian", &[squared, ("KEEP_WEIGHT_SUM", without_centre.into())], &bound, invocations(IVec2::X))?;
     let bound = GaussianAxis {
         params: along(IVec2::Y),
         source: rows,
         smoothed: &smoothed,
         centres: without_centre.then_some(source),
     };
-    rec.dispatch(&kernel, &bound, invocations(IVec2::Y))?;
+    rec.dispatch("gaussian", &[squared, ("WITHOUT_CENTRE", without_centre.into())], &bound, invocations(IVec2::Y))?;
     Ok(smoothed)
 }

@@ -40,7 +40,6 @@ pub fn half_split(rec: &mut Recorder, extent: IVec2, signal: &Buffer, variance_o
     let a = rec.take("half A", plane_bytes(extent, 1))?;
     let b = rec.take("half B", plane_bytes(extent, 1))?;
     let variance = rec.take("variance of a half", plane_bytes(extent, 1))?;
-    let kernel = rec.gpu().kernel::<HalfSplit>("half_split", &[])?;
     let bound = HalfSplit {
         params: HalfParams { extent },
         signal,
@@ -49,7 +48,7 @@ pub fn half_split(rec: &mut Recorder, extent: IVec2, signal: &Buffer, variance_o
         half_b: &b,
         variance_of_half: &variance,
     };
-    rec.dispatch(&kernel, &bound, per_pixel(extent))?;
+    rec.dispatch("half_split", &[], &bound, per_pixel(extent))?;
     Ok(Halves { a, b, variance })
 }
 
@@ -61,7 +60,6 @@ pub fn half_split(rec: &mut Recorder, extent: IVec2, signal: &Buffer, variance_o
 pub fn half_join(rec: &mut Recorder, extent: IVec2, [a, b]: [&Filtered; 2]) -> Result<Filtered> {
     let signal = rec.take("joined halves", plane_bytes(extent, 2))?;
     let weights = rec.take("weight sums of both halves", plane_bytes(extent, 1))?;
-    let kernel = rec.gpu().kernel::<HalfJoin>("half_join", &[])?;
     let params = HalfParams { extent };
     let bound = HalfJoin {
         params,
@@ -72,6 +70,6 @@ pub fn half_join(rec: &mut Recorder, extent: IVec2, [a, b]: [&Filtered; 2]) -> R
         signal: &signal,
         weights: &weights,
     };
-    rec.dispatch(&kernel, &bound, per_pixel(extent))?;
+    rec.dispatch("half_join", &[], &bound, per_pixel(extent))?;
     Ok(Filtered { planes: signal, weights, residual_variance: None })
 }

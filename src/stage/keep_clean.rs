@@ -80,17 +80,17 @@ pub fn keep_clean(
     let definitions = [("VARIANCE", sample_variance.is_some().into()), ("ERROR", errors.is_some().into())];
     match errors {
         Some((errors, _)) => {
-            let kernel = rec.gpu().kernel::<KeepCleanError>("keep_clean", &definitions)?;
             rec.dispatch(
-                &kernel,
+                "keep_clean",
+                &definitions,
                 &KeepCleanError { params, signal, sample_variance, filtered, kept: &kept, errors },
                 per_pixel(extent),
             )?;
         }
         None => {
-            let kernel = rec.gpu().kernel::<KeepClean>("keep_clean", &definitions)?;
             rec.dispatch(
-                &kernel,
+                "keep_clean",
+                &definitions,
                 &KeepClean { params, signal, sample_variance, filtered, kept: &kept },
                 per_pixel(extent),
             )?;

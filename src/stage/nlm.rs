@@ -529,7 +529,6 @@ fn for_each_chunk_of(
                 ];
                 let planes = (offsets.x * offsets.y) as u32;
                 if with_distances {
-                    let kernel = rec.gpu().kernel::<NlmDistance>("nlm_distance", &definitions)?;
                     let Beside { signal: neighbours, variance_of_mean: neighbours_variance } = *neighbours;
                     let (guide, variance_of_mean) = (guide.signal, guide.variance_of_mean);
                     let bound = NlmDistance {
@@ -540,7 +539,12 @@ fn for_each_chunk_of(
                         neighbours_variance,
                         columns: &columns,
                     };
-                    rec.dispatch(&kernel, &bound, [cut.stride as u32, blocks(with_margin.rows), planes / offset_rows])?;
+                    rec.dispatch(
+                        "nlm_distance",
+                        &definitions,
+                        &bound,
+                        [cut.stride as u32, blocks(with_margin.rows), planes / offset_rows],
+                    )?;
                 }
                 if let Some(weight_columns) = &weight_columns {
                     let [symmetric, hard] = weighting.symmetric.definitions();
@@ -550,9 +554,13 @@ fn for_each_chunk_of(
                         symmetric,
                         hard,
                     ];
-                    let kernel = rec.gpu().kernel::<NlmWeight>("nlm_weight", &definitions)?;
                     let invocations = [(cut.stride as u32).div_ceil(schedule.pixels), blocks(rows), planes];
-                    rec.dispatch(&kernel, &NlmWeight { params, columns: &columns, weight_columns }, invocations)?;
+                    rec.dispatch(
+                        "nlm_weight",
+                        &definitions,
+                        &NlmWeight { params, columns: &columns, weight_columns },
+                        invocations,
+                    )?;
                 }
                 consume(
                     rec,
@@ -656,16 +664,13 @@ pub fn nlm_filter(
         let neighbours_variance = chunk.beside.map_or(variance_of_mean, |index| guide.beside[index].variance_of_mean);
         let payload = payload.planes;
         match &residual_variance {
-            None => {
-                let kernel = rec.gpu().kernel::<NlmFilter>("nlm_filter", &definitions)?;
-                rec.dispatch(
-                    &kernel,
-                    &NlmFilter { params, columns, payload, neighbours, filtered, weights },
-                    invocations,
-                )
-            }
+            None => rec.dispatch(
+                "nlm_filter",
+                &definitions,
+                &NlmFilter { params, columns, payload, neighbours, filtered, weights },
+                invocations,
+            ),
             Some(residual_variance) => {
-                let kernel = rec.gpu().kernel::<NlmFilterResidual>("nlm_filter", &definitions)?;
                 let bound = NlmFilterResidual {
                     params,
                     columns,
@@ -677,7 +682,7 @@ pub fn nlm_filter(
                     neighbours_variance,
                     residual_variance,
                 };
-                rec.dispatch(&kernel, &bound, invocations)
+                rec.dispatch("nlm_filter", &definitions, &bound, invocations)
             }
         }
     })?;

@@ -185,9 +185,9 @@ pub fn noise_feature(
     let params =
         NoiseFeatureParams { extent, radius: rule.feature_radius as i32, group: group as i32, single: single.into() };
     let definitions = [("VARIANCE", sample_variance.is_some().into()), ("PIXELS", Definition::Int(PIXELS as i32))];
-    let kernel = rec.gpu().kernel::<NoiseFeature>("noise_feature", &definitions)?;
     rec.dispatch(
-        &kernel,
+        "noise_feature",
+        &definitions,
         &NoiseFeature { params, signal, sample_variance, features: &features.buffer },
         per_run(extent, PIXELS),
     )
@@ -237,8 +237,12 @@ fn pool(
     let buffer = rec.take("pooled variance", plane_bytes(extent, if pools_features { 1 + groups } else { 1 }))?;
     let guess = &rec.take("first guess of the variance", plane_bytes(extent, 1))?;
 
-    let kernel = rec.gpu().kernel::<NoiseGuess>("noise_guess", &[("PIXELS", Definition::Int(PIXELS as i32))])?;
-    rec.dispatch(&kernel, &NoiseGuess { params, relative_spread, guess }, per_run(extent, PIXELS))?;
+    rec.dispatch(
+        "noise_guess",
+        &[("PIXELS", Definition::Int(PIXELS as i32))],
+        &NoiseGuess { params, relative_spread, guess },
+        per_run(extent, PIXELS),
+    )?;
     // The values of more groups would not stay in registers.
     let pixels = if groups <= 2 { PIXELS } else { 1 };
     let definitions = [
@@ -247,10 +251,10 @@ fn pool(
         ("PIXELS", Definition::Int(pixels as i32)),
         ("VARIANCE", sample_variance.is_some().into()),
     ];
-    let kernel = rec.gpu().kernel::<NoisePool>("noise_pool", &definitions)?;
     let features = features.map(|features| &features.buffer);
     rec.dispatch(
-        &kernel,
+        "noise_pool",
+        &definitions,
         &NoisePool { params, signal, guess, features, sample_variance, pooled_variance: &buffer },
         per_run(extent, pixels),
     )?;
@@ -264,9 +268,8 @@ const PIXELS: u32 = 4;
 /// w that brightness; the second holds in x the median brightness of the 3×3 pixels.
 fn noise_magnitude(rec: &mut Recorder, extent: IVec2, signal: &Buffer, rule: &NoiseRule) -> Result<Buffer> {
     let relative_spread = rec.take("relative half spread", plane_bytes(extent, 2))?;
-    let kernel = rec.gpu().kernel::<NoiseMagnitude>("noise_magnitude", &[])?;
     let bound = NoiseMagnitude { params: rule.params(extent, None), signal, relative_spread: &relative_spread };
-    rec.dispatch(&kernel, &bound, per_pixel(extent))?;
+    rec.dispatch("noise_magnitude", &[], &bound, per_pixel(extent))?;
     Ok(relative_spread)
 }
 
@@ -343,16 +346,15 @@ pub fn noise_of_image(
 
     let relative_spread = &noise_magnitude(rec, extent, signal, &rule.pool)?;
     let highpass = &rec.take("what pixels stand out by", bytes(2 + 2 * groups.len() as u32))?;
-    let kernel = rec.gpu().kernel::<NoiseHighpass>("noise_highpass", &regressors)?;
     let params = NoiseHighpassParams { extent, groups: IVec2::new(of_group(0), of_group(1)) };
     let buffer = features.filter(|_| !groups.is_empty()).map(|features| &features.buffer);
     rec.dispatch(
-        &kernel,
+        "noise_highpass",
+        &regressors,
         &NoiseHighpass { params, signal, relative_spread, features: buffer, highpass },
         per_pixel(extent),
     )?;
     let residual = &rec.take("colour and its residual", bytes(2))?;
-    let kernel = rec.gpu().kernel::<NoiseResidual>("noise_residual", &regressors)?;
     let ImageRule { fit_radius, ridge, fitted_share, largest, jump, jump_radius, hold_radius, pool } = *rule;
     let params = NoiseResidualParams {
         extent,
@@ -362,7 +364,12 @@ pub fn noise_of_image(
         largest,
         scale: RESIDUAL_SCALE,
     };
-    rec.dispatch(&kernel, &NoiseResidual { params, signal, highpass, residual, relative_spread }, per_pixel(extent))?;
+    rec.dispatch(
+        "noise_residual",
+        &regressors,
+        &NoiseResidual { params, signal, highpass, residual, relative_spread },
+        per_pixel(extent),
+    )?;
 
     let pooled_variance = &self::pool(rec, extent, residual, relative_spread, None, features, &pool)?.buffer;
     let relative_variance = &rec.take("relative variance", bytes(1))?;
@@ -374,15 +381,15 @@ pub fn noise_of_image(
         least_magnitude: pool.least_magnitude,
         radius: hold_radius as i32,
     };
-    let kernel = rec.gpu().kernel::<NoiseJump>("noise_jump", &[])?;
     rec.dispatch(
-        &kernel,
+        "noise_jump",
+        &[],
         &NoiseJump { params, relative_spread, pooled_variance, relative_variance },
         per_pixel(extent),
     )?;
-    let kernel = rec.gpu().kernel::<NoiseHold>("noise_hold", &[])?;
     rec.dispatch(
-        &kernel,
+        "noise_hold",
+        &[],
         &NoiseHold { params, relative_spread, relative_variance, variance: &variance },
         per_pixel(extent),
     )?;
@@ -395,11 +402,11 @@ pub fn noise_of_image(
 /// As [`Recorder::dispatch`].
 pub fn noise_unpack(rec: &mut Recorder, extent: IVec2, pooled: &Pooled, slot: Option<Slot>) -> Result<Buffer> {
     let variance = rec.take("pooled variance of one", plane_bytes(extent, 1))?;
-    let kernel = rec.gpu().kernel::<NoiseUnpack>("noise_unpack", &[])?;
     let (plane, single) = slot.map_or((0, false), |Slot { group, single }| (1 + group, single));
     let params = NoiseUnpackParams { extent, plane: plane as i32, single: single.into() };
     rec.dispatch(
-        &kernel,
+        "noise_unpack",
+        &[],
         &NoiseUnpack { params, pooled_variance: &pooled.buffer, variance: &variance },
         per_pixel(extent),
     )?;

@@ -48,9 +48,13 @@ impl GpuSamples {
 pub fn sample_attach(rec: &mut Recorder, extent: IVec2, signal: &Buffer, samples: &GpuSamples) -> Result<Buffer> {
     let with_samples = rec.take("signal with samples", plane_bytes(extent, 2))?;
     let (samples_per_pixel, samples) = samples.parts();
-    let kernel = rec.gpu().kernel::<SampleAttach>("sample_attach", &[("SAMPLES_VARY", samples.is_some().into())])?;
     let params = SampleAttachParams { extent, samples_per_pixel };
-    rec.dispatch(&kernel, &SampleAttach { params, signal, with_samples: &with_samples, samples }, per_pixel(extent))?;
+    rec.dispatch(
+        "sample_attach",
+        &[("SAMPLES_VARY", samples.is_some().into())],
+        &SampleAttach { params, signal, with_samples: &with_samples, samples },
+        per_pixel(extent),
+    )?;
     Ok(with_samples)
 }
 
@@ -73,10 +77,11 @@ pub fn sample_density(
     let density = rec.take("sample density", plane_bytes(extent, 1))?;
     let (samples_per_pixel, samples) = samples.parts();
     let params = SampleDensityParams { extent, samples_per_pixel, relative_floor: RELATIVE_FLOOR };
-    let kernel = rec.gpu().kernel::<SampleDensity>(
+    rec.dispatch(
         "sample_density",
         &[("SAMPLES_VARY", samples.is_some().into()), ("HALVES", errors.is_none().into())],
+        &SampleDensity { params, blended, errors, density: &density, samples },
+        per_pixel(extent),
     )?;
-    rec.dispatch(&kernel, &SampleDensity { params, blended, errors, density: &density, samples }, per_pixel(extent))?;
     Ok(density)
 }

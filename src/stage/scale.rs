@@ -74,7 +74,6 @@ pub fn scale_pixel(
         choice: rec.take("choice of scale", plane_bytes(extent, 1))?,
     };
     let (samples_per_pixel, samples) = samples.parts();
-    let kernel = rec.gpu().kernel::<ScalePixel>("scale_pixel", &[("SAMPLES_VARY", samples.is_some().into())])?;
     let bound = ScalePixel {
         params: ScalePixelParams { extent, samples_per_pixel },
         input: signal,
@@ -85,7 +84,7 @@ pub fn scale_pixel(
         selected: &selected.signal,
         choice: &selected.choice,
     };
-    rec.dispatch(&kernel, &bound, per_pixel(extent))?;
+    rec.dispatch("scale_pixel", &[("SAMPLES_VARY", samples.is_some().into())], &bound, per_pixel(extent))?;
     Ok((pixel, selected))
 }
 
@@ -120,8 +119,7 @@ pub fn scale_stop(rec: &mut Recorder, extent: IVec2, fine: &Scale, coarse: &Scal
         coarse_variance: &coarse.variance,
         stops: &stops,
     };
-    let kernel = rec.gpu().kernel::<ScaleStop>("scale_stop", &[])?;
-    rec.dispatch(&kernel, &bound, per_pixel(extent))?;
+    rec.dispatch("scale_stop", &[], &bound, per_pixel(extent))?;
     Ok(stops)
 }
 
@@ -152,8 +150,7 @@ pub fn scale_advance(
         selected: &selected.signal,
         choice: &selected.choice,
     };
-    let kernel = rec.gpu().kernel::<ScaleAdvance>("scale_advance", &[("COARSER_ONLY", coarser_only.into())])?;
-    rec.dispatch(&kernel, &bound, per_pixel(extent))
+    rec.dispatch("scale_advance", &[("COARSER_ONLY", coarser_only.into())], &bound, per_pixel(extent))
 }
 
 /// Returns the parts of the reduction of relative MSE by new samples (thesis 6.3). One plane, x: relative MSE, y:
@@ -164,8 +161,7 @@ pub fn scale_advance(
 pub fn scale_reduction(rec: &mut Recorder, extent: IVec2, selected: &Selected) -> Result<Buffer> {
     let reduction = rec.take("reduction of relative MSE", plane_bytes(extent, 1))?;
     let params = ScaleReductionParams { extent, relative_floor: RELATIVE_FLOOR };
-    let kernel = rec.gpu().kernel::<ScaleReduction>("scale_reduction", &[])?;
     let bound = ScaleReduction { params, selected: &selected.signal, choice: &selected.choice, reduction: &reduction };
-    rec.dispatch(&kernel, &bound, per_pixel(extent))?;
+    rec.dispatch("scale_reduction", &[], &bound, per_pixel(extent))?;
     Ok(reduction)
 }

@@ -55,10 +55,9 @@ bindings! {
 pub fn select_least(rec: &mut Recorder, extent: IVec2, errors: &Buffer, candidates: &Candidates) -> Result<Buffer> {
     let selected = rec.take("binary selection maps", plane_bytes(extent, 1))?;
     let takes_part = candidates.set();
-    let kernel = rec.gpu().kernel::<SelectLeast>("select_least", &takes_part.definitions())?;
     let derivatives = candidates.derivatives.as_deref().filter(|_| takes_part.first && takes_part.second);
     let bound = SelectLeast { params: SelectLeastParams { extent }, errors, derivatives, selected: &selected };
-    rec.dispatch(&kernel, &bound, per_pixel(extent))?;
+    rec.dispatch("select_least", &takes_part.definitions(), &bound, per_pixel(extent))?;
     Ok(selected)
 }
 
@@ -192,9 +191,8 @@ fn select_frames_of_one(
         own_noise: harm.noise,
     };
     let Noisy { signal, variance_of_mean } = noisy;
-    let kernel = rec.gpu().kernel::<SelectFrames>("select_frames", &[("WEIGHT_SUMS", candidate.is_none().into())])?;
     let bound = SelectFrames { params, signal, variance_of_mean, alone, alone_derivatives, together, derivatives };
-    rec.dispatch(&kernel, &bound, per_pixel(extent))
+    rec.dispatch("select_frames", &[("WEIGHT_SUMS", candidate.is_none().into())], &bound, per_pixel(extent))
 }
 
 /// Images that decide about the shares of the candidates.
@@ -232,13 +230,14 @@ pub fn select_share(
     let [smoothed_error, smoothed_noise, own_sigmas, own_noise] = rule.unwrap_or_default();
     let params = SelectShareParams { extent, smoothed_error, smoothed_noise, own_sigmas, own_noise };
     let [with_first, with_second, with_third] = candidates.set().definitions();
-    let kernel = rec.gpu().kernel::<SelectShare>(
-        "select_share",
-        &[("GUARDED", guard.is_some().into()), with_first, with_second, with_third],
-    )?;
     let bound =
         SelectShare { params, selected, errors, sure, variance_of_mean, first, second, third, selection: &smoothed };
-    rec.dispatch(&kernel, &bound, per_pixel(extent))?;
+    rec.dispatch(
+        "select_share",
+        &[("GUARDED", guard.is_some().into()), with_first, with_second, with_third],
+        &bound,
+        per_pixel(extent),
+    )?;
     Ok(smoothed)
 }
 
@@ -249,9 +248,8 @@ pub fn select_share(
 pub fn select_blend(rec: &mut Recorder, extent: IVec2, shares: &Buffer, candidates: &Candidates) -> Result<Buffer> {
     let blended = rec.take("blend", plane_bytes(extent, 2))?;
     let [first, second, third] = candidates.buffers();
-    let kernel = rec.gpu().kernel::<SelectBlend>("select_blend", &candidates.set().definitions())?;
     let bound = SelectBlend { params: SelectBlendParams { extent }, shares, first, second, third, blended: &blended };
-    rec.dispatch(&kernel, &bound, per_pixel(extent))?;
+    rec.dispatch("select_blend", &candidates.set().definitions(), &bound, per_pixel(extent))?;
     Ok(blended)
 }
 
@@ -272,8 +270,12 @@ pub fn select_pass(
 ) -> Result<Buffer> {
     let result = rec.take("selected pass", plane_bytes(extent, 2))?;
     let params = SelectPassParams { extent, squared_sigmas: sigmas * sigmas };
-    let kernel = rec.gpu().kernel::<SelectPass>("select_pass", &[])?;
-    rec.dispatch(&kernel, &SelectPass { params, pass1, pass2, variance_of_mean, result: &result }, per_pixel(extent))?;
+    rec.dispatch(
+        "select_pass",
+        &[],
+        &SelectPass { params, pass1, pass2, variance_of_mean, result: &result },
+        per_pixel(extent),
+    )?;
     Ok(result)
 }
 
@@ -323,7 +325,6 @@ pub fn select_color_only(
     let differences = &gaussian(rec, extent, differences, 1, smoothing, Averaging::Mean)?;
     let blended = rec.take("blend with the colour only", plane_bytes(extent, 2))?;
     let color_only_shares = rec.take("shares of the colour only", plane_bytes(extent, 1))?;
-    let kernel = rec.gpu().kernel::<SelectColorOnly>("select_color_only", &[])?;
     // Σ w² of the Gaussian is 1/(4πσ²).
     let pixels = 4.0 * std::f32::consts::PI * smoothing.sigma * smoothing.sigma;
     let params = SelectColorOnlyParams { extent, pixels, least, most };
@@ -336,6 +337,6 @@ pub fn select_color_only(
         shares,
         color_only_shares: &color_only_shares,
     };
-    rec.dispatch(&kernel, &bound, per_pixel(extent))?;
+    rec.dispatch("select_color_only", &[], &bound, per_pixel(extent))?;
     Ok(WithColorOnly { blended, shares: color_only_shares })
 }

@@ -150,7 +150,6 @@ pub fn spike_find(
     let features = features.map(|features| &features.buffer);
     match (sample_variance, &repaired_variance) {
         (Some(sample_variance), Some(repaired_variance)) => {
-            let kernel = rec.gpu().kernel::<SpikeFindVariance>("spike_find", &definitions)?;
             let bound = SpikeFindVariance {
                 params,
                 signal,
@@ -161,12 +160,12 @@ pub fn spike_find(
                 spikes: &spikes,
                 lights: &lights,
             };
-            rec.dispatch(&kernel, &bound, per_pixel(extent))?;
+            rec.dispatch("spike_find", &definitions, &bound, per_pixel(extent))?;
         }
         _ => {
-            let kernel = rec.gpu().kernel::<SpikeFind>("spike_find", &definitions)?;
             rec.dispatch(
-                &kernel,
+                "spike_find",
+                &definitions,
                 &SpikeFind { params, signal, features, repaired: &repaired, spikes: &spikes, lights: &lights },
                 per_pixel(extent),
             )?;
@@ -193,14 +192,15 @@ pub fn spike_spread(
     let features = features.map(|features| &features.buffer);
     let levels = &rec.take("brightness around each pixel", plane_bytes(extent, 1))?;
 
-    let kernel = rec.gpu().kernel::<SpikeLevel>("spike_level", &[])?;
-    rec.dispatch(&kernel, &SpikeLevel { params, repaired, spikes, levels }, per_pixel(extent))?;
-    let kernel = rec.gpu().kernel::<SpikeShare>("spike_share", &groups)?;
-    rec.dispatch(&kernel, &SpikeShare { params, spikes, features, levels }, per_pixel(extent))?;
-    let kernel = rec.gpu().kernel::<SpikeRows>("spike_rows", &[])?;
-    rec.dispatch(&kernel, &SpikeRows { params, spikes }, per_pixel(extent))?;
-    let kernel = rec.gpu().kernel::<SpikeSpread>("spike_spread", &groups)?;
-    rec.dispatch(&kernel, &SpikeSpread { params, spikes, features, levels, repaired }, per_pixel(extent))
+    rec.dispatch("spike_level", &[], &SpikeLevel { params, repaired, spikes, levels }, per_pixel(extent))?;
+    rec.dispatch("spike_share", &groups, &SpikeShare { params, spikes, features, levels }, per_pixel(extent))?;
+    rec.dispatch("spike_rows", &[], &SpikeRows { params, spikes }, per_pixel(extent))?;
+    rec.dispatch(
+        "spike_spread",
+        &groups,
+        &SpikeSpread { params, spikes, features, levels, repaired },
+        per_pixel(extent),
+    )
 }
 
 /// Returns a filtered signal with the `lights` that [`spike_find`] set aside.
@@ -221,16 +221,15 @@ pub fn light_return(
     let params = LightReturnParams { extent, error_component: errors.map_or(0, |(_, component)| component as i32) };
     match errors {
         Some((errors, _)) => {
-            let kernel = rec.gpu().kernel::<LightReturnError>("light_return", &[("ERROR", true.into())])?;
             rec.dispatch(
-                &kernel,
+                "light_return",
+                &[("ERROR", true.into())],
                 &LightReturnError { params, lights, filtered, lit: &lit, errors },
                 per_pixel(extent),
             )?;
         }
         None => {
-            let kernel = rec.gpu().kernel::<LightReturn>("light_return", &[])?;
-            rec.dispatch(&kernel, &LightReturn { params, lights, filtered, lit: &lit }, per_pixel(extent))?;
+            rec.dispatch("light_return", &[], &LightReturn { params, lights, filtered, lit: &lit }, per_pixel(extent))?;
         }
     }
     Ok(lit)

@@ -79,18 +79,14 @@ pub fn variance_scale(
     let sample_rows = &rec.take("box sums of sample variance", bytes)?;
     let [width, height, _] = per_pixel(extent);
     let pixels = ("PIXELS", Definition::Int(BOX_PIXELS as i32));
-    let rows = rec.gpu().kernel::<VarianceRows>(
+    rec.dispatch(
         "variance_rows",
         &[pixels, ("BY_DEVIATION", (weight == BoxWeight::Deviation).into())],
-    )?;
-    rec.dispatch(
-        &rows,
         &VarianceRows { params, signal, sample_variance, spread_rows, sample_rows },
         per_run(extent, BOX_PIXELS),
     )?;
-    let scale = rec.gpu().kernel::<VarianceScale>("variance_scale", &[pixels])?;
     let bound = VarianceScale { params, spread_rows, sample_rows, sample_variance, scaled_variance: &scaled_variance };
-    rec.dispatch(&scale, &bound, [width, height.div_ceil(BOX_PIXELS), 1])?;
+    rec.dispatch("variance_scale", &[pixels], &bound, [width, height.div_ceil(BOX_PIXELS), 1])?;
     Ok(scaled_variance)
 }
 
@@ -115,9 +111,8 @@ pub fn variance_smooth(
 ) -> Result<Buffer> {
     let params = VarianceSmoothParams { extent, radius: gaussian.radius as i32, exponent: gaussian.exponent() };
     let smoothed_variance = rec.take("two-buffer variance", plane_bytes(extent, 1))?;
-    let kernel = rec.gpu().kernel::<VarianceSmooth>("variance_smooth", &[("CLAMPED", upper_bound.is_some().into())])?;
     let bound = VarianceSmooth { params, signal, smoothed_variance: &smoothed_variance, upper_bound };
-    rec.dispatch(&kernel, &bound, per_pixel(extent))?;
+    rec.dispatch("variance_smooth", &[("CLAMPED", upper_bound.is_some().into())], &bound, per_pixel(extent))?;
     Ok(smoothed_variance)
 }
 
@@ -146,7 +141,6 @@ pub fn variance_pair(
 ) -> Result<VariancePair> {
     let two_buffer_variance = rec.take("two-buffer variance", plane_bytes(extent, 1))?;
     let uncertainty = rec.take("variance of the sample variance", plane_bytes(extent, 1))?;
-    let kernel = rec.gpu().kernel::<VariancePairStage>("variance_pair", &[])?;
     let params = VariancePairParams { extent };
     let bound = VariancePairStage {
         params,
@@ -155,7 +149,7 @@ pub fn variance_pair(
         two_buffer_variance: &two_buffer_variance,
         uncertainty: &uncertainty,
     };
-    rec.dispatch(&kernel, &bound, per_pixel(extent))?;
+    rec.dispatch("variance_pair", &[], &bound, per_pixel(extent))?;
     Ok(VariancePair { two_buffer_variance, uncertainty })
 }
 
@@ -165,14 +159,13 @@ pub fn variance_pair(
 /// As [`Recorder::take`] and [`Recorder::dispatch`].
 pub fn variance_clamp(rec: &mut Recorder, extent: IVec2, variance: &Buffer, upper_bound: &Buffer) -> Result<Buffer> {
     let clamped_variance = rec.take("clamped variance", plane_bytes(extent, 1))?;
-    let kernel = rec.gpu().kernel::<VarianceClamp>("variance_clamp", &[])?;
     let bound = VarianceClamp {
         params: VarianceClampParams { extent },
         variance,
         upper_bound,
         clamped_variance: &clamped_variance,
     };
-    rec.dispatch(&kernel, &bound, per_pixel(extent))?;
+    rec.dispatch("variance_clamp", &[], &bound, per_pixel(extent))?;
     Ok(clamped_variance)
 }
 
@@ -221,10 +214,10 @@ pub fn variance_floor(
         Floor::Absolute => (0.0, 0.0, 1e-5),
     };
     let floored_variance = rec.take("floored variance", plane_bytes(extent, 1))?;
-    let kernel = rec.gpu().kernel::<VarianceFloor>("variance_floor", &[])?;
     let params = VarianceFloorParams { extent, own, around, absolute };
     rec.dispatch(
-        &kernel,
+        "variance_floor",
+        &[],
         &VarianceFloor { params, signal, variance, floored_variance: &floored_variance },
         per_pixel(extent),
     )?;

@@ -81,10 +81,14 @@ pub fn nlm_window(
         hard,
     ];
     for_each_chunk_around(rec, extent, pixel, guide, true, window_radius, weighting, schedule, |rec, chunk| {
-        let kernel = rec.gpu().kernel::<NlmWindow>("nlm_window", &definitions)?;
         let weight_columns = guide.patchwise.then_some(chunk.columns);
         let bound = NlmWindow { params: chunk.params, window, columns: chunk.distances, weight_columns, cells: &cells };
-        rec.dispatch(&kernel, &bound, [chunk.params.offsets.x as u32, chunk.params.offsets.y as u32, 1])
+        rec.dispatch(
+            "nlm_window",
+            &definitions,
+            &bound,
+            [chunk.params.offsets.x as u32, chunk.params.offsets.y as u32, 1],
+        )
     })?;
     Ok(cells)
 }
@@ -169,10 +173,14 @@ pub fn candidate_window(
         filter.weighting,
         schedule,
         |rec, chunk| {
-            let kernel = rec.gpu().kernel::<CandidateWindow>("candidate_window", &definitions)?;
             let (columns, features) = (by_color.then_some(chunk.columns), features.map(|features| &features.buffer));
             let bound = CandidateWindow { params: chunk.params, candidate, window, columns, features, cells: &cells };
-            rec.dispatch(&kernel, &bound, [chunk.params.offsets.x as u32, chunk.params.offsets.y as u32, 1])
+            rec.dispatch(
+                "candidate_window",
+                &definitions,
+                &bound,
+                [chunk.params.offsets.x as u32, chunk.params.offsets.y as u32, 1],
+            )
         },
     )?;
     Ok(WindowOfCandidates { cells })
