@@ -1,39 +1,36 @@
-// The three candidate filters of DFC in one pass over the window (thesis 8.2–8.4, Algorithm 1 lines 11–17): mean and
-// half spread filtered by min(colour weight, feature weight), and the same sums with each channel of the centre pixel
+// Up to three candidate filters in one pass over the window (thesis 8.2–8.4, Algorithm 1 lines 11–17): mean and half
+// spread filtered by min(colour weight, feature weight), and the same sums with each channel of the centre pixel
 // perturbed, for the finite differences of SURE.
 //
-// FIRST and SECOND share the pixel distance and the features and differ in the box; THIRD shares the features'
-// numerators. The perturbed weights need no second pass: a step δ in channel i of p changes the pixel distances that p
-// takes part in, and those alone, so the patch sums change by a few closed terms.
+// The first two filters compare patches of the colour, small and large ones. They share the pixel distance and the
+// features and differ in the box. The third filter compares the features alone and shares their numerators. FIRST,
+// SECOND and THIRD of Algorithm 1 are such a pass. The perturbed weights need no second pass: a step δ in channel i of p
+// changes the pixel distances that p takes part in, and those alone, so the patch sums change by a few closed terms.
 //
-// FIRST, SECOND and THIRD say which of them take part; DERIVATIVES, that the perturbed sums are computed; HALVES, that
-// the half spread is filtered; GREY, that all channels of the colour are equal.
+// LARGE, SMALL and FEATURES_ALONE say which filters take part, SMALL only beside LARGE; DERIVATIVES, that the perturbed
+// sums are computed: the payload's mean is then the guide that nlm_distance compared; HALVES, that the half spread is
+// filtered; GREY, that all channels of the colour are equal.
 //
 // An invocation filters PIXELS pixels in a row and goes through the offsets row by row: each offset has the same
 // neighbours as the offset before, except for one. Neighbours and running sums stay in registers.
 #import stein::nlm::{NlmParams, PairWeights, EPSILON, DISTANCE_LIMIT, has_opposite, patch_members, pair_weights}
 #import stein::candidates::{CandidateParams, FeatureGroup, feature_group, feature_distances, WEIGHT_LANES,
-    LARGEST_LANES, MEAN_SUM, PERTURBED_SUM, SPREAD_SUM, PLANES_WITH_COLOR, THIRD_MEAN_SUM, THIRD_SPREAD_SUM,
+    LARGEST_LANES, MEAN_SUM, PERTURBED_SUM, SPREAD_SUM, PLANES_WITH_COLOR, ALONE_MEAN_SUM, ALONE_SPREAD_SUM,
     difference_step}
 
-#ifdef SECOND
-const SECOND_RADIUS: i32 = #{PATCH_RADIUS};
-const FIRST_RADIUS: i32 = #{SMALL_PATCH_RADIUS};
-#else
-const SECOND_RADIUS: i32 = 0;
-const FIRST_RADIUS: i32 = #{PATCH_RADIUS};
-#endif
+const LARGE_RADIUS: i32 = #{PATCH_RADIUS};
+const SMALL_RADIUS: i32 = #{SMALL_PATCH_RADIUS};
 const PIXELS: i32 = #{PIXELS};
 const FEATURE_GROUPS: i32 = #{FEATURE_GROUPS};
 
 @group(0) @binding(0) var<uniform> params: NlmParams;
 @group(0) @binding(1) var<uniform> candidate: CandidateParams;
 #ifdef COLOR
-// Column sums of SECOND's patch, and behind them of FIRST's patch; if only one of the two takes part, of its patch.
+// Column sums of the large patch, and behind them of the small patch, if there is one.
 @group(0) @binding(2) var<storage, read> columns: array<vec3<f32>>;
 #endif
-// Two planes: the mean, then the half spread.
-@group(0) @binding(3) var<storage, read> signal: array<vec4<f32>>;
+// Image to average. Two planes: the mean, then the half spread.
+@group(0) @binding(3) var<storage, read> payload: array<vec4<f32>>;
 @group(0) @binding(4) var<storage, read> variance_of_mean: array<vec4<f32>>;
 @group(0) @binding(5) var<storage, read_write> state: array<vec4<f32>>;
 #if FEATURE_GROUPS != 0
@@ -41,7 +38,7 @@ const FEATURE_GROUPS: i32 = #{FEATURE_GROUPS};
 #endif
 #ifdef OTHER_FRAME
 // Frame beside that q is taken from. Only this case has these bindings: a single image needs none of them.
-@group(0) @binding(7) var<storage, read> neighbours_signal: array<vec4<f32>>;
+@group(0) @binding(7) var<storage, read> neighbours_payload: array<vec4<f32>>;
 @group(0) @binding(8) var<storage, read> neighbours_variance: array<vec4<f32>>;
 #if FEATURE_GROUPS != 0
 @group(0) @binding(9) var<storage, read> neighbours_features: array<vec4<f32>>;
@@ -90,9 +87,9 @@ fn centre_at(x: i32, row: i32) -> Pixel {
     let pixels = nlm.extent.x * nlm.extent.y;
     let at = row * nlm.extent.x + clamp(x, 0, nlm.extent.x - 1);
     var pixel: Pixel;
-    pixel.mean = signal[at].xyz;
+    pixel.mean = payload[at].xyz;
 #ifdef HALVES
-    pixel.spread = signal[pixels + at].xyz;
+    pixel.spread = payload[pixels + at].xyz;
 #endif
     pixel.variance = variance_of_mean[at].xyz;
 #if FEATURE_GROUPS != 0
@@ -100,7 +97,7 @@ fn centre_at(x: i32, row: i32) -> Pixel {
         let first = 3 * group * pixels + at;
         let scale = features[first + 2 * pixels];
         pixel.features[group] = feature_group(features[first], features[first + pixels], scale,
-            filter_params.feature_tau, filter_params.feature_tau_third);
+            filter_params.feature_tau, filter_params.feature_tau_alone);
     }
 #endif
     return pixel;
@@ -111,9 +108,9 @@ fn neighbour_at(x: i32, row: i32) -> Pixel {
     let pixels = nlm.extent.x * nlm.extent.y;
     let at = row * nlm.extent.x + clamp(x, 0, nlm.extent.x - 1);
     var pixel: Pixel;
-    pixel.mean = neighbours_signal[at].xyz;
+    pixel.mean = neighbours_payload[at].xyz;
 #ifdef HALVES
-    pixel.spread = neighbours_signal[pixels + at].xyz;
+    pixel.spread = neighbours_payload[pixels + at].xyz;
 #endif
     pixel.variance = neighbours_variance[at].xyz;
 #if FEATURE_GROUPS != 0
@@ -122,7 +119,7 @@ fn neighbour_at(x: i32, row: i32) -> Pixel {
         let value = neighbours_features[first];
         let scale = neighbours_features[first + 2 * pixels];
         pixel.features[group] = feature_group(value, neighbours_features[first + pixels], scale,
-            filter_params.feature_tau, filter_params.feature_tau_third);
+            filter_params.feature_tau, filter_params.feature_tau_alone);
     }
 #endif
     return pixel;
@@ -188,42 +185,38 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     let strip_pixels = nlm.rows * nlm.width;
     var centres: array<Pixel, PIXELS>;
     var steps: array<vec3<f32>, PIXELS>;
-    var firsts: array<Sums, PIXELS>;
-    var seconds: array<Sums, PIXELS>;
-    // Of THIRD. Means: xyz: Σ w·(u_q − u_p), w: Σ w. Spreads: xyz: the sum for the spread, w: the largest weight.
-    var third_means: array<vec4<f32>, PIXELS>;
-    var third_spreads: array<vec4<f32>, PIXELS>;
+    var smalls: array<Sums, PIXELS>;
+    var larges: array<Sums, PIXELS>;
+    // Of the features alone. Means: xyz: Σ w·(u_q − u_p), w: Σ w. Spreads: xyz: the sum for the spread, w: the largest weight.
+    var alone_means: array<vec4<f32>, PIXELS>;
+    var alone_spreads: array<vec4<f32>, PIXELS>;
     for (var i = 0; i < PIXELS; i++) {
         centres[i] = centre_at(first_x + i, y);
         steps[i] = difference_step(centres[i].mean, variance_of_mean[y * extent.x + min(first_x + i, extent.x - 1)]);
         if nlm.starts == 0 {
             let at_state = row * nlm.width + min(first_column + i, nlm.width - 1);
-#ifdef FIRST
-            firsts[i] = load_sums(0, strip_pixels, at_state);
+#ifdef SMALL
+            smalls[i] = load_sums(0, strip_pixels, at_state);
 #endif
-#ifdef SECOND
-            seconds[i] = load_sums(PLANES_WITH_COLOR, strip_pixels, at_state);
+#ifdef LARGE
+            larges[i] = load_sums(PLANES_WITH_COLOR, strip_pixels, at_state);
 #endif
-#ifdef THIRD
-            third_means[i] = state[THIRD_MEAN_SUM * strip_pixels + at_state];
-            third_spreads[i] = state[THIRD_SPREAD_SUM * strip_pixels + at_state];
+#ifdef FEATURES_ALONE
+            alone_means[i] = state[ALONE_MEAN_SUM * strip_pixels + at_state];
+            alone_spreads[i] = state[ALONE_SPREAD_SUM * strip_pixels + at_state];
 #endif
         }
     }
 
-#ifdef SECOND
-    let first_columns_at = nlm.offsets.x * nlm.offsets.y * nlm.rows * nlm.stride + SECOND_RADIUS - FIRST_RADIUS;
-#else
-    let first_columns_at = 0;
-#endif
+    let small_columns_at = nlm.offsets.x * nlm.offsets.y * nlm.rows * nlm.stride + LARGE_RADIUS - SMALL_RADIUS;
     for (var j = 0; j < nlm.offsets.y; j++) {
         let dy = nlm.first_offset.y + j;
         let ahead_row_inside = y + dy < extent.y;
         let behind_row_inside = y - dy >= 0;
         let ahead_row = min(y + dy, extent.y - 1);
         let behind_row = max(y - dy, 0);
-        let first_members_y = patch_members(y, dy, extent.y, FIRST_RADIUS);
-        let second_members_y = patch_members(y, dy, extent.y, SECOND_RADIUS);
+        let small_members_y = patch_members(y, dy, extent.y, SMALL_RADIUS);
+        let large_members_y = patch_members(y, dy, extent.y, LARGE_RADIUS);
 
         // The neighbours that the first offset shares with the offset before it.
         var aheads: array<Pixel, PIXELS>;
@@ -244,16 +237,16 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
 
             // Colour distances: the column sums that the patches of these pixels add up horizontally.
             let column = ((j * nlm.offsets.x + o) * nlm.rows + row) * nlm.stride + first_column;
-#ifdef SECOND
-            var second_columns: array<vec3<f32>, PIXELS + 2 * SECOND_RADIUS>;
-            for (var n = 0; n < PIXELS + 2 * SECOND_RADIUS; n++) {
-                second_columns[n] = columns[column + n];
+#ifdef LARGE
+            var large_columns: array<vec3<f32>, PIXELS + 2 * LARGE_RADIUS>;
+            for (var n = 0; n < PIXELS + 2 * LARGE_RADIUS; n++) {
+                large_columns[n] = columns[column + n];
             }
 #endif
-#ifdef FIRST
-            var first_columns: array<vec3<f32>, PIXELS + 2 * FIRST_RADIUS>;
-            for (var n = 0; n < PIXELS + 2 * FIRST_RADIUS; n++) {
-                first_columns[n] = columns[first_columns_at + column + n];
+#ifdef SMALL
+            var small_columns: array<vec3<f32>, PIXELS + 2 * SMALL_RADIUS>;
+            for (var n = 0; n < PIXELS + 2 * SMALL_RADIUS; n++) {
+                small_columns[n] = columns[small_columns_at + column + n];
             }
 #endif
 
@@ -269,8 +262,8 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
                 // Feature weights (eq. 8.3).
                 var feature_q1 = 1.0;
                 var feature_q2 = 1.0;
-                var third_distance_q1 = 0.0;
-                var third_distance_q2 = 0.0;
+                var alone_distance_q1 = 0.0;
+                var alone_distance_q2 = 0.0;
 #if FEATURE_GROUPS != 0
                 for (var group = 0; group < FEATURE_GROUPS; group++) {
                     let triple = filter_params.triple_weights[group].xyz;
@@ -285,34 +278,34 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
                     );
                     feature_q1 = min(feature_q1, min(w.ahead.x, w.ahead.y));
                     feature_q2 = min(feature_q2, min(w.behind.x, w.behind.y));
-                    third_distance_q1 = max(third_distance_q1, max(d.third_ahead.x, d.third_ahead.y));
-                    third_distance_q2 = max(third_distance_q2, max(d.third_behind.x, d.third_behind.y));
+                    alone_distance_q1 = max(alone_distance_q1, max(d.alone_ahead.x, d.alone_ahead.y));
+                    alone_distance_q2 = max(alone_distance_q2, max(d.alone_behind.x, d.alone_behind.y));
                 }
 #endif
 
                 // Changes of the patch sums by a step in each channel of p: of the pair (p, q) itself and, if p lies in
                 // its neighbour's patch, of the pair that ends in p. Patches of another frame do not contain p.
                 let zero = vec3<f32>(0.0);
-                var first_changes = PatchChanges(zero, zero, zero);
-                var second_changes = first_changes;
+                var small_changes = PatchChanges(zero, zero, zero);
+                var large_changes = small_changes;
 #ifdef DERIVATIVES
                 let step = steps[i];
                 let change_q1 = select(zero, step_change(step, p.mean - q1.mean,
                     EPSILON + nlm.k_squared * (p.variance + q1.variance)), q1_inside);
                 let change_q2 = select(zero, step_change(step, p.mean - q2.mean,
                     EPSILON + nlm.k_squared * (p.variance + q2.variance)), q2_inside);
-                first_changes = PatchChanges(change_q1, change_q2, zero);
-                second_changes = first_changes;
+                small_changes = PatchChanges(change_q1, change_q2, zero);
+                large_changes = small_changes;
 #ifdef SYMMETRIC
                 let to_mean = p.mean - 0.5 * (q1.mean + q2.mean);
                 let denominator = EPSILON + nlm.k_squared * (p.variance + 0.25 * (q1.variance + q2.variance));
                 let change_both = select(zero, step_change(step, to_mean, denominator), both_inside);
-                first_changes.both = change_both;
-                second_changes.both = change_both;
+                small_changes.both = change_both;
+                large_changes.both = change_both;
 #endif
 #ifdef NEAR
                 let reach = max(abs(dx), dy);
-                if reach <= max(FIRST_RADIUS, SECOND_RADIUS) {
+                if reach <= max(SMALL_RADIUS, LARGE_RADIUS) {
                     var near = PatchChanges(change_q2, change_q1, zero);
 #ifdef SYMMETRIC
                     let beyond_q1_inside = q1_inside && x + 2 * dx >= 0 && x + 2 * dx < extent.x && y + 2
@@ -322,13 +315,13 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
                         beyond_q1_inside, p, step)
                         + symmetric_change_at(q2, centre_at(x - 2 * dx, max(y - 2 * dy, 0)), beyond_q2_inside, p, step);
 #endif
-                    if reach <= FIRST_RADIUS {
-                        first_changes = PatchChanges(change_q1 + near.q1, change_q2 + near.q2,
-                            first_changes.both + near.both);
+                    if reach <= SMALL_RADIUS {
+                        small_changes = PatchChanges(change_q1 + near.q1, change_q2 + near.q2,
+                            small_changes.both + near.both);
                     }
-                    if reach <= SECOND_RADIUS {
-                        second_changes = PatchChanges(change_q1 + near.q1, change_q2 + near.q2,
-                            second_changes.both + near.both);
+                    if reach <= LARGE_RADIUS {
+                        large_changes = PatchChanges(change_q1 + near.q1, change_q2 + near.q2,
+                            large_changes.both + near.both);
                     }
                 }
 #endif
@@ -340,41 +333,41 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
                 let mean_q2 = q2.mean - p.mean;
                 let spread_q1 = q1.spread - p.spread;
                 let spread_q2 = q2.spread - p.spread;
-#ifdef FIRST
-                var first_patch = zero;
-                for (var n = 0; n <= 2 * FIRST_RADIUS; n++) {
-                    first_patch += first_columns[i + n];
+#ifdef SMALL
+                var small_patch = zero;
+                for (var n = 0; n <= 2 * SMALL_RADIUS; n++) {
+                    small_patch += small_columns[i + n];
                 }
-                let first_members = first_members_y * patch_members(x, dx, extent.x, FIRST_RADIUS);
-                let first_weights = color_weights(first_patch, first_changes, first_members, both_inside);
-                firsts[i] = added(firsts[i], select(none, min(first_weights.ahead, vec4<f32>(feature_q1)), q1_inside),
+                let small_members = small_members_y * patch_members(x, dx, extent.x, SMALL_RADIUS);
+                let small_weights = color_weights(small_patch, small_changes, small_members, both_inside);
+                smalls[i] = added(smalls[i], select(none, min(small_weights.ahead, vec4<f32>(feature_q1)), q1_inside),
                     mean_q1, spread_q1);
-                firsts[i] = added(firsts[i], select(none, min(first_weights.behind, vec4<f32>(feature_q2)), q2_inside),
+                smalls[i] = added(smalls[i], select(none, min(small_weights.behind, vec4<f32>(feature_q2)), q2_inside),
                     mean_q2, spread_q2);
 #endif
-#ifdef SECOND
-                var second_patch = zero;
-                for (var n = 0; n <= 2 * SECOND_RADIUS; n++) {
-                    second_patch += second_columns[i + n];
+#ifdef LARGE
+                var large_patch = zero;
+                for (var n = 0; n <= 2 * LARGE_RADIUS; n++) {
+                    large_patch += large_columns[i + n];
                 }
-                let second_members = second_members_y * patch_members(x, dx, extent.x, SECOND_RADIUS);
-                let second_weights = color_weights(second_patch, second_changes, second_members, both_inside);
-                seconds[i] = added(seconds[i], select(none, min(second_weights.ahead, vec4<f32>(feature_q1)),
+                let large_members = large_members_y * patch_members(x, dx, extent.x, LARGE_RADIUS);
+                let large_weights = color_weights(large_patch, large_changes, large_members, both_inside);
+                larges[i] = added(larges[i], select(none, min(large_weights.ahead, vec4<f32>(feature_q1)),
                     q1_inside), mean_q1, spread_q1);
-                seconds[i] = added(seconds[i], select(none, min(second_weights.behind, vec4<f32>(feature_q2)),
+                larges[i] = added(larges[i], select(none, min(large_weights.behind, vec4<f32>(feature_q2)),
                     q2_inside), mean_q2, spread_q2);
 #endif
-#ifdef THIRD
-                let third_q1 = select(0.0, exp(-third_distance_q1), q1_inside);
-                let third_q2 = select(0.0, exp(-third_distance_q2), q2_inside);
-                third_means[i] += vec4<f32>(third_q1 * mean_q1 + third_q2 * mean_q2, third_q1 + third_q2);
-                let before = third_spreads[i];
+#ifdef FEATURES_ALONE
+                let alone_q1 = select(0.0, exp(-alone_distance_q1), q1_inside);
+                let alone_q2 = select(0.0, exp(-alone_distance_q2), q2_inside);
+                alone_means[i] += vec4<f32>(alone_q1 * mean_q1 + alone_q2 * mean_q2, alone_q1 + alone_q2);
+                let before = alone_spreads[i];
 #ifdef HALVES
-                let spread_sum = before.xyz + third_q1 * spread_q1 + third_q2 * spread_q2;
+                let spread_sum = before.xyz + alone_q1 * spread_q1 + alone_q2 * spread_q2;
 #else
                 let spread_sum = before.xyz;
 #endif
-                third_spreads[i] = vec4<f32>(spread_sum, max(before.w, max(third_q1, third_q2)));
+                alone_spreads[i] = vec4<f32>(spread_sum, max(before.w, max(alone_q1, alone_q2)));
 #endif
             }
         }
@@ -383,16 +376,16 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     for (var i = 0; i < PIXELS; i++) {
         let at_state = row * nlm.width + first_column + i;
         if first_column + i < nlm.width {
-#ifdef FIRST
-            store_sums(firsts[i], 0, strip_pixels, at_state);
+#ifdef SMALL
+            store_sums(smalls[i], 0, strip_pixels, at_state);
 #endif
-#ifdef SECOND
-            store_sums(seconds[i], PLANES_WITH_COLOR, strip_pixels, at_state);
+#ifdef LARGE
+            store_sums(larges[i], PLANES_WITH_COLOR, strip_pixels, at_state);
 #endif
-#ifdef THIRD
-            state[THIRD_MEAN_SUM * strip_pixels + at_state] = vec4<f32>(channels(third_means[i].xyz), third_means[i].w);
-            state[THIRD_SPREAD_SUM * strip_pixels + at_state] = vec4<f32>(channels(third_spreads[i].xyz),
-                third_spreads[i].w);
+#ifdef FEATURES_ALONE
+            state[ALONE_MEAN_SUM * strip_pixels + at_state] = vec4<f32>(channels(alone_means[i].xyz), alone_means[i].w);
+            state[ALONE_SPREAD_SUM * strip_pixels + at_state] = vec4<f32>(channels(alone_spreads[i].xyz),
+                alone_spreads[i].w);
 #endif
         }
     }

@@ -1,7 +1,7 @@
 // The weights of one pixel's neighbours as candidate_accumulate uses them, each with the distances that it comes from
 // (thesis 8.2 and 8.3).
 //
-// FIRST, SECOND and THIRD say which candidates take part. Works on the chunk of offsets whose column sums nlm_distance
+// LARGE, SMALL and FEATURES_ALONE say which filters of a pass take part. Works on the chunk of offsets whose column sums nlm_distance
 // has left; an invocation computes one pair of neighbours. The cell in the middle is not written: the weight of the
 // pixel itself follows from the others.
 #import stein::planes::{inside, clamped_index}
@@ -9,28 +9,24 @@
 #import stein::candidates::{CandidateParams, FeatureGroup, feature_group, feature_distances}
 #import stein::window::{WindowParams, window_cell, window_cells}
 
-#ifdef SECOND
-const SECOND_RADIUS: i32 = #{PATCH_RADIUS};
-const FIRST_RADIUS: i32 = #{SMALL_PATCH_RADIUS};
-#else
-const SECOND_RADIUS: i32 = 0;
-const FIRST_RADIUS: i32 = #{PATCH_RADIUS};
-#endif
+const LARGE_RADIUS: i32 = #{PATCH_RADIUS};
+const SMALL_RADIUS: i32 = #{SMALL_PATCH_RADIUS};
 const FEATURE_GROUPS: i32 = #{FEATURE_GROUPS};
 
 @group(0) @binding(0) var<uniform> params: NlmParams;
 @group(0) @binding(1) var<uniform> candidate: CandidateParams;
 @group(0) @binding(2) var<uniform> window: WindowParams;
 #ifdef COLOR
-// Column sums of SECOND's patch, and behind them of FIRST's patch; if only one of the two takes part, of its patch.
+// Column sums of the large patch, and behind them of the small patch, if there is one.
 @group(0) @binding(3) var<storage, read> columns: array<vec3<f32>>;
 #endif
 #if FEATURE_GROUPS != 0
 @group(0) @binding(4) var<storage, read> features: array<vec4<f32>>;
 #endif
-// Planes: the weights of FIRST, SECOND and THIRD, 0 for a neighbour that does not exist; the colour's distances for
-// FIRST and SECOND, and the weights that these give; then two planes for each group of features, for FIRST and SECOND
-// and for THIRD: distances of the triple and of the single, and the weights that these give.
+// Planes: the weights of the filters, x: small patches, y: large patches, z: features alone, 0 for a neighbour that does
+// not exist; the distances of small and of large patches, and the weights that these give; then two planes for each
+// group of features, beside patches and alone: distances of the triple and of the single, and the weights that these
+// give.
 @group(0) @binding(5) var<storage, read_write> cells: array<vec4<f32>>;
 
 #if FEATURE_GROUPS != 0
@@ -38,7 +34,7 @@ fn group_at(group: i32, q: vec2<i32>) -> FeatureGroup {
     let pixels = params.extent.x * params.extent.y;
     let at = 3 * group * pixels + clamped_index(q, params.extent);
     return feature_group(features[at], features[at + pixels], features[at + 2 * pixels], candidate.feature_tau,
-        candidate.feature_tau_third);
+        candidate.feature_tau_alone);
 }
 #endif
 
@@ -82,7 +78,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
 
     // Feature weights (eq. 8.3).
     var feature_weight = vec2<f32>(1.0);
-    var third_distance = vec2<f32>(0.0);
+    var alone_distance = vec2<f32>(0.0);
 #if FEATURE_GROUPS != 0
     for (var group = 0; group < FEATURE_GROUPS; group++) {
         let d = feature_distances(
@@ -93,38 +89,36 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
         let w = pair_weights(vec4<f32>(d.ahead, 0.0, 0.0), vec4<f32>(d.behind, 0.0, 0.0), vec4<f32>(d.both, 0.0, 0.0),
             both_inside);
         feature_weight = min(feature_weight, vec2<f32>(min(w.ahead.x, w.ahead.y), min(w.behind.x, w.behind.y)));
-        third_distance = max(third_distance,
-            vec2<f32>(max(d.third_ahead.x, d.third_ahead.y), max(d.third_behind.x, d.third_behind.y)));
+        alone_distance = max(alone_distance,
+            vec2<f32>(max(d.alone_ahead.x, d.alone_ahead.y), max(d.alone_behind.x, d.alone_behind.y)));
         let at = (2 + 2 * group) * plane;
         cells[at + ahead] = vec4<f32>(d.ahead, exists.x * w.ahead.xy);
         cells[at + behind] = vec4<f32>(d.behind, exists.y * w.behind.xy);
-        cells[at + plane + ahead] = vec4<f32>(d.third_ahead, exists.x * exp(-max(d.third_ahead, vec2<f32>(0.0))));
-        cells[at + plane + behind] = vec4<f32>(d.third_behind, exists.y * exp(-max(d.third_behind, vec2<f32>(0.0))));
+        cells[at + plane + ahead] = vec4<f32>(d.alone_ahead, exists.x * exp(-max(d.alone_ahead, vec2<f32>(0.0))));
+        cells[at + plane + behind] = vec4<f32>(d.alone_behind, exists.y * exp(-max(d.alone_behind, vec2<f32>(0.0))));
     }
 #endif
 
     // Colour weights (eq. 8.2).
-    var first = ColorTerm(vec2<f32>(0.0), vec2<f32>(0.0));
-    var second = first;
+    var small = ColorTerm(vec2<f32>(0.0), vec2<f32>(0.0));
+    var large = small;
     let in_plane = in_chunk.y * params.offsets.x + in_chunk.x;
     let column = (in_plane * params.rows + p.y - params.first_row) * params.stride + p.x - params.first_column;
-#ifdef SECOND
-    second = color_term(column, SECOND_RADIUS, offset, ahead_inside, behind_inside);
-#ifdef FIRST
-    let of_first = params.offsets.x * params.offsets.y * params.rows * params.stride + SECOND_RADIUS - FIRST_RADIUS;
-    first = color_term(of_first + column, FIRST_RADIUS, offset, ahead_inside, behind_inside);
+#ifdef LARGE
+    large = color_term(column, LARGE_RADIUS, offset, ahead_inside, behind_inside);
+#ifdef SMALL
+    let of_small = params.offsets.x * params.offsets.y * params.rows * params.stride + LARGE_RADIUS - SMALL_RADIUS;
+    small = color_term(of_small + column, SMALL_RADIUS, offset, ahead_inside, behind_inside);
 #endif
-#else ifdef FIRST
-    first = color_term(column, FIRST_RADIUS, offset, ahead_inside, behind_inside);
 #endif
-    var third = vec2<f32>(0.0);
-#ifdef THIRD
-    third = exists * exp(-third_distance);
+    var alone = vec2<f32>(0.0);
+#ifdef FEATURES_ALONE
+    alone = exists * exp(-alone_distance);
 #endif
-    let weights_first = min(first.weight, feature_weight);
-    let weights_second = min(second.weight, feature_weight);
-    cells[ahead] = vec4<f32>(weights_first.x, weights_second.x, third.x, 0.0);
-    cells[behind] = vec4<f32>(weights_first.y, weights_second.y, third.y, 0.0);
-    cells[plane + ahead] = vec4<f32>(first.distance.x, second.distance.x, first.weight.x, second.weight.x);
-    cells[plane + behind] = vec4<f32>(first.distance.y, second.distance.y, first.weight.y, second.weight.y);
+    let small_weights = min(small.weight, feature_weight);
+    let large_weights = min(large.weight, feature_weight);
+    cells[ahead] = vec4<f32>(small_weights.x, large_weights.x, alone.x, 0.0);
+    cells[behind] = vec4<f32>(small_weights.y, large_weights.y, alone.y, 0.0);
+    cells[plane + ahead] = vec4<f32>(small.distance.x, large.distance.x, small.weight.x, large.weight.x);
+    cells[plane + behind] = vec4<f32>(small.distance.y, large.distance.y, small.weight.y, large.weight.y);
 }

@@ -13,14 +13,14 @@
 // ADDED: the sum is added to the errors that exist already.
 #import stein::planes::{pixel_index}
 
+const CANDIDATES: i32 = #{CANDIDATES};
+
 struct ErrorBlendParams {
     extent: vec2<i32>,
     // Weights of the parts.
     spread: f32,
     disagreement: f32,
     own_noise: f32,
-    // The plane of the derivatives, where there is one candidate alone.
-    candidate: i32,
 }
 
 @group(0) @binding(0) var<uniform> params: ErrorBlendParams;
@@ -28,27 +28,19 @@ struct ErrorBlendParams {
 @group(0) @binding(1) var<storage, read> blended: array<vec4<f32>>;
 // Variance of the mean of the input.
 @group(0) @binding(2) var<storage, read> variance_of_mean: array<vec4<f32>>;
-// Three planes, one per candidate: dF_i/du_i per channel.
-@group(0) @binding(3) var<storage, read> derivatives: array<vec4<f32>>;
+// Two planes for each: mean, half spread; behind them, one plane for each: dF_i/du_i per channel.
+@group(0) @binding(3) var<storage, read> candidates: array<vec4<f32>>;
 #ifdef SHARED
-// x: FIRST, y: SECOND, z: THIRD; they sum to 1.
+// One plane for four candidates, one component for each. Without it, the only candidate is the blend.
 @group(0) @binding(4) var<storage, read> shares: array<vec4<f32>>;
-#ifdef FIRST
-@group(0) @binding(5) var<storage, read> first: array<vec4<f32>>;
 #endif
-#ifdef SECOND
-@group(0) @binding(6) var<storage, read> second: array<vec4<f32>>;
-#endif
-#ifdef THIRD
-@group(0) @binding(7) var<storage, read> third: array<vec4<f32>>;
-#endif
-#endif
-@group(0) @binding(8) var<storage, read_write> errors: array<vec4<f32>>;
+@group(0) @binding(5) var<storage, read_write> errors: array<vec4<f32>>;
 
 // Σ_i σ_i²·dF_i/du_i of a candidate. A derivative outside 0 to 1 comes from the weights; it is not the share of the
 // pixel's own noise that is left in the pixel.
 fn own_noise(candidate: i32, at: i32) -> f32 {
-    let derivative = derivatives[candidate * params.extent.x * params.extent.y + at].xyz;
+    let plane = 2 * CANDIDATES + candidate;
+    let derivative = candidates[plane * params.extent.x * params.extent.y + at].xyz;
     return dot(variance_of_mean[at].xyz, clamp(derivative, vec3<f32>(0.0), vec3<f32>(1.0)));
 }
 
@@ -69,22 +61,17 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     if any(p >= params.extent) {
         return;
     }
+    let pixels = params.extent.x * params.extent.y;
     let at = pixel_index(p, params.extent);
-    var error = params.spread * squared(blended[params.extent.x * params.extent.y + at].xyz);
+    var error = params.spread * squared(blended[pixels + at].xyz);
 #ifdef SHARED
     let mean = blended[at].xyz;
-    let share = shares[at];
-#ifdef FIRST
-    error += of_candidate(share.x, 0, first[at].xyz, mean, at);
-#endif
-#ifdef SECOND
-    error += of_candidate(share.y, 1, second[at].xyz, mean, at);
-#endif
-#ifdef THIRD
-    error += of_candidate(share.z, 2, third[at].xyz, mean, at);
-#endif
+    for (var candidate = 0; candidate < CANDIDATES; candidate++) {
+        let share = shares[candidate / 4 * pixels + at][candidate % 4];
+        error += of_candidate(share, candidate, candidates[2 * candidate * pixels + at].xyz, mean, at);
+    }
 #else
-    error += params.own_noise * own_noise(params.candidate, at);
+    error += params.own_noise * own_noise(0, at);
 #endif
 #ifdef ADDED
     errors[at].x += error;

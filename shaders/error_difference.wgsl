@@ -4,12 +4,12 @@
 #import stein::planes::{pixel_index}
 #import stein::candidates::{sure}
 
+const CANDIDATES: i32 = #{CANDIDATES};
+
 struct ErrorDifferenceParams {
     extent: vec2<i32>,
     // Factor of the last term of SURE.
     covariance: f32,
-    // Which plane of its derivatives belongs to the other filter.
-    other_candidate: i32,
 }
 
 // Squares of differences are summed.
@@ -20,14 +20,14 @@ const ROUNDING: f32 = 1e-5;
 @group(0) @binding(1) var<storage, read> signal: array<vec4<f32>>;
 @group(0) @binding(2) var<storage, read> variance_of_mean: array<vec4<f32>>;
 @group(0) @binding(3) var<storage, read> blended: array<vec4<f32>>;
-// x: FIRST, y: SECOND, z: THIRD; they sum to 1.
+// One plane for four candidates, one component for each; they sum to 1.
 @group(0) @binding(4) var<storage, read> shares: array<vec4<f32>>;
-// Three planes, one per candidate.
-@group(0) @binding(5) var<storage, read> derivatives: array<vec4<f32>>;
+// Two planes for each: mean, half spread; behind them, one plane for each: dF_i/du_i per channel.
+@group(0) @binding(5) var<storage, read> candidates: array<vec4<f32>>;
+// The same planes of one filter.
 @group(0) @binding(6) var<storage, read> other: array<vec4<f32>>;
-@group(0) @binding(7) var<storage, read> other_derivatives: array<vec4<f32>>;
 // x: the difference, y: its square.
-@group(0) @binding(8) var<storage, read_write> differences: array<vec4<f32>>;
+@group(0) @binding(7) var<storage, read_write> differences: array<vec4<f32>>;
 
 @compute @workgroup_size(32, 2, 1)
 fn main(@builtin(global_invocation_id) id: vec3<u32>) {
@@ -38,18 +38,17 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     let pixels = params.extent.x * params.extent.y;
     let at = pixel_index(p, params.extent);
     var derivative = vec3<f32>(0.0);
-    for (var candidate = 0; candidate < 3; candidate++) {
-        let share = shares[at][candidate];
+    for (var candidate = 0; candidate < CANDIDATES; candidate++) {
+        let share = shares[candidate / 4 * pixels + at][candidate % 4];
         // A candidate that takes no part may hold anything.
         if share > 0.0 {
-            derivative += share * derivatives[candidate * pixels + at].xyz;
+            derivative += share * candidates[(2 * CANDIDATES + candidate) * pixels + at].xyz;
         }
     }
     let u = signal[at].xyz;
     let variance = variance_of_mean[at].xyz;
     let of_blend = sure(u, variance, blended[at].xyz, derivative, params.covariance);
-    let of_other = sure(u, variance, other[at].xyz, other_derivatives[params.other_candidate * pixels + at].xyz,
-        params.covariance);
+    let of_other = sure(u, variance, other[at].xyz, other[2 * pixels + at].xyz, params.covariance);
     // Two sums that differ only by rounding say nothing, however large they are.
     let terms = abs(of_other) + abs(of_blend) + dot(variance, vec3<f32>(1.0));
     let apart = of_other - of_blend;

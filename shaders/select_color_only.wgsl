@@ -13,6 +13,8 @@ struct SelectColorOnlyParams {
     // Standard errors by which the colour must be better for the least share, and for all of it.
     least: f32,
     most: f32,
+    // Planes of shares.
+    planes: i32,
 }
 
 @group(0) @binding(0) var<uniform> params: SelectColorOnlyParams;
@@ -24,7 +26,7 @@ struct SelectColorOnlyParams {
 @group(0) @binding(4) var<storage, read_write> blended: array<vec4<f32>>;
 // Changed in place: the candidates share the rest that the colour leaves.
 @group(0) @binding(5) var<storage, read_write> shares: array<vec4<f32>>;
-// x and y: the share of the colour.
+// x: the share of the colour.
 @group(0) @binding(6) var<storage, read_write> color_only_shares: array<vec4<f32>>;
 
 @compute @workgroup_size(32, 2, 1)
@@ -41,6 +43,8 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     let share = clamp((better_by - params.least) / (params.most - params.least), 0.0, 1.0);
     blended[at] = mix(candidates[at], color_only[at], share);
     blended[pixels + at] = mix(candidates[pixels + at], color_only[pixels + at], share);
-    shares[at] = (1.0 - share) * shares[at];
-    color_only_shares[at] = vec4<f32>(share, share, 0.0, 0.0);
+    for (var plane = 0; plane < params.planes; plane++) {
+        shares[plane * pixels + at] = (1.0 - share) * shares[plane * pixels + at];
+    }
+    color_only_shares[at] = vec4<f32>(share, 0.0, 0.0, 0.0);
 }

@@ -1,4 +1,4 @@
-// Chooses, for one filter and each pixel, between the filter over all frames of a window in time and the filter over
+// Chooses, for each filter and each pixel, between the filter over all frames of a window in time and the filter over
 // the pixel's own frame.
 //
 // An object that moves through the window brings along pixels that only seem to fit: the noisy rim of a lamp, say, may
@@ -7,10 +7,10 @@
 #import stein::planes::{pixel_index}
 #import stein::candidates::{sure, error_by_chance}
 
+const CANDIDATES: i32 = #{CANDIDATES};
+
 struct SelectFramesParams {
     extent: vec2<i32>,
-    // Which plane of the derivatives belongs to the filter.
-    candidate: i32,
     own_sigmas: f32,
     own_noise: f32,
 }
@@ -18,21 +18,16 @@ struct SelectFramesParams {
 @group(0) @binding(0) var<uniform> params: SelectFramesParams;
 @group(0) @binding(1) var<storage, read> signal: array<vec4<f32>>;
 @group(0) @binding(2) var<storage, read> variance_of_mean: array<vec4<f32>>;
-// Over the own frame: a signal, and the derivatives of all candidates. Or, WEIGHT_SUMS, one plane with Σ w in x: where
-// the weights do not depend on the noise of what is averaged, the centre's share 1 / Σ w is the derivative.
+// Filters over the own frame. Two planes for each: mean, half spread; behind them, one plane for each: dF_i/du_i per
+// channel. Or, WEIGHT_SUMS, one filter, and one plane of its own with Σ w in x: where the weights do not depend on the
+// noise of what is averaged, the centre's share 1 / Σ w is the derivative.
 @group(0) @binding(3) var<storage, read> alone: array<vec4<f32>>;
-@group(0) @binding(4) var<storage, read> alone_derivatives: array<vec4<f32>>;
-// The same two over all frames; they become the chosen ones.
-@group(0) @binding(5) var<storage, read_write> together: array<vec4<f32>>;
-@group(0) @binding(6) var<storage, read_write> derivatives: array<vec4<f32>>;
-
-fn derivative(of_pixel: vec4<f32>) -> vec3<f32> {
+// The same planes over all frames; they become the chosen ones.
+@group(0) @binding(4) var<storage, read_write> together: array<vec4<f32>>;
 #ifdef WEIGHT_SUMS
-    return vec3<f32>(1.0 / of_pixel.x);
-#else
-    return of_pixel.xyz;
+@group(0) @binding(5) var<storage, read> alone_weights: array<vec4<f32>>;
+@group(0) @binding(6) var<storage, read_write> weights: array<vec4<f32>>;
 #endif
-}
 
 @compute @workgroup_size(32, 2, 1)
 fn main(@builtin(global_invocation_id) id: vec3<u32>) {
@@ -42,15 +37,29 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     }
     let pixels = params.extent.x * params.extent.y;
     let at = pixel_index(p, params.extent);
-    let at_derivative = params.candidate * pixels + at;
     let u = signal[at].xyz;
     let variance = variance_of_mean[at].xyz;
-    let error_alone = sure(u, variance, alone[at].xyz, derivative(alone_derivatives[at_derivative]), 1.0);
-    let error_together = sure(u, variance, together[at].xyz, derivative(derivatives[at_derivative]), 1.0);
-    if error_together - error_alone > error_by_chance(together[at].xyz - alone[at].xyz, variance, params.own_sigmas,
-        params.own_noise) {
-        together[at] = alone[at];
-        together[pixels + at] = alone[pixels + at];
-        derivatives[at_derivative] = alone_derivatives[at_derivative];
+    for (var candidate = 0; candidate < CANDIDATES; candidate++) {
+        let at_mean = 2 * candidate * pixels + at;
+#ifdef WEIGHT_SUMS
+        let alone_derivative = vec3<f32>(1.0 / alone_weights[at].x);
+        let derivative = vec3<f32>(1.0 / weights[at].x);
+#else
+        let at_derivative = (2 * CANDIDATES + candidate) * pixels + at;
+        let alone_derivative = alone[at_derivative].xyz;
+        let derivative = together[at_derivative].xyz;
+#endif
+        let error_alone = sure(u, variance, alone[at_mean].xyz, alone_derivative, 1.0);
+        let error_together = sure(u, variance, together[at_mean].xyz, derivative, 1.0);
+        if error_together - error_alone > error_by_chance(together[at_mean].xyz - alone[at_mean].xyz, variance,
+            params.own_sigmas, params.own_noise) {
+            together[at_mean] = alone[at_mean];
+            together[pixels + at_mean] = alone[pixels + at_mean];
+#ifdef WEIGHT_SUMS
+            weights[at] = alone_weights[at];
+#else
+            together[at_derivative] = alone[at_derivative];
+#endif
+        }
     }
 }

@@ -1,28 +1,49 @@
 // Binary selection maps (Algorithm 1 lines 24–26, the typo of line 26 mended): 1 for the candidate with the least
 // smoothed error, 0 for the others.
 //
-// On ties the later, more robust candidate wins. FIRST may win only where it filters more than SECOND, shown by the
-// smaller mean derivative (thesis 8.4): SURE does not notice noise that FIRST keeps. Without SECOND this condition does
-// not apply. An error that is not finite cannot win; if no error is finite, the last candidate that takes part wins.
+// On ties the later, more robust candidate wins. A candidate may have a rival: it may win only where it filters more
+// than the rival, shown by the smaller mean derivative (thesis 8.4). SECOND is the rival of FIRST: SURE does not notice
+// noise that FIRST keeps. An error that is not finite cannot win; if no error can win, the last candidate wins.
 #import stein::planes::{pixel_index}
+
+const CANDIDATES: i32 = #{CANDIDATES};
 
 struct SelectLeastParams {
     extent: vec2<i32>,
+    // The place of each candidate's rival, −1 for none.
+    rivals: array<vec4<i32>, 2>,
 }
 
 @group(0) @binding(0) var<uniform> params: SelectLeastParams;
-// Smoothed errors, x: FIRST, y: SECOND, z: THIRD.
+// Smoothed errors. One plane for four candidates, one component for each.
 @group(0) @binding(1) var<storage, read> errors: array<vec4<f32>>;
-#ifdef FIRST
-#ifdef SECOND
-@group(0) @binding(2) var<storage, read> derivatives: array<vec4<f32>>;
+#ifdef RIVALS
+// Two planes for each: mean, half spread; behind them, one plane for each: dF_i/du_i per channel.
+@group(0) @binding(2) var<storage, read> candidates: array<vec4<f32>>;
 #endif
-#endif
+// As the errors.
 @group(0) @binding(3) var<storage, read_write> selected: array<vec4<f32>>;
 
 // Tests the bits: a compiler may assume that a comparison never meets NaN.
 fn is_finite(value: f32) -> bool {
     return (bitcast<u32>(value) & 0x7f800000u) != 0x7f800000u;
+}
+
+#ifdef RIVALS
+fn derivative_sum(candidate: i32, at: i32) -> f32 {
+    let plane = 2 * CANDIDATES + candidate;
+    return dot(vec3<f32>(1.0), candidates[plane * params.extent.x * params.extent.y + at].xyz);
+}
+#endif
+
+fn filters_more_than_its_rival(candidate: i32, at: i32) -> bool {
+#ifdef RIVALS
+    let rival = params.rivals[candidate / 4][candidate % 4];
+    if rival >= 0 {
+        return derivative_sum(candidate, at) < derivative_sum(rival, at);
+    }
+#endif
+    return true;
 }
 
 @compute @workgroup_size(32, 2, 1)
@@ -31,34 +52,19 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     if any(p >= params.extent) {
         return;
     }
+    let pixels = params.extent.x * params.extent.y;
     let at = pixel_index(p, params.extent);
-    let error = errors[at];
+    var winner = CANDIDATES - 1;
     var least = 3.4e38;
-    var map = vec4<f32>(0.0);
-#ifdef THIRD
-    map = vec4<f32>(0.0, 0.0, 1.0, 0.0);
-    if is_finite(error.z) {
-        least = error.z;
-    }
-#endif
-#ifdef SECOND
-    if (is_finite(error.y) && error.y < least) || all(map == vec4<f32>(0.0)) {
-        map = vec4<f32>(0.0, 1.0, 0.0, 0.0);
-        if is_finite(error.y) {
-            least = error.y;
+    for (var candidate = CANDIDATES - 1; candidate >= 0; candidate--) {
+        let error = errors[candidate / 4 * pixels + at][candidate % 4];
+        if is_finite(error) && error < least && filters_more_than_its_rival(candidate, at) {
+            winner = candidate;
+            least = error;
         }
     }
-#endif
-#ifdef FIRST
-    var may_win = true;
-#ifdef SECOND
-    let pixels = params.extent.x * params.extent.y;
-    let one = vec3<f32>(1.0);
-    may_win = dot(one, derivatives[at].xyz) < dot(one, derivatives[pixels + at].xyz);
-#endif
-    if (is_finite(error.x) && error.x < least && may_win) || all(map == vec4<f32>(0.0)) {
-        map = vec4<f32>(1.0, 0.0, 0.0, 0.0);
+    for (var first = 0; first < CANDIDATES; first += 4) {
+        selected[first / 4 * pixels + at] = select(vec4<f32>(0.0), vec4<f32>(1.0),
+            vec4<i32>(winner - first) == vec4<i32>(0, 1, 2, 3));
     }
-#endif
-    selected[at] = map;
 }

@@ -12,6 +12,8 @@
 #import stein::planes::{pixel_index}
 #import stein::candidates::{error_by_chance}
 
+const CANDIDATES: i32 = #{CANDIDATES};
+
 struct SelectShareParams {
     extent: vec2<i32>,
     // A candidate takes part where its smoothed error exceeds the winner's by at most smoothed_error·|winner's error| +
@@ -24,31 +26,18 @@ struct SelectShareParams {
 }
 
 @group(0) @binding(0) var<uniform> params: SelectShareParams;
-// The binary maps. x: FIRST, y: SECOND, z: THIRD.
+// The binary maps. One plane for four candidates, one component for each.
 @group(0) @binding(1) var<storage, read> selected: array<vec4<f32>>;
 #ifdef GUARDED
-// SURE, smoothed and as computed.
+// SURE, smoothed and as computed, as the maps.
 @group(0) @binding(2) var<storage, read> errors: array<vec4<f32>>;
 @group(0) @binding(3) var<storage, read> sure: array<vec4<f32>>;
 @group(0) @binding(4) var<storage, read> variance_of_mean: array<vec4<f32>>;
-#ifdef FIRST
-@group(0) @binding(5) var<storage, read> first: array<vec4<f32>>;
-#endif
-#ifdef SECOND
-@group(0) @binding(6) var<storage, read> second: array<vec4<f32>>;
-#endif
-#ifdef THIRD
-@group(0) @binding(7) var<storage, read> third: array<vec4<f32>>;
-#endif
+// Two planes for each: mean, half spread.
+@group(0) @binding(5) var<storage, read> candidates: array<vec4<f32>>;
 #endif
 // Changed in place: the smoothed maps become the shares.
-@group(0) @binding(8) var<storage, read_write> selection: array<vec4<f32>>;
-
-#ifdef GUARDED
-fn chance(apart: vec3<f32>, variance: vec3<f32>) -> f32 {
-    return error_by_chance(apart, variance, params.own_sigmas, params.own_noise);
-}
-#endif
+@group(0) @binding(6) var<storage, read_write> selection: array<vec4<f32>>;
 
 @compute @workgroup_size(32, 2, 1)
 fn main(@builtin(global_invocation_id) id: vec3<u32>) {
@@ -56,57 +45,55 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     if any(p >= params.extent) {
         return;
     }
+    let pixels = params.extent.x * params.extent.y;
     let at = pixel_index(p, params.extent);
-    let winner = selected[at].xyz;
-    var share = max(selection[at].xyz, vec3<f32>(0.0));
+    var winner = array<f32, CANDIDATES>();
+    var share = array<f32, CANDIDATES>();
+    for (var candidate = 0; candidate < CANDIDATES; candidate++) {
+        winner[candidate] = selected[candidate / 4 * pixels + at][candidate % 4];
+        share[candidate] = max(selection[candidate / 4 * pixels + at][candidate % 4], 0.0);
+    }
 #ifdef GUARDED
     let variance = variance_of_mean[at].xyz;
-    let error = errors[at].xyz;
-    // The squares of a spike overflow: another candidate than the winner may have an error that is not finite, and 0·∞
-    // is no number.
-    let least = dot(winner, select(vec3<f32>(0.0), error, winner > vec3<f32>(0.0)));
-    let allowed = params.smoothed_error * abs(least) + params.smoothed_noise * dot(vec3<f32>(1.0), variance);
-    share = select(vec3<f32>(0.0), share, error - least <= vec3<f32>(allowed));
-    // The winner always takes part, at least a little, so that something is left to normalise.
-    share = max(share, 1e-6 * winner);
-
-    let own = sure[at].xyz;
-    // Candidates that take no part have no share, and their values here do not matter.
-    var f = array<vec3<f32>, 3>(vec3<f32>(0.0), vec3<f32>(0.0), vec3<f32>(0.0));
+    var least = 0.0;
+    // On ties the later candidate is the best one, as in the selection.
     var best = vec3<f32>(0.0);
     var own_least = 3.4e38;
-    var own_winner = vec3<f32>(0.0);
-    // On ties the later one is the best, as in the selection.
-#ifdef THIRD
-    f[2] = third[at].xyz;
-    if own.z < own_least {
-        best = f[2];
-        own_least = own.z;
-        own_winner = vec3<f32>(0.0, 0.0, 1.0);
+    var own_winner = -1;
+    for (var candidate = CANDIDATES - 1; candidate >= 0; candidate--) {
+        // The squares of a spike overflow, and 0·∞ is no number: the error of the winner is selected, not weighted.
+        if winner[candidate] > 0.0 {
+            least = errors[candidate / 4 * pixels + at][candidate % 4];
+        }
+        let own = sure[candidate / 4 * pixels + at][candidate % 4];
+        if own < own_least {
+            best = candidates[2 * candidate * pixels + at].xyz;
+            own_least = own;
+            own_winner = candidate;
+        }
+    }
+    let allowed = params.smoothed_error * abs(least) + params.smoothed_noise * dot(vec3<f32>(1.0), variance);
+    for (var candidate = 0; candidate < CANDIDATES; candidate++) {
+        let error = errors[candidate / 4 * pixels + at][candidate % 4];
+        let own = sure[candidate / 4 * pixels + at][candidate % 4];
+        let filtered = candidates[2 * candidate * pixels + at].xyz;
+        let by_chance = error_by_chance(filtered - best, variance, params.own_sigmas, params.own_noise);
+        share[candidate] = select(0.0, share[candidate], error - least <= allowed);
+        // The winner always takes part, at least a little, so that something is left to normalise.
+        share[candidate] = max(share[candidate], 1e-6 * winner[candidate]);
+        share[candidate] = select(0.0, share[candidate], own - own_least <= by_chance);
+        share[candidate] = max(share[candidate], select(0.0, 1e-9, candidate == own_winner));
     }
 #endif
-#ifdef SECOND
-    f[1] = second[at].xyz;
-    if own.y < own_least {
-        best = f[1];
-        own_least = own.y;
-        own_winner = vec3<f32>(0.0, 1.0, 0.0);
+    var total = 0.0;
+    for (var candidate = 0; candidate < CANDIDATES; candidate++) {
+        total += share[candidate];
     }
-#endif
-#ifdef FIRST
-    f[0] = first[at].xyz;
-    if own.x < own_least {
-        best = f[0];
-        own_least = own.x;
-        own_winner = vec3<f32>(1.0, 0.0, 0.0);
+    for (var first = 0; first < CANDIDATES; first += 4) {
+        var shares = vec4<f32>(0.0);
+        for (var candidate = first; candidate < min(first + 4, CANDIDATES); candidate++) {
+            shares[candidate - first] = select(winner[candidate], share[candidate] / max(total, 1e-20), total > 1e-20);
+        }
+        selection[first / 4 * pixels + at] = shares;
     }
-#endif
-    let by_chance = vec3<f32>(chance(f[0] - best, variance), chance(f[1] - best, variance),
-        chance(f[2] - best, variance));
-    share = select(vec3<f32>(0.0), share, own - own_least <= by_chance);
-    share = max(share, 1e-9 * own_winner);
-#endif
-    let total = share.x + share.y + share.z;
-    share = select(winner, share / max(total, 1e-20), total > 1e-20);
-    selection[at] = vec4<f32>(share, 0.0);
 }

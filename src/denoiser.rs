@@ -13,10 +13,11 @@ use crate::gpu::{Buffer, Gpu, Pace, Recorder, Run, StageTime, StepTime};
 use crate::host_memory::{FreeMemory, Shortage};
 use crate::image::Image;
 use crate::method::{
-    DeviceMemory, Facts, FrameInput, GpuEstimate, GpuFrame, Intermediate, KeptPlane, Lane, Method, Plan, Shares,
+    DeviceMemory, Facts, FrameInput, GpuEstimate, GpuFrame, Intermediate, KeptPlane, Lane, Method, Plan, Share,
     SpikeReport, Strip, Unit, Units, Wishes, kept_planes, strips,
 };
 use crate::stage::PLANE_PIXEL_BYTES;
+use crate::stage::frames::Frames;
 use crate::stage::nlm::Schedule;
 
 /// Denoises frames with one method and one set of parameters. Make one and use it for many frames: kernels and buffers
@@ -83,9 +84,11 @@ pub struct Estimate {
     /// NLM Σ w, the mean of both halves; of GEM 1/Σw² of the chosen scale's normalised weights. Of a frame that was
     /// copied, 1.
     pub weight_sum: Image,
-    /// Shares of FIRST, SECOND and THIRD in each pixel, where the method has them and there was anything to choose;
-    /// `None` of a frame that was copied.
+    /// Shares of the candidates in each pixel, one plane for each of [`Estimate::candidates`]; `None` where the method
+    /// has no candidates, and of a frame that was copied.
     pub selection: Option<Image>,
+    /// Names of the candidates of [`Estimate::selection`], in their order; empty where there is none.
+    pub candidates: Vec<&'static str>,
     /// Names of the features that were used: of a window in time, those that all its frames have.
     pub features: Vec<String>,
     /// What was done about spikes; `None` where nobody looked for any.
@@ -283,7 +286,8 @@ impl Denoiser {
                     if progress(done).is_break() { Err(Error::Cancelled) } else { Ok(()) }
                 }
             };
-            let estimate = self.method.record(&mut rec, on_gpu, beside, &plan, self.schedule, report)?;
+            let on_gpu = Frames { own: on_gpu, beside };
+            let estimate = self.method.record(&mut rec, on_gpu, &plan, self.schedule, report)?;
             rec.submit()?;
             assembly.add(&self.gpu, &estimate, extent, strip)?;
         }
@@ -335,14 +339,8 @@ impl Denoiser {
     pub fn record(&self, rec: &mut Recorder, frame: GpuFrame, beside: Vec<GpuFrame>) -> Result<GpuEstimate> {
         let wishes = Wishes { keep: &[], error: true, everything: self.everything };
         let plan = self.method.plan(&Facts::of_gpu_frame(&frame, beside.len(), self.method.uses_features()), &wishes);
-        self.method.record(
-            rec,
-            frame.into(),
-            beside.into_iter().map(FrameInput::from).collect(),
-            &plan,
-            self.schedule,
-            |_, _| Ok(()),
-        )
+        let frames = Frames { own: frame, beside }.map(FrameInput::from);
+        self.method.record(rec, frames, &plan, self.schedule, |_, _| Ok(()))
     }
 }
 
@@ -393,6 +391,7 @@ struct Assembly<'a> {
     /// Where the frame has halves.
     half_spread: Option<Image>,
     selection: Option<Image>,
+    candidates: Vec<&'static str>,
     error: Option<Image>,
     weight_sum: Image,
     spikes: Option<FoundSpikes>,
@@ -424,6 +423,7 @@ impl<'a> Assembly<'a> {
             color: image(3)?,
             half_spread: frame.color().half_spread.is_some().then(|| image(3)).transpose()?,
             selection: None,
+            candidates: Vec::new(),
             error: with_error.then(|| image(1)).transpose()?,
             weight_sum: image(1)?,
             spikes: None,
@@ -495,11 +495,20 @@ impl<'a> Assembly<'a> {
         if let Some(shares) = &estimate.selection {
             let selection = match &mut self.selection {
                 Some(selection) => selection,
-                none => none.insert(Image::try_filled(frame_extent, 3, 0.0).map_err(out_of_memory)?),
+                none => {
+                    self.candidates = shares.iter().map(|(name, _)| *name).collect();
+                    none.insert(Image::try_filled(frame_extent, shares.len(), 0.0).map_err(out_of_memory)?)
+                }
             };
-            match shares {
-                Shares::Maps(maps) => place(maps, 0, 0, number, selection)?,
-                Shares::Only(only) => selection.planes[*only].fill(1.0),
+            for ((_, share), to) in shares.iter().zip(&mut selection.planes) {
+                match share {
+                    Share::None => {}
+                    Share::Whole => to.fill(1.0),
+                    Share::Lane(Lane { buffer, plane, component }) => read(buffer, *plane, &mut |first, values| {
+                        let pixels = values.chunks_exact(4).map(|pixel| pixel[*component as usize]);
+                        to[strip.first * width + first..].iter_mut().zip(pixels).for_each(|(to, share)| *to = share);
+                    })?,
+                }
             }
         }
         if self.layers.is_empty() {
@@ -527,7 +536,19 @@ impl<'a> Assembly<'a> {
     }
 
     fn finish(self, plan: Plan, times: Times, peak_bytes: u64) -> Estimate {
-        let Self { frame, exposure, features, color, half_spread, selection, error, weight_sum, spikes, layers } = self;
+        let Self {
+            frame,
+            exposure,
+            features,
+            color,
+            half_spread,
+            selection,
+            candidates,
+            error,
+            weight_sum,
+            spikes,
+            layers,
+        } = self;
         let features = features.iter().map(|feature| feature.name.clone()).collect();
         let spikes = spikes.map(|FoundSpikes { pixels, taken, spread }| {
             let energy: f64 = frame.color().mean.planes.iter().flatten().map(|value| f64::from(*value)).sum();
@@ -542,6 +563,7 @@ impl<'a> Assembly<'a> {
             error,
             weight_sum,
             selection,
+            candidates,
             features,
             spikes,
             layers,

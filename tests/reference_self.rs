@@ -10,7 +10,7 @@ use reference::gem::{Scale, bias_weight, scaled, step};
 use reference::nlm::{CentreWeight, Feature, FilterParams, Guide, nlm_filter, window_weights};
 use reference::prefilter::{gradient_squared, prefilter};
 use reference::random::Random;
-use reference::select::{ALL, Evidence, FIRST, Guard, SECOND, THIRD, select, share};
+use reference::select::{Evidence, Guard, select, share};
 use reference::sure::sure;
 use reference::variance::{BoxWeight, Signal, spread_of_halves, variance_scale};
 use reference::{Grid, Planes, Point, square};
@@ -232,6 +232,12 @@ fn the_finite_difference_step_is_never_zero() {
     assert_eq!(finite_difference_step(0.0, -1.0, 0.0), 1e-18);
 }
 
+const FIRST: usize = 0;
+const SECOND: usize = 1;
+const THIRD: usize = 2;
+/// SECOND is the rival of FIRST.
+const RIVALS: [Option<usize>; 3] = [Some(SECOND), None, None];
+
 #[test]
 fn the_least_error_wins_and_ties_go_to_the_later_candidate() {
     let inf = f64::INFINITY;
@@ -253,30 +259,37 @@ fn the_least_error_wins_and_ties_go_to_the_later_candidate() {
         let errors = [r, g, b].map(|e| row(&[e]));
         let (low, high) = ([row(&[0.1])], [row(&[0.2])]);
         let derivatives: [&[Grid]; 3] = if more { [&low, &high, &low] } else { [&high, &high, &low] };
-        let maps = select(&errors, derivatives, ALL);
+        let maps = select(&errors, &derivatives, &RIVALS);
         let expected = [FIRST, SECOND, THIRD].map(|k| f64::from(k == winner));
         assert_eq!([maps[0].values[0], maps[1].values[0], maps[2].values[0]], expected, "case {i}");
     }
 }
 
 #[test]
-fn candidates_that_take_no_part_do_not_exist() {
+fn a_rival_need_not_take_part() {
     let inf = f64::INFINITY;
-    // Errors, who takes part, winner; FIRST filters less than SECOND.
-    let cases = [
-        ([1.0, 2.0, 3.0], [true, false, true], FIRST),
-        ([1.0, 2.0, 3.0], [true, true, false], SECOND),
-        ([1.0, 2.0, 3.0], [false, false, true], THIRD),
-        ([3.0, 2.0, 1.0], [true, true, false], SECOND),
-        ([inf, inf, 0.0], [true, true, false], SECOND),
-        ([inf, 0.0, 0.0], [true, false, false], FIRST),
-        ([1.0, 0.0, 1.0], [true, false, true], THIRD),
-    ];
-    for (errors, takes_part, winner) in cases {
+    // FIRST filters less than SECOND, and is told so or not.
+    for (errors, rivals, winner) in [
+        ([1.0, 2.0], [Some(1), None], 1),
+        ([3.0, 2.0], [Some(1), None], 1),
+        ([inf, inf], [Some(1), None], 1),
+        ([1.0, 2.0], [None, None], 0),
+        ([inf, 0.0], [None, None], 1),
+    ] {
         let (low, high) = ([row(&[0.1])], [row(&[0.2])]);
-        let maps = select(&errors.map(|error| row(&[error])), [&high, &low, &low], takes_part);
-        assert_eq!(maps[winner].values[0], 1.0, "{errors:?} {takes_part:?}");
+        let maps = select(&errors.map(|error| row(&[error])), &[&high, &low], &rivals);
+        assert_eq!(maps[winner].values[0], 1.0, "{errors:?} {rivals:?}");
     }
+    let one = select(&[row(&[inf])], &[&[row(&[0.2])]], &[None]);
+    assert_eq!(one[0].values[0], 1.0);
+}
+
+#[test]
+fn any_number_of_candidates_may_be_chosen_from() {
+    let errors = [4.0, 3.0, 1.0, 2.0, 1.0, 9.0].map(|error| row(&[error]));
+    let derivative = [row(&[0.5])];
+    let maps = select(&errors, &[&derivative[..]; 6], &[None; 6]);
+    assert_eq!(maps.iter().map(|map| map.values[0]).collect::<Vec<_>>(), [0.0, 0.0, 0.0, 0.0, 1.0, 0.0]);
 }
 
 /// One pixel, in which SECOND has won.
@@ -290,8 +303,7 @@ fn guarded(maps: [f64; 3], errors: [f64; 3], sure: [f64; 3], filtered: [f64; 3],
         errors: &errors,
         binary_maps: &binary_maps,
         sure: &sure,
-        candidates,
-        takes_part: ALL,
+        candidates: &candidates,
         variance: &variance,
     };
     let maps = share(&maps, evidence, Some(&rule));
@@ -585,7 +597,7 @@ fn sure_is_unbiased_for_every_candidate() {
     const SEEDS: u64 = 10;
     let (width, height, sigma) = (24, 24, 0.1);
     for (preset, params) in presets() {
-        for (k, own) in params.candidates.into_iter().enumerate() {
+        for (k, own) in params.candidates.iter().enumerate() {
             let filter = FilterParams {
                 window_radius: 3,
                 patch_radius: own.patch_radius.min(2),

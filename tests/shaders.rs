@@ -30,9 +30,26 @@ fn numbers(values: &[i32]) -> Vec<Definition> {
     values.iter().map(|value| Definition::from(*value)).collect()
 }
 
-/// Which candidates take part.
+/// Numbers of candidates: one, the thesis's three, one more than a plane of numbers holds, all there may be.
+fn candidates() -> (&'static str, Vec<Definition>) {
+    ("CANDIDATES", numbers(&[1, 3, 5, 8]))
+}
+
+/// Which filters of a pass over the window take part.
 fn takes_part() -> Vec<(&'static str, Vec<Definition>)> {
-    ["FIRST", "SECOND", "THIRD"].map(|name| (name, flags())).to_vec()
+    ["SMALL", "LARGE", "FEATURES_ALONE"].map(|name| (name, flags())).to_vec()
+}
+
+fn is_on(set: &Definitions, name: &str) -> bool {
+    set.contains(&(name, true.into()))
+}
+
+/// The definitions with what follows from the filters; `None` where no pass has these filters.
+fn as_a_pass(set: Definitions) -> Option<Definitions> {
+    let is_pass =
+        (is_on(&set, "LARGE") || is_on(&set, "FEATURES_ALONE")) && (is_on(&set, "LARGE") || !is_on(&set, "SMALL"));
+    let color = [("COLOR", is_on(&set, "LARGE").into())];
+    is_pass.then(|| [&set[..], &color].concat())
 }
 
 /// What opposite neighbours do for each other: nothing, by degrees, at once.
@@ -43,7 +60,7 @@ fn with_rules(sets: &[Definitions]) -> Vec<Definitions> {
 }
 
 /// What the functions of `stein::stage` are called with: patches of 0 to 5 pixels, of which 1 and 3 are the presets',
-/// FIRST's beside SECOND's or none, packed features in up to eight groups. A stage that is missing here is a stage that
+/// small ones beside large ones or none, packed features in up to eight groups. A stage that is missing here is a stage that
 /// nobody has thought through.
 fn definitions(stage: &str) -> Option<Vec<Definitions>> {
     let none = Some(vec![Vec::new()]);
@@ -78,16 +95,25 @@ fn definitions(stage: &str) -> Option<Vec<Definitions>> {
         "light_return" => Some(combinations(&[("ERROR", flags())])),
         "keep_clean" => Some(combinations(&[("VARIANCE", flags()), ("ERROR", flags())])),
         "variance_pair" | "variance_clamp" | "variance_floor" | "half_split" | "half_join" => none,
-        "select_pass" | "select_color_only" | "error_difference" => none,
-        "candidate_resolve" => Some(combinations(&[("THIRD", flags()), ("DERIVATIVES", flags())])),
+        "select_pass" | "select_color_only" => none,
+        "candidate_resolve" => {
+            Some(combinations(&[("FEATURES_ALONE", flags()), ("DERIVATIVES", flags()), ("OTHER_GUIDE", flags())]))
+        }
         "feature_pack" => Some(combinations(&[("NOISY", flags())])),
-        "error_sure" | "select_least" | "select_blend" => Some(combinations(&takes_part())),
-        "select_share" => Some(combinations(&[&takes_part()[..], &[("GUARDED", flags())]].concat())),
+        "error_sure" | "select_blend" | "error_difference" => Some(combinations(&[candidates()])),
+        "select_least" => Some(combinations(&[candidates(), ("RIVALS", flags())])),
+        "select_share" => Some(combinations(&[candidates(), ("GUARDED", flags())])),
         "exact_copy" => Some(combinations(&[("WEIGHT_SUM", flags())])),
         "exact_fill" => Some(combinations(&[("ONES", flags())])),
-        "select_frames" => Some(combinations(&[("WEIGHT_SUMS", flags())])),
+        "select_frames" => Some(
+            [
+                combinations(&[candidates()]),
+                combinations(&[("CANDIDATES", numbers(&[1])), ("WEIGHT_SUMS", vec![true.into()])]),
+            ]
+            .concat(),
+        ),
         "sample_attach" => Some(combinations(&[("SAMPLES_VARY", flags())])),
-        "error_blend" => Some(combinations(&[&takes_part()[..], &[("SHARED", flags()), ("ADDED", flags())]].concat())),
+        "error_blend" => Some(combinations(&[candidates(), ("SHARED", flags()), ("ADDED", flags())])),
         "error_halves" => Some(combinations(&[("HALVES", flags())])),
         "scale_stop" | "scale_reduction" => none,
         "scale_pixel" => Some(combinations(&[("SAMPLES_VARY", flags())])),
@@ -151,13 +177,8 @@ fn definitions(stage: &str) -> Option<Vec<Definitions>> {
                 ("SMALL_PATCH_RADIUS", numbers(&[0, 1])),
                 ("FEATURE_GROUPS", numbers(&[0, 1, 2, 8])),
             ];
-            let with_color = |set: Definitions| {
-                let is_on = |name: &str| set.iter().any(|definition| *definition == (name, true.into()));
-                let color = is_on("FIRST") || is_on("SECOND");
-                (color || is_on("THIRD")).then(|| [&set[..], &[("COLOR", color.into())]].concat())
-            };
             let sets = combinations(&[&radii[..], &takes_part(), &[("SYMMETRIC", flags())]].concat());
-            Some(sets.into_iter().filter_map(with_color).collect())
+            Some(sets.into_iter().filter_map(as_a_pass).collect())
         }
         "candidate_accumulate" => {
             let set = |(other_frame, near): (bool, bool)| {
@@ -171,8 +192,8 @@ fn definitions(stage: &str) -> Option<Vec<Definitions>> {
                 ])
             };
             let whole = |set: Definitions| {
-                let parts =
-                    ["FIRST", "SECOND", "THIRD", "COLOR", "DERIVATIVES", "HALVES"].map(|name| (name, true.into()));
+                let parts = ["SMALL", "LARGE", "FEATURES_ALONE", "COLOR", "DERIVATIVES", "HALVES"]
+                    .map(|name| (name, true.into()));
                 [set.as_slice(), &parts].concat()
             };
             let all = [(false, false), (false, true), (true, false)]
@@ -195,11 +216,8 @@ fn definitions(stage: &str) -> Option<Vec<Definitions>> {
                 .concat(),
             );
             let part = |set: Definitions| {
-                let is_on = |name: &str| set.iter().any(|definition| *definition == (name, true.into()));
-                let color = [("COLOR", (is_on("FIRST") || is_on("SECOND")).into())];
-                let fits =
-                    !(is_on("NEAR") && is_on("OTHER_FRAME")) && (is_on("THIRD") || is_on("FIRST") || is_on("SECOND"));
-                fits.then(|| [&shape[..], &set, &color].concat())
+                let fits = !(is_on(&set, "NEAR") && is_on(&set, "OTHER_FRAME"));
+                as_a_pass(set).filter(|_| fits).map(|set| [&shape[..], &set].concat())
             };
             Some(all.chain(left.into_iter().filter_map(part)).collect())
         }

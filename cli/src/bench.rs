@@ -19,7 +19,7 @@ use std::time::SystemTime;
 
 use clap::Parser;
 use stein::frame::{NoiseKnowledge, SamplesPerPixel};
-use stein::stage::candidate_set::CandidateSet;
+use stein::method::dfc::CandidateSet;
 use stein::{Extent, Frame, Gpu, Image, Method, Preset};
 use stein_exr::atomic_file::Aside;
 use stein_exr::options::choice;

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use clap::builder::PossibleValuesParser;
 use stein::method::Spikes;
-use stein::stage::candidate_set::CandidateSet;
+use stein::method::dfc::CandidateSet;
 use stein::text;
 use stein::{DfcParams, Method, NlmParams, Preset};
 use stein_exr::options::{choice, possible};

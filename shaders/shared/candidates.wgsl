@@ -1,13 +1,13 @@
-// Code shared by the stages around the candidate filters: their parameters, the layout of the sums, the
-// finite-difference step, the errors of one pixel.
+// Code shared by the stages around the candidate filters: the parameters of a pass over the window, the layout of its
+// sums, the finite-difference step, the errors of one pixel.
 #define_import_path stein::candidates
 
 struct CandidateParams {
     // 1 / k_f².
     inverse_feature_k_squared: f32,
-    // τ of FIRST and SECOND, then τ of THIRD: the least scale of a feature difference.
+    // Least scale of a feature difference: τ beside patches of the colour, then τ of the features alone.
     feature_tau: f32,
-    feature_tau_third: f32,
+    feature_tau_alone: f32,
     // 1 / number of channels, per channel of the triple: turns a sum over channels into their mean.
     triple_weights: array<vec4<f32>, 8>,
 }
@@ -16,24 +16,24 @@ struct CandidateParams {
 struct FeatureGroup {
     value: vec4<f32>,
     residual: vec4<f32>,
-    // max(τ, scale), with the τ of FIRST and SECOND, then with the τ of THIRD.
+    // max(τ, scale), with the τ beside patches, then with the τ of the features alone.
     reach: vec4<f32>,
-    third_reach: vec4<f32>,
+    alone_reach: vec4<f32>,
 }
 
 // Makes a group from its three planes.
-fn feature_group(value: vec4<f32>, residual: vec4<f32>, scale: vec4<f32>, tau: f32, tau_third: f32) -> FeatureGroup {
-    return FeatureGroup(value, residual, max(vec4<f32>(tau), scale), max(vec4<f32>(tau_third), scale));
+fn feature_group(value: vec4<f32>, residual: vec4<f32>, scale: vec4<f32>, tau: f32, tau_alone: f32) -> FeatureGroup {
+    return FeatureGroup(value, residual, max(vec4<f32>(tau), scale), max(vec4<f32>(tau_alone), scale));
 }
 
-// Distances of a group from p to a pair of neighbours (eq. 8.3): x: the triple's, y: the single's; `third_` with the τ
-// of THIRD.
+// Distances of a group from p to a pair of neighbours (eq. 8.3): x: the triple's, y: the single's; `alone_` with the τ
+// of the features alone.
 struct FeatureDistances {
     ahead: vec2<f32>,
     behind: vec2<f32>,
     both: vec2<f32>,
-    third_ahead: vec2<f32>,
-    third_behind: vec2<f32>,
+    alone_ahead: vec2<f32>,
+    alone_behind: vec2<f32>,
 }
 
 // x: the mean over the channels of the triple, y: the single.
@@ -56,8 +56,8 @@ fn feature_distances(p: FeatureGroup, ahead: FeatureGroup, behind: FeatureGroup,
         over_triple(squared_ahead / (p.reach + ahead.reach), triple_weights),
         over_triple(squared_behind / (p.reach + behind.reach), triple_weights),
         over_triple(squared_both / (p.reach + 0.25 * (ahead.reach + behind.reach)), triple_weights),
-        over_triple(squared_ahead / (p.third_reach + ahead.third_reach), triple_weights),
-        over_triple(squared_behind / (p.third_reach + behind.third_reach), triple_weights),
+        over_triple(squared_ahead / (p.alone_reach + ahead.alone_reach), triple_weights),
+        over_triple(squared_behind / (p.alone_reach + behind.alone_reach), triple_weights),
     );
 #else
     // The printed form: the scale of p alone, the full variance of q.
@@ -67,8 +67,8 @@ fn feature_distances(p: FeatureGroup, ahead: FeatureGroup, behind: FeatureGroup,
         over_triple(squared_ahead / p.reach, triple_weights),
         over_triple(squared_behind / p.reach, triple_weights),
         vec2<f32>(0.0),
-        over_triple(squared_ahead / p.third_reach, triple_weights),
-        over_triple(squared_behind / p.third_reach, triple_weights),
+        over_triple(squared_ahead / p.alone_reach, triple_weights),
+        over_triple(squared_behind / p.alone_reach, triple_weights),
     );
 #endif
 }
@@ -81,10 +81,10 @@ const MEAN_SUM: i32 = 2;           // Σ w·(u_q − u_p)
 const PERTURBED_SUM: i32 = 3;      // Σ w'·(u_q − u_p), channel by channel with the weights perturbed in that channel
 const SPREAD_SUM: i32 = 4;         // Σ w·(spread_q − spread_p)
 const PLANES_WITH_COLOR: i32 = 5;
-// THIRD has no colour term, so nothing to perturb: its Σ w sits in the w of MEAN_SUM, its largest weight in the w of
+// The features alone have no colour term, so nothing to perturb: its Σ w sits in the w of MEAN_SUM, its largest weight in the w of
 // SPREAD_SUM.
-const THIRD_MEAN_SUM: i32 = 10;
-const THIRD_SPREAD_SUM: i32 = 11;
+const ALONE_MEAN_SUM: i32 = 10;
+const ALONE_SPREAD_SUM: i32 = 11;
 const STATE_PLANES: i32 = 12;
 
 // Step of the finite differences (thesis 8.4: 1 % of the value), held above 1 % of the pixel's noise and above what

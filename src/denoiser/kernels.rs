@@ -10,8 +10,8 @@ use crate::frame::Frame;
 use crate::gpu::{Buffer, Gpu, Run};
 use crate::image::{Extent, Image, Window};
 use crate::kernels::{Compared, Distance, FilterKernel, Kernels, PixelInFrame, WeightRule};
-use crate::method::kernels::{KernelOnGpu, LimitOnGpu, ShareOnGpu, WeightsOnGpu};
-use crate::method::{FrameInput, Lane, Strip, Units};
+use crate::method::kernels::{KernelOnGpu, LimitOnGpu, WeightsOnGpu};
+use crate::method::{FrameInput, Lane, Share, Strip, Units};
 use crate::stage::PLANE_PIXEL_BYTES;
 use crate::stage::exact::Region;
 use crate::stage::gaussian::Gaussian;
@@ -127,8 +127,9 @@ impl Reader<'_> {
     fn kernel(&mut self, kernel: &KernelOnGpu) -> Result<FilterKernel> {
         let KernelOnGpu { name, share, averaged, weights } = kernel;
         let share = match share {
-            Some(ShareOnGpu::Lane(lane)) => Some(self.at_pixel(lane)?),
-            Some(ShareOnGpu::Whole) => Some(1.0),
+            Some(Share::Lane(lane)) => Some(self.at_pixel(lane)?),
+            Some(Share::Whole) => Some(1.0),
+            Some(Share::None) => Some(0.0),
             None => None,
         };
         let alone = |offset: IVec2| if offset == IVec2::ZERO { 1.0 } else { 0.0 };

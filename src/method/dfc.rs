@@ -1,6 +1,7 @@
 //! Denoising by combining colour and feature filters (thesis chapter 8): Algorithm 1 from above to below, what is
 //! prepared, pass 1, pass 2, the error of the result.
 
+mod candidate_set;
 mod kernels;
 mod params;
 mod plan;
@@ -10,24 +11,23 @@ use std::sync::Arc;
 use glam::IVec2;
 
 use super::common::{Auxiliary, SCALE_RADIUS, guide_variance, with_input_kept};
-use super::estimate::{GpuEstimate, Intermediate, Keeper, Lane, RGB, Shares, Unit};
+use super::estimate::{GpuEstimate, Intermediate, Keeper, Lane, RGB, Share, Unit};
 use super::frame::FeatureInput;
 use super::memory::{Footprint, UPLOADED_PLANES};
 use super::noise::{estimate_noise, largest_noise_reach};
 use super::plan::{Facts, Plan, Step};
 use super::spikes::Found;
 use super::{FrameInput, GpuSignal, Spikes};
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::gpu::{Buffer, Recorder};
 use crate::stage::candidate::{
-    CANDIDATE_PLANES, CandidateBeside, CandidateFilter, Candidates, CandidatesInTime, Needed, STATE_PLANES, candidates,
+    CandidateFrame, CandidateWindow, Candidates, CandidatesInTime, Needed, STATE_PLANES, candidates, planes_of_numbers,
 };
-use crate::stage::candidate_set::CandidateSet;
-use crate::stage::error::{
-    ErrorParts, MadeOf, error_blend, error_blend_more, error_difference, error_spikes, error_sure,
-};
+use crate::stage::candidate_filter::{ByColor, CandidateFilter};
+use crate::stage::error::{ErrorParts, error_blend, error_blend_more, error_difference, error_spikes, error_sure};
 use crate::stage::exact::Region;
 use crate::stage::feature::{Features, Packing, feature_pack};
+use crate::stage::frames::Frames;
 use crate::stage::nlm::{Beside, Guide, Lanes, Payload, Schedule, nlm_filter};
 use crate::stage::sample::{GpuSamples, sample_density};
 use crate::stage::select::{
@@ -36,6 +36,7 @@ use crate::stage::select::{
 };
 use crate::stage::variance::{BoxWeight, Floor, INPUT_SMOOTHING, RESIDUAL_SMOOTHING, variance_floor, variance_smooth};
 
+pub use candidate_set::CandidateSet;
 pub(super) use kernels::kernels;
 pub use params::{DfcParams, SecondPass};
 use plan::has_features_without_noise;
@@ -62,20 +63,17 @@ pub(super) const INTERMEDIATES: [Intermediate; 9] = [
     Intermediate::Density,
 ];
 
-const BY_CANDIDATE: [&str; 3] = CandidateSet::NAMES;
-
 /// Runs Algorithm 1. Without halves, it takes the variances as they are and has no second pass. Without a sample
 /// variance, the pooled or smoothed two-buffer variance takes its place. Steps that the plan leaves out do not run.
 ///
-/// The frames `beside` must have the units and features of `frame`. `progress` receives the share of the work that is
+/// All frames must have the units and features of the own one. `progress` receives the share of the work that is
 /// recorded, 0 to 1.
 ///
 /// # Errors
 /// Errors of the recorder.
 pub(crate) fn dfc(
     rec: &mut Recorder,
-    frame: FrameInput,
-    beside: Vec<FrameInput>,
+    frames: Frames<FrameInput>,
     params: &DfcParams,
     plan: &Plan,
     schedule: Schedule,
@@ -83,10 +81,10 @@ pub(crate) fn dfc(
 ) -> Result<GpuEstimate> {
     let mut keeper = Keeper::new(&plan.keep);
     let work = Work { params, plan, schedule, wanted: Wanted::default() };
-    let mut prepared = Prepared::new(rec, frame, beside, work, &mut keeper)?;
+    let mut prepared = Prepared::new(rec, frames, work, &mut keeper)?;
     let Pass1 { candidates, selection, color_only, blend: pass1 } =
         Pass1::new(rec, &mut prepared, work, &mut keeper, progress)?;
-    let Prepared { extent, color, variance, spikes, samples, .. } = &prepared;
+    let Prepared { extent, own: PreparedFrame { color, variance, .. }, spikes, samples, .. } = &prepared;
     let extent = *extent;
 
     // Second pass filtering.
@@ -99,12 +97,9 @@ pub(crate) fn dfc(
     // What is left of the error, of which SURE tells little more than the order of the candidates.
     let mut error = None;
     if plan.begins(rec, Step::Error) {
-        let made_of = match &selection {
-            Shares::Maps(maps) => MadeOf::Shares(maps),
-            Shares::Only(only) => MadeOf::Only(*only),
-        };
         let parts = ErrorParts::measured(color.has_halves, params.several_can_win());
-        let mut errors = error_blend(rec, extent, &result, variance, &candidates, made_of, parts)?;
+        let shares = selection.as_deref();
+        let mut errors = error_blend(rec, extent, &result, variance, &candidates, shares, parts)?;
         if let Some(ColorOnly { candidates, shares }) = &color_only {
             errors = error_blend_more(rec, extent, &result, variance, candidates, shares, parts, errors)?;
         }
@@ -113,12 +108,13 @@ pub(crate) fn dfc(
         }
         error = Some(Arc::new(errors));
     }
+    let selection = shares_by_name(params, &candidates, selection.as_ref());
     drop((candidates, color_only));
 
     // Adaptive sampling (thesis 8.6).
     if plan.begins(rec, Step::Density) {
         let density = sample_density(rec, extent, &pass1, error.as_deref().filter(|_| !color.has_halves), samples)?;
-        let density = prepared.smooth(rec, Step::Density, &density, &DENSITY_SMOOTHING, work)?;
+        let density = prepared.smooth(rec, Step::Density, &density, 1, &DENSITY_SMOOTHING, work)?;
         keeper.keep(Intermediate::Density, "density", &["V"], Unit::Number, &Arc::new(density), 0);
     }
 
@@ -132,6 +128,23 @@ pub(crate) fn dfc(
         spikes: spikes.as_ref().map(|found| found.spikes.clone()),
         kept: keeper.into_kept(),
     })
+}
+
+/// The share of each candidate in the blend, of which `selection` are the maps. Without maps, the only one has all.
+fn shares_by_name(
+    params: &DfcParams,
+    candidates: &Candidates,
+    selection: Option<&Arc<Buffer>>,
+) -> Vec<(&'static str, Share)> {
+    let share = |place: usize| match selection {
+        Some(maps) => Share::Lane(Lane { buffer: maps.clone(), plane: place as u32 / 4, component: place as u32 % 4 }),
+        None => Share::Whole,
+    };
+    let of_filter = |(filter, _): (CandidateFilter, bool)| {
+        let place = candidates.filters.iter().position(|computed| computed.name == filter.name);
+        (filter.name, place.map_or(Share::None, share))
+    };
+    params.filters().into_iter().map(of_filter).collect()
 }
 
 /// Parameters and plan of the work on a frame.
@@ -160,122 +173,136 @@ struct Wanted {
     result: Option<Region>,
 }
 
-fn candidate_filter(params: &DfcParams) -> CandidateFilter {
-    CandidateFilter {
-        window_radius: params.window_radius,
-        color_k: params.color_k,
-        first_patch_radius: params.first_patch_radius,
-        second_patch_radius: params.second_patch_radius,
-        feature_k: params.feature_k,
-        feature_tau: params.feature_tau,
-        feature_tau_third: params.feature_tau_third,
-        weighting: params.weighting,
+impl DfcParams {
+    fn window(&self) -> CandidateWindow {
+        CandidateWindow { radius: self.window_radius, weighting: self.weighting }
     }
+}
+
+/// Candidates that the plan computes and compares.
+fn planned_filters(params: &DfcParams, plan: &Plan) -> Vec<CandidateFilter> {
+    let filters = params.filters().into_iter().map(|(filter, _)| filter);
+    filters.filter(|filter| plan.runs(&Step::Candidate(filter.name))).collect()
+}
+
+/// The filter by the colour only: SECOND without features.
+fn color_only_filter(params: &DfcParams) -> CandidateFilter {
+    let color = ByColor { k: params.color_k, patch_radius: params.second_patch_radius };
+    CandidateFilter { name: "color_only", color: Some(color), features: None, rival: None }
 }
 
 /// Input of the candidates.
 struct Prepared {
     extent: IVec2,
-    /// Colour of the own frame, without spikes.
-    color: GpuSignal,
-    variance: Arc<Buffer>,
-    /// Prefiltered features of the own frame, then of the frames beside; empty without features.
-    features: Vec<Features>,
+    own: PreparedFrame,
+    /// Frames beside the own one, until the candidates are computed.
+    beside: Vec<PreparedFrame>,
     /// Spikes and lights that were taken out of the own frame.
     spikes: Option<Found>,
     samples: GpuSamples,
-    colors_beside: Vec<GpuSignal>,
-    variances_beside: Vec<Arc<Buffer>>,
+}
+
+/// A frame of the window in time.
+struct PreparedFrame {
+    /// Colour without spikes.
+    color: GpuSignal,
+    variance: Arc<Buffer>,
+    /// Prefiltered features; `None` without features, and after the candidates are computed.
+    features: Option<Features>,
+}
+
+impl PreparedFrame {
+    fn candidate_frame(&self) -> CandidateFrame<'_> {
+        CandidateFrame {
+            payload: &self.color.signal,
+            guide: None,
+            variance_of_mean: &self.variance,
+            features: self.features.as_ref(),
+        }
+    }
 }
 
 impl Prepared {
-    fn new(
-        rec: &mut Recorder,
-        frame: FrameInput,
-        beside: Vec<FrameInput>,
-        work: Work,
-        keeper: &mut Keeper,
-    ) -> Result<Self> {
+    fn new(rec: &mut Recorder, frames: Frames<FrameInput>, work: Work, keeper: &mut Keeper) -> Result<Self> {
         let Work { params, plan, .. } = work;
-        let FrameInput { extent, mut color, mut features, samples, .. } = frame;
         // Space-time filtering (8.6): the window gains frames. What belongs to a pixel comes from its own frame.
-        let (mut colors_beside, mut features_beside): (Vec<_>, Vec<_>) =
-            beside.into_iter().map(|frame| (frame.color, frame.features)).unzip();
+        let Frames { own: FrameInput { extent, color, features, samples, .. }, beside } = frames;
+        let beside = beside.into_iter().map(|frame| (frame.color, frame.features)).collect();
+        let mut frames = Frames { own: (color, features), beside };
 
         // What is known of the noise.
         if plan.begins(rec, Step::Noise) {
-            estimate_noise(rec, extent, &mut color, &mut features, params.pooling())?;
-            for (color, features) in colors_beside.iter_mut().zip(&mut features_beside) {
-                estimate_noise(rec, extent, color, features, params.pooling())?;
-            }
+            frames = frames.try_map(|(mut color, mut features)| {
+                estimate_noise(rec, extent, &mut color, &mut features, params.pooling())?;
+                Ok::<_, Error>((color, features))
+            })?;
         }
 
         // Feature prefiltering.
-        let features =
-            prefilter(rec, extent, std::iter::once(features).chain(features_beside).collect(), work, keeper)?;
+        let (colors, features) = frames.unzip();
+        let features = prefilter(rec, extent, features, work, keeper)?;
+        let frames = colors.zip(features);
 
         // Spikes.
-        let mut spikes = None;
+        let mut of_each = None;
+        let mut frames = frames;
         if plan.begins(rec, Step::Spikes) {
-            (color, spikes) = params.spikes.repair(rec, extent, color, features.first())?;
-            for (index, color) in colors_beside.iter_mut().enumerate() {
-                *color = params.spikes.repair(rec, extent, color.clone(), features.get(1 + index))?.0;
-            }
+            frames = frames.try_map(|(color, features)| {
+                let (color, found) = params.spikes.repair(rec, extent, color, features.as_ref())?;
+                // The own frame comes first; what was found in others is dropped.
+                of_each.get_or_insert(found);
+                Ok::<_, Error>((color, features))
+            })?;
         }
+        let spikes = of_each.flatten();
         if let Some(spikes) = &spikes {
             keeper.keep(Intermediate::Spikes, "spikes", &RGB, Unit::Color, &spikes.spikes, 0);
         }
 
         // Sample variance scaling.
         plan.begins(rec, Step::Variance);
-        let variance_of = |rec: &mut Recorder, color: &GpuSignal| {
-            guide_variance(rec, extent, color, params.box_weight, Floor::of_color(params.keep_clean))
-        };
-        let variance = variance_of(rec, &color)?;
-        keeper.keep(Intermediate::Variance, "scaled_variance", &RGB, Unit::ColorSquared, &variance, 0);
-        let variances_beside = colors_beside.iter().map(|color| variance_of(rec, color)).collect::<Result<Vec<_>>>()?;
-        Ok(Self { extent, color, variance, features, spikes, samples, colors_beside, variances_beside })
+        let frames = frames.try_map(|(color, features)| {
+            let floor = Floor::of_color(params.keep_clean);
+            let variance = guide_variance(rec, extent, &color, params.box_weight, floor)?;
+            Ok::<_, Error>(PreparedFrame { color, variance, features })
+        })?;
+        let Frames { own, beside } = frames;
+        keeper.keep(Intermediate::Variance, "scaled_variance", &RGB, Unit::ColorSquared, &own.variance, 0);
+        Ok(Self { extent, own, beside, spikes, samples })
     }
 
     /// Drops the buffers that only the candidates need.
     fn forget_neighbours(&mut self) {
-        self.features.clear();
-        self.colors_beside.clear();
-        self.variances_beside.clear();
+        self.own.features = None;
+        self.beside.clear();
     }
 
-    /// Smooths a plane with weights from the colour.
+    /// Smooths planes with weights from the colour.
     fn smooth(
         &self,
         rec: &mut Recorder,
         step: Step,
         payload: &Buffer,
+        planes: u32,
         filter: &Auxiliary,
         work: Work,
     ) -> Result<Buffer> {
         let Work { params, plan, schedule, wanted } = work;
-        let guide = filter.guide(&self.color.signal, &self.variance, 3);
+        let PreparedFrame { color, variance, .. } = &self.own;
+        let guide = filter.guide(&color.signal, variance, 3);
         let guide = Guide { grey: work.is_grey(), exact: plan.exact(&step), wanted: wanted.candidates, ..guide };
         plan.begins(rec, step);
-        let filtered = nlm_filter(
-            rec,
-            self.extent,
-            &guide,
-            &Payload::new(payload, 1),
-            filter.window_radius,
-            params.weighting,
-            false,
-            schedule,
-        )?;
-        Ok(filtered.planes)
+        let payload = Payload::new(payload, planes);
+        let (radius, weighting) = (filter.window_radius, params.weighting);
+        Ok(nlm_filter(rec, self.extent, &guide, &payload, radius, weighting, false, schedule)?.planes)
     }
 }
 
 /// The candidates, and their average by the selection maps.
 struct Pass1 {
     candidates: Candidates,
-    /// The candidates' shares in the blend.
-    selection: Shares,
+    /// The candidates' shares in the blend; `None` where there is one candidate.
+    selection: Option<Arc<Buffer>>,
     /// Filter by the colour only, if it takes part in the blend.
     color_only: Option<ColorOnly>,
     blend: Arc<Buffer>,
@@ -284,11 +311,9 @@ struct Pass1 {
 /// The filter by the colour only: SECOND without features.
 struct ColorOnly {
     candidates: Candidates,
-    /// Its share in the blend, in y of one plane.
+    /// Its share in the blend, in x of one plane.
     shares: Arc<Buffer>,
 }
-
-const SECOND_ONLY: CandidateSet = CandidateSet { first: false, second: true, third: false };
 
 impl Pass1 {
     /// Makes the candidates and blends them. Drops the neighbours' buffers from `prepared`.
@@ -300,20 +325,11 @@ impl Pass1 {
         progress: impl FnMut(&mut Recorder, f32) -> Result<()>,
     ) -> Result<Self> {
         let Work { params, plan, schedule, wanted } = work;
-        let Prepared { extent, color, variance, features, colors_beside, variances_beside, .. } = &*prepared;
-        let (extent, signal) = (*extent, &color.signal);
+        let extent = prepared.extent;
 
         // Candidate filters.
         plan.begins(rec, Step::Candidates);
-        let neighbours = colors_beside.iter().zip(variances_beside).enumerate();
-        let neighbours = neighbours.map(|(index, (color, variance_of_mean))| CandidateBeside {
-            signal: &color.signal,
-            variance_of_mean,
-            features: features.get(1 + index),
-        });
-        let neighbours: Vec<_> = neighbours.collect();
         let needed = Needed {
-            candidates: plan.candidates(),
             derivatives: plan.runs(&Step::Derivatives),
             half_spread: plan.runs(&Step::HalfSpread),
             alone: plan.runs(&Step::Frames),
@@ -321,61 +337,52 @@ impl Pass1 {
             exact: plan.exact(&Step::Candidates),
             wanted: wanted.candidates,
         };
-        let CandidatesInTime { together: candidates, alone } = candidates(
-            rec,
-            extent,
-            signal,
-            variance,
-            features.first(),
-            &neighbours,
-            &candidate_filter(params),
-            needed,
-            schedule,
-            progress,
-        )?;
+        let CandidatesInTime { together: candidates, alone } = {
+            let frames = Frames {
+                own: prepared.own.candidate_frame(),
+                beside: prepared.beside.iter().map(PreparedFrame::candidate_frame).collect(),
+            };
+            let (filters, window) = (planned_filters(params, plan), params.window());
+            candidates(rec, extent, &frames, &filters, window, needed, schedule, progress)?
+        };
         if let Some(alone) = alone.as_ref().filter(|_| plan.begins(rec, Step::Frames)) {
-            select_frames(rec, extent, Noisy { signal, variance_of_mean: variance }, alone, &candidates, HARM)?;
+            let PreparedFrame { color, variance, .. } = &prepared.own;
+            let noisy = Noisy { signal: &color.signal, variance_of_mean: variance };
+            select_frames(rec, extent, noisy, alone, &candidates, HARM)?;
         }
         drop(alone);
         prepared.forget_neighbours();
-        let Prepared { color, variance, .. } = &*prepared;
+        let PreparedFrame { color, variance, .. } = &prepared.own;
         let signal = &color.signal;
-        for (plane, (name, candidate)) in (0..).zip(BY_CANDIDATE.into_iter().zip(&candidates.signals)) {
-            let Some(candidate) = candidate else { continue };
-            keeper.keep(Intermediate::Candidates, name, &RGB, Unit::Color, candidate, 0);
-            if let Some(derivatives) = &candidates.derivatives {
-                keeper.keep(
-                    Intermediate::Derivatives,
-                    format!("{name}_derivative"),
-                    &RGB,
-                    Unit::Number,
-                    derivatives,
-                    plane,
-                );
+        let names: Vec<&str> = candidates.filters.iter().map(|filter| filter.name).collect();
+        for (place, name) in names.iter().copied().enumerate() {
+            let (planes, mean) = (&candidates.planes, candidates.mean_plane(place));
+            keeper.keep(Intermediate::Candidates, name, &RGB, Unit::Color, planes, mean);
+            if let Some(plane) = candidates.derivative_plane(place) {
+                let name = format!("{name}_derivative");
+                keeper.keep(Intermediate::Derivatives, name, &RGB, Unit::Number, planes, plane);
             }
         }
 
         // Filtered SURE error estimates.
+        let planes = planes_of_numbers(candidates.count());
         let mut judged = None;
         if plan.begins(rec, Step::Sure) {
             let sure = Arc::new(error_sure(rec, extent, signal, variance, &candidates, params.covariance)?);
-            let errors = Arc::new(prepared.smooth(rec, Step::SureSmoothing, &sure, &ERROR_SMOOTHING, work)?);
-            keeper.keep(Intermediate::Sure, "sure", &BY_CANDIDATE, Unit::ColorSquared, &sure, 0);
-            keeper.keep(Intermediate::Sure, "sure_smoothed", &BY_CANDIDATE, Unit::ColorSquared, &errors, 0);
+            let errors = Arc::new(prepared.smooth(rec, Step::SureSmoothing, &sure, planes, &ERROR_SMOOTHING, work)?);
+            keeper.keep_numbers(Intermediate::Sure, "sure", &names, Unit::ColorSquared, &sure);
+            keeper.keep_numbers(Intermediate::Sure, "sure_smoothed", &names, Unit::ColorSquared, &errors);
             judged = Some((sure, errors));
         }
 
         let Some((sure, errors)) = judged.as_ref().filter(|_| plan.begins(rec, Step::Selection)) else {
-            // Nothing to choose from.
-            let Some((only, candidate)) = candidates.first_of_all() else {
-                unreachable!("a plan holds at least one candidate")
-            };
-            return Ok(Self { blend: candidate.clone(), selection: Shares::Only(only), color_only: None, candidates });
+            // Nothing to choose from: the signal of the only candidate lies in the first two planes.
+            return Ok(Self { blend: candidates.planes.clone(), selection: None, color_only: None, candidates });
         };
         // Binary selection maps.
         let selected = Arc::new(select_least(rec, extent, errors, &candidates)?);
         // Filter selection maps.
-        let smoothed = prepared.smooth(rec, Step::SelectionSmoothing, &selected, &SELECTION_SMOOTHING, work)?;
+        let smoothed = prepared.smooth(rec, Step::SelectionSmoothing, &selected, planes, &SELECTION_SMOOTHING, work)?;
         // Candidate filter averaging.
         plan.begins(rec, Step::Blend);
         let evidence =
@@ -387,9 +394,9 @@ impl Pass1 {
             let (found, blended) = ColorOnly::new(rec, prepared, &candidates, &selection, &blend, work, keeper)?;
             (color_only, blend) = (Some(found), blended);
         }
-        keeper.keep(Intermediate::Selection, "selected", &BY_CANDIDATE, Unit::Number, &selected, 0);
-        keeper.keep(Intermediate::Selection, "selection", &BY_CANDIDATE, Unit::Number, &selection, 0);
-        Ok(Self { candidates, selection: Shares::Maps(selection), color_only, blend })
+        keeper.keep_numbers(Intermediate::Selection, "selected", &names, Unit::Number, &selected);
+        keeper.keep_numbers(Intermediate::Selection, "selection", &names, Unit::Number, &selection);
+        Ok(Self { candidates, selection: Some(selection), color_only, blend })
     }
 }
 
@@ -406,10 +413,8 @@ impl ColorOnly {
         keeper: &mut Keeper,
     ) -> Result<(Self, Arc<Buffer>)> {
         let Work { params, plan, schedule, wanted } = work;
-        let Prepared { extent, color, variance, .. } = prepared;
-        let (extent, signal) = (*extent, &color.signal);
+        let (extent, frame) = (prepared.extent, prepared.own.candidate_frame());
         let needed = Needed {
-            candidates: SECOND_ONLY,
             derivatives: true,
             half_spread: plan.runs(&Step::HalfSpread),
             alone: false,
@@ -417,28 +422,20 @@ impl ColorOnly {
             exact: plan.exact(&Step::Candidates),
             wanted: wanted.candidates,
         };
-        let alone = candidates(
-            rec,
-            extent,
-            signal,
-            variance,
-            None,
-            &[],
-            &candidate_filter(params),
-            needed,
-            schedule,
-            |_, _| Ok(()),
-        )?
-        .together;
-        let Some((_, filtered)) = alone.first_of_all() else { unreachable!("SECOND takes part") };
+        let (filters, window) = ([color_only_filter(params)], params.window());
+        let frames = Frames::one(frame);
+        let found = candidates(rec, extent, &frames, &filters, window, needed, schedule, |_, _| Ok(()))?;
+        let (filtered, signal, variance) = (found.together, frame.payload, frame.variance_of_mean);
+        let covariance = params.covariance;
         let differences =
-            error_difference(rec, extent, signal, variance, blend, selection, joint, &alone, params.covariance)?;
+            error_difference(rec, extent, signal, variance, blend, selection, joint, &filtered, covariance)?;
+        let (count, significance) = (joint.count(), Significance::MEASURED);
         let WithColorOnly { blended, shares } =
-            select_color_only(rec, extent, &differences, blend, filtered, selection, Significance::MEASURED)?;
+            select_color_only(rec, extent, &differences, blend, count, &filtered, selection, significance)?;
         let shares = Arc::new(shares);
-        keeper.keep(Intermediate::Candidates, "color_only", &RGB, Unit::Color, filtered, 0);
+        keeper.keep(Intermediate::Candidates, "color_only", &RGB, Unit::Color, &filtered.planes, 0);
         keeper.keep(Intermediate::Selection, "color_only_share", &["V"], Unit::Number, &shares, 0);
-        Ok((Self { candidates: alone, shares }, Arc::new(blended)))
+        Ok((Self { candidates: filtered, shares }, Arc::new(blended)))
     }
 }
 
@@ -492,88 +489,77 @@ fn second_pass_filter(second_pass: &SecondPass, window_radius: u32) -> Auxiliary
 }
 
 /// Prefilters each feature by itself (Algorithm 1 lines 4 to 10) and packs them for the candidates. Packs features
-/// without noise as they are. Returns an empty list without features.
+/// without noise as they are. Returns `None` for frames without features.
 ///
-/// `frames` holds the features of all frames of the window in time, the one to denoise first, and each is prefiltered
-/// with the help of all. Measured on three frames of the built-in scenes in which nothing moves, 8 and 32 samples per
-/// pixel: against one frame alone they leave .46 to .67 of the error, with features that are prefiltered frame by frame
-/// .60 to .77, and .46 to .53 if all the samples were in one frame.
+/// Each frame of the window in time is prefiltered with the help of all. Measured on three frames of the built-in scenes
+/// in which nothing moves, 8 and 32 samples per pixel: against one frame alone they leave .46 to .67 of the error, with
+/// features that are prefiltered frame by frame .60 to .77, and .46 to .53 if all the samples were in one frame.
 fn prefilter(
     rec: &mut Recorder,
     extent: IVec2,
-    frames: Vec<Vec<FeatureInput>>,
+    frames: Frames<Vec<FeatureInput>>,
     work: Work,
     keeper: &mut Keeper,
-) -> Result<Vec<Features>> {
+) -> Result<Frames<Option<Features>>> {
     let Work { params: &DfcParams { weighting, box_weight, .. }, plan, schedule, wanted } = work;
-    let channels: Vec<u32> = frames[0].iter().map(|feature| feature.channels).collect();
+    let channels: Vec<u32> = frames.own.iter().map(|feature| feature.channels).collect();
     if channels.is_empty() {
-        return Ok(Vec::new());
+        return Ok(frames.map(|_| None));
     }
-    let packed = frames.iter().map(|_| Features::take(rec, extent, &channels)).collect::<Result<Vec<_>>>()?;
-    let slots = packed[0].packing.slots.clone();
-    for index in packed[0].packing.order() {
-        let FeatureInput { name, channels, .. } = &frames[0][index];
+    let packed = frames.as_ref().try_map(|_| Features::take(rec, extent, &channels))?;
+    let slots = packed.own.packing.slots.clone();
+    for index in packed.own.packing.order() {
+        let FeatureInput { name, channels, .. } = &frames.own[index];
         let step = Step::Prefilter(name.clone());
         let exact = plan.exact(&step);
         let has_noise = plan.begins(rec, step.clone());
-        let features = frames.iter().map(|features| features[index].fetch(rec, extent)).collect::<Result<Vec<_>>>()?;
-        let variances = features
+        let signals = frames.as_ref().try_map(|features| features[index].fetch(rec, extent))?;
+        let noisy = signals.try_map(|signal| {
+            let variance = if has_noise { noise(rec, extent, &signal, box_weight)? } else { None };
+            Ok::<_, Error>((signal, variance))
+        })?;
+        let compared: Vec<_> = noisy
             .iter()
-            .map(|signal| if has_noise { noise(rec, extent, signal, box_weight) } else { Ok(None) })
-            .collect::<Result<Vec<_>>>()?;
-        let mut prefiltered = Vec::new();
-        for (frame, signal) in features.iter().enumerate() {
-            let others = || features.iter().zip(&variances).enumerate().filter(|(other, _)| *other != frame);
-            prefiltered.push(match &variances[frame] {
-                Some(variance) => {
-                    let beside: Vec<_> = others()
-                        .filter_map(|(_, (other, variance))| {
-                            Some(Beside { signal: &other.signal, variance_of_mean: variance.as_ref()? })
-                        })
-                        .collect();
-                    let payloads: Vec<_> = beside.iter().map(|beside| beside.signal).collect();
-                    let guide = Guide {
-                        beside: &beside,
-                        exact,
-                        wanted: wanted.features,
-                        ..PREFILTER.guide(&signal.signal, variance, *channels)
-                    };
-                    let lanes = if *channels == 1 { Lanes::First } else { Lanes::All };
-                    let payload = Payload {
-                        planes: &signal.signal,
-                        count: if signal.has_halves { 2 } else { 1 },
-                        beside: &payloads,
-                        lanes,
-                    };
-                    let filtered = nlm_filter(
-                        rec,
-                        extent,
-                        &guide,
-                        &payload,
-                        PREFILTER.window_radius,
-                        weighting,
-                        !signal.has_halves,
-                        schedule,
-                    )?;
-                    let residual = match filtered.residual_variance {
-                        Some(residual) => residual,
-                        None => variance_smooth(rec, extent, &filtered.planes, RESIDUAL_SMOOTHING, None)?,
-                    };
-                    (Arc::new(filtered.planes), Some(Arc::new(residual)))
-                }
-                None => (signal.signal.clone(), None),
-            });
-        }
+            .map(|(signal, variance)| {
+                variance.as_ref().map(|variance| Beside { signal: &signal.signal, variance_of_mean: variance })
+            })
+            .collect();
+        let mut frame = 0..;
+        let prefiltered = noisy.as_ref().try_map(|(signal, variance)| {
+            let frame = frame.next().unwrap_or_default();
+            let Some(variance) = variance else { return Ok((signal.signal.clone(), None)) };
+            let others = compared.iter().enumerate().filter(|(other, _)| *other != frame);
+            let beside: Vec<_> = others.filter_map(|(_, compared)| *compared).collect();
+            let payloads: Vec<_> = beside.iter().map(|beside| beside.signal).collect();
+            let guide = Guide {
+                beside: &beside,
+                exact,
+                wanted: wanted.features,
+                ..PREFILTER.guide(&signal.signal, variance, *channels)
+            };
+            let payload = Payload {
+                planes: &signal.signal,
+                count: if signal.has_halves { 2 } else { 1 },
+                beside: &payloads,
+                lanes: if *channels == 1 { Lanes::First } else { Lanes::All },
+            };
+            let (radius, with_residual) = (PREFILTER.window_radius, !signal.has_halves);
+            let filtered = nlm_filter(rec, extent, &guide, &payload, radius, weighting, with_residual, schedule)?;
+            let residual = match filtered.residual_variance {
+                Some(residual) => residual,
+                None => variance_smooth(rec, extent, &filtered.planes, RESIDUAL_SMOOTHING, None)?,
+            };
+            Ok::<_, Error>((Arc::new(filtered.planes), Some(Arc::new(residual))))
+        })?;
         plan.begins(rec, Step::Features);
-        for ((filtered, residual_variance), packed) in prefiltered.iter().zip(&packed) {
+        for ((filtered, residual_variance), packed) in prefiltered.iter().zip(packed.iter()) {
             feature_pack(rec, extent, packed, slots[index], filtered, residual_variance.as_deref())?;
         }
-        let (filtered, residual_variance) = &prefiltered[0];
+        let (filtered, residual_variance) = &prefiltered.own;
         let names = &["x", "y", "z"][..*channels as usize];
         // Without noise, the half spread is 0 as well.
         let (residual_variance, plane) =
-            residual_variance.as_ref().map_or((&features[0].signal, 1), |variance| (variance, 0));
+            residual_variance.as_ref().map_or((&noisy.own.0.signal, 1), |variance| (variance, 0));
         keeper.keep(Intermediate::Features, format!("{name}_prefiltered"), names, Unit::Feature(index), filtered, 0);
         keeper.keep(
             Intermediate::Features,
@@ -584,7 +570,7 @@ fn prefilter(
             plane,
         );
     }
-    Ok(packed)
+    Ok(packed.map(Some))
 }
 
 /// Variance of a signal's mean. `None` if the noise of the signal is unknown.
@@ -612,13 +598,15 @@ pub(super) fn footprint(params: &DfcParams, facts: &Facts, kept: bool, schedule:
     // Of the frames beside as well until the next one is repaired.
     let spikes = frames * (color + packed) + repaired + 2 * found;
     // Over all frames, and over the own one.
-    let candidates = frames * (color + packed) + if beside > 0 { 2 * CANDIDATE_PLANES } else { CANDIDATE_PLANES };
+    let count = params.filters().len();
+    let (all, numbers) = (u64::from(Candidates::planes_of(count, true)), u64::from(planes_of_numbers(count)));
+    let candidates = frames * (color + packed) + if beside > 0 { 2 * all } else { all };
     // Candidates, SURE, errors and weights 2, selected, smoothed and weights 2, blend 2; variance, second pass and
     // weights 3. Before the error and what is chosen of the passes 3, what belongs to the choice is given back. The
     // filter by the colour only: 2 and its derivatives 3, differences and their average 3, blend 2, shares 1.
     let with_color_only = params.color_only && has_features_without_noise(facts);
     let color_only = if with_color_only { 11 } else { 0 };
-    let later = color + CANDIDATE_PLANES + 12 + color_only;
+    let later = color + all + 12 + 8 * (numbers - 1) + color_only;
     // Prefiltered features and residual variances, the sampling density and its weights; of each feature, the values
     // that were taken as they are.
     let kept = if kept { 5 * channels.len() as u64 + 3 } else { 0 };
@@ -640,7 +628,7 @@ fn reach_of_candidates(params: &DfcParams, noise_reach: u32) -> u32 {
     // One more for the gradient, which is less than the smoothing of the residual variance.
     let features = reach_of_prefilter(noise_reach) + RESIDUAL_SMOOTHING.radius.max(1);
     let scaled_variance = scaled_variance + params.spikes.reach(features);
-    params.window_radius + features.max(params.second_patch_radius + scaled_variance)
+    params.window_radius + features.max(params.largest_patch_radius() + scaled_variance)
 }
 
 /// How far a prefiltered feature depends on the raw feature, in pixels.

@@ -15,7 +15,7 @@ pub enum Intermediate {
     Variance,
     /// Prefiltered features and their residual variances; none without features.
     Features,
-    /// FIRST, SECOND and THIRD.
+    /// The candidates of DFC.
     Candidates,
     /// dF_i/du_i of the candidates.
     Derivatives,
@@ -115,13 +115,15 @@ pub struct Lane {
     pub component: u32,
 }
 
-/// The shares of FIRST, SECOND and THIRD.
+/// The share of a candidate in each pixel.
 #[derive(Clone, Debug)]
-pub enum Shares {
-    /// One plane, x, y and z.
-    Maps(Arc<Buffer>),
-    /// All is of the only one that took part, from 0.
-    Only(usize),
+pub enum Share {
+    /// It takes no part.
+    None,
+    /// All: it is the only candidate.
+    Whole,
+    /// As an image says, from 0 to 1.
+    Lane(Lane),
 }
 
 /// What a method knows of the true image, on the GPU.
@@ -133,8 +135,8 @@ pub struct GpuEstimate {
     pub error: Option<Lane>,
     /// How many pixels took part in a pixel's average.
     pub weight_sum: Lane,
-    /// The shares of FIRST, SECOND and THIRD, where the method has them.
-    pub selection: Option<Shares>,
+    /// The candidates by name, and the share of each, where the method has candidates.
+    pub selection: Option<Vec<(&'static str, Share)>>,
     /// What was taken from spikes, the colour of each in x, y and z, and in w the part of it that the pixels around
     /// got. `None` where nobody looked for any.
     pub spikes: Option<Arc<Buffer>>,
@@ -177,6 +179,21 @@ impl<'a> Keeper<'a> {
                 buffer: buffer.clone(),
                 plane,
             });
+        }
+    }
+
+    /// Keeps planes of numbers, one for each of `names`, if they were asked for: four to a plane, each plane a layer.
+    pub(super) fn keep_numbers(
+        &mut self,
+        intermediate: Intermediate,
+        layer: &str,
+        names: &[&str],
+        unit: Unit,
+        buffer: &Arc<Buffer>,
+    ) {
+        for (plane, names) in (0..).zip(names.chunks(4)) {
+            let layer = if plane == 0 { layer.to_owned() } else { format!("{layer}_{}", plane + 1) };
+            self.keep(intermediate, layer, names, unit, buffer, plane);
         }
     }
 

@@ -8,7 +8,7 @@ use std::sync::Arc;
 
 use serde::Serialize;
 
-use super::{Lane, Plan};
+use super::{Lane, Plan, Share};
 use crate::gpu::Buffer;
 use crate::image::{Extent, Image};
 use crate::stage::nlm::CentreWeight;
@@ -25,7 +25,7 @@ pub struct Kernels {
     ///
     /// | method | names |
     /// | --- | --- |
-    /// | DFC | `first`, `second`, `third`, without those that are left out; `color_only`, where features are without noise; then `second_pass`, where there is one, which averages what the others were blended to |
+    /// | DFC | the candidates, `first`, `second`, `third`, without those that are left out; `color_only`, where features are without noise; then `second_pass`, where there is one, which averages what the others were blended to |
     /// | NLM | `half_a` and `half_b`, each with the weights of the other half; `filter` where both are filtered as one |
     /// | GEM | `scale`, the scale that the pixel came to |
     ///
@@ -215,17 +215,10 @@ impl PixelInFrame {
 /// A kernel as it lies on the device.
 pub(crate) struct KernelOnGpu {
     pub(crate) name: &'static str,
-    pub(crate) share: Option<ShareOnGpu>,
+    pub(crate) share: Option<Share>,
     /// Image whose first plane is averaged.
     pub(crate) averaged: Arc<Buffer>,
     pub(crate) weights: WeightsOnGpu,
-}
-
-pub(crate) enum ShareOnGpu {
-    /// All: there is one candidate.
-    Whole,
-    /// What an image says at the pixel.
-    Lane(Lane),
 }
 
 /// Where the filter's value is the result, and where not: the first planes of images.

@@ -26,11 +26,12 @@ use crate::error::{Error, Result};
 use crate::frame::Frame;
 use crate::gpu::Recorder;
 use crate::parameters::choices;
+use crate::stage::frames::Frames;
 use crate::stage::nlm::Schedule;
 use kernels::KernelOnGpu;
 
 pub use dfc::DfcParams;
-pub use estimate::{GpuEstimate, Intermediate, KeptPlane, Lane, Shares, Unit};
+pub use estimate::{GpuEstimate, Intermediate, KeptPlane, Lane, Share, Unit};
 pub(crate) use frame::{FrameInput, Units};
 pub use frame::{GpuFeature, GpuFrame, GpuSignal};
 pub use gem::GemParams;
@@ -258,19 +259,17 @@ impl Method {
         }
     }
 
-    /// Records the planned steps for a frame, in a window with the frames `beside`, which must have its units.
-    /// `progress` receives the share of the work that is recorded, 0 to 1.
+    /// Records the planned steps for the own frame of a window, whose other frames must have its units. `progress` receives the share of the work that is recorded, 0 to 1.
     pub(crate) fn record(
         &self,
         rec: &mut Recorder,
-        frame: FrameInput,
-        beside: Vec<FrameInput>,
+        frames: Frames<FrameInput>,
         plan: &Plan,
         schedule: Schedule,
         progress: impl FnMut(&mut Recorder, f32) -> Result<()>,
     ) -> Result<GpuEstimate> {
-        self.check_beside(beside.len())?;
-        self.check_noise_is_known(frame.color.is_image_only())?;
+        self.check_beside(frames.beside.len())?;
+        self.check_noise_is_known(frames.own.color.is_image_only())?;
         let channels = |frame: &FrameInput| {
             if self.uses_features() {
                 frame.features.iter().map(|feature| feature.channels).collect()
@@ -279,7 +278,7 @@ impl Method {
             }
         };
         let shape = |frame: &FrameInput| (frame.extent, frame.color.has_halves, channels(frame));
-        if beside.iter().any(|other| shape(other) != shape(&frame)) {
+        if frames.beside.iter().any(|other| shape(other) != shape(&frames.own)) {
             return Err(Error::Request {
                 problem:
                     "a frame of the window has another extent, other halves or other features than the one to denoise"
@@ -288,9 +287,9 @@ impl Method {
             });
         }
         match self {
-            Self::Dfc(params) => dfc::dfc(rec, frame, beside, params, plan, schedule, progress),
-            Self::Gem(params) => gem::gem(rec, frame, params, plan, progress),
-            Self::Nlm(params) => nlm::nlm(rec, frame, beside, params, plan, schedule, progress),
+            Self::Dfc(params) => dfc::dfc(rec, frames, params, plan, schedule, progress),
+            Self::Gem(params) => gem::gem(rec, frames.own, params, plan, progress),
+            Self::Nlm(params) => nlm::nlm(rec, frames, params, plan, schedule, progress),
         }
     }
 }

@@ -18,6 +18,7 @@ use super::{FrameInput, GpuSignal, Method};
 use crate::error::{Error, Result};
 use crate::gpu::{Buffer, Recorder};
 use crate::stage::error::error_halves;
+use crate::stage::frames::Frames;
 use crate::stage::gaussian::{Averaging, Gaussian, gaussian};
 use crate::stage::half::{Halves, half_join, half_split};
 use crate::stage::nlm::{Beside, CentreWeight, Filtered, Guide, Payload, Schedule, Weighting, nlm_filter};
@@ -43,8 +44,8 @@ const VARIANCE_PATCH_RADIUS: u32 = 3;
 const VARIANCE_K: f32 = 0.45;
 const VARIANCE_ALPHA: f32 = 4.0;
 
-/// Non-local means. Uses no features. With frames `beside`, which are in the same units, its window reaches into them
-/// (thesis 7.3).
+/// Non-local means. Uses no features. Its window reaches into the frames beside, if there are any, which must be in the
+/// units of the own frame (thesis 7.3).
 ///
 /// `progress` is called with the share of the work that is recorded.
 ///
@@ -52,23 +53,19 @@ const VARIANCE_ALPHA: f32 = 4.0;
 /// Errors of the recorder; [`Error::Request`] where the variance is to be uniform and a frame does not say which.
 pub(crate) fn nlm(
     rec: &mut Recorder,
-    frame: FrameInput,
-    beside: Vec<FrameInput>,
+    frames: Frames<FrameInput>,
     params: &NlmParams,
     plan: &Plan,
     schedule: Schedule,
     mut progress: impl FnMut(&mut Recorder, f32) -> Result<()>,
 ) -> Result<GpuEstimate> {
-    let extent = frame.extent;
-    let has_halves = frame.color.has_halves;
+    let extent = frames.own.extent;
+    let has_halves = frames.own.color.has_halves;
     let mut keeper = Keeper::new(&plan.keep);
 
     // Variance estimation.
-    let Prepared { color, signal, variance, halves, spikes } = &Prepared::new(rec, frame, params, plan, schedule)?;
-    let beside = beside
-        .into_iter()
-        .map(|frame| Prepared::new(rec, frame, params, plan, schedule))
-        .collect::<Result<Vec<_>>>()?;
+    let Frames { own, beside } = frames.try_map(|frame| Prepared::new(rec, frame, params, plan, schedule))?;
+    let Prepared { color, signal, variance, halves, spikes } = &own;
     if let Some(spikes) = spikes {
         keeper.keep(Intermediate::Spikes, "spikes", &RGB, Unit::Color, &spikes.spikes, 0);
     }

@@ -11,7 +11,6 @@ use super::noise::{POOLING_RADIUS, Pooling};
 use super::{GpuFrame, GpuSignal, Intermediate};
 use crate::frame::{Feature, Frame, NoiseTiles, TILE};
 use crate::gpu::Recorder;
-use crate::stage::candidate_set::CandidateSet;
 use crate::stage::exact::ExactTiles;
 use crate::stage::variance::INPUT_SMOOTHING;
 
@@ -201,12 +200,6 @@ impl Plan {
             rec.begin_step(&step.name());
         }
         runs
-    }
-
-    /// Candidates of DFC that are computed and compared.
-    pub(super) fn candidates(&self) -> CandidateSet {
-        let [first, second, third] = CandidateSet::NAMES.map(|name| self.runs(&Step::Candidate(name)));
-        CandidateSet { first, second, third }
     }
 
     /// Whether no step runs, so that the frame is the result.

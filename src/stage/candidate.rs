@@ -1,40 +1,31 @@
-//! The candidate filters FIRST, SECOND and THIRD with their derivatives, in one pass over the window (thesis 8.2 to
-//! 8.4).
+//! The candidate filters with their derivatives (thesis 8.2 to 8.4): any number of them, as few passes over the window
+//! as they need.
 
 use std::sync::Arc;
 
-use glam::{IVec2, Vec4};
+use glam::IVec2;
 
-use super::candidate_set::CandidateSet;
+use super::candidate_filter::{CandidateFilter, CandidateParams, Pass, passes};
 use super::exact::{ExactTiles, Region};
-use super::feature::{Features, MAX_GROUPS};
+use super::feature::Features;
+use super::frames::Frames;
 use super::nlm::{Beside, ChunkNeeds, Guide, NlmParams, Schedule, Weighting, for_each_chunk};
 use super::plane_bytes;
 use crate::error::Result;
 use crate::gpu::{Buffer, Definition, Recorder, bindings, uniforms};
 
 uniforms! {
-    struct ResolveParams { candidate: i32 }
-    pub(super) struct CandidateParams {
-        inverse_feature_k_squared: f32,
-        feature_tau: f32,
-        feature_tau_third: f32,
-        triple_weights: [Vec4; MAX_GROUPS],
-    }
+    struct ResolveParams { sums: i32, candidate: i32, candidates: i32 }
 }
 
 bindings! {
     struct CandidateAccumulate<'a> {
         uniform params: NlmParams, uniform candidate: CandidateParams,
-        optional columns, read signal, read variance_of_mean, write state, optional features,
-        optional neighbours_signal, optional neighbours_variance, optional neighbours_features,
+        optional columns, read payload, read variance_of_mean, write state, optional features,
+        optional neighbours_payload, optional neighbours_variance, optional neighbours_features,
     }
     struct CandidateResolve<'a> {
-        uniform params: NlmParams, uniform resolve: ResolveParams, read signal, read variance_of_mean, read state,
-        write filtered, write derivatives,
-    }
-    struct CandidateResolveValue<'a> {
-        uniform params: NlmParams, uniform resolve: ResolveParams, read signal, read variance_of_mean, read state,
+        uniform params: NlmParams, uniform resolve: ResolveParams, read payload, read variance_of_mean, read state,
         write filtered,
     }
 }
@@ -42,74 +33,52 @@ bindings! {
 /// Planes of running sums that `candidate_accumulate` keeps per pixel of a strip.
 pub(crate) const STATE_PLANES: u32 = 12;
 
-/// Parameters of the candidate filters.
+/// A frame of a window in time, as the candidates see it.
 #[derive(Clone, Copy, Debug)]
-pub struct CandidateFilter {
-    /// R: the window is 2R+1 pixels wide.
-    pub window_radius: u32,
-    /// k_c of FIRST and SECOND.
-    pub color_k: f32,
-    /// f of FIRST, at most that of SECOND.
-    pub first_patch_radius: u32,
-    /// f of SECOND.
-    pub second_patch_radius: u32,
-    /// k_f of all three.
-    pub feature_k: f32,
-    /// τ of FIRST and SECOND.
-    pub feature_tau: f32,
-    /// τ of THIRD.
-    pub feature_tau_third: f32,
-    /// Weighting of FIRST and SECOND. THIRD takes the symmetric distances where the others do, but never blends pairs:
-    /// it is the widest filter already, and without a colour term nothing would limit the blend.
-    pub weighting: Weighting,
-}
-
-impl CandidateFilter {
-    /// Returns the guide by which the candidates that look at the colour compare it.
-    pub(super) fn guide<'a>(
-        &self,
-        signal: &'a Buffer,
-        variance_of_mean: &'a Buffer,
-        candidates: CandidateSet,
-        grey: bool,
-    ) -> Guide<'a> {
-        let CandidateSet { first: with_first, second: with_second, .. } = candidates;
-        let patch_radius = if with_second { self.second_patch_radius } else { self.first_patch_radius };
-        Guide {
-            small_patch_radius: (with_first && with_second).then_some(self.first_patch_radius),
-            grey,
-            ..Guide::new(signal, variance_of_mean, 3, self.color_k, patch_radius)
-        }
-    }
-
-    /// Returns the parameters by which the features are compared.
-    pub(super) fn params(&self, features: Option<&Features>) -> CandidateParams {
-        CandidateParams {
-            inverse_feature_k_squared: 1.0 / (self.feature_k * self.feature_k),
-            feature_tau: self.feature_tau,
-            feature_tau_third: self.feature_tau_third,
-            triple_weights: features.map_or([Vec4::ZERO; MAX_GROUPS], |features| features.packing.triple_weights()),
-        }
-    }
-}
-
-/// A frame beside the one that is filtered, whose pixels take part as neighbours (thesis 8.6).
-#[derive(Clone, Copy, Debug)]
-pub struct CandidateBeside<'a> {
-    /// Colour signal of the frame.
-    pub signal: &'a Buffer,
-    /// Scaled variance of the frame's colour, one plane.
+pub struct CandidateFrame<'a> {
+    /// The signal to average.
+    pub payload: &'a Buffer,
+    /// Another image whose patches are compared, in its first plane; `None` compares the mean of the payload.
+    pub guide: Option<&'a Buffer>,
+    /// Variance of the mean of what is compared, one plane, as the filters want it.
     pub variance_of_mean: &'a Buffer,
-    /// Prefiltered features of the frame: the same features as in the filtered frame, in the same units.
+    /// Prefiltered features: in all frames of a window the same features in the same units. `None` makes their weights
+    /// 1.
     pub features: Option<&'a Features>,
+}
+
+impl<'a> CandidateFrame<'a> {
+    fn compared(&self) -> Beside<'a> {
+        Beside { signal: self.guide.unwrap_or(self.payload), variance_of_mean: self.variance_of_mean }
+    }
+
+    /// Returns the guide by which a pass compares the colour.
+    pub(super) fn guide(&self, pass: &Pass, grey: bool) -> Guide<'a> {
+        let Beside { signal, variance_of_mean } = self.compared();
+        Guide {
+            small_patch_radius: pass.small_patch_radius(),
+            grey,
+            ..Guide::new(signal, variance_of_mean, 3, pass.color_k(), pass.patch_radius())
+        }
+    }
+}
+
+/// The window of the candidates, and how distances become weights.
+#[derive(Clone, Copy, Debug)]
+pub struct CandidateWindow {
+    /// R: the window is 2R+1 pixels wide.
+    pub radius: u32,
+    /// Weighting of filters that compare the colour. Filters by the features alone take the symmetric distances where
+    /// the others do, but never blend pairs: they are the widest filters already, and without a colour term nothing
+    /// would limit the blend.
+    pub weighting: Weighting,
 }
 
 /// Outputs of the candidates to compute.
 #[derive(Clone, Copy, Debug)]
 pub struct Needed<'a> {
-    /// Candidates to compute.
-    pub candidates: CandidateSet,
-    /// Whether to compute their derivatives.
+    /// Whether to compute their derivatives. Weights that do not depend on the payload give 1/Σ w times the weight of
+    /// the centre; other weights are differentiated by finite differences.
     pub derivatives: bool,
     /// Whether to compute their half spreads, which are 0 otherwise.
     pub half_spread: bool,
@@ -117,7 +86,7 @@ pub struct Needed<'a> {
     pub alone: bool,
     /// Whether the three channels of the colour differ in at least one frame.
     pub channels: bool,
-    /// Tiles in which no pixel within reach has noise: there every candidate is the signal itself, with derivatives of
+    /// Tiles in which no pixel within reach has noise: there every candidate is the payload itself, with derivatives of
     /// 1.
     pub exact: Option<&'a ExactTiles>,
     /// Pixels to compute; the values of other pixels are arbitrary. `None` computes all pixels.
@@ -126,58 +95,60 @@ pub struct Needed<'a> {
 
 impl Needed<'_> {
     /// All outputs, for all pixels.
-    pub const EVERYTHING: Self = Self {
-        candidates: CandidateSet::ALL,
-        derivatives: true,
-        half_spread: true,
-        alone: true,
-        channels: true,
-        exact: None,
-        wanted: None,
-    };
+    pub const EVERYTHING: Self =
+        Self { derivatives: true, half_spread: true, alone: true, channels: true, exact: None, wanted: None };
 }
 
 /// The filtered candidates.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct Candidates {
-    /// Signals of FIRST, SECOND and THIRD, as far as they take part; Σ w in the w of the mean.
-    pub signals: [Option<Arc<Buffer>>; 3],
-    /// Three planes: dF_i/du_i per channel, of FIRST, SECOND and THIRD.
-    pub derivatives: Option<Arc<Buffer>>,
+    /// The filters, in their order.
+    pub filters: Vec<CandidateFilter>,
+    /// Two planes for each candidate, a signal: the mean with Σ w in w, and the half spread. Behind them, where there
+    /// are derivatives, one plane for each candidate: dF_i/du_i per channel.
+    pub planes: Arc<Buffer>,
+    /// Whether there are derivatives.
+    pub has_derivatives: bool,
 }
 
 impl Candidates {
-    fn take(rec: &mut Recorder, extent: IVec2, needed: &Needed) -> Result<Self> {
-        let mut signals = [None, None, None];
-        for (signal, (name, takes_part)) in
-            signals.iter_mut().zip(["FIRST", "SECOND", "THIRD"].into_iter().zip(needed.candidates.flags()))
-        {
-            *signal = if takes_part { Some(Arc::new(rec.take(name, plane_bytes(extent, 2))?)) } else { None };
-        }
-        let derivatives =
-            if needed.derivatives { Some(Arc::new(rec.take("derivatives", plane_bytes(extent, 3))?)) } else { None };
-        Ok(Self { signals, derivatives })
+    /// Number of planes that so many candidates take.
+    pub const fn planes_of(candidates: usize, with_derivatives: bool) -> u32 {
+        (if with_derivatives { 3 } else { 2 }) * candidates as u32
     }
 
-    /// Returns which candidates take part.
-    pub fn set(&self) -> CandidateSet {
-        let [first, second, third] = self.signals.each_ref().map(Option::is_some);
-        CandidateSet { first, second, third }
+    fn take(rec: &mut Recorder, extent: IVec2, filters: &[CandidateFilter], has_derivatives: bool) -> Result<Self> {
+        let planes = Self::planes_of(filters.len(), has_derivatives);
+        let planes = Arc::new(rec.take("candidates", plane_bytes(extent, planes))?);
+        Ok(Self { filters: filters.to_vec(), planes, has_derivatives })
     }
 
-    /// Returns the index of the first candidate that takes part, from 0, and its signal.
-    pub(crate) fn first_of_all(&self) -> Option<(usize, &Arc<Buffer>)> {
-        self.signals.iter().enumerate().find_map(|(place, signal)| Some((place, signal.as_ref()?)))
+    /// The number of candidates.
+    pub fn count(&self) -> usize {
+        self.filters.len()
     }
 
-    /// Returns the signals of the candidates that take part.
-    pub(super) fn buffers(&self) -> [Option<&Buffer>; 3] {
-        self.signals.each_ref().map(Option::as_deref)
+    /// The plane of a candidate's mean; its half spread lies in the next one.
+    pub fn mean_plane(&self, candidate: usize) -> u32 {
+        2 * candidate as u32
+    }
+
+    /// The plane of a candidate's derivatives, where there are any.
+    pub fn derivative_plane(&self, candidate: usize) -> Option<u32> {
+        self.has_derivatives.then_some((2 * self.count() + candidate) as u32)
+    }
+
+    /// The definition of how many candidates there are.
+    pub(super) fn definition(&self) -> (&'static str, Definition) {
+        ("CANDIDATES", Definition::Int(self.count() as i32))
     }
 }
 
-/// Number of planes that all three candidates take: two for each signal, and three for the derivatives.
-pub(crate) const CANDIDATE_PLANES: u64 = 9;
+/// Number of planes that hold one number for each of so many candidates: the plane of four candidates, one component
+/// for each.
+pub const fn planes_of_numbers(candidates: usize) -> u32 {
+    candidates.div_ceil(4) as u32
+}
 
 /// The candidates of a window in time.
 #[derive(Debug)]
@@ -188,10 +159,10 @@ pub struct CandidatesInTime {
     pub alone: Option<Candidates>,
 }
 
-/// Filters a colour signal with the three candidates, over a window in its frame and in the frames `beside`.
-/// `variance_of_mean` is its scaled variance; without features the feature weights are 1.
+/// Filters the payload of a frame with all `filters`, at least one, over a window in the frame and in the frames beside
+/// it.
 ///
-/// `progress` is called with the share of rows whose commands are recorded.
+/// `progress` is called with the share of the work whose commands are recorded.
 ///
 /// # Errors
 /// As [`Recorder::take`] and [`Recorder::dispatch`], and the errors that `progress` returns.
@@ -199,60 +170,86 @@ pub struct CandidatesInTime {
 pub fn candidates(
     rec: &mut Recorder,
     extent: IVec2,
-    signal: &Buffer,
-    variance_of_mean: &Buffer,
-    features: Option<&Features>,
-    beside: &[CandidateBeside],
-    filter: &CandidateFilter,
+    frames: &Frames<CandidateFrame>,
+    filters: &[CandidateFilter],
+    window: CandidateWindow,
     needed: Needed,
     schedule: Schedule,
     mut progress: impl FnMut(&mut Recorder, f32) -> Result<()>,
 ) -> Result<CandidatesInTime> {
-    let together = Candidates::take(rec, extent, &needed)?;
-    let alone = (!beside.is_empty() && needed.alone).then(|| Candidates::take(rec, extent, &needed)).transpose()?;
-    let neighbours: Vec<_> =
-        beside.iter().map(|frame| Beside { signal: frame.signal, variance_of_mean: frame.variance_of_mean }).collect();
+    let together = Candidates::take(rec, extent, filters, needed.derivatives)?;
+    let alone = !frames.beside.is_empty() && needed.alone;
+    let alone = alone.then(|| Candidates::take(rec, extent, filters, needed.derivatives)).transpose()?;
+    let found = CandidatesInTime { together, alone };
+    let passes = passes(filters);
+    for (index, pass) in passes.iter().enumerate() {
+        run_pass(rec, extent, frames, pass, window, needed, schedule, &found, |rec, done| {
+            progress(rec, (index as f32 + done) / passes.len() as f32)
+        })?;
+    }
+    if let Some(exact) = needed.exact {
+        let tiles = exact.upload(rec, extent)?;
+        for candidates in std::iter::once(&found.together).chain(&found.alone) {
+            for candidate in 0..candidates.count() {
+                let plane = candidates.mean_plane(candidate);
+                tiles.copy_signal(rec, frames.own.payload, &candidates.planes, plane)?;
+            }
+            if let Some(first) = candidates.derivative_plane(0) {
+                tiles.fill(rec, &candidates.planes, [first, candidates.count() as u32], true)?;
+            }
+        }
+    }
+    Ok(found)
+}
+
+/// Computes the filters of one pass.
+#[expect(clippy::too_many_arguments, reason = "they are the operator's definition; a struct would only rename them")]
+fn run_pass(
+    rec: &mut Recorder,
+    extent: IVec2,
+    frames: &Frames<CandidateFrame>,
+    pass: &Pass,
+    CandidateWindow { radius, weighting }: CandidateWindow,
+    needed: Needed,
+    schedule: Schedule,
+    CandidatesInTime { together, alone }: &CandidatesInTime,
+    mut progress: impl FnMut(&mut Recorder, f32) -> Result<()>,
+) -> Result<()> {
+    let own = &frames.own;
+    let neighbours: Vec<_> = frames.beside.iter().map(CandidateFrame::compared).collect();
     let Needed { exact, wanted, .. } = needed;
-    let guide = Guide {
-        beside: &neighbours,
-        exact,
-        wanted,
-        ..filter.guide(signal, variance_of_mean, needed.candidates, !needed.channels)
-    };
+    let guide = Guide { beside: &neighbours, exact, wanted, ..own.guide(pass, !needed.channels) };
     let patch_radius = guide.patch_radius;
-    let by_color = needed.candidates.by_color();
+    let features = own.features.filter(|_| pass.by_features());
     let groups = features.map_or(0, |features| features.packing.groups);
-    let [symmetric, hard] = filter.weighting.symmetric.definitions();
-    let [takes_part_first, takes_part_second, takes_part_third] = needed.candidates.definitions();
+    // Weights that come from another image do not change with the payload.
+    let other_guide = own.guide.is_some();
+    let differences = needed.derivatives && !other_guide;
     // The kernel for the nearest rows is the larger one. With as many pixels as the other kernel, a driver takes 3.6 s
     // to compile it; with half of them, 1.2 s, and the kernel is 16 % slower for a third of the offsets.
     let blocking = |near: bool| Schedule {
         pixels: if near && schedule.pixels.is_multiple_of(2) { schedule.pixels / 2 } else { schedule.pixels },
         ..schedule
     };
+    let [symmetric, hard] = weighting.symmetric.definitions();
     let definitions = |other_frame: bool, near: bool| {
-        [
+        let of_all = [
             ("OTHER_FRAME", Definition::from(other_frame)),
             ("NEAR", near.into()),
             blocking(near).pixels_definition(),
-            ("PATCH_RADIUS", Definition::Int(patch_radius as i32)),
-            ("SMALL_PATCH_RADIUS", Definition::Int(filter.first_patch_radius as i32)),
-            ("COLOR", by_color.into()),
-            takes_part_first,
-            takes_part_second,
-            takes_part_third,
-            ("DERIVATIVES", needed.derivatives.into()),
+            ("DERIVATIVES", differences.into()),
             ("HALVES", needed.half_spread.into()),
             ("GREY", guide.grey.into()),
             ("FEATURE_GROUPS", Definition::Int(groups as i32)),
             symmetric,
             hard,
-        ]
+        ];
+        [&of_all[..], &pass.definitions()].concat()
     };
-    let candidate = filter.params(features);
+    let candidate = pass.params(features);
     let mut state: Option<Buffer> = None;
-    let needs = ChunkNeeds { distances: by_color, sum_planes: STATE_PLANES };
-    for_each_chunk(rec, extent, &guide, needs, filter.window_radius, filter.weighting, schedule, |rec, chunk| {
+    let needs = ChunkNeeds { distances: pass.by_color(), sum_planes: STATE_PLANES };
+    for_each_chunk(rec, extent, &guide, needs, radius, weighting, schedule, |rec, chunk| {
         let params = chunk.params;
         if params.starts != 0 {
             // Gives this buffer back before the next one is taken.
@@ -263,20 +260,23 @@ pub fn candidates(
             None => state
                 .insert(rec.take("candidate sums", plane_bytes(IVec2::new(params.width, params.rows), STATE_PLANES))?),
         };
-        let beside = chunk.beside.map(|index| beside[index]);
+        let beside = chunk.beside.map(|index| frames.beside[index]);
         // Patches hold pixels of their own pair only in the nearest rows, and never in a frame beside.
         let near = beside.is_none() && params.first_offset.y <= patch_radius as i32;
+        let (payload, variance_of_mean) = (own.payload, own.variance_of_mean);
         let bound = CandidateAccumulate {
             params,
             candidate,
-            columns: by_color.then_some(chunk.columns),
-            signal,
+            columns: pass.by_color().then_some(chunk.columns),
+            payload,
             variance_of_mean,
             state,
             features: features.map(|features| &features.buffer),
-            neighbours_signal: beside.map(|frame| frame.signal),
+            neighbours_payload: beside.map(|frame| frame.payload),
             neighbours_variance: beside.map(|frame| frame.variance_of_mean),
-            neighbours_features: beside.and_then(|frame| frame.features).map(|features| &features.buffer),
+            neighbours_features: beside
+                .and_then(|frame| frame.features.filter(|_| pass.by_features()))
+                .map(|features| &features.buffer),
         };
         rec.dispatch(
             "candidate_accumulate",
@@ -286,41 +286,26 @@ pub fn candidates(
         )?;
         // The sums over the own frame are complete before the sums over the other frames begin.
         let complete =
-            if chunk.last { Some(&together) } else { alone.as_ref().filter(|_| beside.is_none() && chunk.ends_frame) };
-        for (candidate, filtered) in (0..).zip(complete.iter().flat_map(|complete| complete.buffers())) {
-            let Some(filtered) = filtered else { continue };
-            let definitions = [("THIRD", (candidate == 2).into()), ("DERIVATIVES", needed.derivatives.into())];
-            let (resolve, invocations) = (ResolveParams { candidate }, [params.width as u32, params.rows as u32, 1]);
-            match complete.and_then(|complete| complete.derivatives.as_deref()) {
-                Some(derivatives) => {
-                    rec.dispatch(
-                        "candidate_resolve",
-                        &definitions,
-                        &CandidateResolve { params, resolve, signal, variance_of_mean, state, filtered, derivatives },
-                        invocations,
-                    )?;
-                }
-                None => {
-                    rec.dispatch(
-                        "candidate_resolve",
-                        &definitions,
-                        &CandidateResolveValue { params, resolve, signal, variance_of_mean, state, filtered },
-                        invocations,
-                    )?;
-                }
+            if chunk.last { Some(together) } else { alone.as_ref().filter(|_| beside.is_none() && chunk.ends_frame) };
+        if let Some(complete) = complete {
+            for (sums, place) in [pass.small, pass.large, pass.alone].into_iter().enumerate() {
+                let Some(place) = place else { continue };
+                let resolve =
+                    ResolveParams { sums: sums as i32, candidate: place as i32, candidates: complete.count() as i32 };
+                let filtered = &*complete.planes;
+                let bound = CandidateResolve { params, resolve, payload, variance_of_mean, state, filtered };
+                let definitions = [
+                    ("FEATURES_ALONE", (pass.alone == Some(place)).into()),
+                    ("DERIVATIVES", needed.derivatives.into()),
+                    ("OTHER_GUIDE", (needed.derivatives && other_guide).into()),
+                ];
+                let invocations = [params.width as u32, params.rows as u32, 1];
+                rec.dispatch("candidate_resolve", &definitions, &bound, invocations)?;
             }
         }
         if chunk.last {
             progress(rec, chunk.done)?;
         }
         Ok(())
-    })?;
-    if let Some(exact) = needed.exact {
-        let tiles = exact.upload(rec, extent)?;
-        for candidates in std::iter::once(&together).chain(&alone) {
-            candidates.signals.iter().flatten().try_for_each(|candidate| tiles.copy_signal(rec, signal, candidate))?;
-            candidates.derivatives.iter().try_for_each(|derivatives| tiles.fill(rec, derivatives, 3, true))?;
-        }
-    }
-    Ok(CandidatesInTime { together, alone })
+    })
 }

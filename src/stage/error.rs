@@ -2,34 +2,32 @@
 
 use glam::IVec2;
 
-use super::candidate::Candidates;
+use super::candidate::{Candidates, planes_of_numbers};
 use super::nlm::Filtered;
 use super::sample::RELATIVE_FLOOR;
+use super::select::without_derivatives;
 use super::{per_pixel, plane_bytes};
-use crate::error::{Error, Result};
+use crate::error::Result;
 use crate::gpu::{Buffer, Recorder, bindings, uniforms};
 
 uniforms! {
     struct SureParams { extent: IVec2, covariance: f32 }
-    struct ErrorDifferenceParams { extent: IVec2, covariance: f32, other_candidate: i32 }
-    struct ErrorBlendParams { extent: IVec2, spread: f32, disagreement: f32, own_noise: f32, candidate: i32 }
+    struct ErrorDifferenceParams { extent: IVec2, covariance: f32 }
+    struct ErrorBlendParams { extent: IVec2, spread: f32, disagreement: f32, own_noise: f32 }
     struct ErrorSpikesParams { extent: IVec2, spikes: f32 }
     struct ErrorHalvesParams { extent: IVec2, relative_floor: f32 }
 }
 bindings! {
     struct ErrorSure<'a> {
-        uniform params: SureParams, read signal, read variance_of_mean, optional first, optional second, optional third,
-        optional derivatives, write errors,
+        uniform params: SureParams, read signal, read variance_of_mean, read candidates, write errors,
     }
     struct ErrorDifference<'a> {
         uniform params: ErrorDifferenceParams,
-        read signal, read variance_of_mean, read blended, read shares, read derivatives, read other,
-        read other_derivatives, write differences,
+        read signal, read variance_of_mean, read blended, read shares, read candidates, read other, write differences,
     }
     struct ErrorBlend<'a> {
-        uniform params: ErrorBlendParams,
-        read blended, read variance_of_mean, read derivatives, optional shares, optional first, optional second,
-        optional third, write errors,
+        uniform params: ErrorBlendParams, read blended, read variance_of_mean, read candidates, optional shares,
+        write errors,
     }
     struct ErrorSpikes<'a> { uniform params: ErrorSpikesParams, read spikes, write errors }
     struct ErrorHalves<'a> {
@@ -37,12 +35,12 @@ bindings! {
     }
 }
 
-/// Returns Stein's unbiased risk estimate of the three candidates (eq. 8.5), summed over the channels, in the square of
-/// the colour's unit; may be negative. One plane, x: FIRST, y: SECOND, z: THIRD; 0 for candidates that take no part.
-/// The term of the derivative, 2σ²·dF/du, counts `covariance` times; eq. 8.5 has 1.
+/// Returns Stein's unbiased risk estimate of the candidates (eq. 8.5), summed over the channels, in the square of the
+/// colour's unit; may be negative. One plane for four candidates, one component for each; 0 in components that no
+/// candidate has. The term of the derivative, 2σ²·dF/du, counts `covariance` times; eq. 8.5 has 1.
 ///
 /// # Errors
-/// Errors of the recorder; [`Error::Shader`] where the candidates come without derivatives.
+/// Errors of the recorder; [`Error::Shader`](crate::Error::Shader) where the candidates come without derivatives.
 pub fn error_sure(
     rec: &mut Recorder,
     extent: IVec2,
@@ -51,20 +49,14 @@ pub fn error_sure(
     candidates: &Candidates,
     covariance: f32,
 ) -> Result<Buffer> {
-    let errors = rec.take("SURE", plane_bytes(extent, 1))?;
-    let [first, second, third] = candidates.buffers();
+    if !candidates.has_derivatives {
+        return Err(without_derivatives("error_sure"));
+    }
+    let errors = rec.take("SURE", plane_bytes(extent, planes_of_numbers(candidates.count())))?;
+    let (definition, candidates) = (candidates.definition(), &*candidates.planes);
     let params = SureParams { extent, covariance };
-    let bound = ErrorSure {
-        params,
-        signal,
-        variance_of_mean,
-        first,
-        second,
-        third,
-        derivatives: candidates.derivatives.as_deref(),
-        errors: &errors,
-    };
-    rec.dispatch("error_sure", &candidates.set().definitions(), &bound, per_pixel(extent))?;
+    let bound = ErrorSure { params, signal, variance_of_mean, candidates, errors: &errors };
+    rec.dispatch("error_sure", &[definition], &bound, per_pixel(extent))?;
     Ok(errors)
 }
 
@@ -102,31 +94,23 @@ impl ErrorParts {
     }
 }
 
-/// Candidates that a filtered signal was made from, and their shares.
-#[derive(Clone, Copy, Debug)]
-pub enum MadeOf<'a> {
-    /// Several candidates, by these shares. One plane, x: FIRST, y: SECOND, z: THIRD.
-    Shares(&'a Buffer),
-    /// One of the candidates alone, counted from 0.
-    Only(usize),
-}
-
 /// Returns the estimated squared error of a blend of candidates, summed over the channels, in the square of the
-/// colour's unit; at least 0. Not smoothed. One plane, x.
+/// colour's unit; at least 0. Not smoothed. One plane, x. `shares` are those of the candidates, as
+/// [`select_share`](super::select::select_share) returns them; without shares, the only candidate is the blend.
 ///
 /// # Errors
-/// Errors of the recorder; [`Error::Shader`] where the candidates come without derivatives.
+/// Errors of the recorder; [`Error::Shader`](crate::Error::Shader) where the candidates come without derivatives.
 pub fn error_blend(
     rec: &mut Recorder,
     extent: IVec2,
     blended: &Buffer,
     variance_of_mean: &Buffer,
     candidates: &Candidates,
-    made_of: MadeOf,
+    shares: Option<&Buffer>,
     parts: ErrorParts,
 ) -> Result<Buffer> {
     let errors = rec.take("errors of the blend", plane_bytes(extent, 1))?;
-    error_blend_into(rec, extent, blended, variance_of_mean, candidates, made_of, parts, &errors, false)?;
+    error_blend_into(rec, extent, blended, variance_of_mean, candidates, shares, parts, &errors, false)?;
     Ok(errors)
 }
 
@@ -148,7 +132,7 @@ pub fn error_blend_more(
 ) -> Result<Buffer> {
     // The spread of the blend is in the errors already.
     let parts = ErrorParts { spread: 0.0, ..parts };
-    error_blend_into(rec, extent, blended, variance_of_mean, candidates, MadeOf::Shares(shares), parts, &errors, true)?;
+    error_blend_into(rec, extent, blended, variance_of_mean, candidates, Some(shares), parts, &errors, true)?;
     Ok(errors)
 }
 
@@ -159,37 +143,28 @@ fn error_blend_into(
     blended: &Buffer,
     variance_of_mean: &Buffer,
     candidates: &Candidates,
-    made_of: MadeOf,
+    shares: Option<&Buffer>,
     parts: ErrorParts,
     errors: &Buffer,
     added: bool,
 ) -> Result<()> {
-    let Some(derivatives) = candidates.derivatives.as_deref() else {
-        return Err(Error::Shader {
-            stage: "error_blend".into(),
-            problem: "the candidates come without derivatives".into(),
-        });
-    };
-    let (shares, candidate) = match made_of {
-        MadeOf::Shares(shares) => (Some(shares), 0),
-        MadeOf::Only(candidate) => (None, candidate as i32),
-    };
-    let [first, second, third] = candidates.buffers().map(|signal| signal.filter(|_| shares.is_some()));
+    if !candidates.has_derivatives {
+        return Err(without_derivatives("error_blend"));
+    }
     let ErrorParts { spread, disagreement, own_noise, .. } = parts;
-    let params = ErrorBlendParams { extent, spread, disagreement, own_noise, candidate };
-    let [with_first, with_second, with_third] = candidates.set().definitions();
-    let definitions =
-        [("SHARED", shares.is_some().into()), ("ADDED", added.into()), with_first, with_second, with_third];
-    let bound = ErrorBlend { params, blended, variance_of_mean, derivatives, shares, first, second, third, errors };
+    let params = ErrorBlendParams { extent, spread, disagreement, own_noise };
+    let definitions = [candidates.definition(), ("SHARED", shares.is_some().into()), ("ADDED", added.into())];
+    let candidates = &*candidates.planes;
+    let bound = ErrorBlend { params, blended, variance_of_mean, candidates, shares, errors };
     rec.dispatch("error_blend", &definitions, &bound, per_pixel(extent))
 }
 
 /// Returns by how much SURE of the only candidate in `other` exceeds SURE of a blend, summed over the channels, in the
-/// square of the colour's unit. The blend was made of `candidates` by `shares` (one plane, x: FIRST, y: SECOND, z:
-/// THIRD). The last term of SURE counts `covariance` times. One plane, x: the difference, y: its square.
+/// square of the colour's unit. The blend was made of `candidates` by `shares`. The last term of SURE counts
+/// `covariance` times. One plane, x: the difference, y: its square.
 ///
 /// # Errors
-/// Errors of the recorder; [`Error::Shader`] where candidates come without derivatives, or `other` holds none.
+/// Errors of the recorder; [`Error::Shader`](crate::Error::Shader) where candidates come without derivatives.
 #[expect(clippy::too_many_arguments, reason = "they are the operator's definition; a struct would only rename them")]
 pub fn error_difference(
     rec: &mut Recorder,
@@ -202,27 +177,23 @@ pub fn error_difference(
     other: &Candidates,
     covariance: f32,
 ) -> Result<Buffer> {
-    let found = (candidates.derivatives.as_deref(), other.derivatives.as_deref(), other.first_of_all());
-    let (Some(derivatives), Some(other_derivatives), Some((other_candidate, other))) = found else {
-        return Err(Error::Shader {
-            stage: "error_difference".into(),
-            problem: "the candidates come without derivatives".into(),
-        });
-    };
+    if !candidates.has_derivatives || !other.has_derivatives {
+        return Err(without_derivatives("error_difference"));
+    }
     let differences = rec.take("differences of SURE", plane_bytes(extent, 1))?;
-    let params = ErrorDifferenceParams { extent, covariance, other_candidate: other_candidate as i32 };
+    let params = ErrorDifferenceParams { extent, covariance };
+    let (definition, candidates, other) = (candidates.definition(), &*candidates.planes, &*other.planes);
     let bound = ErrorDifference {
         params,
         signal,
         variance_of_mean,
         blended,
         shares,
-        derivatives,
+        candidates,
         other,
-        other_derivatives,
         differences: &differences,
     };
-    rec.dispatch("error_difference", &[], &bound, per_pixel(extent))?;
+    rec.dispatch("error_difference", &[definition], &bound, per_pixel(extent))?;
     Ok(differences)
 }
 

@@ -9,7 +9,7 @@ use super::per_pixel;
 use crate::error::Result;
 use crate::gpu::{Buffer, Recorder, bindings, uniforms};
 
-uniforms! { struct ExactParams { extent: IVec2, tile: i32, tile_columns: i32, first: IVec2, planes: i32 } }
+uniforms! { struct ExactParams { extent: IVec2, tile: i32, tile_columns: i32, first: IVec2, first_plane: i32, planes: i32 } }
 
 bindings! {
     struct ExactCopy<'a> { uniform params: ExactParams, read tiles, read before, write result }
@@ -80,6 +80,7 @@ impl ExactTiles {
             tile: self.side as i32,
             tile_columns: self.columns as i32,
             first: self.first,
+            first_plane: 0,
             planes: 0,
         };
         Ok(UploadedTiles { tiles, params })
@@ -151,12 +152,19 @@ pub(super) struct UploadedTiles {
 impl UploadedTiles {
     /// Copies `planes` planes of `before` to `result`, in exact tiles.
     pub(super) fn copy(&self, rec: &mut Recorder, before: &Buffer, result: &Buffer, planes: u32) -> Result<()> {
-        self.copy_as(rec, before, result, planes, false)
+        self.copy_as(rec, before, result, [0, planes], false)
     }
 
-    /// Copies a signal in exact tiles, and sets its w to 1: each pixel is the average of itself alone.
-    pub(super) fn copy_signal(&self, rec: &mut Recorder, before: &Buffer, result: &Buffer) -> Result<()> {
-        self.copy_as(rec, before, result, 2, true)
+    /// Copies a signal to the planes of `result` from `first_plane` on, in exact tiles, and sets its w to 1: each pixel
+    /// is the average of itself alone.
+    pub(super) fn copy_signal(
+        &self,
+        rec: &mut Recorder,
+        before: &Buffer,
+        result: &Buffer,
+        first_plane: u32,
+    ) -> Result<()> {
+        self.copy_as(rec, before, result, [first_plane, 2], true)
     }
 
     fn copy_as(
@@ -164,7 +172,7 @@ impl UploadedTiles {
         rec: &mut Recorder,
         before: &Buffer,
         result: &Buffer,
-        planes: u32,
+        planes: [u32; 2],
         weight_sum: bool,
     ) -> Result<()> {
         rec.dispatch(
@@ -175,8 +183,9 @@ impl UploadedTiles {
         )
     }
 
-    /// Writes 1 (`ones`) or 0 to the channels of `planes` planes, in exact tiles.
-    pub(super) fn fill(&self, rec: &mut Recorder, result: &Buffer, planes: u32, ones: bool) -> Result<()> {
+    /// Writes 1 (`ones`) or 0 to the channels of planes, in exact tiles; `planes` says from which plane on, and how
+    /// many.
+    pub(super) fn fill(&self, rec: &mut Recorder, result: &Buffer, planes: [u32; 2], ones: bool) -> Result<()> {
         rec.dispatch(
             "exact_fill",
             &[("ONES", ones.into())],
@@ -185,8 +194,8 @@ impl UploadedTiles {
         )
     }
 
-    fn of_planes(&self, planes: u32) -> ExactParams {
-        ExactParams { planes: planes as i32, ..self.params }
+    fn of_planes(&self, [first, planes]: [u32; 2]) -> ExactParams {
+        ExactParams { first_plane: first as i32, planes: planes as i32, ..self.params }
     }
 }
 

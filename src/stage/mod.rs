@@ -4,10 +4,11 @@
 //! mean and behind it the half spread ([`Signal::half_spread`](crate::frame::Signal::half_spread)).
 
 pub mod candidate;
-pub mod candidate_set;
+pub mod candidate_filter;
 pub mod error;
 pub mod exact;
 pub mod feature;
+pub mod frames;
 pub mod gaussian;
 pub mod half;
 pub mod keep_clean;

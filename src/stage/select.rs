@@ -1,63 +1,75 @@
 //! Choosing among the candidates and averaging them (thesis 8.4, Algorithm 1 lines 23 to 33), between windows of one
 //! frame and of several (8.6), and between the passes (lines 34 to 37).
 
-use glam::IVec2;
+use glam::{IVec2, IVec4};
 use serde::Serialize;
 
-use super::candidate::Candidates;
+use super::candidate::{Candidates, planes_of_numbers};
+use super::candidate_filter::rivals;
 use super::gaussian::{Averaging, Gaussian, gaussian};
 use super::nlm::Filtered;
 use super::{per_pixel, plane_bytes};
 use crate::error::{Error, Result};
-use crate::gpu::{Buffer, Recorder, bindings, uniforms};
+use crate::gpu::{Buffer, Definition, Recorder, bindings, uniforms};
 use crate::parameters::{Group, parameters, real};
 
 uniforms! {
-    struct SelectLeastParams { extent: IVec2 }
-    struct SelectFramesParams { extent: IVec2, candidate: i32, own_sigmas: f32, own_noise: f32 }
+    struct SelectLeastParams { extent: IVec2, rivals: [IVec4; 2] }
+    struct SelectFramesParams { extent: IVec2, own_sigmas: f32, own_noise: f32 }
     struct SelectPassParams { extent: IVec2, squared_sigmas: f32 }
     struct SelectShareParams {
         extent: IVec2, smoothed_error: f32, smoothed_noise: f32, own_sigmas: f32, own_noise: f32,
     }
     struct SelectBlendParams { extent: IVec2 }
-    struct SelectColorOnlyParams { extent: IVec2, pixels: f32, least: f32, most: f32 }
+    struct SelectColorOnlyParams { extent: IVec2, pixels: f32, least: f32, most: f32, planes: i32 }
 }
 
 bindings! {
-    struct SelectLeast<'a> { uniform params: SelectLeastParams, read errors, optional derivatives, write selected }
+    struct SelectLeast<'a> { uniform params: SelectLeastParams, read errors, optional candidates, write selected }
     struct SelectFrames<'a> {
-        uniform params: SelectFramesParams, read signal, read variance_of_mean, read alone, read alone_derivatives,
-        write together, write derivatives,
+        uniform params: SelectFramesParams, read signal, read variance_of_mean, read alone, write together,
+    }
+    struct SelectFramesOfFiltered<'a> {
+        uniform params: SelectFramesParams, read signal, read variance_of_mean, read alone, write together,
+        read alone_weights, write weights,
     }
     struct SelectPass<'a> {
         uniform params: SelectPassParams, read pass1, read pass2, read variance_of_mean, write result,
     }
     struct SelectShare<'a> {
         uniform params: SelectShareParams,
-        read selected, optional errors, optional sure, optional variance_of_mean, optional first, optional second,
-        optional third, write selection,
+        read selected, optional errors, optional sure, optional variance_of_mean, optional candidates, write selection,
     }
     struct SelectColorOnly<'a> {
         uniform params: SelectColorOnlyParams, read differences, read candidates, read color_only, write blended,
         write shares, write color_only_shares,
     }
-    struct SelectBlend<'a> {
-        uniform params: SelectBlendParams, read shares, optional first, optional second, optional third, write blended,
-    }
+    struct SelectBlend<'a> { uniform params: SelectBlendParams, read shares, read candidates, write blended }
 }
 
 /// Returns the binary selection maps: 1 for the candidate with the least smoothed error, 0 for the others. On ties the
-/// later, more robust candidate wins; FIRST may win only where its mean derivative is below SECOND's, if both take
-/// part; an error that is not finite cannot win. One plane, x: FIRST, y: SECOND, z: THIRD.
+/// later, more robust candidate wins; a candidate with a rival may win only where its mean derivative is below the
+/// rival's; an error that is not finite cannot win. One plane for four candidates, one component for each.
 ///
 /// # Errors
-/// As [`Recorder::take`] and [`Recorder::dispatch`].
+/// [`Error::Shader`] where candidates with rivals come without derivatives; otherwise as [`Recorder::take`] and
+/// [`Recorder::dispatch`].
 pub fn select_least(rec: &mut Recorder, extent: IVec2, errors: &Buffer, candidates: &Candidates) -> Result<Buffer> {
-    let selected = rec.take("binary selection maps", plane_bytes(extent, 1))?;
-    let takes_part = candidates.set();
-    let derivatives = candidates.derivatives.as_deref().filter(|_| takes_part.first && takes_part.second);
-    let bound = SelectLeast { params: SelectLeastParams { extent }, errors, derivatives, selected: &selected };
-    rec.dispatch("select_least", &takes_part.definitions(), &bound, per_pixel(extent))?;
+    let selected = rec.take("binary selection maps", plane_bytes(extent, planes_of_numbers(candidates.count())))?;
+    let rivals = rivals(&candidates.filters);
+    let has_rivals = rivals.iter().any(Option::is_some);
+    if has_rivals && !candidates.has_derivatives {
+        return Err(without_derivatives("select_least"));
+    }
+    let mut of_each = [IVec4::splat(-1); 2];
+    for (candidate, rival) in rivals.into_iter().enumerate() {
+        of_each[candidate / 4][candidate % 4] = rival.map_or(-1, |rival| rival as i32);
+    }
+    let definitions = [candidates.definition(), ("RIVALS", has_rivals.into())];
+    let candidates = has_rivals.then_some(&*candidates.planes);
+    let params = SelectLeastParams { extent, rivals: of_each };
+    let bound = SelectLeast { params, errors, candidates, selected: &selected };
+    rec.dispatch("select_least", &definitions, &bound, per_pixel(extent))?;
     Ok(selected)
 }
 
@@ -102,6 +114,12 @@ pub struct Harm {
     pub noise: f32,
 }
 
+impl Harm {
+    fn params(self, extent: IVec2) -> SelectFramesParams {
+        SelectFramesParams { extent, own_sigmas: self.sigmas, own_noise: self.noise }
+    }
+}
+
 /// Limits that measured best.
 pub const HARM: Harm = Harm { sigmas: 4.0, noise: 1.0 };
 
@@ -127,29 +145,21 @@ pub fn select_frames(
     together: &Candidates,
     harm: Harm,
 ) -> Result<()> {
-    let derivatives = [alone, together].map(|candidates| candidates.derivatives.as_deref());
-    let [Some(of_alone), Some(of_together)] = derivatives else { return Err(without_derivatives()) };
-    for (candidate, signals) in (0..).zip(alone.buffers().into_iter().zip(together.buffers())) {
-        if let (Some(alone), Some(together)) = signals {
-            select_frames_of_one(
-                rec,
-                extent,
-                noisy,
-                [alone, of_alone],
-                [together, of_together],
-                Some(candidate),
-                harm,
-            )?;
-        }
+    if !alone.has_derivatives || !together.has_derivatives {
+        return Err(without_derivatives("select_frames"));
     }
-    Ok(())
+    let Noisy { signal, variance_of_mean } = noisy;
+    let params = harm.params(extent);
+    let (definition, alone, together) = (together.definition(), &*alone.planes, &*together.planes);
+    let bound = SelectFrames { params, signal, variance_of_mean, alone, together };
+    rec.dispatch("select_frames", &[definition], &bound, per_pixel(extent))
 }
 
-fn without_derivatives() -> Error {
-    Error::Shader { stage: "select_frames".into(), problem: "the candidates come without derivatives".into() }
+pub(super) fn without_derivatives(stage: &str) -> Error {
+    Error::Shader { stage: stage.into(), problem: "the candidates come without derivatives".into() }
 }
 
-/// Selects frames for one filter whose weights do not depend on the noise of the averaged image and whose centre
+/// As [`select_frames`], for one filter whose weights do not depend on the noise of the averaged image and whose centre
 /// weighs 1.
 ///
 /// # Errors
@@ -162,37 +172,18 @@ pub fn select_frames_of_filtered(
     together: &Filtered,
     harm: Harm,
 ) -> Result<()> {
-    select_frames_of_one(
-        rec,
-        extent,
-        noisy,
-        [&alone.planes, &alone.weights],
-        [&together.planes, &together.weights],
-        None,
-        harm,
-    )
-}
-
-/// `alone` and `together` each hold a filtered signal and the derivatives of all candidates, of which only those of
-/// `candidate` count; without a candidate they hold Σ w instead of derivatives.
-fn select_frames_of_one(
-    rec: &mut Recorder,
-    extent: IVec2,
-    noisy: Noisy,
-    [alone, alone_derivatives]: [&Buffer; 2],
-    [together, derivatives]: [&Buffer; 2],
-    candidate: Option<i32>,
-    harm: Harm,
-) -> Result<()> {
-    let params = SelectFramesParams {
-        extent,
-        candidate: candidate.unwrap_or(0),
-        own_sigmas: harm.sigmas,
-        own_noise: harm.noise,
-    };
     let Noisy { signal, variance_of_mean } = noisy;
-    let bound = SelectFrames { params, signal, variance_of_mean, alone, alone_derivatives, together, derivatives };
-    rec.dispatch("select_frames", &[("WEIGHT_SUMS", candidate.is_none().into())], &bound, per_pixel(extent))
+    let bound = SelectFramesOfFiltered {
+        params: harm.params(extent),
+        signal,
+        variance_of_mean,
+        alone: &alone.planes,
+        together: &together.planes,
+        alone_weights: &alone.weights,
+        weights: &together.weights,
+    };
+    let definitions = [("CANDIDATES", Definition::Int(1)), ("WEIGHT_SUMS", true.into())];
+    rec.dispatch("select_frames", &definitions, &bound, per_pixel(extent))
 }
 
 /// Images that decide about the shares of the candidates.
@@ -200,7 +191,7 @@ fn select_frames_of_one(
 pub struct Evidence<'a> {
     /// The binary selection maps.
     pub selected: &'a Buffer,
-    /// SURE, smoothed. x: FIRST, y: SECOND, z: THIRD.
+    /// SURE, smoothed. As the maps, one plane for four candidates, one component for each.
     pub errors: &'a Buffer,
     /// SURE as computed.
     pub sure: &'a Buffer,
@@ -211,7 +202,7 @@ pub struct Evidence<'a> {
 }
 
 /// Turns `smoothed`, the smoothed selection maps of the candidates, into their shares, in place. The shares sum to 1; a
-/// guard, if there is one, excludes candidates. One plane, x: FIRST, y: SECOND, z: THIRD.
+/// guard, if there is one, excludes candidates. One plane for four candidates, one component for each.
 ///
 /// # Errors
 /// As [`Recorder::dispatch`].
@@ -223,21 +214,15 @@ pub fn select_share(
     guard: Option<Guard>,
 ) -> Result<Buffer> {
     let Evidence { selected, errors, sure, variance_of_mean, candidates } = evidence;
+    let definitions = [candidates.definition(), ("GUARDED", guard.is_some().into())];
     let guarded = |buffer| guard.map(|_| buffer);
-    let [first, second, third] = candidates.buffers().map(|signal| signal.and_then(guarded));
     let (errors, sure, variance_of_mean) = (guarded(errors), guarded(sure), guarded(variance_of_mean));
+    let candidates = guarded(&candidates.planes);
     let rule = guard.map(|guard| [guard.smoothed_error, guard.smoothed_noise, guard.own_sigmas, guard.own_noise]);
     let [smoothed_error, smoothed_noise, own_sigmas, own_noise] = rule.unwrap_or_default();
     let params = SelectShareParams { extent, smoothed_error, smoothed_noise, own_sigmas, own_noise };
-    let [with_first, with_second, with_third] = candidates.set().definitions();
-    let bound =
-        SelectShare { params, selected, errors, sure, variance_of_mean, first, second, third, selection: &smoothed };
-    rec.dispatch(
-        "select_share",
-        &[("GUARDED", guard.is_some().into()), with_first, with_second, with_third],
-        &bound,
-        per_pixel(extent),
-    )?;
+    let bound = SelectShare { params, selected, errors, sure, variance_of_mean, candidates, selection: &smoothed };
+    rec.dispatch("select_share", &definitions, &bound, per_pixel(extent))?;
     Ok(smoothed)
 }
 
@@ -247,9 +232,9 @@ pub fn select_share(
 /// As [`Recorder::take`] and [`Recorder::dispatch`].
 pub fn select_blend(rec: &mut Recorder, extent: IVec2, shares: &Buffer, candidates: &Candidates) -> Result<Buffer> {
     let blended = rec.take("blend", plane_bytes(extent, 2))?;
-    let [first, second, third] = candidates.buffers();
-    let bound = SelectBlend { params: SelectBlendParams { extent }, shares, first, second, third, blended: &blended };
-    rec.dispatch("select_blend", &candidates.set().definitions(), &bound, per_pixel(extent))?;
+    let (definition, candidates) = (candidates.definition(), &*candidates.planes);
+    let bound = SelectBlend { params: SelectBlendParams { extent }, shares, candidates, blended: &blended };
+    rec.dispatch("select_blend", &[definition], &bound, per_pixel(extent))?;
     Ok(blended)
 }
 
@@ -302,22 +287,24 @@ impl Significance {
 pub struct WithColorOnly {
     /// A signal; the blended Σ w in the w of the mean.
     pub blended: Buffer,
-    /// One plane, x and y: the share of that filter, from 0 to 1.
+    /// One plane, x: the share of that filter, from 0 to 1.
     pub shares: Buffer,
 }
 
-/// Gives the signal `color_only` a share where `differences` (those of
+/// Gives the only candidate in `color_only` a share where `differences` (those of
 /// [`error_difference`](super::error::error_difference)) say that its error is significantly less than that of
-/// `candidates`, a blend. The candidates' `shares` are scaled to the rest.
+/// `blend`, a signal that was made of so many candidates by their `shares`. These shares are scaled to the rest.
 ///
 /// # Errors
 /// As [`Recorder::dispatch`].
+#[expect(clippy::too_many_arguments, reason = "they are the operator's definition; a struct would only rename them")]
 pub fn select_color_only(
     rec: &mut Recorder,
     extent: IVec2,
     differences: &Buffer,
-    candidates: &Buffer,
-    color_only: &Buffer,
+    blend: &Buffer,
+    candidates: usize,
+    color_only: &Candidates,
     shares: &Buffer,
     significance: Significance,
 ) -> Result<WithColorOnly> {
@@ -327,12 +314,13 @@ pub fn select_color_only(
     let color_only_shares = rec.take("shares of the colour only", plane_bytes(extent, 1))?;
     // Σ w² of the Gaussian is 1/(4πσ²).
     let pixels = 4.0 * std::f32::consts::PI * smoothing.sigma * smoothing.sigma;
-    let params = SelectColorOnlyParams { extent, pixels, least, most };
+    let planes = planes_of_numbers(candidates) as i32;
+    let params = SelectColorOnlyParams { extent, pixels, least, most, planes };
     let bound = SelectColorOnly {
         params,
         differences,
-        candidates,
-        color_only,
+        candidates: blend,
+        color_only: &color_only.planes,
         blended: &blended,
         shares,
         color_only_shares: &color_only_shares,

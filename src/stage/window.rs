@@ -5,11 +5,13 @@
 //! R + dx of row R + dy. The cell in the middle is not written: the weight of a pixel itself follows from its
 //! neighbours.
 
+use std::sync::Arc;
+
 use glam::IVec2;
 
-use super::candidate::{CandidateFilter, CandidateParams};
-use super::candidate_set::CandidateSet;
-use super::feature::{Features, Slot};
+use super::candidate::{CandidateFrame, CandidateWindow as Window};
+use super::candidate_filter::{CandidateFilter, CandidateParams, Pass, passes};
+use super::feature::Slot;
 use super::nlm::{Guide, NlmParams, Schedule, Weighting, for_each_chunk_around};
 use super::plane_bytes;
 use crate::error::Result;
@@ -100,34 +102,36 @@ pub const NLM_WEIGHT: CellLane = CellLane { plane: 0, component: 0 };
 pub const NLM_DISTANCE: DistanceLanes =
     DistanceLanes { distance: CellLane { plane: 0, component: 1 }, weight: CellLane { plane: 0, component: 2 } };
 
-/// The weights that [`candidates`](super::candidate::candidates) gives the neighbours of a pixel in its own frame.
-#[derive(Debug)]
-pub struct WindowOfCandidates {
-    /// Cells of the window: two planes, and two more for each group of features.
-    pub cells: Buffer,
+/// The weights that a candidate gives the neighbours of a pixel in its own frame, and their distances.
+#[derive(Clone, Debug)]
+pub struct WindowOfCandidate {
+    /// Cells of the window, which filters of one pass over the window share: two planes, and two more for each group of
+    /// features.
+    pub cells: Arc<Buffer>,
+    /// Which filter of the pass it is. 0: small patches, 1: large patches, 2: features alone.
+    of_pass: u32,
 }
 
-impl WindowOfCandidates {
-    /// Returns the position of the weights of FIRST, SECOND or THIRD, counted from 0, as they enter the average; 0
-    /// where a neighbour does not exist.
-    pub fn weight(candidate: u32) -> CellLane {
-        CellLane { plane: 0, component: candidate }
+impl WindowOfCandidate {
+    /// Returns the position of the weights, as they enter the average; 0 where a neighbour does not exist.
+    pub fn weight(&self) -> CellLane {
+        CellLane { plane: 0, component: self.of_pass }
     }
 
-    /// Returns the position of the distances that FIRST or SECOND, counted from 0, find between patches of the colour.
-    pub fn color(candidate: u32) -> DistanceLanes {
-        DistanceLanes::new(1, candidate, 2 + candidate)
+    /// Returns the position of the distances between patches of the colour; `None` for features alone.
+    pub fn color(&self) -> Option<DistanceLanes> {
+        (self.of_pass < 2).then(|| DistanceLanes::new(1, self.of_pass, 2 + self.of_pass))
     }
 
-    /// Returns the position of the distances that a candidate finds between the values of a feature.
-    pub fn feature(candidate: u32, slot: Slot) -> DistanceLanes {
+    /// Returns the position of the distances between the values of a feature.
+    pub fn feature(&self, slot: Slot) -> DistanceLanes {
         let single = u32::from(slot.single);
-        DistanceLanes::new(2 + 2 * slot.group + u32::from(candidate == 2), single, 2 + single)
+        DistanceLanes::new(2 + 2 * slot.group + u32::from(self.of_pass == 2), single, 2 + single)
     }
 }
 
-/// Returns the weights of the candidates that take part at a pixel, and their distances. `grey`: all channels of the
-/// colour are equal.
+/// Returns the weights of all `filters` at a pixel, and their distances, one window for each filter. `grey`: all
+/// channels of the colour are equal.
 ///
 /// # Errors
 /// As [`Recorder::take`] and [`Recorder::dispatch`].
@@ -136,52 +140,50 @@ pub fn candidate_window(
     rec: &mut Recorder,
     extent: IVec2,
     pixel: IVec2,
-    signal: &Buffer,
-    variance_of_mean: &Buffer,
-    features: Option<&Features>,
-    filter: &CandidateFilter,
-    candidates: CandidateSet,
+    frame: &CandidateFrame,
+    filters: &[CandidateFilter],
+    window: Window,
     grey: bool,
     schedule: Schedule,
-) -> Result<WindowOfCandidates> {
+) -> Result<Vec<WindowOfCandidate>> {
+    let mut windows: Vec<(usize, WindowOfCandidate)> = Vec::new();
+    for pass in passes(filters) {
+        let cells = Arc::new(cells_of_pass(rec, extent, pixel, frame, &pass, window, grey, schedule)?);
+        let places = [pass.small, pass.large, pass.alone];
+        let of_place = |(of_pass, place): (u32, Option<usize>)| {
+            Some((place?, WindowOfCandidate { cells: cells.clone(), of_pass }))
+        };
+        windows.extend((0..).zip(places).filter_map(of_place));
+    }
+    windows.sort_by_key(|(place, _)| *place);
+    Ok(windows.into_iter().map(|(_, window)| window).collect())
+}
+
+#[expect(clippy::too_many_arguments, reason = "they are the operator's definition; a struct would only rename them")]
+fn cells_of_pass(
+    rec: &mut Recorder,
+    extent: IVec2,
+    pixel: IVec2,
+    frame: &CandidateFrame,
+    pass: &Pass,
+    Window { radius, weighting }: Window,
+    grey: bool,
+    schedule: Schedule,
+) -> Result<Buffer> {
+    let features = frame.features.filter(|_| pass.by_features());
     let groups = features.map_or(0, |features| features.packing.groups);
-    let cells = cells(rec, filter.window_radius, 2 + 2 * groups)?;
-    let window = WindowParams { pixel, radius: filter.window_radius as i32 };
-    let guide = filter.guide(signal, variance_of_mean, candidates, grey);
-    let by_color = candidates.by_color();
-    let [symmetric, hard] = filter.weighting.symmetric.definitions();
-    let [takes_part_first, takes_part_second, takes_part_third] = candidates.definitions();
-    let definitions = [
-        ("PATCH_RADIUS", Definition::Int(guide.patch_radius as i32)),
-        ("SMALL_PATCH_RADIUS", Definition::Int(filter.first_patch_radius as i32)),
-        ("COLOR", by_color.into()),
-        takes_part_first,
-        takes_part_second,
-        takes_part_third,
-        ("FEATURE_GROUPS", Definition::Int(groups as i32)),
-        symmetric,
-        hard,
-    ];
-    let candidate = filter.params(features);
-    for_each_chunk_around(
-        rec,
-        extent,
-        pixel,
-        &guide,
-        by_color,
-        filter.window_radius,
-        filter.weighting,
-        schedule,
-        |rec, chunk| {
-            let (columns, features) = (by_color.then_some(chunk.columns), features.map(|features| &features.buffer));
-            let bound = CandidateWindow { params: chunk.params, candidate, window, columns, features, cells: &cells };
-            rec.dispatch(
-                "candidate_window",
-                &definitions,
-                &bound,
-                [chunk.params.offsets.x as u32, chunk.params.offsets.y as u32, 1],
-            )
-        },
-    )?;
-    Ok(WindowOfCandidates { cells })
+    let cells = cells(rec, radius, 2 + 2 * groups)?;
+    let window = WindowParams { pixel, radius: radius as i32 };
+    let guide = frame.guide(pass, grey);
+    let [symmetric, hard] = weighting.symmetric.definitions();
+    let of_all = [("FEATURE_GROUPS", Definition::Int(groups as i32)), symmetric, hard];
+    let definitions = [&of_all[..], &pass.definitions()].concat();
+    let (candidate, by_color) = (pass.params(features), pass.by_color());
+    for_each_chunk_around(rec, extent, pixel, &guide, by_color, radius, weighting, schedule, |rec, chunk| {
+        let (columns, features) = (by_color.then_some(chunk.columns), features.map(|features| &features.buffer));
+        let bound = CandidateWindow { params: chunk.params, candidate, window, columns, features, cells: &cells };
+        let invocations = [chunk.params.offsets.x as u32, chunk.params.offsets.y as u32, 1];
+        rec.dispatch("candidate_window", &definitions, &bound, invocations)
+    })?;
+    Ok(cells)
 }

@@ -3,10 +3,10 @@
 use stein::frame::Signal;
 use stein::image::{Extent, Image};
 use stein::kernels::{Compared, WeightRule};
+use stein::method::dfc::CandidateSet;
 use stein::method::dfc::SecondPass;
 use stein::method::nlm::NlmVariance;
 use stein::method::{Intermediate, Method, Spikes, Step};
-use stein::stage::candidate_set::CandidateSet;
 use stein::stage::nlm::{CentreWeight, Schedule, Symmetry, Weighting};
 use stein::{Denoiser, DfcParams, Error, Estimate, FilterKernel, Frame, GemParams, Kernels, NlmParams, Options};
 

@@ -4,8 +4,8 @@
 use stein::frame::Signal;
 use stein::gpu::{Gpu, GpuOptions};
 use stein::image::Extent;
+use stein::method::dfc::CandidateSet;
 use stein::method::{Intermediate, Plan, Step};
-use stein::stage::candidate_set::CandidateSet;
 use stein::stage::nlm::Schedule;
 use stein::{Denoiser, DfcParams, Estimate, Frame, GemParams, Image, Method, NlmParams, Options};
 

@@ -6,7 +6,8 @@
 //! where one differs, the errors must tie.
 
 use stein::method::Intermediate;
-use stein::stage::candidate_set::CandidateSet;
+use stein::method::dfc::CandidateSet;
+use stein::stage::candidate_filter::{ByColor, ByFeatures, CandidateFilter};
 use stein::{Denoiser, DfcParams, Estimate, Frame, Options};
 
 use crate::bridge::{self, dfc_params, exposure, grids};
@@ -34,8 +35,7 @@ fn the_presets_are_those_of_the_reference() {
                 .for_each(round);
         });
         round(&mut shown.second_pass.k_color);
-        // A filter without a colour term has no patches.
-        shown.candidates[2].patch_radius = twin.candidates[2].patch_radius;
+        shown.color_only.iter_mut().for_each(|color_only| round(&mut color_only.k_color));
         assert_eq!(format!("{shown:?}"), format!("{twin:?}"));
     }
 }
@@ -46,15 +46,15 @@ pub(crate) fn layer(estimate: &Estimate, name: &str, factor: f64) -> Planes {
     grids(&layer.image, factor)
 }
 
-const CANDIDATES: [&str; 3] = ["first", "second", "third"];
-
 struct Compared {
     what: &'static str,
     estimate: Estimate,
     twin: Dfc,
     exposure: f64,
     density: Grid,
-    takes_part: [bool; 3],
+    /// Of the candidates that take part.
+    names: Vec<&'static str>,
+    rivals: Vec<Option<usize>>,
 }
 
 impl Compared {
@@ -63,10 +63,13 @@ impl Compared {
         let options = Options { keep: &Intermediate::ALL, ..Options::default() };
         let estimate = denoiser.denoise_with(frame, options).unwrap_or_else(|error| panic!("{error}"));
         let exposure = exposure(frame);
+        let filters = params.filters().into_iter();
+        let names = filters.filter_map(|(filter, takes_part)| takes_part.then_some(filter.name)).collect();
         let (input, params) = (bridge::frame(frame, exposure), dfc_params(&params));
+        let rivals = params.candidates.iter().map(|own| own.rival).collect();
         let twin = dfc(&input, &params);
         let density = sampling_density(&twin, &params, 0.0);
-        Self { what, estimate, twin, exposure, density, takes_part: params.takes_part }
+        Self { what, estimate, twin, exposure, density, names, rivals }
     }
 
     fn near(&self, part: &str, actual: &[Grid], expected: &[Grid], scale: &[Grid], relative: f64, allowed_share: f64) {
@@ -85,6 +88,11 @@ impl Compared {
     fn check(&self, frame: &Frame) {
         let (twin, exposure) = (&self.twin, self.exposure);
         let layer = |name: &str, factor: f64| layer(&self.estimate, name, factor);
+        // Four numbers to a layer.
+        let numbers = |name: &str, factor: f64| -> Planes {
+            let more = if self.names.len() > 4 { layer(&format!("{name}_2"), factor) } else { Planes::new() };
+            layer(name, factor).into_iter().chain(more).collect()
+        };
         let input = &twin.color.mean;
 
         self.near(
@@ -109,8 +117,7 @@ impl Compared {
             self.near(&name, &layer(&name, scale.powi(-2)), residual, &own_size(residual, 1e-7), 5e-4, 0.0);
         }
 
-        let taking_part = (0..3).filter(|k| self.takes_part[*k]);
-        for (candidate, name) in taking_part.clone().map(|k| (&twin.candidates[k], CANDIDATES[k])) {
+        for (candidate, name) in twin.candidates.iter().zip(self.names.iter().copied()) {
             self.near(
                 name,
                 &layer(name, exposure),
@@ -140,12 +147,12 @@ impl Compared {
                 (0..3).map(term).sum()
             })
         };
-        let terms: Planes = (0..3).map(terms).collect();
-        let of = |planes: &[Grid]| taking_part.clone().map(|k| planes[k].clone()).collect::<Planes>();
-        self.near("SURE", &of(&layer("sure", exposure * exposure)), &of(&twin.sure), &of(&terms), 4e-4, OF_ONE_KIND);
-        self.check_decisions(&layer("selected", 1.0), &terms);
+        let count = twin.candidates.len();
+        let terms: Planes = (0..count).map(terms).collect();
+        self.near("SURE", &numbers("sure", exposure * exposure), &twin.sure, &terms, 4e-4, OF_ONE_KIND);
+        self.check_decisions(&numbers("selected", 1.0), &terms);
 
-        self.near("maps", &layer("selection", 1.0), &twin.maps, &flat(&twin.maps, 1.0), FILTERED, FLIPPED);
+        self.near("maps", &numbers("selection", 1.0), &twin.maps, &flat(&twin.maps, 1.0), FILTERED, FLIPPED);
         if frame.color().half_spread.is_some() {
             self.near(
                 "pass 1",
@@ -187,14 +194,14 @@ impl Compared {
     }
 
     /// Another winner than the reference's is one whose error ties with that of the reference's, or FIRST where its
-    /// derivative ties with SECOND's.
+    /// derivative ties with SECOND's, or another one whose derivative ties with that of its rival.
     fn check_decisions(&self, selected: &[Grid], terms: &[Grid]) {
         let twin = &self.twin;
         let mut flipped = 0usize;
         for y in 0..selected[0].height {
             for x in 0..selected[0].width {
                 let p = reference::Point { x: x as isize, y: y as isize };
-                let winner = |maps: &[Grid]| (0..3).find(|k| maps[*k].at(p) == 1.0);
+                let winner = |maps: &[Grid]| (0..maps.len()).find(|k| maps[*k].at(p) == 1.0);
                 let (actual, expected) = (winner(selected), winner(&twin.binary_maps));
                 if actual == expected {
                     continue;
@@ -208,7 +215,10 @@ impl Compared {
                 let nearby = reference::square(1).map(|o| p + o).filter(|q| terms[0].contains(*q));
                 let size = nearby.map(|q| terms[actual].at(q).max(terms[expected].at(q))).fold(0.0, f64::max);
                 let derivative = |k: usize| reference::channel_mean(&twin.candidates[k].derivative, p);
-                let derivatives_tie = (derivative(0) - derivative(1)).abs() < 1e-3;
+                let tie = |(k, rival): (usize, &Option<usize>)| {
+                    rival.is_some_and(|rival| (derivative(k) - derivative(rival)).abs() < 1e-3)
+                };
+                let derivatives_tie = self.rivals.iter().enumerate().any(tie);
                 assert!(
                     difference < 4e-3 * size || derivatives_tie,
                     "{}: at {x}, {y} {actual} wins in place of {expected}",
@@ -300,6 +310,37 @@ fn candidates_that_take_no_part() {
         let keep = Keep { features: &["albedo", "normal"], ..EVERYTHING };
         check(what, "cornell_8spp", [20, 62, 32, 30], keep, DfcParams { candidates, ..small(DfcParams::default()) });
     }
+}
+
+/// A candidate more is one entry in a list. These are found nowhere but here: softer patches, and one that compares
+/// nothing but the colour and may win only where it filters more than SECOND.
+const FURTHER: &[CandidateFilter] = &[
+    CandidateFilter {
+        name: "soft",
+        color: Some(ByColor { k: 0.8, patch_radius: 2 }),
+        features: Some(ByFeatures { k: 0.6, tau: 1e-2 }),
+        rival: None,
+    },
+    CandidateFilter {
+        name: "plain",
+        color: Some(ByColor { k: 0.45, patch_radius: 1 }),
+        features: None,
+        rival: Some("second"),
+    },
+];
+
+#[test]
+fn candidates_beside_the_three_of_the_thesis() {
+    for (what, further) in [("four candidates", &FURTHER[..1]), ("five candidates", FURTHER)] {
+        let keep = Keep { features: &["albedo", "normal"], ..EVERYTHING };
+        check(what, "cornell_8spp", [20, 62, 32, 30], keep, DfcParams { further, ..small(DfcParams::default()) });
+    }
+    let params = DfcParams {
+        candidates: CandidateSet::of_names(&["second"]),
+        further: &FURTHER[..1],
+        ..small(DfcParams::thesis())
+    };
+    check("a further one beside SECOND alone", "dof_spheres_32spp", [40, 30, 32, 32], EVERYTHING, params);
 }
 
 /// Neither halves nor variance: the feature is taken as it is, and the colour with what it has.

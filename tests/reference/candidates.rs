@@ -28,7 +28,7 @@ pub struct Candidate {
     pub weight_sum: Grid,
 }
 
-/// One of FIRST, SECOND and THIRD: the colour filtered with weights from itself and from the features.
+/// A candidate: the colour filtered with weights from itself and from the features.
 pub fn candidate(
     mean: &[Grid],
     spread: Option<&[Grid]>,

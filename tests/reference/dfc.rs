@@ -5,19 +5,29 @@ use super::keep_clean::{CleanParams, Kept, keep_clean};
 use super::nlm::{CentreWeight, Feature, FilterParams, Guide, nlm_filter};
 use super::noise::{NoiseParams, completed};
 use super::prefilter::{Prefiltered, prefilter};
-use super::select::{self, Evidence, Guard, Significance, color_only_share, differences, select, share, smooth_maps};
+use super::select::{Evidence, Guard, Significance, color_only_share, differences, select, share, smooth_maps};
 use super::spike::{self, Lights, SpikeParams};
 use super::sure::{self, ErrorParts, Part, error_blend, smooth_errors, sure};
 use super::variance::{BoxWeight, Signal, buffer_var, floored, input_variance, of_color};
 use super::{Grid, Planes};
 
-/// What a candidate has of its own.
+/// What a candidate has of its own. An infinite k means that the colour, or the features, are not compared.
 #[derive(Clone, Copy, Debug)]
 pub struct CandidateParams {
     pub k_color: f64,
     pub k_feature: f64,
     pub patch_radius: usize,
     pub tau: f64,
+    /// The place of the candidate that it must filter more than, to win a pixel.
+    pub rival: Option<usize>,
+}
+
+/// The filter by the colour only.
+#[derive(Clone, Copy, Debug)]
+pub struct ColorOnlyParams {
+    pub k_color: f64,
+    pub patch_radius: usize,
+    pub significance: Significance,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -32,13 +42,12 @@ pub struct SecondPassParams {
     pub most_sigmas: Option<f64>,
 }
 
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub struct DfcParams {
     /// R.
     pub window_radius: usize,
-    /// FIRST, SECOND, THIRD.
-    pub candidates: [CandidateParams; 3],
-    pub takes_part: [bool; 3],
+    /// Those that take part, of which a later one is more robust: FIRST, SECOND, THIRD.
+    pub candidates: Vec<CandidateParams>,
     /// Pairs of opposite neighbours and two-sided feature distances. THIRD has the distances alone: it is the widest
     /// filter as it is, and without a colour term nothing would hold the blend of a pair back.
     pub symmetric: bool,
@@ -52,7 +61,7 @@ pub struct DfcParams {
     pub spikes: Option<SpikeParams>,
     pub second_pass: SecondPassParams,
     /// None: no filter by the colour only takes part, whatever the features are.
-    pub color_only: Option<Significance>,
+    pub color_only: Option<ColorOnlyParams>,
     /// None: pixels without noise are filtered like all others.
     pub keep_clean: Option<CleanParams>,
     /// None: variances that are not given are smoothed squares.
@@ -62,15 +71,11 @@ pub struct DfcParams {
 impl DfcParams {
     /// Algorithm 1 to the letter, its misprint in line 26 mended. It prints 10⁻² as 10E−3.
     pub fn thesis() -> DfcParams {
-        let first = CandidateParams { k_color: 0.45, k_feature: 0.6, patch_radius: 1, tau: 1e-2 };
+        let first = CandidateParams { k_color: 0.45, k_feature: 0.6, patch_radius: 1, tau: 1e-2, rival: Some(1) };
+        let second = CandidateParams { patch_radius: 3, rival: None, ..first };
         DfcParams {
             window_radius: 10,
-            candidates: [
-                first,
-                CandidateParams { patch_radius: 3, ..first },
-                CandidateParams { k_color: f64::INFINITY, tau: 1e-3, ..first },
-            ],
-            takes_part: select::ALL,
+            candidates: vec![first, second, CandidateParams { k_color: f64::INFINITY, tau: 1e-3, ..second }],
             symmetric: false,
             centre: CentreWeight::One,
             box_weight: BoxWeight::Even,
@@ -108,11 +113,10 @@ impl DfcParams {
 /// What renders turned out to want.
 impl Default for DfcParams {
     fn default() -> DfcParams {
-        let thesis = DfcParams::thesis();
-        let [first, second, third] = thesis.candidates;
+        let mut thesis = DfcParams::thesis();
+        // Two-sided distances are scaled by both pixels: half of the printed value.
+        thesis.candidates[2].tau = 5e-4;
         DfcParams {
-            // Two-sided distances are scaled by both pixels: half of the printed value.
-            candidates: [first, second, CandidateParams { tau: 5e-4, ..third }],
             symmetric: true,
             centre: CentreWeight::LargestNeighbour,
             box_weight: BoxWeight::Deviation,
@@ -126,7 +130,7 @@ impl Default for DfcParams {
                 clamp_to_input: true,
                 most_sigmas: Some(4.0),
             },
-            color_only: Some(Significance::default()),
+            color_only: Some(ColorOnlyParams { k_color: 0.45, patch_radius: 3, significance: Significance::default() }),
             keep_clean: Some(CleanParams::default()),
             noise: Some(NoiseParams::default()),
             ..thesis
@@ -168,7 +172,7 @@ pub struct Dfc {
     pub lights: Option<Lights>,
     pub color_variance: Planes,
     pub features: Vec<Prefiltered>,
-    pub candidates: [Candidate; 3],
+    pub candidates: Vec<Candidate>,
     /// Eq. 8.5, one plane per candidate.
     pub sure: Planes,
     /// The same, smoothed.
@@ -210,19 +214,15 @@ pub fn dfc(frame: &Frame, params: &DfcParams) -> Dfc {
         floored(&color.mean, &input_variance(&color, params.box_weight), of_color(params.keep_clean.is_some()));
 
     // Lines 11–17: candidate filters.
-    let candidates = params.candidates.map(|own| {
-        candidate(
-            &color.mean,
-            color.spread.as_deref(),
-            &color_variance,
-            &features,
-            &params.filter(params.window_radius, &own),
-        )
-    });
+    let filtered = |own: &CandidateParams, features: &[Feature]| {
+        let filter = params.filter(params.window_radius, own);
+        candidate(&color.mean, color.spread.as_deref(), &color_variance, features, &filter)
+    };
+    let candidates: Vec<Candidate> = params.candidates.iter().map(|own| filtered(own, &features)).collect();
 
     // Lines 18–22: errors.
     let guide = Guide { mean: &color.mean, variance: &color_variance };
-    let aside = params.filter(0, &params.candidates[select::FIRST]);
+    let aside = params.filter(0, &params.candidates[0]);
     let sure: Planes = candidates
         .iter()
         .map(|c| sure(&color.mean, &color_variance, &c.mean, &c.derivative, params.covariance))
@@ -230,44 +230,37 @@ pub fn dfc(frame: &Frame, params: &DfcParams) -> Dfc {
     let errors = smooth_errors(&sure, guide, &aside);
 
     // Lines 23–31: selection maps.
-    let derivatives = candidates.each_ref().map(|c| c.derivative.as_slice());
-    let binary_maps = select(&errors, derivatives, params.takes_part);
+    let derivatives: Vec<_> = candidates.iter().map(|c| c.derivative.as_slice()).collect();
+    let rivals: Vec<_> = params.candidates.iter().map(|own| own.rival).collect();
+    let binary_maps = select(&errors, &derivatives, &rivals);
     let smoothed_maps = smooth_maps(&binary_maps, guide, &aside);
-    let means = candidates.each_ref().map(|c| c.mean.as_slice());
+    let means: Vec<_> = candidates.iter().map(|c| c.mean.as_slice()).collect();
     let evidence = Evidence {
         errors: &errors,
         binary_maps: &binary_maps,
         sure: &sure,
-        candidates: means,
-        takes_part: params.takes_part,
+        candidates: &means,
         variance: &color_variance,
     };
     let maps = share(&smoothed_maps, evidence, params.guard.as_ref());
 
     // Lines 32 and 33: candidate averaging.
     let pass1 = Pass {
-        mean: blend_channels(&maps, means),
+        mean: blend_channels(&maps, &means),
         spread: color.spread.as_ref().map(|_| {
-            let spreads = candidates.each_ref();
-            blend_channels(&maps, spreads.map(|c| c.spread.as_deref().unwrap_or_default()))
+            let spreads: Vec<_> = candidates.iter().map(|c| c.spread.as_deref().unwrap_or_default()).collect();
+            blend_channels(&maps, &spreads)
         }),
     };
 
     // A filter by the colour only, where features may have edges that the colour lacks. None of Algorithm 1.
-    let several = params.takes_part.iter().filter(|takes_part| **takes_part).count() > 1;
-    let significance = params.color_only.filter(|_| several && frame.features.iter().any(is_without_noise));
-    let color_only = significance.map(|significance| {
-        let second = CandidateParams { k_feature: f64::INFINITY, ..params.candidates[select::SECOND] };
-        let candidate = candidate(
-            &color.mean,
-            color.spread.as_deref(),
-            &color_variance,
-            &[],
-            &params.filter(params.window_radius, &second),
-        );
-        let of_each = [0, 1, 2].map(|k| derivatives[k]);
-        let of_blend =
-            sure::sure(&color.mean, &color_variance, &pass1.mean, &blend_channels(&maps, of_each), params.covariance);
+    let several = candidates.len() > 1;
+    let color_only = params.color_only.filter(|_| several && frame.features.iter().any(is_without_noise));
+    let color_only = color_only.map(|ColorOnlyParams { k_color, patch_radius, significance }| {
+        let own = CandidateParams { k_color, k_feature: f64::INFINITY, patch_radius, tau: 0.0, rival: None };
+        let candidate = filtered(&own, &[]);
+        let of_each = blend_channels(&maps, &derivatives);
+        let of_blend = sure::sure(&color.mean, &color_variance, &pass1.mean, &of_each, params.covariance);
         let of_color_only =
             sure::sure(&color.mean, &color_variance, &candidate.mean, &candidate.derivative, params.covariance);
         let share = color_only_share(&differences(&of_color_only, &of_blend, &color_variance), significance);
@@ -283,13 +276,12 @@ pub fn dfc(frame: &Frame, params: &DfcParams) -> Dfc {
 
     // What is left of the error. A candidate alone is no blend.
     let part = |k: usize| Part { share: &maps[k], mean: means[k], derivative: derivatives[k] };
-    let made_of: Vec<Part> = (0..3).filter(|k| params.takes_part[*k]).map(part).collect();
     let of_color_only = color_only.iter().map(|ColorOnly { candidate, share }| Part {
         share,
         mean: &candidate.mean,
         derivative: &candidate.derivative,
     });
-    let made_of: Vec<Part> = made_of.into_iter().chain(of_color_only).collect();
+    let made_of: Vec<Part> = (0..candidates.len()).map(part).chain(of_color_only).collect();
     let result = pass2.as_ref().unwrap_or(&pass1);
     let parts = ErrorParts::measured(result.spread.is_some(), made_of.len() > 1);
     let error = error_blend(&result.mean, result.spread.as_deref(), &color_variance, &made_of, squares.as_ref(), parts);
@@ -364,7 +356,13 @@ pub fn second_pass(pass1: &Pass, input_variance: &[Grid], params: &DfcParams) ->
     let full = params.window_radius;
     let filter = params.filter(
         if own.half_radius { full.div_ceil(2) } else { full },
-        &CandidateParams { k_color: own.k_color, k_feature: f64::INFINITY, patch_radius: own.patch_radius, tau: 0.0 },
+        &CandidateParams {
+            k_color: own.k_color,
+            k_feature: f64::INFINITY,
+            patch_radius: own.patch_radius,
+            tau: 0.0,
+            rival: None,
+        },
     );
     let guide = Guide { mean: &pass1.mean, variance: &variance };
     let payload = [pass1.mean.as_slice(), spread].concat();
@@ -396,7 +394,8 @@ pub fn limited(pass1: &Pass, pass2: &Pass, input_variance: &[Grid], sigmas: f64)
 /// Where the next samples pay most (section 8.6): the error of the blend relative to its square, times W(p) = Σ w/(1 +
 /// n_p), smoothed.
 pub fn sampling_density(result: &Dfc, params: &DfcParams, samples_per_pixel: f64) -> Grid {
-    let weight_sum = blend(&result.maps, &result.candidates.each_ref().map(|c| &c.weight_sum));
+    let weight_sums: Vec<_> = result.candidates.iter().map(|c| &c.weight_sum).collect();
+    let weight_sum = blend(&result.maps, &weight_sums);
     let more = |p| {
         result
             .color_only
@@ -416,13 +415,14 @@ pub fn sampling_density(result: &Dfc, params: &DfcParams, samples_per_pixel: f64
         &weight_sum,
         samples_per_pixel,
     );
-    let own = CandidateParams { k_color: 1.0, k_feature: f64::INFINITY, patch_radius: 1, tau: 0.0 };
+    let own = CandidateParams { k_color: 1.0, k_feature: f64::INFINITY, patch_radius: 1, tau: 0.0, rival: None };
     let guide = Guide { mean: &result.color.mean, variance: &result.color_variance };
     nlm_filter(&[density], Some(guide), &[], &params.filter(10, &own)).planes.remove(0)
 }
 
-fn blend_channels(maps: &[Grid], candidates: [&[Grid]; 3]) -> Planes {
-    (0..candidates[0].len()).map(|i| blend(maps, &candidates.map(|planes| &planes[i]))).collect()
+fn blend_channels(maps: &[Grid], candidates: &[&[Grid]]) -> Planes {
+    let channel = |i: usize| blend(maps, &candidates.iter().map(|planes| &planes[i]).collect::<Vec<_>>());
+    (0..candidates[0].len()).map(channel).collect()
 }
 
 /// Σ_k maps_k · planes_k, without what has no weight: it may not be finite.

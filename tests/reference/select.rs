@@ -4,14 +4,6 @@ use super::gaussian::gaussian;
 use super::nlm::{FilterParams, Guide, nlm_filter};
 use super::{Grid, Planes, Point, channel_mean, map_pixels};
 
-/// Candidates in the order of Algorithm 1: each is more robust, and blinder, than the one before.
-pub const FIRST: usize = 0;
-pub const SECOND: usize = 1;
-pub const THIRD: usize = 2;
-
-/// Which of them take part.
-pub const ALL: [bool; 3] = [true; 3];
-
 /// When a candidate may take part in the blend of a pixel.
 #[derive(Clone, Copy, Debug)]
 pub struct Guard {
@@ -27,44 +19,32 @@ pub struct Guard {
     pub own_noise: f64,
 }
 
-/// The candidate with the least error; ties go to the more robust one. FIRST must also filter more than SECOND (line
-/// 24): where it keeps noise, its error estimate may not notice. An error that is not finite cannot win, and where none
-/// can, the last one does. Those that do not take part do not exist: FIRST need not filter more than a SECOND that is
-/// not there.
-pub fn select(errors: &[Grid], derivatives: [&[Grid]; 3], takes_part: [bool; 3]) -> Planes {
+/// The candidate with the least error; ties go to the later one, which is more robust, and blinder. One with a rival
+/// must also filter more than the rival, as FIRST must more than SECOND (line 24): where it keeps noise, its error
+/// estimate may not notice. An error that is not finite cannot win, and where none can, the last one does.
+pub fn select(errors: &[Grid], derivatives: &[&[Grid]], rivals: &[Option<usize>]) -> Planes {
     let (width, height) = (errors[0].width, errors[0].height);
     let winners = map_pixels(width, height, |p| {
-        let first_filters_more =
-            !takes_part[SECOND] || channel_mean(derivatives[FIRST], p) < channel_mean(derivatives[SECOND], p);
         let mut winner = None;
-        for k in [FIRST, SECOND, THIRD].into_iter().filter(|k| takes_part[*k]) {
+        for k in 0..errors.len() {
+            let filters_more =
+                rivals[k].is_none_or(|rival| channel_mean(derivatives[k], p) < channel_mean(derivatives[rival], p));
             let error = errors[k].at(p);
-            let eligible = error.is_finite() && (k != FIRST || first_filters_more);
-            if eligible && winner.is_none_or(|w: usize| error <= errors[w].at(p)) {
+            if error.is_finite() && filters_more && winner.is_none_or(|w: usize| error <= errors[w].at(p)) {
                 winner = Some(k);
             }
         }
-        winner.unwrap_or_else(|| last(takes_part))
+        winner.unwrap_or(errors.len() - 1)
     });
-    [FIRST, SECOND, THIRD]
-        .map(|k| Grid {
-            width,
-            height,
-            values: winners.iter().map(|&winner| if winner == k { 1.0 } else { 0.0 }).collect(),
-        })
-        .to_vec()
-}
-
-/// The most robust one that takes part.
-fn last(takes_part: [bool; 3]) -> usize {
-    [FIRST, SECOND, THIRD].into_iter().rfind(|k| takes_part[*k]).unwrap_or(THIRD)
+    let map = |k: usize| winners.iter().map(|&winner| if winner == k { 1.0 } else { 0.0 }).collect();
+    (0..errors.len()).map(|k| Grid { width, height, values: map(k) }).collect()
 }
 
 /// Lines 27 to 31 of Algorithm 1, normalised. See `sure::smooth_errors` for `aside`.
 pub fn smooth_maps(binary: &[Grid], guide: Guide, aside: &FilterParams) -> Planes {
     let params = FilterParams { window_radius: 5, patch_radius: 1, k_color: 1.0, k_feature: f64::INFINITY, ..*aside };
     let smoothed = nlm_filter(binary, Some(guide), &[], &params).planes;
-    normalise(&smoothed, |_| THIRD)
+    normalise(&smoothed, |_| binary.len() - 1)
 }
 
 /// The winner by the smoothed errors takes part with at least this share, so that something is left where it alone
@@ -82,8 +62,7 @@ pub struct Evidence<'a> {
     /// Not smoothed.
     pub sure: &'a [Grid],
     /// The filtered colours.
-    pub candidates: [&'a [Grid]; 3],
-    pub takes_part: [bool; 3],
+    pub candidates: &'a [&'a [Grid]],
     pub variance: &'a [Grid],
 }
 
@@ -92,16 +71,17 @@ pub struct Evidence<'a> {
 /// of a single clean pixel among noisy ones, so that the pixel's own error has its say as well. Without a guard the
 /// maps are only normalised.
 pub fn share(maps: &[Grid], evidence: Evidence, guard: Option<&Guard>) -> Planes {
-    let Evidence { errors, binary_maps, sure, candidates, takes_part, variance } = evidence;
+    let Evidence { errors, binary_maps, sure, candidates, variance } = evidence;
+    let count = maps.len();
     let noise = |p: Point| variance.iter().map(|v| v.at(p)).sum::<f64>();
-    let winner = |p: Point| (0..3).find(|&k| binary_maps[k].at(p) == 1.0).unwrap_or_else(|| last(takes_part));
+    let winner = |p: Point| (0..count).find(|&k| binary_maps[k].at(p) == 1.0).unwrap_or(count - 1);
     let Some(guard) = guard else { return normalise(maps, winner) };
-    // Ties go to the more robust one. There is none where no error is finite.
+    // Ties go to the later one. There is none where no error is finite.
     let own_winner = |p: Point| {
-        let finite = [THIRD, SECOND, FIRST].into_iter().filter(|&k| takes_part[k] && sure[k].at(p).is_finite());
+        let finite = (0..count).rev().filter(|&k| sure[k].at(p).is_finite());
         finite.reduce(|least, k| if sure[k].at(p) < sure[least].at(p) { k } else { least })
     };
-    let guarded: Planes = (0..3)
+    let guarded: Planes = (0..count)
         .map(|k| {
             maps[k].like(|p| {
                 let least = errors[winner(p)].at(p);

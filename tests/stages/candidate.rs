@@ -1,21 +1,24 @@
-//! `candidate_accumulate` and `candidate_resolve`: FIRST, SECOND and THIRD with their derivatives.
+//! `candidate_accumulate` and `candidate_resolve`: any number of candidates with their derivatives.
 
+use glam::IVec2;
 use stein::error::Result;
 use stein::gpu::{Buffer, Gpu, Recorder};
-use stein::stage::candidate::{CandidateBeside, CandidateFilter, Candidates, CandidatesInTime, Needed, candidates};
-use stein::stage::candidate_set::CandidateSet;
+use stein::stage::candidate::{CandidateFrame, CandidateWindow, Candidates, CandidatesInTime, Needed, candidates};
+use stein::stage::candidate_filter::{ByColor, ByFeatures, CandidateFilter};
 use stein::stage::exact::Region;
+use stein::stage::feature::Features;
+use stein::stage::frames::Frames;
 use stein::stage::nlm::{CentreWeight, Schedule, Weighting};
 
 use crate::common::{
     Scene, assert_near, bits, calm_scene, checked_gpu, extent_of, gpu, own_size, packed_signal, read, rounded, run,
-    scene, schedules, there, upload,
+    scene, schedules, upload,
 };
 use crate::exact;
 use crate::feature::{features, pack};
 use crate::nlm::{rule_of, twin_of};
 use crate::reference::candidates::{analytic_derivative, candidate, finite_difference, finite_difference_step};
-use crate::reference::nlm::{Beside, Feature, FilterParams, Guide, window_weights_in_time};
+use crate::reference::nlm::{Beside, Feature, FilterParams, Guide, window_weights, window_weights_in_time};
 use crate::reference::variance::brightness_around;
 use crate::reference::{Grid, Planes, Point, map_pixels};
 use crate::{FILTERED, filtered_twin};
@@ -37,40 +40,64 @@ pub(crate) struct Case {
     pub(crate) centre: CentreWeight,
 }
 
-const NAMES: [&str; 3] = ["FIRST", "SECOND", "THIRD"];
 const SCHEDULE: Schedule = Schedule { scratch_bytes: 1 << 20, block_rows: 16, ..Schedule::SOFTWARE };
 
-pub(crate) fn filter(case: Case) -> CandidateFilter {
-    CandidateFilter {
-        window_radius: case.window_radius,
-        color_k: 0.45,
-        first_patch_radius: case.patch_radii[0],
-        second_patch_radius: case.patch_radii[1],
-        feature_k: 0.6,
-        feature_tau: 1e-2,
-        feature_tau_third: 5e-4,
-        weighting: Weighting { symmetric: rule_of(case.symmetric), centre: case.centre },
+/// FIRST, SECOND and THIRD.
+pub(crate) fn filters(case: Case) -> Vec<CandidateFilter> {
+    let by_color = |patch_radius| Some(ByColor { k: 0.45, patch_radius });
+    let features = Some(ByFeatures { k: 0.6, tau: 1e-2 });
+    let of_third = Some(ByFeatures { k: 0.6, tau: 5e-4 });
+    let [first, second] = case.patch_radii;
+    vec![
+        CandidateFilter { name: "first", color: by_color(first), features, rival: Some("second") },
+        CandidateFilter { name: "second", color: by_color(second), features, rival: None },
+        CandidateFilter { name: "third", color: None, features: of_third, rival: None },
+    ]
+}
+
+/// Those of FIRST, SECOND and THIRD that take part.
+pub(crate) fn some_filters(case: Case, takes_part: [bool; 3]) -> Vec<CandidateFilter> {
+    filters(case).into_iter().zip(takes_part).filter_map(|(filter, takes_part)| takes_part.then_some(filter)).collect()
+}
+
+pub(crate) fn window_of(case: Case) -> CandidateWindow {
+    let weighting = Weighting { symmetric: rule_of(case.symmetric), centre: case.centre };
+    CandidateWindow { radius: case.window_radius, weighting }
+}
+
+/// The filter as the reference calls it.
+pub(crate) fn twin_params(case: Case, filter: &CandidateFilter) -> FilterParams {
+    FilterParams {
+        window_radius: case.window_radius as usize,
+        patch_radius: filter.color.map_or(0, |color| color.patch_radius as usize),
+        k_color: filter.color.map_or(f64::INFINITY, |color| color.k.into()),
+        k_feature: filter.features.map_or(f64::INFINITY, |features| features.k.into()),
+        tau: filter.features.map_or(1.0, |features| features.tau.into()),
+        symmetric_features: case.symmetric,
+        blend_pairs: case.symmetric && filter.color.is_some(),
+        centre: twin_of(case.centre),
     }
 }
 
-pub(crate) fn twin_params(case: Case) -> [FilterParams; 3] {
-    let filter = filter(case);
-    let first = FilterParams {
-        window_radius: case.window_radius as usize,
-        patch_radius: case.patch_radii[0] as usize,
-        k_color: f64::from(filter.color_k),
-        k_feature: f64::from(filter.feature_k),
-        tau: f64::from(filter.feature_tau),
-        symmetric_features: case.symmetric,
-        blend_pairs: case.symmetric,
-        centre: twin_of(case.centre),
-    };
-    let second = FilterParams { patch_radius: case.patch_radii[1] as usize, ..first };
-    [
-        first,
-        second,
-        FilterParams { k_color: f64::INFINITY, tau: f64::from(filter.feature_tau_third), blend_pairs: false, ..first },
-    ]
+/// The planes of all candidates.
+struct Found {
+    /// The means, with Σ w.
+    means: Vec<Planes>,
+    spreads: Vec<Planes>,
+    /// Empty where there are none.
+    derivatives: Vec<Planes>,
+}
+
+fn found(gpu: &Gpu, candidates: &Candidates, extent: IVec2) -> Found {
+    let mut planes = read(gpu, &candidates.planes, extent).into_iter();
+    let mut found = Found { means: Vec::new(), spreads: Vec::new(), derivatives: Vec::new() };
+    for _ in 0..candidates.count() {
+        found.means.extend(planes.next());
+        found.spreads.extend(planes.next());
+    }
+    found.derivatives = planes.collect();
+    assert_eq!(found.derivatives.len(), if candidates.has_derivatives { candidates.count() } else { 0 });
+    found
 }
 
 /// A variance as `variance_floor` leaves it, with the brightness around each pixel in w.
@@ -80,12 +107,13 @@ fn upload_variance(rec: &mut Recorder, scene: &Scene) -> Result<Buffer> {
 }
 
 fn filtered(gpu: &Gpu, case: Case, scene: &Scene, features: &[Feature], schedule: Schedule) -> Candidates {
-    filtered_as_needed(gpu, case, scene, features, Needed::EVERYTHING, schedule)
+    filtered_as_needed(gpu, case, &filters(case), scene, features, Needed::EVERYTHING, schedule)
 }
 
 fn filtered_as_needed(
     gpu: &Gpu,
     case: Case,
+    filters: &[CandidateFilter],
     scene: &Scene,
     features: &[Feature],
     needed: Needed,
@@ -93,34 +121,36 @@ fn filtered_as_needed(
 ) -> Candidates {
     let extent = extent_of(&scene.mean[0]);
     let filtered = run(gpu, |rec| {
-        let signal = rec.upload("signal", &packed_signal(&scene.mean, &scene.spread))?;
-        let variance = upload_variance(rec, scene)?;
+        let payload = &rec.upload("signal", &packed_signal(&scene.mean, &scene.spread))?;
+        let variance_of_mean = &upload_variance(rec, scene)?;
         let features = if features.is_empty() { None } else { Some(pack(rec, features)?) };
-        candidates(rec, extent, &signal, &variance, features.as_ref(), &[], &filter(case), needed, schedule, |_, _| {
-            Ok(())
-        })
+        let frame = CandidateFrame { payload, guide: None, variance_of_mean, features: features.as_ref() };
+        candidates(rec, extent, &Frames::one(frame), filters, window_of(case), needed, schedule, |_, _| Ok(()))
     });
     assert!(filtered.alone.is_none(), "there is one frame only");
     filtered.together
 }
 
 fn check_scene(gpu: &Gpu, case: Case, scene: &Scene) {
+    check_filters(gpu, case, &filters(case), scene);
+}
+
+fn check_filters(gpu: &Gpu, case: Case, filters: &[CandidateFilter], scene: &Scene) {
     let features = features(case.width, case.height, case.features, 31);
-    let actual = filtered(gpu, case, scene, &features, SCHEDULE);
-    let extent = extent_of(&scene.mean[0]);
-    let derivatives = read(gpu, there(&actual.derivatives), extent);
+    let actual = filtered_as_needed(gpu, case, filters, scene, &features, Needed::EVERYTHING, SCHEDULE);
+    let actual = found(gpu, &actual, extent_of(&scene.mean[0]));
     let guide = Guide { mean: &scene.mean, variance: &scene.variance };
-    for (k, params) in twin_params(case).into_iter().enumerate() {
-        let what = |part: &str| format!("{case:?}: {} {part}", NAMES[k]);
-        let signal = read(gpu, there(&actual.signals[k]), extent);
+    for (k, filter) in filters.iter().enumerate() {
+        let params = twin_params(case, filter);
+        let what = |part: &str| format!("{case:?}: {} {part}", filter.name);
         let payload = [scene.mean.as_slice(), &scene.spread].concat();
         let expected = filtered_twin(&payload, Some(guide), &features, &params);
         let (mean, spread) = expected.planes.split_at(3);
         let (mean_span, spread_span) = expected.span.split_at(3);
-        assert_near(&what("mean"), &signal[0][..3], mean, mean_span, FILTERED, 0.0);
-        assert_near(&what("half spread"), &signal[1][..3], spread, spread_span, FILTERED, 0.0);
+        assert_near(&what("mean"), &actual.means[k][..3], mean, mean_span, FILTERED, 0.0);
+        assert_near(&what("half spread"), &actual.spreads[k][..3], spread, spread_span, FILTERED, 0.0);
         let weight_sum = [expected.weight_sum];
-        assert_near(&what("Σ w"), &signal[0][3..], &weight_sum, &own_size(&weight_sum, 0.0), FILTERED, 0.0);
+        assert_near(&what("Σ w"), &actual.means[k][3..], &weight_sum, &own_size(&weight_sum, 0.0), FILTERED, 0.0);
 
         let twin = candidate(&scene.mean, None, &scene.variance, &features, &params);
         let around = brightness_around(&scene.mean);
@@ -129,7 +159,7 @@ fn check_scene(gpu: &Gpu, case: Case, scene: &Scene) {
             mean_span[i].like(|p| 1.0 + twin.derivative[i].at(p).abs() + mean_span[i].at(p) / step(p))
         };
         let scale: Planes = (0..3).map(per_step).collect();
-        assert_near(&what("derivative"), &derivatives[k][..3], &twin.derivative, &scale, DERIVATIVE, 0.0);
+        assert_near(&what("derivative"), &actual.derivatives[k][..3], &twin.derivative, &scale, DERIVATIVE, 0.0);
     }
 }
 
@@ -168,23 +198,13 @@ fn filtered_in_time(gpu: &Gpu, case: Case, frames: &[InTime], schedule: Schedule
                 features,
             ));
         }
-        let mut beside = Vec::new();
-        for (signal, variance_of_mean, features) in &uploaded[1..] {
-            beside.push(CandidateBeside { signal, variance_of_mean, features: features.as_ref() });
-        }
-        let (signal, variance, features) = &uploaded[0];
-        candidates(
-            rec,
-            extent,
-            signal,
-            variance,
-            features.as_ref(),
-            &beside,
-            &filter(case),
-            Needed::EVERYTHING,
-            schedule,
-            |_, _| Ok(()),
-        )
+        let frame = |index: usize| {
+            let (payload, variance_of_mean, features): &(Buffer, Buffer, Option<Features>) = &uploaded[index];
+            CandidateFrame { payload, guide: None, variance_of_mean, features: features.as_ref() }
+        };
+        let frames = Frames { own: frame(0), beside: (1..uploaded.len()).map(frame).collect() };
+        let (filters, window) = (filters(case), window_of(case));
+        candidates(rec, extent, &frames, &filters, window, Needed::EVERYTHING, schedule, |_, _| Ok(()))
     })
 }
 
@@ -233,29 +253,26 @@ fn check_in_time(gpu: &Gpu, case: Case) {
     let frames: Vec<_> = (0..3).map(|seed| InTime::new(case, 40 + seed)).collect();
     let CandidatesInTime { together: actual, alone } = filtered_in_time(gpu, case, &frames, SCHEDULE);
     let one_frame = filtered(gpu, case, &frames[0].scene, &frames[0].features, SCHEDULE);
-    let all_bits = |of: &Candidates| {
-        of.signals.iter().chain([&of.derivatives]).flatten().map(|buffer| bits(gpu, buffer)).collect::<Vec<_>>()
-    };
     assert!(
-        alone.is_some_and(|alone| all_bits(&alone) == all_bits(&one_frame)),
+        alone.is_some_and(|alone| bits(gpu, &alone.planes) == bits(gpu, &one_frame.planes)),
         "{case:?}: the own frame is filtered as if there were no other"
     );
     let own = frames[0].payload();
     let like = &own[0];
     let extent = extent_of(like);
-    let derivatives = read(gpu, there(&actual.derivatives), extent);
-    for (k, params) in twin_params(case).into_iter().enumerate() {
-        let what = |part: &str| format!("{case:?} in time: {} {part}", NAMES[k]);
-        let signal = read(gpu, there(&actual.signals[k]), extent);
+    let actual = found(gpu, &actual, extent);
+    for (k, filter) in filters(case).iter().enumerate() {
+        let params = twin_params(case, filter);
+        let what = |part: &str| format!("{case:?} in time: {} {part}", filter.name);
         let expected = map_pixels(case.width, case.height, |p| average(&frames, &own, p, &params));
         let planes = |value: &dyn Fn(&Average, usize) -> f64| -> Planes {
             (0..6).map(|plane| Grid { values: expected.iter().map(|of| value(of, plane)).collect(), ..*like }).collect()
         };
         let (mean, span) = (planes(&|of, plane| of.mean[plane]), planes(&|of, plane| of.span[plane]));
-        assert_near(&what("mean"), &signal[0][..3], &mean[..3], &span[..3], FILTERED, 0.0);
-        assert_near(&what("half spread"), &signal[1][..3], &mean[3..], &span[3..], FILTERED, 0.0);
+        assert_near(&what("mean"), &actual.means[k][..3], &mean[..3], &span[..3], FILTERED, 0.0);
+        assert_near(&what("half spread"), &actual.spreads[k][..3], &mean[3..], &span[3..], FILTERED, 0.0);
         let weight_sum = [planes(&|of, _| of.weight_sum).remove(0)];
-        assert_near(&what("Σ w"), &signal[0][3..], &weight_sum, &own_size(&weight_sum, 0.0), FILTERED, 0.0);
+        assert_near(&what("Σ w"), &actual.means[k][3..], &weight_sum, &own_size(&weight_sum, 0.0), FILTERED, 0.0);
 
         let around = brightness_around(&own[..3]);
         let step =
@@ -274,7 +291,7 @@ fn check_in_time(gpu: &Gpu, case: Case) {
         let derivative: Planes = (0..3).map(derivative).collect();
         let scale: Planes =
             (0..3).map(|i| like.like(|p| 1.0 + derivative[i].at(p).abs() + span[i].at(p) / step(p, i).abs())).collect();
-        assert_near(&what("derivative"), &derivatives[k][..3], &derivative, &scale, DERIVATIVE, 0.0);
+        assert_near(&what("derivative"), &actual.derivatives[k][..3], &derivative, &scale, DERIVATIVE, 0.0);
     }
 }
 
@@ -365,24 +382,13 @@ fn every_schedule_gives_the_same_bits() {
     ] {
         let scene = scene(case.width, case.height, 33);
         let features = features(case.width, case.height, case.features, 34);
-        let result = |schedule| {
-            let candidates = filtered(gpu(), case, &scene, &features, schedule);
-            candidates
-                .signals
-                .iter()
-                .chain([&candidates.derivatives])
-                .flatten()
-                .map(|buffer| bits(gpu(), buffer))
-                .collect::<Vec<_>>()
-        };
+        let result = |schedule| bits(gpu(), &filtered(gpu(), case, &scene, &features, schedule).planes);
         let whole = result(Schedule { scratch_bytes: 64 << 20, block_rows: 16, ..Schedule::SOFTWARE });
         for schedule in schedules() {
             assert!(result(schedule) == whole, "{case:?} with {schedule:?}");
         }
         let frames: Vec<_> = (0..2).map(|seed| InTime::new(case, 50 + seed)).collect();
-        let in_time = |schedule| {
-            filtered_in_time(gpu(), case, &frames, schedule).together.signals.map(|buffer| bits(gpu(), there(&buffer)))
-        };
+        let in_time = |schedule| bits(gpu(), &filtered_in_time(gpu(), case, &frames, schedule).together.planes);
         let whole = in_time(Schedule { scratch_bytes: 64 << 20, block_rows: 16, ..Schedule::SOFTWARE });
         for schedule in schedules().filter(|schedule| schedule.scratch_bytes <= 30_000) {
             assert!(in_time(schedule) == whole, "{case:?} in time with {schedule:?}");
@@ -405,10 +411,9 @@ fn finite_differences_approach_the_analytic_derivative() {
             let case =
                 Case { width, height, window_radius: 3, patch_radii: [1, 3], features: &[3, 1], symmetric, centre };
             let features = features(width, height, case.features, 36);
-            let derivatives = filtered(gpu(), case, &scene, &features, SCHEDULE).derivatives;
-            for (k, (actual, params)) in
-                read(gpu(), there(&derivatives), extent).into_iter().zip(twin_params(case)).enumerate()
-            {
+            let actual = found(gpu(), &filtered(gpu(), case, &scene, &features, SCHEDULE), extent);
+            for (actual, filter) in actual.derivatives.into_iter().zip(filters(case)) {
+                let params = twin_params(case, &filter);
                 let plane = |i: usize| {
                     scene.mean[i].like(|p| {
                         let step = finite_difference_step(scene.mean[i].at(p), scene.variance[i].at(p), around.at(p));
@@ -425,7 +430,7 @@ fn finite_differences_approach_the_analytic_derivative() {
                     })
                     .collect();
                 assert_near(
-                    &format!("{case:?}: {} against the analytic derivative", NAMES[k]),
+                    &format!("{case:?}: {} against the analytic derivative", filter.name),
                     &actual[..3],
                     &expected,
                     &scale,
@@ -443,52 +448,92 @@ fn finite_differences_approach_the_analytic_derivative() {
 /// Of which kernels are compiled fast.
 const PART: Case = Case { width: 39, height: 21, window_radius: 3, patch_radii: [1, 2], features: &[3], ..WIDE };
 const FEW_REGISTERS: Schedule = Schedule { pixels: 1, offset_rows: 1, ..SCHEDULE };
-const NONE: CandidateSet = CandidateSet { first: false, second: false, third: false };
 
 /// What is left out changes nothing of what is left.
 #[test]
 fn parts_have_the_bits_of_the_whole() {
     // Every kernel is compiled, so there are few.
-    let second_and_third = CandidateSet { first: false, ..CandidateSet::ALL };
-    let first_and_second = CandidateSet { third: false, ..CandidateSet::ALL };
     let parts = [
-        (second_and_third, true),
-        (first_and_second, true),
-        (CandidateSet { first: true, ..NONE }, false),
-        (CandidateSet { third: true, ..NONE }, false),
-        (CandidateSet { second: true, ..NONE }, true),
+        ([false, true, true], true),
+        ([true, true, false], true),
+        ([true, false, false], false),
+        ([false, false, true], false),
+        ([false, true, false], true),
     ];
     let scene = scene(PART.width, PART.height, 37);
     let features = features(PART.width, PART.height, PART.features, 38);
-    let whole = filtered(gpu(), PART, &scene, &features, FEW_REGISTERS);
-    for (candidates, derivatives) in parts {
-        let part = filtered_as_needed(
-            gpu(),
-            PART,
-            &scene,
-            &features,
-            Needed { candidates, derivatives, ..Needed::EVERYTHING },
-            FEW_REGISTERS,
-        );
-        assert_eq!((part.set(), part.derivatives.is_some()), (candidates, derivatives));
-        for k in (0..3).filter(|k| candidates.flags()[*k]) {
-            let of_candidate = |of: &Candidates| bits(gpu(), there(&of.signals[k]));
-            assert!(
-                of_candidate(&part) == of_candidate(&whole),
-                "{} of {candidates}, derivatives {derivatives}",
-                NAMES[k]
-            );
-            let derivative = |of: &Candidates| {
-                bits(gpu(), there(&of.derivatives))
-                    .chunks_exact(4 * PART.width * PART.height)
-                    .nth(k)
-                    .map(<[u32]>::to_vec)
-            };
-            assert!(
-                !derivatives || derivative(&part) == derivative(&whole),
-                "derivative of {} of {candidates}",
-                NAMES[k]
-            );
+    let extent = extent_of(&scene.mean[0]);
+    let whole = found(gpu(), &filtered(gpu(), PART, &scene, &features, FEW_REGISTERS), extent);
+    for (takes_part, derivatives) in parts {
+        let needed = Needed { derivatives, ..Needed::EVERYTHING };
+        let filters = some_filters(PART, takes_part);
+        let part = filtered_as_needed(gpu(), PART, &filters, &scene, &features, needed, FEW_REGISTERS);
+        assert_eq!((&part.filters, part.has_derivatives), (&filters, derivatives));
+        let part = found(gpu(), &part, extent);
+        for (place, k) in (0..3).filter(|k| takes_part[*k]).enumerate() {
+            let what = format!("candidate {k} of {takes_part:?}, derivatives {derivatives}");
+            let same = |a: &Planes, b: &Planes| a.iter().zip(b).all(|(a, b)| a.values == b.values);
+            assert!(same(&part.means[place], &whole.means[k]), "{what}: mean");
+            assert!(same(&part.spreads[place], &whole.spreads[k]), "{what}: half spread");
+            assert!(!derivatives || same(&part.derivatives[place], &whole.derivatives[k]), "{what}: derivative");
+        }
+    }
+}
+
+/// Filters that share no pass: other scales, other features or none, a plain mean, more patches than two.
+#[test]
+fn any_number_of_filters_in_any_order() {
+    let case = PART;
+    let own = filters(case);
+    let color = |k, patch_radius| Some(ByColor { k, patch_radius });
+    let further = [
+        CandidateFilter { name: "wide", color: color(1.0, 2), features: own[0].features, rival: None },
+        CandidateFilter { name: "color only", color: color(0.45, 1), features: None, rival: None },
+        CandidateFilter { name: "mean", color: None, features: None, rival: None },
+        CandidateFilter { name: "soft", color: None, features: Some(ByFeatures { k: 1.5, tau: 0.1 }), rival: None },
+        CandidateFilter { name: "point", color: color(0.45, 0), features: own[0].features, rival: None },
+    ];
+    let scene = calm_scene(case.width, case.height, 45);
+    check_filters(gpu(), case, &[&further[..2], &own, &further[2..]].concat(), &scene);
+    check_filters(gpu(), Case { symmetric: false, centre: CentreWeight::One, ..case }, &further, &scene);
+}
+
+/// Weights from another image than the one that is averaged: the derivative is the centre's share.
+#[test]
+fn a_payload_is_filtered_with_the_weights_of_another_image() {
+    for case in [PART, Case { width: 1, height: 9, symmetric: false, features: &[], ..PART }] {
+        let (of_payload, of_guide) = (scene(case.width, case.height, 46), calm_scene(case.width, case.height, 47));
+        let features = features(case.width, case.height, case.features, 48);
+        let (filters, extent) = (filters(case), extent_of(&of_guide.mean[0]));
+        let together = run(gpu(), |rec| {
+            let payload = &rec.upload("payload", &packed_signal(&of_payload.mean, &of_payload.spread))?;
+            let guide = upload(rec, &of_guide.mean)?;
+            let variance_of_mean = &upload_variance(rec, &of_guide)?;
+            let features = if features.is_empty() { None } else { Some(pack(rec, &features)?) };
+            let frame = CandidateFrame { payload, guide: Some(&guide), variance_of_mean, features: features.as_ref() };
+            let (frames, needed) = (Frames::one(frame), Needed::EVERYTHING);
+            let window = window_of(case);
+            candidates(rec, extent, &frames, &filters, window, needed, FEW_REGISTERS, |_, _| Ok(()))
+        })
+        .together;
+        let actual = found(gpu(), &together, extent);
+        let guide = Guide { mean: &of_guide.mean, variance: &of_guide.variance };
+        let payload = [of_payload.mean.as_slice(), &of_payload.spread].concat();
+        for (k, filter) in filters.iter().enumerate() {
+            let params = twin_params(case, filter);
+            let what = |part: &str| format!("{case:?} by another image: {} {part}", filter.name);
+            let expected = filtered_twin(&payload, Some(guide), &features, &params);
+            let (mean, spread) = expected.planes.split_at(3);
+            let (mean_span, spread_span) = expected.span.split_at(3);
+            assert_near(&what("mean"), &actual.means[k][..3], mean, mean_span, FILTERED, 0.0);
+            assert_near(&what("half spread"), &actual.spreads[k][..3], spread, spread_span, FILTERED, 0.0);
+            let share = expected.weight_sum.like(|p| {
+                let weights = window_weights(&of_guide.mean[0], p, Some(guide), &features, &params);
+                weights.centre.1 / weights.sum()
+            });
+            let expected = vec![share; 3];
+            let derivatives = &actual.derivatives[k][..3];
+            assert_near(&what("derivative"), derivatives, &expected, &own_size(&expected, 0.0), FILTERED, 0.0);
         }
     }
 }
@@ -501,13 +546,8 @@ fn a_grey_image_needs_one_channel() {
     let scene = Scene { mean: grey(&mean), spread: grey(&spread), variance: grey(&variance) };
     let features = features(case.width, case.height, case.features, 38);
     let all = |needed| {
-        let candidates = filtered_as_needed(gpu(), case, &scene, &features, needed, FEW_REGISTERS);
-        candidates
-            .signals
-            .iter()
-            .chain([&candidates.derivatives])
-            .map(|buffer| bits(gpu(), there(buffer)))
-            .collect::<Vec<_>>()
+        let found = filtered_as_needed(gpu(), case, &filters(case), &scene, &features, needed, FEW_REGISTERS);
+        bits(gpu(), &found.planes)
     };
     assert!(all(Needed::EVERYTHING) == all(Needed { channels: false, ..Needed::EVERYTHING }));
 }
@@ -522,31 +562,19 @@ fn some_pixels_have_the_bits_of_all() {
     let (width, pixels) = (case.width as i32, case.width * case.height);
     for exact in [None, Some(&tiles.exact)] {
         let of = |wanted: Option<Region>| {
-            let candidates = filtered_as_needed(
-                gpu(),
-                case,
-                &scene,
-                &features,
-                Needed { exact, wanted, ..Needed::EVERYTHING },
-                FEW_REGISTERS,
-            );
-            candidates
-                .signals
-                .iter()
-                .chain([&candidates.derivatives])
-                .map(|buffer| bits(gpu(), there(buffer)))
-                .collect::<Vec<_>>()
+            let needed = Needed { exact, wanted, ..Needed::EVERYTHING };
+            let found = filtered_as_needed(gpu(), case, &filters(case), &scene, &features, needed, FEW_REGISTERS);
+            bits(gpu(), &found.planes)
         };
         let all = of(None);
         for region in exact::parts(width, case.height as i32) {
-            for (buffer, (some, all)) in of(Some(region)).iter().zip(&all).enumerate() {
-                for pixel in exact::pixels_of(region, width) {
-                    // w has no meaning in the half spread and the derivatives.
-                    let of = |bits: &[u32]| {
-                        bits.chunks_exact(4 * pixels).map(|plane| plane[4 * pixel..][..3].to_vec()).collect::<Vec<_>>()
-                    };
-                    assert_eq!(of(some), of(all), "{region:?}, buffer {buffer}, pixel {pixel}");
-                }
+            let some = of(Some(region));
+            for pixel in exact::pixels_of(region, width) {
+                // w has no meaning in the half spread and the derivatives.
+                let of = |bits: &[u32]| {
+                    bits.chunks_exact(4 * pixels).map(|plane| plane[4 * pixel..][..3].to_vec()).collect::<Vec<_>>()
+                };
+                assert_eq!(of(&some), of(&all), "{region:?}, pixel {pixel}");
             }
         }
     }
@@ -559,13 +587,8 @@ fn a_half_spread_that_says_nothing_is_not_filtered() {
     let scene = Scene { spread: of.spread.iter().map(|grid| grid.like(|_| 0.0)).collect(), ..of };
     let features = features(case.width, case.height, case.features, 38);
     let all = |needed| {
-        let candidates = filtered_as_needed(gpu(), case, &scene, &features, needed, FEW_REGISTERS);
-        candidates
-            .signals
-            .iter()
-            .chain([&candidates.derivatives])
-            .map(|buffer| bits(gpu(), there(buffer)))
-            .collect::<Vec<_>>()
+        let found = filtered_as_needed(gpu(), case, &filters(case), &scene, &features, needed, FEW_REGISTERS);
+        bits(gpu(), &found.planes)
     };
     assert!(all(Needed::EVERYTHING) == all(Needed { half_spread: false, ..Needed::EVERYTHING }));
 }
@@ -577,43 +600,28 @@ fn exact_tiles_keep_the_signal() {
     let scene = scene(case.width, case.height, 41);
     let features = features(case.width, case.height, case.features, 42);
     let tiles = exact::tiles(case.width, case.height);
-    let whole = filtered(gpu(), case, &scene, &features, SCHEDULE);
     let extent = extent_of(&scene.mean[0]);
+    let whole = found(gpu(), &filtered(gpu(), case, &scene, &features, SCHEDULE), extent);
     for schedule in schedules().filter(|schedule| schedule.scratch_bytes >= 30_000) {
-        let part = filtered_as_needed(
-            gpu(),
-            case,
-            &scene,
-            &features,
-            Needed { exact: Some(&tiles.exact), ..Needed::EVERYTHING },
-            schedule,
-        );
-        for (k, (part, whole)) in part.signals.iter().zip(&whole.signals).enumerate() {
-            let (part, whole) = (read(gpu(), there(part), extent), read(gpu(), there(whole), extent));
-            let one = scene.mean[0].like(|_| 1.0);
-            let signal = [[scene.mean.as_slice(), &[one]].concat(), scene.spread.clone()];
-            for plane in 0..2 {
-                let expected = tiles.keep(&signal[plane], &whole[plane]);
-                assert!(part[plane][..expected.len()] == expected[..], "{schedule:?}: {} plane {plane}", NAMES[k]);
+        let needed = Needed { exact: Some(&tiles.exact), ..Needed::EVERYTHING };
+        let part = filtered_as_needed(gpu(), case, &filters(case), &scene, &features, needed, schedule);
+        let part = found(gpu(), &part, extent);
+        let one = scene.mean[0].like(|_| 1.0);
+        let mean = [scene.mean.as_slice(), std::slice::from_ref(&one)].concat();
+        let ones = vec![one; 3];
+        for k in 0..3 {
+            for (what, kept, part, whole) in [
+                ("mean", &mean, &part.means[k], &whole.means[k]),
+                ("half spread", &scene.spread, &part.spreads[k], &whole.spreads[k]),
+                ("derivatives", &ones, &part.derivatives[k], &whole.derivatives[k]),
+            ] {
+                let expected = tiles.keep(kept, whole);
+                assert!(part[..expected.len()] == expected[..], "{schedule:?}: candidate {k}, {what}");
             }
         }
-        let (part, whole) =
-            (read(gpu(), there(&part.derivatives), extent), read(gpu(), there(&whole.derivatives), extent));
-        let ones = vec![scene.mean[0].like(|_| 1.0); 3];
-        for (part, whole) in part.iter().zip(&whole) {
-            assert!(part[..3] == tiles.keep(&ones, whole)[..], "{schedule:?}: derivatives");
-        }
     }
-    let none = filtered_as_needed(
-        gpu(),
-        case,
-        &scene,
-        &features,
-        Needed { candidates: CandidateSet { third: true, ..NONE }, exact: Some(&tiles.all), ..Needed::EVERYTHING },
-        SCHEDULE,
-    );
-    assert!(
-        read(gpu(), there(&none.signals[2]), extent)[0][..3] == scene.mean[..],
-        "nothing is filtered where all is exact"
-    );
+    let third = some_filters(case, [false, false, true]);
+    let needed = Needed { exact: Some(&tiles.all), ..Needed::EVERYTHING };
+    let none = found(gpu(), &filtered_as_needed(gpu(), case, &third, &scene, &features, needed, SCHEDULE), extent);
+    assert!(none.means[0][..3] == scene.mean[..], "nothing is filtered where all is exact");
 }

@@ -3,12 +3,10 @@
 
 use std::sync::Arc;
 
-use stein::gpu::{Gpu, Recorder};
+use stein::gpu::{Buffer, Gpu, Recorder};
 use stein::stage::candidate::Candidates;
-use stein::stage::candidate_set::CandidateSet;
-use stein::stage::error::{
-    ErrorParts, MadeOf, error_blend, error_blend_more, error_difference, error_spikes, error_sure,
-};
+use stein::stage::candidate_filter::CandidateFilter;
+use stein::stage::error::{ErrorParts, error_blend, error_blend_more, error_difference, error_spikes, error_sure};
 use stein::stage::nlm::Filtered;
 use stein::stage::sample::{GpuSamples, sample_density};
 use stein::stage::select::{
@@ -18,93 +16,115 @@ use stein::stage::select::{
 
 use crate::common::{
     Scene, assert_near, checked_gpu, extent_of, flat, gpu, own_size, packed, packed_signal, read, rounded, run, scene,
-    there, upload,
+    upload,
 };
 use crate::reference::dfc::{Pass, limited};
 use crate::reference::random::Random;
 use crate::reference::{self, Grid, Planes, Point};
 
-const FIRST_AND_SECOND: CandidateSet = CandidateSet { third: false, ..CandidateSet::ALL };
-const FIRST_AND_THIRD: CandidateSet = CandidateSet { second: false, ..CandidateSet::ALL };
-const SECOND_AND_THIRD: CandidateSet = CandidateSet { first: false, ..CandidateSet::ALL };
-const SECOND_ALONE: CandidateSet = CandidateSet { first: false, third: false, ..CandidateSet::ALL };
-
 /// Gives a device.
 type Device = fn() -> &'static Gpu;
 
-/// Devices, odd sizes, and which candidates take part.
-const SIZES_AND_SETS: [(Device, usize, usize, CandidateSet); 9] = [
-    (gpu, 257, 89, CandidateSet::ALL),
-    (gpu, 7, 300, CandidateSet::ALL),
-    (gpu, 1, 1, CandidateSet::ALL),
-    (checked_gpu, 24, 20, CandidateSet::ALL),
-    (gpu, 7, 300, FIRST_AND_SECOND),
-    (gpu, 31, 43, FIRST_AND_THIRD),
-    (gpu, 31, 43, SECOND_AND_THIRD),
-    (gpu, 1, 1, SECOND_AND_THIRD),
-    (checked_gpu, 24, 20, SECOND_ALONE),
+/// Devices, odd sizes, and how many candidates there are: one, two, the thesis's three, as many as a plane of numbers
+/// holds, one more, all there may be.
+const SIZES_AND_COUNTS: [(Device, usize, usize, usize); 9] = [
+    (gpu, 257, 89, 3),
+    (gpu, 7, 300, 3),
+    (gpu, 1, 1, 3),
+    (checked_gpu, 24, 20, 3),
+    (gpu, 7, 300, 2),
+    (gpu, 31, 43, 4),
+    (gpu, 31, 43, 5),
+    (gpu, 257, 89, 8),
+    (checked_gpu, 24, 20, 1),
 ];
+
+const NAMES: [&str; 8] = ["0", "1", "2", "3", "4", "5", "6", "7"];
+
+/// Filters, of which the first has the second as its rival, and the fifth the third.
+fn filters(count: usize) -> Vec<CandidateFilter> {
+    let rival = |k: usize| match k {
+        0 => Some(NAMES[1]),
+        4 => Some(NAMES[2]),
+        _ => None,
+    };
+    (0..count).map(|k| CandidateFilter { name: NAMES[k], color: None, features: None, rival: rival(k) }).collect()
+}
+
+/// The place of each rival among so many filters.
+fn rivals(count: usize) -> Vec<Option<usize>> {
+    let rival = |k: usize| [Some(1), None, None, None, Some(2), None, None, None][k].filter(|rival| *rival < count);
+    (0..count).map(rival).collect()
+}
 
 /// Filtered images and derivatives as unlike each other as they come.
 struct Bank {
-    means: [Planes; 3],
-    spreads: [Planes; 3],
-    derivatives: [Planes; 3],
-    weight_sums: [Grid; 3],
+    means: Vec<Planes>,
+    spreads: Vec<Planes>,
+    derivatives: Vec<Planes>,
+    weight_sums: Vec<Grid>,
 }
 
-fn bank(width: usize, height: usize) -> Bank {
-    seeded_bank(width, height, 41)
+impl Bank {
+    fn count(&self) -> usize {
+        self.means.len()
+    }
 }
 
-fn seeded_bank(width: usize, height: usize, seed: u64) -> Bank {
+fn bank(width: usize, height: usize, count: usize) -> Bank {
+    seeded_bank(width, height, count, 41)
+}
+
+fn seeded_bank(width: usize, height: usize, count: usize, seed: u64) -> Bank {
     let mut random = Random(seed);
     let mut planes = |low: f64, high: f64| -> Planes {
         (0..3).map(|_| rounded(random.uniform_grid(width, height, low, high))).collect()
     };
     Bank {
-        means: [(); 3].map(|()| planes(-1.0, 3.0)),
-        spreads: [(); 3].map(|()| planes(-0.2, 0.2)),
-        derivatives: [(); 3].map(|()| planes(-0.5, 1.5)),
-        weight_sums: [(); 3].map(|()| planes(1.0, 400.0).remove(0)),
+        means: (0..count).map(|_| planes(-1.0, 3.0)).collect(),
+        spreads: (0..count).map(|_| planes(-0.2, 0.2)).collect(),
+        derivatives: (0..count).map(|_| planes(-0.5, 1.5)).collect(),
+        weight_sums: (0..count).map(|_| planes(1.0, 400.0).remove(0)).collect(),
     }
 }
 
-fn upload_bank(rec: &mut Recorder, bank: &Bank, takes_part: CandidateSet) -> stein::Result<Candidates> {
-    let mut signal = |k: usize| {
+fn upload_bank(rec: &mut Recorder, bank: &Bank) -> stein::Result<Candidates> {
+    let signal = |k: usize| {
         let mean = [bank.means[k].as_slice(), &[bank.weight_sums[k].clone()]].concat();
-        if takes_part.flags()[k] {
-            rec.upload("candidate", &packed_signal(&mean, &bank.spreads[k])).map(|buffer| Some(Arc::new(buffer)))
-        } else {
-            Ok(None)
-        }
+        packed_signal(&mean, &bank.spreads[k])
     };
-    let signals = [signal(0)?, signal(1)?, signal(2)?];
-    let derivatives = bank.derivatives.iter().map(|planes| packed(planes)).collect::<Vec<_>>().concat();
-    Ok(Candidates { signals, derivatives: Some(Arc::new(rec.upload("derivatives", &derivatives)?)) })
+    let signals = (0..bank.count()).flat_map(signal);
+    let planes: Vec<f32> = signals.chain(bank.derivatives.iter().flat_map(|planes| packed(planes))).collect();
+    let planes = Arc::new(rec.upload("candidates", &planes)?);
+    Ok(Candidates { filters: filters(bank.count()), planes, has_derivatives: true })
+}
+
+/// Numbers for each candidate, four to a plane.
+fn upload_numbers(rec: &mut Recorder, numbers: &[Grid]) -> stein::Result<Buffer> {
+    let planes: Vec<f32> = numbers.chunks(4).flat_map(packed).collect();
+    rec.upload("numbers", &planes)
+}
+
+/// The numbers of so many candidates, and behind them those that no candidate has.
+fn numbers(planes: Vec<Planes>) -> Planes {
+    planes.into_iter().flatten().collect()
 }
 
 #[test]
 fn sure_is_equation_8_5() {
-    for (gpu, width, height, takes_part) in SIZES_AND_SETS {
+    for (gpu, width, height, count) in SIZES_AND_COUNTS {
         let gpu = gpu();
-        let (scene, bank) = (scene(width, height, 42), bank(width, height));
+        let (scene, bank) = (scene(width, height, 42), bank(width, height, count));
         let extent = extent_of(&scene.mean[0]);
         let buffer = run(gpu, |rec| {
             let signal = rec.upload("signal", &packed_signal(&scene.mean, &scene.spread))?;
             let variance = upload(rec, &scene.variance)?;
-            let candidates = upload_bank(rec, &bank, takes_part)?;
+            let candidates = upload_bank(rec, &bank)?;
             error_sure(rec, extent, &signal, &variance, &candidates, 1.5)
         });
-        let zero = scene.mean[0].like(|_| 0.0);
         let sure =
             |k: usize| reference::sure::sure(&scene.mean, &scene.variance, &bank.means[k], &bank.derivatives[k], 1.5);
-        let expected: Planes = takes_part
-            .flags()
-            .iter()
-            .enumerate()
-            .map(|(k, takes_part)| if *takes_part { sure(k) } else { zero.clone() })
-            .collect();
+        let expected: Planes = (0..count).map(sure).collect();
         // The terms cancel; each is rounded by itself.
         let terms = |k: usize| {
             let (means, derivatives) = (&bank.means[k], &bank.derivatives[k]);
@@ -116,15 +136,11 @@ fn sure_is_equation_8_5() {
                 (0..3).map(term).sum()
             })
         };
-        let scale: Planes = (0..3).map(terms).collect();
-        assert_near(
-            &format!("error_sure, {width}×{height}"),
-            &read(gpu, &buffer, extent).remove(0),
-            &expected,
-            &scale,
-            1e-6,
-            0.0,
-        );
+        let scale: Planes = (0..count).map(terms).collect();
+        let actual = numbers(read(gpu, &buffer, extent));
+        let (actual, rest) = actual.split_at(count);
+        assert_near(&format!("error_sure, {width}×{height}, {count}"), actual, &expected, &scale, 1e-6, 0.0);
+        assert!(rest.iter().flat_map(|grid| &grid.values).all(|value| *value == 0.0), "nothing is left to chance");
     }
 }
 
@@ -133,37 +149,38 @@ fn sure_is_equation_8_5() {
 fn the_error_of_a_blend_has_four_parts() {
     let parts = ErrorParts { spread: 0.75, disagreement: 2.0, own_noise: 0.375, spikes: 3.0 };
     let twin_parts = reference::sure::ErrorParts { spread: 0.75, disagreement: 2.0, own_noise: 0.375, spikes: 3.0 };
-    for (gpu, width, height, takes_part) in SIZES_AND_SETS {
+    for (gpu, width, height, count) in SIZES_AND_COUNTS {
         let gpu = gpu();
-        let (scene, mut bank) = (scene(width, height, 48), bank(width, height));
+        let (scene, mut bank) = (scene(width, height, 48), bank(width, height, count));
         let extent = extent_of(&scene.mean[0]);
         let mut random = Random(49);
         bank.derivatives
             .iter_mut()
             .flatten()
             .for_each(|plane| *plane = rounded(random.uniform_grid(width, height, -1.0, 2.0)));
-        let shares: Planes = takes_part
-            .flags()
-            .map(|takes_part| {
+        let shares: Planes = (0..count)
+            .map(|_| {
                 let share = random.uniform_grid(width, height, -0.5, 1.0);
-                rounded(share.like(|p| if takes_part { share.at(p).max(0.0) } else { 0.0 }))
+                rounded(share.like(|p| share.at(p).max(0.0)))
             })
-            .into();
-        let only = (0..3).find(|k| takes_part.flags()[*k]).unwrap_or_default();
+            .collect();
         // Half of the pixels got nothing of any spike.
         let squares = random.uniform_grid(width, height, -1.0, 1.0);
         let squares = rounded(squares.like(|p| squares.at(p).max(0.0)));
         for (shared, with_spikes) in [(true, true), (false, true), (true, false)] {
+            if !shared && count > 1 {
+                continue;
+            }
             let buffer = run(gpu, |rec| {
                 let blended = rec.upload("blend", &packed_signal(&scene.mean, &scene.spread))?;
-                let (variance, shares) = (upload(rec, &scene.variance)?, upload(rec, &shares)?);
-                let candidates = upload_bank(rec, &bank, takes_part)?;
-                let made_of = if shared { MadeOf::Shares(&shares) } else { MadeOf::Only(only) };
+                let (variance, shares) = (upload(rec, &scene.variance)?, upload_numbers(rec, &shares)?);
+                let candidates = upload_bank(rec, &bank)?;
+                let shares = shared.then_some(&shares);
                 let planes =
                     [vec![f32::NAN; 8 * width * height], packed(&[squares.clone(), squares.clone(), squares.clone()])]
                         .concat();
                 let spikes = if with_spikes { Some(rec.upload("spikes", &planes)?) } else { None };
-                let errors = error_blend(rec, extent, &blended, &variance, &candidates, made_of, parts)?;
+                let errors = error_blend(rec, extent, &blended, &variance, &candidates, shares, parts)?;
                 match &spikes {
                     Some(spikes) => error_spikes(rec, extent, errors, spikes, parts),
                     None => Ok(errors),
@@ -175,8 +192,7 @@ fn the_error_of_a_blend_has_four_parts() {
             let mean = |k: usize| if shared { bank.means[k].as_slice() } else { scene.mean.as_slice() };
             let part =
                 |k: usize| reference::sure::Part { share: share(k), mean: mean(k), derivative: &bank.derivatives[k] };
-            let made_of: Vec<_> =
-                (0..3).filter(|k| if shared { takes_part.flags()[*k] } else { *k == only }).map(part).collect();
+            let made_of: Vec<_> = (0..count).map(part).collect();
             let expected = [reference::sure::error_blend(
                 &scene.mean,
                 Some(&scene.spread),
@@ -185,19 +201,19 @@ fn the_error_of_a_blend_has_four_parts() {
                 with_spikes.then_some(&squares),
                 twin_parts,
             )];
-            let what = format!("error_blend, {width}×{height}, {takes_part}, shared {shared}, spikes {with_spikes}");
+            let what = format!("error_blend, {width}×{height}, {count}, shared {shared}, spikes {with_spikes}");
             assert_near(&what, &read(gpu, &buffer, extent).remove(0), &expected, &own_size(&expected, 0.0), 2e-6, 0.0);
             assert!(expected[0].values.iter().all(|error| *error >= 0.0));
         }
     }
 }
 
-/// Shares of three candidates that sum to 1, some of which are 0.
-fn shares_of_three(width: usize, height: usize, seed: u64) -> Planes {
+/// Shares of so many candidates that sum to 1, some of which are 0.
+fn shares_of(count: usize, width: usize, height: usize, seed: u64) -> Planes {
     let mut random = Random(seed);
-    let raw: Planes = (0..3).map(|_| random.uniform_grid(width, height, -0.3, 1.0)).collect();
+    let raw: Planes = (0..count).map(|_| random.uniform_grid(width, height, -0.3, 1.0)).collect();
     let total = raw[0].like(|p| raw.iter().map(|grid| grid.at(p).max(0.0)).sum::<f64>());
-    (0..3)
+    (0..count)
         .map(|k| {
             rounded(raw[k].like(|p| {
                 if total.at(p) > 0.0 { raw[k].at(p).max(0.0) / total.at(p) } else { f64::from(u8::from(k == 0)) }
@@ -206,43 +222,46 @@ fn shares_of_three(width: usize, height: usize, seed: u64) -> Planes {
         .collect()
 }
 
-/// SECOND alone, with other means than the bank's.
+/// One filter, near the first of a bank.
 fn color_only_of(bank: &Bank, width: usize, height: usize) -> Bank {
-    let other = seeded_bank(width, height, 61);
-    let closer = |a: &Planes, b: &Planes| -> Planes {
-        a.iter().zip(b).map(|(a, b)| rounded(a.like(|p| 0.7 * a.at(p) + 0.3 * b.at(p)))).collect()
-    };
-    Bank { means: [0, 1, 2].map(|k| closer(&bank.means[k], &other.means[k])), ..other }
+    let mut other = seeded_bank(width, height, 1, 61);
+    for (own, of_bank) in other.means[0].iter_mut().zip(&bank.means[0]) {
+        *own = rounded(own.like(|p| 0.7 * of_bank.at(p) + 0.3 * own.at(p)));
+    }
+    other
 }
+
+const SIZES_OF_BLENDS: [(Device, usize, usize, usize); 5] =
+    [(gpu, 257, 89, 3), (gpu, 7, 300, 3), (gpu, 1, 1, 3), (checked_gpu, 24, 20, 3), (gpu, 31, 43, 6)];
 
 #[test]
 fn sure_of_a_blend_is_compared_with_that_of_one_filter_more() {
-    for (gpu, width, height) in [(gpu(), 257, 89), (gpu(), 7, 300), (gpu(), 1, 1), (checked_gpu(), 24, 20)] {
-        let (scene, bank) = (scene(width, height, 62), bank(width, height));
-        let (shares, other) = (shares_of_three(width, height, 63), color_only_of(&bank, width, height));
+    for (gpu, width, height, count) in SIZES_OF_BLENDS {
+        let gpu = gpu();
+        let (scene, bank) = (scene(width, height, 62), bank(width, height, count));
+        let (shares, other) = (shares_of(count, width, height, 63), color_only_of(&bank, width, height));
         let extent = extent_of(&scene.mean[0]);
         let buffer = run(gpu, |rec| {
             let signal = rec.upload("signal", &packed_signal(&scene.mean, &scene.spread))?;
             let variance = upload(rec, &scene.variance)?;
             let blended = rec.upload("blend", &packed_signal(&bank.means[0], &bank.spreads[0]))?;
-            let (candidates, other) =
-                (upload_bank(rec, &bank, CandidateSet::ALL)?, upload_bank(rec, &other, SECOND_ALONE)?);
-            let shares = upload(rec, &shares)?;
+            let (candidates, other) = (upload_bank(rec, &bank)?, upload_bank(rec, &other)?);
+            let shares = upload_numbers(rec, &shares)?;
             error_difference(rec, extent, &signal, &variance, &blended, &shares, &candidates, &other, 1.5)
         });
         let mixed =
-            |i: usize| scene.mean[0].like(|p| (0..3).map(|k| shares[k].at(p) * bank.derivatives[k][i].at(p)).sum());
+            |i: usize| scene.mean[0].like(|p| (0..count).map(|k| shares[k].at(p) * bank.derivatives[k][i].at(p)).sum());
         let derivative: Planes = (0..3).map(mixed).collect();
         let of_blend = reference::sure::sure(&scene.mean, &scene.variance, &bank.means[0], &derivative, 1.5);
-        let of_other = reference::sure::sure(&scene.mean, &scene.variance, &other.means[1], &other.derivatives[1], 1.5);
+        let of_other = reference::sure::sure(&scene.mean, &scene.variance, &other.means[0], &other.derivatives[0], 1.5);
         let difference = reference::select::differences(&of_other, &of_blend, &scene.variance);
         let terms = |p: Point| {
             let term = |i: usize| {
                 let residuals = (bank.means[0][i].at(p) - scene.mean[i].at(p)).powi(2)
-                    + (other.means[1][i].at(p) - scene.mean[i].at(p)).powi(2);
+                    + (other.means[0][i].at(p) - scene.mean[i].at(p)).powi(2);
                 residuals
                     + scene.variance[i].at(p)
-                        * (2.0 + 3.0 * derivative[i].at(p).abs() + 3.0 * other.derivatives[1][i].at(p).abs())
+                        * (2.0 + 3.0 * derivative[i].at(p).abs() + 3.0 * other.derivatives[0][i].at(p).abs())
             };
             (0..3).map(term).sum::<f64>()
         };
@@ -255,9 +274,10 @@ fn sure_of_a_blend_is_compared_with_that_of_one_filter_more() {
 
 #[test]
 fn the_colour_only_gets_a_share_where_it_is_significantly_better() {
-    for (gpu, width, height) in [(gpu(), 257, 89), (gpu(), 7, 300), (gpu(), 1, 1), (checked_gpu(), 31, 43)] {
-        let bank = bank(width, height);
-        let (shares, other) = (shares_of_three(width, height, 64), color_only_of(&bank, width, height));
+    for (gpu, width, height, count) in SIZES_OF_BLENDS {
+        let gpu = gpu();
+        let bank = bank(width, height, count);
+        let (shares, other) = (shares_of(count, width, height, 64), color_only_of(&bank, width, height));
         let extent = extent_of(&shares[0]);
         let noise = Random(65).gaussian_grid(width, height, 0.0, 1.0);
         // From clearly better on the left to clearly worse on the right.
@@ -265,42 +285,27 @@ fn the_colour_only_gets_a_share_where_it_is_significantly_better() {
         let squares = rounded(difference.like(|p| difference.at(p).powi(2)));
         let (found, left) = run(gpu, |rec| {
             let differences = upload(rec, &[difference.clone(), squares.clone()])?;
-            let candidates = rec.upload("blend", &packed_signal(&bank.means[0], &bank.spreads[0]))?;
-            let color_only = rec.upload("colour only", &packed_signal(&other.means[1], &other.spreads[1]))?;
-            let shares = upload(rec, &shares)?;
-            Ok((
-                select_color_only(
-                    rec,
-                    extent,
-                    &differences,
-                    &candidates,
-                    &color_only,
-                    &shares,
-                    Significance::MEASURED,
-                )?,
-                shares,
-            ))
+            let blend = rec.upload("blend", &packed_signal(&bank.means[0], &bank.spreads[0]))?;
+            let (color_only, shares) = (upload_bank(rec, &other)?, upload_numbers(rec, &shares)?);
+            let significance = Significance::MEASURED;
+            let found =
+                select_color_only(rec, extent, &differences, &blend, count, &color_only, &shares, significance)?;
+            Ok((found, shares))
         });
         let WithColorOnly { blended, shares: of_color_only } = found;
         let share = reference::select::color_only_share(&difference, reference::select::Significance::default());
         let what = |part: &str| format!("select_color_only, {width}×{height}: {part}");
         let actual = read(gpu, &of_color_only, extent).remove(0);
         // A mean of hundreds of values over its standard error.
-        assert_near(
-            &what("share"),
-            &actual[..2],
-            &[share.clone(), share.clone()],
-            &flat(&[share.clone(), share.clone()], 1.0),
-            1e-3,
-            0.0,
-        );
+        let share = [share];
+        assert_near(&what("share"), &actual[..1], &share, &flat(&share, 1.0), 1e-3, 0.0);
         let share = actual[0].clone();
         let rest = reference::dfc::rest_of(&shares, &share);
-        assert_near(&what("rest"), &read(gpu, &left, extent).remove(0)[..3], &rest, &flat(&rest, 1.0), 1e-6, 0.0);
+        assert_near(&what("rest"), &numbers(read(gpu, &left, extent))[..count], &rest, &flat(&rest, 1.0), 1e-6, 0.0);
         let blended = read(gpu, &blended, extent);
         for (part, actual, a, b) in [
-            ("mean", &blended[0], &bank.means[0], &other.means[1]),
-            ("spread", &blended[1], &bank.spreads[0], &other.spreads[1]),
+            ("mean", &blended[0], &bank.means[0], &other.means[0]),
+            ("spread", &blended[1], &bank.spreads[0], &other.spreads[0]),
         ] {
             let expected: Planes = a
                 .iter()
@@ -319,7 +324,7 @@ fn what_further_candidates_stand_for_is_added_to_the_error() {
     let parts = ErrorParts { spread: 0.75, disagreement: 2.0, own_noise: 0.375, spikes: 3.0 };
     let twin_parts = reference::sure::ErrorParts { spread: 0.0, disagreement: 2.0, own_noise: 0.375, spikes: 3.0 };
     for (gpu, width, height) in [(gpu(), 31, 43), (gpu(), 1, 1), (checked_gpu(), 24, 20)] {
-        let (scene, bank) = (scene(width, height, 66), bank(width, height));
+        let (scene, bank) = (scene(width, height, 66), bank(width, height, 1));
         let extent = extent_of(&scene.mean[0]);
         let mut random = Random(67);
         let (before, share) = (
@@ -329,12 +334,12 @@ fn what_further_candidates_stand_for_is_added_to_the_error() {
         let buffer = run(gpu, |rec| {
             let blended = rec.upload("blend", &packed_signal(&scene.mean, &scene.spread))?;
             let variance = upload(rec, &scene.variance)?;
-            let candidates = upload_bank(rec, &bank, SECOND_ALONE)?;
+            let candidates = upload_bank(rec, &bank)?;
             let (shares, errors) =
-                (upload(rec, &[share.clone(), share.clone()])?, upload(rec, std::slice::from_ref(&before))?);
+                (upload(rec, std::slice::from_ref(&share))?, upload(rec, std::slice::from_ref(&before))?);
             error_blend_more(rec, extent, &blended, &variance, &candidates, &shares, parts, errors)
         });
-        let part = reference::sure::Part { share: &share, mean: &bank.means[1], derivative: &bank.derivatives[1] };
+        let part = reference::sure::Part { share: &share, mean: &bank.means[0], derivative: &bank.derivatives[0] };
         let added = reference::sure::error_blend(&scene.mean, None, &scene.variance, &[part], None, twin_parts);
         let expected = [before.like(|p| before.at(p) + added.at(p))];
         assert_near(
@@ -349,7 +354,7 @@ fn what_further_candidates_stand_for_is_added_to_the_error() {
 }
 
 /// Errors with ties and with values that are no numbers.
-fn errors(width: usize, height: usize) -> Planes {
+fn errors(width: usize, height: usize, count: usize) -> Planes {
     let mut random = Random(43);
     let mut plane = || {
         let level = random.uniform_grid(width, height, -2.0, 4.0);
@@ -361,69 +366,67 @@ fn errors(width: usize, height: usize) -> Planes {
             _ => level.at(p),
         }))
     };
-    vec![plane(), plane(), plane()]
+    (0..count).map(|_| plane()).collect()
 }
 
-fn selected(gpu: &Gpu, errors: &[Grid], bank: &Bank, takes_part: CandidateSet) -> Planes {
+fn selected(gpu: &Gpu, errors: &[Grid], bank: &Bank) -> Planes {
     let extent = extent_of(&errors[0]);
     let buffer = run(gpu, |rec| {
-        let errors = upload(rec, errors)?;
-        let candidates = upload_bank(rec, bank, takes_part)?;
+        let (errors, candidates) = (upload_numbers(rec, errors)?, upload_bank(rec, bank)?);
         select_least(rec, extent, &errors, &candidates)
     });
-    let mut planes = read(gpu, &buffer, extent).remove(0);
-    planes.truncate(3);
-    planes
+    let mut maps = numbers(read(gpu, &buffer, extent));
+    let rest = maps.split_off(bank.count());
+    assert!(rest.iter().flat_map(|grid| &grid.values).all(|value| *value == 0.0), "nothing is left to chance");
+    maps
 }
 
 #[test]
 fn the_least_error_wins() {
-    for (gpu, width, height, takes_part) in SIZES_AND_SETS {
-        let (errors, bank) = (errors(width, height), bank(width, height));
-        let actual = selected(gpu(), &errors, &bank, takes_part);
-        let expected =
-            reference::select::select(&errors, bank.derivatives.each_ref().map(Vec::as_slice), takes_part.flags());
-        assert_near(&format!("select_least, {width}×{height}"), &actual, &expected, &flat(&expected, 1.0), 1e-9, 0.0);
+    for (gpu, width, height, count) in SIZES_AND_COUNTS {
+        let (errors, bank) = (errors(width, height, count), bank(width, height, count));
+        let actual = selected(gpu(), &errors, &bank);
+        let derivatives: Vec<_> = bank.derivatives.iter().map(Vec::as_slice).collect();
+        let expected = reference::select::select(&errors, &derivatives, &rivals(count));
+        let what = format!("select_least, {width}×{height}, {count}");
+        assert_near(&what, &actual, &expected, &flat(&expected, 1.0), 1e-9, 0.0);
         let wins: Vec<f64> = actual.iter().map(Grid::mean).collect();
-        assert!(
-            width * height < 100
-                || wins.iter().zip(takes_part.flags()).all(|(share, takes_part)| takes_part == (*share > 0.1)),
-            "{wins:?}"
-        );
+        assert!(width * height < 100 || wins.iter().all(|share| *share > 0.04), "{wins:?}");
     }
 }
 
-fn check_shares_and_blend(gpu: &Gpu, width: usize, height: usize, rule: Option<Guard>, takes_part: CandidateSet) {
-    let (scene, bank) = (scene(width, height, 44), bank(width, height));
+fn check_shares_and_blend(gpu: &Gpu, width: usize, height: usize, rule: Option<Guard>, count: usize) {
+    let (scene, bank) = (scene(width, height, 44), bank(width, height, count));
     let mut random = Random(45);
     let extent = extent_of(&scene.mean[0]);
-    let mut error = |spoiled: f64| {
+    let mut error = |spoiled: Option<f64>| {
         let (level, chance) = (random.gaussian_grid(width, height, 0.02, 0.3), random.uniform());
-        // The guard keeps out what is not finite, in favour of THIRD; without them there is nothing to expect of such
-        // an error.
+        // The guard keeps out what is not finite, in favour of the last one; without a guard there is nothing to expect
+        // of such an error.
         let is_spoiled =
-            |p: Point| rule.is_some() && takes_part.third && ((p.x + 7 * p.y) as f64 * (0.1 + chance)).fract() < 0.1;
-        rounded(level.like(|p| if is_spoiled(p) { spoiled } else { level.at(p) }))
+            |p: Point| rule.is_some() && spoiled.is_some() && ((p.x + 7 * p.y) as f64 * (0.1 + chance)).fract() < 0.1;
+        rounded(level.like(|p| if is_spoiled(p) { spoiled.unwrap_or_default() } else { level.at(p) }))
     };
-    // THIRD wins where none is finite, so its errors are.
-    let errors: Planes = vec![error(f64::INFINITY), error(f64::NAN), error(0.1)];
-    let winners = selected(gpu, &errors, &bank, takes_part);
+    // The last one wins where none is finite, so its errors are.
+    let spoiled = |k: usize| [Some(f64::INFINITY), Some(f64::NAN)][k % 2].filter(|_| k + 1 < count);
+    let errors: Planes = (0..count).map(|k| error(spoiled(k))).collect();
+    let winners = selected(gpu, &errors, &bank);
     let sure = |k: usize, own: Grid| own.like(|p| if errors[k].at(p).is_finite() { own.at(p) } else { f64::INFINITY });
-    let sure: Planes = (0..3).map(|k| sure(k, rounded(random.gaussian_grid(width, height, 0.02, 0.5)))).collect();
+    let sure: Planes = (0..count).map(|k| sure(k, rounded(random.gaussian_grid(width, height, 0.02, 0.5)))).collect();
     // Here and there no map has any weight, and rounding may leave one below 0.
     let holes = random.uniform_grid(width, height, 0.0, 1.0);
-    let smoothed: Planes = takes_part
-        .flags()
-        .iter()
-        .map(|takes_part| {
+    let smoothed: Planes = (0..count)
+        .map(|_| {
             let share = random.uniform_grid(width, height, -0.1, 0.9);
-            rounded(share.like(|p| if holes.at(p) < 0.1 || !takes_part { 0.0 } else { share.at(p) }))
+            rounded(share.like(|p| if holes.at(p) < 0.1 { 0.0 } else { share.at(p) }))
         })
         .collect();
     let (selection, signal) = run(gpu, |rec| {
-        let (smoothed, winners, errors) = (upload(rec, &smoothed)?, upload(rec, &winners)?, upload(rec, &errors)?);
-        let (sure, variance) = (upload(rec, &sure)?, upload(rec, &scene.variance)?);
-        let candidates = upload_bank(rec, &bank, takes_part)?;
+        let mut upload_numbers = |numbers: &[Grid]| upload_numbers(rec, numbers);
+        let (smoothed, winners) = (upload_numbers(&smoothed)?, upload_numbers(&winners)?);
+        let (errors, sure) = (upload_numbers(&errors)?, upload_numbers(&sure)?);
+        let variance = upload(rec, &scene.variance)?;
+        let candidates = upload_bank(rec, &bank)?;
         let evidence = Evidence {
             selected: &winners,
             errors: &errors,
@@ -435,7 +438,7 @@ fn check_shares_and_blend(gpu: &Gpu, width: usize, height: usize, rule: Option<G
         let blended = select_blend(rec, extent, &shares, &candidates)?;
         Ok((shares, blended))
     });
-    let (selection, signal) = (read(gpu, &selection, extent).remove(0), read(gpu, &signal, extent));
+    let (selection, signal) = (numbers(read(gpu, &selection, extent)), read(gpu, &signal, extent));
 
     let positive: Planes = smoothed.iter().map(|grid| grid.like(|p| grid.at(p).max(0.0))).collect();
     let rule_twin = rule.map(|rule| reference::select::Guard {
@@ -448,28 +451,24 @@ fn check_shares_and_blend(gpu: &Gpu, width: usize, height: usize, rule: Option<G
         errors: &errors,
         binary_maps: &winners,
         sure: &sure,
-        candidates: bank.means.each_ref().map(Vec::as_slice),
-        takes_part: takes_part.flags(),
+        candidates: &bank.means.iter().map(Vec::as_slice).collect::<Vec<_>>(),
         variance: &scene.variance,
     };
     let maps = reference::select::share(&positive, evidence, rule_twin.as_ref());
-    let what = |part: &str| format!("select_share and select_blend, {width}×{height}, {takes_part}, {rule:?}: {part}");
+    let what = |part: &str| format!("select_share and select_blend, {width}×{height}, {count}, {rule:?}: {part}");
     // Shares are quotients of a few products. A candidate whose error is within rounding of the guard's limit may go
     // either way; there is none in these images.
-    assert_near(&what("maps"), &selection[..3], &maps, &flat(&maps, 1.0), 1e-6, 0.0);
-    let average = |planes: [&Grid; 3]| maps[0].like(|p| (0..3).map(|k| maps[k].at(p) * planes[k].at(p)).sum());
-    let size = |planes: [&Grid; 3]| maps[0].like(|p| planes.iter().map(|grid| grid.at(p).abs()).sum());
+    assert_near(&what("maps"), &selection[..count], &maps, &flat(&maps, 1.0), 1e-6, 0.0);
+    let average = |planes: Vec<&Grid>| maps[0].like(|p| maps.iter().zip(&planes).map(|(m, g)| m.at(p) * g.at(p)).sum());
+    let size = |planes: Vec<&Grid>| maps[0].like(|p| planes.iter().map(|grid| grid.at(p).abs()).sum());
     let all = |k: usize| [bank.means[k].as_slice(), &[bank.weight_sums[k].clone()], &bank.spreads[k]].concat();
-    let candidates = [all(0), all(1), all(2)];
-    let channel = |i: usize| candidates.each_ref().map(|planes| &planes[i]);
+    let candidates: Vec<Planes> = (0..count).map(all).collect();
+    let channel = |i: usize| candidates.iter().map(|planes| &planes[i]).collect();
     let expected: Planes = (0..7).map(|i| average(channel(i))).collect();
     let scale: Planes = (0..7).map(|i| size(channel(i))).collect();
     assert_near(&what("signal"), &signal.concat()[..7], &expected, &scale, 1e-6, 0.0);
     let rejected = maps.iter().flat_map(|grid| &grid.values).filter(|share| **share == 0.0).count();
-    assert!(
-        width * height < 100 || takes_part.count() == 1 || rejected > width * height / 10,
-        "{rejected} shares of 0"
-    );
+    assert!(width * height < 100 || count == 1 || rejected > width * height / 10, "{rejected} shares of 0");
 }
 
 #[test]
@@ -483,8 +482,8 @@ fn candidates_are_averaged_by_their_maps() {
         Guard { smoothed_noise: 1e6, own_sigmas: 0.5, own_noise: 0.1, ..best },
     ];
     for rule in rules.map(Some).into_iter().chain([None]) {
-        for (gpu, width, height, takes_part) in SIZES_AND_SETS {
-            check_shares_and_blend(gpu(), width, height, rule, takes_part);
+        for (gpu, width, height, count) in SIZES_AND_COUNTS {
+            check_shares_and_blend(gpu(), width, height, rule, count);
         }
     }
 }
@@ -494,27 +493,22 @@ fn other_frames_are_left_out_where_they_do_harm() {
     let rule = Harm { sigmas: 0.5, noise: 0.25 };
     let twin_rule =
         reference::select::Guard { smoothed_error: 4.0, smoothed_noise: 0.3, own_sigmas: 0.5, own_noise: 0.25 };
-    for (gpu, width, height) in [(gpu(), 257, 89), (gpu(), 7, 300), (gpu(), 1, 1), (checked_gpu(), 24, 20)] {
+    for (gpu, width, height, count) in SIZES_OF_BLENDS {
+        let gpu = gpu();
         let scene = scene(width, height, 50);
-        let [alone, together] = [51, 52].map(|seed| seeded_bank(width, height, seed));
+        let [alone, together] = [51, 52].map(|seed| seeded_bank(width, height, count, seed));
         let extent = extent_of(&scene.mean[0]);
         let chosen = run(gpu, |rec| {
             let signal = rec.upload("signal", &packed_signal(&scene.mean, &scene.spread))?;
             let variance = upload(rec, &scene.variance)?;
-            let (alone, together) =
-                (upload_bank(rec, &alone, CandidateSet::ALL)?, upload_bank(rec, &together, CandidateSet::ALL)?);
-            select_frames(
-                rec,
-                extent,
-                Noisy { signal: &signal, variance_of_mean: &variance },
-                &alone,
-                &together,
-                rule,
-            )?;
+            let (alone, together) = (upload_bank(rec, &alone)?, upload_bank(rec, &together)?);
+            let noisy = Noisy { signal: &signal, variance_of_mean: &variance };
+            select_frames(rec, extent, noisy, &alone, &together, rule)?;
             Ok(together)
         });
-        let derivatives = read(gpu, there(&chosen.derivatives), extent);
-        for (k, derivatives) in derivatives.iter().enumerate() {
+        let chosen = read(gpu, &chosen.planes, extent);
+        for k in 0..count {
+            let (signal, derivatives) = (&chosen[2 * k..2 * k + 2], &chosen[2 * count + k]);
             let sure = |bank: &Bank| {
                 reference::sure::sure(&scene.mean, &scene.variance, &bank.means[k], &bank.derivatives[k], 1.0)
             };
@@ -526,7 +520,6 @@ fn other_frames_are_left_out_where_they_do_harm() {
                 alone.iter().zip(together).map(|(a, b)| a.like(|p| if harmed(p) { a.at(p) } else { b.at(p) })).collect()
             };
             let what = |part: &str| format!("select_frames, {width}×{height}, candidate {k}: {part}");
-            let signal = read(gpu, there(&chosen.signals[k]), extent);
             for (part, actual, alone, together) in [
                 ("mean", &signal[0][..3], &alone.means[k][..], &together.means[k][..]),
                 ("Σ w", &signal[0][3..], &alone.weight_sums[k..=k], &together.weight_sums[k..=k]),
@@ -559,7 +552,7 @@ fn other_frames_are_left_out_of_one_filter_where_they_do_harm() {
     );
     let (width, height) = (57, 31);
     let scene = scene(width, height, 53);
-    let [alone, together] = [54, 55].map(|seed| seeded_bank(width, height, seed));
+    let [alone, together] = [54, 55].map(|seed| seeded_bank(width, height, 1, seed));
     let extent = extent_of(&scene.mean[0]);
     let chosen = run(gpu(), |rec| {
         let signal = rec.upload("signal", &packed_signal(&scene.mean, &scene.spread))?;
@@ -641,7 +634,7 @@ fn a_second_pass_is_taken_where_noise_explains_it() {
 #[test]
 fn samples_are_wanted_where_they_pay() {
     for (gpu, width, height) in [(gpu(), 257, 89), (gpu(), 7, 300), (gpu(), 1, 1), (checked_gpu(), 24, 20)] {
-        let (scene, bank) = (scene(width, height, 46), bank(width, height));
+        let (scene, bank) = (scene(width, height, 46), bank(width, height, 1));
         let extent = extent_of(&scene.mean[0]);
         let mut random = Random(47);
         let (error, counts) = (

@@ -2,11 +2,11 @@
 
 use glam::IVec2;
 use stein::gpu::Gpu;
-use stein::stage::candidate_set::CandidateSet;
+use stein::stage::candidate::CandidateFrame;
 use stein::stage::nlm::{CentreWeight, Guide, Schedule, Symmetry, Weighting};
-use stein::stage::window::{CellLane, NLM_DISTANCE, NLM_WEIGHT, WindowOfCandidates, candidate_window, nlm_window};
+use stein::stage::window::{CellLane, NLM_DISTANCE, NLM_WEIGHT, candidate_window, nlm_window};
 
-use crate::candidate::{Case, filter, twin_params};
+use crate::candidate::{Case, some_filters, twin_params, window_of};
 use crate::common::{
     Scene, assert_near, calm_scene, checked_gpu, extent_of, gpu, packed_signal, run, scene, schedules, upload,
 };
@@ -111,52 +111,38 @@ const BEST: Case = Case {
     centre: CentreWeight::One,
 };
 
-fn check(gpu: &Gpu, case: Case, candidates: CandidateSet, scene: &Scene, grey: bool) {
+fn check(gpu: &Gpu, case: Case, takes_part: [bool; 3], scene: &Scene, grey: bool) {
     let extent = extent_of(&scene.mean[0]);
     let features = features(case.width, case.height, case.features, 61);
+    let filters = some_filters(case, takes_part);
     for p in places(case.width, case.height) {
-        let (cells, slots) = run(gpu, |rec| {
-            let signal = rec.upload("signal", &packed_signal(&scene.mean, &scene.spread))?;
-            let variance = upload(rec, &scene.variance)?;
+        let (windows, slots) = run(gpu, |rec| {
+            let payload = &rec.upload("signal", &packed_signal(&scene.mean, &scene.spread))?;
+            let variance_of_mean = &upload(rec, &scene.variance)?;
             let packed = if features.is_empty() { None } else { Some(pack(rec, &features)?) };
             let slots = packed.as_ref().map_or_else(Vec::new, |packed| packed.packing.slots.clone());
-            let of = candidate_window(
-                rec,
-                extent,
-                pixel(p),
-                &signal,
-                &variance,
-                packed.as_ref(),
-                &filter(case),
-                candidates,
-                grey,
-                SCHEDULE,
-            )?;
-            Ok((of.cells, slots))
+            let frame = CandidateFrame { payload, guide: None, variance_of_mean, features: packed.as_ref() };
+            let (pixel, window) = (pixel(p), window_of(case));
+            let windows = candidate_window(rec, extent, pixel, &frame, &filters, window, grey, SCHEDULE)?;
+            Ok((windows, slots))
         });
-        let cells = Cells {
-            values: gpu.read(&cells).unwrap_or_else(|error| panic!("{error}")),
-            radius: case.window_radius as isize,
-            p,
-        };
         let guide = nlm::Guide { mean: &scene.mean, variance: &scene.variance };
-        for (candidate, params) in
-            (0..).zip(twin_params(case)).filter(|(candidate, _)| candidates.flags()[*candidate as usize])
-        {
-            let what = |part: &str| {
-                format!("{case:?}, {candidates} at {p:?}: {} {part}", CandidateSet::NAMES[candidate as usize])
+        for (filter, of) in filters.iter().zip(&windows) {
+            let params = twin_params(case, filter);
+            let cells = Cells {
+                values: gpu.read(&of.cells).unwrap_or_else(|error| panic!("{error}")),
+                radius: case.window_radius as isize,
+                p,
             };
+            let what = |part: &str| format!("{case:?}, {takes_part:?} at {p:?}: {} {part}", filter.name);
             let expected = window::candidate_window(guide, &features, &params, p);
-            let color = (candidate < 2).then(|| WindowOfCandidates::color(candidate));
-            let lanes: Vec<_> = color
-                .into_iter()
-                .chain(slots.iter().map(|slot| WindowOfCandidates::feature(candidate, *slot)))
-                .collect();
+            assert_eq!(of.color().is_some(), filter.color.is_some());
+            let lanes: Vec<_> = of.color().into_iter().chain(slots.iter().map(|slot| of.feature(*slot))).collect();
             let farthest: Vec<f64> = expected
                 .iter()
                 .map(|neighbour| neighbour.distances.iter().map(|d| d.distance).fold(0.0, f64::max))
                 .collect();
-            let weight = WindowOfCandidates::weight(candidate);
+            let weight = of.weight();
             check_weights(
                 &what("weight"),
                 &cells.lane(weight, &expected),
@@ -187,33 +173,28 @@ fn check(gpu: &Gpu, case: Case, candidates: CandidateSet, scene: &Scene, grey: b
 #[test]
 fn of_the_candidates() {
     for case in [BEST, Case { features: &[], ..BEST }, Case { symmetric: false, features: &[2, 1], ..BEST }] {
-        check(gpu(), case, CandidateSet::ALL, &scene(case.width, case.height, 62), false);
+        check(gpu(), case, [true; 3], &scene(case.width, case.height, 62), false);
     }
     let tall = Case { width: 7, height: 300, window_radius: 10, features: &[1], ..BEST };
-    check(gpu(), tall, CandidateSet::ALL, &calm_scene(7, 300, 63), false);
+    check(gpu(), tall, [true; 3], &calm_scene(7, 300, 63), false);
     for (width, height) in [(1, 1), (1, 9), (9, 1)] {
-        check(gpu(), Case { width, height, ..tall }, CandidateSet::ALL, &calm_scene(width, height, 64), false);
+        check(gpu(), Case { width, height, ..tall }, [true; 3], &calm_scene(width, height, 64), false);
     }
-    check(checked_gpu(), Case { width: 19, height: 14, ..BEST }, CandidateSet::ALL, &scene(19, 14, 65), false);
+    check(checked_gpu(), Case { width: 19, height: 14, ..BEST }, [true; 3], &scene(19, 14, 65), false);
 }
 
 #[test]
 fn of_candidates_of_which_some_take_no_part() {
     let (width, height) = (40, 33);
-    let none = CandidateSet { first: false, second: false, third: false };
-    for candidates in [
-        CandidateSet { first: true, ..none },
-        CandidateSet { second: true, ..none },
-        CandidateSet { third: true, ..none },
-        CandidateSet { first: false, ..CandidateSet::ALL },
-    ] {
-        check(gpu(), Case { width, height, features: &[3], ..BEST }, candidates, &calm_scene(width, height, 66), false);
+    for takes_part in [[true, false, false], [false, true, false], [false, false, true], [false, true, true]] {
+        let case = Case { width, height, features: &[3], ..BEST };
+        check(gpu(), case, takes_part, &calm_scene(width, height, 66), false);
     }
     // One channel stands for all.
     let scene = calm_scene(width, height, 67);
     let grey = |planes: &[Grid]| vec![planes[0].clone(); 3];
     let scene = Scene { mean: grey(&scene.mean), spread: grey(&scene.spread), variance: grey(&scene.variance) };
-    check(gpu(), Case { width, height, features: &[3], ..BEST }, CandidateSet::ALL, &scene, true);
+    check(gpu(), Case { width, height, features: &[3], ..BEST }, [true; 3], &scene, true);
 }
 
 #[derive(Clone, Copy, Debug)]

@@ -6,11 +6,12 @@ use stein::image::Image;
 use stein::method::Spikes;
 use stein::method::gem::Phase;
 use stein::method::nlm::NlmVariance;
+use stein::stage::candidate_filter::CandidateFilter;
 use stein::stage::nlm::{CentreWeight, Symmetry};
 use stein::stage::spike::SpikeRule;
 use stein::stage::variance::BoxWeight;
 use stein::{DfcParams, Frame, GemParams, NlmParams};
-use stein_reference::dfc::{self, CandidateParams, SecondPassParams};
+use stein_reference::dfc::{self, CandidateParams, ColorOnlyParams, SecondPassParams};
 use stein_reference::keep_clean::CleanParams;
 use stein_reference::noise::NoiseParams;
 use stein_reference::{Grid, Planes, exposure, gem, nlm, nlm_method, select, spike, variance};
@@ -73,19 +74,20 @@ fn centre(centre: CentreWeight) -> nlm::CentreWeight {
 
 /// Parameters with a second pass, as both presets have.
 pub fn dfc_params(params: &DfcParams) -> dfc::DfcParams {
-    let first = CandidateParams {
-        k_color: params.color_k.into(),
-        k_feature: params.feature_k.into(),
-        patch_radius: params.first_patch_radius as usize,
-        tau: params.feature_tau.into(),
+    let filters: Vec<_> =
+        params.filters().into_iter().filter_map(|(filter, takes_part)| takes_part.then_some(filter)).collect();
+    let candidate = |filter: &CandidateFilter| CandidateParams {
+        k_color: filter.color.map_or(f64::INFINITY, |color| color.k.into()),
+        k_feature: filter.features.map_or(f64::INFINITY, |features| features.k.into()),
+        // A filter without a colour term has no patches, so that any size will do.
+        patch_radius: filter.color.map_or(params.second_patch_radius, |color| color.patch_radius) as usize,
+        tau: filter.features.map_or(1.0, |features| features.tau.into()),
+        rival: filter.rival.and_then(|rival| filters.iter().position(|other| other.name == rival)),
     };
-    let second = CandidateParams { patch_radius: params.second_patch_radius as usize, ..first };
-    let third = CandidateParams { k_color: f64::INFINITY, tau: params.feature_tau_third.into(), ..first };
     let Some(pass) = params.second_pass else { unreachable!("the presets have a second pass") };
     dfc::DfcParams {
         window_radius: params.window_radius as usize,
-        candidates: [first, second, third],
-        takes_part: params.candidates.flags(),
+        candidates: filters.iter().map(candidate).collect(),
         symmetric: params.weighting.symmetric != Symmetry::Off,
         centre: centre(params.weighting.centre),
         box_weight: match params.box_weight {
@@ -107,7 +109,11 @@ pub fn dfc_params(params: &DfcParams) -> dfc::DfcParams {
             clamp_to_input: pass.clamp_to_input,
             most_sigmas: pass.most_sigmas.map(f64::from),
         },
-        color_only: params.color_only.then(select::Significance::default),
+        color_only: params.color_only.then(|| ColorOnlyParams {
+            k_color: params.color_k.into(),
+            patch_radius: params.second_patch_radius as usize,
+            significance: select::Significance::default(),
+        }),
         keep_clean: params.keep_clean.then(CleanParams::default),
         noise: params.pooled_variance.then(NoiseParams::default),
     }

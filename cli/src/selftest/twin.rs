@@ -177,7 +177,8 @@ impl Comparison<'_> {
         let mean_derivative = |k: usize, p: Point| channel_mean(&derivatives[k], p);
         let ties =
             |p: Point| (mean_derivative(0, p) - mean_derivative(1, p)).abs() <= 1e-6 * mean_derivative(1, p).abs();
-        let expected = select::select(&errors, derivatives.each_ref().map(Vec::as_slice), params.takes_part);
+        let rivals: Vec<_> = params.candidates.iter().map(|own| own.rival).collect();
+        let expected = select::select(&errors, &derivatives.each_ref().map(Vec::as_slice), &rivals);
         let expected: Planes = expected
             .iter()
             .zip(&selected)
@@ -186,14 +187,7 @@ impl Comparison<'_> {
         self.add("selected", &selected, &expected, &flat(&selected, 1.0), AVERAGED, 0.0);
         let candidates = NAMES.map(|name| self.color(name));
         let means = candidates.each_ref().map(Vec::as_slice);
-        let evidence = Evidence {
-            errors: &errors,
-            binary_maps: &selected,
-            sure: &sure,
-            candidates: means,
-            takes_part: params.takes_part,
-            variance,
-        };
+        let evidence = Evidence { errors: &errors, binary_maps: &selected, sure: &sure, candidates: &means, variance };
         let maps = self.layer("selection", 1.0);
         let expected = select::share(&select::smooth_maps(&selected, guide, &aside), evidence, params.guard.as_ref());
         // The candidates share what the filter by the colour only leaves, if that filter takes part.
@@ -247,11 +241,8 @@ impl Comparison<'_> {
                 .map(|i| u[0].like(|p| planes.iter().map(|planes| planes[i].at(p).abs()).fold(VANISHING, f64::max)))
                 .collect()
         };
-        let spreads = twin.candidates.each_ref().map(|candidate| candidate.spread.as_deref());
-        let spread = match spreads {
-            [Some(first), Some(second), Some(third)] => Some(blended([first, second, third])),
-            _ => None,
-        };
+        let spreads: Vec<_> = twin.candidates.iter().filter_map(|candidate| candidate.spread.as_deref()).collect();
+        let spread = <[_; 3]>::try_from(spreads).ok().map(blended);
         let pass1 = Pass { mean: blended(means), spread };
         let more = |of: &dyn Fn(&Candidate) -> Planes, planes: Planes| -> Planes {
             let Some(own) = &color_only else { return planes };
@@ -283,7 +274,7 @@ impl Comparison<'_> {
         let (relative, size) =
             if color_only.is_some() { (FILTERED, color_size(&pass1.mean)) } else { (AVERAGED, largest(means)) };
         self.add("pass 1", &actual, &pass1.mean, &size, relative, if color_only.is_some() { steep } else { 0.0 });
-        let weight_sums = twin.candidates.each_ref().map(|candidate| std::slice::from_ref(&candidate.weight_sum));
+        let weight_sums = [0, 1, 2].map(|k| std::slice::from_ref(&twin.candidates[k].weight_sum));
         let with_more = |sums: Planes| more(&|own| vec![own.weight_sum.clone()], sums);
         let (expected, size) = (with_more(blended(weight_sums)), with_more(largest(weight_sums)));
         self.add("Σ w", &bridge::grids(&self.estimate.weight_sum, 1.0), &expected, &size, 1e-3, steep);

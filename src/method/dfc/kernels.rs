@@ -5,21 +5,21 @@ use std::sync::Arc;
 use glam::IVec2;
 
 use super::{
-    BY_CANDIDATE, ColorOnly, DfcParams, Pass1, Pass2, Prepared, SECOND_ONLY, Wanted, Work, candidate_filter,
-    reach_of_choice_and_second_pass, reach_of_kernels, reach_of_prefilter,
+    ColorOnly, DfcParams, Pass1, Pass2, Prepared, PreparedFrame, Wanted, Work, color_only_filter, planned_filters,
+    reach_of_choice_and_second_pass, reach_of_kernels, reach_of_prefilter, shares_by_name,
 };
 use crate::error::Result;
 use crate::gpu::Recorder;
 use crate::method::FrameInput;
-use crate::method::estimate::{Keeper, Lane, Shares};
-use crate::method::kernels::{Compared, KernelOnGpu, LimitOnGpu, ShareOnGpu, WeightRule, WeightsOnGpu};
+use crate::method::estimate::{Keeper, Lane, Share};
+use crate::method::kernels::{Compared, KernelOnGpu, LimitOnGpu, WeightRule, WeightsOnGpu};
 use crate::method::noise::largest_noise_reach;
 use crate::method::plan::{Plan, Step};
-use crate::stage::candidate_set::CandidateSet;
+use crate::stage::candidate_filter::{ByColor, ByFeatures, CandidateFilter};
 use crate::stage::exact::Region;
-use crate::stage::feature::Features;
+use crate::stage::frames::Frames;
 use crate::stage::nlm::{Guide, Schedule};
-use crate::stage::window::{NLM_DISTANCE, NLM_WEIGHT, WindowOfCandidates, candidate_window, nlm_window};
+use crate::stage::window::{NLM_DISTANCE, NLM_WEIGHT, WindowOfCandidate, candidate_window, nlm_window};
 
 /// Kernels of the computed candidates, and of the second pass if it runs.
 pub(in crate::method) fn kernels(
@@ -40,30 +40,27 @@ pub(in crate::method) fn kernels(
     };
     let work = Work { params, plan, schedule, wanted };
     let mut keeper = Keeper::new(&[]);
-    let mut prepared = Prepared::new(rec, frame, Vec::new(), work, &mut keeper)?;
+    let mut prepared = Prepared::new(rec, Frames::one(frame), work, &mut keeper)?;
     plan.begins(rec, Step::Candidates);
-    let taking_part = plan.candidates();
-    let mut kernels =
-        kernels_of_candidates(rec, &prepared, prepared.features.first(), &names, taking_part, pixel, work)?;
+    let filters = planned_filters(params, plan);
+    let mut kernels = kernels_of_candidates(rec, extent, &prepared.own, &names, &filters, pixel, work)?;
     if !plan.runs(&Step::Selection) && !plan.runs(&Step::SecondPass) {
         // One candidate is the result.
-        kernels.iter_mut().for_each(|kernel| kernel.share = Some(ShareOnGpu::Whole));
+        kernels.iter_mut().for_each(|kernel| kernel.share = Some(Share::Whole));
         return Ok(kernels);
     }
 
     let pass1 = Pass1::new(rec, &mut prepared, work, &mut keeper, |_, _| Ok(()))?;
-    for (kernel, (candidate, _)) in kernels.iter_mut().zip(numbered(taking_part)) {
-        kernel.share = Some(match &pass1.selection {
-            Shares::Maps(maps) => ShareOnGpu::Lane(Lane { buffer: maps.clone(), plane: 0, component: candidate }),
-            Shares::Only(_) => ShareOnGpu::Whole,
-        });
+    for (name, share) in shares_by_name(params, &pass1.candidates, pass1.selection.as_ref()) {
+        kernels.iter_mut().filter(|kernel| kernel.name == name).for_each(|kernel| kernel.share = Some(share.clone()));
     }
     if let Some(ColorOnly { shares, .. }) = &pass1.color_only {
-        let share = || Some(ShareOnGpu::Lane(Lane { buffer: shares.clone(), plane: 0, component: 1 }));
-        let second = kernels_of_candidates(rec, &prepared, None, &[], SECOND_ONLY, pixel, work)?;
-        kernels.extend(second.into_iter().map(|kernel| KernelOnGpu { name: "color_only", share: share(), ..kernel }));
+        let share = Share::Lane(Lane { buffer: shares.clone(), plane: 0, component: 0 });
+        let filters = [color_only_filter(params)];
+        let kernel = kernels_of_candidates(rec, extent, &prepared.own, &[], &filters, pixel, work)?;
+        kernels.extend(kernel.into_iter().map(|kernel| KernelOnGpu { share: Some(share.clone()), ..kernel }));
     }
-    if let Some(pass2) = Pass2::new(rec, extent, &pass1.blend, &prepared.variance, work)? {
+    if let Some(pass2) = Pass2::new(rec, extent, &pass1.blend, &prepared.own.variance, work)? {
         let Pass2 { filter, left_variance, filtered, result } = pass2;
         let window_radius = filter.window_radius;
         let weights = if is_exact_at(pixel, plan, &Step::SecondPass) {
@@ -90,79 +87,56 @@ pub(in crate::method) fn kernels(
     Ok(kernels)
 }
 
-/// The candidates that take part, numbered from FIRST on.
-fn numbered(taking_part: CandidateSet) -> impl Iterator<Item = (u32, &'static str)> {
-    (0..)
-        .zip(BY_CANDIDATE)
-        .zip(taking_part.flags())
-        .filter_map(|(candidate, takes_part)| takes_part.then_some(candidate))
-}
-
 /// Whether a step leaves this pixel as it is.
 fn is_exact_at(pixel: IVec2, plan: &Plan, step: &Step) -> bool {
     plan.exact(step).is_some_and(|exact| exact.is_exact(&Region { first: pixel, size: IVec2::ONE }))
 }
 
-/// The kernels of the candidates in `taking_part`, whose weights depend on these features, called `names`.
+/// The kernels of these filters, for which the features are called `names`.
 fn kernels_of_candidates(
     rec: &mut Recorder,
-    prepared: &Prepared,
-    features: Option<&Features>,
+    extent: IVec2,
+    frame: &PreparedFrame,
     names: &[String],
-    taking_part: CandidateSet,
+    filters: &[CandidateFilter],
     pixel: IVec2,
     work: Work,
 ) -> Result<Vec<KernelOnGpu>> {
-    let Prepared { extent, color, variance, .. } = prepared;
     let Work { params, plan, schedule, .. } = work;
-    let window_radius = params.window_radius;
+    let (window_radius, averaged) = (params.window_radius, &frame.color.signal);
     if is_exact_at(pixel, plan, &Step::Candidates) {
-        let left = |(_, name)| KernelOnGpu {
-            name,
-            averaged: color.signal.clone(),
+        let left = |filter: &CandidateFilter| KernelOnGpu {
+            name: filter.name,
+            averaged: averaged.clone(),
             weights: WeightsOnGpu::Exact { window_radius },
             share: None,
         };
-        return Ok(numbered(taking_part).map(left).collect());
+        return Ok(filters.iter().map(left).collect());
     }
-    let filter = candidate_filter(params);
-    let window = candidate_window(
-        rec,
-        *extent,
-        pixel,
-        &color.signal,
-        variance,
-        features,
-        &filter,
-        taking_part,
-        work.is_grey(),
-        schedule,
-    )?;
-    let cells = Arc::new(window.cells);
-    let kernel = |(candidate, name): (u32, &'static str)| {
-        let patch_radius =
-            [Some(params.first_patch_radius), Some(params.second_patch_radius), None][candidate as usize];
-        let of_color = patch_radius.map(|patch_radius| {
-            (Compared::Color { patch_radius, k: params.color_k }, WindowOfCandidates::color(candidate))
-        });
-        let tau = if candidate == 2 { params.feature_tau_third } else { params.feature_tau };
-        let slots = features.iter().flat_map(|features| &features.packing.slots);
-        let of_features = names.iter().zip(slots).map(|(name, slot)| {
-            (
-                Compared::Feature { name: name.clone(), k: params.feature_k, tau },
-                WindowOfCandidates::feature(candidate, *slot),
-            )
+    let (of_frame, window, grey) = (frame.candidate_frame(), params.window(), work.is_grey());
+    let windows = candidate_window(rec, extent, pixel, &of_frame, filters, window, grey, schedule)?;
+    let kernel = |(filter, window): (&CandidateFilter, WindowOfCandidate)| {
+        let of_color = filter
+            .color
+            .zip(window.color())
+            .map(|(ByColor { k, patch_radius }, lanes)| (Compared::Color { patch_radius, k }, lanes));
+        let slots = frame.features.iter().flat_map(|features| &features.packing.slots);
+        let of_features = filter.features.iter().flat_map(|ByFeatures { k, tau }| {
+            names
+                .iter()
+                .zip(slots.clone())
+                .map(|(name, slot)| (Compared::Feature { name: name.clone(), k: *k, tau: *tau }, window.feature(*slot)))
         });
         let weights = WeightsOnGpu::Cells {
-            cells: cells.clone(),
+            cells: window.cells.clone(),
             window_radius,
-            weight: WindowOfCandidates::weight(candidate),
+            weight: window.weight(),
             distances: of_color.into_iter().chain(of_features).collect(),
             rule: WeightRule::Least,
             centre: params.weighting.centre,
             limit: None,
         };
-        KernelOnGpu { name, averaged: color.signal.clone(), weights, share: None }
+        KernelOnGpu { name: filter.name, averaged: averaged.clone(), weights, share: None }
     };
-    Ok(numbered(taking_part).map(kernel).collect())
+    Ok(filters.iter().zip(windows).map(kernel).collect())
 }

@@ -2,12 +2,13 @@
 
 use serde::Serialize;
 
+use super::candidate_set::CandidateSet;
 use crate::error::{Error, Result};
 use crate::method::Spikes;
 use crate::method::common::{LARGEST_PATCH_RADIUS, LARGEST_WINDOW_RADIUS};
 use crate::method::noise::Pooling;
 use crate::parameters::{Group, Parameter, Values, Without, above, check, list, parameters, pixels};
-use crate::stage::candidate_set::CandidateSet;
+use crate::stage::candidate_filter::{ByColor, ByFeatures, CandidateFilter, MOST_CANDIDATES};
 use crate::stage::nlm::{CentreWeight, Symmetry, Weighting};
 use crate::stage::select::Guard;
 use crate::stage::variance::BoxWeight;
@@ -22,6 +23,9 @@ parameters! {
         /// Which candidates take part: the others have no share in the result, and are not computed. FIRST has to
         /// filter more than SECOND where both do.
         pub candidates: CandidateSet,
+        /// Candidates that take part besides these, after them in their order: at most five. Programs and presets set
+        /// them, parameter files do not.
+        pub further: &'static [CandidateFilter],
         /// k_c of FIRST and SECOND: how large a difference of colour counts, in standard deviations. More filters more.
         pub color_k: f32 => above(0.0).of("σ"),
         /// f of FIRST, the radius of its patches, at most that of SECOND.
@@ -131,6 +135,7 @@ impl DfcParams {
         Self {
             window_radius: 10,
             candidates: CandidateSet::ALL,
+            further: &[],
             color_k: 0.45,
             first_patch_radius: 1,
             second_patch_radius: 3,
@@ -155,10 +160,40 @@ impl DfcParams {
         }
     }
 
+    /// The candidates in their order, each with whether it takes part: of equal errors, the later one wins.
+    pub fn filters(&self) -> Vec<(CandidateFilter, bool)> {
+        let [first, second, third] = CandidateSet::NAMES;
+        let by_color = |patch_radius| Some(ByColor { k: self.color_k, patch_radius });
+        let by_features = |tau| Some(ByFeatures { k: self.feature_k, tau });
+        let of_thesis = [
+            CandidateFilter {
+                name: first,
+                color: by_color(self.first_patch_radius),
+                features: by_features(self.feature_tau),
+                rival: Some(second),
+            },
+            CandidateFilter {
+                name: second,
+                color: by_color(self.second_patch_radius),
+                features: by_features(self.feature_tau),
+                rival: None,
+            },
+            CandidateFilter { name: third, color: None, features: by_features(self.feature_tau_third), rival: None },
+        ];
+        let further = self.further.iter().map(|filter| (*filter, true));
+        of_thesis.into_iter().zip(self.candidates.flags()).chain(further).collect()
+    }
+
+    /// f of the largest patches, in pixels.
+    pub(super) fn largest_patch_radius(&self) -> u32 {
+        self.filters().iter().filter_map(|(filter, _)| filter.color).map(|color| color.patch_radius).max().unwrap_or(0)
+    }
+
     /// Whether more than one candidate can have a share: with the patches of SECOND, FIRST has the derivative of
     /// SECOND, below which its own must be.
     pub(super) fn several_can_win(&self) -> bool {
-        self.candidates.count() > 1 + usize::from(self.first_cannot_win())
+        let taking_part = self.filters().iter().filter(|(_, takes_part)| *takes_part).count();
+        taking_part > 1 + usize::from(self.first_cannot_win())
     }
 
     pub(super) fn first_cannot_win(&self) -> bool {
@@ -186,6 +221,34 @@ impl DfcParams {
                 problem: format!("`first_patch_radius` is {first}, and `second_patch_radius` {second}"),
                 remedy: "choose the patches of FIRST no larger than those of SECOND".into(),
             });
+        }
+        let filters = self.filters();
+        if filters.len() > MOST_CANDIDATES {
+            return Err(Error::Request {
+                problem: format!(
+                    "there are {} candidates, of which {} further ones",
+                    filters.len(),
+                    self.further.len()
+                ),
+                remedy: format!("choose at most {MOST_CANDIDATES} candidates in all"),
+            });
+        }
+        for (place, (filter, _)) in filters.iter().enumerate() {
+            let numbers = [
+                filter.color.map(|color| color.k),
+                filter.features.map(|features| features.k),
+                filter.features.map(|features| features.tau),
+            ];
+            let in_range = numbers.into_iter().flatten().all(|number| number > 0.0 && number.is_finite())
+                && filter.color.is_none_or(|color| color.patch_radius <= LARGEST_PATCH_RADIUS);
+            if !in_range || filters[..place].iter().any(|(other, _)| other.name == filter.name) {
+                return Err(Error::Request {
+                    problem: format!("the candidate '{}' is out of range, or another one has its name", filter.name),
+                    remedy: format!(
+                        "choose k and τ above 0, patches of at most {LARGEST_PATCH_RADIUS} pixels around the centre, and a name of its own"
+                    ),
+                });
+            }
         }
         Ok(())
     }

@@ -1,6 +1,6 @@
 //! What of DFC a frame needs.
 
-use super::{BY_CANDIDATE, DfcParams, PREFILTER, reach_of_choice};
+use super::{DfcParams, PREFILTER, reach_of_choice};
 use crate::method::Intermediate;
 use crate::method::plan::{Facts, Plan, Planner, Step, Wishes, impossible, needless};
 
@@ -38,13 +38,14 @@ pub(in crate::method) fn plan(params: &DfcParams, facts: &Facts, wishes: &Wishes
 
     // Beyond the reach of the candidates nothing has noise, and beyond that of the smoothing that follows nothing reads
     // what was not computed. The intermediates are others there.
-    let by_colour = params.candidates.first || params.candidates.second;
+    let filters = params.filters();
+    let by_colour = filters.iter().any(|(filter, takes_part)| *takes_part && filter.color.is_some());
     let keeps_only = |allowed: &[Intermediate]| wishes.keep.iter().all(|kept| allowed.contains(kept));
     let may_copy = by_colour
         && params.guard.is_some()
         && keeps_only(&[Intermediate::Spikes, Intermediate::Variance, Intermediate::Features, Intermediate::Pass1]);
     let exact = if may_copy {
-        facts.exact_color(params.window_radius + params.second_patch_radius + reach_of_choice())
+        facts.exact_color(params.window_radius + params.largest_patch_radius() + reach_of_choice())
     } else {
         None
     };
@@ -54,12 +55,12 @@ pub(in crate::method) fn plan(params: &DfcParams, facts: &Facts, wishes: &Wishes
         .any(|kept| wishes.keeps(kept));
     let second_beats_first = params.first_cannot_win() && !kept;
     let mut candidates = 0;
-    for (place, (name, takes_part)) in BY_CANDIDATE.into_iter().zip(params.candidates.flags()).enumerate() {
+    for (place, (filter, takes_part)) in filters.into_iter().enumerate() {
         let unless = [
             impossible(!takes_part, "the parameters leave it out"),
             needless(place == 0 && second_beats_first, "its patches are those of SECOND, so that it cannot win"),
         ];
-        candidates += u32::from(plan.step(Step::Candidate(name), "it may win", &unless));
+        candidates += u32::from(plan.step(Step::Candidate(filter.name), "it may win", &unless));
     }
     plan.step(Step::Candidates, "the result is made of them", &[]);
     plan.but_for(exact.as_ref());

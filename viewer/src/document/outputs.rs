@@ -14,6 +14,13 @@ const CANDIDATES: [(&str, &str, &str); 3] = [
     ("second", "SECOND", "large patches of colour and features: smooth"),
     ("third", "THIRD", "features alone: bold"),
 ];
+
+/// A candidate's name as a title.
+fn title_of(candidate: &str) -> String {
+    let known = CANDIDATES.into_iter().find(|(name, ..)| *name == candidate);
+    known.map_or_else(|| candidate.to_owned(), |(_, title, _)| title.to_owned())
+}
+
 const SHARE: Range = Range { low: 0.0, high: 1.0 };
 
 /// Makes the layers of an estimate; `estimate.layers` is empty afterwards.
@@ -28,7 +35,8 @@ pub fn output_layers(estimate: &mut Estimate, reference: Option<&Arc<Image>>) ->
     if let Some(selection) = &estimate.selection
         && !layers.0.iter().any(|layer| layer.name() == "selection")
     {
-        layers.add_shares("selection", "selection", "Shares that entered the blend", Arc::new(selection.clone()));
+        let about = "Shares that entered the blend";
+        layers.add_shares("selection", "selection", about, selection, &estimate.candidates);
     }
     let about = "How many pixels took part in a pixel's average: the sum of the weights.";
     layers.add(
@@ -65,11 +73,19 @@ impl Layers {
         layer
     }
 
-    /// Adds a map of shares in three colours, and each share as a layer of its own.
-    fn add_shares(&mut self, name: &str, title: &str, about: &str, image: Arc<Image>) {
+    /// Adds a map of shares in three colours, and each share as a layer of its own. `names` are the candidates of the
+    /// planes.
+    fn add_shares<N: AsRef<str>>(&mut self, name: &str, title: &str, about: &str, image: &Image, names: &[N]) {
         let explained = format!("{about}: red FIRST, green SECOND, blue THIRD.");
-        self.add(describe(name, title, explained, Group::Selection, Kind::Shares, ""), image.clone(), Some(SHARE));
-        for (plane, (candidate, candidate_title, _)) in CANDIDATES.into_iter().enumerate() {
+        let share_of = |candidate: &str| {
+            let plane = names.iter().position(|name| name.as_ref() == candidate);
+            plane.map_or_else(|| vec![0.0; image.extent.pixels()], |plane| image.planes[plane].clone())
+        };
+        let planes = CANDIDATES.map(|(candidate, ..)| share_of(candidate)).to_vec();
+        let in_colors = Arc::new(Image { extent: image.extent, planes });
+        self.add(describe(name, title, explained, Group::Selection, Kind::Shares, ""), in_colors, Some(SHARE));
+        for (plane, candidate) in names.iter().map(AsRef::as_ref).enumerate() {
+            let candidate_title = title_of(candidate);
             let explained = format!("{about}: {candidate_title} alone.");
             let description = describe(
                 format!("{name}.{candidate}"),
@@ -79,14 +95,15 @@ impl Layers {
                 Kind::Scalar(Scale::Linear),
                 "share",
             );
-            self.add(description, Arc::new(single_plane(&image, plane)), Some(SHARE));
+            self.add(description, Arc::new(single_plane(image, plane)), Some(SHARE));
         }
     }
 
     /// Adds SURE of each candidate, all on one scale so that they can be compared.
-    fn add_sure(&mut self, name: &str, title: &str, about: &str, image: &Image) {
+    fn add_sure(&mut self, name: &str, title: &str, about: &str, image: &Image, names: &[String]) {
         let mut range = None;
-        for (plane, (candidate, candidate_title, _)) in CANDIDATES.into_iter().enumerate() {
+        for (plane, candidate) in names.iter().enumerate() {
+            let candidate_title = title_of(candidate);
             let explained = format!(
                 "{about} of {candidate_title}: the less, the better. Negative values are noise of the estimate."
             );
@@ -141,15 +158,11 @@ impl Layers {
                 describe(name, title, about, Group::Features, kind, "")
             }
             Intermediate::Candidates => {
-                let (_, title, character) = candidate.unwrap_or(("", "candidate", "a filter"));
-                describe(
-                    name,
-                    title,
-                    format!("The candidate {title}, weighted by {character}."),
-                    Group::Candidates,
-                    Kind::Color,
-                    RADIANCE,
-                )
+                let own = (name.as_str(), name.as_str(), "the colour and the features as its parameters say");
+                let (_, title, character) = candidate.unwrap_or(own);
+                let title = title.to_owned();
+                let about = format!("The candidate {title}, weighted by {character}.");
+                describe(name, title, about, Group::Candidates, Kind::Color, RADIANCE)
             }
             Intermediate::Derivatives => {
                 let (_, title, _) = candidate.unwrap_or(("", "the candidate", ""));
@@ -162,7 +175,7 @@ impl Layers {
                 } else {
                     ("SURE", "Unbiased estimate of the squared error")
                 };
-                return self.add_sure(&name, title, about, &image);
+                return self.add_sure(&name, title, about, &image, &channels);
             }
             Intermediate::Selection => {
                 let (title, about) = if name == "selected" {
@@ -170,7 +183,14 @@ impl Layers {
                 } else {
                     ("selection", "Shares that entered the blend")
                 };
-                return self.add_shares(&name, title, about, image);
+                if image.channels() == 1 {
+                    let about = "Share of the filter by the colour only in the blend.";
+                    let kind = Kind::Scalar(Scale::Linear);
+                    let description = describe(name, "colour only: share", about, Group::Selection, kind, "share");
+                    self.add(description, image, Some(SHARE));
+                    return;
+                }
+                return self.add_shares(&name, title, about, &image, &channels);
             }
             Intermediate::Pass1 => describe(
                 name,

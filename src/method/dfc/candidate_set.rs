@@ -1,11 +1,11 @@
-//! Set of the DFC candidates that take part.
+//! Which of FIRST, SECOND and THIRD take part.
 
 use std::fmt;
 
 use serde::{Serialize, Serializer};
 
-use crate::gpu::Definition;
-use crate::parameters::choice_set;
+use crate::parameters::{Describe, Parameter, Place, Value, Values, choice_set};
+use crate::stage::candidate_filter::CandidateFilter;
 
 choice_set! {
     /// Which of FIRST, SECOND and THIRD take part: in the selection, in the guard, and in what is computed at all.
@@ -41,16 +41,6 @@ impl CandidateSet {
     pub fn count(self) -> usize {
         self.flags().into_iter().filter(|takes_part| *takes_part).count()
     }
-
-    /// Returns whether any candidate that takes part looks at the colour: THIRD does not.
-    pub(super) fn by_color(self) -> bool {
-        self.first || self.second
-    }
-
-    /// Returns the definitions of this set for the shaders.
-    pub(super) fn definitions(self) -> [(&'static str, Definition); 3] {
-        [("FIRST", self.first.into()), ("SECOND", self.second.into()), ("THIRD", self.third.into())]
-    }
 }
 
 impl fmt::Display for CandidateSet {
@@ -63,4 +53,13 @@ impl Serialize for CandidateSet {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         serializer.collect_seq(self.names())
     }
+}
+
+/// Candidates that a program adds have no name among the parameters.
+impl Describe for &'static [CandidateFilter] {
+    type Limits = ();
+
+    fn list(_: Values<Self>, _: Place<'_>, (): (), _: &mut Vec<Parameter>) {}
+
+    fn set(&mut self, _: &str, _: &Value) {}
 }
