@@ -85,6 +85,12 @@ impl Compared {
         (0..3).map(channel).collect()
     }
 
+    /// The share of pixels in which a decision may fall the other way, or that the smoothing of such a decision reaches:
+    /// the more candidates there are, the more often two of them tie.
+    fn flipped(&self) -> f64 {
+        FLIPPED * (self.names.len() as f64 / 3.0).max(1.0)
+    }
+
     fn check(&self, frame: &Frame) {
         let (twin, exposure) = (&self.twin, self.exposure);
         let layer = |name: &str, factor: f64| layer(&self.estimate, name, factor);
@@ -152,7 +158,7 @@ impl Compared {
         self.near("SURE", &numbers("sure", exposure * exposure), &twin.sure, &terms, 4e-4, OF_ONE_KIND);
         self.check_decisions(&numbers("selected", 1.0), &terms);
 
-        self.near("maps", &numbers("selection", 1.0), &twin.maps, &flat(&twin.maps, 1.0), FILTERED, FLIPPED);
+        self.near("maps", &numbers("selection", 1.0), &twin.maps, &flat(&twin.maps, 1.0), FILTERED, self.flipped());
         if frame.color().half_spread.is_some() {
             self.near(
                 "pass 1",
@@ -160,7 +166,7 @@ impl Compared {
                 &twin.pass1.mean,
                 &self.color_scale(input, &twin.pass1.mean),
                 FILTERED,
-                FLIPPED,
+                self.flipped(),
             );
         }
         let result = &twin.result;
@@ -170,12 +176,19 @@ impl Compared {
             &result.mean,
             &self.color_scale(input, &result.mean),
             FILTERED,
-            FLIPPED,
+            self.flipped(),
         );
         let spread = self.estimate.half_spread.as_ref().map(|image| grids(image, exposure));
         assert_eq!(spread.is_some(), result.spread.is_some(), "{}: half spread", self.what);
         if let (Some(spread), Some(expected)) = (&spread, &result.spread) {
-            self.near("half spread", spread, expected, &self.color_scale(input, &result.mean), FILTERED, FLIPPED);
+            self.near(
+                "half spread",
+                spread,
+                expected,
+                &self.color_scale(input, &result.mean),
+                FILTERED,
+                self.flipped(),
+            );
         }
         // Where shares differ by rounding, another one of the candidates' distances counts.
         let size: Planes = vec![terms[0].like(|p| twin.result_error.at(p) + terms[0].at(p))];
@@ -185,12 +198,12 @@ impl Compared {
             std::slice::from_ref(&twin.result_error),
             &size,
             2e-3,
-            FLIPPED,
+            self.flipped(),
         );
         // An average of what may be decided otherwise anywhere in a wide window.
         let density = std::slice::from_ref(&self.density);
         let size = [self.density.like(|p| self.density.at(p) + self.density.mean())];
-        self.near("density", &layer("density", 1.0), density, &size, 2e-3, FLIPPED);
+        self.near("density", &layer("density", 1.0), density, &size, 2e-3, self.flipped());
     }
 
     /// Another winner than the reference's is one whose error ties with that of the reference's, or FIRST where its
@@ -227,7 +240,7 @@ impl Compared {
             }
         }
         assert!(
-            flipped as f64 <= FLIPPED * selected[0].values.len() as f64,
+            flipped as f64 <= self.flipped() * selected[0].values.len() as f64,
             "{}: {flipped} decisions differ",
             self.what
         );
@@ -243,7 +256,7 @@ const FILTERED: f64 = 2e-4;
 /// it.
 const OF_ONE_KIND: f64 = 0.001;
 
-/// The share of pixels in which a decision may fall the other way, or that the smoothing of such a decision reaches.
+/// As [`Compared::flipped`], of three candidates.
 const FLIPPED: f64 = 0.005;
 
 fn check(what: &'static str, render: &str, rectangle: [usize; 4], keep: Keep, params: DfcParams) {
