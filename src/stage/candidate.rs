@@ -26,8 +26,8 @@ uniforms! {
 bindings! {
     struct CandidateAccumulate<'a> {
         uniform params: NlmParams, uniform candidate: CandidateParams,
-        optional columns, read signal, read variance_of_mean, write state, optional features,
-        optional neighbours_signal, optional neighbours_variance, optional neighbours_features,
+        optional_around columns, around signal, around variance_of_mean, write state, optional_around features,
+        optional_around neighbours_signal, optional_around neighbours_variance, optional_around neighbours_features,
     }
     struct CandidateResolve<'a> {
         uniform params: NlmParams, uniform resolve: ResolveParams, read signal, read variance_of_mean, read state,
@@ -40,7 +40,7 @@ bindings! {
 }
 
 /// Planes of running sums that `candidate_accumulate` keeps per pixel of a strip.
-pub(crate) const STATE_PLANES: u32 = 12;
+const STATE_PLANES: u32 = 12;
 
 /// Parameters of the candidate filters.
 #[derive(Clone, Copy, Debug)]
@@ -176,9 +176,6 @@ impl Candidates {
     }
 }
 
-/// Number of planes that all three candidates take: two for each signal, and three for the derivatives.
-pub(crate) const CANDIDATE_PLANES: u64 = 9;
-
 /// The candidates of a window in time.
 #[derive(Debug)]
 pub struct CandidatesInTime {
@@ -269,14 +266,16 @@ pub fn candidates(
         let bound = CandidateAccumulate {
             params,
             candidate,
-            columns: by_color.then_some(chunk.columns),
-            signal,
-            variance_of_mean,
+            columns: by_color.then(|| chunk.columns.within_columns_and_rows(patch_radius, 0)),
+            signal: signal.within(filter.window_radius),
+            variance_of_mean: variance_of_mean.within(filter.window_radius),
             state,
-            features: features.map(|features| &features.buffer),
-            neighbours_signal: beside.map(|frame| frame.signal),
-            neighbours_variance: beside.map(|frame| frame.variance_of_mean),
-            neighbours_features: beside.and_then(|frame| frame.features).map(|features| &features.buffer),
+            features: features.map(|features| features.buffer.within(filter.window_radius)),
+            neighbours_signal: beside.map(|frame| frame.signal.within(filter.window_radius)),
+            neighbours_variance: beside.map(|frame| frame.variance_of_mean.within(filter.window_radius)),
+            neighbours_features: beside
+                .and_then(|frame| frame.features)
+                .map(|features| features.buffer.within(filter.window_radius)),
         };
         rec.dispatch(
             "candidate_accumulate",

@@ -2,23 +2,20 @@
 
 use std::sync::Arc;
 
-use glam::IVec2;
+use glam::{IVec2, UVec2};
 
-use super::{
-    BY_CANDIDATE, ColorOnly, DfcParams, Pass1, Pass2, Prepared, SECOND_ONLY, Wanted, Work, candidate_filter,
-    reach_of_choice_and_second_pass, reach_of_kernels, reach_of_prefilter,
-};
+use super::{BY_CANDIDATE, ColorOnly, DfcParams, Pass1, Pass2, Prepared, SECOND_ONLY, Wanted, Work, candidate_filter};
 use crate::error::Result;
-use crate::gpu::Recorder;
+use crate::gpu::{Recorder, Run};
 use crate::method::FrameInput;
 use crate::method::estimate::{Keeper, Lane, Shares};
 use crate::method::kernels::{Compared, KernelOnGpu, LimitOnGpu, ShareOnGpu, WeightRule, WeightsOnGpu};
-use crate::method::noise::largest_noise_reach;
 use crate::method::plan::{Plan, Step};
 use crate::stage::candidate_set::CandidateSet;
 use crate::stage::exact::Region;
 use crate::stage::feature::Features;
 use crate::stage::nlm::{Guide, Schedule};
+use crate::stage::variance::RESIDUAL_SMOOTHING;
 use crate::stage::window::{NLM_DISTANCE, NLM_WEIGHT, WindowOfCandidates, candidate_window, nlm_window};
 
 /// Kernels of the computed candidates, and of the second pass if it runs.
@@ -30,17 +27,42 @@ pub(in crate::method) fn kernels(
     plan: &Plan,
     schedule: Schedule,
 ) -> Result<Vec<KernelOnGpu>> {
+    let work = Work { params, plan, schedule, wanted: Wanted::default() };
+    if rec.is_dry() {
+        return Ok(kernels_within(rec, frame, pixel, work)?.kernels);
+    }
+    // A dry run finds how far the kernels depend on what is made before them: no more of that is computed.
+    let run = Run::dry(None);
+    let mut dry = rec.gpu().record_in(&run);
+    let twin = frame.dry(&mut dry)?;
+    let Found { kernels, reach_of_features, reach_of_candidates } = kernels_within(&mut dry, twin, pixel, work)?;
+    let reach = kernels.iter().map(KernelOnGpu::reach).fold(UVec2::ZERO, UVec2::max);
+    let around = |reach: UVec2| Some(Region::around(pixel, reach.max_element(), frame.extent));
+    let wanted = Wanted {
+        // Packed features look at prefiltered ones around them.
+        features: around(reach.saturating_sub(reach_of_features) + RESIDUAL_SMOOTHING.radius.max(1)),
+        candidates: around(reach.saturating_sub(reach_of_candidates)),
+        result: around(UVec2::ZERO),
+    };
+    Ok(kernels_within(rec, frame, pixel, Work { wanted, ..work })?.kernels)
+}
+
+/// The kernels, and how far what they are made of depends on the frame, if the run is dry.
+struct Found {
+    kernels: Vec<KernelOnGpu>,
+    /// Of the packed features.
+    reach_of_features: UVec2,
+    /// Of the candidates; that of the kernels where no choice among them follows.
+    reach_of_candidates: UVec2,
+}
+
+fn kernels_within(rec: &mut Recorder, frame: FrameInput, pixel: IVec2, work: Work) -> Result<Found> {
+    let Work { params, plan, schedule, .. } = work;
     let extent = frame.extent;
     let names: Vec<String> = frame.features.iter().map(|feature| feature.name.clone()).collect();
-    let around = |reach| Some(Region::around(pixel, reach, extent));
-    let wanted = Wanted {
-        features: around(reach_of_kernels(params, plan) - reach_of_prefilter(largest_noise_reach(plan))),
-        candidates: around(reach_of_choice_and_second_pass(params, plan)),
-        result: around(0),
-    };
-    let work = Work { params, plan, schedule, wanted };
     let mut keeper = Keeper::new(&[]);
     let mut prepared = Prepared::new(rec, frame, Vec::new(), work, &mut keeper)?;
+    let reach_of_features = prepared.features.first().map_or(UVec2::ZERO, |features| features.buffer.reach());
     plan.begins(rec, Step::Candidates);
     let taking_part = plan.candidates();
     let mut kernels =
@@ -48,7 +70,8 @@ pub(in crate::method) fn kernels(
     if !plan.runs(&Step::Selection) && !plan.runs(&Step::SecondPass) {
         // One candidate is the result.
         kernels.iter_mut().for_each(|kernel| kernel.share = Some(ShareOnGpu::Whole));
-        return Ok(kernels);
+        let reach_of_candidates = kernels.iter().map(KernelOnGpu::reach).fold(UVec2::ZERO, UVec2::max);
+        return Ok(Found { kernels, reach_of_features, reach_of_candidates });
     }
 
     let pass1 = Pass1::new(rec, &mut prepared, work, &mut keeper, |_, _| Ok(()))?;
@@ -58,6 +81,7 @@ pub(in crate::method) fn kernels(
             Shares::Only(_) => ShareOnGpu::Whole,
         });
     }
+    let reach_of_candidates = pass1.candidates.first_of_all().map_or(UVec2::ZERO, |(_, first)| first.reach());
     if let Some(ColorOnly { shares, .. }) = &pass1.color_only {
         let share = || Some(ShareOnGpu::Lane(Lane { buffer: shares.clone(), plane: 0, component: 1 }));
         let second = kernels_of_candidates(rec, &prepared, None, &[], SECOND_ONLY, pixel, work)?;
@@ -87,7 +111,7 @@ pub(in crate::method) fn kernels(
         };
         kernels.push(KernelOnGpu { name: "second_pass", averaged: pass1.blend, weights, share: None });
     }
-    Ok(kernels)
+    Ok(Found { kernels, reach_of_features, reach_of_candidates })
 }
 
 /// The candidates that take part, numbered from FIRST on.
