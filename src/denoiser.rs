@@ -5,7 +5,7 @@ mod kernels;
 use std::ops::ControlFlow;
 use std::time::Instant;
 
-use glam::IVec2;
+use glam::{IVec2, Vec3};
 
 use crate::error::{Error, Result};
 use crate::frame::{Feature, Frame, NoiseKnowledge};
@@ -13,8 +13,8 @@ use crate::gpu::{Buffer, Gpu, Pace, Recorder, Run, StageTime, StepTime};
 use crate::host_memory::{FreeMemory, Shortage};
 use crate::image::Image;
 use crate::method::{
-    DeviceMemory, Facts, FrameInput, GpuEstimate, GpuFrame, Intermediate, KeptPlane, Lane, Method, Plan, Share,
-    SpikeReport, Strip, Unit, Units, Wishes, kept_planes, strips,
+    DeviceMemory, Facts, Footprint, FrameInput, GpuEstimate, GpuFrame, Intermediate, KeptPlane, Lane, Method, Plan,
+    Share, SpikeReport, Strip, Unit, Units, Wishes, strips,
 };
 use crate::stage::PLANE_PIXEL_BYTES;
 use crate::stage::frames::Frames;
@@ -107,6 +107,20 @@ pub struct Estimate {
     pub peak_bytes: u64,
 }
 
+/// Memory that the work on a frame takes, and how far its results depend on the frame. Found by a dry run of the method,
+/// which records the same work without memory and commands.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Requirements {
+    /// The most memory that buffers take on the device, in bytes: [`Estimate::peak_bytes`] on a device that holds no
+    /// other idle buffers.
+    pub peak_bytes: u64,
+    /// Rows above and below a pixel that its results depend on. Ignores what is fixed for the whole frame: exposure and
+    /// plan.
+    pub halo: u32,
+    /// Number of strips that the image is cut into.
+    pub strips: usize,
+}
+
 /// An intermediate, in the units of the frame.
 #[derive(Clone, Debug)]
 pub struct Layer {
@@ -195,32 +209,88 @@ impl Denoiser {
         let wishes = Wishes { keep: options.keep, error: options.error, everything: self.everything };
         let plan = self.method.plan(&facts, &wishes);
         let analysis_seconds = start.elapsed().as_secs_f64();
-        let memory = self.memory(frames[centre], &facts, options)?;
-        let strips = strips(
-            &self.gpu,
-            frames[centre].extent(),
-            &self.method,
-            &facts,
-            !options.keep.is_empty(),
-            self.schedule,
-            memory,
-        )?;
+        let strips = self.strips(frames, centre, units, &plan, options)?;
         Ok((Plan { strips: strips.len(), analysis_seconds, ..plan }, strips))
     }
 
+    /// Cuts the frame into strips whose buffers fit.
+    fn strips(
+        &self,
+        frames: &[&Frame],
+        centre: usize,
+        units: &Units,
+        plan: &Plan,
+        options: &Options,
+    ) -> Result<Vec<Strip>> {
+        let extent = frames[centre].extent();
+        let whole = [Strip::whole(extent)];
+        let dry_run = |strips: &[Strip]| self.dry_run(frames, centre, units, plan, strips);
+        let footprint = dry_run(&whole)?;
+        let memory = self.memory(frames[centre], footprint.kept_planes, options)?;
+        strips(&self.gpu, extent, memory, footprint, dry_run)
+    }
+
+    /// Runs the method dry on these strips, one after the other.
+    fn dry_run(
+        &self,
+        frames: &[&Frame],
+        centre: usize,
+        units: &Units,
+        plan: &Plan,
+        strips: &[Strip],
+    ) -> Result<Footprint> {
+        let run = Run::dry(self.max_memory);
+        let mut footprint = Footprint { halo: 0, peak_bytes: 0, largest_bytes: 0, kept_planes: 0 };
+        // Nothing runs for a frame that is copied.
+        for strip in strips.iter().filter(|_| !plan.copies_the_frame()) {
+            let mut rec = self.gpu.record_in(&run);
+            let mut upload = |frame| FrameInput::upload(&mut rec, frame, Some(Vec3::ZERO), strip, units, plan);
+            let own = upload(frames[centre])?;
+            let inputs = Frames { own, beside: beside(frames, centre).map(upload).collect::<Result<_>>()? };
+            let plan = plan.starting_at(IVec2::new(0, strip.first_with_halo as i32));
+            let estimate = self.method.record(&mut rec, inputs, &plan, self.schedule, |_, _| Ok(()))?;
+            footprint.halo = footprint.halo.max(estimate.reach().y);
+            footprint.kept_planes = estimate.kept.iter().map(|kept| kept.channels.len() as u64).sum();
+        }
+        Ok(Footprint { peak_bytes: run.peak_bytes(), largest_bytes: run.largest_bytes(), ..footprint })
+    }
+
     /// What bounds the buffers on the device once the host has what it needs.
-    fn memory(&self, frame: &Frame, facts: &Facts, options: &Options) -> Result<DeviceMemory> {
+    fn memory(&self, frame: &Frame, kept_planes: u64, options: &Options) -> Result<DeviceMemory> {
         // Colour, halves, error, sum of weights, and the shares of the candidates where the method has any.
-        let planes_of_shares = if matches!(self.method, Method::Dfc(_)) { 3 } else { 0 };
+        let planes_of_shares = match &self.method {
+            Method::Dfc(params) => params.filters().len() as u64,
+            Method::Gem(_) | Method::Nlm(_) => 0,
+        };
         let planes_of_halves = if frame.color().half_spread.is_some() { 3 } else { 0 };
         let planes_of_result = 3 + planes_of_halves + u64::from(options.error) + 1 + planes_of_shares;
-        // Of one to three channels each.
-        let kept = if options.keep.is_empty() { 0 } else { 3 * kept_planes(&self.method, facts, self.schedule) };
-        let host = frame.extent().pixels() as u64 * 4 * (planes_of_result + kept)
+        let host = frame.extent().pixels() as u64 * 4 * (planes_of_result + kept_planes)
             + TRANSFER_BYTES.min(frame.extent().pixels() as u64 * 64);
         let free = FreeMemory::now();
         free.check(host).map_err(|shortage| shortage.error(&format!("the result of {} pixels", frame.extent())))?;
         Ok(DeviceMemory { asked: self.max_memory, shared: self.gpu.is_software().then_some((free, host)) })
+    }
+
+    /// Returns the memory that the work on `frames[centre]` in its window takes on the device, and how far its results
+    /// depend on the frame, without doing it.
+    ///
+    /// # Errors
+    /// As [`Denoiser::plan`].
+    pub fn requirements(&self, frames: &[&Frame], centre: usize, options: &Options) -> Result<Requirements> {
+        self.check_window(frames, centre)?;
+        let units = Units::of_window(frames, centre, self.method.uses_features(), 1.0);
+        let (plan, strips) = self.plan_in(frames, centre, &units, options)?;
+        let Footprint { halo, peak_bytes, .. } = self.dry_run(frames, centre, &units, &plan, &strips)?;
+        Ok(Requirements { peak_bytes, halo, strips: strips.len() })
+    }
+
+    /// Returns how far the influence of a pixel reaches, in pixels along either axis, whatever frame it is in and
+    /// whatever results are wanted. Ignores what is fixed for the whole frame: exposure and plan.
+    ///
+    /// # Errors
+    /// Errors of the recorder.
+    pub fn reach(&self) -> Result<u32> {
+        self.method.reach(&self.gpu, self.schedule)
     }
 
     /// Denoises a frame.
@@ -342,6 +412,11 @@ impl Denoiser {
         let frames = Frames { own: frame, beside }.map(FrameInput::from);
         self.method.record(rec, frames, &plan, self.schedule, |_, _| Ok(()))
     }
+}
+
+/// The frames beside the one in the centre.
+fn beside<'a>(frames: &'a [&'a Frame], centre: usize) -> impl Iterator<Item = &'a Frame> {
+    frames.iter().enumerate().filter(move |(index, _)| *index != centre).map(|(_, frame)| *frame)
 }
 
 /// Bytes that are on their way between host and device at one time, at most, and their copies there.

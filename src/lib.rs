@@ -58,7 +58,7 @@ pub mod sampling;
 pub mod stage;
 pub mod text;
 
-pub use denoiser::{Denoiser, Estimate, Layer, Options};
+pub use denoiser::{Denoiser, Estimate, Layer, Options, Requirements};
 pub use error::{Error, Result};
 pub use frame::Frame;
 pub use gpu::Gpu;

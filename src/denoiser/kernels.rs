@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use glam::IVec2;
+use glam::{IVec2, Vec3};
 
 use super::{Denoiser, Options, exposure};
 use crate::error::{Error, Result};
@@ -11,7 +11,7 @@ use crate::gpu::{Buffer, Gpu, Run};
 use crate::image::{Extent, Image, Window};
 use crate::kernels::{Compared, Distance, FilterKernel, Kernels, PixelInFrame, WeightRule};
 use crate::method::kernels::{KernelOnGpu, LimitOnGpu, WeightsOnGpu};
-use crate::method::{FrameInput, Lane, Share, Strip, Units};
+use crate::method::{FrameInput, Lane, Plan, Share, Strip, Units};
 use crate::stage::PLANE_PIXEL_BYTES;
 use crate::stage::exact::Region;
 use crate::stage::gaussian::Gaussian;
@@ -46,16 +46,13 @@ impl Denoiser {
         }
 
         let pixel = IVec2::new(x as i32, y as i32);
-        let Region { first, size } = Region::around(
-            pixel,
-            self.method.reach_of_kernels(&plan),
-            IVec2::new(extent.width as i32, extent.height as i32),
-        );
+        let reach = self.reach_of_kernels(frame, pixel, &plan)?;
+        let Region { first, size } =
+            Region::around(pixel, reach, IVec2::new(extent.width as i32, extent.height as i32));
         let part = Window { x: first.x, y: first.y, extent: Extent { width: size.x as u32, height: size.y as u32 } };
         let part_of_frame = frame.cropped(part);
         let units = Units::of_window(&[&part_of_frame], 0, self.method.uses_features(), exposure(frame));
-        let rows = part.extent.height as usize;
-        let all_of_it = Strip { first: 0, end: rows, first_with_halo: 0, end_with_halo: rows };
+        let all_of_it = Strip::whole(part.extent);
         let mut rec = self.gpu.record_in(&Run::new(self.max_memory));
         if let Some(pace) = &options.pace {
             rec.set_pace(pace.clone());
@@ -76,6 +73,16 @@ impl Denoiser {
         };
         let filters = kernels.iter().map(|kernel| reader.kernel(kernel)).collect::<Result<_>>()?;
         Ok(Kernels { x, y, filters, plan })
+    }
+
+    /// How far the kernels at a pixel depend on the frame, in pixels, by a dry run.
+    fn reach_of_kernels(&self, frame: &Frame, pixel: IVec2, plan: &Plan) -> Result<u32> {
+        let units = Units::of_window(&[frame], 0, self.method.uses_features(), 1.0);
+        let mut rec = self.gpu.record_in(&Run::dry(None));
+        let whole = Strip::whole(frame.extent());
+        let dry = FrameInput::upload(&mut rec, frame, Some(Vec3::ZERO), &whole, &units, plan)?;
+        let kernels = self.method.kernels(&mut rec, dry, pixel, plan, self.schedule)?;
+        Ok(kernels.iter().map(|kernel| kernel.reach().max_element()).max().unwrap_or(0))
     }
 }
 

@@ -7,7 +7,10 @@
 
 use std::fmt;
 
+use glam::UVec2;
+
 use super::pool::Buffer;
+use super::reach::{Parts, Reach};
 
 /// Values that the host binds to one shader stage. Implemented by [`bindings!`](crate::bindings!).
 pub trait Bindings {
@@ -82,10 +85,67 @@ impl fmt::Debug for SlotKind {
 pub enum Value<'a> {
     /// The members of a uniform struct as bytes, in the order of its table.
     Uniform(Vec<&'a [u8]>),
-    /// A storage buffer.
-    Buffer(&'a Buffer),
+    /// A storage buffer, and how far around a pixel the stage looks in it.
+    Buffer(Around<'a>),
     /// Nothing: an [`SlotKind::Optional`] slot that is `None`.
     Absent,
+}
+
+/// A buffer that a stage reads around each pixel, as [`Buffer::within`] makes it. The radius is no limit that anybody
+/// enforces: a dry run adds up the radii of a chain of stages to find how far a result depends on the frame around a
+/// pixel.
+#[derive(Clone, Copy, Debug)]
+pub struct Around<'a> {
+    pub(super) buffer: &'a Buffer,
+    /// Parts that are read, and of a [`SlotKind::Write`] also written.
+    pub(super) parts: Parts,
+    /// Columns and rows beside a pixel that are read for the front and for the back of what is written.
+    pub(super) radii: Reach,
+}
+
+impl<'a> From<&'a Buffer> for Around<'a> {
+    fn from(buffer: &'a Buffer) -> Self {
+        Self { buffer, parts: Parts::Whole, radii: Reach::default() }
+    }
+}
+
+impl Buffer {
+    /// Says that a stage reads this buffer in the square of 2·`radius`+1 pixels around each pixel.
+    pub fn within(&self, radius: u32) -> Around<'_> {
+        self.within_columns_and_rows(radius, radius)
+    }
+
+    /// Says that a stage reads this buffer up to so many columns and rows beside each pixel.
+    pub fn within_columns_and_rows(&self, columns: u32, rows: u32) -> Around<'_> {
+        let radius = UVec2::new(columns, rows);
+        Around { buffer: self, parts: Parts::Whole, radii: Reach { front: radius, back: radius } }
+    }
+
+    /// Says that a stage writes the front and the back of this buffer from what may lie around the pixel at different
+    /// distances.
+    pub fn in_parts(&self) -> Around<'_> {
+        Around { parts: Parts::Apart, ..self.into() }
+    }
+}
+
+impl Around<'_> {
+    /// Says that a stage reads nothing but the front: of a signal, its mean.
+    #[must_use]
+    pub fn front(self) -> Self {
+        Self { parts: Parts::Front, ..self }
+    }
+
+    /// Says that a stage reads nothing but the back: of a signal, its half spread.
+    #[must_use]
+    pub fn back(self) -> Self {
+        Self { parts: Parts::Back, ..self }
+    }
+
+    /// Says that for the front of what it writes in parts a stage reads this buffer at the pixel alone.
+    #[must_use]
+    pub fn but_for_the_front(self) -> Self {
+        Self { radii: Reach { front: UVec2::ZERO, ..self.radii }, ..self }
+    }
 }
 
 /// One member of a uniform struct; members of nested structs are listed as `outer.inner`.
@@ -212,21 +272,31 @@ macro_rules! uniforms {
 /// `uniform name: Struct` takes a struct made by [`uniforms!`](crate::uniforms!); `read name` and `write name` take a
 /// `&Buffer`; `optional name` takes an `Option<&Buffer>` for a variable that is read and that some definitions remove.
 ///
+/// A stage reads these buffers at the pixel that it writes. One that it reads around the pixel is declared as `around
+/// name` or `optional_around name` and takes an [`Around`](crate::gpu::Around) in place of the `&Buffer`; so does one
+/// that is written and either read around the pixel or written in parts, as `change name`.
+///
 /// ```
 /// # stein::gpu::uniforms! { pub struct BoxParams { radius: u32 } }
 /// stein::gpu::bindings! {
 ///     /// Averages over a box.
-///     pub struct BoxBlur<'a> { uniform params: BoxParams, read source, optional mask, write blurred }
+///     pub struct BoxBlur<'a> { uniform params: BoxParams, around source, optional mask, write blurred }
 /// }
 /// ```
 #[macro_export]
 macro_rules! bindings {
     (@type $life:lifetime uniform $type:ty) => { $type };
     (@type $life:lifetime read) => { &$life $crate::gpu::Buffer };
+    (@type $life:lifetime around) => { $crate::gpu::Around<$life> };
+    (@type $life:lifetime optional_around) => { Option<$crate::gpu::Around<$life>> };
+    (@type $life:lifetime change) => { $crate::gpu::Around<$life> };
     (@type $life:lifetime write) => { &$life $crate::gpu::Buffer };
     (@type $life:lifetime optional) => { Option<&$life $crate::gpu::Buffer> };
     (@kind uniform $type:ty) => { $crate::gpu::SlotKind::Uniform { host: stringify!($type), members: <$type as $crate::gpu::Uniform>::members } };
     (@kind read) => { $crate::gpu::SlotKind::Read };
+    (@kind around) => { $crate::gpu::SlotKind::Read };
+    (@kind optional_around) => { $crate::gpu::SlotKind::Optional };
+    (@kind change) => { $crate::gpu::SlotKind::Write };
     (@kind write) => { $crate::gpu::SlotKind::Write };
     (@kind optional) => { $crate::gpu::SlotKind::Optional };
     (@value $value:expr, uniform $type:ty) => {{
@@ -234,9 +304,14 @@ macro_rules! bindings {
         $crate::gpu::Uniform::bytes(&$value, &mut bytes);
         $crate::gpu::Value::Uniform(bytes)
     }};
-    (@value $value:expr, read) => { $crate::gpu::Value::Buffer($value) };
-    (@value $value:expr, write) => { $crate::gpu::Value::Buffer($value) };
-    (@value $value:expr, optional) => { $value.map_or($crate::gpu::Value::Absent, $crate::gpu::Value::Buffer) };
+    (@value $value:expr, read) => { $crate::gpu::Value::Buffer($crate::gpu::Around::from($value)) };
+    (@value $value:expr, write) => { $crate::gpu::Value::Buffer($crate::gpu::Around::from($value)) };
+    (@value $value:expr, around) => { $crate::gpu::Value::Buffer($value) };
+    (@value $value:expr, change) => { $crate::gpu::Value::Buffer($value) };
+    (@value $value:expr, optional) => {
+        $value.map_or($crate::gpu::Value::Absent, |buffer| $crate::gpu::Value::Buffer($crate::gpu::Around::from(buffer)))
+    };
+    (@value $value:expr, optional_around) => { $value.map_or($crate::gpu::Value::Absent, $crate::gpu::Value::Buffer) };
     ($($(#[$meta:meta])* $vis:vis struct $name:ident<$life:lifetime> {
         $($(#[$field_meta:meta])* $kind:ident $field:ident $(: $type:ty)?),+ $(,)?
     })+) => {$(

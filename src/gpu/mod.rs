@@ -4,13 +4,15 @@
 //!
 //! ```text
 //! uniforms! { struct BoxParams { extent: UVec2, radius: u32 } }
-//! bindings! { struct BoxBlur<'a> { uniform params: BoxParams, read source, write blurred } }
+//! bindings! { struct BoxBlur<'a> { uniform params: BoxParams, around source, write blurred } }
 //!
 //! let blurred = rec.take("blurred", source.bytes())?;
-//! rec.dispatch("box_blur", &[], &BoxBlur { params, source: &source, blurred: &blurred }, [width, height, 1])?;
+//! let bound = BoxBlur { params, source: source.within(params.radius), blurred: &blurred };
+//! rec.dispatch("box_blur", &[], &bound, [width, height, 1])?;
 //! ```
 //!
-//! Every name, kind and type in these structs is compared with the shader when the kernel is built ([`bindings`]).
+//! `around source` takes `source.within(radius)` in place of `&source`, so that a dry run knows how far the stage looks
+//! around each pixel ([`Around`]). Every name, kind and type in these structs is compared with the shader when the kernel is built ([`bindings`]).
 //!
 //! # House rules for shaders
 //! * One entry point, called `main`; its `@workgroup_size` is read from the shader and written nowhere else.
@@ -28,13 +30,14 @@ mod device;
 mod encode;
 mod kernel;
 mod pool;
+mod reach;
 mod read;
 mod record;
 mod run;
 mod shader;
 mod timing;
 
-pub use bindings::{Bindings, Member, Slot, SlotKind, Uniform, Value, ValueType};
+pub use bindings::{Around, Bindings, Member, Slot, SlotKind, Uniform, Value, ValueType};
 pub use cache::SavedPipelines;
 pub use device::{AdapterSummary, DeviceChoice, DeviceKind, Gpu, GpuOptions};
 pub use kernel::Kernel;

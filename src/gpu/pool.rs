@@ -9,15 +9,19 @@
 //!
 //! Sizes: a request is rounded up to 256 bytes. The smallest idle buffer that is large enough serves it if at most a
 //! quarter of it would stay unused; otherwise a buffer of exactly the rounded size is made.
+//!
+//! A dry run keeps a pool of its own by the same rules, of buffers that have a size and no memory.
 
 use std::collections::HashSet;
 use std::fmt;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
 
+use glam::UVec2;
 use serde::Serialize;
 
 use super::device::Gpu;
+use super::reach::SharedReach;
 use super::run::Run;
 use super::{human_bytes, lock};
 use crate::error::{Error, Result};
@@ -33,12 +37,31 @@ pub(super) const USAGE: wgpu::BufferUsages =
 
 /// A storage buffer on the device. Dropping it returns it to the pool.
 pub struct Buffer {
-    wgpu: wgpu::Buffer,
+    memory: Memory,
     bytes: u64,
     label: String,
     /// Number of the recorder that used the buffer last.
     last_use: AtomicU64,
     home: Option<Home>,
+    /// Grows in a dry run alone.
+    reach: SharedReach,
+}
+
+/// Memory behind a buffer.
+#[derive(Clone)]
+enum Memory {
+    Device(wgpu::Buffer),
+    /// The size of a buffer of a dry run, in bytes.
+    Dry(u64),
+}
+
+impl Memory {
+    fn size(&self) -> u64 {
+        match self {
+            Self::Device(buffer) => buffer.size(),
+            Self::Dry(bytes) => *bytes,
+        }
+    }
 }
 
 /// Pool that a buffer returns to, and run that its memory counts for.
@@ -60,7 +83,20 @@ impl Buffer {
 
     /// Returns the wgpu buffer, for embedders; it may be larger than [`Buffer::bytes`].
     pub fn wgpu(&self) -> &wgpu::Buffer {
-        &self.wgpu
+        match &self.memory {
+            Memory::Device(buffer) => buffer,
+            Memory::Dry(_) => unreachable!("a dry run, which this crate keeps to itself, hands nothing to the device"),
+        }
+    }
+
+    /// Returns on how many columns and rows beside a pixel its value depends, by a dry run.
+    pub(crate) fn reach(&self) -> UVec2 {
+        let reach = self.reach.get();
+        reach.front.max(reach.back)
+    }
+
+    pub(super) fn shared_reach(&self) -> &SharedReach {
+        &self.reach
     }
 
     pub(super) fn mark_used(&self, recorder: u64) {
@@ -81,12 +117,12 @@ impl fmt::Debug for Buffer {
 impl Drop for Buffer {
     fn drop(&mut self) {
         if let Some(Home { pool, run }) = &self.home {
-            let bytes = self.wgpu.size();
+            let bytes = self.memory.size();
             run.gives_back(bytes);
             let mut state = lock(&pool.0);
             state.usage.bytes_in_use -= bytes;
             state.usage.bytes_idle += bytes;
-            state.idle.push(Idle { wgpu: self.wgpu.clone(), last_use: self.last_use() });
+            state.idle.push(Idle { memory: self.memory.clone(), last_use: self.last_use() });
         }
     }
 }
@@ -113,7 +149,7 @@ struct State {
 }
 
 struct Idle {
-    wgpu: wgpu::Buffer,
+    memory: Memory,
     last_use: u64,
 }
 
@@ -148,20 +184,20 @@ impl Pool {
         lock(&self.0).open.contains(&recorder)
     }
 
-    fn take_idle(&self, bytes: u64, recorder: u64) -> Option<wgpu::Buffer> {
+    fn take_idle(&self, bytes: u64, recorder: u64) -> Option<Memory> {
         let mut state = lock(&self.0);
         let fits = |idle: &Idle| {
-            let size = idle.wgpu.size();
+            let size = idle.memory.size();
             size >= bytes
                 && size - bytes <= size / 4
                 && (idle.last_use == recorder || !state.open.contains(&idle.last_use))
         };
         let best =
-            state.idle.iter().enumerate().filter(|(_, idle)| fits(idle)).min_by_key(|(_, idle)| idle.wgpu.size())?.0;
-        let wgpu = state.idle.swap_remove(best).wgpu;
-        state.usage.bytes_idle -= wgpu.size();
-        state.usage.bytes_in_use += wgpu.size();
-        Some(wgpu)
+            state.idle.iter().enumerate().filter(|(_, idle)| fits(idle)).min_by_key(|(_, idle)| idle.memory.size())?.0;
+        let memory = state.idle.swap_remove(best).memory;
+        state.usage.bytes_idle -= memory.size();
+        state.usage.bytes_in_use += memory.size();
+        Some(memory)
     }
 
     fn count_new(&self, bytes: u64) {
@@ -185,10 +221,11 @@ impl Gpu {
         self.check_size(label, buffer.size())?;
         Ok(Buffer {
             bytes: buffer.size() & !3,
-            wgpu: buffer,
+            memory: Memory::Device(buffer),
             label: label.into(),
             last_use: AtomicU64::new(0),
             home: None,
+            reach: SharedReach::default(),
         })
     }
 
@@ -202,55 +239,61 @@ impl Gpu {
         bytes: u64,
         relieve: impl FnOnce() -> Result<()>,
     ) -> Result<Buffer> {
-        self.check()?;
-        self.check_size(label, bytes)?;
+        if !run.is_dry() {
+            self.check()?;
+            self.check_size(label, bytes)?;
+        }
+        let pool = run.pool(self);
         let bytes = bytes.max(SMALLEST).next_multiple_of(4);
-        let rounded = bytes.next_multiple_of(GRANULE).min(self.inner.summary.max_buffer_bytes & !3);
+        // A dry run may ask for more than there is.
+        let rounded = bytes.next_multiple_of(GRANULE).min(self.inner.summary.max_buffer_bytes & !3).max(bytes);
         // Bytes of the idle buffers that remain beside a new buffer.
         let mut idle = 0;
-        let wgpu = match self.inner.pool.take_idle(bytes, recorder) {
-            Some(wgpu) => wgpu,
+        let memory = match pool.take_idle(bytes, recorder) {
+            Some(memory) => memory,
             None => {
                 let mut relieve = Some(relieve);
                 let mut make_room = || match relieve.take() {
                     None => Ok(()),
                     Some(relieve) => {
                         relieve()?;
-                        self.trim();
+                        pool.trim();
                         Ok(())
                     }
                 };
-                idle = self.inner.pool.usage().bytes_idle;
+                idle = pool.usage().bytes_idle;
                 if run.is_crowded(idle, rounded) {
                     make_room()?;
                     idle = 0;
                 }
-                let made = match self.create(label, rounded) {
+                let create = || if run.is_dry() { Ok(Memory::Dry(rounded)) } else { self.create(label, rounded) };
+                let made = match create() {
                     Err(_) => {
                         make_room()?;
                         idle = 0;
-                        self.create(label, rounded)
+                        create()
                     }
                     made => made,
                 };
-                let wgpu = made.map_err(|error| {
+                let memory = made.map_err(|error| {
                     self.out_of_memory(
                         &format!("the buffer '{label}' of {} ({bytes} bytes)", human_bytes(bytes)),
                         &error,
                     )
                 })?;
-                self.inner.pool.count_new(rounded);
-                wgpu
+                pool.count_new(rounded);
+                memory
             }
         };
-        run.takes(wgpu.size(), idle);
-        let home = Some(Home { pool: Arc::clone(&self.inner.pool), run: run.clone() });
-        Ok(Buffer { wgpu, bytes, label: label.into(), last_use: AtomicU64::new(recorder), home })
+        run.takes(bytes, memory.size(), idle);
+        let home = Some(Home { pool: Arc::clone(pool), run: run.clone() });
+        let (label, last_use) = (label.into(), AtomicU64::new(recorder));
+        Ok(Buffer { memory, bytes, label, last_use, home, reach: SharedReach::default() })
     }
 
-    fn create(&self, label: &str, size: u64) -> std::result::Result<wgpu::Buffer, wgpu::Error> {
+    fn create(&self, label: &str, size: u64) -> std::result::Result<Memory, wgpu::Error> {
         let description = wgpu::BufferDescriptor { label: Some(label), size, usage: USAGE, mapped_at_creation: false };
-        self.guarded(|| self.inner.device.create_buffer(&description))
+        self.guarded(|| Memory::Device(self.inner.device.create_buffer(&description)))
     }
 
     pub(super) fn check_size(&self, label: &str, bytes: u64) -> Result<()> {

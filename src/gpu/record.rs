@@ -3,11 +3,12 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use super::bindings::{Bindings, SlotKind, Value};
+use super::bindings::{Around, Bindings, SlotKind, Value};
 use super::device::Gpu;
 use super::encode::{Bound, Dispatch, Op, encode};
 use super::kernel::Kernel;
 use super::pool::Buffer;
+use super::reach::propagate;
 use super::run::Run;
 use super::shader::Definitions;
 use super::{human_bytes, lock};
@@ -82,7 +83,7 @@ impl Recorder {
         Self {
             gpu: gpu.clone(),
             run: run.clone(),
-            id: gpu.inner.pool.open_recorder(),
+            id: run.pool(gpu).open_recorder(),
             ops: Vec::new(),
             uniforms: Vec::new(),
             dispatches: 0,
@@ -104,6 +105,13 @@ impl Recorder {
         &self.gpu
     }
 
+    /// Returns whether nothing of what is recorded will execute: a dry run finds how much memory work takes and how far
+    /// its results depend on the frame around a pixel. Work may then leave out buffers that it takes and gives back
+    /// again, and dispatches that look no further than others.
+    pub(crate) fn is_dry(&self) -> bool {
+        self.run.is_dry()
+    }
+
     /// Names the step that the dispatches from here on belong to, so that [`Gpu::step_timings`] can tell the uses of
     /// one stage apart.
     pub fn begin_step(&mut self, name: &str) {
@@ -120,7 +128,7 @@ impl Recorder {
     /// [`Error::Device`] where a kernel cannot see that many bytes, or the device has no memory left.
     pub fn take(&mut self, label: &str, bytes: u64) -> Result<Buffer> {
         let buffer = self.take_plain(label, bytes)?;
-        if self.gpu.inner.options.poison {
+        if self.gpu.inner.options.poison && !self.is_dry() {
             self.poison(&buffer)?;
         }
         Ok(buffer)
@@ -131,7 +139,7 @@ impl Recorder {
         gpu.take_for(id, &run, label, bytes, || {
             // Idle buffers are given back to the driver only after the commands that use them.
             self.flush()?;
-            self.gpu.wait()
+            if self.is_dry() { Ok(()) } else { self.gpu.wait() }
         })
         .inspect(|buffer| buffer.mark_used(self.id))
     }
@@ -150,12 +158,15 @@ impl Recorder {
     /// As [`Recorder::take`].
     pub fn upload_bytes(&mut self, label: &str, data: &[u8]) -> Result<Buffer> {
         let buffer = self.take_plain(label, data.len() as u64)?;
+        if self.is_dry() {
+            return Ok(buffer);
+        }
         self.stage(data, &buffer, 0, buffer.bytes())?;
         Ok(buffer)
     }
 
     /// Takes a storage buffer of `values` values and fills it piece by piece, so that the host never holds a second
-    /// copy of all values: calls `fill` with the position of each piece, counted in values, and with the piece, which
+    /// copy of all values, and a dry run makes none: calls `fill` with the position of each piece, counted in values, and with the piece, which
     /// holds zeros. Each piece but the last is a multiple of four values long.
     ///
     /// # Errors
@@ -167,6 +178,9 @@ impl Recorder {
         mut fill: impl FnMut(usize, &mut [f32]),
     ) -> Result<Buffer> {
         let buffer = self.take_plain(label, 4 * values as u64)?;
+        if self.is_dry() {
+            return Ok(buffer);
+        }
         let mut piece = vec![0.0; PIECE_VALUES.min(values)];
         for first in (0..values).step_by(PIECE_VALUES) {
             let piece = &mut piece[..PIECE_VALUES.min(values - first)];
@@ -202,6 +216,10 @@ impl Recorder {
         bindings: &B,
         invocations: [u32; 3],
     ) -> Result<()> {
+        if self.is_dry() {
+            propagate(B::SLOTS, &bindings.values());
+            return Ok(());
+        }
         let kernel = self.gpu.kernel::<B>(stage, definitions)?;
         self.dispatch_kernel(&kernel, bindings, invocations)
     }
@@ -241,7 +259,7 @@ impl Recorder {
                         bytes: u64::from(place.uniform_bytes),
                     });
                 }
-                (Some(place), Value::Buffer(buffer)) => {
+                (Some(place), Value::Buffer(Around { buffer, .. })) => {
                     buffer.mark_used(self.id);
                     bound.push(Bound::Storage {
                         binding: place.binding,
@@ -313,6 +331,9 @@ impl Recorder {
     }
 
     fn hand_over(&mut self) -> Result<()> {
+        if self.is_dry() {
+            return Ok(());
+        }
         if self.ops.is_empty() {
             return self.gpu.check();
         }
@@ -395,7 +416,7 @@ impl Recorder {
 
 impl Drop for Recorder {
     fn drop(&mut self) {
-        self.gpu.inner.pool.close_recorder(self.id);
+        self.run.pool(&self.gpu).close_recorder(self.id);
     }
 }
 
@@ -435,7 +456,7 @@ impl Gpu {
 /// order between two such accesses.
 fn aliased(kernel: &Kernel, values: &[Value<'_>]) -> Option<(&'static str, &'static str)> {
     let buffer = |index: usize| match values[index] {
-        Value::Buffer(buffer) => Some(buffer.wgpu()),
+        Value::Buffer(Around { buffer, .. }) => Some(buffer.wgpu()),
         _ => None,
     };
     for (written, slot) in kernel.slots.iter().enumerate().filter(|(_, slot)| slot.kind == SlotKind::Write) {

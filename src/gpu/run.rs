@@ -5,6 +5,7 @@ use std::sync::{Arc, Mutex};
 
 use super::device::Gpu;
 use super::lock;
+use super::pool::Pool;
 use super::record::Recorder;
 use super::timing::{StageTime, StepTime};
 use crate::error::Result;
@@ -18,6 +19,8 @@ struct Shared {
     /// Limit on memory, in bytes.
     limit: Option<u64>,
     memory: Mutex<Memory>,
+    /// Buffers of a dry run; `None` for a run on the device.
+    dry: Option<Arc<Pool>>,
     /// Times of stages in steps, in the order of first use.
     times: Mutex<Vec<StepTime>>,
 }
@@ -27,6 +30,8 @@ struct Shared {
 struct Memory {
     in_use: u64,
     peak: u64,
+    /// Size of the largest buffer, as it was asked for.
+    largest: u64,
 }
 
 impl Run {
@@ -34,6 +39,27 @@ impl Run {
     /// far as giving up idle buffers can achieve this. `None` keeps idle buffers as long as the device has memory.
     pub fn new(memory_limit: Option<u64>) -> Self {
         Self(Arc::new(Shared { limit: memory_limit, ..Shared::default() }))
+    }
+
+    /// Makes a run without memory and commands: its buffers have a size and a reach, its dispatches only let what they
+    /// write reach as far as what they read. [`Run::peak_bytes`] becomes that of the same work on a device that holds
+    /// no idle buffers at its begin.
+    pub(crate) fn dry(memory_limit: Option<u64>) -> Self {
+        Self(Arc::new(Shared { limit: memory_limit, dry: Some(Arc::default()), ..Shared::default() }))
+    }
+
+    pub(super) fn is_dry(&self) -> bool {
+        self.0.dry.is_some()
+    }
+
+    /// Returns the pool that buffers of this run come from.
+    pub(super) fn pool<'a>(&'a self, gpu: &'a Gpu) -> &'a Arc<Pool> {
+        self.0.dry.as_ref().unwrap_or(&gpu.inner.pool)
+    }
+
+    /// Returns the size of the largest buffer of this run that was asked for, in bytes.
+    pub(crate) fn largest_bytes(&self) -> u64 {
+        lock(&self.0.memory).largest
     }
 
     /// Returns the largest number of bytes that buffers of this run took. Whenever a new buffer was made, the idle
@@ -47,9 +73,11 @@ impl Run {
         idle > 0 && self.0.limit.is_some_and(|limit| lock(&self.0.memory).in_use + idle + bytes > limit)
     }
 
-    /// Records that a buffer of `bytes` bytes is taken, while `idle` bytes of idle buffers remain beside it.
-    pub(super) fn takes(&self, bytes: u64, idle: u64) {
+    /// Records that `asked` bytes are asked for and a buffer of `bytes` bytes is taken, while `idle` bytes of idle
+    /// buffers remain beside it.
+    pub(super) fn takes(&self, asked: u64, bytes: u64, idle: u64) {
         let memory = &mut lock(&self.0.memory);
+        memory.largest = memory.largest.max(asked);
         memory.in_use += bytes;
         memory.peak = memory.peak.max(memory.in_use + idle);
     }

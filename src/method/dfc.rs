@@ -10,23 +10,22 @@ use std::sync::Arc;
 
 use glam::IVec2;
 
-use super::common::{Auxiliary, SCALE_RADIUS, guide_variance, with_input_kept};
+use super::common::{Auxiliary, guide_variance, with_input_kept};
 use super::estimate::{GpuEstimate, Intermediate, Keeper, Lane, RGB, Share, Unit};
 use super::frame::FeatureInput;
-use super::memory::{Footprint, UPLOADED_PLANES};
-use super::noise::{estimate_noise, largest_noise_reach};
-use super::plan::{Facts, Plan, Step};
+use super::noise::estimate_noise;
+use super::plan::{Plan, Step};
 use super::spikes::Found;
 use super::{FrameInput, GpuSignal, Spikes};
 use crate::error::{Error, Result};
 use crate::gpu::{Buffer, Recorder};
 use crate::stage::candidate::{
-    CandidateFrame, CandidateWindow, Candidates, CandidatesInTime, Needed, STATE_PLANES, candidates, planes_of_numbers,
+    CandidateFrame, CandidateWindow, Candidates, CandidatesInTime, Needed, candidates, planes_of_numbers,
 };
 use crate::stage::candidate_filter::{ByColor, CandidateFilter};
 use crate::stage::error::{ErrorParts, error_blend, error_blend_more, error_difference, error_spikes, error_sure};
 use crate::stage::exact::Region;
-use crate::stage::feature::{Features, Packing, feature_pack};
+use crate::stage::feature::{Features, feature_pack};
 use crate::stage::frames::Frames;
 use crate::stage::nlm::{Beside, Guide, Lanes, Payload, Schedule, nlm_filter};
 use crate::stage::sample::{GpuSamples, sample_density};
@@ -34,12 +33,11 @@ use crate::stage::select::{
     Evidence, HARM, Noisy, Significance, WithColorOnly, select_blend, select_color_only, select_frames, select_least,
     select_pass, select_share,
 };
-use crate::stage::variance::{BoxWeight, Floor, INPUT_SMOOTHING, RESIDUAL_SMOOTHING, variance_floor, variance_smooth};
+use crate::stage::variance::{BoxWeight, Floor, RESIDUAL_SMOOTHING, variance_floor, variance_smooth};
 
 pub use candidate_set::CandidateSet;
 pub(super) use kernels::kernels;
 pub use params::{DfcParams, SecondPass};
-use plan::has_features_without_noise;
 pub(super) use plan::plan;
 
 /// Algorithm 1 line 7.
@@ -579,105 +577,7 @@ fn noise(rec: &mut Recorder, extent: IVec2, signal: &GpuSignal, box_weight: BoxW
     noisy.then(|| guide_variance(rec, extent, signal, box_weight, Floor::Absolute)).transpose()
 }
 
-/// Counts the planes that [`dfc`] holds at the same time; dropped buffers are used again.
-pub(super) fn footprint(params: &DfcParams, facts: &Facts, kept: bool, schedule: Schedule) -> Footprint {
-    let beside = facts.beside;
-    let channels: Vec<u32> = facts.features.iter().map(|feature| feature.channels).collect();
-    let packed = 3 * u64::from(Packing::new(&channels).groups);
-    let frames = 1 + beside as u64;
-    // While a colour is repaired, and what was found in the own one.
-    let (repaired, found) = params.spikes.planes();
-    // Of each frame, and the colour's scaled variance.
-    let color = UPLOADED_PLANES + 1;
-    let noise_reach = params.pooling().reach(facts);
-    // Of each frame, the packed features and the one whose turn it is: 3, its variance without and with its floor, 2
-    // filtered planes, residual variance; two box sums, or weights. What features have in common of estimated
-    // variances.
-    let pooled = if noise_reach > 0 { 1 + packed / 3 } else { 0 };
-    let prefilter = frames * (color + packed + pooled + 8) + 2;
-    // Of the frames beside as well until the next one is repaired.
-    let spikes = frames * (color + packed) + repaired + 2 * found;
-    // Over all frames, and over the own one.
-    let count = params.filters().len();
-    let (all, numbers) = (u64::from(Candidates::planes_of(count, true)), u64::from(planes_of_numbers(count)));
-    let candidates = frames * (color + packed) + if beside > 0 { 2 * all } else { all };
-    // Candidates, SURE, errors and weights 2, selected, smoothed and weights 2, blend 2; variance, second pass and
-    // weights 3. Before the error and what is chosen of the passes 3, what belongs to the choice is given back. The
-    // filter by the colour only: 2 and its derivatives 3, differences and their average 3, blend 2, shares 1.
-    let with_color_only = params.color_only && has_features_without_noise(facts);
-    let color_only = if with_color_only { 11 } else { 0 };
-    let later = color + all + 12 + 8 * (numbers - 1) + color_only;
-    // Prefiltered features and residual variances, the sampling density and its weights; of each feature, the values
-    // that were taken as they are.
-    let kept = if kept { 5 * channels.len() as u64 + 3 } else { 0 };
-    // Two scratch buffers for the column sums, and the running sums of the rows they cover: a scratch buffer holds at
-    // least one plane per pair of offsets, so with small windows the running sums are the larger.
-    let offsets_in_a_row = u64::from(2 * params.window_radius + 1);
-    let running_sums = schedule.scratch_bytes * u64::from(STATE_PLANES) / offsets_in_a_row;
-    Footprint {
-        halo: halo_with(params, noise_reach, with_color_only) as usize,
-        live_planes: prefilter.max(spikes).max(found + candidates.max(later)) + kept,
-        largest_planes: packed.max(3),
-        scratch_bytes: 2 * schedule.scratch_bytes + running_sums,
-    }
-}
-
-/// How far the candidates depend on a frame, in pixels.
-fn reach_of_candidates(params: &DfcParams, noise_reach: u32) -> u32 {
-    let scaled_variance = SCALE_RADIUS.max(INPUT_SMOOTHING.radius) + noise_reach;
-    // One more for the gradient, which is less than the smoothing of the residual variance.
-    let features = reach_of_prefilter(noise_reach) + RESIDUAL_SMOOTHING.radius.max(1);
-    let scaled_variance = scaled_variance + params.spikes.reach(features);
-    params.window_radius + features.max(params.largest_patch_radius() + scaled_variance)
-}
-
-/// How far a prefiltered feature depends on the raw feature, in pixels.
-fn reach_of_prefilter(noise_reach: u32) -> u32 {
-    let scaled_variance = SCALE_RADIUS.max(INPUT_SMOOTHING.radius) + noise_reach;
-    PREFILTER.window_radius + PREFILTER.patch_radius + scaled_variance
-}
-
 /// How far the shares of the candidates depend on the candidates, in pixels.
 fn reach_of_choice() -> u32 {
     [ERROR_SMOOTHING, SELECTION_SMOOTHING].iter().map(|filter| filter.window_radius + filter.patch_radius).sum()
-}
-
-/// How far the share of the filter by the colour only depends on the blend, in pixels; 0 if this filter does not run.
-fn reach_of_color_only(runs: bool) -> u32 {
-    if runs { Significance::MEASURED.smoothing.radius } else { 0 }
-}
-
-/// How far the result depends on pass 1, in pixels.
-fn reach_of_second_pass(params: &DfcParams) -> u32 {
-    let filter = params.second_pass.map(|pass| second_pass_filter(&pass, params.window_radius));
-    filter.map_or(0, |filter| filter.window_radius + filter.patch_radius + RESIDUAL_SMOOTHING.radius)
-}
-
-/// How far the result depends on the candidates with this plan, in pixels.
-fn reach_of_choice_and_second_pass(params: &DfcParams, plan: &Plan) -> u32 {
-    let choice = if plan.runs(&Step::Selection) {
-        reach_of_choice() + reach_of_color_only(plan.runs(&Step::ColorOnly))
-    } else {
-        0
-    };
-    let second_pass = if plan.runs(&Step::SecondPass) { reach_of_second_pass(params) } else { 0 };
-    choice + second_pass
-}
-
-pub(super) fn reach_of_kernels(params: &DfcParams, plan: &Plan) -> u32 {
-    reach_of_candidates(params, largest_noise_reach(plan)) + reach_of_choice_and_second_pass(params, plan)
-}
-
-/// Largest halo for any frame, in pixels: as if the filter by the colour only took part wherever the parameters allow
-/// it.
-pub(super) fn halo(params: &DfcParams) -> u32 {
-    halo_with(params, params.pooling().largest_reach(), params.color_only)
-}
-
-fn halo_with(params: &DfcParams, noise_reach: u32, color_only: bool) -> u32 {
-    let density = DENSITY_SMOOTHING.window_radius + DENSITY_SMOOTHING.patch_radius;
-    reach_of_candidates(params, noise_reach)
-        + reach_of_choice()
-        + reach_of_color_only(color_only)
-        + reach_of_second_pass(params).max(density)
 }

@@ -2,6 +2,8 @@
 
 use std::sync::Arc;
 
+use glam::UVec2;
+
 use crate::gpu::Buffer;
 
 /// Intermediates to keep for inspection. Each method has some of them:
@@ -142,6 +144,24 @@ pub struct GpuEstimate {
     pub spikes: Option<Arc<Buffer>>,
     /// What was asked for.
     pub kept: Vec<KeptPlane>,
+}
+
+impl GpuEstimate {
+    /// Columns and rows beside a pixel that what is known of it depends on, by a dry run.
+    pub(crate) fn reach(&self) -> UVec2 {
+        let Self { signal, error, weight_sum, selection, spikes, kept } = self;
+        let shares = selection.iter().flatten().filter_map(|(_, share)| match share {
+            Share::Lane(lane) => Some(&lane.buffer),
+            Share::None | Share::Whole => None,
+        });
+        let buffers = [signal, &weight_sum.buffer]
+            .into_iter()
+            .chain(error.as_ref().map(|error| &error.buffer))
+            .chain(shares)
+            .chain(spikes)
+            .chain(kept.iter().map(|kept| &kept.buffer));
+        buffers.fold(UVec2::ZERO, |most, buffer| most.max(buffer.reach()))
+    }
 }
 
 /// Collects the planes that were asked for.

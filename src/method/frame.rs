@@ -5,12 +5,13 @@ use std::sync::Arc;
 use glam::{IVec2, Vec3};
 use rayon::prelude::*;
 
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::frame::{Feature, FeatureKind, Frame, SamplesPerPixel, Signal};
 use crate::gpu::{Buffer, Recorder};
 use crate::image::Image;
 use crate::stage::feature::Slot;
 use crate::stage::noise::{Pooled, noise_unpack};
+use crate::stage::plane_bytes;
 use crate::stage::sample::GpuSamples;
 
 use super::Strip;
@@ -62,6 +63,28 @@ pub struct GpuFrame {
     /// The mean over the whole image of the variance of the colour's mean, per channel; by the halves, where there are
     /// any. Only [`NlmVariance::Uniform`](super::nlm::NlmVariance) asks for it.
     pub mean_variance: Option<Vec3>,
+}
+
+impl GpuFrame {
+    /// Makes a frame of one pixel, with a feature of which halves tell the noise and one of which nothing does. Its
+    /// values are arbitrary.
+    pub(super) fn least(rec: &mut Recorder, has_halves: bool, has_variance: bool) -> Result<Self> {
+        let extent = IVec2::ONE;
+        let mut signal = |has_halves: bool, has_variance: bool| {
+            let variance_of_mean =
+                has_variance.then(|| rec.take("variance", plane_bytes(extent, 1))).transpose()?.map(Arc::new);
+            let signal = Arc::new(rec.take("signal", plane_bytes(extent, 2))?);
+            Ok::<_, Error>(GpuSignal { signal, variance_of_mean, has_halves })
+        };
+        let color = signal(has_halves, has_variance)?;
+        let mut feature = |name: &str, has_noise: bool| {
+            let (name, signal) = (name.to_owned(), signal(has_noise, false)?);
+            Ok::<_, Error>(GpuFeature { name, kind: FeatureKind::Albedo, signal, channels: 3 })
+        };
+        let features = vec![feature("noisy", true)?, feature("exact", false)?];
+        let samples = GpuSamples::Uniform(0.0);
+        Ok(Self { extent, color, features, samples, mean_variance: Some(Vec3::ZERO) })
+    }
 }
 
 /// What a method works on: a frame whose colour is on the device, and whose features are there or follow one by one, so
@@ -120,6 +143,36 @@ impl From<GpuFrame> for FrameInput<'_> {
             pooled: None,
         });
         Self { extent, color, features: features.collect(), samples, mean_variance }
+    }
+}
+
+impl<'a> FrameInput<'a> {
+    /// Returns the same frame for a dry run.
+    pub(super) fn dry(&self, rec: &mut Recorder) -> Result<Self> {
+        let mut signal = |GpuSignal { signal, variance_of_mean, has_halves }: &GpuSignal| {
+            let mut twin = |buffer: &Buffer| rec.take(buffer.label(), buffer.bytes());
+            Ok(GpuSignal {
+                signal: Arc::new(twin(signal)?),
+                variance_of_mean: variance_of_mean.as_deref().map(twin).transpose()?.map(Arc::new),
+                has_halves: *has_halves,
+            })
+        };
+        let mut feature = |FeatureInput { name, kind, channels, source, .. }: &FeatureInput<'a>| {
+            let source = match source {
+                Source::Device(of_device) => Source::Device(signal(of_device)?),
+                Source::Host { signal, strip, map, noise } => {
+                    Source::Host { signal, strip: *strip, map: *map, noise: *noise }
+                }
+            };
+            Ok(FeatureInput { name: name.clone(), kind: *kind, channels: *channels, source, pooled: None })
+        };
+        let features = self.features.iter().map(&mut feature).collect::<Result<_>>()?;
+        let color = signal(&self.color)?;
+        let samples = match &self.samples {
+            GpuSamples::Uniform(count) => GpuSamples::Uniform(*count),
+            GpuSamples::PerPixel(counts) => GpuSamples::PerPixel(rec.take(counts.label(), counts.bytes())?),
+        };
+        Ok(Self { extent: self.extent, color, features, samples, mean_variance: self.mean_variance })
     }
 }
 

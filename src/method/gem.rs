@@ -7,20 +7,19 @@ use std::sync::Arc;
 
 use glam::IVec2;
 
-use super::common::{SCALE_RADIUS, input_variance, with_input_kept};
+use super::common::{input_variance, with_input_kept};
 use super::estimate::{GpuEstimate, Intermediate, Keeper, Lane, RGB, Unit};
 use super::kernels::{KernelOnGpu, WeightsOnGpu};
-use super::memory::{Footprint, UPLOADED_PLANES};
 use super::noise::estimate_noise;
 use super::plan::{Facts, Plan, Planner, Step, Wishes, impossible};
 use super::spikes::Found;
 use super::{FrameInput, GpuSignal, Method};
 use crate::error::Result;
 use crate::gpu::Recorder;
-use crate::stage::gaussian::{Averaging, Gaussian, gaussian};
+use crate::stage::gaussian::{Averaging, gaussian};
 use crate::stage::sample::GpuSamples;
 use crate::stage::scale::{Scale, Selected, scale_advance, scale_gaussian, scale_pixel, scale_reduction, scale_stop};
-use crate::stage::variance::{BoxWeight, INPUT_SMOOTHING};
+use crate::stage::variance::BoxWeight;
 
 pub use params::{GemParams, Phase};
 
@@ -171,38 +170,6 @@ pub(super) fn plan(params: &GemParams, facts: &Facts, wishes: &Wishes) -> Plan {
     );
     plan.keep_clean(params.keep_clean);
     plan.finish()
-}
-
-/// Counted from [`gem`]: what is dropped is used again.
-pub(super) fn footprint(params: &GemParams, facts: &Facts, kept: bool) -> Footprint {
-    let sigmas = params.phase.sigmas();
-    // Signal and variance of the pixel filter, of the fine and of the coarse scale; the selection; two planes and their
-    // rows while a Gaussian is at work.
-    let scales = 3 * 3 + 3 + 2;
-    // Scaled variance, stopping maps raw and smoothed, reduction.
-    let kept = if kept { 2 + 2 * sigmas.len() as u64 } else { 0 };
-    let (repaired, found) = params.spikes.planes();
-    Footprint {
-        halo: halo_with(params, params.pooling().reach(facts)) as usize,
-        live_planes: UPLOADED_PLANES + found + repaired.max(scales) + kept,
-        largest_planes: params.spikes.largest_planes().max(2),
-        scratch_bytes: 0,
-    }
-}
-
-/// A pixel asks for its neighbours' stopping maps, these for the scales there, and their variances were brought to
-/// scale. Each scale is made from the pixels themselves, so that only the coarsest one counts.
-pub(super) fn halo(params: &GemParams) -> u32 {
-    halo_with(params, params.pooling().largest_reach())
-}
-
-fn halo_with(params: &GemParams, noise_reach: u32) -> u32 {
-    let coarsest = params.phase.coarsest();
-    params.outlier_filter(coarsest).radius
-        + Gaussian::new(coarsest).radius
-        + SCALE_RADIUS.max(INPUT_SMOOTHING.radius)
-        + params.spikes.reach(0)
-        + noise_reach
 }
 
 impl From<GemParams> for Method {

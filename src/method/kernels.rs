@@ -6,6 +6,7 @@
 
 use std::sync::Arc;
 
+use glam::UVec2;
 use serde::Serialize;
 
 use super::{Lane, Plan, Share};
@@ -219,6 +220,30 @@ pub(crate) struct KernelOnGpu {
     /// Image whose first plane is averaged.
     pub(crate) averaged: Arc<Buffer>,
     pub(crate) weights: WeightsOnGpu,
+}
+
+impl KernelOnGpu {
+    /// Columns and rows beside the pixel that the kernel depends on, by a dry run.
+    pub(crate) fn reach(&self) -> UVec2 {
+        let Self { share, averaged, weights, .. } = self;
+        let of_share = match share {
+            Some(Share::Lane(lane)) => lane.buffer.reach(),
+            Some(Share::None | Share::Whole) | None => UVec2::ZERO,
+        };
+        let of_window = |radius: u32| averaged.reach() + radius;
+        let of_weights = match weights {
+            WeightsOnGpu::Cells { cells, window_radius, limit, .. } => {
+                let of_limit = limit
+                    .as_ref()
+                    .map_or(UVec2::ZERO, |LimitOnGpu { filtered, result, .. }| filtered.reach().max(result.reach()));
+                cells.reach().max(of_window(*window_radius)).max(of_limit)
+            }
+            // The scale that a pixel comes to depends on all scales, whose windows are within its reach.
+            WeightsOnGpu::Gaussian(lane) => lane.buffer.reach(),
+            WeightsOnGpu::Exact { window_radius } => of_window(*window_radius),
+        };
+        of_share.max(of_weights)
+    }
 }
 
 /// Where the filter's value is the result, and where not: the first planes of images.

@@ -1,13 +1,10 @@
 //! How an image is cut into strips of rows that fit: what a strip costs, and how far its result reaches into its
 //! neighbours.
 
-use super::{Facts, Method};
 use crate::error::{Error, Result};
 use crate::gpu::Gpu;
 use crate::host_memory::{FreeMemory, Shortage};
 use crate::image::Extent;
-use crate::stage::PLANE_PIXEL_BYTES;
-use crate::stage::nlm::Schedule;
 
 /// Rows of an image that are worked on at one time: those wanted, and the halo that they depend on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -23,6 +20,12 @@ pub(crate) struct Strip {
 }
 
 impl Strip {
+    /// The whole image.
+    pub(crate) fn whole(extent: Extent) -> Self {
+        let height = extent.height as usize;
+        Self { first: 0, end: height, first_with_halo: 0, end_with_halo: height }
+    }
+
     pub(crate) fn rows_with_halo(&self) -> usize {
         self.end_with_halo - self.first_with_halo
     }
@@ -33,23 +36,18 @@ impl Strip {
     }
 }
 
-/// Memory that a method takes, and how far its result reaches.
+/// Memory that the work on some strips takes, and how far its results depend on the frame, by a dry run.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Footprint {
-    /// Rows above and below a pixel that its result depends on: the reach of each stage, added up along the longest
-    /// chain.
-    pub(super) halo: usize,
-    /// Planes that are alive at the same time, at most.
-    pub(super) live_planes: u64,
-    /// Planes of the largest buffer.
-    pub(super) largest_planes: u64,
-    /// Bytes of scratch buffers, whose size does not depend on the number of rows.
-    pub(super) scratch_bytes: u64,
+pub(crate) struct Footprint {
+    /// Rows above and below a pixel that its results depend on.
+    pub(crate) halo: u32,
+    /// Most bytes that buffers take on the device.
+    pub(crate) peak_bytes: u64,
+    /// Size of the largest buffer, in bytes.
+    pub(crate) largest_bytes: u64,
+    /// Planes of one number per pixel that are kept as intermediates.
+    pub(crate) kept_planes: u64,
 }
-
-/// Planes that a frame without its features is uploaded to: mean, half spread and sample variance of the colour, and
-/// the samples of each pixel.
-pub(super) const UPLOADED_PLANES: u64 = 4;
 
 /// What bounds the memory that buffers take on the device, besides the device.
 #[derive(Clone, Copy, Debug)]
@@ -97,66 +95,80 @@ impl DeviceMemory {
     }
 }
 
-/// Planes per pixel that a method keeps as intermediates.
-pub(crate) fn kept_planes(method: &Method, facts: &Facts, schedule: Schedule) -> u64 {
-    let live = |kept: bool| method.footprint(facts, kept, schedule).live_planes;
-    live(true) - live(false)
-}
-
 /// Cuts a frame into strips of which each, with the same rows of the frames beside it, fits the adapter's limits on
-/// bindings and dispatches and the memory.
+/// bindings and dispatches and the memory. `whole` is the footprint of the frame as one piece, `dry_run` finds that of
+/// strips of it.
 ///
 /// # Errors
-/// [`Error::Device`] where not even one row with its halo fits.
+/// [`Error::Device`] where not even one row with its halo fits; as `dry_run`.
 pub(crate) fn strips(
     gpu: &Gpu,
     extent: Extent,
-    method: &Method,
-    facts: &Facts,
-    kept: bool,
-    schedule: Schedule,
     memory: DeviceMemory,
+    whole: Footprint,
+    dry_run: impl Fn(&[Strip]) -> Result<Footprint>,
 ) -> Result<Vec<Strip>> {
-    let (width, height) = (u64::from(extent.width), extent.height as usize);
-    let Footprint { halo, live_planes, largest_planes, scratch_bytes } = method.footprint(facts, kept, schedule);
-    let row_bytes = width * PLANE_PIXEL_BYTES;
-    let by_binding = gpu.max_binding_bytes() / (largest_planes * row_bytes);
-    let by_memory =
-        memory.bytes().map_or(u64::MAX, |limit| limit.saturating_sub(scratch_bytes) / (live_planes * row_bytes));
-    // A workgroup is at least one row high.
-    let by_dispatch = u64::from(gpu.max_workgroups());
-    let most_rows = usize::try_from(by_binding.min(by_memory).min(by_dispatch)).unwrap_or(usize::MAX);
-    if most_rows >= height {
-        return Ok(vec![Strip { first: 0, end: height, first_with_halo: 0, end_with_halo: height }]);
-    }
-    let rows = most_rows.saturating_sub(2 * halo);
-    if rows == 0 {
-        // The halo ends with the image.
-        let rows = (2 * halo + 1).min(height) as u64;
-        if by_memory < rows {
-            return Err(memory.refuse(rows * live_planes * row_bytes + scratch_bytes, halo));
-        }
-        let mib = |bytes: u64| bytes.div_ceil(1 << 20);
-        return Err(Error::Device {
-            problem: format!(
-                "a strip of one row of this image, with the {halo} rows above and below that it depends on, does not fit the limits of '{}': it needs a buffer of {} MiB and {rows} \
-                 workgroups in a row, the adapter binds {} MiB and runs {}",
-                gpu.summary().name,
-                mib(rows * largest_planes * row_bytes),
-                mib(gpu.max_binding_bytes()),
-                gpu.max_workgroups()
-            ),
-            remedy: "crop the image, choose a smaller window, leave features out, or choose another adapter, which binds larger buffers".into(),
-        });
-    }
+    let (height, halo) = (extent.height as usize, whole.halo as usize);
     // Of equal height, so that the last one is not a sliver that costs as much halo as the others.
-    let count = height.div_ceil(rows);
-    let rows = height.div_ceil(count);
-    Ok((0..height)
-        .step_by(rows)
-        .map(|first| {
+    let cut = |count: usize| {
+        let rows = height.div_ceil(count);
+        let strip = |first: usize| {
             let end = (first + rows).min(height);
             Strip { first, end, first_with_halo: first.saturating_sub(halo), end_with_halo: (end + halo).min(height) }
-        })
-        .collect())
+        };
+        (0..height).step_by(rows).map(strip).collect::<Vec<_>>()
+    };
+    let tallest = |strips: &[Strip]| strips.iter().copied().max_by_key(Strip::rows_with_halo);
+    let fits_memory = |footprint: &Footprint| memory.bytes().is_none_or(|limit| footprint.peak_bytes <= limit);
+    let fits = |strips: &[Strip], footprint: &Footprint| {
+        // A workgroup is at least one row high.
+        let rows = tallest(strips).map_or(0, |strip| strip.rows_with_halo()) as u64;
+        fits_memory(footprint)
+            && footprint.largest_bytes <= gpu.max_binding_bytes()
+            && rows <= u64::from(gpu.max_workgroups())
+    };
+    let in_one_piece = cut(1);
+    if fits(&in_one_piece, &whole) {
+        return Ok(in_one_piece);
+    }
+    // The fewest strips of which the tallest fits by itself.
+    let tallest_fits = |count: usize| {
+        let Some(tallest) = tallest(&cut(count)) else { return Ok(true) };
+        Ok::<_, Error>(fits(&[tallest], &dry_run(&[tallest])?))
+    };
+    let (mut too_few, mut count) = (1, height);
+    while count - too_few > 1 {
+        let middle = too_few.midpoint(count);
+        if tallest_fits(middle)? {
+            count = middle;
+        } else {
+            too_few = middle;
+        }
+    }
+    // Of all of them, one after the other, each has the idle buffers of those before it beside it.
+    for count in count..=height {
+        let strips = cut(count);
+        if fits(&strips, &dry_run(&strips)?) {
+            return Ok(strips);
+        }
+    }
+    let strips = cut(height);
+    let least = tallest(&strips).map_or(Ok(whole), |strip| dry_run(&[strip]))?;
+    if !fits_memory(&least) {
+        return Err(memory.refuse(least.peak_bytes, halo));
+    }
+    let mib = |bytes: u64| bytes.div_ceil(1 << 20);
+    // The halo ends with the image.
+    let rows = (2 * halo + 1).min(height);
+    Err(Error::Device {
+        problem: format!(
+            "a strip of one row of this image, with the {halo} rows above and below that it depends on, does not fit the limits of '{}': it needs a buffer of {} MiB and {rows} \
+             workgroups in a row, the adapter binds {} MiB and runs {}",
+            gpu.summary().name,
+            mib(least.largest_bytes),
+            mib(gpu.max_binding_bytes()),
+            gpu.max_workgroups()
+        ),
+        remedy: "crop the image, choose a smaller window, leave features out, or choose another adapter, which binds larger buffers".into(),
+    })
 }

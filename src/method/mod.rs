@@ -24,7 +24,7 @@ use serde::Serialize;
 
 use crate::error::{Error, Result};
 use crate::frame::Frame;
-use crate::gpu::Recorder;
+use crate::gpu::{Gpu, Recorder, Run};
 use crate::parameters::choices;
 use crate::stage::frames::Frames;
 use crate::stage::nlm::Schedule;
@@ -35,8 +35,7 @@ pub use estimate::{GpuEstimate, Intermediate, KeptPlane, Lane, Share, Unit};
 pub(crate) use frame::{FrameInput, Units};
 pub use frame::{GpuFeature, GpuFrame, GpuSignal};
 pub use gem::GemParams;
-use memory::Footprint;
-pub(crate) use memory::{DeviceMemory, Strip, kept_planes, strips};
+pub(crate) use memory::{DeviceMemory, Footprint, Strip, strips};
 pub use nlm::NlmParams;
 pub(crate) use plan::{Facts, Wishes};
 pub use plan::{Plan, PlannedStep, Step};
@@ -98,24 +97,22 @@ impl Method {
         }
     }
 
-    /// How far the influence of a pixel reaches, in pixels along either axis: the reach of each stage, added up along
-    /// the longest chain. Ignores what is fixed for the whole frame: exposure and plan.
-    pub fn reach(&self) -> u32 {
-        match self {
-            Self::Dfc(params) => dfc::halo(params),
-            Self::Gem(params) => gem::halo(params),
-            Self::Nlm(params) => nlm::halo(params),
+    /// How far the influence of a pixel reaches, in pixels along either axis, whatever is known of the noise of the
+    /// frame and whatever results are wanted.
+    pub(crate) fn reach(&self, gpu: &Gpu, schedule: Schedule) -> Result<u32> {
+        let wishes = Wishes { keep: self.intermediates(), error: true, everything: true };
+        let mut reach = 0;
+        for (has_halves, has_variance) in [(true, true), (true, false), (false, true), (false, false)] {
+            if self.check_noise_is_known(!has_halves && !has_variance).is_err() {
+                continue;
+            }
+            let rec = &mut gpu.record_in(&Run::dry(None));
+            let frame = GpuFrame::least(rec, has_halves, has_variance)?;
+            let plan = self.plan(&Facts::of_gpu_frame(&frame, 0, self.uses_features()), &wishes);
+            let estimate = self.record(rec, Frames::one(frame.into()), &plan, schedule, |_, _| Ok(()))?;
+            reach = reach.max(estimate.reach().max_element());
         }
-    }
-
-    /// How far the kernels ([`kernels`]) of a pixel depend on the frame, in pixels, by what a plan runs.
-    pub(crate) fn reach_of_kernels(&self, plan: &Plan) -> u32 {
-        match self {
-            Self::Dfc(params) => dfc::reach_of_kernels(params, plan),
-            // A result depends on all scales and maps.
-            Self::Gem(params) => gem::halo(params),
-            Self::Nlm(params) => nlm::reach_of_filter(params, noise::largest_noise_reach(plan)),
-        }
+        Ok(reach)
     }
 
     /// Whether it uses features. If not, they are not uploaded.
@@ -174,14 +171,6 @@ impl Method {
             Self::Dfc(params) => dfc::plan(params, facts, wishes),
             Self::Gem(params) => gem::plan(params, facts, wishes),
             Self::Nlm(params) => nlm::plan(params, facts, wishes),
-        }
-    }
-
-    fn footprint(&self, facts: &Facts, kept: bool, schedule: Schedule) -> Footprint {
-        match self {
-            Self::Dfc(params) => dfc::footprint(params, facts, kept, schedule),
-            Self::Gem(params) => gem::footprint(params, facts, kept),
-            Self::Nlm(params) => nlm::footprint(params, facts, kept, schedule),
         }
     }
 

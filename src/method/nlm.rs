@@ -7,10 +7,9 @@ use std::sync::Arc;
 
 use glam::IVec2;
 
-use super::common::{SCALE_RADIUS, input_variance, with_input_kept};
+use super::common::{input_variance, with_input_kept};
 use super::estimate::{GpuEstimate, Intermediate, Keeper, Lane, RGB, Unit};
 use super::kernels::{Compared, KernelOnGpu, WeightRule, WeightsOnGpu};
-use super::memory::{Footprint, UPLOADED_PLANES};
 use super::noise::estimate_noise;
 use super::plan::{Facts, Plan, Planner, Step, Wishes, impossible, needless};
 use super::spikes::Found;
@@ -24,9 +23,7 @@ use crate::stage::half::{Halves, half_join, half_split};
 use crate::stage::nlm::{Beside, CentreWeight, Filtered, Guide, Payload, Schedule, Weighting, nlm_filter};
 use crate::stage::sample::sample_attach;
 use crate::stage::select::{HARM, Noisy, select_frames_of_filtered};
-use crate::stage::variance::{
-    BoxWeight, Floor, INPUT_SMOOTHING, VariancePair, variance_clamp, variance_floor, variance_pair,
-};
+use crate::stage::variance::{BoxWeight, Floor, VariancePair, variance_clamp, variance_floor, variance_pair};
 use crate::stage::window::{NLM_DISTANCE, NLM_WEIGHT, nlm_window};
 
 pub use params::{NlmParams, NlmVariance};
@@ -261,10 +258,11 @@ impl Prepared {
                     problem: "the variance is to be the same everywhere, but the frame does not say its mean".into(),
                     remedy: "set `GpuFrame::mean_variance`, or choose another `NlmParams::variance`".into(),
                 })?;
-                Arc::new(rec.upload(
-                    "uniform variance",
-                    &of_channels.extend(0.0).to_array().repeat((extent.x * extent.y) as usize),
-                )?)
+                let values = 4 * extent.element_product() as usize;
+                let of_pixel = of_channels.extend(0.0).to_array();
+                Arc::new(rec.upload_with("uniform variance", values, |_, piece| {
+                    piece.chunks_exact_mut(4).for_each(|pixel| pixel.copy_from_slice(&of_pixel));
+                })?)
             }
         };
         let variance =
@@ -359,53 +357,4 @@ pub(super) fn plan(params: &NlmParams, facts: &Facts, wishes: &Wishes) -> Plan {
     );
     plan.keep_clean(params.keep_clean);
     plan.finish()
-}
-
-/// Counted from [`nlm`]: what is dropped is used again.
-pub(super) fn footprint(params: &NlmParams, facts: &Facts, kept: bool, schedule: Schedule) -> Footprint {
-    let beside = facts.beside;
-    // Variance 1 and with its floor 1, signal with samples 2, halves and their variance 3, filtered halves and weights
-    // 4, joined 3; later errors 3 and what is kept clean 2 in place of the filtered halves.
-    let later = 15;
-    let (repaired, found) = params.spikes.planes();
-    // Filtered over the own frame.
-    let alone = if beside > 0 { 3 } else { 0 };
-    // Variance and errors are there anyway; the filtered halves and their variance.
-    let kept = if kept { 3 } else { 0 };
-    Footprint {
-        halo: halo_with(params, params.pooling().reach(facts)) as usize,
-        // All frames are uploaded before the first is prepared; variance, signal and halves of the others stay until
-        // the end. What was found in them is kept as long, and one is repaired after the other.
-        live_planes: (UPLOADED_PLANES + found) * (1 + beside as u64)
-            + repaired
-            + later
-            + kept
-            + alone
-            + 6 * beside as u64,
-        largest_planes: params.spikes.largest_planes().max(2),
-        // The column sums of distances and those of weights.
-        scratch_bytes: 2 * schedule.scratch_bytes,
-    }
-}
-
-pub(super) fn halo(params: &NlmParams) -> u32 {
-    halo_with(params, params.pooling().largest_reach())
-}
-
-fn halo_with(params: &NlmParams, noise_reach: u32) -> u32 {
-    reach_of_filter(params, noise_reach) + Gaussian::new(ERROR_SMOOTHING_SIGMA).radius
-}
-
-/// How far the filter depends on a frame.
-pub(super) fn reach_of_filter(params: &NlmParams, noise_reach: u32) -> u32 {
-    let input = SCALE_RADIUS.max(INPUT_SMOOTHING.radius);
-    let variance = match params.variance {
-        NlmVariance::Uniform => 0,
-        NlmVariance::Scaled => input,
-        // The 3×3 pixels around for the uncertainty; without sample variance it is smoothed.
-        NlmVariance::CrossFiltered => input.max(VARIANCE_WINDOW_RADIUS + VARIANCE_PATCH_RADIUS + 1),
-    };
-    // A weight is that of patches, and patchwise the mean over a patch of them.
-    let patches = if params.patchwise { 2 * params.patch_radius } else { params.patch_radius };
-    params.window_radius + patches + variance + params.spikes.reach(0) + noise_reach
 }

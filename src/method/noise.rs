@@ -6,7 +6,7 @@ use glam::IVec2;
 
 use super::GpuSignal;
 use super::frame::FeatureInput;
-use super::plan::{Facts, Plan, Step};
+use super::plan::Facts;
 use crate::error::Result;
 use crate::frame::FeatureKind;
 use crate::gpu::Recorder;
@@ -33,25 +33,6 @@ impl Pooling {
             Self::All => facts.lacks_variance() || facts.has_halves,
         }
     }
-
-    /// How far around a pixel its variance depends on a frame, in pixels, before it is smoothed or brought to scale.
-    pub(super) fn reach(self, facts: &Facts) -> u32 {
-        match (self.finds_any(facts), facts.is_image_only()) {
-            (false, _) => 0,
-            (true, false) => NoiseRule::HALVES.reach(),
-            (true, true) => ImageRule::DEFAULT.reach(),
-        }
-    }
-
-    /// The largest reach for any frame, in pixels.
-    pub(super) fn largest_reach(self) -> u32 {
-        if self == Self::Off { 0 } else { ImageRule::DEFAULT.reach() }
-    }
-}
-
-/// The largest reach for any frame with this plan, in pixels.
-pub(super) fn largest_noise_reach(plan: &Plan) -> u32 {
-    if plan.runs(&Step::Noise) { Pooling::All.largest_reach() } else { 0 }
 }
 
 /// How far around a pixel its estimated variance depends on noise, in pixels: beyond, it only matters how bright pixels

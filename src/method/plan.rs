@@ -233,7 +233,6 @@ pub(crate) struct Facts {
 #[derive(Clone, Debug)]
 pub(super) struct FeatureFacts {
     pub(super) name: String,
-    pub(super) channels: u32,
     /// Whether halves or a variance tell of its noise.
     pub(super) noise_is_told: bool,
     /// Whether it has a sample variance, so that a pixel without noise has the variance 0.
@@ -263,7 +262,6 @@ impl Facts {
             };
             FeatureFacts {
                 name: feature.name.clone(),
-                channels: feature.signal.mean.channels() as u32,
                 noise_is_told: in_all_frames().any(|signal| signal.noise_knowledge().is_some()),
                 has_sample_variance: in_all_frames().all(|signal| signal.variance_of_mean.is_some()),
                 noise: NoiseTiles::of_all(in_all_frames()),
@@ -293,7 +291,6 @@ impl Facts {
         let told = |signal: &GpuSignal| signal.has_halves || signal.variance_of_mean.is_some();
         let features = frame.features.iter().filter(|_| with_features).map(|feature| FeatureFacts {
             name: feature.name.clone(),
-            channels: feature.channels,
             noise_is_told: told(&feature.signal),
             has_sample_variance: feature.signal.variance_of_mean.is_some(),
             noise: None,

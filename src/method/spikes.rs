@@ -73,28 +73,6 @@ pub(super) struct Found {
 }
 
 impl Spikes {
-    /// How far around a pixel its repaired value depends on what, given how far the features at a pixel do, in pixels.
-    pub(super) fn reach(self, of_features: u32) -> u32 {
-        let SpikeRule { window_radius, spread_radius, .. } = SpikeRule::DEFAULT;
-        match self {
-            Self::Keep => 0,
-            Self::Clamp => window_radius + of_features,
-            // How many pixels a spike is spread over is counted around the spike; their levels are those of repaired
-            // pixels around them.
-            Self::Spread => 2 * spread_radius + 1 + window_radius + of_features,
-        }
-    }
-
-    /// Planes that they take besides the colour: while it is repaired, and of what was found.
-    pub(super) fn planes(self) -> (u64, u64) {
-        if self == Self::Keep { (0, 0) } else { (4, 5) }
-    }
-
-    /// Planes of the largest buffer: of what was found.
-    pub(super) fn largest_planes(self) -> u64 {
-        if self == Self::Keep { 0 } else { 3 }
-    }
-
     /// Plans the step.
     pub(super) fn plan(self, plan: &mut Planner, facts: &Facts) {
         let because = match self {

@@ -21,8 +21,8 @@ uniforms! {
 bindings! {
     struct CandidateAccumulate<'a> {
         uniform params: NlmParams, uniform candidate: CandidateParams,
-        optional columns, read payload, read variance_of_mean, write state, optional features,
-        optional neighbours_payload, optional neighbours_variance, optional neighbours_features,
+        optional_around columns, around payload, around variance_of_mean, write state, optional_around features,
+        optional_around neighbours_payload, optional_around neighbours_variance, optional_around neighbours_features,
     }
     struct CandidateResolve<'a> {
         uniform params: NlmParams, uniform resolve: ResolveParams, read payload, read variance_of_mean, read state,
@@ -31,7 +31,7 @@ bindings! {
 }
 
 /// Planes of running sums that `candidate_accumulate` keeps per pixel of a strip.
-pub(crate) const STATE_PLANES: u32 = 12;
+const STATE_PLANES: u32 = 12;
 
 /// A frame of a window in time, as the candidates see it.
 #[derive(Clone, Copy, Debug)]
@@ -267,16 +267,16 @@ fn run_pass(
         let bound = CandidateAccumulate {
             params,
             candidate,
-            columns: pass.by_color().then_some(chunk.columns),
-            payload,
-            variance_of_mean,
+            columns: pass.by_color().then(|| chunk.columns.within_columns_and_rows(patch_radius, 0)),
+            payload: payload.within(radius),
+            variance_of_mean: variance_of_mean.within(radius),
             state,
-            features: features.map(|features| &features.buffer),
-            neighbours_payload: beside.map(|frame| frame.payload),
-            neighbours_variance: beside.map(|frame| frame.variance_of_mean),
+            features: features.map(|features| features.buffer.within(radius)),
+            neighbours_payload: beside.map(|frame| frame.payload.within(radius)),
+            neighbours_variance: beside.map(|frame| frame.variance_of_mean.within(radius)),
             neighbours_features: beside
                 .and_then(|frame| frame.features.filter(|_| pass.by_features()))
-                .map(|features| &features.buffer),
+                .map(|features| features.buffer.within(radius)),
         };
         rec.dispatch(
             "candidate_accumulate",

@@ -9,7 +9,7 @@ use crate::gpu::{Buffer, Recorder, bindings, uniforms};
 uniforms! { struct FeaturePackParams { extent: IVec2, group: i32, single: i32 } }
 bindings! {
     struct FeaturePack<'a> {
-        uniform params: FeaturePackParams, read filtered, optional residual_variance, write features,
+        uniform params: FeaturePackParams, around filtered, optional residual_variance, write features,
     }
 }
 
@@ -119,7 +119,7 @@ pub fn feature_pack(
     rec.dispatch(
         "feature_pack",
         &[("NOISY", residual_variance.is_some().into())],
-        &FeaturePack { params, filtered, residual_variance, features: &features.buffer },
+        &FeaturePack { params, filtered: filtered.within(1).front(), residual_variance, features: &features.buffer },
         per_pixel(extent),
     )
 }

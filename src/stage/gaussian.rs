@@ -7,7 +7,7 @@ use crate::error::Result;
 use crate::gpu::{Buffer, Recorder, bindings, uniforms};
 
 uniforms! { struct GaussianParams { extent: IVec2, axis: IVec2, radius: i32, exponent: f32 } }
-bindings! { struct GaussianAxis<'a> { uniform params: GaussianParams, read source, write smoothed, optional centres } }
+bindings! { struct GaussianAxis<'a> { uniform params: GaussianParams, around source, write smoothed, optional centres } }
 
 /// A Gaussian over a square of pixels.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -74,11 +74,12 @@ pub fn gaussian(
     let smoothed = rec.take("Gaussian average", plane_bytes(extent, planes))?;
     let rows = &rec.take("Gaussian average of the rows", plane_bytes(extent, planes))?;
 
-    let bound = GaussianAxis { params: along(IVec2::X), source, smoothed: rows, centres: None };
+    let source_of_rows = source.within_columns_and_rows(gaussian.radius, 0);
+    let bound = GaussianAxis { params: along(IVec2::X), source: source_of_rows, smoothed: rows, centres: None };
     rec.dispatch("gaussian", &[squared, ("KEEP_WEIGHT_SUM", without_centre.into())], &bound, invocations(IVec2::X))?;
     let bound = GaussianAxis {
         params: along(IVec2::Y),
-        source: rows,
+        source: rows.within_columns_and_rows(0, gaussian.radius),
         smoothed: &smoothed,
         centres: without_centre.then_some(source),
     };

@@ -15,10 +15,11 @@ uniforms! {
 
 bindings! {
     struct KeepClean<'a> {
-        uniform params: KeepCleanParams, read signal, optional sample_variance, read filtered, write kept,
+        uniform params: KeepCleanParams, around signal, optional_around sample_variance, read filtered, write kept,
     }
     struct KeepCleanError<'a> {
-        uniform params: KeepCleanParams, read signal, optional sample_variance, read filtered, write kept, write errors,
+        uniform params: KeepCleanParams, around signal, optional_around sample_variance, read filtered, write kept,
+        write errors,
     }
 }
 
@@ -78,6 +79,9 @@ pub fn keep_clean(
         error_component: errors.map_or(0, |(_, component)| component as i32),
     };
     let definitions = [("VARIANCE", sample_variance.is_some().into()), ("ERROR", errors.is_some().into())];
+    // The half spreads show noise together with those of the pixels beside.
+    let signal = signal.within(rule.black_radius + 1);
+    let sample_variance = sample_variance.map(|variance| variance.within(rule.black_radius));
     match errors {
         Some((errors, _)) => {
             rec.dispatch(

@@ -33,16 +33,16 @@ uniforms! {
 
 bindings! {
     struct NlmDistance<'a> {
-        uniform params: NlmParams, read guide, read variance_of_mean, read neighbours, read neighbours_variance,
+        uniform params: NlmParams, around guide, around variance_of_mean, around neighbours, around neighbours_variance,
         write columns,
     }
-    struct NlmWeight<'a> { uniform params: NlmParams, read columns, write weight_columns }
+    struct NlmWeight<'a> { uniform params: NlmParams, around columns, write weight_columns }
     struct NlmFilter<'a> {
-        uniform params: NlmParams, read columns, read payload, read neighbours, write filtered, write weights,
+        uniform params: NlmParams, around columns, read payload, around neighbours, write filtered, write weights,
     }
     struct NlmFilterResidual<'a> {
-        uniform params: NlmParams, read columns, read payload, read neighbours, write filtered, write weights,
-        read variance_of_mean, read neighbours_variance, write residual_variance,
+        uniform params: NlmParams, around columns, read payload, around neighbours, write filtered, write weights,
+        read variance_of_mean, around neighbours_variance, write residual_variance,
     }
 }
 
@@ -494,6 +494,10 @@ fn for_each_chunk_of(
             let rectangles = cut.rectangles(radius, beside.is_some());
             for (index, (first_offset, offsets)) in rectangles.iter().copied().enumerate() {
                 let ends_frame = index + 1 == rectangles.len();
+                if rec.is_dry() && index > 0 && !ends_frame {
+                    // Takes no other buffers and looks no further than the first chunk and the last.
+                    continue;
+                }
                 let last = ends_frame && place + 1 == frames.len();
                 let params = NlmParams {
                     extent,
@@ -529,14 +533,19 @@ fn for_each_chunk_of(
                 ];
                 let planes = (offsets.x * offsets.y) as u32;
                 if with_distances {
-                    let Beside { signal: neighbours, variance_of_mean: neighbours_variance } = *neighbours;
-                    let (guide, variance_of_mean) = (guide.signal, guide.variance_of_mean);
+                    // A column of a patch at the pixel, and of one anywhere in the window; the filters read the columns
+                    // beside it.
                     let bound = NlmDistance {
                         params: with_margin,
-                        guide,
-                        variance_of_mean,
-                        neighbours,
-                        neighbours_variance,
+                        guide: guide.signal.within_columns_and_rows(0, guide.patch_radius).front(),
+                        variance_of_mean: guide.variance_of_mean.within_columns_and_rows(0, guide.patch_radius),
+                        neighbours: neighbours
+                            .signal
+                            .within_columns_and_rows(window_radius, window_radius + guide.patch_radius)
+                            .front(),
+                        neighbours_variance: neighbours
+                            .variance_of_mean
+                            .within_columns_and_rows(window_radius, window_radius + guide.patch_radius),
                         columns: &columns,
                     };
                     rec.dispatch(
@@ -558,7 +567,7 @@ fn for_each_chunk_of(
                     rec.dispatch(
                         "nlm_weight",
                         &definitions,
-                        &NlmWeight { params, columns: &columns, weight_columns },
+                        &NlmWeight { params, columns: columns.within(guide.patch_radius), weight_columns },
                         invocations,
                     )?;
                 }
@@ -657,11 +666,12 @@ pub fn nlm_filter(
     ];
     let needs = ChunkNeeds { distances: true, sum_planes: 0 };
     for_each_chunk(rec, extent, guide, needs, window_radius, weighting, schedule, |rec, chunk| {
-        let (params, columns) = (chunk.params, chunk.columns);
+        let (params, columns) = (chunk.params, chunk.columns.within_columns_and_rows(guide.patch_radius, 0));
         let invocations = schedule.per_row_of_pixels(&params);
         let (filtered, weights, variance_of_mean) = (&planes, &weights, guide.variance_of_mean);
-        let neighbours = chunk.beside.map_or(payload.planes, |index| payload.beside[index]);
+        let neighbours = chunk.beside.map_or(payload.planes, |index| payload.beside[index]).within(window_radius);
         let neighbours_variance = chunk.beside.map_or(variance_of_mean, |index| guide.beside[index].variance_of_mean);
+        let neighbours_variance = neighbours_variance.within(window_radius);
         let payload = payload.planes;
         match &residual_variance {
             None => rec.dispatch(

@@ -42,26 +42,26 @@ uniforms! {
 }
 
 bindings! {
-    struct NoiseMagnitude<'a> { uniform params: NoiseParams, read signal, write relative_spread }
-    struct NoiseGuess<'a> { uniform params: NoiseParams, read relative_spread, write guess }
+    struct NoiseMagnitude<'a> { uniform params: NoiseParams, around signal, write relative_spread }
+    struct NoiseGuess<'a> { uniform params: NoiseParams, around relative_spread, write guess }
     struct NoiseFeature<'a> {
-        uniform params: NoiseFeatureParams, read signal, optional sample_variance, write features,
+        uniform params: NoiseFeatureParams, around signal, optional_around sample_variance, change features,
     }
     struct NoisePool<'a> {
-        uniform params: NoiseParams, read signal, read guess, optional features, optional sample_variance,
-        write pooled_variance,
+        uniform params: NoiseParams, around signal, around guess, optional_around features,
+        optional_around sample_variance, write pooled_variance,
     }
     struct NoiseHighpass<'a> {
-        uniform params: NoiseHighpassParams, read signal, read relative_spread, optional features, write highpass,
+        uniform params: NoiseHighpassParams, around signal, read relative_spread, optional_around features, write highpass,
     }
     struct NoiseResidual<'a> {
-        uniform params: NoiseResidualParams, read signal, read highpass, write residual, write relative_spread,
+        uniform params: NoiseResidualParams, read signal, around highpass, write residual, change relative_spread,
     }
     struct NoiseJump<'a> {
-        uniform params: NoiseHoldParams, read relative_spread, read pooled_variance, write relative_variance,
+        uniform params: NoiseHoldParams, around relative_spread, read pooled_variance, write relative_variance,
     }
     struct NoiseHold<'a> {
-        uniform params: NoiseHoldParams, read relative_spread, read relative_variance, write variance,
+        uniform params: NoiseHoldParams, read relative_spread, around relative_variance, write variance,
     }
     struct NoiseUnpack<'a> { uniform params: NoiseUnpackParams, read pooled_variance, write variance }
 }
@@ -113,12 +113,6 @@ impl NoiseRule {
 
     /// Rule for noise that is estimated from an image alone, which is rougher.
     pub const IMAGE: Self = Self { gate: 4.0, feature_k: 0.6, ..Self::HALVES };
-
-    /// Returns the distance up to which the variance of a pixel depends on other pixels, in pixels.
-    pub const fn reach(&self) -> u32 {
-        let guess = self.guess.radius + 1;
-        self.window_radius + if guess > self.feature_radius { guess } else { self.feature_radius }
-    }
 
     fn params(&self, extent: IVec2, features: Option<&NoisyFeatures>) -> NoiseParams {
         NoiseParams {
@@ -185,12 +179,14 @@ pub fn noise_feature(
     let params =
         NoiseFeatureParams { extent, radius: rule.feature_radius as i32, group: group as i32, single: single.into() };
     let definitions = [("VARIANCE", sample_variance.is_some().into()), ("PIXELS", Definition::Int(PIXELS as i32))];
-    rec.dispatch(
-        "noise_feature",
-        &definitions,
-        &NoiseFeature { params, signal, sample_variance, features: &features.buffer },
-        per_run(extent, PIXELS),
-    )
+    // The front of the features are their values, which are copied.
+    let bound = NoiseFeature {
+        params,
+        signal: signal.within(rule.feature_radius).but_for_the_front(),
+        sample_variance: sample_variance.map(|buffer| buffer.within(rule.feature_radius).but_for_the_front()),
+        features: features.buffer.in_parts(),
+    };
+    rec.dispatch("noise_feature", &definitions, &bound, per_run(extent, PIXELS))
 }
 
 /// Pooled variances.
@@ -240,7 +236,7 @@ fn pool(
     rec.dispatch(
         "noise_guess",
         &[("PIXELS", Definition::Int(PIXELS as i32))],
-        &NoiseGuess { params, relative_spread, guess },
+        &NoiseGuess { params, relative_spread: relative_spread.within(rule.guess.radius).front(), guess },
         per_run(extent, PIXELS),
     )?;
     // The values of more groups would not stay in registers.
@@ -251,11 +247,17 @@ fn pool(
         ("PIXELS", Definition::Int(pixels as i32)),
         ("VARIANCE", sample_variance.is_some().into()),
     ];
-    let features = features.map(|features| &features.buffer);
     rec.dispatch(
         "noise_pool",
         &definitions,
-        &NoisePool { params, signal, guess, features, sample_variance, pooled_variance: &buffer },
+        &NoisePool {
+            params,
+            signal: signal.within(rule.window_radius),
+            guess: guess.within(rule.window_radius),
+            features: features.map(|features| features.buffer.within(rule.window_radius)),
+            sample_variance: sample_variance.map(|buffer| buffer.within(rule.window_radius)),
+            pooled_variance: &buffer,
+        },
         per_run(extent, pixels),
     )?;
     Ok(Pooled { buffer })
@@ -268,7 +270,8 @@ const PIXELS: u32 = 4;
 /// w that brightness; the second holds in x the median brightness of the 3×3 pixels.
 fn noise_magnitude(rec: &mut Recorder, extent: IVec2, signal: &Buffer, rule: &NoiseRule) -> Result<Buffer> {
     let relative_spread = rec.take("relative half spread", plane_bytes(extent, 2))?;
-    let bound = NoiseMagnitude { params: rule.params(extent, None), signal, relative_spread: &relative_spread };
+    let params = rule.params(extent, None);
+    let bound = NoiseMagnitude { params, signal: signal.within(1), relative_spread: &relative_spread };
     rec.dispatch("noise_magnitude", &[], &bound, per_pixel(extent))?;
     Ok(relative_spread)
 }
@@ -308,14 +311,6 @@ impl ImageRule {
         hold_radius: 4,
         pool: NoiseRule::IMAGE,
     };
-
-    /// Returns the distance up to which the variance of a pixel depends on other pixels, in pixels.
-    pub const fn reach(&self) -> u32 {
-        // Medians and neighbours reach one pixel.
-        let pooled = self.pool.reach() + self.fit_radius + 1;
-        let jump = self.jump_radius + 1;
-        self.hold_radius + if pooled > jump { pooled } else { jump }
-    }
 }
 
 /// Factor that brings the lesser of the two residuals of Gaussian noise to the size of a half spread: E|D| = σ·√(2/π).
@@ -351,7 +346,13 @@ pub fn noise_of_image(
     rec.dispatch(
         "noise_highpass",
         &regressors,
-        &NoiseHighpass { params, signal, relative_spread, features: buffer, highpass },
+        &NoiseHighpass {
+            params,
+            signal: signal.within(1).front(),
+            relative_spread,
+            features: buffer.map(|values| values.within(1).front()),
+            highpass,
+        },
         per_pixel(extent),
     )?;
     let residual = &rec.take("colour and its residual", bytes(2))?;
@@ -367,7 +368,13 @@ pub fn noise_of_image(
     rec.dispatch(
         "noise_residual",
         &regressors,
-        &NoiseResidual { params, signal, highpass, residual, relative_spread },
+        &NoiseResidual {
+            params,
+            signal,
+            highpass: highpass.within(fit_radius),
+            residual,
+            relative_spread: relative_spread.within(0).front(),
+        },
         per_pixel(extent),
     )?;
 
@@ -384,13 +391,24 @@ pub fn noise_of_image(
     rec.dispatch(
         "noise_jump",
         &[],
-        &NoiseJump { params, relative_spread, pooled_variance, relative_variance },
+        &NoiseJump {
+            params,
+            // The medians.
+            relative_spread: relative_spread.within(jump_radius).back(),
+            pooled_variance,
+            relative_variance,
+        },
         per_pixel(extent),
     )?;
     rec.dispatch(
         "noise_hold",
         &[],
-        &NoiseHold { params, relative_spread, relative_variance, variance: &variance },
+        &NoiseHold {
+            params,
+            relative_spread,
+            relative_variance: relative_variance.within(hold_radius),
+            variance: &variance,
+        },
         per_pixel(extent),
     )?;
     Ok(variance)

@@ -29,20 +29,23 @@ uniforms! {
 
 bindings! {
     struct SpikeFind<'a> {
-        uniform params: SpikeParams, read signal, optional features, write repaired, write spikes, write lights,
+        uniform params: SpikeParams, around signal, optional_around features, change repaired, change spikes,
+        change lights,
     }
     struct SpikeFindVariance<'a> {
-        uniform params: SpikeParams, read signal, optional features, read sample_variance, write repaired_variance,
-        write repaired, write spikes, write lights,
+        uniform params: SpikeParams, around signal, optional_around features, around sample_variance,
+        write repaired_variance, change repaired, change spikes, change lights,
     }
-    struct SpikeLevel<'a> { uniform params: SpikeParams, read repaired, read spikes, write levels }
-    struct SpikeShare<'a> { uniform params: SpikeParams, write spikes, optional features, read levels }
+    struct SpikeLevel<'a> { uniform params: SpikeParams, around repaired, read spikes, write levels }
+    struct SpikeShare<'a> { uniform params: SpikeParams, write spikes, optional_around features, around levels }
     struct SpikeRows<'a> { uniform params: SpikeParams, write spikes }
     struct LightReturn<'a> { uniform params: LightReturnParams, read lights, read filtered, write lit }
     struct LightReturnError<'a> {
         uniform params: LightReturnParams, read lights, read filtered, write lit, write errors,
     }
-    struct SpikeSpread<'a> { uniform params: SpikeParams, write spikes, optional features, read levels, write repaired }
+    struct SpikeSpread<'a> {
+        uniform params: SpikeParams, change spikes, optional_around features, around levels, change repaired,
+    }
 }
 
 /// Rule for finding spikes and for spreading them. [`SpikeRule::DEFAULT`] measured best: `docs/robustness.md` has the
@@ -147,18 +150,20 @@ pub fn spike_find(
     let spikes = rec.take("spikes", plane_bytes(extent, 3))?;
     let lights = rec.take("lights", plane_bytes(extent, 2))?;
     let definitions = [feature_groups(features), ("VARIANCE", sample_variance.is_some().into())];
-    let features = features.map(|features| &features.buffer);
+    let features = features.map(|features| features.buffer.within(rule.window_radius));
+    let signal = signal.within(rule.window_radius);
     match (sample_variance, &repaired_variance) {
         (Some(sample_variance), Some(repaired_variance)) => {
             let bound = SpikeFindVariance {
                 params,
                 signal,
                 features,
-                sample_variance,
+                // Whether a pixel is a spike, and its mean, depend on its own variance alone.
+                sample_variance: sample_variance.within(rule.window_radius).but_for_the_front(),
                 repaired_variance,
-                repaired: &repaired,
-                spikes: &spikes,
-                lights: &lights,
+                repaired: repaired.in_parts(),
+                spikes: spikes.in_parts(),
+                lights: lights.in_parts(),
             };
             rec.dispatch("spike_find", &definitions, &bound, per_pixel(extent))?;
         }
@@ -166,7 +171,14 @@ pub fn spike_find(
             rec.dispatch(
                 "spike_find",
                 &definitions,
-                &SpikeFind { params, signal, features, repaired: &repaired, spikes: &spikes, lights: &lights },
+                &SpikeFind {
+                    params,
+                    signal,
+                    features,
+                    repaired: repaired.in_parts(),
+                    spikes: spikes.in_parts(),
+                    lights: lights.in_parts(),
+                },
                 per_pixel(extent),
             )?;
         }
@@ -189,18 +201,24 @@ pub fn spike_spread(
     let params = rule.params(extent, features);
     let Repaired { signal: repaired, spikes, .. } = repaired;
     let groups = [feature_groups(features)];
-    let features = features.map(|features| &features.buffer);
+    let features = features.map(|features| features.buffer.within(rule.spread_radius));
     let levels = &rec.take("brightness around each pixel", plane_bytes(extent, 1))?;
 
-    rec.dispatch("spike_level", &[], &SpikeLevel { params, repaired, spikes, levels }, per_pixel(extent))?;
+    let bound = SpikeLevel { params, repaired: repaired.within(1).front(), spikes, levels };
+    rec.dispatch("spike_level", &[], &bound, per_pixel(extent))?;
+    let levels = levels.within(rule.spread_radius);
     rec.dispatch("spike_share", &groups, &SpikeShare { params, spikes, features, levels }, per_pixel(extent))?;
+    // It looks along a row for amounts that were taken. They depend on the pixels within `window_radius`, so that the
+    // shares beside them reach at least as far already.
     rec.dispatch("spike_rows", &[], &SpikeRows { params, spikes }, per_pixel(extent))?;
-    rec.dispatch(
-        "spike_spread",
-        &groups,
-        &SpikeSpread { params, spikes, features, levels, repaired },
-        per_pixel(extent),
-    )
+    let bound = SpikeSpread {
+        params,
+        spikes: spikes.within(rule.spread_radius).back(),
+        features,
+        levels,
+        repaired: repaired.within(0).front(),
+    };
+    rec.dispatch("spike_spread", &groups, &bound, per_pixel(extent))
 }
 
 /// Returns a filtered signal with the `lights` that [`spike_find`] set aside.

@@ -19,22 +19,22 @@ uniforms! {
 
 bindings! {
     struct VarianceRows<'a> {
-        uniform params: VarianceScaleParams, read signal, read sample_variance, write spread_rows, write sample_rows,
+        uniform params: VarianceScaleParams, around signal, around sample_variance, write spread_rows, write sample_rows,
     }
     struct VarianceScale<'a> {
-        uniform params: VarianceScaleParams, read spread_rows, read sample_rows, read sample_variance,
+        uniform params: VarianceScaleParams, around spread_rows, around sample_rows, read sample_variance,
         write scaled_variance,
     }
     struct VariancePairStage<'a> {
-        uniform params: VariancePairParams, read signal, read sample_variance, write two_buffer_variance,
+        uniform params: VariancePairParams, read signal, around sample_variance, write two_buffer_variance,
         write uncertainty,
     }
     struct VarianceClamp<'a> {
         uniform params: VarianceClampParams, read variance, read upper_bound, write clamped_variance,
     }
-    struct VarianceFloor<'a> { uniform params: VarianceFloorParams, read signal, read variance, write floored_variance }
+    struct VarianceFloor<'a> { uniform params: VarianceFloorParams, around signal, read variance, write floored_variance }
     struct VarianceSmooth<'a> {
-        uniform params: VarianceSmoothParams, read signal, write smoothed_variance, optional upper_bound,
+        uniform params: VarianceSmoothParams, around signal, write smoothed_variance, optional upper_bound,
     }
 }
 
@@ -82,10 +82,22 @@ pub fn variance_scale(
     rec.dispatch(
         "variance_rows",
         &[pixels, ("BY_DEVIATION", (weight == BoxWeight::Deviation).into())],
-        &VarianceRows { params, signal, sample_variance, spread_rows, sample_rows },
+        &VarianceRows {
+            params,
+            signal: signal.within_columns_and_rows(radius, 0).back(),
+            sample_variance: sample_variance.within_columns_and_rows(radius, 0),
+            spread_rows,
+            sample_rows,
+        },
         per_run(extent, BOX_PIXELS),
     )?;
-    let bound = VarianceScale { params, spread_rows, sample_rows, sample_variance, scaled_variance: &scaled_variance };
+    let bound = VarianceScale {
+        params,
+        spread_rows: spread_rows.within_columns_and_rows(0, radius),
+        sample_rows: sample_rows.within_columns_and_rows(0, radius),
+        sample_variance,
+        scaled_variance: &scaled_variance,
+    };
     rec.dispatch("variance_scale", &[pixels], &bound, [width, height.div_ceil(BOX_PIXELS), 1])?;
     Ok(scaled_variance)
 }
@@ -111,6 +123,7 @@ pub fn variance_smooth(
 ) -> Result<Buffer> {
     let params = VarianceSmoothParams { extent, radius: gaussian.radius as i32, exponent: gaussian.exponent() };
     let smoothed_variance = rec.take("two-buffer variance", plane_bytes(extent, 1))?;
+    let signal = signal.within(gaussian.radius).back();
     let bound = VarianceSmooth { params, signal, smoothed_variance: &smoothed_variance, upper_bound };
     rec.dispatch("variance_smooth", &[("CLAMPED", upper_bound.is_some().into())], &bound, per_pixel(extent))?;
     Ok(smoothed_variance)
@@ -145,7 +158,7 @@ pub fn variance_pair(
     let bound = VariancePairStage {
         params,
         signal,
-        sample_variance,
+        sample_variance: sample_variance.within(1),
         two_buffer_variance: &two_buffer_variance,
         uncertainty: &uncertainty,
     };
@@ -218,7 +231,7 @@ pub fn variance_floor(
     rec.dispatch(
         "variance_floor",
         &[],
-        &VarianceFloor { params, signal, variance, floored_variance: &floored_variance },
+        &VarianceFloor { params, signal: signal.within(1).front(), variance, floored_variance: &floored_variance },
         per_pixel(extent),
     )?;
     Ok(floored_variance)

@@ -21,11 +21,12 @@ uniforms! { struct WindowParams { pixel: IVec2, radius: i32 } }
 
 bindings! {
     struct NlmWindow<'a> {
-        uniform params: NlmParams, uniform window: WindowParams, read columns, optional weight_columns, write cells,
+        uniform params: NlmParams, uniform window: WindowParams, around columns, optional_around weight_columns,
+        write cells,
     }
     struct CandidateWindow<'a> {
-        uniform params: NlmParams, uniform candidate: CandidateParams, uniform window: WindowParams, optional columns,
-        optional features, write cells,
+        uniform params: NlmParams, uniform candidate: CandidateParams, uniform window: WindowParams,
+        optional_around columns, optional_around features, write cells,
     }
 }
 
@@ -83,8 +84,9 @@ pub fn nlm_window(
         hard,
     ];
     for_each_chunk_around(rec, extent, pixel, guide, true, window_radius, weighting, schedule, |rec, chunk| {
-        let weight_columns = guide.patchwise.then_some(chunk.columns);
-        let bound = NlmWindow { params: chunk.params, window, columns: chunk.distances, weight_columns, cells: &cells };
+        let weight_columns = guide.patchwise.then(|| chunk.columns.within_columns_and_rows(guide.patch_radius, 0));
+        let columns = chunk.distances.within_columns_and_rows(guide.patch_radius, 0);
+        let bound = NlmWindow { params: chunk.params, window, columns, weight_columns, cells: &cells };
         rec.dispatch(
             "nlm_window",
             &definitions,
@@ -180,7 +182,8 @@ fn cells_of_pass(
     let definitions = [&of_all[..], &pass.definitions()].concat();
     let (candidate, by_color) = (pass.params(features), pass.by_color());
     for_each_chunk_around(rec, extent, pixel, &guide, by_color, radius, weighting, schedule, |rec, chunk| {
-        let (columns, features) = (by_color.then_some(chunk.columns), features.map(|features| &features.buffer));
+        let columns = by_color.then(|| chunk.columns.within_columns_and_rows(guide.patch_radius, 0));
+        let features = features.map(|features| features.buffer.within(window.radius as u32));
         let bound = CandidateWindow { params: chunk.params, candidate, window, columns, features, cells: &cells };
         let invocations = [chunk.params.offsets.x as u32, chunk.params.offsets.y as u32, 1];
         rec.dispatch("candidate_window", &definitions, &bound, invocations)

@@ -296,7 +296,7 @@ impl Bench<'_> {
         }
         if let (Some(damage), Some(sound)) = (&case.damage, sound) {
             figures.extend(if same_units(frame, sound) {
-                reach(&estimate, &denoiser.denoise(sound)?, &damage.pixels, method.reach() as usize)
+                reach(&estimate, &denoiser.denoise(sound)?, &damage.pixels, denoiser.reach()? as usize)
             } else {
                 (!damage.moves_units).then(|| {
                     Figure::count(

@@ -2,23 +2,23 @@
 
 use std::sync::Arc;
 
-use glam::IVec2;
+use glam::{IVec2, UVec2};
 
 use super::{
     ColorOnly, DfcParams, Pass1, Pass2, Prepared, PreparedFrame, Wanted, Work, color_only_filter, planned_filters,
-    reach_of_choice_and_second_pass, reach_of_kernels, reach_of_prefilter, shares_by_name,
+    shares_by_name,
 };
 use crate::error::Result;
-use crate::gpu::Recorder;
+use crate::gpu::{Recorder, Run};
 use crate::method::FrameInput;
 use crate::method::estimate::{Keeper, Lane, Share};
 use crate::method::kernels::{Compared, KernelOnGpu, LimitOnGpu, WeightRule, WeightsOnGpu};
-use crate::method::noise::largest_noise_reach;
 use crate::method::plan::{Plan, Step};
 use crate::stage::candidate_filter::{ByColor, ByFeatures, CandidateFilter};
 use crate::stage::exact::Region;
 use crate::stage::frames::Frames;
 use crate::stage::nlm::{Guide, Schedule};
+use crate::stage::variance::RESIDUAL_SMOOTHING;
 use crate::stage::window::{NLM_DISTANCE, NLM_WEIGHT, WindowOfCandidate, candidate_window, nlm_window};
 
 /// Kernels of the computed candidates, and of the second pass if it runs.
@@ -30,30 +30,57 @@ pub(in crate::method) fn kernels(
     plan: &Plan,
     schedule: Schedule,
 ) -> Result<Vec<KernelOnGpu>> {
+    let work = Work { params, plan, schedule, wanted: Wanted::default() };
+    if rec.is_dry() {
+        return Ok(kernels_within(rec, frame, pixel, work)?.kernels);
+    }
+    // A dry run finds how far the kernels depend on what is made before them: no more of that is computed.
+    let run = Run::dry(None);
+    let mut dry = rec.gpu().record_in(&run);
+    let twin = frame.dry(&mut dry)?;
+    let Found { kernels, reach_of_features, reach_of_candidates } = kernels_within(&mut dry, twin, pixel, work)?;
+    let reach = kernels.iter().map(KernelOnGpu::reach).fold(UVec2::ZERO, UVec2::max);
+    let around = |reach: UVec2| Some(Region::around(pixel, reach.max_element(), frame.extent));
+    let wanted = Wanted {
+        // Packed features look at prefiltered ones around them.
+        features: around(reach.saturating_sub(reach_of_features) + RESIDUAL_SMOOTHING.radius.max(1)),
+        candidates: around(reach.saturating_sub(reach_of_candidates)),
+        result: around(UVec2::ZERO),
+    };
+    Ok(kernels_within(rec, frame, pixel, Work { wanted, ..work })?.kernels)
+}
+
+/// The kernels, and how far what they are made of depends on the frame, if the run is dry.
+struct Found {
+    kernels: Vec<KernelOnGpu>,
+    /// Of the packed features.
+    reach_of_features: UVec2,
+    /// Of the candidates; that of the kernels where no choice among them follows.
+    reach_of_candidates: UVec2,
+}
+
+fn kernels_within(rec: &mut Recorder, frame: FrameInput, pixel: IVec2, work: Work) -> Result<Found> {
+    let Work { params, plan, schedule, .. } = work;
     let extent = frame.extent;
     let names: Vec<String> = frame.features.iter().map(|feature| feature.name.clone()).collect();
-    let around = |reach| Some(Region::around(pixel, reach, extent));
-    let wanted = Wanted {
-        features: around(reach_of_kernels(params, plan) - reach_of_prefilter(largest_noise_reach(plan))),
-        candidates: around(reach_of_choice_and_second_pass(params, plan)),
-        result: around(0),
-    };
-    let work = Work { params, plan, schedule, wanted };
     let mut keeper = Keeper::new(&[]);
     let mut prepared = Prepared::new(rec, Frames::one(frame), work, &mut keeper)?;
+    let reach_of_features = prepared.own.features.as_ref().map_or(UVec2::ZERO, |features| features.buffer.reach());
     plan.begins(rec, Step::Candidates);
     let filters = planned_filters(params, plan);
     let mut kernels = kernels_of_candidates(rec, extent, &prepared.own, &names, &filters, pixel, work)?;
     if !plan.runs(&Step::Selection) && !plan.runs(&Step::SecondPass) {
         // One candidate is the result.
         kernels.iter_mut().for_each(|kernel| kernel.share = Some(Share::Whole));
-        return Ok(kernels);
+        let reach_of_candidates = kernels.iter().map(KernelOnGpu::reach).fold(UVec2::ZERO, UVec2::max);
+        return Ok(Found { kernels, reach_of_features, reach_of_candidates });
     }
 
     let pass1 = Pass1::new(rec, &mut prepared, work, &mut keeper, |_, _| Ok(()))?;
     for (name, share) in shares_by_name(params, &pass1.candidates, pass1.selection.as_ref()) {
         kernels.iter_mut().filter(|kernel| kernel.name == name).for_each(|kernel| kernel.share = Some(share.clone()));
     }
+    let reach_of_candidates = pass1.candidates.planes.reach();
     if let Some(ColorOnly { shares, .. }) = &pass1.color_only {
         let share = Share::Lane(Lane { buffer: shares.clone(), plane: 0, component: 0 });
         let filters = [color_only_filter(params)];
@@ -84,7 +111,7 @@ pub(in crate::method) fn kernels(
         };
         kernels.push(KernelOnGpu { name: "second_pass", averaged: pass1.blend, weights, share: None });
     }
-    Ok(kernels)
+    Ok(Found { kernels, reach_of_features, reach_of_candidates })
 }
 
 /// Whether a step leaves this pixel as it is.
