@@ -34,6 +34,7 @@ mod record;
 mod run;
 mod shader;
 mod timing;
+mod uniform_layout;
 
 pub use bindings::{Bindings, Member, Slot, SlotKind, Uniform, Value, ValueType};
 pub use cache::SavedPipelines;
@@ -44,6 +45,7 @@ pub use record::{Pace, Recorder};
 pub use run::Run;
 pub use shader::{Definition, Definitions, compose, compose_source, shared_modules, stages};
 pub use timing::{StageTime, StepTime};
+pub use uniform_layout::UniformLayout;
 
 pub use crate::{bindings, uniforms};
 
