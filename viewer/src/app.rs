@@ -141,7 +141,7 @@ impl Viewer {
             gpu: gpu.clone(),
             worker: Worker::start(gpu, context)?,
             document: None,
-            view: View::new(settings.display.clone()),
+            view: View::new(settings.display.clone())?,
             adaptive: Adaptive::default(),
             parameters: start.parameters.or(remembered).unwrap_or_default(),
             earlier,

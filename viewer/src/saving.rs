@@ -154,7 +154,7 @@ impl Sight {
         let mut window = Offscreen::new(gpu, self.size.x, self.size.y, self.scale)?;
         window.context().set_theme(self.theme);
         app::set_style(window.context());
-        let mut view = View::new(self.display.clone());
+        let mut view = View::new(self.display.clone())?;
         (view.compare, view.wipe, view.camera) = (self.compare, self.wipe, self.camera);
         (view.pinned, view.marked) = (self.pinned, self.marked);
         let format = window.format();
@@ -188,7 +188,7 @@ fn picture_of(gpu: &Gpu, layer: &Layer, display: Display) -> Result<Picture> {
     }
     let size = Vec2::new(extent.width as f32, extent.height as f32);
     let mut window = Offscreen::new(gpu, size.x, size.y, 1.0)?;
-    let mut view = View::new(display);
+    let mut view = View::new(display)?;
     view.begin_frame(window.format());
     window.frame(|ui| view.paint_whole(ui.painter(), Rect::from_min_size(Pos2::ZERO, size), layer, layer.shown.clone()))
 }
