@@ -51,20 +51,10 @@ pub use crate::{bindings, uniforms};
 
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
+use crate::text::human_bytes;
+
 /// Locks `mutex`, even if another thread panicked while it held the lock: the data behind these locks is valid between
 /// any two statements.
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
-}
-
-/// Formats a number of bytes for people, such as `1.5 GiB`.
-fn human_bytes(bytes: u64) -> String {
-    let units = ["B", "KiB", "MiB", "GiB", "TiB", "PiB", "EiB"];
-    let mut value = bytes as f64;
-    let mut unit = 0;
-    while value >= 1024.0 && unit + 1 < units.len() {
-        value /= 1024.0;
-        unit += 1;
-    }
-    if value.fract() < 0.05 { format!("{value:.0} {}", units[unit]) } else { format!("{value:.1} {}", units[unit]) }
 }

@@ -224,7 +224,9 @@ impl CallbackTrait for Paint {
         _encoder: &mut wgpu::CommandEncoder,
         resources: &mut CallbackResources,
     ) -> Vec<wgpu::CommandBuffer> {
-        let resources = resources.entry::<Resources>().or_insert_with(|| Resources::new(device, queue, self.format, self.layout.clone()));
+        let resources = resources
+            .entry::<Resources>()
+            .or_insert_with(|| Resources::new(device, queue, self.format, self.layout.clone()));
         resources.forget_before(self.frame.saturating_sub(FRAMES_KEPT));
         let shown = [Some(&self.draw.a), self.draw.b.as_ref()];
         for shown in shown.into_iter().flatten() {
@@ -394,8 +396,7 @@ impl Resources {
             encoder.copy_buffer_to_buffer(&self.uniforms, 0, &grown, 0, self.uniforms.size());
             queue.submit([encoder.finish()]);
             self.uniforms = grown;
-            self.draw_group =
-                bind_draw(device, &self.draw_layout, &self.uniforms, self.layout.bytes(), &self.colors);
+            self.draw_group = bind_draw(device, &self.draw_layout, &self.uniforms, self.layout.bytes(), &self.colors);
         }
         queue.write_buffer(&self.uniforms, offset, &self.layout.encode(uniforms));
     }

@@ -256,14 +256,7 @@ impl View {
     }
 
     /// Draws any image, stretched to the width of a rectangle; numbers are on the given scale.
-    pub fn paint_image(
-        &self,
-        painter: &Painter,
-        rect: Rect,
-        shown: Shown,
-        kind: Kind,
-        (range, scale): (Range, Scale),
-    ) {
+    pub fn paint_image(&self, painter: &Painter, rect: Rect, shown: Shown, kind: Kind, (range, scale): (Range, Scale)) {
         let (first, step) = placed(painter, rect, rect.width() / shown.image.extent.width as f32);
         let draw = Draw { channel: Channel::All, ..self.draw_on(shown, kind, (range, scale), first, step) };
         painter.add(self.slots.paint(rect, draw));
