@@ -1,4 +1,4 @@
-//! Text files that are read whole, and names, paths and lists in messages.
+//! Text files that are read whole, and names, paths, lists and numbers of bytes in messages.
 //!
 //! Names and paths come from outside and may hold anything: an escape sequence that moves the cursor, a line break that
 //! forges a line. Messages show control characters escaped. Files and JSON keep them as they are.
@@ -42,6 +42,18 @@ pub fn read_file(path: &Path, most_bytes: u64) -> Result<String> {
         return Err(Error::new(ErrorKind::FileTooLarge, problem));
     }
     Ok(text)
+}
+
+/// Formats a number of bytes for people, such as `1.5 GiB`.
+pub fn human_bytes(bytes: u64) -> String {
+    let units = ["B", "KiB", "MiB", "GiB", "TiB", "PiB", "EiB"];
+    let mut value = bytes as f64;
+    let mut unit = 0;
+    while value >= 1024.0 && unit + 1 < units.len() {
+        value /= 1024.0;
+        unit += 1;
+    }
+    if value.fract() < 0.05 { format!("{value:.0} {}", units[unit]) } else { format!("{value:.1} {}", units[unit]) }
 }
 
 /// Whether a terminal acts on the character, or hides it or the order of its neighbours.

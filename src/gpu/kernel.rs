@@ -2,17 +2,15 @@
 
 use std::sync::Arc;
 
-use naga::{AddressSpace, Handle, Module, ScalarKind, StorageAccess, Type, TypeInner};
+use naga::{AddressSpace, Module, StorageAccess};
 
-use super::bindings::{Bindings, Member, Slot, SlotKind};
+use super::bindings::{Bindings, Slot, SlotKind};
 use super::cache::PipelineCache;
 use super::device::Gpu;
 use super::lock;
 use super::shader::{Definition, Definitions, compose, compose_source};
+use super::uniform_layout::{lay_out, undecorated};
 use crate::error::{Error, Result};
-
-/// Text that naga_oil puts between the name of an imported item and the name of its module.
-const IMPORT_DECORATION: &str = "X_naga_oil_mod_X";
 
 /// Identity of a kernel: kernels with equal keys are the same.
 #[derive(Debug, PartialEq, Eq, Hash)]
@@ -300,13 +298,7 @@ fn place(module: &Module, slots: &[Slot]) -> std::result::Result<Vec<Option<Plac
             ));
         }
         let (uniform_bytes, offsets) = match kind {
-            SlotKind::Uniform { host, members } => {
-                let mut wanted = Vec::new();
-                members(name, &mut wanted);
-                let mut found = Vec::new();
-                flatten(module, global.ty, name, 0, &mut found);
-                (module.types[global.ty].inner.size(module.to_ctx()), match_members(host, &wanted, &found)?)
-            }
+            SlotKind::Uniform { host, members } => lay_out(module, global, host, members)?,
             SlotKind::Read | SlotKind::Optional | SlotKind::Write => (0, Vec::new()),
         };
         places[index] = Some(Place { binding: resource.binding, uniform_bytes, offsets });
@@ -328,11 +320,6 @@ fn names(slots: &[Slot]) -> String {
     slots.iter().map(|slot| format!("'{}'", slot.name)).collect::<Vec<_>>().join(", ")
 }
 
-fn undecorated(name: Option<&str>) -> &str {
-    let name = name.unwrap_or_default();
-    name.split_once(IMPORT_DECORATION).map_or(name, |(plain, _)| plain)
-}
-
 fn declaration(space: AddressSpace) -> Option<&'static str> {
     match space {
         AddressSpace::Uniform => Some("var<uniform>"),
@@ -340,74 +327,6 @@ fn declaration(space: AddressSpace) -> Option<&'static str> {
         AddressSpace::Storage { .. } => Some("var<storage, read>"),
         _ => None,
     }
-}
-
-/// Member of a uniform struct with its offset in the shader, in bytes.
-struct Laid {
-    path: String,
-    value: String,
-    offset: u32,
-}
-
-fn flatten(module: &Module, ty: Handle<Type>, path: &str, offset: u32, into: &mut Vec<Laid>) {
-    match &module.types[ty].inner {
-        TypeInner::Struct { members, .. } => {
-            for member in members {
-                flatten(
-                    module,
-                    member.ty,
-                    &format!("{path}.{}", undecorated(member.name.as_deref())),
-                    offset + member.offset,
-                    into,
-                );
-            }
-        }
-        inner => into.push(Laid { path: path.into(), value: written(module, inner), offset }),
-    }
-}
-
-/// Formats a type as WGSL writes it, for the types that uniforms can have.
-fn written(module: &Module, inner: &TypeInner) -> String {
-    let scalar = |scalar: &naga::Scalar| {
-        let kind = match scalar.kind {
-            ScalarKind::Sint => "i",
-            ScalarKind::Uint => "u",
-            ScalarKind::Float => "f",
-            _ => return "bool".to_owned(),
-        };
-        format!("{kind}{}", u32::from(scalar.width) * 8)
-    };
-    match inner {
-        TypeInner::Scalar(s) => scalar(s),
-        TypeInner::Vector { size, scalar: s } => format!("vec{}<{}>", *size as u32, scalar(s)),
-        TypeInner::Matrix { columns, rows, scalar: s } => {
-            format!("mat{}x{}<{}>", *columns as u32, *rows as u32, scalar(s))
-        }
-        TypeInner::Array { base, size: naga::ArraySize::Constant(count), .. } => {
-            format!("array<{}, {count}>", written(module, &module.types[*base].inner))
-        }
-        other => format!("{other:?}"),
-    }
-}
-
-/// Returns the offsets of the host's members in the shader's struct, in bytes.
-fn match_members(host: &str, wanted: &[Member], found: &[Laid]) -> std::result::Result<Vec<u32>, String> {
-    if let Some(extra) = found.iter().find(|laid| !wanted.iter().any(|member| member.path == laid.path)) {
-        return Err(format!("the shader's '{}: {}' is not in the host struct {host}", extra.path, extra.value));
-    }
-    let offset = |member: &Member| {
-        let Some(laid) = found.iter().find(|laid| laid.path == member.path) else {
-            return Err(format!("'{}: {}' of the host struct {host} is not in the shader", member.path, member.value));
-        };
-        if laid.value != member.value.to_string() {
-            return Err(format!(
-                "'{}' is {} in the shader and {} in the host struct {host}",
-                laid.path, laid.value, member.value
-            ));
-        }
-        Ok(laid.offset)
-    };
-    wanted.iter().map(offset).collect()
 }
 
 #[cfg(test)]

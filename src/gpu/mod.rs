@@ -36,6 +36,7 @@ mod record;
 mod run;
 mod shader;
 mod timing;
+mod uniform_layout;
 
 pub use bindings::{Around, Bindings, Member, Slot, SlotKind, Uniform, Value, ValueType};
 pub use cache::SavedPipelines;
@@ -46,25 +47,16 @@ pub use record::{Pace, Recorder};
 pub use run::Run;
 pub use shader::{Definition, Definitions, compose, compose_source, shared_modules, stages};
 pub use timing::{StageTime, StepTime};
+pub use uniform_layout::UniformLayout;
 
 pub use crate::{bindings, uniforms};
 
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
+use crate::text::human_bytes;
+
 /// Locks `mutex`, even if another thread panicked while it held the lock: the data behind these locks is valid between
 /// any two statements.
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
-}
-
-/// Formats a number of bytes for people, such as `1.5 GiB`.
-fn human_bytes(bytes: u64) -> String {
-    let units = ["B", "KiB", "MiB", "GiB", "TiB", "PiB", "EiB"];
-    let mut value = bytes as f64;
-    let mut unit = 0;
-    while value >= 1024.0 && unit + 1 < units.len() {
-        value /= 1024.0;
-        unit += 1;
-    }
-    if value.fract() < 0.05 { format!("{value:.0} {}", units[unit]) } else { format!("{value:.1} {}", units[unit]) }
 }

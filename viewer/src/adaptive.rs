@@ -67,14 +67,14 @@ pub struct Loop {
 #[derive(Debug)]
 pub struct Adapted {
     /// Result of the step.
-    pub step: Step,
+    pub result: StepResult,
     /// Whether this was the last step of the loop.
     pub is_last: bool,
 }
 
 /// Result of a step; see [`Adapted`].
 #[derive(Debug)]
-pub enum Step {
+pub enum StepResult {
     /// One more iteration is complete.
     Iteration(Box<Iteration>),
     /// All iterations were compared with a reference.
@@ -132,7 +132,7 @@ impl Loop {
                 iteration.opened.compare(&layer);
                 iteration.denoised.compare(&reference);
             }
-            return Ok(Adapted { step: Step::Compared(std::mem::take(complete)), is_last: true });
+            return Ok(Adapted { result: StepResult::Compared(std::mem::take(complete)), is_last: true });
         }
         iterations.set_pace(Some(pace));
         let (mut drawn_at, mut finished) = (Instant::now(), None);
@@ -155,7 +155,7 @@ impl Loop {
         })?;
         let iteration = finished.ok_or(Error::Cancelled)?;
         complete.push(iteration.clone());
-        Ok(Adapted { step: Step::Iteration(Box::new(iteration)), is_last: !goes_on && !has_reference })
+        Ok(Adapted { result: StepResult::Iteration(Box::new(iteration)), is_last: !goes_on && !has_reference })
     }
 }
 
@@ -179,8 +179,8 @@ fn iteration_of(number: u32, counts: &SampleCounts, opened: Opened, denoised: De
     }
 }
 
-/// Draws the reference with many samples, which are spread better than random ones. Its seed, inverted in 64 bits,
-/// differs from every seed of a loop, which has 32 bits.
+/// Draws the reference with a low-discrepancy sequence. Its seed is the seed of the loop, inverted in 64 bits: no loop
+/// has that seed, because seeds of loops have 32 bits.
 fn draw_reference(setup: &Setup, check: impl Fn(f32) -> stein::Result<()> + Sync) -> stein::Result<Image> {
     let mut sampler = setup.sampler(!u64::from(setup.seed), Sequence::LowDiscrepancy)?;
     let counts = SampleCounts::uniform(setup.extent, setup.reference_samples)?;

@@ -116,7 +116,7 @@ pub struct Denoised {
 
 /// Parameters, time and errors of a run, for lists and plots.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Run {
+pub struct MeasuredRun {
     /// Parameters of the run.
     pub parameters: Parameters,
     /// Time on the clock, in seconds.
@@ -135,7 +135,7 @@ pub struct Document {
     /// Newest run that was completed.
     pub denoised: Option<Denoised>,
     /// All completed runs, oldest first.
-    pub history: Vec<Run>,
+    pub history: Vec<MeasuredRun>,
     /// Result of the previous run.
     before: Option<Arc<Layer>>,
     layers: Vec<Arc<Layer>>,
@@ -190,7 +190,7 @@ impl Document {
     /// Takes over the results of a run. Keeps the previous result as a layer to compare with.
     pub fn add(&mut self, denoised: Denoised) {
         let Denoised { parameters, seconds, error, estimated_error, .. } = denoised;
-        self.history.push(Run { parameters, seconds, error, estimated_error });
+        self.history.push(MeasuredRun { parameters, seconds, error, estimated_error });
         self.before = self.layer("result").map(|before| {
             let about = "The result of the run before, to see what a change of the parameters does.".into();
             let description =

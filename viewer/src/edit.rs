@@ -2,7 +2,7 @@
 //! with them; meanwhile the last consistent parameters stay in use.
 
 use stein::Error;
-use stein::parameters::{Parameter, Value};
+use stein::parameters::Value;
 
 use crate::settings::Parameters;
 
@@ -36,11 +36,6 @@ impl Edits {
             Err(error) => self.waiting.push(Refused { name: name.into(), value, error }),
         }
         parameters.method != before
-    }
-
-    /// Sets a parameter to its value in the preset. Returns whether anything was set.
-    pub fn reset(&mut self, parameters: &mut Parameters, parameter: &Parameter) -> bool {
-        parameters.preset_value(parameter).is_some_and(|value| self.set(parameters, &parameter.name, value))
     }
 
     fn retry(&mut self, parameters: &mut Parameters) {

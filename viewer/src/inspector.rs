@@ -36,12 +36,12 @@ pub struct Inspected {
     /// Kernels from the library.
     pub kernels: Kernels,
     /// Windows of the filters, one for each of [`Kernels::filters`].
-    pub windows: Vec<Window>,
+    pub windows: Vec<FilterWindow>,
 }
 
 /// Images and numbers of a filter's window.
 #[derive(Debug)]
-pub struct Window {
+pub struct FilterWindow {
     /// Image of [`FilterKernel::weights`].
     pub weights: Shown,
     /// Image of [`FilterKernel::colors`].
@@ -61,12 +61,12 @@ pub struct Window {
 impl Inspected {
     /// Makes the images of an answer.
     pub fn new(question: Question, kernels: Kernels) -> Self {
-        let windows = kernels.filters.iter().map(Window::new).collect();
+        let windows = kernels.filters.iter().map(FilterWindow::new).collect();
         Self { question, kernels, windows }
     }
 }
 
-impl Window {
+impl FilterWindow {
     fn new(filter: &FilterKernel) -> Self {
         let shown = |image: &Image| Shown::new(Arc::new(image.clone()));
         let value =
@@ -99,6 +99,23 @@ pub enum Quantity {
     Colors,
     /// The weights that one distance alone would give.
     Alone(Compared),
+}
+
+/// A change of what the kernel panel shows.
+#[derive(Clone, Debug, PartialEq)]
+pub enum InspectorAction {
+    /// Selects a filter by its index.
+    SelectFilter(usize),
+    /// Shows this quantity in the window of the filter.
+    ShowQuantity(Quantity),
+    /// Shows the weights on this scale.
+    SetScale(Scale),
+    /// Switches whether the panel follows the pointer.
+    ToggleFollow,
+    /// Keeps the neighbour at this offset from the pixel; `None` keeps no neighbour.
+    Keep(Option<[i32; 2]>),
+    /// Records the neighbour under the pointer, as an offset from the pixel; `None` if there is no such neighbour.
+    Point(Option<[i32; 2]>),
 }
 
 /// State of the kernel panel: the newest answer and the selection of the user.
@@ -141,6 +158,18 @@ impl Default for Inspector {
 }
 
 impl Inspector {
+    /// Changes what the panel shows.
+    pub fn apply(&mut self, action: InspectorAction) {
+        match action {
+            InspectorAction::SelectFilter(index) => self.filter = index,
+            InspectorAction::ShowQuantity(quantity) => self.quantity = quantity,
+            InspectorAction::SetScale(scale) => self.scale = scale,
+            InspectorAction::ToggleFollow => self.follows = !self.follows,
+            InspectorAction::Keep(offset) => self.kept = offset,
+            InspectorAction::Point(offset) => self.pointed = offset,
+        }
+    }
+
     /// Returns whether this question is neither answered nor pending.
     pub fn asks(&self, question: &Question) -> bool {
         self.waiting.as_ref().or(self.settled.as_ref()) != Some(question)
@@ -181,14 +210,14 @@ impl Inspector {
     }
 
     /// Returns the selected filter and its images; `None` if the answer has no filters.
-    pub fn shown<'a>(&self, inspected: &'a Inspected) -> Option<(&'a FilterKernel, &'a Window)> {
+    pub fn shown<'a>(&self, inspected: &'a Inspected) -> Option<(&'a FilterKernel, &'a FilterWindow)> {
         let place = self.filter.min(inspected.windows.len().checked_sub(1)?);
         Some((&inspected.kernels.filters[place], &inspected.windows[place]))
     }
 
     /// Returns the cell of the neighbour to explain: the one under the pointer, or else the one that was clicked.
     pub fn cell(&self, filter: &FilterKernel) -> Option<usize> {
-        [self.pointed, self.kept].into_iter().flatten().find_map(|offset| cell_at(filter, offset))
+        explained_cell(filter, self.pointed, self.kept)
     }
 
     /// Returns whether the answer has no neighbour at this offset; `false` without an answer.
@@ -210,6 +239,12 @@ impl Inspector {
     pub fn scale_of_weights(&self) -> (Range, Scale) {
         (Range { low: if self.scale == Scale::Log { LEAST_SHOWN } else { 0.0 }, high: 1.0 }, self.scale)
     }
+}
+
+/// Returns the cell of the neighbour to explain: the one under the pointer, or else the one that was clicked. Both are
+/// offsets from the pixel.
+pub fn explained_cell(filter: &FilterKernel, pointed: Option<[i32; 2]>, kept: Option<[i32; 2]>) -> Option<usize> {
+    [pointed, kept].into_iter().flatten().find_map(|offset| cell_at(filter, offset))
 }
 
 /// Returns the cell of a neighbour by its offset from the pixel; `None` outside of the window or the frame.

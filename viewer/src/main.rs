@@ -36,23 +36,23 @@ Examples:
 #[command(name = "stein-viewer", version, after_help = AFTER_HELP)]
 #[command(group = clap::ArgGroup::new("shown").args(["file", "adapt"]).multiple(false))]
 struct Args {
-    /// OpenEXR file with the noisy image and, usually, its halves or variance, and features; the image's layer where it
-    /// is not the usual one
+    /// OpenEXR file with the noisy image, usually its halves or variance, and features; with the layer of the image if
+    /// that has an unusual name
     #[arg(value_name = "FILE[::LAYER]")]
     file: Option<LayerRef>,
     /// The true image, to compare with
     #[arg(long, value_name = "FILE[::LAYER]", requires = "file")]
     reference: Option<LayerRef>,
-    /// Take every path as it is: `::` parts no layer from its file
+    /// Takes every path as it is: `::` in a path separates no layer from its file
     #[arg(long, requires = "file")]
     literal: bool,
-    /// Samples a built-in scene adaptively in place of opening a file: soft, dof, motion, caustic, texture or spikes
+    /// Samples a built-in scene adaptively instead of opening a file: soft, dof, motion, caustic, texture or spikes
     #[arg(long, value_name = "SCENE", conflicts_with = "file")]
     adapt: Option<String>,
-    /// Method [default: that of --params; where no filter option is given, what was used last; else dfc]
+    /// Method [default: the method of --params; without any filter option, the method used last; else dfc]
     #[arg(long, value_parser = choice(&Method::all(), &Method::choices()))]
     method: Option<Method>,
-    /// Parameters [default: that of --params; where no filter option is given, what was used last; else default]
+    /// Preset of the parameters [default: the preset of --params; without any filter option, the preset used last; else default]
     #[arg(long, value_parser = choice(Preset::ALL, &Preset::choices()))]
     preset: Option<Preset>,
     /// TOML file with method, preset and parameters, such as `stein params` writes
@@ -94,7 +94,7 @@ struct Args {
     /// Of a screenshot: pixels per point
     #[arg(long, value_name = "NUMBER", default_value_t = 1.0, requires = "screenshot", value_parser = scale)]
     scale: f32,
-    /// Closes the window after so many frames, counted from when nothing is at work any more: for tests
+    /// Closes the window after so many frames without work, for tests
     #[arg(long, value_name = "NUMBER", hide = true, conflicts_with = "screenshot")]
     exit_after_frames: Option<u32>,
     /// Of a screenshot: dark or light
@@ -117,7 +117,7 @@ enum CompareName {
     Blink,
     /// The layer minus the other
     Difference,
-    /// The same, relative to the other
+    /// The layer minus the other, relative to the other
     Relative,
 }
 

@@ -1,24 +1,21 @@
-//! Files that the window writes, each in a thread of its own: a run does not delay them, and a new one does not replace
-//! one that waits.
+//! Files that the window writes. Each file has a thread of its own, so that no run and no other file delays it.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, TryRecvError, channel};
 use std::task::Poll;
 use std::thread::JoinHandle;
-use stein_exr::write_estimate;
 
 use eframe::egui::{CentralPanel, Context, Frame as Margins, Pos2, Rect, Theme, Vec2};
 use stein::{Error, Estimate, Gpu, Image, Method, Result};
-use stein_exr::atomic_file;
-use stein_exr::{BufferSet, BufferSetRequest, NamedLayer, write_layers};
+use stein_exr::{BufferSet, BufferSetRequest, NamedLayer, atomic_file, write_estimate, write_layers};
 
-use crate::app;
 use crate::device::no_thread;
 use crate::files::short_name;
 use crate::layer::Layer;
 use crate::screenshot::{Offscreen, Picture};
 use crate::settings::Parameters;
+use crate::style;
 use crate::view::{Camera, Compare, Display, Marked, View, canvas};
 
 /// Content of a file to write.
@@ -153,8 +150,8 @@ impl Sight {
     fn picture(&self, gpu: &Gpu) -> Result<Picture> {
         let mut window = Offscreen::new(gpu, self.size.x, self.size.y, self.scale)?;
         window.context().set_theme(self.theme);
-        app::set_style(window.context());
-        let mut view = View::new(self.display.clone());
+        style::apply(window.context());
+        let mut view = View::new(self.display.clone())?;
         (view.compare, view.wipe, view.camera) = (self.compare, self.wipe, self.camera);
         (view.pinned, view.marked) = (self.pinned, self.marked);
         let format = window.format();
@@ -188,7 +185,7 @@ fn picture_of(gpu: &Gpu, layer: &Layer, display: Display) -> Result<Picture> {
     }
     let size = Vec2::new(extent.width as f32, extent.height as f32);
     let mut window = Offscreen::new(gpu, size.x, size.y, 1.0)?;
-    let mut view = View::new(display);
+    let mut view = View::new(display)?;
     view.begin_frame(window.format());
     window.frame(|ui| view.paint_whole(ui.painter(), Rect::from_min_size(Pos2::ZERO, size), layer, layer.shown.clone()))
 }

@@ -1,4 +1,4 @@
-//! The window without a screen: for documentation and tests.
+//! The window without a screen, for pictures in the documentation and for tests.
 
 use std::path::Path;
 use std::time::{Duration, Instant};
@@ -58,7 +58,7 @@ impl Picture {
     }
 }
 
-/// A window that nobody sees.
+/// A window that draws into a texture.
 pub struct Offscreen {
     context: Context,
     state: RenderState,
@@ -218,8 +218,8 @@ pub struct Shot {
 /// set what is shown.
 ///
 /// # Errors
-/// The failure that the window would report; [`Error::Request`] if a layer, a pixel or a neighbour does not exist, in
-/// whose stead the window would show another, or if the run takes too long.
+/// The failure that the window would report; [`Error::Request`] if the run takes too long, or if a layer, a pixel or a
+/// neighbour does not exist. The window would show a default instead.
 pub fn take(gpu: &Gpu, shot: &Shot, arrange: impl FnOnce(&mut Viewer)) -> Result<Picture> {
     let mut window = Offscreen::new(gpu, shot.size[0], shot.size[1], shot.scale)?;
     window.context().set_theme(shot.theme);

@@ -32,7 +32,7 @@ impl Settings {
     /// Key under which the settings are stored.
     pub const KEY: &str = "stein-viewer";
 
-    /// Puts a source in front of the others, in place of the same source with another reference. Ignores sources whose
+    /// Puts a source in front of the others, and removes the same buffer set with another reference. Ignores sources whose
     /// file names are not Unicode, because they cannot be stored.
     pub fn remember(&mut self, source: &Source) {
         let source = source.absolute();
@@ -60,7 +60,7 @@ impl Earlier {
         self.0.iter().map(|left| left.to_toml()).collect()
     }
 
-    /// Keeps parameters, in place of earlier ones with the same method and preset.
+    /// Keeps parameters, and removes earlier ones with the same method and preset.
     pub fn keep(&mut self, left: Parameters) {
         self.0.retain(|other| !other.is_like(left));
         self.0.push(left);

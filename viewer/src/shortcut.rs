@@ -2,76 +2,14 @@
 
 use eframe::egui::{Context, Key, KeyboardShortcut, Modifiers};
 
+use crate::action::Action;
+use crate::files::Purpose;
+use crate::inspector::InspectorAction;
 use crate::panel::Panel;
 use crate::view::Compare;
 
-/// Effect of a key.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Action {
-    /// Asks for a buffer set.
-    Open,
-    /// Asks for a reference.
-    OpenReference,
-    /// Asks for parameters.
-    OpenParameters,
-    /// Asks where to save what the canvas shows.
-    SaveView,
-    /// Asks where to save the layer A at its own size.
-    SaveLayer,
-    /// Asks where to save the denoised frame.
-    SaveResult,
-    /// Asks where to save the parameters.
-    SaveParameters,
-    /// Resets all parameters to those of the preset.
-    ResetParameters,
-    /// Starts to measure error against run time, or stops.
-    Sweep,
-    /// Denoises again.
-    Run,
-    /// Cancels the work in flight, closes the help, or unpins the pixel.
-    Cancel,
-    /// Shows the next layer of the strip, or the previous one for −1.
-    StepLayer(isize),
-    /// Shows the layer with this name.
-    ShowLayer(&'static str),
-    /// Makes the shown layer the one to compare with, layer B.
-    MarkOther,
-    /// Swaps the layers A and B.
-    Swap,
-    /// Compares two layers in this way.
-    Compare(Compare),
-    /// Brightens the image by this number of stops.
-    Expose(f32),
-    /// Adds this value to the offset of the colours.
-    Offset(f32),
-    /// Resets exposure, offset and ranges.
-    ResetDisplay,
-    /// Fits the image into the view.
-    Fit,
-    /// Shows one pixel of the image as one pixel of the screen.
-    ActualSize,
-    /// Magnifies by this factor.
-    Zoom(f32),
-    /// Shows the next iteration of the adaptive loop, or the previous one for −1.
-    StepIteration(i32),
-    /// Shows a side panel.
-    Panel(Panel),
-    /// Shows a side panel, or the previous panel if this one is shown already.
-    TogglePanel(Panel),
-    /// Switches whether the kernel panel follows the pointer.
-    ToggleFollow,
-    /// Pins the pixel at this offset from the chosen pixel.
-    MovePixel([i32; 2]),
-    /// Switches whether layer B is shown on the false-colour scale of layer A.
-    ToggleSharedScale,
-    /// Switches between the dark and the light theme.
-    ToggleTheme,
-    /// Shows or hides the help.
-    Help,
-}
-
 /// A key, its effect, and the description of the effect in the help.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub struct Shortcut {
     /// The key with its modifiers.
     pub keys: KeyboardShortcut,
@@ -82,7 +20,7 @@ pub struct Shortcut {
 }
 
 /// A section of the help.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub struct Section {
     /// Heading of the section.
     pub title: &'static str,
@@ -105,16 +43,21 @@ pub const SECTIONS: &[Section] = &[
     Section {
         title: "File and run",
         shortcuts: &[
-            with(Modifiers::COMMAND, Key::O, Action::Open, "open a buffer set"),
-            with(Modifiers::COMMAND, Key::R, Action::OpenReference, "open a reference"),
-            with(Modifiers::COMMAND, Key::S, Action::SaveResult, "save the result as OpenEXR"),
-            with(Modifiers::COMMAND, Key::E, Action::SaveView, "save the view as PNG"),
-            with(COMMAND_SHIFT, Key::E, Action::SaveLayer, "save the layer as PNG"),
-            with(Modifiers::COMMAND, Key::P, Action::SaveParameters, "save the parameters as TOML"),
-            with(COMMAND_SHIFT, Key::P, Action::OpenParameters, "load parameters"),
+            with(Modifiers::COMMAND, Key::O, Action::AskForFile(Purpose::Input), "open a buffer set"),
+            with(Modifiers::COMMAND, Key::R, Action::AskForFile(Purpose::Reference), "open a reference"),
+            with(Modifiers::COMMAND, Key::S, Action::AskForFile(Purpose::SaveResult), "save the result as OpenEXR"),
+            with(Modifiers::COMMAND, Key::E, Action::AskForFile(Purpose::SaveView), "save the view as PNG"),
+            with(COMMAND_SHIFT, Key::E, Action::AskForFile(Purpose::SaveLayer), "save the layer as PNG"),
+            with(
+                Modifiers::COMMAND,
+                Key::P,
+                Action::AskForFile(Purpose::SaveParameters),
+                "save the parameters as TOML",
+            ),
+            with(COMMAND_SHIFT, Key::P, Action::AskForFile(Purpose::Parameters), "load parameters"),
             with(Modifiers::COMMAND, Key::Backspace, Action::ResetParameters, "all parameters as in the preset"),
             key(Key::F5, Action::Run, "denoise again"),
-            key(Key::F9, Action::Sweep, "measure error against time, or stop"),
+            key(Key::F9, Action::ToggleSweep, "measure error against time, or stop"),
             key(Key::Escape, Action::Cancel, "cancel, close the help, unpin the pixel"),
         ],
     },
@@ -125,15 +68,15 @@ pub const SECTIONS: &[Section] = &[
             key(Key::Comma, Action::StepLayer(-1), "layer before"),
             key(Key::PageDown, Action::StepIteration(1), "next iteration of sampling"),
             key(Key::PageUp, Action::StepIteration(-1), "iteration before"),
-            key(Key::Num1, Action::ShowLayer("result"), "result"),
-            key(Key::Num2, Action::ShowLayer("noisy"), "noisy"),
-            key(Key::Num3, Action::ShowLayer("reference"), "reference"),
-            key(Key::Num4, Action::ShowLayer("first"), "FIRST"),
-            key(Key::Num5, Action::ShowLayer("second"), "SECOND"),
-            key(Key::Num6, Action::ShowLayer("third"), "THIRD"),
-            key(Key::Num7, Action::ShowLayer("selection"), "selection"),
-            key(Key::Num8, Action::ShowLayer("error"), "estimated error"),
-            key(Key::Num9, Action::ShowLayer("density"), "sampling density"),
+            key(Key::Num1, Action::show_layer("result"), "result"),
+            key(Key::Num2, Action::show_layer("noisy"), "noisy"),
+            key(Key::Num3, Action::show_layer("reference"), "reference"),
+            key(Key::Num4, Action::show_layer("first"), "FIRST"),
+            key(Key::Num5, Action::show_layer("second"), "SECOND"),
+            key(Key::Num6, Action::show_layer("third"), "THIRD"),
+            key(Key::Num7, Action::show_layer("selection"), "selection"),
+            key(Key::Num8, Action::show_layer("error"), "estimated error"),
+            key(Key::Num9, Action::show_layer("density"), "sampling density"),
         ],
     },
     Section {
@@ -177,21 +120,26 @@ pub const SECTIONS: &[Section] = &[
             with(Modifiers::SHIFT, Key::ArrowUp, Action::MovePixel([0, -10]), "ten pixels up"),
             with(Modifiers::SHIFT, Key::ArrowDown, Action::MovePixel([0, 10]), "ten pixels down"),
             key(Key::K, Action::TogglePanel(Panel::Kernel), "kernel, and back"),
-            with(Modifiers::SHIFT, Key::K, Action::ToggleFollow, "kernel under the pointer (as while Ctrl is held)"),
+            with(
+                Modifiers::SHIFT,
+                Key::K,
+                Action::Inspector(InspectorAction::ToggleFollow),
+                "kernel under the pointer (as while Ctrl is held)",
+            ),
         ],
     },
     Section {
         title: "Panels",
         shortcuts: &[
-            key(Key::F1, Action::Panel(Panel::Display), "display"),
-            key(Key::F2, Action::Panel(Panel::Parameters), "parameters"),
-            key(Key::F3, Action::Panel(Panel::Pixel), "pixel"),
-            key(Key::F4, Action::Panel(Panel::Report), "report"),
-            key(Key::F7, Action::Panel(Panel::Plot), "error against time"),
-            key(Key::F8, Action::Panel(Panel::Sampling), "sampling"),
+            key(Key::F1, Action::ShowPanel(Panel::Display), "display"),
+            key(Key::F2, Action::ShowPanel(Panel::Parameters), "parameters"),
+            key(Key::F3, Action::ShowPanel(Panel::Pixel), "pixel"),
+            key(Key::F4, Action::ShowPanel(Panel::Report), "report"),
+            key(Key::F7, Action::ShowPanel(Panel::Plot), "error against time"),
+            key(Key::F8, Action::ShowPanel(Panel::Sampling), "sampling"),
             key(Key::T, Action::ToggleTheme, "dark or light"),
-            key(Key::H, Action::Help, "this help"),
-            key(Key::Questionmark, Action::Help, ""),
+            key(Key::H, Action::ToggleHelp, "this help"),
+            key(Key::Questionmark, Action::ToggleHelp, ""),
         ],
     },
 ];
@@ -209,7 +157,7 @@ pub fn pressed(context: &Context) -> Vec<Action> {
     context.input_mut(|input| {
         all.into_iter()
             .filter(|shortcut| input.consume_shortcut(&shortcut.keys))
-            .map(|shortcut| shortcut.action)
+            .map(|shortcut| shortcut.action.clone())
             .collect()
     })
 }

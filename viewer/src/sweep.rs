@@ -5,12 +5,12 @@ use std::sync::Arc;
 
 use stein::{Method, Preset};
 
-use crate::document::Run;
+use crate::document::MeasuredRun;
 use crate::settings::Parameters;
 
 /// Range of a sweep: all combinations of these radii, presets and methods, besides the parameters in use.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Extent {
+pub struct SweepRange {
     /// Radii of the window in pixels, for methods that have a window radius.
     pub radii: Vec<u32>,
     /// Presets that supply the other parameters.
@@ -19,13 +19,13 @@ pub struct Extent {
     pub methods: Vec<&'static str>,
 }
 
-impl Default for Extent {
+impl Default for SweepRange {
     fn default() -> Self {
         Self { radii: vec![3, 5, 7, 10], presets: vec![Preset::Default, Preset::Thesis], methods: vec!["dfc"] }
     }
 }
 
-impl Extent {
+impl SweepRange {
     /// Radii that the panel offers, in pixels.
     pub const RADII: [u32; 7] = [2, 3, 5, 7, 10, 15, 20];
 
@@ -67,10 +67,10 @@ pub fn radius(method: &Method) -> Option<u32> {
 #[derive(Clone, Debug, Default)]
 pub struct Sweep {
     /// Range of the next sweep.
-    pub extent: Extent,
+    pub range: SweepRange,
     /// Runs that were measured on the open frame, in the order of measuring. They made only the result and its
     /// estimated error, and their time is the shorter of two runs, so that compiling shaders does not count.
-    pub points: Vec<Run>,
+    pub points: Vec<MeasuredRun>,
     /// Parameters of all runs of the sweep; empty before the first sweep.
     pub planned: Arc<[Parameters]>,
     /// Whether a sweep is running.
@@ -78,8 +78,8 @@ pub struct Sweep {
 }
 
 impl Sweep {
-    /// Adds a measured run, in place of an earlier one with the same parameters; the last planned run ends the sweep.
-    pub fn add(&mut self, point: Run) {
+    /// Adds a measured run, and removes an earlier run with equal parameters. The last planned run ends the sweep.
+    pub fn add(&mut self, point: MeasuredRun) {
         self.points.retain(|other| other.parameters.method != point.parameters.method);
         self.points.push(point);
         self.is_running &= self.planned.last().is_some_and(|last| last.method != point.parameters.method);
@@ -88,13 +88,13 @@ impl Sweep {
     /// Starts a sweep and forgets the results of an earlier one. Returns the parameters to measure.
     pub fn start(&mut self, in_use: Parameters) -> Arc<[Parameters]> {
         self.points.clear();
-        self.planned = self.extent.parameters(in_use).into();
+        self.planned = self.range.parameters(in_use).into();
         self.is_running = true;
         self.planned.clone()
     }
 
     /// Forgets everything except the range, for another frame.
     pub fn clear(&mut self) {
-        *self = Self { extent: std::mem::take(&mut self.extent), ..Self::default() };
+        *self = Self { range: std::mem::take(&mut self.range), ..Self::default() };
     }
 }

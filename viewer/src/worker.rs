@@ -22,7 +22,7 @@ use stein_exr::{BufferSet, LayerRef, read_reference};
 
 use crate::adaptive::{Adapted, Loop};
 use crate::device::no_thread;
-use crate::document::{Denoised, Opened, Run, Source, input_layers, relative_mse};
+use crate::document::{Denoised, MeasuredRun, Opened, Source, input_layers, relative_mse};
 use crate::inspector::{Inspected, Question};
 use crate::settings::Parameters;
 
@@ -147,7 +147,7 @@ pub enum Reply {
     /// An adaptive loop is one step further.
     Adapted(Box<Adapted>),
     /// A run was measured.
-    Swept(Box<Run>),
+    Swept(Box<MeasuredRun>),
     /// A task failed because of this error. Cancelled tasks send no such reply.
     Failed(Task, Error),
 }
@@ -163,9 +163,9 @@ pub struct Worker {
 #[derive(Debug, Default)]
 struct Mailbox {
     state: Mutex<State>,
-    /// Tells the thread that there is something to do.
+    /// Wakes the thread when there is a new request.
     news: Condvar,
-    /// Tells the window that something was done.
+    /// Wakes the window when a request has ended.
     done: Condvar,
 }
 
@@ -317,7 +317,7 @@ impl Reply {
     }
 }
 
-/// The worker, as its thread uses it.
+/// The worker as its thread uses it: where requests come from and where replies go.
 struct Desk {
     gpu: Gpu,
     mailbox: Arc<Mailbox>,
@@ -325,27 +325,30 @@ struct Desk {
     context: Context,
 }
 
-/// A request at work.
-struct Job<'a> {
+/// A request at work, as the functions that do the work see it.
+struct WorkerJob<'a> {
     desk: &'a Desk,
     number: u64,
     task: Task,
     cancelled: Arc<AtomicBool>,
-    told: Mutex<Option<Instant>>,
+    /// Time of the newest reply about progress.
+    reported: Mutex<Option<Instant>>,
 }
 
-impl Job<'_> {
+impl WorkerJob<'_> {
+    /// Sends a reply, and wakes the window.
     fn tell(&self, reply: Reply) {
         // Nobody listens once the window is closed.
         let _ = self.desk.replies.send((self.number, reply));
         self.desk.context.request_repaint();
     }
 
+    /// Reports the share that is done, 0 to 1. Returns whether the request goes on.
     fn progress(&self, share: f32) -> ControlFlow<()> {
         // Each reply makes the window draw again, on the same device.
-        let mut told = self.told.lock().unwrap_or_else(PoisonError::into_inner);
-        if told.is_none_or(|told| told.elapsed() >= BETWEEN_REPLIES) {
-            *told = Some(Instant::now());
+        let mut reported = self.reported.lock().unwrap_or_else(PoisonError::into_inner);
+        if reported.is_none_or(|reported| reported.elapsed() >= BETWEEN_REPLIES) {
+            *reported = Some(Instant::now());
             self.tell(Reply::Progress(self.task, share));
         }
         if self.cancelled.load(Ordering::Relaxed) { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
@@ -357,6 +360,10 @@ impl Job<'_> {
         Pace { dispatches, cancelled: self.cancelled.clone() }
     }
 
+    /// As [`WorkerJob::progress`], for work that ends with an error.
+    ///
+    /// # Errors
+    /// [`Error::Cancelled`] if the request was cancelled.
     fn check(&self, share: f32) -> stein::Result<()> {
         if self.progress(share).is_break() { Err(Error::Cancelled) } else { Ok(()) }
     }
@@ -366,9 +373,9 @@ impl Desk {
     fn work(self) {
         while let Some((number, request, cancelled)) = self.next() {
             let task = request.task();
-            let job = Job { desk: &self, number, task, cancelled, told: Mutex::default() };
-            // The whole request, to be done again if it only made way; `State::end` drops it if it was cancelled for
-            // good.
+            let job = WorkerJob { desk: &self, number, task, cancelled, reported: Mutex::default() };
+            // A sweep that only made way for another task is done again, as a whole. `State::end` drops a sweep that the
+            // user cancelled.
             let whole = request.after(0);
             let done = catch_unwind(AssertUnwindSafe(|| self.fulfil(&job, request)))
                 .unwrap_or_else(|panic| Err(defect(panic.as_ref())));
@@ -405,7 +412,7 @@ impl Desk {
     }
 
     /// Does the work of a request. Returns the reply, and the rest of the work.
-    fn fulfil(&self, job: &Job, request: Request) -> stein::Result<(Reply, Option<Request>)> {
+    fn fulfil(&self, job: &WorkerJob, request: Request) -> stein::Result<(Reply, Option<Request>)> {
         let mut rest = request.after(1);
         let reply = match request {
             Request::Open(source) => Reply::Opened(Box::new(open(job, source)?)),
@@ -427,7 +434,7 @@ impl Desk {
     }
 }
 
-fn open(job: &Job, source: Source) -> stein::Result<Opened> {
+fn open(job: &WorkerJob, source: Source) -> stein::Result<Opened> {
     job.check(0.0)?;
     let mut set = BufferSet::read(&source.request).map_err(|error| in_file(&source, error))?;
     job.check(0.4)?;
@@ -476,7 +483,7 @@ fn in_file(source: &Source, error: Error) -> Error {
     }
 }
 
-fn inspect(gpu: &Gpu, job: &Job, question: Question) -> stein::Result<Inspected> {
+fn inspect(gpu: &Gpu, job: &WorkerJob, question: Question) -> stein::Result<Inspected> {
     let denoiser = Denoiser::new(gpu, question.method)?;
     let [x, y] = question.pixel;
     // Keeps the same intermediates as the run that is looked at.
@@ -487,7 +494,7 @@ fn inspect(gpu: &Gpu, job: &Job, question: Question) -> stein::Result<Inspected>
 
 fn denoise(
     gpu: &Gpu,
-    job: &Job,
+    job: &WorkerJob,
     frame: &Frame,
     reference: Option<&Arc<Image>>,
     parameters: Parameters,
@@ -512,12 +519,12 @@ fn denoise(
 /// Measures time and error of a run that makes the result and its estimated error, and keeps nothing else.
 fn measure(
     gpu: &Gpu,
-    job: &Job,
+    job: &WorkerJob,
     frame: &Frame,
     reference: Option<&Arc<Image>>,
     parameters: Parameters,
     share: impl Fn(f32) -> f32,
-) -> stein::Result<Run> {
+) -> stein::Result<MeasuredRun> {
     job.check(share(0.0))?;
     gpu.set_timing(false);
     let denoiser = Denoiser::new(gpu, parameters.method)?;
@@ -535,7 +542,7 @@ fn measure(
         time = time.min(run(0.5)?.1);
     }
     let (error, estimated_error) = (relative_mse(&estimate.color, reference), estimated_relative_mse(&estimate));
-    Ok(Run { parameters, seconds: time.as_secs_f64(), error, estimated_error })
+    Ok(MeasuredRun { parameters, seconds: time.as_secs_f64(), error, estimated_error })
 }
 
 /// Makes an error of a panic, which is a defect of this program: the window stays open and reports it.

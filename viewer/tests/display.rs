@@ -181,7 +181,7 @@ fn check(picture: &Picture, draw: &Draw, what: &str) {
 fn the_shader_shows_what_the_formulas_say() {
     let gpu = Gpu::open(&DeviceChoice::Auto).unwrap();
     let mut window = Offscreen::new(&gpu, SIDE, SIDE, 1.0).unwrap();
-    let mut slots = Slots::default();
+    let mut slots = Slots::new().unwrap();
     let mut check = |draw: &Draw, what: &str| check(&on_gpu(&mut window, &mut slots, draw), draw, what);
 
     let color = draw(image(3, 1), Kind::Color);
@@ -212,7 +212,7 @@ fn the_shader_shows_what_the_formulas_say() {
 fn what_is_not_finite_is_marked() {
     let gpu = Gpu::open(&DeviceChoice::Auto).unwrap();
     let mut window = Offscreen::new(&gpu, SIDE, SIDE, 1.0).unwrap();
-    let mut slots = Slots::default();
+    let mut slots = Slots::new().unwrap();
     for (channels, kind) in [(3, Kind::Color), (1, Kind::Scalar(Scale::Log)), (3, Kind::Direction)] {
         let mut damaged = Image::clone(&image(channels, 7));
         for (pixel, value) in

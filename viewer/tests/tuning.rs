@@ -15,7 +15,7 @@ use egui_plot::{PlotMemory, PlotPoint};
 use stein::parameters::{Kind, Value};
 use stein::{Denoiser, Frame, Image, Method, Preset};
 use stein_exr::{BufferSet, BufferSetRequest};
-use stein_viewer::document::{Run, Source};
+use stein_viewer::document::{MeasuredRun, Source};
 use stein_viewer::files::Purpose;
 use stein_viewer::panel::Panel;
 use stein_viewer::panel::plot::PLOT;
@@ -378,7 +378,7 @@ fn a_window_that_makes_room_waits_for_the_work_and_no_longer() {
 fn a_sweep_measures_makes_way_and_hands_over_its_parameters() {
     let mut harness = window_with(FILE, Some("cornell_reference.exr"));
     harness.state_mut().panel = Panel::Plot;
-    harness.state_mut().sweep.extent.radii = vec![2, 3];
+    harness.state_mut().sweep.range.radii = vec![2, 3];
     harness.run_steps(2);
     harness.get_by_label("method gem").click();
     harness.run_steps(2);
@@ -412,14 +412,16 @@ fn a_sweep_measures_makes_way_and_hands_over_its_parameters() {
 
     // Of the points, the one that lies most by itself is clicked.
     let transform = PlotMemory::load(&harness.ctx, Id::unique(PLOT)).unwrap().transform();
-    let place = |point: &Run| {
+    let place = |point: &MeasuredRun| {
         transform.position_from_point(&PlotPoint::new(point.seconds.log10(), point.error.unwrap().log10()))
     };
     let points = harness.state().sweep.points.clone();
-    let others =
-        |point: &Run| points.iter().filter(|other| other.parameters != point.parameters).map(place).collect::<Vec<_>>();
-    let alone =
-        |point: &Run| others(point).into_iter().map(|other| other.distance(place(point))).fold(f32::INFINITY, f32::min);
+    let others = |point: &MeasuredRun| {
+        points.iter().filter(|other| other.parameters != point.parameters).map(place).collect::<Vec<_>>()
+    };
+    let alone = |point: &MeasuredRun| {
+        others(point).into_iter().map(|other| other.distance(place(point))).fold(f32::INFINITY, f32::min)
+    };
     let clickable = points.iter().filter(|point| point.parameters.method != expected);
     let point = clickable.max_by(|a, b| alone(a).total_cmp(&alone(b))).unwrap();
     assert!(alone(point) > 1.0, "{points:?}");

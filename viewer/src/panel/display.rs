@@ -4,47 +4,47 @@ use eframe::egui::{
     Align2, Color32, ComboBox, DragValue, FontId, Grid, Rect, RichText, Role, Sense, Slider, Ui, Vec2, WidgetInfo,
 };
 
-use crate::app::Viewer;
+use crate::action::Action;
 use crate::layer::{Histogram, Kind, Layer, Scale};
-use crate::shortcut::Action;
 use crate::view::canvas::titled;
 use crate::view::colormap::Colormap;
 use crate::view::numbers::number;
 use crate::view::{Channel, Display, Tone};
 
-/// Shows the panel.
-pub fn show(ui: &mut Ui, viewer: &mut Viewer) {
-    let Some(layer) = viewer.layer().cloned() else {
+/// Shows the panel for layer A.
+pub fn show(ui: &mut Ui, layer: Option<&Layer>, display: &Display) -> Vec<Action> {
+    let Some(layer) = layer else {
         ui.label("Open a file to see its layers.");
-        return;
+        return Vec::new();
     };
+    // The widgets change a copy.
+    let mut edited = display.clone();
     let description = &layer.description;
     ui.label(RichText::new(titled(&description.title, description.unit)).strong());
     ui.label(RichText::new(&description.about).weak());
     ui.separator();
 
     ui.label(RichText::new("Colour").strong());
-    let display = &mut viewer.view.display;
     slider(
         ui,
         "exposure",
         "Stops: colours are multiplied by 2 to the power of this (E, Shift+E)",
-        &mut display.exposure,
+        &mut edited.exposure,
         -12.0,
         12.0,
     );
-    slider(ui, "offset", "Added after the exposure (O, Shift+O)", &mut display.offset, -1.0, 1.0);
-    choice(ui, "tone", &mut display.tone, &Tone::ALL, Tone::title);
-    if display.tone == Tone::Gamma {
-        slider(ui, "gamma", "Colours become x^(1/gamma)", &mut display.gamma, 0.5, 4.0);
+    slider(ui, "offset", "Added after the exposure (O, Shift+O)", &mut edited.offset, -1.0, 1.0);
+    choice(ui, "tone", &mut edited.tone, &Tone::ALL, Tone::title);
+    if edited.tone == Tone::Gamma {
+        slider(ui, "gamma", "Colours become x^(1/gamma)", &mut edited.gamma, 0.5, 4.0);
     }
-    choice(ui, "channel", &mut display.channel, &Channel::ALL, Channel::title);
+    choice(ui, "channel", &mut edited.channel, &Channel::ALL, Channel::title);
     ui.separator();
 
     if let Kind::Scalar(_) = description.kind {
         ui.label(RichText::new("False colour").strong());
-        false_color(ui, display, &layer);
-        ui.checkbox(&mut display.shares_scale, "one scale for A and B")
+        false_color(ui, &mut edited, layer);
+        ui.checkbox(&mut edited.shares_scale, "one scale for A and B")
             .on_hover_text("Layer B is shown on the scale of A, where both are numbers (L)");
         ui.separator();
     }
@@ -52,9 +52,14 @@ pub fn show(ui: &mut Ui, viewer: &mut Viewer) {
     ui.label(RichText::new("Histogram").strong());
     histogram(ui, &layer.histogram, description.kind);
     ui.add_space(6.0);
-    if ui.button("Reset").on_hover_text("Exposure, offset and ranges as at the start (N)").clicked() {
-        viewer.perform(Action::ResetDisplay, &ui.ctx().clone());
+    let mut actions = Vec::new();
+    if edited != *display {
+        actions.push(Action::SetDisplay(Box::new(edited)));
     }
+    if ui.button("Reset").on_hover_text("Exposure, offset and ranges as at the start (N)").clicked() {
+        actions.push(Action::ResetDisplay);
+    }
+    actions
 }
 
 /// Shows a labelled slider.

@@ -2,17 +2,14 @@
 
 use eframe::egui::{Context, Grid, Id, Modal, RichText, ScrollArea, Ui};
 
-use crate::app::Viewer;
+use crate::action::Action;
 use crate::shortcut::{SECTIONS, Section};
 
 /// Number of columns.
 const COLUMNS: usize = 3;
 
-/// Shows the help, if it is open.
-pub fn show(context: &Context, viewer: &mut Viewer) {
-    if !viewer.shows_help {
-        return;
-    }
+/// Shows the help.
+pub fn show(context: &Context) -> Vec<Action> {
     let modal = Modal::new(Id::unique("help")).show(context, |ui| {
         ui.heading("Keys");
         ui.label(
@@ -35,9 +32,7 @@ pub fn show(context: &Context, viewer: &mut Viewer) {
         });
         ui.button("Close").clicked()
     });
-    if modal.inner || modal.backdrop_response.clicked() {
-        viewer.shows_help = false;
-    }
+    if modal.inner || modal.backdrop_response.clicked() { vec![Action::ToggleHelp] } else { Vec::new() }
 }
 
 fn section(ui: &mut Ui, section: &Section) {

@@ -12,12 +12,13 @@ use stein::kernels::{Compared, Distance, WeightRule};
 use stein::method::{PlannedStep, Step};
 
 use super::status::joined;
-use crate::app::Viewer;
-use crate::inspector::{Inspected, Inspector, Quantity, Window, cell_at, offset_of};
-use crate::layer::{Kind, Scale, Shown};
+use crate::inspector::{
+    FilterWindow, Inspected, Inspector, InspectorAction, Quantity, cell_at, explained_cell, offset_of,
+};
+use crate::layer::{Kind, Range, Scale, Shown};
 use crate::view::canvas::{NEIGHBOUR, outline};
-use crate::view::legend;
 use crate::view::numbers::{number, short};
+use crate::view::{View, legend};
 
 /// Largest side of a filter's small window, in points.
 const SMALL: f32 = 72.0;
@@ -35,48 +36,60 @@ const GAP: f32 = 4.0;
 /// Distance between the lines that mark the outside of the frame, in points.
 const HATCH: f32 = 5.0;
 
-/// Shows the panel.
-pub fn show(ui: &mut Ui, viewer: &mut Viewer) {
+/// Shows the panel. `is_denoised` tells whether the open frame has kernels.
+pub fn show(ui: &mut Ui, inspector: &Inspector, view: &View, is_denoised: bool) -> Vec<InspectorAction> {
+    let mut actions = Vec::new();
     ui.spacing_mut().item_spacing.y = 2.0;
     ui.horizontal(|ui| {
-        let pixel = viewer.inspector.inspected.as_ref().map(|inspected| inspected.question.pixel);
+        let pixel = inspector.inspected.as_ref().map(|inspected| inspected.question.pixel);
         ui.label(RichText::new(pixel.map_or_else(|| "No pixel".into(), |[x, y]| format!("Pixel ({x}, {y})"))).strong());
-        ui.checkbox(&mut viewer.inspector.follows, "follow the pointer").on_hover_text("Shift+K; or hold Ctrl");
-        if viewer.inspector.waits() {
+        let mut follows = inspector.follows;
+        ui.checkbox(&mut follows, "follow the pointer").on_hover_text("Shift+K; or hold Ctrl");
+        if follows != inspector.follows {
+            actions.push(InspectorAction::ToggleFollow);
+        }
+        if inspector.waits() {
             ui.spinner();
         }
     });
-    let Some(inspected) = viewer.inspector.inspected.clone() else {
-        viewer.inspector.pointed = None;
-        if viewer.document.as_ref().is_some_and(|document| document.denoised.is_some()) {
+    let Some(inspected) = &inspector.inspected else {
+        point(inspector, None, &mut actions);
+        if is_denoised {
             ui.label("Click a pixel to see which neighbours it was made of, and why.");
         } else {
             ui.label("The kernel can be seen once a frame is denoised.");
         }
-        return;
+        return actions;
     };
-    filters(ui, viewer, &inspected);
-    let Some((filter, window)) = viewer.inspector.shown(&inspected) else {
-        viewer.inspector.pointed = None;
+    filters(ui, inspector, view, inspected, &mut actions);
+    let Some((filter, window)) = inspector.shown(inspected) else {
+        point(inspector, None, &mut actions);
         ui.label("Nothing is filtered: the frame stays as it is.");
-        explanations(ui, &inspected, None);
-        return;
+        explanations(ui, inspected, None);
+        return actions;
     };
     ui.separator();
-    head(ui, &mut viewer.inspector, filter);
-    large(ui, viewer, filter, window);
-    match viewer.inspector.cell(filter) {
-        Some(cell) => neighbour(ui, viewer, (filter, window), cell),
+    let quantity = head(ui, inspector, filter, &mut actions);
+    match large(ui, inspector, view, (filter, window), &quantity, &mut actions) {
+        Some(cell) => neighbour(ui, view, (filter, window), cell),
         None => {
             ui.label("Point at a cell, or at the image inside of the window, to see what told that neighbour from the pixel. Click a cell to keep it.");
         }
     }
     ui.separator();
-    explanations(ui, &inspected, Some((filter, window)));
+    explanations(ui, inspected, Some((filter, window)));
+    actions
+}
+
+/// Records the neighbour under the pointer, if it is another one than before.
+fn point(inspector: &Inspector, offset: Option<[i32; 2]>, actions: &mut Vec<InspectorAction>) {
+    if inspector.pointed != offset {
+        actions.push(InspectorAction::Point(offset));
+    }
 }
 
 /// Shows how the weights came about, and which steps are left out.
-fn explanations(ui: &mut Ui, inspected: &Inspected, shown: Option<(&FilterKernel, &Window)>) {
+fn explanations(ui: &mut Ui, inspected: &Inspected, shown: Option<(&FilterKernel, &FilterWindow)>) {
     let left_out = inspected
         .kernels
         .plan
@@ -107,7 +120,7 @@ fn title(filter: &str) -> String {
 }
 
 /// Shows the windows of all filters side by side, with their results.
-fn filters(ui: &mut Ui, viewer: &mut Viewer, inspected: &Inspected) {
+fn filters(ui: &mut Ui, inspector: &Inspector, view: &View, inspected: &Inspected, actions: &mut Vec<InspectorAction>) {
     let count = inspected.windows.len().max(1) as f32;
     let width = (ui.available_width() - GAP * (count - 1.0)) / count;
     let side = width.min(SMALL);
@@ -118,14 +131,14 @@ fn filters(ui: &mut Ui, viewer: &mut Viewer, inspected: &Inspected) {
                 // Long lines are wrapped, so that the panel keeps its width.
                 ui.set_width(width);
                 ui.spacing_mut().item_spacing.y = 1.0;
-                let is_shown = viewer.inspector.filter.min(inspected.windows.len() - 1) == place;
+                let is_shown = inspector.filter.min(inspected.windows.len() - 1) == place;
                 let (rect, response) = ui.allocate_exact_size(Vec2::splat(side), Sense::click());
                 response.widget_info(|| WidgetInfo::selected(Role::Button, true, is_shown, format!("filter {}", filter.name)));
                 if response.clicked() {
-                    viewer.inspector.filter = place;
+                    actions.push(InspectorAction::SelectFilter(place));
                 }
-                let scale = viewer.inspector.scale_of_weights();
-                paint(ui.painter(), viewer, rect, filter, &window.weights, Kind::Scalar(scale.1));
+                let scale = inspector.scale_of_weights();
+                paint(ui.painter(), view, rect, filter, (&window.weights, Kind::Scalar(scale.1)), scale);
                 if is_shown {
                     ui.painter().rect_stroke(rect, 0.0, Stroke::new(2.0, ui.visuals().strong_text_color()), StrokeKind::Middle);
                 }
@@ -135,7 +148,7 @@ fn filters(ui: &mut Ui, viewer: &mut Viewer, inspected: &Inspected) {
                 } else if filter.name == "second_pass" {
                     small(ui, "the result".into(), "It averages pass 1, what the candidates were blended to, and makes the result of it");
                 }
-                swatch(ui, viewer, (&window.value, [0, 0], side), filter.value, "What the filter makes of the pixel");
+                swatch(ui, view, (&window.value, [0, 0], side), filter.value, "What the filter makes of the pixel");
                 let about = "Sum of the weights, and the effective number of pixels, (Σw)²/Σw²: so many of equal weight leave as much noise";
                 small(ui, format!("Σw {}, n {}", short(filter.weight_sum), short(window.effective_pixels)), about);
             });
@@ -148,89 +161,109 @@ fn small(ui: &mut Ui, text: String, about: &str) {
 }
 
 /// Shows a pixel of an image in the colours of the canvas, with its values under it.
-fn swatch(
-    ui: &mut Ui,
-    viewer: &mut Viewer,
-    (image, place, width): (&Shown, [usize; 2], f32),
-    color: [f32; 3],
-    about: &str,
-) {
+fn swatch(ui: &mut Ui, view: &View, (image, place, width): (&Shown, [usize; 2], f32), color: [f32; 3], about: &str) {
     let (rect, response) = ui.allocate_exact_size(Vec2::new(width, 10.0), Sense::hover());
-    viewer.view.paint_pixel(ui.painter(), rect, image.clone(), place);
+    view.paint_pixel(ui.painter(), rect, image.clone(), place);
     response.on_hover_text(about);
     let text = RichText::new(color.map(short).join(" ")).size(9.5);
     ui.label(text).on_hover_text(format!("{about}: {}", joined(&color)));
 }
 
-/// Shows the choice of the large window's quantity and scale.
-fn head(ui: &mut Ui, inspector: &mut Inspector, filter: &FilterKernel) {
+/// Shows the choice of the large window's quantity and scale. Returns the quantity.
+fn head(ui: &mut Ui, inspector: &Inspector, filter: &FilterKernel, actions: &mut Vec<InspectorAction>) -> Quantity {
     let name = |quantity: &Quantity| match quantity {
         Quantity::Weight => "weights".to_owned(),
         Quantity::Colors => "what is averaged".to_owned(),
         Quantity::Alone(of) => format!("weights by {} alone", of.name()),
     };
     // The filters differ in patch radius and τ. The same distance is therefore found in each filter by its name.
-    inspector.quantity = match &inspector.quantity {
+    let mut quantity = match &inspector.quantity {
         Quantity::Alone(of) => same_distance(filter, of)
             .map_or(Quantity::Weight, |place| Quantity::Alone(filter.distances[place].of.clone())),
         other => other.clone(),
     };
+    let mut scale = inspector.scale;
     ui.horizontal(|ui| {
         let alone = filter.distances.iter().map(|distance| Quantity::Alone(distance.of.clone()));
-        ComboBox::from_id_salt("quantity").selected_text(name(&inspector.quantity)).show_ui(ui, |ui| {
-            for quantity in [Quantity::Weight, Quantity::Colors].into_iter().chain(alone) {
-                let text = name(&quantity);
-                ui.selectable_value(&mut inspector.quantity, quantity, text);
+        ComboBox::from_id_salt("quantity").selected_text(name(&quantity)).show_ui(ui, |ui| {
+            for option in [Quantity::Weight, Quantity::Colors].into_iter().chain(alone) {
+                let text = name(&option);
+                ui.selectable_value(&mut quantity, option, text);
             }
         });
-        for (scale, text) in [(Scale::Log, "log"), (Scale::Linear, "linear")] {
-            ui.selectable_value(&mut inspector.scale, scale, text);
+        for (option, text) in [(Scale::Log, "log"), (Scale::Linear, "linear")] {
+            ui.selectable_value(&mut scale, option, text);
         }
     });
+    if quantity != inspector.quantity {
+        actions.push(InspectorAction::ShowQuantity(quantity.clone()));
+    }
+    if scale != inspector.scale {
+        actions.push(InspectorAction::SetScale(scale));
+    }
+    quantity
 }
 
 fn same_distance(filter: &FilterKernel, of: &Compared) -> Option<usize> {
     filter.distances.iter().position(|distance| distance.of.name() == of.name())
 }
 
-/// Shows the window as large as the space permits, its legend, and the cell under the pointer.
-fn large(ui: &mut Ui, viewer: &mut Viewer, filter: &FilterKernel, window: &Window) {
+/// Shows the window as large as the space permits, its legend, and the cell under the pointer. Returns the cell of the
+/// neighbour to explain.
+fn large(
+    ui: &mut Ui,
+    inspector: &Inspector,
+    view: &View,
+    (filter, window): (&FilterKernel, &FilterWindow),
+    quantity: &Quantity,
+    actions: &mut Vec<InspectorAction>,
+) -> Option<usize> {
     // Leaves space for the table.
     let room = ui.clip_rect().height() - OTHERS - LINE * filter.distances.len() as f32;
     let side = ui.available_width().min(room.clamp(*LARGE.start(), *LARGE.end()));
     let (rect, response) = ui.allocate_exact_size(Vec2::splat(side), Sense::click());
     response.widget_info(|| WidgetInfo::labeled(Role::Image, true, "window of weights"));
-    let scale = viewer.inspector.scale_of_weights();
-    let (shown, kind) = match &viewer.inspector.quantity {
+    let scale = inspector.scale_of_weights();
+    let (shown, kind) = match quantity {
         Quantity::Weight => (&window.weights, Kind::Scalar(scale.1)),
         Quantity::Colors => (&window.colors, Kind::Color),
         Quantity::Alone(of) => {
             (same_distance(filter, of).map_or(&window.weights, |place| &window.alone[place]), Kind::Scalar(scale.1))
         }
     };
-    paint(ui.painter(), viewer, rect, filter, shown, kind);
+    paint(ui.painter(), view, rect, filter, (shown, kind), scale);
 
-    let pointed = cell_under_pointer(&response, rect, filter).or_else(|| on_canvas(viewer, filter));
-    viewer.inspector.pointed = pointed;
+    let pointed = cell_under_pointer(&response, rect, filter).or_else(|| on_canvas(inspector, view, filter));
+    point(inspector, pointed, actions);
+    let mut kept = inspector.kept;
     if let Some(offset) = pointed.filter(|_| response.clicked()) {
-        viewer.inspector.kept = if viewer.inspector.kept == Some(offset) { None } else { Some(offset) };
+        kept = if kept == Some(offset) { None } else { Some(offset) };
+        actions.push(InspectorAction::Keep(kept));
     }
+    let explained = explained_cell(filter, pointed, kept);
     let middle = filter.weights.extent.pixels() / 2;
     outline(ui.painter(), cell_rect(rect, filter, middle), Color32::YELLOW);
-    if let Some(cell) = viewer.inspector.cell(filter) {
+    if let Some(cell) = explained {
         outline(ui.painter(), cell_rect(rect, filter, cell), NEIGHBOUR);
     }
     if let Kind::Scalar(_) = kind {
         let (row, _) = ui.allocate_exact_size(Vec2::new(side, 26.0), Sense::hover());
         let bar = Rect::from_min_size(row.min + Vec2::new(0.0, 2.0), Vec2::new(side, 8.0));
-        legend::bar(ui.painter(), bar, scale, viewer.view.display.colormap, ui.visuals().text_color());
+        legend::bar(ui.painter(), bar, scale, view.display.colormap, ui.visuals().text_color());
     }
+    explained
 }
 
-/// Draws an image of a window's size, hatched outside of the frame.
-fn paint(painter: &Painter, viewer: &mut Viewer, rect: Rect, filter: &FilterKernel, shown: &Shown, kind: Kind) {
-    let scale = viewer.inspector.scale_of_weights();
-    viewer.view.paint_image(painter, rect, shown.clone(), kind, scale);
+/// Draws an image of a window's size, hatched outside of the frame; numbers are on the given scale.
+fn paint(
+    painter: &Painter,
+    view: &View,
+    rect: Rect,
+    filter: &FilterKernel,
+    (shown, kind): (&Shown, Kind),
+    scale: (Range, Scale),
+) {
+    view.paint_image(painter, rect, shown.clone(), kind, scale);
     let inside = inside(rect, filter);
     let beside = [
         Rect::from_min_max(rect.min, Pos2::new(inside.left(), rect.bottom())),
@@ -281,9 +314,9 @@ fn cell_under_pointer(response: &Response, rect: Rect, filter: &FilterKernel) ->
 
 /// Returns the neighbour under the pointer on the canvas, as an offset from the pixel; `None` unless the pixel is
 /// pinned, because otherwise the window follows the pointer.
-fn on_canvas(viewer: &Viewer, filter: &FilterKernel) -> Option<[i32; 2]> {
-    let pixel = viewer.inspector.inspected.as_ref()?.question.pixel;
-    let hovered = viewer.view.hovered.filter(|_| viewer.view.pinned == Some(pixel))?;
+fn on_canvas(inspector: &Inspector, view: &View, filter: &FilterKernel) -> Option<[i32; 2]> {
+    let pixel = inspector.inspected.as_ref()?.question.pixel;
+    let hovered = view.hovered.filter(|_| view.pinned == Some(pixel))?;
     let offset = [0, 1].map(|axis| hovered[axis] as i32 - pixel[axis] as i32);
     cell_at(filter, offset).map(|_| offset)
 }
@@ -328,7 +361,7 @@ fn is_refused(filter: &FilterKernel) -> bool {
 }
 
 /// Describes how many neighbours each distance decided about.
-fn decisions(filter: &FilterKernel, window: &Window) -> String {
+fn decisions(filter: &FilterKernel, window: &FilterWindow) -> String {
     if filter.distances.is_empty() || is_refused(filter) {
         return String::new();
     }
@@ -343,7 +376,7 @@ fn decisions(filter: &FilterKernel, window: &Window) -> String {
 }
 
 /// Shows position, weight, colour and distances of a neighbour.
-fn neighbour(ui: &mut Ui, viewer: &mut Viewer, (filter, window): (&FilterKernel, &Window), cell: usize) {
+fn neighbour(ui: &mut Ui, view: &View, (filter, window): (&FilterKernel, &FilterWindow), cell: usize) {
     let Some((x, y)) = filter.pixel(cell) else { return };
     let [dx, dy] = offset_of(filter, cell);
     let weight = filter.weights.planes[0][cell];
@@ -352,7 +385,7 @@ fn neighbour(ui: &mut Ui, viewer: &mut Viewer, (filter, window): (&FilterKernel,
     ui.horizontal(|ui| {
         ui.label(format!("w {}, {:.2} % of Σw", number(weight), 100.0 * weight / filter.weight_sum));
         let place = [cell % filter.side(), cell / filter.side()];
-        swatch(ui, viewer, (&window.colors, place, 28.0), color, "What of the neighbour is averaged");
+        swatch(ui, view, (&window.colors, place, 28.0), color, "What of the neighbour is averaged");
     });
     if filter.distances.is_empty() {
         return;
@@ -412,7 +445,7 @@ fn stands_in(filter: &FilterKernel, distance: &Distance, cell: usize) -> Option<
     })
 }
 
-/// Describes what is compared, and how strictly.
+/// Describes a distance: the values that are compared, and how strictly.
 fn compared(of: &Compared) -> String {
     match of {
         Compared::Color { patch_radius, k } => {

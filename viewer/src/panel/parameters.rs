@@ -11,10 +11,10 @@ use eframe::egui::{
 use stein::Preset;
 use stein::parameters::{Choice, Kind, Parameter, Value};
 
-use crate::app::Viewer;
-use crate::edit::Refused;
+use crate::action::Action;
+use crate::edit::{Edits, Refused};
+use crate::files::Purpose;
 use crate::settings::Parameters;
-use crate::shortcut::Action;
 
 /// Width of the names, in points.
 const NAME_WIDTH: f32 = 152.0;
@@ -25,53 +25,46 @@ const ROW_HEIGHT: f32 = 18.0;
 /// Width of the button that resets a parameter, in points.
 const RESET_WIDTH: f32 = 18.0;
 
-/// Shows the panel.
-pub fn show(ui: &mut Ui, viewer: &mut Viewer) {
-    choose(ui, viewer);
+/// Shows the panel: the parameters in use, and the edits that wait.
+pub fn show(ui: &mut Ui, parameters: Parameters, edits: &Edits) -> Vec<Action> {
+    let mut actions: Vec<_> = choose(ui, parameters).into_iter().collect();
     ui.add_space(2.0);
-    let listed = viewer.parameters.method.parameters();
-    let changed = listed.iter().filter(|parameter| viewer.parameters.differs(parameter)).count();
+    let listed = parameters.method.parameters();
+    let changed = listed.iter().filter(|parameter| parameters.differs(parameter)).count();
     ui.horizontal(|ui| {
         let button = Button::new("Reset all");
         if ui
-            .add_enabled(changed > 0 || viewer.edits.any_wait(), button)
+            .add_enabled(changed > 0 || edits.any_wait(), button)
             .on_hover_text("All parameters as the preset has them")
             .clicked()
         {
-            viewer.take_parameters(viewer.parameters.reset());
+            actions.push(Action::ResetParameters);
         }
-        let context = ui.ctx().clone();
         if ui
             .button("Save…")
             .on_hover_text("Writes the parameters as TOML, for `stein denoise --params FILE`")
             .clicked()
         {
-            viewer.perform(Action::SaveParameters, &context);
+            actions.push(Action::AskForFile(Purpose::SaveParameters));
         }
         if ui.button("Load…").on_hover_text("Reads parameters from TOML, such as `stein params` writes").clicked() {
-            viewer.perform(Action::OpenParameters, &context);
+            actions.push(Action::AskForFile(Purpose::Parameters));
         }
-        let preset = viewer.parameters.preset.name();
+        let preset = parameters.preset.name();
         let text = if changed == 0 { format!("as in {preset}") } else { format!("{changed} not as in {preset}") };
         ui.label(RichText::new(text).weak());
     });
     ui.separator();
-    let mut is_set = false;
     for parameter in &listed {
-        match row(ui, viewer, parameter) {
-            Some(Change::Set(value)) => is_set |= viewer.edits.set(&mut viewer.parameters, &parameter.name, value),
-            Some(Change::Reset) => is_set |= viewer.edits.reset(&mut viewer.parameters, parameter),
-            None => {}
-        }
+        let value = row(ui, parameters, edits.refused(&parameter.name), parameter);
+        actions.extend(value.map(|value| Action::SetParameter(parameter.name.clone(), value)));
     }
-    if is_set {
-        viewer.run();
-    }
+    actions
 }
 
 /// Shows the choice of method and preset.
-fn choose(ui: &mut Ui, viewer: &mut Viewer) {
-    let Parameters { mut preset, method } = viewer.parameters;
+fn choose(ui: &mut Ui, parameters: Parameters) -> Option<Action> {
+    let Parameters { mut preset, method } = parameters;
     let mut name = method.name();
     ui.horizontal(|ui| {
         let label = named(ui, "method");
@@ -88,23 +81,15 @@ fn choose(ui: &mut Ui, viewer: &mut Viewer) {
             ui.selectable_value(&mut preset, *option, choice.name).on_hover_text(choice.documentation);
         }
     });
-    if name != method.name() || preset != viewer.parameters.preset {
-        let fresh = Parameters::of(name, preset).unwrap_or(viewer.parameters);
-        viewer.take_parameters(viewer.earlier.take_up(fresh));
-    }
+    let is_changed = name != method.name() || preset != parameters.preset;
+    is_changed.then_some(Action::ChooseMethod(name, preset))
 }
 
-/// A change that the user made in a row.
-enum Change {
-    Set(Value),
-    Reset,
-}
-
-/// Shows a parameter, unless its group is left out. Returns the change that the user made.
-fn row(ui: &mut Ui, viewer: &Viewer, parameter: &Parameter) -> Option<Change> {
-    let refused = viewer.edits.refused(&parameter.name);
+/// Shows a parameter, unless its group is left out, and the edit of it that waits. Returns the new value, if the user
+/// set or reset the parameter.
+fn row(ui: &mut Ui, parameters: Parameters, refused: Option<&Refused>, parameter: &Parameter) -> Option<Value> {
     let value = refused.map(|refused| &refused.value).or(parameter.value.as_ref())?;
-    let differs = viewer.parameters.differs(parameter) || refused.is_some();
+    let differs = parameters.differs(parameter) || refused.is_some();
     let mut change = None;
     if parameter.kind == Kind::Group {
         ui.add_space(4.0);
@@ -114,9 +99,9 @@ fn row(ui: &mut Ui, viewer: &Viewer, parameter: &Parameter) -> Option<Change> {
         let label = name(ui, parameter, differs).on_hover_text(&about);
         ui.with_layout(Layout::right_to_left(Align::Center), |ui| {
             if differs {
-                let before = viewer
-                    .parameters
-                    .preset_value(parameter)
+                let preset_value = parameters.preset_value(parameter);
+                let before = preset_value
+                    .as_ref()
                     .map_or_else(String::new, |value| format!("Back to {value}, as in the preset"));
                 let button = ui
                     .add_sized(
@@ -126,14 +111,14 @@ fn row(ui: &mut Ui, viewer: &Viewer, parameter: &Parameter) -> Option<Change> {
                     .on_hover_text(before);
                 button.widget_info(|| WidgetInfo::labeled(Role::Button, true, format!("reset {}", parameter.name)));
                 if button.clicked() {
-                    change = Some(Change::Reset);
+                    change = preset_value;
                 }
             } else {
                 ui.add_space(RESET_WIDTH + ui.spacing().item_spacing.x);
             }
             ui.with_layout(Layout::left_to_right(Align::Center), |ui| {
                 if let Some(value) = widget(ui, parameter, value, label.id, &about) {
-                    change = Some(Change::Set(value));
+                    change = Some(value);
                 }
             });
         });

@@ -8,11 +8,10 @@ use egui_plot::{
 };
 use stein::Preset;
 
-use crate::app::Viewer;
-use crate::document::Run;
+use crate::action::Action;
+use crate::document::{Document, MeasuredRun};
 use crate::settings::Parameters;
-use crate::shortcut::Action;
-use crate::sweep::{Extent, radius};
+use crate::sweep::{Sweep, SweepRange, radius};
 use crate::view::numbers::number;
 
 /// Name of the plot, by which its transform can be looked up.
@@ -49,55 +48,55 @@ impl Spot {
     }
 }
 
-/// Shows the panel.
-pub fn show(ui: &mut Ui, viewer: &mut Viewer) {
-    let Some(document) = &viewer.document else {
+/// Shows the panel: the runs of the open frame and of the sweep. `in_use` are the parameters of the next run.
+pub fn show(ui: &mut Ui, document: Option<&Document>, sweep: &Sweep, in_use: Parameters) -> Vec<Action> {
+    let Some(document) = document else {
         ui.label("Open a file to measure error against run time.");
-        return;
+        return Vec::new();
     };
     let has_reference = document.opened.reference.is_some();
     let axis = if has_reference { "relative MSE against the reference" } else { "relative MSE, estimated" };
     // A value that is not above 0 has no position on a logarithmic axis.
-    let spot = |run: &Run, keeps_layers: bool| {
+    let spot = |run: &MeasuredRun, keeps_layers: bool| {
         let error = if has_reference { run.error } else { run.estimated_error };
         let error = error.filter(|error| *error > 0.0 && run.seconds > 0.0)?;
         Some(Spot { parameters: run.parameters, seconds: run.seconds, error, keeps_layers })
     };
-    let (swept, runs) = (&viewer.sweep.points, &document.history);
+    let (swept, runs) = (&sweep.points, &document.history);
     let spots: Vec<Spot> =
         swept.iter().filter_map(|run| spot(run, false)).chain(runs.iter().filter_map(|run| spot(run, true))).collect();
     let missing = swept.len() + runs.len() - spots.len();
 
-    choose(ui, viewer);
-    let mut taken = plot(ui, viewer, &spots, axis);
+    let mut actions = choose(ui, sweep, in_use);
+    let mut taken = plot(ui, (sweep, in_use), &spots, axis);
     if missing > 0 {
         ui.label(RichText::new(format!("{missing} runs without an error above 0 are left out")).weak());
     }
     ui.label(
         RichText::new("Crosses: runs of this window, which keep every layer. The others made the result and its estimated error alone.").weak().size(11.5),
     );
-    taken = taken.or(table(ui, viewer, &spots));
-    if let Some(parameters) = taken {
-        viewer.take_parameters(parameters);
-    }
+    taken = taken.or(table(ui, in_use, &spots));
+    actions.extend(taken.map(|parameters| Action::TakeParameters(Box::new(parameters))));
+    actions
 }
 
 /// Shows the range of the sweep, and how far the sweep is.
-fn choose(ui: &mut Ui, viewer: &mut Viewer) {
-    let context = ui.ctx().clone();
-    let extent = &mut viewer.sweep.extent;
+fn choose(ui: &mut Ui, sweep: &Sweep, in_use: Parameters) -> Vec<Action> {
+    let mut actions = Vec::new();
+    // The widgets change a copy.
+    let mut range = sweep.range.clone();
     Grid::new("sweep").num_columns(2).spacing([8.0, 3.0]).show(ui, |ui| {
         ui.label("radii");
         ui.horizontal_wrapped(|ui| {
-            Extent::RADII.iter().for_each(|radius| {
-                toggle(ui, &mut extent.radii, *radius, &radius.to_string(), &format!("radius {radius}"));
+            SweepRange::RADII.iter().for_each(|radius| {
+                toggle(ui, &mut range.radii, *radius, &radius.to_string(), &format!("radius {radius}"));
             });
         });
         ui.end_row();
         ui.label("presets");
         ui.horizontal(|ui| {
             Preset::ALL.iter().for_each(|preset| {
-                toggle(ui, &mut extent.presets, *preset, preset.name(), &format!("preset {}", preset.name()));
+                toggle(ui, &mut range.presets, *preset, preset.name(), &format!("preset {}", preset.name()));
             });
         });
         ui.end_row();
@@ -105,25 +104,29 @@ fn choose(ui: &mut Ui, viewer: &mut Viewer) {
         ui.horizontal(|ui| {
             Parameters::METHODS
                 .iter()
-                .for_each(|method| toggle(ui, &mut extent.methods, *method, method, &format!("method {method}")));
+                .for_each(|method| toggle(ui, &mut range.methods, *method, method, &format!("method {method}")));
         });
         ui.end_row();
     });
+    let count = range.parameters(in_use).len();
+    if range != sweep.range {
+        actions.push(Action::SetSweepRange(range));
+    }
     ui.horizontal(|ui| {
-        let count = viewer.sweep.extent.parameters(viewer.parameters).len();
-        if viewer.sweep.is_running {
+        if sweep.is_running {
             if ui.button("Stop").on_hover_text("Ends the sweep; what was measured stays").clicked() {
-                viewer.perform(Action::Sweep, &context);
+                actions.push(Action::ToggleSweep);
             }
-            ui.label(format!("{} of {} measured", viewer.sweep.points.len(), viewer.sweep.planned.len()));
+            ui.label(format!("{} of {} measured", sweep.points.len(), sweep.planned.len()));
         } else {
             let about = "Denoises the open frame with each, twice, whenever there is nothing else to do (F9)";
             if ui.add(Button::new(format!("Measure {count}"))).on_hover_text(about).clicked() {
-                viewer.perform(Action::Sweep, &context);
+                actions.push(Action::ToggleSweep);
             }
         }
     });
     ui.add_space(2.0);
+    actions
 }
 
 /// Shows a word that a click adds to a list or removes from it.
@@ -137,10 +140,9 @@ fn toggle<T: Copy + PartialEq>(ui: &mut Ui, all: &mut Vec<T>, one: T, text: &str
 }
 
 /// Shows the plot. Returns the parameters of a point that was clicked.
-fn plot(ui: &mut Ui, viewer: &Viewer, spots: &[Spot], axis: &str) -> Option<Parameters> {
+fn plot(ui: &mut Ui, (sweep, in_use): (&Sweep, Parameters), spots: &[Spot], axis: &str) -> Option<Parameters> {
     let width = ui.available_width();
-    let series = series(viewer, ui.visuals().dark_mode);
-    let in_use = viewer.parameters.method;
+    let series = series(&sweep.points, ui.visuals().dark_mode);
     let strong = ui.visuals().strong_text_color();
     let weak = ui.visuals().weak_text_color();
     // The margin keeps the axes from being filled by a single point.
@@ -201,7 +203,7 @@ fn plot(ui: &mut Ui, viewer: &Viewer, spots: &[Spot], axis: &str) -> Option<Para
                 .shape(MarkerShape::Cross)
                 .allow_hover(false),
         );
-        let own = |spot: &&Spot| spot.parameters.method == in_use;
+        let own = |spot: &&Spot| spot.parameters.method == in_use.method;
         let current =
             spots.iter().find(|spot| own(spot) && !spot.keeps_layers).or_else(|| spots.iter().rev().find(own));
         let ring = PlotPoints::from(current.map(Spot::place).into_iter().collect::<Vec<_>>());
@@ -246,18 +248,14 @@ struct Series {
     style: LineStyle,
 }
 
-fn series(viewer: &Viewer, is_dark: bool) -> Vec<Series> {
+fn series(swept: &[MeasuredRun], is_dark: bool) -> Vec<Series> {
     let colors = if is_dark {
         [Color32::from_rgb(90, 170, 250), Color32::from_rgb(110, 210, 130), Color32::from_rgb(250, 170, 70)]
     } else {
         [Color32::from_rgb(20, 90, 190), Color32::from_rgb(20, 125, 55), Color32::from_rgb(190, 95, 0)]
     };
     let is_there = |method: &str, preset: Preset| {
-        viewer
-            .sweep
-            .points
-            .iter()
-            .any(|point| point.parameters.method.name() == method && point.parameters.preset == preset)
+        swept.iter().any(|run| run.parameters.method.name() == method && run.parameters.preset == preset)
     };
     let of_method = |(method, color): (&'static str, Color32)| {
         let presets = Preset::ALL.iter().copied().filter(move |preset| is_there(method, *preset));
@@ -292,7 +290,7 @@ fn legend(ui: &mut Ui, series: &[Series], spots: &[Spot]) {
 }
 
 /// Shows the measured runs as text. Returns the parameters of a line that was clicked.
-fn table(ui: &mut Ui, viewer: &Viewer, spots: &[Spot]) -> Option<Parameters> {
+fn table(ui: &mut Ui, in_use: Parameters, spots: &[Spot]) -> Option<Parameters> {
     let mut taken = None;
     let mut swept: Vec<&Spot> = spots.iter().filter(|spot| !spot.keeps_layers).collect();
     if swept.is_empty() {
@@ -306,7 +304,7 @@ fn table(ui: &mut Ui, viewer: &Viewer, spots: &[Spot]) -> Option<Parameters> {
         }
         ui.end_row();
         for spot in swept {
-            let is_in_use = spot.parameters.method == viewer.parameters.method;
+            let is_in_use = spot.parameters.method == in_use.method;
             if ui
                 .selectable_label(is_in_use, title(&spot.parameters))
                 .on_hover_text("Click to take these parameters")

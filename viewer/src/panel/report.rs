@@ -3,13 +3,13 @@
 use eframe::egui::{Align, Grid, Layout, RichText, Ui};
 use stein::frame::SamplesPerPixel;
 use stein::method::PlannedStep;
+use stein::text::human_bytes;
 
-use crate::app::Viewer;
-use crate::document::{Denoised, Opened};
+use crate::document::{Denoised, Document, Opened};
 
 /// Shows the report.
-pub fn show(ui: &mut Ui, viewer: &Viewer) {
-    let Some(document) = &viewer.document else {
+pub fn show(ui: &mut Ui, document: Option<&Document>) {
+    let Some(document) = document else {
         ui.label("Nothing is open.");
         return;
     };
@@ -58,7 +58,7 @@ fn run(ui: &mut Ui, denoised: &Denoised, noisy_error: Option<f64>) {
         ui.label(spikes.to_string());
     }
     let strips = if estimate.strips == 1 { "one piece".to_owned() } else { format!("{} strips", estimate.strips) };
-    ui.label(format!("{:.0} MiB on the device at most, in {strips}", estimate.peak_bytes as f64 / f64::from(1 << 20)));
+    ui.label(format!("{} on the device at most, in {strips}", human_bytes(estimate.peak_bytes)));
     ui.add_space(4.0);
     ui.label(RichText::new("Steps").strong());
     ui.label(

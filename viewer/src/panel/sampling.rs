@@ -5,52 +5,55 @@ use egui_plot::{AxisHints, Legend, Line, MarkerShape, Plot, PlotPoints, Points};
 use stein_stub::scenes;
 
 use super::plot::{X_SPACING, marks, tick};
+use crate::action::Action;
 use crate::adaptive::{Adaptive, Iteration, Setup};
-use crate::app::Viewer;
 use crate::view::numbers::number;
 
-/// Largest width and height that can be chosen, in pixels: every iteration keeps all its layers.
+/// Largest width and height that can be chosen, in pixels. Every iteration keeps all its layers in memory.
 const LARGEST_SIDE: u32 = 512;
 /// Largest number of iterations that can be chosen.
 const MOST_ITERATIONS: u32 = 12;
 
 /// Shows the panel.
-pub fn show(ui: &mut Ui, viewer: &mut Viewer) {
+pub fn show(ui: &mut Ui, adaptive: &Adaptive) -> Vec<Action> {
+    let mut actions = Vec::new();
     ui.label(RichText::new("Adaptive sampling of a built-in scene").strong());
     let about = "Draws samples, denoises, and draws the next where the estimated error is largest. The method is that of the panel Parameters.";
     ui.label(RichText::new(about).weak());
     ui.add_space(4.0);
-    choose(ui, &mut viewer.adaptive.setup);
+    // The widgets change a copy.
+    let mut setup = adaptive.setup.clone();
+    choose(ui, &mut setup);
+    if setup != adaptive.setup {
+        actions.push(Action::SetUpLoop(setup));
+    }
     ui.add_space(4.0);
     ui.horizontal(|ui| {
-        let text = if viewer.adaptive.started.is_some() { "Start again" } else { "Start" };
+        let text = if adaptive.started.is_some() { "Start again" } else { "Start" };
         if ui
             .button(text)
             .on_hover_text("Ends what is at work, and closes what is open once the first iteration is there")
             .clicked()
         {
-            viewer.adapt();
+            actions.push(Action::StartLoop);
         }
-        if viewer.adaptive.is_running && ui.button("Stop").on_hover_text("Ends the loop; its iterations stay").clicked()
-        {
-            viewer.stop_adapting();
+        if adaptive.is_running && ui.button("Stop").on_hover_text("Ends the loop; its iterations stay").clicked() {
+            actions.push(Action::StopLoop);
         }
     });
-    if viewer.adaptive.iterations.is_empty() {
-        return;
+    if adaptive.iterations.is_empty() {
+        return actions;
     }
     ui.separator();
-    if let Some(Setup { scene, samples_per_pixel, iterations, .. }) = &viewer.adaptive.started {
+    if let Some(Setup { scene, samples_per_pixel, iterations, .. }) = &adaptive.started {
         ui.label(
             RichText::new(format!("{scene}: {samples_per_pixel} samples per pixel in {iterations} iterations"))
                 .strong(),
         );
     }
-    let chosen = table(ui, &viewer.adaptive);
-    plot(ui, &viewer.adaptive.iterations);
-    if let Some(number) = chosen {
-        viewer.show_iteration(number, &ui.ctx().clone());
-    }
+    actions.extend(table(ui, adaptive).map(Action::ShowIteration));
+    plot(ui, &adaptive.iterations);
+    actions
 }
 
 fn choose(ui: &mut Ui, setup: &mut Setup) {
@@ -186,4 +189,26 @@ fn plot(ui: &mut Ui, iterations: &[Iteration]) {
         }
     });
     shown.response.widget_info(|| WidgetInfo::labeled(Role::Image, true, "plot: relative MSE over samples per pixel"));
+}
+
+#[cfg(test)]
+mod tests {
+    use egui_kittest::Harness;
+    use egui_kittest::kittest::Queryable;
+
+    use super::*;
+
+    /// No window, no worker and no device: a panel is a function of what it reads.
+    #[test]
+    fn the_panel_returns_what_was_clicked() {
+        let adaptive = Adaptive { is_running: true, ..Adaptive::default() };
+        let panel = |ui: &mut Ui, actions: &mut Vec<Action>| actions.extend(show(ui, &adaptive));
+        let mut harness = Harness::new_ui_state(panel, Vec::new());
+        assert!(harness.state().is_empty(), "{:?}", harness.state());
+        for (button, action) in [("Start", Action::StartLoop), ("Stop", Action::StopLoop)] {
+            harness.get_by_label(button).click();
+            harness.run();
+            assert_eq!(std::mem::take(harness.state_mut()), [action]);
+        }
+    }
 }

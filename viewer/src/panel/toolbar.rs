@@ -2,98 +2,103 @@
 
 use eframe::egui::{Align, Layout, ProgressBar, Ui};
 
-use crate::app::Viewer;
-use crate::files::short_name;
-use crate::shortcut::Action;
+use crate::action::Action;
+use crate::document::Source;
+use crate::files::{Purpose, short_name};
 use crate::view::Compare;
+use crate::worker::Task;
+
+/// State of the window that the bar reads.
+#[derive(Clone, Copy, Debug)]
+pub struct Model<'a> {
+    /// Whether a frame is open.
+    pub has_document: bool,
+    /// Whether the open frame was denoised.
+    pub is_denoised: bool,
+    /// Recent files, newest first.
+    pub recent: &'a [Source],
+    /// Comparison of the two layers.
+    pub compare: Compare,
+    /// Task of the worker, and the share of it that is done, 0 to 1.
+    pub progress: Option<(Task, f32)>,
+}
 
 /// Shows the bar.
-pub fn show(ui: &mut Ui, viewer: &mut Viewer) {
+pub fn show(ui: &mut Ui, model: &Model) -> Vec<Action> {
+    let mut actions = Vec::new();
     ui.add_space(3.0);
     ui.horizontal(|ui| {
-        let mut asked = None;
         ui.menu_button("File", |ui| {
-            let has_document = viewer.document.is_some();
-            let mut item = |ui: &mut Ui, text: &str, action: Action, enabled: bool| {
+            let mut item = |ui: &mut Ui, text: &str, purpose: Purpose, enabled: bool| {
                 if ui.add_enabled(enabled, eframe::egui::Button::new(text)).clicked() {
-                    asked = Some(action);
+                    actions.push(Action::AskForFile(purpose));
                     ui.close();
                 }
             };
-            item(ui, "Open…", Action::Open, true);
-            item(ui, "Open reference…", Action::OpenReference, true);
-            item(ui, "Load parameters…", Action::OpenParameters, true);
+            item(ui, "Open…", Purpose::Input, true);
+            item(ui, "Open reference…", Purpose::Reference, true);
+            item(ui, "Load parameters…", Purpose::Parameters, true);
             ui.separator();
-            let is_denoised = viewer.document.as_ref().is_some_and(|document| document.denoised.is_some());
-            item(ui, "Save result…", Action::SaveResult, is_denoised);
-            item(ui, "Save view…", Action::SaveView, has_document);
-            item(ui, "Save layer…", Action::SaveLayer, has_document);
-            item(ui, "Save parameters…", Action::SaveParameters, true);
-            if !viewer.settings.recent.is_empty() {
+            item(ui, "Save result…", Purpose::SaveResult, model.is_denoised);
+            item(ui, "Save view…", Purpose::SaveView, model.has_document);
+            item(ui, "Save layer…", Purpose::SaveLayer, model.has_document);
+            item(ui, "Save parameters…", Purpose::SaveParameters, true);
+            if !model.recent.is_empty() {
                 ui.separator();
-                recent(ui, viewer);
+                actions.extend(recent(ui, model.recent));
             }
         });
-        if let Some(action) = asked {
-            viewer.perform(action, &ui.ctx().clone());
-        }
         ui.separator();
         for compare in Compare::ALL {
-            if ui
-                .selectable_label(viewer.view.compare == compare, compare.title())
-                .on_hover_text(compare.about())
-                .clicked()
-            {
-                viewer.compare(compare);
+            if ui.selectable_label(model.compare == compare, compare.title()).on_hover_text(compare.about()).clicked() {
+                actions.push(Action::Compare(compare));
             }
         }
         ui.with_layout(Layout::right_to_left(Align::Center), |ui| {
             if ui.button("Help").on_hover_text("Keys (H)").clicked() {
-                viewer.shows_help = !viewer.shows_help;
+                actions.push(Action::ToggleHelp);
             }
-            let context = ui.ctx().clone();
             let theme = if ui.visuals().dark_mode { "Light" } else { "Dark" };
             if ui.button(theme).on_hover_text("Dark or light (T)").clicked() {
-                viewer.perform(Action::ToggleTheme, &context);
+                actions.push(Action::ToggleTheme);
             }
-            match viewer.progress {
+            match model.progress {
                 Some((task, share)) => {
                     if ui.button("Cancel").on_hover_text("Ends the work in flight (Esc)").clicked() {
-                        viewer.perform(Action::Cancel, &context);
+                        actions.push(Action::Cancel);
                     }
                     let text = format!("{} {:.0} %", task.title(), 100.0 * share);
                     ui.add(ProgressBar::new(share).desired_width(150.0).text(text));
                 }
                 None => {
                     if ui
-                        .add_enabled(viewer.document.is_some(), eframe::egui::Button::new("Denoise"))
+                        .add_enabled(model.has_document, eframe::egui::Button::new("Denoise"))
                         .on_hover_text("Denoises again (F5)")
                         .clicked()
                     {
-                        viewer.run();
+                        actions.push(Action::Run);
                     }
                 }
             }
         });
     });
     ui.add_space(1.0);
+    actions
 }
 
 /// Shows the recent files, as buttons.
-pub fn recent(ui: &mut Ui, viewer: &mut Viewer) {
+pub fn recent(ui: &mut Ui, sources: &[Source]) -> Option<Action> {
     let mut chosen = None;
-    for source in &viewer.settings.recent {
+    for source in sources {
         let input = source.name();
         let text = match &source.reference {
             Some(reference) => format!("{input} with {}", short_name(&reference.file)),
             None => input,
         };
         if ui.button(text).on_hover_text(source.lines().join("\n")).clicked() {
-            chosen = Some(source.clone());
+            chosen = Some(Action::Open(Box::new(source.clone())));
+            ui.close();
         }
     }
-    if let Some(source) = chosen {
-        viewer.open(source);
-        ui.close();
-    }
+    chosen
 }

@@ -2,8 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-/// A scale of colours. The lightness of the first three changes evenly, and people who see colours differently can tell
-/// their colours apart.
+/// A scale of colours. The lightness of the first three changes evenly, so that colour-blind people can read them.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Colormap {
     /// Blue, green, yellow (S. van der Walt and N. Smith).

@@ -1,16 +1,20 @@
 //! Values to colours on the GPU: layers as textures, and a draw for each view of them.
 
+use std::cell::Cell;
 use std::collections::HashMap;
+use std::sync::Arc;
 
-use bytemuck::{Pod, Zeroable};
 use eframe::egui::{PaintCallback, PaintCallbackInfo, Rect};
 use eframe::egui_wgpu::{Callback, CallbackResources, CallbackTrait, ScreenDescriptor};
 use eframe::wgpu;
+use stein::glam;
+use stein::gpu::UniformLayout;
 
 use super::colormap::{self, Colormap};
 use super::{Channel, Tone};
 use crate::layer::{Kind, Range, Scale, Shown};
 
+const SHADER: &str = include_str!("display.wgsl");
 /// Constant ε that keeps the relative differences of dark pixels finite.
 pub const RELATIVE_EPSILON: f32 = 0.01;
 /// Number of bytes from the uniforms of one draw to those of the next: no device needs a larger distance.
@@ -67,26 +71,25 @@ pub struct Draw {
     pub background: [f32; 3],
 }
 
-/// Uniforms of a draw, in the order of `Draw` in the shader.
-#[repr(C)]
-#[derive(Clone, Copy, Pod, Zeroable)]
-struct Uniforms {
-    first: [f32; 2],
-    step: [f32; 2],
-    size: [u32; 2],
-    planes_a: u32,
-    planes_b: u32,
-    channel: u32,
-    colormap: u32,
-    taps: u32,
-    epsilon: f32,
-    factor: f32,
-    offset: f32,
-    inverse_gamma: f32,
-    low: f32,
-    high: f32,
-    padding: [u32; 3],
-    background: [f32; 4],
+stein::gpu::uniforms! {
+    /// Members of the shader's uniform struct `Draw`.
+    struct DrawUniforms {
+        first: glam::Vec2,
+        step: glam::Vec2,
+        size: glam::UVec2,
+        planes_a: u32,
+        planes_b: u32,
+        channel: u32,
+        colormap: u32,
+        taps: u32,
+        epsilon: f32,
+        factor: f32,
+        offset: f32,
+        inverse_gamma: f32,
+        low: f32,
+        high: f32,
+        background: glam::Vec4,
+    }
 }
 
 /// Settings that a pipeline is built for.
@@ -137,13 +140,14 @@ impl Draw {
         }
     }
 
-    fn uniforms(&self) -> Uniforms {
+    fn uniforms(&self) -> DrawUniforms {
         let extent = self.a.image.extent;
+        let [red, green, blue] = self.background;
         let row = |map: Colormap| Colormap::ALL.iter().position(|other| *other == map).unwrap_or(0) as u32;
-        Uniforms {
-            first: self.first,
-            step: [self.step; 2],
-            size: [extent.width, extent.height],
+        DrawUniforms {
+            first: self.first.into(),
+            step: glam::Vec2::splat(self.step),
+            size: glam::uvec2(extent.width, extent.height),
             planes_a: self.a.image.channels() as u32,
             planes_b: self.b.as_ref().map_or(1, |b| b.image.channels() as u32),
             channel: self.channel as u32,
@@ -155,8 +159,7 @@ impl Draw {
             inverse_gamma: 1.0 / self.gamma,
             low: self.range.low,
             high: self.range.high,
-            padding: [0; 3],
-            background: [self.background[0], self.background[1], self.background[2], 1.0],
+            background: glam::vec4(red, green, blue, 1.0),
         }
     }
 }
@@ -164,33 +167,43 @@ impl Draw {
 /// Numbers the draws of a frame; each of them has its own slot for uniforms.
 #[derive(Debug)]
 pub struct Slots {
+    layout: Arc<UniformLayout<DrawUniforms>>,
     frame: u64,
-    next: u32,
+    /// Number of draws of this frame. Panels that paint only read the view, so that this number changes behind a shared
+    /// reference.
+    used: Cell<u32>,
     format: wgpu::TextureFormat,
 }
 
-impl Default for Slots {
-    fn default() -> Self {
-        Self { frame: 0, next: 0, format: wgpu::TextureFormat::Rgba8Unorm }
-    }
-}
-
 impl Slots {
+    /// Compares [`DrawUniforms`] with the shader. [`Slots::begin`] comes before the first draw.
+    ///
+    /// # Errors
+    /// [`stein::Error::Shader`] if names or types of the members differ.
+    pub fn new() -> stein::Result<Self> {
+        let layout = Arc::new(UniformLayout::from_source("display", SHADER, "draw")?);
+        Ok(Self { layout, frame: 0, used: Cell::new(0), format: wgpu::TextureFormat::Rgba8Unorm })
+    }
+
     /// Begins a frame, which is drawn to a target of this format.
     pub fn begin(&mut self, format: wgpu::TextureFormat) {
-        *self = Self { frame: self.frame + 1, next: 0, format };
+        self.frame += 1;
+        self.used.set(0);
+        self.format = format;
     }
 
     /// Returns a shape that shows `draw` in a rectangle of the window.
-    pub fn paint(&mut self, rect: Rect, draw: Draw) -> PaintCallback {
-        let slot = self.next;
-        self.next += 1;
-        Callback::new_paint_callback(rect, Paint { draw, slot, frame: self.frame, format: self.format })
+    pub fn paint(&self, rect: Rect, draw: Draw) -> PaintCallback {
+        let slot = self.used.get();
+        self.used.set(slot + 1);
+        let layout = self.layout.clone();
+        Callback::new_paint_callback(rect, Paint { draw, layout, slot, frame: self.frame, format: self.format })
     }
 }
 
 struct Paint {
     draw: Draw,
+    layout: Arc<UniformLayout<DrawUniforms>>,
     slot: u32,
     frame: u64,
     format: wgpu::TextureFormat,
@@ -211,7 +224,9 @@ impl CallbackTrait for Paint {
         _encoder: &mut wgpu::CommandEncoder,
         resources: &mut CallbackResources,
     ) -> Vec<wgpu::CommandBuffer> {
-        let resources = resources.entry::<Resources>().or_insert_with(|| Resources::new(device, queue, self.format));
+        let resources = resources
+            .entry::<Resources>()
+            .or_insert_with(|| Resources::new(device, queue, self.format, self.layout.clone()));
         resources.forget_before(self.frame.saturating_sub(FRAMES_KEPT));
         let shown = [Some(&self.draw.a), self.draw.b.as_ref()];
         for shown in shown.into_iter().flatten() {
@@ -242,6 +257,7 @@ struct Texture {
 /// Resources that the draws of a window share.
 struct Resources {
     format: wgpu::TextureFormat,
+    layout: Arc<UniformLayout<DrawUniforms>>,
     module: wgpu::ShaderModule,
     draw_layout: wgpu::BindGroupLayout,
     layers_layout: wgpu::BindGroupLayout,
@@ -255,8 +271,16 @@ struct Resources {
 }
 
 impl Resources {
-    fn new(device: &wgpu::Device, queue: &wgpu::Queue, format: wgpu::TextureFormat) -> Self {
-        let module = device.create_shader_module(wgpu::include_wgsl!("display.wgsl"));
+    fn new(
+        device: &wgpu::Device,
+        queue: &wgpu::Queue,
+        format: wgpu::TextureFormat,
+        layout: Arc<UniformLayout<DrawUniforms>>,
+    ) -> Self {
+        let module = device.create_shader_module(wgpu::ShaderModuleDescriptor {
+            label: Some("display"),
+            source: wgpu::ShaderSource::Wgsl(SHADER.into()),
+        });
         let texture = |binding| wgpu::BindGroupLayoutEntry {
             binding,
             visibility: wgpu::ShaderStages::FRAGMENT,
@@ -273,15 +297,15 @@ impl Resources {
             ty: wgpu::BindingType::Buffer {
                 ty: wgpu::BufferBindingType::Uniform,
                 has_dynamic_offset: true,
-                min_binding_size: wgpu::BufferSize::new(size_of::<Uniforms>() as u64),
+                min_binding_size: wgpu::BufferSize::new(layout.bytes()),
             },
             count: None,
         };
-        let layout = |label, entries: &[wgpu::BindGroupLayoutEntry]| {
+        let group_layout = |label, entries: &[wgpu::BindGroupLayoutEntry]| {
             device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label: Some(label), entries })
         };
-        let draw_layout = layout("draw", &[uniforms, texture(1)]);
-        let layers_layout = layout("layers", &[texture(0), texture(1)]);
+        let draw_layout = group_layout("draw", &[uniforms, texture(1)]);
+        let layers_layout = group_layout("layers", &[texture(0), texture(1)]);
         let pipeline_layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
             label: Some("display"),
             bind_group_layouts: &[Some(&draw_layout), Some(&layers_layout)],
@@ -289,9 +313,10 @@ impl Resources {
         });
         let colors = upload(device, queue, colormap::STEPS as u32, Colormap::ALL.len() as u32, &colormap::table());
         let uniforms = uniform_buffer(device, 64);
-        let draw_group = bind_draw(device, &draw_layout, &uniforms, &colors);
+        let draw_group = bind_draw(device, &draw_layout, &uniforms, layout.bytes(), &colors);
         Self {
             format,
+            layout,
             module,
             draw_layout,
             layers_layout,
@@ -363,7 +388,7 @@ impl Resources {
     }
 
     /// Writes the uniforms of a draw to its slot. The buffer grows if it has too few slots.
-    fn write(&mut self, device: &wgpu::Device, queue: &wgpu::Queue, slot: u32, uniforms: &Uniforms) {
+    fn write(&mut self, device: &wgpu::Device, queue: &wgpu::Queue, slot: u32, uniforms: &DrawUniforms) {
         let offset = u64::from(slot) * SLOT_BYTES;
         if offset + SLOT_BYTES > self.uniforms.size() {
             let grown = uniform_buffer(device, 2 * (slot + 1));
@@ -371,9 +396,9 @@ impl Resources {
             encoder.copy_buffer_to_buffer(&self.uniforms, 0, &grown, 0, self.uniforms.size());
             queue.submit([encoder.finish()]);
             self.uniforms = grown;
-            self.draw_group = bind_draw(device, &self.draw_layout, &self.uniforms, &self.colors);
+            self.draw_group = bind_draw(device, &self.draw_layout, &self.uniforms, self.layout.bytes(), &self.colors);
         }
-        queue.write_buffer(&self.uniforms, offset, bytemuck::bytes_of(uniforms));
+        queue.write_buffer(&self.uniforms, offset, &self.layout.encode(uniforms));
     }
 
     fn forget_before(&mut self, frame: u64) {
@@ -398,10 +423,10 @@ fn bind_draw(
     device: &wgpu::Device,
     layout: &wgpu::BindGroupLayout,
     uniforms: &wgpu::Buffer,
+    uniform_bytes: u64,
     colors: &wgpu::TextureView,
 ) -> wgpu::BindGroup {
-    let uniforms =
-        wgpu::BufferBinding { buffer: uniforms, offset: 0, size: wgpu::BufferSize::new(size_of::<Uniforms>() as u64) };
+    let uniforms = wgpu::BufferBinding { buffer: uniforms, offset: 0, size: wgpu::BufferSize::new(uniform_bytes) };
     device.create_bind_group(&wgpu::BindGroupDescriptor {
         label: Some("draw"),
         layout,
@@ -434,4 +459,25 @@ fn upload(
         wgpu::TexelCopyBufferLayout { offset: 0, bytes_per_row: Some(width * 16), rows_per_image: Some(height) };
     queue.write_texture(texture.as_image_copy(), bytemuck::cast_slice(pixels), layout, size);
     texture.create_view(&Default::default())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    stein::gpu::uniforms! {
+        struct Misnamed { low: f32, hihg: f32 }
+    }
+
+    #[test]
+    fn the_uniform_struct_is_the_shader_s() {
+        let layout = Slots::new().expect("names and types are equal").layout;
+        assert_eq!(layout.bytes(), 96);
+        assert!(layout.bytes() <= SLOT_BYTES);
+        // A name that the shader does not have is found.
+        let source = "struct Draw { low: f32, high: f32 } @group(0) @binding(0) var<uniform> draw: Draw;";
+        let error = UniformLayout::<Misnamed>::from_source("display", source, "draw").expect_err("hihg is not high");
+        assert!(error.to_string().contains("'draw.high: f32' is not in the host struct Misnamed"), "{error}");
+        assert!(UniformLayout::<Misnamed>::from_source("display", SHADER, "draw").is_err());
+    }
 }

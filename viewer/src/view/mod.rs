@@ -214,8 +214,11 @@ pub struct View {
 
 impl View {
     /// Creates a view of the result, fitted into the canvas.
-    pub fn new(display: Display) -> Self {
-        Self {
+    ///
+    /// # Errors
+    /// As [`display::Slots::new`].
+    pub fn new(display: Display) -> stein::Result<Self> {
+        Ok(Self {
             layer: "result".into(),
             other: None,
             compare: Compare::Single,
@@ -227,8 +230,8 @@ impl View {
             reveals_pinned: false,
             marked: None,
             difference: None,
-            slots: display::Slots::default(),
-        }
+            slots: display::Slots::new()?,
+        })
     }
 
     /// Begins a frame of a window whose render target has this format.
@@ -237,12 +240,12 @@ impl View {
     }
 
     /// Draws the thumbnail of a layer, as the canvas would show the layer.
-    pub fn paint_thumbnail(&mut self, painter: &Painter, rect: Rect, layer: &Layer) {
+    pub fn paint_thumbnail(&self, painter: &Painter, rect: Rect, layer: &Layer) {
         self.paint_whole(painter, rect, layer, layer.thumbnail.clone());
     }
 
     /// Draws an image of a layer, fitted into a rectangle, in the colours of the layer.
-    pub fn paint_whole(&mut self, painter: &Painter, rect: Rect, layer: &Layer, image: Shown) {
+    pub fn paint_whole(&self, painter: &Painter, rect: Rect, layer: &Layer, image: Shown) {
         let extent = image.image.extent;
         let scale = (rect.width() / extent.width as f32).min(rect.height() / extent.height as f32);
         let size = Vec2::new(extent.width as f32, extent.height as f32) * scale;
@@ -253,21 +256,14 @@ impl View {
     }
 
     /// Draws any image, stretched to the width of a rectangle; numbers are on the given scale.
-    pub fn paint_image(
-        &mut self,
-        painter: &Painter,
-        rect: Rect,
-        shown: Shown,
-        kind: Kind,
-        (range, scale): (Range, Scale),
-    ) {
+    pub fn paint_image(&self, painter: &Painter, rect: Rect, shown: Shown, kind: Kind, (range, scale): (Range, Scale)) {
         let (first, step) = placed(painter, rect, rect.width() / shown.image.extent.width as f32);
         let draw = Draw { channel: Channel::All, ..self.draw_on(shown, kind, (range, scale), first, step) };
         painter.add(self.slots.paint(rect, draw));
     }
 
     /// Fills a rectangle with the colour of one pixel, as the canvas would show it.
-    pub fn paint_pixel(&mut self, painter: &Painter, rect: Rect, shown: Shown, [x, y]: [usize; 2]) {
+    pub fn paint_pixel(&self, painter: &Painter, rect: Rect, shown: Shown, [x, y]: [usize; 2]) {
         const STEP: f32 = 1e-6;
         let scale = (Range { low: 0.0, high: 1.0 }, Scale::Linear);
         let draw = Draw {
