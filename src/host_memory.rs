@@ -5,7 +5,7 @@ use std::fmt;
 
 use sysinfo::{MemoryRefreshKind, Process, ProcessRefreshKind, ProcessesToUpdate, System};
 
-use crate::error::Error;
+use crate::error::{DeviceCause, Error};
 
 /// Left to allocations that nobody plans and that cannot fail gently: stacks of threads, blocks in a decoder, the
 /// driver's compiler.
@@ -113,9 +113,6 @@ pub struct Shortage {
 }
 
 impl Shortage {
-    /// Remedy for the user.
-    pub const REMEDY: &str = "crop the image, leave layers out, raise the limit where there is one, close other programs, or use a computer with more memory";
-
     /// A shortage where work needs `needed` bytes.
     pub fn new(needed: u64, free: FreeMemory) -> Self {
         Self { needed, free }
@@ -128,7 +125,7 @@ impl Shortage {
 
     /// The failure of work that is named by `what`.
     pub fn error(self, what: &str) -> Error {
-        Error::Device { problem: format!("{what} {self}"), remedy: Self::REMEDY.into() }
+        Error::Device(DeviceCause::OutOfHostMemory { what: what.into(), shortage: self })
     }
 }
 

@@ -9,7 +9,7 @@ use super::cache::PipelineCache;
 use super::device::Gpu;
 use super::lock;
 use super::shader::{Definition, Definitions, compose, compose_source};
-use crate::error::{Error, Result};
+use crate::error::{DeviceCause, Error, Result};
 
 /// Text that naga_oil puts between the name of an imported item and the name of its module.
 const IMPORT_DECORATION: &str = "X_naga_oil_mod_X";
@@ -224,13 +224,13 @@ impl Gpu {
         ];
         for (need, limit, what) in needs {
             if need > u64::from(limit) {
-                return Err(Error::Device {
-                    problem: format!(
-                        "stage '{stage}' needs {need} {what}, but '{}' has {limit}",
-                        self.inner.summary.name
-                    ),
-                    remedy: "choose another adapter (`Gpu::adapters` lists them)".into(),
-                });
+                return Err(Error::Device(DeviceCause::StageTooLarge {
+                    stage: stage.into(),
+                    what,
+                    needed: need,
+                    limit: limit.into(),
+                    adapter: self.inner.summary.name.clone(),
+                }));
             }
         }
         Ok(())

@@ -2,7 +2,7 @@
 //! neighbours.
 
 use super::{Facts, Method};
-use crate::error::{Error, Result};
+use crate::error::{DeviceCause, Error, Result};
 use crate::gpu::Gpu;
 use crate::host_memory::{FreeMemory, Shortage};
 use crate::image::Extent;
@@ -84,16 +84,7 @@ impl DeviceMemory {
             );
             return Shortage::new(host + Self::DRIVER_BYTES + least, free).error(&what);
         }
-        let mib = |bytes: u64| bytes as f64 / f64::from(1 << 20);
-        Error::Device {
-            problem: format!(
-                "a strip of one row of this image, with the {halo} rows above and below that it depends on, does not fit into the memory allowed on the device: it needs {:.0} \
-                 MiB of {:.0} MiB",
-                mib(least).ceil(),
-                mib(self.asked.unwrap_or(u64::MAX)).floor()
-            ),
-            remedy: "raise the memory limit (`Denoiser::with_max_memory`), choose a smaller window or fewer frames beside, or leave features out".into(),
-        }
+        Error::Device(DeviceCause::StripTooLarge { halo, needed: least, allowed: self.asked.unwrap_or(u64::MAX) })
     }
 }
 
@@ -136,18 +127,14 @@ pub(crate) fn strips(
         if by_memory < rows {
             return Err(memory.refuse(rows * live_planes * row_bytes + scratch_bytes, halo));
         }
-        let mib = |bytes: u64| bytes.div_ceil(1 << 20);
-        return Err(Error::Device {
-            problem: format!(
-                "a strip of one row of this image, with the {halo} rows above and below that it depends on, does not fit the limits of '{}': it needs a buffer of {} MiB and {rows} \
-                 workgroups in a row, the adapter binds {} MiB and runs {}",
-                gpu.summary().name,
-                mib(rows * largest_planes * row_bytes),
-                mib(gpu.max_binding_bytes()),
-                gpu.max_workgroups()
-            ),
-            remedy: "crop the image, choose a smaller window, leave features out, or choose another adapter, which binds larger buffers".into(),
-        });
+        return Err(Error::Device(DeviceCause::StripExceedsAdapter {
+            halo,
+            bytes: rows * largest_planes * row_bytes,
+            rows,
+            most_bytes: gpu.max_binding_bytes(),
+            most_groups: gpu.max_workgroups(),
+            adapter: gpu.summary().name.clone(),
+        }));
     }
     // Of equal height, so that the last one is not a sliver that costs as much halo as the others.
     let count = height.div_ceil(rows);

@@ -3,7 +3,7 @@
 use std::ops::ControlFlow;
 
 use super::Samples;
-use crate::error::{Error, Result};
+use crate::error::{Error, RequestCause, Result};
 use crate::image::Extent;
 
 /// Called with the share of the work that is done, 0 to 1, from whichever thread gets there; `Break` ends the work with
@@ -42,10 +42,7 @@ impl SampleCounts {
     /// Not one number for each pixel.
     pub fn from_pairs(extent: Extent, pairs: Vec<u32>) -> Result<Self> {
         if pairs.len() != extent.pixels() {
-            return Err(Error::Request {
-                problem: format!("{} sample counts do not fit an image of {extent}", pairs.len()),
-                remedy: "give one count for each pixel".into(),
-            });
+            return Err(Error::Request(RequestCause::CountsLength { counts: pairs.len(), extent }));
         }
         Ok(Self { extent, pairs })
     }
@@ -56,13 +53,7 @@ impl SampleCounts {
     /// Not one number for each pixel, or an odd one.
     pub fn from_samples(extent: Extent, samples: &[u32]) -> Result<Self> {
         if let Some(pixel) = samples.iter().position(|count| count % 2 != 0) {
-            return Err(Error::Request {
-                problem: format!(
-                    "{} samples in pixel {pixel} cannot be drawn in equal numbers for both halves",
-                    samples[pixel]
-                ),
-                remedy: "give even sample counts".into(),
-            });
+            return Err(Error::Request(RequestCause::OddCount { samples: samples[pixel], pixel }));
         }
         Self::from_pairs(extent, samples.iter().map(|count| count / 2).collect())
     }

@@ -3,6 +3,7 @@
 use std::sync::Arc;
 use std::time::Instant;
 
+use stein::error::RequestCause;
 use stein::gpu::Pace;
 use stein::sampling::{Event, Iterations, Plan, SampleCounts, Sampler, Samples, SamplingMap};
 use stein::{Denoiser, Error, Extent, Gpu, Image};
@@ -43,10 +44,10 @@ impl Setup {
     fn sampler(&self, seed: u64, sequence: Sequence) -> stein::Result<StubSampler> {
         let scene = scene(&self.scene).ok_or_else(|| {
             let known: Vec<_> = scenes().map(|(name, _)| name).collect();
-            Error::Request {
+            Error::Request(RequestCause::Other {
                 problem: format!("there is no scene '{}'", self.scene),
                 remedy: format!("choose one of {}", known.join(", ")),
-            }
+            })
         })?;
         Ok(StubSampler::new(scene, self.extent, seed, sequence))
     }

@@ -11,6 +11,7 @@ use eframe::egui::{
     Panel as SidePanel, RichText, Ui, Vec2, ViewportCommand,
 };
 use eframe::wgpu;
+use stein::error::{FileCause, RequestCause};
 use stein::{Extent, Gpu};
 use stein_exr::LayerRef;
 
@@ -526,14 +527,19 @@ impl Viewer {
     }
 
     fn refuse(&mut self, problem: &str, remedy: &str) {
-        self.trouble = Some((Task::Open, stein::Error::Request { problem: problem.into(), remedy: remedy.into() }));
+        self.trouble = Some((
+            Task::Open,
+            stein::Error::Request(RequestCause::Other { problem: problem.into(), remedy: remedy.into() }),
+        ));
     }
 
     /// Returns the content of the file to save.
     fn content(&self, purpose: Purpose, path: &Path, context: &Context) -> stein::Result<Content> {
-        let missing = |what: &str| stein::Error::Request {
-            problem: format!("there is no {what} to save"),
-            remedy: "open a file and wait for the run".into(),
+        let missing = |what: &str| {
+            stein::Error::Request(RequestCause::Other {
+                problem: format!("there is no {what} to save"),
+                remedy: "open a file and wait for the run".into(),
+            })
         };
         let layer = || self.layer().cloned().ok_or_else(|| missing("image"));
         let source = self.document.as_ref().and_then(|document| document.opened.source.as_ref());
@@ -542,8 +548,10 @@ impl Viewer {
         if source.is_some_and(|source| source.files().any(same)) {
             return Err(stein::Error::File {
                 path: path.to_owned(),
-                problem: "is open here, and would be replaced".into(),
-                remedy: "choose another name".into(),
+                cause: FileCause::Other {
+                    problem: "is open here, and would be replaced".into(),
+                    remedy: "choose another name".into(),
+                },
             });
         }
         match purpose {

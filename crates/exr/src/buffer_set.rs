@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use stein::error::FileCause;
 use stein::frame::{RawSignal, Repairs, SamplesPerPixel};
 use stein::host_memory::{FreeMemory, Shortage};
 use stein::image::Window;
@@ -240,8 +241,8 @@ impl BufferSet {
     }
 
     fn no_memory(&self, shortage: Shortage) -> Error {
-        let problem = format!("cannot be made ready in memory: that {shortage}");
-        Error::File { path: self.input().to_owned(), problem, remedy: Shortage::REMEDY.into() }
+        let cause = FileCause::NoMemory { doing: "made ready", shortage };
+        Error::File { path: self.input().to_owned(), cause }
     }
 
     pub(crate) fn part(&self, planes: &Planes) -> usize {

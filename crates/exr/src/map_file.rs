@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use stein::error::{FileCause, LayerCause};
 use stein::sampling::{SampleCounts, SamplingMap};
 use stein::{Error, Image, Result};
 
@@ -49,14 +50,7 @@ impl MapFile {
             Some(file.planes(found.part, &[channel.index]))
         };
         let Some(samples) = find("samples") else {
-            return Err(Error::File {
-                path: path.to_owned(),
-                problem: format!(
-                    "has no layer 'samples' that says how many samples to draw; its layers are {}",
-                    file.layer_list()
-                ),
-                remedy: "give a sampling map, as `stein sample-map` writes it".into(),
-            });
+            return Err(Error::File { path: path.to_owned(), cause: FileCause::NoMap { layers: file.layer_list() } });
         };
         let counts = |name: &str, image: &Image| {
             let whole = |samples: &f32| {
@@ -67,8 +61,7 @@ impl MapFile {
             let pairs = pairs.ok_or_else(|| Error::Layer {
                 path: path.to_owned(),
                 layer: name.to_owned(),
-                problem: "holds numbers that are not whole and even".into(),
-                remedy: "give even numbers of samples, half of them for each half buffer".into(),
+                cause: LayerCause::UnevenCounts,
             })?;
             SampleCounts::from_pairs(image.extent, pairs)
         };

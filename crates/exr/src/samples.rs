@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use stein::error::FileCause;
 use stein::frame::{RawSignal, SamplesPerPixel};
 use stein::sampling::{SampleCounts, Samples};
 use stein::{Error, Image, Result};
@@ -19,8 +20,7 @@ impl BufferSet {
             let whole = samples >= 0.0 && samples % 2.0 == 0.0 && samples <= u32::MAX as f32;
             whole.then_some(samples as u32 / 2).ok_or_else(|| Error::File {
                 path: self.input().to_owned(),
-                problem: format!("has {samples} samples in some pixel, which are not two equal halves"),
-                remedy: "render with even sample counts, half of them for each half buffer".into(),
+                cause: FileCause::UnevenSamples { samples },
             })
         };
         let extent = self.extent();
@@ -30,12 +30,7 @@ impl BufferSet {
                 samples.planes[0].iter().map(|&samples| count(samples)).collect::<Result<_>>()?
             }
             SamplesPerPixel::Unknown => {
-                return Err(Error::File {
-                    path: self.input().to_owned(),
-                    problem: "does not say how many samples its pixels have, so that further samples cannot be added"
-                        .into(),
-                    remedy: "let the renderer write a header attribute or a channel `samples`".into(),
-                });
+                return Err(Error::File { path: self.input().to_owned(), cause: FileCause::NoSampleCounts });
             }
         };
         let counts = SampleCounts::from_pairs(extent, pairs)?;

@@ -1,8 +1,9 @@
 //! Errors of an image against a reference. All sums are in f64; a NaN anywhere makes the result NaN, except in FLIP,
 //! which sees it as black.
 
-#[cfg(feature = "flip")]
 use stein::Extent;
+#[cfg(feature = "flip")]
+use stein::error::RequestCause;
 pub use stein::frame::RELATIVE_EPSILON;
 use stein::{Error, Image, Result};
 
@@ -111,10 +112,10 @@ pub fn display_bytes(image: &Image) -> Result<Vec<u8>> {
         [grey] => [grey; 3],
         [r, g, b] => [r, g, b],
         planes => {
-            return Err(Error::Request {
+            return Err(Error::Request(RequestCause::Other {
                 problem: format!("an image of {} channels cannot be shown", planes.len()),
                 remedy: "give one channel, or red, green and blue".into(),
-            });
+            }));
         }
     };
     let byte = |linear: f32| {
@@ -133,7 +134,7 @@ fn check(image: &Image, reference: &Image) -> Result<()> {
     {
         return Ok(());
     }
-    Err(Error::Request {
+    Err(Error::Request(RequestCause::Other {
         problem: format!(
             "an image of {} with {} channels cannot be compared to a reference of {} with {} channels",
             image.extent,
@@ -142,7 +143,7 @@ fn check(image: &Image, reference: &Image) -> Result<()> {
             reference.channels()
         ),
         remedy: "compare images of the same size and channels, with at least one pixel".into(),
-    })
+    }))
 }
 
 fn mean_over_values(image: &Image, reference: &Image, error: impl Fn(f64, f64) -> f64) -> Result<f64> {

@@ -2,7 +2,7 @@
 
 use serde::Serialize;
 
-use crate::error::{Error, Result};
+use crate::error::{Error, RequestCause, Result};
 use crate::method::Spikes;
 use crate::method::common::{LARGEST_PATCH_RADIUS, LARGEST_WINDOW_RADIUS};
 use crate::method::noise::Pooling;
@@ -182,10 +182,7 @@ impl DfcParams {
         check(&self.parameters())?;
         let Self { first_patch_radius: first, second_patch_radius: second, .. } = self;
         if first > second {
-            return Err(Error::Request {
-                problem: format!("`first_patch_radius` is {first}, and `second_patch_radius` {second}"),
-                remedy: "choose the patches of FIRST no larger than those of SECOND".into(),
-            });
+            return Err(Error::Request(RequestCause::PatchRadii { first: *first, second: *second }));
         }
         Ok(())
     }
