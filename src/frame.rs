@@ -179,8 +179,8 @@ impl Frame {
     /// reported.
     ///
     /// # Errors
-    /// Images of different extent, no pixels, a colour that has not three channels, or with a channel without a single
-    /// usable pixel; sample counts of another shape.
+    /// [`Error::Request`] for images of different extents, for no pixels, for a colour that has not three channels, or
+    /// has a channel without a single usable pixel, and for sample counts of another shape.
     pub fn new(
         mut color: Signal,
         features: Vec<(String, Signal)>,

@@ -78,6 +78,9 @@ impl FreeMemory {
     }
 
     /// Refuses work that needs more.
+    ///
+    /// # Errors
+    /// [`Shortage`] if `needed` bytes are more than are free.
     pub fn check(self, needed: u64) -> Result<(), Shortage> {
         if needed <= self.bytes { Ok(()) } else { Err(Shortage { needed, free: self }) }
     }
@@ -138,6 +141,9 @@ impl fmt::Display for Shortage {
 }
 
 /// A vector of `length` times `value`.
+///
+/// # Errors
+/// [`Shortage`] if the allocation fails.
 pub fn try_filled<T: Copy>(length: usize, value: T) -> Result<Vec<T>, Shortage> {
     let mut filled = try_with_capacity(length)?;
     filled.resize(length, value);
@@ -145,6 +151,9 @@ pub fn try_filled<T: Copy>(length: usize, value: T) -> Result<Vec<T>, Shortage> 
 }
 
 /// The values in a vector of exactly their number.
+///
+/// # Errors
+/// [`Shortage`] if the allocation fails.
 pub fn try_collected<T>(values: impl ExactSizeIterator<Item = T>) -> Result<Vec<T>, Shortage> {
     let mut collected = try_with_capacity(values.len())?;
     collected.extend(values);

@@ -135,7 +135,7 @@ pub struct Outcome {
 /// Same sampler, plan and device, same result, also where the loop was interrupted and resumed.
 ///
 /// # Errors
-/// Whatever the sampler, the denoiser or `observe` fails with.
+/// The error of the sampler, of the denoiser, or of `observe`: [`Error::Cancelled`] if one of them was cancelled.
 pub fn adapt<S: Sampler, E: From<Error> + Send>(
     sampler: &mut S,
     denoiser: &Denoiser,

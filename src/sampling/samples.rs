@@ -151,7 +151,8 @@ impl Samples {
     /// for [`Frame::new`] to repair.
     ///
     /// # Errors
-    /// Missing halves or variance, images of different shapes, a mean that is not the average of its halves.
+    /// [`Error::Request`] for missing halves or variance, for images of different shapes, and for a mean that is not
+    /// the average of its halves.
     pub fn from_signals(color: RawSignal, features: Vec<(String, RawSignal)>, counts: &SampleCounts) -> Result<Self> {
         let pairs = counts.pairs();
         let color = Statistics::from_raw("colour", color, pairs)?;
@@ -219,7 +220,7 @@ impl Samples {
     /// Adds the samples of another pass. Order does not matter but for rounding; the features may be in another order.
     ///
     /// # Errors
-    /// Another extent or other features; this set is then as it was.
+    /// [`Error::Request`] for another extent or other features; this set is then as it was.
     pub fn merge(&mut self, other: &Self) -> Result<()> {
         let shape = |set: &Self| {
             set.features.iter().map(|(name, statistics)| (name.clone(), statistics.channels())).collect::<BTreeSet<_>>()

@@ -107,7 +107,7 @@ impl Loop {
     /// with it. Passes the share of the whole loop that is done, 0 to 1, to `check`; an error of `check` ends the loop.
     ///
     /// # Errors
-    /// Fails for a setup that is not valid, and in the same cases as [`Iterations::step`].
+    /// [`Error::Request`] for a setup that is not valid; otherwise as [`Iterations::step`].
     pub fn step(
         &mut self,
         gpu: &Gpu,

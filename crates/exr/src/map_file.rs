@@ -26,7 +26,7 @@ impl MapFile {
     /// file is replaced.
     ///
     /// # Errors
-    /// Errors of the file system.
+    /// As [`write_layers`].
     pub fn write(&self, path: &Path, attributes: &[(String, String)]) -> Result<()> {
         let whole = |counts: &SampleCounts| Image {
             extent: counts.extent(),
@@ -41,7 +41,8 @@ impl MapFile {
     /// Reads a map. In a file without `density`, `samples` is taken for the density.
     ///
     /// # Errors
-    /// A file that cannot be read or has no layer `samples`; numbers that are not whole and even.
+    /// [`Error::File`] for a file that cannot be read or has no layer `samples`; [`Error::Layer`] for numbers that are
+    /// not whole and even.
     pub fn read(path: &Path) -> Result<Self> {
         let file = ExrFile::read(path)?;
         let find = |name: &str| {

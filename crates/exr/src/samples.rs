@@ -14,7 +14,7 @@ impl BufferSet {
     /// halves and variances; the features are those that the set uses.
     ///
     /// # Errors
-    /// Unknown, odd or fractional sample counts, and as [`Samples::from_signals`].
+    /// [`Error::File`] for unknown, odd or fractional sample counts; otherwise as [`Samples::from_signals`].
     pub fn to_samples(&self) -> Result<Samples> {
         let count = |samples: f32| {
             let whole = samples >= 0.0 && samples % 2.0 == 0.0 && samples <= u32::MAX as f32;
@@ -46,7 +46,7 @@ impl BufferSet {
 /// The file appears under its name only when it is complete; an existing one is replaced.
 ///
 /// # Errors
-/// Attributes that OpenEXR cannot store, and errors of the file system.
+/// As [`write_layers`].
 pub fn write_samples(samples: &Samples, path: &Path, attributes: &[(String, String)]) -> Result<()> {
     let mut layers = Vec::new();
     push_signal(&mut layers, &["R", "G", "B"], samples.color(), ["", "halfA", "halfB", "variance"].map(str::to_owned));

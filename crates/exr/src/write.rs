@@ -92,8 +92,9 @@ impl std::fmt::Display for WriteReport {
 /// extra layer whose name is too long to be stored is left out, see [`WriteReport::left_out`].
 ///
 /// # Errors
-/// Images of another extent or number of channels than the layers that they replace, replacements for layers that do
-/// not exist, extra layers that do exist, and errors of the file system.
+/// [`Error::Layer`] for images of another extent or number of channels than the layers that they replace, and for extra
+/// layers that exist already; [`Error::Request`] for replacements of layers that do not exist; [`Error::File`] for
+/// errors of the file system.
 pub fn write_denoised(set: BufferSet, output: &Path, denoised: &DenoisedLayers<'_>) -> Result<WriteReport> {
     let (part, extent) = (set.color_part(), set.extent());
     let BufferSet { files, color, .. } = set;
@@ -325,8 +326,8 @@ impl Writer<'_> {
 /// stay as they are.
 ///
 /// # Errors
-/// No layers, or layers of different extents; names or attributes that OpenEXR cannot store; errors of the file
-/// system.
+/// [`Error::Request`] for no layers, for layers of different extents, and for names that OpenEXR cannot store;
+/// [`Error::File`] for errors of the file system.
 pub fn write_layers(output: &Path, layers: &[NamedLayer], attributes: &[(String, String)]) -> Result<()> {
     let misuse = |problem, change| Err(Error::Request(RequestCause::Misuse { problem, change }));
     let unusable = |reason| Error::Request(RequestCause::UnusableName { what: "a channel".into(), reason });

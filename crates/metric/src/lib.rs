@@ -10,7 +10,7 @@ use stein::{Error, Image, Result};
 /// Returns the mean over pixels and channels of (x − ref)²/(ref² + 0.01) (thesis 6.5). 0 is perfect.
 ///
 /// # Errors
-/// Images of different extent or channel count, or without pixels.
+/// [`Error::Request`] for images of different extent or channel count, or without pixels.
 pub fn relative_mse(image: &Image, reference: &Image) -> Result<f64> {
     mean_over_values(image, reference, |x, reference| (x - reference).powi(2) / (reference.powi(2) + RELATIVE_EPSILON))
 }
@@ -18,7 +18,7 @@ pub fn relative_mse(image: &Image, reference: &Image) -> Result<f64> {
 /// Returns the mean over pixels and channels of (x − ref)². 0 is perfect.
 ///
 /// # Errors
-/// Images of different extent or channel count, or without pixels.
+/// [`Error::Request`] for images of different extent or channel count, or without pixels.
 pub fn mse(image: &Image, reference: &Image) -> Result<f64> {
     mean_over_values(image, reference, |x, reference| (x - reference).powi(2))
 }
@@ -34,7 +34,7 @@ pub fn mse(image: &Image, reference: &Image) -> Result<f64> {
 /// all pairs of consecutive frames.
 ///
 /// # Errors
-/// Images of different extent or channel count, or without pixels.
+/// [`Error::Request`] for images of different extent or channel count, or without pixels.
 pub fn flicker(images: [&Image; 2], references: [&Image; 2]) -> Result<f64> {
     let ([before, image], [reference_before, reference]) = (images, references);
     check(before, reference_before)?;
@@ -63,7 +63,7 @@ pub fn flicker(images: [&Image; 2], references: [&Image; 2]) -> Result<f64> {
 /// averaged over all pixels.
 ///
 /// # Errors
-/// Images of different extent or channel count, or without pixels.
+/// [`Error::Request`] for images of different extent or channel count, or without pixels.
 pub fn ssim(image: &Image, reference: &Image) -> Result<f64> {
     check(image, reference)?;
     let (x, y) = (display_values(image), display_values(reference));
@@ -91,7 +91,8 @@ pub fn ssim(image: &Image, reference: &Image) -> Result<f64> {
 /// [`display_bytes`] shows them, so that differences between values above 1 do not count.
 ///
 /// # Errors
-/// Images of different extent or channel count, without pixels, or with other than one or three channels.
+/// [`Error::Request`] for images of different extent or channel count, without pixels, or with other than one or three
+/// channels.
 #[cfg(feature = "flip")]
 pub fn flip(image: &Image, reference: &Image) -> Result<f64> {
     check(image, reference)?;
@@ -106,7 +107,7 @@ pub fn flip(image: &Image, reference: &Image) -> Result<f64> {
 /// compared. A single channel is shown in grey; NaN is black.
 ///
 /// # Errors
-/// Other than one or three channels.
+/// [`Error::Request`] for other than one or three channels.
 pub fn display_bytes(image: &Image) -> Result<Vec<u8>> {
     let [r, g, b] = match image.planes.as_slice() {
         [grey] => [grey; 3],

@@ -97,7 +97,7 @@ impl StubSampler {
     /// Continues after these samples, as if this sampler had drawn them, for example to continue a stored render.
     ///
     /// # Errors
-    /// Counts of another extent.
+    /// [`Error::Request`] for counts of another extent.
     pub fn continue_after(mut self, drawn: &SampleCounts) -> Result<Self> {
         self.check(drawn)?;
         self.drawn = drawn.pairs().to_vec();
