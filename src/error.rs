@@ -13,7 +13,8 @@ use std::path::{Path, PathBuf};
 
 pub use device::DeviceCause;
 pub use file::{FileCause, LayerCause};
-pub use remedy::{Remedy, alternatives};
+pub use remedy::Remedy;
+use remedy::alternatives;
 pub use request::RequestCause;
 
 use crate::text;

@@ -90,6 +90,8 @@ pub enum Remedy {
     GiveVariance,
     /// Find out what is wrong with a layer.
     LookAtLayer,
+    /// Find out what is wrong with the halves and the variance.
+    LookAtHalves,
     /// Render the layer again.
     RenderAgain,
     /// Render both halves again.
@@ -226,6 +228,7 @@ impl fmt::Display for Remedy {
             Self::GiveHalves => "render twice with different seeds and give both as halves, their average as the input",
             Self::GiveVariance => "let the renderer write the variance of the pixel mean, as layer `variance`",
             Self::LookAtLayer => "look at the layer in an image viewer",
+            Self::LookAtHalves => "look at the halves and the variance in an image viewer",
             Self::RenderAgain => "render it again",
             Self::RenderHalvesAgain => "render both halves again, with different seeds and the same number of samples",
             Self::RenderAlike => "render all alike, with the same resolution, crop, halves and features",
@@ -244,13 +247,13 @@ impl fmt::Display for Remedy {
             Self::MoreIterations => "ask for more iterations",
             Self::FewerIterations => "ask for fewer iterations",
 
-            Self::NameLayer => "name the layer to take (`BufferSetRequest::layer`, `LayerRef::layer`)",
+            Self::NameLayer => "name the layer to take",
             Self::NameListedLayer => "name one of these, without the channel's last letter",
             Self::NameLayerInFile => "name a layer in it: FILE::LAYER",
             Self::GiveOtherHalf { half } => return write!(f, "add half {half}"),
             Self::MatchChannels => "write both with the same channels, or rename it if it is something else",
-            Self::SkipFeature => "leave the feature out (`BufferSetRequest::skip_features`)",
-            Self::NameFeatureToSkip => "name one of these in `BufferSetRequest::skip_features`, or none",
+            Self::SkipFeature => "leave the feature out",
+            Self::NameFeatureToSkip => "name one of these, or none",
             Self::GiveFeatureOnce => "give each feature once, or under different names",
             Self::SplitFeature => "split it into several features",
             Self::AnotherName => "choose another name",
@@ -273,7 +276,7 @@ impl fmt::Display for Remedy {
 }
 
 /// Joins remedies of which each helps alone: `a, b, or c`.
-pub fn alternatives(remedies: &[String]) -> String {
+pub(super) fn alternatives(remedies: &[String]) -> String {
     match remedies {
         [first @ .., last] if !first.is_empty() => format!("{}, or {last}", first.join(", ")),
         remedies => remedies.concat(),

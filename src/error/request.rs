@@ -327,7 +327,7 @@ impl RequestCause {
             }
             Self::NoUsableValue { .. } => vec![Remedy::LookAtLayer, Remedy::RenderAgain],
             Self::UnknownNoise { reasons } if reasons.is_empty() => vec![Remedy::GiveHalves, Remedy::GiveVariance],
-            Self::UnknownNoise { .. } => vec![Remedy::LookAtLayer, Remedy::RenderHalvesAgain],
+            Self::UnknownNoise { .. } => vec![Remedy::LookAtHalves, Remedy::RenderHalvesAgain],
             Self::NoiseNotEstimated => vec![Remedy::EstimateNoise, Remedy::GiveHalves, Remedy::GiveVariance],
             Self::PixelOutside { extent, .. } => {
                 let (column, row) = (extent.width.saturating_sub(1), extent.height.saturating_sub(1));
