@@ -7,7 +7,7 @@ use std::time::Instant;
 
 use glam::{IVec2, Vec3};
 
-use crate::error::{Error, Result};
+use crate::error::{Error, RequestCause, Result};
 use crate::frame::{Feature, Frame, NoiseKnowledge};
 use crate::gpu::{Buffer, Gpu, Pace, Recorder, Run, StageTime, StepTime};
 use crate::host_memory::{FreeMemory, Shortage};
@@ -366,32 +366,19 @@ impl Denoiser {
     }
 
     fn check_window(&self, frames: &[&Frame], centre: usize) -> Result<()> {
-        let refuse = |problem: String, remedy: &str| Err(Error::Request { problem, remedy: remedy.into() });
         let Some(frame) = frames.get(centre) else {
-            return refuse(
-                format!("frame {centre} of a window of {} frames is to be denoised", frames.len()),
-                "count from 0",
-            );
+            return Err(Error::Request(RequestCause::NoSuchFrame { centre, frames: frames.len() }));
         };
         self.method.check_beside(frames.len() - 1)?;
         self.method.check_noise_is_known(frame.noise_knowledge() == NoiseKnowledge::ImageOnly)?;
         let knows = |frame: &Frame| (frame.color().half_spread.is_some(), frame.color().variance_of_mean.is_some());
         for (index, other) in frames.iter().enumerate() {
-            if other.extent() != frame.extent() {
-                return refuse(
-                    format!(
-                        "frame {index} of the window is of {}, but the one to denoise of {}",
-                        other.extent(),
-                        frame.extent()
-                    ),
-                    "give frames of one size",
-                );
+            let (extent, expected) = (other.extent(), frame.extent());
+            if extent != expected {
+                return Err(Error::Request(RequestCause::FrameExtent { index, extent, expected }));
             }
             if knows(other) != knows(frame) {
-                return refuse(
-                    format!("frame {index} of the window does not come with the same halves and variance"),
-                    "render all frames alike",
-                );
+                return Err(Error::Request(RequestCause::FrameNoise { index }));
             }
         }
         Ok(())

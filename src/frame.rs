@@ -15,7 +15,7 @@ mod unit_range;
 
 use rayon::prelude::*;
 
-use crate::error::{Error, Result};
+use crate::error::{Error, RequestCause, Result};
 use crate::image::{self, Extent, Image, Window};
 pub use kind::FeatureKind;
 pub use knowledge::NoiseKnowledge;
@@ -179,8 +179,8 @@ impl Frame {
     /// reported.
     ///
     /// # Errors
-    /// Images of different extent, no pixels, a colour that has not three channels, or with a channel without a single
-    /// usable pixel; sample counts of another shape.
+    /// [`Error::Request`] for images of different extents, for no pixels, for a colour that has not three channels, or
+    /// has a channel without a single usable pixel, and for sample counts of another shape.
     pub fn new(
         mut color: Signal,
         features: Vec<(String, Signal)>,
@@ -189,10 +189,7 @@ impl Frame {
         let extent = color.mean.extent;
         check_shape("colour", &color, extent)?;
         if color.mean.channels() != 3 {
-            return Err(Error::Request {
-                problem: format!("colour has {} channels, not 3", color.mean.channels()),
-                remedy: "give its planes R, G and B; of a luminance the same plane three times".into(),
-            });
+            return Err(Error::Request(RequestCause::ColorChannels { channels: color.mean.channels() }));
         }
         let mut repairs = Repairs::default();
         settle_color(&mut color, &mut repairs)?;
@@ -329,16 +326,16 @@ fn mean_beside_halves(raw: &RawSignal) -> Option<String> {
 }
 
 fn check_shape(name: &str, signal: &Signal, extent: Extent) -> Result<()> {
-    let problem = if extent.pixels() == 0 {
-        format!("{name} has no pixels")
+    let cause = if extent.pixels() == 0 {
+        RequestCause::NoPixels { signal: name.into() }
     } else if signal.images().any(|image| image.extent != extent) {
-        format!("the images of {name} do not all have the extent of the colour, {extent}")
+        RequestCause::ImageExtents { signal: name.into(), extent }
     } else if signal.images().flat_map(|image| &image.planes).any(|plane| plane.len() != extent.pixels()) {
-        format!("a plane of {name} does not have the {} values that its extent of {extent} asks for", extent.pixels())
+        RequestCause::PlaneLength { signal: name.into(), extent }
     } else {
         return Ok(());
     };
-    Err(Error::Request { problem, remedy: "give all images of a frame the same extent".into() })
+    Err(Error::Request(cause))
 }
 
 /// Makes the colour finite and decides which source tells its noise.
@@ -350,13 +347,9 @@ fn settle_color(color: &mut Signal, repairs: &mut Repairs) -> Result<()> {
     let shared_noise = color.half_spread.as_ref().and_then(correlation::shared_noise);
     let Sanitised { found, unusable, .. } = sanitise::sanitise(layer, color, false);
     if !unusable.is_empty() {
-        return Err(Error::Request {
-            problem: format!(
-                "layer colour: not one pixel has a usable value{}",
-                layer.in_channels(&unusable, color.mean.channels())
-            ),
-            remedy: "look at the layer in an image viewer; render it again".into(),
-        });
+        return Err(Error::Request(RequestCause::NoUsableValue {
+            channels: layer.in_channels(&unusable, color.mean.channels()),
+        }));
     }
     sources::settle(layer, color, &mut notes);
     if color.known_from() == NoiseKnowledge::HalvesOnly && sources::is_silent(color) {

@@ -5,7 +5,7 @@ use std::fmt;
 
 use sysinfo::{MemoryRefreshKind, Process, ProcessRefreshKind, ProcessesToUpdate, System};
 
-use crate::error::Error;
+use crate::error::{DeviceCause, Error};
 
 /// Left to allocations that nobody plans and that cannot fail gently: stacks of threads, blocks in a decoder, the
 /// driver's compiler.
@@ -78,6 +78,9 @@ impl FreeMemory {
     }
 
     /// Refuses work that needs more.
+    ///
+    /// # Errors
+    /// [`Shortage`] if `needed` bytes are more than are free.
     pub fn check(self, needed: u64) -> Result<(), Shortage> {
         if needed <= self.bytes { Ok(()) } else { Err(Shortage { needed, free: self }) }
     }
@@ -113,9 +116,6 @@ pub struct Shortage {
 }
 
 impl Shortage {
-    /// Remedy for the user.
-    pub const REMEDY: &str = "crop the image, leave layers out, raise the limit where there is one, close other programs, or use a computer with more memory";
-
     /// A shortage where work needs `needed` bytes.
     pub fn new(needed: u64, free: FreeMemory) -> Self {
         Self { needed, free }
@@ -128,7 +128,7 @@ impl Shortage {
 
     /// The failure of work that is named by `what`.
     pub fn error(self, what: &str) -> Error {
-        Error::Device { problem: format!("{what} {self}"), remedy: Self::REMEDY.into() }
+        Error::Device(DeviceCause::OutOfHostMemory { what: what.into(), shortage: self })
     }
 }
 
@@ -141,6 +141,9 @@ impl fmt::Display for Shortage {
 }
 
 /// A vector of `length` times `value`.
+///
+/// # Errors
+/// [`Shortage`] if the allocation fails.
 pub fn try_filled<T: Copy>(length: usize, value: T) -> Result<Vec<T>, Shortage> {
     let mut filled = try_with_capacity(length)?;
     filled.resize(length, value);
@@ -148,6 +151,9 @@ pub fn try_filled<T: Copy>(length: usize, value: T) -> Result<Vec<T>, Shortage> 
 }
 
 /// The values in a vector of exactly their number.
+///
+/// # Errors
+/// [`Shortage`] if the allocation fails.
 pub fn try_collected<T>(values: impl ExactSizeIterator<Item = T>) -> Result<Vec<T>, Shortage> {
     let mut collected = try_with_capacity(values.len())?;
     collected.extend(values);

@@ -37,6 +37,9 @@ impl Image {
     }
 
     /// As [`Image::filled`], where memory may end.
+    ///
+    /// # Errors
+    /// [`Shortage`] if an allocation fails.
     pub fn try_filled(extent: Extent, channels: usize, value: f32) -> Result<Self, Shortage> {
         let planes = (0..channels).map(|_| try_filled(extent.pixels(), value)).collect::<Result<_, _>>()?;
         Ok(Self { extent, planes })

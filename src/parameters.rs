@@ -9,7 +9,7 @@
 use std::fmt;
 use std::ops::{Bound, RangeBounds, RangeInclusive};
 
-use crate::error::{Error, Result};
+use crate::error::{Error, RequestCause, Result};
 
 /// One parameter of a method.
 #[derive(Clone, Debug, PartialEq)]
@@ -151,10 +151,11 @@ impl Parameter {
 
     /// Error: the parameter cannot have this value.
     pub(crate) fn refused(&self, value: impl fmt::Display) -> Error {
-        Error::Request {
-            problem: format!("`{}` cannot be {value}", self.name),
-            remedy: format!("choose {}", self.rule()),
-        }
+        Error::Request(RequestCause::ParameterValue {
+            name: self.name.clone(),
+            value: value.to_string(),
+            rule: self.rule(),
+        })
     }
 
     /// Value that the parameter gets when it is set to `value`.

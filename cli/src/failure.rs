@@ -1,13 +1,14 @@
 //! How a command ends when it does not end well.
 
-use std::fmt::Display;
+use std::fmt::{Arguments, Display};
 use std::io::Write;
 use std::path::Path;
 use std::process::ExitCode;
 
 use stein::Error;
+use stein::error::Remedy;
 use stein::text;
-use stein_exr::BufferSetRequest;
+use stein_exr::options;
 
 /// Exit code if an input file or layer cannot be used.
 const INPUT: u8 = 3;
@@ -21,44 +22,46 @@ pub(crate) struct Failure {
 
 impl Failure {
     /// Contradicting or impossible arguments; clap uses the same code.
-    pub(crate) fn usage(message: impl Display) -> Self {
-        Self { code: 2, message: with_options(message) }
+    pub(crate) fn usage(message: impl Message) -> Self {
+        Self { code: 2, message: message.in_words() }
     }
 
     /// An input file or layer cannot be used.
-    pub(crate) fn input(message: impl Display) -> Self {
-        Self { code: INPUT, message: with_options(message) }
+    pub(crate) fn input(message: impl Message) -> Self {
+        Self { code: INPUT, message: message.in_words() }
     }
 
     /// The output cannot be written.
-    pub(crate) fn output(message: impl Display) -> Self {
-        Self { code: 5, message: with_options(message) }
+    pub(crate) fn output(message: impl Message) -> Self {
+        Self { code: 5, message: message.in_words() }
     }
 
     /// The self test found results out of their bounds.
-    pub(crate) fn out_of_bounds(message: impl Display) -> Self {
-        Self { code: 6, message: message.to_string() }
+    pub(crate) fn out_of_bounds(message: impl Message) -> Self {
+        Self { code: 6, message: message.in_words() }
     }
 
     /// Any other failure.
-    pub(crate) fn other(message: impl Display) -> Self {
-        Self { code: 1, message: with_options(message) }
+    pub(crate) fn other(message: impl Message) -> Self {
+        Self { code: 1, message: message.in_words() }
     }
 
     /// Converts a library error about a file whose path the library does not know.
     pub(crate) fn in_file(path: &Path, error: Error) -> Self {
-        match error {
-            Error::Request { .. } => Self::input(format_args!("{}: {error}", text::path(path))),
-            error => error.into(),
-        }
+        error.in_file(path).into()
     }
 
     /// Puts the number of the frame in front of the message, if there is one.
     pub(crate) fn in_frame(self, number: Option<u32>) -> Self {
         match number {
-            Some(number) => Self { message: format!("frame {number}: {}", self.message), ..self },
+            Some(number) => self.at(format_args!("frame {number}")),
             None => self,
         }
+    }
+
+    /// Puts a place in front of the message, such as an option.
+    pub(crate) fn at(self, place: impl Display) -> Self {
+        Self { message: format!("{place}: {}", self.message), ..self }
     }
 
     pub(crate) fn message(&self) -> &str {
@@ -92,25 +95,53 @@ impl Failure {
     }
 }
 
-/// Terms in the library's remedies, each with its replacement on the command line, besides the options of
-/// [`BufferSetRequest`].
-const WORDS: [(&str, &str); 8] = [
-    (
-        "name the layer to take (`BufferSetRequest::layer`, `LayerRef::layer`)",
-        "name the layer to take: --layer NAME for the input, FILE::NAME for other files",
-    ),
-    ("the memory limit (`Denoiser::with_max_memory`)", "--max-memory"),
-    ("the memory limit", "--max-memory"),
-    ("a smaller window", "a smaller --radius (dfc, nlm)"),
-    ("fewer frames beside", "a smaller --temporal-radius"),
-    ("choose another adapter", "choose another adapter with --device"),
-    ("`Gpu::adapters`", "`stein devices`"),
-    ("`GpuOptions::pipeline_folder`", stein_exr::options::CACHE_VARIABLE),
-];
+/// What a failure says: words of this program, or an error of the library.
+pub(crate) trait Message {
+    /// Returns the message for people.
+    fn in_words(self) -> String;
+}
 
-/// Replaces the library's terms in a remedy by those of the command line.
-fn with_options(text: impl Display) -> String {
-    Error::in_words(&text.to_string(), BufferSetRequest::OPTIONS.iter().chain(&WORDS))
+impl Message for &str {
+    fn in_words(self) -> String {
+        self.into()
+    }
+}
+
+impl Message for String {
+    fn in_words(self) -> String {
+        self
+    }
+}
+
+impl Message for Arguments<'_> {
+    fn in_words(self) -> String {
+        self.to_string()
+    }
+}
+
+impl Message for Error {
+    fn in_words(self) -> String {
+        (&self).in_words()
+    }
+}
+
+impl Message for &Error {
+    fn in_words(self) -> String {
+        self.message(|remedy| Some(with_options(&remedy)))
+    }
+}
+
+/// Returns a remedy in the words of the command line.
+fn with_options(remedy: &Remedy) -> String {
+    match remedy {
+        Remedy::NameLayer => "name the layer to take: --layer NAME for the input, FILE::NAME for other files".into(),
+        Remedy::RaiseMemoryLimit => "raise --max-memory".into(),
+        Remedy::LowerMemoryLimit => "lower --max-memory".into(),
+        Remedy::SmallerWindow => "choose a smaller --radius (dfc, nlm)".into(),
+        Remedy::FewerFramesBeside => "choose a smaller --temporal-radius".into(),
+        Remedy::AnotherMethod => "choose another --method".into(),
+        remedy => options::remedy(remedy),
+    }
 }
 
 impl From<Error> for Failure {
@@ -120,13 +151,9 @@ impl From<Error> for Failure {
             Error::Device { .. } => 4,
             _ => 1,
         };
-        Self { code, message: with_options(error) }
+        Self { code, message: error.in_words() }
     }
 }
-
-#[cfg(test)]
-#[path = "../../tests/common/remedies.rs"]
-mod remedies;
 
 #[cfg(test)]
 mod tests {
@@ -134,6 +161,17 @@ mod tests {
 
     #[test]
     fn remedies_name_nothing_that_only_programmers_know() {
-        remedies::name_no_items(|remedy| with_options(format_args!("remedy: {remedy}")));
+        for remedy in Remedy::all() {
+            let told = with_options(&remedy);
+            assert!(!names_item(&told), "{remedy:?}: {told}");
+        }
+    }
+
+    /// Whether a text names an item of Rust: `Type`, or `module::item`.
+    fn names_item(text: &str) -> bool {
+        let starts = |marker: &str, is_first: fn(&char) -> bool| {
+            text.split(marker).skip(1).any(|rest| rest.chars().next().as_ref().is_some_and(is_first))
+        };
+        starts("`", char::is_ascii_uppercase) || starts("::", char::is_ascii_lowercase)
     }
 }

@@ -149,7 +149,7 @@ pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
     let gpu = args.device.open()?;
     let kernels = args.device.denoiser(&gpu, method)?.kernels(&frame, x, y, &Options::default());
     let kernels = kernels.map_err(|error| match error {
-        Error::Request { .. } => Failure::usage(format_args!("--pixel: {error}")),
+        Error::Request(_) => Failure::usage(error).at("--pixel"),
         error => error.into(),
     })?;
     if let Some(file) = &args.output {

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use glam::{IVec2, Vec3};
 
 use super::{Denoiser, Options, exposure};
-use crate::error::{Error, Result};
+use crate::error::{Error, RequestCause, Result};
 use crate::frame::Frame;
 use crate::gpu::{Buffer, Gpu, Run};
 use crate::image::{Extent, Image, Window};
@@ -31,14 +31,7 @@ impl Denoiser {
     pub fn kernels(&self, frame: &Frame, x: u32, y: u32, options: &Options) -> Result<Kernels> {
         let extent = frame.extent();
         if x >= extent.width || y >= extent.height {
-            return Err(Error::Request {
-                problem: format!("pixel ({x}, {y}) lies outside of a frame of {extent} pixels"),
-                remedy: format!(
-                    "choose a column from 0 to {} and a row from 0 to {}",
-                    extent.width - 1,
-                    extent.height - 1
-                ),
-            });
+            return Err(Error::Request(RequestCause::PixelOutside { x, y, extent }));
         }
         let plan = self.plan(&[frame], 0, options)?;
         if plan.copies_the_frame() {

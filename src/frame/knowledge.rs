@@ -5,7 +5,7 @@ use std::fmt;
 use serde::Serialize;
 
 use super::{Feature, Frame, RELATIVE_EPSILON, Repairs, Signal};
-use crate::error::{Error, Result};
+use crate::error::{Error, RequestCause, Result};
 
 /// The remark on a colour without halves and variance.
 pub(super) const IMAGE_ONLY: &str = "colour: its noise is estimated from the image itself; two renders with different \
@@ -87,25 +87,8 @@ impl Frame {
             return Ok(());
         }
         let notes = repairs.notes.iter().filter(|note| *note != IMAGE_ONLY);
-        let reasons: Vec<_> = notes.filter_map(|note| note.strip_prefix("colour: ")).collect();
-        let (reasons, remedy) = if reasons.is_empty() {
-            (
-                "there are neither two halves nor a variance".into(),
-                "render twice with different seeds and give both as halves (`BufferSetRequest::half_a`, \
-                 `BufferSetRequest::half_b`), their average as the input; or let the renderer write the variance of the \
-                 pixel mean, as layer `variance` or for `BufferSetRequest::variance`",
-            )
-        } else {
-            (
-                reasons.join("; "),
-                "look at the halves and the variance in an image viewer; render them again, the halves with different \
-                 seeds and the same number of samples",
-            )
-        };
-        Err(Error::Request {
-            problem: format!("nothing is known of the colour's noise: {reasons}"),
-            remedy: remedy.into(),
-        })
+        let reasons = notes.filter_map(|note| note.strip_prefix("colour: ")).map(str::to_owned).collect();
+        Err(Error::Request(RequestCause::UnknownNoise { reasons }))
     }
 
     /// The frame with fewer sources of its noise: halves and variances that `knowledge` does not name are taken from

@@ -2,7 +2,7 @@
 
 use super::repairs::{Damage, DamagedImage, Layer};
 use super::{LayerRepairs, Repairs, SamplesPerPixel, Signal};
-use crate::error::{Error, Result};
+use crate::error::{Error, RequestCause, Result};
 use crate::image::Extent;
 
 /// Squares of larger values come too close to the end of f32 for sums of them.
@@ -128,10 +128,7 @@ pub(super) fn sanitise_samples(
         SamplesPerPixel::Unknown => Ok(SamplesPerPixel::Unknown),
         SamplesPerPixel::PerPixel(mut counts) => {
             if counts.extent != extent || counts.channels() != 1 || counts.planes[0].len() != extent.pixels() {
-                return Err(Error::Request {
-                    problem: format!("the sample counts are not one plane of {extent}"),
-                    remedy: "give one count for each pixel, or one number for all".into(),
-                });
+                return Err(Error::Request(RequestCause::CountsShape { extent }));
             }
             let mut found = LayerRepairs { layer: "samples".into(), ..LayerRepairs::default() };
             let mut state = vec![Pixel::Good; extent.pixels()];

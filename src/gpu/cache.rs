@@ -11,7 +11,7 @@ use std::time::SystemTime;
 
 use super::device::Gpu;
 use super::lock;
-use crate::error::{Error, Result};
+use crate::error::{Error, FileCause, Result};
 
 const MAGIC: &[u8; 16] = b"stein pipelines\n";
 /// Size of the magic and of a hash of the data behind them, in bytes.
@@ -89,8 +89,7 @@ impl PipelineCache {
         }
         self.write(&data, hash).map_err(|error| Error::File {
             path: file.clone(),
-            problem: format!("the compiled pipelines cannot be kept: {error}"),
-            remedy: "have `GpuOptions::pipeline_folder` name a folder that may be written to, or none".into(),
+            cause: FileCause::PipelinesNotKept { reason: error.to_string() },
         })?;
         *saved = Some(hash);
         Ok(SavedPipelines::Written { file, bytes })

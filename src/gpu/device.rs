@@ -15,7 +15,7 @@ use super::kernel::{Kernel, KernelKey};
 use super::pool::{MemoryUse, Pool};
 use super::timing::Timing;
 use super::{human_bytes, lock};
-use crate::error::{Error, Result};
+use crate::error::{DeviceCause, Error, Result};
 use crate::host_memory::FreeMemory;
 
 /// Backends that are good for compute. OpenGL would list the same hardware a second time, with fewer features.
@@ -287,11 +287,8 @@ impl Gpu {
             },
             ..Default::default()
         };
-        let (device, queue) = pollster::block_on(adapter.request_device(&description)).map_err(|error| Error::Device {
-            problem: format!("adapter '{}' cannot be opened: {error}", summary.name),
-            remedy:
-                "choose another adapter (`Gpu::adapters` lists them), update the graphics driver, or raise the limit on memory where there is one (`ulimit -v`)"
-                    .into(),
+        let (device, queue) = pollster::block_on(adapter.request_device(&description)).map_err(|error| {
+            Error::Device(DeviceCause::NotOpened { adapter: summary.name.clone(), reason: error.to_string() })
         })?;
 
         let health = Arc::new(Health::default());
@@ -331,10 +328,7 @@ impl Gpu {
     ) -> Result<Self> {
         let limits = device.limits();
         if limits.max_compute_invocations_per_workgroup == 0 || limits.max_storage_buffers_per_shader_stage == 0 {
-            return Err(Error::Device {
-                problem: format!("the device on '{}' offers no compute", summary.name),
-                remedy: "open the device with at least `wgpu::Limits::default()`".into(),
-            });
+            return Err(Error::Device(DeviceCause::NoCompute { adapter: summary.name.clone() }));
         }
         let timing = Timing::new(summary.timestamps, queue.get_timestamp_period());
         let inner = Inner {
@@ -461,12 +455,7 @@ impl Gpu {
     }
 
     fn lost(&self) -> Option<Error> {
-        lock(&self.inner.health.lost).as_ref().map(|reason| Error::Device {
-            problem: format!("the device was lost: {reason}"),
-            remedy: "run again; if it happens again, update the graphics driver, choose another adapter, or ask for less work at once \
-                     (a smaller window, a cropped image)"
-                .into(),
-        })
+        lock(&self.inner.health.lost).as_ref().map(|reason| Error::Device(DeviceCause::Lost { reason: reason.clone() }))
     }
 
     /// Makes an error from a report of the driver about commands that wgpu had accepted, or the other way round.
@@ -478,10 +467,10 @@ impl Gpu {
         if let Some(lost) = self.lost() {
             return lost;
         }
-        Error::Device {
-            problem: format!("the driver of '{}' reported: {}", self.inner.summary.name, report.trim_end()),
-            remedy: "update the graphics driver or choose another adapter; if it persists, report it with the output of `stein devices`".into(),
-        }
+        Error::Device(DeviceCause::DriverReport {
+            adapter: self.inner.summary.name.clone(),
+            report: report.trim_end().into(),
+        })
     }
 }
 
@@ -511,23 +500,9 @@ fn choose(summaries: &[AdapterSummary], choice: &DeviceChoice) -> Result<Adapter
         return Ok(summary.clone());
     }
     if summaries.is_empty() {
-        return Err(Error::Device {
-            problem: "no graphics adapter was found (Vulkan, Metal or DX12)".into(),
-            remedy: "install a Vulkan driver for your graphics card, or a software one (Debian, Ubuntu: `apt-get install mesa-vulkan-drivers`; \
-                     scripts/setup.sh does it)"
-                .into(),
-        });
+        return Err(Error::Device(DeviceCause::NoAdapter));
     }
-    let wanted = match choice {
-        DeviceChoice::Auto => String::new(),
-        DeviceChoice::Index(index) => format!("with the index {index}"),
-        DeviceChoice::Name(name) => format!("whose name contains '{name}'"),
-    };
-    let list: Vec<_> = summaries.iter().map(|summary| format!("\n    {summary}")).collect();
-    Err(Error::Device {
-        problem: format!("there is no adapter {wanted}"),
-        remedy: format!("choose one of these:{}", list.concat()),
-    })
+    Err(Error::Device(DeviceCause::NoSuchAdapter { choice: choice.clone(), adapters: summaries.to_vec() }))
 }
 
 #[cfg(test)]

@@ -10,7 +10,7 @@ use super::device::Gpu;
 use super::lock;
 use super::shader::{Definition, Definitions, compose, compose_source};
 use super::uniform_layout::{lay_out, undecorated};
-use crate::error::{Error, Result};
+use crate::error::{DeviceCause, Error, Result};
 
 /// Identity of a kernel: kernels with equal keys are the same.
 #[derive(Debug, PartialEq, Eq, Hash)]
@@ -222,13 +222,13 @@ impl Gpu {
         ];
         for (need, limit, what) in needs {
             if need > u64::from(limit) {
-                return Err(Error::Device {
-                    problem: format!(
-                        "stage '{stage}' needs {need} {what}, but '{}' has {limit}",
-                        self.inner.summary.name
-                    ),
-                    remedy: "choose another adapter (`Gpu::adapters` lists them)".into(),
-                });
+                return Err(Error::Device(DeviceCause::StageTooLarge {
+                    stage: stage.into(),
+                    what,
+                    needed: need,
+                    limit: limit.into(),
+                    adapter: self.inner.summary.name.clone(),
+                }));
             }
         }
         Ok(())

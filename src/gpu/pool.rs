@@ -24,7 +24,7 @@ use super::device::Gpu;
 use super::reach::SharedReach;
 use super::run::Run;
 use super::{human_bytes, lock};
-use crate::error::{Error, Result};
+use crate::error::{DeviceCause, Error, RequestCause, Result};
 
 /// Sizes of pooled buffers are multiples of this many bytes.
 const GRANULE: u64 = 256;
@@ -213,10 +213,10 @@ impl Gpu {
     /// can see.
     pub fn import(&self, label: &str, buffer: wgpu::Buffer) -> Result<Buffer> {
         if !buffer.usage().contains(wgpu::BufferUsages::STORAGE) {
-            return Err(Error::Request {
+            return Err(Error::Request(RequestCause::Misuse {
                 problem: format!("the buffer '{label}' was created without STORAGE usage, so no kernel can see it"),
-                remedy: "create it with `wgpu::BufferUsages::STORAGE`".into(),
-            });
+                change: "create it with `wgpu::BufferUsages::STORAGE`",
+            }));
         }
         self.check_size(label, buffer.size())?;
         Ok(Buffer {
@@ -301,28 +301,21 @@ impl Gpu {
         if bytes <= limit {
             return Ok(());
         }
-        Err(Error::Device {
-            problem: format!(
-                "the buffer '{label}' would need {} ({bytes} bytes), but '{}' lets a kernel see at most {} ({limit} bytes)",
-                human_bytes(bytes),
-                self.inner.summary.name,
-                human_bytes(limit)
-            ),
-            remedy:
-                "lower the memory limit so that the image is processed in smaller pieces, choose a smaller window, crop the image, or choose another adapter"
-                    .into(),
-        })
+        Err(Error::Device(DeviceCause::BufferTooLarge {
+            label: label.into(),
+            bytes,
+            limit,
+            adapter: self.inner.summary.name.clone(),
+        }))
     }
 
     /// Describes `error` for people; it may be a lack of memory for `what`.
     pub(super) fn out_of_memory(&self, what: &str, error: &wgpu::Error) -> Error {
         let wgpu::Error::OutOfMemory { .. } = error else { return self.defect(&error.to_string()) };
-        let in_use = human_bytes(self.memory().bytes_in_use);
-        Error::Device {
-            problem: format!("'{}' has no memory left for {what}; {in_use} are in use by this program", self.inner.summary.name),
-            remedy:
-                "lower the memory limit, choose a smaller window, crop the image, close other programs that use the graphics card, or choose another adapter"
-                    .into(),
-        }
+        Error::Device(DeviceCause::OutOfMemory {
+            what: what.into(),
+            bytes_in_use: self.memory().bytes_in_use,
+            adapter: self.inner.summary.name.clone(),
+        })
     }
 }

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use super::device::Gpu;
 use super::pool::Buffer;
-use crate::error::{Error, Result};
+use crate::error::{Error, RequestCause, Result};
 
 /// Largest number of values that are read at once; it bounds the staging memory.
 const CHUNK_VALUES: usize = (16 << 20) / 4;
@@ -49,7 +49,7 @@ impl Gpu {
         values: usize,
         mut take: impl FnMut(usize, &[f32]),
     ) -> Result<()> {
-        let refuse = |problem: String, remedy: &str| Err(Error::Request { problem, remedy: remedy.into() });
+        let refuse = |problem, change| Err(Error::Request(RequestCause::Misuse { problem, change }));
         let (label, end) = (buffer.label(), offset_bytes + 4 * values as u64);
         if !offset_bytes.is_multiple_of(4) || end > buffer.bytes() {
             let problem = format!(

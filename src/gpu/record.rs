@@ -12,7 +12,7 @@ use super::reach::propagate;
 use super::run::Run;
 use super::shader::Definitions;
 use super::{human_bytes, lock};
-use crate::error::{Error, Result};
+use crate::error::{DeviceCause, Error, RequestCause, Result};
 
 /// Number of dispatches in one submission. Drivers kill a submission that runs for seconds, and a program can only wait
 /// for a submission as a whole. Submitting costs tens of microseconds.
@@ -318,11 +318,11 @@ impl Recorder {
     /// [`Error::Device`] where the device failed.
     pub fn encode_into(mut self, encoder: &mut wgpu::CommandEncoder) -> Result<()> {
         if self.has_submitted {
-            return Err(Error::Request {
+            return Err(Error::Request(RequestCause::Misuse {
                 problem: "part of these commands was submitted already, so they cannot go into an encoder as a whole"
                     .into(),
-                remedy: "record them with `Gpu::record_whole`".into(),
-            });
+                change: "record them with `Gpu::record_whole`",
+            }));
         }
         self.gpu.check()?;
         let (ops, uniforms) = (std::mem::take(&mut self.ops), std::mem::take(&mut self.uniforms));
@@ -364,15 +364,12 @@ impl Recorder {
         let limit = self.gpu.max_workgroups();
         match groups.iter().position(|count| *count > limit) {
             None => Ok(()),
-            Some(axis) => Err(Error::Device {
-                problem: format!(
-                    "stage '{}' needs {} workgroups in {}, the adapter runs at most {limit}",
-                    kernel.stage(),
-                    groups[axis],
-                    ["x", "y", "z"][axis]
-                ),
-                remedy: "crop the image, or cut it into pieces and denoise each".into(),
-            }),
+            Some(axis) => Err(Error::Device(DeviceCause::TooManyWorkgroups {
+                stage: kernel.stage().into(),
+                groups: groups[axis],
+                axis: ['x', 'y', 'z'][axis],
+                limit,
+            })),
         }
     }
 

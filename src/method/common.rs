@@ -21,7 +21,7 @@ pub(super) const SCALE_RADIUS: u32 = 10;
 /// The window radius beyond which work and halos make no sense any more, in pixels.
 pub(super) const LARGEST_WINDOW_RADIUS: u32 = 64;
 /// The largest patch radius: a window of distances of 2f+1 rows lives in registers.
-pub(super) const LARGEST_PATCH_RADIUS: u32 = 5;
+pub(crate) const LARGEST_PATCH_RADIUS: u32 = 5;
 
 /// A filter by colour patches alone.
 pub(super) struct Auxiliary {

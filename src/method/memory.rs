@@ -1,7 +1,7 @@
 //! How an image is cut into strips of rows that fit: what a strip costs, and how far its result reaches into its
 //! neighbours.
 
-use crate::error::{Error, Result};
+use crate::error::{DeviceCause, Error, Result};
 use crate::gpu::Gpu;
 use crate::host_memory::{FreeMemory, Shortage};
 use crate::image::Extent;
@@ -82,16 +82,7 @@ impl DeviceMemory {
             );
             return Shortage::new(host + Self::DRIVER_BYTES + least, free).error(&what);
         }
-        let mib = |bytes: u64| bytes as f64 / f64::from(1 << 20);
-        Error::Device {
-            problem: format!(
-                "a strip of one row of this image, with the {halo} rows above and below that it depends on, does not fit into the memory allowed on the device: it needs {:.0} \
-                 MiB of {:.0} MiB",
-                mib(least).ceil(),
-                mib(self.asked.unwrap_or(u64::MAX)).floor()
-            ),
-            remedy: "raise the memory limit (`Denoiser::with_max_memory`), choose a smaller window or fewer frames beside, or leave features out".into(),
-        }
+        Error::Device(DeviceCause::StripTooLarge { halo, needed: least, allowed: self.asked.unwrap_or(u64::MAX) })
     }
 }
 
@@ -157,18 +148,14 @@ pub(crate) fn strips(
     if !fits_memory(&least) {
         return Err(memory.refuse(least.peak_bytes, halo));
     }
-    let mib = |bytes: u64| bytes.div_ceil(1 << 20);
     // The halo ends with the image.
     let rows = (2 * halo + 1).min(height);
-    Err(Error::Device {
-        problem: format!(
-            "a strip of one row of this image, with the {halo} rows above and below that it depends on, does not fit the limits of '{}': it needs a buffer of {} MiB and {rows} \
-             workgroups in a row, the adapter binds {} MiB and runs {}",
-            gpu.summary().name,
-            mib(least.largest_bytes),
-            mib(gpu.max_binding_bytes()),
-            gpu.max_workgroups()
-        ),
-        remedy: "crop the image, choose a smaller window, leave features out, or choose another adapter, which binds larger buffers".into(),
-    })
+    Err(Error::Device(DeviceCause::StripExceedsAdapter {
+        halo,
+        bytes: least.largest_bytes,
+        rows: rows as u64,
+        most_bytes: gpu.max_binding_bytes(),
+        most_groups: gpu.max_workgroups(),
+        adapter: gpu.summary().name.clone(),
+    }))
 }

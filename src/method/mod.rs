@@ -22,7 +22,7 @@ mod toml;
 use glam::{IVec2, Vec3};
 use serde::Serialize;
 
-use crate::error::{Error, Result};
+use crate::error::{Error, RequestCause, Result};
 use crate::frame::Frame;
 use crate::gpu::{Gpu, Recorder, Run};
 use crate::parameters::choices;
@@ -30,6 +30,7 @@ use crate::stage::frames::Frames;
 use crate::stage::nlm::Schedule;
 use kernels::KernelOnGpu;
 
+pub(crate) use common::LARGEST_PATCH_RADIUS;
 pub use dfc::DfcParams;
 pub use estimate::{GpuEstimate, Intermediate, KeptPlane, Lane, Share, Unit};
 pub(crate) use frame::{FrameInput, Units};
@@ -215,10 +216,7 @@ impl Method {
         if !is_image_only || self.pools_variance() {
             return Ok(());
         }
-        Err(Error::Request {
-            problem: "nothing is known of the colour's noise, and the parameters leave out to estimate it".into(),
-            remedy: "set `pooled_variance`; or give two halves, renders with different seeds, or a variance".into(),
-        })
+        Err(Error::Request(RequestCause::NoiseNotEstimated))
     }
 
     /// Refuses frames beside the one to denoise if the method cannot use them.
@@ -226,10 +224,7 @@ impl Method {
         if beside == 0 || self.filters_in_time() {
             return Ok(());
         }
-        Err(Error::Request {
-            problem: format!("{} does not filter over several frames", self.name()),
-            remedy: "give it one frame at a time, or choose another method".into(),
-        })
+        Err(Error::Request(RequestCause::NotInTime { method: self.name() }))
     }
 
     /// Records the work that yields the kernels at a pixel. `frame` may be the part of the frame that they reach.
@@ -268,12 +263,7 @@ impl Method {
         };
         let shape = |frame: &FrameInput| (frame.extent, frame.color.has_halves, channels(frame));
         if frames.beside.iter().any(|other| shape(other) != shape(&frames.own)) {
-            return Err(Error::Request {
-                problem:
-                    "a frame of the window has another extent, other halves or other features than the one to denoise"
-                        .into(),
-                remedy: "hand over frames that are rendered alike".into(),
-            });
+            return Err(Error::Request(RequestCause::FrameShape));
         }
         match self {
             Self::Dfc(params) => dfc::dfc(rec, frames, params, plan, schedule, progress),

@@ -14,7 +14,7 @@ use super::noise::estimate_noise;
 use super::plan::{Facts, Plan, Planner, Step, Wishes, impossible, needless};
 use super::spikes::Found;
 use super::{FrameInput, GpuSignal, Method};
-use crate::error::{Error, Result};
+use crate::error::{Error, RequestCause, Result};
 use crate::gpu::{Buffer, Recorder};
 use crate::stage::error::error_halves;
 use crate::stage::frames::Frames;
@@ -254,9 +254,12 @@ impl Prepared {
             NlmVariance::Scaled => scaled_variance(rec, extent, &color)?,
             NlmVariance::CrossFiltered => cross_filtered_variance(rec, extent, &color, params.weighting, schedule)?,
             NlmVariance::Uniform => {
-                let of_channels = mean_variance.ok_or_else(|| Error::Request {
-                    problem: "the variance is to be the same everywhere, but the frame does not say its mean".into(),
-                    remedy: "set `GpuFrame::mean_variance`, or choose another `NlmParams::variance`".into(),
+                let of_channels = mean_variance.ok_or_else(|| {
+                    Error::Request(RequestCause::Misuse {
+                        problem: "the variance is to be the same everywhere, but the frame does not say its mean"
+                            .into(),
+                        change: "set `GpuFrame::mean_variance`, or choose another `NlmParams::variance`",
+                    })
                 })?;
                 let values = 4 * extent.element_product() as usize;
                 let of_pixel = of_channels.extend(0.0).to_array();

@@ -1,7 +1,7 @@
 //! The parameters of a method by their names.
 
 use super::{DfcParams, GemParams, Method, NlmParams, Preset};
-use crate::error::{Error, Result};
+use crate::error::{Error, RequestCause, Result};
 use crate::parameters::{Choice, Describe, Kind, Parameter, Value};
 
 impl Method {
@@ -100,11 +100,8 @@ impl Method {
             let is_out = |group: &&Parameter| {
                 group.kind == Kind::Group && group.value == Some(Value::Flag(false)) && parameter.is_in(&group.name)
             };
-            let group = listed.iter().find(is_out).map_or("", |group| &group.name);
-            return Err(Error::Request {
-                problem: format!("`{name}` is none where `{group}` is left out"),
-                remedy: format!("make `{group}` true before"),
-            });
+            let group = listed.iter().find(is_out).map_or("", |group| group.name.as_str());
+            return Err(Error::Request(RequestCause::GroupLeftOut { name: name.into(), group: group.into() }));
         }
         match &mut self {
             Self::Dfc(params) => params.set(name, &value),
@@ -117,30 +114,25 @@ impl Method {
     /// That no parameter is called like this.
     fn has_no(&self, name: &str) -> Error {
         let listed = self.parameters();
-        let names_in = |group: &str| {
-            let names = listed
+        let names_in = |group: &str| -> Vec<String> {
+            listed
                 .iter()
                 .filter(|parameter| group.is_empty() || parameter.is_in(group))
-                .map(|parameter| parameter.name.as_str());
-            names.collect::<Vec<_>>().join(", ")
+                .map(|parameter| parameter.name.clone())
+                .collect()
         };
-        let own = self.name();
-        let others = Self::all().into_iter().filter(|other| other.has_parameter(name));
-        let others = others.map(|other| other.name()).collect::<Vec<_>>().join(" and ");
+        let (name, method) = (name.to_owned(), self.name());
+        let members = names_in(&name);
+        if !members.is_empty() {
+            return Error::Request(RequestCause::ParameterGroup { name, members });
+        }
+        let others = Self::all().into_iter().filter(|other| other.has_parameter(&name));
+        let others: Vec<_> = others.map(|other| other.name()).collect();
+        if !others.is_empty() {
+            return Error::Request(RequestCause::ParameterOfOthers { name, method, others });
+        }
         let beside = names_in(name.rsplit_once('.').map_or("", |(group, _)| group));
-        let (problem, remedy) = match (names_in(name), beside) {
-            (members, _) if !members.is_empty() => {
-                (format!("`{name}` is a group of parameters"), format!("set one of {members}"))
-            }
-            _ if !others.is_empty() => (
-                format!("`{name}` is no parameter of {own}, but of {others}"),
-                "leave it out, or choose another method".into(),
-            ),
-            (_, beside) => {
-                let names = if beside.is_empty() { names_in("") } else { beside };
-                (format!("`{name}` is no parameter of {own}"), format!("leave it out, or choose one of {names}"))
-            }
-        };
-        Error::Request { problem, remedy }
+        let names = if beside.is_empty() { names_in("") } else { beside };
+        Error::Request(RequestCause::NoSuchParameter { name, method, names })
     }
 }

@@ -6,7 +6,7 @@ use std::path::Path;
 use toml::de::{DeTable, DeValue};
 
 use super::{Method, Preset};
-use crate::error::{Error, Result};
+use crate::error::{Error, FileCause, RequestCause, Result};
 use crate::parameters::{Kind, Parameter, Value};
 use crate::text;
 
@@ -88,10 +88,8 @@ impl Method {
     pub fn from_toml(document: &str) -> Result<(Self, Preset)> {
         let parsed = DeTable::parse(document).map_err(|error| {
             let at = error.span().map_or(document.len(), |span| span.start);
-            in_line(document, at)(refused(
-                format!("this is not TOML: {}", error.message()),
-                "write it like `window_radius = 10`",
-            ))
+            let reason = error.message().to_owned();
+            in_line(document, at)(Error::Request(RequestCause::NotToml { reason }))
         })?;
         let mut entries = Vec::new();
         flatten("", parsed.get_ref(), &mut entries);
@@ -103,7 +101,8 @@ impl Method {
             let Entry { at, value, .. } = entries.remove(index);
             let found = value.as_str().and_then(|word| names.iter().position(|name| *name == word));
             let wrong = || {
-                refused(format!("`{key}` cannot be {}", shown(value)), format!("choose one of {}", names.join(", ")))
+                let rule = format!("one of {}", names.join(", "));
+                Error::Request(RequestCause::ParameterValue { name: key.into(), value: shown(value), rule })
             };
             found.map(Some).ok_or_else(|| in_line(document, at)(wrong()))
         };
@@ -126,14 +125,11 @@ impl Method {
     /// # Errors
     /// [`Error::File`] where it cannot be read, or with what [`Method::from_toml`] says of it.
     pub fn read_toml(path: &Path) -> Result<(Self, Preset)> {
-        let refused = |problem, remedy| Error::File { path: path.to_owned(), problem, remedy };
-        let remedy = "name a TOML file of parameters, such as `stein params -o FILE` writes";
-        let text = text::read_file(path, MOST_BYTES);
-        let text = text.map_err(|error| refused(format!("cannot be read: {error}"), remedy.into()))?;
-        Self::from_toml(&text).map_err(|error| match error {
-            Error::Request { problem, remedy } => refused(problem, remedy),
-            error => error,
-        })
+        let text = text::read_file(path, MOST_BYTES).map_err(|error| Error::File {
+            path: path.to_owned(),
+            cause: FileCause::NoParameters { reason: error.to_string() },
+        })?;
+        Self::from_toml(&text).map_err(|error| error.in_file(path))
     }
 
     fn with_entry(self, name: &str, value: &DeValue<'_>) -> Result<Self> {
@@ -207,15 +203,11 @@ fn shown(value: &DeValue<'_>) -> String {
     }
 }
 
-fn refused(problem: String, remedy: impl Into<String>) -> Error {
-    Error::Request { problem, remedy: remedy.into() }
-}
-
 /// Says the line of an error.
 fn in_line(document: &str, at: usize) -> impl Fn(Error) -> Error {
     let line = 1 + document.bytes().take(at).filter(|byte| *byte == b'\n').count();
     move |error| match error {
-        Error::Request { problem, remedy } => Error::Request { problem: format!("line {line}: {problem}"), remedy },
+        Error::Request(cause) => Error::Request(RequestCause::InLine { line, cause: Box::new(cause) }),
         error => error,
     }
 }

@@ -3,7 +3,7 @@
 use std::ops::ControlFlow;
 
 use super::{SampleCounts, Sampler, Samples, SamplingMap, sampling_density};
-use crate::error::{Error, Result};
+use crate::error::{Error, RequestCause, Result};
 use crate::frame::RELATIVE_EPSILON;
 use crate::gpu::Pace;
 use crate::image::{Extent, Image};
@@ -25,24 +25,15 @@ impl Plan {
     /// [`Error::Request`] where there is not at least one whole pair of samples per pixel for each iteration, or the
     /// cap does not hold what an iteration draws.
     pub fn new(samples_per_pixel: u32, iterations: u32, cap: Option<u32>) -> Result<Self> {
-        let refuse = |problem: String, remedy: String| Err(Error::Request { problem, remedy });
         if iterations == 0 {
-            return refuse("0 iterations draw nothing".into(), "ask for at least one".into());
+            return Err(Error::Request(RequestCause::NoIterations));
         }
         if !samples_per_pixel.is_multiple_of(2) || samples_per_pixel / 2 < iterations {
-            return refuse(
-                format!(
-                    "{samples_per_pixel} samples per pixel cannot be shared out to {iterations} iterations in whole pairs"
-                ),
-                format!("choose an even number of at least {}, or fewer iterations", u64::from(iterations) * 2),
-            );
+            return Err(Error::Request(RequestCause::IterationShares { samples_per_pixel, iterations }));
         }
         let plan = Self { samples_per_pixel, iterations, cap };
         if cap.is_some_and(|cap| cap < plan.budget(1)) {
-            return refuse(
-                format!("an iteration draws {} samples per pixel, more than the cap", plan.budget(1)),
-                "raise the cap, or ask for more iterations".into(),
-            );
+            return Err(Error::Request(RequestCause::IterationAboveCap { samples_per_pixel: plan.budget(1) }));
         }
         Ok(plan)
     }
@@ -144,7 +135,7 @@ pub struct Outcome {
 /// Same sampler, plan and device, same result, also where the loop was interrupted and resumed.
 ///
 /// # Errors
-/// Whatever the sampler, the denoiser or `observe` fails with.
+/// The error of the sampler, of the denoiser, or of `observe`: [`Error::Cancelled`] if one of them was cancelled.
 pub fn adapt<S: Sampler, E: From<Error> + Send>(
     sampler: &mut S,
     denoiser: &Denoiser,

@@ -3,7 +3,7 @@
 use std::borrow::Cow;
 
 use crate::Estimate;
-use crate::error::{Error, Result};
+use crate::error::{Error, RequestCause, Result};
 use crate::image::{Extent, Image};
 use crate::method::Intermediate;
 use crate::stage::gaussian::Gaussian;
@@ -38,10 +38,10 @@ pub fn sampling_density(
             samples_per_pixel,
             samples_per_filter,
         ))),
-        (None, None) => Err(Error::Request {
+        (None, None) => Err(Error::Request(RequestCause::Misuse {
             problem: "the estimate does not say where samples pay".into(),
-            remedy: "denoise with `Intermediate::Density` in `Options::keep`".into(),
-        }),
+            change: "denoise with `Intermediate::Density` in `Options::keep`",
+        })),
     }
 }
 

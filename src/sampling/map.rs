@@ -1,7 +1,7 @@
 //! From a density to whole samples (thesis 7.1.3, 8.6).
 
 use super::SampleCounts;
-use crate::error::{Error, Result};
+use crate::error::{Error, RequestCause, Result};
 use crate::image::Image;
 
 /// A budget of samples, handed out where they pay most.
@@ -27,37 +27,28 @@ impl SamplingMap {
     /// [`Error::Request`] where the budget is no number of at least 0, the cap cannot hold it, or a density is negative
     /// or not finite.
     pub fn new(density: &Image, samples_per_pixel: f64, cap: Option<u32>) -> Result<Self> {
-        let refuse = |problem: String, remedy: &str| Err(Error::Request { problem, remedy: remedy.into() });
+        let misuse = |problem, change| Err(Error::Request(RequestCause::Misuse { problem, change }));
         if density.channels() != 1 {
-            return refuse(
+            return misuse(
                 format!("a sampling density has one plane, not {}", density.channels()),
                 "give the density alone",
             );
         }
         let weights = &density.planes[0];
         if let Some(bad) = weights.iter().find(|weight| !(weight.is_finite() && **weight >= 0.0)) {
-            return refuse(
+            return misuse(
                 format!("the sampling density holds the value {bad}"),
-                "densities are finite and at least 0",
+                "give densities that are finite and at least 0",
             );
         }
         let pixels = weights.len();
         let most = cap.map_or(f64::from(u32::MAX / 2), |cap| f64::from(cap / 2));
         let pairs = (samples_per_pixel * pixels as f64 / 2.0).round();
         if !(pairs.is_finite() && pairs >= 0.0) {
-            return refuse(
-                format!("a budget of {samples_per_pixel} samples per pixel cannot be handed out"),
-                "choose it finite and at least 0",
-            );
+            return Err(Error::Request(RequestCause::Budget { samples_per_pixel }));
         }
         if pairs > most * pixels as f64 {
-            return refuse(
-                format!(
-                    "a budget of {samples_per_pixel} samples per pixel does not fit under a cap of {} per pixel",
-                    2.0 * most
-                ),
-                "raise the cap or lower the budget",
-            );
+            return Err(Error::Request(RequestCause::BudgetAboveCap { samples_per_pixel, cap: 2.0 * most }));
         }
         let real = share_out(weights, pairs, most);
         let whole = carry(&real, pairs as u64, most as u32);

@@ -3,7 +3,7 @@
 use std::ops::ControlFlow;
 
 use super::Samples;
-use crate::error::{Error, Result};
+use crate::error::{Error, RequestCause, Result};
 use crate::image::Extent;
 
 /// Called with the share of the work that is done, 0 to 1, from whichever thread gets there; `Break` ends the work with
@@ -22,8 +22,8 @@ pub trait Sampler {
     /// pixel's sequence).
     ///
     /// # Errors
-    /// Counts of another extent than the sampler's; [`Error::Cancelled`], after which the sampler is as if it had not
-    /// been asked.
+    /// [`Error::Request`] for counts of another extent than the sampler's; [`Error::Renderer`] if a renderer from
+    /// outside fails; [`Error::Cancelled`], after which the sampler is as if it had not been asked.
     fn sample(&mut self, counts: &SampleCounts, progress: Progress<'_>) -> Result<Samples>;
 }
 
@@ -39,13 +39,10 @@ impl SampleCounts {
     /// `pairs[y * width + x]` pairs of samples; 0 leaves a pixel as it is.
     ///
     /// # Errors
-    /// Not one number for each pixel.
+    /// [`Error::Request`] if there is not one number for each pixel.
     pub fn from_pairs(extent: Extent, pairs: Vec<u32>) -> Result<Self> {
         if pairs.len() != extent.pixels() {
-            return Err(Error::Request {
-                problem: format!("{} sample counts do not fit an image of {extent}", pairs.len()),
-                remedy: "give one count for each pixel".into(),
-            });
+            return Err(Error::Request(RequestCause::CountsLength { counts: pairs.len(), extent }));
         }
         Ok(Self { extent, pairs })
     }
@@ -53,16 +50,10 @@ impl SampleCounts {
     /// `samples[y * width + x]` samples, each number even.
     ///
     /// # Errors
-    /// Not one number for each pixel, or an odd one.
+    /// [`Error::Request`] if there is not one number for each pixel, or for an odd number.
     pub fn from_samples(extent: Extent, samples: &[u32]) -> Result<Self> {
         if let Some(pixel) = samples.iter().position(|count| count % 2 != 0) {
-            return Err(Error::Request {
-                problem: format!(
-                    "{} samples in pixel {pixel} cannot be drawn in equal numbers for both halves",
-                    samples[pixel]
-                ),
-                remedy: "give even sample counts".into(),
-            });
+            return Err(Error::Request(RequestCause::OddCount { samples: samples[pixel], pixel }));
         }
         Self::from_pairs(extent, samples.iter().map(|count| count / 2).collect())
     }
@@ -70,7 +61,7 @@ impl SampleCounts {
     /// One even number of samples for all pixels.
     ///
     /// # Errors
-    /// An odd number.
+    /// [`Error::Request`] for an odd number.
     pub fn uniform(extent: Extent, samples: u32) -> Result<Self> {
         Self::from_samples(extent, &vec![samples; extent.pixels()])
     }

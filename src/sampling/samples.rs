@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 
 use super::SampleCounts;
-use crate::error::{Error, Result};
+use crate::error::{Error, RequestCause, Result};
 use crate::frame::{Frame, RawSignal, Repairs, SamplesPerPixel, Signal, half_spread};
 use crate::image::{Extent, Image};
 
@@ -89,10 +89,7 @@ impl Statistics {
 
     /// The inverse of [`Self::raw`].
     fn from_raw(name: &str, raw: RawSignal, pairs: &[u32]) -> Result<Self> {
-        let missing = |what: &str| Error::Request {
-            problem: format!("{name}: there is no {what}, so that further samples cannot be added"),
-            remedy: "give both halves and the sample variance of the mean for the colour and every feature".into(),
-        };
+        let missing = |missing| Error::Request(RequestCause::MissingStatistics { signal: name.into(), missing });
         let half_a = raw.half_a.ok_or_else(|| missing("half A"))?;
         let half_b = raw.half_b.ok_or_else(|| missing("half B"))?;
         let variance = raw.variance_of_mean.ok_or_else(|| missing("variance"))?;
@@ -100,14 +97,11 @@ impl Statistics {
             let complete =
                 image.extent.pixels() == pairs.len() && image.planes.iter().all(|plane| plane.len() == pairs.len());
             if !complete || image.channels() != raw.mean.channels() {
-                return Err(Error::Request {
-                    problem: format!(
-                        "the images of {name} do not all have {} channels of {} values",
-                        raw.mean.channels(),
-                        pairs.len()
-                    ),
-                    remedy: "give all images of a set the same extent, and a layer's images the same channels".into(),
-                });
+                return Err(Error::Request(RequestCause::LayerShape {
+                    layer: name.into(),
+                    channels: raw.mean.channels(),
+                    values: pairs.len(),
+                }));
             }
         }
         check_halves(name, &raw.mean, &half_a, &half_b)?;
@@ -134,12 +128,7 @@ fn check_halves(name: &str, mean: &Image, half_a: &Image, half_b: &Image) -> Res
     };
     let differing = values().filter(differs).count();
     if differing * 10 > values().count() {
-        return Err(Error::Request {
-            problem: format!(
-                "{name}: the mean is not the average of the halves in {differing} values, so that they are not halves of the same samples"
-            ),
-            remedy: "give the halves that the mean was made of".into(),
-        });
+        return Err(Error::Request(RequestCause::NotHalves { signal: name.into(), differing }));
     }
     Ok(())
 }
@@ -162,7 +151,8 @@ impl Samples {
     /// for [`Frame::new`] to repair.
     ///
     /// # Errors
-    /// Missing halves or variance, images of different shapes, a mean that is not the average of its halves.
+    /// [`Error::Request`] for missing halves or variance, for images of different shapes, and for a mean that is not
+    /// the average of its halves.
     pub fn from_signals(color: RawSignal, features: Vec<(String, RawSignal)>, counts: &SampleCounts) -> Result<Self> {
         let pairs = counts.pairs();
         let color = Statistics::from_raw("colour", color, pairs)?;
@@ -230,27 +220,18 @@ impl Samples {
     /// Adds the samples of another pass. Order does not matter but for rounding; the features may be in another order.
     ///
     /// # Errors
-    /// Another extent or other features; this set is then as it was.
+    /// [`Error::Request`] for another extent or other features; this set is then as it was.
     pub fn merge(&mut self, other: &Self) -> Result<()> {
         let shape = |set: &Self| {
             set.features.iter().map(|(name, statistics)| (name.clone(), statistics.channels())).collect::<BTreeSet<_>>()
         };
         if self.extent != other.extent || shape(self) != shape(other) || self.color.channels() != other.color.channels()
         {
-            return Err(Error::Request {
-                problem: format!(
-                    "samples of {} cannot be added to samples of {}, or their features differ",
-                    other.extent, self.extent
-                ),
-                remedy: "merge passes over the same image with the same features".into(),
-            });
+            return Err(Error::Request(RequestCause::PassesDiffer { own: self.extent, other: other.extent }));
         }
         let overflowing = self.pairs.iter().zip(&other.pairs).any(|(own, added)| own.checked_add(*added).is_none());
         if overflowing {
-            return Err(Error::Request {
-                problem: "a pixel has more than 2^33 samples".into(),
-                remedy: "stop here".into(),
-            });
+            return Err(Error::Request(RequestCause::TooManySamples));
         }
         self.color.merge(&self.pairs, &other.color, &other.pairs);
         for (name, own) in &mut self.features {

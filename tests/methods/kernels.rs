@@ -1,5 +1,6 @@
 //! The kernels at a pixel: they make what the method makes of it, and say what there is to say of the neighbours.
 
+use stein::error::{Remedy, RequestCause};
 use stein::frame::Signal;
 use stein::image::{Extent, Image};
 use stein::kernels::{Compared, WeightRule};
@@ -530,12 +531,10 @@ fn of_gem() {
 fn a_pixel_outside_of_the_frame_is_refused() {
     let frame = calm_frame(9, 5);
     for (x, y) in [(9, 0), (0, 5), (u32::MAX, u32::MAX)] {
-        let Err(Error::Request { problem, remedy }) =
-            denoiser(DfcParams::default()).kernels(&frame, x, y, &Options::default())
-        else {
-            panic!("({x}, {y})")
-        };
-        assert_eq!(problem, format!("pixel ({x}, {y}) lies outside of a frame of 9×5 pixels"));
-        assert_eq!(remedy, "choose a column from 0 to 8 and a row from 0 to 4");
+        let refused = denoiser(DfcParams::default()).kernels(&frame, x, y, &Options::default()).map(drop);
+        let Err(error @ Error::Request(RequestCause::PixelOutside { .. })) = refused else { panic!("({x}, {y})") };
+        assert_eq!(error.problem(), format!("pixel ({x}, {y}) lies outside of a frame of 9×5 pixels"));
+        let rule = "a column from 0 to 8 and a row from 0 to 4".into();
+        assert_eq!(error.remedies(), [Remedy::ChooseValue { rule }]);
     }
 }

@@ -1,6 +1,7 @@
 //! Devices with small limits: work that exceeds a limit is cut up, with the same bits; work that cannot be cut is
 //! refused with both numbers.
 
+use stein::error::{DeviceCause, Remedy};
 use stein::stage::nlm::Schedule;
 use stein::{Denoiser, DfcParams, Error, GemParams, Method, NlmParams};
 
@@ -78,18 +79,14 @@ fn the_largest_buffer_of_each_method_is_planned_for() {
 fn an_image_that_no_strip_makes_fit_names_the_limit_that_it_exceeds() {
     // The halo of one row is the whole image, and memory is not what lacks.
     let limited = binding(5 * plane(24, 40) / 2);
-    match Denoiser::new(&limited, GemParams::default()).expect("it is in range").denoise(&random_frame(24, 40, 1.0)) {
-        Err(Error::Device { problem, remedy }) => {
-            assert!(
-                problem.contains("does not fit the limits of") && problem.contains("the adapter binds"),
-                "{problem}"
-            );
-            assert!(
-                remedy.contains("another adapter, which binds larger buffers") && !remedy.contains("memory limit"),
-                "{remedy}"
-            );
+    let denoiser = Denoiser::new(&limited, GemParams::default()).expect("it is in range");
+    match denoiser.denoise(&random_frame(24, 40, 1.0)).map(drop) {
+        Err(error @ Error::Device(DeviceCause::StripExceedsAdapter { .. })) => {
+            let remedies = error.remedies();
+            assert!(remedies.contains(&Remedy::AnotherAdapter), "{error}");
+            assert!(!remedies.contains(&Remedy::RaiseMemoryLimit), "{error}");
         }
-        other => panic!("{:?}", other.map(|_| ())),
+        other => panic!("{other:?}"),
     }
 }
 
@@ -118,12 +115,11 @@ fn a_frame_as_wide_as_a_dispatch_is_denoised_and_a_wider_one_is_refused() {
         let denoiser = |gpu| Denoiser::new(gpu, method).expect("it is in range");
         let frame = random_frame(most, 1, 1.0);
         assert_same(method.name(), &denoised(&denoiser(&limited), &frame), &denoised(&denoiser(gpu()), &frame), 1.0);
-        match denoiser(&limited).denoise(&random_frame(most + 1, 1, 1.0)) {
-            Err(Error::Device { problem, remedy }) => {
-                assert!(problem.contains("401 workgroups in x") && problem.contains("at most 400"), "{problem}");
-                assert!(remedy.contains("crop the image"), "{remedy}");
+        match denoiser(&limited).denoise(&random_frame(most + 1, 1, 1.0)).map(drop) {
+            Err(error @ Error::Device(DeviceCause::TooManyWorkgroups { groups: 401, axis: 'x', limit: 400, .. })) => {
+                assert!(error.remedies().contains(&Remedy::CropImage), "{error}");
             }
-            other => panic!("{:?}", other.map(|_| ())),
+            other => panic!("{other:?}"),
         }
     }
 }

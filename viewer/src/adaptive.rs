@@ -3,6 +3,7 @@
 use std::sync::Arc;
 use std::time::Instant;
 
+use stein::error::RequestCause;
 use stein::gpu::Pace;
 use stein::sampling::{Event, Iterations, Plan, SampleCounts, Sampler, Samples, SamplingMap};
 use stein::{Denoiser, Error, Extent, Gpu, Image};
@@ -43,10 +44,10 @@ impl Setup {
     fn sampler(&self, seed: u64, sequence: Sequence) -> stein::Result<StubSampler> {
         let scene = scene(&self.scene).ok_or_else(|| {
             let known: Vec<_> = scenes().map(|(name, _)| name).collect();
-            Error::Request {
+            Error::Request(RequestCause::Other {
                 problem: format!("there is no scene '{}'", self.scene),
                 remedy: format!("choose one of {}", known.join(", ")),
-            }
+            })
         })?;
         Ok(StubSampler::new(scene, self.extent, seed, sequence))
     }
@@ -106,7 +107,7 @@ impl Loop {
     /// with it. Passes the share of the whole loop that is done, 0 to 1, to `check`; an error of `check` ends the loop.
     ///
     /// # Errors
-    /// Fails for a setup that is not valid, and in the same cases as [`Iterations::step`].
+    /// [`Error::Request`] for a setup that is not valid; otherwise as [`Iterations::step`].
     pub fn step(
         &mut self,
         gpu: &Gpu,

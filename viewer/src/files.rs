@@ -6,6 +6,7 @@ use std::task::Poll;
 use std::time::{Duration, Instant};
 
 use eframe::egui::Context;
+use stein::error::RequestCause;
 use stein::{Error, Result, text};
 
 use crate::device::no_thread;
@@ -124,11 +125,11 @@ fn answered(path: Option<PathBuf>, after: Duration) -> Result<Option<PathBuf>> {
     if path.is_some() || after >= SOONEST {
         return Ok(path);
     }
-    Err(Error::Request {
+    Err(Error::Request(RequestCause::Other {
         problem: "no file dialog can be shown".into(),
         remedy: "install zenity, or the xdg-desktop-portal of your desktop; files to open can also be dropped on the window, or named on the command line"
             .into(),
-    })
+    }))
 }
 
 /// Returns whether the name of a dropped file marks it as a reference.

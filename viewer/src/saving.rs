@@ -7,6 +7,7 @@ use std::task::Poll;
 use std::thread::JoinHandle;
 
 use eframe::egui::{CentralPanel, Context, Frame as Margins, Pos2, Rect, Theme, Vec2};
+use stein::error::{DeviceCause, FileCause};
 use stein::{Error, Estimate, Gpu, Image, Method, Result};
 use stein_exr::{BufferSet, BufferSetRequest, NamedLayer, atomic_file, write_estimate, write_layers};
 
@@ -97,8 +98,10 @@ impl Saving {
             Err(TryRecvError::Empty) => Poll::Pending,
             Err(TryRecvError::Disconnected) => Poll::Ready(Err(Error::File {
                 path: self.path.clone(),
-                problem: "writing it ended with a panic".into(),
-                remedy: "this is a defect of stein-viewer: please report it with the file that was open".into(),
+                cause: FileCause::Defect {
+                    problem: "writing it ended with a panic".into(),
+                    with: "the file that was open",
+                },
             })),
         }
     }
@@ -123,8 +126,7 @@ impl Content {
             Self::Parameters(parameters) => {
                 atomic_file::write(path, parameters.to_toml().as_bytes()).map_err(|error| Error::File {
                     path: path.to_owned(),
-                    problem: format!("cannot be written: {error}"),
-                    remedy: "check that the folder exists, may be written to and has space left".into(),
+                    cause: FileCause::Unwritable { reason: error.to_string() },
                 })?;
             }
             Self::Result { request: None, estimate, .. } => {
@@ -175,13 +177,13 @@ fn picture_of(gpu: &Gpu, layer: &Layer, display: Display) -> Result<Picture> {
     let extent = layer.image().extent;
     let most = gpu.wgpu_device().limits().max_texture_dimension_2d;
     if extent.width.max(extent.height) > most {
-        return Err(Error::Device {
+        return Err(Error::Device(DeviceCause::Other {
             problem: format!(
                 "a picture of {extent} pixels is too large for '{}', which draws {most} along each side",
                 gpu.summary().name
             ),
             remedy: "save the view, or the result as OpenEXR".into(),
-        });
+        }));
     }
     let size = Vec2::new(extent.width as f32, extent.height as f32);
     let mut window = Offscreen::new(gpu, size.x, size.y, 1.0)?;

@@ -6,6 +6,7 @@ use std::time::{Duration, Instant};
 use eframe::egui::{Context, Event, Pos2, RawInput, Rect, Theme, Ui, Vec2, ViewportId};
 use eframe::egui_wgpu::{RenderState, RendererOptions, ScreenDescriptor};
 use eframe::wgpu;
+use stein::error::{DeviceCause, FileCause, RequestCause};
 use stein::{Error, Extent, Gpu, Result};
 use stein_exr::atomic_file;
 
@@ -41,11 +42,7 @@ impl Picture {
     /// # Errors
     /// [`Error::File`] if the file cannot be written.
     pub fn write_png(&self, path: &Path) -> Result<()> {
-        let failed = |problem: String| Error::File {
-            path: path.to_owned(),
-            problem,
-            remedy: "choose a folder that exists and can be written to".into(),
-        };
+        let failed = |reason: String| Error::File { path: path.to_owned(), cause: FileCause::Unwritable { reason } };
         let mut bytes = Vec::new();
         let mut encoder = png::Encoder::new(&mut bytes, self.extent.width, self.extent.height);
         encoder.set_color(png::ColorType::Rgba);
@@ -53,8 +50,8 @@ impl Picture {
         let written = encoder
             .write_header()
             .and_then(|mut writer| writer.write_image_data(&self.rgba).and_then(|()| writer.finish()));
-        written.map_err(|error| failed(format!("cannot be written: {error}")))?;
-        atomic_file::write(path, &bytes).map_err(|error| failed(format!("cannot be written: {error}")))
+        written.map_err(|error| failed(error.to_string()))?;
+        atomic_file::write(path, &bytes).map_err(|error| failed(error.to_string()))
     }
 }
 
@@ -78,9 +75,11 @@ impl Offscreen {
         let Some(instance) = gpu.wgpu_instance() else { unreachable!("the configuration has one") };
         let state =
             pollster::block_on(RenderState::create(&configuration, instance, None, RendererOptions::PREDICTABLE));
-        let state = state.map_err(|error| Error::Device {
-            problem: format!("nothing can be drawn on '{}': {error}", gpu.summary().name),
-            remedy: "choose another adapter".into(),
+        let state = state.map_err(|error| {
+            Error::Device(DeviceCause::Other {
+                problem: format!("nothing can be drawn on '{}': {error}", gpu.summary().name),
+                remedy: "choose another adapter with --device".into(),
+            })
         })?;
         let context = Context::default();
         context.set_theme(Theme::Dark);
@@ -178,9 +177,11 @@ impl Offscreen {
             target.size(),
         );
         queue.submit([encoder.finish()]);
-        let lost = |problem: String| Error::Device {
-            problem,
-            remedy: "run again; if it happens again, choose another adapter".into(),
+        let lost = |problem: String| {
+            Error::Device(DeviceCause::Other {
+                problem,
+                remedy: "run again; if it happens again, choose another adapter with --device".into(),
+            })
         };
         let (sender, mapped) = std::sync::mpsc::channel();
         buffer.map_async(wgpu::MapMode::Read, .., move |result| {
@@ -235,7 +236,7 @@ pub fn take(gpu: &Gpu, shot: &Shot, arrange: impl FnOnce(&mut Viewer)) -> Result
         }
         if start.elapsed() > PATIENCE {
             let problem = format!("the run took longer than {} s", PATIENCE.as_secs());
-            return Err(Error::Request { problem, remedy: "give a smaller frame".into() });
+            return Err(Error::Request(RequestCause::Other { problem, remedy: "give a smaller frame".into() }));
         }
         std::thread::sleep(PAUSE);
     }

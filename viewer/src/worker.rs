@@ -15,6 +15,7 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use eframe::egui::Context;
+use stein::error::{FileCause, RequestCause};
 use stein::gpu::Pace;
 use stein::sampling::estimated_relative_mse;
 use stein::{Denoiser, Error, Frame, Gpu, Image, Options};
@@ -436,20 +437,22 @@ impl Desk {
 
 fn open(job: &WorkerJob, source: Source) -> stein::Result<Opened> {
     job.check(0.0)?;
-    let mut set = BufferSet::read(&source.request).map_err(|error| in_file(&source, error))?;
+    let mut set = BufferSet::read(&source.request).map_err(|error| error.in_file(&source.request.input))?;
     job.check(0.4)?;
-    let (frame, repairs) = set.take_frame().map_err(|error| in_file(&source, error))?;
+    let (frame, repairs) = set.take_frame().map_err(|error| error.in_file(&source.request.input))?;
     drop(set);
     let most = job.desk.gpu.wgpu_device().limits().max_texture_dimension_2d;
     if frame.extent().width.max(frame.extent().height) > most {
         return Err(Error::File {
             path: source.request.input.clone(),
-            problem: format!(
-                "it has {} pixels, and '{}' shows {most} along each side",
-                frame.extent(),
-                job.desk.gpu.summary().name
-            ),
-            remedy: "crop it, or choose another adapter; `stein denoise` takes it as it is".into(),
+            cause: FileCause::Other {
+                problem: format!(
+                    "it has {} pixels, and '{}' shows {most} along each side",
+                    frame.extent(),
+                    job.desk.gpu.summary().name
+                ),
+                remedy: "crop it, or choose another adapter; `stein denoise` takes it as it is".into(),
+            },
         });
     }
     job.check(0.6)?;
@@ -464,8 +467,10 @@ fn open(job: &WorkerJob, source: Source) -> stein::Result<Opened> {
     {
         return Err(Error::File {
             path: file.clone(),
-            problem: format!("the reference has {} pixels, the frame {}", image.extent, frame.extent()),
-            remedy: "give a reference of the same size".into(),
+            cause: FileCause::Other {
+                problem: format!("the reference has {} pixels, the frame {}", image.extent, frame.extent()),
+                remedy: "give a reference of the same size".into(),
+            },
         });
     }
     job.check(0.8)?;
@@ -473,14 +478,6 @@ fn open(job: &WorkerJob, source: Source) -> stein::Result<Opened> {
     let noisy_error = relative_mse(&frame.color().mean, reference.as_ref());
     let name = source.name();
     Ok(Opened { source: Some(source), name, frame: Arc::new(frame), repairs, reference, noisy_error, layers })
-}
-
-/// Adds the name of the input to an error that the library reports without knowing the file.
-fn in_file(source: &Source, error: Error) -> Error {
-    match error {
-        Error::Request { problem, remedy } => Error::File { path: source.request.input.clone(), problem, remedy },
-        error => error,
-    }
 }
 
 fn inspect(gpu: &Gpu, job: &WorkerJob, question: Question) -> stein::Result<Inspected> {
@@ -548,8 +545,8 @@ fn measure(
 /// Makes an error of a panic, which is a defect of this program: the window stays open and reports it.
 fn defect(panic: &(dyn Any + Send)) -> Error {
     let text = panic.downcast_ref::<String>().map(String::as_str).or(panic.downcast_ref::<&str>().copied());
-    Error::Request {
+    Error::Request(RequestCause::Other {
         problem: format!("the work ended with a panic: {}", text.unwrap_or("nothing is known of it")),
         remedy: "this is a defect of stein-viewer: please report it with the file that was open".into(),
-    }
+    })
 }

@@ -8,7 +8,7 @@ use std::process::{Command, Stdio};
 use std::thread;
 
 use stein::Extent;
-use stein::error::{Error, Result};
+use stein::error::{Error, FileCause, Result};
 use stein::sampling::{Progress, SampleCounts, Sampler, Samples};
 use stein::text;
 use stein_exr::{BufferSet, BufferSetRequest};
@@ -103,7 +103,10 @@ impl Sampler for Renderer<'_> {
 
     fn sample(&mut self, counts: &SampleCounts, _progress: Progress<'_>) -> Result<Samples> {
         let (map, out) = (self.file("map"), self.file("new"));
-        let unusable = |problem: String, remedy: String| Error::File { path: out.clone(), problem, remedy };
+        let unusable = |problem: String, remedy: String| Error::File {
+            path: out.clone(),
+            cause: FileCause::Other { problem, remedy },
+        };
         // Removes the output of an interrupted run, which must not be taken for the output of this one.
         match std::fs::remove_file(&out) {
             Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
@@ -118,10 +121,7 @@ impl Sampler for Renderer<'_> {
         let (iteration, map, quoted_out) = (OsString::from(iteration.to_string()), quoted(&map), quoted(&out));
         self.run(&fill(self.command, &[("{map}", &map), ("{out}", &quoted_out), ("{iteration}", &iteration)]))?;
         let set = BufferSet::read(&BufferSetRequest { input: out.clone(), ..Default::default() })?;
-        let samples = set.to_samples().map_err(|error| match error {
-            Error::Request { problem, remedy } => unusable(problem, remedy),
-            error => error,
-        })?;
+        let samples = set.to_samples().map_err(|error| error.in_file(&out))?;
         if samples.extent() != self.extent {
             let problem = format!("is of {}, but the map of {}", samples.extent(), self.extent);
             return Err(unusable(problem, "let the renderer take its size from the map, or give --size".into()));

@@ -109,7 +109,8 @@ impl External {
     /// Reads the image that the program wrote.
     pub(super) fn read(&self, output: &Path, extent: Extent) -> Result<Image, Failure> {
         let failed = |problem: String| Failure::input(format_args!("--external {}: {problem}", self.name));
-        let image = read_reference(output, None).map_err(|error| failed(error.to_string()))?;
+        let image = read_reference(output, None)
+            .map_err(|error| Failure::input(error).at(format_args!("--external {}", self.name)))?;
         if image.extent == extent {
             return Ok(image);
         }

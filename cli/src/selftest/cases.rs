@@ -1,5 +1,6 @@
 //! The cases: situations that a user's render may be in, and the bounds of a result in each.
 
+use stein::error::RequestCause;
 use stein::{Extent, Image};
 use stein_exr::atomic_file::Aside;
 
@@ -45,8 +46,8 @@ pub(super) struct Damage {
 /// Expected outcome of the render.
 pub(super) enum Expected {
     Result,
-    /// A refusal that contains all of these texts.
-    Refusal(&'static [&'static str]),
+    /// A refusal: the colour has no usable value.
+    Refusal,
 }
 
 /// A bound other than [`usual`].
@@ -154,8 +155,8 @@ impl Case {
         Self { damage: Some(Damage { pixels: Vec::new(), moves_units: true, apply: Box::new(apply) }), ..self }
     }
 
-    fn refused(self, words: &'static [&'static str]) -> Self {
-        Self { expected: Expected::Refusal(words), ..self }
+    fn refused(self) -> Self {
+        Self { expected: Expected::Refusal, ..self }
     }
 
     /// Prepares a case of a colour without noise knowledge, which the published algorithm does not take.
@@ -393,7 +394,7 @@ fn broken() -> Vec<Case> {
                 let case =
                     case.changed(move |picture, _| image(picture).planes.iter_mut().flatten().for_each(|v| *v = value));
                 cases.push(match layer {
-                    "the colour" => case.refused(&["not one pixel has a usable", "render it again"]),
+                    "the colour" => case.refused(),
                     // Only the halves are left then.
                     "the variance" => case.but(Subject::Gem, Check::Error, 2.0, CHEQUER),
                     layer if layer.contains("feature") => case.of_features(),
@@ -406,7 +407,7 @@ fn broken() -> Vec<Case> {
         for (channel, name) in ["red", "green", "blue"].into_iter().enumerate() {
             let case = Case::new(format!("{what} in all of the {name} of the colour"), RADIUS, standard);
             let case = case.changed(move |picture, _| picture.color.mean.planes[channel].fill(value));
-            cases.push(case.refused(&["not one pixel has a usable", "render it again"]));
+            cases.push(case.refused());
         }
     }
     let negative = Case::new("all variances are negative", RADIUS, standard);
@@ -949,9 +950,11 @@ fn renders() -> Vec<Case> {
         let mut case = Case::new(name, RADIUS, standard).without_limit();
         case.base = Box::new(move |_| {
             // The render gets a folder of its own: it is read again beside the file of the frame.
-            let folder = Aside::make(tempfile::tempdir).map_err(|error| stein::Error::Request {
-                problem: format!("no folder for temporary files: {error}"),
-                remedy: "let TMPDIR name a folder that may be written to".into(),
+            let folder = Aside::make(tempfile::tempdir).map_err(|error| {
+                stein::Error::Request(RequestCause::Other {
+                    problem: format!("no folder for temporary files: {error}"),
+                    remedy: "let TMPDIR name a folder that may be written to".into(),
+                })
             })?;
             Picture::rendered(file, folder.path())
         });

@@ -4,9 +4,11 @@ use std::path::Path;
 
 use clap::ValueEnum;
 use serde::{Deserialize, Serialize};
+use stein::error::RequestCause;
 use stein::{Denoiser, DfcParams, Error, Estimate, Frame, GemParams, Gpu, Image, Method, NlmParams, Options};
 use stein_twin as bridge;
 
+use super::super::Failure;
 use super::cases::{Case, Expected};
 use super::picture::Picture;
 use super::twin;
@@ -227,16 +229,14 @@ impl Bench<'_> {
     ///
     /// # Errors
     /// A failure of the device: what it does from then on says nothing about it.
-    pub(super) fn run(&self, case: &Case, subjects: &[Subject]) -> stein::Result<Vec<Row>> {
+    pub(super) fn run(&self, case: &Case, subjects: &[Subject]) -> Result<Vec<Row>, Failure> {
         let subjects = subjects.iter().filter(|subject| case.methods.contains(subject));
         let prepared = self.prepare(case);
-        if let Expected::Refusal(words) = &case.expected {
+        if let Expected::Refusal = &case.expected {
             let figure = match prepared {
                 Ok(_) => Figure::count(Check::Door, 1, "the frame was taken".into()),
-                Err(Error::Request { problem, remedy }) => {
-                    let message = format!("{problem}; {remedy}");
-                    let missing: Vec<_> = words.iter().filter(|word| !message.contains(*word)).collect();
-                    Figure::count(Check::Door, missing.len(), message)
+                Err(error @ Error::Request(RequestCause::NoUsableValue { .. })) => {
+                    Figure::count(Check::Door, 0, error.to_string())
                 }
                 Err(error) => Figure::count(Check::Door, 1, error.to_string()),
             };
@@ -264,11 +264,11 @@ impl Bench<'_> {
         })
     }
 
-    fn look_at(&self, case: &Case, prepared: &Prepared, subject: Subject) -> stein::Result<Row> {
+    fn look_at(&self, case: &Case, prepared: &Prepared, subject: Subject) -> Result<Row, Failure> {
         match self.figures(case, prepared, subject) {
             Ok((figures, estimate)) => Ok(Row::new(case, subject.name(), figures, Some(Summary::new(&estimate)))),
-            Err(Error::Device { problem, remedy }) => {
-                Err(Error::Device { problem: format!("{}, {}: {problem}", case.name, subject.name()), remedy })
+            Err(error @ Error::Device(_)) => {
+                Err(Failure::from(error).at(format_args!("{}, {}", case.name, subject.name())))
             }
             // The error is a shader's: an unusable input would not have become a frame.
             Err(error) => {

@@ -1,6 +1,7 @@
 //! Generated renders, with the truth beside them.
 
 use std::path::Path;
+use stein::error::FileCause;
 use stein::frame::RawSignal;
 
 use stein::{Extent, Frame, Image};
@@ -246,8 +247,10 @@ impl Picture {
         let path = folder.join("render.exr");
         std::fs::write(&path, file).map_err(|error| stein::Error::File {
             path: path.clone(),
-            problem: format!("cannot be written: {error}"),
-            remedy: "let TMPDIR name a folder that may be written to".into(),
+            cause: FileCause::Other {
+                problem: format!("cannot be written: {error}"),
+                remedy: "let TMPDIR name a folder that may be written to".into(),
+            },
         })?;
         let (_, set) = read(&path)?;
         let features = set.features().map(|(name, signal)| (name.to_owned(), signal)).collect();

@@ -8,7 +8,7 @@ use crate::layer_ref::{LayerRef, SignalPart};
 use crate::names;
 use crate::request::BufferSetRequest;
 use crate::uses::{Note, layer_uses, used_planes};
-use stein::error::{Error, Result};
+use stein::error::{Error, FileCause, LayerCause, RequestCause, Result};
 use stein::frame::MAX_FEATURES;
 use stein::text;
 
@@ -20,18 +20,12 @@ pub(crate) fn read(request: &BufferSetRequest) -> Result<BufferSet> {
     let mut features = Vec::new();
     for (name, reference) in &request.features {
         if features.iter().any(|(other, _)| other == name) {
-            return Err(Error::Request {
-                problem: format!("the feature '{}' is given twice", text::name(name)),
-                remedy: "give each feature once, or under different names".into(),
-            });
+            return Err(Error::Request(RequestCause::FeatureTwice { name: name.clone() }));
         }
         features.push((name.clone(), requested_feature(&mut files, name, reference, &mut left_out)?));
     }
     if features.len() > MAX_FEATURES {
-        return Err(Error::Request {
-            problem: format!("{} features are given, but at most {MAX_FEATURES} can be used", features.len()),
-            remedy: "leave out those that say least about this scene".into(),
-        });
+        return Err(Error::Request(RequestCause::TooManyFeatures { given: features.len(), most: MAX_FEATURES }));
     }
 
     let mut notes = Vec::new();
@@ -68,29 +62,21 @@ struct LeftOut {
     layer: usize,
     path: PathBuf,
     name: String,
-    problem: String,
-    remedy: String,
+    cause: LayerCause,
 }
 
 impl LeftOut {
-    fn new(files: &[ExrFile], file: usize, layer: usize, problem: String, remedy: String) -> Self {
-        Self {
-            file,
-            layer,
-            path: files[file].path.clone(),
-            name: files[file].layers[layer].name.clone(),
-            problem,
-            remedy,
-        }
+    fn new(files: &[ExrFile], file: usize, layer: usize, cause: LayerCause) -> Self {
+        Self { file, layer, path: files[file].path.clone(), name: files[file].layers[layer].name.clone(), cause }
     }
 
     fn into_note(self) -> Note {
-        Note { file: self.file, layer: self.layer, text: self.problem }
+        Note { file: self.file, layer: self.layer, text: self.cause.to_string() }
     }
 
     /// Converts to the error for a layer that is required.
     fn into_error(self) -> Error {
-        Error::Layer { path: self.path, layer: self.name, problem: self.problem, remedy: self.remedy }
+        Error::Layer { path: self.path, layer: self.name, cause: self.cause }
     }
 }
 
@@ -118,10 +104,7 @@ fn color_source(
         Some(reference) => {
             let file = files.open(&reference.file)?;
             if file == input && reference.layer.is_none() {
-                return Err(Error::Request {
-                    problem: format!("{} is the input itself", text::path(&reference.file)),
-                    remedy: "name a layer in it: FILE::LAYER".into(),
-                });
+                return Err(Error::Request(RequestCause::InputItself { file: reference.file.clone() }));
             }
             let layer = color_layer(&files.list[file], reference.layer.as_deref())?;
             Ok(Some(Planes { file, layer, channels: color_channels(&files.list[file], layer)? }))
@@ -167,18 +150,12 @@ pub(crate) fn color_layer(file: &ExrFile, wanted: Option<&str>) -> Result<usize>
     match other.as_slice() {
         [only] => Ok(*only),
         _ if file.layers.len() == 1 && colorful(&0) => Ok(0),
-        [] => Err(Error::File {
-            path: file.path.clone(),
-            problem: format!("has no colour, that is no channels R, G and B; it holds {}", file.layer_list()),
-            remedy: "name the layer to take (`BufferSetRequest::layer`, `LayerRef::layer`)".into(),
-        }),
+        [] => Err(Error::File { path: file.path.clone(), cause: FileCause::NoColor { layers: file.layer_list() } }),
         several => Err(Error::File {
             path: file.path.clone(),
-            problem: format!(
-                "has several layers that could be the colour: {}",
-                text::list(several.iter().map(|&layer| file.layers[layer].described()))
-            ),
-            remedy: "name the layer to take (`BufferSetRequest::layer`, `LayerRef::layer`)".into(),
+            cause: FileCause::SeveralColors {
+                layers: text::list(several.iter().map(|&layer| file.layers[layer].described())),
+            },
         }),
     }
 }
@@ -195,8 +172,7 @@ fn named_layer(file: &ExrFile, wanted: &str) -> Result<usize> {
         .ok_or_else(|| Error::Layer {
             path: file.path.clone(),
             layer: wanted.to_owned(),
-            problem: format!("there is no such layer; the file holds {}", file.layers_like(wanted)),
-            remedy: "name one of these, without the channel's last letter".into(),
+            cause: LayerCause::Missing { layers: file.layers_like(wanted) },
         })
 }
 
@@ -214,8 +190,7 @@ pub(crate) fn color_channels(file: &ExrFile, layer: usize) -> Result<Vec<usize>>
         _ => Err(Error::Layer {
             path: file.path.clone(),
             layer: layer.name.clone(),
-            problem: "it has no channels R, G and B".into(),
-            remedy: format!("name a layer that has; the file holds {}", file.layer_list()),
+            cause: LayerCause::NoColor { layers: file.layer_list() },
         }),
     }
 }
@@ -263,12 +238,8 @@ impl Companions {
             match matching_channels(file, mean, layer) {
                 Some(channels) => *slot = Some(Planes { file: mean.file, layer, channels }),
                 None => {
-                    let problem = format!(
-                        "its channels do not match those of the layer that it belongs to, '{}'",
-                        file.layers[mean.layer].name
-                    );
-                    let remedy = "write both with the same channels, or rename it if it is something else".into();
-                    self.left_out.push(LeftOut::new(files, mean.file, layer, problem, remedy));
+                    let cause = LayerCause::CompanionChannels { of: file.layers[mean.layer].name.clone() };
+                    self.left_out.push(LeftOut::new(files, mean.file, layer, cause));
                 }
             }
         }
@@ -276,15 +247,13 @@ impl Companions {
 
     /// Leaves out a half without the other one, because it says nothing alone.
     fn leave_out_single_half(&mut self, files: &[ExrFile]) {
-        let (single, missing, named) = match (&mut self.half_a, &mut self.half_b) {
-            (single @ Some(_), None) => (single, "B", "`BufferSetRequest::half_b`"),
-            (None, single @ Some(_)) => (single, "A", "`BufferSetRequest::half_a`"),
+        let (single, missing) = match (&mut self.half_a, &mut self.half_b) {
+            (single @ Some(_), None) => (single, 'B'),
+            (None, single @ Some(_)) => (single, 'A'),
             _ => return,
         };
         if let Some(Planes { file, layer, .. }) = single.take() {
-            let problem = format!("it is one half of the samples, but half {missing} is missing");
-            let remedy = format!("add half {missing} (for the colour: {named})");
-            self.left_out.push(LeftOut::new(files, file, layer, problem, remedy));
+            self.left_out.push(LeftOut::new(files, file, layer, LayerCause::SingleHalf { missing }));
         }
     }
 
@@ -332,8 +301,7 @@ fn requested_feature(
         return Err(Error::Layer {
             path: file.path.clone(),
             layer: file.layers[layer].name.clone(),
-            problem: format!("a feature has one to three channels, this has {}", file.layers[layer].channels.len()),
-            remedy: "split it into several features".into(),
+            cause: LayerCause::FeatureChannels { channels: file.layers[layer].channels.len() },
         });
     };
     let mean = Planes { file: index, layer, channels };
@@ -427,8 +395,7 @@ fn find_features(
         None => Ok(()),
         Some(skip) => Err(Error::File {
             path: file.path.clone(),
-            problem: format!("there is no feature '{}' to skip; it holds {}", text::name(skip), file.layers_like(skip)),
-            remedy: "name one of these in `BufferSetRequest::skip_features`, or none".into(),
+            cause: FileCause::NoFeatureToSkip { name: (*skip).clone(), layers: file.layers_like(skip) },
         }),
     }
 }
@@ -452,8 +419,11 @@ fn check_windows(set: &BufferSet) -> Result<()> {
             return Err(Error::Layer {
                 path: file.path.clone(),
                 layer: layer.name.clone(),
-                problem: format!("its data window is {found}, but the colour's in {} is {expected}", text::path(set.input())),
-                remedy: "render both with the same resolution and crop; a feature can also be left out (`BufferSetRequest::skip_features`)".into(),
+                cause: LayerCause::DataWindow {
+                    found: found.to_string(),
+                    expected: expected.to_string(),
+                    color_file: set.input().to_owned(),
+                },
             });
         }
     }

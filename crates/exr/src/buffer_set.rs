@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use stein::error::FileCause;
 use stein::frame::{RawSignal, Repairs, SamplesPerPixel};
 use stein::host_memory::{FreeMemory, Shortage};
 use stein::image::Window;
@@ -49,11 +50,13 @@ impl BufferSet {
     /// Reads the files and decides which layer is used as what.
     ///
     /// # Errors
-    /// A file that is missing, damaged or of a kind that cannot be read; a requested layer that does not exist; layers
-    /// whose data windows differ from the colour's; a half of the colour without the other, or halves and variance of
-    /// other channels, if nothing else tells the colour's noise; more than
-    /// [`MAX_FEATURES`](stein::frame::MAX_FEATURES) requested features; a feature to skip that the input does not have.
-    /// All other halves and variances that cannot be used are left out, and [`BufferSet::layer_uses`] says why.
+    /// [`Error::File`] for a file that is missing, damaged or of a kind that cannot be read, for a file in which no
+    /// layer or several can be the colour, and for a feature to skip that the input does not have. [`Error::Layer`] for
+    /// a requested layer that does not exist, for a layer whose data window differs from the colour's, and for a half
+    /// of the colour without the other or halves and variance of other channels, if nothing else tells the colour's
+    /// noise. [`Error::Request`] for a feature that is given twice, and for more than
+    /// [`MAX_FEATURES`](stein::frame::MAX_FEATURES). All other halves and variances that cannot be used are left out,
+    /// and [`BufferSet::layer_uses`] says why.
     pub fn read(request: &BufferSetRequest) -> Result<Self> {
         assign::read(request)
     }
@@ -240,8 +243,8 @@ impl BufferSet {
     }
 
     fn no_memory(&self, shortage: Shortage) -> Error {
-        let problem = format!("cannot be made ready in memory: that {shortage}");
-        Error::File { path: self.input().to_owned(), problem, remedy: Shortage::REMEDY.into() }
+        let cause = FileCause::NoMemory { doing: "made ready", shortage };
+        Error::File { path: self.input().to_owned(), cause }
     }
 
     pub(crate) fn part(&self, planes: &Planes) -> usize {

@@ -11,6 +11,7 @@ use exr::prelude::*;
 use rayon::prelude::*;
 
 use crate::header::{Head, MOST_PIXELS_PER_SIDE, Trouble};
+use stein::error::FileCause;
 use stein::host_memory::{FreeMemory, Shortage, try_filled};
 
 /// Size of the decoded blocks that are in memory beside the image, in bytes; more if one block per thread is more.
@@ -21,7 +22,7 @@ type Parts = Layers<AnyChannels<FlatSamples>>;
 
 impl From<Shortage> for Trouble {
     fn from(shortage: Shortage) -> Self {
-        Self::new(format!("cannot be held in memory: it {shortage}"), Shortage::REMEDY)
+        Self(FileCause::NoMemory { doing: "held", shortage })
     }
 }
 

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use serde::Serialize;
 
 use crate::{BufferSet, DenoisedLayers, NamedLayer, Role, write_denoised};
+use stein::error::FileCause;
 use stein::host_memory::FreeMemory;
 use stein::method::{Intermediate, Method};
 use stein::{Error, Estimate, Image, Result, text};
@@ -102,8 +103,10 @@ pub fn write_estimate(
 
     let parameters = serde_json::to_string(method).map_err(|error| Error::File {
         path: output.to_owned(),
-        problem: format!("the parameters cannot be put into words: {error}"),
-        remedy: "this is a defect of stein: please report it with the parameters".into(),
+        cause: FileCause::Defect {
+            problem: format!("the parameters cannot be put into words: {error}"),
+            with: "the parameters",
+        },
     })?;
     let attributes = [
         ("stein.version".to_owned(), env!("CARGO_PKG_VERSION").to_owned()),

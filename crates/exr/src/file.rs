@@ -9,7 +9,7 @@ use exr::prelude::*;
 use crate::decode::decode;
 use crate::header::Trouble;
 use crate::names;
-use stein::error::{Error, Result};
+use stein::error::{Error, FileCause, Result};
 use stein::host_memory::{Shortage, try_collected};
 use stein::image::{Extent, Image, Window};
 use stein::text;
@@ -45,11 +45,7 @@ impl ExrFile {
     /// Reads everything in the file. Never panics, whatever the bytes are, and takes no more memory than the bytes can
     /// be decoded to.
     pub(crate) fn read(path: &Path) -> Result<Self> {
-        let mut image = read(path).map_err(|Trouble { problem, remedy }| Error::File {
-            path: path.to_owned(),
-            problem,
-            remedy: remedy.into(),
-        })?;
+        let mut image = read(path).map_err(|Trouble(cause)| Error::File { path: path.to_owned(), cause })?;
         image.layer_data.iter_mut().for_each(mend_overshoots);
         let layers = layers_of(&image);
         Ok(Self { path: path.to_owned(), image, layers })
@@ -116,11 +112,7 @@ impl ExrFile {
     /// # Errors
     /// As [`ExrFile::read`], and if the file has changed since.
     pub(crate) fn restore(&mut self, part: usize, channels: &[usize]) -> Result<()> {
-        let changed = || Error::File {
-            path: self.path.clone(),
-            problem: "has changed while it was worked on".into(),
-            remedy: "write to another file, or start again when the input is complete".into(),
-        };
+        let changed = || Error::File { path: self.path.clone(), cause: FileCause::Changed };
         let mut again = Self::read(&self.path)?;
         for &channel in channels {
             let layer = &self.image.layer_data[part];
@@ -219,13 +211,10 @@ fn read(path: &Path) -> std::result::Result<FlatImage, Trouble> {
     // Checks the kind before the file is opened: opening a pipe would block.
     let kind = path.metadata()?;
     if kind.is_dir() {
-        return Err(Trouble::new("cannot be read: it is a folder", "name a file in it"));
+        return Err(Trouble(FileCause::Folder));
     }
     if !kind.is_file() {
-        return Err(Trouble::new(
-            "cannot be read: it is a pipe or a device, in which one cannot go back and forth",
-            "write it to a file first",
-        ));
+        return Err(Trouble(FileCause::Stream));
     }
     let file = File::open(path)?;
     let bytes = file.metadata()?.len();

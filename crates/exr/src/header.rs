@@ -8,61 +8,50 @@ use std::io::{BufRead, BufReader, Read, Seek, SeekFrom, Write};
 use std::ops::Range;
 
 use crate::names::{LONGEST_NAME, decoded};
+use stein::error::FileCause;
 use stein::text;
 
-/// The reason why a file cannot be read, and a remedy.
+/// The reason why a file cannot be read.
 #[derive(Debug)]
-pub(crate) struct Trouble {
-    pub(crate) problem: String,
-    pub(crate) remedy: &'static str,
-}
+pub(crate) struct Trouble(pub(crate) FileCause);
 
 impl Trouble {
-    pub(crate) fn new(problem: impl Into<String>, remedy: &'static str) -> Self {
-        Self { problem: problem.into(), remedy }
-    }
-
     pub(crate) fn damaged(problem: impl std::fmt::Display) -> Self {
-        Self::new(
-            format!("is damaged or incomplete: {problem}"),
-            "render or copy it again; check whether the disk was full or the writer was interrupted",
-        )
+        Self(FileCause::Damaged { reason: problem.to_string() })
     }
 
-    pub(crate) fn unsupported(problem: impl std::fmt::Display) -> Self {
-        Self::new(
-            format!("uses a part of OpenEXR that cannot be read here: {problem}"),
-            "write it as a flat scan line image with ZIP compression",
-        )
+    fn with(what: impl Into<String>, form: &'static str) -> Self {
+        Self(FileCause::Unsupported { what: what.into(), form })
+    }
+
+    pub(crate) fn unsupported(part: impl std::fmt::Display) -> Self {
+        Self::with(format!("uses a part of OpenEXR ({part})"), "as a flat scan line image with ZIP compression")
     }
 
     pub(crate) fn subsampled() -> Self {
-        Self::new(
-            "has subsampled channels, probably luminance and chroma (Y, RY, BY), which cannot be read here",
-            "write R, G and B at full resolution, or convert the file",
+        Self::with(
+            "has subsampled channels, probably luminance and chroma (Y, RY, BY)",
+            "with R, G and B at full resolution",
         )
     }
 
     pub(crate) fn deep() -> Self {
-        Self::new(
-            "holds deep data, that is many samples per pixel at different depths, which cannot be denoised here",
-            "flatten it first, or let the renderer write a flat image as well",
+        Self::with(
+            "holds deep data, that is many samples per pixel at different depths",
+            "as a flat image as well, or flatten it first",
         )
     }
 
     /// Returns the refusal of a name that no reader opens, so that it cannot be written either.
-    fn long_name(what: &str, name: &[u8]) -> Self {
-        let start = text::beginning(&decoded(name), name.len());
-        Self::new(
-            format!("has a {what} whose name {start} is longer than the {LONGEST_NAME} bytes that OpenEXR stores"),
-            "write it under a shorter name",
-        )
+    fn long_name(what: &'static str, name: &[u8]) -> Self {
+        let name = text::beginning(&decoded(name), name.len());
+        Self(FileCause::LongName { what, name, most: LONGEST_NAME })
     }
 
     fn compressed(method: impl std::fmt::Display) -> Self {
-        Self::new(
-            format!("is compressed with a method that cannot be read here: {method}"),
-            "write it with ZIP, PIZ or DWAA compression, or convert it, for example with `exrmetrics --convert -z zip in.exr -o out.exr`",
+        Self::with(
+            format!("is compressed by {method}"),
+            "with ZIP, PIZ or DWAA compression, or convert it, for example with `exrmetrics --convert -z zip in.exr -o out.exr`",
         )
     }
 }
@@ -71,7 +60,7 @@ impl From<std::io::Error> for Trouble {
     fn from(error: std::io::Error) -> Self {
         match error.kind() {
             std::io::ErrorKind::UnexpectedEof => Self::damaged("it ends too early"),
-            _ => Self::new(format!("cannot be read: {error}"), "check the path, its permissions and the disk"),
+            _ => Self(FileCause::Unreadable { reason: error.to_string() }),
         }
     }
 }
@@ -120,13 +109,10 @@ impl Head {
         let mut start = Vec::new();
         file.by_ref().take(8).read_to_end(&mut start)?;
         if start.is_empty() {
-            return Err(Trouble::new("is empty", "render or copy it again: the writer was probably interrupted"));
+            return Err(Trouble(FileCause::Empty));
         }
         if !start.starts_with(&[0x76, 0x2f, 0x31, 0x01]) {
-            return Err(Trouble::new(
-                "is not an OpenEXR file",
-                "give an .exr file, or convert the image to OpenEXR first",
-            ));
+            return Err(Trouble(FileCause::NotOpenExr));
         }
         let Ok(start) = <[u8; 8]>::try_from(start) else {
             return Err(Trouble::damaged("it ends in its first eight bytes"));
@@ -219,7 +205,7 @@ pub(crate) fn settle(file: &mut (impl Read + Write + Seek)) -> std::io::Result<(
     let bytes = file.seek(SeekFrom::End(0))?;
     file.rewind()?;
     let mut reader = BufReader::new(&mut *file);
-    let failed = |trouble: Trouble| std::io::Error::other(trouble.problem);
+    let failed = |trouble: Trouble| std::io::Error::other(trouble.0.to_string());
     let head = Head::read(&mut reader, bytes).map_err(failed)?;
     let has_long_names = head.has_long_names(&mut reader).map_err(failed)?;
     drop(reader);
@@ -383,7 +369,7 @@ fn check_compression(value: &[u8]) -> Result<(), Trouble> {
         [0..=9] => Ok(()),
         [10 | 11] => Err(Trouble::compressed("HTJ2K (high-throughput JPEG 2000)")),
         [12] => Err(Trouble::compressed("ZSTD")),
-        [other] => Err(Trouble::compressed(format_args!("unknown (number {other})"))),
+        [other] => Err(Trouble::compressed(format_args!("an unknown method (number {other})"))),
         _ => Err(Trouble::damaged("its compression is no number")),
     }
 }

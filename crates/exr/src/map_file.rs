@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use stein::error::{FileCause, LayerCause};
 use stein::sampling::{SampleCounts, SamplingMap};
 use stein::{Error, Image, Result};
 
@@ -25,7 +26,7 @@ impl MapFile {
     /// file is replaced.
     ///
     /// # Errors
-    /// Errors of the file system.
+    /// As [`write_layers`].
     pub fn write(&self, path: &Path, attributes: &[(String, String)]) -> Result<()> {
         let whole = |counts: &SampleCounts| Image {
             extent: counts.extent(),
@@ -40,7 +41,8 @@ impl MapFile {
     /// Reads a map. In a file without `density`, `samples` is taken for the density.
     ///
     /// # Errors
-    /// A file that cannot be read or has no layer `samples`; numbers that are not whole and even.
+    /// [`Error::File`] for a file that cannot be read or has no layer `samples`; [`Error::Layer`] for numbers that are
+    /// not whole and even.
     pub fn read(path: &Path) -> Result<Self> {
         let file = ExrFile::read(path)?;
         let find = |name: &str| {
@@ -49,14 +51,7 @@ impl MapFile {
             Some(file.planes(found.part, &[channel.index]))
         };
         let Some(samples) = find("samples") else {
-            return Err(Error::File {
-                path: path.to_owned(),
-                problem: format!(
-                    "has no layer 'samples' that says how many samples to draw; its layers are {}",
-                    file.layer_list()
-                ),
-                remedy: "give a sampling map, as `stein sample-map` writes it".into(),
-            });
+            return Err(Error::File { path: path.to_owned(), cause: FileCause::NoMap { layers: file.layer_list() } });
         };
         let counts = |name: &str, image: &Image| {
             let whole = |samples: &f32| {
@@ -67,8 +62,7 @@ impl MapFile {
             let pairs = pairs.ok_or_else(|| Error::Layer {
                 path: path.to_owned(),
                 layer: name.to_owned(),
-                problem: "holds numbers that are not whole and even".into(),
-                remedy: "give even numbers of samples, half of them for each half buffer".into(),
+                cause: LayerCause::UnevenCounts,
             })?;
             SampleCounts::from_pairs(image.extent, pairs)
         };

@@ -4,6 +4,7 @@ use std::ffi::OsString;
 use std::path::PathBuf;
 
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
+use stein::error::Remedy;
 use stein::gpu::GpuOptions;
 use stein::parameters::Choice;
 
@@ -16,6 +17,33 @@ pub fn gpu_options() -> GpuOptions {
     GpuOptions {
         pipeline_folder: pipeline_folder(std::env::var_os(CACHE_VARIABLE), dirs::cache_dir()),
         ..GpuOptions::default()
+    }
+}
+
+/// Returns a remedy in the words that programs share: those with the options of
+/// [`BufferSetRequest`](crate::BufferSetRequest) and `--device`. Other remedies stay in the library's words.
+pub fn remedy(remedy: &Remedy) -> String {
+    match remedy {
+        Remedy::GiveHalves => {
+            "render twice with different seeds and give both as halves (--half-a, --half-b), their average as the input"
+                .into()
+        }
+        Remedy::GiveVariance => {
+            "let the renderer write the variance of the pixel mean, as layer `variance` or for --variance".into()
+        }
+        Remedy::GiveOtherHalf { half } => {
+            format!("add half {half} (for the colour: --half-{})", half.to_ascii_lowercase())
+        }
+        Remedy::LeaveFeaturesOut => "leave features out (--skip-feature, --no-features)".into(),
+        Remedy::SkipFeature => "leave the feature out (--skip-feature)".into(),
+        Remedy::NameFeatureToSkip => "name one of these with --skip-feature, or none".into(),
+        Remedy::AnotherAdapter => "choose another adapter with --device (`stein devices` lists them)".into(),
+        Remedy::PipelineFolder => {
+            format!("have {CACHE_VARIABLE} name a folder that may be written to, or none")
+        }
+        // Only a defect of the program brings its user here.
+        Remedy::ChangeCall(_) => "report this defect of stein with the whole command".into(),
+        remedy => remedy.to_string(),
     }
 }
 

@@ -47,14 +47,6 @@ pub struct BufferSetRequest {
 }
 
 impl BufferSetRequest {
-    /// Names in the library's remedies, and the option for each: for [`Error::in_words`](stein::Error::in_words).
-    pub const OPTIONS: [(&str, &str); 4] = [
-        ("`BufferSetRequest::half_a`", "--half-a"),
-        ("`BufferSetRequest::half_b`", "--half-b"),
-        ("`BufferSetRequest::variance`", "--variance"),
-        ("`BufferSetRequest::skip_features`", "--skip-feature"),
-    ];
-
     /// Returns all files that are read, the input first; a file that is named twice is listed twice.
     pub fn files(&self) -> impl Iterator<Item = &Path> {
         let named = [&self.half_a, &self.half_b, &self.variance]

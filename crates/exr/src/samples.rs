@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use stein::error::FileCause;
 use stein::frame::{RawSignal, SamplesPerPixel};
 use stein::sampling::{SampleCounts, Samples};
 use stein::{Error, Image, Result};
@@ -13,14 +14,13 @@ impl BufferSet {
     /// halves and variances; the features are those that the set uses.
     ///
     /// # Errors
-    /// Unknown, odd or fractional sample counts, and as [`Samples::from_signals`].
+    /// [`Error::File`] for unknown, odd or fractional sample counts; otherwise as [`Samples::from_signals`].
     pub fn to_samples(&self) -> Result<Samples> {
         let count = |samples: f32| {
             let whole = samples >= 0.0 && samples % 2.0 == 0.0 && samples <= u32::MAX as f32;
             whole.then_some(samples as u32 / 2).ok_or_else(|| Error::File {
                 path: self.input().to_owned(),
-                problem: format!("has {samples} samples in some pixel, which are not two equal halves"),
-                remedy: "render with even sample counts, half of them for each half buffer".into(),
+                cause: FileCause::UnevenSamples { samples },
             })
         };
         let extent = self.extent();
@@ -30,12 +30,7 @@ impl BufferSet {
                 samples.planes[0].iter().map(|&samples| count(samples)).collect::<Result<_>>()?
             }
             SamplesPerPixel::Unknown => {
-                return Err(Error::File {
-                    path: self.input().to_owned(),
-                    problem: "does not say how many samples its pixels have, so that further samples cannot be added"
-                        .into(),
-                    remedy: "let the renderer write a header attribute or a channel `samples`".into(),
-                });
+                return Err(Error::File { path: self.input().to_owned(), cause: FileCause::NoSampleCounts });
             }
         };
         let counts = SampleCounts::from_pairs(extent, pairs)?;
@@ -51,7 +46,7 @@ impl BufferSet {
 /// The file appears under its name only when it is complete; an existing one is replaced.
 ///
 /// # Errors
-/// Attributes that OpenEXR cannot store, and errors of the file system.
+/// As [`write_layers`].
 pub fn write_samples(samples: &Samples, path: &Path, attributes: &[(String, String)]) -> Result<()> {
     let mut layers = Vec::new();
     push_signal(&mut layers, &["R", "G", "B"], samples.color(), ["", "halfA", "halfB", "variance"].map(str::to_owned));

@@ -13,7 +13,7 @@ use crate::atomic_file;
 use crate::file::{ExrFile, FileLayer, is_lossy};
 use crate::header::settle;
 use crate::names::{LONGEST_NAME, encoded};
-use stein::error::{Error, Result};
+use stein::error::{Error, FileCause, LayerCause, RequestCause, Result};
 use stein::image::{Extent, Image};
 use stein::text;
 
@@ -92,8 +92,9 @@ impl std::fmt::Display for WriteReport {
 /// extra layer whose name is too long to be stored is left out, see [`WriteReport::left_out`].
 ///
 /// # Errors
-/// Images of another extent or number of channels than the layers that they replace, replacements for layers that do
-/// not exist, extra layers that do exist, and errors of the file system.
+/// [`Error::Layer`] for images of another extent or number of channels than the layers that they replace, and for extra
+/// layers that exist already; [`Error::Request`] for replacements of layers that do not exist; [`Error::File`] for
+/// errors of the file system.
 pub fn write_denoised(set: BufferSet, output: &Path, denoised: &DenoisedLayers<'_>) -> Result<WriteReport> {
     let (part, extent) = (set.color_part(), set.extent());
     let BufferSet { files, color, .. } = set;
@@ -109,13 +110,15 @@ pub fn write_denoised(set: BufferSet, output: &Path, denoised: &DenoisedLayers<'
         None => writer.replace(&mut image.layer_data[part], channels, denoised.color, "the colour")?,
     }
     for (name, replacement) in denoised.replacements {
-        let layer = layers.iter().find(|layer| layer.name == *name).ok_or_else(|| Error::Request {
-            problem: format!(
-                "layer '{}' cannot be replaced: {} has no such layer",
-                text::name(name),
-                text::path(&path)
-            ),
-            remedy: "add it as an extra layer instead".into(),
+        let layer = layers.iter().find(|layer| layer.name == *name).ok_or_else(|| {
+            Error::Request(RequestCause::Misuse {
+                problem: format!(
+                    "layer '{}' cannot be replaced: {} has no such layer",
+                    text::name(name),
+                    text::path(&path)
+                ),
+                change: "add it as an extra layer instead",
+            })
         })?;
         let channels = colored_channels(layer);
         let luminance = (channels.len() == 1 && replacement.channels() == 3).then(|| mean_plane(replacement));
@@ -150,8 +153,11 @@ pub fn write_denoised(set: BufferSet, output: &Path, denoised: &DenoisedLayers<'
     if !image.layer_data.iter().all(is_complete) {
         return Err(Error::File {
             path: output.to_owned(),
-            problem: "cannot be written: the samples of a layer that stays as it was are not in memory any more".into(),
-            remedy: "this is a defect of stein: please report it with the output of `stein info`".into(),
+            cause: FileCause::Defect {
+                problem: "cannot be written: the samples of a layer that stays as it was are not in memory any more"
+                    .into(),
+                with: "the output of `stein info`",
+            },
         });
     }
     write_then_rename(&image, output)?;
@@ -195,13 +201,14 @@ impl Writer<'_> {
         Err(Error::Layer {
             path: self.output.to_owned(),
             layer: name.to_owned(),
-            problem: format!(
-                "{} planes of {} do not fit {channels} channels of {}",
-                image.channels(),
-                image.extent,
-                self.extent
-            ),
-            remedy: "give planes of the input's extent, one for each channel".into(),
+            cause: LayerCause::PlanesDoNotFit {
+                problem: format!(
+                    "{} planes of {} do not fit {channels} channels of {}",
+                    image.channels(),
+                    image.extent,
+                    self.extent
+                ),
+            },
         })
     }
 
@@ -236,11 +243,10 @@ impl Writer<'_> {
             return Ok(());
         }
         for (full, plane) in names.iter().zip(&extra.image.planes) {
-            let refused = |problem: String| Error::Layer {
+            let refused = |reason: String| Error::Layer {
                 path: self.output.to_owned(),
                 layer: full.clone(),
-                problem,
-                remedy: "choose another name, or replace the input's layer".into(),
+                cause: LayerCause::UnusableName { reason },
             };
             let name = encoded(full).map_err(refused)?;
             if list.iter().any(|channel| channel.name == name) {
@@ -320,12 +326,13 @@ impl Writer<'_> {
 /// stay as they are.
 ///
 /// # Errors
-/// No layers, or layers of different extents; names or attributes that OpenEXR cannot store; errors of the file
-/// system.
+/// [`Error::Request`] for no layers, for layers of different extents, and for names that OpenEXR cannot store;
+/// [`Error::File`] for errors of the file system.
 pub fn write_layers(output: &Path, layers: &[NamedLayer], attributes: &[(String, String)]) -> Result<()> {
-    let refuse = |problem: String, remedy: &str| Err(Error::Request { problem, remedy: remedy.into() });
+    let misuse = |problem, change| Err(Error::Request(RequestCause::Misuse { problem, change }));
+    let unusable = |reason| Error::Request(RequestCause::UnusableName { what: "a channel".into(), reason });
     let Some(extent) = layers.first().map(|layer| layer.image.extent) else {
-        return refuse("a file without layers cannot be written".into(), "give at least one");
+        return misuse("a file without layers cannot be written".into(), "give at least one");
     };
     let mut channels: SmallVec<[AnyChannel<FlatSamples>; 4]> = SmallVec::new();
     for layer in layers {
@@ -333,24 +340,16 @@ pub fn write_layers(output: &Path, layers: &[NamedLayer], attributes: &[(String,
             layer.image.extent == extent && layer.image.planes.iter().all(|plane| plane.len() == extent.pixels());
         if !complete || layer.channels.len() != layer.image.channels() {
             let name = text::name(&layer.name);
-            return refuse(
+            return misuse(
                 format!("layer '{name}' does not have a full plane of {extent} for each of its channels"),
                 "give layers of one extent",
             );
         }
         for (suffix, plane) in layer.channels.iter().zip(&layer.image.planes) {
             let full = full_name(layer, suffix);
-            let name = match encoded(&full) {
-                Ok(name) => name,
-                Err(problem) => {
-                    return refuse(format!("a channel cannot be written: {problem}"), "choose another name");
-                }
-            };
+            let name = encoded(&full).map_err(unusable)?;
             if channels.iter().any(|other| other.name == name) {
-                return refuse(
-                    format!("a channel '{}' cannot be written: it exists twice", text::name(&full)),
-                    "choose another name",
-                );
+                return Err(unusable(format!("the name '{}' exists twice", text::name(&full))));
             }
             channels.push(AnyChannel::new(name, FlatSamples::F32(plane.clone())));
         }
@@ -368,10 +367,8 @@ fn full_name(layer: &NamedLayer, suffix: &str) -> String {
 
 fn add_attributes(header: &mut LayerAttributes, attributes: &[(String, String)]) -> Result<()> {
     for (name, value) in attributes {
-        let name = encoded(name).map_err(|problem| Error::Request {
-            problem: format!("an attribute cannot be written: {problem}"),
-            remedy: "choose another name".into(),
-        })?;
+        let name = encoded(name)
+            .map_err(|reason| Error::Request(RequestCause::UnusableName { what: "an attribute".into(), reason }))?;
         // The format stores the length of a value, so that a value may hold anything.
         header.other.insert(name, AttributeValue::Text(Text::from_slice_unchecked(value.as_bytes())));
     }
@@ -395,7 +392,6 @@ fn write_then_rename(image: &FlatImage, output: &Path) -> Result<()> {
         });
     written.map_err(|error| Error::File {
         path: output.to_owned(),
-        problem: format!("cannot be written: {error}"),
-        remedy: "check that the folder exists, may be written to and has space left".into(),
+        cause: FileCause::Unwritable { reason: error.to_string() },
     })
 }

@@ -1,15 +1,16 @@
 //! Errors of an image against a reference. All sums are in f64; a NaN anywhere makes the result NaN, except in FLIP,
 //! which sees it as black.
 
-#[cfg(feature = "flip")]
 use stein::Extent;
+#[cfg(feature = "flip")]
+use stein::error::RequestCause;
 pub use stein::frame::RELATIVE_EPSILON;
 use stein::{Error, Image, Result};
 
 /// Returns the mean over pixels and channels of (x − ref)²/(ref² + 0.01) (thesis 6.5). 0 is perfect.
 ///
 /// # Errors
-/// Images of different extent or channel count, or without pixels.
+/// [`Error::Request`] for images of different extent or channel count, or without pixels.
 pub fn relative_mse(image: &Image, reference: &Image) -> Result<f64> {
     mean_over_values(image, reference, |x, reference| (x - reference).powi(2) / (reference.powi(2) + RELATIVE_EPSILON))
 }
@@ -17,7 +18,7 @@ pub fn relative_mse(image: &Image, reference: &Image) -> Result<f64> {
 /// Returns the mean over pixels and channels of (x − ref)². 0 is perfect.
 ///
 /// # Errors
-/// Images of different extent or channel count, or without pixels.
+/// [`Error::Request`] for images of different extent or channel count, or without pixels.
 pub fn mse(image: &Image, reference: &Image) -> Result<f64> {
     mean_over_values(image, reference, |x, reference| (x - reference).powi(2))
 }
@@ -33,7 +34,7 @@ pub fn mse(image: &Image, reference: &Image) -> Result<f64> {
 /// all pairs of consecutive frames.
 ///
 /// # Errors
-/// Images of different extent or channel count, or without pixels.
+/// [`Error::Request`] for images of different extent or channel count, or without pixels.
 pub fn flicker(images: [&Image; 2], references: [&Image; 2]) -> Result<f64> {
     let ([before, image], [reference_before, reference]) = (images, references);
     check(before, reference_before)?;
@@ -62,7 +63,7 @@ pub fn flicker(images: [&Image; 2], references: [&Image; 2]) -> Result<f64> {
 /// averaged over all pixels.
 ///
 /// # Errors
-/// Images of different extent or channel count, or without pixels.
+/// [`Error::Request`] for images of different extent or channel count, or without pixels.
 pub fn ssim(image: &Image, reference: &Image) -> Result<f64> {
     check(image, reference)?;
     let (x, y) = (display_values(image), display_values(reference));
@@ -90,7 +91,8 @@ pub fn ssim(image: &Image, reference: &Image) -> Result<f64> {
 /// [`display_bytes`] shows them, so that differences between values above 1 do not count.
 ///
 /// # Errors
-/// Images of different extent or channel count, without pixels, or with other than one or three channels.
+/// [`Error::Request`] for images of different extent or channel count, without pixels, or with other than one or three
+/// channels.
 #[cfg(feature = "flip")]
 pub fn flip(image: &Image, reference: &Image) -> Result<f64> {
     check(image, reference)?;
@@ -105,16 +107,16 @@ pub fn flip(image: &Image, reference: &Image) -> Result<f64> {
 /// compared. A single channel is shown in grey; NaN is black.
 ///
 /// # Errors
-/// Other than one or three channels.
+/// [`Error::Request`] for other than one or three channels.
 pub fn display_bytes(image: &Image) -> Result<Vec<u8>> {
     let [r, g, b] = match image.planes.as_slice() {
         [grey] => [grey; 3],
         [r, g, b] => [r, g, b],
         planes => {
-            return Err(Error::Request {
+            return Err(Error::Request(RequestCause::Other {
                 problem: format!("an image of {} channels cannot be shown", planes.len()),
                 remedy: "give one channel, or red, green and blue".into(),
-            });
+            }));
         }
     };
     let byte = |linear: f32| {
@@ -133,7 +135,7 @@ fn check(image: &Image, reference: &Image) -> Result<()> {
     {
         return Ok(());
     }
-    Err(Error::Request {
+    Err(Error::Request(RequestCause::Other {
         problem: format!(
             "an image of {} with {} channels cannot be compared to a reference of {} with {} channels",
             image.extent,
@@ -142,7 +144,7 @@ fn check(image: &Image, reference: &Image) -> Result<()> {
             reference.channels()
         ),
         remedy: "compare images of the same size and channels, with at least one pixel".into(),
-    })
+    }))
 }
 
 fn mean_over_values(image: &Image, reference: &Image, error: impl Fn(f64, f64) -> f64) -> Result<f64> {

@@ -56,7 +56,7 @@ pub use texture::Texture;
 use camera::View;
 use path::{CHANNELS, FEATURES};
 use random::Numbers;
-use stein::error::{Error, Result};
+use stein::error::{Error, RequestCause, Result};
 use stein::image::Extent;
 use stein::sampling::{PixelAccumulator, Progress, SampleCounts, Sampler, Samples};
 
@@ -97,7 +97,7 @@ impl StubSampler {
     /// Continues after these samples, as if this sampler had drawn them, for example to continue a stored render.
     ///
     /// # Errors
-    /// Counts of another extent.
+    /// [`Error::Request`] for counts of another extent.
     pub fn continue_after(mut self, drawn: &SampleCounts) -> Result<Self> {
         self.check(drawn)?;
         self.drawn = drawn.pairs().to_vec();
@@ -108,10 +108,7 @@ impl StubSampler {
         if counts.extent() == self.extent {
             return Ok(());
         }
-        Err(Error::Request {
-            problem: format!("sample counts for {} do not fit a picture of {}", counts.extent(), self.extent),
-            remedy: "give one count for each pixel of the picture".into(),
-        })
+        Err(Error::Request(RequestCause::CountsLength { counts: counts.pairs().len(), extent: self.extent }))
     }
 
     fn pixel(&self, view: &View, pixel: usize, pairs: u32) -> PixelAccumulator<CHANNELS> {

@@ -3,7 +3,7 @@
 use serde::Serialize;
 
 use super::candidate_set::CandidateSet;
-use crate::error::{Error, Result};
+use crate::error::{Error, RequestCause, Result};
 use crate::method::Spikes;
 use crate::method::common::{LARGEST_PATCH_RADIUS, LARGEST_WINDOW_RADIUS};
 use crate::method::noise::Pooling;
@@ -217,21 +217,11 @@ impl DfcParams {
         check(&self.parameters())?;
         let Self { first_patch_radius: first, second_patch_radius: second, .. } = self;
         if first > second {
-            return Err(Error::Request {
-                problem: format!("`first_patch_radius` is {first}, and `second_patch_radius` {second}"),
-                remedy: "choose the patches of FIRST no larger than those of SECOND".into(),
-            });
+            return Err(Error::Request(RequestCause::PatchRadii { first: *first, second: *second }));
         }
         let filters = self.filters();
         if filters.len() > MOST_CANDIDATES {
-            return Err(Error::Request {
-                problem: format!(
-                    "there are {} candidates, of which {} further ones",
-                    filters.len(),
-                    self.further.len()
-                ),
-                remedy: format!("choose at most {MOST_CANDIDATES} candidates in all"),
-            });
+            return Err(Error::Request(RequestCause::TooManyCandidates { count: filters.len() }));
         }
         for (place, (filter, _)) in filters.iter().enumerate() {
             let numbers = [
@@ -242,12 +232,7 @@ impl DfcParams {
             let in_range = numbers.into_iter().flatten().all(|number| number > 0.0 && number.is_finite())
                 && filter.color.is_none_or(|color| color.patch_radius <= LARGEST_PATCH_RADIUS);
             if !in_range || filters[..place].iter().any(|(other, _)| other.name == filter.name) {
-                return Err(Error::Request {
-                    problem: format!("the candidate '{}' is out of range, or another one has its name", filter.name),
-                    remedy: format!(
-                        "choose k and τ above 0, patches of at most {LARGEST_PATCH_RADIUS} pixels around the centre, and a name of its own"
-                    ),
-                });
+                return Err(Error::Request(RequestCause::Candidate { name: filter.name }));
             }
         }
         Ok(())

@@ -5,6 +5,7 @@ use std::sync::mpsc::{TryRecvError, channel};
 use std::task::Poll;
 
 use eframe::egui::Context;
+use stein::error::{FileCause, RequestCause};
 use stein_exr::LayerRef;
 
 use super::Viewer;
@@ -102,9 +103,11 @@ impl Viewer {
 
     /// Returns the content of the file to save.
     fn content(&self, purpose: Purpose, path: &Path, context: &Context) -> stein::Result<Content> {
-        let missing = |what: &str| stein::Error::Request {
-            problem: format!("there is no {what} to save"),
-            remedy: "open a file and wait for the run".into(),
+        let missing = |what: &str| {
+            stein::Error::Request(RequestCause::Other {
+                problem: format!("there is no {what} to save"),
+                remedy: "open a file and wait for the run".into(),
+            })
         };
         let layer = || self.layer().cloned().ok_or_else(|| missing("image"));
         let source = self.document.as_ref().and_then(|document| document.opened.source.as_ref());
@@ -113,8 +116,10 @@ impl Viewer {
         if source.is_some_and(|source| source.files().any(same)) {
             return Err(stein::Error::File {
                 path: path.to_owned(),
-                problem: "is open here, and would be replaced".into(),
-                remedy: "choose another name".into(),
+                cause: FileCause::Other {
+                    problem: "is open here, and would be replaced".into(),
+                    remedy: "choose another name".into(),
+                },
             });
         }
         match purpose {

@@ -1,6 +1,7 @@
 //! Messages of the window to the user.
 
 use eframe::egui::Context;
+use stein::error::RequestCause;
 
 use super::Viewer;
 use crate::worker::Task;
@@ -11,7 +12,8 @@ pub(super) const NOTICE_SECONDS: f64 = 8.0;
 impl Viewer {
     /// Shows the reason why a file cannot be opened.
     pub(super) fn refuse(&mut self, problem: &str, remedy: &str) {
-        self.trouble = Some((Task::Open, stein::Error::Request { problem: problem.into(), remedy: remedy.into() }));
+        let cause = RequestCause::Other { problem: problem.into(), remedy: remedy.into() };
+        self.trouble = Some((Task::Open, stein::Error::Request(cause)));
     }
 
     /// Shows a message about files; see [`Viewer::notice`].
