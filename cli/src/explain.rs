@@ -34,9 +34,9 @@ impl Explained {
         let times = times.unwrap_or_default();
         let total: f64 = times.iter().map(|time| time.time.seconds).sum();
         let explain = |planned: &PlannedStep| {
-            let name = planned.step.name();
+            let name = &planned.name;
             let stages: Vec<StageTime> =
-                times.iter().filter(|time| time.step == name).map(|time| time.time.clone()).collect();
+                times.iter().filter(|time| time.step == *name).map(|time| time.time.clone()).collect();
             let seconds = (!stages.is_empty()).then(|| stages.iter().map(|stage| stage.seconds).sum::<f64>());
             ExplainedStep {
                 planned: planned.clone(),
@@ -48,7 +48,7 @@ impl Explained {
         Self {
             analysis_seconds: plan.analysis_seconds,
             strips: plan.strips,
-            steps: plan.steps.iter().map(explain).collect(),
+            steps: plan.steps().into_iter().map(explain).collect(),
         }
     }
 
@@ -61,7 +61,7 @@ impl Explained {
         for ExplainedStep { planned, seconds, share, stages } in &self.steps {
             let what = if planned.runs { "runs" } else { "left out" };
             rows.push(vec![
-                planned.step.name(),
+                planned.name.clone(),
                 what.to_owned(),
                 planned.why.clone(),
                 or_dash(seconds.map(|seconds| milliseconds(seconds * 1e3))),

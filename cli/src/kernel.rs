@@ -164,7 +164,7 @@ pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
 
     let filters: Vec<_> = kernels.filters.iter().map(Summary::new).collect();
     let left_out: Vec<_> =
-        kernels.plan.steps.iter().filter(|planned| !planned.runs && planned.step.makes_kernels()).cloned().collect();
+        kernels.plan.steps().into_iter().filter(|planned| !planned.runs && planned.makes_kernels).cloned().collect();
     let head = ["filter", "decided by", "value", "Σ w", "own w"].map(String::from).to_vec();
     out.say(format_args!(
         "  pixel {x},{y}\n{}",
@@ -179,7 +179,7 @@ pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
         out.say(format_args!("  pass 1: {}", shares.join(", ")));
     }
     for planned in &left_out {
-        out.say(format_args!("  left out: {}: {}", planned.step.name(), planned.why));
+        out.say(format_args!("  left out: {}: {}", planned.name, planned.why));
     }
     if let Some(file) = &args.output {
         out.say(text::path(file));

@@ -6,7 +6,7 @@ use glam::IVec2;
 
 use super::GpuSignal;
 use super::estimate::Lane;
-use super::plan::{Plan, Step};
+use super::plan::PlannedStep;
 use super::spikes::Found;
 use crate::error::Result;
 use crate::gpu::{Buffer, Recorder};
@@ -65,7 +65,7 @@ pub(super) fn guide_variance(
     Ok(Arc::new(variance_floor(rec, extent, &signal.signal, &variance, floor)?))
 }
 
-/// A result in which pixels of the colour without noise are as they were, if the plan says so, and in which lights of
+/// A result in which pixels of the colour without noise are as they were, if the step runs, and in which lights of
 /// few pixels are, if anybody looked for any; `error` becomes that of what is kept. `color` is without spikes and
 /// lights.
 pub(super) fn with_input_kept(
@@ -75,10 +75,11 @@ pub(super) fn with_input_kept(
     found: Option<&Found>,
     mut result: Arc<Buffer>,
     error: Option<&Lane>,
-    plan: &Plan,
+    clean: &PlannedStep,
 ) -> Result<Arc<Buffer>> {
     let errors = error.map(|lane| (&*lane.buffer, lane.component));
-    if plan.begins(rec, Step::KeepClean) {
+    if clean.runs {
+        clean.begin(rec);
         let input = Input { signal: &color.signal, sample_variance: color.variance_of_mean.as_deref() };
         result = Arc::new(keep_clean(rec, extent, input, &result, errors, CleanRule::DEFAULT)?);
     }

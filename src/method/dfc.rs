@@ -14,7 +14,7 @@ use super::common::{Auxiliary, guide_variance, with_input_kept};
 use super::estimate::{GpuEstimate, Intermediate, Keeper, Lane, RGB, Share, Unit};
 use super::frame::FeatureInput;
 use super::noise::estimate_noise;
-use super::plan::{Plan, Step};
+use super::plan::PlannedStep;
 use super::spikes::Found;
 use super::{FrameInput, GpuSignal, Spikes};
 use crate::error::{Error, Result};
@@ -38,6 +38,7 @@ use crate::stage::variance::{BoxWeight, Floor, RESIDUAL_SMOOTHING, variance_floo
 pub use candidate_set::CandidateSet;
 pub(super) use kernels::kernels;
 pub use params::{DfcParams, SecondPass};
+pub use plan::DfcPlan;
 pub(super) use plan::plan;
 
 /// Algorithm 1 line 7.
@@ -72,12 +73,12 @@ pub(super) const INTERMEDIATES: [Intermediate; 9] = [
 pub(crate) fn dfc(
     rec: &mut Recorder,
     frames: Frames<FrameInput>,
-    params: &DfcParams,
-    plan: &Plan,
+    plan: &DfcPlan,
     schedule: Schedule,
     progress: impl FnMut(&mut Recorder, f32) -> Result<()>,
 ) -> Result<GpuEstimate> {
     let mut keeper = Keeper::new(&plan.keep);
+    let params = &plan.params;
     let work = Work { params, plan, schedule, wanted: Wanted::default() };
     let mut prepared = Prepared::new(rec, frames, work, &mut keeper)?;
     let Pass1 { candidates, selection, color_only, blend: pass1 } =
@@ -94,7 +95,8 @@ pub(crate) fn dfc(
 
     // What is left of the error, of which SURE tells little more than the order of the candidates.
     let mut error = None;
-    if plan.begins(rec, Step::Error) {
+    if plan.error.runs {
+        plan.error.begin(rec);
         let parts = ErrorParts::measured(color.has_halves, params.several_can_win());
         let shares = selection.as_deref();
         let mut errors = error_blend(rec, extent, &result, variance, &candidates, shares, parts)?;
@@ -110,15 +112,16 @@ pub(crate) fn dfc(
     drop((candidates, color_only));
 
     // Adaptive sampling (thesis 8.6).
-    if plan.begins(rec, Step::Density) {
+    if plan.density.runs {
+        plan.density.begin(rec);
         let density = sample_density(rec, extent, &pass1, error.as_deref().filter(|_| !color.has_halves), samples)?;
-        let density = prepared.smooth(rec, Step::Density, &density, 1, &DENSITY_SMOOTHING, work)?;
+        let density = prepared.smooth(rec, &plan.density, &density, 1, &DENSITY_SMOOTHING, work)?;
         keeper.keep(Intermediate::Density, "density", &["V"], Unit::Number, &Arc::new(density), 0);
     }
 
     let error = error.map(|buffer| Lane { buffer, plane: 0, component: 0 });
     Ok(GpuEstimate {
-        signal: with_input_kept(rec, extent, color, spikes.as_ref(), result, error.as_ref(), plan)?,
+        signal: with_input_kept(rec, extent, color, spikes.as_ref(), result, error.as_ref(), &plan.keep_clean)?,
         error,
         // Σ w is that of pass 1.
         weight_sum: Lane { buffer: pass1, plane: 0, component: 3 },
@@ -149,14 +152,14 @@ fn shares_by_name(
 #[derive(Clone, Copy)]
 struct Work<'a> {
     params: &'a DfcParams,
-    plan: &'a Plan,
+    plan: &'a DfcPlan,
     schedule: Schedule,
     wanted: Wanted,
 }
 
 impl Work<'_> {
     fn is_grey(&self) -> bool {
-        !self.plan.runs(&Step::Channels)
+        !self.plan.channels.runs
     }
 }
 
@@ -178,9 +181,9 @@ impl DfcParams {
 }
 
 /// Candidates that the plan computes and compares.
-fn planned_filters(params: &DfcParams, plan: &Plan) -> Vec<CandidateFilter> {
-    let filters = params.filters().into_iter().map(|(filter, _)| filter);
-    filters.filter(|filter| plan.runs(&Step::Candidate(filter.name))).collect()
+fn planned_filters(plan: &DfcPlan) -> Vec<CandidateFilter> {
+    let filters = plan.params.filters().into_iter().zip(&plan.filters);
+    filters.filter_map(|((filter, _), step)| step.runs.then_some(filter)).collect()
 }
 
 /// The filter by the colour only: SECOND without features.
@@ -229,7 +232,8 @@ impl Prepared {
         let mut frames = Frames { own: (color, features), beside };
 
         // What is known of the noise.
-        if plan.begins(rec, Step::Noise) {
+        if let Some(noise) = plan.noise.as_ref().filter(|noise| noise.runs) {
+            noise.begin(rec);
             frames = frames.try_map(|(mut color, mut features)| {
                 estimate_noise(rec, extent, &mut color, &mut features, params.pooling())?;
                 Ok::<_, Error>((color, features))
@@ -244,7 +248,8 @@ impl Prepared {
         // Spikes.
         let mut of_each = None;
         let mut frames = frames;
-        if plan.begins(rec, Step::Spikes) {
+        if plan.spikes.runs {
+            plan.spikes.begin(rec);
             frames = frames.try_map(|(color, features)| {
                 let (color, found) = params.spikes.repair(rec, extent, color, features.as_ref())?;
                 // The own frame comes first; what was found in others is dropped.
@@ -258,7 +263,7 @@ impl Prepared {
         }
 
         // Sample variance scaling.
-        plan.begins(rec, Step::Variance);
+        plan.variance.begin(rec);
         let frames = frames.try_map(|(color, features)| {
             let floor = Floor::of_color(params.keep_clean);
             let variance = guide_variance(rec, extent, &color, params.box_weight, floor)?;
@@ -279,17 +284,17 @@ impl Prepared {
     fn smooth(
         &self,
         rec: &mut Recorder,
-        step: Step,
+        step: &PlannedStep,
         payload: &Buffer,
         planes: u32,
         filter: &Auxiliary,
         work: Work,
     ) -> Result<Buffer> {
-        let Work { params, plan, schedule, wanted } = work;
+        let Work { params, schedule, wanted, .. } = work;
         let PreparedFrame { color, variance, .. } = &self.own;
         let guide = filter.guide(&color.signal, variance, 3);
-        let guide = Guide { grey: work.is_grey(), exact: plan.exact(&step), wanted: wanted.candidates, ..guide };
-        plan.begins(rec, step);
+        let guide = Guide { grey: work.is_grey(), exact: step.exact.as_ref(), wanted: wanted.candidates, ..guide };
+        step.begin(rec);
         let payload = Payload::new(payload, planes);
         let (radius, weighting) = (filter.window_radius, params.weighting);
         Ok(nlm_filter(rec, self.extent, &guide, &payload, radius, weighting, false, schedule)?.planes)
@@ -326,13 +331,13 @@ impl Pass1 {
         let extent = prepared.extent;
 
         // Candidate filters.
-        plan.begins(rec, Step::Candidates);
+        plan.candidates.begin(rec);
         let needed = Needed {
-            derivatives: plan.runs(&Step::Derivatives),
-            half_spread: plan.runs(&Step::HalfSpread),
-            alone: plan.runs(&Step::Frames),
-            channels: plan.runs(&Step::Channels),
-            exact: plan.exact(&Step::Candidates),
+            derivatives: plan.derivatives.runs,
+            half_spread: plan.half_spread.runs,
+            alone: plan.frames.runs,
+            channels: plan.channels.runs,
+            exact: plan.candidates.exact.as_ref(),
             wanted: wanted.candidates,
         };
         let CandidatesInTime { together: candidates, alone } = {
@@ -340,10 +345,11 @@ impl Pass1 {
                 own: prepared.own.candidate_frame(),
                 beside: prepared.beside.iter().map(PreparedFrame::candidate_frame).collect(),
             };
-            let (filters, window) = (planned_filters(params, plan), params.window());
+            let (filters, window) = (planned_filters(plan), params.window());
             candidates(rec, extent, &frames, &filters, window, needed, schedule, progress)?
         };
-        if let Some(alone) = alone.as_ref().filter(|_| plan.begins(rec, Step::Frames)) {
+        if let Some(alone) = &alone {
+            plan.frames.begin(rec);
             let PreparedFrame { color, variance, .. } = &prepared.own;
             let noisy = Noisy { signal: &color.signal, variance_of_mean: variance };
             select_frames(rec, extent, noisy, alone, &candidates, HARM)?;
@@ -365,30 +371,34 @@ impl Pass1 {
         // Filtered SURE error estimates.
         let planes = planes_of_numbers(candidates.count());
         let mut judged = None;
-        if plan.begins(rec, Step::Sure) {
+        if plan.sure.runs {
+            plan.sure.begin(rec);
             let sure = Arc::new(error_sure(rec, extent, signal, variance, &candidates, params.covariance)?);
-            let errors = Arc::new(prepared.smooth(rec, Step::SureSmoothing, &sure, planes, &ERROR_SMOOTHING, work)?);
+            let errors = Arc::new(prepared.smooth(rec, &plan.sure_smoothing, &sure, planes, &ERROR_SMOOTHING, work)?);
             keeper.keep_numbers(Intermediate::Sure, "sure", &names, Unit::ColorSquared, &sure);
             keeper.keep_numbers(Intermediate::Sure, "sure_smoothed", &names, Unit::ColorSquared, &errors);
             judged = Some((sure, errors));
         }
 
-        let Some((sure, errors)) = judged.as_ref().filter(|_| plan.begins(rec, Step::Selection)) else {
+        let Some((sure, errors)) = judged.as_ref().filter(|_| plan.selection.runs) else {
             // Nothing to choose from: the signal of the only candidate lies in the first two planes.
             return Ok(Self { blend: candidates.planes.clone(), selection: None, color_only: None, candidates });
         };
         // Binary selection maps.
+        plan.selection.begin(rec);
         let selected = Arc::new(select_least(rec, extent, errors, &candidates)?);
         // Filter selection maps.
-        let smoothed = prepared.smooth(rec, Step::SelectionSmoothing, &selected, planes, &SELECTION_SMOOTHING, work)?;
+        let smoothed =
+            prepared.smooth(rec, &plan.selection_smoothing, &selected, planes, &SELECTION_SMOOTHING, work)?;
         // Candidate filter averaging.
-        plan.begins(rec, Step::Blend);
+        plan.blend.begin(rec);
         let evidence =
             Evidence { selected: &selected, errors, sure, variance_of_mean: variance, candidates: &candidates };
         let selection = Arc::new(select_share(rec, extent, smoothed, evidence, params.guard)?);
         let mut blend = Arc::new(select_blend(rec, extent, &selection, &candidates)?);
         let mut color_only = None;
-        if plan.begins(rec, Step::ColorOnly) {
+        if plan.color_only.runs {
+            plan.color_only.begin(rec);
             let (found, blended) = ColorOnly::new(rec, prepared, &candidates, &selection, &blend, work, keeper)?;
             (color_only, blend) = (Some(found), blended);
         }
@@ -414,10 +424,10 @@ impl ColorOnly {
         let (extent, frame) = (prepared.extent, prepared.own.candidate_frame());
         let needed = Needed {
             derivatives: true,
-            half_spread: plan.runs(&Step::HalfSpread),
+            half_spread: plan.half_spread.runs,
             alone: false,
-            channels: plan.runs(&Step::Channels),
-            exact: plan.exact(&Step::Candidates),
+            channels: plan.channels.runs,
+            exact: plan.candidates.exact.as_ref(),
             wanted: wanted.candidates,
         };
         let (filters, window) = ([color_only_filter(params)], params.window());
@@ -452,9 +462,8 @@ impl Pass2 {
     /// Filters pass 1. Returns `None` if the plan has no second pass.
     fn new(rec: &mut Recorder, extent: IVec2, pass1: &Buffer, variance: &Buffer, work: Work) -> Result<Option<Self>> {
         let Work { params, plan, schedule, wanted } = work;
-        let Some(second_pass) = params.second_pass.filter(|_| plan.begins(rec, Step::SecondPass)) else {
-            return Ok(None);
-        };
+        let Some(second_pass) = params.second_pass.filter(|_| plan.second_pass.runs) else { return Ok(None) };
+        plan.second_pass.begin(rec);
         let SecondPass { clamp_to_input, most_sigmas, .. } = second_pass;
         let left_variance =
             variance_smooth(rec, extent, pass1, RESIDUAL_SMOOTHING, clamp_to_input.then_some(variance))?;
@@ -462,7 +471,7 @@ impl Pass2 {
         let (filter, grey) = (second_pass_filter(&second_pass, params.window_radius), work.is_grey());
         let guide = Guide {
             grey,
-            exact: plan.exact(&Step::SecondPass),
+            exact: plan.second_pass.exact.as_ref(),
             wanted: wanted.result,
             ..filter.guide(pass1, &left_variance, 3)
         };
@@ -508,9 +517,9 @@ fn prefilter(
     let slots = packed.own.packing.slots.clone();
     for index in packed.own.packing.order() {
         let FeatureInput { name, channels, .. } = &frames.own[index];
-        let step = Step::Prefilter(name.clone());
-        let exact = plan.exact(&step);
-        let has_noise = plan.begins(rec, step.clone());
+        let step = &plan.prefilters[index];
+        let (exact, has_noise) = (step.exact.as_ref(), step.runs);
+        step.begin(rec);
         let signals = frames.as_ref().try_map(|features| features[index].fetch(rec, extent))?;
         let noisy = signals.try_map(|signal| {
             let variance = if has_noise { noise(rec, extent, &signal, box_weight)? } else { None };
@@ -549,7 +558,7 @@ fn prefilter(
             };
             Ok::<_, Error>((Arc::new(filtered.planes), Some(Arc::new(residual))))
         })?;
-        plan.begins(rec, Step::Features);
+        plan.features.begin(rec);
         for ((filtered, residual_variance), packed) in prefiltered.iter().zip(packed.iter()) {
             feature_pack(rec, extent, packed, slots[index], filtered, residual_variance.as_deref())?;
         }

@@ -15,7 +15,7 @@ use crate::stage::plane_bytes;
 use crate::stage::sample::GpuSamples;
 
 use super::Strip;
-use super::plan::{Plan, Step};
+use super::plan::Plan;
 
 /// A noisy signal on the GPU.
 #[derive(Clone, Debug)]
@@ -207,14 +207,14 @@ impl<'a> FrameInput<'a> {
         plan: &Plan,
     ) -> Result<Self> {
         let mut features = Vec::with_capacity(units.features.len());
-        for wanted in &units.features {
+        for (index, wanted) in units.features.iter().enumerate() {
             let Some(feature) = frame.features().iter().find(|feature| feature.name == wanted.name) else { continue };
             let map = Affine {
                 factor: feature.unit_scale / wanted.unit_scale,
                 shift: (feature.unit_offset - wanted.unit_offset) / wanted.unit_scale,
                 fixed: &feature.misses,
             };
-            let noise = if plan.runs(&Step::Prefilter(feature.name.clone())) { Noise::Told } else { Noise::Absent };
+            let noise = if plan.reads_noise_of_feature(index) { Noise::Told } else { Noise::Absent };
             let source = Source::Host { signal: &feature.signal, strip: *strip, map, noise };
             let channels = feature.signal.mean.channels() as u32;
             features.push(FeatureInput {

@@ -11,7 +11,7 @@ use super::common::{input_variance, with_input_kept};
 use super::estimate::{GpuEstimate, Intermediate, Keeper, Lane, RGB, Unit};
 use super::kernels::{KernelOnGpu, WeightsOnGpu};
 use super::noise::estimate_noise;
-use super::plan::{Facts, Plan, Planner, Step, Wishes, impossible};
+use super::plan::{Facts, PlannedStep, Planner, Wishes, impossible, method_plan};
 use super::spikes::Found;
 use super::{FrameInput, GpuSignal, Method};
 use crate::error::Result;
@@ -36,20 +36,20 @@ pub(super) const INTERMEDIATES: [Intermediate; 5] =
 pub(crate) fn gem(
     rec: &mut Recorder,
     frame: FrameInput,
-    params: &GemParams,
-    plan: &Plan,
+    plan: &GemPlan,
     progress: impl FnMut(&mut Recorder, f32) -> Result<()>,
 ) -> Result<GpuEstimate> {
     let extent = frame.extent;
     let mut keeper = Keeper::new(&plan.keep);
-    let Repaired { color, samples, spikes } = Repaired::new(rec, frame, params, plan)?;
+    let Repaired { color, samples, spikes } = Repaired::new(rec, frame, plan)?;
     if let Some(spikes) = &spikes {
         keeper.keep(Intermediate::Spikes, "spikes", &RGB, Unit::Color, &spikes.spikes, 0);
     }
-    let selected = select(rec, extent, &color, samples, params, plan, &mut keeper, progress)?;
+    let selected = select(rec, extent, &color, samples, plan, &mut keeper, progress)?;
 
     // Sample distribution (6.3): what the host ranks the pixels by, once it knows how many samples there will be.
-    if plan.begins(rec, Step::Density) {
+    if plan.density.runs {
+        plan.density.begin(rec);
         let reduction = Arc::new(scale_reduction(rec, extent, &selected)?);
         keeper.keep(
             Intermediate::Density,
@@ -66,7 +66,7 @@ pub(crate) fn gem(
     let error = Lane { buffer: choice, plane: 0, component: 2 };
     Ok(GpuEstimate {
         weight_sum: Lane { buffer: signal.clone(), plane: 0, component: 3 },
-        signal: with_input_kept(rec, extent, &color, spikes.as_ref(), signal, Some(&error), plan)?,
+        signal: with_input_kept(rec, extent, &color, spikes.as_ref(), signal, Some(&error), &plan.keep_clean)?,
         error: Some(error),
         selection: None,
         spikes: spikes.map(|found| found.spikes),
@@ -75,17 +75,11 @@ pub(crate) fn gem(
 }
 
 /// The kernel at a pixel: the Gaussian of the scale that it comes to.
-pub(super) fn kernels(
-    rec: &mut Recorder,
-    frame: FrameInput,
-    params: &GemParams,
-    plan: &Plan,
-) -> Result<Vec<KernelOnGpu>> {
+pub(super) fn kernels(rec: &mut Recorder, frame: FrameInput, plan: &GemPlan) -> Result<Vec<KernelOnGpu>> {
     let extent = frame.extent;
-    let Repaired { color, samples, .. } = Repaired::new(rec, frame, params, plan)?;
+    let Repaired { color, samples, .. } = Repaired::new(rec, frame, plan)?;
     let averaged = color.signal.clone();
-    let Selected { choice, .. } =
-        select(rec, extent, &color, samples, params, plan, &mut Keeper::new(&[]), |_, _| Ok(()))?;
+    let Selected { choice, .. } = select(rec, extent, &color, samples, plan, &mut Keeper::new(&[]), |_, _| Ok(()))?;
     let weights = WeightsOnGpu::Gaussian(Lane { buffer: Arc::new(choice), plane: 0, component: 0 });
     Ok(vec![KernelOnGpu { name: "scale", averaged, weights, share: None }])
 }
@@ -98,41 +92,43 @@ struct Repaired {
 }
 
 impl Repaired {
-    fn new(rec: &mut Recorder, frame: FrameInput, params: &GemParams, plan: &Plan) -> Result<Self> {
+    fn new(rec: &mut Recorder, frame: FrameInput, plan: &GemPlan) -> Result<Self> {
+        let params = &plan.params;
         let FrameInput { extent, mut color, features, samples, .. } = frame;
         drop(features);
-        if plan.begins(rec, Step::Noise) {
+        if let Some(noise) = plan.noise.as_ref().filter(|noise| noise.runs) {
+            noise.begin(rec);
             estimate_noise(rec, extent, &mut color, &mut [], params.pooling())?;
         }
-        if !plan.begins(rec, Step::Spikes) {
+        if !plan.spikes.runs {
             return Ok(Self { color, samples, spikes: None });
         }
+        plan.spikes.begin(rec);
         let (color, spikes) = params.spikes.repair(rec, extent, color, None)?;
         Ok(Self { color, samples, spikes })
     }
 }
 
 /// The scale that each pixel comes to.
-#[expect(clippy::too_many_arguments, reason = "they are what is left of the method's")]
 fn select(
     rec: &mut Recorder,
     extent: IVec2,
     color: &GpuSignal,
     samples: GpuSamples,
-    params: &GemParams,
-    plan: &Plan,
+    plan: &GemPlan,
     keeper: &mut Keeper,
     mut progress: impl FnMut(&mut Recorder, f32) -> Result<()>,
 ) -> Result<Selected> {
     // Mean variances of the pixels (eq. 6.3). Scaled by the halves, where there are any, they need no purely random
     // samples.
-    plan.begins(rec, Step::Variance);
+    plan.variance.begin(rec);
     let variance = input_variance(rec, extent, color, BoxWeight::Even)?;
     keeper.keep(Intermediate::Variance, "scaled_variance", &RGB, Unit::ColorSquared, &variance, 0);
 
-    plan.begins(rec, Step::Scales);
+    plan.scales.begin(rec);
     let (pixel, mut selected) = scale_pixel(rec, extent, &color.signal, &variance, &samples)?;
     drop((variance, samples));
+    let params = &plan.params;
     let sigmas = params.phase.sigmas();
     let work: f32 = sigmas.iter().sum();
     let mut done = 0.0;
@@ -155,21 +151,39 @@ fn select(
     Ok(selected)
 }
 
-/// The steps in the order of [`gem`]. Without variance its decisions are no less smoothed over the pixels around, so
-/// that a frame without noise is not simply copied.
-pub(super) fn plan(params: &GemParams, facts: &Facts, wishes: &Wishes) -> Plan {
-    let mut plan = Planner::new(wishes);
-    plan.noise(params.pooling(), facts);
-    params.spikes.plan(&mut plan, facts);
-    plan.variance(params.pooling(), facts);
-    plan.step(Step::Scales, "from fine to coarse", &[]);
-    plan.step(
-        Step::Density,
-        "it is asked for",
-        &[impossible(!wishes.keeps(Intermediate::Density), "it is not asked for")],
-    );
-    plan.keep_clean(params.keep_clean);
-    plan.finish()
+method_plan! {
+    /// Plan of GEM.
+    pub struct GemPlan of GemParams {
+        /// Variances that the frame lacks, estimated; `None` if it lacks none.
+        noise: Option<PlannedStep>,
+        /// Spikes taken out of the colour.
+        spikes: PlannedStep,
+        /// The variance of the colour's mean (thesis 8.2).
+        variance: PlannedStep,
+        /// The scales and their choice (thesis 6.2).
+        scales: PlannedStep,
+        /// The quantities of the sampling density (thesis 6.3).
+        density: PlannedStep,
+        /// Pixels without noise put back.
+        keep_clean: PlannedStep,
+    }
+}
+
+/// Plans [`gem`]. Without variance its decisions are no less smoothed over the pixels around, so that a frame without
+/// noise is not simply copied.
+pub(super) fn plan(params: &GemParams, facts: &Facts, wishes: &Wishes) -> GemPlan {
+    let planner = Planner::new(wishes);
+    let unasked = [impossible(!wishes.keeps(Intermediate::Density), "it is not asked for")];
+    GemPlan {
+        params: *params,
+        keep: wishes.keep.to_vec(),
+        noise: planner.noise(params.pooling(), facts),
+        spikes: planner.spikes(params.spikes, facts),
+        variance: planner.variance(params.pooling(), facts),
+        scales: planner.step("scales", "from fine to coarse", &[]),
+        density: planner.step("sampling density", "it is asked for", &unasked).beside_kernels(),
+        keep_clean: planner.keep_clean(params.keep_clean),
+    }
 }
 
 impl From<GemParams> for Method {

@@ -31,15 +31,15 @@ use crate::stage::nlm::Schedule;
 use kernels::KernelOnGpu;
 
 pub(crate) use common::LARGEST_PATCH_RADIUS;
-pub use dfc::DfcParams;
+pub use dfc::{DfcParams, DfcPlan};
 pub use estimate::{GpuEstimate, Intermediate, KeptPlane, Lane, Share, Unit};
 pub(crate) use frame::{FrameInput, Units};
 pub use frame::{GpuFeature, GpuFrame, GpuSignal};
-pub use gem::GemParams;
+pub use gem::{GemParams, GemPlan};
 pub(crate) use memory::{DeviceMemory, Footprint, Strip, strips};
-pub use nlm::NlmParams;
+pub use nlm::{NlmParams, NlmPlan};
 pub(crate) use plan::{Facts, Wishes};
-pub use plan::{Plan, PlannedStep, Step};
+pub use plan::{MethodPlan, Plan, PlannedStep};
 pub use spikes::{SpikeReport, Spikes};
 
 /// A method with its parameters.
@@ -170,9 +170,10 @@ impl Method {
     pub(crate) fn plan(&self, facts: &Facts, wishes: &Wishes) -> Plan {
         match self {
             Self::Dfc(params) => dfc::plan(params, facts, wishes),
-            Self::Gem(params) => gem::plan(params, facts, wishes),
-            Self::Nlm(params) => nlm::plan(params, facts, wishes),
+            Self::Gem(params) => MethodPlan::Gem(Box::new(gem::plan(params, facts, wishes))),
+            Self::Nlm(params) => MethodPlan::Nlm(Box::new(nlm::plan(params, facts, wishes))),
         }
+        .into()
     }
 
     /// Whether its window can hold neighbouring frames of a shot.
@@ -236,10 +237,10 @@ impl Method {
         plan: &Plan,
         schedule: Schedule,
     ) -> Result<Vec<KernelOnGpu>> {
-        match self {
-            Self::Dfc(params) => dfc::kernels(rec, frame, pixel, params, plan, schedule),
-            Self::Gem(params) => gem::kernels(rec, frame, params, plan),
-            Self::Nlm(params) => nlm::kernels(rec, frame, pixel, params, plan, schedule),
+        match &plan.method {
+            MethodPlan::Dfc(plan) => dfc::kernels(rec, frame, pixel, plan, schedule),
+            MethodPlan::Gem(plan) => gem::kernels(rec, frame, plan),
+            MethodPlan::Nlm(plan) => nlm::kernels(rec, frame, pixel, plan, schedule),
         }
     }
 
@@ -265,10 +266,10 @@ impl Method {
         if frames.beside.iter().any(|other| shape(other) != shape(&frames.own)) {
             return Err(Error::Request(RequestCause::FrameShape));
         }
-        match self {
-            Self::Dfc(params) => dfc::dfc(rec, frames, params, plan, schedule, progress),
-            Self::Gem(params) => gem::gem(rec, frames.own, params, plan, progress),
-            Self::Nlm(params) => nlm::nlm(rec, frames, params, plan, schedule, progress),
+        match &plan.method {
+            MethodPlan::Dfc(plan) => dfc::dfc(rec, frames, plan, schedule, progress),
+            MethodPlan::Gem(plan) => gem::gem(rec, frames.own, plan, progress),
+            MethodPlan::Nlm(plan) => nlm::nlm(rec, frames, plan, schedule, progress),
         }
     }
 }

@@ -11,7 +11,7 @@ use super::common::{input_variance, with_input_kept};
 use super::estimate::{GpuEstimate, Intermediate, Keeper, Lane, RGB, Unit};
 use super::kernels::{Compared, KernelOnGpu, WeightRule, WeightsOnGpu};
 use super::noise::estimate_noise;
-use super::plan::{Facts, Plan, Planner, Step, Wishes, impossible, needless};
+use super::plan::{Facts, PlannedStep, Planner, Wishes, impossible, method_plan, needless};
 use super::spikes::Found;
 use super::{FrameInput, GpuSignal, Method};
 use crate::error::{Error, RequestCause, Result};
@@ -51,17 +51,17 @@ const VARIANCE_ALPHA: f32 = 4.0;
 pub(crate) fn nlm(
     rec: &mut Recorder,
     frames: Frames<FrameInput>,
-    params: &NlmParams,
-    plan: &Plan,
+    plan: &NlmPlan,
     schedule: Schedule,
     mut progress: impl FnMut(&mut Recorder, f32) -> Result<()>,
 ) -> Result<GpuEstimate> {
+    let params = &plan.params;
     let extent = frames.own.extent;
     let has_halves = frames.own.color.has_halves;
     let mut keeper = Keeper::new(&plan.keep);
 
     // Variance estimation.
-    let Frames { own, beside } = frames.try_map(|frame| Prepared::new(rec, frame, params, plan, schedule))?;
+    let Frames { own, beside } = frames.try_map(|frame| Prepared::new(rec, frame, plan, schedule))?;
     let Prepared { color, signal, variance, halves, spikes } = &own;
     if let Some(spikes) = spikes {
         keeper.keep(Intermediate::Spikes, "spikes", &RGB, Unit::Color, &spikes.spikes, 0);
@@ -99,27 +99,29 @@ pub(crate) fn nlm(
         } else {
             let others: Vec<_> =
                 beside.iter().map(|frame| Buffers::of_signal(&frame.signal, &frame.variance)).collect();
-            filter(rec, &Buffers::of_signal(signal, variance), &others, !has_halves && plan.runs(&Step::Error))?
+            filter(rec, &Buffers::of_signal(signal, variance), &others, !has_halves && plan.error.runs)?
         };
         progress(rec, to)?;
         Ok::<_, Error>(filtered)
     };
     // Weights from the other half do not depend on the noise of what they average, so that SURE is had for nothing. Of
     // the whole, the share of the work on the own frame alone.
-    let guarded = plan.begins(rec, Step::FilterAlone);
+    let guarded = plan.filter_alone.runs;
+    plan.filter_alone.begin(rec);
     let share = if guarded { 1.0 / (beside.len() as f32 + 2.0) } else { 0.0 };
     let alone = guarded.then(|| filtered_with(rec, &[], 0.0, share)).transpose()?;
-    plan.begins(rec, Step::Filter);
+    plan.filter.begin(rec);
     let filtered = filtered_with(rec, &beside, share, 1.0)?;
     if let Some(alone) = &alone {
-        plan.begins(rec, Step::Frames);
+        plan.frames.begin(rec);
         select_frames_of_filtered(rec, extent, Noisy { signal, variance_of_mean: variance }, alone, &filtered, HARM)?;
     }
     drop((beside, alone));
 
     // Error estimation, and where the next samples pay (thesis 7.1.3).
     let mut error = None;
-    if plan.begins(rec, Step::Error) {
+    if plan.error.runs {
+        plan.error.begin(rec);
         let errors = error_halves(rec, extent, &filtered)?;
         let errors =
             Arc::new(gaussian(rec, extent, &errors, 1, Gaussian::new(ERROR_SMOOTHING_SIGMA), Averaging::Mean)?);
@@ -128,9 +130,10 @@ pub(crate) fn nlm(
     }
 
     let Filtered { planes, weights, .. } = filtered;
-    let signal = with_input_kept(rec, extent, color, spikes.as_ref(), Arc::new(planes), error.as_ref(), plan)?;
+    let signal =
+        with_input_kept(rec, extent, color, spikes.as_ref(), Arc::new(planes), error.as_ref(), &plan.keep_clean)?;
     if keeper.wants(Intermediate::Halves) && has_halves {
-        plan.begins(rec, Step::Filter);
+        plan.filter.begin(rec);
         let Halves { a, b, .. } = half_split(rec, extent, &signal, variance)?;
         keeper.keep(Intermediate::Halves, "half_a", &RGB, Unit::Color, &Arc::new(a), 0);
         keeper.keep(Intermediate::Halves, "half_b", &RGB, Unit::Color, &Arc::new(b), 0);
@@ -185,13 +188,13 @@ pub(super) fn kernels(
     rec: &mut Recorder,
     frame: FrameInput,
     pixel: IVec2,
-    params: &NlmParams,
-    plan: &Plan,
+    plan: &NlmPlan,
     schedule: Schedule,
 ) -> Result<Vec<KernelOnGpu>> {
+    let params = &plan.params;
     let extent = frame.extent;
-    let Prepared { signal, variance, halves, .. } = Prepared::new(rec, frame, params, plan, schedule)?;
-    plan.begins(rec, Step::Filter);
+    let Prepared { signal, variance, halves, .. } = Prepared::new(rec, frame, plan, schedule)?;
+    plan.filter.begin(rec);
     let mut weights = |buffers: Buffers| {
         let cells =
             nlm_window(rec, extent, pixel, &buffers.guide(params), params.window_radius, params.weighting, schedule)?;
@@ -240,16 +243,19 @@ struct Prepared {
 }
 
 impl Prepared {
-    fn new(rec: &mut Recorder, frame: FrameInput, params: &NlmParams, plan: &Plan, schedule: Schedule) -> Result<Self> {
+    fn new(rec: &mut Recorder, frame: FrameInput, plan: &NlmPlan, schedule: Schedule) -> Result<Self> {
+        let params = &plan.params;
         let FrameInput { extent, mut color, features: _, samples, mean_variance } = frame;
-        if plan.begins(rec, Step::Noise) {
+        if let Some(noise) = plan.noise.as_ref().filter(|noise| noise.runs) {
+            noise.begin(rec);
             estimate_noise(rec, extent, &mut color, &mut [], params.pooling())?;
         }
         let mut spikes = None;
-        if plan.begins(rec, Step::Spikes) {
+        if plan.spikes.runs {
+            plan.spikes.begin(rec);
             (color, spikes) = params.spikes.repair(rec, extent, color, None)?;
         }
-        plan.begins(rec, Step::Variance);
+        plan.variance.begin(rec);
         let variance = match params.variance {
             NlmVariance::Scaled => scaled_variance(rec, extent, &color)?,
             NlmVariance::CrossFiltered => cross_filtered_variance(rec, extent, &color, params.weighting, schedule)?,
@@ -271,7 +277,8 @@ impl Prepared {
         let variance =
             Arc::new(variance_floor(rec, extent, &color.signal, &variance, Floor::of_color(params.keep_clean))?);
         let signal = sample_attach(rec, extent, &color.signal, &samples)?;
-        let halves = plan.begins(rec, Step::Halves).then(|| half_split(rec, extent, &signal, &variance)).transpose()?;
+        plan.halves.begin(rec);
+        let halves = plan.halves.runs.then(|| half_split(rec, extent, &signal, &variance)).transpose()?;
         Ok(Self { color, signal, variance, halves, spikes })
     }
 }
@@ -325,39 +332,66 @@ impl From<NlmParams> for Method {
     }
 }
 
-/// The steps in the order of [`nlm`]. A frame without noise is not simply copied: where a patch leaves the image,
-/// opposite neighbours that stand for each other get unequal weights, and what is exact moves.
-pub(super) fn plan(params: &NlmParams, facts: &Facts, wishes: &Wishes) -> Plan {
-    let mut plan = Planner::new(wishes);
-    plan.noise(params.pooling(), facts);
-    params.spikes.plan(&mut plan, facts);
-    let because = match params.variance {
+method_plan! {
+    /// Plan of NLM.
+    pub struct NlmPlan of NlmParams {
+        /// Variances that the frame lacks, estimated; `None` if it lacks none.
+        noise: Option<PlannedStep>,
+        /// Spikes taken out of the colour.
+        spikes: PlannedStep,
+        /// The variance of the colour's mean, as the parameters say.
+        variance: PlannedStep,
+        /// Halves to be filtered by each other (thesis 7.1.1).
+        halves: PlannedStep,
+        /// The filter over the own frame alone, to judge the frames beside by.
+        filter_alone: PlannedStep,
+        /// The filter.
+        filter: PlannedStep,
+        /// Frames beside left out of pixels that they harm.
+        frames: PlannedStep,
+        /// The estimated error of the result.
+        error: PlannedStep,
+        /// Pixels without noise put back.
+        keep_clean: PlannedStep,
+    }
+}
+
+/// Plans [`nlm`]. A frame without noise is not simply copied: where a patch leaves the image, opposite neighbours that
+/// stand for each other get unequal weights, and what is exact moves.
+pub(super) fn plan(params: &NlmParams, facts: &Facts, wishes: &Wishes) -> NlmPlan {
+    let planner = Planner::new(wishes);
+    let variance = match params.variance {
         NlmVariance::Uniform => "the mean of the image, everywhere",
         NlmVariance::Scaled | NlmVariance::CrossFiltered => "what the filters judge differences by",
     };
-    plan.step(Step::Variance, because, &[]);
     let unless = [
         impossible(!params.dual_buffer, "the parameters leave it out"),
         impossible(!facts.has_halves, "the frame has none: it is filtered with its own weights"),
     ];
-    let by_halves = plan.step(Step::Halves, "each is filtered with the weights of the other", &unless);
+    let halves = planner.step("halves", "each is filtered with the weights of the other", &unless);
     let guard = [
         impossible(facts.beside == 0, "there are no frames beside"),
         impossible(!params.guard_frames, "there is no guard"),
         impossible(
-            !by_halves || params.weighting.centre != CentreWeight::One,
+            !halves.runs || params.weighting.centre != CentreWeight::One,
             "the guard needs weights from the other half, and a centre of weight one",
         ),
     ];
-    plan.step(Step::FilterAlone, "to judge the frames beside by", &guard);
-    plan.step(Step::Filter, "makes the result", &[]);
-    plan.step(Step::Frames, "where they harm, frames beside are left out", &guard);
     let unwanted = !wishes.error && !wishes.keeps(Intermediate::Density);
-    plan.step(
-        Step::Error,
-        "what the filtered halves, or weights, show",
-        &[needless(unwanted, "neither the error nor the sampling density is wanted")],
-    );
-    plan.keep_clean(params.keep_clean);
-    plan.finish()
+    let unwanted = [needless(unwanted, "neither the error nor the sampling density is wanted")];
+    NlmPlan {
+        params: *params,
+        keep: wishes.keep.to_vec(),
+        noise: planner.noise(params.pooling(), facts),
+        spikes: planner.spikes(params.spikes, facts),
+        variance: planner.step("variance", variance, &[]),
+        halves,
+        filter_alone: planner.step("filter over one frame", "to judge the frames beside by", &guard).beside_kernels(),
+        filter: planner.step("filter", "makes the result", &[]),
+        frames: planner
+            .step("frames that harm", "where they harm, frames beside are left out", &guard)
+            .beside_kernels(),
+        error: planner.step("error", "what the filtered halves, or weights, show", &unwanted).beside_kernels(),
+        keep_clean: planner.keep_clean(params.keep_clean),
+    }
 }

@@ -1,210 +1,213 @@
 //! The steps of a method that a frame needs. They are decided before anything runs, from the parameters, the requested
 //! results and a look at the frame.
 //!
-//! A method asks its plan at every step, so that the plan is what happens and not a description beside it.
+//! A method asks its plan at every step, so that the plan is what happens and not a description beside it. Each method
+//! has a plan of its own type: it cannot ask for a step that the plan does not know.
 
 use glam::IVec2;
-use serde::{Serialize, Serializer};
+use serde::Serialize;
 
 use super::frame::Units;
 use super::noise::{POOLING_RADIUS, Pooling};
-use super::{GpuFrame, GpuSignal, Intermediate};
+use super::{DfcPlan, GemPlan, GpuFrame, GpuSignal, Intermediate, NlmPlan, Spikes};
 use crate::frame::{Feature, Frame, NoiseTiles, TILE};
 use crate::gpu::Recorder;
 use crate::stage::exact::ExactTiles;
 use crate::stage::variance::INPUT_SMOOTHING;
 
-/// The steps of a method in their order, those that run and those that are left out.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+/// The steps of a method for a frame, those that run and those that are left out.
+#[derive(Clone, Debug, PartialEq)]
 pub struct Plan {
-    /// In the order of the method.
-    pub steps: Vec<PlannedStep>,
-    /// Intermediates to keep.
-    #[serde(skip)]
-    pub keep: Vec<Intermediate>,
+    /// The steps by name and type.
+    pub method: MethodPlan,
     /// Strips that the image is cut into; 1 where it fits as a whole.
     pub strips: usize,
     /// Time to look at the frames, in seconds on the host.
     pub analysis_seconds: f64,
 }
 
-/// One step of a plan.
+/// The steps of each method.
+#[derive(Clone, Debug, PartialEq)]
+pub enum MethodPlan {
+    /// Steps of DFC.
+    Dfc(Box<DfcPlan>),
+    /// Steps of GEM.
+    Gem(Box<GemPlan>),
+    /// Steps of NLM.
+    Nlm(Box<NlmPlan>),
+}
+
+/// A step of a plan.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct PlannedStep {
-    /// The step.
-    pub step: Step,
+    /// Name that users read. Times are listed under it ([`Gpu::step_timings`](crate::gpu::Gpu::step_timings)).
+    #[serde(rename = "step")]
+    pub name: String,
     /// Whether it runs.
     pub runs: bool,
     /// Reason to run it, or to leave it out.
     pub why: String,
     /// Share of the pixels that skip it, 0 to 1; 1 if it does not run.
     pub skipped: f64,
-    /// Tiles that skip it.
-    #[serde(skip)]
-    exact: Option<ExactTiles>,
-}
-
-/// A step of a method. Times are listed under the name of the step
-/// ([`Gpu::step_timings`](crate::gpu::Gpu::step_timings)).
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Step {
-    /// Variances that the frame lacks, estimated; given ones, pooled.
-    Noise,
-    /// Spikes taken out of the colour.
-    Spikes,
-    /// The variance of the colour's mean as the filters want it (thesis 8.2).
-    Variance,
-    /// Use of a feature. Listed if the feature is not used.
-    Feature(String),
-    /// Prefiltering of a feature (Algorithm 1 lines 4 to 10).
-    Prefilter(String),
-    /// Gradients of the features, and their packing.
-    Features,
-    /// The filters that the result is chosen from, over all frames of the window.
-    Candidates,
-    /// One of the candidates.
-    Candidate(&'static str),
-    /// Derivatives of the candidates.
-    Derivatives,
-    /// Half spreads of the candidates.
-    HalfSpread,
-    /// All three channels of the colour; without it one channel stands for all.
-    Channels,
-    /// The candidates over the own frame alone as well; frames beside are left out of pixels that they harm.
-    Frames,
-    /// SURE of the candidates (eq. 8.5).
-    Sure,
-    /// Smoothing of SURE (lines 18 to 22).
-    SureSmoothing,
-    /// Binary selection maps (lines 23 to 26).
-    Selection,
-    /// Smoothing of the selection maps (lines 27 to 31).
-    SelectionSmoothing,
-    /// Averaging of the candidates (lines 32 and 33).
-    Blend,
-    /// Sampling density: where the next samples reduce the error most (thesis 8.6).
-    Density,
-    /// The filter of the noise that pass 1 leaves (lines 34 to 37).
-    SecondPass,
-    /// Halves to be filtered by each other (thesis 7.1.1).
-    Halves,
-    /// The filter of NLM.
-    Filter,
-    /// The filter of NLM over the own frame alone, to judge the frames beside by.
-    FilterAlone,
-    /// The estimated error of the result.
-    Error,
-    /// The scales of GEM and their choice (thesis 6.2).
-    Scales,
-    /// Pixels without noise put back.
-    KeepClean,
-    /// A filter by the colour only, where features are without noise.
-    ColorOnly,
-}
-
-impl Step {
-    /// Name that users read.
-    pub fn name(&self) -> String {
-        let name = match self {
-            Self::Feature(name) => return format!("feature {name}"),
-            Self::Prefilter(name) => return format!("prefilter {name}"),
-            Self::Candidate(name) => name,
-            Self::Noise => "noise",
-            Self::Spikes => "spikes",
-            Self::Variance => "variance",
-            Self::Features => "features",
-            Self::Candidates => "candidates",
-            Self::Derivatives => "derivatives",
-            Self::HalfSpread => "half spread",
-            Self::Channels => "three channels",
-            Self::Frames => "frames that harm",
-            Self::Sure => "SURE",
-            Self::SureSmoothing => "SURE smoothing",
-            Self::Selection => "selection",
-            Self::SelectionSmoothing => "selection smoothing",
-            Self::Blend => "blend",
-            Self::Density => "sampling density",
-            Self::SecondPass => "second pass",
-            Self::Halves => "halves",
-            Self::Filter => "filter",
-            Self::FilterAlone => "filter over one frame",
-            Self::Error => "error",
-            Self::Scales => "scales",
-            Self::KeepClean => "clean pixels",
-            Self::ColorOnly => "colour only",
-        };
-        name.to_owned()
-    }
-
     /// Whether [`kernels`](super::kernels) depend on it. If it is left out, that explains why a filter is missing, or
     /// why a feature does not separate neighbours.
-    pub fn makes_kernels(&self) -> bool {
-        match self {
-            Self::Noise | Self::Spikes | Self::Variance | Self::Feature(_) | Self::Prefilter(_) | Self::Features => {
-                true
-            }
-            Self::Candidates
-            | Self::Candidate(_)
-            | Self::ColorOnly
-            | Self::SecondPass
-            | Self::Halves
-            | Self::Filter
-            | Self::Scales => true,
-            Self::Derivatives | Self::HalfSpread | Self::Channels | Self::Frames | Self::FilterAlone => false,
-            Self::Sure
-            | Self::SureSmoothing
-            | Self::Selection
-            | Self::SelectionSmoothing
-            | Self::Blend
-            | Self::Density
-            | Self::Error
-            | Self::KeepClean => false,
+    #[serde(skip)]
+    pub makes_kernels: bool,
+    /// Tiles that skip it.
+    #[serde(skip)]
+    pub(super) exact: Option<ExactTiles>,
+}
+
+impl PlannedStep {
+    /// Names the step that the dispatches from here on belong to, if it runs.
+    pub(super) fn begin(&self, rec: &mut Recorder) {
+        if self.runs {
+            rec.begin_step(&self.name);
         }
+    }
+
+    /// Lets these tiles skip it, if it runs.
+    pub(super) fn but_for(mut self, exact: Option<&ExactTiles>) -> Self {
+        if let Some(exact) = exact.filter(|_| self.runs) {
+            self.skipped = exact.share();
+            self.exact = Some(exact.clone());
+        }
+        self
+    }
+
+    /// For a step that makes no kernels.
+    pub(super) fn beside_kernels(self) -> Self {
+        Self { makes_kernels: false, ..self }
     }
 }
 
-impl Serialize for Step {
-    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        serializer.serialize_str(&self.name())
+/// Parts of a plan: a step, a step that not every frame has, or a step for each of several things.
+pub(super) trait Steps {
+    /// Appends the steps in their order.
+    fn list<'a>(&'a self, into: &mut Vec<&'a PlannedStep>);
+    /// Changes each step.
+    fn change(&mut self, change: &mut dyn FnMut(&mut PlannedStep));
+}
+
+impl Steps for PlannedStep {
+    fn list<'a>(&'a self, into: &mut Vec<&'a PlannedStep>) {
+        into.push(self);
+    }
+
+    fn change(&mut self, change: &mut dyn FnMut(&mut PlannedStep)) {
+        change(self);
+    }
+}
+
+impl Steps for Option<PlannedStep> {
+    fn list<'a>(&'a self, into: &mut Vec<&'a PlannedStep>) {
+        into.extend(self);
+    }
+
+    fn change(&mut self, change: &mut dyn FnMut(&mut PlannedStep)) {
+        self.iter_mut().for_each(change);
+    }
+}
+
+impl Steps for Vec<PlannedStep> {
+    fn list<'a>(&'a self, into: &mut Vec<&'a PlannedStep>) {
+        into.extend(self);
+    }
+
+    fn change(&mut self, change: &mut dyn FnMut(&mut PlannedStep)) {
+        self.iter_mut().for_each(change);
+    }
+}
+
+/// Declares the plan of a method: its parameters and its steps in the order of the method. A step that is no field is
+/// unknown to the method.
+macro_rules! method_plan {
+    ($(#[$meta:meta])* pub struct $name:ident of $params:ty { $($(#[$doc:meta])* $step:ident: $type:ty),+ $(,)? }) => {
+        $(#[$meta])*
+        #[derive(Clone, Debug, PartialEq)]
+        pub struct $name {
+            /// The parameters that it was made from.
+            pub(in crate::method) params: $params,
+            /// Intermediates to keep.
+            pub(in crate::method) keep: Vec<$crate::method::Intermediate>,
+            $($(#[$doc])* pub $step: $type),+
+        }
+
+        impl $crate::method::plan::Steps for $name {
+            fn list<'a>(&'a self, into: &mut Vec<&'a $crate::method::plan::PlannedStep>) {
+                $(self.$step.list(into);)+
+            }
+
+            fn change(&mut self, change: &mut dyn FnMut(&mut $crate::method::plan::PlannedStep)) {
+                $(self.$step.change(change);)+
+            }
+        }
+    };
+}
+pub(super) use method_plan;
+
+impl MethodPlan {
+    fn as_steps(&self) -> &dyn Steps {
+        match self {
+            Self::Dfc(plan) => &**plan,
+            Self::Gem(plan) => &**plan,
+            Self::Nlm(plan) => &**plan,
+        }
+    }
+
+    fn as_steps_mut(&mut self) -> &mut dyn Steps {
+        match self {
+            Self::Dfc(plan) => &mut **plan,
+            Self::Gem(plan) => &mut **plan,
+            Self::Nlm(plan) => &mut **plan,
+        }
+    }
+
+    /// Leaves out all steps: the frame is the result.
+    pub(super) fn leave_all_out(mut self, why: &str) -> Self {
+        self.as_steps_mut().change(&mut |step| {
+            if step.runs {
+                *step = PlannedStep { runs: false, why: why.to_owned(), skipped: 1.0, exact: None, ..step.clone() };
+            }
+        });
+        self
     }
 }
 
 impl Plan {
-    fn find(&self, step: &Step) -> Option<&PlannedStep> {
-        self.steps.iter().find(|planned| planned.step == *step)
-    }
-
-    /// Whether a step runs.
-    pub fn runs(&self, step: &Step) -> bool {
-        self.find(step).is_some_and(|planned| planned.runs)
-    }
-
-    /// Tiles that skip a step that runs.
-    pub(super) fn exact(&self, step: &Step) -> Option<&ExactTiles> {
-        self.find(step)?.exact.as_ref()
+    /// All steps in the order of the method.
+    pub fn steps(&self) -> Vec<&PlannedStep> {
+        let mut steps = Vec::new();
+        self.method.as_steps().list(&mut steps);
+        steps
     }
 
     /// The plan for a part of the frame that begins at pixel `first`.
     pub(crate) fn starting_at(&self, first: IVec2) -> Self {
-        let moved = |planned: &PlannedStep| PlannedStep {
-            exact: planned.exact.as_ref().map(|exact| exact.starting_at(first)),
-            ..planned.clone()
-        };
-        Self { steps: self.steps.iter().map(moved).collect(), ..self.clone() }
-    }
-
-    /// Begins a step if it runs. Later dispatches belong to this step.
-    pub(super) fn begins(&self, rec: &mut Recorder, step: Step) -> bool {
-        let runs = self.runs(&step);
-        if runs {
-            rec.begin_step(&step.name());
-        }
-        runs
+        let mut moved = self.clone();
+        moved.method.as_steps_mut().change(&mut |step| {
+            step.exact = step.exact.as_ref().map(|exact| exact.starting_at(first));
+        });
+        moved
     }
 
     /// Whether no step runs, so that the frame is the result.
     pub(crate) fn copies_the_frame(&self) -> bool {
-        self.steps.iter().all(|planned| !planned.runs)
+        self.steps().iter().all(|step| !step.runs)
+    }
+
+    /// Whether the method reads the noise of a feature, by the index of the feature among those that are used.
+    pub(super) fn reads_noise_of_feature(&self, index: usize) -> bool {
+        match &self.method {
+            MethodPlan::Dfc(plan) => plan.prefilters.get(index).is_some_and(|step| step.runs),
+            MethodPlan::Gem(_) | MethodPlan::Nlm(_) => false,
+        }
+    }
+}
+
+impl From<MethodPlan> for Plan {
+    fn from(method: MethodPlan) -> Self {
+        Self { method, strips: 1, analysis_seconds: 0.0 }
     }
 }
 
@@ -381,47 +384,41 @@ pub(super) fn needless(holds: bool, why: &'static str) -> Unless {
     Unless { holds, why, could_run: true }
 }
 
-/// Puts a plan together, step by step.
+/// Decides which steps run.
+#[derive(Clone, Copy)]
 pub(super) struct Planner {
     everything: bool,
-    keep: Vec<Intermediate>,
-    steps: Vec<PlannedStep>,
 }
 
 impl Planner {
     pub(super) fn new(wishes: &Wishes) -> Self {
-        Self { everything: wishes.everything, keep: wishes.keep.to_vec(), steps: Vec::new() }
+        Self { everything: wishes.everything }
     }
 
-    /// Adds a step that runs because of a reason, unless one of the other reasons holds. Returns whether it runs.
-    pub(super) fn step(&mut self, step: Step, because: &str, unless: &[Unless]) -> bool {
+    /// A step that runs because of a reason, unless one of the other reasons holds.
+    pub(super) fn step(self, name: impl Into<String>, because: &str, unless: &[Unless]) -> PlannedStep {
         let reason = unless.iter().find(|unless| unless.holds && !(unless.could_run && self.everything));
         let (runs, why) = reason.map_or((true, because), |reason| (false, reason.why));
-        self.steps.push(PlannedStep {
-            step,
+        PlannedStep {
+            name: name.into(),
             runs,
             why: why.to_owned(),
             skipped: if runs { 0.0 } else { 1.0 },
+            makes_kernels: true,
             exact: None,
-        });
-        runs
-    }
-
-    /// Lets these tiles skip the last step, if it runs.
-    pub(super) fn but_for(&mut self, exact: Option<&ExactTiles>) {
-        if let (Some(planned), Some(exact)) =
-            (self.steps.last_mut().filter(|planned| planned.runs && !self.everything), exact)
-        {
-            planned.skipped = exact.share();
-            planned.exact = Some(exact.clone());
         }
     }
 
-    /// Plans the pooling of variances. Lists the step also if the frame lacks variances and the method does not pool
-    /// them.
-    pub(super) fn noise(&mut self, pooling: Pooling, facts: &Facts) {
+    /// Tiles to skip, unless everything runs.
+    pub(super) fn skipping(self, exact: Option<ExactTiles>) -> Option<ExactTiles> {
+        exact.filter(|_| !self.everything)
+    }
+
+    /// Pooling of variances. `None` if the frame lacks no variances, and the method would pool none; the step is there,
+    /// and left out, if the frame lacks variances and the method does not pool them.
+    pub(super) fn noise(self, pooling: Pooling, facts: &Facts) -> Option<PlannedStep> {
         if !facts.lacks_variance() && !pooling.finds_any(facts) {
-            return;
+            return None;
         }
         let because = match (facts.is_image_only(), facts.has_sample_variance, pooling) {
             (true, ..) => "known from the image itself",
@@ -433,49 +430,39 @@ impl Planner {
             impossible(pooling == Pooling::Off, "the parameters leave it out"),
             needless(facts.is_noise_free(), "no pixel has noise"),
         ];
-        self.step(Step::Noise, because, &unless);
+        Some(self.step("noise", because, &unless))
     }
 
-    /// Plans the variance of the colour's mean.
-    pub(super) fn variance(&mut self, pooling: Pooling, facts: &Facts) {
+    /// Spikes taken out of the colour.
+    pub(super) fn spikes(self, spikes: Spikes, facts: &Facts) -> PlannedStep {
+        let because = match spikes {
+            Spikes::Clamp => "what rests on few samples is cut off",
+            Spikes::Keep | Spikes::Spread => "what rests on few samples is spread",
+        };
+        let unless = [
+            impossible(spikes == Spikes::Keep, "the parameters leave it out"),
+            impossible(facts.is_noise_free(), "no pixel has noise"),
+        ];
+        self.step("spikes", because, &unless)
+    }
+
+    /// The variance of the colour's mean, as the filters want it.
+    pub(super) fn variance(self, pooling: Pooling, facts: &Facts) -> PlannedStep {
         let because = match (facts.has_sample_variance, pooling) {
             (true, Pooling::Off | Pooling::Lacking) => "the sample variance, scaled by the halves",
             (false, Pooling::Lacking) | (_, Pooling::All) => "the pooled variance, scaled by the halves",
             (false, Pooling::Off) => "the squared half spread, smoothed",
         };
         self.step(
-            Step::Variance,
+            "variance",
             because,
             &[impossible(!facts.has_halves, "without halves the variance is taken as it is")],
-        );
+        )
     }
 
-    /// Plans that pixels without noise keep their values.
-    pub(super) fn keep_clean(&mut self, keep_clean: bool) {
-        self.step(
-            Step::KeepClean,
-            "pixels without noise stay as they are",
-            &[impossible(!keep_clean, "the parameters leave it out")],
-        );
-    }
-
-    pub(super) fn finish(self) -> Plan {
-        Plan { steps: self.steps, keep: self.keep, strips: 1, analysis_seconds: 0.0 }
-    }
-
-    /// Leaves out all steps: the frame is the result.
-    pub(super) fn leave_all_out(mut self, why: &str) -> Plan {
-        for planned in &mut self.steps {
-            if planned.runs {
-                *planned = PlannedStep {
-                    step: planned.step.clone(),
-                    runs: false,
-                    why: why.to_owned(),
-                    skipped: 1.0,
-                    exact: None,
-                };
-            }
-        }
-        self.finish()
+    /// Pixels without noise keep their values.
+    pub(super) fn keep_clean(self, keep_clean: bool) -> PlannedStep {
+        let unless = [impossible(!keep_clean, "the parameters leave it out")];
+        self.step("clean pixels", "pixels without noise stay as they are", &unless).beside_kernels()
     }
 }

@@ -7,7 +7,6 @@ use glam::IVec2;
 use serde::Serialize;
 
 use super::GpuSignal;
-use super::plan::{Facts, Planner, Step, impossible};
 use crate::error::Result;
 use crate::gpu::{Buffer, Recorder};
 use crate::parameters::choices;
@@ -73,19 +72,6 @@ pub(super) struct Found {
 }
 
 impl Spikes {
-    /// Plans the step.
-    pub(super) fn plan(self, plan: &mut Planner, facts: &Facts) {
-        let because = match self {
-            Self::Clamp => "what rests on few samples is cut off",
-            Self::Keep | Self::Spread => "what rests on few samples is spread",
-        };
-        let unless = [
-            impossible(self == Self::Keep, "the parameters leave it out"),
-            impossible(facts.is_noise_free(), "no pixel has noise"),
-        ];
-        plan.step(Step::Spikes, because, &unless);
-    }
-
     /// A colour without spikes and lights of few pixels, and what was found. Features tell which pixels are
     /// of one kind.
     pub(super) fn repair(

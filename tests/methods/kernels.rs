@@ -7,13 +7,14 @@ use stein::kernels::{Compared, WeightRule};
 use stein::method::dfc::CandidateSet;
 use stein::method::dfc::SecondPass;
 use stein::method::nlm::NlmVariance;
-use stein::method::{Intermediate, Method, Spikes, Step};
+use stein::method::{Intermediate, Method, Spikes};
 use stein::stage::nlm::{CentreWeight, Schedule, Symmetry, Weighting};
 use stein::{Denoiser, DfcParams, Error, Estimate, FilterKernel, Frame, GemParams, Kernels, NlmParams, Options};
 
 use crate::behaviour::{calm_frame, random_frame};
 use crate::common::gpu;
 use crate::frames::{EVERYTHING, Keep, frame, new_frame, noisy};
+use crate::leave_out::dfc;
 
 /// In the way whose kernels are compiled fastest.
 fn denoiser(method: impl Into<Method>) -> Denoiser {
@@ -146,9 +147,9 @@ fn check_dfc_of(what: &str, frame: &Frame, denoiser: &Denoiser, expected: Candid
     for place in places(frame.extent()) {
         let kernels = kernels(denoiser, frame, place, &keep);
         assert_eq!((kernels.x, kernels.y), place);
-        assert_eq!(kernels.plan.steps, estimate.plan.steps, "{what}");
+        assert_eq!(kernels.plan.method, estimate.plan.method, "{what}");
         let second_pass = kernels.filters.iter().position(|filter| filter.name == "second_pass");
-        assert_eq!(second_pass.is_some(), estimate.plan.runs(&Step::SecondPass), "{what}");
+        assert_eq!(second_pass.is_some(), dfc(&estimate.plan).second_pass.runs, "{what}");
         let (candidates, second_pass) = kernels.filters.split_at(second_pass.unwrap_or(kernels.filters.len()));
         check_blend(what, &estimate, candidates, place);
         for filter in second_pass {
@@ -184,7 +185,7 @@ fn crop(render: &str, keep: Keep) -> Frame {
 /// The shares are those of the run, and make its pass 1 of what the candidates make of the pixel.
 #[track_caller]
 fn check_blend(what: &str, estimate: &Estimate, candidates: &[FilterKernel], place: (u32, u32)) {
-    let pass1 = if estimate.plan.runs(&Step::SecondPass) { layer(estimate, "pass1") } else { &estimate.color };
+    let pass1 = if dfc(&estimate.plan).second_pass.runs { layer(estimate, "pass1") } else { &estimate.color };
     let selection = at(estimate.selection.as_ref().unwrap_or_else(|| panic!("{what}: there is a selection")), place);
     let share = |filter: &FilterKernel| filter.share.unwrap_or_else(|| panic!("{what}: {} has a share", filter.name));
     for filter in candidates {
@@ -280,7 +281,7 @@ fn of_the_candidates_of_unusual_frames() {
         variance_of_mean: variance_of_mean.as_ref().map(grey),
     };
     let frame = new_frame(color, Vec::new());
-    assert!(!denoised(&denoiser(params), &frame, &[]).plan.runs(&Step::Channels));
+    assert!(!dfc(&denoised(&denoiser(params), &frame, &[]).plan).channels.runs);
     check_dfc("grey", &frame, params);
 }
 
@@ -441,7 +442,7 @@ fn what_is_left_as_it_is_weighs_itself_alone() {
     assert!(
         kernels.filters.is_empty()
             && kernels.filter("first").is_none()
-            && kernels.plan.steps.iter().all(|step| !step.runs)
+            && kernels.plan.steps().iter().all(|step| !step.runs)
     );
 }
 

@@ -5,7 +5,7 @@ use stein::frame::Signal;
 use stein::gpu::{Gpu, GpuOptions};
 use stein::image::Extent;
 use stein::method::dfc::CandidateSet;
-use stein::method::{Intermediate, Plan, Step};
+use stein::method::{DfcPlan, Intermediate, MethodPlan, Plan, PlannedStep};
 use stein::stage::nlm::Schedule;
 use stein::{Denoiser, DfcParams, Estimate, Frame, GemParams, Image, Method, NlmParams, Options};
 
@@ -36,7 +36,21 @@ fn both(method: impl Into<Method>, frame: &Frame, keep: &[Intermediate], error: 
 }
 
 fn left_out(estimate: &Estimate) -> Vec<String> {
-    estimate.plan.steps.iter().filter(|planned| !planned.runs).map(|planned| planned.step.name()).collect()
+    estimate.plan.steps().iter().filter(|planned| !planned.runs).map(|planned| planned.name.clone()).collect()
+}
+
+/// The plan of DFC.
+pub(crate) fn dfc(plan: &Plan) -> &DfcPlan {
+    match &plan.method {
+        MethodPlan::Dfc(plan) => plan,
+        other => panic!("a plan of another method: {other:?}"),
+    }
+}
+
+/// The step that prefilters a feature.
+fn prefilter<'a>(plan: &'a Plan, feature: &str) -> &'a PlannedStep {
+    let name = format!("prefilter {feature}");
+    dfc(plan).prefilters.iter().find(|step| step.name == name).unwrap_or_else(|| panic!("no step {name}"))
 }
 
 fn crop(features: &'static [&'static str]) -> Frame {
@@ -86,13 +100,9 @@ fn features_without_noise_are_not_prefiltered() {
     let frame = with_exact_features(&crop(&["albedo", "depth", "normal"]), &names);
     for params in [small(DfcParams::default()), small(DfcParams::thesis())] {
         let [planned, everything] = both(params, &frame, &[Intermediate::Features], true);
-        assert!(
-            names.iter().all(|name| !planned.plan.runs(&Step::Prefilter((*name).to_owned()))),
-            "{:?}",
-            left_out(&planned)
-        );
-        assert!(planned.plan.runs(&Step::Prefilter("normal".into())), "{:?}", planned.plan);
-        assert!(everything.plan.runs(&Step::Prefilter("albedo".into())), "{:?}", everything.plan);
+        assert!(names.iter().all(|name| !prefilter(&planned.plan, name).runs), "{:?}", left_out(&planned));
+        assert!(prefilter(&planned.plan, "normal").runs, "{:?}", planned.plan);
+        assert!(prefilter(&everything.plan, "albedo").runs, "{:?}", everything.plan);
         for (layer, of_everything) in planned.layers.iter().zip(&everything.layers) {
             let Some(feature) = frame.features().iter().find(|feature| layer.name.starts_with(&feature.name)) else {
                 panic!("{}", layer.name)
@@ -142,12 +152,8 @@ fn features_that_are_not_used_are_explained() {
     let [with_constant, without] = [&with_constant, &without]
         .map(|frame| run(&denoiser(gpu(), small(DfcParams::default())), frame, Options::default()));
     assert_same("a constant feature", &with_constant, &without, 1.0);
-    let step = with_constant.plan.steps.iter().find(|planned| planned.step == Step::Feature("paint".into()));
-    assert!(
-        step.is_some_and(|planned| !planned.runs && planned.why.contains("same everywhere")),
-        "{:?}",
-        with_constant.plan
-    );
+    let [step] = dfc(&with_constant.plan).unused_features.as_slice() else { panic!("{:?}", with_constant.plan) };
+    assert!(step.name == "feature paint" && !step.runs && step.why.contains("same everywhere"), "{step:?}");
     let none = run(&denoiser(gpu(), small(DfcParams::default())), &crop(&[]), Options::default());
     assert!(left_out(&none).contains(&"features".to_owned()), "{:?}", none.plan);
 }
@@ -265,7 +271,7 @@ fn noise_free_frame() -> Frame {
 fn a_frame_without_noise_is_copied() {
     let frame = noise_free_frame();
     let [planned, everything] = both(small(DfcParams::default()), &frame, &[], true);
-    assert!(planned.plan.steps.iter().all(|planned| !planned.runs), "{:?}", planned.plan);
+    assert!(planned.plan.steps().iter().all(|planned| !planned.runs), "{:?}", planned.plan);
     assert!(planned.color == frame.color().mean && planned.half_spread == frame.color().half_spread);
     assert!(
         error_of(&planned).planes[0]
@@ -285,7 +291,7 @@ fn a_frame_without_noise_is_copied() {
     let third = CandidateSet { first: false, second: false, third: true };
     let other = [small(DfcParams::thesis()), DfcParams { candidates: third, ..small(DfcParams::default()) }];
     for params in other {
-        assert!(run(&denoiser(gpu(), params), &frame, Options::default()).plan.runs(&Step::Candidates));
+        assert!(dfc(&run(&denoiser(gpu(), params), &frame, Options::default()).plan).candidates.runs);
     }
     let kept = run(
         &denoiser(gpu(), small(DfcParams::default())),
@@ -315,25 +321,18 @@ fn half_empty_frame() -> Frame {
     new_frame(emptied(render.color()), features.collect())
 }
 
-fn skipped(estimate: &Estimate, step: &Step) -> f64 {
-    estimate.plan.steps.iter().find(|planned| planned.step == *step).map_or(f64::NAN, |planned| planned.skipped)
-}
-
 /// Tiles that no noise reaches are copied. Nothing else changes but for what the prefilter did to exact features, and
 /// what is copied moves by no more than the filters resolve.
 #[test]
 fn tiles_without_noise_are_copied() {
     let frame = half_empty_frame();
     let [planned, everything] = both(small(DfcParams::default()), &frame, &[], true);
-    for step in [
-        Step::Candidates,
-        Step::SureSmoothing,
-        Step::SelectionSmoothing,
-        Step::SecondPass,
-        Step::Prefilter("depth".into()),
-    ] {
-        let share = skipped(&planned, &step);
-        assert!((0.2..0.6).contains(&share) && skipped(&everything, &step) == 0.0, "{}: {share}", step.name());
+    let steps = |estimate: &Estimate| {
+        let DfcPlan { candidates, sure_smoothing, selection_smoothing, second_pass, .. } = dfc(&estimate.plan).clone();
+        [candidates, sure_smoothing, selection_smoothing, second_pass, prefilter(&estimate.plan, "depth").clone()]
+    };
+    for (step, of_everything) in steps(&planned).into_iter().zip(steps(&everything)) {
+        assert!((0.2..0.6).contains(&step.skipped) && of_everything.skipped == 0.0, "{step:?}");
     }
     // The window, the patch and the smoothing reach 15 pixels, and so two tiles.
     let copied = |image: &Image| {
@@ -364,7 +363,7 @@ fn tiles_without_noise_are_copied() {
     );
     assert_same("keeping pass 1", &keeping, &planned, 1.0);
     assert!(
-        keeping.plan.steps == planned.plan.steps && copied(&keeping.layers[0].image) == copied(&plain.color().mean)
+        keeping.plan.steps() == planned.plan.steps() && copied(&keeping.layers[0].image) == copied(&plain.color().mean)
     );
     // Intermediates that are other there are computed.
     let kept = run(
@@ -372,14 +371,14 @@ fn tiles_without_noise_are_copied() {
         &frame,
         Options { keep: &[Intermediate::Candidates], ..Options::default() },
     );
-    assert_eq!(skipped(&kept, &Step::Candidates), 0.0);
+    assert_eq!(dfc(&kept.plan).candidates.skipped, 0.0);
 }
 
 #[test]
 fn tiles_are_those_of_the_frame_in_every_strip() {
     let tall = stacked(&half_empty_frame());
     let whole = run(&denoiser(gpu(), small(DfcParams::default())), &tall, Options::default());
-    assert!(skipped(&whole, &Step::Candidates) > 0.2);
+    assert!(dfc(&whole.plan).candidates.skipped > 0.2);
     // Of its own: what other tests hold would count.
     let gpu = open(GpuOptions::default());
     let limit = 15_500_000;
@@ -421,9 +420,7 @@ fn tiles_of_a_window_have_no_noise_in_any_of_its_frames() {
     let planned = denoiser(gpu(), params);
     let (whole, everything) = (window(&planned), window(&planned.clone().with_everything()));
     let alone = planned.plan(&[&own], 0, &Options::default()).unwrap_or_else(|error| panic!("{error}"));
-    let share = |plan: &Plan| {
-        plan.steps.iter().find(|planned| planned.step == Step::Candidates).map_or(f64::NAN, |planned| planned.skipped)
-    };
+    let share = |plan: &Plan| dfc(plan).candidates.skipped;
     assert!(
         0.2 < share(&whole.plan) && share(&whole.plan) < share(&alone) - 0.1,
         "{} {}",
@@ -561,14 +558,13 @@ fn times_are_of(estimate: &Estimate, what: &str) {
     timed.dedup();
     timed.sort_unstable();
     timed.dedup();
-    let is_timed =
-        |step: &Step| !matches!(step, Step::Candidate(_) | Step::Derivatives | Step::HalfSpread | Step::Channels);
+    let parts = ["first", "second", "third", "derivatives", "half spread", "three channels"];
     let mut planned: Vec<String> = estimate
         .plan
-        .steps
+        .steps()
         .iter()
-        .filter(|planned| planned.runs && is_timed(&planned.step))
-        .map(|planned| planned.step.name())
+        .filter(|planned| planned.runs && !parts.contains(&planned.name.as_str()))
+        .map(|planned| planned.name.clone())
         .collect();
     planned.sort_unstable();
     assert_eq!(timed, planned, "{what}: {:?}", estimate.plan);

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use glam::{IVec2, UVec2};
 
 use super::{
-    ColorOnly, DfcParams, Pass1, Pass2, Prepared, PreparedFrame, Wanted, Work, color_only_filter, planned_filters,
+    ColorOnly, DfcPlan, Pass1, Pass2, Prepared, PreparedFrame, Wanted, Work, color_only_filter, planned_filters,
     shares_by_name,
 };
 use crate::error::Result;
@@ -13,7 +13,7 @@ use crate::gpu::{Recorder, Run};
 use crate::method::FrameInput;
 use crate::method::estimate::{Keeper, Lane, Share};
 use crate::method::kernels::{Compared, KernelOnGpu, LimitOnGpu, WeightRule, WeightsOnGpu};
-use crate::method::plan::{Plan, Step};
+use crate::method::plan::PlannedStep;
 use crate::stage::candidate_filter::{ByColor, ByFeatures, CandidateFilter};
 use crate::stage::exact::Region;
 use crate::stage::frames::Frames;
@@ -26,11 +26,10 @@ pub(in crate::method) fn kernels(
     rec: &mut Recorder,
     frame: FrameInput,
     pixel: IVec2,
-    params: &DfcParams,
-    plan: &Plan,
+    plan: &DfcPlan,
     schedule: Schedule,
 ) -> Result<Vec<KernelOnGpu>> {
-    let work = Work { params, plan, schedule, wanted: Wanted::default() };
+    let work = Work { params: &plan.params, plan, schedule, wanted: Wanted::default() };
     if rec.is_dry() {
         return Ok(kernels_within(rec, frame, pixel, work)?.kernels);
     }
@@ -66,10 +65,10 @@ fn kernels_within(rec: &mut Recorder, frame: FrameInput, pixel: IVec2, work: Wor
     let mut keeper = Keeper::new(&[]);
     let mut prepared = Prepared::new(rec, Frames::one(frame), work, &mut keeper)?;
     let reach_of_features = prepared.own.features.as_ref().map_or(UVec2::ZERO, |features| features.buffer.reach());
-    plan.begins(rec, Step::Candidates);
-    let filters = planned_filters(params, plan);
+    plan.candidates.begin(rec);
+    let filters = planned_filters(plan);
     let mut kernels = kernels_of_candidates(rec, extent, &prepared.own, &names, &filters, pixel, work)?;
-    if !plan.runs(&Step::Selection) && !plan.runs(&Step::SecondPass) {
+    if !plan.selection.runs && !plan.second_pass.runs {
         // One candidate is the result.
         kernels.iter_mut().for_each(|kernel| kernel.share = Some(Share::Whole));
         let reach_of_candidates = kernels.iter().map(KernelOnGpu::reach).fold(UVec2::ZERO, UVec2::max);
@@ -90,7 +89,7 @@ fn kernels_within(rec: &mut Recorder, frame: FrameInput, pixel: IVec2, work: Wor
     if let Some(pass2) = Pass2::new(rec, extent, &pass1.blend, &prepared.own.variance, work)? {
         let Pass2 { filter, left_variance, filtered, result } = pass2;
         let window_radius = filter.window_radius;
-        let weights = if is_exact_at(pixel, plan, &Step::SecondPass) {
+        let weights = if is_exact_at(pixel, &plan.second_pass) {
             WeightsOnGpu::Exact { window_radius }
         } else {
             let guide = Guide { grey: work.is_grey(), ..filter.guide(&pass1.blend, &left_variance, 3) };
@@ -115,8 +114,8 @@ fn kernels_within(rec: &mut Recorder, frame: FrameInput, pixel: IVec2, work: Wor
 }
 
 /// Whether a step leaves this pixel as it is.
-fn is_exact_at(pixel: IVec2, plan: &Plan, step: &Step) -> bool {
-    plan.exact(step).is_some_and(|exact| exact.is_exact(&Region { first: pixel, size: IVec2::ONE }))
+fn is_exact_at(pixel: IVec2, step: &PlannedStep) -> bool {
+    step.exact.as_ref().is_some_and(|exact| exact.is_exact(&Region { first: pixel, size: IVec2::ONE }))
 }
 
 /// The kernels of these filters, for which the features are called `names`.
@@ -131,7 +130,7 @@ fn kernels_of_candidates(
 ) -> Result<Vec<KernelOnGpu>> {
     let Work { params, plan, schedule, .. } = work;
     let (window_radius, averaged) = (params.window_radius, &frame.color.signal);
-    if is_exact_at(pixel, plan, &Step::Candidates) {
+    if is_exact_at(pixel, &plan.candidates) {
         let left = |filter: &CandidateFilter| KernelOnGpu {
             name: filter.name,
             averaged: averaged.clone(),

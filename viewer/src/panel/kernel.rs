@@ -9,7 +9,7 @@ use eframe::egui::{
 };
 use stein::FilterKernel;
 use stein::kernels::{Compared, Distance, WeightRule};
-use stein::method::{PlannedStep, Step};
+use stein::method::PlannedStep;
 
 use super::status::joined;
 use crate::inspector::{
@@ -93,9 +93,9 @@ fn explanations(ui: &mut Ui, inspected: &Inspected, shown: Option<(&FilterKernel
     let left_out = inspected
         .kernels
         .plan
-        .steps
-        .iter()
-        .filter(|planned| !planned.runs && planned.step.makes_kernels())
+        .steps()
+        .into_iter()
+        .filter(|planned| !planned.runs && planned.makes_kernels)
         .map(left_out);
     let of_filter = shown.into_iter().flat_map(|(filter, window)| [rule(filter), decisions(filter, window)]);
     for text in of_filter.chain(left_out).filter(|text| !text.is_empty()) {
@@ -104,11 +104,7 @@ fn explanations(ui: &mut Ui, inspected: &Inspected, shown: Option<(&FilterKernel
 }
 
 fn left_out(planned: &PlannedStep) -> String {
-    let name = match &planned.step {
-        Step::Candidate(name) => title(name),
-        step => step.name(),
-    };
-    format!("{name} is left out: {}", planned.why)
+    format!("{} is left out: {}", title(&planned.name), planned.why)
 }
 
 /// Returns the title of a filter, as its layer is called.

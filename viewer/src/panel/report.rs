@@ -67,11 +67,11 @@ fn run(ui: &mut Ui, denoised: &Denoised, noisy_error: Option<f64>) {
     );
     ui.add_space(2.0);
     let times = estimate.step_times.as_deref().unwrap_or_default();
-    for planned in &estimate.plan.steps {
-        let lean = denoised.lean_plan.steps.iter().find(|lean| lean.step == planned.step).unwrap_or(planned);
-        let name = planned.step.name();
-        let taken: f64 = times.iter().filter(|time| time.step == name).map(|time| time.time.seconds).sum();
-        step(ui, lean, &name, taken);
+    for planned in estimate.plan.steps() {
+        let lean = denoised.lean_plan.steps().into_iter().find(|lean| lean.name == planned.name).unwrap_or(planned);
+        let name = &planned.name;
+        let taken: f64 = times.iter().filter(|time| time.step == *name).map(|time| time.time.seconds).sum();
+        step(ui, lean, name, taken);
     }
     let Some(stages) = &estimate.stage_times else { return };
     ui.separator();
