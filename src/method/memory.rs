@@ -96,8 +96,8 @@ impl DeviceMemory {
 }
 
 /// Cuts a frame into strips of which each, with the same rows of the frames beside it, fits the adapter's limits on
-/// bindings and dispatches and the memory. `whole` is the footprint of the frame as one piece, `dry_run` finds that of
-/// strips of it.
+/// bindings and dispatches and the memory. `whole` is the footprint of the frame as one piece, whose halo holds for
+/// every strip; `dry_run` finds the footprint of strips where `memory` is the limit.
 ///
 /// # Errors
 /// [`Error::Device`] where not even one row with its halo fits; as `dry_run`.
@@ -128,7 +128,7 @@ pub(crate) fn strips(
             && rows <= u64::from(gpu.max_workgroups())
     };
     let in_one_piece = cut(1);
-    if fits(&in_one_piece, &whole) {
+    if fits(&in_one_piece, &whole) || fits(&in_one_piece, &dry_run(&in_one_piece)?) {
         return Ok(in_one_piece);
     }
     // The fewest strips of which the tallest fits by itself. The tallest of two has a halo on one side alone, and may be

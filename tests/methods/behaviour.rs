@@ -10,7 +10,7 @@ use stein::frame::FeatureKind;
 use stein::frame::Signal;
 use stein::gpu::{Gpu, GpuOptions, Pace};
 use stein::image::Extent;
-use stein::method::{GpuFeature, GpuFrame, GpuSignal, Spikes};
+use stein::method::{GpuFeature, GpuFrame, GpuSignal, Intermediate, Spikes};
 use stein::stage::nlm::Schedule;
 use stein::stage::sample::GpuSamples;
 use stein::{Denoiser, DfcParams, Error, Estimate, Frame, Image, Options};
@@ -104,11 +104,10 @@ pub(crate) fn assert_same(what: &str, actual: &Estimate, expected: &Estimate, fa
 }
 
 /// The most memory with which a frame is cut into so many strips, or nearly the most.
-pub(crate) fn memory_for_strips(denoiser: &Denoiser, frame: &Frame, strips: usize) -> u64 {
+pub(crate) fn memory_for_strips(denoiser: &Denoiser, frame: &Frame, strips: usize, keep: &[Intermediate]) -> u64 {
     let strips_in = |denoiser: &Denoiser| {
-        denoiser
-            .requirements(&[frame], 0, &Options::default())
-            .unwrap_or_else(|error| panic!("{strips} strips: {error}"))
+        let options = Options { keep, ..Options::default() };
+        denoiser.requirements(&[frame], 0, &options).unwrap_or_else(|error| panic!("{strips} strips: {error}"))
     };
     let mut limit = strips_in(denoiser).peak_bytes;
     while strips_in(&denoiser.clone().with_max_memory(limit)).strips < strips {
@@ -123,7 +122,7 @@ fn strips_give_the_bits_of_the_whole() {
         let whole = denoised(&denoiser(gpu(), params()), &frame);
         assert_eq!(whole.strips, 1);
         for strips in [3, 5] {
-            let limit = memory_for_strips(&denoiser(gpu(), params()), &frame, strips);
+            let limit = memory_for_strips(&denoiser(gpu(), params()), &frame, strips, &[]);
             let estimate = denoised(&denoiser(gpu(), params()).with_max_memory(limit), &frame);
             assert!(estimate.strips >= strips, "{} strips in {limit} bytes", estimate.strips);
             assert_same(&format!("{} strips", estimate.strips), &estimate, &whole, 1.0);
@@ -156,7 +155,7 @@ fn strips_keep_to_the_memory_allowed() {
     let gpu = open(GpuOptions::default());
     let frame = random_frame(24, 300, 1.0);
     for strips in [3, 5] {
-        let limit = memory_for_strips(&denoiser(&gpu, params()), &frame, strips);
+        let limit = memory_for_strips(&denoiser(&gpu, params()), &frame, strips, &[]);
         let peak = denoised(&denoiser(&gpu, params()).with_max_memory(limit), &frame).peak_bytes;
         assert!(peak <= limit, "{peak} bytes where {limit} were allowed");
     }
@@ -375,7 +374,7 @@ fn runs_share_a_device_and_nothing_else() {
         ..DfcParams::default()
     };
     let narrow = denoiser(&gpu, narrow);
-    let limit = memory_for_strips(&narrow, &small, 3);
+    let limit = memory_for_strips(&narrow, &small, 3, &[]);
     let limited = narrow.with_max_memory(limit);
     let free = denoiser(&gpu, params());
     let alone = [denoised(&limited, &small), denoised(&free, &large)];

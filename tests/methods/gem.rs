@@ -168,7 +168,7 @@ fn strips_give_the_bits_of_the_whole_within_the_memory_allowed() {
         // Of its own: what other tests hold would count.
         let gpu = open(GpuOptions::default());
         let in_strips = Denoiser::new(&gpu, params).unwrap_or_else(|error| panic!("{error}"));
-        let limit = memory_for_strips(&in_strips, &frame, 3);
+        let limit = memory_for_strips(&in_strips, &frame, 3, in_strips.method().intermediates());
         let in_strips = in_strips.with_max_memory(limit);
         let estimate = all_of(&in_strips, &frame);
         assert!(estimate.strips >= 3, "{phase:?}: {} strips", estimate.strips);

@@ -195,7 +195,7 @@ fn strips_and_schedules_give_the_bits_of_the_whole() {
                 .unwrap_or_else(|error| panic!("{error}"));
             let whole = denoised_by(&denoiser, &frame);
             assert_eq!(whole.strips, 1);
-            let limit = memory_for_strips(&denoiser, &frame, 3);
+            let limit = memory_for_strips(&denoiser, &frame, 3, &[]);
             let strips = denoised_by(&denoiser.clone().with_max_memory(limit), &frame);
             assert!(strips.strips >= 3, "{} strips", strips.strips);
             assert_same(&format!("{variance:?}, {} strips", strips.strips), &strips, &whole);
@@ -214,7 +214,7 @@ fn strips_keep_to_the_memory_allowed() {
         for dual_buffer in [true, false] {
             let denoiser = Denoiser::new(&gpu, small(NlmParams { variance, dual_buffer, ..NlmParams::default() }))
                 .unwrap_or_else(|error| panic!("{error}"));
-            let limit = memory_for_strips(&denoiser, &frame, 3);
+            let limit = memory_for_strips(&denoiser, &frame, 3, &[]);
             let peak = denoised_by(&denoiser.with_max_memory(limit), &frame).peak_bytes;
             assert!(peak <= limit, "{variance:?}: {peak} bytes where {limit} were allowed");
         }

@@ -298,7 +298,7 @@ fn strips_repair_like_the_whole() {
     for method in methods() {
         let whole = denoised(method, &[&frame], &[]);
         let denoiser = Denoiser::new(gpu(), method).unwrap_or_else(|error| panic!("{error}"));
-        let limit = memory_for_strips(&denoiser, &frame, 3);
+        let limit = memory_for_strips(&denoiser, &frame, 3, &[]);
         let cut = denoiser.with_max_memory(limit).denoise(&frame).unwrap_or_else(|error| panic!("{error}"));
         assert!(whole.strips == 1 && cut.strips >= 3, "{}: {} strips", method.name(), cut.strips);
         assert_same(&format!("{} in {} strips", method.name(), cut.strips), &cut, &whole, 1.0);
