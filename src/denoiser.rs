@@ -197,37 +197,25 @@ impl Denoiser {
         self.plan_in(frames, centre, &units, options).map(|(plan, _)| plan)
     }
 
-    fn plan_in(
-        &self,
-        frames: &[&Frame],
-        centre: usize,
-        units: &Units,
-        options: &Options,
-    ) -> Result<(Plan, Vec<Strip>)> {
+    fn plan_in(&self, frames: &[&Frame], centre: usize, units: &Units, options: &Options) -> Result<(Plan, Cut)> {
         let start = Instant::now();
         let facts = Facts::of_window(frames, centre, units, self.method.uses_features());
         let wishes = Wishes { keep: options.keep, error: options.error, everything: self.everything };
         let plan = self.method.plan(&facts, &wishes);
         let analysis_seconds = start.elapsed().as_secs_f64();
-        let strips = self.strips(frames, centre, units, &plan, options)?;
-        Ok((Plan { strips: strips.len(), analysis_seconds, ..plan }, strips))
+        let cut = self.cut(frames, centre, units, &plan, options)?;
+        Ok((Plan { strips: cut.strips.len(), analysis_seconds, ..plan }, cut))
     }
 
     /// Cuts the frame into strips whose buffers fit.
-    fn strips(
-        &self,
-        frames: &[&Frame],
-        centre: usize,
-        units: &Units,
-        plan: &Plan,
-        options: &Options,
-    ) -> Result<Vec<Strip>> {
+    fn cut(&self, frames: &[&Frame], centre: usize, units: &Units, plan: &Plan, options: &Options) -> Result<Cut> {
         let extent = frames[centre].extent();
-        let whole = [Strip::whole(extent)];
-        let dry_run = |strips: &[Strip]| self.dry_run(frames, centre, units, plan, strips);
-        let footprint = dry_run(&whole)?;
-        let memory = self.memory(frames[centre], footprint.kept_planes, options)?;
-        strips(&self.gpu, extent, memory, footprint, dry_run)
+        let dry_run = |limit, strips: &[Strip]| self.dry_run(frames, centre, units, plan, limit, strips);
+        let whole = dry_run(self.max_memory, &[Strip::whole(extent)])?;
+        let memory = self.memory(frames[centre], whole.kept_planes, options)?;
+        let limit = memory.bytes();
+        let strips = strips(&self.gpu, extent, memory, whole, |strips| dry_run(limit, strips))?;
+        Ok(Cut { strips, limit })
     }
 
     /// Runs the method dry on these strips, one after the other.
@@ -237,9 +225,10 @@ impl Denoiser {
         centre: usize,
         units: &Units,
         plan: &Plan,
+        memory_limit: Option<u64>,
         strips: &[Strip],
     ) -> Result<Footprint> {
-        let run = Run::dry(self.max_memory);
+        let run = Run::dry(memory_limit);
         let mut footprint = Footprint { halo: 0, peak_bytes: 0, largest_bytes: 0, kept_planes: 0 };
         // Nothing runs for a frame that is copied.
         for strip in strips.iter().filter(|_| !plan.copies_the_frame()) {
@@ -279,8 +268,8 @@ impl Denoiser {
     pub fn requirements(&self, frames: &[&Frame], centre: usize, options: &Options) -> Result<Requirements> {
         self.check_window(frames, centre)?;
         let units = Units::of_window(frames, centre, self.method.uses_features(), 1.0);
-        let (plan, strips) = self.plan_in(frames, centre, &units, options)?;
-        let Footprint { halo, peak_bytes, .. } = self.dry_run(frames, centre, &units, &plan, &strips)?;
+        let (plan, Cut { strips, limit }) = self.plan_in(frames, centre, &units, options)?;
+        let Footprint { halo, peak_bytes, .. } = self.dry_run(frames, centre, &units, &plan, limit, &strips)?;
         Ok(Requirements { peak_bytes, halo, strips: strips.len() })
     }
 
@@ -326,9 +315,9 @@ impl Denoiser {
             with_mean_variance.iter().enumerate().filter(|(index, _)| *index != centre).map(|(_, frame)| *frame);
         // What an earlier frame of another size left behind would count against the limit.
         self.gpu.trim();
-        let (plan, strips) = self.plan_in(frames, centre, &units, &options)?;
+        let (plan, Cut { strips, limit }) = self.plan_in(frames, centre, &units, &options)?;
         let Options { error, mut progress, pace, .. } = options;
-        let run = Run::new(self.max_memory);
+        let run = Run::new(limit);
         let out_of_memory = |shortage: Shortage| shortage.error("the result");
         let mut assembly = Assembly::new(frame, &units, error).map_err(out_of_memory)?;
         if plan.copies_the_frame() {
@@ -404,6 +393,12 @@ impl Denoiser {
 /// The frames beside the one in the centre.
 fn beside<'a>(frames: &'a [&'a Frame], centre: usize) -> impl Iterator<Item = &'a Frame> {
     frames.iter().enumerate().filter(move |(index, _)| *index != centre).map(|(_, frame)| *frame)
+}
+
+/// Strips of a frame, and the bytes that buffers may take on the device while they are denoised.
+struct Cut {
+    strips: Vec<Strip>,
+    limit: Option<u64>,
 }
 
 /// Bytes that are on their way between host and device at one time, at most, and their copies there.

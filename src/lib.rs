@@ -37,6 +37,11 @@
 //! look at the frame. The methods ask it at every step. [`Denoiser::with_everything`] also runs the steps that the plan
 //! leaves out, to compare: the result is the same to the bit, or within bounds that stand where the plan is made.
 //!
+//! # Dry runs
+//! A method is described once, by its function. In a [dry run](gpu::Run::dry) buffers have a size and a reach and
+//! dispatches do nothing else than add up reaches, so that the function itself tells its peak memory and its halo. The
+//! cut into strips follows from it; [`Denoiser::requirements`] tells both.
+//!
 //! # Half buffers
 //! Halves travel as the mean and one *half spread*, `(A − B)·√(n_A·n_B)/n`. Its expectation is zero, its square is the
 //! two-buffer estimate of the variance of the mean, and with fixed weights it is filtered like the mean. So the factor

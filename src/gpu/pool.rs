@@ -82,17 +82,25 @@ impl Buffer {
     }
 
     /// Returns the wgpu buffer, for embedders; it may be larger than [`Buffer::bytes`].
+    ///
+    /// # Panics
+    /// If the buffer belongs to a [dry run](Run::dry), which has no buffers on the device.
     pub fn wgpu(&self) -> &wgpu::Buffer {
         match &self.memory {
             Memory::Device(buffer) => buffer,
-            Memory::Dry(_) => unreachable!("a dry run, which this crate keeps to itself, hands nothing to the device"),
+            Memory::Dry(_) => panic!("the buffer '{}' belongs to a dry run, which has none on the device", self.label),
         }
     }
 
-    /// Returns on how many columns and rows beside a pixel its value depends, by a dry run.
-    pub(crate) fn reach(&self) -> UVec2 {
+    /// Returns the number of columns and rows beside a pixel that its value in this buffer depends on, if the buffer
+    /// belongs to a [dry run](Run::dry); otherwise 0.
+    pub fn reach(&self) -> UVec2 {
         let reach = self.reach.get();
         reach.front.max(reach.back)
+    }
+
+    pub(super) fn is_dry(&self) -> bool {
+        matches!(self.memory, Memory::Dry(_))
     }
 
     pub(super) fn shared_reach(&self) -> &SharedReach {

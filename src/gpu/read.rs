@@ -30,7 +30,7 @@ impl Gpu {
     ///
     /// # Errors
     /// [`Error::Request`] where the part reaches beyond the end of the buffer, where `offset_bytes` is no multiple of
-    /// four, or where commands that use the buffer are not submitted; [`Error::Device`] where the device failed.
+    /// four, where commands that use the buffer are not submitted, or where it belongs to a dry run; [`Error::Device`] where the device failed.
     pub fn read_into(&self, buffer: &Buffer, offset_bytes: u64, values: &mut [f32]) -> Result<()> {
         self.read_with(buffer, offset_bytes, values.len(), |first, piece| {
             values[first..first + piece.len()].copy_from_slice(piece);
@@ -57,6 +57,12 @@ impl Gpu {
                 buffer.bytes()
             );
             return refuse(problem, "read whole values within the buffer");
+        }
+        if buffer.is_dry() {
+            return refuse(
+                format!("the buffer '{label}' belongs to a dry run, which computes nothing"),
+                "run the work",
+            );
         }
         if self.inner.pool.is_open(buffer.last_use()) {
             return refuse(

@@ -105,10 +105,9 @@ impl Recorder {
         &self.gpu
     }
 
-    /// Returns whether nothing of what is recorded will execute: a dry run finds how much memory work takes and how far
-    /// its results depend on the frame around a pixel. Work may then leave out buffers that it takes and gives back
-    /// again, and dispatches that look no further than others.
-    pub(crate) fn is_dry(&self) -> bool {
+    /// Returns whether the commands belong to a [dry run](Run::dry) and will not execute. Work may then leave out
+    /// dispatches that write to the same buffers as others and look no further.
+    pub fn is_dry(&self) -> bool {
         self.run.is_dry()
     }
 
@@ -236,6 +235,10 @@ impl Recorder {
         bindings: &B,
         invocations: [u32; 3],
     ) -> Result<()> {
+        if self.is_dry() {
+            propagate(B::SLOTS, &bindings.values());
+            return Ok(());
+        }
         let failure = |problem: String| Error::Shader { stage: kernel.stage().into(), problem };
         if kernel.slots != B::SLOTS {
             return Err(failure("it is dispatched with bindings of another stage".into()));

@@ -41,10 +41,12 @@ impl Run {
         Self(Arc::new(Shared { limit: memory_limit, ..Shared::default() }))
     }
 
-    /// Makes a run without memory and commands: its buffers have a size and a reach, its dispatches only let what they
-    /// write reach as far as what they read. [`Run::peak_bytes`] becomes that of the same work on a device that holds
-    /// no idle buffers at its begin.
-    pub(crate) fn dry(memory_limit: Option<u64>) -> Self {
+    /// Makes a run without memory and commands. Its buffers have a size and a reach ([`Buffer::reach`]) and no content;
+    /// its dispatches compile and execute nothing, but let what they write reach as far as what they read.
+    /// [`Run::peak_bytes`] is that of the same work on a device that holds no idle buffers when the work begins.
+    ///
+    /// [`Buffer::reach`]: super::Buffer::reach
+    pub fn dry(memory_limit: Option<u64>) -> Self {
         Self(Arc::new(Shared { limit: memory_limit, dry: Some(Arc::default()), ..Shared::default() }))
     }
 

@@ -1,5 +1,5 @@
-//! How an image is cut into strips of rows that fit: what a strip costs, and how far its result reaches into its
-//! neighbours.
+//! How an image is cut into strips of rows that fit, by what dry runs tell of the memory that a strip takes and of the
+//! rows around it that its result depends on.
 
 use crate::error::{DeviceCause, Error, Result};
 use crate::gpu::Gpu;
@@ -87,8 +87,8 @@ impl DeviceMemory {
 }
 
 /// Cuts a frame into strips of which each, with the same rows of the frames beside it, fits the adapter's limits on
-/// bindings and dispatches and the memory. `whole` is the footprint of the frame as one piece, `dry_run` finds that of
-/// strips of it.
+/// bindings and dispatches and the memory. `whole` is the footprint of the frame as one piece, whose halo holds for
+/// every strip; `dry_run` finds the footprint of strips where `memory` is the limit.
 ///
 /// # Errors
 /// [`Error::Device`] where not even one row with its halo fits; as `dry_run`.
@@ -119,15 +119,16 @@ pub(crate) fn strips(
             && rows <= u64::from(gpu.max_workgroups())
     };
     let in_one_piece = cut(1);
-    if fits(&in_one_piece, &whole) {
+    if fits(&in_one_piece, &whole) || fits(&in_one_piece, &dry_run(&in_one_piece)?) {
         return Ok(in_one_piece);
     }
-    // The fewest strips of which the tallest fits by itself.
+    // The fewest strips of which the tallest fits by itself. The tallest of two has a halo on one side alone, and may be
+    // lower than that of three.
     let tallest_fits = |count: usize| {
         let Some(tallest) = tallest(&cut(count)) else { return Ok(true) };
         Ok::<_, Error>(fits(&[tallest], &dry_run(&[tallest])?))
     };
-    let (mut too_few, mut count) = (1, height);
+    let (mut too_few, mut count) = if tallest_fits(2)? { (1, 2) } else { (2, height.max(2)) };
     while count - too_few > 1 {
         let middle = too_few.midpoint(count);
         if tallest_fits(middle)? {
@@ -137,7 +138,7 @@ pub(crate) fn strips(
         }
     }
     // Of all of them, one after the other, each has the idle buffers of those before it beside it.
-    for count in count..=height {
+    for count in count..=height.max(count) {
         let strips = cut(count);
         if fits(&strips, &dry_run(&strips)?) {
             return Ok(strips);

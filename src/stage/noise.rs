@@ -371,7 +371,8 @@ pub fn noise_of_image(
         &NoiseResidual {
             params,
             signal,
-            highpass: highpass.within(fit_radius),
+            // Without features nothing is fitted.
+            highpass: highpass.within(if groups.is_empty() { 0 } else { fit_radius }),
             residual,
             relative_spread: relative_spread.within(0).front(),
         },

@@ -15,6 +15,7 @@ use stein_twin as bridge;
 
 mod behaviour;
 mod beside;
+mod dry;
 mod gem;
 mod kernels;
 mod leave_out;

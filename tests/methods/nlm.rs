@@ -11,7 +11,7 @@ use stein::stage::nlm::{CentreWeight, Schedule, Symmetry, Weighting};
 use stein::stage::sample::GpuSamples;
 use stein::{Denoiser, DfcParams, Error, Estimate, NlmParams, Options};
 
-use crate::behaviour::{calm_frame, image, random_frame};
+use crate::behaviour::{calm_frame, image, memory_for_strips, random_frame};
 use crate::bridge::{self, exposure, grids, nlm_params};
 use crate::common::{assert_near, gpu, open, own_size};
 use crate::frames::{EVERYTHING, Keep, error_of, frame, new_frame, noisy};
@@ -196,7 +196,8 @@ fn strips_and_schedules_give_the_bits_of_the_whole() {
                 .unwrap_or_else(|error| panic!("{error}"));
             let whole = denoised_by(&denoiser, &frame);
             assert_eq!(whole.strips, 1);
-            let strips = denoised_by(&denoiser.clone().with_max_memory(STRIP_LIMIT), &frame);
+            let limit = memory_for_strips(&denoiser, &frame, 3, &[]);
+            let strips = denoised_by(&denoiser.clone().with_max_memory(limit), &frame);
             assert!(strips.strips >= 3, "{} strips", strips.strips);
             assert_same(&format!("{variance:?}, {} strips", strips.strips), &strips, &whole);
             let schedule = Schedule { scratch_bytes: 20_000, block_rows: 5, ..Schedule::SOFTWARE };
@@ -204,9 +205,6 @@ fn strips_and_schedules_give_the_bits_of_the_whole() {
         }
     }
 }
-
-/// Some 30 planes of 24 pixels and up to 90 rows of halo, and a third more for the scratch.
-const STRIP_LIMIT: u64 = 1_900_000;
 
 #[test]
 fn strips_keep_to_the_memory_allowed() {
@@ -217,8 +215,9 @@ fn strips_keep_to_the_memory_allowed() {
         for dual_buffer in [true, false] {
             let denoiser = Denoiser::new(&gpu, small(NlmParams { variance, dual_buffer, ..NlmParams::default() }))
                 .unwrap_or_else(|error| panic!("{error}"));
-            let peak = denoised_by(&denoiser.with_max_memory(STRIP_LIMIT), &frame).peak_bytes;
-            assert!(peak <= STRIP_LIMIT, "{variance:?}: {peak} bytes where {STRIP_LIMIT} were allowed");
+            let limit = memory_for_strips(&denoiser, &frame, 3, &[]);
+            let peak = denoised_by(&denoiser.with_max_memory(limit), &frame).peak_bytes;
+            assert!(peak <= limit, "{variance:?}: {peak} bytes where {limit} were allowed");
         }
     }
 }

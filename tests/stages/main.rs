@@ -18,6 +18,7 @@ mod gaussian;
 mod keep_clean;
 mod nlm;
 mod noise;
+mod reach;
 mod scale;
 mod select;
 mod spike;
