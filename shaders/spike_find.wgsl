@@ -6,16 +6,11 @@
 // and the larger of them is used, because either may miss it. A light has many bright samples, and without noise
 // infinitely many. It is set aside, so that no average includes it, and comes back at the end.
 #import stein::planes::{pixel_index}
-#import stein::spike::{SpikeParams, SpikeFeatures, are_alike, brightness, has_noise}
+#import stein::spike::{brightness, has_noise}
+#import stein::spike_kind::{params, is_like}
 
-const FEATURE_GROUPS: i32 = #{FEATURE_GROUPS};
-
-@group(0) @binding(0) var<uniform> params: SpikeParams;
 // Two planes: the mean, then the half spread.
 @group(0) @binding(1) var<storage, read> signal: array<vec4<f32>>;
-#if FEATURE_GROUPS != 0
-@group(0) @binding(2) var<storage, read> features: array<vec4<f32>>;
-#endif
 #ifdef VARIANCE
 @group(0) @binding(3) var<storage, read> sample_variance: array<vec4<f32>>;
 @group(0) @binding(4) var<storage, read_write> repaired_variance: array<vec4<f32>>;
@@ -40,25 +35,6 @@ fn claimed_variance(at: i32) -> vec3<f32> {
 #else
     return two_buffer_variance(at);
 #endif
-}
-
-#if FEATURE_GROUPS != 0
-fn features_at(at: i32, group: i32) -> SpikeFeatures {
-    let pixels = params.extent.x * params.extent.y;
-    let plane = 3 * group * pixels + at;
-    return SpikeFeatures(features[plane], features[plane + pixels], features[plane + 2 * pixels]);
-}
-#endif
-
-// Whether the pixel at q is of the same kind.
-fn is_like(at_p: i32, at_q: i32) -> bool {
-    var alike = true;
-#if FEATURE_GROUPS != 0
-    for (var group = 0; group < FEATURE_GROUPS && alike; group++) {
-        alike = are_alike(features_at(at_p, group), features_at(at_q, group), params.triple_weights[group].xyz, params);
-    }
-#endif
-    return alike;
 }
 
 @compute @workgroup_size(32, 2, 1)

@@ -5,37 +5,14 @@
 // stands for as many pixels as there would have to be until the next one. A spike that would raise the level around it
 // by more than a certain part is rarer than that: the more it would raise the level, the more of the spike is left out.
 #import stein::planes::{pixel_index}
-#import stein::spike::{SpikeParams, SpikeFeatures, affinity, are_alike, brightness, falloff}
+#import stein::spike::{affinity, brightness, falloff}
+#import stein::spike_kind::{params, is_like}
 
-const FEATURE_GROUPS: i32 = #{FEATURE_GROUPS};
-
-@group(0) @binding(0) var<uniform> params: SpikeParams;
 // Output of spike_find: the amount taken from each pixel. Here w becomes the part of this amount that other pixels get;
 // the second plane becomes the amount that one of them would get at the position of the spike.
 @group(0) @binding(1) var<storage, read_write> spikes: array<vec4<f32>>;
-#if FEATURE_GROUPS != 0
-@group(0) @binding(2) var<storage, read> features: array<vec4<f32>>;
-#endif
 // Output of spike_level.
 @group(0) @binding(3) var<storage, read> levels: array<vec4<f32>>;
-
-#if FEATURE_GROUPS != 0
-fn features_at(at: i32, group: i32) -> SpikeFeatures {
-    let pixels = params.extent.x * params.extent.y;
-    let plane = 3 * group * pixels + at;
-    return SpikeFeatures(features[plane], features[plane + pixels], features[plane + 2 * pixels]);
-}
-#endif
-
-fn is_like(at_p: i32, at_q: i32) -> bool {
-    var alike = true;
-#if FEATURE_GROUPS != 0
-    for (var group = 0; group < FEATURE_GROUPS && alike; group++) {
-        alike = are_alike(features_at(at_p, group), features_at(at_q, group), params.triple_weights[group].xyz, params);
-    }
-#endif
-    return alike;
-}
 
 @compute @workgroup_size(32, 2, 1)
 fn main(@builtin(global_invocation_id) id: vec3<u32>) {

@@ -16,6 +16,7 @@ pub(super) const SHARED: &[(&str, &str)] = sources!("shaders/shared":
     "exact",
     "noise",
     "spike",
+    "spike_kind",
     "window",
 );
 
