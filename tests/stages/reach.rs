@@ -45,7 +45,7 @@ impl Inputs {
                 .flat_map(|(level, pixel)| {
                     let factor = changed(pixel / extent.x);
                     // What is 0 changes as well.
-                    let shift = (factor - 1.0).max(0.0).min(1.0);
+                    let shift = (factor - 1.0).clamp(0.0, 1.0);
                     let mut channel = || {
                         let random = random.uniform_grid(1, 1, 0.0, 1.0).values[0];
                         (levels(IVec2::new(pixel % extent.x, pixel / extent.x), random)[level] * factor + shift) as f32
