@@ -3,6 +3,7 @@
 
 use stein::frame::Signal;
 use stein::gpu::{GpuOptions, MemoryUse};
+use stein::method::nlm::NlmVariance;
 use stein::method::{Intermediate, Preset, Spikes};
 use stein::{
     Denoiser, DfcParams, Estimate, Extent, Frame, GemParams, Gpu, Image, Method, NlmParams, Options, Requirements,
@@ -175,7 +176,7 @@ fn noise(width: usize, height: usize, told: Told, spikes: f64, rows: std::ops::R
     let factor = |pixel: usize, factor: f32| if is_changed(pixel) { factor } else { 1.0 };
     let color = Signal {
         mean: image(3, &mut |pixel, random| {
-            (1.2 + 0.5 * random as f32) * spike(pixel, 40.0) * factor(pixel, change.mean)
+            (1.05 + 0.9 * random as f32) * spike(pixel, 40.0) * factor(pixel, change.mean)
         }),
         half_spread: Some(image(3, &mut |pixel, random| {
             (0.6 * random as f32 - 0.3) * spike(pixel, 200.0) * factor(pixel, change.noise)
@@ -186,21 +187,18 @@ fn noise(width: usize, height: usize, told: Told, spikes: f64, rows: std::ops::R
         }))
         .filter(|_| told.variance),
     };
-    let feature =
-        |image: &mut dyn FnMut(usize, &mut dyn FnMut(usize, f64) -> f32) -> Image, channels, noisy: bool| Signal {
-            mean: image(channels, &mut |pixel, random| match pixel {
-                // The unit range.
-                0 | 1 => pixel as f32,
-                _ if change.values && is_changed(pixel) => random.round() as f32,
-                _ => 0.4 + 0.2 * random as f32,
-            }),
-            half_spread: noisy.then(|| {
-                image(channels, &mut |pixel, random| (0.1 * random as f32 - 0.05) * factor(pixel, change.feature_noise))
-            }),
-            variance_of_mean: None,
-        };
-    let noisy = feature(&mut image, 3, true);
-    let exact = feature(&mut image, 1, false);
+    let mut values = |channels: usize| {
+        image(channels, &mut |pixel, random| match pixel {
+            // The unit range.
+            0 | 1 => pixel as f32,
+            _ if change.values && is_changed(pixel) => random.round() as f32,
+            _ => 0.4 + 0.2 * random as f32,
+        })
+    };
+    let (albedo, depth) = (values(3), values(1));
+    let spread = image(3, &mut |pixel, random| (0.1 * random as f32 - 0.05) * factor(pixel, change.feature_noise));
+    let noisy = Signal { mean: albedo, half_spread: Some(spread), variance_of_mean: None };
+    let exact = Signal { mean: depth, half_spread: None, variance_of_mean: None };
     let features = [("albedo".to_owned(), noisy), ("depth".to_owned(), exact)];
     new_frame(color, features.into_iter().filter(|_| told.features).collect())
 }
@@ -282,8 +280,8 @@ fn nothing_beyond_the_halo_matters() {
 #[test]
 fn the_halo_is_no_larger_than_what_matters() {
     for params in [NlmParams::default(), NlmParams::thesis()] {
-        // Weights between 0 and 1.
-        let method = small(NlmParams { k: 2.0, cut: 0.0, ..params }.into());
+        // Weights between 0 and 1, also of patches with other variances.
+        let method = small(NlmParams { k: 1.0, cut: 0.0, variance: NlmVariance::Scaled, ..params }.into());
         for told in KINDS.into_iter().filter(|told| !told.features) {
             Case::new(gpu(), method.with_spikes(Spikes::Keep), told).check_within();
         }

@@ -4,8 +4,10 @@
 use glam::IVec2;
 use stein::error::Result;
 use stein::gpu::{Buffer, Recorder, Run};
-use stein::stage::candidate::{CandidateFilter, Needed, candidates};
+use stein::stage::candidate::{CandidateFrame, CandidateWindow, Needed, candidates};
+use stein::stage::candidate_filter::{ByColor, ByFeatures, CandidateFilter};
 use stein::stage::feature::{Features, feature_pack};
+use stein::stage::frames::Frames;
 use stein::stage::gaussian::{Averaging, Gaussian, gaussian};
 use stein::stage::keep_clean::{CleanRule, Input, keep_clean};
 use stein::stage::nlm::{CentreWeight, Guide, Payload, Schedule, Symmetry, Weighting, nlm_filter};
@@ -45,7 +47,7 @@ impl Inputs {
                 .flat_map(|(level, pixel)| {
                     let factor = changed(pixel / extent.x);
                     // What is 0 changes as well.
-                    let shift = (factor - 1.0).max(0.0).min(1.0);
+                    let shift = (factor - 1.0).clamp(0.0, 1.0);
                     let mut channel = || {
                         let random = random.uniform_grid(1, 1, 0.0, 1.0).values[0];
                         (levels(IVec2::new(pixel % extent.x, pixel / extent.x), random)[level] * factor + shift) as f32
@@ -209,40 +211,21 @@ fn filters_look_as_far_as_they_say() {
                 Ok(nlm_filter(rec, extent, &guide, &payload, 3, weighting, false, Schedule::SOFTWARE)?.planes)
             });
         }
-        let filter = CandidateFilter {
-            window_radius: 3,
-            color_k: 2.0,
-            first_patch_radius: 1,
-            second_patch_radius: 2,
-            feature_k: 1.0,
-            feature_tau: 0.1,
-            feature_tau_third: 0.1,
-            weighting,
+        let features = Some(ByFeatures { k: 1.0, tau: 0.1 });
+        let by_color = |name, patch_radius| {
+            let color = Some(ByColor { k: 2.0, patch_radius });
+            CandidateFilter { name, color, features, rival: None }
         };
-        let candidate = |which: usize| {
-            move |rec: &mut Recorder, extent: IVec2, Inputs { signal, variance, feature }: &Inputs| {
-                let features = Features::take(rec, extent, &[3])?;
-                feature_pack(rec, extent, &features, features.packing.slots[0], feature, None)?;
-                let made = candidates(
-                    rec,
-                    extent,
-                    signal,
-                    variance,
-                    Some(&features),
-                    &[],
-                    &filter,
-                    Needed::EVERYTHING,
-                    Schedule::SOFTWARE,
-                    |_, _| Ok(()),
-                )?;
-                let [_, second, _] = made.together.signals;
-                let derivatives = made.together.derivatives;
-                let output = if which == 0 { second } else { derivatives };
-                let output = output.and_then(std::sync::Arc::into_inner);
-                Ok(output.unwrap_or_else(|| panic!("SECOND takes part")))
-            }
-        };
-        check("candidates", even, candidate(0));
-        check("their derivatives", even, candidate(1));
+        let filters = [by_color("small", 1), by_color("large", 2)];
+        let window = CandidateWindow { radius: 3, weighting };
+        check("candidates", even, |rec, extent, Inputs { signal, variance, feature }| {
+            let features = Features::take(rec, extent, &[3])?;
+            feature_pack(rec, extent, &features, features.packing.slots[0], feature, None)?;
+            let frame =
+                CandidateFrame { payload: signal, guide: None, variance_of_mean: variance, features: Some(&features) };
+            let (frames, needed, schedule) = (Frames::one(frame), Needed::EVERYTHING, Schedule::SOFTWARE);
+            let made = candidates(rec, extent, &frames, &filters, window, needed, schedule, |_, _| Ok(()))?;
+            Ok(std::sync::Arc::into_inner(made.together.planes).unwrap_or_else(|| panic!("nobody else holds them")))
+        });
     }
 }
