@@ -239,10 +239,7 @@ fn without_halves_and_variance_that_can_be_used_the_noise_is_estimated_from_the_
     };
     let neither = with(None, None);
     assert_eq!(neither.1.notes.len(), 1, "{}", neither.1);
-    assert_image_only(
-        neither,
-        &["neither two halves nor a variance", "`BufferSetRequest::half_a`", "`BufferSetRequest::variance`"],
-    );
+    assert_image_only(neither, &["neither two halves nor a variance", "give both as halves", "layer `variance`"]);
     let infinite = || Some(flat(f32::INFINITY, 3));
     assert_image_only(with(None, infinite()), &["the variance has no usable value", "image viewer"]);
     assert_image_only(with(infinite(), None), &["the halves have no usable value", "image viewer"]);
