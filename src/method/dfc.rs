@@ -243,11 +243,10 @@ impl Prepared {
         // Feature prefiltering.
         let (colors, features) = frames.unzip();
         let features = prefilter(rec, extent, features, work, keeper)?;
-        let frames = colors.zip(features);
+        let mut frames = colors.zip(features);
 
         // Spikes.
         let mut of_each = None;
-        let mut frames = frames;
         if plan.spikes.runs {
             plan.spikes.begin(rec);
             frames = frames.try_map(|(color, features)| {

@@ -106,9 +106,19 @@ pub(crate) fn assert_same(what: &str, actual: &Estimate, expected: &Estimate, fa
 
 /// The most memory with which a frame is cut into so many strips, or nearly the most.
 pub(crate) fn memory_for_strips(denoiser: &Denoiser, frame: &Frame, strips: usize, keep: &[Intermediate]) -> u64 {
+    memory_for_strips_of_window(denoiser, &[frame], strips, keep)
+}
+
+/// As [`memory_for_strips`], for the first frame of a window.
+pub(crate) fn memory_for_strips_of_window(
+    denoiser: &Denoiser,
+    frames: &[&Frame],
+    strips: usize,
+    keep: &[Intermediate],
+) -> u64 {
     let strips_in = |denoiser: &Denoiser| {
         let options = Options { keep, ..Options::default() };
-        denoiser.requirements(&[frame], 0, &options).unwrap_or_else(|error| panic!("{strips} strips: {error}"))
+        denoiser.requirements(frames, 0, &options).unwrap_or_else(|error| panic!("{strips} strips: {error}"))
     };
     let mut limit = strips_in(denoiser).peak_bytes;
     while strips_in(&denoiser.clone().with_max_memory(limit)).strips < strips {

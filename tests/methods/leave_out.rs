@@ -9,7 +9,7 @@ use stein::method::{DfcPlan, Intermediate, MethodPlan, Plan, PlannedStep};
 use stein::stage::nlm::Schedule;
 use stein::{Denoiser, DfcParams, Estimate, Frame, GemParams, Image, Method, NlmParams, Options};
 
-use crate::behaviour::{assert_same, image, memory_for_strips};
+use crate::behaviour::{assert_same, image, memory_for_strips, memory_for_strips_of_window};
 use crate::common::{calm_scene, gpu, open};
 use crate::frames::{EVERYTHING, Keep, error_of, frame, new_frame, noisy};
 use crate::reference::{Grid, Point};
@@ -381,8 +381,9 @@ fn tiles_are_those_of_the_frame_in_every_strip() {
     assert!(dfc(&whole.plan).candidates.skipped > 0.2);
     // Of its own: what other tests hold would count.
     let gpu = open(GpuOptions::default());
-    let limit = 15_500_000;
-    let in_strips = run(&denoiser(&gpu, small(DfcParams::default())).with_max_memory(limit), &tall, Options::default());
+    let in_strips = denoiser(&gpu, small(DfcParams::default()));
+    let limit = memory_for_strips(&in_strips, &tall, 2, &[]);
+    let in_strips = run(&in_strips.with_max_memory(limit), &tall, Options::default());
     assert!(
         in_strips.strips >= 2 && in_strips.peak_bytes <= limit,
         "{} strips, {} bytes",
@@ -433,7 +434,9 @@ fn tiles_of_a_window_have_no_noise_in_any_of_its_frames() {
 
     // Of its own: what other tests hold would count.
     let gpu = open(GpuOptions::default());
-    let in_strips = window(&denoiser(&gpu, params).with_max_memory(17_500_000));
+    let in_strips = denoiser(&gpu, params);
+    let limit = memory_for_strips_of_window(&in_strips, &[&own, &beside], 2, &[]);
+    let in_strips = window(&in_strips.with_max_memory(limit));
     assert!(in_strips.strips >= 2, "{} strips", in_strips.strips);
     assert_same("in strips", &in_strips, &whole, 1.0);
 }
