@@ -8,9 +8,8 @@
 struct ResolveParams {
     // Which sums of the pass. 0: small patches, 1: large patches.
     sums: i32,
-    // Place among the candidates, of which there are so many.
+    // Place among the candidates.
     candidate: i32,
-    candidates: i32,
 }
 
 @group(0) @binding(0) var<uniform> params: NlmParams;
@@ -18,9 +17,12 @@ struct ResolveParams {
 @group(0) @binding(2) var<storage, read> payload: array<vec4<f32>>;
 @group(0) @binding(3) var<storage, read> variance_of_mean: array<vec4<f32>>;
 @group(0) @binding(4) var<storage, read> state: array<vec4<f32>>;
-// Two planes for each candidate: mean with Σ w in w, half spread. Behind them, with DERIVATIVES, one plane for each:
-// dF_i/du_i per channel.
-@group(0) @binding(5) var<storage, read_write> filtered: array<vec4<f32>>;
+// One plane for each candidate: the mean with Σ w in w, the half spread, and dF_i/du_i per channel.
+@group(0) @binding(5) var<storage, read_write> means: array<vec4<f32>>;
+@group(0) @binding(6) var<storage, read_write> spreads: array<vec4<f32>>;
+#ifdef DERIVATIVES
+@group(0) @binding(7) var<storage, read_write> derivatives: array<vec4<f32>>;
+#endif
 
 struct Resolved {
     // Filtered value minus the centre's.
@@ -74,10 +76,10 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     let spread_p = payload[pixels + at_p].xyz;
     let of_candidate = resolved(params.rows * params.width, row * params.width + column,
         difference_step(u_p, variance_of_mean[at_p]));
-    let at_mean = 2 * resolve.candidate * pixels + at_p;
-    filtered[at_mean] = vec4<f32>(u_p + of_candidate.mean, of_candidate.weight_sum);
-    filtered[pixels + at_mean] = vec4<f32>(spread_p + of_candidate.spread, 0.0);
+    let at = resolve.candidate * pixels + at_p;
+    means[at] = vec4<f32>(u_p + of_candidate.mean, of_candidate.weight_sum);
+    spreads[at] = vec4<f32>(spread_p + of_candidate.spread, 0.0);
 #ifdef DERIVATIVES
-    filtered[(2 * resolve.candidates + resolve.candidate) * pixels + at_p] = vec4<f32>(of_candidate.derivative, 0.0);
+    derivatives[at] = vec4<f32>(of_candidate.derivative, 0.0);
 #endif
 }

@@ -28,19 +28,20 @@ struct ErrorBlendParams {
 @group(0) @binding(1) var<storage, read> blended: array<vec4<f32>>;
 // Variance of the mean of the input.
 @group(0) @binding(2) var<storage, read> variance_of_mean: array<vec4<f32>>;
-// Two planes for each: mean, half spread; behind them, one plane for each: dF_i/du_i per channel.
-@group(0) @binding(3) var<storage, read> candidates: array<vec4<f32>>;
+// One plane for each candidate: dF_i/du_i per channel.
+@group(0) @binding(3) var<storage, read> derivatives: array<vec4<f32>>;
 #ifdef SHARED
 // One plane for four candidates, one component for each. Without it, the only candidate is the blend.
 @group(0) @binding(4) var<storage, read> shares: array<vec4<f32>>;
+// One plane for each candidate: the mean.
+@group(0) @binding(5) var<storage, read> means: array<vec4<f32>>;
 #endif
-@group(0) @binding(5) var<storage, read_write> errors: array<vec4<f32>>;
+@group(0) @binding(6) var<storage, read_write> errors: array<vec4<f32>>;
 
 // Σ_i σ_i²·dF_i/du_i of a candidate. A derivative outside 0 to 1 comes from the weights; it is not the share of the
 // pixel's own noise that is left in the pixel.
 fn own_noise(candidate: i32, at: i32) -> f32 {
-    let plane = 2 * CANDIDATES + candidate;
-    let derivative = candidates[plane * params.extent.x * params.extent.y + at].xyz;
+    let derivative = derivatives[candidate * params.extent.x * params.extent.y + at].xyz;
     return dot(variance_of_mean[at].xyz, clamp(derivative, vec3<f32>(0.0), vec3<f32>(1.0)));
 }
 
@@ -68,7 +69,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     let mean = blended[at].xyz;
     for (var candidate = 0; candidate < CANDIDATES; candidate++) {
         let share = shares[candidate / 4 * pixels + at][candidate % 4];
-        error += of_candidate(share, candidate, candidates[2 * candidate * pixels + at].xyz, mean, at);
+        error += of_candidate(share, candidate, means[candidate * pixels + at].xyz, mean, at);
     }
 #else
     error += params.own_noise * own_noise(0, at);

@@ -22,12 +22,13 @@ const ROUNDING: f32 = 1e-5;
 @group(0) @binding(3) var<storage, read> blended: array<vec4<f32>>;
 // One plane for four candidates, one component for each; they sum to 1.
 @group(0) @binding(4) var<storage, read> shares: array<vec4<f32>>;
-// Two planes for each: mean, half spread; behind them, one plane for each: dF_i/du_i per channel.
-@group(0) @binding(5) var<storage, read> candidates: array<vec4<f32>>;
-// The same planes of one filter.
-@group(0) @binding(6) var<storage, read> other: array<vec4<f32>>;
+// One plane for each candidate: dF_i/du_i per channel.
+@group(0) @binding(5) var<storage, read> derivatives: array<vec4<f32>>;
+// Mean and derivatives of the other filter.
+@group(0) @binding(6) var<storage, read> other_means: array<vec4<f32>>;
+@group(0) @binding(7) var<storage, read> other_derivatives: array<vec4<f32>>;
 // x: the difference, y: its square.
-@group(0) @binding(7) var<storage, read_write> differences: array<vec4<f32>>;
+@group(0) @binding(8) var<storage, read_write> differences: array<vec4<f32>>;
 
 @compute @workgroup_size(32, 2, 1)
 fn main(@builtin(global_invocation_id) id: vec3<u32>) {
@@ -42,13 +43,13 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
         let share = shares[candidate / 4 * pixels + at][candidate % 4];
         // A candidate that takes no part may hold anything.
         if share > 0.0 {
-            derivative += share * candidates[(2 * CANDIDATES + candidate) * pixels + at].xyz;
+            derivative += share * derivatives[candidate * pixels + at].xyz;
         }
     }
     let u = signal[at].xyz;
     let variance = variance_of_mean[at].xyz;
     let of_blend = sure(u, variance, blended[at].xyz, derivative, params.covariance);
-    let of_other = sure(u, variance, other[at].xyz, other[2 * pixels + at].xyz, params.covariance);
+    let of_other = sure(u, variance, other_means[at].xyz, other_derivatives[at].xyz, params.covariance);
     // Two sums that differ only by rounding say nothing, however large they are.
     let terms = abs(of_other) + abs(of_blend) + dot(variance, vec3<f32>(1.0));
     let apart = of_other - of_blend;

@@ -17,10 +17,11 @@ struct SureParams {
 @group(0) @binding(0) var<uniform> params: SureParams;
 @group(0) @binding(1) var<storage, read> signal: array<vec4<f32>>;
 @group(0) @binding(2) var<storage, read> variance_of_mean: array<vec4<f32>>;
-// Two planes for each: mean, half spread; behind them, one plane for each: dF_i/du_i per channel.
-@group(0) @binding(3) var<storage, read> candidates: array<vec4<f32>>;
+// One plane for each candidate: the mean, and dF_i/du_i per channel.
+@group(0) @binding(3) var<storage, read> means: array<vec4<f32>>;
+@group(0) @binding(4) var<storage, read> derivatives: array<vec4<f32>>;
 // One plane for four candidates, one component for each; 0 in components that no candidate has.
-@group(0) @binding(4) var<storage, read_write> errors: array<vec4<f32>>;
+@group(0) @binding(5) var<storage, read_write> errors: array<vec4<f32>>;
 
 @compute @workgroup_size(32, 2, 1)
 fn main(@builtin(global_invocation_id) id: vec3<u32>) {
@@ -35,8 +36,8 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     for (var first = 0; first < CANDIDATES; first += 4) {
         var of_each = vec4<f32>(0.0);
         for (var candidate = first; candidate < min(first + 4, CANDIDATES); candidate++) {
-            let filtered = candidates[2 * candidate * pixels + at].xyz;
-            let derivative = candidates[(2 * CANDIDATES + candidate) * pixels + at].xyz;
+            let filtered = means[candidate * pixels + at].xyz;
+            let derivative = derivatives[candidate * pixels + at].xyz;
             of_each[candidate - first] = sure(u, variance, filtered, derivative, params.covariance);
         }
         errors[first / 4 * pixels + at] = of_each;

@@ -21,10 +21,10 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     let pixels = params.extent.x * params.extent.y;
     let at = pixel_index(p, params.extent);
     for (var plane = 0; plane < params.planes; plane++) {
-        result[(params.first_plane + plane) * pixels + at] = before[plane * pixels + at];
+        result[(params.to_plane + plane) * pixels + at] = before[(params.from_plane + plane) * pixels + at];
     }
 #ifdef WEIGHT_SUM
-    // Σ w in the w of a signal's mean.
-    result[params.first_plane * pixels + at].w = 1.0;
+    // Σ w in the w of a mean.
+    result[params.to_plane * pixels + at].w = 1.0;
 #endif
 }

@@ -21,9 +21,9 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     let at = pixel_index(p, params.extent);
     for (var plane = 0; plane < params.planes; plane++) {
 #ifdef ONES
-        result[(params.first_plane + plane) * pixels + at] = vec4<f32>(1.0, 1.0, 1.0, 0.0);
+        result[plane * pixels + at] = vec4<f32>(1.0, 1.0, 1.0, 0.0);
 #else
-        result[(params.first_plane + plane) * pixels + at] = vec4<f32>(0.0);
+        result[plane * pixels + at] = vec4<f32>(0.0);
 #endif
     }
 }

@@ -18,16 +18,26 @@ struct SelectFramesParams {
 @group(0) @binding(0) var<uniform> params: SelectFramesParams;
 @group(0) @binding(1) var<storage, read> signal: array<vec4<f32>>;
 @group(0) @binding(2) var<storage, read> variance_of_mean: array<vec4<f32>>;
-// Filters over the own frame. Two planes for each: mean, half spread; behind them, one plane for each: dF_i/du_i per
-// channel. Or, WEIGHT_SUMS, one filter, and one plane of its own with Σ w in x: where the weights do not depend on the
-// noise of what is averaged, the centre's share 1 / Σ w is the derivative.
+// Filters over the own frame, one plane for each: the mean, the half spread, and dF_i/du_i per channel. Or, WEIGHT_SUMS,
+// one filter, two planes for mean and half spread, and Σ w in x: where the weights do not depend on the noise of what is
+// averaged, the centre's share 1 / Σ w is the derivative.
 @group(0) @binding(3) var<storage, read> alone: array<vec4<f32>>;
-// The same planes over all frames; they become the chosen ones.
-@group(0) @binding(4) var<storage, read_write> together: array<vec4<f32>>;
-#ifdef WEIGHT_SUMS
-@group(0) @binding(5) var<storage, read> alone_weights: array<vec4<f32>>;
-@group(0) @binding(6) var<storage, read_write> weights: array<vec4<f32>>;
+@group(0) @binding(4) var<storage, read> alone_derivatives: array<vec4<f32>>;
+// The same over all frames; they become the chosen ones.
+@group(0) @binding(5) var<storage, read_write> together: array<vec4<f32>>;
+@group(0) @binding(6) var<storage, read_write> derivatives: array<vec4<f32>>;
+#ifndef WEIGHT_SUMS
+@group(0) @binding(7) var<storage, read> alone_spreads: array<vec4<f32>>;
+@group(0) @binding(8) var<storage, read_write> spreads: array<vec4<f32>>;
 #endif
+
+fn derivative(of_pixel: vec4<f32>) -> vec3<f32> {
+#ifdef WEIGHT_SUMS
+    return vec3<f32>(1.0 / of_pixel.x);
+#else
+    return of_pixel.xyz;
+#endif
+}
 
 @compute @workgroup_size(32, 2, 1)
 fn main(@builtin(global_invocation_id) id: vec3<u32>) {
@@ -40,25 +50,17 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     let u = signal[at].xyz;
     let variance = variance_of_mean[at].xyz;
     for (var candidate = 0; candidate < CANDIDATES; candidate++) {
-        let at_mean = 2 * candidate * pixels + at;
+        let of_candidate = candidate * pixels + at;
+        let error_alone = sure(u, variance, alone[of_candidate].xyz, derivative(alone_derivatives[of_candidate]), 1.0);
+        let error_together = sure(u, variance, together[of_candidate].xyz, derivative(derivatives[of_candidate]), 1.0);
+        if error_together - error_alone > error_by_chance(together[of_candidate].xyz - alone[of_candidate].xyz,
+            variance, params.own_sigmas, params.own_noise) {
+            together[of_candidate] = alone[of_candidate];
+            derivatives[of_candidate] = alone_derivatives[of_candidate];
 #ifdef WEIGHT_SUMS
-        let alone_derivative = vec3<f32>(1.0 / alone_weights[at].x);
-        let derivative = vec3<f32>(1.0 / weights[at].x);
+            together[pixels + at] = alone[pixels + at];
 #else
-        let at_derivative = (2 * CANDIDATES + candidate) * pixels + at;
-        let alone_derivative = alone[at_derivative].xyz;
-        let derivative = together[at_derivative].xyz;
-#endif
-        let error_alone = sure(u, variance, alone[at_mean].xyz, alone_derivative, 1.0);
-        let error_together = sure(u, variance, together[at_mean].xyz, derivative, 1.0);
-        if error_together - error_alone > error_by_chance(together[at_mean].xyz - alone[at_mean].xyz, variance,
-            params.own_sigmas, params.own_noise) {
-            together[at_mean] = alone[at_mean];
-            together[pixels + at_mean] = alone[pixels + at_mean];
-#ifdef WEIGHT_SUMS
-            weights[at] = alone_weights[at];
-#else
-            together[at_derivative] = alone[at_derivative];
+            spreads[of_candidate] = alone_spreads[of_candidate];
 #endif
         }
     }

@@ -18,8 +18,8 @@ struct SelectLeastParams {
 // Smoothed errors. One plane for four candidates, one component for each.
 @group(0) @binding(1) var<storage, read> errors: array<vec4<f32>>;
 #ifdef RIVALS
-// Two planes for each: mean, half spread; behind them, one plane for each: dF_i/du_i per channel.
-@group(0) @binding(2) var<storage, read> candidates: array<vec4<f32>>;
+// One plane for each candidate: dF_i/du_i per channel.
+@group(0) @binding(2) var<storage, read> derivatives: array<vec4<f32>>;
 #endif
 // As the errors.
 @group(0) @binding(3) var<storage, read_write> selected: array<vec4<f32>>;
@@ -31,8 +31,7 @@ fn is_finite(value: f32) -> bool {
 
 #ifdef RIVALS
 fn derivative_sum(candidate: i32, at: i32) -> f32 {
-    let plane = 2 * CANDIDATES + candidate;
-    return dot(vec3<f32>(1.0), candidates[plane * params.extent.x * params.extent.y + at].xyz);
+    return dot(vec3<f32>(1.0), derivatives[candidate * params.extent.x * params.extent.y + at].xyz);
 }
 #endif
 

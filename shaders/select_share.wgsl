@@ -33,8 +33,8 @@ struct SelectShareParams {
 @group(0) @binding(2) var<storage, read> errors: array<vec4<f32>>;
 @group(0) @binding(3) var<storage, read> sure: array<vec4<f32>>;
 @group(0) @binding(4) var<storage, read> variance_of_mean: array<vec4<f32>>;
-// Two planes for each: mean, half spread.
-@group(0) @binding(5) var<storage, read> candidates: array<vec4<f32>>;
+// One plane for each candidate: the mean.
+@group(0) @binding(5) var<storage, read> means: array<vec4<f32>>;
 #endif
 // Changed in place: the smoothed maps become the shares.
 @group(0) @binding(6) var<storage, read_write> selection: array<vec4<f32>>;
@@ -67,7 +67,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
         }
         let own = sure[candidate / 4 * pixels + at][candidate % 4];
         if own < own_least {
-            best = candidates[2 * candidate * pixels + at].xyz;
+            best = means[candidate * pixels + at].xyz;
             own_least = own;
             own_winner = candidate;
         }
@@ -76,7 +76,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     for (var candidate = 0; candidate < CANDIDATES; candidate++) {
         let error = errors[candidate / 4 * pixels + at][candidate % 4];
         let own = sure[candidate / 4 * pixels + at][candidate % 4];
-        let filtered = candidates[2 * candidate * pixels + at].xyz;
+        let filtered = means[candidate * pixels + at].xyz;
         let by_chance = error_by_chance(filtered - best, variance, params.own_sigmas, params.own_noise);
         share[candidate] = select(0.0, share[candidate], error - least <= allowed);
         // The winner always takes part, at least a little, so that something is left to normalise.

@@ -504,10 +504,16 @@ pub(crate) fn check(listed: &[Parameter]) -> Result<()> {
 macro_rules! parameters {
     (
         $(#[$meta:meta])*
-        $vis:vis struct $name:ident { $($(#[doc = $documentation:literal])* $field_vis:vis $field:ident: $type:ty $(=> $limits:expr)?),+ $(,)? }
+        $vis:vis struct $name:ident {
+            $(
+                $(#[doc = $documentation:literal])*
+                $(#[serde $serde:tt])?
+                $field_vis:vis $field:ident: $type:ty $(=> $limits:expr)?
+            ),+ $(,)?
+        }
     ) => {
         $(#[$meta])*
-        $vis struct $name { $($(#[doc = $documentation])* $field_vis $field: $type),+ }
+        $vis struct $name { $($(#[doc = $documentation])* $(#[serde $serde])? $field_vis $field: $type),+ }
 
         impl $crate::parameters::Describe for $name {
             type Limits = Option<$crate::parameters::Without>;

@@ -100,7 +100,8 @@ fn definitions(stage: &str) -> Option<Vec<Definitions>> {
             Some(combinations(&[("FEATURES_ALONE", flags()), ("DERIVATIVES", flags()), ("OTHER_GUIDE", flags())]))
         }
         "feature_pack" => Some(combinations(&[("NOISY", flags())])),
-        "error_sure" | "select_blend" | "error_difference" => Some(combinations(&[candidates()])),
+        "error_sure" | "error_difference" => Some(combinations(&[candidates()])),
+        "select_blend" => Some(combinations(&[candidates(), ("SHARED", flags())])),
         "select_least" => Some(combinations(&[candidates(), ("RIVALS", flags())])),
         "select_share" => Some(combinations(&[candidates(), ("GUARDED", flags())])),
         "exact_copy" => Some(combinations(&[("WEIGHT_SUM", flags())])),

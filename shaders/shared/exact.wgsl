@@ -8,8 +8,9 @@ struct ExactParams {
     tile_columns: i32,
     // Pixel of the frame at which the image begins.
     first: vec2<i32>,
-    // Planes to write, from this one on.
-    first_plane: i32,
+    // Planes, where the first one is read, and where it is written.
+    from_plane: i32,
+    to_plane: i32,
     planes: i32,
 }
 

@@ -359,11 +359,11 @@ impl Pass1 {
         let signal = &color.signal;
         let names: Vec<&str> = candidates.filters.iter().map(|filter| filter.name).collect();
         for (place, name) in names.iter().copied().enumerate() {
-            let (planes, mean) = (&candidates.planes, candidates.mean_plane(place));
-            keeper.keep(Intermediate::Candidates, name, &RGB, Unit::Color, planes, mean);
-            if let Some(plane) = candidates.derivative_plane(place) {
+            let plane = place as u32;
+            keeper.keep(Intermediate::Candidates, name, &RGB, Unit::Color, &candidates.means, plane);
+            if let Some(derivatives) = &candidates.derivatives {
                 let name = format!("{name}_derivative");
-                keeper.keep(Intermediate::Derivatives, name, &RGB, Unit::Number, planes, plane);
+                keeper.keep(Intermediate::Derivatives, name, &RGB, Unit::Number, derivatives, plane);
             }
         }
 
@@ -380,8 +380,9 @@ impl Pass1 {
         }
 
         let Some((sure, errors)) = judged.as_ref().filter(|_| plan.selection.runs) else {
-            // Nothing to choose from: the signal of the only candidate lies in the first two planes.
-            return Ok(Self { blend: candidates.planes.clone(), selection: None, color_only: None, candidates });
+            // Nothing to choose from.
+            let blend = Arc::new(select_blend(rec, extent, None, &candidates)?);
+            return Ok(Self { blend, selection: None, color_only: None, candidates });
         };
         // Binary selection maps.
         plan.selection.begin(rec);
@@ -394,7 +395,7 @@ impl Pass1 {
         let evidence =
             Evidence { selected: &selected, errors, sure, variance_of_mean: variance, candidates: &candidates };
         let selection = Arc::new(select_share(rec, extent, smoothed, evidence, params.guard)?);
-        let mut blend = Arc::new(select_blend(rec, extent, &selection, &candidates)?);
+        let mut blend = Arc::new(select_blend(rec, extent, Some(&selection), &candidates)?);
         let mut color_only = None;
         if plan.color_only.runs {
             plan.color_only.begin(rec);
@@ -440,7 +441,7 @@ impl ColorOnly {
         let WithColorOnly { blended, shares } =
             select_color_only(rec, extent, &differences, blend, count, &filtered, selection, significance)?;
         let shares = Arc::new(shares);
-        keeper.keep(Intermediate::Candidates, "color_only", &RGB, Unit::Color, &filtered.planes, 0);
+        keeper.keep(Intermediate::Candidates, "color_only", &RGB, Unit::Color, &filtered.means, 0);
         keeper.keep(Intermediate::Selection, "color_only_share", &["V"], Unit::Number, &shares, 0);
         Ok((Self { candidates: filtered, shares }, Arc::new(blended)))
     }

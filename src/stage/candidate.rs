@@ -11,11 +11,11 @@ use super::feature::Features;
 use super::frames::Frames;
 use super::nlm::{Beside, ChunkNeeds, Guide, NlmParams, Schedule, Weighting, for_each_chunk};
 use super::plane_bytes;
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::gpu::{Buffer, Definition, Recorder, bindings, uniforms};
 
 uniforms! {
-    struct ResolveParams { sums: i32, candidate: i32, candidates: i32 }
+    struct ResolveParams { sums: i32, candidate: i32 }
 }
 
 bindings! {
@@ -26,7 +26,11 @@ bindings! {
     }
     struct CandidateResolve<'a> {
         uniform params: NlmParams, uniform resolve: ResolveParams, read payload, read variance_of_mean, read state,
-        write filtered,
+        write means, write spreads, write derivatives,
+    }
+    struct CandidateResolveValue<'a> {
+        uniform params: NlmParams, uniform resolve: ResolveParams, read payload, read variance_of_mean, read state,
+        write means, write spreads,
     }
 }
 
@@ -99,28 +103,29 @@ impl Needed<'_> {
         Self { derivatives: true, half_spread: true, alone: true, channels: true, exact: None, wanted: None };
 }
 
-/// The filtered candidates.
+/// The filtered candidates: a plane for each of them, in their order, in each of these buffers.
 #[derive(Clone, Debug)]
 pub struct Candidates {
-    /// The filters, in their order.
+    /// The filters.
     pub filters: Vec<CandidateFilter>,
-    /// Two planes for each candidate, a signal: the mean with Σ w in w, and the half spread. Behind them, where there
-    /// are derivatives, one plane for each candidate: dF_i/du_i per channel.
-    pub planes: Arc<Buffer>,
-    /// Whether there are derivatives.
-    pub has_derivatives: bool,
+    /// Means, with Σ w in w.
+    pub means: Arc<Buffer>,
+    /// Half spreads.
+    pub spreads: Arc<Buffer>,
+    /// dF_i/du_i per channel.
+    pub derivatives: Option<Arc<Buffer>>,
 }
 
 impl Candidates {
-    /// Number of planes that so many candidates take.
-    pub const fn planes_of(candidates: usize, with_derivatives: bool) -> u32 {
-        (if with_derivatives { 3 } else { 2 }) * candidates as u32
-    }
-
     fn take(rec: &mut Recorder, extent: IVec2, filters: &[CandidateFilter], has_derivatives: bool) -> Result<Self> {
-        let planes = Self::planes_of(filters.len(), has_derivatives);
-        let planes = Arc::new(rec.take("candidates", plane_bytes(extent, planes))?);
-        Ok(Self { filters: filters.to_vec(), planes, has_derivatives })
+        let bytes = plane_bytes(extent, filters.len() as u32);
+        let mut take = |label| Ok::<_, Error>(Arc::new(rec.take(label, bytes)?));
+        Ok(Self {
+            filters: filters.to_vec(),
+            means: take("means of the candidates")?,
+            spreads: take("half spreads of the candidates")?,
+            derivatives: has_derivatives.then(|| take("derivatives")).transpose()?,
+        })
     }
 
     /// The number of candidates.
@@ -128,19 +133,20 @@ impl Candidates {
         self.filters.len()
     }
 
-    /// The plane of a candidate's mean; its half spread lies in the next one.
-    pub fn mean_plane(&self, candidate: usize) -> u32 {
-        2 * candidate as u32
-    }
-
-    /// The plane of a candidate's derivatives, where there are any.
-    pub fn derivative_plane(&self, candidate: usize) -> Option<u32> {
-        self.has_derivatives.then_some((2 * self.count() + candidate) as u32)
-    }
-
     /// The definition of how many candidates there are.
     pub(super) fn definition(&self) -> (&'static str, Definition) {
         ("CANDIDATES", Definition::Int(self.count() as i32))
+    }
+
+    /// The derivatives, for a stage that needs them.
+    ///
+    /// # Errors
+    /// [`Error::Shader`] where there are none.
+    pub(super) fn derivatives_for(&self, stage: &str) -> Result<&Buffer> {
+        self.derivatives.as_deref().ok_or_else(|| Error::Shader {
+            stage: stage.into(),
+            problem: "the candidates come without derivatives".into(),
+        })
     }
 }
 
@@ -190,12 +196,13 @@ pub fn candidates(
     if let Some(exact) = needed.exact {
         let tiles = exact.upload(rec, extent)?;
         for candidates in std::iter::once(&found.together).chain(&found.alone) {
-            for candidate in 0..candidates.count() {
-                let plane = candidates.mean_plane(candidate);
-                tiles.copy_signal(rec, frames.own.payload, &candidates.planes, plane)?;
+            let count = candidates.count() as u32;
+            for candidate in 0..count {
+                tiles.copy_mean(rec, frames.own.payload, &candidates.means, candidate)?;
+                tiles.copy_spread(rec, frames.own.payload, &candidates.spreads, candidate)?;
             }
-            if let Some(first) = candidates.derivative_plane(0) {
-                tiles.fill(rec, &candidates.planes, [first, candidates.count() as u32], true)?;
+            if let Some(derivatives) = &candidates.derivatives {
+                tiles.fill(rec, derivatives, count, true)?;
             }
         }
     }
@@ -290,17 +297,34 @@ fn run_pass(
         if let Some(complete) = complete {
             for (sums, place) in [pass.small, pass.large, pass.alone].into_iter().enumerate() {
                 let Some(place) = place else { continue };
-                let resolve =
-                    ResolveParams { sums: sums as i32, candidate: place as i32, candidates: complete.count() as i32 };
-                let filtered = &*complete.planes;
-                let bound = CandidateResolve { params, resolve, payload, variance_of_mean, state, filtered };
+                let resolve = ResolveParams { sums: sums as i32, candidate: place as i32 };
                 let definitions = [
                     ("FEATURES_ALONE", (pass.alone == Some(place)).into()),
                     ("DERIVATIVES", needed.derivatives.into()),
                     ("OTHER_GUIDE", (needed.derivatives && other_guide).into()),
                 ];
                 let invocations = [params.width as u32, params.rows as u32, 1];
-                rec.dispatch("candidate_resolve", &definitions, &bound, invocations)?;
+                let Candidates { means, spreads, derivatives, .. } = complete;
+                match derivatives {
+                    Some(derivatives) => {
+                        let bound = CandidateResolve {
+                            params,
+                            resolve,
+                            payload,
+                            variance_of_mean,
+                            state,
+                            means,
+                            spreads,
+                            derivatives,
+                        };
+                        rec.dispatch("candidate_resolve", &definitions, &bound, invocations)?;
+                    }
+                    None => {
+                        let bound =
+                            CandidateResolveValue { params, resolve, payload, variance_of_mean, state, means, spreads };
+                        rec.dispatch("candidate_resolve", &definitions, &bound, invocations)?;
+                    }
+                }
             }
         }
         if chunk.last {

@@ -5,7 +5,6 @@ use glam::IVec2;
 use super::candidate::{Candidates, planes_of_numbers};
 use super::nlm::Filtered;
 use super::sample::RELATIVE_FLOOR;
-use super::select::without_derivatives;
 use super::{per_pixel, plane_bytes};
 use crate::error::Result;
 use crate::gpu::{Buffer, Recorder, bindings, uniforms};
@@ -19,15 +18,17 @@ uniforms! {
 }
 bindings! {
     struct ErrorSure<'a> {
-        uniform params: SureParams, read signal, read variance_of_mean, read candidates, write errors,
+        uniform params: SureParams, read signal, read variance_of_mean, read means, read derivatives,
+        write errors,
     }
     struct ErrorDifference<'a> {
         uniform params: ErrorDifferenceParams,
-        read signal, read variance_of_mean, read blended, read shares, read candidates, read other, write differences,
+        read signal, read variance_of_mean, read blended, read shares, read derivatives, read other_means,
+        read other_derivatives, write differences,
     }
     struct ErrorBlend<'a> {
-        uniform params: ErrorBlendParams, read blended, read variance_of_mean, read candidates, optional shares,
-        write errors,
+        uniform params: ErrorBlendParams, read blended, read variance_of_mean, read derivatives, optional shares,
+        optional means, write errors,
     }
     struct ErrorSpikes<'a> { uniform params: ErrorSpikesParams, read spikes, write errors }
     struct ErrorHalves<'a> {
@@ -49,14 +50,11 @@ pub fn error_sure(
     candidates: &Candidates,
     covariance: f32,
 ) -> Result<Buffer> {
-    if !candidates.has_derivatives {
-        return Err(without_derivatives("error_sure"));
-    }
+    let derivatives = candidates.derivatives_for("error_sure")?;
     let errors = rec.take("SURE", plane_bytes(extent, planes_of_numbers(candidates.count())))?;
-    let (definition, candidates) = (candidates.definition(), &*candidates.planes);
-    let params = SureParams { extent, covariance };
-    let bound = ErrorSure { params, signal, variance_of_mean, candidates, errors: &errors };
-    rec.dispatch("error_sure", &[definition], &bound, per_pixel(extent))?;
+    let (params, means) = (SureParams { extent, covariance }, &*candidates.means);
+    let bound = ErrorSure { params, signal, variance_of_mean, means, derivatives, errors: &errors };
+    rec.dispatch("error_sure", &[candidates.definition()], &bound, per_pixel(extent))?;
     Ok(errors)
 }
 
@@ -148,14 +146,12 @@ fn error_blend_into(
     errors: &Buffer,
     added: bool,
 ) -> Result<()> {
-    if !candidates.has_derivatives {
-        return Err(without_derivatives("error_blend"));
-    }
+    let derivatives = candidates.derivatives_for("error_blend")?;
     let ErrorParts { spread, disagreement, own_noise, .. } = parts;
     let params = ErrorBlendParams { extent, spread, disagreement, own_noise };
     let definitions = [candidates.definition(), ("SHARED", shares.is_some().into()), ("ADDED", added.into())];
-    let candidates = &*candidates.planes;
-    let bound = ErrorBlend { params, blended, variance_of_mean, candidates, shares, errors };
+    let means = shares.map(|_| &*candidates.means);
+    let bound = ErrorBlend { params, blended, variance_of_mean, derivatives, shares, means, errors };
     rec.dispatch("error_blend", &definitions, &bound, per_pixel(extent))
 }
 
@@ -177,23 +173,21 @@ pub fn error_difference(
     other: &Candidates,
     covariance: f32,
 ) -> Result<Buffer> {
-    if !candidates.has_derivatives || !other.has_derivatives {
-        return Err(without_derivatives("error_difference"));
-    }
+    let derivatives = candidates.derivatives_for("error_difference")?;
     let differences = rec.take("differences of SURE", plane_bytes(extent, 1))?;
     let params = ErrorDifferenceParams { extent, covariance };
-    let (definition, candidates, other) = (candidates.definition(), &*candidates.planes, &*other.planes);
     let bound = ErrorDifference {
         params,
         signal,
         variance_of_mean,
         blended,
         shares,
-        candidates,
-        other,
+        derivatives,
+        other_means: &other.means,
+        other_derivatives: other.derivatives_for("error_difference")?,
         differences: &differences,
     };
-    rec.dispatch("error_difference", &[definition], &bound, per_pixel(extent))?;
+    rec.dispatch("error_difference", &[candidates.definition()], &bound, per_pixel(extent))?;
     Ok(differences)
 }
 

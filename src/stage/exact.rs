@@ -9,7 +9,7 @@ use super::per_pixel;
 use crate::error::Result;
 use crate::gpu::{Buffer, Recorder, bindings, uniforms};
 
-uniforms! { struct ExactParams { extent: IVec2, tile: i32, tile_columns: i32, first: IVec2, first_plane: i32, planes: i32 } }
+uniforms! { struct ExactParams { extent: IVec2, tile: i32, tile_columns: i32, first: IVec2, from_plane: i32, to_plane: i32, planes: i32 } }
 
 bindings! {
     struct ExactCopy<'a> { uniform params: ExactParams, read tiles, read before, write result }
@@ -80,7 +80,8 @@ impl ExactTiles {
             tile: self.side as i32,
             tile_columns: self.columns as i32,
             first: self.first,
-            first_plane: 0,
+            from_plane: 0,
+            to_plane: 0,
             planes: 0,
         };
         Ok(UploadedTiles { tiles, params })
@@ -152,19 +153,21 @@ pub(super) struct UploadedTiles {
 impl UploadedTiles {
     /// Copies `planes` planes of `before` to `result`, in exact tiles.
     pub(super) fn copy(&self, rec: &mut Recorder, before: &Buffer, result: &Buffer, planes: u32) -> Result<()> {
-        self.copy_as(rec, before, result, [0, planes], false)
+        let params = ExactParams { planes: planes as i32, ..self.params };
+        self.copy_as(rec, before, result, params, false)
     }
 
-    /// Copies a signal to the planes of `result` from `first_plane` on, in exact tiles, and sets its w to 1: each pixel
-    /// is the average of itself alone.
-    pub(super) fn copy_signal(
-        &self,
-        rec: &mut Recorder,
-        before: &Buffer,
-        result: &Buffer,
-        first_plane: u32,
-    ) -> Result<()> {
-        self.copy_as(rec, before, result, [first_plane, 2], true)
+    /// Copies the mean of a signal to a plane, in exact tiles, and sets w to 1: each pixel is the average of itself
+    /// alone.
+    pub(super) fn copy_mean(&self, rec: &mut Recorder, signal: &Buffer, result: &Buffer, plane: u32) -> Result<()> {
+        let params = ExactParams { to_plane: plane as i32, planes: 1, ..self.params };
+        self.copy_as(rec, signal, result, params, true)
+    }
+
+    /// Copies the half spread of a signal to a plane, in exact tiles.
+    pub(super) fn copy_spread(&self, rec: &mut Recorder, signal: &Buffer, result: &Buffer, plane: u32) -> Result<()> {
+        let params = ExactParams { from_plane: 1, to_plane: plane as i32, planes: 1, ..self.params };
+        self.copy_as(rec, signal, result, params, false)
     }
 
     fn copy_as(
@@ -172,30 +175,18 @@ impl UploadedTiles {
         rec: &mut Recorder,
         before: &Buffer,
         result: &Buffer,
-        planes: [u32; 2],
+        params: ExactParams,
         weight_sum: bool,
     ) -> Result<()> {
-        rec.dispatch(
-            "exact_copy",
-            &[("WEIGHT_SUM", weight_sum.into())],
-            &ExactCopy { params: self.of_planes(planes), tiles: &self.tiles, before, result },
-            per_pixel(self.params.extent),
-        )
+        let bound = ExactCopy { params, tiles: &self.tiles, before, result };
+        rec.dispatch("exact_copy", &[("WEIGHT_SUM", weight_sum.into())], &bound, per_pixel(params.extent))
     }
 
-    /// Writes 1 (`ones`) or 0 to the channels of planes, in exact tiles; `planes` says from which plane on, and how
-    /// many.
-    pub(super) fn fill(&self, rec: &mut Recorder, result: &Buffer, planes: [u32; 2], ones: bool) -> Result<()> {
-        rec.dispatch(
-            "exact_fill",
-            &[("ONES", ones.into())],
-            &ExactFill { params: self.of_planes(planes), tiles: &self.tiles, result },
-            per_pixel(self.params.extent),
-        )
-    }
-
-    fn of_planes(&self, [first, planes]: [u32; 2]) -> ExactParams {
-        ExactParams { first_plane: first as i32, planes: planes as i32, ..self.params }
+    /// Writes 1 (`ones`) or 0 to the channels of `planes` planes, in exact tiles.
+    pub(super) fn fill(&self, rec: &mut Recorder, result: &Buffer, planes: u32, ones: bool) -> Result<()> {
+        let params = ExactParams { planes: planes as i32, ..self.params };
+        let bound = ExactFill { params, tiles: &self.tiles, result };
+        rec.dispatch("exact_fill", &[("ONES", ones.into())], &bound, per_pixel(params.extent))
     }
 }
 

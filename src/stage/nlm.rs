@@ -699,8 +699,8 @@ pub fn nlm_filter(
     if let Some(exact) = guide.exact {
         let tiles = exact.upload(rec, extent)?;
         tiles.copy(rec, payload.planes, &planes, payload.count)?;
-        tiles.fill(rec, &weights, [0, 1], true)?;
-        residual_variance.iter().try_for_each(|variance| tiles.fill(rec, variance, [0, 1], false))?;
+        tiles.fill(rec, &weights, 1, true)?;
+        residual_variance.iter().try_for_each(|variance| tiles.fill(rec, variance, 1, false))?;
     }
     Ok(Filtered { planes, weights, residual_variance })
 }

@@ -9,7 +9,7 @@ use super::candidate_filter::rivals;
 use super::gaussian::{Averaging, Gaussian, gaussian};
 use super::nlm::Filtered;
 use super::{per_pixel, plane_bytes};
-use crate::error::{Error, Result};
+use crate::error::Result;
 use crate::gpu::{Buffer, Definition, Recorder, bindings, uniforms};
 use crate::parameters::{Group, parameters, real};
 
@@ -25,26 +25,29 @@ uniforms! {
 }
 
 bindings! {
-    struct SelectLeast<'a> { uniform params: SelectLeastParams, read errors, optional candidates, write selected }
+    struct SelectLeast<'a> { uniform params: SelectLeastParams, read errors, optional derivatives, write selected }
     struct SelectFrames<'a> {
-        uniform params: SelectFramesParams, read signal, read variance_of_mean, read alone, write together,
+        uniform params: SelectFramesParams, read signal, read variance_of_mean, read alone, read alone_derivatives,
+        write together, write derivatives, read alone_spreads, write spreads,
     }
     struct SelectFramesOfFiltered<'a> {
-        uniform params: SelectFramesParams, read signal, read variance_of_mean, read alone, write together,
-        read alone_weights, write weights,
+        uniform params: SelectFramesParams, read signal, read variance_of_mean, read alone, read alone_derivatives,
+        write together, write derivatives,
     }
     struct SelectPass<'a> {
         uniform params: SelectPassParams, read pass1, read pass2, read variance_of_mean, write result,
     }
     struct SelectShare<'a> {
         uniform params: SelectShareParams,
-        read selected, optional errors, optional sure, optional variance_of_mean, optional candidates, write selection,
+        read selected, optional errors, optional sure, optional variance_of_mean, optional means, write selection,
     }
     struct SelectColorOnly<'a> {
-        uniform params: SelectColorOnlyParams, read differences, read candidates, read color_only, write blended,
-        write shares, write color_only_shares,
+        uniform params: SelectColorOnlyParams, read differences, read candidates, read means, read spreads,
+        write blended, write shares, write color_only_shares,
     }
-    struct SelectBlend<'a> { uniform params: SelectBlendParams, read shares, read candidates, write blended }
+    struct SelectBlend<'a> {
+        uniform params: SelectBlendParams, optional shares, read means, read spreads, write blended,
+    }
 }
 
 /// Returns the binary selection maps: 1 for the candidate with the least smoothed error, 0 for the others. On ties the
@@ -52,23 +55,20 @@ bindings! {
 /// rival's; an error that is not finite cannot win. One plane for four candidates, one component for each.
 ///
 /// # Errors
-/// [`Error::Shader`] where candidates with rivals come without derivatives; otherwise as [`Recorder::take`] and
+/// [`Error::Shader`](crate::Error::Shader) where candidates with rivals come without derivatives; otherwise as [`Recorder::take`] and
 /// [`Recorder::dispatch`].
 pub fn select_least(rec: &mut Recorder, extent: IVec2, errors: &Buffer, candidates: &Candidates) -> Result<Buffer> {
     let selected = rec.take("binary selection maps", plane_bytes(extent, planes_of_numbers(candidates.count())))?;
     let rivals = rivals(&candidates.filters);
     let has_rivals = rivals.iter().any(Option::is_some);
-    if has_rivals && !candidates.has_derivatives {
-        return Err(without_derivatives("select_least"));
-    }
+    let derivatives = has_rivals.then(|| candidates.derivatives_for("select_least")).transpose()?;
     let mut of_each = [IVec4::splat(-1); 2];
     for (candidate, rival) in rivals.into_iter().enumerate() {
         of_each[candidate / 4][candidate % 4] = rival.map_or(-1, |rival| rival as i32);
     }
     let definitions = [candidates.definition(), ("RIVALS", has_rivals.into())];
-    let candidates = has_rivals.then_some(&*candidates.planes);
     let params = SelectLeastParams { extent, rivals: of_each };
-    let bound = SelectLeast { params, errors, candidates, selected: &selected };
+    let bound = SelectLeast { params, errors, derivatives, selected: &selected };
     rec.dispatch("select_least", &definitions, &bound, per_pixel(extent))?;
     Ok(selected)
 }
@@ -136,7 +136,7 @@ pub struct Noisy<'a> {
 /// filtered over the own frame, where the pixel's own SURE says that `together` is worse by more than `harm` allows.
 ///
 /// # Errors
-/// [`Error::Shader`] where the candidates come without derivatives; otherwise as [`Recorder::dispatch`].
+/// [`Error::Shader`](crate::Error::Shader) where the candidates come without derivatives; otherwise as [`Recorder::dispatch`].
 pub fn select_frames(
     rec: &mut Recorder,
     extent: IVec2,
@@ -145,18 +145,19 @@ pub fn select_frames(
     together: &Candidates,
     harm: Harm,
 ) -> Result<()> {
-    if !alone.has_derivatives || !together.has_derivatives {
-        return Err(without_derivatives("select_frames"));
-    }
     let Noisy { signal, variance_of_mean } = noisy;
-    let params = harm.params(extent);
-    let (definition, alone, together) = (together.definition(), &*alone.planes, &*together.planes);
-    let bound = SelectFrames { params, signal, variance_of_mean, alone, together };
-    rec.dispatch("select_frames", &[definition], &bound, per_pixel(extent))
-}
-
-pub(super) fn without_derivatives(stage: &str) -> Error {
-    Error::Shader { stage: stage.into(), problem: "the candidates come without derivatives".into() }
+    let bound = SelectFrames {
+        params: harm.params(extent),
+        signal,
+        variance_of_mean,
+        alone: &alone.means,
+        alone_derivatives: alone.derivatives_for("select_frames")?,
+        together: &together.means,
+        derivatives: together.derivatives_for("select_frames")?,
+        alone_spreads: &alone.spreads,
+        spreads: &together.spreads,
+    };
+    rec.dispatch("select_frames", &[together.definition()], &bound, per_pixel(extent))
 }
 
 /// As [`select_frames`], for one filter whose weights do not depend on the noise of the averaged image and whose centre
@@ -178,9 +179,9 @@ pub fn select_frames_of_filtered(
         signal,
         variance_of_mean,
         alone: &alone.planes,
+        alone_derivatives: &alone.weights,
         together: &together.planes,
-        alone_weights: &alone.weights,
-        weights: &together.weights,
+        derivatives: &together.weights,
     };
     let definitions = [("CANDIDATES", Definition::Int(1)), ("WEIGHT_SUMS", true.into())];
     rec.dispatch("select_frames", &definitions, &bound, per_pixel(extent))
@@ -217,24 +218,31 @@ pub fn select_share(
     let definitions = [candidates.definition(), ("GUARDED", guard.is_some().into())];
     let guarded = |buffer| guard.map(|_| buffer);
     let (errors, sure, variance_of_mean) = (guarded(errors), guarded(sure), guarded(variance_of_mean));
-    let candidates = guarded(&candidates.planes);
+    let means = guarded(&candidates.means);
     let rule = guard.map(|guard| [guard.smoothed_error, guard.smoothed_noise, guard.own_sigmas, guard.own_noise]);
     let [smoothed_error, smoothed_noise, own_sigmas, own_noise] = rule.unwrap_or_default();
     let params = SelectShareParams { extent, smoothed_error, smoothed_noise, own_sigmas, own_noise };
-    let bound = SelectShare { params, selected, errors, sure, variance_of_mean, candidates, selection: &smoothed };
+    let bound = SelectShare { params, selected, errors, sure, variance_of_mean, means, selection: &smoothed };
     rec.dispatch("select_share", &definitions, &bound, per_pixel(extent))?;
     Ok(smoothed)
 }
 
-/// Averages the candidates by their shares. A signal; the blended Σ w in the w of the mean.
+/// Averages the candidates by their shares; without shares, the only candidate is the average. A signal; the blended Σ w
+/// in the w of the mean.
 ///
 /// # Errors
 /// As [`Recorder::take`] and [`Recorder::dispatch`].
-pub fn select_blend(rec: &mut Recorder, extent: IVec2, shares: &Buffer, candidates: &Candidates) -> Result<Buffer> {
+pub fn select_blend(
+    rec: &mut Recorder,
+    extent: IVec2,
+    shares: Option<&Buffer>,
+    candidates: &Candidates,
+) -> Result<Buffer> {
     let blended = rec.take("blend", plane_bytes(extent, 2))?;
-    let (definition, candidates) = (candidates.definition(), &*candidates.planes);
-    let bound = SelectBlend { params: SelectBlendParams { extent }, shares, candidates, blended: &blended };
-    rec.dispatch("select_blend", &[definition], &bound, per_pixel(extent))?;
+    let definitions = [candidates.definition(), ("SHARED", shares.is_some().into())];
+    let Candidates { means, spreads, .. } = candidates;
+    let bound = SelectBlend { params: SelectBlendParams { extent }, shares, means, spreads, blended: &blended };
+    rec.dispatch("select_blend", &definitions, &bound, per_pixel(extent))?;
     Ok(blended)
 }
 
@@ -320,7 +328,8 @@ pub fn select_color_only(
         params,
         differences,
         candidates: blend,
-        color_only: &color_only.planes,
+        means: &color_only.means,
+        spreads: &color_only.spreads,
         blended: &blended,
         shares,
         color_only_shares: &color_only_shares,

@@ -326,7 +326,7 @@ fn candidates_that_take_no_part() {
 }
 
 /// A candidate more is one entry in a list. These are found nowhere but here: softer patches, and one that compares
-/// nothing but the colour and may win only where it filters more than SECOND.
+/// nothing but the colour.
 const FURTHER: &[CandidateFilter] = &[
     CandidateFilter {
         name: "soft",
@@ -334,12 +334,7 @@ const FURTHER: &[CandidateFilter] = &[
         features: Some(ByFeatures { k: 0.6, tau: 1e-2 }),
         rival: None,
     },
-    CandidateFilter {
-        name: "plain",
-        color: Some(ByColor { k: 0.45, patch_radius: 1 }),
-        features: None,
-        rival: Some("second"),
-    },
+    CandidateFilter { name: "plain", color: Some(ByColor { k: 1.2, patch_radius: 1 }), features: None, rival: None },
 ];
 
 #[test]

@@ -89,15 +89,21 @@ struct Found {
 }
 
 fn found(gpu: &Gpu, candidates: &Candidates, extent: IVec2) -> Found {
-    let mut planes = read(gpu, &candidates.planes, extent).into_iter();
-    let mut found = Found { means: Vec::new(), spreads: Vec::new(), derivatives: Vec::new() };
-    for _ in 0..candidates.count() {
-        found.means.extend(planes.next());
-        found.spreads.extend(planes.next());
+    let derivatives = candidates.derivatives.as_ref().map(|derivatives| read(gpu, derivatives, extent));
+    Found {
+        means: read(gpu, &candidates.means, extent),
+        spreads: read(gpu, &candidates.spreads, extent),
+        derivatives: derivatives.unwrap_or_default(),
     }
-    found.derivatives = planes.collect();
-    assert_eq!(found.derivatives.len(), if candidates.has_derivatives { candidates.count() } else { 0 });
-    found
+}
+
+/// The bits of all buffers, the derivatives last.
+fn all_bits(gpu: &Gpu, Candidates { means, spreads, derivatives, .. }: &Candidates) -> Vec<u32> {
+    [Some(means), Some(spreads), derivatives.as_ref()]
+        .into_iter()
+        .flatten()
+        .flat_map(|buffer| bits(gpu, buffer))
+        .collect()
 }
 
 /// A variance as `variance_floor` leaves it, with the brightness around each pixel in w.
@@ -254,7 +260,7 @@ fn check_in_time(gpu: &Gpu, case: Case) {
     let CandidatesInTime { together: actual, alone } = filtered_in_time(gpu, case, &frames, SCHEDULE);
     let one_frame = filtered(gpu, case, &frames[0].scene, &frames[0].features, SCHEDULE);
     assert!(
-        alone.is_some_and(|alone| bits(gpu, &alone.planes) == bits(gpu, &one_frame.planes)),
+        alone.is_some_and(|alone| all_bits(gpu, &alone) == all_bits(gpu, &one_frame)),
         "{case:?}: the own frame is filtered as if there were no other"
     );
     let own = frames[0].payload();
@@ -382,13 +388,13 @@ fn every_schedule_gives_the_same_bits() {
     ] {
         let scene = scene(case.width, case.height, 33);
         let features = features(case.width, case.height, case.features, 34);
-        let result = |schedule| bits(gpu(), &filtered(gpu(), case, &scene, &features, schedule).planes);
+        let result = |schedule| all_bits(gpu(), &filtered(gpu(), case, &scene, &features, schedule));
         let whole = result(Schedule { scratch_bytes: 64 << 20, block_rows: 16, ..Schedule::SOFTWARE });
         for schedule in schedules() {
             assert!(result(schedule) == whole, "{case:?} with {schedule:?}");
         }
         let frames: Vec<_> = (0..2).map(|seed| InTime::new(case, 50 + seed)).collect();
-        let in_time = |schedule| bits(gpu(), &filtered_in_time(gpu(), case, &frames, schedule).together.planes);
+        let in_time = |schedule| all_bits(gpu(), &filtered_in_time(gpu(), case, &frames, schedule).together);
         let whole = in_time(Schedule { scratch_bytes: 64 << 20, block_rows: 16, ..Schedule::SOFTWARE });
         for schedule in schedules().filter(|schedule| schedule.scratch_bytes <= 30_000) {
             assert!(in_time(schedule) == whole, "{case:?} in time with {schedule:?}");
@@ -468,7 +474,7 @@ fn parts_have_the_bits_of_the_whole() {
         let needed = Needed { derivatives, ..Needed::EVERYTHING };
         let filters = some_filters(PART, takes_part);
         let part = filtered_as_needed(gpu(), PART, &filters, &scene, &features, needed, FEW_REGISTERS);
-        assert_eq!((&part.filters, part.has_derivatives), (&filters, derivatives));
+        assert_eq!((&part.filters, part.derivatives.is_some()), (&filters, derivatives));
         let part = found(gpu(), &part, extent);
         for (place, k) in (0..3).filter(|k| takes_part[*k]).enumerate() {
             let what = format!("candidate {k} of {takes_part:?}, derivatives {derivatives}");
@@ -547,7 +553,7 @@ fn a_grey_image_needs_one_channel() {
     let features = features(case.width, case.height, case.features, 38);
     let all = |needed| {
         let found = filtered_as_needed(gpu(), case, &filters(case), &scene, &features, needed, FEW_REGISTERS);
-        bits(gpu(), &found.planes)
+        all_bits(gpu(), &found)
     };
     assert!(all(Needed::EVERYTHING) == all(Needed { channels: false, ..Needed::EVERYTHING }));
 }
@@ -564,7 +570,7 @@ fn some_pixels_have_the_bits_of_all() {
         let of = |wanted: Option<Region>| {
             let needed = Needed { exact, wanted, ..Needed::EVERYTHING };
             let found = filtered_as_needed(gpu(), case, &filters(case), &scene, &features, needed, FEW_REGISTERS);
-            bits(gpu(), &found.planes)
+            all_bits(gpu(), &found)
         };
         let all = of(None);
         for region in exact::parts(width, case.height as i32) {
@@ -588,7 +594,7 @@ fn a_half_spread_that_says_nothing_is_not_filtered() {
     let features = features(case.width, case.height, case.features, 38);
     let all = |needed| {
         let found = filtered_as_needed(gpu(), case, &filters(case), &scene, &features, needed, FEW_REGISTERS);
-        bits(gpu(), &found.planes)
+        all_bits(gpu(), &found)
     };
     assert!(all(Needed::EVERYTHING) == all(Needed { half_spread: false, ..Needed::EVERYTHING }));
 }

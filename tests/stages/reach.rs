@@ -4,7 +4,7 @@
 use glam::IVec2;
 use stein::error::Result;
 use stein::gpu::{Buffer, Recorder, Run};
-use stein::stage::candidate::{CandidateFrame, CandidateWindow, Needed, candidates};
+use stein::stage::candidate::{CandidateFrame, CandidateWindow, Candidates, Needed, candidates};
 use stein::stage::candidate_filter::{ByColor, ByFeatures, CandidateFilter};
 use stein::stage::feature::{Features, feature_pack};
 use stein::stage::frames::Frames;
@@ -218,14 +218,23 @@ fn filters_look_as_far_as_they_say() {
         };
         let filters = [by_color("small", 1), by_color("large", 2)];
         let window = CandidateWindow { radius: 3, weighting };
-        check("candidates", even, |rec, extent, Inputs { signal, variance, feature }| {
-            let features = Features::take(rec, extent, &[3])?;
-            feature_pack(rec, extent, &features, features.packing.slots[0], feature, None)?;
-            let frame =
-                CandidateFrame { payload: signal, guide: None, variance_of_mean: variance, features: Some(&features) };
-            let (frames, needed, schedule) = (Frames::one(frame), Needed::EVERYTHING, Schedule::SOFTWARE);
-            let made = candidates(rec, extent, &frames, &filters, window, needed, schedule, |_, _| Ok(()))?;
-            Ok(std::sync::Arc::into_inner(made.together.planes).unwrap_or_else(|| panic!("nobody else holds them")))
-        });
+        for part in ["means", "half spreads", "derivatives"] {
+            check(part, even, |rec, extent, Inputs { signal, variance, feature }| {
+                let features = &Features::take(rec, extent, &[3])?;
+                feature_pack(rec, extent, features, features.packing.slots[0], feature, None)?;
+                let (payload, variance_of_mean) = (signal, variance);
+                let frame = CandidateFrame { payload, guide: None, variance_of_mean, features: Some(features) };
+                let (frames, needed, schedule) = (Frames::one(frame), Needed::EVERYTHING, Schedule::SOFTWARE);
+                let made = candidates(rec, extent, &frames, &filters, window, needed, schedule, |_, _| Ok(()))?;
+                let Candidates { means, spreads, derivatives, .. } = made.together;
+                let output = match part {
+                    "means" => Some(means),
+                    "half spreads" => Some(spreads),
+                    _ => derivatives,
+                };
+                let output = output.and_then(std::sync::Arc::into_inner);
+                Ok(output.unwrap_or_else(|| panic!("nobody else holds it")))
+            });
+        }
     }
 }

@@ -89,14 +89,16 @@ fn seeded_bank(width: usize, height: usize, count: usize, seed: u64) -> Bank {
 }
 
 fn upload_bank(rec: &mut Recorder, bank: &Bank) -> stein::Result<Candidates> {
-    let signal = |k: usize| {
-        let mean = [bank.means[k].as_slice(), &[bank.weight_sums[k].clone()]].concat();
-        packed_signal(&mean, &bank.spreads[k])
-    };
-    let signals = (0..bank.count()).flat_map(signal);
-    let planes: Vec<f32> = signals.chain(bank.derivatives.iter().flat_map(|planes| packed(planes))).collect();
-    let planes = Arc::new(rec.upload("candidates", &planes)?);
-    Ok(Candidates { filters: filters(bank.count()), planes, has_derivatives: true })
+    let planes = |of: &[Planes]| of.iter().flat_map(|planes| packed(planes)).collect::<Vec<f32>>();
+    let with_sums = bank.means.iter().zip(&bank.weight_sums);
+    let means: Vec<Planes> =
+        with_sums.map(|(mean, sum)| [mean.as_slice(), std::slice::from_ref(sum)].concat()).collect();
+    Ok(Candidates {
+        filters: filters(bank.count()),
+        means: Arc::new(rec.upload("means", &planes(&means))?),
+        spreads: Arc::new(rec.upload("half spreads", &planes(&bank.spreads))?),
+        derivatives: Some(Arc::new(rec.upload("derivatives", &planes(&bank.derivatives))?)),
+    })
 }
 
 /// Numbers for each candidate, four to a plane.
@@ -435,7 +437,7 @@ fn check_shares_and_blend(gpu: &Gpu, width: usize, height: usize, rule: Option<G
             candidates: &candidates,
         };
         let shares = select_share(rec, extent, smoothed, evidence, rule)?;
-        let blended = select_blend(rec, extent, &shares, &candidates)?;
+        let blended = select_blend(rec, extent, Some(&shares), &candidates)?;
         Ok((shares, blended))
     });
     let (selection, signal) = (numbers(read(gpu, &selection, extent)), read(gpu, &signal, extent));
@@ -506,9 +508,10 @@ fn other_frames_are_left_out_where_they_do_harm() {
             select_frames(rec, extent, noisy, &alone, &together, rule)?;
             Ok(together)
         });
-        let chosen = read(gpu, &chosen.planes, extent);
+        let (means, spreads) = (read(gpu, &chosen.means, extent), read(gpu, &chosen.spreads, extent));
+        let derivatives = chosen.derivatives.map(|derivatives| read(gpu, &derivatives, extent)).unwrap_or_default();
         for k in 0..count {
-            let (signal, derivatives) = (&chosen[2 * k..2 * k + 2], &chosen[2 * count + k]);
+            let (signal, derivatives) = ([&means[k], &spreads[k]], &derivatives[k]);
             let sure = |bank: &Bank| {
                 reference::sure::sure(&scene.mean, &scene.variance, &bank.means[k], &bank.derivatives[k], 1.0)
             };

@@ -122,6 +122,7 @@ impl fmt::Display for LayerRef {
 
 /// Parses a feature's name and location, written `NAME=FILE` or `NAME=FILE::LAYER`. The file's name may hold `=` as
 /// well.
+#[cfg(feature = "programs")]
 pub(crate) fn feature(text: OsString) -> Result<(String, LayerRef), String> {
     let first = text.as_encoded_bytes().iter().position(|byte| *byte == b'=');
     let named = first.and_then(|at| {

@@ -79,7 +79,7 @@ fn kernels_within(rec: &mut Recorder, frame: FrameInput, pixel: IVec2, work: Wor
     for (name, share) in shares_by_name(params, &pass1.candidates, pass1.selection.as_ref()) {
         kernels.iter_mut().filter(|kernel| kernel.name == name).for_each(|kernel| kernel.share = Some(share.clone()));
     }
-    let reach_of_candidates = pass1.candidates.planes.reach();
+    let reach_of_candidates = pass1.candidates.means.reach().max(pass1.candidates.spreads.reach());
     if let Some(ColorOnly { shares, .. }) = &pass1.color_only {
         let share = Share::Lane(Lane { buffer: shares.clone(), plane: 0, component: 0 });
         let filters = [color_only_filter(params)];

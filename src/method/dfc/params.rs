@@ -25,6 +25,7 @@ parameters! {
         pub candidates: CandidateSet,
         /// Candidates that take part besides these, after them in their order: at most five. Programs and presets set
         /// them, parameter files do not.
+        #[serde(skip_serializing_if = "<[_]>::is_empty")]
         pub further: &'static [CandidateFilter],
         /// k_c of FIRST and SECOND: how large a difference of colour counts, in standard deviations. More filters more.
         pub color_k: f32 => above(0.0).of("σ"),
