@@ -1,15 +1,16 @@
 //! Stein: a GPU denoiser for Monte Carlo renderings that knows its own error.
 //!
 //! # The house
-//! Each arrow is a function, and only that function makes its output type. Nothing flows back.
+//! Each arrow is a step of the work. Nothing flows back.
 //!
 //! ```text
 //! RawSignals -> Frame       (frame: finite, one extent, meaning normalised, repairs counted)
-//!            -> Plan        (method: the steps that this frame needs, and why not the others)
-//!            -> GpuFrame    (method: uploaded, colour at the order of 1)
+//!            -> Plan        (method: a typed plan per method; each step runs or is left out, with the reason)
+//!            -> FrameInput  (method: uploaded, colour at the order of 1; a renderer hands over a GpuFrame instead)
 //!            -> GpuEstimate (method: each method is one straight function of stages)
-//!                 dfc: variances -> prefiltered features -> spikes -> candidates -> SURE -> selection -> blend -> second pass
-//!                 nlm: variances -> spikes -> halves -> each filtered with the weights of the other -> their difference
+//!                 dfc: variances -> prefiltered features -> spikes -> candidates -> SURE -> selection -> blend
+//!                      -> second pass
+//!                 nlm: variances -> spikes -> halves -> each filtered with the weights of the other -> difference
 //!                 gem: variances -> spikes -> scales -> stopping maps -> the finest scale that stops
 //!            -> Estimate    (denoiser: colour, halves, estimated error, intermediates)
 //! ```
@@ -17,30 +18,38 @@
 //! | room | holds | knows |
 //! | --- | --- | --- |
 //! | [`text`] | text files; names, paths and lists in messages | nothing |
-//! | [`host_memory`] | free memory of the computer; vectors whose allocation may fail | nothing |
-//! | [`image`] | planes of pixels on the host | nothing |
+//! | [`error`] | failures: place, cause with its data, remedies | the types that causes name |
+//! | [`host_memory`] | free memory of the computer; vectors whose allocation may fail | nothing but errors |
+//! | [`image`] | planes of pixels on the host | [`host_memory`] |
 //! | [`frame`] | frames: the only input of the denoiser | [`image`] |
-//! | [`gpu`] | device, kernels, recording, pool, timing, compiled pipelines on disk | nothing of denoising |
-//! | [`stage`] | one function per shader, called like its file | `gpu` |
-//! | [`parameters`] | parameters that describe themselves | nothing |
-//! | [`method`] | the methods: parameters and a straight function | `stage`, never the GPU interface |
+//! | [`gpu`] | device, kernels, recording, dry runs, pool, timing, compiled pipelines on disk | nothing of denoising |
+//! | [`stage`] | one function per shader, named like its file; candidate filters as data | `gpu` |
+//! | [`parameters`] | parameters that describe themselves | nothing of filters |
+//! | [`method`] | the methods: parameters, plan and a straight function each | `stage`, never the GPU interface |
 //! | [`sampling`] | where the next samples go, the trait that a renderer implements, the adaptive loop | the denoiser |
 //!
-//! Crates around it, which know this one: `stein-exr` (OpenEXR files), `stein-metric` (error measures), `stein-stub` (a
-//! small path tracer); on these, `stein-cli` (the command line) and `stein-viewer`. `stein-reference` has every stage
-//! again in plain float64 loops and knows nothing; `stein-twin` brings frames and parameters into its form.
+//! Other crates build on this one: `stein-exr` (OpenEXR files), `stein-metric` (error measures), `stein-stub` (a small
+//! path tracer); on these, `stein-cli` (the command line) and `stein-viewer`. `stein-reference` holds every stage again
+//! in plain float64 loops and knows nothing of this crate; `stein-twin` converts frames and parameters for it.
 //!
-//! One word names a stage everywhere: shader file, Rust function, reference function, timing label.
+//! A stage has one name everywhere: shader file, Rust function, reference function, timing label.
+//!
+//! # Candidates
+//! The candidates of DFC are a list of filters ([`stage::candidate_filter::CandidateFilter`]): how each compares the
+//! colour, how it compares the features, and its rival. [`DfcParams::filters`] returns the list: FIRST, SECOND and
+//! THIRD of the thesis, then [`DfcParams::further`]. Filters that have enough in common share one pass over the window.
 //!
 //! # What is left out
-//! A [`Plan`](method::Plan) is made before anything runs, from the parameters, from the requested results and from a
-//! look at the frame. The methods ask it at every step. [`Denoiser::with_everything`] also runs the steps that the plan
-//! leaves out, to compare: the result is the same to the bit, or within bounds that stand where the plan is made.
+//! A [`Plan`](method::Plan) is made before anything runs, from the parameters, the requested results and an analysis of
+//! the frame. Each method has its own type of plan with one field per step, and asks it at every step.
+//! [`Denoiser::with_everything`] also runs the steps that the plan leaves out, for comparison: the result is the same
+//! to the bit, or within the bounds that the plan of the method states.
 //!
 //! # Dry runs
-//! A method is described once, by its function. In a [dry run](gpu::Run::dry) buffers have a size and a reach and
-//! dispatches do nothing else than add up reaches, so that the function itself tells its peak memory and its halo. The
-//! cut into strips follows from it; [`Denoiser::requirements`] tells both.
+//! A method is described once, by its function. In a [dry run](gpu::Run::dry) buffers have only a size and a reach, and
+//! dispatches only add up reaches. So the method's own function yields its peak memory and its halo, and the cut into
+//! strips follows from them. [`Denoiser::requirements`] returns memory, halo and strips for a frame, and
+//! [`Denoiser::reach`] the halo for any frame.
 //!
 //! # Half buffers
 //! Halves travel as the mean and one *half spread*, `(A − B)·√(n_A·n_B)/n`. Its expectation is zero, its square is the
@@ -48,8 +57,8 @@
 //! of two between the variance of a half and that of the mean is settled once, where the spread is made.
 //!
 //! # Where to start
-//! [`Denoiser::denoise`] for frames in host memory; [`Denoiser::record`] for a renderer that keeps its buffers on the
-//! GPU (`examples/embed` is one); [`Denoiser::kernels`] tells which neighbours made a pixel.
+//! [`Denoiser::denoise`] takes frames in host memory. [`Denoiser::record`] is for a renderer that keeps its buffers on
+//! the GPU; `examples/embed` is one. [`Denoiser::kernels`] returns which neighbours made a pixel.
 
 mod denoiser;
 pub mod error;

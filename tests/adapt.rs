@@ -18,7 +18,7 @@ use stein_metric::relative_mse;
 use stein_stub::{Camera, Environment, Material, Scene, Sequence, Shape, StubSampler, Texture};
 use tempfile::TempDir;
 
-/// Small, so that a software adapter is done in a second.
+/// A small radius, so that a software adapter is done in a second.
 const SMALL: [&str; 2] = ["--radius=3", "--size=24x20"];
 const PIXELS: u64 = 24 * 20;
 
@@ -33,8 +33,8 @@ fn denoiser(method: Method) -> Denoiser {
 /// Exit code, standard output, standard error.
 fn run(arguments: &[&str]) -> (i32, String, String) {
     let mut command = Command::new(env!("CARGO_BIN_EXE_stein"));
-    // Mesa's device selection layer complains on stderr where there is no desktop. Nothing is left in the home of
-    // whoever runs the tests.
+    // Mesa's device selection layer complains on stderr where there is no desktop. No file is left in the home of the
+    // user.
     let output = command
         .args(arguments)
         .env("NODEVICE_SELECT", "1")
@@ -56,7 +56,7 @@ fn stein(arguments: &[&str]) -> String {
     stdout
 }
 
-/// Failed with this exit code, and said all of this.
+/// Checks that the command fails with this exit code and says all of `said`.
 #[track_caller]
 fn fails(arguments: &[&str], code: i32, said: &[&str]) {
     let (found, stdout, stderr) = run(arguments);
@@ -94,7 +94,7 @@ fn names(folder: &Path) -> Vec<String> {
     names
 }
 
-/// Every channel as it was stored, and the header.
+/// All channels as stored, and the header.
 fn content(file: &Path) -> (Vec<(String, FlatSamples)>, BTreeMap<String, String>) {
     let part = read_all_flat_layers_from_file(file).unwrap().layer_data.remove(0);
     let channels = part.channel_data.list.into_iter().map(|channel| (channel.name.to_string(), channel.sample_data));
@@ -142,7 +142,7 @@ fn a_run_keeps_its_budgets_and_can_be_resumed_to_the_same_bits() {
         assert!(document["iterations"][iteration]["estimated_relative_mse"].is_f64());
     }
 
-    // As after an interruption while iteration 3 is drawn, and while 2 is denoised.
+    // As if interrupted while iteration 3 is drawn, and while iteration 2 is denoised.
     for kept in [
         &["map_1", "samples_1", "denoised_1", "map_2", "samples_2", "denoised_2", "map_3"][..],
         &["map_1", "samples_1", "denoised_1", "map_2", "samples_2"],
@@ -158,7 +158,7 @@ fn a_run_keeps_its_budgets_and_can_be_resumed_to_the_same_bits() {
         assert_same_files(&whole, &parts);
         std::fs::remove_dir_all(&parts).unwrap();
     }
-    // Nothing is left to do, or nothing was done.
+    // No iteration is left to do, or none was done.
     call(&whole, &["--resume"]);
     call(&parts, &["--resume"]);
     assert_same_files(&whole, &parts);
@@ -176,7 +176,7 @@ fn a_run_keeps_its_budgets_and_can_be_resumed_to_the_same_bits() {
 #[test]
 fn a_sampler_command_gives_what_the_loop_in_the_process_gives() {
     let folder = Folder::new();
-    // A name that a shell would take apart, with placeholders that stand for nothing there.
+    // A name that a shell would split, with placeholders that must not be replaced.
     let (inside, outside) = (folder.path("inside"), folder.path("it's {out} {map} side"));
     let reference = folder.path("reference.exr");
     stein(&["render", "dof", "--reference", "--spp=64", SMALL[1], "-o", text(&reference)]);
@@ -200,7 +200,7 @@ fn a_sampler_command_gives_what_the_loop_in_the_process_gives() {
     let (noisy, denoised) = errors(&iterations[1]);
     assert!(denoised < noisy && noisy < errors(&iterations[0]).0, "{iterations}");
     assert!(errors(&uniform).1 > 0.0);
-    // The same pixels; only what they were drawn by differs in the headers.
+    // The pixels are the same; only the sampler differs in the headers.
     for label in ["1", "2", "uniform"] {
         let file = |folder: &Path| samples(&folder.join(format!("samples_{label}.exr")));
         let (a, b) = (file(&inside), file(&outside));
@@ -215,8 +215,8 @@ fn a_sampler_command_gives_what_the_loop_in_the_process_gives() {
 #[test]
 #[cfg(unix)]
 fn a_recorded_run_of_mitsuba_is_merged_mapped_and_denoised_again() {
-    // Of the budget. Relative changes of the density by 1e-4 move less than half of this from pixel to pixel; on the
-    // adapter that the run was recorded with, none moves.
+    // Share of the budget. If the density changes by 1e-4, less than half of this share moves between pixels; on the
+    // adapter of the recorded run, none moves.
     const MOVED: f64 = 0.02;
     const PIXELS: u64 = 32 * 32;
     let folder = Folder::new();
@@ -410,7 +410,7 @@ fn a_map_survives_its_file() {
     assert_eq!((read.map.density, read.map.counts, read.drawn), (map.density, map.counts, Some(drawn)));
 }
 
-/// Two walls under an even light; the right one is striped, and out of focus.
+/// A scene of two walls under an even light; the right wall is striped and out of focus.
 fn two_walls() -> Scene {
     let camera =
         Camera { eye: Vec3::new(0.0, 0.0, 4.0), target: Vec3::ZERO, field_of_view: 0.6, lens_radius: 0.25, focus: 1.0 };

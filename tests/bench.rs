@@ -16,7 +16,7 @@ use serde_json::{Value, json};
 use stein::Image;
 use stein_exr::{NamedLayer, write_layers};
 
-/// Small, so that a software adapter is done at once.
+/// A small radius, so that a software adapter is done at once.
 const CROP: [usize; 4] = [20, 30, 40, 32];
 
 fn crop(image: &Image) -> Image {
@@ -24,7 +24,7 @@ fn crop(image: &Image) -> Image {
     frames::cropped(image, left, top, width, height)
 }
 
-/// A rectangle of a test render as a file of its own, with halves and variances, and with one feature.
+/// Writes a rectangle of a test render to a file of its own, with halves, variances and one feature.
 fn write_crop(name: &str, samples: u32, file: &str) {
     let set = frames::noisy(name);
     let mut layers = Vec::new();
@@ -58,7 +58,7 @@ fn write_reference(scene: &str, file: &str) {
     write_layers(Path::new(file), &[layer], &[]).unwrap();
 }
 
-/// Two sets of one scene and their reference; paths in its folder `renders`.
+/// Two sets of one scene and their reference, in the folder `renders`.
 fn renders() -> Folder {
     let folder = Folder::new();
     for samples in [8, 32] {
@@ -87,7 +87,7 @@ fn row<'a>(document: &'a Value, set: &str, configuration: &str) -> &'a Value {
 fn a_report_tells_the_same_to_people_and_to_programs() {
     let folder = renders();
     let (sets, report) = (folder.path("renders"), folder.path("report"));
-    // What lies about in a folder of renders.
+    // Other files in a folder of renders.
     let (input, denoised) =
         (folder.path("renders/box/spp8/input.exr"), folder.path("renders/box/spp8/input.denoised.exr"));
     stein(&["denoise", &input, "-o", &denoised, "--radius=1"]).succeeded();
@@ -153,7 +153,7 @@ fn a_report_tells_the_same_to_people_and_to_programs() {
         let stages: f64 = of["stages"].as_array().unwrap().iter().map(|stage| stage["ms"].as_f64().unwrap()).sum();
         assert!((stages - number("device_ms").unwrap_or(0.0)).abs() <= 1e-9 * stages);
 
-        // What is on the front is beaten by nothing.
+        // No row is both faster and better than a row on the front.
         let point = |row: &Value| (row["wall_ms"].as_f64().unwrap(), row["errors"]["relative_mse"].as_f64().unwrap());
         let rivals = rows.iter().filter(|other| other["set"] == of["set"]).map(point);
         let (time, error) = point(of);
@@ -162,7 +162,7 @@ fn a_report_tells_the_same_to_people_and_to_programs() {
     }
     for set in ["box, 8 spp", "box, 32 spp"] {
         let error = |name: &str| row(&document, set, name)["errors"]["relative_mse"].as_f64().unwrap();
-        // The same program, by way of files.
+        // Stein itself as another program, by way of files.
         assert!((error("again <&>") / error("dfc R2") - 1.0).abs() < 1e-6);
         assert_ne!(error("dfc R2"), error("dfc one pass R2"));
     }
@@ -174,7 +174,7 @@ fn a_report_tells_the_same_to_people_and_to_programs() {
     let read = |file: &str| std::fs::read_to_string(Path::new(&report).join(file)).unwrap();
     assert_eq!(serde_json::from_str::<Value>(&read("results.json")).unwrap(), document);
 
-    // JSON is read to the last digit but one.
+    // Numbers read from JSON may differ in the last digit.
     let near = |cell: &str, value: &Value| {
         cell.parse::<f64>().is_ok_and(|cell| (cell - value.as_f64().unwrap()).abs() <= 1e-12 * cell.abs())
     };
@@ -205,16 +205,16 @@ fn a_report_tells_the_same_to_people_and_to_programs() {
     }
 
     let page = read("index.html");
-    // Nothing is fetched from anywhere.
+    // The page fetches nothing from the network.
     for address in ["http:", "https:", "//cdn", "<link", "<script", "@import", "url("] {
         assert!(!page.contains(address), "{address}");
     }
     let sources = page.matches("src=\"").count();
     assert!(sources > 0 && sources == page.matches("src=\"data:image/png;base64,").count());
-    // Noisy, the four best, and the reference, of each set.
+    // Pictures of each set: noisy, the four best, and the reference.
     assert_eq!(page.matches("<figure>").count(), 2 * 6);
     assert!(page.contains("again &lt;&amp;&gt;") && !page.contains("again <&>"));
-    // Over time: all sets and each; over samples; stages; predictions; over the window.
+    // Plots over time (all sets and each), over samples, of stages, of predictions, over the window.
     assert_eq!(
         (page.matches("<svg class=\"plot\"").count(), page.matches("<svg class=\"bars\"").count()),
         (3 + 1 + 1 + 1, 1)
@@ -227,7 +227,7 @@ fn a_report_tells_the_same_to_people_and_to_programs() {
     assert_eq!(page.matches("<svg").count(), page.matches("</svg>").count());
     assert!(!page.contains("NaN"), "something was drawn that is no number");
 
-    // A report is replaced by another, and nothing else is.
+    // A report replaces an earlier one, but no other files.
     stein(&["bench", &input, "--methods=gem", "--presets=default", "--repeat=1", "-o", &report])
         .succeeded()
         .said(&["index.html"]);
@@ -262,7 +262,7 @@ fn people_see_a_row_for_each_configuration() {
         assert!(of["errors"]["relative_mse"].as_f64() < set["noisy"]["relative_mse"].as_f64());
     }
 
-    // What takes part, and whether what the frame does not need runs as well.
+    // The axes --candidates and --everything.
     let axes = ["bench", &input, "--repeat=1", "--size=32x20", "--radius=2", "--presets=default", "--methods=dfc,gem"];
     let document = stein(&[&axes[..], &["--candidates=first+second,all", "--everything=on,off", "--json"]].concat())
         .succeeded()
@@ -290,11 +290,11 @@ fn people_see_a_row_for_each_configuration() {
     }
     assert_ne!(errors[2].1, errors[3].1);
 
-    // Without a reference all but the errors is told.
+    // Without a reference everything except errors is reported.
     let folder = Folder::new();
     let lone = folder.path("lone.exr");
     write_crop("cornell_8spp", 8, &lone);
-    // And parameters of a file have a name of their own.
+    // Parameters from a file give the configuration a name of its own.
     let file = folder.path("own.toml");
     std::fs::write(&file, "method = 'gem'\npreset = 'thesis'\ngamma = 0.2\nspikes = 'clamp'").unwrap();
     let text = stein(&["bench", &lone, "--params", &file, "--repeat=1"]).succeeded();
@@ -341,7 +341,7 @@ fn what_is_known_of_the_noise_is_measured_side_by_side() {
     assert_eq!(records.records().map(|record| record.unwrap()[column].to_owned()).collect::<Vec<_>>(), told);
     assert!(read("index.html").contains("dfc noise image R2"));
 
-    // The same as a file that holds no more; of gem, which uses no features.
+    // The result equals that of a file without the other layers; with gem, which uses no features.
     let only = |name: &str, parts: &[&str]| {
         let file = folder.path(&format!("{name}.exr"));
         write_without(parts, &input, &file);
@@ -384,7 +384,7 @@ fn a_run_is_compared_with_an_earlier_one_and_measured_again() {
             row["stages"][0]["ms"] = json!(1e9);
         }
     });
-    // What is measured is what was; with the same bits.
+    // The same rows are measured again, with the same bits.
     let document = stein(&["bench", "--compare", &before, "--json", "--fail-above=1.5"]).succeeded().json();
     assert_eq!(document["rows"].as_array().unwrap().len(), 4);
     assert!(ratio(&document, "wall").unwrap() < 0.1);

@@ -13,7 +13,7 @@ use process::{Folder, channels, command, stein, test_image, write_without};
 use serde_json::Value;
 use stein_exr::{BufferSet, BufferSetRequest};
 
-/// Small, so that a software adapter is done in a second.
+/// A small radius, so that a software adapter is done in a second.
 const RADIUS: &str = "--radius=2";
 
 fn attribute(path: &str, name: &str) -> Option<String> {
@@ -92,10 +92,10 @@ fn a_render_with_everything_is_denoised_compared_and_told_as_json() {
         assert!(((a + b) / 2.0 - mean).abs() <= 1e-5 * mean.abs().max(1.0), "{a} {b} {mean}");
     }
 
-    // What was denoised before can be denoised again, in its place.
+    // A denoised file can be denoised again, in place.
     let again = stein(&["denoise", &output, "-o", &output, RADIUS]).succeeded();
     again.said(&["noise: known from two seeds", "denoised before"]);
-    // Without an error, that of an earlier run does not stay either.
+    // With --no-error, the error of an earlier run is removed too.
     let has_error = || channels(&output).iter().any(|(name, _)| name.starts_with("stein.error"));
     assert!(has_error());
     stein(&["denoise", &output, "-o", &output, RADIUS, "--no-error"]).succeeded().said(&["denoised before"]);
@@ -259,7 +259,7 @@ fn a_user_sees_what_runs_what_is_left_out_and_why() {
     );
     with(&["-n"]).succeeded().said(&told);
 
-    // The same with everything on.
+    // The same frame with --everything.
     let everything = stein(&[
         "denoise",
         &input,
@@ -302,7 +302,7 @@ fn compiled_shaders_are_kept_where_the_user_says() {
     assert!(!with_cache("").contains("compiled shaders"));
     let cache = folder.path("cache");
     let first = with_cache(&cache);
-    // Not every adapter hands them out.
+    // Not every adapter hands out its pipelines.
     if first.contains("compiled shaders") {
         assert_eq!(std::fs::read_dir(&cache).unwrap().count(), 1, "{first}");
         assert!(first.contains(&cache) && with_cache(&cache).contains("as before"), "{first}");
@@ -315,11 +315,11 @@ fn compiled_shaders_are_kept_where_the_user_says() {
 fn little_memory_gives_the_same_pixels() {
     let folder = Folder::new();
     let (input, whole, strips) = (test_image("cornell_32spp.exr"), folder.path("whole.exr"), folder.path("strips.exr"));
-    // Spikes, and pooled variances, reach further than half of this image.
+    // Without spikes and pooled variances, which reach further than half of this image.
     let denoise = |more: &[&str]| {
         stein(&[&["denoise", &input, RADIUS, "--method=nlm", "--spikes=keep", "--json"], more].concat())
     };
-    // The least memory that is enough.
+    // The least sufficient memory.
     let least = (10..80)
         .map(|step| format!("{}k", 100 * step))
         .find(|size| denoise(&["--dry-run", "--max-memory", size]).code == 0)
@@ -347,7 +347,7 @@ fn inputs_that_cannot_be_denoised_say_why_and_what_to_do() {
     assert_eq!(folder.names(), ["text.exr"]);
 }
 
-/// What most renderers can give: two seeds, or one image.
+/// The inputs that most renderers can write: two seeds, or one image.
 #[test]
 fn two_seeds_and_an_image_alone_come_out_better_than_they_were() {
     let (folder, reference) = (Folder::new(), test_image("cornell_reference.exr"));
@@ -436,7 +436,7 @@ fn nlm_says_what_it_did() {
     assert_eq!(parameters, &expected);
     assert!(document["errors"].as_array().unwrap().iter().any(|errors| errors["image"] == "half_b"));
     assert!(attribute(&output, "stein.parameters").unwrap().contains("uniform"));
-    // Features are not told of as used, and options about them are not ignored.
+    // No feature is reported as used, and options about features are refused.
     let text = stein(&["denoise", &input, "-o", &output, RADIUS, "--method=nlm", "--keep=all"]).succeeded();
     assert!(!text.stdout.contains("feature albedo"), "{}", text.stdout);
     stein(&["denoise", &input, "-o", &output, "--method=nlm", "--skip-feature=depth"])
@@ -622,7 +622,7 @@ fn a_file_of_parameters_stands_for_options() {
     assert_eq!((&of_file["parameters"], &of_file["preset"]), (&of_options["parameters"], &of_options["preset"]));
     assert_eq!(of_file["preset"], "thesis");
 
-    // Options go before it, and the method and preset that are its own may be said again.
+    // Options override the file, and its own method and preset may be repeated.
     let document = denoise(&["--params", &file, "--radius=3", "--spikes=clamp", "--method=nlm", "--preset=thesis"])
         .succeeded()
         .json();
@@ -698,7 +698,7 @@ fn the_page_about_parameters_is_what_the_program_prints() {
     );
 }
 
-/// The pixels of a small image that is denoised in no time.
+/// The pixels of a small image that is denoised quickly.
 fn small() -> String {
     test_image("anim/shot.0000.exr")
 }
@@ -748,7 +748,7 @@ fn a_file_that_is_replaced_keeps_its_mode() {
     assert_eq!(mode(&params), 0o640);
 }
 
-/// What people read holds nothing that a terminal obeys.
+/// Messages hold no control sequences for a terminal.
 #[track_caller]
 fn assert_harmless(text: &str) {
     assert!(text.chars().all(|character| character == '\n' || !character.is_control()), "{text:?}");
@@ -824,7 +824,7 @@ fn files_are_found_whatever_their_names_hold() {
             .said(&["noise: known from variance and two seeds", "nothing is written"]);
         let output = Path::new(&input).with_extension("").to_str().unwrap().to_owned() + ".denoised.exr";
         assert!(Path::new(&output).exists(), "{output}");
-        // An output in a folder of such a name, and one that replaces such a file.
+        // An output in a folder with such a name, and an output that replaces such a file.
         stein(&[&["denoise", &input, "-o", &output][..], &QUICK].concat()).succeeded();
     }
     let bad = Path::new(&folder.path("")).join(OsStr::from_bytes(b"bad\xff\xfe.exr"));
@@ -849,7 +849,7 @@ fn a_path_is_taken_as_it_is_where_that_is_said() {
     let output = folder.path("take#.exr");
     stein(&[&["denoise", &input, "-o", &output][..], &QUICK].concat()).failed(2, &["is a single image", "--literal"]);
     stein(&[&["denoise", &input, "-o", &output, "--literal"][..], &QUICK].concat()).succeeded();
-    // Now it exists.
+    // Now the file exists.
     stein(&[&["denoise", &input, "-o", &output][..], &QUICK].concat()).succeeded();
     stein(&["denoise", &folder.path("shot.#.exr"), "--literal"]).failed(3, &["shot.#.exr: cannot be read", "remedy: "]);
     stein(&["denoise", &folder.path("shot.#.exr")])

@@ -1,5 +1,5 @@
-//! `stein selftest` on this machine's adapter: every case of the suite is within its bounds, and the command tells what
-//! it should.
+//! `stein selftest` on this machine's adapter: every case of the suite is within its bounds, and the command reports
+//! differences and failures.
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 
 #[allow(dead_code, unreachable_pub, reason = "every test includes all shared pieces and uses a part of them")]
@@ -35,7 +35,7 @@ fn stiff_and_extreme_frames_stay_within_their_bounds() {
     assert!(failures.is_empty(), "{}\n{}", failures.join("\n"), outcome.stderr);
     assert_eq!((outcome.code, &document["passed"]), (0, &Value::Bool(true)), "{}", outcome.stderr);
 
-    // Nothing went missing on the way.
+    // All figures are in the document.
     assert_eq!(names(&document, "method"), BTreeSet::from(["all", "dfc", "dfc-thesis", "gem", "nlm"]));
     assert!(names(&document, "case").len() >= 110, "{} cases", names(&document, "case").len());
     for check in ["door", "finite", "energy", "dark", "error", "reach", "twin", "limit", "bits"] {
@@ -66,7 +66,7 @@ fn some_cases_are_told_as_a_table_and_compared_with_another_run() {
     std::fs::write(&other, &document.stdout).unwrap();
     with(&["--compare", &other]).succeeded().said(&["2 of 2 results are the same to the bit"]);
 
-    // As if another adapter had rounded elsewhere, and had no result for GEM.
+    // As if another adapter had rounded differently, and had no result for GEM.
     let mut changed = document.json();
     changed["rows"][0]["result"]["checksum"] = "0".into();
     changed["rows"][0]["result"]["mean"] = 1.0.into();
@@ -83,7 +83,7 @@ fn some_cases_are_told_as_a_table_and_compared_with_another_run() {
     let comparison = &with(&["--compare", &other, "--json"]).succeeded().json()["comparison"];
     assert!(comparison["different"][0]["mean"].as_f64().unwrap() > 0.1, "{comparison}");
 
-    // As if another adapter had values that are not finite, which JSON tells as null.
+    // As if another adapter had values that are not finite, which are null in JSON.
     let mut changed = document.json();
     for field in ["mean", "root_mean_square", "least", "most"] {
         changed["rows"][0]["result"][field] = Value::Null;
@@ -101,7 +101,7 @@ fn what_cannot_be_checked_is_refused() {
     stein(&["selftest", "--case", "no such situation"]).failed(2, &["there is no such case", "remedy: "]);
     stein(&["selftest", "--methods", "magic"]).failed(2, &["magic", "dfc", "gem"]);
     stein(&["selftest", "--device", "no such adapter"]).failed(4, &["no such adapter"]);
-    // A device that fails in a case is no figure.
+    // A device that fails in a case gives no figure.
     let starved =
         ["selftest", "--case", "a constant image with noise", "--methods", "gem", "--max-memory", "1KiB", "--json"];
     let outcome = stein(&starved);

@@ -1,6 +1,5 @@
-//! What goes wrong around the program: files that are none, disks that are full, signals, pipes that close, devices
-//! that are lost. The work ends with a message or a signal, what was there before is as it was, and nothing half done
-//! is left.
+//! Faults around the program: files that are no images, full disks, signals, closed pipes, lost devices. The work ends
+//! with a message or a signal, earlier files are unchanged, and no unfinished file is left.
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 
 #[allow(dead_code, unreachable_pub, reason = "every test includes all shared pieces and uses a part of them")]
@@ -26,7 +25,7 @@ fn with_output() -> (Folder, String) {
     (folder, output)
 }
 
-/// The output is as it was, and nothing lies beside it.
+/// Checks that the output is unchanged and the only file in its folder.
 #[track_caller]
 fn assert_untouched(folder: &Folder) {
     assert_eq!(folder.names(), ["out.exr"]);
@@ -48,7 +47,7 @@ fn every_broken_file_ends_with_code_3() {
         let file = file.to_str().unwrap();
         let ended = stein(&["denoise", file, "-o", &output]);
         ended.failed(3, &[file, "remedy: "]);
-        // The words of the command line, not of the library.
+        // The message has the words of the command line, not of the library.
         assert!(!ended.stderr.contains("BufferSetRequest"), "{}", ended.stderr);
     }
     for (name, option) in [("half_alone", "--half-b"), ("no_blue", "--layer"), ("parts_elsewhere", "--skip-feature")] {
@@ -113,7 +112,7 @@ fn what_is_no_file_is_told_and_not_waited_for() {
     assert_untouched(&folder);
 }
 
-/// Of two frames of which none is known to be like the other: half a flat grey, half noise.
+/// A frame whose one half is a flat grey and whose other half is noise.
 fn frame(side: u32) -> Frame {
     let extent = Extent { width: side, height: side };
     let plane =
@@ -145,7 +144,7 @@ fn assert_lost(denoised: Result<Estimate>) {
 #[test]
 fn a_device_lost_at_any_step_is_told_and_another_one_goes_on() {
     let frame = frame(24);
-    // The quickest to compile.
+    // The method that compiles fastest.
     let method = GemParams::default();
     let (survivor, lost_early) = (gpu(), gpu());
     let surviving = Denoiser::new(&survivor, method).unwrap();
@@ -159,7 +158,7 @@ fn a_device_lost_at_any_step_is_told_and_another_one_goes_on() {
 
     lost_early.wgpu_device().destroy();
     assert_lost(Denoiser::new(&lost_early, method).unwrap().denoise(&frame));
-    // While it is recorded, and before it is read back.
+    // The device is lost while work is recorded, and before results are read back.
     for lost_at in 1..=steps {
         let gpu = gpu();
         let mut step = 0;
@@ -174,7 +173,7 @@ fn a_device_lost_at_any_step_is_told_and_another_one_goes_on() {
         assert_lost(denoiser.denoise_with(&frame, Options { progress: Some(&mut lose), ..Options::default() }));
         assert_lost(denoiser.denoise(&frame));
     }
-    // While it is waited for: whenever that is, there is an answer.
+    // The device is lost during a wait: every such call returns an error or a result.
     let gpu = gpu();
     let denoiser = Denoiser::new(&gpu, method).unwrap();
     denoiser.denoise(&frame).unwrap();
@@ -217,7 +216,7 @@ fn a_device_of_small_limits_says_what_is_too_large() {
         let gpu = Gpu::from_wgpu(device, queue, &adapter.get_info()).unwrap();
         Denoiser::new(&gpu, GemParams::default()).unwrap().denoise(&frame(24))
     };
-    // Of a frame of 24 by 24 pixels, a plane takes 9 KiB.
+    // A plane of 24 by 24 pixels takes 9 KiB.
     let refused = denoise(2048).map(drop);
     assert!(matches!(refused, Err(Error::Device(DeviceCause::StripExceedsAdapter { .. }))), "{refused:?}");
     let expected = Denoiser::new(&own, GemParams::default()).unwrap().denoise(&frame(24)).unwrap();
@@ -249,7 +248,7 @@ mod unix {
     use super::process::{Folder, Outcome, command, test_image};
     use super::*;
 
-    /// In a shell that sets something up first; the program and its arguments are `"$0" "$@"`.
+    /// Runs the program in a shell after `setup`; the program and its arguments are `"$0" "$@"`.
     fn in_shell(setup: &str, arguments: &[&str]) -> Command {
         let mut shell = Command::new("sh");
         shell.args(["-c", &format!("{setup} exec \"$0\" \"$@\"")]).arg(env!("CARGO_BIN_EXE_stein")).args(arguments);
@@ -263,7 +262,7 @@ mod unix {
         Outcome { code: output.status.code().unwrap_or(-1), stdout: text(output.stdout), stderr: text(output.stderr) }
     }
 
-    /// Permissions do not bind root.
+    /// Whether the user is root, whom permissions do not bind.
     fn as_nobody(command: &mut Command) {
         let folder = Folder::new();
         if std::fs::metadata(folder.path("")).unwrap().uid() == 0 {
@@ -279,7 +278,7 @@ mod unix {
     fn what_a_header_claims_is_not_allocated() {
         let (folder, output) = with_output();
         let limited = |input: &str| {
-            // What the program itself takes; the claims go from gigabytes to exabytes.
+            // Address space for the program itself; the files claim gigabytes to exabytes.
             let mut command = in_shell("ulimit -v 400000;", &["denoise", input, "-o", &output]);
             // Each thread takes address space.
             command.env("RAYON_NUM_THREADS", "2");
@@ -321,7 +320,7 @@ mod unix {
         let large = folder.path("large.exr");
         write_large(&large, 2048);
         let mut refused = 0;
-        // From what the program alone does not fit into to what all of it fits into.
+        // From a limit below the program's own need to a limit that is enough for all of the work.
         for megabytes in (40..=400).step_by(24) {
             let mut command = in_shell(&format!("ulimit -v {};", megabytes * 1000), &["info", &large]);
             command.env("RAYON_NUM_THREADS", "2");
@@ -373,7 +372,7 @@ mod unix {
             as_nobody(&mut command);
             outcome(command)
         };
-        // The folder is another's.
+        // The folder belongs to another user.
         set_mode(&input, 0o644);
         set_mode(&folder.path(""), 0o555);
         denoise(&input, &folder.path("out.exr")).failed(5, &["out.exr", "cannot be written", "remedy: "]);
@@ -409,7 +408,7 @@ mod unix {
         assert_untouched(&folder);
     }
 
-    /// A run that has said this much.
+    /// Starts a run and waits until it has printed this text.
     fn running(arguments: &[&str], until: &str) -> Child {
         let mut child = command(arguments).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
         let mut lines = BufReader::new(child.stdout.as_mut().unwrap());
@@ -426,7 +425,7 @@ mod unix {
         assert!(sent.success());
     }
 
-    /// How it ended, and what it said on standard error; a run that goes on is a failure.
+    /// Returns how the run ended, and its standard error. Fails if the run goes on.
     #[track_caller]
     fn end(mut child: Child) -> (ExitStatus, String) {
         let start = Instant::now();
@@ -445,7 +444,7 @@ mod unix {
         (status, said)
     }
 
-    /// Whether whoever runs the tests has a signal ignored, as a shell does for what runs behind its back.
+    /// Whether the parent process had this signal set to be ignored, as a shell does for background jobs.
     fn is_ignored(number: u32) -> bool {
         let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
         let mask = status
@@ -457,7 +456,7 @@ mod unix {
 
     #[test]
     fn a_signal_ends_the_work_and_leaves_nothing_half_done() {
-        // While the shaders are compiled, and while it works.
+        // The signal comes while shaders are compiled, and while the device works.
         for (name, number, method, until) in [
             ("INT", 2, "dfc", "openjd_progress"),
             ("TERM", 15, "dfc", "openjd_status"),
@@ -494,11 +493,11 @@ mod unix {
             signals.iter().for_each(|signal| send(signal, &child));
             (folder, end(child).0.signal())
         };
-        // The first asks, the second does not.
+        // The first signal lets the work end, the second ends the process.
         let (folder, signal) = writing(&["TERM", "TERM"]);
         assert_eq!(signal, Some(15));
         assert_untouched(&folder);
-        // Nothing can be done about this, but what was there is there.
+        // SIGKILL cannot be handled, but the old output is unchanged.
         let (folder, signal) = writing(&["KILL"]);
         assert_eq!((signal, std::fs::read_to_string(folder.path("out.exr")).unwrap().as_str()), (Some(9), BEFORE));
     }
@@ -531,7 +530,7 @@ mod unix {
         send("TERM", &child);
         assert_eq!(end(child).0.signal(), Some(15));
         let start = Instant::now();
-        // It is gone, or nobody has asked what became of it.
+        // The process is gone, or a zombie.
         let lives = || std::fs::read_to_string(format!("/proc/{number}/stat")).is_ok_and(|stat| !stat.contains(") Z "));
         while lives() {
             assert!(start.elapsed() < Duration::from_secs(20), "the renderer goes on");
@@ -547,7 +546,7 @@ mod unix {
         let input = test_image("cornell_8spp.exr");
         let arguments = ["bench", &input, "--methods=gem", "--repeat=100000", "--size=32x32", "-o", &report];
         let mut child = command(&arguments).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
-        // It says what it works on when it has begun.
+        // The program prints its adapter when it begins to work.
         BufReader::new(child.stdout.as_mut().unwrap()).read_line(&mut String::new()).unwrap();
         send("TERM", &child);
         assert_eq!(end(child).0.signal(), Some(15));

@@ -1,4 +1,4 @@
-//! From what the files said to what the denoisers may rely on.
+//! From raw signals to frames: what is repaired, left out and refused.
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 
 use std::path::{Path, PathBuf};
@@ -80,7 +80,7 @@ fn the_two_buffer_variance_of_a_real_render_agrees_with_its_sample_variance() {
     let two_buffer = sum(color.half_spread.as_ref().unwrap(), 2);
     let ratio = two_buffer / sum(color.variance_of_mean.as_ref().unwrap(), 1);
     assert!((0.8..1.25).contains(&ratio), "a factor of two is lost: {ratio}");
-    // The guess without a reference is of the size that the reference shows.
+    // The prediction without a reference has the size of the true error.
     let reference = read_reference(&testdata("dof_spheres_reference.exr"), None).unwrap();
     let error = metric::relative_mse(&color.mean, &reference).unwrap();
     let level = frame.noise_level().unwrap();
@@ -95,7 +95,7 @@ fn nan_values_take_their_neighbours_value() {
     let mut poisoned = color();
     poisoned.mean.planes[1][0] = f32::NAN;
     let (frame, repairs) = frame(poisoned, vec![]);
-    // Beside pixel 0 lie 1, 4 and 5, each worth its number plus one: 13/3 on average.
+    // The neighbours of pixel 0 are 1, 4 and 5, with their number plus one as value: 13/3 on average.
     let first = [0, 1, 2].map(|channel| frame.color().mean.planes[channel][0]);
     assert_eq!(first, [1.0, 13.0 / 3.0, 1.0], "the damaged channel alone is replaced");
     assert!(
@@ -107,7 +107,7 @@ fn nan_values_take_their_neighbours_value() {
     assert!(repairs.to_string().contains("1 values NaN") && repairs.to_string().contains("mean G 1"), "{repairs}");
 }
 
-/// Values of the neighbours tell which pixels and channels were replaced.
+/// The values of the neighbours show which pixels and channels were replaced.
 #[test]
 fn damage_is_counted_and_repaired_by_image_and_channel() {
     let ramp = |from: f32| image(std::array::from_fn(|pixel| from + pixel as f32), 3);
@@ -182,7 +182,7 @@ fn a_bad_variance_alone_leaves_the_pixel_alone() {
 
 #[test]
 fn half_an_image_of_nan_is_filled_always_the_same() {
-    // As large as this, a search for the nearest usable pixel from each that is not would not come to its end.
+    // At this size, a search for the nearest usable pixel from each unusable one would take too long.
     let extent = Extent { width: 600, height: 600 };
     let value = |pixel: usize| {
         if pixel % 600 < 300 { f32::NAN } else { (pixel % 7) as f32 }
@@ -207,7 +207,7 @@ fn a_colour_without_one_usable_pixel_is_an_error_that_names_it() {
     assert!(failure(blue, vec![]).contains("not one pixel has a usable value in B"));
 }
 
-/// A frame whose noise has to be estimated from the image itself, and what is said where that is not enough.
+/// A frame whose noise is estimated from the image itself, and the refusal if that is not allowed.
 #[track_caller]
 fn assert_image_only((frame, repairs): (Frame, Repairs), said: &[&str]) {
     assert_eq!(
@@ -248,7 +248,7 @@ fn without_halves_and_variance_that_can_be_used_the_noise_is_estimated_from_the_
         &["the halves have no usable value", "the variance has no usable value"],
     );
     assert_image_only(with(Some(flat(0.5, 1)), None), &["halves of 1 channels do not fit a mean of 3"]);
-    // Nothing that tells of noise gets lost on the way.
+    // The halves and the variance are kept.
     for known in [
         with(Some(flat(0.5, 3)), infinite()),
         with(infinite(), Some(flat(0.25, 3))),
@@ -416,7 +416,7 @@ fn without(image: &Option<Image>, channels: &[usize]) -> Option<Image> {
 fn the_source_that_says_something_is_used() {
     let sound = noisy(3);
     let settled = |signal: &Signal| {
-        // The same of a feature.
+        // The same for a feature.
         let (as_color, repairs) = frame(signal.clone(), vec![("caustic".into(), signal.clone())]);
         let feature = as_color.features()[0].signal.clone();
         (as_color.color().clone(), feature, repairs)
@@ -469,7 +469,7 @@ fn the_source_that_says_something_is_used() {
         assert_eq!(feature.noise_knowledge(), Some(NoiseKnowledge::VarianceOnly));
         assert!(repairs.to_string().contains("colour: the two halves are identical"), "{repairs}");
     }
-    // A channel of which both say nothing is free of noise.
+    // A channel in which halves and variance are both 0 is free of noise.
     let blue = |image: &Option<Image>| without(image, &[2]);
     let clean_blue = Signal {
         half_spread: blue(&sound.half_spread),
@@ -477,7 +477,7 @@ fn the_source_that_says_something_is_used() {
         ..sound.clone()
     };
     assert_eq!(settled(&clean_blue).0, clean_blue);
-    // Round-off is no noise.
+    // Rounding errors are not noise.
     let mut exact = clean_blue.clone();
     exact.variance_of_mean.as_mut().unwrap().planes[2].fill(1e-12);
     let (color, _, repairs) = settled(&exact);
@@ -539,7 +539,7 @@ fn noise_that_neighbours_share_is_pointed_out() {
     );
 }
 
-/// As of a render with one sample per pixel.
+/// As from a render with one sample per pixel.
 #[test]
 fn an_empty_half_is_not_taken_for_noise() {
     let folder = tempfile::tempdir().unwrap();
@@ -603,7 +603,7 @@ fn a_feature_comes_to_unit_range_with_its_noise() {
     assert!(repairs.is_empty(), "{repairs}");
 }
 
-/// Depth of a scene from 1 to 5, and what lies elsewhere.
+/// Depth of a scene from 1 to 5, with other values in some pixels.
 fn far_depth(far: impl Fn(usize, usize) -> Option<f32>) -> Signal {
     let extent = Extent { width: 64, height: 64 };
     let value = |pixel: usize| far(pixel % 64, pixel / 64).unwrap_or(1.0 + 4.0 * ((pixel * 29) % 4096) as f32 / 4095.0);
@@ -625,7 +625,7 @@ fn outliers_do_not_stretch_a_features_range_and_stay_apart() {
     let plain = near(&with_depth(noisy(3), far_depth(|_, _| None)).0);
     assert_eq!((plain.unit_scale, plain.unit_offset), (4.0, 1.0));
     type Far = fn(usize, usize) -> Option<f32>;
-    // A pixel that was missed, a sky dome, one whose edge is mixed with what is before it.
+    // A pixel without a hit, a sky dome, and a sky dome whose edge is mixed with the scene in front.
     let cases: [Far; 3] = [
         |x, y| ((x, y) == (9, 9)).then_some(1e6),
         |_, y| (y < 20).then_some(1e4),
@@ -664,7 +664,7 @@ fn outliers_do_not_stretch_a_features_range_and_stay_apart() {
     }
 }
 
-/// The noise of an outlier is pulled in with it: as many deviations as before lie between it and the range.
+/// The noise of an outlier shrinks with it: its distance to the range stays the same in standard deviations.
 #[test]
 fn what_lies_far_outside_keeps_its_noise_in_proportion() {
     let mut signal = noisy(1);
@@ -684,12 +684,12 @@ fn what_lies_far_outside_keeps_its_noise_in_proportion() {
     assert!((value - 1.0) / variance.sqrt() >= 100.0, "{value} {variance}");
 }
 
-/// A frame and a piece of it agree to the bit wherever the range of the features is the same, which an outlier that is
-/// cut away does not change.
+/// A frame and a crop of it agree to the bit if the range of the features is the same. Cropping an outlier away does
+/// not change the range.
 #[test]
 fn a_piece_without_the_outlier_is_as_in_the_whole() {
     type Far = fn(usize, usize) -> Option<f32>;
-    // Least and greatest value of the scene lie in the piece.
+    // The crop holds the least and the greatest value of the scene.
     let ends = |x: usize, y: usize| match (x, y) {
         (40, 40) => Some(1.0),
         (41, 40) => Some(5.0),
@@ -718,7 +718,7 @@ fn a_piece_without_the_outlier_is_as_in_the_whole() {
     }
 }
 
-/// Normals of a ball as a camera sees it; outside of it nothing is hit.
+/// Normals of a ball as a camera sees it; rays outside of the ball hit nothing.
 fn ball_normals() -> Signal {
     let noise = noisy(3);
     let extent = noise.mean.extent;
@@ -855,8 +855,8 @@ fn close(a: f32, b: f32) -> bool {
 
 #[test]
 fn albedo_beyond_1_is_clamped_with_its_noise() {
-    // 0 to 0.9, and one pixel of each kind: a lamp, one whose halves differ, an edge of a lamp, one within 1 of which
-    // one half is not.
+    // 0 to 0.9, and one pixel of each kind: a lamp, a lamp with different halves, an edge of a lamp, a value below 1
+    // with one half above.
     let mut mean = std::array::from_fn(|pixel| pixel as f32 * 0.1);
     let (mut spread, mut deviation) = ([0.05; 12], [0.05; 12]);
     for (pixel, m, s, d) in [(3, 844.0, 2.0, 3.0), (5, 2.0, -1.5, 1.5), (7, 1.25, 0.5, 0.25), (9, 0.75, 0.5, 0.5)] {
@@ -888,7 +888,7 @@ fn albedo_beyond_1_is_clamped_with_its_noise() {
         "{repairs}"
     );
 
-    // Without halves the deviation tells how far the samples went; what is no albedo stays.
+    // Without halves the deviation bounds the samples; other features stay unchanged.
     let (pixels, repairs) = settled_albedo("albedo", albedo(mean, None, Some(deviation)));
     assert!(close(pixels[7][2], 0.0) && close(pixels[9][2], 0.375) && close(pixels[10][2], 0.05), "{pixels:?}");
     assert!(repairs.to_string().contains("9 values are beyond 1, up to 844"), "{repairs}");

@@ -1,4 +1,4 @@
-//! The graphics layer on whatever adapter this machine has; without one these tests fail and say how to get one.
+//! The GPU layer on this machine's adapter. Without an adapter these tests fail with the remedy.
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on says where")]
 
 use std::path::{Path, PathBuf};
@@ -47,7 +47,7 @@ fn scale_kernel(gpu: &Gpu) -> Arc<Kernel> {
     gpu.kernel_from_source::<Scale>("scale", SCALE, &[]).unwrap_or_else(|error| panic!("{error}"))
 }
 
-/// The one function per stage that a consumer writes.
+/// The function that a consumer writes for a stage.
 fn scale(rec: &mut Recorder, kernel: &Arc<Kernel>, source: &Buffer, factor: f32) -> Result<Buffer> {
     let scaled = rec.take("scaled", source.bytes())?;
     let params = ScaleParams { extent: EXTENT, factor };
@@ -217,7 +217,7 @@ fn poison_shows_what_was_not_written_also_in_reused_memory() {
     let gpu = gpu_with(GpuOptions { poison: true, ..GpuOptions::default() });
     let kernel = scale_kernel(&gpu);
     let mut rec = gpu.record();
-    // More than one copy of the poison, and not a whole number of them.
+    // More than one copy of the poison buffer, and not a whole number of copies.
     let large = rec.take("large", (2 << 20) + 12).unwrap();
     let source = rec.upload("source", &ramp()).unwrap();
     drop(scale(&mut rec, &kernel, &source, 2.0).unwrap());
@@ -378,7 +378,7 @@ fn an_absurd_request_names_the_limit_and_the_device_lives_on() {
     assert_eq!(nothing.bytes(), 4);
 }
 
-/// Runs in a process of its own with little address space, which a software adapter takes its memory from.
+/// Runs in a process of its own with little address space, because a software adapter takes its memory from there.
 #[test]
 #[ignore = "started by `a_full_device_frees_what_it_can_and_lives_on` with limited memory"]
 fn with_little_memory() {
@@ -399,7 +399,7 @@ fn with_little_memory() {
     {
         assert!(text.contains(part), "{part} is missing in: {text}");
     }
-    // Idle buffers of the wrong size are given back when memory is short, also while commands that use them are still
+    // Idle buffers of another size are freed when memory is short, even while commands that use them are still
     // recorded.
     drop(held);
     let sizes = (1..=10).map(|n| n * bytes / 32);
@@ -492,7 +492,7 @@ fn compiled_pipelines_are_kept_and_found_again() {
             .map_or_else(|_| Vec::new(), |entries| entries.map(|entry| entry.unwrap().path()).collect())
     };
     let open = || gpu_with(GpuOptions { pipeline_folder: Some(folder.clone()), ..GpuOptions::default() });
-    // A kernel that no other test has, so that the driver has it from nowhere else.
+    // A kernel that no other test compiles, so that no cache of the driver holds it.
     let computed = |gpu: &Gpu| {
         let kernel = gpu
             .kernel_from_source::<Scale>("scale", &SCALE.replace("params.factor", "params.factor + 0.03125"), &[])
@@ -512,7 +512,8 @@ fn compiled_pipelines_are_kept_and_found_again() {
     let intact = std::fs::read(file).unwrap();
     assert!(matches!(first.save_pipelines(), Ok(SavedPipelines::Unchanged { .. })));
 
-    // Found again, also by a device that is open at the same time; unchanged, it is not written again.
+    // The file is read again, also by a device that is open at the same time. If nothing changed, it is not written
+    // again.
     let old = std::time::SystemTime::UNIX_EPOCH + std::time::Duration::from_secs(1_000_000_000);
     std::fs::File::options().write(true).open(file).unwrap().set_modified(old).unwrap();
     let second = open();
@@ -521,7 +522,8 @@ fn compiled_pipelines_are_kept_and_found_again() {
     drop((first, second));
     assert_eq!(std::fs::metadata(file).unwrap().modified().unwrap(), old);
 
-    // Cut off, spoiled, or no file of ours at all: compiled anew, and replaced when the device is closed.
+    // A file that is truncated, damaged or foreign: pipelines are compiled again, and the file is replaced when the
+    // device is closed.
     let mut spoiled = intact.clone();
     *spoiled.last_mut().unwrap() ^= 1;
     for damaged in [&intact[..intact.len() / 2], &spoiled, b"", b"a picture"] {

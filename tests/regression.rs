@@ -1,8 +1,8 @@
-//! How good the result is, on the test renders: bounds just above what was measured, so that whatever makes it worse is
-//! noticed, and by how much.
+//! The error of the results on the test renders. Bounds are just above the measured values, so that every increase is
+//! noticed.
 //!
-//! Bounds hold for any adapter: results differ between adapters by a few units of their last digits, and here and there
-//! by a decision that ties.
+//! Bounds hold for any adapter: results differ between adapters by a few units of their last digits, and in a few
+//! pixels by a tied decision.
 
 #[allow(dead_code, unreachable_pub, reason = "every test includes all shared pieces and uses a part of them")]
 #[path = "common/frames.rs"]
@@ -39,22 +39,22 @@ fn share_within_four(estimate: &Estimate, reference: &Image) -> f64 {
     ratios.iter().filter(|ratio| (0.25..=4.0).contains(*ratio)).count() as f64 / ratios.len() as f64
 }
 
-/// A render and the most that its relative mean squared error may be: as it comes, with the default parameters, with
-/// those of the text, both at R = 10.
+/// A render and bounds of its relative mean squared error: of the noisy image, with the default parameters, and with
+/// the thesis parameters, both at R = 10.
 struct Bound {
     render: &'static str,
     scene: &'static str,
     default: f64,
     thesis: f64,
-    /// The least share of blocks on which the default tells its error within a factor of four.
+    /// Lower bound of the share of blocks whose estimated error is right within a factor of four, with the default.
     told: f64,
-    /// Where the text's own algorithm ends with more error than it began with. In `cornell` lamp and ceiling share all
-    /// features, so that THIRD smears the one over the other; it does not win there, but the smoothing of the maps
-    /// hands it a share all the same. The default's guard is there for that.
+    /// Whether the published algorithm increases the error. In `cornell` lamp and ceiling share all features, so that
+    /// THIRD smears one over the other; THIRD does not win there, but the smoothing of the maps gives it a share. The
+    /// guard of the default prevents this.
     thesis_fails: bool,
 }
 
-/// Three percent above what was measured.
+/// Three percent above the measured value.
 const BOUNDS: [Bound; 4] = [
     Bound { render: "cornell_8spp", scene: "cornell", default: 0.0023, thesis: 3.02, told: 0.75, thesis_fails: true },
     Bound {

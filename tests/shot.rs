@@ -37,7 +37,7 @@ fn path(folder: &Folder, name: &str, frame: u32) -> String {
     folder.path(&format!("{name}.{frame:04}.exr"))
 }
 
-/// The outputs in the folder, and whatever else did not lie there from the beginning.
+/// All files in the folder that were not there at the beginning.
 fn new_names(folder: &Folder) -> Vec<String> {
     folder.names().into_iter().filter(|name| !name.starts_with("shot.") && !name.starts_with("reference.")).collect()
 }
@@ -61,14 +61,14 @@ fn a_shot_in_pieces_is_the_shot_as_a_whole() {
     }
     assert_eq!(new_names(&folder).iter().filter(|name| !name.starts_with("whole")).count(), 5);
 
-    // One frame at a time is the same as each on its own.
+    // A shot gives the same pixels as its frames one by one.
     denoise(&folder, "still", &["--frames=1"]).succeeded();
     stein(&["denoise", &path(&folder, "shot", 1), "-o", &folder.path("single.exr"), RADIUS]).succeeded();
     assert_eq!(channels(&path(&folder, "still", 1)), channels(&folder.path("single.exr")));
     assert_ne!(channels(&path(&folder, "still", 1)), channels(&path(&folder, "whole", 1)), "neighbours take part");
 }
 
-/// Halves a frame's file; gives its whole content.
+/// Cuts the file of a frame in half, and returns its whole content.
 fn cut(file: &str) -> Vec<u8> {
     let whole = std::fs::read(file).unwrap();
     std::fs::write(file, &whole[..whole.len() / 2]).unwrap();
@@ -105,7 +105,7 @@ fn a_broken_frame_is_named_the_others_are_written_and_no_clobber_goes_on() {
             && frames[1]["problem"].is_null()
     );
     assert!(frames[1]["left_out"][0].as_str().unwrap().contains("frame 2: "));
-    // The frames around a broken one are those that they are without it.
+    // The frames around a broken one are the same as if it did not exist.
     let gone = folder.path("gone");
     std::fs::rename(&broken, &gone).unwrap();
     denoise(&folder, "without", &["--temporal-radius=1"])
@@ -157,7 +157,7 @@ fn a_frame_of_whose_noise_nothing_is_known_is_left_out_where_noise_is_required()
     );
     assert_eq!(told.stdout.matches("not filtered with frame 2: ").count(), 2, "{}", told.stdout);
     assert_eq!(new_names(&folder), ["clean.0000.exr", "clean.0001.exr", "clean.0003.exr"]);
-    // A neighbour of another kind does not help, and is no failure.
+    // A neighbour with other data is left out, and that is no failure.
     let beside = denoise(&folder, "beside", &["--frames=1", "--temporal-radius=1"]).succeeded();
     beside.said(&["not filtered with frame 2: halves or variance of its colour are not known as they are here"]);
 }
@@ -165,7 +165,7 @@ fn a_frame_of_whose_noise_nothing_is_known_is_left_out_where_noise_is_required()
 #[test]
 fn bad_frames_in_any_place_do_not_hold_up_the_others() {
     let folder = shot();
-    // The first, the last, and one that is asked for and not there.
+    // The first frame, the last frame, and a requested frame that does not exist.
     cut(&path(&folder, "shot", 0));
     std::fs::write(path(&folder, "shot", 3), "").unwrap();
     let told = denoise(&folder, "clean", &["--frames=0-5", "--temporal-radius=2"]);
@@ -184,7 +184,7 @@ fn bad_frames_in_any_place_do_not_hold_up_the_others() {
     let dry = denoise(&folder, "dry", &["--frames=2-5", "--dry-run"]);
     dry.failed(3, &["2 of 4 frames cannot be denoised\n", "frame 4: ", "frame 5: "]);
     dry.said(&["shot.0004.exr -> ", "dry.0004.exr: cannot be denoised"]);
-    // Nothing is left: no device is asked for.
+    // No frame is left, so no device is opened.
     denoise(&folder, "none", &["--frames=0,3,7", "--device=no such adapter"])
         .failed(3, &["3 of 3 frames cannot be denoised\n", "frame 7: "]);
     // A neighbour beyond the list is no failure.
@@ -205,7 +205,7 @@ fn features_that_end_half_way_and_other_sizes_are_told_once_and_are_no_failure()
         stein(&["render", "dof", "--spp=4", "--size", size, "-o", &folder.path(&format!("walk.{frame:04}.exr"))])
             .succeeded();
     }
-    // Without its features, as of a renderer whose passes were turned off.
+    // A frame without features, as if the passes of the renderer were turned off.
     let set = BufferSet::read(&BufferSetRequest { input: folder.path("walk.0013.exr").into(), ..Default::default() })
         .unwrap();
     let color = set.color();
@@ -234,14 +234,14 @@ fn features_that_end_half_way_and_other_sizes_are_told_once_and_are_no_failure()
 #[test]
 fn a_frame_that_cannot_be_written_ends_the_run_and_those_before_it_stay() {
     let folder = shot();
-    // A folder lies where an output is to be.
+    // A folder has the name of an output.
     std::fs::create_dir_all(folder.path("clean.0001.exr/inside")).unwrap();
     let failed = denoise(&folder, "clean", &["--json"]);
     failed.failed(5, &["frame 1: ", "clean.0001.exr: cannot be written", "remedy: "]);
     assert_eq!(new_names(&folder), ["clean.0000.exr", "clean.0001.exr"], "nothing half done, and nothing after it");
     denoise(&folder, "alone", &["--frames=0"]).succeeded();
     assert_eq!(channels(&path(&folder, "clean", 0)), channels(&path(&folder, "alone", 0)));
-    // The last one's failure is not lost either, nor hidden by one that comes after it.
+    // The failure of the last frame is reported too, and no later failure hides it.
     denoise(&folder, "clean", &["--frames=0-1", "--quiet"]).failed(5, &["frame 1: ", "clean.0001.exr"]);
     std::fs::write(path(&folder, "shot", 0), "no picture").unwrap();
     denoise(&folder, "clean", &["--frames=0-2", "--progress=openjd"]).said(&[
@@ -262,7 +262,7 @@ fn an_interruption_leaves_whole_frames_and_no_others() {
     while run.try_wait().unwrap().is_none() && !Path::new(&path(&folder, "clean", 0)).exists() {
         std::thread::sleep(std::time::Duration::from_millis(1));
     }
-    // SIGINT is Ctrl-C. The run may be over by now.
+    // SIGINT is Ctrl-C. The run may have ended already.
     let _ = Command::new("kill").args(["-INT", &run.id().to_string()]).stderr(Stdio::null()).status().unwrap();
     run.wait().unwrap();
     denoise(&folder, "whole", &[]).succeeded();
@@ -290,7 +290,7 @@ fn a_missing_frame_is_told_where_it_was_asked_for() {
         .failed(3, &["frame 0: ", "a.0000.exr"]);
     assert_eq!(new_names(&folder), Vec::<String>::new());
 
-    // Without a list, those that exist; a gap is not bridged.
+    // Without a list, all frames that exist; no neighbour is taken across a gap.
     let dry = denoise(&folder, "clean", &["--temporal-radius=1", "--dry-run", "--json"]).succeeded().json();
     let windows: Vec<_> = dry["frames"]
         .as_array()
@@ -304,7 +304,7 @@ fn a_missing_frame_is_told_where_it_was_asked_for() {
     assert_eq!(new_names(&folder), Vec::<String>::new());
 }
 
-/// What the window over several frames is for, with the methods as they are.
+/// A window over several frames reduces error and flicker, with the default parameters.
 #[test]
 fn neighbouring_frames_lower_error_and_flicker() {
     let folder = shot();
@@ -336,7 +336,7 @@ fn neighbouring_frames_lower_error_and_flicker() {
     }
 }
 
-/// The same where renderers give two seeds, or one image.
+/// The same with two seeds only, or with one image only.
 #[test]
 fn neighbouring_frames_help_without_a_variance() {
     let folder = shot();
@@ -430,7 +430,7 @@ fn outputs_need_a_place_and_replace_nothing_that_is_read() {
     stein(&["denoise", &first, "-o", &folder.path("clean.#.exr")]).failed(2, &["is a single image"]);
     assert_eq!(new_names(&folder), Vec::<String>::new());
 
-    // Into a folder, under the usual name.
+    // The outputs go into a folder under their usual names.
     std::fs::create_dir(folder.path("out")).unwrap();
     stein(&["denoise", &input, "-o", &folder.path("out"), "--frames=1", "--radius=1", "--quiet"]).succeeded();
     assert!(Path::new(&folder.path("out/shot.0001.denoised.exr")).exists());
@@ -443,7 +443,7 @@ fn a_render_farm_is_told_how_far_the_work_is() {
     let shares: Vec<f64> =
         done.stdout.lines().filter_map(|line| line.strip_prefix("openjd_progress: ")?.parse().ok()).collect();
     assert!(shares.is_sorted() && shares.len() >= 4 && shares.last() == Some(&100.0), "{shares:?}");
-    // A frame is done when it is written, and told of in its turn.
+    // A frame counts as done when it is written, and frames are reported in their order.
     let place = |text: &str| done.stdout.find(text).unwrap_or_else(|| panic!("no '{text}' in: {}", done.stdout));
     let places = ["frame 1, 1 of 2", "clean.0001.exr: ", "clean.0002.exr: ", "openjd_progress: 100.0"].map(place);
     assert!(places.is_sorted() && place("frame 2, 2 of 2") < places[2], "{}", done.stdout);

@@ -22,59 +22,67 @@ use renderer::{Renderer, Turn};
 use report::{Document, Row};
 
 const EXAMPLE: &str = "\
-The first iteration samples evenly, every other where the estimated error of the denoised image is largest; all have equal budgets. Of each iteration K, DIR gets \
-map_K.exr (what was drawn), samples_K.exr (all samples so far, in the layout that `stein denoise` reads) and denoised_K.exr.
+The first iteration samples evenly; the others sample where the estimated error of the denoised image is largest. All \
+iterations have the same budget. For each iteration K, DIR gets map_K.exr (the samples drawn), samples_K.exr (all \
+samples so far, in the layout that `stein denoise` reads) and denoised_K.exr.
 
---sampler-command runs any renderer in place of the built-in scenes, through the shell. In the command, {map} stands \
-for the map's path, as one quoted word of the shell (write no quotes around it), and so does {out} for the path of the file that \
-it is to write: the new samples alone, with halves and variance of the colour and every feature and a channel `samples`; {iteration} for 1, 2, … The map has the layers \
-samples.V (even numbers of samples to draw), density.V (before rounding) and drawn.V (what the pixel has already). A renderer that draws other numbers, because it works in \
-blocks perhaps, is warned about; the numbers in its file count.
+--sampler-command runs any renderer in place of the built-in scenes, through the shell. In the command, {map} is \
+replaced by the path of the map, {out} by the path of the file to write, and {iteration} by 1, 2, … The paths become \
+quoted words of the shell: write no quotes around them. The map has the layers samples.V (even numbers of samples to \
+draw), density.V (before rounding) and drawn.V (samples that the pixel has already). The renderer writes only the new \
+samples: the colour and every feature, each with halves and variance, and a channel `samples`. If it draws other \
+numbers, for example because it works in blocks, stein warns, and the numbers in its file count.
 
-Before the last iteration, nlm filters with a radius of 7 pixels and an alpha of 0.5 at the most, and gem has fewer scales.
+Before the last iteration, nlm filters with a radius of at most 7 pixels and an alpha of at most 0.5, and gem has \
+fewer scales.
 
 Examples:
   stein adapt dof --spp 64 -o loop
   stein adapt dof --spp 64 --size 128x128 --ref reference.exr -o loop
   stein adapt dof --spp 64 -o loop --resume                  goes on after an interruption
-  stein adapt --sampler-command 'python3 render.py --map {map} --out {out} --seed {iteration}' --size 512x512 --spp 64 -o loop
+  stein adapt --sampler-command 'python3 render.py --map {map} --out {out} --seed {iteration}' \
+--size 512x512 --spp 64 -o loop
 
-Exit codes: 0 done, 2 wrong usage, 3 an input file or layer cannot be used, 4 no device or a device failed, 5 the output cannot be written, 1 anything else, such as a \
-command that failed.";
+Exit codes: 0 done, 2 wrong usage, 3 an input file or layer cannot be used, 4 no device or a device failed, 5 the \
+output cannot be written, 1 anything else, such as a command that failed.";
 
 /// Render adaptively: sample, denoise, and sample again where the error is
 #[derive(Debug, clap::Args)]
-#[command(after_help = EXAMPLE, override_usage = "stein adapt [OPTIONS] SCENE --spp N -o DIR\n       stein adapt [OPTIONS] --sampler-command COMMAND --size WxH --spp N -o DIR")]
+#[command(
+    after_help = EXAMPLE,
+    override_usage = "stein adapt [OPTIONS] SCENE --spp N -o DIR\n       \
+        stein adapt [OPTIONS] --sampler-command COMMAND --size WxH --spp N -o DIR"
+)]
 pub(crate) struct Args {
-    /// One of the scenes that `stein render --list` shows
+    /// A scene that `stein render --list` shows, such as dof
     #[arg(value_name = "SCENE", required_unless_present_any = ["list_devices", "sampler_command"])]
     scene: Option<String>,
-    /// Draw samples with this command in place of a built-in scene
+    /// Command that draws the samples, in place of a built-in scene
     #[arg(long, value_name = "COMMAND", conflicts_with_all = ["scene", "seed", "sequence"], requires = "size")]
     sampler_command: Option<String>,
-    /// Samples per pixel on average, of all iterations together; an even number
+    /// Samples per pixel on average, over all iterations; an even number
     #[arg(long, value_name = "N", required_unless_present = "list_devices")]
     spp: Option<u32>,
-    /// Iterations, of which the first samples evenly
+    /// Number of iterations; the first samples evenly
     #[arg(long, value_name = "N", default_value_t = 4)]
     iterations: u32,
-    /// Most samples for one pixel in one iteration, so that outliers do not take them all [default: 8 times what the
-    /// first iteration draws]
+    /// Maximum of samples for one pixel in one iteration, so that outliers do not take them all [default: 8 times the
+    /// samples per pixel of the first iteration]
     #[arg(long, value_name = "N")]
     cap: Option<u32>,
-    /// Noise-free reference: print the error of noisy and denoised, also of even sampling
+    /// Noise-free reference: print the errors of the noisy and the denoised images, also for even sampling
     #[arg(long = "ref", value_name = "FILE[::LAYER]")]
     reference: Option<LayerRef>,
-    /// Take the path of --ref as it is: `::` parts no layer from its file
+    /// Take the path of --ref as it is, without a layer (`::`)
     #[arg(long)]
     literal: bool,
-    /// Also draw the whole budget evenly, and compare
+    /// Also draw the whole budget evenly, for comparison
     #[arg(long)]
     uniform: bool,
-    /// Folder to write to; made where it does not exist
+    /// Folder to write to; it is created if it does not exist
     #[arg(short, long, value_name = "DIR", required_unless_present = "list_devices")]
     output: Option<PathBuf>,
-    /// Go on after the last iteration in DIR that is complete
+    /// Go on after the last complete iteration in DIR
     #[arg(long)]
     resume: bool,
     /// Delete the files of an earlier run in DIR

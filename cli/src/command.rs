@@ -7,28 +7,29 @@ use crate::out::Out;
 use crate::{adapt, bench, denoise, devices, info, kernel, params, render, sample_map, selftest};
 
 const EXIT_CODES: &str = "\
-Exit codes: 0 done, 2 wrong usage, 3 an input file or layer cannot be used, 4 no device or a device failed, 5 the output
-cannot be written, 6 the self test found something out of bounds, 1 anything else. Of a shot, 3 means that some frames
-could not be used: they are named, and the others are written.
+Exit codes: 0 done, 2 wrong usage, 3 an input file or layer cannot be used, 4 no device or a device failed, 5 the \
+output cannot be written, 6 the self test found a figure out of bounds, 1 anything else. For a shot, 3 means that \
+some frames could not be used: they are named, and the others are written.
 
-Paths: one that exists is that file, whatever characters it holds. Of others, `#` or `%04d` in a name stands for the number
-of a frame, and `::` parts a layer from its file; --literal takes every path as it is. A name that begins with a dash is
-written ./-name.
+Paths: a path that exists is taken as that file, whatever its characters. In other paths `#` or `%04d` stands for the \
+number of a frame, and `::` separates a file from its layer. --literal takes every path as it is. Write a name that \
+begins with a dash as ./-name.
 
 Environment:
-  STEIN_CACHE  folder in which compiled shaders are kept from run to run, where the device hands them out; empty: nowhere [default: `stein` among the user's caches]
+  STEIN_CACHE  folder for compiled shaders, kept between runs if the driver hands them out; empty: keep none \
+[default: `stein` among the user's caches]
 
 Example:
   stein denoise render.exr                 writes render.denoised.exr
-  stein denoise --help                     says what else it can do";
+  stein denoise --help                     explains all options";
 
-/// Denoises Monte Carlo renderings on the GPU, and tells how far off the result is.
+/// Denoises Monte Carlo renderings on the GPU and estimates the error of the result.
 #[derive(Debug, Parser)]
 #[command(name = "stein", version, after_help = EXIT_CODES, arg_required_else_help = true)]
 pub(crate) struct Cli {
     #[command(subcommand)]
     command: Option<Command>,
-    /// List the adapters, as `stein devices`
+    /// List the adapters, like `stein devices`
     #[arg(long, exclusive = true)]
     list_devices: bool,
 }

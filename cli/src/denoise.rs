@@ -34,8 +34,9 @@ use shot::{BadFrames, Beside, Reported, ShotReport};
 use writer::{Contents, Denoised, Done, Writer};
 
 const EXAMPLE: &str = "\
-The output keeps the input's header and layers. The colour is replaced, and so are its halves; its variance is left out, for it is not that of the denoised \
-colour. `stein.error.V` is added: the estimated squared error, summed over the channels.
+The output keeps the header and the layers of the input. The denoised colour and its halves replace the noisy ones. \
+The variance of the noisy colour is left out. `stein.error.V` is added: the estimated squared error, summed over the \
+channels.
 
 Examples:
   stein denoise render.exr
@@ -47,54 +48,57 @@ Examples:
   stein denoise 'shot.####.exr' --frames 1-240 --temporal-radius 1 -o 'clean.####.exr'
 
 Environment:
-  STEIN_CACHE  folder in which compiled shaders are kept from run to run, where the device hands them out; empty: nowhere [default: `stein` among the user's caches]
+  STEIN_CACHE  folder for compiled shaders, kept between runs if the driver hands them out; empty: keep none \
+[default: `stein` among the user's caches]
 
-Paths: one that exists is that file, whatever characters it holds. Of others, the last `#`, `####`, `%d` or `%04d` in a \
-name is the number of the frame, and `FILE::LAYER` is a layer of a file; --literal takes every path as it is. A name that \
-begins with a dash is written ./-name.
+Paths: a path that exists is taken as that file, whatever its characters. In other paths the last `#`, `####`, `%d` or \
+`%04d` of a name is the number of the frame, and `FILE::LAYER` is a layer of a file. --literal takes every path as it \
+is. Write a name that begins with a dash as ./-name.
 
-Shots: a frame that cannot be used is named and left out, also of the frames that it is filtered with; all others are \
-written, and the exit code is 3. So is a frame of --frames that does not exist; without --frames, gaps are only named. A \
-full disk, a lost device and an interruption end the run.
+Shots: a frame that cannot be used is named and left out, also from the windows of other frames; all others are \
+written, and the exit code is 3. A frame of --frames that does not exist counts as such a frame; without --frames, \
+gaps are only named. A full disk, a lost device and an interruption end the run.
 
-Exit codes: 0 done, 2 wrong usage, 3 an input file or layer cannot be used, of a shot those of one frame or more, 4 no \
+Exit codes: 0 done, 2 wrong usage, 3 an input file or layer cannot be used (for a shot: of at least one frame), 4 no \
 device or a device failed, 5 the output cannot be written, 1 anything else.";
 
 /// Denoise a rendering
 #[derive(Debug, clap::Args)]
-#[command(after_help = EXAMPLE, override_usage = "stein denoise [OPTIONS] IN\n       stein denoise [OPTIONS] PATTERN -o PATTERN")]
+#[command(
+    after_help = EXAMPLE,
+    override_usage = "stein denoise [OPTIONS] IN\n       stein denoise [OPTIONS] PATTERN -o PATTERN"
+)]
 pub(crate) struct Args {
-    /// OpenEXR file with the noisy colour and, usually, its halves, variance and features; or a pattern of such files,
-    /// as 'shot.####.exr'
+    /// OpenEXR file with the noisy colour and, if possible, its halves, variance and features; or a pattern of such
+    /// files, such as 'shot.####.exr'
     #[arg(value_name = "IN", required_unless_present = "list_devices")]
     input: Option<PathBuf>,
-    /// Where to write [default: IN with `.denoised.exr` for its extension]; a folder takes that name, and only this
-    /// option can replace the input. Of a shot: a pattern or a folder, and no file that is read is replaced
+    /// File to write, or a folder for it [default: IN with the extension `.denoised.exr`]. Only this option can replace
+    /// the input. For a shot: a pattern such as 'clean.####.exr', or a folder; no file that is read is replaced
     #[arg(short, long, value_name = "OUT")]
     output: Option<PathBuf>,
-    /// Leave an existing output alone; of a shot, denoise the frames that have none
+    /// Do not replace an existing output; for a shot, denoise only the frames without output
     #[arg(long)]
     no_clobber: bool,
-    /// Tell what would be done, and write nothing; of a shot, only the first frame is read, and those that are filtered
-    /// with it
+    /// Show what would be done, and write nothing; for a shot, read only the first frame and its neighbours in time
     #[arg(short = 'n', long)]
     dry_run: bool,
-    /// Noise-free reference: print the error before and after; of a shot also the flicker, over the frames that this
-    /// run denoises
+    /// Noise-free reference: print the error before and after; for a shot also the flicker of the frames that this run
+    /// denoises
     #[arg(long = "ref", value_name = "FILE[::LAYER]")]
     reference: Option<LayerRef>,
-    /// Intermediates to write as layers `stein.*`
+    /// Intermediates to write as layers `stein.*`, such as candidates,sure
     #[arg(long, value_name = "NAME", value_delimiter = ',', value_parser = keepable())]
     keep: Vec<Keep>,
-    /// Do without the estimated error: `stein.error` is not written, and what serves it alone is left out
+    /// Do not estimate the error: `stein.error` is not written, and its steps are left out
     #[arg(long)]
     no_error: bool,
-    /// Also run what this scene does not need, to compare: the result is the same to the bit, or within bounds that
-    /// docs/leave-out.md tells
+    /// Also run the steps that this frame does not need, for comparison: the result is the same to the bit, or within
+    /// the bounds in docs/leave-out.md
     #[arg(long)]
     everything: bool,
-    /// Print the plan: what runs for this frame, what is left out and why, and what each step takes; with -n without
-    /// times
+    /// Print the plan: the steps that run for this frame, those that are left out, why, and the time of each step; with
+    /// -n without times
     #[arg(long, conflicts_with = "quiet")]
     explain: bool,
     /// Print one JSON document in place of text
@@ -106,14 +110,21 @@ pub(crate) struct Args {
     /// Print nothing but errors
     #[arg(short, long)]
     quiet: bool,
-    /// How to tell how far the work is [default: bar]
+    /// Form of the progress report [default: bar]
     #[arg(long, value_enum, value_name = "KIND", conflicts_with_all = ["json", "quiet"])]
     progress: Option<ProgressKind>,
     /// Frames of the shot, such as 1-240, 1-9x2 (every second one) or 3,5,7 [default: all that exist]
     #[arg(long, value_name = "LIST", help_heading = "Shot")]
     frames: Option<FrameList>,
-    /// Frames before and after each that are filtered together with it, up to 16; those that do not exist are left out
-    #[arg(long, value_name = "FRAMES", default_value_t = 0, value_parser = clap::value_parser!(u32).range(0..=16), help_heading = "Shot")]
+    /// Number of frames before and after each frame that are filtered together with it, up to 16; frames that do not
+    /// exist are left out
+    #[arg(
+        long,
+        value_name = "FRAMES",
+        default_value_t = 0,
+        value_parser = clap::value_parser!(u32).range(0..=16),
+        help_heading = "Shot"
+    )]
     temporal_radius: u32,
     #[command(flatten)]
     filter: Filter,
@@ -156,7 +167,8 @@ impl Args {
         let are_looked_for = method.spikes() != Spikes::Keep;
         if self.keep.iter().any(|keep| matches!(keep, Keep::One(Intermediate::Spikes))) && !are_looked_for {
             return Err(Failure::usage(
-                "--keep spikes: nothing is taken from spikes\n  remedy: leave it out, or choose --spikes spread or clamp",
+                "--keep spikes: nothing is taken from spikes\
+                 \n  remedy: leave it out, or choose --spikes spread or clamp",
             ));
         }
         let wanted = |intermediate: &Intermediate| {
@@ -195,7 +207,8 @@ fn denoise(args: &Args, out: &mut Out) -> Result<(), Failure> {
     if args.temporal_radius > 0 && !method.filters_in_time() {
         let name = method.name();
         return Err(Failure::usage(format_args!(
-            "--temporal-radius: {name} has no filter over several frames\n  remedy: leave the option out, or choose another method"
+            "--temporal-radius: {name} has no filter over several frames\
+             \n  remedy: leave the option out, or choose another method"
         )));
     }
     args.source.check(&method)?;

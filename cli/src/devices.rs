@@ -9,10 +9,10 @@ use super::out::{Out, bytes};
 const EXAMPLE: &str = "\
 Example:
   stein devices
-  stein denoise render.exr --device 1      takes the one with this index
-  stein denoise render.exr --device rtx    takes the first with this in its name";
+  stein denoise render.exr --device 1      uses the adapter with this index
+  stein denoise render.exr --device rtx    uses the first adapter with this in its name";
 
-/// List the adapters that can do the work
+/// List the adapters that can denoise
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLE)]
 pub(crate) struct Args {
@@ -49,6 +49,7 @@ fn describe(adapter: &AdapterSummary) -> String {
     let timed = if *timestamps { "stages can be timed" } else { "no timestamps: stages cannot be timed" };
     let (buffer, binding) = (bytes(*max_buffer_bytes), bytes(*max_binding_bytes));
     format!(
-        "{index}: {name}\n   {kind}, {backend}, {driver}\n   buffers up to {buffer}, of which a kernel sees up to {binding}; {timed}"
+        "{index}: {name}\n   {kind}, {backend}, {driver}\
+         \n   buffers up to {buffer}, of which a kernel sees up to {binding}; {timed}"
     )
 }

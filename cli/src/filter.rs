@@ -16,21 +16,26 @@ pub(crate) const WINDOW_RADIUS: &str = "window_radius";
 /// Name of the parameter of `--candidates`.
 pub(crate) const CANDIDATES: &str = "candidates";
 
-/// How to filter.
+/// Method and parameters.
 #[derive(Debug, clap::Args)]
 #[command(next_help_heading = "Filter")]
 pub(crate) struct Filter {
-    /// Parameters [default: default, or that of --params]
+    /// Set of parameters to start from [default: default, or the preset of --params]
     #[arg(long, value_name = "NAME", value_parser = choice(Preset::ALL, &Preset::choices()))]
     preset: Option<Preset>,
-    /// Method [default: dfc, or that of --params]
+    /// Denoising method [default: dfc, or the method of --params]
     #[arg(long, value_parser = choice(&Method::all(), &Method::choices()))]
     method: Option<Method>,
-    /// Of dfc and nlm: radius of the window that is averaged over, in pixels [default: 10]
+    /// For dfc and nlm: radius of the window that is averaged, in pixels [default: 10]
     #[arg(long, value_name = "PIXELS")]
     radius: Option<u32>,
-    /// Of dfc: which candidates take part; the others are not computed [default: first,second,third]
-    #[arg(long, value_name = "NAME", value_delimiter = ',', value_parser = PossibleValuesParser::new(CandidateSet::choices().iter().map(possible)))]
+    /// For dfc: candidates to use, such as first,second; the others are not computed [default: first,second,third]
+    #[arg(
+        long,
+        value_name = "NAME",
+        value_delimiter = ',',
+        value_parser = PossibleValuesParser::new(CandidateSet::choices().iter().map(possible))
+    )]
     candidates: Vec<String>,
     #[command(flatten)]
     tuning: Tuning,
@@ -43,19 +48,19 @@ pub(crate) struct Chosen {
     pub(crate) preset: Preset,
 }
 
-/// What may be set of every method.
+/// Options of every method.
 #[derive(Clone, Debug, PartialEq, clap::Args)]
 #[command(next_help_heading = "Filter")]
 pub(crate) struct Tuning {
-    /// TOML file with method, preset and parameters, such as `stein params` writes; the other options go before it
+    /// TOML file with method, preset and parameters, as `stein params` writes; other options override it
     #[arg(long, value_name = "FILE")]
     params: Option<PathBuf>,
-    /// What becomes of spikes: pixels that stand out from those of their kind and rest on very few samples [default:
-    /// spread; of the preset thesis: keep]
+    /// Treatment of spikes: pixels that stand out from similar ones and rest on very few samples [default: spread; for
+    /// the preset thesis: keep]
     #[arg(long, value_name = "RULE", value_parser = choice(Spikes::ALL, &Spikes::choices()))]
     spikes: Option<Spikes>,
-    /// A parameter of the method by its name, such as guard=false or second_pass.color_k=0.4; may be repeated.
-    /// `stein params --list` tells all
+    /// Value for a parameter of the method, such as guard=false or second_pass.color_k=0.4; may be repeated. `stein
+    /// params --list` lists them all
     #[arg(long = "set", value_name = "NAME=VALUE", value_parser = setting)]
     settings: Vec<(String, String)>,
 }
@@ -177,7 +182,8 @@ impl<'a> ParamsFile<'a> {
             Some(other) => {
                 let (path, key) = (text::path(self.path), option.trim_start_matches('-').trim_end_matches('s'));
                 Err(Failure::usage(format_args!(
-                    "{option} {other}: {path} is for {own}\n  remedy: leave the option out, or write `{key} = \"{other}\"` into the file"
+                    "{option} {other}: {path} is for {own}\
+                     \n  remedy: leave the option out, or write `{key} = \"{other}\"` into the file"
                 )))
             }
         }

@@ -13,7 +13,7 @@ Example:
   stein info render.exr
   stein info a.exr --half-a a.exr --half-b b.exr --json";
 
-/// Tell what a file holds, what each layer would be used as, and how well it could be denoised
+/// Show the layers of a file, how each would be used, and where the noise is known from
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLE)]
 pub(crate) struct Args {

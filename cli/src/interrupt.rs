@@ -67,8 +67,8 @@ const ABORTED: i32 = 4;
 fn give_up() -> ! {
     stein_exr::atomic_file::abandon();
     let problem = "no memory was left, or a library or driver gave up for another reason";
-    let remedy = "crop the image, raise the limit on memory (`ulimit -v`, or the container's), or use a computer with more memory; where there is enough memory, report this with \
-                  the output of `stein devices`";
+    let remedy = "crop the image, raise the limit on memory (`ulimit -v`, or the container's), or use a computer with \
+                  more memory; where there is enough memory, report this with the output of `stein devices`";
     Failure::other(format_args!("{problem}\n  remedy: {remedy}")).tell();
     signal_hook::low_level::exit(ABORTED)
 }

@@ -17,30 +17,32 @@ use super::out::{number, table};
 use super::{Failure, Out, output};
 
 const EXAMPLE: &str = "\
-The output is one window, with the pixel in its middle. For each filter of the method it has a layer `FILTER.weight.V`, a layer `FILTER.colour` with what is averaged, and for all that \
-the neighbours are told apart by, the colour and each feature, `FILTER.distance.NAME.V` and the weight that this would give alone, `FILTER.alone.NAME.V`. Outside of the image, and \
-of a window that is smaller than others, weights are 0 and distances infinite.
+The output is one window with the pixel in its middle. For each filter of the method it has these layers: \
+`FILTER.weight.V`, the weights; `FILTER.colour`, the pixels that are averaged; and for the colour and each feature \
+NAME `FILTER.distance.NAME.V`, the distances, and `FILTER.alone.NAME.V`, the weights from this distance alone. \
+Outside of the image, and outside of a smaller window, weights are 0 and distances infinite.
 
-Of dfc, `second_pass` averages pass 1, what the candidates were blended to by their shares, and its value is the result.
+For dfc, `second_pass` averages pass 1, the blend of the candidates, and yields the result.
 
 Examples:
   stein kernel render.exr --pixel 120,64
   stein kernel render.exr --pixel 120,64 -o window.exr
   stein kernel render.exr --pixel 120,64 --method nlm
 
-Exit codes: 0 done, 2 wrong usage, 3 an input file or layer cannot be used, 4 no device or a device failed, 5 the output cannot be written, 1 anything else.";
+Exit codes: 0 done, 2 wrong usage, 3 an input file or layer cannot be used, 4 no device or a device failed, 5 the \
+output cannot be written, 1 anything else.";
 
-/// Tell which neighbours make a pixel, and why
+/// Show which neighbours make a pixel, and why
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLE, override_usage = "stein kernel [OPTIONS] IN --pixel X,Y")]
 pub(crate) struct Args {
     /// OpenEXR file, as for `stein denoise`
     #[arg(value_name = "IN", required_unless_present = "list_devices")]
     input: Option<PathBuf>,
-    /// Column and row, from 0 at the upper left of the data window
+    /// Column and row of the pixel, such as 120,64; 0,0 is the upper left of the data window
     #[arg(long, value_name = "X,Y", value_parser = pixel, required_unless_present = "list_devices")]
     pixel: Option<(u32, u32)>,
-    /// Write the windows to this OpenEXR file [default: print a summary alone]
+    /// OpenEXR file to write the windows to [default: only print a summary]
     #[arg(short, long, value_name = "OUT")]
     output: Option<PathBuf>,
     /// Print one JSON document in place of text

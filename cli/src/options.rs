@@ -10,20 +10,20 @@ use stein_exr::{BufferSet, BufferSetRequest, LayerRef};
 
 use super::Failure;
 
-/// Where colour, noise and features are found.
+/// Layers of the colour, its noise and the features.
 #[derive(Clone, Debug, PartialEq, clap::Args)]
 #[command(next_help_heading = "Layers")]
 pub(crate) struct Source {
-    /// Layer with the noisy colour [default: plain R G B, or one with a usual name such as `Combined` or `beauty`]
+    /// Layer with the noisy colour [default: plain R G B, or a layer with a usual name such as `Combined` or `beauty`]
     #[arg(long, value_name = "NAME")]
     layer: Option<String>,
     #[command(flatten)]
     others: BufferSetRequest,
-    /// Take every path as it is: `#` and `%04d` are no frame number, and `::` parts no layer from its file
+    /// Take every path as it is, without frame numbers (`#`, `%04d`) and layers (`::`)
     #[arg(long)]
     pub(crate) literal: bool,
-    /// Refuse an image without two halves and without a variance of its colour, in place of estimating the noise from
-    /// the image itself
+    /// Refuse an image that has neither halves nor a variance of its colour; without this option the noise is estimated
+    /// from the image itself
     #[arg(long)]
     pub(crate) require_noise: bool,
 }
@@ -70,18 +70,18 @@ pub(crate) fn read(request: &BufferSetRequest) -> Result<BufferSet, Failure> {
     BufferSet::read(request).map_err(|error| Failure::in_file(&request.input, error))
 }
 
-/// Which device works, and with how much of its memory.
+/// The device and its memory limit.
 #[derive(Debug, clap::Args)]
 #[command(next_help_heading = "Device")]
 pub(crate) struct Device {
-    /// Adapter, by its index or a part of its name [default: the fastest kind]
+    /// Adapter, by its index or a part of its name, such as 1 or rtx [default: the fastest kind]
     #[arg(long, value_name = "NAME|INDEX")]
     device: Option<DeviceChoice>,
-    /// List the adapters, as `stein devices`, and do nothing else
+    /// List the adapters, like `stein devices`, and do nothing else
     #[arg(long)]
     pub(crate) list_devices: bool,
-    /// Most memory to use on the device, such as 2G, 512M or a number of bytes; larger images are worked on in strips,
-    /// with the same result
+    /// Memory limit on the device, such as 2G, 512M or a number of bytes; larger images are processed in strips, with
+    /// the same result
     #[arg(long, value_name = "SIZE", value_parser = memory_size)]
     pub(crate) max_memory: Option<u64>,
 }

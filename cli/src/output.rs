@@ -71,7 +71,8 @@ pub(crate) fn check_folder(output: &Path, dry_run: bool) -> Result<(), Failure> 
     match trouble {
         None => Ok(()),
         Some(error) => Err(Failure::output(format_args!(
-            "{name}: cannot be written: {error}\n  remedy: check that the folder exists, may be written to and has space left"
+            "{name}: cannot be written: {error}\
+             \n  remedy: check that the folder exists, may be written to and has space left"
         ))),
     }
 }

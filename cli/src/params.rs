@@ -12,25 +12,25 @@ use super::out::table;
 use super::{Failure, Out};
 
 const EXAMPLE: &str = "\
-The file is TOML: the names of method and preset, and every parameter with what it means and can be. `--params FILE` of other commands takes it, and there the parameters that \
-are not said are as in the preset; so a file of one line will do.
+The file is TOML: the names of method and preset, and every parameter with its meaning and range. Other commands read \
+it with `--params FILE`. Parameters that the file leaves out keep the value of the preset, so one line may be enough.
 
 Examples:
   stein params                                        prints the parameters of dfc
   stein params --method nlm --radius 7 -o nlm.toml
   stein denoise render.exr --params nlm.toml
-  stein params --params nlm.toml --list               what the file says, and the ranges
+  stein params --params nlm.toml --list               lists the values of the file, and the ranges
 
 Exit codes: 0 done, 2 wrong usage, 3 a file of parameters cannot be used, 5 the output cannot be written.";
 
-/// Write the parameters of a method into a file, or list them
+/// Write the parameters of a method to a file, or list them
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLE)]
 pub(crate) struct Args {
-    /// List name, value, default, range and meaning in place of TOML
+    /// List name, value, default, range and meaning, not as TOML
     #[arg(long)]
     list: bool,
-    /// Print a page about the parameters of all methods, as Markdown
+    /// Print a Markdown page with the parameters of all methods
     #[arg(long, exclusive = true)]
     markdown: bool,
     /// Where to write [default: standard output]
@@ -53,7 +53,10 @@ pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
     };
     stein_exr::atomic_file::write(file, text.as_bytes()).map_err(|error| {
         let name = text::path(file);
-        Failure::output(format_args!("{name}: cannot be written: {error}\n  remedy: check that the folder exists, may be written to and has space left"))
+        Failure::output(format_args!(
+            "{name}: cannot be written: {error}\
+             \n  remedy: check that the folder exists, may be written to and has space left"
+        ))
     })
 }
 
@@ -84,8 +87,9 @@ fn range(parameter: &Parameter) -> String {
 /// Formats all parameters of all methods.
 fn page() -> String {
     let mut page = String::from(
-        "# Parameters\n\n`stein params` writes those of a method into a TOML file, with `--list` it lists them, and with `--markdown` it has written this page. Where a cell is empty, the preset leaves \
-         out the group that the parameter is in.\n",
+        "# Parameters\n\n`stein params` writes those of a method into a TOML file, with `--list` it lists them, and \
+         with `--markdown` it has written this page. Where a cell is empty, the preset leaves out the group that the \
+         parameter is in.\n",
     );
     for method in Method::all() {
         // Writing to a string cannot fail.

@@ -100,7 +100,8 @@ pub(crate) fn text(errors: &[Errors]) -> String {
     };
     let rows: Vec<_> = std::iter::once(head).chain(errors.iter().map(row)).collect();
     format!(
-        "{}\n  (squared error: mean over the pixels, summed over the channels; estimated: without the reference; for candidates by SURE)",
+        "{}\n  (squared error: mean over the pixels, summed over the channels; \
+         estimated: without the reference; for candidates by SURE)",
         table(&rows, 1)
     )
 }

@@ -19,7 +19,8 @@ use super::progress::bar;
 use super::{Failure, Out, interrupt, output};
 
 const EXAMPLE: &str = "\
-The file holds the colour, both halves, the sample variance of the mean, and the same of the features albedo, normal, depth, visibility and caustic.
+The file holds the colour and the features albedo, normal, depth, visibility and caustic, each with both halves and \
+the sample variance of the mean.
 
 Examples:
   stein render --list
@@ -28,16 +29,17 @@ Examples:
   stein sample-map noisy.exr --budget 16 -o map.exr && stein render dof --map map.exr -o more.exr
   stein adapt --sampler-command 'stein render dof --map {map} -o {out}' --size 256x256 --spp 64 -o loop
 
-Exit codes: 0 done, 2 wrong usage, 3 an input file or layer cannot be used, 5 the output cannot be written, 1 anything else.";
+Exit codes: 0 done, 2 wrong usage, 3 an input file or layer cannot be used, 5 the output cannot be written, 1 anything \
+else.";
 
 /// Number of samples per pixel of a reference, if `--spp` is not given.
 const REFERENCE_SAMPLES: u32 = 4096;
 
-/// Render one of a few small scenes, to try the denoiser and adaptive sampling with
+/// Render a small built-in scene, to try the denoiser and adaptive sampling
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLE, override_usage = "stein render [OPTIONS] SCENE")]
 pub(crate) struct Args {
-    /// One of those that --list shows
+    /// A scene that --list shows, such as dof
     #[arg(value_name = "SCENE", required_unless_present = "list")]
     scene: Option<String>,
     /// List the scenes, and do nothing else
@@ -46,14 +48,14 @@ pub(crate) struct Args {
     /// Samples per pixel, an even number: half of them for each half
     #[arg(long, value_name = "N", required_unless_present_any = ["list", "map", "reference"], conflicts_with = "map")]
     spp: Option<u32>,
-    /// Draw the numbers in the layer `samples` of a sampling map, as if those in its layer `drawn` had been drawn
-    /// before; the size is the map's
+    /// Sampling map: draw the numbers of samples in its layer `samples`, after those in its layer `drawn`; the image
+    /// has the size of the map
     #[arg(long, value_name = "MAP.exr", conflicts_with_all = ["reference", "size"])]
     map: Option<PathBuf>,
-    /// Write the colour alone, of samples that no other render of that seed draws [default --spp: 4096]
+    /// Write only the colour, from samples that no other render with this seed draws [default --spp: 4096]
     #[arg(long)]
     reference: bool,
-    /// Where to write [default: SCENE.exr, or SCENE_reference.exr]
+    /// File to write [default: SCENE.exr, or SCENE_reference.exr]
     #[arg(short, long, value_name = "OUT")]
     output: Option<PathBuf>,
     /// Print nothing but errors
@@ -63,17 +65,17 @@ pub(crate) struct Args {
     picture: Picture,
 }
 
-/// What decides, with the scene, which samples there are.
+/// Settings that, with the scene, decide the samples.
 #[derive(Debug, clap::Args)]
 #[command(next_help_heading = "Picture")]
 pub(crate) struct Picture {
     /// Width and height in pixels [default: 256x256]
     #[arg(long, value_name = "WxH", value_parser = size)]
     pub(crate) size: Option<Extent>,
-    /// Other seeds give other samples; the same seed gives the same
+    /// Seed of the random numbers: the same seed gives the same samples
     #[arg(long, value_name = "S", default_value_t = 0)]
     pub(crate) seed: u64,
-    /// How samples are spread
+    /// Distribution of the samples
     #[arg(long, value_enum, default_value = "random")]
     pub(crate) sequence: SequenceName,
 }

@@ -19,31 +19,34 @@ use super::out::number;
 use super::{Failure, Out, interrupt, output};
 
 const EXAMPLE: &str = "\
-The map has a layer `density.V`, real samples per pixel, a layer `samples.V`, whole and even numbers with the same sum, and, where the input says how many samples its \
-pixels have, a layer `drawn.V` with these. Samples go where the estimated relative error is largest, weighed by how many pixels profit (thesis 7.1.2, 8.6).
+The map has a layer `density.V` (samples per pixel, real numbers) and a layer `samples.V` (even whole numbers with the \
+same sum). If the input states the samples of its pixels, a layer `drawn.V` holds them. Samples go where the estimated \
+relative error is largest, weighted by how many pixels profit (thesis 7.1.2, 8.6).
 
-For the map, nlm filters with a radius of 7 pixels and an alpha of 0.5 at the most, gem has fewer scales, and spikes stay, whatever --params says.
+For the map, nlm filters with a radius of at most 7 pixels and an alpha of at most 0.5, gem has fewer scales, and \
+spikes stay, even if --params says otherwise.
 
 Examples:
   stein sample-map render.exr --budget 16             writes render.map.exr
   stein sample-map render.exr --budget 16 --cap 128 -o map.exr
 
-Exit codes: 0 done, 2 wrong usage, 3 an input file or layer cannot be used, 4 no device or a device failed, 5 the output cannot be written, 1 anything else.";
+Exit codes: 0 done, 2 wrong usage, 3 an input file or layer cannot be used, 4 no device or a device failed, 5 the \
+output cannot be written, 1 anything else.";
 
-/// Tell a renderer where its next samples pay most
+/// Make a map of where a renderer's next samples pay most
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLE, override_usage = "stein sample-map [OPTIONS] IN --budget SPP")]
 pub(crate) struct Args {
     /// OpenEXR file, as for `stein denoise`
     #[arg(value_name = "IN", required_unless_present = "list_devices")]
     input: Option<PathBuf>,
-    /// Samples to hand out per pixel, on average
+    /// Samples to distribute, per pixel on average, such as 16
     #[arg(long, value_name = "SPP", required_unless_present = "list_devices")]
     budget: Option<f64>,
-    /// Most samples for one pixel, so that outliers do not take them all [default: 8 times the budget]
+    /// Maximum of samples for one pixel, so that outliers do not take them all [default: 8 times the budget]
     #[arg(long, value_name = "N")]
     cap: Option<u32>,
-    /// Where to write [default: IN with `.map.exr` for its extension]
+    /// File to write [default: IN with the extension `.map.exr`]
     #[arg(short, long, value_name = "MAP")]
     output: Option<PathBuf>,
     /// Print one JSON document in place of text

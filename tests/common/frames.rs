@@ -9,7 +9,7 @@ use stein::{Estimate, Frame, frame::SamplesPerPixel};
 use stein_exr::{BufferSet, BufferSetRequest, read_reference};
 
 fn path(file: &str) -> PathBuf {
-    // Tests of the library and of the programs use it, in folders of their own.
+    // Tests of the library and of the programs, in different folders, use this file.
     let mut folders = Path::new(env!("CARGO_MANIFEST_DIR")).ancestors().map(|folder| folder.join("testdata"));
     folders.find(|folder| folder.is_dir()).unwrap_or_else(|| panic!("no folder testdata")).join(file)
 }
@@ -36,7 +36,7 @@ pub fn cropped(image: &Image, left: usize, top: usize, width: usize, height: usi
     }
 }
 
-/// What a frame keeps of a render.
+/// Parts of a render that a frame keeps.
 #[derive(Clone, Copy)]
 pub struct Keep {
     pub halves: bool,
@@ -67,7 +67,7 @@ pub fn frame(set: &BufferSet, [left, top, width, height]: [usize; 4], keep: Keep
     new_frame(signal(set.color()), features.collect())
 }
 
-/// The estimated error, which is there unless it was not wanted.
+/// The estimated error. Panics if it was not requested.
 pub fn error_of(estimate: &Estimate) -> &Image {
     estimate.error.as_ref().unwrap_or_else(|| panic!("there is no estimated error"))
 }

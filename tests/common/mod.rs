@@ -1,4 +1,4 @@
-//! What the tests of the GPU share: the device, images to feed it with, and the comparison with the float64 reference.
+//! Shared by the tests of the GPU: the device, input images, and the comparison with the float64 reference.
 
 use std::sync::{Arc, OnceLock};
 
@@ -12,21 +12,21 @@ pub use crate::reference::compare::{flat, own_size};
 use crate::reference::random::Random;
 use crate::reference::{Grid, Planes, Point};
 
-/// The device of all tests that do not count what it holds. What a kernel forgets to write shows, because every buffer
-/// is poisoned.
+/// The device of all tests that do not measure its memory. Every buffer is poisoned, so that values that a kernel
+/// forgets to write show.
 pub fn gpu() -> &'static Gpu {
     static GPU: OnceLock<Gpu> = OnceLock::new();
     GPU.get_or_init(|| open(GpuOptions { poison: true, ..GpuOptions::default() }))
 }
 
-/// The same with bounds checks in the kernels: what reads outside of a buffer then reads something else than an
-/// unchecked kernel does.
+/// The same device with bounds checks in the kernels: a read outside of a buffer then gives another value than in an
+/// unchecked kernel.
 pub fn checked_gpu() -> &'static Gpu {
     static GPU: OnceLock<Gpu> = OnceLock::new();
     GPU.get_or_init(|| open(GpuOptions { poison: true, checked_shaders: true, ..GpuOptions::default() }))
 }
 
-/// A device of one's own; a machine without an adapter fails the test with what to do about it.
+/// A new device. Without an adapter the test fails with the remedy.
 pub fn open(options: GpuOptions) -> Gpu {
     Gpu::open_with(&DeviceChoice::Auto, options).unwrap_or_else(|error| panic!("{error}"))
 }
@@ -47,8 +47,8 @@ pub fn limited_gpu(change: impl FnOnce(&mut wgpu::Limits)) -> Gpu {
     Gpu::from_wgpu(device, queue, &adapter.get_info()).unwrap_or_else(|error| panic!("{error}"))
 }
 
-/// Ways of cutting up the work: from one row and one offset at a time to everything at once, for processors and for
-/// graphics cards. What is computed must not depend on it.
+/// Schedules: from one row and one offset at a time to everything at once, for processors and for graphics cards. The
+/// results must not depend on the schedule.
 pub fn schedules() -> impl Iterator<Item = Schedule> {
     let blocks = [(1, 1, 1, 1 << 20, 0), (5, 2, 4, 9, 1 << 16), (16, 1, 1, 16, 200), (32, 3, 4, 1 << 20, 512)];
     let schedule = move |scratch_bytes| {
@@ -64,7 +64,7 @@ pub fn schedules() -> impl Iterator<Item = Schedule> {
     [16, 1 << 12, 30_000, 1 << 18, 64 << 20].into_iter().flat_map(schedule)
 }
 
-/// Records, submits, and gives what was recorded.
+/// Records and submits; returns the result of `record`.
 pub fn run<T>(gpu: &Gpu, work: impl FnOnce(&mut Recorder) -> Result<T>) -> T {
     let mut rec = gpu.record();
     let result = work(&mut rec).unwrap_or_else(|error| panic!("{error}"));
@@ -76,14 +76,14 @@ pub fn extent_of(grid: &Grid) -> IVec2 {
     IVec2::new(grid.width as i32, grid.height as i32)
 }
 
-/// One plane of the GPU: a vec4 per pixel, unused channels 0.
+/// Packs planes into one plane of the GPU: a vec4 per pixel, unused channels 0.
 pub fn packed(planes: &[Grid]) -> Vec<f32> {
     assert!(planes.len() <= 4);
     let pixels = planes[0].values.len();
     (0..pixels * 4).map(|i| planes.get(i % 4).map_or(0.0, |plane| plane.values[i / 4] as f32)).collect()
 }
 
-/// A signal of the GPU: the mean, behind it the half spread.
+/// Packs a signal for the GPU: the mean, then the half spread.
 pub fn packed_signal(mean: &[Grid], spread: &[Grid]) -> Vec<f32> {
     [packed(mean), packed(spread)].concat()
 }
@@ -92,7 +92,7 @@ pub fn upload(rec: &mut Recorder, planes: &[Grid]) -> Result<Buffer> {
     rec.upload("input", &packed(planes))
 }
 
-/// A buffer that the case at hand has.
+/// The buffer. Panics if this case has none.
 pub fn there(buffer: &Option<Arc<Buffer>>) -> &Buffer {
     buffer.as_deref().unwrap_or_else(|| panic!("it is left out"))
 }
@@ -109,17 +109,17 @@ pub fn read(gpu: &Gpu, buffer: &Buffer, extent: IVec2) -> Vec<Planes> {
     values.chunks_exact(4 * width * height).map(|plane| (0..4).map(|c| channel(plane, c)).collect()).collect()
 }
 
-/// The bits of a buffer, for what must be equal and not only near.
+/// The bits of a buffer, for exact comparisons.
 pub fn bits(gpu: &Gpu, buffer: &Buffer) -> Vec<u32> {
     gpu.read(buffer).unwrap_or_else(|error| panic!("{error}")).into_iter().map(f32::to_bits).collect()
 }
 
-/// Both sides get the same numbers: those that float32 can hold.
+/// Rounds to float32, so that both sides get the same numbers.
 pub fn rounded(grid: Grid) -> Grid {
     Grid { values: grid.values.into_iter().map(|v| f64::from(v as f32)).collect(), ..grid }
 }
 
-/// A signal with everything that a renderer may deliver.
+/// A signal with halves and variance.
 pub struct Scene {
     pub mean: Planes,
     pub spread: Planes,
@@ -156,8 +156,8 @@ pub fn scene(width: usize, height: usize, seed: u64) -> Scene {
     Scene { mean: round(mean), spread: round(spread), variance: round(variance) }
 }
 
-/// Noise on a ramp, with noisy variances: patches of any size find their like, no spikes, nothing exact, so that
-/// weights are smooth functions of every pixel.
+/// Noise on a ramp, with noisy variances: patches of any size find similar ones, and there are no spikes and no exact
+/// values, so that weights are smooth functions of every pixel.
 pub fn calm_scene(width: usize, height: usize, seed: u64) -> Scene {
     let mut random = Random(seed);
     let mut planes = |low: f64, high: f64| -> Planes {
@@ -168,10 +168,10 @@ pub fn calm_scene(width: usize, height: usize, seed: u64) -> Scene {
     Scene { mean, spread, variance }
 }
 
-/// Compares value by value, and tells where the worst one is.
+/// Compares value by value; the message names the worst one.
 ///
-/// `scale` says for each value what a relative error of 1 would be. Up to `allowed_share` of the values may be further
-/// off, for decisions that rounding may turn over.
+/// `scale` holds for each value the size of a relative error of 1. A share of `allowed_share` of the values may be
+/// further off, because rounding may change a decision.
 pub fn assert_near(what: &str, actual: &[Grid], expected: &[Grid], scale: &[Grid], relative: f64, allowed_share: f64) {
     assert!(actual.len() >= expected.len() && expected.len() == scale.len(), "{what}: {} channels", actual.len());
     let is_number = |grid: &Grid| !grid.values.iter().any(|value| value.is_nan());

@@ -21,7 +21,7 @@ impl Outcome {
         serde_json::from_str(&self.stdout).unwrap_or_else(|error| panic!("{error}: {}{}", self.stdout, self.stderr))
     }
 
-    /// Failed with this exit code, and said all of this.
+    /// Checks that the command failed with this exit code and said all of `said`.
     #[track_caller]
     pub fn failed(&self, code: i32, said: &[&str]) {
         assert_eq!(self.code, code, "{}{}", self.stdout, self.stderr);
@@ -47,8 +47,8 @@ impl Outcome {
 
 pub fn command(arguments: &[&str]) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_stein"));
-    // Mesa's device selection layer complains on stderr where there is no desktop. Nothing is left in the home of
-    // whoever runs the tests.
+    // Mesa's device selection layer complains on stderr where there is no desktop. No file is left in the home of the
+    // user.
     command.args(arguments).env("NODEVICE_SELECT", "1").env("STEIN_CACHE", "").stdin(Stdio::null());
     command
 }
@@ -86,12 +86,12 @@ impl Folder {
         self.0.path().join(name).to_str().unwrap().to_owned()
     }
 
-    /// Everything in it, hidden files too.
+    /// All files in the folder, including hidden ones.
     pub fn names(&self) -> Vec<String> {
         Self::names_in(&self.path(""))
     }
 
-    /// Everything in another one.
+    /// All files in another folder.
     pub fn names_in(path: &str) -> Vec<String> {
         let entries = std::fs::read_dir(path).unwrap();
         let mut names: Vec<_> = entries.map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect();
@@ -100,7 +100,7 @@ impl Folder {
     }
 }
 
-/// Writes the colour of a file alone, without some of the layers that tell of its noise: `halfA`, `halfB`, `variance`.
+/// Writes only the colour of a file, without some of the layers of its noise: `halfA`, `halfB`, `variance`.
 pub fn write_without(parts: &[&str], from: &str, to: &str) {
     let set = BufferSet::read(&BufferSetRequest { input: from.into(), ..Default::default() }).unwrap();
     let RawSignal { mean, half_a, half_b, variance_of_mean } = set.color();

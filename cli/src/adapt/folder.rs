@@ -57,7 +57,9 @@ impl Folder {
             earlier.iter().try_for_each(std::fs::remove_file).map_err(unusable)?;
         } else if let (false, Some(file)) = (resume, earlier.first()) {
             return Err(Failure::output(format_args!(
-                "{}: is of an earlier run\n  remedy: go on with that run with --resume, delete its files with --overwrite, or choose another folder",
+                "{}: is of an earlier run\
+                 \n  remedy: go on with that run with --resume, delete its files with --overwrite, or choose another \
+                 folder",
                 text::path(file)
             )));
         }
@@ -117,7 +119,8 @@ impl Folder {
             return Ok(Some(Resumed { iterations, samples: set.to_samples()? }));
         }
         Err(Failure::usage(format_args!(
-            "{}: the run that is to be resumed had other parameters: {}\n  remedy: give the same, or start anew with --overwrite",
+            "{}: the run that is to be resumed had other parameters: {}\
+             \n  remedy: give the same, or start anew with --overwrite",
             text::path(&file),
             differences.join(", ")
         )))

@@ -49,7 +49,8 @@ impl<'a> Renderer<'a> {
         match ["{map}", "{out}"].into_iter().find(|placeholder| !command.contains(placeholder)) {
             None => Ok(()),
             Some(missing) => Err(Failure::usage(format_args!(
-                "the sampler command does not say {missing}\n  remedy: let it read the map {{map}} and write the samples to {{out}}; see `stein adapt --help`"
+                "the sampler command does not say {missing}\
+                 \n  remedy: let it read the map {{map}} and write the samples to {{out}}; see `stein adapt --help`"
             ))),
         }
     }

@@ -131,14 +131,16 @@ impl Plan {
         if frames.is_empty() {
             let input = text::path(input);
             return Err(Failure::input(format_args!(
-                "{input}: there is no such file; if it is a pattern, there is no such frame\n  remedy: check the path, or the number of digits"
+                "{input}: there is no such file; if it is a pattern, there is no such frame\
+                 \n  remedy: check the path, or the number of digits"
             )));
         }
         let output_pattern = match &args.output {
             Some(output) if !output.is_dir() => Some(Pattern::parse(output).ok_or_else(|| {
                 let name = text::path(output);
                 Failure::usage(format_args!(
-                    "{name}: has no place for the frame number\n  remedy: give a pattern such as 'clean.####.exr', or a folder that exists"
+                    "{name}: has no place for the frame number\
+                     \n  remedy: give a pattern such as 'clean.####.exr', or a folder that exists"
                 ))
             })?),
             _ => None,

@@ -130,7 +130,8 @@ impl BadFrames {
             (1, 1) => return Err(only.clone()),
             (1, all) => format!("1 of {all} frames cannot be denoised{others}\n  {}", only.message()),
             (count, all) => {
-                let remedy = "put these frames right, then denoise them with --frames, or all that have no output with --no-clobber";
+                let remedy = "put these frames right, then denoise them with --frames, or all that have no output with \
+                              --no-clobber";
                 format!("{count} of {all} frames cannot be denoised{others}\n{}\n  remedy: {remedy}", self.lines())
             }
         };
@@ -270,7 +271,8 @@ impl ShotErrors {
         };
         let rows: Vec<_> = std::iter::once(head).chain(self.images.iter().map(row)).collect();
         format!(
-            "{}\n  (flicker: mean over consecutive frames of (error − error of the frame before)²/(mean reference² of both + {}))",
+            "{}\n  (flicker: mean over consecutive frames of (error − error of the frame before)²/(mean reference² of \
+             both + {}))",
             table(&rows, 1),
             metric::RELATIVE_EPSILON
         )
