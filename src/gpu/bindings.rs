@@ -91,15 +91,15 @@ pub enum Value<'a> {
     Absent,
 }
 
-/// A buffer that a stage reads around each pixel, as [`Buffer::within`] makes it. The radius is no limit that anybody
-/// enforces: a dry run adds up the radii of a chain of stages to find how far a result depends on the frame around a
-/// pixel.
+/// A buffer together with the distance around each pixel within which a stage reads it; [`Buffer::within`] makes one.
+/// Nothing enforces the distance: a dry run adds up the distances of a chain of stages to find how far a result depends
+/// on the frame around a pixel.
 #[derive(Clone, Copy, Debug)]
 pub struct Around<'a> {
     pub(super) buffer: &'a Buffer,
-    /// Parts that are read, and of a [`SlotKind::Write`] also written.
+    /// Parts of the buffer that the stage reads; for a [`SlotKind::Write`] also the parts that it writes.
     pub(super) parts: Parts,
-    /// Columns and rows beside a pixel that are read for the front and for the back of what is written.
+    /// Columns and rows beside a pixel that the stage reads to compute the front, and the back, of its output.
     pub(super) radii: Reach,
 }
 
@@ -110,38 +110,39 @@ impl<'a> From<&'a Buffer> for Around<'a> {
 }
 
 impl Buffer {
-    /// Says that a stage reads this buffer in the square of 2·`radius`+1 pixels around each pixel.
+    /// Declares that a stage reads this buffer in the square of 2·`radius`+1 pixels around each pixel.
     pub fn within(&self, radius: u32) -> Around<'_> {
         self.within_columns_and_rows(radius, radius)
     }
 
-    /// Says that a stage reads this buffer up to so many columns and rows beside each pixel.
+    /// Declares that a stage reads this buffer at most this many columns and rows away from each pixel.
     pub fn within_columns_and_rows(&self, columns: u32, rows: u32) -> Around<'_> {
         let radius = UVec2::new(columns, rows);
         Around { buffer: self, parts: Parts::Whole, radii: Reach { front: radius, back: radius } }
     }
 
-    /// Says that a stage writes the front and the back of this buffer from what may lie around the pixel at different
-    /// distances.
+    /// Declares that a stage reads at different distances around a pixel to compute the front and the back of this
+    /// buffer, so that each part gets a reach of its own.
     pub fn in_parts(&self) -> Around<'_> {
         Around { parts: Parts::Apart, ..self.into() }
     }
 }
 
 impl Around<'_> {
-    /// Says that a stage reads nothing but the front: of a signal, its mean.
+    /// Declares that a stage reads only the front of this buffer, such as the mean of a signal.
     #[must_use]
     pub fn front(self) -> Self {
         Self { parts: Parts::Front, ..self }
     }
 
-    /// Says that a stage reads nothing but the back: of a signal, its half spread.
+    /// Declares that a stage reads only the back of this buffer, such as the half spread of a signal.
     #[must_use]
     pub fn back(self) -> Self {
         Self { parts: Parts::Back, ..self }
     }
 
-    /// Says that for the front of what it writes in parts a stage reads this buffer at the pixel alone.
+    /// Declares that a stage reads this buffer at the pixel alone to compute the front of its output, which it declares
+    /// as [written in parts](Buffer::in_parts). To compute the back, it reads this buffer around the pixel.
     #[must_use]
     pub fn but_for_the_front(self) -> Self {
         Self { radii: Reach { front: UVec2::ZERO, ..self.radii }, ..self }
@@ -272,9 +273,10 @@ macro_rules! uniforms {
 /// `uniform name: Struct` takes a struct made by [`uniforms!`](crate::uniforms!); `read name` and `write name` take a
 /// `&Buffer`; `optional name` takes an `Option<&Buffer>` for a variable that is read and that some definitions remove.
 ///
-/// A stage reads these buffers at the pixel that it writes. One that it reads around the pixel is declared as `around
-/// name` or `optional_around name` and takes an [`Around`](crate::gpu::Around) in place of the `&Buffer`; so does one
-/// that is written and either read around the pixel or written in parts, as `change name`.
+/// A stage reads these buffers at the pixel that it writes. `around name` and `optional_around name` declare buffers
+/// that the stage reads around that pixel; they take an [`Around`](crate::gpu::Around) in place of the `&Buffer`.
+/// `change name` declares a buffer that the stage writes, and either reads around the pixel or writes in parts; it
+/// takes an `Around`, too.
 ///
 /// ```
 /// # stein::gpu::uniforms! { pub struct BoxParams { radius: u32 } }

@@ -2,7 +2,8 @@
 //!
 //! There is one file for each adapter, driver and version of this crate. A file is written under another name and then
 //! renamed, so that a reader never sees half a file. If two processes write, the file of the later one remains. A file
-//! that does not read back as it was written counts as missing, and is replaced.
+//! whose content differs from what was written counts as missing and is replaced. A process that is killed while it
+//! writes leaves an unfinished file; a later process removes that file when it opens the cache.
 
 use std::hash::{DefaultHasher, Hash, Hasher};
 use std::path::{Path, PathBuf};

@@ -234,7 +234,8 @@ impl Gpu {
     /// Opens an adapter.
     ///
     /// # Errors
-    /// [`Error::Device`] where there is no adapter, none that `choice` names, or where the driver refuses.
+    /// [`Error::Device`] where the computer has no adapter, where no adapter matches `choice`, or where the driver
+    /// refuses to open the adapter.
     pub fn open(choice: &DeviceChoice) -> Result<Self> {
         Self::open_with(choice, GpuOptions::default())
     }
@@ -400,7 +401,7 @@ impl Gpu {
         self.inner.pool.trim();
     }
 
-    /// Blocks until everything that was submitted is done.
+    /// Blocks until all submitted commands are done.
     ///
     /// # Errors
     /// [`Error::Device`] where the device was lost or reported an error meanwhile.
@@ -419,8 +420,8 @@ impl Gpu {
 
     /// Lets the driver's callbacks run; one of them reports that the device is lost.
     fn poll_for_news(&self, poll: wgpu::PollType) -> Option<wgpu::PollError> {
-        // wgpu panics if the driver reports a lost device during a poll, and a hang or a reset of the hardware becomes
-        // known just there.
+        // wgpu panics if the driver reports a lost device during a poll, and a poll is also where a hang or a reset of
+        // the hardware becomes known.
         let device = &self.inner.device;
         match std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| device.poll(poll))) {
             Ok(polled) => polled.err(),
@@ -458,11 +459,11 @@ impl Gpu {
         lock(&self.inner.health.lost).as_ref().map(|reason| Error::Device(DeviceCause::Lost { reason: reason.clone() }))
     }
 
-    /// Makes an error from a report of the driver about commands that wgpu had accepted, or the other way round.
-    /// Returns the loss of the device instead if the device was lost.
+    /// Makes an error from a report about valid commands: the driver failed on commands that wgpu had accepted, or wgpu
+    /// refused commands that the driver accepts. Returns the loss of the device instead if the device was lost.
     pub(super) fn defect(&self, report: &str) -> Error {
-        // On a device that was just lost, every failure has that reason, and may come before the report of the loss,
-        // which comes only after the remaining work.
+        // Once a device is lost, every call fails for that reason. A call may fail before the loss is reported, because
+        // the report comes only after the remaining work.
         self.poll_for_news(wgpu::PollType::Wait { submission_index: None, timeout: Some(NEWS_PATIENCE) });
         if let Some(lost) = self.lost() {
             return lost;

@@ -66,7 +66,9 @@ impl Gpu {
         self.find_or_build(stage, None, definitions, B::SLOTS)
     }
 
-    /// Returns the kernel of a shader that is not in `shaders/`, for tests and embedders.
+    /// Returns the kernel of a shader that is not in `shaders/`, for tests and embedders. The shader runs without
+    /// bounds checks, except under [`GpuOptions::checked_shaders`](super::GpuOptions::checked_shaders): it must keep to
+    /// the house rules in [`gpu`](super).
     ///
     /// # Errors
     /// As [`Gpu::kernel`].
@@ -153,8 +155,8 @@ impl Gpu {
                 unsafe_code,
                 reason = "our own shaders keep to their bounds: the test suite runs them with checks as well; unchecked they save up to a third"
             )]
-            // SAFETY: shaders come from this crate or its tests, index only within the extents that they are given, and
-            // loop a bounded number of times.
+            // SAFETY: without checks, a shader must index only within its buffers and loop a bounded number of times.
+            // The shaders of this crate do so, and `kernel_from_source` demands it of all other shaders.
             let shader = unsafe { device.create_shader_module_trusted(description, checks) };
             let pipeline = device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
                 label: Some(stage),
@@ -335,7 +337,7 @@ mod tests {
     use super::*;
     use crate::{bindings, uniforms};
 
-    /// Pieces in an order in which the first needs the second.
+    /// Pieces in an order in which the first piece imports the second.
     const SHARED: &[(&str, &str)] = &[
         (
             "planes",

@@ -1,4 +1,4 @@
-//! How long each stage takes, measured by the device.
+//! Time that each stage takes, measured by the device.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, channel};

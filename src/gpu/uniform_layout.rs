@@ -1,4 +1,4 @@
-//! Where the members of a uniform struct lie in a shader: found by name, and compared by type.
+//! Offsets of the members of a uniform struct in a shader. Members are found by name and compared by type.
 
 use std::marker::PhantomData;
 
