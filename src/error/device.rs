@@ -39,7 +39,7 @@ pub enum DeviceCause {
     StageTooLarge {
         /// The stage, named as its file in `shaders/`.
         stage: String,
-        /// What is limited, in the plural.
+        /// Name of the limited resource, in the plural.
         what: &'static str,
         /// Number that the stage needs.
         needed: u64,
