@@ -6,9 +6,9 @@
     ALONE_MEAN_SUM, ALONE_SPREAD_SUM, difference_step}
 
 struct ResolveParams {
-    // Which sums of the pass. 0: small patches, 1: large patches.
+    // Sums of the pass to resolve. 0: small patches, 1: large patches.
     sums: i32,
-    // Place among the candidates, of which there are so many.
+    // Index of the candidate, and number of candidates.
     candidate: i32,
     candidates: i32,
 }
@@ -18,12 +18,12 @@ struct ResolveParams {
 @group(0) @binding(2) var<storage, read> payload: array<vec4<f32>>;
 @group(0) @binding(3) var<storage, read> variance_of_mean: array<vec4<f32>>;
 @group(0) @binding(4) var<storage, read> state: array<vec4<f32>>;
-// Two planes for each candidate: mean with Σ w in w, half spread. Behind them, with DERIVATIVES, one plane for each:
-// dF_i/du_i per channel.
+// Two planes for each candidate: mean with Σ w in w, half spread. With DERIVATIVES, one more plane for each follows
+// behind them: dF_i/du_i per channel.
 @group(0) @binding(5) var<storage, read_write> filtered: array<vec4<f32>>;
 
 struct Resolved {
-    // Filtered value minus the centre's.
+    // Filtered value minus the value of the centre.
     mean: vec3<f32>,
     spread: vec3<f32>,
     derivative: vec3<f32>,
@@ -47,7 +47,7 @@ fn resolved(strip_pixels: i32, at: i32, step: vec3<f32>) -> Resolved {
     let mean = state[(base + MEAN_SUM) * strip_pixels + at].xyz / total.x;
     let spread = state[(base + SPREAD_SUM) * strip_pixels + at].xyz / total.x;
 #ifdef OTHER_GUIDE
-    // Nor do weights that come from another image.
+    // Weights that come from another image do not depend on u(p) either.
     return Resolved(mean, spread, vec3<f32>(centre.x / total.x), total.x);
 #else ifdef DERIVATIVES
     // The perturbed centre differs from the centre by the step.

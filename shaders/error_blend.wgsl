@@ -28,7 +28,7 @@ struct ErrorBlendParams {
 @group(0) @binding(1) var<storage, read> blended: array<vec4<f32>>;
 // Variance of the mean of the input.
 @group(0) @binding(2) var<storage, read> variance_of_mean: array<vec4<f32>>;
-// Two planes for each: mean, half spread; behind them, one plane for each: dF_i/du_i per channel.
+// Two planes for each candidate: mean, half spread; behind them, one plane for each: dF_i/du_i per channel.
 @group(0) @binding(3) var<storage, read> candidates: array<vec4<f32>>;
 #ifdef SHARED
 // One plane for four candidates, one component for each. Without it, the only candidate is the blend.
@@ -36,8 +36,8 @@ struct ErrorBlendParams {
 #endif
 @group(0) @binding(5) var<storage, read_write> errors: array<vec4<f32>>;
 
-// Σ_i σ_i²·dF_i/du_i of a candidate. A derivative outside 0 to 1 comes from the weights; it is not the share of the
-// pixel's own noise that is left in the pixel.
+// Σ_i σ_i²·dF_i/du_i of a candidate. A derivative outside 0 to 1 comes from changing weights; it is not the share of
+// the pixel's own noise that is left.
 fn own_noise(candidate: i32, at: i32) -> f32 {
     let plane = 2 * CANDIDATES + candidate;
     let derivative = candidates[plane * params.extent.x * params.extent.y + at].xyz;

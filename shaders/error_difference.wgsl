@@ -12,7 +12,7 @@ struct ErrorDifferenceParams {
     covariance: f32,
 }
 
-// Squares of differences are summed.
+// Limit on the differences, because their squares are summed.
 const LARGEST: f32 = 1e15;
 const ROUNDING: f32 = 1e-5;
 
@@ -22,9 +22,9 @@ const ROUNDING: f32 = 1e-5;
 @group(0) @binding(3) var<storage, read> blended: array<vec4<f32>>;
 // One plane for four candidates, one component for each; they sum to 1.
 @group(0) @binding(4) var<storage, read> shares: array<vec4<f32>>;
-// Two planes for each: mean, half spread; behind them, one plane for each: dF_i/du_i per channel.
+// Two planes for each candidate: mean, half spread; behind them, one plane for each: dF_i/du_i per channel.
 @group(0) @binding(5) var<storage, read> candidates: array<vec4<f32>>;
-// The same planes of one filter.
+// The same planes for one other filter.
 @group(0) @binding(6) var<storage, read> other: array<vec4<f32>>;
 // x: the difference, y: its square.
 @group(0) @binding(7) var<storage, read_write> differences: array<vec4<f32>>;

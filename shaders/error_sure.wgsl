@@ -1,8 +1,7 @@
 // Stein's unbiased risk estimate of each candidate (eq. 8.5): Σ_i (F_i − u_i)² − σ_i² + 2κ·σ_i²·dF_i/du_i. It may be
 // negative.
-//
-// κ is 1 by the book, for noise whose variance is known. Here a pixel that came out low claims little variance, and for
-// that very reason the filter follows it: the product of the two misses most of their covariance.
+// κ is 1 in the formula, for noise whose variance is known. Here a pixel that came out low claims little variance, and
+// for that very reason the filter follows it: the product of variance and derivative misses most of the covariance.
 #import stein::planes::{pixel_index}
 #import stein::candidates::{sure}
 
@@ -17,7 +16,7 @@ struct SureParams {
 @group(0) @binding(0) var<uniform> params: SureParams;
 @group(0) @binding(1) var<storage, read> signal: array<vec4<f32>>;
 @group(0) @binding(2) var<storage, read> variance_of_mean: array<vec4<f32>>;
-// Two planes for each: mean, half spread; behind them, one plane for each: dF_i/du_i per channel.
+// Two planes for each candidate: mean, half spread; behind them, one plane for each: dF_i/du_i per channel.
 @group(0) @binding(3) var<storage, read> candidates: array<vec4<f32>>;
 // One plane for four candidates, one component for each; 0 in components that no candidate has.
 @group(0) @binding(4) var<storage, read_write> errors: array<vec4<f32>>;

@@ -10,7 +10,7 @@ struct SelectBlendParams {
 @group(0) @binding(0) var<uniform> params: SelectBlendParams;
 // One plane for four candidates, one component for each; they sum to 1.
 @group(0) @binding(1) var<storage, read> shares: array<vec4<f32>>;
-// Two planes for each: mean with Σ w in w, half spread.
+// Two planes for each candidate: mean with Σ w in w, half spread.
 @group(0) @binding(2) var<storage, read> candidates: array<vec4<f32>>;
 // Two planes: mean with the blended Σ w in w, half spread.
 @group(0) @binding(3) var<storage, read_write> blended: array<vec4<f32>>;

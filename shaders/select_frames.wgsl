@@ -1,9 +1,9 @@
 // Chooses, for each filter and each pixel, between the filter over all frames of a window in time and the filter over
 // the pixel's own frame.
 //
-// An object that moves through the window brings along pixels that only seem to fit: the noisy rim of a lamp, say, may
-// stand for anything. Where the pixel's own SURE says that the other frames have done harm, by more than chance
-// explains, they are left out.
+// A moving object brings along pixels that only seem to fit: the noisy rim of a lamp, for example, may be similar to
+// anything. Where the pixel's own SURE shows harm by the other frames, beyond the harm that chance explains, they are
+// left out.
 #import stein::planes::{pixel_index}
 #import stein::candidates::{sure, error_by_chance}
 
@@ -19,10 +19,10 @@ struct SelectFramesParams {
 @group(0) @binding(1) var<storage, read> signal: array<vec4<f32>>;
 @group(0) @binding(2) var<storage, read> variance_of_mean: array<vec4<f32>>;
 // Filters over the own frame. Two planes for each: mean, half spread; behind them, one plane for each: dF_i/du_i per
-// channel. Or, WEIGHT_SUMS, one filter, and one plane of its own with Σ w in x: where the weights do not depend on the
-// noise of what is averaged, the centre's share 1 / Σ w is the derivative.
+// channel. With WEIGHT_SUMS there is one filter, and a plane of its own with Σ w in x: the weights do not depend on the
+// noise of the averaged image, so the share of the centre, 1 / Σ w, is the derivative.
 @group(0) @binding(3) var<storage, read> alone: array<vec4<f32>>;
-// The same planes over all frames; they become the chosen ones.
+// The same planes for the filters over all frames; they become the chosen ones.
 @group(0) @binding(4) var<storage, read_write> together: array<vec4<f32>>;
 #ifdef WEIGHT_SUMS
 @group(0) @binding(5) var<storage, read> alone_weights: array<vec4<f32>>;

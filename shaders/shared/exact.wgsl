@@ -1,4 +1,5 @@
-// Tiles of a frame around which nothing has noise, seen from an image that is a part of the frame.
+// Exact tiles: tiles of a frame without noise within the reach of a filter, seen from an image that is a part of the
+// frame.
 #define_import_path stein::exact
 
 struct ExactParams {
@@ -8,7 +9,7 @@ struct ExactParams {
     tile_columns: i32,
     // Pixel of the frame at which the image begins.
     first: vec2<i32>,
-    // Planes to write, from this one on.
+    // First plane to write, and number of planes.
     first_plane: i32,
     planes: i32,
 }

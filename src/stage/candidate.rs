@@ -30,20 +30,21 @@ bindings! {
     }
 }
 
-/// Planes of running sums that `candidate_accumulate` keeps per pixel of a strip.
-const STATE_PLANES: u32 = 12;
+/// Planes of running sums that `candidate_accumulate` keeps per pixel of a strip in one pass: five for each of two
+/// filters with patches of the colour, two for a filter without patches.
+const SUM_PLANES: u32 = 12;
 
 /// A frame of a window in time, as the candidates see it.
 #[derive(Clone, Copy, Debug)]
 pub struct CandidateFrame<'a> {
-    /// The signal to average.
+    /// Signal to average.
     pub payload: &'a Buffer,
     /// Another image whose patches are compared, in its first plane; `None` compares the mean of the payload.
     pub guide: Option<&'a Buffer>,
-    /// Variance of the mean of what is compared, one plane, as the filters want it.
+    /// Variance of the mean of the compared image, one plane.
     pub variance_of_mean: &'a Buffer,
-    /// Prefiltered features: in all frames of a window the same features in the same units. `None` makes their weights
-    /// 1.
+    /// Prefiltered features, the same ones in the same units in all frames of a window. `None` gives all feature
+    /// weights the value 1.
     pub features: Option<&'a Features>,
 }
 
@@ -80,9 +81,9 @@ pub struct Needed<'a> {
     /// Whether to compute their derivatives. Weights that do not depend on the payload give 1/Σ w times the weight of
     /// the centre; other weights are differentiated by finite differences.
     pub derivatives: bool,
-    /// Whether to compute their half spreads, which are 0 otherwise.
+    /// Whether to compute their half spreads; without, half spreads are 0.
     pub half_spread: bool,
-    /// Whether to compute them over the own frame alone as well, where there are frames beside.
+    /// Whether to compute them over the own frame alone, too, where there are frames beside.
     pub alone: bool,
     /// Whether the three channels of the colour differ in at least one frame.
     pub channels: bool,
@@ -104,15 +105,15 @@ impl Needed<'_> {
 pub struct Candidates {
     /// The filters, in their order.
     pub filters: Vec<CandidateFilter>,
-    /// Two planes for each candidate, a signal: the mean with Σ w in w, and the half spread. Behind them, where there
-    /// are derivatives, one plane for each candidate: dF_i/du_i per channel.
+    /// Two planes for each candidate, a signal: the mean with Σ w in w, and the half spread. With derivatives, one more
+    /// plane for each candidate follows behind all signals: dF_i/du_i per channel.
     pub planes: Arc<Buffer>,
-    /// Whether there are derivatives.
+    /// Whether the planes of the derivatives exist.
     pub has_derivatives: bool,
 }
 
 impl Candidates {
-    /// Number of planes that so many candidates take.
+    /// Returns the number of planes of this many candidates.
     pub const fn planes_of(candidates: usize, with_derivatives: bool) -> u32 {
         (if with_derivatives { 3 } else { 2 }) * candidates as u32
     }
@@ -123,29 +124,29 @@ impl Candidates {
         Ok(Self { filters: filters.to_vec(), planes, has_derivatives })
     }
 
-    /// The number of candidates.
+    /// Returns the number of candidates.
     pub fn count(&self) -> usize {
         self.filters.len()
     }
 
-    /// The plane of a candidate's mean; its half spread lies in the next one.
+    /// Returns the plane of a candidate's mean; its half spread lies in the next one.
     pub fn mean_plane(&self, candidate: usize) -> u32 {
         2 * candidate as u32
     }
 
-    /// The plane of a candidate's derivatives, where there are any.
+    /// Returns the plane of a candidate's derivatives; `None` without derivatives.
     pub fn derivative_plane(&self, candidate: usize) -> Option<u32> {
         self.has_derivatives.then_some((2 * self.count() + candidate) as u32)
     }
 
-    /// The definition of how many candidates there are.
+    /// Returns the definition of the number of candidates.
     pub(super) fn definition(&self) -> (&'static str, Definition) {
         ("CANDIDATES", Definition::Int(self.count() as i32))
     }
 }
 
-/// Number of planes that hold one number for each of so many candidates: the plane of four candidates, one component
-/// for each.
+/// Returns the number of planes that hold one number for each of this many candidates: four candidates share a plane,
+/// one component for each.
 pub const fn planes_of_numbers(candidates: usize) -> u32 {
     candidates.div_ceil(4) as u32
 }
@@ -153,9 +154,9 @@ pub const fn planes_of_numbers(candidates: usize) -> u32 {
 /// The candidates of a window in time.
 #[derive(Debug)]
 pub struct CandidatesInTime {
-    /// Over all frames.
+    /// Candidates over all frames.
     pub together: Candidates,
-    /// Over the own frame alone, if there are frames beside and it was requested.
+    /// Candidates over the own frame alone; `None` without frames beside, or if they were not requested.
     pub alone: Option<Candidates>,
 }
 
@@ -248,7 +249,7 @@ fn run_pass(
     };
     let candidate = pass.params(features);
     let mut state: Option<Buffer> = None;
-    let needs = ChunkNeeds { distances: pass.by_color(), sum_planes: STATE_PLANES };
+    let needs = ChunkNeeds { distances: pass.by_color(), sum_planes: SUM_PLANES };
     for_each_chunk(rec, extent, &guide, needs, radius, weighting, schedule, |rec, chunk| {
         let params = chunk.params;
         if params.starts != 0 {
@@ -258,7 +259,7 @@ fn run_pass(
         let state = match &mut state {
             Some(state) => state,
             None => state
-                .insert(rec.take("candidate sums", plane_bytes(IVec2::new(params.width, params.rows), STATE_PLANES))?),
+                .insert(rec.take("candidate sums", plane_bytes(IVec2::new(params.width, params.rows), SUM_PLANES))?),
         };
         let beside = chunk.beside.map(|index| frames.beside[index]);
         // Patches hold pixels of their own pair only in the nearest rows, and never in a frame beside.
