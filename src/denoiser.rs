@@ -9,7 +9,7 @@ use glam::{IVec2, Vec3};
 
 use crate::error::{Error, RequestCause, Result};
 use crate::frame::{Feature, Frame, NoiseKnowledge};
-use crate::gpu::{Buffer, Gpu, Pace, Recorder, Run, StageTime, StepTime};
+use crate::gpu::{Buffer, Gpu, Pace, Recorder, Run, StageTime, StepTime, sum_over_steps};
 use crate::host_memory::{FreeMemory, Shortage};
 use crate::image::Image;
 use crate::method::{
@@ -109,8 +109,8 @@ pub struct Estimate {
     pub peak_bytes: u64,
 }
 
-/// Memory that the work on a frame takes, and how far its results depend on the frame. Found by a dry run of the method,
-/// which records the same work without memory and commands.
+/// Memory that the work on a frame takes, and reach of its results. Found by a dry run of the method, which records the
+/// same work without memory and commands.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Requirements {
     /// The most memory that buffers take on the device, in bytes: [`Estimate::peak_bytes`] on a device that holds no
@@ -326,7 +326,7 @@ impl Denoiser {
         let mut assembly = Assembly::new(frame, &units, error).map_err(out_of_memory)?;
         if plan.copies_the_frame() {
             assembly.copy();
-            return Ok(assembly.finish(plan, Times::default(), 0));
+            return Ok(assembly.finish(plan, None, 0));
         }
         for (index, strip) in strips.iter().enumerate() {
             let mut rec = self.gpu.record_in(&run);
@@ -354,8 +354,8 @@ impl Denoiser {
             rec.submit()?;
             assembly.add(&self.gpu, &estimate, extent, strip)?;
         }
-        let times = Times { stages: self.gpu.timings(&run)?, steps: self.gpu.step_timings(&run)? };
-        Ok(assembly.finish(plan, times, run.peak_bytes()))
+        let step_times = self.gpu.step_timings(&run)?;
+        Ok(assembly.finish(plan, step_times, run.peak_bytes()))
     }
 
     fn check_window(&self, frames: &[&Frame], centre: usize) -> Result<()> {
@@ -467,13 +467,6 @@ struct FoundSpikes {
     pixels: usize,
     taken: f64,
     spread: f64,
-}
-
-/// How long the device took.
-#[derive(Default)]
-struct Times {
-    stages: Option<Vec<StageTime>>,
-    steps: Option<Vec<StepTime>>,
 }
 
 impl<'a> Assembly<'a> {
@@ -598,7 +591,7 @@ impl<'a> Assembly<'a> {
         Ok(())
     }
 
-    fn finish(self, plan: Plan, times: Times, peak_bytes: u64) -> Estimate {
+    fn finish(self, plan: Plan, step_times: Option<Vec<StepTime>>, peak_bytes: u64) -> Estimate {
         let Self {
             frame,
             exposure,
@@ -619,7 +612,7 @@ impl<'a> Assembly<'a> {
             let share = |scaled: f64| if energy > 0.0 { scaled / f64::from(exposure) / energy } else { 0.0 };
             SpikeReport { pixels, taken: share(taken), spread: share(spread) }
         });
-        let (strips, Times { stages: stage_times, steps: step_times }) = (plan.strips, times);
+        let strips = plan.strips;
         Estimate {
             color,
             half_spread,
@@ -632,7 +625,7 @@ impl<'a> Assembly<'a> {
             layers,
             plan,
             strips,
-            stage_times,
+            stage_times: step_times.as_deref().map(sum_over_steps),
             step_times,
             peak_bytes,
         }

@@ -322,7 +322,10 @@ fn mean_beside_halves(raw: &RawSignal) -> Option<String> {
     }
     (differing * 10 > values).then(|| {
         let percent = 100 * differing / values;
-        format!("colour: in {percent} % of its values the input is not the average of the halves; their difference then tells little about its noise")
+        format!(
+            "colour: in {percent} % of its values the input is not the average of the halves; their difference then \
+             tells little about its noise"
+        )
     })
 }
 
@@ -363,9 +366,9 @@ fn settle_color(color: &mut Signal, repairs: &mut Repairs) -> Result<()> {
     }
     if let Some(correlation) = shared_noise.filter(|_| color.half_spread.is_some()) {
         notes.push(format!(
-            "colour: neighbouring pixels share their noise (the halves' difference has a correlation of {correlation:.2} from pixel to pixel), so that \
-             more of it stays than its variance tells, as grain larger than a pixel; render with a box pixel filter of one pixel's width and \
-             independent pixels"
+            "colour: neighbouring pixels share their noise (the halves' difference has a correlation of \
+             {correlation:.2} from pixel to pixel), so that more of it stays than its variance tells, as grain larger \
+             than a pixel; render with a box pixel filter of one pixel's width and independent pixels"
         ));
     }
     let knowledge = color.known_from();

@@ -8,8 +8,10 @@
 //!            -> Plan        (method: the steps that this frame needs, and why not the others)
 //!            -> GpuFrame    (method: uploaded, colour at the order of 1)
 //!            -> GpuEstimate (method: each method is one straight function of stages)
-//!                 dfc: variances -> prefiltered features -> spikes -> candidates -> SURE -> selection -> blend -> second pass
-//!                 nlm: variances -> spikes -> halves -> each filtered with the weights of the other -> their difference
+//!                 dfc: variances -> prefiltered features -> spikes -> candidates -> SURE -> selection -> blend
+//!                      -> second pass
+//!                 nlm: variances -> spikes -> halves -> each filtered with the weights of the other
+//!                      -> their difference
 //!                 gem: variances -> spikes -> scales -> stopping maps -> the finest scale that stops
 //!            -> Estimate    (denoiser: colour, halves, estimated error, intermediates)
 //! ```

@@ -505,7 +505,9 @@ pub(crate) fn check(listed: &[Parameter]) -> Result<()> {
 macro_rules! parameters {
     (
         $(#[$meta:meta])*
-        $vis:vis struct $name:ident { $($(#[doc = $documentation:literal])* $field_vis:vis $field:ident: $type:ty $(=> $limits:expr)?),+ $(,)? }
+        $vis:vis struct $name:ident {
+            $($(#[doc = $documentation:literal])* $field_vis:vis $field:ident: $type:ty $(=> $limits:expr)?),+ $(,)?
+        }
     ) => {
         $(#[$meta])*
         $vis struct $name { $($(#[doc = $documentation])* $field_vis $field: $type),+ }
@@ -521,10 +523,15 @@ macro_rules! parameters {
             ) {
                 let first = into.len();
                 $({
-                    let name = if place.name.is_empty() { stringify!($field).to_owned() } else { format!("{}.{}", place.name, stringify!($field)) };
+                    let name = if place.name.is_empty() {
+                        stringify!($field).to_owned()
+                    } else {
+                        format!("{}.{}", place.name, stringify!($field))
+                    };
                     let place = $crate::parameters::Place { name: &name, documentation: &[$($documentation),*] };
                     let limits = $crate::parameters::parameters!(@limits $($limits)?);
-                    <$type as $crate::parameters::Describe>::list(values.map(|whole| whole.$field), place, limits, into);
+                    let field = values.map(|whole| whole.$field);
+                    <$type as $crate::parameters::Describe>::list(field, place, limits, into);
                 })+
                 if let Some(without) = without {
                     without.narrow(&mut into[first..]);
@@ -564,7 +571,10 @@ macro_rules! choices {
 
             /// Returns the words and their meanings, in the same order.
             pub fn choices() -> Vec<$crate::parameters::Choice> {
-                vec![$($crate::parameters::Choice { name: $word, documentation: $crate::parameters::text(&[$($documentation),*]) }),+]
+                vec![$($crate::parameters::Choice {
+                    name: $word,
+                    documentation: $crate::parameters::text(&[$($documentation),*]),
+                }),+]
             }
         }
 
@@ -605,7 +615,10 @@ macro_rules! choice_set {
         impl $name {
             /// Returns the words and their meanings, in their order.
             pub fn choices() -> Vec<$crate::parameters::Choice> {
-                vec![$($crate::parameters::Choice { name: stringify!($field), documentation: $crate::parameters::text(&[$($documentation),*]) }),+]
+                vec![$($crate::parameters::Choice {
+                    name: stringify!($field),
+                    documentation: $crate::parameters::text(&[$($documentation),*]),
+                }),+]
             }
 
             /// Returns the set of those of its words that `names` contains; other names are ignored.
@@ -623,7 +636,9 @@ macro_rules! choice_set {
                 (): (),
                 into: &mut Vec<$crate::parameters::Parameter>,
             ) {
-                let values = values.map(|set| $crate::parameters::Value::Set(set.names().into_iter().map(str::to_owned).collect()));
+                let values = values.map(|set| {
+                    $crate::parameters::Value::Set(set.names().into_iter().map(str::to_owned).collect())
+                });
                 into.push(place.parameter(values, None, $crate::parameters::Kind::Set { options: Self::choices() }));
             }
 

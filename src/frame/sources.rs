@@ -100,7 +100,8 @@ pub(super) fn settle(layer: Layer, signal: &mut Signal, notes: &mut Vec<String>)
     if !only_variance.is_empty() {
         let place = layer.in_channels(&only_variance, channels);
         notes.push(format!(
-            "{layer}: the two halves are identical{place} (rendered with the same seed?) although the variance tells of noise; they are left out"
+            "{layer}: the two halves are identical{place} (rendered with the same seed?) although the variance tells \
+             of noise; they are left out"
         ));
         *half_spread = None;
         return;
@@ -109,7 +110,8 @@ pub(super) fn settle(layer: Layer, signal: &mut Signal, notes: &mut Vec<String>)
         let overstated = if layer.is_color { CONTRADICTION } else { FEATURE_OVERSTATED };
         if ratio >= CONTRADICTION || ratio * overstated <= 1.0 {
             notes.push(format!(
-                "{layer}: (A − B)²/4 of the halves is {} times the variance that is given, typically; the halves are believed",
+                "{layer}: (A − B)²/4 of the halves is {} times the variance that is given, typically; the halves are \
+                 believed",
                 two_digits(ratio),
             ));
         }

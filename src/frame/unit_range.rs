@@ -54,7 +54,8 @@ pub(super) fn to_unit_range(name: &str, kind: FeatureKind, signal: &mut Signal, 
         (least, greatest) = all;
     } else if outside > 0 {
         notes.push(format!(
-            "feature {name}: {outside} of {} values lie far outside of {least} to {greatest} ({} to {} in all); its range is taken without them",
+            "feature {name}: {outside} of {} values lie far outside of {least} to {greatest} ({} to {} in all); its \
+             range is taken without them",
             signal.mean.channels() * (misses.len() - misses.iter().filter(|miss| **miss).count()),
             all.0,
             all.1,

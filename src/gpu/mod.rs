@@ -46,6 +46,7 @@ pub use pool::{Buffer, MemoryUse};
 pub use record::{Pace, Recorder};
 pub use run::Run;
 pub use shader::{Definition, Definitions, compose, compose_source, shared_modules, stages};
+pub(crate) use timing::sum_over_steps;
 pub use timing::{StageTime, StepTime};
 pub use uniform_layout::UniformLayout;
 

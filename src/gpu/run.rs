@@ -7,7 +7,7 @@ use super::device::Gpu;
 use super::lock;
 use super::pool::Pool;
 use super::record::Recorder;
-use super::timing::{StageTime, StepTime};
+use super::timing::{StageTime, StepTime, sum_over_steps};
 use crate::error::Result;
 
 /// Memory limit, memory use and times of stages, for all recorders of one run. Cheap to clone; clones are the same run.
@@ -132,19 +132,6 @@ impl Gpu {
     /// # Errors
     /// As [`Gpu::wait`].
     pub fn timings(&self, run: &Run) -> Result<Option<Vec<StageTime>>> {
-        let steps = self.step_timings(run)?;
-        Ok(steps.map(|steps| {
-            let mut stages: Vec<StageTime> = Vec::new();
-            for StepTime { time, .. } in steps {
-                match stages.iter_mut().find(|stage| stage.stage == time.stage) {
-                    Some(stage) => {
-                        stage.seconds += time.seconds;
-                        stage.dispatches += time.dispatches;
-                    }
-                    None => stages.push(time),
-                }
-            }
-            stages
-        }))
+        Ok(self.step_timings(run)?.as_deref().map(sum_over_steps))
     }
 }

@@ -37,6 +37,21 @@ pub struct StepTime {
     pub time: StageTime,
 }
 
+/// Returns the time of each stage in all steps together, in the order of first use.
+pub(crate) fn sum_over_steps(steps: &[StepTime]) -> Vec<StageTime> {
+    let mut stages: Vec<StageTime> = Vec::new();
+    for StepTime { time, .. } in steps {
+        match stages.iter_mut().find(|stage| stage.stage == time.stage) {
+            Some(stage) => {
+                stage.seconds += time.seconds;
+                stage.dispatches += time.dispatches;
+            }
+            None => stages.push(time.clone()),
+        }
+    }
+    stages
+}
+
 pub(super) struct Timing {
     available: bool,
     on: AtomicBool,

@@ -16,7 +16,7 @@ use super::frame::FeatureInput;
 use super::noise::estimate_noise;
 use super::plan::PlannedStep;
 use super::spikes::Found;
-use super::{FrameInput, GpuSignal, Spikes};
+use super::{FrameInput, GpuSignal, Method, Spikes};
 use crate::error::{Error, Result};
 use crate::gpu::{Buffer, Recorder};
 use crate::stage::candidate::{
@@ -236,7 +236,7 @@ impl Prepared {
         if let Some(noise) = plan.noise.as_ref().filter(|noise| noise.runs) {
             noise.begin(rec);
             frames = frames.try_map(|(mut color, mut features)| {
-                estimate_noise(rec, extent, &mut color, &mut features, params.pooling())?;
+                estimate_noise(rec, extent, &mut color, &mut features, Method::from(*params).pooling())?;
                 Ok::<_, Error>((color, features))
             })?;
         }

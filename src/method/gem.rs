@@ -99,7 +99,7 @@ impl Repaired {
         drop(features);
         if let Some(noise) = plan.noise.as_ref().filter(|noise| noise.runs) {
             noise.begin(rec);
-            estimate_noise(rec, extent, &mut color, &mut [], params.pooling())?;
+            estimate_noise(rec, extent, &mut color, &mut [], Method::from(*params).pooling())?;
         }
         if !plan.spikes.runs {
             return Ok(Self { color, samples, spikes: None });
@@ -177,9 +177,9 @@ pub(super) fn plan(params: &GemParams, facts: &Facts, wishes: &Wishes) -> GemPla
     GemPlan {
         params: *params,
         keep: wishes.keep.to_vec(),
-        noise: planner.noise(params.pooling(), facts),
+        noise: planner.noise(Method::from(*params).pooling(), facts),
         spikes: planner.spikes(params.spikes, facts),
-        variance: planner.variance(params.pooling(), facts),
+        variance: planner.variance(Method::from(*params).pooling(), facts),
         scales: planner.step("scales", "from fine to coarse", &[]),
         density: planner.step("sampling density", "it is asked for", &unasked).beside_kernels(),
         keep_clean: planner.keep_clean(params.keep_clean),

@@ -78,7 +78,8 @@ impl DeviceMemory {
             && self.left_by_host().is_some_and(|left| left < least)
         {
             let what = format!(
-                "a strip of one row of this image, with the {halo} rows above and below that it depends on, and the result"
+                "a strip of one row of this image, with the {halo} rows above and below that it depends on, and the \
+                 result"
             );
             return Shortage::new(host + Self::DRIVER_BYTES + least, free).error(&what);
         }

@@ -29,6 +29,7 @@ use crate::parameters::choices;
 use crate::stage::frames::Frames;
 use crate::stage::nlm::Schedule;
 use kernels::KernelOnGpu;
+use noise::Pooling;
 
 pub(crate) use common::LARGEST_PATCH_RADIUS;
 pub use dfc::{DfcParams, DfcPlan};
@@ -205,11 +206,17 @@ impl Method {
 
     /// Returns whether the method estimates variances of the mean that a frame lacks.
     pub fn pools_variance(&self) -> bool {
-        match self {
-            Self::Dfc(params) => params.pooled_variance,
-            Self::Gem(params) => params.pooled_variance,
-            Self::Nlm(params) => params.pooled_variance,
-        }
+        self.pooling() != Pooling::Off
+    }
+
+    /// Returns the variances of the mean that the method pools.
+    fn pooling(&self) -> Pooling {
+        let (pools, pooling) = match self {
+            Self::Dfc(params) => (params.pooled_variance, Pooling::All),
+            Self::Gem(params) => (params.pooled_variance, Pooling::Lacking),
+            Self::Nlm(params) => (params.pooled_variance, Pooling::Lacking),
+        };
+        if pools { pooling } else { Pooling::Off }
     }
 
     /// Refuses a colour of unknown noise if the method does not estimate the noise.

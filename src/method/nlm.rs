@@ -248,7 +248,7 @@ impl Prepared {
         let FrameInput { extent, mut color, features: _, samples, mean_variance } = frame;
         if let Some(noise) = plan.noise.as_ref().filter(|noise| noise.runs) {
             noise.begin(rec);
-            estimate_noise(rec, extent, &mut color, &mut [], params.pooling())?;
+            estimate_noise(rec, extent, &mut color, &mut [], Method::from(*params).pooling())?;
         }
         let mut spikes = None;
         if plan.spikes.runs {
@@ -383,7 +383,7 @@ pub(super) fn plan(params: &NlmParams, facts: &Facts, wishes: &Wishes) -> NlmPla
     NlmPlan {
         params: *params,
         keep: wishes.keep.to_vec(),
-        noise: planner.noise(params.pooling(), facts),
+        noise: planner.noise(Method::from(*params).pooling(), facts),
         spikes: planner.spikes(params.spikes, facts),
         variance: planner.step("variance", variance, &[]),
         halves,

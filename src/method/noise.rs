@@ -73,11 +73,19 @@ pub(super) fn estimate_noise(
         return Ok(());
     }
     let given = color.variance_of_mean.as_deref();
-    let pooled = Arc::new(noise_pool(rec, extent, &color.signal, given, noisy.as_ref(), &rule)?);
-    if given.is_none() || pooling == Pooling::All {
+    let pooled = noise_pool(rec, extent, &color.signal, given, noisy.as_ref(), &rule)?;
+    let for_color = given.is_none() || pooling == Pooling::All;
+    let Some(noisy) = noisy.filter(|noisy| noisy.are_pooled) else {
+        // The variance of the colour is the only plane.
+        if for_color {
+            color.variance_of_mean = Some(Arc::new(pooled.buffer));
+        }
+        return Ok(());
+    };
+    let pooled = Arc::new(pooled);
+    if for_color {
         color.variance_of_mean = Some(Arc::new(noise_unpack(rec, extent, &pooled, None)?));
     }
-    let Some(noisy) = noisy else { return Ok(()) };
     for (index, feature) in features.iter_mut().enumerate().filter(|(index, _)| lacking[*index]) {
         feature.pooled = Some((pooled.clone(), noisy.packing.slots[index]));
     }

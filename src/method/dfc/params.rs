@@ -6,7 +6,6 @@ use super::candidate_set::CandidateSet;
 use crate::error::{Error, RequestCause, Result};
 use crate::method::Spikes;
 use crate::method::common::{LARGEST_PATCH_RADIUS, LARGEST_WINDOW_RADIUS};
-use crate::method::noise::Pooling;
 use crate::parameters::{Group, Parameter, Values, Without, above, check, list, parameters, pixels};
 use crate::stage::candidate_filter::{ByColor, ByFeatures, CandidateFilter, MOST_CANDIDATES};
 use crate::stage::nlm::{CentreWeight, Symmetry, Weighting};
@@ -46,7 +45,8 @@ parameters! {
         pub weighting: Weighting => Some(Without {
             parameter: "symmetric",
             choice: "hard",
-            because: "the weights of opposite neighbours would be replaced at once, so that SURE could not differentiate them.",
+            because: "the weights of opposite neighbours would be replaced at once, so that SURE could not \
+                      differentiate them.",
         }),
         /// How the pixels of a box are weighted where their variances are scaled to the differences of their halves.
         pub box_weight: BoxWeight,
@@ -198,10 +198,6 @@ impl DfcParams {
 
     pub(super) fn first_cannot_win(&self) -> bool {
         self.candidates.first && self.candidates.second && self.first_patch_radius == self.second_patch_radius
-    }
-
-    pub(in crate::method) fn pooling(&self) -> Pooling {
-        if self.pooled_variance { Pooling::All } else { Pooling::Off }
     }
 
     /// Returns the parameters, with their documentation and ranges.

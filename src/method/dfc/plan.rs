@@ -2,7 +2,7 @@
 
 use super::{DfcParams, PREFILTER, reach_of_choice};
 use crate::method::plan::{Facts, PlannedStep, Planner, Wishes, impossible, method_plan, needless};
-use crate::method::{Intermediate, MethodPlan};
+use crate::method::{Intermediate, Method, MethodPlan};
 
 method_plan! {
     /// Plan of DFC.
@@ -68,6 +68,7 @@ method_plan! {
 ///   second pass with a limit changes nothing where there is no noise.
 pub(in crate::method) fn plan(params: &DfcParams, facts: &Facts, wishes: &Wishes) -> MethodPlan {
     let planner = Planner::new(wishes);
+    let pooling = Method::from(*params).pooling();
     let unused = facts.unused_features.iter();
     let unused_features =
         unused.map(|(name, why)| planner.step(format!("feature {name}"), "", &[impossible(true, why)])).collect();
@@ -148,11 +149,11 @@ pub(in crate::method) fn plan(params: &DfcParams, facts: &Facts, wishes: &Wishes
         params: *params,
         keep: wishes.keep.to_vec(),
         unused_features,
-        noise: planner.noise(params.pooling(), facts),
+        noise: planner.noise(pooling, facts),
         prefilters,
         features: planner.step("features", "gradients and packing", &no_features),
         spikes: planner.spikes(params.spikes, facts),
-        variance: planner.variance(params.pooling(), facts),
+        variance: planner.variance(pooling, facts),
         filters,
         candidates: planner.step("candidates", "the result is made of them", &[]).but_for(exact.as_ref()),
         frames: frames.beside_kernels(),

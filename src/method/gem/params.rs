@@ -6,7 +6,6 @@ use serde::Serialize;
 
 use crate::error::Result;
 use crate::method::Spikes;
-use crate::method::noise::Pooling;
 use crate::parameters::{Parameter, Values, check, choices, list, parameters, real};
 use crate::stage::gaussian::Gaussian;
 
@@ -17,7 +16,7 @@ parameters! {
     /// | phase | σ of the scales, in pixels | maps smoothed by | outliers |
     /// | --- | --- | --- | --- |
     /// | sampling | 1, 2, 4, 8 | the coarse scale of the pair | removed both ways |
-    /// | final | √2, 2, √8, 4 … 16 | `final_outlier_size` times the coarse scale | only changes towards the coarser scale |
+    /// | final | √2, 2, √8, 4 … 16 | `final_outlier_size` times the coarse scale | changes to the coarser scale only |
     ///
     /// Measured, as geometric means of the relative MSE, on ten renders (four scenes at 8 to 128 samples per pixel) and
     /// six of the built-in scenes at 32:
@@ -132,10 +131,6 @@ impl GemParams {
     pub fn bias_weight(&self) -> f32 {
         let wrong = (1.9 * f64::from(self.gamma)).powf(std::f64::consts::FRAC_1_SQRT_2);
         -(1.0 - wrong).ln() as f32
-    }
-
-    pub(in crate::method) fn pooling(&self) -> Pooling {
-        if self.pooled_variance { Pooling::Lacking } else { Pooling::Off }
     }
 
     /// Returns the parameters, with their documentation and ranges.

@@ -5,7 +5,6 @@ use serde::Serialize;
 use crate::error::Result;
 use crate::method::Spikes;
 use crate::method::common::{LARGEST_PATCH_RADIUS, LARGEST_WINDOW_RADIUS};
-use crate::method::noise::Pooling;
 use crate::parameters::{Parameter, Values, above, check, choices, list, parameters, pixels, real};
 use crate::stage::nlm::{CentreWeight, Symmetry, Weighting};
 
@@ -114,10 +113,6 @@ impl NlmParams {
             keep_clean: false,
             ..self
         }
-    }
-
-    pub(in crate::method) fn pooling(&self) -> Pooling {
-        if self.pooled_variance { Pooling::Lacking } else { Pooling::Off }
     }
 
     /// Returns the parameters, with their documentation and ranges.
