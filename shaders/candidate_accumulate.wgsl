@@ -2,14 +2,14 @@
 // spread filtered by min(colour weight, feature weight), and the same sums with each channel of the centre pixel
 // perturbed, for the finite differences of SURE.
 //
-// The first two filters compare patches of the colour, small and large ones. They share the pixel distance and the
-// features and differ in the box. The third filter compares the features alone and shares their numerators. FIRST,
-// SECOND and THIRD of Algorithm 1 are such a pass. The perturbed weights need no second pass: a step δ in channel i of p
-// changes the pixel distances that p takes part in, and those alone, so the patch sums change by a few closed terms.
+// The first two filters compare patches of the colour, small and large ones. They share pixel distances and features,
+// and differ only in the size of the box. The third filter compares the features alone and shares their numerators. The
+// three candidates of Algorithm 1 are such a pass. The perturbed weights need no second pass: a step δ in channel i of
+// p changes only the pixel distances that p takes part in, so the patch sums change by a few closed terms.
 //
-// LARGE, SMALL and FEATURES_ALONE say which filters take part, SMALL only beside LARGE; DERIVATIVES, that the perturbed
-// sums are computed: the payload's mean is then the guide that nlm_distance compared; HALVES, that the half spread is
-// filtered; GREY, that all channels of the colour are equal.
+// LARGE, SMALL and FEATURES_ALONE name the filters that take part, SMALL only beside LARGE. DERIVATIVES computes the
+// perturbed sums; the mean of the payload is then the guide that nlm_distance compared. HALVES filters the half spread.
+// GREY means that all channels of the colour are equal.
 //
 // An invocation filters PIXELS pixels in a row and goes through the offsets row by row: each offset has the same
 // neighbours as the offset before, except for one. Neighbours and running sums stay in registers.
@@ -37,7 +37,7 @@ const FEATURE_GROUPS: i32 = #{FEATURE_GROUPS};
 @group(0) @binding(6) var<storage, read> features: array<vec4<f32>>;
 #endif
 #ifdef OTHER_FRAME
-// Frame beside that q is taken from. Only this case has these bindings: a single image needs none of them.
+// Frame beside that holds the neighbours q. Only this case has these bindings: a single image needs none of them.
 @group(0) @binding(7) var<storage, read> neighbours_payload: array<vec4<f32>>;
 @group(0) @binding(8) var<storage, read> neighbours_variance: array<vec4<f32>>;
 #if FEATURE_GROUPS != 0
@@ -68,7 +68,7 @@ struct Sums {
     spread: vec3<f32>,
 }
 
-// If all three channels are equal, the first stands for all; the others are not used, and so not computed.
+// If all three channels are equal, the first one stands for all, and the others are not computed.
 fn channels(value: vec3<f32>) -> vec3<f32> {
 #ifdef GREY
     return value.xxx;
@@ -77,7 +77,7 @@ fn channels(value: vec3<f32>) -> vec3<f32> {
 #endif
 }
 
-// As `channels`, for the lanes of the filter itself and of the filters with one channel perturbed.
+// Does the same as `channels`, for the lanes of the filter itself and of the filters with one channel perturbed.
 fn lanes(value: vec4<f32>) -> vec4<f32> {
     return vec4<f32>(value.x, channels(value.yzw));
 }
@@ -187,7 +187,8 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     var steps: array<vec3<f32>, PIXELS>;
     var smalls: array<Sums, PIXELS>;
     var larges: array<Sums, PIXELS>;
-    // Of the features alone. Means: xyz: Σ w·(u_q − u_p), w: Σ w. Spreads: xyz: the sum for the spread, w: the largest weight.
+    // Sums of the filter by features alone. Means: xyz: Σ w·(u_q − u_p), w: Σ w. Spreads: xyz: the sum for the spread,
+    // w: the largest weight.
     var alone_means: array<vec4<f32>, PIXELS>;
     var alone_spreads: array<vec4<f32>, PIXELS>;
     for (var i = 0; i < PIXELS; i++) {
@@ -283,8 +284,8 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
                 }
 #endif
 
-                // Changes of the patch sums by a step in each channel of p: of the pair (p, q) itself and, if p lies in
-                // its neighbour's patch, of the pair that ends in p. Patches of another frame do not contain p.
+                // Changes of the patch sums by a step in each channel of p. The pair (p, q) itself changes and, if p
+                // lies in its neighbour's patch, the pair that ends in p. Patches of another frame do not contain p.
                 let zero = vec3<f32>(0.0);
                 var small_changes = PatchChanges(zero, zero, zero);
                 var large_changes = small_changes;

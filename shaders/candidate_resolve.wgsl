@@ -6,7 +6,7 @@
     ALONE_MEAN_SUM, ALONE_SPREAD_SUM, difference_step}
 
 struct ResolveParams {
-    // Which sums of the pass. 0: small patches, 1: large patches.
+    // Sums of the pass to resolve. 0: small patches, 1: large patches.
     sums: i32,
     // Place among the candidates.
     candidate: i32,
@@ -25,7 +25,7 @@ struct ResolveParams {
 #endif
 
 struct Resolved {
-    // Filtered value minus the centre's.
+    // Filtered value minus the value of the centre.
     mean: vec3<f32>,
     spread: vec3<f32>,
     derivative: vec3<f32>,
@@ -49,7 +49,7 @@ fn resolved(strip_pixels: i32, at: i32, step: vec3<f32>) -> Resolved {
     let mean = state[(base + MEAN_SUM) * strip_pixels + at].xyz / total.x;
     let spread = state[(base + SPREAD_SUM) * strip_pixels + at].xyz / total.x;
 #ifdef OTHER_GUIDE
-    // Nor do weights that come from another image.
+    // Weights that come from another image do not depend on u(p) either.
     return Resolved(mean, spread, vec3<f32>(centre.x / total.x), total.x);
 #else ifdef DERIVATIVES
     // The perturbed centre differs from the centre by the step.

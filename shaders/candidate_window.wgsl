@@ -1,9 +1,9 @@
-// The weights of one pixel's neighbours as candidate_accumulate uses them, each with the distances that it comes from
-// (thesis 8.2 and 8.3).
+// The weights of one pixel's neighbours as candidate_accumulate uses them, each with the distances behind it (thesis
+// 8.2 and 8.3).
 //
-// LARGE, SMALL and FEATURES_ALONE say which filters of a pass take part. Works on the chunk of offsets whose column sums nlm_distance
-// has left; an invocation computes one pair of neighbours. The cell in the middle is not written: the weight of the
-// pixel itself follows from the others.
+// LARGE, SMALL and FEATURES_ALONE name the filters of the pass that take part. The stage works on the chunk of offsets
+// whose column sums nlm_distance has written; an invocation computes one pair of neighbours. The cell in the middle is
+// not written: the weight of the pixel itself follows from the others.
 #import stein::planes::{inside, clamped_index}
 #import stein::nlm::{NlmParams, patch_members, pair_weights, weights_from_sums}
 #import stein::candidates::{CandidateParams, FeatureGroup, feature_group, feature_distances}
@@ -23,10 +23,10 @@ const FEATURE_GROUPS: i32 = #{FEATURE_GROUPS};
 #if FEATURE_GROUPS != 0
 @group(0) @binding(4) var<storage, read> features: array<vec4<f32>>;
 #endif
-// Planes: the weights of the filters, x: small patches, y: large patches, z: features alone, 0 for a neighbour that does
-// not exist; the distances of small and of large patches, and the weights that these give; then two planes for each
-// group of features, beside patches and alone: distances of the triple and of the single, and the weights that these
-// give.
+// First plane: the weights of the filters, x: small patches, y: large patches, z: features alone; 0 for a neighbour
+// that does not exist. Second plane: the distances of small and of large patches, and the weights from these distances.
+// Then two planes for each group of features, beside patches and alone: distances of the triple and of the single, and
+// the weights from these distances.
 @group(0) @binding(5) var<storage, read_write> cells: array<vec4<f32>>;
 
 #if FEATURE_GROUPS != 0
@@ -45,7 +45,7 @@ struct ColorTerm {
 }
 
 #ifdef COLOR
-// Computes the term from the column sums of a patch, of which the first is `first_column`.
+// Computes the term from the column sums of a patch; the first sum is at `first_column`.
 fn color_term(first_column: i32, patch_radius: i32, offset: vec2<i32>, ahead_inside: bool,
     behind_inside: bool) -> ColorTerm {
     var patch_sum = vec3<f32>(0.0);

@@ -38,8 +38,8 @@ struct ErrorBlendParams {
 #endif
 @group(0) @binding(6) var<storage, read_write> errors: array<vec4<f32>>;
 
-// Σ_i σ_i²·dF_i/du_i of a candidate. A derivative outside 0 to 1 comes from the weights; it is not the share of the
-// pixel's own noise that is left in the pixel.
+// Σ_i σ_i²·dF_i/du_i of a candidate. A derivative outside 0 to 1 comes from changing weights; it is not the share of
+// the pixel's own noise that is left.
 fn own_noise(candidate: i32, at: i32) -> f32 {
     let derivative = derivatives[candidate * params.extent.x * params.extent.y + at].xyz;
     return dot(variance_of_mean[at].xyz, clamp(derivative, vec3<f32>(0.0), vec3<f32>(1.0)));

@@ -12,7 +12,7 @@ struct ErrorDifferenceParams {
     covariance: f32,
 }
 
-// Squares of differences are summed.
+// Limit on the differences, because their squares are summed.
 const LARGEST: f32 = 1e15;
 const ROUNDING: f32 = 1e-5;
 

@@ -1,8 +1,7 @@
 // Stein's unbiased risk estimate of each candidate (eq. 8.5): Σ_i (F_i − u_i)² − σ_i² + 2κ·σ_i²·dF_i/du_i. It may be
 // negative.
-//
-// κ is 1 by the book, for noise whose variance is known. Here a pixel that came out low claims little variance, and for
-// that very reason the filter follows it: the product of the two misses most of their covariance.
+// κ is 1 in the formula, for noise whose variance is known. Here a pixel that came out low claims little variance, and
+// for that very reason the filter follows it: the product of variance and derivative misses most of the covariance.
 #import stein::planes::{pixel_index}
 #import stein::candidates::{sure}
 

@@ -1,10 +1,10 @@
-// Copies one image into another in tiles around which nothing has noise, and leaves the rest alone: a filter keeps
-// everything in these tiles as it was.
+// Copies one image into another in exact tiles, which have no noise within the reach of a filter, and leaves the other
+// tiles alone: the filter keeps every value of exact tiles.
 #import stein::planes::{pixel_index}
 #import stein::exact::{ExactParams, tile_index}
 
 @group(0) @binding(0) var<uniform> params: ExactParams;
-// For each tile of the frame, row by row: 1 for one of these tiles, else 0.
+// For each tile of the frame, row by row: 1 for an exact tile, else 0.
 @group(0) @binding(1) var<storage, read> tiles: array<u32>;
 @group(0) @binding(2) var<storage, read> before: array<vec4<f32>>;
 @group(0) @binding(3) var<storage, read_write> result: array<vec4<f32>>;

@@ -1,10 +1,10 @@
-// Writes 1 (ONES) or 0 in tiles around which nothing has noise, and leaves the rest alone: a filter has weights and
-// derivatives of 1 in these tiles, and no variance is left.
+// Writes 1 (ONES) or 0 in exact tiles, which have no noise within the reach of a filter, and leaves the other tiles
+// alone: there a filter has weights and derivatives of 1, and no variance is left.
 #import stein::planes::{pixel_index}
 #import stein::exact::{ExactParams, tile_index}
 
 @group(0) @binding(0) var<uniform> params: ExactParams;
-// For each tile of the frame, row by row: 1 for one of these tiles, else 0.
+// For each tile of the frame, row by row: 1 for an exact tile, else 0.
 @group(0) @binding(1) var<storage, read> tiles: array<u32>;
 @group(0) @binding(2) var<storage, read_write> result: array<vec4<f32>>;
 

@@ -1,5 +1,5 @@
-// The signal of two filtered halves (thesis 7.1.1): their mean, including the mean of their w, and their half spread;
-// and in `weights` the mean of their Σ w.
+// Joins two filtered halves to a signal (thesis 7.1.1): the mean of both, with the mean of their w, and their half
+// spread. `weights` gets the mean of their Σ w.
 #import stein::planes::{pixel_index}
 
 struct HalfParams {

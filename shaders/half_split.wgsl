@@ -1,5 +1,5 @@
-// The halves A and B of a signal, one plane each (thesis 7.1.1): mean ± half spread, for halves of equal numbers of
-// samples, and the variance of one half. Both halves get the w of the mean.
+// Splits a signal into its halves A and B, one plane each (thesis 7.1.1): mean ± half spread, for halves of equal
+// numbers of samples. Also computes the variance of one half. Both halves get the w of the mean.
 #import stein::planes::{pixel_index}
 
 struct HalfParams {
@@ -25,6 +25,6 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     let spread = signal[params.extent.x * params.extent.y + at].xyz;
     half_a[at] = vec4<f32>(mean.xyz + spread, mean.w);
     half_b[at] = vec4<f32>(mean.xyz - spread, mean.w);
-    // Half of the samples, twice the variance.
+    // Half as many samples have twice the variance.
     variance_of_half[at] = vec4<f32>(2.0 * variance_of_mean[at].xyz, 0.0);
 }

@@ -1,8 +1,8 @@
-// Keeps pixels without noise as they are: moves a filtered pixel back to its input where the input's noise is below
-// what its values are rounded by.
+// Keeps pixels without noise as they are: moves a filtered pixel back towards its input where the noise of the input is
+// a negligible part of its value. The less noise, the closer the pixel stays to its input.
 //
-// Weights alone do not ensure this. A patch that differs in one pixel can be near, and the variance of a neighbour with
-// noise says nothing about a pixel that has none.
+// The weights of the filters do not ensure this. A patch that differs in one pixel can still be near, and a
+// noisy neighbour has a large variance, which makes it similar to a pixel without noise.
 //
 // A black pixel without noise may be a pixel whose samples all missed the light. It counts as black only if all pixels
 // around it are black and without noise, too.
@@ -10,10 +10,10 @@
 
 struct KeepCleanParams {
     extent: vec2<i32>,
-    // Square of the noise above which a pixel is filtered freely, in parts of its value.
+    // Noise above which a pixel is filtered freely: its variance in parts of the squared value.
     squared_noise: f32,
-    // Square of the correction that a pixel with less noise may get, in standard deviations; it grows without limit
-    // towards that noise.
+    // Square of the correction that a pixel with less noise may get, in variances of the pixel. The limit grows to
+    // infinity as the noise approaches `squared_noise`.
     squared_sigmas: f32,
     // Half width of the window around a black pixel in which every pixel has to be black.
     black_radius: i32,
@@ -28,24 +28,24 @@ struct KeepCleanParams {
 // Variance of the mean of the input.
 @group(0) @binding(2) var<storage, read> sample_variance: array<vec4<f32>>;
 #endif
-// A signal.
+// The filtered signal, two planes.
 @group(0) @binding(3) var<storage, read> filtered: array<vec4<f32>>;
 @group(0) @binding(4) var<storage, read_write> kept: array<vec4<f32>>;
 #ifdef ERROR
-// Changed in place: a pixel that stays has the noise of its input.
+// Changed in place: the error of a pixel with a limit is at most its noise plus the squared limit.
 @group(0) @binding(5) var<storage, read_write> errors: array<vec4<f32>>;
 #endif
 
 const ANY: f32 = 3.4e38;
 
-// Squared spread of the nearest pixel of the image: beyond the border that is a pixel that counts anyway.
+// Squared spread of a pixel, or of the nearest pixel of the image for a position beyond the border.
 fn spread_squared(p: vec2<i32>) -> f32 {
     let spread = signal[params.extent.x * params.extent.y + clamped_index(p, params.extent)].xyz;
     return dot(spread, spread);
 }
 
-// Σ over the channels of the variance that the samples of a pixel show. Halves alone may agree by accident, so the
-// halves of the pixels beside count too.
+// Variance that the samples of a pixel show, summed over the channels. Without a sample variance, the halves of the
+// pixels beside count, too, because the halves of one pixel may agree by accident.
 fn noise_at(p: vec2<i32>) -> f32 {
 #ifdef VARIANCE
     let at = pixel_index(p, params.extent);
@@ -72,7 +72,7 @@ fn is_black_around(p: vec2<i32>) -> bool {
     return true;
 }
 
-// The square of the correction that a pixel may get; ANY where nothing limits it.
+// Square of the correction that a pixel may get; ANY without a limit.
 fn allowed_at(p: vec2<i32>) -> f32 {
     let value = signal[pixel_index(p, params.extent)].xyz;
     if all(value == vec3<f32>(0.0)) {
@@ -108,7 +108,8 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     kept[at] = vec4<f32>(own + share * correction, mean.w);
     kept[pixels + at] = vec4<f32>(own_spread + share * (spread.xyz - own_spread), spread.w);
 #ifdef ERROR
-    // A pixel that moves so little has no more error than its noise and the largest correction that it may get.
+    // The pixel moves by at most the allowed correction, so its error is at most its noise plus the square of the
+    // correction.
     errors[at][params.error_component] = min(errors[at][params.error_component], noise_at(p) + allowed);
 #endif
 }

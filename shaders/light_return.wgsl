@@ -10,11 +10,11 @@ struct LightReturnParams {
 @group(0) @binding(0) var<uniform> params: LightReturnParams;
 // Output of spike_find.
 @group(0) @binding(1) var<storage, read> lights: array<vec4<f32>>;
-// Signals.
+// Signals, two planes each.
 @group(0) @binding(2) var<storage, read> filtered: array<vec4<f32>>;
 @group(0) @binding(3) var<storage, read_write> lit: array<vec4<f32>>;
 #ifdef ERROR
-// Changed in place: a light has the noise of its input.
+// Changed in place: the error of a light is the variance of its input.
 @group(0) @binding(4) var<storage, read_write> errors: array<vec4<f32>>;
 #endif
 

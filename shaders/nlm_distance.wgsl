@@ -1,12 +1,12 @@
 // NL-means pixel distances of every pair of neighbours in a chunk, box-filtered vertically (the vertical half of eq.
 // 7.3's patch sum).
 //
-// One invocation walks down one column for OFFSET_ROWS offsets one below the other, with their last 2f+1 distances in
-// registers. The neighbour at an offset is the neighbour that was at the next offset a row before, and the other way
-// round for the opposite neighbour, so that a row costs the same loads for several offsets as for one. The horizontal
-// half is summed where the weights are formed. Sums run over channels and rows, unnormalised: x = d(p, q1), y = d(p,
-// q2), z = d(p, mean of q1 and q2); rows and neighbours outside the image add nothing. The scratch rows are padded by f
-// on both sides, so that the horizontal sum needs no border test.
+// One invocation walks down one column for OFFSET_ROWS offsets, one below the other, and keeps their last 2f+1
+// distances in registers. The neighbour at an offset was, one row before, the neighbour at the next offset; for the
+// opposite neighbour it is the other way round. So a row costs the same loads for several offsets as for one. The
+// horizontal half is summed where the weights are formed. Sums run over channels and rows, unnormalised: x = d(p, q1),
+// y = d(p, q2), z = d(p, mean of q1 and q2); rows and neighbours outside the image add nothing. The scratch rows are
+// padded by f on both sides, so that the horizontal sum needs no border test.
 #import stein::planes::{inside, clamped_index}
 #import stein::nlm::{NlmParams, has_opposite, distance, symmetric_distance}
 
@@ -17,11 +17,11 @@ const OFFSET_ROWS: i32 = #{OFFSET_ROWS};
 @group(0) @binding(0) var<uniform> params: NlmParams;
 @group(0) @binding(1) var<storage, read> guide: array<vec4<f32>>;
 @group(0) @binding(2) var<storage, read> variance_of_mean: array<vec4<f32>>;
-// Image that q is taken from: the guide again, or a frame beside.
+// Image that holds the neighbours q: the guide again, or a frame beside.
 @group(0) @binding(3) var<storage, read> neighbours: array<vec4<f32>>;
 @group(0) @binding(4) var<storage, read> neighbours_variance: array<vec4<f32>>;
-// Column sums, one plane for each offset; behind them the planes of a second, smaller patch, if there is one: the
-// candidates FIRST and SECOND share their pixel distances and differ in the box alone.
+// Column sums, one plane for each offset. Behind them lie the planes of a second, smaller patch, if there is one: two
+// filters of one pass share their pixel distances and differ only in the size of the box.
 @group(0) @binding(5) var<storage, read_write> columns: array<vec3<f32>>;
 #if SMALL_PATCH_RADIUS != -1
 const SMALL_PATCH_RADIUS: i32 = #{SMALL_PATCH_RADIUS};
@@ -30,8 +30,7 @@ const SMALL_PATCH_RADIUS: i32 = #{SMALL_PATCH_RADIUS};
 // Read once: software adapters read a parameter anew wherever it is used.
 var<private> nlm: NlmParams;
 
-// Sum over the channels. For a guide of one channel, or of three that are equal, the other channels are not used, and
-// so not computed.
+// Sum over the channels. For a guide of one channel, or of three equal channels, the other channels are not computed.
 fn over_channels(distances: vec3<f32>) -> f32 {
 #ifdef ONE_CHANNEL
     return distances.x;

@@ -17,14 +17,14 @@ const PIXELS: i32 = #{PIXELS};
 @group(0) @binding(0) var<uniform> params: NlmParams;
 @group(0) @binding(1) var<storage, read> columns: array<vec3<f32>>;
 @group(0) @binding(2) var<storage, read> payload: array<vec4<f32>>;
-// Image that q is taken from: the payload again, or a frame beside.
+// Image that holds the neighbours q: the payload again, or a frame beside.
 @group(0) @binding(3) var<storage, read> neighbours: array<vec4<f32>>;
 @group(0) @binding(4) var<storage, read_write> filtered: array<vec4<f32>>;
 // x: Σ w, the centre included after the last chunk; y: largest weight of a neighbour.
 @group(0) @binding(5) var<storage, read_write> weights: array<vec4<f32>>;
 #ifdef RESIDUAL
-// Without halves, the variance left in the filtered value is that of a weighted mean of independent pixels: Σ w²·Var /
-// (Σ w)².
+// Without halves, the variance left in the filtered value is the variance of a weighted mean of independent pixels: Σ
+// w²·Var / (Σ w)².
 @group(0) @binding(6) var<storage, read> variance_of_mean: array<vec4<f32>>;
 @group(0) @binding(7) var<storage, read> neighbours_variance: array<vec4<f32>>;
 @group(0) @binding(8) var<storage, read_write> residual_variance: array<vec4<f32>>;
@@ -33,7 +33,8 @@ const PIXELS: i32 = #{PIXELS};
 // Read once: software adapters read a parameter anew wherever it is used.
 var<private> nlm: NlmParams;
 
-// Part of each plane that is averaged: all of it, or one number that is in x alone (ONE_LANE), or in x, y and z (GREY).
+// Components of each plane that are averaged: all four, or one number that is in x alone (ONE_LANE), or in x, y and z
+// (GREY).
 #ifdef ONE_LANE
 alias Value = f32;
 fn value_of(stored: vec4<f32>) -> Value {

@@ -1,8 +1,8 @@
-// The weights of one pixel's neighbours as nlm_filter uses them, each with the distance that it comes from.
+// The weights of one pixel's neighbours as nlm_filter uses them, each with the distance behind it.
 //
-// Works on the chunk of offsets whose column sums nlm_distance has written, and nlm_weight, if the guide is patchwise
-// (PATCHWISE). An invocation computes one pair of neighbours. The cell in the middle is not written: the weight of the
-// pixel itself follows from the others.
+// Works on the chunk of offsets whose column sums nlm_distance has written, and also nlm_weight if the guide is
+// patchwise (PATCHWISE). An invocation computes one pair of neighbours. The cell in the middle is not written: the
+// weight of the pixel itself follows from the others.
 #import stein::planes::{inside}
 #import stein::nlm::{NlmParams, patch_members, weights_from_sums}
 #import stein::window::{WindowParams, window_cell}

@@ -1,4 +1,4 @@
-// Brings one feature into the form in which pixels are compared to pool their noise: value, variance, half spread.
+// Brings one feature into the form that noise_pool reads to compare pixels: value, variance, half spread.
 //
 // A group of features is one vec4 per pixel and quantity: a feature of up to three channels in x, y, z (the triple) and
 // a feature of one channel in w (the single).
@@ -16,7 +16,7 @@ struct NoiseFeatureParams {
 @group(0) @binding(0) var<uniform> params: NoiseFeatureParams;
 // Two planes: the mean, then the half spread.
 @group(0) @binding(1) var<storage, read> signal: array<vec4<f32>>;
-// Sample variance, if the feature has one and no halves.
+// Sample variance, for a feature that has one and no halves.
 #ifdef VARIANCE
 @group(0) @binding(2) var<storage, read> sample_variance: array<vec4<f32>>;
 #endif

@@ -1,5 +1,5 @@
-// A first guess at the variance: the squared half spread, smoothed in parts of the magnitude. Smoothing the square
-// itself would carry the noise of a light into the dark beside it.
+// A first guess at the variance: the half spread relative to the magnitude is squared, smoothed and scaled back.
+// Smoothing the squares themselves would carry the noise of a light into the dark beside it.
 #import stein::noise::{NoiseParams}
 #import stein::planes::{pixel_index}
 

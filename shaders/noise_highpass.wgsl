@@ -1,5 +1,5 @@
-// Difference by which a pixel stands out from the mean of its two neighbours, along x and along y: in the colour, and
-// in the features that may explain it.
+// Difference of a pixel from the mean of its two neighbours, along x and along y: for the colour, and for the features
+// that may explain it.
 #import stein::planes::{pixel_index}
 
 // Number of features, of three channels each.
@@ -7,7 +7,7 @@ const REGRESSORS: i32 = #{REGRESSORS};
 
 struct NoiseHighpassParams {
     extent: vec2<i32>,
-    // The groups that the features are in.
+    // Groups that hold the features.
     groups: vec2<i32>,
 }
 

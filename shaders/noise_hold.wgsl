@@ -1,5 +1,5 @@
-// Holds the variance of pixels near a jump of brightness below the variance of their neighbours without jumps, in parts
-// of the squared magnitude.
+// Limits the variance of pixels near a jump of brightness to the mean variance of their neighbours without jumps, both
+// relative to the squared magnitude.
 #import stein::noise::{NoiseHoldParams}
 #import stein::planes::{pixel_index}
 
@@ -32,7 +32,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
                 count += 1.0 - other.w;
             }
         }
-        // With jumps everywhere around, noise is taken to be no larger than the magnitude.
+        // If all pixels around have jumps, the noise counts as no larger than the magnitude.
         held = min(held, select(vec3<f32>(1.0), sum / max(count, 1.0), count > 0.0));
     }
     let magnitude = relative_spread[at].w;

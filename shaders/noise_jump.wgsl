@@ -1,4 +1,4 @@
-// Finds where light ends sharply, as at the rim of a lamp: there a pixel stands out from its neighbours without noise.
+// Finds sharp borders of light, such as the rim of a lamp: there a pixel stands out from its neighbours without noise.
 #import stein::noise::{NoiseHoldParams}
 #import stein::planes::{pixel_index}
 

@@ -1,5 +1,5 @@
-// Pools the noise of pixels that are alike: the half spreads of many pixels give the variance of each, and the sample
-// variances of many pixels give a steadier one.
+// Pools the noise of pixels that are alike. The half spreads of many pixels give each of them a variance, or their
+// sample variances give each of them a steadier variance.
 //
 // Single pixels are compared, not patches: dark pixels have to be pooled with dark ones. Deviations are averaged
 // instead of their squares, because one firefly would decide the sum of the squares.
@@ -183,7 +183,7 @@ fn store(p: vec2<i32>, sums: Sums) {
 #ifdef VARIANCE
     let with_own = 0.5 * (mean_deviation * mean_deviation + own_variance);
 #else
-    // Of Gaussian noise, E|D| = σ·√(2/π).
+    // For Gaussian noise, E|D| = σ·√(2/π).
     let pooled = HALF_PI * mean_deviation * mean_deviation;
     // The pixel's own halves count a little: a firefly claims a part of its own variance.
     let own = dot(own_variance / max(pooled, vec3<f32>(1e-30)), vec3<f32>(1.0 / 3.0));

@@ -1,9 +1,9 @@
-// Takes as noise the difference by which a pixel stands out from its neighbours, along x or along y, whichever is less:
-// an edge stands out along only one of them.
+// Estimates noise as the difference of a pixel from its neighbours along x or along y, whichever is less: an edge
+// stands out along only one of them.
 //
-// Texture stands out too. The differences of the features explain it, by a least-squares fit over the pixels around.
-// But features with noise of their own, as out of focus, would explain noise away; so the residual of a fit counts less
-// than the difference without a fit.
+// Texture stands out, too. A least-squares fit over the pixels around explains it by the differences of the features.
+// But noisy features, as in parts out of focus, would explain noise away. So the residual of the fit counts less than
+// the difference without a fit.
 #import stein::planes::{pixel_index}
 
 // Number of features, of three channels each.
@@ -19,7 +19,7 @@ struct NoiseResidualParams {
     fitted_share: f32,
     // The largest noise of a pixel that is no brighter than its neighbours, in magnitudes.
     largest: f32,
-    // Brings the lesser of two residuals to the size of a half spread.
+    // Factor that brings the lesser of two residuals to the size of a half spread.
     scale: f32,
 }
 
@@ -93,7 +93,7 @@ fn fit_around(p: vec2<i32>) -> Fit {
             for (var before = 0; before < column; before++) {
                 sum -= matrix[row_start + before] * matrix[column_start + before];
             }
-            // Round-off must not take the ridge away.
+            // The limit keeps the ridge when the sum suffers from round-off.
             let diagonal = sqrt(max(sum, 0.5 * params.ridge * weight_sum));
             matrix[row_start + column] = select(sum / matrix[column_start + column], diagonal, row == column);
         }

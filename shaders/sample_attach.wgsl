@@ -1,5 +1,5 @@
-// Puts the number of samples of each pixel into the w of a signal's mean, so that a filter averages it along with the
-// colour: Σ w·n / Σ w, the samples that contribute to a filtered value (thesis 7.1.2).
+// Puts the number of samples n of each pixel into the w of a signal's mean. A filter averages it along with the colour
+// to Σ w·n / Σ w, the samples that contribute to a filtered value (thesis 7.1.2).
 #import stein::planes::{pixel_index}
 
 struct SampleAttachParams {

@@ -1,9 +1,9 @@
 // Gain to be expected from a sample drawn in each pixel (thesis 8.6): the relative error estimate of the blend, times
 // W(p) = Σ w / (1 + n_p).
 //
-// With halves, the error is the two-buffer variance that is left in the blend, as in thesis 7.1.2. A sample lowers the
-// variance of its pixel by a factor n_p / (1 + n_p), and serves all pixels that the filter lets it contribute to. One
-// plane, x.
+// With halves, the error is the two-buffer variance that is left in the blend, as in thesis 7.1.2. One more sample
+// lowers the variance of its pixel by a factor n_p / (1 + n_p), and serves all pixels to which the filter lets it
+// contribute. One plane, x.
 #import stein::planes::{pixel_index}
 
 struct SampleDensityParams {

@@ -1,5 +1,5 @@
-// Moves pixels on to the coarse scale where neither this stopping map nor a finer one is 1, after outliers are removed
-// (thesis 6.2.4).
+// Moves pixels on to the coarse scale unless this stopping map or the map of a finer scale stops them. Outliers of the
+// maps are removed first (thesis 6.2.4).
 #import stein::planes::{pixel_index}
 
 struct ScaleAdvanceParams {
@@ -36,8 +36,8 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
         choice[at].y = 0.0;
         return;
     }
-    // A pixel that got here has the fine scale: its error is the variance of that scale and the bias of the steps so
-    // far.
+    // A pixel that comes to the fine scale has the variance of that scale plus the bias of the steps so far as its
+    // error.
     let ones = vec3<f32>(1.0);
     let bias = max(state.z - dot(ones, fine_variance[at].xyz), 0.0) + stops[at].y;
     let taking_part = 1.0 / coarse_variance[at].w;

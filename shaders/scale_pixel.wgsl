@@ -17,7 +17,7 @@ struct ScalePixelParams {
 #endif
 // Two planes, in the w of the first the mean number of samples per pixel.
 @group(0) @binding(4) var<storage, read_write> signal: array<vec4<f32>>;
-// In w the variance that filtering leaves of a variance of 1: 1 / number of pixels that take part.
+// The w holds the factor by which filtering lowers the variance: 1 / number of pixels that take part.
 @group(0) @binding(5) var<storage, read_write> variance: array<vec4<f32>>;
 // Two planes, in the w of the first the number of pixels that take part.
 @group(0) @binding(6) var<storage, read_write> selected: array<vec4<f32>>;

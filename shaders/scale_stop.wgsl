@@ -1,5 +1,5 @@
-// Binary stopping map of a pair of scales (eq. 6.1): 1 where the step to the coarse scale adds more bias than it takes
-// variance, on the mean of the channels.
+// Binary stopping map of a pair of scales (eq. 6.1): 1 where the step to the coarse scale adds more bias than it
+// removes variance, averaged over the channels.
 #import stein::planes::{pixel_index}
 
 struct ScaleStopParams {
@@ -26,8 +26,8 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
         return;
     }
     let at = pixel_index(p, params.extent);
-    // ρ = 1 − 1/n makes up for the variances that few samples estimate too low; one sample has none, and is no reason
-    // to blur. A count of 0 is unknown.
+    // ρ = 1 − 1/n corrects for variances that few samples estimate too low. One sample has no variance, which is no
+    // reason to blur. A count of 0 is unknown.
     let count = coarse[at].w;
     let rho = select(1.0, 1.0 - 1.0 / max(count, 2.0), count > 0.0);
     let change = coarse[at].xyz - fine[at].xyz;

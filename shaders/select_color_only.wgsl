@@ -1,16 +1,16 @@
-// Gives the filter that knows only the colour a share of each pixel, as far as its error is significantly less than
-// that of the blend of candidates.
+// Gives the filter by the colour only a share of each pixel, as far as its error is significantly less than the error
+// of the blend of candidates.
 //
-// Features without noise have edges of their own, sharp where motion or defocus has blurred the colour. The candidates
-// keep to them, and none of them knows better. Where this costs more than the features bring, SURE shows it, averaged
-// over enough pixels: the mean difference is held against its own standard error.
+// Features without noise have edges of their own, sharp where motion or defocus has blurred the colour. All candidates
+// keep to these edges. SURE, averaged over enough pixels, shows where this costs more than the features gain: the mean
+// difference is compared with its own standard error.
 #import stein::planes::{pixel_index}
 
 struct SelectColorOnlyParams {
     extent: vec2<i32>,
     // Number of independent pixels that the average counts as.
     pixels: f32,
-    // Standard errors by which the colour must be better for the least share, and for all of it.
+    // Standard errors by which the filter must be better for the least share, and for the whole pixel.
     least: f32,
     most: f32,
     // Planes of shares.

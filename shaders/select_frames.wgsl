@@ -1,9 +1,9 @@
 // Chooses, for each filter and each pixel, between the filter over all frames of a window in time and the filter over
 // the pixel's own frame.
 //
-// An object that moves through the window brings along pixels that only seem to fit: the noisy rim of a lamp, say, may
-// stand for anything. Where the pixel's own SURE says that the other frames have done harm, by more than chance
-// explains, they are left out.
+// A moving object brings along pixels that only seem to fit: the noisy rim of a lamp, for example, may be similar to
+// anything. Where the pixel's own SURE shows harm by the other frames, beyond the harm that chance explains, they are
+// left out.
 #import stein::planes::{pixel_index}
 #import stein::candidates::{sure, error_by_chance}
 

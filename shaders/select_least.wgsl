@@ -1,16 +1,17 @@
-// Binary selection maps (Algorithm 1 lines 24–26, the typo of line 26 mended): 1 for the candidate with the least
-// smoothed error, 0 for the others.
+// Binary selection maps (Algorithm 1 lines 24–26, with the typo of line 26 corrected): 1 for the candidate with the
+// least smoothed error, 0 for the others.
 //
-// On ties the later, more robust candidate wins. A candidate may have a rival: it may win only where it filters more
-// than the rival, shown by the smaller mean derivative (thesis 8.4). SECOND is the rival of FIRST: SURE does not notice
-// noise that FIRST keeps. An error that is not finite cannot win; if no error can win, the last candidate wins.
+// On ties the later, more robust candidate wins. A candidate may have a rival: the candidate may win only where it
+// filters more than the rival, that is, where its mean derivative is smaller (thesis 8.4). In Algorithm 1, SECOND is
+// the rival of FIRST, because SURE does not notice noise that FIRST keeps. An error that is not finite cannot win; if
+// no error can win, the last candidate wins.
 #import stein::planes::{pixel_index}
 
 const CANDIDATES: i32 = #{CANDIDATES};
 
 struct SelectLeastParams {
     extent: vec2<i32>,
-    // The place of each candidate's rival, −1 for none.
+    // Index of each candidate's rival, −1 for none.
     rivals: array<vec4<i32>, 2>,
 }
 
@@ -21,7 +22,7 @@ struct SelectLeastParams {
 // One plane for each candidate: dF_i/du_i per channel.
 @group(0) @binding(2) var<storage, read> derivatives: array<vec4<f32>>;
 #endif
-// As the errors.
+// The maps, laid out as the errors.
 @group(0) @binding(3) var<storage, read_write> selected: array<vec4<f32>>;
 
 // Tests the bits: a compiler may assume that a comparison never meets NaN.

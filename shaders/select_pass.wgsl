@@ -1,8 +1,8 @@
 // Chooses between pass 1 and the second pass, pixel by pixel (Algorithm 1 lines 34–37, with a limit).
 //
-// The second pass is there for noise that pass 1 left. A correction far beyond any noise that the pixel had does not
-// remove noise: a patch that differs in few of its pixels can be near, and a clean pixel at the edge of a lamp, without
-// any similar pixel, takes the value of the nearest ones.
+// The second pass removes noise that pass 1 left. A correction far beyond any noise of the pixel does not remove noise:
+// a patch that differs in few of its pixels can be near, so that a clean pixel at the edge of a lamp, without any
+// similar pixel, takes the value of the nearest ones.
 #import stein::planes::{pixel_index}
 
 struct SelectPassParams {
@@ -30,7 +30,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     let mean = pass1[at];
     let spread = pass1[pixels + at];
     let correction = pass2[at].xyz - mean.xyz;
-    // Noise that a neighbour brought in shows in the spread of pass 1, not in the pixel's own variance.
+    // Noise that a neighbour added shows in the spread of pass 1, not in the pixel's own variance.
     let noise = dot(variance_of_mean[at].xyz, vec3<f32>(1.0)) + dot(spread.xyz, spread.xyz);
     if dot(correction, correction) > params.squared_sigmas * noise {
         result[at] = mean;

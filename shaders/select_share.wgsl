@@ -1,14 +1,14 @@
 // Shares of the candidates in each pixel: their smoothed selection maps, normalised to sum 1 (Algorithm 1 lines 27 to
 // 32), with two guards.
+// Smoothing gives a rejected candidate some weight near the border of its region. Where the candidate is wildly wrong,
+// this weight would ruin the blend: THIRD of Algorithm 1 is, for example, beside a visible lamp that has all features
+// of the ceiling. So a candidate takes part in a pixel only where its smoothed error is comparable to the error of the
+// winner.
 //
-// Smoothing hands a rejected candidate some weight near the border of its region. Where it is wildly wrong there, as
-// THIRD is beside a visible lamp that shares all features with the ceiling, that share would ruin the blend. So a
-// candidate takes part in a pixel only where its smoothed error there is comparable to the winner's.
-//
-// The smoothed errors themselves are blind to single pixels: a clean pixel beside a caustic has neighbours whose errors
-// are thousands of times its own. There the pixel's own error decides: its unsmoothed SURE tells two candidates F and G
-// apart with a standard deviation of 2·√Σ σ_i²(F_i − G_i)², which vanishes with its noise. A candidate that is worse
-// than the best one by many such deviations takes no part.
+// The smoothed errors cannot tell single pixels apart: a clean pixel beside a caustic has neighbours whose errors are
+// thousands of times its own. There the pixel's own error decides. Its unsmoothed SURE tells two candidates F and G
+// apart with a standard deviation of 2·√Σ σ_i²(F_i − G_i)², which vanishes with the noise of the pixel. A candidate
+// that is worse than the best one by many such deviations takes no part.
 #import stein::planes::{pixel_index}
 #import stein::candidates::{error_by_chance}
 
@@ -16,11 +16,11 @@ const CANDIDATES: i32 = #{CANDIDATES};
 
 struct SelectShareParams {
     extent: vec2<i32>,
-    // A candidate takes part where its smoothed error exceeds the winner's by at most smoothed_error·|winner's error| +
-    // smoothed_noise·Σ_i σ_i².
+    // A candidate takes part only where its smoothed error exceeds the winner's by at most smoothed_error·|winner's
+    // error| + smoothed_noise·Σ_i σ_i² …
     smoothed_error: f32,
     smoothed_noise: f32,
-    // And where its own SURE exceeds the least one by at most own_sigmas standard deviations + own_noise·Σ_i σ_i².
+    // … and where its own SURE exceeds the least one by at most own_sigmas standard deviations + own_noise·Σ_i σ_i².
     own_sigmas: f32,
     own_noise: f32,
 }
@@ -29,7 +29,7 @@ struct SelectShareParams {
 // The binary maps. One plane for four candidates, one component for each.
 @group(0) @binding(1) var<storage, read> selected: array<vec4<f32>>;
 #ifdef GUARDED
-// SURE, smoothed and as computed, as the maps.
+// SURE, smoothed and as computed, laid out as the maps.
 @group(0) @binding(2) var<storage, read> errors: array<vec4<f32>>;
 @group(0) @binding(3) var<storage, read> sure: array<vec4<f32>>;
 @group(0) @binding(4) var<storage, read> variance_of_mean: array<vec4<f32>>;
@@ -61,7 +61,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     var own_least = 3.4e38;
     var own_winner = -1;
     for (var candidate = CANDIDATES - 1; candidate >= 0; candidate--) {
-        // The squares of a spike overflow, and 0·∞ is no number: the error of the winner is selected, not weighted.
+        // The error of the winner is selected, not weighted: the squares of a spike overflow, and 0·∞ is no number.
         if winner[candidate] > 0.0 {
             least = errors[candidate / 4 * pixels + at][candidate % 4];
         }

@@ -1,10 +1,10 @@
-// Finds spikes, and lights of few pixels, and puts the level of their surroundings in their place.
+// Finds spikes, and lights of few pixels, and replaces them by the level of their surroundings.
 //
 // A spike stands out from the pixels of its kind around it, as a small light does, but its excess rests on very few
-// samples: if k of the n samples of a pixel are the bright ones, its excess over the level is about √k standard
-// deviations of its mean, whatever n is and however bright they are. Both the sample variance and the halves show this,
-// and the larger of them is used, because either may miss it. A light has many bright samples, and without noise
-// infinitely many. It is set aside, so that no average includes it, and comes back at the end.
+// samples. If k of the n samples of a pixel are bright, its excess over the level is about √k standard deviations of
+// its mean, for any n and any brightness. Both the sample variance and the halves show this; the larger of them is
+// used, because either may miss it. A light has many bright samples, and without noise infinitely many. It is set
+// aside, so that no average includes it, and comes back at the end.
 #import stein::planes::{pixel_index}
 #import stein::spike::{brightness, has_noise}
 #import stein::spike_kind::{params, is_like}
@@ -23,7 +23,7 @@
 // light, else 0.
 @group(0) @binding(7) var<storage, read_write> lights: array<vec4<f32>>;
 
-// Variance by the halves alone, whose squared spread is as likely too small as too large.
+// Variance from the halves alone: their squared spread is as likely to be too small as too large.
 fn two_buffer_variance(at: i32) -> vec3<f32> {
     let spread = signal[params.extent.x * params.extent.y + at].xyz;
     return spread * spread;
@@ -57,8 +57,8 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
 #endif
     let is_noisy = has_noise(own, signal[pixels + at_p].xyz, sampled, params.least_noise);
 
-    // Two neighbours may be parts of the same spike: the third brightest is the first that shows how bright pixels of
-    // this kind are. Most pixels are no brighter than that, which is found out early.
+    // Two neighbours may be parts of the same spike, so the third brightest neighbour is the first to show how bright
+    // pixels of this kind are. Most pixels are no brighter than that, which is found early.
     var brighter = 0;
     for (var y = first.y; y <= last.y && brighter < 3; y++) {
         for (var x = first.x; x <= last.x && brighter < 3; x++) {

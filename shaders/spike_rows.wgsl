@@ -1,4 +1,4 @@
-// Notes for each pixel whether a spike lies in the row around it, so that spike_spread need not look at each pixel of
+// Records for each pixel whether a spike lies in the row around it, so that spike_spread need not look at each pixel of
 // its window.
 #import stein::planes::{pixel_index}
 #import stein::spike::{SpikeParams}

@@ -1,8 +1,8 @@
-// Decides how much of a spike the pixels around it get.
+// Computes the part of a spike that the pixels around it get.
 //
-// These are all pixels of its kind in a wide window that have noise and are about as bright; a pixel gets less the
-// further it is away, and a pixel without noise gets nothing. One spike says little about how much light there is: it
-// stands for as many pixels as there would have to be until the next one. A spike that would raise the level around it
+// The pixels that get a part are all pixels of the spike's kind in a wide window that have noise and are about as
+// bright; a pixel gets less the further away it is, and a pixel without noise gets nothing. One spike says little about
+// the amount of light: it stands for all the pixels up to the next spike. A spike that would raise the level around it
 // by more than a certain part is rarer than that: the more it would raise the level, the more of the spike is left out.
 #import stein::planes::{pixel_index}
 #import stein::spike::{affinity, brightness, falloff}
@@ -24,7 +24,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     let pixels = extent.x * extent.y;
     let at_p = pixel_index(p, extent);
     let taken = spikes[at_p].xyz;
-    // The level replaces the amount that a channel lacks; no pixel has to give it back.
+    // Channels below the level got brighter by the repair; no other pixel has to give that back.
     let excess = max(taken, vec3<f32>(0.0));
     var part = 0.0;
     var share = vec3<f32>(0.0);

@@ -1,13 +1,13 @@
-// Adds to each pixel that has noise its parts of the spikes around it that are about as bright as it is, and records
-// how uncertain they are: a spike might as well have fallen elsewhere, so that the pixel gets its part or nothing;
-// therefore the squares of the parts are summed.
+// Adds parts of the spikes around to each pixel that has noise and is about as bright, and records how uncertain they
+// are: a spike might as well have fallen elsewhere, so the pixel gets its part or nothing. Therefore the squares of the
+// parts are summed.
 #import stein::planes::{pixel_index}
 #import stein::spike::{affinity, falloff}
 #import stein::spike_kind::{params, is_like}
 
-// The first plane holds the amount taken from each pixel. The second holds the amount that a pixel of its kind at its
-// position gets, and in w 1 if a spike lies in the row of pixels around. The third is written: in x the squares of the
-// parts, summed over spikes and channels.
+// The first plane holds the amount taken from each pixel. The second holds the amount that a pixel of the spike's kind
+// gets at the spike's position, and in w 1 if a spike lies in the row around the pixel. The third is written: in x the
+// squares of the parts, summed over spikes and channels.
 @group(0) @binding(1) var<storage, read_write> spikes: array<vec4<f32>>;
 // Output of spike_level.
 @group(0) @binding(3) var<storage, read> levels: array<vec4<f32>>;

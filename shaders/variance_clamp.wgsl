@@ -1,4 +1,5 @@
-// Holds a filtered variance below what the samples claim (thesis 7.1.1): filtering raises it beside noisy regions.
+// Holds a filtered variance below the variance that the samples claim (thesis 7.1.1): filtering raises it beside noisy
+// regions.
 #import stein::planes::{pixel_index}
 
 struct VarianceClampParams {

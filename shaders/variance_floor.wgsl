@@ -1,5 +1,5 @@
-// Holds a variance above the rounding of the values it belongs to, so that distances divide by no zero and depend on
-// nothing but the pixels they compare (eq. 7.4).
+// Holds a variance above the rounding of the values it belongs to, so that distances do not divide by zero and depend
+// only on the pixels that they compare (eq. 7.4).
 //
 // An ε of one size for the whole image would blur dark parts beside bright ones: every squared difference in them is
 // smaller than ε.

@@ -1,9 +1,9 @@
 // Inputs for filtering the two-buffer variance by the sample variance (thesis 7.1.1): spread², and the uncertainty of
 // the sample variance.
 //
-// The source has a sample variance of each half and takes their squared difference for the variance of the sample
-// variance. Files have only the sample variance of all samples. Its variance over the 3×3 pixels around is of the same
-// kind, noise and structure together, and needs neither the number of samples nor a distribution.
+// The source has a sample variance of each half, and their squared difference serves as the variance of the sample
+// variance. Files have only the sample variance of all samples. Its variance over the 3×3 pixels around contains noise
+// and structure, too, and requires neither the number of samples nor a distribution.
 #import stein::planes::{pixel_index}
 
 struct VariancePairParams {

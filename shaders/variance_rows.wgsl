@@ -1,10 +1,10 @@
-// Horizontal half of the box sums of variance_scale: per channel Σ spread² and Σ sample variance over a row of
-// 2·radius+1 pixels, existing ones only.
+// Horizontal half of the box sums of variance_scale: Σ spread² and Σ sample variance per channel, over the existing
+// pixels in a row of 2·radius+1.
 //
-// BY_DEVIATION: each pixel counts by one over the standard deviation that it claims, so that an outlier is not the
-// whole sum: a pixel that claims a million times the variance of the others in its box counts as a thousand of them. A
-// pixel that claims no variance says nothing about how to scale claims. A pixel that claims a deviation of less than a
-// tenth of its half spread is weighted as if it claimed that tenth.
+// BY_DEVIATION weights each pixel by one over the standard deviation that it claims, so that an outlier does not
+// dominate the sum: a pixel that claims a million times the variance of the others in its box counts as a thousand of
+// them. A pixel that claims no variance says nothing about the scale of claims. A pixel that claims a deviation of less
+// than a tenth of its half spread has the weight of that tenth.
 //
 // An invocation computes PIXELS pixels in a row: their boxes share most of their pixels, and loads are the main cost.
 #import stein::planes::{pixel_index}

@@ -1,6 +1,6 @@
-// Scales the sample variance to the magnitude of the two-buffer variance (thesis 8.2): sample variance has the finer
-// structure, the halves have no bias whatever the sampler. The ratio is that of two box means over the same pixels with
-// the same weights, so the sums of variance_rows serve.
+// Scales the sample variance to the magnitude of the two-buffer variance (thesis 8.2): the sample variance has the
+// finer structure, the halves have no bias for any sampler. Both box means cover the same pixels with the same weights,
+// so their ratio is the ratio of the sums of variance_rows.
 //
 // An invocation computes PIXELS pixels, one below the other, as variance_rows computes them in a row.
 #import stein::planes::{pixel_index}
@@ -42,7 +42,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
         if first.y + i < extent.y {
             let at = pixel_index(first + vec2<i32>(0, i), extent);
             let has_variance = sample_sums[i] > vec4<f32>(0.0);
-            // Divided before it is multiplied: the ratio of the boxes alone could overflow.
+            // The division comes first: the ratio of the boxes alone could overflow.
             let share = sample_variance[at] / select(vec4<f32>(1.0), sample_sums[i], has_variance);
             scaled_variance[at] = select(vec4<f32>(0.0), share * spread_sums[i], has_variance);
         }

@@ -9,7 +9,7 @@ use glam::{IVec2, Vec3};
 
 use crate::error::{Error, RequestCause, Result};
 use crate::frame::{Feature, Frame, NoiseKnowledge};
-use crate::gpu::{Buffer, Gpu, Pace, Recorder, Run, StageTime, StepTime};
+use crate::gpu::{Buffer, Gpu, Pace, Recorder, Run, StageTime, StepTime, sum_over_steps};
 use crate::host_memory::{FreeMemory, Shortage};
 use crate::image::Image;
 use crate::method::{
@@ -72,26 +72,28 @@ pub struct Estimate {
     pub color: Image,
     /// Half spread of the denoised colour: its filtered halves are `color ± half_spread`. `None` without halves.
     pub half_spread: Option<Image>,
-    /// One plane: the estimated squared error of each pixel, summed over the channels. Never negative. Of DFC it is
-    /// made of what the halves of the result differ by, of how far its candidates lie apart from it, of the pixel's own
-    /// noise that is left ([`error_blend`](crate::stage::error::error_blend)) and of what it got of spikes
-    /// ([`error_spikes`](crate::stage::error::error_spikes)): mostly right within a factor of two on regions of 16×16
-    /// pixels. Of NLM it is the variance left by the halves (thesis 7.1.2), smoothed; it knows nothing of bias. Of GEM
-    /// it is the variance of the chosen scale and the estimated bias of the steps that led to it (thesis 6.3). `None`
-    /// where [`Options::error`] is off.
+    /// One plane: the estimated squared error of each pixel, summed over the channels, at least 0. `None` where
+    /// [`Options::error`] is off.
+    ///
+    /// DFC adds up four parts: the squared half spread of the result, the distances of its candidates from it, the
+    /// pixel's own noise that is left ([`error_blend`](crate::stage::error::error_blend)), and the amounts that the
+    /// pixel got from spikes ([`error_spikes`](crate::stage::error::error_spikes)). The sum is mostly right within a
+    /// factor of two on regions of 16×16 pixels. NLM estimates the variance left in the result from its halves (thesis
+    /// 7.1.2), smoothed, and ignores bias. GEM adds the variance of the chosen scale and the estimated bias of the
+    /// steps that led to it (thesis 6.3).
     pub error: Option<Image>,
-    /// One plane: how many pixels took part. Of DFC Σ w over the window, blended like the candidates (thesis 8.6); of
-    /// NLM Σ w, the mean of both halves; of GEM 1/Σw² of the chosen scale's normalised weights. Of a frame that was
-    /// copied, 1.
+    /// One plane: the number of pixels that took part in each average. DFC: Σ w over the window, blended like the
+    /// candidates (thesis 8.6). NLM: Σ w, the mean of both halves. GEM: 1/Σw² of the normalised weights of the chosen
+    /// scale. 1 for a frame that was copied.
     pub weight_sum: Image,
     /// Shares of the candidates in each pixel, one plane for each of [`Estimate::candidates`]; `None` where the method
-    /// has no candidates, and of a frame that was copied.
+    /// has no candidates or the frame was copied.
     pub selection: Option<Image>,
-    /// Names of the candidates of [`Estimate::selection`], in their order; empty where there is none.
+    /// Names of the candidates, in the order of [`Estimate::selection`]; empty without a selection.
     pub candidates: Vec<&'static str>,
-    /// Names of the features that were used: of a window in time, those that all its frames have.
+    /// Names of the features that were used. In a window in time, all frames have these features.
     pub features: Vec<String>,
-    /// What was done about spikes; `None` where nobody looked for any.
+    /// Report on the spikes that were found; `None` where the method did not look for spikes.
     pub spikes: Option<SpikeReport>,
     /// The intermediates that [`Options::keep`] lists.
     pub layers: Vec<Layer>,
@@ -99,16 +101,16 @@ pub struct Estimate {
     pub plan: Plan,
     /// Number of strips that the image was cut into.
     pub strips: usize,
-    /// GPU time per stage, where [`Gpu::set_timing`] is on and the adapter can tell.
+    /// GPU time per stage; `None` where [`Gpu::set_timing`] is off or the adapter has no timestamps.
     pub stage_times: Option<Vec<StageTime>>,
-    /// GPU time per stage and step of the plan.
+    /// GPU time per stage and step of the plan; `None` as in [`Estimate::stage_times`].
     pub step_times: Option<Vec<StepTime>>,
     /// The most memory that buffers took on the device, in bytes.
     pub peak_bytes: u64,
 }
 
-/// Memory that the work on a frame takes, and how far its results depend on the frame. Found by a dry run of the method,
-/// which records the same work without memory and commands.
+/// Memory that the work on a frame takes, and reach of its results. Found by a dry run of the method, which records the
+/// same work without memory and commands.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Requirements {
     /// The most memory that buffers take on the device, in bytes: [`Estimate::peak_bytes`] on a device that holds no
@@ -124,18 +126,18 @@ pub struct Requirements {
 /// An intermediate, in the units of the frame.
 #[derive(Clone, Debug)]
 pub struct Layer {
-    /// What it is part of.
+    /// The intermediate that the layer is part of.
     pub intermediate: Intermediate,
-    /// Layer name.
+    /// Name of the layer.
     pub name: String,
-    /// One name per plane.
+    /// Names of the planes.
     pub channels: Vec<String>,
-    /// The values.
+    /// Values of the layer, one plane per channel.
     pub image: Image,
 }
 
 impl Denoiser {
-    /// A denoiser on this device.
+    /// Makes a denoiser that works on this device.
     ///
     /// # Errors
     /// [`Error::Request`] where a parameter is out of range.
@@ -145,49 +147,51 @@ impl Denoiser {
         Ok(Self { gpu: gpu.clone(), method, schedule: Schedule::for_gpu(gpu), max_memory: None, everything: false })
     }
 
-    /// Holds the buffers on the device to `bytes`, working in strips of rows where the image would take more. The
+    /// Limits the buffers on the device to `bytes`. An image that would take more is processed in strips of rows. The
     /// result is the same to the bit.
     #[must_use]
     pub fn with_max_memory(mut self, bytes: u64) -> Self {
         self.max_memory = Some(bytes);
-        // Two scratch buffers, and running sums of up to four times one of them where the window is smallest: half of
-        // the limit at the most.
+        // There are two scratch buffers. Where the window is smallest, running sums take up to four times the size of
+        // one of them. All together take at most half of the limit.
         self.schedule.scratch_bytes = self.schedule.scratch_bytes.min(bytes / 12);
         self
     }
 
-    /// Cuts the work up in another way than the adapter's kind suggests. The result is the same to the bit.
+    /// Divides the work in another way than the one that suits the kind of the adapter. The result is the same to the
+    /// bit.
     #[must_use]
     pub fn with_schedule(mut self, schedule: Schedule) -> Self {
         self.schedule = schedule;
         self
     }
 
-    /// Also runs what a frame does not need, for comparison: the result is the same to the bit, or within the bounds
-    /// that the plan of the method states.
+    /// Also runs the steps that a frame does not need, for comparison. The result is the same to the bit, or within the
+    /// bounds that the plan of the method states.
     #[must_use]
     pub fn with_everything(mut self) -> Self {
         self.everything = true;
         self
     }
 
-    /// Its device.
+    /// Returns the device.
     pub fn gpu(&self) -> &Gpu {
         &self.gpu
     }
 
-    /// Its method and parameters.
+    /// Returns the method and its parameters.
     pub fn method(&self) -> &Method {
         &self.method
     }
 
-    /// The denoiser with the parameters for frames whose samples are still being drawn.
+    /// Returns the denoiser with the parameters for frames whose samples are still being drawn.
     #[must_use]
     pub fn while_sampling(&self) -> Self {
         Self { method: self.method.while_sampling(), ..self.clone() }
     }
 
-    /// The plan for `frames[centre]` in its window: steps that would run, steps that would be left out, and why.
+    /// Returns the plan for `frames[centre]` in its window: the steps that would run, the steps that would be left out,
+    /// and why.
     ///
     /// # Errors
     /// As [`Denoiser::denoise_window`]; [`Error::Device`] where not even one row fits into the memory.
@@ -244,7 +248,7 @@ impl Denoiser {
         Ok(Footprint { peak_bytes: run.peak_bytes(), largest_bytes: run.largest_bytes(), ..footprint })
     }
 
-    /// What bounds the buffers on the device once the host has what it needs.
+    /// Returns the limits on the buffers of the device, after the host has its share of the memory.
     fn memory(&self, frame: &Frame, kept_planes: u64, options: &Options) -> Result<DeviceMemory> {
         // Colour, halves, error, sum of weights, and the shares of the candidates where the method has any.
         let planes_of_shares = match &self.method {
@@ -273,8 +277,8 @@ impl Denoiser {
         Ok(Requirements { peak_bytes, halo, strips: strips.len() })
     }
 
-    /// Returns how far the influence of a pixel reaches, in pixels along either axis, whatever frame it is in and
-    /// whatever results are wanted. Ignores what is fixed for the whole frame: exposure and plan.
+    /// Returns how far the influence of a pixel reaches, in pixels along either axis, for any frame and any requested
+    /// results. Ignores what is fixed for the whole frame: exposure and plan.
     ///
     /// # Errors
     /// Errors of the recorder.
@@ -298,13 +302,13 @@ impl Denoiser {
         self.denoise_window(&[frame], 0, options)
     }
 
-    /// Denoises `frames[centre]` with the help of the frames beside it: consecutive frames of a shot, in temporal
-    /// order, of which each pixel's window sees the same region (thesis 7.3, 8.6). Features that one of them lacks are
-    /// not used.
+    /// Denoises `frames[centre]` with the help of the frames beside it. The frames are consecutive frames of a shot, in
+    /// temporal order; the window of a pixel covers the same region in each of them (thesis 7.3, 8.6). Features that
+    /// one of the frames lacks are not used.
     ///
     /// # Errors
-    /// As [`Denoiser::denoise_with`], and [`Error::Request`] where the method cannot do it or a frame has another
-    /// extent or kind of noise than the others.
+    /// As [`Denoiser::denoise_with`], and [`Error::Request`] where the method does not filter over time, or where a
+    /// frame has another extent or kind of noise than the others.
     pub fn denoise_window(&self, frames: &[&Frame], centre: usize, options: Options) -> Result<Estimate> {
         self.check_window(frames, centre)?;
         let frame = frames[centre];
@@ -313,7 +317,7 @@ impl Denoiser {
             frames.iter().map(|frame| (*frame, self.method.mean_variance(frame, units.exposure))).collect();
         let beside =
             with_mean_variance.iter().enumerate().filter(|(index, _)| *index != centre).map(|(_, frame)| *frame);
-        // What an earlier frame of another size left behind would count against the limit.
+        // Idle buffers of an earlier frame of another size would count against the limit.
         self.gpu.trim();
         let (plan, Cut { strips, limit }) = self.plan_in(frames, centre, &units, &options)?;
         let Options { error, mut progress, pace, .. } = options;
@@ -322,7 +326,7 @@ impl Denoiser {
         let mut assembly = Assembly::new(frame, &units, error).map_err(out_of_memory)?;
         if plan.copies_the_frame() {
             assembly.copy();
-            return Ok(assembly.finish(plan, Times::default(), 0));
+            return Ok(assembly.finish(plan, None, 0));
         }
         for (index, strip) in strips.iter().enumerate() {
             let mut rec = self.gpu.record_in(&run);
@@ -338,7 +342,7 @@ impl Denoiser {
             let report = |rec: &mut Recorder, share: f32| match &mut progress {
                 None => Ok(()),
                 Some(progress) => {
-                    // What is reported as done is done.
+                    // Work is reported as done only after the device has done it.
                     rec.flush()?;
                     rec.gpu().wait()?;
                     let done = (index as f32 + share) / strips.len() as f32;
@@ -350,8 +354,8 @@ impl Denoiser {
             rec.submit()?;
             assembly.add(&self.gpu, &estimate, extent, strip)?;
         }
-        let times = Times { stages: self.gpu.timings(&run)?, steps: self.gpu.step_timings(&run)? };
-        Ok(assembly.finish(plan, times, run.peak_bytes()))
+        let step_times = self.gpu.step_timings(&run)?;
+        Ok(assembly.finish(plan, step_times, run.peak_bytes()))
     }
 
     fn check_window(&self, frames: &[&Frame], centre: usize) -> Result<()> {
@@ -373,14 +377,15 @@ impl Denoiser {
         Ok(())
     }
 
-    /// Records the work on a frame that is on the GPU already, in a window with the frames `beside`, which are in its
-    /// units, have its extent and features, and halves if it does; nothing is read back. For a renderer that embeds the
-    /// denoiser: record with [`Gpu::record_whole`], then put the commands into an encoder of its own with
-    /// [`Recorder::encode_into`]. The frame must fit the binding limit as a whole.
+    /// Records the work on a frame that is on the GPU already. `beside` holds the other frames of its window in time:
+    /// they have the units, extent and features of the frame, and halves if it has halves. Reads nothing back.
+    ///
+    /// For a renderer that embeds the denoiser: record with [`Gpu::record_whole`], then put the commands into an
+    /// encoder with [`Recorder::encode_into`]. The frame must fit the binding limit as a whole.
     ///
     /// # Errors
-    /// [`Error::Device`] where a buffer exceeds the device's limits; [`Error::Request`] where frames are beside that
-    /// are not alike or the method does not filter over time, or where it wants a [`GpuFrame::mean_variance`] that is
+    /// [`Error::Device`] where a buffer exceeds the device's limits; [`Error::Request`] where a frame in `beside` does
+    /// not match, where the method does not filter over time, or where it needs a [`GpuFrame::mean_variance`] that is
     /// not given.
     pub fn record(&self, rec: &mut Recorder, frame: GpuFrame, beside: Vec<GpuFrame>) -> Result<GpuEstimate> {
         let wishes = Wishes { keep: &[], error: true, everything: self.everything };
@@ -401,17 +406,18 @@ struct Cut {
     limit: Option<u64>,
 }
 
-/// Bytes that are on their way between host and device at one time, at most, and their copies there.
+/// Largest number of bytes in transfer between host and device at one time, and in copies of them on the host.
 const TRANSFER_BYTES: u64 = 96 << 20;
 
-/// Squares of scaled values are summed over channels and patches in f32.
+/// Largest value after scaling: squares of scaled values are summed over channels and patches in f32.
 const LARGEST_SCALED: f32 = 1e17;
 
-/// A power of two that brings the colour to the order of 1, where the method's small constants are meant to be; a power
-/// of two changes no digit. From the median of the pixels' largest channels, over pixels that are not black.
+/// Returns a power of two that scales the colour to the order of 1, for which the small constants of the methods are
+/// made. A power of two changes no digit. The scale follows from the median of the pixels' largest channels, over
+/// pixels that are not black.
 fn exposure(frame: &Frame) -> f32 {
     let planes = &frame.color().mean.planes;
-    // The median is needed to the power of two below it, so its exponent is enough: no copy of the pixels is sorted.
+    // Only the exponent of the median counts, so a histogram of exponents replaces sorting a copy of the pixels.
     let mut pixels_by_exponent = [0_usize; 256];
     let mut brightest = 0.0_f32;
     for pixel in 0..frame.extent().pixels() {
@@ -429,7 +435,7 @@ fn exposure(frame: &Frame) -> f32 {
     });
     let Some(exponent_of_median) = exponent_of_median else { return 1.0 };
     let log2_of_median = exponent_of_median as f32 - 127.0;
-    // Of a scaled value the square must stay finite.
+    // The square of a scaled value must stay finite.
     let color = frame.color();
     let deviations =
         color.variance_of_mean.iter().flat_map(|variance| &variance.planes).flatten().map(|variance| variance.sqrt());
@@ -445,7 +451,7 @@ struct Assembly<'a> {
     exposure: f32,
     features: &'a [&'a Feature],
     color: Image,
-    /// Where the frame has halves.
+    /// `None` where the frame has no halves.
     half_spread: Option<Image>,
     selection: Option<Image>,
     candidates: Vec<&'static str>,
@@ -455,19 +461,12 @@ struct Assembly<'a> {
     layers: Vec<Layer>,
 }
 
-/// What was found in some strips, in the units of the device.
+/// Spikes found in the strips so far, in the units of the device.
 #[derive(Default)]
 struct FoundSpikes {
     pixels: usize,
     taken: f64,
     spread: f64,
-}
-
-/// How long the device took.
-#[derive(Default)]
-struct Times {
-    stages: Option<Vec<StageTime>>,
-    steps: Option<Vec<StepTime>>,
 }
 
 impl<'a> Assembly<'a> {
@@ -488,7 +487,7 @@ impl<'a> Assembly<'a> {
         })
     }
 
-    /// The frame itself.
+    /// Takes the frame itself as the result.
     fn copy(&mut self) {
         let color = self.frame.color();
         let copies = [(&mut self.color, Some(&color.mean))]
@@ -504,8 +503,8 @@ impl<'a> Assembly<'a> {
     fn add(&mut self, gpu: &Gpu, estimate: &GpuEstimate, extent: IVec2, strip: &Strip) -> Result<()> {
         let frame_extent = self.frame.extent();
         let width = frame_extent.width as usize;
-        // Reads the rows of a plane that the strip is for, piece by piece: the position of the first pixel among them,
-        // and the pixels.
+        // Reads the rows of a plane that the strip contributes, piece by piece: `take` gets the position of the first
+        // pixel of a piece among these rows, and the pixels.
         let read = |buffer: &Buffer, plane: u32, take: &mut dyn FnMut(usize, &[f32])| -> Result<()> {
             let first = u64::from(plane) * extent.x as u64 * extent.y as u64
                 + ((strip.first - strip.first_with_halo) * width) as u64;
@@ -524,7 +523,7 @@ impl<'a> Assembly<'a> {
                 }
             })?;
         }
-        // Reads a plane and puts it, from a component on, into an image.
+        // Reads a plane and puts it into an image, beginning with one of its components.
         let place = |buffer: &Buffer,
                      plane: u32,
                      component: u32,
@@ -592,7 +591,7 @@ impl<'a> Assembly<'a> {
         Ok(())
     }
 
-    fn finish(self, plan: Plan, times: Times, peak_bytes: u64) -> Estimate {
+    fn finish(self, plan: Plan, step_times: Option<Vec<StepTime>>, peak_bytes: u64) -> Estimate {
         let Self {
             frame,
             exposure,
@@ -609,11 +608,11 @@ impl<'a> Assembly<'a> {
         let features = features.iter().map(|feature| feature.name.clone()).collect();
         let spikes = spikes.map(|FoundSpikes { pixels, taken, spread }| {
             let energy: f64 = frame.color().mean.planes.iter().flatten().map(|value| f64::from(*value)).sum();
-            // Of an image without energy, no share can be told.
+            // In an image without energy, every share counts as 0.
             let share = |scaled: f64| if energy > 0.0 { scaled / f64::from(exposure) / energy } else { 0.0 };
             SpikeReport { pixels, taken: share(taken), spread: share(spread) }
         });
-        let (strips, Times { stages: stage_times, steps: step_times }) = (plan.strips, times);
+        let strips = plan.strips;
         Estimate {
             color,
             half_spread,
@@ -626,7 +625,7 @@ impl<'a> Assembly<'a> {
             layers,
             plan,
             strips,
-            stage_times,
+            stage_times: step_times.as_deref().map(sum_over_steps),
             step_times,
             peak_bytes,
         }

@@ -1,5 +1,5 @@
-//! The frame: a buffer set whose meaning has been settled. Everything finite, one extent, variances of the pixel mean,
-//! halves as one spread, features in unit range.
+//! Frames: the input of the denoiser in one fixed meaning. Everything is finite, all images have one extent, variances
+//! are variances of the pixel mean, halves are one spread, features are in unit range.
 
 mod albedo;
 mod correlation;
@@ -32,11 +32,11 @@ pub const RELATIVE_EPSILON: f64 = 0.01;
 /// The most features that a frame takes; the text's scenes use up to five.
 pub const MAX_FEATURES: usize = 8;
 
-/// Values that a thread looks at before it asks whether another one has found what they all look for.
+/// Number of values that a thread looks at before it checks whether another thread has already found a difference.
 const VALUES_AT_ONCE: usize = 1 << 16;
 
-/// A mean and what the files hold of its noise, as stored: may contain anything that a float can be. All images have
-/// the same extent and channels.
+/// A mean with the noise statistics of the files, as stored: it may contain anything that a float can be. All images
+/// have the same extent and channels.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RawSignal {
     /// The mean of all samples.
@@ -49,7 +49,7 @@ pub struct RawSignal {
     pub variance_of_mean: Option<Image>,
 }
 
-/// A noisy mean with what is known of its noise. All images have the same extent and number of channels.
+/// A noisy mean with statistics of its noise. All images have the same extent and number of channels.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Signal {
     /// The mean of all samples of each pixel.
@@ -66,27 +66,27 @@ pub struct Signal {
 /// A feature buffer, brought to unit range by one affine map for all its channels.
 #[derive(Clone, Debug)]
 pub struct Feature {
-    /// The layer's name, such as `albedo`.
+    /// Name of the layer, such as `albedo`.
     pub name: String,
-    /// What it measures.
+    /// Quantity that the feature measures.
     pub kind: FeatureKind,
-    /// 1 to 3 channels in unit range; variances scaled with the square of the map's factor. Outliers and far clusters,
-    /// which the range leaves out, lie outside of 0 to 1; beyond −1 and 2 they are pulled towards it by a logarithm,
-    /// with their noise, and stay within ±200.
+    /// 1 to 3 channels in unit range; variances are scaled with the square of the map's factor. Outliers and far
+    /// clusters, which the range leaves out, lie outside of 0 to 1. Values beyond −1 and 2 are pulled towards the range
+    /// by a logarithm, with their noise, and stay within ±200.
     pub signal: Signal,
     /// `value in the file = unit value · unit_scale + unit_offset`, for unit values from −1 to 2.
     pub unit_scale: f32,
-    /// See `unit_scale`.
+    /// Offset of the map; see `unit_scale`.
     pub unit_offset: f32,
-    /// For each pixel, whether nothing was hit there; misses have the value 1, without noise. Empty where there are
-    /// none.
+    /// Whether the rays of each pixel hit nothing; such misses have the value 1, without noise. Empty where there are
+    /// no misses.
     pub misses: Vec<bool>,
 }
 
 /// Samples that each pixel's mean was computed from.
 #[derive(Clone, Debug, PartialEq)]
 pub enum SamplesPerPixel {
-    /// Nothing in the file tells.
+    /// The file does not say.
     Unknown,
     /// One number for all pixels.
     Uniform(f32),
@@ -95,7 +95,7 @@ pub enum SamplesPerPixel {
 }
 
 impl Signal {
-    /// Whether all channels are the same to the bit, in the mean and in all that is known of its noise.
+    /// Returns whether all channels are equal to the bit, in the mean and in all statistics of its noise.
     pub fn is_grey(&self) -> bool {
         let same = |a: &Vec<f32>, b: &Vec<f32>| {
             let pairs = a.par_chunks(VALUES_AT_ONCE).zip(b.par_chunks(VALUES_AT_ONCE));
@@ -111,7 +111,7 @@ impl Signal {
     }
 }
 
-/// `(A − B)·√(n_A·n_B)/n` with n = n_A + n_B: see [`Signal::half_spread`].
+/// Returns `(A − B)·√(n_A·n_B)/n` with n = n_A + n_B: see [`Signal::half_spread`].
 ///
 /// Its square estimates the variance of the *mean of both halves* (thesis 8.2), which is half of the variance of one
 /// half, (A − B)²/2, that chapter 7 uses. The images must have the same shape; `n_a` and `n_b` are the halves' sample
@@ -129,7 +129,7 @@ fn into_half_spread(mut a: Image, b: &Image, n_a: f32, n_b: f32) -> Image {
     a
 }
 
-/// What the denoisers work on. Only `Frame::from_raw` and `Frame::new` make one, so a frame is always finite and
+/// Input of the denoisers. Only `Frame::from_raw` and `Frame::new` make a frame, so a frame is always finite and
 /// consistent.
 #[derive(Clone, Debug)]
 pub struct Frame {
@@ -141,10 +141,10 @@ pub struct Frame {
 }
 
 impl Frame {
-    /// Settles the meaning of means and halves as they were rendered. The halves are taken to have equal numbers of
-    /// samples. Features are asked for one by one, so that no more than one is in memory both raw and settled.
+    /// Makes a frame from means and halves as they were rendered. The halves count as having equal numbers of samples.
+    /// Features are requested one by one, so that no more than one of them is in memory both raw and converted.
     ///
-    /// Halves of which one is 0 everywhere, and the other is not, are left out.
+    /// Halves are left out if one of them is 0 everywhere and the other is not.
     ///
     /// # Errors
     /// As [`Frame::new`].
@@ -171,16 +171,16 @@ impl Frame {
     /// Makes a frame from raw values: colour in scene-linear radiance (three planes), features in any units (one to
     /// three planes each, not yet in unit range), variances of the mean.
     ///
-    /// Everything in the frame is finite: damaged values take their neighbours' average, negative variances become 0.
-    /// Of halves and variance, what does not fit the mean, has no usable value, or is silent where the other one tells
-    /// of noise is left out, and so are identical halves of a colour without a variance. A colour of whose noise
-    /// nothing is known is [`NoiseKnowledge::ImageOnly`]. Albedo is clamped to 1. Features are brought to unit range;
-    /// constant ones, those that cannot be used, and those after the first [`MAX_FEATURES`] are left out. All of it is
-    /// reported.
+    /// Everything in the frame is finite: damaged values become the average of their neighbours, negative variances
+    /// become 0. Halves or variance are left out if they do not fit the mean, if they have no usable value, or if they
+    /// are 0 where the other source shows noise. Identical halves of a colour without a variance are left out, too. A
+    /// colour whose noise is unknown is [`NoiseKnowledge::ImageOnly`]. Albedo is clamped to 1. Features are brought to
+    /// unit range; left out are features that are constant or unusable, and all after the first [`MAX_FEATURES`]. All
+    /// changes are reported.
     ///
     /// # Errors
-    /// [`Error::Request`] for images of different extents, for no pixels, for a colour that has not three channels, or
-    /// has a channel without a single usable pixel, and for sample counts of another shape.
+    /// [`Error::Request`] for images of different extents, for images without pixels, for a colour that does not have
+    /// three channels or has a channel without a usable pixel, and for sample counts of another shape.
     pub fn new(
         mut color: Signal,
         features: Vec<(String, Signal)>,
@@ -230,7 +230,7 @@ impl Frame {
         Ok((Self { extent, color, features: kept, constant_features, samples_per_pixel }, repairs))
     }
 
-    /// A part of it, in the same units.
+    /// Returns a part of the frame, in the same units.
     pub(crate) fn cropped(&self, part: Window) -> Self {
         let crop = |signal: &Signal| {
             let [half_spread, variance_of_mean] = [&signal.half_spread, &signal.variance_of_mean]
@@ -256,34 +256,34 @@ impl Frame {
         }
     }
 
-    /// Width and height of all images of the frame.
+    /// Returns width and height of all images of the frame.
     pub fn extent(&self) -> Extent {
         self.extent
     }
 
-    /// The noisy colour: three planes of finite scene-linear radiance.
+    /// Returns the noisy colour: three planes of finite scene-linear radiance.
     pub fn color(&self) -> &Signal {
         &self.color
     }
 
-    /// The features, in unit range; at most [`MAX_FEATURES`], possibly none.
+    /// Returns the features, in unit range; at most [`MAX_FEATURES`], possibly none.
     pub fn features(&self) -> &[Feature] {
         &self.features
     }
 
-    /// Names of features that were given and are the same everywhere, so that they cannot tell pixels apart; they are
-    /// not kept.
+    /// Returns the names of features that were given but are constant. They cannot tell pixels apart, so the frame does
+    /// not keep them.
     pub fn constant_features(&self) -> &[String] {
         &self.constant_features
     }
 
-    /// Samples per pixel, positive and finite where known.
+    /// Returns the samples per pixel, positive and finite where known.
     pub fn samples_per_pixel(&self) -> &SamplesPerPixel {
         &self.samples_per_pixel
     }
 }
 
-/// Halves of which one is empty say nothing.
+/// Makes a signal. Halves of which one is empty are left out.
 fn signal(name: &str, raw: RawSignal, notes: &mut Vec<String>) -> Signal {
     let empty = empty_half(&raw);
     if let Some(half) = empty {
@@ -294,7 +294,8 @@ fn signal(name: &str, raw: RawSignal, notes: &mut Vec<String>) -> Signal {
     Signal { mean: raw.mean, half_spread, variance_of_mean: raw.variance_of_mean }
 }
 
-/// The half that no sample fell into, as of a render with one sample per pixel: 0 everywhere, unlike the other.
+/// Returns the name of the half that got no samples, as in a render with one sample per pixel: 0 everywhere, unlike the
+/// other half.
 fn empty_half(raw: &RawSignal) -> Option<&'static str> {
     let is_empty = |image: &Image| image.planes.iter().flatten().all(|value| *value == 0.0);
     match raw.half_a.as_ref().zip(raw.half_b.as_ref()).map(|(a, b)| (is_empty(a), is_empty(b)))? {
@@ -304,7 +305,7 @@ fn empty_half(raw: &RawSignal) -> Option<&'static str> {
     }
 }
 
-/// Says so when the halves are not halves of the mean, as when a render with one seed is given beside two renders with
+/// Returns a remark if the mean is not the average of the halves, as when one render is given beside two renders with
 /// other seeds.
 fn mean_beside_halves(raw: &RawSignal) -> Option<String> {
     let (a, b) = raw.half_a.as_ref().zip(raw.half_b.as_ref())?;
@@ -321,7 +322,10 @@ fn mean_beside_halves(raw: &RawSignal) -> Option<String> {
     }
     (differing * 10 > values).then(|| {
         let percent = 100 * differing / values;
-        format!("colour: in {percent} % of its values the input is not the average of the halves; their difference then tells little about its noise")
+        format!(
+            "colour: in {percent} % of its values the input is not the average of the halves; their difference then \
+             tells little about its noise"
+        )
     })
 }
 
@@ -338,12 +342,12 @@ fn check_shape(name: &str, signal: &Signal, extent: Extent) -> Result<()> {
     Err(Error::Request(cause))
 }
 
-/// Makes the colour finite and decides which source tells its noise.
+/// Makes the colour finite and decides from which source its noise is known.
 fn settle_color(color: &mut Signal, repairs: &mut Repairs) -> Result<()> {
     let layer = Layer::COLOR;
     let mut notes = Vec::new();
     sources::leave_out_unusable(layer, color, &mut notes);
-    // Repaired pixels share their neighbours' noise.
+    // Measured before the repair, because repaired pixels share the noise of their neighbours.
     let shared_noise = color.half_spread.as_ref().and_then(correlation::shared_noise);
     let Sanitised { found, unusable, .. } = sanitise::sanitise(layer, color, false);
     if !unusable.is_empty() {
@@ -362,9 +366,9 @@ fn settle_color(color: &mut Signal, repairs: &mut Repairs) -> Result<()> {
     }
     if let Some(correlation) = shared_noise.filter(|_| color.half_spread.is_some()) {
         notes.push(format!(
-            "colour: neighbouring pixels share their noise (the halves' difference has a correlation of {correlation:.2} from pixel to pixel), so that \
-             more of it stays than its variance tells, as grain larger than a pixel; render with a box pixel filter of one pixel's width and \
-             independent pixels"
+            "colour: neighbouring pixels share their noise (the halves' difference has a correlation of \
+             {correlation:.2} from pixel to pixel), so that more of it stays than its variance tells, as grain larger \
+             than a pixel; render with a box pixel filter of one pixel's width and independent pixels"
         ));
     }
     let knowledge = color.known_from();
@@ -385,8 +389,8 @@ fn settle_color(color: &mut Signal, repairs: &mut Repairs) -> Result<()> {
     Ok(())
 }
 
-/// Makes a feature finite, decides which source tells its noise, and returns its misses. `None` if not one pixel has a
-/// usable value.
+/// Makes a feature finite, decides from which source its noise is known, and returns its misses. `None` if not one
+/// pixel has a usable value.
 fn settle_feature(name: &str, kind: FeatureKind, signal: &mut Signal, repairs: &mut Repairs) -> Option<Vec<bool>> {
     let layer = Layer::feature(name);
     let channels = signal.mean.channels();

@@ -1,5 +1,5 @@
-//! Memory of the computer: how much of it is left to the process, and large vectors whose allocation fails with a
-//! message in place of ending the process.
+//! Memory of the computer: how much of it is left to the process, and large vectors whose allocation returns an error
+//! instead of ending the process.
 
 use std::fmt;
 
@@ -7,11 +7,11 @@ use sysinfo::{MemoryRefreshKind, Process, ProcessRefreshKind, ProcessesToUpdate,
 
 use crate::error::{DeviceCause, Error};
 
-/// Left to allocations that nobody plans and that cannot fail gently: stacks of threads, blocks in a decoder, the
-/// driver's compiler.
+/// Bytes reserved for allocations that are not planned and cannot return errors: stacks of threads, blocks in a
+/// decoder, the driver's compiler.
 const RESERVE: u64 = 48 << 20;
 
-/// What bounds the memory of a process.
+/// Limit that bounds the memory of a process.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Bound {
     /// Memory and swap space of the computer.
@@ -40,28 +40,28 @@ pub struct FreeMemory {
 }
 
 impl FreeMemory {
-    /// The tightest of all limits that the system tells.
+    /// Returns the tightest of all limits that the system reports.
     pub fn now() -> Self {
         let computer = System::new().ok().map(|mut system| {
             system.refresh_memory_specifics(MemoryRefreshKind::everything());
             Self { bytes: system.available_memory() + system.free_swap(), bound: Bound::Computer }
         });
         let container = with_own_process(|process| {
-            // What the container's files take in memory is given back when it is needed.
+            // The system reclaims memory of the container's cached files when it is needed.
             let limits = process.cgroup_limits()?;
             Some(Self {
                 bytes: limits.total_memory.saturating_sub(limits.rss) + limits.free_swap,
                 bound: Bound::Container,
             })
         });
-        // A system that tells nothing is taken at its word when it refuses an allocation.
+        // Without a report, only a refused allocation shows that memory is short.
         let unknown = Self { bytes: u64::MAX, bound: Bound::Computer };
         let free = computer.into_iter().chain(container).fold(unknown, Self::tighter);
         let free = Self { bytes: free.bytes.saturating_sub(RESERVE), ..free };
         Self::of_address_space().into_iter().fold(free, Self::tighter)
     }
 
-    /// Free address space of the process. `None` without a limit.
+    /// Returns the free address space of the process. `None` without a limit.
     pub fn of_address_space() -> Option<Self> {
         let most = most_address_space()?;
         let taken = with_own_process(|process| Some(process.virtual_memory()))?;
@@ -72,12 +72,12 @@ impl FreeMemory {
         if other.bytes < self.bytes { other } else { self }
     }
 
-    /// Bytes, less what is left to allocations that nobody plans.
+    /// Returns the free bytes, without the reserve for unplanned allocations.
     pub fn bytes(self) -> u64 {
         self.bytes
     }
 
-    /// Refuses work that needs more.
+    /// Refuses work that needs more bytes than are free.
     ///
     /// # Errors
     /// [`Shortage`] if `needed` bytes are more than are free.
@@ -86,7 +86,7 @@ impl FreeMemory {
     }
 }
 
-/// What `look` finds in the process that asks.
+/// Returns what `look` finds in this process.
 fn with_own_process<T>(look: impl FnOnce(&Process) -> Option<T>) -> Option<T> {
     let (mut system, own) = (System::new().ok()?, sysinfo::get_current_pid().ok()?);
     system.refresh_processes_specifics(
@@ -97,7 +97,7 @@ fn with_own_process<T>(look: impl FnOnce(&Process) -> Option<T>) -> Option<T> {
     look(system.process(own)?)
 }
 
-/// The resource limit on the address space, in bytes.
+/// Returns the resource limit on the address space, in bytes.
 #[cfg(unix)]
 fn most_address_space() -> Option<u64> {
     rustix::process::getrlimit(rustix::process::Resource::As).current
@@ -116,17 +116,17 @@ pub struct Shortage {
 }
 
 impl Shortage {
-    /// A shortage where work needs `needed` bytes.
+    /// Makes the shortage of work that needs `needed` bytes.
     pub fn new(needed: u64, free: FreeMemory) -> Self {
         Self { needed, free }
     }
 
-    /// An allocation of this many bytes failed.
+    /// Makes the shortage of a failed allocation of this many bytes.
     pub fn of_allocation(needed: u64) -> Self {
         Self { needed, free: FreeMemory::now() }
     }
 
-    /// The failure of work that is named by `what`.
+    /// Makes the error for work that is named by `what`.
     pub fn error(self, what: &str) -> Error {
         Error::Device(DeviceCause::OutOfHostMemory { what: what.into(), shortage: self })
     }
@@ -140,7 +140,7 @@ impl fmt::Display for Shortage {
     }
 }
 
-/// A vector of `length` times `value`.
+/// Makes a vector of `length` times `value`.
 ///
 /// # Errors
 /// [`Shortage`] if the allocation fails.
@@ -150,7 +150,7 @@ pub fn try_filled<T: Copy>(length: usize, value: T) -> Result<Vec<T>, Shortage> 
     Ok(filled)
 }
 
-/// The values in a vector of exactly their number.
+/// Collects the values into a vector of exactly their number.
 ///
 /// # Errors
 /// [`Shortage`] if the allocation fails.

@@ -5,14 +5,14 @@ use crate::host_memory::{Shortage, try_filled};
 /// Width and height in pixels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Extent {
-    /// Pixels in a row.
+    /// Number of pixels in a row.
     pub width: u32,
-    /// Rows.
+    /// Number of rows.
     pub height: u32,
 }
 
 impl Extent {
-    /// Number of pixels.
+    /// Returns the number of pixels.
     pub fn pixels(self) -> usize {
         self.width as usize * self.height as usize
     }
@@ -24,19 +24,19 @@ impl Extent {
 /// Planar: `planes[channel][y * width + x]`, rows from the top.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Image {
-    /// Shared by all planes.
+    /// Width and height of every plane.
     pub extent: Extent,
     /// One vector of `extent.pixels()` values per channel.
     pub planes: Vec<Vec<f32>>,
 }
 
 impl Image {
-    /// An image of `channels` planes filled with `value`.
+    /// Makes an image of `channels` planes filled with `value`.
     pub fn filled(extent: Extent, channels: usize, value: f32) -> Self {
         Self { extent, planes: vec![vec![value; extent.pixels()]; channels] }
     }
 
-    /// As [`Image::filled`], where memory may end.
+    /// As [`Image::filled`], but returns an error if memory is short.
     ///
     /// # Errors
     /// [`Shortage`] if an allocation fails.
@@ -45,7 +45,7 @@ impl Image {
         Ok(Self { extent, planes })
     }
 
-    /// A part of it.
+    /// Returns a part of the image.
     pub(crate) fn cropped(&self, part: Window) -> Self {
         Self {
             extent: part.extent,
@@ -53,13 +53,13 @@ impl Image {
         }
     }
 
-    /// Number of planes.
+    /// Returns the number of planes.
     pub fn channels(&self) -> usize {
         self.planes.len()
     }
 }
 
-/// The values of a part of a plane, which lies inside of it.
+/// Returns the values of a part of a plane; the part must lie inside.
 pub(crate) fn cropped<T: Copy>(plane: &[T], extent: Extent, part: Window) -> Vec<T> {
     let (left, width) = (part.x as usize, part.extent.width as usize);
     let rows = plane.chunks_exact(extent.width as usize).skip(part.y as usize).take(part.extent.height as usize);

@@ -79,5 +79,5 @@ pub use gpu::Gpu;
 pub use image::{Extent, Image};
 pub use method::kernels::{self, FilterKernel, Kernels};
 pub use method::{DfcParams, GemParams, Method, NlmParams, Preset};
-/// The version that this library's public face speaks.
+/// The crates whose types this library's public interface uses.
 pub use {glam, wgpu};

@@ -1,9 +1,9 @@
-//! Parameters that describe themselves: names, documentation, units, ranges and values of a struct's fields, out of the
-//! struct's own declaration.
+//! Parameters that describe themselves: the declaration of a struct also gives names, documentation, units, ranges and
+//! values of its fields.
 //!
-//! [`Method::parameters`](crate::Method::parameters) lists those of a method, as a panel or a table wants them,
-//! [`Method::with_parameter`](crate::Method::with_parameter) sets one, and the ranges are those that
-//! [`Method::validate`](crate::Method::validate) checks. The table of them all:
+//! [`Method::parameters`](crate::Method::parameters) lists the parameters of a method, for a panel or a table.
+//! [`Method::with_parameter`](crate::Method::with_parameter) sets one. [`Method::validate`](crate::Method::validate)
+//! checks the ranges. The table of all parameters:
 #![doc = include_str!("../docs/parameters.md")]
 
 use std::fmt;
@@ -14,33 +14,34 @@ use crate::error::{Error, RequestCause, Result};
 /// One parameter of a method.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Parameter {
-    /// With the groups that it is in, as in `second_pass.color_k`.
+    /// Name of the parameter, with the groups that it is in, as in `second_pass.color_k`.
     pub name: String,
-    /// What it means, in sentences; paragraphs are apart by an empty line. The first sentence stands for itself.
+    /// Meaning of the parameter, in sentences; an empty line separates paragraphs. The first sentence can stand alone.
     pub documentation: String,
-    /// What it is counted in, such as `pixels`, where it has a unit.
+    /// Unit of the value, such as `pixels`; `None` for a value without unit.
     pub unit: Option<&'static str>,
-    /// What it can be.
+    /// Kind and range of the allowed values.
     pub kind: Kind,
-    /// What it is, [`Value::Flag`] of `false` where it is left out; `None` where a group that it is in is left out.
+    /// Current value; [`Value::Flag`] of `false` if the parameter is left out, `None` if a group that it is in is left
+    /// out.
     pub value: Option<Value>,
-    /// What it is in [`Preset::Default`](crate::Preset::Default), in the same way.
+    /// Value in [`Preset::Default`](crate::Preset::Default), in the same form.
     pub default: Option<Value>,
-    /// What it is in [`Preset::Thesis`](crate::Preset::Thesis), in the same way.
+    /// Value in [`Preset::Thesis`](crate::Preset::Thesis), in the same form.
     pub thesis: Option<Value>,
 }
 
-/// What a parameter can be.
+/// Kind of a parameter, with its range.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Kind {
     /// A whole number.
     Integer {
-        /// Inclusive at both ends.
+        /// Allowed values, with both ends.
         range: RangeInclusive<u32>,
     },
     /// A finite number.
     Number {
-        /// Where it is.
+        /// Allowed values.
         range: (Bound<f32>, Bound<f32>),
         /// Whether `false` leaves it out. `true` then gives it the value of the default preset.
         can_be_off: bool,
@@ -57,45 +58,45 @@ pub enum Kind {
         /// The words.
         options: Vec<Choice>,
     },
-    /// Several parameters that are left out together by `false`; their names begin with this one's and a dot. `true`
-    /// gives a group that is left out the values of the default preset.
+    /// A group of parameters that `false` leaves out together; their names begin with the name of the group and a dot.
+    /// `true` gives a group that is left out the values of the default preset.
     Group,
 }
 
-/// One of the words that a parameter can be.
+/// One of the words that are values of a parameter.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Choice {
     /// The word.
     pub name: &'static str,
-    /// What it means, in sentences.
+    /// Meaning of the word, in sentences.
     pub documentation: String,
 }
 
-/// What a parameter is.
+/// Value of a parameter.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Value {
-    /// Of [`Kind::Integer`]; [`Kind::Number`] takes it as well.
+    /// Value of a [`Kind::Integer`]; a [`Kind::Number`] takes it as well.
     Integer(u32),
-    /// Of [`Kind::Number`].
+    /// Value of a [`Kind::Number`].
     Number(f32),
-    /// Of [`Kind::Flag`] and [`Kind::Group`], and of [`Kind::Number`] where it can be left out.
+    /// Value of a [`Kind::Flag`] or [`Kind::Group`], and of a [`Kind::Number`] that can be left out.
     Flag(bool),
-    /// Of [`Kind::Choice`].
+    /// Value of a [`Kind::Choice`].
     Choice(String),
-    /// Of [`Kind::Set`].
+    /// Value of a [`Kind::Set`].
     Set(Vec<String>),
 }
 
 impl Parameter {
-    /// The first sentence of its documentation.
+    /// Returns the first sentence of the documentation.
     pub fn summary(&self) -> &str {
         let text = self.documentation.split("\n\n").next().unwrap_or_default();
-        // Not that of "eq. 7.6".
+        // The point of "eq. 7.6" is no end.
         let is_end = |end: &usize| text[end + 2..].starts_with(char::is_uppercase);
         text.match_indices(". ").map(|(end, _)| end).find(is_end).map_or(text, |end| &text[..=end])
     }
 
-    /// What it can be, with its unit: `from 1 to 64 pixels`, `off, blended, hard`.
+    /// Returns the allowed values with their unit: `from 1 to 64 pixels`, `off, blended, hard`.
     pub fn range(&self) -> String {
         match self.unit {
             Some(unit) => format!("{} {unit}", self.kind),
@@ -103,7 +104,7 @@ impl Parameter {
         }
     }
 
-    /// The range as part of a sentence: `a whole number from 1 to 64 pixels`, `one of off, blended, hard`.
+    /// Returns the range as part of a sentence: `a whole number from 1 to 64 pixels`, `one of off, blended, hard`.
     pub fn rule(&self) -> String {
         let range = self.range();
         match &self.kind {
@@ -132,12 +133,12 @@ impl Parameter {
         value.filter(|value| self.kind.contains(value)).ok_or_else(|| self.refused(text))
     }
 
-    /// Whether it is in the group of this name.
+    /// Returns whether the parameter is in the group of this name.
     pub fn is_in(&self, group: &str) -> bool {
         self.name.strip_prefix(group).is_some_and(|rest| rest.starts_with('.'))
     }
 
-    /// Checks that it can have this value.
+    /// Checks that the parameter can have this value.
     ///
     /// # Errors
     /// [`Error::Request`] naming the parameter and its range.
@@ -149,7 +150,7 @@ impl Parameter {
         }
     }
 
-    /// Error: the parameter cannot have this value.
+    /// Makes the error for a value that the parameter cannot have.
     pub(crate) fn refused(&self, value: impl fmt::Display) -> Error {
         Error::Request(RequestCause::ParameterValue {
             name: self.name.clone(),
@@ -158,7 +159,7 @@ impl Parameter {
         })
     }
 
-    /// Value that the parameter gets when it is set to `value`.
+    /// Returns the value that the parameter gets when it is set to `value`.
     pub(crate) fn settle(&self, value: &Value) -> Result<Value> {
         self.check(value)?;
         let number = |value: &Option<Value>| value.clone().filter(|value| matches!(value, Value::Number(_)));
@@ -172,7 +173,7 @@ impl Parameter {
 }
 
 impl Kind {
-    /// Whether a value is one of these.
+    /// Returns whether a value is one of the allowed values.
     pub fn contains(&self, value: &Value) -> bool {
         let has = |options: &[Choice], name: &String| options.iter().any(|option| option.name == name);
         match (self, value) {
@@ -226,7 +227,7 @@ impl fmt::Display for Value {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Integer(value) => write!(f, "{value}"),
-            // The shortest digits that are this number and no other.
+            // The shortest digits that only this number has.
             Self::Number(value) => f.write_str(format!("{value:?}").trim_end_matches(".0")),
             Self::Flag(value) => write!(f, "{value}"),
             Self::Choice(name) => f.write_str(name),
@@ -265,20 +266,20 @@ impl<const N: usize> From<[&str; N]> for Value {
     }
 }
 
-/// A value with names for its parts; [`parameters!`], [`choices!`] and [`choice_set!`] make it so.
+/// A value whose parts have names; [`parameters!`], [`choices!`] and [`choice_set!`] implement it.
 pub(crate) trait Describe: Copy {
-    /// What its declaration says of it besides its type.
+    /// Limits that a declaration states besides the type.
     type Limits;
 
-    /// Adds what is at `place` and below.
+    /// Appends the parameter at `place` and the parameters below it.
     fn list(values: Values<Self>, place: Place<'_>, limits: Self::Limits, into: &mut Vec<Parameter>);
 
-    /// Sets what has this name, empty for the whole, to a value of its kind. Nothing is set where there is none of that
-    /// name or kind, as [`Parameter::check`] tells before.
+    /// Sets the part with this name, or the whole for an empty name, to a value of its kind. Does nothing for an
+    /// unknown name or another kind; [`Parameter::check`] refuses these before.
     fn set(&mut self, name: &str, value: &Value);
 }
 
-/// The three that a [`Parameter`] tells.
+/// The three values in a [`Parameter`].
 #[derive(Clone, Copy)]
 pub(crate) struct Values<T> {
     pub(crate) value: Option<T>,
@@ -300,12 +301,12 @@ impl<T> Values<T> {
     }
 }
 
-/// Where a parameter is declared.
+/// Name and documentation of a declared parameter.
 #[derive(Clone, Copy)]
 pub(crate) struct Place<'a> {
-    /// Its name.
+    /// Name of the parameter.
     pub(crate) name: &'a str,
-    /// Lines of its documentation.
+    /// Lines of its documentation comment.
     pub(crate) documentation: &'static [&'static str],
 }
 
@@ -324,7 +325,7 @@ impl Place<'_> {
     }
 }
 
-/// Lines of a documentation comment as paragraphs of running text.
+/// Joins the lines of a documentation comment to paragraphs of running text.
 pub(crate) fn text(lines: &[&str]) -> String {
     let paragraphs = lines.split(|line| line.trim().is_empty());
     let paragraphs = paragraphs
@@ -339,7 +340,7 @@ pub(crate) struct Whole {
     unit: Option<&'static str>,
 }
 
-/// Whole numbers of pixels.
+/// Allows whole numbers of pixels.
 pub(crate) fn pixels(range: RangeInclusive<u32>) -> Whole {
     Whole { range, unit: Some("pixels") }
 }
@@ -350,35 +351,35 @@ pub(crate) struct Real {
     unit: Option<&'static str>,
 }
 
-/// Numbers of a range.
+/// Allows numbers of a range.
 pub(crate) fn real(range: impl RangeBounds<f32>) -> Real {
     Real { range: (range.start_bound().cloned(), range.end_bound().cloned()), unit: None }
 }
 
-/// Numbers above one.
+/// Allows numbers above `bound`.
 pub(crate) fn above(bound: f32) -> Real {
     real((Bound::Excluded(bound), Bound::Unbounded))
 }
 
 impl Real {
-    /// In multiples of something.
+    /// Sets the unit of the number.
     pub(crate) fn of(self, unit: &'static str) -> Self {
         Self { unit: Some(unit), ..self }
     }
 }
 
-/// A word that one group of the parameters does not have, though another has.
+/// A word that is not allowed in one group of parameters, although its type has it.
 #[derive(Clone, Copy)]
 pub(crate) struct Without {
-    /// The parameter, in the group.
+    /// Name of the parameter within the group.
     pub(crate) parameter: &'static str,
     pub(crate) choice: &'static str,
-    /// A sentence.
+    /// Reason, as a sentence.
     pub(crate) because: &'static str,
 }
 
 impl Without {
-    /// Takes it from a list of a group's parameters.
+    /// Removes the word from the listed parameters of a group.
     pub(crate) fn narrow(self, parameters: &mut [Parameter]) {
         for parameter in
             parameters.iter_mut().filter(|parameter| parameter.name.rsplit('.').next() == Some(self.parameter))
@@ -478,17 +479,17 @@ impl<G: Group> Describe for Option<G> {
     }
 }
 
-/// Several parameters; the default is what they are in the default preset.
+/// Several parameters; the default values are those of the default preset.
 pub(crate) trait Group: Describe<Limits = Option<Without>> + Default {}
 
-/// Lists what a method's parameters are.
+/// Lists the parameters of a method.
 pub(crate) fn list<P: Describe<Limits = Option<Without>>>(values: Values<P>) -> Vec<Parameter> {
     let mut parameters = Vec::new();
     P::list(values, Place { name: "", documentation: &[] }, None, &mut parameters);
     parameters
 }
 
-/// Checks the ranges of those that are listed.
+/// Checks the values of the listed parameters against their ranges.
 ///
 /// # Errors
 /// [`Error::Request`] naming the parameter and its range.
@@ -499,8 +500,8 @@ pub(crate) fn check(listed: &[Parameter]) -> Result<()> {
         .try_for_each(|(parameter, value)| parameter.check(value))
 }
 
-/// Declares a struct of parameters. A field's documentation is the parameter's; behind `=>` stands its range, as in
-/// `pub cut: f32 => real(0.0..=1.0)`, where its type has one.
+/// Declares a struct of parameters. The documentation of a field is the documentation of the parameter. The range
+/// stands behind `=>`, if the type of the field has one, as in `pub cut: f32 => real(0.0..=1.0)`.
 macro_rules! parameters {
     (
         $(#[$meta:meta])*
@@ -526,10 +527,15 @@ macro_rules! parameters {
             ) {
                 let first = into.len();
                 $({
-                    let name = if place.name.is_empty() { stringify!($field).to_owned() } else { format!("{}.{}", place.name, stringify!($field)) };
+                    let name = if place.name.is_empty() {
+                        stringify!($field).to_owned()
+                    } else {
+                        format!("{}.{}", place.name, stringify!($field))
+                    };
                     let place = $crate::parameters::Place { name: &name, documentation: &[$($documentation),*] };
                     let limits = $crate::parameters::parameters!(@limits $($limits)?);
-                    <$type as $crate::parameters::Describe>::list(values.map(|whole| whole.$field), place, limits, into);
+                    let field = values.map(|whole| whole.$field);
+                    <$type as $crate::parameters::Describe>::list(field, place, limits, into);
                 })+
                 if let Some(without) = without {
                     without.narrow(&mut into[first..]);
@@ -559,17 +565,20 @@ macro_rules! choices {
         $vis enum $name { $($(#[doc = $documentation])* $variant),+ }
 
         impl $name {
-            /// All of them.
+            /// All words.
             pub const ALL: &[Self] = &[$(Self::$variant),+];
 
-            /// Its name as a parameter.
+            /// Returns the word of this variant.
             pub fn name(self) -> &'static str {
                 match self { $(Self::$variant => $word),+ }
             }
 
-            /// Their names and what they mean, in the same order.
+            /// Returns the words and their meanings, in the same order.
             pub fn choices() -> Vec<$crate::parameters::Choice> {
-                vec![$($crate::parameters::Choice { name: $word, documentation: $crate::parameters::text(&[$($documentation),*]) }),+]
+                vec![$($crate::parameters::Choice {
+                    name: $word,
+                    documentation: $crate::parameters::text(&[$($documentation),*]),
+                }),+]
             }
         }
 
@@ -608,12 +617,15 @@ macro_rules! choice_set {
         $vis struct $name { $($(#[doc = $documentation])* $field_vis $field: bool),+ }
 
         impl $name {
-            /// Their names and what they mean, in their order.
+            /// Returns the words and their meanings, in their order.
             pub fn choices() -> Vec<$crate::parameters::Choice> {
-                vec![$($crate::parameters::Choice { name: stringify!($field), documentation: $crate::parameters::text(&[$($documentation),*]) }),+]
+                vec![$($crate::parameters::Choice {
+                    name: stringify!($field),
+                    documentation: $crate::parameters::text(&[$($documentation),*]),
+                }),+]
             }
 
-            /// Those that are named, among others or not.
+            /// Returns the set of those of its words that `names` contains; other names are ignored.
             pub fn of_names<N: AsRef<str>>(names: &[N]) -> Self {
                 Self { $($field: names.iter().any(|name| name.as_ref() == stringify!($field))),+ }
             }
@@ -628,7 +640,9 @@ macro_rules! choice_set {
                 (): (),
                 into: &mut Vec<$crate::parameters::Parameter>,
             ) {
-                let values = values.map(|set| $crate::parameters::Value::Set(set.names().into_iter().map(str::to_owned).collect()));
+                let values = values.map(|set| {
+                    $crate::parameters::Value::Set(set.names().into_iter().map(str::to_owned).collect())
+                });
                 into.push(place.parameter(values, None, $crate::parameters::Kind::Set { options: Self::choices() }));
             }
 

@@ -11,18 +11,19 @@ use std::path::{Path, PathBuf};
 
 use serde::Serializer;
 
-/// Entries that a message lists before it only counts the rest.
+/// Number of entries that a message lists; it only counts the rest.
 pub const LISTED: usize = 10;
 
-/// Characters of a name that is too long to be stored which a message shows.
+/// Number of characters that a message shows of a name that is too long to be stored.
 const BEGINNING: usize = 40;
 
 /// Reads a text file of at most `most_bytes`. Pipes and devices are refused before they are opened: some never end, and
-/// others would be waited for.
+/// others would block.
 ///
 /// # Errors
-/// Errors of the file system; [`ErrorKind::InvalidInput`] for what is no file, [`ErrorKind::FileTooLarge`] for one
-/// that is too large, [`ErrorKind::InvalidData`] for one that is not UTF-8. All of them say so in words.
+/// Errors of the file system; [`ErrorKind::InvalidInput`] for anything but a file, [`ErrorKind::FileTooLarge`] for a
+/// file that is too large, [`ErrorKind::InvalidData`] for a file that is not UTF-8. All of them have a message in
+/// words.
 pub fn read_file(path: &Path, most_bytes: u64) -> Result<String> {
     let kind = path.metadata()?;
     if kind.is_dir() {
@@ -56,7 +57,7 @@ pub fn human_bytes(bytes: u64) -> String {
     if value.fract() < 0.05 { format!("{value:.0} {}", units[unit]) } else { format!("{value:.1} {}", units[unit]) }
 }
 
-/// Whether a terminal acts on the character, or hides it or the order of its neighbours.
+/// Returns whether a terminal acts on the character, or hides the character or the order of its neighbours.
 fn is_hidden(character: char) -> bool {
     let is_direction =
         matches!(character, '\u{61c}' | '\u{200e}' | '\u{200f}' | '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}');
@@ -78,17 +79,17 @@ fn escaped(text: &str, is_escaped: impl Fn(char) -> bool) -> Cow<'_, str> {
     Cow::Owned(shown)
 }
 
-/// A name as one word of a message: control characters are escaped, line breaks among them.
+/// Returns a name as one word of a message: control characters are escaped, line breaks among them.
 pub fn name(text: &str) -> Cow<'_, str> {
     escaped(text, is_hidden)
 }
 
-/// A whole message: control characters are escaped, except line breaks.
+/// Returns a whole message: control characters are escaped, except line breaks.
 pub fn message(text: &str) -> Cow<'_, str> {
     escaped(text, |character| character != '\n' && is_hidden(character))
 }
 
-/// A path as one word of a message, as [`name`]; bytes that are no Unicode become `\xff`.
+/// Returns a path as one word of a message, as [`name`]; bytes that are no Unicode become `\xff`.
 pub fn path(path: &Path) -> String {
     let mut shown = String::new();
     for chunk in path.as_os_str().as_encoded_bytes().utf8_chunks() {
@@ -101,21 +102,22 @@ pub fn path(path: &Path) -> String {
     shown
 }
 
-/// Entries with commas between them: the first [`LISTED`], then how many more there are.
+/// Returns entries with commas between them: the first [`LISTED`], then the number of the others.
 pub fn list(entries: impl IntoIterator<Item = impl AsRef<str>>) -> String {
     let (shown, more) = first(entries);
     let shown = shown.join(", ");
     if more > 0 { format!("{shown} and {more} more") } else { shown }
 }
 
-/// Entries with a line each: the first [`LISTED`], then how many more there are.
+/// Returns entries with a line each: the first [`LISTED`], then the number of the others.
 pub fn lines(entries: impl IntoIterator<Item = impl AsRef<str>>) -> Vec<String> {
     let (mut shown, more) = first(entries);
     shown.extend((more > 0).then(|| format!("  and {more} more")));
     shown
 }
 
-/// The first entries, and the number of those that are left. One more entry takes no more room than its count.
+/// Returns the first entries, and the number of the others. If only one is left over, it is listed: it takes no more
+/// room than its count.
 fn first(entries: impl IntoIterator<Item = impl AsRef<str>>) -> (Vec<String>, usize) {
     let mut entries = entries.into_iter();
     let mut shown: Vec<String> = entries.by_ref().take(LISTED + 1).map(|entry| entry.as_ref().to_owned()).collect();
@@ -127,13 +129,13 @@ fn first(entries: impl IntoIterator<Item = impl AsRef<str>>) -> (Vec<String>, us
     (shown, more)
 }
 
-/// The beginning of a name that is longer than it may be, and its length in bytes.
+/// Returns the beginning of a name that is too long, and its length in bytes.
 pub fn beginning(text: &str, bytes: usize) -> String {
     let start: String = text.chars().take(BEGINNING).collect();
     format!("'{}…' ({bytes} bytes)", name(&start))
 }
 
-/// A path in a document: itself where it is Unicode, else as [`path`] shows it.
+/// Serialises a path for a document: unchanged where it is Unicode, otherwise as [`path`] shows it.
 ///
 /// # Errors
 /// Errors of the serializer.
@@ -144,7 +146,7 @@ pub fn serialize_path<S: Serializer>(path: &Path, serializer: S) -> std::result:
     }
 }
 
-/// As [`serialize_path`], where there may be none.
+/// As [`serialize_path`], for a path that may be missing.
 ///
 /// # Errors
 /// Errors of the serializer.

@@ -26,8 +26,8 @@ fn feature_group(value: vec4<f32>, residual: vec4<f32>, scale: vec4<f32>, tau: f
     return FeatureGroup(value, residual, max(vec4<f32>(tau), scale), max(vec4<f32>(tau_alone), scale));
 }
 
-// Distances of a group from p to a pair of neighbours (eq. 8.3): x: the triple's, y: the single's; `alone_` with the τ
-// of the features alone.
+// Distances of a group from p to a pair of neighbours (eq. 8.3). x: the distance of the triple, y: the distance of the
+// single. The fields `alone_` use the τ of the features alone.
 struct FeatureDistances {
     ahead: vec2<f32>,
     behind: vec2<f32>,
@@ -73,38 +73,39 @@ fn feature_distances(p: FeatureGroup, ahead: FeatureGroup, behind: FeatureGroup,
 #endif
 }
 
-// Planes of the running sums. Lane 0 of a "lanes" plane belongs to the filter itself, lanes 1 to 3 to the filter with
-// channel 0 to 2 of the centre pixel perturbed.
+// Planes of the running sums of one pass: five for each of two filters with a colour term, then two for a filter
+// without one. Lane 0 of a "lanes" plane belongs to the filter itself, lanes 1 to 3 to the filter with channel 0 to 2
+// of the centre pixel perturbed.
 const WEIGHT_LANES: i32 = 0;       // Σ w
 const LARGEST_LANES: i32 = 1;      // largest w
 const MEAN_SUM: i32 = 2;           // Σ w·(u_q − u_p)
 const PERTURBED_SUM: i32 = 3;      // Σ w'·(u_q − u_p), channel by channel with the weights perturbed in that channel
 const SPREAD_SUM: i32 = 4;         // Σ w·(spread_q − spread_p)
 const PLANES_WITH_COLOR: i32 = 5;
-// The features alone have no colour term, so nothing to perturb: its Σ w sits in the w of MEAN_SUM, its largest weight in the w of
-// SPREAD_SUM.
+// A filter by the features alone has no colour term, so there is nothing to perturb: its Σ w is in the w of MEAN_SUM,
+// its largest weight in the w of SPREAD_SUM.
 const ALONE_MEAN_SUM: i32 = 10;
 const ALONE_SPREAD_SUM: i32 = 11;
-const STATE_PLANES: i32 = 12;
+const SUM_PLANES: i32 = 12;
 
-// Step of the finite differences (thesis 8.4: 1 % of the value), held above 1 % of the pixel's noise and above what
-// float32 can tell from its neighbours: at u ≈ 0 the step would vanish. w of the variance is the brightness around the
-// pixel.
+// Step of the finite differences: 1 % of the value (thesis 8.4), at least 1 % of the pixel's noise, and at least the
+// difference that float32 can resolve. Without these limits the step would vanish at u ≈ 0. The w of the variance is
+// the brightness around the pixel.
 fn difference_step(u: vec3<f32>, variance_of_mean: vec4<f32>) -> vec3<f32> {
     let size = max(max(0.01 * abs(u), 0.01 * sqrt(variance_of_mean.xyz)),
         vec3<f32>(max(1e-6 * variance_of_mean.w, 1e-18)));
     return select(size, -size, u < vec3<f32>(0.0));
 }
 
-// Stein's unbiased risk estimate (eq. 8.5), summed over the channels; its last term, which stands for the covariance of
-// noise and filtered value, times `covariance`. It may be negative.
+// Stein's unbiased risk estimate (eq. 8.5), summed over the channels. Its last term stands for the covariance of noise
+// and filtered value and is multiplied by `covariance`. The estimate may be negative.
 fn sure(u: vec3<f32>, variance: vec3<f32>, filtered: vec3<f32>, derivative: vec3<f32>, covariance: f32) -> f32 {
     let change = filtered - u;
     return dot(vec3<f32>(1.0), change * change - variance + 2.0 * covariance * variance * derivative);
 }
 
-// By how much the errors of two filtered values that lie `apart` may differ by chance: their difference has a standard
-// deviation of 2·√Σ σ_i²·apart_i².
+// Amount by which the errors of two filtered values may differ by chance. `apart` is the difference of the values; the
+// difference of their errors has a standard deviation of 2·√Σ σ_i²·apart_i².
 fn error_by_chance(apart: vec3<f32>, variance: vec3<f32>, sigmas: f32, share_of_noise: f32) -> f32 {
     return 2.0 * sigmas * sqrt(dot(variance, apart * apart)) + share_of_noise * dot(vec3<f32>(1.0), variance);
 }

@@ -1,4 +1,5 @@
-// Tiles of a frame around which nothing has noise, seen from an image that is a part of the frame.
+// Exact tiles: tiles of a frame without noise within the reach of a filter, seen from an image that is a part of the
+// frame.
 #define_import_path stein::exact
 
 struct ExactParams {

@@ -33,8 +33,8 @@ struct NlmParams {
     inverse_channels: f32,
     // Weights below this one count as 0.
     cut: f32,
-    // Least weight of the centre, which takes the largest weight among its neighbours. A value above 1 gives the centre
-    // the weight 1.
+    // Least weight of the centre. The centre has the largest weight among its neighbours, but no less than this one. A
+    // value above 1 gives the centre the weight 1.
     centre_floor: f32,
 }
 
@@ -90,8 +90,8 @@ struct PairWeights {
     behind: vec4<f32>,
 }
 
-// Weights of a pair of neighbours from their distances (eq. 7.5), four independent ones at a time. Where the mean of
-// the two is a better match than both of them together, its weight replaces theirs: at once, as thesis 7.1.1 has it
+// Weights of a pair of neighbours from their distances (eq. 7.5), four independent pairs at a time. Where the weight of
+// the mean of both neighbours exceeds the sum of their weights, it replaces both: at once, as in thesis 7.1.1
 // (SYMMETRIC_HARD), or by degrees, so that finite differences keep their meaning.
 fn pair_weights(distance_q1: vec4<f32>, distance_q2: vec4<f32>, distance_both: vec4<f32>,
     both_inside: bool) -> PairWeights {

@@ -1,6 +1,6 @@
 // A plane holds one vec4 per pixel, row by row from the top; a buffer may hold several planes, one behind the other.
-// Channels sit in x, y, z; unused components are 0. Neighbours outside the image do not exist: they are loaded from a
-// clamped position, so that every load is in bounds, and take no weight.
+// Channels are in x, y, z; unused components are 0. Neighbours outside the image do not exist: they are loaded from a
+// clamped position, so that every load is in bounds, and have the weight 0.
 #define_import_path stein::planes
 
 fn inside(p: vec2<i32>, extent: vec2<i32>) -> bool {

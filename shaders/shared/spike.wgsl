@@ -42,7 +42,8 @@ struct SpikeFeatures {
     scale: vec4<f32>,
 }
 
-// Whether the distance of no feature of this group is above 1: as eq. 8.3, scaled by both pixels.
+// Returns whether every feature of this group has a distance of at most 1, computed as in eq. 8.3 and scaled by both
+// pixels.
 fn are_alike(p: SpikeFeatures, q: SpikeFeatures, triple: vec3<f32>, params: SpikeParams) -> bool {
     let difference = p.value - q.value;
     let squared = difference * difference - (p.residual_variance + min(p.residual_variance, q.residual_variance));
@@ -58,8 +59,8 @@ fn falloff(offset: vec2<i32>, radius: i32) -> f32 {
     return max(1.0 - dot(away, away), 0.0);
 }
 
-// How much two pixels count as equally bright, by the levels of their surroundings: 1 up to four times as bright, 0
-// from eight times on.
+// Factor by which two pixels count as equally bright, from the levels of their surroundings: 1 if one is at most four
+// times as bright as the other, 0 from eight times on.
 fn affinity(level_p: f32, level_q: f32) -> f32 {
     let brighter = max(level_p, level_q);
     return select(1.0, clamp(8.0 * min(level_p, level_q) / brighter - 1.0, 0.0, 1.0), brighter > 0.0);

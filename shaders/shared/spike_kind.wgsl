@@ -1,4 +1,4 @@
-// The test whether two pixels are of one kind by their features, with what it binds: parameters and features.
+// Test whether two pixels are of one kind by their features, with its bindings: parameters and features.
 #define_import_path stein::spike_kind
 #import stein::spike::{SpikeParams, SpikeFeatures, are_alike}
 

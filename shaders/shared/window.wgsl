@@ -3,9 +3,9 @@
 #define_import_path stein::window
 
 struct WindowParams {
-    // p.
+    // The pixel p.
     pixel: vec2<i32>,
-    // R: 2R+1 cells in a row.
+    // R, the radius of the window: a row has 2R+1 cells.
     radius: i32,
 }
 

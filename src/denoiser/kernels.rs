@@ -1,4 +1,4 @@
-//! The kernels at a pixel: from a frame, through the device, back in the units of the frame.
+//! The kernels at a pixel: computed on the device from a frame, and converted back to the units of the frame.
 
 use std::sync::Arc;
 
@@ -19,15 +19,16 @@ use crate::stage::nlm::CentreWeight;
 use crate::stage::window::{CellLane, DistanceLanes};
 
 impl Denoiser {
-    /// Which neighbours make the pixel in column `x` and row `y`, and why: the weights of each filter of the method
-    /// over its window, and the distances behind them, read back from the device. They are those of a run with the same
-    /// `options`, whose progress is not called; of the frame no more is worked on than they depend on.
+    /// Returns the kernels of the method's filters at the pixel in column `x` and row `y`: the weights of all
+    /// neighbours in the window, and the distances behind the weights. They are read back from the device and equal
+    /// those of a run with the same `options`. Works on no more of the frame than they depend on, and does not call
+    /// [`Options::progress`].
     ///
-    /// Of a window in time there are none: the frame is taken by itself.
+    /// The frame is taken by itself: there are no kernels over a window in time.
     ///
     /// # Errors
-    /// [`Error::Request`] where the frame has no such pixel; [`Error::Cancelled`] by [`Options::pace`]; else as
-    /// [`Denoiser::plan`] and [`Denoiser::denoise`].
+    /// [`Error::Request`] where the frame has no such pixel; [`Error::Cancelled`] where [`Options::pace`] was
+    /// cancelled; otherwise as [`Denoiser::plan`] and [`Denoiser::denoise`].
     pub fn kernels(&self, frame: &Frame, x: u32, y: u32, options: &Options) -> Result<Kernels> {
         let extent = frame.extent();
         if x >= extent.width || y >= extent.height {
@@ -51,7 +52,7 @@ impl Denoiser {
             rec.set_pace(pace.clone());
         }
         let plan_of_part = plan.starting_at(first);
-        // What is settled for a frame as a whole is settled for the whole frame.
+        // The mean variance is fixed for the whole frame, not for the part.
         let mean_variance = self.method.mean_variance(frame, units.exposure);
         let on_gpu = FrameInput::upload(&mut rec, &part_of_frame, mean_variance, &all_of_it, &units, &plan_of_part)?;
         let kernels = self.method.kernels(&mut rec, on_gpu, pixel - first, &plan_of_part, self.schedule)?;
@@ -68,7 +69,7 @@ impl Denoiser {
         Ok(Kernels { x, y, filters, plan })
     }
 
-    /// How far the kernels at a pixel depend on the frame, in pixels, by a dry run.
+    /// Returns how far the kernels at a pixel depend on the frame, in pixels, found by a dry run.
     fn reach_of_kernels(&self, frame: &Frame, pixel: IVec2, plan: &Plan) -> Result<u32> {
         let units = Units::of_window(&[frame], 0, self.method.uses_features(), 1.0);
         let mut rec = self.gpu.record_in(&Run::dry(None));
@@ -82,9 +83,9 @@ impl Denoiser {
 /// Reads kernels back.
 struct Reader<'a> {
     gpu: &'a Gpu,
-    /// What was read, by the buffer it was read from: the filters of a method share some.
+    /// Buffers that were read, with their values: some filters of a method share buffers.
     read: Vec<(Arc<Buffer>, Arc<Vec<f32>>)>,
-    /// Of the frame, what is on the device.
+    /// Part of the frame that is on the device.
     part: Window,
     at: PixelInFrame,
     exposure: f32,
@@ -100,20 +101,20 @@ impl Reader<'_> {
         Ok(values)
     }
 
-    /// Of a plane of what is on the device, where a pixel of the frame begins.
+    /// Returns the index of a pixel of the frame in a plane of the part, counted in values.
     fn place(&self, (x, y): (u32, u32)) -> usize {
         let (column, row) = (x as usize - self.part.x as usize, y as usize - self.part.y as usize);
         (row * self.part.extent.width as usize + column) * 4
     }
 
-    /// What an image says at the pixel.
+    /// Returns the value of a lane at the pixel.
     fn at_pixel(&mut self, Lane { buffer, plane, component }: &Lane) -> Result<f32> {
         let place =
             *plane as usize * self.part.extent.pixels() * 4 + self.place((self.at.x, self.at.y)) + *component as usize;
         Ok(self.values(buffer)?[place])
     }
 
-    /// Whether what a filter made of the pixel is not the result.
+    /// Returns whether the result at the pixel differs from the filtered value.
     fn is_refused(&mut self, LimitOnGpu { filtered, result, .. }: &LimitOnGpu) -> Result<bool> {
         for component in 0..3 {
             let of = |buffer: &Arc<Buffer>| Lane { buffer: buffer.clone(), plane: 0, component };
@@ -190,7 +191,7 @@ impl Reader<'_> {
         })
     }
 
-    /// Weights that follow from the offset.
+    /// Returns weights that are functions of the offset.
     fn window(&self, radius: u32, weight: impl Fn(IVec2) -> f32) -> Image {
         window(radius, |cell| {
             let exists = self.at.neighbour(cell, radius).is_some();
@@ -200,14 +201,14 @@ impl Reader<'_> {
     }
 }
 
-/// One plane of cells.
+/// Makes an image of one window, with one plane.
 fn window(radius: u32, value: impl Fn(usize) -> f32) -> Image {
     let side = 2 * radius + 1;
     let extent = Extent { width: side, height: side };
     Image { extent, planes: vec![(0..extent.pixels()).map(value).collect()] }
 }
 
-/// What a stage wrote of a window.
+/// Cells of a window, as a stage wrote them.
 struct WindowOfCells {
     cells: Arc<Vec<f32>>,
     radius: u32,
@@ -215,7 +216,7 @@ struct WindowOfCells {
 }
 
 impl WindowOfCells {
-    /// A lane of the cells, but for the middle and the cells outside of the frame.
+    /// Returns a lane of the cells, with other values for the middle and for the cells outside of the frame.
     fn lane(&self, lane: CellLane, middle: f32, outside: f32) -> Image {
         let side = 2 * self.radius as usize + 1;
         let first = lane.plane as usize * side * side;

@@ -39,7 +39,7 @@ pub enum DeviceCause {
     StageTooLarge {
         /// The stage, named as its file in `shaders/`.
         stage: String,
-        /// What is limited, in the plural.
+        /// Name of the limited resource, in the plural.
         what: &'static str,
         /// Number that the stage needs.
         needed: u64,
@@ -64,7 +64,8 @@ pub enum DeviceCause {
     },
     /// A buffer is larger than a kernel can bind.
     #[error(
-        "the buffer '{label}' would need {} ({bytes} bytes), but '{adapter}' lets a kernel see at most {} ({limit} bytes)",
+        "the buffer '{label}' would need {} ({bytes} bytes), but '{adapter}' lets a kernel see at \
+         most {} ({limit} bytes)",
         human_bytes(*bytes),
         human_bytes(*limit)
     )]
@@ -98,8 +99,8 @@ pub enum DeviceCause {
     },
     /// Not even one row with its halo fits into the memory that the caller allows.
     #[error(
-        "a strip of one row of this image, with the {halo} rows above and below that it depends on, does not fit into the \
-         memory allowed on the device: it needs {} MiB of {} MiB",
+        "a strip of one row of this image, with the {halo} rows above and below that it depends on, does not fit into \
+         the memory allowed on the device: it needs {} MiB of {} MiB",
         needed.div_ceil(1 << 20),
         allowed >> 20
     )]
@@ -114,8 +115,8 @@ pub enum DeviceCause {
     /// Not even one row with its halo fits the adapter's limits.
     #[error(
         "a strip of one row of this image, with the {halo} rows above and below that it depends on, does not fit the \
-         limits of '{adapter}': it needs a buffer of {} MiB and {rows} workgroups in a row, the adapter binds {} MiB and \
-         runs {most_groups}",
+         limits of '{adapter}': it needs a buffer of {} MiB and {rows} workgroups in a row, the adapter binds {} MiB \
+         and runs {most_groups}",
         bytes.div_ceil(1 << 20),
         most_bytes.div_ceil(1 << 20)
     )]

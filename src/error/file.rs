@@ -31,13 +31,13 @@ pub enum FileCause {
     /// The file contradicts itself or ends too early.
     #[error("is damaged or incomplete: {reason}")]
     Damaged {
-        /// What is wrong, and where.
+        /// Description of the damage and its position.
         reason: String,
     },
     /// The file is valid, but cannot be read here.
     #[error("{what}, which cannot be read here")]
     Unsupported {
-        /// What the file has that is not supported, with its verb.
+        /// Unsupported content of the file, with its verb.
         what: String,
         /// Form in which the file can be read.
         form: &'static str,
@@ -45,7 +45,7 @@ pub enum FileCause {
     /// A name in the file is longer than the format allows.
     #[error("has a {what} whose name {name} is longer than the {most} bytes that OpenEXR stores")]
     LongName {
-        /// What has the name: `channel`.
+        /// Kind of the thing with the name, such as `channel`.
         what: &'static str,
         /// The beginning of the name, for messages.
         name: String,
@@ -55,7 +55,7 @@ pub enum FileCause {
     /// The computer lacks memory for the file's content.
     #[error("cannot be {doing} in memory: that {shortage}")]
     NoMemory {
-        /// What memory is needed for: `held` or `made ready`.
+        /// Purpose of the memory: `held` or `made ready`.
         doing: &'static str,
         /// Needed and free bytes.
         shortage: Shortage,
@@ -124,7 +124,7 @@ pub enum FileCause {
     Defect {
         /// Cause of the failure.
         problem: String,
-        /// What helps to find the defect.
+        /// Information that helps to find the defect.
         with: &'static str,
     },
     /// A failure of a program or a crate around the library, in its own words.
@@ -221,7 +221,7 @@ pub enum LayerCause {
     /// A channel cannot be written under this name.
     #[error("{reason}")]
     UnusableName {
-        /// What is wrong with the name.
+        /// Description of the fault in the name.
         reason: String,
     },
 }

@@ -49,12 +49,12 @@ pub enum Remedy {
     RunAgain,
     /// Report a defect.
     ReportDefect {
-        /// What helps to find it.
+        /// Information that helps to find the defect.
         with: &'static str,
     },
     /// Have a writable folder for compiled pipelines, or none.
     PipelineFolder,
-    /// Change the program that calls this library. No user of a program can do that.
+    /// Change the program that calls this library. No user of a program can do this.
     ChangeCall(&'static str),
 
     /// Choose a value that is allowed.

@@ -89,7 +89,7 @@ pub enum RequestCause {
     InLine {
         /// The line; 1 is the first.
         line: usize,
-        /// What is wrong there.
+        /// Fault in the line.
         cause: Box<RequestCause>,
     },
     /// The method has no filter over several frames.
@@ -145,7 +145,7 @@ pub enum RequestCause {
         /// Extent of the colour.
         extent: Extent,
     },
-    /// A plane has another number of values than its extent asks for.
+    /// A plane has another number of values than its extent requires.
     #[error("a plane of {signal} does not have the {} values that its extent of {extent} asks for", extent.pixels())]
     PlaneLength {
         /// The signal.
@@ -194,7 +194,7 @@ pub enum RequestCause {
         /// Extent of the frame.
         extent: Extent,
     },
-    /// The number of sample counts is not that of the image's pixels.
+    /// The number of sample counts differs from the number of pixels of the image.
     #[error("{counts} sample counts do not fit an image of {extent}")]
     CountsLength {
         /// Number of sample counts.
@@ -294,9 +294,9 @@ pub enum RequestCause {
     /// A name cannot be written.
     #[error("{what} cannot be written: {reason}")]
     UnusableName {
-        /// What has the name, such as `a channel`.
+        /// Kind of the thing with the name, such as `a channel`.
         what: String,
-        /// What is wrong with the name.
+        /// Description of the fault in the name.
         reason: String,
     },
     /// A program calls this library, or a crate around it, in a way that cannot work.

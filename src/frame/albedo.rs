@@ -1,15 +1,16 @@
-//! Albedo beyond 1: lamps and reflected suns put up to several hundred into the albedo layers of some renderers.
+//! Albedo beyond 1: some renderers write lamps and reflected suns of up to several hundred into their albedo layers.
 
 use super::Signal;
 
-/// A half counts as beyond 1 from here on: mean and halves of a white surface are rounded, to half floats at worst.
+/// Least value of a half that counts as beyond 1: mean and halves of a white surface are rounded, at worst to half
+/// floats.
 const LARGEST_HALF: f64 = 1.001;
 
 /// Clamps an albedo to 1 in every channel and returns a remark where that changed something.
 ///
-/// The half spread becomes that of the clamped halves, the variance that of the clamped mean. A value stays the same to
-/// the bit, with its noise, where neither it nor one of its halves is beyond 1; without halves, where neither it nor
-/// what lies a deviation above it is.
+/// The half spread becomes the spread of the clamped halves, and the variance that of the clamped mean. A value and its
+/// noise stay the same to the bit unless the value or one of its halves is beyond 1; without halves, unless the value
+/// or the value one deviation above it is.
 pub(super) fn clamp_to_one(name: &str, signal: &mut Signal) -> Option<String> {
     let Signal { mean, half_spread, variance_of_mean } = signal;
     let (mut beyond, mut noise_beyond, mut largest) = (0usize, 0usize, 1.0f32);

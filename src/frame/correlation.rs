@@ -7,14 +7,15 @@ use crate::image::Image;
 /// Correlation from which neighbours are said to share noise. Independent pixels stay below .03 on renders of 36 000
 /// pixels.
 const CORRELATED: f64 = 0.1;
-/// Standard deviations of the estimate above which it is no accident.
+/// Least size of a correlation that is no accident, in standard deviations of its estimate.
 const SIGMAS: f64 = 5.0;
 
-/// Correlation of the half spread between a pixel and its right or its lower neighbour, whichever is larger, if that is
-/// no accident: from 0.1 to 1. `None` for independent pixels, and for images with too few to tell.
+/// Returns the correlation of the half spread between a pixel and its right or lower neighbour, whichever is larger:
+/// from 0.1 to 1. `None` if the correlation may be an accident, as for independent pixels and for images of too few
+/// pixels.
 ///
-/// The signs alone are compared, so that no spike counts for more than other pixels. Of Gaussian noise with correlation
-/// r, signs have the correlation 2·arcsin(r)/π. Values that are 0 or not a number are left out.
+/// Compares only signs, so that no spike counts for more than other pixels. For Gaussian noise with correlation r,
+/// signs have the correlation 2·arcsin(r)/π. Values that are 0 or not a number are left out.
 pub(super) fn shared_noise(half_spread: &Image) -> Option<f64> {
     let width = half_spread.extent.width as usize;
     let mut right = Signs::default();
@@ -30,7 +31,7 @@ pub(super) fn shared_noise(half_spread: &Image) -> Option<f64> {
 /// Sums over pairs of neighbours.
 #[derive(Default)]
 struct Signs {
-    /// Pairs of which both have a sign.
+    /// Number of pairs in which both values have a sign.
     pairs: i64,
     /// Σ of the products of both signs.
     products: i64,
@@ -49,7 +50,7 @@ impl Signs {
         }
     }
 
-    /// Correlation of the values, if it is no accident.
+    /// Returns the correlation of the values; `None` if it may be an accident.
     fn correlation(&self, channels: usize) -> Option<f64> {
         if self.pairs == 0 {
             return None;

@@ -1,22 +1,22 @@
-//! What features measure.
+//! Quantities that features measure.
 
 use serde::Serialize;
 
-/// What a feature measures, which decides how its values are settled and what they may explain.
+/// Quantity that a feature measures. It decides how the values are repaired and scaled, and what they may explain.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize)]
 pub enum FeatureKind {
     /// A reflectance: no surface has more than 1.
     Albedo,
     /// A direction of length 1.
     Normal,
-    /// A distance or place: infinity or a huge number means that the ray hit nothing.
+    /// A distance or position: infinity or a huge number means that the ray hit nothing.
     Distance,
     /// Anything else.
     Other,
 }
 
 impl FeatureKind {
-    /// Tells it from the part of a layer's name after its last dot: `ViewLayer.Denoising Albedo` is an albedo.
+    /// Returns the kind for the part of a layer's name after its last dot: `ViewLayer.Denoising Albedo` is an albedo.
     pub fn from_name(name: &str) -> Self {
         let last = name.rsplit_once('.').map_or(name, |(_, last)| last).to_ascii_lowercase();
         let contains = |words: &[&str]| words.iter().any(|word| last.contains(word));

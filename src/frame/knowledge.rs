@@ -21,12 +21,12 @@ pub enum NoiseKnowledge {
     HalvesOnly,
     /// Sample variance only: it is taken as it is, and there is no second pass, which needs halves.
     VarianceOnly,
-    /// Neither, of a colour: its noise is estimated from the image itself.
+    /// Neither halves nor variance, for a colour: its noise is estimated from the image itself.
     ImageOnly,
 }
 
 impl NoiseKnowledge {
-    /// Knowledge from what there is.
+    /// Returns the knowledge for halves and variance that exist or not.
     pub(super) fn from_parts(has_halves: bool, has_variance: bool) -> Self {
         match (has_halves, has_variance) {
             (true, true) => Self::HalvesAndVariance,
@@ -36,12 +36,12 @@ impl NoiseKnowledge {
         }
     }
 
-    /// Whether there are halves.
+    /// Returns whether there are halves.
     pub fn has_halves(self) -> bool {
         matches!(self, Self::HalvesAndVariance | Self::HalvesOnly)
     }
 
-    /// Whether there is a sample variance.
+    /// Returns whether there is a sample variance.
     pub fn has_variance(self) -> bool {
         matches!(self, Self::HalvesAndVariance | Self::VarianceOnly)
     }
@@ -59,26 +59,25 @@ impl fmt::Display for NoiseKnowledge {
 }
 
 impl Signal {
-    /// The sources of the noise; `None` without any, which means for a feature that it counts as free of noise.
+    /// Returns the sources of the noise; `None` without any source: a feature then counts as free of noise.
     pub fn noise_knowledge(&self) -> Option<NoiseKnowledge> {
         Some(self.known_from()).filter(|knowledge| *knowledge != NoiseKnowledge::ImageOnly)
     }
 
-    /// The sources of the noise of a colour.
+    /// Returns the sources of the noise of a colour.
     pub(super) fn known_from(&self) -> NoiseKnowledge {
         NoiseKnowledge::from_parts(self.half_spread.is_some(), self.variance_of_mean.is_some())
     }
 }
 
 impl Frame {
-    /// The sources of the colour's noise.
+    /// Returns the sources of the colour's noise.
     pub fn noise_knowledge(&self) -> NoiseKnowledge {
         self.color.known_from()
     }
 
-    /// Refuses a frame of whose colour's noise nothing is known, for callers to whom an estimate from the image itself
-    /// is not good enough. `repairs` are those of the frame: they tell why halves or a variance that were given are not
-    /// used.
+    /// Refuses a frame whose colour has no known noise, for callers to whom an estimate from the image itself is not
+    /// good enough. `repairs` belong to the frame: they say why given halves or a given variance are not used.
     ///
     /// # Errors
     /// [`Error::Request`] with the ways out, where the knowledge is [`NoiseKnowledge::ImageOnly`].
@@ -91,9 +90,9 @@ impl Frame {
         Err(Error::Request(RequestCause::UnknownNoise { reasons }))
     }
 
-    /// The frame with fewer sources of its noise: halves and variances that `knowledge` does not name are taken from
-    /// the colour and from all features. Serves to measure what they are worth. `None` where the colour lacks what
-    /// `knowledge` names.
+    /// Returns the frame with fewer sources of its noise, to measure what they are worth: halves and variances that
+    /// `knowledge` does not name are removed from the colour and from all features. `None` where the colour lacks a
+    /// source that `knowledge` names.
     pub fn with_noise_known_from(&self, knowledge: NoiseKnowledge) -> Option<Self> {
         let (halves, variance) = (knowledge.has_halves(), knowledge.has_variance());
         let given = self.noise_knowledge();
@@ -120,9 +119,9 @@ impl Frame {
         })
     }
 
-    /// A guess, without a reference, at the relative MSE of the unfiltered colour: the mean over pixels and channels of
-    /// variance/(mean² + 0.01). Too low where samples are few: a spike raises its own mean along with its variance, and
-    /// one that no pixel caught is missing. `None` where nothing is known of the noise.
+    /// Returns an estimate of the relative MSE of the unfiltered colour, without a reference: the mean over pixels and
+    /// channels of variance/(mean² + 0.01). It is too low where samples are few, because a spike raises its own mean
+    /// along with its variance, and a spike that no pixel caught is missing. `None` where the noise is unknown.
     pub fn noise_level(&self) -> Option<f64> {
         let mut sum = 0.0;
         for (channel, mean) in self.color.mean.planes.iter().enumerate() {

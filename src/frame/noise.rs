@@ -1,22 +1,22 @@
-//! Where a signal has noise, tile by tile.
+//! Tiles of a signal that have noise.
 
 use rayon::prelude::*;
 
 use super::Signal;
 
-/// Side of a tile, in pixels: filters reach a few of them.
+/// Side of a tile, in pixels; filters reach over a few tiles.
 pub(crate) const TILE: usize = 8;
 
 /// Tiles of an image and whether any of their pixels is known to have noise: a half spread or a variance other than 0.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct NoiseTiles {
-    /// In a row.
+    /// Number of tiles in a row.
     columns: usize,
     noisy: Vec<bool>,
 }
 
 impl NoiseTiles {
-    /// Looks at every value once.
+    /// Finds the tiles of a signal with noise; looks at every value once.
     pub(crate) fn of(signal: &Signal) -> Self {
         let width = signal.mean.extent.width as usize;
         let columns = width.div_ceil(TILE);
@@ -45,20 +45,20 @@ impl NoiseTiles {
         Self { columns, noisy }
     }
 
-    /// Of several signals of one extent: noisy where one of them is.
+    /// Finds the tiles of several signals of one extent; a tile has noise where one of the signals has noise.
     pub(crate) fn of_all<'a>(signals: impl Iterator<Item = &'a Signal>) -> Option<Self> {
         signals
             .map(Self::of)
             .reduce(|all, one| Self { noisy: all.noisy.iter().zip(&one.noisy).map(|(a, b)| a | b).collect(), ..all })
     }
 
-    /// Whether there is noise at all.
+    /// Returns whether any tile has noise.
     pub(crate) fn any(&self) -> bool {
         self.noisy.contains(&true)
     }
 
-    /// For each tile, whether there is none within `reach` pixels of any of its pixels. Whole tiles are looked at, so
-    /// that a tile may be taken for near that is just beyond.
+    /// Returns for each tile whether no pixel within `reach` pixels of it has noise. Compares whole tiles, so a tile
+    /// just beyond the reach may count as within it.
     pub(crate) fn exact(&self, reach: usize) -> Vec<bool> {
         let near = reach.div_ceil(TILE);
         let rows = self.noisy.len() / self.columns;

@@ -6,29 +6,30 @@ use crate::image::Image;
 /// How a layer of normals stores them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Encoding {
-    /// As n, or in a way that cannot be told.
+    /// As n, or in an unknown way.
     Plain,
     /// As (n + 1)/2.
     Halved,
 }
 
-/// Vectors count as normals if their length differs from 1 by no more than this: noise and defocus change it.
+/// Largest difference of a vector's length from 1 for the vector to count as a normal: noise and defocus change the
+/// length.
 const LENGTH_TOLERANCE: f32 = 0.1;
-/// Noise takes components of encoded normals out of 0 to 1 by this much.
+/// Distance by which noise may take components of encoded normals out of 0 to 1.
 const COMPONENT_TOLERANCE: f32 = 0.05;
-/// Share of the vectors that may have components farther out.
+/// Largest share of the vectors with components farther out.
 const OUT_OF_RANGE: f64 = 0.01;
-/// Share of the vectors that must be normals once they are decoded.
+/// Least share of the vectors that are normals after decoding.
 const DECODED: f64 = 0.5;
-/// So many times fewer may have a length of 1 as they are stored: a scene of normals without a negative component has
-/// length 1 as it is.
+/// Largest ratio of vectors of length 1 before decoding to those after it. In a scene of normals without negative
+/// components, stored vectors have length 1 as they are.
 const STORED: f64 = 0.5;
-/// Share of the pixels that must hold a vector other than 0 and grey.
+/// Least share of the pixels that hold a vector other than 0 and grey.
 const LEAST_VECTORS: f64 = 0.01;
 
-/// Tells how the three channels store normals by the lengths of most vectors, as they are and after decoding.
+/// Finds how the three channels store normals: compares the lengths of the vectors before and after decoding.
 ///
-/// A scene whose every vector fits both ways is taken as it is.
+/// If every vector of a scene fits both ways, the normals count as plain.
 pub(super) fn encoding(mean: &Image) -> Encoding {
     let [x, y, z] = mean.planes.as_slice() else { return Encoding::Plain };
     let is_normal = |vector: [f32; 3]| (length(vector) - 1.0).abs() <= LENGTH_TOLERANCE;
@@ -36,7 +37,7 @@ pub(super) fn encoding(mean: &Image) -> Encoding {
     for pixel in 0..x.len() {
         let vector = [x[pixel], y[pixel], z[pixel]];
         let unfolded = vector.map(|component| 2.0 * component - 1.0);
-        // A pixel that hits nothing is 0, or encodes 0.
+        // A pixel that hit nothing is 0, or encodes 0.
         if vector == [0.0; 3] || length(unfolded) <= COMPONENT_TOLERANCE {
             continue;
         }
@@ -56,7 +57,7 @@ pub(super) fn encoding(mean: &Image) -> Encoding {
     if is_halved { Encoding::Halved } else { Encoding::Plain }
 }
 
-/// Turns (n + 1)/2 into n, and the noise with it. Pixels of 0 in all channels hit nothing: they stay 0.
+/// Turns (n + 1)/2 into n, and scales the noise with it. Pixels of 0 in all channels hit nothing and stay 0.
 pub(super) fn decode(signal: &mut Signal) {
     let is_empty = |planes: &[Vec<f32>], pixel: usize| planes.iter().all(|plane| plane[pixel] == 0.0);
     for pixel in 0..signal.mean.extent.pixels() {

@@ -1,38 +1,38 @@
-//! The range of a feature, without what lies far outside.
+//! The range of a feature, without values that lie far outside.
 
 use crate::image::Image;
 
-/// A distance or position loses what lies beyond a gap of this many times the extent of what is inside; its unit may be
-/// anything.
+/// Width of a gap in distances or positions beyond which values count as outside, in multiples of the extent inside;
+/// their unit may be anything.
 const DISTANCE_GAP: f64 = 10.0;
-/// Gap of other features, which lie between 0 and 1 by nature: the inside counts as at least 1 wide.
+/// Width of the gap in other features, which lie between 0 and 1 by nature: the extent inside counts as at least 1.
 const OTHER_GAP: f64 = 4.0;
-/// Share of the values that may lie outside of a feature that is no distance.
+/// Largest share of the values of a feature other than a distance that may lie outside.
 const OTHER_OUTSIDE: f64 = 0.01;
-/// Values inside a gap, as a share of the fewer values beside it: pixels at the edge of a sky dome mix both distances.
-/// A tail without a gap, as of a floor that runs to the horizon, has nine values out of ten between its last tenth and
-/// itself, and is never cut.
+/// Largest number of values in a gap, as a share of the smaller group of values beside it: pixels at the edge of a sky
+/// dome mix both distances. A tail without a gap is never cut: for a floor that runs to the horizon, nine values out of
+/// ten lie between the last tenth and the tail itself.
 const IN_GAP: f64 = 0.1;
-/// The tail of what is inside goes on as long as no step is wider than this share of its extent,
+/// The tail of the values inside continues as long as no step is wider than this share of their extent,
 const TAIL_STEP: f64 = 0.1;
 /// and up to this share beyond its end.
 const TAIL: f64 = 0.5;
-/// A sky that fills most of the image may be cut off too, where it has no structure of its own: its extent as a share
-/// of the gap before it.
+/// Largest extent of a sky without structure, as a share of the gap before it. Such a sky is cut off even if it fills
+/// most of the image.
 const FLAT: f64 = 0.01;
-/// Least share of the values that must stay inside then.
+/// Least share of the values that must stay inside when a sky is cut off.
 const LEAST_INSIDE: f64 = 0.1;
 
-/// Where the values of a feature lie.
+/// Range of the values of a feature.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Range {
     /// Least value inside, over all channels.
     pub(super) least: f32,
     /// Greatest value inside.
     pub(super) greatest: f32,
-    /// Values of all channels that lie outside.
+    /// Number of values that lie outside, over all channels.
     pub(super) outside: usize,
-    /// Least and greatest of all values; those of the inside if none lie outside.
+    /// Least and greatest of all values; equal to the values inside if none lie outside.
     pub(super) all: (f32, f32),
 }
 
@@ -45,26 +45,26 @@ struct Bin {
 }
 
 impl Bin {
-    /// The bin of the negated values.
+    /// Returns the bin of the negated values.
     fn mirrored(self) -> Self {
         Self { count: self.count, least: -self.greatest, greatest: -self.least }
     }
 }
 
-/// A channel without what lies far outside.
+/// The values of a channel without those that lie far outside.
 struct Inside<'a> {
     bins: &'a [Bin],
-    /// Where the part that lies far above begins; ∞ if there is none.
+    /// Least of the values far above; ∞ if there are none.
     above: f32,
-    /// Where the part that lies far below ends; −∞ if there is none.
+    /// Greatest of the values far below; −∞ if there are none.
     below: f32,
 }
 
-/// The range of the hits of all channels. Outliers and far clusters lie outside if a wide and nearly empty gap
-/// separates them from the others.
+/// Returns the range of the hits of all channels; `(∞, −∞)` if there are no hits. Outliers and far clusters lie outside
+/// if a wide and nearly empty gap separates them from the others.
 ///
-/// `is_distance`: the feature is a distance or a position, of which a large part may be far away.
-/// The result depends on the values alone, not on their order. `(∞, −∞)` if there are no hits.
+/// `is_distance`: the feature is a distance or a position, of which a large part may be far away. The result depends on
+/// the values, not on their order.
 pub(super) fn range_of_hits(mean: &Image, misses: &[bool], is_distance: bool) -> Range {
     let channels: Vec<Vec<Bin>> = mean.planes.iter().map(|plane| bins(plane, misses)).collect();
     let span = |channels: &mut dyn Iterator<Item = &[Bin]>| {
@@ -77,7 +77,7 @@ pub(super) fn range_of_hits(mean: &Image, misses: &[bool], is_distance: bool) ->
     let inside: Vec<Inside> = channels.iter().map(|bins| Inside::new(bins, is_distance)).collect();
     let (mut least, mut greatest) = span(&mut inside.iter().map(|inside| inside.bins));
 
-    // What is far outside in its own channel may be ordinary in another one: all share one map.
+    // A value far outside in its own channel may be ordinary in another channel: all channels share one map.
     if greatest <= least {
         (least, greatest) = all;
     }
@@ -104,7 +104,7 @@ pub(super) fn range_of_hits(mean: &Image, misses: &[bool], is_distance: bool) ->
     Range { least, greatest, outside, all }
 }
 
-/// Width of the gap beyond which values are outside of a range.
+/// Returns the width of the gap beyond which values lie outside of a range.
 fn gap_before_outside(least: f64, greatest: f64, is_distance: bool) -> f64 {
     if is_distance { DISTANCE_GAP * (greatest - least) } else { OTHER_GAP * (greatest - least).max(1.0) }
 }
@@ -131,8 +131,8 @@ impl<'a> Inside<'a> {
     }
 }
 
-/// Number of bins below the lowest gap that sets what is above apart, and the least value above. `None` if there is no
-/// such gap.
+/// Returns the number of bins below the lowest gap that separates values as outside, and the least of these values.
+/// `None` if there is no such gap.
 fn bins_below_gap(bins: &[Bin], all: usize, is_distance: bool) -> Option<(usize, f32)> {
     let total: usize = bins.iter().map(|bin| bin.count).sum();
     let share = |count: usize| count as f64 / all as f64;
@@ -164,7 +164,7 @@ fn bins_below_gap(bins: &[Bin], all: usize, is_distance: bool) -> Option<(usize,
             share(all - below) <= OTHER_OUTSIDE
         };
         if is_cut {
-            // The lowest gap that is empty enough leaves out a tail of what is inside.
+            // The lowest gap that is empty enough may cut off a tail of the values inside, which is added again.
             let (step, end_of_tail) = (TAIL_STEP * (end - least), end + TAIL * (end - least));
             let is_tail = |pair: &&[Bin]| {
                 let [low, high] = [f64::from(pair[0].greatest), f64::from(pair[1].least)];
@@ -177,8 +177,8 @@ fn bins_below_gap(bins: &[Bin], all: usize, is_distance: bool) -> Option<(usize,
     None
 }
 
-/// Whether distances spread over their extent, and not by a hair only: those of a wall, or 0 of most pixels, are no
-/// scale for others.
+/// Returns whether distances spread over their extent by more than a hair. The distances of a wall, or the 0 of most
+/// pixels, are no scale for others.
 fn is_filled(bins: &[Bin], count: usize, extent: f64) -> bool {
     let (Some(low), Some(high)) = (quantile(bins, count, 0.1), quantile(bins, count, 0.9)) else { return false };
     let largest =
@@ -186,7 +186,7 @@ fn is_filled(bins: &[Bin], count: usize, extent: f64) -> bool {
     extent > 0.0 && f64::from(high.greatest) - f64::from(low.least) >= 0.1 * extent && extent >= 0.1 * largest
 }
 
-/// The bin that holds this share of `count` values.
+/// Returns the bin that holds this share of `count` values.
 fn quantile(bins: &[Bin], count: usize, share: f64) -> Option<Bin> {
     let rank = (share * count.saturating_sub(1) as f64) as usize;
     let mut below = 0;
@@ -196,12 +196,12 @@ fn quantile(bins: &[Bin], count: usize, share: f64) -> Option<Bin> {
     })
 }
 
-/// The bins of a channel's hits that hold anything, in rising order.
+/// Returns the bins of a channel's hits that are not empty, in rising order.
 fn bins(plane: &[f32], misses: &[bool]) -> Vec<Bin> {
     let empty = Bin { count: 0, least: f32::INFINITY, greatest: f32::NEG_INFINITY };
     let mut bins = vec![empty; 1 << 16];
     for (value, _) in plane.iter().zip(misses).filter(|(_, miss)| !**miss) {
-        // Bits of positive numbers rise with them, of negative ones fall.
+        // The bits of positive numbers rise with the numbers; the bits of negative numbers fall.
         let bits = (value + 0.0).to_bits();
         let ordered = if bits >> 31 == 0 { bits | 1 << 31 } else { !bits };
         let bin = &mut bins[(ordered >> 16) as usize];

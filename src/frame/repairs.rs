@@ -1,10 +1,10 @@
-//! What had to be changed to make a frame, for people and programs.
+//! Changes that were made to build a frame, for people and programs.
 
 use std::fmt;
 
 use serde::Serialize;
 
-/// What was found and changed in one signal: its mean, halves and variance.
+/// Damage and changes in one signal: its mean, halves and variance.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct LayerRepairs {
     /// `colour` or the feature's name.
@@ -65,7 +65,7 @@ impl fmt::Display for DamagedImage {
 }
 
 impl LayerRepairs {
-    /// Whether nothing was found.
+    /// Returns whether nothing was found.
     pub fn is_empty(&self) -> bool {
         *self == Self { layer: self.layer.clone(), ..Self::default() }
     }
@@ -96,24 +96,24 @@ impl fmt::Display for LayerRepairs {
     }
 }
 
-/// Everything that was changed, left out or is worth knowing about a frame's making. Displays as one line for each.
+/// All changes and remarks from the making of a frame. Displays with a line for each.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Repairs {
-    /// The layers in which something was found; the sample counts are called `samples`.
+    /// Layers in which something was found; the sample counts are called `samples`.
     pub layers: Vec<LayerRepairs>,
-    /// Features left out, because they are the same everywhere or cannot be used: the notes say why.
+    /// Features that were left out because they are constant or cannot be used; the notes say why.
     pub dropped_features: Vec<String>,
     /// Remarks for people.
     pub notes: Vec<String>,
 }
 
 impl Repairs {
-    /// Whether there is nothing to say.
+    /// Returns whether there is nothing to report.
     pub fn is_empty(&self) -> bool {
         self.layers.is_empty() && self.dropped_features.is_empty() && self.notes.is_empty()
     }
 
-    /// What was found in one layer, if anything was.
+    /// Returns the repairs of one layer; `None` if there were none.
     pub fn layer(&self, name: &str) -> Option<&LayerRepairs> {
         self.layers.iter().find(|layer| layer.layer == name)
     }
@@ -124,7 +124,7 @@ impl Repairs {
         }
     }
 
-    /// Leaves a feature out and says why.
+    /// Leaves a feature out and notes the reason.
     pub(super) fn drop_feature(&mut self, name: String, why: &str) {
         self.notes.push(format!("feature {name}: {why}, left out"));
         self.dropped_features.push(name);
@@ -152,7 +152,7 @@ impl Layer<'_> {
         Layer { name, is_color: false }
     }
 
-    /// Name of a channel, which is counted from 0.
+    /// Returns the name of a channel, which is counted from 0.
     pub(super) fn channel(self, channel: usize) -> String {
         match ["R", "G", "B"].get(channel).filter(|_| self.is_color) {
             Some(name) => (*name).to_owned(),
@@ -160,7 +160,7 @@ impl Layer<'_> {
         }
     }
 
-    /// ` in R and G`, or nothing where all channels are meant.
+    /// Returns ` in R and G`, or nothing if `which` lists all channels.
     pub(super) fn in_channels(self, which: &[usize], channels: usize) -> String {
         let names: Vec<_> = which.iter().map(|channel| self.channel(*channel)).collect();
         if names.len() == channels { String::new() } else { format!(" in {}", names.join(" and ")) }

@@ -5,37 +5,37 @@ use super::{LayerRepairs, Repairs, SamplesPerPixel, Signal};
 use crate::error::{Error, RequestCause, Result};
 use crate::image::Extent;
 
-/// Squares of larger values come too close to the end of f32 for sums of them.
+/// Largest magnitude of a value: squares of larger values come too close to the end of f32 for sums of them.
 pub(super) const LARGEST: f32 = 1e18;
 
-/// Variances are squares already.
+/// Largest variance; variances are squares already.
 pub(super) const LARGEST_VARIANCE: f32 = LARGEST * LARGEST;
 
-/// A distance from here on means that the ray hit nothing: Cycles writes 10¹⁰.
+/// Least distance that means that the ray hit nothing: Cycles writes 10¹⁰.
 const MISS_DISTANCE: f32 = 1e9;
 
-/// What a value is to the repair of others.
+/// State of a value in the repair.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Pixel {
-    /// Can be averaged.
+    /// The value is usable for averages.
     Good,
-    /// To be replaced.
+    /// The value must be replaced.
     Bad,
-    /// Neither: a ray that hit nothing.
+    /// The value belongs to a ray that hit nothing; it is neither replaced nor averaged.
     Miss,
 }
 
-/// What the repair of a signal did.
+/// Result of the repair of a signal.
 pub(super) struct Sanitised {
     pub(super) found: LayerRepairs,
-    /// For each pixel, whether it is a miss; misses hold zeros.
+    /// Whether each pixel is a miss; misses hold zeros.
     pub(super) misses: Vec<bool>,
-    /// Channels whose mean has not one usable value; they hold zeros.
+    /// Channels whose mean has no usable value; they hold zeros.
     pub(super) unusable: Vec<usize>,
 }
 
-/// Repairs a signal in place. Channels are repaired each by itself: where a mean or its half spread is damaged, both
-/// and the variance are replaced; where the variance is damaged, it alone is.
+/// Repairs a signal in place. Each channel is repaired by itself. Where a mean or its half spread is damaged, mean,
+/// half spread and variance are replaced; where only the variance is damaged, only the variance is.
 ///
 /// `may_miss`: the signal is a distance or position, in which infinity or a huge value is no damage.
 pub(super) fn sanitise(layer: Layer, signal: &mut Signal, may_miss: bool) -> Sanitised {
@@ -46,7 +46,7 @@ pub(super) fn sanitise(layer: Layer, signal: &mut Signal, may_miss: bool) -> San
         let is_miss = |pixel: usize| signal.mean.planes.iter().any(|plane| plane[pixel].abs() >= MISS_DISTANCE);
         let is_nan = |pixel: usize| signal.mean.planes.iter().any(|plane| plane[pixel].is_nan());
         misses.iter_mut().enumerate().for_each(|(pixel, miss)| *miss = is_miss(pixel) && !is_nan(pixel));
-        // Where all that is left are misses, a damaged pixel is one too.
+        // Where all other pixels are misses, a damaged pixel becomes a miss, too.
         let has_hit =
             |plane: &Vec<f32>| plane.iter().zip(&misses).any(|(value, miss)| !miss && !is_damaged(*value, LARGEST));
         if misses.contains(&true) && !signal.mean.planes.iter().any(has_hit) {
@@ -92,7 +92,7 @@ pub(super) fn sanitise(layer: Layer, signal: &mut Signal, may_miss: bool) -> San
     Sanitised { found, misses, unusable }
 }
 
-/// Pixels of which a channel was replaced; empty if there are none.
+/// Pixels in which a channel was replaced; empty if there are none.
 #[derive(Default)]
 struct Replaced(Vec<bool>);
 
@@ -113,7 +113,7 @@ impl Replaced {
     }
 }
 
-/// Positive, finite sample counts; unknown where not one is.
+/// Repairs the sample counts: they become positive and finite, or unknown if not one of them is.
 pub(super) fn sanitise_samples(
     samples: SamplesPerPixel,
     extent: Extent,
@@ -149,7 +149,7 @@ pub(super) fn is_damaged(value: f32, largest: f32) -> bool {
     value.is_nan() || value.abs() > largest
 }
 
-/// Marks those values as bad that match, except misses.
+/// Marks the values that match as bad, except misses.
 fn mark(state: &mut [Pixel], plane: &[f32], matches: impl Fn(f32) -> bool) {
     let hits = state.iter_mut().zip(plane).filter(|(state, _)| **state != Pixel::Miss);
     hits.filter(|(_, value)| matches(**value)).for_each(|(state, _)| *state = Pixel::Bad);
@@ -183,12 +183,12 @@ fn find_damage(
     }
 }
 
-/// Fills the bad pixels of some planes. Returns whether there was a good one; without any, all become 0.
+/// Fills the bad pixels of some planes. Returns whether there was a good pixel; without any, all values become 0.
 fn repair(planes: &mut [&mut Vec<f32>], state: &[Pixel], extent: Extent) -> bool {
     if !state.contains(&Pixel::Bad) {
         return true;
     }
-    // Damaged pixels amid misses only: nothing near tells more than the layer's zero.
+    // Damaged pixels among misses only: no pixel near them has a value, so they become 0.
     let unreached = fill_from_neighbours(planes, state, extent);
     for plane in planes {
         unreached.iter().for_each(|&pixel| plane[pixel] = 0.0);
@@ -196,10 +196,10 @@ fn repair(planes: &mut [&mut Vec<f32>], state: &[Pixel], extent: Extent) -> bool
     state.contains(&Pixel::Good)
 }
 
-/// Replaces every bad pixel by an average of good ones, from the rim of each damaged region inwards: a pixel next to
-/// good pixels takes the average of those among its eight neighbours, the next ring takes the average of what the ring
-/// before it took, and so on. Reads only pixels that are good or were filled in an earlier ring, so that the result
-/// does not depend on any order. Time is proportional to the number of bad pixels.
+/// Replaces every bad pixel by an average of good pixels, from the rim of each damaged region inwards. A pixel beside
+/// good pixels becomes the average of those among its eight neighbours; each further ring becomes the average of the
+/// ring before it. Reads only pixels that are good or were filled in an earlier ring, so that the result does not
+/// depend on any order. Time is proportional to the number of bad pixels.
 ///
 /// Returns the bad pixels that no good pixel can reach: all of them if there are no good ones, else those enclosed by
 /// misses.
@@ -235,7 +235,7 @@ fn fill_from_neighbours(planes: &mut [&mut Vec<f32>], state: &[Pixel], extent: E
     (0..state.len()).filter(|&pixel| state[pixel] == Pixel::Bad && !usable[pixel]).collect()
 }
 
-/// The up to eight neighbours of a pixel that lie inside the image.
+/// Returns the up to eight neighbours of a pixel that lie inside the image.
 fn neighbours(pixel: usize, extent: Extent) -> impl Iterator<Item = usize> {
     let (width, height) = (extent.width as usize, extent.height as usize);
     let (x, y) = (pixel % width, pixel / width);

@@ -1,5 +1,5 @@
-//! The two sources that tell a signal's noise, its halves and its variance: which of them can be used, and whether they
-//! agree.
+//! The two sources from which a signal's noise is known, its halves and its variance: which of them can be used, and
+//! whether they agree.
 
 use glam::IVec2;
 
@@ -9,27 +9,28 @@ use super::sanitise::{LARGEST, LARGEST_VARIANCE, is_damaged};
 use crate::image::Image;
 use crate::stage::variance::INPUT_SMOOTHING;
 
-/// A squared half spread below this share of the squared mean is round-off.
+/// Largest squared half spread that counts as round-off, as a share of the squared mean.
 const ROUND_OFF_OF_SPREAD: f64 = 1e-12;
-/// A variance below this share is round-off: renderers compute it as the difference of two squares.
+/// Largest variance that counts as round-off, as a share of the squared mean: renderers compute it as the difference of
+/// two squares.
 const ROUND_OFF_OF_VARIANCE: f64 = 1e-7;
-/// The same limits for dark pixels, which have round-off of their own: a share of the squared mean of the layer.
+/// Dark pixels have round-off of their own: the limits are at least this share of the squared mean of the layer.
 const DARK: f64 = 1e-4;
-/// Share of the pixels that a variance must give noise to before it is believed more than halves that are identical.
+/// Least share of the pixels to which a variance gives noise for it to be trusted more than identical halves.
 const CLAIMED: f64 = 0.001;
 /// Side of the boxes in which both sources are compared, in pixels.
 const BOX: usize = 16;
-/// Pixels with a variance that such a box must hold.
+/// Least number of pixels with a variance in such a box.
 const LEAST_IN_BOX: usize = 64;
-/// Factor between both sources from which it is worth a remark.
+/// Factor between both sources from which on a remark is made.
 const CONTRADICTION: f64 = 4.0;
-/// This factor where the variance of a feature is too large: low-discrepancy samples find features that much more
+/// The same factor where the variance of a feature is too large: low-discrepancy samples hit features that much more
 /// evenly.
 const FEATURE_OVERSTATED: f64 = 100.0;
 
-/// Leaves out halves and variance of another shape than the mean, and those without a usable value.
+/// Leaves out halves and variance whose shape differs from the mean, or that have no usable value.
 ///
-/// A channel of the variance alone becomes 0 where there are halves, for [`settle`] to fill.
+/// Where there are halves, a single unusable channel of the variance becomes 0, and [`settle`] fills it.
 pub(super) fn leave_out_unusable(layer: Layer, signal: &mut Signal, notes: &mut Vec<String>) {
     let channels = signal.mean.channels();
     for (part, image) in [("halves", &mut signal.half_spread), ("variance", &mut signal.variance_of_mean)] {
@@ -69,8 +70,8 @@ pub(super) fn leave_out_unusable(layer: Layer, signal: &mut Signal, notes: &mut 
     }
 }
 
-/// Takes the source that says something where the other one is silent, which is 0 everywhere, and remarks where both
-/// contradict each other. The signal is sanitised.
+/// Uses one source where the other is silent, which means 0 everywhere, and adds a remark where both contradict each
+/// other. The signal is sanitised.
 pub(super) fn settle(layer: Layer, signal: &mut Signal, notes: &mut Vec<String>) {
     let Signal { mean, half_spread, variance_of_mean } = signal;
     let (Some(spread), Some(variance)) = (&*half_spread, &mut *variance_of_mean) else { return };
@@ -99,7 +100,8 @@ pub(super) fn settle(layer: Layer, signal: &mut Signal, notes: &mut Vec<String>)
     if !only_variance.is_empty() {
         let place = layer.in_channels(&only_variance, channels);
         notes.push(format!(
-            "{layer}: the two halves are identical{place} (rendered with the same seed?) although the variance tells of noise; they are left out"
+            "{layer}: the two halves are identical{place} (rendered with the same seed?) although the variance tells \
+             of noise; they are left out"
         ));
         *half_spread = None;
         return;
@@ -108,20 +110,21 @@ pub(super) fn settle(layer: Layer, signal: &mut Signal, notes: &mut Vec<String>)
         let overstated = if layer.is_color { CONTRADICTION } else { FEATURE_OVERSTATED };
         if ratio >= CONTRADICTION || ratio * overstated <= 1.0 {
             notes.push(format!(
-                "{layer}: (A − B)²/4 of the halves is {} times the variance that is given, typically; the halves are believed",
+                "{layer}: (A − B)²/4 of the halves is {} times the variance that is given, typically; the halves are \
+                 believed",
                 two_digits(ratio),
             ));
         }
     }
 }
 
-/// Whether nothing that is known of a signal's noise speaks of any.
+/// Returns whether neither halves nor variance of a signal show any noise.
 pub(super) fn is_silent(signal: &Signal) -> bool {
     let images = [&signal.half_spread, &signal.variance_of_mean].into_iter().flatten();
     images.flat_map(|image| &image.planes).flatten().all(|value| *value == 0.0)
 }
 
-/// What counts as noise in a layer, and not as round-off.
+/// Limit between noise and round-off in a layer.
 struct Noise {
     /// Squared mean magnitude of all values.
     level: f64,
@@ -133,7 +136,7 @@ impl Noise {
         Self { level: (sum / (mean.channels() * mean.extent.pixels()) as f64).powi(2) }
     }
 
-    /// Largest squared value that is round-off in a pixel.
+    /// Returns the largest squared value that is round-off in a pixel.
     fn round_off(&self, mean: &Image, pixel: usize, share: f64) -> f64 {
         let square = mean.planes.iter().map(|plane| f64::from(plane[pixel]).powi(2)).fold(0.0, f64::max);
         share * square.max(DARK * self.level)
@@ -156,7 +159,7 @@ impl Noise {
     }
 }
 
-/// The squared half spread of one channel, smoothed as the methods smooth it where there are halves alone.
+/// Returns the squared half spread of one channel, smoothed as the methods smooth it where there are halves alone.
 fn two_buffer_variance(spread: &Image, channel: usize) -> Vec<f32> {
     let (width, height) = (spread.extent.width as usize, spread.extent.height as usize);
     let radius = INPUT_SMOOTHING.radius as usize;
@@ -178,11 +181,11 @@ fn two_buffer_variance(spread: &Image, channel: usize) -> Vec<f32> {
         .collect()
 }
 
-/// Median over boxes of the mean squared half spread over the mean variance: 1 if both agree. `None` if no box has
-/// enough pixels with a variance.
+/// Returns the median over boxes of the mean squared half spread divided by the mean variance: 1 if both agree. `None`
+/// if no box has enough pixels with a variance.
 ///
-/// In single pixels the ratio is spread like χ² with one degree of freedom, and the variance by itself is too low where
-/// a rare bright path was missed; means over boxes have neither fault, and the median ignores the boxes with spikes.
+/// In single pixels the ratio spreads like χ² with one degree of freedom, and the variance alone is too low where a
+/// rare bright path was missed. Means over boxes have neither fault, and the median ignores the boxes with spikes.
 fn spread_over_variance(mean: &Image, spread: &Image, variance: &Image, noise: &Noise) -> Option<f64> {
     let width = spread.extent.width as usize;
     let mut ratios = Vec::new();
@@ -204,7 +207,7 @@ fn spread_over_variance(mean: &Image, spread: &Image, variance: &Image, noise: &
     (!ratios.is_empty()).then(|| *ratios.select_nth_unstable_by(middle, f64::total_cmp).1)
 }
 
-/// A number of 0 or more with two digits.
+/// Formats a number of 0 or more with two digits.
 fn two_digits(value: f64) -> String {
     let digits = (1.0 - value.max(1e-9).log10().floor()).clamp(0.0, 10.0) as usize;
     format!("{value:.digits$}")

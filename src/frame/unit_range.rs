@@ -7,10 +7,10 @@ use super::normals::{self, Encoding};
 use super::range::{Range, range_of_hits};
 use crate::frame::FeatureKind;
 
-/// Normals may exceed a length of 1 by this much, as noise makes them do.
+/// Length beyond 1 that normals may have because of noise.
 const NORMAL_TOLERANCE: f32 = 0.0001;
 
-/// How a feature was brought to unit range.
+/// Map that brought a feature to unit range.
 pub(super) struct UnitRange {
     /// `value before = unit value · scale + offset`.
     pub(super) scale: f32,
@@ -28,7 +28,7 @@ pub(super) struct UnitRange {
 /// unchanged, if there are no misses and no channel varies by more than round-off: such a feature cannot tell pixels
 /// apart.
 pub(super) fn to_unit_range(name: &str, kind: FeatureKind, signal: &mut Signal, misses: &[bool]) -> Option<UnitRange> {
-    // Rounding makes a constant depth vary in its last digits.
+    // Rounding may change a constant depth in its last digits.
     let varies = |least: f32, greatest: f32| {
         greatest - least > 1e-6 * least.abs().max(greatest.abs()) && greatest - least > 1e-30
     };
@@ -36,7 +36,7 @@ pub(super) fn to_unit_range(name: &str, kind: FeatureKind, signal: &mut Signal, 
         let (least, greatest) = extremes(plane, misses);
         varies(least, greatest)
     });
-    // Flat, but with holes in it: hits become 0 and misses 1, a difference worth having.
+    // A constant feature with holes: hits become 0 and misses 1, a difference worth having.
     let holes = misses.contains(&true) && misses.contains(&false);
     if constant && !holes {
         return None;
@@ -54,7 +54,8 @@ pub(super) fn to_unit_range(name: &str, kind: FeatureKind, signal: &mut Signal, 
         (least, greatest) = all;
     } else if outside > 0 {
         notes.push(format!(
-            "feature {name}: {outside} of {} values lie far outside of {least} to {greatest} ({} to {} in all); its range is taken without them",
+            "feature {name}: {outside} of {} values lie far outside of {least} to {greatest} ({} to {} in all); its \
+             range is taken without them",
             signal.mean.channels() * (misses.len() - misses.iter().filter(|miss| **miss).count()),
             all.0,
             all.1,
@@ -75,17 +76,17 @@ pub(super) fn to_unit_range(name: &str, kind: FeatureKind, signal: &mut Signal, 
     Some(UnitRange { scale, offset, notes })
 }
 
-/// Dividing by a tiny range must not make anything infinite.
+/// Largest value of a map: dividing by a tiny range must not make anything infinite.
 const LARGEST: f64 = 1e18;
 
-/// How far outside of the unit range values keep their distance to it.
+/// Distance from the unit range up to which values are not pulled.
 const LINEAR: f64 = 1.0;
 
-/// How strongly what lies farther outside is told apart: by this times the logarithm of its distance to the range.
+/// Strength of differences farther outside: values become this times the logarithm of their distance to the range.
 const FAR: f64 = 0.25;
 
-/// Pulls a unit value far outside of [0, 1] towards it. It rises with the value and leaves everything from −1 to 2 as
-/// it is.
+/// Returns a unit value, pulled towards [0, 1] if it is far outside. The result rises with the value; values from −1 to
+/// 2 stay as they are.
 fn pulled(value: f64) -> f64 {
     let beyond = (value - 1.0).max(-value);
     let near = |beyond: f64| if beyond <= LINEAR { beyond } else { LINEAR + FAR * (beyond / LINEAR).ln() };
@@ -96,14 +97,15 @@ fn pulled(value: f64) -> f64 {
     }
 }
 
-/// Maps mean, spread and variance. What is `inside` comes to the unit range whatever the rounding.
+/// Maps mean, spread and variance. Values `inside` come to the unit range whatever the rounding.
 fn map(signal: &mut Signal, scale: f64, offset: f64, inside: RangeInclusive<f32>) {
     let per_unit = 1.0 / scale;
     let unit = |value: f32| {
         let unit = (f64::from(value) - offset) * per_unit;
         if inside.contains(&value) { unit.clamp(0.0, 1.0) } else { unit }
     };
-    // Of a pixel far outside: how far the pull lets values apart that lie one deviation to either side of it.
+    // Half the difference between the pulled values one deviation above and below a value far outside: its deviation
+    // after the pull.
     let pulled_deviation = |mean: f64, deviation: f64| (pulled(mean + deviation) - pulled(mean - deviation)) / 2.0;
     for (channel, mean) in signal.mean.planes.iter_mut().enumerate() {
         for (pixel, mean) in mean.iter_mut().enumerate() {
@@ -124,7 +126,7 @@ fn map(signal: &mut Signal, scale: f64, offset: f64, inside: RangeInclusive<f32>
     }
 }
 
-/// Least and greatest value among the hits; (∞, −∞) if there are none.
+/// Returns the least and the greatest value among the hits; (∞, −∞) if there are none.
 fn extremes(plane: &[f32], misses: &[bool]) -> (f32, f32) {
     let hits = plane.iter().zip(misses).filter(|(_, miss)| !**miss).map(|(value, _)| *value);
     hits.fold((f32::INFINITY, f32::NEG_INFINITY), |(least, greatest), value| (least.min(value), greatest.max(value)))

@@ -190,7 +190,8 @@ macro_rules! uniform_value {
     ($($type:ty: $scalar:literal x $lanes:literal;)+) => {$(
         impl Uniform for $type {
             fn members(path: &str, into: &mut Vec<Member>) {
-                into.push(Member { path: path.to_owned(), value: ValueType { scalar: $scalar, lanes: $lanes, elements: 0 } });
+                let value = ValueType { scalar: $scalar, lanes: $lanes, elements: 0 };
+                into.push(Member { path: path.to_owned(), value });
             }
             fn bytes<'a>(&'a self, into: &mut Vec<&'a [u8]>) {
                 into.push(bytemuck::bytes_of(self));
@@ -219,7 +220,8 @@ macro_rules! uniform_array {
     ($($type:ty: $scalar:literal;)+) => {$(
         impl<const N: usize> Uniform for [$type; N] {
             fn members(path: &str, into: &mut Vec<Member>) {
-                into.push(Member { path: path.to_owned(), value: ValueType { scalar: $scalar, lanes: 4, elements: N as u32 } });
+                let value = ValueType { scalar: $scalar, lanes: 4, elements: N as u32 };
+                into.push(Member { path: path.to_owned(), value });
             }
             fn bytes<'a>(&'a self, into: &mut Vec<&'a [u8]>) {
                 into.push(bytemuck::cast_slice(self.as_slice()));
@@ -252,7 +254,9 @@ uniform_array! {
 /// Order and padding need not match: each value is written at the offset that the shader declares.
 #[macro_export]
 macro_rules! uniforms {
-    ($($(#[$meta:meta])* $vis:vis struct $name:ident { $($(#[$field_meta:meta])* $field_vis:vis $field:ident: $type:ty),+ $(,)? })+) => {$(
+    ($($(#[$meta:meta])* $vis:vis struct $name:ident {
+        $($(#[$field_meta:meta])* $field_vis:vis $field:ident: $type:ty),+ $(,)?
+    })+) => {$(
         $(#[$meta])*
         #[derive(Clone, Copy, Debug, PartialEq)]
         $vis struct $name { $($(#[$field_meta])* $field_vis $field: $type),+ }
@@ -294,7 +298,12 @@ macro_rules! bindings {
     (@type $life:lifetime change) => { $crate::gpu::Around<$life> };
     (@type $life:lifetime write) => { &$life $crate::gpu::Buffer };
     (@type $life:lifetime optional) => { Option<&$life $crate::gpu::Buffer> };
-    (@kind uniform $type:ty) => { $crate::gpu::SlotKind::Uniform { host: stringify!($type), members: <$type as $crate::gpu::Uniform>::members } };
+    (@kind uniform $type:ty) => {
+        $crate::gpu::SlotKind::Uniform {
+            host: stringify!($type),
+            members: <$type as $crate::gpu::Uniform>::members,
+        }
+    };
     (@kind read) => { $crate::gpu::SlotKind::Read };
     (@kind around) => { $crate::gpu::SlotKind::Read };
     (@kind optional_around) => { $crate::gpu::SlotKind::Optional };
@@ -311,7 +320,9 @@ macro_rules! bindings {
     (@value $value:expr, around) => { $crate::gpu::Value::Buffer($value) };
     (@value $value:expr, change) => { $crate::gpu::Value::Buffer($value) };
     (@value $value:expr, optional) => {
-        $value.map_or($crate::gpu::Value::Absent, |buffer| $crate::gpu::Value::Buffer($crate::gpu::Around::from(buffer)))
+        $value.map_or($crate::gpu::Value::Absent, |buffer| {
+            $crate::gpu::Value::Buffer($crate::gpu::Around::from(buffer))
+        })
     };
     (@value $value:expr, optional_around) => { $value.map_or($crate::gpu::Value::Absent, $crate::gpu::Value::Buffer) };
     ($($(#[$meta:meta])* $vis:vis struct $name:ident<$life:lifetime> {

@@ -8,7 +8,7 @@
 use std::hash::{DefaultHasher, Hash, Hasher};
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
-use std::time::SystemTime;
+use std::time::{Duration, SystemTime};
 
 use super::device::Gpu;
 use super::lock;
@@ -27,6 +27,12 @@ const MOST_FILES: usize = 8;
 
 const PREFIX: &str = "stein-";
 const EXTENSION: &str = "pipelines";
+
+const UNFINISHED_PREFIX: &str = ".stein-";
+const UNFINISHED_EXTENSION: &str = "part";
+
+/// Age from which on an unfinished file counts as left behind: writing takes less than a second.
+const STALE: Duration = Duration::from_secs(600);
 
 /// Outcome of saving the compiled pipelines.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -60,6 +66,7 @@ pub(super) struct PipelineCache {
 impl PipelineCache {
     /// Opens a cache that begins with the data of the file in `folder`. Returns `None` if the driver refuses.
     pub(super) fn open(device: &wgpu::Device, info: &wgpu::AdapterInfo, folder: &Path) -> Option<Self> {
+        remove_stale(folder);
         let file = folder.join(file_name(info));
         let data = std::fs::metadata(&file)
             .ok()
@@ -101,8 +108,11 @@ impl PipelineCache {
         std::fs::create_dir_all(folder)?;
         // The data has a file of its own until it is complete: other processes may read or write the final file
         // meanwhile.
-        let unfinished =
-            folder.join(format!(".stein-{}-{:x}.part", std::process::id(), std::ptr::from_ref(self).addr()));
+        let unfinished = folder.join(format!(
+            "{UNFINISHED_PREFIX}{}-{:x}.{UNFINISHED_EXTENSION}",
+            std::process::id(),
+            std::ptr::from_ref(self).addr()
+        ));
         let written = std::fs::write(&unfinished, [MAGIC.as_slice(), &hash.to_le_bytes(), data].concat());
         if let Err(error) = written.and_then(|()| std::fs::rename(&unfinished, &self.file)) {
             // Nothing is lost if the unfinished file cannot be removed either.
@@ -156,19 +166,34 @@ fn unpacked(file: &[u8]) -> Option<&[u8]> {
 
 /// Removes all files but the `MOST_FILES` that were written last. A folder that cannot be read keeps its files.
 fn remove_oldest(folder: &Path) {
-    let is_ours = |path: &PathBuf| {
-        let name = path.file_name().and_then(|name| name.to_str());
-        path.extension().is_some_and(|extension| extension == EXTENSION)
-            && name.is_some_and(|name| name.starts_with(PREFIX))
-    };
-    let paths = folder.read_dir().into_iter().flatten().flatten().map(|entry| entry.path()).filter(is_ours);
-    let mut files: Vec<(SystemTime, PathBuf)> =
-        paths.filter_map(|path| Some((path.metadata().ok()?.modified().ok()?, path))).collect();
+    let mut files = dated_files(folder, PREFIX, EXTENSION);
     files.sort();
     for (_, path) in files.iter().rev().skip(MOST_FILES) {
         // Another process may have removed the file already.
         let _ = std::fs::remove_file(path);
     }
+}
+
+/// Removes unfinished files of earlier processes. A younger file may belong to a process that is writing it.
+fn remove_stale(folder: &Path) {
+    for (modified, path) in dated_files(folder, UNFINISHED_PREFIX, UNFINISHED_EXTENSION) {
+        // The clock may have been set back; such a file becomes stale later.
+        if modified.elapsed().is_ok_and(|age| age >= STALE) {
+            // Another process may have removed the file already.
+            let _ = std::fs::remove_file(path);
+        }
+    }
+}
+
+/// Returns the files in a folder whose names begin with `prefix` and have this extension, with the times of their last
+/// change. A folder that cannot be read has none.
+fn dated_files(folder: &Path, prefix: &str, extension: &str) -> Vec<(SystemTime, PathBuf)> {
+    let is_ours = |path: &PathBuf| {
+        let name = path.file_name().and_then(|name| name.to_str());
+        path.extension().is_some_and(|found| found == extension) && name.is_some_and(|name| name.starts_with(prefix))
+    };
+    let paths = folder.read_dir().into_iter().flatten().flatten().map(|entry| entry.path()).filter(is_ours);
+    paths.filter_map(|path| Some((path.metadata().ok()?.modified().ok()?, path))).collect()
 }
 
 #[cfg(test)]
@@ -206,5 +231,25 @@ mod tests {
         let expected = std::iter::once("other.pipelines".to_owned())
             .chain((0..MOST_FILES).map(|age| format!("{PREFIX}{age:02}.{EXTENSION}")));
         assert_eq!(left, expected.map(Into::into).collect::<Vec<std::ffi::OsString>>());
+    }
+    #[test]
+    fn unfinished_files_of_earlier_processes_are_removed() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let now = SystemTime::now();
+        let files = [
+            (".stein-1-ab.part", now - 2 * STALE),
+            (".stein-2-cd.part", now),
+            (".stein-3-ef.part", now + 2 * STALE),
+            ("other.part", now - 2 * STALE),
+            ("stein-0.pipelines", now - 2 * STALE),
+        ];
+        for (name, modified) in files {
+            let file = std::fs::File::create(folder.path().join(name)).expect("a file");
+            file.set_modified(modified).expect("a date");
+        }
+        remove_stale(folder.path());
+        let is_left = files.map(|(name, _)| folder.path().join(name).exists());
+        assert_eq!(is_left, [false, true, true, true, true]);
+        remove_stale(&folder.path().join("missing"));
     }
 }

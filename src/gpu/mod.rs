@@ -12,7 +12,8 @@
 //! ```
 //!
 //! `around source` takes `source.within(radius)` in place of `&source`, so that a dry run knows how far the stage looks
-//! around each pixel ([`Around`]). Every name, kind and type in these structs is compared with the shader when the kernel is built ([`bindings`]).
+//! around each pixel ([`Around`]). Every name, kind and type in these structs is compared with the shader when the
+//! kernel is built ([`bindings`]).
 //!
 //! # House rules for shaders
 //! * One entry point, called `main`; its `@workgroup_size` is read from the shader and written nowhere else.
@@ -20,8 +21,7 @@
 //! * Release kernels run unchecked: no index clamping, no forced loop bounds, no guard around integer division, no
 //!   zeroed workgroup memory. A shader must not rely on any of these; tests run with [`GpuOptions::checked_shaders`] as
 //!   well.
-//! * Buffers come with whatever was in them before ([`Recorder::take`]): each kernel writes every element of its
-//!   outputs.
+//! * A buffer from [`Recorder::take`] has arbitrary content: each kernel writes every element of its outputs.
 
 mod bindings;
 mod cache;
@@ -46,6 +46,7 @@ pub use pool::{Buffer, MemoryUse};
 pub use record::{Pace, Recorder};
 pub use run::Run;
 pub use shader::{Definition, Definitions, compose, compose_source, shared_modules, stages};
+pub(crate) use timing::sum_over_steps;
 pub use timing::{StageTime, StepTime};
 pub use uniform_layout::UniformLayout;
 

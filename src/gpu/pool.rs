@@ -43,7 +43,7 @@ pub struct Buffer {
     /// Number of the recorder that used the buffer last.
     last_use: AtomicU64,
     home: Option<Home>,
-    /// Grows in a dry run alone.
+    /// Distance around a pixel on which the content depends; 0 except in a dry run.
     reach: SharedReach,
 }
 
@@ -71,7 +71,9 @@ struct Home {
 }
 
 impl Buffer {
-    /// Returns the requested size in bytes, rounded up to a multiple of four. A kernel sees exactly this many bytes.
+    /// Returns the number of bytes that a kernel sees. For a pooled buffer this is the requested size, at least 4,
+    /// rounded up to a multiple of four; for a caller's buffer ([`Gpu::import`]) it is the size of that buffer, rounded
+    /// down to a multiple of four.
     pub fn bytes(&self) -> u64 {
         self.bytes
     }
@@ -253,7 +255,7 @@ impl Gpu {
         }
         let pool = run.pool(self);
         let bytes = bytes.max(SMALLEST).next_multiple_of(4);
-        // A dry run may ask for more than there is.
+        // A dry run may request more than the largest buffer of the adapter.
         let rounded = bytes.next_multiple_of(GRANULE).min(self.inner.summary.max_buffer_bytes & !3).max(bytes);
         // Bytes of the idle buffers that remain beside a new buffer.
         let mut idle = 0;
@@ -317,7 +319,7 @@ impl Gpu {
         }))
     }
 
-    /// Describes `error` for people; it may be a lack of memory for `what`.
+    /// Makes the error for people from a failed allocation for `what`: a lack of memory, or else a defect.
     pub(super) fn out_of_memory(&self, what: &str, error: &wgpu::Error) -> Error {
         let wgpu::Error::OutOfMemory { .. } = error else { return self.defect(&error.to_string()) };
         Error::Device(DeviceCause::OutOfMemory {

@@ -6,13 +6,13 @@ use glam::UVec2;
 
 use super::bindings::{Slot, SlotKind, Value};
 
-/// Parts of a buffer, whose reaches are kept apart. What belongs to which part is up to the stages: of a signal the mean
-/// is the front, the half spread the back.
+/// Parts of a buffer, each with a reach of its own. The stages decide what the parts hold: in a signal, the front is
+/// the mean and the back is the half spread.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Parts {
-    /// Both alike.
+    /// Both parts as one.
     Whole,
-    /// Both, each by itself.
+    /// Both parts, each by itself.
     Apart,
     Front,
     Back,
@@ -26,7 +26,7 @@ pub(super) struct Reach {
 }
 
 impl Reach {
-    /// Returns the reach of these parts, for the front and for the back of what is made of them.
+    /// Returns the reach of data that is computed from these parts, for its front and for its back.
     fn of(self, parts: Parts) -> Self {
         let both = |reach| Self { front: reach, back: reach };
         match parts {
@@ -69,7 +69,8 @@ impl SharedReach {
     }
 }
 
-/// Lets what a stage writes reach as far as what it reads, and as far around that as it looks.
+/// Updates the reach of all buffers that a stage writes: the largest reach of its inputs, each extended by the distance
+/// within which the stage reads that input.
 pub(super) fn propagate(slots: &[Slot], values: &[Value<'_>]) {
     let buffers = || {
         slots.iter().zip(values).filter_map(|(slot, value)| match value {

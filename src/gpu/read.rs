@@ -30,15 +30,16 @@ impl Gpu {
     ///
     /// # Errors
     /// [`Error::Request`] where the part reaches beyond the end of the buffer, where `offset_bytes` is no multiple of
-    /// four, where commands that use the buffer are not submitted, or where it belongs to a dry run; [`Error::Device`] where the device failed.
+    /// four, where commands that use the buffer are not submitted, or where the buffer belongs to a dry run;
+    /// [`Error::Device`] where the device failed.
     pub fn read_into(&self, buffer: &Buffer, offset_bytes: u64, values: &mut [f32]) -> Result<()> {
         self.read_with(buffer, offset_bytes, values.len(), |first, piece| {
             values[first..first + piece.len()].copy_from_slice(piece);
         })
     }
 
-    /// Reads `values` values of a buffer from `offset_bytes` on, a multiple of four, piece by piece: calls `take` with
-    /// the position of each piece, counted in values and a multiple of four, and with the piece.
+    /// Reads `values` values of a buffer piece by piece, from `offset_bytes` on, which is a multiple of four. Calls
+    /// `take` with the position of each piece and with the piece; positions count values and are multiples of four.
     ///
     /// # Errors
     /// As [`Gpu::read_into`].

@@ -105,8 +105,8 @@ impl Recorder {
         &self.gpu
     }
 
-    /// Returns whether the commands belong to a [dry run](Run::dry) and will not execute. Work may then leave out
-    /// dispatches that write to the same buffers as others and look no further.
+    /// Returns whether the commands belong to a [dry run](Run::dry) and will not execute. The caller may then leave out
+    /// a dispatch if another one writes the same buffers and reads at least as far around each pixel.
     pub fn is_dry(&self) -> bool {
         self.run.is_dry()
     }
@@ -165,8 +165,8 @@ impl Recorder {
     }
 
     /// Takes a storage buffer of `values` values and fills it piece by piece, so that the host never holds a second
-    /// copy of all values, and a dry run makes none: calls `fill` with the position of each piece, counted in values, and with the piece, which
-    /// holds zeros. Each piece but the last is a multiple of four values long.
+    /// copy of all values. Calls `fill` with the position of each piece, counted in values, and with the piece, which
+    /// holds zeros. Each piece but the last is a multiple of four values long. A dry run fills nothing.
     ///
     /// # Errors
     /// As [`Recorder::take`].
@@ -223,7 +223,7 @@ impl Recorder {
         self.dispatch_kernel(&kernel, bindings, invocations)
     }
 
-    /// As [`Recorder::dispatch`], of a kernel that is built already.
+    /// As [`Recorder::dispatch`], for a kernel that is already built.
     ///
     /// # Errors
     /// [`Error::Shader`] where the kernel was built for other bindings or a written buffer is bound twice;

@@ -7,7 +7,7 @@ use super::device::Gpu;
 use super::lock;
 use super::pool::Pool;
 use super::record::Recorder;
-use super::timing::{StageTime, StepTime};
+use super::timing::{StageTime, StepTime, sum_over_steps};
 use crate::error::Result;
 
 /// Memory limit, memory use and times of stages, for all recorders of one run. Cheap to clone; clones are the same run.
@@ -19,7 +19,7 @@ struct Shared {
     /// Limit on memory, in bytes.
     limit: Option<u64>,
     memory: Mutex<Memory>,
-    /// Buffers of a dry run; `None` for a run on the device.
+    /// Pool of a dry run; `None` for a run on the device.
     dry: Option<Arc<Pool>>,
     /// Times of stages in steps, in the order of first use.
     times: Mutex<Vec<StepTime>>,
@@ -30,7 +30,7 @@ struct Shared {
 struct Memory {
     in_use: u64,
     peak: u64,
-    /// Size of the largest buffer, as it was asked for.
+    /// Size of the largest buffer, as requested, in bytes.
     largest: u64,
 }
 
@@ -41,9 +41,9 @@ impl Run {
         Self(Arc::new(Shared { limit: memory_limit, ..Shared::default() }))
     }
 
-    /// Makes a run without memory and commands. Its buffers have a size and a reach ([`Buffer::reach`]) and no content;
-    /// its dispatches compile and execute nothing, but let what they write reach as far as what they read.
-    /// [`Run::peak_bytes`] is that of the same work on a device that holds no idle buffers when the work begins.
+    /// Makes a run without memory and commands. Its buffers have a size and a reach ([`Buffer::reach`]) and no content.
+    /// Its dispatches compile and execute nothing: they only extend the reach of the buffers that they write.
+    /// [`Run::peak_bytes`] is the peak that the same work has on a device without idle buffers.
     ///
     /// [`Buffer::reach`]: super::Buffer::reach
     pub fn dry(memory_limit: Option<u64>) -> Self {
@@ -59,7 +59,7 @@ impl Run {
         self.0.dry.as_ref().unwrap_or(&gpu.inner.pool)
     }
 
-    /// Returns the size of the largest buffer of this run that was asked for, in bytes.
+    /// Returns the size of the largest buffer that this run requested, in bytes.
     pub(crate) fn largest_bytes(&self) -> u64 {
         lock(&self.0.memory).largest
     }
@@ -75,8 +75,8 @@ impl Run {
         idle > 0 && self.0.limit.is_some_and(|limit| lock(&self.0.memory).in_use + idle + bytes > limit)
     }
 
-    /// Records that `asked` bytes are asked for and a buffer of `bytes` bytes is taken, while `idle` bytes of idle
-    /// buffers remain beside it.
+    /// Counts a request for `asked` bytes that a buffer of `bytes` bytes serves, while `idle` bytes of idle buffers
+    /// remain beside it.
     pub(super) fn takes(&self, asked: u64, bytes: u64, idle: u64) {
         let memory = &mut lock(&self.0.memory);
         memory.largest = memory.largest.max(asked);
@@ -132,19 +132,6 @@ impl Gpu {
     /// # Errors
     /// As [`Gpu::wait`].
     pub fn timings(&self, run: &Run) -> Result<Option<Vec<StageTime>>> {
-        let steps = self.step_timings(run)?;
-        Ok(steps.map(|steps| {
-            let mut stages: Vec<StageTime> = Vec::new();
-            for StepTime { time, .. } in steps {
-                match stages.iter_mut().find(|stage| stage.stage == time.stage) {
-                    Some(stage) => {
-                        stage.seconds += time.seconds;
-                        stage.dispatches += time.dispatches;
-                    }
-                    None => stages.push(time),
-                }
-            }
-            stages
-        }))
+        Ok(self.step_timings(run)?.as_deref().map(sum_over_steps))
     }
 }

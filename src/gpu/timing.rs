@@ -1,4 +1,4 @@
-//! How long each stage takes, measured by the device.
+//! Time that each stage takes, measured by the device.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, channel};
@@ -35,6 +35,21 @@ pub struct StepTime {
     /// Stage and its time in this step.
     #[serde(flatten)]
     pub time: StageTime,
+}
+
+/// Returns the time of each stage in all steps together, in the order of first use.
+pub(crate) fn sum_over_steps(steps: &[StepTime]) -> Vec<StageTime> {
+    let mut stages: Vec<StageTime> = Vec::new();
+    for StepTime { time, .. } in steps {
+        match stages.iter_mut().find(|stage| stage.stage == time.stage) {
+            Some(stage) => {
+                stage.seconds += time.seconds;
+                stage.dispatches += time.dispatches;
+            }
+            None => stages.push(time.clone()),
+        }
+    }
+    stages
 }
 
 pub(super) struct Timing {

@@ -1,4 +1,4 @@
-//! Where the members of a uniform struct lie in a shader: found by name, and compared by type.
+//! Offsets of the members of a uniform struct in a shader. Members are found by name and compared by type.
 
 use std::marker::PhantomData;
 
@@ -39,8 +39,8 @@ impl<T: Uniform> UniformLayout<T> {
     /// in errors.
     ///
     /// # Errors
-    /// [`Error::Shader`] if the source does not compile, if it has no such variable, or if names or types of the members
-    /// differ between `T` and the shader.
+    /// [`Error::Shader`] if the source does not compile, if it has no such variable, or if names or types of the
+    /// members differ between `T` and the shader.
     pub fn from_source(name: &str, source: &str, variable: &str) -> Result<Self> {
         let module = compose_source(name, source, &[])?;
         let is_the_variable = |global: &&GlobalVariable| {

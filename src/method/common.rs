@@ -1,4 +1,4 @@
-//! What the methods have in common.
+//! Code that the methods share.
 
 use std::sync::Arc;
 
@@ -15,15 +15,15 @@ use crate::stage::nlm::Guide;
 use crate::stage::spike::light_return;
 use crate::stage::variance::{BoxWeight, Floor, INPUT_SMOOTHING, variance_floor, variance_scale, variance_smooth};
 
-/// Half width of the box over which variances are brought to scale (thesis 8.2: 21×21), in pixels.
+/// Half width of the box over which variances are scaled (thesis 8.2: 21×21), in pixels.
 pub(super) const SCALE_RADIUS: u32 = 10;
 
-/// The window radius beyond which work and halos make no sense any more, in pixels.
+/// Largest window radius, in pixels. A larger window would cost far more work and memory than it gains.
 pub(super) const LARGEST_WINDOW_RADIUS: u32 = 64;
-/// The largest patch radius: a window of distances of 2f+1 rows lives in registers.
+/// Largest patch radius, in pixels: the last 2f+1 distances live in registers.
 pub(crate) const LARGEST_PATCH_RADIUS: u32 = 5;
 
-/// A filter by colour patches alone.
+/// A filter that compares patches of the colour and nothing else.
 pub(super) struct Auxiliary {
     pub(super) window_radius: u32,
     pub(super) patch_radius: u32,
@@ -36,7 +36,7 @@ impl Auxiliary {
     }
 }
 
-/// The variance of the mean as the filters want it (thesis 8.2), from what there is.
+/// Returns the variance of the mean that the filters use (thesis 8.2), from the statistics that the signal has.
 pub(super) fn input_variance(
     rec: &mut Recorder,
     extent: IVec2,
@@ -53,7 +53,7 @@ pub(super) fn input_variance(
     Ok(Arc::new(variance))
 }
 
-/// The variance of the mean as distances want it: [`input_variance`], held above a floor.
+/// Returns the variance of the mean that distances use: [`input_variance`], held above a floor.
 pub(super) fn guide_variance(
     rec: &mut Recorder,
     extent: IVec2,
@@ -65,9 +65,9 @@ pub(super) fn guide_variance(
     Ok(Arc::new(variance_floor(rec, extent, &signal.signal, &variance, floor)?))
 }
 
-/// A result in which pixels of the colour without noise are as they were, if the step runs, and in which lights of
-/// few pixels are, if anybody looked for any; `error` becomes that of what is kept. `color` is without spikes and
-/// lights.
+/// Returns the result with some pixels as they were in the input: pixels without noise, if the plan runs that step, and
+/// lights of few pixels, if the method looked for them. `error` is changed to the error of these pixels. `color` is the
+/// input without spikes and lights.
 pub(super) fn with_input_kept(
     rec: &mut Recorder,
     extent: IVec2,

@@ -1,5 +1,5 @@
-//! Denoising by combining colour and feature filters (thesis chapter 8): Algorithm 1 from above to below, what is
-//! prepared, pass 1, pass 2, the error of the result.
+//! Denoising by combining colour and feature filters (thesis chapter 8). The file follows Algorithm 1 from top to
+//! bottom: preparation, pass 1, pass 2, error of the result.
 
 mod candidate_set;
 mod kernels;
@@ -16,7 +16,7 @@ use super::frame::FeatureInput;
 use super::noise::estimate_noise;
 use super::plan::PlannedStep;
 use super::spikes::Found;
-use super::{FrameInput, GpuSignal, Spikes};
+use super::{FrameInput, GpuSignal, Method, Spikes};
 use crate::error::{Error, Result};
 use crate::gpu::{Buffer, Recorder};
 use crate::stage::candidate::{
@@ -65,7 +65,7 @@ pub(super) const INTERMEDIATES: [Intermediate; 9] = [
 /// Runs Algorithm 1. Without halves, it takes the variances as they are and has no second pass. Without a sample
 /// variance, the pooled or smoothed two-buffer variance takes its place. Steps that the plan leaves out do not run.
 ///
-/// All frames must have the units and features of the own one. `progress` receives the share of the work that is
+/// All frames must have the units and features of the own frame. `progress` receives the share of the work that is
 /// recorded, 0 to 1.
 ///
 /// # Errors
@@ -93,7 +93,7 @@ pub(crate) fn dfc(
         result = pass2.result;
     }
 
-    // What is left of the error, of which SURE tells little more than the order of the candidates.
+    // Error that remains. SURE tells little more than the order of the candidates, so parts of the error are added up.
     let mut error = None;
     if plan.error.runs {
         plan.error.begin(rec);
@@ -123,7 +123,7 @@ pub(crate) fn dfc(
     Ok(GpuEstimate {
         signal: with_input_kept(rec, extent, color, spikes.as_ref(), result, error.as_ref(), &plan.keep_clean)?,
         error,
-        // Σ w is that of pass 1.
+        // Σ w as blended in pass 1.
         weight_sum: Lane { buffer: pass1, plane: 0, component: 3 },
         selection: Some(selection),
         spikes: spikes.as_ref().map(|found| found.spikes.clone()),
@@ -131,7 +131,8 @@ pub(crate) fn dfc(
     })
 }
 
-/// The share of each candidate in the blend, of which `selection` are the maps. Without maps, the only one has all.
+/// Returns the share of each candidate in the blend, from the maps in `selection`. Without maps, the only candidate has
+/// the whole pixel.
 fn shares_by_name(
     params: &DfcParams,
     candidates: &Candidates,
@@ -196,7 +197,7 @@ fn color_only_filter(params: &DfcParams) -> CandidateFilter {
 struct Prepared {
     extent: IVec2,
     own: PreparedFrame,
-    /// Frames beside the own one, until the candidates are computed.
+    /// Frames beside the own frame; empty after the candidates are computed.
     beside: Vec<PreparedFrame>,
     /// Spikes and lights that were taken out of the own frame.
     spikes: Option<Found>,
@@ -226,16 +227,16 @@ impl PreparedFrame {
 impl Prepared {
     fn new(rec: &mut Recorder, frames: Frames<FrameInput>, work: Work, keeper: &mut Keeper) -> Result<Self> {
         let Work { params, plan, .. } = work;
-        // Space-time filtering (8.6): the window gains frames. What belongs to a pixel comes from its own frame.
+        // Space-time filtering (8.6): the window gains frames. The sample counts come from the own frame.
         let Frames { own: FrameInput { extent, color, features, samples, .. }, beside } = frames;
         let beside = beside.into_iter().map(|frame| (frame.color, frame.features)).collect();
         let mut frames = Frames { own: (color, features), beside };
 
-        // What is known of the noise.
+        // Variances that the frames lack.
         if let Some(noise) = plan.noise.as_ref().filter(|noise| noise.runs) {
             noise.begin(rec);
             frames = frames.try_map(|(mut color, mut features)| {
-                estimate_noise(rec, extent, &mut color, &mut features, params.pooling())?;
+                estimate_noise(rec, extent, &mut color, &mut features, Method::from(*params).pooling())?;
                 Ok::<_, Error>((color, features))
             })?;
         }
@@ -251,7 +252,7 @@ impl Prepared {
             plan.spikes.begin(rec);
             frames = frames.try_map(|(color, features)| {
                 let (color, found) = params.spikes.repair(rec, extent, color, features.as_ref())?;
-                // The own frame comes first; what was found in others is dropped.
+                // The own frame comes first. Spikes of other frames are repaired, but not reported.
                 of_each.get_or_insert(found);
                 Ok::<_, Error>((color, features))
             })?;
@@ -498,9 +499,10 @@ fn second_pass_filter(second_pass: &SecondPass, window_radius: u32) -> Auxiliary
 /// Prefilters each feature by itself (Algorithm 1 lines 4 to 10) and packs them for the candidates. Packs features
 /// without noise as they are. Returns `None` for frames without features.
 ///
-/// Each frame of the window in time is prefiltered with the help of all. Measured on three frames of the built-in scenes
-/// in which nothing moves, 8 and 32 samples per pixel: against one frame alone they leave .46 to .67 of the error, with
-/// features that are prefiltered frame by frame .60 to .77, and .46 to .53 if all the samples were in one frame.
+/// Each frame of the window in time is prefiltered with the help of all frames. Measured on three frames of the
+/// built-in scenes in which nothing moves, 8 and 32 samples per pixel: the error is .46 to .67 of the error with one
+/// frame alone. It is .60 to .77 if features are prefiltered frame by frame, and .46 to .53 if all samples are in one
+/// frame.
 fn prefilter(
     rec: &mut Recorder,
     extent: IVec2,
@@ -586,7 +588,7 @@ fn noise(rec: &mut Recorder, extent: IVec2, signal: &GpuSignal, box_weight: BoxW
     noisy.then(|| guide_variance(rec, extent, signal, box_weight, Floor::Absolute)).transpose()
 }
 
-/// How far the shares of the candidates depend on the candidates, in pixels.
+/// Returns how far around a pixel its shares depend on the candidates, in pixels.
 fn reach_of_choice() -> u32 {
     [ERROR_SMOOTHING, SELECTION_SMOOTHING].iter().map(|filter| filter.window_radius + filter.patch_radius).sum()
 }

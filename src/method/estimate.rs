@@ -12,8 +12,8 @@ use crate::gpu::Buffer;
 pub enum Intermediate {
     /// Radiance that was taken from spikes; none if spikes stay.
     Spikes,
-    /// Variance of the colour's mean as the filters use it: scaled (thesis 8.2); for NLM as
-    /// [`NlmVariance`](super::nlm::NlmVariance) says.
+    /// Variance of the colour's mean that the filters use: scaled (thesis 8.2), or for NLM by the rule of
+    /// [`NlmVariance`](super::nlm::NlmVariance).
     Variance,
     /// Prefiltered features and their residual variances; none without features.
     Features,
@@ -33,13 +33,13 @@ pub enum Intermediate {
     Scale,
     /// The filtered halves; none without halves.
     Halves,
-    /// Sampling density: where the next samples reduce the error most. For GEM the quantities it is made of, for
-    /// [`sampling_density`](crate::sampling::sampling_density).
+    /// Sampling density: where the next samples reduce the error most. GEM keeps the quantities from which
+    /// [`sampling_density`](crate::sampling::sampling_density) computes it.
     Density,
 }
 
 impl Intermediate {
-    /// All of them, whatever the method.
+    /// All intermediates of all methods.
     pub const ALL: [Self; 12] = [
         Self::Spikes,
         Self::Variance,
@@ -55,7 +55,7 @@ impl Intermediate {
         Self::Density,
     ];
 
-    /// Its name on the command line.
+    /// Returns the name of the intermediate on the command line.
     pub fn name(self) -> &'static str {
         match self {
             Self::Spikes => "spikes",
@@ -77,77 +77,77 @@ impl Intermediate {
 /// Unit of the values of a kept plane, to convert them back to the units of the file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Unit {
-    /// As the colour.
+    /// Unit of the colour.
     Color,
-    /// As the square of the colour.
+    /// Square of the unit of the colour.
     ColorSquared,
-    /// As the unit-range value of this feature.
+    /// Unit range of the feature with this index.
     Feature(usize),
-    /// As the square of the unit-range value of this feature.
+    /// Square of the unit range of the feature with this index.
     FeatureSquared(usize),
-    /// A pure number.
+    /// No unit: the values are pure numbers.
     Number,
 }
 
 /// One plane that was kept.
 #[derive(Debug)]
 pub struct KeptPlane {
-    /// The intermediate that it is part of.
+    /// The intermediate that the plane is part of.
     pub intermediate: Intermediate,
-    /// Layer name.
+    /// Name of the layer.
     pub layer: String,
     /// Names of the channels in x, y, z.
     pub channels: Vec<String>,
-    /// What the values mean.
+    /// Unit of the values.
     pub unit: Unit,
-    /// The buffer that holds it.
+    /// Buffer that holds the plane.
     pub buffer: Arc<Buffer>,
-    /// Which plane of the buffer.
+    /// Index of the plane in the buffer.
     pub plane: u32,
 }
 
 /// One number per pixel: a component of a plane.
 #[derive(Clone, Debug)]
 pub struct Lane {
-    /// The buffer that holds it.
+    /// Buffer that holds the plane.
     pub buffer: Arc<Buffer>,
-    /// Which plane of the buffer.
+    /// Index of the plane in the buffer.
     pub plane: u32,
-    /// 0 to 3, x to w.
+    /// Component of the plane, 0 to 3 for x to w.
     pub component: u32,
 }
 
 /// The share of a candidate in each pixel.
 #[derive(Clone, Debug)]
 pub enum Share {
-    /// It takes no part.
+    /// The candidate takes no part.
     None,
-    /// All: it is the only candidate.
+    /// The candidate has the whole pixel: it is the only one.
     Whole,
-    /// As an image says, from 0 to 1.
+    /// The share of each pixel is a value of an image, from 0 to 1.
     Lane(Lane),
 }
 
-/// What a method knows of the true image, on the GPU.
+/// Results of a method, on the GPU.
 #[derive(Debug)]
 pub struct GpuEstimate {
     /// The denoised signal: mean, behind it the half spread (0 without halves).
     pub signal: Arc<Buffer>,
     /// The estimated squared error, summed over the channels, at least 0. `None` where the plan leaves it out.
     pub error: Option<Lane>,
-    /// How many pixels took part in a pixel's average.
+    /// Number of pixels that took part in the average of each pixel.
     pub weight_sum: Lane,
-    /// The candidates by name, and the share of each, where the method has candidates.
+    /// Names of the candidates and their shares; `None` where the method has no candidates.
     pub selection: Option<Vec<(&'static str, Share)>>,
-    /// What was taken from spikes, the colour of each in x, y and z, and in w the part of it that the pixels around
-    /// got. `None` where nobody looked for any.
+    /// Amounts taken from spikes: the colour of each in x, y and z, and in w the part of the amount that the pixels
+    /// around got. `None` where the method did not look for spikes.
     pub spikes: Option<Arc<Buffer>>,
-    /// What was asked for.
+    /// The requested intermediates.
     pub kept: Vec<KeptPlane>,
 }
 
 impl GpuEstimate {
-    /// Columns and rows beside a pixel that what is known of it depends on, by a dry run.
+    /// Returns the number of columns and rows beside a pixel that the results depend on, found by a dry run.
     pub(crate) fn reach(&self) -> UVec2 {
         let Self { signal, error, weight_sum, selection, spikes, kept } = self;
         let shares = selection.iter().flatten().filter_map(|(_, share)| match share {
@@ -164,7 +164,7 @@ impl GpuEstimate {
     }
 }
 
-/// Collects the planes that were asked for.
+/// Collects the requested planes.
 pub(super) struct Keeper<'a> {
     wanted: &'a [Intermediate],
     kept: Vec<KeptPlane>,
@@ -179,7 +179,7 @@ impl<'a> Keeper<'a> {
         self.wanted.contains(&intermediate)
     }
 
-    /// Keeps a plane if it was asked for.
+    /// Keeps a plane if its intermediate was requested.
     pub(super) fn keep(
         &mut self,
         intermediate: Intermediate,
@@ -202,7 +202,8 @@ impl<'a> Keeper<'a> {
         }
     }
 
-    /// Keeps planes of numbers, one for each of `names`, if they were asked for: four to a plane, each plane a layer.
+    /// Keeps planes of numbers, one number for each of `names`, if their intermediate was requested. A plane holds four
+    /// numbers and becomes a layer.
     pub(super) fn keep_numbers(
         &mut self,
         intermediate: Intermediate,

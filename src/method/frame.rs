@@ -25,12 +25,12 @@ pub struct GpuSignal {
     pub signal: Arc<Buffer>,
     /// One plane: sample variance of the mean, s²/n.
     pub variance_of_mean: Option<Arc<Buffer>>,
-    /// Whether the second plane of `signal` says anything.
+    /// Whether the second plane of `signal` holds a half spread.
     pub has_halves: bool,
 }
 
 impl GpuSignal {
-    /// Whether nothing tells of its noise but the image.
+    /// Returns whether nothing but the image itself tells the noise.
     pub(super) fn is_image_only(&self) -> bool {
         !self.has_halves && self.variance_of_mean.is_none()
     }
@@ -39,35 +39,36 @@ impl GpuSignal {
 /// A feature on the GPU, in unit range.
 #[derive(Debug)]
 pub struct GpuFeature {
-    /// Its name in dumps.
+    /// Name of the feature in dumps.
     pub name: String,
-    /// What it measures.
+    /// Quantity that the feature measures.
     pub kind: FeatureKind,
-    /// Its values and what is known of their noise.
+    /// Values of the feature, with halves and variance where the renderer gives them.
     pub signal: GpuSignal,
-    /// 1 to 3.
+    /// Number of channels, 1 to 3.
     pub channels: u32,
 }
 
-/// A frame on the GPU: what a renderer hands over that keeps its buffers there.
+/// A frame on the GPU, handed over by a renderer that keeps its buffers there.
 #[derive(Debug)]
 pub struct GpuFrame {
     /// Width and height in pixels.
     pub extent: IVec2,
-    /// Three channels, of the order of 1: the tiny constants of the method are absolute.
+    /// Colour: three channels, of the order of 1, because the small constants of the methods are absolute.
     pub color: GpuSignal,
-    /// 0 to 8.
+    /// Features, 0 to 8.
     pub features: Vec<GpuFeature>,
-    /// GEM corrects the variances of few samples by it; of DFC and NLM only the sampling density asks for it.
+    /// Samples per pixel. GEM corrects the variances of few samples by them; DFC and NLM use them only for the sampling
+    /// density.
     pub samples: GpuSamples,
-    /// The mean over the whole image of the variance of the colour's mean, per channel; by the halves, where there are
-    /// any. Only [`NlmVariance::Uniform`](super::nlm::NlmVariance) asks for it.
+    /// Variance of the colour's mean, averaged over the whole image, per channel; from the halves, where there are any.
+    /// Only [`NlmVariance::Uniform`](super::nlm::NlmVariance) uses it.
     pub mean_variance: Option<Vec3>,
 }
 
 impl GpuFrame {
-    /// Makes a frame of one pixel, with a feature of which halves tell the noise and one of which nothing does. Its
-    /// values are arbitrary.
+    /// Makes a frame of one pixel with two features: one with halves, and one whose noise is unknown. Its values are
+    /// arbitrary.
     pub(super) fn least(rec: &mut Recorder, has_halves: bool, has_variance: bool) -> Result<Self> {
         let extent = IVec2::ONE;
         let mut signal = |has_halves: bool, has_variance: bool| {
@@ -87,8 +88,8 @@ impl GpuFrame {
     }
 }
 
-/// What a method works on: a frame whose colour is on the device, and whose features are there or follow one by one, so
-/// that the raw features of a frame never take memory all at one time.
+/// Input of a method: a frame whose colour is on the device. Its features are on the device, too, or are uploaded one
+/// by one, so that the raw features of a frame are never in memory all at once.
 pub(crate) struct FrameInput<'a> {
     /// As [`GpuFrame::extent`].
     pub(crate) extent: IVec2,
@@ -102,14 +103,14 @@ pub(crate) struct FrameInput<'a> {
     pub(super) mean_variance: Option<Vec3>,
 }
 
-/// A feature that is on the device or follows.
+/// A feature that is on the device or is uploaded later.
 pub(super) struct FeatureInput<'a> {
     pub(super) name: String,
     pub(super) kind: FeatureKind,
-    /// 1 to 3.
+    /// Number of channels, 1 to 3.
     pub(super) channels: u32,
     source: Source<'a>,
-    /// Its variance of the mean, where it was estimated, and where it is.
+    /// Pooled variances, and the slot of this feature in them; `None` where its variance was not estimated.
     pub(super) pooled: Option<(Arc<Pooled>, Slot)>,
 }
 
@@ -119,7 +120,7 @@ enum Source<'a> {
 }
 
 impl FeatureInput<'_> {
-    /// Brings it to the device if it is not there.
+    /// Returns the feature on the device, uploading it if it is not there.
     pub(super) fn fetch(&self, rec: &mut Recorder, extent: IVec2) -> Result<GpuSignal> {
         let mut signal = match &self.source {
             Source::Device(signal) => signal.clone(),
@@ -176,16 +177,17 @@ impl<'a> FrameInput<'a> {
     }
 }
 
-/// In which units frames are uploaded: those of one window of time are in the units of the frame that is denoised.
+/// Units in which frames are uploaded. All frames of a window in time have the units of the frame to denoise.
 pub(crate) struct Units<'a> {
     /// Factor of the colour.
     pub(crate) exposure: f32,
-    /// The features to upload, mapped to these features' unit range.
+    /// Features to upload. The features of every frame are mapped to the unit range of these.
     pub(crate) features: Vec<&'a Feature>,
 }
 
 impl<'a> Units<'a> {
-    /// Units of `frames[centre]`; its features are used if the method uses any and all frames have them.
+    /// Returns the units of `frames[centre]`. They list its features if `with_features` is set, and only features that
+    /// all frames have.
     pub(crate) fn of_window(frames: &[&'a Frame], centre: usize, with_features: bool, exposure: f32) -> Self {
         let alike = |a: &Feature, b: &Feature| a.name == b.name && a.signal.mean.channels() == b.signal.mean.channels();
         let everywhere =
@@ -196,8 +198,9 @@ impl<'a> Units<'a> {
 }
 
 impl<'a> FrameInput<'a> {
-    /// Uploads the rows of a strip and its halo: what the plan asks for, the features when their turn comes. `frame`
-    /// has all features that `units` lists. `mean_variance` is that of the whole frame, so that all strips agree.
+    /// Uploads the rows of a strip and its halo. Features are uploaded later, when the method fetches them, with the
+    /// noise that the plan needs. `frame` has all features that `units` lists. `mean_variance` belongs to the whole
+    /// frame, so that all strips agree.
     pub(crate) fn upload(
         rec: &mut Recorder,
         frame: &'a Frame,
@@ -244,12 +247,12 @@ impl<'a> FrameInput<'a> {
     }
 }
 
-/// What values are mapped by on their way to the GPU. With the factor 1 and no shift they stay the same to the bit.
+/// Map of values on their way to the GPU. With factor 1 and shift 0, values stay the same to the bit.
 #[derive(Clone, Copy)]
 struct Affine<'a> {
     factor: f32,
     shift: f32,
-    /// Pixels that keep their value; empty where there are none.
+    /// Whether each pixel keeps its value; empty where no pixel does.
     fixed: &'a [bool],
 }
 
@@ -263,11 +266,11 @@ impl Affine<'_> {
     }
 }
 
-/// Whether what is known of a signal's noise is uploaded with it.
+/// Whether halves and variance of a signal are uploaded with it.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Noise {
     Told,
-    /// It is 0, or nothing is known.
+    /// The noise is 0 or unknown, or no filter reads it.
     Absent,
 }
 
@@ -323,8 +326,8 @@ fn upload_planes(
     })
 }
 
-/// The mean over a frame of the variance of the colour's mean, as [`GpuFrame::mean_variance`]; `None` where nothing
-/// tells.
+/// Returns the variance of the colour's mean, averaged over a frame, as [`GpuFrame::mean_variance`]; `None` where
+/// neither halves nor a variance tell it.
 pub(crate) fn mean_variance(frame: &Frame, exposure: f32) -> Option<Vec3> {
     let signal = frame.color();
     let mean = |plane: &Vec<f32>, value: fn(f64) -> f64| {
@@ -341,7 +344,8 @@ pub(crate) fn mean_variance(frame: &Frame, exposure: f32) -> Option<Vec3> {
     in_file_units.map(|variance| variance * exposure * exposure)
 }
 
-/// Pixels that are interleaved at one time: they stay in the cache from the first channel to the last.
+/// Number of pixels that are interleaved at one time: few enough to stay in the cache from the first channel to the
+/// last.
 const PIXELS_AT_ONCE: usize = 4096;
 
 fn interleave(planes: &[Vec<f32>], pixels: &std::ops::Range<usize>, map: Affine, packed: &mut [f32]) {

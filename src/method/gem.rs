@@ -47,7 +47,8 @@ pub(crate) fn gem(
     }
     let selected = select(rec, extent, &color, samples, plan, &mut keeper, progress)?;
 
-    // Sample distribution (6.3): what the host ranks the pixels by, once it knows how many samples there will be.
+    // Sample distribution (6.3): quantities by which the host ranks the pixels, once it knows the number of samples to
+    // draw.
     if plan.density.runs {
         plan.density.begin(rec);
         let reduction = Arc::new(scale_reduction(rec, extent, &selected)?);
@@ -74,7 +75,7 @@ pub(crate) fn gem(
     })
 }
 
-/// The kernel at a pixel: the Gaussian of the scale that it comes to.
+/// Returns the kernel at a pixel: the Gaussian of the scale that was chosen there.
 pub(super) fn kernels(rec: &mut Recorder, frame: FrameInput, plan: &GemPlan) -> Result<Vec<KernelOnGpu>> {
     let extent = frame.extent;
     let Repaired { color, samples, .. } = Repaired::new(rec, frame, plan)?;
@@ -84,7 +85,7 @@ pub(super) fn kernels(rec: &mut Recorder, frame: FrameInput, plan: &GemPlan) -> 
     Ok(vec![KernelOnGpu { name: "scale", averaged, weights, share: None }])
 }
 
-/// A frame without spikes. Of features, which a renderer may hand over, none are used.
+/// A frame without spikes. A renderer may hand over features; none are used.
 struct Repaired {
     color: GpuSignal,
     samples: GpuSamples,
@@ -98,7 +99,7 @@ impl Repaired {
         drop(features);
         if let Some(noise) = plan.noise.as_ref().filter(|noise| noise.runs) {
             noise.begin(rec);
-            estimate_noise(rec, extent, &mut color, &mut [], params.pooling())?;
+            estimate_noise(rec, extent, &mut color, &mut [], Method::from(*params).pooling())?;
         }
         if !plan.spikes.runs {
             return Ok(Self { color, samples, spikes: None });
@@ -109,7 +110,7 @@ impl Repaired {
     }
 }
 
-/// The scale that each pixel comes to.
+/// Chooses the scale of each pixel.
 fn select(
     rec: &mut Recorder,
     extent: IVec2,
@@ -119,8 +120,7 @@ fn select(
     keeper: &mut Keeper,
     mut progress: impl FnMut(&mut Recorder, f32) -> Result<()>,
 ) -> Result<Selected> {
-    // Mean variances of the pixels (eq. 6.3). Scaled by the halves, where there are any, they need no purely random
-    // samples.
+    // Mean variances of the pixels (eq. 6.3). Where halves scale them, they do not require purely random samples.
     plan.variance.begin(rec);
     let variance = input_variance(rec, extent, color, BoxWeight::Even)?;
     keeper.keep(Intermediate::Variance, "scaled_variance", &RGB, Unit::ColorSquared, &variance, 0);
@@ -154,7 +154,7 @@ fn select(
 method_plan! {
     /// Plan of GEM.
     pub struct GemPlan of GemParams {
-        /// Variances that the frame lacks, estimated; `None` if it lacks none.
+        /// Estimates of variances that the frame lacks; `None` if it lacks none.
         noise: Option<PlannedStep>,
         /// Spikes taken out of the colour.
         spikes: PlannedStep,
@@ -169,17 +169,17 @@ method_plan! {
     }
 }
 
-/// Plans [`gem`]. Without variance its decisions are no less smoothed over the pixels around, so that a frame without
-/// noise is not simply copied.
+/// Plans [`gem`]. Without variance, GEM still smooths its decisions over the pixels around. So a frame without noise is
+/// not simply copied.
 pub(super) fn plan(params: &GemParams, facts: &Facts, wishes: &Wishes) -> GemPlan {
     let planner = Planner::new(wishes);
     let unasked = [impossible(!wishes.keeps(Intermediate::Density), "it is not asked for")];
     GemPlan {
         params: *params,
         keep: wishes.keep.to_vec(),
-        noise: planner.noise(params.pooling(), facts),
+        noise: planner.noise(Method::from(*params).pooling(), facts),
         spikes: planner.spikes(params.spikes, facts),
-        variance: planner.variance(params.pooling(), facts),
+        variance: planner.variance(Method::from(*params).pooling(), facts),
         scales: planner.step("scales", "from fine to coarse", &[]),
         density: planner.step("sampling density", "it is asked for", &unasked).beside_kernels(),
         keep_clean: planner.keep_clean(params.keep_clean),

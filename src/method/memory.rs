@@ -1,26 +1,26 @@
-//! How an image is cut into strips of rows that fit, by what dry runs tell of the memory that a strip takes and of the
-//! rows around it that its result depends on.
+//! Cuts an image into strips of rows whose work fits the memory. Dry runs find the memory of a strip and the rows
+//! around it that its result depends on.
 
 use crate::error::{DeviceCause, Error, Result};
 use crate::gpu::Gpu;
 use crate::host_memory::{FreeMemory, Shortage};
 use crate::image::Extent;
 
-/// Rows of an image that are worked on at one time: those wanted, and the halo that they depend on.
+/// Rows of an image that are processed at one time: the rows of the result, and the halo that they depend on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Strip {
-    /// First row wanted.
+    /// First row of the result.
     pub(crate) first: usize,
-    /// One past the last row wanted.
+    /// One past the last row of the result.
     pub(crate) end: usize,
-    /// First row uploaded.
+    /// First row that is uploaded.
     pub(crate) first_with_halo: usize,
-    /// One past the last row uploaded.
+    /// One past the last row that is uploaded.
     pub(crate) end_with_halo: usize,
 }
 
 impl Strip {
-    /// The whole image.
+    /// Makes a strip of the whole image.
     pub(crate) fn whole(extent: Extent) -> Self {
         let height = extent.height as usize;
         Self { first: 0, end: height, first_with_halo: 0, end_with_halo: height }
@@ -30,18 +30,18 @@ impl Strip {
         self.end_with_halo - self.first_with_halo
     }
 
-    /// The pixels uploaded, in an image of this width.
+    /// Returns the uploaded pixels, in an image of this width.
     pub(crate) fn pixels(&self, width: usize) -> std::ops::Range<usize> {
         self.first_with_halo * width..self.end_with_halo * width
     }
 }
 
-/// Memory that the work on some strips takes, and how far its results depend on the frame, by a dry run.
+/// Memory of the work on some strips, and the reach of its results, found by a dry run.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Footprint {
     /// Rows above and below a pixel that its results depend on.
     pub(crate) halo: u32,
-    /// Most bytes that buffers take on the device.
+    /// Largest number of bytes that buffers take on the device.
     pub(crate) peak_bytes: u64,
     /// Size of the largest buffer, in bytes.
     pub(crate) largest_bytes: u64,
@@ -49,36 +49,37 @@ pub(crate) struct Footprint {
     pub(crate) kept_planes: u64,
 }
 
-/// What bounds the memory that buffers take on the device, besides the device.
+/// Limits on the memory of the device's buffers, besides the limits of the device itself.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct DeviceMemory {
     /// The limit that a user set, in bytes.
     pub(crate) asked: Option<u64>,
-    /// The memory of the computer, and what the host takes of it, in bytes: where the device is a program on the
-    /// processor, its buffers are in the same memory.
+    /// Free memory of the computer, and the part of it that the host takes, in bytes. `None` unless the device is a
+    /// program on the processor, which keeps its buffers in this memory.
     pub(crate) shared: Option<(FreeMemory, u64)>,
 }
 
 impl DeviceMemory {
-    /// Bytes that a program takes that plays a graphics card, besides buffers: it compiles the kernels.
+    /// Bytes that a software device takes besides its buffers: it compiles the kernels.
     const DRIVER_BYTES: u64 = 96 << 20;
 
     fn left_by_host(self) -> Option<u64> {
         self.shared.map(|(free, host)| free.bytes().saturating_sub(host + Self::DRIVER_BYTES))
     }
 
-    /// Bytes that buffers may take.
+    /// Returns the largest number of bytes that buffers may take; `None` without a limit.
     pub(crate) fn bytes(self) -> Option<u64> {
         self.asked.into_iter().chain(self.left_by_host()).min()
     }
 
-    /// Why buffers of `least` bytes do not fit, which the adapter would bind.
+    /// Makes the error for buffers of `least` bytes that the adapter could bind but the memory cannot hold.
     fn refuse(self, least: u64, halo: usize) -> Error {
         if let Some((free, host)) = self.shared
             && self.left_by_host().is_some_and(|left| left < least)
         {
             let what = format!(
-                "a strip of one row of this image, with the {halo} rows above and below that it depends on, and the result"
+                "a strip of one row of this image, with the {halo} rows above and below that it depends on, and the \
+                 result"
             );
             return Shortage::new(host + Self::DRIVER_BYTES + least, free).error(&what);
         }
@@ -86,12 +87,12 @@ impl DeviceMemory {
     }
 }
 
-/// Cuts a frame into strips of which each, with the same rows of the frames beside it, fits the adapter's limits on
-/// bindings and dispatches and the memory. `whole` is the footprint of the frame as one piece, whose halo holds for
-/// every strip; `dry_run` finds the footprint of strips where `memory` is the limit.
+/// Cuts a frame into strips. Each strip, with the same rows of the frames beside, fits the memory and the adapter's
+/// limits on bindings and dispatches. `whole` is the footprint of the frame as one strip; its halo holds for every
+/// strip. `dry_run` finds the footprint of several strips under the limit of `memory`.
 ///
 /// # Errors
-/// [`Error::Device`] where not even one row with its halo fits; as `dry_run`.
+/// [`Error::Device`] where not even one row with its halo fits; errors of `dry_run`.
 pub(crate) fn strips(
     gpu: &Gpu,
     extent: Extent,
@@ -100,7 +101,7 @@ pub(crate) fn strips(
     dry_run: impl Fn(&[Strip]) -> Result<Footprint>,
 ) -> Result<Vec<Strip>> {
     let (height, halo) = (extent.height as usize, whole.halo as usize);
-    // Of equal height, so that the last one is not a sliver that costs as much halo as the others.
+    // All strips have the same height: a last sliver would cost as much halo as the others.
     let cut = |count: usize| {
         let rows = height.div_ceil(count);
         let strip = |first: usize| {
@@ -122,8 +123,8 @@ pub(crate) fn strips(
     if fits(&in_one_piece, &whole) || fits(&in_one_piece, &dry_run(&in_one_piece)?) {
         return Ok(in_one_piece);
     }
-    // The fewest strips of which the tallest fits by itself. The tallest of two has a halo on one side alone, and may be
-    // lower than that of three.
+    // Finds the fewest strips of which the tallest fits by itself. With two strips, each has a halo on one side only,
+    // so the tallest of two may be lower than the tallest of three.
     let tallest_fits = |count: usize| {
         let Some(tallest) = tallest(&cut(count)) else { return Ok(true) };
         Ok::<_, Error>(fits(&[tallest], &dry_run(&[tallest])?))
@@ -137,7 +138,7 @@ pub(crate) fn strips(
             too_few = middle;
         }
     }
-    // Of all of them, one after the other, each has the idle buffers of those before it beside it.
+    // Then checks all strips one after the other: each of them finds the idle buffers of the strips before it.
     for count in count..=height.max(count) {
         let strips = cut(count);
         if fits(&strips, &dry_run(&strips)?) {

@@ -1,8 +1,8 @@
-//! The methods. Each is one straight function that reads like its chapter. Methods know the stages, but not the GPU
-//! interface beneath them.
+//! The methods. Each method is one straight function that reads like its chapter. Methods know the stages, but not the
+//! GPU interface beneath them.
 //!
-//! DFC and GEM are one shape: a bank of candidates, an error for each, a smoothed choice. NLM is one filter whose two
-//! halves tell its error.
+//! DFC and GEM have one shape: a bank of candidates, an error for each candidate, a smoothed choice. NLM is one filter
+//! whose two halves tell its error.
 
 mod common;
 pub mod dfc;
@@ -29,6 +29,7 @@ use crate::parameters::choices;
 use crate::stage::frames::Frames;
 use crate::stage::nlm::Schedule;
 use kernels::KernelOnGpu;
+use noise::Pooling;
 
 pub(crate) use common::LARGEST_PATCH_RADIUS;
 pub use dfc::{DfcParams, DfcPlan};
@@ -59,9 +60,9 @@ choices! {
     #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
     #[serde(rename_all = "lowercase")]
     pub enum Preset {
-        /// What measured best.
+        /// Values that measured best.
         Default => "default",
-        /// The published algorithm to the letter, its misprints mended.
+        /// The published algorithm to the letter, with its misprints corrected.
         Thesis => "thesis",
     }
 }
@@ -79,7 +80,7 @@ impl From<DfcParams> for Method {
 }
 
 impl Method {
-    /// Its name on the command line.
+    /// Returns the name of the method on the command line.
     pub fn name(&self) -> &'static str {
         let [dfc, gem, nlm] = Self::NAMES;
         match self {
@@ -89,7 +90,7 @@ impl Method {
         }
     }
 
-    /// Radius of the window that it averages over, in pixels.
+    /// Returns the radius of the window that the method averages over, in pixels.
     pub fn window_radius(&self) -> u32 {
         match self {
             Self::Dfc(params) => params.window_radius,
@@ -98,8 +99,8 @@ impl Method {
         }
     }
 
-    /// How far the influence of a pixel reaches, in pixels along either axis, whatever is known of the noise of the
-    /// frame and whatever results are wanted.
+    /// Returns how far the influence of a pixel reaches, in pixels along either axis, for any noise statistics of the
+    /// frame and any requested results.
     pub(crate) fn reach(&self, gpu: &Gpu, schedule: Schedule) -> Result<u32> {
         let wishes = Wishes { keep: self.intermediates(), error: true, everything: true };
         let mut reach = 0;
@@ -116,7 +117,7 @@ impl Method {
         Ok(reach)
     }
 
-    /// Whether it uses features. If not, they are not uploaded.
+    /// Returns whether the method uses features. If not, they are not uploaded.
     pub fn uses_features(&self) -> bool {
         match self {
             Self::Dfc(_) => true,
@@ -124,7 +125,7 @@ impl Method {
         }
     }
 
-    /// [`GpuFrame::mean_variance`] of a frame, if the method uses it.
+    /// Returns the [`GpuFrame::mean_variance`] of a frame, if the method uses it.
     pub(crate) fn mean_variance(&self, frame: &Frame, exposure: f32) -> Option<Vec3> {
         match self {
             Self::Nlm(NlmParams { variance: nlm::NlmVariance::Uniform, .. }) => frame::mean_variance(frame, exposure),
@@ -132,7 +133,7 @@ impl Method {
         }
     }
 
-    /// The intermediates that it has.
+    /// Returns the intermediates that the method has.
     pub fn intermediates(&self) -> &'static [Intermediate] {
         match self {
             Self::Dfc(_) => &dfc::INTERMEDIATES,
@@ -141,8 +142,8 @@ impl Method {
         }
     }
 
-    /// The method with its parameters for frames whose samples are still being drawn. Spikes stay, because a spike
-    /// calls for more samples. A pixel whose first samples agree is not taken to be without noise.
+    /// Returns the method with the parameters for frames whose samples are still being drawn. Spikes stay, because a
+    /// spike calls for more samples. A pixel whose first samples agree does not count as free of noise.
     #[must_use]
     pub fn while_sampling(self) -> Self {
         match self {
@@ -154,7 +155,7 @@ impl Method {
         }
     }
 
-    /// Checks the ranges of its parameters.
+    /// Checks the ranges of the parameters.
     ///
     /// # Errors
     /// [`Error::Request`] naming the parameter and its range.
@@ -166,7 +167,7 @@ impl Method {
         }
     }
 
-    /// The plan for frames with these facts.
+    /// Returns the plan for frames with these facts.
     pub(crate) fn plan(&self, facts: &Facts, wishes: &Wishes) -> Plan {
         match self {
             Self::Dfc(params) => dfc::plan(params, facts, wishes),
@@ -176,7 +177,7 @@ impl Method {
         .into()
     }
 
-    /// Whether its window can hold neighbouring frames of a shot.
+    /// Returns whether the window can hold neighbouring frames of a shot.
     pub fn filters_in_time(&self) -> bool {
         match self {
             Self::Dfc(_) | Self::Nlm(_) => true,
@@ -184,7 +185,7 @@ impl Method {
         }
     }
 
-    /// Treatment of spikes.
+    /// Returns the treatment of spikes.
     pub fn spikes(&self) -> Spikes {
         match self {
             Self::Dfc(params) => params.spikes,
@@ -193,7 +194,7 @@ impl Method {
         }
     }
 
-    /// The method with another treatment of spikes.
+    /// Returns the method with another treatment of spikes.
     #[must_use]
     pub fn with_spikes(self, spikes: Spikes) -> Self {
         match self {
@@ -203,13 +204,19 @@ impl Method {
         }
     }
 
-    /// Whether it estimates variances of the mean that a frame lacks.
+    /// Returns whether the method estimates variances of the mean that a frame lacks.
     pub fn pools_variance(&self) -> bool {
-        match self {
-            Self::Dfc(params) => params.pooled_variance,
-            Self::Gem(params) => params.pooled_variance,
-            Self::Nlm(params) => params.pooled_variance,
-        }
+        self.pooling() != Pooling::Off
+    }
+
+    /// Returns the variances of the mean that the method pools.
+    fn pooling(&self) -> Pooling {
+        let (pools, pooling) = match self {
+            Self::Dfc(params) => (params.pooled_variance, Pooling::All),
+            Self::Gem(params) => (params.pooled_variance, Pooling::Lacking),
+            Self::Nlm(params) => (params.pooled_variance, Pooling::Lacking),
+        };
+        if pools { pooling } else { Pooling::Off }
     }
 
     /// Refuses a colour of unknown noise if the method does not estimate the noise.
@@ -228,7 +235,8 @@ impl Method {
         Err(Error::Request(RequestCause::NotInTime { method: self.name() }))
     }
 
-    /// Records the work that yields the kernels at a pixel. `frame` may be the part of the frame that they reach.
+    /// Records the work that yields the kernels at a pixel. `frame` may be the part of the frame that the kernels
+    /// depend on.
     pub(crate) fn kernels(
         &self,
         rec: &mut Recorder,
@@ -244,7 +252,8 @@ impl Method {
         }
     }
 
-    /// Records the planned steps for the own frame of a window, whose other frames must have its units. `progress` receives the share of the work that is recorded, 0 to 1.
+    /// Records the planned steps for the own frame of a window. The other frames of the window have its units.
+    /// `progress` receives the share of the work that is recorded, 0 to 1.
     pub(crate) fn record(
         &self,
         rec: &mut Recorder,

@@ -31,7 +31,7 @@ pub use params::{NlmParams, NlmVariance};
 pub(super) const INTERMEDIATES: [Intermediate; 4] =
     [Intermediate::Spikes, Intermediate::Variance, Intermediate::Halves, Intermediate::Density];
 
-/// Thesis 7.1.3: lets pixels that missed a rare event be sampled where their neighbours recorded it.
+/// Thesis 7.1.3: pixels that missed a rare event are sampled where their neighbours recorded it.
 const ERROR_SMOOTHING_SIGMA: f32 = 0.8;
 
 /// Thesis 7.1.1: the small window keeps the peaks of the variance where the spikes are; α of 4 disregards differences
@@ -41,13 +41,13 @@ const VARIANCE_PATCH_RADIUS: u32 = 3;
 const VARIANCE_K: f32 = 0.45;
 const VARIANCE_ALPHA: f32 = 4.0;
 
-/// Non-local means. Uses no features. Its window reaches into the frames beside, if there are any, which must be in the
-/// units of the own frame (thesis 7.3).
+/// Non-local means. Uses no features. The window also covers the frames beside, if there are any (thesis 7.3); they
+/// must have the units of the own frame.
 ///
 /// `progress` is called with the share of the work that is recorded.
 ///
 /// # Errors
-/// Errors of the recorder; [`Error::Request`] where the variance is to be uniform and a frame does not say which.
+/// Errors of the recorder; [`Error::Request`] where the variance is to be uniform and a frame has no mean variance.
 pub(crate) fn nlm(
     rec: &mut Recorder,
     frames: Frames<FrameInput>,
@@ -104,8 +104,8 @@ pub(crate) fn nlm(
         progress(rec, to)?;
         Ok::<_, Error>(filtered)
     };
-    // Weights from the other half do not depend on the noise of what they average, so that SURE is had for nothing. Of
-    // the whole, the share of the work on the own frame alone.
+    // Weights from the other half do not depend on the noise of the averaged half, so that SURE costs nothing. `share`
+    // is the part of the whole work that the own frame alone takes.
     let guarded = plan.filter_alone.runs;
     plan.filter_alone.begin(rec);
     let share = if guarded { 1.0 / (beside.len() as f32 + 2.0) } else { 0.0 };
@@ -148,7 +148,7 @@ pub(crate) fn nlm(
     })
 }
 
-/// What one run of the filter takes from a frame.
+/// Input of one run of the filter, from one frame.
 struct Buffers<'a> {
     guide: &'a Buffer,
     variance: &'a Buffer,
@@ -157,7 +157,7 @@ struct Buffers<'a> {
 }
 
 impl Buffers<'_> {
-    /// Each half is filtered with the weights of the other.
+    /// Filters half A with the weights of half B; half B is filtered the other way round.
     fn of_half_a(halves: &Halves) -> Buffers<'_> {
         Buffers { guide: &halves.b, variance: &halves.variance, payload: &halves.a, payload_planes: 1 }
     }
@@ -168,7 +168,7 @@ impl Buffers<'_> {
 }
 
 impl<'a> Buffers<'a> {
-    /// With its own weights.
+    /// Filters the signal with its own weights.
     fn of_signal(signal: &'a Buffer, variance: &'a Buffer) -> Self {
         Self { guide: signal, variance, payload: signal, payload_planes: 2 }
     }
@@ -183,7 +183,7 @@ impl<'a> Buffers<'a> {
     }
 }
 
-/// The kernels at a pixel: of both halves where they are filtered by each other.
+/// Returns the kernels at a pixel: two where the halves are filtered by each other, otherwise one.
 pub(super) fn kernels(
     rec: &mut Recorder,
     frame: FrameInput,
@@ -229,16 +229,16 @@ pub(super) fn kernels(
     })
 }
 
-/// What the filter needs of a frame.
+/// Input of the filter from one frame.
 struct Prepared {
-    /// Without spikes.
+    /// Colour without spikes.
     color: GpuSignal,
-    /// With the samples of each pixel in w.
+    /// Signal with the number of samples of each pixel in the w of its mean.
     signal: Buffer,
     variance: Arc<Buffer>,
-    /// Where they are filtered by each other.
+    /// Halves, where they are filtered by each other.
     halves: Option<Halves>,
-    /// What was taken from them.
+    /// Spikes and lights that were taken out.
     spikes: Option<Found>,
 }
 
@@ -248,7 +248,7 @@ impl Prepared {
         let FrameInput { extent, mut color, features: _, samples, mean_variance } = frame;
         if let Some(noise) = plan.noise.as_ref().filter(|noise| noise.runs) {
             noise.begin(rec);
-            estimate_noise(rec, extent, &mut color, &mut [], params.pooling())?;
+            estimate_noise(rec, extent, &mut color, &mut [], Method::from(*params).pooling())?;
         }
         let mut spikes = None;
         if plan.spikes.runs {
@@ -283,9 +283,10 @@ impl Prepared {
     }
 }
 
-/// Scaled as in thesis 8.2, and held below the sample variance as in 7.1.1. Measured on six renders with 8 and 32
-/// samples per pixel, holding it saves single dark pixels beside bright noise (relative MSE of `caustic_ring` at 32 spp
-/// 0.0199 without, 0.0075 with; `dof_spheres` 0.0050 and 0.0048) and changes no other by more than 2 %.
+/// Returns the variance scaled as in thesis 8.2 and held below the sample variance as in 7.1.1. Measured on six renders
+/// with 8 and 32 samples per pixel: the bound saves single dark pixels beside bright noise (relative MSE of
+/// `caustic_ring` at 32 spp 0.0199 without, 0.0075 with; `dof_spheres` 0.0050 and 0.0048) and changes no other by more
+/// than 2 %.
 fn scaled_variance(rec: &mut Recorder, extent: IVec2, color: &GpuSignal) -> Result<Arc<Buffer>> {
     let scaled = input_variance(rec, extent, color, BoxWeight::Deviation)?;
     match color.variance_of_mean.as_ref().filter(|_| color.has_halves) {
@@ -294,9 +295,9 @@ fn scaled_variance(rec: &mut Recorder, extent: IVec2, color: &GpuSignal) -> Resu
     }
 }
 
-/// The two-buffer variance, unbiased and very noisy, filtered with weights from the sample variance, which has its
-/// structure, and held below it. Of the mean of both halves; everything here scales alike, so that the filter is that
-/// of the source, which speaks of one half.
+/// Returns the two-buffer variance, filtered with weights from the sample variance and held below it. The two-buffer
+/// variance is unbiased and very noisy; the sample variance has the same structure. Both belong to the mean of both
+/// halves, whereas the source speaks of one half; all quantities scale alike, so the filter is the same.
 fn cross_filtered_variance(
     rec: &mut Recorder,
     extent: IVec2,
@@ -335,15 +336,15 @@ impl From<NlmParams> for Method {
 method_plan! {
     /// Plan of NLM.
     pub struct NlmPlan of NlmParams {
-        /// Variances that the frame lacks, estimated; `None` if it lacks none.
+        /// Estimates of variances that the frame lacks; `None` if it lacks none.
         noise: Option<PlannedStep>,
         /// Spikes taken out of the colour.
         spikes: PlannedStep,
         /// The variance of the colour's mean, as the parameters say.
         variance: PlannedStep,
-        /// Halves to be filtered by each other (thesis 7.1.1).
+        /// Halves split, to be filtered by each other (thesis 7.1.1).
         halves: PlannedStep,
-        /// The filter over the own frame alone, to judge the frames beside by.
+        /// The filter over the own frame alone, against which the frames beside are judged.
         filter_alone: PlannedStep,
         /// The filter.
         filter: PlannedStep,
@@ -357,7 +358,7 @@ method_plan! {
 }
 
 /// Plans [`nlm`]. A frame without noise is not simply copied: where a patch leaves the image, opposite neighbours that
-/// stand for each other get unequal weights, and what is exact moves.
+/// stand in for each other get unequal weights, so that even exact pixels change.
 pub(super) fn plan(params: &NlmParams, facts: &Facts, wishes: &Wishes) -> NlmPlan {
     let planner = Planner::new(wishes);
     let variance = match params.variance {
@@ -382,7 +383,7 @@ pub(super) fn plan(params: &NlmParams, facts: &Facts, wishes: &Wishes) -> NlmPla
     NlmPlan {
         params: *params,
         keep: wishes.keep.to_vec(),
-        noise: planner.noise(params.pooling(), facts),
+        noise: planner.noise(Method::from(*params).pooling(), facts),
         spikes: planner.spikes(params.spikes, facts),
         variance: planner.step("variance", variance, &[]),
         halves,

@@ -1,4 +1,4 @@
-//! Estimates the variances of the mean that a frame lacks, before anything else runs, and steadies those that it has.
+//! Estimates the variances of the mean that a frame lacks, before any other step, and pools those that it has.
 
 use std::sync::Arc;
 
@@ -14,7 +14,7 @@ use crate::stage::noise::{
     ImageRule, NoiseRule, NoisyFeatures, noise_feature, noise_of_image, noise_pool, noise_unpack,
 };
 
-/// Which variances of the mean a method pools over pixels that are alike.
+/// Variances of the mean that a method pools over pixels that are alike.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Pooling {
     Off,
@@ -25,7 +25,7 @@ pub(super) enum Pooling {
 }
 
 impl Pooling {
-    /// Whether a frame has variances to pool.
+    /// Returns whether a frame has variances to pool.
     pub(super) fn finds_any(self, facts: &Facts) -> bool {
         match self {
             Self::Off => false,
@@ -35,13 +35,13 @@ impl Pooling {
     }
 }
 
-/// How far around a pixel its estimated variance depends on noise, in pixels: beyond, it only matters how bright pixels
-/// are.
+/// How far around a pixel its estimated variance depends on the noise of others, in pixels. Beyond, it depends only on
+/// their brightness.
 pub(super) const POOLING_RADIUS: u32 = NoiseRule::HALVES.window_radius;
 
-/// Gives the colour and the features variances of the mean where they have none: from their halves, or, of a colour of
-/// whose noise nothing is known, from the image itself. By [`Pooling::All`], that of a colour with halves is pooled,
-/// too.
+/// Gives variances of the mean to the colour and the features that lack them: from their halves, or from the image
+/// itself where nothing is known of the colour's noise. [`Pooling::All`] also pools the given variance of a colour with
+/// halves.
 pub(super) fn estimate_noise(
     rec: &mut Recorder,
     extent: IVec2,
@@ -73,11 +73,19 @@ pub(super) fn estimate_noise(
         return Ok(());
     }
     let given = color.variance_of_mean.as_deref();
-    let pooled = Arc::new(noise_pool(rec, extent, &color.signal, given, noisy.as_ref(), &rule)?);
-    if given.is_none() || pooling == Pooling::All {
+    let pooled = noise_pool(rec, extent, &color.signal, given, noisy.as_ref(), &rule)?;
+    let for_color = given.is_none() || pooling == Pooling::All;
+    let Some(noisy) = noisy.filter(|noisy| noisy.are_pooled) else {
+        // The variance of the colour is the only plane.
+        if for_color {
+            color.variance_of_mean = Some(Arc::new(pooled.buffer));
+        }
+        return Ok(());
+    };
+    let pooled = Arc::new(pooled);
+    if for_color {
         color.variance_of_mean = Some(Arc::new(noise_unpack(rec, extent, &pooled, None)?));
     }
-    let Some(noisy) = noisy else { return Ok(()) };
     for (index, feature) in features.iter_mut().enumerate().filter(|(index, _)| lacking[*index]) {
         feature.pooled = Some((pooled.clone(), noisy.packing.slots[index]));
     }

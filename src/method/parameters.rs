@@ -1,19 +1,19 @@
-//! The parameters of a method by their names.
+//! Access to the parameters of a method by their names.
 
 use super::{DfcParams, GemParams, Method, NlmParams, Preset};
 use crate::error::{Error, RequestCause, Result};
 use crate::parameters::{Choice, Describe, Kind, Parameter, Value};
 
 impl Method {
-    /// Their names, in the order of [`Method::all`].
+    /// Names of the methods, in the order of [`Method::all`].
     pub const NAMES: [&'static str; 3] = ["dfc", "gem", "nlm"];
 
-    /// All methods, with the parameters of the default preset.
+    /// Returns all methods, with the parameters of the default preset.
     pub fn all() -> [Self; 3] {
         [Self::Dfc(DfcParams::default()), Self::Gem(GemParams::default()), Self::Nlm(NlmParams::default())]
     }
 
-    /// Their names and what they are, in the order of [`Method::all`].
+    /// Returns names and descriptions of the methods, in the order of [`Method::all`].
     pub fn choices() -> [Choice; 3] {
         let about = |method: &Self| match method {
             Self::Dfc(_) => "Combined colour and feature filters.",
@@ -25,7 +25,7 @@ impl Method {
         Self::all().map(|method| Choice { name: method.name(), documentation: about(&method).into() })
     }
 
-    /// The method with the parameters of a preset.
+    /// Returns the method with the parameters of a preset.
     #[must_use]
     pub fn of_preset(&self, preset: Preset) -> Self {
         match (self, preset) {
@@ -38,7 +38,7 @@ impl Method {
         }
     }
 
-    /// Its parameters, with their documentation, ranges and values, in the order of their declaration.
+    /// Returns the parameters with their documentation, ranges and values, in the order of their declaration.
     pub fn parameters(&self) -> Vec<Parameter> {
         match self {
             Self::Dfc(params) => params.parameters(),
@@ -47,12 +47,12 @@ impl Method {
         }
     }
 
-    /// Whether it has a parameter of this name, be it in a group that is left out.
+    /// Returns whether the method has a parameter of this name, even if its group is left out.
     pub fn has_parameter(&self, name: &str) -> bool {
         self.parameters().iter().any(|parameter| parameter.name == name)
     }
 
-    /// The method with another value of one parameter, named as in [`Method::parameters`].
+    /// Returns the method with another value of one parameter, named as in [`Method::parameters`].
     ///
     /// ```
     /// use stein::Method;
@@ -64,16 +64,17 @@ impl Method {
     /// ```
     ///
     /// # Errors
-    /// [`Error::Request`] naming the parameter and its range: where there is none of that name, where a group that it
-    /// is in is left out, where it cannot be `value`, or where that contradicts the other parameters.
+    /// [`Error::Request`] naming the parameter and its range: where the method has no parameter of that name, where its
+    /// group is left out, where `value` is not allowed, or where `value` contradicts the other parameters.
     pub fn with_parameter(self, name: &str, value: impl Into<Value>) -> Result<Self> {
         let method = self.with_unchecked(name, &value.into())?;
         method.validate()?;
         Ok(method)
     }
 
-    /// The method with other values of several parameters, by name and value as people write them; see
-    /// [`Parameter::parse`]. Later ones build on earlier ones; together they must not contradict each other.
+    /// Returns the method with other values of several parameters, by name and by value as people write them; see
+    /// [`Parameter::parse`]. Later settings build on earlier ones. Together, the settings must not contradict each
+    /// other.
     ///
     /// # Errors
     /// As [`Method::with_parameter`].
@@ -89,7 +90,7 @@ impl Method {
         Ok(method)
     }
 
-    /// Sets a parameter without checking that it fits the others.
+    /// Sets a parameter without checking that it agrees with the others.
     pub(super) fn with_unchecked(mut self, name: &str, value: &Value) -> Result<Self> {
         let listed = self.parameters();
         let Some(parameter) = listed.iter().find(|parameter| parameter.name == name) else {
@@ -111,7 +112,7 @@ impl Method {
         Ok(self)
     }
 
-    /// That no parameter is called like this.
+    /// Makes the error for a name that no parameter has.
     fn has_no(&self, name: &str) -> Error {
         let listed = self.parameters();
         let names_in = |group: &str| -> Vec<String> {

@@ -1,8 +1,8 @@
 //! The steps of a method that a frame needs. They are decided before anything runs, from the parameters, the requested
 //! results and a look at the frame.
 //!
-//! A method asks its plan at every step, so that the plan is what happens and not a description beside it. Each method
-//! has a plan of its own type: it cannot ask for a step that the plan does not know.
+//! A method asks its plan before every step, so that the plan decides what runs. Each method has a plan of its own
+//! type: asking for a step that the plan does not know does not compile.
 
 use glam::IVec2;
 use serde::Serialize;
@@ -22,11 +22,11 @@ pub struct Plan {
     pub method: MethodPlan,
     /// Strips that the image is cut into; 1 where it fits as a whole.
     pub strips: usize,
-    /// Time to look at the frames, in seconds on the host.
+    /// Time that the look at the frames took, in seconds on the host.
     pub analysis_seconds: f64,
 }
 
-/// The steps of each method.
+/// The steps of one of the methods.
 #[derive(Clone, Debug, PartialEq)]
 pub enum MethodPlan {
     /// Steps of DFC.
@@ -43,30 +43,30 @@ pub struct PlannedStep {
     /// Name that users read. Times are listed under it ([`Gpu::step_timings`](crate::gpu::Gpu::step_timings)).
     #[serde(rename = "step")]
     pub name: String,
-    /// Whether it runs.
+    /// Whether the step runs.
     pub runs: bool,
-    /// Reason to run it, or to leave it out.
+    /// Reason to run the step, or to leave it out.
     pub why: String,
-    /// Share of the pixels that skip it, 0 to 1; 1 if it does not run.
+    /// Share of the pixels that skip the step, 0 to 1; 1 if it does not run.
     pub skipped: f64,
-    /// Whether [`kernels`](super::kernels) depend on it. If it is left out, that explains why a filter is missing, or
-    /// why a feature does not separate neighbours.
+    /// Whether [`kernels`](super::kernels) depend on the step. If so, leaving it out explains why a filter is missing,
+    /// or why a feature does not separate neighbours.
     #[serde(skip)]
     pub makes_kernels: bool,
-    /// Tiles that skip it.
+    /// Tiles that skip the step.
     #[serde(skip)]
     pub(super) exact: Option<ExactTiles>,
 }
 
 impl PlannedStep {
-    /// Names the step that the dispatches from here on belong to, if it runs.
+    /// Names the step for the dispatches that are recorded from here on, if it runs.
     pub(super) fn begin(&self, rec: &mut Recorder) {
         if self.runs {
             rec.begin_step(&self.name);
         }
     }
 
-    /// Lets these tiles skip it, if it runs.
+    /// Lets these tiles skip the step, if it runs.
     pub(super) fn but_for(mut self, exact: Option<&ExactTiles>) -> Self {
         if let Some(exact) = exact.filter(|_| self.runs) {
             self.skipped = exact.share();
@@ -75,13 +75,13 @@ impl PlannedStep {
         self
     }
 
-    /// For a step that makes no kernels.
+    /// Marks a step that kernels do not depend on.
     pub(super) fn beside_kernels(self) -> Self {
         Self { makes_kernels: false, ..self }
     }
 }
 
-/// Parts of a plan: a step, a step that not every frame has, or a step for each of several things.
+/// A part of a plan: one step, a step that some frames do not have, a list of steps, or a whole plan.
 pub(super) trait Steps {
     /// Appends the steps in their order.
     fn list<'a>(&'a self, into: &mut Vec<&'a PlannedStep>);
@@ -119,14 +119,14 @@ impl Steps for Vec<PlannedStep> {
     }
 }
 
-/// Declares the plan of a method: its parameters and its steps in the order of the method. A step that is no field is
-/// unknown to the method.
+/// Declares the plan of a method: its parameters and its steps, in the order of the method. The method can only ask for
+/// these steps.
 macro_rules! method_plan {
     ($(#[$meta:meta])* pub struct $name:ident of $params:ty { $($(#[$doc:meta])* $step:ident: $type:ty),+ $(,)? }) => {
         $(#[$meta])*
         #[derive(Clone, Debug, PartialEq)]
         pub struct $name {
-            /// The parameters that it was made from.
+            /// Parameters that the plan was made from.
             pub(in crate::method) params: $params,
             /// Intermediates to keep.
             pub(in crate::method) keep: Vec<$crate::method::Intermediate>,
@@ -163,7 +163,7 @@ impl MethodPlan {
         }
     }
 
-    /// Leaves out all steps: the frame is the result.
+    /// Leaves out all steps, so that the frame is the result.
     pub(super) fn leave_all_out(mut self, why: &str) -> Self {
         self.as_steps_mut().change(&mut |step| {
             if step.runs {
@@ -175,14 +175,14 @@ impl MethodPlan {
 }
 
 impl Plan {
-    /// All steps in the order of the method.
+    /// Returns all steps in the order of the method.
     pub fn steps(&self) -> Vec<&PlannedStep> {
         let mut steps = Vec::new();
         self.method.as_steps().list(&mut steps);
         steps
     }
 
-    /// The plan for a part of the frame that begins at pixel `first`.
+    /// Returns the plan for a part of the frame that begins at pixel `first`.
     pub(crate) fn starting_at(&self, first: IVec2) -> Self {
         let mut moved = self.clone();
         moved.method.as_steps_mut().change(&mut |step| {
@@ -191,12 +191,12 @@ impl Plan {
         moved
     }
 
-    /// Whether no step runs, so that the frame is the result.
+    /// Returns whether no step runs, so that the frame is the result.
     pub(crate) fn copies_the_frame(&self) -> bool {
         self.steps().iter().all(|step| !step.runs)
     }
 
-    /// Whether the method reads the noise of a feature, by the index of the feature among those that are used.
+    /// Returns whether the method reads the noise of a feature. `index` counts the features that are used.
     pub(super) fn reads_noise_of_feature(&self, index: usize) -> bool {
         match &self.method {
             MethodPlan::Dfc(plan) => plan.prefilters.get(index).is_some_and(|step| step.runs),
@@ -211,7 +211,7 @@ impl From<MethodPlan> for Plan {
     }
 }
 
-/// Least share of exact tiles for which a filter skips them.
+/// Least share of exact tiles, 0 to 1, from which on a filter skips them.
 const LEAST_SHARE: f64 = 0.05;
 
 /// Facts about a window of frames, found before anything runs.
@@ -219,15 +219,15 @@ const LEAST_SHARE: f64 = 0.05;
 pub(crate) struct Facts {
     pub(super) has_halves: bool,
     pub(super) has_sample_variance: bool,
-    /// Frames beside the one to denoise.
+    /// Number of frames beside the frame to denoise.
     pub(super) beside: usize,
     /// Tiles in which the colour of any frame has noise. `None` for frames that stay on the device.
     pub(super) noise: Option<NoiseTiles>,
     /// Whether all channels of the colour are equal, in all frames.
     pub(super) grey: bool,
-    /// Tiles in a row.
+    /// Number of tiles in a row.
     tile_columns: usize,
-    /// The features that are used, in their order.
+    /// Features that are used, in their order.
     pub(super) features: Vec<FeatureFacts>,
     /// Names of the features that are not used, and the reasons.
     pub(super) unused_features: Vec<(String, &'static str)>,
@@ -236,16 +236,16 @@ pub(crate) struct Facts {
 #[derive(Clone, Debug)]
 pub(super) struct FeatureFacts {
     pub(super) name: String,
-    /// Whether halves or a variance tell of its noise.
+    /// Whether halves or a variance tell the noise of the feature.
     pub(super) noise_is_told: bool,
-    /// Whether it has a sample variance, so that a pixel without noise has the variance 0.
+    /// Whether the feature has a sample variance, so that a pixel without noise has the variance 0.
     has_sample_variance: bool,
-    /// Tiles in which it has noise in any frame. `None` for frames that stay on the device.
+    /// Tiles in which the feature has noise in any frame. `None` for frames that stay on the device.
     noise: Option<NoiseTiles>,
 }
 
 impl FeatureFacts {
-    /// No pixel has noise.
+    /// Returns whether no pixel has noise.
     pub(super) fn is_noise_free(&self) -> bool {
         self.noise.as_ref().is_some_and(|noise| !noise.any())
     }
@@ -288,8 +288,8 @@ impl Facts {
         }
     }
 
-    /// Facts about frames that a renderer keeps on the device. Their pixels are unknown, so every step that might be
-    /// needed counts as needed.
+    /// Returns facts about frames that a renderer keeps on the device. Their pixels are unknown, so every step that
+    /// might be needed counts as needed.
     pub(crate) fn of_gpu_frame(frame: &GpuFrame, beside: usize, with_features: bool) -> Self {
         let told = |signal: &GpuSignal| signal.has_halves || signal.variance_of_mean.is_some();
         let features = frame.features.iter().filter(|_| with_features).map(|feature| FeatureFacts {
@@ -312,36 +312,37 @@ impl Facts {
 }
 
 impl Facts {
-    /// No pixel of any frame has noise.
+    /// Returns whether no pixel of any frame has noise.
     pub(super) fn is_noise_free(&self) -> bool {
         self.noise.as_ref().is_some_and(|noise| !noise.any())
     }
 
-    /// Whether the colour's noise is known from nothing but the image.
+    /// Returns whether nothing but the image itself tells the noise of the colour.
     pub(super) fn is_image_only(&self) -> bool {
         !self.has_halves && !self.has_sample_variance
     }
 
-    /// Whether the colour, or a feature with noise, has no sample variance. Features are judged beside the colour's
-    /// halves.
+    /// Returns whether the colour lacks a sample variance, or a feature with noise does. Features count only where the
+    /// colour has halves.
     pub(super) fn lacks_variance(&self) -> bool {
         let features_lack =
             || self.features.iter().any(|feature| feature.noise_is_told && !feature.has_sample_variance);
         !self.has_sample_variance || self.has_halves && features_lack()
     }
 
-    /// Tiles around which the colour has no noise, as far as a filter reaches, in pixels.
+    /// Returns the tiles without noise of the colour within `reach` pixels, if there are enough of them.
     pub(super) fn exact_color(&self, reach: u32) -> Option<ExactTiles> {
         self.exact(self.noise.as_ref(), self.has_sample_variance, reach)
     }
 
-    /// Tiles around which a feature has no noise, as far as a filter reaches, in pixels.
+    /// Returns the tiles without noise of a feature within `reach` pixels, if there are enough of them.
     pub(super) fn exact_feature(&self, feature: &FeatureFacts, reach: u32) -> Option<ExactTiles> {
         self.exact(feature.noise.as_ref(), feature.has_sample_variance, reach)
     }
 
-    /// Without a sample variance, the variance is pooled or smoothed, and reaches further than the noise. Returns
-    /// `None` where so few tiles are exact that skipping them saves nothing.
+    /// Returns the tiles without noise within reach; `None` where so few tiles are exact that skipping them saves
+    /// nothing. Without a sample variance, the variance is pooled or smoothed, so that it reaches further than the
+    /// noise.
     fn exact(&self, noise: Option<&NoiseTiles>, has_sample_variance: bool, reach: u32) -> Option<ExactTiles> {
         let smoothing = if has_sample_variance { 0 } else { INPUT_SMOOTHING.radius.max(POOLING_RADIUS) };
         let exact = ExactTiles::new(noise?.exact((reach + smoothing) as usize), self.tile_columns, TILE);
@@ -349,14 +350,14 @@ impl Facts {
     }
 }
 
-/// Results that a caller asks a method for.
+/// Results that a caller requests from a method.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Wishes<'a> {
     /// Intermediates to keep.
     pub(crate) keep: &'a [Intermediate],
     /// Whether to estimate the error.
     pub(crate) error: bool,
-    /// Whether to run the steps that the frame does not need.
+    /// Whether to run steps that the frame does not need, too.
     pub(crate) everything: bool,
 }
 
@@ -366,20 +367,20 @@ impl Wishes<'_> {
     }
 }
 
-/// A reason to leave a step out, if it holds.
+/// A reason to leave out a step, and whether it holds.
 pub(super) struct Unless {
     holds: bool,
     why: &'static str,
-    /// Runs under `with_everything`.
+    /// Whether the step runs nevertheless under `with_everything`.
     could_run: bool,
 }
 
-/// The step has no input, or its result is not requested.
+/// A step that has no input, or whose result is not requested.
 pub(super) fn impossible(holds: bool, why: &'static str) -> Unless {
     Unless { holds, why, could_run: false }
 }
 
-/// The step would change nothing.
+/// A step that would change nothing.
 pub(super) fn needless(holds: bool, why: &'static str) -> Unless {
     Unless { holds, why, could_run: true }
 }
@@ -395,7 +396,7 @@ impl Planner {
         Self { everything: wishes.everything }
     }
 
-    /// A step that runs because of a reason, unless one of the other reasons holds.
+    /// Plans a step. It runs for the reason `because`, unless one of the reasons in `unless` holds.
     pub(super) fn step(self, name: impl Into<String>, because: &str, unless: &[Unless]) -> PlannedStep {
         let reason = unless.iter().find(|unless| unless.holds && !(unless.could_run && self.everything));
         let (runs, why) = reason.map_or((true, because), |reason| (false, reason.why));
@@ -409,13 +410,14 @@ impl Planner {
         }
     }
 
-    /// Tiles to skip, unless everything runs.
+    /// Returns the tiles to skip; `None` if everything runs.
     pub(super) fn skipping(self, exact: Option<ExactTiles>) -> Option<ExactTiles> {
         exact.filter(|_| !self.everything)
     }
 
-    /// Pooling of variances. `None` if the frame lacks no variances, and the method would pool none; the step is there,
-    /// and left out, if the frame lacks variances and the method does not pool them.
+    /// Plans the pooling of variances. Returns `None` if the frame lacks no variances and the method pools none of
+    /// those that it has. A step that is planned and left out means that the frame lacks variances, but the method does
+    /// not pool.
     pub(super) fn noise(self, pooling: Pooling, facts: &Facts) -> Option<PlannedStep> {
         if !facts.lacks_variance() && !pooling.finds_any(facts) {
             return None;
@@ -433,7 +435,7 @@ impl Planner {
         Some(self.step("noise", because, &unless))
     }
 
-    /// Spikes taken out of the colour.
+    /// Plans the repair of spikes in the colour.
     pub(super) fn spikes(self, spikes: Spikes, facts: &Facts) -> PlannedStep {
         let because = match spikes {
             Spikes::Clamp => "what rests on few samples is cut off",
@@ -446,7 +448,7 @@ impl Planner {
         self.step("spikes", because, &unless)
     }
 
-    /// The variance of the colour's mean, as the filters want it.
+    /// Plans the variance of the colour's mean that the filters use.
     pub(super) fn variance(self, pooling: Pooling, facts: &Facts) -> PlannedStep {
         let because = match (facts.has_sample_variance, pooling) {
             (true, Pooling::Off | Pooling::Lacking) => "the sample variance, scaled by the halves",
@@ -460,7 +462,7 @@ impl Planner {
         )
     }
 
-    /// Pixels without noise keep their values.
+    /// Plans that pixels without noise are put back.
     pub(super) fn keep_clean(self, keep_clean: bool) -> PlannedStep {
         let unless = [impossible(!keep_clean, "the parameters leave it out")];
         self.step("clean pixels", "pixels without noise stay as they are", &unless).beside_kernels()

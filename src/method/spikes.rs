@@ -1,4 +1,4 @@
-//! What the methods do about spikes before they filter.
+//! Treatment of spikes before a method filters.
 
 use std::fmt;
 use std::sync::Arc;
@@ -14,35 +14,38 @@ use crate::stage::feature::Features;
 use crate::stage::spike::{SpikeRule, spike_find, spike_spread};
 
 choices! {
-    /// What becomes of spikes: pixels far above those of their kind around them, that rest on very few samples for it.
-    /// The more samples there are, the fewer pixels are spikes, and where a pixel has no noise it is none.
+    /// Treatment of spikes: pixels far above the pixels of their kind around them, by an excess that rests on very few
+    /// samples. The more samples there are, the fewer pixels are spikes. A pixel without noise is no spike.
     ///
     /// | on the command line | a spike | its energy |
     /// | --- | --- | --- |
     /// | `keep` | stays | stays |
-    /// | `spread`, the default | becomes the mean of its neighbours | goes to all noisy pixels of its kind around it that are about as bright, as far as they would not become brighter by much more than a tenth |
+    /// | `spread`, the default | becomes the mean of its neighbours | goes to similar pixels around it |
     /// | `clamp` | becomes the mean of its neighbours | is lost |
+    ///
+    /// Similar pixels are noisy, of the same kind and about as bright. They get only so much energy that none becomes
+    /// brighter by much more than a tenth; the rest is lost.
     #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
     #[serde(rename_all = "lowercase")]
     pub enum Spikes {
-        /// They are filtered like everything else.
+        /// Spikes are filtered like everything else.
         Keep => "keep",
-        /// What stands out goes to the pixels around, as far as that is likely.
+        /// The excess goes to similar pixels around, except for what would brighten them too much.
         Spread => "spread",
-        /// What stands out is cut off.
+        /// The excess is cut off.
         Clamp => "clamp",
     }
 }
 
-/// What was found.
+/// Number of spikes that were found, and their energy.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct SpikeReport {
     /// Number of spikes.
     pub pixels: usize,
-    /// What was taken from them, as a share of the whole image's energy: the sum of the colour over pixels and
+    /// Energy taken from spikes, as a share of the energy of the whole image: the sum of the colour over pixels and
     /// channels.
     pub taken: f64,
-    /// What the pixels around got of it, as the same share.
+    /// Energy that the pixels around got from spikes, as the same kind of share.
     pub spread: f64,
 }
 
@@ -62,18 +65,18 @@ impl fmt::Display for SpikeReport {
     }
 }
 
-/// What was found in a colour.
+/// Spikes and lights that were found in a colour.
 #[derive(Clone, Debug)]
 pub(super) struct Found {
-    /// What was taken from each pixel: as [`Repaired::spikes`](crate::stage::spike::Repaired::spikes).
+    /// Amount taken from each pixel, as [`Repaired::spikes`](crate::stage::spike::Repaired::spikes).
     pub(super) spikes: Arc<Buffer>,
-    /// Lights of few pixels, kept aside.
+    /// Lights of few pixels, set aside.
     pub(super) lights: Arc<Buffer>,
 }
 
 impl Spikes {
-    /// A colour without spikes and lights of few pixels, and what was found. Features tell which pixels are
-    /// of one kind.
+    /// Returns a colour without spikes and lights of few pixels, and the spikes and lights that were found. Features
+    /// tell which pixels are of one kind.
     pub(super) fn repair(
         self,
         rec: &mut Recorder,

@@ -10,15 +10,15 @@ use crate::error::{Error, FileCause, RequestCause, Result};
 use crate::parameters::{Kind, Parameter, Value};
 use crate::text;
 
-/// Far more than all parameters with their comments take.
+/// Largest size of a file, in bytes: far more than all parameters with their comments take.
 const MOST_BYTES: u64 = 1 << 20;
 
-/// Columns of a comment.
+/// Width of a comment, in columns.
 const WIDTH: usize = 100;
 
 impl Method {
-    /// All parameters as a TOML document, each with the first sentence of its documentation and its range, that names
-    /// `preset` as what it set out from. What is left out, a group or a number, is `false` there.
+    /// Returns all parameters as a TOML document, each with the first sentence of its documentation and its range. The
+    /// document names `preset` as the preset that it starts from. A group or a number that is left out is `false`.
     pub fn to_toml(&self, preset: Preset) -> String {
         let mut document = String::new();
         comment(
@@ -32,7 +32,7 @@ impl Method {
         let there = || parameters.iter().filter_map(|parameter| Some((parameter, parameter.value.as_ref()?)));
         let is_table =
             |parameter: &Parameter, value: &Value| parameter.kind == Kind::Group && *value == Value::Flag(true);
-        // A key behind the head of a table is one of the table.
+        // Keys below the head of a table belong to the table, so keys without a table come first.
         for (parameter, value) in
             there().filter(|(parameter, value)| !parameter.name.contains('.') && !is_table(parameter, value))
         {
@@ -69,9 +69,10 @@ impl Method {
         document
     }
 
-    /// The method and parameters that a TOML document describes, and the preset that it sets out from. `method` and
-    /// `preset` are `"dfc"` and `"default"` where it does not say; every other key is the name of a parameter, which
-    /// has the value of the preset where it is not said. A table of a group that can be left out puts it in.
+    /// Returns the method and parameters that a TOML document describes, and the preset that it starts from. Without
+    /// the keys `method` and `preset`, these are `"dfc"` and `"default"`. Every other key is the name of a parameter;
+    /// parameters that are not named have the value of the preset. The table of a group that can be left out turns the
+    /// group on.
     ///
     /// ```
     /// use stein::{Method, Preset};
@@ -93,7 +94,7 @@ impl Method {
         })?;
         let mut entries = Vec::new();
         flatten("", parsed.get_ref(), &mut entries);
-        // What is told first is what stands first.
+        // Errors are reported in the order of the document.
         entries.sort_by_key(|entry| entry.at);
 
         let mut word = |key: &str, names: &[&'static str]| -> Result<Option<usize>> {
@@ -123,7 +124,7 @@ impl Method {
     /// Reads method and preset from a file.
     ///
     /// # Errors
-    /// [`Error::File`] where it cannot be read, or with what [`Method::from_toml`] says of it.
+    /// [`Error::File`] where the file cannot be read, or with the error of [`Method::from_toml`].
     pub fn read_toml(path: &Path) -> Result<(Self, Preset)> {
         let text = text::read_file(path, MOST_BYTES).map_err(|error| Error::File {
             path: path.to_owned(),
@@ -136,10 +137,10 @@ impl Method {
         let parameters = self.parameters();
         let parameter = parameters.iter().find(|parameter| parameter.name == name);
         let value = match (parameter, value) {
-            // Its entries follow.
+            // The entries of the table follow.
             (None, DeValue::Table(_)) if parameters.iter().any(|parameter| parameter.is_in(name)) => return Ok(self),
             (Some(Parameter { kind: Kind::Group, .. }), DeValue::Table(_)) => Value::Flag(true),
-            // The method tells what is wrong with the name.
+            // The method reports what is wrong with the name.
             (None, _) => Value::Flag(true),
             (Some(parameter), value) => read(value)
                 .filter(|read| parameter.kind.contains(read))
@@ -149,11 +150,11 @@ impl Method {
     }
 }
 
-/// What a document says of a key, tables and all that is in them.
+/// An entry of a document: a key with its value.
 struct Entry<'a> {
-    /// With the tables that it is in.
+    /// Name of the key, with the tables that it is in.
     name: String,
-    /// Where, in bytes.
+    /// Position of the key in the document, in bytes.
     at: usize,
     value: &'a DeValue<'a>,
 }
@@ -169,16 +170,16 @@ fn flatten<'a>(table: &str, entries: &'a DeTable<'a>, into: &mut Vec<Entry<'a>>)
     }
 }
 
-/// A value such as parameters have.
+/// Reads a value of the kinds that parameters have.
 fn read(value: &DeValue<'_>) -> Option<Value> {
     match value {
         DeValue::Boolean(flag) => Some(Value::Flag(*flag)),
         DeValue::Integer(number) => {
             let integer = u32::from_str_radix(number.as_str(), number.radix()).ok().map(Value::Integer);
-            // Too large for an integer, or negative, but a number.
+            // A number that is negative or too large for an integer.
             integer.or_else(|| number.as_str().parse().ok().filter(|_| number.radix() == 10).map(Value::Number))
         }
-        // Its digits, not a number of another precision between.
+        // Parses the digits directly, without rounding to another precision first.
         DeValue::Float(number) => number.as_str().parse().ok().map(Value::Number),
         DeValue::String(word) => Some(Value::Choice(word.to_string())),
         DeValue::Array(words) => {
@@ -188,7 +189,7 @@ fn read(value: &DeValue<'_>) -> Option<Value> {
     }
 }
 
-/// A value as the document writes it.
+/// Formats a value as the document writes it.
 fn shown(value: &DeValue<'_>) -> String {
     match value {
         DeValue::Boolean(flag) => flag.to_string(),
@@ -203,7 +204,7 @@ fn shown(value: &DeValue<'_>) -> String {
     }
 }
 
-/// Says the line of an error.
+/// Adds the line to an error.
 fn in_line(document: &str, at: usize) -> impl Fn(Error) -> Error {
     let line = 1 + document.bytes().take(at).filter(|byte| *byte == b'\n').count();
     move |error| match error {
@@ -212,7 +213,7 @@ fn in_line(document: &str, at: usize) -> impl Fn(Error) -> Error {
     }
 }
 
-/// A key with its value, and above it what it means and can be.
+/// Writes a key with its value, and above it a comment with its meaning and range.
 fn pair(document: &mut String, parameter: &Parameter, key: &str, value: &Value) {
     let mut rule = parameter.rule();
     if let Some(first) = rule.get_mut(..1) {
@@ -232,7 +233,7 @@ fn pair(document: &mut String, parameter: &Parameter, key: &str, value: &Value) 
     let _ = writeln!(document, "{key} = {value}");
 }
 
-/// Lines of a comment.
+/// Writes text as lines of comments.
 fn comment(document: &mut String, text: &str) {
     let mut line = String::from("#");
     for word in text.split_whitespace() {

@@ -10,7 +10,7 @@ use crate::image::{Extent, Image};
 use crate::method::{Intermediate, Method};
 use crate::{Denoiser, Estimate, Options};
 
-/// How many samples are drawn, and in how many iterations.
+/// Number of samples to draw, and number of iterations.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Plan {
     samples_per_pixel: u32,
@@ -19,8 +19,8 @@ pub struct Plan {
 }
 
 impl Plan {
-    /// `samples_per_pixel` on average, over all `iterations`; an iteration gives no pixel more than `cap`.
-    ///
+    /// Makes a plan of `samples_per_pixel` samples per pixel on average, over all `iterations`. An iteration gives no
+    /// pixel more than `cap` samples.
     /// # Errors
     /// [`Error::Request`] where there is not at least one whole pair of samples per pixel for each iteration, or the
     /// cap does not hold what an iteration draws.
@@ -38,86 +38,86 @@ impl Plan {
         Ok(plan)
     }
 
-    /// With a cap of [`SamplingMap::DEFAULT_CAP`] times what the first iteration draws.
+    /// Returns the plan with a cap of [`SamplingMap::DEFAULT_CAP`] times the samples per pixel of the first iteration.
     #[must_use]
     pub fn with_default_cap(self) -> Self {
         Self { cap: Some(self.budget(1).saturating_mul(SamplingMap::DEFAULT_CAP)), ..self }
     }
 
-    /// The most samples that an iteration gives a pixel.
+    /// Returns the largest number of samples that an iteration gives a pixel.
     pub fn cap(&self) -> Option<u32> {
         self.cap
     }
 
-    /// Samples per pixel in all iterations together.
+    /// Returns the samples per pixel in all iterations together.
     pub fn samples_per_pixel(&self) -> u32 {
         self.samples_per_pixel
     }
 
-    /// Number of iterations.
+    /// Returns the number of iterations.
     pub fn iterations(&self) -> u32 {
         self.iterations
     }
 
-    /// Samples per pixel, on average, that an iteration (the first is 1) draws: equal shares of whole pairs; what is
-    /// left over goes to the first ones.
+    /// Returns the samples per pixel, on average, that an iteration draws; the first iteration is 1. Iterations get
+    /// equal numbers of whole pairs; the first iterations get what is left over.
     pub fn budget(&self, iteration: u32) -> u32 {
         let pairs = self.samples_per_pixel / 2;
         2 * (pairs / self.iterations + u32::from(iteration <= pairs % self.iterations))
     }
 }
 
-/// A loop that was interrupted after an iteration, and goes on.
+/// State of a loop that was interrupted after an iteration, to go on from.
 #[derive(Clone, Debug)]
 pub struct Resumed {
-    /// Iterations that are complete.
+    /// Number of complete iterations.
     pub iterations: u32,
-    /// All samples that they drew.
+    /// All samples that these iterations drew.
     pub samples: Samples,
 }
 
-/// What happens in the loop.
+/// Events of the loop.
 #[derive(Debug)]
 pub enum Event<'a> {
     /// The samples of this map are about to be drawn.
     Planned {
-        /// From 1.
+        /// Number of the iteration; 1 is the first.
         iteration: u32,
-        /// Where they go; the same everywhere in the first iteration.
+        /// Samples to draw; the same number everywhere in the first iteration.
         map: &'a SamplingMap,
-        /// What earlier iterations have drawn.
+        /// Samples of earlier iterations.
         drawn: Option<&'a Samples>,
     },
     /// This share of an iteration's samples is drawn.
     Drawing {
-        /// From 1.
+        /// Number of the iteration; 1 is the first.
         iteration: u32,
-        /// 0 to 1.
+        /// Share of the samples, 0 to 1.
         share: f32,
     },
     /// This share of the denoising that ends an iteration is done.
     Denoising {
-        /// From 1.
+        /// Number of the iteration; 1 is the first.
         iteration: u32,
-        /// 0 to 1.
+        /// Share of the denoising, 0 to 1.
         share: f32,
     },
-    /// An iteration is complete. Of a loop that goes on, the last one that was complete is told once more.
+    /// An iteration is complete. A loop that goes on reports the last complete iteration once more.
     Finished {
-        /// From 1.
+        /// Number of the iteration; 1 is the first.
         iteration: u32,
-        /// Where its samples went; `None` where it was complete before.
+        /// Samples that the iteration drew; `None` where it was complete before the interruption.
         map: Option<&'a SamplingMap>,
         /// All samples so far.
         samples: &'a Samples,
         /// Estimate of the image from all samples so far.
         estimate: &'a Estimate,
-        /// What it was denoised with.
+        /// Method and parameters that made the estimate.
         method: &'a Method,
     },
 }
 
-/// What the loop ends with.
+/// Result of the loop.
 #[derive(Clone, Debug)]
 pub struct Outcome {
     /// All samples.
@@ -127,12 +127,11 @@ pub struct Outcome {
 }
 
 /// Draws the samples of a plan: evenly in the first iteration, then where the estimated relative error of the denoised
-/// image, seen through the filters' weights, is largest. `observe` is told what happens, and ends the loop by an error.
+/// image, seen through the filters' weights, is largest. `observe` receives the events, and ends the loop by an error.
 ///
-/// Until the last iteration, the method works with the parameters that it wants while sampling
-/// ([`Denoiser::while_sampling`]).
+/// Until the last iteration, the method works with its parameters for sampling ([`Denoiser::while_sampling`]).
 ///
-/// Same sampler, plan and device, same result, also where the loop was interrupted and resumed.
+/// The same sampler, plan and device give the same result, even if the loop was interrupted and resumed.
 ///
 /// # Errors
 /// The error of the sampler, of the denoiser, or of `observe`: [`Error::Cancelled`] if one of them was cancelled.
@@ -152,7 +151,7 @@ pub fn adapt<S: Sampler, E: From<Error> + Send>(
     iterations.state.ok_or_else(|| Error::Cancelled.into())
 }
 
-/// The loop of [`adapt`], one iteration at a time: for a program that does other work between them, or looks at more
+/// The loop of [`adapt`], one iteration at a time: for a program that does other work between iterations or needs more
 /// than the result.
 #[derive(Clone, Debug)]
 pub struct Iterations {
@@ -166,7 +165,7 @@ pub struct Iterations {
 }
 
 impl Iterations {
-    /// A loop that has drawn nothing yet.
+    /// Makes a loop that has drawn nothing yet.
     pub fn new(denoiser: &Denoiser, plan: &Plan) -> Self {
         let while_sampling = denoiser.while_sampling();
         Self {
@@ -180,25 +179,25 @@ impl Iterations {
         }
     }
 
-    /// Also keeps these intermediates of each iteration, in [`Estimate::layers`]; those that the method does not have
-    /// are not there.
+    /// Also keeps these intermediates of each iteration in [`Estimate::layers`], except those that the method does not
+    /// have.
     #[must_use]
     pub fn with_kept(mut self, keep: &[Intermediate]) -> Self {
         self.keep.extend(keep.iter().filter(|kept| **kept != Intermediate::Density));
         self
     }
 
-    /// Shares the device with somebody who waits for it. `None` keeps it as busy as can be.
+    /// Shares the device with other users, such as a window. `None` keeps the device as busy as possible.
     pub fn set_pace(&mut self, pace: Option<Pace>) {
         self.pace = pace;
     }
 
-    /// How many samples are drawn in how many iterations.
+    /// Returns the plan of the loop.
     pub fn plan(&self) -> &Plan {
         &self.plan
     }
 
-    /// Iterations that are complete.
+    /// Returns the number of complete iterations.
     pub fn done(&self) -> u32 {
         self.done
     }
@@ -207,7 +206,7 @@ impl Iterations {
         if iteration < self.plan.iterations { &self.while_sampling } else { &self.denoiser }
     }
 
-    /// Goes on after an interruption; the last iteration that was complete is denoised and told once more.
+    /// Goes on after an interruption. The last complete iteration is denoised and reported once more.
     ///
     /// # Errors
     /// As [`adapt`].
@@ -229,8 +228,8 @@ impl Iterations {
         Ok(())
     }
 
-    /// Draws and denoises the next iteration, and says whether there is one more; draws nothing where there is none.
-    /// After an error, the loop stands where it stood before, but the sampler may have drawn.
+    /// Draws and denoises the next iteration, and returns whether there is one more; draws nothing after the last.
+    /// After an error, the loop is in the state before the call, but the sampler may have drawn.
     ///
     /// # Errors
     /// As [`adapt`].
@@ -291,7 +290,7 @@ impl Iterations {
     }
 }
 
-/// All samples of a plan at once and evenly, to compare the loop with.
+/// Draws all samples of a plan at once and evenly, for comparison with the loop.
 ///
 /// # Errors
 /// As [`adapt`].
@@ -304,9 +303,9 @@ pub fn uniform<S: Sampler, E: From<Error> + Send>(
     adapt(sampler, denoiser, &Plan { iterations: 1, cap: None, ..*plan }, None, observe)
 }
 
-/// The relative MSE that the denoised image would have, without a reference: the estimated squared error over the
-/// denoised colour's square. Of DFC it is that of pass 1, and may be below 0 where little is left to estimate. `None`
-/// of an estimate without its error.
+/// Returns the relative MSE that the denoised image would have, without a reference: the estimated squared error
+/// divided by the square of the denoised colour. For DFC it is the error of pass 1, and may be below 0 where little is
+/// left to estimate. `None` for an estimate without error.
 pub fn estimated_relative_mse(estimate: &Estimate) -> Option<f64> {
     let error = &estimate.error.as_ref()?.planes[0];
     let square = |pixel: usize| {
@@ -319,7 +318,7 @@ pub fn estimated_relative_mse(estimate: &Estimate) -> Option<f64> {
 }
 
 impl SamplingMap {
-    /// One even number of samples for all pixels.
+    /// Makes a map with one even number of samples for all pixels.
     ///
     /// # Errors
     /// [`Error::Request`] for an odd number.
@@ -328,7 +327,7 @@ impl SamplingMap {
     }
 }
 
-/// Makes of a function that may fail one that may break off, and keeps why.
+/// Turns a callback that may fail into one that may break off, and keeps its error.
 fn progress<E>(
     failed: &mut Option<E>,
     mut tell: impl FnMut(f32) -> std::result::Result<(), E>,

@@ -1,4 +1,4 @@
-//! From an estimate to where the next samples pay most.
+//! Densities of samples from an estimate: where the next samples pay most.
 
 use std::borrow::Cow;
 
@@ -8,16 +8,16 @@ use crate::image::{Extent, Image};
 use crate::method::Intermediate;
 use crate::stage::gaussian::Gaussian;
 
-/// Where the next samples pay most, of an estimate that was made with [`Intermediate::Density`] kept: one plane, at
-/// least 0, in any unit, for a [`SamplingMap`](super::SamplingMap) of `samples_per_pixel` samples on average.
+/// Returns where the next samples pay most, from an estimate that kept [`Intermediate::Density`]: one plane, at least
+/// 0, in any unit, for a [`SamplingMap`](super::SamplingMap) of `samples_per_pixel` samples on average.
 ///
-/// Of DFC and NLM it is the layer `density` (thesis 8.6, 7.1.2), whatever the numbers. Of GEM (thesis 6.3), the
-/// `samples_per_pixel` are enough for `samples_per_filter` samples in each of the pixels that gain most, ties going to
-/// the upper and left ones; a pixel's samples are spread over the support of its filter by its weights. Where the frame
-/// did not know its samples, each pixel is taken to have `samples_per_filter`.
+/// For DFC and NLM it is the layer `density` (thesis 8.6, 7.1.2); the numbers have no influence. For GEM (thesis 6.3),
+/// the pixels that gain most get `samples_per_filter` samples each, as far as `samples_per_pixel` samples per pixel
+/// last; ties go to the upper and left pixels. The samples of a pixel are spread over the support of its filter by the
+/// filter's weights. Where the frame does not know its samples, each pixel counts as having `samples_per_filter`.
 ///
 /// # Errors
-/// [`Error::Request`] where it was not kept.
+/// [`Error::Request`] where the estimate did not keep the density.
 pub fn sampling_density(
     estimate: &Estimate,
     samples_per_pixel: f64,
@@ -45,8 +45,8 @@ pub fn sampling_density(
     }
 }
 
-/// Expected samples per pixel. `reduction` has the planes relative MSE, samples in the support and σ of each pixel's
-/// filter, `pixels_taking_part` is the size of its support.
+/// Returns the expected samples per pixel. `reduction` has three planes: relative MSE, samples in the support, and σ of
+/// each pixel's filter. `pixels_taking_part` is the size of the support.
 fn filters_that_gain_most(
     reduction: &Image,
     pixels_taking_part: &Image,
@@ -67,7 +67,7 @@ fn filters_that_gain_most(
     ranked.sort_unstable_by(|(a, p), (b, q)| b.total_cmp(a).then(p.cmp(q)));
     ranked.truncate((extent.pixels() as f64 * samples_per_pixel / samples_per_filter).round() as usize);
 
-    // Of one scale at a time, so that the filters can be spread along one axis after the other.
+    // Sorted by scale, so that the filters of one scale can be spread along one axis after the other.
     ranked.sort_unstable_by(|(_, p), (_, q)| sigma[*p].total_cmp(&sigma[*q]).then(p.cmp(q)));
     let mut density = vec![0.0; extent.pixels()];
     for filters in ranked.chunk_by(|(_, p), (_, q)| sigma[*p] == sigma[*q]) {

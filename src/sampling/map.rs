@@ -1,4 +1,4 @@
-//! From a density to whole samples (thesis 7.1.3, 8.6).
+//! From a density to whole numbers of samples (thesis 7.1.3, 8.6).
 
 use super::SampleCounts;
 use crate::error::{Error, RequestCause, Result};
@@ -7,25 +7,25 @@ use crate::image::Image;
 /// A budget of samples, handed out where they pay most.
 #[derive(Clone, Debug)]
 pub struct SamplingMap {
-    /// One plane: real samples per pixel; they sum to the budget and never exceed the cap.
+    /// One plane: expected samples per pixel, not rounded. They sum to the budget and never exceed the cap.
     pub density: Image,
-    /// Whole samples, in equal numbers for both halves; they sum to the budget rounded to pairs, exactly.
+    /// Whole numbers of samples, equal for both halves. They sum to exactly the budget rounded to pairs.
     pub counts: SampleCounts,
 }
 
 impl SamplingMap {
-    /// The cap, in multiples of the average, where nothing else is asked for. Without one, a pixel whose estimate an
-    /// outlier spoils can take all samples (thesis 8.6).
+    /// Default cap, in multiples of the average. Without a cap, a pixel whose estimate an outlier spoils can take all
+    /// samples (thesis 8.6).
     pub const DEFAULT_CAP: u32 = 8;
 
     /// Hands out `samples_per_pixel` samples on average, in proportion to `density` (one plane, in any unit, at least
-    /// 0) and at most `cap` in one pixel. What a cap cuts off goes to the others in proportion; where the density is 0
-    /// everywhere, or all of it is at the cap, the rest is spread evenly. Rounding errors are carried from pixel to
-    /// pixel. Same input, same map.
+    /// 0) and at most `cap` in one pixel. Samples that the cap cuts off go to the other pixels in proportion. If all
+    /// other pixels have density 0 or are at the cap, the rest is spread evenly. Rounding errors are carried from pixel
+    /// to pixel. The same input gives the same map.
     ///
     /// # Errors
-    /// [`Error::Request`] where the budget is no number of at least 0, the cap cannot hold it, or a density is negative
-    /// or not finite.
+    /// [`Error::Request`] where the budget is negative or not finite, where the cap cannot hold the budget, or where a
+    /// density is negative or not finite.
     pub fn new(density: &Image, samples_per_pixel: f64, cap: Option<u32>) -> Result<Self> {
         let misuse = |problem, change| Err(Error::Request(RequestCause::Misuse { problem, change }));
         if density.channels() != 1 {
@@ -58,12 +58,12 @@ impl SamplingMap {
     }
 }
 
-/// Real shares of `total` in proportion to `weights`, none above `most`. `total` fits.
+/// Returns shares of `total` in proportion to `weights`, none above `most`. `total` must fit.
 fn share_out(weights: &[f32], total: f64, most: f64) -> Vec<f64> {
     let mut shares = vec![0.0; weights.len()];
     let mut open: Vec<usize> = (0..weights.len()).filter(|&pixel| weights[pixel] > 0.0).collect();
     let mut left = total;
-    // Each round closes the pixels that reach the cap; what they cannot take goes to those still open.
+    // Each round closes the pixels that reach the cap; samples that they cannot take go to the open pixels.
     while !open.is_empty() && left > 0.0 {
         let sum: f64 = open.iter().map(|&pixel| f64::from(weights[pixel])).sum();
         let scale = left / sum;
@@ -82,7 +82,7 @@ fn share_out(weights: &[f32], total: f64, most: f64) -> Vec<f64> {
             !full(pixel)
         });
     }
-    // Nothing is left that asks for samples: the rest goes to all who have none.
+    // All pixels with weight are at the cap: the rest goes to the pixels without weight.
     let without: Vec<usize> = (0..weights.len()).filter(|&pixel| shares[pixel] == 0.0).collect();
     for &pixel in &without {
         shares[pixel] = (left.max(0.0) / without.len() as f64).min(most);
@@ -102,7 +102,7 @@ fn carry(shares: &[f64], total: u64, most: u32) -> Vec<u32> {
             given as u32
         })
         .collect();
-    // What is left over is the last pixel's error and the rounding of the sums.
+    // The rest is the error of the last pixel and the rounding of the sums.
     let mut handed_out: u64 = whole.iter().map(|&pairs| u64::from(pairs)).sum();
     while handed_out != total {
         for pairs in whole.iter_mut().rev() {

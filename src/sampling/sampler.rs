@@ -6,13 +6,13 @@ use super::Samples;
 use crate::error::{Error, RequestCause, Result};
 use crate::image::Extent;
 
-/// Called with the share of the work that is done, 0 to 1, from whichever thread gets there; `Break` ends the work with
+/// Callback with the share of the work that is done, 0 to 1. Any thread may call it; `Break` ends the work with
 /// [`Error::Cancelled`].
 pub type Progress<'a> = Option<&'a mut (dyn FnMut(f32) -> ControlFlow<()> + Send)>;
 
-/// A renderer that can be told where to draw its samples.
+/// A renderer that draws given numbers of samples in each pixel.
 pub trait Sampler {
-    /// Width and height of the image.
+    /// Returns width and height of the image.
     fn extent(&self) -> Extent;
 
     /// Draws this many new samples in each pixel, half of them for each half buffer, and returns the statistics of
@@ -23,12 +23,12 @@ pub trait Sampler {
     ///
     /// # Errors
     /// [`Error::Request`] for counts of another extent than the sampler's; [`Error::Renderer`] if a renderer from
-    /// outside fails; [`Error::Cancelled`], after which the sampler is as if it had not been asked.
+    /// outside fails; [`Error::Cancelled`], after which the sampler is in the state before the call.
     fn sample(&mut self, counts: &SampleCounts, progress: Progress<'_>) -> Result<Samples>;
 }
 
-/// How many samples each pixel gets in one pass: whole pairs, one sample of each for either half buffer, so that the
-/// halves always have equal numbers.
+/// Number of samples that each pixel gets in one pass: whole pairs, one sample of each pair for either half buffer, so
+/// that the halves always have equal numbers.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct SampleCounts {
     extent: Extent,
@@ -36,7 +36,7 @@ pub struct SampleCounts {
 }
 
 impl SampleCounts {
-    /// `pairs[y * width + x]` pairs of samples; 0 leaves a pixel as it is.
+    /// Makes counts of `pairs[y * width + x]` pairs of samples; 0 leaves a pixel as it is.
     ///
     /// # Errors
     /// [`Error::Request`] if there is not one number for each pixel.
@@ -47,7 +47,7 @@ impl SampleCounts {
         Ok(Self { extent, pairs })
     }
 
-    /// `samples[y * width + x]` samples, each number even.
+    /// Makes counts of `samples[y * width + x]` samples, each number even.
     ///
     /// # Errors
     /// [`Error::Request`] if there is not one number for each pixel, or for an odd number.
@@ -58,7 +58,7 @@ impl SampleCounts {
         Self::from_pairs(extent, samples.iter().map(|count| count / 2).collect())
     }
 
-    /// One even number of samples for all pixels.
+    /// Makes counts of one even number of samples for all pixels.
     ///
     /// # Errors
     /// [`Error::Request`] for an odd number.
@@ -66,17 +66,17 @@ impl SampleCounts {
         Self::from_samples(extent, &vec![samples; extent.pixels()])
     }
 
-    /// Width and height of the image.
+    /// Returns width and height of the image.
     pub fn extent(&self) -> Extent {
         self.extent
     }
 
-    /// Pairs of samples, row by row from the top.
+    /// Returns the pairs of samples, row by row from the top.
     pub fn pairs(&self) -> &[u32] {
         &self.pairs
     }
 
-    /// Samples in the whole image.
+    /// Returns the number of samples in the whole image.
     pub fn total_samples(&self) -> u64 {
         self.pairs.iter().map(|&pairs| 2 * u64::from(pairs)).sum()
     }

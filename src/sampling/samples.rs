@@ -7,34 +7,34 @@ use crate::error::{Error, RequestCause, Result};
 use crate::frame::{Frame, RawSignal, Repairs, SamplesPerPixel, Signal, half_spread};
 use crate::image::{Extent, Image};
 
-/// What some samples per pixel say: the number of samples, and for the colour and every feature the means of both
+/// Statistics of some samples per pixel: the number of samples, and for the colour and every feature the means of both
 /// halves and the spread of all samples.
 ///
-/// Both halves of a pixel hold the same number of samples; the number differs from pixel to pixel. Two such sets merge
-/// into what one pass over all their samples would have given, so that a set can be stored, read back and continued.
+/// Both halves of a pixel hold the same number of samples; the number differs from pixel to pixel. Two sets merge into
+/// the set that one pass over all their samples would give, so a set can be stored, read back and continued.
 ///
 /// Adaptive sampling makes the number of samples depend on the samples of earlier passes. The merged mean is then no
-/// longer exactly unbiased (few samples by luck dark, hence few more samples); each pass on its own is.
+/// longer exactly unbiased: a few samples that are dark by luck lead to few more samples. Each pass on its own is
+/// unbiased.
 #[derive(Clone, Debug)]
 pub struct Samples {
     extent: Extent,
-    /// Per pixel: samples in each half.
+    /// Number of samples in each half, per pixel.
     pairs: Vec<u32>,
     color: Statistics,
     features: Vec<(String, Statistics)>,
 }
 
-/// Of one layer. Where a pixel has no samples, all is 0.
+/// Statistics of one layer. Where a pixel has no samples, all values are 0.
 #[derive(Clone, Debug)]
 struct Statistics {
     half_a: Image,
     half_b: Image,
-    /// Sample variance of the mean, s²/n, as files have it: a set that was written and read back is the same to the
-    /// bit.
+    /// Sample variance of the mean, s²/n, as files store it: a set that was written and read back is equal to the bit.
     variance: Image,
 }
 
-/// What Σ(x − mean)² is divided by to become the variance of the mean; `pairs` are not 0.
+/// Returns the divisor that turns Σ(x − mean)² into the variance of the mean; `pairs` is not 0.
 fn divisor(pairs: u32) -> f64 {
     let n = 2.0 * f64::from(pairs);
     n * (n - 1.0)
@@ -50,7 +50,8 @@ impl Statistics {
         self.half_a.channels()
     }
 
-    /// Chan, Golub and LeVeque's formula for the moments of a union, which loses no digits to large means.
+    /// Adds the samples of another set by the formula of Chan, Golub and LeVeque for the moments of a union, which
+    /// loses no digits to large means.
     fn merge(&mut self, own: &[u32], other: &Self, added: &[u32]) {
         for channel in 0..self.channels() {
             let (a, b) = (&mut self.half_a.planes[channel], &mut self.half_b.planes[channel]);
@@ -69,14 +70,14 @@ impl Statistics {
                 let step = (a2 - a1 + b2 - b1) / 2.0;
                 a[pixel] = (a1 + (a2 - a1) * share) as f32;
                 b[pixel] = (b1 + (b2 - b1) * share) as f32;
-                // Twice n·m/(n + m), since n and m count the samples of one half.
+                // The factor is twice n·m/(n + m), because n and m count the samples of one half.
                 let between = step * step * n * share * 2.0;
                 variance[pixel] = ((own_squares + added_squares + between) / divisor(own[pixel] + added[pixel])) as f32;
             }
         }
     }
 
-    /// As stored in files; NaN where a pixel has no samples.
+    /// Returns the signal as stored in files; NaN where a pixel has no samples.
     fn raw(&self, pairs: &[u32]) -> RawSignal {
         let unknown = |image: &Image| map(image, |value, pixel| if pairs[pixel] == 0 { f32::NAN } else { value });
         let mut mean = unknown(&self.half_a);
@@ -87,7 +88,7 @@ impl Statistics {
         RawSignal { mean, half_a, half_b, variance_of_mean: variance }
     }
 
-    /// The inverse of [`Self::raw`].
+    /// Inverts [`Self::raw`].
     fn from_raw(name: &str, raw: RawSignal, pairs: &[u32]) -> Result<Self> {
         let missing = |missing| Error::Request(RequestCause::MissingStatistics { signal: name.into(), missing });
         let half_a = raw.half_a.ok_or_else(|| missing("half A"))?;
@@ -113,7 +114,7 @@ impl Statistics {
     }
 }
 
-/// The halves are all that is kept of the mean, so they must be its halves.
+/// Checks that the mean is the average of its halves: nothing else is kept of the mean.
 fn check_halves(name: &str, mean: &Image, half_a: &Image, half_b: &Image) -> Result<()> {
     let values = || {
         mean.planes
@@ -139,16 +140,16 @@ fn map(image: &Image, value: impl Fn(f32, usize) -> f32) -> Image {
 }
 
 impl Samples {
-    /// No samples yet: a colour of three channels and these features, each a name and 1 to 3 channels.
+    /// Makes a set without samples: a colour of three channels and these features, each a name and 1 to 3 channels.
     pub fn none(extent: Extent, features: &[(&str, usize)]) -> Self {
         let features =
             features.iter().map(|(name, channels)| ((*name).to_owned(), Statistics::none(extent, *channels))).collect();
         Self { extent, pairs: vec![0; extent.pixels()], color: Statistics::none(extent, 3), features }
     }
 
-    /// From what a file or a renderer says: means, halves and variances of the mean, with the samples that they were
-    /// made of. Values of pixels without samples are ignored; other values that are not finite are taken as they are,
-    /// for [`Frame::new`] to repair.
+    /// Makes a set from the statistics of a file or a renderer: means, halves and variances of the mean, and the
+    /// numbers of samples that they were made of. Values of pixels without samples are ignored. Other values that are
+    /// not finite are kept, and [`Frame::new`] repairs them.
     ///
     /// # Errors
     /// [`Error::Request`] for missing halves or variance, for images of different shapes, and for a mean that is not
@@ -162,24 +163,24 @@ impl Samples {
         Ok(Self { extent: counts.extent(), pairs: pairs.to_vec(), color, features: features.collect::<Result<_>>()? })
     }
 
-    /// Width and height of the image.
+    /// Returns width and height of the image.
     pub fn extent(&self) -> Extent {
         self.extent
     }
 
-    /// The samples drawn so far.
+    /// Returns the numbers of samples drawn so far.
     pub fn counts(&self) -> SampleCounts {
         // A set always has one count for each pixel.
         SampleCounts::from_pairs(self.extent, self.pairs.clone())
             .unwrap_or_else(|_| unreachable!("one count for each pixel"))
     }
 
-    /// The features' names, in their order.
+    /// Returns the names of the features, in their order.
     pub fn feature_names(&self) -> impl ExactSizeIterator<Item = &str> {
         self.features.iter().map(|(name, _)| name.as_str())
     }
 
-    /// Mean, halves and variance of the mean of the colour; NaN in pixels without samples.
+    /// Returns mean, halves and variance of the mean of the colour; NaN in pixels without samples.
     ///
     /// The variance is s²/n with Bessel's correction, from all samples as if they were independent: low-discrepancy
     /// samples vary less than that.
@@ -187,12 +188,12 @@ impl Samples {
         self.color.raw(&self.pairs)
     }
 
-    /// As [`Self::color`] for every feature, made one at a time.
+    /// Returns the same statistics as [`Self::color`] for every feature, made one at a time.
     pub fn features(&self) -> impl ExactSizeIterator<Item = (&str, RawSignal)> {
         self.features.iter().map(|(name, statistics)| (name.as_str(), statistics.raw(&self.pairs)))
     }
 
-    /// Samples in each pixel.
+    /// Returns the number of samples in each pixel.
     pub fn samples_per_pixel(&self) -> SamplesPerPixel {
         match self.pairs.first() {
             Some(&first) if self.pairs.iter().all(|&pairs| pairs == first) => {
@@ -205,22 +206,22 @@ impl Samples {
         }
     }
 
-    /// What the denoiser works on, and what had to be repaired: pixels without samples take their neighbours' average.
-    /// The features are in the order of their names, whatever their order here, so that a set that was written and read
-    /// back gives the same.
+    /// Returns the input of the denoiser and its repairs: pixels without samples become the average of their
+    /// neighbours. The features are sorted by name, so that a set that was written and read back gives the same frame.
     ///
     /// # Errors
-    /// As [`Frame::new`]; also a set without a single sample.
+    /// As [`Frame::new`], and for a set without a single sample.
     pub fn to_frame(&self) -> Result<(Frame, Repairs)> {
         let mut features: Vec<_> = self.features().map(|(name, raw)| (name.to_owned(), signal(raw))).collect();
         features.sort_by(|(a, _), (b, _)| a.cmp(b));
         Frame::new(signal(self.color()), features, self.samples_per_pixel())
     }
 
-    /// Adds the samples of another pass. Order does not matter but for rounding; the features may be in another order.
+    /// Adds the samples of another pass. The order of passes has no influence except for rounding; the features of
+    /// `other` may be in another order.
     ///
     /// # Errors
-    /// [`Error::Request`] for another extent or other features; this set is then as it was.
+    /// [`Error::Request`] for another extent or other features; this set is then unchanged.
     pub fn merge(&mut self, other: &Self) -> Result<()> {
         let shape = |set: &Self| {
             set.features.iter().map(|(name, statistics)| (name.clone(), statistics.channels())).collect::<BTreeSet<_>>()
@@ -243,11 +244,11 @@ impl Samples {
         Ok(())
     }
 
-    /// Sets one pixel, which is `y * width + x`, to what was accumulated. Channels run through the colour and then the
-    /// features in their order.
+    /// Sets one pixel, whose index is `y * width + x`, to the accumulated statistics. Channels run through the colour
+    /// and then the features in their order.
     ///
     /// # Panics
-    /// A pixel outside of the image, or another number of channels than the set has.
+    /// If the pixel lies outside of the image, or if the set has another number of channels.
     pub fn set<const CHANNELS: usize>(&mut self, pixel: usize, accumulated: &PixelAccumulator<CHANNELS>) {
         self.pairs[pixel] = accumulated.pairs;
         let statistics =
@@ -287,7 +288,7 @@ impl<const CHANNELS: usize> Default for PixelAccumulator<CHANNELS> {
 }
 
 impl<const CHANNELS: usize> PixelAccumulator<CHANNELS> {
-    /// Takes one sample for half A and one for half B.
+    /// Adds one sample to half A and one to half B.
     pub fn add_pair(&mut self, samples: [&[f32; CHANNELS]; 2]) {
         self.pairs += 1;
         let weight = 1.0 / f64::from(self.pairs);
@@ -302,7 +303,7 @@ impl<const CHANNELS: usize> PixelAccumulator<CHANNELS> {
         }
     }
 
-    /// Means of the halves, and squared deviations of all samples from their common mean.
+    /// Returns the means of the halves, and the sum of squared deviations of all samples from their common mean.
     fn channel(&self, channel: usize) -> (f64, f64, f64) {
         let (a, b) = (self.means[0][channel], self.means[1][channel]);
         let within = self.squared_deviations[0][channel] + self.squared_deviations[1][channel];

@@ -34,20 +34,21 @@ bindings! {
     }
 }
 
-/// Planes of running sums that `candidate_accumulate` keeps per pixel of a strip.
-const STATE_PLANES: u32 = 12;
+/// Planes of running sums that `candidate_accumulate` keeps per pixel of a strip in one pass: five for each of two
+/// filters with patches of the colour, two for a filter without patches.
+const SUM_PLANES: u32 = 12;
 
 /// A frame of a window in time, as the candidates see it.
 #[derive(Clone, Copy, Debug)]
 pub struct CandidateFrame<'a> {
-    /// The signal to average.
+    /// Signal to average.
     pub payload: &'a Buffer,
     /// Another image whose patches are compared, in its first plane; `None` compares the mean of the payload.
     pub guide: Option<&'a Buffer>,
-    /// Variance of the mean of what is compared, one plane, as the filters want it.
+    /// Variance of the mean of the compared image, one plane.
     pub variance_of_mean: &'a Buffer,
-    /// Prefiltered features: in all frames of a window the same features in the same units. `None` makes their weights
-    /// 1.
+    /// Prefiltered features, the same ones in the same units in all frames of a window. `None` gives all feature
+    /// weights the value 1.
     pub features: Option<&'a Features>,
 }
 
@@ -84,9 +85,9 @@ pub struct Needed<'a> {
     /// Whether to compute their derivatives. Weights that do not depend on the payload give 1/Σ w times the weight of
     /// the centre; other weights are differentiated by finite differences.
     pub derivatives: bool,
-    /// Whether to compute their half spreads, which are 0 otherwise.
+    /// Whether to compute their half spreads; without, half spreads are 0.
     pub half_spread: bool,
-    /// Whether to compute them over the own frame alone as well, where there are frames beside.
+    /// Whether to compute them over the own frame alone, too, where there are frames beside.
     pub alone: bool,
     /// Whether the three channels of the colour differ in at least one frame.
     pub channels: bool,
@@ -128,7 +129,7 @@ impl Candidates {
         })
     }
 
-    /// The number of candidates.
+    /// Returns the number of candidates.
     pub fn count(&self) -> usize {
         self.filters.len()
     }
@@ -150,8 +151,8 @@ impl Candidates {
     }
 }
 
-/// Number of planes that hold one number for each of so many candidates: the plane of four candidates, one component
-/// for each.
+/// Returns the number of planes that hold one number for each of this many candidates: four candidates share a plane,
+/// one component for each.
 pub const fn planes_of_numbers(candidates: usize) -> u32 {
     candidates.div_ceil(4) as u32
 }
@@ -159,9 +160,9 @@ pub const fn planes_of_numbers(candidates: usize) -> u32 {
 /// The candidates of a window in time.
 #[derive(Debug)]
 pub struct CandidatesInTime {
-    /// Over all frames.
+    /// Candidates over all frames.
     pub together: Candidates,
-    /// Over the own frame alone, if there are frames beside and it was requested.
+    /// Candidates over the own frame alone; `None` without frames beside, or if they were not requested.
     pub alone: Option<Candidates>,
 }
 
@@ -255,7 +256,7 @@ fn run_pass(
     };
     let candidate = pass.params(features);
     let mut state: Option<Buffer> = None;
-    let needs = ChunkNeeds { distances: pass.by_color(), sum_planes: STATE_PLANES };
+    let needs = ChunkNeeds { distances: pass.by_color(), sum_planes: SUM_PLANES };
     for_each_chunk(rec, extent, &guide, needs, radius, weighting, schedule, |rec, chunk| {
         let params = chunk.params;
         if params.starts != 0 {
@@ -265,7 +266,7 @@ fn run_pass(
         let state = match &mut state {
             Some(state) => state,
             None => state
-                .insert(rec.take("candidate sums", plane_bytes(IVec2::new(params.width, params.rows), STATE_PLANES))?),
+                .insert(rec.take("candidate sums", plane_bytes(IVec2::new(params.width, params.rows), SUM_PLANES))?),
         };
         let beside = chunk.beside.map(|index| frames.beside[index]);
         // Patches hold pixels of their own pair only in the nearest rows, and never in a frame beside.

@@ -1,4 +1,4 @@
-//! Candidate filters as data, and how they share passes over the window.
+//! Candidate filters as data, and their distribution over passes over the window.
 
 use glam::Vec4;
 use serde::Serialize;
@@ -18,18 +18,18 @@ uniforms! {
 /// The largest number of candidates.
 pub const MOST_CANDIDATES: usize = 8;
 
-/// One candidate: a filter whose weights are the least of those that the colour and the features give (eq. 8.4). A
-/// filter that compares neither is a mean over the window.
+/// One candidate: a filter whose weight is the smaller of the weight by the colour and the weight by the features (eq.
+/// 8.4). A filter that compares neither is a mean over the window.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct CandidateFilter {
-    /// Its name, different from the names of all other candidates.
+    /// Name of the filter, different from the names of all other candidates.
     pub name: &'static str,
-    /// How it compares the colour (eq. 8.2); `None` where it does not.
+    /// Comparison of the colour (eq. 8.2); `None` for a filter that does not compare it.
     pub color: Option<ByColor>,
-    /// How it compares the features (eq. 8.3); `None` where it does not.
+    /// Comparison of the features (eq. 8.3); `None` for a filter that does not compare them.
     pub features: Option<ByFeatures>,
-    /// The name of its rival: it may win a pixel only where it filters more than the rival, that is, where its mean
-    /// derivative is less. Without effect where the rival takes no part.
+    /// Name of the filter's rival. The filter may win a pixel only where it filters more than the rival, that is, where
+    /// its mean derivative is less. Without effect where the rival takes no part.
     pub rival: Option<&'static str>,
 }
 
@@ -51,14 +51,14 @@ pub struct ByFeatures {
     pub tau: f32,
 }
 
-/// The place of each filter's rival among these filters; `None` without a rival that takes part.
+/// Returns the index of each filter's rival among these filters; `None` without a rival that takes part.
 pub(super) fn rivals(filters: &[CandidateFilter]) -> Vec<Option<usize>> {
     let place = |name: &str| filters.iter().position(|filter| filter.name == name);
     filters.iter().map(|filter| place(filter.rival?)).collect()
 }
 
-/// Filters that one pass over the window computes, each by its place among the candidates: what they have in common is
-/// computed once. FIRST, SECOND and THIRD are one pass.
+/// Filters that one pass over the window computes, each by its index among the candidates. The pass computes their
+/// common parts once. The three candidates of Algorithm 1 fit into one pass.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Pass {
     /// A filter with smaller patches than `large`, and equal in all else.
@@ -69,9 +69,9 @@ pub(super) struct Pass {
     pub(super) alone: Option<usize>,
     color: Option<ByColor>,
     small_patch_radius: u32,
-    /// How `small` and `large` compare features.
+    /// Comparison of the features in `small` and `large`.
     beside_color: Option<ByFeatures>,
-    /// How `alone` does.
+    /// Comparison of the features in `alone`.
     by_features: Option<ByFeatures>,
 }
 
@@ -88,7 +88,7 @@ pub(super) fn passes(filters: &[CandidateFilter]) -> Vec<Pass> {
 }
 
 impl Pass {
-    /// The pass with one more filter, if it can share the pass.
+    /// Returns the pass with one more filter, if the filter can share the pass.
     fn with(&self, place: usize, filter: &CandidateFilter) -> Option<Self> {
         let CandidateFilter { color, features, .. } = *filter;
         let Some(own) = color else {
@@ -105,7 +105,7 @@ impl Pass {
         match (self.large, self.color) {
             (None, _) => Some(Self { large: Some(place), color, beside_color: features, ..*self }),
             (Some(large), Some(other)) if self.small.is_none() && other.k == own.k && self.beside_color == features => {
-                // Of patches of one size, those of the earlier filter count as the small ones.
+                // With patches of equal size, the earlier filter counts as the one with small patches.
                 Some(if own.patch_radius < other.patch_radius {
                     Self { small: Some(place), small_patch_radius: own.patch_radius, ..*self }
                 } else {
@@ -122,32 +122,32 @@ impl Pass {
         }
     }
 
-    /// Whether it compares the colour.
+    /// Returns whether the pass compares the colour.
     pub(super) fn by_color(&self) -> bool {
         self.large.is_some()
     }
 
-    /// Whether it compares features, where there are any.
+    /// Returns whether the pass compares features, if there are any.
     pub(super) fn by_features(&self) -> bool {
         self.beside_color.is_some() || self.by_features.is_some()
     }
 
-    /// k_c; 1 where no colour is compared.
+    /// Returns k_c; 1 for a pass that does not compare the colour.
     pub(super) fn color_k(&self) -> f32 {
         self.color.map_or(1.0, |color| color.k)
     }
 
-    /// f of the large patches; 0 where no colour is compared.
+    /// Returns f of the large patches; 0 for a pass that does not compare the colour.
     pub(super) fn patch_radius(&self) -> u32 {
         self.color.map_or(0, |color| color.patch_radius)
     }
 
-    /// f of the small patches, if there are any.
+    /// Returns f of the small patches, if there are any.
     pub(super) fn small_patch_radius(&self) -> Option<u32> {
         self.small.map(|_| self.small_patch_radius)
     }
 
-    /// The definitions of the filters that take part.
+    /// Returns the definitions of the filters that take part.
     pub(super) fn definitions(&self) -> [(&'static str, Definition); 6] {
         [
             ("PATCH_RADIUS", Definition::Int(self.patch_radius() as i32)),
@@ -159,7 +159,7 @@ impl Pass {
         ]
     }
 
-    /// The parameters by which it compares features.
+    /// Returns the parameters of the comparison of features.
     pub(super) fn params(&self, features: Option<&Features>) -> CandidateParams {
         let tau = |of: Option<ByFeatures>| of.or(self.beside_color).or(self.by_features).map_or(1.0, |of| of.tau);
         let k = self.beside_color.or(self.by_features).map_or(1.0, |features| features.k);
@@ -172,7 +172,8 @@ impl Pass {
     }
 }
 
-/// Whether filters that compare features like this can share their numerators: both or none do, with one k_f.
+/// Returns whether filters with these comparisons of features can share numerators: both or none compare, with equal
+/// k_f.
 fn shared(a: Option<ByFeatures>, b: Option<ByFeatures>) -> bool {
     a.map(|a| a.k) == b.map(|b| b.k)
 }

@@ -7,7 +7,9 @@ use crate::error::Result;
 use crate::gpu::{Buffer, Recorder, bindings, uniforms};
 
 uniforms! { struct GaussianParams { extent: IVec2, axis: IVec2, radius: i32, exponent: f32 } }
-bindings! { struct GaussianAxis<'a> { uniform params: GaussianParams, around source, write smoothed, optional centres } }
+bindings! {
+    struct GaussianAxis<'a> { uniform params: GaussianParams, around source, write smoothed, optional centres }
+}
 
 /// A Gaussian over a square of pixels.
 #[derive(Clone, Copy, Debug, PartialEq)]

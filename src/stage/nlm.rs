@@ -53,8 +53,8 @@ choices! {
     pub enum CentreWeight {
         /// 1: the distance of a pixel to itself is 0.
         One => "one",
-        /// The largest weight among its neighbours, at least 10⁻³: a spike, which is like no neighbour, does not hold
-        /// on to itself.
+        /// The largest weight among its neighbours, at least 10⁻³: a spike, which has no similar neighbour, does not
+        /// keep its own value.
         LargestNeighbour => "largest-neighbour",
     }
 }
@@ -86,10 +86,10 @@ choices! {
     pub enum Symmetry {
         /// Each neighbour stands for itself.
         Off => "off",
-        /// By degrees, from where the weight of their mean exceeds the sum of theirs to where it is twice that: weights
-        /// are continuous, as finite differences want them.
+        /// By degrees: the blend begins where the weight of the mean exceeds the sum of both weights, and is complete
+        /// where it is twice that sum. Weights are continuous, as finite differences require.
         Blended => "blended",
-        /// Both weights become that of their mean wherever it exceeds their sum (thesis 7.1.1).
+        /// Both weights become the weight of their mean where it exceeds their sum (thesis 7.1.1).
         Hard => "hard",
     }
 }
@@ -147,8 +147,8 @@ pub struct Schedule {
     /// Number of columns of an image that are processed at a time, so that the scratch holds as many rows of a wide
     /// image as of a narrow one.
     pub band_columns: u32,
-    /// Cost of the dispatches for one more rectangle, as a number of pixels whose work costs as much. It counts where
-    /// parts of an image are left out.
+    /// Cost of the dispatches for one more rectangle, in pixels: the number of pixels whose filtering costs as much. It
+    /// counts where parts of an image are left out.
     pub region_pixels: u32,
 }
 
@@ -158,7 +158,7 @@ impl Schedule {
         if gpu.is_software() { Self::SOFTWARE } else { Self::HARDWARE }
     }
 
-    /// Schedule for a processor: blocks stay in registers, because loads are the main cost.
+    /// Schedule for a processor: intermediate results stay in registers, because loads are the main cost.
     pub const SOFTWARE: Self = Self {
         scratch_bytes: 4 << 20,
         block_rows: 64,
@@ -168,7 +168,7 @@ impl Schedule {
         region_pixels: 512,
     };
 
-    /// Schedule for a graphics card: enough pixels at a time to fill it, and few registers for each. Not measured.
+    /// Schedule for a graphics card: enough pixels at a time to fill it, and few registers per pixel. Not measured.
     pub const HARDWARE: Self = Self {
         scratch_bytes: 256 << 20,
         block_rows: 16,
@@ -325,8 +325,8 @@ pub struct Guide<'a> {
     /// Whether the weight of a neighbour is the mean of the weights of all pairs of pixels in the two patches (thesis
     /// 7.1.1), instead of the weight of their centres alone.
     pub patchwise: bool,
-    /// Least weight: smaller weights become 0, so that many faint neighbours do not outweigh a few good ones. 0 keeps
-    /// all.
+    /// Least weight that counts: smaller weights become 0, so that many faint neighbours do not outweigh a few good
+    /// ones. 0 keeps all weights.
     pub cut: f32,
     /// Frames beside this one that also supply neighbours.
     pub beside: &'a [Beside<'a>],
@@ -495,7 +495,8 @@ fn for_each_chunk_of(
             for (index, (first_offset, offsets)) in rectangles.iter().copied().enumerate() {
                 let ends_frame = index + 1 == rectangles.len();
                 if rec.is_dry() && index > 0 && !ends_frame {
-                    // Takes no other buffers and looks no further than the first chunk and the last.
+                    // A dry run needs no chunk between the first and the last: such a chunk takes no other buffers and
+                    // reads no further around a pixel.
                     continue;
                 }
                 let last = ends_frame && place + 1 == frames.len();
@@ -528,13 +529,13 @@ fn for_each_chunk_of(
                     ("OFFSET_ROWS", Definition::Int(offset_rows as i32)),
                     ("ONE_CHANNEL", (guide.channels == 1).into()),
                     ("GREY", guide.grey.into()),
-                    // How the distance to the mean of both neighbours is used does not matter here.
+                    // Only the existence of the distance to the mean matters here, not how the weights use it.
                     ("SYMMETRIC", (weighting.symmetric != Symmetry::Off).into()),
                 ];
                 let planes = (offsets.x * offsets.y) as u32;
                 if with_distances {
-                    // A column of a patch at the pixel, and of one anywhere in the window; the filters read the columns
-                    // beside it.
+                    // The stage reads a column of a patch at the pixel and one anywhere in the window; the filters then
+                    // read the columns beside.
                     let bound = NlmDistance {
                         params: with_margin,
                         guide: guide.signal.within_columns_and_rows(0, guide.patch_radius).front(),

@@ -52,7 +52,11 @@ bindings! {
         optional_around sample_variance, write pooled_variance,
     }
     struct NoiseHighpass<'a> {
-        uniform params: NoiseHighpassParams, around signal, read relative_spread, optional_around features, write highpass,
+        uniform params: NoiseHighpassParams,
+        around signal,
+        read relative_spread,
+        optional_around features,
+        write highpass,
     }
     struct NoiseResidual<'a> {
         uniform params: NoiseResidualParams, read signal, around highpass, write residual, change relative_spread,
@@ -71,7 +75,7 @@ bindings! {
 pub struct NoiseRule {
     /// Largest ratio of the brightness around a pixel to its own brightness; a larger ratio is cut to this one.
     pub darker: f32,
-    /// Least brightness that noise is compared by. The frame's median is of the order of 1.
+    /// Least brightness by which noise is divided for a comparison. The frame's median is of the order of 1.
     pub least_magnitude: f32,
     /// Gaussian that smooths the squared half spreads, in parts of the brightness around, to a first guess.
     pub guess: Gaussian,
@@ -179,7 +183,7 @@ pub fn noise_feature(
     let params =
         NoiseFeatureParams { extent, radius: rule.feature_radius as i32, group: group as i32, single: single.into() };
     let definitions = [("VARIANCE", sample_variance.is_some().into()), ("PIXELS", Definition::Int(PIXELS as i32))];
-    // The front of the features are their values, which are copied.
+    // The front of the packed features holds their values, which are copied from the pixel itself.
     let bound = NoiseFeature {
         params,
         signal: signal.within(rule.feature_radius).but_for_the_front(),
@@ -197,11 +201,12 @@ pub struct Pooled {
     pub buffer: Buffer,
 }
 
-/// Pools the noise of a colour, and of the features of the same pixels, over pixels that are alike. The noise is the
-/// squared half spread; for the colour it is the `sample_variance` (one plane, s²/n), if there is one, which then
-/// counts by half beside the pooled one.
+/// Pools the noise of a colour, and of the features of the same pixels, over pixels that are alike: averages the
+/// standard deviations that these pixels claim, and squares the mean. A pixel claims the magnitude of its half spread;
+/// for the colour it claims the square root of `sample_variance` (one plane, s²/n), if there is one. The result blends
+/// in the pixel's own variance: by half with a `sample_variance`, by little without.
 ///
-/// Pixels with less than a thousandth of noise keep their own variance.
+/// Pixels whose noise is less than a thousandth of their value keep their own variance.
 ///
 /// # Errors
 /// As [`Recorder::dispatch`].
@@ -217,7 +222,7 @@ pub fn noise_pool(
     pool(rec, extent, signal, &relative_spread, sample_variance, features, rule)
 }
 
-/// As [`noise_pool`], with the `relative_spread` that [`noise_magnitude`] returned.
+/// Pools as [`noise_pool`] does, with the `relative_spread` that [`noise_magnitude`] returned.
 fn pool(
     rec: &mut Recorder,
     extent: IVec2,
@@ -239,7 +244,7 @@ fn pool(
         &NoiseGuess { params, relative_spread: relative_spread.within(rule.guess.radius).front(), guess },
         per_run(extent, PIXELS),
     )?;
-    // The values of more groups would not stay in registers.
+    // The values of more than two groups would not fit into registers.
     let pixels = if groups <= 2 { PIXELS } else { 1 };
     let definitions = [
         ("FEATURE_GROUPS", Definition::Int(groups as i32)),
@@ -266,8 +271,8 @@ fn pool(
 /// Number of adjacent pixels in a row that one invocation computes, where neighbours share loads.
 const PIXELS: u32 = 4;
 
-/// Returns two planes. The first holds the half spread of a colour in parts of the brightness around each pixel, and in
-/// w that brightness; the second holds in x the median brightness of the 3×3 pixels.
+/// Returns two planes. The first holds the half spread of a colour in parts of the magnitude, which is the brightness
+/// around each pixel, and the magnitude in w. The second holds the median brightness of the 3×3 pixels in x.
 fn noise_magnitude(rec: &mut Recorder, extent: IVec2, signal: &Buffer, rule: &NoiseRule) -> Result<Buffer> {
     let relative_spread = rec.take("relative half spread", plane_bytes(extent, 2))?;
     let params = rule.params(extent, None);
@@ -315,13 +320,13 @@ impl ImageRule {
 
 /// Factor that brings the lesser of the two residuals of Gaussian noise to the size of a half spread: E|D| = σ·√(2/π).
 ///
-/// Each residual has the variance 1.5·σ², and both have the correlation 2/3. Of two normal variables with the variance
-/// 1 and the correlation ρ, E min(|a|, |b|) = √(2/π)·(2 − (√(2 + 2ρ) + √(2 − 2ρ))/2).
+/// Each residual has the variance 1.5·σ², and their correlation is 2/3. For two normal variables with variance 1 and
+/// correlation ρ, E min(|a|, |b|) = √(2/π)·(2 − (√(2 + 2ρ) + √(2 − 2ρ))/2).
 const RESIDUAL_SCALE: f32 = 1.202_67;
 
-/// Estimates the variance of a colour from the image alone: from how far pixels stand out from both their neighbours,
-/// pooled. `explaining` holds the indices of the features of three channels that may explain this, at most two. One
-/// plane.
+/// Estimates the variance of a colour from the image alone: the difference by which pixels stand out from their
+/// neighbours counts as noise and is pooled. `explaining` holds the indices of the features of three channels that may
+/// explain such differences, at most two. One plane.
 ///
 /// # Errors
 /// As [`Recorder::dispatch`].

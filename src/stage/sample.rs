@@ -1,4 +1,4 @@
-//! Samples of pixels, and where the next ones pay most (thesis 7.1.2, 8.6).
+//! Numbers of samples, and where the next samples pay most (thesis 7.1.2, 8.6).
 
 use glam::IVec2;
 
@@ -21,7 +21,7 @@ bindings! {
 /// Added to the squared value in relative errors (thesis 7.1.2: 10⁻³), for colour at the order of 1.
 pub(super) const RELATIVE_FLOOR: f32 = 1e-3;
 
-/// Samples that each pixel's mean was computed from, on the GPU.
+/// Number of samples that each pixel's mean was computed from, on the GPU.
 #[derive(Debug)]
 pub enum GpuSamples {
     /// One number for all pixels; 0 if it is unknown.

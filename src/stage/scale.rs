@@ -33,7 +33,7 @@ bindings! {
 /// The image at one scale.
 #[derive(Debug)]
 pub struct Scale {
-    /// Standard deviation of its Gaussian in pixels; 0 for the pixel filter.
+    /// σ of its Gaussian in pixels; 0 for the pixel filter.
     pub sigma: f32,
     /// A signal; the w of the mean holds the mean number of samples per pixel, 0 if it is unknown.
     pub signal: Buffer,
@@ -41,14 +41,14 @@ pub struct Scale {
     pub variance: Buffer,
 }
 
-/// Scale that each pixel has reached.
+/// Selection of a scale in each pixel, so far.
 #[derive(Debug)]
 pub struct Selected {
-    /// A signal; in the w of the mean the number of pixels that take part, Σ w where the largest possible number
-    /// counts: 1/Σw² of normalised weights.
+    /// Signal at the selected scale of each pixel. The w of the mean holds the number of pixels that take part: 1/Σw²
+    /// of the normalised weights. Other methods store Σ w there.
     pub signal: Buffer,
-    /// One plane. x: σ of its scale in pixels, y: 1 while coarser scales may follow, z: estimated squared error, summed
-    /// over the channels, w: samples that take part.
+    /// One plane. x: σ of the selected scale in pixels, y: 1 while coarser scales may follow, z: estimated squared
+    /// error, summed over the channels, w: number of samples that take part.
     pub choice: Buffer,
 }
 

@@ -74,8 +74,8 @@ pub fn select_least(rec: &mut Recorder, extent: IVec2, errors: &Buffer, candidat
 }
 
 parameters! {
-    /// Which candidates may take part in the blend of a pixel: those that are not clearly worse than another one there,
-    /// by the smoothed errors and by the pixel's own.
+    /// Limits on the candidates that take part in the blend of a pixel: a candidate is left out where it is clearly
+    /// worse than another one, by the smoothed errors or by the pixel's own SURE.
     ///
     /// Measured on three renders at 8, 32 and 128 spp. The first pair saves scenes with a visible lamp (relative MSE of
     /// `cornell` at 32 spp 0.038 without, 0.0005 with), the second single clean pixels beside bright noise
@@ -103,9 +103,9 @@ impl Default for Guard {
 
 impl Group for Guard {}
 
-/// Amount of harm, beyond the amount that chance explains, from which on a pixel leaves out the frames beside. Measured
-/// on a shot with a moving lamp, relative MSE of its middle frames: .00129 and .00103 with 8 standard deviations and 4
-/// times the noise, .00123 and .00095 with these and with half of these, .0013 and .033 without.
+/// Harm, beyond the harm that chance explains, from which on a pixel leaves out the frames beside. Measured on a shot
+/// with a moving lamp, relative MSE of its middle frames: .00129 and .00103 with 8 standard deviations and 4 times the
+/// noise, .00123 and .00095 with these values and with half of them, .0013 and .033 if no frames are left out.
 #[derive(Clone, Copy, Debug)]
 pub struct Harm {
     /// Standard deviations of the difference in SURE …
@@ -133,7 +133,7 @@ pub struct Noisy<'a> {
 }
 
 /// Replaces pixels of `together`, the candidates filtered over several frames, by pixels of `alone`, the candidates
-/// filtered over the own frame, where the pixel's own SURE says that `together` is worse by more than `harm` allows.
+/// filtered over the own frame, where the pixel's own SURE of `together` is larger by more than `harm` allows.
 ///
 /// # Errors
 /// [`Error::Shader`](crate::Error::Shader) where the candidates come without derivatives; otherwise as [`Recorder::dispatch`].
@@ -187,14 +187,14 @@ pub fn select_frames_of_filtered(
     rec.dispatch("select_frames", &definitions, &bound, per_pixel(extent))
 }
 
-/// Images that decide about the shares of the candidates.
+/// Images from which the shares of the candidates are computed.
 #[derive(Clone, Copy, Debug)]
 pub struct Evidence<'a> {
     /// The binary selection maps.
     pub selected: &'a Buffer,
-    /// SURE, smoothed. As the maps, one plane for four candidates, one component for each.
+    /// Smoothed SURE, laid out as the maps: one plane for four candidates, one component for each.
     pub errors: &'a Buffer,
-    /// SURE as computed.
+    /// SURE as computed, laid out as the maps.
     pub sure: &'a Buffer,
     /// Variance of the pixel mean, one plane.
     pub variance_of_mean: &'a Buffer,
@@ -203,7 +203,7 @@ pub struct Evidence<'a> {
 }
 
 /// Turns `smoothed`, the smoothed selection maps of the candidates, into their shares, in place. The shares sum to 1; a
-/// guard, if there is one, excludes candidates. One plane for four candidates, one component for each.
+/// guard, if there is one, leaves candidates out. One plane for four candidates, one component for each.
 ///
 /// # Errors
 /// As [`Recorder::dispatch`].
@@ -247,9 +247,9 @@ pub fn select_blend(
 }
 
 /// Returns the signal `pass2`, except for pixels whose mean differs from the mean of `pass1` by more than `sigmas`
-/// standard deviations of all the noise that the pixel may have; these pixels are taken from `pass1`. The noise is the
+/// standard deviations of the noise that the pixel may have; these pixels are copied from `pass1`. The noise is the
 /// `variance_of_mean` of the input plus the squared spread of `pass1`. Distances and variances are summed over the
-/// channels. A signal.
+/// channels.
 ///
 /// # Errors
 /// As [`Recorder::take`] and [`Recorder::dispatch`].
@@ -272,7 +272,7 @@ pub fn select_pass(
     Ok(result)
 }
 
-/// Significance with which the filter that knows only the colour must be better.
+/// Significance with which the filter by the colour only must be better.
 #[derive(Clone, Copy, Debug)]
 pub struct Significance {
     /// Gaussian that averages the differences of SURE over the pixels around.
@@ -290,7 +290,7 @@ impl Significance {
     pub const MEASURED: Self = Self { smoothing: Gaussian { sigma: 3.0, radius: 9 }, least: 1.5, most: 3.0 };
 }
 
-/// A blend of candidates in which a filter that knows the colour only takes part.
+/// A blend of candidates in which the filter by the colour only takes part.
 #[derive(Debug)]
 pub struct WithColorOnly {
     /// A signal; the blended Σ w in the w of the mean.
@@ -299,9 +299,9 @@ pub struct WithColorOnly {
     pub shares: Buffer,
 }
 
-/// Gives the only candidate in `color_only` a share where `differences` (those of
-/// [`error_difference`](super::error::error_difference)) say that its error is significantly less than that of
-/// `blend`, a signal that was made of so many candidates by their `shares`. These shares are scaled to the rest.
+/// Gives the only candidate in `color_only` a share where `differences` (see
+/// [`error_difference`](super::error::error_difference)) show that its error is significantly less than the error of
+/// `blend`. `blend` is a signal, made of this many candidates by their `shares`; the shares are scaled to the rest.
 ///
 /// # Errors
 /// As [`Recorder::dispatch`].

@@ -1,4 +1,4 @@
-//! Spikes: pixels that stand out from pixels of their kind by an excess that rests on very few samples.
+//! Spikes: pixels that stand out from the pixels of their kind by an excess that rests on very few samples.
 
 use glam::{IVec2, Vec4};
 use serde::Serialize;
@@ -48,8 +48,7 @@ bindings! {
     }
 }
 
-/// Rule for finding spikes and for spreading them. [`SpikeRule::DEFAULT`] measured best: `docs/robustness.md` has the
-/// table.
+/// Rule for finding and spreading spikes. [`SpikeRule::DEFAULT`] measured best: `docs/robustness.md` has the table.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct SpikeRule {
     /// Half width of the window that a pixel is judged in, in pixels.
@@ -116,10 +115,10 @@ pub struct Repaired {
     pub signal: Buffer,
     /// Sample variance of the signal, if there is one; a spike gets the mean of its neighbours' variances.
     pub variance_of_mean: Option<Buffer>,
-    /// Three planes. The first holds the amount taken from each pixel, 0 for a pixel that is no spike. The rest is for
-    /// [`spike_spread`]: the w of the first becomes the part of this amount that the pixels around get; the second
-    /// holds the amount that one of them would get at the position of the spike; the third holds, in x, the squares of
-    /// the amounts that each pixel got, summed over spikes and channels.
+    /// Three planes. The first holds the amount taken from each pixel, 0 for a pixel that is no spike. [`spike_spread`]
+    /// writes the rest: the w of the first becomes the part of the amount that the pixels around get; the second holds
+    /// the amount that one of them would get at the position of the spike; the third holds, in x, the squares of the
+    /// amounts that each pixel got, summed over spikes and channels.
     pub spikes: Buffer,
     /// Two planes for [`light_return`]: mean and half spread of lights of few pixels. The w of the first holds their
     /// variance, summed over the channels; the w of the second is 1 for a light, else 0.
@@ -158,7 +157,7 @@ pub fn spike_find(
                 params,
                 signal,
                 features,
-                // Whether a pixel is a spike, and its mean, depend on its own variance alone.
+                // The front of the output, which is the repaired mean, depends on the variance of the pixel alone.
                 sample_variance: sample_variance.within(rule.window_radius).but_for_the_front(),
                 repaired_variance,
                 repaired: repaired.in_parts(),
@@ -208,8 +207,8 @@ pub fn spike_spread(
     rec.dispatch("spike_level", &[], &bound, per_pixel(extent))?;
     let levels = levels.within(rule.spread_radius);
     rec.dispatch("spike_share", &groups, &SpikeShare { params, spikes, features, levels }, per_pixel(extent))?;
-    // It looks along a row for amounts that were taken. They depend on the pixels within `window_radius`, so that the
-    // shares beside them reach at least as far already.
+    // The stage reads a whole row of amounts, which depend on the pixels within `window_radius`. The shares beside them
+    // already reach at least as far, so its reach need not be declared.
     rec.dispatch("spike_rows", &[], &SpikeRows { params, spikes }, per_pixel(extent))?;
     let bound = SpikeSpread {
         params,

@@ -19,7 +19,11 @@ uniforms! {
 
 bindings! {
     struct VarianceRows<'a> {
-        uniform params: VarianceScaleParams, around signal, around sample_variance, write spread_rows, write sample_rows,
+        uniform params: VarianceScaleParams,
+        around signal,
+        around sample_variance,
+        write spread_rows,
+        write sample_rows,
     }
     struct VarianceScale<'a> {
         uniform params: VarianceScaleParams, around spread_rows, around sample_rows, read sample_variance,
@@ -32,7 +36,12 @@ bindings! {
     struct VarianceClamp<'a> {
         uniform params: VarianceClampParams, read variance, read upper_bound, write clamped_variance,
     }
-    struct VarianceFloor<'a> { uniform params: VarianceFloorParams, around signal, read variance, write floored_variance }
+    struct VarianceFloor<'a> {
+        uniform params: VarianceFloorParams,
+        around signal,
+        read variance,
+        write floored_variance,
+    }
     struct VarianceSmooth<'a> {
         uniform params: VarianceSmoothParams, around signal, write smoothed_variance, optional upper_bound,
     }
@@ -42,18 +51,18 @@ bindings! {
 const BOX_PIXELS: u32 = 4;
 
 choices! {
-    /// How the pixels of a box count where the variances that they claim are scaled by what their halves differ by.
+    /// Weight of the pixels of a box whose variances are scaled to the differences of their halves.
     #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
     #[serde(rename_all = "lowercase")]
     pub enum BoxWeight {
-        /// All the same (thesis 8.2). One outlier whose halves agree by accident takes the variance of all others in
-        /// its box away, one whose halves do not lends them its own.
+        /// Equal weights (thesis 8.2). An outlier whose halves agree by accident takes the variance of all other pixels
+        /// in its box away; an outlier whose halves differ lends them its own.
         Even => "even",
-        /// By one over the standard deviation that they claim. Measured on 46 images, `dfc` has 1.6 % less error on
+        /// One over the standard deviation that the pixel claims. Measured on 46 images, `dfc` has 1.6 % less error on
         /// average (15 % less to 9 % more), on 18 `nlm` 1.9 % (11 % less to 3 % more). `gem` would have 1 % less too,
-        /// but loses on extreme frames, and stays with the other. A pixel that came out with little variance counts
-        /// more than it should: of Gaussian noise, by the moments of χ², the ratio reads some 15 % high at 8 samples
-        /// per pixel and 3 % at 32.
+        /// but loses on extreme frames, and keeps equal weights. A pixel that came out with little variance counts more
+        /// than it should: for Gaussian noise, by the moments of χ², the ratio is some 15 % high at 8 samples per pixel
+        /// and 3 % at 32.
         Deviation => "deviation",
     }
 }
@@ -188,11 +197,11 @@ pub const LEAST_NOISE: f32 = 1e-3;
 /// Lower bound of a variance, so that eq. 7.4 does not divide by zero: its ε.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Floor {
-    /// The square of [`LEAST_NOISE`] times the pixel's brightness, or of a ten-thousandth of the brightness around it
-    /// where that is more: the largest magnitude of any channel in the pixel, and in the 3×3 pixels around it. For
-    /// radiance, whose dark parts count as much as its bright ones. Measured at 8 spp against the ε of 10⁻¹⁰: `cornell`
-    /// has 0.9 % less error, `caustic_ring` 0.1 % more. With less, few pixels beside the lamp of `cornell` decide, and
-    /// it has up to 6 % more; with three times as much around, `caustic_ring` has 2 % more.
+    /// The square of [`LEAST_NOISE`] times a brightness: the largest magnitude of any channel in the pixel, or a
+    /// ten-thousandth of the largest magnitude in the 3×3 pixels around it if that is more. For radiance, whose dark
+    /// parts count as much as its bright ones. Measured at 8 spp against the ε of 10⁻¹⁰: `cornell` has 0.9 % less
+    /// error, `caustic_ring` 0.1 % more. With less, a few pixels beside the lamp of `cornell` decide, and it has up to
+    /// 6 % more; with three times as much around, `caustic_ring` has 2 % more.
     Relative,
     /// The square of 10⁻⁵ times the brightness around the pixel: the ε of eq. 7.4, where the brightness is of the order
     /// of 1.
@@ -202,8 +211,8 @@ pub enum Floor {
 }
 
 impl Floor {
-    /// Floor of the colour's variance. Where pixels without noise are kept, pixels with less than a thousandth of noise
-    /// need not be distinguished.
+    /// Returns the floor of the colour's variance. Where pixels without noise are kept, noise below a thousandth of the
+    /// value needs no distinction.
     pub fn of_color(keep_clean: bool) -> Self {
         if keep_clean { Self::Relative } else { Self::Printed }
     }

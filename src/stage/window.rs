@@ -1,4 +1,4 @@
-//! The weights in one pixel's window, each with the distances that it comes from: the view of the filters from one
+//! The weights in the window of one pixel, each with the distances behind it: what the filters compute, shown for one
 //! pixel.
 //!
 //! A window of radius R is laid out as an image of (2R+1)² cells: the cell of the neighbour p + (dx, dy) lies in column
@@ -110,7 +110,7 @@ pub struct WindowOfCandidate {
     /// Cells of the window, which filters of one pass over the window share: two planes, and two more for each group of
     /// features.
     pub cells: Arc<Buffer>,
-    /// Which filter of the pass it is. 0: small patches, 1: large patches, 2: features alone.
+    /// Index of the filter in the pass. 0: small patches, 1: large patches, 2: features alone.
     of_pass: u32,
 }
 

@@ -1,4 +1,4 @@
-//! Which of FIRST, SECOND and THIRD take part.
+//! The set of candidates that take part.
 
 use std::fmt;
 
@@ -8,7 +8,7 @@ use crate::parameters::{Describe, Parameter, Place, Value, Values, choice_set};
 use crate::stage::candidate_filter::CandidateFilter;
 
 choice_set! {
-    /// Which of FIRST, SECOND and THIRD take part: in the selection, in the guard, and in what is computed at all.
+    /// Candidates that take part: in the selection, in the guard, and in the computation at all.
     #[derive(Clone, Copy, Debug, PartialEq, Eq)]
     pub struct CandidateSet {
         /// Small patches: sharp.
@@ -55,7 +55,7 @@ impl Serialize for CandidateSet {
     }
 }
 
-/// Candidates that a program adds have no name among the parameters.
+/// Candidates that a program adds, which have no names among the parameters.
 impl Describe for &'static [CandidateFilter] {
     type Limits = ();
 

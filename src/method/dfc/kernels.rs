@@ -1,4 +1,4 @@
-//! The kernels of DFC at a pixel: of the candidates, and of the second pass.
+//! The kernels of DFC at a pixel: the kernels of the candidates and of the second pass.
 
 use std::sync::Arc;
 
@@ -21,7 +21,7 @@ use crate::stage::nlm::{Guide, Schedule};
 use crate::stage::variance::RESIDUAL_SMOOTHING;
 use crate::stage::window::{NLM_DISTANCE, NLM_WEIGHT, WindowOfCandidate, candidate_window, nlm_window};
 
-/// Kernels of the computed candidates, and of the second pass if it runs.
+/// Returns the kernels of the computed candidates, and of the second pass if it runs.
 pub(in crate::method) fn kernels(
     rec: &mut Recorder,
     frame: FrameInput,
@@ -33,7 +33,8 @@ pub(in crate::method) fn kernels(
     if rec.is_dry() {
         return Ok(kernels_within(rec, frame, pixel, work)?.kernels);
     }
-    // A dry run finds how far the kernels depend on what is made before them: no more of that is computed.
+    // A dry run finds how far the kernels depend on the features and on the candidates; only these regions are
+    // computed.
     let run = Run::dry(None);
     let mut dry = rec.gpu().record_in(&run);
     let twin = frame.dry(&mut dry)?;
@@ -41,7 +42,7 @@ pub(in crate::method) fn kernels(
     let reach = kernels.iter().map(KernelOnGpu::reach).fold(UVec2::ZERO, UVec2::max);
     let around = |reach: UVec2| Some(Region::around(pixel, reach.max_element(), frame.extent));
     let wanted = Wanted {
-        // Packed features look at prefiltered ones around them.
+        // Packing a feature reads its prefiltered neighbours.
         features: around(reach.saturating_sub(reach_of_features) + RESIDUAL_SMOOTHING.radius.max(1)),
         candidates: around(reach.saturating_sub(reach_of_candidates)),
         result: around(UVec2::ZERO),
@@ -49,12 +50,12 @@ pub(in crate::method) fn kernels(
     Ok(kernels_within(rec, frame, pixel, Work { wanted, ..work })?.kernels)
 }
 
-/// The kernels, and how far what they are made of depends on the frame, if the run is dry.
+/// Kernels, and in a dry run the reaches of the data that they are made of.
 struct Found {
     kernels: Vec<KernelOnGpu>,
-    /// Of the packed features.
+    /// Reach of the packed features.
     reach_of_features: UVec2,
-    /// Of the candidates; that of the kernels where no choice among them follows.
+    /// Reach of the candidates. It is the reach of the kernels where the plan makes no choice among the candidates.
     reach_of_candidates: UVec2,
 }
 
@@ -69,7 +70,7 @@ fn kernels_within(rec: &mut Recorder, frame: FrameInput, pixel: IVec2, work: Wor
     let filters = planned_filters(plan);
     let mut kernels = kernels_of_candidates(rec, extent, &prepared.own, &names, &filters, pixel, work)?;
     if !plan.selection.runs && !plan.second_pass.runs {
-        // One candidate is the result.
+        // The only candidate is the result.
         kernels.iter_mut().for_each(|kernel| kernel.share = Some(Share::Whole));
         let reach_of_candidates = kernels.iter().map(KernelOnGpu::reach).fold(UVec2::ZERO, UVec2::max);
         return Ok(Found { kernels, reach_of_features, reach_of_candidates });
@@ -113,12 +114,12 @@ fn kernels_within(rec: &mut Recorder, frame: FrameInput, pixel: IVec2, work: Wor
     Ok(Found { kernels, reach_of_features, reach_of_candidates })
 }
 
-/// Whether a step leaves this pixel as it is.
+/// Returns whether a step leaves this pixel as it is.
 fn is_exact_at(pixel: IVec2, step: &PlannedStep) -> bool {
     step.exact.as_ref().is_some_and(|exact| exact.is_exact(&Region { first: pixel, size: IVec2::ONE }))
 }
 
-/// The kernels of these filters, for which the features are called `names`.
+/// Returns the kernels of these filters; `names` are the names of the features.
 fn kernels_of_candidates(
     rec: &mut Recorder,
     extent: IVec2,

@@ -6,7 +6,6 @@ use super::candidate_set::CandidateSet;
 use crate::error::{Error, RequestCause, Result};
 use crate::method::Spikes;
 use crate::method::common::{LARGEST_PATCH_RADIUS, LARGEST_WINDOW_RADIUS};
-use crate::method::noise::Pooling;
 use crate::parameters::{Group, Parameter, Values, Without, above, check, list, parameters, pixels};
 use crate::stage::candidate_filter::{ByColor, ByFeatures, CandidateFilter, MOST_CANDIDATES};
 use crate::stage::nlm::{CentreWeight, Symmetry, Weighting};
@@ -14,8 +13,8 @@ use crate::stage::select::Guard;
 use crate::stage::variance::BoxWeight;
 
 parameters! {
-    /// Parameters of DFC (thesis chapter 8), in [a table](crate::parameters#dfc). [`DfcParams::default`] is what
-    /// measured best, [`DfcParams::thesis`] is Algorithm 1 to the letter.
+    /// Parameters of DFC (thesis chapter 8), in [a table](crate::parameters#dfc). [`DfcParams::default`] measured best,
+    /// [`DfcParams::thesis`] is Algorithm 1 to the letter.
     #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
     pub struct DfcParams {
         /// R, the radius of the window: candidates average over (2R+1)² pixels. Work grows with its square.
@@ -29,49 +28,50 @@ parameters! {
         pub further: &'static [CandidateFilter],
         /// k_c of FIRST and SECOND: how large a difference of colour counts, in standard deviations. More filters more.
         pub color_k: f32 => above(0.0).of("σ"),
-        /// f of FIRST, the radius of its patches, at most that of SECOND.
+        /// f of FIRST, the radius of its patches, at most the radius of SECOND.
         pub first_patch_radius: u32 => pixels(0..=LARGEST_PATCH_RADIUS),
         /// f of SECOND, the radius of its patches.
         pub second_patch_radius: u32 => pixels(0..=LARGEST_PATCH_RADIUS),
         /// k_f of all candidates: how large a difference of features counts, in standard deviations. More filters more.
         pub feature_k: f32 => above(0.0).of("σ"),
-        /// τ of FIRST and SECOND: what squared differences of features are divided by at the least, besides k_f², in
-        /// squares of the unit range that features are brought to. More filters more.
+        /// τ of FIRST and SECOND: the least scale of squared differences of features, besides k_f², in squares of the
+        /// unit range that features are brought to. More filters more.
         pub feature_tau: f32 => above(0.0),
         /// τ of THIRD, as `feature_tau`.
         ///
-        /// Where distances are symmetric they are scaled by p and q together, so that half of the printed value means
-        /// the same.
+        /// Where distances are symmetric they are scaled by p and q together, so that half of the printed value has the
+        /// same effect.
         pub feature_tau_third: f32 => above(0.0),
         /// How distances become weights, in every filter.
         pub weighting: Weighting => Some(Without {
             parameter: "symmetric",
             choice: "hard",
-            because: "the weights of opposite neighbours would be replaced at once, so that SURE could not differentiate them.",
+            because: "the weights of opposite neighbours would be replaced at once, so that SURE could not \
+                      differentiate them.",
         }),
-        /// How the pixels of a box count where the variances that they claim are scaled by what their halves differ by.
+        /// How the pixels of a box are weighted where their variances are scaled to the differences of their halves.
         pub box_weight: BoxWeight,
-        /// How often the last term of SURE counts, 2σ²·dF/du (eq. 8.5).
+        /// Factor of the last term of SURE, 2σ²·dF/du (eq. 8.5).
         ///
-        /// It stands for the covariance of noise and filtered value, and reads low: a pixel that came out low claims
-        /// little variance, so that the filter follows it. Measured on nine scenes at 8 and 32 samples per pixel, pass
-        /// 1 has 2 % less error with 1.5 than with 1 on average (6 % on `cornell` and on the spiky one, none more than
-        /// 1 % more); with 2 some lose 5 %.
+        /// The term stands for the covariance of noise and filtered value, and is too low: a pixel that came out low
+        /// claims little variance, so that the filter follows it. Measured on nine scenes at 8 and 32 samples per
+        /// pixel, pass 1 has 2 % less error with 1.5 than with 1 on average (6 % on `cornell` and on the spiky one,
+        /// none more than 1 % more); with 2 some lose 5 %.
         pub covariance: f32 => above(0.0),
         /// Keeps candidates out of the blend that are clearly worse, by the smoothed errors and by the pixel's own.
         /// Left out, the smoothed selection maps decide alone.
         pub guard: Option<Guard>,
-        /// Whether variances of the mean are pooled over pixels that are alike. Where none is given, it is estimated so
-        /// from the halves, or, where there are no halves either, from the image itself; one that is given beside
-        /// halves becomes steadier. Otherwise the squared half spread is smoothed, and an image alone is refused.
+        /// Whether variances of the mean are pooled over pixels that are alike. A missing variance is then estimated
+        /// from the halves, or, without halves, from the image itself; a variance that is given beside halves becomes
+        /// steadier. Otherwise the squared half spread is smoothed, and an image alone is refused.
         pub pooled_variance: bool,
         /// What becomes of spikes: pixels that stand out from those of their kind and rest on very few samples.
         pub spikes: Spikes,
         /// Filters what noise pass 1 left (Algorithm 1 lines 34 to 37); needs halves. Left out, pass 1 is the result.
         pub second_pass: Option<SecondPass>,
-        /// Whether a filter by the colour only takes part where a feature has no noise, or none is told of, and where
-        /// it is clearly better. Such features have edges of their own, sharp where motion or defocus blurs the colour.
-        /// Not where a single candidate takes part.
+        /// Whether a filter that compares only the colour takes part where a feature has no noise, or unknown noise,
+        /// and where this filter is clearly better. Such features have edges of their own, sharp where motion or
+        /// defocus blurs the colour. With a single candidate it takes no part.
         pub color_only: bool,
         /// Whether pixels whose samples show no noise stay as they are, however noisy their neighbours. Black pixels
         /// stay only where everything around them is black: elsewhere their samples may all have missed the light.
@@ -92,8 +92,8 @@ parameters! {
         /// Whether the two-buffer variance of pass 1 is held below the input's variance: what was filtered cannot be
         /// noisier than what it was made from.
         pub clamp_to_input: bool,
-        /// Pixels that it would change by more than this many standard deviations of their noise stay as pass 1 left
-        /// them. Left out, all take it.
+        /// Largest correction of a pixel, in standard deviations of its noise: pixels that would change by more stay as
+        /// pass 1 left them. Left out, there is no limit.
         pub most_sigmas: Option<f32> => above(0.0).of("σ"),
     }
 }
@@ -131,7 +131,7 @@ impl Default for DfcParams {
 }
 
 impl DfcParams {
-    /// Algorithm 1 to the letter, its misprint in line 26 mended. It prints τ as 10E−3 and 10E−4.
+    /// Returns Algorithm 1 to the letter, with the misprint in line 26 corrected. It prints τ as 10E−3 and 10E−4.
     pub fn thesis() -> Self {
         Self {
             window_radius: 10,
@@ -161,7 +161,7 @@ impl DfcParams {
         }
     }
 
-    /// The candidates in their order, each with whether it takes part: of equal errors, the later one wins.
+    /// Returns the candidates in their order, and whether each takes part: of equal errors, the later one wins.
     pub fn filters(&self) -> Vec<(CandidateFilter, bool)> {
         let [first, second, third] = CandidateSet::NAMES;
         let by_color = |patch_radius| Some(ByColor { k: self.color_k, patch_radius });
@@ -185,13 +185,13 @@ impl DfcParams {
         of_thesis.into_iter().zip(self.candidates.flags()).chain(further).collect()
     }
 
-    /// f of the largest patches, in pixels.
+    /// Returns f of the largest patches, in pixels.
     pub(super) fn largest_patch_radius(&self) -> u32 {
         self.filters().iter().filter_map(|(filter, _)| filter.color).map(|color| color.patch_radius).max().unwrap_or(0)
     }
 
-    /// Whether more than one candidate can have a share: with the patches of SECOND, FIRST has the derivative of
-    /// SECOND, below which its own must be.
+    /// Returns whether more than one candidate can have a share. If FIRST has the patches of SECOND, it cannot win: its
+    /// derivative would have to be below the derivative of SECOND, which is the same.
     pub(super) fn several_can_win(&self) -> bool {
         let taking_part = self.filters().iter().filter(|(_, takes_part)| *takes_part).count();
         taking_part > 1 + usize::from(self.first_cannot_win())
@@ -201,11 +201,7 @@ impl DfcParams {
         self.candidates.first && self.candidates.second && self.first_patch_radius == self.second_patch_radius
     }
 
-    pub(in crate::method) fn pooling(&self) -> Pooling {
-        if self.pooled_variance { Pooling::All } else { Pooling::Off }
-    }
-
-    /// What they are, with their documentation and ranges.
+    /// Returns the parameters, with their documentation and ranges.
     pub fn parameters(&self) -> Vec<Parameter> {
         list(Values { value: Some(*self), default: Some(Self::default()), thesis: Some(Self::thesis()) })
     }

@@ -1,29 +1,29 @@
-//! What of DFC a frame needs.
+//! Plan of DFC: the steps that a frame needs.
 
 use super::{DfcParams, PREFILTER, reach_of_choice};
 use crate::method::plan::{Facts, PlannedStep, Planner, Wishes, impossible, method_plan, needless};
-use crate::method::{Intermediate, MethodPlan};
+use crate::method::{Intermediate, Method, MethodPlan};
 
 method_plan! {
     /// Plan of DFC.
     pub struct DfcPlan of DfcParams {
         /// Features that are not used.
         unused_features: Vec<PlannedStep>,
-        /// Variances that the frame lacks, estimated; given ones, pooled. `None` if there are none to pool.
+        /// Estimates of variances that the frame lacks, and pooling of given ones. `None` if there are none to pool.
         noise: Option<PlannedStep>,
-        /// Prefiltering, for each feature that is used (Algorithm 1 lines 4 to 10).
+        /// Prefiltering of each feature that is used (Algorithm 1 lines 4 to 10).
         prefilters: Vec<PlannedStep>,
         /// Gradients of the features, and their packing.
         features: PlannedStep,
         /// Spikes taken out of the colour.
         spikes: PlannedStep,
-        /// The variance of the colour's mean as the filters want it (thesis 8.2).
+        /// The variance of the colour's mean that the filters use (thesis 8.2).
         variance: PlannedStep,
-        /// Each of the candidates, in the order of [`DfcParams::filters`].
+        /// The candidates, in the order of [`DfcParams::filters`].
         filters: Vec<PlannedStep>,
-        /// The filters that the result is chosen from, over all frames of the window.
+        /// Filters that the result is chosen from, over all frames of the window.
         candidates: PlannedStep,
-        /// The candidates over the own frame alone as well; frames beside are left out of pixels that they harm.
+        /// Candidates over the own frame alone, too; frames beside are left out of pixels that they harm.
         frames: PlannedStep,
         /// Derivatives of the candidates.
         derivatives: PlannedStep,
@@ -56,19 +56,19 @@ method_plan! {
 
 /// Plans [`dfc`](super::dfc).
 ///
-/// Steps that are left out because the frame does not need them change no bit of the result, except for input without
+/// A step that is left out because the frame does not need it changes no bit of the result, except for input without
 /// noise:
 ///
-/// * A feature without noise is taken as it is, and so are tiles of a feature from which no pixel with noise is within
-///   reach. Filtered, a value would become an average of values that differ by less than the distance that two pixels
-///   without variance are told apart by, √(25·3·7²·10⁻¹⁰) = 6·10⁻⁴ of the unit range.
-/// * A frame without noise is copied, and so are tiles from which no pixel with noise is within reach. FIRST and SECOND
-///   would move their colours by no more than that distance, √(25·3·(2f+1)²·10⁻¹⁰) at the order of 1, and the guard
-///   keeps THIRD out wherever it would move them further: without variance nothing happens by chance, so that only the
-///   candidates with the least SURE, (F − u)², have a share. A second pass with a limit changes nothing where there is
-///   no noise.
+/// * A feature without noise is used as it is, and so are exact tiles of a feature, from which no pixel with noise is
+///   within reach. The filter would average values that differ by less than the distance at which two pixels without
+///   variance are told apart, √(25·3·7²·10⁻¹⁰) = 6·10⁻⁴ of the unit range.
+/// * A frame without noise is copied, and so are exact tiles. FIRST and SECOND would move their colours by no more than
+///   √(25·3·(2f+1)²·10⁻¹⁰) at the order of 1. The guard keeps THIRD out wherever it would move them further: without
+///   variance nothing happens by chance, so that only the candidates with the least SURE, (F − u)², have a share. A
+///   second pass with a limit changes nothing where there is no noise.
 pub(in crate::method) fn plan(params: &DfcParams, facts: &Facts, wishes: &Wishes) -> MethodPlan {
     let planner = Planner::new(wishes);
+    let pooling = Method::from(*params).pooling();
     let unused = facts.unused_features.iter();
     let unused_features =
         unused.map(|(name, why)| planner.step(format!("feature {name}"), "", &[impossible(true, why)])).collect();
@@ -85,8 +85,8 @@ pub(in crate::method) fn plan(params: &DfcParams, facts: &Facts, wishes: &Wishes
     let prefilters = prefilters.collect();
     let no_features = [impossible(facts.features.is_empty(), "there are none")];
 
-    // Beyond the reach of the candidates nothing has noise, and beyond that of the smoothing that follows nothing reads
-    // what was not computed. The intermediates are others there.
+    // Around an exact tile, nothing within the reach of the candidates has noise. The reach also covers the smoothing
+    // that follows, so that no pixel near noise reads values that were not computed. Intermediates differ there.
     let by_colour = params.filters().iter().any(|(filter, takes_part)| *takes_part && filter.color.is_some());
     let keeps_only = |allowed: &[Intermediate]| wishes.keep.iter().all(|kept| allowed.contains(kept));
     let may_copy = by_colour
@@ -116,7 +116,7 @@ pub(in crate::method) fn plan(params: &DfcParams, facts: &Facts, wishes: &Wishes
 
     let one = candidates == 1 && !wishes.keeps(Intermediate::Selection);
     let unwanted = one && !wishes.keeps(Intermediate::Sure);
-    // Without halves the density is made of it.
+    // Without halves, the density is made of the error.
     let needs_error = wishes.error || (!facts.has_halves && wishes.keeps(Intermediate::Density));
     let reasons = [
         (!unwanted, "SURE needs them"),
@@ -149,11 +149,11 @@ pub(in crate::method) fn plan(params: &DfcParams, facts: &Facts, wishes: &Wishes
         params: *params,
         keep: wishes.keep.to_vec(),
         unused_features,
-        noise: planner.noise(params.pooling(), facts),
+        noise: planner.noise(pooling, facts),
         prefilters,
         features: planner.step("features", "gradients and packing", &no_features),
         spikes: planner.spikes(params.spikes, facts),
-        variance: planner.variance(params.pooling(), facts),
+        variance: planner.variance(pooling, facts),
         filters,
         candidates: planner.step("candidates", "the result is made of them", &[]).but_for(exact.as_ref()),
         frames: frames.beside_kernels(),
@@ -186,7 +186,8 @@ pub(in crate::method) fn plan(params: &DfcParams, facts: &Facts, wishes: &Wishes
     plan
 }
 
-/// Whether the edges of some feature are as sharp as its pixels: none of them has noise, or nothing tells.
+/// Returns whether some feature has edges as sharp as its pixels: none of its pixels has noise, or its noise is
+/// unknown.
 pub(super) fn has_features_without_noise(facts: &Facts) -> bool {
     facts.features.iter().any(|feature| !feature.noise_is_told || feature.is_noise_free())
 }

@@ -6,18 +6,17 @@ use serde::Serialize;
 
 use crate::error::Result;
 use crate::method::Spikes;
-use crate::method::noise::Pooling;
 use crate::parameters::{Parameter, Values, check, choices, list, parameters, real};
 use crate::stage::gaussian::Gaussian;
 
 parameters! {
-    /// Parameters of GEM (thesis chapter 6), in [a table](crate::parameters#gem). [`GemParams::default`] is what
-    /// measured best, [`GemParams::thesis`] what the results of the chapter were made with.
+    /// Parameters of GEM (thesis chapter 6), in [a table](crate::parameters#gem). [`GemParams::default`] measured best,
+    /// [`GemParams::thesis`] made the results of the chapter.
     ///
     /// | phase | σ of the scales, in pixels | maps smoothed by | outliers |
     /// | --- | --- | --- | --- |
     /// | sampling | 1, 2, 4, 8 | the coarse scale of the pair | removed both ways |
-    /// | final | √2, 2, √8, 4 … 16 | `final_outlier_size` times the coarse scale | only changes towards the coarser scale |
+    /// | final | √2, 2, √8, 4 … 16 | `final_outlier_size` times the coarse scale | changes to the coarser scale only |
     ///
     /// Measured, as geometric means of the relative MSE, on ten renders (four scenes at 8 to 128 samples per pixel) and
     /// six of the built-in scenes at 32:
@@ -31,9 +30,8 @@ parameters! {
     /// The larger filter takes the stopping maps along edges for outliers; without the rule that only changes towards
     /// the coarser scale count, spikes stay (0.1 in place of 0.009 on `caustic_ring` at 32).
     ///
-    /// The pixel filter is the finest scale of both. Gaussians end at 3σ, rounded up. The samples per pixel of the
-    /// frame correct for the variance of few samples (ρ = 1 − 1/n); where the frame does not know them, nothing is
-    /// corrected.
+    /// The pixel filter is the finest scale of both phases. Gaussians end at 3σ, rounded up. The samples per pixel of
+    /// the frame correct for the variance of few samples (ρ = 1 − 1/n); without them, nothing is corrected.
     #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
     pub struct GemParams {
         /// γ: the share of wrong decisions for the finer scale in a constant region. Lower is smoother, higher is
@@ -57,7 +55,7 @@ parameters! {
 }
 
 choices! {
-    /// What the result is for.
+    /// Purpose of the result.
     #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
     #[serde(rename_all = "lowercase")]
     pub enum Phase {
@@ -69,7 +67,7 @@ choices! {
 }
 
 impl Phase {
-    /// σ of the scales from fine to coarse, in pixels, without the pixel filter.
+    /// Returns σ of the scales from fine to coarse, in pixels, without the pixel filter.
     pub fn sigmas(self) -> &'static [f32] {
         const SQRT_2: f32 = std::f32::consts::SQRT_2;
         match self {
@@ -78,12 +76,12 @@ impl Phase {
         }
     }
 
-    /// The largest σ, in pixels.
+    /// Returns the largest σ, in pixels.
     pub(super) fn coarsest(self) -> f32 {
         self.sigmas().iter().copied().fold(0.0, f32::max)
     }
 
-    /// Whether smoothing a stopping map may take pixels to the coarser scale alone (thesis 6.4).
+    /// Returns whether smoothing a stopping map may move pixels only to the coarser scale (thesis 6.4).
     pub(super) fn coarser_only(self) -> bool {
         self == Self::Final
     }
@@ -103,7 +101,7 @@ impl Default for GemParams {
 }
 
 impl GemParams {
-    /// As the published results were made (thesis 6.4, 6.5).
+    /// Returns the parameters of the published results (thesis 6.4, 6.5).
     pub fn thesis() -> Self {
         Self {
             gamma: 0.1,
@@ -115,7 +113,7 @@ impl GemParams {
         }
     }
 
-    /// What smooths the stopping map of the step to a scale (thesis 6.2.4).
+    /// Returns the filter that smooths the stopping map of the step to a scale (thesis 6.2.4).
     pub(super) fn outlier_filter(&self, sigma: f32) -> Gaussian {
         match self.phase {
             Phase::Sampling => Gaussian::new(sigma),
@@ -123,23 +121,19 @@ impl GemParams {
         }
     }
 
-    /// Radius of the coarsest Gaussian, in pixels.
+    /// Returns the radius of the coarsest Gaussian, in pixels.
     pub(crate) fn window_radius(&self) -> u32 {
         Gaussian::new(self.phase.coarsest()).radius
     }
 
-    /// z(γ), the weight of the selector's bias term (thesis 6.2.3): found by experiment, so that the selector errs at
-    /// the rate γ in constant regions.
+    /// Returns z(γ), the weight of the selector's bias term (thesis 6.2.3). It was found by experiment, so that the
+    /// selector errs at the rate γ in constant regions.
     pub fn bias_weight(&self) -> f32 {
         let wrong = (1.9 * f64::from(self.gamma)).powf(std::f64::consts::FRAC_1_SQRT_2);
         -(1.0 - wrong).ln() as f32
     }
 
-    pub(in crate::method) fn pooling(&self) -> Pooling {
-        if self.pooled_variance { Pooling::Lacking } else { Pooling::Off }
-    }
-
-    /// What they are, with their documentation and ranges.
+    /// Returns the parameters, with their documentation and ranges.
     pub fn parameters(&self) -> Vec<Parameter> {
         list(Values { value: Some(*self), default: Some(Self::default()), thesis: Some(Self::thesis()) })
     }

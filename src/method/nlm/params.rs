@@ -5,21 +5,20 @@ use serde::Serialize;
 use crate::error::Result;
 use crate::method::Spikes;
 use crate::method::common::{LARGEST_PATCH_RADIUS, LARGEST_WINDOW_RADIUS};
-use crate::method::noise::Pooling;
 use crate::parameters::{Parameter, Values, above, check, choices, list, parameters, pixels, real};
 use crate::stage::nlm::{CentreWeight, Symmetry, Weighting};
 
 parameters! {
-    /// Parameters of NLM (thesis chapter 7), in [a table](crate::parameters#nlm). [`NlmParams::default`] is what
-    /// measured best, [`NlmParams::thesis`] is the chapter to the letter.
+    /// Parameters of NLM (thesis chapter 7), in [a table](crate::parameters#nlm). [`NlmParams::default`] measured best,
+    /// [`NlmParams::thesis`] is the chapter to the letter.
     ///
     /// A frame without halves is filtered with its own weights, whatever `dual_buffer` says.
     #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
     pub struct NlmParams {
         /// r, the radius of the window: a pixel is averaged over (2r+1)² pixels. Work grows with its square.
         pub window_radius: u32 => pixels(1..=LARGEST_WINDOW_RADIUS),
-        /// f, the radius of the patches: those of (2f+1)² pixels are compared. Radius 0 compares single pixels, as the
-        /// bilateral filter does.
+        /// f, the radius of the patches: patches of (2f+1)² pixels are compared. Radius 0 compares single pixels, as
+        /// the bilateral filter does.
         pub patch_radius: u32 => pixels(0..=LARGEST_PATCH_RADIUS),
         /// How large a difference counts, in standard deviations. More filters more.
         pub k: f32 => above(0.0).of("σ"),
@@ -30,7 +29,7 @@ parameters! {
         /// Whether a weight is the mean of the weights of all pairs of pixels in the two patches. Otherwise pixels are
         /// weighed by their own patches alone.
         pub patchwise: bool,
-        /// Weights below it become 0.
+        /// Weights below this value become 0.
         pub cut: f32 => real(0.0..=1.0),
         /// Whether each half is filtered with the weights of the other; needs halves. Otherwise it is the original
         /// NL-means, where a pixel's noise helps to choose what it is averaged with.
@@ -53,8 +52,8 @@ parameters! {
 }
 
 choices! {
-    /// What is taken for the variance of the pixel means. Without halves the sample variance stands for all but the
-    /// uniform one, without sample variance the smoothed two-buffer variance does.
+    /// Source of the variance of the pixel means. Without halves, the sample variance replaces all sources but the
+    /// uniform one; without a sample variance, the smoothed two-buffer variance does.
     #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
     #[serde(rename_all = "kebab-case")]
     pub enum NlmVariance {
@@ -84,7 +83,7 @@ impl Default for NlmParams {
 }
 
 impl NlmParams {
-    /// The parameters of thesis 7.2 for the final image.
+    /// Returns the parameters of thesis 7.2 for the final image.
     pub fn thesis() -> Self {
         Self {
             window_radius: 10,
@@ -103,8 +102,8 @@ impl NlmParams {
         }
     }
 
-    /// Spikes stay. Filters less, so that the error that is left is noise and not bias (thesis 7.2): r and α are 7 and
-    /// 0.5 at the most.
+    /// Returns the parameters for sampling: spikes stay, and r and α are at most 7 and 0.5. So the filter filters less,
+    /// and the error that is left is noise and not bias (thesis 7.2).
     #[must_use]
     pub fn while_sampling(self) -> Self {
         Self {
@@ -116,11 +115,7 @@ impl NlmParams {
         }
     }
 
-    pub(in crate::method) fn pooling(&self) -> Pooling {
-        if self.pooled_variance { Pooling::Lacking } else { Pooling::Off }
-    }
-
-    /// What they are, with their documentation and ranges.
+    /// Returns the parameters, with their documentation and ranges.
     pub fn parameters(&self) -> Vec<Parameter> {
         list(Values { value: Some(*self), default: Some(Self::default()), thesis: Some(Self::thesis()) })
     }
