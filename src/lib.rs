@@ -16,7 +16,7 @@
 //!
 //! | room | holds | knows |
 //! | --- | --- | --- |
-//! | [`text`] | text files; names, paths and lists in messages | nothing |
+//! | [`text`] | text files; names, paths, lists and numbers in messages; templates of commands | nothing |
 //! | [`host_memory`] | free memory of the computer; vectors whose allocation may fail | nothing |
 //! | [`image`] | planes of pixels on the host | nothing |
 //! | [`frame`] | frames: the only input of the denoiser | [`image`] |
@@ -27,8 +27,9 @@
 //! | [`sampling`] | where the next samples go, the trait that a renderer implements, the adaptive loop | the denoiser |
 //!
 //! Crates around it, which know this one: `stein-exr` (OpenEXR files), `stein-metric` (error measures), `stein-stub` (a
-//! small path tracer); on these, `stein-cli` (the command line) and `stein-viewer`. `stein-reference` has every stage
-//! again in plain float64 loops and knows nothing; `stein-twin` brings frames and parameters into its form.
+//! small path tracer). On these stand `stein-bench` (measures and compares) and `stein-selftest` (extreme frames and
+//! their checks), and on all of them `stein-cli` (the command line) and `stein-viewer`. `stein-reference` has every
+//! stage again in plain float64 loops and knows nothing; `stein-twin` brings frames and parameters into its form.
 //!
 //! One word names a stage everywhere: shader file, Rust function, reference function, timing label.
 //!

@@ -1,7 +1,9 @@
-//! Text files that are read whole, and names, paths, lists and numbers of bytes in messages.
+//! Text files that are read whole; names, paths, lists and numbers in messages; templates of commands.
 //!
 //! Names and paths come from outside and may hold anything: an escape sequence that moves the cursor, a line break that
 //! forges a line. Messages show control characters escaped. Files and JSON keep them as they are.
+
+mod template;
 
 use std::borrow::Cow;
 use std::fmt::Write;
@@ -10,6 +12,7 @@ use std::io::{Error, ErrorKind, Read, Result};
 use std::path::{Path, PathBuf};
 
 use serde::Serializer;
+pub use template::fill;
 
 /// Entries that a message lists before it only counts the rest.
 pub const LISTED: usize = 10;
@@ -54,6 +57,23 @@ pub fn human_bytes(bytes: u64) -> String {
         unit += 1;
     }
     if value.fract() < 0.05 { format!("{value:.0} {}", units[unit]) } else { format!("{value:.1} {}", units[unit]) }
+}
+
+/// Formats a number that may be anything from 10⁻⁶ to 10⁶, with four significant digits.
+pub fn number(value: f64) -> String {
+    match value.abs() {
+        magnitude if magnitude == 0.0 || (1e-3..1e4).contains(&magnitude) => {
+            let before = magnitude.max(1e-3).log10().floor() as i32;
+            format!("{value:.*}", usize::try_from(3 - before).unwrap_or(0))
+        }
+        _ => format!("{value:.3e}"),
+    }
+}
+
+/// Formats milliseconds for a column of their own, without the unit.
+pub fn milliseconds(milliseconds: f64) -> String {
+    let digits = if milliseconds < 10.0 { 3 } else { usize::from(milliseconds < 1000.0) };
+    format!("{milliseconds:.digits$}")
 }
 
 /// Whether a terminal acts on the character, or hides it or the order of its neighbours.

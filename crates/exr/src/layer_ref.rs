@@ -22,6 +22,12 @@ pub struct LayerRef {
     pub layer: Option<String>,
 }
 
+/// Whether both paths lead to the same file, however they are spelt.
+pub fn same_file(a: &Path, b: &Path) -> bool {
+    let canonical = |path: &Path| -> Option<PathBuf> { path.canonicalize().ok() };
+    a == b || canonical(a).is_some_and(|a| canonical(b) == Some(a))
+}
+
 /// Separator between a file and its layer.
 const SEPARATOR: &str = "::";
 
@@ -122,6 +128,7 @@ impl fmt::Display for LayerRef {
 
 /// Parses a feature's name and location, written `NAME=FILE` or `NAME=FILE::LAYER`. The file's name may hold `=` as
 /// well.
+#[cfg(feature = "programs")]
 pub(crate) fn feature(text: OsString) -> Result<(String, LayerRef), String> {
     let first = text.as_encoded_bytes().iter().position(|byte| *byte == b'=');
     let named = first.and_then(|at| {
