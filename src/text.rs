@@ -211,6 +211,15 @@ mod tests {
     }
 
     #[test]
+    fn numbers_have_four_significant_digits() {
+        let numbers = [0.0, 0.001_234_6, 0.5, 12.346, 1234.6, -12.346, 12_345.6, 1e-6];
+        let shown = ["0.000000", "0.001235", "0.5000", "12.35", "1235", "-12.35", "1.235e4", "1.000e-6"];
+        assert_eq!(numbers.map(number), shown);
+        assert_eq!([0.123_4, 12.346, 1234.6].map(milliseconds), ["0.123", "12.3", "1235"]);
+        assert_eq!([1023, 1536, 160 << 20].map(human_bytes), ["1023 B", "1.5 KiB", "160 MiB"]);
+    }
+
+    #[test]
     fn long_lists_are_cut() {
         let names = |count: usize| (1..=count).map(|index| index.to_string()).collect::<Vec<_>>();
         assert_eq!(list(names(0)), "");

@@ -70,3 +70,32 @@ pub fn read<D: DeserializeOwned>(path: &Path, kind: Kind) -> Result<D, DocumentE
     }
     serde_json::from_value(value).map_err(|error| failed(DocumentCause::Damaged(error)))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_documents_of_the_kind_are_read() {
+        #[derive(Debug, serde::Deserialize)]
+        struct Document {
+            count: u32,
+        }
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("document.json");
+        let ours = Kind { schema: "ours", version: 2 };
+        let cause = |text: &str| {
+            std::fs::write(&path, text).expect("a file");
+            read::<Document>(&path, ours).map(|document| document.count).map_err(|error| error.cause)
+        };
+        assert!(matches!(cause(r#"{ "schema": "ours", "version": 2, "count": 3, "more": true }"#), Ok(3)));
+        assert!(matches!(cause("{"), Err(DocumentCause::NotJson(_))));
+        assert!(matches!(cause(r#"{ "version": 2, "count": 3 }"#), Err(DocumentCause::OtherSchema)));
+        let other = cause(r#"{ "schema": "ours", "version": 1, "count": 3 }"#);
+        assert!(matches!(other, Err(DocumentCause::OtherVersion { known: 2, .. })), "{other:?}");
+        assert!(matches!(cause(r#"{ "schema": "ours", "version": 2 }"#), Err(DocumentCause::Damaged(_))));
+        std::fs::remove_file(&path).expect("it was there");
+        let missing = read::<Document>(&path, ours);
+        assert!(missing.is_err_and(|error| error.to_string().contains("document.json: cannot be read: ")));
+    }
+}
