@@ -17,7 +17,7 @@
 //!
 //! | room | holds | knows |
 //! | --- | --- | --- |
-//! | [`text`] | text files; names, paths and lists in messages | nothing |
+//! | [`text`] | text files; names, paths, lists and numbers in messages; templates of commands | nothing |
 //! | [`error`] | failures: place, cause with its data, remedies | the types that causes name |
 //! | [`host_memory`] | free memory of the computer; vectors whose allocation may fail | nothing but errors |
 //! | [`image`] | planes of pixels on the host | [`host_memory`] |
@@ -29,8 +29,9 @@
 //! | [`sampling`] | where the next samples go, the trait that a renderer implements, the adaptive loop | the denoiser |
 //!
 //! Other crates build on this one: `stein-exr` (OpenEXR files), `stein-metric` (error measures), `stein-stub` (a small
-//! path tracer); on these, `stein-cli` (the command line) and `stein-viewer`. `stein-reference` holds every stage again
-//! in plain float64 loops and knows nothing of this crate; `stein-twin` converts frames and parameters for it.
+//! path tracer); on these, `stein-bench` (measures and compares) and `stein-selftest` (extreme frames and their checks);
+//! on all of them, `stein-cli` (the command line) and `stein-viewer`. `stein-reference` holds every stage again in plain
+//! float64 loops and knows nothing of this crate; `stein-twin` converts frames and parameters for it.
 //!
 //! A stage has one name everywhere: shader file, Rust function, reference function, timing label.
 //!

@@ -1,7 +1,9 @@
-//! Text files that are read whole, and names, paths, lists and numbers of bytes in messages.
+//! Text files that are read whole; names, paths, lists and numbers in messages; templates of commands.
 //!
 //! Names and paths come from outside and may hold anything: an escape sequence that moves the cursor, a line break that
 //! forges a line. Messages show control characters escaped. Files and JSON keep them as they are.
+
+mod template;
 
 use std::borrow::Cow;
 use std::fmt::Write;
@@ -10,6 +12,7 @@ use std::io::{Error, ErrorKind, Read, Result};
 use std::path::{Path, PathBuf};
 
 use serde::Serializer;
+pub use template::fill;
 
 /// Number of entries that a message lists; it only counts the rest.
 pub const LISTED: usize = 10;
@@ -55,6 +58,23 @@ pub fn human_bytes(bytes: u64) -> String {
         unit += 1;
     }
     if value.fract() < 0.05 { format!("{value:.0} {}", units[unit]) } else { format!("{value:.1} {}", units[unit]) }
+}
+
+/// Formats a number that may be anything from 10⁻⁶ to 10⁶, with four significant digits.
+pub fn number(value: f64) -> String {
+    match value.abs() {
+        magnitude if magnitude == 0.0 || (1e-3..1e4).contains(&magnitude) => {
+            let before = magnitude.max(1e-3).log10().floor() as i32;
+            format!("{value:.*}", usize::try_from(3 - before).unwrap_or(0))
+        }
+        _ => format!("{value:.3e}"),
+    }
+}
+
+/// Formats milliseconds for a column of their own, without the unit.
+pub fn milliseconds(milliseconds: f64) -> String {
+    let digits = if milliseconds < 10.0 { 3 } else { usize::from(milliseconds < 1000.0) };
+    format!("{milliseconds:.digits$}")
 }
 
 /// Returns whether a terminal acts on the character, or hides the character or the order of its neighbours.
@@ -190,6 +210,15 @@ mod tests {
             let bytes: std::ffi::OsString = std::os::unix::ffi::OsStringExt::from_vec(b"bad\xff\xfe\x07.exr".to_vec());
             assert_eq!(path(Path::new(&bytes)), "bad\\xff\\xfe\\u{7}.exr");
         }
+    }
+
+    #[test]
+    fn numbers_have_four_significant_digits() {
+        let numbers = [0.0, 0.001_234_6, 0.5, 12.346, 1234.6, -12.346, 12_345.6, 1e-6];
+        let shown = ["0.000000", "0.001235", "0.5000", "12.35", "1235", "-12.35", "1.235e4", "1.000e-6"];
+        assert_eq!(numbers.map(number), shown);
+        assert_eq!([0.123_4, 12.346, 1234.6].map(milliseconds), ["0.123", "12.3", "1235"]);
+        assert_eq!([1023, 1536, 160 << 20].map(human_bytes), ["1023 B", "1.5 KiB", "160 MiB"]);
     }
 
     #[test]

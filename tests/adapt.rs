@@ -11,7 +11,7 @@ use exr::prelude::{FlatSamples, read_all_flat_layers_from_file};
 use glam::Vec3;
 use serde_json::Value;
 use stein::gpu::DeviceChoice;
-use stein::sampling::{Event, Plan, SampleCounts, Samples, SamplingMap, adapt};
+use stein::sampling::{Event, SampleCounts, SampleSchedule, Samples, SamplingMap, adapt};
 use stein::{Denoiser, DfcParams, Error, Extent, GemParams, Gpu, Image, Method};
 use stein_exr::{BufferSet, BufferSetRequest, read_reference};
 use stein_metric::relative_mse;
@@ -425,7 +425,7 @@ fn two_walls() -> Scene {
 fn samples_go_to_what_is_noisy(method: Method) {
     let extent = Extent { width: 40, height: 24 };
     let mut sampler = StubSampler::new(two_walls(), extent, 3, Sequence::Random);
-    let plan = Plan::new(12, 2, None).unwrap();
+    let schedule = SampleSchedule::new(12, 2, None).unwrap();
     let mut last = None;
     let observe = |event: Event<'_>| -> Result<(), Error> {
         if let Event::Finished { map, .. } = event {
@@ -433,7 +433,7 @@ fn samples_go_to_what_is_noisy(method: Method) {
         }
         Ok(())
     };
-    let outcome = adapt(&mut sampler, &denoiser(method), &plan, None, observe).unwrap();
+    let outcome = adapt(&mut sampler, &denoiser(method), &schedule, None, observe).unwrap();
     assert_eq!(outcome.samples.counts().total_samples(), 12 * extent.pixels() as u64);
     let counts = last.unwrap();
     let mean = |columns: std::ops::Range<usize>| {
@@ -512,7 +512,7 @@ fn an_observer_ends_the_loop_by_its_error() {
         }
     }
     let extent = Extent { width: 16, height: 16 };
-    let (denoiser, plan) = (denoiser(dfc(2)), Plan::new(8, 2, None).unwrap());
+    let (denoiser, schedule) = (denoiser(dfc(2)), SampleSchedule::new(8, 2, None).unwrap());
     let stops: [fn(&Event<'_>) -> bool; 4] = [
         |event| matches!(event, Event::Planned { iteration: 2, .. }),
         |event| matches!(event, Event::Drawing { .. }),
@@ -522,7 +522,13 @@ fn an_observer_ends_the_loop_by_its_error() {
     for stop in stops {
         let mut sampler = StubSampler::new(two_walls(), extent, 3, Sequence::LowDiscrepancy);
         let ended =
-            adapt(&mut sampler, &denoiser, &plan, None, |event| if stop(&event) { Err(Ended::Enough) } else { Ok(()) });
+            adapt(
+                &mut sampler,
+                &denoiser,
+                &schedule,
+                None,
+                |event| if stop(&event) { Err(Ended::Enough) } else { Ok(()) },
+            );
         match ended {
             Err(Ended::Enough) => {}
             Err(Ended::Other(error)) => panic!("{error}"),

@@ -7,7 +7,7 @@ mod report;
 use std::path::PathBuf;
 
 use indicatif::ProgressFinish;
-use stein::sampling::{Event, Plan, Resumed, Sampler, adapt, uniform};
+use stein::sampling::{Event, Resumed, SampleSchedule, Sampler, adapt, uniform};
 use stein::text;
 use stein::{Denoiser, Extent, Image};
 use stein_exr::{LayerRef, read_reference};
@@ -103,9 +103,9 @@ pub(crate) struct Args {
 }
 
 /// Inputs of the sampling loop besides the sampler.
-struct Job<'a> {
+struct LoopInputs<'a> {
     args: &'a Args,
-    plan: Plan,
+    schedule: SampleSchedule,
     denoiser: Denoiser,
     folder: Folder,
     reference: Option<Image>,
@@ -117,8 +117,8 @@ pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
     if args.quiet || args.json {
         out.silence();
     }
-    let plan = Plan::new(spp, args.iterations, args.cap).map_err(Failure::usage)?;
-    let plan = if args.cap.is_none() { plan.with_default_cap() } else { plan };
+    let schedule = SampleSchedule::new(spp, args.iterations, args.cap).map_err(Failure::usage)?;
+    let schedule = if args.cap.is_none() { schedule.with_default_cap() } else { schedule };
     let method = args.filter.chosen()?.method;
     let extent = args.picture.extent();
     let setup = Setup {
@@ -127,7 +127,7 @@ pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
         size: [extent.width, extent.height],
         spp,
         iterations: args.iterations,
-        cap: plan.cap(),
+        cap: schedule.cap(),
         seed: args.picture.seed,
         sequence: args.picture.sequence,
         parameters: method,
@@ -145,7 +145,7 @@ pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
     let gpu = args.device.open()?;
     let denoiser = args.device.denoiser(&gpu, method)?;
     let mut document = Document::new(&setup, gpu.summary(), resumed.as_ref().map(|resumed| resumed.iterations))?;
-    let job = Job { args, plan, denoiser, folder, reference };
+    let job = LoopInputs { args, schedule, denoiser, folder, reference };
     match (scene, &args.sampler_command) {
         (Some(fresh), _) => {
             let sampler = match &resumed {
@@ -181,7 +181,7 @@ fn read(reference: &LayerRef, extent: Extent) -> Result<Image, Failure> {
     )))
 }
 
-impl Job<'_> {
+impl LoopInputs<'_> {
     /// Runs the adaptive loop with `sampler`. Then runs even sampling with `fresh`, a sampler that has drawn nothing
     /// yet, if `--uniform` or a reference asks for the comparison.
     fn run<S: Sampler>(
@@ -193,10 +193,16 @@ impl Job<'_> {
         out: &mut Out,
     ) -> Result<(), Failure> {
         out.say(Row::head(self.reference.is_some()));
-        adapt(&mut sampler, &self.denoiser, &self.plan, resumed, self.observer(None, &mut document.iterations, out))?;
+        adapt(
+            &mut sampler,
+            &self.denoiser,
+            &self.schedule,
+            resumed,
+            self.observer(None, &mut document.iterations, out),
+        )?;
         if self.args.uniform || self.reference.is_some() {
             let mut rows = Vec::new();
-            uniform(&mut fresh, &self.denoiser, &self.plan, self.observer(Some("uniform"), &mut rows, out))?;
+            uniform(&mut fresh, &self.denoiser, &self.schedule, self.observer(Some("uniform"), &mut rows, out))?;
             document.uniform = rows.pop();
         }
         out.say(document.comparison());
@@ -212,7 +218,7 @@ impl Job<'_> {
         rows: &'a mut Vec<Row>,
         out: &'a mut Out,
     ) -> impl FnMut(Event<'_>) -> Result<(), Failure> + Send + use<'a> {
-        let iterations = if name.is_some() { 1 } else { self.plan.iterations() };
+        let iterations = if name.is_some() { 1 } else { self.schedule.iterations() };
         // An external renderer shows its own progress.
         let bar = bar(!self.args.quiet && !self.args.json && self.args.sampler_command.is_none(), 1000)
             .with_finish(ProgressFinish::AndClear);

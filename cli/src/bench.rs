@@ -1,46 +1,29 @@
 //! `stein bench`: error against run time.
 
-mod compare;
-mod configuration;
-mod csv_file;
-mod external;
-mod folder;
-mod measure;
-mod page;
-mod plot;
-mod results;
-mod sets;
-mod statistics;
+mod ratios;
 mod text;
-mod thumbnail;
+mod words;
 
 use std::path::{Path, PathBuf};
-use std::time::SystemTime;
+use std::process::Child;
 
 use clap::Parser;
-use stein::frame::{NoiseKnowledge, SamplesPerPixel};
+use indicatif::ProgressBar;
+use stein::gpu::AdapterIdentity;
 use stein::method::dfc::CandidateSet;
-use stein::{Extent, Frame, Gpu, Image, Method, Preset};
-use stein_exr::atomic_file::Aside;
+use stein::{Extent, Method, Preset};
+use stein_bench::{
+    Bench, Document, External, Folder, NoiseAxis, Observer, PreparedConfiguration, Row, RunRatios, Set, Settings,
+    distinct, find_sets, read_document,
+};
+use stein_exr::LayerRef;
 use stein_exr::options::choice;
-use stein_exr::{BufferSet, LayerRef};
 
-use super::filter::{Tuning, candidates};
-use super::inspect::settle;
-use super::options::{self, Device, Source, size};
+use super::filter::{Chosen, Tuning, candidates, not_theirs};
+use super::interrupt::{self, Companion};
+use super::options::{Device, Source, size};
 use super::progress::bar;
-use super::quality;
-use super::tile::{cover, cover_frame};
-use super::{Failure, Out};
-use compare::Comparison;
-use configuration::{Configuration, How, NoiseAxis, Switch, configurations, distinct};
-use external::External;
-use folder::Folder;
-use measure::{Case, Contestant, errors, measure, runs};
-pub(super) use results::Adapter;
-use results::{Document, Row, SCHEMA, Set, VERSION};
-use sets::SetFile;
-use thumbnail::Gallery;
+use super::{Failure, Out, document, output};
 
 const EXAMPLE: &str = "\
 Every configuration runs once to warm up, then N times in turn with the others: the median time on the clock, from the frame in memory to the result in memory. Each of \
@@ -124,7 +107,7 @@ struct Axes {
     everything: Vec<Switch>,
     /// What the methods are told of the noise: what a set has, its halves alone, or nothing but the image [default:
     /// given]
-    #[arg(long, value_enum, value_name = "given,halves,image", value_delimiter = ',')]
+    #[arg(long, value_name = "given,halves,image", value_delimiter = ',', value_parser = choice(&NoiseAxis::ALL, &NoiseAxis::choices()))]
     noise: Vec<NoiseAxis>,
     /// Sizes to measure at: the input is repeated, mirrored at the seams, or cut off [default: its own]
     #[arg(long = "size", value_name = "WxH,…", value_delimiter = ',', value_parser = size)]
@@ -162,88 +145,128 @@ impl Again {
     }
 }
 
+/// On or off.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+enum Switch {
+    On,
+    Off,
+}
+
 pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
     if args.json {
         out.silence();
     }
-    let old = args.compare.as_deref().map(compare::read).transpose()?;
-    let Job { axes, repeats, arguments } = Job::new(args, old.as_ref())?;
-    let (configurations, mut notes) = configurations(&axes)?;
+    let old = args.compare.as_deref().map(read_old).transpose()?;
+    let BenchRequest { axes, repeats, arguments } = BenchRequest::new(args, old.as_ref())?;
+    let (configurations, mut notes) = axes.configurations()?;
     let folder = args.output.as_deref().map(Folder::check).transpose()?;
     let references: Vec<LayerRef> = axes.references.iter().map(|reference| axes.source.reference(reference)).collect();
-    let files = sets::find(&axes.inputs, &references)?;
+    let sets = find_sets(&axes.inputs, &references)?;
     let source = source(&axes.source, &configurations)?;
     let gpu = args.device.open()?;
-    let adapter = Adapter::from(gpu.summary());
+    let adapter = AdapterIdentity::from(gpu.summary());
     if let Some(old) = &old {
-        compare::check_adapter(old, &adapter, args.fail_above)?;
+        check_adapter(old, &adapter, args.fail_above)?;
     }
-    let contestants = configurations
-        .iter()
-        .map(|configuration| Contestant::new(configuration, |method| args.device.denoiser(&gpu, method)));
-    let contestants = contestants.collect::<Result<Vec<_>, Failure>>()?;
-    out.say(format_args!("{adapter}, median of {repeats}"));
     if !axes.sizes.is_empty() && !axes.externals.is_empty() {
         notes.push("--size: other programs run only where a set has that size itself, for they read its file".into());
     }
-    notes.iter().for_each(|note| out.say(format_args!("note: {note}")));
-
-    let mut bench = Bench {
-        gpu: &gpu,
-        contestants: &contestants,
+    let settings = Settings {
+        sets: &sets,
+        sizes: &axes.sizes,
+        configurations: &configurations,
         repeats,
-        scratch: Aside::make(tempfile::tempdir).map_err(|error| {
-            Failure::output(format_args!(
-                "no folder for temporary files: {error}\n  remedy: let TMPDIR name a folder that may be written to"
-            ))
-        })?,
-        gallery: folder.is_some().then(Gallery::default),
-        bar: bar(
-            !args.json,
-            files.len() as u64 * axes.sizes.len().max(1) as u64 * contestants.len() as u64 * runs(repeats),
-        ),
-        document: Document {
-            schema: SCHEMA.into(),
-            version: VERSION,
-            stein: env!("CARGO_PKG_VERSION").into(),
-            date: humantime::format_rfc3339_seconds(SystemTime::now()).to_string(),
-            arguments,
-            adapter,
-            repeats,
-            configurations: configurations.iter().map(|configuration| configuration.described.clone()).collect(),
-            sets: Vec::new(),
-            rows: Vec::new(),
-            notes,
-        },
+        request: source.request(Path::new("")),
+        requires_noise: source.require_noise,
+        max_memory: args.device.max_memory,
+        keeps_pictures: folder.is_some(),
+        arguments,
+        notes,
     };
-    for file in &files {
-        let Some(read) = bench.read(file, &source, axes.sizes.len(), out)? else { continue };
-        for (set, rows) in bench.set(file, read, &axes.sizes)? {
-            bench.bar.suspend(|| out.say(text::text(&set, &rows.iter().collect::<Vec<_>>(), args.verbose)));
-        }
-    }
-    bench.bar.finish_and_clear();
-    let Bench { document, gallery, .. } = bench;
-    if document.rows.is_empty() {
-        return Err(Failure::input(
-            "nothing was measured\n  remedy: name sets that can be denoised; `stein info` tells what is missing",
-        ));
-    }
+    let bench = Bench::new(&gpu, &settings)?;
+    out.say(format_args!("{adapter}, median of {repeats}"));
+    settings.notes.iter().for_each(|note| out.say(format_args!("note: {note}")));
+    let scratch = output::scratch()?;
+    let bar = bar(!args.json, bench.runs());
+    let mut terminal = Terminal { bar, verbose: args.verbose, out, program: None };
+    let measured = bench.run(scratch.path(), &mut terminal);
+    terminal.bar.finish_and_clear();
+    let measured = measured?;
 
-    let comparison = old.as_ref().map(|old| compare::compare(old, &document, args.fail_above));
-    if let (Some(folder), Some(gallery)) = (folder, gallery) {
-        let json = serde_json::to_string_pretty(&document)
-            .map_err(|error| Failure::output(format_args!("results.json: {error}")))?;
-        folder.write([json.as_bytes(), &csv_file::csv(&document)?, page::page(&document, &gallery)?.as_bytes()])?;
+    let ratios = old.as_ref().map(|old| RunRatios::new(old, &measured.document, args.fail_above));
+    if let Some(folder) = folder {
+        folder.write(&measured)?;
         out.say(format_args!("{}: the report", stein::text::path(&folder.index())));
     }
-    if let Some(comparison) = &comparison {
-        out.say(comparison.text());
+    if let Some(ratios) = &ratios {
+        out.say(ratios::text(ratios));
     }
     if args.json {
-        out.json(&Printed { document: &document, comparison: comparison.as_ref() })?;
+        out.json(&Printed { document: &measured.document, comparison: ratios.as_ref() })?;
     }
-    comparison.map_or(Ok(()), |comparison| comparison.verdict(args.fail_above))
+    match (&ratios, args.fail_above) {
+        (Some(ratios), Some(limit)) => ratios::verdict(ratios, limit),
+        _ => Ok(()),
+    }
+}
+
+/// Reads the document of an earlier run.
+fn read_old(path: &Path) -> Result<Document, Failure> {
+    read_document(path)
+        .map_err(|error| document::unusable(&error, "written by `stein bench`", "give the results.json of a report"))
+}
+
+/// Refuses `--fail-above` if the adapters differ: times of different adapters do not show whether the program became
+/// slower, so they must not decide the exit code.
+fn check_adapter(old: &Document, adapter: &AdapterIdentity, fail_above: Option<f64>) -> Result<(), Failure> {
+    if fail_above.is_none() || old.adapter == *adapter {
+        return Ok(());
+    }
+    Err(Failure::usage(format_args!(
+        "--fail-above: the old run was on {}, this one would be on {adapter}\n  remedy: leave --fail-above out, or compare with a run on this adapter",
+        old.adapter
+    )))
+}
+
+/// Shows the progress of a run on the terminal.
+struct Terminal<'a> {
+    bar: ProgressBar,
+    verbose: bool,
+    out: &'a mut Out,
+    /// Another denoiser that is running.
+    program: Option<Companion>,
+}
+
+impl Observer for Terminal<'_> {
+    fn ran(&mut self, runs: u64) {
+        self.bar.inc(runs);
+    }
+
+    fn skipped(&mut self, runs: u64) {
+        self.bar.dec_length(runs);
+    }
+
+    fn left_out(&mut self, problem: stein_bench::Error) -> String {
+        let note = format!("left out: {}", Failure::from(problem).cause());
+        self.bar.suspend(|| self.out.say(format_args!("note: {note}")));
+        note
+    }
+
+    fn measured(&mut self, set: &Set, rows: &[Row]) {
+        self.bar.suspend(|| self.out.say(text::text(set, rows, self.verbose)));
+    }
+
+    fn program_started(&mut self, program: &Child) {
+        self.program = Some(Companion::of(program));
+    }
+
+    fn program_ended(&mut self) {
+        self.program = None;
+    }
+
+    fn is_cancelled(&self) -> bool {
+        interrupt::is_asked()
+    }
 }
 
 /// JSON document that `--json` prints.
@@ -252,17 +275,17 @@ struct Printed<'a> {
     #[serde(flatten)]
     document: &'a Document,
     #[serde(skip_serializing_if = "Option::is_none")]
-    comparison: Option<&'a Comparison>,
+    comparison: Option<&'a RunRatios>,
 }
 
 /// Measurements to make, from the arguments or from those of an earlier run.
-struct Job {
+struct BenchRequest {
     axes: Axes,
     repeats: u32,
     arguments: Vec<String>,
 }
 
-impl Job {
+impl BenchRequest {
     const REPEATS: u32 = 5;
 
     fn new(args: &Args, old: Option<&Document>) -> Result<Self, Failure> {
@@ -298,12 +321,66 @@ impl Job {
     }
 }
 
+impl Axes {
+    /// Returns all configurations, and notes on options that some of the methods do not have.
+    fn configurations(&self) -> Result<(Vec<PreparedConfiguration>, Vec<String>), Failure> {
+        let file = self.tuning.file()?;
+        if let Some(file) = &file {
+            file.agrees("--methods", self.methods.iter().map(Method::name), file.chosen.method.name())?;
+            file.agrees("--presets", self.presets.iter().map(|preset| preset.name()), file.chosen.preset.name())?;
+        }
+        let file = file.map(|file| file.chosen);
+        let methods = distinct(&self.methods, &[file.map(|file| file.method).unwrap_or_default()]);
+        let presets = distinct(&self.presets, &file.map_or_else(|| Preset::ALL.to_vec(), |file| vec![file.preset]));
+        self.tuning.check(&methods)?;
+        let notes = self.notes(&methods)?;
+        let chosen = |method, preset| {
+            let Chosen { method, preset } = file.unwrap_or(Chosen::of(method, preset));
+            (method, preset)
+        };
+        let are_on = |switches: &[Switch]| switches.iter().map(|switch| *switch == Switch::On).collect();
+        let axes = stein_bench::Axes {
+            methods: methods
+                .iter()
+                .flat_map(|method| presets.iter().map(move |preset| (*method, *preset)))
+                .map(|(method, preset)| chosen(method, preset))
+                .collect(),
+            radii: self.radii.clone(),
+            candidates: self.candidates.clone(),
+            second_passes: are_on(&self.second_pass),
+            everything: are_on(&self.everything),
+            noise: self.noise.clone(),
+            externals: self.externals.clone(),
+        };
+        Ok((axes.configurations(|method| self.tuning.applied_to(method))?, notes))
+    }
+
+    /// Returns a note for each option that some of the methods do not have. Refuses options that none of them has.
+    fn notes(&self, methods: &[Method]) -> Result<Vec<String>, Failure> {
+        let given = [
+            ("--radii", !self.radii.is_empty(), Method::WINDOW_RADIUS),
+            ("--candidates", !self.candidates.is_empty(), Method::CANDIDATES),
+            ("--second-pass", !self.second_pass.is_empty(), Method::SECOND_PASS),
+        ];
+        let mut notes = Vec::new();
+        for (option, _, parameter) in given.into_iter().filter(|(_, is_given, _)| *is_given) {
+            let without: Vec<_> =
+                methods.iter().filter(|method| !method.has_parameter(parameter)).map(Method::name).collect();
+            if without.len() == methods.len() {
+                return Err(not_theirs(option, methods));
+            }
+            // A method without the option is measured once, whatever the values of the option.
+            if !without.is_empty() {
+                notes.push(format!("{option} is no option of {}, measured once", without.join(" and ")));
+            }
+        }
+        Ok(notes)
+    }
+}
+
 /// Returns the source without the layers that no method uses. Refuses options about layers that no method can use.
-fn source(source: &Source, configurations: &[Configuration]) -> Result<Source, Failure> {
-    let methods = configurations.iter().filter_map(|configuration| match &configuration.how {
-        How::Stein { method, .. } => Some(method),
-        How::External(_) => None,
-    });
+fn source(source: &Source, configurations: &[PreparedConfiguration]) -> Result<Source, Failure> {
+    let methods = configurations.iter().filter_map(PreparedConfiguration::method);
     // A method that uses features decides, if there is one.
     match methods.max_by_key(|method| method.uses_features()) {
         Some(method) => {
@@ -311,149 +388,5 @@ fn source(source: &Source, configurations: &[Configuration]) -> Result<Source, F
             Ok(source.for_method(method))
         }
         None => Ok(source.clone()),
-    }
-}
-
-struct Bench<'a> {
-    gpu: &'a Gpu,
-    contestants: &'a [Contestant<'a>],
-    repeats: u32,
-    /// Folder for the files of other programs.
-    scratch: Aside<tempfile::TempDir>,
-    /// Pictures for the page; `None` without a page.
-    gallery: Option<Gallery>,
-    bar: indicatif::ProgressBar,
-    document: Document,
-}
-
-/// A set in memory.
-struct ReadSet {
-    frame: Frame,
-    reference: Option<Image>,
-}
-
-impl Bench<'_> {
-    /// Reads a set. Returns `None`, with a note, for a file that was found in a folder and cannot be used as a set.
-    fn read(
-        &mut self,
-        file: &SetFile,
-        source: &Source,
-        sizes: usize,
-        out: &mut Out,
-    ) -> Result<Option<ReadSet>, Failure> {
-        let name = stein::text::path(&file.file);
-        let read = options::read(&source.request(&file.file)).and_then(|mut set| {
-            if file.was_found && is_ours(&set) {
-                return Err(Failure::input(format_args!("{name}: was written by stein")));
-            }
-            let frame =
-                settle(&mut set, source.require_noise).0.map_err(|error| Failure::in_file(&file.file, error))?;
-            self.check_halves(&frame, &file.file)?;
-            let reference =
-                file.reference.as_ref().map(|reference| quality::read(reference, &frame, &file.file)).transpose()?;
-            Ok(ReadSet { frame, reference })
-        });
-        match read {
-            Ok(read) => Ok(Some(read)),
-            Err(failure) if file.was_found => {
-                let note = format!("left out: {}", failure.message().lines().next().unwrap_or_default());
-                self.bar.suspend(|| out.say(format_args!("note: {note}")));
-                self.document.notes.push(note);
-                self.bar.dec_length(sizes.max(1) as u64 * self.contestants.len() as u64 * runs(self.repeats));
-                Ok(None)
-            }
-            Err(failure) => Err(failure),
-        }
-    }
-
-    /// Lists the reduced noise knowledge of the contestants. Contestants that keep all knowledge are not in the list.
-    fn noise_knowledges(&self) -> Vec<NoiseKnowledge> {
-        let all: Vec<_> = self.contestants.iter().filter_map(Contestant::noise_knowledge).collect();
-        distinct(&all, &[])
-    }
-
-    fn check_halves(&self, frame: &Frame, file: &Path) -> Result<(), Failure> {
-        if frame.noise_knowledge().has_halves() || !self.noise_knowledges().into_iter().any(NoiseKnowledge::has_halves)
-        {
-            return Ok(());
-        }
-        let (name, remedy) = (stein::text::path(file), "leave halves out of --noise, or give the set's two halves");
-        Err(Failure::input(format_args!(
-            "{name}: --noise halves: it has no halves that can be used\n  remedy: {remedy}"
-        )))
-    }
-
-    /// Measures a set at all sizes.
-    fn set(&mut self, file: &SetFile, read: ReadSet, sizes: &[Extent]) -> Result<Vec<(Set, Vec<Row>)>, Failure> {
-        let ReadSet { frame, reference } = read;
-        let samples_per_pixel = mean_samples(&frame);
-        let sizes = if sizes.is_empty() { vec![frame.extent()] } else { sizes.to_vec() };
-        let are_given = sizes != [frame.extent()];
-        let mut measured = Vec::new();
-        for extent in sizes {
-            let is_resized = extent != frame.extent();
-            let covered;
-            let frame = if is_resized {
-                covered = cover_frame(&frame, extent)?;
-                &covered
-            } else {
-                &frame
-            };
-            let reference = reference.as_ref().map(|reference| cover(reference, extent));
-            let mut name = file.scene.clone();
-            if let Some(samples) = samples_per_pixel {
-                name +=
-                    &if samples.fract() == 0.0 { format!(", {samples} spp") } else { format!(", {samples:.1} spp") };
-            }
-            if are_given {
-                name += &format!(", {extent}");
-            }
-            if self.document.sets.iter().any(|other| other.name == name) {
-                name += &format!(" ({})", stein::text::path(&file.file));
-            }
-            let set = Set {
-                name,
-                scene: file.scene.clone(),
-                file: file.file.clone(),
-                reference: file.reference.as_ref().map(|reference| reference.file.clone()),
-                samples_per_pixel,
-                width: extent.width,
-                height: extent.height,
-                is_resized,
-                noisy: reference.as_ref().map(|reference| errors(&frame.color().mean, reference)).transpose()?,
-            };
-            self.check_halves(frame, &file.file)?;
-            let less_known = |knowledge| Some((knowledge, frame.with_noise_known_from(knowledge)?));
-            let less_known: Vec<_> = self.noise_knowledges().into_iter().filter_map(less_known).collect();
-            let case = Case { set: &set, frame, less_known: &less_known, reference: reference.as_ref() };
-            let outcomes = measure(self.gpu, self.contestants, &case, self.repeats, self.scratch.path(), &self.bar)?;
-            if let Some(gallery) = &mut self.gallery {
-                gallery.add(&case, &outcomes)?;
-            }
-            let rows: Vec<Row> = outcomes.into_iter().map(|outcome| outcome.row).collect();
-            for row in rows.iter().filter(|row| row.errors.is_some_and(|errors| errors.relative_mse.is_none())) {
-                self.document.notes.push(format!(
-                    "{}, {}: the result holds values that are not finite, so that it has no errors",
-                    row.set, row.configuration
-                ));
-            }
-            self.document.sets.push(set.clone());
-            self.document.rows.extend(rows.iter().cloned());
-            measured.push((set, rows));
-        }
-        Ok(measured)
-    }
-}
-
-/// Whether the file is an output of stein, which may lie beside its input.
-fn is_ours(set: &BufferSet) -> bool {
-    set.text_attribute("stein.version").is_some()
-}
-
-fn mean_samples(frame: &Frame) -> Option<f64> {
-    match frame.samples_per_pixel() {
-        SamplesPerPixel::Unknown => None,
-        SamplesPerPixel::Uniform(count) => Some(f64::from(*count)),
-        SamplesPerPixel::PerPixel(counts) => counts.planes.first().map(|plane| quality::mean(plane)),
     }
 }

@@ -26,7 +26,7 @@ use super::options::{Device, Source};
 use super::report::{self, FrameReport, Report, Run, Settings};
 use super::{Failure, Out, interrupt, quality};
 use frame_list::FrameList;
-use plan::{Plan, PlannedFrame, State};
+use plan::{PlannedFrame, ShotPlan, State};
 use progress::{Progress, ProgressKind};
 use reader::{Frames, ReadFrame, Unusable};
 use results::Results;
@@ -213,24 +213,24 @@ fn denoise(args: &Args, out: &mut Out) -> Result<(), Failure> {
     }
     args.source.check(&method)?;
     let keep = args.keep(&method)?;
-    let plan = Plan::new(args, &args.source.for_method(&method), input)?;
-    let job = Job { args, method, preset, keep, plan: &plan };
+    let plan = ShotPlan::new(args, &args.source.for_method(&method), input)?;
+    let job = ShotRun { args, method, preset, keep, plan: &plan };
     std::thread::scope(|scope| {
         let contents = Contents { method: &job.method, keep: &job.keep };
         job.run(Frames::start(scope, &plan.reads), Writer::start(scope, contents), input, out)
     })
 }
 
-struct Job<'a> {
+struct ShotRun<'a> {
     args: &'a Args,
     method: Method,
     preset: Preset,
     /// Intermediates that go into the output.
     keep: Vec<Intermediate>,
-    plan: &'a Plan,
+    plan: &'a ShotPlan,
 }
 
-impl Job<'_> {
+impl ShotRun<'_> {
     fn run(&self, mut frames: Frames, writer: Writer, input: &Path, out: &mut Out) -> Result<(), Failure> {
         let mut to_do: Vec<&PlannedFrame> =
             self.plan.frames.iter().filter(|frame| matches!(frame.state, State::ToDo)).collect();

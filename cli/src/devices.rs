@@ -2,9 +2,10 @@
 
 use serde::Serialize;
 use stein::gpu::{AdapterSummary, DeviceChoice, Gpu};
+use stein::text::human_bytes;
 
 use super::Failure;
-use super::out::{Out, bytes};
+use super::out::Out;
 
 const EXAMPLE: &str = "\
 Example:
@@ -47,7 +48,7 @@ fn describe(adapter: &AdapterSummary) -> String {
     let AdapterSummary { index, name, backend, kind, driver, max_buffer_bytes, max_binding_bytes, timestamps, .. } =
         adapter;
     let timed = if *timestamps { "stages can be timed" } else { "no timestamps: stages cannot be timed" };
-    let (buffer, binding) = (bytes(*max_buffer_bytes), bytes(*max_binding_bytes));
+    let (buffer, binding) = (human_bytes(*max_buffer_bytes), human_bytes(*max_binding_bytes));
     format!(
         "{index}: {name}\n   {kind}, {backend}, {driver}\
          \n   buffers up to {buffer}, of which a kernel sees up to {binding}; {timed}"

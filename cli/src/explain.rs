@@ -4,8 +4,9 @@
 use serde::Serialize;
 use stein::gpu::{StageTime, StepTime};
 use stein::method::{Plan, PlannedStep};
+use stein::text::milliseconds;
 
-use super::out::{milliseconds, seconds, table};
+use super::out::{seconds, table};
 
 /// A plan with the times of its steps.
 #[derive(Debug, Serialize)]

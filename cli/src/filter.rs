@@ -6,15 +6,10 @@ use clap::builder::PossibleValuesParser;
 use stein::method::Spikes;
 use stein::method::dfc::CandidateSet;
 use stein::text;
-use stein::{DfcParams, Method, NlmParams, Preset};
+use stein::{Method, Preset};
 use stein_exr::options::{choice, possible};
 
 use super::Failure;
-
-/// Name of the parameter of `--radius`.
-pub(crate) const WINDOW_RADIUS: &str = "window_radius";
-/// Name of the parameter of `--candidates`.
-pub(crate) const CANDIDATES: &str = "candidates";
 
 /// Method and parameters.
 #[derive(Debug, clap::Args)]
@@ -90,8 +85,8 @@ impl Filter {
             None => Chosen::of(self.method.unwrap_or_default(), self.preset.unwrap_or(Preset::Default)),
         };
         let given = [
-            ("--radius", WINDOW_RADIUS, self.radius.is_some()),
-            ("--candidates", CANDIDATES, !self.candidates.is_empty()),
+            ("--radius", Method::WINDOW_RADIUS, self.radius.is_some()),
+            ("--candidates", Method::CANDIDATES, !self.candidates.is_empty()),
         ];
         if let Some((option, ..)) =
             given.iter().find(|(_, parameter, is_given)| *is_given && !base.method.has_parameter(parameter))
@@ -100,7 +95,9 @@ impl Filter {
         }
         self.tuning.check(&[base.method])?;
         let candidates = (!self.candidates.is_empty()).then(|| CandidateSet::of_names(&self.candidates));
-        let method = self.tuning.applied_to(base.method, Choices { radius: self.radius, candidates })?;
+        let method = self.radius.map_or(base.method, |radius| base.method.with_window_radius(radius));
+        let method = candidates.map_or(method, |candidates| method.with_candidates(candidates));
+        let method = self.tuning.applied_to(method)?;
         Ok(Chosen { method, ..base })
     }
 }
@@ -109,13 +106,6 @@ impl Chosen {
     pub(crate) fn of(method: Method, preset: Preset) -> Self {
         Self { method: method.of_preset(preset), preset }
     }
-}
-
-/// Values of options that several methods share, or that `stein bench` varies; `None` keeps the preset's own value.
-#[derive(Clone, Copy, Debug, Default)]
-pub(crate) struct Choices {
-    pub(crate) radius: Option<u32>,
-    pub(crate) candidates: Option<CandidateSet>,
 }
 
 impl Tuning {
@@ -136,22 +126,7 @@ impl Tuning {
     }
 
     /// Returns the method with the given parameters changed.
-    pub(crate) fn applied_to(
-        &self,
-        method: Method,
-        Choices { radius, candidates }: Choices,
-    ) -> Result<Method, Failure> {
-        let method = match method {
-            Method::Dfc(params) => Method::from(DfcParams {
-                window_radius: radius.unwrap_or(params.window_radius),
-                candidates: candidates.unwrap_or(params.candidates),
-                ..params
-            }),
-            Method::Gem(_) => method,
-            Method::Nlm(params) => {
-                Method::from(NlmParams { window_radius: radius.unwrap_or(params.window_radius), ..params })
-            }
-        };
+    pub(crate) fn applied_to(&self, method: Method) -> Result<Method, Failure> {
         let method = self.spikes.map_or(method, |spikes| method.with_spikes(spikes));
         let own = self.settings.iter().filter(|(name, _)| method.has_parameter(name));
         method.with_settings(own.map(|(name, value)| (name.as_str(), value.as_str()))).map_err(Failure::usage)

@@ -5,12 +5,12 @@ use std::path::PathBuf;
 use serde::Serialize;
 use stein::frame::{Feature, NoiseKnowledge, Repairs, SamplesPerPixel};
 use stein::image::Window;
-use stein::text;
+use stein::text::{self, number};
 use stein::{Error, Frame};
 use stein_exr::{BufferSet, LayerUse, Role, SignalPart};
 
 use super::Failure;
-use super::out::{indent, number, table};
+use super::out::{indent, table};
 
 /// Description of an input, for programs and people.
 #[derive(Clone, Debug, Serialize)]

@@ -6,14 +6,14 @@ use serde::Serialize;
 use stein::gpu::AdapterSummary;
 use stein::kernels::WeightRule;
 use stein::method::PlannedStep;
-use stein::text;
+use stein::text::{self, number};
 use stein::{Error, Extent, FilterKernel, Image, Kernels, Options};
 use stein_exr::{NamedLayer, write_layers};
 
 use super::filter::Filter;
 use super::inspect::{Input, settle};
 use super::options::{self, Device, Source};
-use super::out::{number, table};
+use super::out::table;
 use super::{Failure, Out, output};
 
 const EXAMPLE: &str = "\

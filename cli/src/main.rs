@@ -24,8 +24,6 @@ mod render;
 mod report;
 mod sample_map;
 mod selftest;
-mod template;
-mod tile;
 
 use std::process::ExitCode;
 

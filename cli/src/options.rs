@@ -1,6 +1,6 @@
 //! Options that several subcommands share.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use stein::gpu::DeviceChoice;
 use stein::text;
@@ -127,12 +127,6 @@ pub(crate) fn size(text: &str) -> Result<Extent, String> {
         Some((width @ 1..=65_536, height @ 1..=65_536)) => Ok(Extent { width, height }),
         _ => Err("it must look like 1024x1024".into()),
     }
-}
-
-/// Whether both paths lead to the same file, however they are spelt.
-pub(crate) fn same_file(a: &Path, b: &Path) -> bool {
-    let canonical = |path: &Path| -> Option<PathBuf> { path.canonicalize().ok() };
-    a == b || canonical(a).is_some_and(|a| canonical(b) == Some(a))
 }
 
 #[cfg(test)]

@@ -86,19 +86,6 @@ pub(crate) fn indent(text: &str) -> String {
     text.lines().map(|line| format!("  {line}")).collect::<Vec<_>>().join("\n")
 }
 
-/// Formats a number of bytes: `1.5 GiB`.
-pub(crate) fn bytes(bytes: u64) -> String {
-    let units = ["B", "KiB", "MiB", "GiB", "TiB"];
-    let mut value = bytes as f64;
-    let mut unit = 0;
-    while value >= 1024.0 && unit + 1 < units.len() {
-        value /= 1024.0;
-        unit += 1;
-    }
-    let digits = usize::from(unit > 0 && value < 9.95);
-    format!("{value:.digits$} {}", units[unit])
-}
-
 /// Formats a duration in the unit that suits it.
 pub(crate) fn seconds(seconds: f64) -> String {
     match seconds {
@@ -106,21 +93,4 @@ pub(crate) fn seconds(seconds: f64) -> String {
         seconds if seconds < 1.0 => format!("{:.0} ms", seconds * 1e3),
         seconds => format!("{seconds:.1} s"),
     }
-}
-
-/// Formats a number that may be anything from 10⁻⁶ to 10⁶, with four significant digits.
-pub(crate) fn number(value: f64) -> String {
-    match value.abs() {
-        magnitude if magnitude == 0.0 || (1e-3..1e4).contains(&magnitude) => {
-            let before = magnitude.max(1e-3).log10().floor() as i32;
-            format!("{value:.*}", usize::try_from(3 - before).unwrap_or(0))
-        }
-        _ => format!("{value:.3e}"),
-    }
-}
-
-/// Formats milliseconds for a column of their own, without the unit.
-pub(crate) fn milliseconds(milliseconds: f64) -> String {
-    let digits = if milliseconds < 10.0 { 3 } else { usize::from(milliseconds < 1000.0) };
-    format!("{milliseconds:.digits$}")
 }

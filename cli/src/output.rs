@@ -4,9 +4,10 @@ use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
 use stein::text;
+use stein_exr::atomic_file::Aside;
+use stein_exr::same_file;
 
 use super::Failure;
-use super::options::same_file;
 
 /// Returns the requested path, or `IN` with `.denoised` before its extension. If the requested path is a folder, the
 /// file in it gets that name.
@@ -18,6 +19,15 @@ pub(crate) fn choose(input: &Path, named: Option<&Path>) -> PathBuf {
         Some(file) => file.to_owned(),
         None => input.with_file_name(name),
     }
+}
+
+/// Creates a folder for temporary files.
+pub(crate) fn scratch() -> Result<Aside<tempfile::TempDir>, Failure> {
+    Aside::make(tempfile::tempdir).map_err(|error| {
+        Failure::output(format_args!(
+            "no folder for temporary files: {error}\n  remedy: let TMPDIR name a folder that may be written to"
+        ))
+    })
 }
 
 /// Reports before the work what would fail after it.

@@ -1,35 +1,17 @@
 //! Errors of the denoised image, and of the images that it was made from, against a reference.
 
-use std::path::Path;
-
 use serde::Serialize;
 use stein::method::Intermediate;
-use stein::text;
+use stein::text::number;
 use stein::{Estimate, Frame, Image};
-use stein_exr::{LayerRef, read_reference};
 use stein_metric as metric;
 
 use super::Failure;
-use super::out::{number, table};
+use super::out::table;
 
 /// Intermediates that the comparison needs.
 pub(crate) const NEEDED: [Intermediate; 4] =
     [Intermediate::Candidates, Intermediate::Sure, Intermediate::Pass1, Intermediate::Halves];
-
-/// Reads the reference; refuses one of another extent than the frame.
-pub(crate) fn read(reference: &LayerRef, frame: &Frame, input: &Path) -> Result<Image, Failure> {
-    let image = read_reference(&reference.file, reference.layer.as_deref())?;
-    if image.extent == frame.extent() {
-        return Ok(image);
-    }
-    Err(Failure::input(format_args!(
-        "{}: is of {}, but {} of {}\n  remedy: give a reference with the same resolution and crop",
-        text::path(&reference.file),
-        image.extent,
-        text::path(input),
-        frame.extent()
-    )))
-}
 
 /// Errors of one image against the reference.
 #[derive(Debug, Serialize)]
@@ -58,22 +40,17 @@ impl Errors {
     }
 }
 
-/// Returns the mean of a plane.
-pub(crate) fn mean(plane: &[f32]) -> f64 {
-    plane.iter().map(|&value| f64::from(value)).sum::<f64>() / plane.len() as f64
-}
-
 /// Compares the images with the reference, from the noisy colour to the result, in the order in which they are made.
 pub(crate) fn compare(frame: &Frame, estimate: &Estimate, reference: &Image) -> Result<Vec<Errors>, Failure> {
     let kept = |name: &str| estimate.layers.iter().find(|layer| layer.name == name).map(|layer| &layer.image);
     let mut errors = vec![Errors::new("noisy", &frame.color().mean, reference, None)?];
     for (index, name) in ["first", "second", "third"].into_iter().enumerate() {
         if let Some(image) = kept(name) {
-            let estimated = kept("sure").and_then(|sure| sure.planes.get(index)).map(|plane| mean(plane));
+            let estimated = kept("sure").and_then(|sure| sure.planes.get(index)).map(|plane| metric::mean(plane));
             errors.push(Errors::new(name, image, reference, estimated)?);
         }
     }
-    let estimated = estimate.error.as_ref().and_then(|error| error.planes.first()).map(|plane| mean(plane));
+    let estimated = estimate.error.as_ref().and_then(|error| error.planes.first()).map(|plane| metric::mean(plane));
     for name in ["pass1", "half_a", "half_b"] {
         if let Some(image) = kept(name) {
             // The estimated error belongs to the result.

@@ -3,15 +3,15 @@
 use serde::Serialize;
 use stein::gpu::{AdapterSummary, SavedPipelines, StageTime};
 use stein::method::{Intermediate, SpikeReport};
-use stein::text;
+use stein::text::{self, human_bytes, number};
 use stein::{Estimate, Method};
 use stein_exr::Written;
 
 use super::Failure;
 use super::explain::Explained;
 use super::inspect::Input;
-use super::out::{bytes, number, seconds, table};
-use super::quality::{self, Errors};
+use super::out::{seconds, table};
+use super::quality::Errors;
 
 /// The JSON document of a single image.
 #[derive(Debug, Serialize)]
@@ -64,7 +64,7 @@ pub(crate) struct Run {
 
 impl Run {
     pub(crate) fn new(estimate: &Estimate, seconds: f64) -> Self {
-        let mean = |image: &stein::Image| image.planes.first().map_or(f64::NAN, |plane| quality::mean(plane));
+        let mean = |image: &stein::Image| image.planes.first().map_or(f64::NAN, |plane| stein_metric::mean(plane));
         Self {
             seconds,
             spikes: estimate.spikes,
@@ -104,7 +104,7 @@ impl FrameReport {
                 if verbose {
                     lines.push(format!(
                         "  {} on the device, {} pixels averaged per pixel{}",
-                        bytes(run.peak_bytes),
+                        human_bytes(run.peak_bytes),
                         number(run.mean_weight_sum),
                         run.mean_estimated_squared_error.map_or_else(String::new, |error| format!(
                             ", mean squared error estimated at {}",
@@ -129,10 +129,10 @@ pub(crate) fn pipelines(saved: stein::Result<SavedPipelines>) -> Option<String> 
     match saved {
         Ok(SavedPipelines::Nowhere) => None,
         Ok(SavedPipelines::Unchanged { file, bytes: size }) => {
-            Some(format!("  compiled shaders: {} in {}, as before", bytes(size), text::path(&file)))
+            Some(format!("  compiled shaders: {} in {}, as before", human_bytes(size), text::path(&file)))
         }
         Ok(SavedPipelines::Written { file, bytes: size }) => {
-            Some(format!("  compiled shaders: {} written to {}", bytes(size), text::path(&file)))
+            Some(format!("  compiled shaders: {} written to {}", human_bytes(size), text::path(&file)))
         }
         Err(error) => Some(format!("  {}", Failure::from(error).message())),
     }

@@ -10,12 +10,11 @@ use stein::frame::SamplesPerPixel;
 use stein::gpu::AdapterSummary;
 use stein::method::Intermediate;
 use stein::sampling::{SampleCounts, SamplingMap, sampling_density};
-use stein::text;
+use stein::text::{self, number};
 
 use super::filter::Filter;
 use super::inspect::{Input, settle};
 use super::options::{self, Device, Source};
-use super::out::number;
 use super::{Failure, Out, interrupt, output};
 
 const EXAMPLE: &str = "\

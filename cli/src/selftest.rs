@@ -1,27 +1,18 @@
 //! `stein selftest`: stiff and extreme frames on the user's own adapter.
 
-mod cases;
-mod checks;
-mod compare;
-mod picture;
 mod table;
-mod twin;
 
-use std::path::PathBuf;
-use std::time::Instant;
+use std::ops::ControlFlow;
+use std::path::{Path, PathBuf};
 
-use clap::ValueEnum;
-use serde::{Deserialize, Serialize};
-use stein_exr::atomic_file::Aside;
+use serde::Serialize;
+use stein::gpu::AdapterIdentity;
+use stein_exr::options::choice;
+use stein_selftest::{AdapterDifferences, Case, Document, Error, Settings, Subject, cases, read_document};
 
-use super::bench::Adapter;
 use super::options::Device;
 use super::progress::bar;
-use super::{Failure, Out, interrupt};
-use cases::{Case, cases};
-use checks::{Bench, Row, Subject};
-use compare::Comparison;
-use table::Worst;
+use super::{Failure, Out, document, interrupt, output};
 
 const EXAMPLE: &str = "\
 Small generated frames with known truth and crops of renders, each a situation that a production render may be in: damaged pixels, wrong variances, radiance over sixteen decades, odd sizes, spikes, features that mislead.
@@ -50,7 +41,7 @@ Exit codes: 0 all within bounds, 6 something is out of bounds, 2 wrong usage, 3 
 #[command(after_help = EXAMPLE)]
 pub(crate) struct Args {
     /// Methods to check [default: all]
-    #[arg(long, alias = "method", value_enum, value_name = "NAME,…", value_delimiter = ',')]
+    #[arg(long, alias = "method", value_name = "NAME,…", value_delimiter = ',', value_parser = choice(&Subject::ALL, &Subject::choices()))]
     methods: Vec<Subject>,
     /// Only cases whose names hold this; may be repeated
     #[arg(long = "case", value_name = "SUBSTRING")]
@@ -68,79 +59,38 @@ pub(crate) struct Args {
     pub(crate) device: Device,
 }
 
-/// Schema name that identifies our documents.
-const SCHEMA: &str = "stein.selftest";
-
-/// Raised when a field changes its meaning or goes away; new fields alone do not raise it.
-const VERSION: u32 = 1;
-
-/// JSON document of a run.
-#[derive(Serialize, Deserialize)]
-struct Document {
-    schema: String,
-    version: u32,
-    /// Version of stein that ran.
-    stein: String,
-    adapter: Adapter,
-    passed: bool,
-    seconds: f64,
-    rows: Vec<Row>,
-    /// Figure of each check that is nearest to its bound, or farthest beyond it.
-    worst: Vec<Worst>,
-}
-
 pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
     if args.json {
         out.silence();
     }
-    let other = args.compare.as_deref().map(compare::read).transpose()?;
-    let subjects = if args.methods.is_empty() { Subject::value_variants() } else { &args.methods };
+    let other = args.compare.as_deref().map(read_other).transpose()?;
+    let subjects = if args.methods.is_empty() { &Subject::ALL[..] } else { &args.methods };
     let chosen = |case: &Case| args.cases.is_empty() || args.cases.iter().any(|part| case.name.contains(part.as_str()));
     let of_methods = |case: &Case| case.methods.iter().any(|subject| subjects.contains(subject));
     let cases: Vec<Case> = cases().into_iter().filter(|case| chosen(case) && of_methods(case)).collect();
     if cases.is_empty() {
         return Err(Failure::usage("there is no such case\n  remedy: leave --case out; the table then shows them all"));
     }
-    let folder = Aside::make(tempfile::tempdir).map_err(|error| {
-        Failure::output(format_args!(
-            "no folder for temporary files: {error}\n  remedy: let TMPDIR name a folder that may be written to"
-        ))
-    })?;
+    let scratch = output::scratch()?;
     let gpu = args.device.open()?;
-    let adapter = Adapter::from(gpu.summary());
-    out.say(format_args!("{adapter}"));
+    out.say(AdapterIdentity::from(gpu.summary()));
 
-    let start = Instant::now();
-    let bench = Bench { gpu: &gpu, max_memory: args.device.max_memory, folder: folder.path() };
     let progress = bar(!args.json, cases.len() as u64);
-    let mut rows = Vec::new();
-    for case in &cases {
-        interrupt::check()?;
-        rows.extend(bench.run(case, subjects)?);
-        progress.inc(1);
-    }
+    let settings = Settings { subjects, max_memory: args.device.max_memory, scratch: scratch.path() };
+    let document = stein_selftest::run(&gpu, &cases, settings, |done| {
+        progress.set_position(done as u64);
+        if interrupt::is_asked() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+    });
     progress.finish_and_clear();
+    let document = document?;
 
-    let passed = rows.iter().all(|row| row.passed);
-    let seconds = start.elapsed().as_secs_f64();
-    let worst = table::worst(&rows);
-    let document = Document {
-        schema: SCHEMA.into(),
-        version: VERSION,
-        stein: env!("CARGO_PKG_VERSION").into(),
-        adapter,
-        passed,
-        seconds,
-        rows,
-        worst,
-    };
-    let comparison = other.as_ref().map(|other| Comparison::new(other, &document));
+    let differences = other.as_ref().map(|other| AdapterDifferences::new(other, &document));
     out.say(table::text(&document, &cases, args.verbose));
-    if let Some(comparison) = &comparison {
-        out.say(comparison.text());
+    if let Some(differences) = &differences {
+        out.say(table::differences(differences));
     }
     if args.json {
-        out.json(&Printed { document: &document, comparison: comparison.as_ref() })?;
+        out.json(&Printed { document: &document, comparison: differences.as_ref() })?;
     }
     let failed = document.rows.iter().filter(|row| !row.passed).count();
     if failed == 0 {
@@ -153,10 +103,28 @@ pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
     )))
 }
 
+/// Reads the document of another run.
+fn read_other(path: &Path) -> Result<Document, Failure> {
+    read_document(path).map_err(|error| {
+        let origin = "printed by `stein selftest --json`";
+        document::unusable(&error, origin, "give what `stein selftest --json` printed")
+    })
+}
+
+impl From<Error> for Failure {
+    fn from(error: Error) -> Self {
+        match error {
+            Error::Device { case, method, error } => Self::from(*error).at(format_args!("{case}, {method}")),
+            Error::Cancelled => Self::other("interrupted"),
+        }
+    }
+}
+
+/// JSON document that `--json` prints.
 #[derive(Serialize)]
 struct Printed<'a> {
     #[serde(flatten)]
     document: &'a Document,
     #[serde(skip_serializing_if = "Option::is_none")]
-    comparison: Option<&'a Comparison>,
+    comparison: Option<&'a AdapterDifferences>,
 }

@@ -8,7 +8,7 @@ use std::str::FromStr;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use super::cache::PipelineCache;
 use super::kernel::{Kernel, KernelKey};
@@ -136,6 +136,40 @@ impl AdapterSummary {
             max_storage_buffers: limits.max_storage_buffers_per_shader_stage,
             timestamps: features.contains(wgpu::Features::TIMESTAMP_QUERY),
         }
+    }
+}
+
+/// Parts of an [`AdapterSummary`] by which documents tell on which adapter a run was.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct AdapterIdentity {
+    /// Name that the driver reports.
+    pub name: String,
+    /// The interface: Vulkan, Metal or DX12.
+    pub backend: String,
+    /// Name of a [`DeviceKind`].
+    pub kind: String,
+    /// Driver and its version.
+    pub driver: String,
+    /// Whether stages can be timed.
+    pub timestamps: bool,
+}
+
+impl From<&AdapterSummary> for AdapterIdentity {
+    fn from(summary: &AdapterSummary) -> Self {
+        let AdapterSummary { name, backend, kind, driver, timestamps, .. } = summary;
+        Self {
+            name: name.clone(),
+            backend: backend.clone(),
+            kind: kind.to_string(),
+            driver: driver.clone(),
+            timestamps: *timestamps,
+        }
+    }
+}
+
+impl fmt::Display for AdapterIdentity {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{} ({}, {}, {})", self.name, self.backend, self.kind, self.driver)
     }
 }
 

@@ -40,7 +40,7 @@ mod uniform_layout;
 
 pub use bindings::{Around, Bindings, Member, Slot, SlotKind, Uniform, Value, ValueType};
 pub use cache::SavedPipelines;
-pub use device::{AdapterSummary, DeviceChoice, DeviceKind, Gpu, GpuOptions};
+pub use device::{AdapterIdentity, AdapterSummary, DeviceChoice, DeviceKind, Gpu, GpuOptions};
 pub use kernel::Kernel;
 pub use pool::{Buffer, MemoryUse};
 pub use record::{Pace, Recorder};

@@ -204,6 +204,25 @@ impl Method {
         }
     }
 
+    /// The method with a window of this radius, in pixels. A method without a single window stays as it is.
+    #[must_use]
+    pub fn with_window_radius(self, window_radius: u32) -> Self {
+        match self {
+            Self::Dfc(params) => Self::Dfc(DfcParams { window_radius, ..params }),
+            Self::Gem(_) => self,
+            Self::Nlm(params) => Self::Nlm(NlmParams { window_radius, ..params }),
+        }
+    }
+
+    /// The method with these candidates. A method without candidates stays as it is.
+    #[must_use]
+    pub fn with_candidates(self, candidates: dfc::CandidateSet) -> Self {
+        match self {
+            Self::Dfc(params) => Self::Dfc(DfcParams { candidates, ..params }),
+            Self::Gem(_) | Self::Nlm(_) => self,
+        }
+    }
+
     /// Returns whether the method estimates variances of the mean that a frame lacks.
     pub fn pools_variance(&self) -> bool {
         self.pooling() != Pooling::Off

@@ -8,6 +8,15 @@ impl Method {
     /// Names of the methods, in the order of [`Method::all`].
     pub const NAMES: [&'static str; 3] = ["dfc", "gem", "nlm"];
 
+    /// Name of the parameter that [`Method::with_window_radius`] changes.
+    pub const WINDOW_RADIUS: &'static str = "window_radius";
+
+    /// Name of the parameter that [`Method::with_candidates`] changes.
+    pub const CANDIDATES: &'static str = "candidates";
+
+    /// Name of the parameter that says whether a second pass follows.
+    pub const SECOND_PASS: &'static str = "second_pass";
+
     /// Returns all methods, with the parameters of the default preset.
     pub fn all() -> [Self; 3] {
         [Self::Dfc(DfcParams::default()), Self::Gem(GemParams::default()), Self::Nlm(NlmParams::default())]

@@ -12,14 +12,14 @@ use crate::{Denoiser, Estimate, Options};
 
 /// Number of samples to draw, and number of iterations.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Plan {
+pub struct SampleSchedule {
     samples_per_pixel: u32,
     iterations: u32,
     cap: Option<u32>,
 }
 
-impl Plan {
-    /// Makes a plan of `samples_per_pixel` samples per pixel on average, over all `iterations`. An iteration gives no
+impl SampleSchedule {
+    /// Makes a schedule of `samples_per_pixel` samples per pixel on average, over all `iterations`. An iteration gives no
     /// pixel more than `cap` samples.
     /// # Errors
     /// [`Error::Request`] where there is not at least one whole pair of samples per pixel for each iteration, or the
@@ -31,11 +31,11 @@ impl Plan {
         if !samples_per_pixel.is_multiple_of(2) || samples_per_pixel / 2 < iterations {
             return Err(Error::Request(RequestCause::IterationShares { samples_per_pixel, iterations }));
         }
-        let plan = Self { samples_per_pixel, iterations, cap };
-        if cap.is_some_and(|cap| cap < plan.budget(1)) {
-            return Err(Error::Request(RequestCause::IterationAboveCap { samples_per_pixel: plan.budget(1) }));
+        let schedule = Self { samples_per_pixel, iterations, cap };
+        if cap.is_some_and(|cap| cap < schedule.budget(1)) {
+            return Err(Error::Request(RequestCause::IterationAboveCap { samples_per_pixel: schedule.budget(1) }));
         }
-        Ok(plan)
+        Ok(schedule)
     }
 
     /// Returns the plan with a cap of [`SamplingMap::DEFAULT_CAP`] times the samples per pixel of the first iteration.
@@ -126,28 +126,28 @@ pub struct Outcome {
     pub estimate: Estimate,
 }
 
-/// Draws the samples of a plan: evenly in the first iteration, then where the estimated relative error of the denoised
+/// Draws the samples of a schedule: evenly in the first iteration, then where the estimated relative error of the denoised
 /// image, seen through the filters' weights, is largest. `observe` receives the events, and ends the loop by an error.
 ///
 /// Until the last iteration, the method works with its parameters for sampling ([`Denoiser::while_sampling`]).
 ///
-/// The same sampler, plan and device give the same result, even if the loop was interrupted and resumed.
+/// The same sampler, schedule and device give the same result, even if the loop was interrupted and resumed.
 ///
 /// # Errors
 /// The error of the sampler, of the denoiser, or of `observe`: [`Error::Cancelled`] if one of them was cancelled.
 pub fn adapt<S: Sampler, E: From<Error> + Send>(
     sampler: &mut S,
     denoiser: &Denoiser,
-    plan: &Plan,
+    schedule: &SampleSchedule,
     resumed: Option<Resumed>,
     mut observe: impl FnMut(Event<'_>) -> std::result::Result<(), E> + Send,
 ) -> std::result::Result<Outcome, E> {
-    let mut iterations = Iterations::new(denoiser, plan);
+    let mut iterations = Iterations::new(denoiser, schedule);
     if let Some(resumed) = resumed {
         iterations.resume(resumed, &mut observe)?;
     }
     while iterations.step(sampler, &mut observe)? {}
-    // A plan has at least one iteration.
+    // A schedule has at least one iteration.
     iterations.state.ok_or_else(|| Error::Cancelled.into())
 }
 
@@ -157,7 +157,7 @@ pub fn adapt<S: Sampler, E: From<Error> + Send>(
 pub struct Iterations {
     denoiser: Denoiser,
     while_sampling: Denoiser,
-    plan: Plan,
+    schedule: SampleSchedule,
     keep: Vec<Intermediate>,
     pace: Option<Pace>,
     done: u32,
@@ -166,12 +166,12 @@ pub struct Iterations {
 
 impl Iterations {
     /// Makes a loop that has drawn nothing yet.
-    pub fn new(denoiser: &Denoiser, plan: &Plan) -> Self {
+    pub fn new(denoiser: &Denoiser, schedule: &SampleSchedule) -> Self {
         let while_sampling = denoiser.while_sampling();
         Self {
             denoiser: denoiser.clone(),
             while_sampling,
-            plan: *plan,
+            schedule: *schedule,
             keep: vec![Intermediate::Density],
             pace: None,
             done: 0,
@@ -192,9 +192,9 @@ impl Iterations {
         self.pace = pace;
     }
 
-    /// Returns the plan of the loop.
-    pub fn plan(&self) -> &Plan {
-        &self.plan
+    /// Returns the numbers of samples and iterations of the loop.
+    pub fn schedule(&self) -> &SampleSchedule {
+        &self.schedule
     }
 
     /// Returns the number of complete iterations.
@@ -203,7 +203,7 @@ impl Iterations {
     }
 
     fn denoiser(&self, iteration: u32) -> &Denoiser {
-        if iteration < self.plan.iterations { &self.while_sampling } else { &self.denoiser }
+        if iteration < self.schedule.iterations { &self.while_sampling } else { &self.denoiser }
     }
 
     /// Goes on after an interruption. The last complete iteration is denoised and reported once more.
@@ -238,16 +238,16 @@ impl Iterations {
         sampler: &mut S,
         observe: &mut (impl FnMut(Event<'_>) -> std::result::Result<(), E> + Send),
     ) -> std::result::Result<bool, E> {
-        if self.done >= self.plan.iterations {
+        if self.done >= self.schedule.iterations {
             return Ok(false);
         }
         let iteration = self.done + 1;
-        let budget = self.plan.budget(iteration);
+        let budget = self.schedule.budget(iteration);
         let map = match &self.state {
             None => SamplingMap::uniform(sampler.extent(), budget)?,
             Some(Outcome { estimate, .. }) => {
-                let density = sampling_density(estimate, budget.into(), self.plan.samples_per_pixel.into())?;
-                SamplingMap::new(&density, budget.into(), self.plan.cap)?
+                let density = sampling_density(estimate, budget.into(), self.schedule.samples_per_pixel.into())?;
+                SamplingMap::new(&density, budget.into(), self.schedule.cap)?
             }
         };
         observe(Event::Planned { iteration, map: &map, drawn: self.state.as_ref().map(|state| &state.samples) })?;
@@ -265,7 +265,7 @@ impl Iterations {
             method: self.denoiser(iteration).method(),
         })?;
         (self.done, self.state) = (iteration, Some(Outcome { samples, estimate }));
-        Ok(iteration < self.plan.iterations)
+        Ok(iteration < self.schedule.iterations)
     }
 
     fn denoise<E: From<Error>>(
@@ -290,17 +290,17 @@ impl Iterations {
     }
 }
 
-/// Draws all samples of a plan at once and evenly, for comparison with the loop.
+/// Draws all samples of a schedule at once and evenly, for comparison with the loop.
 ///
 /// # Errors
 /// As [`adapt`].
 pub fn uniform<S: Sampler, E: From<Error> + Send>(
     sampler: &mut S,
     denoiser: &Denoiser,
-    plan: &Plan,
+    schedule: &SampleSchedule,
     observe: impl FnMut(Event<'_>) -> std::result::Result<(), E> + Send,
 ) -> std::result::Result<Outcome, E> {
-    adapt(sampler, denoiser, &Plan { iterations: 1, cap: None, ..*plan }, None, observe)
+    adapt(sampler, denoiser, &SampleSchedule { iterations: 1, cap: None, ..*schedule }, None, observe)
 }
 
 /// Returns the relative MSE that the denoised image would have, without a reference: the estimated squared error
@@ -358,8 +358,8 @@ mod tests {
     #[test]
     fn budgets_are_whole_pairs_that_sum_to_the_plan() {
         for (samples, iterations) in [(8, 4), (10, 4), (22, 4), (64, 3), (2, 1), (14, 7)] {
-            let plan = Plan::new(samples, iterations, None).expect("enough for all");
-            let budgets: Vec<u32> = (1..=iterations).map(|iteration| plan.budget(iteration)).collect();
+            let schedule = SampleSchedule::new(samples, iterations, None).expect("enough for all");
+            let budgets: Vec<u32> = (1..=iterations).map(|iteration| schedule.budget(iteration)).collect();
             assert_eq!(budgets.iter().sum::<u32>(), samples);
             assert!(budgets.iter().all(|budget| *budget > 0 && budget % 2 == 0), "{budgets:?}");
             assert!(budgets[0] - budgets[budgets.len() - 1] <= 2, "{budgets:?}");
@@ -370,7 +370,7 @@ mod tests {
     fn plans_that_cannot_be_met_are_refused() {
         for (samples, iterations, cap) in [(6, 4, None), (9, 4, None), (8, 0, None), (0, 1, None), (32, 4, Some(6))] {
             assert!(
-                matches!(Plan::new(samples, iterations, cap), Err(Error::Request { .. })),
+                matches!(SampleSchedule::new(samples, iterations, cap), Err(Error::Request { .. })),
                 "{samples} {iterations} {cap:?}"
             );
         }

@@ -15,7 +15,7 @@ mod map;
 mod sampler;
 mod samples;
 
-pub use adapt::{Event, Iterations, Outcome, Plan, Resumed, adapt, estimated_relative_mse, uniform};
+pub use adapt::{Event, Iterations, Outcome, Resumed, SampleSchedule, adapt, estimated_relative_mse, uniform};
 pub use density::sampling_density;
 pub use map::SamplingMap;
 pub use sampler::{Progress, SampleCounts, Sampler};

@@ -5,7 +5,7 @@ use std::time::Instant;
 
 use stein::error::RequestCause;
 use stein::gpu::Pace;
-use stein::sampling::{Event, Iterations, Plan, SampleCounts, Sampler, Samples, SamplingMap};
+use stein::sampling::{Event, Iterations, SampleCounts, SampleSchedule, Sampler, Samples, SamplingMap};
 use stein::{Denoiser, Error, Extent, Gpu, Image};
 use stein_stub::{Sequence, StubSampler, scene, scenes};
 
@@ -37,8 +37,8 @@ impl Default for Setup {
 }
 
 impl Setup {
-    fn plan(&self) -> stein::Result<Plan> {
-        Ok(Plan::new(self.samples_per_pixel, self.iterations, None)?.with_default_cap())
+    fn schedule(&self) -> stein::Result<SampleSchedule> {
+        Ok(SampleSchedule::new(self.samples_per_pixel, self.iterations, None)?.with_default_cap())
     }
 
     fn sampler(&self, seed: u64, sequence: Sequence) -> stein::Result<StubSampler> {
@@ -117,16 +117,16 @@ impl Loop {
         if self.state.is_none() {
             gpu.set_timing(true);
             let method = self.parameters.method;
-            let iterations =
-                Iterations::new(&Denoiser::new(gpu, method)?, &self.setup.plan()?).with_kept(method.intermediates());
+            let iterations = Iterations::new(&Denoiser::new(gpu, method)?, &self.setup.schedule()?)
+                .with_kept(method.intermediates());
             self.state = Some((self.setup.sampler(self.setup.seed.into(), Sequence::Random)?, iterations));
         }
         let Self { setup, parameters, state: Some((sampler, iterations)), complete } = self else {
             return Err(Error::Cancelled);
         };
         let has_reference = setup.reference_samples > 0;
-        let parts = (iterations.plan().iterations() + u32::from(has_reference)) as f32;
-        if iterations.done() == iterations.plan().iterations() {
+        let parts = (iterations.schedule().iterations() + u32::from(has_reference)) as f32;
+        if iterations.done() == iterations.schedule().iterations() {
             let reference = Arc::new(draw_reference(setup, |share| check((parts - 1.0 + share) / parts))?);
             let layer = reference_layer(&reference);
             for iteration in complete.iter_mut() {

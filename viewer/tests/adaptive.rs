@@ -10,7 +10,7 @@ use common::{PATIENCE, settle, window};
 use eframe::egui::Key;
 use egui_kittest::kittest::Queryable;
 use stein::Extent;
-use stein::sampling::{Plan, adapt};
+use stein::sampling::{SampleSchedule, adapt};
 use stein_stub::{Sequence, StubSampler, scene};
 use stein_viewer::Start;
 use stein_viewer::adaptive::Setup;
@@ -50,9 +50,9 @@ fn iterations_are_those_of_the_library_and_can_be_chosen() {
     );
 
     let mut sampler = StubSampler::new(scene("dof").unwrap(), setup.extent, 5, Sequence::Random);
-    let plan = Plan::new(12, 3, None).unwrap().with_default_cap();
+    let schedule = SampleSchedule::new(12, 3, None).unwrap().with_default_cap();
     let denoiser = stein::Denoiser::new(&viewer.gpu, parameters.method).unwrap();
-    let outcome = adapt(&mut sampler, &denoiser, &plan, None, |_| Ok::<_, stein::Error>(())).unwrap();
+    let outcome = adapt(&mut sampler, &denoiser, &schedule, None, |_| Ok::<_, stein::Error>(())).unwrap();
     let document = viewer.document.as_ref().unwrap();
     assert_eq!(document.layer("result").unwrap().image(), &outcome.estimate.color);
     let drawn = document.layer("drawn").unwrap().image();

@@ -16,7 +16,6 @@ use stein_exr::{BufferSet, BufferSetRequest};
 use super::super::Failure;
 use super::super::interrupt::Companion;
 use super::super::progress::is_watched;
-use super::super::template::fill;
 
 /// Number of lines of a command's output that are kept for an error message.
 const LINES: usize = 10;
@@ -120,7 +119,7 @@ impl Sampler for Renderer<'_> {
         }
         let (Turn::Iteration(iteration) | Turn::Uniform(iteration)) = self.turn;
         let (iteration, map, quoted_out) = (OsString::from(iteration.to_string()), quoted(&map), quoted(&out));
-        self.run(&fill(self.command, &[("{map}", &map), ("{out}", &quoted_out), ("{iteration}", &iteration)]))?;
+        self.run(&text::fill(self.command, &[("{map}", &map), ("{out}", &quoted_out), ("{iteration}", &iteration)]))?;
         let set = BufferSet::read(&BufferSetRequest { input: out.clone(), ..Default::default() })?;
         let samples = set.to_samples().map_err(|error| error.in_file(&out))?;
         if samples.extent() != self.extent {

@@ -4,11 +4,11 @@ use serde::Serialize;
 use serde_json::Value;
 use stein::gpu::AdapterSummary;
 use stein::sampling::{Samples, estimated_relative_mse};
+use stein::text::number;
 use stein::{Estimate, Image};
 use stein_metric as metric;
 
 use super::super::Failure;
-use super::super::out::number;
 use super::super::sample_map::Spread;
 use super::folder::Setup;
 

@@ -1,12 +1,12 @@
 //! The results for people, at a terminal.
 
-use stein::text;
+use stein::text::{self, human_bytes, milliseconds, number};
+use stein_bench::{Row, Set, stage_names};
 
-use super::super::out::{bytes, milliseconds, number, table};
-use super::results::{Row, Set, stage_names};
+use crate::out::table;
 
 /// Formats a row for each configuration; with `verbose`, also more measures and, below, the stages.
-pub(super) fn text(set: &Set, rows: &[&Row], verbose: bool) -> String {
+pub(super) fn text(set: &Set, rows: &[Row], verbose: bool) -> String {
     let noisy = set
         .noisy
         .and_then(|errors| errors.relative_mse)
@@ -29,7 +29,7 @@ pub(super) fn text(set: &Set, rows: &[&Row], verbose: bool) -> String {
     lines.join("\n")
 }
 
-fn summary(set: &Set, rows: &[&Row], verbose: bool) -> Vec<Vec<String>> {
+fn summary(set: &Set, rows: &[Row], verbose: bool) -> Vec<Vec<String>> {
     type Cell = fn(&Row) -> Option<String>;
     let mut columns: Vec<(&str, Cell)> = vec![
         ("wall ms", |row| Some(milliseconds(row.wall_ms))),
@@ -40,7 +40,7 @@ fn summary(set: &Set, rows: &[&Row], verbose: bool) -> Vec<Vec<String>> {
     if verbose {
         columns.push(("first ms", |row| Some(milliseconds(row.first_ms))));
     }
-    columns.push(("memory", |row| row.peak_bytes.map(bytes)));
+    columns.push(("memory", |row| row.peak_bytes.map(human_bytes)));
     if rows.iter().any(|row| row.strips.is_some_and(|strips| strips > 1)) {
         columns.push(("strips", |row| row.strips.map(|strips| strips.to_string())));
     }
@@ -56,7 +56,7 @@ fn summary(set: &Set, rows: &[&Row], verbose: bool) -> Vec<Vec<String>> {
     columns.push(("predicted MSE", |row| row.predicted_mse.map(number)));
     let head = std::iter::once(String::new()).chain(columns.iter().map(|(name, _)| (*name).to_owned())).collect();
     let absent = |name: &str| if name == "front" { String::new() } else { "-".to_owned() };
-    let cells = |row: &&Row| {
+    let cells = |row: &Row| {
         let cells = columns.iter().map(|(name, cell)| cell(row).unwrap_or_else(|| absent(name)));
         std::iter::once(row.configuration.clone()).chain(cells).collect()
     };
@@ -64,8 +64,8 @@ fn summary(set: &Set, rows: &[&Row], verbose: bool) -> Vec<Vec<String>> {
 }
 
 /// Returns a row for each stage, with a column for each configuration.
-fn stages(rows: &[&Row]) -> Vec<Vec<String>> {
-    let timed: Vec<&Row> = rows.iter().copied().filter(|row| !row.stages.is_empty()).collect();
+fn stages(rows: &[Row]) -> Vec<Vec<String>> {
+    let timed: Vec<&Row> = rows.iter().filter(|row| !row.stages.is_empty()).collect();
     let head =
         std::iter::once("stage, ms".to_owned()).chain(timed.iter().map(|row| row.configuration.clone())).collect();
     let line = |name: &str| {

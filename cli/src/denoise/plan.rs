@@ -15,7 +15,7 @@ use crate::{Failure, output};
 
 /// All steps of a run, in order.
 #[derive(Debug)]
-pub(super) struct Plan {
+pub(super) struct ShotPlan {
     /// Frames to read, each once, in ascending order. Frames that only serve as neighbours are among them.
     pub(super) reads: Vec<Read>,
     pub(super) frames: Vec<PlannedFrame>,
@@ -45,7 +45,7 @@ pub(super) struct PlannedFrame {
     pub(super) input: PathBuf,
     pub(super) output: PathBuf,
     pub(super) state: State,
-    /// Positions in [`Plan::reads`] of the frames that this frame is denoised with; empty if it is not denoised.
+    /// Positions in [`ShotPlan::reads`] of the frames that this frame is denoised with; empty if it is not denoised.
     pub(super) window: Range<usize>,
     /// Position of the frame itself in `window`.
     pub(super) centre: usize,
@@ -75,7 +75,7 @@ pub(super) enum State {
     Missing(Failure),
 }
 
-impl Plan {
+impl ShotPlan {
     /// Makes the plan of a run. `source` names the layers that the method reads beside the input.
     pub(super) fn new(args: &Args, source: &Source, input: &Path) -> Result<Self, Failure> {
         let pattern = if source.literal { None } else { Pattern::of_input(input) };

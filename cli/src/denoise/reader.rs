@@ -8,11 +8,11 @@ use std::thread::Scope;
 
 use stein::image::Window;
 use stein::{Frame, Image};
-use stein_exr::BufferSet;
+use stein_exr::{BufferSet, read_reference_for};
 
 use super::plan::Read;
 use crate::inspect::{Input, settle};
-use crate::{Failure, options, quality};
+use crate::{Failure, options};
 
 /// A frame in memory.
 pub(super) struct ReadFrame {
@@ -87,11 +87,11 @@ fn load(read: &Read) -> Result<ReadFrame, Unusable> {
     let reference = match read
         .reference
         .as_ref()
-        .map(|reference| quality::read(reference, &frame, &read.request.input))
+        .map(|reference| read_reference_for(&read.request.input, frame.extent(), reference))
         .transpose()
     {
         Ok(reference) => reference,
-        Err(failure) => return Err(unusable(Some(described), failure)),
+        Err(error) => return Err(unusable(Some(described), error.into())),
     };
     let data_window = set.data_window();
     let original = read.is_denoised.then(|| (Box::new(set), described));

@@ -5,12 +5,13 @@ use std::path::PathBuf;
 
 use serde::Serialize;
 use stein::image::Window;
+use stein::text::number;
 use stein::{Image, text};
 use stein_metric as metric;
 
-use super::plan::{Gap, Plan, PlannedFrame, State};
+use super::plan::{Gap, PlannedFrame, ShotPlan, State};
 use crate::Failure;
-use crate::out::{number, table};
+use crate::out::table;
 use crate::quality::Errors;
 use crate::report::{FrameReport, Settings};
 
@@ -64,7 +65,7 @@ pub(super) struct Reported {
 }
 
 /// Describes every frame of the plan, with its report or its problem if it has one.
-pub(super) fn frames(plan: &Plan, reports: Vec<Reported>, bad: &BadFrames) -> Vec<ShotFrame> {
+pub(super) fn frames(plan: &ShotPlan, reports: Vec<Reported>, bad: &BadFrames) -> Vec<ShotFrame> {
     let mut reports: BTreeMap<Option<u32>, Reported> =
         reports.into_iter().map(|reported| (reported.number, reported)).collect();
     let planned = |frame: &PlannedFrame| {
@@ -96,7 +97,7 @@ pub(super) struct BadFrames {
 
 impl BadFrames {
     /// Returns the frames of which a file is missing.
-    pub(super) fn missing(plan: &Plan) -> Self {
+    pub(super) fn missing(plan: &ShotPlan) -> Self {
         let missing = plan.frames.iter().filter_map(|frame| match &frame.state {
             State::Missing(failure) => Some((frame.number?, failure.clone())),
             State::ToDo | State::LeftAlone => None,
@@ -206,7 +207,7 @@ const IMAGES: [&str; 2] = ["noisy", "result"];
 
 /// Gathers the errors of a shot, frame by frame.
 #[derive(Default)]
-pub(super) struct Comparison {
+pub(super) struct ShotErrorSums {
     frames: usize,
     pairs: usize,
     relative_mses: [f64; 2],
@@ -223,7 +224,7 @@ pub(super) struct Compared {
     pub(super) reference: Image,
 }
 
-impl Comparison {
+impl ShotErrorSums {
     pub(super) fn add(&mut self, compared: Compared, errors: &[Errors]) -> Result<(), Failure> {
         self.frames += 1;
         for (sum, name) in self.relative_mses.iter_mut().zip(IMAGES) {

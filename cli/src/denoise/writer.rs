@@ -10,7 +10,7 @@ use stein::method::Intermediate;
 use stein::{Estimate, Frame, Image, Method, text};
 use stein_exr::BufferSet;
 
-use super::shot::{Beside, Compared, Comparison, Reported};
+use super::shot::{Beside, Compared, Reported, ShotErrorSums};
 use crate::explain::Explained;
 use crate::inspect::Input;
 use crate::report::{FrameReport, Run};
@@ -52,7 +52,7 @@ pub(super) struct Writer<'scope> {
     /// Channel to the thread; `None` once no more frames come.
     to_write: Option<SyncSender<Denoised>>,
     done: Receiver<Result<Done, Failure>>,
-    thread: ScopedJoinHandle<'scope, Comparison>,
+    thread: ScopedJoinHandle<'scope, ShotErrorSums>,
 }
 
 impl<'scope> Writer<'scope> {
@@ -61,7 +61,7 @@ impl<'scope> Writer<'scope> {
         let (to_write, incoming) = sync_channel::<Denoised>(0);
         let (sender, done) = channel();
         let thread = scope.spawn(move || {
-            let mut comparison = Comparison::default();
+            let mut comparison = ShotErrorSums::default();
             for frame in incoming {
                 let number = frame.number;
                 let written = contents.finish(frame, &mut comparison).map_err(|failure| failure.in_frame(number));
@@ -95,14 +95,14 @@ impl<'scope> Writer<'scope> {
     }
 
     /// Returns the comparison of all frames with their references. Called after [`Self::rest`].
-    pub(super) fn comparison(self) -> Comparison {
+    pub(super) fn comparison(self) -> ShotErrorSums {
         self.thread.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
     }
 }
 
 impl Contents<'_> {
     /// Writes a frame and compares it with its reference.
-    fn finish(self, denoised: Denoised, comparison: &mut Comparison) -> Result<Done, Failure> {
+    fn finish(self, denoised: Denoised, comparison: &mut ShotErrorSums) -> Result<Done, Failure> {
         let Denoised {
             number,
             beside,

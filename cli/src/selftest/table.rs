@@ -1,43 +1,9 @@
 //! Results as text.
 
-use serde::{Deserialize, Serialize};
+use stein::text::number;
+use stein_selftest::{AdapterDifferences, Case, Check, Difference, Document, Row};
 
-use super::super::out::{number, seconds, table};
-use super::Document;
-use super::cases::Case;
-use super::checks::{Check, Row};
-
-/// The figure of a check that is nearest to its bound, or farthest beyond it.
-#[derive(Clone, Debug, Serialize, Deserialize)]
-pub(super) struct Worst {
-    check: Check,
-    case: String,
-    method: String,
-    /// Value of the figure; `None` if it is not finite.
-    value: Option<f64>,
-    bound: f64,
-}
-
-pub(super) fn worst(rows: &[Row]) -> Vec<Worst> {
-    let of = |check: Check| {
-        let figures = rows.iter().filter_map(|row| Some((row, row.figure(check)?)));
-        let share = |value: Option<f64>, bound: f64| match value {
-            Some(value) if bound > 0.0 => value / bound,
-            Some(value) if value > 0.0 => f64::INFINITY,
-            Some(_) => 0.0,
-            None => f64::INFINITY,
-        };
-        let worst = figures.max_by(|(_, a), (_, b)| share(a.value, a.bound).total_cmp(&share(b.value, b.bound)));
-        worst.map(|(row, figure)| Worst {
-            check,
-            case: row.case.clone(),
-            method: row.method.clone(),
-            value: figure.value,
-            bound: figure.bound,
-        })
-    };
-    Check::ALL.into_iter().filter_map(of).collect()
-}
+use crate::out::{seconds, table};
 
 /// Formats a line for each result, the faults of results that are out of bounds, and the worst figure of each check.
 pub(super) fn text(document: &Document, cases: &[Case], verbose: bool) -> String {
@@ -115,4 +81,26 @@ fn wrong(row: &Row) -> Vec<String> {
             )
         })
         .collect()
+}
+
+/// Formats a line for each result that differs, and the results that one of the runs lacks.
+pub(super) fn differences(differences: &AdapterDifferences) -> String {
+    let mut text = format!(
+        "Against {}: {} of {} results are the same to the bit",
+        differences.other_adapter, differences.same, differences.compared
+    );
+    if !differences.different.is_empty() {
+        let head = ["case", "method", "", "mean", "RMS", "extremes", "error", "Σ w"].map(String::from).to_vec();
+        let line = |row: &Difference| {
+            let verdict = if row.verdicts_differ { "another verdict" } else { "" };
+            let figures = [row.mean, row.root_mean_square, row.extremes, row.error, row.weight_sum].map(number);
+            [row.case.clone(), row.method.clone(), verdict.to_owned()].into_iter().chain(figures).collect::<Vec<_>>()
+        };
+        let rows: Vec<_> = std::iter::once(head).chain(differences.different.iter().map(line)).collect();
+        text += &format!("; relative differences of the others:\n{}", table(&rows, 3));
+    }
+    if !differences.missing.is_empty() {
+        text += &format!("\nMissing: {}", differences.missing.join("; "));
+    }
+    text
 }

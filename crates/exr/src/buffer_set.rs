@@ -6,11 +6,12 @@ use stein::error::FileCause;
 use stein::frame::{RawSignal, Repairs, SamplesPerPixel};
 use stein::host_memory::{FreeMemory, Shortage};
 use stein::image::Window;
+use stein::text;
 use stein::{Error, Extent, Frame, Image, Result};
 
 use crate::assign;
 use crate::file::ExrFile;
-use crate::layer_ref::LayerUse;
+use crate::layer_ref::{LayerRef, LayerUse};
 use crate::request::BufferSetRequest;
 use crate::write::colored_channels;
 
@@ -303,4 +304,22 @@ pub fn read_reference(path: &Path, layer: Option<&str>) -> Result<Image> {
     let found = assign::color_layer(&file, layer)?;
     let channels = assign::color_channels(&file, found)?;
     Ok(file.planes(file.layers[found].part, &channels))
+}
+
+/// Reads the reference of a file that has this extent.
+///
+/// # Errors
+/// As [`read_reference`]; [`Error::File`] for a reference of another extent.
+pub fn read_reference_for(input: &Path, extent: Extent, reference: &LayerRef) -> Result<Image> {
+    let image = read_reference(&reference.file, reference.layer.as_deref())?;
+    if image.extent == extent {
+        return Ok(image);
+    }
+    Err(Error::File {
+        path: reference.file.clone(),
+        cause: FileCause::Other {
+            problem: format!("is of {}, but {} of {extent}", image.extent, text::path(input)),
+            remedy: "give a reference with the same resolution and crop".into(),
+        },
+    })
 }

@@ -22,6 +22,12 @@ pub struct LayerRef {
     pub layer: Option<String>,
 }
 
+/// Whether both paths lead to the same file, however they are spelt.
+pub fn same_file(a: &Path, b: &Path) -> bool {
+    let canonical = |path: &Path| -> Option<PathBuf> { path.canonicalize().ok() };
+    a == b || canonical(a).is_some_and(|a| canonical(b) == Some(a))
+}
+
 /// Separator between a file and its layer.
 const SEPARATOR: &str = "::";
 

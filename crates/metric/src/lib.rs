@@ -102,6 +102,11 @@ pub fn flip(image: &Image, reference: &Image) -> Result<f64> {
     Ok(map.iter().map(|&value| f64::from(value)).sum::<f64>() / map.len() as f64)
 }
 
+/// Returns the mean of a plane's values.
+pub fn mean(plane: &[f32]) -> f64 {
+    plane.iter().map(|&value| f64::from(value)).sum::<f64>() / plane.len() as f64
+}
+
 /// Returns what a display shows of scene-linear values: clamped to [0, 1], with the transfer curve of sRGB, 8 bits for
 /// each of R, G and B, row by row. There is no exposure and no other curve, so that pictures and their figures can be
 /// compared. A single channel is shown in grey; NaN is black.

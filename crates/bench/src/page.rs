@@ -1,18 +1,18 @@
 //! `index.html`: one page that needs nothing else, neither files nor a network.
 
-use super::super::Failure;
-use super::super::out::{bytes, milliseconds, number};
+use stein::text::{human_bytes, milliseconds, number};
+
 use super::plot::{Bar, Bars, Line, Mark, Part, Plot, escape, key, label};
-use super::results::{Configuration, Document, Errors, Row, Set, stage_names};
 use super::statistics::{exponent, front, geometric_mean};
 use super::thumbnail::{Gallery, Thumbnail};
+use crate::{Configuration, Document, Errors, Result, Row, Set, stage_names};
 
 const STYLE: &str = include_str!("page/style.css");
 
 const RUN_TIME: &str = "wall time, ms";
 const RELATIVE_MSE: &str = "relative MSE";
 
-pub(super) fn page(document: &Document, gallery: &Gallery) -> Result<String, Failure> {
+pub(super) fn page(document: &Document, gallery: &Gallery) -> Result<String> {
     let page = Page::new(document);
     let sections = [
         ("time", "Error against run time", page.error_over_time()),
@@ -524,7 +524,7 @@ impl<'a> Page<'a> {
                     row.cpu_ms.map(milliseconds),
                     row.device_ms.map(milliseconds),
                     Some(milliseconds(row.first_ms)),
-                    row.peak_bytes.map(bytes),
+                    row.peak_bytes.map(human_bytes),
                 ] {
                     body += &cell(text);
                 }

@@ -5,8 +5,8 @@ use base64::engine::general_purpose::STANDARD;
 use stein::{Extent, Image};
 use stein_metric as metric;
 
-use super::super::Failure;
-use super::measure::{Case, Outcome};
+use crate::measure::{Case, Outcome};
+use crate::{Error, Result};
 
 /// Largest length of the longer side, in pixels.
 const LARGEST_SIDE: u32 = 384;
@@ -21,17 +21,19 @@ const BUDGET: usize = 6 << 20;
 const SHOWN: usize = 4;
 
 /// Pictures of all sets.
-#[derive(Default)]
-pub(super) struct Gallery {
+#[derive(Debug, Default)]
+pub struct Gallery {
     sets: Vec<Pictures>,
 }
 
 /// Pictures of one set.
+#[derive(Debug)]
 struct Pictures {
     set: String,
     pictures: Vec<Picture>,
 }
 
+#[derive(Debug)]
 struct Picture {
     caption: String,
     shown: Shown,
@@ -55,9 +57,9 @@ struct Shown {
 
 impl Gallery {
     /// Adds the input, the results and the reference of a set.
-    pub(super) fn add(&mut self, case: &Case<'_>, outcomes: &[Outcome]) -> Result<(), Failure> {
+    pub(super) fn add(&mut self, case: &Case<'_>, outcomes: &[Outcome]) -> Result<()> {
         let picture = |caption: String, image: &Image| {
-            Ok::<_, Failure>(Picture { caption, shown: Shown::of(image)?.within(LARGEST_SIDE) })
+            Ok::<_, Error>(Picture { caption, shown: Shown::of(image)?.within(LARGEST_SIDE) })
         };
         let mut best: Vec<&Outcome> = outcomes.iter().collect();
         best.sort_by(|a, b| {
@@ -77,7 +79,7 @@ impl Gallery {
 
     /// Returns the name of each set with its pictures. All pictures have the largest size that keeps the page small;
     /// sets that do not fit even at the smallest size are left out.
-    pub(super) fn thumbnails(&self) -> Result<Vec<(&str, Vec<Thumbnail>)>, Failure> {
+    pub(super) fn thumbnails(&self) -> Result<Vec<(&str, Vec<Thumbnail>)>> {
         let mut made = Vec::new();
         for side in SIDES {
             made = self.of_side(side)?;
@@ -97,20 +99,20 @@ impl Gallery {
         Ok(made)
     }
 
-    fn of_side(&self, side: u32) -> Result<Vec<(&str, Vec<Thumbnail>)>, Failure> {
+    fn of_side(&self, side: u32) -> Result<Vec<(&str, Vec<Thumbnail>)>> {
         let thumbnail = |picture: &Picture| {
             let shown = picture.shown.within(side);
             Ok(Thumbnail { caption: picture.caption.clone(), source: shown.png()?, extent: shown.extent })
         };
         self.sets
             .iter()
-            .map(|set| Ok((set.set.as_str(), set.pictures.iter().map(thumbnail).collect::<Result<_, Failure>>()?)))
+            .map(|set| Ok((set.set.as_str(), set.pictures.iter().map(thumbnail).collect::<Result<_>>()?)))
             .collect()
     }
 }
 
 impl Shown {
-    fn of(image: &Image) -> Result<Self, Failure> {
+    fn of(image: &Image) -> Result<Self> {
         Ok(Self { extent: image.extent, bytes: metric::display_bytes(image)? })
     }
 
@@ -148,8 +150,8 @@ impl Shown {
         Self { extent, bytes }
     }
 
-    fn png(&self) -> Result<String, Failure> {
-        let failed = |error: png::EncodingError| Failure::output(format_args!("a thumbnail: {error}"));
+    fn png(&self) -> Result<String> {
+        let failed = |error: png::EncodingError| Error::Part { part: "a thumbnail", reason: error.to_string() };
         let mut file = Vec::new();
         let mut encoder = png::Encoder::new(&mut file, self.extent.width, self.extent.height);
         encoder.set_color(png::ColorType::Rgb);

@@ -1,9 +1,7 @@
 //! An image made to cover another size.
 
 use stein::frame::{Feature, SamplesPerPixel, Signal};
-use stein::{Extent, Frame, Image};
-
-use super::Failure;
+use stein::{Extent, Frame, Image, Result};
 
 /// Covers `extent` with the image, mirrored at each seam so that the seams add no edges. Cuts off an image that is
 /// larger.
@@ -21,7 +19,7 @@ pub(crate) fn cover(image: &Image, extent: Extent) -> Image {
 }
 
 /// Returns a frame of another size with the statistics of this one.
-pub(crate) fn cover_frame(frame: &Frame, extent: Extent) -> Result<Frame, Failure> {
+pub(crate) fn cover_frame(frame: &Frame, extent: Extent) -> Result<Frame> {
     let cover_signal = |signal: &Signal, scale: f32, offset: f32| Signal {
         mean: cover(&mapped(&signal.mean, scale, offset), extent),
         half_spread: signal.half_spread.as_ref().map(|image| cover(&mapped(image, scale, 0.0), extent)),

@@ -3,41 +3,108 @@
 use std::ffi::OsString;
 use std::fs::File;
 use std::io::{Read, Seek, SeekFrom};
-use std::path::Path;
-use std::process::{Command, Stdio};
+use std::path::{Path, PathBuf};
+use std::process::{Command, ExitStatus, Stdio};
 use std::str::FromStr;
 use std::time::Instant;
 
-use stein::text;
-use stein::{Extent, Image};
+use stein::{Extent, Image, text};
 use stein_exr::read_reference;
 
-use super::super::Failure;
-use super::super::interrupt::Companion;
-use super::super::template::fill;
-use super::results;
+use crate::observer::Observer;
+use crate::{Configuration, Error, Result};
 
 /// Number of lines of a program's output that are kept for an error message.
 const LINES: usize = 10;
 
 /// Another denoiser, written `NAME=command {in} {out}`.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) struct External {
-    pub(super) name: String,
+pub struct External {
+    pub(crate) name: String,
     command: String,
     words: Vec<String>,
 }
 
-impl FromStr for External {
-    type Err = String;
+/// The reason why a text names no other denoiser.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum ExternalSyntax {
+    /// The name or the command is missing.
+    #[error("it must look like 'NAME=command {{in}} {{out}}'")]
+    Shape,
+    /// The command cannot be split into words.
+    #[error("{reason} in: {command}")]
+    Words {
+        /// What is wrong.
+        reason: String,
+        /// The command.
+        command: String,
+    },
+    /// A placeholder is missing.
+    #[error("the command does not say {placeholder}; {shape}", shape = Self::Shape)]
+    Placeholder {
+        /// The placeholder, with its braces.
+        placeholder: &'static str,
+    },
+}
 
-    fn from_str(text: &str) -> Result<Self, String> {
-        let shape = "it must look like 'NAME=command {in} {out}'";
-        let (name, command) = text.split_once('=').ok_or(shape)?;
+/// The reason why another denoiser has no result.
+#[derive(Debug, thiserror::Error)]
+pub enum ExternalCause {
+    /// The program does not run or fails.
+    #[error("{end}: {command}\n  {}", if said.is_empty() { "it said nothing".to_owned() } else { format!("it said:\n{said}") })]
+    Program {
+        /// How the program ended.
+        end: ExternalEnd,
+        /// Command that ran, as one types it into a shell.
+        command: String,
+        /// Last lines that the program wrote to standard error, indented.
+        said: String,
+    },
+    /// The output cannot be read.
+    #[error("{}", .0.problem())]
+    Unreadable(stein::Error),
+    /// The output has another size than the input.
+    #[error("its output is of {output}, but the input of {input}")]
+    OtherExtent {
+        /// Size of the output.
+        output: Extent,
+        /// Size of the input.
+        input: Extent,
+    },
+}
+
+/// How another denoiser ended.
+#[derive(Debug, thiserror::Error)]
+pub enum ExternalEnd {
+    /// The output of an earlier run cannot be removed.
+    #[error("{} cannot be replaced ({error})", text::path(output))]
+    NotReplaced {
+        /// The output.
+        output: PathBuf,
+        /// Error of the system.
+        error: std::io::Error,
+    },
+    /// The program cannot be started.
+    #[error("cannot be run ({0})")]
+    NotStarted(std::io::Error),
+    /// The program reports a failure.
+    #[error("failed ({})", .0.code().map_or_else(|| .0.to_string(), |code| format!("exit code {code}")))]
+    Failed(ExitStatus),
+    /// The program reports success, but there is no output.
+    #[error("did not write its output")]
+    NoOutput,
+}
+
+impl FromStr for External {
+    type Err = ExternalSyntax;
+
+    fn from_str(text: &str) -> std::result::Result<Self, ExternalSyntax> {
+        let (name, command) = text.split_once('=').ok_or(ExternalSyntax::Shape)?;
         let (name, command) = (name.trim(), command.trim());
-        let words = shell_words::split(command).map_err(|error| format!("{error} in: {command}"))?;
+        let words = shell_words::split(command)
+            .map_err(|error| ExternalSyntax::Words { reason: error.to_string(), command: command.to_owned() })?;
         if name.is_empty() || words.is_empty() {
-            return Err(shape.into());
+            return Err(ExternalSyntax::Shape);
         }
         // The first word is the program, so that only the other words can name files.
         match ["{in}", "{out}"]
@@ -45,14 +112,14 @@ impl FromStr for External {
             .find(|placeholder| !words[1..].iter().any(|word| word.contains(placeholder)))
         {
             None => Ok(Self { name: name.to_owned(), command: command.to_owned(), words }),
-            Some(missing) => Err(format!("the command does not say {missing}; {shape}")),
+            Some(placeholder) => Err(ExternalSyntax::Placeholder { placeholder }),
         }
     }
 }
 
 impl External {
-    pub(super) fn described(&self) -> results::Configuration {
-        results::Configuration {
+    pub(crate) fn described(&self) -> Configuration {
+        Configuration {
             name: self.name.clone(),
             series: self.name.clone(),
             stein: None,
@@ -62,62 +129,53 @@ impl External {
 
     /// Runs the program on a file and returns the wall-clock time in seconds. The result is in `output` afterwards. No
     /// shell is used, so that a path is always one word.
-    pub(super) fn run(&self, input: &Path, output: &Path) -> Result<f64, Failure> {
+    pub(crate) fn run(&self, input: &Path, output: &Path, observer: &mut dyn Observer) -> Result<f64> {
         let paths = [("{in}", input.as_os_str()), ("{out}", output.as_os_str())];
-        let words: Vec<OsString> = self.words.iter().map(|word| fill(word, &paths)).collect();
-        let failed = |how: String, said: &str| {
-            let said = if said.is_empty() { "it said nothing".to_owned() } else { format!("it said:\n{said}") };
+        let words: Vec<OsString> = self.words.iter().map(|word| text::fill(word, &paths)).collect();
+        let failed = |end: ExternalEnd, said: String| {
             let command = shell_words::join(words.iter().map(|word| text::path(Path::new(word))));
-            Failure::input(format_args!(
-                "--external {}: {how}: {command}\n  {said}\n  remedy: run the command by itself, as it stands here",
-                self.name
-            ))
+            self.failed(ExternalCause::Program { end, command, said })
         };
         // Removes the output of an earlier run, which must not be taken for the output of this one.
         match std::fs::remove_file(output) {
             Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
-                return Err(failed(format!("{} cannot be replaced ({error})", text::path(output)), ""));
+                return Err(failed(ExternalEnd::NotReplaced { output: output.to_owned(), error }, String::new()));
             }
             _ => {}
         }
         // Standard error goes into a file, which never makes a program wait.
         let log = output.with_extension("log");
-        let unusable = |error: std::io::Error| {
-            Failure::output(format_args!(
-                "{}: {error}\n  remedy: check the folder for temporary files",
-                text::path(&log)
-            ))
-        };
+        let unusable = |error: std::io::Error| Error::Log { path: log.clone(), error };
         let stderr = File::create(&log).map_err(unusable)?;
         let start = Instant::now();
         let child =
             Command::new(&words[0]).args(&words[1..]).stdin(Stdio::null()).stdout(Stdio::null()).stderr(stderr).spawn();
         let ended = child.and_then(|mut child| {
-            let _ends_with_this = Companion::of(&child);
-            child.wait()
+            observer.program_started(&child);
+            let status = child.wait();
+            observer.program_ended();
+            status
         });
         let seconds = start.elapsed().as_secs_f64();
-        let status = ended.map_err(|error| failed(format!("cannot be run ({error})"), ""))?;
+        let status = ended.map_err(|error| failed(ExternalEnd::NotStarted(error), String::new()))?;
         let said = last_lines(&end_of(&log).map_err(unusable)?);
         if !status.success() {
-            let code = status.code().map_or_else(|| status.to_string(), |code| format!("exit code {code}"));
-            return Err(failed(format!("failed ({code})"), &said));
+            return Err(failed(ExternalEnd::Failed(status), said));
         }
-        if output.is_file() { Ok(seconds) } else { Err(failed("did not write its output".into(), &said)) }
+        if output.is_file() { Ok(seconds) } else { Err(failed(ExternalEnd::NoOutput, said)) }
     }
 
     /// Reads the image that the program wrote.
-    pub(super) fn read(&self, output: &Path, extent: Extent) -> Result<Image, Failure> {
-        let failed = |problem: String| Failure::input(format_args!("--external {}: {problem}", self.name));
-        let image = read_reference(output, None)
-            .map_err(|error| Failure::input(error).at(format_args!("--external {}", self.name)))?;
+    pub(crate) fn read(&self, output: &Path, extent: Extent) -> Result<Image> {
+        let image = read_reference(output, None).map_err(|error| self.failed(ExternalCause::Unreadable(error)))?;
         if image.extent == extent {
             return Ok(image);
         }
-        Err(failed(format!(
-            "its output is of {}, but the input of {extent}\n  remedy: let it keep the size of its input",
-            image.extent
-        )))
+        Err(self.failed(ExternalCause::OtherExtent { output: image.extent, input: extent }))
+    }
+
+    fn failed(&self, cause: ExternalCause) -> Error {
+        Error::External { name: self.name.clone(), cause: Box::new(cause) }
     }
 }
 
@@ -157,7 +215,7 @@ mod tests {
             ("a='tool {in} {out}", "quote"),
             ("=x {in} {out}", "NAME"),
         ] {
-            let problem = text.parse::<External>().unwrap_err();
+            let problem = text.parse::<External>().unwrap_err().to_string();
             assert!(problem.contains(missing), "{text}: {problem}");
         }
     }
@@ -170,7 +228,7 @@ mod tests {
         std::fs::write(&input, "content").unwrap();
         let output = folder.path().join("out.exr");
         let external: External = "copy=cp {in} {out}".parse().unwrap();
-        assert!(external.run(&input, &output).unwrap() > 0.0);
+        assert!(external.run(&input, &output, &mut ()).unwrap() > 0.0);
         assert_eq!(std::fs::read(&output).unwrap(), b"content");
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 3, "the input, the output and its log");
     }
@@ -182,17 +240,13 @@ mod tests {
         let (input, output) = (folder.path().join("a{out}.exr"), folder.path().join("b{in}.exr"));
         std::fs::write(&input, "content").unwrap();
         let external: External = "copy=cp {in} {out}".parse().unwrap();
-        external.run(&input, &output).unwrap();
+        external.run(&input, &output, &mut ()).unwrap();
         assert_eq!(std::fs::read(&output).unwrap(), b"content");
         // Only the end of megabytes of messages is read.
         let external: External =
             "noise=sh -c 'head -c 9000000 /dev/zero >&2; echo the end >&2; exit 3' {in} {out}".parse().unwrap();
-        let failure = external.run(&input, &output).unwrap_err();
-        assert!(
-            failure.message().contains("the end") && failure.message().len() < 1 << 17,
-            "{}",
-            failure.message().len()
-        );
+        let message = external.run(&input, &output, &mut ()).unwrap_err().to_string();
+        assert!(message.contains("the end") && message.len() < 1 << 17, "{}", message.len());
     }
 
     #[test]

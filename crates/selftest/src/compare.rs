@@ -3,44 +3,46 @@
 use std::path::Path;
 
 use serde::Serialize;
+use stein::gpu::AdapterIdentity;
+use stein_exr::json_document::{self, DocumentError, Kind};
 
-use super::super::Failure;
-use super::super::bench::Adapter;
-use super::super::document::{self, Kind};
-use super::super::out::{number, table};
-use super::checks::Summary;
-use super::{Document, SCHEMA, VERSION};
+use crate::checks::Summary;
+use crate::{Document, SCHEMA, VERSION};
 
 /// Comparison of this run with another one.
 #[derive(Debug, Serialize)]
-pub(super) struct Comparison {
-    other_adapter: Adapter,
-    /// Number of results that both runs have; `same` of them are the same to the bit.
-    compared: usize,
-    same: usize,
+pub struct AdapterDifferences {
+    /// Adapter of the other run.
+    pub other_adapter: AdapterIdentity,
+    /// Number of results that both runs have.
+    pub compared: usize,
+    /// Number of results that are the same to the bit.
+    pub same: usize,
     /// Results that differ.
-    different: Vec<Difference>,
+    pub different: Vec<Difference>,
     /// Results that one of the two lacks.
-    missing: Vec<String>,
+    pub missing: Vec<String>,
 }
 
 /// Relative differences; infinite, which JSON shows as null, if one of the two has no finite value.
 #[derive(Debug, Serialize)]
-struct Difference {
-    case: String,
-    method: String,
+pub struct Difference {
+    /// Name of the case.
+    pub case: String,
+    /// Name of the method.
+    pub method: String,
     /// Difference of the colour's mean, relative to its root mean square.
-    mean: f64,
+    pub mean: f64,
     /// Difference of the root mean square.
-    root_mean_square: f64,
+    pub root_mean_square: f64,
     /// Difference of the least or of the largest value, whichever is greater, relative to the largest magnitude.
-    extremes: f64,
+    pub extremes: f64,
     /// Difference of the mean estimated error.
-    error: f64,
+    pub error: f64,
     /// Difference of the mean number of pixels that took part.
-    weight_sum: f64,
+    pub weight_sum: f64,
     /// Whether only one of the two is within bounds.
-    verdicts_differ: bool,
+    pub verdicts_differ: bool,
 }
 
 impl Difference {
@@ -66,21 +68,17 @@ impl Difference {
     }
 }
 
-/// Reads the document that `--json` printed in another run.
-pub(super) fn read(path: &Path) -> Result<Document, Failure> {
-    document::read(
-        path,
-        &Kind {
-            schema: SCHEMA,
-            version: VERSION,
-            made: "printed by `stein selftest --json`",
-            remedy: "give what `stein selftest --json` printed",
-        },
-    )
+/// Reads the document of another run.
+///
+/// # Errors
+/// [`DocumentError`] for a file that is no such document.
+pub fn read_document(path: &Path) -> Result<Document, DocumentError> {
+    json_document::read(path, Kind { schema: SCHEMA, version: VERSION })
 }
 
-impl Comparison {
-    pub(super) fn new(other: &Document, own: &Document) -> Self {
+impl AdapterDifferences {
+    /// Compares another run with this one.
+    pub fn new(other: &Document, own: &Document) -> Self {
         // Beside equal colours, other values may be finite in only one of the runs.
         let is_told = |result: &Summary| [result.error, result.weight_sum].map(|value| value.is_some());
         let mut comparison = Self {
@@ -129,29 +127,5 @@ impl Comparison {
                 .map(|row| format!("{}, {} (here)", row.case, row.method)),
         );
         comparison
-    }
-
-    pub(super) fn text(&self) -> String {
-        let mut text = format!(
-            "Against {}: {} of {} results are the same to the bit",
-            self.other_adapter, self.same, self.compared
-        );
-        if !self.different.is_empty() {
-            let head = ["case", "method", "", "mean", "RMS", "extremes", "error", "Σ w"].map(String::from).to_vec();
-            let line = |row: &Difference| {
-                let verdict = if row.verdicts_differ { "another verdict" } else { "" };
-                let figures = [row.mean, row.root_mean_square, row.extremes, row.error, row.weight_sum].map(number);
-                [row.case.clone(), row.method.clone(), verdict.to_owned()]
-                    .into_iter()
-                    .chain(figures)
-                    .collect::<Vec<_>>()
-            };
-            let rows: Vec<_> = std::iter::once(head).chain(self.different.iter().map(line)).collect();
-            text += &format!("; relative differences of the others:\n{}", table(&rows, 3));
-        }
-        if !self.missing.is_empty() {
-            text += &format!("\nMissing: {}", self.missing.join("; "));
-        }
-        text
     }
 }

@@ -4,22 +4,21 @@ use std::path::Path;
 use std::time::Instant;
 
 use cpu_time::ProcessTime;
-use indicatif::ProgressBar;
 use stein::frame::NoiseKnowledge;
 use stein::gpu::StageTime;
-use stein::text;
 use stein::{Denoiser, Frame, Gpu, Image, Method, Options};
 use stein_metric as metric;
 
-use super::super::{Failure, interrupt, quality};
-use super::configuration::{Configuration, How};
-use super::external::External;
-use super::results::{Errors, Row, Set, Stage, mark_front};
-use super::statistics::median;
+use crate::configuration::{How, PreparedConfiguration};
+use crate::external::External;
+use crate::observer::Observer;
+use crate::results::mark_front;
+use crate::statistics::median;
+use crate::{Error, Errors, Result, Row, Set, Stage};
 
 /// A configuration, ready to run.
 pub(super) struct Contestant<'a> {
-    configuration: &'a Configuration,
+    configuration: &'a PreparedConfiguration,
     runner: Runner<'a>,
 }
 
@@ -30,9 +29,9 @@ enum Runner<'a> {
 
 impl<'a> Contestant<'a> {
     pub(super) fn new(
-        configuration: &'a Configuration,
-        denoiser: impl FnOnce(Method) -> Result<Denoiser, Failure>,
-    ) -> Result<Self, Failure> {
+        configuration: &'a PreparedConfiguration,
+        denoiser: impl FnOnce(Method) -> Result<Denoiser>,
+    ) -> Result<Self> {
         let runner = match &configuration.how {
             How::Stein { method, everything: false, .. } => Runner::Stein(denoiser(*method)?),
             How::Stein { method, everything: true, .. } => Runner::Stein(denoiser(*method)?.with_everything()),
@@ -104,27 +103,27 @@ pub(super) fn measure(
     case: &Case<'_>,
     repeats: u32,
     folder: &Path,
-    bar: &ProgressBar,
-) -> Result<Vec<Outcome>, Failure> {
+    observer: &mut dyn Observer,
+) -> Result<Vec<Outcome>> {
     let all = contestants.len();
     let contestants: Vec<_> = contestants.iter().filter(|contestant| contestant.can_run(case)).collect();
-    bar.dec_length((all - contestants.len()) as u64 * runs(repeats));
+    observer.skipped((all - contestants.len()) as u64 * runs(repeats));
     let output = folder.join("out.exr");
-    let input = std::path::absolute(&case.set.file)
-        .map_err(|error| Failure::input(format_args!("{}: {error}", text::path(&case.set.file))))?;
+    let input =
+        std::path::absolute(&case.set.file).map_err(|error| Error::Path { path: case.set.file.clone(), error })?;
     let mut records = Vec::new();
     for contestant in &contestants {
-        interrupt::check()?;
+        go_on(observer)?;
         records.push(match &contestant.runner {
             Runner::Stein(denoiser) => warm_up(gpu, denoiser, case.frame_for(contestant))?,
-            Runner::External(external) => warm_up_external(external, &input, &output, case)?,
+            Runner::External(external) => warm_up_external(external, &input, &output, case, observer)?,
         });
-        bar.inc(1);
+        observer.ran(1);
     }
     for _ in 0..repeats {
         // Contestants take turns, so that a machine that slows down affects all of them alike.
         for (contestant, record) in contestants.iter().zip(&mut records) {
-            interrupt::check()?;
+            go_on(observer)?;
             match &contestant.runner {
                 Runner::Stein(denoiser) => {
                     let frame = case.frame_for(contestant);
@@ -135,14 +134,14 @@ pub(super) fn measure(
                     let cpu = cpu_start.and_then(|start| start.try_elapsed());
                     record.cpus_ms.extend(cpu.map(|cpu| cpu.as_secs_f64() * 1e3));
                     (record.peak_bytes, record.strips) = (Some(estimate.peak_bytes), Some(estimate.strips));
-                    bar.inc(1);
+                    observer.ran(1);
                     gpu.set_timing(true);
                     record.add_stages(denoiser.denoise(frame)?.stage_times.unwrap_or_default());
-                    bar.inc(1);
+                    observer.ran(1);
                 }
                 Runner::External(external) => {
-                    record.walls_ms.push(external.run(&input, &output)? * 1e3);
-                    bar.inc(2);
+                    record.walls_ms.push(external.run(&input, &output, observer)? * 1e3);
+                    observer.ran(2);
                 }
             }
         }
@@ -158,8 +157,13 @@ pub(super) fn measure(
     Ok(outcomes)
 }
 
+/// Fails if the observer ended the run.
+fn go_on(observer: &dyn Observer) -> Result<()> {
+    if observer.is_cancelled() { Err(Error::Cancelled) } else { Ok(()) }
+}
+
 /// Makes the first run of a contestant: the first dispatch of a kernel compiles it.
-fn warm_up(gpu: &Gpu, denoiser: &Denoiser, frame: &Frame) -> Result<Record, Failure> {
+fn warm_up(gpu: &Gpu, denoiser: &Denoiser, frame: &Frame) -> Result<Record> {
     gpu.set_timing(false);
     let start = Instant::now();
     let estimate = denoiser.denoise_with(frame, Options::default())?;
@@ -170,7 +174,7 @@ fn warm_up(gpu: &Gpu, denoiser: &Denoiser, frame: &Frame) -> Result<Record, Fail
             .error
             .as_ref()
             .and_then(|error| error.planes.first())
-            .map(|plane| quality::mean(plane) / estimate.color.channels() as f64),
+            .map(|plane| metric::mean(plane) / estimate.color.channels() as f64),
         image: estimate.color,
         walls_ms: Vec::new(),
         cpus_ms: Vec::new(),
@@ -180,8 +184,14 @@ fn warm_up(gpu: &Gpu, denoiser: &Denoiser, frame: &Frame) -> Result<Record, Fail
     })
 }
 
-fn warm_up_external(external: &External, input: &Path, output: &Path, case: &Case<'_>) -> Result<Record, Failure> {
-    let first_ms = external.run(input, output)? * 1e3;
+fn warm_up_external(
+    external: &External,
+    input: &Path,
+    output: &Path,
+    case: &Case<'_>,
+    observer: &mut dyn Observer,
+) -> Result<Record> {
+    let first_ms = external.run(input, output, observer)? * 1e3;
     let image = external.read(output, case.frame.extent())?;
     Ok(Record {
         first_ms,
@@ -206,7 +216,7 @@ impl Record {
         }
     }
 
-    fn finish(self, configuration: &str, case: &Case<'_>) -> Result<Outcome, Failure> {
+    fn finish(self, configuration: &str, case: &Case<'_>) -> Result<Outcome> {
         let wall_ms = median(self.walls_ms);
         let stages: Vec<_> = self
             .stages
@@ -233,7 +243,7 @@ impl Record {
 }
 
 /// Computes all error measures of an image against its reference.
-pub(super) fn errors(image: &Image, reference: &Image) -> Result<Errors, Failure> {
+pub(super) fn errors(image: &Image, reference: &Image) -> Result<Errors> {
     let finite = |value: f64| value.is_finite().then_some(value);
     let relative_mse = finite(metric::relative_mse(image, reference)?);
     Ok(Errors {

@@ -2,32 +2,47 @@
 
 use std::path::Path;
 
-use clap::ValueEnum;
 use serde::{Deserialize, Serialize};
 use stein::error::RequestCause;
+use stein::parameters::Choice;
 use stein::{Denoiser, DfcParams, Error, Estimate, Frame, GemParams, Gpu, Image, Method, NlmParams, Options};
+use stein_metric::mean;
 use stein_twin as bridge;
 
-use super::super::Failure;
-use super::cases::{Case, Expected};
-use super::picture::Picture;
-use super::twin;
+use crate::cases::{Case, Expected};
+use crate::picture::Picture;
+use crate::{Error as SuiteError, twin};
 
 /// A method with the parameters that it is looked at with.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub(super) enum Subject {
-    /// DFC with its default parameters
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Subject {
+    /// DFC with its default parameters.
     Dfc,
-    /// DFC to the letter of the published algorithm
+    /// DFC to the letter of the published algorithm.
     DfcThesis,
-    /// NLM with its default parameters
+    /// NLM with its default parameters.
     Nlm,
-    /// GEM with its default parameters
+    /// GEM with its default parameters.
     Gem,
 }
 
 impl Subject {
-    pub(super) fn name(self) -> &'static str {
+    /// All of them, in the order of results.
+    pub const ALL: [Self; 4] = [Self::Dfc, Self::DfcThesis, Self::Nlm, Self::Gem];
+
+    /// Returns the names and meanings of [`Subject::ALL`].
+    pub fn choices() -> [Choice; 4] {
+        let about = |subject| match subject {
+            Self::Dfc => "DFC with its default parameters.",
+            Self::DfcThesis => "DFC to the letter of the published algorithm.",
+            Self::Nlm => "NLM with its default parameters.",
+            Self::Gem => "GEM with its default parameters.",
+        };
+        Self::ALL.map(|subject| Choice { name: subject.name(), documentation: about(subject).into() })
+    }
+
+    /// Returns the name.
+    pub fn name(self) -> &'static str {
         match self {
             Self::Dfc => "dfc",
             Self::DfcThesis => "dfc-thesis",
@@ -50,7 +65,7 @@ impl Subject {
 /// One property of a result. Its figure is 0 or small if all is well, and has a bound.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
-pub(super) enum Check {
+pub enum Check {
     /// Whether the frame is made, or refused if it must be.
     Door,
     /// Number of values that are not finite, in everything that a caller gets.
@@ -74,7 +89,8 @@ pub(super) enum Check {
 }
 
 impl Check {
-    pub(super) const ALL: [Self; 9] = [
+    /// All checks, in the order of results.
+    pub const ALL: [Self; 9] = [
         Self::Door,
         Self::Finite,
         Self::Energy,
@@ -86,7 +102,8 @@ impl Check {
         Self::Bits,
     ];
 
-    pub(super) fn name(self) -> &'static str {
+    /// Returns the name.
+    pub fn name(self) -> &'static str {
         match self {
             Self::Door => "door",
             Self::Finite => "finite",
@@ -103,15 +120,18 @@ impl Check {
 
 /// Figure that a check found.
 #[derive(Clone, Debug, Serialize, Deserialize)]
-pub(super) struct Figure {
-    pub(super) check: Check,
+pub struct Figure {
+    /// Check that found the figure.
+    pub check: Check,
     /// Value of the figure; `None` if it is not finite.
-    pub(super) value: Option<f64>,
-    pub(super) bound: f64,
-    pub(super) passed: bool,
+    pub value: Option<f64>,
+    /// Largest value within bounds.
+    pub bound: f64,
+    /// Whether the value is within bounds.
+    pub passed: bool,
     /// Location of the worst value.
     #[serde(skip_serializing_if = "String::is_empty", default)]
-    pub(super) detail: String,
+    pub detail: String,
 }
 
 impl Figure {
@@ -130,13 +150,17 @@ fn finite_or_none(value: f64) -> Option<f64> {
 
 /// Figures of one case with one method.
 #[derive(Clone, Debug, Serialize, Deserialize)]
-pub(super) struct Row {
-    pub(super) case: String,
-    pub(super) method: String,
-    pub(super) passed: bool,
-    pub(super) figures: Vec<Figure>,
+pub struct Row {
+    /// Name of the case.
+    pub case: String,
+    /// Name of the method; `all` for a frame that no method gets.
+    pub method: String,
+    /// Whether all figures are within bounds.
+    pub passed: bool,
+    /// Figures of the checks.
+    pub figures: Vec<Figure>,
     /// Summary of the result; `None` without a result.
-    pub(super) result: Option<Summary>,
+    pub result: Option<Summary>,
 }
 
 impl Row {
@@ -151,7 +175,7 @@ impl Row {
     }
 
     /// Returns the figure of a check; the worst one of several.
-    pub(super) fn figure(&self, check: Check) -> Option<&Figure> {
+    pub fn figure(&self, check: Check) -> Option<&Figure> {
         let figures = self.figures.iter().filter(|figure| figure.check == check);
         figures.max_by(|a, b| a.value.unwrap_or(f64::INFINITY).total_cmp(&b.value.unwrap_or(f64::INFINITY)))
     }
@@ -160,18 +184,21 @@ impl Row {
 /// Figures by which runs on two adapters are compared. Values are `None` if they are not finite, which JSON cannot
 /// express.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub(super) struct Summary {
+pub struct Summary {
     /// Checksum of the bits of the denoised colour.
-    pub(super) checksum: String,
+    pub checksum: String,
     /// Mean of the denoised colour; the next three fields belong to the denoised colour as well.
-    pub(super) mean: Option<f64>,
-    pub(super) root_mean_square: Option<f64>,
-    pub(super) least: Option<f64>,
-    pub(super) most: Option<f64>,
+    pub mean: Option<f64>,
+    /// Root of the mean square.
+    pub root_mean_square: Option<f64>,
+    /// Least value.
+    pub least: Option<f64>,
+    /// Largest value.
+    pub most: Option<f64>,
     /// Mean of the estimated error.
-    pub(super) error: Option<f64>,
+    pub error: Option<f64>,
     /// Mean number of pixels that took part in an average.
-    pub(super) weight_sum: Option<f64>,
+    pub weight_sum: Option<f64>,
 }
 
 impl Summary {
@@ -198,7 +225,7 @@ impl Summary {
 }
 
 /// The device under test.
-pub(super) struct Bench<'a> {
+pub(super) struct DeviceUnderTest<'a> {
     pub(super) gpu: &'a Gpu,
     /// Memory limit in bytes that the user chose.
     pub(super) max_memory: Option<u64>,
@@ -224,12 +251,12 @@ const CALMER: [f64; 2] = [1.0 / 16.0, 1.0 / 256.0];
 /// Smaller corrections do not count.
 const INDISTINCT: f64 = 6.1e-4;
 
-impl Bench<'_> {
+impl DeviceUnderTest<'_> {
     /// Runs all checks of a case with each of the methods.
     ///
     /// # Errors
     /// A failure of the device: what it does from then on says nothing about it.
-    pub(super) fn run(&self, case: &Case, subjects: &[Subject]) -> Result<Vec<Row>, Failure> {
+    pub(super) fn run(&self, case: &Case, subjects: &[Subject]) -> Result<Vec<Row>, SuiteError> {
         let subjects = subjects.iter().filter(|subject| case.methods.contains(subject));
         let prepared = self.prepare(case);
         if let Expected::Refusal = &case.expected {
@@ -264,11 +291,11 @@ impl Bench<'_> {
         })
     }
 
-    fn look_at(&self, case: &Case, prepared: &Prepared, subject: Subject) -> Result<Row, Failure> {
+    fn look_at(&self, case: &Case, prepared: &Prepared, subject: Subject) -> Result<Row, SuiteError> {
         match self.figures(case, prepared, subject) {
             Ok((figures, estimate)) => Ok(Row::new(case, subject.name(), figures, Some(Summary::new(&estimate)))),
             Err(error @ Error::Device(_)) => {
-                Err(Failure::from(error).at(format_args!("{}, {}", case.name, subject.name())))
+                Err(SuiteError::Device { case: case.name.clone(), method: subject.name(), error: Box::new(error) })
             }
             // The error is a shader's: an unusable input would not have become a frame.
             Err(error) => {
@@ -476,10 +503,6 @@ fn magnitude(image: &Image) -> f64 {
         .iter()
         .map(|plane| plane.iter().map(|value| f64::from(value.abs())).sum::<f64>() / plane.len() as f64)
         .fold(0.0, f64::max)
-}
-
-fn mean(plane: &[f32]) -> f64 {
-    plane.iter().map(|value| f64::from(*value)).sum::<f64>() / plane.len() as f64
 }
 
 /// Whether both frames have the same units on the device: a pixel that changes the units has an influence on all

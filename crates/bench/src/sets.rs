@@ -4,30 +4,31 @@ use std::cmp::Ordering;
 use std::path::{Path, PathBuf};
 
 use stein::text;
-use stein_exr::LayerRef;
+use stein_exr::{LayerRef, same_file};
 
-use super::super::Failure;
-use super::super::options::same_file;
+use crate::{Error, Result};
 
 /// A buffer set, not read yet.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) struct SetFile {
-    pub(super) file: PathBuf,
-    pub(super) reference: Option<LayerRef>,
+pub struct SetFile {
+    pub(crate) file: PathBuf,
+    pub(crate) reference: Option<LayerRef>,
     /// Name of the scene that the set shows. Sets with the same reference are one scene.
-    pub(super) scene: String,
+    pub(crate) scene: String,
     /// Whether the file was found in a folder, in which not every file need be a set.
-    pub(super) was_found: bool,
+    pub(crate) was_found: bool,
 }
 
 /// Returns the sets of the given files and folders, in their order; sets of a folder are in the order of their names.
 /// `references` holds one reference for each input, or none; in that case each set's reference is looked for.
-pub(super) fn find(inputs: &[PathBuf], references: &[LayerRef]) -> Result<Vec<SetFile>, Failure> {
+///
+/// # Errors
+/// [`Error::ReferenceCount`], [`Error::ReferenceOfFolder`], and [`Error::NoSets`] for a folder without sets;
+/// [`Error::Unreadable`] and [`Error::UnreadableFolder`] for files and folders that cannot be opened.
+pub fn find_sets(inputs: &[PathBuf], references: &[LayerRef]) -> Result<Vec<SetFile>> {
     if !references.is_empty() && references.len() != inputs.len() {
         let (references, inputs) = (references.len(), inputs.len());
-        return Err(Failure::usage(format_args!(
-            "{references} references are given for {inputs} inputs\n  remedy: give --ref once for each input, or not at all"
-        )));
+        return Err(Error::ReferenceCount { references, inputs });
     }
     let mut sets: Vec<SetFile> = Vec::new();
     for (index, input) in inputs.iter().enumerate() {
@@ -38,20 +39,14 @@ pub(super) fn find(inputs: &[PathBuf], references: &[LayerRef]) -> Result<Vec<Se
             continue;
         }
         if given.is_some() {
-            let folder = text::path(input);
-            return Err(Failure::usage(format_args!(
-                "{folder}: --ref belongs to a file, and this is a folder\n  remedy: leave --ref out, the references of a folder are found by their names, or give its files"
-            )));
+            return Err(Error::ReferenceOfFolder { folder: input.clone() });
         }
         let mut files = Vec::new();
         collect(input, &mut files)?;
         files.retain(|file| !is_reference(file));
         files.sort_by(|a, b| by_name(&a.to_string_lossy(), &b.to_string_lossy()));
         if files.is_empty() {
-            let folder = text::path(input);
-            return Err(Failure::input(format_args!(
-                "{folder}: holds no OpenEXR file but references\n  remedy: name a folder with renders"
-            )));
+            return Err(Error::NoSets { folder: input.clone() });
         }
         sets.extend(files.iter().map(|file| SetFile::new(file, find_reference(file), true)));
     }
@@ -71,20 +66,16 @@ impl SetFile {
 }
 
 /// Checks before anything is measured that a file can be opened.
-fn readable(file: &Path) -> Result<(), Failure> {
+fn readable(file: &Path) -> Result<()> {
     // Does not open a pipe, which would block. Anything else that is no file is refused when it is read.
     let opened =
         file.metadata().and_then(|kind| if kind.is_file() { std::fs::File::open(file).map(drop) } else { Ok(()) });
-    opened.map_err(|error| {
-        Failure::input(format_args!("{}: cannot be read: {error}\n  remedy: check the path", text::path(file)))
-    })
+    opened.map_err(|error| Error::Unreadable { path: file.to_owned(), error })
 }
 
 /// Collects all OpenEXR files below a folder, except hidden ones.
-fn collect(folder: &Path, files: &mut Vec<PathBuf>) -> Result<(), Failure> {
-    let failed = |error: std::io::Error| {
-        Failure::input(format_args!("{}: {error}\n  remedy: check that the folder may be read", text::path(folder)))
-    };
+fn collect(folder: &Path, files: &mut Vec<PathBuf>) -> Result<()> {
+    let failed = |error| Error::UnreadableFolder { folder: folder.to_owned(), error };
     for entry in std::fs::read_dir(folder).map_err(failed)? {
         let entry = entry.map_err(failed)?;
         let path = entry.path();
@@ -237,7 +228,7 @@ mod tests {
                 .display()
                 .to_string()
         };
-        let sets = find(&[folder.path().to_owned()], &[]).unwrap();
+        let sets = find_sets(&[folder.path().to_owned()], &[]).unwrap();
         let reference =
             |set: &SetFile| set.reference.as_ref().map_or_else(String::new, |reference| relative(&reference.file));
         sets.iter().map(|set| [relative(&set.file), reference(set), set.scene.clone()]).collect()
@@ -289,9 +280,9 @@ mod tests {
     #[test]
     fn what_cannot_be_read_is_told_before_anything_is_measured() {
         let folder = folder(&["only/reference.exr"]);
-        assert!(find(&[folder.path().join("missing.exr")], &[]).is_err());
-        assert!(find(&[folder.path().to_owned()], &[]).is_err());
+        assert!(find_sets(&[folder.path().join("missing.exr")], &[]).is_err());
+        assert!(find_sets(&[folder.path().to_owned()], &[]).is_err());
         let reference = LayerRef { file: folder.path().join("only/reference.exr"), layer: None };
-        assert!(find(&[folder.path().to_owned()], &[reference]).is_err());
+        assert!(find_sets(&[folder.path().to_owned()], &[reference]).is_err());
     }
 }

@@ -3,7 +3,7 @@
 use std::ffi::{OsStr, OsString};
 
 /// Replaces the names by their values in one pass: a name inside a value is not replaced.
-pub(crate) fn fill(template: &str, values: &[(&str, &OsStr)]) -> OsString {
+pub fn fill(template: &str, values: &[(&str, &OsStr)]) -> OsString {
     let mut filled = OsString::new();
     let mut rest = template;
     loop {

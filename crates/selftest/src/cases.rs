@@ -8,12 +8,13 @@ use super::checks::{Check, Subject};
 use super::picture::{Picture, Samples, Sampling, Surface, corridor, exact, image, room};
 
 /// A situation, and what is expected in it.
-pub(super) struct Case {
+pub struct Case {
     /// Name, in a user's words.
-    pub(super) name: String,
+    pub name: String,
     /// Radius of the window in pixels, for the methods that have one.
     pub(super) window_radius: u32,
-    pub(super) methods: Vec<Subject>,
+    /// Methods that the situation concerns.
+    pub methods: Vec<Subject>,
     /// Makes the render with its noise multiplied by the argument.
     base: Make,
     pub(super) damage: Option<Damage>,
@@ -106,7 +107,7 @@ impl Case {
         Self {
             name: name.into(),
             window_radius,
-            methods: Subject::value_variants().to_vec(),
+            methods: Subject::ALL.to_vec(),
             base: Box::new(move |noise| Ok(base(noise))),
             damage: None,
             beside: None,
@@ -138,7 +139,7 @@ impl Case {
     }
 
     /// Formats the reasons of the bounds that are not usual, one line for each.
-    pub(super) fn reasons(&self) -> Vec<String> {
+    pub fn reasons(&self) -> Vec<String> {
         let line = |bound: &Bound| {
             let of = bound.subject.map_or_else(String::new, |subject| format!(" of {}", subject.name()));
             format!("{}{of} up to {}: {}", bound.check.name(), bound.bound, bound.reason)
@@ -193,8 +194,6 @@ impl Case {
     }
 }
 
-use clap::ValueEnum;
-
 const fn extent(width: u32, height: u32) -> Extent {
     Extent { width, height }
 }
@@ -230,7 +229,7 @@ const PIXEL: (usize, usize) = (2, 1);
 const ROW: usize = 2;
 
 /// Returns every case, in the order in which the cases are reported.
-pub(super) fn cases() -> Vec<Case> {
+pub fn cases() -> Vec<Case> {
     let mut cases = Vec::new();
     cases.extend(plain().into_iter().map(Case::repeated));
     // The limit is checked in the other cases: these differ only in size, or in what is repaired before a frame is

@@ -3,34 +3,48 @@
 use std::fs::File;
 use std::path::{Path, PathBuf};
 
-use stein::text;
 use stein_exr::atomic_file::{self, Aside};
 
-use super::super::Failure;
-use super::compare;
+use crate::compare::read_document;
+use crate::run::Measured;
+use crate::{Error, Result, csv_file, page};
 
 /// Files of a report.
 const FILES: [&str; 3] = ["results.json", "results.csv", "index.html"];
 
+/// The reason why a folder cannot take a report.
+#[derive(Debug, thiserror::Error)]
+pub enum FolderCause {
+    /// The folder, or the folder around it, cannot be used.
+    #[error("{0}")]
+    Unusable(std::io::Error),
+    /// There is something else than a report.
+    #[error("is there already, and is no report of `stein bench`")]
+    NoReport,
+    /// Something else than a report appeared while the run measured.
+    #[error("something else than a report was put there meanwhile")]
+    Changed,
+    /// The report cannot be written.
+    #[error("cannot be written: {0}")]
+    Unwritable(std::io::Error),
+}
+
 /// Folder of a report.
-pub(super) struct Folder {
+pub struct Folder {
     path: PathBuf,
 }
 
 impl Folder {
     /// Checks before anything is measured that `path` is a report, an empty folder, or does not exist.
-    pub(super) fn check(path: &Path) -> Result<Self, Failure> {
-        let name = text::path(path);
-        let unusable = |error: std::io::Error| {
-            Failure::output(format_args!(
-                "{name}: {error}\n  remedy: choose another folder with -o, or check that this one may be written to"
-            ))
-        };
+    ///
+    /// # Errors
+    /// [`Error::Folder`] if the report could not be written.
+    pub fn check(path: &Path) -> Result<Self> {
+        let failed = |cause| Error::Folder { folder: path.to_owned(), cause };
+        let unusable = |error| failed(FolderCause::Unusable(error));
         let absolute = std::path::absolute(path).map_err(unusable)?;
         if path.exists() && !may_be_replaced(path).map_err(unusable)? {
-            return Err(Failure::output(format_args!(
-                "{name}: is there already, and is no report of `stein bench`\n  remedy: choose another folder with -o; only reports are replaced"
-            )));
+            return Err(failed(FolderCause::NoReport));
         }
         let folder = Self { path: absolute };
         // Tests that a temporary folder can be created; that folder is removed at once.
@@ -39,7 +53,7 @@ impl Folder {
     }
 
     /// Returns the path of the page.
-    pub(super) fn index(&self) -> PathBuf {
+    pub fn index(&self) -> PathBuf {
         self.path.join("index.html")
     }
 
@@ -68,14 +82,21 @@ impl Folder {
         Ok(())
     }
 
-    /// Writes the files, in the order of [`FILES`], and replaces the earlier report or the empty folder.
-    pub(super) fn write(&self, contents: [&[u8]; 3]) -> Result<(), Failure> {
-        let name = text::path(&self.path);
-        let failed = |error: std::io::Error| {
-            Failure::output(format_args!(
-                "{name}: cannot be written: {error}\n  remedy: check that there is space, and choose a folder with -o"
-            ))
-        };
+    /// Writes the report of a run; it replaces the earlier report or the empty folder.
+    ///
+    /// # Errors
+    /// [`Error::Folder`] if the folder cannot be written; [`Error::Part`] and [`Error::Stein`] if a part of the report
+    /// cannot be made.
+    pub fn write(&self, Measured { document, gallery }: &Measured) -> Result<()> {
+        let json = serde_json::to_string_pretty(document)
+            .map_err(|error| Error::Part { part: "results.json", reason: error.to_string() })?;
+        self.write_files([json.as_bytes(), &csv_file::csv(document)?, page::page(document, gallery)?.as_bytes()])
+    }
+
+    /// Writes the files, in the order of [`FILES`].
+    fn write_files(&self, contents: [&[u8]; 3]) -> Result<()> {
+        let because = |cause| Error::Folder { folder: self.path.clone(), cause };
+        let failed = |error| because(FolderCause::Unwritable(error));
         let new = self.aside().map_err(failed)?;
         for (file, content) in FILES.iter().zip(contents) {
             std::fs::write(new.path().join(file), content).map_err(failed)?;
@@ -83,9 +104,7 @@ impl Folder {
         // The folder may have changed since [`Self::check`].
         if self.path.exists() {
             if !may_be_replaced(&self.path).map_err(failed)? {
-                return Err(Failure::output(format_args!(
-                    "{name}: something else than a report was put there meanwhile\n  remedy: choose another folder with -o"
-                )));
+                return Err(because(FolderCause::Changed));
             }
             let old = self.aside().map_err(failed)?;
             let old_report = old.path().join("old");
@@ -116,14 +135,14 @@ fn may_be_replaced(path: &Path) -> std::io::Result<bool> {
         names.push(entry?.file_name());
     }
     Ok(names.is_empty()
-        || (names.iter().all(|name| FILES.iter().any(|file| name == file)) && compare::read(path).is_ok()))
+        || (names.iter().all(|name| FILES.iter().any(|file| name == file)) && read_document(path).is_ok()))
 }
 
 #[cfg(test)]
 #[allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 mod tests {
-    use super::super::results::VERSION;
     use super::*;
+    use crate::VERSION;
 
     #[test]
     fn only_reports_are_replaced() {
@@ -140,8 +159,8 @@ mod tests {
             document.to_string()
         };
         for date in ["first", "second"] {
-            folder.write([document(date).as_bytes(), b"csv", b"html"]).unwrap();
-            assert_eq!(compare::read(&path).unwrap().date, date);
+            folder.write_files([document(date).as_bytes(), b"csv", b"html"]).unwrap();
+            assert_eq!(read_document(&path).unwrap().date, date);
             assert_eq!(std::fs::read(path.join("index.html")).unwrap(), b"html");
         }
         assert_eq!(std::fs::read_dir(parent.path()).unwrap().count(), 1, "nothing is left beside it");
@@ -154,12 +173,12 @@ mod tests {
             let page = path.join("index.html");
             std::fs::set_permissions(&page, PermissionsExt::from_mode(0o600)).unwrap();
             std::fs::set_permissions(&path, PermissionsExt::from_mode(0o750)).unwrap();
-            folder.write([document("third").as_bytes(), b"csv", b"html"]).unwrap();
+            folder.write_files([document("third").as_bytes(), b"csv", b"html"]).unwrap();
             assert_eq!((mode(&path), mode(&page)), (0o750, 0o600), "a report is not shown to more people than before");
         }
 
         std::fs::write(path.join("thoughts.txt"), "mine").unwrap();
-        assert!(Folder::check(&path).is_err() && folder.write([b"", b"", b""]).is_err());
+        assert!(Folder::check(&path).is_err() && folder.write_files([b"", b"", b""]).is_err());
         assert_eq!(std::fs::read(path.join("thoughts.txt")).unwrap(), b"mine");
         std::fs::remove_file(path.join("thoughts.txt")).unwrap();
         std::fs::write(path.join("results.json"), "{}").unwrap();
@@ -168,6 +187,6 @@ mod tests {
         assert!(Folder::check(&parent.path().join("no/such")).is_err());
         let empty = parent.path().join("empty");
         std::fs::create_dir(&empty).unwrap();
-        Folder::check(&empty).unwrap().write([document("").as_bytes(), b"", b""]).unwrap();
+        Folder::check(&empty).unwrap().write_files([document("").as_bytes(), b"", b""]).unwrap();
     }
 }

@@ -52,7 +52,7 @@ const VANISHING: f64 = 1e-30;
 /// Compares everything that an estimate with all its intermediates holds.
 pub(super) fn compare(frame: &Frame, method: &Method, estimate: &Estimate) -> Vec<Part> {
     let exposure = bridge::exposure(frame);
-    let mut comparison = Comparison { estimate, exposure, parts: Vec::new() };
+    let mut comparison = TwinComparison { estimate, exposure, parts: Vec::new() };
     match method {
         Method::Dfc(params) => comparison.dfc(frame, params),
         Method::Nlm(params) => comparison.nlm(frame, params),
@@ -66,13 +66,13 @@ fn with_own(spread: &[Grid], size: &[Grid]) -> Planes {
     spread.iter().zip(size).map(|(spread, size)| size.like(|p| size.at(p) + 0.01 * spread.at(p).abs())).collect()
 }
 
-struct Comparison<'a> {
+struct TwinComparison<'a> {
     estimate: &'a Estimate,
     exposure: f64,
     parts: Vec<Part>,
 }
 
-impl Comparison<'_> {
+impl TwinComparison<'_> {
     fn dfc(&mut self, frame: &Frame, params: &DfcParams) {
         let (input, params) = (bridge::frame(frame, self.exposure), bridge::dfc_params(params));
         let twin = dfc(&input, &params);

@@ -1,12 +1,12 @@
 //! `results.csv`: a line for each row of the document, with the data of its set and configuration.
 
-use super::super::Failure;
-use super::results::{Document, Errors, stage_names};
+use crate::{Document, Error, Errors, Result, stage_names};
 
 /// Formats the document as CSV. Numbers are in the units of the document; a missing number is an empty cell. Each stage
 /// has a column `<stage>_ms`.
-pub(super) fn csv(document: &Document) -> Result<Vec<u8>, Failure> {
-    let failed = |error: csv::Error| Failure::output(format_args!("results.csv: {error}"));
+pub(super) fn csv(document: &Document) -> Result<Vec<u8>> {
+    let because = |reason: String| Error::Part { part: "results.csv", reason };
+    let failed = |error: csv::Error| because(error.to_string());
     let stages = stage_names(document.rows.iter());
     let mut writer = csv::Writer::from_writer(Vec::new());
     let mut head: Vec<String> = COLUMNS.map(str::to_owned).to_vec();
@@ -63,7 +63,7 @@ pub(super) fn csv(document: &Document) -> Result<Vec<u8>, Failure> {
         );
         writer.write_record(&record).map_err(failed)?;
     }
-    writer.into_inner().map_err(|error| Failure::output(format_args!("results.csv: {error}")))
+    writer.into_inner().map_err(|error| because(error.to_string()))
 }
 
 /// Columns before the stages.
