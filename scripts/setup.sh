@@ -1,7 +1,9 @@
 #!/bin/sh
-# Makes this machine able to build and run stein, its viewer and their tests. Where something is missing, installs it: a C linker, a C++ compiler (the FLIP error measure is
-# C++), Rust, the X libraries that the viewer's window is opened with and the virtual screen of its test, and, if no Vulkan adapter is found, Mesa's drivers, which bring a
-# software adapter (lavapipe). Does nothing, silently, where all is there. Needs apt-get (Debian, Ubuntu) and root or sudo only to install.
+# Prepares this machine to build and run stein, its viewer and their tests. Installs what is missing:
+#   - a C linker, a C++ compiler (the FLIP error measure is C++), Rust;
+#   - the X libraries of the viewer's window, and the virtual screen of its test;
+#   - Mesa's drivers with a software adapter (lavapipe), if no Vulkan adapter is found.
+# Prints nothing if nothing is missing. Needs apt-get (Debian, Ubuntu), and root or sudo, only to install.
 set -eu
 
 say() {
@@ -16,7 +18,8 @@ has_library() {
     return 1
 }
 
-# A driver announces itself by a JSON file: in one of the loader's folders, or named by an environment variable, which then replaces the folders.
+# A driver announces itself by a JSON file: in one of the loader's folders, or named by an environment variable, which
+# then replaces the folders.
 has_driver() {
     named="${VK_DRIVER_FILES:-${VK_ICD_FILENAMES:-}}"
     if [ -n "$named" ]; then
@@ -31,7 +34,8 @@ has_driver() {
         IFS=$old_ifs
         return 1
     fi
-    for folder in "${XDG_CONFIG_HOME:-${HOME:-/root}/.config}" /etc/xdg /etc "${XDG_DATA_HOME:-${HOME:-/root}/.local/share}" /usr/local/share /usr/share; do
+    for folder in "${XDG_CONFIG_HOME:-${HOME:-/root}/.config}" /etc/xdg /etc \
+        "${XDG_DATA_HOME:-${HOME:-/root}/.local/share}" /usr/local/share /usr/share; do
         any_driver_in "$folder/vulkan/icd.d" && return 0
     done
     return 1
@@ -48,7 +52,7 @@ is_driver() {
     [ -f "$1" ] && grep -q '"library_path"' "$1"
 }
 
-# The file may outlive the hardware: where vulkaninfo is at hand, ask it whether the driver finds an adapter.
+# The file may exist without the hardware: if vulkaninfo is installed, ask it whether the driver finds an adapter.
 has_adapter() {
     has_library libvulkan.so.1 && has_driver || return 1
     command -v vulkaninfo >/dev/null 2>&1 || return 0
@@ -59,7 +63,7 @@ as_root() {
     if [ "$(id -u)" -eq 0 ]; then
         "$@"
     elif command -v sudo >/dev/null 2>&1; then
-        # -n: fail instead of asking for a password where nobody can type one.
+        # -n: fails instead of asking for a password that nobody can type.
         if [ -t 0 ]; then sudo "$@"; else sudo -n "$@"; fi
     else
         say "cannot install packages: run this script as root, or install sudo"
@@ -71,10 +75,11 @@ apt_install() {
     as_root env DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends "$@" </dev/null >/dev/null
 }
 
-# The package lists may be absent (containers) or stale; fetching them takes long, so only where installing fails without.
+# The package lists may be absent (containers) or old. Fetching them takes long, so it is done only if installing fails.
 install_packages() {
     if ! command -v apt-get >/dev/null 2>&1; then
-        say "apt-get is missing: install the equivalents of these Debian packages with this system's package manager: $*"
+        say "apt-get is missing: install the equivalents of these Debian packages with this system's package manager:" \
+            "$*"
         exit 1
     fi
     if ! apt_install "$@" 2>/dev/null; then
@@ -99,7 +104,7 @@ if ! command -v c++ >/dev/null 2>&1; then
     install_packages g++
 fi
 
-# What the viewer's window looks for when it opens, and the package of each.
+# Libraries that the viewer's window loads when it opens, and their packages.
 window=
 while read -r library package; do
     has_library "$library" || window="$window $package"
@@ -114,7 +119,7 @@ END
 command -v Xvfb >/dev/null 2>&1 || window="$window xvfb"
 if [ -n "$window" ]; then
     say "the viewer's window or its test lacks something: installing$window"
-    # All else works without.
+    # Everything else works without them.
     # shellcheck disable=SC2086
     (install_packages $window) || say "not installed: the viewer may not open its window, and the test of that fails"
 fi
@@ -125,6 +130,7 @@ install_packages libvulkan1 mesa-vulkan-drivers
 if has_adapter; then
     say "done"
 else
-    say "the packages are installed, but no Vulkan adapter is found; VK_DRIVER_FILES and VK_ICD_FILENAMES may point elsewhere"
+    say "the packages are installed, but no Vulkan adapter is found;" \
+        "VK_DRIVER_FILES and VK_ICD_FILENAMES may point elsewhere"
     exit 1
 fi

@@ -18,7 +18,7 @@ use stein_metric::relative_mse;
 use stein_stub::{Camera, Environment, Material, Scene, Sequence, Shape, StubSampler, Texture};
 use tempfile::TempDir;
 
-/// A small radius, so that a software adapter is done in a second.
+/// A small radius and a small image, so that a software adapter is done in a second.
 const SMALL: [&str; 2] = ["--radius=3", "--size=24x20"];
 const PIXELS: u64 = 24 * 20;
 

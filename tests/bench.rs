@@ -16,7 +16,7 @@ use serde_json::{Value, json};
 use stein::Image;
 use stein_exr::{NamedLayer, write_layers};
 
-/// A small radius, so that a software adapter is done at once.
+/// Left, top, width and height: a small rectangle, so that a software adapter is done at once.
 const CROP: [usize; 4] = [20, 30, 40, 32];
 
 fn crop(image: &Image) -> Image {

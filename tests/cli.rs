@@ -430,8 +430,9 @@ fn nlm_says_what_it_did() {
     let document = stein(&[&arguments[..], &options].concat()).succeeded().json();
     let parameters = &document["parameters"];
     let expected = serde_json::json!({
-        "method": "nlm", "window_radius": 2, "patch_radius": 1, "k": 0.5, "alpha": 0.5, "cut": 0.1, "patchwise": false, "dual_buffer": false,
-        "variance": "uniform", "guard_frames": true, "keep_clean": true, "pooled_variance": true, "spikes": "spread", "weighting": { "symmetric": "off", "centre": "One" },
+        "method": "nlm", "window_radius": 2, "patch_radius": 1, "k": 0.5, "alpha": 0.5, "cut": 0.1,
+        "patchwise": false, "dual_buffer": false, "variance": "uniform", "guard_frames": true, "keep_clean": true,
+        "pooled_variance": true, "spikes": "spread", "weighting": { "symmetric": "off", "centre": "One" },
     });
     assert_eq!(parameters, &expected);
     assert!(document["errors"].as_array().unwrap().iter().any(|errors| errors["image"] == "half_b"));

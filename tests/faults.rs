@@ -112,7 +112,7 @@ fn what_is_no_file_is_told_and_not_waited_for() {
     assert_untouched(&folder);
 }
 
-/// A frame whose one half is a flat grey and whose other half is noise.
+/// A square frame of noise around grey, with halves and variance.
 fn frame(side: u32) -> Frame {
     let extent = Extent { width: side, height: side };
     let plane =
@@ -262,7 +262,7 @@ mod unix {
         Outcome { code: output.status.code().unwrap_or(-1), stdout: text(output.stdout), stderr: text(output.stderr) }
     }
 
-    /// Whether the user is root, whom permissions do not bind.
+    /// Runs the command as another user if the user is root, whom permissions do not bind.
     fn as_nobody(command: &mut Command) {
         let folder = Folder::new();
         if std::fs::metadata(folder.path("")).unwrap().uid() == 0 {

@@ -107,7 +107,8 @@ fn names_kinds_and_types_that_do_not_match_are_refused() {
     );
     assert_eq!(
         build("source", "origin"),
-        "scale: the shader declares 'var<storage, read> origin', which the host does not bind (it binds 'params', 'source', 'scaled')"
+        "scale: the shader declares 'var<storage, read> origin', which the host does not bind \
+         (it binds 'params', 'source', 'scaled')"
     );
     assert_eq!(
         build("<storage, read> source", "<storage, read_write> source"),

@@ -15,7 +15,7 @@ use reference::sure::sure;
 use reference::variance::{BoxWeight, Signal, spread_of_halves, variance_scale};
 use reference::{Grid, Planes, Point, square};
 
-/// Both presets at a radius that a test can afford; they differ in every switch.
+/// Both presets with a small radius; they differ in every switch.
 fn presets() -> [(&'static str, DfcParams); 2] {
     let small = |params| DfcParams { window_radius: 4, ..params };
     [("default", small(DfcParams::default())), ("thesis", small(DfcParams::thesis()))]
@@ -87,7 +87,7 @@ fn noisy_frame(mean: &[Grid], sigma: f64, seed: u64) -> Frame {
     Frame { color: signal(mean, sigma), features: vec![signal(&mean[..1], sigma / 10.0)], explaining: Vec::new() }
 }
 
-// Examples small enough to do by hand.
+// Examples small enough to compute by hand.
 
 #[test]
 fn a_pair_of_pixels_has_the_weight_of_equation_8_2() {
@@ -268,7 +268,7 @@ fn the_least_error_wins_and_ties_go_to_the_later_candidate() {
 #[test]
 fn a_rival_need_not_take_part() {
     let inf = f64::INFINITY;
-    // FIRST filters less than SECOND, and is told so or not.
+    // FIRST filters less than SECOND; SECOND is its rival or not.
     for (errors, rivals, winner) in [
         ([1.0, 2.0], [Some(1), None], 1),
         ([3.0, 2.0], [Some(1), None], 1),
@@ -347,7 +347,7 @@ fn a_gaussian_keeps_a_constant_and_is_normalised_at_the_border() {
     assert_close(smoothed.values[0], 1.0 / (1.0 + weight), 1e-12, "border");
 }
 
-/// Equation 6.2 says what the noise of an average is, at the border too.
+/// Equation 6.2 gives the noise of an average, also at the border.
 #[test]
 fn a_gaussian_of_noise_has_the_variance_of_its_squared_weights() {
     let deviation = Grid::from_fn(9, 7, |p| 0.5 + 0.1 * (p.x + p.y) as f64);
@@ -376,8 +376,8 @@ fn neighbours_are_averaged_without_the_centre() {
 
 // Greedy error minimisation.
 
-/// Section 6.2.2: where the image is quadratic, the bias term is the difference of the squared biases, although nobody
-/// told it the truth. Gaussians that end at 3σ have biases in a ratio of their scales within 2 %.
+/// Section 6.2.2: if the image is quadratic, the bias term is the difference of the squared biases, although it does
+/// not know the truth. Gaussians that end at 3σ have biases in a ratio of their scales within 2 %.
 #[test]
 fn the_bias_term_knows_the_biases_of_a_quadratic() {
     let truth = Grid::from_fn(81, 81, |p| {
@@ -450,7 +450,7 @@ fn an_outlier_does_not_decide_how_the_variances_around_it_are_scaled() {
     assert_close(beside(BoxWeight::Deviation), 440.0 / 1440.0, 0.1, "variance beside an outlier");
 }
 
-/// Shared by every later stage: mixing up the two is a factor of two that no other test sees.
+/// All later stages depend on this: mixing up the two gives a factor of two that no other test finds.
 #[test]
 fn the_squared_spread_is_the_variance_of_the_mean_and_the_squared_difference_halved_that_of_a_half() {
     let (width, height, sigma) = (64, 64, 0.7);
@@ -591,7 +591,7 @@ fn the_derivative_of_third_is_the_centre_weights_share() {
     }
 }
 
-/// Eq. 8.5 says nothing of a single pixel, but its mean over many is the mean squared error.
+/// Eq. 8.5 does not hold for a single pixel, but its mean over many pixels is the mean squared error.
 #[test]
 fn sure_is_unbiased_for_every_candidate() {
     const SEEDS: u64 = 10;
@@ -656,8 +656,8 @@ fn a_constant_image_stays_constant() {
     }
 }
 
-/// Every pixel differs from every other in colour, so nothing but the pixel itself has weight where the colour matters,
-/// and THIRD, where it does not, shows its error.
+/// Every pixel differs in colour from all others, so only the pixel itself has weight in filters that compare the
+/// colour. THIRD, which does not, has an error.
 #[test]
 fn an_image_without_noise_is_left_alone() {
     let mut random = Random(9);

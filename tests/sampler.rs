@@ -224,7 +224,7 @@ fn features_say_what_the_first_hit_is() {
     assert_eq!(nothing, [vec![0.0; 3], vec![0.0; 3], vec![0.0], vec![1.0], vec![0.0; 3]]);
 }
 
-/// All kinds of lights on all kinds of surfaces, large enough that chance finds them.
+/// A scene with all kinds of lights and surfaces; the lights are large enough to be hit by chance.
 fn everything() -> Scene {
     let camera = Camera {
         eye: Vec3::new(0.0, 1.2, 4.0),
@@ -252,7 +252,7 @@ fn everything() -> Scene {
 #[test]
 fn light_sampling_and_chance_agree_in_the_mean() {
     let counts = SampleCounts::uniform(square(16), 512).unwrap();
-    // Of different seeds: the camera's rays are the same otherwise.
+    // With different seeds: otherwise the camera's rays are the same.
     let draw = |transport, seed| {
         StubSampler::new(everything(), square(16), seed, Sequence::Random)
             .with_transport(transport)
@@ -263,7 +263,7 @@ fn light_sampling_and_chance_agree_in_the_mean() {
     let ((a, error_a), (b, error_b)) = (mean_and_error(&sampled), mean_and_error(&chance));
     assert!(error_a < 0.8 * error_b, "light sampling should be less noisy: {error_a} {error_b}");
     assert!((a - b).abs() < 4.0 * error_a.hypot(error_b), "{a} ± {error_a}, {b} ± {error_b}");
-    // Pixel by pixel too: the squared difference is as large as the variances say.
+    // For each pixel too: the squared difference agrees with the variances.
     let mut ratios = Vec::new();
     for channel in 0..3 {
         let variance = |raw: &RawSignal, pixel: usize| raw.variance_of_mean.as_ref().unwrap().planes[channel][pixel];
@@ -436,7 +436,8 @@ fn halves_are_independent_and_their_spread_is_the_variance() {
 
 #[test]
 fn the_sample_variance_is_the_variance_of_the_mean() {
-    // 400 renders of 64 pixels with 2 and 6 samples: how the means scatter, against what each render says.
+    // 400 renders of 64 pixels with 2 and 6 samples: the scatter of the means, compared with the variance that each
+    // render claims.
     for samples in [2, 6] {
         let renders: Vec<_> =
             (0..400).map(|seed| render(everything(), 8, samples, 100 + seed, Sequence::Random).color()).collect();
@@ -535,7 +536,7 @@ fn progress_is_reported_and_can_cancel() {
     );
     assert!(matches!(cancelled, Err(Error::Cancelled)));
     assert!(shares.is_sorted() && shares[0] == 1.0 / 16.0, "{shares:?}");
-    // As if it had not been asked.
+    // As if it had drawn nothing.
     assert_close(&sampler.sample(&counts, None).unwrap(), &render(everything(), 16, 2, 12, Sequence::Random));
 }
 

@@ -1,5 +1,5 @@
-//! Every stage, with every set of definitions that the product uses, is valid WGSL and can be said in the language of
-//! every driver. Needs no adapter.
+//! Every stage, with every set of definitions in use, is valid WGSL and can be translated for every backend. Needs no
+//! adapter.
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on says where")]
 
 use naga::ShaderStage;
@@ -35,7 +35,7 @@ fn candidates() -> (&'static str, Vec<Definition>) {
     ("CANDIDATES", numbers(&[1, 3, 5, 8]))
 }
 
-/// Which filters of a pass over the window take part.
+/// Filters of a pass over the window that take part.
 fn takes_part() -> Vec<(&'static str, Vec<Definition>)> {
     ["SMALL", "LARGE", "FEATURES_ALONE"].map(|name| (name, flags())).to_vec()
 }
@@ -52,16 +52,15 @@ fn as_a_pass(set: Definitions) -> Option<Definitions> {
     is_pass.then(|| [&set[..], &color].concat())
 }
 
-/// What opposite neighbours do for each other: nothing, by degrees, at once.
+/// Treatment of opposite neighbours: none, by degrees, at once.
 fn with_rules(sets: &[Definitions]) -> Vec<Definitions> {
     let rules = [(false, false), (true, false), (true, true)]
         .map(|(symmetric, hard)| [("SYMMETRIC", symmetric.into()), ("SYMMETRIC_HARD", hard.into())]);
     sets.iter().flat_map(|set| rules.iter().map(|rule| [set.as_slice(), rule].concat())).collect()
 }
 
-/// What the functions of `stein::stage` are called with: patches of 0 to 5 pixels, of which 1 and 3 are the presets',
-/// small ones beside large ones or none, packed features in up to eight groups. A stage that is missing here is a stage that
-/// nobody has thought through.
+/// Definitions that the functions of `stein::stage` use: patches of 0 to 5 pixels (1 and 3 in the presets), small
+/// patches beside large ones or none, packed features in up to eight groups. Every stage must be listed here.
 fn definitions(stage: &str) -> Option<Vec<Definitions>> {
     let none = Some(vec![Vec::new()]);
     match stage {
@@ -201,7 +200,7 @@ fn definitions(stage: &str) -> Option<Vec<Definitions>> {
                 .into_iter()
                 .flat_map(|frames| with_rules(&set(frames)))
                 .map(whole);
-            // What may be left out of them.
+            // Parts that may be left out.
             let shape = [
                 ("PATCH_RADIUS", 3.into()),
                 ("SMALL_PATCH_RADIUS", 1.into()),
@@ -263,10 +262,10 @@ fn spirv(stage: &str, set: &Definitions) -> Vec<u32> {
     spv::write_vec(&module, &info, &spv::Options::default(), None).unwrap()
 }
 
-/// Storage buffers that every WebGPU device lets a shader see.
+/// Number of storage buffers per shader on every WebGPU device.
 const STORAGE_BUFFERS_EVERYWHERE: usize = 8;
 
-/// Workgroups that every WebGPU device runs along an axis of one dispatch.
+/// Number of workgroups per axis of a dispatch on every WebGPU device.
 const WORKGROUPS_EVERYWHERE: u32 = 65_535;
 
 /// Images are cut into strips of rows, but not of columns; files of wider images are refused.
@@ -303,8 +302,8 @@ fn every_stage_is_valid_translates_and_fits_the_least_of_devices() {
     }
 }
 
-/// What is compiled once is found again, by us and by the driver: so a stage has to be the same to the byte, whichever
-/// were composed before it.
+/// Caches find a compiled stage by its source, so a stage must be the same to the byte, whichever stages were composed
+/// before it.
 #[test]
 fn a_stage_is_the_same_whatever_was_composed_before() {
     let all = |stages: &[&'static str]| -> Vec<Vec<u32>> {
@@ -317,8 +316,8 @@ fn a_stage_is_the_same_whatever_was_composed_before() {
     assert_eq!(all(&forwards), again);
 }
 
-/// Every file in `shaders/` is a stage and every file in `shaders/shared/` a piece that stages import: what lies there
-/// unused only looks like part of the product.
+/// Every file in `shaders/` is a stage and every file in `shaders/shared/` a piece that stages import: unused files
+/// would only look like part of the program.
 #[test]
 fn every_file_is_used() {
     let names = |folder: &str| {

@@ -1,8 +1,8 @@
-//! A renderer with a wgpu device of its own that denoises its buffers where they are.
+//! A renderer that denoises the buffers of its own wgpu device in place.
 //!
-//! It renders, denoises and shows within one command encoder, and reads nothing back in between. Here, the picture is
-//! then copied to a file; a renderer with a window would present it. Run with
-//! `cargo run --release --example embed -- picture.ppm`.
+//! It renders, denoises and shows in one command encoder, without reading anything back in between. This example then
+//! copies the picture to a file; a renderer with a window would present it. Run it with `cargo run --release --example
+//! embed -- picture.ppm`.
 
 use std::error::Error;
 use std::sync::Arc;
@@ -15,7 +15,7 @@ use stein::{Denoiser, DfcParams, Gpu, wgpu};
 
 const WIDTH: u32 = 192;
 const HEIGHT: u32 = 128;
-/// Of each half.
+/// Samples per pixel of each half.
 const SAMPLES: u32 = 8;
 
 fn main() -> Result<(), Box<dyn Error>> {
@@ -27,7 +27,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     Ok(())
 }
 
-/// The picture as it was rendered, and denoised.
+/// Returns the rendered picture and the denoised one.
 fn render_and_denoise() -> Result<[Vec<u8>; 2], Box<dyn Error>> {
     let renderer = Renderer::open()?;
     let gpu = Gpu::from_wgpu(renderer.device.clone(), renderer.queue.clone(), &renderer.info)?;
@@ -58,7 +58,7 @@ struct Renderer {
     show: wgpu::ComputePipeline,
 }
 
-/// What a frame is rendered to.
+/// The buffers that a frame is rendered to.
 struct Rendered {
     color: wgpu::Buffer,
     albedo: wgpu::Buffer,
@@ -66,7 +66,7 @@ struct Rendered {
 }
 
 impl Rendered {
-    /// The same buffers as the denoiser wants them. Radiance is of the order of 1, and albedo in the unit range.
+    /// Returns the buffers as the denoiser takes them. Radiance is of the order of 1, and albedo in the unit range.
     fn frame(&self, gpu: &Gpu) -> stein::Result<GpuFrame> {
         let import = |label, buffer: &wgpu::Buffer| gpu.import(label, buffer.clone()).map(Arc::new);
         let variance_of_mean = Some(import("variance", &self.variance)?);
@@ -131,7 +131,7 @@ impl Renderer {
         rendered
     }
 
-    /// Records how a linear colour becomes a picture.
+    /// Records the conversion of a linear colour to a picture.
     fn show(&self, encoder: &mut wgpu::CommandEncoder, color: &wgpu::Buffer, picture: &wgpu::Texture) {
         let view = picture.create_view(&wgpu::TextureViewDescriptor::default());
         self.dispatch(encoder, &self.show, &[color.as_entire_binding(), wgpu::BindingResource::TextureView(&view)]);
@@ -172,7 +172,7 @@ impl Renderer {
         })
     }
 
-    /// RGBA, 8 bits each, row by row.
+    /// Returns the picture as RGBA, 8 bits each, row by row.
     fn read(&self, picture: &wgpu::Texture) -> Result<Vec<u8>, Box<dyn Error>> {
         let staging = self.buffer(4 * WIDTH * HEIGHT, wgpu::BufferUsages::COPY_DST | wgpu::BufferUsages::MAP_READ);
         let mut encoder = self.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
@@ -191,8 +191,7 @@ impl Renderer {
     }
 }
 
-/// How much neighbours differ within the squares of the floor at the bottom, in parts of white: the mean over pairs of
-/// pixels.
+/// Returns the mean difference of neighbouring pixels within the squares of the floor at the bottom, relative to white.
 fn grain(picture: &[u8]) -> f64 {
     let (mut sum, mut count) = (0.0, 0.0);
     for y in 120..124 {
@@ -205,7 +204,7 @@ fn grain(picture: &[u8]) -> f64 {
     sum / count
 }
 
-/// Both pictures side by side.
+/// Returns both pictures side by side, as a PPM file.
 fn ppm(pictures: &[Vec<u8>; 2]) -> Vec<u8> {
     let mut file = format!("P6 {} {HEIGHT} 255\n", 2 * WIDTH).into_bytes();
     for row in 0..HEIGHT as usize {

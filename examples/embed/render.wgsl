@@ -1,14 +1,13 @@
 // Stands in for a renderer: a lit sphere over a checked floor, with the noise of a few samples per pixel.
 //
-// Writes what the denoiser takes, one vec4 per pixel and plane:
-//   color   two planes: the mean, then (A − B)/2 of the two halves
-//   albedo  two planes of the same kind, in the unit range
-//   noise   one plane: the variance of the mean, s²/n
+// Writes the input of the denoiser, one vec4 per pixel and plane:   color   two planes: the mean, then (A − B)/2 of the
+// two halves   albedo  two planes of the same kind, in the unit range   noise   one plane: the variance of the mean,
+// s²/n
 
 struct Params {
     width: u32,
     height: u32,
-    // Of each half; at least 2.
+    // Samples per pixel of each half; at least 2.
     samples: u32,
     frame: u32,
 }
@@ -60,7 +59,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
         for (var sample = 0u; sample < params.samples; sample++) {
             let jitter = vec2<f32>(random(&state), random(&state));
             let found = surface((vec2<f32>(id.xy) + jitter) / extent);
-            // Light that arrives in some of the paths only.
+            // Light that only some of the paths find.
             let value = found.radiance * -log(1.0 - random(&state));
             colors[half] += value;
             albedos[half] += found.albedo;

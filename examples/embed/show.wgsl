@@ -1,4 +1,4 @@
-// Stands in for a renderer's display: a linear colour to a picture.
+// Stands in for a renderer's display: converts a linear colour to a picture.
 
 @group(0) @binding(0) var<storage, read> color: array<vec4<f32>>;
 @group(0) @binding(1) var picture: texture_storage_2d<rgba8unorm, write>;

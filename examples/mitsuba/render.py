@@ -1,7 +1,8 @@
-"""Renders with Mitsuba 3 what a sampling map asks for: a client of `stein adapt --sampler-command`.
+"""Draws the samples of a sampling map with Mitsuba 3: a client of `stein adapt --sampler-command`.
 
-Reads the layer `samples` of the map (even numbers of samples to draw in each pixel), and writes the new samples alone: for the colour and the features albedo, normal and
-depth their mean, the means of both halves and the sample variance of the mean, and the number of samples in each pixel.
+Reads the layer `samples` of the map: even numbers of samples to draw in each pixel.
+Writes the new samples alone: the colour and the features albedo, normal and depth, each with its mean, the means of
+both halves and the sample variance of the mean, and the number of samples in each pixel.
 """
 
 import argparse
@@ -12,12 +13,12 @@ import numpy as np
 
 def arguments():
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("--scene", help="Mitsuba XML file [default: a Cornell box with a glass ball and a metal one]")
+    parser.add_argument("--scene", help="Mitsuba XML file [default: a Cornell box with a glass ball and a metal ball]")
     parser.add_argument("--map", help="sampling map to draw")
     parser.add_argument("--spp", type=int, help="without a map: samples in every pixel, an even number")
     parser.add_argument("--size", default="256x256", help="without a map: width and height")
     parser.add_argument("--out", required=True, help="EXR file to write")
-    parser.add_argument("--iteration", type=int, default=1, help="other numbers give other samples")
+    parser.add_argument("--iteration", type=int, default=1, help="number of the iteration, which seeds the samples")
     parser.add_argument("--depth", type=int, default=12, help="longest path")
     parser.add_argument("--reference", action="store_true", help="write the colour alone")
     parser.add_argument("--variant", default="llvm_ad_rgb", help="Mitsuba variant: llvm_ad_rgb or cuda_ad_rgb")
@@ -40,13 +41,20 @@ def load_scene(path, width, height):
         scene = mi.load_file(path)
         size = scene.sensors()[0].film().size()
         if (size[0], size[1]) != (width, height):
-            sys.exit(f"{path}: the film is of {size[0]}x{size[1]}, but {width}x{height} are asked for: give `stein adapt` that --size")
+            sys.exit(
+                f"{path}: the film is of {size[0]}x{size[1]}, but {width}x{height} are asked for: "
+                "give `stein adapt` that --size"
+            )
         return scene
     box = mi.cornell_box()
     box["sensor"]["film"]["width"], box["sensor"]["film"]["height"] = width, height
     del box["small-box"], box["large-box"]
     place = mi.ScalarTransform4f
-    box["glass"] = {"type": "sphere", "to_world": place().translate([0.35, -0.6, 0.35]).scale(0.4), "bsdf": {"type": "dielectric"}}
+    box["glass"] = {
+        "type": "sphere",
+        "to_world": place().translate([0.35, -0.6, 0.35]).scale(0.4),
+        "bsdf": {"type": "dielectric"},
+    }
     metal = {"type": "roughconductor", "material": "Cu", "alpha": 0.15}
     box["metal"] = {"type": "sphere", "to_world": place().translate([-0.4, -0.55, -0.3]).scale(0.45), "bsdf": metal}
     return mi.load_dict(box)
@@ -60,7 +68,9 @@ def draw(scene, integrator, pixels, width, height, seed):
     index = mi.UInt32(pixels.astype(np.uint32))
     place = mi.Point2f(index % width, index // width) + sampler.next_2d()
     time = sensor.shutter_open() + sampler.next_1d() * sensor.shutter_open_time()
-    ray, weight = sensor.sample_ray_differential(time, sampler.next_1d(), place / mi.Point2f(width, height), sampler.next_2d())
+    ray, weight = sensor.sample_ray_differential(
+        time, sampler.next_1d(), place / mi.Point2f(width, height), sampler.next_2d()
+    )
     hit = scene.ray_intersect(ray)
     valid = hit.is_valid()
     albedo = dr.select(valid, hit.bsdf(ray).eval_diffuse_reflectance(hit), 0)
@@ -104,7 +114,8 @@ def render(scene, counts, options):
             # Seeds of different iterations, chunks and halves never meet.
             seed = (options.iteration * 2 + half) * 65536 + chunk
             halves.append(draw(scene, integrator, first + local, width, height, seed))
-            print(f"iteration {options.iteration}: {100 * (first + (half + 1) / 2 * (end - first)) / counts.size:.0f} %", file=sys.stderr)
+            done = 100 * (first + (half + 1) / 2 * (end - first)) / counts.size
+            print(f"iteration {options.iteration}: {done:.0f} %", file=sys.stderr)
         known = pairs > 0
         n = 2.0 * pairs[known]
         total = lambda values: np.bincount(local, values, end - first)[known]

@@ -54,7 +54,8 @@ fn write_and_read_again(set: &BufferSet, file: &Path) {
     let color = set.color().mean;
     let layers = DenoisedLayers { color: &color, replacements: &[], dropped: &[], extra: &[], attributes: &[] };
     write_denoised(set.clone(), file, &layers).unwrap_or_else(|error| panic!("it cannot be written: {error}"));
-    let again = read_reference(file, Some(set.color_layer()).filter(|name| !name.is_empty())).unwrap_or_else(|error| panic!("it was written wrong: {error}"));
+    let again = read_reference(file, Some(set.color_layer()).filter(|name| !name.is_empty()))
+        .unwrap_or_else(|error| panic!("it was written wrong: {error}"));
     assert_eq!(again.extent, color.extent);
 }
 

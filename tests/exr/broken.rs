@@ -1,5 +1,5 @@
-//! The corpus of broken files: each is made here, lies in `testdata/broken`, and is refused with its name, what is
-//! wrong and what to do.
+//! The corpus of broken files: each is made here, is stored in `testdata/broken`, and is refused with its name, the
+//! problem and a remedy.
 
 use std::path::{Path, PathBuf};
 
@@ -9,13 +9,13 @@ use stein_exr::BufferSet;
 use super::draft::{Block, CHANNELS, Draft, HALF, HEIGHT, channel_list, channels, ints};
 use super::{folder, request};
 
-/// Set, the corpus is written anew.
+/// Environment variable: if it is set, the corpus is written again.
 const REMAKE: &str = "STEIN_REMAKE_BROKEN";
 
 struct Broken {
     name: String,
     bytes: Vec<u8>,
-    /// What the message must say.
+    /// Words that the message must have.
     said: &'static str,
 }
 
@@ -23,7 +23,7 @@ fn corpus() -> Vec<Broken> {
     let mut corpus = Vec::new();
     let (whole, marks) = Draft::good().bytes();
 
-    // Cut where something begins, and in its middle.
+    // Cut at the beginning of each part of the file, and in its middle.
     for (index, (name, at)) in marks.iter().enumerate() {
         let end = marks.get(index + 1).map_or(whole.len(), |(_, at)| *at);
         let said = match name.as_str() {
@@ -85,7 +85,7 @@ fn corpus() -> Vec<Broken> {
         |name: &str, bytes: Vec<u8>, said: &'static str| corpus.push(Broken { name: name.to_owned(), bytes, said });
     let mut draft = |name: &str, draft: Draft, said: &'static str| add(name, draft.bytes().0, said);
 
-    // Windows: what they claim is never allocated.
+    // Windows: the memory that they claim is never allocated.
     draft("window_of_2_31", Draft::good().window([0, 0, i32::MAX, i32::MAX]), "claims");
     draft("window_overflow", Draft::good().window([i32::MIN, i32::MIN, i32::MAX, i32::MAX]), "claims");
     draft("window_100k", Draft::good().window([0, 0, 99_999, 99_999]), "larger than the file can hold");
@@ -130,7 +130,7 @@ fn corpus() -> Vec<Broken> {
     };
     draft("all_nan", nan(Draft::good()), "not one pixel");
 
-    // Blocks and where they are.
+    // Blocks and their positions.
     let places = Draft::good().places();
     let offsets = |offsets: Vec<u64>| Draft { offsets: Some(offsets), ..Draft::good() };
     draft("offsets_missing", offsets(vec![places[0], 0, places[2]]), "block (0, 1) is missing");
@@ -161,11 +161,11 @@ fn corpus() -> Vec<Broken> {
         ("dwaa", 8),
         ("dwab", 9),
     ] {
-        // Of B44, too few for the blocks.
+        // Too few bytes for the blocks of B44.
         let noise = (0..if name.starts_with('b') { 10 } else { 100u32 })
             .map(|at| (at.wrapping_mul(2_654_435_761) >> 24) as u8)
             .collect();
-        // Of one row, and therefore of three blocks.
+        // One row per block, and therefore three blocks.
         let one = Draft::compressed(method, noise);
         let several = Draft {
             blocks: (0..HEIGHT).map(|y| Block { numbers: vec![y], ..one.blocks[0].clone() }).collect(),
@@ -211,7 +211,7 @@ fn committed() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("testdata/broken")
 }
 
-/// What is said of a file up to its frame.
+/// Returns the error of reading a file and making a frame of it.
 fn refusal(path: &Path) -> String {
     match BufferSet::read(&request(path)) {
         Err(error) => {

@@ -1,4 +1,4 @@
-//! OpenEXR files put together by hand, so that each can be broken in one place.
+//! OpenEXR files made byte by byte, so that each can be broken in one place.
 
 #[derive(Clone)]
 pub(crate) struct Attribute {
@@ -7,7 +7,7 @@ pub(crate) struct Attribute {
     pub(crate) value: Vec<u8>,
 }
 
-/// A block: the numbers before its size, its size as it is claimed, and its bytes.
+/// A block: the numbers before its size, its claimed size, and its bytes.
 #[derive(Clone)]
 pub(crate) struct Block {
     pub(crate) numbers: Vec<i32>,
@@ -20,14 +20,14 @@ pub(crate) struct Draft {
     pub(crate) version: [u8; 4],
     pub(crate) parts: Vec<Vec<Attribute>>,
     pub(crate) blocks: Vec<Block>,
-    /// In place of where the blocks are.
+    /// Offsets to write in place of the real ones.
     pub(crate) offsets: Option<Vec<u64>>,
 }
 
 pub(crate) const WIDTH: i32 = 4;
 pub(crate) const HEIGHT: i32 = 3;
 
-/// Of R G B, their variance, and what a test adds.
+/// Channels: R G B, their variance, and those that a test adds.
 pub(crate) const CHANNELS: [&str; 6] = ["B", "G", "R", "variance.B", "variance.G", "variance.R"];
 
 /// A type number: half float.
@@ -57,7 +57,7 @@ fn attribute(name: &'static str, kind: &'static str, value: Vec<u8>) -> Attribut
 }
 
 impl Draft {
-    /// A file that is as it should be: 4×3 pixels, one part, not compressed, a block for each row.
+    /// A valid file: 4×3 pixels, one part, not compressed, a block for each row.
     pub(crate) fn good() -> Self {
         Self::of(&CHANNELS)
     }
@@ -84,14 +84,14 @@ impl Draft {
         Self { version: [2, 0, 0, 0], parts: vec![attributes], blocks, offsets: None }
     }
 
-    /// All rows in one block of these bytes.
+    /// The file with all rows in one block of these bytes.
     pub(crate) fn compressed(method: u8, bytes: Vec<u8>) -> Self {
         let mut draft = Self::good().with("compression", vec![method]);
         draft.blocks = vec![Block { numbers: vec![0], claimed: None, bytes }];
         draft
     }
 
-    /// Two parts: the colour, and the variance, which may have another window.
+    /// A file of two parts: the colour, and the variance, which may have another window.
     pub(crate) fn of_two_parts(second_window: [i32; 4]) -> Self {
         let mut draft = Self::of(&CHANNELS[..3]);
         draft.version[1] = 0x10;
@@ -117,7 +117,7 @@ impl Draft {
         Self { parts, blocks, ..draft }
     }
 
-    /// With another value for an attribute of all parts, or one more.
+    /// The file with another value for an attribute of all parts, or with one more attribute.
     pub(crate) fn with(mut self, name: &'static str, value: Vec<u8>) -> Self {
         for part in &mut self.parts {
             let found = part.iter_mut().find(|attribute| attribute.name == name);
@@ -140,7 +140,7 @@ impl Draft {
         self.with("dataWindow", ints(&corners))
     }
 
-    /// The file, and what begins where in it.
+    /// Returns the bytes of the file, and the positions of its parts.
     pub(crate) fn bytes(&self) -> (Vec<u8>, Vec<(String, usize)>) {
         let mut bytes = vec![0x76, 0x2f, 0x31, 0x01];
         let mut marks = vec![("version".to_owned(), bytes.len())];
@@ -177,7 +177,7 @@ impl Draft {
         (bytes, marks)
     }
 
-    /// Where the blocks are.
+    /// Positions of the blocks.
     pub(crate) fn places(&self) -> Vec<u64> {
         let marks = self.bytes().1;
         marks.into_iter().filter(|(name, _)| name.starts_with("block")).map(|(_, at)| at as u64).collect()

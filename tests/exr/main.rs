@@ -131,7 +131,7 @@ fn note(set: &BufferSet, layer: &str) -> String {
     set.layer_uses().iter().find(|found| found.layer == layer).unwrap().note.clone().unwrap_or_default()
 }
 
-/// What `Part::with(_, "RGB", start)` holds.
+/// The planes of `Part::with(_, "RGB", start)`.
 fn rgb(start: f32) -> Planes {
     let extent = Extent { width: SIZE.0 as u32, height: SIZE.1 as u32 };
     Planes { extent, planes: (0..3).map(|c| ramp(start + 100.0 * c as f32, PIXELS)).collect() }

@@ -1,4 +1,4 @@
-//! Names of layers, channels and attributes: any bytes, as long as the format allows.
+//! Names of layers, channels and attributes: any bytes, up to the length that the format allows.
 
 use std::fs;
 
@@ -6,19 +6,20 @@ use stein_exr::{LayerRef, NamedLayer, write_denoised, write_layers};
 
 use super::*;
 
-/// The text whose Latin-1 bytes are the UTF-8 bytes of another: what the encoder of the tests turns into those bytes.
+/// Returns the text whose Latin-1 bytes are the UTF-8 bytes of `name`: the encoder of the tests turns it into those
+/// bytes.
 fn as_utf8(name: &str) -> String {
     name.bytes().map(char::from).collect()
 }
 
-/// The names of all channels as they are stored.
+/// Returns the stored bytes of all channel names.
 fn stored_names(path: &Path) -> Vec<Vec<u8>> {
     let image = read_all_flat_layers_from_file(path).unwrap();
     let channels = image.layer_data.iter().flat_map(|part| part.channel_data.list.iter());
     channels.map(|channel| channel.name.as_slice().to_vec()).collect()
 }
 
-/// Whether the file says that it has long names.
+/// Whether the file has the flag for long names.
 fn has_flag(path: &Path) -> bool {
     fs::read(path).unwrap()[5] & 0x04 != 0
 }
@@ -36,7 +37,7 @@ fn names_in_utf8_and_latin_1_are_read_found_and_kept_to_the_byte() {
         .with(&as_utf8("Größe.halfB"), "RGB", 3.0)
         .with(&as_utf8("Größe.normal"), "XYZ", 4.0)
         .with(&as_utf8("深度"), "Z", 5.0)
-        // Latin-1, and no UTF-8.
+        // Valid Latin-1, but not UTF-8.
         .with("Stra\u{df}e", "RGB", 6.0);
     let input = write(folder.path(), "in.exr", vec![part]);
     let set = read(&input);
@@ -113,7 +114,7 @@ fn longer_names_are_refused_by_name_and_never_written() {
     }
     assert!(message.len() < 400, "{message}");
 
-    // A layer that gets too long by what is put before and behind its name.
+    // A layer whose name becomes too long by prefix and suffix.
     let set = read(&write(folder.path(), "in.exr", vec![Part::native()]));
     let long = NamedLayer {
         name: format!("stein.{}_prefiltered", "x".repeat(240)),

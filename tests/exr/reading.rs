@@ -1,4 +1,4 @@
-//! Which layer is taken for what, and what is in it.
+//! The use of each layer, and its values.
 
 use std::path::{Path, PathBuf};
 

@@ -1,4 +1,4 @@
-//! Files and requests that cannot be served: the message says which and what to do.
+//! Files and requests that cannot be served: the message names the file or the option, and a remedy.
 
 use stein::error::Remedy;
 use stein::frame::NoiseKnowledge;
@@ -37,7 +37,7 @@ fn a_feature_to_skip_that_the_input_lacks_is_named_with_those_that_it_has() {
         assert!(error.to_string().contains(part), "{error}");
     }
     assert_eq!(error.remedies(), [Remedy::NameFeatureToSkip]);
-    // Where none is used, a name that is none is an error all the same.
+    // If no feature is used, the name of a feature that does not exist is still an error.
     assert_eq!(
         BufferSet::read(&BufferSetRequest { no_features: true, ..skipping("depth") }).unwrap().feature_names().len(),
         0
@@ -123,7 +123,7 @@ fn what_is_optional_and_cannot_be_used_is_left_out_and_named() {
         }
         assert!(set.to_frame().is_ok());
     }
-    // A half that was asked for by name needs the other one, whatever else there is.
+    // A half that was requested by name needs the other half, even beside a variance.
     let part = Part::new().with("", "RGB", 1.0).with("first", "RGB", 2.0).with("variance", "RGB", 3.0);
     let input = write(folder.path(), "named.exr", vec![part]);
     let half_a = Some(LayerRef { file: input.clone(), layer: Some("first".into()) });
@@ -173,7 +173,7 @@ fn flipped_bytes_never_panic() {
                 let mut bytes = whole.clone();
                 bytes[at] = value;
                 std::fs::write(&input, &bytes).unwrap();
-                // Many of these are still readable; the rest must say which file it is.
+                // Many of these files are still readable; the errors of the others must name the file.
                 if let Err(error) = BufferSet::read(&request(&input)) {
                     assert!(error.to_string().contains("in.exr"), "{error}");
                 }
@@ -213,7 +213,7 @@ fn unreadable_kinds_of_exr_are_named_with_a_way_out() {
         assert!(message.contains(name) && message.contains("ZIP"), "{message}");
     }
     assert!(spoilt(&[(5, whole[5] | 0x08)]).contains("deep data"));
-    // Behind a channel's name stand its type, its linearity, and the sampling in x and y.
+    // The name of a channel is followed by its type, its linearity, and its sampling in x and y.
     let sampling = behind(b"\0R\0\x02\0\0\0") + 4;
     let message = spoilt(&[(sampling, 5), (sampling + 4, 3)]);
     assert!(message.contains("subsampled"), "{message}");

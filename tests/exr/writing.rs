@@ -1,4 +1,4 @@
-//! Outputs: what is replaced, and that nothing else is.
+//! Outputs: the layers that are replaced; all others stay.
 
 use std::path::Path;
 
@@ -91,7 +91,7 @@ fn a_sun_near_the_largest_half_float_stays_bright_under_dwa() {
     let (input, output) = (folder.path().join("in.exr"), folder.path().join("out.exr"));
     let size = (32, 32);
     let is_sun = |pixel: usize| (12..20).contains(&(pixel % 32)) && (12..20).contains(&(pixel / 32));
-    // Not even, so that the waves overshoot.
+    // Uneven values, so that the waves overshoot.
     let value =
         |pixel: usize| if is_sun(pixel) { 60_000.0 + 5504.0 * (pixel * 7919 % 101) as f32 / 100.0 } else { 1.0 };
     let plane: Vec<f16> = (0..32 * 32).map(|pixel| f16::from_f32(value(pixel))).collect();
@@ -147,8 +147,8 @@ fn lines_and_tiles_may_stand_in_any_order() {
 fn a_compression_whose_encoder_is_not_sound_becomes_zip() {
     let folder = folder();
     let (input, output) = (folder.path().join("in.exr"), folder.path().join("out.exr"));
-    // B44 and B44A, stored as they are because they did not shrink. Its encoder has too little room for an image of one
-    // row.
+    // B44 and B44A blocks that did not shrink and are stored uncompressed. The encoder has too little room for an image
+    // of one row.
     for (method, width) in [(6, 4), (7, 3000)] {
         let values = (0..CHANNELS.len() * width)
             .flat_map(|at| f16::from_f32(if at % 2 == 0 { -6e4 } else { 6e4 }).to_le_bytes());

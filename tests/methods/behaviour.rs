@@ -1,5 +1,5 @@
-//! DFC as its callers use it: in strips, twice, on frames of several sizes, inside of a renderer, and ended before its
-//! time.
+//! DFC in the situations of its callers: in strips, twice, on frames of several sizes, inside a renderer, and
+//! cancelled.
 
 use std::ops::ControlFlow;
 use std::sync::Arc;
@@ -37,12 +37,12 @@ pub(crate) fn image(planes: &[Grid]) -> Image {
     Image { extent, planes: planes.iter().map(|grid| grid.values.iter().map(|v| *v as f32).collect()).collect() }
 }
 
-/// Random colour with spikes, and a feature that has halves only.
+/// A frame of random colour with spikes, and a feature with halves only.
 pub(crate) fn random_frame(width: usize, height: usize, factor: f32) -> Frame {
     frame_of([51, 52].map(|seed| scene(width, height, seed)), factor)
 }
 
-/// The same without spikes: filters average over all that they reach, so that it shows where something is missing.
+/// The same frame without spikes: filters then average over all pixels that they reach, so that missing ones show.
 pub(crate) fn calm_frame(width: usize, height: usize) -> Frame {
     frame_of([51, 52].map(|seed| calm_scene(width, height, seed)), 1.0)
 }
@@ -53,7 +53,7 @@ fn frame_of([color, feature]: [Scene; 2], factor: f32) -> Frame {
         image.planes.iter_mut().flatten().for_each(|value| *value *= factor);
         image
     };
-    // A frame takes variances above 10¹⁸ for damage, which no factor may reach here.
+    // A frame takes values above 10¹⁸ for damage; no factor may reach this limit here.
     let variance: Planes = color.variance.iter().map(|grid| grid.like(|p| grid.at(p).min(1e5))).collect();
     let color = Signal {
         mean: scaled(&color.mean, factor),
@@ -75,7 +75,7 @@ fn selection(estimate: &Estimate) -> &Image {
     estimate.selection.as_ref().unwrap_or_else(|| panic!("DFC has selection maps"))
 }
 
-/// Everything that a method says of a frame with halves, and the power of the colour's unit that it is in.
+/// All results of a method for a frame with halves, each with its power of the colour's unit.
 fn images(estimate: &Estimate) -> Vec<(&str, i32, &Image)> {
     let Some(half_spread) = &estimate.half_spread else { panic!("the frame has halves") };
     let mut images = vec![
@@ -88,7 +88,7 @@ fn images(estimate: &Estimate) -> Vec<(&str, i32, &Image)> {
     images
 }
 
-/// To the bit, but for the sign of 0. The colour's factor is a power of two: 1 for what is to be equal.
+/// Compares bits, except for the sign of 0. `factor` is the factor of the colour, a power of two; 1 for equal results.
 pub(crate) fn assert_same(what: &str, actual: &Estimate, expected: &Estimate, factor: f32) {
     for ((name, power, actual), (_, _, expected)) in images(actual).into_iter().zip(images(expected)) {
         let factor = factor.powi(power);
@@ -104,7 +104,7 @@ pub(crate) fn assert_same(what: &str, actual: &Estimate, expected: &Estimate, fa
     }
 }
 
-/// The most memory with which a frame is cut into so many strips, or nearly the most.
+/// Returns about the largest memory limit with which a frame is cut into so many strips.
 pub(crate) fn memory_for_strips(denoiser: &Denoiser, frame: &Frame, strips: usize, keep: &[Intermediate]) -> u64 {
     memory_for_strips_of_window(denoiser, &[frame], strips, keep)
 }
@@ -141,14 +141,14 @@ fn strips_give_the_bits_of_the_whole() {
     }
 }
 
-/// The same adapter as far as every device goes that WebGPU knows: 8 storage buffers, among other things.
+/// The adapter with the limits that every WebGPU device has, such as 8 storage buffers.
 fn least_gpu() -> Gpu {
     limited_gpu(|_| {})
 }
 
 #[test]
 fn the_least_of_devices_gives_the_same_bits() {
-    // Small: a software driver compiles kernels anew for what is in their uniform buffers.
+    // Small sizes: a software driver compiles kernels again for other values in their uniform buffers.
     let (least, params) = (least_gpu(), DfcParams { window_radius: 1, ..DfcParams::default() });
     assert_eq!(least.wgpu_device().limits().max_storage_buffers_per_shader_stage, 8);
     let frames = [random_frame(16, 12, 1.0), calm_frame(16, 12)];
@@ -162,7 +162,7 @@ fn the_least_of_devices_gives_the_same_bits() {
 
 #[test]
 fn strips_keep_to_the_memory_allowed() {
-    // Of its own: what other tests hold would count.
+    // A device of its own: buffers of other tests would count.
     let gpu = open(GpuOptions::default());
     let frame = random_frame(24, 300, 1.0);
     for strips in [3, 5] {
@@ -209,12 +209,12 @@ fn frames_of_other_sizes_leave_nothing_behind() {
     assert_eq!((gpu.kernel_count(), gpu.memory().bytes_in_use, gpu.memory().bytes_idle), (kernels, 0, 0));
 }
 
-/// A renderer's own buffers and its own encoder, from first to last.
+/// The buffers and the encoder of a renderer, without an upload or a read.
 #[test]
 fn a_renderer_that_keeps_its_buffers_gets_the_same_bits() {
     let gpu = open(GpuOptions::default());
     let denoiser = denoiser(&gpu, params());
-    // Median brightness between 1 and 2, and so no exposure that the renderer would have to know of.
+    // The median brightness is between 1 and 2, so the exposure is 1.
     let (color, paint) = (scene(45, 31, 53), scene(45, 31, 54));
     let brighter =
         |planes: &[Grid]| -> Planes { planes.iter().map(|grid| grid.like(|p| 0.5 * grid.at(p) + 0.5)).collect() };
@@ -282,7 +282,7 @@ fn a_renderer_that_keeps_its_buffers_gets_the_same_bits() {
     for (channel, plane) in planes {
         let actual = values[channel / 4 * (values.len() / 2)..].iter().skip(channel % 4).step_by(4);
         for (pixel, (actual, expected)) in actual.zip(plane).enumerate() {
-            // A frame has no −0 on the device.
+            // On the device a frame has no −0.
             let actual = actual + 0.0;
             assert_eq!(
                 actual.to_bits(),
@@ -295,7 +295,7 @@ fn a_renderer_that_keeps_its_buffers_gets_the_same_bits() {
     }
 }
 
-/// Beside a window: the same bits, and an end that needs no report of progress.
+/// Beside a window the bits are the same, and a run can be cancelled without a report of progress.
 #[test]
 fn sharing_the_device_changes_nothing_and_can_be_ended() {
     let frame = random_frame(37, 41, 1.0);
@@ -365,7 +365,7 @@ fn threads_share_a_device() {
                 for _ in 0..10 {
                     assert_same("beside another thread", &denoised(&denoiser, frame), &first, 1.0);
                 }
-                // Each of the two may run what the driver calls back for the other.
+                // Each of the two threads may run the driver's callbacks for the other.
                 let one = crate::common::run(gpu, |rec| rec.upload("one", &[1.0]));
                 for _ in 0..2000 {
                     assert_eq!(crate::common::bits(gpu, &one), [1.0f32.to_bits()]);
@@ -375,7 +375,7 @@ fn threads_share_a_device() {
     });
 }
 
-/// Two denoisers at once on one device: limits, peaks and times are of each alone.
+/// Two denoisers at once on one device: each has limits, peaks and times of its own.
 #[test]
 fn runs_share_a_device_and_nothing_else() {
     let gpu = open(GpuOptions::default());
@@ -472,7 +472,7 @@ fn the_unit_of_radiance_does_not_matter() {
     }
 }
 
-/// What the frame knows of its noise decides what is computed; whatever it is, there is a finite result.
+/// The known noise of a frame decides which steps run; in every case the result is finite.
 #[test]
 fn every_kind_of_frame_has_a_result() {
     let set = noisy("caustic_ring_32spp");

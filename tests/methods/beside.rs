@@ -1,5 +1,5 @@
-//! What lies beside something else: a shadow beside fireflies, texture without noise beside noise, a dark part beside a
-//! bright one, a blurred edge under features that are not blurred. No region may end worse than its noisy input.
+//! Regions beside others: a shadow beside fireflies, texture without noise beside noise, a dark part beside a bright
+//! one, a blurred edge under features that are not blurred. No region may become worse than its noisy input.
 
 use stein::frame::Signal;
 use stein::method::Method;
@@ -87,7 +87,7 @@ fn fireflies_do_not_light_up_the_shadow_beside_them() {
     for contrast in [10.0, 100.0, 1e3, 1e6] {
         let truth = colored(|p| if is_right(p) { 30.0 / contrast } else { 30.0 });
         let mut draws = sampled(&truth, 21);
-        // One sample of all, in the first half, at three pixels that are not far from the shadow.
+        // One bright sample, in the first half, at each of three pixels near the shadow.
         for (x, y) in [(29, 12), (26, 33), (31, 50)] {
             for (channel, plane) in truth.iter().enumerate() {
                 let (pixel, height) = (y * SIZE + x, 6.0 * plane.values[y * SIZE + x]);

@@ -1,5 +1,4 @@
-//! Dry runs: the memory that they tell is what a run takes, and the halo that they tell is how far results depend on a
-//! frame.
+//! Dry runs: their peak memory equals that of a run, and their halo is how far results depend on a frame.
 
 use stein::frame::Signal;
 use stein::gpu::{GpuOptions, MemoryUse};
@@ -14,7 +13,7 @@ use crate::common::{gpu, open};
 use crate::frames::new_frame;
 use crate::reference::random::Random;
 
-/// What a frame tells.
+/// What is known of a frame's noise.
 #[derive(Clone, Copy, Debug)]
 struct Told {
     halves: bool,
@@ -31,11 +30,12 @@ const KINDS: [Told; 6] = [
     Told { halves: false, variance: true, features: false },
 ];
 
-/// Nothing is told of the noise.
+/// Nothing is known of the noise.
 const IMAGE_ONLY: [Told; 2] =
     [Told { halves: false, variance: false, features: true }, Told { halves: false, variance: false, features: false }];
 
-/// A frame of which so much is told. Of two features, one has halves alone and one a single channel without noise.
+/// A frame with this knowledge of its noise and two features: one with halves only, and one with a single channel and
+/// no noise.
 fn frame(width: usize, height: usize, told: Told) -> Frame {
     let all = random_frame(width, height, 1.0);
     let color = all.color().clone();
@@ -56,7 +56,7 @@ fn methods() -> Vec<Method> {
     all.iter().flat_map(|method| Preset::ALL.iter().map(|preset| method.of_preset(*preset))).collect()
 }
 
-/// The same with a small window, so that it is done soon.
+/// The method with a small window, so that it runs fast.
 fn small(method: Method) -> Method {
     match method {
         Method::Dfc(params) => DfcParams { window_radius: 2, ..params }.into(),
@@ -136,10 +136,10 @@ fn a_dry_run_takes_no_memory_and_compiles_nothing() {
     assert_eq!((gpu.memory(), gpu.kernel_count()), (MemoryUse::default(), 0));
 }
 
-/// What becomes of some rows of a frame.
+/// Changes of some rows of a frame.
 #[derive(Clone, Copy, Debug)]
 struct Change {
-    /// Factors of the colour's mean, and of its spread and deviation.
+    /// Factor of the colour's mean, and factor of its spread and deviation.
     mean: f32,
     noise: f32,
     /// Whether features are changed, and the factor of their spread.
@@ -156,8 +156,8 @@ const CHANGES: [Change; 6] = [
     Change { mean: 50.0, noise: 1e4, values: true, feature_noise: 1e3 },
 ];
 
-/// Noise of one brightness with spikes in it, of which so much is told; some rows are changed, without a change in what
-/// is settled for the frame as a whole.
+/// A frame of noise of one brightness with spikes. Some rows are changed; values that are fixed for the whole frame
+/// (exposure, ranges) stay.
 fn noise(width: usize, height: usize, told: Told, spikes: f64, rows: std::ops::Range<usize>, change: Change) -> Frame {
     let mut random = Random(7);
     let extent = Extent { width: width as u32, height: height as u32 };
@@ -203,7 +203,7 @@ fn noise(width: usize, height: usize, told: Told, spikes: f64, rows: std::ops::R
     new_frame(color, features.into_iter().filter(|_| told.features).collect())
 }
 
-/// The bits of everything in a row.
+/// The bits of all results in a row.
 fn row(estimate: &Estimate, row: usize) -> Vec<u32> {
     let images = [
         Some(&estimate.color),
@@ -218,11 +218,11 @@ fn row(estimate: &Estimate, row: usize) -> Vec<u32> {
     planes.flat_map(|plane| &plane[row * width..][..width]).map(|value| value.to_bits()).collect()
 }
 
-/// The row that is looked at: an odd one, and not the first.
+/// The row whose results are compared: an odd one, and not the first.
 const ROW: usize = 11;
 const WIDTH: usize = 37;
 
-/// A method on frames of noise of which so much is told, and its halo.
+/// A method on frames of noise, and its halo.
 struct Case {
     denoiser: Denoiser,
     told: Told,
@@ -241,7 +241,7 @@ impl Case {
         Self { denoiser, told, spikes, halo, what: format!("{} of {told:?}, halo {halo}", method.name()) }
     }
 
-    /// What is made of the row if so many of the rows from a distance on are changed.
+    /// Returns the results of the row if this many rows from a distance on are changed.
     fn row(&self, from: usize, rows: usize, change: Change) -> Vec<u32> {
         let first = ROW + from;
         let frame = noise(WIDTH, ROW + self.halo + 7, self.told, self.spikes, first..first + rows, change);
@@ -274,9 +274,9 @@ fn nothing_beyond_the_halo_matters() {
     }
 }
 
-/// Of NLM, where the farthest pixels matter to the bit. The chains of the other methods are so long, or end in so many
-/// decisions, that nothing of the farthest pixels is left in a float; what each of their stages looks at is tested one by
-/// one, and a dry run adds it up.
+/// For NLM the farthest pixels change bits. The chains of the other methods are so long, or end in so many decisions,
+/// that the farthest pixels change no bit. `tests/stages/reach.rs` tests the reach of each of their stages, which a dry
+/// run adds up.
 #[test]
 fn the_halo_is_no_larger_than_what_matters() {
     for params in [NlmParams::default(), NlmParams::thesis()] {

@@ -1,5 +1,5 @@
-//! GEM on the GPU: against its float64 twin on parts of real renders, as its callers use it, and against what chapter 6
-//! says of it.
+//! GEM on the GPU: compared with its float64 twin on parts of renders, in the situations of its callers, and compared
+//! with the claims of chapter 6.
 
 use stein::frame::{SamplesPerPixel, Signal};
 use stein::gpu::GpuOptions;
@@ -36,7 +36,7 @@ fn with_samples(frame: &Frame, samples: SamplesPerPixel) -> Frame {
     Frame::new(frame.color().clone(), Vec::new(), samples).unwrap_or_else(|error| panic!("{error}")).0
 }
 
-/// Decisions fall the other way where the selector is within rounding of 0, or the smoothed map of 1/2.
+/// A decision may change if the selector is within rounding of 0, or the smoothed map within rounding of 1/2.
 const FLIPPED: f64 = 0.002;
 
 fn check(what: &str, frame: &Frame, params: GemParams) {
@@ -76,7 +76,7 @@ fn check(what: &str, frame: &Frame, params: GemParams) {
         );
         let share = pixels.filter(|p| flipped(*p)).count() as f64 / expected.values.len() as f64;
         assert!(share <= FLIPPED, "{what}: {name}: {share} of the decisions differ");
-        // Any neighbour may have been decided otherwise.
+        // The decision of any neighbour may differ.
         let tolerance = if share > 0.0 { 0.1 } else { 1e-5 };
         near(
             &format!("{name} smoothed"),
@@ -91,7 +91,7 @@ fn check(what: &str, frame: &Frame, params: GemParams) {
     let chosen = &twin.chosen;
     let sigma = std::slice::from_ref(&chosen.sigma);
     near("scale", &layer(&estimate, "scale", 1.0), sigma, &flat(sigma, 1.0), 1e-5, FLIPPED);
-    // A colour by its noise and a hundredth of the largest value around.
+    // A colour is measured by its noise and a hundredth of the largest value around.
     let largest = input.mean.iter().flat_map(|grid| &grid.values).fold(0.0, |most: f64, value| most.max(value.abs()));
     let color_scale: Planes =
         twin.variance.iter().map(|grid| grid.like(|p| grid.at(p).sqrt() + 0.01 * largest)).collect();
@@ -111,7 +111,7 @@ fn check(what: &str, frame: &Frame, params: GemParams) {
         FLIPPED,
     );
     let error = std::slice::from_ref(&result.error);
-    // What is left of the finest scale's variance when the coarser ones have taken their part of it.
+    // The variance of the finest scale, less the parts of the coarser ones.
     let terms = chosen
         .error
         .like(|p| twin.variance.iter().map(|grid| grid.at(p)).sum::<f64>() + chosen.error.at(p).abs() + 1e-9);
@@ -165,7 +165,7 @@ fn strips_give_the_bits_of_the_whole_within_the_memory_allowed() {
         let frame = calm_frame(width, height);
         let whole = with_everything_kept(params, &frame);
         assert_eq!(whole.strips, 1);
-        // Of its own: what other tests hold would count.
+        // A device of its own: buffers of other tests would count.
         let gpu = open(GpuOptions::default());
         let in_strips = Denoiser::new(&gpu, params).unwrap_or_else(|error| panic!("{error}"));
         let limit = memory_for_strips(&in_strips, &frame, 3, in_strips.method().intermediates());
@@ -174,7 +174,7 @@ fn strips_give_the_bits_of_the_whole_within_the_memory_allowed() {
         assert!(estimate.strips >= 3, "{phase:?}: {} strips", estimate.strips);
         assert!(estimate.peak_bytes <= limit, "{phase:?}: {} bytes where {limit} were allowed", estimate.peak_bytes);
         assert_same(&format!("{phase:?}, {} strips", estimate.strips), &estimate, &whole, 1.0);
-        // Few decisions hang on what is far away; the smoothed maps show each.
+        // Few decisions depend on far pixels; the smoothed maps show each.
         for (layer, expected) in estimate.layers.iter().zip(&whole.layers) {
             assert!(layer.image == expected.image, "{phase:?}: {}", layer.name);
         }
@@ -195,7 +195,7 @@ fn repetition_and_the_unit_of_radiance_do_not_change_a_bit() {
     }
 }
 
-/// A frame of one gray plane, seen without halves.
+/// A frame of one grey plane, without halves.
 fn gray(mean: &Grid, variance: &Grid, samples: SamplesPerPixel) -> Frame {
     let three = |grid: &Grid| image(&[grid.clone(), grid.clone(), grid.clone()]);
     let color = Signal { mean: three(mean), half_spread: None, variance_of_mean: Some(three(variance)) };
@@ -221,7 +221,7 @@ fn a_constant_image_stays_constant() {
     let frame = gray(&noise.like(|_| 0.3), &noise, SamplesPerPixel::Uniform(8.0));
     let estimate = with_everything_kept(GemParams::default(), &frame);
     assert!(estimate.color.planes.iter().flatten().all(|value| (value - 0.3).abs() < 1e-6));
-    // All bias is rounding: the coarsest scale everywhere.
+    // The only bias is rounding: the coarsest scale wins everywhere.
     assert!(layer(&estimate, "scale", 1.0)[0].values.iter().all(|sigma| *sigma == 16.0));
     let black = gray(&noise.like(|_| 0.0), &noise.like(|_| 0.0), SamplesPerPixel::Uniform(8.0));
     let estimate = denoised(&denoiser(GemParams::default()), &black);
@@ -252,8 +252,8 @@ fn sampled(
     (mean, variance)
 }
 
-/// How often each selector errs: on an image of nothing but noise, every stop is wrong. Of the scales up to σ = 4;
-/// coarser ones see too few independent pixels here.
+/// Returns the error rate of each selector on an image of pure noise, where every stop is wrong. Only for scales up to
+/// σ = 4: coarser ones average too few independent pixels here.
 fn error_rates(samples: usize, params: GemParams) -> Vec<f64> {
     const SIZE: usize = 128;
     let (mean, variance) = sampled(&mut Random(83), &Grid::filled(SIZE, SIZE, 1.0), samples, Random::gaussian);
@@ -263,9 +263,9 @@ fn error_rates(samples: usize, params: GemParams) -> Vec<f64> {
 }
 
 /// Section 6.2.3: γ is the rate at which the selector errs in a constant region, whatever the number of samples and the
-/// scale. It is so within 0.06: z(γ) was found by hand for a line of pixels, in the plane the rate is some 0.03 higher
-/// for γ = 0.2 and 0.3; ρ, one factor for all scales, does too little for the step from the pixel filter at 4 samples
-/// (0.09 for γ = 0.05) and too much for the coarser ones.
+/// scale. This holds within 0.06. z(γ) was fitted for a line of pixels; in the plane the rate is about 0.03 higher for
+/// γ = 0.2 and 0.3. ρ is one factor for all scales: it corrects too little for the step from the pixel filter at 4
+/// samples (0.09 for γ = 0.05) and too much for the coarser ones.
 #[test]
 fn the_selector_errs_at_the_rate_that_gamma_says() {
     for phase in [Phase::Sampling, Phase::Final] {
@@ -284,7 +284,7 @@ fn the_selector_errs_at_the_rate_that_gamma_says() {
     }
 }
 
-/// The rate does not depend on how much noise there is: bias and variance term grow together.
+/// The rate does not depend on the amount of noise: bias and variance term grow together.
 #[test]
 fn the_error_rate_does_not_depend_on_the_noise() {
     let (mean, variance) = sampled(&mut Random(85), &Grid::filled(64, 64, 0.0), 8, Random::gaussian);
@@ -325,11 +325,12 @@ fn boxes_are_kept_and_outliers_removed() {
             let (before, after) = (share(&stops, 1.0), share(&sigma, 0.0));
             assert!(
                 before > 0.05 && after < 0.3 * before,
-                "{what}: of the pixels far from edges, {before} stop by themselves and {after} are left at the pixel filter"
+                "{what}: of the pixels far from edges, {before} stop by themselves and {after} are left at the pixel \
+                 filter"
             );
 
-            // Both sides of each edge are where they were; on a line, the noise of the few pixels there is too large to
-            // tell.
+            // Both sides of each edge keep their values. On a line, the noise of the few pixels is too large to test
+            // this.
             let column =
                 |x: isize| (0..height as isize).map(|y| result.at(Point { x, y })).sum::<f64>() / height as f64;
             for (edge, sign) in EDGES.into_iter().zip([1.0, -1.0, 1.0, -1.0]) {

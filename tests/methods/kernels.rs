@@ -1,4 +1,4 @@
-//! The kernels at a pixel: they make what the method makes of it, and say what there is to say of the neighbours.
+//! The kernels at a pixel: they reproduce the result of the method, and describe the neighbours.
 
 use stein::error::{Remedy, RequestCause};
 use stein::frame::Signal;
@@ -16,7 +16,7 @@ use crate::common::gpu;
 use crate::frames::{EVERYTHING, Keep, frame, new_frame, noisy};
 use crate::leave_out::dfc;
 
-/// In the way whose kernels are compiled fastest.
+/// The schedule whose kernels compile fastest.
 fn denoiser(method: impl Into<Method>) -> Denoiser {
     let schedule = Schedule { pixels: 1, offset_rows: 1, ..Schedule::SOFTWARE };
     Denoiser::new(gpu(), method).unwrap_or_else(|error| panic!("{error}")).with_schedule(schedule)
@@ -46,7 +46,7 @@ fn layer<'a>(estimate: &'a Estimate, name: &str) -> &'a Image {
     &estimate.layers.iter().find(|layer| layer.name == name).unwrap_or_else(|| panic!("no layer {name}")).image
 }
 
-/// Corners, edges and what lies between.
+/// Corners, edges and inner pixels.
 fn places(extent: Extent) -> Vec<(u32, u32)> {
     let (right, bottom) = (extent.width - 1, extent.height - 1);
     let mut places = vec![
@@ -64,11 +64,11 @@ fn places(extent: Extent) -> Vec<(u32, u32)> {
     places
 }
 
-/// Of a weighted average in float32 against one in float64, in units of what is averaged: some hundred terms that are
-/// each rounded.
+/// Tolerance of a weighted average in float32 against one in float64, relative to the averaged values: some hundred
+/// rounded terms.
 const ROUNDING: f64 = 3e-6;
 
-/// The weights make the value, the value is that of the method, and the images agree with each other.
+/// Checks that the weights give the value, that the value is that of the method, and that the images agree.
 #[track_caller]
 fn check(what: &str, kernel: &FilterKernel, expected: &[f32], place: (u32, u32), extent: Extent) {
     let what = format!("{what}: {} at {place:?}", kernel.name);
@@ -134,7 +134,7 @@ fn check(what: &str, kernel: &FilterKernel, expected: &[f32], place: (u32, u32),
     }
 }
 
-/// FIRST, SECOND and THIRD, as far as they take part, and the second pass.
+/// Names of the filters: the candidates that take part, and the second pass.
 #[track_caller]
 fn check_dfc(what: &str, frame: &Frame, params: DfcParams) {
     check_dfc_of(what, frame, &denoiser(params), params.candidates);
@@ -167,7 +167,7 @@ fn check_dfc_of(what: &str, frame: &Frame, denoiser: &Denoiser, expected: Candid
             );
             check(what, filter, &at(layer(&estimate, filter.name), place), place, frame.extent());
             for (cell, color) in (0..filter.weights.extent.pixels()).map(|cell| (cell, at_cell(&filter.colors, cell))) {
-                // Spikes may lie anywhere, where they are looked for.
+                // With a search for spikes, spikes may be anywhere.
                 let as_given = filter.pixel(cell).map_or(vec![0.0; 3], |pixel| at(&frame.color().mean, pixel));
                 assert!(
                     denoiser.method().spikes() != Spikes::Keep || color == as_given,
@@ -182,7 +182,7 @@ fn crop(render: &str, keep: Keep) -> Frame {
     frame(&noisy(render), [16, 20, 40, 33], keep)
 }
 
-/// The shares are those of the run, and make its pass 1 of what the candidates make of the pixel.
+/// Checks that the shares are those of the run, and blend the values of the candidates to its pass 1.
 #[track_caller]
 fn check_blend(what: &str, estimate: &Estimate, candidates: &[FilterKernel], place: (u32, u32)) {
     let pass1 = if dfc(&estimate.plan).second_pass.runs { layer(estimate, "pass1") } else { &estimate.color };
@@ -205,7 +205,7 @@ fn check_blend(what: &str, estimate: &Estimate, candidates: &[FilterKernel], pla
     }
 }
 
-/// It averages pass 1, and makes the result of it.
+/// Checks that the second pass averages pass 1 and gives the result.
 #[track_caller]
 fn check_second_pass(what: &str, method: &Method, estimate: &Estimate, filter: &FilterKernel, place: (u32, u32)) {
     let Method::Dfc(DfcParams { window_radius, second_pass: Some(second_pass), .. }) = method else {
@@ -285,8 +285,7 @@ fn of_the_candidates_of_unusual_frames() {
     check_dfc("grey", &frame, params);
 }
 
-/// The frame is larger than what the kernels depend on, so that a part of it is worked on; with spikes everywhere in
-/// its surroundings.
+/// The frame is larger than the region that the kernels depend on, so only a part is computed; with spikes all around.
 #[test]
 fn a_part_of_the_frame_tells_what_all_of_it_does() {
     let params = DfcParams { window_radius: 2, ..DfcParams::default() };
@@ -297,8 +296,7 @@ fn a_part_of_the_frame_tells_what_all_of_it_does() {
     }
 }
 
-/// Where the second pass would change a pixel by more than its noise explains, the kernel says so, and that pass 1 is
-/// the result.
+/// If the second pass would change a pixel by more than its noise explains, the kernel says that pass 1 is the result.
 #[test]
 fn a_second_pass_that_goes_too_far_is_refused() {
     let frame = crop("cornell_8spp", Keep { features: &["normal"], ..EVERYTHING });
@@ -315,7 +313,7 @@ fn a_second_pass_that_goes_too_far_is_refused() {
             let filter = kernels.filter("second_pass").unwrap_or_else(|| panic!("there is a second pass"));
             let is_refused = matches!(filter.rule, WeightRule::Refused { .. });
             if is_refused {
-                // What the filter saw is told all the same, of neighbours that weigh nothing.
+                // The distances are reported all the same, with neighbours of weight 0.
                 let weights = &filter.weights.planes[0];
                 assert!(
                     filter.weight_sum == 1.0 && weights.iter().filter(|weight| **weight != 0.0).count() == 1,
@@ -331,7 +329,7 @@ fn a_second_pass_that_goes_too_far_is_refused() {
     assert!(refused[0] == places(frame.extent()).len() && refused[1] < refused[0] && refused[2] == 0, "{refused:?}");
 }
 
-/// Left out, the blend is the result; with one candidate, that candidate is.
+/// Without the second pass the blend is the result; with one candidate, that candidate is.
 #[test]
 fn without_a_second_pass() {
     let frame = crop("cornell_8spp", Keep { features: &["normal"], ..EVERYTHING });
@@ -341,7 +339,7 @@ fn without_a_second_pass() {
     check_dfc("none, and one candidate", &frame, DfcParams { candidates, ..params });
 }
 
-/// Of neighbours that stand in for each other: what each would weigh by itself is less than what the pair does.
+/// For neighbours that form a pair, the weight of each by itself is less than that of the pair.
 #[test]
 fn opposite_neighbours_are_told() {
     let frame = crop("dof_spheres_32spp", Keep { features: &["normal"], ..EVERYTHING });
@@ -401,10 +399,10 @@ fn what_is_left_as_it_is_weighs_itself_alone() {
         [&color.half_spread, &color.variance_of_mean].map(|image| image.as_ref().map(without_noise_on_the_left));
     let frame = new_frame(Signal { mean: color.mean.clone(), half_spread, variance_of_mean }, Vec::new());
     let denoiser = denoiser(DfcParams { window_radius: 2, ..DfcParams::default() });
-    // Pass 1 is the same where tiles are left as they are.
+    // Pass 1 is the same in tiles that are copied.
     let keep = [Intermediate::Pass1];
     let estimate = denoised(&denoiser, &frame, &keep);
-    // Tiles are left as they are up to column 48, and windows beside them hold both.
+    // Tiles are copied up to column 48, and windows beside them hold both kinds.
     for (place, is_exact) in [
         ((3, 7), true),
         ((30, 39), true),
@@ -430,7 +428,7 @@ fn what_is_left_as_it_is_weighs_itself_alone() {
         }
         assert_eq!(kernels.filters.len(), 4);
     }
-    // Asked for, the candidates are filtered everywhere.
+    // If the candidates are requested, they are filtered everywhere.
     let keep = [Intermediate::Candidates];
     assert!(kernels(&denoiser, &frame, (3, 7), &keep).filters.iter().all(|filter| filter.rule == WeightRule::Least));
     check_dfc_of("exact where asked for", &frame, &denoiser, CandidateSet::ALL);

@@ -1,5 +1,5 @@
-//! What a plan leaves out does not change the result: against the same with everything on, and what runs is what the
-//! plan says.
+//! Steps that a plan leaves out do not change the result, compared with a run of everything. The steps that run are
+//! those of the plan.
 
 use stein::frame::Signal;
 use stein::gpu::{Gpu, GpuOptions};
@@ -14,7 +14,7 @@ use crate::common::{calm_scene, gpu, open};
 use crate::frames::{EVERYTHING, Keep, error_of, frame, new_frame, noisy};
 use crate::reference::{Grid, Point};
 
-/// In the way whose kernels are compiled fastest: most of them serve here once.
+/// The schedule whose kernels compile fastest: most of them run once here.
 fn denoiser(gpu: &Gpu, method: impl Into<Method>) -> Denoiser {
     let schedule = Schedule { pixels: 1, offset_rows: 1, ..Schedule::SOFTWARE };
     Denoiser::new(gpu, method).unwrap_or_else(|error| panic!("{error}")).with_schedule(schedule)
@@ -28,7 +28,7 @@ fn run(denoiser: &Denoiser, frame: &Frame, options: Options) -> Estimate {
     denoiser.denoise_with(frame, options).unwrap_or_else(|error| panic!("{error}"))
 }
 
-/// As planned, and with everything on.
+/// Denoises as planned, and with everything on.
 fn both(method: impl Into<Method>, frame: &Frame, keep: &[Intermediate], error: bool) -> [Estimate; 2] {
     let planned = denoiser(gpu(), method);
     [&planned, &planned.clone().with_everything()]
@@ -63,7 +63,7 @@ fn exact(signal: &Signal) -> Signal {
     Signal { mean: signal.mean.clone(), half_spread: zero(), variance_of_mean: zero() }
 }
 
-/// With these features' noise gone; what is left of it in their values is the hardest case.
+/// The frame with these features marked as free of noise. Their values keep the noise, which is the hardest case.
 fn with_exact_features(frame: &Frame, names: &[&str]) -> Frame {
     let features = frame.features().iter().map(|feature| {
         let signal =
@@ -90,10 +90,10 @@ fn resolution(channels: usize, patch_radius: u32) -> f64 {
     1.01 * (25.0 * channels as f64 * f64::from(2 * patch_radius + 1).powi(2) * 1e-10).sqrt()
 }
 
-/// A feature filtered by its own values, to which nothing is known to have noise, is an average of values that differ
-/// by no more than the filter resolves. That changes the distances of features, in squares of the unit range and over
-/// k_f²·2τ = 3.6·10⁻⁴ at the least, by a seventh where weights are worth anything, as two values 0.02 apart; single
-/// pixels on an edge may take other neighbours, but of all pixels the change is a hundredth of what the filter does.
+/// A feature without noise, filtered by its own values, is an average of values that differ by no more than the filter
+/// resolves. This changes the distances of features (in squares of the unit range, divided by at least k_f²·2τ =
+/// 3.6·10⁻⁴) by a seventh where weights count, such as for two values 0.02 apart. Single pixels on an edge may take
+/// other neighbours, but over all pixels the change is a hundredth of the filter's correction.
 #[test]
 fn features_without_noise_are_not_prefiltered() {
     let names: [&str; 2] = ["albedo", "depth"];
@@ -124,7 +124,7 @@ fn features_without_noise_are_not_prefiltered() {
     }
 }
 
-/// A feature of which nothing is known, one that is known to have no noise: the same.
+/// A feature of unknown noise, and a feature that is known to have no noise: the results are equal.
 #[test]
 fn a_feature_without_known_noise_is_as_one_without_noise() {
     let frame = crop(&["depth", "normal"]);
@@ -158,7 +158,7 @@ fn features_that_are_not_used_are_explained() {
     assert!(left_out(&none).contains(&"features".to_owned()), "{:?}", none.plan);
 }
 
-/// FIRST with the patches of SECOND has its derivative, below which its own would have to be.
+/// FIRST with the patches of SECOND has the derivative of SECOND, but wins only with a smaller one.
 #[test]
 fn first_with_the_patches_of_second_is_left_out() {
     let frame = crop(&["albedo", "normal"]);
@@ -231,7 +231,7 @@ fn without_its_error_the_result_is_the_same() {
             "{}",
             method.name()
         );
-        // Without halves, what is left of the variance serves the error alone.
+        // Without halves, the remaining variance serves the error alone.
         let [with, without] =
             [true, false].map(|error| run(&denoiser, &without_halves, Options { error, ..Options::default() }));
         assert!(
@@ -239,7 +239,7 @@ fn without_its_error_the_result_is_the_same() {
             "{} without halves",
             method.name()
         );
-        // The sampling density is made of it.
+        // The sampling density needs the error.
         let [with, without] = [true, false].map(|error| {
             run(&denoiser, &frame, Options { error, keep: &[Intermediate::Density], ..Options::default() })
         });
@@ -247,7 +247,7 @@ fn without_its_error_the_result_is_the_same() {
     }
 }
 
-/// Ramps that differ by less and by more than the filter resolves, with features that would tempt THIRD to average over
+/// Ramps that differ by less and by more than the filter resolves. The features are equal, so THIRD would average over
 /// all of them.
 fn noise_free_frame() -> Frame {
     let color = (0..3).map(|channel| {
@@ -287,7 +287,7 @@ fn a_frame_without_noise_is_copied() {
     let off = f64::from(farthest(error_of(&planned), error_of(&everything)));
     assert!(off <= 3.0 * most * most, "an error of {off}");
 
-    // Where it could be something else than a copy, it is not taken for one.
+    // A frame whose result may differ from a copy is not copied.
     let third = CandidateSet { first: false, second: false, third: true };
     let other = [small(DfcParams::thesis()), DfcParams { candidates: third, ..small(DfcParams::default()) }];
     for params in other {
@@ -301,7 +301,7 @@ fn a_frame_without_noise_is_copied() {
     assert_eq!(kept.layers.len(), 1);
 }
 
-/// A render whose left part is empty, seen by all features as what it is beside; its noise is left out as well.
+/// A render whose left part is empty and without noise, in the colour and in all features.
 fn half_empty_frame() -> Frame {
     let render =
         frame(&noisy("cornell_8spp"), [0, 32, 96, 64], Keep { features: &["albedo", "depth", "normal"], ..EVERYTHING });
@@ -321,8 +321,8 @@ fn half_empty_frame() -> Frame {
     new_frame(emptied(render.color()), features.collect())
 }
 
-/// Tiles that no noise reaches are copied. Nothing else changes but for what the prefilter did to exact features, and
-/// what is copied moves by no more than the filters resolve.
+/// Tiles that no noise reaches are copied. Other pixels change only by the prefilter of exact features, and copied
+/// pixels differ by no more than the filters resolve.
 #[test]
 fn tiles_without_noise_are_copied() {
     let frame = half_empty_frame();
@@ -348,14 +348,14 @@ fn tiles_without_noise_are_copied() {
     let (changed, filtered) =
         (root_mean_square(&planned.color, &everything.color), root_mean_square(&planned.color, &frame.color().mean));
     assert!(changed <= 0.002 * filtered, "{changed} of {filtered}");
-    // Where everything is judged by colour alone, nothing but the copies differs.
+    // If only the colour is compared, only the copies differ.
     let plain = new_frame(frame.color().clone(), Vec::new());
     let [planned, everything] = both(small(DfcParams::default()), &plain, &[], true);
     let most = f64::from(frame.color().mean.planes.iter().flatten().fold(0.0f32, |most, value| most.max(value.abs())));
     let off = f64::from(farthest(&planned.color, &everything.color));
     assert!(off <= 1e-6 * most, "{off} of {most}");
 
-    // The image before the second pass is copied as well, so that asking for it changes nothing.
+    // The image before the second pass is copied as well, so that requesting it changes nothing.
     let keeping = run(
         &denoiser(gpu(), small(DfcParams::default())),
         &plain,
@@ -365,7 +365,7 @@ fn tiles_without_noise_are_copied() {
     assert!(
         keeping.plan.steps() == planned.plan.steps() && copied(&keeping.layers[0].image) == copied(&plain.color().mean)
     );
-    // Intermediates that are other there are computed.
+    // Intermediates that differ in exact tiles are computed there.
     let kept = run(
         &denoiser(gpu(), small(DfcParams::default())),
         &frame,
@@ -379,7 +379,7 @@ fn tiles_are_those_of_the_frame_in_every_strip() {
     let tall = stacked(&half_empty_frame());
     let whole = run(&denoiser(gpu(), small(DfcParams::default())), &tall, Options::default());
     assert!(dfc(&whole.plan).candidates.skipped > 0.2);
-    // Of its own: what other tests hold would count.
+    // A device of its own: buffers of other tests would count.
     let gpu = open(GpuOptions::default());
     let in_strips = denoiser(&gpu, small(DfcParams::default()));
     let limit = memory_for_strips(&in_strips, &tall, 2, &[]);
@@ -432,7 +432,7 @@ fn tiles_of_a_window_have_no_noise_in_any_of_its_frames() {
     let off = f64::from(farthest(&whole.color, &everything.color));
     assert!(off <= 1e-6 * most, "{off} of {most}");
 
-    // Of its own: what other tests hold would count.
+    // A device of its own: buffers of other tests would count.
     let gpu = open(GpuOptions::default());
     let in_strips = denoiser(&gpu, params);
     let limit = memory_for_strips_of_window(&in_strips, &[&own, &beside], 2, &[]);
@@ -488,7 +488,7 @@ fn in_strips_less_is_left_out_of_the_same_bits() {
     let params =
         DfcParams { candidates: CandidateSet { first: false, ..CandidateSet::ALL }, ..small(DfcParams::default()) };
     let whole = run(&denoiser(gpu(), params), &tall, Options::default());
-    // Of its own: what other tests hold would count.
+    // A device of its own: buffers of other tests would count.
     let gpu = open(GpuOptions::default());
     let in_strips = denoiser(&gpu, params);
     let limit = memory_for_strips(&in_strips, &tall, 2, &[]);
@@ -498,7 +498,7 @@ fn in_strips_less_is_left_out_of_the_same_bits() {
     assert_same("in strips", &in_strips, &whole, 1.0);
 }
 
-/// Four times its height.
+/// A signal of four times the height.
 fn stacked(frame: &Frame) -> Frame {
     let stack = |image: &Image| Image {
         extent: Extent { height: 4 * image.extent.height, ..image.extent },
@@ -515,8 +515,8 @@ fn stacked(frame: &Frame) -> Frame {
     )
 }
 
-/// The plan is what happens: every step that runs takes time, but for candidates, which are parts of one; and no time
-/// goes to a step that does not.
+/// Every step that the plan runs takes time, except the single candidates, which are parts of one step. Steps that are
+/// left out take no time.
 #[test]
 fn times_are_those_of_the_plan() {
     let gpu = open(GpuOptions::default());

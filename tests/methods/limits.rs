@@ -65,7 +65,7 @@ fn methods() -> [Method; 3] {
 #[test]
 fn the_largest_buffer_of_each_method_is_planned_for() {
     let frame = random_frame(24, 600, 1.0);
-    // The colour's signal fits whole, what is found of spikes does not.
+    // The signal of the colour fits whole, the results of the spike search do not.
     let limited = binding(5 * plane(24, 600) / 2);
     for method in methods() {
         let expected = denoised(&Denoiser::new(gpu(), method).expect("it is in range"), &frame);
@@ -77,7 +77,7 @@ fn the_largest_buffer_of_each_method_is_planned_for() {
 
 #[test]
 fn an_image_that_no_strip_makes_fit_names_the_limit_that_it_exceeds() {
-    // The halo of one row is the whole image, and memory is not what lacks.
+    // The halo of one row is the whole image, so the binding limit is the problem, not the memory.
     let limited = binding(5 * plane(24, 40) / 2);
     let denoiser = Denoiser::new(&limited, GemParams::default()).expect("it is in range");
     match denoiser.denoise(&random_frame(24, 40, 1.0)).map(drop) {
@@ -95,7 +95,7 @@ const GROUPS: u32 = 400;
 
 #[test]
 fn a_frame_higher_than_a_dispatch_is_cut_into_strips() {
-    // A workgroup of two rows: more than the limit.
+    // Two rows per workgroup: more workgroups than the limit.
     let frame = random_frame(6, 2 * GROUPS as usize + 100, 1.0);
     let limited = limited_gpu(|limits| limits.max_compute_workgroups_per_dimension = GROUPS);
     for method in methods() {

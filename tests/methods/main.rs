@@ -1,7 +1,7 @@
-//! Whole methods on the GPU. DFC: against its float64 twin (`twin`), as its callers use it (`behaviour`), over several
-//! frames (`time`), and with what a frame does not need left out (`leave_out`). GEM (`gem`) and NLM (`nlm`): the same
-//! of one frame. What all of them do about spikes (`spikes`) and on devices with small limits (`limits`), and what
-//! their parameters say of themselves (`parameters`), and what they do to pixels beside something else (`beside`).
+//! Whole methods on the GPU. DFC: compared with its float64 twin (`twin`), in the situations of its callers
+//! (`behaviour`), over several frames (`time`), and with steps left out (`leave_out`). GEM (`gem`) and NLM (`nlm`): the
+//! same for one frame. All methods: spikes (`spikes`), devices with small limits (`limits`), dry runs (`dry`), kernels
+//! at a pixel (`kernels`), parameters (`parameters`), and regions beside others (`beside`).
 
 #[allow(dead_code, unreachable_pub, reason = "every test includes all shared pieces and uses a part of them")]
 #[path = "../common/mod.rs"]

@@ -1,5 +1,5 @@
-//! NLM on the GPU: against the same in float64 on parts of real renders, as its callers use it, and what chapter 7 says
-//! of it.
+//! NLM on the GPU: compared with float64 on parts of renders, in the situations of its callers, and compared with the
+//! claims of chapter 7.
 
 use stein::error::RequestCause;
 use stein::frame::{Frame, SamplesPerPixel, Signal};
@@ -37,7 +37,7 @@ fn denoised_by(denoiser: &Denoiser, frame: &Frame) -> Estimate {
         .unwrap_or_else(|error| panic!("{error}"))
 }
 
-/// All that an estimate holds, with names.
+/// All images of an estimate, with names.
 fn images(estimate: &Estimate) -> Vec<(&str, &Image)> {
     let named = [("colour", &estimate.color), ("error", error_of(estimate)), ("Σ w", &estimate.weight_sum)];
     let layers = estimate.layers.iter().map(|layer| (layer.name.as_str(), &layer.image));
@@ -52,7 +52,7 @@ fn assert_same(what: &str, actual: &Estimate, expected: &Estimate) {
     assert_eq!(images(actual).len(), images(expected).len(), "{what}");
 }
 
-/// Parameter by parameter: two tables from one text.
+/// Compares the parameters one by one: both tables come from the same text.
 #[test]
 fn the_presets_are_those_of_the_reference() {
     let twin = TwinParams::thesis();
@@ -77,10 +77,10 @@ fn the_presets_are_those_of_the_reference() {
     assert_eq!(Method::from(NlmParams::default()).while_sampling(), NlmParams::default().while_sampling().into());
 }
 
-/// Filtered values, by how far they are from the input.
+/// Tolerance of filtered values, relative to their distance from the input.
 const FILTERED: f64 = 2e-4;
 
-/// The share of values in which rounding turns a decision over: whether a pair is replaced, whether a weight is cut.
+/// The share of values in which rounding changes a decision: whether a pair is replaced, whether a weight is cut.
 const FLIPPED: f64 = 0.01;
 
 fn check(what: &str, frame: &Frame, params: NlmParams) {
@@ -99,7 +99,7 @@ fn check(what: &str, frame: &Frame, params: NlmParams) {
         FILTERED,
         FLIPPED,
     );
-    // How far a pixel was moved, its noise, a hundredth of itself.
+    // The scale: the change of the pixel, its noise, and a hundredth of its value.
     let size = |i: usize| {
         let (u, f, v) = (&input.mean[i], &twin.mean[i], &twin.variance[i]);
         u.like(|p| (f.at(p) - u.at(p)).abs() + v.at(p).sqrt() + 0.01 * u.at(p).abs())
@@ -208,7 +208,7 @@ fn strips_and_schedules_give_the_bits_of_the_whole() {
 
 #[test]
 fn strips_keep_to_the_memory_allowed() {
-    // Of its own: what other tests hold would count.
+    // A device of its own: buffers of other tests would count.
     let gpu = open(GpuOptions::default());
     let frame = random_frame(24, 300, 1.0);
     for variance in OPTIONS {
@@ -289,7 +289,8 @@ impl Noisy {
     }
 }
 
-/// Figure 7.6: on a ramp only neighbours across the gradient are alike; pairs of opposite ones are as good.
+/// Figure 7.6: on a ramp only neighbours across the gradient are similar; pairs of opposite neighbours are equally
+/// good.
 #[test]
 fn symmetric_distances_widen_the_filter_on_a_ramp() {
     let ramp = Noisy::new(Grid::from_fn(64, 64, |p| 1.0 + 0.05 * p.x as f64), 0.1);
@@ -304,7 +305,7 @@ fn symmetric_distances_widen_the_filter_on_a_ramp() {
     assert!(error < 0.8 * plain_error, "MSE {error} with pairs, {plain_error} without");
 }
 
-/// Figure 7.3: weights from the noise that they average keep some of it.
+/// Figure 7.3: weights computed from the same noise that they average keep some of it.
 #[test]
 fn two_buffers_leave_less_noise_than_one() {
     let uniform = Noisy::new(Grid::filled(64, 64, 1.0), 0.2);
@@ -350,7 +351,7 @@ fn parameters_out_of_range_are_refused() {
     ));
 }
 
-/// A renderer's own frame says the mean variance of its image, or there is none to be had.
+/// A renderer's own frame must state the mean variance of its image for the uniform variance.
 #[test]
 fn a_uniform_variance_that_nobody_knows_is_refused() {
     let denoiser = Denoiser::new(gpu(), NlmParams { variance: NlmVariance::Uniform, ..NlmParams::default() })

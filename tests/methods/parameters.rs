@@ -1,4 +1,4 @@
-//! What parameters say of themselves, and parameters as TOML.
+//! Parameters describe themselves; parameters as TOML.
 
 use std::collections::BTreeSet;
 use std::ops::Bound;
@@ -32,7 +32,7 @@ fn assert_refused<T: std::fmt::Debug>(result: Result<T, Error>, said: &[&str]) {
     }
 }
 
-/// Values that it may have besides its own; the ends of its range, and a number that takes all digits to write.
+/// Other values that the parameter may have: the ends of its range, and a number that needs all digits.
 fn others(parameter: &Parameter) -> Vec<Value> {
     let all = match &parameter.kind {
         Kind::Integer { range } => vec![Value::Integer(*range.start()), Value::Integer(*range.end())],
@@ -66,7 +66,7 @@ fn every_parameter_is_documented() {
             let Parameter { name, documentation, kind, .. } = parameter;
             let options: &[_] = if let Kind::Choice { options } | Kind::Set { options } = kind { options } else { &[] };
             for text in options.iter().map(|option| &option.documentation).chain([documentation]) {
-                // A panel shows it as it is.
+                // A panel shows the text unchanged.
                 assert!(text.ends_with('.') && !text.contains("](") && !text.contains("  "), "{name}: {text}");
             }
             assert!(
@@ -101,14 +101,14 @@ fn names_and_values_are_those_of_the_struct() {
     for (method, preset) in presets() {
         let mut of_struct = Vec::new();
         flatten("", &serde_json::to_value(method).unwrap_or_else(|error| panic!("{error}")), &mut of_struct);
-        // A group that is always there is no parameter itself.
+        // A group that cannot be left out is no parameter itself.
         of_struct.retain(|(name, _)| name != "weighting");
         of_struct.sort_by(|a, b| a.0.cmp(&b.0));
         let shown = |value: Value| match value {
             Value::Integer(number) => number.into(),
             Value::Number(number) => number.into(),
             Value::Flag(flag) => flag.into(),
-            // A document of ours names these two by their variants, as it always has.
+            // JSON documents name these two by their variants.
             Value::Choice(word) if word == "one" => "One".into(),
             Value::Choice(word) if word == "largest-neighbour" => "LargestNeighbour".into(),
             Value::Choice(word) => word.into(),
@@ -206,7 +206,7 @@ fn groups_are_put_in_as_they_are_in_the_default_preset() {
         assert_eq!(find(&set(Method::default(), name, false), name).value, Some(Value::Flag(false)));
         assert_eq!(with(name), Method::default(), "{name}");
     }
-    // What is in stays as it is.
+    // A group that is present keeps its values.
     let changed = set(set(Method::default(), "guard.own_noise", 1), "second_pass.most_sigmas", 2.5);
     assert_eq!(set(set(changed, "guard", true), "second_pass.most_sigmas", true), changed);
 }
@@ -228,7 +228,7 @@ fn toml_holds_every_parameter() {
                 changes.into_iter().filter_map(|value| method.with_parameter(name, value).ok()).collect();
             assert!(!changes.is_empty() && !changes.contains(&method), "{name} has no other value");
             changes.into_iter().for_each(there_and_back);
-            // And all of them together, but for groups, which take theirs along.
+            // All of them together, except for groups, which include their own parameters.
             let parameter = find(&changed, name);
             if parameter.kind != Kind::Group {
                 changed = others(&parameter)
@@ -258,7 +258,7 @@ fn what_toml_does_not_say_is_as_in_its_preset() {
     assert_eq!(read("preset = 'thesis'"), (dfc.of_preset(Preset::Thesis), Preset::Thesis));
     assert_eq!(read("method = \"nlm\"\npreset = \"thesis\"\nk = 1").0, set(nlm.of_preset(Preset::Thesis), "k", 1.0));
     assert_eq!(read("gamma = 2e-1\r\nmethod = \"gem\"").0, set(gem, "gamma", 0.2));
-    // A table puts its group in, in whichever way it is written; one that is empty as well.
+    // A table adds its group, in every notation, even if it is empty.
     let thesis = dfc.of_preset(Preset::Thesis);
     let guarded = set(set(thesis, "guard", true), "guard.own_noise", 1.0);
     for document in ["[guard]\nown_noise = 1", "guard = { own_noise = 1.0 }", "guard.own_noise = 1"] {
@@ -266,15 +266,15 @@ fn what_toml_does_not_say_is_as_in_its_preset() {
     }
     assert_eq!(read("preset = \"thesis\"\n[guard]").0, set(thesis, "guard", true));
     assert_eq!(read("guard = false").0, set(dfc, "guard", false));
-    // A whole number too large for an integer is a number all the same.
+    // A whole number too large for an integer is still a number.
     assert_eq!(read("color_k = 5000000000").0, set(dfc, "color_k", 5e9));
-    // What contradicts the rest half way does not at the end.
+    // A setting may contradict the others for a moment, if the final parameters agree.
     assert_eq!(
         read("first_patch_radius = 5\nsecond_patch_radius = 5").0,
         set(set(dfc, "second_patch_radius", 5), "first_patch_radius", 5)
     );
-    // Digits are read as they are, not by way of another precision: this is above the middle of two numbers by less
-    // than a float64 can tell.
+    // Digits are rounded to float32 directly, not by way of float64: this number is above the middle of two float32 by
+    // less than a float64 can hold.
     let k = read("color_k = 1.00000005960464477540").0;
     assert_eq!(find(&k, "color_k").value, Some(Value::Number(1.0f32.next_up())));
 }

@@ -1,5 +1,5 @@
-//! What the methods do about pixels that stand out: those that rest on few samples go, with their energy kept as far as
-//! it is likely, and lights stay.
+//! Pixels that stand out, in all methods: those that rest on few samples are removed, likely energy is kept, and lights
+//! stay.
 
 use stein::frame::Signal;
 use stein::method::{Intermediate, Method, SpikeReport, Spikes};
@@ -24,7 +24,7 @@ fn methods() -> [Method; 3] {
     ]
 }
 
-/// What a pixel is to have.
+/// The values of a planted pixel.
 #[derive(Clone, Copy)]
 struct Planted {
     at: (usize, usize),
@@ -33,7 +33,7 @@ struct Planted {
     variance: f64,
 }
 
-/// A grey wall with noise, some of whose pixels have what is planted there.
+/// A grey wall with noise, in which some pixels are replaced by planted ones.
 fn wall(planted: &[Planted], seed: u64) -> Signal {
     let mut random = Random(seed);
     let mut noise = |mean: f64| random.gaussian_grid(WIDTH, HEIGHT, mean, SIGMA);
@@ -70,7 +70,7 @@ fn mean(values: &[f32]) -> f64 {
     values.iter().map(|value| f64::from(*value)).sum::<f64>() / values.len() as f64
 }
 
-/// One sample out of many, in half A, that the variance knows next to nothing of.
+/// One bright sample of many, in half A, with almost no variance claimed.
 fn unadmitted(at: (usize, usize), height: f64) -> Planted {
     Planted { at, mean: height, half_spread: height, variance: 1e-6 }
 }
@@ -90,8 +90,8 @@ fn spikes_that_claim_a_small_variance_do_not_survive() {
             let frame = frame(wall(&planted, 5));
             let estimate = denoised(method, &[&frame], &[]);
             assert_eq!(found(&estimate).pixels, cluster.len(), "{}: {cluster:?}", method.name());
-            // Nothing is left of it, and the wall is as bright as it was: each of the spikes has given a tenth of the
-            // level at the most to the pixels around.
+            // No spike is left, and the wall keeps its brightness: each spike has given at most a tenth of the level to
+            // the pixels around.
             let plane = &estimate.color.planes[0];
             let farthest = plane.iter().fold(0.0f64, |most, value| most.max((f64::from(*value) - LEVEL).abs()));
             let bound = 0.1 * cluster.len() as f64 + 4.0 * SIGMA;
@@ -108,7 +108,7 @@ fn spikes_that_claim_a_small_variance_do_not_survive() {
 
 #[test]
 fn spikes_that_admit_to_it_do_not_survive_either() {
-    // Both of the samples that hit are in different halves, so that these agree.
+    // The two bright samples are in different halves, so that the halves agree.
     let planted = [
         Planted { at: (10, 10), mean: 50.0, half_spread: 0.0, variance: 50.0 * 50.0 / 2.0 },
         Planted { at: (30, 25), mean: 50.0, half_spread: 50.0, variance: 2500.0 },
@@ -132,7 +132,7 @@ fn spikes_that_admit_to_it_do_not_survive_either() {
     }
 }
 
-/// Spikes that the pixels around can well have been without: their energy is kept.
+/// Likely spikes, of little energy: their energy is kept.
 #[test]
 fn likely_energy_is_kept() {
     let heights = [1.5, 2.0, 3.0, 5.0];
@@ -156,7 +156,7 @@ fn likely_energy_is_kept() {
             );
         }
         assert_eq!(found(&clamped).spread, 0.0);
-        // 5 spread over 441 pixels is a ninth of what half of it would be left out of.
+        // 5 spread over 441 pixels is a ninth of the value at which half is left out.
         let part = found(&spread).spread / found(&spread).taken;
         assert!((0.85..1.0).contains(&part), "{part} of the energy is kept");
         let [spread, clamped] = [spread, clamped].map(|estimate| mean(&estimate.color.planes[0]));
@@ -165,7 +165,7 @@ fn likely_energy_is_kept() {
     }
 }
 
-/// Lights of one pixel are as they were to the bit, and nothing of them gets into the pixels around.
+/// Lights of one pixel keep their value to the bit, and none of their light gets into the pixels around.
 #[test]
 fn lights_stay() {
     // Clean in a noisy image; noisy, but on many samples.
@@ -263,7 +263,7 @@ fn spikes_of_frames_beside_do_no_harm() {
     }
 }
 
-/// What the repair of a pixel depends on is in its strip, to the bit, and the counts are those of the whole.
+/// Strips hold all pixels that a repair depends on: bits and counts are those of the whole image.
 #[test]
 fn strips_repair_like_the_whole() {
     let (width, height) = (24, 300);

@@ -50,8 +50,8 @@ fn error(image: &Image, reference: &Frame) -> f64 {
 #[test]
 fn a_static_shot_of_n_frames_is_as_good_as_n_times_the_samples() {
     let reference = still(2048, 1000);
-    // Differences are judged by the noise of single frames, and by that of their halves in NLM: hence not quite as
-    // good.
+    // Differences are judged by the noise of single frames (in NLM by that of their halves), so the result is not quite
+    // as good.
     as_good_as_n_times_the_samples(&denoiser(gpu()), &reference, 1.3);
     as_good_as_n_times_the_samples(&nlm(gpu()), &reference, 1.6);
 }
@@ -68,7 +68,7 @@ fn as_good_as_n_times_the_samples(denoiser: &Denoiser, reference: &Frame, most: 
     assert!(together < most * at_once, "three frames: {together}, their samples in one: {at_once}");
 }
 
-/// Where the centre weighs 1, copies of a frame add to every weight sum what it has already, and change no average.
+/// With a centre weight of 1, copies of a frame multiply every weight sum and change no average.
 #[test]
 fn copies_of_a_frame_change_nothing() {
     let frame = still(8, 1);
@@ -100,7 +100,7 @@ fn strips_in_time_give_the_bits_of_the_whole_and_keep_to_the_memory_allowed() {
 fn strips_are_the_whole(method: fn(&Gpu) -> Denoiser, frames: &[&Frame]) {
     let whole = window(&method(gpu()), frames, 0);
     assert_eq!(whole.strips, 1);
-    // Of its own: what other tests hold would count.
+    // A device of its own: buffers of other tests would count.
     let gpu = open(GpuOptions::default());
     let limit = memory_for_strips_of_window(&method(&gpu), frames, 2, &[]);
     let in_strips = window(&method(&gpu).with_max_memory(limit), frames, 0);
@@ -109,7 +109,7 @@ fn strips_are_the_whole(method: fn(&Gpu) -> Denoiser, frames: &[&Frame]) {
     assert!(in_strips.color == whole.color && in_strips.error == whole.error);
 }
 
-/// Seven times its height, mirrored.
+/// The image mirrored to seven times its height.
 fn tall(frame: &Frame) -> Frame {
     let stack = |image: &Image| {
         let (width, height) = (image.extent.width as usize, image.extent.height as usize);
@@ -128,7 +128,7 @@ fn tall(frame: &Frame) -> Frame {
     })
 }
 
-/// Each signal, the colour's under the name of "colour", made into another.
+/// The frame with each signal changed by `change`; the colour's name is "colour".
 fn changed(frame: &Frame, mut change: impl FnMut(&str, Signal) -> Signal) -> Frame {
     let color = change("colour", frame.color().clone());
     let features = frame
@@ -144,7 +144,7 @@ fn changed(frame: &Frame, mut change: impl FnMut(&str, Signal) -> Signal) -> Fra
 #[test]
 fn features_of_a_window_are_compared_in_the_units_of_one_frame() {
     let [centre, beside] = [1, 2].map(|seed| still(8, seed));
-    // All are made anew, from the same units.
+    // All frames are made again, from the same units.
     let same = |_: &str, signal: Signal| signal;
     let far = |name: &str, mut signal: Signal| {
         if name == "depth" {
@@ -182,7 +182,7 @@ fn a_feature_that_one_frame_lacks_is_left_out_of_the_window() {
     assert!(one.color == both.color);
 }
 
-/// What a renderer hands over is checked too, as far as the host can see it.
+/// The frames of a renderer are checked too, as far as the host knows them.
 #[test]
 fn frames_on_the_gpu_that_do_not_fit_together_are_refused() {
     let frame = |rec: &mut Recorder, width: i32, has_halves: bool, features: usize| {

@@ -1,9 +1,9 @@
-//! Algorithm 1 on the GPU against the same in float64, on parts of real renders.
+//! Algorithm 1 on the GPU, compared with float64 on parts of renders.
 //!
-//! Every stage is held to its twin by the tests of the stages; here errors travel through all of them. Rounding can
-//! turn a binary decision over where two errors tie (which of them is the least, whether the guard lets a candidate
-//! in), and with it the maps of all pixels within the smoothing's radius. So the decisions are looked at by themselves:
-//! where one differs, the errors must tie.
+//! The tests of the stages compare each stage with its twin; here errors pass through all of them. If two errors tie,
+//! rounding can change a binary decision (which of them is least, whether the guard admits a candidate), and with it
+//! the maps of all pixels within the smoothing's radius. So the decisions are compared separately: if one differs, the
+//! errors must tie.
 
 use stein::method::Intermediate;
 use stein::method::dfc::CandidateSet;
@@ -16,7 +16,7 @@ use crate::frames::{EVERYTHING, Keep, error_of, frame, noisy};
 use crate::reference::dfc::{Dfc, DfcParams as TwinParams, dfc, sampling_density};
 use crate::reference::{self, Grid, Planes};
 
-/// Parameter by parameter: two tables, written by two people from one text.
+/// Compares the parameters one by one: two tables, written independently from one text.
 #[test]
 fn the_presets_are_those_of_the_reference() {
     for (preset, twin) in [(DfcParams::default(), TwinParams::default()), (DfcParams::thesis(), TwinParams::thesis())] {
@@ -40,7 +40,7 @@ fn the_presets_are_those_of_the_reference() {
     }
 }
 
-/// The kept layer of a name, in the units that the reference computes in.
+/// The kept layer with this name, in the units of the reference.
 pub(crate) fn layer(estimate: &Estimate, name: &str, factor: f64) -> Planes {
     let layer = estimate.layers.iter().find(|layer| layer.name == name).unwrap_or_else(|| panic!("no layer {name}"));
     grids(&layer.image, factor)
@@ -52,7 +52,7 @@ struct Compared {
     twin: Dfc,
     exposure: f64,
     density: Grid,
-    /// Of the candidates that take part.
+    /// For the candidates that take part.
     names: Vec<&'static str>,
     rivals: Vec<Option<usize>>,
 }
@@ -76,7 +76,7 @@ impl Compared {
         assert_near(&format!("{}: {part}", self.what), actual, expected, scale, relative, allowed_share);
     }
 
-    /// What a pixel of a filtered colour may be measured by: how far it was moved, its noise, a hundredth of itself.
+    /// Scale of the error of a filtered pixel: its change, its noise, and a hundredth of its value.
     fn color_scale(&self, input: &[Grid], filtered: &[Grid]) -> Planes {
         let channel = |i: usize| {
             let (u, f, v) = (&input[i], &filtered[i], &self.twin.color_variance[i]);
@@ -85,8 +85,8 @@ impl Compared {
         (0..3).map(channel).collect()
     }
 
-    /// The share of pixels in which a decision may fall the other way, or that the smoothing of such a decision reaches:
-    /// the more candidates there are, the more often two of them tie.
+    /// The share of pixels in which a decision may differ, or that the smoothing of such a decision reaches. With more
+    /// candidates, more of them tie.
     fn flipped(&self) -> f64 {
         FLIPPED * (self.names.len() as f64 / 3.0).max(1.0)
     }
@@ -190,7 +190,7 @@ impl Compared {
                 self.flipped(),
             );
         }
-        // Where shares differ by rounding, another one of the candidates' distances counts.
+        // If shares differ by rounding, another candidate's distance counts.
         let size: Planes = vec![terms[0].like(|p| twin.result_error.at(p) + terms[0].at(p))];
         self.near(
             "error",
@@ -200,14 +200,14 @@ impl Compared {
             2e-3,
             self.flipped(),
         );
-        // An average of what may be decided otherwise anywhere in a wide window.
+        // An average over a wide window, in which any decision may differ.
         let density = std::slice::from_ref(&self.density);
         let size = [self.density.like(|p| self.density.at(p) + self.density.mean())];
         self.near("density", &layer("density", 1.0), density, &size, 2e-3, self.flipped());
     }
 
-    /// Another winner than the reference's is one whose error ties with that of the reference's, or FIRST where its
-    /// derivative ties with SECOND's, or another one whose derivative ties with that of its rival.
+    /// If the winner is not that of the reference, its error ties with the reference's winner, or the derivative of a
+    /// candidate ties with that of its rival, such as FIRST with SECOND.
     fn check_decisions(&self, selected: &[Grid], terms: &[Grid]) {
         let twin = &self.twin;
         let mut flipped = 0usize;
@@ -247,13 +247,12 @@ impl Compared {
     }
 }
 
-/// Filtered values, by how far they are from the input. Features agree to some 10⁻⁶ with their twins. Where a weight is
-/// worth anything their difference is below 0.1, so that its square over k_f²·2τ, at the least 4·10⁻⁴, agrees to 10⁻⁴
-/// or so; the errors of hundreds of weights average out.
+/// Tolerance of filtered values, relative to their distance from the input. Features agree to about 10⁻⁶ with their
+/// twins. Where a weight counts, their difference is below 0.1, so that its square over k_f²·2τ, at the least 4·10⁻⁴,
+/// agrees to 10⁻⁴ or so; the errors of hundreds of weights average out.
 const FILTERED: f64 = 2e-4;
 
-/// The share of values in which it may be decided otherwise whether a pixel is of a spike's kind, and gets its part of
-/// it.
+/// The share of values in which the decision may differ whether a pixel is of a spike's kind and gets a part of it.
 const OF_ONE_KIND: f64 = 0.001;
 
 /// As [`Compared::flipped`], of three candidates.
@@ -272,7 +271,7 @@ fn small(params: DfcParams) -> DfcParams {
 
 #[test]
 fn everything_with_the_default_preset() {
-    // The lamp, and a ceiling with the same features; all of it is lit, so that visibility is the same everywhere.
+    // The lamp and a ceiling with the same features. Everything is lit, so visibility is constant.
     let keep = Keep { features: &["albedo", "depth", "normal"], ..EVERYTHING };
     check("cornell, default", "cornell_32spp", [16, 20, 64, 64], keep, DfcParams::default());
 }
@@ -325,8 +324,7 @@ fn candidates_that_take_no_part() {
     }
 }
 
-/// A candidate more is one entry in a list. These are found nowhere but here: softer patches, and one that compares
-/// nothing but the colour.
+/// Two more candidates, each an entry in the list: one with softer patches, and one that compares only the colour.
 const FURTHER: &[CandidateFilter] = &[
     CandidateFilter {
         name: "soft",
@@ -351,7 +349,7 @@ fn candidates_beside_the_three_of_the_thesis() {
     check("a further one beside SECOND alone", "dof_spheres_32spp", [40, 30, 32, 32], EVERYTHING, params);
 }
 
-/// Neither halves nor variance: the feature is taken as it is, and the colour with what it has.
+/// A feature with neither halves nor variance is used unchanged; the colour keeps its halves and variance.
 #[test]
 fn one_feature_without_noise() {
     let set = noisy("cornell_32spp");

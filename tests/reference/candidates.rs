@@ -9,10 +9,10 @@ use super::{Grid, Planes, Point, square};
 
 /// δ = 0.01·u of section 8.4.
 const RELATIVE_STEP: f64 = 0.01;
-/// Where u is close to 0 that step vanishes: then this share of the standard deviation …
+/// If u is close to 0 that step vanishes. Then the step is this share of the standard deviation …
 const NOISE_STEP: f64 = 0.01;
-/// … and where that vanishes too, a step that float32 can still tell from the brightness around the pixel, or from
-/// nothing.
+/// … and if that vanishes too, a step that float32 can still distinguish from the brightness around the pixel, or from
+/// 0.
 const STEP_AROUND: f64 = 1e-6;
 const SMALLEST_STEP: f64 = 1e-18;
 
@@ -83,7 +83,7 @@ pub fn finite_difference(
     (perturbed(mean, variance, features, params, p, i, step) - filtered) / step
 }
 
-/// F_i(p) in an image where only u_i(p) has changed.
+/// F_i(p) in an image in which only u_i(p) is changed.
 fn perturbed(
     mean: &[Grid],
     variance: &[Grid],
@@ -101,7 +101,7 @@ fn perturbed(
 }
 
 /// dF_i(p)/du_i(p) where it exists: (Σ w'(p, q)·(u_i(q) − F_i(p)) + w(p, p))/C(p), the sum including q = p. This is not
-/// part of the pipeline, it judges the finite difference.
+/// part of the pipeline; it checks the finite difference.
 pub fn analytic_derivative(
     mean: &[Grid],
     variance: &[Grid],
@@ -121,7 +121,7 @@ pub fn analytic_derivative(
         let caps = feature_weights([features; 2], &pair, params);
         for ((q, (w, slope)), cap) in pair.neighbours().zip(slopes).zip(caps) {
             if let Some(q) = q {
-                // A weight that the features hold down does not move with the colour.
+                // A weight that the features limit does not change with the colour.
                 neighbours.push((q, w.min(cap), if w < cap { slope } else { 0.0 }));
             }
         }
@@ -172,8 +172,8 @@ fn color_weight_slopes(guide: Guide, pair: &Pair, params: &FilterParams, i: usiz
     })
 }
 
-/// The slope of `patch_distance` in u_i(p): p takes part in the patch around itself, and, if q is near, in that around
-/// q.
+/// The slope of `patch_distance` in u_i(p): p takes part in the patch around itself, and, if q is near, in the patch
+/// around q.
 fn patch_distance_slope(guide: Guide, k: f64, f: usize, p: Point, q: Point, i: usize) -> f64 {
     let (u, v) = (&guide.mean[i], &guide.variance[i]);
     let (mut slope, mut count) = (0.0, 0.0);

@@ -1,22 +1,22 @@
-//! How far planes are from what they should be.
+//! Comparison of planes with their expected values.
 
 use super::{Grid, Planes};
 
-/// What counts as near.
+/// Tolerance of a comparison.
 #[derive(Clone, Copy, Debug)]
 pub struct Tolerance {
-    /// In parts of the scale that stands beside each value.
+    /// Tolerance relative to the scale of each value.
     pub relative: f64,
-    /// Added to that: what the numbers cannot tell apart.
+    /// Absolute tolerance, added to the relative one.
     pub least: f64,
-    /// The share of values that may be further off, for decisions that rounding may turn over.
+    /// The share of values that may be further off, because rounding may change a decision.
     pub share: f64,
 }
 
-/// The value that is farthest off, but for the share that may be.
+/// The value that is farthest off, apart from the allowed share.
 #[derive(Clone, Copy, Debug)]
 pub struct Worst {
-    /// In tolerances: up to 1 is near. Infinite where one of both is not a number.
+    /// Error in tolerances: up to 1 is near. Infinite if one of both values is NaN.
     pub off: f64,
     pub x: usize,
     pub y: usize,
@@ -25,12 +25,13 @@ pub struct Worst {
     pub expected: f64,
 }
 
-/// Compares value by value. `scale` says for each value what a relative error of 1 would be. `None` of no values.
+/// Compares value by value. `scale` holds for each value the size of a relative error of 1. Returns `None` for no
+/// values.
 pub fn worst(actual: &[Grid], expected: &[Grid], scale: &[Grid], tolerance: Tolerance) -> Option<Worst> {
     let mut errors = Vec::new();
     for (channel, (actual, (expected, scale))) in actual.iter().zip(expected.iter().zip(scale)).enumerate() {
         for (pixel, ((a, e), s)) in actual.values.iter().zip(&expected.values).zip(&scale.values).enumerate() {
-            // Both may have overflowed.
+            // Both may be infinite by overflow.
             let is_same = a == e || (a.is_nan() && e.is_nan());
             let off = if is_same { 0.0 } else { (a - e).abs() / (tolerance.relative * s + tolerance.least) };
             errors.push((if off.is_nan() { f64::INFINITY } else { off }, channel, pixel));
@@ -46,12 +47,12 @@ pub fn worst(actual: &[Grid], expected: &[Grid], scale: &[Grid], tolerance: Tole
     Some(Worst { off, x: pixel % width, y: pixel / width, channel, actual, expected })
 }
 
-/// A scale that is the same everywhere.
+/// A constant scale.
 pub fn flat(like: &[Grid], scale: f64) -> Planes {
     like.iter().map(|grid| grid.like(|_| scale)).collect()
 }
 
-/// Each value's own size, as a scale; `floor` where it vanishes.
+/// The size of each value as its scale, at least `floor`.
 pub fn own_size(planes: &[Grid], floor: f64) -> Planes {
     planes.iter().map(|grid| grid.like(|p| grid.at(p).abs() + floor)).collect()
 }

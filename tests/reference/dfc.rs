@@ -11,14 +11,14 @@ use super::sure::{self, ErrorParts, Part, error_blend, smooth_errors, sure};
 use super::variance::{BoxWeight, Signal, buffer_var, floored, input_variance, of_color};
 use super::{Grid, Planes};
 
-/// What a candidate has of its own. An infinite k means that the colour, or the features, are not compared.
+/// Parameters of one candidate. An infinite k means that the colour, or the features, are not compared.
 #[derive(Clone, Copy, Debug)]
 pub struct CandidateParams {
     pub k_color: f64,
     pub k_feature: f64,
     pub patch_radius: usize,
     pub tau: f64,
-    /// The place of the candidate that it must filter more than, to win a pixel.
+    /// Index of the rival: this candidate wins a pixel only if it filters more than the rival.
     pub rival: Option<usize>,
 }
 
@@ -36,9 +36,9 @@ pub struct SecondPassParams {
     pub half_radius: bool,
     pub patch_radius: usize,
     pub k_color: f64,
-    /// No pixel may claim more noise than its input had.
+    /// Whether the noise of each pixel is limited to that of its input.
     pub clamp_to_input: bool,
-    /// The most that it may change a pixel by, in standard deviations of the pixel's noise.
+    /// Largest change of a pixel, in standard deviations of the pixel's noise.
     pub most_sigmas: Option<f64>,
 }
 
@@ -46,25 +46,25 @@ pub struct SecondPassParams {
 pub struct DfcParams {
     /// R.
     pub window_radius: usize,
-    /// Those that take part, of which a later one is more robust: FIRST, SECOND, THIRD.
+    /// The candidates that take part; a later one is more robust: FIRST, SECOND, THIRD.
     pub candidates: Vec<CandidateParams>,
-    /// Pairs of opposite neighbours and two-sided feature distances. THIRD has the distances alone: it is the widest
-    /// filter as it is, and without a colour term nothing would hold the blend of a pair back.
+    /// Pairs of opposite neighbours and two-sided feature distances. THIRD has only the distances: it is the widest
+    /// filter already, and without a colour term nothing would limit the blend of a pair.
     pub symmetric: bool,
     pub centre: CentreWeight,
-    /// How pixels count where sample variances are scaled by the halves.
+    /// Weights of pixels when sample variances are scaled by the halves.
     pub box_weight: BoxWeight,
-    /// How often the last term of SURE counts.
+    /// Factor of the last term of SURE.
     pub covariance: f64,
     pub guard: Option<Guard>,
     /// None: spikes stay.
     pub spikes: Option<SpikeParams>,
     pub second_pass: SecondPassParams,
-    /// None: no filter by the colour only takes part, whatever the features are.
+    /// None: the filter by the colour only never takes part.
     pub color_only: Option<ColorOnlyParams>,
     /// None: pixels without noise are filtered like all others.
     pub keep_clean: Option<CleanParams>,
-    /// None: variances that are not given are smoothed squares.
+    /// None: missing variances are smoothed squares of the half spread.
     pub noise: Option<NoiseParams>,
 }
 
@@ -95,7 +95,7 @@ impl DfcParams {
         }
     }
 
-    /// Everything that the filters have in common, for a window of its own.
+    /// The parameters that the filters share, for a window of this radius.
     fn filter(&self, window_radius: usize, candidate: &CandidateParams) -> FilterParams {
         FilterParams {
             window_radius,
@@ -110,7 +110,7 @@ impl DfcParams {
     }
 }
 
-/// What renders turned out to want.
+/// The parameters that measured best on renders.
 impl Default for DfcParams {
     fn default() -> DfcParams {
         let mut thesis = DfcParams::thesis();
@@ -142,7 +142,7 @@ pub struct Frame {
     pub color: Signal,
     /// In unit range.
     pub features: Vec<Signal>,
-    /// Which of them may explain the texture of an image alone: albedo and normal.
+    /// The features that may explain the texture of an image without halves and variance: albedo and normal.
     pub explaining: Vec<usize>,
 }
 
@@ -156,7 +156,7 @@ pub struct Pass {
 /// SECOND without features.
 pub struct ColorOnly {
     pub candidate: Candidate,
-    /// Of pass 1; the candidates' maps sum to the rest.
+    /// Share in pass 1; the candidates' maps sum to the rest.
     pub share: Grid,
 }
 
@@ -164,41 +164,41 @@ pub struct ColorOnly {
 pub struct Dfc {
     /// The input without spikes.
     pub color: Signal,
-    /// What was taken from them. None where spikes stay.
+    /// The energy removed from spikes. None if spikes stay.
     pub spikes: Option<Planes>,
-    /// The squares of what pixels got of them.
+    /// The squares of the energy that pixels got from spikes.
     pub squares: Option<Grid>,
-    /// Lights of few pixels, which the filters do not see. None where spikes stay.
+    /// Lights of few pixels, which the filters do not see. None if spikes stay.
     pub lights: Option<Lights>,
     pub color_variance: Planes,
     pub features: Vec<Prefiltered>,
     pub candidates: Vec<Candidate>,
     /// Eq. 8.5, one plane per candidate.
     pub sure: Planes,
-    /// The same, smoothed.
+    /// SURE, smoothed.
     pub errors: Planes,
     pub binary_maps: Planes,
     pub smoothed_maps: Planes,
     /// The maps of the blend: the smoothed ones, guarded if the parameters ask for it.
     pub maps: Planes,
-    /// Where a feature is without noise.
+    /// The pixels in which a feature has no noise.
     pub color_only: Option<ColorOnly>,
-    /// Of pass 2, or of pass 1 where there is none.
+    /// The result of pass 2, or of pass 1 without a second pass.
     pub error: Grid,
     /// The passes' result with clean pixels and lights kept, and its error.
     pub result: Pass,
     pub result_error: Grid,
     pub pass1: Pass,
-    /// None without halves: nothing tells what noise is left.
+    /// None without halves, because the noise that is left is unknown.
     pub pass2: Option<Pass>,
 }
 
 pub fn dfc(frame: &Frame, params: &DfcParams) -> Dfc {
-    // Variances that nothing gives. None of Algorithm 1.
+    // Missing variances. Not in Algorithm 1.
     let completed = params.noise.map(|noise| completed(&frame.color, &frame.features, &frame.explaining, &noise));
     let completed = completed.map(|(color, features)| Frame { color, features, explaining: Vec::new() });
     let frame = completed.as_ref().unwrap_or(frame);
-    // Lines 2–5 and 6–10: features and variances. Spikes are none of Algorithm 1.
+    // Lines 2–5 and 6–10: features and variances. Spikes are not in Algorithm 1.
     let prefiltered: Vec<Prefiltered> = frame
         .features
         .iter()
@@ -253,7 +253,7 @@ pub fn dfc(frame: &Frame, params: &DfcParams) -> Dfc {
         }),
     };
 
-    // A filter by the colour only, where features may have edges that the colour lacks. None of Algorithm 1.
+    // A filter by the colour only, where features may have edges that the colour lacks. Not in Algorithm 1.
     let several = candidates.len() > 1;
     let color_only = params.color_only.filter(|_| several && frame.features.iter().any(is_without_noise));
     let color_only = color_only.map(|ColorOnlyParams { k_color, patch_radius, significance }| {
@@ -274,7 +274,7 @@ pub fn dfc(frame: &Frame, params: &DfcParams) -> Dfc {
     // Lines 34–37: second pass.
     let pass2 = second_pass(&pass1, &color_variance, params);
 
-    // What is left of the error. A candidate alone is no blend.
+    // The error of the result. A single candidate is not a blend.
     let part = |k: usize| Part { share: &maps[k], mean: means[k], derivative: derivatives[k] };
     let of_color_only = color_only.iter().map(|ColorOnly { candidate, share }| Part {
         share,
@@ -317,7 +317,7 @@ pub fn dfc(frame: &Frame, params: &DfcParams) -> Dfc {
     }
 }
 
-/// Whether nothing tells of noise in a feature.
+/// Whether nothing is known of a feature's noise.
 fn is_without_noise(feature: &Signal) -> bool {
     [&feature.spread, &feature.sample_variance]
         .into_iter()
@@ -326,7 +326,7 @@ fn is_without_noise(feature: &Signal) -> bool {
         .all(|plane| plane.values.iter().all(|value| *value == 0.0))
 }
 
-/// The candidates' maps, of what the filter by the colour only leaves them.
+/// The candidates' maps, scaled to the share that the filter by the colour only leaves.
 pub fn rest_of(maps: &[Grid], share: &Grid) -> Planes {
     maps.iter().map(|map| map.like(|p| (1.0 - share.at(p)) * map.at(p))).collect()
 }
@@ -340,7 +340,7 @@ pub fn with_color_only(blend: &Pass, ColorOnly { candidate, share }: &ColorOnly)
     Pass { mean: mixed(&blend.mean, &candidate.mean), spread }
 }
 
-/// Removes the noise that pass 1 left, which its halves show.
+/// Filters the noise that pass 1 leaves, by means of its halves.
 pub fn second_pass(pass1: &Pass, input_variance: &[Grid], params: &DfcParams) -> Option<Pass> {
     let spread = pass1.spread.as_ref()?;
     let own = params.second_pass;
@@ -403,7 +403,7 @@ pub fn sampling_density(result: &Dfc, params: &DfcParams, samples_per_pixel: f64
             .map_or(0.0, |ColorOnly { candidate, share }| share.at(p) * candidate.weight_sum.at(p))
     };
     let weight_sum = weight_sum.like(|p| weight_sum.at(p) + more(p));
-    // With halves, what they say of the noise that is left (section 7.1.2); without them, its error.
+    // With halves, the noise that they show (section 7.1.2); without halves, the error of the blend.
     let left = result
         .pass1
         .spread
@@ -425,7 +425,7 @@ fn blend_channels(maps: &[Grid], candidates: &[&[Grid]]) -> Planes {
     (0..candidates[0].len()).map(channel).collect()
 }
 
-/// Σ_k maps_k · planes_k, without what has no weight: it may not be finite.
+/// Σ_k maps_k · planes_k, without planes of weight 0, which may not be finite.
 fn blend(maps: &[Grid], planes: &[&Grid]) -> Grid {
     maps[0].like(|p| {
         maps.iter().zip(planes).filter(|(map, _)| map.at(p) > 0.0).map(|(map, plane)| map.at(p) * plane.at(p)).sum()

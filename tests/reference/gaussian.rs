@@ -16,7 +16,7 @@ impl Window {
         Window { radius: radius as isize, of_distance }
     }
 
-    /// The existing pixels around one and their weights.
+    /// The existing pixels around a pixel, and their weights.
     fn around(&self, plane: &Grid, p: Point) -> Vec<(Point, f64)> {
         let axis = |at: isize, length: usize| (at - self.radius).max(0)..=(at + self.radius).min(length as isize - 1);
         let weight = |q: Point| self.of_distance[q.x.abs_diff(p.x)] * self.of_distance[q.y.abs_diff(p.y)];
@@ -46,7 +46,7 @@ pub fn gaussian_variance(variance: &Grid, sigma: f64, radius: usize) -> Grid {
     })
 }
 
-/// The average of all but the centre (section 6.2.4); a pixel that is alone keeps its value.
+/// The average of all but the centre (section 6.2.4); a single pixel keeps its value.
 pub fn gaussian_neighbours(plane: &Grid, sigma: f64, radius: usize) -> Grid {
     let window = Window::new(sigma, radius);
     plane.like(|p| {

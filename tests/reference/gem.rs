@@ -21,7 +21,7 @@ pub struct GemParams {
     pub spikes: Option<SpikeParams>,
     /// None: pixels without noise are filtered like all others.
     pub keep_clean: Option<CleanParams>,
-    /// None: variances that are not given are smoothed squares.
+    /// None: missing variances are smoothed squares of the half spread.
     pub noise: Option<NoiseParams>,
 }
 
@@ -59,7 +59,7 @@ pub struct Scale {
     pub mean: Planes,
     pub spread: Planes,
     pub variance: Planes,
-    /// Mean number of samples per pixel; 0 where nobody knows.
+    /// Mean number of samples per pixel; 0 if unknown.
     pub samples: Grid,
     /// Number of pixels that take part, 1/Σw².
     pub pixels: Grid,
@@ -132,7 +132,7 @@ pub fn decided(stops: &Grid, smoothed: &Grid, coarser_only: bool) -> Grid {
     })
 }
 
-/// What was chosen, pixel by pixel.
+/// The choice for each pixel.
 #[derive(Clone, Debug)]
 pub struct Chosen {
     pub sigma: Grid,
@@ -146,8 +146,8 @@ pub struct Chosen {
     pub support: Grid,
 }
 
-/// The finest scale with value 1; the coarsest where there is none. `steps[k]` and `maps[k]` compare `scales[k]` with
-/// `scales[k + 1]`.
+/// The finest scale whose map is 1; the coarsest scale if there is none. `steps[k]` and `maps[k]` compare `scales[k]`
+/// with `scales[k + 1]`.
 pub fn choose(scales: &[Scale], steps: &[Step], maps: &[Grid]) -> Chosen {
     let like = &scales[0].samples;
     let level = |p: Point| maps.iter().position(|map| map.at(p) == 1.0).unwrap_or(maps.len());
@@ -165,7 +165,7 @@ pub fn choose(scales: &[Scale], steps: &[Step], maps: &[Grid]) -> Chosen {
     }
 }
 
-/// All of it.
+/// All values of GEM.
 pub struct Gem {
     /// The input without spikes and lights of few pixels.
     pub color: Signal,
@@ -219,7 +219,7 @@ pub fn gem(color: &Signal, samples: &Grid, params: &GemParams) -> Gem {
     }
 }
 
-/// What is left of a choice where clean pixels and lights are those of the input.
+/// The choice, with clean pixels and lights replaced by those of the input.
 pub fn result(gem: &Gem, chosen: &Chosen, params: &GemParams) -> Kept {
     let Chosen { mean, spread, error, .. } = chosen;
     let kept = match params.keep_clean {

@@ -1,4 +1,4 @@
-//! Pixels without noise stay as they are. None of the text's.
+//! Pixels without noise stay as they are. Not in the thesis.
 
 use super::variance::Signal;
 use super::{Grid, Planes, Point, square};
@@ -6,9 +6,9 @@ use super::{Grid, Planes, Point, square};
 /// Which pixels count as clean.
 #[derive(Clone, Copy, Debug)]
 pub struct CleanParams {
-    /// The noise from which on a pixel is filtered freely, in parts of its value.
+    /// Noise from which on a pixel is filtered freely, relative to its value.
     pub noise: f64,
-    /// The standard deviations that one with next to no noise may move by.
+    /// Largest change of a pixel with almost no noise, in standard deviations.
     pub sigmas: f64,
     pub black_radius: usize,
 }
@@ -19,7 +19,7 @@ impl Default for CleanParams {
     }
 }
 
-/// The square of the correction that each pixel may get: 0 where it has no noise, infinite where it has enough of it.
+/// The square of the largest correction of each pixel: 0 without noise, infinite with enough noise.
 pub fn allowed(input: &Signal, params: CleanParams) -> Grid {
     let noise = noise(input);
     let value = |p: Point| input.mean.iter().map(|plane| plane.at(p).powi(2)).sum::<f64>();
@@ -33,7 +33,7 @@ pub fn allowed(input: &Signal, params: CleanParams) -> Grid {
     })
 }
 
-/// How much of its correction each pixel gets.
+/// The share of its correction that each pixel gets.
 pub fn clean_shares(input: &Signal, filtered: &[Grid], params: CleanParams) -> Grid {
     let allowed = allowed(input, params);
     allowed.like(|p| {
@@ -42,7 +42,7 @@ pub fn clean_shares(input: &Signal, filtered: &[Grid], params: CleanParams) -> G
     })
 }
 
-/// A filtered signal in which clean pixels are those of the input.
+/// A filtered signal with clean pixels replaced by those of the input.
 pub struct Kept {
     pub mean: Planes,
     /// None without halves.
@@ -62,8 +62,8 @@ pub fn keep_clean(input: &Signal, mean: &[Grid], spread: Option<&[Grid]>, error:
     }
 }
 
-/// What the samples of each pixel show of its variance, summed over the channels. Without sample variance two halves
-/// may agree by accident: then the pixels beside have a say too.
+/// The variance that the samples of each pixel show, summed over the channels. Without sample variance two halves may
+/// agree by accident, so the neighbours count too.
 pub fn noise(input: &Signal) -> Grid {
     let spread = |i: usize, p: Point| input.spread.as_ref().map_or(0.0, |spread| spread[i].at(p).powi(2));
     let channels = 0..input.mean.len();
@@ -80,7 +80,7 @@ pub fn noise(input: &Signal) -> Grid {
     }
 }
 
-/// The filtered planes, moved back to the input's by the shares.
+/// The filtered planes, moved towards the input by the shares.
 pub fn kept(input: &[Grid], filtered: &[Grid], shares: &Grid) -> Planes {
     input
         .iter()
@@ -91,7 +91,7 @@ pub fn kept(input: &[Grid], filtered: &[Grid], shares: &Grid) -> Planes {
         .collect()
 }
 
-/// The squared error of what was kept: no more than its noise and the way that it may go.
+/// The squared error of kept pixels: at most their noise and the allowed correction.
 pub fn kept_error(error: &Grid, input: &Signal, params: CleanParams) -> Grid {
     let (noise, allowed) = (noise(input), allowed(input, params));
     error.like(|p| error.at(p).min(noise.at(p) + allowed.at(p)))

@@ -1,9 +1,8 @@
-//! The naive float64 twin of every stage and of the whole of Algorithm 1 and of GEM, written from chapters 6 to 8 of
-//! the thesis.
+//! The naive float64 twin of every stage, of Algorithm 1 and of GEM, written from chapters 6 to 8 of the thesis.
 //!
-//! The shaders are tested against this, so it owes nothing to them: one loop per sum, patch distances by brute force,
-//! no separable filter, no value kept from one pixel to the next. The speed of a test is not worth a doubt about its
-//! reference.
+//! The shaders are compared with this twin, so it shares no code and no trick with them: one loop per sum, patch
+//! distances by brute force, no separable filter, no value kept from one pixel to the next. The speed of a test is not
+//! worth a doubt about its reference.
 //!
 //! ```text
 //! exposure    the unit that all of it is done in
@@ -24,8 +23,8 @@
 //! compare     how far something is from it
 //! ```
 //!
-//! Neighbours outside the image do not exist: windows, patches, boxes and Gaussians all shrink at the border and are
-//! normalised by what is left.
+//! Neighbours outside the image do not exist: windows, patches, boxes and Gaussians shrink at the border and are
+//! normalised by their remaining pixels.
 
 #![allow(
     missing_docs,

@@ -4,13 +4,13 @@
 use super::{Grid, Planes, Point, map_pixels, square};
 
 /// ε of eq. 7.4, "very small in order to preserve features in dark areas": between two black pixels without variance.
-/// All others have one, see `variance::floored`.
+/// All other pixels have a variance, see `variance::floored`.
 const EPSILON: f64 = 1e-30;
 
-/// Beyond this distance a weight is e⁻²⁵ or less, and the ratio of the weights of a pair says nothing any more.
+/// Beyond this distance a weight is e⁻²⁵ or less, and the ratio of the weights of a pair means nothing.
 const BLENDING_DISTANCE: f64 = 25.0;
 
-/// The centre's weight where no neighbour is like it.
+/// The centre's weight if no neighbour is similar.
 const SMALLEST_CENTRE_WEIGHT: f64 = 1e-3;
 
 /// The weight of a pixel in its own average.
@@ -35,7 +35,7 @@ pub struct FilterParams {
     pub k_feature: f64,
     /// τ: the least squared feature contrast that matters.
     pub tau: f64,
-    /// Feature distances look at both pixels. Otherwise the formula as printed in section 8.3.
+    /// Whether feature distances are scaled by both pixels. Otherwise the formula as printed in section 8.3.
     pub symmetric_features: bool,
     /// Weights from pairs of opposite neighbours (eq. 7.6), for colour and features.
     pub blend_pairs: bool,
@@ -157,7 +157,7 @@ pub fn window_weights_in_time(
     (own, others)
 }
 
-/// The weights of one window; `like` tells the extent.
+/// The weights of one window; `like` has the extent of the image.
 pub fn window_weights(
     like: &Grid,
     p: Point,
@@ -378,7 +378,7 @@ impl Channel<'_> {
         self.feature.residual_variance[self.channel].at(x)
     }
 
-    /// What differences are measured by: what is left of the noise or the feature's own gradient, at least τ.
+    /// Scale of differences: the residual noise or the feature's own gradient, at least τ.
     fn contrast(&self, x: Point) -> f64 {
         self.tau.max(self.variance(x)).max(self.feature.gradient_squared[self.channel].at(x))
     }

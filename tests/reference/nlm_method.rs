@@ -12,16 +12,16 @@ use super::{Grid, Planes, Point, map_pixels, square};
 const EPSILON: f64 = 1e-30;
 /// ε of section 7.1.2.
 const RELATIVE_FLOOR: f64 = 1e-3;
-/// The centre's weight where no neighbour is like it.
+/// The centre's weight if no neighbour is similar.
 const SMALLEST_CENTRE_WEIGHT: f64 = 1e-3;
 
-/// What opposite neighbours do for each other.
+/// Treatment of opposite neighbours.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Symmetry {
     Off,
-    /// As chapter 8 wants it, by degrees.
+    /// By degrees, for chapter 8.
     Blended,
-    /// As section 7.1.1 has it.
+    /// As in section 7.1.1.
     Hard,
 }
 
@@ -126,7 +126,7 @@ fn weight_sums(like: &Grid, windows: &[WindowWeights]) -> Grid {
     Grid { values: windows.iter().map(WindowWeights::sum).collect(), ..*like }
 }
 
-/// What is taken for the variance.
+/// Source of the variance.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Variance {
     Scaled,
@@ -143,7 +143,7 @@ pub struct NlmParams {
     pub spikes: Option<SpikeParams>,
     /// None: pixels without noise are filtered like all others.
     pub keep_clean: Option<CleanParams>,
-    /// None: variances that are not given are smoothed squares.
+    /// None: missing variances are smoothed squares of the half spread.
     pub noise: Option<NoiseParams>,
 }
 
@@ -277,8 +277,8 @@ pub fn nlm(color: &Signal, params: &NlmParams, samples: &Grid) -> Nlm {
     Nlm { variance, mean, spread, weight_sum, error, density }
 }
 
-/// Section 7.1.1, variance estimation. The uncertainty of Σ, of which the source has one from each half, is its
-/// variance over 3×3 pixels.
+/// Section 7.1.1, variance estimation. The uncertainty of Σ is its variance over 3×3 pixels; the source has one from
+/// each half.
 pub fn cross_filtered(color: &Signal, filter: &Filter) -> Planes {
     let (Some(claimed), Some(spread)) = (&color.sample_variance, &color.spread) else {
         return input_variance(color, BoxWeight::Deviation);
@@ -290,7 +290,7 @@ pub fn cross_filtered(color: &Signal, filter: &Filter) -> Planes {
     at_most_claimed(filtered(&two_buffer, &windows(Guide { mean: claimed, variance: &uncertainty }, &own)), color)
 }
 
-/// Of the 3×3 pixels around, as far as they exist.
+/// Variance over the existing pixels of the 3×3 pixels around.
 pub fn local_variance(plane: &Grid) -> Grid {
     plane.like(|p| {
         let around: Vec<f64> = square(1).map(|o| p + o).filter(|q| plane.contains(*q)).map(|q| plane.at(q)).collect();
@@ -299,7 +299,7 @@ pub fn local_variance(plane: &Grid) -> Grid {
     })
 }
 
-/// Held below the sample variance, where there is one beside the halves.
+/// The variance, held below the sample variance if there is one beside the halves.
 fn at_most_claimed(variance: Planes, color: &Signal) -> Planes {
     match (&color.sample_variance, &color.spread) {
         (Some(claimed), Some(_)) => variance

@@ -1,5 +1,4 @@
-//! Variances of the mean that no renderer gave: from two halves, or from the image alone, pooled over pixels that are
-//! alike.
+//! Estimated variances of the mean: from two halves, or from the image alone, pooled over similar pixels.
 
 use std::f64::consts::FRAC_PI_2;
 
@@ -10,23 +9,23 @@ use super::{Grid, Planes, Point, channel_mean, lower_median, square};
 /// Which pixels are pooled, and how.
 #[derive(Clone, Copy, Debug)]
 pub struct NoiseParams {
-    /// How many times brighter than itself a pixel takes its surroundings to be at the most.
+    /// Largest ratio of the brightness around a pixel to its own that counts.
     pub darker: f64,
     pub least_magnitude: f64,
     pub guess_sigma: f64,
     pub guess_radius: usize,
     pub feature_radius: usize,
     pub window_radius: usize,
-    /// Magnitudes that differ by more than this factor are not pooled.
+    /// Pixels whose magnitudes differ by more than this factor are not pooled.
     pub gate: f64,
-    /// The same where a sample variance is pooled, which is given beside halves. None: it stays as it is.
+    /// The same factor for pooling a sample variance beside halves. None: it stays as it is.
     pub given_gate: Option<f64>,
     pub largest_distance: f64,
     pub k_feature: f64,
     pub tau: f64,
-    /// How often the pooled variance counts, against once the pixel's own.
+    /// Weight of the pooled variance; the pixel's own has weight 1.
     pub pooled_share: f64,
-    /// Noise up to which a pixel has none, in parts of its value.
+    /// Noise below which a pixel counts as free of noise, relative to its value.
     pub least_noise: f64,
 }
 
@@ -37,7 +36,7 @@ impl NoiseParams {
     }
 }
 
-/// What renders turned out to want.
+/// The parameters that measured best on renders.
 impl Default for NoiseParams {
     fn default() -> NoiseParams {
         NoiseParams {
@@ -61,12 +60,13 @@ impl Default for NoiseParams {
 /// Variances of the mean.
 pub struct Pooled {
     pub color: Planes,
-    /// Of each feature; of one without halves they mean nothing.
+    /// Variances of each feature; meaningless for a feature without halves.
     pub features: Vec<Planes>,
 }
 
-/// A frame in which the colour, and every feature with halves, has a sample variance; one of a colour with halves
-/// becomes steadier. The features `explaining` may explain the texture of an image alone.
+/// A frame in which the colour, and every feature with halves, has a sample variance. The sample variance of a colour
+/// with halves becomes steadier. The features `explaining` may explain the texture of an image without halves and
+/// variance.
 pub fn completed(
     color: &Signal,
     features: &[Signal],
@@ -138,14 +138,14 @@ pub fn pooled(color: &Signal, features: &[Signal], params: &NoiseParams) -> Pool
             .map(|(deviation, own)| own.like(|p| (mean_of(&deviation, p).powi(2) + own.at(p)) / 2.0))
             .collect()
     } else {
-        // What the pixel's own halves say counts a little.
+        // The pixel's own halves count a little.
         let pooled: Planes = spread.iter().map(pool).collect();
         let ratio = like.like(|p| {
             own.iter().zip(&pooled).map(|(own, v)| own.at(p) / v.at(p).max(1e-30)).sum::<f64>() / own.len() as f64
         });
         pooled.iter().map(|v| v.like(|p| v.at(p) * (share + ratio.at(p)) / (share + 1.0))).collect()
     };
-    // What has next to no noise keeps it.
+    // Pixels with almost no noise keep it.
     let kept =
         |(v, own): (&Grid, &Grid)| v.like(|p| if has_noise(color, &spread, p, params) { v.at(p) } else { own.at(p) });
     let color = estimate.iter().zip(&own).map(kept).collect();
@@ -156,8 +156,8 @@ pub fn pooled(color: &Signal, features: &[Signal], params: &NoiseParams) -> Pool
     Pooled { color, features: spreads.iter().map(|planes| planes.iter().map(of_feature).collect()).collect() }
 }
 
-/// Halves alone may agree by accident, so that those of the pixels beside have a say too, and all samples of a black
-/// pixel may have missed the light.
+/// Halves may agree by accident, so the neighbours' halves count too; all samples of a black pixel may have missed the
+/// light.
 fn has_noise(color: &Signal, spread: &[Grid], p: Point, params: &NoiseParams) -> bool {
     let largest = |planes: &[Grid], q: Point| planes.iter().map(|plane| plane.at(q).abs()).fold(0.0, f64::max);
     let value = largest(&color.mean, p);
@@ -191,7 +191,7 @@ pub fn first_guess(spread: &[Grid], magnitude: &Grid, params: &NoiseParams) -> P
     smoothed.map(|plane| plane.like(|p| plane.at(p) * magnitude.at(p).powi(2))).collect()
 }
 
-/// What the halves of a feature, or its variance without halves, tell of its noise in a small box.
+/// The noise of a feature in a small box, from its halves, or from its variance without halves.
 pub fn noise_around(signal: &Signal, params: &NoiseParams) -> Planes {
     let squares = |spread: &Grid| spread.like(|p| spread.at(p).powi(2));
     let noise: Planes = match (&signal.spread, &signal.sample_variance) {
@@ -212,7 +212,7 @@ pub fn noise_around(signal: &Signal, params: &NoiseParams) -> Planes {
     noise.iter().map(average).collect()
 }
 
-/// The mean over the channels of the squared difference, less what noise explains of it, over a scale.
+/// The mean over the channels of the squared difference less its noise, divided by a scale.
 fn distance(mean: &[Grid], variance: &[Grid], p: Point, q: Point, scale: impl Fn(f64) -> f64) -> f64 {
     let of_channel = |(mean, variance): (&Grid, &Grid)| {
         let (of_p, of_q) = (variance.at(p), variance.at(q));
@@ -221,7 +221,7 @@ fn distance(mean: &[Grid], variance: &[Grid], p: Point, q: Point, scale: impl Fn
     mean.iter().zip(variance).map(of_channel).sum::<f64>() / mean.len() as f64
 }
 
-/// How noise is told from an image alone.
+/// Parameters for estimating noise from an image alone.
 #[derive(Clone, Copy, Debug)]
 pub struct ImageParams {
     pub fit_radius: usize,
@@ -234,7 +234,7 @@ pub struct ImageParams {
     pub pool: NoiseParams,
 }
 
-/// What renders turned out to want.
+/// The parameters that measured best on renders.
 impl Default for ImageParams {
     fn default() -> ImageParams {
         let pool = NoiseParams { gate: 4.0, k_feature: 0.6, ..NoiseParams::default() };
@@ -251,8 +251,7 @@ impl Default for ImageParams {
     }
 }
 
-/// The variance of a colour of whose noise nothing is known. The features `explaining` may explain what it stands out
-/// by.
+/// The variance of a colour without halves and variance. The features `explaining` may explain its texture.
 pub fn of_image(mean: &[Grid], features: &[Signal], explaining: &[usize], params: &ImageParams) -> Planes {
     let spread = residual(mean, features, explaining, params);
     let color = Signal { mean: mean.to_vec(), spread: Some(spread), sample_variance: None };
@@ -285,12 +284,12 @@ pub fn of_image(mean: &[Grid], features: &[Signal], explaining: &[usize], params
 
 const AXES: [Point; 2] = [Point { x: 1, y: 0 }, Point { x: 0, y: 1 }];
 
-/// By how much pixels stand out from both their neighbours, along the axis where that is less; in part, from what the
-/// features explain.
+/// The differences of pixels from their two neighbours, along the axis with the smaller one; partly without the part
+/// that features explain.
 pub fn residual(mean: &[Grid], features: &[Signal], explaining: &[usize], params: &ImageParams) -> Planes {
     let magnitude = magnitude(mean, &params.pool);
     let terms: Vec<&Grid> = explaining.iter().flat_map(|&index| &features[index].mean).collect();
-    // Along an axis without neighbours nothing can be told.
+    // An axis without neighbours gives no difference.
     let axes: Vec<Point> = AXES
         .into_iter()
         .filter(|axis| mean[0].width as isize * axis.x + mean[0].height as isize * axis.y > 1)
@@ -298,7 +297,7 @@ pub fn residual(mean: &[Grid], features: &[Signal], explaining: &[usize], params
     let lesser = |left: [f64; 2]| {
         (0..2).filter(|&a| axes.contains(&AXES[a])).map(|a| left[a].abs()).reduce(f64::min).unwrap_or(0.0)
     };
-    // E|D| of the lesser of two residuals is that of a half spread.
+    // E|D| of the smaller of two residuals equals that of a half spread.
     let scale = 1.0 / (1.5f64.sqrt() * (2.0 - ((10.0f64 / 3.0).sqrt() + (2.0f64 / 3.0).sqrt()) / 2.0));
     mean.iter()
         .map(|channel| {
@@ -320,14 +319,14 @@ pub fn residual(mean: &[Grid], features: &[Signal], explaining: &[usize], params
         .collect()
 }
 
-/// From the mean of its neighbours along an axis; at the border one stands for both.
+/// The difference from the mean of the two neighbours along an axis; at the border one neighbour stands for both.
 fn stands_out(plane: &Grid, p: Point, axis: Point) -> f64 {
     let beside: Vec<f64> =
         [p - axis, p + axis].into_iter().filter(|&q| plane.contains(q)).map(|q| plane.at(q)).collect();
     if beside.is_empty() { 0.0 } else { plane.at(p) - beside.iter().sum::<f64>() / beside.len() as f64 }
 }
 
-/// Ridge regression of what a channel stands out by on what the terms do, along both axes, over the pixels around.
+/// Ridge regression of a channel's differences on those of the terms, along both axes, over the pixels around.
 fn fit_around(channel: &Grid, terms: &[&Grid], magnitude: &Grid, p: Point, params: &ImageParams) -> Vec<f64> {
     let n = terms.len();
     let (mut matrix, mut right, mut weights) = (vec![vec![0.0; n]; n], vec![0.0; n], 0.0);

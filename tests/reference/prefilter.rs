@@ -13,16 +13,16 @@ const PATCH_RADIUS: usize = 3;
 const SENSITIVITY: f64 = 1.0;
 
 pub struct Prefiltered {
-    /// The variance of the input, by which it was filtered.
+    /// The variance of the input, which the filter used.
     pub variance: Planes,
     pub feature: Feature,
-    /// The filtered spread, where the feature has halves.
+    /// The filtered spread, if the feature has halves.
     pub spread: Option<Planes>,
 }
 
-/// Lines 9 and 10 of Algorithm 1. The halves are filtered with the weights of the full data, and what they still differ
-/// by is the residual variance. Without halves it comes from the weights; a feature of which nothing is known but its
-/// mean is taken to be exact and left alone.
+/// Lines 9 and 10 of Algorithm 1. The halves are filtered with the weights of the full data, and their remaining
+/// difference is the residual variance. Without halves the residual variance comes from the weights. A feature without
+/// halves and variance is taken to be exact and stays unchanged.
 pub fn prefilter(signal: &Signal, symmetric: bool, centre: CentreWeight, box_weight: BoxWeight) -> Prefiltered {
     let mut variance = input_variance(signal, box_weight);
     if signal.spread.is_some() || signal.sample_variance.is_some() {
@@ -55,8 +55,8 @@ pub fn prefilter(signal: &Signal, symmetric: bool, centre: CentreWeight, box_wei
     Prefiltered { variance, feature: Feature { mean, residual_variance, gradient_squared }, spread }
 }
 
-/// ‖Grad‖² of section 8.3. Per axis the smaller of the two one-sided differences: beside an edge, the side that is
-/// still flat says what contrast the pixel itself has.
+/// ‖Grad‖² of section 8.3. Per axis the smaller of the two one-sided differences: beside an edge, the flat side shows
+/// the contrast of the pixel itself.
 pub fn gradient_squared(plane: &Grid) -> Grid {
     plane.like(|p| {
         [Point { x: 1, y: 0 }, Point { x: 0, y: 1 }]

@@ -1,27 +1,27 @@
-//! Which candidate to believe (section 8.4): binary maps of the least error, smoothed, then guarded.
+//! The choice between the candidates (section 8.4): binary maps of the least error, smoothed, then guarded.
 
 use super::gaussian::gaussian;
 use super::nlm::{FilterParams, Guide, nlm_filter};
 use super::{Grid, Planes, Point, channel_mean, map_pixels};
 
-/// When a candidate may take part in the blend of a pixel.
+/// The guard: when a candidate may take part in the blend of a pixel.
 #[derive(Clone, Copy, Debug)]
 pub struct Guard {
     /// Where its smoothed error exceeds the winner's by no more than
     /// `smoothed_error · |winner's error| + smoothed_noise · Σ_i V_i` …
     pub smoothed_error: f64,
-    /// … the second of which is how far two errors may differ for no other reason than the noise of the estimate.
+    /// … where the second term allows for the noise of the estimate.
     pub smoothed_noise: f64,
-    /// And where its SURE as it is exceeds the least one, that of G, by no more than `own_sigmas` standard deviations
+    /// And where its unsmoothed SURE exceeds the least one, that of G, by no more than `own_sigmas` standard deviations
     /// `2·√Σ_i V_i·(F_i − G_i)²` of their difference …
     pub own_sigmas: f64,
     /// … and `own_noise · Σ_i V_i`.
     pub own_noise: f64,
 }
 
-/// The candidate with the least error; ties go to the later one, which is more robust, and blinder. One with a rival
-/// must also filter more than the rival, as FIRST must more than SECOND (line 24): where it keeps noise, its error
-/// estimate may not notice. An error that is not finite cannot win, and where none can, the last one does.
+/// The candidate with the least error; ties go to the later one, which is more robust. A candidate with a rival must
+/// also filter more than the rival, as FIRST more than SECOND (line 24), because its error estimate may miss noise that
+/// it keeps. An error that is not finite cannot win; if no error is finite, the last candidate wins.
 pub fn select(errors: &[Grid], derivatives: &[&[Grid]], rivals: &[Option<usize>]) -> Planes {
     let (width, height) = (errors[0].width, errors[0].height);
     let winners = map_pixels(width, height, |p| {
@@ -47,13 +47,13 @@ pub fn smooth_maps(binary: &[Grid], guide: Guide, aside: &FilterParams) -> Plane
     normalise(&smoothed, |_| binary.len() - 1)
 }
 
-/// The winner by the smoothed errors takes part with at least this share, so that something is left where it alone
-/// survives the guard …
+/// The winner by the smoothed errors has at least this share, so that the shares do not vanish if it alone passes the
+/// guard …
 const SMALLEST_SHARE_OF_WINNER: f64 = 1e-6;
-/// … and the winner by the pixel's own with this one, which matters where the first has failed by the second rule.
+/// … and the winner by the pixel's own errors has this one, which matters if the first winner fails the second rule.
 const SMALLEST_SHARE_OF_OWN_WINNER: f64 = 1e-9;
 
-/// What the shares of a pixel are judged by.
+/// Values that the guard compares.
 #[derive(Clone, Copy)]
 pub struct Evidence<'a> {
     /// Smoothed.
@@ -66,17 +66,16 @@ pub struct Evidence<'a> {
     pub variance: &'a [Grid],
 }
 
-/// Smoothing hands a rejected candidate some weight near the border of its region, and one that is wildly wrong there
-/// ruins the blend with any weight at all: the guard takes such candidates out again. And smoothed errors know nothing
-/// of a single clean pixel among noisy ones, so that the pixel's own error has its say as well. Without a guard the
-/// maps are only normalised.
+/// Smoothing gives a rejected candidate some weight near the border of its region. If the candidate is far wrong there,
+/// any weight ruins the blend: the guard removes such candidates. Smoothed errors also miss a single clean pixel among
+/// noisy ones, so the guard compares the pixel's own errors too. Without a guard the maps are only normalised.
 pub fn share(maps: &[Grid], evidence: Evidence, guard: Option<&Guard>) -> Planes {
     let Evidence { errors, binary_maps, sure, candidates, variance } = evidence;
     let count = maps.len();
     let noise = |p: Point| variance.iter().map(|v| v.at(p)).sum::<f64>();
     let winner = |p: Point| (0..count).find(|&k| binary_maps[k].at(p) == 1.0).unwrap_or(count - 1);
     let Some(guard) = guard else { return normalise(maps, winner) };
-    // Ties go to the later one. There is none where no error is finite.
+    // Ties go to the later one. None if no error is finite.
     let own_winner = |p: Point| {
         let finite = (0..count).rev().filter(|&k| sure[k].at(p).is_finite());
         finite.reduce(|least, k| if sure[k].at(p) < sure[least].at(p) { k } else { least })
@@ -102,20 +101,20 @@ pub fn share(maps: &[Grid], evidence: Evidence, guard: Option<&Guard>) -> Planes
     normalise(&guarded, winner)
 }
 
-/// How far SURE may tell two filtered values of one pixel apart by chance: its difference has the standard deviation
-/// 2·√Σ σ_i²(F_i − G_i)².
+/// The chance difference of SURE between two filtered values of a pixel has the standard deviation 2·√Σ σ_i²(F_i −
+/// G_i)².
 fn by_chance(f: &[Grid], g: &[Grid], variance: &[Grid], guard: &Guard, p: Point) -> f64 {
     let apart = |i: usize| f[i].at(p) - g[i].at(p);
     let deviation = 2.0 * (0..variance.len()).map(|i| variance[i].at(p) * apart(i) * apart(i)).sum::<f64>().sqrt();
     guard.own_sigmas * deviation + guard.own_noise * variance.iter().map(|v| v.at(p)).sum::<f64>()
 }
 
-/// By how much the filter by the colour only must be better than the candidates' blend.
+/// The advantage that the filter by the colour only needs over the candidates' blend.
 #[derive(Clone, Copy, Debug)]
 pub struct Significance {
     /// σ of the Gaussian that averages the differences of SURE, cut off at 3σ.
     pub sigma: f64,
-    /// Standard errors from which on it gets a share, and from which on it gets all.
+    /// Advantage in standard errors from which on it gets a share, and from which on it gets everything.
     pub least: f64,
     pub most: f64,
 }
@@ -126,7 +125,7 @@ impl Default for Significance {
     }
 }
 
-/// By how much SURE of the one filter exceeds that of the other; 0 where float32 could not tell them apart.
+/// The excess of one filter's SURE over the other's; 0 if float32 could not distinguish them.
 pub fn differences(of_color_only: &Grid, of_blend: &Grid, variance: &[Grid]) -> Grid {
     of_color_only.like(|p| {
         let (a, b) = (of_color_only.at(p), of_blend.at(p));
@@ -156,7 +155,7 @@ pub struct Filtered<'a> {
     pub sure: &'a Grid,
 }
 
-/// Whether the frames beside have done harm to a pixel that is better filtered in its own frame alone.
+/// Whether the neighbouring frames harm a pixel, which is then filtered in its own frame alone.
 pub fn harmed(together: Filtered, alone: Filtered, variance: &[Grid], guard: &Guard, p: Point) -> bool {
     together.sure.at(p) - alone.sure.at(p) > by_chance(together.mean, alone.mean, variance, guard, p)
 }

@@ -1,28 +1,28 @@
-//! Spikes: pixels that stand out from those of their kind, and rest on very few samples for it.
+//! Spikes: pixels that stand out from similar ones and rest on very few samples.
 
 use super::keep_clean::Kept;
 use super::nlm::Feature;
 use super::variance::Signal;
 use super::{Grid, Planes, Point, channel_mean, lower_median, square};
 
-/// What makes a spike, and how it is spread.
+/// Rules for a spike, and for spreading it.
 #[derive(Clone, Copy, Debug)]
 pub struct SpikeParams {
     pub window_radius: usize,
     pub spread_radius: usize,
     pub least_neighbours: usize,
-    /// Above the level, in distances from the level to the third brightest neighbour.
+    /// Least excess over the level, in distances from the level to the third brightest neighbour.
     pub prominence: f64,
     pub most_samples: f64,
-    /// How many a light of few pixels rests on at the least.
+    /// Least number of samples that a light of few pixels rests on.
     pub light_samples: f64,
-    /// None: what stands out is lost.
+    /// None: the excess is lost.
     pub share_limit: Option<f64>,
     pub k_feature: f64,
     pub tau: f64,
 }
 
-/// What renders turned out to want.
+/// The parameters that measured best on renders.
 impl Default for SpikeParams {
     fn default() -> SpikeParams {
         SpikeParams {
@@ -41,16 +41,16 @@ impl Default for SpikeParams {
 
 pub struct Repaired {
     pub signal: Signal,
-    /// What was taken from each pixel.
+    /// The energy removed from each pixel.
     pub taken: Planes,
-    /// Which part of it the pixels around got.
+    /// The share of that energy that the pixels around got.
     pub part: Grid,
-    /// The squares of what each pixel got, summed over spikes and channels.
+    /// The squares of the energy that each pixel got, summed over spikes and channels.
     pub squares: Grid,
     pub lights: Lights,
 }
 
-/// Lights of few pixels, as they were; 0 everywhere else.
+/// Lights of few pixels with their values; 0 everywhere else.
 #[derive(Clone)]
 pub struct Lights {
     /// 1 for a light.
@@ -82,14 +82,14 @@ impl Lights {
 
 struct Spike {
     level: Vec<f64>,
-    /// By its neighbours' claims.
+    /// Variance after the repair, from the neighbours' variances.
     variance: Vec<f64>,
     excess: Vec<f64>,
-    /// Of a light of few pixels, what its samples show of its variance: it is kept aside. None for a spike.
+    /// For a light of few pixels, which is kept aside, the variance that its samples show. None for a spike.
     light: Option<f64>,
 }
 
-/// How much of a spike goes to how many pixels in its place.
+/// The share of a spike that is spread, and the sum of the parts.
 struct Share {
     part: f64,
     members: f64,
@@ -112,7 +112,7 @@ pub fn repaired(color: &Signal, features: &[Feature], params: &SpikeParams) -> R
     let without: Planes =
         (0..mean.len()).map(|i| mean[i].like(|p| at(p).map_or(mean[i].at(p), |spike| spike.level[i]))).collect();
     let levels = mean[0].like(|p| level_around(&without, p));
-    // Who gets how much of a spike at p, in parts of what one in its place would get.
+    // The parts of a spike at p for the pixels around, relative to the part of a pixel in its place.
     let gets = |p: Point, q: Point| {
         let alike = is_noisy(color, q) && alike(features, params, p, q);
         if alike { falloff(params, p, q) * affinity(levels.at(p), levels.at(q)) } else { 0.0 }
@@ -208,26 +208,26 @@ fn spike(color: &Signal, features: &[Feature], params: &SpikeParams, p: Point) -
     Some(Spike { variance: of_neighbours(&claimed), level, excess, light })
 }
 
-/// How bright the 3×3 pixels around are: their median, of an even number the lower one of the two in the middle, at
-/// least 0. It follows an edge of light, which a mean would blur.
+/// The brightness of the 3×3 pixels around: their median (of an even number the lower middle one), at least 0. A median
+/// keeps an edge of light, which a mean would blur.
 fn level_around(without_spikes: &[Grid], p: Point) -> f64 {
     let around = square(1).map(|o| p + o).filter(|&q| without_spikes[0].contains(q));
     lower_median(around.map(|q| channel_mean(without_spikes, q)).collect()).max(0.0)
 }
 
-/// How much pixels of these levels count as equally bright: from eight times on not at all, up to four times wholly.
+/// The degree to which two levels count as equally bright: 1 up to a factor of four, 0 from eight on.
 fn affinity(level_p: f64, level_q: f64) -> f64 {
     let brighter = level_p.max(level_q);
     if brighter > 0.0 { (8.0 * level_p.min(level_q) / brighter - 1.0).clamp(0.0, 1.0) } else { 1.0 }
 }
 
-/// What a pixel gets, in parts of what one in the place of the spike would get.
+/// The part of a pixel, relative to the part of a pixel in the place of the spike.
 fn falloff(params: &SpikeParams, p: Point, q: Point) -> f64 {
     let squared = |a: isize, b: isize| ((a - b) as f64 / (params.spread_radius + 1) as f64).powi(2);
     (1.0 - squared(p.x, q.x) - squared(p.y, q.y)).max(0.0)
 }
 
-/// What has next to no noise, a thousandth of its value, is what it is.
+/// Pixels with noise below a thousandth of their value are exact.
 fn is_noisy(color: &Signal, p: Point) -> bool {
     let largest =
         |planes: &Planes, size: fn(f64) -> f64| planes.iter().map(|plane| size(plane.at(p))).fold(0.0, f64::max);

@@ -17,14 +17,14 @@ pub fn sure(u: &[Grid], variance: &[Grid], filtered: &[Grid], derivative: &[Grid
     })
 }
 
-/// Lines 19 to 22 of Algorithm 1: just enough smoothing to tell the candidates apart. `aside` gives what is the same in
-/// all filters, the treatment of pairs and of the centre.
+/// Lines 19 to 22 of Algorithm 1: just enough smoothing to distinguish the candidates. `aside` has the parameters that
+/// all filters share: the treatment of pairs and of the centre.
 pub fn smooth_errors(sure: &[Grid], guide: Guide, aside: &FilterParams) -> Planes {
     let params = FilterParams { window_radius: 1, patch_radius: 1, k_color: 1.0, k_feature: f64::INFINITY, ..*aside };
     nlm_filter(sure, Some(guide), &[], &params).planes
 }
 
-/// What the parts of the blend's error count.
+/// Factors of the parts of the blend's error.
 #[derive(Clone, Copy, Debug)]
 pub struct ErrorParts {
     pub spread: f64,
@@ -54,8 +54,8 @@ pub struct Part<'a> {
     pub derivative: &'a [Grid],
 }
 
-/// The squared error of a blend: the noise that its halves show, how far its candidates lie apart from it, what their
-/// own weight leaves of each pixel's noise, and the squares of what it got of spikes.
+/// The squared error of a blend: the noise that its halves show, the distance of its candidates from it, the part of
+/// each pixel's noise that its own weight leaves, and the squares of the energy that it got from spikes.
 pub fn error_blend(
     mean: &[Grid],
     spread: Option<&[Grid]>,
@@ -80,7 +80,7 @@ pub fn error_blend(
     })
 }
 
-/// What keeps dark pixels from taking all samples (section 7.1.2).
+/// ε that keeps dark pixels from taking all samples (section 7.1.2).
 const RELATIVE_FLOOR: f64 = 1e-3;
 
 /// Section 8.6: an error, summed over the channels, relative to the squared value, times the weight that one more

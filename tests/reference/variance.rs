@@ -1,4 +1,5 @@
-//! What is known of the noise (sections 8.2 and 8.3). Every variance is that of a pixel's mean, never that of a sample.
+//! Variances from the known noise (sections 8.2 and 8.3). Every variance is that of a pixel's mean, never that of a
+//! sample.
 
 use super::gaussian::gaussian;
 use super::{Grid, Planes, Point, square};
@@ -6,8 +7,8 @@ use super::{Grid, Planes, Point, square};
 /// Radius of the 21×21 box of section 8.2.
 pub const SCALE_RADIUS: usize = 10;
 
-/// Where there are halves but no sample variance, the two-buffer variance is all there is, and it is made of one
-/// squared normal variable per pixel: it takes about fifty pixels to make a usable estimate of it.
+/// With halves but no sample variance there is only the two-buffer variance: one squared normal variable per pixel, so
+/// that a usable estimate needs about fifty pixels.
 const HALVES_ONLY_SIGMA: f64 = 2.0;
 const HALVES_ONLY_RADIUS: usize = 5;
 
@@ -15,7 +16,7 @@ const HALVES_ONLY_RADIUS: usize = 5;
 const BUFFER_SIGMA: f64 = 0.5;
 const BUFFER_RADIUS: usize = 2;
 
-/// A noisy mean and what is known of its noise.
+/// A noisy mean and its known noise.
 #[derive(Clone, Debug)]
 pub struct Signal {
     pub mean: Planes,
@@ -25,12 +26,11 @@ pub struct Signal {
     pub sample_variance: Option<Planes>,
 }
 
-/// How the pixels of a box count.
+/// Weights of the pixels of a box.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum BoxWeight {
     Even,
-    /// By one over the standard deviation that they claim, or over a tenth of what their halves differ by where that is
-    /// more.
+    /// One over the claimed standard deviation, or over a tenth of the half spread if that is larger.
     Deviation,
 }
 
@@ -42,8 +42,8 @@ pub fn spread_of_halves(a: &Grid, b: &Grid, samples_a: f64, samples_b: f64) -> G
     a.like(|p| (a.at(p) - b.at(p)) * scale)
 }
 
-/// The best variance that a signal allows: scaled if it can be, taken at its word without halves, two-buffer alone
-/// without sample variance. With neither, the signal claims to be free of noise.
+/// The best variance that a signal allows: the sample variance scaled by the halves; the sample variance alone without
+/// halves; the two-buffer variance without sample variance. A signal with neither claims to be free of noise.
 pub fn input_variance(signal: &Signal, weight: BoxWeight) -> Planes {
     match (&signal.sample_variance, &signal.spread) {
         (Some(variance), Some(spread)) => variance_scale(variance, spread, SCALE_RADIUS, weight),
@@ -55,7 +55,7 @@ pub fn input_variance(signal: &Signal, weight: BoxWeight) -> Planes {
     }
 }
 
-/// What a variance is held above, instead of an ε in eq. 7.4.
+/// Lower limit of a variance, in place of an ε in eq. 7.4.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Floor {
     /// For radiance, where pixels without noise are kept.
@@ -72,7 +72,7 @@ pub fn of_color(keep_clean: bool) -> Floor {
 }
 
 /// The variance of a mean, held above the square of a thousandth of a pixel's brightness or of a ten-thousandth of that
-/// around it; of a feature, above next to nothing.
+/// around it; the variance of a feature is held above a tiny constant.
 pub fn floored(mean: &[Grid], variance: &[Grid], floor: Floor) -> Planes {
     let around = brightness_around(mean);
     let own = |p: Point| mean.iter().map(|plane| plane.at(p).abs()).fold(0.0, f64::max);

@@ -1,4 +1,4 @@
-//! What the operator sees from one pixel: the weight of each neighbour that exists, and the distances behind it.
+//! The operator at one pixel: the weight of each existing neighbour, and the distances behind it.
 
 use super::Point;
 use super::nlm::{
@@ -8,9 +8,9 @@ use super::nlm_method::{self, Filter, pair_weights, windows};
 
 pub struct Neighbour {
     pub at: Point,
-    /// As it enters the average.
+    /// The weight in the average.
     pub weight: f64,
-    /// In each respect, the colour first.
+    /// Distances by the colour first, then by each feature.
     pub distances: Vec<Distance>,
 }
 
@@ -20,7 +20,7 @@ pub struct Distance {
     pub weight: f64,
 }
 
-/// Of a candidate: the colour, if it is looked at, then each feature.
+/// Distances of a candidate: by the colour, if it compares the colour, then by each feature.
 pub fn candidate_window(guide: Guide, features: &[Feature], params: &FilterParams, p: Point) -> Vec<Neighbour> {
     let like = &guide.mean[0];
     let neighbour = |(q, weight): (Point, f64)| {
@@ -38,7 +38,7 @@ pub fn candidate_window(guide: Guide, features: &[Feature], params: &FilterParam
     window_weights(like, p, Some(guide), features, params).neighbours.into_iter().map(neighbour).collect()
 }
 
-/// Of the filter of chapter 7.
+/// Distances of the filter of chapter 7.
 pub fn nlm_window(guide: Guide, filter: &Filter, p: Point) -> Vec<Neighbour> {
     let window = windows(guide, filter).swap_remove(guide.mean[0].index(p));
     let neighbour = |(q, weight): (Point, f64)| {

@@ -24,7 +24,7 @@ use crate::reference::{Grid, Planes, Point, map_pixels};
 use crate::{FILTERED, filtered_twin};
 
 /// A derivative is a difference of two filtered values over the step between them: errors of a millionth of a span,
-/// divided by the step. Rounding errors of the distances are the same in both values and cancel, so that this is less
+/// divided by the step. Rounding errors of the distances are equal in both values and cancel, so this tolerance is less
 /// than [`FILTERED`].
 const DERIVATIVE: f64 = 2e-5;
 
@@ -55,7 +55,7 @@ pub(crate) fn filters(case: Case) -> Vec<CandidateFilter> {
     ]
 }
 
-/// Those of FIRST, SECOND and THIRD that take part.
+/// The filters among FIRST, SECOND and THIRD that take part.
 pub(crate) fn some_filters(case: Case, takes_part: [bool; 3]) -> Vec<CandidateFilter> {
     filters(case).into_iter().zip(takes_part).filter_map(|(filter, takes_part)| takes_part.then_some(filter)).collect()
 }
@@ -84,7 +84,7 @@ struct Found {
     /// The means, with Σ w.
     means: Vec<Planes>,
     spreads: Vec<Planes>,
-    /// Empty where there are none.
+    /// Empty if no derivatives are computed.
     derivatives: Vec<Planes>,
 }
 
@@ -214,9 +214,9 @@ fn filtered_in_time(gpu: &Gpu, case: Case, frames: &[InTime], schedule: Schedule
     })
 }
 
-/// What one pixel of a filtered payload is.
+/// One pixel of a filtered payload.
 struct Average {
-    /// Of each plane.
+    /// One value for each plane.
     mean: Vec<f64>,
     /// The weighted mean distance to the centre, and a hundredth of the centre.
     span: Vec<f64>,
@@ -404,8 +404,8 @@ fn every_schedule_gives_the_same_bits() {
 
 /// The finite difference with the step that the text prescribes against the derivative itself. A step of 1 % of the
 /// value sees the curvature of F and may cross one of its kinks (a weight that reaches 1, a blend that begins); the
-/// step backwards sees the other side of it. So the two may differ by twice what the steps in both directions differ
-/// by, and by f32's part; kinks on both sides within 1 % are left for the half percent.
+/// step backwards sees the other side of it. So the two may differ by twice the difference of the steps in both
+/// directions, and by the rounding of f32. Half a percent of the values may have kinks on both sides within 1 %.
 #[test]
 fn finite_differences_approach_the_analytic_derivative() {
     let (width, height) = (24, 18);
@@ -451,11 +451,11 @@ fn finite_differences_approach_the_analytic_derivative() {
     }
 }
 
-/// Of which kernels are compiled fast.
+/// The schedule whose kernels compile fastest.
 const PART: Case = Case { width: 39, height: 21, window_radius: 3, patch_radii: [1, 2], features: &[3], ..WIDE };
 const FEW_REGISTERS: Schedule = Schedule { pixels: 1, offset_rows: 1, ..SCHEDULE };
 
-/// What is left out changes nothing of what is left.
+/// Leaving out some results does not change the others.
 #[test]
 fn parts_have_the_bits_of_the_whole() {
     // Every kernel is compiled, so there are few.
@@ -504,7 +504,7 @@ fn any_number_of_filters_in_any_order() {
     check_filters(gpu(), Case { symmetric: false, centre: CentreWeight::One, ..case }, &further, &scene);
 }
 
-/// Weights from another image than the one that is averaged: the derivative is the centre's share.
+/// Weights from another image than the averaged one: the derivative is the centre's share.
 #[test]
 fn a_payload_is_filtered_with_the_weights_of_another_image() {
     for case in [PART, Case { width: 1, height: 9, symmetric: false, features: &[], ..PART }] {
@@ -558,7 +558,7 @@ fn a_grey_image_needs_one_channel() {
     assert!(all(Needed::EVERYTHING) == all(Needed { channels: false, ..Needed::EVERYTHING }));
 }
 
-/// What is wanted has the bits that it has where all is.
+/// The requested results have the same bits as when all results are requested.
 #[test]
 fn some_pixels_have_the_bits_of_all() {
     let case = PART;
@@ -599,7 +599,7 @@ fn a_half_spread_that_says_nothing_is_not_filtered() {
     assert!(all(Needed::EVERYTHING) == all(Needed { half_spread: false, ..Needed::EVERYTHING }));
 }
 
-/// Beside what has noise nothing changes, however the work is cut; where nothing has, every candidate is the signal.
+/// Exact tiles change no other pixel, however the work is cut. In exact tiles every candidate equals the signal.
 #[test]
 fn exact_tiles_keep_the_signal() {
     let case = Case { window_radius: 3, width: 71, height: 43, features: &[3], ..WIDE };

@@ -1,5 +1,5 @@
-//! What chapter 7 asks of the NL-means filter beyond chapter 8 (its cancellation, its rule for pairs, patchwise
-//! weights, their cut), and its stages around the filter.
+//! The NL-means filter of chapter 7, where it differs from chapter 8 (cancellation, rule for pairs, patchwise weights,
+//! their cut), and the stages around it.
 
 use stein::gpu::Gpu;
 use stein::stage::error::error_halves;
@@ -49,8 +49,8 @@ const THESIS: Case = Case {
 const SCHEDULE: Schedule = Schedule { scratch_bytes: 1 << 20, block_rows: 16, ..Schedule::SOFTWARE };
 const K: f32 = 0.45;
 
-/// Whether the weight of a pair is replaced, and whether it is cut, are decisions that rounding may turn over, in one
-/// of millions of weights. Patchwise, a replaced weight enters those of all pixels whose patches hold it.
+/// Rounding may change two decisions in one of millions of weights: whether the weight of a pair is replaced, and
+/// whether it is cut. Patchwise, a replaced weight enters the weights of all pixels whose patches hold it.
 const FLIPPED: f64 = 0.01;
 
 fn filtered(gpu: &Gpu, case: Case, guide: &Scene, payload: &[Grid], schedule: Schedule) -> Filtered {
@@ -108,7 +108,7 @@ fn check(gpu: &Gpu, case: Case) {
     for Scene { mean, spread, variance } in
         [scene(case.width, case.height, 71), calm_scene(case.width, case.height, 72)]
     {
-        // As distances get it: between pixels without variance, float32 and float64 differ by their rounding.
+        // Variances as the distances get them: between pixels without variance, float32 and float64 differ by rounding.
         let variance = floored(&mean, &variance, Floor::Printed).into_iter().map(rounded).collect();
         check_guide(gpu, case, &Scene { mean, spread, variance });
     }
@@ -223,8 +223,8 @@ fn every_schedule_gives_the_same_bits() {
     }
 }
 
-/// p between two neighbours of which only the mean is like it: the weight of the mean, e⁰, exceeds the sum of theirs,
-/// and both get it. Where one of them is like p by itself, nothing is replaced: no weight exceeds 1 + w.
+/// p lies between two neighbours of which only the mean is like p: the weight of the mean, e⁰, exceeds the sum of
+/// theirs, and both get it. If one of them alone is like p, no weight is replaced: no weight exceeds 1 + w.
 #[test]
 fn pairs_are_replaced_only_where_their_mean_is_better_than_both() {
     let case = Case { width: 3, height: 1, window_radius: 1, patch_radius: 0, patchwise: false, cut: 0.0, ..THESIS };
@@ -237,7 +237,7 @@ fn pairs_are_replaced_only_where_their_mean_is_better_than_both() {
             .values[1]
     };
     assert_eq!(weight_sum([0.0, 1.0, 2.0]), 3.0);
-    // The distance of 1 is (1 − 0.02)/(0.45²·0.02): nothing is left of its weight.
+    // The distance of 1 is (1 − 0.02)/(0.45²·0.02), so its weight vanishes.
     assert!((weight_sum([1.0, 1.0, 2.0]) - 2.0).abs() < 1e-6);
 }
 
@@ -294,7 +294,7 @@ fn halves_are_split_and_joined() {
                 .map(|(mean, spread)| mean.like(|p| a * mean.at(p) + b * spread.at(p)))
                 .collect()
         };
-        // Differences of what may be 10⁴.
+        // Differences of values up to 10⁴.
         let size: Planes = scene
             .mean
             .iter()
@@ -306,7 +306,7 @@ fn halves_are_split_and_joined() {
         };
         near("half A", &read(gpu, &halves.a, extent)[0], &combined(1.0, 1.0), &size);
         near("half B", &read(gpu, &halves.b, extent)[0], &combined(1.0, -1.0), &size);
-        // Chapter 7's variance is that of one half.
+        // Chapter 7 uses the variance of one half.
         let of_half: Planes = scene.variance.iter().map(|grid| grid.like(|p| 2.0 * grid.at(p))).collect();
         near("variance of a half", &read(gpu, &halves.variance, extent)[0], &of_half, &own_size(&of_half, 0.0));
         let signal = read(gpu, &joined.planes, extent);

@@ -10,7 +10,7 @@ use crate::reference::{Grid, Planes};
 /// Pixels.
 const SIDE: usize = 8;
 
-/// Some tiles of an image, alone and in blocks, and the same as they are read by hand.
+/// Some exact tiles of an image, alone and in blocks; the test also reads them by hand.
 pub(crate) struct Tiles {
     pub(crate) exact: ExactTiles,
     pub(crate) all: ExactTiles,
@@ -80,7 +80,7 @@ fn exact_tiles_keep_the_payload_and_nothing_else_changes() {
     }
 }
 
-/// Rectangles that touch the borders, cut tiles, and hold one pixel.
+/// Rectangles at the borders, across tiles, and of one pixel.
 pub(crate) fn parts(width: i32, height: i32) -> [Region; 4] {
     let region = |x: i32, y: i32, right: i32, bottom: i32| Region {
         first: IVec2::new(x, y),
@@ -95,7 +95,7 @@ pub(crate) fn parts(width: i32, height: i32) -> [Region; 4] {
     ]
 }
 
-/// Where an image holds the pixels of a rectangle, row by row.
+/// Indices of the pixels of a rectangle, row by row.
 pub(crate) fn pixels_of(region: Region, width: i32) -> Vec<usize> {
     let Region { first, size } = region;
     (first.y..first.y + size.y)
@@ -103,7 +103,7 @@ pub(crate) fn pixels_of(region: Region, width: i32) -> Vec<usize> {
         .collect()
 }
 
-/// What is wanted has the bits that it has where all is.
+/// The requested results have the same bits as when all results are requested.
 #[test]
 fn some_pixels_have_the_bits_of_all() {
     for (gpu, width, height) in [(gpu(), 257, 89), (gpu(), 7, 300), (gpu(), 1, 1), (checked_gpu(), 40, 33)] {
@@ -146,7 +146,7 @@ fn some_pixels_have_the_bits_of_all() {
     }
 }
 
-/// A part of a frame reads its own tiles, be they cut or not.
+/// A part of a frame reads its own tiles, even if it cuts through them.
 #[test]
 fn a_part_keeps_what_its_frame_keeps() {
     let (width, height) = (40, 61);
@@ -155,7 +155,7 @@ fn a_part_keeps_what_its_frame_keeps() {
     let filtered = |mean: &[Grid], spread: &[Grid], exact: &ExactTiles| {
         run(gpu(), |rec| {
             let signal = rec.upload("signal", &packed_signal(mean, spread))?;
-            // So much noise that all neighbours count.
+            // Enough noise that all neighbours count.
             let variance = upload(rec, &vec![mean[0].like(|_| 1e9); 3])?;
             let weighting = Weighting { symmetric: Symmetry::Off, centre: CentreWeight::One };
             let guide = Guide { exact: Some(exact), ..Guide::new(&signal, &variance, 3, 0.45, 0) };

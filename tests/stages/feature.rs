@@ -1,5 +1,5 @@
-//! `feature_pack`: features in the form that the bilateral weights read. Nothing but products and a choice, so six
-//! digits are left.
+//! `feature_pack`: features in the form that the bilateral weights read. The stage has only products and a choice, so
+//! six digits are right.
 
 use stein::gpu::{Gpu, Recorder};
 use stein::stage::feature::{Features, feature_pack};
@@ -40,7 +40,7 @@ fn positive(grid: Grid) -> Grid {
     grid.like(|p| grid.at(p).max(0.0))
 }
 
-/// In the order that the method uses: what sits alone in a group's w comes after what fills the rest of the group.
+/// In the order of the method: a feature alone in a group's w comes after the feature that fills the rest of the group.
 pub(crate) fn pack(rec: &mut Recorder, features: &[Feature]) -> stein::Result<Features> {
     let extent = extent_of(&features[0].mean[0]);
     let channels: Vec<u32> = features.iter().map(|feature| feature.mean.len() as u32).collect();
@@ -49,7 +49,7 @@ pub(crate) fn pack(rec: &mut Recorder, features: &[Feature]) -> stein::Result<Fe
         let (feature, slot) = (&features[index], packed.packing.slots[index]);
         let filtered = upload(rec, &feature.mean)?;
         let residual_variance = upload(rec, &feature.residual_variance)?;
-        // What is 0 everywhere need not be there.
+        // A part that is 0 everywhere may be left out.
         let has_noise = feature.residual_variance.iter().flat_map(|grid| &grid.values).any(|variance| *variance != 0.0);
         feature_pack(rec, extent, &packed, slot, &filtered, has_noise.then_some(&residual_variance))?;
     }
@@ -75,7 +75,7 @@ fn check(gpu: &Gpu, width: usize, height: usize, channels: &[usize]) {
             .collect();
         for (quantity, expected) in [&feature.mean, &feature.residual_variance, &scale].into_iter().enumerate() {
             let actual = &planes[3 * group + quantity][components.clone()];
-            // Differences of values up to 1 lose what f32 rounds; their squares twice that.
+            // Differences of values up to 1 have the rounding error of f32; their squares twice that.
             assert_near(
                 &format!("{width}×{height}, feature {index} of {channels:?}, plane {quantity}"),
                 actual,
@@ -86,7 +86,7 @@ fn check(gpu: &Gpu, width: usize, height: usize, channels: &[usize]) {
             );
         }
     }
-    // Channels that no feature uses are 0: the distance sums over them.
+    // Unused channels are 0, because the distance sums over them.
     for (group, used) in used.iter().enumerate() {
         for component in (0..4).filter(|component| !used[*component]) {
             for quantity in 0..3 {

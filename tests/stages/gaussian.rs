@@ -1,4 +1,4 @@
-//! `gaussian`: averages, the variance of averages, averages of a pixel's neighbours.
+//! `gaussian`: averages, the variance of averages, and averages of a pixel's neighbours.
 
 use glam::IVec2;
 use stein::gpu::{Buffer, Gpu};
@@ -39,7 +39,7 @@ fn check(what: &str, averaging: Averaging, twin: impl Fn(&Grid, f64, usize) -> G
                     let run = |grid: &Grid| twin(grid, sigma.into(), kernel.radius as usize);
                     let expected: Planes = source.iter().map(run).collect();
                     let magnitudes: Planes = source.iter().map(|grid| run(&grid.like(|p| grid.at(p).abs()))).collect();
-                    // What is left of a spike when the centre is left out is rounding of the spike.
+                    // Without the centre, only the rounding error of a spike is left.
                     let scale: Planes = magnitudes
                         .iter()
                         .zip(*source)
@@ -99,7 +99,7 @@ fn rows_of_a_part_have_the_bits_of_the_whole() {
             bits(gpu(), &buffer)
         };
         let whole = of(&scene.variance);
-        // From row 3 on, which no block of four rows begins at.
+        // From row 3 on, where no block of four rows begins.
         let below = |grid: &Grid| Grid { height: 61, values: grid.values[3 * 33..].to_vec(), ..*grid };
         let part = of(&scene.variance.iter().map(below).collect::<Planes>());
         let radius = kernel.radius as usize;

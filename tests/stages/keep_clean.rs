@@ -11,8 +11,8 @@ use crate::reference::random::Random;
 use crate::reference::variance::Signal;
 use crate::reference::{Grid, Planes, Point};
 
-/// A scene in which the noise of each pixel is anything from none to a hundredth of its value and more, and a part of
-/// which is black: one block of it wholly, another but for one pixel.
+/// A scene in which the noise of each pixel ranges from none to more than a hundredth of its value. Two blocks are
+/// black, one of them except for one pixel.
 fn nearly_clean_scene(width: usize, height: usize) -> Scene {
     let Scene { mean, spread, variance } = scene(width, height, 51);
     let mut random = Random(52);

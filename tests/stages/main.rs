@@ -1,10 +1,11 @@
-//! Every stage on the GPU against its float64 twin, on whatever adapter this machine has; without one these tests fail
-//! and say how to get one.
+//! Every stage on the GPU, compared with its float64 twin, on this machine's adapter. Without an adapter these tests
+//! fail with the remedy.
 //!
 //! Both sides get the same float32 numbers, and every buffer that a kernel is to fill is poisoned before. Tolerances
-//! are relative to what a value is made of: for a filtered value the weighted mean distance of its neighbours,
-//! [`FilteredTwin::span`]. A weight exp(−d) has the relative error that d has absolutely. Where it is worth anything, d
-//! < 20 is a mean of at most 147 pixel distances that f32 sums to some 10⁻⁵; so filtered values are held to 10⁻⁴ spans.
+//! are relative to the terms of a value: for a filtered value, to the weighted mean distance of its neighbours,
+//! [`FilteredTwin::span`]. The relative error of a weight exp(−d) is the absolute error of d. Where the weight counts,
+//! d < 20 is a mean of at most 147 pixel distances, which f32 sums to about 10⁻⁵. So the tolerance of filtered values
+//! is 10⁻⁴ spans.
 
 #[allow(dead_code, unreachable_pub, reason = "every test includes all shared pieces and uses a part of them")]
 #[path = "../common/mod.rs"]
@@ -30,7 +31,7 @@ use stein_reference as reference;
 use reference::nlm::{Feature, FilterParams, Guide, window_weights};
 use reference::{Grid, Planes, map_pixels};
 
-/// What a relative error of a filtered value is measured by.
+/// Tolerance of filtered values, relative to [`FilteredTwin::span`].
 pub(crate) const FILTERED: f64 = 1e-4;
 
 /// In f32 exp(−87) is the last weight that is not 0; payloads are at most some 10⁴.
@@ -40,9 +41,9 @@ const VANISHING: f64 = 1e-28;
 pub(crate) struct FilteredTwin {
     pub(crate) planes: Planes,
     pub(crate) weight_sum: Grid,
-    /// The mean distance of a pixel's neighbours to it, by their weights: what relative errors of the weights act on. A
-    /// hundredth of the pixel's own value is added, so that 10⁻⁴ of it is still eight times the unit of f32's last
-    /// digit, and [`VANISHING`].
+    /// The weighted mean distance of a pixel's neighbours to it, on which relative errors of the weights act. Added are
+    /// [`VANISHING`] and a hundredth of the pixel's own value, so that 10⁻⁴ of the span is still eight times the unit
+    /// of f32's last digit.
     pub(crate) span: Planes,
 }
 

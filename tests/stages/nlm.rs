@@ -27,7 +27,7 @@ struct Case {
 const SCHEDULE: Schedule = Schedule { scratch_bytes: 1 << 20, block_rows: 16, ..Schedule::SOFTWARE };
 const K: f32 = 0.45;
 
-/// Four channels for every plane: the kernel promises all of a vec4.
+/// Four channels for every plane: the kernel writes all of a vec4.
 fn payload(case: Case, of: &Scene) -> Vec<Planes> {
     let mut random = Random(11);
     let noise = |random: &mut Random| crate::common::rounded(random.gaussian_grid(case.width, case.height, -2.0, 1.0));
@@ -331,7 +331,7 @@ fn every_schedule_gives_the_same_bits() {
     }
 }
 
-/// A constant image is its own average, whatever the weights, to the last digit.
+/// With any weights, the average of a constant image is the image, to the last digit.
 #[test]
 fn a_constant_payload_stays_as_it_is() {
     let case = Case { width: 33, height: 29, ..WIDE };

@@ -1,6 +1,6 @@
-//! Variances that no renderer gave: `noise_magnitude`, `noise_guess`, `noise_feature`, `noise_pool` and `noise_unpack`;
-//! for an image alone `noise_highpass`, `noise_residual`, `noise_jump` and `noise_hold`. Distances divide differences
-//! of values of the order of 1 by the noise, so that weights have four digits; what they average is positive.
+//! Estimated variances: `noise_magnitude`, `noise_guess`, `noise_feature`, `noise_pool` and `noise_unpack`; for an
+//! image alone `noise_highpass`, `noise_residual`, `noise_jump` and `noise_hold`. Distances divide differences of
+//! values of the order of 1 by the noise, so that weights have four digits; the averaged values are positive.
 
 use stein::gpu::{Gpu, Recorder};
 use stein::stage::noise::{
@@ -35,7 +35,7 @@ fn lit(width: usize, height: usize, seed: u64) -> Signal {
     }
 }
 
-/// What is known of the noise of a colour with halves.
+/// Knowledge of the noise of a colour with halves.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Known {
     Halves,
@@ -131,7 +131,7 @@ fn a_sample_variance_is_pooled_with_those_of_pixels_that_are_alike() {
     check(checked_gpu(), 31, 9, &[3, 1, 1], Known::HalvesAndVariance);
 }
 
-/// Beside a sample variance, what has no noise keeps none, black or not: clean tiles stay clean.
+/// With a sample variance, a pixel without noise gets none, black or not: clean tiles stay clean.
 #[test]
 fn pooling_gives_no_noise_to_pixels_whose_variance_is_zero() {
     let color = lit(64, 40, 66);
@@ -158,7 +158,7 @@ fn pooling_gives_no_noise_to_pixels_whose_variance_is_zero() {
     }
 }
 
-/// What the estimate is for: Gaussian noise whose size depends on the material, told from two halves alone.
+/// Gaussian noise whose size depends on the material, estimated from two halves alone.
 #[test]
 fn pooled_variance_is_that_of_the_noise() {
     let (width, height) = (96, 96);
@@ -196,7 +196,7 @@ fn pooled_variance_is_that_of_the_noise() {
             of_kind.iter().sum::<f64>() / of_kind.len() as f64
         };
         for plane in &variance[..3] {
-            // Everywhere, and within four pixels of the border between both.
+            // All pixels, and those within four pixels of the border between both materials.
             let (all, beside) = (ratio(plane, false), ratio(plane, true));
             assert!(
                 (0.9..1.1).contains(&all) && (0.85..1.2).contains(&beside),
@@ -234,7 +234,7 @@ fn noise_is_told_from_an_image_alone() {
     check_image(checked_gpu(), 31, 9, &[1, 3], &[1]);
 }
 
-/// Of Gaussian noise on a texture that a feature explains, the estimate is about right; without the feature it is far
+/// For Gaussian noise on a texture that a feature explains, the estimate is about right; without the feature it is far
 /// too high.
 #[test]
 fn texture_that_features_explain_is_not_all_noise() {

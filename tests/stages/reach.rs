@@ -1,5 +1,5 @@
-//! How far each stage looks around a pixel, as it is declared: pixels beyond change nothing, the farthest ones do.
-//! Where that holds for every stage, it holds for the halo of a method, which a dry run adds up from them.
+//! The declared reach of each stage: pixels beyond it change nothing, the farthest pixels within it do. If this holds
+//! for every stage, it holds for the halo of a method, which a dry run adds up from them.
 
 use glam::IVec2;
 use stein::error::Result;
@@ -21,7 +21,7 @@ use crate::common::{bits, gpu};
 use crate::reference::random::Random;
 
 const WIDTH: i32 = 97;
-/// The row that is looked at.
+/// The row whose results are compared.
 const ROW: i32 = 2;
 
 /// Random planes of a signal, a variance and a feature.
@@ -33,7 +33,7 @@ struct Inputs {
     feature: Buffer,
 }
 
-/// Values of the inputs at a pixel, made of a random number: of the mean, the half spread and the variance.
+/// Functions that make the mean, the half spread and the variance of a pixel from a random number.
 type Levels = fn(IVec2, f64) -> [f64; 3];
 
 impl Inputs {
@@ -46,7 +46,7 @@ impl Inputs {
             values
                 .flat_map(|(level, pixel)| {
                     let factor = changed(pixel / extent.x);
-                    // What is 0 changes as well.
+                    // Values of 0 change as well.
                     let shift = (factor - 1.0).clamp(0.0, 1.0);
                     let mut channel = || {
                         let random = random.uniform_grid(1, 1, 0.0, 1.0).values[0];
@@ -68,12 +68,13 @@ fn even(_: IVec2, random: f64) -> [f64; 3] {
     [0.5 + random, 0.2 * random - 0.1, 0.01 + 0.02 * random]
 }
 
-/// Compares how far the output of a stage depends on the inputs with how far it does by a dry run.
+/// Compares the measured reach of a stage with the reach of a dry run.
 fn check(what: &str, levels: Levels, work: impl Fn(&mut Recorder, IVec2, &Inputs) -> Result<Buffer>) {
     check_within(0, what, levels, work);
 }
 
-/// As [`check`], for a chain of stages of whose farthest pixels little may be left: so many rows less may matter.
+/// Like [`check`], for a chain of stages in which the effect of the farthest pixels may be rounded away: the measured
+/// reach may be `slack` rows less.
 fn check_within(
     slack: i32,
     what: &str,
@@ -155,7 +156,7 @@ fn estimates_of_noise_look_as_far_as_they_say() {
     check("noise_pool of a variance", even, |rec, extent, Inputs { signal, variance, .. }| {
         Ok(noise_pool(rec, extent, signal, Some(variance), None, &NoiseRule::VARIANCE)?.buffer)
     });
-    // With edges where the variance is held below that of the pixels around.
+    // With edges at which the variance is limited by that of the pixels around.
     let edges: Levels = |p, random| {
         let [mean, spread, variance] = even(p, random);
         [if p.x / 12 % 2 == 0 { mean } else { 1e3 * mean }, spread, variance]

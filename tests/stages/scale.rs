@@ -1,5 +1,5 @@
-//! `scale_pixel`, `scale_stop`, `scale_advance` and `scale_reduction`: from the scales of an image to the one that each
-//! pixel takes.
+//! `scale_pixel`, `scale_stop`, `scale_advance` and `scale_reduction`: from the scales of an image to the scale of each
+//! pixel.
 
 use stein::gpu::{Gpu, Recorder};
 use stein::stage::sample::GpuSamples;
@@ -64,7 +64,7 @@ fn the_selector_is_equation_6_1() {
                     let what = |part: &str| {
                         format!("scale_stop, {width}×{height}, σ {}, samples {known}: {part}", pair[0].sigma)
                     };
-                    // Differences of values that float32 rounds.
+                    // Differences of rounded values.
                     let size =
                         |p| (0..3).map(|i| pair[0].mean[i].at(p).powi(2) + pair[1].mean[i].at(p).powi(2)).sum::<f64>();
                     let scale = bias_term.like(|p| bias_term.at(p) + 0.1 * size(p));
@@ -92,7 +92,7 @@ fn the_selector_is_equation_6_1() {
     }
 }
 
-/// Three steps with maps and scales of their own, so that pixels end on all four scales.
+/// Three steps, each with its own maps and scales, so that pixels end on all four scales.
 fn chosen(gpu: &Gpu, width: usize, height: usize, known: bool, coarser_only: bool) {
     let mut random = Random(76);
     let scales = unrelated_scales(width, height, known);
@@ -135,7 +135,7 @@ fn chosen(gpu: &Gpu, width: usize, height: usize, known: bool, coarser_only: boo
     let choice = read(gpu, &selected.choice, extent).remove(0);
     check("σ", &choice, std::slice::from_ref(&sigma));
     check("support", &choice[3..], std::slice::from_ref(&support));
-    // Sums of what cancels.
+    // Sums of terms that cancel.
     let terms = error.like(|p| {
         steps.iter().map(|step| step.bias_term.at(p)).sum::<f64>()
             + scales.iter().flat_map(|s| &s.variance).map(|v| v.at(p)).sum::<f64>()

@@ -1,5 +1,5 @@
-//! `error_sure`, the `select_` stages and `sample_density`: from the candidates to their average, and to where samples
-//! are missing.
+//! `error_sure`, the `select_` stages and `sample_density`: from the candidates to their average and to the sampling
+//! density.
 
 use std::sync::Arc;
 
@@ -57,7 +57,7 @@ fn rivals(count: usize) -> Vec<Option<usize>> {
     (0..count).map(rival).collect()
 }
 
-/// Filtered images and derivatives as unlike each other as they come.
+/// Filtered images and derivatives, independent of each other.
 struct Bank {
     means: Vec<Planes>,
     spreads: Vec<Planes>,
@@ -101,13 +101,13 @@ fn upload_bank(rec: &mut Recorder, bank: &Bank) -> stein::Result<Candidates> {
     })
 }
 
-/// Numbers for each candidate, four to a plane.
+/// Values for each candidate, packed four to a plane.
 fn upload_numbers(rec: &mut Recorder, numbers: &[Grid]) -> stein::Result<Buffer> {
     let planes: Vec<f32> = numbers.chunks(4).flat_map(packed).collect();
     rec.upload("numbers", &planes)
 }
 
-/// The numbers of so many candidates, and behind them those that no candidate has.
+/// The values of this many candidates, followed by the unused ones of the last plane.
 fn numbers(planes: Vec<Planes>) -> Planes {
     planes.into_iter().flatten().collect()
 }
@@ -146,7 +146,7 @@ fn sure_is_equation_8_5() {
     }
 }
 
-/// Derivatives far outside 0 to 1, candidates without a share, and one that alone stands for the blend.
+/// Derivatives far outside 0 to 1, candidates without a share, and a single candidate in place of the blend.
 #[test]
 fn the_error_of_a_blend_has_four_parts() {
     let parts = ErrorParts { spread: 0.75, disagreement: 2.0, own_noise: 0.375, spikes: 3.0 };
@@ -166,7 +166,7 @@ fn the_error_of_a_blend_has_four_parts() {
                 rounded(share.like(|p| share.at(p).max(0.0)))
             })
             .collect();
-        // Half of the pixels got nothing of any spike.
+        // Half of the pixels got no energy of a spike.
         let squares = random.uniform_grid(width, height, -1.0, 1.0);
         let squares = rounded(squares.like(|p| squares.at(p).max(0.0)));
         for (shared, with_spikes) in [(true, true), (false, true), (true, false)] {
@@ -190,7 +190,7 @@ fn the_error_of_a_blend_has_four_parts() {
             });
             let all = scene.mean[0].like(|_| 1.0);
             let share = |k: usize| if shared { &shares[k] } else { &all };
-            // A candidate alone is the blend.
+            // A single candidate is the blend.
             let mean = |k: usize| if shared { bank.means[k].as_slice() } else { scene.mean.as_slice() };
             let part =
                 |k: usize| reference::sure::Part { share: share(k), mean: mean(k), derivative: &bank.derivatives[k] };
@@ -355,7 +355,7 @@ fn what_further_candidates_stand_for_is_added_to_the_error() {
     }
 }
 
-/// Errors with ties and with values that are no numbers.
+/// Errors with ties and with NaN.
 fn errors(width: usize, height: usize, count: usize) -> Planes {
     let mut random = Random(43);
     let mut plane = || {
@@ -403,19 +403,19 @@ fn check_shares_and_blend(gpu: &Gpu, width: usize, height: usize, rule: Option<G
     let extent = extent_of(&scene.mean[0]);
     let mut error = |spoiled: Option<f64>| {
         let (level, chance) = (random.gaussian_grid(width, height, 0.02, 0.3), random.uniform());
-        // The guard keeps out what is not finite, in favour of the last one; without a guard there is nothing to expect
-        // of such an error.
+        // The guard excludes errors that are not finite, in favour of the last candidate; without a guard the result of
+        // such an error is undefined.
         let is_spoiled =
             |p: Point| rule.is_some() && spoiled.is_some() && ((p.x + 7 * p.y) as f64 * (0.1 + chance)).fract() < 0.1;
         rounded(level.like(|p| if is_spoiled(p) { spoiled.unwrap_or_default() } else { level.at(p) }))
     };
-    // The last one wins where none is finite, so its errors are.
+    // The last candidate wins if no error is finite, so its errors are finite here.
     let spoiled = |k: usize| [Some(f64::INFINITY), Some(f64::NAN)][k % 2].filter(|_| k + 1 < count);
     let errors: Planes = (0..count).map(|k| error(spoiled(k))).collect();
     let winners = selected(gpu, &errors, &bank);
     let sure = |k: usize, own: Grid| own.like(|p| if errors[k].at(p).is_finite() { own.at(p) } else { f64::INFINITY });
     let sure: Planes = (0..count).map(|k| sure(k, rounded(random.gaussian_grid(width, height, 0.02, 0.5)))).collect();
-    // Here and there no map has any weight, and rounding may leave one below 0.
+    // In some pixels no map has any weight, and rounding may leave one below 0.
     let holes = random.uniform_grid(width, height, 0.0, 1.0);
     let smoothed: Planes = (0..count)
         .map(|_| {
@@ -546,7 +546,7 @@ fn other_frames_are_left_out_where_they_do_harm() {
     }
 }
 
-/// Weights that do not depend on the noise of what they average: the derivative is the centre's share.
+/// Weights that do not depend on the noise of the averaged image: the derivative is the centre's share.
 #[test]
 fn other_frames_are_left_out_of_one_filter_where_they_do_harm() {
     let (rule, twin_rule) = (
@@ -611,7 +611,7 @@ fn other_frames_are_left_out_of_one_filter_where_they_do_harm() {
 #[test]
 fn a_second_pass_is_taken_where_noise_explains_it() {
     for (gpu, width, height) in [(gpu(), 257, 89), (gpu(), 7, 300), (gpu(), 1, 1), (checked_gpu(), 24, 20)] {
-        // Of one scene, so that corrections and noise are of one size.
+        // Both from one scene, so that corrections and noise have similar sizes.
         let (before, after) = (scene(width, height, 48), scene(width, height, 49));
         let buffer = run(gpu, |rec| {
             let pass1 = rec.upload("pass 1", &packed_signal(&before.mean, &before.spread))?;
@@ -644,7 +644,7 @@ fn samples_are_wanted_where_they_pay() {
             rounded(random.uniform_grid(width, height, 0.0, 2.0)),
             rounded(random.uniform_grid(width, height, 1.0, 99.0)),
         );
-        // With halves the spread tells the error, without them what is given.
+        // With halves the error comes from the spread, without halves from the given error.
         let left = error.like(|p| scene.spread.iter().map(|plane| plane.at(p) * plane.at(p)).sum());
         for (vary, halves) in [(false, false), (true, false), (false, true), (true, true)] {
             let buffer = run(gpu, |rec| {

@@ -1,5 +1,5 @@
 //! `spike_find`, and `spike_level`, `spike_share` and `spike_rows` with `spike_spread`. Levels are means of at most 48
-//! values of one size, and what pixels get a sum of few shares: f32 keeps five digits.
+//! values of one size, and the energy that a pixel gets is a sum of few shares: f32 keeps five digits.
 
 use stein::gpu::Gpu;
 use stein::stage::spike::{SpikeRule, light_return, spike_find, spike_spread};
@@ -15,8 +15,8 @@ use crate::reference::spike::{SpikeParams, repaired};
 use crate::reference::variance::Signal;
 use crate::reference::{Grid, Planes};
 
-/// A calm scene in which one pixel of 7 has no noise and one of 40 stands out, by anything from a tenth to a million;
-/// of the noise that goes with it, halves and variance tell everything or next to nothing.
+/// A calm scene in which one pixel of 7 has no noise and one of 40 stands out, by a tenth to a million. Its halves and
+/// its variance show all of the excess or almost none.
 fn spiky_scene(width: usize, height: usize, seed: u64) -> Scene {
     let calm = calm_scene(width, height, seed);
     let mut random = Random(seed + 100);
@@ -71,8 +71,7 @@ struct Case<'a> {
     spread: bool,
 }
 
-/// Decisions may fall the other way where a distance is 1 to the last digit, and what hangs on them is a window of
-/// pixels.
+/// A decision may differ if a distance is 1 to the last digit, and each decision affects a window of pixels.
 const FLIPPED: f64 = 0.002;
 
 /// Returns how many spikes and lights there were.

@@ -17,17 +17,16 @@ use crate::reference::nlm_method::{self, Filter};
 use crate::reference::window::{self, Neighbour};
 use crate::reference::{Grid, Point};
 
-/// A distance is a mean of terms, of which those below 0 are at least −2/k²: f32 sums them to some millionths of their
-/// size.
+/// A distance is a mean of terms; those below 0 are at least −2/k². f32 sums them to some millionths of their size.
 const DISTANCE: f64 = 2e-5;
-/// exp(−d) has the relative error that d has absolutely.
+/// The relative error of exp(−d) is the absolute error of d.
 const WEIGHT: f64 = 1e-4;
-/// Beyond this, a distance is total dissimilarity, and limited.
+/// Larger distances mean total dissimilarity, and are limited to this.
 const FAR: f64 = 1e5;
 
 const SCHEDULE: Schedule = Schedule::SOFTWARE;
 
-/// Corners, edges and what lies between.
+/// Corners, edges and inner pixels.
 fn places(width: usize, height: usize) -> Vec<Point> {
     let (right, bottom) = (width as isize - 1, height as isize - 1);
     let all = [
@@ -47,7 +46,7 @@ fn pixel(p: Point) -> IVec2 {
     IVec2::new(p.x as i32, p.y as i32)
 }
 
-/// The cells of a window, of which the neighbours that exist say what they hold.
+/// The cells of a window; neighbours that exist fill theirs.
 struct Cells {
     values: Vec<f32>,
     radius: isize,
@@ -218,7 +217,7 @@ const THESIS: Chapter7 = Chapter7 {
     cut: 0.05,
 };
 
-/// Whether a pair is replaced, whether a weight is cut: decisions that rounding may turn over.
+/// Share of values in which rounding may change a decision: whether a pair is replaced, whether a weight is cut.
 const FLIPPED: f64 = 0.01;
 
 fn cells_of(gpu: &Gpu, case: Chapter7, scene: &Scene, p: Point, schedule: Schedule) -> Cells {
@@ -286,7 +285,7 @@ fn of_nlm() {
     check_chapter7(checked_gpu(), Chapter7 { width: 19, height: 14, ..small });
 }
 
-/// What the middle holds is nobody's.
+/// The middle of the window belongs to no neighbour.
 #[test]
 fn every_schedule_gives_the_same_bits() {
     let scene = calm_scene(THESIS.width, THESIS.height, 69);

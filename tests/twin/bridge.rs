@@ -1,5 +1,4 @@
-//! From the library's types to those of the float64 reference: frames in the units that a method works in, and
-//! parameters.
+//! Converts the library's types to those of the float64 reference: frames, in the units of a method, and parameters.
 
 use stein::frame::{Feature, SamplesPerPixel, Signal};
 use stein::image::Image;
@@ -26,7 +25,7 @@ pub fn grids(image: &Image, factor: f64) -> Planes {
         .collect()
 }
 
-/// What the colour is multiplied by on its way to the device.
+/// Factor of the colour on the device.
 pub fn exposure(frame: &Frame) -> f64 {
     let planes = |image: &Option<Image>| image.as_ref().map_or_else(Planes::new, |image| grids(image, 1.0));
     let color = frame.color();
@@ -42,7 +41,7 @@ pub fn signal(signal: &Signal, factor: f64) -> variance::Signal {
     }
 }
 
-/// What DFC works on.
+/// The input of DFC.
 pub fn frame(frame: &Frame, exposure: f64) -> dfc::Frame {
     let may_explain = |feature: &Feature| {
         feature.signal.mean.channels() == 3 && ["albedo", "normal"].iter().any(|name| feature.name.contains(name))
@@ -55,7 +54,7 @@ pub fn frame(frame: &Frame, exposure: f64) -> dfc::Frame {
     }
 }
 
-/// Samples of each pixel; `unknown` where nobody knows.
+/// Samples of each pixel; `unknown` if the frame does not tell.
 pub fn samples(frame: &Frame, unknown: f64) -> Grid {
     let uniform = |count: f64| Grid::filled(frame.extent().width as usize, frame.extent().height as usize, count);
     match frame.samples_per_pixel() {
@@ -79,7 +78,7 @@ pub fn dfc_params(params: &DfcParams) -> dfc::DfcParams {
     let candidate = |filter: &CandidateFilter| CandidateParams {
         k_color: filter.color.map_or(f64::INFINITY, |color| color.k.into()),
         k_feature: filter.features.map_or(f64::INFINITY, |features| features.k.into()),
-        // A filter without a colour term has no patches, so that any size will do.
+        // A filter without a colour term has no patches, so any size is right.
         patch_radius: filter.color.map_or(params.second_patch_radius, |color| color.patch_radius) as usize,
         tau: filter.features.map_or(1.0, |features| features.tau.into()),
         rival: filter.rival.and_then(|rival| filters.iter().position(|other| other.name == rival)),
@@ -119,7 +118,7 @@ pub fn dfc_params(params: &DfcParams) -> dfc::DfcParams {
     }
 }
 
-/// What a method does about spikes.
+/// Treatment of spikes of a method.
 fn spikes(spikes: Spikes) -> Option<spike::SpikeParams> {
     let SpikeRule {
         window_radius,

@@ -127,7 +127,8 @@ fn answered(path: Option<PathBuf>, after: Duration) -> Result<Option<PathBuf>> {
     }
     Err(Error::Request(RequestCause::Other {
         problem: "no file dialog can be shown".into(),
-        remedy: "install zenity, or the xdg-desktop-portal of your desktop; files to open can also be dropped on the window, or named on the command line"
+        remedy: "install zenity, or the xdg-desktop-portal of your desktop; files to open can also be dropped on the \
+                 window, or named on the command line"
             .into(),
     }))
 }

@@ -18,13 +18,15 @@ use stein_viewer::view::Compare;
 use stein_viewer::{Start, Viewer, app, device, sweep, words};
 
 const AFTER_HELP: &str = "\
-Paths: one that exists is that file, whatever characters it holds. Of others, `FILE::LAYER` is a layer of a file; --literal \
-takes every path as it is. A name that begins with a dash is written ./-name.
+Paths: a path that exists is taken as that file, whatever its characters. In other paths `FILE::LAYER` is a layer of a \
+file. --literal takes every path as it is. Write a name that begins with a dash as ./-name.
 
-Exit codes: 0 done, 2 wrong usage, 3 an input file or layer cannot be used, 4 no device, or one that cannot show a window, 5 the picture cannot be written, 1 anything else.
+Exit codes: 0 done, 2 wrong usage, 3 an input file or layer cannot be used, 4 no device, or a device that cannot show \
+a window, 5 the picture cannot be written, 1 anything else.
 
 Environment:
-  STEIN_CACHE  folder in which compiled shaders are kept from run to run, where the device hands them out; empty: nowhere [default: `stein` among the user's caches]
+  STEIN_CACHE  folder for compiled shaders, kept between runs if the driver hands them out; empty: keep none \
+[default: `stein` among the user's caches]
 
 Examples:
   stein-viewer testdata/dof_spheres_32spp.exr --reference testdata/dof_spheres_reference.exr
@@ -52,7 +54,8 @@ struct Args {
     /// Method [default: the method of --params; without any filter option, the method used last; else dfc]
     #[arg(long, value_parser = choice(&Method::all(), &Method::choices()))]
     method: Option<Method>,
-    /// Preset of the parameters [default: the preset of --params; without any filter option, the preset used last; else default]
+    /// Preset of the parameters [default: the preset of --params; without any filter option, the preset used last; else
+    /// default]
     #[arg(long, value_parser = choice(Preset::ALL, &Preset::choices()))]
     preset: Option<Preset>,
     /// TOML file with method, preset and parameters, such as `stein params` writes
@@ -267,7 +270,9 @@ fn start(args: &Args) -> Result<Start, Failure> {
     let source =
         args.file.clone().map(|input| Source { request: request(input), reference: args.reference.clone().map(named) });
     if source.is_none() && args.others != BufferSetRequest::default() {
-        let message = "halves, variance and features are those of a file, and none is given\n  remedy: name it: stein-viewer FILE".into();
+        let message = "halves, variance and features are those of a file, and none is given\
+                       \n  remedy: name it: stein-viewer FILE"
+            .into();
         return Err(Failure { code: 2, message });
     }
     Ok(Start {
@@ -298,7 +303,8 @@ fn parameters(args: &Args) -> Result<Option<Parameters>, Failure> {
             if let Some((key, own, given)) = contradicts {
                 let path = text::path(path);
                 return Err(usage(format!(
-                    "--{key} {given}: {path} is for {own}\n  remedy: leave the option out, or write `{key} = \"{given}\"` into the file"
+                    "--{key} {given}: {path} is for {own}\
+                     \n  remedy: leave the option out, or write `{key} = \"{given}\"` into the file"
                 )));
             }
             parameters
@@ -329,12 +335,15 @@ fn window(args: &Args, gpu: &Gpu, start: Start) -> Result<(), Failure> {
     let in_window = |creation: &eframe::CreationContext| {
         Viewer::in_window(creation, gpu, start).map(|viewer| Box::new(viewer) as Box<dyn eframe::App>)
     };
-    eframe::run_native("stein-viewer", options, Box::new(|creation| Ok(in_window(creation)?))).map_err(|error| Failure {
-        code: 4,
-        message: format!(
-            "no window can be shown on '{}': {error}\n  remedy: choose an adapter that the screen is connected to with --device (`stein devices` lists them), \
-             or take a picture without a window with --screenshot",
-            gpu.summary().name
-        ),
+    eframe::run_native("stein-viewer", options, Box::new(|creation| Ok(in_window(creation)?))).map_err(|error| {
+        Failure {
+            code: 4,
+            message: format!(
+                "no window can be shown on '{}': {error}\
+                 \n  remedy: choose an adapter that the screen is connected to with --device (`stein devices` lists \
+                 them), or take a picture without a window with --screenshot",
+                gpu.summary().name
+            ),
+        }
     })
 }

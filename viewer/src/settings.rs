@@ -32,8 +32,8 @@ impl Settings {
     /// Key under which the settings are stored.
     pub const KEY: &str = "stein-viewer";
 
-    /// Puts a source in front of the others, and removes the same buffer set with another reference. Ignores sources whose
-    /// file names are not Unicode, because they cannot be stored.
+    /// Puts a source in front of the others, and removes the same buffer set with another reference. Ignores sources
+    /// whose file names are not Unicode, because they cannot be stored.
     pub fn remember(&mut self, source: &Source) {
         let source = source.absolute();
         if source.files().any(|file| file.to_str().is_none()) {

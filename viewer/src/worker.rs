@@ -375,8 +375,8 @@ impl Desk {
         while let Some((number, request, cancelled)) = self.next() {
             let task = request.task();
             let job = WorkerJob { desk: &self, number, task, cancelled, reported: Mutex::default() };
-            // A sweep that only made way for another task is done again, as a whole. `State::end` drops a sweep that the
-            // user cancelled.
+            // A sweep that only made way for another task is done again, as a whole. `State::end` drops a sweep that
+            // the user cancelled.
             let whole = request.after(0);
             let done = catch_unwind(AssertUnwindSafe(|| self.fulfil(&job, request)))
                 .unwrap_or_else(|panic| Err(defect(panic.as_ref())));

@@ -42,7 +42,10 @@ impl Screen {
             .stdout(Stdio::piped())
             .stderr(Stdio::null())
             .spawn();
-        let mut server = server.expect("Xvfb cannot be started; remedy: install it, on Debian with `apt-get install xvfb` or by ./scripts/setup.sh");
+        let mut server = server.expect(
+            "Xvfb cannot be started; remedy: install it, on Debian with `apt-get install \
+                                        xvfb` or by ./scripts/setup.sh",
+        );
         let mut line = String::new();
         BufReader::new(server.stdout.take().unwrap()).read_line(&mut line).unwrap();
         let number: u32 = line.trim().parse().expect("Xvfb tells the number of its display");

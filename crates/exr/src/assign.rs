@@ -1,4 +1,4 @@
-//! Decides which layer is used as what.
+//! Decides the use of each layer.
 
 use std::path::{Path, PathBuf};
 

@@ -1,4 +1,4 @@
-//! A set of layers, out of one file or several.
+//! A set of layers from one file or several.
 
 use std::path::Path;
 
@@ -15,8 +15,8 @@ use crate::layer_ref::{LayerRef, LayerUse};
 use crate::request::BufferSetRequest;
 use crate::write::colored_channels;
 
-/// Bytes per pixel that settling a signal takes besides its planes: marks of pixels to repair, of misses, and of usable
-/// neighbours.
+/// Bytes per pixel for making a signal of a frame, besides its planes: marks of pixels to repair, of misses, and of
+/// usable neighbours.
 const STATE_BYTES: u64 = 6;
 
 /// Some channels of one part of one of the set's files.
@@ -48,7 +48,7 @@ pub struct BufferSet {
 }
 
 impl BufferSet {
-    /// Reads the files and decides which layer is used as what.
+    /// Reads the files and decides the use of each layer.
     ///
     /// # Errors
     /// [`Error::File`] for a file that is missing, damaged or of a kind that cannot be read, for a file in which no

@@ -51,7 +51,8 @@ impl Trouble {
     fn compressed(method: impl std::fmt::Display) -> Self {
         Self::with(
             format!("is compressed by {method}"),
-            "with ZIP, PIZ or DWAA compression, or convert it, for example with `exrmetrics --convert -z zip in.exr -o out.exr`",
+            "with ZIP, PIZ or DWAA compression, or convert it, for example with \
+             `exrmetrics --convert -z zip in.exr -o out.exr`",
         )
     }
 }

@@ -67,8 +67,8 @@ impl FromStr for LayerRef {
 impl From<OsString> for LayerRef {
     /// Converts a text. If the text is the path of something that exists, it names that file. Otherwise it is split at
     /// a `::`: at the last one behind a file that exists, else at the last one behind a name that ends in `.exr`, such
-    /// as the name of a pattern, else at the last one of all. Any text is a reference; whether the file exists shows
-    /// when it is read.
+    /// as the name of a pattern, else at the last one of all. Any text is a reference; reading it shows whether the
+    /// file exists.
     fn from(text: OsString) -> Self {
         if Path::new(&text).exists() {
             return Self::whole(text);

@@ -1,8 +1,7 @@
 //! OpenEXR files to buffer sets and back.
 //!
 //! A [`BufferSet`] holds the layers of the files and their use: the colour, its halves, its variance and its features.
-//! Nothing in it has been checked for NaN or meaning; [`BufferSet::to_frame`]
-//! does that.
+//! Nothing in it is checked for NaN or meaning yet; [`BufferSet::to_frame`] does that.
 //!
 //! The native layout: `R G B`, `halfA.*`, `halfB.*`, `variance.*` (sample variance of the mean) and for every feature F
 //! `F.*`, `F_halfA.*`, `F_halfB.*`, `F_variance.*`; the samples per pixel in a header attribute or a channel `samples`.

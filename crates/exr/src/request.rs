@@ -10,11 +10,11 @@ use crate::layer_ref::LayerRef;
 #[cfg(feature = "programs")]
 use crate::layer_ref::feature;
 
-/// Which files and layers to read. All but the input and its layer are options of programs by their names:
-/// `--half-a FILE::LAYER`.
+/// Which files and layers to read. All fields except the input and its layer are options of programs by their names,
+/// such as `--half-a FILE::LAYER`.
 ///
-/// A feature of another file comes with its halves and variance from there: from `LAYER_halfA` and so on, or from plain
-/// `halfA`, `halfB`, `variance` where the feature is the file's main layer.
+/// The halves and the variance of a feature of another file are read from that file: from `LAYER_halfA` and so on, or
+/// from plain `halfA`, `halfB`, `variance` if the feature is the file's main layer.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "programs", derive(clap::Args), command(next_help_heading = "Layers"))]
 #[serde(default)]
@@ -34,11 +34,19 @@ pub struct BufferSetRequest {
     /// Variance of the colour's mean (of the pixel, not of one sample)
     #[cfg_attr(feature = "programs", arg(long, value_name = "FILE[::LAYER]"))]
     pub variance: Option<LayerRef>,
-    /// A feature under another name or from another file, with its halves and variance beside it; may be repeated
-    #[cfg_attr(feature = "programs", arg(long = "feature", value_name = "NAME=FILE[::LAYER]", value_parser = OsStringValueParser::new().try_map(feature)))]
+    /// A feature under another name or from another file, such as albedo=aux.exr::albedo; its halves and variance are
+    /// taken from the same file; may be repeated
+    #[cfg_attr(
+        feature = "programs",
+        arg(
+            long = "feature",
+            value_name = "NAME=FILE[::LAYER]",
+            value_parser = OsStringValueParser::new().try_map(feature)
+        )
+    )]
     pub features: Vec<(String, LayerRef)>,
-    /// A feature of the input that is not to be used, by its whole name, or in all view layers by the last part of it;
-    /// may be repeated
+    /// A feature of the input to leave out: by its whole name, or by the last part of it in all view layers; may be
+    /// repeated
     #[cfg_attr(feature = "programs", arg(long = "skip-feature", value_name = "NAME"))]
     pub skip_features: Vec<String>,
     /// Use no features of the input but those in `features`.

@@ -23,15 +23,15 @@ pub fn mse(image: &Image, reference: &Image) -> Result<f64> {
     mean_over_values(image, reference, |x, reference| (x - reference).powi(2))
 }
 
-/// Returns how much the error of two consecutive frames differs: the mean over pixels and channels of
+/// Returns the flicker of two consecutive frames, the mean squared change of their errors over pixels and channels:
 ///
 /// ((x_t − ref_t) − (x_{t−1} − ref_{t−1}))² / ((ref_t² + ref_{t−1}²)/2 + 0.01)
 ///
 /// for `images` x_{t−1}, x_t and `references` ref_{t−1}, ref_t. The result is 0 if the error does not change, however
 /// large it is. For errors that are independent from frame to frame, the result is about the sum of both frames'
-/// [`relative_mse`]. The divisor is made of both frames: where something bright enters or leaves a pixel, the error
-/// would outweigh the rest of the picture if it were relative to the dark frame alone. For a shot, take the mean over
-/// all pairs of consecutive frames.
+/// [`relative_mse`]. The divisor contains both frames: where a bright object enters or leaves a pixel, an error
+/// relative to the dark frame alone would outweigh the rest of the picture. For a shot, take the mean over all pairs of
+/// consecutive frames.
 ///
 /// # Errors
 /// [`Error::Request`] for images of different extent or channel count, or without pixels.
@@ -52,7 +52,8 @@ pub fn flicker(images: [&Image; 2], references: [&Image; 2]) -> Result<f64> {
     Ok(sum / (image.extent.pixels() * image.channels()) as f64)
 }
 
-/// Mean structural similarity of what a viewer would see; 1 is perfect, and values near 0 or below share no structure.
+/// Returns the mean structural similarity of the images as displayed; 1 is perfect, and values near 0 or below share no
+/// structure.
 ///
 /// Both images are clamped to [0, 1], raised to 1/2.2 and averaged over their channels. Then, with means μ, variances
 /// σ² and covariance σ_xy under a Gaussian window of 11×11 pixels and standard deviation 1.5, cut off and normalised
@@ -85,7 +86,7 @@ pub fn ssim(image: &Image, reference: &Image) -> Result<f64> {
     Ok(sum / x.len() as f64)
 }
 
-/// Returns FLIP: how large the differences are that a person sees who flips between the two images, from 0 (none) to
+/// Returns FLIP, the size of the differences that a person sees when flipping between the two images, from 0 (none) to
 /// nearly 1 (black against white). FLIP is the mean over the pixels of LDR-FLIP (Andersson and others 2020), at 67
 /// pixels per degree of visual angle: a display 3840 pixels and 0.7 m wide, seen from 0.7 m. The images are compared as
 /// [`display_bytes`] shows them, so that differences between values above 1 do not count.
@@ -107,9 +108,9 @@ pub fn mean(plane: &[f32]) -> f64 {
     plane.iter().map(|&value| f64::from(value)).sum::<f64>() / plane.len() as f64
 }
 
-/// Returns what a display shows of scene-linear values: clamped to [0, 1], with the transfer curve of sRGB, 8 bits for
-/// each of R, G and B, row by row. There is no exposure and no other curve, so that pictures and their figures can be
-/// compared. A single channel is shown in grey; NaN is black.
+/// Converts scene-linear values to the bytes of a display: clamped to [0, 1], with the transfer curve of sRGB, 8 bits
+/// for each of R, G and B, row by row. There is no exposure and no other curve, so that pictures and their figures can
+/// be compared. A single channel is shown in grey; NaN is black.
 ///
 /// # Errors
 /// [`Error::Request`] for other than one or three channels.
@@ -224,7 +225,7 @@ mod tests {
         let expected = (2.25 / 2.51 + 0.0625 / 0.135) / 2.0;
         assert!((found - expected).abs() < 1e-12, "{found} {expected}");
 
-        // An error that stays as it is does not flicker, however the picture moves.
+        // A constant error does not flicker, however the picture moves.
         let shifted = [row(&[1.5, 0.5]), row(&[2.5, 1.0])];
         assert_eq!(flicker([&shifted[0], &shifted[1]], [&references[0], &references[1]]).unwrap(), 0.0);
     }
@@ -267,9 +268,9 @@ mod tests {
         assert!(display_bytes(&image(1, 1, vec![vec![1.0], vec![0.5]])).is_err());
     }
 
-    /// FLIP of two flat greys of linear values a and b, by the formulas of the paper: filters leave flat images as they
-    /// are and find neither edges nor points in them, so that what is left is the difference in lightness, to the power
-    /// 0.7, mapped to [0, 1] so that 0.4 of the greatest difference (that of green and blue) is at 0.95.
+    /// FLIP of two flat greys of linear values a and b, by the formulas of the paper: filters do not change flat images
+    /// and find neither edges nor points in them, so only the difference in lightness is left, to the power 0.7, mapped
+    /// to [0, 1] so that 0.4 of the greatest difference (that of green and blue) is at 0.95.
     fn flip_of_greys(a: f64, b: f64) -> f64 {
         let f = |t: f64| {
             if t > (6.0_f64 / 29.0).powi(3) { t.cbrt() } else { t / (3.0 * (6.0_f64 / 29.0).powi(2)) + 4.0 / 29.0 }

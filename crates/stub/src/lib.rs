@@ -2,10 +2,10 @@
 //! test a denoiser and its sampling loop.
 //!
 //! It has area lights, a sky and a sun, diffuse and rough glossy surfaces, mirrors, glass, depth of field and motion
-//! blur, and a box pixel filter. Its features are noisy as a renderer's are: albedo, normal (world, towards the viewer)
-//! and depth (along the ray) of the first hit, all 0 where a ray hits nothing; visibility, the fraction of unblocked
-//! shadow rays from the first surface that scatters light, 1 where there is none; caustic, the radiance that reached
-//! such a surface through mirrors or glass (thesis 8.4).
+//! blur, and a box pixel filter. Its features are noisy like those of a renderer: albedo, normal (world, towards the
+//! viewer) and depth (along the ray) of the first hit, all 0 where a ray hits nothing; visibility, the fraction of
+//! unblocked shadow rays from the first surface that scatters light, 1 where there is none; caustic, the radiance that
+//! reached such a surface through mirrors or glass (thesis 8.4).
 //!
 //! ```
 //! use stein::Extent;
@@ -60,12 +60,12 @@ use stein::error::{Error, RequestCause, Result};
 use stein::image::Extent;
 use stein::sampling::{PixelAccumulator, Progress, SampleCounts, Sampler, Samples};
 
-/// How paths find light. Both have the same mean.
+/// How paths find light. Both ways have the same mean.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Transport {
     /// Shadow rays, weighed against light met by chance.
     LightSampling,
-    /// Light is met by chance only: much noisier, and visibility is 1 everywhere.
+    /// Paths find light by chance only: much noisier, and visibility is 1 everywhere.
     Chance,
 }
 

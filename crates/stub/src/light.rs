@@ -23,7 +23,7 @@ pub struct Environment {
 pub struct Sun {
     /// Towards the sun; any length.
     pub direction: Vec3,
-    /// Half the angle that it spans, in radians: 0 to π/2. Ours has 0.0047.
+    /// Half the angle that it spans, in radians: 0 to π/2. The real sun has 0.0047.
     pub radius: f32,
     /// Radiance of the disc.
     pub radiance: Vec3,

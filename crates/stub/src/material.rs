@@ -33,7 +33,7 @@ pub enum Material {
 
 /// A material at one point, with its textures looked up: how it treats the light there.
 pub(super) enum Scattering {
-    /// Spread over directions: the only kind that light sampling can work on.
+    /// Scatters over many directions: the only kind for which lights can be sampled.
     Spread(Lobes),
     Mirror(Vec3),
     Glass(f32),
@@ -77,7 +77,7 @@ impl Material {
 }
 
 impl Scattering {
-    /// Returns roughly the share of white light that is thrown back, as the albedo feature.
+    /// Returns roughly the reflected share of white light, for the albedo feature.
     pub(super) fn albedo(&self) -> Vec3 {
         match self {
             Self::Spread(lobes) => (lobes.base + lobes.reflectance).min(Vec3::ONE),

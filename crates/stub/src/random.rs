@@ -1,4 +1,4 @@
-//! The random numbers of samples. Every sample of a pixel has its own numbers, found from the seed, its pixel, its
+//! The random numbers of samples. Every sample of a pixel has its own numbers, computed from the seed, its pixel, its
 //! half and its index alone, so that neither threads nor passes change them.
 
 use rand_xoshiro::Xoshiro128PlusPlus;
@@ -14,7 +14,7 @@ pub enum Sequence {
     LowDiscrepancy,
 }
 
-/// The numbers of one sample, four at a time.
+/// The random numbers of one sample, in sets of four.
 pub(super) enum Numbers {
     Random(Xoshiro128PlusPlus),
     Sobol { index: u32, key: u64 },

@@ -7,7 +7,7 @@ use super::light::{Environment, Light};
 use super::material::Material;
 use super::shape::{Ray, Shape};
 
-/// A scene. Built by adding shapes; [`super::scene`] knows some by name.
+/// A scene, built by adding shapes. [`super::scene`] returns the built-in ones by name.
 #[derive(Clone, Debug)]
 pub struct Scene {
     pub(super) camera: Camera,
@@ -34,7 +34,7 @@ impl Scene {
         Self { camera, environment, shapes: Vec::new(), materials: Vec::new(), lights }
     }
 
-    /// The scene with one more shape.
+    /// Returns the scene with one more shape.
     #[must_use]
     pub fn with(mut self, shape: Shape, material: Material) -> Self {
         if matches!(material, Material::Light(_)) {
@@ -45,7 +45,7 @@ impl Scene {
         self
     }
 
-    /// The nearest hit.
+    /// Returns the nearest hit.
     pub(super) fn hit(&self, ray: &Ray) -> Option<Hit> {
         let mut nearest = Hit { shape: 0, distance: f32::INFINITY };
         for (shape, candidate) in self.shapes.iter().enumerate() {
@@ -57,7 +57,7 @@ impl Scene {
         (nearest.distance < f32::INFINITY).then_some(nearest)
     }
 
-    /// Whether anything is nearer than `distance`.
+    /// Whether any shape is nearer than `distance`.
     pub(super) fn blocks(&self, ray: &Ray, distance: f32) -> bool {
         self.shapes.iter().any(|shape| shape.distance(ray) < distance)
     }

@@ -21,7 +21,7 @@ const SCENES: [Entry; 6] = [
     ("spikes", "a small bright lamp beside polished metal: rare paths that carry much light", spikes),
 ];
 
-/// The scene of this name.
+/// Returns the scene with this name.
 pub fn scene(name: &str) -> Option<Scene> {
     SCENES.iter().find(|(known, ..)| *known == name).map(|(_, _, build)| build())
 }

@@ -1,5 +1,4 @@
-//! What rays hit: spheres, parallelograms and boxes, each of which may move in a straight line while the shutter is
-//! open.
+//! Shapes: spheres, parallelograms and boxes, each of which may move in a straight line while the shutter is open.
 
 use glam::Vec3;
 

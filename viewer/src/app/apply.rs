@@ -95,8 +95,8 @@ impl Viewer {
         self.document.as_ref().is_some_and(|document| document.layer(name).is_some())
     }
 
-    /// Cancels one thing: a message if there is one, or else the help, the work in flight, a reference that waits, or the
-    /// pinned pixel.
+    /// Cancels one thing: a message if there is one, or else the help, the work in flight, a reference that waits, or
+    /// the pinned pixel.
     fn cancel(&mut self) {
         if self.trouble.take().is_some() || self.notice.take_if(|(notice, _)| notice.is_err()).is_some() {
             return;

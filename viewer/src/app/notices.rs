@@ -22,8 +22,8 @@ impl Viewer {
         context.request_repaint_after_secs(NOTICE_SECONDS as f32);
     }
 
-    /// Reports layers, pixel and neighbour of the start that do not exist, and shows the defaults instead. Does so once,
-    /// after the first run.
+    /// Reports layers, pixel and neighbour of the start that do not exist, and shows the defaults instead. Does so
+    /// once, after the first run.
     pub(super) fn check_names(&mut self) {
         let Some(document) = self.document.as_ref().filter(|document| document.denoised.is_some()) else { return };
         // The last iteration still adds layers, and an earlier failure must stay visible.

@@ -31,7 +31,8 @@ pub fn input_layers(frame: &Frame, reference: Option<&Arc<Image>>) -> Vec<Arc<La
         );
     }
     if let Some(spread) = &color.half_spread {
-        let about = "(A − B)/2 of the halves: 0 on average, and its square the two-buffer estimate of the variance of the mean.";
+        let about = "(A − B)/2 of the halves: 0 on average, and its square the two-buffer estimate of the variance \
+                     of the mean.";
         add(
             input("half_spread", "half spread", about, Kind::Scalar(Scale::Diverging), RADIANCE),
             Arc::new(spread.clone()),

@@ -27,7 +27,8 @@ const SHARE: Range = Range { low: 0.0, high: 1.0 };
 pub fn output_layers(estimate: &mut Estimate, reference: Option<&Arc<Image>>) -> Vec<Arc<Layer>> {
     let mut layers = Layers(Vec::new());
     let result = Arc::new(estimate.color.clone());
-    let about = "The denoised colour: the candidates blended by their shares, and filtered once more where the halves tell what noise is left.";
+    let about = "The denoised colour: the candidates blended by their shares, and filtered once more where the \
+                 halves tell what noise is left.";
     layers.add(describe("result", "result", about, Group::Result, Kind::Color, RADIANCE), result, None);
     for layer in std::mem::take(&mut estimate.layers) {
         layers.add_kept(layer);
@@ -58,7 +59,8 @@ pub fn output_layers(estimate: &mut Estimate, reference: Option<&Arc<Image>>) ->
 
 /// Makes the layer of the true error, on the scale of the estimated error.
 pub(super) fn true_error_layer(estimate: &Estimate, reference: &Image, scale: Option<Range>) -> Arc<Layer> {
-    let about = "Squared error of the result against the reference, summed over the channels. On the scale of the estimated error.";
+    let about = "Squared error of the result against the reference, summed over the channels. On the scale of the \
+                 estimated error.";
     let description =
         describe("true_error", "true error", about, Group::Error, Kind::Scalar(Scale::Log), RADIANCE_SQUARED);
     Arc::new(Layer::new(description, Arc::new(squared_error(&estimate.color, reference)), scale))
@@ -229,7 +231,8 @@ impl Layers {
             Intermediate::Density => {
                 for (plane, channel) in channels.iter().enumerate() {
                     let title = channel.replace('_', " ");
-                    let about = "What tells where the next samples pay most: relative error, samples in the support of the filter, its σ.";
+                    let about = "What tells where the next samples pay most: relative error, samples in the support \
+                                 of the filter, its σ.";
                     self.add(
                         describe(format!("{name}.{channel}"), title, about, Group::Error, log, ""),
                         Arc::new(single_plane(&image, plane)),

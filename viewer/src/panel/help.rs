@@ -14,7 +14,8 @@ pub fn show(context: &Context) -> Vec<Action> {
         ui.heading("Keys");
         ui.label(
             RichText::new(
-                "Drag pans, the wheel zooms about the pointer, a double click fits. A click keeps a pixel. In the strip, a right click chooses layer B.",
+                "Drag pans, the wheel zooms about the pointer, a double click fits. A click keeps a pixel. In the \
+                 strip, a right click chooses layer B.",
             )
             .weak(),
         );
@@ -23,7 +24,8 @@ pub fn show(context: &Context) -> Vec<Action> {
         ui.set_width((screen.width() - 80.0).min(1120.0));
         ScrollArea::vertical().max_height(screen.height() - 150.0).show(ui, |ui| {
             ui.columns(COLUMNS, |columns| {
-                let lines = |sections: &[Section]| sections.iter().map(|section| section.shortcuts.len()).sum::<usize>();
+                let lines =
+                    |sections: &[Section]| sections.iter().map(|section| section.shortcuts.len()).sum::<usize>();
                 for (index, part) in SECTIONS.iter().enumerate() {
                     let before = lines(&SECTIONS[..index]) + part.shortcuts.len() / 2;
                     section(&mut columns[before * COLUMNS / lines(SECTIONS)], part);

@@ -73,7 +73,10 @@ pub fn show(ui: &mut Ui, inspector: &Inspector, view: &View, is_denoised: bool) 
     match large(ui, inspector, view, (filter, window), &quantity, &mut actions) {
         Some(cell) => neighbour(ui, view, (filter, window), cell),
         None => {
-            ui.label("Point at a cell, or at the image inside of the window, to see what told that neighbour from the pixel. Click a cell to keep it.");
+            ui.label(
+                "Point at a cell, or at the image inside of the window, to see what told that neighbour from \
+                 the pixel. Click a cell to keep it.",
+            );
         }
     }
     ui.separator();
@@ -129,23 +132,33 @@ fn filters(ui: &mut Ui, inspector: &Inspector, view: &View, inspected: &Inspecte
                 ui.spacing_mut().item_spacing.y = 1.0;
                 let is_shown = inspector.filter.min(inspected.windows.len() - 1) == place;
                 let (rect, response) = ui.allocate_exact_size(Vec2::splat(side), Sense::click());
-                response.widget_info(|| WidgetInfo::selected(Role::Button, true, is_shown, format!("filter {}", filter.name)));
+                response.widget_info(|| {
+                    WidgetInfo::selected(Role::Button, true, is_shown, format!("filter {}", filter.name))
+                });
                 if response.clicked() {
                     actions.push(InspectorAction::SelectFilter(place));
                 }
                 let scale = inspector.scale_of_weights();
                 paint(ui.painter(), view, rect, filter, (&window.weights, Kind::Scalar(scale.1)), scale);
                 if is_shown {
-                    ui.painter().rect_stroke(rect, 0.0, Stroke::new(2.0, ui.visuals().strong_text_color()), StrokeKind::Middle);
+                    ui.painter().rect_stroke(
+                        rect,
+                        0.0,
+                        Stroke::new(2.0, ui.visuals().strong_text_color()),
+                        StrokeKind::Middle,
+                    );
                 }
                 ui.label(RichText::new(title(filter.name)).strong());
                 if let Some(share) = filter.share {
-                    small(ui, format!("{:.0} % of pass 1", 100.0 * share), "Its share in pass 1 of the pixel: the smoothed selection map there");
+                    let about = "Its share in pass 1 of the pixel: the smoothed selection map there";
+                    small(ui, format!("{:.0} % of pass 1", 100.0 * share), about);
                 } else if filter.name == "second_pass" {
-                    small(ui, "the result".into(), "It averages pass 1, what the candidates were blended to, and makes the result of it");
+                    let about = "It averages pass 1, what the candidates were blended to, and makes the result of it";
+                    small(ui, "the result".into(), about);
                 }
                 swatch(ui, view, (&window.value, [0, 0], side), filter.value, "What the filter makes of the pixel");
-                let about = "Sum of the weights, and the effective number of pixels, (Σw)²/Σw²: so many of equal weight leave as much noise";
+                let about = "Sum of the weights, and the effective number of pixels, (Σw)²/Σw²: so many of equal \
+                             weight leave as much noise";
                 small(ui, format!("Σw {}, n {}", short(filter.weight_sum), short(window.effective_pixels)), about);
             });
         }
@@ -333,7 +346,8 @@ fn rule(filter: &FilterKernel) -> String {
         }
         WeightRule::PatchMean { cut } => {
             format!(
-                "{side}×{side} cells. The mean of the weights of all pairs of pixels in the two patches; below {} it counts as 0.",
+                "{side}×{side} cells. The mean of the weights of all pairs of pixels in the two patches; below {} it \
+                 counts as 0.",
                 number(cut)
             )
         }
@@ -343,7 +357,8 @@ fn rule(filter: &FilterKernel) -> String {
         }
         WeightRule::Refused { sigmas } => {
             format!(
-                "{side}×{side} cells{of}. It would change the pixel by more than {} σ of its noise, and is refused: pass 1 is the result.",
+                "{side}×{side} cells{of}. It would change the pixel by more than {} σ of its noise, and is refused: \
+                 pass 1 is the result.",
                 number(sigmas)
             )
         }
@@ -393,7 +408,11 @@ fn neighbour(ui: &mut Ui, view: &View, (filter, window): (&FilterKernel, &Filter
         for (text, about) in [
             ("told apart by", "What is compared"),
             ("d", "Distance, in units of what noise explains; at or below 0 nothing speaks against the neighbour"),
-            ("alone", "The weight that this distance alone would give: exp(−d), or more where the mean of the neighbour and its opposite stands in for both"),
+            (
+                "alone",
+                "The weight that this distance alone would give: exp(−d), or more where the mean of the \
+                 neighbour and its opposite stands in for both",
+            ),
             ("", ""),
         ] {
             ui.label(RichText::new(text).weak().size(11.5)).on_hover_text(about);
@@ -437,7 +456,10 @@ fn stands_in(filter: &FilterKernel, distance: &Distance, cell: usize) -> Option<
     (shown > TOLD_APART * own + LEAST_TOLD).then(|| {
         let [dx, dy] = offset_of(filter, opposite);
         let (name, own, of_opposite, shown) = (distance.of.name(), short(own), short(of_opposite), short(shown));
-        format!("By {name} it would weigh {own}, its opposite ({dx:+}, {dy:+}) {of_opposite}. Their mean matches the pixel better and stands in: {shown}.")
+        format!(
+            "By {name} it would weigh {own}, its opposite ({dx:+}, {dy:+}) {of_opposite}. Their mean matches the \
+             pixel better and stands in: {shown}."
+        )
     })
 }
 

@@ -1,5 +1,5 @@
-//! The panels beside the canvas, one file each. A panel reads a view model, which the window makes of its state for each
-//! frame, and returns actions; it changes nothing itself.
+//! The panels beside the canvas, one file each. A panel reads a view model, which the window makes of its state for
+//! each frame, and returns actions; it changes nothing itself.
 
 pub mod display;
 pub mod failure;

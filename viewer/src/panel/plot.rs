@@ -73,7 +73,12 @@ pub fn show(ui: &mut Ui, document: Option<&Document>, sweep: &Sweep, in_use: Par
         ui.label(RichText::new(format!("{missing} runs without an error above 0 are left out")).weak());
     }
     ui.label(
-        RichText::new("Crosses: runs of this window, which keep every layer. The others made the result and its estimated error alone.").weak().size(11.5),
+        RichText::new(
+            "Crosses: runs of this window, which keep every layer. The others made the result and its \
+             estimated error alone.",
+        )
+        .weak()
+        .size(11.5),
     );
     taken = taken.or(table(ui, in_use, &spots));
     actions.extend(taken.map(|parameters| Action::TakeParameters(Box::new(parameters))));

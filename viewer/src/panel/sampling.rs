@@ -18,7 +18,8 @@ const MOST_ITERATIONS: u32 = 12;
 pub fn show(ui: &mut Ui, adaptive: &Adaptive) -> Vec<Action> {
     let mut actions = Vec::new();
     ui.label(RichText::new("Adaptive sampling of a built-in scene").strong());
-    let about = "Draws samples, denoises, and draws the next where the estimated error is largest. The method is that of the panel Parameters.";
+    let about = "Draws samples, denoises, and draws the next where the estimated error is largest. The method is \
+                 that of the panel Parameters.";
     ui.label(RichText::new(about).weak());
     ui.add_space(4.0);
     // The widgets change a copy.
@@ -82,9 +83,11 @@ fn choose(ui: &mut Ui, setup: &mut Setup) {
     Grid::new("numbers").num_columns(4).spacing([8.0, 3.0]).show(ui, |ui| {
         let about = "Samples per pixel on average, of all iterations together; at least two for each";
         number_of(ui, "samples", about, &mut setup.samples_per_pixel, 2, 1024, true);
-        number_of(ui, "iterations", "The first samples evenly; all draw the same number of samples", &mut setup.iterations, 1, MOST_ITERATIONS, false);
+        let about = "The first samples evenly; all draw the same number of samples";
+        number_of(ui, "iterations", about, &mut setup.iterations, 1, MOST_ITERATIONS, false);
         ui.end_row();
-        let about = "Samples per pixel of a reference, which is drawn after the last iteration; 0 for none. Its own noise counts as error";
+        let about = "Samples per pixel of a reference, which is drawn after the last iteration; 0 for none. Its own \
+                     noise counts as error";
         number_of(ui, "reference", about, &mut setup.reference_samples, 0, 1 << 14, true);
         number_of(ui, "seed", "Same seed, same samples", &mut setup.seed, 0, 999_999, false);
         ui.end_row();
