@@ -368,12 +368,25 @@ impl DeviceUnderTest<'_> {
                 "in another run".into(),
             ));
         }
-        if let Some(bytes) = case.strips.map(|bytes| bytes(subject)) {
-            let in_strips = window(&denoiser.clone().with_max_memory(bytes))?;
+        if case.in_strips {
+            let in_strips = window(&cut_into_strips(&denoiser, &frames)?)?;
             let differing = differing(&in_strips, &estimate, |_| true) + usize::from(in_strips.strips < 2);
             figures.push(Figure::count(Check::Bits, differing, format!("in {} strips", in_strips.strips)));
         }
         Ok((figures, estimate))
+    }
+}
+
+/// The denoiser with so little memory that it cuts the frames into several strips, or with hardly any.
+fn cut_into_strips(denoiser: &Denoiser, frames: &[&Frame]) -> stein::Result<Denoiser> {
+    let requirements = |denoiser: &Denoiser| denoiser.requirements(frames, 0, &Options::default());
+    let mut bytes = requirements(denoiser)?.peak_bytes;
+    loop {
+        let limited = denoiser.clone().with_max_memory(bytes);
+        if bytes == 0 || requirements(&limited)?.strips > 1 {
+            return Ok(limited);
+        }
+        bytes -= bytes.div_ceil(40);
     }
 }
 
