@@ -18,9 +18,9 @@ struct SelectFramesParams {
 @group(0) @binding(0) var<uniform> params: SelectFramesParams;
 @group(0) @binding(1) var<storage, read> signal: array<vec4<f32>>;
 @group(0) @binding(2) var<storage, read> variance_of_mean: array<vec4<f32>>;
-// Filters over the own frame, one plane for each: the mean, the half spread, and dF_i/du_i per channel. Or, WEIGHT_SUMS,
-// one filter, two planes for mean and half spread, and Σ w in x: where the weights do not depend on the noise of what is
-// averaged, the centre's share 1 / Σ w is the derivative.
+// Filters over the own frame, one plane for each: the mean, the half spread, and dF_i/du_i per channel. Or,
+// WEIGHT_SUMS, one filter, two planes for mean and half spread, and Σ w in x: where the weights do not depend on the
+// noise of what is averaged, the centre's share 1 / Σ w is the derivative.
 @group(0) @binding(3) var<storage, read> alone: array<vec4<f32>>;
 @group(0) @binding(4) var<storage, read> alone_derivatives: array<vec4<f32>>;
 // The same over all frames; they become the chosen ones.

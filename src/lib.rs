@@ -29,9 +29,9 @@
 //! | [`sampling`] | where the next samples go, the trait that a renderer implements, the adaptive loop | the denoiser |
 //!
 //! Other crates build on this one: `stein-exr` (OpenEXR files), `stein-metric` (error measures), `stein-stub` (a small
-//! path tracer); on these, `stein-bench` (measures and compares) and `stein-selftest` (extreme frames and their checks);
-//! on all of them, `stein-cli` (the command line) and `stein-viewer`. `stein-reference` holds every stage again in plain
-//! float64 loops and knows nothing of this crate; `stein-twin` converts frames and parameters for it.
+//! path tracer); on these, `stein-bench` (measures and compares) and `stein-selftest` (extreme frames and their
+//! checks); on all of them, `stein-cli` (the command line) and `stein-viewer`. `stein-reference` holds every stage
+//! again in plain float64 loops and knows nothing of this crate; `stein-twin` converts frames and parameters for it.
 //!
 //! A stage has one name everywhere: shader file, Rust function, reference function, timing label.
 //!

@@ -19,8 +19,8 @@ pub struct SampleSchedule {
 }
 
 impl SampleSchedule {
-    /// Makes a schedule of `samples_per_pixel` samples per pixel on average, over all `iterations`. An iteration gives no
-    /// pixel more than `cap` samples.
+    /// Makes a schedule of `samples_per_pixel` samples per pixel on average, over all `iterations`. An iteration gives
+    /// no pixel more than `cap` samples.
     /// # Errors
     /// [`Error::Request`] where there is not at least one whole pair of samples per pixel for each iteration, or the
     /// cap does not hold what an iteration draws.
@@ -126,8 +126,9 @@ pub struct Outcome {
     pub estimate: Estimate,
 }
 
-/// Draws the samples of a schedule: evenly in the first iteration, then where the estimated relative error of the denoised
-/// image, seen through the filters' weights, is largest. `observe` receives the events, and ends the loop by an error.
+/// Draws the samples of a schedule: evenly in the first iteration, then where the estimated relative error of the
+/// denoised image, seen through the filters' weights, is largest. `observe` receives the events, and ends the loop by
+/// an error.
 ///
 /// Until the last iteration, the method works with its parameters for sampling ([`Denoiser::while_sampling`]).
 ///

@@ -9,7 +9,11 @@ use super::per_pixel;
 use crate::error::Result;
 use crate::gpu::{Buffer, Recorder, bindings, uniforms};
 
-uniforms! { struct ExactParams { extent: IVec2, tile: i32, tile_columns: i32, first: IVec2, from_plane: i32, to_plane: i32, planes: i32 } }
+uniforms! {
+    struct ExactParams {
+        extent: IVec2, tile: i32, tile_columns: i32, first: IVec2, from_plane: i32, to_plane: i32, planes: i32,
+    }
+}
 
 bindings! {
     struct ExactCopy<'a> { uniform params: ExactParams, read tiles, read before, write result }

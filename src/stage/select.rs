@@ -55,8 +55,8 @@ bindings! {
 /// rival's; an error that is not finite cannot win. One plane for four candidates, one component for each.
 ///
 /// # Errors
-/// [`Error::Shader`](crate::Error::Shader) where candidates with rivals come without derivatives; otherwise as [`Recorder::take`] and
-/// [`Recorder::dispatch`].
+/// [`Error::Shader`](crate::Error::Shader) where candidates with rivals come without derivatives; otherwise as
+/// [`Recorder::take`] and [`Recorder::dispatch`].
 pub fn select_least(rec: &mut Recorder, extent: IVec2, errors: &Buffer, candidates: &Candidates) -> Result<Buffer> {
     let selected = rec.take("binary selection maps", plane_bytes(extent, planes_of_numbers(candidates.count())))?;
     let rivals = rivals(&candidates.filters);
@@ -136,7 +136,8 @@ pub struct Noisy<'a> {
 /// filtered over the own frame, where the pixel's own SURE of `together` is larger by more than `harm` allows.
 ///
 /// # Errors
-/// [`Error::Shader`](crate::Error::Shader) where the candidates come without derivatives; otherwise as [`Recorder::dispatch`].
+/// [`Error::Shader`](crate::Error::Shader) where the candidates come without derivatives; otherwise as
+/// [`Recorder::dispatch`].
 pub fn select_frames(
     rec: &mut Recorder,
     extent: IVec2,
@@ -227,8 +228,8 @@ pub fn select_share(
     Ok(smoothed)
 }
 
-/// Averages the candidates by their shares; without shares, the only candidate is the average. A signal; the blended Σ w
-/// in the w of the mean.
+/// Averages the candidates by their shares; without shares, the only candidate is the average. A signal; the blended Σ
+/// w in the w of the mean.
 ///
 /// # Errors
 /// As [`Recorder::take`] and [`Recorder::dispatch`].
