@@ -78,7 +78,7 @@ fn every_parameter_is_documented() {
     }
     assert_eq!(
         find(&Method::default(), "covariance").summary(),
-        "How often the last term of SURE counts, 2σ²·dF/du (eq. 8.5)."
+        "Factor of the last term of SURE, 2σ²·dF/du (eq. 8.5)."
     );
 }
 
