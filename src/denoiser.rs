@@ -196,37 +196,36 @@ impl Denoiser {
     /// # Errors
     /// As [`Denoiser::denoise_window`]; [`Error::Device`] where not even one row fits into the memory.
     pub fn plan(&self, frames: &[&Frame], centre: usize, options: &Options) -> Result<Plan> {
-        self.check_window(frames, centre)?;
-        let units = Units::of_window(frames, centre, self.method.uses_features(), 1.0);
-        self.plan_in(frames, centre, &units, options).map(|(plan, _)| plan)
+        let window = self.checked_window(frames, centre)?;
+        let units = Units::of_window(&window, self.method.uses_features(), 1.0);
+        self.plan_in(&window, &units, options).map(|(plan, _)| plan)
     }
 
-    fn plan_in(&self, frames: &[&Frame], centre: usize, units: &Units, options: &Options) -> Result<(Plan, Cut)> {
+    fn plan_in(&self, window: &Frames<&Frame>, units: &Units, options: &Options) -> Result<(Plan, Cut)> {
         let start = Instant::now();
-        let facts = Facts::of_window(frames, centre, units, self.method.uses_features());
+        let facts = Facts::of_window(window, units, self.method.uses_features());
         let wishes = Wishes { keep: options.keep, error: options.error, everything: self.everything };
         let plan = self.method.plan(&facts, &wishes);
         let analysis_seconds = start.elapsed().as_secs_f64();
-        let cut = self.cut(frames, centre, units, &plan, options)?;
+        let cut = self.cut(window, units, &plan, options)?;
         Ok((Plan { strips: cut.strips.len(), analysis_seconds, ..plan }, cut))
     }
 
     /// Cuts the frame into strips whose buffers fit.
-    fn cut(&self, frames: &[&Frame], centre: usize, units: &Units, plan: &Plan, options: &Options) -> Result<Cut> {
-        let extent = frames[centre].extent();
-        let dry_run = |limit, strips: &[Strip]| self.dry_run(frames, centre, units, plan, limit, strips);
+    fn cut(&self, window: &Frames<&Frame>, units: &Units, plan: &Plan, options: &Options) -> Result<Cut> {
+        let extent = window.own.extent();
+        let dry_run = |limit, strips: &[Strip]| self.dry_run(window, units, plan, limit, strips);
         let whole = dry_run(self.max_memory, &[Strip::whole(extent)])?;
-        let memory = self.memory(frames[centre], whole.kept_planes, options)?;
+        let memory = self.memory(window.own, whole.kept_planes, options)?;
         let limit = memory.bytes();
-        let strips = strips(&self.gpu, extent, memory, whole, |strips| dry_run(limit, strips))?;
-        Ok(Cut { strips, limit })
+        let (strips, footprint) = strips(&self.gpu, extent, memory, whole, |strips| dry_run(limit, strips))?;
+        Ok(Cut { strips, footprint, limit })
     }
 
     /// Runs the method dry on these strips, one after the other.
     fn dry_run(
         &self,
-        frames: &[&Frame],
-        centre: usize,
+        window: &Frames<&Frame>,
         units: &Units,
         plan: &Plan,
         memory_limit: Option<u64>,
@@ -237,9 +236,8 @@ impl Denoiser {
         // Nothing runs for a frame that is copied.
         for strip in strips.iter().filter(|_| !plan.copies_the_frame()) {
             let mut rec = self.gpu.record_in(&run);
-            let mut upload = |frame| FrameInput::upload(&mut rec, frame, Some(Vec3::ZERO), strip, units, plan);
-            let own = upload(frames[centre])?;
-            let inputs = Frames { own, beside: beside(frames, centre).map(upload).collect::<Result<_>>()? };
+            let upload = |frame| FrameInput::upload(&mut rec, frame, Some(Vec3::ZERO), strip, units, plan);
+            let inputs = window.clone().try_map(upload)?;
             let plan = plan.starting_at(IVec2::new(0, strip.first_with_halo as i32));
             let estimate = self.method.record(&mut rec, inputs, &plan, self.schedule, |_, _| Ok(()))?;
             footprint.halo = footprint.halo.max(estimate.reach().y);
@@ -270,10 +268,10 @@ impl Denoiser {
     /// # Errors
     /// As [`Denoiser::plan`].
     pub fn requirements(&self, frames: &[&Frame], centre: usize, options: &Options) -> Result<Requirements> {
-        self.check_window(frames, centre)?;
-        let units = Units::of_window(frames, centre, self.method.uses_features(), 1.0);
-        let (plan, Cut { strips, limit }) = self.plan_in(frames, centre, &units, options)?;
-        let Footprint { halo, peak_bytes, .. } = self.dry_run(frames, centre, &units, &plan, limit, &strips)?;
+        let window = self.checked_window(frames, centre)?;
+        let units = Units::of_window(&window, self.method.uses_features(), 1.0);
+        let (_, Cut { strips, footprint, .. }) = self.plan_in(&window, &units, options)?;
+        let Footprint { halo, peak_bytes, .. } = footprint;
         Ok(Requirements { peak_bytes, halo, strips: strips.len() })
     }
 
@@ -310,16 +308,13 @@ impl Denoiser {
     /// As [`Denoiser::denoise_with`], and [`Error::Request`] where the method does not filter over time, or where a
     /// frame has another extent or kind of noise than the others.
     pub fn denoise_window(&self, frames: &[&Frame], centre: usize, options: Options) -> Result<Estimate> {
-        self.check_window(frames, centre)?;
-        let frame = frames[centre];
-        let units = Units::of_window(frames, centre, self.method.uses_features(), exposure(frame));
-        let with_mean_variance: Vec<_> =
-            frames.iter().map(|frame| (*frame, self.method.mean_variance(frame, units.exposure))).collect();
-        let beside =
-            with_mean_variance.iter().enumerate().filter(|(index, _)| *index != centre).map(|(_, frame)| *frame);
+        let window = self.checked_window(frames, centre)?;
+        let frame = window.own;
+        let units = Units::of_window(&window, self.method.uses_features(), exposure(frame));
+        let with_mean_variance = window.clone().map(|frame| (frame, self.method.mean_variance(frame, units.exposure)));
         // Idle buffers of an earlier frame of another size would count against the limit.
         self.gpu.trim();
-        let (plan, Cut { strips, limit }) = self.plan_in(frames, centre, &units, &options)?;
+        let (plan, Cut { strips, limit, .. }) = self.plan_in(&window, &units, &options)?;
         let Options { error, mut progress, pace, .. } = options;
         let run = Run::new(limit);
         let out_of_memory = |shortage: Shortage| shortage.error("the result");
@@ -334,11 +329,10 @@ impl Denoiser {
                 rec.set_pace(pace.clone());
             }
             let plan = plan.starting_at(IVec2::new(0, strip.first_with_halo as i32));
-            let mut upload =
+            let upload =
                 |(frame, mean_variance)| FrameInput::upload(&mut rec, frame, mean_variance, strip, &units, &plan);
-            let on_gpu = upload(with_mean_variance[centre])?;
-            let beside = beside.clone().map(upload).collect::<Result<Vec<_>>>()?;
-            let extent = on_gpu.extent;
+            let on_gpu = with_mean_variance.clone().try_map(upload)?;
+            let extent = on_gpu.own.extent;
             let report = |rec: &mut Recorder, share: f32| match &mut progress {
                 None => Ok(()),
                 Some(progress) => {
@@ -349,7 +343,6 @@ impl Denoiser {
                     if progress(done).is_break() { Err(Error::Cancelled) } else { Ok(()) }
                 }
             };
-            let on_gpu = Frames { own: on_gpu, beside };
             let estimate = self.method.record(&mut rec, on_gpu, &plan, self.schedule, report)?;
             rec.submit()?;
             assembly.add(&self.gpu, &estimate, extent, strip)?;
@@ -358,8 +351,9 @@ impl Denoiser {
         Ok(assembly.finish(plan, step_times, run.peak_bytes()))
     }
 
-    fn check_window(&self, frames: &[&Frame], centre: usize) -> Result<()> {
-        let Some(frame) = frames.get(centre) else {
+    /// The window around `frames[centre]`, if its frames go together.
+    fn checked_window<'a>(&self, frames: &[&'a Frame], centre: usize) -> Result<Frames<&'a Frame>> {
+        let Some(&frame) = frames.get(centre) else {
             return Err(Error::Request(RequestCause::NoSuchFrame { centre, frames: frames.len() }));
         };
         self.method.check_beside(frames.len() - 1)?;
@@ -374,7 +368,8 @@ impl Denoiser {
                 return Err(Error::Request(RequestCause::FrameNoise { index }));
             }
         }
-        Ok(())
+        let beside = frames.iter().enumerate().filter(|(index, _)| *index != centre).map(|(_, frame)| *frame);
+        Ok(Frames { own: frame, beside: beside.collect() })
     }
 
     /// Records the work on a frame that is on the GPU already. `beside` holds the other frames of its window in time:
@@ -395,14 +390,10 @@ impl Denoiser {
     }
 }
 
-/// The frames beside the one in the centre.
-fn beside<'a>(frames: &'a [&'a Frame], centre: usize) -> impl Iterator<Item = &'a Frame> {
-    frames.iter().enumerate().filter(move |(index, _)| *index != centre).map(|(_, frame)| *frame)
-}
-
-/// Strips of a frame, and the bytes that buffers may take on the device while they are denoised.
+/// Strips of a frame, what they take on the device, and the bytes that buffers may take there.
 struct Cut {
     strips: Vec<Strip>,
+    footprint: Footprint,
     limit: Option<u64>,
 }
 

@@ -14,6 +14,7 @@ use crate::method::kernels::{KernelOnGpu, LimitOnGpu, WeightsOnGpu};
 use crate::method::{FrameInput, Lane, Plan, Share, Strip, Units};
 use crate::stage::PLANE_PIXEL_BYTES;
 use crate::stage::exact::Region;
+use crate::stage::frames::Frames;
 use crate::stage::gaussian::Gaussian;
 use crate::stage::nlm::CentreWeight;
 use crate::stage::window::{CellLane, DistanceLanes};
@@ -45,7 +46,7 @@ impl Denoiser {
             Region::around(pixel, reach, IVec2::new(extent.width as i32, extent.height as i32));
         let part = Window { x: first.x, y: first.y, extent: Extent { width: size.x as u32, height: size.y as u32 } };
         let part_of_frame = frame.cropped(part);
-        let units = Units::of_window(&[&part_of_frame], 0, self.method.uses_features(), exposure(frame));
+        let units = Units::of_window(&Frames::one(&part_of_frame), self.method.uses_features(), exposure(frame));
         let all_of_it = Strip::whole(part.extent);
         let mut rec = self.gpu.record_in(&Run::new(self.max_memory));
         if let Some(pace) = &options.pace {
@@ -71,7 +72,7 @@ impl Denoiser {
 
     /// Returns how far the kernels at a pixel depend on the frame, in pixels, found by a dry run.
     fn reach_of_kernels(&self, frame: &Frame, pixel: IVec2, plan: &Plan) -> Result<u32> {
-        let units = Units::of_window(&[frame], 0, self.method.uses_features(), 1.0);
+        let units = Units::of_window(&Frames::one(frame), self.method.uses_features(), 1.0);
         let mut rec = self.gpu.record_in(&Run::dry(None));
         let whole = Strip::whole(frame.extent());
         let dry = FrameInput::upload(&mut rec, frame, Some(Vec3::ZERO), &whole, &units, plan)?;

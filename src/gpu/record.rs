@@ -215,12 +215,8 @@ impl Recorder {
         bindings: &B,
         invocations: [u32; 3],
     ) -> Result<()> {
-        if self.is_dry() {
-            propagate(B::SLOTS, &bindings.values());
-            return Ok(());
-        }
-        let kernel = self.gpu.kernel::<B>(stage, definitions)?;
-        self.dispatch_kernel(&kernel, bindings, invocations)
+        let kernel = if self.is_dry() { None } else { Some(self.gpu.kernel::<B>(stage, definitions)?) };
+        self.record(kernel.as_ref(), bindings, invocations)
     }
 
     /// As [`Recorder::dispatch`], for a kernel that is already built.
@@ -235,10 +231,15 @@ impl Recorder {
         bindings: &B,
         invocations: [u32; 3],
     ) -> Result<()> {
-        if self.is_dry() {
+        self.record(Some(kernel), bindings, invocations)
+    }
+
+    /// Records a kernel; a dry run needs none.
+    fn record<B: Bindings>(&mut self, kernel: Option<&Arc<Kernel>>, bindings: &B, invocations: [u32; 3]) -> Result<()> {
+        let Some(kernel) = kernel.filter(|_| !self.is_dry()) else {
             propagate(B::SLOTS, &bindings.values());
             return Ok(());
-        }
+        };
         let failure = |problem: String| Error::Shader { stage: kernel.stage().into(), problem };
         if kernel.slots != B::SLOTS {
             return Err(failure("it is dispatched with bindings of another stage".into()));

@@ -22,7 +22,7 @@ use crate::gpu::{Buffer, Recorder};
 use crate::stage::candidate::{
     CandidateFrame, CandidateWindow, Candidates, CandidatesInTime, Needed, candidates, planes_of_numbers,
 };
-use crate::stage::candidate_filter::{ByColor, CandidateFilter};
+use crate::stage::candidate_filter::CandidateFilter;
 use crate::stage::error::{ErrorParts, error_blend, error_blend_more, error_difference, error_spikes, error_sure};
 use crate::stage::exact::Region;
 use crate::stage::feature::{Features, feature_pack};
@@ -158,7 +158,20 @@ struct Work<'a> {
     wanted: Wanted,
 }
 
-impl Work<'_> {
+impl<'a> Work<'a> {
+    /// Outputs of the candidates that the plan needs.
+    fn needed(&self) -> Needed<'a> {
+        let plan = self.plan;
+        Needed {
+            derivatives: plan.derivatives.runs,
+            half_spread: plan.half_spread.runs,
+            alone: plan.frames.runs,
+            channels: plan.channels.runs,
+            exact: plan.candidates.exact.as_ref(),
+            wanted: self.wanted.candidates,
+        }
+    }
+
     fn is_grey(&self) -> bool {
         !self.plan.channels.runs
     }
@@ -189,8 +202,7 @@ fn planned_filters(plan: &DfcPlan) -> Vec<CandidateFilter> {
 
 /// The filter by the colour only: SECOND without features.
 fn color_only_filter(params: &DfcParams) -> CandidateFilter {
-    let color = ByColor { k: params.color_k, patch_radius: params.second_patch_radius };
-    CandidateFilter { name: "color_only", color: Some(color), features: None, rival: None }
+    CandidateFilter { name: "color_only", features: None, ..params.second() }
 }
 
 /// Input of the candidates.
@@ -327,19 +339,12 @@ impl Pass1 {
         keeper: &mut Keeper,
         progress: impl FnMut(&mut Recorder, f32) -> Result<()>,
     ) -> Result<Self> {
-        let Work { params, plan, schedule, wanted } = work;
+        let Work { params, plan, schedule, .. } = work;
         let extent = prepared.extent;
 
         // Candidate filters.
         plan.candidates.begin(rec);
-        let needed = Needed {
-            derivatives: plan.derivatives.runs,
-            half_spread: plan.half_spread.runs,
-            alone: plan.frames.runs,
-            channels: plan.channels.runs,
-            exact: plan.candidates.exact.as_ref(),
-            wanted: wanted.candidates,
-        };
+        let needed = work.needed();
         let CandidatesInTime { together: candidates, alone } = {
             let frames = Frames {
                 own: prepared.own.candidate_frame(),
@@ -421,16 +426,9 @@ impl ColorOnly {
         work: Work,
         keeper: &mut Keeper,
     ) -> Result<(Self, Arc<Buffer>)> {
-        let Work { params, plan, schedule, wanted } = work;
+        let Work { params, schedule, .. } = work;
         let (extent, frame) = (prepared.extent, prepared.own.candidate_frame());
-        let needed = Needed {
-            derivatives: true,
-            half_spread: plan.half_spread.runs,
-            alone: false,
-            channels: plan.channels.runs,
-            exact: plan.candidates.exact.as_ref(),
-            wanted: wanted.candidates,
-        };
+        let needed = Needed { derivatives: true, alone: false, ..work.needed() };
         let (filters, window) = ([color_only_filter(params)], params.window());
         let frames = Frames::one(frame);
         let found = candidates(rec, extent, &frames, &filters, window, needed, schedule, |_, _| Ok(()))?;

@@ -10,6 +10,7 @@ use crate::frame::{Feature, FeatureKind, Frame, SamplesPerPixel, Signal};
 use crate::gpu::{Buffer, Recorder};
 use crate::image::Image;
 use crate::stage::feature::Slot;
+use crate::stage::frames::Frames;
 use crate::stage::noise::{Pooled, noise_unpack};
 use crate::stage::plane_bytes;
 use crate::stage::sample::GpuSamples;
@@ -186,13 +187,13 @@ pub(crate) struct Units<'a> {
 }
 
 impl<'a> Units<'a> {
-    /// Returns the units of `frames[centre]`. They list its features if `with_features` is set, and only features that
+    /// Returns the units of the own frame. They list its features if `with_features` is set, and only features that
     /// all frames have.
-    pub(crate) fn of_window(frames: &[&'a Frame], centre: usize, with_features: bool, exposure: f32) -> Self {
+    pub(crate) fn of_window(window: &Frames<&'a Frame>, with_features: bool, exposure: f32) -> Self {
         let alike = |a: &Feature, b: &Feature| a.name == b.name && a.signal.mean.channels() == b.signal.mean.channels();
         let everywhere =
-            |feature: &&Feature| frames.iter().all(|frame| frame.features().iter().any(|other| alike(feature, other)));
-        let own = if with_features { frames[centre].features() } else { &[] };
+            |feature: &&Feature| window.iter().all(|frame| frame.features().iter().any(|other| alike(feature, other)));
+        let own = if with_features { window.own.features() } else { &[] };
         Self { exposure, features: own.iter().filter(everywhere).collect() }
     }
 }

@@ -89,7 +89,8 @@ impl DeviceMemory {
 
 /// Cuts a frame into strips. Each strip, with the same rows of the frames beside, fits the memory and the adapter's
 /// limits on bindings and dispatches. `whole` is the footprint of the frame as one strip; its halo holds for every
-/// strip. `dry_run` finds the footprint of several strips under the limit of `memory`.
+/// strip. `dry_run` finds the footprint of several strips under the limit of `memory`. Returns the strips with their
+/// footprint.
 ///
 /// # Errors
 /// [`Error::Device`] where not even one row with its halo fits; errors of `dry_run`.
@@ -99,7 +100,7 @@ pub(crate) fn strips(
     memory: DeviceMemory,
     whole: Footprint,
     dry_run: impl Fn(&[Strip]) -> Result<Footprint>,
-) -> Result<Vec<Strip>> {
+) -> Result<(Vec<Strip>, Footprint)> {
     let (height, halo) = (extent.height as usize, whole.halo as usize);
     // All strips have the same height: a last sliver would cost as much halo as the others.
     let cut = |count: usize| {
@@ -120,33 +121,40 @@ pub(crate) fn strips(
             && rows <= u64::from(gpu.max_workgroups())
     };
     let in_one_piece = cut(1);
-    if fits(&in_one_piece, &whole) || fits(&in_one_piece, &dry_run(&in_one_piece)?) {
-        return Ok(in_one_piece);
+    if fits(&in_one_piece, &whole) {
+        return Ok((in_one_piece, whole));
+    }
+    let within_limit = dry_run(&in_one_piece)?;
+    if fits(&in_one_piece, &within_limit) {
+        return Ok((in_one_piece, within_limit));
     }
     // Finds the fewest strips of which the tallest fits by itself. With two strips, each has a halo on one side only,
     // so the tallest of two may be lower than the tallest of three.
-    let tallest_fits = |count: usize| {
-        let Some(tallest) = tallest(&cut(count)) else { return Ok(true) };
-        Ok::<_, Error>(fits(&[tallest], &dry_run(&[tallest])?))
+    let of_tallest = |count: usize| match tallest(&cut(count)) {
+        None => Ok((true, whole)),
+        Some(tallest) => dry_run(&[tallest]).map(|footprint| (fits(&[tallest], &footprint), footprint)),
     };
-    let (mut too_few, mut count) = if tallest_fits(2)? { (1, 2) } else { (2, height.max(2)) };
-    while count - too_few > 1 {
-        let middle = too_few.midpoint(count);
-        if tallest_fits(middle)? {
-            count = middle;
-        } else {
-            too_few = middle;
+    let two_fit = of_tallest(2)?.0;
+    let (rows_fit, least) = of_tallest(height)?;
+    if two_fit || rows_fit {
+        let (mut too_few, mut count) = if two_fit { (1, 2) } else { (2, height.max(2)) };
+        while count - too_few > 1 {
+            let middle = too_few.midpoint(count);
+            if of_tallest(middle)?.0 {
+                count = middle;
+            } else {
+                too_few = middle;
+            }
+        }
+        // Then checks all strips one after the other: each of them finds the idle buffers of the strips before it.
+        for count in count..=height.max(count) {
+            let strips = cut(count);
+            let footprint = dry_run(&strips)?;
+            if fits(&strips, &footprint) {
+                return Ok((strips, footprint));
+            }
         }
     }
-    // Then checks all strips one after the other: each of them finds the idle buffers of the strips before it.
-    for count in count..=height.max(count) {
-        let strips = cut(count);
-        if fits(&strips, &dry_run(&strips)?) {
-            return Ok(strips);
-        }
-    }
-    let strips = cut(height);
-    let least = tallest(&strips).map_or(Ok(whole), |strip| dry_run(&[strip]))?;
     if !fits_memory(&least) {
         return Err(memory.refuse(least.peak_bytes, halo));
     }

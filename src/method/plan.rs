@@ -13,6 +13,7 @@ use super::{DfcPlan, GemPlan, GpuFrame, GpuSignal, Intermediate, NlmPlan, Spikes
 use crate::frame::{Feature, Frame, NoiseTiles, TILE};
 use crate::gpu::Recorder;
 use crate::stage::exact::ExactTiles;
+use crate::stage::frames::Frames;
 use crate::stage::variance::INPUT_SMOOTHING;
 
 /// The steps of a method for a frame, those that run and those that are left out.
@@ -252,12 +253,12 @@ impl FeatureFacts {
 }
 
 impl Facts {
-    /// Analyses a window of frames; `frames[centre]` is the frame to denoise.
-    pub(crate) fn of_window(frames: &[&Frame], centre: usize, units: &Units, with_features: bool) -> Self {
-        let frame = frames[centre];
+    /// Analyses a window of frames, of which the own one is to be denoised.
+    pub(crate) fn of_window(window: &Frames<&Frame>, units: &Units, with_features: bool) -> Self {
+        let frame = window.own;
         let features = units.features.iter().map(|feature| {
             let in_all_frames = || {
-                frames
+                window
                     .iter()
                     .flat_map(|frame| frame.features())
                     .filter(|other| other.name == feature.name)
@@ -272,16 +273,16 @@ impl Facts {
         });
         let constant = frame.constant_features().iter().map(|name| (name.clone(), "it is the same everywhere"));
         let is_used = |feature: &Feature| units.features.iter().any(|used| used.name == feature.name);
-        let all_tell = frames.iter().all(|frame| frame.color().noise_knowledge().is_some());
+        let all_tell = window.iter().all(|frame| frame.color().noise_knowledge().is_some());
         let lacking = frame.features().iter().filter(|feature| !is_used(feature));
         let lacking =
             lacking.map(|feature| (feature.name.clone(), "a frame beside lacks it, or has it the same everywhere"));
         Self {
             has_halves: frame.color().half_spread.is_some(),
             has_sample_variance: frame.color().variance_of_mean.is_some(),
-            beside: frames.len() - 1,
-            noise: NoiseTiles::of_all(frames.iter().map(|frame| frame.color())).filter(|_| all_tell),
-            grey: frames.iter().all(|frame| frame.color().is_grey()),
+            beside: window.beside.len(),
+            noise: NoiseTiles::of_all(window.iter().map(|frame| frame.color())).filter(|_| all_tell),
+            grey: window.iter().all(|frame| frame.color().is_grey()),
             tile_columns: (frame.extent().width as usize).div_ceil(TILE),
             features: features.collect(),
             unused_features: if with_features { constant.chain(lacking).collect() } else { Vec::new() },

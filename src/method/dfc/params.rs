@@ -173,16 +173,22 @@ impl DfcParams {
                 features: by_features(self.feature_tau),
                 rival: Some(second),
             },
-            CandidateFilter {
-                name: second,
-                color: by_color(self.second_patch_radius),
-                features: by_features(self.feature_tau),
-                rival: None,
-            },
+            self.second(),
             CandidateFilter { name: third, color: None, features: by_features(self.feature_tau_third), rival: None },
         ];
         let further = self.further.iter().map(|filter| (*filter, true));
         of_thesis.into_iter().zip(self.candidates.flags()).chain(further).collect()
+    }
+
+    /// SECOND.
+    pub(super) fn second(&self) -> CandidateFilter {
+        let [_, name, _] = CandidateSet::NAMES;
+        CandidateFilter {
+            name,
+            color: Some(ByColor { k: self.color_k, patch_radius: self.second_patch_radius }),
+            features: Some(ByFeatures { k: self.feature_k, tau: self.feature_tau }),
+            rival: None,
+        }
     }
 
     /// Returns f of the largest patches, in pixels.

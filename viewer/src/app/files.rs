@@ -6,7 +6,7 @@ use std::task::Poll;
 
 use eframe::egui::Context;
 use stein::error::{FileCause, RequestCause};
-use stein_exr::LayerRef;
+use stein_exr::{LayerRef, same_file};
 
 use super::Viewer;
 use super::notices::NOTICE_SECONDS;
@@ -111,9 +111,7 @@ impl Viewer {
         };
         let layer = || self.layer().cloned().ok_or_else(|| missing("image"));
         let source = self.document.as_ref().and_then(|document| document.opened.source.as_ref());
-        let same =
-            |other: &Path| path.canonicalize().is_ok_and(|path| other.canonicalize().is_ok_and(|other| path == other));
-        if source.is_some_and(|source| source.files().any(same)) {
+        if source.is_some_and(|source| source.files().any(|other| same_file(path, other))) {
             return Err(stein::Error::File {
                 path: path.to_owned(),
                 cause: FileCause::Other {
