@@ -93,6 +93,20 @@ pub enum FileCause {
         /// Those layers, for messages.
         layers: String,
     },
+    /// The file holds several pictures, and layers are given for one of them.
+    #[error("holds {pictures} pictures, and it is open which one the given layers belong to")]
+    SeveralPictures {
+        /// Number of pictures.
+        pictures: usize,
+    },
+    /// The file is not another render of the same frame.
+    #[error("is no other seed of {}: {reason}", text::path(of))]
+    NotASeed {
+        /// The render that it should belong to.
+        of: PathBuf,
+        /// The difference.
+        reason: String,
+    },
     /// A feature to skip is not in the file.
     #[error("there is no feature '{}' to skip; it holds {layers}", text::name(name))]
     NoFeatureToSkip {
@@ -154,6 +168,8 @@ impl FileCause {
             Self::PipelinesNotKept { .. } => vec![Remedy::PipelineFolder],
             Self::NoParameters { .. } => vec![Remedy::NameParameters],
             Self::NoColor { .. } | Self::SeveralColors { .. } => vec![Remedy::NameLayer],
+            Self::SeveralPictures { .. } => vec![Remedy::NameLayer],
+            Self::NotASeed { .. } => vec![Remedy::GiveSeedsOfOneFrame],
             Self::NoFeatureToSkip { .. } => vec![Remedy::NameFeatureToSkip],
             Self::NoSampleCounts => vec![Remedy::WriteSampleCounts],
             Self::UnevenSamples { .. } => vec![Remedy::EvenCounts],
@@ -203,6 +219,18 @@ pub enum LayerCause {
         /// Name of the layer that it belongs to.
         of: String,
     },
+    /// A quantity needs the number of samples, which nothing tells.
+    #[error("it is a {quantity}, and nothing says how many samples a pixel has")]
+    NeedsSamples {
+        /// The quantity, such as `variance of one sample`.
+        quantity: String,
+    },
+    /// The layer is easily mistaken for a variance.
+    #[error("it is {why}")]
+    NotAVariance {
+        /// What it is instead.
+        why: String,
+    },
     /// A half has no other half.
     #[error("it is one half of the samples, but half {missing} is missing")]
     SingleHalf {
@@ -235,6 +263,8 @@ impl LayerCause {
             Self::FeatureChannels { .. } => vec![Remedy::SplitFeature],
             Self::DataWindow { .. } => vec![Remedy::RenderAlike, Remedy::SkipFeature],
             Self::CompanionChannels { .. } => vec![Remedy::MatchChannels],
+            Self::NeedsSamples { .. } => vec![Remedy::GiveSamples],
+            Self::NotAVariance { .. } => vec![Remedy::GiveVariance],
             Self::SingleHalf { missing } => vec![Remedy::GiveOtherHalf { half: *missing }],
             Self::UnevenCounts => vec![Remedy::EvenCounts],
             Self::PlanesDoNotFit { .. } => {

@@ -143,6 +143,12 @@ pub enum Remedy {
     NameFeatureToSkip,
     /// Give each feature once.
     GiveFeatureOnce,
+    /// Give the feature, too.
+    GiveFeatureToo,
+    /// Say how many samples a pixel has.
+    GiveSamples,
+    /// Give renders of one frame with different seeds.
+    GiveSeedsOfOneFrame,
     /// Split a layer into several features.
     SplitFeature,
     /// Choose another name.
@@ -257,6 +263,9 @@ impl fmt::Display for Remedy {
             Self::SkipFeature => "leave the feature out",
             Self::NameFeatureToSkip => "name one of these, or none",
             Self::GiveFeatureOnce => "give each feature once, or under different names",
+            Self::GiveFeatureToo => "give the feature itself, too, or its name as it is listed",
+            Self::GiveSamples => "say how many samples a pixel has",
+            Self::GiveSeedsOfOneFrame => "give renders of one frame and one view that differ in their seeds alone",
             Self::SplitFeature => "split it into several features",
             Self::AnotherName => "choose another name",
             Self::WriteSampleCounts => "let the renderer write a header attribute or a channel `samples`",

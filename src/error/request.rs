@@ -277,6 +277,12 @@ pub enum RequestCause {
         /// Name of the feature.
         name: String,
     },
+    /// Halves or a variance are given for a feature that is not used.
+    #[error("halves or a variance are given for the feature '{}', which is not used", text::name(name))]
+    NoSuchFeature {
+        /// Name of the feature.
+        name: String,
+    },
     /// More features are given than can be used.
     #[error("{given} features are given, but at most {most} can be used")]
     TooManyFeatures {
@@ -367,6 +373,7 @@ impl RequestCause {
                 let least = u64::from(*iterations) * 2;
                 vec![choose(format!("an even number of at least {least}")), Remedy::FewerIterations]
             }
+            Self::NoSuchFeature { .. } => vec![Remedy::GiveFeatureToo],
             Self::FeatureTwice { .. } => vec![Remedy::GiveFeatureOnce],
             Self::TooManyFeatures { .. } => vec![Remedy::LeaveFeaturesOut],
             Self::InputItself { .. } => vec![Remedy::NameLayerInFile],

@@ -1,49 +1,42 @@
 //! A set of layers from one file or several.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
-use stein::error::FileCause;
+use stein::error::{FileCause, LayerCause};
 use stein::frame::{RawSignal, Repairs, SamplesPerPixel};
 use stein::host_memory::{FreeMemory, Shortage};
 use stein::image::Window;
-use stein::text;
 use stein::{Error, Extent, Frame, Image, Result};
 
 use crate::assign;
 use crate::file::ExrFile;
 use crate::layer_ref::{LayerRef, LayerUse};
+use crate::layout::LayoutUse;
 use crate::request::BufferSetRequest;
-use crate::write::colored_channels;
+use crate::source::{self, Picture, Planes, SignalSource, VarianceSource};
 
 /// Bytes per pixel for making a signal of a frame, besides its planes: marks of pixels to repair, of misses, and of
 /// usable neighbours.
 const STATE_BYTES: u64 = 6;
 
-/// Some channels of one part of one of the set's files.
-#[derive(Clone, Debug, PartialEq)]
-pub(crate) struct Planes {
-    pub(crate) file: usize,
-    pub(crate) layer: usize,
-    /// Positions in the part's list of channels, one for each plane; a luminance is listed three times.
-    pub(crate) channels: Vec<usize>,
-}
-
-#[derive(Clone, Debug, PartialEq)]
-pub(crate) struct SignalSource {
-    pub(crate) mean: Planes,
-    pub(crate) half_a: Option<Planes>,
-    pub(crate) half_b: Option<Planes>,
-    pub(crate) variance: Option<Planes>,
-}
-
 /// The layers of the input files and their use. Keeps the whole content of the files in memory, so that an output can
 /// carry over everything that was not denoised.
+///
+/// A file may hold several pictures, such as view layers or the views of both eyes: each is a colour with its own
+/// features. Methods that do not name a picture mean the first.
 #[derive(Clone, Debug)]
 pub struct BufferSet {
     pub(crate) files: Vec<ExrFile>,
-    pub(crate) color: SignalSource,
-    pub(crate) features: Vec<(String, SignalSource)>,
-    pub(crate) samples: Option<Planes>,
+    pub(crate) pictures: Vec<Picture>,
+    pub(crate) layout: LayoutUse,
+    /// Remarks on the files, such as a file beside the input that cannot be used.
+    pub(crate) notes: Vec<String>,
+    /// Files that were found beside the input.
+    pub(crate) siblings: Vec<PathBuf>,
+    /// Renders of the same frame with other seeds, which were merged with the input.
+    pub(crate) seeds: Vec<PathBuf>,
+    /// Layers of the input that an output leaves out, because they belong to one seed alone.
+    pub(crate) stale: Vec<usize>,
     pub(crate) layer_uses: Vec<LayerUse>,
 }
 
@@ -52,12 +45,13 @@ impl BufferSet {
     ///
     /// # Errors
     /// [`Error::File`] for a file that is missing, damaged or of a kind that cannot be read, for a file in which no
-    /// layer or several can be the colour, and for a feature to skip that the input does not have. [`Error::Layer`] for
-    /// a requested layer that does not exist, for a layer whose data window differs from the colour's, and for a half
-    /// of the colour without the other or halves and variance of other channels, if nothing else tells the colour's
-    /// noise. [`Error::Request`] for a feature that is given twice, and for more than
-    /// [`MAX_FEATURES`](stein::frame::MAX_FEATURES). All other halves and variances that cannot be used are left out,
-    /// and [`BufferSet::layer_uses`] says why.
+    /// layer or several can be the colour, for a feature to skip that the input does not have, for an unknown layout,
+    /// and for seeds that do not show one frame. [`Error::Layer`] for a requested layer that does not exist, for a
+    /// requested layer that does not cover the colour's pixels, for a half of the colour without the other or halves
+    /// and variance of other channels, if nothing else tells the colour's noise, and for a variance of one sample
+    /// without the number of samples. [`Error::Request`] for a feature that is given twice, for more than
+    /// [`MAX_FEATURES`](stein::frame::MAX_FEATURES), and for layers that are given for one of several pictures. All
+    /// other halves and variances that cannot be used are left out, and [`BufferSet::layer_uses`] says why.
     pub fn read(request: &BufferSetRequest) -> Result<Self> {
         assign::read(request)
     }
@@ -67,14 +61,44 @@ impl BufferSet {
         &self.files[0].path
     }
 
-    /// Returns width and height of the data window, which all images of the set share.
+    /// Returns the layout by which the input was read.
+    pub fn layout(&self) -> &LayoutUse {
+        &self.layout
+    }
+
+    /// Returns the files that were found beside the input and belong to it.
+    pub fn siblings(&self) -> &[PathBuf] {
+        &self.siblings
+    }
+
+    /// Returns remarks on the files.
+    pub fn notes(&self) -> &[String] {
+        &self.notes
+    }
+
+    /// Returns the renders with other seeds that were merged with the input.
+    pub fn seeds(&self) -> &[PathBuf] {
+        &self.seeds
+    }
+
+    /// Returns the colours' layers of all pictures. A name is empty for plain `R G B`.
+    pub fn pictures(&self) -> impl ExactSizeIterator<Item = &str> {
+        self.pictures.iter().map(|picture| self.files[0].layers[picture.color.mean.layer].name.as_str())
+    }
+
+    /// Returns width and height of the data window of the first picture.
     pub fn extent(&self) -> Extent {
         self.data_window().extent
     }
 
-    /// Returns the data window: the position of the pixels in the input's coordinates.
+    /// Returns the data window: the position of the first picture's pixels in the input's coordinates.
     pub fn data_window(&self) -> Window {
-        self.files[0].data_window(self.color_part())
+        self.data_window_of(0)
+    }
+
+    /// Returns the data window of a picture.
+    pub fn data_window_of(&self, picture: usize) -> Window {
+        self.files[0].data_window(self.color_part(picture))
     }
 
     /// Returns the display window: the whole picture. The data window may be a part of it, or exceed it.
@@ -84,37 +108,37 @@ impl BufferSet {
 
     /// Returns the noisy colour: always three planes, equal ones for a luminance-only image.
     pub fn color(&self) -> RawSignal {
-        self.raw(&self.color)
+        self.raw(0, &self.pictures[0].color)
     }
 
     /// Returns the name of the colour's layer; empty for plain `R G B`.
     pub fn color_layer(&self) -> &str {
-        &self.files[0].layers[self.color.mean.layer].name
+        &self.files[0].layers[self.pictures[0].color.mean.layer].name
     }
 
     /// Returns the names of the features, in the order of their indices.
     pub fn feature_names(&self) -> impl ExactSizeIterator<Item = &str> {
-        self.features.iter().map(|(name, _)| name.as_str())
+        self.pictures[0].features.iter().map(|(name, _)| name.as_str())
     }
 
     /// Returns all features with their names, decoded one at a time.
     pub fn features(&self) -> impl ExactSizeIterator<Item = (&str, RawSignal)> {
-        self.features.iter().map(|(name, source)| (name.as_str(), self.raw(source)))
+        self.features_of(0)
     }
 
-    /// Returns the samples per pixel: from a channel if there is one, else from the header (attribute `samples` or
-    /// `samplesPerPixel`), else unknown.
+    fn features_of(&self, picture: usize) -> impl ExactSizeIterator<Item = (&str, RawSignal)> {
+        let features = self.pictures[picture].features.iter();
+        features.map(move |(name, source)| (name.as_str(), self.raw(picture, source)))
+    }
+
+    /// Returns the samples per pixel: as requested, else from a channel, else from the header, else unknown.
     pub fn samples_per_pixel(&self) -> SamplesPerPixel {
-        if let Some(planes) = &self.samples {
-            return SamplesPerPixel::PerPixel(self.planes(planes));
-        }
-        let named = |name| self.files[0].number_attribute(self.color_part(), name);
-        named("samples").or_else(|| named("samplesPerPixel")).map_or(SamplesPerPixel::Unknown, SamplesPerPixel::Uniform)
+        self.pictures[0].samples.clone()
     }
 
     /// Returns a text in the input's header, of the colour's part or of the whole file.
     pub fn text_attribute(&self, name: &str) -> Option<String> {
-        self.files[0].text_attribute(self.color_part(), name)
+        self.files[0].text_attribute(self.color_part(0), name)
     }
 
     /// Returns every layer of every file, and its use.
@@ -122,35 +146,60 @@ impl BufferSet {
         &self.layer_uses
     }
 
-    /// Makes a frame: settles the meaning of the layers. The halves are taken to have equal numbers of samples, since
-    /// no file says otherwise.
+    /// Returns the uses of the layers in the input itself.
+    pub(crate) fn uses_in_input(&self) -> &[LayerUse] {
+        // They come first.
+        &self.layer_uses[..self.files[0].layers.len()]
+    }
+
+    /// Makes a frame of the first picture: settles the meaning of the layers. The halves are taken to have equal
+    /// numbers of samples, since no file says otherwise.
     ///
     /// # Errors
     /// As [`Frame::new`]; [`Error::File`] if there is not enough memory.
     pub fn to_frame(&self) -> Result<(Frame, Repairs)> {
-        self.check_memory_for_frame(false)?;
-        self.settle(self.color())
+        self.check_memory_for_frame(0, false)?;
+        self.settle(0, self.color())
     }
 
-    /// Makes a frame as [`BufferSet::to_frame`] does, with less memory: the set frees the stored samples of the colour
-    /// and its noise, and of all files other than the input. The rest of the set serves
+    /// Makes a frame of the first picture as [`BufferSet::to_frame`] does, with less memory: the set frees the stored
+    /// samples of the colour and its noise, and of all files other than the input. The rest of the set serves
     /// [`write_estimate`](crate::write_estimate).
     ///
     /// # Errors
     /// As [`Frame::new`]; [`Error::File`] if there is not enough memory, or if the input is gone.
     pub fn take_frame(&mut self) -> Result<(Frame, Repairs)> {
-        self.check_memory_for_frame(true)?;
-        let color = self.take_color()?;
-        let (frame, repairs) = self.settle(color)?;
-        self.forget_other_files();
-        if frame.color().half_spread.is_none() {
-            self.restore_halves()?;
-        }
-        Ok((frame, repairs))
+        self.pictures.truncate(1);
+        let mut frames = self.take_frames()?;
+        Ok(frames.swap_remove(0))
     }
 
-    fn settle(&self, color: RawSignal) -> Result<(Frame, Repairs)> {
-        Frame::from_raw(color, self.features().map(|(name, raw)| (name.to_owned(), raw)), self.samples_per_pixel())
+    /// Makes a frame of each picture, as [`BufferSet::take_frame`] does of the first.
+    ///
+    /// # Errors
+    /// As [`BufferSet::take_frame`].
+    pub fn take_frames(&mut self) -> Result<Vec<(Frame, Repairs)>> {
+        let mut frames = Vec::with_capacity(self.pictures.len());
+        for picture in 0..self.pictures.len() {
+            self.check_memory_for_frame(picture, true)?;
+            let color = self.take_color(picture)?;
+            frames.push(self.settle(picture, color)?);
+        }
+        self.forget_other_files();
+        for (picture, (frame, _)) in frames.iter().enumerate() {
+            if frame.color().half_spread.is_none() {
+                self.restore_halves(picture)?;
+            }
+        }
+        Ok(frames)
+    }
+
+    fn settle(&self, picture: usize, color: RawSignal) -> Result<(Frame, Repairs)> {
+        let features = self.features_of(picture).map(|(name, raw)| (name.to_owned(), raw));
+        let samples = self.pictures[picture].samples.clone();
+        let (frame, mut repairs) = Frame::from_raw(color, features, samples)?;
+        repairs.notes.splice(0..0, self.notes.iter().cloned());
+        Ok((frame, repairs))
     }
 
     /// Returns the colour as [`BufferSet::color`] does. Frees the samples of the colour and its noise if nothing but
@@ -158,20 +207,16 @@ impl BufferSet {
     ///
     /// # Errors
     /// [`Error::File`] if there is not enough memory.
-    fn take_color(&mut self) -> Result<RawSignal> {
-        let source = self.color.clone();
-        let mut take = |planes: &Planes| {
+    fn take_color(&mut self, picture: usize) -> Result<RawSignal> {
+        let Picture { color, samples, .. } = self.pictures[picture].clone();
+        let window = self.data_window_of(picture);
+        source::settled_from(&color, &samples, &mut |planes: &Planes, outside| {
             let part = self.part(planes);
-            let needed_again = self.channels_needed_again(planes);
+            let needed_again = self.channels_needed_again(picture, planes);
+            let own = source::window_of(&self.files[planes.file], part, window);
             let taken =
                 self.files[planes.file].take_planes(part, &planes.channels, |channel| needed_again.contains(&channel));
-            taken.map_err(|shortage| self.no_memory(shortage))
-        };
-        Ok(RawSignal {
-            mean: take(&source.mean)?,
-            half_a: source.half_a.as_ref().map(&mut take).transpose()?,
-            half_b: source.half_b.as_ref().map(&mut take).transpose()?,
-            variance_of_mean: source.variance.as_ref().map(&mut take).transpose()?,
+            taken.map(|image| source::aligned(image, own, window, outside)).map_err(|shortage| self.no_memory(shortage))
         })
     }
 
@@ -180,30 +225,19 @@ impl BufferSet {
     ///
     /// # Errors
     /// [`Error::File`] if the input cannot be read any more.
-    fn restore_halves(&mut self) -> Result<()> {
-        for planes in [self.color.half_a.clone(), self.color.half_b.clone()]
-            .into_iter()
-            .flatten()
-            .filter(|planes| planes.file == 0)
-        {
+    fn restore_halves(&mut self, picture: usize) -> Result<()> {
+        let color = &self.pictures[picture].color;
+        let halves = [color.half_a.clone(), color.half_b.clone()].into_iter().flatten();
+        for planes in halves.filter(|planes| planes.file == 0) {
             let part = self.part(&planes);
             self.files[0].restore(part, &planes.channels)?;
         }
         Ok(())
     }
 
-    /// Frees the samples of files other than the input, except the samples that [`BufferSet::samples_per_pixel`] needs.
+    /// Frees the samples of files other than the input.
     fn forget_other_files(&mut self) {
-        let samples = self.samples.clone();
-        for (index, file) in self.files.iter_mut().enumerate().skip(1) {
-            let kept = samples
-                .as_ref()
-                .filter(|planes| planes.file == index)
-                .map(|planes| (file.layers[planes.layer].part, planes.channels.clone()));
-            file.forget_samples(|part, channel| {
-                kept.as_ref().is_some_and(|(kept_part, channels)| *kept_part == part && channels.contains(&channel))
-            });
-        }
+        self.files.iter_mut().skip(1).for_each(|file| file.forget_samples(|_, _| false));
     }
 
     /// Refuses to make a frame of the set if there is not enough memory for planes of f32 beside the stored samples. If
@@ -211,33 +245,28 @@ impl BufferSet {
     ///
     /// # Errors
     /// [`Error::File`] with the needed and the free memory.
-    fn check_memory_for_frame(&self, taken: bool) -> Result<()> {
-        let pixels = self.extent().pixels() as u64;
+    fn check_memory_for_frame(&self, picture: usize, taken: bool) -> Result<()> {
+        let pixels = self.data_window_of(picture).extent.pixels() as u64;
+        let Picture { color, features, samples_layer, .. } = &self.pictures[picture];
         let count = |planes: &Option<Planes>| planes.as_ref().map_or(0, |planes| planes.channels.len() as u64);
+        let of_variance = |variance: &Option<VarianceSource>| {
+            variance.as_ref().map_or(0, |variance| variance.planes.channels.len() as u64)
+        };
         // The half spread replaces half A, and half B is freed.
-        let kept =
-            |source: &SignalSource| source.mean.channels.len() as u64 + count(&source.half_a) + count(&source.variance);
+        let kept = |source: &SignalSource| {
+            source.mean.channels.len() as u64 + count(&source.half_a) + of_variance(&source.variance)
+        };
         let let_go = |source: &SignalSource| count(&source.half_b);
         let stored = |planes: &Planes| {
             let file = &self.files[planes.file];
-            planes
-                .channels
-                .iter()
-                .map(|channel| file.bytes_per_sample(file.layers[planes.layer].part, *channel))
-                .sum::<u64>()
+            let bytes = |channel: &usize| file.bytes_per_sample(file.layers[planes.layer].part, *channel);
+            planes.channels.iter().map(bytes).sum::<u64>()
         };
-        let color = [
-            Some(&self.color.mean),
-            self.color.half_a.as_ref(),
-            self.color.half_b.as_ref(),
-            self.color.variance.as_ref(),
-        ];
-        let stored = if taken { color.into_iter().flatten().map(stored).sum() } else { 0 };
-        let while_color = (4 * (kept(&self.color) + let_go(&self.color))).saturating_sub(stored);
-        let features = self.features.iter().map(|(_, source)| kept(source)).sum::<u64>();
-        let one_feature = self.features.iter().map(|(_, source)| let_go(source)).max().unwrap_or(0);
-        let with_features =
-            (4 * (kept(&self.color) + features + one_feature + count(&self.samples))).saturating_sub(stored);
+        let stored = if taken { color.planes().map(stored).sum() } else { 0 };
+        let while_color = (4 * (kept(color) + let_go(color))).saturating_sub(stored);
+        let all_features = features.iter().map(|(_, source)| kept(source)).sum::<u64>();
+        let one_feature = features.iter().map(|(_, source)| let_go(source)).max().unwrap_or(0);
+        let with_features = (4 * (kept(color) + all_features + one_feature + count(samples_layer))).saturating_sub(stored);
         // Adds the marks for the repair of pixels.
         let needed = pixels * (while_color.max(with_features) + STATE_BYTES);
         FreeMemory::now().check(needed).map_err(|shortage| self.no_memory(shortage))
@@ -252,22 +281,28 @@ impl BufferSet {
         self.files[planes.file].layers[planes.layer].part
     }
 
-    /// Returns the channels of `planes` whose stored samples are needed again: something else is made of them, too, or
-    /// they share a layer of the input with others, so that an output shows the layer as it was.
-    fn channels_needed_again(&self, planes: &Planes) -> Vec<usize> {
-        let layer = &self.files[planes.file].layers[planes.layer];
-        if planes != &self.color.mean
-            && colored_channels(layer).iter().any(|channel| !planes.channels.contains(channel))
-        {
+    /// Returns the channels of `planes`, which belong to a colour, whose stored samples are needed again: something
+    /// else is made of them, too, or they share a layer of the input with others, so that an output shows the layer as
+    /// it was.
+    fn channels_needed_again(&self, picture: usize, planes: &Planes) -> Vec<usize> {
+        let color = &self.pictures[picture].color;
+        let is_replaced = |other: &Planes| {
+            let replaced = [Some(&color.mean), color.half_a.as_ref(), color.half_b.as_ref()];
+            let variance = color.variance.as_ref().map(|variance| &variance.planes);
+            replaced.into_iter().chain([variance]).flatten().any(|replaced| replaced == other)
+        };
+        // Means of second moments stay in the output.
+        if !is_replaced(planes) {
             return planes.channels.clone();
         }
-        let of_signal = |source: &SignalSource| {
-            [Some(source.mean.clone()), source.half_a.clone(), source.half_b.clone(), source.variance.clone()]
-        };
-        let signals = std::iter::once(&self.color).chain(self.features.iter().map(|(_, source)| source));
-        let all: Vec<Planes> = signals.flat_map(of_signal).chain([self.samples.clone()]).flatten().collect();
+        let layer = &self.files[planes.file].layers[planes.layer];
+        if planes != &color.mean && layer.without_alpha().iter().any(|channel| !planes.channels.contains(channel)) {
+            return planes.channels.clone();
+        }
+        let signals = self.pictures.iter().flat_map(Picture::signals).flat_map(SignalSource::planes);
+        let all: Vec<&Planes> = signals.collect();
         let users = |channel: usize| {
-            let uses = |other: &&Planes| {
+            let uses = |other: &&&Planes| {
                 other.file == planes.file && self.part(other) == self.part(planes) && other.channels.contains(&channel)
             };
             all.iter().filter(uses).count()
@@ -275,23 +310,18 @@ impl BufferSet {
         planes.channels.iter().copied().filter(|channel| users(*channel) > 1).collect()
     }
 
-    pub(crate) fn color_part(&self) -> usize {
-        self.files[0].layers[self.color.mean.layer].part
+    pub(crate) fn color_part(&self, picture: usize) -> usize {
+        self.files[0].layers[self.pictures[picture].color.mean.layer].part
     }
 
-    fn planes(&self, planes: &Planes) -> Image {
-        let file = &self.files[planes.file];
-        file.planes(file.layers[planes.layer].part, &planes.channels)
-    }
-
-    fn raw(&self, source: &SignalSource) -> RawSignal {
-        let planes = |planes: &Option<Planes>| planes.as_ref().map(|planes| self.planes(planes));
-        RawSignal {
-            mean: self.planes(&source.mean),
-            half_a: planes(&source.half_a),
-            half_b: planes(&source.half_b),
-            variance_of_mean: planes(&source.variance),
-        }
+    fn raw(&self, picture: usize, source: &SignalSource) -> RawSignal {
+        let window = self.data_window_of(picture);
+        source::settled(source, &self.pictures[picture].samples, &|planes: &Planes, outside| {
+            let file = &self.files[planes.file];
+            let part = file.layers[planes.layer].part;
+            let image = file.planes(part, &planes.channels);
+            source::aligned(image, source::window_of(file, part, window), window, outside)
+        })
     }
 }
 
@@ -300,26 +330,43 @@ impl BufferSet {
 /// # Errors
 /// As [`BufferSet::read`] for a file or layer that cannot be read.
 pub fn read_reference(path: &Path, layer: Option<&str>) -> Result<Image> {
-    let file = ExrFile::read(path)?;
-    let found = assign::color_layer(&file, layer)?;
-    let channels = assign::color_channels(&file, found)?;
-    Ok(file.planes(file.layers[found].part, &channels))
+    reference(path, layer).map(|(_, image, _)| image)
 }
 
-/// Reads the reference of a file that has this extent.
+fn reference(path: &Path, layer: Option<&str>) -> Result<(ExrFile, Image, usize)> {
+    let file = ExrFile::read(path)?;
+    let found = assign::color_layer_of(&file, layer)?;
+    let channels = assign::color_channels(&file, found)?;
+    let image = file.planes(file.layers[found].part, &channels);
+    Ok((file, image, found))
+}
+
+/// Reads the pixels of a reference that an input shows, whose data window is `window`. `like` is the name of the
+/// input's layer: a layer of that name is the reference if the user names none.
 ///
 /// # Errors
-/// As [`read_reference`]; [`Error::File`] for a reference of another extent.
-pub fn read_reference_for(input: &Path, extent: Extent, reference: &LayerRef) -> Result<Image> {
-    let image = read_reference(&reference.file, reference.layer.as_deref())?;
-    if image.extent == extent {
-        return Ok(image);
+/// As [`read_reference`]; [`Error::Layer`] for a reference that lacks some of the pixels.
+pub fn read_reference_for(input: &Path, window: Window, like: &str, reference: &LayerRef) -> Result<Image> {
+    let named = reference.layer.as_deref();
+    let named = match named {
+        None if !like.is_empty() => {
+            let file = ExrFile::read(&reference.file)?;
+            file.layers.iter().any(|layer| layer.name == like).then_some(like)
+        }
+        named => named,
+    };
+    let (file, image, layer) = self::reference(&reference.file, named)?;
+    let own = source::window_of(&file, file.layers[layer].part, window);
+    if source::covers(own, window) {
+        return Ok(source::aligned(image, own, window, 0.0));
     }
-    Err(Error::File {
+    Err(Error::Layer {
         path: reference.file.clone(),
-        cause: FileCause::Other {
-            problem: format!("is of {}, but {} of {extent}", image.extent, text::path(input)),
-            remedy: "give a reference with the same resolution and crop".into(),
+        layer: file.layers[layer].name.clone(),
+        cause: LayerCause::DataWindow {
+            found: own.to_string(),
+            expected: window.to_string(),
+            color_file: input.to_owned(),
         },
     })
 }

@@ -4,14 +4,15 @@ use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
-use crate::{BufferSet, DenoisedLayers, NamedLayer, Role, write_denoised};
+use crate::write::write_pictures;
+use crate::{BufferSet, DenoisedLayers, LayerUse, NamedLayer, Role};
 use stein::error::FileCause;
 use stein::host_memory::FreeMemory;
 use stein::method::{Intermediate, Method};
 use stein::{Error, Estimate, Image, Result, text};
 
 /// Prefix of the names of our layers, which no renderer uses.
-const PREFIX: &str = "stein";
+pub(crate) const PREFIX: &str = "stein";
 
 /// Report of [`write_estimate`].
 #[derive(Clone, Debug, Serialize)]
@@ -42,7 +43,7 @@ pub struct Written {
 /// The file appears under its name only when it is complete; an existing file is replaced, even if it is the input.
 ///
 /// # Errors
-/// As [`write_denoised`].
+/// As [`write_denoised`](crate::write_denoised).
 pub fn write_estimate(
     estimate: &Estimate,
     set: BufferSet,
@@ -50,57 +51,25 @@ pub fn write_estimate(
     keep: &[Intermediate],
     method: &Method,
 ) -> Result<Written> {
+    write_estimates(std::slice::from_ref(estimate), set, output, keep, method)
+}
+
+/// Writes as [`write_estimate`] does, with an estimate for each picture of the set, in their order. If there are
+/// several, the names of added layers begin with the name of the picture's layer. Pictures behind the last estimate
+/// stay as they were.
+///
+/// # Errors
+/// As [`write_denoised`](crate::write_denoised).
+pub fn write_estimates(
+    estimates: &[Estimate],
+    set: BufferSet,
+    output: &Path,
+    keep: &[Intermediate],
+    method: &Method,
+) -> Result<Written> {
     FreeMemory::now()
-        .check(bytes_for_writing(estimate, keep))
+        .check(estimates.iter().map(|estimate| bytes_for_writing(estimate, keep)).sum())
         .map_err(|shortage| shortage.error("writing the output"))?;
-    let mut notes = Vec::new();
-    let mut replacements = Vec::new();
-    let mut dropped = Vec::new();
-    let in_input = || set.layer_uses().iter().filter(|layer| layer.file == set.input());
-    for layer in in_input() {
-        let sign = match layer.role {
-            Role::HalfA => 1.0,
-            Role::HalfB => -1.0,
-            Role::Variance => {
-                dropped.push(layer.layer.clone());
-                continue;
-            }
-            _ => continue,
-        };
-        let plain = layer.channels.iter().filter(|channel| !channel.eq_ignore_ascii_case("A")).count();
-        match &estimate.half_spread {
-            Some(half_spread) if plain == 3 || plain == 1 => {
-                replacements.push((layer.layer.clone(), half(&estimate.color, half_spread, sign)));
-            }
-            _ => notes.push(format!(
-                "layer '{}' is as it was: it holds more than a half of the colour",
-                text::name(&layer.layer)
-            )),
-        }
-    }
-
-    let error = estimate.error.as_ref().map(|image| NamedLayer {
-        name: format!("{PREFIX}.error"),
-        channels: vec!["V".into()],
-        image: image.clone(),
-    });
-    let kept = estimate.layers.iter().filter(|layer| keep.contains(&layer.intermediate));
-    let named = kept.map(|layer| NamedLayer {
-        name: format!("{PREFIX}.{}", layer.name),
-        channels: layer.channels.clone(),
-        image: layer.image.clone(),
-    });
-    let extra: Vec<_> = error.into_iter().chain(named).collect();
-    // Layers of an earlier run do not belong to this colour.
-    let stale: Vec<_> = in_input()
-        .map(|layer| &layer.layer)
-        .filter(|layer| layer.strip_prefix(PREFIX).is_some_and(|rest| rest.starts_with('.')))
-        .collect();
-    if !stale.is_empty() {
-        notes.push("the input was denoised before".into());
-    }
-    dropped.extend(stale.into_iter().cloned());
-
     let parameters = serde_json::to_string(method).map_err(|error| Error::File {
         path: output.to_owned(),
         cause: FileCause::Defect {
@@ -108,32 +77,120 @@ pub fn write_estimate(
             with: "the parameters",
         },
     })?;
-    let attributes = [
+    let mut attributes = vec![
         ("stein.version".to_owned(), env!("CARGO_PKG_VERSION").to_owned()),
         ("stein.parameters".to_owned(), parameters),
     ];
-    let layers = DenoisedLayers {
-        color: &estimate.color,
-        replacements: &replacements,
-        dropped: &dropped,
-        extra: &extra,
-        attributes: &attributes,
-    };
-    let report = write_denoised(set, output, &layers)?;
+    if !set.seeds.is_empty() {
+        attributes.push(("stein.seeds".to_owned(), (set.seeds.len() + 1).to_string()));
+    }
+    let mut notes = Vec::new();
+    let is_stale = |layer: &LayerUse| layer.layer.split('.').any(|component| component == PREFIX);
+    // Layers of an earlier run do not belong to this colour.
+    let stale: Vec<String> =
+        set.uses_in_input().iter().filter(|layer| is_stale(layer)).map(|layer| layer.layer.clone()).collect();
+    if !stale.is_empty() {
+        notes.push("the input was denoised before".into());
+    }
+    let of_seeds = set.stale.iter().map(|layer| set.files[0].layers[*layer].name.clone());
+    let names: Vec<String> = set.pictures().map(str::to_owned).collect();
+    let mut pictures = Vec::new();
+    for (picture, estimate) in estimates.iter().enumerate() {
+        let prefix = match names[picture].as_str() {
+            name if names.len() > 1 && !name.is_empty() => format!("{name}.{PREFIX}"),
+            _ => PREFIX.to_owned(),
+        };
+        pictures.push(OfPicture::new(&set, picture, estimate, keep, &prefix, &mut notes));
+    }
+    let mut stale: Vec<String> = stale.into_iter().chain(of_seeds).collect();
+    let layers: Vec<DenoisedLayers<'_>> = estimates
+        .iter()
+        .zip(&mut pictures)
+        .enumerate()
+        .map(|(index, (estimate, picture))| {
+            picture.dropped.append(&mut stale);
+            let attributes = if index == 0 { attributes.as_slice() } else { &[] };
+            DenoisedLayers {
+                color: &estimate.color,
+                replacements: &picture.replacements,
+                dropped: &picture.dropped,
+                extra: &picture.extra,
+                attributes,
+            }
+        })
+        .collect();
+    let report = write_pictures(set, output, &layers)?;
     notes.extend(report.to_string().lines().map(str::to_owned));
-    Ok(Written {
+    let mut written = Written {
         file: output.to_owned(),
-        added_layers: extra
-            .into_iter()
-            .map(|layer| layer.name)
-            .filter(|name| !report.left_out.contains(name))
-            .collect(),
-        replaced_layers: replacements.into_iter().map(|(name, _)| name).collect(),
-        dropped_layers: dropped,
+        added_layers: Vec::new(),
+        replaced_layers: Vec::new(),
+        dropped_layers: Vec::new(),
         clamped_values: report.clamped_values,
         non_finite_values: report.non_finite_values,
         notes,
-    })
+    };
+    for OfPicture { replacements, dropped, extra } in pictures {
+        let added = extra.into_iter().map(|layer| layer.name).filter(|name| !report.left_out.contains(name));
+        written.added_layers.extend(added);
+        written.replaced_layers.extend(replacements.into_iter().map(|(name, _)| name));
+        written.dropped_layers.extend(dropped);
+    }
+    Ok(written)
+}
+
+/// Layers of the output that belong to one picture.
+struct OfPicture {
+    replacements: Vec<(String, Image)>,
+    dropped: Vec<String>,
+    extra: Vec<NamedLayer>,
+}
+
+impl OfPicture {
+    fn new(
+        set: &BufferSet,
+        picture: usize,
+        estimate: &Estimate,
+        keep: &[Intermediate],
+        prefix: &str,
+        notes: &mut Vec<String>,
+    ) -> Self {
+        let mut replacements = Vec::new();
+        let mut dropped = Vec::new();
+        for layer in set.uses_in_input().iter().filter(|layer| layer.picture == Some(picture)) {
+            let sign = match layer.role {
+                Role::HalfA => 1.0,
+                Role::HalfB => -1.0,
+                Role::Variance => {
+                    dropped.push(layer.layer.clone());
+                    continue;
+                }
+                _ => continue,
+            };
+            let plain = layer.channels.iter().filter(|channel| !channel.eq_ignore_ascii_case("A")).count();
+            match &estimate.half_spread {
+                Some(half_spread) if plain == 3 || plain == 1 => {
+                    replacements.push((layer.layer.clone(), half(&estimate.color, half_spread, sign)));
+                }
+                _ => notes.push(format!(
+                    "layer '{}' is as it was: it holds more than a half of the colour",
+                    text::name(&layer.layer)
+                )),
+            }
+        }
+        let error = estimate.error.as_ref().map(|image| NamedLayer {
+            name: format!("{prefix}.error"),
+            channels: vec!["V".into()],
+            image: image.clone(),
+        });
+        let kept = estimate.layers.iter().filter(|layer| keep.contains(&layer.intermediate));
+        let named = kept.map(|layer| NamedLayer {
+            name: format!("{prefix}.{}", layer.name),
+            channels: layer.channels.clone(),
+            image: layer.image.clone(),
+        });
+        Self { replacements, dropped, extra: error.into_iter().chain(named).collect() }
+    }
 }
 
 /// Returns the largest number of bytes in memory, besides the estimate, before the file is written: the colour and its

@@ -4,10 +4,12 @@ use std::fs::File;
 use std::io::BufReader;
 use std::path::{Path, PathBuf};
 
+use exr::meta::attribute::Matrix4x4;
 use exr::prelude::*;
 
 use crate::decode::decode;
 use crate::header::Trouble;
+use crate::layers::{FileChannel, FileLayer, layers_of};
 use crate::names;
 use stein::error::{Error, FileCause, Result};
 use stein::host_memory::{Shortage, try_collected};
@@ -21,24 +23,10 @@ pub(crate) struct ExrFile {
     pub(crate) path: PathBuf,
     pub(crate) image: FlatImage,
     pub(crate) layers: Vec<FileLayer>,
-}
-
-/// Channels of one part whose names share everything before the last dot.
-#[derive(Clone, Debug)]
-pub(crate) struct FileLayer {
-    /// Name of the layer; empty for the channels of a single-part file that have no dot.
-    pub(crate) name: String,
-    pub(crate) part: usize,
-    /// Channels in the order red, green, blue or x, y, z; alphabetical if the names say neither.
-    pub(crate) channels: Vec<FileChannel>,
-}
-
-#[derive(Clone, Debug)]
-pub(crate) struct FileChannel {
-    /// Position in the part's list of channels.
-    pub(crate) index: usize,
-    /// The name after the last dot.
-    pub(crate) suffix: String,
+    /// How the samples of each channel of each part are stored in the file; in memory they may be of another type.
+    pub(crate) stored_types: Vec<Vec<SampleType>>,
+    /// Whether the format knows windows; in other formats the first pixel is at (0, 0).
+    pub(crate) has_windows: bool,
 }
 
 impl ExrFile {
@@ -47,8 +35,61 @@ impl ExrFile {
     pub(crate) fn read(path: &Path) -> Result<Self> {
         let mut image = read(path).map_err(|Trouble(cause)| Error::File { path: path.to_owned(), cause })?;
         image.layer_data.iter_mut().for_each(mend_overshoots);
+        Ok(Self::of_image(path.to_owned(), image, true))
+    }
+
+    fn of_image(path: PathBuf, image: FlatImage, has_windows: bool) -> Self {
         let layers = layers_of(&image);
-        Ok(Self { path: path.to_owned(), image, layers })
+        let types = |layer: &Layer<AnyChannels<FlatSamples>>| {
+            layer.channel_data.list.iter().map(|channel| type_of(&channel.sample_data)).collect()
+        };
+        let stored_types = image.layer_data.iter().map(types).collect();
+        Self { path, image, layers, stored_types, has_windows }
+    }
+
+    /// Returns the file with all names and types, but without any samples.
+    pub(crate) fn clone_without_samples(&self) -> Self {
+        let emptied = |layer: &Layer<AnyChannels<FlatSamples>>| {
+            let channel = |channel: &AnyChannel<FlatSamples>| AnyChannel {
+                name: channel.name.clone(),
+                sample_data: empty(type_of(&channel.sample_data)),
+                ..*channel
+            };
+            Layer {
+                channel_data: AnyChannels { list: layer.channel_data.list.iter().map(channel).collect() },
+                attributes: layer.attributes.clone(),
+                ..*layer
+            }
+        };
+        let layer_data = self.image.layer_data.iter().map(emptied).collect();
+        Self {
+            path: self.path.clone(),
+            image: FlatImage { attributes: self.image.attributes.clone(), layer_data },
+            layers: self.layers.clone(),
+            stored_types: self.stored_types.clone(),
+            has_windows: self.has_windows,
+        }
+    }
+
+    /// Returns the number of parts.
+    pub(crate) fn parts(&self) -> usize {
+        self.image.layer_data.len()
+    }
+
+    /// Returns one channel of a part, as f32.
+    pub(crate) fn plane(&self, part: usize, channel: usize) -> Vec<f32> {
+        to_f32(&self.image.layer_data[part].channel_data.list[channel].sample_data)
+    }
+
+    /// Returns the camera matrices of the first part, if the header has them.
+    pub(crate) fn cameras(&self) -> [Option<Matrix4x4>; 2] {
+        let attributes = &self.image.layer_data[0].attributes;
+        [attributes.world_to_camera, attributes.world_to_normalized_device]
+    }
+
+    /// Replaces the samples of a channel in memory.
+    pub(crate) fn set_plane(&mut self, part: usize, channel: usize, plane: Vec<f32>) {
+        self.image.layer_data[part].channel_data.list[channel].sample_data = FlatSamples::F32(plane);
     }
 
     pub(crate) fn data_window(&self, part: usize) -> Window {
@@ -127,11 +168,7 @@ impl ExrFile {
     }
 
     pub(crate) fn sample_type(&self, layer: &FileLayer, channel: usize) -> SampleType {
-        match self.image.layer_data[layer.part].channel_data.list[layer.channels[channel].index].sample_data {
-            FlatSamples::F16(_) => SampleType::F16,
-            FlatSamples::F32(_) => SampleType::F32,
-            FlatSamples::U32(_) => SampleType::U32,
-        }
+        self.stored_types[layer.part][layer.channels[channel].index]
     }
 
     pub(crate) fn bytes_per_sample(&self, part: usize, channel: usize) -> u64 {
@@ -155,6 +192,33 @@ impl ExrFile {
         let key = Text::new_or_none(name)?;
         let part = &self.image.layer_data[part].attributes.other;
         part.get(&key).or_else(|| self.image.attributes.other.get(&key))
+    }
+
+    /// Returns the names and values of all attributes of all parts that no reader of the format has to know. The value of
+    /// an attribute that is no text is empty.
+    pub(crate) fn attributes(&self) -> Vec<(String, String)> {
+        let parts = self.image.layer_data.iter().map(|layer| &layer.attributes);
+        let others = parts.clone().map(|attributes| &attributes.other).chain([&self.image.attributes.other]);
+        let text = |value: &AttributeValue| match value {
+            AttributeValue::Text(text) => names::decoded(text.as_slice()),
+            AttributeValue::I32(value) => value.to_string(),
+            AttributeValue::F32(value) => value.to_string(),
+            AttributeValue::F64(value) => value.to_string(),
+            _ => String::new(),
+        };
+        let mut all: Vec<(String, String)> = others
+            .flatten()
+            .map(|(name, value)| (names::decoded(name.as_slice()), text(value)))
+            .collect();
+        // The decoder has fields for these.
+        for attributes in parts {
+            let known = [("Software", &attributes.software_name), ("owner", &attributes.owner), ("comments", &attributes.comments)];
+            for (name, value) in known {
+                all.extend(value.iter().map(|value| (name.to_owned(), names::decoded(value.as_slice()))));
+            }
+        }
+        all.sort();
+        all
     }
 
     /// Returns a text that the header stores under `name`, for the given part or for the whole file.
@@ -195,15 +259,6 @@ impl ExrFile {
         // Among equals, the order of the file stays.
         layers.sort_by(|(a, _), (b, _)| b.total_cmp(a));
         text::list(layers.into_iter().map(|(_, layer)| layer.described()))
-    }
-}
-
-impl FileLayer {
-    /// Formats the layer's name and channels, for messages.
-    pub(crate) fn described(&self) -> String {
-        let channels: Vec<_> = self.channels.iter().map(|channel| text::name(&channel.suffix)).collect();
-        let channels = channels.join(" ");
-        if self.name.is_empty() { channels } else { format!("'{}' ({channels})", text::name(&self.name)) }
     }
 }
 
@@ -257,10 +312,22 @@ fn extent(size: Vec2<usize>) -> Extent {
 }
 
 fn forget(samples: &mut FlatSamples) {
+    *samples = empty(type_of(samples));
+}
+
+pub(crate) fn type_of(samples: &FlatSamples) -> SampleType {
     match samples {
-        FlatSamples::F16(values) => *values = Vec::new(),
-        FlatSamples::F32(values) => *values = Vec::new(),
-        FlatSamples::U32(values) => *values = Vec::new(),
+        FlatSamples::F16(_) => SampleType::F16,
+        FlatSamples::F32(_) => SampleType::F32,
+        FlatSamples::U32(_) => SampleType::U32,
+    }
+}
+
+fn empty(kind: SampleType) -> FlatSamples {
+    match kind {
+        SampleType::F16 => FlatSamples::F16(Vec::new()),
+        SampleType::F32 => FlatSamples::F32(Vec::new()),
+        SampleType::U32 => FlatSamples::U32(Vec::new()),
     }
 }
 
@@ -278,55 +345,4 @@ fn to_f32(samples: &FlatSamples) -> Vec<f32> {
         FlatSamples::F32(values) => values.clone(),
         FlatSamples::U32(values) => values.iter().map(|&value| value as f32).collect(),
     }
-}
-
-/// Groups a file's channels into layers: names are split at their last dot.
-///
-/// Channels without a dot belong to the part. In a part with R, G and B (or a luminance Y) those and the alpha are the
-/// part's own layer and every other channel, such as `Z` or `samples`, is a layer of its own. The part's own layer has
-/// no name in a file of one part, else the part's.
-///
-/// Layers are told apart by the bytes of their names: two encodings may spell the same text.
-fn layers_of(image: &FlatImage) -> Vec<FileLayer> {
-    let many_parts = image.layer_data.len() > 1;
-    let mut layers: Vec<(&[u8], FileLayer)> = Vec::new();
-    for (part, layer) in image.layer_data.iter().enumerate() {
-        let part_name = layer.attributes.layer_name.as_ref().map_or(&[][..], Text::as_slice);
-        let own_name = if many_parts { part_name } else { &[] };
-        let stored: Vec<&[u8]> = layer.channel_data.list.iter().map(|channel| channel.name.as_slice()).collect();
-        let has = |wanted: &[u8]| stored.iter().any(|name| name.eq_ignore_ascii_case(wanted));
-        let has_color = has(b"Y") && !has(b"X") || has(b"R") && has(b"G") && has(b"B");
-        for (index, &name) in stored.iter().enumerate() {
-            let (layer_name, suffix) = match name.iter().rposition(|byte| *byte == b'.') {
-                Some(dot) => (&name[..dot], &name[dot + 1..]),
-                None => {
-                    let color = [b"R", b"G", b"B", b"A", b"Y"].iter().any(|color| name.eq_ignore_ascii_case(*color));
-                    let own = if has_color { color } else { names::decoded(name).chars().count() == 1 };
-                    (if own { own_name } else { name }, name)
-                }
-            };
-            let channel = FileChannel { index, suffix: names::decoded(suffix) };
-            if let Some((_, found)) =
-                layers.iter_mut().find(|(other, found)| found.part == part && *other == layer_name)
-            {
-                found.channels.push(channel);
-                continue;
-            }
-            let mut name = names::decoded(layer_name);
-            if layers.iter().any(|(_, other)| other.part != part && other.name == name) {
-                name = format!("{}.{name}", names::decoded(part_name));
-            }
-            layers.push((layer_name, FileLayer { name, part, channels: vec![channel] }));
-        }
-    }
-    let mut layers: Vec<FileLayer> = layers.into_iter().map(|(_, layer)| layer).collect();
-    for layer in &mut layers {
-        layer.channels.sort_by_key(|channel| (channel_rank(&channel.suffix), channel.suffix.clone()));
-    }
-    layers
-}
-
-fn channel_rank(suffix: &str) -> usize {
-    let order = ["r", "g", "b", "x", "y", "z", "u", "v", "w"];
-    order.iter().position(|known| suffix.eq_ignore_ascii_case(known)).unwrap_or(order.len())
 }

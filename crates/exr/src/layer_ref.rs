@@ -8,6 +8,7 @@ use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
 
+use crate::layout::{Quantity, Unit};
 use stein::text;
 
 /// A file and, optionally, a layer inside it, written `file.exr` or `file.exr::layer`.
@@ -169,6 +170,12 @@ pub enum Role {
     Feature(String, SignalPart),
     /// Samples per pixel.
     Samples,
+    /// Opacity; an output keeps it as it is.
+    Alpha,
+    /// A part of the colour, such as the light of one lamp; an output keeps it as it is.
+    Light,
+    /// Numbers of objects; an output keeps them as they are.
+    Id,
     /// Not used; an output keeps it as it is.
     Untouched,
 }
@@ -190,6 +197,9 @@ impl fmt::Display for Role {
                 write!(f, "feature {}{part}", text::name(name))
             }
             Self::Samples => f.write_str("samples per pixel"),
+            Self::Alpha => f.write_str("alpha"),
+            Self::Light => f.write_str("light"),
+            Self::Id => f.write_str("id"),
             Self::Untouched => f.write_str("not used"),
         }
     }
@@ -233,6 +243,12 @@ pub struct LayerUse {
     pub sample_kind: SampleKind,
     /// Use of the layer.
     pub role: Role,
+    /// Index of the picture that the layer belongs to; `None` for layers that are not used, or belong to all pictures.
+    pub picture: Option<usize>,
+    /// Quantity of a variance that is converted: a variance of one sample or a second moment.
+    pub quantity: Option<Quantity>,
+    /// Unit of the layer, if it is a remarkable one.
+    pub unit: Option<Unit>,
     /// Number of NaN and infinite values in the file's layer.
     pub non_finite_values: usize,
     /// Reason why a layer that looks useful is not used, or a remark on its use.
@@ -244,6 +260,9 @@ impl fmt::Display for LayerUse {
         let name = if self.layer.is_empty() { "(no layer name)" } else { &text::name(&self.layer) };
         let channels = self.channels.join(" ");
         write!(f, "{name} [{}] {}: {}", text::name(&channels), self.sample_kind, self.role)?;
+        if let Some(quantity) = self.quantity {
+            write!(f, ", a {quantity}")?;
+        }
         if self.non_finite_values > 0 {
             write!(f, ", {} values not finite", self.non_finite_values)?;
         }

@@ -3,32 +3,41 @@
 //! A [`BufferSet`] holds the layers of the files and their use: the colour, its halves, its variance and its features.
 //! Nothing in it is checked for NaN or meaning yet; [`BufferSet::to_frame`] does that.
 //!
+//! A [`Layout`] says what the layers of a renderer's files are called and what they mean; it is recognised by the file.
 //! The native layout: `R G B`, `halfA.*`, `halfB.*`, `variance.*` (sample variance of the mean) and for every feature F
 //! `F.*`, `F_halfA.*`, `F_halfB.*`, `F_variance.*`; the samples per pixel in a header attribute or a channel `samples`.
-//! One part or many, channels in any order and of any type. Each of these layers can also come from a file of its own:
-//! see [`BufferSetRequest`].
+//! One part or many, channels in any order and of any type. Each of these layers can also come from a file of its own,
+//! and several renders of a frame with different seeds can be merged: see [`BufferSetRequest`].
 
 mod assign;
 pub mod atomic_file;
 mod buffer_set;
+mod classify;
+mod counts;
 mod decode;
 mod estimate;
 mod file;
 mod header;
 pub mod json_document;
 mod layer_ref;
+mod layers;
+mod layout;
 mod map_file;
 mod names;
 #[cfg(feature = "programs")]
 pub mod options;
 mod request;
 mod samples;
+mod seeds;
+mod siblings;
+mod source;
 mod uses;
 mod write;
 
 pub use buffer_set::{BufferSet, read_reference, read_reference_for};
-pub use estimate::{Written, write_estimate};
+pub use estimate::{Written, write_estimate, write_estimates};
 pub use layer_ref::{LayerRef, LayerUse, Role, SampleKind, SignalPart, same_file};
+pub use layout::{Layout, LayoutUse, Quantity, RoleName, Unit};
 pub use map_file::MapFile;
 pub use request::BufferSetRequest;
 pub use samples::write_samples;

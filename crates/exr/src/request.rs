@@ -22,7 +22,7 @@ pub struct BufferSetRequest {
     /// The file with the noisy colour; halves, variance and features are looked for in it unless they are named below.
     #[cfg_attr(feature = "programs", arg(skip))]
     pub input: PathBuf,
-    /// The colour's layer; `None` takes `R G B` or a layer with a usual name such as `Combined` or `beauty`.
+    /// The colour's layer; `None` takes the picture that the layout says, or all of them if the file holds several.
     #[cfg_attr(feature = "programs", arg(skip))]
     pub layer: Option<String>,
     /// Colour of the first half of the samples
@@ -52,22 +52,82 @@ pub struct BufferSetRequest {
     /// Use no features of the input but those in `features`.
     #[cfg_attr(feature = "programs", arg(long, help = "Use no features of the input but those given with --feature"))]
     pub no_features: bool,
+    /// Half A of a feature from another file; may be repeated
+    #[cfg_attr(
+        feature = "programs",
+        arg(
+            long,
+            value_name = "NAME=FILE[::LAYER]",
+            value_parser = OsStringValueParser::new().try_map(feature)
+        )
+    )]
+    pub feature_half_a: Vec<(String, LayerRef)>,
+    /// Half B of a feature from another file; may be repeated
+    #[cfg_attr(
+        feature = "programs",
+        arg(
+            long,
+            value_name = "NAME=FILE[::LAYER]",
+            value_parser = OsStringValueParser::new().try_map(feature)
+        )
+    )]
+    pub feature_half_b: Vec<(String, LayerRef)>,
+    /// Variance of the mean of a feature from another file; may be repeated
+    #[cfg_attr(
+        feature = "programs",
+        arg(
+            long,
+            value_name = "NAME=FILE[::LAYER]",
+            value_parser = OsStringValueParser::new().try_map(feature)
+        )
+    )]
+    pub feature_variance: Vec<(String, LayerRef)>,
+    /// Renders of the same frame with other seeds, to be merged with the input.
+    #[cfg_attr(feature = "programs", arg(skip))]
+    pub seeds: Vec<PathBuf>,
+    /// Samples per pixel of the input, or of each seed [default: as the file says]
+    #[cfg_attr(
+        feature = "programs",
+        arg(long, value_name = "N", value_parser = samples)
+    )]
+    pub samples: Option<u32>,
+    /// Layout of the input: a name that `stein layouts` lists, or a TOML file [default: as the file shows]
+    #[cfg_attr(feature = "programs", arg(long, value_name = "NAME|FILE"))]
+    pub layout: Option<String>,
+    /// Use no files beside the input but those that are named.
+    #[cfg_attr(
+        feature = "programs",
+        arg(long, help = "Use no files beside the input, such as albedo.exr beside color.exr, but those that are named")
+    )]
+    pub no_siblings: bool,
+}
+
+/// Parses a number of samples.
+#[cfg(feature = "programs")]
+fn samples(text: &str) -> Result<u32, String> {
+    text.parse().ok().filter(|count| *count > 0).ok_or_else(|| "it must be a whole number above 0".into())
 }
 
 impl BufferSetRequest {
-    /// Returns all files that are read, the input first; a file that is named twice is listed twice.
+    fn of_features(&self) -> [&Vec<(String, LayerRef)>; 4] {
+        [&self.features, &self.feature_half_a, &self.feature_half_b, &self.feature_variance]
+    }
+
+    /// Returns all files that are named, the input first; a file that is named twice is listed twice.
     pub fn files(&self) -> impl Iterator<Item = &Path> {
         let named = [&self.half_a, &self.half_b, &self.variance]
             .into_iter()
             .flatten()
-            .chain(self.features.iter().map(|(_, layer)| layer));
-        std::iter::once(self.input.as_path()).chain(named.map(|layer| layer.file.as_path()))
+            .chain(self.of_features().into_iter().flatten().map(|(_, layer)| layer));
+        let inputs = std::iter::once(&self.input).chain(&self.seeds).map(PathBuf::as_path);
+        inputs.chain(named.map(|layer| layer.file.as_path()))
     }
 
     /// Returns the same layers of other files, such as the files of another frame of a shot.
     #[must_use]
     pub fn map_files(&self, file: impl Fn(&Path) -> PathBuf) -> Self {
-        Self { input: file(&self.input), ..self.map_others(|layer| layer.map_file(&file)) }
+        let seeds = self.seeds.iter().map(|seed| file(seed)).collect();
+        Self { input: file(&self.input), seeds, ..self.map_others(|layer| layer.map_file(&file)) }
     }
 
     /// Takes the whole texts as the paths of the files, see [`LayerRef::literal`]. The input and its layer stay.
@@ -78,9 +138,21 @@ impl BufferSetRequest {
 
     /// Replaces each reference to a file beside the input.
     fn map_others(&self, other: impl Fn(&LayerRef) -> LayerRef) -> Self {
-        let features = self.features.iter().map(|(name, layer)| (name.clone(), other(layer))).collect();
+        let named = |layers: &Vec<(String, LayerRef)>| {
+            layers.iter().map(|(name, layer)| (name.clone(), other(layer))).collect::<Vec<_>>()
+        };
+        let [features, feature_half_a, feature_half_b, feature_variance] = self.of_features().map(named);
         let [half_a, half_b, variance] =
             [&self.half_a, &self.half_b, &self.variance].map(|layer| layer.as_ref().map(&other));
-        Self { half_a, half_b, variance, features, ..self.clone() }
+        Self {
+            half_a,
+            half_b,
+            variance,
+            features,
+            feature_half_a,
+            feature_half_b,
+            feature_variance,
+            ..self.clone()
+        }
     }
 }

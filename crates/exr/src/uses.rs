@@ -2,65 +2,121 @@
 
 use exr::prelude::SampleType;
 
-use crate::buffer_set::{BufferSet, Planes};
-use crate::file::{ExrFile, FileLayer};
+use crate::buffer_set::BufferSet;
+use crate::classify::{Classified, LayerId};
+use crate::file::ExrFile;
 use crate::layer_ref::{LayerUse, Role, SampleKind, SignalPart};
-use crate::names;
+use crate::layers::FileLayer;
+use crate::layout::{Quantity, RoleName, Rule, Unit};
+use crate::source::SignalSource;
 
-/// Returns every layer in use, with its role.
-pub(crate) fn used_planes(set: &BufferSet) -> Vec<(&Planes, Role)> {
-    let mut used = vec![(&set.color.mean, Role::Color)];
-    used.extend(set.color.half_a.as_ref().map(|planes| (planes, Role::HalfA)));
-    used.extend(set.color.half_b.as_ref().map(|planes| (planes, Role::HalfB)));
-    used.extend(set.color.variance.as_ref().map(|planes| (planes, Role::Variance)));
-    for (name, source) in &set.features {
-        let role = |part| Role::Feature(name.clone(), part);
-        used.push((&source.mean, role(SignalPart::Mean)));
-        used.extend(source.half_a.as_ref().map(|planes| (planes, role(SignalPart::HalfA))));
-        used.extend(source.half_b.as_ref().map(|planes| (planes, role(SignalPart::HalfB))));
-        used.extend(source.variance.as_ref().map(|planes| (planes, role(SignalPart::Variance))));
-    }
-    used.extend(set.samples.as_ref().map(|planes| (planes, Role::Samples)));
-    used
-}
-
-/// The reason why a layer is not used.
+/// The reason why a layer is not used, or a remark on its use.
 pub(crate) struct Note {
-    pub(crate) file: usize,
-    pub(crate) layer: usize,
+    pub(crate) id: LayerId,
     pub(crate) text: String,
 }
 
+/// The role of a layer in a picture.
+struct Used {
+    id: LayerId,
+    picture: usize,
+    role: Role,
+    quantity: Option<Quantity>,
+    unit: Option<Unit>,
+}
+
+/// Returns every layer in use, with its role.
+fn used(set: &BufferSet) -> Vec<Used> {
+    let mut used = Vec::new();
+    for (picture, of_picture) in set.pictures.iter().enumerate() {
+        let colour = |part| match part {
+            SignalPart::Mean => Role::Color,
+            SignalPart::HalfA => Role::HalfA,
+            SignalPart::HalfB => Role::HalfB,
+            SignalPart::Variance => Role::Variance,
+        };
+        add(&mut used, picture, &of_picture.color, &colour);
+        for (name, source) in &of_picture.features {
+            add(&mut used, picture, source, &|part| Role::Feature(name.clone(), part));
+        }
+        used.extend(of_picture.samples_layer.as_ref().map(|planes| Used {
+            id: LayerId { file: planes.file, layer: planes.layer },
+            picture,
+            role: Role::Samples,
+            quantity: None,
+            unit: None,
+        }));
+    }
+    used
+}
+
+fn add(used: &mut Vec<Used>, picture: usize, source: &SignalSource, role: &dyn Fn(SignalPart) -> Role) {
+    let variance = source.variance.as_ref();
+    let parts = [
+        (Some(&source.mean), SignalPart::Mean),
+        (source.half_a.as_ref(), SignalPart::HalfA),
+        (source.half_b.as_ref(), SignalPart::HalfB),
+        (variance.map(|variance| &variance.planes), SignalPart::Variance),
+    ];
+    for (planes, part) in parts {
+        let Some(planes) = planes else { continue };
+        let quantity = variance.map(|variance| variance.quantity).filter(|quantity| {
+            part == SignalPart::Variance && *quantity != Quantity::VarianceOfMean
+        });
+        let id = LayerId { file: planes.file, layer: planes.layer };
+        let unit = source.unit.filter(|_| part == SignalPart::Mean);
+        used.push(Used { id, picture, role: role(part), quantity, unit });
+    }
+}
+
 /// Returns every layer of every file with its role, or with the reason why it has none.
-pub(crate) fn layer_uses(set: &BufferSet, notes: &[Note]) -> Vec<LayerUse> {
-    let used = used_planes(set);
+pub(crate) fn layer_uses(set: &BufferSet, classified: &[Classified], rules: &[Rule], notes: &[Note]) -> Vec<LayerUse> {
+    let used = used(set);
     let mut uses = Vec::new();
     for (file_index, file) in set.files.iter().enumerate() {
         for (layer_index, layer) in file.layers.iter().enumerate() {
-            let role = used
-                .iter()
-                .find(|(planes, _)| planes.file == file_index && planes.layer == layer_index)
-                .map(|(_, role)| role.clone());
-            let noted = notes
-                .iter()
-                .find(|note| (note.file, note.layer) == (file_index, layer_index))
-                .map(|note| note.text.clone());
-            let note = match &role {
-                None => noted.or_else(|| names::why_not_a_variance(&layer.name).map(str::to_owned)),
-                Some(_) => None,
+            let id = LayerId { file: file_index, layer: layer_index };
+            let used = used.iter().find(|used| used.id == id);
+            // Of the merged halves of seeds, only the layers in use are in memory.
+            let Some(classified) = classified.get(file_index) else {
+                if let Some(used) = used {
+                    uses.push(layer_use(file, layer, Some(used), None));
+                }
+                continue;
             };
-            uses.push(LayerUse {
-                file: file.path.clone(),
-                layer: layer.name.clone(),
-                channels: layer.channels.iter().map(|channel| channel.suffix.clone()).collect(),
-                sample_kind: sample_kind(file, layer),
-                role: role.unwrap_or(Role::Untouched),
-                non_finite_values: file.non_finite_values(layer),
-                note,
-            });
+            let meaning = classified.meanings[layer_index].as_ref();
+            let rule = meaning.map(|meaning| &rules[meaning.rank.0]);
+            let noted = notes.iter().find(|note| note.id == id).map(|note| note.text.clone());
+            let mut found = layer_use(file, layer, used, noted);
+            if used.is_none() {
+                let is_plain = meaning.is_some_and(|meaning| meaning.of.is_none() && meaning.quantity == Quantity::Mean);
+                found.role = match meaning.and_then(|meaning| meaning.role).filter(|_| is_plain) {
+                    Some(RoleName::Alpha) => Role::Alpha,
+                    Some(RoleName::Light) => Role::Light,
+                    Some(RoleName::Id) => Role::Id,
+                    _ => Role::Untouched,
+                };
+                found.note = found.note.or_else(|| rule.and_then(|rule| rule.why.clone()));
+            }
+            uses.push(found);
         }
     }
     uses
+}
+
+fn layer_use(file: &ExrFile, layer: &FileLayer, used: Option<&Used>, note: Option<String>) -> LayerUse {
+    LayerUse {
+        file: file.path.clone(),
+        layer: layer.name.clone(),
+        channels: layer.channels.iter().map(|channel| channel.suffix.clone()).collect(),
+        sample_kind: sample_kind(file, layer),
+        role: used.map_or(Role::Untouched, |used| used.role.clone()),
+        picture: used.map(|used| used.picture),
+        quantity: used.and_then(|used| used.quantity),
+        unit: used.and_then(|used| used.unit),
+        non_finite_values: file.non_finite_values(layer),
+        note,
+    }
 }
 
 fn sample_kind(file: &ExrFile, layer: &FileLayer) -> SampleKind {

@@ -10,7 +10,7 @@ use exr::prelude::*;
 
 use crate::BufferSet;
 use crate::atomic_file;
-use crate::file::{ExrFile, FileLayer, is_lossy};
+use crate::file::{ExrFile, is_lossy};
 use crate::header::settle;
 use crate::names::{LONGEST_NAME, encoded};
 use stein::error::{Error, FileCause, LayerCause, RequestCause, Result};
@@ -96,57 +96,77 @@ impl std::fmt::Display for WriteReport {
 /// layers that exist already; [`Error::Request`] for replacements of layers that do not exist; [`Error::File`] for
 /// errors of the file system.
 pub fn write_denoised(set: BufferSet, output: &Path, denoised: &DenoisedLayers<'_>) -> Result<WriteReport> {
-    let (part, extent) = (set.color_part(), set.extent());
-    let BufferSet { files, color, .. } = set;
-    let Some(ExrFile { path, mut image, layers }) = files.into_iter().next() else {
+    write_pictures(set, output, std::slice::from_ref(denoised))
+}
+
+/// Writes as [`write_denoised`] does, with the layers of the set's pictures in their order. Pictures behind the last
+/// one given stay as they were.
+///
+/// # Errors
+/// As [`write_denoised`].
+pub(crate) fn write_pictures(
+    set: BufferSet,
+    output: &Path,
+    denoised: &[DenoisedLayers<'_>],
+) -> Result<WriteReport> {
+    let places: Vec<(usize, Extent)> =
+        (0..set.pictures.len()).map(|index| (set.color_part(index), set.data_window_of(index).extent)).collect();
+    let BufferSet { files, pictures, .. } = set;
+    let Some(ExrFile { path, mut image, layers, stored_types, .. }) = files.into_iter().next() else {
         unreachable!("a set has an input")
     };
-    let mut writer = Writer { report: WriteReport::default(), extent, output };
+    let mut writer = Writer { report: WriteReport::default(), output, stored_types, replaced: Vec::new() };
 
-    let channels = &color.mean.channels;
-    let luminance = channels.iter().all(|channel| *channel == channels[0]).then(|| mean_plane(denoised.color));
-    match &luminance {
-        Some(plane) => writer.replace(&mut image.layer_data[part], &channels[..1], plane, "the colour")?,
-        None => writer.replace(&mut image.layer_data[part], channels, denoised.color, "the colour")?,
+    for ((picture, (part, extent)), denoised) in pictures.iter().zip(&places).zip(denoised) {
+        let channels = &picture.color.mean.channels;
+        let luminance = channels.iter().all(|channel| *channel == channels[0]).then(|| mean_plane(denoised.color));
+        let color = luminance.as_ref().map_or((&channels[..], denoised.color), |plane| (&channels[..1], plane));
+        writer.replace(&mut image, *part, color.0, *extent, color.1, "the colour")?;
+        for (name, replacement) in denoised.replacements {
+            let layer = layers.iter().find(|layer| layer.name == *name).ok_or_else(|| {
+                Error::Request(RequestCause::Misuse {
+                    problem: format!(
+                        "layer '{}' cannot be replaced: {} has no such layer",
+                        text::name(name),
+                        text::path(&path)
+                    ),
+                    change: "add it as an extra layer instead",
+                })
+            })?;
+            let channels = layer.without_alpha();
+            let luminance = (channels.len() == 1 && replacement.channels() == 3).then(|| mean_plane(replacement));
+            let replacement = luminance.as_ref().unwrap_or(replacement);
+            writer.replace(&mut image, layer.part, &channels, *extent, replacement, name)?;
+        }
     }
-    for (name, replacement) in denoised.replacements {
-        let layer = layers.iter().find(|layer| layer.name == *name).ok_or_else(|| {
-            Error::Request(RequestCause::Misuse {
-                problem: format!(
-                    "layer '{}' cannot be replaced: {} has no such layer",
-                    text::name(name),
-                    text::path(&path)
-                ),
-                change: "add it as an extra layer instead",
-            })
-        })?;
-        let channels = colored_channels(layer);
-        let luminance = (channels.len() == 1 && replacement.channels() == 3).then(|| mean_plane(replacement));
-        writer.replace(
-            &mut image.layer_data[layer.part],
-            &channels,
-            luminance.as_ref().unwrap_or(replacement),
-            name,
-        )?;
-    }
+    writer.store_as_before(&mut image);
     // Removes layers before others are added: layers know their channels by their positions in the input.
+    let is_dropped = |name: &String| denoised.iter().any(|denoised| denoised.dropped.contains(name));
+    let mut is_kept_lossy = Vec::new();
     for (index, part) in image.layer_data.iter_mut().enumerate() {
-        let dropped = layers.iter().filter(|layer| layer.part == index && denoised.dropped.contains(&layer.name));
+        let dropped = layers.iter().filter(|layer| layer.part == index && is_dropped(&layer.name));
         let channels: Vec<usize> =
             dropped.flat_map(|layer| layer.channels.iter().map(|channel| channel.index)).collect();
+        let compression = part.encoding.compression;
+        let kept = part.channel_data.list.iter().enumerate().filter(|(channel, _)| !channels.contains(channel));
+        is_kept_lossy.push(kept.into_iter().any(|(channel, stored)| {
+            is_lossy(compression, &stored.name) && !writer.replaced.contains(&(index, channel))
+        }));
         let mut position = 0..;
         part.channel_data.list.retain(|_| position.next().is_some_and(|position| !channels.contains(&position)));
     }
-    for extra in denoised.extra {
-        writer.add(&mut image.layer_data[part], extra)?;
+    for ((part, extent), denoised) in places.iter().zip(denoised) {
+        for extra in denoised.extra {
+            writer.add(&mut image.layer_data[*part], *extent, extra)?;
+        }
+        add_attributes(&mut image.layer_data[*part].attributes, denoised.attributes)?;
     }
-    add_attributes(&mut image.layer_data[part].attributes, denoised.attributes)?;
+    for (layer, is_kept_lossy) in image.layer_data.iter_mut().zip(is_kept_lossy) {
+        writer.settle_attributes(&mut None, &mut layer.attributes.other);
+        writer.settle_encoding(layer, is_kept_lossy);
+    }
     image.layer_data.retain(|part| !part.channel_data.list.is_empty());
     writer.settle_attributes(&mut image.attributes.time_code, &mut image.attributes.other);
-    for layer in &mut image.layer_data {
-        writer.settle_attributes(&mut None, &mut layer.attributes.other);
-        writer.settle_encoding(layer);
-    }
     let is_complete = |layer: &Layer<AnyChannels<FlatSamples>>| {
         layer.channel_data.list.iter().all(|channel| channel.sample_data.len() == layer.size.area())
     };
@@ -171,12 +191,6 @@ fn may_overshoot(compression: Compression, channel: &AnyChannel<FlatSamples>) ->
     is_lossy(compression, &channel.name) && channel.sample_data.values_as_f32().any(|value| value.abs() > MOST)
 }
 
-/// Returns all channels but the alpha.
-pub(crate) fn colored_channels(layer: &FileLayer) -> Vec<usize> {
-    let alpha = |suffix: &str| layer.channels.len() > 1 && suffix.eq_ignore_ascii_case("A");
-    layer.channels.iter().filter(|channel| !alpha(&channel.suffix)).map(|channel| channel.index).collect()
-}
-
 fn mean_plane(image: &Image) -> Image {
     let weight = 1.0 / image.channels() as f32;
     let mut mean = Image::filled(image.extent, 1, 0.0);
@@ -188,14 +202,17 @@ fn mean_plane(image: &Image) -> Image {
 
 struct Writer<'a> {
     report: WriteReport,
-    extent: Extent,
     output: &'a Path,
+    /// How the input stores the channels of each part.
+    stored_types: Vec<Vec<SampleType>>,
+    /// Part and channel of all that was replaced.
+    replaced: Vec<(usize, usize)>,
 }
 
 impl Writer<'_> {
-    fn check(&self, image: &Image, channels: usize, name: &str) -> Result<()> {
+    fn check(&self, image: &Image, channels: usize, extent: Extent, name: &str) -> Result<()> {
         let complete = image.planes.iter().all(|plane| plane.len() == image.extent.pixels());
-        if image.extent == self.extent && image.channels() == channels && complete {
+        if image.extent == extent && image.channels() == channels && complete {
             return Ok(());
         }
         Err(Error::Layer {
@@ -203,10 +220,9 @@ impl Writer<'_> {
             layer: name.to_owned(),
             cause: LayerCause::PlanesDoNotFit {
                 problem: format!(
-                    "{} planes of {} do not fit {channels} channels of {}",
+                    "{} planes of {} do not fit {channels} channels of {extent}",
                     image.channels(),
-                    image.extent,
-                    self.extent
+                    image.extent
                 ),
             },
         })
@@ -214,27 +230,54 @@ impl Writer<'_> {
 
     fn replace(
         &mut self,
-        layer: &mut Layer<AnyChannels<FlatSamples>>,
+        file: &mut FlatImage,
+        part: usize,
         channels: &[usize],
+        extent: Extent,
         image: &Image,
         name: &str,
     ) -> Result<()> {
-        self.check(image, channels.len(), name)?;
+        self.check(image, channels.len(), extent, name)?;
         for (&channel, plane) in channels.iter().zip(&image.planes) {
-            let samples = &mut layer.channel_data.list[channel].sample_data;
-            *samples = match samples {
-                FlatSamples::F16(_) => FlatSamples::F16(plane.iter().map(|&value| self.half(value)).collect()),
-                FlatSamples::F32(_) => FlatSamples::F32(plane.iter().map(|&value| self.finite(value)).collect()),
-                FlatSamples::U32(_) => {
-                    FlatSamples::U32(plane.iter().map(|&value| self.finite(value).round() as u32).collect())
-                }
-            };
+            let stored = self.stored(part, channel, plane);
+            file.layer_data[part].channel_data.list[channel].sample_data = stored;
+            self.replaced.push((part, channel));
         }
         Ok(())
     }
 
-    fn add(&mut self, layer: &mut Layer<AnyChannels<FlatSamples>>, extra: &NamedLayer) -> Result<()> {
-        self.check(&extra.image, extra.channels.len(), &extra.name)?;
+    /// Returns values in the type in which the input stores the channel.
+    fn stored(&mut self, part: usize, channel: usize, plane: &[f32]) -> FlatSamples {
+        match self.stored_types[part][channel] {
+            SampleType::F16 => FlatSamples::F16(plane.iter().map(|&value| self.half(value)).collect()),
+            SampleType::F32 => FlatSamples::F32(plane.iter().map(|&value| self.finite(value)).collect()),
+            SampleType::U32 => {
+                FlatSamples::U32(plane.iter().map(|&value| self.finite(value).round() as u32).collect())
+            }
+        }
+    }
+
+    /// Converts channels that were averaged over seeds to the types in which the input stores them.
+    fn store_as_before(&mut self, image: &mut FlatImage) {
+        for (part, layer) in image.layer_data.iter_mut().enumerate() {
+            for (channel, stored) in layer.channel_data.list.iter_mut().enumerate() {
+                if let FlatSamples::F32(values) = &stored.sample_data
+                    && self.stored_types[part][channel] == SampleType::F16
+                {
+                    let halves = values.iter().map(|value| f16::from_f32(*value)).collect();
+                    stored.sample_data = FlatSamples::F16(halves);
+                }
+            }
+        }
+    }
+
+    fn add(
+        &mut self,
+        layer: &mut Layer<AnyChannels<FlatSamples>>,
+        extent: Extent,
+        extra: &NamedLayer,
+    ) -> Result<()> {
+        self.check(&extra.image, extra.channels.len(), extent, &extra.name)?;
         let list = &mut layer.channel_data.list;
         let names: Vec<String> = extra.channels.iter().map(|suffix| full_name(extra, suffix)).collect();
         if names.iter().any(|name| name.len() > LONGEST_NAME) {
@@ -290,8 +333,9 @@ impl Writer<'_> {
         }
     }
 
-    /// Keeps the input's encoding if it can be written.
-    fn settle_encoding(&mut self, layer: &mut Layer<AnyChannels<FlatSamples>>) {
+    /// Keeps the input's encoding if it can be written. `has_lossy`: a layer that stays as it was would lose more of
+    /// its bits if it were compressed again.
+    fn settle_encoding(&mut self, layer: &mut Layer<AnyChannels<FlatSamples>>, has_lossy: bool) {
         if layer.encoding.blocks == Blocks::ScanLines && layer.encoding.line_order == LineOrder::Unspecified {
             layer.encoding.line_order = LineOrder::Increasing;
         }
@@ -305,6 +349,13 @@ impl Writer<'_> {
         };
         if !writable {
             self.report.notes.push(format!("{} cannot be written: ZIP is used instead", layer.encoding.compression));
+            layer.encoding.compression = Compression::ZIP16;
+        }
+        if has_lossy {
+            let compression = layer.encoding.compression;
+            self.report
+                .notes
+                .push(format!("{compression} would change layers that stay as they were: ZIP is used instead"));
             layer.encoding.compression = Compression::ZIP16;
         }
         if layer.channel_data.list.iter().any(|channel| may_overshoot(layer.encoding.compression, channel)) {

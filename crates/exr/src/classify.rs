@@ -1,0 +1,135 @@
+//! The meaning of each layer, as a layout says it.
+
+use exr::prelude::SampleType;
+
+use crate::file::ExrFile;
+use crate::layers::FileLayer;
+use crate::layout::{Quantity, RoleName, Rule};
+use crate::names;
+
+/// A layer of one of the files.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct LayerId {
+    pub(crate) file: usize,
+    pub(crate) layer: usize,
+}
+
+/// The meaning of a layer.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Meaning {
+    /// Positions of the rule and of its pattern: smaller ones are preferred.
+    pub(crate) rank: (usize, usize),
+    /// The prefix that the layer shares with other layers of the same picture.
+    pub(crate) group: String,
+    /// The layer that this one describes.
+    pub(crate) of: Option<LayerId>,
+    pub(crate) role: Option<RoleName>,
+    pub(crate) quantity: Quantity,
+}
+
+impl Meaning {
+    pub(crate) fn new(rank: (usize, usize), rule: &Rule, group: String, of: Option<LayerId>) -> Self {
+        Self { rank, group, of, role: rule.role, quantity: rule.quantity }
+    }
+
+    /// Whether the layer is the mean of this role.
+    pub(crate) fn is_mean_of(&self, role: impl Fn(RoleName) -> bool) -> bool {
+        self.quantity == Quantity::Mean && self.of.is_none() && self.role.is_some_and(role)
+    }
+}
+
+/// Meanings of a file's layers.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Classified {
+    /// One for each layer; `None` for layers that no rule fits.
+    pub(crate) meanings: Vec<Option<Meaning>>,
+    /// Layers that would describe another one that is not in the file, and its name.
+    pub(crate) orphans: Vec<(usize, String)>,
+}
+
+/// Finds the rule for each layer of a file. `index` is the position of the file in the set.
+pub(crate) fn classify(rules: &[Rule], file: &ExrFile, index: usize) -> Classified {
+    let mut classified = Classified::default();
+    for (layer, own) in file.layers.iter().enumerate() {
+        // Results of an earlier run.
+        if own.name.split('.').any(|component| component == crate::estimate::PREFIX) {
+            classified.meanings.push(None);
+            continue;
+        }
+        let mut orphan = None;
+        let mut meaning = meaning(rules, file, index, layer, &own.key, &mut orphan);
+        // The part's own layer is plain `R G B` if the part is a picture of its own and its name means nothing.
+        if meaning.is_none() && own.is_own && own.scope_part.is_some() {
+            meaning = self::meaning(rules, file, index, layer, "", &mut None);
+        }
+        if let (None, Some(of)) = (&meaning, orphan) {
+            classified.orphans.push((layer, of));
+        }
+        classified.meanings.push(meaning);
+    }
+    classified
+}
+
+fn meaning(
+    rules: &[Rule],
+    file: &ExrFile,
+    index: usize,
+    layer: usize,
+    key: &str,
+    orphan: &mut Option<String>,
+) -> Option<Meaning> {
+    let own = &file.layers[layer];
+    let named = rules.iter().enumerate().filter(|(_, rule)| rule.files.is_empty() && rule.fits_channels(own));
+    for (position, rule) in named {
+        for (pattern, fit) in rule.names.iter().enumerate().filter_map(|(index, name)| Some((index, name.fit(key)?))) {
+            let of = match fit.of {
+                None => None,
+                Some(of) => match described(file, own, &of) {
+                    Some(of) => Some(LayerId { file: index, layer: of }),
+                    None if rule.role.is_some() => None,
+                    None => {
+                        orphan.get_or_insert(of);
+                        continue;
+                    }
+                },
+            };
+            return Some(Meaning::new((position, pattern), rule, fit.group, of));
+        }
+    }
+    None
+}
+
+/// Returns the layer of that name in the same part and view.
+fn described(file: &ExrFile, own: &FileLayer, of: &str) -> Option<usize> {
+    file.layers.iter().position(|other| {
+        other.key.eq_ignore_ascii_case(of)
+            && !other.key.is_empty()
+            && (other.scope_part, &other.view) == (own.scope_part, &own.view)
+            && other.name != own.name
+    })
+}
+
+/// The picture that a layer belongs to.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct Scope {
+    pub(crate) part: Option<usize>,
+    /// The shared prefix of the layers' names, with its dot.
+    pub(crate) group: String,
+    pub(crate) view: Option<String>,
+}
+
+impl Scope {
+    pub(crate) fn of(layer: &FileLayer, meaning: Option<&Meaning>) -> Self {
+        let group = match meaning {
+            Some(meaning) => meaning.group.clone(),
+            None => names::group(&layer.key).to_owned(),
+        };
+        Self { part: layer.scope_part, group, view: layer.view.clone() }
+    }
+}
+
+/// Whether a layer holds whole numbers, which are never colours or features.
+pub(crate) fn is_whole_numbers(file: &ExrFile, layer: usize) -> bool {
+    let own = &file.layers[layer];
+    (0..own.channels.len()).any(|channel| file.sample_type(own, channel) == SampleType::U32)
+}

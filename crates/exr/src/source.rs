@@ -1,0 +1,228 @@
+//! Places of a picture's signals in the files, and how their values are brought to one meaning.
+
+use stein::frame::{RawSignal, SamplesPerPixel};
+use stein::image::{Image, Window};
+
+use crate::classify::Scope;
+use crate::file::ExrFile;
+use crate::layout::{Quantity, Unit};
+
+/// Some channels of one part of one of the set's files.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Planes {
+    pub(crate) file: usize,
+    pub(crate) layer: usize,
+    /// Positions in the part's list of channels, one for each plane; a luminance is listed three times.
+    pub(crate) channels: Vec<usize>,
+}
+
+/// The layer from which a signal's variance of the mean is known.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct VarianceSource {
+    pub(crate) planes: Planes,
+    pub(crate) quantity: Quantity,
+    /// For second moments: the means that belong to them.
+    pub(crate) mean: Option<Planes>,
+    /// The value that means that the variance is not known.
+    pub(crate) unknown: Option<f32>,
+}
+
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct SignalSource {
+    pub(crate) mean: Planes,
+    pub(crate) half_a: Option<Planes>,
+    pub(crate) half_b: Option<Planes>,
+    pub(crate) variance: Option<VarianceSource>,
+    /// The value that means that a ray hit nothing.
+    pub(crate) miss: Option<f32>,
+    /// The value of pixels outside of the layer's data window.
+    pub(crate) outside: f32,
+    pub(crate) unit: Option<Unit>,
+}
+
+impl SignalSource {
+    /// Returns all planes, the mean first.
+    pub(crate) fn planes(&self) -> impl Iterator<Item = &Planes> {
+        let variance = self.variance.as_ref();
+        let of_variance = [variance.map(|variance| &variance.planes), variance.and_then(|it| it.mean.as_ref())];
+        std::iter::once(&self.mean)
+            .chain([self.half_a.as_ref(), self.half_b.as_ref()].into_iter().chain(of_variance).flatten())
+    }
+}
+
+/// A picture: a colour with its features.
+#[derive(Clone, Debug)]
+pub(crate) struct Picture {
+    pub(crate) scope: Scope,
+    /// Whether the input holds no other picture.
+    pub(crate) is_only: bool,
+    pub(crate) color: SignalSource,
+    pub(crate) features: Vec<(String, SignalSource)>,
+    pub(crate) samples: SamplesPerPixel,
+    /// The layer from which the samples are known, if it is one.
+    pub(crate) samples_layer: Option<Planes>,
+    /// Whether that layer holds fractions of the number in the header.
+    pub(crate) counts_are_fractions: bool,
+}
+
+impl Picture {
+    pub(crate) fn signals(&self) -> impl Iterator<Item = &SignalSource> {
+        std::iter::once(&self.color).chain(self.features.iter().map(|(_, source)| source))
+    }
+}
+
+/// Converts the variance of one sample, or the second moment, to the variance of the mean. `mean` belongs to a second
+/// moment. A variance below 0 by round-off becomes 0.
+pub(crate) fn to_variance_of_mean(
+    values: &mut Image,
+    quantity: Quantity,
+    mean: Option<&Image>,
+    samples: &SamplesPerPixel,
+) {
+    let count = |pixel: usize| match samples {
+        SamplesPerPixel::Unknown => f64::NAN,
+        SamplesPerPixel::Uniform(count) => f64::from(*count),
+        SamplesPerPixel::PerPixel(counts) => f64::from(counts.planes[0][pixel]),
+    };
+    for (channel, plane) in values.planes.iter_mut().enumerate() {
+        for (pixel, value) in plane.iter_mut().enumerate() {
+            let given = f64::from(*value);
+            let count = count(pixel);
+            let variance = match (quantity, mean) {
+                (Quantity::VarianceOfSample, _) => given / count,
+                (Quantity::SecondMoment, Some(mean)) => {
+                    let mean = f64::from(mean.planes[channel][pixel]);
+                    // One sample has no variance; the result is 0/0, and the pixel is repaired.
+                    (given - mean * mean).max(0.0) / (count - 1.0)
+                }
+                _ => given,
+            };
+            *value = variance as f32;
+        }
+    }
+}
+
+/// Returns a raw signal with one meaning: variances of the mean, misses at infinity, all in the picture's window.
+pub(crate) fn settled(
+    source: &SignalSource,
+    samples: &SamplesPerPixel,
+    planes: &impl Fn(&Planes, f32) -> Image,
+) -> RawSignal {
+    settled_from(source, samples, &mut |wanted, outside| Ok::<_, std::convert::Infallible>(planes(wanted, outside)))
+        .unwrap_or_else(|never| match never {})
+}
+
+/// As [`settled`], for a way to get the planes that may fail.
+pub(crate) fn settled_from<E>(
+    source: &SignalSource,
+    samples: &SamplesPerPixel,
+    planes: &mut impl FnMut(&Planes, f32) -> Result<Image, E>,
+) -> Result<RawSignal, E> {
+    let variance_of_mean = match &source.variance {
+        None => None,
+        Some(variance) => {
+            let mean = variance.mean.as_ref().map(|mean| planes(mean, 0.0)).transpose()?;
+            let mut values = planes(&variance.planes, 0.0)?;
+            to_variance_of_mean(&mut values, variance.quantity, mean.as_ref(), samples);
+            Some(values)
+        }
+    };
+    let mut signal = RawSignal {
+        mean: planes(&source.mean, source.outside)?,
+        half_a: source.half_a.as_ref().map(|half| planes(half, source.outside)).transpose()?,
+        half_b: source.half_b.as_ref().map(|half| planes(half, source.outside)).transpose()?,
+        variance_of_mean,
+    };
+    if let Some(miss) = source.miss {
+        let images = [Some(&mut signal.mean), signal.half_a.as_mut(), signal.half_b.as_mut()];
+        let planes = images.into_iter().flatten().flat_map(|image| &mut image.planes);
+        planes.flatten().filter(|value| **value == miss).for_each(|value| *value = f32::INFINITY);
+    }
+    Ok(signal)
+}
+
+/// Returns the pixels of `window` of an image whose data window is `own`; pixels outside of it are `outside`.
+pub(crate) fn aligned(image: Image, own: Window, window: Window, outside: f32) -> Image {
+    if own == window {
+        return image;
+    }
+    let mut planes = vec![vec![outside; window.extent.pixels()]; image.planes.len()];
+    let (width, own_width) = (i64::from(window.extent.width), i64::from(own.extent.width));
+    let (right, down) = (i64::from(own.x) - i64::from(window.x), i64::from(own.y) - i64::from(window.y));
+    // The columns of the window that the image covers.
+    let (first, last) = (right.clamp(0, width), (right + own_width).clamp(0, width));
+    for y in 0..i64::from(window.extent.height) {
+        let own_y = y - down;
+        if first >= last || !(0..i64::from(own.extent.height)).contains(&own_y) {
+            continue;
+        }
+        let to = (y * width + first) as usize..(y * width + last) as usize;
+        let from = (own_y * own_width + first - right) as usize..(own_y * own_width + last - right) as usize;
+        for (plane, source) in planes.iter_mut().zip(&image.planes) {
+            plane[to.clone()].copy_from_slice(&source[from.clone()]);
+        }
+    }
+    Image { extent: window.extent, planes }
+}
+
+/// Whether `own` covers all of `window`.
+pub(crate) fn covers(own: Window, window: Window) -> bool {
+    overlap(own, window) == window.extent.pixels() as u64
+}
+
+/// Returns the number of pixels that both windows have.
+pub(crate) fn overlap(a: Window, b: Window) -> u64 {
+    let side = |a: i32, a_size: u32, b: i32, b_size: u32| {
+        let (a, b) = (i64::from(a), i64::from(b));
+        ((a + i64::from(a_size)).min(b + i64::from(b_size)) - a.max(b)).max(0) as u64
+    };
+    side(a.x, a.extent.width, b.x, b.extent.width) * side(a.y, a.extent.height, b.y, b.extent.height)
+}
+
+/// Returns the data window of a file's part as it relates to the picture's window: files without windows, such as PNG,
+/// show the same pixels if they have the same extent.
+pub(crate) fn window_of(file: &ExrFile, part: usize, picture: Window) -> Window {
+    let own = file.data_window(part);
+    if !file.has_windows && own.extent == picture.extent { picture } else { own }
+}
+
+#[cfg(test)]
+mod tests {
+    use stein::image::Extent;
+
+    use super::*;
+
+    fn window(x: i32, y: i32, width: u32, height: u32) -> Window {
+        Window { x, y, extent: Extent { width, height } }
+    }
+
+    #[test]
+    fn images_are_aligned_by_their_windows() {
+        let own = window(-1, 2, 3, 2);
+        let image = Image { extent: own.extent, planes: vec![vec![1.0, 2.0, 3.0, 4.0, 5.0, 6.0]] };
+        let at = |wanted: Window| aligned(image.clone(), own, wanted, 9.0).planes[0].clone();
+        assert_eq!(at(window(0, 2, 2, 1)), [2.0, 3.0]);
+        assert_eq!(at(window(1, 1, 2, 3)), [9.0, 9.0, 3.0, 9.0, 6.0, 9.0]);
+        assert_eq!(at(window(-2, 3, 5, 1)), [9.0, 4.0, 5.0, 6.0, 9.0]);
+        assert_eq!(at(window(50, 50, 1, 2)), [9.0, 9.0]);
+        assert_eq!(overlap(own, window(1, 1, 2, 3)), 2);
+        assert!(covers(own, window(0, 2, 2, 1)) && !covers(own, window(0, 2, 3, 1)));
+        assert_eq!(overlap(window(i32::MIN, 0, 5, 1), window(i32::MAX, 0, 5, 1)), 0);
+    }
+
+    #[test]
+    fn quantities_become_the_variance_of_the_mean() {
+        let image = |value: f32| Image::filled(Extent { width: 1, height: 1 }, 1, value);
+        let converted = |value: f32, quantity, mean: Option<f32>, samples| {
+            let mut values = image(value);
+            to_variance_of_mean(&mut values, quantity, mean.map(image).as_ref(), &SamplesPerPixel::Uniform(samples));
+            values.planes[0][0]
+        };
+        assert_eq!(converted(8.0, Quantity::VarianceOfMean, None, 32.0), 8.0);
+        assert_eq!(converted(8.0, Quantity::VarianceOfSample, None, 32.0), 0.25);
+        // Samples 1 and 3: mean 2, E[x²] 5, s² 2, s²/n 1.
+        assert_eq!(converted(5.0, Quantity::SecondMoment, Some(2.0), 2.0), 1.0);
+        assert_eq!(converted(3.99, Quantity::SecondMoment, Some(2.0), 2.0), 0.0);
+        assert!(converted(4.0, Quantity::SecondMoment, Some(2.0), 1.0).is_nan());
+    }
+}
