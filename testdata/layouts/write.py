@@ -1,7 +1,7 @@
 """Writes the files of this folder: for every layout in crates/exr/layouts one small set as the renderer writes it.
 
 No renderer has made the pixels. They only tell layers and channels apart: channel c of a file set's k-th layer holds
-k + c/10 and a small slope, k and c from 0 and from 1. Names, suffixes, parts, types and the attributes that tell the
+k + c/10 and a small slope; k counts from 1, c from 0. Names, suffixes, parts, types and the attributes that tell the
 renderer are those of real files. `expected.toml` says what each layer is to be taken for.
 
     pip install numpy OpenEXR
@@ -205,7 +205,7 @@ def bcd():
 def appleseed():
     set = Writer("appleseed")
     software = {"Software": "appleseed 2.1.0-beta"}
-    files = {"": "RGBA", ".albedo": "RGB", ".normal": "XYZ", ".depth": "ZA", ".diffuse": "RGB"}
+    files = {"": "RGBA", ".albedo": "RGB", ".normal": "XYZ", ".depth": "Z", ".diffuse": "RGB"}
     set.write_each(".exr", {f"box{name}": letters for name, letters in files.items()}, software, HALF)
     parts = [("beauty", [":RGBA"]), ("albedo", [":RGB"]), ("normal", [":XYZ"]), ("depth", [":ZA"]),
              ("glossy", [":RGB"]), ("pixel_variation", [":RGB"])]
@@ -217,8 +217,8 @@ def luxcore():
                "rg0": "RGB", "rg1": "RGB"}
     set = Writer("luxcore")
     set.write_each(".exr", {f"s1_{name}": letters for name, letters in outputs.items()})
-    set.write_each(".exr", {"RGB_IMAGEPIPELINE_0": "RGB", "ALBEDO": "RGB", "AVG_SHADING_NORMAL": "RGB",
-                            "SAMPLECOUNT": "Y"})
+    set.write_each(".exr", {"RGB_IMAGEPIPELINE": "RGB", "ALBEDO": "RGB", "AVG_SHADING_NORMAL": "RGB",
+                            "DEPTH": "RGB"})
 
 
 def vray():
