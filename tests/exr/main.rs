@@ -3,6 +3,7 @@
 
 mod broken;
 mod draft;
+mod layouts;
 mod names;
 mod reading;
 mod trouble;

@@ -64,15 +64,47 @@ impl Source {
 
     /// Describes for people what is read and what is left out, one line each; the input comes first.
     pub fn lines(&self) -> Vec<String> {
-        let BufferSetRequest { input, layer, half_a, half_b, variance, features, skip_features, no_features } =
-            &self.request;
+        let BufferSetRequest {
+            input,
+            layer,
+            half_a,
+            half_b,
+            variance,
+            features,
+            skip_features,
+            no_features,
+            feature_half_a,
+            feature_half_b,
+            feature_variance,
+            seeds,
+            samples,
+            layout,
+            no_siblings,
+        } = &self.request;
         let input = LayerRef { file: input.clone(), layer: layer.clone() };
         let named = [("half A", half_a), ("half B", half_b), ("variance", variance), ("reference", &self.reference)];
         let named = named.into_iter().filter_map(|(what, layer)| Some(format!("{what}: {}", layer.as_ref()?)));
-        let features = features.iter().map(|(name, layer)| format!("feature {}: {layer}", text::name(name)));
+        let seeds = seeds.iter().map(|seed| format!("another seed: {}", text::path(seed)));
+        let of_features = [("", features), ("half A of ", feature_half_a), ("half B of ", feature_half_b)];
+        let of_features = of_features.into_iter().chain([("variance of ", feature_variance)]);
+        let features = of_features.flat_map(|(part, layers)| {
+            layers.iter().map(move |(name, layer)| format!("{part}feature {}: {layer}", text::name(name)))
+        });
+        let samples = samples.map(|count| format!("{count} samples per pixel"));
+        let layout = layout.as_ref().map(|layout| format!("read as {}", text::name(layout)));
+        let alone = no_siblings.then(|| "without files beside the input".to_owned());
         let skipped = skip_features.iter().map(|name| format!("without the feature {}", text::name(name)));
         let none = no_features.then(|| "without other features of the input".to_owned());
-        std::iter::once(input.to_string()).chain(named).chain(features).chain(skipped).chain(none).collect()
+        std::iter::once(input.to_string())
+            .chain(seeds)
+            .chain(named)
+            .chain(features)
+            .chain(skipped)
+            .chain(none)
+            .chain(samples)
+            .chain(layout)
+            .chain(alone)
+            .collect()
     }
 }
 

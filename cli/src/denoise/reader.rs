@@ -8,7 +8,7 @@ use std::thread::Scope;
 
 use stein::image::Window;
 use stein::{Frame, Image};
-use stein_exr::{BufferSet, read_reference_for};
+use stein_exr::BufferSet;
 
 use super::plan::Read;
 use crate::inspect::{Input, settle};
@@ -87,7 +87,7 @@ fn load(read: &Read) -> Result<ReadFrame, Unusable> {
     let reference = match read
         .reference
         .as_ref()
-        .map(|reference| read_reference_for(&read.request.input, frame.extent(), reference))
+        .map(|reference| set.read_reference(0, reference))
         .transpose()
     {
         Ok(reference) => reference,

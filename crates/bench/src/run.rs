@@ -6,7 +6,7 @@ use std::time::SystemTime;
 use stein::frame::{NoiseKnowledge, SamplesPerPixel};
 use stein::gpu::AdapterIdentity;
 use stein::{Denoiser, Extent, Frame, Gpu, Image, text};
-use stein_exr::{BufferSet, BufferSetRequest, read_reference_for};
+use stein_exr::{BufferSet, BufferSetRequest};
 use stein_metric as metric;
 
 use crate::configuration::{PreparedConfiguration, distinct};
@@ -170,7 +170,7 @@ impl Run<'_> {
         self.check_halves(&frame, &file.file)?;
         let reference = file.reference.as_ref();
         let reference =
-            reference.map(|reference| read_reference_for(&file.file, frame.extent(), reference)).transpose()?;
+            reference.map(|reference| set.read_reference(0, reference)).transpose()?;
         Ok(ReadSet { frame, reference })
     }
 

@@ -194,6 +194,37 @@ impl BufferSet {
         Ok(frames)
     }
 
+    /// Reads the pixels of a reference that a picture shows. If no layer of the reference is named, a layer with the
+    /// name of the picture's colour is the reference, or else the file's colour.
+    ///
+    /// # Errors
+    /// As [`read_reference`]; [`Error::Layer`] for a reference that lacks some of the pixels.
+    pub fn read_reference(&self, picture: usize, reference: &LayerRef) -> Result<Image> {
+        let window = self.data_window_of(picture);
+        let like = &self.files[0].layers[self.pictures[picture].color.mean.layer].name;
+        let file = ExrFile::read(&reference.file)?;
+        let same = file.layers.iter().position(|layer| !like.is_empty() && layer.name == *like);
+        let layer = match (same, &reference.layer) {
+            (Some(same), None) => same,
+            (_, named) => assign::color_layer_of(&file, named.as_deref())?,
+        };
+        let part = file.layers[layer].part;
+        let own = source::window_of(&file, part, window);
+        if source::covers(own, window) {
+            let image = file.planes(part, &assign::color_channels(&file, layer)?);
+            return Ok(source::aligned(image, own, window, 0.0));
+        }
+        Err(Error::Layer {
+            path: reference.file.clone(),
+            layer: file.layers[layer].name.clone(),
+            cause: LayerCause::DataWindow {
+                found: own.to_string(),
+                expected: window.to_string(),
+                color_file: self.input().to_owned(),
+            },
+        })
+    }
+
     fn settle(&self, picture: usize, color: RawSignal) -> Result<(Frame, Repairs)> {
         let features = self.features_of(picture).map(|(name, raw)| (name.to_owned(), raw));
         let samples = self.pictures[picture].samples.clone();
@@ -330,43 +361,8 @@ impl BufferSet {
 /// # Errors
 /// As [`BufferSet::read`] for a file or layer that cannot be read.
 pub fn read_reference(path: &Path, layer: Option<&str>) -> Result<Image> {
-    reference(path, layer).map(|(_, image, _)| image)
-}
-
-fn reference(path: &Path, layer: Option<&str>) -> Result<(ExrFile, Image, usize)> {
     let file = ExrFile::read(path)?;
     let found = assign::color_layer_of(&file, layer)?;
     let channels = assign::color_channels(&file, found)?;
-    let image = file.planes(file.layers[found].part, &channels);
-    Ok((file, image, found))
-}
-
-/// Reads the pixels of a reference that an input shows, whose data window is `window`. `like` is the name of the
-/// input's layer: a layer of that name is the reference if the user names none.
-///
-/// # Errors
-/// As [`read_reference`]; [`Error::Layer`] for a reference that lacks some of the pixels.
-pub fn read_reference_for(input: &Path, window: Window, like: &str, reference: &LayerRef) -> Result<Image> {
-    let named = reference.layer.as_deref();
-    let named = match named {
-        None if !like.is_empty() => {
-            let file = ExrFile::read(&reference.file)?;
-            file.layers.iter().any(|layer| layer.name == like).then_some(like)
-        }
-        named => named,
-    };
-    let (file, image, layer) = self::reference(&reference.file, named)?;
-    let own = source::window_of(&file, file.layers[layer].part, window);
-    if source::covers(own, window) {
-        return Ok(source::aligned(image, own, window, 0.0));
-    }
-    Err(Error::Layer {
-        path: reference.file.clone(),
-        layer: file.layers[layer].name.clone(),
-        cause: LayerCause::DataWindow {
-            found: own.to_string(),
-            expected: window.to_string(),
-            color_file: input.to_owned(),
-        },
-    })
+    Ok(file.planes(file.layers[found].part, &channels))
 }

@@ -176,6 +176,8 @@ pub enum Role {
     Light,
     /// Numbers of objects; an output keeps them as they are.
     Id,
+    /// A picture that the renderer has denoised; an output keeps it as it is.
+    Denoised,
     /// Not used; an output keeps it as it is.
     Untouched,
 }
@@ -200,6 +202,7 @@ impl fmt::Display for Role {
             Self::Alpha => f.write_str("alpha"),
             Self::Light => f.write_str("light"),
             Self::Id => f.write_str("id"),
+            Self::Denoised => f.write_str("denoised by the renderer"),
             Self::Untouched => f.write_str("not used"),
         }
     }

@@ -34,7 +34,7 @@ mod source;
 mod uses;
 mod write;
 
-pub use buffer_set::{BufferSet, read_reference, read_reference_for};
+pub use buffer_set::{BufferSet, read_reference};
 pub use estimate::{Written, write_estimate, write_estimates};
 pub use layer_ref::{LayerRef, LayerUse, Role, SampleKind, SignalPart, same_file};
 pub use layout::{Layout, LayoutUse, Quantity, RoleName, Unit};

@@ -89,13 +89,17 @@ pub(crate) fn layer_uses(set: &BufferSet, classified: &[Classified], rules: &[Ru
             let noted = notes.iter().find(|note| note.id == id).map(|note| note.text.clone());
             let mut found = layer_use(file, layer, used, noted);
             if used.is_none() {
-                let is_plain = meaning.is_some_and(|meaning| meaning.of.is_none() && meaning.quantity == Quantity::Mean);
-                found.role = match meaning.and_then(|meaning| meaning.role).filter(|_| is_plain) {
-                    Some(RoleName::Alpha) => Role::Alpha,
+                let of = meaning.and_then(|meaning| meaning.of).filter(|of| of.file == file_index);
+                let described = of.and_then(|of| classified.meanings[of.layer].as_ref());
+                let quantity = meaning.map_or(Quantity::Mean, |meaning| meaning.quantity);
+                found.role = match meaning.and_then(|meaning| meaning.role.or(described?.role)) {
                     Some(RoleName::Light) => Role::Light,
-                    Some(RoleName::Id) => Role::Id,
+                    Some(RoleName::Alpha) if quantity == Quantity::Mean => Role::Alpha,
+                    Some(RoleName::Id) if quantity == Quantity::Mean => Role::Id,
+                    Some(RoleName::Denoised) if quantity == Quantity::Mean => Role::Denoised,
                     _ => Role::Untouched,
                 };
+                found.quantity = Some(quantity).filter(|it| found.role == Role::Light && *it != Quantity::Mean);
                 found.note = found.note.or_else(|| rule.and_then(|rule| rule.why.clone()));
             }
             uses.push(found);
