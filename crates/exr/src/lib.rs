@@ -21,6 +21,7 @@ mod map_file;
 mod names;
 #[cfg(feature = "programs")]
 pub mod options;
+pub mod picture_file;
 mod request;
 mod samples;
 mod uses;
