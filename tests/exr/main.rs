@@ -4,6 +4,7 @@
 mod broken;
 mod draft;
 mod names;
+mod pictures;
 mod reading;
 mod trouble;
 mod writing;

@@ -84,11 +84,8 @@ impl Head {
         let scale = word.parse().ok().filter(|scale: &f32| scale.is_finite() && *scale != 0.0);
         let scale = scale.ok_or_else(|| misplaced(&word, "scale factor"))?;
         let pixel_bytes = 4 * extent.pixels() as u64 * channels as u64;
-        // One character of white space ends the header. A second one is a pixel's, unless there is a byte too many.
-        let mut end = words.at as u64 + 1;
-        if start[words.at..].starts_with(b"\r\n") && end + pixel_bytes < file_bytes {
-            end += 1;
-        }
+        // One character of white space ends the header, or a line end of Windows; whatever follows is of a pixel.
+        let end = words.at as u64 + if start[words.at..].starts_with(b"\r\n") { 2 } else { 1 };
         if end + pixel_bytes != file_bytes {
             return Err(Trouble::damaged(format_args!(
                 "its header claims {extent} pixels in {pixel_bytes} bytes, but {} bytes follow it",

@@ -34,9 +34,20 @@ impl From<DecodingError> for Trouble {
                 what: format!("has metadata of more than {} MiB", MOST_DECODER_BYTES >> 20),
                 form: "without metadata",
             }),
-            error => Self::damaged(error),
+            error => Self::damaged(plain(&error.to_string())),
         }
     }
+}
+
+/// Shortens a message of the decoder, which prints all fields of a chunk's type, to the chunk's name.
+fn plain(message: &str) -> String {
+    let shortened = || {
+        let (before, rest) = message.split_once("ChunkType { type: ")?;
+        let (name, rest) = rest.split_once(", critical: ")?;
+        let (_, after) = rest.split_once(" }")?;
+        Some(format!("{before}{name}{after}"))
+    };
+    shortened().unwrap_or_else(|| message.to_owned())
 }
 
 /// Decodes a file of `file_bytes` bytes. The colour becomes linear and is multiplied by the alpha, as in OpenEXR.
