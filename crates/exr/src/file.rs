@@ -1,5 +1,5 @@
-//! One file in memory, OpenEXR or as if it were: every part and channel as it was stored, and the layers that the channel
-//! names form.
+//! One file in memory, OpenEXR or as if it were: every part and channel as it was stored, and the layers that the
+//! channel names form.
 
 use std::fs::File;
 use std::io::{BufRead, BufReader};

@@ -1,7 +1,7 @@
 //! Pictures in PFM and PNG files, which hold one colour and no statistics, as OpenEXR images in memory and back.
 //!
-//! A picture becomes an image of one part at (0, 0) with 32-bit floats: channels R, G, B, or Y for a grey picture, and A
-//! if the picture has an alpha. As in every OpenEXR image, the colour is linear.
+//! A picture becomes an image of one part at (0, 0) with 32-bit floats: channels R, G, B, or Y for a grey picture, and
+//! A if the picture has an alpha. As in every OpenEXR image, the colour is linear.
 
 mod pfm;
 mod png;
@@ -57,8 +57,8 @@ pub struct WriteCounts {
 }
 
 impl Format {
-    /// Tells the format from the beginning of a file. Everything that is neither PFM nor PNG is taken for OpenEXR, whose
-    /// reader refuses the rest.
+    /// Tells the format from the beginning of a file. Everything that is neither PFM nor PNG is taken for OpenEXR,
+    /// whose reader refuses the rest.
     pub(crate) fn from_content(start: &[u8]) -> Self {
         let first_word = start.split(u8::is_ascii_whitespace).next();
         if first_word.is_some_and(|word| pfm::channels(word).is_some()) {
@@ -98,8 +98,8 @@ pub(crate) fn decode(
     Ok(FlatImage::from_layers(ImageAttributes::new(IntegerBounds::from_dimensions(size)), vec![part]))
 }
 
-/// Writes a picture. The image has planes R, G, B, or one plane Y for a grey picture, and behind them a plane A if there
-/// is an alpha. The colour is linear and, as OpenEXR has it, multiplied by the alpha.
+/// Writes a picture. The image has planes R, G, B, or one plane Y for a grey picture, and behind them a plane A if
+/// there is an alpha. The colour is linear and, as OpenEXR has it, multiplied by the alpha.
 ///
 /// * [`Format::OpenExr`]: 32-bit floats with ZIP compression, every value as it is.
 /// * [`Format::Pfm`]: little-endian, every value as it is. A grey picture with an alpha becomes `PF4` with three equal

@@ -94,6 +94,7 @@ fn fill(image: &mut Image, mut samples: impl Iterator<Item = u16>, most: u16, ha
     let (pixels, channels) = (image.extent.pixels(), image.channels());
     let alpha = channels - 1;
     for pixel in 0..pixels {
+        // Ends with the last plane, without a further sample.
         for (channel, (plane, sample)) in image.planes.iter_mut().zip(&mut samples).enumerate() {
             let is_alpha = has_alpha && channel == alpha;
             plane[pixel] = if is_alpha { fraction(sample) as f32 } else { linear[usize::from(sample)] };
@@ -165,8 +166,7 @@ impl WriteCounts {
     }
 }
 
-/// Returns a colour that is not multiplied by the alpha. Where the alpha is 0, light without cover is beyond the largest
-/// colour.
+/// Returns a colour that is not multiplied by the alpha. Where the alpha is 0, any light is beyond the largest colour.
 fn straight(value: f64, alpha: f64) -> f64 {
     match (value, alpha) {
         (value, 1.0) => value,
