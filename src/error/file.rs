@@ -22,9 +22,9 @@ pub enum FileCause {
     /// The file is a stream.
     #[error("cannot be read: it is a pipe or a device, in which one cannot go back and forth")]
     Stream,
-    /// The file has another format than OpenEXR.
-    #[error("is not an OpenEXR file")]
-    NotOpenExr,
+    /// The file has none of the formats that can be read.
+    #[error("is not an OpenEXR file, nor a PFM or PNG file")]
+    UnknownFormat,
     /// The file has no bytes.
     #[error("is empty")]
     Empty,
@@ -158,7 +158,7 @@ impl FileCause {
             Self::Unreadable { .. } => vec![Remedy::CheckPath],
             Self::Folder => vec![Remedy::NameFileInFolder],
             Self::Stream => vec![Remedy::WriteToFile],
-            Self::NotOpenExr => vec![Remedy::GiveOpenExr],
+            Self::UnknownFormat => vec![Remedy::GiveKnownFormat],
             Self::Empty | Self::Damaged { .. } => vec![Remedy::WriteAgain],
             Self::Unsupported { form, .. } => vec![Remedy::WriteAs { form }],
             Self::LongName { .. } => vec![Remedy::WriteAs { form: "under a shorter name" }],

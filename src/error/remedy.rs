@@ -167,8 +167,8 @@ pub enum Remedy {
     CheckFolder,
     /// Render or copy a file again.
     WriteAgain,
-    /// Give an OpenEXR file.
-    GiveOpenExr,
+    /// Give a file in a format that can be read.
+    GiveKnownFormat,
     /// Write the file in a form that can be read.
     WriteAs {
         /// The form.
@@ -277,7 +277,7 @@ impl fmt::Display for Remedy {
             Self::WriteAgain => {
                 "render or copy it again; check whether the disk was full or the writer was interrupted"
             }
-            Self::GiveOpenExr => "give an .exr file, or convert the image to OpenEXR first",
+            Self::GiveKnownFormat => "give an .exr, .pfm or .png file, or convert the image to OpenEXR first",
             Self::WriteAs { form } => return write!(f, "write it {form}"),
             Self::LeaveInputAlone => "write to another file, or start again when the input is complete",
 

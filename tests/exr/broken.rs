@@ -45,12 +45,8 @@ fn corpus() -> Vec<Broken> {
         |name: &str, bytes: Vec<u8>, said: &'static str| corpus.push(Broken { name: name.to_owned(), bytes, said });
     add("empty", Vec::new(), "is empty");
     add("cut_in_magic", whole[..3].to_vec(), "is not an OpenEXR file");
-    add(
-        "png",
-        b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR\0\0\0\x01\0\0\0\x01\x08\0\0\0\0:~\x9bU".to_vec(),
-        "is not an OpenEXR file",
-    );
-    add("text", b"openexr\n".to_vec(), "is not an OpenEXR file");
+    add("png", b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR\0\0\0\x01\0\0\0\x01\x08\0\0\0\0:~\x9bU".to_vec(), "it ends too early");
+    add("text", b"openexr\n".to_vec(), "is not an OpenEXR file, nor a PFM or PNG file");
 
     let mut draft = |name: &str, draft: Draft, said: &'static str| add(name, draft.bytes().0, said);
     draft("version_3", Draft { version: [3, 0, 0, 0], ..Draft::good() }, "version 3");

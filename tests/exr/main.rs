@@ -5,6 +5,7 @@ mod broken;
 mod draft;
 mod layouts;
 mod names;
+mod pictures;
 mod reading;
 mod trouble;
 mod writing;

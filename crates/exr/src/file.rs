@@ -1,16 +1,17 @@
-//! One OpenEXR file in memory: every part and channel as it was stored, and the layers that the channel names form.
+//! One file in memory, OpenEXR or as if it were: every part and channel as it was stored, and the layers that the
+//! channel names form.
 
 use std::fs::File;
-use std::io::BufReader;
+use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
 
 use exr::meta::attribute::Matrix4x4;
 use exr::prelude::*;
 
-use crate::decode::decode;
 use crate::header::Trouble;
 use crate::layers::{FileChannel, FileLayer, layers_of};
 use crate::names;
+use crate::picture_file::{self, Format, PngEncoding};
 use stein::error::{Error, FileCause, Result};
 use stein::host_memory::{Shortage, try_collected};
 use stein::image::{Extent, Image, Window};
@@ -273,7 +274,9 @@ fn read(path: &Path) -> std::result::Result<FlatImage, Trouble> {
     }
     let file = File::open(path)?;
     let bytes = file.metadata()?.len();
-    decode(&mut BufReader::new(file), bytes)
+    let mut file = BufReader::new(file);
+    let format = Format::from_content(file.fill_buf()?);
+    picture_file::decode(&mut file, bytes, format, PngEncoding::Srgb)
 }
 
 /// Whether a channel is stored as waves, with a loss: under DWA, by its name. All other channels are stored without a

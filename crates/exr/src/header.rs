@@ -113,7 +113,7 @@ impl Head {
             return Err(Trouble(FileCause::Empty));
         }
         if !start.starts_with(&[0x76, 0x2f, 0x31, 0x01]) {
-            return Err(Trouble(FileCause::NotOpenExr));
+            return Err(Trouble(FileCause::UnknownFormat));
         }
         let Ok(start) = <[u8; 8]>::try_from(start) else {
             return Err(Trouble::damaged("it ends in its first eight bytes"));
@@ -312,7 +312,7 @@ impl<F: BufRead + Seek> Walk<'_, F> {
 }
 
 /// Formats a name from a file for a message.
-fn shown(stored: &[u8]) -> String {
+pub(crate) fn shown(stored: &[u8]) -> String {
     text::name(&decoded(stored)).into_owned()
 }
 

@@ -8,6 +8,8 @@
 //! `F.*`, `F_halfA.*`, `F_halfB.*`, `F_variance.*`; the samples per pixel in a header attribute or a channel `samples`.
 //! One part or many, channels in any order and of any type. Each of these layers can also come from a file of its own,
 //! and several renders of a frame with different seeds can be merged: see [`BufferSetRequest`].
+//!
+//! Wherever an OpenEXR file is read, a PFM or PNG file may stand: a colour without statistics, see [`picture_file`].
 
 mod assign;
 pub mod atomic_file;
@@ -26,6 +28,7 @@ mod map_file;
 mod names;
 #[cfg(feature = "programs")]
 pub mod options;
+pub mod picture_file;
 mod request;
 mod samples;
 mod seeds;
