@@ -277,7 +277,7 @@ fn cell(role: &Role) -> Option<(String, usize)> {
             Some((format!("feature {}", text::name(name)), column))
         }
         Role::Samples => Some(("samples".to_owned(), 0)),
-        Role::Untouched => None,
+        Role::Alpha | Role::Light | Role::Id | Role::Denoised | Role::Untouched => None,
     }
 }
 

@@ -85,7 +85,7 @@ fn cycles_layers_are_split_at_the_last_dot() {
         .with("ViewLayer.Debug Sample Count", "X", 4.0);
     let set = read(&write(folder.path(), "cycles.exr", vec![part]));
     assert_eq!(set.color().mean, rgb(1.0));
-    assert_eq!(set.feature_names().collect::<Vec<_>>(), ["Denoising Albedo", "Denoising Depth"]);
+    assert_eq!(set.feature_names().collect::<Vec<_>>(), ["albedo", "depth"]);
     assert!(note(&set, "ViewLayer.Debug Sample Count").contains("fraction"));
 }
 

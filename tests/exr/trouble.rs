@@ -7,10 +7,10 @@ use stein_exr::{BufferSet, BufferSetRequest, LayerRef};
 use super::*;
 
 #[test]
-fn a_feature_of_another_size_names_its_file_and_both_windows() {
+fn a_feature_of_other_pixels_names_its_file_and_both_windows() {
     let folder = folder();
     let input = write(folder.path(), "in.exr", vec![Part::native()]);
-    let small = Part { size: (4, 3), ..Part::new() }.with("", "RGB", 1.0);
+    let small = Part { size: (4, 3), position: (50, 0), ..Part::new() }.with("", "RGB", 1.0);
     let file = write(folder.path(), "small.exr", vec![small]);
     let features = vec![("albedo".to_owned(), LayerRef { file, layer: None })];
     let message = failure(&BufferSetRequest { features, ..request(&input) });
@@ -25,15 +25,15 @@ fn a_feature_to_skip_that_the_input_lacks_is_named_with_those_that_it_has() {
     let input = write(
         folder.path(),
         "in.exr",
-        vec![Part::new().with("", "RGB", 1.0).with("albedo", "RGB", 2.0).with("ViewLayer.depth", "Z", 3.0)],
+        vec![Part::new().with("v.Combined", "RGB", 1.0).with("v.albedo", "RGB", 2.0).with("v.depth", "Z", 3.0)],
     );
     let skipping = |name: &str| BufferSetRequest { skip_features: vec![name.to_owned()], ..request(&input) };
-    for (skipped, left) in [("albedo", "ViewLayer.depth"), ("depth", "albedo"), ("ViewLayer.depth", "albedo")] {
+    for (skipped, left) in [("albedo", "depth"), ("depth", "albedo"), ("v.depth", "albedo")] {
         let set = BufferSet::read(&skipping(skipped)).unwrap();
         assert_eq!(set.feature_names().collect::<Vec<_>>(), [left], "without {skipped}");
     }
     let error = BufferSet::read(&skipping("albdo")).map(drop).unwrap_err();
-    for part in ["in.exr", "'albdo'", "'albedo'"] {
+    for part in ["in.exr", "'albdo'", "'v.albedo'"] {
         assert!(error.to_string().contains(part), "{error}");
     }
     assert_eq!(error.remedies(), [Remedy::NameFeatureToSkip]);
@@ -67,9 +67,10 @@ fn a_feature_of_two_view_layers_is_skipped_in_both_or_by_its_whole_name() {
         names.sort_unstable();
         names
     };
-    assert_eq!(left("albedo"), ["depth", "far.depth"]);
-    assert_eq!(left("near.albedo"), ["depth", "far.albedo", "far.depth"]);
-    assert_eq!(left("far.albedo"), ["albedo", "depth", "far.depth"]);
+    // Features come from the view layer of the colour alone.
+    assert_eq!(left("albedo"), ["depth"]);
+    assert_eq!(left("near.albedo"), ["depth"]);
+    assert_eq!(left("far.albedo"), ["albedo", "depth"]);
 }
 
 #[test]

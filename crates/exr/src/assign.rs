@@ -577,9 +577,7 @@ impl Files {
         let mut candidates: Vec<FeatureCandidate> =
             self.ids().filter(|id| !of_color.contains(id)).filter_map(|id| self.feature_candidate(id, picture)).collect();
         let is_named = |skip: &str, candidate: &FeatureCandidate| {
-            let name = &self.layer(candidate.id).name;
-            let is_end = name.strip_suffix(skip).is_some_and(|before| before.is_empty() || before.ends_with('.'));
-            is_end || candidate.name == skip
+            ends_with(&self.layer(candidate.id).name, skip) || candidate.name == skip
         };
         let found = request.skip_features.iter().filter(|skip| candidates.iter().any(|it| is_named(skip, it)));
         let found: Vec<String> = found.cloned().collect();
@@ -708,9 +706,19 @@ impl Files {
         Ok(())
     }
 
-    /// Refuses names of features to skip that no picture has.
+    /// Refuses names of features to skip that no picture of the file has, whether it is denoised or not.
     fn check_skipped(&self, request: &BufferSetRequest) -> Result<()> {
-        match request.skip_features.iter().find(|skip| !self.skipped.contains(skip)) {
+        let is_elsewhere = |skip: &str| {
+            let is_it = |id: LayerId| {
+                let is_feature = match self.meaning(id) {
+                    Some(meaning) => meaning.is_mean_of(RoleName::is_feature),
+                    None => self.has_companions(id),
+                };
+                is_feature && ends_with(&self.layer(id).name, skip)
+            };
+            self.ids().filter(|id| id.file == 0).any(is_it)
+        };
+        match request.skip_features.iter().find(|skip| !self.skipped.contains(skip) && !is_elsewhere(skip)) {
             None => Ok(()),
             Some(skip) => Err(Error::File {
                 path: self.list[0].path.clone(),
@@ -730,6 +738,11 @@ impl Files {
         };
         self.classified.iter().enumerate().flat_map(of_file).collect()
     }
+}
+
+/// Whether `end` is a layer's whole name, or the part behind one of its dots.
+fn ends_with(name: &str, end: &str) -> bool {
+    name.strip_suffix(end).is_some_and(|before| before.is_empty() || before.ends_with('.'))
 }
 
 /// A layer that may be a feature of a picture.

@@ -34,9 +34,10 @@ impl ExrFile {
     /// Reads everything in the file. Never panics, whatever the bytes are, and takes no more memory than the bytes can
     /// be decoded to.
     pub(crate) fn read(path: &Path) -> Result<Self> {
-        let mut image = read(path).map_err(|Trouble(cause)| Error::File { path: path.to_owned(), cause })?;
+        let (mut image, format) =
+            read(path).map_err(|Trouble(cause)| Error::File { path: path.to_owned(), cause })?;
         image.layer_data.iter_mut().for_each(mend_overshoots);
-        Ok(Self::of_image(path.to_owned(), image, true))
+        Ok(Self::of_image(path.to_owned(), image, format == Format::OpenExr))
     }
 
     fn of_image(path: PathBuf, image: FlatImage, has_windows: bool) -> Self {
@@ -263,7 +264,7 @@ impl ExrFile {
     }
 }
 
-fn read(path: &Path) -> std::result::Result<FlatImage, Trouble> {
+fn read(path: &Path) -> std::result::Result<(FlatImage, Format), Trouble> {
     // Checks the kind before the file is opened: opening a pipe would block.
     let kind = path.metadata()?;
     if kind.is_dir() {
@@ -276,7 +277,7 @@ fn read(path: &Path) -> std::result::Result<FlatImage, Trouble> {
     let bytes = file.metadata()?.len();
     let mut file = BufReader::new(file);
     let format = Format::from_content(file.fill_buf()?);
-    picture_file::decode(&mut file, bytes, format, PngEncoding::Srgb)
+    Ok((picture_file::decode(&mut file, bytes, format, PngEncoding::Srgb)?, format))
 }
 
 /// Whether a channel is stored as waves, with a loss: under DWA, by its name. All other channels are stored without a

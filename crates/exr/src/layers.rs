@@ -135,7 +135,8 @@ fn tell_parts_apart(image: &FlatImage, layers: &mut [FileLayer]) {
     for index in 0..layers.len() {
         let part = layers[index].part;
         layers[index].scope_part = Some(part).filter(|part| parts.contains(part));
-        let is_taken = |name: &str| layers[..index].iter().any(|other| other.name == name);
+        // Within a part, names that differ in their encoding alone may look the same.
+        let is_taken = |name: &str| layers[..index].iter().any(|other| other.part != part && other.name == name);
         if !is_taken(&layers[index].name) {
             continue;
         }

@@ -31,6 +31,13 @@ impl FileName {
     pub(crate) fn beside(&self, stem: &str) -> PathBuf {
         self.folder.join(format!("{stem}{}", self.tail))
     }
+
+    /// Returns the path of the file with another stem if there is one, in capitals if the input's name is.
+    pub(crate) fn existing(&self, stem: &str) -> Option<PathBuf> {
+        let is_capital = self.stem.chars().any(char::is_uppercase) && !self.stem.chars().any(char::is_lowercase);
+        let capital = is_capital.then(|| stem.to_uppercase());
+        std::iter::once(stem.to_owned()).chain(capital).map(|stem| self.beside(&stem)).find(|path| path.is_file())
+    }
 }
 
 /// A file that belongs to the input.
@@ -50,14 +57,14 @@ pub(crate) fn find(rules: &[Rule], input: &Path, stem: Option<&str>) -> Vec<Sibl
     let stem = stem.unwrap_or(&name.stem).to_owned();
     let mut stems = vec![(name.stem.clone(), input.to_owned())];
     let mut found: Vec<Sibling> = Vec::new();
-    let is_new = |path: &Path, found: &[Sibling]| {
-        path != input && path.is_file() && !found.iter().any(|sibling| sibling.path == path)
-    };
+    let is_new =
+        |path: &Path, found: &[Sibling]| path != input && !found.iter().any(|sibling| sibling.path == path);
     let of_others = |rule: &&(usize, &Rule)| rule.1.files.iter().any(|file| file.has("{of}"));
     let rules: Vec<(usize, &Rule)> = rules.iter().enumerate().filter(|(_, rule)| !rule.files.is_empty()).collect();
     for (index, rule) in rules.iter().filter(|rule| !of_others(rule)) {
         let stems_of_rule = rule.files.iter().map(|file| file.filled(&[("{stem}", &stem)]));
-        let first = stems_of_rule.map(|stem| (name.beside(&stem), stem)).find(|(path, _)| is_new(path, &found));
+        let mut existing = stems_of_rule.filter_map(|stem| Some((name.existing(&stem)?, stem)));
+        let first = existing.find(|(path, _)| is_new(path, &found));
         if let Some((path, stem)) = first {
             stems.push((stem, path.clone()));
             found.push(Sibling { path, rule: *index, of: None });
@@ -66,7 +73,8 @@ pub(crate) fn find(rules: &[Rule], input: &Path, stem: Option<&str>) -> Vec<Sibl
     for (index, rule) in rules.iter().filter(of_others) {
         for (of_stem, of) in &stems {
             let filled = |file: &crate::layout::Pattern| file.filled(&[("{of}", of_stem), ("{stem}", &stem)]);
-            let path = rule.files.iter().map(|file| name.beside(&filled(file))).find(|path| is_new(path, &found));
+            let mut existing = rule.files.iter().filter_map(|file| name.existing(&filled(file)));
+            let path = existing.find(|path| is_new(path, &found));
             found.extend(path.map(|path| Sibling { path, rule: *index, of: Some(of.clone()) }));
         }
     }

@@ -92,7 +92,7 @@ pub(crate) fn layer_uses(set: &BufferSet, classified: &[Classified], rules: &[Ru
                 let of = meaning.and_then(|meaning| meaning.of).filter(|of| of.file == file_index);
                 let described = of.and_then(|of| classified.meanings[of.layer].as_ref());
                 let quantity = meaning.map_or(Quantity::Mean, |meaning| meaning.quantity);
-                found.role = match meaning.and_then(|meaning| meaning.role.or(described?.role)) {
+                found.role = match meaning.and_then(|meaning| meaning.role.or_else(|| described.and_then(|it| it.role))) {
                     Some(RoleName::Light) => Role::Light,
                     Some(RoleName::Alpha) if quantity == Quantity::Mean => Role::Alpha,
                     Some(RoleName::Id) if quantity == Quantity::Mean => Role::Id,

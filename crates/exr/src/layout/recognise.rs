@@ -1,6 +1,6 @@
 //! Recognising the layout of a file: by attributes of its header, by its layers, and by its name and the files beside it.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use serde::Deserialize;
 
@@ -83,14 +83,16 @@ impl Recognised {
     }
 }
 
-/// Returns the layout with the strongest sign: attributes before layers, layers before names of files. Without any
-/// sign, returns the native layout, which knows the usual names.
+/// Returns the layout with the strongest sign: one with attributes before others, then the one of most conditions.
+/// Without any sign, returns the native layout, which knows the usual names.
 pub(crate) fn recognise(file: &ExrFile, look_beside: bool) -> Recognised {
-    let mut best: Option<([usize; 3], &Layout, Found)> = None;
+    let mut best: Option<((bool, bool, usize), &Layout, Found)> = None;
     for layout in Layout::built_in() {
         for sign in &layout.recognise {
             let Some(found) = sign.found(file, look_beside) else { continue };
-            let strength = [sign.attributes.len(), sign.layers.len(), sign.file.len() + sign.siblings.len()];
+            let names = usize::from(!sign.file.is_empty()) + sign.siblings.len();
+            let (attributes, layers) = (sign.attributes.len(), sign.layers.len());
+            let strength = (attributes > 0, layers > 0, attributes + layers + names);
             if best.as_ref().is_none_or(|(other, ..)| strength > *other) {
                 best = Some((strength, layout, found));
             }
@@ -132,10 +134,8 @@ impl Sign {
             stem = fit.stem;
         }
         for pattern in &self.siblings {
-            let beside: PathBuf = name.beside(&pattern.filled(&[("{stem}", stem.as_deref().unwrap_or(&name.stem))]));
-            if !look_beside || !beside.is_file() {
-                return None;
-            }
+            let stem = stem.as_deref().unwrap_or(&name.stem);
+            let beside = name.existing(&pattern.filled(&[("{stem}", stem)])).filter(|_| look_beside)?;
             told.push(format!("{} beside it", text::path(beside.file_name().map_or(&beside, Path::new))));
         }
         Some(Found { stem, by: told.join(", ") })
