@@ -6,7 +6,7 @@ use crate::buffer_set::BufferSet;
 use crate::classify::{Classified, LayerId, Meaning, Scope, classify, is_whole_numbers};
 use crate::file::ExrFile;
 use crate::layer_ref::LayerRef;
-use crate::layers::FileLayer;
+use crate::layers::{self, FileLayer};
 use crate::layout::{Layout, Quantity, Recognised, RoleName, Rule, Unit, native, recognise};
 use crate::names;
 use crate::request::BufferSetRequest;
@@ -20,13 +20,16 @@ use stein::image::Window;
 use stein::text;
 
 pub(crate) fn read(request: &BufferSetRequest) -> Result<BufferSet> {
-    let input = ExrFile::read(&request.input)?;
+    let mut input = ExrFile::read(&request.input)?;
     let recognised = match &request.layout {
         Some(name) => Recognised::requested(Layout::named(name)?, &request.input),
         None => recognise(&input, !request.no_siblings),
     };
+    let joins = recognised.layout.joins.iter().filter(|join| join.file.is_none());
+    joins.for_each(|join| layers::join(&mut input.layers, join));
     let mut files = Files::new(input, &recognised);
-    let siblings = files.open_siblings(request, recognised.stem.as_deref());
+    let Siblings { files: siblings, seeds } = files.open_siblings(request, &recognised);
+    let request = &BufferSetRequest { seeds: [request.seeds.clone(), seeds].concat(), ..request.clone() };
     let mut left_out = Vec::new();
     let colors = files.colors(request.layer.as_deref())?;
     check_is_one_picture(request, colors.len())?;
@@ -57,6 +60,15 @@ pub(crate) fn read(request: &BufferSetRequest) -> Result<BufferSet> {
     }
     set.layer_uses = layer_uses(&set, &files.classified, &files.rules, &notes);
     Ok(set)
+}
+
+/// Files beside the input.
+#[derive(Default)]
+struct Siblings {
+    /// Files with further layers.
+    files: Vec<PathBuf>,
+    /// Other renders of the same frame.
+    seeds: Vec<PathBuf>,
 }
 
 /// A layer that is left out because of a problem.
@@ -115,7 +127,7 @@ impl Files {
             // Files beside the input are named by the layout alone.
             rules.extend(native.rules.iter().filter(|rule| rule.files.is_empty()).cloned());
         }
-        let classified = vec![classify(&rules, &input, 0)];
+        let classified = vec![classify(&rules, &input, 0, None)];
         Self {
             list: vec![input],
             classified,
@@ -131,12 +143,18 @@ impl Files {
         match self.list.iter().position(|file| file.path == path) {
             Some(index) => Ok(index),
             None => {
-                let file = ExrFile::read(path)?;
-                self.classified.push(classify(&self.rules, &file, self.list.len()));
-                self.list.push(file);
+                self.add(ExrFile::read(path)?, false);
                 Ok(self.list.len() - 1)
             }
         }
+    }
+
+    /// Adds a file. Its layers may describe those of the input if it belongs to the input.
+    fn add(&mut self, file: ExrFile, is_own: bool) {
+        let input = self.list.first().filter(|_| is_own);
+        let classified = classify(&self.rules, &file, self.list.len(), input);
+        self.classified.push(classified);
+        self.list.push(file);
     }
 
     fn layer(&self, id: LayerId) -> &FileLayer {
@@ -157,29 +175,54 @@ impl Files {
     }
 
     /// Opens the files beside the input that belong to it. A file that cannot be read is left out and named.
-    fn open_siblings(&mut self, request: &BufferSetRequest, stem: Option<&str>) -> Vec<PathBuf> {
+    fn open_siblings(&mut self, request: &BufferSetRequest, recognised: &Recognised) -> Siblings {
+        let mut siblings = Siblings::default();
         if request.no_siblings {
-            return Vec::new();
+            return siblings;
         }
+        let stem = recognised.stem.as_deref();
         let found = siblings::find(&self.rules, &request.input, stem);
-        let mut used = Vec::new();
         for sibling in found.into_iter().filter(|sibling| !request.seeds.contains(&sibling.path)) {
-            match self.open_sibling(&sibling) {
-                Ok(()) => used.push(sibling.path),
+            if self.rules[sibling.rule].role == Some(RoleName::Seed) {
+                siblings.seeds.push(sibling.path);
+                continue;
+            }
+            match self.open_sibling(&sibling, recognised, &request.input) {
+                Ok(()) if siblings.files.contains(&sibling.path) => {}
+                Ok(()) => siblings.files.push(sibling.path),
                 Err(error) => self.notes.push(format!("not used: {error}")),
             }
         }
-        used
+        siblings
     }
 
-    fn open_sibling(&mut self, sibling: &Sibling) -> Result<()> {
-        let index = self.open(&sibling.path)?;
-        self.own_files.push(index);
-        let rule = &self.rules[sibling.rule];
-        if rule.role == Some(RoleName::More) {
+    fn open_sibling(&mut self, sibling: &Sibling, recognised: &Recognised, input: &Path) -> Result<()> {
+        let rule = self.rules[sibling.rule].clone();
+        let has_more = rule.role == Some(RoleName::More);
+        let index = match self.list.iter().position(|file| file.path == sibling.path) {
+            Some(index) => index,
+            None => {
+                let mut file = ExrFile::read(&sibling.path)?;
+                for join in &recognised.layout.joins {
+                    let is_here = |stem: &String| siblings::is(stem, input, recognised.stem.as_deref(), &sibling.path);
+                    if join.file.as_ref().is_none_or(is_here) {
+                        layers::join(&mut file.layers, join);
+                    }
+                }
+                self.add(file, true);
+                let index = self.list.len() - 1;
+                self.own_files.push(index);
+                if !has_more {
+                    // The rules for files alone say what such a file holds.
+                    self.classified[index].meanings.iter_mut().for_each(|meaning| *meaning = None);
+                    self.classified[index].orphans.clear();
+                }
+                index
+            }
+        };
+        if has_more {
             return Ok(());
         }
-        let file = &self.list[index];
         let of = match &sibling.of {
             None => None,
             Some(path) => match self.list.iter().position(|other| other.path == *path) {
@@ -189,20 +232,20 @@ impl Files {
                 Some(other) => Some(LayerId { file: other, layer: main_layer(&self.list[other])? }),
             },
         };
-        let layer = match rule.names.is_empty() {
-            true => main_layer(file)?,
-            false => {
-                let is_named = |layer: &FileLayer| rule.names.iter().any(|name| name.fit(&layer.key).is_some());
-                match file.layers.iter().position(is_named) {
-                    Some(layer) => layer,
-                    None => return Ok(()),
-                }
-            }
+        let file = &self.list[index];
+        let layers: Vec<usize> = if rule.names.is_empty() {
+            vec![main_layer(file)?]
+        } else {
+            let is_named = |layer: &usize| {
+                let own = &file.layers[*layer];
+                rule.fits_channels(own) && rule.names.iter().any(|name| name.fit(&own.key).is_some())
+            };
+            (0..file.layers.len()).filter(is_named).collect()
         };
-        let meaning = Meaning::new((sibling.rule, 0), rule, String::new(), of);
-        self.classified[index].meanings.iter_mut().for_each(|meaning| *meaning = None);
-        self.classified[index].orphans.clear();
-        self.classified[index].meanings[layer] = Some(meaning);
+        for layer in layers {
+            let meaning = Meaning::new((sibling.rule, 0), &rule, String::new(), of);
+            self.classified[index].meanings[layer].get_or_insert(meaning);
+        }
         Ok(())
     }
 
@@ -310,24 +353,28 @@ impl Files {
         let id = LayerId { file: 0, layer: color.layer };
         let is_color = self.meaning(id).is_some_and(|meaning| meaning.role == Some(RoleName::Color));
         let scope = Scope::of(self.layer(id), self.meaning(id).filter(|_| is_color));
-        let samples_layer = self.ids().filter(|other| other.file == 0).find(|other| {
+        let samples_layer = self.ids().filter(|other| self.own_files.contains(&other.file)).find(|other| {
             let is_count = self.meaning(*other).is_some_and(|meaning| meaning.role == Some(RoleName::Samples));
             let own = self.scope(*other);
             // A count without a group belongs to all pictures of its part.
             let is_shared = own.group.is_empty() && (own.part, &own.view) == (scope.part, &scope.view);
-            is_count && self.layer(*other).channels.len() == 1 && (own == scope || is_shared)
+            is_count && (own == scope || is_shared || other.file > 0 && count == 1)
         });
         let is_fraction = samples_layer
             .and_then(|layer| self.meaning(layer))
             .is_some_and(|meaning| meaning.quantity == Quantity::Fraction);
         let counted = samples_layer.map(|layer| Planes {
-            file: 0,
+            file: layer.file,
             layer: layer.layer,
             channels: vec![self.layer(layer).channels[0].index],
         });
+        let window = self.list[0].data_window(self.layer(id).part);
         let (samples, samples_layer) = match request.samples {
             Some(count) => (SamplesPerPixel::Uniform(count as f32), None),
-            None => counts::known(&self.list[0], self.layer(id).part, layout, &scope.group, counted, is_fraction),
+            None => {
+                let header = counts::in_header(&self.list[0], self.layer(id).part, layout, &scope.group);
+                counts::known(&self.list, window, header, counted, is_fraction)
+            }
         };
         let mean = Planes { file: 0, layer: color.layer, channels: color.channels.clone() };
         let unit = self.rule(id).and_then(|rule| rule.unit);

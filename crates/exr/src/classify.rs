@@ -47,8 +47,9 @@ pub(crate) struct Classified {
     pub(crate) orphans: Vec<(usize, String)>,
 }
 
-/// Finds the rule for each layer of a file. `index` is the position of the file in the set.
-pub(crate) fn classify(rules: &[Rule], file: &ExrFile, index: usize) -> Classified {
+/// Finds the rule for each layer of a file. `index` is the position of the file in the set. Layers may describe layers
+/// of `input`, if the file belongs to it.
+pub(crate) fn classify(rules: &[Rule], file: &ExrFile, index: usize, input: Option<&ExrFile>) -> Classified {
     let mut classified = Classified::default();
     for (layer, own) in file.layers.iter().enumerate() {
         // Results of an earlier run.
@@ -57,10 +58,10 @@ pub(crate) fn classify(rules: &[Rule], file: &ExrFile, index: usize) -> Classifi
             continue;
         }
         let mut orphan = None;
-        let mut meaning = meaning(rules, file, index, layer, &own.key, &mut orphan);
+        let mut meaning = meaning(rules, (file, index), input, layer, &own.key, &mut orphan);
         // The part's own layer is plain `R G B` if the part is a picture of its own and its name means nothing.
         if meaning.is_none() && own.is_own && own.scope_part.is_some() {
-            meaning = self::meaning(rules, file, index, layer, "", &mut None);
+            meaning = self::meaning(rules, (file, index), input, layer, "", &mut None);
         }
         if let (None, Some(of)) = (&meaning, orphan) {
             classified.orphans.push((layer, of));
@@ -72,8 +73,8 @@ pub(crate) fn classify(rules: &[Rule], file: &ExrFile, index: usize) -> Classifi
 
 fn meaning(
     rules: &[Rule],
-    file: &ExrFile,
-    index: usize,
+    (file, index): (&ExrFile, usize),
+    input: Option<&ExrFile>,
     layer: usize,
     key: &str,
     orphan: &mut Option<String>,
@@ -84,8 +85,11 @@ fn meaning(
         for (pattern, fit) in rule.names.iter().enumerate().filter_map(|(index, name)| Some((index, name.fit(key)?))) {
             let of = match fit.of {
                 None => None,
-                Some(of) => match described(file, own, &of) {
-                    Some(of) => Some(LayerId { file: index, layer: of }),
+                Some(of) => match described(file, own, &of)
+                    .map(|of| LayerId { file: index, layer: of })
+                    .or_else(|| Some(LayerId { file: 0, layer: described(input?, own, &of)? }))
+                {
+                    Some(of) => Some(of),
                     None if rule.role.is_some() => None,
                     None => {
                         orphan.get_or_insert(of);

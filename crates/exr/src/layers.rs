@@ -2,6 +2,7 @@
 
 use exr::prelude::*;
 
+use crate::layout::Join;
 use crate::names;
 use stein::text;
 
@@ -122,6 +123,24 @@ pub(crate) fn layers_of(image: &FlatImage) -> Vec<FileLayer> {
     }
     tell_parts_apart(image, &mut layers);
     layers
+}
+
+/// Makes one layer of layers with one channel each. Does nothing unless all of them are in one part.
+pub(crate) fn join(layers: &mut Vec<FileLayer>, join: &Join) {
+    let is_it = |layer: &FileLayer, name: &String| layer.key == *name && layer.channels.len() == 1;
+    let Some(first) = join.channels.first().and_then(|name| layers.iter().find(|layer| is_it(layer, name))) else {
+        return;
+    };
+    let mut joined = first.clone();
+    joined.channels.clear();
+    for (name, letter) in join.channels.iter().zip(join.letters.chars()) {
+        let Some(found) = layers.iter().find(|layer| is_it(layer, name) && layer.part == joined.part) else { return };
+        joined.channels.push(FileChannel { index: found.channels[0].index, suffix: letter.into() });
+    }
+    (joined.name, joined.key) = (join.name.clone(), join.name.clone());
+    let part = joined.part;
+    layers.retain(|layer| layer.part != part || !join.channels.iter().any(|name| is_it(layer, name)));
+    layers.push(joined);
 }
 
 /// Marks parts that have layers of the same name, and gives each of these layers a name of its own.

@@ -31,7 +31,22 @@ pub struct Layout {
     document: String,
     recognise: Vec<recognise::Sign>,
     sample_attributes: Vec<String>,
+    pub(crate) joins: Vec<Join>,
     pub(crate) rules: Vec<Rule>,
+}
+
+/// Channels without a common name that form one layer, such as `Nx`, `Ny`, `Nz`.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct Join {
+    /// Name of the layer that they form.
+    pub(crate) name: String,
+    /// Names of the channels, which would be layers of their own.
+    pub(crate) channels: Vec<String>,
+    /// New names of the channels, one letter each, such as `XYZ`.
+    pub(crate) letters: String,
+    /// The file beside the input that has them, as in a rule; in any file if there is none.
+    pub(crate) file: Option<String>,
 }
 
 #[derive(Deserialize)]
@@ -42,6 +57,8 @@ struct Document {
     recognise: Vec<recognise::SignDocument>,
     #[serde(default)]
     samples: Samples,
+    #[serde(default)]
+    join: Vec<Join>,
     #[serde(default)]
     layer: Vec<rule::RuleDocument>,
 }
@@ -126,6 +143,7 @@ impl Layout {
             document: document.to_owned(),
             recognise: signs.collect::<std::result::Result<_, _>>()?,
             sample_attributes: parsed.samples.attributes,
+            joins: parsed.join,
             rules,
         })
     }

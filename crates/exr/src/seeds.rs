@@ -155,19 +155,22 @@ impl Weights {
         request: &BufferSetRequest,
     ) -> Result<Self> {
         let part = input.layers[picture.color.mean.layer].part;
+        let window = input.data_window(part);
         let mut known = vec![picture.samples.clone()];
         for seed in seeds {
             known.push(match (request.samples, &picture.samples_layer) {
                 (Some(count), _) => SamplesPerPixel::Uniform(count as f32),
                 (None, layer) => {
-                    let counted = layer.as_ref().and_then(|planes| {
+                    let counted = layer.as_ref().filter(|planes| planes.file == 0).and_then(|planes| {
                         let layer = seed.layers.iter().position(|it| it.name == input.layers[planes.layer].name)?;
                         let channels = vec![seed.layers[layer].channels[0].index];
                         Some(Planes { file: 0, layer, channels })
                     });
                     // Every kind of count was made of the input's channel.
                     let is_fraction = counted.is_some() && picture.counts_are_fractions;
-                    counts::known(seed, part.min(seed.parts() - 1), layout, &picture.scope.group, counted, is_fraction).0
+                    let part = part.min(seed.parts() - 1);
+                    let header = counts::in_header(seed, part, layout, &picture.scope.group);
+                    counts::known(std::slice::from_ref(seed), window, header, counted, is_fraction).0
                 }
             });
         }

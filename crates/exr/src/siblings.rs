@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use crate::layout::Rule;
+use crate::layout::{RoleName, Rule};
 
 /// A file's name in pieces: `color.0001.exr` has the stem `color`.
 pub(crate) struct FileName {
@@ -48,6 +48,14 @@ pub(crate) struct Sibling {
     pub(crate) rule: usize,
     /// The file that it describes: the input or another sibling.
     pub(crate) of: Option<PathBuf>,
+    /// Whether the rule names layers of the file.
+    pub(crate) is_for_layers: bool,
+}
+
+/// Whether `path` is the file beside the input that a text with `{stem}` names.
+pub(crate) fn is(text: &str, input: &Path, stem: Option<&str>, path: &Path) -> bool {
+    let name = FileName::of(input);
+    name.existing(&text.replace("{stem}", stem.unwrap_or(&name.stem))).is_some_and(|found| found == path)
 }
 
 /// Finds the files beside the input that the rules name. `stem` is the part of the input's name that `{stem}` stands
@@ -57,25 +65,31 @@ pub(crate) fn find(rules: &[Rule], input: &Path, stem: Option<&str>) -> Vec<Sibl
     let stem = stem.unwrap_or(&name.stem).to_owned();
     let mut stems = vec![(name.stem.clone(), input.to_owned())];
     let mut found: Vec<Sibling> = Vec::new();
-    let is_new =
-        |path: &Path, found: &[Sibling]| path != input && !found.iter().any(|sibling| sibling.path == path);
+    // A file may have several rules, if each names other layers of it.
+    let is_new = |path: &Path, rule: &Rule, found: &[Sibling]| {
+        let is_taken = |sibling: &Sibling| sibling.path == path && (!sibling.is_for_layers || rule.names.is_empty());
+        path != input && !found.iter().any(is_taken)
+    };
     let of_others = |rule: &&(usize, &Rule)| rule.1.files.iter().any(|file| file.has("{of}"));
     let rules: Vec<(usize, &Rule)> = rules.iter().enumerate().filter(|(_, rule)| !rule.files.is_empty()).collect();
     for (index, rule) in rules.iter().filter(|rule| !of_others(rule)) {
         let stems_of_rule = rule.files.iter().map(|file| file.filled(&[("{stem}", &stem)]));
-        let mut existing = stems_of_rule.filter_map(|stem| Some((name.existing(&stem)?, stem)));
-        let first = existing.find(|(path, _)| is_new(path, &found));
-        if let Some((path, stem)) = first {
+        let existing = stems_of_rule.filter_map(|stem| Some((name.existing(&stem)?, stem)));
+        let existing: Vec<_> = existing.filter(|(path, _)| is_new(path, rule, &found)).collect();
+        // Of several files that could be one feature, the first is the best.
+        let most = if rule.role.is_some_and(RoleName::is_feature) { 1 } else { existing.len() };
+        for (path, stem) in existing.into_iter().take(most) {
             stems.push((stem, path.clone()));
-            found.push(Sibling { path, rule: *index, of: None });
+            found.push(Sibling { path, rule: *index, of: None, is_for_layers: !rule.names.is_empty() });
         }
     }
     for (index, rule) in rules.iter().filter(of_others) {
         for (of_stem, of) in &stems {
             let filled = |file: &crate::layout::Pattern| file.filled(&[("{of}", of_stem), ("{stem}", &stem)]);
             let mut existing = rule.files.iter().filter_map(|file| name.existing(&filled(file)));
-            let path = existing.find(|path| is_new(path, &found));
-            found.extend(path.map(|path| Sibling { path, rule: *index, of: Some(of.clone()) }));
+            let path = existing.find(|path| is_new(path, rule, &found));
+            let is_for_layers = !rule.names.is_empty();
+            found.extend(path.map(|path| Sibling { path, rule: *index, of: Some(of.clone()), is_for_layers }));
         }
     }
     found

@@ -78,19 +78,19 @@ pub(crate) fn layer_uses(set: &BufferSet, classified: &[Classified], rules: &[Ru
             let id = LayerId { file: file_index, layer: layer_index };
             let used = used.iter().find(|used| used.id == id);
             // Of the merged halves of seeds, only the layers in use are in memory.
-            let Some(classified) = classified.get(file_index) else {
+            let Some(own) = classified.get(file_index) else {
                 if let Some(used) = used {
                     uses.push(layer_use(file, layer, Some(used), None));
                 }
                 continue;
             };
-            let meaning = classified.meanings[layer_index].as_ref();
+            let meaning = own.meanings[layer_index].as_ref();
             let rule = meaning.map(|meaning| &rules[meaning.rank.0]);
             let noted = notes.iter().find(|note| note.id == id).map(|note| note.text.clone());
             let mut found = layer_use(file, layer, used, noted);
             if used.is_none() {
-                let of = meaning.and_then(|meaning| meaning.of).filter(|of| of.file == file_index);
-                let described = of.and_then(|of| classified.meanings[of.layer].as_ref());
+                let of = meaning.and_then(|meaning| meaning.of);
+                let described = of.and_then(|of| classified[of.file].meanings[of.layer].as_ref());
                 let quantity = meaning.map_or(Quantity::Mean, |meaning| meaning.quantity);
                 found.role = match meaning.and_then(|meaning| meaning.role.or_else(|| described.and_then(|it| it.role))) {
                     Some(RoleName::Light) => Role::Light,

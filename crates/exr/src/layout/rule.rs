@@ -39,6 +39,8 @@ pub enum RoleName {
     Ignore,
     /// A file with further layers of the same render.
     More,
+    /// A file with another render of the same frame, with another seed.
+    Seed,
 }
 
 impl RoleName {
