@@ -3,6 +3,7 @@
 
 mod albedo;
 mod correlation;
+mod image_noise;
 mod kind;
 mod knowledge;
 mod noise;
@@ -17,6 +18,7 @@ use rayon::prelude::*;
 
 use crate::error::{Error, RequestCause, Result};
 use crate::image::{self, Extent, Image, Window};
+pub use image_noise::{fill_unknown_variance, variance_from_image};
 pub use kind::FeatureKind;
 pub use knowledge::NoiseKnowledge;
 pub(crate) use noise::{NoiseTiles, TILE};
