@@ -7,8 +7,8 @@ use crate::image::{Extent, Image};
 /// Radius of the window in which the squared residuals of the pixels are averaged.
 pub(super) const WINDOW_RADIUS: usize = 2;
 
-/// Expectation of the smaller of both squared residuals of a pixel, 1 − (2/π)·√(1 − ρ²): each has the expectation 1, and
-/// they have the correlation ρ = 2/3, because they share the pixel.
+/// Expectation of the smaller of both squared residuals of a pixel, 1 − (2/π)·√(1 − ρ²): each has the expectation 1,
+/// and they have the correlation ρ = 2/3, because they share the pixel.
 const SMALLER_SQUARE: f64 = 0.525_491_637_7;
 
 /// Least width and height of an image from which noise can be estimated: a pixel and both of its neighbours.

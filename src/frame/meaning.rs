@@ -252,8 +252,8 @@ impl fmt::Display for LargeVariance {
             ),
             Self::OneSample { samples: Some(samples) } => write!(
                 f,
-                ": is it the variance of one sample, not of the pixel's mean, which is the average of {} samples? Or is \
-                 the image filtered already?",
+                ": is it the variance of one sample, not of the pixel's mean, which is the average of {} samples? Or \
+                 is the image filtered already?",
                 count(*samples)
             ),
             Self::SecondMoment => f.write_str(
