@@ -3,8 +3,10 @@
 
 mod albedo;
 mod correlation;
+mod image_noise;
 mod kind;
 mod knowledge;
+mod meaning;
 mod noise;
 mod normals;
 mod range;
@@ -17,8 +19,10 @@ use rayon::prelude::*;
 
 use crate::error::{Error, RequestCause, Result};
 use crate::image::{self, Extent, Image, Window};
+pub use image_noise::{fill_unknown_variance, variance_from_image};
 pub use kind::FeatureKind;
 pub use knowledge::NoiseKnowledge;
+pub use meaning::{Contradiction, LargeVariance, NoiseCheck};
 pub(crate) use noise::{NoiseTiles, TILE};
 use repairs::Layer;
 pub use repairs::{Damage, DamagedImage, LayerRepairs, Repairs};

@@ -3,7 +3,9 @@
 
 use std::path::{Path, PathBuf};
 
-use stein::frame::{Frame, NoiseKnowledge, Repairs, SamplesPerPixel, Signal, half_spread};
+use stein::frame::{
+    Contradiction, Frame, LargeVariance, NoiseKnowledge, Repairs, SamplesPerPixel, Signal, half_spread,
+};
 use stein::image::{Extent, Image};
 use stein_exr::{BufferSet, BufferSetRequest, NamedLayer, read_reference, write_layers};
 use stein_metric as metric;
@@ -963,4 +965,75 @@ fn repairs_can_be_read_by_programs() {
     assert_eq!(json["layers"][0]["layer"], "colour");
     assert_eq!(json["layers"][0]["nan_values"], 1);
     assert_eq!(json["layers"][0]["damage"], serde_json::json!([{ "image": "mean", "channel": "R", "values": 1 }]));
+}
+
+const RENDERS: [&str; 8] = [
+    "cornell_8spp.exr",
+    "cornell_32spp.exr",
+    "dof_spheres_32spp.exr",
+    "caustic_ring_32spp.exr",
+    "anim/shot.0000.exr",
+    "anim/shot.0003.exr",
+    "mitsuba/iteration_1.exr",
+    "mitsuba/iteration_4.exr",
+];
+
+fn rendered(name: &str) -> Frame {
+    let request = BufferSetRequest { input: testdata(name), no_features: true, ..Default::default() };
+    BufferSet::read(&request).unwrap().to_frame().unwrap().0
+}
+
+#[test]
+fn the_noise_of_renders_is_no_contradiction() {
+    for name in RENDERS {
+        let frame = rendered(name);
+        for knowledge in [NoiseKnowledge::HalvesAndVariance, NoiseKnowledge::HalvesOnly, NoiseKnowledge::VarianceOnly] {
+            let check = frame.with_noise_known_from(knowledge).unwrap().check_of_noise();
+            assert_eq!(check.contradiction(), None, "{name}, {knowledge}: {check:?}");
+        }
+    }
+}
+
+#[test]
+fn other_quantities_than_the_variance_of_the_mean_are_found_in_renders() {
+    for name in RENDERS {
+        let frame = rendered(name);
+        let SamplesPerPixel::Uniform(samples) = *frame.samples_per_pixel() else { continue };
+        let Signal { mean, half_spread, variance_of_mean } = frame.color().clone();
+        let variance = variance_of_mean.unwrap();
+        let mapped = |map: &dyn Fn(f32, f32) -> f32| {
+            let of_plane = |(variance, mean): (&Vec<f32>, &Vec<f32>)| {
+                variance.iter().zip(mean).map(|(variance, mean)| map(*variance, *mean)).collect()
+            };
+            Image { extent: variance.extent, planes: variance.planes.iter().zip(&mean.planes).map(of_plane).collect() }
+        };
+        let one_sample = mapped(&|variance, _| variance * samples);
+        let second_moment = mapped(&|variance, mean| variance * (samples - 1.0) + mean * mean);
+        for half_spread in [None, half_spread] {
+            let meaning_of = |variance: &Image| {
+                let (mean, half_spread) = (mean.clone(), half_spread.clone());
+                let color = Signal { mean, half_spread, variance_of_mean: Some(variance.clone()) };
+                let (frame, _) = Frame::new(color, vec![], SamplesPerPixel::Uniform(samples)).unwrap();
+                match frame.check_of_noise().contradiction() {
+                    Some(Contradiction::VarianceTooLarge { meaning, .. }) => meaning,
+                    other => panic!("{name}: {other:?}"),
+                }
+            };
+            let expected = LargeVariance::OneSample { samples: Some(f64::from(samples)) };
+            assert_eq!(meaning_of(&one_sample), expected, "{name}");
+            assert_eq!(meaning_of(&second_moment), LargeVariance::SecondMoment, "{name}");
+        }
+    }
+}
+
+#[test]
+fn halves_of_two_scenes_are_found() {
+    let [cornell, spheres] = ["cornell_32spp.exr", "dof_spheres_32spp.exr"].map(|name| rendered(name).color().clone());
+    let Signal { mean, variance_of_mean, .. } = cornell;
+    let half_spread = Some(half_spread(&mean, &spheres.mean, 1.0, 1.0));
+    let (frame, _) = frame(Signal { mean, half_spread, variance_of_mean }, vec![]);
+    for knowledge in [NoiseKnowledge::HalvesAndVariance, NoiseKnowledge::HalvesOnly] {
+        let check = frame.with_noise_known_from(knowledge).unwrap().check_of_noise();
+        assert!(matches!(check.contradiction(), Some(Contradiction::HalvesTooDifferent { .. })), "{check:?}");
+    }
 }

@@ -183,6 +183,12 @@ fn two_buffer_variance(spread: &Image, channel: usize) -> Vec<f32> {
 
 /// Returns the median over boxes of the mean squared half spread divided by the mean variance: 1 if both agree. `None`
 /// if no box has enough pixels with a variance.
+pub(super) fn halves_over_variance(mean: &Image, spread: &Image, variance: &Image) -> Option<f64> {
+    spread_over_variance(mean, spread, variance, &Noise::new(mean))
+}
+
+/// Returns the median over boxes of the mean squared half spread divided by the mean variance: 1 if both agree. `None`
+/// if no box has enough pixels with a variance.
 ///
 /// In single pixels the ratio spreads like χ² with one degree of freedom, and the variance alone is too low where a
 /// rare bright path was missed. Means over boxes have neither fault, and the median ignores the boxes with spikes.
@@ -208,7 +214,7 @@ fn spread_over_variance(mean: &Image, spread: &Image, variance: &Image, noise: &
 }
 
 /// Formats a number of 0 or more with two digits.
-fn two_digits(value: f64) -> String {
+pub(super) fn two_digits(value: f64) -> String {
     let digits = (1.0 - value.max(1e-9).log10().floor()).clamp(0.0, 10.0) as usize;
     format!("{value:.digits$}")
 }
