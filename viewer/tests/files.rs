@@ -232,6 +232,7 @@ fn scattered(folder: &Path) -> Source {
             features: vec![("albedo".into(), of(write("aux.exr", &features), "tint"))],
             skip_features: vec!["normal".into()],
             no_features: false,
+            ..Default::default()
         },
         reference: Some(of(
             write("truth.exr", &[layer("noisy", &color.mean), layer("converged", &truth)]),

@@ -1,11 +1,14 @@
 //! Places of a picture's signals in the files, and how their values are brought to one meaning.
 
-use stein::frame::{RawSignal, SamplesPerPixel};
+use stein::frame::{RawSignal, SamplesPerPixel, fill_unknown_variance};
 use stein::image::{Image, Window};
 
 use crate::classify::Scope;
 use crate::file::ExrFile;
 use crate::layout::{Quantity, Unit};
+
+/// The variance of a pixel of which it is not known. No variance is below 0 by more than round-off.
+const UNKNOWN: f32 = f32::NEG_INFINITY;
 
 /// Some channels of one part of one of the set's files.
 #[derive(Clone, Debug, PartialEq)]
@@ -123,6 +126,10 @@ pub(crate) fn settled_from<E>(
         Some(variance) => {
             let mean = variance.mean.as_ref().map(|mean| planes(mean, 0.0)).transpose()?;
             let mut values = planes(&variance.planes, 0.0)?;
+            if let Some(unknown) = variance.unknown {
+                let all = values.planes.iter_mut().flatten();
+                all.filter(|value| **value == unknown).for_each(|value| *value = UNKNOWN);
+            }
             to_variance_of_mean(&mut values, variance.quantity, mean.as_ref(), samples);
             Some(values)
         }
@@ -133,6 +140,10 @@ pub(crate) fn settled_from<E>(
         half_b: source.half_b.as_ref().map(|half| planes(half, source.outside)).transpose()?,
         variance_of_mean,
     };
+    let unknown = source.variance.as_ref().and_then(|variance| variance.unknown);
+    if let Some(variance) = signal.variance_of_mean.as_mut().filter(|_| unknown.is_some()) {
+        fill_unknown_variance(variance, &signal.mean, |value| value == UNKNOWN);
+    }
     if let Some(miss) = source.miss {
         let images = [Some(&mut signal.mean), signal.half_a.as_mut(), signal.half_b.as_mut()];
         let planes = images.into_iter().flatten().flat_map(|image| &mut image.planes);
