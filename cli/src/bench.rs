@@ -176,7 +176,7 @@ pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
         sizes: &axes.sizes,
         configurations: &configurations,
         repeats,
-        request: source.request(Path::new("")),
+        request: source.request(Path::new(""), &[]),
         requires_noise: source.require_noise,
         max_memory: args.device.max_memory,
         keeps_pictures: folder.is_some(),

@@ -40,6 +40,7 @@ channels.
 
 Examples:
   stein denoise render.exr
+  stein denoise seed1.exr seed2.exr -o clean.exr
   stein denoise render.exr -o clean.exr --ref converged.exr
   stein denoise both.exr --half-a seed1.exr --half-b seed2.exr --feature albedo=aux.exr::albedo
   stein denoise render.exr --keep candidates,sure --json
@@ -66,13 +67,17 @@ device or a device failed, 5 the output cannot be written, 1 anything else.";
 #[derive(Debug, clap::Args)]
 #[command(
     after_help = EXAMPLE,
-    override_usage = "stein denoise [OPTIONS] IN\n       stein denoise [OPTIONS] PATTERN -o PATTERN"
+    override_usage = "stein denoise [OPTIONS] IN [SEED]...\n       stein denoise [OPTIONS] PATTERN [PATTERN]... -o PATTERN"
 )]
 pub(crate) struct Args {
     /// OpenEXR file with the noisy colour and, if possible, its halves, variance and features; or a pattern of such
     /// files, such as 'shot.####.exr'
     #[arg(value_name = "IN", required_unless_present = "list_devices")]
     input: Option<PathBuf>,
+    /// Other renders of the same frame with other seeds, or patterns of such files: their mean is denoised, and they
+    /// tell its noise. Everything else in the output is as in IN
+    #[arg(value_name = "SEED")]
+    seeds: Vec<PathBuf>,
     /// File to write, or a folder for it [default: IN with the extension `.denoised.exr`]. Only this option can replace
     /// the input. For a shot: a pattern such as 'clean.####.exr', or a folder; no file that is read is replaced
     #[arg(short, long, value_name = "OUT")]

@@ -36,7 +36,7 @@ pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
     let mut document = Document { files: Vec::new() };
     let mut first_failure = None;
     for file in &args.files {
-        match options::read(&args.source.request(file)) {
+        match options::read(&args.source.request(file, &[])) {
             Ok(mut set) => {
                 let (_, input) = settle(&mut set, args.source.require_noise);
                 if !args.json {

@@ -7,7 +7,7 @@ use stein::frame::{Feature, NoiseKnowledge, Repairs, SamplesPerPixel};
 use stein::image::Window;
 use stein::text::{self, number};
 use stein::{Error, Frame};
-use stein_exr::{BufferSet, LayerUse, Role, SignalPart};
+use stein_exr::{BufferSet, LayerUse, LayoutUse, Role, SignalPart};
 
 use super::Failure;
 use super::out::{indent, table};
@@ -17,17 +17,42 @@ use super::out::{indent, table};
 pub(crate) struct Input {
     #[serde(serialize_with = "text::serialize_path")]
     pub(crate) file: PathBuf,
+    /// Layout by which the file was read.
+    layout: LayoutUse,
+    /// Renders with other seeds that were merged with the file.
+    #[serde(serialize_with = "serialize_paths")]
+    seeds: Vec<PathBuf>,
+    /// Files that were found beside the file.
+    #[serde(serialize_with = "serialize_paths")]
+    siblings: Vec<PathBuf>,
+    display_window: Rectangle,
+    non_finite_values: usize,
+    layers: Vec<LayerUse>,
+    /// The first picture of the file.
+    #[serde(flatten)]
+    first: Picture,
+    /// Other pictures, such as other view layers.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    further_pictures: Vec<Picture>,
+}
+
+/// Description of one picture of an input.
+#[derive(Clone, Debug, Serialize)]
+struct Picture {
+    /// Layer of the colour; empty for plain `R G B`.
+    layer: String,
     width: u32,
     height: u32,
     data_window: Rectangle,
-    display_window: Rectangle,
     /// Samples per pixel; `None` if unknown.
     samples_per_pixel: Option<Samples>,
-    non_finite_values: usize,
-    layers: Vec<LayerUse>,
-    /// The frame made of the input, or the problem.
+    /// The frame made of the picture, or the problem.
     #[serde(flatten)]
     outcome: Outcome,
+}
+
+fn serialize_paths<S: serde::Serializer>(paths: &[PathBuf], serializer: S) -> Result<S::Ok, S::Error> {
+    serializer.collect_seq(paths.iter().map(|path| text::path(path)))
 }
 
 #[derive(Clone, Debug, Serialize)]
@@ -105,72 +130,36 @@ impl std::fmt::Display for Samples {
     }
 }
 
-impl Input {
-    pub(crate) fn new(set: &BufferSet, settled: Result<(&Frame, Repairs), &Error>) -> Self {
-        let extent = set.extent();
+impl Picture {
+    fn new(set: &BufferSet, index: usize, settled: Result<(&Frame, &Repairs), &Error>) -> Self {
+        let window = set.data_window_of(index);
         let samples = match &settled {
             Ok((frame, _)) => Samples::of(frame.samples_per_pixel()),
             Err(_) => Samples::of(&set.samples_per_pixel()),
         };
-        Self {
-            file: set.input().to_owned(),
-            width: extent.width,
-            height: extent.height,
-            data_window: set.data_window().into(),
-            display_window: set.display_window().into(),
-            samples_per_pixel: samples,
-            non_finite_values: set.layer_uses().iter().map(|layer| layer.non_finite_values).sum(),
-            layers: set.layer_uses().to_vec(),
-            outcome: match settled {
-                Ok((frame, repairs)) => Outcome::Frame {
-                    mode: frame.noise_knowledge().to_string(),
-                    noise_knowledge: frame.noise_knowledge(),
-                    noise_level: frame.noise_level(),
-                    features: frame.features().iter().map(|feature| feature.name.clone()).collect(),
-                    feature_noise: feature_noise(frame),
-                    repairs,
-                },
-                Err(error) => Outcome::Problem(Failure::input(error).message().to_owned()),
+        let outcome = match settled {
+            Ok((frame, repairs)) => Outcome::Frame {
+                mode: frame.noise_knowledge().to_string(),
+                noise_knowledge: frame.noise_knowledge(),
+                noise_level: frame.noise_level(),
+                features: frame.features().iter().map(|feature| feature.name.clone()).collect(),
+                feature_noise: feature_noise(frame),
+                repairs: repairs.clone(),
             },
+            Err(error) => Outcome::Problem(Failure::input(error).message().to_owned()),
+        };
+        Self {
+            layer: set.pictures().nth(index).unwrap_or_default().to_owned(),
+            width: window.extent.width,
+            height: window.extent.height,
+            data_window: window.into(),
+            samples_per_pixel: samples,
+            outcome,
         }
     }
 
-    /// Formats the description for people. `all` adds the windows and layers that are left out as unimportant
-    /// otherwise.
-    pub(crate) fn text(&self, all: bool) -> String {
-        let mut head = format!("{}: {}×{}", text::path(&self.file), self.width, self.height);
-        if let Some(samples) = &self.samples_per_pixel {
-            head += &format!(", {samples}");
-        }
-        let mut lines = vec![head];
-        let (data, display) = (&self.data_window, &self.display_window);
-        if all || (data.x, data.y, data.width, data.height) != (display.x, display.y, display.width, display.height) {
-            let told =
-                |window: &Rectangle| format!("{}×{} at ({}, {})", window.width, window.height, window.x, window.y);
-            lines.push(format!("  data window {}, display window {}", told(data), told(display)));
-        }
-        lines.push(self.roles());
-        lines.extend(self.unused(all));
-        if all {
-            lines.push(format!("  not finite: {} values", self.non_finite_values));
-        }
-        if let Outcome::Frame { noise_knowledge, noise_level, feature_noise, repairs, .. } = &self.outcome {
-            lines.push(format!("  noise: known from {noise_knowledge}{}", meaning(*noise_knowledge)));
-            if all {
-                let level =
-                    noise_level.map_or_else(|| "unknown".to_owned(), |level| format!("about {}", number(level)));
-                lines.push(format!("  relative MSE of the noise: {level}"));
-                lines.extend(feature_noise.iter().map(FeatureNoise::text));
-            }
-            if !repairs.is_empty() {
-                lines.push(indent(&repairs.to_string()));
-            }
-        }
-        lines.join("\n")
-    }
-
-    /// Whether another frame of a shot has the same size, the same use of its layers and the same repairs.
-    pub(crate) fn is_used_like(&self, other: &Self) -> bool {
+    /// Whether the picture of another frame has the same size, the same sources of noise and the same repairs.
+    fn is_used_like(&self, other: &Self) -> bool {
         if (self.width, self.height) != (other.width, other.height) {
             return false;
         }
@@ -187,13 +176,83 @@ impl Input {
             _ => false,
         }
     }
+}
+
+impl Input {
+    pub(crate) fn new(set: &BufferSet, settled: Result<&[(Frame, Repairs)], &Error>) -> Self {
+        let pictures = match settled {
+            Ok(frames) => frames
+                .iter()
+                .enumerate()
+                .map(|(index, (frame, repairs))| Picture::new(set, index, Ok((frame, repairs))))
+                .collect(),
+            Err(error) => vec![Picture::new(set, 0, Err(error))],
+        };
+        let mut pictures = pictures.into_iter();
+        let Some(first) = pictures.next() else { unreachable!("a set has a picture") };
+        Self {
+            file: set.input().to_owned(),
+            layout: set.layout().clone(),
+            seeds: set.seeds().to_vec(),
+            siblings: set.siblings().to_vec(),
+            display_window: set.display_window().into(),
+            non_finite_values: set.layer_uses().iter().map(|layer| layer.non_finite_values).sum(),
+            layers: set.layer_uses().to_vec(),
+            first,
+            further_pictures: pictures.collect(),
+        }
+    }
+
+    /// Formats the description for people. `all` adds the windows and layers that are left out as unimportant
+    /// otherwise.
+    pub(crate) fn text(&self, all: bool) -> String {
+        let mut head = format!("{}: {}×{}", text::path(&self.file), self.first.width, self.first.height);
+        if let Some(samples) = &self.first.samples_per_pixel {
+            head += &format!(", {samples}");
+        }
+        let mut lines = vec![head];
+        let (data, display) = (&self.first.data_window, &self.display_window);
+        if all || (data.x, data.y, data.width, data.height) != (display.x, display.y, display.width, display.height) {
+            let told =
+                |window: &Rectangle| format!("{}×{} at ({}, {})", window.width, window.height, window.x, window.y);
+            lines.push(format!("  data window {}, display window {}", told(data), told(display)));
+        }
+        lines.push(self.roles());
+        lines.extend(self.unused(all));
+        if all {
+            lines.push(format!("  not finite: {} values", self.non_finite_values));
+        }
+        if let Outcome::Frame { noise_knowledge, noise_level, feature_noise, repairs, .. } = &self.first.outcome {
+            lines.push(format!("  noise: known from {noise_knowledge}{}", meaning(*noise_knowledge)));
+            if all {
+                let level =
+                    noise_level.map_or_else(|| "unknown".to_owned(), |level| format!("about {}", number(level)));
+                lines.push(format!("  relative MSE of the noise: {level}"));
+                lines.extend(feature_noise.iter().map(FeatureNoise::text));
+            }
+            if !repairs.is_empty() {
+                lines.push(indent(&repairs.to_string()));
+            }
+        }
+        lines.join("\n")
+    }
+
+    /// Whether another frame of a shot has pictures of the same size, the same sources of noise and the same repairs.
+    pub(crate) fn is_used_like(&self, other: &Self) -> bool {
+        self.further_pictures.len() == other.further_pictures.len()
+            && self.pictures().zip(other.pictures()).all(|(own, other)| own.is_used_like(other))
+    }
+
+    fn pictures(&self) -> impl Iterator<Item = &Picture> {
+        std::iter::once(&self.first).chain(&self.further_pictures)
+    }
 
     /// Returns the reason why the input cannot be denoised.
     pub(crate) fn problem(&self) -> Option<&str> {
-        match &self.outcome {
+        self.pictures().find_map(|picture| match &picture.outcome {
             Outcome::Frame { .. } => None,
-            Outcome::Problem(problem) => Some(problem),
-        }
+            Outcome::Problem(problem) => Some(problem.as_str()),
+        })
     }
 
     /// Formats a line for each signal, with the layers that it was made of.
@@ -305,23 +364,29 @@ impl FeatureNoise {
     }
 }
 
-/// Makes the frame of a set and describes the input. The set keeps the data for an output. Refuses a colour without
-/// noise knowledge if `require_noise` is set.
-pub(crate) fn settle(set: &mut BufferSet, require_noise: bool) -> (Result<Frame, Error>, Input) {
-    let settled = set.take_frame().and_then(|(frame, repairs)| {
+/// Makes the frames of a set's pictures and describes the input. The set keeps the data for an output. Refuses a colour
+/// without noise knowledge if `require_noise` is set.
+pub(crate) fn settle(set: &mut BufferSet, require_noise: bool) -> (Result<Vec<Frame>, Error>, Input) {
+    let settled = set.take_frames().and_then(|frames| {
         if require_noise {
-            frame.require_noise(&repairs)?;
+            frames.iter().try_for_each(|(frame, repairs)| frame.require_noise(repairs))?;
         }
-        Ok((frame, repairs))
+        Ok(frames)
     });
     match settled {
-        Ok((frame, repairs)) => {
-            let input = Input::new(set, Ok((&frame, repairs)));
-            (Ok(frame), input)
+        Ok(frames) => {
+            let input = Input::new(set, Ok(&frames));
+            (Ok(frames.into_iter().map(|(frame, _)| frame).collect()), input)
         }
         Err(error) => {
             let input = Input::new(set, Err(&error));
             (Err(error), input)
         }
     }
+}
+
+/// Makes the frame of a set's first picture, as [`settle`] does.
+pub(crate) fn settle_first(set: &mut BufferSet, require_noise: bool) -> (Result<Frame, Error>, Input) {
+    let (frames, input) = settle(set, require_noise);
+    (frames.map(|mut frames| frames.swap_remove(0)), input)
 }

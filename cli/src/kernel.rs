@@ -11,7 +11,7 @@ use stein::{Error, Extent, FilterKernel, Image, Kernels, Options};
 use stein_exr::{NamedLayer, write_layers};
 
 use super::filter::Filter;
-use super::inspect::{Input, settle};
+use super::inspect::{Input, settle_first};
 use super::options::{self, Device, Source};
 use super::out::table;
 use super::{Failure, Out, output};
@@ -39,6 +39,9 @@ pub(crate) struct Args {
     /// OpenEXR file, as for `stein denoise`
     #[arg(value_name = "IN", required_unless_present = "list_devices")]
     input: Option<PathBuf>,
+    /// Other renders of the same frame with other seeds, which are merged with IN
+    #[arg(value_name = "SEED")]
+    seeds: Vec<PathBuf>,
     /// Column and row of the pixel, such as 120,64; 0,0 is the upper left of the data window
     #[arg(long, value_name = "X,Y", value_parser = pixel, required_unless_present = "list_devices")]
     pixel: Option<(u32, u32)>,
@@ -139,13 +142,13 @@ pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
     }
     let method = args.filter.chosen()?.method;
     args.source.check(&method)?;
-    let request = args.source.for_method(&method).request(input);
+    let request = args.source.for_method(&method).request(input, &args.seeds);
     if let Some(file) = &args.output {
         output::check(file, request.files(), false, false)?;
     }
 
     let mut set = options::read(&request)?;
-    let (frame, described) = settle(&mut set, args.source.require_noise);
+    let (frame, described) = settle_first(&mut set, args.source.require_noise);
     out.say(described.text(false));
     let frame = frame.map_err(|error| Failure::in_file(input, error))?;
     let gpu = args.device.open()?;

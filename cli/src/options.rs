@@ -1,6 +1,6 @@
 //! Options that several subcommands share.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use stein::gpu::DeviceChoice;
 use stein::text;
@@ -29,10 +29,12 @@ pub(crate) struct Source {
 }
 
 impl Source {
-    /// Returns the request for an input with everything that was named beside it.
-    pub(crate) fn request(&self, input: &Path) -> BufferSetRequest {
+    /// Returns the request for an input with everything that was named beside it. `seeds` are further renders of the
+    /// same frame, besides those of `--seed`.
+    pub(crate) fn request(&self, input: &Path, seeds: &[PathBuf]) -> BufferSetRequest {
         let others = if self.literal { self.others.literal() } else { self.others.clone() };
-        BufferSetRequest { input: input.to_owned(), layer: self.layer.clone(), ..others }
+        let seeds = [seeds, &others.seeds].concat();
+        BufferSetRequest { input: input.to_owned(), layer: self.layer.clone(), seeds, ..others }
     }
 
     /// Returns a layer of another file, such as a reference, and takes its path literally if `--literal` says so.

@@ -13,7 +13,7 @@ use stein::sampling::{SampleCounts, SamplingMap, sampling_density};
 use stein::text::{self, number};
 
 use super::filter::Filter;
-use super::inspect::{Input, settle};
+use super::inspect::{Input, settle_first};
 use super::options::{self, Device, Source};
 use super::{Failure, Out, interrupt, output};
 
@@ -39,6 +39,9 @@ pub(crate) struct Args {
     /// OpenEXR file, as for `stein denoise`
     #[arg(value_name = "IN", required_unless_present = "list_devices")]
     input: Option<PathBuf>,
+    /// Other renders of the same frame with other seeds, which are merged with IN
+    #[arg(value_name = "SEED")]
+    seeds: Vec<PathBuf>,
     /// Samples to distribute, per pixel on average, such as 16
     #[arg(long, value_name = "SPP", required_unless_present = "list_devices")]
     budget: Option<f64>,
@@ -126,12 +129,12 @@ pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
         ));
     }
     args.source.check(&method)?;
-    let request = args.source.for_method(&method).request(input);
+    let request = args.source.for_method(&method).request(input, &args.seeds);
     let file = args.output.clone().unwrap_or_else(|| input.with_extension("map.exr"));
     output::check(&file, request.files(), false, false)?;
 
     let mut set = options::read(&request)?;
-    let (frame, described) = settle(&mut set, args.source.require_noise);
+    let (frame, described) = settle_first(&mut set, args.source.require_noise);
     out.say(described.text(false));
     let frame = frame.map_err(|error| Failure::in_file(input, error))?;
     let gpu = args.device.open()?;

@@ -111,7 +111,7 @@ impl ShotPlan {
         let reference = args.reference.as_ref().map(|reference| source.reference(reference));
         let read = Read {
             number: None,
-            request: source.request(input),
+            request: source.request(input, &args.seeds),
             require_noise: source.require_noise,
             reference,
             is_denoised: true,
@@ -147,7 +147,7 @@ impl ShotPlan {
         };
         let read = |frame: u32, is_denoised: bool| Read {
             number: Some(frame),
-            request: source.request(input).map_files(|file| at_frame(file, frame)),
+            request: source.request(input, &args.seeds).map_files(|file| at_frame(file, frame)),
             require_noise: source.require_noise,
             reference: args
                 .reference

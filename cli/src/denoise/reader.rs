@@ -11,7 +11,7 @@ use stein::{Frame, Image};
 use stein_exr::BufferSet;
 
 use super::plan::Read;
-use crate::inspect::{Input, settle};
+use crate::inspect::{Input, settle_first};
 use crate::{Failure, options};
 
 /// A frame in memory.
@@ -78,7 +78,7 @@ fn load(read: &Read) -> Result<ReadFrame, Unusable> {
     let number = read.number;
     let unusable = |described, failure: Failure| Unusable { number, described, failure: failure.in_frame(number) };
     let mut set = options::read(&read.request).map_err(|failure| unusable(None, failure))?;
-    let (frame, described) = settle(&mut set, read.require_noise);
+    let (frame, described) = settle_first(&mut set, read.require_noise);
     let described = Box::new(described);
     let frame = match frame {
         Ok(frame) => frame,
