@@ -8,6 +8,7 @@ use stein::kernels::WeightRule;
 use stein::method::PlannedStep;
 use stein::text::{self, number};
 use stein::{Error, Extent, FilterKernel, Image, Kernels, Options};
+use stein_exr::picture_file::Format;
 use stein_exr::{NamedLayer, write_layers};
 
 use super::filter::Filter;
@@ -144,7 +145,7 @@ pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
     args.source.check(&method)?;
     let request = args.source.for_method(&method).request(input, &args.seeds);
     if let Some(file) = &args.output {
-        output::check(file, request.files(), false, false)?;
+        output::check(file, &[Format::OpenExr], request.files(), false, false)?;
     }
 
     let mut set = options::read(&request)?;

@@ -9,6 +9,7 @@ use crate::layer_ref::LayerRef;
 use crate::layers::{self, FileLayer};
 use crate::layout::{Layout, Quantity, Recognised, RoleName, Rule, Unit, native, recognise};
 use crate::names;
+use crate::picture_file::PngEncoding;
 use crate::request::BufferSetRequest;
 use crate::siblings::{self, Sibling};
 use crate::source::{self, Picture, Planes, SignalSource, VarianceSource};
@@ -20,7 +21,7 @@ use stein::image::Window;
 use stein::text;
 
 pub(crate) fn read(request: &BufferSetRequest) -> Result<BufferSet> {
-    let mut input = ExrFile::read(&request.input)?;
+    let mut input = ExrFile::read(&request.input, request.png_encoding)?;
     let recognised = match &request.layout {
         Some(name) => Recognised::requested(Layout::named(name)?, &request.input),
         None => recognise(&input, !request.no_siblings),
@@ -28,6 +29,7 @@ pub(crate) fn read(request: &BufferSetRequest) -> Result<BufferSet> {
     let joins = recognised.layout.joins.iter().filter(|join| join.file.is_none());
     joins.for_each(|join| layers::join(&mut input.layers, join));
     let mut files = Files::new(input, &recognised);
+    files.png_encoding = request.png_encoding;
     let Siblings { files: siblings, seeds } = files.open_siblings(request, &recognised);
     let request = &BufferSetRequest { seeds: [request.seeds.clone(), seeds].concat(), ..request.clone() };
     let mut left_out = Vec::new();
@@ -53,6 +55,7 @@ pub(crate) fn read(request: &BufferSetRequest) -> Result<BufferSet> {
         siblings,
         seeds: Vec::new(),
         stale: Vec::new(),
+        png_encoding: request.png_encoding,
         layer_uses: Vec::new(),
     };
     if !request.seeds.is_empty() {
@@ -101,6 +104,8 @@ struct Files {
     classified: Vec<Classified>,
     /// Rules of the layout, and behind them those of the native layout, which knows the usual names.
     rules: Vec<Rule>,
+    /// Meaning of the values in PNG files.
+    png_encoding: PngEncoding,
     /// Remarks on files.
     notes: Vec<String>,
     /// Remarks on layers that are not used.
@@ -132,6 +137,7 @@ impl Files {
             list: vec![input],
             classified,
             rules,
+            png_encoding: PngEncoding::Srgb,
             notes: Vec::new(),
             layer_notes: Vec::new(),
             own_files: vec![0],
@@ -143,7 +149,7 @@ impl Files {
         match self.list.iter().position(|file| file.path == path) {
             Some(index) => Ok(index),
             None => {
-                self.add(ExrFile::read(path)?, false);
+                self.add(ExrFile::read(path, self.png_encoding)?, false);
                 Ok(self.list.len() - 1)
             }
         }
@@ -202,7 +208,7 @@ impl Files {
         let index = match self.list.iter().position(|file| file.path == sibling.path) {
             Some(index) => index,
             None => {
-                let mut file = ExrFile::read(&sibling.path)?;
+                let mut file = ExrFile::read(&sibling.path, self.png_encoding)?;
                 for join in &recognised.layout.joins {
                     let is_here = |stem: &String| siblings::is(stem, input, recognised.stem.as_deref(), &sibling.path);
                     if join.file.as_ref().is_none_or(is_here) {
@@ -549,7 +555,13 @@ impl Files {
         picture: &Picture,
         left_out: &mut Vec<LeftOut>,
     ) -> Result<SignalSource> {
-        let index = self.open(&reference.file)?;
+        // Directions and distances are no light, so that no curve applies to them.
+        let is_light = matches!(FeatureKind::from_name(name), FeatureKind::Albedo | FeatureKind::Other);
+        let encoding = std::mem::replace(&mut self.png_encoding, PngEncoding::Linear);
+        self.png_encoding = if is_light { encoding } else { PngEncoding::Linear };
+        let index = self.open(&reference.file);
+        self.png_encoding = encoding;
+        let index = index?;
         let file = &self.list[index];
         let (layer, is_main) = match &reference.layer {
             Some(layer) => (named_layer(file, layer)?, false),

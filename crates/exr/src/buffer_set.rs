@@ -12,6 +12,7 @@ use crate::assign;
 use crate::file::ExrFile;
 use crate::layer_ref::{LayerRef, LayerUse};
 use crate::layout::LayoutUse;
+use crate::picture_file::PngEncoding;
 use crate::request::BufferSetRequest;
 use crate::source::{self, Picture, Planes, SignalSource, VarianceSource};
 
@@ -37,6 +38,8 @@ pub struct BufferSet {
     pub(crate) seeds: Vec<PathBuf>,
     /// Layers of the input that an output leaves out, because they belong to one seed alone.
     pub(crate) stale: Vec<usize>,
+    /// Meaning of the values in PNG files.
+    pub(crate) png_encoding: PngEncoding,
     pub(crate) layer_uses: Vec<LayerUse>,
 }
 
@@ -146,6 +149,13 @@ impl BufferSet {
         &self.layer_uses
     }
 
+    /// Returns the alpha of the first picture, if its layer has one.
+    pub(crate) fn alpha(&self) -> Option<Image> {
+        let layer = &self.files[0].layers[self.pictures[0].color.mean.layer];
+        let alpha = layer.channel("A").filter(|_| layer.channels.len() > 1)?;
+        Some(self.files[0].planes(layer.part, &[alpha]))
+    }
+
     /// Returns the uses of the layers in the input itself.
     pub(crate) fn uses_in_input(&self) -> &[LayerUse] {
         // They come first.
@@ -202,7 +212,7 @@ impl BufferSet {
     pub fn read_reference(&self, picture: usize, reference: &LayerRef) -> Result<Image> {
         let window = self.data_window_of(picture);
         let like = &self.files[0].layers[self.pictures[picture].color.mean.layer].name;
-        let file = ExrFile::read(&reference.file)?;
+        let file = ExrFile::read(&reference.file, self.png_encoding)?;
         let same = file.layers.iter().position(|layer| !like.is_empty() && layer.name == *like);
         let layer = match (same, &reference.layer) {
             (Some(same), None) => same,
@@ -356,12 +366,13 @@ impl BufferSet {
     }
 }
 
-/// Reads the colour of a reference image: three planes, R, G, B (equal ones for a luminance-only image).
+/// Reads the colour of a reference image: three planes, R, G, B (equal ones for a luminance-only image). The values of a
+/// PNG file follow the curve of sRGB.
 ///
 /// # Errors
 /// As [`BufferSet::read`] for a file or layer that cannot be read.
 pub fn read_reference(path: &Path, layer: Option<&str>) -> Result<Image> {
-    let file = ExrFile::read(path)?;
+    let file = ExrFile::read(path, PngEncoding::Srgb)?;
     let found = assign::color_layer_of(&file, layer)?;
     let channels = assign::color_channels(&file, found)?;
     Ok(file.planes(file.layers[found].part, &channels))

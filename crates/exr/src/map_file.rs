@@ -7,6 +7,7 @@ use stein::sampling::{SampleCounts, SamplingMap};
 use stein::{Error, Image, Result};
 
 use crate::file::ExrFile;
+use crate::picture_file::PngEncoding;
 use crate::samples::layer;
 use crate::write_layers;
 
@@ -44,7 +45,7 @@ impl MapFile {
     /// [`Error::File`] for a file that cannot be read or has no layer `samples`; [`Error::Layer`] for numbers that are
     /// not whole and even.
     pub fn read(path: &Path) -> Result<Self> {
-        let file = ExrFile::read(path)?;
+        let file = ExrFile::read(path, PngEncoding::Linear)?;
         let find = |name: &str| {
             let found = file.layers.iter().find(|layer| layer.name == name)?;
             let channel = found.channels.first()?;

@@ -33,7 +33,7 @@ pub(crate) fn merge(
 ) -> Result<Vec<Note>> {
     let mut seeds = Vec::new();
     for path in &request.seeds {
-        let file = ExrFile::read(path)?;
+        let file = ExrFile::read(path, request.png_encoding)?;
         check_is_seed(set, &file)?;
         seeds.push(file);
     }
