@@ -133,7 +133,7 @@ pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
     let seed = if args.reference { !args.picture.seed } else { args.picture.seed };
     let mut sampler = args.picture.sampler(name, extent, seed)?;
     let counts = match (map, args.spp) {
-        (Some(MapFile { map, drawn }), _) => {
+        (Some(MapFile { map, drawn, .. }), _) => {
             if let Some(drawn) = drawn {
                 sampler = sampler.continue_after(&drawn)?;
             }

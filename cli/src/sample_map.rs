@@ -150,7 +150,8 @@ pub(crate) fn run(args: &Args, out: &mut Out) -> Result<(), Failure> {
     let density = sampling_density(&estimate, budget, budget * f64::from(SamplingMap::DEFAULT_CAP))?;
     let map = SamplingMap::new(&density, budget, Some(cap)).map_err(Failure::usage)?;
     let spread = Spread::of(&map.counts);
-    MapFile { map, drawn: drawn(&set.samples_per_pixel(), frame.extent()) }
+    let drawn = drawn(&set.samples_per_pixel(), frame.extent());
+    MapFile { map, drawn, windows: Some(set.windows()) }
         .write(&file, &[])
         .map_err(Failure::output)?;
     out.say(format_args!("{}: {spread}", text::path(&file)));

@@ -128,7 +128,7 @@ impl Folder {
 
     /// Writes the map of the samples that are drawn next.
     pub(crate) fn write_map(&self, label: &str, map: &SamplingMap, drawn: Option<&Samples>) -> Result<(), Failure> {
-        let file = MapFile { map: map.clone(), drawn: drawn.map(Samples::counts) };
+        let file = MapFile { map: map.clone(), drawn: drawn.map(Samples::counts), windows: None };
         file.write(&self.path.join(format!("map_{label}.exr")), &[]).map_err(Failure::output)
     }
 

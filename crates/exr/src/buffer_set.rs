@@ -14,6 +14,7 @@ use crate::layer_ref::{LayerRef, LayerUse};
 use crate::layout::LayoutUse;
 use crate::picture_file::PngEncoding;
 use crate::request::BufferSetRequest;
+use crate::write::Windows;
 use crate::source::{self, Picture, Planes, SignalSource, VarianceSource};
 
 /// Bytes per pixel for making a signal of a frame, besides its planes: marks of pixels to repair, of misses, and of
@@ -107,6 +108,11 @@ impl BufferSet {
     /// Returns the display window: the whole picture. The data window may be a part of it, or exceed it.
     pub fn display_window(&self) -> Window {
         self.files[0].display_window()
+    }
+
+    /// Returns both windows of the first picture.
+    pub fn windows(&self) -> Windows {
+        Windows { data: self.data_window(), display: self.display_window() }
     }
 
     /// Returns the noisy colour: always three planes, equal ones for a luminance-only image.

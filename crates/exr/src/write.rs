@@ -14,7 +14,7 @@ use crate::file::{ExrFile, is_lossy};
 use crate::header::settle;
 use crate::names::{LONGEST_NAME, encoded};
 use stein::error::{Error, FileCause, LayerCause, RequestCause, Result};
-use stein::image::{Extent, Image};
+use stein::image::{Extent, Image, Window};
 use stein::text;
 
 /// A layer to add to an output.
@@ -380,6 +380,28 @@ impl Writer<'_> {
 /// [`Error::Request`] for no layers, for layers of different extents, and for names that OpenEXR cannot store;
 /// [`Error::File`] for errors of the file system.
 pub fn write_layers(output: &Path, layers: &[NamedLayer], attributes: &[(String, String)]) -> Result<()> {
+    write_layers_in(None, output, layers, attributes)
+}
+
+/// Data window and display window of a file.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Windows {
+    /// Position of the pixels in the file's coordinates. Its extent is the layers' extent.
+    pub data: Window,
+    /// The whole picture.
+    pub display: Window,
+}
+
+/// Writes as [`write_layers`] does, with these windows; without any, both begin at (0, 0).
+///
+/// # Errors
+/// As [`write_layers`].
+pub fn write_layers_in(
+    windows: Option<Windows>,
+    output: &Path,
+    layers: &[NamedLayer],
+    attributes: &[(String, String)],
+) -> Result<()> {
     let misuse = |problem, change| Err(Error::Request(RequestCause::Misuse { problem, change }));
     let unusable = |reason| Error::Request(RequestCause::UnusableName { what: "a channel".into(), reason });
     let Some(extent) = layers.first().map(|layer| layer.image.extent) else {
@@ -408,7 +430,12 @@ pub fn write_layers(output: &Path, layers: &[NamedLayer], attributes: &[(String,
     let size = Vec2(extent.width as usize, extent.height as usize);
     let mut part = Layer::new(size, LayerAttributes::default(), Encoding::SMALL_LOSSLESS, AnyChannels::sort(channels));
     add_attributes(&mut part.attributes, attributes)?;
-    let bounds = IntegerBounds::new(part.attributes.layer_position, part.size);
+    let mut bounds = IntegerBounds::new(part.attributes.layer_position, part.size);
+    if let Some(Windows { data, display }) = windows {
+        part.attributes.layer_position = Vec2(data.x, data.y);
+        let size = Vec2(display.extent.width as usize, display.extent.height as usize);
+        bounds = IntegerBounds::new(Vec2(display.x, display.y), size);
+    }
     write_then_rename(&FlatImage::from_layers(ImageAttributes::new(bounds), vec![part]), output)
 }
 
