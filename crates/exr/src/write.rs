@@ -319,6 +319,13 @@ impl Writer<'_> {
         if value > 0.0 { f16::MAX } else { f16::MIN }
     }
 
+    /// Adds a remark, unless another part has led to it already.
+    fn note(&mut self, note: String) {
+        if !self.report.notes.contains(&note) {
+            self.report.notes.push(note);
+        }
+    }
+
     /// Leaves out time codes that the encoder refuses, such as those of more than 30 frames in a second.
     fn settle_attributes(&mut self, time_code: &mut Option<TimeCode>, others: &mut HashMap<Text, AttributeValue>) {
         let is_writable = |code: &TimeCode| code.pack_time_as_tv60_u32().is_ok();
@@ -348,21 +355,17 @@ impl Writer<'_> {
             _ => true,
         };
         if !writable {
-            self.report.notes.push(format!("{} cannot be written: ZIP is used instead", layer.encoding.compression));
+            self.note(format!("{} cannot be written: ZIP is used instead", layer.encoding.compression));
             layer.encoding.compression = Compression::ZIP16;
         }
         if has_lossy {
             let compression = layer.encoding.compression;
-            self.report
-                .notes
-                .push(format!("{compression} would change layers that stay as they were: ZIP is used instead"));
+            self.note(format!("{compression} would change layers that stay as they were: ZIP is used instead"));
             layer.encoding.compression = Compression::ZIP16;
         }
         if layer.channel_data.list.iter().any(|channel| may_overshoot(layer.encoding.compression, channel)) {
             let compression = layer.encoding.compression;
-            self.report
-                .notes
-                .push(format!("{compression} would make infinities of the largest values: ZIP is used instead"));
+            self.note(format!("{compression} would make infinities of the largest values: ZIP is used instead"));
             layer.encoding.compression = Compression::ZIP16;
         }
         // The input may have had its channels in any order, but the format requires them sorted.
