@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use crate::buffer_set::BufferSet;
-use crate::classify::{Classified, LayerId, Meaning, Scope, classify, is_whole_numbers};
+use crate::classify::{Classified, LayerId, Meaning, Rank, Scope, classify, is_whole_numbers};
 use crate::file::ExrFile;
 use crate::layer_ref::LayerRef;
 use crate::layers::{self, FileLayer};
@@ -177,7 +177,7 @@ impl Files {
     }
 
     fn rule(&self, id: LayerId) -> Option<&Rule> {
-        self.meaning(id).map(|meaning| &self.rules[meaning.rank.0])
+        self.meaning(id).map(|meaning| &self.rules[meaning.rank.rule])
     }
 
     /// Opens the files beside the input that belong to it. A file that cannot be read is left out and named.
@@ -249,7 +249,7 @@ impl Files {
             (0..file.layers.len()).filter(is_named).collect()
         };
         for layer in layers {
-            let meaning = Meaning::new((sibling.rule, 0), &rule, String::new(), of);
+            let meaning = Meaning::new(Rank { rule: sibling.rule, ..Rank::default() }, &rule, String::new(), of);
             self.classified[index].meanings[layer].get_or_insert(meaning);
         }
         Ok(())
@@ -288,7 +288,7 @@ impl Files {
     }
 
     /// Returns the best colour of each picture, with its rank: of each part, view layer and view.
-    fn best_colors(&self) -> Vec<((usize, usize), LayerId)> {
+    fn best_colors(&self) -> Vec<(Rank, LayerId)> {
         let is_color = |id: &LayerId| {
             self.meaning(*id).is_some_and(|meaning| meaning.is_mean_of(|role| role == RoleName::Color))
                 && self.channels_of_color(*id).is_ok()
@@ -298,7 +298,7 @@ impl Files {
             |id: &LayerId| self.rule(*id).is_some_and(|rule| rule.is_fallback || rule.is_copy);
         let first_choice: Vec<LayerId> = all.iter().copied().filter(|id| !is_second_choice(id)).collect();
         let candidates = if first_choice.is_empty() { all } else { first_choice };
-        let mut best: Vec<((usize, usize), LayerId)> = Vec::new();
+        let mut best: Vec<(Rank, LayerId)> = Vec::new();
         for id in candidates {
             let Some(rank) = self.meaning(id).map(|meaning| meaning.rank) else { continue };
             match best.iter_mut().find(|(_, other)| self.scope(*other) == self.scope(id)) {
@@ -704,7 +704,7 @@ impl Files {
         let (role, rank) = match self.meaning(id) {
             Some(meaning) if meaning.is_mean_of(RoleName::is_feature) => (meaning.role?, meaning.rank),
             Some(_) => return None,
-            None if self.has_companions(id) => (RoleName::Feature, (usize::MAX, 0)),
+            None if self.has_companions(id) => (RoleName::Feature, Rank { rule: usize::MAX, ..Rank::default() }),
             None => return None,
         };
         let key = &self.layer(id).key;
@@ -809,7 +809,7 @@ struct FeatureCandidate {
     id: LayerId,
     name: String,
     /// Smaller ranks are preferred among layers of the same name.
-    rank: (usize, usize),
+    rank: Rank,
     /// Whether the feature is named by its role, not by its layer.
     has_role_name: bool,
 }
